@@ -35,7 +35,8 @@ T = TypeVar("T")
 class ControllerState:
     """State of the controller as it was last reported. A package may carry only some of its parts."""
 
-    received_s: float  # host time of arrival of its oldest part
+    received_s: float  # host time at which its oldest part was received
+    came_after_s: float  # by which none of its parts had arrived
     device_clock: int  # time stamp in the package with the joints, us; 0 without one
     mode: RobotModeData
     joints_rad: JointVector
@@ -45,10 +46,11 @@ class ControllerState:
 
 
 class _Dated(NamedTuple, Generic[T]):
-    """Part of a state, with host time of arrival and time stamp of its package."""
+    """Part of a state, with the times of its package."""
 
     part: T
     received_s: float
+    came_after_s: float
     device_clock: int
 
 
@@ -72,12 +74,18 @@ class PrimaryClient(ControlChannel[ControllerState]):
         """Return the factory calibration, which comes with the first state; raises URD-015."""
         return self._await(lambda: self.kinematics, "its factory calibration", timeout_s)
 
-    def await_state(self, timeout_s: float, newer_than_s: float = 0.0) -> ControllerState:
-        """Return a state that arrived after a host time; raises URD-015 without one, URD-014 on a loss."""
+    def await_state(self, timeout_s: float) -> ControllerState:
+        """Return the last state; raises URD-015 without one, URD-014 on a loss."""
+        return self._await(lambda: self.latest, "a state", timeout_s)
+
+    def await_new_state(self, timeout_s: float) -> ControllerState:
+        """Return a state that arrives after this call, however late the reader runs; raises as above."""
+        asked_s = time.monotonic()
+        self._note_emptied()
 
         def find() -> ControllerState | None:
             latest = self.latest
-            return latest if latest is not None and latest.received_s > newer_than_s else None
+            return latest if latest is not None and latest.came_after_s >= asked_s else None
 
         return self._await(find, "a state", timeout_s)
 
@@ -111,11 +119,11 @@ class PrimaryClient(ControlChannel[ControllerState]):
         for part in parts:
             match part:
                 case RobotModeData():
-                    self._mode = _Dated(part, received_s, clock_us)
+                    self._mode = _Dated(part, received_s, self._came_after_s, clock_us)
                 case Joints():
-                    self._joints = _Dated(part, received_s, clock_us)
+                    self._joints = _Dated(part, received_s, self._came_after_s, clock_us)
                 case Masterboard():
-                    self._board = _Dated(part, received_s, clock_us)
+                    self._board = _Dated(part, received_s, self._came_after_s, clock_us)
                 case KinematicsInfo():
                     self.kinematics = part
         mode, joints, board = self._mode, self._joints, self._board
@@ -123,6 +131,7 @@ class PrimaryClient(ControlChannel[ControllerState]):
             return None
         return ControllerState(
             min(mode.received_s, joints.received_s, board.received_s),
+            min(mode.came_after_s, joints.came_after_s, board.came_after_s),
             joints.device_clock,
             mode.part,
             joints.part.angles_rad,

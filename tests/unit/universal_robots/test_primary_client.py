@@ -5,13 +5,13 @@ from __future__ import annotations
 import socket
 import struct
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 
 import pytest
 from handmade_ur import robot_state
 from waiting import eventually
 
-from drivers.universal_robots.errors import NoAnswer
 from drivers.universal_robots.primary.client import PrimaryClient
 
 LIMIT_S = 10.0
@@ -59,8 +59,7 @@ def test_a_package_with_some_of_the_parts_makes_no_others_new(line: Line, carrie
     assert latest.mode.speed_fraction == (0.5 if MODE in carried else 1.0)
     assert latest.digital_inputs == (8 if BOARD in carried else 0)
     assert latest.received_s == first.received_s
-    with pytest.raises(NoAnswer):
-        line.client.await_state(0.05, newer_than_s=first.received_s)
+    assert latest.came_after_s == first.came_after_s
 
 
 @pytest.mark.parametrize(
@@ -74,8 +73,18 @@ def test_the_time_stamp_is_that_of_the_package_with_the_joints(
 
 
 def test_parts_that_come_one_by_one_make_a_state_as_new_as_the_first_of_them(line: Line) -> None:
-    asked_s = line.client.await_state(LIMIT_S).received_s
+    first = line.client.await_state(LIMIT_S)
     for kind in (MODE, JOINTS, BOARD):
-        line.send(only(robot_state(digital_inputs=8), kind))
-    state = line.client.await_state(LIMIT_S, newer_than_s=asked_s)
-    assert state.digital_inputs == 8
+        line.send(only(robot_state(), kind))
+    latest = line.client.await_state(LIMIT_S)
+    assert latest.received_s > first.received_s
+    assert latest.came_after_s > first.came_after_s
+
+
+def test_a_request_is_answered_by_a_whole_state_that_comes_after_it(line: Line) -> None:
+    with ThreadPoolExecutor(1) as pool:
+        requested = pool.submit(line.client.await_new_state, LIMIT_S)
+        while not requested.done():
+            line.send(only(robot_state(), MODE))
+            line.send(robot_state(digital_inputs=8))
+        assert requested.result().digital_inputs == 8

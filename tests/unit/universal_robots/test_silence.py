@@ -13,6 +13,7 @@ import pytest
 from handmade_ur import robot_state
 
 from drivers.universal_robots.dashboard import BANNER, DashboardClient
+from drivers.universal_robots.errors import NoAnswer
 from drivers.universal_robots.primary.client import ControllerState, PrimaryClient
 from ronna_hw.arm_stream.control_channel import QUIET_S
 from ronna_hw.devices.capabilities import Direction
@@ -91,6 +92,18 @@ def test_a_state_that_came_in_time_is_taken_though_the_reader_runs_after_the_lim
     line.now_s += STOOD_STILL_S
     threading.Timer(0.1, line.runs.set).start()
     assert line.client.await_state(0.0) is line.client.latest
+
+
+def test_a_state_that_came_before_the_request_does_not_answer_it_though_it_is_read_later(line: Line) -> None:
+    line.runs.clear()
+    line.controller.sendall(robot_state())  # in the reader's hands
+    assert line.received.wait(LIMIT_S)
+    line.controller.sendall(robot_state())  # unread
+    assert select.select((line.client._socket,), (), (), LIMIT_S)[0]
+    line.now_s += STOOD_STILL_S
+    threading.Timer(0.1, line.runs.set).start()
+    with pytest.raises(NoAnswer):
+        line.client.await_new_state(0.0)
 
 
 def test_an_answer_of_the_dashboard_that_came_in_time_is_taken_after_the_limit() -> None:
