@@ -27,7 +27,6 @@ class ClientInterfaces:
         self._packages = StatePackages(controller)
         self._period = max(1, round(controller.parameters.state_period_s / controller.model.cycle_s))
         self._due_cycle, self._due_s = 0, 0.0  # of the next state; the latter in host time
-        self._deaf: set[Connection] = set()  # real-time clients that never read: no longer sent to
         self._waiting: list[tuple[int, str]] = []  # scripts, with the cycles until they start
         self.primary = Listener(address, PRIMARY_PORT, poll, self._connect)
         self.secondary = Listener(address, SECONDARY_PORT, poll, self._connect_secondary)
@@ -80,8 +79,7 @@ class ClientInterfaces:
         if self.realtime.connections:
             package = self._packages.realtime()
             for connection in self.realtime.connections:
-                if connection not in self._deaf and not connection.try_send(package):
-                    self._deaf.add(connection)
+                connection.send_while_read(package)
 
     def _is_state_due(self) -> bool:
         """Return whether a period has passed, in cycles or in host time, and begin the next one.

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import gc
 import math
 import os
 import resource
 import socket
 import time
+import weakref
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 
@@ -33,6 +35,7 @@ LONGEST_S = 1.0  # of CPU, for one stream and its cycles
 CYCLES = 3
 RENEWED_AFTER = 50  # streams
 FARTHEST_RAD = 7.0  # a joint stands beyond its limit by what it needs to stop
+PACKAGES_UNREAD = 10_000  # of a kilobyte: more than the system keeps for one who does not read
 LONGEST_SCRIPT_BYTES = 1_000_000
 COUNTS = pytest.mark.parametrize(
     ("count", "seed"),
@@ -251,6 +254,22 @@ def test_without_a_descriptor_a_client_waits_at_rest_and_is_accepted_later(
         assert capsys.readouterr().err.count("cannot accept a client") == 1
         poll.serve(1.0)
         assert len(listener.connections) == 1
+
+
+def test_of_a_client_that_never_read_nothing_is_kept_once_it_has_gone(target: Target) -> None:
+    listener = target.clients.realtime
+    address = parse_endpoint(listener.endpoint)
+    with socket.socket() as client:
+        client.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 2048)
+        client.connect((address.host, address.port))
+        target.poll.serve(1.0)
+        gone = weakref.ref(listener.connections[0])
+        for _ in range(PACKAGES_UNREAD):
+            target.clients.send_state()
+    while listener.connections:
+        target.poll.serve(1.0)
+    gc.collect()
+    assert gone() is None
 
 
 @COUNTS
