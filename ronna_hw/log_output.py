@@ -23,7 +23,7 @@ FILE_BYTES = 1_000_000
 OLD_FILES = 3  # log.jsonl.1 to .3: a run keeps at most four megabytes
 
 _PATIENT_FILE_LIBRARIES = ("pydicom", "pynetdicom", "highdicom", "gdcm")
-_WARNING_PLACE = re.compile(r"\w+\.py:\d+: \w+")  # series.py:52: UserWarning
+_WARNING_PLACE = re.compile(r"\b\w++\.py:\d+: \w+")  # series.py:52: UserWarning
 _VERSIONS_LOGGED = (
     "ronna-hw",
     "numpy",

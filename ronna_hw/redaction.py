@@ -50,14 +50,16 @@ _PATIENT_KEY = re.compile(
 )
 _TOKEN = re.compile(r"(token=)[^&\s'\"]+", re.IGNORECASE)
 _UID = re.compile(r"\b\d+(?:\.\d+){5,}\b")
+# The patterns below begin only where a word does: from each of its letters, a long one would cost its square.
+_CUT_WORD = re.compile(r"(?<!\S)\S*+\Z")
 # A word with a slash is a path, unless it is an endpoint, a device node, or a unit such as mm/s.
-_WORD_WITH_SLASH = re.compile(r"[^\s'\"(),;=]*/[^\s'\"(),;]*")
+_WORD_WITH_SLASH = re.compile(r"(?<![^\s'\"(),;=])[^\s'\"(),;=/]*+/[^\s'\"(),;]*+")
 _HARMLESS_SLASH = re.compile(
     r"(?:udp|tcp|serial|gev|shm|host):[\w.:\[\]%?&=/-]*"
     r"|/dev/[\w/.-]+"
     r"|(?:[\d.%]+|mm|rad|deg|px|bytes|frames)?/(?:s[²³]?|mm|px|min|[\d.]+)"
 )
-_FILE_NAME = re.compile(r"[^\s'\"/]+\.(?:dcm|ima|nii|gz|toml|jsonl?|csv|html)\b", re.IGNORECASE)
+_FILE_NAME = re.compile(r"(?<![^\s'\"/])[^\s'\"/]+\.(?:dcm|ima|nii|gz|toml|jsonl?|csv|html)\b", re.IGNORECASE)
 
 
 def redact_event(_log: object, _method: str, event: MutableMapping[str, Any]) -> MutableMapping[str, Any]:
@@ -98,7 +100,12 @@ def _describe_rest(value: Sized) -> str:
 
 
 def scrub_text(text: str) -> str:
-    """Remove tokens, DICOM UIDs, paths and file names from text; endpoints and device nodes are kept."""
+    """Remove tokens, DICOM UIDs, paths and file names from text; endpoints and device nodes are kept.
+
+    Of a text beyond the limit only what will be logged is looked at, without the word that the limit cuts.
+    """
+    if len(text) > TEXT_LIMIT:
+        text = _CUT_WORD.sub(REDACTED, text[:TEXT_LIMIT])
     text = _TOKEN.sub(rf"\1{REDACTED}", text)
     text = _WORD_WITH_SLASH.sub(_redact_path, text)
     text = _FILE_NAME.sub(REDACTED, text)

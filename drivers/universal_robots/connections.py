@@ -95,7 +95,7 @@ class Connections(StreamConnections[ControllerState, PrimaryClient]):
         No more theatre time passes than that takes.
         """
         with passing(self.clock, STATE_PERIOD_S):
-            return self.control.await_state(timeout_s, newer_than_s=time.monotonic())
+            return self.control.await_new_state(timeout_s)
 
     def registers_taken(self, timeout_s: float) -> str:
         """Return who has the registers of our script, with the code of the error; empty if nobody has."""

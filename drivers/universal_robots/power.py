@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 
 from drivers.universal_robots.dashboard import DashboardClient, is_accepted
-from drivers.universal_robots.errors import LocalMode, NoAnswer, NotPowered, ProtectivelyStopped
+from drivers.universal_robots.errors import BadBytes, LocalMode, NoAnswer, NotPowered, ProtectivelyStopped
 from drivers.universal_robots.safety import NORMAL_MODES, RESTART_MODES, safety_refusal
 from ronna_hw.arm.universal_robots import UrModel
 from ronna_hw.arm_stream.connections import remaining_s
@@ -118,8 +118,8 @@ class PowerAndSafety:
     def _unlock(self, person: str, deadline: float) -> None:
         """Release a protective stop in the name of a person, as soon as the controller permits it."""
         dashboard = self._dashboard()
-        with contextlib.suppress(NoAnswer):
-            dashboard.ask(f"{Query.ADD_TO_LOG} protective stop released by {_ascii(person)}", ASK_LIMIT_S)
+        with contextlib.suppress(NoAnswer, BadBytes):  # an entry in the log is no condition
+            dashboard.ask(Query.ADD_TO_LOG, ASK_LIMIT_S, f"protective stop released by {_ascii(person)}")
         dashboard.ask(Order.CLOSE_SAFETY_POPUP, ASK_LIMIT_S)
         while True:
             answer = dashboard.ask(Order.UNLOCK_PROTECTIVE_STOP, ASK_LIMIT_S)

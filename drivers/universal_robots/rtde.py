@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import socket
 import struct
 import time
 from collections.abc import Callable, Sequence
@@ -55,7 +56,6 @@ class RtdeSetup:
         """Connect and agree on version 2 of the protocol; raises URD-002 or URD-004."""
         self.where = f"tcp://{host}:{port}"
         self._deadline = time.monotonic() + timeout_s
-        self._received = b""
         self.socket = open_connection(host, port, timeout_s, ControllerNotFound)
         try:
             accepted = self._ask(PackageType.PROTOCOL_VERSION, struct.pack(">H", PROTOCOL_VERSION))
@@ -141,6 +141,11 @@ class RtdeSetup:
     def _ask(self, kind: PackageType, payload: bytes = b"") -> bytes:
         """Send a request and return the payload of its reply; messages in between are skipped."""
         try:
+            for _ in range(SKIPPED_PACKAGES):  # what has come before the request cannot be its reply
+                if not self._has_unread():
+                    break
+                self._read_package()
+            self.socket.settimeout(max(0.0, self._deadline - time.monotonic()))
             self.socket.sendall(HEADER.pack(RTDE_HEADER_BYTES + len(payload), kind) + payload)
         except OSError as error:
             raise ControllerLost(f"{self.where}: {describe(error)}") from error
@@ -149,10 +154,7 @@ class RtdeSetup:
     def _await_package(self, kind: PackageType, request: str) -> bytes:
         try:
             for _ in range(SKIPPED_PACKAGES):
-                size, answered = HEADER.unpack(self._receive(RTDE_HEADER_BYTES))
-                if not RTDE_HEADER_BYTES <= size <= LONGEST_PACKAGE_BYTES:
-                    raise BadBytes(f"{self.where} sends a package of {size} bytes, which none has")
-                reply = self._receive(size - RTDE_HEADER_BYTES)
+                answered, reply = self._read_package()
                 if answered == kind:
                     return reply
         except TimeoutError as error:
@@ -161,19 +163,33 @@ class RtdeSetup:
             raise ControllerLost(f"{self.where}: {describe(error)}") from error
         raise BadBytes(f"{self.where} does not answer the request {request}, but sends other packages")
 
+    def _has_unread(self) -> bool:
+        self.socket.settimeout(0.0)
+        try:
+            return bool(self.socket.recv(1, socket.MSG_PEEK))
+        except BlockingIOError:
+            return False
+
+    def _read_package(self) -> tuple[int, bytes]:
+        """Return kind and payload of the next package, and leave all that follows it to be read."""
+        size, kind = HEADER.unpack(self._receive(RTDE_HEADER_BYTES))
+        if not RTDE_HEADER_BYTES <= size <= LONGEST_PACKAGE_BYTES:
+            raise BadBytes(f"{self.where} sends a package of {size} bytes, which none has")
+        return kind, self._receive(size - RTDE_HEADER_BYTES)
+
     def _receive(self, count: int) -> bytes:
-        while len(self._received) < count:
+        received = b""
+        while len(received) < count:
             # Past the limit it still takes a reply that has come while this program did not run.
             self.socket.settimeout(max(0.0, self._deadline - time.monotonic()))
             try:
-                data = self.socket.recv(LONGEST_PACKAGE_BYTES)
+                data = self.socket.recv(count - len(received))
             except BlockingIOError:
                 raise TimeoutError from None
             if not data:
                 raise ControllerLost(f"{self.where} closed the connection")
-            self._received += data
-        taken, self._received = self._received[:count], self._received[count:]
-        return taken
+            received += data
+        return received
 
     def _bad(self, what: str, reply: bytes) -> BadBytes:
         return BadBytes(f"{self.where}: the reply with the {what} cannot be read", wire=reply)

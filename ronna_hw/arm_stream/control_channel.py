@@ -97,6 +97,9 @@ class ControlChannel(ABC, Generic[S]):
         self.failure: RonnaError | None = None  # cause of the loss
         self._opened_s = time.monotonic()
         self._listened_s = self._opened_s  # up to then the reader has taken all that arrived
+        self._receiving = threading.Lock()
+        self._emptied_s = self._opened_s  # when nothing was unread: what is received next came later
+        self._came_after_s = self._opened_s  # the bytes in the reader's hands
         self._listener: Listener[S] | None = None
         self._closing = False
         self._reader = threading.Thread(target=self._read, name=self.thread_name, daemon=True)
@@ -161,6 +164,15 @@ class ControlChannel(ABC, Generic[S]):
                     return None
                 self._arrived.wait((deadline if now_s < deadline else limit_s) - now_s)
 
+    def _note_emptied(self) -> None:
+        """If nothing is unread, note that what is received next has arrived later than now."""
+        with self._receiving, contextlib.suppress(OSError):
+            now_s = time.monotonic()
+            try:
+                self._socket.recv(1, socket.MSG_PEEK | socket.MSG_DONTWAIT)
+            except BlockingIOError:
+                self._emptied_s = now_s
+
     def _lost_error(self, how: str) -> ProtocolError:
         return self.errors.lost(f"{self.where}{how}")
 
@@ -189,7 +201,13 @@ class ControlChannel(ABC, Generic[S]):
         while True:
             began_s = time.monotonic()
             try:
-                data = self._socket.recv(RECEIVE_BYTES)
+                self._socket.recv(1, socket.MSG_PEEK)
+                with self._receiving:
+                    now_s = time.monotonic()
+                    data = self._socket.recv(RECEIVE_BYTES)
+                    self._came_after_s = self._emptied_s
+                    if len(data) < RECEIVE_BYTES:
+                        self._emptied_s = now_s
             except BlockingIOError:
                 self._tell_listened(began_s + QUIET_S)
                 if self._listener is not None:

@@ -90,6 +90,7 @@ class Connection:
         self._poll, self._forget = poll, forget
         self.handler: Handler | None = None
         self.open = True
+        self._is_deaf = False
         self._held: list[bytes] | None = None  # what waits while nothing passes
         self._held_bytes = 0
         poll.register(client, self.serve)
@@ -144,17 +145,16 @@ class Connection:
         if waiting:
             self.send(b"".join(waiting))
 
-    def try_send(self, data: bytes) -> bool:
-        """Send, and return whether all of it went."""
-        if self._held is not None:
-            return True
+    def send_while_read(self, data: bytes) -> None:
+        """Send, until once there is no room: a client that never reads may still command."""
+        if self._held is not None or self._is_deaf:
+            return
         try:
-            return self.socket.send(data) == len(data)
+            self._is_deaf = self.socket.send(data) != len(data)
         except BlockingIOError:
-            return False
+            self._is_deaf = True
         except OSError:
             self.close()
-            return False
 
     def close(self) -> None:
         """Close the connection; safe to call twice."""

@@ -35,6 +35,7 @@ _TARGET_VELOCITY, _ACTUAL_VELOCITY = PLACES["target_TCP_speed"], PLACES["actual_
 POSES: Final = frozenset({"target_TCP_pose", "actual_TCP_pose", "target_TCP_speed", "actual_TCP_speed"})
 JOINT_RUNNING, JOINT_POWER_OFF, JOINT_IDLE = 253, 239, 255  # joint_mode
 
+LONGEST_TOLD: Final = 200  # characters of a name or a failure, which may quote any script (U)
 STARTED, STOPPED, PAUSED, RESUMED = "STARTED", "STOPPED", "PAUSED", "RESUMED"  # news of a program
 
 
@@ -50,12 +51,12 @@ class News:
     def tell_failure(self, text: str, line: int = 1) -> None:
         """Tell of a program that failed."""
         for tell in self.failure:
-            tell(text, line)
+            tell(text[:LONGEST_TOLD], line)
 
     def tell_program(self, what: str, name: str) -> None:
         """Report a program."""
         for tell in self.program:
-            tell(what, name)
+            tell(what, name[:LONGEST_TOLD])
 
 
 class Controller:

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import isfinite
-from typing import Any
+from typing import Any, Final
 
 from ronna_hw.wire.universal_robots import TOOL_INPUTS
 from sim.universal_robots.controller_parameters import ControllerParameters
@@ -33,6 +32,7 @@ from sim.universal_robots.variables import (
 )
 
 _TCP_OFFSET, _COG = PLACES["tcp_offset"], PLACES["payload_cog"]
+LARGEST: Final = 1e6  # kg, m or rad of a load, far beyond any: currents by it still fit in a package
 
 
 class Robot:
@@ -89,7 +89,7 @@ class Robot:
 
     def set_tcp(self, pose: Sequence[float]) -> None:
         """Set the tool centre point in the flange frame, x y z (m) rx ry rz (rad); raises ValueError."""
-        _require_finite(*pose)
+        _require_bearable(*pose)
         if self.keeps_load:
             return
         self.tcp = frame_of_pose(pose)
@@ -97,7 +97,7 @@ class Robot:
 
     def set_payload(self, mass_kg: float, centre_m: Sequence[float] | None) -> None:
         """Set the payload, at its former centre of gravity if None; raises ValueError."""
-        _require_finite(mass_kg, *(centre_m or ()))
+        _require_bearable(mass_kg, *(centre_m or ()))
         if self.keeps_load:
             return
         self.values[PAYLOAD] = mass_kg
@@ -125,6 +125,6 @@ class Robot:
         return self.kinematics.joints_at(compose(tool, inverted(self.tcp)), near_rad)
 
 
-def _require_finite(*numbers: float) -> None:
-    if not isfinite(sum(map(abs, numbers))):
-        raise ValueError("a number that is not finite")
+def _require_bearable(*numbers: float) -> None:
+    if not all(abs(number) <= LARGEST for number in numbers):  # also if one is no number
+        raise ValueError(f"a number beyond {LARGEST:g}")

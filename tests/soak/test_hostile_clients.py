@@ -16,6 +16,8 @@ import psutil
 import pytest
 from good_inputs import CONTROLLER_COMMANDS, CONTROLLER_REQUESTS
 from hostile_clients import camera_commands, loading, maltreat, with_right_checksum, write_register
+from ur_clients import own_address
+from ur_mutants import LINES, RTDE, SCRIPTS
 from waiting import eventually
 
 from ronna_hw.control_port import ControlAddress, ask_control_port
@@ -205,6 +207,25 @@ def test_the_arm_controller_keeps_serving_despite_hostile_real_time_replies(
             lambda: clients.asked_until(CONTROLLER_COMMANDS[0], lambda heard: b'<State Id="0"' in heard),
             duration_s,
         )
+
+
+@lengths
+@pytest.mark.parametrize(
+    ("port", "good"), [("dashboard", LINES), ("primary", SCRIPTS), ("realtime", SCRIPTS), ("rtde", RTDE)]
+)
+def test_the_universal_robots_controller_keeps_serving_despite_hostile_clients(
+    duration_s: float, port: str, good: tuple[bytes, ...]
+) -> None:
+    with Simulator("ur", "--address", own_address()) as child:
+        clients = StreamClients(child.ready["endpoints"][port], good, seed=7)
+        others = StreamClients(child.ready["endpoints"]["dashboard"], (), seed=8)
+        with contextlib.closing(clients):
+            _last(
+                child,
+                clients.turn,
+                lambda: others.asked_until(b"robotmode\n", lambda heard: b"Robotmode: " in heard),
+                duration_s,
+            )
 
 
 @lengths

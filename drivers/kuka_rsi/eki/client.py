@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import secrets
 import time
 from collections.abc import Callable, Iterator
 from typing import NamedTuple, TypeVar
@@ -24,6 +25,7 @@ from ronna_hw.devices.lifecycle import READABLE, Lifecycle, LifecycleGuard
 from ronna_hw.wire.kuka_eki import ACK, CMD, STATE, AckCode, CommandName
 
 ACKS_KEPT = 64
+FIRST_NUMBERS = 1 << 30  # of a connection; an INT of the controller has 32 bits
 REQUEST_PERIOD_S = 0.2  # two periods of the unsolicited state
 T = TypeVar("T")
 NOT_SERVED = (
@@ -49,7 +51,9 @@ class EkiClient(ControlChannel[ControllerState]):
 
     def __init__(self, host: str, port: int, timeout_s: float, on_bytes: BytesPassed | None = None) -> None:
         """Connect to the controller; raises EKI-001 on failure. `on_bytes` receives all traffic."""
-        self._numbers = itertools.count(1)
+        # The controller may still send what belongs to an earlier connection.
+        self._numbers = itertools.count(1 + secrets.randbelow(FIRST_NUMBERS))
+        self._sent: dict[int, CommandName] = {}
         self._scanner = TelegramScanner()
         self._acks: dict[int, Ack] = {}
         self._states: dict[int, ControllerState] = {}
@@ -109,7 +113,9 @@ class EkiClient(ControlChannel[ControllerState]):
         return find_matching()
 
     def _send(self, name: CommandName, values: dict[str, object]) -> int:
-        number = next(self._numbers)
+        with self._arrived:
+            number = next(self._numbers)
+            _store(self._sent, number, name)
         attributes = "".join(f" {key}={quoteattr(str(value))}" for key, value in values.items())
         self._transmit(f'<{CMD} Id="{number}" Name="{name}"{attributes}></{CMD}>'.encode("ascii"))
         return number
@@ -124,12 +130,20 @@ class EkiClient(ControlChannel[ControllerState]):
             code = AckCode(int(root.get("Code") or 0))
         except ValueError as error:
             raise BadEkiTelegram(str(error), wire=ElementTree.tostring(root)) from error
+        sent = self._sent.get(number)
         state = read_state(root, time.monotonic()) if root.tag == STATE else None
-        if state is not None:
-            _store_reply(self._states, number, state)
-        elif root.tag == ACK:
+        if state is not None and sent is CommandName.STATUS:
+            _store(self._states, number, state)
+        elif root.tag == ACK and sent is not None:  # otherwise of an earlier connection, or of nobody
+            if root.get("Cmd", sent) != sent:
+                raise BadEkiTelegram(
+                    f"{self.where} answers another command",
+                    expected=sent,
+                    got=root.get("Cmd"),
+                    wire=ElementTree.tostring(root),
+                )
             # A motion is answered twice; the caller waits for the first answer.
-            _store_reply(self._acks, number, Ack(code, root.get("Text") or ""))
+            _store(self._acks, number, Ack(code, root.get("Text") or ""))
         return state
 
     def _lost_error(self, how: str) -> ControllerLost:
@@ -139,7 +153,7 @@ class EkiClient(ControlChannel[ControllerState]):
         return ControllerLost(f"{self.where}{how}")
 
 
-def _store_reply(store: dict[int, T], number: int, value: T) -> None:
+def _store(store: dict[int, T], number: int, value: T) -> None:
     store.setdefault(number, value)
     while len(store) > ACKS_KEPT:
         del store[next(iter(store))]

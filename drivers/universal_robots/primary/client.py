@@ -9,7 +9,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import Generic, NamedTuple, TypeVar
 
 from drivers.universal_robots.errors import STREAM_ERRORS, BadBytes, NoAnswer
 from drivers.universal_robots.primary.packages import (
@@ -33,19 +33,25 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class ControllerState:
-    """State of the controller as it was last reported, with the host time of its arrival."""
+    """State of the controller as it was last reported. A package may carry only some of its parts."""
 
-    received_s: float
+    received_s: float  # host time at which its oldest part was received
+    came_after_s: float  # by which none of its parts had arrived
+    device_clock: int  # time stamp in the package with the joints, us; 0 without one
     mode: RobotModeData
     joints_rad: JointVector
     moving: bool
     digital_inputs: int
     safety_mode: int
 
-    @property
-    def device_clock(self) -> int:
-        """Time stamp by the controller, us."""
-        return self.mode.timestamp_us
+
+class _Dated(NamedTuple, Generic[T]):
+    """Part of a state, with the times of its package."""
+
+    part: T
+    received_s: float
+    came_after_s: float
+    device_clock: int
 
 
 class PrimaryClient(ControlChannel[ControllerState]):
@@ -57,9 +63,9 @@ class PrimaryClient(ControlChannel[ControllerState]):
     def __init__(self, host: str, port: int, timeout_s: float, on_bytes: BytesPassed | None = None) -> None:
         """Connect; raises URD-002 on failure. `on_bytes` receives all traffic."""
         self._received = b""
-        self._mode: RobotModeData | None = None
-        self._joints: Joints | None = None
-        self._board: Masterboard | None = None
+        self._mode: _Dated[RobotModeData] | None = None
+        self._joints: _Dated[Joints] | None = None
+        self._board: _Dated[Masterboard] | None = None
         self.kinematics: KinematicsInfo | None = None
         self.messages: deque[Message] = deque(maxlen=MESSAGES_KEPT)
         super().__init__(host, port, timeout_s, on_bytes)
@@ -68,12 +74,18 @@ class PrimaryClient(ControlChannel[ControllerState]):
         """Return the factory calibration, which comes with the first state; raises URD-015."""
         return self._await(lambda: self.kinematics, "its factory calibration", timeout_s)
 
-    def await_state(self, timeout_s: float, newer_than_s: float = 0.0) -> ControllerState:
-        """Return a state that arrived after a host time; raises URD-015 without one, URD-014 on a loss."""
+    def await_state(self, timeout_s: float) -> ControllerState:
+        """Return the last state; raises URD-015 without one, URD-014 on a loss."""
+        return self._await(lambda: self.latest, "a state", timeout_s)
+
+    def await_new_state(self, timeout_s: float) -> ControllerState:
+        """Return a state that arrives after this call, however late the reader runs; raises as above."""
+        asked_s = time.monotonic()
+        self._note_emptied()
 
         def find() -> ControllerState | None:
             latest = self.latest
-            return latest if latest is not None and latest.received_s > newer_than_s else None
+            return latest if latest is not None and latest.came_after_s >= asked_s else None
 
         return self._await(find, "a state", timeout_s)
 
@@ -101,27 +113,31 @@ class PrimaryClient(ControlChannel[ControllerState]):
         return self._take_parts(payload) if kind == PackageKind.ROBOT_STATE else None
 
     def _take_parts(self, payload: bytes) -> ControllerState | None:
-        """Take over the parts of a robot state; a package may carry only some of them."""
-        for part in iterate_parts(payload):
+        """Take over the parts of a robot state, and return a state with the last of each kind."""
+        parts, received_s = list(iterate_parts(payload)), time.monotonic()
+        clock_us = next((part.timestamp_us for part in parts if isinstance(part, RobotModeData)), 0)
+        for part in parts:
             match part:
                 case RobotModeData():
-                    self._mode = part
+                    self._mode = _Dated(part, received_s, self._came_after_s, clock_us)
                 case Joints():
-                    self._joints = part
+                    self._joints = _Dated(part, received_s, self._came_after_s, clock_us)
                 case Masterboard():
-                    self._board = part
+                    self._board = _Dated(part, received_s, self._came_after_s, clock_us)
                 case KinematicsInfo():
                     self.kinematics = part
         mode, joints, board = self._mode, self._joints, self._board
         if mode is None or joints is None or board is None:
             return None
         return ControllerState(
-            time.monotonic(),
-            mode,
-            joints.angles_rad,
-            joints.moving,
-            board.digital_inputs,
-            board.safety_mode,
+            min(mode.received_s, joints.received_s, board.received_s),
+            min(mode.came_after_s, joints.came_after_s, board.came_after_s),
+            joints.device_clock,
+            mode.part,
+            joints.part.angles_rad,
+            joints.part.moving,
+            board.part.digital_inputs,
+            board.part.safety_mode,
         )
 
 

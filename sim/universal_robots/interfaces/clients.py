@@ -14,6 +14,7 @@ from sim.universal_robots.interfaces.state_packages import StatePackages
 from sim.universal_robots.programs.recognition import name_of, recognise
 from sim.universal_robots.programs.statements import UnknownStatement, require_known, run_at_once
 
+MOST_SCRIPTS = 50  # received at once: each that is refused keeps the cycles for 0.1 ms
 LOCAL_MODE_CODE = 210  # a script while in local mode
 LOCAL_MODE_TEXT = "Cannot run script: the robot is not in remote control mode"
 
@@ -26,7 +27,6 @@ class ClientInterfaces:
         self._packages = StatePackages(controller)
         self._period = max(1, round(controller.parameters.state_period_s / controller.model.cycle_s))
         self._due_cycle, self._due_s = 0, 0.0  # of the next state; the latter in host time
-        self._deaf: set[Connection] = set()  # real-time clients that never read: no longer sent to
         self._waiting: list[tuple[int, str]] = []  # scripts, with the cycles until they start
         self.primary = Listener(address, PRIMARY_PORT, poll, self._connect)
         self.secondary = Listener(address, SECONDARY_PORT, poll, self._connect_secondary)
@@ -79,8 +79,7 @@ class ClientInterfaces:
         if self.realtime.connections:
             package = self._packages.realtime()
             for connection in self.realtime.connections:
-                if connection not in self._deaf and not connection.try_send(package):
-                    self._deaf.add(connection)
+                connection.send_while_read(package)
 
     def _is_state_due(self) -> bool:
         """Return whether a period has passed, in cycles or in host time, and begin the next one.
@@ -152,9 +151,11 @@ class ScriptHandler:
         self._take = take
 
     def receive(self, data: bytes) -> bytes:
-        """Carry out what is complete."""
+        """Carry out what is complete; raises HangUp for a text without end, or a flood."""
         try:
-            for text in self._text.feed(data):
+            for number, text in enumerate(self._text.feed(data)):
+                if number == MOST_SCRIPTS:
+                    raise HangUp
                 self._take(text)
         except ValueError:
             raise HangUp from None

@@ -76,6 +76,7 @@ class Dashboard:
             Query.ADD_TO_LOG.lower(): self._add_to_log,
             "savelog": lambda _: "Log saved to disk",
         }
+        self._most_words = max(len(name.split()) for name in self._commands)
         self._listener = Listener(address, DASHBOARD_PORT, poll, self._connect)
 
     @property
@@ -94,7 +95,7 @@ class Dashboard:
     def answer(self, line: str) -> str:
         """Carry out a command and return the answer."""
         words = line.split()
-        for count in range(len(words), 0, -1):
+        for count in range(min(len(words), self._most_words), 0, -1):
             name = " ".join(words[:count]).lower()
             command = self._commands.get(name)
             if command is not None:
@@ -194,6 +195,8 @@ class LineHandler:
     def receive(self, data: bytes) -> bytes:
         """Return the answers to all complete lines; raises HangUp."""
         *lines, self._rest = (self._rest + data).split(b"\n")
+        if max(map(len, (*lines, self._rest))) > LONGEST_LINE:
+            raise HangUp
         answers: list[str] = []
         for line in lines:
             text = line.decode("utf-8", "replace").strip()
@@ -201,8 +204,6 @@ class LineHandler:
                 raise HangUp("".join([*answers, "Disconnected\n"]).encode())
             if text:
                 answers.append(f"{self._dashboard.answer(text)}\n")
-        if len(self._rest) > LONGEST_LINE:
-            raise HangUp
         if self._dashboard.silent:
             return b""
         return "".join(answers).encode()

@@ -103,7 +103,8 @@ def speedl(robot: Robot, velocity: Sequence[float], acceleration_m_s2: float) ->
     """Approach a velocity of the tool centre point, m/s and rad/s in the base, for one cycle."""
     jacobian = robot.kinematics.jacobian(robot.drives.target, robot.tcp)
     normal = jacobian.T @ jacobian + SINGULAR_DAMPING * np.eye(JOINTS)
-    speeds = np.linalg.solve(normal, jacobian.T @ np.array(velocity) * robot.speed_fraction)
+    with np.errstate(over="ignore", invalid="ignore"):  # the drives refuse a speed that is no number
+        speeds = np.linalg.solve(normal, jacobian.T @ np.array(velocity) * robot.speed_fraction)
     most = float(np.abs(speeds).max()) / max(hypot(*velocity), SMALLEST_PATH)
     acceleration = min(LARGEST_ACCELERATION_RAD_S2, max(1.0, acceleration_m_s2 * most))
     robot.drives.speed(speeds.tolist(), acceleration)

@@ -16,6 +16,7 @@ from sim.universal_robots.robot import Robot
 from sim.universal_robots.variables import PLACES, index
 
 REGISTER_LOOP_MARK: Final = "RTDE Control Script Loaded"  # in the text of the script that ur_rtde sends
+LAST_OFFSET: Final = 24  # of its registers: it uses up to 24 of each kind, and there are 48
 _NAME = re.compile(r"^\s*(?:def|sec)\s+(\w+)\s*\(")
 _WATCHDOG = re.compile(
     r"^[^\S\n]*+rtde_set_watchdog\(\s*\"(\w+)\"\s*,\s*([0-9.]+)\s*,\s*\"(\w+)\"\s*\)", re.MULTILINE
@@ -42,6 +43,8 @@ def recognise(text: str, cycle_s: float) -> Program:
     if REGISTER_LOOP_MARK in text:
         offset = _OFFSET.search(text)
         first = int(offset[1]) if offset else 0
+        if first > LAST_OFFSET:
+            raise ValueError(f"reg_offset_int is {first}, at most {LAST_OFFSET}")
         return Program(name, lambda robot, program: register_loop(robot, program, first))
     settings = read_external_control(text)
     if settings is not None:

@@ -36,10 +36,11 @@ def robot_state(
     theta: tuple[float, ...] = UR5E_THETA,
     a: tuple[float, ...] = UR5E_A,
     safety_mode: int = 1,
+    timestamp_us: int = 1_000_000,
 ) -> bytes:
     """Return a package of the primary interface with the parts of PolyScope 5."""
     stops = (True, True, True, False, False, False, False)  # connected, enabled, powered; nothing else
-    mode = struct.pack(">Q7?BBdddB", 1_000_000, *stops, 7, 0, speed_fraction, 1.0, 1.0, 0)
+    mode = struct.pack(">Q7?BBdddB", timestamp_us, *stops, 7, 0, speed_fraction, 1.0, 1.0, 0)
     joints = b"".join(struct.pack(">3d4fB", angle, angle, 0.0, 0.1, 48.0, 30.0, 31.0, 253) for angle in HOME)
     board = struct.pack(
         ">iibbddbbddffffB", digital_inputs, 0, 0, 0, 0.0, 0.0, 0, 0, 0.0, 0.0, 30.0, 48.0, 0.5, 0.1,
@@ -72,6 +73,7 @@ class HandmadeController:
             "restart safety": "Restarting safety",
         }
         self.asked: list[str] = []
+        self.dashboard_clients: list[socket.socket] = []
         self.banner = b"Connected: Universal Robots Dashboard Server\n"
         self.version = (5, 11, 5, 1010327)
         self.output_types = OUTPUT_TYPES
@@ -122,6 +124,7 @@ class HandmadeController:
         return server
 
     def _dashboard(self, client: socket.socket) -> None:
+        self.dashboard_clients.append(client)
         client.sendall(self.banner)
         for line in client.makefile("r", encoding="ascii"):
             self.asked.append(line.strip())

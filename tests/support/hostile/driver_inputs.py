@@ -166,6 +166,7 @@ class _Replies:
 
     def __init__(self, pieces: list[bytes]) -> None:
         self._pieces = iter(pieces)
+        self._rest = b""  # of a piece
 
     def setsockopt(self, *_option: object) -> None: ...
 
@@ -177,8 +178,12 @@ class _Replies:
 
     def close(self) -> None: ...
 
-    def recv(self, _most: int) -> bytes:
-        return next(self._pieces, b"")
+    def recv(self, most: int, flags: int = 0) -> bytes:
+        if flags:
+            raise BlockingIOError  # nothing has arrived that was not asked for
+        piece = self._rest or next(self._pieces, b"")
+        self._rest = piece[most:]
+        return piece[:most]
 
 
 @contextlib.contextmanager

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from bounded_cost import bounded_cost
 
 from procedures.journal.errors import StepRefused
 from procedures.planning.errors import NotReachable, PlanUnreadable
@@ -15,6 +16,7 @@ from ronna_hw.errors import ConnectError, DataError, RonnaError
 from ronna_hw.redaction import (
     ELEMENTS_LIMIT,
     REDACTED,
+    TEXT_LIMIT,
     error_text,
     redact_arguments,
     redact_value,
@@ -60,6 +62,20 @@ def test_patient_data_credentials_and_file_paths_are_redacted(key: str, value: o
 )
 def test_endpoints_limits_codes_and_versions_are_kept(text: str) -> None:
     assert scrub_text(text) == text
+
+
+@pytest.mark.parametrize("piece", ["[", "1.", "a.", "/", "token=", ".dcm"])
+def test_what_a_stranger_sends_costs_no_more_than_the_part_that_is_logged(piece: str) -> None:
+    with bounded_cost(limit_s=0.1):
+        logged = scrub_text(piece * (60_000 // len(piece)))
+    assert len(logged) <= TEXT_LIMIT
+
+
+@pytest.mark.parametrize("secret", ["DOE_JOHN.dcm", "/scans/DOE_JOHN", "1.2.840.113619.2.55", "token=6f1eaa"])
+def test_a_word_that_the_limit_cuts_is_redacted_whole(secret: str) -> None:
+    for kept in range(1, len(secret)):
+        start = "read ".rjust(TEXT_LIMIT - kept, "-")
+        assert scrub_text(start + secret) == (start + REDACTED)[:TEXT_LIMIT]
 
 
 def test_the_token_in_a_control_endpoint_is_redacted() -> None:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import gc
 import math
 import os
 import resource
 import socket
 import time
+import weakref
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 
@@ -22,6 +24,7 @@ from sim.universal_robots.controller import Controller
 from sim.universal_robots.controller_parameters import parse_parameters
 from sim.universal_robots.interfaces.clients import ClientInterfaces, ScriptHandler
 from sim.universal_robots.interfaces.dashboard import Dashboard, LineHandler
+from sim.universal_robots.interfaces.state_packages import StatePackages
 from sim.universal_robots.model import MODELS
 from sim.universal_robots.programs.recognition import REGISTER_LOOP_MARK, recognise
 from sim.universal_robots.rtde.server import RtdeServer
@@ -32,6 +35,7 @@ LONGEST_S = 1.0  # of CPU, for one stream and its cycles
 CYCLES = 3
 RENEWED_AFTER = 50  # streams
 FARTHEST_RAD = 7.0  # a joint stands beyond its limit by what it needs to stop
+PACKAGES_UNREAD = 10_000  # of a kilobyte: more than the system keeps for one who does not read
 LONGEST_SCRIPT_BYTES = 1_000_000
 COUNTS = pytest.mark.parametrize(
     ("count", "seed"),
@@ -105,6 +109,10 @@ class Target:
         for _ in range(CYCLES):
             self.controller.step()
             self.clients.send_state()
+        self.controller.loads.publish_torques()
+        packages = StatePackages(self.controller)
+        assert packages.state()  # as any client may read them
+        assert packages.realtime()
         joints = self.controller.robot.drives.target
         assert all(map(math.isfinite, joints)), stream
         assert max(map(abs, joints)) < FARTHEST_RAD, stream
@@ -176,11 +184,38 @@ def _external(constant: str) -> str:
         _external("servoj(lookahead_time" * 20_000),
         "def a():\n" + "if True: end\n" * 20_000 + "end\n",
         "def a():\n" + "\n" * 400_000 + "end\n",
+        "[" * 20_000,
+        "a." * 10_000,
+        "def " + "a" * 300_000 + "():\nend\n",
     ],
-    ids=["numbers", "brackets", "look-aheads", "blocks", "blank lines"],
+    ids=["numbers", "brackets", "look-aheads", "blocks", "blank lines", "no program", "words", "name"],
 )
 def test_a_long_script_takes_time_in_proportion(target: Target, text: str) -> None:
     assert target.feed(ScriptClient(target), text.encode())
+
+
+def test_many_scripts_at_once_take_no_longer_than_a_cycle_bears(target: Target) -> None:
+    assert not target.feed(ScriptClient(target), b"x\n" * 30_000)
+
+
+def test_a_long_line_of_the_dashboard_takes_time_in_proportion(target: Target) -> None:
+    assert not target.feed(LineHandler(target.dashboard), b"a " * 30_000 + b"\n")
+
+
+@pytest.mark.parametrize("text", ["a" * 300_000, "def " + "a" * 300_000 + "():\n  a\nend\n"])
+def test_what_clients_are_told_of_a_long_script_stays_short(target: Target, text: str) -> None:
+    told: list[str] = []
+    target.controller.news.failure.append(lambda text, _line: told.append(text))
+    target.controller.news.program.append(lambda _what, name: told.append(name))
+    assert target.feed(ScriptClient(target), text.encode())
+    assert target.feed(ScriptClient(target), text.replace("  a\n", "").encode())
+    assert told
+    assert max(map(len, told)) < 500
+
+
+@pytest.mark.parametrize("call", ["set_payload(1e300, [1, 1, 1])", "set_tcp(p[1e200, 0, 0, 1e200, 0, 0])"])
+def test_a_load_that_no_arm_carries_ends_no_package(target: Target, call: str) -> None:
+    assert target.feed(ScriptClient(target), f"sec a():\n  {call}\nend\n".encode())
 
 
 @pytest.mark.parametrize(
@@ -188,9 +223,10 @@ def test_a_long_script_takes_time_in_proportion(target: Target, text: str) -> No
     [
         _external(f"REVERSE_INTERFACE_DATA_DIMENSION = {'9' * 400}"),
         f"def a():\n  # {REGISTER_LOOP_MARK}\n  global reg_offset_int = {'9' * 5000}\nend\n",
+        f"def a():\n  # {REGISTER_LOOP_MARK}\n  global reg_offset_int = 25\nend\n",
         f'def {SCRIPT_NAME}():\n  rtde_set_watchdog("input_int_register_24", 0.{"0" * 320}1, "stop")\nend\n',
     ],
-    ids=["numbers of a message", "register", "watchdog"],
+    ids=["numbers of a message", "register", "registers beyond the last", "watchdog"],
 )
 def test_a_number_out_of_range_is_a_runtime_exception(target: Target, text: str) -> None:
     failures: list[str] = []
@@ -218,6 +254,22 @@ def test_without_a_descriptor_a_client_waits_at_rest_and_is_accepted_later(
         assert capsys.readouterr().err.count("cannot accept a client") == 1
         poll.serve(1.0)
         assert len(listener.connections) == 1
+
+
+def test_of_a_client_that_never_read_nothing_is_kept_once_it_has_gone(target: Target) -> None:
+    listener = target.clients.realtime
+    address = parse_endpoint(listener.endpoint)
+    with socket.socket() as client:
+        client.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 2048)
+        client.connect((address.host, address.port))
+        target.poll.serve(1.0)
+        gone = weakref.ref(listener.connections[0])
+        for _ in range(PACKAGES_UNREAD):
+            target.clients.send_state()
+    while listener.connections:
+        target.poll.serve(1.0)
+    gc.collect()
+    assert gone() is None
 
 
 @COUNTS

@@ -11,13 +11,11 @@ from handmade_ur import UR5E_A, HandmadeController
 from drivers.kuka_rsi.arm import KukaRsiArm
 from drivers.universal_robots import power as ur_power
 from drivers.universal_robots.arm import UniversalRobotsArm
-from drivers.universal_robots.dashboard import DashboardClient
 from drivers.universal_robots.errors import (
     BadOptions,
     ControllerExchanged,
     ControllerLost,
     ControllerNotFound,
-    NoAnswer,
     NotPowered,
 )
 from drivers.universal_robots.rtde import RtdeSetup
@@ -303,16 +301,6 @@ def test_a_protective_stop_is_released_in_the_name_of_a_person_when_the_controll
     assert raised.value.code == "URD-009"
     assert "addToLog protective stop released by Ann" in controller.asked
     arm.close()
-
-
-def test_a_dashboard_that_is_silent_or_gone_is_told_apart(controller: HandmadeController) -> None:
-    endpoint = parse_endpoint(controller.endpoints["dashboard"])
-    client = DashboardClient(endpoint.host, endpoint.port, LIMIT_S)
-    controller.answers["robotmode"] = None
-    with pytest.raises(NoAnswer):
-        client.ask("robotmode", 0.05)
-    with pytest.raises(ControllerLost):  # its late answer would be taken for that to the next command
-        client.ask("safetymode", LIMIT_S)
 
 
 @pytest.mark.parametrize(

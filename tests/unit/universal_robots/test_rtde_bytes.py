@@ -6,13 +6,18 @@ Chosen numbers have short doubles: 0.25 is 3fd0..., 1.5 is 3ff8..., 100.002 s is
 from __future__ import annotations
 
 import os
+import select
 import socket
 import threading
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
 from dataclasses import replace
 
 import pytest
 from rtde_stand import LIMITS, SETTINGS
 
+from drivers.universal_robots.errors import RegistersInUse
 from drivers.universal_robots.realtime.loop import Handover, LinkLoop
 from drivers.universal_robots.rtde import RtdeSetup
 from ronna_hw.arm_stream.mailbox import Mailbox
@@ -96,6 +101,56 @@ def test_setup_and_stream_are_byte_for_byte_those_of_the_guide() -> None:
         thread.join()
         setup.close()
     assert asked == [request for request, _ in SETUP]
+
+
+def set_up(setup: RtdeSetup, controller: socket.socket, reply: bytes) -> int:
+    """Return the recipe of our inputs, which the controller's reply gives; more may follow it."""
+    replying = threading.Thread(
+        target=lambda: receive(controller, len(SETUP[3][0])) and controller.sendall(reply)
+    )
+    replying.start()
+    try:
+        return setup.set_up_inputs()
+    finally:
+        replying.join()
+
+
+@pytest.fixture
+def connected() -> Iterator[tuple[RtdeSetup, socket.socket]]:
+    """A set-up that has agreed on the version, and the controller's end of it."""
+    with socket.create_server(("127.0.0.1", 0)) as server, ThreadPoolExecutor(1) as pool:
+
+        def accept() -> socket.socket:
+            controller = server.accept()[0]
+            receive(controller, len(SETUP[0][0]))
+            controller.sendall(SETUP[0][1])
+            return controller
+
+        accepted = pool.submit(accept)
+        setup = RtdeSetup("127.0.0.1", server.getsockname()[1], 10.0)
+        with accepted.result() as controller, closing(setup):
+            yield setup, controller
+
+
+def test_a_package_that_begins_behind_the_last_reply_is_left_whole_to_the_stream(
+    connected: tuple[RtdeSetup, socket.socket],
+) -> None:
+    setup, controller = connected
+    assert set_up(setup, controller, SETUP[3][1] + TEXT_MESSAGE[:5]) == 2
+    controller.sendall(TEXT_MESSAGE[5:])
+    setup.socket.settimeout(10.0)
+    assert receive(setup.socket, len(TEXT_MESSAGE)) == TEXT_MESSAGE
+
+
+def test_a_reply_that_came_before_its_request_is_not_the_reply(
+    connected: tuple[RtdeSetup, socket.socket],
+) -> None:
+    setup, controller = connected
+    controller.sendall(SETUP[3][1])
+    assert select.select((setup.socket,), (), (), 10.0)[0]
+    in_use = SETUP[3][1].replace(b"INT32,DOUBLE", b"IN_USE,DOUBL")
+    with pytest.raises(RegistersInUse):
+        set_up(setup, controller, in_use)
 
 
 @pytest.mark.parametrize("split", [1, 100, 149], ids=lambda count: f"in pieces of {count} bytes")

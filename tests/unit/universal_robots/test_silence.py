@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import select
 import socket
 import threading
 from collections.abc import Iterator
@@ -12,10 +13,12 @@ import pytest
 from handmade_ur import robot_state
 
 from drivers.universal_robots.dashboard import BANNER, DashboardClient
+from drivers.universal_robots.errors import NoAnswer
 from drivers.universal_robots.primary.client import ControllerState, PrimaryClient
 from ronna_hw.arm_stream.control_channel import QUIET_S
 from ronna_hw.devices.capabilities import Direction
 from ronna_hw.errors import RonnaError
+from ronna_hw.wire.universal_robots_services import Query
 
 LIMIT_S = 10.0
 STOOD_STILL_S = 30.0
@@ -91,14 +94,31 @@ def test_a_state_that_came_in_time_is_taken_though_the_reader_runs_after_the_lim
     assert line.client.await_state(0.0) is line.client.latest
 
 
+def test_a_state_that_came_before_the_request_does_not_answer_it_though_it_is_read_later(line: Line) -> None:
+    line.runs.clear()
+    line.controller.sendall(robot_state())  # in the reader's hands
+    assert line.received.wait(LIMIT_S)
+    line.controller.sendall(robot_state())  # unread
+    assert select.select((line.client._socket,), (), (), LIMIT_S)[0]
+    line.now_s += STOOD_STILL_S
+    threading.Timer(0.1, line.runs.set).start()
+    with pytest.raises(NoAnswer):
+        line.client.await_new_state(0.0)
+
+
 def test_an_answer_of_the_dashboard_that_came_in_time_is_taken_after_the_limit() -> None:
     with socket.create_server(("127.0.0.1", 0)) as server, ThreadPoolExecutor(1) as pool:
         accepting = pool.submit(lambda: _greet(server.accept()[0]))
         host, port = server.getsockname()
-        dashboard = DashboardClient(host, port, LIMIT_S)
+
+        def stand_still_until_answered(direction: Direction, _data: bytes) -> None:
+            if direction is Direction.SENT:
+                controller.sendall(b"Robotmode: RUNNING\n")
+                assert select.select((dashboard._socket,), (), (), LIMIT_S)[0]
+
+        dashboard = DashboardClient(host, port, LIMIT_S, stand_still_until_answered)
         with accepting.result() as controller, closing(dashboard):
-            controller.sendall(b"Robotmode: RUNNING\n")
-            assert dashboard.ask("robotmode", 0.0) == "Robotmode: RUNNING"
+            assert dashboard.ask(Query.ROBOT_MODE, 0.0) == "Robotmode: RUNNING"
 
 
 def _greet(client: socket.socket) -> socket.socket:
