@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import time
 from collections.abc import Iterable
+from dataclasses import replace
 
 from drivers.kuka_rsi.connections import Connections
 from drivers.kuka_rsi.eki.client import ControllerCommands
@@ -15,11 +16,14 @@ from drivers.kuka_rsi.fault_watch import FaultWatch
 from drivers.kuka_rsi.micro_move import MicroMove
 from drivers.kuka_rsi.options import ROLES, load_usable_context, read_options
 from drivers.kuka_rsi.readiness import controller_facts, readiness_facts
+from drivers.kuka_rsi.realtime.telegram import CURRENTS_TAG
 from drivers.theatre_options import naming_endpoints_too
 from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.arm_stream.arm import CLOSING_STOP_S, StreamedArm
+from ronna_hw.arm_stream.load_sums import LoadMeans
 from ronna_hw.clock import Clock
 from ronna_hw.config import DeviceConfig
+from ronna_hw.devices.axis_loads import AxisLoads
 from ronna_hw.devices.capabilities import Fact
 from ronna_hw.devices.lifecycle import Lifecycle, LifecycleGuard, require_person
 from ronna_hw.devices.robot import OperatingMode
@@ -54,6 +58,7 @@ class KukaRsiArm(StreamedArm[ControllerState]):
         connections = Connections(faults, config, context, clock)
         limits = options.limits(arm, context.program.cycle_ms / 1000.0)
         super().__init__(guard, connections, FaultWatch(guard, connections), limits)
+        self.carries_loads = any(element.tag == CURRENTS_TAG for element in context.send)
         self._t1_confirmed_by = ""
         self._prompted: tuple[str, ...] = ()  # the texts last returned by `to_confirm`
         self._micro_move_confirmed_by = ""
@@ -143,6 +148,9 @@ class KukaRsiArm(StreamedArm[ControllerState]):
 
     def _tool_number(self, state: ControllerState) -> int:
         return state.tool
+
+    def _name_loads(self, loads: AxisLoads, means: LoadMeans) -> AxisLoads:
+        return replace(loads, current_percent=means.currents)
 
     def _controller_facts(self, state: ControllerState) -> Iterable[Fact]:
         return controller_facts(state)
