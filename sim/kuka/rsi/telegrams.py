@@ -21,7 +21,8 @@ TECH_GENERATORS = 6
 TECH_PARAMETERS = 10
 
 # Keyword -> attributes, and their source: actual or set values, or zeros for what is not fitted.
-ACTUAL_FRAME, ACTUAL_AXES, SET_FRAME, SET_AXES, NOTHING = "RIst", "AIPos", "RSol", "ASPos", ""
+ACTUAL_FRAME, ACTUAL_AXES, SET_FRAME, SET_AXES = "RIst", "AIPos", "RSol", "ASPos"
+CURRENTS, NOTHING = "MACur", ""
 KEYWORDS = {
     "RIst": (FRAME, ACTUAL_FRAME),
     "RSol": (FRAME, SET_FRAME),
@@ -29,12 +30,15 @@ KEYWORDS = {
     "ASPos": (AXIS, SET_AXES),
     "EIPos": (EXTERNAL, NOTHING),
     "ESPos": (EXTERNAL, NOTHING),
-    "MACur": (AXIS, NOTHING),
+    "MACur": (AXIS, CURRENTS),
     "MECur": (EXTERNAL, NOTHING),
 }
 DELAY = "Delay"
-LATE = 0  # position among the integers: late packets, Stat of AXISCORR, Stat of POSCORR
+# Position among what changes in every cycle: late packets, Stat of AXISCORR and POSCORR, six currents.
+LATE = 0
 STATS = {"AXISCORR": 1, "POSCORR": 2}
+FIRST_CURRENT = 3
+NO_CURRENTS = (0.0,) * 6
 ONLY_DELAY = [LATE]
 ZERO_OF = {"BOOL": "0", "LONG": "0", "STRING": ""}
 
@@ -69,7 +73,7 @@ class TelegramWriter:
     ) -> None:
         self._number = f"%.{precision}f"
         self._order: list[str] = []
-        self._counts: list[int] = []  # meaning of each integer in the telegram
+        self._counts: list[int] = []  # meaning of each of these values in the telegram
         self._stats = {wire.indx: STATS[wire.object] for wire in feedback}
         constants = {SET_AXES: set_axes_deg, SET_FRAME: set_frame, NOTHING: (0.0,) * 6}
         groups: list[tuple[str, str]] = []  # name, attributes or text as a template
@@ -79,10 +83,15 @@ class TelegramWriter:
             f"<{name}{content}/>" if content.startswith(" ") else f"<{name}>{content}</{name}>"
             for name, content in groups
         )
-        # Filled in two stages: positions when the arm has moved, D and IPOC in every cycle.
+        # Filled in two stages: positions when the arm has moved, D, currents and IPOC in every cycle.
         self._template = f'<Rob Type="KUKA">{body}<IPOC>%%d</IPOC></Rob>'
         self._last: tuple[Sequence[float] | None, Sequence[float] | None] = (None, None)
         self._filled = ""
+
+    @property
+    def states_currents(self) -> bool:
+        """Whether the telegram has the motor currents."""
+        return FIRST_CURRENT in self._counts
 
     def write(
         self,
@@ -91,10 +100,11 @@ class TelegramWriter:
         late: int,
         ipoc: int,
         stats: tuple[int, int] = (0, 0),
+        currents: Sequence[float] = NO_CURRENTS,
     ) -> bytes:
         """Encode a telegram: actual frame (mm, deg), actual axes (deg), late packet count and IPOC.
 
-        `stats` are the Stat outputs of AXISCORR and POSCORR.
+        `stats` are the Stat outputs of AXISCORR and POSCORR, `currents` those of the motors (%).
         """
         if self._last[0] is not axes_deg or self._last[1] is not frame:
             values: list[float] = []
@@ -104,7 +114,7 @@ class TelegramWriter:
             self._last = (axes_deg, frame)
         if self._counts == ONLY_DELAY:
             return (self._filled % (late, ipoc)).encode("ascii")
-        counts = (late, *stats)
+        counts = (late, *stats, *currents)
         return (self._filled % (*(counts[position] for position in self._counts), ipoc)).encode("ascii")
 
     def _add(
@@ -138,7 +148,10 @@ class TelegramWriter:
             self._append(groups, name, text)
         elif name in KEYWORDS and not part:
             attributes, source = KEYWORDS[name]
-            if source in constants:
+            if source == CURRENTS:
+                self._counts += range(FIRST_CURRENT, FIRST_CURRENT + len(AXIS))
+                values = [f"%{self._number}"] * len(AXIS)
+            elif source in constants:
                 values = [self._number % value for value in constants[source]]
             else:
                 self._order.append(source)

@@ -31,14 +31,17 @@ def sends(*tags: str) -> list[SendElement]:
     ]
 
 
-def test_the_default_telegram_has_the_exact_bytes_that_positional_parsers_need() -> None:
+def test_the_default_telegram_has_these_exact_bytes() -> None:
     context = load_context()
-    telegram = TelegramWriter(context.send, 4, AXES, FRAME).write(FRAME, AXES, 0, 4208163634)
+    currents = (0.0, -31.25, 12.0, 0.0, -4.5, 0.0)
+    writer = TelegramWriter(context.send, 4, AXES, FRAME)
+    telegram = writer.write(FRAME, AXES, 0, 4208163634, currents=currents)
     assert telegram == (
         b'<Rob Type="KUKA"><RIst X="445.0000" Y="0.0000" Z="810.0000" A="180.0000" B="0.0000" C="180.0000"/>'
         b'<AIPos A1="0.0000" A2="-90.0000" A3="90.0000" A4="0.0000" A5="90.0000" A6="0.0000"/>'
         b'<EIPos E1="0.0000" E2="0.0000" E3="0.0000" E4="0.0000" E5="0.0000" E6="0.0000"/>'
-        b'<Delay D="0"/><IPOC>4208163634</IPOC></Rob>'
+        b'<Delay D="0"/><MACur A1="0.0000" A2="-31.2500" A3="12.0000" A4="0.0000" A5="-4.5000" A6="0.0000"/>'
+        b"<IPOC>4208163634</IPOC></Rob>"
     )
 
 
