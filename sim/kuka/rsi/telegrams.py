@@ -34,10 +34,8 @@ KEYWORDS = {
     "MECur": (EXTERNAL, NOTHING),
 }
 DELAY = "Delay"
-# Position among what changes in every cycle: late packets, Stat of AXISCORR and POSCORR, six currents.
-LATE = 0
+LATE = 0  # position among the integers: late packets, Stat of AXISCORR, Stat of POSCORR
 STATS = {"AXISCORR": 1, "POSCORR": 2}
-FIRST_CURRENT = 3
 NO_CURRENTS = (0.0,) * 6
 ONLY_DELAY = [LATE]
 ZERO_OF = {"BOOL": "0", "LONG": "0", "STRING": ""}
@@ -73,7 +71,7 @@ class TelegramWriter:
     ) -> None:
         self._number = f"%.{precision}f"
         self._order: list[str] = []
-        self._counts: list[int] = []  # meaning of each of these values in the telegram
+        self._counts: list[int] = []  # meaning of each integer in the telegram
         self._stats = {wire.indx: STATS[wire.object] for wire in feedback}
         constants = {SET_AXES: set_axes_deg, SET_FRAME: set_frame, NOTHING: (0.0,) * 6}
         groups: list[tuple[str, str]] = []  # name, attributes or text as a template
@@ -83,15 +81,15 @@ class TelegramWriter:
             f"<{name}{content}/>" if content.startswith(" ") else f"<{name}>{content}</{name}>"
             for name, content in groups
         )
-        # Filled in two stages: positions when the arm has moved, D, currents and IPOC in every cycle.
+        # Filled in two stages: positions and currents when they have changed, D and IPOC in every cycle.
         self._template = f'<Rob Type="KUKA">{body}<IPOC>%%d</IPOC></Rob>'
-        self._last: tuple[Sequence[float] | None, Sequence[float] | None] = (None, None)
+        self._last: tuple[Sequence[float] | None, ...] = (None, None, None)
         self._filled = ""
 
     @property
     def states_currents(self) -> bool:
         """Whether the telegram has the motor currents."""
-        return FIRST_CURRENT in self._counts
+        return CURRENTS in self._order
 
     def write(
         self,
@@ -106,15 +104,17 @@ class TelegramWriter:
 
         `stats` are the Stat outputs of AXISCORR and POSCORR, `currents` those of the motors (%).
         """
-        if self._last[0] is not axes_deg or self._last[1] is not frame:
+        last = self._last
+        if last[0] is not axes_deg or last[1] is not frame or last[2] is not currents:
+            numbers = {ACTUAL_FRAME: frame, ACTUAL_AXES: axes_deg, CURRENTS: currents}
             values: list[float] = []
             for name in self._order:
-                values += frame if name == ACTUAL_FRAME else axes_deg
+                values += numbers[name]
             self._filled = self._template % tuple(values)
-            self._last = (axes_deg, frame)
+            self._last = (axes_deg, frame, currents)
         if self._counts == ONLY_DELAY:
             return (self._filled % (late, ipoc)).encode("ascii")
-        counts = (late, *stats, *currents)
+        counts = (late, *stats)
         return (self._filled % (*(counts[position] for position in self._counts), ipoc)).encode("ascii")
 
     def _add(
@@ -148,10 +148,7 @@ class TelegramWriter:
             self._append(groups, name, text)
         elif name in KEYWORDS and not part:
             attributes, source = KEYWORDS[name]
-            if source == CURRENTS:
-                self._counts += range(FIRST_CURRENT, FIRST_CURRENT + len(AXIS))
-                values = [f"%{self._number}"] * len(AXIS)
-            elif source in constants:
+            if source in constants:
                 values = [self._number % value for value in constants[source]]
             else:
                 self._order.append(source)
