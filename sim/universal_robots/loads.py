@@ -107,7 +107,7 @@ class Loads:
         self.force_n: Force = NONE  # of the room on the tool
         self.trip = ""  # why the safety system must stop the arm
         self.shows_forces = self.shows_torques = True  # some client reads them
-        self._torques = HeldTorques(name, _bodies(robot.model))
+        self._torques = HeldTorques(name, link_bodies(robot.model))
         self._held_at: tuple[object, ...] = ()
         self._held_nm: list[float] = [0.0] * JOINTS
         self._stiction = Stiction([parameters.stiction_share * most for most in TORQUES_NM], seed)
@@ -232,7 +232,7 @@ class Loads:
         )
 
 
-def _bodies(model: Model) -> list[Body]:
+def link_bodies(model: Model) -> list[Body]:
     """Return the links with the arm at zero, in the base."""
     frames = Kinematics(model).link_frames(ZEROS)[1:]
     centres = (
