@@ -16,6 +16,7 @@ from ronna_hw.config import DeviceConfig
 from ronna_hw.endpoints import parse_endpoint
 from ronna_hw.host.child_process import ChildProcess, command
 from ronna_hw.host.network import own_udp_endpoint
+from ronna_hw.wire.kuka_context import OWN_CONTEXT
 from sim.world.process import load_scene
 from sim.world.world import World
 
@@ -36,6 +37,7 @@ class RobotCell:
         self.world = World.create(load_scene("bench"), paced=False)
         free = "tcp://127.0.0.1:0"
         more = ["--world", self.world.endpoint, "--rsi", own_udp_endpoint()]
+        more += ["--rsi-context", str(OWN_CONTEXT)]
         arguments = command("sim.cli", "kuka", *more, "--eki", free, "--eki-project", free)
         self.controller = self._ending.enter_context(ChildProcess("ronna-sim kuka", arguments))
         ready = self.controller.ready["endpoints"]

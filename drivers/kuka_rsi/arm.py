@@ -16,7 +16,6 @@ from drivers.kuka_rsi.fault_watch import FaultWatch
 from drivers.kuka_rsi.micro_move import MicroMove
 from drivers.kuka_rsi.options import ROLES, load_usable_context, read_options
 from drivers.kuka_rsi.readiness import controller_facts, readiness_facts
-from drivers.kuka_rsi.realtime.telegram import CURRENTS_TAG
 from drivers.theatre_options import naming_endpoints_too
 from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.arm_stream.arm import CLOSING_STOP_S, StreamedArm
@@ -58,7 +57,6 @@ class KukaRsiArm(StreamedArm[ControllerState]):
         connections = Connections(faults, config, context, clock)
         limits = options.limits(arm, context.program.cycle_ms / 1000.0)
         super().__init__(guard, connections, FaultWatch(guard, connections), limits)
-        self.carries_loads = any(element.tag == CURRENTS_TAG for element in context.send)
         self._t1_confirmed_by = ""
         self._prompted: tuple[str, ...] = ()  # the texts last returned by `to_confirm`
         self._micro_move_confirmed_by = ""

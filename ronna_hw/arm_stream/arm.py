@@ -70,7 +70,6 @@ class StreamedArm(ABC, Generic[S]):
 
     notices: tuple[str, ...] = ()
     senses_force: bool = False
-    carries_loads: bool = True  # the stream carries signals of the load on the axes
 
     def __init__(
         self,
@@ -245,7 +244,7 @@ class StreamedArm(ABC, Generic[S]):
         self._guard.require("read_loads", RUNNING)
         deadline = time.monotonic() + timeout_s
         before = after = self.connections.link.state
-        if not self.carries_loads:
+        if not after.carries_loads:
             reading = self._readings.from_stream(after)
             return AxisLoads(reading.stamp, Validity.MISSING, reading.joints_rad, 0)
         while not _has_rested(before, after, cycles):

@@ -128,6 +128,10 @@ class StreamSession(ABC):
         """Return the force on the tool in the last telegram, of an arm that estimates one."""
         return NO_FORCE
 
+    def _carries_loads(self) -> bool:
+        """Return whether the last telegram has load signals, valid or not."""
+        return True
+
     def _measured_loads(self) -> Signals | None:
         """Return the load signals of the last telegram, None without them; asked at rest only."""
         return None
@@ -289,6 +293,7 @@ class StreamSession(ABC):
             self.controller_word,
             NO_FORCE if self._force is None else self._force.filtered_N,
             0.0 if self._force is None else self._force.peak_N,
+            self._carries_loads(),
             self._loads.since,
             self._loads.cycles,
             self._loads.sums,

@@ -109,6 +109,9 @@ class Responder(StreamSession):
         a, b, c, d, e, f = self._axes_deg
         self._measured = (radians(a), radians(b), radians(c), radians(d), radians(e), radians(f))
 
+    def _carries_loads(self) -> bool:
+        return bool(self._currents)
+
     def _measured_loads(self) -> Signals | None:
         currents = read_currents(self._currents)
         return None if currents is None else currents + NOTHING_ELSE

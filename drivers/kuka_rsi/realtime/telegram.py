@@ -19,7 +19,6 @@ from ronna_hw.vectors import JointVector, joint_vector
 
 FREE_TAG = "FREE"  # reserves a channel and is not on the wire
 KEYWORD_PREFIX = "DEF_"
-CURRENTS_TAG = "DEF_MACur"
 CARTESIAN = ("X", "Y", "Z", "A", "B", "C")
 EXTERNAL = ("E1", "E2", "E3", "E4", "E5", "E6")
 KEYWORD_ATTRIBUTES: dict[str, tuple[str, ...]] = {
@@ -45,7 +44,7 @@ MOST_LATE = 10**15  # of the controller's count; anything beyond is corrupt
 _DECIMAL = rb"[-+]?\d{1,15}+(?:\.\d{0,15}+)?+"  # what float() is certain to parse
 _INTEGER = rb"\d{1,15}+"
 _UNREAD = rb" [^<>/]*+"  # attributes that are not examined before the reply is out
-CURRENTS, CURRENTS_GROUP = "MACur", b"(?P<MACur>%b)"
+CURRENTS = "MACur"
 
 _CURRENT_OF_EACH = (b'%b="(%b)"' % (axis.encode(), _DECIMAL) for axis in AXIS_NAMES)
 _READ_CURRENTS = re.compile(rb"\s*+%b\s*+" % rb"\s++".join(_CURRENT_OF_EACH)).fullmatch
@@ -95,22 +94,26 @@ class TelegramReader:
 
     def __init__(self, send_tags: tuple[str, ...]) -> None:
         pattern = [rb'<Rob Type="KUKA">']
+        currents = rb"(?:<MACur(?P<MACur>%b)/>)?+" % _UNREAD  # not every controller sends them
         for name, attributes in group_elements(send_tags):
+            if name == CURRENTS:
+                pattern.append(currents)
+                continue
             pattern.append(b"<" + re.escape(name.encode()))
             if not attributes:
                 pattern.append(rb">[^<]{0,80}+</" + re.escape(name.encode()) + b">")
                 continue
             captured = {"AIPos": _DECIMAL, "Delay": _INTEGER}.get(name)
             if captured is None:
-                pattern.append((CURRENTS_GROUP % _UNREAD if name == CURRENTS else _UNREAD) + b"/>")
+                pattern.append(_UNREAD + b"/>")
                 continue
             for attribute in attributes:
                 tag = attribute.encode()
                 pattern.append(b' %b="(?P<%b>%b)"' % (tag, tag, captured))
             pattern.append(b"/>")
-        # A context without Delay or MACur has an empty group in its place.
+        # A context without Delay or MACur has their groups nevertheless.
         pattern.append(b"" if "DEF_Delay" in send_tags else b"(?P<D>)")
-        pattern.append(b"" if CURRENTS_TAG in send_tags else CURRENTS_GROUP % b"")
+        pattern.append(b"" if currents in pattern else currents)
         pattern.append(b"<IPOC>(?P<IPOC>\\d{1,%d}+)</IPOC></Rob>" % MOST_DIGITS)
         has_axes = "DEF_AIPos" in send_tags
         self._match = re.compile(b"".join(pattern)).match if has_axes else _match_nothing
@@ -129,7 +132,7 @@ def extract_telegram(found: Found) -> Telegram:
     """Decode a telegram matched in the usual layout."""
     a, b, c, d, e, f, delay, ipoc, currents = found.group(*AXIS_NAMES, "D", "IPOC", CURRENTS)
     axes_deg = (float(a), float(b), float(c), float(d), float(e), float(f))
-    return Telegram(axes_deg, int(delay) if delay else -1, ipoc, currents)
+    return Telegram(axes_deg, int(delay) if delay else -1, ipoc, currents or b"")
 
 
 def read_currents(attributes: bytes) -> JointVector | None:

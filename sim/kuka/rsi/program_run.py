@@ -77,7 +77,7 @@ class RsiRun:
         self._timeout = context.ethernet.timeout_packets
         self._stop_mode = context.stop.mode if context.stop is not None else EXIT_MOVE_CORR
         self._writer = TelegramWriter(
-            context.send,
+            context.all_send,
             context.ethernet.precision,
             arm.reported_deg,
             arm.reported_frame,

@@ -22,6 +22,7 @@ from ronna_hw.devices.readings import Validity
 from ronna_hw.host.child_process import ChildProcess, command
 from ronna_hw.host.network import own_address, own_udp_endpoint
 from ronna_hw.vectors import Vector3, joint_vector
+from ronna_hw.wire.kuka_context import OWN_CONTEXT
 from sim.world.options import ArmChoice
 from sim.world.scene.named_scenes import draw_scene
 from sim.world.tool_load import ToolLoad
@@ -36,7 +37,8 @@ REFERENCES = 4
 
 def kuka_of(world: World, started: ExitStack) -> KukaRsiArm:
     rsi, free = own_udp_endpoint(), "tcp://127.0.0.1:0"
-    arguments = ("--rsi", rsi, "--eki", free, "--eki-project", free, "--world", world.endpoint)
+    arguments = ["--rsi", rsi, "--eki", free, "--eki-project", free, "--world", world.endpoint]
+    arguments += ["--rsi-context", str(OWN_CONTEXT)]
     child = started.enter_context(ChildProcess("kuka", command("sim.cli", "kuka", *arguments)))
     endpoints = {"rsi": rsi, "eki_project": child.ready["endpoints"]["eki_project"]}
     config = DeviceConfig(driver="kuka_rsi", endpoints=endpoints, options=PATIENT)

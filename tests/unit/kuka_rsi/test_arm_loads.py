@@ -2,23 +2,18 @@
 
 from __future__ import annotations
 
-import tomllib
 from concurrent.futures import ThreadPoolExecutor
-from importlib.resources import files
-from pathlib import Path
 from typing import Any
 
 import pytest
-from driven_arm import THERE, activated
+from driven_arm import THERE
 from fake_controller import FakeController
 
 from ronna_hw.devices.axis_loads import TellsLoads
 from ronna_hw.devices.errors import WrongState
 from ronna_hw.devices.readings import Validity
-from ronna_hw.wire.kuka_context import DEFAULT_CONTEXT_FILE, context_hash, load_context
 
 CURRENTS = (1.5, -31.25, 12.0, 0.25, -4.5, 0.0)
-MACUR = '[[send]]\ntag = "DEF_MACur"\ntype = "DOUBLE"\nindx = "INTERNAL"\n'
 
 
 def test_the_means_at_rest_are_those_of_the_cycles_after_the_call(
@@ -47,18 +42,15 @@ def test_loads_are_those_of_one_standstill(controller: FakeController, active_ar
     assert loads.joints_rad == pytest.approx(THERE, abs=4e-6)
 
 
-def test_a_context_without_currents_is_missing_and_never_zero(
-    controller: FakeController, make_arm: Any, tmp_path: Path
+def test_a_controller_that_does_not_send_currents_is_missing_and_never_zero(
+    controller: FakeController, active_arm: Any
 ) -> None:
-    text = files("ronna_hw.wire").joinpath(DEFAULT_CONTEXT_FILE).read_text("utf-8")
-    assert MACUR in text
-    bare = tmp_path / "bare.toml"
-    bare.write_text(text.replace(MACUR, ""), "utf-8")
-    tomllib.loads(bare.read_text("utf-8"))
-    controller.facts["CtxHash"] = context_hash(load_context(bare))
-    loads = activated(make_arm(context=str(bare))).read_loads()
+    controller.currents_percent = None
+    active_arm.move_joints(THERE)  # telegrams under way had them
+    loads = active_arm.read_loads()
     assert loads.validity is Validity.MISSING
     assert (loads.cycles, loads.current_percent) == (0, None)
+    assert active_arm.link_statistics().rejected_telegrams == 0
 
 
 def test_loads_need_a_running_stream(make_arm: Any) -> None:
