@@ -29,6 +29,7 @@ from conformance.device_cases import (
 )
 from conformance.device_under_test import DeviceUnderTest
 from ronna_hw.arm.motion.limits import REDUCED_SPEED_FRACTION, REDUCED_SPEED_MM_S
+from ronna_hw.devices.axis_loads import LOAD_CYCLES, AxisLoads, TellsLoads
 from ronna_hw.devices.contact import INSERTION_SPEED_MM_S, Insertion, InsertsInstruments
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import ArmReading, Validity
@@ -47,6 +48,7 @@ SMALL_LINE_MM = 2.0
 SMALL_TILT_RAD = radians(5.0)  # of the hand about a point off the flange: 0.1 mm aside if that goes straight
 BESIDE_FLANGE_MM = (100.0, 0.0, 50.0)
 FORCE_LIMIT_N = 20.0
+STEADY_LOAD = 2.0  # %, A or N: six times the noise of a mean of the coarsest signal, CB3's force (U)
 ROUNDING = 1.0 + 1e-9
 SLOW = 0.1  # of the driver's working speed: a person can follow it and press a button
 CLOSE_LIMIT_S = 8.0  # the arm may have to come to rest first
@@ -418,3 +420,27 @@ def wrong_insertions_are_refused(dut: DeviceUnderTest) -> None:
         limited = Insertion(ahead, no_tool, force_limit_N=FORCE_LIMIT_N)
         refused(lambda: arm.insert(limited), RefusedError, "a force limit that cannot be watched")
     check_standstill(inserting.read_state(), start)
+
+
+@SUITE.case("R30", "signals of the load are fresh, finite, and unchanged at rest, or stated as missing")
+def loads_are_steady_at_rest(dut: DeviceUnderTest) -> None:
+    arm = dut.at(Lifecycle.ACTIVE)
+    if not isinstance(arm, TellsLoads):
+        return
+    before, after = arm.read_loads(), arm.read_loads()
+    signals = [_list_signals(before), _list_signals(after)]
+    if before.validity is Validity.MISSING:
+        check(not any(signals) and before.cycles == 0, "no number for a signal that is missing", before)
+        return
+    check(after.validity is Validity.OK and bool(signals[0]), "validity ok, with a signal", after)
+    check(after.cycles >= LOAD_CYCLES, f"a mean over {LOAD_CYCLES} cycles", after.cycles)
+    check(after.stamp.sequence > before.stamp.sequence, "a later reading", after.stamp.sequence)
+    check(after.stamp.device_clock > before.stamp.device_clock, "a later device clock", after.stamp)
+    check(all(map(math.isfinite, itertools.chain(*signals))), "finite numbers", after)
+    changed = max(abs(b - a) for a, b in zip(*signals, strict=True))
+    check(changed < STEADY_LOAD, f"means that differ by less than {STEADY_LOAD:g}", f"{changed:.3g}")
+
+
+def _list_signals(loads: AxisLoads) -> list[float]:
+    stated = (loads.current_percent, loads.current_A, loads.expected_current_A, loads.force_N)
+    return [value for signal in stated if signal is not None for value in signal]

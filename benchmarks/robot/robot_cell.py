@@ -16,6 +16,7 @@ from ronna_hw.config import DeviceConfig
 from ronna_hw.endpoints import parse_endpoint
 from ronna_hw.host.child_process import ChildProcess, command
 from ronna_hw.host.network import own_udp_endpoint
+from ronna_hw.wire.kuka_context import OWN_CONTEXT
 from sim.world.process import load_scene
 from sim.world.world import World
 
@@ -36,6 +37,7 @@ class RobotCell:
         self.world = World.create(load_scene("bench"), paced=False)
         free = "tcp://127.0.0.1:0"
         more = ["--world", self.world.endpoint, "--rsi", own_udp_endpoint()]
+        more += ["--rsi-context", str(OWN_CONTEXT)]
         arguments = command("sim.cli", "kuka", *more, "--eki", free, "--eki-project", free)
         self.controller = self._ending.enter_context(ChildProcess("ronna-sim kuka", arguments))
         ready = self.controller.ready["endpoints"]
@@ -73,7 +75,8 @@ TELEGRAM = (
     '<Rob Type="KUKA"><RIst X="445.0000" Y="0.0000" Z="810.0000" A="180.0000" B="0.0000" C="180.0000"/>'
     '<AIPos A1="%.4f" A2="%.4f" A3="%.4f" A4="%.4f" A5="%.4f" A6="%.4f"/>'
     '<EIPos E1="0.0000" E2="0.0000" E3="0.0000" E4="0.0000" E5="0.0000" E6="0.0000"/>'
-    '<Delay D="0"/><IPOC>%d</IPOC></Rob>'
+    '<Delay D="0"/><MACur A1="0.0000" A2="-31.2500" A3="12.0000" A4="0.0000" A5="-4.5000" A6="0.0000"/>'
+    "<IPOC>%d</IPOC></Rob>"
 )
 
 

@@ -29,6 +29,7 @@ from conformance.kuka.client import (
 )
 from ronna_hw.arm.kr6_r900 import ArmVariant, kr6_r900
 from ronna_hw.arm.pose import Pose, radians6
+from ronna_hw.wire.kuka_context import SendElement
 
 PERIODS = 1000
 PERIOD_TOLERANCE = 0.01
@@ -99,10 +100,15 @@ def layout_is_exact(line: RsiLine) -> None:
 @on_stream("K05", "elements are in the order of the configuration, IPOC last")
 def order_is_kept(line: RsiLine) -> None:
     (telegram,) = line.run_cycles(1)
-    tags = [element.tag.removeprefix("DEF_").partition(".")[0] for element in line.context.send]
-    wanted = [*(tag for tag, _ in itertools.groupby(tags) if tag != "FREE"), "IPOC"]
     found = re.findall(r"<(\w+)[ >]", telegram.raw.decode())[1:]
+    tags = [*map(_name_of, line.context.send)]
+    tags += [name for name in map(_name_of, line.context.optional_send) if name in found]
+    wanted = [*(tag for tag, _ in itertools.groupby(tags) if tag != "FREE"), "IPOC"]
     check(found == wanted, f"the order {' '.join(wanted)}", " ".join(found))
+
+
+def _name_of(element: SendElement) -> str:
+    return element.tag.removeprefix("DEF_").partition(".")[0]
 
 
 @on_stream("K07", "EIPos always has six values")

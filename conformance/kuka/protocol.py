@@ -8,6 +8,7 @@ from __future__ import annotations
 from conformance.kuka import controller_cases, driver_cases
 from conformance.protocol import Checklist, ProtocolCases
 from ronna_hw.host.network import own_udp_endpoint
+from ronna_hw.wire.kuka_context import OWN_CONTEXT
 
 _LINES: dict[int, str] = {
     1: "S: the controller sends first",
@@ -96,7 +97,8 @@ KUKA_CHECKLIST = Checklist(letters="KL", lines=_LINES, remarks=_REMARKS, elsewhe
 def simulator() -> tuple[str, ...]:
     """Return the `ronna-sim` arguments for a simulated controller, whose client binds the RSI endpoint."""
     any_port = "tcp://127.0.0.1:0"
-    return ("kuka", "--rsi", own_udp_endpoint(), "--eki", any_port, "--eki-project", any_port)
+    addresses = ("--rsi", own_udp_endpoint(), "--eki", any_port, "--eki-project", any_port)
+    return ("kuka", "--rsi-context", str(OWN_CONTEXT), *addresses)
 
 
 PROTOCOL = ProtocolCases(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import time
 from collections.abc import Iterable
+from dataclasses import replace
 
 from drivers.kuka_rsi.connections import Connections
 from drivers.kuka_rsi.eki.client import ControllerCommands
@@ -18,8 +19,10 @@ from drivers.kuka_rsi.readiness import controller_facts, readiness_facts
 from drivers.theatre_options import naming_endpoints_too
 from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.arm_stream.arm import CLOSING_STOP_S, StreamedArm
+from ronna_hw.arm_stream.load_sums import LoadMeans
 from ronna_hw.clock import Clock
 from ronna_hw.config import DeviceConfig
+from ronna_hw.devices.axis_loads import AxisLoads
 from ronna_hw.devices.capabilities import Fact
 from ronna_hw.devices.lifecycle import Lifecycle, LifecycleGuard, require_person
 from ronna_hw.devices.robot import OperatingMode
@@ -143,6 +146,9 @@ class KukaRsiArm(StreamedArm[ControllerState]):
 
     def _tool_number(self, state: ControllerState) -> int:
         return state.tool
+
+    def _name_loads(self, loads: AxisLoads, means: LoadMeans) -> AxisLoads:
+        return replace(loads, current_percent=means.currents)
 
     def _controller_facts(self, state: ControllerState) -> Iterable[Fact]:
         return controller_facts(state)

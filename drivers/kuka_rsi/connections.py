@@ -162,7 +162,7 @@ def link_settings(rsi: Endpoint, context: RsiContext, options: KukaOptions) -> L
         variant=options.variant.value,
         cycle_ms=context.program.cycle_ms,
         sentype=context.ethernet.sentype,
-        send_tags=tuple(e.tag for e in context.send),
+        send_tags=tuple(e.tag for e in context.all_send),
         receive_tags=tuple(e.tag for e in context.receive),
         axis_tags=tuple(context.find_wired_tag("AXISCORR", axis) or "" for axis in AXIS_NAMES),
         stop_tag=context.find_wired_tag("STOP", "In1") or "",

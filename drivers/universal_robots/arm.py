@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 
 from drivers.theatre_options import naming_endpoints_too
 from drivers.universal_robots.connections import Connections
@@ -14,8 +15,10 @@ from drivers.universal_robots.readiness import controller_facts, read_tool_numbe
 from drivers.universal_robots.watch import UrWatch
 from ronna_hw.arm.universal_robots import universal_robot
 from ronna_hw.arm_stream.hand_guided import HandGuidedArm
+from ronna_hw.arm_stream.load_sums import LoadMeans
 from ronna_hw.clock import Clock
 from ronna_hw.config import DeviceConfig
+from ronna_hw.devices.axis_loads import AxisLoads
 from ronna_hw.devices.capabilities import Fact
 from ronna_hw.devices.contact import ToolLoad
 from ronna_hw.devices.lifecycle import READABLE, RUNNING, LifecycleGuard
@@ -86,6 +89,14 @@ class UniversalRobotsArm(HandGuidedArm[ControllerState]):
 
     def _tool_number(self, state: ControllerState) -> int:
         return read_tool_number(state.digital_inputs, self.connections.faults.options.tool_inputs)
+
+    def _name_loads(self, loads: AxisLoads, means: LoadMeans) -> AxisLoads:
+        return replace(
+            loads,
+            current_A=means.currents,
+            expected_current_A=means.expected_currents,
+            force_N=means.force,
+        )
 
     def _controller_facts(self, state: ControllerState) -> Iterable[Fact]:
         return controller_facts(state)

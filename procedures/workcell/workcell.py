@@ -32,6 +32,7 @@ from procedures.workcell.arm_history import (
     MotionKind,
     describe_instrument,
 )
+from procedures.workcell.arm_load import read_axis_loads
 from procedures.workcell.arm_pair import ArmPair, Halt
 from procedures.workcell.assistant import AT_GUIDE, Assistant
 from procedures.workcell.device_views import DeviceView
@@ -45,6 +46,7 @@ from ronna_hw.arm.clearance.bodies import ARMS_OWN_RADII, Surroundings
 from ronna_hw.arm.pose import Pose
 from ronna_hw.config import ASSISTANT, MASTER, Calibrations, DeviceConfig
 from ronna_hw.devices import JointMove, LineMove, Motion, OpticalTracker, RobotArm, StereoPair
+from ronna_hw.devices.axis_loads import LOAD_CYCLES, AxisLoads
 from ronna_hw.devices.errors import WrongKind
 from ronna_hw.devices.lifecycle import RUNNING, Device, Lifecycle
 from ronna_hw.devices.readings import ArmReading
@@ -192,7 +194,14 @@ class Workcell(SupervisedArm):
         """Transform FLANGE <- TOOL of the mounted tool."""
         return self.flange_from(self.tool)
 
-    # Pose and place of the arm
+    # Pose, load and place of the arm
+
+    def read_load(self, cycles: int = LOAD_CYCLES) -> AxisLoads | None:
+        """Average the controller's signals of the load over cycles at rest; None if its driver has none.
+
+        For an estimate see `arm_load.as_standstill`. Raises the arm's error if it does not rest.
+        """
+        return read_axis_loads(self._arm, cycles)
 
     def tool_pose(self, joints_rad: JointVector | None = None, arrived: Sides = None) -> Transform:
         """Return the mounted tool's pose at joint angles, by default the measured ones; see `Sides`."""

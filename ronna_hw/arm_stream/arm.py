@@ -7,6 +7,7 @@ import time
 from abc import ABC, abstractmethod
 from collections.abc import Iterable
 from contextlib import AbstractContextManager
+from functools import partial
 from typing import Any, Generic, Self
 
 from ronna_hw.arm.clearance.bodies import Surroundings
@@ -18,11 +19,21 @@ from ronna_hw.arm_stream.connections import StreamConnections, remaining_s
 from ronna_hw.arm_stream.control_channel import S
 from ronna_hw.arm_stream.force import LEAST_REST_S
 from ronna_hw.arm_stream.insertion import has_begun, plan_insertion, travel_along_axis_mm
+from ronna_hw.arm_stream.load_sums import LoadMeans, mean_loads
 from ronna_hw.arm_stream.motion import MotionFollower, MotionPlanner
 from ronna_hw.arm_stream.readings import StreamReadings
-from ronna_hw.arm_stream.records import NO_LIMIT, NO_STATE, ForceLimit, Phase, RecordedCycle, StopOrder
+from ronna_hw.arm_stream.records import (
+    NO_LIMIT,
+    NO_STATE,
+    ForceLimit,
+    LinkState,
+    Phase,
+    RecordedCycle,
+    StopOrder,
+)
 from ronna_hw.arm_stream.statistics import link_statistics
 from ronna_hw.arm_stream.watch import StreamWatch
+from ronna_hw.devices.axis_loads import LOAD_CYCLES, AxisLoads
 from ronna_hw.devices.capabilities import ByteSink, Fact
 from ronna_hw.devices.contact import Inserted, Insertion
 from ronna_hw.devices.lifecycle import (
@@ -35,7 +46,7 @@ from ronna_hw.devices.lifecycle import (
     hold_active,
     require_person,
 )
-from ronna_hw.devices.readings import ArmReading, LinkStatistics, ToolIdentity
+from ronna_hw.devices.readings import ArmReading, LinkStatistics, ToolIdentity, Validity
 from ronna_hw.devices.robot import JointMove, LineMove, Motion, OperatingMode, StopKind
 from ronna_hw.errors import RonnaError
 from ronna_hw.frames import Transform
@@ -97,6 +108,10 @@ class StreamedArm(ABC, Generic[S]):
     @abstractmethod
     def _controller_facts(self, state: S) -> Iterable[Fact]:
         """Return what a state of the controller says about its readiness."""
+
+    @abstractmethod
+    def _name_loads(self, loads: AxisLoads, means: LoadMeans) -> AxisLoads:
+        """Enter means of the load signals under what the controller states."""
 
     @abstractmethod
     def _is_to_acknowledge(self, timeout_s: float) -> bool:
@@ -222,6 +237,28 @@ class StreamedArm(ABC, Generic[S]):
         self._guard.require("read_tool_identity", READABLE)
         number = self._tool_number(self._request_state(timeout_s))
         return ToolIdentity(self._readings.stamp(), number)
+
+    def read_loads(self, cycles: int = LOAD_CYCLES, timeout_s: float = 2.0) -> AxisLoads:
+        """Average the load signals of the next cycles at rest; MISSING if the stream carries none."""
+        self._watch.raise_new()
+        self._guard.require("read_loads", RUNNING)
+        deadline = time.monotonic() + timeout_s
+        before = after = self.connections.link.state
+        if not after.carries_loads:
+            reading = self._readings.from_stream(after)
+            return AxisLoads(reading.stamp, Validity.MISSING, reading.joints_rad, 0)
+        while not _has_rested(before, after, cycles):
+            before = after  # once more, if the arm has moved meanwhile
+            ended = partial(_has_ended, before, cycles=cycles)
+            state = self._follower.wait(ended, max(deadline - time.monotonic(), 0.0))
+            self._watch.raise_any()
+            if state is None or time.monotonic() > deadline:
+                raise self._follower.not_at_rest_error(timeout_s)
+            after = state
+        reading = self._readings.from_stream(after)
+        means = mean_loads(before, after)
+        loads = AxisLoads(reading.stamp, reading.validity, reading.joints_rad, means.cycles)
+        return self._name_loads(loads, means)
 
     def deactivate(self, timeout_s: float = 10.0) -> None:
         """Stop the arm and end the controller's program; raises any fault that occurs meanwhile."""
@@ -401,3 +438,14 @@ class StreamedArm(ABC, Generic[S]):
         self._guard.enter(Lifecycle.ACTIVE, **facts)
         if self.connections.link.stop_number != stop_count:
             self._guard.exchange(Lifecycle.ACTIVE, Lifecycle.HOLD)
+
+
+def _has_rested(before: LinkState, after: LinkState, cycles: int) -> bool:
+    """Return whether load signals of so many cycles of one standstill lie between two states."""
+    return after.load_since == before.load_since and after.load_cycles - before.load_cycles >= cycles
+
+
+def _has_ended(before: LinkState, state: LinkState, cycles: int) -> bool:
+    """Return whether there is no use in waiting: they do, the arm has moved, or a fault stopped it."""
+    moved = state.load_since != before.load_since
+    return moved or bool(state.fault) or _has_rested(before, state, cycles)

@@ -20,6 +20,7 @@ NOTHING_AROUND = Surroundings()
 NO_DESCRIPTOR = -1
 STOP_KIND_BITS = 3  # lowest bits of the stop word: its kind; above them its number
 STOP_KIND = (1 << STOP_KIND_BITS) - 1
+LOAD_SIGNALS = 15  # currents and expected currents of six axes, force on the tool
 _ZEROS: JointVector = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
@@ -214,6 +215,10 @@ class LinkState(NamedTuple):
     controller_word: Annotated[int, "Q"] = 0  # what the controller reports, as its driver packs it
     force_N: Annotated[Vector3, "3d"] = (0.0, 0.0, 0.0)  # on the tool, in the robot base, filtered
     peak_force_N: Annotated[float, "d"] = 0.0  # largest change during the last motion with a force limit
+    carries_loads: Annotated[bool, "?"] = False  # the last telegram has signals of the load
+    load_since: Annotated[int, "Q"] = 0  # first cycle of the present standstill whose load signals are summed
+    load_cycles: Annotated[int, "Q"] = 0  # how many they are by now; 0 while the arm moves
+    load_sums: Annotated[tuple[float, ...], f"{LOAD_SIGNALS}d"] = (0.0,) * LOAD_SIGNALS
     errno: Annotated[int, "i"] = 0
 
 

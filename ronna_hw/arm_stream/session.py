@@ -21,6 +21,7 @@ from ronna_hw.arm.kinematics import Kinematics
 from ronna_hw.arm.motion.limits import MotionLimits
 from ronna_hw.arm.motion.planning import MotionPlan
 from ronna_hw.arm_stream.force import NO_FORCE, ForceWatch
+from ronna_hw.arm_stream.load_sums import LoadSums, Signals
 from ronna_hw.arm_stream.losses import DEGRADED_SPEED, LossCount
 from ronna_hw.arm_stream.records import (
     NO_STATE,
@@ -115,6 +116,7 @@ class StreamSession(ABC):
         if settings.force_filter_s:
             self._force = ForceWatch(cycle_s, settings.force_filter_s, settings.force_at_rest_N)
         self._is_force_exceeded = False  # in the last motion
+        self._loads = LoadSums()
 
     # What a protocol adds:
 
@@ -125,6 +127,14 @@ class StreamSession(ABC):
     def _measured_force(self) -> Vector3:
         """Return the force on the tool in the last telegram, of an arm that estimates one."""
         return NO_FORCE
+
+    def _carries_loads(self) -> bool:
+        """Return whether the last telegram has load signals, valid or not."""
+        return True
+
+    def _measured_loads(self) -> Signals | None:
+        """Return the load signals of the last telegram, None without them; asked at rest only."""
+        return None
 
     @abstractmethod
     def _prepare_reply(self, points: SetPoints) -> None:
@@ -196,6 +206,7 @@ class StreamSession(ABC):
             self._judge_measured(following_violation)
         points.commit(self.choice)
         self._follow_motion(points)
+        self._follow_loads()
         if command is not None:
             self.execute_command(command)
         speed = self._controller_speed * (DEGRADED_SPEED if self._losses.degraded else 1.0)
@@ -282,11 +293,16 @@ class StreamSession(ABC):
             self.controller_word,
             NO_FORCE if self._force is None else self._force.filtered_N,
             0.0 if self._force is None else self._force.peak_N,
+            self._carries_loads(),
+            self._loads.since,
+            self._loads.cycles,
+            self._loads.sums,
         )
 
     def _begin(self, start_rad: JointVector, limits: MotionLimits) -> SetPoints:
         """Begin to stream set-points from rest at `start_rad`."""
         self._base_rad = start_rad
+        self._loads.clear()
         self._points = points = SetPoints(self._kinematics, limits, self._cycle_s, start_rad)
         self._settled_cycles = 0
         self.choice = Choice.GO
@@ -338,6 +354,13 @@ class StreamSession(ABC):
             self._is_force_exceeded = self._stopping = True
         if points.push(force.change_N):
             self._stopping = True
+
+    def _follow_loads(self) -> None:
+        """Sum the load signals of the arm at rest."""
+        if self._settled_cycles < SETTLE_CYCLES:
+            self._loads.clear()
+        elif (signals := self._measured_loads()) is not None:
+            self._loads.note(signals, self.cycles)
 
     def _follow_motion(self, points: SetPoints) -> None:
         if points.moving:

@@ -20,6 +20,7 @@ from pydantic_core import to_jsonable_python
 from ronna_hw.arm.motion.limits import MotionLimits
 from ronna_hw.arm.path_preview import PathPreview
 from ronna_hw.bounded_input import inflate
+from ronna_hw.devices.axis_loads import AxisLoads
 from ronna_hw.devices.contact import Inserted
 from ronna_hw.devices.lifecycle import Identity
 from ronna_hw.devices.readings import ArmReading, LinkStatistics, StereoReading, ToolIdentity, TrackerFrame
@@ -32,6 +33,7 @@ ANSWERS: dict[str, Any] = {
     "grab_pair": StereoReading,
     "read_state": ArmReading,
     "read_tool_identity": ToolIdentity,
+    "read_loads": AxisLoads,
     "move_joints": ArmReading,
     "move_linear": ArmReading,
     "insert": Inserted,

@@ -1,9 +1,8 @@
 """RSI context: telegram content, channel wiring, and the controller's limits.
 
-`load_context()` reads our own description, `kuka_rsi_context.toml` next to this module;
-`load_context(path)` another one in the same form. The driver, the generator of the controller's files and
-the controller's stand-in all start from the `RsiContext` it returns. `context_hash()` is what the
-controller reports as `CtxHash`.
+`load_context()` reads our own description, `OWN_CONTEXT`; `load_context(path)` another one in the same form.
+The driver, the generator of the controller's files and the controller's stand-in all start from the
+`RsiContext` it returns. `context_hash()` is what the controller reports as `CtxHash`.
 
 Nothing is encoded or decoded here: each side of the wire does its own.
 """
@@ -12,16 +11,16 @@ from __future__ import annotations
 
 import hashlib
 import json
-from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from ronna_hw.bounded_input import parse_toml, read_toml
+from ronna_hw.bounded_input import read_toml
 from ronna_hw.errors import ConfigurationError
 
 DEFAULT_CONTEXT_FILE = "kuka_rsi_context.toml"
+OWN_CONTEXT = Path(__file__).with_name(DEFAULT_CONTEXT_FILE)
 CHANNELS = 64  # inputs and outputs of one ETHERNET object
 AXES = 6
 HASH_DIGITS = 16  # of the sha256 in hex: short enough for a KRL string, long enough not to collide
@@ -147,13 +146,17 @@ class Stop(_Table):
 
 
 class RsiContext(_Table):
-    """Complete RSI context. Objects set to `None` are absent, and their defaults apply."""
+    """Complete RSI context. Objects set to `None` are absent, and their defaults apply.
+
+    `optional_send` follows `send` in the telegrams of a controller whose Ethernet file has it.
+    """
 
     schema_version: Annotated[Literal[1], Field(alias="schema")]
     name: Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,18}$")]
     program: Program
     ethernet: Ethernet
     send: tuple[SendElement, ...]
+    optional_send: tuple[SendElement, ...] = ()
     receive: tuple[ReceiveElement, ...]
     wiring: tuple[Wire, ...]
     feedback: tuple[Feedback, ...] = ()
@@ -162,6 +165,11 @@ class RsiContext(_Table):
     position_correction: PositionCorrection | None = None
     position_monitor: PositionMonitor | None = None
     stop: Stop | None = None
+
+    @property
+    def all_send(self) -> tuple[SendElement, ...]:
+        """All that a controller may send, in the order of its telegrams."""
+        return self.send + self.optional_send
 
     @model_validator(mode="after")
     def _channels_agree(self) -> Self:
@@ -174,11 +182,11 @@ class RsiContext(_Table):
         inputs = [(w.object, w.input) for w in self.wiring]
         if len(set(inputs)) != len(inputs):
             raise ValueError("wiring: each object input may be fed once")
-        sent = [e.indx for e in self.send if e.indx != INTERNAL]
+        sent = [e.indx for e in self.all_send if e.indx != INTERNAL]
         unsent = sorted({f.indx for f in self.feedback} - set(sent))
         if unsent:
             raise ValueError(f"feedback: indx {unsent} is not sent")
-        for element in self.send:
+        for element in self.all_send:
             if (element.indx == INTERNAL) != element.tag.startswith("DEF_"):
                 raise ValueError(f"send: {element.tag}: a tag is INTERNAL if and only if it begins with DEF_")
         return self
@@ -195,10 +203,7 @@ def load_context(path: Path | None = None) -> RsiContext:
     """Read a context, by default the project's own. Raises WIR-001 listing every mistake in one line."""
     source = str(path) if path else DEFAULT_CONTEXT_FILE
     try:
-        if path is None:
-            content = parse_toml(files("ronna_hw.wire").joinpath(DEFAULT_CONTEXT_FILE).read_text("utf-8"))
-        else:
-            content = read_toml(path, ContextInvalid)
+        content = read_toml(path or OWN_CONTEXT, ContextInvalid)
         # JSON in between: in strict mode pydantic accepts arrays as tuples from JSON only.
         return RsiContext.model_validate_json(json.dumps(content, default=str))
     except OSError as error:
@@ -213,13 +218,14 @@ def load_context(path: Path | None = None) -> RsiContext:
 
 
 def context_hash(context: RsiContext) -> str:
-    """Return a shortened SHA-256 of the canonical description, excluding the PC's address.
+    """Return a shortened SHA-256 of the canonical description.
 
-    Canonical is JSON with sorted keys and no blanks, defaults written out, except for an unwired feedback:
-    two files with the same meaning have the same hash.
+    The PC's address and optional signals do not count: no client depends on them. Canonical is JSON with
+    sorted keys and no blanks, defaults written out, except for an unwired feedback: two files with the same
+    meaning have the same hash.
     """
     plain_model = context.model_dump(mode="json", by_alias=True)
-    del plain_model["ethernet"]["pc_ip"], plain_model["ethernet"]["pc_port"]
+    del plain_model["ethernet"]["pc_ip"], plain_model["ethernet"]["pc_port"], plain_model["optional_send"]
     if not context.feedback:
         del plain_model["feedback"]
     canonical = json.dumps(plain_model, sort_keys=True, separators=(",", ":"), ensure_ascii=True)

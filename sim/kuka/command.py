@@ -99,8 +99,8 @@ def kuka(
         return
     parameters = parse_parameters(parameter or ()).of_arm(role.number)
     context = _read_context(rsi_config, rsi_context, corrections, cycle_ms, parameters.longest_file_name)
-    TelegramWriter(context.send, context.ethernet.precision, (0.0,) * 6, (0.0,) * 6)  # rejects a bad layout
     ethernet = context.ethernet
+    TelegramWriter(context.all_send, ethernet.precision, (0.0,) * 6, (0.0,) * 6)  # rejects a bad layout
     file_address = f"udp://{ethernet.pc_ip}:{ethernet.pc_port}"
     client = parse_endpoint(rsi or (file_address if rsi_config else RSI_DEFAULT)).require("udp")
     address = resolve(client)
@@ -150,6 +150,8 @@ def _read_context(
         context = read_ethernet_file(rsi_config, described, longest_name)
     else:
         context = load_context(rsi_context)
+        if rsi_context is None:  # clients that count on positions
+            context = context.model_copy(update={"optional_send": ()})
     changes: dict[str, Any] = {}
     if corrections is not None:
         changes["corrections"] = corrections.value

@@ -63,6 +63,16 @@ class ControllerParameters:
         float, "A sticking axis slips when the command is this far ahead of it."
     ] = 0.05
 
+    # motor currents
+    stiction_share: Annotated[
+        float, "Torque that the gears hold at standstill, as a share of that of the largest current."
+    ] = 0.05
+    current_error_share: Annotated[
+        float, "Deviation of each drive's current per torque from its design, one standard deviation."
+    ] = 0.05
+    current_noise_percent: Annotated[float, "Noise of a current, in percent of the largest."] = 0.3
+    current_cycles: Annotated[int, "Cycles from one value of the currents to the next."] = 3
+
     # RSI: telegrams and replies
     ipoc_start: Annotated[
         int, "Time stamp from which those of the runs are derived.", MaximumValue(2**64 - 1)

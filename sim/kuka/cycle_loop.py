@@ -25,10 +25,11 @@ from sim.kuka.eki.project_channel import ProjectChannel
 from sim.kuka.eki.sdk_channel import SdkChannel
 from sim.kuka.eki.server import EkiServer
 from sim.kuka.faults import ControllerFaults
+from sim.kuka.motor_currents import MotorCurrents
 from sim.kuka.pendant import PendantDisplay
 from sim.kuka.rsi.link import LinkFaults, RsiSocket
 from sim.kuka.rsi.program_run import RsiRun
-from sim.kuka.rsi.telegrams import Reply
+from sim.kuka.rsi.telegrams import NO_CURRENTS, Reply
 from sim.world.faults import FaultBoard
 from sim.world.faults.log import FaultLog
 from sim.world.world import World
@@ -61,6 +62,7 @@ class CycleLoop:
         self._servers = (project_server, sdk_server)
         log = FaultLog(self._fault_time)
         self._takes_second = controller.parameters.second_reply == "taken"
+        self._currents = MotorCurrents(world, controller.arm.drives, controller.parameters)
         self._link = LinkFaults(world.scene.seed, log.hit, takes_second=self._takes_second)
         board = FaultBoard(world, "robot", self._cycle_number)
         self._faults = ControllerFaults(board, controller, self._servers, self._link, log)
@@ -118,7 +120,8 @@ class CycleLoop:
         controller = self._controller
         cycle_s = run.settings.cycle_ms / 1000.0
         began_s = time.monotonic()
-        telegram = run.telegram(controller.arm.reported_frame, controller.arm.reported_deg)
+        currents = self._currents.at(self.cycles) if run.states_currents else NO_CURRENTS
+        telegram = run.telegram(controller.arm.reported_frame, controller.arm.reported_deg, currents)
         answerable = True
         self._link.cycle = self.cycles + 1
         if not run.streams:

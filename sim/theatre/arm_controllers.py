@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from ronna_hw.host.network import own_address, own_udp_endpoint
+from ronna_hw.wire.kuka_context import OWN_CONTEXT
 from sim.errors import BadDeviceParameter
 from sim.kuka.controller_parameters import ControllerParameters as KukaParameters
 from sim.kuka.controller_parameters import parse_parameters as parse_kuka_parameters
@@ -38,6 +39,7 @@ class ArmController:
     model_option: str
     addresses: Callable[[str, int], tuple[str, ...]]  # options of the command, by the arm's name and number
     parse_parameters: Callable[[tuple[str, ...]], KukaParameters | UrParameters]
+    files: tuple[str, ...] = ()  # options of the command: what is set up at the controller
     # Chain that the controller states of a true arm, by its seed and parameters; None: the model's.
     state_chain: Callable[[ArmTruth, int, tuple[str, ...]], Chain | None] = lambda truth, seed, _: None
     cycles_ms: tuple[int, ...] = ()  # to choose from
@@ -46,7 +48,7 @@ class ArmController:
     def arguments(self, variant: str, role: ArmRole, cycle_ms: int | None) -> tuple[str, ...]:
         """Return the options of the command in a theatre."""
         cycle = () if cycle_ms is None else ("--cycle-ms", str(cycle_ms))
-        return (*cycle, *self.addresses(variant, role.number), "--role", role.value)
+        return (*cycle, *self.files, *self.addresses(variant, role.number), "--role", role.value)
 
     def serial(self, role: ArmRole, parameters: tuple[str, ...]) -> str:
         """Return the serial number that the controller of an arm in this role reports."""
@@ -78,6 +80,7 @@ KUKA = ArmController(
     roles=("rsi", "eki_project"),
     model_option="variant",
     addresses=lambda _, number: ("--rsi", own_udp_endpoint(number), "--eki", FREE, "--eki-project", FREE),
+    files=("--rsi-context", str(OWN_CONTEXT)),
     parse_parameters=parse_kuka_parameters,
     cycles_ms=(4, 12),
 )

@@ -16,6 +16,7 @@ from sim.world.descriptions import DESCRIPTIONS
 from sim.world.noise import noise
 from sim.world.rigid import inverse, matrix_from, matrix_of, pose_of, rotation_from_vector
 from sim.world.scene.model import ArmResidual, ArmTruth, Mount, Scene
+from sim.world.scene.parts import CENTRE_OF_GRAVITY_MM, STEREO_HEAD_KG
 from sim.world.scene.parts import GUIDE_FRAME_NAME as GUIDE_FRAME
 
 Array = NDArray[np.float64]
@@ -25,8 +26,6 @@ STATED_ERROR_MM = 0.10
 # retain 15 and 16 % of an uncalibrated arm's errors, whose effect is 0.10 mm.
 CALIBRATED_ARM_ERROR_MM = 0.016
 
-STEREO_HEAD_KG = 2.1
-CENTRE_OF_GRAVITY_MM = (110.0, 0.0, 30.0)  # both tools with the common mount, flange frame
 # About z from home: the gauge is on the table next to the patient.
 GAUGE_TURN_DEG = 40.0
 GAUGE_BASE_MM = 60.0

@@ -91,6 +91,10 @@ class ControllerParameters:
     tool_mass_kg: Annotated[
         float, "True mass on the flange; 0: as programs set it. A difference appears as a force."
     ] = 0.0
+    stiction_share: Annotated[
+        float, "Torque that the gears hold at standstill, as a share of the largest of each joint."
+    ] = 0.04
+    current_noise_a: Annotated[float, "Noise of a measured current of a joint."] = 0.03
     skin_mm: Annotated[float, "Depth of skin in front of bone."] = 5.0
     skin_stiffness_n_mm: Annotated[float, "Resistance of skin for each mm, until it is passed."] = 0.5
     bone_mm: Annotated[float, "Thickness of bone, as of a parietal bone."] = 6.5

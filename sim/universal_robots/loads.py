@@ -12,13 +12,15 @@ from random import Random
 from typing import Final
 
 from sim.universal_robots.controller_parameters import ControllerParameters
-from sim.universal_robots.kinematics import Frame, compose
-from sim.universal_robots.model import JOINTS, TORQUES_NM
+from sim.universal_robots.kinematics import IDENTITY, Frame, Kinematics, compose
+from sim.universal_robots.model import JOINTS, TORQUES_NM, ZEROS, Model
 from sim.universal_robots.robot import Robot
 from sim.universal_robots.variables import PAYLOAD, PLACES
+from sim.world.held_torques import GRAVITY_M_S2, Body, HeldTorques, Stiction
+from sim.world.noise import TabledNoise
 from sim.world.options import UrArm
+from sim.world.tool_load import ToolLoad
 
-GRAVITY_M_S2: Final = 9.81
 MM: Final = 1000.0
 LINK_CENTRES_M: Final = (
     (0.0, -0.02561, 0.00193),
@@ -41,9 +43,12 @@ NOISE_TABLE: Final = 4099  # a prime: three values a cycle do not repeat soon
 CONTACT_STIFFNESS_N_MM: Final = 20.0  # of an instrument in bone, by which it is relieved when drawn back (U)
 BONE_RAMP_MM: Final = 0.5  # from its surface to its full resistance (U)
 
+MOVING_CYCLES: Final = 4  # from one current to the next in motion, where nobody needs each: 8 ms (e-Series)
+
 FORCE: Final = "actual_TCP_force"
-TORQUES: Final = frozenset({"actual_current", "target_current", "target_moment"})
-_FORCE, _CURRENT = PLACES[FORCE], PLACES["actual_current"]
+CURRENT: Final = "actual_current"
+TORQUES: Final = frozenset({CURRENT, "target_current", "target_moment"})
+_FORCE, _CURRENT = PLACES[FORCE], PLACES[CURRENT]
 _TARGET_CURRENT, _MOMENT = PLACES["target_current"], PLACES["target_moment"]
 _COG = PLACES["payload_cog"]
 Force = tuple[float, float, float]
@@ -95,11 +100,20 @@ class Loads:
         self._estimate: Force = NONE  # without bias and noise
         self.axial_n = 0.0
         self.hand_n: Force = NONE
+        self.on_tool: ToolLoad | None = None  # a hand in the theatre's room
+        self._push_n: Force = NONE
         self.tissue: Tissue | None = None
         self.instrument: Frame | None = None  # held beside the flange; its z axis replaces the tool's
         self.force_n: Force = NONE  # of the room on the tool
         self.trip = ""  # why the safety system must stop the arm
         self.shows_forces = self.shows_torques = True  # some client reads them
+        self._torques = HeldTorques(name, link_bodies(robot.model))
+        self._held_at: tuple[object, ...] = ()
+        self._held_nm: list[float] = [0.0] * JOINTS
+        self._stiction = Stiction([parameters.stiction_share * most for most in TORQUES_NM], seed)
+        self._stops, self._moved = 0, False
+        self._cycle = 0
+        self._current_noise = TabledNoise(seed, CURRENT)
 
     def meet_tissue(self, ahead_mm: float | None) -> None:
         """Place tissue so far ahead of the tool centre point or instrument on its z axis, or remove it."""
@@ -113,7 +127,8 @@ class Loads:
 
     def follow(self) -> None:
         """Compute the loads of this cycle, and what the controller knows of them."""
-        if self.axial_n or self.tissue is not None or self.hand_n is not NONE:
+        self._push_n = NONE if self.on_tool is None else self.on_tool.push_N()
+        if self.axial_n or self.tissue is not None or self.hand_n is not NONE or any(self._push_n):
             self.force_n = self._present_force()
         else:
             self.force_n = NONE
@@ -135,26 +150,52 @@ class Loads:
     def publish_torques(self) -> None:
         """Write torques and currents of the joints."""
         robot = self._robot
-        values, drives = robot.values, robot.drives
-        mass, centre = values[PAYLOAD], values[_COG]
-        expected = self._gravity(drives.target, mass, centre)
-        true_mass = mass + self._unknown_mass_kg()
-        held = self._gravity(drives.actual, true_mass, centre)
-        if self.force_n is not NONE:
-            jacobian = robot.kinematics.jacobian(drives.actual, robot.tcp)
-            held = [
-                torque - sum(float(jacobian[axis, joint]) * self.force_n[axis] for axis in range(3))
-                for joint, torque in enumerate(held)
-            ]
-            for joint, (torque, most) in enumerate(zip(held, TORQUES_NM, strict=True)):
-                if abs(torque) > most and not self.trip:
-                    self.trip = f"joint {joint} holds {abs(torque):.0f} Nm, at most {most:.0f}"
-        values[_MOMENT] = expected
-        values[_TARGET_CURRENT] = _currents(expected)
-        values[_CURRENT] = _currents(held)
+        values, drives, push_n = robot.values, robot.drives, self.force_n
+        self._cycle += 1
+        if not drives.at_rest:
+            self._moved = True
+            if self._cycle % MOVING_CYCLES:
+                return
+        held_at = drives.target, drives.actual, push_n, values[PAYLOAD], *values[_COG]
+        if held_at != self._held_at:
+            self._held_at = held_at
+            centre_mm = [MM * value for value in values[_COG]]
+            torques = self._torques
+            torques.carry(values[PAYLOAD], centre_mm)
+            values[_MOMENT] = expected = torques.weight_Nm(drives.target)
+            values[_TARGET_CURRENT] = _currents(expected)
+            torques.carry(values[PAYLOAD] + self._unknown_mass_kg(), centre_mm)
+            self._held_nm = torques.weight_Nm(drives.actual)
+            if push_n is not NONE:
+                self._hold_force(push_n)
+        if not drives.at_rest:
+            motors = self._stiction.moving(self._held_nm, [_sign(speed) for speed in drives.actual_speed])
+        else:
+            self._stops, self._moved = self._stops + self._moved, False
+            motors = self._stiction.at_rest(self._held_nm, self._stops)
+        noises, size = self._current_noise.at(self._cycle, JOINTS), robot.parameters.current_noise_a
+        values[_CURRENT] = [a + size * b for a, b in zip(_currents(motors), noises, strict=True)]
+
+    def _hold_force(self, force_n: Force) -> None:
+        """Add the torques against a force; one too large for a joint stops the arm.
+
+        A hand pushes where the tool is, which the controller need not know; all else, at its centre point.
+        """
+        joints, tcp, push_n = self._robot.drives.actual, self._robot.tcp, self._push_n
+        at_tcp = [a - b for a, b in zip(force_n, push_n, strict=True)]
+        pulls = [(at_tcp, (MM * tcp.x, MM * tcp.y, MM * tcp.z))]
+        if self.on_tool is not None:
+            pulls.append((list(push_n), self.on_tool.point_mm))
+        for pull_n, point_mm in pulls:
+            if any(pull_n):
+                against = self._torques.against_force_Nm(joints, pull_n, point_mm)
+                self._held_nm = [a + b for a, b in zip(self._held_nm, against, strict=True)]
+        for joint, (torque, most) in enumerate(zip(self._held_nm, TORQUES_NM, strict=True)):
+            if abs(torque) > most and not self.trip:
+                self.trip = f"joint {joint} holds {abs(torque):.0f} Nm, at most {most:.0f}"
 
     def _present_force(self) -> Force:
-        x, y, z = self.hand_n
+        x, y, z = (a + b for a, b in zip(self.hand_n, self._push_n, strict=True))
         tool = self._pushed()
         against = self.axial_n
         if against:
@@ -190,30 +231,22 @@ class Loads:
             0.0,
         )
 
-    def _gravity(
-        self, joints_rad: Sequence[float], payload_kg: float, centre_m: Sequence[float]
-    ) -> list[float]:
-        """Return the torques that hold links and payload."""
-        frames = self._robot.kinematics.link_frames(joints_rad)
-        masses = LINK_MASSES_KG[self._robot.model.name]
-        weights = [(kg, _point(frames[k + 1], LINK_CENTRES_M[k]), k) for k, kg in enumerate(masses)]
-        weights.append((payload_kg, _point(frames[JOINTS], centre_m), JOINTS - 1))
-        torques = [0.0] * JOINTS
-        for kg, (x, y, _), last in weights:
-            for joint in range(last + 1):
-                axis = frames[joint]
-                # z component of axis x lever: what the weight turns about this axis
-                torques[joint] += GRAVITY_M_S2 * kg * (axis.r02 * (y - axis.y) - axis.r12 * (x - axis.x))
-        return torques
 
-
-def _point(frame: Frame, local: Sequence[float]) -> tuple[float, float, float]:
-    u, v, w = local
-    return (
-        frame.r00 * u + frame.r01 * v + frame.r02 * w + frame.x,
-        frame.r10 * u + frame.r11 * v + frame.r12 * w + frame.y,
-        frame.r20 * u + frame.r21 * v + frame.r22 * w + frame.z,
+def link_bodies(model: Model) -> list[Body]:
+    """Return the links with the arm at zero, in the base."""
+    frames = Kinematics(model).link_frames(ZEROS)[1:]
+    centres = (
+        compose(frame, IDENTITY._replace(x=x, y=y, z=z))
+        for frame, (x, y, z) in zip(frames, LINK_CENTRES_M, strict=True)
     )
+    return [
+        Body(mass_kg, (MM * place.x, MM * place.y, MM * place.z))
+        for mass_kg, place in zip(LINK_MASSES_KG[model.name], centres, strict=True)
+    ]
+
+
+def _sign(speed: float) -> float:
+    return float((speed > 0.0) - (speed < 0.0))
 
 
 def _currents(torques_nm: Sequence[float]) -> list[float]:

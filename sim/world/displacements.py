@@ -66,6 +66,7 @@ class RoomShift:
     head_rad: Point = STILL
     tracker_rad: Point = STILL
     guide_mm: Point = STILL  # of the mounted tool, by a hand
+    push_N: Point = STILL  # of that hand
     guide_rad: Point = STILL  # about the tracked frame
     assistant_mm: Point = STILL  # of the assistant's base, as of the head
     assistant_rad: Point = STILL
@@ -139,6 +140,7 @@ class ShiftedRoom:
             head_rad=as_point(vector_from_rotation(head[:3, :3])),
             tracker_rad=as_point(vector_from_rotation(tracker[:3, :3])),
             guide_mm=as_point(back @ guide_mm),
+            push_N=as_point(back @ np.array(push_N)),
             guide_rad=as_point(back @ np.radians(_sum_arguments(turns, GUIDE))),
             assistant_mm=as_point(assistant[:3, 3]),
             assistant_rad=as_point(vector_from_rotation(assistant[:3, :3])),

@@ -122,7 +122,7 @@ class JointChain:
     """
 
     def __init__(self, arm: RobotDescription, links: Sequence[LinkError] | None = None) -> None:
-        self._model, self._flange = _build_model(arm, None if links is None else tuple(links))
+        self._model, self._flange = build_model(arm, None if links is None else tuple(links))
         self._data = self._model.createData()
         self._place = self._data.oMf[self._flange]  # a view: the kinematics write into it
         self._q = np.zeros(AXES)
@@ -158,8 +158,8 @@ class JointChain:
 
 
 @lru_cache(maxsize=8)  # shared: chains only read it and compute in their own data
-def _build_model(arm: RobotDescription, links: tuple[LinkError, ...] | None) -> tuple[pin.Model, int]:
-    """Build the model and return it with the index of its flange frame."""
+def build_model(arm: RobotDescription, links: tuple[LinkError, ...] | None) -> tuple[pin.Model, int]:
+    """Return a model without weights, shared by all, and the index of its flange frame."""
     model, parent = pin.Model(), 0
     for number, joint in enumerate(arm.joints):
         place = pin.SE3(np.eye(3), np.array(joint.origin_mm))

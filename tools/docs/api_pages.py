@@ -34,6 +34,7 @@ from ronna_hw.devices import (
     robot,
     stray_tracks,
 )
+from ronna_hw.devices.axis_loads import TellsLoads
 from ronna_hw.devices.capabilities import RecordsBytes
 from ronna_hw.devices.contact import CarriesLoad, FollowsHand, InsertsInstruments
 from studies.plugins import contracts
@@ -115,8 +116,10 @@ def devices() -> str:
             interfaces,
             Part(readings.__name__, own),
             _driver_part(PolarisTracker, OpticalTracker),
-            _driver_part(KukaRsiArm, RobotArm, InsertsInstruments),
-            _driver_part(UniversalRobotsArm, RobotArm, InsertsInstruments, FollowsHand, CarriesLoad),
+            _driver_part(KukaRsiArm, RobotArm, InsertsInstruments, TellsLoads),
+            _driver_part(
+                UniversalRobotsArm, RobotArm, InsertsInstruments, FollowsHand, CarriesLoad, TellsLoads
+            ),
             _driver_part(BaslerStereoPair, StereoPair),
         ]
     )

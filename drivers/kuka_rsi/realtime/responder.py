@@ -11,9 +11,10 @@ from math import degrees, radians
 from drivers.kuka_rsi.realtime.link_health import Losses, SenderCheck
 from drivers.kuka_rsi.realtime.replies import PreparedReply, Replies
 from drivers.kuka_rsi.realtime.settings import LinkSettings
-from drivers.kuka_rsi.realtime.telegram import Telegram
+from drivers.kuka_rsi.realtime.telegram import Telegram, read_currents
 from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.arm.motion.limits import MotionLimits
+from ronna_hw.arm_stream.load_sums import NO_SIGNALS, Signals
 from ronna_hw.arm_stream.records import NO_STATE, Choice, Fault, OpenStream, Orders, Phase
 from ronna_hw.arm_stream.session import SETTLE_CYCLES, STREAMING_PHASES, StreamSession
 from ronna_hw.arm_stream.set_points import SetPoints
@@ -21,6 +22,7 @@ from ronna_hw.vectors import JointVector
 
 __all__ = ["SETTLE_CYCLES", "STREAMING_PHASES", "Responder"]
 
+NOTHING_ELSE = NO_SIGNALS[6:]  # no currents that it would expect, no force
 RANGE_TOLERANCE_DEG = 0.01  # for the first telegram's axes: an arm may be at its end switch
 
 
@@ -37,12 +39,13 @@ class Responder(StreamSession):
         self.senders = SenderCheck()
         self.ready: PreparedReply | None = None
         self._axes_deg: JointVector = NO_STATE.measured_rad
+        self._currents = b""  # of the last telegram, as text
         self._losses = Losses(settings.cycle_ms)
 
     def answer(self, telegram: Telegram, orders: Orders, now_ns: int) -> bytes | None:
         """Return the reply up to its IPOC, or None if this telegram must not be answered."""
         self.ready = None
-        self._axes_deg = telegram.axes_deg
+        self._axes_deg, self._currents = telegram.axes_deg, telegram.currents
         self._previous_ns, self._received_ns = self._received_ns, now_ns
         self.senders.foreign_sent_last = False
         self._check_heartbeat(orders.heartbeat, now_ns)
@@ -75,7 +78,7 @@ class Responder(StreamSession):
 
     def note_answered(self, telegram: Telegram, orders: Orders, now_ns: int) -> None:
         """Update the state as `answer` does, after the prepared reply has been sent."""
-        self._axes_deg = telegram.axes_deg
+        self._axes_deg, self._currents = telegram.axes_deg, telegram.currents
         self._previous_ns, self._received_ns = self._received_ns, now_ns
         self.senders.foreign_sent_last = False
         self.device_clock = int(telegram.ipoc)
@@ -105,6 +108,13 @@ class Responder(StreamSession):
     def _measure(self) -> None:
         a, b, c, d, e, f = self._axes_deg
         self._measured = (radians(a), radians(b), radians(c), radians(d), radians(e), radians(f))
+
+    def _carries_loads(self) -> bool:
+        return bool(self._currents)
+
+    def _measured_loads(self) -> Signals | None:
+        currents = read_currents(self._currents)
+        return None if currents is None else currents + NOTHING_ELSE
 
     def _begin_run(self, axes_deg: JointVector, limits: MotionLimits) -> bytes:
         """Start a run from these joint angles; returns its first reply, a zero correction."""

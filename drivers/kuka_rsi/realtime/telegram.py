@@ -15,7 +15,7 @@ from xml.parsers import expat
 
 from drivers.kuka_rsi.errors import BadTelegram
 from drivers.kuka_rsi.realtime.settings import AXIS_NAMES
-from ronna_hw.vectors import JointVector
+from ronna_hw.vectors import JointVector, joint_vector
 
 FREE_TAG = "FREE"  # reserves a channel and is not on the wire
 KEYWORD_PREFIX = "DEF_"
@@ -43,6 +43,11 @@ MOST_LATE = 10**15  # of the controller's count; anything beyond is corrupt
 # Possessive: no digit is given back, so that nothing is remembered for it.
 _DECIMAL = rb"[-+]?\d{1,15}+(?:\.\d{0,15}+)?+"  # what float() is certain to parse
 _INTEGER = rb"\d{1,15}+"
+_UNREAD = rb" [^<>/]*+"  # attributes that are not examined before the reply is out
+CURRENTS = "MACur"
+
+_CURRENT_OF_EACH = (b'%b="(%b)"' % (axis.encode(), _DECIMAL) for axis in AXIS_NAMES)
+_READ_CURRENTS = re.compile(rb"\s*+%b\s*+" % rb"\s++".join(_CURRENT_OF_EACH)).fullmatch
 
 Found = re.Match[bytes]
 
@@ -53,6 +58,7 @@ class Telegram(NamedTuple):
     axes_deg: JointVector
     delay: int  # the controller's own count of late packets, -1 if it does not send it
     ipoc: bytes
+    currents: bytes = b""  # attributes of MACur as text, for `read_currents`; empty if it is not sent
 
 
 class Element(NamedTuple):
@@ -88,21 +94,26 @@ class TelegramReader:
 
     def __init__(self, send_tags: tuple[str, ...]) -> None:
         pattern = [rb'<Rob Type="KUKA">']
+        currents = rb"(?:<MACur(?P<MACur>%b)/>)?+" % _UNREAD  # not every controller sends them
         for name, attributes in group_elements(send_tags):
+            if name == CURRENTS:
+                pattern.append(currents)
+                continue
             pattern.append(b"<" + re.escape(name.encode()))
             if not attributes:
                 pattern.append(rb">[^<]{0,80}+</" + re.escape(name.encode()) + b">")
                 continue
             captured = {"AIPos": _DECIMAL, "Delay": _INTEGER}.get(name)
             if captured is None:
-                pattern.append(rb" [^<>/]*+/>")  # not examined further
+                pattern.append(_UNREAD + b"/>")
                 continue
             for attribute in attributes:
                 tag = attribute.encode()
                 pattern.append(b' %b="(?P<%b>%b)"' % (tag, tag, captured))
             pattern.append(b"/>")
-        # A context without Delay has an empty group in its place.
+        # A context without Delay or MACur has their groups nevertheless.
         pattern.append(b"" if "DEF_Delay" in send_tags else b"(?P<D>)")
+        pattern.append(b"" if currents in pattern else currents)
         pattern.append(b"<IPOC>(?P<IPOC>\\d{1,%d}+)</IPOC></Rob>" % MOST_DIGITS)
         has_axes = "DEF_AIPos" in send_tags
         self._match = re.compile(b"".join(pattern)).match if has_axes else _match_nothing
@@ -119,9 +130,15 @@ class TelegramReader:
 
 def extract_telegram(found: Found) -> Telegram:
     """Decode a telegram matched in the usual layout."""
-    a, b, c, d, e, f, delay, ipoc = found.group(*AXIS_NAMES, "D", "IPOC")
+    a, b, c, d, e, f, delay, ipoc, currents = found.group(*AXIS_NAMES, "D", "IPOC", CURRENTS)
     axes_deg = (float(a), float(b), float(c), float(d), float(e), float(f))
-    return Telegram(axes_deg, int(delay) if delay else -1, ipoc)
+    return Telegram(axes_deg, int(delay) if delay else -1, ipoc, currents or b"")
+
+
+def read_currents(attributes: bytes) -> JointVector | None:
+    """Return the motor currents in percent from the attributes of MACur, None unless all are there."""
+    found = _READ_CURRENTS(attributes)
+    return None if found is None else joint_vector(map(float, found.groups()))
 
 
 def _match_nothing(_data: bytes) -> None:
@@ -181,7 +198,8 @@ def read_strictly(data: bytes) -> Telegram:
             raise BadTelegram("the IPOC is not an integer", got=ipoc[:32], wire=data)
     except (expat.ExpatError, LookupError, ValueError, OverflowError) as error:  # an encoding: LookupError
         raise BadTelegram(f"malformed telegram: {error}", wire=data) from error
-    return Telegram((A1, A2, A3, A4, A5, A6), delay, ipoc.encode())
+    currents = "".join(f' {a}="{values[CURRENTS, a]}"' for a in AXIS_NAMES if (CURRENTS, a) in values)
+    return Telegram((A1, A2, A3, A4, A5, A6), delay, ipoc.encode(), currents.encode())
 
 
 class ReplyWriter:

@@ -39,6 +39,8 @@ OUTPUT_FIELDS: Final = (
     STATE_OUTPUT,
     RUN_OUTPUT,
     "actual_TCP_force",
+    "actual_current",
+    "target_current",
 )
 INPUT_FIELDS: Final = (SEQUENCE_INPUT, ORDER_INPUT, RUN_INPUT, *SET_POINT_INPUTS)
 
@@ -55,6 +57,7 @@ TARGET, ACTUAL = slice(4, 10), slice(10, 16)
 SPEED_SCALING, SPEED_FRACTION, ROBOT_MODE, SAFETY_MODE, RUNTIME_STATE = range(16, 21)
 ECHO, SCRIPT_STATE, RUN = range(21, 24)
 FORCE = slice(24, 27)  # on the tool centre point, in the base; torques follow
+CURRENTS, EXPECTED_CURRENTS = slice(30, 36), slice(36, 42)  # A
 STATUS = slice(SPEED_SCALING, RUN + 1)  # everything that must be as expected to send a prepared reply
 
 # The same in the bytes, to be compared before anything else is decoded.

@@ -14,7 +14,9 @@ from typing import NamedTuple
 
 from drivers.universal_robots.realtime.packages import (
     ACTUAL,
+    CURRENTS,
     ECHO,
+    EXPECTED_CURRENTS,
     FORCE,
     ROBOT_MODE,
     RUN,
@@ -37,6 +39,7 @@ from drivers.universal_robots.realtime.packages import (
 )
 from drivers.universal_robots.realtime.settings import LinkSettings
 from ronna_hw.arm.clearance.live_watch import Violation
+from ronna_hw.arm_stream.load_sums import Signals
 from ronna_hw.arm_stream.losses import LossCount
 from ronna_hw.arm_stream.records import NO_STATE, Choice, Fault, OpenStream, Orders, Phase
 from ronna_hw.arm_stream.session import STREAMING_PHASES, StreamSession
@@ -292,6 +295,11 @@ class RtdeSession(StreamSession):
     def _measured_force(self) -> Vector3:
         x, y, z = self._values[FORCE]
         return x, y, z
+
+    def _measured_loads(self) -> Signals | None:
+        values = self._values
+        signals = values[CURRENTS] + values[EXPECTED_CURRENTS] + values[FORCE]
+        return signals if isfinite(sum(signals)) else None
 
     def _prepare_reply(self, points: SetPoints) -> None:
         """Prepare the complete next reply, if nothing but new information can change it."""

@@ -82,10 +82,14 @@ def read_ethernet_file(path: Path, context: RsiContext | None, longest_name: int
         "sentype": config["SENTYPE"],
         "only_send": (config["ONLYSEND"] or "FALSE").upper() == "TRUE",
     }
-    content["send"] = tuple(elements["SEND"])
-    content["receive"] = tuple(elements["RECEIVE"])
-    for element in content["send"]:
+    sent = elements["SEND"]
+    for element in sent:
         element.pop("holdon", None)
+    required, optional = len(sent), content.get("optional_send", ())
+    while required and sent[required - 1] in optional:
+        required -= 1
+    content["send"], content["optional_send"] = tuple(sent[:required]), tuple(sent[required:])
+    content["receive"] = tuple(elements["RECEIVE"])
     try:
         return RsiContext.model_validate(content)
     except ValidationError as error:

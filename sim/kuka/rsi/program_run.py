@@ -24,7 +24,7 @@ from sim.kuka.rsi.signal_flow import (
     SignalFlow,
     resolve_inputs,
 )
-from sim.kuka.rsi.telegrams import RejectedReplies, Reply, ReplyReader, TelegramWriter
+from sim.kuka.rsi.telegrams import NO_CURRENTS, RejectedReplies, Reply, ReplyReader, TelegramWriter
 
 IPOC_STEP = 2_654_435_761  # from run to run, modulo the range: a new run may begin higher or lower
 EXIT_MOVE_CORR = "ExitMoveCorr"
@@ -77,7 +77,7 @@ class RsiRun:
         self._timeout = context.ethernet.timeout_packets
         self._stop_mode = context.stop.mode if context.stop is not None else EXIT_MOVE_CORR
         self._writer = TelegramWriter(
-            context.send,
+            context.all_send,
             context.ethernet.precision,
             arm.reported_deg,
             arm.reported_frame,
@@ -122,9 +122,17 @@ class RsiRun:
         mask = -1 if self._parameters.stat_tells_limits else ACTIVE_BIT
         return axis & mask, position & mask
 
-    def telegram(self, frame: Sequence[float], axes_deg: Sequence[float]) -> bytes:
-        """Return this cycle's telegram."""
-        return self._writer.write(frame, axes_deg, self._delays[0], self.ipoc, self.correction_stats)
+    @property
+    def states_currents(self) -> bool:
+        """Whether the telegrams have the motor currents."""
+        return self._writer.states_currents
+
+    def telegram(
+        self, frame: Sequence[float], axes_deg: Sequence[float], currents: Sequence[float] = NO_CURRENTS
+    ) -> bytes:
+        """Return this cycle's telegram, with motor currents in percent."""
+        late, stats = self._delays[0], self.correction_stats
+        return self._writer.write(frame, axes_deg, late, self.ipoc, stats, currents)
 
     @property
     def streams(self) -> bool:

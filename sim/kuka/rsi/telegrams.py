@@ -21,7 +21,8 @@ TECH_GENERATORS = 6
 TECH_PARAMETERS = 10
 
 # Keyword -> attributes, and their source: actual or set values, or zeros for what is not fitted.
-ACTUAL_FRAME, ACTUAL_AXES, SET_FRAME, SET_AXES, NOTHING = "RIst", "AIPos", "RSol", "ASPos", ""
+ACTUAL_FRAME, ACTUAL_AXES, SET_FRAME, SET_AXES = "RIst", "AIPos", "RSol", "ASPos"
+CURRENTS, NOTHING = "MACur", ""
 KEYWORDS = {
     "RIst": (FRAME, ACTUAL_FRAME),
     "RSol": (FRAME, SET_FRAME),
@@ -29,12 +30,13 @@ KEYWORDS = {
     "ASPos": (AXIS, SET_AXES),
     "EIPos": (EXTERNAL, NOTHING),
     "ESPos": (EXTERNAL, NOTHING),
-    "MACur": (AXIS, NOTHING),
+    "MACur": (AXIS, CURRENTS),
     "MECur": (EXTERNAL, NOTHING),
 }
 DELAY = "Delay"
 LATE = 0  # position among the integers: late packets, Stat of AXISCORR, Stat of POSCORR
 STATS = {"AXISCORR": 1, "POSCORR": 2}
+NO_CURRENTS = (0.0,) * 6
 ONLY_DELAY = [LATE]
 ZERO_OF = {"BOOL": "0", "LONG": "0", "STRING": ""}
 
@@ -79,10 +81,15 @@ class TelegramWriter:
             f"<{name}{content}/>" if content.startswith(" ") else f"<{name}>{content}</{name}>"
             for name, content in groups
         )
-        # Filled in two stages: positions when the arm has moved, D and IPOC in every cycle.
+        # Filled in two stages: positions and currents when they have changed, D and IPOC in every cycle.
         self._template = f'<Rob Type="KUKA">{body}<IPOC>%%d</IPOC></Rob>'
-        self._last: tuple[Sequence[float] | None, Sequence[float] | None] = (None, None)
+        self._last: tuple[Sequence[float] | None, ...] = (None, None, None)
         self._filled = ""
+
+    @property
+    def states_currents(self) -> bool:
+        """Whether the telegram has the motor currents."""
+        return CURRENTS in self._order
 
     def write(
         self,
@@ -91,17 +98,20 @@ class TelegramWriter:
         late: int,
         ipoc: int,
         stats: tuple[int, int] = (0, 0),
+        currents: Sequence[float] = NO_CURRENTS,
     ) -> bytes:
         """Encode a telegram: actual frame (mm, deg), actual axes (deg), late packet count and IPOC.
 
-        `stats` are the Stat outputs of AXISCORR and POSCORR.
+        `stats` are the Stat outputs of AXISCORR and POSCORR, `currents` those of the motors (%).
         """
-        if self._last[0] is not axes_deg or self._last[1] is not frame:
+        last = self._last
+        if last[0] is not axes_deg or last[1] is not frame or last[2] is not currents:
+            numbers = {ACTUAL_FRAME: frame, ACTUAL_AXES: axes_deg, CURRENTS: currents}
             values: list[float] = []
             for name in self._order:
-                values += frame if name == ACTUAL_FRAME else axes_deg
+                values += numbers[name]
             self._filled = self._template % tuple(values)
-            self._last = (axes_deg, frame)
+            self._last = (axes_deg, frame, currents)
         if self._counts == ONLY_DELAY:
             return (self._filled % (late, ipoc)).encode("ascii")
         counts = (late, *stats)

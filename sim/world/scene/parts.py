@@ -133,6 +133,8 @@ class ManualAccuracy(Strict):
     )
 
 
+STEREO_HEAD_KG = 2.1
+CENTRE_OF_GRAVITY_MM = (110.0, 0.0, 30.0)  # both tools with the common mount, flange frame
 GUIDE_FRAME_NAME = "guide_frame"
 GUIDE_FRAME_PART_NUMBER = "RONNA-G"
 # The six distances differ by more than 5 mm from each other and by more than 2 mm from those of other frames.

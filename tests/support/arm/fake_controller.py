@@ -55,6 +55,7 @@ class FakeController:
         self.ipoc = 4_208_163_634
         self.cycle_ms = 4
         self.root_type = "KUKA"
+        self.currents_percent: tuple[float, ...] | None = (0.0,) * 6  # None: not sent
         self.order = (0, 1, 2, 3, 4, 5)  # which correction feeds which axis
         self.adds_up = False  # corrections are relative
         self.streams = True  # otherwise somebody else sends the telegrams
@@ -176,10 +177,13 @@ class FakeController:
     def telegram(self) -> bytes:
         axis = " ".join(f'A{k + 1}="{v:.4f}"' for k, v in enumerate(self.axes_deg))
         zeros = " ".join(f'E{k}="0.0000"' for k in range(1, 7))
+        values = enumerate(self.currents_percent or (), 1)
+        currents = " ".join(f'A{k}="{v:.4f}"' for k, v in values)
+        sent = f"<MACur {currents}/>" if currents else ""
         return (
             f'<Rob Type="{self.root_type}"><RIst X="445.0000" Y="0.0000" Z="810.0000" A="180.0000" B="0.0000"'
             f' C="180.0000"/><AIPos {axis}/><EIPos {zeros}/><Delay D="{self.late}"/>'
-            f"<IPOC>{self.ipoc}</IPOC></Rob>"
+            f"{sent}<IPOC>{self.ipoc}</IPOC></Rob>"
         ).encode()
 
     def _serve_rsi(self) -> None:

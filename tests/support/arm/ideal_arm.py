@@ -15,6 +15,7 @@ from ronna_hw.arm.path_preview import PathPreview
 from ronna_hw.arm.universal_robots import universal_robot
 from ronna_hw.clock import Clock
 from ronna_hw.config import DeviceConfig
+from ronna_hw.devices.axis_loads import LOAD_CYCLES, AxisLoads
 from ronna_hw.devices.errors import MotionInterrupted
 from ronna_hw.devices.lifecycle import READABLE, RUNNING, Identity, Lifecycle, require_person
 from ronna_hw.devices.readings import ArmReading, LinkStatistics, Stamp, ToolIdentity, Validity
@@ -103,6 +104,11 @@ class IdealArm(IdealDevice):
     def read_tool_identity(self, timeout_s: float = 1.0) -> ToolIdentity:
         self.guard.require("read_tool_identity", READABLE)
         return ToolIdentity(self._stamp(), 0)
+
+    def read_loads(self, cycles: int = LOAD_CYCLES, timeout_s: float = 2.0) -> AxisLoads:
+        self.guard.require("read_loads", RUNNING)
+        stamp, joints_rad = self._stamp(), self.controller.joints_rad
+        return AxisLoads(stamp, Validity.OK, joints_rad, cycles, current_A=(1.0,) * 6)
 
     def link_statistics(self) -> LinkStatistics:
         cycles = self.controller.cycles

@@ -28,7 +28,7 @@ from sim.world.scene.as_built import draw_arm
 from sim.world.scene.assistant import add_assistant
 from sim.world.scene.model import ArmTruth
 from sim.world.scene.named_scenes import draw_scene
-from sim.world.true_arm import _build_model
+from sim.world.true_arm import build_model
 
 Array = NDArray[np.float64]
 
@@ -54,7 +54,7 @@ class TrueBodies:
 
     def axes(self, joints_rad: Array) -> Array:
         """Axis ends of all bodies in the robot frame, (n, bodies, 2, 3)."""
-        model, flange = _build_model(DESCRIPTIONS[self.truth.variant], self.truth.links)
+        model, flange = build_model(DESCRIPTIONS[self.truth.variant], self.truth.links)
         data = model.createData()
         bodies = self.arm.bodies
         offsets = _frame_offsets(bodies.arm, self.truth.variant)
@@ -76,7 +76,7 @@ class TrueBodies:
 
 def _frame_offsets(arm: Kinematics, variant: str) -> list[Array]:
     """Origin of each joint in our description minus that in the simulator's, both arms at zero."""
-    model, _ = _build_model(DESCRIPTIONS[variant], None)
+    model, _ = build_model(DESCRIPTIONS[variant], None)
     data = model.createData()
     pin.forwardKinematics(model, data, np.zeros(6))
     place, offsets = np.array(arm.chain.base_mm, dtype=float), []

@@ -25,7 +25,8 @@ TELEGRAM = (
     '<Rob Type="KUKA"><RIst X="445.0000" Y="0.0000" Z="810.0000" A="180.0000" B="0.0000" C="180.0000"/>'
     '<AIPos A1="%.4f" A2="%.4f" A3="%.4f" A4="%.4f" A5="%.4f" A6="%.4f"/>'
     '<EIPos E1="0.0000" E2="0.0000" E3="0.0000" E4="0.0000" E5="0.0000" E6="0.0000"/>'
-    '<Delay D="%d"/><IPOC>%d</IPOC></Rob>'
+    '<Delay D="%d"/><MACur A1="1.0000" A2="-2.0000" A3="3.0000" A4="0.0000" A5="0.0000" A6="0.0000"/>'
+    "<IPOC>%d</IPOC></Rob>"
 )
 CORRECTIONS = re.compile(rb'A\d="(-?\d+\.\d{6})"')
 
@@ -60,7 +61,7 @@ class InProcessLink:
             SETTINGS,
             mailbox_fd=self._memory_fd,
             event_fd=self._event_fd,
-            send_tags=("DEF_RIst", "DEF_AIPos", "DEF_EIPos", "DEF_Delay"),
+            send_tags=("DEF_RIst", "DEF_AIPos", "DEF_EIPos", "DEF_Delay", "DEF_MACur"),
             silence_limit_s=60.0,
             heartbeat_limit_s=heartbeat_limit_s,
             rehearsal_lead_us=REHEARSAL_LEAD_US if rehearses else 0,

@@ -51,7 +51,7 @@ SETTINGS = LinkSettings(
     cycle_s=CYCLE_S,
     starved_cycles=10,
 )
-OUT = struct.Struct(">HBB d 6d 6d d d i i I i i i 6d")
+OUT = struct.Struct(">HBB d 6d 6d d d i i I i i i 6d 6d 6d")
 IN = struct.Struct(">HBB i i i 6d")
 SCRIPT = render_script(script_settings(UrOptions()))
 RUNS = (ScriptState.NONE, ScriptState.WAITING, ScriptState.STREAMING)  # states of a script that goes on
@@ -77,6 +77,7 @@ class RtdeStand:
         self.goal: JointVector = START
         self.follows = True
         self.force_N = (0.0, 0.0, 0.0)
+        self.currents_A = self.expected_currents_A = (0.0,) * 6
         self.measured: JointVector = START
         self.goals: list[JointVector] = []  # set-points used, one a cycle
         self.is_replaced = False  # another program runs, in other registers than ours
@@ -104,7 +105,7 @@ class RtdeStand:
         return OUT.pack(
             OUT.size, ord("U"), 1, self.timestamp_s, *self.goal, *self.measured, self.scaling, self.fraction,
             self.robot_mode, self.safety_mode, self.runtime_state, self.used, self.script_state,
-            self.script_run, *self.force_N, 0.0, 0.0, 0.0,
+            self.script_run, *self.force_N, 0.0, 0.0, 0.0, *self.currents_A, *self.expected_currents_A,
         )  # fmt: skip
 
     def cycle(self, lost: int = 0) -> bytes | None:

@@ -18,8 +18,9 @@ from ronna_hw.arm.path_preview import PathPreview
 from ronna_hw.arm.universal_robots import universal_robot
 from ronna_hw.clock import Clock, HostClock
 from ronna_hw.config import DeviceConfig
+from ronna_hw.devices.axis_loads import AxisLoads
 from ronna_hw.devices.lifecycle import Identity, Lifecycle
-from ronna_hw.devices.readings import ArmReading, LinkStatistics, ToolIdentity
+from ronna_hw.devices.readings import ArmReading, LinkStatistics, ToolIdentity, Validity
 from ronna_hw.devices.robot import JointMove, LineMove, Motion, StopKind
 from ronna_hw.preview import preview_motion
 from ronna_hw.vectors import JointVector
@@ -141,6 +142,10 @@ def beyond_the_margin(self: Any, motion: Motion, *, start_rad: JointVector) -> P
     return preview_motion(self.kinematics, start_rad, motion, self.surroundings, limits)
 
 
+def states_zeros(self: IdealArm, cycles: int = 1, timeout_s: float = 2.0) -> AxisLoads:
+    return replace(IdealArm.read_loads(self, 0), validity=Validity.MISSING, current_A=(0.0,) * 6)
+
+
 MISTAKES: dict[str, tuple[str, dict[str, Any]]] = {
     "no surround": ("R01", {"surround": None}),
     "no model": ("R02", {"connect": lambda self, timeout_s=1.0: replace(IdealArm.connect(self), model="")}),
@@ -188,6 +193,7 @@ MISTAKES: dict[str, tuple[str, dict[str, Any]]] = {
         "R27",
         {"limits": lambda self, mode=None: working_limits(universal_robot("ur5"))},
     ),
+    "zeros for loads that it is not told": ("R30", {"read_loads": states_zeros}),
     "previews beyond its limits": ("R28", {"preview": beyond_the_margin}),
 }
 

@@ -45,7 +45,7 @@ def test_the_ethernet_file_declares_the_agreed_elements_in_order() -> None:
     root = ElementTree.fromstring(MADE["ronna_rsi_eth.xml"])
     assert root.findtext("CONFIG/SENTYPE") == CONTEXT.ethernet.sentype
     sent = [(e.get("TAG"), e.get("INDX")) for e in root.findall("SEND/ELEMENTS/ELEMENT")]
-    assert sent == [(e.tag, str(e.indx)) for e in CONTEXT.send]
+    assert sent == [(e.tag, str(e.indx)) for e in CONTEXT.all_send]
     received = [
         (e.get("TAG"), e.get("INDX"), e.get("HOLDON")) for e in root.findall("RECEIVE/ELEMENTS/ELEMENT")
     ]

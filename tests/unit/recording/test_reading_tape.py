@@ -20,6 +20,7 @@ from ronna_hw.arm.motion.limits import working_limits
 from ronna_hw.arm.path_preview import PathPreview
 from ronna_hw.bounded_input import parse_json
 from ronna_hw.devices import OpticalTracker, RobotArm
+from ronna_hw.devices.axis_loads import AxisLoads
 from ronna_hw.devices.lifecycle import Identity, Lifecycle
 from ronna_hw.devices.readings import (
     AreaOfInterest,
@@ -49,6 +50,7 @@ GIVEN: dict[str, Any] = {
     "grab_pair": StereoReading(STAMP, Validity.MISSING, IMAGE, None),
     "read_state": ArmReading(STAMP, Validity.OK, HOME, None, moving=False),
     "read_tool_identity": ToolIdentity(STAMP, 2),
+    "read_loads": AxisLoads(STAMP, Validity.OK, HOME, 100, current_percent=HOME),
     "limits": working_limits(kr6_r900("kr6_r900_sixx")),  # without a limit for bodies
     "link_statistics": LinkStatistics(9, 1, 2, 3, 4.5, 5.5, (0.0, 1.0), (7,)),
     "preview": PathPreview(

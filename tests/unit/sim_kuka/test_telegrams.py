@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -39,6 +40,17 @@ def test_the_default_telegram_has_the_exact_bytes_that_positional_parsers_need()
         b'<AIPos A1="0.0000" A2="-90.0000" A3="90.0000" A4="0.0000" A5="90.0000" A6="0.0000"/>'
         b'<EIPos E1="0.0000" E2="0.0000" E3="0.0000" E4="0.0000" E5="0.0000" E6="0.0000"/>'
         b'<Delay D="0"/><IPOC>4208163634</IPOC></Rob>'
+    )
+
+
+def test_motor_currents_follow_the_default_telegram_where_they_are_sent() -> None:
+    context = load_context()
+    plain = TelegramWriter(context.send, 4, AXES, FRAME).write(FRAME, AXES, 0, 4208163634)
+    currents = (0.0, -31.25, 12.0, 0.0, -4.5, 0.0)
+    writer = TelegramWriter(context.all_send, 4, AXES, FRAME)
+    assert writer.write(FRAME, AXES, 0, 4208163634, currents=currents) == plain.replace(
+        b"<IPOC>",
+        b'<MACur A1="0.0000" A2="-31.2500" A3="12.0000" A4="0.0000" A5="-4.5000" A6="0.0000"/><IPOC>',
     )
 
 
@@ -257,6 +269,16 @@ def test_a_context_supplies_the_wiring_of_an_ethernet_file(read_file: Make) -> N
     assert context.axis_correction is not None
     with pytest.raises(EthernetFileInvalid, match="not received"):
         read_file(ETHERNET_XML, load_context())
+
+
+def test_our_own_ethernet_file_with_our_context_is_our_context(read_file: Make) -> None:
+    ours, name = load_context(), "drivers/kuka_rsi/controller/files/ronna_rsi_eth.xml"
+    text = (Path(__file__).parents[3] / name).read_text("ascii")
+    assert read_file(text, ours) == ours
+    bare = read_file(re.sub(r".*DEF_MACur.*\n", "", text), ours)
+    assert bare.all_send == ours.send
+    assert context_hash(bare) == context_hash(ours)
+    assert [element.tag for element in read_file(text).all_send] == [element.tag for element in ours.all_send]
 
 
 @pytest.mark.parametrize(

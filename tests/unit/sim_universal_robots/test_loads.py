@@ -11,13 +11,14 @@ from ronna_hw.wire.universal_robots import SafetyMode
 from sim.universal_robots.controller import Controller
 from sim.universal_robots.controller_parameters import parse_parameters
 from sim.universal_robots.kinematics import Frame
-from sim.universal_robots.loads import BIAS_N, NOISE_N, resistance_n
-from sim.universal_robots.model import MODELS
+from sim.universal_robots.loads import BIAS_N, NOISE_N, TORQUE_PER_CURRENT_NM_A, resistance_n
+from sim.universal_robots.model import MODELS, TORQUES_NM
 from sim.universal_robots.programs.statements import run_at_once
 from sim.universal_robots.variables import PLACES
 from sim.world.options import UrArm
 
 EXACT = "force_error_scale=0.000001"
+QUIET = "current_noise_a=0.000001"
 SETTLED_CYCLES = 100
 
 
@@ -28,6 +29,10 @@ def force_n(controller: Controller) -> tuple[float, float, float]:
 
 def torques_nm(controller: Controller) -> list[float]:
     return list(controller.robot.values[PLACES["target_moment"]])
+
+
+def currents_a(controller: Controller) -> list[float]:
+    return list(controller.robot.values[PLACES["actual_current"]])
 
 
 def make(*assignments: str, arm: UrArm = UrArm.UR5E) -> Controller:
@@ -89,6 +94,37 @@ def test_a_force_on_the_tool_takes_current_of_the_joints() -> None:
     run(controller, 2)
     after = controller.robot.values[PLACES["actual_current"]]
     assert sqrt(sum((a - b) ** 2 for a, b in zip(after, before, strict=True))) > 0.5
+
+
+def test_a_force_that_comes_at_rest_shows_in_the_currents_by_what_exceeds_the_stiction() -> None:
+    slippery, sticky = make(EXACT, QUIET, "stiction_share=0.000001"), make(EXACT, QUIET)
+    changes_nm = []
+    for controller in (slippery, sticky):
+        run(controller, 2)
+        before = currents_a(controller)
+        controller.loads.axial_n = 80.0
+        run(controller, 2)
+        steps = zip(before, currents_a(controller), TORQUE_PER_CURRENT_NM_A, strict=True)
+        changes_nm.append([(b - a) * per_a for a, b, per_a in steps])
+    share = parse_parameters(()).stiction_share
+    for full, seen, most in zip(*changes_nm, TORQUES_NM, strict=True):
+        assert abs(full) - abs(seen) <= 2.0 * share * most + 1e-3
+    assert max(map(abs, changes_nm[0])) > max(map(abs, changes_nm[1])) > 5.0
+
+
+def test_currents_of_an_arm_that_nobody_touches_are_the_expected_ones_within_friction_and_noise() -> None:
+    controller = make()
+    samples = []
+    for _ in range(500):
+        controller.step()
+        samples.append(currents_a(controller))
+    parameters = parse_parameters(())
+    expected = controller.robot.values[PLACES["target_current"]]
+    for sampled, one, most, per_a in zip(
+        zip(*samples, strict=True), expected, TORQUES_NM, TORQUE_PER_CURRENT_NM_A, strict=True
+    ):
+        assert pstdev(sampled) == pytest.approx(parameters.current_noise_a, rel=0.15)
+        assert abs(fmean(sampled) - one) < parameters.stiction_share * most / per_a + 0.01
 
 
 def test_a_force_above_the_safety_limit_is_a_protective_stop() -> None:

@@ -10,6 +10,7 @@ from user_commands import in_this_process, one_error
 
 from ronna_hw.bounded_input import InputRefused, read_toml
 from ronna_hw.errors import EXIT_FAILED, EXIT_USAGE
+from ronna_hw.wire.kuka_context import OWN_CONTEXT
 from sim.cli import app as ronna_sim
 from sim.errors import BadDeviceParameter
 from sim.theatre.arm_controllers import check_cycle
@@ -166,5 +167,6 @@ def test_each_device_is_started_with_its_own_parameters(
         )
     robot = started["ronna-sim kuka"]
     assert robot[robot.index("--cycle-ms") + 1] == "12"
+    assert robot[robot.index("--rsi-context") + 1] == str(OWN_CONTEXT)  # with the motor currents
     assert robot[-2:] == ["--set=lag_s=0.03", "--set=dead_time_cycles=3"]
     assert not any("--set" in word for word in (*started["ronna-sim polaris"], *started["ronna-sim basler"]))

@@ -25,21 +25,24 @@ from ronna_hw.arm_stream.records import Command, OpenStream, Phase
 
 OUTPUT_NAMES = (
     b"timestamp,target_q,actual_q,speed_scaling,target_speed_fraction,robot_mode,safety_mode,runtime_state,"
-    b"output_int_register_24,output_int_register_25,output_int_register_26,actual_TCP_force"
+    b"output_int_register_24,output_int_register_25,output_int_register_26,actual_TCP_force,"
+    b"actual_current,target_current"
 )
 INPUT_NAMES = (
     b"input_int_register_24,input_int_register_25,input_int_register_26,"
     b"input_double_register_24,input_double_register_25,input_double_register_26,"
     b"input_double_register_27,input_double_register_28,input_double_register_29"
 )
-OUTPUT_TYPES = b"DOUBLE,VECTOR6D,VECTOR6D,DOUBLE,DOUBLE,INT32,INT32,UINT32,INT32,INT32,INT32,VECTOR6D"
+OUTPUT_TYPES = (
+    b"DOUBLE,VECTOR6D,VECTOR6D,DOUBLE,DOUBLE,INT32,INT32,UINT32,INT32,INT32,INT32,VECTOR6D,VECTOR6D,VECTOR6D"
+)
 INPUT_TYPES = b"INT32,INT32,INT32,DOUBLE,DOUBLE,DOUBLE,DOUBLE,DOUBLE,DOUBLE"
 SETUP = (  # request, reply
     (bytes.fromhex("0005 56 0002"), bytes.fromhex("0004 56 01")),
     (bytes.fromhex("0003 76"), bytes.fromhex("0013 76 00000005 0000000b 00000005 000f6a97")),
     (
-        bytes.fromhex("00c5 4f 407f400000000000") + OUTPUT_NAMES,
-        bytes.fromhex("0058 4f 01") + OUTPUT_TYPES,
+        bytes.fromhex("00e3 4f 407f400000000000") + OUTPUT_NAMES,
+        bytes.fromhex("006a 4f 01") + OUTPUT_TYPES,
     ),
     (bytes.fromhex("00da 49") + INPUT_NAMES, bytes.fromhex("003f 49 02") + INPUT_TYPES),
 )
@@ -48,27 +51,27 @@ JOINTS = (
     "3fd0000000000000 bff8000000000000 bff8000000000000 bff8000000000000 3ff8000000000000 3fd0000000000000"
 )
 RUN = "0000002a"  # 42
-NO_FORCE = "0000000000000000" * 6
+NO_FORCE = "0000000000000000" * 18  # nor currents
 # Size, type U, recipe 1, time stamp, target and actual joints, speeds 1.0, robot RUNNING, safety NORMAL.
 HEAD = f"{JOINTS} {JOINTS} 3ff0000000000000 3ff0000000000000 00000007 00000001"
 PACKAGES = (  # and the reply with the input recipe 2: sequence number, order, session, joints
     # stopped; registers of nobody
     (
-        f"00c4 55 01 4059000000000000 {HEAD} 00000001 00000000 00000000 00000000 {NO_FORCE}",
+        f"0124 55 01 4059000000000000 {HEAD} 00000001 00000000 00000000 00000000 {NO_FORCE}",
         f"0040 55 02 00000000 00000000 {RUN} {JOINTS}",
     ),
     # playing; script waiting, in our session
     (
-        f"00c4 55 01 40590020c49ba5e3 {HEAD} 00000002 00000000 00000001 {RUN} {NO_FORCE}",
+        f"0124 55 01 40590020c49ba5e3 {HEAD} 00000002 00000000 00000001 {RUN} {NO_FORCE}",
         f"0040 55 02 00000001 00000000 {RUN} {JOINTS}",
     ),
     # streaming, with set-point 1
     (
-        f"00c4 55 01 4059004189374bc7 {HEAD} 00000002 00000001 00000002 {RUN} {NO_FORCE}",
+        f"0124 55 01 4059004189374bc7 {HEAD} 00000002 00000001 00000002 {RUN} {NO_FORCE}",
         f"0040 55 02 00000002 00000000 {RUN} {JOINTS}",
     ),
     (
-        f"00c4 55 01 405900624dd2f1aa {HEAD} 00000002 00000002 00000002 {RUN} {NO_FORCE}",
+        f"0124 55 01 405900624dd2f1aa {HEAD} 00000002 00000002 00000002 {RUN} {NO_FORCE}",
         f"0040 55 02 00000003 00000000 {RUN} {JOINTS}",
     ),
 )
@@ -172,7 +175,7 @@ def test_each_package_is_answered_by_the_next_set_point(split: int) -> None:
     controller.settimeout(10.0)
     for package, reply in PACKAGES:
         data = bytes.fromhex(package)
-        assert len(data) == 0xC4
+        assert len(data) == 0x124
         for begin in range(0, len(data), split):
             controller.sendall(data[begin : begin + split])
         while not _readable(controller):

@@ -280,9 +280,9 @@ def test_a_stranger_among_the_telegrams_does_not_disturb_the_motion() -> None:
     assert (state.foreign, state.foreign_host) == (1, "10.0.0.3")
 
 
-@pytest.mark.parametrize("told", ["degraded", "moving", "settled", "real_time", "locked"])
+@pytest.mark.parametrize("told", ["degraded", "moving", "settled", "real_time", "locked", "carries_loads"])
 def test_the_state_reports_each_field_under_its_name(told: str) -> None:
-    """No two fields of one type have the same value; of the five flags one at a time is true."""
+    """No two fields of one type have the same value; of the six flags one at a time is true."""
     stand = moving() if told == "moving" else begun()
     responder = stand.responder
     responder.cycles, responder.device_clock, responder._received_ns = 11, 12, 13
@@ -296,6 +296,7 @@ def test_the_state_reports_each_field_under_its_name(told: str) -> None:
     responder._measured, responder._base_rad = FAR, (0.1, 0.2, 0.3, 0.4, 0.5, 0.6)
     responder.violation = Violation(ViolationKind.JERK, 5, 0.7, 0.8)
     responder._speed, responder.controller_word = 0.9, 22
+    responder._currents = b' A1=""' if told == "carries_loads" else b""
     assert responder.sent_rad not in (FAR, responder._base_rad)
     assert responder.state(real_time=told == "real_time", locked=told == "locked") == LinkState(
         **{told: True},

@@ -13,19 +13,21 @@ from drivers.kuka_rsi.realtime.telegram import (
     ReplyWriter,
     TelegramReader,
     group_elements,
+    read_currents,
     read_strictly,
 )
 from ronna_hw.wire.kuka_context import load_context
 
 CONTEXT = load_context()
-SEND = tuple(e.tag for e in CONTEXT.send)
+SEND = tuple(e.tag for e in CONTEXT.all_send)
 AXES = ("AK.A1", "AK.A2", "AK.A3", "AK.A4", "AK.A5", "AK.A6")
 READER = TelegramReader(SEND)
 GOOD = (
     b'<Rob Type="KUKA"><RIst X="445.0000" Y="0.0000" Z="810.0000" A="180.0000" B="0.0000" C="180.0000"/>'
     b'<AIPos A1="1.0000" A2="-90.5000" A3="90.0000" A4="0.0000" A5="60.2500" A6="-10.0000"/>'
     b'<EIPos E1="0.0000" E2="0.0000" E3="0.0000" E4="0.0000" E5="0.0000" E6="0.0000"/>'
-    b'<Delay D="3"/><IPOC>4208163634</IPOC></Rob>'
+    b'<Delay D="3"/><MACur A1="0.1000" A2="-31.2500" A3="12.0000" A4="0.0000" A5="-4.5000" A6="0.0000"/>'
+    b"<IPOC>4208163634</IPOC></Rob>"
 )
 
 
@@ -35,6 +37,22 @@ def test_the_fast_reader_parses_the_exact_form_like_the_strict_one() -> None:
     assert telegram.delay == 3
     assert telegram.ipoc == b"4208163634"
     assert read_strictly(GOOD) == telegram
+    assert read_currents(telegram.currents) == (0.1, -31.25, 12.0, 0.0, -4.5, 0.0)
+
+
+@pytest.mark.parametrize("wrong", [b'A2="nan"', b'A2=""', b'A2="1e3"', b"", b'A2="-31.25" A2="-31.25"'])
+def test_currents_that_are_not_six_plain_numbers_are_missing(wrong: bytes) -> None:
+    attributes = READER.read(GOOD).currents
+    assert read_currents(attributes.replace(b'A2="-31.2500"', wrong)) is None
+
+
+def test_a_telegram_without_currents_has_none() -> None:
+    data = GOOD[: GOOD.index(b"<MACur")] + GOOD[GOOD.index(b"<IPOC>") :]
+    for reader in (READER, TelegramReader(SEND[:-1])):
+        assert reader.match(data) is not None  # without the strict parser
+        bare = reader.read(data)
+        assert bare == READER.read(GOOD)._replace(currents=b"")
+        assert read_currents(bare.currents) is None
 
 
 @pytest.mark.parametrize(
