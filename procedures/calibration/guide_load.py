@@ -23,7 +23,7 @@ from ronna_hw.vectors import JointVector, Vector3
 
 Array = NDArray[np.float64]
 
-FALSE_ALARM_RATE = 1e-3  # share of unloaded standstills that count as loaded
+FALSE_ALARM_RATE = 1e-4  # share of unloaded standstills that count as loaded
 GRAVITY_M_S2 = 9.81
 MM = 1000.0
 LINK_ARM_M = 0.2  # of a link's weight from its joint, one standard deviation per axis
@@ -60,6 +60,12 @@ class LoadEstimate:
     displacement_mm: Array  # (3,)
     displacement_covariance_mm2: Array  # (3, 3)
     no_load_chi2: float
+
+    @property
+    def noticed_from_N(self) -> float:
+        """Force along the estimate that would just be noticed."""
+        share = float(chi2.isf(FALSE_ALARM_RATE, 3)) / max(self.no_load_chi2, np.finfo(float).tiny)
+        return float(np.linalg.norm(self.force_N) * sqrt(share))
 
     @property
     def is_loaded(self) -> bool:

@@ -9,12 +9,14 @@ from ronna_hw.devices.axis_loads import LOAD_CYCLES, AxisLoads, TellsLoads
 from ronna_hw.devices.readings import Validity
 
 
-def read_axis_loads(arm: RobotArm, cycles: int = LOAD_CYCLES) -> AxisLoads | None:
+def read_axis_loads(
+    arm: RobotArm, cycles: int = LOAD_CYCLES, *, since_rest: bool = False
+) -> AxisLoads | None:
     """Average the load signals over so many cycles at rest, or return None if the driver passes none on.
 
     Raises the errors of `TellsLoads.read_loads`.
     """
-    return arm.read_loads(cycles) if isinstance(arm, TellsLoads) else None
+    return arm.read_loads(cycles, since_rest=since_rest) if isinstance(arm, TellsLoads) else None
 
 
 def as_standstill(loads: AxisLoads | None, model_name: str, tool: str) -> Standstill | None:

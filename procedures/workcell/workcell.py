@@ -197,11 +197,11 @@ class Workcell(SupervisedArm):
     # Pose, load and place of the arm
 
     def read_load(self, cycles: int = LOAD_CYCLES) -> AxisLoads | None:
-        """Average the controller's signals of the load over cycles at rest; None if its driver has none.
+        """Average the controller's signals of the load since the arm rests; None if its driver has none.
 
         For an estimate see `arm_load.as_standstill`. Raises the arm's error if it does not rest.
         """
-        return read_axis_loads(self._arm, cycles)
+        return read_axis_loads(self._arm, cycles, since_rest=True)
 
     def tool_pose(self, joints_rad: JointVector | None = None, arrived: Sides = None) -> Transform:
         """Return the mounted tool's pose at joint angles, by default the measured ones; see `Sides`."""

@@ -19,7 +19,7 @@ from ronna_hw.arm_stream.connections import StreamConnections, remaining_s
 from ronna_hw.arm_stream.control_channel import S
 from ronna_hw.arm_stream.force import LEAST_REST_S
 from ronna_hw.arm_stream.insertion import has_begun, plan_insertion, travel_along_axis_mm
-from ronna_hw.arm_stream.load_sums import LoadMeans, mean_loads
+from ronna_hw.arm_stream.load_sums import NO_SIGNALS, LoadMeans, mean_loads
 from ronna_hw.arm_stream.motion import MotionFollower, MotionPlanner
 from ronna_hw.arm_stream.readings import StreamReadings
 from ronna_hw.arm_stream.records import (
@@ -238,8 +238,10 @@ class StreamedArm(ABC, Generic[S]):
         number = self._tool_number(self._request_state(timeout_s))
         return ToolIdentity(self._readings.stamp(), number)
 
-    def read_loads(self, cycles: int = LOAD_CYCLES, timeout_s: float = 2.0) -> AxisLoads:
-        """Average the load signals of the next cycles at rest; MISSING if the stream carries none."""
+    def read_loads(
+        self, cycles: int = LOAD_CYCLES, timeout_s: float = 2.0, *, since_rest: bool = False
+    ) -> AxisLoads:
+        """Average the load signals of cycles at rest; MISSING if the stream carries none."""
         self._watch.raise_new()
         self._guard.require("read_loads", RUNNING)
         deadline = time.monotonic() + timeout_s
@@ -247,6 +249,8 @@ class StreamedArm(ABC, Generic[S]):
         if not after.carries_loads:
             reading = self._readings.from_stream(after)
             return AxisLoads(reading.stamp, Validity.MISSING, reading.joints_rad, 0)
+        if since_rest:
+            before = after._replace(load_cycles=0, load_sums=NO_SIGNALS)
         while not _has_rested(before, after, cycles):
             before = after  # once more, if the arm has moved meanwhile
             ended = partial(_has_ended, before, cycles=cycles)

@@ -36,9 +36,12 @@ class AxisLoads:
 class TellsLoads(Protocol):
     """Arm whose driver passes on what the controller knows of the load on each axis."""
 
-    def read_loads(self, cycles: int = LOAD_CYCLES, timeout_s: float = 2.0) -> AxisLoads:
+    def read_loads(
+        self, cycles: int = LOAD_CYCLES, timeout_s: float = 2.0, *, since_rest: bool = False
+    ) -> AxisLoads:
         """Average the signals of the next `cycles` cycles at rest. Allowed in ACTIVE and HOLD.
 
+        With `since_rest`: of all cycles since the arm came to rest, at least so many.
         Moves nothing. A stream that carries no signal is MISSING at once. `timeout_s` is host time. Raises
         LinkTimeout if the arm does not rest for so many cycles, and the latched fault.
         """

@@ -22,6 +22,7 @@ from procedures.guards.room_reading import CAREFUL_FRAMES
 from procedures.journal.errors import GateFailed
 from procedures.relocalization.triangulation import check_head
 from procedures.steps.branches import FEWEST_SPHERES, LEAVE_OUT, SPHERE_FAILED
+from procedures.steps.clinical.guide_load import note_unloaded
 from procedures.steps.clinical.path_check import CheckedPaths, announce_motions, motions_over_spheres
 from procedures.steps.clinical.results import LeftOutSphere, Relocalization
 from procedures.steps.clinical.room import ROOM_READS, check_room
@@ -74,6 +75,7 @@ def _localize_spheres(context: StepContext, paths: CheckedPaths) -> Outcome[Relo
 
     def look(fiducial: int) -> None:  # in the very pose: the local errors of the arm show in it
         check_room(context, f"over sphere {fiducial + 1}", sides=sides)
+        note_unloaded(context)
 
     centring = Centring(
         workcell,

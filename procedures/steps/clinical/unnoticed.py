@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from procedures.calibration.guide_load import LoadEstimate
 from procedures.engine.context import StepContext
 from procedures.guards.room_reading import CAREFUL_FRAMES
 from procedures.guards.room_watch import RoomLook, RoomWatch
@@ -21,6 +22,7 @@ from procedures.guards.stability import GUIDE_UNNOTICED_MM, Subject
 from procedures.planning.tracker_sight import explain_hidden_frame
 from procedures.room.estimate import RoomEstimate
 from procedures.room.sighting import SeenSpheres, Sighting, Tracked, expect_frame, expect_spheres
+from procedures.steps.clinical.guide_load import require_unloaded
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.results import RegisteredRobot
 from procedures.steps.clinical.room import check_room, room_watch
@@ -31,7 +33,7 @@ from ronna_hw.vectors import JointVector
 Array = NDArray[np.float64]
 
 MOST_LOOKS = 4  # of a second each; more of them show little more
-# A hand that leans on the guide, per axis: its motor currents show more than that on most arms. (U)
+# A hand that leans on the guide, per axis, where the signals of the load do not bound it closer. (U)
 HELD_MM, HELD_RAD = 0.3, 1e-3
 POORER = 1.25  # than expected, from which on the operator is told
 UNNOTICED = "unnoticed change: {}"
@@ -70,22 +72,25 @@ def expect_unnoticed(
     return UnnoticedChanges({HEAD: head.covariance_mm2, BASE: base_mm2, GUIDE: _guide_mm2()})
 
 
-def _base_unnoticed_mm2(estimate: RoomEstimate, tip_mm: Array, at_home: int, at_target: int) -> Array:
+def _base_unnoticed_mm2(
+    estimate: RoomEstimate, tip_mm: Array, at_home: int, at_target: int, held_mm: float = HELD_MM
+) -> Array:
     """Return the covariance (3, 3) mm2 of what looks at home and at the target do not show of the arm.
 
     A cart that has moved stays so, and both see it; a hand on the guide is seen at the target alone, but does
     not displace it far. The larger of the two counts.
     """
     moved = estimate.displacement(tip_mm, at_home, ("base",)).covariance_mm2
-    held = np.zeros((3, 3)) if at_target < len(estimate.looks) else HELD_MM**2 * np.eye(3)
+    held = held_mm**2 * np.eye(3)
     if at_target < len(estimate.looks):
-        held = estimate.displacement(tip_mm, at_target, ("base",), (HELD_RAD, HELD_MM)).covariance_mm2
+        held = estimate.displacement(tip_mm, at_target, ("base",), (HELD_RAD, held_mm)).covariance_mm2
     return max(moved, held, key=lambda part: float(np.trace(part)))
 
 
 def look_at_target(context: StepContext) -> RoomLook:
     """Look at the room with the guide held, as often as the plan's margin needs; raises as `check_room`.
 
+    The load on the arm by its controller bounds by how much a hand displaces the guide, or raises PRO-052.
     Records by how much what these looks leave open adds to the predicted error, if it is more than expected.
     """
     trajectory, occasion = context.trajectory, f"at {context.trajectory}"
@@ -94,10 +99,10 @@ def look_at_target(context: StepContext) -> RoomLook:
     counted_mm = next((one.rms_mm for one in predicted.budget if one.source == BASE), None)
     before = len(room_watch(context).estimate.looks)
     for number in range(MOST_LOOKS):
-        look = check_room(context, occasion, CAREFUL_FRAMES)
+        look, load = check_room(context, occasion, CAREFUL_FRAMES), require_unloaded(context)
         if counted_mm is None:  # in records of earlier versions
             return look
-        unnoticed_mm = _base_unnoticed_mm(room_watch(context), trajectory, before)
+        unnoticed_mm = _base_unnoticed_mm(room_watch(context), trajectory, before, load)
         total_mm = math.sqrt(predicted.rms_mm**2 + unnoticed_mm**2 - counted_mm**2)
         if total_mm <= margin_mm or look.base_mm is None:
             break
@@ -114,9 +119,13 @@ def look_at_target(context: StepContext) -> RoomLook:
     return look
 
 
-def _base_unnoticed_mm(watch: RoomWatch, trajectory: str, at_target: int) -> float:
+def _base_unnoticed_mm(watch: RoomWatch, trajectory: str, at_target: int, load: LoadEstimate | None) -> float:
     """Return the rms of what the looks at the target, from number `at_target` on, do not show of the arm."""
-    part = _base_unnoticed_mm2(watch.estimate, watch.points_mm[trajectory], watch.settled_home, at_target)
+    held_mm = HELD_MM
+    if load is not None:
+        held_mm = min(HELD_MM, math.sqrt(float(np.trace(load.displacement_covariance_mm2)) / 3.0))
+    point_mm = watch.points_mm[trajectory]
+    part = _base_unnoticed_mm2(watch.estimate, point_mm, watch.settled_home, at_target, held_mm)
     return math.sqrt(float(np.trace(part)))
 
 

@@ -1,0 +1,69 @@
+"""Load on the guide as it comes to rest, by the controller's own signals.
+
+Encoders do not see an arm give way under a hand that leans on it from before the guide's rest position is
+measured. The tracker does, within what it resolves; motor currents and forces are evidence of another kind,
+and the only one where the tracker does not see the frame on the arm.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from procedures.calibration.guide_load import LoadEstimate, Standstill, estimate_load
+from procedures.engine.context import StepContext
+from procedures.guards.errors import RoomUndecided
+from procedures.workcell import MountedTool, Workcell
+from procedures.workcell.arm_load import as_standstill
+from ronna_hw.calibrated_arm.load_model import LOAD_MODELS
+from ronna_hw.vectors import vector3
+
+CYCLES = 25  # averaged: a tenth of a second of a KR C4; friction of the gears decides, not noise
+LET_GO = (
+    "Let go of guide and arm, and see that no cable or drape pulls at them. Send the arm home, then run the "
+    "step again."
+)
+
+
+@dataclass
+class UnloadedStops:
+    """Stops of the arm at which nobody leaned on it, with the signals of its load."""
+
+    stops: list[Standstill] = field(default_factory=list)
+
+
+def note_unloaded(context: StepContext) -> None:
+    """Read the load at a stop where the room was found in place."""
+    if (stop := _read(context.workcell)) is None:
+        return
+    memory = context.setting.memory
+    known = memory.find(UnloadedStops) or UnloadedStops()
+    known.stops.append(stop)
+    memory.keep(known)
+
+
+def require_unloaded(context: StepContext) -> LoadEstimate | None:
+    """Return the load on the held guide, None if the controller tells too little. Raises PRO-052 for one."""
+    workcell, known = context.workcell, context.setting.memory.find(UnloadedStops)
+    now = _read(workcell)
+    if now is None or known is None:
+        return None
+    bore = workcell.tools.guide.bore
+    end_mm = workcell.flange_from(MountedTool.GUIDE).apply((0.0, 0.0, -bore.reach_mm))
+    arm = workcell.arm.kinematics
+    load = estimate_load(arm, LOAD_MODELS[arm.name], known.stops, now, vector3(end_mm))
+    if load.is_loaded:
+        x, y, z = load.force_N.tolist()
+        raise RoomUndecided(
+            f"at {context.trajectory} the controller's own signals show a load on the arm (x {x:+.0f}, "
+            f"y {y:+.0f}, z {z:+.0f} N at the guide, in the robot frame)",
+            limit=f"{load.noticed_from_N:.0f} N",
+            got=f"{(x * x + y * y + z * z) ** 0.5:.0f} N",
+            action=LET_GO,
+        )
+    return load
+
+
+def _read(workcell: Workcell) -> Standstill | None:
+    if not workcell.streaming:
+        return None
+    return as_standstill(workcell.read_load(CYCLES), workcell.arm.kinematics.name, str(workcell.tool))
