@@ -96,7 +96,11 @@ class Room:
 
 
 @pytest.mark.parametrize(
-    ("choice", "make", "off_N"), [(ArmChoice.KR6, kuka_of, 60.0), (ArmChoice.UR5E, ur_of, 12.0)], ids=str
+    ("choice", "make", "off_N"),
+    [
+        pytest.param(ArmChoice.KR6, kuka_of, 60.0, id="kr6"),
+        pytest.param(ArmChoice.UR5E, ur_of, 12.0, id="ur5e"),
+    ],
 )
 def test_a_person_who_leans_on_the_guide_is_seen_and_one_who_lets_go_is_not(
     choice: ArmChoice, make: Callable[[World, ExitStack], Any], off_N: float
