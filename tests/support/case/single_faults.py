@@ -452,6 +452,14 @@ ROWS = (
     Row("room push guide 0 40 0 N", "positioning", "PRO-019", theatre_s=20),
     Row("room push guide 0 40 0 N", "at_target", "PRO-017", theatre_s=5, branch="GUIDE_PUSHED"),
     Row("room turn guide 0 0.3 0 deg", "at_target", "PRO-017", theatre_s=5, branch="GUIDE_PUSHED"),
+    Row("room push guide 0 60 0 N over 1 s", "positioning", "PRO-019 PRO-052", theatre_s=25, begins=SINCE),
+    Row("room shift head 0 1 0 mm over 2 s", "tool_check positioning", "PRO-020", theatre_s=30, begins=SINCE),
+    Row("room turn head 0 0 1 deg over 2 s", "tool_check positioning", "PRO-020", theatre_s=30, begins=SINCE),
+    # Of an instrument beyond its depth stop nobody measures anything: truth alone has it.
+    *(
+        Row(f"room {fault}", "at_target", DONE)
+        for fault in ("bent instrument 0.1 0 mm", "wrong instrument 0.1 mm")
+    ),
     Row("room depth stop off by 0.5 mm", "at_target", "TOOL-004", theatre_s=5, branch="WRONG_STOP"),
     *(
         Row(
@@ -521,6 +529,7 @@ ROWS = (
         )
         for cart, ends in ((1, "PRO-054 PRO-019"), (2, "PRO-054"))
     ),
+    Row("room loose instrument 0.1 0 0 mm 0.05 deg", "at_target", DONE, begins=SINCE, arms=TWO_KUKA),
     Row(
         "assistant ur speed slider 0 % for 3 s",
         BASES,

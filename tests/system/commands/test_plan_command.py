@@ -221,7 +221,7 @@ def test_a_plan_with_a_different_number_of_fiducials_than_the_ct_is_refused(case
     three = [SimpleNamespace(centre_mm=np.array(one)) for one in ([0.0, 0, 0], [40, 0, 0], [0, 30, 10])]
     monkeypatch.setattr(
         "procedures.imaging.localize",
-        lambda volume, progress: SimpleNamespace(markers=three, warnings=()),
+        lambda volume, progress: SimpleNamespace(markers=three, warnings=(), deformation=None),
     )
     done = ronna_plan("check", case[0], "--ct", case[1])
     assert (done.returncode, one_line(done)[:8]) == (1, "PLAN-008")

@@ -44,7 +44,8 @@ DEVICE_ROWS = [row for row in ROWS if device_of(row) in STEPS]
 
 
 def test_every_fault_of_the_catalogue_is_in_the_table() -> None:
-    held = {parse_faults(f"now: {row.fault}")[0].kind.usage for row in ROWS if row.fault and not row.arms}
+    rows = [row for row in ROWS if row.fault and (not row.arms or row.fault.startswith("room"))]
+    held = {parse_faults(f"now: {row.fault}")[0].kind.usage for row in rows}
     assert held == {kind.usage for kind in FAULT_KINDS if kind.device in DEVICES}
 
 
