@@ -27,6 +27,7 @@ from ronna_hw.arm_stream.control_channel import RECEIVE_BYTES
 from ronna_hw.control_port import ControlPortClient
 from ronna_hw.errors import RonnaError
 from ronna_hw.tool_record import GAUGE_APPROACHES, Gauge
+from ronna_hw.wire.kuka_eki import CommandName
 from ronna_hw.wire.polaris import PARAMETER_FIRMWARE, HandleQuery, crc16
 from sim.world.control_port import Room, _Conversation
 from sim.world.scene.named_scenes import draw_scene
@@ -59,7 +60,7 @@ def line_parsers(folder: Path) -> dict[str, tuple[tuple[bytes, ...], Take]]:
         ),
         "Polaris handles": ((b"020100102001", b"01", b"00"), _handles),
         "Polaris identity": ((IDENTITY, b"Info.Firmware=1\n", b"D.Param.Tracking=15"), _identity),
-        "EKI acknowledgement": ((b'<Ack Id="7" Code="0" Text="a"></Ack>',), _acknowledged),
+        "EKI acknowledgement": ((b'<Ack Id="7" Cmd="DRIVES" Code="0" Text="a"></Ack>',), _acknowledged),
     }
 
 
@@ -162,6 +163,7 @@ def _acknowledged(data: bytes) -> None:
     client = EkiClient.__new__(EkiClient)
     client._arrived, client._listener, client.latest = threading.Condition(), None, None
     client._acks, client._states, client._scanner = {}, {}, TelegramScanner()
+    client.where, client._sent = "here", {7: CommandName.DRIVES}
     for begin in range(0, len(data), RECEIVE_BYTES):
         for telegram in client._split(data[begin : begin + RECEIVE_BYTES]):
             client._handle(telegram)
