@@ -17,7 +17,7 @@ from kills import killed_at
 from user_commands import Commands
 
 from procedures.journal.journal import JOURNAL_FILE, Entry, Line, read_journal
-from ronna_hw.errors import EXIT_REFUSED, EXIT_SAFETY_STOP
+from ronna_hw.errors import EXIT_RECOVERY_NEEDED, EXIT_REFUSED, EXIT_SAFETY_STOP
 from sim.world.saved_world import WORLD_FILE
 from studies.worlds.finished_case import FINISHED, IN_DOUBT, read_predictions
 from studies.worlds.verdict import limits_used_mm
@@ -67,7 +67,7 @@ def assert_no_target_is_silently_off(ended: subprocess.CompletedProcess[str], ru
     if outcome["outcome"] == IN_DOUBT:
         return
     if outcome["outcome"] not in FINISHED:
-        assert ended.returncode in (EXIT_REFUSED, EXIT_SAFETY_STOP), ended.stderr
+        assert ended.returncode in (EXIT_REFUSED, EXIT_SAFETY_STOP, EXIT_RECOVERY_NEEDED), ended.stderr
         return
     run = runs / outcome["run"]
     limits_mm = limits_used_mm(read_journal(run / JOURNAL_FILE), read_predictions(run))
