@@ -112,15 +112,18 @@ def name_motion(
     way = describe_way(motion.way_mm)
     where = "" if motion.at is None else f", at {motion.at}"
     match motion.moved:
-        case Moved.BASE if approached and motion.moved_mm < GROSS_LIMIT_MM:
+        case Moved.BASE | Moved.SEVERAL if approached and motion.moved_mm < GROSS_LIMIT_MM:
+            several = (
+                ", or two of head, cart and tracker" if motion.moved is Moved.SEVERAL else ", or the cart"
+            )
             return RoomUndecided(
                 f"the frame on the arm is not where the arm has it, by {way}{where}: the guide is pushed or "
-                "held, or the cart was moved",
+                f"held{several} {'were' if motion.moved is Moved.SEVERAL else 'was'} moved",
                 limit=limit,
                 got=f"{got} mm",
                 action=HELD,
             )
-        case Moved.BASE | Moved.TRACKER:
+        case Moved.BASE | Moved.TRACKER | Moved.SEVERAL:
             return _base_shifted(motion, expected, reading, f"{way}{where}", limit, f"{got} mm")
         case Moved.CLAMP_FRAME:
             return FrameSlipped(
@@ -147,11 +150,13 @@ def _is_home(reading: RoomReading) -> bool:
 def _base_shifted(
     motion: Motion, expected: Expected, reading: RoomReading, way: str, limit: str, got: str
 ) -> BaseShifted:
-    cart = motion.moved is Moved.BASE
+    cart = motion.moved is not Moved.TRACKER
     if not cart:  # what it sees moves against it
         way = describe_way(-motion.way_mm)
     what = "the cart of the robot was moved, the frame on the arm" if cart else "the tracker was moved"
-    if cart and motion.at is not None:
+    if motion.moved is Moved.SEVERAL:
+        what = "head and arm show that two of head, cart and tracker were moved, one of them"
+    elif cart and motion.at is not None:
         what = "the cart of the robot was moved or turned"
     shifted = BaseShifted(f"{what} by {way}", limit=limit, got=got)
     shifted.cart = cart
@@ -172,7 +177,7 @@ def _room_moved(expected: Expected, reading: RoomReading) -> Transform | None:
 
 def _patient_moved(motion: Motion, expected: Expected, reading: RoomReading, way: str) -> PatientMoved:
     head = HeadSeen.of(expected, reading)
-    tracker = motion.moved is Moved.HEAD_OR_TRACKER and not _is_home(reading)
+    tracker = motion.moved is Moved.HEAD_OR_TRACKER
     moved_mm = motion.moved_mm if head is None else max(head.rms_mm, motion.limit_mm)
     alone_mm = lone_displacement_mm(
         expected.spheres_mm, reading.spheres_mm, max(motion.limit_mm, PATIENT_LIMIT_MM)

@@ -30,6 +30,7 @@ from procedures.workcell import Workcell
 from procedures.workcell.patient_frame import seen_after
 from procedures.workcell.tracker_look import read_frames_at_rest
 from procedures.workcell.tracker_move import STILL, UNPUSHED, TrackerMove
+from ronna_hw.arm.catalogue import repeatability_mm
 from ronna_hw.arm.kinematics import Kinematics
 from ronna_hw.calibrated_arm.error_budget import ErrorSizes
 from ronna_hw.clock import Clock
@@ -406,7 +407,15 @@ class LocalizedRoom:
         to_robot = self.robot_from_tracker
         centre_mm = np.asarray(to_robot.apply(self.spheres_mm)).mean(axis=0)
         mount, tracker = flange_from_marker.as_matrix(), to_robot.as_matrix()
-        model = RoomModel(arm.chain, sizes, mount, tracker, centre_mm, len(self.spheres_mm))
+        model = RoomModel(
+            arm.chain,
+            sizes,
+            mount,
+            tracker,
+            centre_mm,
+            len(self.spheres_mm),
+            repeatability_mm(arm.name),
+        )
         flange = flange_pose(self.joints_rad, None).as_matrix()
         frames = {Tracked.ARM: self._expect(np.linalg.inv(tracker) @ flange @ mount, self.arm_markers_mm)}
         if self.places.clamp is not None and self.clamp_markers_mm is not None:

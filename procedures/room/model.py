@@ -35,7 +35,6 @@ Array = NDArray[np.float64]
 # volumetric accuracy whose error varies over metres. (U)
 FIELD_MM = np.array([0.1, 0.1, 0.2])
 FIELD_LENGTH_MM = 300.0
-REPEATABILITY_MM = 0.03  # per axis, of any arm of the catalogue at rest: 0.1 mm by ISO 9283 is a UR5's
 REPEATABILITY_RAD = 2e-5  # per axis, of its orientation (U)
 # Places that nothing before the first look tells: of the frame on its mount, a sphere, the tracker, and each
 # of them after a push or a move that was followed.
@@ -91,7 +90,8 @@ class RoomModel:
     """Linear model about where the localization found everything.
 
     `flange_from_marker` and `robot_from_tracker` (4, 4) are as recorded; `centre_mm` (3,) is the point about
-    which motions are expressed, robot frame; `spheres` is their number.
+    which motions are expressed, robot frame; `spheres` is their number. `repeatability_mm` is the arm's at
+    rest, per axis.
     """
 
     chain: Chain
@@ -100,6 +100,7 @@ class RoomModel:
     robot_from_tracker: Array
     centre_mm: Array
     spheres: int
+    repeatability_mm: float
 
     def rows(self, look: Sighting, flange: Array, places: Places) -> Rows:
         """Return the linear model of one look, with the arm's computed pose ROBOT <- FLANGE (4, 4)."""
@@ -132,7 +133,7 @@ class RoomModel:
         on_mount = block_diag(flange[:3, :3] * UNKNOWN_MM, flange[:3, :3] * UNKNOWN_RAD)
         tracker = part.moved[:, _columns(Body.BASE)] * _unknown()
         identified = self.sizes.identified
-        scatter_mm = REPEATABILITY_MM if identified is None else max(REPEATABILITY_MM, identified.scatter_mm)
+        scatter_mm = max(self.repeatability_mm, 0.0 if identified is None else identified.scatter_mm)
         noise = part.noise + unknown_sides + np.diag([scatter_mm**2] * 3 + [REPEATABILITY_RAD**2] * 3)
         shared = np.hstack([errors, on_mount, tracker, np.zeros((POSE, 3 * self.spheres + POSE))])
         return _Part(part.residual, noise, shared, part.moved, part.pull, part.markers_mm)

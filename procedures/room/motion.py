@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 # much more likely, in chi-square; else both are.
 DOUBTED = 1e-3
 BETTER = 14.0
-TURNED_SHARE = 1.5  # of its own displacement, beyond which a body's motion is told at the point that counts
+TURNED_SHARE = 1.1  # of its own displacement, beyond which a body's motion is told at the point that counts
 
 
 class Moved(StrEnum):
@@ -36,6 +36,7 @@ class Moved(StrEnum):
     CLAMP_FRAME = "frame on the clamp"
     TRACKER = "tracker"
     HEAD_OR_TRACKER = "head or tracker"
+    SEVERAL = "two of head, cart and tracker"
 
 
 @dataclass(frozen=True)
@@ -115,7 +116,7 @@ def _find_by_body(known: RoomEstimate, rows: Rows, unpushed: Callable[[], Rows |
     if pushed is not None and _fits_pushed(known, pushed):
         return motion(Moved.TRACKER if Body.BASE in out else Moved.HEAD_OR_TRACKER)
     if Body.BASE in out:
-        return motion(Moved.BASE)
+        return motion(Moved.SEVERAL)
     if {Body.SPHERES, Body.CLAMP} <= rows.blocks.keys() and len(out) == 1:
         return motion(Moved.CLAMP_FRAME if Body.CLAMP in out else Moved.HEAD_IN_CLAMP)
     return motion(Moved.HEAD)

@@ -17,6 +17,7 @@ WITHOUT_UNIT = {
     "refused_share",
     *("master_errors", "assistant_errors"),  # in standard deviations
     "remaining",  # of an arm's record: a covariance of mm and rad
+    *("strain", "covariance", "chi_square", "limit"),  # of a scan's deformation: ratios
     "assumed_robot_from_ct",  # of place.json: X Y Z A B C, mm and deg in one
 }
 
