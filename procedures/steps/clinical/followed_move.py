@@ -95,7 +95,7 @@ def _measure_move(context: StepContext) -> MeasuredMove | None:
         raise PatientUnseen(
             "the tracker does not see the frame on the arm: head and tracker movement cannot be told apart"
         )
-    if motion.moved is Moved.BASE:
+    if motion.moved in (Moved.BASE, Moved.SEVERAL):  # the arm is not where it was, whatever else moved
         raise name_motion(motion, watch.expected(reading), reading)
     rows = identify_points(watch.spheres_mm, reading.spheres_mm)
     if rows is None:
