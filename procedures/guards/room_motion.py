@@ -70,7 +70,7 @@ class HeadSeen:
 
 @dataclass(frozen=True)
 class Expected:
-    """Where a reading is expected to show everything, tracker frame of the localization.
+    """Expected places of everything in a reading, tracker frame of the localization.
 
     `spheres_mm` (n, 3) and `clamp_mm` (m, 3), None without a frame on the clamp; `marker` is the frame on the
     arm by the arm alone, ROBOT <- MARKER, and `arm_way_mm` (3,) how far it is seen from where earlier looks

@@ -376,7 +376,7 @@ class RoomWatch:
 
 @dataclass(frozen=True)
 class LocalizedRoom:
-    """What a global localization found: spheres (n, 3) mm and the frame on the clamp, tracker frame.
+    """Global localization: spheres (n, 3) mm and the frame on the clamp, tracker frame.
 
     The arm was at `joints_rad`, with the frame on it of markers (m, 3) mm. By it, the localization has where
     the tracker is.
@@ -392,7 +392,7 @@ class LocalizedRoom:
 
     @property
     def places(self) -> Places:
-        """Where the head is expected."""
+        """Expected place of the head."""
         return Places(self.spheres_mm, None if self.on_clamp is None else self.on_clamp.as_matrix())
 
     def watch(

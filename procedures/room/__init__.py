@@ -1,1 +1,1 @@
-"""Where everything in the room is, as one estimate with covariance, and what each look adds to it."""
+"""Estimate of where everything in the room is, with covariance, and of what each look adds to it."""

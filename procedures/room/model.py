@@ -45,7 +45,7 @@ POSE = 6  # rows of a frame, columns of a motion
 
 
 class Body(IntEnum):
-    """What the tracker sees move as one piece, in the order of the columns of a motion."""
+    """Body that the tracker sees move as one piece, in the order of the columns of a motion."""
 
     SPHERES = 0
     CLAMP = 1
@@ -79,7 +79,7 @@ class Rows:
 
 @dataclass(frozen=True)
 class Places:
-    """Where spheres (n, 3) mm and the frame on the clamp (4, 4) are expected, tracker frame."""
+    """Expected spheres (n, 3) mm and frame on the clamp (4, 4), tracker frame."""
 
     spheres_mm: Array
     clamp: Array | None = None

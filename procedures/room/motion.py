@@ -1,4 +1,4 @@
-"""What has moved, if a further look does not fit the looks before it.
+"""Motion of head, cart or tracker, if a further look does not fit the looks before it.
 
 First each body that the look shows is held against where it is expected. Where each seems in place, the looks
 together may still show a motion, by less than one of them tells: small, slow, or in a direction that one pose
@@ -28,7 +28,7 @@ TURNED_SHARE = 1.1  # of its own displacement, beyond which a body's motion is t
 
 
 class Moved(StrEnum):
-    """What has moved."""
+    """Body that has moved, as far as the looks tell it."""
 
     BASE = "base"
     HEAD = "head"
@@ -106,7 +106,7 @@ def _find_by_body(known: RoomEstimate, rows: Rows, unpushed: Callable[[], Rows |
     worst = max(out, key=lambda body: chi_squares[body] / limits[body])
 
     def motion(moved: Moved) -> Motion:
-        shown = Body.BASE if moved is Moved.BASE and Body.BASE in out else worst
+        shown = Body.BASE if moved in (Moved.BASE, Moved.SEVERAL) else worst
         way_mm = _way_mm(values[rows.blocks[shown]], shown)
         return Motion(moved, len(known.looks), chi_squares[shown], limits[shown], way_mm)
 
