@@ -204,6 +204,16 @@ def test_no_other_kind_of_move_is_offered_for_following(
     assert not engine.case.stands(engine.order.find(NAME))
 
 
+def test_a_cart_that_moved_with_the_head_is_told_by_the_way_of_the_frame_on_the_arm(tmp_path: Path) -> None:
+    cell = ClinicalCell(tmp_path)
+    engine = seen_to_move(cell)
+    cell.tracker.spheres_mm, cell.tracker.frame_shift_mm = SMALL_MM, (0.5, 0.0, 0.0)
+    with pytest.raises(
+        BaseShifted, match=r"two of head, cart and tracker were moved, one of them by 0\.50 mm"
+    ):
+        run(engine, NAME)
+
+
 def test_the_move_is_measured_only_with_the_arm_at_home(tmp_path: Path) -> None:
     cell = ClinicalCell(tmp_path)
     engine = seen_to_move(cell)
