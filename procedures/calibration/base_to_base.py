@@ -19,7 +19,6 @@ from scipy.spatial.transform import RigidTransform
 from scipy.special import chdtri
 
 from procedures.calibration.arm_errors import FoundArm, StatedArm
-from procedures.calibration.base_validity import cross_matrix
 from procedures.calibration.errors import BasesDisagree, DegeneratePoses, DoesNotFit
 from procedures.calibration.hand_eye import PosePairs, apply_change, solve
 from procedures.calibration.pose_set import require_consistent, require_count, require_spread
@@ -89,7 +88,7 @@ def bases_by_frames(
     z_master, z_assistant = first.robot_from_tracker, second.robot_from_tracker
     bases = z_master @ np.linalg.inv(z_assistant)
     # The change of a pose is as in `hand_eye`: rotation in the source, here the tracker, shift in the target.
-    turn, about = bases[:3, :3], cross_matrix(z_assistant[:3, 3])
+    turn, about = bases[:3, :3], _cross_matrix(z_assistant[:3, 3])
     slope = np.zeros((6, 12))
     slope[:3, :3], slope[:3, 6:9] = z_assistant[:3, :3], -z_assistant[:3, :3]
     slope[3:, 3:6], slope[3:, 9:12] = np.eye(3), -turn
@@ -277,7 +276,7 @@ def _ball_slopes(looks: BallLooks, bases: Array, ball: Array) -> Array:
     held = _apply(looks.base_from_flange, np.tile(ball, (looks.count, 1)))
     turn = bases[:3, :3]
     slopes = np.zeros((looks.count, 3, BALL.stop))
-    slopes[:, :, 0:3] = turn @ np.array([cross_matrix(one) for one in held])
+    slopes[:, :, 0:3] = turn @ np.array([_cross_matrix(one) for one in held])
     slopes[:, :, 3:6] = -np.eye(3)
     slopes[:, :, BALL] = -turn @ looks.base_from_flange[:, :3, :3]
     return slopes
@@ -286,9 +285,15 @@ def _ball_slopes(looks: BallLooks, bases: Array, ball: Array) -> Array:
 def _place_slope(robot_from_base: Array, place_mm: ArrayLike) -> Array:
     """Return the derivative (3, 6) of a place, given in the robot frame, by the pose of the base."""
     in_base = RigidTransform.from_matrix(robot_from_base).inv().apply(place_mm)
-    return np.hstack([-robot_from_base[:3, :3] @ cross_matrix(in_base), np.eye(3)])
+    return np.hstack([-robot_from_base[:3, :3] @ _cross_matrix(in_base), np.eye(3)])
 
 
 def _apply(pose: Array, points_mm: Array) -> Array:
     """Map points (3,) or (m, 3) by one pose (4, 4), or by a pose each (m, 4, 4)."""
     return np.asarray(RigidTransform.from_matrix(pose).apply(points_mm))
+
+
+def _cross_matrix(vector: Array) -> Array:
+    """Return the matrix (3, 3) of the cross product with a vector."""
+    x, y, z = vector
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])

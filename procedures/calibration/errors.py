@@ -171,4 +171,8 @@ class PlatformMoved(RefusedError):
     """The bases of the two arms are no longer where they were calibrated."""
 
     code = "CAL-023"
-    action = "Lock both carts, then calibrate the bases again; the assistant does not move until then."
+    action = (
+        "Look for a cart that has moved, a frame or holder that is loose. Lock both carts, send the arms "
+        "home, with the pendant where a way is refused, then localize again: the bases are calibrated anew."
+    )
+    way_mm: tuple[float, float, float] | None = None  # as the assistant's frame was seen, robot frame

@@ -196,6 +196,11 @@ class StepContext:
         chosen = next((one for one in standing if one.result is picked), None)
         return None if chosen is None else self._read_from_case(model, chosen.record.trajectory).result
 
+    def latest(self, model: type[R]) -> R | None:
+        """Return the newest valid result of a model, for a comparison: it becomes no parent."""
+        standing = self._standing(model)
+        return standing[-1].result if standing else None
+
     def stands(self, model: type[StepResult]) -> bool:
         """Whether any trajectory has a valid result of this model. Adds no parent.
 

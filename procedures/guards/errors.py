@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import Self
 
+from procedures.calibration.errors import PlatformMoved
 from ronna_hw.errors import RefusedError
 from ronna_hw.frames import Transform
 from ronna_hw.text import format_against_limit
@@ -63,6 +64,11 @@ class InsertionDisturbed(RefusedError):
         "the step. The tracker compares the frames of both arms; where they agree, the assistant leads the "
         "instrument out once that is confirmed, and otherwise staff take it out by hand, as is then said."
     )
+    by_hand = (
+        "No arm leads the instrument out; move none while it is in the guide. By hand: hold the instrument, "
+        "open the clamp of the assistant's holder, and draw the instrument straight out of the guide. Lock "
+        "the carts, jog the assistant home with its pendant, then repeat the command"
+    )
 
 
 class RoomUndecided(RefusedError):
@@ -99,4 +105,6 @@ class PatientMoved(RefusedError):
         return moved
 
 
-RoomMoved = BaseShifted | PatientMoved | FrameSlipped  # after any of them the localization does not hold
+RoomMoved = (
+    BaseShifted | PatientMoved | FrameSlipped | PlatformMoved
+)  # after any of them the localization does not hold

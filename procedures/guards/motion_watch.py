@@ -14,8 +14,9 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, field
 
+from procedures.calibration.errors import PlatformMoved
 from procedures.engine.setting import CaseMemory
-from procedures.guards.assistant_frame import SHIFTED_MM, AssistantFrame
+from procedures.guards.assistant_on_axis import LARGEST_OFF_MM, AssistantOnAxis
 from procedures.guards.errors import (
     BaseShifted,
     FrameSlipped,
@@ -107,7 +108,6 @@ class MotionWatch:
             what,
             self.tell,
             guide=self.memory.find(GuideAtRest),
-            assistant=self.memory.find(AssistantFrame),
         )
         room.begin_motion(self.clock.now_s())
         try:
@@ -160,7 +160,9 @@ class MotionWatch:
         if self._unseen_s > LONGEST_UNSEEN_S and not already_noted:
             self.find(f"the tracker has not seen the head for {self._unseen_s:.0f} s, up to {what}")
 
-    def _identify_cause(self, seen: _WatchThread, what: str) -> RoomMoved | RoomUndecided | None:
+    def _identify_cause(
+        self, seen: _WatchThread, what: str
+    ) -> RoomMoved | RoomUndecided | InsertionDisturbed | None:
         """Determine what has moved from a further reading at rest that includes the frame on the arm.
 
         None if only the tracker was moved, and could be followed.
@@ -189,6 +191,8 @@ class MotionWatch:
             return PatientMoved.from_shift(f"{found.what}, during {what}", found.moved_mm, PATIENT_LIMIT_MM)
         if isinstance(found, FrameSlipped):
             return FrameSlipped(f"{found.what}, during {what}", limit=found.limit, got=found.got)
+        if isinstance(found, PlatformMoved | InsertionDisturbed):
+            return found
         if found is not None:
             self.find(f"no further reading after {what}: {found.summary}")
         if seen.moved_mm is None:
@@ -229,17 +233,13 @@ class _WatchThread:
     disturbed: str = ""  # what made the assistant stop on its way through the guide
     limit: str = ""
     got: str = ""
-    assistant: AssistantFrame | None = None  # as seen over the guide
+    assistant: AssistantOnAxis | None = None  # that leads an instrument
     _flange_from_frame_mm: Vector3 | None = None
 
     def __post_init__(self) -> None:
         self._seen_s = self.clock.now_s()
-        assistant = self.workcell.assistant
-        if not self._leads_instrument or assistant is None:
-            self.assistant = None
-        else:
-            self.assistant = self.assistant or AssistantFrame(assistant)
-            self.assistant.begin_watch()
+        if self._leads_instrument and self.workcell.assistant is not None:
+            self.assistant = AssistantOnAxis(self.workcell, self.room)
         self._ending, self._first = threading.Event(), threading.Event()
         self._thread = threading.Thread(target=self._run, name="patient watch", daemon=True)
 
@@ -368,7 +368,7 @@ class _WatchThread:
         self.guide.add_frame(frame, self.workcell.calibrations.tracker_frame.tool)
         self.pushed_mm = max(self.pushed_mm, self.guide.now_mm)
         pushed = self.guide.now_mm > PUSHED_MM
-        most_mm = PUSHED_MM if self.motion == MotionKind.INSERT else SHIFTED_MM
+        most_mm = PUSHED_MM if self.motion == MotionKind.INSERT else LARGEST_OFF_MM
         if self._leads_instrument and self.guide.now_mm > most_mm:
             self._disturb(PUSHED, most_mm, self.guide.now_mm)
         elif pushed and not self._pushed:
@@ -379,9 +379,9 @@ class _WatchThread:
         """Stop an assistant that has moved against its frame on its way through the guide."""
         if self.assistant is None:
             return
-        self.assistant.add_frame(frame, self.room.robot_from_tracker)
-        if (shifted_mm := self.assistant.shifted_mm) > SHIFTED_MM:
-            self._disturb(ASSISTANT_MOVED, SHIFTED_MM, shifted_mm)
+        self.assistant.add_frame(frame)
+        if (now := self.assistant.now) is not None and now.has_moved:
+            self._disturb(ASSISTANT_MOVED, LARGEST_OFF_MM, now.largest_mm)
 
     def _disturb(self, what: str, limit_mm: float | None = None, got_mm: float | None = None) -> None:
         if self.disturbed:

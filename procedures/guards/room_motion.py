@@ -8,9 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from procedures.calibration.errors import PlatformMoved
 from procedures.guards.errors import (
     BaseShifted,
     FrameSlipped,
+    InsertionDisturbed,
     PatientMoved,
     PatientUnseen,
     RoomMoved,
@@ -106,12 +108,30 @@ def push_of_tracker(expected: Expected, reading: RoomReading) -> Transform | Non
 
 def name_motion(
     motion: Motion, expected: Expected, reading: RoomReading, *, approached: bool = False
-) -> RoomMoved | RoomUndecided:
+) -> RoomMoved | RoomUndecided | InsertionDisturbed:
     """Return the error for a motion that a reading shows; `approached`: with the guide at the head."""
     limit, got = f"{motion.limit_mm:.2f} mm", format_against_limit(motion.moved_mm, motion.limit_mm, 2)
     way = describe_way(motion.way_mm)
     where = "" if motion.at is None else f", at {motion.at}"
     match motion.moved:
+        case Moved.ASSISTANT if reading.instrument_led:
+            return InsertionDisturbed(
+                f"the tracker sees the assistant beside its axis, by {way}, with the instrument in the guide: a "
+                "cart was displaced, or a frame",
+                limit=limit,
+                got=f"{got} mm",
+                action=InsertionDisturbed.by_hand,
+            )
+        case Moved.ASSISTANT:
+            moved = PlatformMoved(
+                f"the assistant's cart was moved, or its frame: seen by {way}{where} from where its joints "
+                "have it",
+                limit=limit,
+                got=f"{got} mm",
+            )
+            x, y, z = motion.way_mm.tolist()
+            moved.way_mm = (x, y, z)
+            return moved
         case Moved.BASE | Moved.SEVERAL if approached and motion.moved_mm < GROSS_LIMIT_MM:
             several = (
                 ", or two of head, cart and tracker" if motion.moved is Moved.SEVERAL else ", or the cart"

@@ -12,13 +12,22 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from procedures.planning.tracker_sight import SENSORS_MM
 from procedures.registration.movement import NEAR_MM, identify_points
-from procedures.room.sighting import SeenFrame, SeenSpheres, Sighting, Tracked, average_frame, mean_covariance
+from procedures.room.sighting import (
+    Rest,
+    SeenFrame,
+    SeenSpheres,
+    Sighting,
+    Tracked,
+    average_frame,
+    mean_covariance,
+)
 from procedures.workcell import Workcell
 from procedures.workcell.tracker_look import (
     find_frame_name,
@@ -30,10 +39,13 @@ from procedures.workcell.tracker_look import (
 from ronna_hw.clock import Clock
 from ronna_hw.devices.readings import TrackerFrame
 from ronna_hw.devices.strays import LEAST_SHARE, StrayGroup, average_strays
+from ronna_hw.errors import RonnaError
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.vectors import JointVector
 
 Array = NDArray[np.float64]
+ArrivedSides = Mapping[Tracked, Sequence[int] | None]  # from which the joints of an arm have arrived
+AS_KNOWN: ArrivedSides = MappingProxyType({})
 
 FRAMES = 12  # 0.2 s of the usual 60 Hz
 CAREFUL_FRAMES = 60
@@ -55,6 +67,7 @@ class RoomReading:
     `frame_mm` (3,) is the frame on the arm by the tracker minus that by the arm, robot frame; None while it
     is not seen. `settled_home` says that the arm is home, each joint from its usual side; `on_axis` that a
     guide is at the head; `fitted` that the tracker has the spheres by fitting the frame that they are on.
+    `assistant` is how the second arm rests, None without one; `instrument_led`: it leads an instrument.
     """
 
     robot_from_flange: Transform
@@ -68,6 +81,8 @@ class RoomReading:
     settled_home: bool = False
     on_axis: bool = False
     fitted: bool = False
+    assistant: Rest | None = None
+    instrument_led: bool = False
     tracker_frames: Sequence[TrackerFrame] = field(default=(), repr=False)
 
     @property
@@ -125,7 +140,10 @@ class RoomReading:
             ).reshape(-1, 3, 3)
             + self.fitted * FITTED_MM**2 * np.eye(3),
         )
-        return Sighting(self.joints_rad, self.sides, seen, self.frames, tracker, head)
+        arms = {Tracked.ARM: Rest(self.joints_rad, self.sides)}
+        if self.assistant is not None:
+            arms[Tracked.ASSISTANT] = self.assistant
+        return Sighting(arms, seen, self.frames, tracker, head)
 
     def _identify(self, spheres_mm: Array, sensors_mm: ArrayLike) -> list[tuple[int, StrayGroup]]:
         """Pair known spheres with strays: by their layout, or each with the one at its place.
@@ -179,20 +197,24 @@ def room_reading(
     workcell: Workcell,
     frames: list[TrackerFrame],
     robot_from_tracker: Transform,
-    sides: Sequence[int] | None = None,
+    sides: ArrivedSides = AS_KNOWN,
 ) -> RoomReading:
-    """Average tracker frames taken at the arm's current pose into one reading.
+    """Average tracker frames taken at the arms' current poses into one reading.
 
-    `sides` are those from which the joints have arrived, by default as the workcell knows.
+    `sides` are those from which the joints of an arm have arrived, by default as the workcell knows.
     """
     least, on_arm = round(LEAST_SHARE * len(frames)), workcell.calibrations.tracker_frame.tool
     tracked = {Tracked.ARM: on_arm, Tracked.CLAMP: workcell.patient_frame}
+    assistant = _assistant_at_rest(workcell, sides.get(Tracked.ASSISTANT))
+    if workcell.assistant is not None and assistant is not None:
+        tracked[Tracked.ASSISTANT] = workcell.assistant.holder.frame
     seen: dict[Tracked, SeenFrame] = {}
     for body, name in tracked.items():
         poses = [] if name is None else list_poses(frames, name)
         if name is not None and len(poses) >= max(1, least):
             seen[body] = average_frame(poses, workcell.tracker.markers_mm[name])
-    joints, rests = workcell.joints_rad(), workcell.rest_sides if sides is None else tuple(sides)
+    joints, arrived = workcell.joints_rad(), sides.get(Tracked.ARM)
+    rests = workcell.rest_sides if arrived is None else tuple(arrived)
     by_arm = robot_from_marker(workcell, joints, rests)
     frame_mm = None
     if (arm := seen.get(Tracked.ARM)) is not None:
@@ -216,8 +238,21 @@ def room_reading(
         workcell.settled_home,
         workcell.place.is_on_axis,
         find_frame_name(workcell.tracker.markers_mm) is not None,
+        assistant,
+        workcell.assistant is not None and workcell.assistant.place.is_on_axis,
         frames,
     )
+
+
+def _assistant_at_rest(workcell: Workcell, arrived: Sequence[int] | None) -> Rest | None:
+    """Return how the assistant rests, None without one or if it does not tell its joints."""
+    if (assistant := workcell.assistant) is None:
+        return None
+    try:
+        joints_rad = assistant.joints_rad()
+    except RonnaError:  # for the step that moves it to report
+        return None
+    return Rest(joints_rad, assistant.rest_sides if arrived is None else tuple(arrived))
 
 
 def find_ghosts(

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from procedures.engine.setting import CaseMemory
-from procedures.guards.errors import PatientUnseen, RoomMoved, RoomUndecided
+from procedures.guards.errors import InsertionDisturbed, PatientUnseen, RoomMoved, RoomUndecided
 from procedures.guards.room_motion import (
     GROSS_LIMIT_MM,
     Expected,
@@ -20,19 +20,23 @@ from procedures.guards.room_motion import (
     name_motion,
     push_of_tracker,
 )
-from procedures.guards.room_reading import CAREFUL_FRAMES, FRAMES, RoomReading, room_reading
+from procedures.guards.room_reading import (
+    AS_KNOWN,
+    CAREFUL_FRAMES,
+    FRAMES,
+    ArrivedSides,
+    RoomReading,
+    room_reading,
+)
 from procedures.planning.tracker_sight import SENSORS_MM, TrackerSight
-from procedures.room.estimate import RoomEstimate
-from procedures.room.model import Body, Places, RoomModel, Rows
-from procedures.room.motion import Motion, Moved, find_motion
-from procedures.room.sighting import SeenFrame, Sighting, Tracked, expect_frame, expect_spheres
+from procedures.room.estimate import GUIDE_AT_HEAD, RoomEstimate
+from procedures.room.model import ArmModel, Body, Places, RoomModel, Rows
+from procedures.room.motion import Motion, Moved, find_hidden_motion, find_motion
+from procedures.room.sighting import Rest, SeenFrame, Sighting, Tracked, expect_frame, expect_spheres
 from procedures.workcell import Workcell
 from procedures.workcell.patient_frame import seen_after
 from procedures.workcell.tracker_look import read_frames_at_rest
 from procedures.workcell.tracker_move import STILL, UNPUSHED, TrackerMove
-from ronna_hw.arm.catalogue import repeatability_mm
-from ronna_hw.arm.kinematics import Kinematics
-from ronna_hw.calibrated_arm.error_budget import ErrorSizes
 from ronna_hw.clock import Clock
 from ronna_hw.devices.readings import TrackerFrame
 from ronna_hw.errors import RonnaError
@@ -40,7 +44,8 @@ from ronna_hw.frames import Frame, Transform
 from ronna_hw.vectors import JointVector, Vector3
 
 Array = NDArray[np.float64]
-FlangePose = Callable[[JointVector, Sequence[int] | None], Transform]
+Refusal = RoomMoved | InsertionDisturbed | RoomUndecided | PatientUnseen
+FlangePose = Callable[[JointVector, Sequence[int] | None], Transform]  # ROBOT <- FLANGE
 
 # Theatre time for which a guide may approach an unseen head. The approach to a target takes some 5 s.
 MOST_UNSEEN_S = 10.0
@@ -59,7 +64,7 @@ class RoomLook:
     head_mm: float | None
     base_mm: float | None
     findings: tuple[str, ...] = ()
-    moved: RoomMoved | RoomUndecided | PatientUnseen | None = None
+    moved: Refusal | None = None
     by_frame: bool = False
 
     @property
@@ -71,8 +76,9 @@ class RoomLook:
         """Return the findings. Raises `moved` if set.
 
         Raises PRO-019 if the cart was moved, PRO-020 if the head has, PRO-022 if a sphere near the head is at
-        no known position, PRO-051 if the patient's frame has slipped on the clamp, PRO-052 if the arm's pose
-        does not tell what was moved.
+        no known position, CAL-023 if the assistant's cart was moved, PRO-051 if the patient's frame has
+        slipped on the clamp, PRO-052 if the arm's pose does not tell what was moved, PRO-054 if the assistant
+        is beside its axis with an instrument in the guide.
         """
         if self.moved is not None:
             raise self.moved
@@ -81,12 +87,14 @@ class RoomLook:
 
 @dataclass
 class Approach:
-    """Guide approach to the head. `excused_s` is when the operator last continued without line of sight.
+    """Guide approach to the head, along this trajectory if any.
 
-    The time without sight is bounded only while it is under way: nothing holds up the way out.
+    `excused_s` is when the operator last continued without line of sight. The time without
+    sight is bounded only while it is under way: nothing holds up the way out.
     """
 
     arm_hides_head: Callable[[], bool]
+    trajectory: str | None = None
     under_way: bool = False
     excused_s: float = -math.inf
 
@@ -98,13 +106,14 @@ class RoomWatch:
     There is one tracker frame, that of the localization: all places are in it, and every tracker frame read
     later is expressed in it first (`as_localized`). A tracker that has moved is followed where head and arm
     agree on it, and `tracker_moved` is told; `keep` is told every look that counts. `points_mm` are the
-    targets (3,), robot frame.
+    targets (3,), robot frame. `bases` is the result by which an assistant is in the estimate.
     """
 
     localization: str  # identifier of the record
     robot_from_tracker: Transform
     estimate: RoomEstimate
-    flange_pose: FlangePose
+    flange_poses: dict[Tracked, FlangePose]
+    looks: list[Sighting]  # all that count
     home_rad: JointVector  # where the localization was made
     epochs: list[Places]  # where the head is expected: as localized, and after each move that was followed
     points_mm: Mapping[str, Array] = field(default_factory=dict)
@@ -112,6 +121,7 @@ class RoomWatch:
     tracker: TrackerMove = UNPUSHED  # since the localization
     tracker_moved: Callable[[TrackerMove], None] = lambda _move: None
     keep: Callable[[Sighting], None] = lambda _look: None
+    bases: object = None
     seen_s: float = 0.0  # theatre time at which the head was last seen in its place
     approach: Approach | None = None
     epoch: int = 0  # of the head, the present one
@@ -158,8 +168,8 @@ class RoomWatch:
                 pose[:3, 3], pose[:3, :3], self.clamp_markers_mm, CAREFUL_FRAMES
             )
         seen = expect_spheres(places.spheres_mm, CAREFUL_FRAMES)
-        look = Sighting(self.home_rad, None, seen, frames, self.tracker.pushes, self.epoch)
-        self.estimate = self.with_look(look)
+        look = Sighting({}, seen, frames, self.tracker.pushes, self.epoch)
+        self._count(look, self._rows(look))
         self.keep(look)
 
     def restore(
@@ -172,14 +182,47 @@ class RoomWatch:
             clamp = None if on_clamp is None else on_clamp.as_matrix()
             self.epochs[moves] = Places(spheres_mm, clamp)
         for look in looks:
-            self.estimate = self.estimate.add(self._rows(look, self.epochs[look.head]))
+            self._count(look, self._rows(look))
+
+    def take_in_assistant(
+        self, bases: object, arm: ArmModel, flange_pose: FlangePose, first_look: int
+    ) -> Motion | None:
+        """Take the assistant into the estimate, by the frame on it in look `first_look` and later.
+
+        `bases` is the result by which it is known. Return the motion that the looks show with it, or None.
+        """
+        known = self.estimate.model
+        arms = {**known.arms, Tracked.ASSISTANT: arm}
+        self.estimate, self.bases = RoomEstimate(replace(known, arms=arms)), bases
+        self.flange_poses[Tracked.ASSISTANT] = flange_pose
+        looks, self.looks = self.looks, []
+        for number, look in enumerate(looks):
+            frames = dict(look.frames)
+            if number < first_look:
+                frames.pop(Tracked.ASSISTANT, None)
+            counted = replace(look, frames=frames)
+            self._count(counted, self._rows(counted))
+        return find_hidden_motion(self.estimate, self.points_mm, first_look)
+
+    def _count(self, look: Sighting, rows: Rows) -> None:
+        self.estimate = self.estimate.add(rows)
+        self.looks.append(look)
+
+    def frame_by_arm(self, arm: Tracked) -> FlangePose | None:
+        """Return how joints have the frame on an arm, TRACKER <- MARKER, or None for an unknown arm."""
+        known = self.estimate.model.arms.get(arm)
+        if known is None:
+            return None
+        mount = Transform.from_matrix(Frame.FLANGE, Frame.MARKER, known.flange_from_marker)
+        tracker, flange_pose = self.robot_from_tracker.inverse(), self.flange_poses[arm]
+        return lambda joints_rad, sides: tracker @ flange_pose(joints_rad, sides) @ mount
 
     def as_localized(self, frame: TrackerFrame) -> TrackerFrame:
         """Return a tracker frame as the tracker would have seen it from where it was at the localization."""
         return frame if self.tracker.move is STILL else seen_after(self.tracker.move.inverse(), frame)
 
     def read(
-        self, workcell: Workcell, frames: list[TrackerFrame], sides: Sequence[int] | None = None
+        self, workcell: Workcell, frames: list[TrackerFrame], sides: ArrivedSides = AS_KNOWN
     ) -> RoomReading:
         """Average tracker frames taken at the arm's current pose into a reading for `compare`."""
         localized = [self.as_localized(frame) for frame in frames]
@@ -232,7 +275,7 @@ class RoomWatch:
         head = HeadSeen.of(self._expected(reading, rows), reading)
         base_mm = float(np.linalg.norm(self._arm_way_mm(rows))) if Body.BASE in rows.blocks else None
         by_frame = head is not None and head.by_frame
-        moved: RoomMoved | RoomUndecided | PatientUnseen | None = None
+        moved: Refusal | None = None
         if motion is not None:
             at_head = self.is_approached or reading.on_axis
             moved = name_motion(motion, self._expected(reading, rows), reading, approached=at_head)
@@ -242,8 +285,9 @@ class RoomWatch:
             findings += self._tell_by_frame(hidden=by_frame)
             if reading.settled_home:
                 self.settled_home = len(self.estimate.looks)
-            self.estimate = self.estimate.add(rows)
-            self.keep(self._look(reading))
+            look = self.look_of(reading)
+            self._count(look, rows)
+            self.keep(look)
             if head is not None:
                 self.seen_s = now_s
         return RoomLook(reading, None if head is None else head.rms_mm, base_mm, findings, moved, by_frame)
@@ -256,8 +300,16 @@ class RoomWatch:
         rows = self._rows_of(reading)
         if not len(rows.residual):
             return rows, None
-        found = find_motion(self.estimate, rows, self.points_mm, partial(self._unpushed, reading))
+        found = find_motion(self.estimate, rows, self._points_here_mm, partial(self._unpushed, reading))
         return rows, found or self._find_gross(rows)
+
+    @property
+    def _points_here_mm(self) -> Mapping[str, Array]:
+        """Targets that count now: with the guide at one of them, that one."""
+        if self.approach is None or not self.approach.under_way:
+            return self.points_mm
+        at = self.approach.trajectory
+        return {name: point for name, point in self.points_mm.items() if name == at} or self.points_mm
 
     def _find_gross(self, rows: Rows) -> Motion | None:
         """Return a motion of the base that is plain although the arm was never seen in this pose."""
@@ -270,14 +322,14 @@ class RoomWatch:
 
     def with_look(self, look: Sighting, estimate: RoomEstimate | None = None) -> RoomEstimate:
         """Return the estimate, by default the present one, with a look that is only imagined."""
-        return (estimate or self.estimate).add(self._rows(look, self.epochs[look.head]))
+        return (estimate or self.estimate).add(self._rows(look))
 
     def expected(self, reading: RoomReading) -> Expected:
         """Return where everything is expected in a reading."""
         return self._expected(reading, self._rows_of(reading))
 
     def _expected(self, reading: RoomReading, rows: Rows) -> Expected:
-        mount = self.estimate.model.flange_from_marker
+        mount = self.estimate.model.arms[Tracked.ARM].flange_from_marker
         return Expected(
             self.spheres_mm,
             self.clamp_mm,
@@ -297,8 +349,8 @@ class RoomWatch:
         """
         since = len(self.estimate.looks) - 1
         found = {}
-        for body in ("head", "base"):
-            displacement = self.estimate.displacement(self.points_mm[point], since, (body,))
+        for body, sign in GUIDE_AT_HEAD.items():
+            displacement = self.estimate.displacement(self.points_mm[point], since, {body: sign})
             way_mm = float(np.linalg.norm(displacement.way_mm))
             found[body] = way_mm, displacement.noticed_from_mm
         return found
@@ -335,7 +387,8 @@ class RoomWatch:
             return None
         return self._rows_of(reading.moved_by(push.inverse(), self.robot_from_tracker))
 
-    def _look(self, reading: RoomReading) -> Sighting:
+    def look_of(self, reading: RoomReading) -> Sighting:
+        """Return the look that a reading is."""
         pushes, epoch = self.tracker.pushes, self.epoch
         return reading.sighting(self.spheres_mm, self._sensors_mm, tracker=pushes, head=epoch)
 
@@ -345,11 +398,15 @@ class RoomWatch:
         return np.asarray(self.tracker.move.inverse().apply(SENSORS_MM))
 
     def _rows_of(self, reading: RoomReading) -> Rows:
-        return self._rows(self._look(reading), self.epochs[self.epoch])
+        return self._rows(self.look_of(reading))
 
-    def _rows(self, look: Sighting, places: Places) -> Rows:
-        flange = self.flange_pose(look.joints_rad, look.sides)
-        return self.estimate.model.rows(look, flange.as_matrix(), places)
+    def _rows(self, look: Sighting) -> Rows:
+        flanges = {
+            name: self.flange_poses[name](rest.joints_rad, rest.sides).as_matrix()
+            for name, rest in look.arms.items()
+            if name in self.flange_poses
+        }
+        return self.estimate.model.rows(look, flanges, self.epochs[look.head])
 
     def _tell_by_frame(self, *, hidden: bool) -> tuple[str, ...]:
         """Return a finding when the spheres have become hidden and only the frame on the clamp is watched."""
@@ -398,35 +455,28 @@ class LocalizedRoom:
     def watch(
         self,
         localization: str,
-        arm: Kinematics,
-        sizes: ErrorSizes,
-        flange_from_marker: Transform,
+        arm: ArmModel,
         flange_pose: FlangePose,
     ) -> RoomWatch:
         """Begin the watch, with the localization as its first look."""
         to_robot = self.robot_from_tracker
         centre_mm = np.asarray(to_robot.apply(self.spheres_mm)).mean(axis=0)
-        mount, tracker = flange_from_marker.as_matrix(), to_robot.as_matrix()
-        model = RoomModel(
-            arm.chain,
-            sizes,
-            mount,
-            tracker,
-            centre_mm,
-            len(self.spheres_mm),
-            repeatability_mm(arm.name),
-        )
+        tracker = to_robot.as_matrix()
+        model = RoomModel({Tracked.ARM: arm}, tracker, centre_mm, len(self.spheres_mm))
         flange = flange_pose(self.joints_rad, None).as_matrix()
-        frames = {Tracked.ARM: self._expect(np.linalg.inv(tracker) @ flange @ mount, self.arm_markers_mm)}
+        on_arm = np.linalg.inv(tracker) @ flange @ arm.flange_from_marker
+        frames = {Tracked.ARM: self._expect(on_arm, self.arm_markers_mm)}
         if self.places.clamp is not None and self.clamp_markers_mm is not None:
             frames[Tracked.CLAMP] = self._expect(self.places.clamp, self.clamp_markers_mm)
-        look = Sighting(self.joints_rad, None, expect_spheres(self.spheres_mm, self.frames), frames)
-        estimate = RoomEstimate(model).add(model.rows(look, flange, self.places))
+        spheres = expect_spheres(self.spheres_mm, self.frames)
+        look = Sighting({Tracked.ARM: Rest(self.joints_rad)}, spheres, frames)
+        estimate = RoomEstimate(model).add(model.rows(look, {Tracked.ARM: flange}, self.places))
         return RoomWatch(
             localization,
             to_robot,
             estimate,
-            flange_pose,
+            {Tracked.ARM: flange_pose},
+            [look],
             self.joints_rad,
             [self.places],
             clamp_markers_mm=self.clamp_markers_mm,
@@ -441,7 +491,7 @@ def read_watched(
     workcell: Workcell,
     clock: Clock,
     count: int = FRAMES,
-    sides: Sequence[int] | None = None,
+    sides: ArrivedSides = AS_KNOWN,
 ) -> RoomReading:
     """Read the room with the arm at rest; carefully, if a short reading shows that something has moved."""
     reading = room.read(workcell, read_frames_at_rest(workcell.tracker, clock, count=count)[0], sides)
@@ -457,7 +507,7 @@ def check_now(
     memory: CaseMemory,
     void: Callable[[RonnaError], None],
     count: int = FRAMES,
-    sides: Sequence[int] | None = None,
+    sides: ArrivedSides = AS_KNOWN,
 ) -> RoomLook:
     """Check the room now and raise like `RoomLook.require`. A movement voids results and ends the watch."""
     look = room.compare(read_watched(room, workcell, clock, count, sides), clock.now_s())

@@ -14,9 +14,8 @@ from pathlib import Path
 from typing import Any
 
 from procedures.calibration.base_to_base import LARGEST_ERROR_MM
-from procedures.calibration.base_validity import MOVED_MM
 from procedures.engine.run_folder import targets_in_doubt
-from procedures.guards.assistant_frame import SHIFTED_MM
+from procedures.guards.assistant_on_axis import LARGEST_OFF_MM
 from procedures.guards.stability import WATCHED_SUBJECTS, last_seen_s
 from procedures.journal.journal import Entry
 from procedures.journal.results import StepResult
@@ -66,6 +65,7 @@ from procedures.steps.clinical.path_check import CheckedPaths
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.results import (
     ConfirmedTarget,
+    KnownBases,
     LeftOutSphere,
     LinkHealth,
     RegisteredRobot,
@@ -75,9 +75,7 @@ from procedures.steps.clinical.retreat import Retreated
 from procedures.steps.clinical.set_up import CheckedSetUp
 from procedures.steps.clinical.tool_change import MountedGuide
 from procedures.steps.clinical.tool_check import CheckedTool
-from procedures.steps.clinical.two_arms.assisted_insertion import COAXIAL_MM, COAXIAL_RAD, SEEN_APART_MM
-from procedures.steps.clinical.two_arms.base_to_base import KnownBases
-from procedures.steps.clinical.two_arms.seen_on_axis import SEEN_APART_RAD
+from procedures.steps.clinical.two_arms.assisted_insertion import COAXIAL_MM, COAXIAL_RAD
 from procedures.workcell.arm_history import MotionKind
 from ronna_hw.config import ASSISTANT
 from ronna_hw.evidence.manifest import KEPT_TRUTH, PICTURES_FOLDER, REPORT_FILE, read_hashes
@@ -147,13 +145,10 @@ def write_report(
         "tools": reading.standing(MountedGuide),
         "bases": reading.find(KnownBases),
         "begun_insertions": _begun_insertions(reading),
-        "platforms_mm": MOVED_MM,
-        "shifted_mm": SHIFTED_MM,
+        "largest_off_mm": LARGEST_OFF_MM,
         "bases_limit_mm": LARGEST_ERROR_MM,
         "coaxial_mm": COAXIAL_MM,
         "coaxial_rad": COAXIAL_RAD,
-        "seen_apart_mm": SEEN_APART_MM,
-        "seen_apart_rad": SEEN_APART_RAD,
         "tool_checks": reading.standing(CheckedTool),
         "worked": reading.standing(ReachedTarget),
         "in_doubt": targets_in_doubt(reading.run.journal),

@@ -6,7 +6,7 @@ from typing import Any
 
 from procedures.reporting.run_reading import RunReading
 from procedures.steps.clinical.at_target import ReachedTarget
-from procedures.steps.clinical.two_arms.base_to_base import KnownBases
+from procedures.steps.clinical.results import KnownBases
 
 
 def collect_two_arms(reading: RunReading) -> dict[str, Any]:

@@ -9,7 +9,7 @@ by the lever that it has there, and nowhere by a limit in millimetres.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -33,14 +33,17 @@ ONE_HEAD = np.asarray(sum(BODIES[:, body] for body in HEAD))  # spheres and clam
 MOVING: Mapping[str, Array] = {
     "head": ONE_HEAD,
     "base": BODIES[:, Body.BASE],
-    "tracker": -(ONE_HEAD + BODIES[:, Body.BASE]),
+    "assistant": BODIES[:, Body.ASSISTANT],
+    "tracker": -(ONE_HEAD + BODIES[:, Body.BASE] + BODIES[:, Body.ASSISTANT]),
 }
-HEAD_AND_BASE = ("head", "base")
+# Bodies whose motions displace one thing against another, each with its sign.
+GUIDE_AT_HEAD: Mapping[str, float] = {"base": 1.0, "head": -1.0}
+INSTRUMENT_IN_GUIDE: Mapping[str, float] = {"assistant": 1.0, "base": -1.0}
 
 
 @dataclass(frozen=True)
 class Displacement:
-    """Displacement of the guide against the head at a point by a motion before look `since`, robot frame.
+    """Displacement at a point by a motion before look `since`, robot frame.
 
     `way_mm` (3,) is the estimate, `covariance_mm2` (3, 3) what the looks leave open of it; `chi_square`, with
     three degrees of freedom, is what the estimate has beyond an undisturbed room.
@@ -50,11 +53,6 @@ class Displacement:
     way_mm: Array
     covariance_mm2: Array
     chi_square: float
-
-    @property
-    def is_significant(self) -> bool:
-        """Whether an undisturbed room shows as much in less than one look of `1 / FALSE_ALARM`."""
-        return self.chi_square > float(chdtri(AXES, FALSE_ALARM))
 
     @property
     def noticed_from_mm(self) -> float:
@@ -70,8 +68,8 @@ class Displacement:
 class RoomEstimate:
     """Looks so far, whitened, and what each motion before each look would show in them.
 
-    `root` (n, n) is the lower Cholesky root of the covariance of all residuals; `effects` (k, n, 18) are the
-    whitened effects of the motions before look k; `information` (k, 18, 18) and `pull` (k, 18) are their
+    `root` (n, n) is the lower Cholesky root of the covariance of all residuals; `effects` (k, n, 24) are the
+    whitened effects of the motions before look k; `information` (k, 24, 24) and `pull` (k, 24) are their
     normal equations.
     """
 
@@ -126,24 +124,25 @@ class RoomEstimate:
         self,
         point_mm: ArrayLike,
         since: int,
-        bodies: Sequence[str] = HEAD_AND_BASE,
+        bodies: Mapping[str, float] = GUIDE_AT_HEAD,
         size: tuple[float, float] = (MOTION_RAD, MOTION_MM),
     ) -> Displacement:
         """Return the displacement at a point (3,) mm, robot frame, if these bodies moved before a look.
 
-        `size` is the motion that is expected of each before any look, in rad and mm per axis.
+        Each counts with its sign. `size` is the motion that is expected of each before any look, in rad and
+        mm per axis.
         """
         since_only = slice(since, since + 1)
         ways, covariances, chi_squares = self._displacements(point_mm, since_only, bodies, size)
         return Displacement(since, ways[0], covariances[0], float(chi_squares[0]))
 
-    def largest(self, point_mm: ArrayLike, first: int = 1) -> Displacement | None:
+    def largest(
+        self, point_mm: ArrayLike, first: int = 1, bodies: Mapping[str, float] = GUIDE_AT_HEAD
+    ) -> Displacement | None:
         """Return the most significant displacement at a point by a motion before look `first` or later."""
         if first >= len(self.looks):
             return None
-        ways, covariances, chi_squares = self._displacements(
-            point_mm, slice(first, len(self.looks)), HEAD_AND_BASE
-        )
+        ways, covariances, chi_squares = self._displacements(point_mm, slice(first, len(self.looks)), bodies)
         at = int(chi_squares.argmax())
         return Displacement(first + at, ways[at], covariances[at], float(chi_squares[at]))
 
@@ -151,12 +150,12 @@ class RoomEstimate:
         self,
         point_mm: ArrayLike,
         since: slice,
-        bodies: Sequence[str],
+        bodies: Mapping[str, float],
         size: tuple[float, float] = (MOTION_RAD, MOTION_MM),
     ) -> tuple[Array, Array, Array]:
         point = pose_jacobian(np.asarray(point_mm, dtype=float), self.model.centre_mm)
         moving = np.hstack([MOVING[body] for body in bodies])
-        towards = np.hstack([point if body == "base" else -point for body in bodies])
+        towards = np.hstack([sign * point for sign in bodies.values()])
         information = moving.T @ self.information[since] @ moving
         covariance = np.linalg.inv(information + _prior(len(bodies), size))
         gain = towards @ covariance

@@ -2,7 +2,7 @@
 
 Residuals are seen minus expected, mm and rad in the robot frame, and linear in all unknowns:
 
-    frame on the arm    motion of the base + errors of the arm + place of the frame - pose of the tracker
+    frame on an arm     motion of its base + errors of the arm + place of the frame + place of the base
     sphere              motion of the head + place of the sphere
     frame on the clamp  motion of the clamp + place of that frame
 
@@ -14,7 +14,7 @@ error of an uncalibrated arm near a target is known from the looks at the sphere
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import IntEnum
 from functools import cached_property
 
@@ -24,7 +24,7 @@ from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
 from procedures.registration.rigid_fit import pose_jacobian
-from procedures.room.sighting import SeenFrame, SeenSpheres, Sighting, Tracked, marker_pull
+from procedures.room.sighting import Rest, SeenFrame, SeenSpheres, Sighting, Tracked, marker_pull
 from ronna_hw.arm.kinematics import Chain
 from ronna_hw.calibrated_arm.deviations import FLANK_SHARE
 from ronna_hw.calibrated_arm.error_budget import BACKLASH_RAD, ErrorSizes, displacements, unit_errors
@@ -36,8 +36,8 @@ Array = NDArray[np.float64]
 FIELD_MM = np.array([0.1, 0.1, 0.2])
 FIELD_LENGTH_MM = 300.0
 REPEATABILITY_RAD = 2e-5  # per axis, of its orientation (U)
-# Places that nothing before the first look tells: of the frame on its mount, a sphere, the tracker, and each
-# of them after a push or a move that was followed.
+# Places that nothing before the first look tells: of the frame on its mount, a sphere, a base as the tracker
+# has it, and each of them after a push or a move that was followed.
 UNKNOWN_MM, UNKNOWN_RAD = 20.0, 0.05
 LEVER_MM = 100.0  # between the points whose displacements give a rotation
 
@@ -49,18 +49,20 @@ class Body(IntEnum):
 
     SPHERES = 0
     CLAMP = 1
-    BASE = 2
+    BASE = 2  # of the arm with the guide
+    ASSISTANT = 3  # base of the second arm
 
 
 MOTIONS = POSE * len(Body)
 HEAD = (Body.SPHERES, Body.CLAMP)
+BASES = {Tracked.ARM: Body.BASE, Tracked.ASSISTANT: Body.ASSISTANT}
 
 
 @dataclass(frozen=True)
 class Rows:
     """Linear model of a look: residual (r,) and its covariance (r, r) by noise.
 
-    `shared` (r, k) are the effects of one standard deviation of each constant, `moved` (r, 18) those of each
+    `shared` (r, k) are the effects of one standard deviation of each constant, `moved` (r, 24) those of each
     body's motion: a rotation vector (rad) about the room's centre, then a shift (mm), robot frame. `pull`
     (r, 3 m) is the effect of the tracker's smooth error at `markers_mm` (m, 3), along its axes. `blocks` are
     the rows of each body that is seen.
@@ -86,27 +88,70 @@ class Places:
 
 
 @dataclass(frozen=True)
-class RoomModel:
-    """Linear model about where the localization found everything.
+class ArmModel:
+    """How an arm errs, and where it carries its frame: FLANGE <- MARKER (4, 4), as recorded.
 
-    `flange_from_marker` and `robot_from_tracker` (4, 4) are as recorded; `centre_mm` (3,) is the point about
-    which motions are expressed, robot frame; `spheres` is their number. `repeatability_mm` is the arm's at
-    rest, per axis.
+    `repeatability_mm` is at rest, per axis; `robot_from_base` (4, 4) is where it stands.
     """
 
     chain: Chain
     sizes: ErrorSizes
     flange_from_marker: Array
+    repeatability_mm: float
+    robot_from_base: Array = field(default_factory=lambda: np.eye(4))
+
+    @cached_property
+    def constants(self) -> int:
+        """Number of its constants: its errors, the place of its frame, that of its base."""
+        nothing = np.zeros((1, len(self.chain.joints)))
+        errors = unit_errors(self.chain, nothing, np.zeros((1, 3)), self.sizes, nothing)
+        return int(errors.shape[2]) + 2 * POSE
+
+    @property
+    def scatter_mm(self) -> float:
+        """Its scatter at rest, per axis."""
+        identified = self.sizes.identified
+        return max(self.repeatability_mm, 0.0 if identified is None else identified.scatter_mm)
+
+    def errors(self, rest: Rest, place_mm: Array) -> tuple[Array, Array]:
+        """Return the unit errors (6, k) of its pose, and the covariance (6, 6) by sides that are unknown.
+
+        Both are at a place (3,) mm, robot frame.
+        """
+        turn, shift = self.robot_from_base[:3, :3], self.robot_from_base[:3, 3]
+        both = block_diag(turn, turn)
+        points = turn.T @ (place_mm - shift) + np.vstack([np.zeros(3), LEVER_MM * np.eye(3)[:2]])
+        joints = np.tile(np.array(rest.joints_rad), (len(points), 1))
+        sides = np.zeros(len(rest.joints_rad)) if rest.sides is None else np.array(rest.sides, dtype=float)
+        errors = unit_errors(self.chain, joints, points, self.sizes, np.tile(sides, (len(points), 1)))
+        if rest.sides is not None:
+            return both @ _as_pose(errors), np.zeros((POSE, POSE))
+        identified = self.sizes.identified
+        backlash_rad = BACKLASH_RAD if identified is None else identified.backlash_rad
+        swings = displacements(self.chain, joints, points, self.sizes).swings_mm
+        half = both @ _as_pose(FLANK_SHARE * backlash_rad * swings)
+        return both @ _as_pose(errors), half @ half.T
+
+
+@dataclass(frozen=True)
+class RoomModel:
+    """Linear model about where the localization found everything.
+
+    `arms` are named by the frames on them. `robot_from_tracker` (4, 4) is as recorded; `centre_mm` (3,) is
+    the point about which motions are expressed, robot frame; `spheres` is their number.
+    """
+
+    arms: Mapping[Tracked, ArmModel]
     robot_from_tracker: Array
     centre_mm: Array
     spheres: int
-    repeatability_mm: float
 
-    def rows(self, look: Sighting, flange: Array, places: Places) -> Rows:
-        """Return the linear model of one look, with the arm's computed pose ROBOT <- FLANGE (4, 4)."""
+    def rows(self, look: Sighting, flanges: Mapping[Tracked, Array], places: Places) -> Rows:
+        """Return the linear model of one look, with the computed poses ROBOT <- FLANGE (4, 4) of the arms."""
         seen = {Body.SPHERES: self._spheres(look.spheres, places.spheres_mm)}
-        if (arm := look.frames.get(Tracked.ARM)) is not None:
-            seen[Body.BASE] = self._arm(look, arm, flange)
+        for name in self.arms:
+            if (frame := look.frames.get(name)) is not None:
+                seen[BASES[name]] = self._arm(name, look.arms[name], frame, flanges[name])
         if (clamp := look.frames.get(Tracked.CLAMP)) is not None and places.clamp is not None:
             seen[Body.CLAMP] = self._frame(clamp, self.robot_from_tracker @ places.clamp, Body.CLAMP)
         parts, ends = list(seen.values()), np.cumsum([len(one.residual) for one in seen.values()])
@@ -127,15 +172,17 @@ class RoomModel:
             look.head,
         )
 
-    def _arm(self, look: Sighting, seen: SeenFrame, flange: Array) -> _Part:
-        part = self._frame(seen, flange @ self.flange_from_marker, Body.BASE)
-        errors, unknown_sides = self._arm_errors(look, (flange @ self.flange_from_marker)[:3, 3])
+    def _arm(self, name: Tracked, rest: Rest, seen: SeenFrame, flange: Array) -> _Part:
+        arm, body = self.arms[name], BASES[name]
+        marker = flange @ arm.flange_from_marker
+        part = self._frame(seen, marker, body)
+        errors, unknown_sides = arm.errors(rest, marker[:3, 3])
         on_mount = block_diag(flange[:3, :3] * UNKNOWN_MM, flange[:3, :3] * UNKNOWN_RAD)
-        tracker = part.moved[:, _columns(Body.BASE)] * _unknown()
-        identified = self.sizes.identified
-        scatter_mm = max(self.repeatability_mm, 0.0 if identified is None else identified.scatter_mm)
-        noise = part.noise + unknown_sides + np.diag([scatter_mm**2] * 3 + [REPEATABILITY_RAD**2] * 3)
-        shared = np.hstack([errors, on_mount, tracker, np.zeros((POSE, 3 * self.spheres + POSE))])
+        base = part.moved[:, _columns(body)] * _unknown()
+        begin = self._begins[name]
+        shared = np.zeros_like(part.shared)
+        shared[:, begin : begin + arm.constants] = np.hstack([errors, on_mount, base])
+        noise = part.noise + unknown_sides + np.diag([arm.scatter_mm**2] * 3 + [REPEATABILITY_RAD**2] * 3)
         return _Part(part.residual, noise, shared, part.moved, part.pull, part.markers_mm)
 
     def _frame(self, seen: SeenFrame, expected: Array, body: Body) -> _Part:
@@ -173,25 +220,15 @@ class RoomModel:
         )
 
     @cached_property
-    def _constants(self) -> int:
-        """Number of constants: arm's errors, frame on the mount, tracker, spheres, frame on the clamp."""
-        nothing = np.zeros((1, len(self.chain.joints)))
-        arm = unit_errors(self.chain, nothing, np.zeros((1, 3)), self.sizes, nothing).shape[2]
-        return int(arm + 2 * POSE + 3 * self.spheres + POSE)
+    def _begins(self) -> Mapping[Tracked, int]:
+        """First of the constants of each arm; those of the spheres and the frame on the clamp follow."""
+        ends = np.cumsum([arm.constants for arm in self.arms.values()]).tolist()
+        return dict(zip(self.arms, [0, *ends], strict=False))
 
-    def _arm_errors(self, look: Sighting, place_mm: Array) -> tuple[Array, Array]:
-        """Return the unit errors (6, k) of the frame's pose, and its covariance by sides that are unknown."""
-        points = place_mm + np.vstack([np.zeros(3), LEVER_MM * np.eye(3)[:2]])
-        joints = np.tile(np.array(look.joints_rad), (len(points), 1))
-        rests = np.zeros(len(look.joints_rad)) if look.sides is None else np.array(look.sides, dtype=float)
-        errors = unit_errors(self.chain, joints, points, self.sizes, np.tile(rests, (len(points), 1)))
-        if look.sides is not None:
-            return _as_pose(errors), np.zeros((POSE, POSE))
-        identified = self.sizes.identified
-        backlash_rad = BACKLASH_RAD if identified is None else identified.backlash_rad
-        swings = displacements(self.chain, joints, points, self.sizes).swings_mm
-        half = _as_pose(FLANK_SHARE * backlash_rad * swings)
-        return _as_pose(errors), half @ half.T
+    @cached_property
+    def _constants(self) -> int:
+        """Number of constants: of the arms, the spheres, the frame on the clamp."""
+        return sum(arm.constants for arm in self.arms.values()) + 3 * self.spheres + POSE
 
 
 @dataclass(frozen=True)

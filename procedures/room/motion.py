@@ -15,8 +15,17 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
-from procedures.room.estimate import FALSE_ALARM, MOVING, RoomEstimate
-from procedures.room.model import Body, Rows
+from procedures.room.estimate import (
+    AXES,
+    FALSE_ALARM,
+    GUIDE_AT_HEAD,
+    INSTRUMENT_IN_GUIDE,
+    MOVING,
+    Displacement,
+    RoomEstimate,
+)
+from procedures.room.model import BASES, Body, Rows
+from procedures.room.sighting import Tracked
 
 Array = NDArray[np.float64]
 
@@ -31,12 +40,23 @@ class Moved(StrEnum):
     """Body that has moved, as far as the looks tell it."""
 
     BASE = "base"
+    ASSISTANT = "assistant"
     HEAD = "head"
     HEAD_IN_CLAMP = "head in its clamp"
     CLAMP_FRAME = "frame on the clamp"
     TRACKER = "tracker"
     HEAD_OR_TRACKER = "head or tracker"
     SEVERAL = "two of head, cart and tracker"
+
+
+AT_HEAD = {"head": -1.0}  # of the guide against a moved head
+# Motions that displace what is far from the body by more than the body itself, and in which direction.
+TURNING = {
+    Moved.BASE: {"base": 1.0},
+    Moved.ASSISTANT: {"assistant": 1.0},
+    Moved.HEAD: AT_HEAD,
+    Moved.HEAD_OR_TRACKER: AT_HEAD,
+}
 
 
 @dataclass(frozen=True)
@@ -84,11 +104,10 @@ def find_motion(
 
 def _seen_at_points(found: Motion, estimate: RoomEstimate, points_mm: Mapping[str, Array]) -> Motion:
     """Return the motion as it counts: a body that has turned displaces what is far from it by more."""
-    if found.moved not in (Moved.BASE, Moved.HEAD, Moved.HEAD_OR_TRACKER):
+    if found.moved not in TURNING:
         return found
-    body = "base" if found.moved is Moved.BASE else "head"
     for name, point_mm in points_mm.items():
-        way_mm = estimate.displacement(point_mm, found.since, (body,)).way_mm
+        way_mm = estimate.displacement(point_mm, found.since, TURNING[found.moved]).way_mm
         if np.linalg.norm(way_mm) > TURNED_SHARE * found.moved_mm:
             found = replace(found, way_mm=way_mm, at=name)
     return found
@@ -110,13 +129,17 @@ def _find_by_body(known: RoomEstimate, rows: Rows, unpushed: Callable[[], Rows |
         way_mm = _way_mm(values[rows.blocks[shown]], shown)
         return Motion(moved, len(known.looks), chi_squares[shown], limits[shown], way_mm)
 
-    if out == {Body.BASE}:
-        return motion(Moved.BASE)
+    arms = set(BASES.values())
+    if len(out) == 1 and out <= arms:
+        return motion(Moved.BASE if Body.BASE in out else Moved.ASSISTANT)
     pushed = unpushed()
     if pushed is not None and _fits_pushed(known, pushed):
-        return motion(Moved.TRACKER if Body.BASE in out else Moved.HEAD_OR_TRACKER)
+        return motion(Moved.TRACKER if out & arms else Moved.HEAD_OR_TRACKER)
+    if out <= arms:
+        return motion(Moved.BASE)
     if Body.BASE in out:
         return motion(Moved.SEVERAL)
+    out -= arms  # the arm with the guide is in its place: the head counts
     if {Body.SPHERES, Body.CLAMP} <= rows.blocks.keys() and len(out) == 1:
         return motion(Moved.CLAMP_FRAME if Body.CLAMP in out else Moved.HEAD_IN_CLAMP)
     return motion(Moved.HEAD)
@@ -141,28 +164,44 @@ def find_hidden_motion(
     estimate: RoomEstimate, points_mm: Mapping[str, Array], first: int = 1
 ) -> Motion | None:
     """Return a motion before look `first` or later that all looks show together, or None."""
+    moments = len(estimate.looks) - first
+    if moments < 1:
+        return None
+    # It is the largest of so many that is judged: each has its share of the rate (Bonferroni).
+    share = FALSE_ALARM / moments
     found: list[Motion] = []
     chi_squares, freedoms = estimate.explained(first=first)
-    limits = np.where(freedoms > 0, chdtri(np.maximum(freedoms, 1), FALSE_ALARM), np.inf)
-    if len(limits) and (chi_squares > limits).any():
+    limits = np.where(freedoms > 0, chdtri(np.maximum(freedoms, 1), share), np.inf)
+    if (chi_squares > limits).any():
         at = int((chi_squares / limits).argmax())
         since = first + at
         way_mm = estimate.displacement(estimate.model.centre_mm, since).way_mm
         moved = _name(estimate, since)
         found.append(Motion(moved, since, float(chi_squares[at]), float(limits[at]), way_mm))
     for name, point_mm in points_mm.items():
-        largest = estimate.largest(point_mm, first)
-        if largest is not None and largest.is_significant:
-            moved, limit = _name(estimate, largest.since), _limit(len(point_mm), FALSE_ALARM)
+        limit = _limit(AXES, share)
+        for largest in _list_displacements(estimate, point_mm, first, limit):
+            moved = _name(estimate, largest.since)
             found.append(Motion(moved, largest.since, largest.chi_square, limit, largest.way_mm, name))
     return max(found, key=lambda one: one.chi_square / one.limit, default=None)
+
+
+def _list_displacements(
+    estimate: RoomEstimate, point_mm: Array, first: int, limit: float
+) -> list[Displacement]:
+    """List the displacements of guide and instrument at a point whose chi-square exceeds the limit."""
+    questions = [GUIDE_AT_HEAD]
+    if Tracked.ASSISTANT in estimate.model.arms:
+        questions.append(INSTRUMENT_IN_GUIDE)
+    largest = (estimate.largest(point_mm, first, bodies) for bodies in questions)
+    return [one for one in largest if one is not None and one.chi_square > limit]
 
 
 def _name(estimate: RoomEstimate, since: int) -> Moved:
     """Name the one body whose motion explains most."""
     by_body = {
         Moved(name): float(estimate.explained(name, since)[0][0])
-        for name in (Moved.HEAD, Moved.BASE, Moved.TRACKER)
+        for name in (Moved.HEAD, Moved.BASE, Moved.TRACKER, Moved.ASSISTANT)
     }
     best = max(by_body, key=by_body.__getitem__)
     if best is Moved.BASE or by_body[best] - by_body[Moved.BASE] > BETTER:

@@ -31,6 +31,7 @@ class Tracked(StrEnum):
     """Frame that the tracker sees as one body."""
 
     ARM = "arm"  # on the mount of the arm with the guide
+    ASSISTANT = "assistant"  # on the flange of the second arm
     CLAMP = "clamp"  # on the head clamp: the patient's frame
 
 
@@ -58,15 +59,22 @@ class SeenSpheres:
 
 
 @dataclass(frozen=True)
-class Sighting:
-    """One look at the room, with the arm that carries the guide at rest at these joints.
-
-    `sides` tells on which side of its backlash each joint rests, None if unknown. `tracker` and `head` count
-    the pushes of the tracker and the moves of the head that were followed before.
-    """
+class Rest:
+    """Joints of an arm at rest, and on which side of its backlash each of them rests, None if unknown."""
 
     joints_rad: JointVector
-    sides: tuple[int, ...] | None
+    sides: tuple[int, ...] | None = None
+
+
+@dataclass(frozen=True)
+class Sighting:
+    """One look at the room, with the arms at rest.
+
+    `arms` are named by the frames on them. `tracker` and `head` count the pushes of the tracker and the moves
+    of the head that were followed before.
+    """
+
+    arms: Mapping[Tracked, Rest]
     spheres: SeenSpheres = field(default_factory=SeenSpheres)
     frames: Mapping[Tracked, SeenFrame] = field(default_factory=dict)
     tracker: int = 0
@@ -75,8 +83,13 @@ class Sighting:
     def as_plain(self) -> dict[str, Any]:
         """Return plain values for the journal."""
         return {
-            "joints_rad": list(self.joints_rad),
-            "sides": None if self.sides is None else list(self.sides),
+            "arms": {
+                name.value: {
+                    "joints_rad": list(arm.joints_rad),
+                    "sides": None if arm.sides is None else list(arm.sides),
+                }
+                for name, arm in self.arms.items()
+            },
             "spheres": [
                 {"number": number, "place_mm": place, "covariance_mm2": covariance}
                 for number, place, covariance in zip(
@@ -104,8 +117,13 @@ class Sighting:
         """Read a look back from the journal. Raises LookupError, TypeError or ValueError if malformed."""
         spheres = plain["spheres"]
         return cls(
-            joint_vector(float(one) for one in plain["joints_rad"]),
-            None if plain["sides"] is None else tuple(int(one) for one in plain["sides"]),
+            {
+                Tracked(name): Rest(
+                    joint_vector(float(angle) for angle in one["joints_rad"]),
+                    None if one["sides"] is None else tuple(int(side) for side in one["sides"]),
+                )
+                for name, one in plain["arms"].items()
+            },
             SeenSpheres(
                 tuple(int(one["number"]) for one in spheres),
                 _array([one["place_mm"] for one in spheres], (len(spheres), 3)),

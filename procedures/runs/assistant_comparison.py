@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import TypeVar
 
 from procedures.engine.engine import Engine
 from procedures.engine.run_folder import parse_record
 from procedures.guards.errors import InsertionDisturbed
-from procedures.guards.room_reading import CAREFUL_FRAMES
+from procedures.guards.room_watch import RoomWatch
 from procedures.journal.results import StepResult
 from procedures.runs.comparison import Comparison
 from procedures.runs.interrupted_run import InterruptedRun
+from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.global_localization import GlobalLocalization
-from procedures.steps.clinical.two_arms.base_to_base import KnownBases
+from procedures.steps.clinical.localized_room import build_watch, take_in_assistant
+from procedures.steps.clinical.results import KnownBases
 from procedures.steps.clinical.two_arms.seen_on_axis import (
     LOOK_AT_CART,
     NotCompared,
@@ -22,10 +23,7 @@ from procedures.steps.clinical.two_arms.seen_on_axis import (
 )
 from procedures.workcell.arm_history import fold_history
 from procedures.workcell.errors import TipOffAxis
-from procedures.workcell.patient_frame import seen_after
-from procedures.workcell.tracker_look import read_frames_at_rest
 from ronna_hw.config import ASSISTANT
-from ronna_hw.devices.readings import TrackerFrame
 from ronna_hw.records import Record
 
 R = TypeVar("R", bound=StepResult)
@@ -58,34 +56,32 @@ def compare_assistant(engine: Engine, previous: InterruptedRun, comparison: Comp
 
 def look_with_instrument_in_guide(engine: Engine) -> str:
     """Look whether a cart was displaced before the assistant is sent home; as `look_before_retreat`."""
-    return look_before_retreat(engine.setting.workcell, *_bases_and_look(engine))
+    return look_before_retreat(engine.setting.workcell, engine.setting.clock, _watch_with_bases(engine))
 
 
 def _compare_with_frame(engine: Engine, trajectory: str, comparison: Comparison) -> None:
     """Refuse the way out if the tracker sees the assistant beside it; where it sees too little, warn."""
     try:
-        got = require_seen_on_axis(engine.setting.workcell, *_bases_and_look(engine))
+        found = require_seen_on_axis(engine.setting.workcell, engine.setting.clock, _watch_with_bases(engine))
     except InsertionDisturbed as displaced:
         comparison.refuse(str(displaced))
     except NotCompared as unknown:
         comparison.warn(f"{unknown}: {LOOK_AT_CART}")
     else:
-        comparison.note(f"assistant: its frame within {got} across the axis of {trajectory}")
+        comparison.note(f"assistant, on the axis of {trajectory}: the instrument is {found}")
 
 
-def _bases_and_look(engine: Engine) -> tuple[KnownBases | None, Callable[[], list[TrackerFrame]]]:
-    """Return the last bases, if any, and a reading of frames in the tracker frame of its localization."""
+def _watch_with_bases(engine: Engine) -> RoomWatch | None:
+    """Return the watch over the last localization, also if void: it tells how the arms stood then."""
     bases, localized = _find_last(engine, KnownBases), _find_last(engine, GlobalLocalization)
     if bases is None or localized is None:
-        return None, list
-
-    def read() -> list[TrackerFrame]:
-        workcell = engine.setting.workcell
-        move = workcell.tracker_move(localized[0].identifier).move.inverse()
-        frames, _ = read_frames_at_rest(workcell.tracker, engine.setting.clock, count=CAREFUL_FRAMES)
-        return [seen_after(move, one) for one in frames]
-
-    return bases[1], read
+        return None
+    matched = _find_last(engine, Correspondence)
+    workcell, settings = engine.setting.workcell, engine.setting.settings
+    pairs = None if matched is None else matched[1].pairs
+    watch = build_watch(workcell, settings, localized[0].identifier, localized[1], pairs)
+    take_in_assistant(watch, workcell, settings, bases[1])
+    return watch
 
 
 def _find_last(engine: Engine, model: type[R]) -> tuple[Record, R] | None:

@@ -19,14 +19,13 @@ from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
 from procedures.steps.clinical.path_check import CheckedPaths, MotionPreview, motions_over_spheres
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.positioning import PositionedGuide
-from procedures.steps.clinical.results import ConfirmedTarget, Relocalization
+from procedures.steps.clinical.results import ConfirmedTarget, KnownBases, Relocalization
 from procedures.steps.clinical.retreat import Retreated
 from procedures.steps.clinical.surroundings import planning_scene
 from procedures.steps.clinical.tool_change import MountedGuide
 from procedures.steps.clinical.tool_check import APPROACHES, CheckedTool
 from procedures.steps.clinical.two_arms.ball_looks import LOOKS_PER_POSTURE
 from procedures.steps.clinical.two_arms.base_postures import FRAME_LOOKS, POSTURES
-from procedures.steps.clinical.two_arms.base_to_base import KnownBases
 from procedures.strategies.strategy import ONE_SIDE
 from procedures.workcell import MountedTool, Workcell
 from procedures.workcell.assistant import BORE_SPEED_MM_S

@@ -124,6 +124,13 @@ class SupervisedArm(ABC):
         """Whether the arm is at home with each joint having arrived from its usual side."""
         return self.supervised.settled_home and self.place.is_home
 
+    @property
+    def rest_sides(self) -> tuple[int, ...] | None:
+        """Sides of its backlash on which each joint rests at home or on an axis, None if unknown."""
+        if self.settled_home:
+            return ONE_SIDE
+        return None if self.place.axis is None else self.place.axis.arriving
+
     def set_home(self) -> JointVector:
         """Make the present position home, for parking and for detours when a direct path is not clear."""
         home_rad = self._log.home_rad = self.joints_rad()

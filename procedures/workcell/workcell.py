@@ -22,7 +22,7 @@ from procedures.journal.journal import Entry, Journal
 from procedures.operator.question import Topic
 from procedures.planning.tool_records import ToolRecords
 from procedures.room.sighting import Sighting
-from procedures.strategies.strategy import AXIAL_SPEED_FRACTION, ONE_SIDE, Sides, approach_joints
+from procedures.strategies.strategy import AXIAL_SPEED_FRACTION, Sides, approach_joints
 from procedures.workcell.arm_history import (
     UNMOVED,
     ArmHistory,
@@ -261,13 +261,6 @@ class Workcell(SupervisedArm):
     def record_look(self, localization: str, look: Sighting) -> None:
         """Journal a look at the room; it reaches the disk before the next motion. Raises PRO-003."""
         self._log.note(Entry.LOOK, localization=localization, look=look.as_plain())
-
-    @property
-    def rest_sides(self) -> tuple[int, ...] | None:
-        """Sides of its backlash on which each joint rests at home or where a guide is held, if known."""
-        if self.settled_home:
-            return ONE_SIDE
-        return None if self.place.axis is None else self.place.axis.arriving
 
     def record_found_on_axis(self, axis: InsertionAxis) -> None:
         """Journal that the guide was found on an axis, in case the original line was lost."""

@@ -18,7 +18,7 @@ from watched_case import findings, on_the_way, positioned, voiding, watched
 
 from procedures.engine.events import Advisory
 from procedures.guards import head_frames, motion_watch, patient_watch
-from procedures.guards.assistant_frame import SHIFTED_MM
+from procedures.guards.assistant_on_axis import LARGEST_OFF_MM
 from procedures.guards.errors import InsertionDisturbed, PatientMoved
 from procedures.guards.guide_displacement import GuideAtRest
 from procedures.guards.room_watch import RoomWatch
@@ -282,7 +282,7 @@ def test_a_guide_that_is_pushed_stops_the_assistant_on_its_way_through_it(tmp_pa
         eventually(lambda: cell.arm.stops > 0)
     with engine.checkpoint.watching("the way out", MotionKind.WITHDRAW):
         pass
-    pushed.now_mm = 1.1 * SHIFTED_MM
+    pushed.now_mm = 1.1 * LARGEST_OFF_MM
     with (
         pytest.raises(InsertionDisturbed, match="PRO-054: the guide was pushed"),
         engine.checkpoint.watching("the way out", MotionKind.WITHDRAW),

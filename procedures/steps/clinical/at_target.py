@@ -27,14 +27,13 @@ from procedures.steps.branches import HOLD
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.positioning import PositionedGuide
-from procedures.steps.clinical.results import AssistedInsertion
+from procedures.steps.clinical.results import AssistedInsertion, KnownBases
 from procedures.steps.clinical.room import ROOM_READS, check_room, require_head_in_view
 from procedures.steps.clinical.two_arms.assisted_insertion import (
     insert_with_assistant,
     send_assistant_home,
     withdraw_assistant,
 )
-from procedures.steps.clinical.two_arms.base_to_base import KnownBases
 from procedures.steps.clinical.work_progress import (
     STAGES,
     DepthStop,

@@ -9,12 +9,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from procedures.guards.room_watch import LocalizedRoom, RoomWatch
+from procedures.room.model import ArmModel
+from procedures.room.motion import Motion
 from procedures.steps.clinical.global_localization import GlobalLocalization
+from procedures.steps.clinical.results import KnownBases
 from procedures.workcell import Workcell
 from procedures.workcell.tracker_look import flange_from_marker
+from ronna_hw.arm.catalogue import repeatability_mm
 from ronna_hw.calibrated_arm.error_budget import ErrorSizes
 from ronna_hw.config import ProcedureSettings
 from ronna_hw.frames import Transform
+from ronna_hw.vectors import JointVector
 
 Array = NDArray[np.float64]
 
@@ -48,16 +53,37 @@ def build_watch(
         None if on_clamp is None or markers_mm is None else on_clamp.transform,
         markers_mm,
     )
-    watch = room.watch(
-        name,
-        workcell.arm.kinematics,
+    arm = ArmModel(
+        workcell.arm.kinematics.chain,
         ErrorSizes.stated(settings, workcell.calibrations.arm),
-        flange_from_marker(workcell),
-        workcell.calibrated.flange_pose,
+        flange_from_marker(workcell).as_matrix(),
+        repeatability_mm(workcell.arm.kinematics.name),
     )
+    watch = room.watch(name, arm, workcell.calibrated.flange_pose)
     watch.points_mm = points_mm or {}
     watch.tracker = workcell.tracker_move(name)
     watch.tracker_moved = partial(workcell.record_tracker_move, name)
     watch.keep = partial(workcell.record_look, name)
     watch.restore(workcell.looks(name), *followed)
     return watch
+
+
+def take_in_assistant(
+    watch: RoomWatch, workcell: Workcell, settings: ProcedureSettings, known: KnownBases
+) -> Motion | None:
+    """Take the assistant into a watch; return the motion that the looks show with it, or None."""
+    assistant, base = workcell.assistant, known.robot_from_base.transform
+    assert assistant is not None
+    kinematics = assistant.arm.kinematics
+    arm = ArmModel(
+        kinematics.chain,
+        ErrorSizes.stated(settings, workcell.calibrations.assistant_arm),
+        known.flange_from_frame.transform.as_matrix(),
+        repeatability_mm(kinematics.name),
+        base.as_matrix(),
+    )
+
+    def flange_pose(joints_rad: JointVector, sides: Sequence[int] | None) -> Transform:
+        return base @ assistant.flange_pose(joints_rad, sides)
+
+    return watch.take_in_assistant(known, arm, flange_pose, known.first_look)

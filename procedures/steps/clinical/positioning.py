@@ -30,7 +30,6 @@ from procedures.steps.clinical.surroundings import READS, surround_guide
 from procedures.steps.clinical.tool_change import MountedGuide
 from procedures.steps.clinical.tool_check import CheckedTool
 from procedures.steps.clinical.tool_mounting import require_seen_in_place
-from procedures.steps.clinical.two_arms.base_to_base import require_platforms_unmoved
 from procedures.steps.clinical.unnoticed import look_at_target
 from procedures.steps.conditions import needs_tool
 from procedures.steps.errors import ToolSeenElsewhere
@@ -90,7 +89,6 @@ def run(context: StepContext) -> Outcome[PositionedGuide]:
         workcell.start()
         workcell.return_home()
     require_unmoved(context, f"before {trajectory}")
-    require_platforms_unmoved(context)
     workcell.start()
     with require_head_in_view(context):
         context.progress(0.0, f"moving over {trajectory}")

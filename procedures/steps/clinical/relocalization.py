@@ -21,6 +21,7 @@ from procedures.engine.order import Outcome, Phase, Scope, StepSpec
 from procedures.guards.room_reading import CAREFUL_FRAMES
 from procedures.journal.errors import GateFailed
 from procedures.relocalization.triangulation import check_head
+from procedures.room.sighting import Tracked
 from procedures.steps.branches import FEWEST_SPHERES, LEAVE_OUT, SPHERE_FAILED
 from procedures.steps.clinical.guide_load import note_unloaded
 from procedures.steps.clinical.path_check import CheckedPaths, announce_motions, motions_over_spheres
@@ -74,7 +75,7 @@ def _localize_spheres(context: StepContext, paths: CheckedPaths) -> Outcome[Relo
     sides = arriving(context, paths)
 
     def look(fiducial: int) -> None:  # in the very pose: the local errors of the arm show in it
-        check_room(context, f"over sphere {fiducial + 1}", sides=sides)
+        check_room(context, f"over sphere {fiducial + 1}", sides={Tracked.ARM: sides})
         note_unloaded(context)
 
     centring = Centring(

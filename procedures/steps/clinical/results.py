@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, NonNegativeFloat, NonNegativeInt, model_validator
 
+from procedures.calibration.base_to_base import meeting_error_mm
 from procedures.engine.context import StepContext
 from procedures.guards.stability import SeenUnchanged, Subject
 from procedures.journal.results import FramedPose, Matrix3, Numbers6, StepResult, Values
@@ -215,9 +216,12 @@ class AssistedInsertion(Values):
     off_axis_mm: NonNegativeFloat = Field(description="Over the guide, from its axis, by the joints of both.")
     off_axis_rad: NonNegativeFloat = Field(description="Angle to that axis.")
     seen_apart_mm: NonNegativeFloat | None = Field(
-        description="Over the guide, between tracker and joints; none if a frame was hidden."
+        description="Over the guide, beside the bore by the tracker; none if a frame was hidden."
     )
-    seen_apart_rad: NonNegativeFloat | None = Field(description="Angle between these.")
+    seen_within_mm: NonNegativeFloat | None = Field(default=None, description="95 % bound on that.")
+    seen_apart_rad: NonNegativeFloat | None = Field(
+        default=None, description="In earlier versions: angle between tracker and joints."
+    )
     peak_force_N: NonNegativeFloat | None = Field(
         description="Largest change of the force on the way in; none if the arm senses none."
     )
@@ -225,6 +229,42 @@ class AssistedInsertion(Values):
         default=None, description="Change of the force that stops the way in; none if the arm senses none."
     )
     gap_mm: NonNegativeFloat = Field(description="Between depth stop and guide, as read.")
+
+
+class KnownBases(StepResult, kind="base_to_base"):
+    """Pose of the assistant's base relative to the master's, with its uncertainty."""
+
+    robot_from_base: FramedPose = Field(description="Pose robot <- base of the assistant.")
+    robot_from_tracker: FramedPose = Field(description="Pose robot <- tracker, by the master's turned frame.")
+    flange_from_master_frame: FramedPose = Field(description="Pose flange <- frame of the master, as found.")
+    flange_from_frame: FramedPose = Field(description="Pose flange <- frame of the assistant, as found.")
+    by_frames_mm: float = Field(description="Standard error by the tracker alone, 3-D, where the ball was.")
+    error_mm: float = Field(
+        description="Standard error, 3-D, with which head and ball meet there on average."
+    )
+    apart_mm: float = Field(description="How far tracker and stereo head disagree there.")
+    scatter_mm: float = Field(description="Of the looks at the ball, per axis.")
+    frame_looks: tuple[int, int] = Field(description="Looks at the frames of master and assistant.")
+    ball_looks: int = Field(description="Looks at the ball.")
+    outliers: int = Field(description="Of these, those left out.")
+    master_errors: tuple[float, ...] = Field(description="Of the master, as found; see `FoundArm`.")
+    assistant_errors: tuple[float, ...] = Field(description="The same of the assistant.")
+    assistant_rad: Numbers6 = Field(description="Posture of the assistant in the last look.")
+    region_mm: Numbers3 = Field(description="Middle of the looks at the ball, robot frame.")
+    first_look: NonNegativeInt = Field(
+        default=0, description="Number of the look at the room with which this began."
+    )
+    master_seen_mm: tuple[Numbers3, ...] = Field(
+        default=(), description="In earlier versions: frame on the arm and spheres, both arms home."
+    )
+    assistant_seen_mm: Numbers3 | None = Field(
+        default=None, description="In earlier versions: frame of the assistant at home, tracker frame."
+    )
+
+    @property
+    def meeting_mm(self) -> float:
+        """3-D standard error with which head and ball meet once, in a new posture."""
+        return meeting_error_mm(self.error_mm, self.scatter_mm)
 
 
 class ConfirmedTarget(StepResult, kind="confirmation"):

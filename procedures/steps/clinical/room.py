@@ -14,17 +14,19 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from procedures.calibration.errors import PlatformMoved
 from procedures.engine.context import StepContext
 from procedures.guards.errors import BaseShifted, PatientMoved, PatientUnseen
-from procedures.guards.room_reading import CAREFUL_FRAMES, FRAMES
+from procedures.guards.room_reading import AS_KNOWN, CAREFUL_FRAMES, FRAMES, ArrivedSides
 from procedures.guards.room_watch import Approach, RoomLook, RoomWatch, check_now
 from procedures.registration.movement import LEAST_POINTS
+from procedures.room.sighting import Tracked
 from procedures.steps.clinical.cart_lock import LockedCart
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.global_localization import GlobalLocalization
-from procedures.steps.clinical.localized_room import build_watch
+from procedures.steps.clinical.localized_room import build_watch, take_in_assistant
 from procedures.steps.clinical.plan_check import CheckedPlan
-from procedures.steps.clinical.results import ConfirmedTarget, RegisteredRobot
+from procedures.steps.clinical.results import ConfirmedTarget, KnownBases, RegisteredRobot
 from procedures.workcell import MountedTool
 from procedures.workcell.tracker_look import read_frames_at_rest
 from ronna_hw.arm.clearance.bodies import Surroundings
@@ -45,13 +47,13 @@ ROOM_READS = (
 
 
 def check_room(
-    context: StepContext, occasion: str, frames: int = FRAMES, sides: Sequence[int] | None = None
+    context: StepContext, occasion: str, frames: int = FRAMES, sides: ArrivedSides = AS_KNOWN
 ) -> RoomLook:
     """Hold a tracker reading, taken at rest, against all looks since the localization.
 
     `sides` are those of its backlash on which each joint rests, by default as the workcell knows. Raises
-    PRO-019, PRO-020, PRO-022, PRO-051 and PRO-052; a move voids the localization, or the registrations that
-    may follow it, and everything computed from them.
+    PRO-019, PRO-020, PRO-022, PRO-051, PRO-052, PRO-054 and CAL-023; a move voids the localization, or the
+    registrations that may follow it, and everything computed from them.
     """
     setting, void = context.setting, partial(void_moved, context)
     look = check_now(
@@ -77,6 +79,11 @@ def require_unmoved(context: StepContext, occasion: str) -> None:
         raise PatientUnseen(
             f"{occasion}, the tracker does not see the frame on the arm: the cart may have moved",
             expected="the frame on the arm in view, with the arm home",
+        )
+    if context.workcell.assistant is not None and Tracked.ASSISTANT not in look.reading.frames:
+        raise PatientUnseen(
+            f"{occasion}, the tracker does not see the frame on the assistant: its cart may have moved",
+            expected="the frame on the assistant in view, with both arms home",
         )
 
 
@@ -117,7 +124,7 @@ def build_expected_sight(context: StepContext, surroundings: Surroundings) -> Ex
     """Build the expected view of the localized spheres, and pass it to the room watch."""
     watch = room_watch(context)
     expected = ExpectedSight(context, watch, surroundings)
-    watch.approach = Approach(expected.hidden_now)
+    watch.approach = Approach(expected.hidden_now, context.key.trajectory)
     return expected
 
 
@@ -160,6 +167,9 @@ def room_watch(context: StepContext) -> RoomWatch:
             followed,
         )
         context.setting.memory.keep(watch)
+    bases = context.latest(KnownBases)
+    if bases is not None and bases != watch.bases:
+        take_in_assistant(watch, context.workcell, context.setting.settings, bases)
     watch.follow(*followed)
     return watch
 
@@ -233,6 +243,8 @@ def void_moved(context: StepContext, moved: RonnaError) -> None:
         context.void(GlobalLocalization, moved)
     if isinstance(moved, BaseShifted):
         _shift_room(context, moved)
+    elif isinstance(moved, PlatformMoved) and moved.way_mm is not None:
+        context.workcell.follow_assistant(moved.way_mm)
 
 
 def _shift_room(context: StepContext, moved: BaseShifted) -> None:

@@ -21,7 +21,7 @@ from procedures.guards.room_watch import RoomLook, RoomWatch
 from procedures.guards.stability import GUIDE_UNNOTICED_MM, Subject
 from procedures.planning.tracker_sight import explain_hidden_frame
 from procedures.room.estimate import RoomEstimate
-from procedures.room.sighting import SeenSpheres, Sighting, Tracked, expect_frame, expect_spheres
+from procedures.room.sighting import Rest, SeenSpheres, Sighting, Tracked, expect_frame, expect_spheres
 from procedures.steps.clinical.guide_load import require_unloaded
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.results import RegisteredRobot
@@ -62,7 +62,7 @@ def expect_unnoticed(
     spheres = expect_spheres(watch.spheres_mm, CAREFUL_FRAMES)
     estimate = watch.with_look(_expect_look(context, watch, workcell.home_rad, ONE_SIDE, spheres))
     at_home = len(estimate.looks) - 1
-    head = estimate.displacement(tip_mm, at_home, ("head",))
+    head = estimate.displacement(tip_mm, at_home, {"head": -1.0})
     here = watch.robot_from_tracker @ watch.tracker.move.inverse()
     marker = robot_from_marker(workcell, joints_rad, sides)
     if not explain_hidden_frame(here, marker, workcell.arm.kinematics, joints_rad):
@@ -80,10 +80,10 @@ def _base_unnoticed_mm2(
     A cart that has moved stays so, and both see it; a hand on the guide is seen at the target alone, but does
     not displace it far. The larger of the two counts.
     """
-    moved = estimate.displacement(tip_mm, at_home, ("base",)).covariance_mm2
+    moved = estimate.displacement(tip_mm, at_home, {"base": 1.0}).covariance_mm2
     held = held_mm**2 * np.eye(3)
     if at_target < len(estimate.looks):
-        held = estimate.displacement(tip_mm, at_target, ("base",), (HELD_RAD, held_mm)).covariance_mm2
+        held = estimate.displacement(tip_mm, at_target, {"base": 1.0}, (HELD_RAD, held_mm)).covariance_mm2
     return max(moved, held, key=lambda part: float(np.trace(part)))
 
 
@@ -146,4 +146,10 @@ def _expect_look(
     markers_mm = workcell.tracker.markers_mm[workcell.calibrations.tracker_frame.tool]
     frame = expect_frame(on_arm[:3, 3], on_arm[:3, :3], markers_mm, CAREFUL_FRAMES)
     rests = None if sides is None else tuple(sides)
-    return Sighting(joints_rad, rests, spheres, {Tracked.ARM: frame}, watch.tracker.pushes, watch.epoch)
+    return Sighting(
+        {Tracked.ARM: Rest(joints_rad, rests)},
+        spheres,
+        {Tracked.ARM: frame},
+        watch.tracker.pushes,
+        watch.epoch,
+    )

@@ -13,7 +13,9 @@ from room_looks import room_reading_of, seen_frame
 
 from procedures.guards.room_reading import RoomReading
 from procedures.guards.room_watch import LocalizedRoom, RoomWatch
+from procedures.room.model import ArmModel
 from procedures.strategies.strategy import ONE_SIDE
+from ronna_hw.arm.catalogue import repeatability_mm
 from ronna_hw.arm.kr6_r900 import ArmVariant, kr6_r900
 from ronna_hw.calibrated_arm.error_budget import ErrorSizes
 from ronna_hw.frames import Frame, Transform
@@ -71,9 +73,9 @@ class ClampedCase:
         room = LocalizedRoom(
             pose, spheres, HOME_RAD, self._on_arm_mm, LOCALIZED_FRAMES, on_clamp, self._on_clamp_mm
         )
-        self.watch = room.watch(
-            "trial", KR6, ErrorSizes(), HOME.inverse() @ on_arm, lambda _joints, _sides: HOME
-        )
+        mount = (HOME.inverse() @ on_arm).as_matrix()
+        arm = ArmModel(KR6.chain, ErrorSizes(), mount, repeatability_mm(KR6.name))
+        self.watch = room.watch("trial", arm, lambda _joints, _sides: HOME)
         self.watch.points_mm = {"T1": apply(robot_from_ct, [scene.head.targets[0].target_ct_mm])[0]}
         for _ in range(3):  # as a case looks, settled home, before anything happens
             assert self.watch.compare(self.read(LOCALIZED_FRAMES)).in_place

@@ -18,9 +18,11 @@ from room_looks import room_reading_of, seen_frame
 from benchmarks.stereo_head.head_looks import ENDPOINTS
 from procedures.guards.room_reading import FRAMES, RoomReading
 from procedures.guards.room_watch import LocalizedRoom, RoomWatch
+from procedures.room.model import ArmModel
 from procedures.strategies.catalogue import find_strategy
 from procedures.strategies.strategy import ArmInBranch
 from procedures.strategies.trajectory import Trajectory, back_along_axis, target_pose
+from ronna_hw.arm.catalogue import repeatability_mm
 from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.arm.pose import Pose
 from ronna_hw.calibrated_arm.error_budget import ErrorSizes
@@ -129,7 +131,9 @@ class TrackedCase:
         robot_from_tracker = self.frame_by_arm(flange) @ frame.inverse()
         room = LocalizedRoom(robot_from_tracker, spheres, self.home_rad, self.body_mm, GLOBAL_FRAMES)
         mount = flange.inverse() @ self.frame_by_arm(flange)
-        watch = room.watch("trial", self.kinematics, ErrorSizes(), mount, self._flange_pose)
+        repeatable_mm = repeatability_mm(self.kinematics.name)
+        arm = ArmModel(self.kinematics.chain, ErrorSizes(), mount.as_matrix(), repeatable_mm)
+        watch = room.watch("trial", arm, self._flange_pose)
         robot_from_ct = matrix_of(self.scene.head.robot_from_ct)
         watch.points_mm = {
             one.identifier: apply(robot_from_ct, [one.target_ct_mm])[0] for one in self.scene.head.targets

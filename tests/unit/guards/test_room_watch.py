@@ -98,13 +98,13 @@ def test_a_cart_that_turns_about_the_frame_on_the_arm_is_seen_by_the_lever_to_th
 def test_a_local_error_of_the_arm_is_known_from_the_looks_at_the_spheres(room: Room) -> None:
     assert room.look(room.first.at).in_place
     base = room.watch.estimate.displacement(
-        room.watch.points_mm[room.first.target], len(room.watch.estimate.looks) - 1, ("base",)
+        room.watch.points_mm[room.first.target], len(room.watch.estimate.looks) - 1, {"base": 1.0}
     )
     assert np.sqrt(np.trace(base.covariance_mm2)) < 0.3  # the arm is off by half a millimetre there
     unknown = room.case.begin()
     assert room.look(watch=unknown).in_place
     assert room.look(room.first.at, watch=unknown).in_place
-    far = unknown.estimate.displacement(unknown.points_mm[room.first.target], 2, ("base",))
+    far = unknown.estimate.displacement(unknown.points_mm[room.first.target], 2, {"base": 1.0})
     assert np.trace(far.covariance_mm2) > 4.0 * np.trace(base.covariance_mm2)
 
 

@@ -48,10 +48,9 @@ from procedures.steps.calibration.tip_readings import ObservedStand, TipReadings
 from procedures.steps.catalogue import clinical_steps, list_questions
 from procedures.steps.clinical.at_target import ReachedTarget
 from procedures.steps.clinical.positioning import PositionedGuide
-from procedures.steps.clinical.results import ConfirmedTarget
+from procedures.steps.clinical.results import ConfirmedTarget, KnownBases
 from procedures.steps.clinical.retreat import Retreated
 from procedures.steps.clinical.target_measurement import MeasuredTarget
-from procedures.steps.clinical.two_arms.base_to_base import KnownBases
 from procedures.steps.clinical.work_progress import DepthStop
 from procedures.workcell import MountedTool
 from ronna_hw.calibration import PoseRecord
@@ -187,8 +186,7 @@ def examples(cell: ClinicalCell) -> list[StepResult]:
             assistant_errors=(1 / 3, 0.0),
             assistant_rad=HOME_RAD,
             region_mm=(750.0, 0.0, 480.0),
-            master_seen_mm=((1.0, 2.0, 3.0),),
-            assistant_seen_mm=(0.0, 0.0, 1 / 3),
+            first_look=3,
         ),
         Retreated(joints_rad=HOME_RAD, link=LINK),
         ConfirmedTarget(

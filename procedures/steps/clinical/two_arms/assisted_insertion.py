@@ -12,18 +12,17 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from procedures.calibration.errors import PlatformMoved
 from procedures.engine.context import StepContext
-from procedures.guards.assistant_frame import AssistantFrame
-from procedures.guards.room_reading import CAREFUL_FRAMES
+from procedures.guards.assistant_on_axis import LARGEST_OFF_MM, BesideBore, beside_bore
+from procedures.guards.errors import PatientUnseen
+from procedures.guards.room_reading import AS_KNOWN, CAREFUL_FRAMES, ArrivedSides, RoomReading
 from procedures.journal.errors import GateFailed
 from procedures.operator.question import YES, Task, Topic
 from procedures.planning.errors import NotReachable
+from procedures.room.sighting import Tracked
 from procedures.steps.branches import KEPT_BASES
-from procedures.steps.clinical.global_localization import GlobalLocalization
-from procedures.steps.clinical.results import AssistedInsertion
-from procedures.steps.clinical.room import read_localized
-from procedures.steps.clinical.two_arms.base_to_base import KnownBases
+from procedures.steps.clinical.results import AssistedInsertion, KnownBases
+from procedures.steps.clinical.room import check_room, read_localized, room_watch
 from procedures.steps.clinical.two_arms.insertion_axis import (
     ABOVE_GUIDE_MM,
     Meeting,
@@ -31,19 +30,12 @@ from procedures.steps.clinical.two_arms.insertion_axis import (
     registered_here,
     surround_at_guide,
 )
-from procedures.steps.clinical.two_arms.seen_on_axis import (
-    SEEN_APART_RAD,
-    compare_frames,
-    has_stayed,
-    look_before_retreat,
-)
+from procedures.steps.clinical.two_arms.seen_on_axis import look_before_retreat
 from procedures.steps.clinical.work_progress import DepthStop
 from procedures.workcell import InsertionAxis
 from procedures.workcell.arm_history import HeldInstrument
 from procedures.workcell.assistant import BORE_SPEED_MM_S, Assistant, GuidedStretch
-from procedures.workcell.tracker_look import FrameHidden, mean_pose, see_both_arms
 from ronna_hw.devices.contact import INSERTION_SPEED_MM_S
-from ronna_hw.frames import Transform
 from ronna_hw.text import format_against_limit
 from ronna_hw.vectors import joint_vector
 from ronna_hw.wire.room_tasks import HOLDER, SEATED
@@ -51,22 +43,18 @@ from ronna_hw.wire.room_tasks import HOLDER, SEATED
 Array = NDArray[np.float64]
 
 COAXIAL_MM, COAXIAL_RAD = 0.2, math.radians(0.2)
-# Between the frames of both arms, by the tracker and by the joints: three standard errors of the bases by the
-# tracker alone (0.3 mm) and of its angles. Coarse, but of another kind than the joints.
-SEEN_APART_MM = 1.0
 MOUTH_MM = 10.0  # of the bore, which the tip finds slowly
 OFF_SKIN_MM = 10.0  # of the tip, where it goes on slowly: edges of the incision stand above the entry
 LARGEST_GAP_MM = 0.1  # between stop and guide: the scale is read to half of it
-# Of the assistant's frame at home, between two looks: three standard errors with the repeatability of an arm
-# and the tracker's drift. Less than the instrument has play before it presses on the guide.
-STOOD_MM = 0.5
-STOOD_FRAMES = CAREFUL_FRAMES // 2  # their mean jitters by hundredths of a millimetre
 LOADING_STEP_RAD = math.radians(30.0)
 NEAR_BORE_MM = 60.0  # parts of the guide with an end this close to its axis may come close to the holder
 
 
 def insert_with_assistant(context: StepContext, stop: DepthStop) -> AssistedInsertion:
-    """Have the assistant insert the instrument. Raises PRO-002, PRO-007, PLAN-007, DUAL-001."""
+    """Have the assistant insert the instrument.
+
+    Raises PRO-002, PRO-007, PLAN-007, DUAL-001 and, for a cart that was moved, as `check_room`.
+    """
     workcell, assistant, trajectory = context.workcell, context.workcell.assistant, context.trajectory
     assert assistant is not None
     if assistant.place.is_on_axis:  # halted on its way earlier
@@ -79,10 +67,10 @@ def insert_with_assistant(context: StepContext, stop: DepthStop) -> AssistedInse
         surround_at_guide(context, assistant.joints_rad(), registered_here(context))
         workcell.start()
         assistant.return_home()
-    stood = _has_stood(context, assistant, known)
+    stood = assistant.place.is_home and _is_seen(_look_at_assistant(context, f"before {trajectory}"))
     surround_at_guide(context, assistant.joints_rad(), registered_here(context))
     _present_holder(context, assistant, stop.read_mm)
-    presented = _see_standing(context, assistant)
+    stood &= _is_seen(_look_at_assistant(context, f"with the holder empty, before {trajectory}"))
     workcell.hold_instrument(HeldInstrument(trajectory, stop.read_mm, _parts_at_bore(context)))
     load = (
         f"put the instrument for {trajectory} into the assistant's holder, its depth stop against the clamp, "
@@ -104,13 +92,13 @@ def insert_with_assistant(context: StepContext, stop: DepthStop) -> AssistedInse
         trajectory,
         covers=f"{axis.travel_mm:.0f} mm along the bore, which the distances below leave out",
     )
-    stood = _stands_as_presented(context, assistant, known, presented) and stood
+    stood &= _is_seen(_look_at_assistant(context, f"with the holder loaded, before {trajectory}"))
     context.progress(0.7, f"the assistant moves over the guide at {trajectory}")
     for joints_rad in via_rad:
         assistant.go(joints_rad)
     assistant.settle(start_rad, axis.arriving)
     off_axis = _require_coaxial(context, assistant, axis, known)
-    seen_apart = _require_seen_coaxial(context, assistant, axis, known, stood=stood)
+    seen = _require_seen_coaxial(context, axis, stood=stood)
     workcell.instrument.record_insertion(trajectory)
     context.progress(0.75, f"the assistant leads the instrument into the guide at {trajectory}")
     assistant.insert(assistant.axis_in_base(axis), _guided_stretch(context, stop))
@@ -130,12 +118,11 @@ def insert_with_assistant(context: StepContext, stop: DepthStop) -> AssistedInse
             action="Nothing moves. Repeat the step: the assistant retreats once that is confirmed.",
         )
     off_axis_mm, off_axis_rad = off_axis
-    seen_apart_mm, seen_apart_rad = seen_apart
     return AssistedInsertion(
         off_axis_mm=off_axis_mm,
         off_axis_rad=off_axis_rad,
-        seen_apart_mm=seen_apart_mm,
-        seen_apart_rad=seen_apart_rad,
+        seen_apart_mm=None if seen is None else seen.seen_mm,
+        seen_within_mm=None if seen is None else seen.uncertain_mm,
         peak_force_N=None if assistant.inserted is None else assistant.inserted.peak_force_N,
         force_limit_N=workcell.insertion_limit_N,
         gap_mm=max(0.0, gap_mm),
@@ -143,17 +130,8 @@ def insert_with_assistant(context: StepContext, stop: DepthStop) -> AssistedInse
 
 
 def _look_before_retreat(context: StepContext) -> str:
-    """Look whether a cart was displaced; returns as `look_before_retreat`. Raises PRO-054.
-
-    Since the look over the guide, if there was one: what the tracker errs is then in both looks.
-    """
-    watched = context.setting.memory.find(AssistantFrame)
-    if watched is not None and watched.is_referenced:
-        localized = context.result(GlobalLocalization).robot_from_tracker.transform
-        if has_stayed(watched, lambda: read_localized(context), localized, context.trajectory):
-            return ""
-    known = context.result_among(KnownBases, lambda made: made[-1] if made else None)
-    return look_before_retreat(context.workcell, known, lambda: read_localized(context))
+    """Look whether a cart was displaced; returns as `look_before_retreat`. Raises PRO-054."""
+    return look_before_retreat(context.workcell, context.setting.clock, room_watch(context))
 
 
 def _present_holder(context: StepContext, assistant: Assistant, tip_mm: float) -> None:
@@ -173,6 +151,10 @@ def _present_holder(context: StepContext, assistant: Assistant, tip_mm: float) -
         workcell.start()
         context.progress(0.68, "the assistant turns its clamp to where the instrument is put in")
         assistant.settle(loading_rad)
+
+
+def _is_seen(reading: RoomReading) -> bool:
+    return Tracked.ASSISTANT in reading.frames
 
 
 def _require_bases(context: StepContext) -> KnownBases:
@@ -242,99 +224,45 @@ def _require_coaxial(
     return off_mm, turned_rad
 
 
-def _has_stood(context: StepContext, assistant: Assistant, known: KnownBases) -> bool:
-    """Return whether the tracker sees the assistant, at home, where it stood when the bases were measured.
-
-    Raises CAL-023 if it sees it elsewhere.
-    """
-    if not assistant.place.is_home:
-        return False
-    frame = _see_standing(context, assistant)
-    if frame is None:
-        return False
-    _require_stood(context, known, frame.translation_mm - np.asarray(known.assistant_seen_mm))
-    return True
-
-
-def _stands_as_presented(
-    context: StepContext, assistant: Assistant, known: KnownBases, before: Transform | None
-) -> bool:
-    """Return whether the tracker sees the assistant, loaded, where it presented its holder.
-
-    Hands have been at the holder since. Raises CAL-023 if it sees it elsewhere.
-    """
-    now = _see_standing(context, assistant)
-    if before is None or now is None:
-        return False
-    _require_stood(context, known, now.translation_mm - before.translation_mm)
-    return True
-
-
-def _require_stood(context: StepContext, known: KnownBases, shift_mm: Array) -> None:
-    """Raise CAL-023 if the assistant's frame is seen a shift (3,), tracker frame, from where it stood."""
-    moved_mm = float(np.linalg.norm(shift_mm))
-    if moved_mm <= STOOD_MM:
-        return
-    moved = PlatformMoved(
-        f"before the insertion at {context.trajectory}: the assistant's cart has moved",
-        limit=f"{STOOD_MM:g} mm",
-        got=f"{format_against_limit(moved_mm, STOOD_MM, 2)} mm",
-    )
-    context.void(GlobalLocalization, moved)  # else a repeated step would end here again
-    context.workcell.follow_assistant(known.robot_from_tracker.transform.rotation_matrix @ shift_mm)
-    raise moved
-
-
-def _see_standing(context: StepContext, assistant: Assistant) -> Transform | None:
-    """Return the mean pose of the assistant's frame, in the tracker frame of the localization, if seen."""
-    return mean_pose(read_localized(context, STOOD_FRAMES), assistant.holder.frame, STOOD_FRAMES // 2)
-
-
-def _require_seen_coaxial(
-    context: StepContext, assistant: Assistant, axis: InsertionAxis, known: KnownBases, *, stood: bool
-) -> tuple[float, float] | tuple[None, None]:
-    """Return how far (mm, rad) tracker and joints differ about the arms' frames. Raises PRO-007.
-
-    Where it does not see both, the joints alone count, provided that the assistant's cart has `stood`.
-    """
-    workcell = context.workcell
+def _look_at_assistant(context: StepContext, occasion: str, sides: ArrivedSides = AS_KNOWN) -> RoomReading:
+    """Look at the room with the assistant out; raises as `check_room`. A hidden head is for the guards."""
     try:
-        on_master, on_assistant = see_both_arms(workcell, read_localized(context))
-    except FrameHidden as hidden:
-        if not stood:
-            raise GateFailed(
-                f"over {context.trajectory} the tracker does not see {hidden}, nor did it see the assistant "
-                "before it left: nothing shows that its cart has stood still",
-                action="Send the arms home, clear the line of sight, and go to the target again.",
-            ) from hidden
+        return check_room(context, occasion, CAREFUL_FRAMES, sides).reading
+    except PatientUnseen:
+        watch = room_watch(context)
+        return watch.read(context.workcell, read_localized(context), sides)
+
+
+def _require_seen_coaxial(context: StepContext, axis: InsertionAxis, *, stood: bool) -> BesideBore | None:
+    """Return how far the instrument may be beside the bore, by the tracker. Raises CAL-023 and PRO-007.
+
+    Where it does not see both arms, the joints alone count, provided that the assistant's cart has `stood`.
+    """
+    sides = {} if axis.arriving is None else {Tracked.ASSISTANT: axis.arriving}
+    reading = _look_at_assistant(context, f"over {context.trajectory}", sides)
+    found = beside_bore(context.workcell, room_watch(context), reading)
+    if found is None and not stood:
+        raise GateFailed(
+            f"over {context.trajectory} the tracker does not see the frames of both arms, nor did it see the "
+            "assistant before it left: nothing shows that its cart has stood still",
+            action="Send the arms home, clear the line of sight, and go to the target again.",
+        )
+    if found is None:
         context.find(
-            f"over {context.trajectory} the tracker does not see {hidden}: the joints alone count; "
-            "before it left, the assistant was seen where it stood"
+            f"over {context.trajectory} the tracker does not see the frames of both arms: the joints alone "
+            "count; before it left, the assistant was seen where it stood"
         )
-        context.setting.memory.drop(AssistantFrame)
-        return None, None
-    apart = compare_frames(workcell, assistant, known, axis.arriving, on_master, on_assistant)
-    apart_mm, turned_rad = float(np.linalg.norm(apart.way_mm)), apart.turned_rad
-    try:
-        _require_within(
-            (apart_mm, turned_rad),
-            (SEEN_APART_MM, SEEN_APART_RAD),
-            f"over {context.trajectory} the tracker sees the assistant elsewhere than its joints have it",
-            "Look for a cart that has moved or a frame that is loose. Send the arms home, with "
-            "the pendant where a way is refused, then localize again.",
+        return None
+    context.find(f"over {context.trajectory}, by the tracker: the instrument is {found}")
+    if not found.is_within:
+        raise GateFailed(
+            f"over {context.trajectory} the instrument may be further beside the bore than it gives way",
+            limit=f"{LARGEST_OFF_MM:g} mm",
+            got=f"{format_against_limit(found.largest_mm, LARGEST_OFF_MM, 2)} mm",
+            action="Nothing is led into the guide. Clear the tracker's line of sight to the frames of both "
+            "arms and repeat the step; if it comes again, send the arms home and localize again.",
         )
-    except GateFailed as elsewhere:
-        context.void(GlobalLocalization, elsewhere)
-        workcell.follow_assistant(apart.way_mm)
-        raise
-    watched = AssistantFrame(assistant)
-    watched.begin_at(on_assistant, context.result(GlobalLocalization).robot_from_tracker.transform)
-    context.setting.memory.keep(watched)
-    context.find(
-        f"over {context.trajectory} tracker and joints agree about the assistant within {apart_mm:.2f} mm "
-        f"and {math.degrees(turned_rad):.2f} deg"
-    )
-    return apart_mm, turned_rad
+    return found
 
 
 def _require_within(found: tuple[float, float], limit: tuple[float, float], what: str, action: str) -> None:

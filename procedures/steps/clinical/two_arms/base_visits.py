@@ -16,13 +16,15 @@ from scipy.spatial.transform import RigidTransform
 
 from procedures.calibration.arm_errors import StatedArm
 from procedures.engine.context import StepContext
+from procedures.guards.errors import PatientUnseen
 from procedures.planning.guide import depth_stop_mm
 from procedures.planning.tracker_sight import explain_hidden_frame
+from procedures.room.sighting import Tracked
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.path_check import CheckedPaths
 from procedures.steps.clinical.plan_check import CheckedPlan
-from procedures.steps.clinical.room import read_localized
+from procedures.steps.clinical.room import check_room, read_localized
 from procedures.steps.clinical.surroundings import planning_scene_of
 from procedures.steps.clinical.two_arms.base_postures import order_by_travel
 from procedures.strategies.strategy import ONE_SIDE
@@ -45,6 +47,7 @@ class Mover(NamedTuple):
     """One of the arms, as it is moved and read for a look."""
 
     role: str
+    frame: Tracked
     joints_rad: Callable[[], JointVector]
     settle: Callable[[JointVector], object]
     flange: Callable[[], Transform]
@@ -88,7 +91,13 @@ class ArmVisits:
     def master_mover(self, settle: Callable[[JointVector], object]) -> Mover:
         """Return the master, which `settle` moves so that each joint arrives from one side."""
         cell = self.cell
-        return Mover(MASTER, cell.joints_rad, settle, lambda: cell.flange_pose(cell.joints_rad(), ONE_SIDE))
+        return Mover(
+            MASTER,
+            Tracked.ARM,
+            cell.joints_rad,
+            settle,
+            lambda: cell.flange_pose(cell.joints_rad(), ONE_SIDE),
+        )
 
     @property
     def assistant_mover(self) -> Mover:
@@ -96,6 +105,7 @@ class ArmVisits:
         one = self.assistant
         return Mover(
             ASSISTANT,
+            Tracked.ASSISTANT,
             one.joints_rad,
             one.settle,
             lambda: one.flange_pose(one.joints_rad(), ONE_SIDE),
@@ -126,9 +136,18 @@ class ArmVisits:
             guides.append(PlannedGuide(entry, top, top + stop_mm * outwards, outwards))
         return guides
 
-    def read(self, count: int) -> list[TrackerFrame]:
-        """Read frames of the tracker, both arms at rest, in that of the localization."""
-        return read_localized(self.context, count)
+    def read(self, count: int, settled: Mover | None = None) -> list[TrackerFrame]:
+        """Read frames of the tracker, both arms at rest, in that of the localization.
+
+        One of them may have `settled` on one side. Each look counts in the estimate of the room. Raises as
+        `check_room`, except for a head that the arms hide.
+        """
+        sides = {} if settled is None else {settled.frame: ONE_SIDE}
+        try:
+            look = check_room(self.context, "while the arms are measured against each other", count, sides)
+        except PatientUnseen:
+            return read_localized(self.context, count)
+        return list(look.reading.tracker_frames)
 
     def visit(
         self, possible: Iterator[JointVector], at_once: int, arm: Mover, reasons: list[str]

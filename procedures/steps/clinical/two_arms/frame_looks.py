@@ -58,17 +58,17 @@ class BaseFrameLooks:
 
     visits: ArmVisits
 
-    def first_guess(self) -> tuple[Transform, Array]:
-        """Return the base by one look at both frames at home, and the assistant's frame as seen, (3,) mm.
+    def first_guess(self) -> Transform:
+        """Return the base by one look at both frames at home.
 
-        That frame is taken as drawn on its flange.
+        The assistant's is taken as drawn on its flange.
         """
         cell, assistant_arm = self.visits.cell, self.visits.assistant
         master, assistant = see_both_home(cell, self.visits.read(CAREFUL_FRAMES))
         flange = assistant_arm.flange_pose(assistant_arm.joints_rad())
         by_master = robot_from_marker(cell, cell.joints_rad()) @ master.inverse()
         base = by_master @ assistant @ (flange @ self.visits.drawn_frame).inverse()
-        return between_bases(base.as_matrix()), assistant.translation_mm
+        return between_bases(base.as_matrix())
 
     def look(self) -> tuple[PosePairs, PosePairs]:
         """Turn the frame of each arm in the region, the other arm at home. Raises CAL-010.
@@ -117,7 +117,7 @@ class BaseFrameLooks:
         seen: list[Array] = []
         reasons: list[str] = []
         for _ in self.visits.visit(list_possible(plan, reasons, explain_hidden), FRAME_LOOKS, arm, reasons):
-            pose = mean_pose(self.visits.read(FRAMES), frame, FRAMES // 2)
+            pose = mean_pose(self.visits.read(FRAMES, arm), frame, FRAMES // 2)
             if pose is None:
                 reasons.append(f"{frame} not in view")
                 continue

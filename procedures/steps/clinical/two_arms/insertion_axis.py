@@ -19,7 +19,7 @@ from procedures.planning.errors import NotReachable
 from procedures.planning.tracker_sight import explain_hidden_frame
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.plan_check import CheckedPlan
-from procedures.steps.clinical.results import RegisteredRobot
+from procedures.steps.clinical.results import KnownBases, RegisteredRobot
 from procedures.steps.clinical.room import ExpectedSight, room_watch
 from procedures.steps.clinical.surroundings import planning_scene_of
 from procedures.steps.clinical.two_arms.base_postures import (
@@ -29,7 +29,7 @@ from procedures.steps.clinical.two_arms.base_postures import (
     turns_about_axis,
     wrist_branches,
 )
-from procedures.steps.clinical.two_arms.base_to_base import KnownBases, found_arms
+from procedures.steps.clinical.two_arms.base_to_base import found_arms
 from procedures.steps.clinical.work_progress import DepthStop
 from procedures.strategies.strategy import LAST_STRETCH_MM, Sides
 from procedures.workcell import InsertionAxis, MountedTool, Workcell

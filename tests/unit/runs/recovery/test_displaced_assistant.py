@@ -6,75 +6,34 @@ from types import SimpleNamespace
 from typing import Any, cast
 
 import pytest
+from two_arm_room import OVER_GUIDE_RAD, TwoArmRoom, shifted
 
-from procedures.guards.assistant_frame import SHIFTED_MM
+from procedures.guards.errors import InsertionDisturbed
 from procedures.journal.journal import Line
 from procedures.runs import assistant_comparison
 from procedures.runs.assistant_comparison import compare_assistant
 from procedures.runs.comparison import Comparison
-from procedures.steps.clinical.global_localization import GlobalLocalization
-from procedures.steps.clinical.two_arms.base_to_base import KnownBases
-from procedures.steps.clinical.two_arms.seen_on_axis import LOOK_AT_CART
-from procedures.workcell import tracker_look
-from procedures.workcell.arm_history import InsertionAxis
-from procedures.workcell.tracker_move import UNPUSHED
+from procedures.steps.clinical.two_arms import seen_on_axis
+from procedures.steps.clinical.two_arms.seen_on_axis import LOOK_AT_CART, look_before_retreat
 from ronna_hw.errors import LinkTimeout
-from ronna_hw.frames import Frame, Transform
 
-DOWN = Transform.of(Frame.ASSISTANT, Frame.TOOL, quaternion_wxyz=(0.0, 1.0, 0.0, 0.0))
-ON_MASTER, ON_ASSISTANT = "robot_frame", "assistant_frame"
-Place = tuple[float, float, float]
 LINES: tuple[Line, ...] = ()
 
 
-def posed(pose: Transform) -> Any:
-    return SimpleNamespace(transform=pose)
+def watched(monkeypatch: pytest.MonkeyPatch, **seen: Any) -> tuple[Any, Any]:
+    """A workcell with an instrument in the guide, and a watch whose next look shows this."""
+    room = TwoArmRoom()
+    room.look(OVER_GUIDE_RAD, led=True)
+    monkeypatch.setattr(seen_on_axis, "read_frames_at_rest", lambda *_args, **_named: ([], 0))
+    monkeypatch.setattr(room.watch, "read", lambda *_args: room.reading(led=True, **seen))
+    return room.workcell(), room.watch
 
 
-def compare_seen(monkeypatch: pytest.MonkeyPatch, seen_mm: Place | None, **lacking: Any) -> Comparison:
-    """Compare an assistant on an axis that leads down; both flanges are at the origin by the joints."""
-    arm = {
-        "joints_rad": lambda: (0.0,) * 6,
-        "flange_pose": lambda _joints, _arrived: Transform.of(Frame.ROBOT, Frame.FLANGE),
-    }
-    axis = InsertionAxis("T1", DOWN, 180.0)
-    assistant = SimpleNamespace(
-        place=SimpleNamespace(axis=axis, is_out=True),
-        holder=SimpleNamespace(frame=ON_ASSISTANT),
-        history=SimpleNamespace(base=object()),
-        require_on_axis=lambda: None,
-        **arm | {"flange_pose": lambda _joints, _arrived: Transform.of(Frame.ASSISTANT, Frame.FLANGE)},
-    )
-    workcell = SimpleNamespace(
-        assistant=assistant,
-        place=SimpleNamespace(axis=None),
-        calibrations=SimpleNamespace(tracker_frame=SimpleNamespace(tool=ON_MASTER)),
-        tracker=None,
-        tracker_move=lambda _localization: UNPUSHED,
-        **arm,
-    )
-    flange = posed(Transform.of(Frame.FLANGE, Frame.MARKER))
-    bases = SimpleNamespace(
-        flange_from_frame=flange,
-        flange_from_master_frame=flange,
-        robot_from_tracker=posed(Transform.of(Frame.ROBOT, Frame.TRACKER)),
-        robot_from_base=posed(Transform.of(Frame.ROBOT, Frame.ASSISTANT)),
-    )
-    results = {KnownBases: bases, GlobalLocalization: None}
-    places = {ON_MASTER: (0.0, 0.0, 0.0), ON_ASSISTANT: seen_mm}
-
-    def mean_pose(_frames: object, name: str, _least: int) -> Transform | None:
-        place = places[name]
-        return None if place is None else Transform.of(Frame.TRACKER, Frame.MARKER, translation_mm=place)
-
-    patches = {
-        "_find_last": lambda _engine, model: (SimpleNamespace(identifier="05"), results[model]),
-        "read_frames_at_rest": lambda *_args, **_named: ([], 0),
-        "mean_pose": mean_pose,
-    } | lacking
-    for name, patch in patches.items():
-        module = tracker_look if name == "mean_pose" else assistant_comparison
-        monkeypatch.setattr(module, name, patch)
+def compare_seen(monkeypatch: pytest.MonkeyPatch, watch: object = None, **seen: Any) -> Comparison:
+    workcell, known = watched(monkeypatch, **seen)
+    workcell.assistant.require_on_axis = lambda: None
+    workcell.assistant.history = SimpleNamespace(base=object())
+    monkeypatch.setattr(assistant_comparison, "_watch_with_bases", lambda _engine: watch or known)
     engine = SimpleNamespace(setting=SimpleNamespace(workcell=workcell, clock=None))
     left = SimpleNamespace(chain=SimpleNamespace(lines=LINES, torn=b""), lost=())
     comparison = Comparison()
@@ -84,35 +43,45 @@ def compare_seen(monkeypatch: pytest.MonkeyPatch, seen_mm: Place | None, **lacki
 
 @pytest.mark.hazard(64)
 def test_a_displaced_assistant_leads_no_instrument_out_of_the_guide(monkeypatch: pytest.MonkeyPatch) -> None:
-    (refused,) = compare_seen(monkeypatch, (0.0, 1.1 * SHIFTED_MM, 0.0)).differences
+    (refused,) = compare_seen(monkeypatch, assistant=shifted(0.0, 0.6, 0.0)).differences
     assert refused.startswith("PRO-054")
     assert "open the clamp of the assistant's holder" in refused
 
 
-def test_an_assistant_beside_nothing_or_shifted_along_the_axis_may_lead_it_out(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    comparison = compare_seen(monkeypatch, (0.0, 0.9 * SHIFTED_MM, 3.0))
+@pytest.mark.hazard(64)
+def test_a_guide_whose_cart_was_displaced_keeps_its_instrument(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(InsertionDisturbed, match="PRO-054"):
+        look_before_retreat(*_with_clock(watched(monkeypatch, master=shifted(0.0, 0.6, 0.0))))
+
+
+def test_a_head_that_has_moved_does_not_hold_up_the_way_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert look_before_retreat(*_with_clock(watched(monkeypatch, head=shifted(0.0, 2.0, 0.0)))) == ""
+
+
+def test_an_assistant_on_its_axis_may_lead_the_instrument_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    comparison = compare_seen(monkeypatch)
     assert comparison.differences == comparison.warnings == []
-    assert "across the axis of T1" in comparison.notes[0]
-
-
-def unreadable(*_args: object, **_named: object) -> None:
-    raise LinkTimeout("no reply")
+    assert "on the axis of T1" in comparison.notes[0]
 
 
 @pytest.mark.hazard(64)
-@pytest.mark.parametrize(
-    ("seen_mm", "lacking"),
-    [
-        (None, {}),
-        ((0.0, 0.0, 0.0), {"read_frames_at_rest": unreadable}),
-        ((0.0, 0.0, 0.0), {"_find_last": lambda _engine, _model: None}),
-    ],
-)
-def test_staff_look_at_an_assistant_that_the_tracker_cannot_compare(
-    monkeypatch: pytest.MonkeyPatch, seen_mm: Place | None, lacking: dict[str, Any]
-) -> None:
-    comparison = compare_seen(monkeypatch, seen_mm, **lacking)
-    assert comparison.differences == []
-    assert LOOK_AT_CART in comparison.warnings[0]
+def test_staff_look_at_an_assistant_that_the_tracker_cannot_compare(monkeypatch: pytest.MonkeyPatch) -> None:
+    hidden = compare_seen(monkeypatch, hidden=True)
+    without_bases = compare_seen(monkeypatch, watch=TwoArmRoom(known=False).watch)
+    workcell, watch = watched(monkeypatch)
+
+    def unreadable(*_args: object, **_named: object) -> None:
+        raise LinkTimeout("no reply")
+
+    monkeypatch.setattr(seen_on_axis, "read_frames_at_rest", unreadable)
+    silent = look_before_retreat(*_with_clock((workcell, watch)))
+    assert hidden.differences == without_bases.differences == []
+    assert LOOK_AT_CART in hidden.warnings[0]
+    assert LOOK_AT_CART in without_bases.warnings[0]
+    assert "no reply" in silent
+    assert LOOK_AT_CART in silent
+
+
+def _with_clock(watched: tuple[Any, Any]) -> tuple[Any, Any, Any]:
+    workcell, watch = watched
+    return workcell, cast("Any", None), watch

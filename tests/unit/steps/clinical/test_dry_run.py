@@ -15,10 +15,9 @@ from procedures.steps.clinical import tool_check
 from procedures.steps.clinical.path_check import CheckedPaths, MotionPreview
 from procedures.steps.clinical.positioning import PositionedGuide
 from procedures.steps.clinical.relocalization import STEP
-from procedures.steps.clinical.results import ConfirmedTarget
+from procedures.steps.clinical.results import ConfirmedTarget, KnownBases
 from procedures.steps.clinical.retreat import Retreated
 from procedures.steps.clinical.tool_check import CheckedTool
-from procedures.steps.clinical.two_arms.base_to_base import KnownBases
 from procedures.steps.dry_run import describe_planned_motions
 from procedures.workcell import MountedTool
 

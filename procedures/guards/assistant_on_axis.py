@@ -1,0 +1,114 @@
+"""Instrument of the assistant beside the bore of the guide, by the estimate of the room.
+
+What counts is where its clamp is, which holds the instrument, against the guide that the master holds: a cart
+that turns about the frame leaves the frame in its place and leads the clamp away.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtri
+
+from procedures.guards.room_reading import RoomReading
+from procedures.guards.room_watch import RoomWatch
+from procedures.room.estimate import INSTRUMENT_IN_GUIDE
+from procedures.room.sighting import Rest, Sighting, Tracked, average_frame
+from procedures.workcell import Workcell
+from ronna_hw.devices.readings import TrackerFrame, Validity
+from ronna_hw.frames import Frame, Transform
+
+Array = NDArray[np.float64]
+
+# The shaft of an instrument bends by as much over the length of a bore before it presses on the guide. (U)
+LARGEST_OFF_MM = 0.5
+READINGS = 15  # averaged on the way
+WATCH_FALSE_ALARM = 1e-6  # share of these means: an insertion has some tens of them
+SIGMAS = 2.0  # the stated bound holds 95 % of the time
+
+
+@dataclass(frozen=True)
+class BesideBore:
+    """Instrument across the bore, at its upper end: how far it is seen beside it, and the 95 % bound."""
+
+    seen_mm: float
+    uncertain_mm: float
+    chi_square: float  # of what is seen, with two degrees of freedom
+
+    @property
+    def largest_mm(self) -> float:
+        """How far it may be beside it."""
+        return self.seen_mm + self.uncertain_mm
+
+    @property
+    def is_within(self) -> bool:
+        """Whether an arm may lead it along the bore."""
+        return self.largest_mm <= LARGEST_OFF_MM
+
+    @property
+    def has_moved(self) -> bool:
+        """Whether it is seen beside the bore, and by more than it gives way."""
+        return not self.is_within and self.chi_square > float(chdtri(2, WATCH_FALSE_ALARM))
+
+    def __str__(self) -> str:
+        """Describe it to the operator."""
+        return f"seen {self.seen_mm:.2f} mm beside the bore, within {self.uncertain_mm:.2f} mm"
+
+
+def beside_bore(workcell: Workcell, watch: RoomWatch, reading: RoomReading) -> BesideBore | None:
+    """Return how far the instrument may be beside the bore by a look at rest, None if a frame is hidden."""
+    look = watch.look_of(reading)
+    if not {Tracked.ARM, Tracked.ASSISTANT} <= look.frames.keys():
+        return None
+    return _beside(workcell, watch, look, INSTRUMENT_IN_GUIDE)
+
+
+@dataclass
+class AssistantOnAxis:
+    """Watch over an assistant that leads an instrument through the guide, or out, frame by frame."""
+
+    workcell: Workcell
+    watch: RoomWatch
+    now: BesideBore | None = None
+    _recent: list[tuple[Transform, Transform]] = field(default_factory=list)  # by the joints, by the tracker
+
+    def add_frame(self, frame: TrackerFrame) -> None:
+        """Add a tracker frame, as from where the tracker was localized.
+
+        Every `READINGS` frames `now` is measured anew.
+        """
+        assistant, by_arm = self.workcell.assistant, self.watch.frame_by_arm(Tracked.ASSISTANT)
+        assert assistant is not None
+        known, reading = assistant.arm.observe().reading, frame.tool(assistant.holder.frame)
+        if reading.validity is not Validity.OK or known is None or by_arm is None:
+            return
+        self._recent.append((by_arm(known.joints_rad, None), reading.transform(Frame.TRACKER, Frame.MARKER)))
+        if len(self._recent) < READINGS:
+            return
+        # As the frame would have been seen where the arm has it now: it has gone on meanwhile.
+        here = self._recent[-1][0]
+        poses = [(here @ there.inverse() @ seen).rigid for there, seen in self._recent]
+        self._recent.clear()
+        markers_mm = self.workcell.tracker.markers_mm[assistant.holder.frame]
+        mean = average_frame(
+            [(one.rotation.as_quat(scalar_first=True), one.translation) for one in poses], markers_mm
+        )
+        rest = {Tracked.ASSISTANT: Rest(known.joints_rad)}
+        look = Sighting(rest, frames={Tracked.ASSISTANT: mean}, tracker=self.watch.tracker.pushes)
+        self.now = _beside(self.workcell, self.watch, look, {"assistant": 1.0})
+
+
+def _beside(workcell: Workcell, watch: RoomWatch, look: Sighting, bodies: Mapping[str, float]) -> BesideBore:
+    """Return the way by which these bodies have moved before a look, across the bore at its upper end."""
+    bore, guide = workcell.tools.guide.bore, workcell.tool_pose()
+    top_mm = guide.apply((0.0, 0.0, -bore.reach_mm - bore.length_mm))
+    across = guide.rotation_matrix[:, :2].T
+    found = watch.with_look(look).displacement(top_mm, len(watch.looks), bodies)
+    way_mm, covariance_mm2 = across @ found.way_mm, across @ found.covariance_mm2 @ across.T
+    chi_square = float(way_mm @ np.linalg.solve(covariance_mm2, way_mm))
+    widest_mm = math.sqrt(float(np.linalg.eigvalsh(covariance_mm2)[-1]))
+    return BesideBore(math.hypot(*way_mm), SIGMAS * widest_mm, chi_square)
