@@ -64,7 +64,7 @@ def beside_bore(workcell: Workcell, watch: RoomWatch, reading: RoomReading) -> B
     look = watch.look_of(reading)
     if not {Tracked.ARM, Tracked.ASSISTANT} <= look.frames.keys():
         return None
-    return _beside(workcell, watch, look, INSTRUMENT_IN_GUIDE)
+    return _beside(workcell, workcell.tool_pose(), watch, look, INSTRUMENT_IN_GUIDE)
 
 
 @dataclass
@@ -74,7 +74,12 @@ class AssistantOnAxis:
     workcell: Workcell
     watch: RoomWatch
     now: BesideBore | None = None
+    _guide: Transform = field(init=False)  # at rest meanwhile: its arm may be lost on the way
     _recent: list[tuple[Transform, Transform]] = field(default_factory=list)  # by the joints, by the tracker
+
+    def __post_init__(self) -> None:
+        """Take the guide to rest where it is."""
+        self._guide = self.workcell.tool_pose()
 
     def add_frame(self, frame: TrackerFrame) -> None:
         """Add a tracker frame, as from where the tracker was localized.
@@ -99,12 +104,14 @@ class AssistantOnAxis:
         )
         rest = {Tracked.ASSISTANT: Rest(known.joints_rad)}
         look = Sighting(rest, frames={Tracked.ASSISTANT: mean}, tracker=self.watch.tracker.pushes)
-        self.now = _beside(self.workcell, self.watch, look, {"assistant": 1.0})
+        self.now = _beside(self.workcell, self._guide, self.watch, look, {"assistant": 1.0})
 
 
-def _beside(workcell: Workcell, watch: RoomWatch, look: Sighting, bodies: Mapping[str, float]) -> BesideBore:
+def _beside(
+    workcell: Workcell, guide: Transform, watch: RoomWatch, look: Sighting, bodies: Mapping[str, float]
+) -> BesideBore:
     """Return the way by which these bodies have moved before a look, across the bore at its upper end."""
-    bore, guide = workcell.tools.guide.bore, workcell.tool_pose()
+    bore = workcell.tools.guide.bore
     top_mm = guide.apply((0.0, 0.0, -bore.reach_mm - bore.length_mm))
     across = guide.rotation_matrix[:, :2].T
     found = watch.with_look(look).displacement(top_mm, len(watch.looks), bodies)

@@ -116,8 +116,8 @@ def name_motion(
     match motion.moved:
         case Moved.ASSISTANT if reading.instrument_led:
             return InsertionDisturbed(
-                f"the tracker sees the assistant beside its axis, by {way}, with the instrument in the guide: a "
-                "cart was displaced, or a frame",
+                f"the tracker sees the assistant beside its axis, by {way}, with the instrument in the "
+                "guide: a cart was displaced, or a frame",
                 limit=limit,
                 got=f"{got} mm",
                 action=InsertionDisturbed.by_hand,

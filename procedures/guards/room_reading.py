@@ -67,7 +67,8 @@ class RoomReading:
     `frame_mm` (3,) is the frame on the arm by the tracker minus that by the arm, robot frame; None while it
     is not seen. `settled_home` says that the arm is home, each joint from its usual side; `on_axis` that a
     guide is at the head; `fitted` that the tracker has the spheres by fitting the frame that they are on.
-    `assistant` is how the second arm rests, None without one; `instrument_led`: it leads an instrument.
+    `motions` counts those that the arm has made. `assistant` is how the second arm rests, None without one;
+    `instrument_led`: it leads an instrument.
     """
 
     robot_from_flange: Transform
@@ -81,6 +82,7 @@ class RoomReading:
     settled_home: bool = False
     on_axis: bool = False
     fitted: bool = False
+    motions: int | None = None
     assistant: Rest | None = None
     instrument_led: bool = False
     tracker_frames: Sequence[TrackerFrame] = field(default=(), repr=False)
@@ -140,7 +142,7 @@ class RoomReading:
             ).reshape(-1, 3, 3)
             + self.fitted * FITTED_MM**2 * np.eye(3),
         )
-        arms = {Tracked.ARM: Rest(self.joints_rad, self.sides)}
+        arms = {Tracked.ARM: Rest(self.joints_rad, self.sides, self.motions)}
         if self.assistant is not None:
             arms[Tracked.ASSISTANT] = self.assistant
         return Sighting(arms, seen, self.frames, tracker, head)
@@ -238,6 +240,7 @@ def room_reading(
         workcell.settled_home,
         workcell.place.is_on_axis,
         find_frame_name(workcell.tracker.markers_mm) is not None,
+        workcell.history.motions,
         assistant,
         workcell.assistant is not None and workcell.assistant.place.is_on_axis,
         frames,
@@ -252,7 +255,8 @@ def _assistant_at_rest(workcell: Workcell, arrived: Sequence[int] | None) -> Res
         joints_rad = assistant.joints_rad()
     except RonnaError:  # for the step that moves it to report
         return None
-    return Rest(joints_rad, assistant.rest_sides if arrived is None else tuple(arrived))
+    rests = assistant.rest_sides if arrived is None else tuple(arrived)
+    return Rest(joints_rad, rests, assistant.history.motions)
 
 
 def find_ghosts(

@@ -25,7 +25,6 @@ Array = NDArray[np.float64]
 FALSE_ALARM = 1e-4  # share of looks at an undisturbed room that raise an alarm, for each question asked
 # Prior of a motion between two looks, per axis; what moves further is plain in any look. (U)
 MOTION_RAD, MOTION_MM = 0.02, 5.0
-SEEN_WORTH = 4.0  # information on a motion, against its prior, from which on the looks show it
 AXES = 3
 
 BODIES = np.eye(MOTIONS).reshape(MOTIONS, len(Body), POSE)
@@ -164,17 +163,19 @@ class RoomEstimate:
         return ways, gain @ towards.T, np.einsum("ki,kij,kj->k", ways, spread, ways)
 
     def explained(self, body: str | None = None, first: int = 1) -> tuple[Array, Array]:
-        """Return how much chi-square a motion before each look from `first` on explains, and its freedom.
+        """Return how much chi-square a motion before each look from `first` on explains, (k,).
 
-        The motion is of one body, or of all of them, each for itself; both results are (k,).
+        Also the weights (k, m) of its directions: in an undisturbed room that chi-square is the sum of
+        squares of m unit normals, so weighted; what the looks do not show has no weight. The motion is of one
+        body, or of all of them, each for itself.
         """
         moving = np.eye(MOTIONS) if body is None else MOVING[body]
         information, prior = moving.T @ self.information[first:] @ moving, _prior(moving.shape[1] // POSE)
         pull = self.pull[first:] @ moving
         motions = np.linalg.solve(information + prior, pull[..., None])[..., 0]
         scale = np.sqrt(np.diag(prior))
-        seen = np.linalg.eigvalsh(information / np.outer(scale, scale)) > SEEN_WORTH
-        return (pull * motions).sum(axis=1), seen.sum(axis=1)
+        worth = np.maximum(np.linalg.eigvalsh(information / np.outer(scale, scale)), 0.0)
+        return (pull * motions).sum(axis=1), worth / (1.0 + worth)
 
 
 def _longer(values: Array) -> Array:

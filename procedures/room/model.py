@@ -14,7 +14,7 @@ error of an uncalibrated arm near a target is known from the looks at the sphere
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from functools import cached_property
 
@@ -59,13 +59,24 @@ BASES = {Tracked.ARM: Body.BASE, Tracked.ASSISTANT: Body.ASSISTANT}
 
 
 @dataclass(frozen=True)
+class Arrival:
+    """What an arm errs for as long as it rests: effects (6, a) of one standard deviation each.
+
+    Looks with the same `rest` share it.
+    """
+
+    rest: object
+    effects: Array
+
+
+@dataclass(frozen=True)
 class Rows:
     """Linear model of a look: residual (r,) and its covariance (r, r) by noise.
 
     `shared` (r, k) are the effects of one standard deviation of each constant, `moved` (r, 24) those of each
     body's motion: a rotation vector (rad) about the room's centre, then a shift (mm), robot frame. `pull`
     (r, 3 m) is the effect of the tracker's smooth error at `markers_mm` (m, 3), along its axes. `blocks` are
-    the rows of each body that is seen.
+    the rows of each body that is seen, `arrivals` those of the arms.
     """
 
     residual: Array
@@ -75,6 +86,7 @@ class Rows:
     pull: Array
     markers_mm: Array
     blocks: Mapping[Body, slice]
+    arrivals: Mapping[Body, Arrival]
     tracker: int
     head: int
 
@@ -114,7 +126,7 @@ class ArmModel:
         return max(self.repeatability_mm, 0.0 if identified is None else identified.scatter_mm)
 
     def errors(self, rest: Rest, place_mm: Array) -> tuple[Array, Array]:
-        """Return the unit errors (6, k) of its pose, and the covariance (6, 6) by sides that are unknown.
+        """Return the unit errors (6, k) of its pose, and those of its arrival (6, a).
 
         Both are at a place (3,) mm, robot frame.
         """
@@ -124,13 +136,14 @@ class ArmModel:
         joints = np.tile(np.array(rest.joints_rad), (len(points), 1))
         sides = np.zeros(len(rest.joints_rad)) if rest.sides is None else np.array(rest.sides, dtype=float)
         errors = unit_errors(self.chain, joints, points, self.sizes, np.tile(sides, (len(points), 1)))
+        scatter = np.diag([self.scatter_mm] * 3 + [REPEATABILITY_RAD] * 3)
         if rest.sides is not None:
-            return both @ _as_pose(errors), np.zeros((POSE, POSE))
+            return both @ _as_pose(errors), scatter
         identified = self.sizes.identified
         backlash_rad = BACKLASH_RAD if identified is None else identified.backlash_rad
         swings = displacements(self.chain, joints, points, self.sizes).swings_mm
         half = both @ _as_pose(FLANK_SHARE * backlash_rad * swings)
-        return both @ _as_pose(errors), half @ half.T
+        return both @ _as_pose(errors), np.hstack([scatter, half])
 
 
 @dataclass(frozen=True)
@@ -149,9 +162,12 @@ class RoomModel:
     def rows(self, look: Sighting, flanges: Mapping[Tracked, Array], places: Places) -> Rows:
         """Return the linear model of one look, with the computed poses ROBOT <- FLANGE (4, 4) of the arms."""
         seen = {Body.SPHERES: self._spheres(look.spheres, places.spheres_mm)}
+        arrivals: dict[Body, Arrival] = {}
         for name in self.arms:
             if (frame := look.frames.get(name)) is not None:
-                seen[BASES[name]] = self._arm(name, look.arms[name], frame, flanges[name])
+                body, rest = BASES[name], look.arms[name]
+                seen[body], arrival = self._arm(name, rest, frame, flanges[name])
+                arrivals[body] = Arrival(object() if rest.motions is None else rest.motions, arrival)
         if (clamp := look.frames.get(Tracked.CLAMP)) is not None and places.clamp is not None:
             seen[Body.CLAMP] = self._frame(clamp, self.robot_from_tracker @ places.clamp, Body.CLAMP)
         parts, ends = list(seen.values()), np.cumsum([len(one.residual) for one in seen.values()])
@@ -168,22 +184,22 @@ class RoomModel:
             block_diag(*(one.pull for one in parts)),
             np.vstack([one.markers_mm for one in parts]),
             blocks,
+            arrivals,
             look.tracker,
             look.head,
         )
 
-    def _arm(self, name: Tracked, rest: Rest, seen: SeenFrame, flange: Array) -> _Part:
+    def _arm(self, name: Tracked, rest: Rest, seen: SeenFrame, flange: Array) -> tuple[_Part, Array]:
         arm, body = self.arms[name], BASES[name]
         marker = flange @ arm.flange_from_marker
         part = self._frame(seen, marker, body)
-        errors, unknown_sides = arm.errors(rest, marker[:3, 3])
+        errors, arrival = arm.errors(rest, marker[:3, 3])
         on_mount = block_diag(flange[:3, :3] * UNKNOWN_MM, flange[:3, :3] * UNKNOWN_RAD)
         base = part.moved[:, _columns(body)] * _unknown()
         begin = self._begins[name]
         shared = np.zeros_like(part.shared)
         shared[:, begin : begin + arm.constants] = np.hstack([errors, on_mount, base])
-        noise = part.noise + unknown_sides + np.diag([arm.scatter_mm**2] * 3 + [REPEATABILITY_RAD**2] * 3)
-        return _Part(part.residual, noise, shared, part.moved, part.pull, part.markers_mm)
+        return replace(part, shared=shared), arrival
 
     def _frame(self, seen: SeenFrame, expected: Array, body: Body) -> _Part:
         """Return the rows of a frame expected at a pose (4, 4), robot frame, with its own place unknown."""
@@ -255,6 +271,10 @@ def covariance_between(one: Rows, others: Sequence[Rows]) -> Array:
             part = part + _followed(one, tuple(Body)) @ _followed(other, tuple(Body)).T
         if one.head and one.head == other.head:
             part = part + _followed(one, HEAD) @ _followed(other, HEAD).T
+        for body, arrival in one.arrivals.items():
+            then = other.arrivals.get(body)
+            if then is not None and then.rest == arrival.rest:
+                part[one.blocks[body], other.blocks[body]] += arrival.effects @ then.effects.T
         parts.append(part)
         begin = end
     return np.hstack(parts)

@@ -170,8 +170,8 @@ def find_hidden_motion(
     # It is the largest of so many that is judged: each has its share of the rate (Bonferroni).
     share = FALSE_ALARM / moments
     found: list[Motion] = []
-    chi_squares, freedoms = estimate.explained(first=first)
-    limits = np.where(freedoms > 0, chdtri(np.maximum(freedoms, 1), share), np.inf)
+    chi_squares, weights = estimate.explained(first=first)
+    limits = _limits(weights, share)
     if (chi_squares > limits).any():
         at = int((chi_squares / limits).argmax())
         since = first + at
@@ -213,6 +213,15 @@ def _name(estimate: RoomEstimate, since: int) -> Moved:
 
 def _chi_square(values: Array, covariance: Array) -> float:
     return float(values @ np.linalg.solve(covariance, values))
+
+
+def _limits(weights: Array, share: float) -> Array:
+    """Return limits (k,) on sums of squares of unit normals with these weights (k, m).
+
+    By two moments: Satterthwaite 1946, An approximate distribution of estimates of variance components.
+    """
+    mean, square = weights.sum(axis=1), (weights**2).sum(axis=1)
+    return np.asarray(square / mean * chdtri(mean**2 / square, share))
 
 
 def _limit(freedom: int, confidence: float) -> float:

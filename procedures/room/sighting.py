@@ -60,10 +60,15 @@ class SeenSpheres:
 
 @dataclass(frozen=True)
 class Rest:
-    """Joints of an arm at rest, and on which side of its backlash each of them rests, None if unknown."""
+    """Joints of an arm at rest, and on which side of its backlash each of them rests, None if unknown.
+
+    `motions` is how many motions it has made: two looks between which it has not moved share what its arrival
+    errs. None for a look that shares it with no other.
+    """
 
     joints_rad: JointVector
     sides: tuple[int, ...] | None = None
+    motions: int | None = None
 
 
 @dataclass(frozen=True)
@@ -87,6 +92,7 @@ class Sighting:
                 name.value: {
                     "joints_rad": list(arm.joints_rad),
                     "sides": None if arm.sides is None else list(arm.sides),
+                    "motions": arm.motions,
                 }
                 for name, arm in self.arms.items()
             },
@@ -121,6 +127,7 @@ class Sighting:
                 Tracked(name): Rest(
                     joint_vector(float(angle) for angle in one["joints_rad"]),
                     None if one["sides"] is None else tuple(int(side) for side in one["sides"]),
+                    None if one["motions"] is None else int(one["motions"]),
                 )
                 for name, one in plain["arms"].items()
             },
