@@ -7,17 +7,19 @@ that turns about the frame leaves the frame in its place and leads the clamp awa
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform
 from scipy.special import chdtri
 
 from procedures.guards.room_reading import RoomReading
 from procedures.guards.room_watch import RoomWatch
 from procedures.room.estimate import INSTRUMENT_IN_GUIDE
-from procedures.room.sighting import Rest, Sighting, Tracked, average_frame
+from procedures.room.sighting import Rest, Sighting, Tracked, expect_frame
 from procedures.workcell import Workcell
 from ronna_hw.devices.readings import TrackerFrame, Validity
 from ronna_hw.frames import Frame, Transform
@@ -27,7 +29,7 @@ Array = NDArray[np.float64]
 # The shaft of an instrument bends by as much over the length of a bore before it presses on the guide. (U)
 LARGEST_OFF_MM = 0.5
 READINGS = 15  # averaged on the way
-WATCH_FALSE_ALARM = 1e-6  # share of these means: an insertion has some tens of them
+WATCH_FALSE_ALARM = 1e-5  # share of these means: an insertion has some tens of them
 SIGMAS = 2.0  # the stated bound holds 95 % of the time
 
 
@@ -75,7 +77,9 @@ class AssistantOnAxis:
     watch: RoomWatch
     now: BesideBore | None = None
     _guide: Transform = field(init=False)  # at rest meanwhile: its arm may be lost on the way
-    _recent: list[tuple[Transform, Transform]] = field(default_factory=list)  # by the joints, by the tracker
+    _recent: deque[tuple[Transform, Transform]] = field(
+        default_factory=lambda: deque(maxlen=READINGS)
+    )  # by the joints, by the tracker
 
     def __post_init__(self) -> None:
         """Take the guide to rest where it is."""
@@ -84,7 +88,7 @@ class AssistantOnAxis:
     def add_frame(self, frame: TrackerFrame) -> None:
         """Add a tracker frame, as from where the tracker was localized.
 
-        Every `READINGS` frames `now` is measured anew.
+        `now` is by the latest `READINGS` of them.
         """
         assistant, by_arm = self.workcell.assistant, self.watch.frame_by_arm(Tracked.ASSISTANT)
         assert assistant is not None
@@ -96,14 +100,14 @@ class AssistantOnAxis:
             return
         # As the frame would have been seen where the arm has it now: it has gone on meanwhile.
         here = self._recent[-1][0]
-        poses = [(here @ there.inverse() @ seen).rigid for there, seen in self._recent]
-        self._recent.clear()
-        markers_mm = self.workcell.tracker.markers_mm[assistant.holder.frame]
-        mean = average_frame(
-            [(one.rotation.as_quat(scalar_first=True), one.translation) for one in poses], markers_mm
+        poses = RigidTransform.concatenate(
+            [(here @ there.inverse() @ seen).rigid for there, seen in self._recent]
         )
+        mean, markers_mm = poses.mean(), self.workcell.tracker.markers_mm[assistant.holder.frame]
+        # By the stated noise: the scatter of frames before and after a move would hide it.
+        shown = expect_frame(mean.translation, mean.rotation.as_matrix(), markers_mm, READINGS)
         rest = {Tracked.ASSISTANT: Rest(known.joints_rad)}
-        look = Sighting(rest, frames={Tracked.ASSISTANT: mean}, tracker=self.watch.tracker.pushes)
+        look = Sighting(rest, frames={Tracked.ASSISTANT: shown}, tracker=self.watch.tracker.pushes)
         self.now = _beside(self.workcell, self._guide, self.watch, look, {"assistant": 1.0})
 
 
@@ -114,7 +118,7 @@ def _beside(
     bore = workcell.tools.guide.bore
     top_mm = guide.apply((0.0, 0.0, -bore.reach_mm - bore.length_mm))
     across = guide.rotation_matrix[:, :2].T
-    found = watch.with_look(look).displacement(top_mm, len(watch.looks), bodies)
+    found = watch.displacement_by(look, top_mm, bodies)
     way_mm, covariance_mm2 = across @ found.way_mm, across @ found.covariance_mm2 @ across.T
     chi_square = float(way_mm @ np.linalg.solve(covariance_mm2, way_mm))
     widest_mm = math.sqrt(float(np.linalg.eigvalsh(covariance_mm2)[-1]))

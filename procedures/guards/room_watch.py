@@ -29,7 +29,7 @@ from procedures.guards.room_reading import (
     room_reading,
 )
 from procedures.planning.tracker_sight import SENSORS_MM, TrackerSight
-from procedures.room.estimate import GUIDE_AT_HEAD, RoomEstimate
+from procedures.room.estimate import GUIDE_AT_HEAD, Displacement, RoomEstimate
 from procedures.room.model import ArmModel, Body, Places, RoomModel, Rows
 from procedures.room.motion import Motion, Moved, find_hidden_motion, find_motion
 from procedures.room.sighting import Rest, SeenFrame, Sighting, Tracked, expect_frame, expect_spheres
@@ -323,6 +323,10 @@ class RoomWatch:
     def with_look(self, look: Sighting, estimate: RoomEstimate | None = None) -> RoomEstimate:
         """Return the estimate, by default the present one, with a look that is only imagined."""
         return (estimate or self.estimate).add(self._rows(look))
+
+    def displacement_by(self, look: Sighting, point_mm: Array, bodies: Mapping[str, float]) -> Displacement:
+        """Return by how much these bodies displace a point (3,), robot frame, as a look alone shows it."""
+        return self.estimate.displacement_by(self._rows(look), point_mm, bodies)
 
     def expected(self, reading: RoomReading) -> Expected:
         """Return where everything is expected in a reading."""

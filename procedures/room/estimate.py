@@ -111,6 +111,18 @@ class RoomEstimate:
         beside, covariance = self._predict(rows)
         return rows.residual - beside @ self.residual, covariance
 
+    def displacement_by(self, rows: Rows, point_mm: ArrayLike, bodies: Mapping[str, float]) -> Displacement:
+        """Return the displacement at a point (3,) mm, robot frame, if bodies moved before one look more.
+
+        By that look alone, which is not counted.
+        """
+        values, covariance = self.innovation(rows)
+        moving = rows.moved @ np.hstack([MOVING[body] for body in bodies])
+        weighted = np.linalg.solve(covariance, moving)
+        information, pull = moving.T @ weighted, values @ weighted
+        found = self._displace(point_mm, bodies, information[None], pull[None], (MOTION_RAD, MOTION_MM))
+        return Displacement(len(self.looks), *(part[0] for part in found))
+
     def _predict(self, rows: Rows) -> tuple[Array, Array]:
         """Return the regression (r, n) of a further look on the whitened residuals, and its covariance."""
         own = rows.noise + covariance_between(rows, [rows])
@@ -152,13 +164,24 @@ class RoomEstimate:
         bodies: Mapping[str, float],
         size: tuple[float, float] = (MOTION_RAD, MOTION_MM),
     ) -> tuple[Array, Array, Array]:
-        point = pose_jacobian(np.asarray(point_mm, dtype=float), self.model.centre_mm)
         moving = np.hstack([MOVING[body] for body in bodies])
+        information, pull = moving.T @ self.information[since] @ moving, self.pull[since] @ moving
+        return self._displace(point_mm, bodies, information, pull, size)
+
+    def _displace(
+        self,
+        point_mm: ArrayLike,
+        bodies: Mapping[str, float],
+        information: Array,
+        pull: Array,
+        size: tuple[float, float],
+    ) -> tuple[Array, Array, Array]:
+        """Return ways (k, 3), covariances (k, 3, 3) and chi-squares (k,) by normal equations of motions."""
+        point = pose_jacobian(np.asarray(point_mm, dtype=float), self.model.centre_mm)
         towards = np.hstack([sign * point for sign in bodies.values()])
-        information = moving.T @ self.information[since] @ moving
         covariance = np.linalg.inv(information + _prior(len(bodies), size))
         gain = towards @ covariance
-        ways = np.einsum("kij,kj->ki", gain, self.pull[since] @ moving)
+        ways = np.einsum("kij,kj->ki", gain, pull)
         spread = np.linalg.pinv(gain @ information @ gain.transpose(0, 2, 1), hermitian=True)
         return ways, gain @ towards.T, np.einsum("ki,kij,kj->k", ways, spread, ways)
 

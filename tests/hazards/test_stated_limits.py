@@ -27,7 +27,7 @@ from procedures.strategies.strategy import ONE_SIDE
 from ronna_hw.vectors import JointVector
 from sim.world.rigid import apply, matrix_from
 
-pytestmark = [pytest.mark.slow, pytest.mark.hazard(12), pytest.mark.hazard(13)]
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(1800), pytest.mark.hazard(12), pytest.mark.hazard(13)]
 
 Array = NDArray[np.float64]
 
