@@ -14,6 +14,7 @@ from functools import partial
 
 from pydantic import BaseModel
 
+from procedures.calibration.errors import PlatformMoved
 from procedures.calibration.validity import require_valid_record
 from procedures.engine.device_faults import ARM
 from procedures.engine.engine import Engine
@@ -22,6 +23,7 @@ from procedures.guards.errors import (
     FrameSlipped,
     PatientMoved,
     PatientUnseen,
+    RoomMoved,
     RoomUndecided,
 )
 from procedures.guards.room_reading import CAREFUL_FRAMES
@@ -65,6 +67,7 @@ class Comparison:
     notes: list[str] = field(default_factory=list)
     unchanged: list[str] = field(default_factory=list)  # what is as recorded
     differences: list[str] = field(default_factory=list)
+    moved: RoomMoved | None = None  # meanwhile, in the room: what depends on it is done again
 
     @property
     def findings(self) -> list[str]:
@@ -90,6 +93,11 @@ class Comparison:
     def refuse(self, text: str) -> None:
         """Add another reason why the run must not be resumed."""
         self.differences.append(text)
+
+    def add_move(self, moved: RoomMoved) -> None:
+        """Add what has moved in the room, as a warning."""
+        self.moved = moved
+        self.warn(f"{moved.summary}: what depends on it is void once this is accepted, and done again")
 
     def compare(self, what: str, recorded: BaseModel | None, found: BaseModel | None) -> None:
         """Compare an item with its record, and add it as unchanged or add the fields that differ."""
@@ -370,14 +378,14 @@ def compare_room(engine: Engine, comparison: Comparison) -> bool:
         return True
     except PatientUnseen:
         return False
-    except PatientMoved as moved:
-        if context.stands(RegisteredRobot) or workcell.tool is not MountedTool.GUIDE:
-            comparison.add_difference("room", f"all within {moved.limit}", moved.what)
-        else:  # hence none is valid: the step registration asks whether to follow the move
+    except (PatientMoved, BaseShifted, FrameSlipped, PlatformMoved) as moved:
+        follows = workcell.tool is MountedTool.GUIDE and not context.stands(RegisteredRobot)
+        if isinstance(moved, PatientMoved) and follows:  # the step registration asks whether to follow it
             comparison.note(f"patient: {moved.what}; no registration is valid")
-        return True
-    except (BaseShifted, FrameSlipped) as moved:
-        comparison.add_difference("room", f"all within {moved.limit}", moved.what)
+        elif workcell.is_any_arm_out:
+            comparison.add_difference("room", f"all within {moved.limit}", moved.what)
+        else:
+            comparison.add_move(moved)
         return True
     if look.reading.frame_mm is None and workcell.place.is_home:
         comparison.add_difference("robot base", "the frame on the arm in view", "the tracker does not see it")

@@ -35,6 +35,7 @@ from procedures.runs.way_out import (
 from procedures.steps.calibration.tip_readings import ObservedStand, TipReadings
 from procedures.steps.clinical.at_target import ReachedTarget
 from procedures.steps.clinical.results import Relocalization
+from procedures.steps.clinical.room import void_moved
 from procedures.steps.clinical.set_up import CheckedSetUp
 from procedures.steps.clinical.tool_change import MountedGuide
 from procedures.steps.clinical.work_progress import STAGES, work_begun_elsewhere
@@ -71,6 +72,7 @@ def recover(engine: Engine, previous: InterruptedRun) -> None:
     )
     if stored is None:
         return
+    _void_moved(engine, comparison)
     surround(engine)
     moved = _move_out(engine)
     if (moved or not seen) and engine.upcoming is not None:
@@ -79,6 +81,13 @@ def recover(engine: Engine, previous: InterruptedRun) -> None:
         if not compare_room(engine, again):
             again.add_difference("patient", "at least three spheres in view", "fewer, with the arm home")
         _conclude(engine, again, RESTORE if moved else None)
+        _void_moved(engine, again)
+
+
+def _void_moved(engine: Engine, comparison: Comparison) -> None:
+    """Void what depends on what has moved meanwhile, as a step does that sees it move."""
+    if comparison.moved is not None:
+        void_moved(engine.context(engine.order.sequence[0]), comparison.moved)
 
 
 def _begin_comparison(previous: InterruptedRun) -> Comparison:
