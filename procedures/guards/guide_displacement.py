@@ -1,8 +1,8 @@
 """Displacement of the guide while somebody works through it.
 
 Encoders do not see an arm give way under a hand. The tracker does, by the frame on the mount: by its place,
-and by the lower end of the guide according to its pose, which a turn of the wrist alone displaces. A guide
-with a frame of its own is seen by that too, as its seat may give way. The arm's joints are compared as well.
+and by a frame on the guide, whose seat may give way, too. Where that is not seen, the lower end of the guide by
+the pose of the mount stands in: a turn of the wrist alone displaces it. The arm's joints are compared as well.
 
 A pushed tracker sees the guide displaced as well. With the patient's frame in the theatre it is followed
 before the guide counts as pushed.
@@ -33,7 +33,7 @@ PUSHED_MM = 0.2  # at the guide: ten newtons on the arm that is assumed make 0.1
 # 160 mm away, one of 0.42 mm: less than `END_SEEN_MM` means nothing. Frames take time, and a trajectory in
 # whose pose the head is hidden has ten seconds: hence a short look, and a long one only if that shows a push.
 END_SEEN_MM = 0.3
-END = 1  # row of the guide's end among the points
+END, ON_GUIDE = 1, 2  # rows of the guide's end and of the frame on the guide among the points
 FRAMES, FRAMES_AT_FIRST = 60, 30  # at least half must show the frame
 BETWEEN_LOOKS_S = 1.0  # theatre time
 # Readings averaged by a watch, every fourth frame: with half as many for the place, 4 of 100 insertions of
@@ -118,7 +118,9 @@ class GuideAtRest:
             moved_mm = np.linalg.norm(seen_mm - self.seen_mm, axis=1)
             self._point_shifts_mm = np.where(np.isfinite(moved_mm), moved_mm, self._point_shifts_mm)
         first_mm, end_mm, on_guide_mm = self._point_shifts_mm.tolist()
-        by_frames_mm = max(first_mm, end_mm if end_mm > END_SEEN_MM else 0.0, on_guide_mm)
+        # A marker of the mount that is hidden now and was not before turns it by milliradians.
+        stands_in = end_mm > END_SEEN_MM and (seen_mm is None or not np.isfinite(seen_mm[ON_GUIDE]).all())
+        by_frames_mm = max(first_mm, end_mm if stands_in else 0.0, on_guide_mm)
         by_joints_mm = 0.0 if tool_mm is None else float(np.linalg.norm(tool_mm - self.tool_mm))
         self.now_mm = max(by_frames_mm, by_joints_mm)
 

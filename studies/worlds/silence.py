@@ -16,7 +16,7 @@ from studies.worlds.verdict import UNUSUAL_TOPICS, Judgement, judge, limits_used
 
 SILENT_RMS = 2.0  # times the stated rms: no larger error may go without a word
 BINDS = "SIM-015"  # the theatre's staff could not bring the instrument to its stop
-OF_THE_PLAN = re.compile(r"PLAN-|STR-|ARM-007")  # codes: out of reach, too near, without a clear path
+OF_THE_PLAN = re.compile(r"PLAN-|STR-|ARM-007|CAL-010")  # codes: out of reach, too near, no clear path
 ASKED = "asked: "
 UNUSUAL = UNUSUAL_TOPICS - {Topic.RESUME, Topic.WORK_BEGUN}  # which every killed case asks
 
