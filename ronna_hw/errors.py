@@ -93,6 +93,11 @@ class RonnaError(Exception):
             return f"{self.what}: {self.got}"
         return "; ".join(part for part in (self.what, ", ".join(values)) if part)
 
+    def happened_during(self, doing: str) -> None:
+        """Say during what it happened."""
+        self.what = f"{self.what}, during {printable(doing)}"
+        self.args = (self._one_line(),)
+
     def __reduce__(self) -> tuple[object, ...]:
         """Pickle by field, because rebuilding from the one-line message would duplicate every part."""
         return _restore_error, (type(self), self.args, vars(self))

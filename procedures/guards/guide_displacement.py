@@ -1,8 +1,8 @@
 """Displacement of the guide while somebody works through it.
 
-Encoders do not see an arm give way under a hand. The tracker does, by the frame on the mount: by its place,
-and by a frame on the guide, whose seat may give way, too. Where that is not seen, the lower end of the guide by
-the pose of the mount stands in: a turn of the wrist alone displaces it. The arm's joints are compared as well.
+Encoders do not see an arm give way under a hand. The tracker does, by the place of the frame on the mount
+and, as its seat may give way, of a frame on the guide. Where that is not seen, the lower end of the guide by
+the pose of the mount stands in: a turn of the wrist alone displaces it. The joints are compared as well.
 
 A pushed tracker sees the guide displaced as well. With the patient's frame in the theatre it is followed
 before the guide counts as pushed.

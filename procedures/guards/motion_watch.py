@@ -14,12 +14,10 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, field
 
-from procedures.calibration.errors import PlatformMoved
 from procedures.engine.setting import CaseMemory
 from procedures.guards.assistant_on_axis import LARGEST_OFF_MM, AssistantOnAxis
 from procedures.guards.errors import (
     BaseShifted,
-    FrameSlipped,
     InsertionDisturbed,
     PatientMoved,
     PatientUnseen,
@@ -181,17 +179,8 @@ class MotionWatch:
                 for finding in look.findings:
                     self.find(f"during {what}: {finding}")
                 return None
-        if isinstance(found, RoomUndecided):
-            return RoomUndecided(f"{found.what}, during {what}", limit=found.limit, got=found.got)
-        if isinstance(found, BaseShifted):
-            shifted = BaseShifted(f"{found.what}, during {what}", limit=found.limit, got=found.got)
-            shifted.cart, shifted.room_moved = found.cart, found.room_moved
-            return shifted
-        if isinstance(found, PatientMoved):
-            return PatientMoved.from_shift(f"{found.what}, during {what}", found.moved_mm, PATIENT_LIMIT_MM)
-        if isinstance(found, FrameSlipped):
-            return FrameSlipped(f"{found.what}, during {what}", limit=found.limit, got=found.got)
-        if isinstance(found, PlatformMoved | InsertionDisturbed):
+        if isinstance(found, RoomMoved | RoomUndecided | InsertionDisturbed):
+            found.happened_during(what)
             return found
         if found is not None:
             self.find(f"no further reading after {what}: {found.summary}")

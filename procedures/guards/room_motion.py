@@ -21,6 +21,7 @@ from procedures.guards.errors import (
 from procedures.guards.head_frames import PATIENT_LIMIT_MM
 from procedures.guards.room_reading import RoomReading, find_ghosts
 from procedures.registration.movement import (
+    LEAST_POINTS,
     NEAR_MM,
     PointShift,
     lone_displacement_mm,
@@ -36,7 +37,6 @@ Array = NDArray[np.float64]
 
 GROSS_LIMIT_MM = 10.0  # of the frame on the arm, in any pose: a rolled cart, and no hand on the guide
 NEAR_HEAD_MM = 60.0  # from a known sphere: anything that reflects there is taken for a sphere of the head
-LEAST_POINTS = 3
 HELD = (
     "Let go of guide and arm, check that mount and frame are tight and the cart locked. Send the arm home, "
     "then run the step again: there the next look tells whether anything has moved. If it shows nothing and "

@@ -29,14 +29,13 @@ from procedures.room.sighting import (
     mean_covariance,
 )
 from procedures.workcell import Workcell
+from procedures.workcell.patient_frame import seen_after
 from procedures.workcell.tracker_look import (
     find_frame_name,
     list_poses,
     mean_pose,
-    read_frames_at_rest,
     robot_from_marker,
 )
-from ronna_hw.clock import Clock
 from ronna_hw.devices.readings import TrackerFrame
 from ronna_hw.devices.strays import LEAST_SHARE, StrayGroup, average_strays
 from ronna_hw.errors import RonnaError
@@ -123,7 +122,14 @@ class RoomReading:
             for one in self.groups
         )
         markers = move.apply(self.markers_mm) if len(self.markers_mm) else self.markers_mm
-        return replace(self, frame_mm=frame_mm, groups=groups, markers_mm=markers, frames=frames)
+        return replace(
+            self,
+            frame_mm=frame_mm,
+            groups=groups,
+            markers_mm=markers,
+            frames=frames,
+            tracker_frames=[seen_after(move, one) for one in self.tracker_frames],
+        )
 
     def sighting(
         self, spheres_mm: Array, sensors_mm: ArrayLike = SENSORS_MM, *, tracker: int = 0, head: int = 0
@@ -185,14 +191,6 @@ def _moved(seen: SeenFrame, move: Transform) -> SeenFrame:
         turn @ seen.covariance @ turn.T,
         move.apply(seen.markers_mm),
     )
-
-
-def read_room(
-    workcell: Workcell, clock: Clock, robot_from_tracker: Transform, count: int = FRAMES
-) -> RoomReading:
-    """Read tracker frames with the arm at rest. Raises the tracker's errors."""
-    frames, _ = read_frames_at_rest(workcell.tracker, clock, count=count)
-    return room_reading(workcell, frames, robot_from_tracker)
 
 
 def room_reading(

@@ -114,7 +114,6 @@ class RoomWatch:
     estimate: RoomEstimate
     flange_poses: dict[Tracked, FlangePose]
     looks: list[Sighting]  # all that count
-    home_rad: JointVector  # where the localization was made
     epochs: list[Places]  # where the head is expected: as localized, and after each move that was followed
     points_mm: Mapping[str, Array] = field(default_factory=dict)
     clamp_markers_mm: Array | None = None  # (m, 3) of the frame on the clamp, patient frame
@@ -281,7 +280,7 @@ class RoomWatch:
             moved = name_motion(motion, self._expected(reading, rows), reading, approached=at_head)
         if moved is None:
             moved = find_unseen(self._expected(reading, rows), reading)
-        if moved is None:
+        if moved is None and len(rows.residual):
             findings += self._tell_by_frame(hidden=by_frame)
             if reading.settled_home:
                 self.settled_home = len(self.estimate.looks)
@@ -481,7 +480,6 @@ class LocalizedRoom:
             estimate,
             {Tracked.ARM: flange_pose},
             [look],
-            self.joints_rad,
             [self.places],
             clamp_markers_mm=self.clamp_markers_mm,
         )

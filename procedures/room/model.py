@@ -39,6 +39,7 @@ REPEATABILITY_RAD = 2e-5  # per axis, of its orientation (U)
 # Places that nothing before the first look tells: of the frame on its mount, a sphere, a base as the tracker
 # has it, and each of them after a push or a move that was followed.
 UNKNOWN_MM, UNKNOWN_RAD = 20.0, 0.05
+JOGGED_RAD = 2e-4  # of a joint, by which an arm is elsewhere: more than encoders jitter
 LEVER_MM = 100.0  # between the points whose displacements give a rotation
 
 POSE = 6  # rows of a frame, columns of a motion
@@ -60,13 +61,17 @@ BASES = {Tracked.ARM: Body.BASE, Tracked.ASSISTANT: Body.ASSISTANT}
 
 @dataclass(frozen=True)
 class Arrival:
-    """What an arm errs for as long as it rests: effects (6, a) of one standard deviation each.
+    """Error of an arm for as long as it rests: effects (6, a) of one standard deviation each."""
 
-    Looks with the same `rest` share it.
-    """
-
-    rest: object
+    rest: Rest
     effects: Array
+
+    def is_of(self, other: Arrival) -> bool:
+        """Whether the arm has not moved from one look to the other, nor been jogged."""
+        one, then = self.rest, other.rest
+        if self is other or one.motions is None or (one.motions, one.sides) != (then.motions, then.sides):
+            return self is other
+        return bool(np.allclose(one.joints_rad, then.joints_rad, rtol=0.0, atol=JOGGED_RAD))
 
 
 @dataclass(frozen=True)
@@ -167,7 +172,7 @@ class RoomModel:
             if (frame := look.frames.get(name)) is not None:
                 body, rest = BASES[name], look.arms[name]
                 seen[body], arrival = self._arm(name, rest, frame, flanges[name])
-                arrivals[body] = Arrival(object() if rest.motions is None else rest.motions, arrival)
+                arrivals[body] = Arrival(rest, arrival)
         if (clamp := look.frames.get(Tracked.CLAMP)) is not None and places.clamp is not None:
             seen[Body.CLAMP] = self._frame(clamp, self.robot_from_tracker @ places.clamp, Body.CLAMP)
         parts, ends = list(seen.values()), np.cumsum([len(one.residual) for one in seen.values()])
@@ -273,7 +278,7 @@ def covariance_between(one: Rows, others: Sequence[Rows]) -> Array:
             part = part + _followed(one, HEAD) @ _followed(other, HEAD).T
         for body, arrival in one.arrivals.items():
             then = other.arrivals.get(body)
-            if then is not None and then.rest == arrival.rest:
+            if then is not None and arrival.is_of(then):
                 part[one.blocks[body], other.blocks[body]] += arrival.effects @ then.effects.T
         parts.append(part)
         begin = end

@@ -122,9 +122,9 @@ def _find_by_body(known: RoomEstimate, rows: Rows, unpushed: Callable[[], Rows |
     out = {body for body, chi_square in chi_squares.items() if chi_square > limits[body]}
     if not out:
         return None
-    worst = max(out, key=lambda body: chi_squares[body] / limits[body])
 
     def motion(moved: Moved) -> Motion:
+        worst = max(out, key=lambda body: chi_squares[body] / limits[body])
         shown = Body.BASE if moved in (Moved.BASE, Moved.SEVERAL) else worst
         way_mm = _way_mm(values[rows.blocks[shown]], shown)
         return Motion(moved, len(known.looks), chi_squares[shown], limits[shown], way_mm)
@@ -198,17 +198,18 @@ def _list_displacements(
 
 
 def _name(estimate: RoomEstimate, since: int) -> Moved:
-    """Name the one body whose motion explains most."""
+    """Name the body whose motion explains most; of two that explain as much, the more cautious."""
     by_body = {
         Moved(name): float(estimate.explained(name, since)[0][0])
         for name in (Moved.HEAD, Moved.BASE, Moved.TRACKER, Moved.ASSISTANT)
     }
-    best = max(by_body, key=by_body.__getitem__)
-    if best is Moved.BASE or by_body[best] - by_body[Moved.BASE] > BETTER:
-        return best
-    if best is Moved.TRACKER and by_body[best] - by_body[Moved.HEAD] > BETTER:
-        return best
-    return Moved.HEAD_OR_TRACKER if best is Moved.TRACKER else best
+    most = max(by_body.values())
+    fits = {body for body, explained in by_body.items() if most - explained <= BETTER}
+    if fits == {Moved.TRACKER}:
+        return Moved.TRACKER
+    if fits <= {Moved.HEAD, Moved.TRACKER}:
+        return Moved.HEAD_OR_TRACKER if Moved.TRACKER in fits else Moved.HEAD
+    return max(fits - {Moved.TRACKER}, key=by_body.__getitem__)
 
 
 def _chi_square(values: Array, covariance: Array) -> float:

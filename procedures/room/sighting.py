@@ -24,7 +24,6 @@ Array = NDArray[np.float64]
 MARKER_NOISE_MM = np.array([0.06, 0.06, 0.20])
 NOISE_WORTH = 30  # frames that the stated noise counts as, beside the scatter of the frames themselves
 FLOOR_MM = np.array([0.006, 0.006, 0.012])  # per axis, below which no number of frames brings a mean (U)
-LEAST_SHARE = 0.5  # of the frames, in which a body is seen
 
 
 class Tracked(StrEnum):

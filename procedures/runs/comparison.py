@@ -1,8 +1,7 @@
 """Comparison of a resumed run's devices, calibrations, tool, inputs and room with its records.
 
 It connects and reads; nothing here can move the arm. The tracker measures the room again at rest: the visible
-spheres on the head, and the robot's base by the reference frame on the arm. The base is compared only in the
-recorded orientation of that frame.
+spheres on the head, and the base of each arm by the frame on it.
 """
 
 from __future__ import annotations
@@ -21,6 +20,7 @@ from procedures.engine.engine import Engine
 from procedures.guards.errors import (
     BaseShifted,
     FrameSlipped,
+    InsertionDisturbed,
     PatientMoved,
     PatientUnseen,
     RoomMoved,
@@ -36,9 +36,9 @@ from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.ct_import import ImportedCt
 from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.inputs import note_same_content
-from procedures.steps.clinical.localized_room import build_watch
+from procedures.steps.clinical.localized_room import build_watch, take_in_assistant
 from procedures.steps.clinical.plan_check import CheckedPlan
-from procedures.steps.clinical.results import RegisteredRobot
+from procedures.steps.clinical.results import KnownBases, RegisteredRobot
 from procedures.steps.clinical.room import (
     find_followed_places,
     find_followed_registration,
@@ -97,7 +97,7 @@ class Comparison:
     def add_move(self, moved: RoomMoved) -> None:
         """Add what has moved in the room, as a warning."""
         self.moved = moved
-        self.warn(f"{moved.summary}: what depends on it is void once this is accepted, and done again")
+        self.warn(f"{moved.summary}: what depends on it is void, and done again")
 
     def compare(self, what: str, recorded: BaseModel | None, found: BaseModel | None) -> None:
         """Compare an item with its record, and add it as unchanged or add the fields that differ."""
@@ -365,19 +365,24 @@ def compare_room(engine: Engine, comparison: Comparison) -> bool:
     points_mm = targets_mm(checked.result, matched.result) if checked and matched else {}
     settings, name = engine.setting.settings, stored.record.identifier
     watch = build_watch(workcell, settings, name, stored.result, pairs, points_mm, followed)
+    if (bases := context.latest(KnownBases)) is not None:
+        take_in_assistant(watch, workcell, settings, bases)
     watch.follow(*followed)
     look = watch.compare(read_watched(watch, workcell, engine.setting.clock, CAREFUL_FRAMES))
-    if look.head_mm is None:
+    if look.head_mm is None and not isinstance(look.moved, BaseShifted | PlatformMoved):
         return False
     try:
         findings = look.require()
     except RoomUndecided as undecided:
         if not workcell.place.is_home:
+            comparison.warn(f"{undecided.summary}: compared again once the arm is home")
             return False
         comparison.add_difference("room", f"all within {undecided.limit}", undecided.what)
         return True
     except PatientUnseen:
         return False
+    except InsertionDisturbed:  # told with the axis on which the assistant stands
+        return True
     except (PatientMoved, BaseShifted, FrameSlipped, PlatformMoved) as moved:
         follows = workcell.tool is MountedTool.GUIDE and not context.stands(RegisteredRobot)
         if isinstance(moved, PatientMoved) and follows:  # the step registration asks whether to follow it
@@ -396,7 +401,7 @@ def compare_room(engine: Engine, comparison: Comparison) -> bool:
         else f"patient: spheres within {look.head_mm:.2f} mm of their recorded positions"
     )
     if look.base_mm is None:
-        comparison.note("robot base: not compared in this pose")
+        comparison.note("robot base: the tracker does not see the frame on the arm")
     else:
         comparison.note(
             f"robot base: the frame on the arm within {look.base_mm:.2f} mm of where it is expected"

@@ -25,12 +25,13 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from procedures.engine.engine import Engine
 from procedures.guards.errors import BaseShifted, PatientMoved, PatientUnseen
 from procedures.guards.room_motion import NEAR_HEAD_MM
-from procedures.guards.room_reading import CAREFUL_FRAMES, RoomReading, find_ghosts, read_room
+from procedures.guards.room_reading import CAREFUL_FRAMES, RoomReading, find_ghosts, room_reading
 from procedures.journal.results import StepResult
 from procedures.registration.movement import NEAR_MM
 from procedures.steps.clinical import positioning, relocalization
 from procedures.steps.clinical.room import require_unmoved
 from procedures.workcell import MountedTool
+from procedures.workcell.tracker_look import read_frames_at_rest
 from ronna_hw.frames import Frame, Transform
 from sim.polaris.measurement.optics import EYES_MM, phantoms
 from sim.world.rigid import matrix_from
@@ -207,8 +208,9 @@ def test_markers_of_the_mounted_guide_are_known_as_ends_of_lines_as_those_of_the
 ) -> None:
     for mounted, frames in ((MountedTool.STEREO_HEAD, 1), (MountedTool.GUIDE, 2)):
         cell = ClinicalCell(tmp_path / mounted.name).carrying(mounted)
-        reading = read_room(
-            cell.workcell, cell.clock, Transform(Frame.ROBOT, Frame.TRACKER, RigidTransform.identity())
+        frames, _ = read_frames_at_rest(cell.workcell.tracker, cell.clock)
+        reading = room_reading(
+            cell.workcell, frames, Transform(Frame.ROBOT, Frame.TRACKER, RigidTransform.identity())
         )
         assert len(reading.markers_mm) == sum(map(len, list(cell.tracker.markers_mm.values())[:frames]))
 

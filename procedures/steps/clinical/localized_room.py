@@ -63,8 +63,9 @@ def build_watch(
     watch.points_mm = points_mm or {}
     watch.tracker = workcell.tracker_move(name)
     watch.tracker_moved = partial(workcell.record_tracker_move, name)
-    watch.keep = partial(workcell.record_look, name)
-    watch.restore(workcell.looks(name), *followed)
+    if pairs is not None:  # before the match the spheres have other numbers
+        watch.keep = partial(workcell.record_look, name)
+        watch.restore(workcell.looks(name), *followed)
     return watch
 
 

@@ -55,7 +55,7 @@ class Relocalization(StepResult, kind="relocalization", version=2):
     left_out: tuple[LeftOutSphere, ...] = Field(default=(), description="Spheres without a measurement.")
     frame_at_home_mm: Numbers3 | None = Field(
         default=None,
-        description="The frame on the arm before, home: by the tracker minus by the arm, robot frame.",
+        description="In earlier versions: the frame on the arm before, home, by tracker minus by arm.",
     )
 
     @model_validator(mode="after")

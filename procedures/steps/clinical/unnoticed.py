@@ -46,10 +46,6 @@ class UnnoticedChanges:
 
     by_source_mm2: dict[str, Array]
 
-    def rms_mm(self, source: str) -> float:
-        """Return the rms of one source."""
-        return math.sqrt(float(np.trace(self.by_source_mm2[source])))
-
 
 def expect_unnoticed(
     context: StepContext, tip_mm: Array, joints_rad: JointVector, sides: Sequence[int] | None
@@ -110,10 +106,11 @@ def look_at_target(context: StepContext) -> RoomLook:
             0.9 + 0.1 * number / MOST_LOOKS,
             f"looking again {occasion}: what may have moved makes {total_mm:.2f} mm, margin {margin_mm:g} mm",
         )
-    if counted_mm is not None and unnoticed_mm > POORER * counted_mm:
+    if counted_mm is not None and (unnoticed_mm > POORER * counted_mm or total_mm > margin_mm):
         context.find(
             f"{occasion} the tracker sees less of the arm than was expected: the predicted error grows from "
-            f"{predicted.rms_mm:.2f} to {total_mm:.2f} mm rms, by what may have moved unnoticed",
+            f"{predicted.rms_mm:.2f} to {total_mm:.2f} mm rms (margin {margin_mm:g} mm), by what may "
+            "have moved unnoticed",
             [trajectory],
         )
     return look

@@ -143,7 +143,7 @@ def test_the_base_is_not_compared_while_the_frame_on_the_arm_is_hidden(cell: Cli
     cell.tracker.hidden = True
     _, comparison = compared(engine)
     assert comparison.differences == []
-    assert "robot base: not compared in this pose" in comparison.findings
+    assert "robot base: the tracker does not see the frame on the arm" in comparison.findings
 
 
 def test_nothing_is_compared_before_the_localization(cell: ClinicalCell) -> None:

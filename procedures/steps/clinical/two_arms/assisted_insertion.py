@@ -22,7 +22,7 @@ from procedures.planning.errors import NotReachable
 from procedures.room.sighting import Tracked
 from procedures.steps.branches import KEPT_BASES
 from procedures.steps.clinical.results import AssistedInsertion, KnownBases
-from procedures.steps.clinical.room import check_room, read_localized, room_watch
+from procedures.steps.clinical.room import check_room, room_watch
 from procedures.steps.clinical.two_arms.insertion_axis import (
     ABOVE_GUIDE_MM,
     Meeting,
@@ -35,6 +35,7 @@ from procedures.steps.clinical.work_progress import DepthStop
 from procedures.workcell import InsertionAxis
 from procedures.workcell.arm_history import HeldInstrument
 from procedures.workcell.assistant import BORE_SPEED_MM_S, Assistant, GuidedStretch
+from procedures.workcell.tracker_look import read_frames_at_rest
 from ronna_hw.devices.contact import INSERTION_SPEED_MM_S
 from ronna_hw.text import format_against_limit
 from ronna_hw.vectors import joint_vector
@@ -230,8 +231,9 @@ def _look_at_assistant(context: StepContext, occasion: str, sides: ArrivedSides 
     try:
         return check_room(context, occasion, CAREFUL_FRAMES, sides).reading
     except PatientUnseen:
-        watch = room_watch(context)
-        return watch.read(context.workcell, read_localized(context), sides)
+        tracker, clock = context.workcell.tracker, context.setting.clock
+        frames, _ = read_frames_at_rest(tracker, clock, count=CAREFUL_FRAMES)
+        return room_watch(context).read(context.workcell, frames, sides)
 
 
 def _require_seen_coaxial(context: StepContext, axis: InsertionAxis, *, stood: bool) -> BesideBore | None:

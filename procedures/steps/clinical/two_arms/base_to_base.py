@@ -19,6 +19,7 @@ from procedures.guards.room_reading import CAREFUL_FRAMES
 from procedures.guards.room_watch import RoomWatch
 from procedures.journal.results import FramedPose
 from procedures.operator.question import Topic
+from procedures.room.motion import Moved
 from procedures.steps.clinical.localized_room import take_in_assistant
 from procedures.steps.clinical.path_check import CheckedPaths
 from procedures.steps.clinical.results import KnownBases
@@ -112,6 +113,8 @@ def _require_stood(context: StepContext, known: KnownBases) -> None:
     workcell, settings = context.workcell, context.setting.settings
     motion = take_in_assistant(room_watch(context), workcell, settings, known)
     if motion is not None:
+        if motion.moved is not Moved.ASSISTANT:  # the next look names it, and voids what depends on it
+            check_room(context, "after the arms were measured against each other", CAREFUL_FRAMES)
         context.setting.memory.drop(RoomWatch)
         raise PlatformMoved(
             "a cart has moved while the arms were measured against each other",
