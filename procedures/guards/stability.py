@@ -17,8 +17,11 @@ from pydantic import Field
 
 from procedures.journal.journal import Entry, Line, theatre_time_s
 from procedures.journal.results import Values
+from ronna_hw.arm.catalogue import repeatability_mm
 
-GUIDE_NOTICEABLE_MM = 0.05  # on its gauge; beyond it, the guide is not as it was when its tip was calibrated
+# On its gauge; beyond it, the guide is not as it was when its tip was calibrated. For an arm that repeats
+# within `REPEATABLE_MM` per axis; one that repeats less well shows less.
+GUIDE_NOTICEABLE_MM, REPEATABLE_MM = 0.05, 0.015
 CONFIRMATION = "confirmation"
 LOOKS_AT_ROOM = (
     *("global_localization", "relocalization", "tool_change", "tool_check", "positioning"),
@@ -55,6 +58,16 @@ AT_TARGETS = "what the looks show at each target, by its lever"
 GUIDE_UNNOTICED_MM = GUIDE_NOTICEABLE_MM / math.sqrt(3.0)  # rms, uniformly distributed up to the limit
 
 
+def guide_noticeable_mm(arm: str) -> float:
+    """Return the displacement of the guide from which on its gauge shows it, with this model of arm."""
+    return GUIDE_NOTICEABLE_MM * max(1.0, repeatability_mm(arm) / REPEATABLE_MM)
+
+
+def guide_unnoticed_mm(arm: str) -> float:
+    """Return the rms of a displacement of the guide that its gauge does not show, with this model of arm."""
+    return GUIDE_UNNOTICED_MM * guide_noticeable_mm(arm) / GUIDE_NOTICEABLE_MM
+
+
 WATCHED_SUBJECTS = (
     WatchedSubject(
         Subject.HEAD,
@@ -73,7 +86,7 @@ WATCHED_SUBJECTS = (
     WatchedSubject(
         Subject.GUIDE,
         "dials of the gauge",
-        f"{GUIDE_NOTICEABLE_MM:g} mm at its end",
+        f"{GUIDE_NOTICEABLE_MM:g} mm at its end; more with an arm that repeats less well",
         ("tool_check",),
         ("tool_check", CONFIRMATION),
     ),
@@ -119,9 +132,9 @@ class SeenUnchanged(Values):
     differs: bool = Field(default=False, description="Whether it has changed otherwise, such as by a tilt.")
 
     @classmethod
-    def guide(cls, off_mm: float | None, *, differs: bool = False) -> SeenUnchanged:
+    def guide(cls, off_mm: float | None, noticeable_mm: float, *, differs: bool = False) -> SeenUnchanged:
         """Build the finding on the guide from its gauge measurement."""
-        return cls(subject=Subject.GUIDE, moved_mm=off_mm, noticeable_mm=GUIDE_NOTICEABLE_MM, differs=differs)
+        return cls(subject=Subject.GUIDE, moved_mm=off_mm, noticeable_mm=noticeable_mm, differs=differs)
 
     @property
     def unchanged(self) -> bool:

@@ -206,13 +206,13 @@ def test_an_intersection_of_lines_to_two_markers_on_the_arm_is_not_taken_for_a_s
 def test_markers_of_the_mounted_guide_are_known_as_ends_of_lines_as_those_of_the_frame_are(
     tmp_path: Path,
 ) -> None:
-    for mounted, frames in ((MountedTool.STEREO_HEAD, 1), (MountedTool.GUIDE, 2)):
+    for mounted, known in ((MountedTool.STEREO_HEAD, 1), (MountedTool.GUIDE, 2)):
         cell = ClinicalCell(tmp_path / mounted.name).carrying(mounted)
         frames, _ = read_frames_at_rest(cell.workcell.tracker, cell.clock)
         reading = room_reading(
             cell.workcell, frames, Transform(Frame.ROBOT, Frame.TRACKER, RigidTransform.identity())
         )
-        assert len(reading.markers_mm) == sum(map(len, list(cell.tracker.markers_mm.values())[:frames]))
+        assert len(reading.markers_mm) == sum(map(len, list(cell.tracker.markers_mm.values())[:known]))
 
 
 @pytest.mark.hazard(12)

@@ -145,8 +145,8 @@ class Trial:
 def limit_mm(watch: RoomWatch, target: str) -> float:
     """Radius that holds the error at the stated confidence, with what no look would notice."""
     last, point_mm = len(watch.estimate.looks) - 1, watch.points_mm[target]
-    base = watch.estimate.displacement(point_mm, last, ("base",)).covariance_mm2
-    head = watch.estimate.displacement(point_mm, last - 1, ("head",)).covariance_mm2
+    base = watch.estimate.displacement(point_mm, last, {"base": 1.0}).covariance_mm2
+    head = watch.estimate.displacement(point_mm, last - 1, {"head": -1.0}).covariance_mm2
     rest = (HONEST_MM**2 + GUIDE_UNNOTICED_MM**2) / 3.0 * np.eye(3)
     return float(error_limit_mm(rest + base + head, DEFAULT_CONFIDENCE))
 

@@ -12,7 +12,7 @@ from procedures.engine.order import Outcome, Phase, Scope, StepSpec
 from procedures.guards.errors import RoomMoved
 from procedures.guards.room_reading import CAREFUL_FRAMES
 from procedures.guards.room_watch import RoomLook, RoomWatch, read_watched
-from procedures.guards.stability import SeenUnchanged, Subject
+from procedures.guards.stability import SeenUnchanged, Subject, guide_noticeable_mm
 from procedures.operator.question import Topic
 from procedures.steps.clinical.at_target import ReachedTarget
 from procedures.steps.clinical.global_localization import GlobalLocalization
@@ -59,14 +59,14 @@ def _check_guide(context: StepContext, targets_remain: bool) -> SeenUnchanged:
         if not context.workcell.place.is_home:  # it was reached, and the way back is not clear
             raise
         doubt(context, f"the gauge cannot be reached, so the guide was not checked: {problem.summary}")
-        return SeenUnchanged.guide(None)
+        return SeenUnchanged.guide(None, guide_noticeable_mm(context.workcell.arm.kinematics.name))
     if found.differs:
         off = f"{found.off_mm:.2f} mm and {found.tilt_deg:.2f} deg"
         reason = f"the guide is {off} from its record after {context.trajectory}"
         doubt(context, reason)
         if targets_remain:
             context.void(CheckedTool, ToolUnchecked(reason))
-    return SeenUnchanged.guide(found.off_mm, differs=found.differs)
+    return SeenUnchanged.guide(found.off_mm, found.noticeable_mm, differs=found.differs)
 
 
 def _check_room(context: StepContext, watch: RoomWatch, targets_remain: bool) -> RoomLook:

@@ -17,7 +17,7 @@ from procedures.engine.context import StepContext
 from procedures.engine.order import Outcome, Phase, StepSpec
 from procedures.engine.questions import IN_GAUGE
 from procedures.guards.room_reading import CAREFUL_FRAMES
-from procedures.guards.stability import GUIDE_NOTICEABLE_MM
+from procedures.guards.stability import guide_noticeable_mm
 from procedures.journal.results import Numbers6, StepResult
 from procedures.operator.question import NO, YES, Task, Topic
 from procedures.steps.branches import TOOL_BESIDE_GAUGE
@@ -100,7 +100,7 @@ def _check_tool(context: StepContext) -> Outcome[CheckedTool]:
         workcell.rest()  # hands reseat it: nothing may move the arm meanwhile
         raise ToolBesideGauge(
             "the guide is not as it was when its tip was calibrated",
-            limit=f"{GUIDE_NOTICEABLE_MM:g} mm, {TILT_LIMIT_DEG:g} deg",
+            limit=f"{found.noticeable_mm:g} mm, {TILT_LIMIT_DEG:g} deg",
             got=f"{found.off_mm:.3f} mm, {found.tilt_deg:.3f} deg (x, y, z: "
             + ", ".join(f"{value:+.3f}" for value in found.offset_mm)
             + ")",
@@ -129,6 +129,7 @@ class GuideOnGauge:
     offset_mm: Numbers3
     tilt_deg: float
     joints_rad: Numbers6
+    noticeable_mm: float
 
     @property
     def off_mm(self) -> float:
@@ -138,7 +139,7 @@ class GuideOnGauge:
     @property
     def differs(self) -> bool:
         """Whether the guide is noticeably off its calibrated pose: bent or badly seated."""
-        return self.off_mm > GUIDE_NOTICEABLE_MM or self.tilt_deg > TILT_LIMIT_DEG
+        return self.off_mm > self.noticeable_mm or self.tilt_deg > TILT_LIMIT_DEG
 
 
 def read_on_gauge(context: StepContext) -> GuideOnGauge:
@@ -156,6 +157,7 @@ def read_on_gauge(context: StepContext) -> GuideOnGauge:
     workcell.start()
     there = [workcell.settle_motion(gauge_rad, ONE_SIDE, allow_detour=True)]
     workcell.supervised.confirm(Topic.TOOL_CHECK, "move the guide over to the gauge on the table", there)
+    noticeable_mm = guide_noticeable_mm(workcell.arm.kinematics.name)
     reads = tuple(f"dial {name} of the gauge in mm" for name in DIALS)
     task = Task(
         GAUGE,
@@ -174,7 +176,9 @@ def read_on_gauge(context: StepContext) -> GuideOnGauge:
         if number == 0:
             read_s = context.setting.clock.now_s()
         context.request_instrument_removal()
-        found = GuideOnGauge(tuple(readings), *compare_with_record(guide.gauge, readings), reached.joints_rad)
+        found = GuideOnGauge(
+            tuple(readings), *compare_with_record(guide.gauge, readings), reached.joints_rad, noticeable_mm
+        )
         if number + 1 == APPROACHES and not found.differs:
             break
     workcell.park("park the arm from the gauge")

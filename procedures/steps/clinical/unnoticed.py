@@ -18,7 +18,7 @@ from procedures.calibration.guide_load import LoadEstimate
 from procedures.engine.context import StepContext
 from procedures.guards.room_reading import CAREFUL_FRAMES
 from procedures.guards.room_watch import RoomLook, RoomWatch
-from procedures.guards.stability import GUIDE_UNNOTICED_MM, Subject
+from procedures.guards.stability import Subject, guide_unnoticed_mm
 from procedures.planning.tracker_sight import explain_hidden_frame
 from procedures.room.estimate import RoomEstimate
 from procedures.room.sighting import Rest, SeenSpheres, Sighting, Tracked, expect_frame, expect_spheres
@@ -65,7 +65,8 @@ def expect_unnoticed(
         at_target = _expect_look(context, watch, joints_rad, sides, SeenSpheres())
         estimate = watch.with_look(at_target, estimate)
     base_mm2 = _base_unnoticed_mm2(estimate, tip_mm, at_home, at_home + 1)
-    return UnnoticedChanges({HEAD: head.covariance_mm2, BASE: base_mm2, GUIDE: _guide_mm2()})
+    guide_mm = guide_unnoticed_mm(workcell.arm.kinematics.name)
+    return UnnoticedChanges({HEAD: head.covariance_mm2, BASE: base_mm2, GUIDE: np.eye(3) * guide_mm**2 / 3.0})
 
 
 def _base_unnoticed_mm2(
@@ -124,10 +125,6 @@ def _base_unnoticed_mm(watch: RoomWatch, trajectory: str, at_target: int, load: 
     point_mm = watch.points_mm[trajectory]
     part = _base_unnoticed_mm2(watch.estimate, point_mm, watch.settled_home, at_target, held_mm)
     return math.sqrt(float(np.trace(part)))
-
-
-def _guide_mm2() -> Array:
-    return np.asarray(np.eye(3) * GUIDE_UNNOTICED_MM**2 / 3.0)
 
 
 def _expect_look(

@@ -193,7 +193,7 @@ def examples(cell: ClinicalCell) -> list[StepResult]:
             seen=(
                 SeenUnchanged(subject=Subject.HEAD, moved_mm=0.1 + 0.2, noticeable_mm=1 / 3, differs=True),
                 SeenUnchanged(subject=Subject.BASE, moved_mm=None, noticeable_mm=0.5),
-                SeenUnchanged.guide(0.01),
+                SeenUnchanged.guide(0.01, 0.05),
             ),
             in_doubt=("T1",),
             link=None,

@@ -152,7 +152,7 @@ JOURNAL = (
 FINDING = {"entry": "finding", "text": "T1: the guide was pushed", "theatre_time_s": 13.0}
 USUAL = {
     "entry": "finding",
-    "text": "over T1 tracker and joints agree about the assistant within 0.45 mm",
+    "text": "over T1, by the tracker: the instrument is seen 0.05 mm beside the bore, within 0.23 mm",
     "theatre_time_s": 13.0,
 }
 RESTART = {

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from contextlib import nullcontext
 from pathlib import Path
 
@@ -125,7 +126,8 @@ def test_what_goes_unnoticed_grows_with_the_way_from_what_is_seen_and_with_worse
 
     def unnoticed(tip_mm: Array) -> tuple[float, float]:
         found = expect_unnoticed(context, tip_mm, held.joints_rad, held.approach_signs)
-        return found.rms_mm(HEAD), found.rms_mm(BASE)
+        head_mm2, base_mm2 = (found.by_source_mm2[source] for source in (HEAD, BASE))
+        return math.sqrt(np.trace(head_mm2)), math.sqrt(np.trace(base_mm2))
 
     hidden = ["", "the frame is turned away"]
     monkeypatch.setattr("procedures.steps.clinical.unnoticed.explain_hidden_frame", lambda *_: hidden[0])

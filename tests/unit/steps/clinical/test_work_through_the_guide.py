@@ -259,6 +259,8 @@ DISPLACED = {
 def test_a_displaced_guide_suspends_the_case_until_it_is_released(cell: ClinicalCell, how: str) -> None:
     seen, displaced, expected_mm = DISPLACED[how]
     engine = before_the_entry(cell)
+    if expected_mm is None:  # a turn shows where the frame on the guide is hidden
+        cell.tracker.guide_shift_mm = None
 
     def displace(question: Question) -> None:
         setattr(cell.tracker, seen, displaced if question.topic is Topic.DRILL else (0.0, 0.0, 0.0))
@@ -345,6 +347,8 @@ def test_a_push_released_before_the_stage_is_confirmed_is_recorded_and_not_told_
     cell: ClinicalCell, shift_mm: float, turn_rad: float, at_most_mm: float
 ) -> None:
     engine = before_the_entry(cell)
+    if turn_rad:  # shows where the frame on the guide is hidden
+        cell.tracker.guide_shift_mm = None
     engine.checkpoint.watching = patient_watch(engine, lambda _moved: None).watching
     reader = engine.events.subscribe()
 
