@@ -72,9 +72,9 @@ class InsertionDisturbed(RefusedError):
 
 
 class RoomUndecided(RefusedError):
-    """The head with its clamp, or the tracker, was moved: the arm's pose does not tell which of them.
+    """Something was moved, pushed or loaded, and the arm's present pose does not tell what.
 
-    Nothing is void yet. With the arm home, the next look follows a pushed tracker or names the moved head.
+    Nothing is void yet. With the arm home, the next look follows a pushed tracker or names what has moved.
     """
 
     code = "PRO-052"
