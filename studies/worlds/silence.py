@@ -16,6 +16,9 @@ from studies.worlds.verdict import UNUSUAL_TOPICS, Judgement, judge, limits_used
 
 SILENT_RMS = 2.0  # times the stated rms: no larger error may go without a word
 BINDS = "SIM-015"  # the theatre's staff could not bring the instrument to its stop
+OF_THE_LOOKS = re.compile(
+    r"STE-|REG-"
+)  # codes: looks at spheres that do not agree, as none of a moving head does
 OF_THE_PLAN = re.compile(r"PLAN-|STR-|ARM-007|CAL-010")  # codes: out of reach, too near, no clear path
 ASKED = "asked: "
 UNUSUAL = UNUSUAL_TOPICS - {Topic.RESUME, Topic.WORK_BEGUN}  # which every killed case asks
@@ -140,9 +143,6 @@ def _find_ending(printed: Mapping[str, Any], exit_code: int, error: str, found: 
         return Ending.BOUND
     if OF_THE_PLAN.match(error):
         return Ending.NOT_POSSIBLE
-    by_the_procedure = (
-        EXIT_REFUSED,
-        EXIT_SAFETY_STOP,
-        EXIT_RECOVERY_NEEDED,
-    )  # the last: a room that is not as recorded
-    return Ending.REFUSED if exit_code in by_the_procedure else Ending.BROKEN
+    # The last exit code: a room that is not as recorded.
+    by_the_procedure = exit_code in (EXIT_REFUSED, EXIT_SAFETY_STOP, EXIT_RECOVERY_NEEDED)
+    return Ending.REFUSED if by_the_procedure or OF_THE_LOOKS.match(error) else Ending.BROKEN

@@ -161,6 +161,7 @@ RESTART = {
     "supersedes": ["15-positioning-T1"],
     "theatre_time_s": 13.0,
 }
+DIVERGED = {"outcome": "failed", "error": {"code": "STE-007", "what": "the residual has not decreased"}}
 OUT_OF_REACH = {"outcome": "failed", "error": {"code": "PLAN-007", "what": "out of reach"}}
 RMS_MM, LIMIT_MM = 0.3, 0.5
 
@@ -180,6 +181,7 @@ RMS_MM, LIMIT_MM = 0.3, 0.5
         (0.1, None, {"outcome": "in doubt"}, 0, (Silence.TOLD, Ending.IN_DOUBT)),
         (None, None, {"outcome": "failed"}, EXIT_REFUSED, (Silence.REFUSED, Ending.REFUSED)),
         (0.7, None, {"outcome": "failed"}, EXIT_REFUSED, (Silence.SILENT, Ending.REFUSED)),
+        (None, None, DIVERGED, 1, (Silence.REFUSED, Ending.REFUSED)),
         (None, None, {"outcome": "failed"}, 1, (Silence.BROKEN, Ending.BROKEN)),
         (
             None,
