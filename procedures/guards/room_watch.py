@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from procedures.engine.setting import CaseMemory
-from procedures.guards.errors import InsertionDisturbed, PatientUnseen, RoomMoved, RoomUndecided
+from procedures.guards.errors import BaseShifted, InsertionDisturbed, PatientUnseen, RoomMoved, RoomUndecided
 from procedures.guards.room_motion import (
     GROSS_LIMIT_MM,
     Expected,
@@ -49,6 +49,7 @@ FlangePose = Callable[[JointVector, Sequence[int] | None], Transform]  # ROBOT <
 
 # Theatre time for which a guide may approach an unseen head. The approach to a target takes some 5 s.
 MOST_UNSEEN_S = 10.0
+TOUCHED_S = 3.0  # theatre time after which a hand that touched the arm in passing is gone
 
 
 @dataclass(frozen=True)
@@ -511,8 +512,17 @@ def check_now(
     count: int = FRAMES,
     sides: ArrivedSides = AS_KNOWN,
 ) -> RoomLook:
-    """Check the room now and raise like `RoomLook.require`. A movement voids results and ends the watch."""
+    """Check the room now and raise like `RoomLook.require`. A movement voids results and ends the watch.
+
+    An arm at home that is not in its place is looked at once more after a moment: a hand may have touched it.
+    """
     look = room.compare(read_watched(room, workcell, clock, count, sides), clock.now_s())
+    if isinstance(touched := look.moved, BaseShifted) and look.reading.settled_home and touched.cart:
+        clock.sleep(TOUCHED_S)
+        look = room.compare(read_watched(room, workcell, clock, CAREFUL_FRAMES, sides), clock.now_s())
+        if look.moved is None:
+            found = f"for a moment {touched.what}; it is back in its place: somebody has touched the arm"
+            look = replace(look, findings=(*look.findings, found))
     if isinstance(look.moved, RoomMoved):
         void(look.moved)  # first: the watch goes on until this is written
     if isinstance(look.moved, RoomMoved | RoomUndecided):

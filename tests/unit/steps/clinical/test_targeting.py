@@ -22,10 +22,13 @@ from clinical_case import (
 )
 from prepared_results import before_positioning, checked_paths, plan, registered_robot
 from recording_cell import GUIDE, STEREO_HEAD, RecordingOperator, tool_pose
+from watched_case import findings
 
 from procedures.engine.engine import Engine
 from procedures.engine.order import Scope
 from procedures.guards.errors import BaseShifted, PatientMoved, RoomUndecided
+from procedures.guards.room_reading import RoomReading
+from procedures.guards.room_watch import RoomLook, RoomWatch
 from procedures.journal.errors import GateFailed, StepRefused
 from procedures.operator.errors import NotConfirmed
 from procedures.operator.question import Answer, Question, Topic
@@ -152,6 +155,28 @@ def test_a_guide_that_is_held_turned_when_it_comes_to_rest_is_refused(
     cell.tracker.frame_turn_rad = (0.0, 0.0, 0.0)
     engine.retreat_home()
     run(engine, f"positioning:{FIRST}", f"at_target:{FIRST}")  # as the message says
+
+
+@pytest.mark.hazard(13)
+def test_a_hand_that_touches_the_arm_at_home_in_passing_costs_no_localization(
+    cell: ClinicalCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    engine = before_positioning(cell)
+    compare = RoomWatch.compare
+    run(engine, f"positioning:{FIRST}")
+    engine.retreat_home()
+
+    def touched(watch: RoomWatch, reading: RoomReading, now_s: float = 0.0) -> RoomLook:
+        looked = compare(watch, reading, now_s)
+        cell.tracker.frame_shift_mm = (0.0, 0.0, 0.0)  # the hand goes on
+        return looked
+
+    monkeypatch.setattr(RoomWatch, "compare", touched)
+    cell.tracker.frame_shift_mm = (0.0, 1.0, 0.0)
+    run(engine, f"positioning:{FIRST}")
+    assert cell.entries("voided") == []
+    (found,) = (one for one in findings(cell) if "somebody has touched the arm" in one)
+    assert "the frame on the arm by 1.0" in found
 
 
 @pytest.mark.hazard(47)
