@@ -174,10 +174,12 @@ def _base_shifted(
     if not cart:  # what it sees moves against it
         way = describe_way(-motion.way_mm)
     what = "the cart of the robot was moved, the frame on the arm" if cart else "the tracker was moved"
+    if cart and motion.moved_mm < GROSS_LIMIT_MM:
+        what = "the cart of the robot was moved, or somebody leans on arm or guide: the frame on the arm"
     if motion.moved is Moved.SEVERAL:
         what = "head and arm show that two of head, cart and tracker were moved, one of them"
     elif cart and motion.at is not None:
-        what = "the cart of the robot was moved or turned"
+        what = "the cart of the robot was moved or turned, or somebody leans on arm or guide,"
     shifted = BaseShifted(f"{what} by {way}", limit=limit, got=got)
     shifted.cart = cart
     if cart and motion.moved_mm >= GROSS_LIMIT_MM / 2.0:
@@ -221,7 +223,9 @@ def _patient_moved(motion: Motion, expected: Expected, reading: RoomReading, way
         seen = f", the mean of {format_count(head.shift.points, 'sphere')}" if head and not motion.at else ""
         what = f"the head{', or the tracker,' if tracker else ''} has moved since it was localized"
         what += f", by {way}{seen}"
-    return PatientMoved.from_shift(what, moved_mm, round(motion.limit_mm, 2))
+    # The limit on the mean way, as one on the rms of the points.
+    limit_mm = motion.limit_mm * max(1.0, moved_mm / motion.moved_mm)
+    return PatientMoved.from_shift(what, moved_mm, round(limit_mm, 2))
 
 
 def find_unseen(expected: Expected, reading: RoomReading) -> PatientUnseen | None:

@@ -145,4 +145,6 @@ class SeenUnchanged(Values):
         """Describe the finding to the operator."""
         if self.moved_mm is None:
             return f"{self.subject} not seen"
+        if self.differs:
+            return f"{self.subject} changed, by {self.moved_mm:.2f} mm"
         return f"{self.subject} within {self.moved_mm:.2f} mm"

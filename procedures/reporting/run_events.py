@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 
+from procedures.calibration.errors import PlatformMoved
 from procedures.guards.errors import BaseShifted, FrameSlipped, PatientMoved
 from procedures.journal.journal import Entry, JournalValue, Line, theatre_time_s
 from procedures.reporting.numbers import NOT_KNOWN
@@ -14,7 +15,7 @@ from ronna_hw.evidence.lost_end import LOST
 from ronna_hw.text import format_count
 
 ADVICE = re.compile(r"\. (?=[A-Z])")  # follows the first sentence of an error
-MOVES = (BaseShifted.code, PatientMoved.code, FrameSlipped.code)
+MOVES = (BaseShifted.code, PatientMoved.code, FrameSlipped.code, PlatformMoved.code)
 _NOTICES: Mapping[str, tuple[str, Callable[[Line], str]]] = {
     Entry.FINDING: ("finding", lambda line: str(line.get("text", ""))),
     Entry.SEAT: (

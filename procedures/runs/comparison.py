@@ -97,7 +97,7 @@ class Comparison:
     def add_move(self, moved: RoomMoved) -> None:
         """Add what has moved in the room, as a warning."""
         self.moved = moved
-        self.warn(f"{moved.summary}: what depends on it is void, and done again")
+        self.warnings.insert(0, f"{moved.summary}: what depends on it is void, and done again")
 
     def compare(self, what: str, recorded: BaseModel | None, found: BaseModel | None) -> None:
         """Compare an item with its record, and add it as unchanged or add the fields that differ."""

@@ -9,6 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from procedures.calibration.errors import PlatformMoved
 from procedures.engine.case import Case, StepKey
 from procedures.engine.engine import Engine
 from procedures.engine.events import Advisory, EventStream
@@ -242,7 +243,7 @@ def add_guards(engine: Engine, file: Path, theatre: TheatreFile, *, only_leaving
 
 
 class MovedCart:
-    """Handles a moved cart: the case continues if the operator agrees, once the arm is home.
+    """Handles a moved cart of either arm: the case continues if the operator agrees, once the arm is home.
 
     While an instrument is or may be inside the head, nobody is asked and nothing moves: the case is held, and
     leaves the head by an order of its own.
@@ -258,7 +259,11 @@ class MovedCart:
         Raises the errors of the way home.
         """
         engine = self._engine
-        if not isinstance(problem, BaseShifted) or self._moves == MOST_MOVES or engine.machine.ended:
+        if (
+            not isinstance(problem, BaseShifted | PlatformMoved)
+            or self._moves == MOST_MOVES
+            or engine.machine.ended
+        ):
             return False
         if (inside := engine.instrument_in) is not None:
             engine.find(

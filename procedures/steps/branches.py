@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import StrEnum
 
+from procedures.calibration.errors import PlatformMoved
 from procedures.engine.questions import INSIDE, IS_OUT
 from procedures.guards.errors import BaseShifted, FrameSlipped, PatientMoved, RoomUndecided
 from procedures.journal.errors import GateFailed
@@ -211,7 +212,7 @@ REFERENCE_UNDECIDED = Branch(
     (RoomUndecided,),
 )
 CART_MOVED = Branch(
-    "the cart or the tracker has moved; whatever depends on its position is void",
+    "a cart or the tracker has moved; whatever depends on its position is void",
     "the frame on the arm according to tracker and arm, as above; during motions with the guide and at the "
     "target from 10 mm on",
     ("relocalization", "tool_change", "tool_check", "positioning", "at_target", "retreat", "confirmation"),
@@ -219,7 +220,7 @@ CART_MOVED = Branch(
     "the global localization; CT, plan and finished targets remain valid. If all are finished, the arm "
     "goes home and the case ends. While an instrument is or may be inside, nobody is asked and nothing moves",
     Ending.ASK,
-    (BaseShifted,),
+    (BaseShifted, PlatformMoved),
     Topic.CART_MOVED,
     (GO_ON, HOLD),
 )

@@ -65,7 +65,7 @@ def move_frame(tracker: SeeingTracker) -> None:
     [
         (move_head(0.35), "the head, or the tracker, has moved"),  # who knows how the arm came to rest
         (move_head(30.0), "the head has moved"),  # no sphere is near its place: known by their layout
-        (move_frame, "the cart of the robot was moved, the frame on the arm by 1.00 mm"),
+        (move_frame, "somebody leans on arm or guide: the frame on the arm by 1.00 mm"),
     ],
 )
 def test_what_has_moved_meanwhile_is_told_and_voids_what_depends_on_it(

@@ -224,7 +224,7 @@ def test_a_cart_that_crept_by_half_a_millimetre_is_locked_again_before_the_next_
     changed_after_the_first(cell, engine, cart_crept)
     with pytest.raises(
         BaseShifted,
-        match=r"the cart of the robot was moved, the frame on the arm by 0\.50 mm.*limit 0\.\d+ mm",
+        match=r"the cart of the robot was moved, .*: the frame on the arm by 0\.50 mm.*limit 0\.\d+ mm",
     ):
         look_after(engine, FIRST)
     assert [targets for _, targets in findings(cell)] == [[FIRST]]
