@@ -6,11 +6,10 @@ in doubt. Results that no longer hold are not used for another target.
 
 from __future__ import annotations
 
-from procedures.calibration.errors import PlatformMoved
 from procedures.engine.context import StepContext
 from procedures.engine.errors import ToolUnchecked
 from procedures.engine.order import Outcome, Phase, Scope, StepSpec
-from procedures.guards.errors import BaseShifted, FrameSlipped, PatientMoved, RoomMoved
+from procedures.guards.errors import RoomMoved
 from procedures.guards.room_reading import CAREFUL_FRAMES
 from procedures.guards.room_watch import RoomLook, RoomWatch, read_watched
 from procedures.guards.stability import SeenUnchanged, Subject, guide_noticeable_mm
@@ -107,13 +106,11 @@ def _compare_at_target(
     changes = watch.changes_at(trajectory)
     seen_mm = {"head": None if look.by_frame else look.head_mm, "base": look.base_mm}
     found = []
-    # A move that names the other body leaves this one as it was; what is undecided leaves neither.
-    spares = {"head": (BaseShifted, PlatformMoved), "base": (PatientMoved, FrameSlipped, PlatformMoved)}
     for body, subject in (("head", Subject.HEAD), ("base", Subject.BASE)):
         (way_mm, noticed_mm), moved_mm = changes[body], seen_mm[body]
         if look.moved is None and moved_mm is not None:
             moved_mm = way_mm
-        differs = look.moved is not None and not isinstance(look.moved, spares[body])
+        differs = look.moved is not None
         found.append(
             SeenUnchanged(subject=subject, moved_mm=moved_mm, noticeable_mm=noticed_mm, differs=differs)
         )
