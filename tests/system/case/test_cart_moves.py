@@ -81,33 +81,40 @@ def test_opened_brakes_are_detected_and_once_they_are_closed_the_step_succeeds(
 @pytest.mark.hazard(50)
 @pytest.mark.branch("CART_MOVED")
 @pytest.mark.parametrize(
-    ("step", "again"),
+    ("step", "again", "resumed"),
     [
-        ("cart_lock", 0),  # before the localization: it is where it is
-        ("relocalization:T2", 1),
-        ("at_target:T2", 1),
+        ("cart_lock", 0, False),  # before the localization: it is where it is
+        ("relocalization:T2", 1, False),
+        ("at_target:T2", 1, True),  # held as a pushed guide is, until the arm is home
     ],
 )
 def test_after_a_cart_move_the_case_continues_from_the_lock_and_reaches_its_targets(
-    commands: Commands, tmp_path: Path, step: str, again: int
+    commands: Commands, tmp_path: Path, step: str, again: int, resumed: bool
 ) -> None:
     ran = run(commands, tmp_path, f"since step == {step}: {MOVES}")
+    if resumed:
+        assert ran.returncode == EXIT_REFUSED, ran.stderr
+        (left,) = (tmp_path / "runs").iterdir()
+        ran = commands.run("ronna-procedure", "resume", str(left), "--accept", "--json", timeout_s=400)
     assert ran.returncode == 0, ran.stderr
     outcome = json.loads(ran.stdout)
     assert [target["id"] for target in outcome["targets"]] == ["T1", "T2"]
     assert outcome["max_application_error_mm"] <= LARGEST_ERROR_MM
     lines = journal(tmp_path)
     asked = [line for line in lines if line.get("topic") == "cart_moved"]
-    assert [line["answer"] for line in asked] == [GO_ON] * again
+    assert [line["answer"] for line in asked] == [GO_ON] * (again and not resumed)
     steps = done(lines)
     assert steps.count("cart_lock") == steps.count("global_localization") == 1 + again
     assert all(steps.count(name) == 1 for name in (*KEPT, "at_target:T1", "retreat:T1"))
     voided = [line for line in lines if line["entry"] == "voided"]
-    assert [line["step"] for line in voided] == ["cart_lock"] * again
-    for line in voided:  # exactly what stood, without what does not depend on the cart, and finished targets
-        stood = [one["record"] for one in lines[: lines.index(line)] if one["entry"] == "result"]
-        finished = "retreat:T1" in done(lines[: lines.index(line)])
-        kept = [one for one in stood if one[3:] in KEPT or (finished and one.endswith("-T1"))]
+    moved = [line for line in voided if line["step"] == "cart_lock"]
+    assert len(moved) == again
+    for line in moved:  # exactly what stood, without what does not depend on the cart, and finished targets
+        before = lines[: lines.index(line)]
+        stood = [one["record"] for one in before if one["entry"] == "result"]
+        finished = "retreat:T1" in done(before)
+        gone = {one for earlier in before if earlier["entry"] == "voided" for one in earlier["supersedes"]}
+        kept = [one for one in stood if one[3:] in KEPT or (finished and one.endswith("-T1")) or one in gone]
         assert line["supersedes"] == [one for one in stood if one not in kept]
     (run_folder,) = (tmp_path / "runs").iterdir()
     registrations = [one for one in export_run(run_folder, tmp_path / "out").files if one.match("reg*.dcm")]
