@@ -145,9 +145,9 @@ class GuideDisplacement:
             return None
         return (
             f"pushed or pulled by {rest.now_mm:.2f} mm, limit {PUSHED_MM:g} mm: let go of "
-            f"the guide and the arm{HIDDEN if rest.unseen else ''}; if nobody is touching them, they were "
-            "touched as the guide came to rest, or its seat has given way: leave, send the arm home, repeat "
-            "tool_check"
+            f"the guide and the arm{HIDDEN if rest.unseen else ''}; if nobody is touching them, the cart or "
+            "the tracker was moved, they were touched as the guide came to rest, or its seat has given way: "
+            "leave, send the arm home, repeat tool_check"
         )
 
 

@@ -180,6 +180,8 @@ def _base_shifted(
         what = "head and arm show that two of head, cart and tracker were moved, one of them"
     elif cart and motion.at is not None:
         what = "the cart of the robot was moved or turned, or somebody leans on arm or guide,"
+    if cart and HeadSeen.of(expected, reading) is None:  # nothing tells it from a pushed tracker
+        what = what.replace("the cart of the robot was", "the cart of the robot, or the tracker, was")
     shifted = BaseShifted(f"{what} by {way}", limit=limit, got=got)
     shifted.cart = cart
     if cart and motion.moved_mm >= GROSS_LIMIT_MM / 2.0:
