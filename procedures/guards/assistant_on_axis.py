@@ -30,7 +30,7 @@ Array = NDArray[np.float64]
 LARGEST_OFF_MM = 0.5
 READINGS = 15  # averaged on the way
 WATCH_FALSE_ALARM = 1e-5  # share of these means: an insertion has some tens of them
-SIGMAS = 2.0  # the stated bound holds 95 % of the time
+SIGMAS = 2.0  # 95 % along the direction across the bore that the looks show least
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ class BesideBore:
 
     @property
     def has_moved(self) -> bool:
-        """Whether it is seen beside the bore, and by more than it gives way."""
+        """Whether the instrument may be further off than it gives way, and is seen to have moved."""
         return not self.is_within and self.chi_square > float(chdtri(2, WATCH_FALSE_ALARM))
 
     def __str__(self) -> str:

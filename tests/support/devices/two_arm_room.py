@@ -120,7 +120,7 @@ class TwoArmRoom:
 
     @property
     def frame_mm(self) -> Array:
-        """Where the assistant's frame is, robot frame."""
+        """Place (3,) mm of the assistant's frame, robot frame."""
         return (flange_of_assistant(self.joints_rad) @ MOUNT).translation_mm
 
     def workcell(self, cart: list[RigidTransform] | None = None) -> Workcell:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+from scipy.spatial.transform import RigidTransform
 from two_arm_room import OVER_GUIDE_RAD, STILL, TwoArmRoom, shifted, turned_about
 
 from procedures.calibration.errors import PlatformMoved
@@ -81,10 +82,10 @@ class Led:
         self.room.look(OVER_GUIDE_RAD, led=True)
         self.watch = AssistantOnAxis(self.room.workcell(), self.room.watch)
 
-    def see(self, cart: object = STILL, *, hidden: bool = False) -> bool:
+    def see(self, cart: RigidTransform = STILL, *, hidden: bool = False) -> bool:
         """See a mean of frames; return whether the assistant was displaced."""
         for _ in range(READINGS):
-            self.watch.add_frame(self.room.frame(cart, hidden=hidden))  # type: ignore[arg-type]
+            self.watch.add_frame(self.room.frame(cart, hidden=hidden))
         return self.watch.now is not None and self.watch.now.has_moved
 
 
