@@ -57,6 +57,10 @@ class RsiClient:
         self.last, self.source = self.socket.recvfrom(8192)
         return self.last
 
+    def await_telegram(self) -> None:
+        """Wait until the next telegram lies there; it is not read."""
+        assert select.select([self.socket], [], [], LIMIT_S)[0], "no telegram came"
+
     def receive_newest(self) -> bytes:
         """The last of the telegrams that lie there; waits for one when there is none."""
         self.receive()

@@ -43,6 +43,7 @@ class SharedController:
 
     def inject(self, fault: str, *others: str) -> None:
         """Faults from now on, and only these."""
+        self.rsi.await_telegram()  # the controller has finished the last cycle, and waits for us in the next
         begin_s = self.world.clock.now_s() - CYCLE_S / 4  # in lock-step the time stands while a client works
         lines = (f"at {begin_s:.6f} s: robot {line}" for line in (fault, *others))
         self.world.set_fault_script("\n".join(lines))
