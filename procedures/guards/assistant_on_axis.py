@@ -35,7 +35,7 @@ SIGMAS = 2.0  # 95 % along the direction across the bore that the looks show lea
 
 @dataclass(frozen=True)
 class BesideBore:
-    """Instrument across the bore, at its upper end: how far it is seen beside it, and the 95 % bound."""
+    """Instrument across the bore, at its upper end: how far it is seen beside it, and two standard errors."""
 
     seen_mm: float
     uncertain_mm: float

@@ -28,7 +28,7 @@ from procedures.registration.movement import (
 )
 from procedures.registration.rigid_fit import as_transform, fit_rigid
 from procedures.room.motion import Motion, Moved
-from procedures.room.sighting import Tracked
+from procedures.room.sighting import Sighting, Tracked
 from procedures.workcell.tracker_move import STILL
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.text import format_against_limit, format_count
@@ -57,28 +57,30 @@ class HeadSeen:
         return self.shift.rms_mm
 
     @classmethod
-    def of(cls, expected: Expected, reading: RoomReading) -> HeadSeen | None:
-        """Compare a reading with what is expected in it; None if too little of the head is seen."""
-        look = reading.sighting(expected.spheres_mm, expected.sensors_mm)
-        if len(look.spheres.numbers) >= LEAST_POINTS:
-            before_mm = expected.spheres_mm[list(look.spheres.numbers)]
-            fit = fit_rigid(before_mm, look.spheres.places_mm)
+    def of(cls, expected: Expected) -> HeadSeen | None:
+        """Compare a look with what is expected in it; None if too little of the head is seen."""
+        spheres = expected.look.spheres
+        if len(spheres.numbers) >= LEAST_POINTS:
+            before_mm = expected.spheres_mm[list(spheres.numbers)]
+            fit = fit_rigid(before_mm, spheres.places_mm)
             after_mm = before_mm @ fit.rotation.T + fit.translation_mm
             return cls(PointShift.of(after_mm - before_mm), by_frame=False)
-        if (clamp := reading.frames.get(Tracked.CLAMP)) is not None and expected.clamp_mm is not None:
+        clamp = expected.look.frames.get(Tracked.CLAMP)
+        if clamp is not None and expected.clamp_mm is not None:
             return cls(PointShift.of(clamp.markers_mm - expected.clamp_mm), by_frame=True)
         return None
 
 
 @dataclass(frozen=True)
 class Expected:
-    """Expected places of everything in a reading, tracker frame of the localization.
+    """Expected places of everything in a look, tracker frame of the localization.
 
     `spheres_mm` (n, 3) and `clamp_mm` (m, 3), None without a frame on the clamp; `marker` is the frame on the
     arm by the arm alone, ROBOT <- MARKER, and `arm_way_mm` (3,) how far it is seen from where earlier looks
     have it, robot frame, None if not seen. `sensors_mm` (2, 3) are the tracker's own.
     """
 
+    look: Sighting
     spheres_mm: Array
     clamp_mm: Array | None
     robot_from_tracker: Transform
@@ -87,18 +89,17 @@ class Expected:
     sensors_mm: Array
 
 
-def push_of_tracker(expected: Expected, reading: RoomReading) -> Transform | None:
+def push_of_tracker(expected: Expected) -> Transform | None:
     """Return TRACKER now <- TRACKER before as it would explain where the head is seen, or None."""
-    look = reading.sighting(expected.spheres_mm, expected.sensors_mm)
-    before = [expected.spheres_mm[list(look.spheres.numbers)].reshape(-1, 3)]
-    after = [look.spheres.places_mm]
-    if (clamp := reading.frames.get(Tracked.CLAMP)) is not None and expected.clamp_mm is not None:
+    spheres, frames = expected.look.spheres, expected.look.frames
+    before = [expected.spheres_mm[list(spheres.numbers)].reshape(-1, 3)]
+    after = [spheres.places_mm]
+    if (clamp := frames.get(Tracked.CLAMP)) is not None and expected.clamp_mm is not None:
         before.append(expected.clamp_mm)
         after.append(clamp.markers_mm)
     if sum(map(len, before)) < LEAST_POINTS:
         return None
-    arm = reading.frames.get(Tracked.ARM)
-    if arm is not None and expected.arm_way_mm is not None:
+    if (arm := frames.get(Tracked.ARM)) is not None and expected.arm_way_mm is not None:
         way_mm = expected.robot_from_tracker.rotation_matrix.T @ expected.arm_way_mm
         before.append(arm.place_mm[None] - way_mm)
         after.append(arm.place_mm[None])
@@ -180,7 +181,7 @@ def _base_shifted(
         what = "head and arm show that two of head, cart and tracker were moved, one of them"
     elif cart and motion.at is not None:
         what = "the cart of the robot was moved or turned, or somebody leans on arm or guide,"
-    if cart and HeadSeen.of(expected, reading) is None:  # nothing tells it from a pushed tracker
+    if cart and HeadSeen.of(expected) is None:  # nothing tells it from a pushed tracker
         what = what.replace("the cart of the robot was", "the cart of the robot, or the tracker, was")
     shifted = BaseShifted(f"{what} by {way}", limit=limit, got=got)
     shifted.cart = cart
@@ -195,12 +196,12 @@ def _room_moved(expected: Expected, reading: RoomReading) -> Transform | None:
         return None
     by_frame = expected.marker @ reading.on_arm.inverse()
     # How the tracker sees the head displaced; it may have been moved as well.
-    push = push_of_tracker(replace(expected, arm_way_mm=None), reading) or STILL
+    push = push_of_tracker(replace(expected, arm_way_mm=None)) or STILL
     return by_frame @ push @ expected.robot_from_tracker.inverse()
 
 
 def _patient_moved(motion: Motion, expected: Expected, reading: RoomReading, way: str) -> PatientMoved:
-    head = HeadSeen.of(expected, reading)
+    head = HeadSeen.of(expected)
     tracker = motion.moved is Moved.HEAD_OR_TRACKER
     moved_mm = motion.moved_mm if head is None else max(head.rms_mm, motion.limit_mm)
     alone_mm = lone_displacement_mm(
@@ -236,7 +237,7 @@ def find_unseen(expected: Expected, reading: RoomReading) -> PatientUnseen | Non
     Only where fewer than three known spheres are seen. Ghosts do not count.
     """
     seen_mm = reading.spheres_mm
-    head = HeadSeen.of(expected, reading)
+    head = HeadSeen.of(expected)
     if not len(seen_mm) or (head is not None and not head.by_frame):
         return None
     apart = np.linalg.norm(seen_mm[:, None] - expected.spheres_mm[None], axis=2).min(axis=1)

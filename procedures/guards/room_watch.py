@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from procedures.engine.setting import CaseMemory
 from procedures.guards.errors import BaseShifted, InsertionDisturbed, PatientUnseen, RoomMoved, RoomUndecided
+from procedures.guards.head_sight import HeadSight
 from procedures.guards.room_motion import (
     GROSS_LIMIT_MM,
     Expected,
@@ -30,9 +31,9 @@ from procedures.guards.room_reading import (
 )
 from procedures.planning.tracker_sight import SENSORS_MM, TrackerSight
 from procedures.room.estimate import GUIDE_AT_HEAD, Displacement, RoomEstimate
-from procedures.room.model import ArmModel, Body, Places, RoomModel, Rows
+from procedures.room.model import ArmModel, Body, Places, Rows
 from procedures.room.motion import Motion, Moved, find_hidden_motion, find_motion
-from procedures.room.sighting import Rest, SeenFrame, Sighting, Tracked, expect_frame, expect_spheres
+from procedures.room.sighting import Sighting, Tracked, expect_frame, expect_spheres
 from procedures.workcell import Workcell
 from procedures.workcell.patient_frame import seen_after
 from procedures.workcell.tracker_look import read_frames_at_rest
@@ -47,8 +48,6 @@ Array = NDArray[np.float64]
 Refusal = RoomMoved | InsertionDisturbed | RoomUndecided | PatientUnseen
 FlangePose = Callable[[JointVector, Sequence[int] | None], Transform]  # ROBOT <- FLANGE
 
-# Theatre time for which a guide may approach an unseen head. The approach to a target takes some 5 s.
-MOST_UNSEEN_S = 10.0
 TOUCHED_S = 3.0  # theatre time after which a hand that touched the arm in passing is gone
 
 
@@ -86,18 +85,14 @@ class RoomLook:
         return self.findings
 
 
-@dataclass
-class Approach:
-    """Guide approach to the head, along this trajectory if any.
+@dataclass(frozen=True)
+class Judged:
+    """Reading held against all looks before: the look that it is, its rows, and the motion that it shows."""
 
-    `excused_s` is when the operator last continued without line of sight. The time without
-    sight is bounded only while it is under way: nothing holds up the way out.
-    """
-
-    arm_hides_head: Callable[[], bool]
-    trajectory: str | None = None
-    under_way: bool = False
-    excused_s: float = -math.inf
+    reading: RoomReading
+    look: Sighting
+    rows: Rows
+    motion: Motion | None = None
 
 
 @dataclass
@@ -122,8 +117,7 @@ class RoomWatch:
     tracker_moved: Callable[[TrackerMove], None] = lambda _move: None
     keep: Callable[[Sighting], None] = lambda _look: None
     bases: object = None
-    seen_s: float = 0.0  # theatre time at which the head was last seen in its place
-    approach: Approach | None = None
+    head_sight: HeadSight = field(default_factory=HeadSight)
     epoch: int = 0  # of the head, the present one
     settled_home: int = 0  # number of the last look with the arm settled home
     _by_frame_only: bool = False  # as told last
@@ -236,79 +230,45 @@ class RoomWatch:
         places = (self.spheres_mm, *(() if self.clamp_mm is None else (self.clamp_mm,)))
         return tuple(TrackerSight(here, move.apply(one)) for one in places)
 
-    def unseen_s(self, now_s: float) -> float:
-        """Return the theatre time since the head was seen or the operator continued without sight."""
-        excused_s = -math.inf if self.approach is None else self.approach.excused_s
-        return now_s - max(self.seen_s, excused_s)
-
-    def excuse(self) -> None:
-        """Continue without line of sight. The unseen time restarts with the next motion or wait."""
-        if self.approach is not None:
-            self.approach.excused_s = math.inf
-
-    def begin_motion(self, now_s: float) -> None:
-        """Record the start of a motion or wait."""
-        if self.approach is not None:
-            self.approach.excused_s = min(self.approach.excused_s, now_s)
-
-    def is_overdue(self, now_s: float) -> bool:
-        """Return whether a guide is approaching a head that has been unseen for too long."""
-        return self.is_approached and self.unseen_s(now_s) > MOST_UNSEEN_S
-
-    @property
-    def is_approached(self) -> bool:
-        """Whether a guide is approaching the head or is in position in front of it."""
-        return self.approach is not None and self.approach.under_way
-
-    @property
-    def arm_hides_head(self) -> bool:
-        """Whether the arm's present pose is expected to hide the head from the tracker."""
-        return self.approach is not None and self.approach.arm_hides_head()
-
     def compare(self, reading: RoomReading, now_s: float = 0.0) -> RoomLook:
         """Hold a reading against all looks before, and count it among them if nothing has moved."""
-        before = self.tracker
-        rows, motion = self._judge(reading)
-        reading, findings = self._follow_if_pushed(reading, motion)
-        if self.tracker is not before:
-            rows, motion = self._judge(reading)
-        head = HeadSeen.of(self._expected(reading, rows), reading)
-        base_mm = float(np.linalg.norm(self._arm_way_mm(rows))) if Body.BASE in rows.blocks else None
+        judged, findings = self._follow_if_pushed(self.judge(reading))
+        reading, rows, motion, expected = judged.reading, judged.rows, judged.motion, self.expected(judged)
+        head = HeadSeen.of(expected)
+        base_mm = None if expected.arm_way_mm is None else float(np.linalg.norm(expected.arm_way_mm))
         by_frame = head is not None and head.by_frame
         moved: Refusal | None = None
         if motion is not None:
-            at_head = self.is_approached or reading.on_axis
-            moved = name_motion(motion, self._expected(reading, rows), reading, approached=at_head)
+            at_head = self.head_sight.is_approached or reading.on_axis
+            moved = name_motion(motion, expected, reading, approached=at_head)
         if moved is None:
-            moved = find_unseen(self._expected(reading, rows), reading)
+            moved = find_unseen(expected, reading)
         if moved is None and len(rows.residual):
             findings += self._tell_by_frame(hidden=by_frame)
             if reading.settled_home:
                 self.settled_home = len(self.estimate.looks)
-            look = self.look_of(reading)
-            self._count(look, rows)
-            self.keep(look)
+            self._count(judged.look, rows)
+            self.keep(judged.look)
             if head is not None:
-                self.seen_s = now_s
+                self.head_sight.seen_s = now_s
         return RoomLook(reading, None if head is None else head.rms_mm, base_mm, findings, moved, by_frame)
 
-    def find_motion(self, reading: RoomReading) -> Motion | None:
-        """Return the motion that a reading shows, or None; it is not counted."""
-        return self._judge(reading)[1]
-
-    def _judge(self, reading: RoomReading) -> tuple[Rows, Motion | None]:
-        rows = self._rows_of(reading)
-        if not len(rows.residual):
-            return rows, None
-        found = find_motion(self.estimate, rows, self._points_here_mm, partial(self._unpushed, reading))
-        return rows, found or self._find_gross(rows)
+    def judge(self, reading: RoomReading) -> Judged:
+        """Hold a reading against all looks before; it is not counted."""
+        look = self.look_of(reading)
+        judged = Judged(reading, look, self._rows(look))
+        if not len(judged.rows.residual):
+            return judged
+        found = find_motion(self.estimate, judged.rows, self._points_here_mm, partial(self._unpushed, judged))
+        return replace(judged, motion=found or self._find_gross(judged.rows))
 
     @property
     def _points_here_mm(self) -> Mapping[str, Array]:
         """Targets that count now: with the guide at one of them, that one."""
-        if self.approach is None or not self.approach.under_way:
+        approach = self.head_sight.approach
+        if approach is None or not approach.under_way:
             return self.points_mm
-        at = self.approach.trajectory
+        at = approach.trajectory
         return {name: point for name, point in self.points_mm.items() if name == at} or self.points_mm
 
     def _find_gross(self, rows: Rows) -> Motion | None:
@@ -328,18 +288,16 @@ class RoomWatch:
         """Return by how much these bodies displace a point (3,), robot frame, as a look alone shows it."""
         return self.estimate.displacement_by(self._rows(look), point_mm, bodies)
 
-    def expected(self, reading: RoomReading) -> Expected:
+    def expected(self, judged: Judged) -> Expected:
         """Return where everything is expected in a reading."""
-        return self._expected(reading, self._rows_of(reading))
-
-    def _expected(self, reading: RoomReading, rows: Rows) -> Expected:
         mount = self.estimate.model.arms[Tracked.ARM].flange_from_marker
         return Expected(
+            judged.look,
             self.spheres_mm,
             self.clamp_mm,
             self.robot_from_tracker,
-            reading.robot_from_flange @ Transform.from_matrix(Frame.FLANGE, Frame.MARKER, mount),
-            self._arm_way_mm(rows) if Body.BASE in rows.blocks else None,
+            judged.reading.robot_from_flange @ Transform.from_matrix(Frame.FLANGE, Frame.MARKER, mount),
+            self._arm_way_mm(judged.rows) if Body.BASE in judged.rows.blocks else None,
             self._sensors_mm,
         )
 
@@ -359,37 +317,37 @@ class RoomWatch:
             found[body] = way_mm, displacement.noticed_from_mm
         return found
 
-    def follow_tracker(self, reading: RoomReading) -> tuple[RoomReading, tuple[str, ...]]:
+    def follow_tracker(self, reading: RoomReading) -> tuple[Judged, tuple[str, ...]]:
         """If only the tracker was moved, follow it; only a careful reading decides.
 
         Return the reading as seen from where the tracker was, and the finding.
         """
-        return self._follow_if_pushed(reading, self.find_motion(reading))
+        return self._follow_if_pushed(self.judge(reading))
 
-    def _follow_if_pushed(
-        self, reading: RoomReading, motion: Motion | None
-    ) -> tuple[RoomReading, tuple[str, ...]]:
+    def _follow_if_pushed(self, judged: Judged) -> tuple[Judged, tuple[str, ...]]:
+        motion, reading = judged.motion, judged.reading
         if motion is None or motion.moved is not Moved.TRACKER or not reading.is_careful:
-            return reading, ()
-        push = push_of_tracker(self.expected(reading), reading)
+            return judged, ()
+        push = push_of_tracker(self.expected(judged))
         self.tracker = self.tracker.then(STILL if push is None else push)
         self.tracker_moved(self.tracker)
         if push is None:
-            return reading, ("the tracker was moved by little; arm and head agree",)
+            return self.judge(reading), ("the tracker was moved by little; arm and head agree",)
         at_head_mm = math.sqrt(
             float(((push.apply(self.spheres_mm) - self.spheres_mm) ** 2).sum(axis=1).mean())
         )
         turned_deg = math.degrees(float(push.rigid.rotation.magnitude()))
-        return reading.moved_by(push.inverse(), self.robot_from_tracker), (
+        return self.judge(reading.moved_by(push.inverse(), self.robot_from_tracker)), (
             f"the tracker was moved: by {at_head_mm:.1f} mm as seen at the head, turned by {turned_deg:.2f} "
             "deg; head and arm agree on it, and the case goes on",
         )
 
-    def _unpushed(self, reading: RoomReading) -> Rows | None:
-        push = push_of_tracker(self.expected(reading), reading)
+    def _unpushed(self, judged: Judged) -> Rows | None:
+        push = push_of_tracker(self.expected(judged))
         if push is None:
             return None
-        return self._rows_of(reading.moved_by(push.inverse(), self.robot_from_tracker))
+        unpushed = judged.reading.moved_by(push.inverse(), self.robot_from_tracker)
+        return self._rows(self.look_of(unpushed))
 
     def look_of(self, reading: RoomReading) -> Sighting:
         """Return the look that a reading is."""
@@ -400,9 +358,6 @@ class RoomWatch:
     def _sensors_mm(self) -> Array:
         """Sensors of the tracker (2, 3) where it is now, in its frame of the localization."""
         return np.asarray(self.tracker.move.inverse().apply(SENSORS_MM))
-
-    def _rows_of(self, reading: RoomReading) -> Rows:
-        return self._rows(self.look_of(reading))
 
     def _rows(self, look: Sighting) -> Rows:
         flanges = {
@@ -435,60 +390,6 @@ class RoomWatch:
         return off_mm if off_mm > GROSS_LIMIT_MM + length_mm else None
 
 
-@dataclass(frozen=True)
-class LocalizedRoom:
-    """Global localization: spheres (n, 3) mm and the frame on the clamp, tracker frame.
-
-    The arm was at `joints_rad`, with the frame on it of markers (m, 3) mm. By it, the localization has where
-    the tracker is.
-    """
-
-    robot_from_tracker: Transform
-    spheres_mm: Array
-    joints_rad: JointVector
-    arm_markers_mm: Array
-    frames: int
-    on_clamp: Transform | None = None
-    clamp_markers_mm: Array | None = None
-
-    @property
-    def places(self) -> Places:
-        """Expected place of the head."""
-        return Places(self.spheres_mm, None if self.on_clamp is None else self.on_clamp.as_matrix())
-
-    def watch(
-        self,
-        localization: str,
-        arm: ArmModel,
-        flange_pose: FlangePose,
-    ) -> RoomWatch:
-        """Begin the watch, with the localization as its first look."""
-        to_robot = self.robot_from_tracker
-        centre_mm = np.asarray(to_robot.apply(self.spheres_mm)).mean(axis=0)
-        tracker = to_robot.as_matrix()
-        model = RoomModel({Tracked.ARM: arm}, tracker, centre_mm, len(self.spheres_mm))
-        flange = flange_pose(self.joints_rad, None).as_matrix()
-        on_arm = np.linalg.inv(tracker) @ flange @ arm.flange_from_marker
-        frames = {Tracked.ARM: self._expect(on_arm, self.arm_markers_mm)}
-        if self.places.clamp is not None and self.clamp_markers_mm is not None:
-            frames[Tracked.CLAMP] = self._expect(self.places.clamp, self.clamp_markers_mm)
-        spheres = expect_spheres(self.spheres_mm, self.frames)
-        look = Sighting({Tracked.ARM: Rest(self.joints_rad)}, spheres, frames)
-        estimate = RoomEstimate(model).add(model.rows(look, {Tracked.ARM: flange}, self.places))
-        return RoomWatch(
-            localization,
-            to_robot,
-            estimate,
-            {Tracked.ARM: flange_pose},
-            [look],
-            [self.places],
-            clamp_markers_mm=self.clamp_markers_mm,
-        )
-
-    def _expect(self, pose: Array, markers_mm: Array) -> SeenFrame:
-        return expect_frame(pose[:3, 3], pose[:3, :3], markers_mm, self.frames)
-
-
 def read_watched(
     room: RoomWatch,
     workcell: Workcell,
@@ -498,7 +399,7 @@ def read_watched(
 ) -> RoomReading:
     """Read the room with the arm at rest; carefully, if a short reading shows that something has moved."""
     reading = room.read(workcell, read_frames_at_rest(workcell.tracker, clock, count=count)[0], sides)
-    if reading.is_careful or room.find_motion(reading) is None:
+    if reading.is_careful or room.judge(reading).motion is None:
         return reading
     return room.read(workcell, read_frames_at_rest(workcell.tracker, clock, count=CAREFUL_FRAMES)[0], sides)
 

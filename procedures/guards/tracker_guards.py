@@ -14,7 +14,8 @@ from dataclasses import dataclass
 from statistics import median
 
 from procedures.engine.setting import CaseMemory
-from procedures.guards.room_watch import MOST_UNSEEN_S, RoomWatch, check_now
+from procedures.guards.head_sight import MOST_UNSEEN_S
+from procedures.guards.room_watch import RoomWatch, check_now
 from procedures.operator.question import Topic
 from procedures.workcell import Workcell
 from ronna_hw.clock import Clock
@@ -83,7 +84,7 @@ class TrackerLink:
         """Whether the tracker is needed now. The way out does not need it."""
         if self.tracker.state is Lifecycle.CONFIGURED:
             room = self.memory.find(RoomWatch)
-            return room is not None and room.is_approached
+            return room is not None and room.head_sight.is_approached
         return self.tracker.state is Lifecycle.ACTIVE
 
     def _look(self) -> None:
@@ -149,21 +150,21 @@ class HeadInSight:
     def patience_s(self) -> float:
         """Theatre time to wait before the operator is asked."""
         room = self.memory.find(RoomWatch)
-        return 0.0 if room is not None and room.arm_hides_head else PATIENCE_S
+        return 0.0 if room is not None and room.head_sight.is_hidden_by_arm else PATIENCE_S
 
     def unmet(self) -> str | None:
         """Describe why the head has been unseen for too long. Raises as `RoomLook.require`."""
         room = self.memory.find(RoomWatch)
-        if room is None or not room.is_overdue(self.clock.now_s()):
+        if room is None or not room.head_sight.is_overdue(self.clock.now_s()):
             return None
         look = check_now(room, self.workcell, self.clock, self.memory, self.void)
         for finding in look.findings:
             self.find(finding)
         now_s = self.clock.now_s()
-        if not room.is_overdue(now_s):
+        if not room.head_sight.is_overdue(now_s):
             return None
-        why = ARM_IN_THE_WAY if room.arm_hides_head else CLEAR_THE_LINE
-        return f"the tracker has not seen the head for {room.unseen_s(now_s):.0f} s: {why}"
+        why = ARM_IN_THE_WAY if room.head_sight.is_hidden_by_arm else CLEAR_THE_LINE
+        return f"the tracker has not seen the head for {room.head_sight.unseen_s(now_s):.0f} s: {why}"
 
     @property
     def excused_for_s(self) -> float:
@@ -174,4 +175,4 @@ class HeadInSight:
         """Continue without sight, as the operator decided."""
         room = self.memory.find(RoomWatch)
         if room is not None:
-            room.excuse()
+            room.head_sight.excuse()

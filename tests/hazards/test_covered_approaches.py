@@ -8,7 +8,7 @@ import pytest
 from room_trials import TrackedCase
 from sight_trials import CoveredApproach, Ended, GuideSight, How, Moved
 
-from procedures.guards.room_watch import MOST_UNSEEN_S
+from procedures.guards.head_sight import MOST_UNSEEN_S
 
 HEAD_MM, CART_MM = 0.5, 1.7
 READING_S = 0.2

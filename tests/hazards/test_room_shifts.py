@@ -114,7 +114,7 @@ def test_a_hidden_frame_and_too_few_spheres_are_not_compared_and_never_in_place(
     looked = watch.compare(replace(reading, frame_mm=None, groups=reading.groups[:2], frames={}), now_s=1.0)
     assert (looked.head_mm, looked.base_mm, looked.moved) == (None, None, None)
     assert not looked.in_place
-    assert watch.seen_s == 0.0  # the head counts as unseen
+    assert watch.head_sight.seen_s == 0.0  # the head counts as unseen
 
 
 @pytest.mark.hazard(12)

@@ -127,7 +127,7 @@ def draw_unseen(
     for joints in (case.home_rad, *([visit.at] if body == "base" else [])):
         still = case.at_rest(joints, ONE_SIDE, 1)
         estimate = estimate.add(
-            watch._rows_of(case.read(watch, joints, still, CAREFUL_FRAMES, sides=ONE_SIDE))
+            watch.judge(case.read(watch, joints, still, CAREFUL_FRAMES, sides=ONE_SIDE)).rows
         )
     information = MOVING[body].T @ estimate.information[len(watch.looks)] @ MOVING[body]
     prior = np.diag([MOTION_RAD**-2] * 3 + [MOTION_MM**-2] * 3)

@@ -31,7 +31,7 @@ NOTHING_MM = SPHERES_MM[:0]
 @pytest.fixture(autouse=True)
 def soon(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("procedures.steps.clinical.at_target.DWELL_S", 0.0)
-    monkeypatch.setattr("procedures.guards.room_watch.MOST_UNSEEN_S", UNSEEN_S)
+    monkeypatch.setattr("procedures.guards.head_sight.MOST_UNSEEN_S", UNSEEN_S)
     monkeypatch.setattr("procedures.guards.tracker_guards.PATIENCE_S", 0.0)
 
 
@@ -177,7 +177,7 @@ def test_the_unseen_time_also_counts_when_the_tracker_fails_during_a_motion(tmp_
 def test_a_tracker_that_repeats_its_last_frame_does_not_see_the_head(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("procedures.guards.motion_watch.REPEATING_S", UNSEEN_S / 2)
+    monkeypatch.setattr("procedures.guards.watch_thread.REPEATING_S", UNSEEN_S / 2)
     cell = ClinicalCell(tmp_path)
     engine = guarded(cell)
     answering(cell, "leave")

@@ -17,7 +17,7 @@ from waiting import eventually
 from watched_case import findings, on_the_way, positioned, voiding, watched
 
 from procedures.engine.events import Advisory
-from procedures.guards import head_frames, motion_watch, patient_watch
+from procedures.guards import head_frames, motion_watch, patient_watch, watch_thread
 from procedures.guards.assistant_on_axis import LARGEST_OFF_MM
 from procedures.guards.errors import InsertionDisturbed, PatientMoved
 from procedures.guards.guide_displacement import GuideAtRest
@@ -100,11 +100,11 @@ def test_an_interruption_while_the_first_frame_is_awaited_ends_the_watch(
     cell = ClinicalCell(tmp_path)
     engine = watched(cell)
 
-    def interrupted(looking: motion_watch._WatchThread) -> None:
+    def interrupted(looking: watch_thread.WatchThread) -> None:
         looking._thread.start()
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(motion_watch._WatchThread, "begin", interrupted)
+    monkeypatch.setattr(watch_thread.WatchThread, "begin", interrupted)
     with pytest.raises(KeyboardInterrupt):
         positioned(engine)
     assert "patient watch" not in {thread.name for thread in threading.enumerate()}

@@ -84,11 +84,11 @@ def _measure_move(context: StepContext) -> MeasuredMove | None:
     watch = build_watch(workcell, settings, name, localized, pairs)
     context.progress(0.0, "measuring whether the head has moved")
     frames, _ = read_frames_at_rest(workcell.tracker, context.setting.clock)
-    reading, pushed = watch.follow_tracker(watch.read(workcell, frames))
+    judged, pushed = watch.follow_tracker(watch.read(workcell, frames))
+    reading, motion, expected = judged.reading, judged.motion, watch.expected(judged)
     for finding in pushed:
         context.find(finding)
     frames = [watch.as_localized(frame) for frame in frames]
-    motion = watch.find_motion(reading)
     if motion is None:
         return None
     if reading.on_arm is None:
@@ -96,7 +96,7 @@ def _measure_move(context: StepContext) -> MeasuredMove | None:
             "the tracker does not see the frame on the arm: head and tracker movement cannot be told apart"
         )
     if motion.moved in (Moved.BASE, Moved.SEVERAL):  # the arm is not where it was, whatever else moved
-        raise name_motion(motion, watch.expected(reading), reading)
+        raise name_motion(motion, expected, reading)
     rows = identify_points(watch.spheres_mm, reading.spheres_mm)
     if rows is None:
         raise PatientUnseen("the tracker sees too few known spheres to measure the movement of the head")
@@ -124,7 +124,7 @@ def _measure_move(context: StepContext) -> MeasuredMove | None:
         pairs=fit.fit.pairs,
         residual_mm=float(fit.fit.fre_mm),
         limit_mm=fit.gate.limit_mm,
-        base_mm=0.0 if (way_mm := watch.expected(reading).arm_way_mm) is None else math.hypot(*way_mm),
+        base_mm=0.0 if expected.arm_way_mm is None else math.hypot(*expected.arm_way_mm),
         spheres_tracker_mm=tuple(now.tolist()),
         tracker_from_patient=None if clamp is None else FramedPose.of(clamp),
     )

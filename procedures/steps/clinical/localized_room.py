@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
-from procedures.guards.room_watch import LocalizedRoom, RoomWatch
-from procedures.room.model import ArmModel
+from procedures.guards.room_watch import FlangePose, RoomWatch
+from procedures.room.estimate import RoomEstimate
+from procedures.room.model import ArmModel, Places, RoomModel
 from procedures.room.motion import Motion
+from procedures.room.sighting import Rest, SeenFrame, Sighting, Tracked, expect_frame, expect_spheres
 from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.results import KnownBases
 from procedures.workcell import Workcell
@@ -22,6 +25,60 @@ from ronna_hw.frames import Transform
 from ronna_hw.vectors import JointVector
 
 Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class LocalizedRoom:
+    """Global localization: spheres (n, 3) mm and the frame on the clamp, tracker frame.
+
+    The arm was at `joints_rad`, with the frame on it of markers (m, 3) mm. By it, the localization has where
+    the tracker is.
+    """
+
+    robot_from_tracker: Transform
+    spheres_mm: Array
+    joints_rad: JointVector
+    arm_markers_mm: Array
+    frames: int
+    on_clamp: Transform | None = None
+    clamp_markers_mm: Array | None = None
+
+    @property
+    def places(self) -> Places:
+        """Expected place of the head."""
+        return Places(self.spheres_mm, None if self.on_clamp is None else self.on_clamp.as_matrix())
+
+    def watch(
+        self,
+        localization: str,
+        arm: ArmModel,
+        flange_pose: FlangePose,
+    ) -> RoomWatch:
+        """Begin the watch, with the localization as its first look."""
+        to_robot = self.robot_from_tracker
+        centre_mm = np.asarray(to_robot.apply(self.spheres_mm)).mean(axis=0)
+        tracker = to_robot.as_matrix()
+        model = RoomModel({Tracked.ARM: arm}, tracker, centre_mm, len(self.spheres_mm))
+        flange = flange_pose(self.joints_rad, None).as_matrix()
+        on_arm = np.linalg.inv(tracker) @ flange @ arm.flange_from_marker
+        frames = {Tracked.ARM: self._expect(on_arm, self.arm_markers_mm)}
+        if self.places.clamp is not None and self.clamp_markers_mm is not None:
+            frames[Tracked.CLAMP] = self._expect(self.places.clamp, self.clamp_markers_mm)
+        spheres = expect_spheres(self.spheres_mm, self.frames)
+        look = Sighting({Tracked.ARM: Rest(self.joints_rad)}, spheres, frames)
+        estimate = RoomEstimate(model).add(model.rows(look, {Tracked.ARM: flange}, self.places))
+        return RoomWatch(
+            localization,
+            to_robot,
+            estimate,
+            {Tracked.ARM: flange_pose},
+            [look],
+            [self.places],
+            clamp_markers_mm=self.clamp_markers_mm,
+        )
+
+    def _expect(self, pose: Array, markers_mm: Array) -> SeenFrame:
+        return expect_frame(pose[:3, 3], pose[:3, :3], markers_mm, self.frames)
 
 
 def build_watch(

@@ -218,7 +218,10 @@ class AssistedInsertion(Values):
     seen_apart_mm: NonNegativeFloat | None = Field(
         description="Over the guide, beside the bore by the tracker; none if a frame was hidden."
     )
-    seen_within_mm: NonNegativeFloat | None = Field(default=None, description="95 % bound on that.")
+    seen_within_mm: NonNegativeFloat | None = Field(
+        default=None,
+        description="Two standard errors of that, along the direction that the looks show least.",
+    )
     seen_apart_rad: NonNegativeFloat | None = Field(
         default=None, description="In earlier versions: angle between tracker and joints."
     )

@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 from procedures.calibration.errors import PlatformMoved
 from procedures.engine.context import StepContext
 from procedures.guards.errors import BaseShifted, PatientMoved, PatientUnseen
+from procedures.guards.head_sight import Approach
 from procedures.guards.room_reading import AS_KNOWN, CAREFUL_FRAMES, FRAMES, ArrivedSides
-from procedures.guards.room_watch import Approach, RoomLook, RoomWatch, check_now
+from procedures.guards.room_watch import RoomLook, RoomWatch, check_now
 from procedures.registration.movement import LEAST_POINTS
 from procedures.room.sighting import Tracked
 from procedures.steps.clinical.cart_lock import LockedCart
@@ -124,7 +125,7 @@ def build_expected_sight(context: StepContext, surroundings: Surroundings) -> Ex
     """Build the expected view of the localized spheres, and pass it to the room watch."""
     watch = room_watch(context)
     expected = ExpectedSight(context, watch, surroundings)
-    watch.approach = Approach(expected.hidden_now, context.key.trajectory)
+    watch.head_sight.approach = Approach(expected.hidden_now, context.key.trajectory)
     return expected
 
 
@@ -132,7 +133,7 @@ def build_expected_sight(context: StepContext, surroundings: Surroundings) -> Ex
 def require_head_in_view(context: StepContext) -> Iterator[None]:
     """During the block, limit how long the head may be out of view before the case is suspended."""
     watch = context.setting.memory.find(RoomWatch)
-    approach = None if watch is None else watch.approach
+    approach = None if watch is None else watch.head_sight.approach
     if approach is None:
         yield
         return

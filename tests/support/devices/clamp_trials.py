@@ -12,8 +12,9 @@ from numpy.typing import ArrayLike, NDArray
 from room_looks import room_reading_of, seen_frame
 
 from procedures.guards.room_reading import RoomReading
-from procedures.guards.room_watch import LocalizedRoom, RoomWatch
+from procedures.guards.room_watch import RoomWatch
 from procedures.room.model import ArmModel
+from procedures.steps.clinical.localized_room import LocalizedRoom
 from procedures.strategies.strategy import ONE_SIDE
 from ronna_hw.arm.catalogue import repeatability_mm
 from ronna_hw.arm.kr6_r900 import ArmVariant, kr6_r900

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from procedures.guards.head_frames import PATIENT_LIMIT_MM, HeadFrames
-from procedures.guards.motion_watch import SKIPPED_FRAMES
+from procedures.guards.watch_thread import SKIPPED_FRAMES
 from ronna_hw.devices.readings import Stamp, StrayReading, TrackerFrame, Validity
 from sim.polaris.measurement.optics import Optics
 from sim.polaris.unit.model import SPECTRA

@@ -17,8 +17,9 @@ from room_looks import room_reading_of, seen_frame
 
 from benchmarks.stereo_head.head_looks import ENDPOINTS
 from procedures.guards.room_reading import FRAMES, RoomReading
-from procedures.guards.room_watch import LocalizedRoom, RoomWatch
+from procedures.guards.room_watch import RoomWatch
 from procedures.room.model import ArmModel
+from procedures.steps.clinical.localized_room import LocalizedRoom
 from procedures.strategies.catalogue import find_strategy
 from procedures.strategies.strategy import ArmInBranch
 from procedures.strategies.trajectory import Trajectory, back_along_axis, target_pose

@@ -17,9 +17,9 @@ from room_trials import STILL, TrackedCase
 
 from procedures.guards.errors import BaseShifted, PatientMoved, PatientUnseen, RoomUndecided
 from procedures.guards.head_frames import PATIENT_LIMIT_MM, HeadFrames
-from procedures.guards.motion_watch import SKIPPED_FRAMES
+from procedures.guards.head_sight import Approach
 from procedures.guards.room_reading import FRAMES
-from procedures.guards.room_watch import Approach
+from procedures.guards.watch_thread import SKIPPED_FRAMES
 from procedures.planning.tracker_sight import TrackerSight
 from procedures.registration.movement import LEAST_POINTS, measure_shift
 from ronna_hw.arm.clearance.bodies import Part, Surroundings
@@ -152,22 +152,22 @@ class CoveredApproach:
         home, watch = self.case.home_rad, self._watch
         for place in self.case.rests[1 : len(self.case.rests) // 4 + 1]:  # as the stereo head visited them
             watch.compare(self.case.reading(watch, place)).require()
-        watch.seen_s = 0.0
+        watch.head_sight.seen_s = 0.0
         self._rest(home)
         if not self._head_seen:
             return How.HELD
-        watch.approach = Approach(lambda: False, under_way=True)
+        watch.head_sight.approach = Approach(lambda: False, under_way=True)
         for start, end, frames in ((home, self._over, GO_FRAMES), (self._over, self._at, INSERT_FRAMES)):
             if self._move(start, end, frames) or self._rest(end):
                 return How.SUSPENDED
         if self._move(self._at, self._at, self._hold):
             return How.SUSPENDED
-        if watch.is_overdue(self._now_s):  # when the work is said to be done; the guard looks itself
+        if watch.head_sight.is_overdue(self._now_s):  # the guard looks itself when the work is done
             self._rest(self._at)
-            if watch.is_overdue(self._now_s):
+            if watch.head_sight.is_overdue(self._now_s):
                 return How.SUSPENDED
         self._covered[:] = False  # at the latest when the guide is out hands and drapes go
-        watch.approach = None
+        watch.head_sight.approach = None
         self._move(self._at, self._over, INSERT_FRAMES)
         self._rest(self._over)
         return How.PASSED
@@ -198,14 +198,14 @@ class CoveredApproach:
         reading = replace(whole, groups=groups)
         self._head_seen = measure_shift(self._watch.spheres_mm, reading.spheres_mm) is not None
         self._watch.compare(reading, self._now_s).require()
-        return self._watch.is_overdue(self._now_s)
+        return self._watch.head_sight.is_overdue(self._now_s)
 
     def _move(self, start: JointVector, end: JointVector, frames: int) -> bool:
         """A motion, or a wait, watched; whether it was stopped because the head is overdue."""
         due = self._has_shifted and self._frame - self._shift > FRAMES
-        if due and self._watch.approach is not None and start != end:
+        if due and self._watch.head_sight.approach is not None and start != end:
             self._begun += 1
-            self._unseen_s = self._watch.unseen_s(self._now_s)
+            self._unseen_s = self._watch.head_sight.unseen_s(self._now_s)
         places = list(self._places(start, end))
         last, still_mm = self._frame + frames, self.case.spheres_mm
         while self._frame < last:
@@ -215,10 +215,10 @@ class CoveredApproach:
             places_mm = self.case.measured(still_mm + (self._way_mm if shifted else STILL))[seen]
             self._frames.add_frame(shuffled_frame(places_mm, self.case.generator))
             if self._frames.seen:
-                self._watch.seen_s = self._now_s
+                self._watch.head_sight.seen_s = self._now_s
             if (self._frames.moved_mm or 0.0) >= PATIENT_LIMIT_MM:
                 raise PatientMoved("on the way")
-            if self._watch.is_overdue(self._now_s):
+            if self._watch.head_sight.is_overdue(self._now_s):
                 return True
             self._frame += 1 if self._frames.doubtful else 1 + SKIPPED_FRAMES
         return False

@@ -13,10 +13,11 @@ from room_looks import room_reading_of, seen_frame
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from procedures.guards.room_reading import CAREFUL_FRAMES, RoomReading
-from procedures.guards.room_watch import LocalizedRoom, RoomLook, RoomWatch
+from procedures.guards.room_watch import RoomLook, RoomWatch
 from procedures.room.model import ArmModel
 from procedures.room.motion import Motion
 from procedures.room.sighting import Rest, Tracked
+from procedures.steps.clinical.localized_room import LocalizedRoom
 from procedures.strategies.strategy import ONE_SIDE
 from procedures.workcell import Workcell
 from ronna_hw.arm.kr6_r900 import kr6_r900

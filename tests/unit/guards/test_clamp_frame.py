@@ -47,7 +47,7 @@ def test_a_room_at_rest_is_in_place(frames: int, hidden: bool, generator: np.ran
         case = ClampedCase(seed, generator)
         look = case.watch.compare(case.read(frames, hidden=hidden), now_s=5.0)
         assert look.in_place
-        assert case.watch.seen_s == 5.0
+        assert case.watch.head_sight.seen_s == 5.0
 
 
 @pytest.mark.hazard(12)

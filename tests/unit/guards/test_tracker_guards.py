@@ -10,7 +10,7 @@ import pytest
 from room_trials import TrackedCase
 
 from procedures.engine.setting import CaseMemory
-from procedures.guards.room_watch import Approach
+from procedures.guards.head_sight import Approach
 from procedures.guards.tracker_guards import BETWEEN_LOOKS_S, JUDGED, TrackerLink
 from ronna_hw.devices import OpticalTracker
 from ronna_hw.devices.lifecycle import Lifecycle
@@ -58,9 +58,9 @@ class Bench:
 
     def approach(self) -> Approach:
         room = TrackedCase(0).begin()
-        room.approach = Approach(lambda: False, under_way=True)
+        room.head_sight.approach = Approach(lambda: False, under_way=True)
         self.memory.keep(room)
-        return room.approach
+        return room.head_sight.approach
 
 
 @pytest.fixture

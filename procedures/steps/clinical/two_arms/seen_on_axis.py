@@ -48,7 +48,7 @@ def require_seen_on_axis(workcell: Workcell, clock: Clock, watch: RoomWatch | No
         reading = watch.read(workcell, read_frames_at_rest(workcell.tracker, clock, count=CAREFUL_FRAMES)[0])
     except RonnaError as problem:
         raise NotCompared(f"the assistant was not compared with its frame ({problem.summary})") from problem
-    found, motion = beside_bore(workcell, watch, reading), watch.find_motion(reading)
+    found, motion = beside_bore(workcell, watch, reading), watch.judge(reading).motion
     if found is None:
         raise NotCompared("the tracker does not see the frames of both arms")
     moved = None if motion is None else motion.moved
