@@ -212,11 +212,11 @@ def _describe_closed_run(
     during = f" during {step}" if step else ""
     if outcome == "left" and last is not None and last["entry"] in (Entry.FAILED, Entry.REFUSED):
         _, sentence, code = _describe_closed_run(journal, {**closed, "outcome": "failed"}, last, error)
-        return "left", f"{sentence.rstrip('.')}. The operator then left the case.", code
+        return "left", f"{sentence.rstrip('.')}. {_describe_leaving(journal, 'then')}.", code
     if outcome == "left":
         return (
             "left",
-            f"The operator left the case{f' after {step}' if step else ' before its first step'}.",
+            f"{_describe_leaving(journal, f'after {step}' if step else 'before its first step')}.",
             "",
         )
     if outcome == "interrupted":
@@ -233,6 +233,15 @@ def _describe_closed_run(
     if error is None and closed.get("what"):
         error = RunError(code=str(closed.get("code")), what=str(closed["what"]))
     return "failed", *_append_error(f"It failed after {step}." if step else "It failed.", error)
+
+
+def _describe_leaving(journal: Sequence[Line], when: str) -> str:
+    """Say that the operator left a case, or what a command that runs no step did with it."""
+    begins = [number for number, line in enumerate(journal) if line["entry"] == Entry.RESTARTED]
+    if not begins or ONLY_LEAVING not in journal[begins[-1]]:
+        return f"The operator left the case {when}" if when != "then" else "The operator then left the case"
+    homed = any(line["entry"] == Entry.HOME for line in journal[begins[-1] :])
+    return f"{'The arm was sent home' if homed else 'A fault was acknowledged'} {when}, and no step was run"
 
 
 def _describe_acknowledgement(journal: Sequence[Line], last: Line) -> str:

@@ -16,7 +16,7 @@ from procedures.engine.context import StepContext
 from procedures.engine.engine import Engine
 from procedures.engine.order import Outcome
 from procedures.journal.errors import GateFailed, StepRefused
-from procedures.journal.journal import JOURNAL_FILE, Entry
+from procedures.journal.journal import JOURNAL_FILE, ONLY_LEAVING, Entry
 from procedures.journal.results import StepResult
 from procedures.operator.errors import OperatorAborted
 from procedures.reporting.ending import Ending, advise, ending_of, resumes
@@ -211,6 +211,22 @@ def test_a_run_whose_program_was_killed_says_whether_an_instrument_was_inside(
         cell.engine(plain_order(fit=work)).run_to()
     ending = ending_of(read_for_report(cell.folder))
     assert (ending.word, ending.instrument_in) == ("killed", instrument_in)
+
+
+@pytest.mark.parametrize(
+    ("entries", "done"),
+    [((Entry.HOME,), "The arm was sent home"), ((), "A fault was acknowledged")],
+    ids=["home", "acknowledge"],
+)
+def test_a_run_that_was_only_sent_home_was_left_by_nobody(
+    cell: ClinicalCell, entries: tuple[Entry, ...], done: str
+) -> None:
+    engine = cell.engine(plain_order())
+    engine.run_step(engine.order.find("image"))
+    for time_s, entry in enumerate((Entry.RESTARTED, *entries), start=5):
+        cell.journal.write(entry, time_s, **({ONLY_LEAVING: True} if entry is Entry.RESTARTED else {}))
+    engine.close("left")
+    assert ending_of(read_for_report(cell.folder)).sentence == f"{done} after image, and no step was run."
 
 
 @pytest.mark.hazard(41)
