@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Protocol
 
 from procedures.operator.question import Operator, Room, Task, Topic
 from procedures.runs.answers import (
+    AcceptingOperator,
     AnsweringOperator,
     OperatorByTopic,
     ScriptedOperator,
@@ -119,11 +120,11 @@ def operator_selection(
         and not (accepted or answers or at_terminal or observers.executor or prompt)
     ):
         tell(NOBODY_ACCEPTS)
-    script = ScriptedOperator()
+    script, accepting = ScriptedOperator(), AcceptingOperator(observers.announce)
     without_file = _apply_rules(
         (
             (prompt, {Topic.PAUSE}, True),
-            (script, {Topic.RESUME}, accepted),
+            (accepting, {Topic.RESUME}, accepted),
             (person, {Topic.RESUME}, resumption is not None),
             (person, ALL_TOPICS, request.has_person),
             (person, {Topic.PAUSE, Topic.REPEAT}, at_terminal),
@@ -134,7 +135,7 @@ def operator_selection(
     if answers is not None:
         by_file = AnsweringOperator(answers, without_file, None if file_answers_all else without_file)
         # `--accept` is the later word.
-        operator = _apply_rules(((script, {Topic.RESUME}, accepted), (by_file, ALL_TOPICS, True)))
+        operator = _apply_rules(((accepting, {Topic.RESUME}, accepted), (by_file, ALL_TOPICS, True)))
     if observers.executor is None:
         return operator
     person_present = on_terminal(sys.stdin) and (prompt is not None or on_terminal(sys.stderr))

@@ -137,11 +137,13 @@ def test_the_accept_option_answers_for_the_findings_only_and_comes_before_a_file
     path = mini_theatre_file(tmp_path, simulated=True)
     left = cast(InterruptedRun, None)  # not looked at
     request = RunRequest(procedure=CaseProcedure(case=tmp_path), config=path)
+    told: list[str] = []
     operator = operator_selection(
-        replace(request, answers=by_file), RunObservers(), Resumption(left, accepted)
+        replace(request, answers=by_file), RunObservers(announce=told.append), Resumption(left, accepted)
     )
     findings = Question(Topic.RESUME, "resume the case", "no differences")
     assert [operator.ask(question).word for question in (findings, APPROACH)] == answers
+    assert ("accepted: no differences" in told) is accepted
 
 
 @pytest.mark.parametrize(("at_terminal", "answer"), [(True, "no"), (False, "yes")])
