@@ -14,7 +14,7 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from procedures.imaging.markers import Marker
+from procedures.imaging.markers import Marker, ScanDeformation
 from procedures.planning.ac_pc import AcPcFrame, require_commissures
 from procedures.planning.errors import UnsavedChanges
 from procedures.planning.plan_model import SCHEMA_VERSION, FiducialKind, Plan, Structure
@@ -26,6 +26,7 @@ USUAL_MARGIN_MM = 2.0
 USUAL_STANDOFF_MM = 30.0
 MOST_STEPS_BACK = 200
 LANDMARKS = ("AC", "PC", "midline")  # in the order in which they are clicked
+OF_THE_CT = ("markers", "deformation")  # of a draft: found again, not stored
 LARGEST_BYTES = 1_000_000  # the maximum number of structures in a plan needs a fifth
 
 
@@ -68,6 +69,7 @@ class Draft:
     table_position: str = ""  # as in the scanner
     landmarks: tuple[Point, ...] = ()  # AC, PC and a point of the midline, as far as they are clicked
     markers: tuple[Marker, ...] = ()
+    deformation: ScanDeformation | None = None  # that the spheres of the CT show
 
     @classmethod
     def of(cls, plan: Plan) -> Draft:
@@ -300,7 +302,7 @@ class UnsavedFile:
 
     def store_draft(self, draft: Draft, plan_sha256: str) -> None:
         """Store a draft based on the plan file with that digest. Raises OSError."""
-        values = {name: getattr(draft, name) for name in Draft.__dataclass_fields__ if name != "markers"}
+        values = {name: getattr(draft, name) for name in Draft.__dataclass_fields__ if name not in OF_THE_CT}
         kept = _StoredDraft(series_instance_uid=self._series, plan_sha256=plan_sha256, **values)
         write_atomically(self.path, kept.model_dump_json(indent=1).encode())
         self._is_ours = True
@@ -325,7 +327,7 @@ class UnsavedFile:
         if (kept.series_instance_uid, kept.plan_sha256) != (self._series, plan_sha256):
             raise self._set_aside("belong to another CT, or to an earlier version of the plan")
         self._is_ours = True
-        values = {name: getattr(kept, name) for name in Draft.__dataclass_fields__ if name != "markers"}
+        values = {name: getattr(kept, name) for name in Draft.__dataclass_fields__ if name not in OF_THE_CT}
         return replace(draft, **values)
 
     def _set_aside(self, why: str) -> UnsavedChanges:

@@ -92,7 +92,6 @@ def judge(draft: Draft, volume: Volume, theatre: TheatreArm | None, *, thorough:
         distances=measure_distances(plan),
     )
     markers_mm = np.array([item.centre_mm for item in draft.markers]).reshape(-1, 3)
-    covariances_mm2 = np.array([item.covariance_mm2 for item in draft.markers]).reshape(-1, 3, 3)
     check, paths = _check_draft(plan, volume, markers_mm, theatre, thorough)
     unmet = check.unmet if thorough or paths is None else paths.unmet
     return replace(
@@ -101,7 +100,7 @@ def judge(draft: Draft, volume: Volume, theatre: TheatreArm | None, *, thorough:
         warnings=check.warnings,
         unmet=unmet,
         is_reach_known=bool(unmet) or paths is not None,
-        expected=_predict_errors(plan, markers_mm, covariances_mm2, theatre, paths),
+        expected=_predict_errors(plan, draft, theatre, paths),
         reached=_describe_reach(check),
     )
 
@@ -132,21 +131,24 @@ def _check_draft(
 
 def _predict_errors(
     plan: Plan,
-    markers_mm: NDArray[np.float64],
-    covariances_mm2: NDArray[np.float64],
+    draft: Draft,
     theatre: TheatreArm | None,
     paths: PathCheck | None,
 ) -> dict[str, ExpectedError]:
-    if len(markers_mm) < FEWEST_PAIRS:
+    if len(draft.markers) < FEWEST_PAIRS:
         return {}
+    markers_mm = np.array([item.centre_mm for item in draft.markers])
+    covariances_mm2 = np.array([item.covariance_mm2 for item in draft.markers])
     found = {}
     for item in plan.trajectories:
         try:
             if theatre is not None and paths is not None and paths.passed:
-                predicted = predict_with_arm(theatre, plan, covariances_mm2, paths, item.id)
+                predicted = predict_with_arm(
+                    theatre, plan, covariances_mm2, paths, item.id, draft.deformation
+                )
                 found[item.id] = _to_expected_error(predicted, with_arm=True)
             else:
-                predicted = predict_by_markers(markers_mm, covariances_mm2, item.target_mm)
+                predicted = predict_by_markers(markers_mm, covariances_mm2, item.target_mm, draft.deformation)
                 found[item.id] = _to_expected_error(predicted, with_arm=False)
         except (RonnaError, np.linalg.LinAlgError):  # collinear markers; the check reports it
             continue

@@ -18,7 +18,7 @@ from console.scene.head_surface import encode_stl, head_surface
 from procedures.imaging import Candidate, PatientIdentity, Volume, likeliest_first, localize, localize_picks
 from procedures.imaging.errors import MarkerCountWrong, PickRefused
 from procedures.imaging.localization import DIAMETER_MM
-from procedures.imaging.markers import Marker
+from procedures.imaging.markers import Marker, ScanDeformation
 from procedures.planning.errors import PlanInUse, PlanMistakes, PlanNotSaved, UnsavedChanges, WrongSeries
 from procedures.planning.head_in_ct import sample_hu
 from procedures.planning.plan_file import parse_plan, read_plan, seal_plan, write_plan
@@ -62,6 +62,7 @@ class PlanEditor(ChangeNotifier):
         self.notice: RonnaError | None = None  # of the CT or the plan, to be read first
         self.storage_problem: RonnaError | None = None  # why a crash would lose unsaved changes
         self._markers: tuple[Marker, ...] = ()  # those that were found
+        self._deformation: ScanDeformation | None = None  # that they show
         self._change_event, self._keep_event, self._saving = asyncio.Event(), asyncio.Event(), asyncio.Lock()
         self._check_event = asyncio.Event()
         self._unsaved = UnsavedFile(plan, volume.series_instance_uid)
@@ -122,7 +123,7 @@ class PlanEditor(ChangeNotifier):
         draft = self._read_draft() or Draft(self.volume.patient_position, FEWEST_MARKERS)
         self.history = History(draft)
         self._saved: Draft | None = draft if self._on_disk else None
-        self._adopt_markers(self._markers)
+        self._adopt_markers(self._markers, self._deformation)
 
     def _is_unchanged(self) -> bool:
         try:
@@ -315,7 +316,7 @@ class PlanEditor(ChangeNotifier):
         try:
             found = await asyncio.to_thread(localize, self.volume)
             self.candidates = likeliest_first(found.candidates)
-            self._adopt_markers(found.markers)
+            self._adopt_markers(found.markers, found.deformation)
         except MarkerCountWrong as wrong_count:
             self.candidates, self.notice = likeliest_first(wrong_count.candidates), self.notice or wrong_count
         except RonnaError as problem:
@@ -323,14 +324,15 @@ class PlanEditor(ChangeNotifier):
         self.searching = False
         self.altered()
 
-    def _adopt_markers(self, markers: tuple[Marker, ...]) -> None:
+    def _adopt_markers(self, markers: tuple[Marker, ...], deformation: ScanDeformation | None) -> None:
         """Add the spheres to every draft in the history, so that undo does not lose them."""
-        self._markers = markers
+        self._markers, self._deformation = markers, deformation
         count = len(markers)
         is_new = not self._on_disk and FEWEST_MARKERS <= count <= MOST_MARKERS
 
         def with_markers(draft: Draft) -> Draft:
-            return replace(draft, markers=markers, implanted=count if is_new else draft.implanted)
+            implanted = count if is_new else draft.implanted
+            return replace(draft, markers=markers, deformation=deformation, implanted=implanted)
 
         self.history.replace_all(with_markers)
         if self._saved is not None:

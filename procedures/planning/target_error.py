@@ -14,6 +14,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from procedures.calibration.arm_sources import ArmPoses, arm_sources, ct_errors
+from procedures.imaging.markers import ScanDeformation
+from procedures.imaging.scan_deformation import open_strains
 from procedures.planning.free_angle import choose_free_angles
 from procedures.planning.guide import (
     DIRECTION,
@@ -40,40 +42,71 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
+SCAN = "scan as a whole"
 SEATING = "seating of the spheres"
 USUAL_SEATING_MM = 0.05  # per axis, the default of a theatre file
 
 
 def predict_by_markers(
-    markers_mm: Array, covariances_mm2: Array, target_mm: Sequence[float]
+    markers_mm: Array,
+    covariances_mm2: Array,
+    target_mm: Sequence[float],
+    deformation: ScanDeformation | None = None,
 ) -> TargetPrediction:
-    """Predict the target error from CT and seating errors of markers (n, 3), covariances (n, 3, 3)."""
-    return predict_target_error(
-        markers_mm,
-        target_mm,
-        [ct_errors(covariances_mm2), _seating_errors(len(markers_mm), USUAL_SEATING_MM)],
+    """Predict the target error from the errors of a CT and the seating of its markers.
+
+    Those are (n, 3) mm, covariances (n, 3, 3). `deformation` is what they show of the scan as a whole.
+    """
+    sources = (
+        ct_errors(covariances_mm2),
+        scan_errors(deformation, markers_mm, target_mm, np.eye(3)),
+        _seating_errors(len(markers_mm), USUAL_SEATING_MM),
     )
+    return predict_target_error(markers_mm, target_mm, sources)
+
+
+def scan_errors(
+    measured: ScanDeformation | None, spheres_mm: Array, target_mm: ArrayLike, rotation: Array
+) -> SharedErrors:
+    """Return the errors of a CT stretched or sheared as a whole, within what its spheres leave open.
+
+    What the spheres (n, 3) mm have in common of it cancels in the registration; the rest grows with the
+    distance of the target (3,) mm from them. Both are in the CT; `rotation` (3, 3) is robot <- CT.
+    """
+    offsets = np.vstack([spheres_mm, target_mm]) - spheres_mm.mean(axis=0)
+    displaced = np.einsum("ij,kjl,nl->nik", rotation, open_strains(measured), offsets)
+    return SharedErrors(SCAN, displaced[:-1], displaced[-1])
 
 
 def predict_with_arm(
-    theatre: TheatreArm, plan: Plan, covariances_mm2: Array, check: PathCheck, identifier: str
+    theatre: TheatreArm,
+    plan: Plan,
+    covariances_mm2: Array,
+    check: PathCheck,
+    identifier: str,
+    deformation: ScanDeformation | None = None,
 ) -> TargetPrediction:
-    """Predict the target error with arm, tool frame, calibrations and instrument, from a passed check."""
+    """Predict the target error with arm, tool frame, calibrations and instrument, from a passed check.
+
+    The CT's errors are as in `predict_by_markers`.
+    """
     planned = plan.trajectory(identifier)
     setting = theatre.arm
     sphere_visits, target = select_poses(setting, check, identifier)
     rotation = setting.robot_from_ct.rotation_matrix
     fiducials = [one.visit.name.fiducial for one in sphere_visits if one.visit.name.fiducial is not None]
     tip_mm = np.asarray(setting.robot_from_ct.apply(planned.target_mm), dtype=float)
+    spheres = np.array([one.visit.pose.translation_mm for one in sphere_visits])
+    spheres_ct_mm = np.asarray(setting.robot_from_ct.inverse().apply(spheres))
     zero = np.zeros((len(sphere_visits), 3, 3))
     sources = [
         ct_errors(rotation @ covariances_mm2[fiducials] @ rotation.T),
+        scan_errors(deformation, spheres_ct_mm, planned.target_mm, rotation),
         _seating_errors(len(sphere_visits), theatre.seating_error_mm),
         *arm_error_sources(setting, sphere_visits, target, tip_mm),
         *_guide_errors(theatre, plan, planned, target, zero),
         *(IndependentErrors(name, zero, np.eye(3) * rms**2 / 3.0) for name, rms in theatre.at_target_mm),
     ]
-    spheres = np.array([one.visit.pose.translation_mm for one in sphere_visits])
     return predict_target_error(spheres, tip_mm, sources)
 
 

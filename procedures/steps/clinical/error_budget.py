@@ -5,9 +5,6 @@ cancels. They are those of the arm's record, limited to those of an uncalibrated
 strategy does not control the approach, the servo leaves each joint on an unknown side of its backlash. The
 residual of the servo itself is measured.
 
-The CT may be stretched or sheared as a whole, within what the shapes of its spheres leave open. What the
-spheres have in common of it cancels in the registration; the rest grows with the target's distance from them.
-
 The guide turns with the head except about its own axis. After a followed move the arm holds it with other
 joints, and some errors common to spheres and target remain.
 """
@@ -22,8 +19,6 @@ from numpy.typing import NDArray
 
 from procedures.calibration.arm_sources import ArmPoses, arm_sources
 from procedures.engine.context import StepContext
-from procedures.imaging.markers import ScanDeformation
-from procedures.imaging.scan_deformation import open_strains
 from procedures.journal.results import Numbers6
 from procedures.operator.question import Evidence
 from procedures.planning.guide import place_guide
@@ -59,7 +54,6 @@ GATE_ARM_RESERVE = 1.5
 ALIKE_MM = 1e-6  # shared displacements that differ by less are one
 GATE_CONFIDENCE = 0.999  # of the chi-square gate: one false alarm in a thousand registrations
 GROSS_MM = 3.0  # a sphere on its screw that is off by more is seen by eye (unconfirmed)
-SCAN = "scan as a whole"
 NOTHING = "-"
 
 
@@ -145,6 +139,10 @@ class HeldGuide:
     head_rotation: Array
     sides: tuple[int, ...] | None
 
+    def turn_with_head(self, source: SharedErrors) -> SharedErrors:
+        """Rotate a source's errors at the target, which are the head's own, with the head."""
+        return replace(source, at_target_mm=self.head_rotation @ source.at_target_mm)
+
     def turn_errors_back(self, source: SharedErrors | IndependentErrors) -> SharedErrors | IndependentErrors:
         """Rotate a source's errors at the target back into the head's orientation at the localization."""
         back = self.head_rotation.T
@@ -188,18 +186,6 @@ def arm_errors(
         ErrorSizes.stated(context.setting.settings, context.workcell.calibrations.arm),
         servo_mm=0.0,
     )
-
-
-def scan_errors(
-    measured: ScanDeformation | None, spheres_mm: Array, target_mm: Array, rotation: Array, held: HeldGuide
-) -> SharedErrors:
-    """Return the errors of a CT stretched or sheared within what its spheres, (n, 3) CT mm, leave open.
-
-    `target_mm` (3,) is in the CT, too; `rotation` (3, 3) is that of the registration.
-    """
-    offsets = np.vstack([spheres_mm, target_mm]) - spheres_mm.mean(axis=0)
-    displaced = np.einsum("ij,kjl,nl->nik", rotation, open_strains(measured), offsets)
-    return SharedErrors(SCAN, displaced[:-1], held.head_rotation @ displaced[-1])
 
 
 def unknown_sides_mm2(context: StepContext, fiducials: Sequence[int], spheres_mm: Array) -> Array:

@@ -23,6 +23,7 @@ from procedures.planning.guide import (
     instrument_covariance_mm2,
 )
 from procedures.planning.plan_model import PlannedTrajectory
+from procedures.planning.target_error import scan_errors
 from procedures.registration import Registration, RoomPoint, TwoWayTable, register, verify_two_way
 from procedures.registration.error_theory import DEFAULT_CONFIDENCE, FreGate
 from procedures.registration.points import FEWEST_PAIRS
@@ -42,7 +43,6 @@ from procedures.steps.clinical.error_budget import (
     find_undetected_sphere,
     predict_held_guide,
     residual_gate,
-    scan_errors,
     sphere_displacements_mm,
     two_way_table,
     unknown_sides_mm2,
@@ -298,12 +298,13 @@ def predict_tip_error(
     turn = held.rotation
     sources = (
         IndependentErrors("CT", pairs.ct_mm2, np.zeros((3, 3))),
-        scan_errors(
-            context.result(LocalizedFiducials).deformation,
-            pairs.image_mm,
-            np.asarray(planned.target_mm, dtype=float),
-            robot_from_ct.rotation_matrix,
-            held,
+        held.turn_with_head(
+            scan_errors(
+                context.result(LocalizedFiducials).deformation,
+                pairs.image_mm,
+                planned.target_mm,
+                robot_from_ct.rotation_matrix,
+            )
         ),
         IndependentErrors("seating of the spheres", pairs.seating_mm2, np.zeros((3, 3))),
         IndependentErrors("stereo measurement", pairs.stereo_mm2, np.zeros((3, 3))),

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from prepared_results import deformation
 from scipy.spatial.transform import Rotation
 
 from procedures.calibration.arm_model import ArmModel
@@ -15,6 +17,7 @@ from procedures.calibration.arm_sources import REPEATABILITY_MM
 from procedures.planning.free_angle import choose_free_angles
 from procedures.planning.line_of_sight import StereoSight
 from procedures.planning.target_error import (
+    SCAN,
     USUAL_SEATING_MM,
     choose_best_strategies,
     predict_arm_error_mm,
@@ -33,14 +36,18 @@ MARKERS_MM = np.array([[60.0, -40.0, 60.0], [-50.0, -45.0, 55.0], [5.0, 40.0, 80
 TARGET_MM = (5.0, -20.0, 20.0)
 
 
+def by_markers_alone_mm(covariances: NDArray[np.float64]) -> float:
+    """Error at the target without that of the scan as a whole."""
+    predicted = predict_by_markers(MARKERS_MM, covariances, TARGET_MM)
+    return math.sqrt(predicted.rms_mm**2 - predicted.budget_mm[SCAN] ** 2)
+
+
 def test_equal_markers_give_the_error_of_fitzpatricks_formula() -> None:
     own_mm = 0.1  # 3-D rms
     covariances = np.tile(np.eye(3) * own_mm**2 / 3.0, (4, 1, 1))
     fle_mm = float(np.sqrt(own_mm**2 + 3.0 * USUAL_SEATING_MM**2))
     (by_formula,) = tre_principal_axes_mm(np.array([TARGET_MM]), MARKERS_MM, fle_mm)
-    assert predict_by_markers(MARKERS_MM, covariances, TARGET_MM).rms_mm == pytest.approx(
-        by_formula, rel=1e-6
-    )
+    assert by_markers_alone_mm(covariances) == pytest.approx(by_formula, rel=1e-6)
 
 
 def test_unequal_markers_give_the_error_of_many_random_draws() -> None:
@@ -55,7 +62,22 @@ def test_unequal_markers_give_the_error_of_many_random_draws() -> None:
         turn, _ = Rotation.align_vectors(moved - moved.mean(axis=0), MARKERS_MM - middle)
         errors.append(turn.apply(np.array(TARGET_MM) - middle) + moved.mean(axis=0) - TARGET_MM)
     drawn_mm = float(np.sqrt(np.square(errors).sum(axis=1).mean()))
-    assert predict_by_markers(MARKERS_MM, covariances, TARGET_MM).rms_mm == pytest.approx(drawn_mm, rel=0.06)
+    assert by_markers_alone_mm(covariances) == pytest.approx(drawn_mm, rel=0.06)
+
+
+def test_a_scan_left_open_adds_what_its_lever_makes_of_it_at_the_target() -> None:
+    covariances = np.tile(np.eye(3) * 0.01, (4, 1, 1))
+    far_mm = (5.0, -20.0, -120.0)
+    added = {
+        (target, sigma): predict_by_markers(MARKERS_MM, covariances, target, deformation(sigma)).budget_mm[
+            SCAN
+        ]
+        for target in (TARGET_MM, far_mm)
+        for sigma in (3e-4, 1e-9)
+    }
+    assert added[far_mm, 3e-4] > 2.0 * added[TARGET_MM, 3e-4] > 2.0 * added[TARGET_MM, 1e-9]
+    unseen = predict_by_markers(MARKERS_MM, covariances, TARGET_MM).budget_mm[SCAN]
+    assert unseen > added[TARGET_MM, 3e-4]
 
 
 FIDUCIALS = np.array([[60.0, -70.0, 60.0], [-50.0, -75.0, 55.0], [5.0, -40.0, 100.0], [30.0, -90.0, 20.0]])
