@@ -1,4 +1,4 @@
-"""How motions of the room, errors of the arm and errors of the tracker show in a look.
+"""Linear model of a look: how motions of the room, errors of the arm and errors of the tracker show in it.
 
 Residuals are seen minus expected, mm and rad in the robot frame, and linear in all unknowns:
 

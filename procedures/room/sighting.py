@@ -1,4 +1,4 @@
-"""What the tracker shows of the room with the arms at rest: each body seen, with its covariance.
+"""Look at the room with the arms at rest: each body that the tracker sees, with its covariance.
 
 A look keeps the whole pose of each frame and every known sphere, in the frame that the tracker had at the
 localization. It is plain data: the journal keeps it, and a resumed case restores its estimate from there.
