@@ -253,18 +253,24 @@ class LifecycleGuard:
         return LastKnown(*self._now, reading, says, stopped)
 
     def require(self, call: str, allowed: Iterable[Lifecycle]) -> None:
-        """Raise DEV-001 unless the state is one of `allowed`; the error quotes any latched fault."""
+        """Raise DEV-001 unless the state is one of `allowed`.
+
+        After a latched fault the error quotes it, and has its exit code.
+        """
         states = tuple(allowed)
         state, fault = self._now
         if state in states:
             return
         cause, following = f" ({fault})" if fault else "", _NEXT.get(state)
-        raise WrongState(
+        refused = WrongState(
             f"{self._device}: {call} is not allowed now",
             expected=" or ".join(sorted(states)),
             got=f"{state}{cause}",
             action=f"Once {state}, `{following}` comes next." if following else None,
         )
+        if fault is not None:
+            refused.exit_code = fault.exit_code
+        raise refused
 
     def enter(self, state: Lifecycle, **facts: object) -> None:
         """Enter `state` and log it with `facts`; raises DEV-001 for a forbidden transition."""

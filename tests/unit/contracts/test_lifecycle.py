@@ -13,7 +13,7 @@ from ronna_hw.config import DeviceConfig
 from ronna_hw.devices import Lifecycle, LifecycleGuard
 from ronna_hw.devices.errors import WrongState
 from ronna_hw.devices.lifecycle import Identity
-from ronna_hw.errors import DeviceError, LinkTimeout
+from ronna_hw.errors import EXIT_LINK_LOST, DeviceError, LinkTimeout
 from ronna_hw.log_output import keep_log
 
 
@@ -39,6 +39,14 @@ def test_a_fault_can_only_be_left_for_the_connected_state() -> None:
         guard.enter(Lifecycle.ACTIVE)
     guard.enter(Lifecycle.CONNECTED)
     assert guard.fault is None
+
+
+def test_a_call_refused_for_a_fault_ends_a_command_as_that_fault_does() -> None:
+    guard = LifecycleGuard("arm")
+    guard.latch(LinkTimeout("silence"))
+    with pytest.raises(WrongState) as refused:
+        guard.require("read_state", [Lifecycle.ACTIVE])
+    assert refused.value.exit_code == EXIT_LINK_LOST
 
 
 def test_a_recovered_device_is_configured_already_and_says_what_comes_next() -> None:
