@@ -93,6 +93,10 @@ class Draft:
             else (plan.ac_pc.ac_mm, plan.ac_pc.pc_mm, plan.ac_pc.midline_mm),
         )
 
+    def without_ct(self) -> Draft:
+        """Return the draft without what is found again in the CT."""
+        return replace(self, markers=(), deformation=None)
+
     @property
     def ac_pc(self) -> AcPcFrame | None:
         """The AC-PC frame, or None until all three points are clicked."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import hashlib
 from collections.abc import Sequence
 from dataclasses import replace
@@ -169,8 +170,8 @@ class PlanEditor(ChangeNotifier):
         self.storage_problem = None
         if not self._has_begun:
             return None
-        saved, drawn = self._saved, replace(self.draft, markers=())
-        unsaved = self.history.can_undo if saved is None else drawn != replace(saved, markers=())
+        saved, drawn = self._saved, self.draft.without_ct()
+        unsaved = self.history.can_undo if saved is None else drawn != saved.without_ct()
         try:
             if self.problem is None and unsaved:
                 self._unsaved.store_draft(self.draft, self._on_disk)
@@ -271,7 +272,12 @@ class PlanEditor(ChangeNotifier):
         for number, item in enumerate(self.draft.markers, start=1):
             if float(np.linalg.norm(np.subtract(item.centre_mm, marker.centre_mm))) < DIAMETER_MM:
                 raise PickRefused(f"this is sphere {number}")
-        self.change(replace(self.draft, markers=(*self.draft.markers, marker)))
+        markers, deformation = (*self.draft.markers, marker), found.deformation
+        if len(markers) > 1:  # together they show more of the scan
+            places_mm = [item.centre_mm for item in markers]
+            with contextlib.suppress(RonnaError):
+                deformation = (await asyncio.to_thread(localize_picks, self.volume, places_mm)).deformation
+        self.change(replace(self.draft, markers=markers, deformation=deformation))
 
     def reject_marker(self, number: int) -> None:
         """Remove the sphere with this number (from 1) from the markers."""

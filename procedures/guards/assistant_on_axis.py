@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -16,9 +15,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 from scipy.special import chdtri
 
-from procedures.guards.room_reading import RoomReading
-from procedures.guards.room_watch import RoomWatch
-from procedures.room.estimate import INSTRUMENT_IN_GUIDE
+from procedures.guards.room_watch import JudgedReading, RoomWatch
+from procedures.room.estimate import INSTRUMENT_IN_GUIDE, Displacement
 from procedures.room.sighting import Rest, Sighting, Tracked, expect_frame
 from procedures.workcell import Workcell
 from ronna_hw.devices.readings import TrackerFrame, Validity
@@ -26,8 +24,10 @@ from ronna_hw.frames import Frame, Transform
 
 Array = NDArray[np.float64]
 
-# The shaft of an instrument bends by as much over the length of a bore before it presses on the guide. (U)
-LARGEST_OFF_MM = 0.5
+# By as much the shaft of an instrument bends between clamp and bore before it presses on the guide (U). A
+# look over the guide tells it within 0.3 mm, so of arms in their places fewer than one in 1000 is refused.
+LARGEST_OFF_MM = 0.8
+BETTER_FRAMES = 240  # 4 s, where a careful look is too weak
 READINGS = 15  # averaged on the way
 WATCH_FALSE_ALARM = 1e-5  # share of these means: an insertion has some tens of them
 SIGMAS = 2.0  # 95 % along the direction across the bore that the looks show least
@@ -61,12 +61,20 @@ class BesideBore:
         return f"seen {self.seen_mm:.2f} mm beside the bore, within {self.uncertain_mm:.2f} mm"
 
 
-def beside_bore(workcell: Workcell, watch: RoomWatch, reading: RoomReading) -> BesideBore | None:
-    """Return how far the instrument may be beside the bore by a look at rest, None if a frame is hidden."""
-    look = watch.look_of(reading)
-    if not {Tracked.ARM, Tracked.ASSISTANT} <= look.frames.keys():
+def beside_bore(workcell: Workcell, watch: RoomWatch, judged: JudgedReading) -> BesideBore | None:
+    """Return how far the instrument may be beside the bore by a look at rest, None if a frame is hidden.
+
+    Both carts may have moved at any moment since the arm was last home, as all looks since show together: the
+    worst of those moments counts.
+    """
+    if not {Tracked.ARM, Tracked.ASSISTANT} <= judged.look.frames.keys():
         return None
-    return _beside(workcell, workcell.tool_pose(), watch, look, INSTRUMENT_IN_GUIDE)
+    estimate, top_mm = watch.including(judged), _top_of_bore_mm(workcell, workcell.tool_pose())
+    last = len(estimate.looks) - 1
+    moments = range(min(watch.settled_home + 1, last), last + 1)
+    displaced = (estimate.displacement(top_mm, since, INSTRUMENT_IN_GUIDE) for since in moments)
+    beside = (_across(workcell.tool_pose(), one) for one in displaced)
+    return max(beside, key=lambda one: one.largest_mm)
 
 
 @dataclass
@@ -108,18 +116,20 @@ class AssistantOnAxis:
         shown = expect_frame(mean.translation, mean.rotation.as_matrix(), markers_mm, READINGS)
         rest = {Tracked.ASSISTANT: Rest(known.joints_rad)}
         look = Sighting(rest, frames={Tracked.ASSISTANT: shown}, tracker=self.watch.tracker.pushes)
-        self.now = _beside(self.workcell, self._guide, self.watch, look, {"assistant": 1.0})
+        top_mm = _top_of_bore_mm(self.workcell, self._guide)
+        self.now = _across(self._guide, self.watch.displacement_by(look, top_mm, {"assistant": 1.0}))
 
 
-def _beside(
-    workcell: Workcell, guide: Transform, watch: RoomWatch, look: Sighting, bodies: Mapping[str, float]
-) -> BesideBore:
-    """Return the way by which these bodies have moved before a look, across the bore at its upper end."""
+def _top_of_bore_mm(workcell: Workcell, guide: Transform) -> Array:
+    """Return the upper end (3,) of the bore of a guide, robot frame."""
     bore = workcell.tools.guide.bore
-    top_mm = guide.apply((0.0, 0.0, -bore.reach_mm - bore.length_mm))
+    return np.asarray(guide.apply((0.0, 0.0, -bore.reach_mm - bore.length_mm)))
+
+
+def _across(guide: Transform, displaced: Displacement) -> BesideBore:
+    """Return a displacement of the instrument across the bore of a guide."""
     across = guide.rotation_matrix[:, :2].T
-    found = watch.displacement_by(look, top_mm, bodies)
-    way_mm, covariance_mm2 = across @ found.way_mm, across @ found.covariance_mm2 @ across.T
+    way_mm, covariance_mm2 = across @ displaced.way_mm, across @ displaced.covariance_mm2 @ across.T
     chi_square = float(way_mm @ np.linalg.solve(covariance_mm2, way_mm))
     widest_mm = math.sqrt(float(np.linalg.eigvalsh(covariance_mm2)[-1]))
     return BesideBore(math.hypot(*way_mm), SIGMAS * widest_mm, chi_square)

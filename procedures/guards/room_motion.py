@@ -227,7 +227,7 @@ def _patient_moved(motion: Motion, expected: Expected, reading: RoomReading, way
         what = f"the head{', or the tracker,' if tracker else ''} has moved since it was localized"
         what += f", by {way}{seen}"
     # The limit on the mean way, as one on the rms of the points.
-    limit_mm = motion.limit_mm * max(1.0, moved_mm / motion.moved_mm)
+    limit_mm = motion.noticed_share * max(moved_mm, motion.moved_mm)
     return PatientMoved.from_shift(what, moved_mm, round(limit_mm, 2))
 
 

@@ -176,11 +176,7 @@ class RoomReading:
 
 
 def _pose(seen: SeenFrame | None, source: Frame) -> Transform | None:
-    if seen is None:
-        return None
-    matrix = np.eye(4)
-    matrix[:3, :3], matrix[:3, 3] = seen.rotation, seen.place_mm
-    return Transform.from_matrix(Frame.TRACKER, source, matrix)
+    return None if seen is None else Transform.from_matrix(Frame.TRACKER, source, seen.pose)
 
 
 def _moved(seen: SeenFrame, move: Transform) -> SeenFrame:

@@ -34,7 +34,9 @@ from procedures.room.estimate import GUIDE_AT_HEAD, Displacement, RoomEstimate
 from procedures.room.model import ArmModel, Body, Places, Rows
 from procedures.room.motion import Motion, Moved, find_hidden_motion, find_motion
 from procedures.room.sighting import Sighting, Tracked, expect_frame, expect_spheres
+from procedures.strategies.strategy import ONE_SIDE
 from procedures.workcell import Workcell
+from procedures.workcell.arm_history import stands_at
 from procedures.workcell.patient_frame import seen_after
 from procedures.workcell.tracker_look import read_frames_at_rest
 from procedures.workcell.tracker_move import STILL, UNPUSHED, TrackerMove
@@ -52,6 +54,16 @@ TOUCHED_S = 3.0  # theatre time after which a hand that touched the arm in passi
 
 
 @dataclass(frozen=True)
+class JudgedReading:
+    """Reading held against all looks before: the look that it is, its rows, and the motion that it shows."""
+
+    reading: RoomReading
+    look: Sighting
+    rows: Rows
+    motion: Motion | None = None
+
+
+@dataclass(frozen=True)
 class RoomLook:
     """Result of a look at the room: distances of head and frame on the arm from where they are expected.
 
@@ -60,12 +72,17 @@ class RoomLook:
     the frame on the clamp stands for the head, as the spheres are hidden.
     """
 
-    reading: RoomReading
+    judged: JudgedReading
     head_mm: float | None
     base_mm: float | None
     findings: tuple[str, ...] = ()
     moved: Refusal | None = None
     by_frame: bool = False
+
+    @property
+    def reading(self) -> RoomReading:
+        """Reading that was held against the looks before."""
+        return self.judged.reading
 
     @property
     def in_place(self) -> bool:
@@ -83,16 +100,6 @@ class RoomLook:
         if self.moved is not None:
             raise self.moved
         return self.findings
-
-
-@dataclass(frozen=True)
-class Judged:
-    """Reading held against all looks before: the look that it is, its rows, and the motion that it shows."""
-
-    reading: RoomReading
-    look: Sighting
-    rows: Rows
-    motion: Motion | None = None
 
 
 @dataclass
@@ -119,8 +126,19 @@ class RoomWatch:
     bases: object = None
     head_sight: HeadSight = field(default_factory=HeadSight)
     epoch: int = 0  # of the head, the present one
-    settled_home: int = 0  # number of the last look with the arm settled home
     _by_frame_only: bool = False  # as told last
+
+    @property
+    def settled_home(self) -> int:
+        """Number of the last look with the arm settled home, 0 if that is the localization."""
+        home_rad = self.looks[0].arms[Tracked.ARM].joints_rad
+        rests = ((number, look.arms[Tracked.ARM]) for number, look in enumerate(self.looks))
+        at_home = (
+            number
+            for number, rest in rests
+            if rest.sides == ONE_SIDE and stands_at(rest.joints_rad, home_rad)
+        )
+        return max(at_home, default=0)
 
     @property
     def spheres_mm(self) -> Array:
@@ -166,16 +184,16 @@ class RoomWatch:
         self._count(look, self._rows(look))
         self.keep(look)
 
-    def restore(
-        self, looks: Sequence[Sighting], spheres_mm: Array | None, on_clamp: Transform | None
-    ) -> None:
-        """Take up the looks of an earlier program; the head is where its last move was followed to."""
-        moves = max((look.head for look in looks), default=0)
-        self.epochs += [self.epochs[0]] * moves
-        if moves and spheres_mm is not None:
-            clamp = None if on_clamp is None else on_clamp.as_matrix()
-            self.epochs[moves] = Places(spheres_mm, clamp)
+    def restore(self, looks: Sequence[Sighting]) -> None:
+        """Count the looks of an earlier program again.
+
+        The first look after a move that was followed is the reading by which that was measured.
+        """
         for look in looks:
+            if look.head == len(self.epochs):
+                clamp = look.frames.get(Tracked.CLAMP)
+                pose = None if clamp is None or self.epochs[0].clamp is None else clamp.pose
+                self.epochs.append(Places(look.spheres.places_mm, pose))
             self._count(look, self._rows(look))
 
     def take_in_assistant(
@@ -245,18 +263,16 @@ class RoomWatch:
             moved = find_unseen(expected, reading)
         if moved is None and len(rows.residual):
             findings += self._tell_by_frame(hidden=by_frame)
-            if reading.settled_home:
-                self.settled_home = len(self.estimate.looks)
             self._count(judged.look, rows)
             self.keep(judged.look)
             if head is not None:
                 self.head_sight.seen_s = now_s
-        return RoomLook(reading, None if head is None else head.rms_mm, base_mm, findings, moved, by_frame)
+        return RoomLook(judged, None if head is None else head.rms_mm, base_mm, findings, moved, by_frame)
 
-    def judge(self, reading: RoomReading) -> Judged:
+    def judge(self, reading: RoomReading) -> JudgedReading:
         """Hold a reading against all looks before; it is not counted."""
         look = self.look_of(reading)
-        judged = Judged(reading, look, self._rows(look))
+        judged = JudgedReading(reading, look, self._rows(look))
         if not len(judged.rows.residual):
             return judged
         found = find_motion(self.estimate, judged.rows, self._points_here_mm, partial(self._unpushed, judged))
@@ -284,11 +300,15 @@ class RoomWatch:
         """Return the estimate, by default the present one, with a look that is only imagined."""
         return (estimate or self.estimate).add(self._rows(look))
 
+    def including(self, judged: JudgedReading) -> RoomEstimate:
+        """Return the estimate with a reading, whether that is counted by now or not."""
+        return self.estimate if self.looks[-1] is judged.look else self.with_look(judged.look)
+
     def displacement_by(self, look: Sighting, point_mm: Array, bodies: Mapping[str, float]) -> Displacement:
         """Return by how much these bodies displace a point (3,), robot frame, as a look alone shows it."""
         return self.estimate.displacement_by(self._rows(look), point_mm, bodies)
 
-    def expected(self, judged: Judged) -> Expected:
+    def expected(self, judged: JudgedReading) -> Expected:
         """Return where everything is expected in a reading."""
         mount = self.estimate.model.arms[Tracked.ARM].flange_from_marker
         return Expected(
@@ -317,14 +337,14 @@ class RoomWatch:
             found[body] = way_mm, displacement.noticed_from_mm
         return found
 
-    def follow_tracker(self, reading: RoomReading) -> tuple[Judged, tuple[str, ...]]:
+    def follow_tracker(self, reading: RoomReading) -> tuple[JudgedReading, tuple[str, ...]]:
         """If only the tracker was moved, follow it; only a careful reading decides.
 
         Return the reading as seen from where the tracker was, and the finding.
         """
         return self._follow_if_pushed(self.judge(reading))
 
-    def _follow_if_pushed(self, judged: Judged) -> tuple[Judged, tuple[str, ...]]:
+    def _follow_if_pushed(self, judged: JudgedReading) -> tuple[JudgedReading, tuple[str, ...]]:
         motion, reading = judged.motion, judged.reading
         if motion is None or motion.moved is not Moved.TRACKER or not reading.is_careful:
             return judged, ()
@@ -342,7 +362,7 @@ class RoomWatch:
             "deg; head and arm agree on it, and the case goes on",
         )
 
-    def _unpushed(self, judged: Judged) -> Rows | None:
+    def _unpushed(self, judged: JudgedReading) -> Rows | None:
         push = push_of_tracker(self.expected(judged))
         if push is None:
             return None

@@ -240,8 +240,9 @@ def _describe_leaving(journal: Sequence[Line], when: str) -> str:
     begins = [number for number, line in enumerate(journal) if line["entry"] == Entry.RESTARTED]
     if not begins or ONLY_LEAVING not in journal[begins[-1]]:
         return f"The operator left the case {when}" if when != "then" else "The operator then left the case"
-    homed = any(line["entry"] == Entry.HOME for line in journal[begins[-1] :])
-    return f"{'The arm was sent home' if homed else 'A fault was acknowledged'} {when}, and no step was run"
+    entries = {line["entry"] for line in journal[begins[-1] :]}
+    done = "A fault was acknowledged" if Entry.ACKNOWLEDGED in entries else "Nothing was moved"
+    return f"{'The arm was sent home' if Entry.HOME in entries else done} {when}, and no step was run"
 
 
 def _describe_acknowledgement(journal: Sequence[Line], last: Line) -> str:

@@ -49,14 +49,14 @@ class Moved(StrEnum):
     SEVERAL = "two of head, cart and tracker"
 
 
-AT_HEAD = {"head": -1.0}  # of the guide against a moved head
 # Motions that displace what is far from the body by more than the body itself, and in which direction.
 TURNING = {
     Moved.BASE: {"base": 1.0},
     Moved.ASSISTANT: {"assistant": 1.0},
-    Moved.HEAD: AT_HEAD,
-    Moved.HEAD_OR_TRACKER: AT_HEAD,
+    Moved.HEAD: {"head": 1.0},
+    Moved.HEAD_OR_TRACKER: {"head": 1.0},
 }
+WAYS = {**TURNING, Moved.TRACKER: {"tracker": -1.0}}  # as the tracker sees what it has moved against
 
 
 @dataclass(frozen=True)
@@ -80,9 +80,14 @@ class Motion:
         return float(np.linalg.norm(self.way_mm))
 
     @property
+    def noticed_share(self) -> float:
+        """Share of this motion that would just be noticed."""
+        return float(np.sqrt(self.limit / self.chi_square))
+
+    @property
     def limit_mm(self) -> float:
         """Length in the same direction that would just be noticed."""
-        return self.moved_mm * float(np.sqrt(self.limit / self.chi_square))
+        return self.noticed_share * self.moved_mm
 
 
 def find_motion(
@@ -175,9 +180,10 @@ def find_hidden_motion(
     if (chi_squares > limits).any():
         at = int((chi_squares / limits).argmax())
         since = first + at
-        way_mm = estimate.displacement(estimate.model.centre_mm, since).way_mm
         moved = _name(estimate, since)
-        found.append(Motion(moved, since, float(chi_squares[at]), float(limits[at]), way_mm))
+        way_mm = estimate.displacement(estimate.model.centre_mm, since, WAYS[moved]).way_mm
+        motion = Motion(moved, since, float(chi_squares[at]), float(limits[at]), way_mm)
+        found.append(_seen_at_points(motion, estimate, points_mm))
     for name, point_mm in points_mm.items():
         limit = _limit(AXES, share)
         for largest in _list_displacements(estimate, point_mm, first, limit):

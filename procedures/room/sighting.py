@@ -47,6 +47,13 @@ class SeenFrame:
     covariance: Array
     markers_mm: Array
 
+    @property
+    def pose(self) -> Array:
+        """Pose (4, 4), tracker frame."""
+        matrix = np.eye(4)
+        matrix[:3, :3], matrix[:3, 3] = self.rotation, self.place_mm
+        return matrix
+
 
 @dataclass(frozen=True)
 class SeenSpheres:

@@ -14,7 +14,9 @@ from procedures.runs.interrupted_run import InterruptedRun
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.localized_room import build_watch, take_in_assistant
-from procedures.steps.clinical.results import KnownBases
+from procedures.steps.clinical.plan_check import CheckedPlan
+from procedures.steps.clinical.results import KnownBases, RegisteredRobot
+from procedures.steps.clinical.room import find_followed_places, targets_mm
 from procedures.steps.clinical.two_arms.seen_on_axis import (
     LOOK_AT_CART,
     NotCompared,
@@ -79,8 +81,11 @@ def _watch_with_bases(engine: Engine) -> RoomWatch | None:
     matched = _find_last(engine, Correspondence)
     workcell, settings = engine.setting.workcell, engine.setting.settings
     pairs = None if matched is None else matched[1].pairs
-    watch = build_watch(workcell, settings, localized[0].identifier, localized[1], pairs)
+    checked, registered = _find_last(engine, CheckedPlan), _find_last(engine, RegisteredRobot)
+    points_mm = targets_mm(checked[1], matched[1]) if checked and matched else {}
+    watch = build_watch(workcell, settings, localized[0].identifier, localized[1], pairs, points_mm)
     take_in_assistant(watch, workcell, settings, bases[1])
+    watch.follow(*find_followed_places(None if registered is None else registered[1]))
     return watch
 
 

@@ -364,7 +364,7 @@ def compare_room(engine: Engine, comparison: Comparison) -> bool:
     checked = engine.case.find(CheckedPlan, None)
     points_mm = targets_mm(checked.result, matched.result) if checked and matched else {}
     settings, name = engine.setting.settings, stored.record.identifier
-    watch = build_watch(workcell, settings, name, stored.result, pairs, points_mm, followed)
+    watch = build_watch(workcell, settings, name, stored.result, pairs, points_mm)
     if (bases := context.latest(KnownBases)) is not None:
         take_in_assistant(watch, workcell, settings, bases)
     watch.follow(*followed)

@@ -88,12 +88,11 @@ def build_watch(
     localized: GlobalLocalization,
     pairs: Sequence[tuple[int, int]] | None,
     points_mm: Mapping[str, Array] | None = None,
-    followed: tuple[Array | None, Transform | None] = (None, None),
 ) -> RoomWatch:
     """Build the watch over a named localization, limited to the matched spheres if `pairs` are given.
 
-    `points_mm` are the targets (3,), robot frame, by name; `followed` is where the last registration followed
-    the head to. The looks that the journal has since, and where it has the tracker, are taken up.
+    `points_mm` are the targets (3,), robot frame, by name. The looks that the journal has since, and where it
+    has the tracker, are taken up.
     """
     spheres = np.asarray(localized.points_tracker_mm, dtype=float).reshape(-1, 3)
     if pairs is not None:
@@ -122,7 +121,7 @@ def build_watch(
     watch.tracker_moved = partial(workcell.record_tracker_move, name)
     if pairs is not None:  # before the match the spheres have other numbers
         watch.keep = partial(workcell.record_look, name)
-        watch.restore(workcell.looks(name), *followed)
+        watch.restore(workcell.looks(name))
     return watch
 
 

@@ -165,7 +165,6 @@ def room_watch(context: StepContext) -> RoomWatch:
             localized,
             matched.pairs,
             targets_mm(checked, matched),
-            followed,
         )
         context.setting.memory.keep(watch)
     bases = context.latest(KnownBases)

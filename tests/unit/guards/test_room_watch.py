@@ -150,7 +150,22 @@ def test_what_is_not_seen_is_not_compared(room: Room) -> None:
 def test_a_resumed_case_judges_by_all_looks_before_its_restart(room: Room) -> None:
     turned = {"cart_deg": (0.0, 0.42, 0.0), "about_mm": room.frame_at_home_mm}
     again = room.case.begin()
-    again.restore([Sighting.from_plain(look.as_plain()) for look in room.kept], None, None)
+    again.restore([Sighting.from_plain(look.as_plain()) for look in room.kept])
     now, then = again.estimate, room.watch.estimate
     assert now.information.shape == then.information.shape
     assert isinstance(room.look(watch=again, **turned).moved, BaseShifted)  # type: ignore[arg-type]
+
+
+@pytest.mark.hazard(13)
+def test_a_head_whose_moves_were_followed_one_after_the_other_is_expected_where_it_is(room: Room) -> None:
+    localized_mm, to_tracker = room.watch.spheres_mm, room.watch.robot_from_tracker.rotation_matrix.T
+    first, second = ((0.0, 1.0, 0.0), (0.0, 2.5, 0.0))
+    room.watch.follow(localized_mm + to_tracker @ first)
+    assert room.look(head_mm=first).in_place
+    again = room.case.begin()  # the second move ends the watch
+    again.keep = room.kept.append
+    again.restore([Sighting.from_plain(look.as_plain()) for look in room.kept])
+    again.follow(localized_mm + to_tracker @ second)
+    assert again.epoch == 2
+    assert room.look(head_mm=second, watch=again).in_place
+    assert isinstance(room.look(head_mm=first, watch=again).moved, PatientMoved)

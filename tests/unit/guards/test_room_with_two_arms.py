@@ -2,12 +2,20 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 from scipy.spatial.transform import RigidTransform
 from two_arm_room import OVER_GUIDE_RAD, STILL, TwoArmRoom, shifted, turned_about
 
 from procedures.calibration.errors import PlatformMoved
-from procedures.guards.assistant_on_axis import LARGEST_OFF_MM, READINGS, AssistantOnAxis, beside_bore
+from procedures.guards.assistant_on_axis import (
+    LARGEST_OFF_MM,
+    READINGS,
+    AssistantOnAxis,
+    BesideBore,
+    beside_bore,
+)
 from procedures.guards.errors import BaseShifted, InsertionDisturbed, PatientMoved
 from procedures.room.motion import Moved
 
@@ -41,6 +49,7 @@ def test_a_cart_that_moves_while_the_bases_are_measured_is_found_once_they_are_k
     motion = room.take_in()
     assert motion is not None
     assert motion.moved is Moved.ASSISTANT
+    assert motion.moved_mm == pytest.approx(1.5, abs=0.3)
     before = len(room.watch.looks)
     room.turn_frame()  # measured again, with the carts locked
     assert room.take_in(before) is None
@@ -55,22 +64,53 @@ def test_an_instrument_in_the_guide_is_left_there_when_the_assistant_was_displac
     assert moved.action == InsertionDisturbed.by_hand
 
 
+def beside(room: TwoArmRoom, *, counted: bool = False, **displaced: Any) -> BesideBore | None:
+    """The instrument beside the bore by a reading, counted among the looks or not."""
+    reading = room.reading(**displaced)
+    judged = room.watch.compare(reading).judged if counted else room.watch.judge(reading)
+    return beside_bore(room.workcell(), room.watch, judged)
+
+
 @pytest.mark.hazard(64)
-def test_what_the_looks_leave_open_counts_against_the_bore() -> None:
+@pytest.mark.parametrize("counted", [False, True])
+def test_what_the_looks_leave_open_counts_against_the_bore(counted: bool) -> None:
     room = TwoArmRoom()
-    room.look(OVER_GUIDE_RAD)
-    workcell = room.workcell()
-    found = beside_bore(workcell, room.watch, room.reading())
+    room.joints_rad = OVER_GUIDE_RAD
+    found = beside(room, counted=counted)
     assert found is not None
     assert found.is_within
-    assert 0.05 < found.uncertain_mm < LARGEST_OFF_MM
-    off = beside_bore(workcell, room.watch, room.reading(assistant=shifted(0.0, 0.45, 0.0)))
-    assert off is not None
-    assert off.seen_mm < LARGEST_OFF_MM < off.largest_mm
-    assert beside_bore(workcell, room.watch, room.reading(hidden=True)) is None
+    assert 0.1 < found.uncertain_mm < LARGEST_OFF_MM
+    assert beside(room, hidden=True) is None
+
+
+@pytest.mark.hazard(64)
+@pytest.mark.parametrize("counted", [False, True])
+def test_a_cart_that_moved_on_the_way_is_beside_the_bore_by_the_whole_of_it(counted: bool) -> None:
+    room = TwoArmRoom()
+    room.joints_rad = OVER_GUIDE_RAD
+    moved_mm = LARGEST_OFF_MM - 0.15
+    found = beside(room, counted=counted, assistant=shifted(0.0, moved_mm, 0.0))
+    assert found is not None
+    assert found.seen_mm == pytest.approx(moved_mm, abs=0.1)
+    assert not found.is_within
+
+
+@pytest.mark.hazard(64)
+def test_a_repeated_look_over_the_guide_forgives_nothing() -> None:
+    room = TwoArmRoom()
+    room.joints_rad = OVER_GUIDE_RAD
+    displaced = shifted(0.0, LARGEST_OFF_MM - 0.15, 0.0)
+    for _ in range(3):
+        found = beside(room, counted=True, assistant=displaced)
+        assert found is not None
+        assert not found.is_within
+
+
+def test_an_assistant_that_no_look_has_shown_is_not_within_the_bore() -> None:
     unknown = TwoArmRoom(known=False)
     assert unknown.take_in() is None
-    first = beside_bore(unknown.workcell(), unknown.watch, unknown.reading(OVER_GUIDE_RAD))
+    unknown.joints_rad = OVER_GUIDE_RAD
+    first = beside(unknown)
     assert first is None or not first.is_within
 
 

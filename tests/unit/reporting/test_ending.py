@@ -215,8 +215,12 @@ def test_a_run_whose_program_was_killed_says_whether_an_instrument_was_inside(
 
 @pytest.mark.parametrize(
     ("entries", "done"),
-    [((Entry.HOME,), "The arm was sent home"), ((), "A fault was acknowledged")],
-    ids=["home", "acknowledge"],
+    [
+        ((Entry.HOME,), "The arm was sent home"),
+        ((Entry.ACKNOWLEDGED,), "A fault was acknowledged"),
+        ((), "Nothing was moved"),
+    ],
+    ids=["home", "acknowledge", "at home already"],
 )
 def test_a_run_that_was_only_sent_home_was_left_by_nobody(
     cell: ClinicalCell, entries: tuple[Entry, ...], done: str

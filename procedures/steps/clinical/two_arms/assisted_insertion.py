@@ -13,9 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from procedures.engine.context import StepContext
-from procedures.guards.assistant_on_axis import LARGEST_OFF_MM, BesideBore, beside_bore
+from procedures.guards.assistant_on_axis import BETTER_FRAMES, LARGEST_OFF_MM, BesideBore, beside_bore
 from procedures.guards.errors import PatientUnseen
-from procedures.guards.room_reading import AS_KNOWN, CAREFUL_FRAMES, ArrivedSides, RoomReading
+from procedures.guards.room_reading import AS_KNOWN, CAREFUL_FRAMES, ArrivedSides
+from procedures.guards.room_watch import JudgedReading
 from procedures.journal.errors import GateFailed
 from procedures.operator.question import YES, Task, Topic
 from procedures.planning.errors import NotReachable
@@ -155,8 +156,8 @@ def _present_holder(context: StepContext, assistant: Assistant, tip_mm: float) -
         assistant.settle(loading_rad)
 
 
-def _is_seen(reading: RoomReading) -> bool:
-    return Tracked.ASSISTANT in reading.frames
+def _is_seen(judged: JudgedReading) -> bool:
+    return Tracked.ASSISTANT in judged.look.frames
 
 
 def _require_bases(context: StepContext) -> KnownBases:
@@ -226,14 +227,16 @@ def _require_coaxial(
     return off_mm, turned_rad
 
 
-def _look_at_assistant(context: StepContext, occasion: str, sides: ArrivedSides = AS_KNOWN) -> RoomReading:
+def _look_at_assistant(
+    context: StepContext, occasion: str, sides: ArrivedSides = AS_KNOWN, count: int = CAREFUL_FRAMES
+) -> JudgedReading:
     """Look at the room with the assistant out; raises as `check_room`. A hidden head is for the guards."""
     try:
-        return check_room(context, occasion, CAREFUL_FRAMES, sides).reading
+        return check_room(context, occasion, count, sides).judged
     except PatientUnseen:
-        tracker, clock = context.workcell.tracker, context.setting.clock
-        frames, _ = read_frames_at_rest(tracker, clock, count=CAREFUL_FRAMES)
-        return room_watch(context).read(context.workcell, frames, sides)
+        frames, _ = read_frames_at_rest(context.workcell.tracker, context.setting.clock, count=count)
+        watch = room_watch(context)
+        return watch.judge(watch.read(context.workcell, frames, sides))
 
 
 def _require_seen_coaxial(context: StepContext, axis: InsertionAxis, *, stood: bool) -> BesideBore | None:
@@ -242,8 +245,12 @@ def _require_seen_coaxial(context: StepContext, axis: InsertionAxis, *, stood: b
     Where it does not see both arms, the joints alone count, provided that the assistant's cart has `stood`.
     """
     sides = {} if axis.arriving is None else {Tracked.ASSISTANT: axis.arriving}
-    reading = _look_at_assistant(context, f"over {context.trajectory}", sides)
-    found = beside_bore(context.workcell, room_watch(context), reading)
+    for count in (CAREFUL_FRAMES, BETTER_FRAMES):
+        judged = _look_at_assistant(context, f"over {context.trajectory}", sides, count)
+        found = beside_bore(context.workcell, room_watch(context), judged)
+        if found is None or found.is_within:
+            break
+        context.progress(0.72, f"looking again over {context.trajectory}: the instrument is {found}")
     if found is None and not stood:
         raise GateFailed(
             f"over {context.trajectory} the tracker does not see the frames of both arms, nor did it see the "

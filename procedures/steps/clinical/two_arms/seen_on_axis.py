@@ -6,7 +6,7 @@ not the axis of the bore any more: no arm draws the instrument against the guide
 
 from __future__ import annotations
 
-from procedures.guards.assistant_on_axis import LARGEST_OFF_MM, BesideBore, beside_bore
+from procedures.guards.assistant_on_axis import BETTER_FRAMES, LARGEST_OFF_MM, BesideBore, beside_bore
 from procedures.guards.errors import InsertionDisturbed
 from procedures.guards.room_reading import CAREFUL_FRAMES
 from procedures.guards.room_watch import RoomWatch
@@ -20,7 +20,7 @@ from ronna_hw.text import format_against_limit
 LOOK_AT_CART = (
     "before you accept, look that its cart is locked and the instrument does not press on the guide"
 )
-OF_THE_HEAD = (None, Moved.HEAD, Moved.HEAD_IN_CLAMP, Moved.CLAMP_FRAME, Moved.TRACKER, Moved.HEAD_OR_TRACKER)
+OF_THE_HEAD = (Moved.HEAD, Moved.HEAD_IN_CLAMP, Moved.CLAMP_FRAME, Moved.TRACKER, Moved.HEAD_OR_TRACKER)
 
 
 class NotCompared(Exception):
@@ -44,21 +44,27 @@ def require_seen_on_axis(workcell: Workcell, clock: Clock, watch: RoomWatch | No
     """
     if watch is None or watch.bases is None:
         raise NotCompared("no record says where the assistant's frame was seen")
-    try:
-        reading = watch.read(workcell, read_frames_at_rest(workcell.tracker, clock, count=CAREFUL_FRAMES)[0])
-    except RonnaError as problem:
-        raise NotCompared(f"the assistant was not compared with its frame ({problem.summary})") from problem
-    found, motion = beside_bore(workcell, watch, reading), watch.judge(reading).motion
-    if found is None:
-        raise NotCompared("the tracker does not see the frames of both arms")
-    moved = None if motion is None else motion.moved
-    if found.is_within and moved in OF_THE_HEAD:
-        return found
+    for count in (CAREFUL_FRAMES, BETTER_FRAMES):
+        try:
+            frames, _ = read_frames_at_rest(workcell.tracker, clock, count=count)
+            judged = watch.judge(watch.read(workcell, frames))
+        except RonnaError as problem:
+            raise NotCompared(
+                f"the assistant was not compared with its frame ({problem.summary})"
+            ) from problem
+        found, motion = beside_bore(workcell, watch, judged), judged.motion
+        if found is None:
+            raise NotCompared("the tracker does not see the frames of both arms")
+        if found.is_within and (motion is None or motion.moved in OF_THE_HEAD):
+            return found
+        limit_mm, got_mm = LARGEST_OFF_MM, found.largest_mm
+        if found.is_within and motion is not None:  # an arm is not where its joints have it
+            limit_mm, got_mm = motion.limit_mm, motion.moved_mm
     axis = workcell.assistant.place.axis if workcell.assistant is not None else None
     raise InsertionDisturbed(
         f"the tracker sees the assistant beside the axis of {'' if axis is None else axis.trajectory}, with "
         "the instrument in the guide: a cart was displaced, or a frame",
-        limit=f"{LARGEST_OFF_MM:g} mm",
-        got=f"{format_against_limit(found.largest_mm, LARGEST_OFF_MM, 2)} mm ({found})",
+        limit=f"{limit_mm:.2f} mm",
+        got=f"{format_against_limit(got_mm, limit_mm, 2)} mm ({found})",
         action=InsertionDisturbed.by_hand,
     )

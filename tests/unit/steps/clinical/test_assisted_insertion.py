@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -9,6 +10,7 @@ import pytest
 from two_arm_room import OVER_GUIDE_RAD, TwoArmRoom, shifted
 
 from procedures.engine.context import StepContext
+from procedures.guards.assistant_on_axis import LARGEST_OFF_MM
 from procedures.guards.errors import InsertionDisturbed
 from procedures.journal.errors import GateFailed
 from procedures.operator.question import NO, YES
@@ -49,9 +51,15 @@ def over_the_guide(monkeypatch: pytest.MonkeyPatch, **seen: Any) -> tuple[StepCo
     """A context whose next look at the room is over the guide, with both arms known."""
     room, found = TwoArmRoom(), list[str]()
     monkeypatch.setattr(assisted_insertion, "room_watch", lambda _context: room.watch)
-    look = SimpleNamespace(reading=room.reading(OVER_GUIDE_RAD, **seen))
-    monkeypatch.setattr(assisted_insertion, "check_room", lambda *_args: look)
-    fields = {"trajectory": "T1", "workcell": room.workcell(), "find": found.append}
+    room.joints_rad = OVER_GUIDE_RAD
+    look = partial(room.look, **seen)
+    monkeypatch.setattr(assisted_insertion, "check_room", lambda *_args: look())
+    fields = {
+        "trajectory": "T1",
+        "workcell": room.workcell(),
+        "find": found.append,
+        "progress": lambda *_args: None,
+    }
     return cast("StepContext", SimpleNamespace(**fields)), found
 
 
@@ -72,8 +80,8 @@ def test_nothing_is_led_into_a_bore_that_may_be_further_off_than_the_instrument_
     seen = _require_seen_coaxial(context, AXIS, stood=True)
     assert seen is not None
     assert f"within {seen.uncertain_mm:.2f} mm" in found[0]
-    context, _ = over_the_guide(monkeypatch, assistant=shifted(0.0, 0.45, 0.0))
-    with pytest.raises(GateFailed, match=r"may be further beside the bore.*limit 0\.5 mm"):
+    context, _ = over_the_guide(monkeypatch, assistant=shifted(0.0, LARGEST_OFF_MM - 0.15, 0.0))
+    with pytest.raises(GateFailed, match=r"may be further beside the bore.*limit 0\.8 mm"):
         _require_seen_coaxial(context, AXIS, stood=True)
 
 
