@@ -13,7 +13,7 @@ ACKNOWLEDGE = (
 
 
 class WrongState(StateError):
-    """A call is not allowed in the current lifecycle state of the device."""
+    """A call is not allowed in the device's lifecycle state. After a latched fault its exit code is used."""
 
     code = "DEV-001"
     action = f"Bring the device to the expected state first; after a fault, {ACKNOWLEDGE}."
