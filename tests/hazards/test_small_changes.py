@@ -164,7 +164,7 @@ def trials(count: int, *, quiet: bool) -> list[list[tuple[float, bool]]]:
 
 
 @pytest.mark.parametrize(
-    "count", [pytest.param(40, id="40"), pytest.param(1000, id="1000", marks=pytest.mark.slow)]
+    "count", [pytest.param(40, id="40"), pytest.param(500, id="500", marks=pytest.mark.slow)]
 )
 @pytest.mark.hazard(3)
 @pytest.mark.hazard(12)
@@ -178,7 +178,7 @@ def test_no_target_is_silently_off_by_more_than_predicted_after_a_random_change(
 
 
 @pytest.mark.parametrize(
-    "count", [pytest.param(40, id="40"), pytest.param(1000, id="1000", marks=pytest.mark.slow)]
+    "count", [pytest.param(40, id="40"), pytest.param(500, id="500", marks=pytest.mark.slow)]
 )
 @pytest.mark.hazard(12)
 @pytest.mark.hazard(13)
