@@ -101,7 +101,10 @@ class GuideAtRest:
             self.looked_s = clock.now_s()
             if self.now_mm <= PUSHED_MM or not known:
                 return
-        if room is not None and (followed := room.follow_tracker(room.read(workcell, frames))[1]):
+        if room is None:
+            return
+        _, followed = room.follow_tracker(room.judge(room.read(workcell, frames)))
+        if followed:
             for finding in followed:
                 self.find(f"at {self.trajectory}: {finding}")
             self._measure(workcell, frames, room)

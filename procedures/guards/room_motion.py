@@ -51,11 +51,6 @@ class HeadSeen:
     shift: PointShift
     by_frame: bool
 
-    @property
-    def rms_mm(self) -> float:
-        """Rms displacement of its points."""
-        return self.shift.rms_mm
-
     @classmethod
     def of(cls, expected: Expected) -> HeadSeen | None:
         """Compare a look with what is expected in it; None if too little of the head is seen."""
@@ -203,7 +198,7 @@ def _room_moved(expected: Expected, reading: RoomReading) -> Transform | None:
 def _patient_moved(motion: Motion, expected: Expected, reading: RoomReading, way: str) -> PatientMoved:
     head = HeadSeen.of(expected)
     tracker = motion.moved is Moved.HEAD_OR_TRACKER
-    moved_mm = motion.moved_mm if head is None else max(head.rms_mm, motion.limit_mm)
+    moved_mm = motion.moved_mm if head is None else max(head.shift.rms_mm, motion.limit_mm)
     alone_mm = lone_displacement_mm(
         expected.spheres_mm, reading.spheres_mm, max(motion.limit_mm, PATIENT_LIMIT_MM)
     )

@@ -250,7 +250,7 @@ class RoomWatch:
 
     def compare(self, reading: RoomReading, now_s: float = 0.0) -> RoomLook:
         """Hold a reading against all looks before, and count it among them if nothing has moved."""
-        judged, findings = self._follow_if_pushed(self.judge(reading))
+        judged, findings = self.follow_tracker(self.judge(reading))
         reading, rows, motion, expected = judged.reading, judged.rows, judged.motion, self.expected(judged)
         head = HeadSeen.of(expected)
         base_mm = None if expected.arm_way_mm is None else float(np.linalg.norm(expected.arm_way_mm))
@@ -267,7 +267,9 @@ class RoomWatch:
             self.keep(judged.look)
             if head is not None:
                 self.head_sight.seen_s = now_s
-        return RoomLook(judged, None if head is None else head.rms_mm, base_mm, findings, moved, by_frame)
+        return RoomLook(
+            judged, None if head is None else head.shift.rms_mm, base_mm, findings, moved, by_frame
+        )
 
     def judge(self, reading: RoomReading) -> JudgedReading:
         """Hold a reading against all looks before; it is not counted."""
@@ -337,14 +339,11 @@ class RoomWatch:
             found[body] = way_mm, displacement.noticed_from_mm
         return found
 
-    def follow_tracker(self, reading: RoomReading) -> tuple[JudgedReading, tuple[str, ...]]:
+    def follow_tracker(self, judged: JudgedReading) -> tuple[JudgedReading, tuple[str, ...]]:
         """If only the tracker was moved, follow it; only a careful reading decides.
 
         Return the reading as seen from where the tracker was, and the finding.
         """
-        return self._follow_if_pushed(self.judge(reading))
-
-    def _follow_if_pushed(self, judged: JudgedReading) -> tuple[JudgedReading, tuple[str, ...]]:
         motion, reading = judged.motion, judged.reading
         if motion is None or motion.moved is not Moved.TRACKER or not reading.is_careful:
             return judged, ()

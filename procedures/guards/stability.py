@@ -55,7 +55,6 @@ class WatchedSubject:
 
 
 AT_TARGETS = "what the looks show at each target, by its lever"
-GUIDE_UNNOTICED_MM = GUIDE_NOTICEABLE_MM / math.sqrt(3.0)  # rms, uniformly distributed up to the limit
 
 
 def guide_noticeable_mm(arm: str) -> float:
@@ -65,7 +64,7 @@ def guide_noticeable_mm(arm: str) -> float:
 
 def guide_unnoticed_mm(arm: str) -> float:
     """Return the rms of a displacement of the guide that its gauge does not show, with this model of arm."""
-    return GUIDE_UNNOTICED_MM * guide_noticeable_mm(arm) / GUIDE_NOTICEABLE_MM
+    return guide_noticeable_mm(arm) / math.sqrt(3.0)  # uniformly distributed up to the limit
 
 
 WATCHED_SUBJECTS = (

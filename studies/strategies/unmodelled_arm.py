@@ -9,6 +9,7 @@ others are judged by the 95 % limit that the operator would see, shares for unno
 
 from __future__ import annotations
 
+import math
 from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
@@ -19,7 +20,7 @@ from numpy.typing import NDArray
 
 from procedures.calibration.arm_calibration import identify, validate
 from procedures.calibration.arm_model import ArmModel, LookArrays
-from procedures.guards.stability import GUIDE_NOTICEABLE_MM, GUIDE_UNNOTICED_MM
+from procedures.guards.stability import GUIDE_NOTICEABLE_MM
 from procedures.registration.rigid_fit import RigidFit, fit_rigid
 from procedures.registration.target_prediction import (
     IndependentErrors,
@@ -51,7 +52,7 @@ from studies.strategies.identified import (
 from studies.strategies.study import DEPTHS_MM, TARGETS
 
 # Rms at a target of what no look of a case would show, without a room to look at: as whole cases state it.
-UNNOTICED_MM = {"head": 0.10, "cart and tracker": 0.20, "guide": GUIDE_UNNOTICED_MM}
+UNNOTICED_MM = {"head": 0.10, "cart and tracker": 0.20, "guide": GUIDE_NOTICEABLE_MM / math.sqrt(3.0)}
 Array = NDArray[np.float64]
 Sources = list[SharedErrors | IndependentErrors]
 

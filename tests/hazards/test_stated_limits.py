@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from procedures.guards.room_reading import CAREFUL_FRAMES, FRAMES
 from procedures.guards.room_watch import RoomLook, RoomWatch
-from procedures.guards.stability import GUIDE_UNNOTICED_MM
+from procedures.guards.stability import GUIDE_NOTICEABLE_MM
 from procedures.registration.error_theory import error_limit_mm
 from procedures.room.estimate import GUIDE_AT_HEAD, MOTION_MM, MOTION_RAD, MOVING, POSE
 from procedures.steps.clinical.unnoticed import _base_unnoticed_mm2
@@ -82,7 +82,7 @@ def replay_target(case: TrackedCase, visit: Visit, generator: np.random.Generato
         if look(visit.at, CAREFUL_FRAMES, *after[1]).moved is not None:
             yield Replayed(changed, noticed=True)
             continue
-        covariance_mm2 = (OTHER_MM**2 + GUIDE_UNNOTICED_MM**2) / 3.0 * np.eye(3)
+        covariance_mm2 = (OTHER_MM**2 + GUIDE_NOTICEABLE_MM**2 / 3.0) / 3.0 * np.eye(3)
         covariance_mm2 += _base_unnoticed_mm2(watch.estimate, target_mm, at_home, at_target)
         head_only = {"head": GUIDE_AT_HEAD["head"]}
         covariance_mm2 += watch.estimate.displacement(target_mm, at_home, head_only).covariance_mm2

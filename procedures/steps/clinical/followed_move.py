@@ -84,7 +84,7 @@ def _measure_move(context: StepContext) -> MeasuredMove | None:
     watch = build_watch(workcell, settings, name, localized, pairs)
     context.progress(0.0, "measuring whether the head has moved")
     frames, _ = read_frames_at_rest(workcell.tracker, context.setting.clock)
-    judged, pushed = watch.follow_tracker(watch.read(workcell, frames))
+    judged, pushed = watch.follow_tracker(watch.judge(watch.read(workcell, frames)))
     reading, motion, expected = judged.reading, judged.motion, watch.expected(judged)
     for finding in pushed:
         context.find(finding)

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,18 +39,12 @@ UNNOTICED = "unnoticed change: {}"
 HEAD, BASE, GUIDE = (UNNOTICED.format(one) for one in (Subject.HEAD, Subject.BASE, Subject.GUIDE))
 
 
-@dataclass(frozen=True)
-class UnnoticedChanges:
-    """Covariances (3, 3) mm2 of changes at a target that would not be noticed, robot frame, by source."""
-
-    by_source_mm2: dict[str, Array]
-
-
 def expect_unnoticed(
     context: StepContext, tip_mm: Array, joints_rad: JointVector, sides: Sequence[int] | None
-) -> UnnoticedChanges:
-    """Return what the looks to come will not show at a target (3,) mm, robot frame.
+) -> dict[str, Array]:
+    """Return covariances (3, 3) mm2 of what the looks to come will not show at a target, by source.
 
+    The target (3,) mm and the covariances are in the robot frame.
     `joints_rad` hold the guide there, having arrived from `sides` of their backlash.
     """
     workcell, watch = context.workcell, room_watch(context)
@@ -66,7 +59,7 @@ def expect_unnoticed(
         estimate = watch.with_look(at_target, estimate)
     base_mm2 = _base_unnoticed_mm2(estimate, tip_mm, at_home, at_home + 1)
     guide_mm = guide_unnoticed_mm(workcell.arm.kinematics.name)
-    return UnnoticedChanges({HEAD: head.covariance_mm2, BASE: base_mm2, GUIDE: np.eye(3) * guide_mm**2 / 3.0})
+    return {HEAD: head.covariance_mm2, BASE: base_mm2, GUIDE: np.eye(3) * guide_mm**2 / 3.0}
 
 
 def _base_unnoticed_mm2(

@@ -25,7 +25,7 @@ from recording_cell import RecordingOperator, theatre_of
 
 from procedures.engine.case import Stored
 from procedures.engine.methods import CaseMethods, Localizer, Matcher
-from procedures.guards.stability import GUIDE_UNNOTICED_MM, Subject
+from procedures.guards.stability import GUIDE_NOTICEABLE_MM, Subject
 from procedures.journal.errors import GateFailed
 from procedures.operator.errors import NotConfirmed
 from procedures.operator.question import Topic
@@ -109,7 +109,7 @@ def test_the_prediction_contains_what_no_look_would_notice(cell: ClinicalCell) -
     shares_mm = {one.source: one.rms_mm for one in registered(cell).result.prediction(FIRST).budget}
     assert shares_mm[HEAD] > 0.0
     assert shares_mm[BASE] > 0.0
-    assert shares_mm[GUIDE] == pytest.approx(GUIDE_UNNOTICED_MM)
+    assert shares_mm[GUIDE] == pytest.approx(GUIDE_NOTICEABLE_MM / math.sqrt(3.0))
 
 
 @pytest.mark.hazard(12)
@@ -126,7 +126,7 @@ def test_what_goes_unnoticed_grows_with_the_way_from_what_is_seen_and_with_worse
 
     def unnoticed(tip_mm: Array) -> tuple[float, float]:
         found = expect_unnoticed(context, tip_mm, held.joints_rad, held.approach_signs)
-        head_mm2, base_mm2 = (found.by_source_mm2[source] for source in (HEAD, BASE))
+        head_mm2, base_mm2 = (found[source] for source in (HEAD, BASE))
         return math.sqrt(np.trace(head_mm2)), math.sqrt(np.trace(base_mm2))
 
     hidden = ["", "the frame is turned away"]
