@@ -122,14 +122,18 @@ class SupervisedArm(ABC):
     @property
     def settled_home(self) -> bool:
         """Whether the arm is at home with each joint having arrived from its usual side."""
-        return self.supervised.settled_home and self.place.is_home
+        return self.supervised.ended is MotionKind.HOME and self.place.is_home
 
     @property
     def rest_sides(self) -> tuple[int, ...] | None:
-        """Sides of its backlash on which each joint rests at home or on an axis, None if unknown."""
+        """Sides of its backlash on which each joint rests, None if unknown.
+
+        They are known at home and at the end of an axis, if this program has moved the arm there to the end.
+        """
         if self.settled_home:
             return ONE_SIDE
-        return None if self.place.axis is None else self.place.axis.arriving
+        axis = self.place.axis
+        return axis.arriving if axis is not None and self.supervised.ended is MotionKind.INSERT else None
 
     def set_home(self) -> JointVector:
         """Make the present position home, for parking and for detours when a direct path is not clear."""
@@ -158,7 +162,7 @@ class SupervisedArm(ABC):
         joints_rad = self.joints_rad()
         at_home = stands_at(joints_rad, self._log.home_rad)
         if at_home != self.place.is_home or self.place.place_kind is PlaceKind.UNKNOWN:
-            self.supervised.settled_home = False
+            self.supervised.ended = None
             self._log.note(Entry.PLACED, joints_rad=list(joints_rad), at_home=at_home)
 
     def drives(self, device: Device) -> bool:
@@ -167,7 +171,7 @@ class SupervisedArm(ABC):
 
     def expect_jogging(self) -> None:
         """Allow for somebody having jogged the arm: it has to settle anew, and to be confirmed anew."""
-        self.supervised.settled_home = False
+        self.supervised.ended = None
         self.supervised.reset_confirmation()
 
     # Motion home

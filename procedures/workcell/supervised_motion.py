@@ -47,7 +47,8 @@ OPERATOR = "the operator of the case"  # the journal names the person, with the 
 class SupervisedMotion:
     """Supervised motions of one arm, numbered as in the journal.
 
-    `settled_home` says that the last motion home ended with every joint arriving from its usual side.
+    `ended` is the kind of the last motion if it ended where it was to, None if somebody stopped or jogged the
+    arm since, or another program moved it.
     """
 
     def __init__(
@@ -71,7 +72,7 @@ class SupervisedMotion:
         self._log = log
         self._arm = arm
         self._require_allowed = require_allowed
-        self.settled_home = False
+        self.ended: MotionKind | None = None
         self._checkpoint: Checkpoint | None = None
         self._ask: Callable[[Question], str] | None = None
         self._confirmed = False  # the first motion
@@ -176,7 +177,7 @@ class SupervisedMotion:
         PRO-004, findings of guards and watches, the reason against the motion, and the errors of the arm.
         """
         if motion.what is MotionKind.HOME:
-            self.settled_home = False
+            self.ended = None
         self._require_allowed(motion)
         checkpoint = self._checkpoint
         if checkpoint is None:
@@ -214,6 +215,7 @@ class SupervisedMotion:
             if checkpoint.wanted:  # since the checkpoint
                 self._confirmed = False
                 continue
+            self.ended = None
             try:
                 reached = self._drive_journalled(motion.as_intent(), drive)
             except (MotionInterrupted, WrongState) as error:
@@ -229,8 +231,7 @@ class SupervisedMotion:
                     raise
                 checkpoint.rest_after_stop(named, REPLANNED)
                 continue
-            if motion.what is MotionKind.HOME:
-                self.settled_home = True
+            self.ended = motion.what
             return reached
 
     def _drive_journalled(

@@ -19,7 +19,9 @@ BINDS = "SIM-015"  # the theatre's staff could not bring the instrument to its s
 OF_THE_LOOKS = re.compile(
     r"STE-|REG-"
 )  # codes: looks at spheres that do not agree, as none of a moving head does
-OF_THE_PLAN = re.compile(r"PLAN-|STR-|ARM-007|CAL-010")  # codes: out of reach, too near, no clear path
+OF_THE_PLAN = re.compile(
+    r"PLAN-|STR-|ARM-007|CAL-003|CAL-010"
+)  # codes: out of reach, too near, no clear path
 ASKED = "asked: "
 UNUSUAL = UNUSUAL_TOPICS - {Topic.RESUME, Topic.WORK_BEGUN}  # which every killed case asks
 

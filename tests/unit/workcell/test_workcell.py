@@ -6,6 +6,7 @@ import math
 import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 
 import pytest
 from recording_cell import GUIDE, HOME, RecordingCell, tool_pose
@@ -178,6 +179,19 @@ def test_insertion_and_withdrawal_end_where_they_began(cell: RecordingCell) -> N
     cell.workcell.withdraw("T1")
     assert not cell.workcell.place.is_on_axis
     assert math.dist(cell.arm.joints_rad, HOME) < 1e-9
+
+
+@pytest.mark.hazard(13)
+def test_on_an_axis_only_the_program_that_moved_there_knows_on_which_sides_the_joints_rest(
+    cell: RecordingCell,
+) -> None:
+    sides = (1, -1, 1, 1, -1, 1)
+    with_guide(cell)
+    cell.workcell.insert(replace(insertion(cell), arriving=sides))
+    assert cell.workcell.rest_sides == sides
+    cell.workcell.expect_jogging()  # or a restart
+    assert cell.workcell.place.is_on_axis
+    assert cell.workcell.rest_sides is None
 
 
 VIEWS: dict[str, Callable[[RecordingCell], PlannedMotion]] = {
