@@ -132,11 +132,11 @@ class RoomWatch:
     def settled_home(self) -> int:
         """Number of the last look with the arm settled home, 0 if that is the localization."""
         home_rad = self.looks[0].arms[Tracked.ARM].joints_rad
-        rests = ((number, look.arms[Tracked.ARM]) for number, look in enumerate(self.looks))
+        rests = ((number, look.arms.get(Tracked.ARM)) for number, look in enumerate(self.looks))
         at_home = (
             number
             for number, rest in rests
-            if rest.sides == ONE_SIDE and stands_at(rest.joints_rad, home_rad)
+            if rest is not None and rest.sides == ONE_SIDE and stands_at(rest.joints_rad, home_rad)
         )
         return max(at_home, default=0)
 
