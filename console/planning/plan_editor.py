@@ -269,15 +269,15 @@ class PlanEditor(ChangeNotifier):
         """Measure the sphere at a position and add it as a marker. Raises CT-019."""
         found = await asyncio.to_thread(localize_picks, self.volume, [place_mm])
         (marker,) = found.markers
+        deformation, known_mm = found.deformation, [item.centre_mm for item in self.draft.markers]
+        if known_mm:  # together they show more of the scan
+            with contextlib.suppress(RonnaError):
+                together = await asyncio.to_thread(localize_picks, self.volume, [*known_mm, marker.centre_mm])
+                deformation = together.deformation
         for number, item in enumerate(self.draft.markers, start=1):
             if float(np.linalg.norm(np.subtract(item.centre_mm, marker.centre_mm))) < DIAMETER_MM:
                 raise PickRefused(f"this is sphere {number}")
-        markers, deformation = (*self.draft.markers, marker), found.deformation
-        if len(markers) > 1:  # together they show more of the scan
-            places_mm = [item.centre_mm for item in markers]
-            with contextlib.suppress(RonnaError):
-                deformation = (await asyncio.to_thread(localize_picks, self.volume, places_mm)).deformation
-        self.change(replace(self.draft, markers=markers, deformation=deformation))
+        self.change(replace(self.draft, markers=(*self.draft.markers, marker), deformation=deformation))
 
     def reject_marker(self, number: int) -> None:
         """Remove the sphere with this number (from 1) from the markers."""

@@ -24,8 +24,8 @@ from ronna_hw.frames import Frame, Transform
 
 Array = NDArray[np.float64]
 
-# By as much the shaft of an instrument bends between clamp and bore before it presses on the guide (U). A
-# look over the guide tells it within 0.3 mm, so of arms in their places fewer than one in 1000 is refused.
+# By as much the shaft of an instrument bends between clamp and bore before it presses on the guide (U). It
+# must leave room for what a look over the guide cannot tell, up to 0.4 mm.
 LARGEST_OFF_MM = 0.8
 BETTER_FRAMES = 240  # 4 s, where a careful look is too weak
 READINGS = 15  # averaged on the way
