@@ -29,7 +29,8 @@ SERVO_MM = 0.03  # 3-D rms of the servo's residual
 class ArmPoses:
     """Arm poses: joints (p, axes), tool origins (p, 3) mm in the robot frame.
 
-    `sides` (p, axes), -1 or 1, give the side of its backlash on which each joint rests; None if unknown.
+    `sides` (p, axes), -1 or 1, give the side of its backlash on which each joint rests; 0 if unknown, None if
+    all are.
     """
 
     joints_rad: Array
@@ -51,23 +52,21 @@ def arm_sources(
     """
     joints = np.concatenate([spheres.joints_rad, target.joints_rad])
     points = np.concatenate([spheres.points_mm, target.points_mm])
+    sides = np.concatenate(
+        [np.zeros_like(one.joints_rad) if one.sides is None else one.sides for one in (spheres, target)]
+    )
     shifts, arm = displacements(chain, joints, points, sizes), sizes.identified
     if arm is not None:
-        sides = [
-            np.zeros_like(arm_poses.joints_rad) if arm_poses.sides is None else arm_poses.sides
-            for arm_poses in (spheres, target)
-        ]
-        columns = by_deviation(chain, joints, points, np.concatenate(sides))
-        unknown = _backlash(shifts.swings_mm * arm.backlash_rad, spheres.sides, target.sides, 0.0)
+        columns = by_deviation(chain, joints, points, sides)
         return (
             _shared_errors("arm and tool frame as identified", columns @ arm.remaining),
-            *([unknown] if isinstance(unknown, IndependentErrors) else []),
+            *_backlash(shifts.swings_mm * arm.backlash_rad, sides, 0.0),
             _repeatability_errors(len(spheres.joints_rad), servo_mm, arm.scatter_mm),
         )
     return (
         _shared_errors("links and joint offsets", shifts.links_mm),
         _shared_errors("harmonics and sag", _sum_sag(shifts.joints_mm)),
-        _backlash(BACKLASH_RAD * shifts.swings_mm, spheres.sides, target.sides, sizes.backlash),
+        *_backlash(BACKLASH_RAD * shifts.swings_mm, sides, sizes.backlash),
         _repeatability_errors(len(spheres.joints_rad), servo_mm, REPEATABILITY_MM),
         # It turns with the flange; the same in all directions.
         _shared_errors("tool frame", sizes.tool_mm * flange_rotations(chain, joints)),
@@ -90,17 +89,15 @@ def _shared_errors(source: str, columns_mm: Array) -> SharedErrors:
 
 
 def _backlash(
-    full_mm: Array, at_spheres: Array | None, at_target: Array | None, remaining_share: float
-) -> SharedErrors | IndependentErrors:
+    full_mm: Array, sides: Array, remaining_share: float
+) -> tuple[SharedErrors | IndependentErrors, ...]:
+    """Return what remains of a backlash (p, 3, axes) mm on known sides, and all of it on unknown ones."""
     half = FLANK_SHARE * full_mm
-    if at_spheres is not None and at_target is not None:
-        return _shared_errors(
-            "backlash", remaining_share * half * np.concatenate([at_spheres, at_target])[:, None, :]
-        )
-    own = half @ half.transpose(0, 2, 1)
-    own[:-1] *= 1.0 if at_spheres is None else remaining_share**2
-    own[-1] *= 1.0 if at_target is None else remaining_share**2
-    return IndependentErrors("backlash", own[:-1], own[-1])
+    known = _shared_errors("backlash", remaining_share * half * sides[:, None, :])
+    unknown = half * (sides == 0.0)[:, None, :]
+    own = unknown @ unknown.transpose(0, 2, 1)
+    apart = IndependentErrors("backlash", own[:-1], own[-1])
+    return (*([known] if sides.any() and remaining_share else []), *([apart] if own.any() else []))
 
 
 def _repeatability_errors(spheres: int, servo_mm: float, scatter_mm: float) -> IndependentErrors:

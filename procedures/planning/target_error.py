@@ -34,7 +34,7 @@ from procedures.registration.target_prediction import (
     predict_target_error,
 )
 from procedures.strategies.catalogue import CANDIDATES, BestOfEach
-from procedures.strategies.strategy import arrival_signs
+from procedures.strategies.strategy import arrival_signs, known_sides
 from procedures.strategies.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -129,18 +129,16 @@ def arm_error_sources(
 
     If a strategy does not control the approach, the side of backlash on which a joint rests is unknown.
     """
-    signs = np.array(
-        [arrival_signs(setting.kinematics, target.visit.pose, target.at_rad, setting.flange_from_tool)],
-        dtype=float,
-    )
+    signs = arrival_signs(setting.kinematics, target.visit.pose, target.at_rad, setting.flange_from_tool)
+    at_spheres = np.array([known_sides(signs)] * len(sphere_visits), dtype=float)
     return arm_sources(
         setting.kinematics.chain,
         ArmPoses(
             np.array([one.at_rad for one in sphere_visits]),
             np.array([one.visit.pose.translation_mm for one in sphere_visits]),
-            np.repeat(signs, len(sphere_visits), axis=0) if setting.strategy.controls_approach else None,
+            at_spheres if setting.strategy.controls_approach else None,
         ),
-        ArmPoses(np.array([target.at_rad]), tip_mm[None], signs),
+        ArmPoses(np.array([target.at_rad]), tip_mm[None], np.array([signs], dtype=float)),
         setting.sizes,
         servo_mm=0.0,  # the servo's residual is measured
     )

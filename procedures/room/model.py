@@ -142,12 +142,10 @@ class ArmModel:
         sides = np.zeros(len(rest.joints_rad)) if rest.sides is None else np.array(rest.sides, dtype=float)
         errors = unit_errors(self.chain, joints, points, self.sizes, np.tile(sides, (len(points), 1)))
         scatter = np.diag([self.scatter_mm] * 3 + [REPEATABILITY_RAD] * 3)
-        if rest.sides is not None:
-            return both @ _as_pose(errors), scatter
         identified = self.sizes.identified
         backlash_rad = BACKLASH_RAD if identified is None else identified.backlash_rad
         swings = displacements(self.chain, joints, points, self.sizes).swings_mm
-        half = both @ _as_pose(FLANK_SHARE * backlash_rad * swings)
+        half = both @ _as_pose(FLANK_SHARE * backlash_rad * swings)[:, sides == 0.0]
         return both @ _as_pose(errors), np.hstack([scatter, half])
 
 

@@ -15,12 +15,13 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from procedures.strategies.trajectory import Trajectory, back_along_axis, require_frames
 from ronna_hw.arm.kinematics import Branch, Kinematics
 from ronna_hw.arm.pose import Pose
-from ronna_hw.calibrated_arm.error_budget import UNCALIBRATED, ErrorSizes
+from ronna_hw.calibrated_arm.error_budget import BACKLASH_RAD, UNCALIBRATED, ErrorSizes
 from ronna_hw.frames import Frame, Transform
 
 Joints = tuple[float, float, float, float, float, float]  # rad
@@ -33,13 +34,15 @@ OUTWARDS_RAD: tuple[float, ...] = (
     *(side * step * STEP_RAD for step in range(1, round(FURTHEST_RAD / STEP_RAD) + 1) for side in (1, -1)),
 )
 
-# Side from which each joint arrives, +1 or -1: known backlash is then compensated. None: unknown.
+# Side from which each joint arrives, +1 or -1: known backlash is then compensated. 0: unknown; None: all.
 Sides = Sequence[int] | None
 ONE_SIDE = (1, 1, 1, 1, 1, 1)  # which it is does not matter, as long as it is the same
 AXIAL_SPEED_FRACTION = 0.5  # of the working speed, on the way towards the skin
 # How far each joint stands back before it turns onto a position: ten times the backlash of a worn gear.
 APPROACH_RAD = math.radians(0.2)
 LAST_STRETCH_MM = 5.0  # of the line to the pose: the direction each joint turns there decides its backlash
+STRETCH_PLACES = 5  # on it, at which the joints are looked at: they turn along a parabola
+CORRECTED_MM = 2.0  # by which a pose may yet be corrected: coarse registration of the tracker
 
 
 @dataclass(frozen=True)
@@ -142,14 +145,35 @@ def intermediate_turns_rad(turns_rad: Iterable[float]) -> tuple[float, ...]:
 def arrival_signs(
     kinematics: Kinematics, pose: Transform, at_rad: Joints, flange_from_tool: Transform
 ) -> tuple[int, ...]:
-    """Return each joint's direction (+1 or -1) on arrival at a pose ROBOT <- TOOL with joints `at_rad`."""
-    before = back_along_axis(pose, LAST_STRETCH_MM) @ flange_from_tool.inverse()
-    branch = kinematics.branch_of(at_rad)
-    joints = kinematics.solve_branch(Pose.from_transform(before), branch, at_rad)
-    return tuple(1 if after >= earlier else -1 for earlier, after in zip(joints, at_rad, strict=True))
+    """Return each joint's direction (+1 or -1) on arrival at a pose ROBOT <- TOOL with joints `at_rad`.
+
+    It is 0 for a joint that reverses near the pose, which is later corrected, and turns on by less than its
+    backlash: whether it crosses the play is not known.
+    """
+    branch, tool_from_flange = kinematics.branch_of(at_rad), flange_from_tool.inverse()
+    places_mm = np.linspace(-LAST_STRETCH_MM, 0.0, STRETCH_PLACES)
+    stretch = [back_along_axis(pose, -place) @ tool_from_flange for place in places_mm[:-1].tolist()]
+    joints = [kinematics.solve_branch(Pose.from_transform(one), branch, at_rad) for one in stretch]
+    curves = np.polyfit(places_mm, [*joints, at_rad], 2).T
+    return tuple(_arrival_sign(*curve) for curve in curves.tolist())
+
+
+def _arrival_sign(bend: float, rate: float, _: float) -> int:
+    """Return the direction at 0 of a joint that turns by `bend` x2 + `rate` x, with x the way in mm."""
+    reversal_mm = -0.5 * rate / bend if bend else math.inf
+    if -LAST_STRETCH_MM < reversal_mm < CORRECTED_MM:
+        since_mm = max(0.0, -reversal_mm - CORRECTED_MM)
+        if abs(bend) * since_mm**2 < BACKLASH_RAD:
+            return 0
+    return 1 if rate >= 0.0 else -1
+
+
+def known_sides(arriving: Sequence[int]) -> tuple[int, ...]:
+    """Return sides from which every joint can be made to arrive: where either is possible, the first."""
+    return tuple(sign or 1 for sign in arriving)
 
 
 def approach_joints(joints_rad: Joints, arriving: Sequence[int]) -> Joints:
-    """Return joints slightly before a position, to be approached in each joint's direction, +1 or -1."""
+    """Return joints slightly before a position, to be approached in each joint's direction. 0 leaves it."""
     before_rad = [joint - sign * APPROACH_RAD for joint, sign in zip(joints_rad, arriving, strict=True)]
     return (before_rad[0], before_rad[1], before_rad[2], before_rad[3], before_rad[4], before_rad[5])

@@ -57,7 +57,7 @@ class InsertionAxis:
 
     `held` is the pose ROBOT <- TOOL (of an assistant: ASSISTANT <- TOOL) in which the guide is held, outside
     the skin. `travel_mm` is its distance along the axis from the start of the approach, where the retreat
-    ends. `arriving` (+1 or -1) is the direction in which each joint arrives there, if known.
+    ends. `arriving` (+1 or -1; 0 unknown) is the direction in which each joint arrives there, if known.
     """
 
     trajectory: str

@@ -148,7 +148,9 @@ class TargetPose(Values):
     tool_pose: FramedPose = Field(description="Pose robot <- tool in which the guide is held.")
     approach_rad: Numbers6 = Field(description="Joints where the approach along the axis begins.")
     joints_rad: Numbers6 = Field(description="Joints where the guide is held.")
-    approach_signs: tuple[int, ...] = Field(description="Direction from which each joint arrives, +1 or -1.")
+    approach_signs: tuple[int, ...] = Field(
+        description="Side from which each joint arrives, +1 or -1; 0 unknown."
+    )
 
 
 class CheckedPaths(StepResult, kind="path_check"):

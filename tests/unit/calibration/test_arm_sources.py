@@ -10,11 +10,12 @@ import pytest
 from numpy.typing import NDArray
 
 from procedures.calibration.arm_sources import REPEATABILITY_MM, ArmPoses, arm_sources
-from procedures.registration.target_prediction import SharedErrors, predict_target_error
+from procedures.registration.target_prediction import IndependentErrors, SharedErrors, predict_target_error
 from ronna_hw.arm.kr6_r900 import ArmVariant, kr6_r900
 from ronna_hw.arm.pose import radians6
 from ronna_hw.calibrated_arm.deviations import ArmDeviations, joint_errors
 from ronna_hw.calibrated_arm.error_budget import (
+    BACKLASH_RAD,
     HARMONIC_RAD,
     LINK_TRANSLATION_MM,
     SAG_RAD,
@@ -54,6 +55,16 @@ def test_the_whole_backlash_of_a_calibrated_arm_counts_where_the_approach_side_i
     assert known[CALIBRATED] == pytest.approx(0.1 * known[ErrorSizes()])
     unknown = {sizes: budget_mm(sizes, None)["backlash"] for sizes in (ErrorSizes(), CALIBRATED)}
     assert known[ErrorSizes()] < 0.9 * unknown[CALIBRATED] < unknown[ErrorSizes()]
+
+
+def test_a_joint_whose_side_is_unknown_at_the_target_counts_with_its_whole_backlash() -> None:
+    fifth = np.array([[1.0, 1.0, 1.0, 1.0, 0.0, 1.0]])
+    spheres, target = ArmPoses(LOOKS[:-1], POINTS_MM[:-1], np.ones((4, 6))), LOOKS[-1:]
+    sources = arm_sources(KR6.chain, spheres, ArmPoses(target, POINTS_MM[-1:], fifth), CALIBRATED)
+    (unknown,) = (one for one in sources if one.source == "backlash" and isinstance(one, IndependentErrors))
+    half_mm = 0.5 * BACKLASH_RAD * swings_mm()[:, 4]
+    np.testing.assert_allclose(unknown.at_target_mm2, np.outer(half_mm, half_mm), rtol=1e-9)
+    assert not unknown.acts_at_spheres
 
 
 def settings(arm_error_mm: float, tool_error_mm: float) -> ProcedureSettings:

@@ -4,13 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 from strategy_arms import ARM
 
 from procedures.strategies.catalogue import find_strategy
 from procedures.strategies.errors import UnknownStrategy
-from procedures.strategies.strategy import arrival_signs
+from procedures.strategies.strategy import arrival_signs, known_sides
 from procedures.strategies.trajectory import back_along_axis
+from ronna_hw.arm.kr6_r900 import kr6_r900
+from ronna_hw.arm.pose import Pose
 from ronna_hw.errors import EXIT_USAGE
+from ronna_hw.frames import Frame, RigidTransform, Transform
+from studies.accuracy.postures import TOOL
 
 
 @pytest.mark.parametrize(
@@ -45,3 +50,26 @@ def test_the_arrival_direction_is_that_of_the_last_stretch_along_the_axis():
     before = np.array(ARM.guide_joints(back_along_axis(pose, 1.0)))
     signs = arrival_signs(ARM.kinematics, pose, at, ARM.flange_from_stereo)
     assert signs == tuple(np.where(np.array(at) >= before, 1, -1))
+
+
+def leaning(x_mm: float, lean_deg: float) -> Transform:
+    turn = Rotation.from_euler("y", 180.0 - lean_deg, degrees=True)
+    return Transform(Frame.ROBOT, Frame.TOOL, RigidTransform.from_components([x_mm, 0.0, 200.0], turn))
+
+
+@pytest.mark.parametrize("x_mm", [470.0, 490.0, 510.0])
+def test_a_joint_that_reverses_within_its_play_near_the_end_of_the_line_has_no_side(x_mm):
+    kinematics = kr6_r900()
+    branch = kinematics.branch_of(kinematics.home_rad)
+    near, far = (
+        (
+            pose,
+            kinematics.solve_branch(Pose.from_transform(pose @ TOOL.inverse()), branch, kinematics.home_rad),
+        )
+        for pose in (leaning(x_mm, -56.0 + (x_mm - 470.0) / 5.0), leaning(x_mm, 10.0))
+    )
+    assert [number for number, sign in enumerate(arrival_signs(kinematics, *near, TOOL), 1) if not sign] == [
+        2
+    ]
+    assert 0 not in arrival_signs(kinematics, *far, TOOL)
+    assert known_sides(arrival_signs(kinematics, *near, TOOL))[1] == 1
