@@ -18,6 +18,7 @@ COMMAND = re.compile(rb'<Cmd Id="(\d+)" Name="(\w+)"[^>]*></Cmd>')
 REPLY_WAIT_S = 0.1
 DEAD_CYCLES = 2
 STATE_PERIOD_S = 0.1  # between two states that nobody asked for
+CONNECTED_S = 5.0  # within which a client that has connected is taken on
 
 
 class FakeController:
@@ -76,6 +77,7 @@ class FakeController:
         self._server = socket.create_server(("127.0.0.1", 0))
         self._server.settimeout(0.05)
         self._client: socket.socket | None = None
+        self._connected = threading.Event()
         self._threads = [threading.Thread(target=self._serve_eki), threading.Thread(target=self._serve_rsi)]
         for thread in self._threads:
             thread.start()
@@ -99,6 +101,7 @@ class FakeController:
                 client.shutdown(socket.SHUT_RDWR)
 
     def send_raw(self, data: bytes) -> None:
+        assert self._connected.wait(CONNECTED_S), "nobody has connected to EKI"
         assert self._client is not None
         self._client.sendall(data)
 
@@ -125,6 +128,7 @@ class FakeController:
                 client.close()
                 continue
             self._client, self.deaf = client, False
+            self._connected.set()
             with client:
                 buffer = b""
                 client.settimeout(STATE_PERIOD_S)
@@ -143,6 +147,7 @@ class FakeController:
                     while found := COMMAND.search(buffer):
                         buffer = buffer[found.end() :]
                         self._answer(client, int(found[1]), found[2].decode())
+            self._connected.clear()
             self._client = None
 
     def _answer(self, client: socket.socket, number: int, name: str) -> None:
