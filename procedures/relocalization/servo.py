@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
+from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,6 +19,7 @@ from ronna_hw.frames import Frame, FrameMismatch, Transform
 
 Array = NDArray[np.float64]
 
+KR6_SCATTER_MM = 0.015  # per axis, at rest
 RINGS = 3
 RING_STEP_MM = 5.0
 SEARCH_RADIUS_MM = RINGS * RING_STEP_MM
@@ -40,6 +42,19 @@ class ServoSettings:
     shrink: float = 0.8  # the residual must shrink to this share ...
     trend_steps: int = 2  # ... within this many steps
     noise_mm: float = 0.12  # below this the arm's repeatability masks the trend
+
+    @classmethod
+    def for_arm(cls, scatter_mm: float) -> Self:
+        """Return settings for an arm that rests within `scatter_mm` per axis, one standard deviation.
+
+        The lengths above are for the KR 6 R900; a less repeatable arm cannot end as close.
+        """
+        usual, scale = cls(), max(1.0, scatter_mm / KR6_SCATTER_MM)
+        return cls(
+            tolerance_mm=scale * usual.tolerance_mm,
+            repeatability_mm=scale * usual.repeatability_mm,
+            noise_mm=scale * usual.noise_mm,
+        )
 
 
 @dataclass(frozen=True)

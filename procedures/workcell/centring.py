@@ -17,6 +17,7 @@ from procedures.strategies.trajectory import back_along_axis
 from procedures.workcell.device_views import ArmView
 from procedures.workcell.errors import SphereNotFound
 from procedures.workcell.stereo_look import Look
+from ronna_hw.arm.catalogue import repeatability_mm
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.errors import LimitError, RonnaError
 from ronna_hw.frames import Transform
@@ -27,7 +28,6 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 SHORTER, LONGER = 0.25, 4.0  # shares of the configured exposure that are tried
-EXACT = ServoSettings()
 # From any side, steps smaller than the backlash end anywhere in it. The residual is recorded with the pose,
 # so a larger one costs nothing: backlash of 0.02 deg in every joint displaces the tool by up to 0.4 mm.
 WITHIN_BACKLASH = ServoSettings(tolerance_mm=0.5)
@@ -83,7 +83,8 @@ class Centring:
         workcell.line_to(expected)
         self._settle(expected)
         seen, looks = self._first_look(fiducial, expected)
-        servo = ServoState(EXACT if self.arriving is not None else WITHIN_BACKLASH)
+        exact = ServoSettings.for_arm(repeatability_mm(workcell.arm.kinematics.name))
+        servo = ServoState(exact if self.arriving is not None else WITHIN_BACKLASH)
         while True:
             joints = workcell.joints_rad()
             pose = workcell.tool_pose(joints, self.arriving)
