@@ -8,16 +8,20 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
+from procedures.guards.room_reading import LINE_MM
 from procedures.registration.movement import LEAST_POINTS, NEAR_MM, measure_shift
 from ronna_hw.devices.readings import TrackerFrame, Validity
 
 Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+# Flags points (m, 3) that may be ghosts of known spheres (n, 3) and other markers, tracker frame.
+GhostFinder = Callable[[Array, Array], Flags]
 
 # Readings averaged. The depth of a sphere then has a noise of 0.07 mm, and the rms of three exceeds 0.3 mm
 # once in 10^9; a shift of 0.5 mm exceeds it in the fifth or sixth reading.
@@ -36,6 +40,11 @@ FAR_READINGS = 3  # in a row that show spheres, but too few of them in place
 ENOUGH_IN_PLACE = 2
 
 
+def no_ghosts(_spheres_mm: Array, points_mm: Array) -> Flags:
+    """Flag no points, where no other markers are about."""
+    return np.zeros(len(points_mm), dtype=bool)
+
+
 @dataclass
 class HeadFrames:
     """Recent readings of the head's spheres, expected at `spheres_mm` (n, 3) in the tracker's frame.
@@ -52,13 +61,17 @@ class HeadFrames:
     _open: int = 0  # undecided frames in a row that showed enough spheres
     _displacements: deque[Array] = field(default_factory=lambda: deque(maxlen=SPAN))
 
-    def add_frame(self, frame: TrackerFrame) -> None:
-        """Add a tracker frame."""
-        self.add_places([one.position_mm for one in frame.strays if one.validity is Validity.OK])
+    def add_frame(self, frame: TrackerFrame, ghosts: GhostFinder = no_ghosts) -> None:
+        """Add a tracker frame, of which `ghosts` flags points that are no spheres."""
+        self.add_places([one.position_mm for one in frame.strays if one.validity is Validity.OK], ghosts)
 
-    def add_places(self, places: Sequence[Sequence[float]]) -> None:
+    def add_places(self, places: Sequence[Sequence[float]], ghosts: GhostFinder = no_ghosts) -> None:
         """Add the points that one frame shows, tracker frame."""
         displacements = _displacements(self.spheres_mm, places)
+        away = np.sqrt((displacements**2).sum(axis=1)) > LINE_MM
+        if away.any():  # beside a hidden sphere, a ghost would pass for it
+            away[away] = ghosts(self.spheres_mm, (self.spheres_mm + displacements)[away])
+            displacements[away] = np.nan
         near = np.isfinite(displacements[:, 0])
         self.seen = bool(near.sum() >= LEAST_POINTS)
         if self.seen:
@@ -102,9 +115,11 @@ class PatientFrames:
     spheres: HeadFrames
     clamp: HeadFrames | None = None
 
-    def add(self, frame: TrackerFrame, on_clamp_mm: Sequence[Sequence[float]]) -> None:
+    def add(
+        self, frame: TrackerFrame, on_clamp_mm: Sequence[Sequence[float]], ghosts: GhostFinder = no_ghosts
+    ) -> None:
         """Add a tracker frame, and the markers of the patient's frame by its pose in it."""
-        self.spheres.add_frame(frame)
+        self.spheres.add_frame(frame, ghosts)
         if self.clamp is not None:
             self.clamp.add_places(on_clamp_mm)
 

@@ -320,7 +320,7 @@ class RoomWatch:
             self.robot_from_tracker,
             judged.reading.robot_from_flange @ Transform.from_matrix(Frame.FLANGE, Frame.MARKER, mount),
             self._arm_way_mm(judged.rows) if Body.BASE in judged.rows.blocks else None,
-            self._sensors_mm,
+            self.sensors_mm,
         )
 
     def _arm_way_mm(self, rows: Rows) -> Array:
@@ -371,10 +371,10 @@ class RoomWatch:
     def look_of(self, reading: RoomReading) -> Sighting:
         """Return the look that a reading is."""
         pushes, epoch = self.tracker.pushes, self.epoch
-        return reading.sighting(self.spheres_mm, self._sensors_mm, tracker=pushes, head=epoch)
+        return reading.sighting(self.spheres_mm, self.sensors_mm, tracker=pushes, head=epoch)
 
     @property
-    def _sensors_mm(self) -> Array:
+    def sensors_mm(self) -> Array:
         """Sensors of the tracker (2, 3) where it is now, in its frame of the localization."""
         return np.asarray(self.tracker.move.inverse().apply(SENSORS_MM))
 

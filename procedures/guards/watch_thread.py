@@ -11,16 +11,18 @@ import contextlib
 import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 from procedures.guards.assistant_on_axis import LARGEST_OFF_MM, AssistantOnAxis
 from procedures.guards.guide_displacement import PUSHED_MM, GuideAtRest
-from procedures.guards.head_frames import PATIENT_LIMIT_MM, PatientFrames
+from procedures.guards.head_frames import PATIENT_LIMIT_MM, Array, Flags, PatientFrames
+from procedures.guards.room_reading import find_ghosts
 from procedures.guards.room_watch import RoomWatch
 from procedures.guards.tracker_guards import late_s
 from procedures.workcell import Workcell
 from procedures.workcell.arm_history import MotionKind
 from procedures.workcell.patient_frame import posed_markers
-from procedures.workcell.tracker_look import FRAME_S, add_frame_spheres, flange_from_marker
+from procedures.workcell.tracker_look import FRAME_S, add_frame_spheres, flange_from_marker, markers_in_frame
 from ronna_hw.clock import Clock
 from ronna_hw.devices.lifecycle import RUNNING, Lifecycle
 from ronna_hw.devices.readings import TrackerFrame, Validity
@@ -157,7 +159,7 @@ class WatchThread:
                 self._ending.wait(FRAME_S / 2)
                 continue
             frame = self.room.as_localized(add_frame_spheres(tracker, frame))
-            self.head.add(frame, self._on_clamp_mm(frame))
+            self.head.add(frame, self._on_clamp_mm(frame), partial(self._find_ghosts, frame))
             self._check_push(frame)
             self._check_assistant(frame)
             self._check_base(frame, begin_mm)
@@ -182,6 +184,11 @@ class WatchThread:
         if name is None or markers_mm is None or self.room.clamp_mm is None:
             return ()
         return posed_markers(frame, name, markers_mm)
+
+    def _find_ghosts(self, frame: TrackerFrame, spheres_mm: Array, points_mm: Array) -> Flags:
+        """Flag points where lines to the spheres and to the other markers of a frame cross."""
+        others_mm = markers_in_frame(self.workcell.tracker, frame)
+        return find_ghosts(spheres_mm, others_mm, points_mm, self.room.sensors_mm)
 
     def _check_unseen(self) -> None:
         now_s = self.clock.now_s()

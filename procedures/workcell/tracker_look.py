@@ -10,6 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from procedures.journal.errors import GateFailed
 from procedures.strategies.strategy import Sides
@@ -23,6 +24,8 @@ from ronna_hw.errors import LinkTimeout, ProtocolError
 from ronna_hw.frames import Frame, FrameMismatch, Transform
 from ronna_hw.vectors import JointVector, Quaternion, Vector3
 from ronna_hw.x_frame import SPHERE_CENTRES_MM
+
+Array = NDArray[np.float64]
 
 ALIKE_MM = 0.05  # between a loaded definition and the frame: definitions have two decimals
 FRAMES = 60  # one second of a 60 Hz tracker
@@ -171,6 +174,19 @@ def add_frame_spheres(tracker: OpticalTracker, frame: TrackerFrame) -> TrackerFr
     places = reading.transform(Frame.TRACKER, Frame.MARKER).apply(tracker.markers_mm[name]).tolist()
     more = tuple(StrayReading((x, y, z), Validity.OK) for x, y, z in places)
     return replace(frame, strays=(*frame.strays, *more))
+
+
+def markers_in_frame(tracker: OpticalTracker, frame: TrackerFrame) -> Array:
+    """Return the markers (n, 3) of the tools seen in a frame, except those of the frame on the head."""
+    on_head = find_frame_name(tracker.markers_mm)
+    seen = [name for name in tracker.markers_mm if name != on_head]
+    poses = [frame.tool(name) for name in seen]
+    places = [
+        reading.transform(Frame.TRACKER, Frame.MARKER).apply(tracker.markers_mm[name])
+        for name, reading in zip(seen, poses, strict=True)
+        if reading.validity is Validity.OK
+    ]
+    return np.concatenate(places) if places else np.empty((0, 3))
 
 
 def find_frame_name(markers_mm: Mapping[str, Sequence[Sequence[float]]]) -> str | None:

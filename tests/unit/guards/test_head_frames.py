@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from procedures.guards.head_frames import AVERAGED, FAR_READINGS, SPAN, HeadFrames
+from procedures.guards.head_frames import AVERAGED, FAR_READINGS, PATIENT_LIMIT_MM, SPAN, HeadFrames
+from procedures.guards.room_reading import find_ghosts
+from procedures.planning.tracker_sight import SENSORS_MM
 from procedures.registration.movement import LEAST_POINTS
 from ronna_hw.devices.readings import Stamp, StrayReading, TrackerFrame, Validity
 
@@ -75,3 +77,41 @@ def test_one_sphere_that_alone_is_elsewhere_does_not_make_a_moved_head() -> None
     for _ in range(AVERAGED):
         head.add_frame(showing(places_mm))
     assert head.moved_mm == pytest.approx(0.0)
+
+
+# Spheres, tracker frame, and what one frame of a case with two arms showed: the first sphere was hidden from
+# one sensor, and its line crossed that to a marker of the frame on the arm.
+WITH_ARMS_MM = np.array(
+    [
+        [-8.15, -137.03, -1984.29],
+        [-43.81, -109.5, -2052.06],
+        [13.53, -210.25, -1975.55],
+        [-72.2, -231.59, -1997.78],
+    ]
+)
+GHOST_MM = np.array([-8.18, -136.62, -1990.91])
+
+
+def marker_behind(ghost_mm: NDArray[np.float64], eye_mm: NDArray[np.float64]) -> NDArray[np.float64]:
+    return ghost_mm + 0.1 * (ghost_mm - eye_mm)
+
+
+@pytest.mark.hazard(12)
+@pytest.mark.hazard(14)
+def test_a_ghost_beside_a_hidden_sphere_does_not_make_a_moved_head_and_a_moved_sphere_does() -> None:
+    other_mm = marker_behind(GHOST_MM, np.array(SENSORS_MM[1]))[None]
+    found = {}
+    for name, markers_mm in (("ghost", other_mm), ("moved", np.empty((0, 3)))):
+        head = HeadFrames(WITH_ARMS_MM)
+        for number in range(SPAN):
+            shown = WITH_ARMS_MM.copy()
+            shown[0] = GHOST_MM if number % 3 else WITH_ARMS_MM[0]
+            shown = np.delete(shown, 2, axis=0)
+            head.add_frame(
+                showing(shown),
+                lambda spheres, points, others=markers_mm: find_ghosts(spheres, others, points),
+            )
+        found[name] = head.moved_mm
+    assert found["ghost"] is None or found["ghost"] < PATIENT_LIMIT_MM
+    assert found["moved"] is not None
+    assert found["moved"] > PATIENT_LIMIT_MM

@@ -181,3 +181,18 @@ def test_a_search_pose_keeps_the_orientation_and_shifts_in_the_tool_frame():
 def test_the_sphere_is_reported_as_not_in_view_after_the_last_search_pose():
     with pytest.raises(SphereNotInView, match="STE-009"):
         search_pose(tool_pose(), 36)
+
+
+def test_a_less_repeatable_arm_ends_within_its_scatter_and_the_kr6_as_in_the_thesis() -> None:
+    assert ServoSettings.for_arm(0.015) == ServoSettings()
+    settings, random = ServoSettings.for_arm(0.03), np.random.default_rng(3)
+    steps = []
+    for _ in range(300):
+        servo, pose = ServoState(settings), Transform.of(Frame.ROBOT, Frame.TOOL)
+        while not servo.converged:  # raises if it does not end
+            scattered = pose.translation_mm + random.normal(0.0, 0.03, 3)
+            rests = Transform.of(Frame.ROBOT, Frame.TOOL, translation_mm=scattered)
+            servo = servo.with_measurement(rests, np.array([0.4, 0.0, 0.0]) - scattered)
+            pose = servo.next_pose(rests)
+        steps.append(servo.step_count)
+    assert np.mean(steps) < 3.0
