@@ -34,7 +34,7 @@ from procedures.registration.target_prediction import (
     predict_target_error,
 )
 from procedures.strategies.catalogue import CANDIDATES, BestOfEach
-from procedures.strategies.strategy import arrival_signs, known_sides
+from procedures.strategies.strategy import arrival_signs, rest_sides
 from procedures.strategies.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -129,8 +129,9 @@ def arm_error_sources(
 
     If a strategy does not control the approach, the side of backlash on which a joint rests is unknown.
     """
-    signs = arrival_signs(setting.kinematics, target.visit.pose, target.at_rad, setting.flange_from_tool)
-    at_spheres = np.array([known_sides(signs)] * len(sphere_visits), dtype=float)
+    target_pose = (setting.kinematics, target.visit.pose, target.at_rad, setting.flange_from_tool)
+    at_spheres = np.array([arrival_signs(*target_pose)] * len(sphere_visits), dtype=float)
+    at_target = np.array([rest_sides(*target_pose, target.visit.approach_mm)], dtype=float)
     return arm_sources(
         setting.kinematics.chain,
         ArmPoses(
@@ -138,7 +139,7 @@ def arm_error_sources(
             np.array([one.visit.pose.translation_mm for one in sphere_visits]),
             at_spheres if setting.strategy.controls_approach else None,
         ),
-        ArmPoses(np.array([target.at_rad]), tip_mm[None], np.array([signs], dtype=float)),
+        ArmPoses(np.array([target.at_rad]), tip_mm[None], at_target),
         setting.sizes,
         servo_mm=0.0,  # the servo's residual is measured
     )

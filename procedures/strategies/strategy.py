@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from procedures.strategies.trajectory import Trajectory, back_along_axis, require_frames
 from ronna_hw.arm.kinematics import Branch, Kinematics
@@ -41,8 +41,10 @@ AXIAL_SPEED_FRACTION = 0.5  # of the working speed, on the way towards the skin
 # How far each joint stands back before it turns onto a position: ten times the backlash of a worn gear.
 APPROACH_RAD = math.radians(0.2)
 LAST_STRETCH_MM = 5.0  # of the line to the pose: the direction each joint turns there decides its backlash
-STRETCH_PLACES = 5  # on it, at which the joints are looked at: they turn along a parabola
+WAY_STEPS = 12  # of the line to a pose, for the sides on which joints rest
 CORRECTED_MM = 2.0  # by which a pose may yet be corrected: coarse registration of the tracker
+# By less, a joint may not have crossed its play; or, on the corrected line, it turns the other way.
+SURE_RAD = 2.0 * BACKLASH_RAD
 
 
 @dataclass(frozen=True)
@@ -145,32 +147,39 @@ def intermediate_turns_rad(turns_rad: Iterable[float]) -> tuple[float, ...]:
 def arrival_signs(
     kinematics: Kinematics, pose: Transform, at_rad: Joints, flange_from_tool: Transform
 ) -> tuple[int, ...]:
-    """Return each joint's direction (+1 or -1) on arrival at a pose ROBOT <- TOOL with joints `at_rad`.
+    """Return each joint's direction (+1 or -1) on arrival at a pose ROBOT <- TOOL with joints `at_rad`."""
+    before = back_along_axis(pose, LAST_STRETCH_MM) @ flange_from_tool.inverse()
+    branch = kinematics.branch_of(at_rad)
+    joints = kinematics.solve_branch(Pose.from_transform(before), branch, at_rad)
+    return tuple(1 if after >= earlier else -1 for earlier, after in zip(joints, at_rad, strict=True))
 
-    It is 0 for a joint that reverses near the pose, which is later corrected, and turns on by less than its
-    backlash: whether it crosses the play is not known.
+
+def rest_sides(
+    kinematics: Kinematics, pose: Transform, at_rad: Joints, flange_from_tool: Transform, way_mm: float
+) -> tuple[int, ...]:
+    """Return the side of its backlash on which each joint rests after a line of `way_mm` along the axis.
+
+    Arguments and values as in `arrival_signs`, but 0 where the side is not known: the joint hardly turns on
+    the line, or it reverses near the pose, which is later corrected.
     """
-    branch, tool_from_flange = kinematics.branch_of(at_rad), flange_from_tool.inverse()
-    places_mm = np.linspace(-LAST_STRETCH_MM, 0.0, STRETCH_PLACES)
-    stretch = [back_along_axis(pose, -place) @ tool_from_flange for place in places_mm[:-1].tolist()]
-    joints = [kinematics.solve_branch(Pose.from_transform(one), branch, at_rad) for one in stretch]
-    curves = np.polyfit(places_mm, [*joints, at_rad], 2).T
-    return tuple(_arrival_sign(*curve) for curve in curves.tolist())
+    tool_from_flange, step_mm = flange_from_tool.inverse(), way_mm / WAY_STEPS
+    line = [back_along_axis(pose, step * step_mm) @ tool_from_flange for step in range(WAY_STEPS, 0, -1)]
+    branch = kinematics.branch_of(at_rad)
+    joints = [kinematics.solve_branch(Pose.from_transform(one), branch, at_rad) for one in line]
+    rates = np.diff([*joints, at_rad], axis=0).T / step_mm  # rad/mm, by joint
+    return tuple(_rest_side(one, step_mm) for one in rates)
 
 
-def _arrival_sign(bend: float, rate: float, _: float) -> int:
-    """Return the direction at 0 of a joint that turns by `bend` x2 + `rate` x, with x the way in mm."""
-    reversal_mm = -0.5 * rate / bend if bend else math.inf
-    if -LAST_STRETCH_MM < reversal_mm < CORRECTED_MM:
-        since_mm = max(0.0, -reversal_mm - CORRECTED_MM)
-        if abs(bend) * since_mm**2 < BACKLASH_RAD:
-            return 0
-    return 1 if rate >= 0.0 else -1
-
-
-def known_sides(arriving: Sequence[int]) -> tuple[int, ...]:
-    """Return sides from which every joint can be made to arrive: where either is possible, the first."""
-    return tuple(sign or 1 for sign in arriving)
+def _rest_side(rates: NDArray[np.float64], step_mm: float) -> int:
+    """Return the side of one joint, which turns by `rates` (n,) rad/mm on the parts of its line."""
+    bend = (rates[-1] - rates[-2]) / step_mm  # rad/mm2
+    at_end = rates[-1] + bend * step_mm / 2.0
+    signs = np.sign([*rates, at_end - bend * CORRECTED_MM, at_end + bend * CORRECTED_MM])
+    if len(set(signs[-3:])) > 1:
+        return 0
+    turned_back = np.flatnonzero(signs[: len(rates)] != signs[-1])
+    since = turned_back[-1] + 1 if len(turned_back) else 0
+    return 0 if abs(rates[since:].sum()) * step_mm < SURE_RAD else int(signs[-1])
 
 
 def approach_joints(joints_rad: Joints, arriving: Sequence[int]) -> Joints:

@@ -158,13 +158,13 @@ def predict_held_guide(
     path, tip_mm = context.result(CheckedPaths).targets[planned.id], robot_from_ct.apply(planned.target_mm)
     pose = path.tool_pose.transform
     if moved is None:
-        return HeldGuide(pose.rotation_matrix, path.joints_rad, tip_mm, np.eye(3), path.approach_signs)
+        return HeldGuide(pose.rotation_matrix, path.joints_rad, tip_mm, np.eye(3), path.sides)
     workcell = context.workcell
     along = place_guide(context.result(CheckedPlan).plan, planned, workcell.tools.guide.bore)
     pose = refine_target_pose(pose, along, moved @ robot_from_ct)
-    joints_rad = workcell.joints_at(pose, path.joints_rad, path.approach_signs)
+    joints_rad = workcell.joints_at(pose, path.joints_rad, path.sides)
     tip_mm = moved.apply(tip_mm)
-    return HeldGuide(pose.rotation_matrix, joints_rad, tip_mm, moved.rotation_matrix, path.approach_signs)
+    return HeldGuide(pose.rotation_matrix, joints_rad, tip_mm, moved.rotation_matrix, path.sides)
 
 
 def arm_errors(
@@ -181,7 +181,7 @@ def arm_errors(
         ArmPoses(
             np.array([held.joints_rad]),
             held.tip_mm[None],
-            np.array([paths.targets[target].approach_signs], dtype=float),
+            np.array([paths.targets[target].sides], dtype=float),
         ),
         ErrorSizes.stated(context.setting.settings, context.workcell.calibrations.arm),
         servo_mm=0.0,

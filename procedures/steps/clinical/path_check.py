@@ -40,7 +40,7 @@ from procedures.steps.clinical.set_up import CheckedSetUp
 from procedures.steps.clinical.surroundings import READS, planning_scene_of
 from procedures.steps.conditions import needs_guide_unmounted
 from procedures.strategies.catalogue import BestOfEach, StrategyByTrajectory
-from procedures.strategies.strategy import Strategy, arrival_signs
+from procedures.strategies.strategy import Strategy, arrival_signs, rest_sides
 from procedures.strategies.trajectory import Trajectory
 from procedures.workcell import MountedTool
 from procedures.workcell.motions import AnnouncedMotions
@@ -148,9 +148,16 @@ class TargetPose(Values):
     tool_pose: FramedPose = Field(description="Pose robot <- tool in which the guide is held.")
     approach_rad: Numbers6 = Field(description="Joints where the approach along the axis begins.")
     joints_rad: Numbers6 = Field(description="Joints where the guide is held.")
-    approach_signs: tuple[int, ...] = Field(
-        description="Side from which each joint arrives, +1 or -1; 0 unknown."
+    approach_signs: tuple[int, ...] = Field(description="Direction from which each joint arrives, +1 or -1.")
+    rest_sides: tuple[int, ...] | None = Field(
+        default=None,
+        description="The same where it is sure, 0 where not; none in older records, which took it for sure.",
     )
+
+    @property
+    def sides(self) -> tuple[int, ...]:
+        """Side of its backlash on which each joint rests, +1 or -1; 0 if not known."""
+        return self.approach_signs if self.rest_sides is None else self.rest_sides
 
 
 class CheckedPaths(StepResult, kind="path_check"):
@@ -292,6 +299,13 @@ def _build_targets(check: PathCheck, setting: ArmSetting) -> dict[str, TargetPos
             joints_rad=reached.at_rad,
             approach_signs=arrival_signs(
                 setting.kinematics, reached.visit.pose, reached.at_rad, setting.flange_from_tool
+            ),
+            rest_sides=rest_sides(
+                setting.kinematics,
+                reached.visit.pose,
+                reached.at_rad,
+                setting.flange_from_tool,
+                reached.visit.approach_mm,
             ),
         )
         for reached in check.reached

@@ -127,7 +127,7 @@ def insertion_for(context: StepContext, robot_from_ct: Transform) -> InsertionAx
     checked = context.result(CheckedPlan)
     along = place_guide(checked.plan, checked.trajectory(trajectory), context.workcell.tools.guide.bore)
     held = refine_target_pose(paths.targets[trajectory].tool_pose.transform, along, robot_from_ct)
-    arriving = paths.targets[trajectory].approach_signs
+    arriving = paths.targets[trajectory].sides
     return InsertionAxis(trajectory, held, context.setting.settings.approach_mm, arriving)
 
 

@@ -30,7 +30,7 @@ from procedures.steps.clinical.room import ROOM_READS, check_room
 from procedures.steps.clinical.surroundings import READS, surround_stereo_head
 from procedures.steps.conditions import REMOUNTED, needs_tool
 from procedures.strategies.catalogue import find_strategy
-from procedures.strategies.strategy import ONE_SIDE, known_sides
+from procedures.strategies.strategy import ONE_SIDE
 from procedures.workcell import MountedTool
 from procedures.workcell.centring import CentredSphere, Centring
 from procedures.workcell.stereo_look import pair_picture
@@ -152,7 +152,7 @@ def arriving(context: StepContext, paths: CheckedPaths) -> tuple[int, ...] | Non
         or not find_strategy(paths.strategy_of(context.trajectory)).controls_approach
     ):
         return None
-    return known_sides(paths.targets[context.trajectory].approach_signs)
+    return paths.targets[context.trajectory].approach_signs
 
 
 def _exclude_sphere(context: StepContext, fiducial: int, problem: RonnaError, remain: int) -> LeftOutSphere:

@@ -55,7 +55,7 @@ def run(context: StepContext) -> Outcome[MeasuredTarget]:
     with name_refusals(name):
         approach_rad = workcell.joints_at(approach_pose, paths.targets[name].approach_rad)
         move_over = workcell.go_motion(approach_rad)
-        line_onto = workcell.line_to_motion(target, paths.targets[name].approach_signs, approach_rad)
+        line_onto = workcell.line_to_motion(target, paths.targets[name].sides, approach_rad)
         workcell.supervised.confirm(
             Topic.APPROACH,
             f"on a phantom with a ball at {name}: move the stereo head over it, then {travel_mm:.0f} mm "
@@ -68,7 +68,7 @@ def run(context: StepContext) -> Outcome[MeasuredTarget]:
     context.progress(0.0, f"moving over {name}")
     with name_refusals(name, workcell):
         workcell.go(approach_rad)
-        workcell.line_to(target, paths.targets[name].approach_signs)
+        workcell.line_to(target, paths.targets[name].sides)
     context.progress(0.5, f"measuring the ball at {name}")
     seen, why = _look(context)
     joints_rad = workcell.joints_rad()

@@ -9,7 +9,7 @@ from strategy_arms import ARM
 
 from procedures.strategies.catalogue import find_strategy
 from procedures.strategies.errors import UnknownStrategy
-from procedures.strategies.strategy import arrival_signs, known_sides
+from procedures.strategies.strategy import arrival_signs, rest_sides
 from procedures.strategies.trajectory import back_along_axis
 from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.arm.pose import Pose
@@ -57,19 +57,24 @@ def leaning(x_mm: float, lean_deg: float) -> Transform:
     return Transform(Frame.ROBOT, Frame.TOOL, RigidTransform.from_components([x_mm, 0.0, 200.0], turn))
 
 
-@pytest.mark.parametrize("x_mm", [470.0, 490.0, 510.0])
-def test_a_joint_that_reverses_within_its_play_near_the_end_of_the_line_has_no_side(x_mm):
+def sides_at(pose: Transform) -> tuple[int, ...]:
     kinematics = kr6_r900()
     branch = kinematics.branch_of(kinematics.home_rad)
-    near, far = (
-        (
-            pose,
-            kinematics.solve_branch(Pose.from_transform(pose @ TOOL.inverse()), branch, kinematics.home_rad),
-        )
-        for pose in (leaning(x_mm, -56.0 + (x_mm - 470.0) / 5.0), leaning(x_mm, 10.0))
-    )
-    assert [number for number, sign in enumerate(arrival_signs(kinematics, *near, TOOL), 1) if not sign] == [
-        2
-    ]
-    assert 0 not in arrival_signs(kinematics, *far, TOOL)
-    assert known_sides(arrival_signs(kinematics, *near, TOOL))[1] == 1
+    at = kinematics.solve_branch(Pose.from_transform(pose @ TOOL.inverse()), branch, kinematics.home_rad)
+    known = rest_sides(kinematics, pose, at, TOOL, 60.0)
+    signs = arrival_signs(kinematics, pose, at, TOOL)
+    assert all(side in (0, sign) for side, sign in zip(known, signs, strict=True))
+    return known
+
+
+@pytest.mark.parametrize("x_mm", [470.0, 490.0, 510.0])
+def test_a_joint_that_reverses_near_the_end_of_the_line_rests_on_no_known_side(x_mm):
+    assert sides_at(leaning(x_mm, -56.0 + (x_mm - 470.0) / 5.0))[1] == 0
+    assert sides_at(leaning(x_mm, 10.0))[1] != 0
+
+
+def test_a_joint_that_hardly_turns_on_the_line_rests_on_no_known_side():
+    """The arm moves in the plane of its middle: A1, A4 and A6 stand still."""
+    assert sides_at(leaning(600.0, 10.0)) == (0, 1, -1, 0, -1, 0)
+    aside = Transform.of(Frame.ROBOT, Frame.ROBOT, translation_mm=(0.0, 150.0, 0.0))
+    assert sides_at(aside @ leaning(600.0, 30.0))[0] != 0

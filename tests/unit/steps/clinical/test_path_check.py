@@ -45,7 +45,8 @@ def test_every_localization_and_target_has_joints_that_reach_its_pose(cell: Clin
     cell.carrying(MountedTool.GUIDE)
     for target in paths.targets.values():
         assert target.joints_rad == pytest.approx(joints_at(cell, target.tool_pose.transform), abs=1e-9)
-        assert set(target.approach_signs) <= {1, 0, -1}
+        assert set(target.approach_signs) <= {1, -1}
+        assert all(side in (0, sign) for side, sign in zip(target.sides, target.approach_signs, strict=True))
     assert all(motion.clear for motion in paths.motions)
     assert cell.arm.motions == []
 
