@@ -64,10 +64,10 @@ def replay_all() -> list[Replayed]:
 def replay_target(case: TrackedCase, visit: Visit, generator: np.random.Generator) -> Iterator[Replayed]:
     """Replay the looks home, at the target and home again, every other time with a change among them."""
     watch, look = localized(case, visit, generator)
-    estimate, settled_home, looks = watch.estimate, watch.settled_home, list(watch.looks)
+    estimate, looks = watch.estimate, list(watch.looks)
     target_mm = watch.points_mm[visit.target]
     for number in range(REPLAYS):
-        watch.estimate, watch.settled_home, watch.looks = estimate, settled_home, list(looks)
+        watch.estimate, watch.looks = estimate, list(looks)
         changed, head, cart = bool(number % 2), IN_PLACE, IN_PLACE
         if changed:
             body = ("base", "head")[int(generator.integers(2))]
