@@ -273,9 +273,9 @@ def _build_workcell(
         return operator.ask(question).word
 
     resting = Checkpoint(agree, lambda _state, _reason: nullcontext(), HostClock())
-    workcell.supervised.ask_before(resting, agree)
-    workcell.supervised.confirm(Topic.FIRST_MOTION, "every motion of a benchmark", ())
-    workcell.mount.check(MountedTool.STEREO_HEAD)
+    workcell.master.supervised.ask_before(resting, agree)
+    workcell.master.supervised.confirm(Topic.FIRST_MOTION, "every motion of a benchmark", ())
+    workcell.master.mount.check(MountedTool.STEREO_HEAD)
     return workcell
 
 

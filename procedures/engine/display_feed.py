@@ -122,9 +122,11 @@ class BodyView:
         bodies, joints_rad = self._current(), cast("JointVector", pose.joints_rad)
         places = tuple(_round_points(*segment) for segment in PlacedBodies(bodies, joints_rad))
         changes: dict[str, tuple[object, ...]] = {"bodies_mm": places}
-        if self._cameras and self._workcell.tool is MountedTool.STEREO_HEAD:  # not while that is unchecked
-            flange = self._workcell.flange_pose(joints_rad)
-            tool = flange @ self._workcell.flange_from(MountedTool.STEREO_HEAD)
+        if (
+            self._cameras and self._workcell.master.tool is MountedTool.STEREO_HEAD
+        ):  # not while that is unchecked
+            flange = self._workcell.master.flange_pose(joints_rad)
+            tool = flange @ self._workcell.master.flange_from(MountedTool.STEREO_HEAD)
             x, y, z = tool.translation_mm.tolist()
             rows = (round(value, ROTATION_DECIMALS) for value in tool.rotation_matrix.ravel().tolist())
             changes |= {"tool_mm": _round_points((x, y, z)), "tool_rows": tuple(rows)}
@@ -140,7 +142,7 @@ class BodyView:
             event = _as_event(self._published)
             events.publish(event.model_copy(update={"cameras": self._cameras}))
         self._looks += 1
-        was_streaming, self._streamed = self._streamed, self._workcell.streaming
+        was_streaming, self._streamed = self._streamed, self._workcell.master.streaming
         if self._streamed:
             is_due = last or self._looks % LINK_EVERY == 0
         else:
@@ -149,17 +151,17 @@ class BodyView:
             self._publish_link(events)
 
     def _current(self) -> Bodies:
-        surroundings = self._workcell.surroundings
+        surroundings = self._workcell.master.surroundings
         if self._bodies is None or surroundings is not self._bodies_of:
             self._bodies_of = surroundings
-            head = self._workcell.tool is MountedTool.STEREO_HEAD
+            head = self._workcell.master.tool is MountedTool.STEREO_HEAD
             self._cameras = camera_views(self._workcell.calibrations.stereo_head) if head else ()
-            self._bodies = Bodies(self._workcell.arm.kinematics, surroundings or Surroundings())
+            self._bodies = Bodies(self._workcell.master.arm.kinematics, surroundings or Surroundings())
         return self._bodies
 
     def _publish_link(self, events: EventStream) -> None:
         try:
-            link = self._workcell.link_statistics()
+            link = self._workcell.master.link_statistics()
         except RonnaError:  # its connection has just ended
             return
         events.publish(

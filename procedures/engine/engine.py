@@ -80,9 +80,8 @@ class Engine:
         # With the assistant's instrument in the guide: returns what nobody sees, refuses a way out beside it.
         self.look_before_retreat: Callable[[], str] = lambda: ""
         self.goes_on: Callable[[RonnaError], bool] = lambda _problem: False  # by somebody's consent
-        setting.workcell.supervised.ask_before(self.checkpoint, self.questions.ask_in_time)
-        if setting.workcell.assistant is not None:
-            setting.workcell.assistant.supervised.ask_before(self.checkpoint, self.questions.ask_in_time)
+        for arm in setting.workcell.arms.values():
+            arm.supervised.ask_before(self.checkpoint, self.questions.ask_in_time)
 
     @property
     def upcoming(self) -> StepKey | None:
@@ -92,7 +91,7 @@ class Engine:
     @property
     def instrument_in(self) -> str | None:
         """Trajectory on which an instrument is or may be beyond the entry, or None."""
-        return self.setting.workcell.place.instrument_may_be_inside
+        return self.setting.workcell.master.place.instrument_may_be_inside
 
     def why_refused(self, key: StepKey) -> tuple[str, ...]:
         """Return all reasons why a step cannot start now; empty if it can."""
@@ -263,20 +262,22 @@ class Engine:
         self.faults.require_arm_moves()
         self._write(Entry.HOME, instrument_in=self.instrument_in)
         try:
-            if (assistant := workcell.assistant) is not None:
+            for assistant in workcell.assistants:
                 assistant.compare_place()
                 if assistant.place.is_on_axis:
                     workcell.start()
                     assistant.retreat(doubt=self.look_before_retreat())
             self.questions.request_instrument_removal()
-            if assistant is not None and assistant.place.is_out:
+            for assistant in workcell.assistants:
+                if assistant.place.is_out:
+                    workcell.start()
+                    assistant.return_home()
+            workcell.master.compare_place()
+            if not workcell.master.place.is_home:
                 workcell.start()
-                assistant.return_home()
-            workcell.compare_place()
-            if not workcell.place.is_home:
-                if (axis_place := workcell.place.axis) is not None:
-                    workcell.retreat(axis_place.trajectory)
-                workcell.park()
+                if (axis_place := workcell.master.place.axis) is not None:
+                    workcell.master.retreat(axis_place.trajectory)
+                workcell.master.park()
         except BaseException as ended:  # also an interruption: the arm comes to rest
             if isinstance(ended, KeyboardInterrupt):
                 self._on_ending()
@@ -295,7 +296,7 @@ class Engine:
     def leave_head(self) -> None:
         """Retreat and park, unless the arm was never set up. Raises the same errors as `retreat_home`."""
         try:
-            _ = self.setting.workcell.home_rad
+            _ = self.setting.workcell.master.home_rad
         except StepRefused:
             return
         self.retreat_home()
@@ -305,7 +306,7 @@ class Engine:
 
         Before that its result still serves the work at the target, and the way out.
         """
-        in_use = self.setting.workcell.place.is_on_axis or self.instrument_in
+        in_use = self.setting.workcell.master.place.is_on_axis or self.instrument_in
         if in_use or self.machine.state == RECOVERY or self.machine.ended:
             return
         for key, fault in self.course.checks_in_doubt.items():

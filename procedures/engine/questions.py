@@ -130,14 +130,13 @@ class Questions:
         Raises PRO-002 unless the operator confirms.
         """
         workcell = self._setting.workcell
-        instrument, assistant = workcell.instrument, workcell.assistant
-        held = None if assistant is None else assistant.history.held
+        instrument, held = workcell.master.instrument, workcell.held_instrument
         if (place := instrument.inside) is None:
             if held is not None:
                 self._empty_holder(held.trajectory)
             return
         trajectory = None if place in (IN_GAUGE, IN_DIVOT) else place
-        is_in_doubt = workcell.place.assumed
+        is_in_doubt = workcell.master.place.assumed
         look = (
             f"look whether one is there; if so, {removal_words(place)}"
             if is_in_doubt

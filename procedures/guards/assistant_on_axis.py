@@ -19,6 +19,7 @@ from procedures.guards.room_watch import JudgedReading, RoomWatch
 from procedures.room.estimate import INSTRUMENT_IN_GUIDE, Displacement
 from procedures.room.sighting import Rest, Sighting, Tracked, expect_frame
 from procedures.workcell import Workcell
+from procedures.workcell.assistant import Assistant
 from ronna_hw.devices.readings import TrackerFrame, Validity
 from ronna_hw.frames import Frame, Transform
 
@@ -69,11 +70,11 @@ def beside_bore(workcell: Workcell, watch: RoomWatch, judged: JudgedReading) -> 
     """
     if not {Tracked.ARM, Tracked.ASSISTANT} <= judged.look.frames.keys():
         return None
-    estimate, top_mm = watch.including(judged), _top_of_bore_mm(workcell, workcell.tool_pose())
+    estimate, top_mm = watch.including(judged), _top_of_bore_mm(workcell, workcell.master.tool_pose())
     last = len(estimate.looks) - 1
     moments = range(min(watch.settled_home + 1, last), last + 1)
     displaced = (estimate.displacement(top_mm, since, INSTRUMENT_IN_GUIDE) for since in moments)
-    beside = (_across(workcell.tool_pose(), one) for one in displaced)
+    beside = (_across(workcell.master.tool_pose(), one) for one in displaced)
     return max(beside, key=lambda one: one.largest_mm)
 
 
@@ -82,6 +83,7 @@ class AssistantOnAxis:
     """Watch over an assistant that leads an instrument through the guide, or out, frame by frame."""
 
     workcell: Workcell
+    assistant: Assistant
     watch: RoomWatch
     now: BesideBore | None = None
     _guide: Transform = field(init=False)  # at rest meanwhile: its arm may be lost on the way
@@ -91,15 +93,14 @@ class AssistantOnAxis:
 
     def __post_init__(self) -> None:
         """Take the guide to rest where it is."""
-        self._guide = self.workcell.tool_pose()
+        self._guide = self.workcell.master.tool_pose()
 
     def add_frame(self, frame: TrackerFrame) -> None:
         """Add a tracker frame, as from where the tracker was localized.
 
         `now` is by the latest `READINGS` of them.
         """
-        assistant, by_arm = self.workcell.assistant, self.watch.frame_by_arm(Tracked.ASSISTANT)
-        assert assistant is not None
+        assistant, by_arm = self.assistant, self.watch.frame_by_arm(Tracked.ASSISTANT)
         known, reading = assistant.arm.observe().reading, frame.tool(assistant.holder.frame)
         if reading.validity is not Validity.OK or known is None or by_arm is None:
             return

@@ -16,7 +16,7 @@ from procedures.operator.checkpoint import Guard
 from procedures.workcell import Workcell
 from procedures.workcell.supervised_arm import SupervisedArm
 from ronna_hw.clock import Clock
-from ronna_hw.config import TheatreFile, read_theatre_file
+from ronna_hw.config import MASTER, TheatreFile, read_theatre_file
 from ronna_hw.devices.lifecycle import RUNNING
 from ronna_hw.devices.readings import LinkStatistics, Validity
 from ronna_hw.errors import RonnaError
@@ -43,8 +43,7 @@ def case_guards(
     return (
         DiskSpace(folder),
         WallClock(find),
-        ArmLink(workcell),
-        *([] if workcell.assistant is None else [ArmLink(workcell.assistant, "robot link of the assistant")]),
+        *map(ArmLink, workcell.arms.values()),
         ToolStillMounted(workcell, doubt_tool),
         LineOfSight(workcell.tracker, workcell.calibrations.tracker_frame.tool, clock.now_s),
     )
@@ -76,9 +75,14 @@ class ArmLink:
     """Guard for the link of one arm: a fresh arm pose, and few late or lost cycles since the last check."""
 
     monitored: SupervisedArm
-    name: str = "robot link"
     _since: LinkStatistics | None = None
     _verdict: str | None = None
+
+    @property
+    def name(self) -> str:
+        """Name of the condition."""
+        whose = "" if self.monitored.role == MASTER else f" of the {self.monitored.name}"
+        return f"robot link{whose}"
 
     def unmet(self) -> str | None:
         """Describe a stale pose or a bad link."""
@@ -139,19 +143,19 @@ class ToolStillMounted:
     def unmet(self) -> str | None:
         """Describe a mismatch between the reported tool and the checked one."""
         workcell = self.workcell
-        expected = workcell.mount.checked_number
-        if expected is None or workcell.arm.observe().state not in RUNNING:
+        expected = workcell.master.mount.checked_number
+        if expected is None or workcell.master.arm.observe().state not in RUNNING:
             return None
         try:
-            mounted = workcell.read_tool_number()
+            mounted = workcell.master.read_tool_number()
         except RonnaError:
             return None  # motions report the same themselves
         if mounted == expected:
             return None
         reported = f"tool {mounted}" if mounted else "no tool"
-        found = f"the controller reports {reported} instead of the {workcell.tool}"
+        found = f"the controller reports {reported} instead of the {workcell.master.tool}"
         self.doubt_tool(found)
-        return f"{found}: mount the {workcell.tool} again"
+        return f"{found}: mount the {workcell.master.tool} again"
 
 
 class WallClock:

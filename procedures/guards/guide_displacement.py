@@ -112,7 +112,7 @@ class GuideAtRest:
     def _measure(self, workcell: Workcell, frames: list[TrackerFrame], room: RoomWatch | None) -> None:
         """Compare the guide in these frames, and the arm's joints, with the rest position."""
         seen_mm = _measure_frame(workcell, frames, room, self.end_in_frame_mm, self.on_guide)
-        self._compare(seen_mm, workcell.tool_pose().translation_mm)
+        self._compare(seen_mm, workcell.master.tool_pose().translation_mm)
         self.unseen = seen_mm is None
 
     def _compare(self, seen_mm: Array | None, tool_mm: Array | None = None) -> None:
@@ -166,9 +166,9 @@ def measure_guide_at_rest(
     Whether the guide is already pushed is for the look at the room to say. `frames` are those of that look,
     as from where the tracker was localized; without them, it is read anew. `find` records a finding.
     """
-    tool = workcell.tool_pose()
+    tool = workcell.master.tool_pose()
     on_guide = frame.tool if (frame := workcell.tools.guide.record.frame) is not None else None
-    by_arm = robot_from_marker(workcell, workcell.joints_rad())
+    by_arm = robot_from_marker(workcell, workcell.master.joints_rad())
     end_in_frame_mm = by_arm.inverse().apply(tool.apply([0.0, 0.0, -workcell.tools.guide.bore.reach_mm]))
     if frames is None:
         frames, _ = read_frames_at_rest(workcell.tracker, clock, count=FRAMES)

@@ -108,7 +108,7 @@ class MotionWatch:
     @property
     def _is_wanted(self) -> bool:
         if self.when is WatchPatient.INSTRUMENT:
-            return self.workcell.tool is MountedTool.GUIDE
+            return self.workcell.master.tool is MountedTool.GUIDE
         return self.when is WatchPatient.ALWAYS
 
     def _conclude(self, seen: WatchThread, what: str) -> None:

@@ -30,6 +30,7 @@ from procedures.room.sighting import (
 )
 from procedures.workcell import Workcell
 from procedures.workcell.patient_frame import seen_after
+from procedures.workcell.supervised_arm import SupervisedArm
 from procedures.workcell.tracker_look import (
     find_frame_name,
     list_poses,
@@ -201,16 +202,17 @@ def room_reading(
     """
     least, on_arm = round(LEAST_SHARE * len(frames)), workcell.calibrations.tracker_frame.tool
     tracked = {Tracked.ARM: on_arm, Tracked.CLAMP: workcell.patient_frame}
-    assistant = _assistant_at_rest(workcell, sides.get(Tracked.ASSISTANT))
-    if workcell.assistant is not None and assistant is not None:
-        tracked[Tracked.ASSISTANT] = workcell.assistant.holder.frame
+    assistant = None
+    for one in workcell.assistants:
+        if (assistant := _at_rest(one, sides.get(Tracked.ASSISTANT))) is not None:
+            tracked[Tracked.ASSISTANT] = one.holder.frame
     seen: dict[Tracked, SeenFrame] = {}
     for body, name in tracked.items():
         poses = [] if name is None else list_poses(frames, name)
         if name is not None and len(poses) >= max(1, least):
             seen[body] = average_frame(poses, workcell.tracker.markers_mm[name])
-    joints, arrived = workcell.joints_rad(), sides.get(Tracked.ARM)
-    rests = workcell.rest_sides if arrived is None else tuple(arrived)
+    joints, arrived = workcell.master.joints_rad(), sides.get(Tracked.ARM)
+    rests = workcell.master.rest_sides if arrived is None else tuple(arrived)
     by_arm = robot_from_marker(workcell, joints, rests)
     frame_mm = None
     if (arm := seen.get(Tracked.ARM)) is not None:
@@ -223,7 +225,7 @@ def room_reading(
         if other is not None:
             markers.append(other.apply(places_mm))
     return RoomReading(
-        workcell.flange_pose(joints, rests),
+        workcell.master.flange_pose(joints, rests),
         joints,
         rests,
         frame_mm,
@@ -231,26 +233,24 @@ def room_reading(
         np.vstack(markers),
         seen,
         len(frames),
-        workcell.settled_home,
-        workcell.place.is_on_axis,
+        workcell.master.settled_home,
+        workcell.master.place.is_on_axis,
         find_frame_name(workcell.tracker.markers_mm) is not None,
-        workcell.history.motions,
+        workcell.master.history.motions,
         assistant,
-        workcell.assistant is not None and workcell.assistant.place.is_on_axis,
+        any(arm.place.is_on_axis for arm in workcell.assistants),
         frames,
     )
 
 
-def _assistant_at_rest(workcell: Workcell, arrived: Sequence[int] | None) -> Rest | None:
-    """Return how the assistant rests, None without one or if it does not tell its joints."""
-    if (assistant := workcell.assistant) is None:
-        return None
+def _at_rest(arm: SupervisedArm, arrived: Sequence[int] | None) -> Rest | None:
+    """Return how an arm rests, None if it does not tell its joints."""
     try:
-        joints_rad = assistant.joints_rad()
+        joints_rad = arm.joints_rad()
     except RonnaError:  # for the step that moves it to report
         return None
-    rests = assistant.rest_sides if arrived is None else tuple(arrived)
-    return Rest(joints_rad, rests, assistant.history.motions)
+    rests = arm.rest_sides if arrived is None else tuple(arrived)
+    return Rest(joints_rad, rests, arm.history.motions)
 
 
 def find_ghosts(

@@ -10,7 +10,7 @@ from __future__ import annotations
 import contextlib
 import threading
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 
 from procedures.guards.assistant_on_axis import LARGEST_OFF_MM, AssistantOnAxis
@@ -74,13 +74,15 @@ class WatchThread:
     disturbed: str = ""  # what made the assistant stop on its way through the guide
     limit: str = ""
     got: str = ""
-    assistant: AssistantOnAxis | None = None  # that leads an instrument
+    leading: list[AssistantOnAxis] = field(default_factory=list)  # arms that lead an instrument
     _flange_from_frame_mm: Vector3 | None = None
 
     def __post_init__(self) -> None:
         self._seen_s = self.clock.now_s()
-        if self._leads_instrument and self.workcell.assistant is not None:
-            self.assistant = AssistantOnAxis(self.workcell, self.room)
+        if self._leads_instrument:
+            self.leading = [
+                AssistantOnAxis(self.workcell, arm, self.room) for arm in self.workcell.assistants
+            ]
         self._ending, self._first = threading.Event(), threading.Event()
         self._thread = threading.Thread(target=self._run, name="patient watch", daemon=True)
 
@@ -94,8 +96,7 @@ class WatchThread:
         """Whether the assistant leads an instrument through the guide, which the master holds, or out."""
         if self.motion not in (MotionKind.INSERT, MotionKind.WITHDRAW):
             return False
-        assistant = self.workcell.assistant
-        led = assistant is not None and assistant.place.is_on_axis
+        led = any(arm.place.is_on_axis for arm in self.workcell.assistants)
         return led or (self.guide is not None and self.guide.is_worked_through)
 
     @property
@@ -223,11 +224,10 @@ class WatchThread:
 
     def _check_assistant(self, frame: TrackerFrame) -> None:
         """Stop an assistant that has moved against its frame on its way through the guide."""
-        if self.assistant is None:
-            return
-        self.assistant.add_frame(frame)
-        if (now := self.assistant.now) is not None and now.has_moved:
-            self._disturb(ASSISTANT_MOVED, LARGEST_OFF_MM, now.largest_mm)
+        for arm in self.leading:
+            arm.add_frame(frame)
+            if (now := arm.now) is not None and now.has_moved:
+                self._disturb(ASSISTANT_MOVED, LARGEST_OFF_MM, now.largest_mm)
 
     def _disturb(self, what: str, limit_mm: float | None = None, got_mm: float | None = None) -> None:
         if self.disturbed:
@@ -254,12 +254,14 @@ class WatchThread:
 
     def _frame_by_arm_mm(self) -> Vector3 | None:
         """Return the last known position of the frame on the arm, robot frame, or None."""
-        known = self.workcell.arm.observe().reading
+        known = self.workcell.master.arm.observe().reading
         if known is None:
             return None
         if self._flange_from_frame_mm is None:
             self._flange_from_frame_mm = vector3(flange_from_marker(self.workcell).translation_mm)
-        flange = self.workcell.calibrated.forward(known.joints_rad)  # in plain floats: twice in each frame
+        flange = self.workcell.master.calibrated.forward(
+            known.joints_rad
+        )  # in plain floats: twice in each frame
         return flange.apply(self._flange_from_frame_mm)
 
     def _raise_alarm(self, why: str, *, stop: bool) -> None:
@@ -274,7 +276,7 @@ class WatchThread:
         """Retry a failed stop, for example after a timeout, while the arm may still be moving."""
         if not self._stop_wanted or self._is_stopping:
             return
-        if any(arm.arm.observe().state is Lifecycle.ACTIVE for arm in self.workcell.supervised_arms):
+        if any(arm.arm.observe().state is Lifecycle.ACTIVE for arm in self.workcell.arms.values()):
             self._begin_stop()
 
     @property

@@ -24,6 +24,7 @@ from procedures.steps.clinical.two_arms.seen_on_axis import (
     require_seen_on_axis,
 )
 from procedures.workcell.arm_history import fold_history
+from procedures.workcell.assistant import Assistant
 from procedures.workcell.errors import TipOffAxis
 from ronna_hw.config import ASSISTANT
 from ronna_hw.records import Record
@@ -31,14 +32,19 @@ from ronna_hw.records import Record
 R = TypeVar("R", bound=StepResult)
 
 
-def compare_assistant(engine: Engine, previous: InterruptedRun, comparison: Comparison) -> None:
-    """Compare where the assistant is with the journal; refuse a way out that nobody can check.
+def compare_assistants(engine: Engine, previous: InterruptedRun, comparison: Comparison) -> None:
+    """Compare where each assistant is with the journal; refuse a way out that nobody can check.
 
     Its devices are configured.
     """
+    for assistant in engine.setting.workcell.assistants:
+        _compare_assistant(engine, assistant, previous, comparison)
+
+
+def _compare_assistant(
+    engine: Engine, assistant: Assistant, previous: InterruptedRun, comparison: Comparison
+) -> None:
     workcell = engine.setting.workcell
-    if (assistant := workcell.assistant) is None:
-        return
     if (axis := assistant.place.axis) is not None:
         try:
             assistant.require_on_axis()

@@ -278,20 +278,20 @@ def _compare_tool(engine: Engine, comparison: Comparison, *, exchange_begun: boo
     workcell = engine.setting.workcell
     changed = engine.case.find(MountedGuide, None) is not None
     expected = MountedTool.GUIDE if changed else MountedTool.STEREO_HEAD
-    found = workcell.mount.identify()
+    found = workcell.master.mount.identify()
     if found is expected:
         comparison.add_unchanged(f"the {found}")
-    elif exchange_begun and found is MountedTool.GUIDE and workcell.place.is_on_axis:
+    elif exchange_begun and found is MountedTool.GUIDE and workcell.master.place.is_on_axis:
         # only a guide is sent onto an axis; its record was voided with the localization
         comparison.warn("the arm carries the guide, and its record no longer holds")
-    elif exchange_begun and not workcell.place.is_on_axis:
+    elif exchange_begun and not workcell.master.place.is_on_axis:
         comparison.warn(f"a tool exchange had begun: the arm carries the {found}")
     else:
         comparison.add_difference("mounted tool", f"the {expected}", f"the {found}")
         return
-    if (axis := workcell.place.axis) is not None:
+    if (axis := workcell.master.place.axis) is not None:
         try:
-            axis.check_on_axis(workcell.tool_pose())
+            axis.check_on_axis(workcell.master.tool_pose())
         except TipOffAxis as problem:
             comparison.add_difference("guide", f"on {axis.trajectory}", problem)
 
@@ -374,7 +374,7 @@ def compare_room(engine: Engine, comparison: Comparison) -> bool:
     try:
         findings = look.require()
     except RoomUndecided as undecided:
-        if not workcell.place.is_home:
+        if not workcell.master.place.is_home:
             comparison.warn(f"{undecided.summary}: compared again once the arm is home")
             return False
         comparison.add_difference("room", f"all within {undecided.limit}", undecided.what)
@@ -384,7 +384,7 @@ def compare_room(engine: Engine, comparison: Comparison) -> bool:
     except InsertionDisturbed:  # told with the axis on which the assistant stands
         return True
     except (PatientMoved, BaseShifted, FrameSlipped, PlatformMoved) as moved:
-        follows = workcell.tool is MountedTool.GUIDE and not context.stands(RegisteredRobot)
+        follows = workcell.master.tool is MountedTool.GUIDE and not context.stands(RegisteredRobot)
         if isinstance(moved, PatientMoved) and follows:  # the step registration asks whether to follow it
             comparison.note(f"patient: {moved.what}; no registration is valid")
         elif workcell.is_any_arm_out:
@@ -392,7 +392,7 @@ def compare_room(engine: Engine, comparison: Comparison) -> bool:
         else:
             comparison.add_move(moved)
         return True
-    if look.reading.frame_mm is None and workcell.place.is_home:
+    if look.reading.frame_mm is None and workcell.master.place.is_home:
         comparison.add_difference("robot base", "the frame on the arm in view", "the tracker does not see it")
         return True
     comparison.note(

@@ -35,9 +35,9 @@ from procedures.steps.clinical.inputs import UnchangedInputs
 from procedures.steps.clinical.room import void_moved
 from procedures.steps.clinical.work_progress import work_begun_elsewhere
 from procedures.workcell import Workcell
-from procedures.workcell.arm_history import UNMOVED, ArmHistory, fold_history
+from procedures.workcell.arm_history import ArmHistory, fold_history
 from ronna_hw.clock import Clock
-from ronna_hw.config import ASSISTANT, DeviceConfig, TheatreFile
+from ronna_hw.config import MASTER, DeviceConfig, TheatreFile
 from ronna_hw.devices.lifecycle import Device
 from ronna_hw.errors import RonnaError
 from ronna_hw.evidence.manifest import hash_inputs, hash_truth_files, list_theatre_files, sha256_of
@@ -125,7 +125,6 @@ def build_engine(
 
     previous = None if resumption is None else resumption.interrupted
     only_leaving = resumption is not None and resumption.only_leaving
-    history = UNMOVED if previous is None else previous.arm
     case = Case(folder) if previous is None else previous.restore_case(prepared.order)
     if previous is None or not previous.has_journal:
         journal = Journal(folder, publish_line)
@@ -139,8 +138,7 @@ def build_engine(
         journal,
         calibrations=calibrations,
         calibrating=prepared.calibrations is not None,
-        history=history,  # at once: a run may be closed before it is compared with anything
-        assistant=_assistant_history(clinical, previous),
+        histories=_arm_histories(clinical, previous),
     )
     _ = workcell.devices  # made now: what a driver refuses is said before the first line of the journal
     journal.write(
@@ -187,18 +185,19 @@ def build_engine(
     )
     engine.checkpoint.beside = tape.beside
     engine.look_before_retreat = lambda: look_with_instrument_in_guide(engine)
-    workcell.reading = tape.in_this_thread
+    workcell.motion.reading = tape.in_this_thread
     add_guards(engine, file, theatre.file, only_leaving=only_leaving)
     return engine
 
 
-def _assistant_history(clinical: ClinicalInput | None, previous: InterruptedRun | None) -> ArmHistory | None:
-    """Return the history of the assistant, or None in a case with one arm."""
-    if clinical is None or not clinical.dual:
-        return None
+def _arm_histories(
+    clinical: ClinicalInput | None, previous: InterruptedRun | None
+) -> Mapping[str, ArmHistory]:
+    """Return the history of each arm at once: a run may be closed before it is compared with anything."""
+    roles = (MASTER,) if clinical is None else clinical.roles
     if previous is None:
-        return ArmHistory(ASSISTANT)
-    return fold_history(previous.chain, previous.lost, ASSISTANT)
+        return {role: ArmHistory(role) for role in roles}
+    return {role: fold_history(previous.chain, previous.lost, role) for role in roles}
 
 
 def theatre_inputs(folder: Path, previous: InterruptedRun | None) -> dict[str, JournalValue]:
@@ -221,7 +220,7 @@ def add_guards(engine: Engine, file: Path, theatre: TheatreFile, *, only_leaving
     if not only_leaving:
         guards.append(
             UnchangedRecords(
-                file, theatre, lambda: engine.running is not None and not workcell.place.is_on_axis
+                file, theatre, lambda: engine.running is not None and not workcell.master.place.is_on_axis
             )
         )
     link = TrackerLink(workcell.tracker, setting.memory, setting.clock.now_s)
@@ -286,6 +285,6 @@ class MovedCart:
         question = CART_MOVED.question(f"{problem.summary}: {goes_on}", "; ".join(value))
         if engine.ask(question) != GO_ON:
             return False
-        if following is None or not engine.setting.workcell.place.is_home:
+        if following is None or not engine.setting.workcell.master.place.is_home:
             engine.retreat_home()
         return True

@@ -168,7 +168,11 @@ def open_engine(
             if engine.record_is_deleted:
                 from procedures.runs.theatre_note import describe_arm_without_record
 
-                tell(describe_arm_without_record(engine.setting.workcell.place, own=simulated is not None))
+                tell(
+                    describe_arm_without_record(
+                        engine.setting.workcell.master.place, own=simulated is not None
+                    )
+                )
             with defer_interruption():
                 engine.close(outcome, ended_by)
 

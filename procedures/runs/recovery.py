@@ -18,7 +18,7 @@ from procedures.engine.run_folder import step_key
 from procedures.journal.errors import StepRefused
 from procedures.journal.journal import Entry
 from procedures.operator.question import YES, Question, Topic
-from procedures.runs.assistant_comparison import compare_assistant
+from procedures.runs.assistant_comparison import compare_assistants
 from procedures.runs.comparison import Comparison, compare_devices, compare_inputs, compare_room
 from procedures.runs.interrupted_run import InterruptedRun
 from procedures.runs.request_file import read_request
@@ -110,7 +110,7 @@ def _doubt_tool(engine: Engine, comparison: Comparison) -> None:
 
 def _doubt_work(engine: Engine, previous: InterruptedRun) -> None:
     """Cast doubt on the work at targets that an orphaned record reports as reached: every stage was done."""
-    stages = engine.setting.workcell.instrument.stages
+    stages = engine.setting.workcell.master.instrument.stages
     for trajectory in previous.list_unrecorded_work(engine.order, ReachedTarget.kind):
         stages.record_doubt(trajectory)
         for stage in STAGES:
@@ -148,13 +148,15 @@ def _restore_arm(
 ) -> None:
     """Restore the arm's history, compare every device, and infer from the guide's pose what may be inside."""
     workcell = engine.setting.workcell
-    workcell.restore_history(previous.arm, set_up.home_rad)
-    if (assistant := workcell.assistant) is not None and set_up.assistant_home_rad is not None:
+    workcell.master.restore_history(previous.arm, set_up.home_rad)
+    for assistant in workcell.assistants:
+        if set_up.assistant_home_rad is None:
+            continue
         assistant.restore_home(set_up.assistant_home_rad)
         if (base := assistant.history.base) is not None:  # also if void by now: from there the way out begins
-            workcell.place_assistant(base, assistant.history.base_uncertain_mm)
-    inside = workcell.place.instrument_may_be_inside
-    if inside is not None and workcell.place.assumed:
+            assistant.place_base(base, assistant.history.base_uncertain_mm)
+    inside = workcell.master.place.instrument_may_be_inside
+    if inside is not None and workcell.master.place.assumed:
         comparison.warn(
             f"the journal does not rule out an instrument in {inside}: one is assumed to be inside"
         )
@@ -165,21 +167,23 @@ def _restore_arm(
     if comparison.differences and (updates := _describe_theatre_updates(previous)) is not None:
         comparison.refuse(updates)
     _compare_last_to_move(engine, comparison)
-    compare_assistant(engine, previous, comparison)
-    if not workcell.place.is_on_axis and (found := find_guide_axis(engine)) is not None:
+    compare_assistants(engine, previous, comparison)
+    if not workcell.master.place.is_on_axis and (found := find_guide_axis(engine)) is not None:
         axis, travel_mm = found
-        workcell.record_found_on_axis(axis)  # the lost lines may also have said that an instrument goes in
+        workcell.master.record_found_on_axis(
+            axis
+        )  # the lost lines may also have said that an instrument goes in
         comparison.warn(
             f"the guide is {travel_mm:.0f} mm along {axis.trajectory}: an instrument is assumed to be inside"
         )
-    elif workcell.instrument.inside is None and is_guide_in_gauge(engine):
-        workcell.instrument.record_assumed(IN_GAUGE)
+    elif workcell.master.instrument.inside is None and is_guide_in_gauge(engine):
+        workcell.master.instrument.record_assumed(IN_GAUGE)
         comparison.warn("the guide is at the gauge: the mandrel is assumed to be inside")
-    elif workcell.instrument.inside is None and is_guide_at_divot(engine):
-        workcell.instrument.record_assumed(IN_DIVOT)
+    elif workcell.master.instrument.inside is None and is_guide_at_divot(engine):
+        workcell.master.instrument.record_assumed(IN_DIVOT)
         comparison.warn("the guide is at the divot, which is assumed to be raised")
-    if workcell.place.assumed and workcell.instrument.inside in engine.order.trajectories:
-        workcell.instrument.stages.record_doubt(str(workcell.instrument.inside))
+    if workcell.master.place.assumed and workcell.master.instrument.inside in engine.order.trajectories:
+        workcell.master.instrument.stages.record_doubt(str(workcell.master.instrument.inside))
 
 
 def _describe_theatre_updates(previous: InterruptedRun) -> str | None:
@@ -208,7 +212,7 @@ def _compare_last_to_move(engine: Engine, comparison: Comparison) -> None:
     """
     if (not_home := engine.setting.arm_not_home) is None:
         return
-    if engine.setting.workcell.place.is_home:
+    if engine.setting.workcell.master.place.is_home:
         comparison.warn(f"{not_home}; it is at the home of this run now")
     elif not_home == NOT_KNOWN:  # it may have been this very run: the operator decides
         comparison.warn(not_home)
@@ -284,21 +288,22 @@ def _list_first_moves(engine: Engine) -> tuple[str, ...]:
     """Describe the actions that precede the first step."""
     workcell = engine.setting.workcell
     first = []
-    assistant = workcell.assistant
-    if assistant is not None and (axis := assistant.place.axis) is not None:
-        first.append(f"the assistant leads the instrument straight out of {axis.trajectory}")
+    for assistant in workcell.assistants:
+        if (axis := assistant.place.axis) is not None:
+            first.append(f"the assistant leads the instrument straight out of {axis.trajectory}")
     if (place := engine.instrument_in) is not None:
         first.append(f"{'then' if first else 'first'}, by hand: {removal_words(place)}")
-    if assistant is not None and (held := assistant.history.held) is not None:
+    if (held := workcell.held_instrument) is not None:
         first.append(
             f"{'then' if first else 'first'}, by hand: take the instrument for {held.trajectory} out of the "
             "assistant's holder"
         )
-    if assistant is not None and assistant.place.is_out:
-        first.append("the assistant goes home")
-    if (current_trajectory := workcell.place.trajectory) is not None:
+    first += [
+        f"the {assistant.name} goes home" for assistant in workcell.assistants if assistant.place.is_out
+    ]
+    if (current_trajectory := workcell.master.place.trajectory) is not None:
         first.append(f"the guide retreats from {current_trajectory} along its axis")
-    if engine.case.find(CheckedSetUp, None) is not None and not workcell.place.is_home:
+    if engine.case.find(CheckedSetUp, None) is not None and not workcell.master.place.is_home:
         first.append("the arm goes home the way it came")
     return tuple(first)
 
@@ -321,19 +326,19 @@ def _key_of(record: Record) -> StepKey:
 def _move_out(engine: Engine) -> bool:
     """Request instrument removal, retreat and bring the arm home; return whether anything moved."""
     workcell = engine.setting.workcell
-    if (assistant := workcell.assistant) is not None and assistant.place.is_out:
+    if any(assistant.place.is_out for assistant in workcell.assistants):
         engine.retreat_home()  # the assistant first: it may hold an instrument in the guide
         return True
     engine.questions.request_instrument_removal()
     following = engine.upcoming
     if (
-        workcell.place.is_on_axis
+        workcell.master.place.is_on_axis
         and following is not None
         and engine.order.spec(following).moves
         and not engine.why_refused(following)
     ):
         engine.run_step(following)  # the work at the target is done: only the retreat itself remains
-    if workcell.place.is_home:
+    if workcell.master.place.is_home:
         return False
     engine.retreat_home()
     return True

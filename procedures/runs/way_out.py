@@ -50,21 +50,25 @@ def surround(engine: Engine) -> None:
 
     Raises PRO-032 for an arm away from home if no result gives the position of the head.
     """
-    workcell, keys = engine.setting.workcell, engine.order.sequence
-    _surround_guide_or_head(engine, keys)
-    assistant = workcell.assistant
-    if assistant is None or assistant.history.base is None:
-        return
-    trajectory = assistant.place.trajectory or workcell.place.trajectory
+    workcell = engine.setting.workcell
+    _surround_guide_or_head(engine, engine.order.sequence)
+    for assistant in workcell.assistants:
+        if assistant.history.base is not None:
+            _surround_assistant(engine, assistant)
+
+
+def _surround_assistant(engine: Engine, assistant: Assistant) -> None:
+    workcell = engine.setting.workcell
+    trajectory = assistant.place.trajectory or workcell.master.place.trajectory
     registration = _find_guide_registration(engine)
     if trajectory is None or registration is None:  # it shows its ball; or somebody has jogged it
-        _surround_assistant(engine, keys, assistant)
+        _surround_off_axis(engine, assistant)
         return
     at_target = engine.context(StepKey(ReachedTarget.kind, trajectory))
     surround_at_guide(at_target, assistant.joints_rad(), registration.robot_from_ct)
 
 
-def _surround_assistant(engine: Engine, keys: Sequence[StepKey], assistant: Assistant) -> None:
+def _surround_off_axis(engine: Engine, assistant: Assistant) -> None:
     """Set the bodies around an assistant on no axis: the head as first found, or as last found of old."""
     workcell, case = engine.setting.workcell, engine.case
     standing = case.find(Correspondence, None)
@@ -77,24 +81,28 @@ def _surround_assistant(engine: Engine, keys: Sequence[StepKey], assistant: Assi
             )
         return
     found = parse_record(former[-1], Correspondence) if standing is None else standing.result
-    over = next(key for key in keys if key.name == Relocalization.kind)
-    head = workcell.flange_from(MountedTool.STEREO_HEAD)
+    over = next(key for key in engine.order.sequence if key.name == Relocalization.kind)
+    head = workcell.master.flange_from(MountedTool.STEREO_HEAD)
     scene = planning_scene_of(engine.context(over))
-    workcell.surround_assistant(scene.with_stereo_head(found.robot_from_ct.transform, head, None))
+    assistant.surround(scene.with_stereo_head(found.robot_from_ct.transform, head, None))
 
 
 def _surround_guide_or_head(engine: Engine, keys: Sequence[StepKey]) -> None:
     workcell = engine.setting.workcell
     if engine.setting.clinical is None:
         surround_calibration(engine)
-    elif workcell.tool is MountedTool.STEREO_HEAD and engine.case.find(Correspondence, None) is not None:
+    elif (
+        workcell.master.tool is MountedTool.STEREO_HEAD and engine.case.find(Correspondence, None) is not None
+    ):
         over = next(key for key in keys if key.name == Relocalization.kind)
-        surround_stereo_head(engine.context(over), workcell.joints_rad())  # where the way out begins
+        surround_stereo_head(engine.context(over), workcell.master.joints_rad())  # where the way out begins
     elif (guide_registration := _find_guide_registration(engine)) is not None:
         surround_guide(
-            engine.context(guide_registration.key), guide_registration.robot_from_ct, workcell.joints_rad()
+            engine.context(guide_registration.key),
+            guide_registration.robot_from_ct,
+            workcell.master.joints_rad(),
         )
-    elif not workcell.place.is_home:
+    elif not workcell.master.place.is_home:
         raise RecoveryRefused(
             "the arm is not home, and no result gives the position of the head",
             action="Jog the arm home with the controller's pendant, then resume again.",
@@ -111,12 +119,12 @@ def has_head_moved(engine: Engine) -> bool:
 def find_guide_axis(engine: Engine) -> tuple[InsertionAxis, float] | None:
     """Return the insertion whose axis the guide is on and its travel in mm, or None."""
     workcell, case = engine.setting.workcell, engine.case
-    if workcell.tool is not MountedTool.GUIDE:
+    if workcell.master.tool is not MountedTool.GUIDE:
         return None
     paths = case.find(CheckedPaths, None)
     if paths is None:
         return None
-    tool = workcell.tool_pose()
+    tool = workcell.master.tool_pose()
     for key in engine.order.sequence:
         registered = case.find(RegisteredRobot, key.trajectory)
         is_positioned_there = key.name == PositionedGuide.kind and key.trajectory in paths.result.targets
@@ -136,38 +144,38 @@ def find_guide_axis(engine: Engine) -> tuple[InsertionAxis, float] | None:
 def is_guide_in_gauge(engine: Engine) -> bool:
     """Whether the arm holds the guide over the gauge, where the mandrel is inserted."""
     workcell = engine.setting.workcell
-    if workcell.tool is not MountedTool.GUIDE:
+    if workcell.master.tool is not MountedTool.GUIDE:
         return False
     gauge_rad = tuple(map(math.radians, workcell.tools.guide.gauge.joints_deg))
-    return stands_at(workcell.joints_rad(), gauge_rad, AT_GAUGE_RAD)
+    return stands_at(workcell.master.joints_rad(), gauge_rad, AT_GAUGE_RAD)
 
 
 def is_guide_at_divot(engine: Engine) -> bool:
     """Whether the arm holds the tip of the guide at the raised divot."""
     workcell, place = engine.setting.workcell, engine.case.find(BallPlace, None)
-    if workcell.tool is not MountedTool.GUIDE or place is None or workcell.place.is_home:
+    if workcell.master.tool is not MountedTool.GUIDE or place is None or workcell.master.place.is_home:
         return False
-    away_mm = math.dist(workcell.tool_pose().translation_mm, place.result.ball_mm)
+    away_mm = math.dist(workcell.master.tool_pose().translation_mm, place.result.ball_mm)
     return away_mm < HOVER_MM - TIP_KNOWN_MM
 
 
 def surround_calibration(engine: Engine) -> None:
     """Set the collision surroundings from a calibration's results so far, before anything moves."""
     workcell, surroundings = engine.setting.workcell, engine.setting.surroundings
-    tool = workcell.flange_from_tool
+    tool = workcell.master.flange_from_tool
     place, found = engine.case.find(BallPlace, None), engine.case.find(GlobalLocalization, None)
-    if workcell.tool is MountedTool.GUIDE:
+    if workcell.master.tool is MountedTool.GUIDE:
         stand = () if place is None else build_stand(place.result.ball_mm)
-        workcell.surround(build_free_surroundings(surroundings, tool, surroundings.guide, stand))
+        workcell.master.surround(build_free_surroundings(surroundings, tool, surroundings.guide, stand))
     elif place is not None:
-        workcell.surround(
+        workcell.master.surround(
             build_ball_surroundings(surroundings, tool, place.result.ball_mm, place.result.others_mm)
         )
     elif found is not None and len(found.result.points_mm):
         ball_mm, *others_mm = found.result.points_mm
-        workcell.surround(build_ball_surroundings(surroundings, tool, ball_mm, others_mm))
+        workcell.master.surround(build_ball_surroundings(surroundings, tool, ball_mm, others_mm))
     else:
-        workcell.surround(build_free_surroundings(surroundings, tool, surroundings.stereo_head))
+        workcell.master.surround(build_free_surroundings(surroundings, tool, surroundings.stereo_head))
 
 
 @dataclass(frozen=True)
@@ -182,9 +190,9 @@ class _GuideRegistration:
 def _find_guide_registration(engine: Engine) -> _GuideRegistration | None:
     """Return the registration for the guide's trajectory: the valid one, or else the last superseded one."""
     workcell, case = engine.setting.workcell, engine.case
-    if workcell.tool is not MountedTool.GUIDE:
+    if workcell.master.tool is not MountedTool.GUIDE:
         return None
-    current_trajectory = workcell.place.trajectory
+    current_trajectory = workcell.master.place.trajectory
     keys = [key for key in engine.order.sequence if key.name == PositionedGuide.kind]
     keys = [key for key in keys if current_trajectory in (None, key.trajectory)]
     for key in keys:

@@ -21,12 +21,12 @@ def needs_tool(tool: MountedTool, remedy: str = "") -> Callable[[StepContext], t
     def unmet(context: StepContext) -> tuple[str, ...]:
         reasons = []
         workcell = context.workcell
-        if workcell.tool is MountedTool.UNKNOWN:
-            workcell.mount.identify()
-        if workcell.tool is not tool:
-            instead = remedy if workcell.tool is MountedTool.GUIDE else ""
-            reasons.append(f"the arm carries the {workcell.tool}, not the {tool}{instead}")
-        return (*reasons, *workcell.place.hold_reasons)
+        if workcell.master.tool is MountedTool.UNKNOWN:
+            workcell.master.mount.identify()
+        if workcell.master.tool is not tool:
+            instead = remedy if workcell.master.tool is MountedTool.GUIDE else ""
+            reasons.append(f"the arm carries the {workcell.master.tool}, not the {tool}{instead}")
+        return (*reasons, *workcell.master.place.hold_reasons)
 
     return unmet
 
@@ -37,12 +37,12 @@ def needs_exchangeable_tool(context: StepContext) -> tuple[str, ...]:
     unmet = needs_tool(MountedTool.STEREO_HEAD)(context)
     if not unmet or context.done_before:
         return unmet
-    return () if not workcell.streaming and workcell.place.is_home else unmet
+    return () if not workcell.master.streaming and workcell.master.place.is_home else unmet
 
 
 def needs_guide_unmounted(context: StepContext) -> tuple[str, ...]:
     """Require that the guide is not mounted: later localizations could not be redone with it."""
-    if context.workcell.tool is MountedTool.GUIDE:
+    if context.workcell.master.tool is MountedTool.GUIDE:
         return (
             "the arm carries the guide: if this result changed, the spheres could not be localized again; "
             "if it must change, send the arm home and start a new run",
@@ -52,7 +52,7 @@ def needs_guide_unmounted(context: StepContext) -> tuple[str, ...]:
 
 def needs_arm_home(context: StepContext) -> tuple[str, ...]:
     """Require every arm at home, so that none is over the head while staff work at cart or clamp."""
-    away = [arm for arm in context.workcell.supervised_arms if not arm.place.is_home]
+    away = [arm for arm in context.workcell.arms.values() if not arm.place.is_home]
     if not away:
         return ()
     return away[0].place.hold_reasons or (f"the {away[0].name} is not home: send it there first (home)",)
@@ -60,7 +60,7 @@ def needs_arm_home(context: StepContext) -> tuple[str, ...]:
 
 def needs_insertion(context: StepContext) -> tuple[str, ...]:
     """Require the guide in front of this step's entry."""
-    if (current_trajectory := context.workcell.place.trajectory) == context.trajectory:
+    if (current_trajectory := context.workcell.master.place.trajectory) == context.trajectory:
         return ()
     where = (
         "on no axis" if current_trajectory is None else f"held in front of the entry of {current_trajectory}"
@@ -70,7 +70,7 @@ def needs_insertion(context: StepContext) -> tuple[str, ...]:
 
 def needs_insertion_or_withdrawal(context: StepContext) -> tuple[str, ...]:
     """Require the guide in front of this step's entry, or just withdrawn from it."""
-    if context.workcell.place.withdrawn_from == context.trajectory:
+    if context.workcell.master.place.withdrawn_from == context.trajectory:
         return ()
     return needs_insertion(context)
 

@@ -59,17 +59,17 @@ def describe_planned_motions(case: Case, key: StepKey, setting: CaseSetting) -> 
     workcell = setting.workcell
     if key.name in (CheckedTool.kind, ConfirmedTarget.kind):
         lines = _preview_over_gauge(case, setting)
-        return lines if workcell.place.is_home else ("the arm is not home; from home it would", *lines)
+        return lines if workcell.master.place.is_home else ("the arm is not home; from home it would", *lines)
     if key.name == KnownBases.kind:
         return BOTH_ARMS
-    if key.name == ReachedTarget.kind and workcell.assistant is not None:
+    if key.name == ReachedTarget.kind and workcell.assistants:
         return _describe_assistance(key.trajectory)
     paths = stored.result
     if key.name == Relocalization.kind:
         motions = motions_over_spheres(paths.motions, key.trajectory)
     else:
         motions = [one for one in paths.motions if _belongs_to_step(one, key)]
-    if workcell.place.is_home or not motions or motions[0].start != HOME:
+    if workcell.master.place.is_home or not motions or motions[0].start != HOME:
         return _describe_motions(motions)
     sphere_index = _sphere_below(paths, key, workcell)
     if sphere_index is None:
@@ -99,12 +99,12 @@ def _preview_over_gauge(case: Case, setting: CaseSetting) -> tuple[str, ...]:
         setting.surroundings, case.get(CheckedPlan).result, case.get(LocalizedFiducials).result
     )
     robot_from_ct = case.get(Correspondence).result.robot_from_ct.transform
-    around = scene.with_guide(robot_from_ct, workcell.flange_from(MountedTool.GUIDE), None)
-    there = workcell.settle_motion(radians6(*workcell.tools.guide.gauge.joints_deg), ONE_SIDE)
-    motions = (*[there] * APPROACHES, replace(workcell.return_motion(), replacement=()))
+    around = scene.with_guide(robot_from_ct, workcell.master.flange_from(MountedTool.GUIDE), None)
+    there = workcell.master.settle_motion(radians6(*workcell.tools.guide.gauge.joints_deg), ONE_SIDE)
+    motions = (*[there] * APPROACHES, replace(workcell.master.return_motion(), replacement=()))
     facts = collect_facts(
-        workcell.home_rad,
-        _PlannedArm(workcell.arm.kinematics, workcell.arm.limits(), around),
+        workcell.master.home_rad,
+        _PlannedArm(workcell.master.arm.kinematics, workcell.master.arm.limits(), around),
         [replace(one, mover=f"the {MountedTool.GUIDE}") for one in motions],
     )
     names = ("home to the gauge", *["onto the gauge again"] * (APPROACHES - 1), "the gauge to home")
@@ -113,9 +113,9 @@ def _preview_over_gauge(case: Case, setting: CaseSetting) -> tuple[str, ...]:
 
 def _sphere_below(paths: CheckedPaths, key: StepKey, workcell: Workcell) -> int | None:
     """Return the index of the sphere below the stereo head, or None unless a localization was interrupted."""
-    if key.name != Relocalization.kind or workcell.tool is not MountedTool.STEREO_HEAD:
+    if key.name != Relocalization.kind or workcell.master.tool is not MountedTool.STEREO_HEAD:
         return None
-    here_mm = workcell.tool_pose().translation_mm
+    here_mm = workcell.master.tool_pose().translation_mm
     away_mm = {
         item.fiducial: math.dist(item.tool_pose.translation_mm, here_mm)
         for item in paths.localizations_for(key.trajectory)

@@ -374,12 +374,9 @@ class ArmHistory:
         return replace(known, interruptions=others)
 
 
-UNMOVED = ArmHistory()
-
-
 def arm_history(lines: Iterable[Line], arm: str = MASTER) -> ArmHistory:
     """Build an arm's history from journal lines. Raises PRO-011 for a line this version cannot read."""
-    return reduce(_fold_line, lines, UNMOVED if arm == MASTER else ArmHistory(arm))
+    return reduce(_fold_line, lines, ArmHistory(arm))
 
 
 def fold_history(chain: Chain, lost: Sequence[Line] = (), arm: str = MASTER) -> ArmHistory:

@@ -1,15 +1,18 @@
 """The assistant: the second arm, which holds a ball for the stereo head, and the instrument for the guide.
 
 Its poses are in its own base, ASSISTANT, and `base` leads from there to the robot frame; its driver, as that
-of any arm, has them as ROBOT. It moves only with the master, see `ArmPair`.
+of any arm, has them as ROBOT.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
 
 from procedures.journal.journal import Entry
 from procedures.journal.results import FramedPose
@@ -21,17 +24,18 @@ from procedures.workcell.arm_history import (
     InsertionAxis,
     MotionKind,
 )
+from procedures.workcell.arms import Arms
 from procedures.workcell.errors import GuideHeldAtEntry, InstrumentInGuide, OtherArmUnknown
 from procedures.workcell.motions import PlannedMotion, joints_after
 from procedures.workcell.supervised_arm import SupervisedArm
 from procedures.workcell.tools import CarriedTool
-from ronna_hw.arm.clearance.bodies import Bodies, Capsule, Part, Surroundings
+from ronna_hw.arm.clearance.bodies import ARMS_OWN_RADII, Bodies, Capsule, Part, Surroundings
 from ronna_hw.arm.clearance.sweep import sweep
 from ronna_hw.arm.pose import Pose
 from ronna_hw.calibrated_arm.error_budget import PER_AXIS
 from ronna_hw.calibration import HolderCalibration
-from ronna_hw.config import ASSISTANT, Calibrations
-from ronna_hw.devices import JointMove, LineMove, Motion, RobotArm
+from ronna_hw.config import ASSISTANT, MASTER, Calibrations
+from ronna_hw.devices import JointMove, LineMove, Motion
 from ronna_hw.devices.contact import INSERTION_SPEED_MM_S, Inserted, Insertion, InsertsInstruments
 from ronna_hw.devices.errors import NotInTheatre
 from ronna_hw.devices.readings import ArmReading
@@ -44,6 +48,10 @@ POST, CLAMP, INSTRUMENT = "post of the holder", "clamp of the holder", "instrume
 AT_GUIDE = (POST, CLAMP, INSTRUMENT)  # these come close to the guide when the instrument is led into it
 WITHDRAWAL_SPEED_MM_S = 10.0  # straight out: nothing is ahead of the tip
 OFF_SKIN_SPEED_MM_S = 40.0  # of a withdrawal, the tip off the skin: in the bore and above, nothing holds it
+# By which a moved cart, seen by one look at the frame on its arm, may be misplaced (U).
+ONE_LOOK_MM = 5.0
+TURNED_SHARE = 0.25  # of the way of its frame, by which a cart that turned has moved other parts differently
+TURNED_CART = 2.0  # a cart that turned moves parts of its arm farther than the frame that shows it
 # Where the bore leads the instrument and its tip is off the skin. At the accelerations of the arms it still
 # stops within 0.5 mm; an arm that senses force stays at the speed at which that is watched.
 BORE_SPEED_MM_S = 15.0
@@ -63,6 +71,10 @@ def holder_bodies(holder: HolderCalibration) -> tuple[Part, ...]:
     return (Part(POST, post), Part(CLAMP, Capsule(middle, middle, CLAMP_MM)))
 
 
+def _as_pose(transform: Transform) -> Pose:
+    return Pose.from_matrix(transform.as_matrix().tolist())
+
+
 def _named_in(frame: Frame, pose: Transform) -> Transform:
     return Transform(frame, pose.source, pose.rigid)
 
@@ -76,16 +88,9 @@ class Assistant(SupervisedArm):
     """The assistant of a workcell."""
 
     def __init__(
-        self,
-        arm: Callable[[], RobotArm],
-        log: ArmLog,
-        calibrations: Calibrations,
-        drive: Callable[[Motion, PlannedMotion], ArmReading],
-        release: Callable[[str], bool],
-        instrument_inside: Callable[[], str | None],
-        look_around: Callable[[], None] = lambda: None,
+        self, log: ArmLog, arms: Arms, calibrations: Calibrations, insertion_force_N: float | None
     ) -> None:
-        """Supervise `arm`, which `drive` moves; the others as in `SupervisedMotion` and `ArmPair`.
+        """Supervise the assistant; an insertion stops at `insertion_force_N`, if the arm senses it.
 
         Raises DEV-007 without records of the arm and its holder.
         """
@@ -96,11 +101,10 @@ class Assistant(SupervisedArm):
                 expected="calibration.arm, calibration.assistant_arm, calibration.assistant_holder",
                 action="Add them to the theatre file, or omit --dual.",
             )
-        super().__init__(
-            ASSISTANT, log, arm, record, drive, release, ASSISTANT, calibrations.arm, look_around
-        )
+        super().__init__(ASSISTANT, log, arms, record, calibrations.arm, ASSISTANT)
         self.holder: HolderCalibration = holder
-        self._instrument_inside = instrument_inside
+        self._insertion_force_N = insertion_force_N
+        self._around: tuple[Surroundings, JointVector | None] | None = None  # robot frame
         self.inserted: Inserted | None = None  # at the end of the last insertion, if its force was watched
 
     @property
@@ -118,7 +122,67 @@ class Assistant(SupervisedArm):
         return self.history.base
 
     def place_base(self, robot_from_base: Transform, uncertain_mm: float = 0.0) -> None:
-        """Take the base as known. The journal has it before either arm moves: the way out needs it."""
+        """Take the base as known: from now on either arm may move, watched with the other.
+
+        `uncertain_mm` is by how much the arm may be elsewhere.
+        """
+        is_first = not self._arms.placed.is_placed(ASSISTANT)
+        self.record_base(robot_from_base, uncertain_mm)
+        self._arms.place(ASSISTANT, _as_pose(robot_from_base), uncertain_mm)
+        if is_first:  # until its own surroundings are declared
+            known = self._with_own_radii(self._arms.placed.around[MASTER])
+            bare = replace(known, obstacles=(), corridor=None, zone=None, tool=self.tool())
+            self._arms.surround(ASSISTANT, bare)
+        self._allow_contact()
+
+    def surround(self, around: Surroundings, near_rad: JointVector | None = None) -> None:
+        """Set what surrounds the arm, in the robot frame; its tool is its own.
+
+        Clearance is exact near `near_rad`, by default home.
+        """
+        around = self._with_own_radii(around)
+        self._around = around, near_rad
+        self._arms.surround(ASSISTANT, self.surroundings(around, near_rad))
+
+    def _with_own_radii(self, around: Surroundings) -> Surroundings:
+        """Return surroundings for this arm: the radii measured on the master hold for one of its model."""
+        same = self.arm.kinematics.name == self._arms[MASTER].kinematics.name
+        return around if same else replace(around, radii=ARMS_OWN_RADII)
+
+    def shift_room(self, by: Transform, on_cart: Collection[str]) -> None:
+        """Take the base as moved with the room, against a moved cart of the master.
+
+        What surrounds the arm stands to it as before. A later program has the former place, and is told how
+        far the arm may be from it.
+        """
+        if not self._arms.placed.is_placed(ASSISTANT):
+            return
+        before, after = self.base, by @ self.base
+        uncertain_mm = self.history.base_uncertain_mm
+        self.record_base(before, uncertain_mm + math.dist(before.translation_mm, after.translation_mm))
+        self._arms.place(ASSISTANT, _as_pose(after), uncertain_mm + ONE_LOOK_MM)
+
+    def doubt(self, seen_apart_mm: float) -> None:
+        """Keep more distance between the arms: this one was seen elsewhere than its base has it."""
+        if self._arms.placed.is_placed(ASSISTANT):
+            self.place_base(self.base, self.history.base_uncertain_mm + TURNED_CART * seen_apart_mm)
+
+    def follow(self, way_mm: ArrayLike) -> None:
+        """Take the arm for as far away (3,) mm, robot frame, as its frame was seen from its place.
+
+        For the way home only: its cart may have turned as well.
+        """
+        way = np.asarray(way_mm, dtype=float)
+        uncertain_mm = ONE_LOOK_MM + TURNED_SHARE * float(np.linalg.norm(way))
+        self.place_base(self.base.displace(way), self.history.base_uncertain_mm + uncertain_mm)
+        self._surround_again()
+
+    def _surround_again(self) -> None:
+        if self._around is not None:
+            self.surround(*self._around)
+
+    def record_base(self, robot_from_base: Transform, uncertain_mm: float = 0.0) -> None:
+        """Journal the base if it is new, before either arm moves: the way out needs it."""
         known, pose = self._log.history, FramedPose.of(robot_from_base)
         same = known.base is not None and pose == FramedPose.of(known.base)
         if not same or uncertain_mm != known.base_uncertain_mm:
@@ -147,7 +211,7 @@ class Assistant(SupervisedArm):
         They are exact near `near_rad`, by default home; see `CalibratedArm.as_controller_sees`. `tip_mm` as
         for `tool`.
         """
-        to_base = Pose.from_matrix(self.base.inverse().as_matrix().tolist())
+        to_base = _as_pose(self.base.inverse())
         seen = self.calibrated.as_controller_sees(around.moved(to_base), near_rad or self.home_rad)
         return replace(seen, tool=self.tool(tip_mm))
 
@@ -188,17 +252,21 @@ class Assistant(SupervisedArm):
                     return f"{refused.first} at {refused.second}"
         return ""
 
-    def rests_clear(self, joints_rad: JointVector, around: Surroundings, tip_mm: float) -> bool:
-        """Return whether the arm, with an instrument in its holder, keeps its margin where it rests.
+    def rests_clear(self, joints_rad: JointVector, tip_mm: float) -> bool:
+        """Return whether the arm, with such an instrument in its holder, keeps its margin where it rests.
 
         A path is checked leniently where it begins: there, bodies that are too close may stay so.
         """
-        surroundings = self.surroundings(around, joints_rad, tip_mm)
+        assert self._around is not None, "what surrounds the assistant is known first"
+        surroundings = self.surroundings(self._around[0], joints_rad, tip_mm)
         gaps_mm = sweep(Bodies(self.arm.kinematics, surroundings), [joints_rad]).gaps_mm
         return not (gaps_mm < surroundings.margin_mm).any()
 
     def hold_instrument(self, held: HeldInstrument) -> None:
-        """Take an instrument as held. The journal has it before anybody is asked to put it in."""
+        """Take an instrument as held, which may come close to the guide from now on.
+
+        The journal has it before anybody is asked to put it in.
+        """
         self._log.write(
             Entry.HELD,
             trajectory=held.trajectory,
@@ -206,11 +274,27 @@ class Assistant(SupervisedArm):
             tip_mm=held.tip_mm,
             at_bore=list(held.at_bore),
         )
+        self._take_into_account()
 
     def release_instrument(self) -> None:
-        """Take the holder as empty, once that is confirmed."""
+        """Take the holder as empty, once that is confirmed; the arm keeps its distance again."""
         if (held := self.history.held) is not None:
             self._log.write(Entry.HELD, trajectory=held.trajectory, held=False)
+            self._take_into_account()
+
+    def doubt_tool(self) -> None:
+        """Do nothing: the holder is not changed during a case."""
+
+    def _take_into_account(self) -> None:
+        self._allow_contact()
+        self._surround_again()
+
+    def _allow_contact(self) -> None:
+        """Let the instrument in the holder come close to the guide, and nothing without one."""
+        held = self.history.held
+        self._arms.placed.allow_contact(
+            MASTER, ASSISTANT, *((), ()) if held is None else (held.at_bore, AT_GUIDE)
+        )
 
     def tool(self, tip_mm: float | None = None) -> tuple[Part, ...]:
         """Return the bodies of the holder and of the instrument in it, flange frame.
@@ -295,6 +379,23 @@ class Assistant(SupervisedArm):
         self.supervised.confirm(Topic.RETREAT, subject, [motion], motion.trajectory)
         self.withdraw(guided)
 
+    @property
+    def insertion_limit_N(self) -> float | None:
+        """Force on the instrument that stops its insertion; None if the arm senses none."""
+        return self._insertion_force_N if self.senses_force else None
+
+    def _drive_leg(self, leg: Motion, motion: PlannedMotion) -> ArmReading:
+        if motion.axis is None:
+            return self._arms.move(ASSISTANT, leg)
+        if self.has_passed(leg, motion):
+            return self._arm.read_state()
+        limit_N = self.insertion_limit_N
+        if limit_N is not None and (insertion := self.force_limited(leg, motion, limit_N)):
+            inserted = self._arms.insert(ASSISTANT, insertion)
+            self.note_inserted(inserted)
+            return inserted.reading
+        return self._arms.move(ASSISTANT, leg, with_instrument=True)
+
     def has_passed(self, leg: Motion, motion: PlannedMotion) -> bool:
         """Return whether the instrument is beyond a leg of its way, as when it was stopped on a later one.
 
@@ -349,5 +450,5 @@ class Assistant(SupervisedArm):
                 f"{motion.what}: the assistant holds an instrument at the guide",
                 expected=f"a retreat along {on.trajectory}",
             )
-        if (inside := self._instrument_inside()) is not None:
+        if (inside := self._arms.instrument_inside()) is not None:
             raise InstrumentInGuide(f"{motion.what}: an instrument is in the guide, and in {inside}")

@@ -47,14 +47,14 @@ class BallWatcher:
         """Go to the first look and search in a spiral until the ball is in view. Raises STE-009."""
 
         def settle(pose: Transform) -> None:
-            self._settle(self.workcell.joints_at(pose, self.workcell.home_rad))
+            self._settle(self.workcell.master.joints_at(pose, self.workcell.master.home_rad))
 
         settle(first.pose)
-        poses = search_poses(first.pose, settle, self.workcell.arm)
+        poses = search_poses(first.pose, settle, self.workcell.master.arm)
         while True:
             seen = self.workcell.look()
             if seen.point is not None:
-                self.ball_mm = self.workcell.tool_pose().apply(seen.point.position_mm)
+                self.ball_mm = self.workcell.master.tool_pose().apply(seen.point.position_mm)
                 return seen
             next(poses)
 
@@ -68,9 +68,9 @@ class BallWatcher:
         pose = move_look(planned, self.ball_mm).pose
 
         def settle() -> None:
-            self._settle(self.workcell.joints_at(pose, self.workcell.joints_rad()), arriving)
+            self._settle(self.workcell.master.joints_at(pose, self.workcell.master.joints_rad()), arriving)
 
-        if (refused := refusal(settle, self.workcell.arm)) is not None:
+        if (refused := refusal(settle, self.workcell.master.arm)) is not None:
             self.rejected[f"{refused.code} ({refused.meaning})"] += 1
             return None
         return self._look_or_none(planned.ball_in_tool_mm)
@@ -98,7 +98,7 @@ class BallWatcher:
     def reaches(self, pose: Transform) -> bool:
         """Return whether the arm can reach a tool pose in its home branch."""
         try:
-            self.workcell.joints_at(pose, self.workcell.home_rad)
+            self.workcell.master.joints_at(pose, self.workcell.master.home_rad)
         except LimitError:
             return False
         return True
@@ -128,8 +128,8 @@ class BallWatcher:
         workcell = self.workcell
         assert seen.left is not None, "a measurement without outlines is rejected"
         assert seen.right is not None, "a measurement without outlines is rejected"
-        joints = workcell.joints_rad()
-        flange = workcell.arm.kinematics.forward(joints)
+        joints = workcell.master.joints_rad()
+        flange = workcell.master.arm.kinematics.forward(joints)
         return Observation(
             joints_rad=joints,
             robot_from_flange=PoseRecord(
@@ -141,7 +141,7 @@ class BallWatcher:
         )
 
     def _settle(self, joints: JointVector, arriving: Sequence[int] = ONE_SIDE) -> None:
-        self.workcell.settle(joints, arriving, allow_detour=True)
+        self.workcell.master.settle(joints, arriving, allow_detour=True)
 
 
 def build_ball_surroundings(

@@ -75,19 +75,19 @@ class Centring:
 
     def back_off(self) -> None:
         """Back off along the tool axis from the pose of the last look."""
-        self.workcell.line_to(self._approach_pose(self.workcell.tool_pose()))
+        self.workcell.master.line_to(self._approach_pose(self.workcell.master.tool_pose()))
 
     def _centre_on(self, fiducial: int, expected: Transform, near: JointVector) -> CentredSphere:
         workcell = self.workcell
-        workcell.go(workcell.joints_at(self._approach_pose(expected), near))
-        workcell.line_to(expected)
+        workcell.master.go(workcell.master.joints_at(self._approach_pose(expected), near))
+        workcell.master.line_to(expected)
         self._settle(expected)
         seen, looks = self._first_look(fiducial, expected)
-        exact = ServoSettings.for_arm(repeatability_mm(workcell.arm.kinematics.name))
+        exact = ServoSettings.for_arm(repeatability_mm(workcell.master.arm.kinematics.name))
         servo = ServoState(exact if self.arriving is not None else WITHIN_BACKLASH)
         while True:
-            joints = workcell.joints_rad()
-            pose = workcell.tool_pose(joints, self.arriving)
+            joints = workcell.master.joints_rad()
+            pose = workcell.master.tool_pose(joints, self.arriving)
             if seen.point is None:
                 raise SphereNotFound(f"sphere {fiducial + 1} was lost during the servo", got=seen.reason)
             servo = servo.with_measurement(pose, seen.point.position_mm)
@@ -99,7 +99,7 @@ class Centring:
                 workcell.sensors.read_whole()
                 seen, looks = workcell.look(), looks + 1
         self.on_centred(fiducial)
-        workcell.line_to(self._approach_pose(pose))
+        workcell.master.line_to(self._approach_pose(pose))
         rotation = pose.rotation_matrix
         return CentredSphere(
             fiducial=fiducial,
@@ -127,7 +127,7 @@ class Centring:
         seen, looks = workcell.look(), looks + 1
         # the look with the best reason for a refusal: nearest to the place, or with a sphere
         best_look, pose = seen, expected
-        poses = search_poses(expected, self._settle, workcell.arm)
+        poses = search_poses(expected, self._settle, workcell.master.arm)
         try:
             while seen.point is None:
                 around = next(poses)
@@ -161,8 +161,8 @@ class Centring:
 
     def _settle(self, pose: Transform) -> None:
         """Move to a pose, each joint arriving from its given side if `arriving` is set."""
-        joints_rad = self.workcell.joints_at(pose, self.workcell.joints_rad(), self.arriving)
-        self.workcell.settle(joints_rad, self.arriving)
+        joints_rad = self.workcell.master.joints_at(pose, self.workcell.master.joints_rad(), self.arriving)
+        self.workcell.master.settle(joints_rad, self.arriving)
 
     def _approach_pose(self, pose: Transform) -> Transform:
         return back_along_axis(pose, self.approach_mm)

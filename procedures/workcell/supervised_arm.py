@@ -1,61 +1,60 @@
-"""An arm of the workcell: place and home by the journal, calibrated kinematics, supervised motion.
-
-What holds for one arm holds for each: the workcell's own, which carries the tools, and the assistant.
-"""
+"""An arm of the workcell: place and home by the journal, calibrated kinematics, supervised motion."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Collection
 from dataclasses import replace
 from functools import partial
 
 from procedures.journal.errors import StepRefused
 from procedures.journal.journal import Entry
+from procedures.operator.question import Topic
 from procedures.strategies.strategy import ONE_SIDE, Sides, approach_joints
 from procedures.workcell.arm_history import ArmHistory, ArmLog, ArmPlace, MotionKind, PlaceKind, stands_at
+from procedures.workcell.arm_load import read_axis_loads
+from procedures.workcell.arms import Arms
 from procedures.workcell.device_views import ArmView
 from procedures.workcell.motions import PlannedMotion
 from procedures.workcell.supervised_motion import SupervisedMotion
 from procedures.workcell.tools import calibrated_arm
 from ronna_hw.calibrated_arm.arm import CalibratedArm
 from ronna_hw.calibration import ArmCalibration
-from ronna_hw.config import MASTER
 from ronna_hw.devices import Device, JointMove, Motion, RobotArm
-from ronna_hw.devices.lifecycle import RUNNING
+from ronna_hw.devices.axis_loads import LOAD_CYCLES, AxisLoads
+from ronna_hw.devices.lifecycle import RUNNING, Lifecycle
 from ronna_hw.devices.readings import ArmReading, LinkStatistics
 from ronna_hw.frames import Transform
 from ronna_hw.vectors import JointVector
 
 
 class SupervisedArm(ABC):
-    """One arm, with its history in the journal."""
+    """One arm among those of the theatre, with its history in the journal.
+
+    `name` is that of messages and devices.
+    """
 
     def __init__(
         self,
-        name: str,
+        role: str,
         log: ArmLog,
-        arm: Callable[[], RobotArm],
+        arms: Arms,
         record: ArmCalibration | None,
-        drive: Callable[[Motion, PlannedMotion], ArmReading] | None = None,
-        release: Callable[[str], bool] = lambda _by: False,
-        role: str = MASTER,
-        other: ArmCalibration | None = None,
-        look_around: Callable[[], None] = lambda: None,
+        other: ArmCalibration | None,
+        name: str,
     ) -> None:
-        """Name the arm as messages do; `drive`, `release` and `look_around` as in `SupervisedMotion`.
-
-        `record` is the calibration of the arm, `other` that of the arm in the other role.
-        """
-        self._name, self._log, self._open = name, log, arm
+        """Supervise the arm of a role; `record` is its calibration, `other` that of the arm in the other."""
+        self.role, self.name, self._log, self._arms = role, name, log, arms
         self._calibrated = partial(calibrated_arm, record=record, role=role, other=other)
-        self._computed = self._calibrated(arm().kinematics)
-        self.supervised = SupervisedMotion(log, arm, self._require_allowed, drive, release, look_around)
-
-    @property
-    def name(self) -> str:
-        """Name of the arm, as messages have it."""
-        return self._name
+        self._computed = self._calibrated(self._arm.kinematics)
+        self.supervised = SupervisedMotion(
+            log,
+            lambda: self._arm,
+            self._require_allowed,
+            self._drive_leg,
+            arms.release_held,
+            partial(arms.look_around, role),
+        )
 
     @property
     @abstractmethod
@@ -66,6 +65,10 @@ class SupervisedArm(ABC):
     def _require_allowed(self, motion: PlannedMotion) -> None:
         """Raise the reason against a motion, if there is one."""
 
+    def _drive_leg(self, leg: Motion, motion: PlannedMotion) -> ArmReading:
+        """Make one leg of a motion, while the other arms rest."""
+        return self._arms.move(self.role, leg)
+
     @property
     def arm(self) -> ArmView:
         """Arm without the methods that move it."""
@@ -73,7 +76,7 @@ class SupervisedArm(ABC):
 
     @property
     def _arm(self) -> RobotArm:
-        return self._open()
+        return self._arms[self.role]
 
     @property
     def calibrated(self) -> CalibratedArm:
@@ -116,7 +119,7 @@ class SupervisedArm(ABC):
     def home_rad(self) -> JointVector:
         """Joint angles at set-up, rad. Raises PRO-001 before set-up."""
         if self._log.home_rad is None:
-            raise StepRefused(f"the {self._name} has no home position yet", action="Run set_up first.")
+            raise StepRefused(f"the {self.name} has no home position yet", action="Run set_up first.")
         return self._log.home_rad
 
     @property
@@ -165,6 +168,23 @@ class SupervisedArm(ABC):
             self.supervised.ended = None
             self._log.note(Entry.PLACED, joints_rad=list(joints_rad), at_home=at_home)
 
+    def rests_apart(self, joints_rad: JointVector) -> bool:
+        """Return whether the arm, at these joints, would keep its distance from the others at rest."""
+        return self._arms.rests_apart(self.role, joints_rad)
+
+    def read_load(self, cycles: int = LOAD_CYCLES) -> AxisLoads | None:
+        """Average the controller's signals of the load since the arm rests; None if its driver has none.
+
+        For an estimate see `arm_load.as_standstill`. Raises the arm's error if it does not rest.
+        """
+        return read_axis_loads(self._arm, cycles, since_rest=True)
+
+    def hold(self) -> None:
+        """Hold still, supervised by the link, until the next motion."""
+        if self._arm.state is Lifecycle.ACTIVE:
+            self._arm.stop()
+            self.supervised.note_hold()
+
     def drives(self, device: Device) -> bool:
         """Return whether this is the arm that the device moves."""
         return device is self._arm
@@ -173,6 +193,14 @@ class SupervisedArm(ABC):
         """Allow for somebody having jogged the arm: it has to settle anew, and to be confirmed anew."""
         self.supervised.ended = None
         self.supervised.reset_confirmation()
+
+    @abstractmethod
+    def doubt_tool(self) -> None:
+        """Take the tool for unknown after a fault, if the arm carries tools."""
+
+    @abstractmethod
+    def shift_room(self, by: Transform, on_cart: Collection[str]) -> None:
+        """Follow the room as it moves against a moved cart of the master, which carries bodies by name."""
 
     # Motion home
 
@@ -192,6 +220,11 @@ class SupervisedArm(ABC):
         trail = reversed(self.history.trail)
         back = tuple(self.joint_motion(MotionKind.BACK, JointMove(joints_rad)) for joints_rad in trail)
         return replace(home, replacement=back and (*back, home), detour="back the way the arm came")
+
+    def park(self, subject: str = "park the arm") -> ArmReading:
+        """Return home once the operator has confirmed it. Raises PRO-002."""
+        self.supervised.confirm(Topic.PARK, subject, [self.return_motion()])
+        return self.return_home()
 
     def go_home(self) -> ArmReading:
         """Move home, each joint arriving from the same side so that small changes show there."""

@@ -56,19 +56,19 @@ class SupervisedMotion:
         log: ArmLog,
         arm: Callable[[], RobotArm],
         require_allowed: Callable[[PlannedMotion], None],
-        drive: Callable[[Motion, PlannedMotion], ArmReading] | None = None,
-        release: Callable[[str], bool] = lambda _by: False,
-        look_around: Callable[[], None] = lambda: None,
+        drive_leg: Callable[[Motion, PlannedMotion], ArmReading],
+        release_held: Callable[[str], bool],
+        look_around: Callable[[], None],
     ) -> None:
         """Supervise `arm`, opened on first use; `require_allowed` raises if a motion must not be made now.
 
-        `drive` makes a leg of a motion, by default with the arm alone. `release` ends a halt of two arms that
-        were only held, and returns whether it did. `look_around` surrounds the arm with what may have moved
-        since, before its motions are previewed.
+        `drive_leg` makes a leg of a motion. `release_held` ends a halt of arms that were only held, and
+        returns whether it did. `look_around` surrounds the arm with what may have moved since, before its
+        motions are previewed.
         """
         self._look_around = look_around
-        self._drive_leg = drive or (lambda leg, _motion: leg.drive(arm()))
-        self._release = release
+        self._drive_leg = drive_leg
+        self._release_held = release_held
         self._log = log
         self._arm = arm
         self._require_allowed = require_allowed
@@ -227,7 +227,7 @@ class SupervisedMotion:
                 continue
             except BothArmsHalted:
                 self._confirmed = False
-                if not self._release(OPERATOR):  # a fault, which a named person acknowledges
+                if not self._release_held(OPERATOR):  # a fault, which a named person acknowledges
                     raise
                 checkpoint.rest_after_stop(named, REPLANNED)
                 continue

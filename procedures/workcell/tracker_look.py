@@ -37,13 +37,13 @@ MOST_LOST_READINGS = 20  # a quarter of all: beyond it the line needs a person
 
 def robot_from_marker(workcell: Workcell, joints_rad: JointVector, arrived: Sides = None) -> Transform:
     """Return the reference frame's pose ROBOT <- MARKER at these joints; see `Sides`."""
-    return workcell.flange_pose(joints_rad, arrived) @ flange_from_marker(workcell)
+    return workcell.master.flange_pose(joints_rad, arrived) @ flange_from_marker(workcell)
 
 
 def flange_from_marker(workcell: Workcell) -> Transform:
     """Return the reference frame's place on the arm, FLANGE <- MARKER."""
     frame = workcell.calibrations.tracker_frame.tool_from_marker.transform(Frame.TOOL, Frame.MARKER)
-    return workcell.flange_from(MountedTool.STEREO_HEAD) @ frame
+    return workcell.master.flange_from(MountedTool.STEREO_HEAD) @ frame
 
 
 def read_frames_at_rest(
@@ -121,7 +121,6 @@ def see_both_arms(workcell: Workcell, frames: list[TrackerFrame]) -> tuple[Trans
 
     Raises `FrameHidden` for one that is in less than half of the frames.
     """
-    assert workcell.assistant is not None
     names = workcell.calibrations.tracker_frame.tool, workcell.assistant.holder.frame
     on_master, on_assistant = (mean_pose(frames, name, max(1, len(frames) // 2)) for name in names)
     if on_master is None or on_assistant is None:

@@ -101,14 +101,9 @@ CONTROLLERS: dict[str, ArmController] = {
 }
 
 
-def arms_of(scene: Scene) -> dict[ArmRole, ArmTruth]:
-    """Return the arms of a scene by role."""
-    return {role: scene.arm_of(role) for role in ArmRole if role is ArmRole.MASTER or scene.assistant}
-
-
 def check_cycle(scene: Scene, cycle_ms: int | None) -> None:
     """Raise SIM-010 for a cycle that the controller of an arm in the scene does not have."""
-    for role, arm in arms_of(scene).items():
+    for role, arm in scene.arms.items():
         if cycle_ms is not None and cycle_ms not in CONTROLLERS[arm.variant].cycles_ms:
             raise BadDeviceParameter(
                 f"the {role} is a {arm.variant}, whose cycle cannot be chosen",

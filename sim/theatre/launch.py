@@ -20,7 +20,7 @@ from sim.errors import BadCalibrationFile, BadDeviceParameter, BadSavedWorld
 from sim.kuka.pendant import PENDANT_PREFIX
 from sim.polaris.unit.behaviour import parse_behaviour
 from sim.polaris.unit.tool_definition import write_definition
-from sim.theatre.arm_controllers import CONTROLLERS, arms_of, device_name
+from sim.theatre.arm_controllers import CONTROLLERS, device_name
 from sim.theatre.theatre_file import (
     NO_RECORDS,
     identity_of,
@@ -29,7 +29,7 @@ from sim.theatre.theatre_file import (
     write_theatre_file,
 )
 from sim.world.control_port import ControlPort, Room
-from sim.world.options import ArmRole
+from sim.world.options import OTHER_ARMS, ArmRole
 from sim.world.saved_world import SavedWorld, save_world
 from sim.world.scene.model import Scene
 from sim.world.truth import SCENE_FILE
@@ -164,8 +164,7 @@ class Theatre:
             device_name(scene, ArmRole.MASTER): robot(ArmRole.MASTER),
             "basler": ("basler", *world),
         }
-        if scene.assistant is not None:
-            commands[device_name(scene, ArmRole.ASSISTANT)] = robot(ArmRole.ASSISTANT)
+        commands |= {device_name(scene, role): robot(role) for role in OTHER_ARMS if role in scene.arms}
         self._children = [
             ChildProcess(
                 f"ronna-sim {name}",
@@ -233,7 +232,7 @@ def parameters_by_device(settings: Sequence[str], scene: Scene) -> dict[str, tup
     `robot` is the master. Raises SIM-010 for a device without parameters, PSU-001 or the error of the arm's
     controller for an unknown parameter.
     """
-    arms = arms_of(scene)
+    arms = scene.arms
     names = {TRACKER: POLARIS, **{_option_name(role): device_name(scene, role) for role in arms}}
     found: dict[str, tuple[str, ...]] = {}
     for setting in settings:

@@ -247,7 +247,7 @@ def _arm_record(
     values = arm_values(arm, residual, noise(scene.seed, "arm calibration", 1), stated)
     scatter_mm = max(arm.repeatability_mm, LEAST_SCATTER_MM)
     values |= {"arm_error_mm": CALIBRATED_ARM_ERROR_MM, "tool_error_mm": _credible_mm(residual.tool_mm)}
-    if scene.assistant is not None:  # two arms may be of one model: their records must not be exchanged
+    if len(scene.arms) > 1:  # they may be of one model: their records must not be exchanged
         values["serial"] = CONTROLLERS[arm.variant].serial(ArmRole.MASTER, parameters)
     return {"arm": record("arm", STATED_ERROR_MM, arm=arm.variant, scatter_mm=scatter_mm, **values)}
 

@@ -46,3 +46,6 @@ class ArmRole(StrEnum):
     def number(self) -> int:
         """Number from 0, also that of its cycles in the clock."""
         return tuple(ArmRole).index(self)
+
+
+OTHER_ARMS = tuple(role for role in ArmRole if role is not ArmRole.MASTER)

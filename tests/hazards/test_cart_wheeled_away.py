@@ -68,13 +68,13 @@ def test_head_and_spheres_are_expected_where_they_are_against_the_moved_cart(tmp
     cell = ClinicalCell(tmp_path)
     engine = watched(cell)
     positioned(engine)
-    before = cell.workcell.surroundings
+    before = cell.workcell.master.surroundings
     assert before is not None
     leave_by(cell, AWAY_MM)
     cell.arm.state = Lifecycle.ACTIVE
     with pytest.raises(BaseShifted), engine.checkpoint.watching("the next motion", MotionKind.GO):
         eventually(lambda: cell.arm.stops > 0)
-    after = cell.workcell.surroundings
+    after = cell.workcell.master.surroundings
     assert after is not None
     ways = {
         one.name: np.subtract(other.capsule.start_mm, one.capsule.start_mm)
@@ -130,7 +130,7 @@ def test_with_an_instrument_inside_nobody_is_asked_and_nothing_moves(tmp_path: P
     engine = watched(cell)
     engine.goes_on = MovedCart(engine).continues_by_consent
     positioned(engine)
-    cell.workcell.instrument.record_insertion(FIRST)
+    cell.workcell.master.instrument.record_insertion(FIRST)
     motions = list(cell.arm.motions)
     assert not engine.goes_on(BaseShifted("the cart of the robot was moved by 72.11 mm"))
     assert Topic.CART_MOVED not in [question.topic for question in cell.operator.asked]

@@ -148,7 +148,7 @@ def test_a_plan_that_changes_during_an_approach_is_detected_before_the_next_moti
         engine.run_step(engine.order.find(POSITIONING))
     assert motions(cell) == ["joints"]
     engine.retreat_home()
-    assert engine.setting.workcell.place.is_home
+    assert engine.setting.workcell.master.place.is_home
 
 
 @pytest.mark.hazard(1)

@@ -157,7 +157,7 @@ def test_the_guide_goes_to_where_the_head_is_now_and_a_second_move_is_detected(t
     run(engine, NAME)
     engine.setting.memory.clear()  # as after a restart
     run(engine, f"positioning:{FIRST}")
-    tip_mm = cell.workcell.tool_pose().translation_mm
+    tip_mm = cell.workcell.master.tool_pose().translation_mm
     target_mm = ROBOT_FROM_CT.apply(checked_plan().trajectory(FIRST).target_mm)
     assert np.linalg.norm(tip_mm - target_mm) > 1.0
     again = ClinicalCell(tmp_path / "again")

@@ -191,7 +191,7 @@ def test_a_head_that_moves_with_its_clamp_during_a_motion_is_never_followed(
 def restarted(cell: ClinicalCell, engine: Engine) -> None:
     """As after a restart of the program, which has all from the journal."""
     engine.setting.memory.clear()
-    cell.workcell.restore_history(arm_history(read_journal(cell.folder / JOURNAL_FILE)))
+    cell.workcell.master.restore_history(arm_history(read_journal(cell.folder / JOURNAL_FILE)))
 
 
 def compared(engine: Engine) -> tuple[bool, Comparison]:

@@ -320,7 +320,7 @@ def test_a_jogged_arm_goes_home_and_no_further_while_the_head_is_hidden(tmp_path
     with pytest.raises(PatientUnseen, match="PRO-022"):
         engine.run_to()
     assert [kind for kind, _ in cell.arm.motions] == ["joints", "joints"]  # home
-    assert cell.workcell.place.is_home
+    assert cell.workcell.master.place.is_home
 
 
 @pytest.mark.hazard(13)

@@ -81,7 +81,7 @@ def test_a_head_covered_during_a_motion_stops_the_arm_and_suspends_the_case(tmp_
     assert ("rested", "") in cell.entries("rested")
     assert engine.machine.state == "held"
     engine.retreat_home()  # the way out is not held up
-    assert cell.workcell.place.is_home
+    assert cell.workcell.master.place.is_home
 
 
 def test_the_operator_may_continue_without_sight_and_the_motion_is_confirmed_again(tmp_path: Path) -> None:

@@ -77,7 +77,7 @@ def test_a_head_that_moves_during_a_motion_stops_the_arm_and_voids_the_registrat
     ]
     assert engine.machine.state == "held"
     engine.retreat_home()  # not stopped by the same shift
-    assert cell.workcell.place.is_home
+    assert cell.workcell.master.place.is_home
 
 
 def test_a_shift_in_the_first_frame_stops_the_arm_before_the_motion_begins(
@@ -170,7 +170,7 @@ def test_a_head_that_moves_while_the_surgeon_works_is_reported_at_once(tmp_path:
     with pytest.raises(PatientMoved, match=f"the hold at {FIRST}"):
         engine.run_step(engine.order.find(f"at_target:{FIRST}"))
     assert all(
-        cell.workcell.instrument.stages.tasks_at(FIRST).values()
+        cell.workcell.master.instrument.stages.tasks_at(FIRST).values()
     )  # what was confirmed meanwhile is done
 
 
@@ -337,7 +337,7 @@ def test_at_home_the_stereo_head_is_mounted_again_and_the_case_starts_with_the_t
     engine.run_to()
     assert cell.room.changed == [(STEREO_HEAD, Lifecycle.CONFIGURED, home)]
     assert cell.operator.asked[-1].value == f"the stereo head, tool {STEREO_HEAD}"
-    assert cell.workcell.tool is MountedTool.STEREO_HEAD
+    assert cell.workcell.master.tool is MountedTool.STEREO_HEAD
     assert engine.upcoming is None
 
 

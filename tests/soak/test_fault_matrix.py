@@ -17,7 +17,7 @@ from single_faults import DONE, SCENES, Cell, cells, noticed_by_device, stops
 from user_commands import Commands
 
 from procedures.journal.journal import JOURNAL_FILE, Entry, Line, read_journal
-from procedures.workcell.arm_pair import HALTED
+from procedures.workcell.arms import HALTED
 from ronna_hw.log_output import LOG_FILE
 from sim.world.scene.named_scenes import draw_scene
 

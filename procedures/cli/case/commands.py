@@ -87,7 +87,7 @@ def carry_out(engine: Engine, order: Order, say: Say, by: str = "") -> None:
             _resume(engine, say)
         case Home():
             engine.retreat_home()
-            say("the arm is parked" if engine.setting.workcell.assistant is None else "both arms are parked")
+            say("both arms are parked" if len(engine.setting.workcell.arms) > 1 else "the arm is parked")
         case Acknowledge():
             _acknowledge(engine, by, say)
         case Abort():

@@ -29,9 +29,9 @@ from procedures.journal.journal import ENDS_OF_A_STEP, Entry, Journal, Line
 from procedures.journal.results import StepResult
 from procedures.workcell import Workcell
 from procedures.workcell.arm_history import ArmHistory, arm_history
-from procedures.workcell.arm_pair import ReplayedPair
+from procedures.workcell.arms import ReplayedArms
 from ronna_hw.clock import Clock
-from ronna_hw.config import ASSISTANT, Calibrations, DeviceConfig, TheatreFile
+from ronna_hw.config import MASTER, Calibrations, DeviceConfig, TheatreFile
 from ronna_hw.devices.lifecycle import Device, Lifecycle
 from ronna_hw.errors import RonnaError
 from ronna_hw.records import Record
@@ -158,12 +158,12 @@ class _RecordedStops:
 
     def unmet(self) -> None:
         asked_of = self._operator.find_first_to_move(self._motions() - self._before)
-        for arm in self._workcell.supervised_arms:
+        for arm in self._workcell.arms.values():
             if arm.history.arm == asked_of:
                 arm.supervised.reset_confirmation()
 
     def _motions(self) -> int:
-        return sum(arm.history.motions for arm in self._workcell.supervised_arms)
+        return sum(arm.history.motions for arm in self._workcell.arms.values())
 
 
 class _Replay:
@@ -182,15 +182,15 @@ class _Replay:
         self._theatre = theatre = Theatre(replay_input.theatre, clock, make)
         journal = Journal(folder)
         began = datetime.fromisoformat(str(run.opened["host_time"]))
-        is_dual = replay_input.clinical is not None and replay_input.clinical.dual
+        roles = (MASTER,) if replay_input.clinical is None else replay_input.clinical.roles
         setting = CaseSetting(
             workcell=Workcell(
                 theatre,
                 journal,
                 calibrations=replay_input.calibrations,
                 calibrating=replay_input.calibrations is not None,
-                assistant=ArmHistory(ASSISTANT) if is_dual else None,
-                pair=ReplayedPair,
+                histories={role: ArmHistory(role) for role in roles},
+                make_arms=ReplayedArms,
             ),
             clock=clock,
             operator=self._operator,
@@ -215,9 +215,8 @@ class _Replay:
             self._answers.begin(begin)
             # A step that was killed is not run here, and one that a guard ended may go farther than it did.
             workcell, before = self._engine.setting.workcell, self._run.journal[:begin]
-            workcell.restore_history(arm_history(before))
-            if workcell.assistant is not None:
-                workcell.assistant.restore_history(arm_history(before, ASSISTANT))
+            for role, arm in workcell.arms.items():
+                arm.restore_history(arm_history(before, role))
             self._operator.begin(following)
             self._stops.begin()
             self._room.begin([one for one in following if one["entry"] == Entry.WORK])

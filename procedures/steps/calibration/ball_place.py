@@ -72,7 +72,7 @@ def run(context: StepContext) -> Outcome[BallPlace]:
     isolated_balls = find_isolated(points)
     if not isolated_balls:
         raise NoBall("the tracker sees no isolated ball", got=f"{len(points)} stray spheres")
-    head_mm = context.workcell.tool_pose().translation_mm
+    head_mm = context.workcell.master.tool_pose().translation_mm
     chosen = min(isolated_balls, key=lambda number: float(np.linalg.norm(points[number] - head_mm)))
     place = BallPlace.among(points, chosen)
     x, y, z = place.ball_mm
@@ -128,8 +128,10 @@ def bring_over_ball(
         f"The arm will move around the ball: {purpose}. Nobody and nothing else may be within its reach",
         f"ball at {x:.0f} {y:.0f} {z:.0f} mm in $ROBROOT",
     )
-    tool = workcell.flange_from(MountedTool.STEREO_HEAD)
-    workcell.surround(build_ball_surroundings(context.setting.surroundings, tool, ball_mm, place.others_mm))
+    tool = workcell.master.flange_from(MountedTool.STEREO_HEAD)
+    workcell.master.surround(
+        build_ball_surroundings(context.setting.surroundings, tool, ball_mm, place.others_mm)
+    )
     workcell.start(cameras=True)
     workcell.sensors.read_whole()
     try:
@@ -147,7 +149,7 @@ def bring_over_ball(
 def return_home_if_clear(context: StepContext) -> list[str]:
     """Go home if the path is clear; otherwise stay and return a remark."""
     try:
-        context.workcell.go_home()
+        context.workcell.master.go_home()
     except NotClear as error:  # raised before anything moved
         return [f"the arm stays where it is: {error.what}"]
     return []
@@ -156,6 +158,6 @@ def return_home_if_clear(context: StepContext) -> list[str]:
 def reachable_joints(workcell: Workcell, look: PlannedLook) -> JointVector | None:
     """Return the joints for a planned look in the arm's home branch, or None if out of reach."""
     try:
-        return workcell.joints_at(look.pose, workcell.home_rad)
+        return workcell.master.joints_at(look.pose, workcell.master.home_rad)
     except LimitError:
         return None

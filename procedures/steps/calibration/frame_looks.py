@@ -64,19 +64,19 @@ def _turn_frame(context: StepContext, count: int, validation: int) -> Outcome[Ob
         "poses. Nobody and nothing else may be within its reach",
         f"{total} poses",
     )
-    surroundings, tool = context.setting.surroundings, workcell.flange_from(MountedTool.STEREO_HEAD)
-    workcell.surround(build_free_surroundings(surroundings, tool, surroundings.stereo_head))
+    surroundings, tool = context.setting.surroundings, workcell.master.flange_from(MountedTool.STEREO_HEAD)
+    workcell.master.surround(build_free_surroundings(surroundings, tool, surroundings.stereo_head))
     workcell.start()
     turning = _FrameRotation(context)
-    turning.look_at(workcell.home_rad, Use.RETURN)
+    turning.look_at(workcell.master.home_rad, Use.RETURN)
     for number, joints in enumerate(plan):
         if turning.taken == total:
             break
         turning.look_at(joints, uses[turning.taken])
         if number % RETURN_AFTER == RETURN_AFTER - 1:
-            turning.look_at(workcell.home_rad, Use.RETURN)
+            turning.look_at(workcell.master.home_rad, Use.RETURN)
         context.progress(turning.taken / total, "rotating the reference frame")
-    turning.look_at(workcell.home_rad, Use.RETURN)
+    turning.look_at(workcell.master.home_rad, Use.RETURN)
     if turning.taken < LEAST_LOOKS:
         raise TooFewPoses(
             "too few poses show the reference frame",
@@ -86,7 +86,7 @@ def _turn_frame(context: StepContext, count: int, validation: int) -> Outcome[Ob
         )
     observed = FrameLooks(
         created=context.setting.began,
-        arm=workcell.arm.kinematics.name,
+        arm=workcell.master.arm.kinematics.name,
         stereo_head=calibrations.stereo_head,
         start=calibrations.tracker_frame,
         arm_record=calibrations.arm,
@@ -101,9 +101,9 @@ def _turn_frame(context: StepContext, count: int, validation: int) -> Outcome[Ob
 
 
 def _reachable_turns(workcell: Workcell, wanted: int) -> Sequence[JointVector]:
-    head = workcell.flange_from(MountedTool.STEREO_HEAD)
+    head = workcell.master.flange_from(MountedTool.STEREO_HEAD)
     frame = workcell.calibrations.tracker_frame.tool_from_marker.transform(Frame.TOOL, Frame.MARKER)
-    reference = workcell.flange_pose(workcell.home_rad) @ head
+    reference = workcell.master.flange_pose(workcell.master.home_rad) @ head
     planned = frame_poses(reference, frame, round(SPARE * wanted))
     reached = [joints for look in planned if (joints := reachable_joints(workcell, look)) is not None]
     if len(reached) < wanted:
@@ -138,9 +138,9 @@ class _FrameRotation:
         """Take a look from a pose, approached from the usual side; count an unusable pose as rejected."""
         workcell = self.context.workcell
         try:
-            workcell.settle(joints, ONE_SIDE, allow_detour=True)
+            workcell.master.settle(joints, ONE_SIDE, allow_detour=True)
         except (LimitError, NotClear) as error:
-            if workcell.arm.observe().state is not Lifecycle.ACTIVE:
+            if workcell.master.arm.observe().state is not Lifecycle.ACTIVE:
                 raise  # tripped, not refused before it began
             self.rejected[error.code] += 1
             return
@@ -153,12 +153,12 @@ class _FrameRotation:
                 raise  # from home, the frame must be in view
             self.rejected[error.what.partition(" is in ")[0] + " not in view"] += 1
             return
-        measured = workcell.joints_rad()
+        measured = workcell.master.joints_rad()
         self.looks.append(
             FrameLook(
                 use=use,
                 joints_rad=measured,
-                robot_from_flange=pose_record(workcell.flange_pose(measured)),
+                robot_from_flange=pose_record(workcell.master.flange_pose(measured)),
                 tracker_from_marker=pose_record(seen),
                 frames=len(frames),
             )

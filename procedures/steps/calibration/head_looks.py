@@ -66,7 +66,7 @@ def run_over_ball(context: StepContext) -> Outcome[BallMeasurement]:
     context.result(CheckedSetUp)
     bring_over_ball(context, context.result(BallPlace), "one measurement", 0)
     seen = context.workcell.look()
-    context.workcell.go_home()
+    context.workcell.master.go_home()
     return _keep_look(context, seen)
 
 
@@ -139,7 +139,7 @@ def _observe_ball(context: StepContext, poses: int, visits: int) -> Outcome[Obse
     observed = ObservationSet(
         created=context.setting.began,
         serials=workcell.stereo.serials,
-        arm_variant=workcell.arm.kinematics.name,
+        arm_variant=workcell.master.arm.kinematics.name,
         start=calibrations.stereo_head,
         tool_tip=calibrations.tool_tip,
         observations=tuple(seen),
@@ -198,7 +198,7 @@ def _visit_baseline(context: StepContext, baseline: Baseline, visits: int) -> Ou
     in_use = workcell.calibrations.stereo_head
     _require_same_cameras(in_use, head)
     in_use.check_valid_at(context.setting.today())
-    arm = workcell.arm.kinematics.name
+    arm = workcell.master.arm.kinematics.name
     if baseline.arm_variant != arm:
         raise GateFailed("the baseline is from another arm", expected=baseline.arm_variant, got=arm)
     context.confirm(
@@ -211,8 +211,8 @@ def _visit_baseline(context: StepContext, baseline: Baseline, visits: int) -> Ou
         for orientation in baseline.orientations
     ]
     watcher = BallWatcher(workcell, baseline.ball_mm)
-    tool = workcell.flange_from(MountedTool.STEREO_HEAD)
-    workcell.surround(build_ball_surroundings(context.setting.surroundings, tool, watcher.ball_mm))
+    tool = workcell.master.flange_from(MountedTool.STEREO_HEAD)
+    workcell.master.surround(build_ball_surroundings(context.setting.surroundings, tool, watcher.ball_mm))
     workcell.start(cameras=True)
     workcell.sensors.read_whole()
     seen = []
@@ -223,7 +223,7 @@ def _visit_baseline(context: StepContext, baseline: Baseline, visits: int) -> Ou
                 seen.append(found)
             done = visit * len(first) + number + 1
             context.progress(done / (visits * len(first)), "measuring the ball")
-    workcell.go_home()
+    workcell.master.go_home()
     if watcher.last is not None:
         context.keep_picture(BALL_PICTURE, pair_picture(watcher.last))
     if not seen:

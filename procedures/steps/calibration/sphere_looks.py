@@ -78,7 +78,9 @@ def _measure_spheres(context: StepContext, count: int, validation: int) -> Outco
     remarks: list[str] = []
     places = _select_places(context.result(GlobalLocalization).points_mm, workcell, remarks)
     head = workcell.calibrations.stereo_head
-    model = ArmModel(workcell.arm.kinematics, head.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL))
+    model = ArmModel(
+        workcell.master.arm.kinematics, head.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
+    )
     plan = _plan_looks(model, places, workcell, count, validation)
     planned = {one.look.sphere for one in plan}
     remarks += [
@@ -101,7 +103,7 @@ def _measure_spheres(context: StepContext, count: int, validation: int) -> Outco
     remarks += return_home_if_clear(context)
     observed = ArmLooks(
         created=context.setting.began,
-        arm=workcell.arm.kinematics.name,
+        arm=workcell.master.arm.kinematics.name,
         arm_serial=set_up.identities["arm"].serial,
         serials=workcell.stereo.serials,
         stereo_head=head,
@@ -151,8 +153,8 @@ def _look_at_sphere(
 ) -> list[SphereLook]:
     workcell = context.workcell
     watcher = BallWatcher(workcell, np.array(place.ball_mm))
-    tool = workcell.flange_from(MountedTool.STEREO_HEAD)
-    workcell.surround(
+    tool = workcell.master.flange_from(MountedTool.STEREO_HEAD)
+    workcell.master.surround(
         build_ball_surroundings(context.setting.surroundings, tool, watcher.ball_mm, place.others_mm)
     )
     workcell.start(cameras=True)
@@ -160,7 +162,7 @@ def _look_at_sphere(
     try:
         context.keep_picture(BALL_PICTURE, pair_picture(watcher.find(place.first_look)))
     except (LimitError, SphereNotInView) as error:
-        if workcell.arm.observe().state is not Lifecycle.ACTIVE:
+        if workcell.master.arm.observe().state is not Lifecycle.ACTIVE:
             raise  # tripped, not refused before it began
         remarks.append(f"{_describe_place(place)} was left out: {error.what}")
         return []
@@ -173,7 +175,7 @@ def _look_at_sphere(
             seen.append(
                 planned.model_copy(
                     update={
-                        "joints_rad": workcell.joints_rad(),
+                        "joints_rad": workcell.master.joints_rad(),
                         "point_mm": tuple(look.point.position_mm.tolist()),
                         "covariance_mm2": tuple(map(tuple, look.point.covariance_mm2.tolist())),
                     }
@@ -216,7 +218,7 @@ def _select_places(
     isolated_spheres = find_isolated(points_mm)
     if not isolated_spheres:
         raise NoBall("the tracker sees no isolated sphere", got=f"{len(points_mm)} stray spheres")
-    head_mm = workcell.tool_pose().translation_mm
+    head_mm = workcell.master.tool_pose().translation_mm
     near = sorted(isolated_spheres, key=lambda number: float(np.linalg.norm(points_mm[number] - head_mm)))
     places = [BallPlace.among(points_mm, number) for number in near]
     reached = [place for place in places if reachable_joints(workcell, place.first_look) is not None]

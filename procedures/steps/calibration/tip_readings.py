@@ -90,16 +90,16 @@ def _measure_stand(context: StepContext, count: int) -> Outcome[ObservedStand]:
         context.progress((len(looks) + is_seen) / count, f"{len(looks) + is_seen} of {count} measurements")
         if seen is None or seen.point is None:
             continue
-        joints = workcell.joints_rad()
+        joints = workcell.master.joints_rad()
         x, y, z = seen.point.position_mm.tolist()
         looks.append(
             BallLook(
                 joints_rad=joints,
-                robot_from_flange=pose_record(workcell.flange_pose(joints)),
+                robot_from_flange=pose_record(workcell.master.flange_pose(joints)),
                 ball_mm=(x, y, z),
             )
         )
-    workcell.go_home()
+    workcell.master.go_home()
     if len(looks) < count:
         raise TooFewPoses(
             "too few poses show the stand's ball",
@@ -175,8 +175,8 @@ def _read_divot(context: StepContext, validation: int) -> Outcome[TipReadings]:
         "moved, and nobody and nothing else is within the arm's reach",
         f"{len(stand.looks)} orientations",
     )
-    surroundings, guide = context.setting.surroundings, workcell.flange_from(MountedTool.GUIDE)
-    workcell.surround(
+    surroundings, guide = context.setting.surroundings, workcell.master.flange_from(MountedTool.GUIDE)
+    workcell.master.surround(
         build_free_surroundings(surroundings, guide, surroundings.guide, build_stand(place.ball_mm))
     )
     workcell.start()
@@ -184,7 +184,7 @@ def _read_divot(context: StepContext, validation: int) -> Outcome[TipReadings]:
     for look in range(len(stand.looks)):
         reading.take(look)
         context.progress((look + 1) / len(stand.looks), f"{look + 1} of {len(stand.looks)} dial readings")
-    workcell.go_home()
+    workcell.master.go_home()
     return Outcome(TipReadings(observed=reading.observed), f"{len(reading.observed.readings)} readings")
 
 
@@ -193,7 +193,7 @@ def _prepare_looks(context: StepContext, stand: ObservedStand, validation: int) 
     calibrations = workcell.calibrations
     return TipLooks(
         created=context.setting.began,
-        arm=workcell.arm.kinematics.name,
+        arm=workcell.master.arm.kinematics.name,
         stereo_head=calibrations.stereo_head,
         start=calibrations.tool_tip,
         arm_record=calibrations.arm,
@@ -223,11 +223,11 @@ class _Reading:
         workcell = self.context.workcell
         over = self.observed.looks[look]
         there, back = (self._pose(over, away_mm) for away_mm in (0.0, HOVER_MM))
-        hover_rad = workcell.joints_at(back, over.joints_rad)
-        workcell.settle(hover_rad, ONE_SIDE, allow_detour=True)
-        workcell.settle(workcell.joints_at(there, over.joints_rad), ONE_SIDE)
-        workcell.hold()  # hands raise the divot: only the next motion may move the arm
-        workcell.instrument.record_insertion(IN_DIVOT)
+        hover_rad = workcell.master.joints_at(back, over.joints_rad)
+        workcell.master.settle(hover_rad, ONE_SIDE, allow_detour=True)
+        workcell.master.settle(workcell.master.joints_at(there, over.joints_rad), ONE_SIDE)
+        workcell.master.hold()  # hands raise the divot: only the next motion may move the arm
+        workcell.master.instrument.record_insertion(IN_DIVOT)
         x_mm, y_mm, z_mm = self.context.perform_task(
             Task(
                 DIALS,
@@ -239,20 +239,23 @@ class _Reading:
         )
         dials_mm = (x_mm, y_mm, z_mm)
         require_plausible(dials_mm)
-        joints = workcell.joints_rad()
+        joints = workcell.master.joints_rad()
         self.context.request_instrument_removal()
-        workcell.settle(hover_rad, ONE_SIDE)
+        workcell.master.settle(hover_rad, ONE_SIDE)
         return DivotReading(
             look=look,
             joints_rad=joints,
-            robot_from_flange=pose_record(workcell.flange_pose(joints)),
+            robot_from_flange=pose_record(workcell.master.flange_pose(joints)),
             dials_mm=dials_mm,
         )
 
     def _pose(self, over: BallLook, away_mm: float) -> Transform:
         """Return the pose ROBOT <- TOOL of the guide with its tip `away_mm` short of the measured ball."""
         workcell = self.context.workcell
-        head, guide = workcell.flange_from(MountedTool.STEREO_HEAD), workcell.flange_from(MountedTool.GUIDE)
+        head, guide = (
+            workcell.master.flange_from(MountedTool.STEREO_HEAD),
+            workcell.master.flange_from(MountedTool.GUIDE),
+        )
         flange = over.robot_from_flange.transform(Frame.ROBOT, Frame.FLANGE)
         ball = (flange @ head).apply(over.ball_mm)
         tip = head.apply(self._tip_mm(guide, head))  # flange frame

@@ -87,8 +87,8 @@ def run(context: StepContext) -> Outcome[ReachedTarget]:
     workcell, trajectory = context.workcell, context.trajectory
     commanded = context.result(PositionedGuide).tool_pose.transform
     context.setting.clock.sleep(DWELL_S)
-    axis = workcell.place.axis
-    reached = workcell.tool_pose(arrived=None if axis is None else axis.arriving)
+    axis = workcell.master.place.axis
+    reached = workcell.master.tool_pose(arrived=None if axis is None else axis.arriving)
     deviation_mm = reached.translation_mm - commanded.translation_mm
     error_mm = float(np.linalg.norm(deviation_mm))
     if error_mm > POSITION_LIMIT_MM:
@@ -98,7 +98,7 @@ def run(context: StepContext) -> Outcome[ReachedTarget]:
             got=f"{format_against_limit(error_mm, POSITION_LIMIT_MM, 3)} mm",
         )
     _check_room_again(context)
-    workcell.hold()
+    workcell.master.hold()
     with require_head_in_view(context), _watch_guide(context) as rest:
         _look(context, rest)  # the cart may have been moved since the arm came here
         context.progress(0.0, f"the guide is looked at before the work at {trajectory}")
@@ -158,15 +158,19 @@ def _build_unwatched_outcome(work_so_far: WorkProgress) -> Outcome[ReachedTarget
 
 def _do_stage(context: StepContext, stage: WorkStage, work_so_far: WorkProgress) -> None:
     """Have one stage done and confirmed. Raises PRO-002 unless it is confirmed, and TOOL-007."""
-    trajectory, stop, stages = context.trajectory, work_so_far.stop, context.workcell.instrument.stages
+    trajectory, stop, stages = context.trajectory, work_so_far.stop, context.workcell.master.instrument.stages
     before = f"; earlier: {describe_work(stages, trajectory)}" if stages.tasks_at(trajectory) else ""
     if stage is STAGES[-1]:
         work_so_far.rely_on_stop(context)
     stages.record_begin(trajectory, stage.task)
-    assistant = context.workcell.assistant
-    if stage is not STAGES[-1] or assistant is None:
+    assistants = context.workcell.assistants
+    if stage is not STAGES[-1] or not assistants:
         context.perform_task(Task(stage.task, f"{stage.instruction} at {trajectory}", trajectory))
-    elif not (assistant.place.is_on_axis and work_so_far.assisted and context.doubt(KnownBases) is None):
+    elif not (
+        any(arm.place.is_on_axis for arm in assistants)
+        and work_so_far.assisted
+        and context.doubt(KnownBases) is None
+    ):
         work_so_far.assisted = None
         work_so_far.assisted = insert_with_assistant(context, stop)
     question = Question(
@@ -195,7 +199,7 @@ def _record_interruption(context: StepContext, stage: WorkStage) -> Iterator[Non
     except RonnaError as error:
         if not isinstance(error, NotConfirmed):
             with suppress(JournalNotWritable):  # the error that ended the stage is reported
-                context.workcell.instrument.stages.record_interruption(
+                context.workcell.master.instrument.stages.record_interruption(
                     context.trajectory, stage.task, error.summary
                 )
         raise

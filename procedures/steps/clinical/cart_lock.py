@@ -79,8 +79,8 @@ def run(context: StepContext) -> Outcome[LockedCart]:
     for before in context.reads:
         context.result(before)
     context.workcell.rest()  # hands are on the cart: nothing may move the arm meanwhile
-    dual = context.workcell.assistant is not None
-    carts, are = ("the carts of master and assistant", "are") if dual else ("the arm's cart", "is")
+    several = len(context.workcell.arms) > 1
+    carts, are = ("the carts of master and assistant", "are") if several else ("the arm's cart", "is")
     proposed = _read_proposal(context)
     proposal = None if proposed is None else proposed.place
     for placing in range(1, PLACINGS + 1):
@@ -104,7 +104,7 @@ def run(context: StepContext) -> Outcome[LockedCart]:
         raise
     if proposed is not None:
         context.note_inputs(context.clinical.place)
-    whose = "the master's" if dual else "it"
+    whose = "the master's" if several else "it"
     return Outcome(
         LockedCart(
             placings=placing,
@@ -141,7 +141,7 @@ def _take_first_look(context: StepContext) -> tuple[Transform, RoomReading]:
         lambda share: context.progress(share, "locating the cart"),
     )
     seen = average_pose(frames, workcell.calibrations.tracker_frame.tool)
-    robot_from_tracker = robot_from_marker(workcell, workcell.joints_rad()) @ seen.inverse()
+    robot_from_tracker = robot_from_marker(workcell, workcell.master.joints_rad()) @ seen.inverse()
     return robot_from_tracker, room_reading(workcell, frames, robot_from_tracker)
 
 

@@ -34,10 +34,10 @@ def run(context: StepContext) -> Outcome[ConfirmedTarget]:
     """
     for model in context.reads:
         context.result(model)
-    context.workcell.mount.check(MountedTool.GUIDE)
+    context.workcell.master.mount.check(MountedTool.GUIDE)
     targets_remain = bool(set(context.remaining) - set(context.trajectories_done(ReachedTarget)))
     guide = _check_guide(context, targets_remain)
-    link = link_health(context, context.workcell) if context.workcell.streaming else None
+    link = link_health(context, context.workcell.master) if context.workcell.master.streaming else None
     other = assistant_link_health(context)
     context.workcell.rest()  # it may have been the last target
     watch = room_watch(context)
@@ -56,10 +56,10 @@ def _check_guide(context: StepContext, targets_remain: bool) -> SeenUnchanged:
     try:
         found = read_on_gauge(context)
     except REFUSALS as problem:
-        if not context.workcell.place.is_home:  # it was reached, and the way back is not clear
+        if not context.workcell.master.place.is_home:  # it was reached, and the way back is not clear
             raise
         doubt(context, f"the gauge cannot be reached, so the guide was not checked: {problem.summary}")
-        return SeenUnchanged.guide(None, guide_noticeable_mm(context.workcell.arm.kinematics.name))
+        return SeenUnchanged.guide(None, guide_noticeable_mm(context.workcell.master.arm.kinematics.name))
     if found.differs:
         off = f"{found.off_mm:.2f} mm and {found.tilt_deg:.2f} deg"
         reason = f"the guide is {off} from its record after {context.trajectory}"

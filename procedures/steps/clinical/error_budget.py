@@ -162,7 +162,7 @@ def predict_held_guide(
     workcell = context.workcell
     along = place_guide(context.result(CheckedPlan).plan, planned, workcell.tools.guide.bore)
     pose = refine_target_pose(pose, along, moved @ robot_from_ct)
-    joints_rad = workcell.joints_at(pose, path.joints_rad, path.sides)
+    joints_rad = workcell.master.joints_at(pose, path.joints_rad, path.sides)
     tip_mm = moved.apply(tip_mm)
     return HeldGuide(pose.rotation_matrix, joints_rad, tip_mm, moved.rotation_matrix, path.sides)
 
@@ -176,7 +176,7 @@ def arm_errors(
     signs = arriving(context, paths)
     sides = None if signs is None else np.array([signs] * len(joints_rad), dtype=float)
     return arm_sources(
-        context.workcell.arm.kinematics.chain,
+        context.workcell.master.arm.kinematics.chain,
         ArmPoses(joints_rad, spheres_mm, sides),
         ArmPoses(
             np.array([held.joints_rad]),
@@ -197,7 +197,7 @@ def unknown_sides_mm2(context: StepContext, fiducials: Sequence[int], spheres_mm
     if arm is None or arriving(context, context.result(CheckedPaths)) is not None:
         return np.zeros((len(fiducials), 3, 3))
     sizes = ErrorSizes.stated(context.setting.settings, arm)
-    chain = context.workcell.arm.kinematics.chain
+    chain = context.workcell.master.arm.kinematics.chain
     return backlash_mm2(chain, _planned_joints_rad(context, fiducials), spheres_mm, sizes)
 
 

@@ -74,7 +74,7 @@ def followed_move(context: StepContext, places_mm: ArrayLike) -> MeasuredMove | 
 
 def _measure_move(context: StepContext) -> MeasuredMove | None:
     workcell = context.workcell
-    if not workcell.place.is_home:
+    if not workcell.master.place.is_home:
         raise StepRefused(
             "the movement of the head can only be measured with the arm at home",
             action="Send the arm home, then run the step again.",

@@ -65,7 +65,7 @@ def run(context: StepContext) -> Outcome[GlobalLocalization]:
     for before in context.reads:
         context.result(before)
     workcell = context.workcell
-    if workcell.tool is MountedTool.GUIDE:  # earlier localizations are void
+    if workcell.master.tool is MountedTool.GUIDE:  # earlier localizations are void
         exchange_tool(context, MountedTool.STEREO_HEAD)
     frames, lost = read_frames_at_rest(
         workcell.tracker,
@@ -79,7 +79,7 @@ def run(context: StepContext) -> Outcome[GlobalLocalization]:
     strays = average_strays(frames)
     _check_count(len(strays.groups), least=LEAST_POINTS if ClampedHead in context.reads else 1)
     spread_mm = _require_spread_mm(strays)
-    joints = workcell.joints_rad()
+    joints = workcell.master.joints_rad()
     robot_from_tracker = robot_from_marker(workcell, joints) @ tracker_from_marker.inverse()
     groups = strays.groups
     points = np.array([group.mean_mm for group in groups]).reshape(-1, 3)
@@ -133,9 +133,11 @@ def _needs_stereo_head(context: StepContext) -> tuple[str, ...]:
     """Require the stereo head on the arm, or the guide on an arm parked for an exchange."""
     workcell = context.workcell
     unmet = needs_tool(MountedTool.STEREO_HEAD)(context)
-    if not unmet or workcell.place.is_on_axis or workcell.tool is not MountedTool.GUIDE:
+    if not unmet or workcell.master.place.is_on_axis or workcell.master.tool is not MountedTool.GUIDE:
         return unmet
-    return () if workcell.place.is_home else (*unmet, "send it home; the stereo head is remounted there")
+    return (
+        () if workcell.master.place.is_home else (*unmet, "send it home; the stereo head is remounted there")
+    )
 
 
 STEP = StepSpec(

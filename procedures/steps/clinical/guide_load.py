@@ -48,8 +48,8 @@ def require_unloaded(context: StepContext) -> LoadEstimate | None:
     if now is None or known is None:
         return None
     bore = workcell.tools.guide.bore
-    end_mm = workcell.flange_from(MountedTool.GUIDE).apply((0.0, 0.0, -bore.reach_mm))
-    arm = workcell.arm.kinematics
+    end_mm = workcell.master.flange_from(MountedTool.GUIDE).apply((0.0, 0.0, -bore.reach_mm))
+    arm = workcell.master.arm.kinematics
     load = estimate_load(arm, LOAD_MODELS[arm.name], known.stops, now, vector3(end_mm))
     if load.is_loaded:
         x, y, z = load.force_N.tolist()
@@ -64,6 +64,8 @@ def require_unloaded(context: StepContext) -> LoadEstimate | None:
 
 
 def _read(workcell: Workcell) -> Standstill | None:
-    if not workcell.streaming:
+    if not workcell.master.streaming:
         return None
-    return as_standstill(workcell.read_load(CYCLES), workcell.arm.kinematics.name, str(workcell.tool))
+    return as_standstill(
+        workcell.master.read_load(CYCLES), workcell.master.arm.kinematics.name, str(workcell.master.tool)
+    )

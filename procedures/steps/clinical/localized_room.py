@@ -110,12 +110,12 @@ def build_watch(
         markers_mm,
     )
     arm = ArmModel(
-        workcell.arm.kinematics.chain,
+        workcell.master.arm.kinematics.chain,
         ErrorSizes.stated(settings, workcell.calibrations.arm),
         flange_from_marker(workcell).as_matrix(),
-        repeatability_mm(workcell.arm.kinematics.name),
+        repeatability_mm(workcell.master.arm.kinematics.name),
     )
-    watch = room.watch(name, arm, workcell.calibrated.flange_pose)
+    watch = room.watch(name, arm, workcell.master.calibrated.flange_pose)
     watch.points_mm = points_mm or {}
     watch.tracker = workcell.tracker_move(name)
     watch.tracker_moved = partial(workcell.record_tracker_move, name)
@@ -130,7 +130,6 @@ def take_in_assistant(
 ) -> Motion | None:
     """Take the assistant into a watch; return the motion that the looks show with it, or None."""
     assistant, base = workcell.assistant, known.robot_from_base.transform
-    assert assistant is not None
     kinematics = assistant.arm.kinematics
     arm = ArmModel(
         kinematics.chain,

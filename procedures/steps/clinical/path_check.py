@@ -214,18 +214,18 @@ def run(context: StepContext) -> Outcome[CheckedPaths]:
     sizes = ErrorSizes.stated(settings, workcell.calibrations.arm)
     scene = planning_scene_of(context).with_reserve(sizes.tool_mm)
     setting = ArmSetting(
-        kinematics=workcell.arm.kinematics,
+        kinematics=workcell.master.arm.kinematics,
         robot_from_ct=correspondence.robot_from_ct.transform,
-        flange_from_tool=workcell.flange_from(MountedTool.GUIDE),
+        flange_from_tool=workcell.master.flange_from(MountedTool.GUIDE),
         strategy=context.clinical.strategy,
-        flange_from_stereo=workcell.flange_from(MountedTool.STEREO_HEAD),
+        flange_from_stereo=workcell.master.flange_from(MountedTool.STEREO_HEAD),
         start_rad=context.result(CheckedSetUp).home_rad,
-        limits=workcell.arm.limits(),
+        limits=workcell.master.arm.limits(),
         approach_mm=settings.approach_mm,
         scene=scene,
         sizes=sizes,
         gauge_rad=radians6(*workcell.tools.guide.gauge.joints_deg),
-        sights=() if workcell.assistant is None else room_watch(context).sights,  # to watch its insertion
+        sights=room_watch(context).sights if workcell.assistants else (),  # to watch its insertion
     )
     context.progress(0.0, "checking every path")
     search = PathSearch(

@@ -58,7 +58,7 @@ def run(context: StepContext) -> Outcome[PositionedGuide]:
     workcell, trajectory = context.workcell, context.trajectory
     context.result(MountedGuide)
     context.result(CheckedTool)
-    mounted = workcell.mount.check(MountedTool.GUIDE)
+    mounted = workcell.master.mount.check(MountedTool.GUIDE)
     _require_guide_in_seat(context)
     robot_from_ct = _require_registration(context).robot_from_ct.transform
     paths = context.result(CheckedPaths)
@@ -67,36 +67,36 @@ def run(context: StepContext) -> Outcome[PositionedGuide]:
     planned = paths.targets[trajectory]
     expected = build_expected_sight(context, surround_guide(context, robot_from_ct, planned.joints_rad))
     with name_refusals(trajectory):
-        approach_rad = workcell.joints_at(insertion.start, planned.approach_rad, insertion.arriving)
+        approach_rad = workcell.master.joints_at(insertion.start, planned.approach_rad, insertion.arriving)
     is_hidden = expected.hidden_at(approach_rad) or expected.hidden_at(planned.joints_rad)
-    via_home = not workcell.settled_home
+    via_home = not workcell.master.settled_home
     with name_refusals(trajectory):
-        workcell.supervised.confirm(
+        workcell.master.supervised.confirm(
             Topic.APPROACH,
             f"move {VIA_HOME if via_home else ''}over {trajectory} with tool {mounted}, then "
             f"{insertion.travel_mm:.0f} mm along the axis to {standoff_mm:.0f} mm above the entry"
             f"{UNWATCHED if is_hidden else ''}",
             [
-                *([workcell.return_motion()] if via_home else []),
-                workcell.go_motion(approach_rad),
-                workcell.insert_motion(insertion, approach_rad),
+                *([workcell.master.return_motion()] if via_home else []),
+                workcell.master.go_motion(approach_rad),
+                workcell.master.insert_motion(insertion, approach_rad),
             ],
             trajectory,
         )
-    workcell.mount.check(MountedTool.GUIDE)  # a question may stand for minutes
+    workcell.master.mount.check(MountedTool.GUIDE)  # a question may stand for minutes
     if via_home:
         check_room(context, f"before {trajectory}")
         workcell.start()
-        workcell.return_home()
+        workcell.master.return_home()
     require_unmoved(context, f"before {trajectory}")
     workcell.start()
     with require_head_in_view(context):
         context.progress(0.0, f"moving over {trajectory}")
         with name_refusals(trajectory, workcell):
-            workcell.go(approach_rad)
+            workcell.master.go(approach_rad)
             check_room(context, f"over {trajectory}")
             context.progress(0.5, f"moving along {trajectory}")
-            reached = workcell.insert(insertion)
+            reached = workcell.master.insert(insertion)
         look = look_at_target(context)
     rest = measure_guide_at_rest(
         workcell, context.setting.clock, trajectory, look.reading.tracker_frames, context.find
@@ -134,7 +134,7 @@ def insertion_for(context: StepContext, robot_from_ct: Transform) -> InsertionAx
 @contextmanager
 def name_refusals(trajectory: str, moving: Workcell | None = None) -> Iterator[None]:
     """Convert refusals to PLAN-007 with the trajectory's name, stating whether the arm has moved."""
-    start_rad = None if moving is None else moving.joints_rad()
+    start_rad = None if moving is None else moving.master.joints_rad()
     try:
         yield
     except REFUSALS as problem:
@@ -147,7 +147,7 @@ def name_refusals(trajectory: str, moving: Workcell | None = None) -> Iterator[N
 
 def _stands_still(workcell: Workcell, at_rad: JointVector) -> bool:
     with suppress(RonnaError):  # an arm in fault reports no joints
-        return stands_at(workcell.joints_rad(), at_rad)
+        return stands_at(workcell.master.joints_rad(), at_rad)
     return False
 
 

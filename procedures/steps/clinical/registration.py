@@ -135,9 +135,9 @@ def run(context: StepContext) -> Outcome[RegisteredRobot]:
     fit.require_rotation()  # the residuals were judged before, with the errors that points share
     trajectories = [plan.trajectory(name) for name in context.served_trajectories]
     robot_from_ct, move = fit.between(Frame.ROBOT, Frame.CT), None
-    if context.workcell.tool is MountedTool.UNKNOWN:  # after a fault of the arm
-        context.workcell.mount.identify()
-    if context.workcell.tool is MountedTool.GUIDE:
+    if context.workcell.master.tool is MountedTool.UNKNOWN:  # after a fault of the arm
+        context.workcell.master.mount.identify()
+    if context.workcell.master.tool is MountedTool.GUIDE:
         move = followed_move(context, robot_from_ct.apply([one.target_mm for one in trajectories]))
     predictions = tuple(predict_tip_error(context, fit, pairs, one, move) for one in trajectories)
     if move is not None:
@@ -381,5 +381,7 @@ STEP = StepSpec(
     asks=(Topic.REGISTRATION,),
     scope=Scope.LOCALIZATION,
     reads=(Relocalization, Correspondence, LocalizedFiducials, GlobalLocalization, CheckedPlan, CheckedPaths),
-    preconditions=lambda context: context.workcell.place.hold_reasons,  # a mounted guide looks from home
+    preconditions=lambda context: (
+        context.workcell.master.place.hold_reasons
+    ),  # a mounted guide looks from home
 )

@@ -49,20 +49,22 @@ def run(context: StepContext) -> Outcome[Relocalization]:
     paths = context.result(CheckedPaths)
     motions = motions_over_spheres(paths.motions, context.key.trajectory)
     announced = announce_motions(motions, SMALL_STEPS) if motions else None
-    with context.workcell.supervised.announce_step_motions(announced):
+    with context.workcell.master.supervised.announce_step_motions(announced):
         return _localize_spheres(context, paths)
 
 
 def _localize_spheres(context: StepContext, paths: CheckedPaths) -> Outcome[Relocalization]:
     planned = paths.localizations_for(context.key.trajectory)
     workcell, settings = context.workcell, context.setting.settings
-    workcell.mount.check(MountedTool.STEREO_HEAD)
+    workcell.master.mount.check(MountedTool.STEREO_HEAD)
     surround_stereo_head(context, planned[len(planned) // 2].joints_rad)
     occasion = "before the spheres are localized again"
-    if workcell.place.is_home or not context.stands(Relocalization):  # what moves from here on shows at home
+    if workcell.master.place.is_home or not context.stands(
+        Relocalization
+    ):  # what moves from here on shows at home
         check_room(context, occasion)
         workcell.start(cameras=True)
-        workcell.return_home()
+        workcell.master.return_home()
         if check_room(context, occasion, CAREFUL_FRAMES).base_mm is None:
             raise GateFailed(
                 f"{occasion}, the tracker does not see the frame on the arm",

@@ -206,8 +206,8 @@ def link_health(context: StepContext, arm: SupervisedArm) -> LinkHealth:
 
 def assistant_link_health(context: StepContext) -> LinkHealth | None:
     """Return the health of the assistant's link, or None without one, or before it streams."""
-    assistant = context.workcell.assistant
-    return link_health(context, assistant) if assistant is not None and assistant.streaming else None
+    streaming = (arm for arm in context.workcell.assistants if arm.streaming)
+    return next((link_health(context, arm) for arm in streaming), None)
 
 
 class AssistedInsertion(Values):

@@ -29,13 +29,15 @@ def run(context: StepContext) -> Outcome[Retreated]:
     workcell = context.workcell
     # The surroundings remain those of the way in. No record is read before the guide is away from the head: a
     # damaged file must not keep it there.
-    if workcell.place.is_on_axis:
+    if workcell.master.place.is_on_axis:
         context.request_instrument_removal()
-        workcell.retreat(context.trajectory)
+        workcell.start()
+        workcell.master.retreat(context.trajectory)
     context.result(PositionedGuide)
     context.result(ReachedTarget)
-    reached = workcell.park()
-    link, other = link_health(context, workcell), assistant_link_health(context)
+    workcell.start()
+    reached = workcell.master.park()
+    link, other = link_health(context, workcell.master), assistant_link_health(context)
     workcell.rest()
     return Outcome(Retreated(joints_rad=reached.joints_rad, link=link, assistant_link=other), "parked")
 

@@ -81,7 +81,7 @@ def require_unmoved(context: StepContext, occasion: str) -> None:
             f"{occasion}, the tracker does not see the frame on the arm: the cart may have moved",
             expected="the frame on the arm in view, with the arm home",
         )
-    if context.workcell.assistant is not None and Tracked.ASSISTANT not in look.reading.frames:
+    if context.workcell.assistants and Tracked.ASSISTANT not in look.reading.frames:
         raise PatientUnseen(
             f"{occasion}, the tracker does not see the frame on the assistant: its cart may have moved",
             expected="the frame on the assistant in view, with both arms home",
@@ -101,10 +101,11 @@ class ExpectedSight:
 
         An assistant is where it is, or at `assistant_rad`.
         """
-        arm, assistant = self.context.workcell.arm.kinematics, self.context.workcell.assistant
+        workcell = self.context.workcell
+        arm, known = workcell.master.arm.kinematics, [one for one in workcell.assistants if one.history.base]
         for sight in self.watch.sights:
             seen = sight.seen(arm, self.surroundings, joints_rad)
-            if assistant is not None and assistant.history.base is not None:
+            for assistant in known:
                 from_base = replace(
                     sight, robot_from_tracker=assistant.base.inverse() @ sight.robot_from_tracker
                 )
@@ -118,7 +119,7 @@ class ExpectedSight:
 
     def hidden_now(self) -> bool:
         """Whether too few spheres are visible with every arm in its current pose."""
-        return self.hidden_at(self.context.workcell.joints_rad())
+        return self.hidden_at(self.context.workcell.master.joints_rad())
 
 
 def build_expected_sight(context: StepContext, surroundings: Surroundings) -> ExpectedSight:
@@ -210,7 +211,7 @@ def targets_mm(checked: CheckedPlan, matched: Correspondence) -> dict[str, Array
 def list_unconfirmed_targets(context: StepContext) -> tuple[str, ...]:
     """Return the targets where work may have begun and no check has confirmed that nothing moved."""
     confirmed = context.trajectories_done(ConfirmedTarget, lambda look: not look.in_doubt)
-    stages = context.workcell.instrument.stages
+    stages = context.workcell.master.instrument.stages
     return tuple(
         name for name in context.trajectories if stages.may_have_begun(name) and name not in confirmed
     )
@@ -232,7 +233,7 @@ def void_moved(context: StepContext, moved: RonnaError) -> None:
     may_follow = (
         isinstance(moved, PatientMoved)
         and moved.moved_mm <= MOST_FOLLOWED_MM
-        and context.workcell.tool is MountedTool.GUIDE
+        and context.workcell.master.tool is MountedTool.GUIDE
         and context.stands(RegisteredRobot)
     )
     if may_follow:
@@ -244,7 +245,7 @@ def void_moved(context: StepContext, moved: RonnaError) -> None:
     if isinstance(moved, BaseShifted):
         _shift_room(context, moved)
     elif isinstance(moved, PlatformMoved) and moved.way_mm is not None:
-        context.workcell.follow_assistant(moved.way_mm)
+        context.workcell.assistant.follow(moved.way_mm)
 
 
 def _shift_room(context: StepContext, moved: BaseShifted) -> None:
@@ -254,4 +255,4 @@ def _shift_room(context: StepContext, moved: BaseShifted) -> None:
         on_cart = {body.name for body in bodies if body.frame is BodyFrame.ROBOT}
         context.workcell.shift_room(moved.room_moved, on_cart)
     elif moved.frame_off_mm:
-        context.workcell.doubt_assistant(moved.frame_off_mm)
+        context.workcell.assistant.doubt(moved.frame_off_mm)

@@ -16,7 +16,7 @@ from procedures.relocalization.triangulation import check_serial
 from procedures.workcell import MountedTool
 from procedures.workcell.tools import require_this_arm, require_two_arms
 from ronna_hw.collision_config import CollisionConfig
-from ronna_hw.config import ASSISTANT, MASTER, Calibrations, DeviceConfig, ProcedureSettings
+from ronna_hw.config import MASTER, Calibrations, DeviceConfig, ProcedureSettings
 from ronna_hw.devices.lifecycle import Identity, Lifecycle
 from ronna_hw.tool_record import ToolRecord
 
@@ -86,7 +86,7 @@ def run(context: StepContext) -> Outcome[CheckedSetUp]:
     the position of an arm left by an earlier run is confirmed.
     """
     workcell, calibrations = context.workcell, context.workcell.calibrations
-    if workcell.assistant is None:
+    if not workcell.assistants:
         calibrations = calibrations.of_master
     require_valid(calibrations, context.setting.today(), starts=context.setting.starts)
     workcell.tools.check(calibrations, context.setting.today())
@@ -102,14 +102,14 @@ def run(context: StepContext) -> Outcome[CheckedSetUp]:
     notices = tuple(f"{role}: {notice}" for role, device in devices.items() for notice in device.notices)
     of_master, of_assistant = calibrations.arm, calibrations.assistant_arm
     require_this_arm(of_master, identities["arm"].serial, MASTER, of_assistant)
-    if workcell.assistant is not None:
-        master, assistant = identities["arm"], identities[ASSISTANT]
+    for arm in workcell.assistants:
+        master, assistant = identities["arm"], identities[arm.name]
         require_two_arms((master.model, master.serial), (assistant.model, assistant.serial))
-        require_this_arm(of_assistant, identities[ASSISTANT].serial, ASSISTANT, of_master)
+        require_this_arm(of_assistant, assistant.serial, arm.role, of_master)
     left, right = workcell.stereo.serials
     check_serial(calibrations.stereo_head.left, left)
     check_serial(calibrations.stereo_head.right, right)
-    workcell.mount.check(MountedTool.STEREO_HEAD)
+    workcell.master.mount.check(MountedTool.STEREO_HEAD)
     if context.setting.arm_not_home is not None:
         subject = "take the arm's present position as its home, where tools are exchanged and the case parks"
         context.confirm(Topic.RESUME, subject, context.setting.arm_not_home)
@@ -123,8 +123,8 @@ def run(context: StepContext) -> Outcome[CheckedSetUp]:
             flange=workcell.tools.flange,
             cell=context.setting.surroundings,
             settings=context.setting.settings,
-            home_rad=workcell.set_home(),
-            assistant_home_rad=None if workcell.assistant is None else workcell.assistant.set_home(),
+            home_rad=workcell.master.set_home(),
+            assistant_home_rad=next((arm.set_home() for arm in workcell.assistants), None),
         ),
         summary="; ".join(
             [", ".join(f"{role} {identity.model}" for role, identity in identities.items()), *notices]

@@ -50,8 +50,10 @@ def surround_stereo_head(
     """
     workcell = context.workcell
     robot_from_ct = context.result(Correspondence).robot_from_ct.transform.displace(offset_mm)
-    tool = workcell.flange_from(MountedTool.STEREO_HEAD)
-    workcell.surround(planning_scene_of(context).with_stereo_head(robot_from_ct, tool, trajectory), near_rad)
+    tool = workcell.master.flange_from(MountedTool.STEREO_HEAD)
+    workcell.master.surround(
+        planning_scene_of(context).with_stereo_head(robot_from_ct, tool, trajectory), near_rad
+    )
 
 
 def surround_guide(context: StepContext, robot_from_ct: Transform, near_rad: JointVector) -> Surroundings:
@@ -61,7 +63,7 @@ def surround_guide(context: StepContext, robot_from_ct: Transform, near_rad: Joi
     """
     workcell = context.workcell
     trajectory = context.result(CheckedPlan).trajectory(context.trajectory).trajectory
-    guide = workcell.flange_from(MountedTool.GUIDE)
+    guide = workcell.master.flange_from(MountedTool.GUIDE)
     surroundings = planning_scene_of(context).with_guide(robot_from_ct, guide, trajectory)
-    workcell.surround(surroundings, near_rad)
+    workcell.master.surround(surroundings, near_rad)
     return surroundings

@@ -44,7 +44,7 @@ class MeasuredTarget(StepResult, kind="target_measurement"):
 def run(context: StepContext) -> Outcome[MeasuredTarget]:
     """Bring the stereo head to the target, look, and back out. A ball out of view is recorded as such."""
     workcell, name = context.workcell, context.trajectory
-    workcell.mount.check(MountedTool.STEREO_HEAD)
+    workcell.master.mount.check(MountedTool.STEREO_HEAD)
     paths = context.result(CheckedPaths)
     planned = context.result(CheckedPlan).trajectory(name).trajectory
     robot_from_ct = context.result(RegisteredRobot).robot_from_ct.transform
@@ -53,10 +53,10 @@ def run(context: StepContext) -> Outcome[MeasuredTarget]:
     approach_pose = back_along_axis(target, travel_mm)
     surround_stereo_head(context, paths.targets[name].joints_rad, planned)
     with name_refusals(name):
-        approach_rad = workcell.joints_at(approach_pose, paths.targets[name].approach_rad)
-        move_over = workcell.go_motion(approach_rad)
-        line_onto = workcell.line_to_motion(target, paths.targets[name].sides, approach_rad)
-        workcell.supervised.confirm(
+        approach_rad = workcell.master.joints_at(approach_pose, paths.targets[name].approach_rad)
+        move_over = workcell.master.go_motion(approach_rad)
+        line_onto = workcell.master.line_to_motion(target, paths.targets[name].sides, approach_rad)
+        workcell.master.supervised.confirm(
             Topic.APPROACH,
             f"on a phantom with a ball at {name}: move the stereo head over it, then {travel_mm:.0f} mm "
             "along the axis until the ball is at its centre",
@@ -67,12 +67,12 @@ def run(context: StepContext) -> Outcome[MeasuredTarget]:
     workcell.start(cameras=True)
     context.progress(0.0, f"moving over {name}")
     with name_refusals(name, workcell):
-        workcell.go(approach_rad)
-        workcell.line_to(target, paths.targets[name].sides)
+        workcell.master.go(approach_rad)
+        workcell.master.line_to(target, paths.targets[name].sides)
     context.progress(0.5, f"measuring the ball at {name}")
     seen, why = _look(context)
-    joints_rad = workcell.joints_rad()
-    workcell.line_to(approach_pose)
+    joints_rad = workcell.master.joints_rad()
+    workcell.master.line_to(approach_pose)
     check_room(context, f"after the ball at {name} was measured")
     point = None if seen is None else seen.point
     if seen is not None:

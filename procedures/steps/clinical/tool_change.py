@@ -31,12 +31,12 @@ def run(context: StepContext) -> Outcome[MountedGuide]:
     workcell, calibration = context.workcell, context.workcell.calibrations.tool_tip
     context.result(CheckedSetUp)
     if (
-        workcell.mount.identify() is MountedTool.STEREO_HEAD
-        or workcell.streaming
-        or not workcell.place.is_home
+        workcell.master.mount.identify() is MountedTool.STEREO_HEAD
+        or workcell.master.streaming
+        or not workcell.master.place.is_home
     ):
         _park(context)  # else an exchange was begun, and not ended
-    link = link_health(context, context.workcell)
+    link = link_health(context, context.workcell.master)
     mounted = exchange_tool(context, MountedTool.GUIDE)
     context.confirm(
         Topic.TOOL_TIP,
@@ -52,10 +52,11 @@ def run(context: StepContext) -> Outcome[MountedGuide]:
 
 def _park(context: StepContext) -> None:
     workcell = context.workcell
-    workcell.mount.check(MountedTool.STEREO_HEAD)
-    surround_stereo_head(context, workcell.joints_rad())
+    workcell.master.mount.check(MountedTool.STEREO_HEAD)
+    surround_stereo_head(context, workcell.master.joints_rad())
     check_room(context, "before the arm parks")
-    workcell.park("park the arm for the tool exchange")
+    workcell.start()
+    workcell.master.park("park the arm for the tool exchange")
     check_room(context, "with the arm parked for the tool exchange", CAREFUL_FRAMES)
 
 

@@ -91,7 +91,7 @@ def _check_tool(context: StepContext) -> Outcome[CheckedTool]:
     workcell = context.workcell
     context.result(MountedGuide)
     context.request_instrument_removal()  # of an earlier attempt
-    workcell.mount.check(MountedTool.GUIDE)
+    workcell.master.mount.check(MountedTool.GUIDE)
     check_room(context, "before the guide is checked", CAREFUL_FRAMES)
     frame = workcell.tools.guide.record.frame
     seen_off_mm = None if frame is None else require_seen_in_place(context, frame)
@@ -151,13 +151,15 @@ def read_on_gauge(context: StepContext) -> GuideOnGauge:
     workcell = context.workcell
     guide = workcell.tools.guide
     robot_from_ct = context.result(Correspondence).robot_from_ct.transform
-    tip = workcell.flange_from(MountedTool.GUIDE)
+    tip = workcell.master.flange_from(MountedTool.GUIDE)
     gauge_rad = radians6(*guide.gauge.joints_deg)
-    workcell.surround(planning_scene_of(context).with_guide(robot_from_ct, tip, None), gauge_rad)
+    workcell.master.surround(planning_scene_of(context).with_guide(robot_from_ct, tip, None), gauge_rad)
     workcell.start()
-    there = [workcell.settle_motion(gauge_rad, ONE_SIDE, allow_detour=True)]
-    workcell.supervised.confirm(Topic.TOOL_CHECK, "move the guide over to the gauge on the table", there)
-    noticeable_mm = guide_noticeable_mm(workcell.arm.kinematics.name)
+    there = [workcell.master.settle_motion(gauge_rad, ONE_SIDE, allow_detour=True)]
+    workcell.master.supervised.confirm(
+        Topic.TOOL_CHECK, "move the guide over to the gauge on the table", there
+    )
+    noticeable_mm = guide_noticeable_mm(workcell.master.arm.kinematics.name)
     reads = tuple(f"dial {name} of the gauge in mm" for name in DIALS)
     task = Task(
         GAUGE,
@@ -169,9 +171,9 @@ def read_on_gauge(context: StepContext) -> GuideOnGauge:
     readings: list[tuple[float, ...]] = []
     for number in range(2 * APPROACHES):
         context.progress((1 + number) / (2 + 2 * APPROACHES), "moving to the gauge")
-        reached = workcell.settle(gauge_rad, ONE_SIDE, allow_detour=number == 0)
-        workcell.hold()  # a hand pushes the mandrel in: only the next motion may move the arm
-        workcell.instrument.record_insertion(IN_GAUGE)
+        reached = workcell.master.settle(gauge_rad, ONE_SIDE, allow_detour=number == 0)
+        workcell.master.hold()  # a hand pushes the mandrel in: only the next motion may move the arm
+        workcell.master.instrument.record_insertion(IN_GAUGE)
         readings.append(context.perform_task(task))
         if number == 0:
             read_s = context.setting.clock.now_s()
@@ -181,7 +183,7 @@ def read_on_gauge(context: StepContext) -> GuideOnGauge:
         )
         if number + 1 == APPROACHES and not found.differs:
             break
-    workcell.park("park the arm from the gauge")
+    workcell.master.park("park the arm from the gauge")
     require_recent(context, "the dials of the gauge", read_s)
     return found
 

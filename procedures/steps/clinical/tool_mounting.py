@@ -36,14 +36,14 @@ def exchange_tool(context: StepContext, tool: MountedTool) -> int:
     if tool is MountedTool.GUIDE:
         number, name = workcell.calibrations.tool_tip.tool_number, "the surgical guide"
     value = f"{name}, tool {number}"
-    if workcell.tool is tool:  # after an interrupted exchange: remounting would change its seat
+    if workcell.master.tool is tool:  # after an interrupted exchange: remounting would change its seat
         context.confirm(Topic.TOOL_CHANGE, "the tool is still mounted; leave it on", value)
     else:
         context.setting.room.change_tool(number, name)
         context.confirm(Topic.TOOL_CHANGE, "the tool has been exchanged", value)
     for mounting in range(1, MOUNTINGS + 1):
         try:
-            return workcell.mount.check(tool)
+            return workcell.master.mount.check(tool)
         except WrongTool as problem:
             if mounting == MOUNTINGS:
                 raise

@@ -49,16 +49,16 @@ def expect_unnoticed(
     """
     workcell, watch = context.workcell, room_watch(context)
     spheres = expect_spheres(watch.spheres_mm, CAREFUL_FRAMES)
-    estimate = watch.with_look(_expect_look(context, watch, workcell.home_rad, ONE_SIDE, spheres))
+    estimate = watch.with_look(_expect_look(context, watch, workcell.master.home_rad, ONE_SIDE, spheres))
     at_home = len(estimate.looks) - 1
     head = estimate.displacement(tip_mm, at_home, {"head": -1.0})
     here = watch.robot_from_tracker @ watch.tracker.move.inverse()
     marker = robot_from_marker(workcell, joints_rad, sides)
-    if not explain_hidden_frame(here, marker, workcell.arm.kinematics, joints_rad):
+    if not explain_hidden_frame(here, marker, workcell.master.arm.kinematics, joints_rad):
         at_target = _expect_look(context, watch, joints_rad, sides, SeenSpheres())
         estimate = watch.with_look(at_target, estimate)
     base_mm2 = _base_unnoticed_mm2(estimate, tip_mm, at_home, at_home + 1)
-    guide_mm = guide_unnoticed_mm(workcell.arm.kinematics.name)
+    guide_mm = guide_unnoticed_mm(workcell.master.arm.kinematics.name)
     return {HEAD: head.covariance_mm2, BASE: base_mm2, GUIDE: np.eye(3) * guide_mm**2 / 3.0}
 
 

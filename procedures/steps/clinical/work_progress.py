@@ -96,13 +96,13 @@ def work_progress(context: StepContext) -> WorkProgress:
 
     If work was done there before, the operator chooses the stage to continue from. Raises PRO-002.
     """
-    memory, instrument = context.setting.memory, context.workcell.instrument
+    memory, instrument = context.setting.memory, context.workcell.master.instrument
     trajectory = context.trajectory
     work_so_far = memory.find(WorkProgress)
     if work_so_far is not None and work_so_far.trajectory == trajectory == instrument.inside:
         return work_so_far
     context.request_instrument_removal()
-    journeys = context.workcell.history.journeys
+    journeys = context.workcell.master.history.journeys
     is_same_visit = work_so_far is not None and work_so_far.visit == (trajectory, journeys)
     earlier = work_so_far if is_same_visit else None
     if earlier is not None and len(earlier.done) == len(STAGES):  # interrupted when all was done
@@ -142,7 +142,7 @@ def describe_work(stages: WorkedStages, trajectory: str) -> str:
 def work_begun_elsewhere(engine: Engine) -> tuple[str, ...]:
     """Describe the work that has or may have begun at each unfinished target."""
     finished = engine.course.finished
-    stages = engine.setting.workcell.instrument.stages
+    stages = engine.setting.workcell.master.instrument.stages
     return tuple(
         f"work {'has' if stages.tasks_at(name) else 'may have'} begun at {name}: "
         + describe_work(stages, name)
@@ -153,7 +153,7 @@ def work_begun_elsewhere(engine: Engine) -> tuple[str, ...]:
 
 def _tasks_done(context: StepContext) -> tuple[str, ...]:
     """Ask where to continue earlier work and return the tasks that are not repeated."""
-    stages, tasks = context.workcell.instrument.stages, [stage.task for stage in STAGES]
+    stages, tasks = context.workcell.master.instrument.stages, [stage.task for stage in STAGES]
     trajectory = context.trajectory
     if not stages.may_have_begun(trajectory):
         return ()

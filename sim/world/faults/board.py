@@ -9,7 +9,6 @@ from collections.abc import Callable, Iterator
 from sim.errors import BadFaultScript
 from sim.world.faults.fault import Fault
 from sim.world.faults.language import NOW, SINCE, STEP, has_beginning, parse_faults, parse_request
-from sim.world.options import ArmRole
 from sim.world.world import World
 
 _SINCE_STEP = re.compile(rf"^\s*{SINCE}\s+step\s*==\s*{STEP}[^:]*:")
@@ -85,11 +84,9 @@ class FaultBoard:
         if self._world.fault_version() != self._version:
             version, text = self._world.fault_script()
             faults = parse_faults(text) if text.strip() else ()
-            assistant = self._world.role is ArmRole.ASSISTANT
+            role = self._world.role
             self._faults = tuple(
-                fault
-                for fault in faults
-                if fault.kind.device == self._device and fault.of_assistant == assistant
+                fault for fault in faults if fault.kind.device == self._device and fault.role is role
             )
             self._reported = {one for one in self._reported if one[0] in self._faults}
             self._version = version

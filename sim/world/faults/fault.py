@@ -41,7 +41,7 @@ class Fault:
     after_s: float = 0.0  # delay from the first start of the step
     cycle: int | None = None  # of the robot's controller
     line: int = 1  # of the script
-    of_assistant: bool = False  # of the second arm, not the first
+    role: ArmRole = ArmRole.MASTER  # of its arm, for a fault of one
 
     @property
     def argument(self) -> str:
@@ -52,7 +52,7 @@ class Fault:
     def phrase(self) -> str:
         """The fault as written in a script, without its start and duration."""
         words = iter(self.arguments)
-        whose = (ArmRole.ASSISTANT.value,) if self.of_assistant else ()
+        whose = () if self.role is ArmRole.MASTER else (self.role.value,)
         return " ".join(
             next(words) if word in TERMINALS else word
             for word in (*whose, self.kind.device, *self.kind.phrase.split())

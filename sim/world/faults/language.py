@@ -34,7 +34,7 @@ from sim.world.faults.robot import ROBOT_FAULTS
 from sim.world.faults.room import ROOM_FAULTS
 from sim.world.faults.tracker import TRACKER_FAULTS, check_tool_is_there
 from sim.world.faults.universal_robots import UR_FAULTS
-from sim.world.options import ArmRole
+from sim.world.options import OTHER_ARMS, ArmRole
 from sim.world.scene.model import ArmTruth, Scene
 
 if TYPE_CHECKING:
@@ -102,8 +102,7 @@ COMMENT: /#[^\n]*/
 
 def devices_of(scene: Scene) -> tuple[str, ...]:
     """Return the devices of a theatre, depending on its arms."""
-    arms = (scene.arm,) if scene.assistant is None else (scene.arm, scene.assistant.arm)
-    return ("tracker", *dict.fromkeys(map(_controller_of, arms)), "camera", "room")
+    return ("tracker", *dict.fromkeys(map(_controller_of, scene.arms.values())), "camera", "room")
 
 
 def _controller_of(arm: ArmTruth) -> str:
@@ -207,8 +206,8 @@ def check_faults(
             found = list(check_tool_is_there(fault, scene, loaded))
         if found:
             shown = _most_alike(fault, _meant_devices(fault, scene, devices))
-            whose = fault.of_assistant and scene.assistant is not None and shown.device in CYCLES_OF
-            example = _example_of(shown, of_assistant=whose)
+            is_of_arm = fault.role in scene.arms and shown.device in CYCLES_OF
+            example = _example_of(shown, fault.role if is_of_arm else ArmRole.MASTER)
             mistakes += [Mistake(f"line {fault.line}: {mistake}", example) for mistake in found]
     _refuse(mistakes)
 
@@ -217,8 +216,7 @@ def _meant_devices(fault: Fault, scene: Scene, devices: Sequence[str]) -> Sequen
     """Return the devices of which one is meant: that of the arm in the fault's role for a fault of an arm."""
     if fault.kind.device not in CYCLES_OF:
         return devices
-    role = ArmRole.ASSISTANT if fault.of_assistant and scene.assistant is not None else ArmRole.MASTER
-    its_device = _controller_of(scene.arm_of(role))
+    its_device = _controller_of(scene.arms.get(fault.role, scene.arm))
     return (its_device,) if its_device in devices else devices
 
 
@@ -230,9 +228,9 @@ def _most_alike(fault: Fault, devices: Sequence[str]) -> FaultKind:
     return by_phrase[get_close_matches(fault.kind.phrase, by_phrase, 1, cutoff=0.0)[0]]
 
 
-def _example_of(kind: FaultKind, *, of_assistant: bool) -> str:
+def _example_of(kind: FaultKind, role: ArmRole) -> str:
     """Return an example of a kind of fault, of the arm in the role that was written."""
-    return kind.example.replace(": ", f": {ArmRole.ASSISTANT} ", 1) if of_assistant else kind.example
+    return kind.example if role is ArmRole.MASTER else kind.example.replace(": ", f": {role} ", 1)
 
 
 def _list_mistakes(fault: Fault, scene: Scene, devices: Sequence[str]) -> Iterator[str]:
@@ -241,16 +239,19 @@ def _list_mistakes(fault: Fault, scene: Scene, devices: Sequence[str]) -> Iterat
         return
     if fault.cycle is not None and fault.kind.device not in CYCLES_OF:
         yield f"expected a time: only the robot counts cycles, not the {fault.kind.device}"
-    if fault.of_assistant and fault.kind.device not in CYCLES_OF:
-        yield f"expected a fault of the robot, got {fault.phrase!r}: only an arm can be the assistant"
-    elif fault.of_assistant and scene.assistant is None:
-        yield f"expected a fault of the only arm, got {fault.phrase!r}: there is no assistant here"
-    elif fault.kind.device in CYCLES_OF and scene.assistant is not None:
-        role = ArmRole.ASSISTANT if fault.of_assistant else ArmRole.MASTER
-        if (device := _controller_of(scene.arm_of(role))) != fault.kind.device:
-            own = f"assistant {device}" if fault.of_assistant else device
-            make = f"the {role} here is a {MAKES[device]}, its faults begin with {own!r}"
-            yield f"expected a fault of the {device}, got {fault.phrase!r}: {make}"
+    is_of_other = fault.role is not ArmRole.MASTER
+    if is_of_other and fault.kind.device not in CYCLES_OF:
+        yield f"expected a fault of the robot, got {fault.phrase!r}: only an arm can be the {fault.role}"
+    elif fault.role not in scene.arms:
+        yield f"expected a fault of the only arm, got {fault.phrase!r}: there is no {fault.role} here"
+    elif (
+        fault.kind.device in CYCLES_OF
+        and len(scene.arms) > 1
+        and (device := _controller_of(scene.arms[fault.role])) != fault.kind.device
+    ):
+        own = f"{fault.role} {device}" if is_of_other else device
+        make = f"the {fault.role} here is a {MAKES[device]}, its faults begin with {own!r}"
+        yield f"expected a fault of the {device}, got {fault.phrase!r}: {make}"
     yield from fault.kind.check(fault.arguments, scene)
 
 
@@ -341,7 +342,7 @@ def _build_grammar() -> Lark:
 def _build_fault(statement: Any, line: int) -> tuple[Fault, bool]:
     """Build the fault from a parsed line, and return whether the line states a duration."""
     trigger, phrase, *ending = statement.children
-    of_assistant = statement.data == OF_ASSISTANT
+    role = ArmRole.ASSISTANT if statement.data == OF_ASSISTANT else ArmRole.MASTER
     kind = next(kind for kind in FAULT_KINDS if kind.name == phrase.data)
     duration_s = float(ending[0].children[0]) if ending else (0.0 if kind.momentary else math.inf)
     begin = str(trigger.children[0]) if trigger.children else "0"
@@ -355,7 +356,7 @@ def _build_fault(statement: Any, line: int) -> tuple[Fault, bool]:
         after_s=float(trigger.children[1]) if len(trigger.children) > 1 else 0.0,
         cycle=int(begin) if trigger.data == "at_cycle" else None,
         line=line,
-        of_assistant=of_assistant,
+        role=role,
     )
     return fault, bool(ending)
 
@@ -365,8 +366,9 @@ def _find_nearest_example(line: str, device: str | None) -> str:
     fault = _strip_beginning(line)
     by_usage = {kind.usage: kind for kind in FAULT_KINDS if device in (kind.device, None)}
     nearest = _find_nearest(fault, [*by_usage], 1, least_alike=0.0 if device else LEAST_ALIKE)
-    of_assistant = line[: len(line) - len(fault)].rstrip().endswith(ArmRole.ASSISTANT)
-    return _example_of(by_usage[nearest[0]], of_assistant=of_assistant) if nearest else EXAMPLE
+    before = line[: len(line) - len(fault)].rstrip()
+    role = next((role for role in OTHER_ARMS if before.endswith(role)), ArmRole.MASTER)
+    return _example_of(by_usage[nearest[0]], role) if nearest else EXAMPLE
 
 
 def _find_intended_line(line: str, device: str | None) -> str | None:

@@ -11,7 +11,7 @@ import re
 from collections.abc import Sequence
 
 from sim.world.faults.fault import TERMINALS, Fault, FaultKind
-from sim.world.options import ArmRole
+from sim.world.options import OTHER_ARMS, ArmRole
 
 _NUMBER = r"[0-9]+(?:[.][0-9]+)?"
 _BEGINNING = re.compile(rf"at ({_NUMBER}) s|at cycle ([0-9]+)|now")
@@ -32,7 +32,8 @@ def read_plain_line(line: str, number: int, kinds: Sequence[FaultKind]) -> Fault
         return None
     ends = _ENDING.fullmatch(phrase)
     words = (ends[1] if ends else phrase).split(" ")
-    if of_assistant := words[0] == ArmRole.ASSISTANT:
+    role = next((role for role in OTHER_ARMS if role == words[0]), ArmRole.MASTER)
+    if role is not ArmRole.MASTER:
         words = words[1:]
     found = [(kind, arguments) for kind in kinds if (arguments := _arguments(kind, words)) is not None]
     if len(found) != 1:
@@ -48,7 +49,7 @@ def read_plain_line(line: str, number: int, kinds: Sequence[FaultKind]) -> Fault
         at_s=None if at_cycle else float(begins[1] or "0"),
         cycle=int(begins[2]) if at_cycle else None,
         line=number,
-        of_assistant=of_assistant,
+        role=role,
     )
 
 

@@ -33,7 +33,7 @@ def _check_tool(arguments: Arguments, scene: Scene) -> Iterator[str]:
 
 def cart_numbers(scene: Scene) -> tuple[int, ...]:
     """Return the numbers of the carts in the room, one per arm, the master's first."""
-    return (1,) if scene.assistant is None else (1, 2)
+    return tuple(range(1, 1 + len(scene.arms)))
 
 
 def _check_cart(arguments: Arguments, scene: Scene) -> Iterator[str]:

@@ -6,6 +6,7 @@ Frames as in `ronna_hw.frames`; a field `a_from_b` maps b coordinates to a. Leng
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from itertools import combinations
 from math import dist, sqrt
 from pathlib import Path
@@ -439,15 +440,20 @@ class Scene(Strict):
             )
         return self
 
+    @property
+    def arms(self) -> Mapping[ArmRole, ArmTruth]:
+        """True arms by role, the master first."""
+        others = {} if self.assistant is None else {ArmRole.ASSISTANT: self.assistant.arm}
+        return {ArmRole.MASTER: self.arm, **others}
+
     def arm_of(self, role: ArmRole) -> ArmTruth:
-        """Return the true arm in a role; raises SIM-001 for an assistant that is not there."""
-        if role is ArmRole.MASTER:
-            return self.arm
-        if self.assistant is None:
+        """Return the true arm in a role; raises SIM-001 for one that is not there."""
+        arm = self.arms.get(role)
+        if arm is None:
             raise BadScene(
-                f"{self.name} has no assistant", action="Start ronna-sim theatre --dual, or give it one."
+                f"{self.name} has no {role}", action="Start ronna-sim theatre --dual, or give it one."
             )
-        return self.assistant.arm
+        return arm
 
     @model_validator(mode="after")
     def _patient_frame_is_a_tool(self) -> Self:

@@ -22,11 +22,11 @@ from procedures.relocalization.errors import NoSphere
 from procedures.relocalization.outline import SphereImage, SphereStatus
 from procedures.steps.catalogue import CLINICAL_STEPS, list_questions
 from procedures.workcell import MountedTool, Workcell
-from procedures.workcell.arm_history import UNMOVED, ArmHistory
+from procedures.workcell.arm_history import ArmHistory
 from procedures.workcell.stereo_look import Look
 from ronna_hw.arm.kinematics import Kinematics
 from ronna_hw.calibration import Numbers3, Numbers4, PoseRecord
-from ronna_hw.config import Calibrations, TheatreFile
+from ronna_hw.config import MASTER, Calibrations, TheatreFile
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import StereoReading, StrayReading, ToolReading, TrackerFrame, Validity
 from ronna_hw.frames import Frame, Transform
@@ -69,7 +69,9 @@ class SeeingWorkcell(Workcell):
     radii_mm = (5.75, 5.75)  # as the left and the right camera see them
 
     def look(self) -> Look:
-        head = self.arm.kinematics.flange_pose(self.joints_rad()) @ self.flange_from(MountedTool.STEREO_HEAD)
+        master = self.master
+        head = master.arm.kinematics.flange_pose(master.joints_rad())
+        head = head @ master.flange_from(MountedTool.STEREO_HEAD)
         seen_mm = head.inverse().apply(self.spheres_mm)
         nearest = seen_mm[np.linalg.norm(seen_mm, axis=1).argmin()]
         if np.linalg.norm(nearest) > IN_VIEW_MM:
@@ -169,9 +171,11 @@ class ClinicalCell(RecordingCell):
         self.tracker = self.opened.replace_tracker(SeeingTracker("tracker", cell=self))
 
     def make_workcell(
-        self, calibrations: Calibrations | None = None, history: ArmHistory = UNMOVED
+        self, calibrations: Calibrations | None = None, history: ArmHistory | None = None
     ) -> SeeingWorkcell:
-        workcell = SeeingWorkcell(self.opened, self.journal, calibrations=calibrations, history=history)
+        workcell = SeeingWorkcell(
+            self.opened, self.journal, calibrations=calibrations, histories={MASTER: history or ArmHistory()}
+        )
         workcell.spheres_mm = SPHERES_MM.copy()
         return workcell
 
@@ -179,14 +183,14 @@ class ClinicalCell(RecordingCell):
         """After the set-up, with that tool mounted and checked."""
         self.arm.state = self.stereo.state = self.tracker.state = Lifecycle.CONFIGURED
         self.arm.mounted = GUIDE if tool is MountedTool.GUIDE else STEREO_HEAD
-        self.workcell.mount.check(tool)
-        self.workcell.set_home()
+        self.workcell.master.mount.check(tool)
+        self.workcell.master.set_home()
         return self
 
     def settled(self) -> ClinicalCell:
         """The arm has come home with every joint from the same side, as a check of the tool leaves it."""
         self.workcell.start()
-        self.workcell.return_home()
+        self.workcell.master.return_home()
         self.workcell.rest()
         self.arm.motions.clear()
         return self

@@ -58,8 +58,8 @@ def leaves(model: type[StepResult], *reads: type[StepResult]) -> Work:
 
 def ends_away(context: StepContext) -> Outcome[StepResult]:
     """Work that leads the arm away from home."""
-    A1, *others = context.workcell.set_home()
-    context.workcell.go((A1 + 0.1, *others))
+    A1, *others = context.workcell.master.set_home()
+    context.workcell.master.go((A1 + 0.1, *others))
     return Outcome(Held(), summary="done")
 
 

@@ -222,10 +222,10 @@ def checked_paths(
     ]
     centres = CENTRES_CT_MM[list(fiducials)]
     arm = ArmInBranch(
-        cell.workcell.arm.kinematics,
-        cell.workcell.flange_from(MountedTool.GUIDE),
-        cell.workcell.flange_from(MountedTool.STEREO_HEAD),
-        cell.workcell.arm.kinematics.branch_of(HOME_RAD),
+        cell.workcell.master.arm.kinematics,
+        cell.workcell.master.flange_from(MountedTool.GUIDE),
+        cell.workcell.master.flange_from(MountedTool.STEREO_HEAD),
+        cell.workcell.master.arm.kinematics.branch_of(HOME_RAD),
         HOME_RAD,
     )
     return CheckedPaths(
@@ -268,7 +268,7 @@ def _target(cell: RecordingCell, trajectory: Trajectory, robot_from_ct: Transfor
 
 def joints_at(cell: RecordingCell, pose: Transform) -> JointVector:
     """Joints that bring the checked tool to a pose, in the branch of home."""
-    return cell.workcell.joints_at(pose, HOME_RAD)
+    return cell.workcell.master.joints_at(pose, HOME_RAD)
 
 
 def relocalization(points_mm: Array = SPHERES_MM) -> Relocalization:

@@ -22,14 +22,14 @@ from procedures.operator.question import Answer, Question, Task, Topic
 from procedures.strategies.catalogue import find_strategy
 from procedures.strategies.strategy import Strategy
 from procedures.workcell import Workcell
-from procedures.workcell.arm_history import UNMOVED, ArmHistory
+from procedures.workcell.arm_history import ArmHistory
 from ronna_hw.arm.errors import NotClear
 from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.arm.motion.limits import MotionLimits, working_limits
 from ronna_hw.arm.path_preview import PathPreview
 from ronna_hw.arm.pose import Pose
 from ronna_hw.clock import HostClock
-from ronna_hw.config import Calibrations, ProcedureSettings, TheatreFile, parse_theatre
+from ronna_hw.config import ASSISTANT, MASTER, Calibrations, ProcedureSettings, TheatreFile, parse_theatre
 from ronna_hw.devices import Motion
 from ronna_hw.devices.errors import MotionInterrupted, WrongState
 from ronna_hw.devices.lifecycle import Identity, LastKnown, Lifecycle
@@ -343,7 +343,7 @@ class RecordingCell:
     def have_asked(self, ask: Callable[[Question], str]) -> None:
         """Have the workcell ask before its motions, without an engine."""
         resting = Checkpoint(ask, lambda _state, _reason: nullcontext(), self.clock)
-        self.workcell.supervised.ask_before(resting, ask)
+        self.workcell.master.supervised.ask_before(resting, ask)
 
     @property
     def calibrations(self) -> Calibrations:
@@ -351,9 +351,16 @@ class RecordingCell:
         return self.theatre.calibration
 
     def make_workcell(
-        self, calibrations: Calibrations | None = None, history: ArmHistory = UNMOVED
+        self, calibrations: Calibrations | None = None, history: ArmHistory | None = None
     ) -> Workcell:
-        return Workcell(self.opened, self.journal, calibrations=calibrations, history=history)
+        return Workcell(
+            self.opened, self.journal, calibrations=calibrations, histories={MASTER: history or ArmHistory()}
+        )
+
+    def add_assistant(self, assistant: Any) -> None:
+        """Have this stand in for the assistant of a case with two arms."""
+        self.workcell.assistants = (assistant,)
+        self.workcell.arms = {MASTER: self.workcell.master, ASSISTANT: assistant}
 
     def setting(self) -> CaseSetting:
         return CaseSetting(

@@ -141,8 +141,9 @@ class TwoArmRoom:
         )
         fields = {
             "assistant": assistant,
+            "assistants": (assistant,),
             "tools": SimpleNamespace(guide=SimpleNamespace(bore=BORE)),
-            "tool_pose": lambda: pose,
+            "master": SimpleNamespace(tool_pose=lambda: pose),
             "tracker": SimpleNamespace(markers_mm={"assistant_frame": MARKERS_MM}),
         }
         return cast("Workcell", SimpleNamespace(**fields))

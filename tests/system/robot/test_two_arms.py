@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from procedures.workcell.arm_pair import ArmPair
+from procedures.workcell.arms import Arms
 from procedures.workcell.errors import BothArmsHalted
 from ronna_hw.arm.pose import Pose
 from ronna_hw.config import ASSISTANT, MASTER
@@ -34,13 +34,12 @@ def theatre(tmp_path: Path) -> Iterator[SimulatedTheatre]:
         process.end()
 
 
-def paired(theatre: SimulatedTheatre, folder: Path) -> ArmPair:
+def paired(theatre: SimulatedTheatre, folder: Path) -> Arms:
     assistant = read_scene(folder / SCENE_FILE).assistant
     assert assistant is not None
-    base = assistant.robot_from_base
-    return ArmPair(
-        theatre.arms, Pose.from_quaternion(base.translation_mm, base.quaternion_wxyz), theatre.clock
-    )
+    base, arms = assistant.robot_from_base, Arms(theatre.arms, (MASTER, ASSISTANT), theatre.clock)
+    arms.place(ASSISTANT, Pose.from_quaternion(base.translation_mm, base.quaternion_wxyz))
+    return arms
 
 
 def turned(arm: RobotArm, base_deg: float) -> JointMove:
@@ -48,7 +47,7 @@ def turned(arm: RobotArm, base_deg: float) -> JointMove:
     return JointMove((first + radians(base_deg), *others))
 
 
-def swing(pair: ArmPair, master: RobotArm) -> None:
+def swing(pair: Arms, master: RobotArm) -> None:
     for angle_deg in (30.0, -30.0, 30.0, -30.0):
         pair.move(MASTER, turned(master, angle_deg))
 

@@ -87,7 +87,7 @@ class AnyOrder(RuleBasedStateMachine):
             number = next(self.numbers)
             if spec.scope is Scope.TRAJECTORY:
                 A1, *others = HOME
-                context.workcell.go((A1 + 1e-4 * number, *others))
+                context.workcell.master.go((A1 + 1e-4 * number, *others))
             self.made_from[number] = (context.key, self.used)
             return Outcome(spec.result(number=number))
 

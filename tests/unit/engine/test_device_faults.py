@@ -8,7 +8,7 @@ from typing import Any, cast
 import pytest
 
 from procedures.engine.device_faults import ARM, DeviceFaults
-from procedures.workcell.arm_pair import Halt
+from procedures.workcell.arms import Halt
 from ronna_hw.config import ASSISTANT, MASTER
 from ronna_hw.devices.lifecycle import LastKnown, Lifecycle
 from ronna_hw.errors import LimitError

@@ -33,7 +33,7 @@ def test_bodies_are_published_only_when_the_surroundings_change(cell: RecordingC
     for _ in range(3):
         view.at(POSE)
         view.publish(events)
-    cell.workcell.surround(AROUND)
+    cell.workcell.master.surround(AROUND)
     for _ in range(3):
         view.at(POSE)
         view.publish(events)
@@ -47,9 +47,9 @@ def test_bodies_are_published_only_when_the_surroundings_change(cell: RecordingC
 
 
 def test_a_pose_has_both_ends_of_each_moving_body(cell: RecordingCell) -> None:
-    cell.workcell.surround(AROUND)
+    cell.workcell.master.surround(AROUND)
     places = BodyView(cell.workcell).at(POSE).bodies_mm
-    flange = cell.workcell.arm.kinematics.flange_pose(HOME)
+    flange = cell.workcell.master.arm.kinematics.flange_pose(HOME)
     assert places[-1][:3] == pytest.approx(flange.translation_mm, abs=0.06)
     assert places[-1][3:] == pytest.approx(flange.apply([0.0, 0.0, 100.0]), abs=0.06)
 
@@ -57,8 +57,8 @@ def test_a_pose_has_both_ends_of_each_moving_body(cell: RecordingCell) -> None:
 def test_the_cameras_are_not_drawn_after_a_fault_while_the_mounted_head_is_unchecked(
     cell: RecordingCell,
 ) -> None:
-    cell.workcell.mount.check(MountedTool.STEREO_HEAD)
-    cell.workcell.surround(AROUND)
+    cell.workcell.master.mount.check(MountedTool.STEREO_HEAD)
+    cell.workcell.master.surround(AROUND)
     view = BodyView(cell.workcell)
     assert len(view.at(POSE).tool_mm) == 3
     cell.arm.state = Lifecycle.FAULT

@@ -16,7 +16,7 @@ from procedures.journal.journal import JOURNAL_FILE, read_journal
 from procedures.operator.errors import NotConfirmed, OperatorAborted
 from procedures.operator.question import Topic
 from procedures.steps.conditions import needs_arm_home
-from procedures.workcell import InsertionAxis, MountedTool, Workcell
+from procedures.workcell import InsertionAxis, MountedTool
 from procedures.workcell.arm_history import ArmPlace, HeldInstrument, PlaceKind
 from ronna_hw.devices.capabilities import Fact
 from ronna_hw.devices.errors import PersonNotNamed, WrongState
@@ -29,8 +29,8 @@ from ronna_hw.wire.room_tasks import EMPTY
 def with_the_guide_on_its_axis(cell: RecordingCell, *refusing: Topic) -> Engine:
     cell.operator = RecordingOperator(*refusing)
     cell.arm.state, cell.arm.mounted = Lifecycle.ACTIVE, GUIDE
-    cell.workcell.mount.check(MountedTool.GUIDE)
-    cell.workcell.set_home()
+    cell.workcell.master.mount.check(MountedTool.GUIDE)
+    cell.workcell.master.set_home()
     engine = cell.engine(plain_order())
     here = tool_pose(HOME, cell)
     target = Transform.of(
@@ -39,7 +39,7 @@ def with_the_guide_on_its_axis(cell: RecordingCell, *refusing: Topic) -> Engine:
         translation_mm=here.apply([0.0, 0.0, 110.0]),
         quaternion_wxyz=here.quaternion_wxyz,
     )
-    cell.workcell.insert(InsertionAxis("T1", target, 110.0))
+    cell.workcell.master.insert(InsertionAxis("T1", target, 110.0))
     cell.operator.asked.clear()
     return engine
 
@@ -78,7 +78,7 @@ def test_a_fault_is_reported_from_the_current_device_state_with_the_actions_in_o
 
 def test_homing_an_arm_in_fault_is_refused_with_the_reason(cell: RecordingCell) -> None:
     engine = cell.engine(plain_order())
-    cell.workcell.set_home()
+    cell.workcell.master.set_home()
     cell.arm.state = Lifecycle.FAULT
     with pytest.raises(StepRefused, match="the arm cannot move: the arm is in fault"):
         engine.retreat_home()
@@ -134,11 +134,11 @@ def test_what_is_kept_of_a_fault_says_what_happened_and_no_longer_what_to_do(
 
 @pytest.mark.hazard(37)
 def test_the_tool_on_a_recovered_arm_counts_as_unchecked(cell: RecordingCell) -> None:
-    cell.workcell.mount.check(MountedTool.STEREO_HEAD)
+    cell.workcell.master.mount.check(MountedTool.STEREO_HEAD)
     engine = cell.engine(plain_order())
     cell.arm.state = Lifecycle.FAULT
     engine.faults.acknowledge("A. Nurse")
-    assert cell.workcell.tool is MountedTool.UNKNOWN
+    assert cell.workcell.master.tool is MountedTool.UNKNOWN
 
 
 @pytest.mark.hazard(24)
@@ -148,7 +148,7 @@ def test_homing_retracts_a_guide_from_its_entry_along_the_axis_before_parking(ce
     assert [question.topic for question in cell.operator.asked] == [Topic.RETREAT, Topic.PARK]
     assert [kind for kind, _ in cell.arm.motions] == ["line", "line", *HOMEWARD]
     assert cell.arm.joints_rad == HOME
-    assert not cell.workcell.place.is_on_axis
+    assert not cell.workcell.master.place.is_on_axis
     assert engine.machine.state == "held"
 
 
@@ -166,7 +166,7 @@ def test_the_guide_stays_in_place_when_the_retreat_is_not_confirmed(cell: Record
     engine = with_the_guide_on_its_axis(cell, Topic.RETREAT)
     with pytest.raises(NotConfirmed):
         engine.retreat_home()
-    assert cell.workcell.place.is_on_axis
+    assert cell.workcell.master.place.is_on_axis
     assert [kind for kind, _ in cell.arm.motions] == ["line"]
 
 
@@ -175,10 +175,10 @@ def test_a_failed_retreat_can_be_repeated(cell: RecordingCell) -> None:
     cell.arm.failing = LinkTimeout("the controller is silent")
     with pytest.raises(LinkTimeout):
         engine.retreat_home()
-    assert cell.workcell.place.is_on_axis
+    assert cell.workcell.master.place.is_on_axis
     cell.arm.failing = None
     engine.retreat_home()
-    assert not cell.workcell.place.is_on_axis
+    assert not cell.workcell.master.place.is_on_axis
 
 
 @pytest.mark.branch("ABORTED")
@@ -191,7 +191,7 @@ def test_a_guide_is_still_retracted_along_its_axis_after_an_abort(cell: Recordin
     engine.retreat_home()
     assert [question.topic for question in cell.operator.asked] == [Topic.RETREAT, Topic.PAUSE, Topic.PARK]
     assert [kind for kind, _ in cell.arm.motions] == ["line", "line", *HOMEWARD]
-    assert not cell.workcell.place.is_on_axis
+    assert not cell.workcell.master.place.is_on_axis
     assert cell.entries("rested", "resumed") == [("rested", ""), ("resumed", "")]
     assert engine.machine.state == "aborted"
 
@@ -219,7 +219,7 @@ def test_an_abort_at_a_pause_on_the_way_home_ends_the_case_with_the_arm_at_rest(
 @pytest.mark.branch("INSTRUMENT_INSIDE")
 def test_homing_has_the_instrument_taken_out_before_anything_moves(cell: RecordingCell) -> None:
     engine = with_the_guide_on_its_axis(cell)
-    cell.workcell.instrument.record_insertion("T1")
+    cell.workcell.master.instrument.record_insertion("T1")
     motions, asked_after = len(cell.arm.motions), []
     cell.operator.meanwhile = lambda _question: asked_after.append(len(cell.arm.motions))
     engine.retreat_home()
@@ -234,7 +234,7 @@ def test_homing_has_the_instrument_taken_out_before_anything_moves(cell: Recordi
 @pytest.mark.branch("INSTRUMENT_INSIDE")
 def test_the_arm_does_not_move_until_removal_of_the_instrument_is_confirmed(cell: RecordingCell) -> None:
     engine = with_the_guide_on_its_axis(cell, Topic.INSTRUMENT_OUT)
-    cell.workcell.instrument.record_insertion("T1")
+    cell.workcell.master.instrument.record_insertion("T1")
     with pytest.raises(NotConfirmed, match="still in T1: nothing moves"):
         engine.retreat_home()
     assert engine.instrument_in == "T1"
@@ -257,7 +257,7 @@ def test_a_holder_that_may_hold_an_instrument_is_emptied_although_none_is_in_the
 ) -> None:
     cell.operator = RecordingOperator(Topic.INSTRUMENT_OUT)
     engine, assistant = cell.engine(plain_order()), HoldingAssistant()
-    monkeypatch.setattr(cell.workcell, "assistant", assistant)
+    cell.add_assistant(assistant)
     with pytest.raises(NotConfirmed, match="still in the assistant's holder"):
         engine.questions.request_instrument_removal()
     assert not assistant.emptied
@@ -274,20 +274,20 @@ def test_what_is_taken_out_of_the_guide_is_taken_out_of_the_holder_too(
     cell: RecordingCell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     engine, assistant = cell.engine(plain_order()), HoldingAssistant()
-    cell.workcell.instrument.record_insertion("T1")
-    monkeypatch.setattr(cell.workcell, "assistant", assistant)
+    cell.workcell.master.instrument.record_insertion("T1")
+    cell.add_assistant(assistant)
     engine.questions.request_instrument_removal()
     assert cell.operator.asked[-1].subject.endswith("out of the guide, and out of the assistant's holder?")
     assert assistant.emptied == 1
-    assert cell.workcell.instrument.inside is None
+    assert cell.workcell.master.instrument.inside is None
 
 
 def test_staff_go_to_clamp_and_cart_with_every_arm_at_home(
     cell: RecordingCell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     context = cast("StepContext", SimpleNamespace(workcell=cell.workcell))
-    cell.workcell.set_home()
+    cell.workcell.master.set_home()
     assert needs_arm_home(context) == ()
     away = SimpleNamespace(name="assistant", place=ArmPlace(PlaceKind.AWAY))
-    monkeypatch.setattr(Workcell, "supervised_arms", (cell.workcell, away))
+    cell.add_assistant(away)
     assert needs_arm_home(context) == ("the assistant is not home: send it there first (home)",)

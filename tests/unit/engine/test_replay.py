@@ -41,14 +41,14 @@ EQUAL, DIFFERENT, NOT_RECORDED = Verdict.EQUAL, Verdict.DIFFERENT, Verdict.NOT_R
 def looks(context: StepContext) -> Outcome[Localization]:
     """A number from where the arm stands."""
     context.result(Image)
-    return Outcome(Localization(number=round(1e6 * context.workcell.joints_rad()[0])))
+    return Outcome(Localization(number=round(1e6 * context.workcell.master.joints_rad()[0])))
 
 
 def moves(context: StepContext) -> Outcome[Approach]:
     """By way of home where the straight way is not clear; a number from where it ended."""
-    context.workcell.set_home()
-    target = context.workcell.joints_rad()
-    reached = context.workcell.go((target[0] + 0.25, *target[1:]))
+    context.workcell.master.set_home()
+    target = context.workcell.master.joints_rad()
+    reached = context.workcell.master.go((target[0] + 0.25, *target[1:]))
     context.choose(Question(Topic.APPROACH, "go on", "now", trajectory=context.trajectory))
     return Outcome(Approach(number=round(1e6 * reached.joints_rad[0])))
 
@@ -126,9 +126,9 @@ def test_a_replay_equals_a_run_whose_arm_was_stopped_between_two_motions(tmp_pat
         outcome = moves(context)
         if next(stops):  # by somebody else, in the run alone
             context.workcell.stop()
-        target = context.workcell.joints_rad()
-        context.workcell.go((target[0] + 0.5, *target[1:]))
-        return replace(outcome, result=Approach(number=round(1e6 * context.workcell.joints_rad()[0])))
+        target = context.workcell.master.joints_rad()
+        context.workcell.master.go((target[0] + 0.5, *target[1:]))
+        return replace(outcome, result=Approach(number=round(1e6 * context.workcell.master.joints_rad()[0])))
 
     recorded = Recorded(tmp_path, approach=moves_twice)
     recorded.run(*CASE)
@@ -180,7 +180,7 @@ def restarted(recorded: Recorded) -> None:
     recorded.engine.setting.memory.clear()
     recorded.engine.machine.hold()
     recorded.cell.journal.write(Entry.RESTARTED, 0.0)
-    recorded.cell.workcell.restore_history(arm_history(read_journal(recorded.cell.journal.path)))
+    recorded.cell.workcell.master.restore_history(arm_history(read_journal(recorded.cell.journal.path)))
 
 
 @pytest.mark.hazard(2)
@@ -189,7 +189,7 @@ def test_a_replay_equals_a_resumed_run(tmp_path: Path) -> None:
         if context.done_before:
             context.workcell.rest()  # nothing streams in a new program
         if context.setting.memory.find(int) is not None:
-            context.workcell.joints_rad()
+            context.workcell.master.joints_rad()
         context.setting.memory.keep(1)  # a new program has kept nothing
         moves(context)
         return looks(context)
@@ -204,7 +204,7 @@ def test_a_replay_equals_a_resumed_run(tmp_path: Path) -> None:
 def test_a_replay_equals_a_run_killed_before_its_devices_were_opened(tmp_path: Path) -> None:
     def asks_whether_it_is_open(context: StepContext) -> Outcome[Localization]:
         return Outcome(
-            Localization(number=int(context.workcell.arm.observe().state is Lifecycle.DISCONNECTED))
+            Localization(number=int(context.workcell.master.arm.observe().state is Lifecycle.DISCONNECTED))
         )
 
     recorded = Recorded(tmp_path, localization=asks_whether_it_is_open)
@@ -218,16 +218,16 @@ def test_a_replay_equals_a_run_killed_before_its_devices_were_opened(tmp_path: P
 @pytest.mark.hazard(2)
 def test_a_replay_equals_a_run_killed_with_its_guide_in_front_of_an_entry(tmp_path: Path) -> None:
     def moves_with_the_guide(context: StepContext) -> Outcome[Localization]:
-        context.workcell.mount.check(MountedTool.GUIDE)
+        context.workcell.master.mount.check(MountedTool.GUIDE)
         moves(context)
         return looks(context)
 
     def goes_in_or_out(context: StepContext) -> Outcome[Approach]:
         cell = context.workcell
-        if not cell.place.is_on_axis:
-            cell.insert(InsertionAxis("T1", cell.tool_pose(), 10.0))
+        if not cell.master.place.is_on_axis:
+            cell.master.insert(InsertionAxis("T1", cell.master.tool_pose(), 10.0))
             raise Killed
-        cell.withdraw("T1")
+        cell.master.withdraw("T1")
         return Outcome(Approach(number=1))
 
     recorded = Recorded(tmp_path, localization=moves_with_the_guide, approach=goes_in_or_out)
@@ -247,13 +247,13 @@ def test_a_replay_equals_a_run_killed_with_an_instrument_in_its_guide(tmp_path: 
     def goes_in(context: StepContext) -> Outcome[Localization]:
         moves(context)  # refused while it is inside
         if not context.done_before:
-            context.workcell.instrument.record_insertion("T1")
+            context.workcell.master.instrument.record_insertion("T1")
         return looks(context)
 
     recorded = Recorded(tmp_path, localization=goes_in)
     recorded.run(*CASE[:2])
     restarted(recorded)
-    recorded.cell.workcell.instrument.record_assumed("T1")
+    recorded.cell.workcell.master.instrument.record_assumed("T1")
     recorded.engine.questions.request_instrument_removal()
     recorded.run("localization:T1")
     assert {one.verdict for one in recorded.replayed()} == {EQUAL}
@@ -264,7 +264,7 @@ def test_reads_by_a_precondition_do_not_consume_recorded_answers_of_its_step(tmp
     recorded = Recorded(tmp_path)
 
     def at_home(context: StepContext) -> tuple[str, ...]:
-        return () if context.workcell.joints_rad() == HOME else ("the arm is not home",)
+        return () if context.workcell.master.joints_rad() == HOME else ("the arm is not home",)
 
     image, localization, *others = recorded.order.steps
     order = replace(recorded.order, steps=(image, replace(localization, preconditions=at_home), *others))
@@ -284,7 +284,7 @@ def test_a_replay_permits_homing_when_a_guard_ended_the_step_before_the_instrume
         context.setting.memory.keep(1)
         context.progress(0.5, "before it goes in")
         if first:
-            context.workcell.instrument.record_insertion("T1")
+            context.workcell.master.instrument.record_insertion("T1")
             raise GateFailed("it never came as far")
         return outcome
 
@@ -298,7 +298,7 @@ def test_a_replay_permits_homing_when_a_guard_ended_the_step_before_the_instrume
             return None
 
     recorded = Recorded(tmp_path, approach=goes_in)
-    recorded.cell.workcell.set_home()
+    recorded.cell.workcell.master.set_home()
     recorded.run(*CASE[:4])
     recorded.engine.checkpoint.guards.append(Suspends())
     recorded.run("approach:T1")

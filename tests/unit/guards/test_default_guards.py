@@ -28,7 +28,7 @@ from ronna_hw.errors import LinkTimeout
 def cell(tmp_path: Path) -> RecordingCell:
     cell = RecordingCell(tmp_path)
     cell.arm.state = Lifecycle.ACTIVE
-    cell.workcell.mount.check(MountedTool.STEREO_HEAD)
+    cell.workcell.master.mount.check(MountedTool.STEREO_HEAD)
     return cell
 
 
@@ -63,7 +63,7 @@ def test_a_jump_of_the_wall_clock_gives_one_finding_and_stops_nothing(step_s: fl
 
 @pytest.mark.hazard(4)
 def test_a_stale_arm_pose_suspends_the_case(cell: RecordingCell) -> None:
-    guard = ArmLink(cell.workcell)
+    guard = ArmLink(cell.workcell.master)
     assert guard.unmet() is None
     stale = replace(cell.arm.read_state(), validity=Validity.STALE)
     cell.arm.observe = lambda: LastKnown(Lifecycle.ACTIVE, None, stale)  # type: ignore[method-assign]
@@ -74,7 +74,7 @@ def test_a_stale_arm_pose_suspends_the_case(cell: RecordingCell) -> None:
 def test_a_link_that_loses_a_tenth_of_its_cycles_suspends_the_case_until_it_recovers(
     cell: RecordingCell,
 ) -> None:
-    guard = ArmLink(cell.workcell)
+    guard = ArmLink(cell.workcell.master)
     health = cell.arm.link_statistics()
 
     def after(cycles: int, lost: int) -> str | None:
@@ -158,5 +158,5 @@ def test_a_guard_condition_that_is_not_restored_ends_the_step_before_its_motion(
     engine.checkpoint.guards.append(DiskSpace(cell.folder / "gone"))
     cell.operator.refusing = (Topic.GUARD,)
     with pytest.raises(GuardUnmet, match="PRO-017: disk space"):
-        cell.workcell.go(cell.arm.joints_rad)
+        cell.workcell.master.go(cell.arm.joints_rad)
     assert cell.arm.motions == []

@@ -120,7 +120,8 @@ class Led:
     def __init__(self) -> None:
         self.room = TwoArmRoom()
         self.room.look(OVER_GUIDE_RAD, led=True)
-        self.watch = AssistantOnAxis(self.room.workcell(), self.room.watch)
+        workcell = self.room.workcell()
+        self.watch = AssistantOnAxis(workcell, workcell.assistant, self.room.watch)
 
     def see(self, cart: RigidTransform = STILL, *, hidden: bool = False) -> bool:
         """See a mean of frames; return whether the assistant was displaced."""

@@ -202,9 +202,9 @@ def test_a_run_whose_program_was_killed_says_whether_an_instrument_was_inside(
     cell: ClinicalCell, is_out: bool, instrument_in: str | None
 ) -> None:
     def work(context: StepContext) -> Outcome[StepResult]:
-        context.workcell.instrument.record_insertion("T1")
+        context.workcell.master.instrument.record_insertion("T1")
         if is_out:
-            context.workcell.instrument.record_removal()
+            context.workcell.master.instrument.record_removal()
         raise GateFailed("killed here")
 
     with pytest.raises(GateFailed):

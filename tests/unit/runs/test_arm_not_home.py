@@ -80,8 +80,8 @@ def warning_of(run: Path) -> str | None:
 
 def test_whoever_deleted_a_run_hears_where_its_arm_is_and_how_it_comes_home(tmp_path: Path) -> None:
     workcell = RecordingCell(tmp_path).workcell
-    workcell.mount.check(MountedTool.STEREO_HEAD)
-    held = InsertionAxis("T1", workcell.tool_pose(), travel_mm=60.0)
+    workcell.master.mount.check(MountedTool.STEREO_HEAD)
+    held = InsertionAxis("T1", workcell.master.tool_pose(), travel_mm=60.0)
     told = describe_arm_without_record(ArmPlace(PlaceKind.ON_AXIS, held, moved=True), own=False)
     assert "on the axis of T1" in told
     assert "withdraw the guide along the axis" in told
@@ -274,8 +274,8 @@ def test_a_copy_of_the_theatre_file_keeps_the_warning_that_an_instrument_may_be_
     write_request(RunRequest(procedure=CaseProcedure(case=tmp_path), config=theatre), cell.folder)
     cell.journal.write(Entry.OPENED, 0.0, run=cell.folder.name)
     cell.arm.mounted = GUIDE
-    cell.workcell.mount.check(MountedTool.GUIDE)
-    axis = InsertionAxis("T1", cell.workcell.tool_pose(), travel_mm=60.0).as_plain()
+    cell.workcell.master.mount.check(MountedTool.GUIDE)
+    axis = InsertionAxis("T1", cell.workcell.master.tool_pose(), travel_mm=60.0).as_plain()
     with hold_theatre(theatre, cell.folder):
         cell.journal.write(Entry.MOTION, 0.0, what="insert", trajectory="T1", axis=axis)
         cell.journal.write(Entry.MOVED, 0.0, joints_rad=list(HOME), at_home=False)
@@ -316,7 +316,7 @@ def test_the_arm_position_becomes_home_only_after_confirmation(tmp_path: Path) -
     engine.setting = replace(engine.setting, arm_not_home="run A left the arm away from its home")
     with pytest.raises(NotConfirmed, match="run A left the arm away"):
         engine.run_to()
-    assert not cell.workcell.place.is_home
+    assert not cell.workcell.master.place.is_home
 
 
 def test_the_doctor_says_what_a_new_case_would_be_warned_of(tmp_path: Path) -> None:

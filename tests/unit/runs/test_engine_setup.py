@@ -59,4 +59,4 @@ def test_an_arm_that_was_left_out_is_known_to_be_away_before_anything_is_compare
     journal = Journal(run)
     journal.write(Entry.MOTION, 0.0, what="go")
     journal.close()
-    assert resumed(run, plain_order(), stack).setting.workcell.place.is_out
+    assert resumed(run, plain_order(), stack).setting.workcell.master.place.is_out

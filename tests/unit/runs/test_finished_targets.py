@@ -302,7 +302,7 @@ def test_the_arm_goes_home_and_the_case_ends_well_once_every_target_is_finished(
     asked = [one.topic for one in cell.operator.asked]
     last = asked[len(asked) - asked[::-1].index(Topic.CART_MOVED) - 1 :]
     assert last == [Topic.CART_MOVED, *([Topic.RETREAT] if at == BOTH_FINISHED else []), Topic.PARK]
-    assert cell.workcell.place.is_home
+    assert cell.workcell.master.place.is_home
     assert engine.over
     assert engine.machine.state == "finished"
 
@@ -356,14 +356,16 @@ def test_an_arm_still_out_after_a_restart_can_be_brought_home(
     broken_off(cell)
     again, engine, left = opened_again(cell, engine.order)
     assert not engine.over
-    again.workcell.restore_history(left.arm, HOME_RAD)
-    again.workcell.mount.identify()
+    again.workcell.master.restore_history(left.arm, HOME_RAD)
+    again.workcell.master.mount.identify()
     assert has_head_moved(engine)
     engine.accept()
     near_rad: list[JointVector | None] = []
-    monkeypatch.setattr(again.workcell, "surround", lambda _, near=None: near_rad.append(near))
+    monkeypatch.setattr(again.workcell.master, "surround", lambda _, near=None: near_rad.append(near))
     surround(engine)
-    assert near_rad == [again.workcell.joints_rad()] != [HOME_RAD]  # exact where it stands, not at home
+    assert (
+        near_rad == [again.workcell.master.joints_rad()] != [HOME_RAD]
+    )  # exact where it stands, not at home
     monkeypatch.undo()
     surround(engine)
     engine.retreat_home()

@@ -76,7 +76,7 @@ def test_a_calibration_renewed_during_a_case_suspends_its_next_motion_until_it_i
         engine.run_to()
     assert len(cell.arm.motions) == moved
     assert ("rested", "") in cell.entries("rested")
-    cell.workcell.set_home()
+    cell.workcell.master.set_home()
     engine.retreat_home()  # is not held up
     file.write_bytes(former)
     engine.run_to()
@@ -90,7 +90,7 @@ def guarded(tmp_path: Path) -> ClinicalCell:
     cell.clock = PassingClock()
     add_guards(cell.engine(ORDER), tmp_path / "theatre.toml", cell.theatre, only_leaving=True)
     cell.arm.state = Lifecycle.ACTIVE
-    cell.workcell.mount.check(MountedTool.STEREO_HEAD)
+    cell.workcell.master.mount.check(MountedTool.STEREO_HEAD)
     cell.operator.refusing = (Topic.GUARD,)
     return cell
 
@@ -99,7 +99,7 @@ def guarded(tmp_path: Path) -> ClinicalCell:
 def test_a_guarded_case_does_not_move_with_another_tool(guarded: ClinicalCell) -> None:
     guarded.arm.mounted = GUIDE
     with pytest.raises(GuardUnmet, match=r"PRO-017.*tool"):
-        guarded.workcell.go(guarded.arm.joints_rad)
+        guarded.workcell.master.go(guarded.arm.joints_rad)
     assert guarded.arm.motions == []
 
 
@@ -111,7 +111,7 @@ def test_a_tool_exchanged_while_the_first_motion_is_confirmed_is_not_moved(guard
 
     guarded.operator.meanwhile = exchange
     with pytest.raises(GuardUnmet, match=r"PRO-017.*tool"):
-        guarded.workcell.go(guarded.arm.joints_rad)
+        guarded.workcell.master.go(guarded.arm.joints_rad)
     assert guarded.arm.motions == []
 
 

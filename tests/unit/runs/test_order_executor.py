@@ -230,7 +230,7 @@ def test_an_abort_between_steps_ends_the_case(cell: RecordingCell) -> None:
 
 def away(cell: RecordingCell) -> None:
     """Lead the arm away from home."""
-    cell.workcell.set_home()
+    cell.workcell.master.set_home()
     A1, *others = cell.arm.joints_rad
     cell.arm.joints_rad = (A1 + 0.5, *others)  # type: ignore[assignment]  # six again
 
@@ -278,7 +278,7 @@ def test_an_abort_on_the_agreed_way_home_is_led_home_where_only_a_console_is_att
         eventually(lambda: len(case.ended_by) == 1)
     assert isinstance(case.ended_by[0], OperatorAborted)
     assert case.engine.machine.state == "aborted"
-    assert cell.workcell.place.is_home
+    assert cell.workcell.master.place.is_home
 
 
 @pytest.mark.branch("ABORTED")

@@ -131,7 +131,7 @@ def test_an_instrument_in_the_guide_comes_out_before_the_check(cell: ClinicalCel
     recover(engine, left)
     assert again.operator.asked[1].topic is Topic.INSTRUMENT_OUT
     assert gauge_readings(again) == 0
-    assert again.workcell.place.is_home
+    assert again.workcell.master.place.is_home
     assert str(engine.upcoming) == "tool_check"
 
 
@@ -267,7 +267,7 @@ def test_a_guide_found_off_on_the_way_home_does_not_end_it(cell: ClinicalCell, g
     A1, *others = cell.arm.joints_rad
     cell.arm.joints_rad, cell.arm.mounted = (A1 + 0.2, *others), 0
     guarded.retreat_home()
-    assert cell.workcell.place.is_home
+    assert cell.workcell.master.place.is_home
     assert str(guarded.upcoming) == "tool_check"
 
 

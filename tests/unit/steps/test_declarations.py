@@ -103,7 +103,7 @@ def test_with_an_assistant_the_work_at_a_target_is_declared_to_move_an_arm_but_n
 def test_a_moving_step_does_not_begin_with_an_unknown_tool(
     cell: ClinicalCell, step: StepSpec[StepResult]
 ) -> None:
-    assert cell.workcell.tool is MountedTool.UNKNOWN
+    assert cell.workcell.master.tool is MountedTool.UNKNOWN
     cell.arm.mounted = 0  # and nothing of ours is found when it is read again
     key = StepKey(step.name, "T1")
     assert step.preconditions(cell.begin(step).context(key))

@@ -30,8 +30,8 @@ FARTHER: JointVector = (HOME[0] + 0.2, *HOME[1:])
 def cell(cell: RecordingCell) -> RecordingCell:
     """With the guide mounted, at home."""
     cell.arm.mounted = GUIDE
-    cell.workcell.mount.check(MountedTool.GUIDE)
-    cell.workcell.set_home()
+    cell.workcell.master.mount.check(MountedTool.GUIDE)
+    cell.workcell.master.set_home()
     return cell
 
 
@@ -52,18 +52,18 @@ def nothing(_cell: RecordingCell) -> None:
 
 
 def away(cell: RecordingCell) -> None:
-    cell.workcell.go(AWAY)
-    cell.workcell.settle(FARTHER, (1,) * 6)
+    cell.workcell.master.go(AWAY)
+    cell.workcell.master.settle(FARTHER, (1,) * 6)
 
 
 def inserted(cell: RecordingCell) -> None:
-    cell.workcell.go(AWAY)
-    cell.workcell.insert(ahead(cell))
+    cell.workcell.master.go(AWAY)
+    cell.workcell.master.insert(ahead(cell))
 
 
 def worked(cell: RecordingCell) -> None:
     inserted(cell)
-    instrument = cell.workcell.instrument
+    instrument = cell.workcell.master.instrument
     instrument.stages.record_stop("T1", {"mm": 120.5})
     instrument.stages.record_begin("T1", "drill")
     instrument.record_insertion("T1")
@@ -73,37 +73,37 @@ def worked(cell: RecordingCell) -> None:
 
 def taken_out(cell: RecordingCell) -> None:
     worked(cell)
-    cell.workcell.instrument.record_removal()
+    cell.workcell.master.instrument.record_removal()
 
 
 def withdrawn(cell: RecordingCell) -> None:
     taken_out(cell)
-    cell.workcell.withdraw("T1")
+    cell.workcell.master.withdraw("T1")
 
 
 def home_again(cell: RecordingCell) -> None:
     withdrawn(cell)
-    cell.workcell.return_home()
+    cell.workcell.master.return_home()
 
 
 def failed(cell: RecordingCell) -> None:
     cell.arm.failing = LinkTimeout("telegrams ceased")
     with pytest.raises(LinkTimeout):
-        cell.workcell.go(AWAY)
+        cell.workcell.master.go(AWAY)
 
 
 def refused(cell: RecordingCell) -> None:
     cell.arm.state = Lifecycle.ACTIVE
     cell.arm.blocked = lambda _start, _target: True
     with pytest.raises(NotClear):
-        cell.workcell.go(AWAY)
+        cell.workcell.master.go(AWAY)
 
 
 def cut_short(cell: RecordingCell) -> None:
     cell.have_asked(RecordingOperator(Topic.PAUSE).word)
     cell.arm.interruptions = 1
     with pytest.raises(OperatorAborted):
-        cell.workcell.go(AWAY)
+        cell.workcell.master.go(AWAY)
 
 
 @pytest.mark.hazard(2)
@@ -115,7 +115,7 @@ def test_the_journal_tells_a_resumed_case_what_the_running_one_knew(
 ) -> None:
     made(cell)
     read_again = arm_history(read_journal(cell.folder / JOURNAL_FILE))
-    assert compared(read_again) == compared(cell.workcell.history)
+    assert compared(read_again) == compared(cell.workcell.master.history)
 
 
 @pytest.mark.parametrize(
@@ -134,37 +134,37 @@ def test_the_arm_is_away_from_when_it_leaves_home_until_it_is_back(
     cell: RecordingCell, made: Callable[[RecordingCell], None], is_away: bool
 ) -> None:
     made(cell)
-    assert cell.workcell.place.is_out is is_away
-    assert cell.workcell.place.is_home is not is_away
+    assert cell.workcell.master.place.is_out is is_away
+    assert cell.workcell.master.place.is_home is not is_away
 
 
 @pytest.mark.hazard(5)
 def test_a_first_motion_that_failed_on_its_way_leaves_the_arm_away(cell: RecordingCell) -> None:
     failed(cell)
     cell.arm.joints_rad = AWAY
-    assert cell.workcell.place.is_out
+    assert cell.workcell.master.place.is_out
 
 
 def test_an_arm_in_fault_that_left_home_is_away_until_its_joints_are_read(cell: RecordingCell) -> None:
-    cell.workcell.set_home()
-    cell.workcell.go(AWAY)
+    cell.workcell.master.set_home()
+    cell.workcell.master.go(AWAY)
     cell.arm.joints_rad, cell.arm.state = HOME, Lifecycle.FAULT
-    assert cell.workcell.place.is_out
+    assert cell.workcell.master.place.is_out
 
 
 def test_an_arm_that_stands_at_home_is_not_away_however_it_came_there(cell: RecordingCell) -> None:
-    cell.workcell.go(AWAY)
-    cell.workcell.go(HOME)
-    assert not cell.workcell.place.is_out
+    cell.workcell.master.go(AWAY)
+    cell.workcell.master.go(HOME)
+    assert not cell.workcell.master.place.is_out
 
 
 def test_an_approach_that_the_operator_declines_leaves_the_guide_free_to_go_home(cell: RecordingCell) -> None:
-    cell.workcell.go(AWAY)
-    cell.workcell.supervised.reset_confirmation()
+    cell.workcell.master.go(AWAY)
+    cell.workcell.master.supervised.reset_confirmation()
     cell.have_asked(RecordingOperator(Topic.FIRST_MOTION).word)
     with pytest.raises(NotConfirmed, match="PRO-002"):
-        cell.workcell.insert(ahead(cell))
-    assert not cell.workcell.place.is_on_axis
+        cell.workcell.master.insert(ahead(cell))
+    assert not cell.workcell.master.place.is_on_axis
 
 
 @pytest.mark.hazard(2)
@@ -172,17 +172,17 @@ def test_a_torn_journal_leaves_it_open_whether_an_instrument_is_inside_also_at_a
     cell: RecordingCell,
 ) -> None:
     worked(cell)
-    cell.workcell.instrument.record_removal()
-    assert cell.workcell.history.instrument_out
+    cell.workcell.master.instrument.record_removal()
+    assert cell.workcell.master.history.instrument_out
     restarted = {"entry": Entry.RESTARTED, "torn_bytes": 120}
-    assert not cell.workcell.history.with_line(restarted).instrument_out
+    assert not cell.workcell.master.history.with_line(restarted).instrument_out
 
 
 def test_an_instrument_that_is_assumed_to_be_inside_is_not_out(cell: RecordingCell) -> None:
     withdrawn(cell)
-    cell.workcell.instrument.record_assumed("T1")
-    assert cell.workcell.place.instrument_may_be_inside == "T1"
-    assert not cell.workcell.history.instrument_out
+    cell.workcell.master.instrument.record_assumed("T1")
+    assert cell.workcell.master.place.instrument_may_be_inside == "T1"
+    assert not cell.workcell.master.history.instrument_out
 
 
 MOTION_FROM_HOME = [
@@ -237,32 +237,32 @@ def test_after_a_kill_an_instrument_counts_as_inside_unless_it_was_confirmed_out
     cell: RecordingCell, made: Callable[[RecordingCell], None], torn: bool, inside: str | None, assumed: bool
 ) -> None:
     made(cell)
-    assert cell.workcell.place.assumed is False
-    place = cell.workcell.history.with_restart(torn=torn).place
+    assert cell.workcell.master.place.assumed is False
+    place = cell.workcell.master.history.with_restart(torn=torn).place
     assert (place.instrument_may_be_inside, place.assumed) == (inside, assumed)
 
 
 @pytest.mark.hazard(5)
 def test_an_arm_that_was_jogged_is_where_its_joints_say(cell: RecordingCell) -> None:
     lines = len(list(read_journal(cell.folder / JOURNAL_FILE)))
-    cell.workcell.compare_place()
+    cell.workcell.master.compare_place()
     assert len(list(read_journal(cell.folder / JOURNAL_FILE))) == lines  # as the journal has it
     cell.arm.joints_rad = AWAY
-    cell.workcell.compare_place()
-    assert cell.workcell.place.place_kind is PlaceKind.AWAY
+    cell.workcell.master.compare_place()
+    assert cell.workcell.master.place.place_kind is PlaceKind.AWAY
     assert list(read_journal(cell.folder / JOURNAL_FILE))[-1]["entry"] == Entry.PLACED
     cell.arm.joints_rad = HOME
-    cell.workcell.compare_place()
-    assert cell.workcell.place.is_home
+    cell.workcell.master.compare_place()
+    assert cell.workcell.master.place.is_home
 
 
 def test_a_guide_that_was_jogged_home_is_on_no_axis(cell: RecordingCell) -> None:
     worked(cell)
     cell.arm.joints_rad = HOME
-    cell.workcell.compare_place()
-    assert cell.workcell.place.is_home
-    assert not cell.workcell.place.is_on_axis
-    assert cell.workcell.instrument.inside == "T1"  # until it is confirmed to be out
+    cell.workcell.master.compare_place()
+    assert cell.workcell.master.place.is_home
+    assert not cell.workcell.master.place.is_on_axis
+    assert cell.workcell.master.instrument.inside == "T1"  # until it is confirmed to be out
 
 
 def test_lines_of_another_arm_do_not_move_this_one() -> None:

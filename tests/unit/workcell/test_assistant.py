@@ -16,6 +16,7 @@ from procedures.operator.checkpoint import Checkpoint
 from procedures.operator.errors import NotConfirmed
 from procedures.operator.question import YES, Topic
 from procedures.workcell.arm_history import ArmHistory, ArmLog, HeldInstrument, InsertionAxis, arm_history
+from procedures.workcell.arms import Arms
 from procedures.workcell.assistant import INSTRUMENT, Assistant, GuidedStretch
 from procedures.workcell.errors import OtherArmUnknown, TipOffAxis
 from procedures.workcell.motions import PlannedMotion
@@ -24,7 +25,7 @@ from ronna_hw.arm.clearance.bodies import Surroundings
 from ronna_hw.calibrated_arm.arm import CalibratedArm
 from ronna_hw.calibration import PoseRecord
 from ronna_hw.clock import HostClock
-from ronna_hw.config import ASSISTANT, Calibrations, DeviceConfig
+from ronna_hw.config import ASSISTANT, MASTER, Calibrations, DeviceConfig
 from ronna_hw.devices import LineMove
 from ronna_hw.frames import Frame, FrameMismatch, Transform
 from sim.world.scene.assistant import KR6_HOME_DEG
@@ -53,15 +54,9 @@ def assistant(cell: RecordingCell, arm: IdealArm, monkeypatch: pytest.MonkeyPatc
     holder = SimpleNamespace(flange_from_clamp=clamp, flange_from_ball_mm=BALL_MM)
     records = SimpleNamespace(arm=True, assistant_arm=True, assistant_holder=holder)
     log = ArmLog(cell.journal, CLOCK, ArmHistory(ASSISTANT))
-    assistant = Assistant(
-        lambda: arm,
-        log,
-        cast("Calibrations", records),
-        lambda leg, _motion: leg.drive(arm),
-        lambda _by: False,
-        lambda: "T1",
-    )
-    assistant.place_base(Transform.of(Frame.ROBOT, Frame.ASSISTANT))
+    arms = Arms({MASTER: arm, ASSISTANT: arm}, (MASTER, ASSISTANT), CLOCK, lambda: "T1")
+    assistant = Assistant(log, arms, cast("Calibrations", records), None)
+    assistant.record_base(Transform.of(Frame.ROBOT, Frame.ASSISTANT))
     held = assistant.clamp_pose(assistant.joints_rad())
     axis = assistant.axis_in_base(InsertionAxis("T1", held, TRAVEL_MM))
     log.note(
@@ -106,15 +101,15 @@ def test_an_assistant_that_was_jogged_is_where_its_joints_say(assistant: Assista
 def test_the_assistant_is_compared_also_if_the_other_arm_reports_no_joints(
     assistant: Assistant, cell: RecordingCell, arm: IdealArm, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    cell.workcell.assistant = assistant
-    cell.workcell.restore_home(IdealArm.kinematics.home_rad)
+    cell.add_assistant(assistant)
+    cell.workcell.master.restore_home(IdealArm.kinematics.home_rad)
     assistant.restore_home(IdealArm.kinematics.home_rad)
     arm.controller.joints_rad = IdealArm.kinematics.home_rad
 
     def report_nothing() -> NoReturn:
         raise OtherArmUnknown("no joints")
 
-    monkeypatch.setattr(cell.workcell, "joints_rad", report_nothing)
+    monkeypatch.setattr(cell.workcell.master, "joints_rad", report_nothing)
     with pytest.raises(OtherArmUnknown, match="no joints"):
         cell.workcell.compare_places()
     assert assistant.place.is_home
@@ -125,7 +120,7 @@ def test_after_a_stop_the_next_motion_of_the_assistant_is_confirmed_anew(
     assistant: Assistant, cell: RecordingCell
 ) -> None:
     checkpoint = Checkpoint(lambda _question: YES, lambda _state, _reason: nullcontext(), CLOCK)
-    cell.workcell.assistant = assistant
+    cell.add_assistant(assistant)
     assistant.supervised.ask_before(checkpoint, lambda _question: YES)
     assistant.supervised.confirm(Topic.RETREAT, "retreat", [])
     cell.workcell.stop()
@@ -159,9 +154,10 @@ def test_an_instrument_that_would_stand_in_the_arm_itself_is_not_clear_at_rest(
     monkeypatch.setattr(IdealArm, "kinematics", find_kinematics("kr6_r900_sixx"))
     home_rad = tuple(map(radians, KR6_HOME_DEG))
     turned_rad = (*home_rad[:-1], radians(60.0))
-    assert assistant.rests_clear(home_rad, Surroundings(), 0.0)
-    assert not assistant.rests_clear(home_rad, Surroundings(), 170.0)
-    assert assistant.rests_clear(turned_rad, Surroundings(), 170.0)
+    assistant.surround(Surroundings(), home_rad)
+    assert assistant.rests_clear(home_rad, 0.0)
+    assert not assistant.rests_clear(home_rad, 170.0)
+    assert assistant.rests_clear(turned_rad, 170.0)
 
 
 @pytest.mark.hazard(63)

@@ -31,8 +31,8 @@ def watcher(cell: RecordingCell, monkeypatch: pytest.MonkeyPatch) -> BallWatcher
     monkeypatch.setattr(cell.workcell, "look", lambda: nothing)
     cell.arm.joints_rad = HOME_RAD
     cell.arm.state = Lifecycle.ACTIVE
-    cell.workcell.mount.check(MountedTool.STEREO_HEAD)
-    cell.workcell.set_home()
+    cell.workcell.master.mount.check(MountedTool.STEREO_HEAD)
+    cell.workcell.master.set_home()
     return BallWatcher(cell.workcell, BALL_MM)
 
 
@@ -116,7 +116,7 @@ def test_a_search_for_a_ball_in_which_the_arm_trips_ends_with_that(
 def test_the_surroundings_include_the_ball_its_stand_other_balls_and_the_stereo_head(
     cell: RecordingCell,
 ) -> None:
-    tool = cell.workcell.flange_from(MountedTool.STEREO_HEAD)
+    tool = cell.workcell.master.flange_from(MountedTool.STEREO_HEAD)
     around = build_ball_surroundings(cell.theatre.cell, tool, BALL_MM, [[700.0, 60.0, 300.0]])
     assert [obstacle.name for obstacle in around.obstacles] == ["ball's stand", "ball", "other ball 1"]
     assert {"left camera", "right camera"} <= {part.name for part in around.tool}

@@ -45,8 +45,8 @@ def cell(tmp_path: Path) -> RecordingCell:
     cell = RecordingCell(tmp_path, operator=RecordingOperator())
     cell.arm = PlannedArm("arm", state=Lifecycle.ACTIVE, mounted=GUIDE, joints_rad=LIFTED)
     cell.opened.replace_device("robot.master", cell.arm)
-    cell.workcell.mount.check(MountedTool.GUIDE)
-    cell.workcell.set_home()
+    cell.workcell.master.mount.check(MountedTool.GUIDE)
+    cell.workcell.master.set_home()
     cell.arm.joints_rad = START
     cell.have_asked(cell.operator.word)
     return cell
@@ -73,26 +73,30 @@ def tool_at(cell: RecordingCell, ahead_mm: float, turned_rad: float = 0.0) -> Tr
 def withdraw(cell: RecordingCell) -> None:
     """The guide is on its axis already, as in a run that is resumed."""
     on = InsertionAxis("T1", tool_pose(cell.arm.joints_rad, cell), WAY_MM)
-    cell.workcell.restore_history(ArmHistory(place=ArmPlace(PlaceKind.ON_AXIS, on)), cell.workcell.home_rad)
-    cell.workcell.withdraw("T1")
+    cell.workcell.master.restore_history(
+        ArmHistory(place=ArmPlace(PlaceKind.ON_AXIS, on)), cell.workcell.master.home_rad
+    )
+    cell.workcell.master.withdraw("T1")
 
 
 def go_past_a_post(cell: RecordingCell) -> None:
     x, y, z = arm_of(cell).kinematics.flange_pose(HOME).translation_mm.tolist()
     post = Obstacle("post", Capsule((x, y, z - 100.0), (x, y, z), 5.0))
     arm_of(cell).surround(Surroundings(obstacles=(post,)))
-    cell.workcell.go(ACROSS)
+    cell.workcell.master.go(ACROSS)
 
 
 KINDS: dict[str, Callable[[RecordingCell], object]] = {
-    "go": lambda cell: cell.workcell.go(ACROSS),
+    "go": lambda cell: cell.workcell.master.go(ACROSS),
     "go past a post": go_past_a_post,
-    "home": lambda cell: cell.workcell.go_home(),
-    "step": lambda cell: cell.workcell.settle(ACROSS, None),
-    "settle": lambda cell: cell.workcell.settle(ACROSS, (1, -1, 1, -1, 1, -1)),
-    "settle nearby": lambda cell: cell.workcell.settle(cell.workcell.joints_rad(), (1, -1, 1, -1, 1, -1)),
-    "line": lambda cell: cell.workcell.line_to(tool_at(cell, 40.0, 0.2)),
-    "insert": lambda cell: cell.workcell.insert(InsertionAxis("T1", tool_at(cell, WAY_MM), WAY_MM)),
+    "home": lambda cell: cell.workcell.master.go_home(),
+    "step": lambda cell: cell.workcell.master.settle(ACROSS, None),
+    "settle": lambda cell: cell.workcell.master.settle(ACROSS, (1, -1, 1, -1, 1, -1)),
+    "settle nearby": lambda cell: cell.workcell.master.settle(
+        cell.workcell.master.joints_rad(), (1, -1, 1, -1, 1, -1)
+    ),
+    "line": lambda cell: cell.workcell.master.line_to(tool_at(cell, 40.0, 0.2)),
+    "insert": lambda cell: cell.workcell.master.insert(InsertionAxis("T1", tool_at(cell, WAY_MM), WAY_MM)),
     "withdraw": withdraw,
 }
 
@@ -130,7 +134,7 @@ def test_the_duration_and_speed_in_the_question_are_those_of_the_actual_motion(
 @pytest.mark.hazard(36)
 def test_the_guide_goes_in_at_half_the_speed_of_its_retreat(cell: RecordingCell) -> None:
     KINDS["insert"](cell)
-    cell.workcell.withdraw("T1")
+    cell.workcell.master.withdraw("T1")
     speeds_mm_s = []
     for plan in arm_of(cell).plans:
         tips = np.array([tool_pose(joints, cell).translation_mm for joints in points(cell, plan)])

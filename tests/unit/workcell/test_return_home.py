@@ -29,26 +29,26 @@ def motions(cell: RecordingCell) -> list[JointVector]:
 def away(cell: RecordingCell) -> RecordingCell:
     """An arm that came from home by two places."""
     cell.arm.joints_rad, cell.arm.state = HOME, Lifecycle.ACTIVE
-    cell.workcell.set_home()
+    cell.workcell.master.set_home()
     for place in (ONE, TWO):
-        cell.workcell.go(place)
+        cell.workcell.master.go(place)
     cell.arm.motions.clear()
     return cell
 
 
 def test_the_arm_goes_straight_home_if_the_way_is_clear(away: RecordingCell) -> None:
-    assert away.workcell.return_home().joints_rad == HOME
+    assert away.workcell.master.return_home().joints_rad == HOME
     assert motions(away) == HOMING
 
 
 def test_the_arm_goes_back_the_way_it_came_if_the_straight_way_is_blocked(away: RecordingCell) -> None:
     away.arm.blocked = blocked_beyond(0.15)
-    away.workcell.return_home()
+    away.workcell.master.return_home()
     assert motions(away) == [TWO, ONE, *HOMING]
 
 
 def test_an_interrupted_way_back_continues_without_visiting_its_far_end_again(away: RecordingCell) -> None:
-    away.workcell.go(THREE)
+    away.workcell.master.go(THREE)
     away.arm.motions.clear()
     away.arm.blocked = blocked_beyond(0.15)
     clear = away.arm.blocked
@@ -60,17 +60,17 @@ def test_an_interrupted_way_back_continues_without_visiting_its_far_end_again(aw
 
     away.arm.blocked = fails_from_two_to_one
     with pytest.raises(LinkTimeout):
-        away.workcell.return_home()
+        away.workcell.master.return_home()
     away.arm.blocked = clear
-    away.workcell.return_home()
+    away.workcell.master.return_home()
     assert motions(away)[2:] == [TWO, ONE, *HOMING]
 
 
 def test_the_way_is_forgotten_at_home(away: RecordingCell) -> None:
-    away.workcell.return_home()
+    away.workcell.master.return_home()
     away.arm.joints_rad, away.arm.blocked = TWO, blocked_beyond(0.15)  # brought there by other hands
     with pytest.raises(NotClear):
-        away.workcell.return_home()
+        away.workcell.master.return_home()
 
 
 @pytest.mark.parametrize(("beside", "at_home"), [(0.9, True), (1.1, False)])
@@ -78,19 +78,19 @@ def test_the_arm_is_at_home_when_every_joint_is_near_its_home_angle(
     away: RecordingCell, beside: float, at_home: bool
 ) -> None:
     away.arm.joints_rad = (*HOME[:5], HOME[5] + beside * AT_PLACE_RAD)
-    away.workcell.compare_place()
-    assert away.workcell.place.is_home is at_home
+    away.workcell.master.compare_place()
+    assert away.workcell.master.place.is_home is at_home
 
 
 def test_a_restored_history_leads_back_like_the_original_one(cell: RecordingCell) -> None:
     cell.arm.joints_rad, cell.arm.state = TWO, Lifecycle.ACTIVE
     cell.arm.blocked = blocked_beyond(0.15)
-    cell.workcell.restore_history(ArmHistory(trail=(ONE, TWO)), HOME)
-    cell.workcell.return_home()
+    cell.workcell.master.restore_history(ArmHistory(trail=(ONE, TWO)), HOME)
+    cell.workcell.master.return_home()
     assert motions(cell) == [TWO, ONE, *HOMING]
 
 
 def test_nothing_moves_home_before_a_home_is_set(cell: RecordingCell) -> None:
     with pytest.raises(StepRefused, match="Run set_up first"):
-        cell.workcell.return_home()
+        cell.workcell.master.return_home()
     assert cell.arm.motions == []

@@ -33,8 +33,8 @@ def supervised(cell: RecordingCell, *refusing: Topic) -> Engine:
     """An engine over a cell at home with the stereo head mounted, whose arm is active."""
     cell.operator = RecordingOperator(*refusing)
     cell.arm.state = Lifecycle.ACTIVE
-    cell.workcell.mount.check(MountedTool.STEREO_HEAD)
-    cell.workcell.set_home()
+    cell.workcell.master.mount.check(MountedTool.STEREO_HEAD)
+    cell.workcell.master.set_home()
     return cell.engine(plain_order())
 
 
@@ -47,8 +47,8 @@ def test_only_the_first_motion_is_confirmed_and_the_question_states_what_will_mo
     cell: RecordingCell,
 ) -> None:
     supervised(cell)
-    cell.workcell.go(turned(0.1))
-    cell.workcell.go(turned(0.2))
+    cell.workcell.master.go(turned(0.1))
+    cell.workcell.master.go(turned(0.2))
     assert topics(cell) == [Topic.FIRST_MOTION]
     (asked,) = cell.operator.asked
     assert asked.read_back is not None
@@ -67,7 +67,7 @@ def test_only_the_first_motion_is_confirmed_and_the_question_states_what_will_mo
 def test_nothing_moves_unless_the_first_motion_is_confirmed(cell: RecordingCell) -> None:
     supervised(cell, Topic.FIRST_MOTION)
     with pytest.raises(NotConfirmed, match="PRO-002"):
-        cell.workcell.go(turned(0.1))
+        cell.workcell.master.go(turned(0.1))
     assert cell.arm.motions == []
 
 
@@ -82,11 +82,13 @@ def test_nobody_is_asked_about_a_motion_that_is_not_clear(
         "preview",
         lambda motion, **start: replace(previews(motion, **start), refused=near if around else None),
     )
-    monkeypatch.setattr(cell.workcell.supervised, "_look_around", lambda: around.append("the other arm"))
+    monkeypatch.setattr(
+        cell.workcell.master.supervised, "_look_around", lambda: around.append("the other arm")
+    )
     with pytest.raises(
         NotClear, match="hand of the master would come too close to the forearm of the assist"
     ):
-        cell.workcell.settle(turned(0.1), None)
+        cell.workcell.master.settle(turned(0.1), None)
     assert topics(cell) == []
     assert cell.arm.motions == []
 
@@ -94,9 +96,9 @@ def test_nobody_is_asked_about_a_motion_that_is_not_clear(
 @pytest.mark.hazard(32)
 def test_after_a_stop_the_next_motion_needs_confirmation_again(cell: RecordingCell) -> None:
     supervised(cell)
-    cell.workcell.go(turned(0.1))
+    cell.workcell.master.go(turned(0.1))
     cell.workcell.stop()
-    cell.workcell.go(turned(0.2))
+    cell.workcell.master.go(turned(0.2))
     assert topics(cell) == [Topic.FIRST_MOTION] * 2
 
 
@@ -106,7 +108,7 @@ def test_a_stopped_motion_resumes_from_the_current_position_if_the_operator_agre
 ) -> None:
     engine = supervised(cell)
     cell.arm.interruptions = 1
-    cell.workcell.go(turned(0.2))
+    cell.workcell.master.go(turned(0.2))
     assert topics(cell) == [Topic.FIRST_MOTION, Topic.PAUSE, Topic.FIRST_MOTION]
     assert cell.arm.motions == [("joints", turned(0.2))]
     assert cell.arm.calls == ["resume"]
@@ -126,7 +128,7 @@ def test_a_stop_during_the_first_question_holds_the_arm_until_it_is_answered(cel
         return ask(question)
 
     cell.operator.ask = stopping  # type: ignore[method-assign]
-    cell.workcell.go(turned(0.1))
+    cell.workcell.master.go(turned(0.1))
     assert topics(cell) == [Topic.FIRST_MOTION, Topic.PAUSE, Topic.FIRST_MOTION]
     assert at_pause == [(Lifecycle.HOLD, [])]
 
@@ -143,7 +145,7 @@ def test_a_stop_right_before_a_motion_pauses_the_step(cell: RecordingCell) -> No
         yield
 
     engine.checkpoint.watching = stopped_once
-    cell.workcell.go(turned(0.2))
+    cell.workcell.master.go(turned(0.2))
     assert topics(cell) == [Topic.FIRST_MOTION, Topic.PAUSE, Topic.FIRST_MOTION]
     assert cell.arm.motions == [("joints", turned(0.2))]
 
@@ -151,9 +153,9 @@ def test_a_stop_right_before_a_motion_pauses_the_step(cell: RecordingCell) -> No
 @pytest.mark.hazard(5)
 def test_a_stop_while_the_arm_rests_between_two_motions_pauses_the_step(cell: RecordingCell) -> None:
     supervised(cell)
-    cell.workcell.go(turned(0.1))
+    cell.workcell.master.go(turned(0.1))
     cell.arm.state = Lifecycle.HOLD  # by a thread that knows nothing of the case
-    cell.workcell.go(turned(0.2))
+    cell.workcell.master.go(turned(0.2))
     assert topics(cell) == [Topic.FIRST_MOTION, Topic.PAUSE, Topic.FIRST_MOTION]
     assert cell.arm.motions == [("joints", turned(0.1)), ("joints", turned(0.2))]
 
@@ -162,9 +164,9 @@ def test_an_arm_that_a_step_holds_between_two_motions_is_led_on_without_a_questi
     cell: RecordingCell,
 ) -> None:
     supervised(cell)
-    cell.workcell.go(turned(0.1))
-    cell.workcell.hold()
-    cell.workcell.go(turned(0.2))
+    cell.workcell.master.go(turned(0.1))
+    cell.workcell.master.hold()
+    cell.workcell.master.go(turned(0.2))
     assert topics(cell) == [Topic.FIRST_MOTION]
     assert cell.arm.motions == [("joints", turned(0.1)), ("joints", turned(0.2))]
 
@@ -178,7 +180,7 @@ def test_a_stop_during_a_question_is_not_undone_by_its_answer(cell: RecordingCel
         cell.arm.state = Lifecycle.HOLD
 
     cell.operator.meanwhile = stop_once
-    cell.workcell.go(turned(0.1))
+    cell.workcell.master.go(turned(0.1))
     assert topics(cell) == [Topic.FIRST_MOTION, Topic.PAUSE, Topic.FIRST_MOTION]
     assert cell.arm.calls == ["resume"]
 
@@ -187,7 +189,7 @@ def test_a_stopped_motion_does_not_resume_if_the_operator_aborts(cell: Recording
     supervised(cell, Topic.PAUSE)
     cell.arm.interruptions = 1
     with pytest.raises(OperatorAborted):
-        cell.workcell.go(turned(0.2))
+        cell.workcell.master.go(turned(0.2))
     assert cell.arm.motions == []
     assert cell.arm.state is Lifecycle.HOLD
 
@@ -234,7 +236,7 @@ def test_a_confirmed_start_is_a_motion_in_the_journal_and_leads_the_arm_nowhere(
     cell.workcell.start()
     lines = [(line["entry"], line["number"], line.get("what")) for line in motion_lines(tmp_path)]
     assert lines == [("motion", 1, "start"), ("moved", 1, None)]
-    assert not cell.workcell.place.is_out
+    assert not cell.workcell.master.place.is_out
 
 
 def test_a_start_that_fails_has_its_result_in_the_journal(tmp_path: Path) -> None:
@@ -248,7 +250,7 @@ def test_a_start_that_fails_has_its_result_in_the_journal(tmp_path: Path) -> Non
 @pytest.mark.hazard(44)
 def test_the_arm_does_not_start_with_an_instrument_in_the_guide(tmp_path: Path) -> None:
     cell = cell_with(tmp_path, RecordingOperator())
-    cell.workcell.instrument.record_insertion("T1")
+    cell.workcell.master.instrument.record_insertion("T1")
     with pytest.raises(InstrumentInGuide, match="start the arm"):
         cell.workcell.start()
     assert (cell.operator.asked, cell.arm.calls) == ([], [])
@@ -265,10 +267,10 @@ def test_the_arm_stays_off_without_confirmation(tmp_path: Path) -> None:
 @pytest.mark.hazard(36)
 def test_the_first_motion_still_needs_its_own_confirmation(tmp_path: Path) -> None:
     cell = cell_with(tmp_path, RecordingOperator())
-    cell.workcell.set_home()
-    cell.workcell.mount.identify()
+    cell.workcell.master.set_home()
+    cell.workcell.master.mount.identify()
     cell.workcell.start()
-    cell.workcell.go_home()
+    cell.workcell.master.go_home()
     assert [one.topic for one in cell.operator.asked] == [Topic.UNVERIFIED, Topic.FIRST_MOTION]
 
 

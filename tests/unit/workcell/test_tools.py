@@ -105,8 +105,8 @@ def test_the_surroundings_are_exact_where_a_calibrated_arm_works(tmp_path: Path)
     room = Surroundings(obstacles=(Obstacle("ball", Capsule(touched_mm, touched_mm, 5.0)),))
     seen_mm = []
     for near_rad in (there, None):
-        cell.workcell.surround(room, near_rad)
-        assert cell.workcell.surroundings is not None
-        seen_mm.append(cell.workcell.surroundings.obstacles[0].capsule.start_mm)
+        cell.workcell.master.surround(room, near_rad)
+        assert cell.workcell.master.surroundings is not None
+        seen_mm.append(cell.workcell.master.surroundings.obstacles[0].capsule.start_mm)
     np.testing.assert_allclose(seen_mm[0], arm.nominal.forward(there).position_mm, atol=1e-9)
     assert math.dist(*seen_mm) > 0.3

@@ -41,8 +41,8 @@ def motions(cell: RecordingCell) -> list[tuple[str, object]]:
 
 def with_guide(cell: RecordingCell) -> None:
     cell.arm.mounted = GUIDE
-    cell.workcell.mount.check(MountedTool.GUIDE)
-    cell.workcell.set_home()
+    cell.workcell.master.mount.check(MountedTool.GUIDE)
+    cell.workcell.master.set_home()
 
 
 def insertion(cell: RecordingCell, trajectory: str = "T1") -> InsertionAxis:
@@ -60,7 +60,7 @@ def insertion(cell: RecordingCell, trajectory: str = "T1") -> InsertionAxis:
 def inserted(cell: RecordingCell, trajectory: str = "T1") -> InsertionAxis:
     with_guide(cell)
     made = insertion(cell, trajectory)
-    cell.workcell.insert(made)
+    cell.workcell.master.insert(made)
     return made
 
 
@@ -74,10 +74,10 @@ def nothing_moves(cell: RecordingCell, error: type[Exception], match: str) -> It
 
 
 def test_every_motion_is_recorded_as_an_intent_and_a_result(cell: RecordingCell) -> None:
-    cell.workcell.set_home()
-    cell.workcell.go(turned(0.1))
-    cell.workcell.settle(turned(0.2), (1,) * 6)
-    cell.workcell.go_home()
+    cell.workcell.master.set_home()
+    cell.workcell.master.go(turned(0.1))
+    cell.workcell.master.settle(turned(0.2), (1,) * 6)
+    cell.workcell.master.go_home()
     assert motions(cell) == [
         ("placed", None),
         *[("motion", "go"), ("moved", None)],
@@ -91,7 +91,7 @@ def test_a_motion_whose_intent_cannot_be_written_is_not_made(cell: RecordingCell
     os.dup2(full := os.open("/dev/full", os.O_WRONLY), cell.journal._file)
     os.close(full)
     with pytest.raises(JournalNotWritable, match="PRO-003"):
-        cell.workcell.go(turned(0.1))
+        cell.workcell.master.go(turned(0.1))
     assert cell.arm.motions == []
 
 
@@ -108,7 +108,7 @@ def test_the_intent_is_on_the_disk_before_the_arm_moves(
         return False  # the way is clear
 
     cell.arm.blocked = move
-    cell.workcell.go(turned(0.1))
+    cell.workcell.master.go(turned(0.1))
     assert b'"motion"' in as_it_moved[0].splitlines()[-1]
 
 
@@ -116,7 +116,7 @@ def test_the_intent_is_on_the_disk_before_the_arm_moves(
 def test_without_an_open_journal_nothing_moves_and_no_workcell_is_made(cell: RecordingCell) -> None:
     cell.journal.close()
     with pytest.raises(JournalNotWritable, match="the journal is closed"):
-        cell.workcell.go(turned(0.1))
+        cell.workcell.master.go(turned(0.1))
     with pytest.raises(JournalNotWritable, match="the journal is closed"):
         cell.make_workcell()
     assert cell.arm.motions == []
@@ -125,45 +125,45 @@ def test_without_an_open_journal_nothing_moves_and_no_workcell_is_made(cell: Rec
 def test_a_failed_motion_is_recorded_in_the_journal(cell: RecordingCell) -> None:
     cell.arm.failing = LinkTimeout("telegrams ceased")
     with pytest.raises(LinkTimeout):
-        cell.workcell.go(turned(0.1))
+        cell.workcell.master.go(turned(0.1))
     assert motions(cell) == [("motion", "go"), ("moved", LinkTimeout.code)]
 
 
 def test_a_blocked_straight_way_is_replaced_by_one_via_home(cell: RecordingCell) -> None:
-    cell.workcell.set_home()
+    cell.workcell.master.set_home()
     cell.arm.joints_rad = turned(-0.1)
     cell.arm.blocked = lambda start, target: target == turned(0.1) and start != HOME
-    cell.workcell.go(turned(0.1))
+    cell.workcell.master.go(turned(0.1))
     assert [to for _, to in cell.arm.motions] == [BELOW_HOME, HOME, turned(0.1)]
 
 
 def test_the_way_back_after_a_detour_by_home_leads_by_home_not_by_where_the_arm_was_before(
     cell: RecordingCell,
 ) -> None:
-    cell.workcell.set_home()
+    cell.workcell.master.set_home()
     before, across, last = turned(0.5), turned(-0.5), turned(-0.6)
     unclear = ({before, across}, {before, last}, {last, BELOW_HOME})
     cell.arm.blocked = lambda start, target: {start, target} in unclear
-    cell.workcell.go(before)
-    cell.workcell.go(across)
+    cell.workcell.master.go(before)
+    cell.workcell.master.go(across)
     assert [to for _, to in cell.arm.motions] == [before, BELOW_HOME, HOME, across]
-    cell.workcell.settle(last, None)
+    cell.workcell.master.settle(last, None)
     cell.arm.motions.clear()
-    cell.workcell.return_home()
+    cell.workcell.master.return_home()
     assert [to for _, to in cell.arm.motions] == [last, across, BELOW_HOME, HOME]
-    assert cell.workcell.place.is_home
+    assert cell.workcell.master.place.is_home
 
 
 def test_nothing_moves_when_no_way_is_clear(cell: RecordingCell) -> None:
-    cell.workcell.set_home()
+    cell.workcell.master.set_home()
     cell.arm.blocked = lambda _start, _target: True
     with pytest.raises(NotClear):
-        cell.workcell.go(turned(0.1))
+        cell.workcell.master.go(turned(0.1))
     assert cell.arm.motions == []
 
 
 def test_joints_settle_from_the_requested_side(cell: RecordingCell) -> None:
-    cell.workcell.settle(HOME, (1, -1, 1, -1, 1, -1))
+    cell.workcell.master.settle(HOME, (1, -1, 1, -1, 1, -1))
     back, there = (to for _, to in cell.arm.motions)
     assert there == HOME
     stood_back = [round((end - start) / APPROACH_RAD) for start, end in zip(back, there, strict=True)]
@@ -172,12 +172,12 @@ def test_joints_settle_from_the_requested_side(cell: RecordingCell) -> None:
 
 def test_insertion_and_withdrawal_end_where_they_began(cell: RecordingCell) -> None:
     made = inserted(cell)
-    assert (on := cell.workcell.place.axis) is not None
+    assert (on := cell.workcell.master.place.axis) is not None
     assert on.as_plain() == made.as_plain()
     reached = tool_pose(cell.arm.joints_rad, cell)
     assert math.dist(reached.translation_mm, made.held.translation_mm) < 1e-6
-    cell.workcell.withdraw("T1")
-    assert not cell.workcell.place.is_on_axis
+    cell.workcell.master.withdraw("T1")
+    assert not cell.workcell.master.place.is_on_axis
     assert math.dist(cell.arm.joints_rad, HOME) < 1e-9
 
 
@@ -187,30 +187,32 @@ def test_on_an_axis_only_the_program_that_moved_there_knows_on_which_sides_the_j
 ) -> None:
     sides = (1, -1, 1, 1, -1, 1)
     with_guide(cell)
-    cell.workcell.insert(replace(insertion(cell), arriving=sides))
-    assert cell.workcell.rest_sides == sides
-    cell.workcell.expect_jogging()  # or a restart
-    assert cell.workcell.place.is_on_axis
-    assert cell.workcell.rest_sides is None
+    cell.workcell.master.insert(replace(insertion(cell), arriving=sides))
+    assert cell.workcell.master.rest_sides == sides
+    cell.workcell.master.expect_jogging()  # or a restart
+    assert cell.workcell.master.place.is_on_axis
+    assert cell.workcell.master.rest_sides is None
 
 
 VIEWS: dict[str, Callable[[RecordingCell], PlannedMotion]] = {
-    "going": lambda cell: cell.workcell.go_motion(turned(0.1)),
-    "returning home": lambda cell: cell.workcell.return_motion(),
-    "settling": lambda cell: cell.workcell.settle_motion(turned(0.1), (1,) * 6),
-    "straight": lambda cell: cell.workcell.line_to_motion(tool_pose(HOME, cell)),
-    "inserting": lambda cell: cell.workcell.insert_motion(insertion(cell, "T2")),
-    "withdrawing": lambda cell: cell.workcell.withdraw_motion(insertion(cell, "T2")),
+    "going": lambda cell: cell.workcell.master.go_motion(turned(0.1)),
+    "returning home": lambda cell: cell.workcell.master.return_motion(),
+    "settling": lambda cell: cell.workcell.master.settle_motion(turned(0.1), (1,) * 6),
+    "straight": lambda cell: cell.workcell.master.line_to_motion(tool_pose(HOME, cell)),
+    "inserting": lambda cell: cell.workcell.master.insert_motion(insertion(cell, "T2")),
+    "withdrawing": lambda cell: cell.workcell.master.withdraw_motion(insertion(cell, "T2")),
 }
 Anything = Callable[[RecordingCell], object]
 OTHER_MOTIONS: dict[str, Anything] = {
-    "go": lambda cell: cell.workcell.go(turned(0.1)),
-    "home": lambda cell: cell.workcell.go_home(),
-    "settle": lambda cell: cell.workcell.settle(turned(0.1), (1,) * 6),
-    "line": lambda cell: cell.workcell.line_to(tool_pose(HOME, cell)),
-    "insert": lambda cell: cell.workcell.insert(insertion(cell, "T2")),
+    "go": lambda cell: cell.workcell.master.go(turned(0.1)),
+    "home": lambda cell: cell.workcell.master.go_home(),
+    "settle": lambda cell: cell.workcell.master.settle(turned(0.1), (1,) * 6),
+    "line": lambda cell: cell.workcell.master.line_to(tool_pose(HOME, cell)),
+    "insert": lambda cell: cell.workcell.master.insert(insertion(cell, "T2")),
     **{
-        f"{view} carried out": lambda cell, view=view: cell.workcell.supervised.carry_out(VIEWS[view](cell))
+        f"{view} carried out": lambda cell, view=view: cell.workcell.master.supervised.carry_out(
+            VIEWS[view](cell)
+        )
         for view in VIEWS
     },
 }
@@ -230,7 +232,7 @@ def test_while_the_guide_is_before_an_entry_every_motion_off_its_axis_is_refused
 def test_a_retreat_along_another_trajectory_is_refused(cell: RecordingCell) -> None:
     inserted(cell, "T2")
     with nothing_moves(cell, GuideHeldAtEntry, "not on T1; expected T1, got T2"):
-        cell.workcell.withdraw("T1")
+        cell.workcell.master.withdraw("T1")
 
 
 @pytest.mark.hazard(24)
@@ -238,13 +240,15 @@ def test_a_retreat_to_another_axis_of_the_same_name_is_refused(cell: RecordingCe
     inserted(cell)
     aside = tool_pose(turned(0.1), cell)
     with nothing_moves(cell, TipOffAxis, "PRO-015"):
-        cell.workcell.supervised.carry_out(cell.workcell.withdraw_motion(InsertionAxis("T1", aside, WAY_MM)))
+        cell.workcell.master.supervised.carry_out(
+            cell.workcell.master.withdraw_motion(InsertionAxis("T1", aside, WAY_MM))
+        )
 
 
 @pytest.mark.hazard(24)
 def test_the_arm_of_the_workcell_can_be_looked_at_and_not_moved(cell: RecordingCell) -> None:
     seen = {"kinematics", "limits", "observe", "state", "notices", "connect", "configure"}
-    for arm in (cell.workcell.arm, cell.workcell.devices["arm"]):
+    for arm in (cell.workcell.master.arm, cell.workcell.devices["arm"]):
         assert {name for name in dir(arm) if name[0] != "_"} == seen
 
 
@@ -254,8 +258,8 @@ def test_a_retreat_with_the_tip_off_its_axis_is_refused(cell: RecordingCell) -> 
     A1, A2, A3, A4, A5, A6 = cell.arm.joints_rad
     cell.arm.joints_rad = (A1 + 0.002, A2, A3, A4, A5, A6)  # pushed aside by about a millimetre
     with nothing_moves(cell, TipOffAxis, "PRO-015: the guide is not on the axis of T1"):
-        cell.workcell.withdraw("T1")
-    assert cell.workcell.place.is_on_axis
+        cell.workcell.master.withdraw("T1")
+    assert cell.workcell.master.place.is_on_axis
 
 
 @pytest.mark.hazard(24)
@@ -265,22 +269,22 @@ def test_after_a_failed_approach_the_guide_is_still_known_to_be_on_its_axis(
     with_guide(cell)
     cell.arm.failing = LinkTimeout("telegrams ceased")
     with pytest.raises(LinkTimeout):
-        cell.workcell.insert(insertion(cell))
+        cell.workcell.master.insert(insertion(cell))
     cell.arm.failing = None
     with pytest.raises(GuideHeldAtEntry):
-        cell.workcell.go_home()
-    cell.workcell.withdraw("T1")
+        cell.workcell.master.go_home()
+    cell.workcell.master.withdraw("T1")
 
 
 @pytest.mark.hazard(44)
 @pytest.mark.parametrize("what", ["withdraw", *OTHER_MOTIONS])
 def test_while_an_instrument_is_in_the_guide_nothing_moves_at_all(cell: RecordingCell, what: str) -> None:
     inserted(cell)
-    cell.workcell.instrument.record_insertion("T1")
+    cell.workcell.master.instrument.record_insertion("T1")
     with nothing_moves(cell, InstrumentInGuide, r"TOOL-001.*an instrument is in the guide, and in T1"):
-        {**OTHER_MOTIONS, "withdraw": lambda cell: cell.workcell.withdraw("T1")}[what](cell)
-    cell.workcell.instrument.record_removal()
-    cell.workcell.withdraw("T1")
+        {**OTHER_MOTIONS, "withdraw": lambda cell: cell.workcell.master.withdraw("T1")}[what](cell)
+    cell.workcell.master.instrument.record_removal()
+    cell.workcell.master.withdraw("T1")
 
 
 @pytest.mark.hazard(3)
@@ -288,16 +292,16 @@ def test_nothing_is_inserted_with_a_tool_other_than_the_guide(cell: RecordingCel
     with_guide(cell)
     made = insertion(cell)
     cell.arm.mounted = 1
-    cell.workcell.mount.check(MountedTool.STEREO_HEAD)
+    cell.workcell.master.mount.check(MountedTool.STEREO_HEAD)
     with pytest.raises(WrongTool, match="PRO-009"):
-        cell.workcell.insert(made)
+        cell.workcell.master.insert(made)
     assert cell.arm.motions == []
 
 
 @pytest.mark.hazard(3)
 def test_poses_of_a_tool_that_was_not_checked_are_refused(cell: RecordingCell) -> None:
     with pytest.raises(WrongTool, match="has not been checked"):
-        cell.workcell.tool_pose()
+        cell.workcell.master.tool_pose()
 
 
 def test_devices_are_started_and_stopped_only_once(cell: RecordingCell) -> None:

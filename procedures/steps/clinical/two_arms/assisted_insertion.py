@@ -58,7 +58,6 @@ def insert_with_assistant(context: StepContext, stop: DepthStop) -> AssistedInse
     Raises PRO-002, PRO-007, PLAN-007, DUAL-001 and, for a cart that was moved, as `check_room`.
     """
     workcell, assistant, trajectory = context.workcell, context.workcell.assistant, context.trajectory
-    assert assistant is not None
     if assistant.place.is_on_axis:  # halted on its way earlier
         workcell.start()
         assistant.retreat(doubt=_look_before_retreat(context))
@@ -73,7 +72,7 @@ def insert_with_assistant(context: StepContext, stop: DepthStop) -> AssistedInse
     surround_at_guide(context, assistant.joints_rad(), registered_here(context))
     _present_holder(context, assistant, stop.read_mm)
     stood &= _is_seen(_look_at_assistant(context, f"with the holder empty, before {trajectory}"))
-    workcell.hold_instrument(HeldInstrument(trajectory, stop.read_mm, _parts_at_bore(context)))
+    workcell.assistant.hold_instrument(HeldInstrument(trajectory, stop.read_mm, _parts_at_bore(context)))
     load = (
         f"put the instrument for {trajectory} into the assistant's holder, its depth stop against the clamp, "
         "and close the clamp"
@@ -82,7 +81,7 @@ def insert_with_assistant(context: StepContext, stop: DepthStop) -> AssistedInse
     axis, start_rad, via_rad = find_axis(context, assistant, stop, known)
     workcell.start()
     depth_mm = stop.read_mm - stop.standoff_mm - workcell.tools.guide.bore.length_mm
-    limit_N = workcell.insertion_limit_N
+    limit_N = workcell.assistant.insertion_limit_N
     stopped_by = "this arm senses no force" if limit_N is None else f"{limit_N:g} N against it stop it"
     assistant.supervised.confirm(
         Topic.APPROACH,
@@ -101,7 +100,7 @@ def insert_with_assistant(context: StepContext, stop: DepthStop) -> AssistedInse
     assistant.settle(start_rad, axis.arriving)
     off_axis = _require_coaxial(context, assistant, axis, known)
     seen = _require_seen_coaxial(context, axis, stood=stood)
-    workcell.instrument.record_insertion(trajectory)
+    workcell.master.instrument.record_insertion(trajectory)
     context.progress(0.75, f"the assistant leads the instrument into the guide at {trajectory}")
     assistant.insert(assistant.axis_in_base(axis), _guided_stretch(context, stop))
     _look_before_retreat(context)  # what moved at the end of the way was seen in too few frames
@@ -127,7 +126,7 @@ def insert_with_assistant(context: StepContext, stop: DepthStop) -> AssistedInse
         seen_apart_mm=None if seen is None else seen.seen_mm,
         seen_within_mm=None if seen is None else seen.uncertain_mm,
         peak_force_N=None if assistant.inserted is None else assistant.inserted.peak_force_N,
-        force_limit_N=workcell.insertion_limit_N,
+        force_limit_N=workcell.assistant.insertion_limit_N,
         gap_mm=max(0.0, gap_mm),
     )
 
@@ -143,7 +142,7 @@ def _present_holder(context: StepContext, assistant: Assistant, tip_mm: float) -
     steps = range(round(math.pi / LOADING_STEP_RAD) + 1)
     turns_rad = [side * step * LOADING_STEP_RAD for step in steps for side in (1, -1)]
     postures = [(*here_rad[:-1], here_rad[-1] + turn_rad) for turn_rad in turns_rad]
-    clear = (one for one in map(joint_vector, postures) if workcell.assistant_rests_clear(one, tip_mm))
+    clear = (one for one in map(joint_vector, postures) if workcell.assistant.rests_clear(one, tip_mm))
     loading_rad = next(clear, None)
     if loading_rad is None:
         raise NotReachable(
@@ -185,17 +184,17 @@ def withdraw_assistant(context: StepContext, stop: DepthStop) -> None:
 
     Raises PRO-054 if a cart was displaced while the instrument was at its target.
     """
-    assistant = context.workcell.assistant
-    if assistant is not None and assistant.place.is_on_axis:
-        context.workcell.start()
-        assistant.retreat(_guided_stretch(context, stop), _look_before_retreat(context))
+    for assistant in context.workcell.assistants:
+        if assistant.place.is_on_axis:
+            context.workcell.start()
+            assistant.retreat(_guided_stretch(context, stop), _look_before_retreat(context))
 
 
 def send_assistant_home(context: StepContext) -> None:
     """Send the assistant home after the instrument was taken out of its holder."""
-    assistant = context.workcell.assistant
-    if assistant is not None and assistant.place.is_out:
-        assistant.return_home()
+    for assistant in context.workcell.assistants:
+        if assistant.place.is_out:
+            assistant.return_home()
 
 
 def _guided_stretch(context: StepContext, stop: DepthStop) -> GuidedStretch:

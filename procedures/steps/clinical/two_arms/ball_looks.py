@@ -81,7 +81,7 @@ class BallWatch:
             for pose, ball_in_head_mm in self._look_from_around(
                 (base @ flange).apply(ball_mm), held, reasons
             ):
-                joints_rad = cell.joints_rad(), assistant.joints_rad()
+                joints_rad = cell.master.joints_rad(), assistant.joints_rad()
                 self.held_rad = joints_rad[1]
                 looks.append((pose.as_matrix(), ball_in_head_mm, flange.as_matrix(), *joints_rad))
             held += len(looks) > before
@@ -102,7 +102,7 @@ class BallWatch:
                 action="Look whether a cart was moved since the arms were home, and whether the ball is in "
                 "its place and in view of the stereo head; then repeat the step.",
             )
-        cell.return_home()
+        cell.master.return_home()
         assistant.return_home()
         return fit()
 
@@ -135,7 +135,7 @@ class BallWatch:
         Ways past the assistant are tried first, those via home only if none of them is clear.
         """
         cell, looks = self._visits.cell, 0
-        reference = cell.tool_pose(cell.home_rad).rigid.rotation
+        reference = cell.master.tool_pose(cell.master.home_rad).rigid.rotation
         around = plan_poses_about(
             reference,
             ball_mm,
@@ -145,8 +145,10 @@ class BallWatch:
             turn_rad=HEAD_TURN_RAD,
         )
         for allow_detour in (False, True):
-            plan = (partial(cell.joints_at, one.pose, cell.home_rad, ONE_SIDE) for one in around)
-            settle = partial(cell.settle, arriving=ONE_SIDE, allow_detour=allow_detour)
+            plan = (
+                partial(cell.master.joints_at, one.pose, cell.master.home_rad, ONE_SIDE) for one in around
+            )
+            settle = partial(cell.master.settle, arriving=ONE_SIDE, allow_detour=allow_detour)
             arm = self._visits.master_mover(settle)
             for _ in self._visits.visit(list_possible(plan, reasons), LOOKS_PER_POSTURE, arm, reasons):
                 seen = cell.look()
@@ -155,9 +157,9 @@ class BallWatch:
                     reasons.append(seen.reason)
                     continue
                 self._unseen = 0
-                yield cell.tool_pose(arrived=ONE_SIDE), np.asarray(seen.point.position_mm)
+                yield cell.master.tool_pose(arrived=ONE_SIDE), np.asarray(seen.point.position_mm)
                 looks += 1
                 if looks == LOOKS_PER_POSTURE:
                     return
-            if looks or cell.place.is_home:
+            if looks or cell.master.place.is_home:
                 return

@@ -47,8 +47,7 @@ def found_arms(context: StepContext, known: KnownBases) -> tuple[FoundArm, Found
 def run(context: StepContext) -> Outcome[KnownBases]:
     """Find the bases. Raises CAL-002 to CAL-004, CAL-010, CAL-015, CAL-022, PRO-002, and as `check_room`."""
     workcell, assistant = context.workcell, context.workcell.assistant
-    assert assistant is not None, "this step belongs to a case with two arms"
-    workcell.mount.check(MountedTool.STEREO_HEAD)
+    workcell.master.mount.check(MountedTool.STEREO_HEAD)
     context.request_instrument_removal()
     first_look = len(room_watch(context).looks)
     check_room(context, "before the arms are measured against each other")
@@ -62,10 +61,10 @@ def run(context: StepContext) -> Outcome[KnownBases]:
     bring_arms_home(visits)
     frames, ball = BaseFrameLooks(visits), BallWatch(visits)
     first_guess = frames.first_guess()
-    workcell.place_assistant(first_guess, FIRST_GUESS_MM)
-    surround_stereo_head(context, workcell.joints_rad())
+    workcell.assistant.place_base(first_guess, FIRST_GUESS_MM)
+    surround_stereo_head(context, workcell.master.joints_rad())
     workcell.start(cameras=True)
-    workcell.surround_assistant(visits.around())
+    workcell.assistant.surround(visits.around())
     master_looks, assistant_looks = frames.look()
     records = workcell.calibrations
     assert records.arm is not None
@@ -73,11 +72,11 @@ def run(context: StepContext) -> Outcome[KnownBases]:
     errors_mm = (records.arm.stated_error_mm, records.assistant_arm.stated_error_mm)
     by_frames = bases_by_frames(master_looks, assistant_looks, errors_mm)
     coarse = by_frames.bases
-    workcell.place_assistant(_robot_from_base(coarse))
-    workcell.surround_assistant(visits.around())
+    workcell.assistant.place_base(_robot_from_base(coarse))
+    workcell.assistant.surround(visits.around())
     fit = ball.look(coarse)
-    workcell.place_assistant(_robot_from_base(fit.bases))
-    workcell.surround_assistant(visits.around())
+    workcell.assistant.place_base(_robot_from_base(fit.bases))
+    workcell.assistant.surround(visits.around())
     see_both_home(workcell, visits.read(CAREFUL_FRAMES))
     there_mm = _inverse(fit.bases.robot_from_base) @ np.array([*fit.region_mm, 1.0])
     apart_mm = float(np.linalg.norm((coarse.robot_from_base @ there_mm)[:3] - fit.region_mm))
@@ -129,11 +128,11 @@ def bring_arms_home(visits: ArmVisits) -> None:
     cell, assistant = visits.cell, visits.assistant
     if assistant.history.base is None or not cell.is_any_arm_out:  # that attempt knew the bases
         return
-    cell.place_assistant(assistant.base, assistant.history.base_uncertain_mm)
-    surround_stereo_head(visits.context, cell.joints_rad())
+    cell.assistant.place_base(assistant.base, assistant.history.base_uncertain_mm)
+    surround_stereo_head(visits.context, cell.master.joints_rad())
     cell.start()
-    cell.surround_assistant(visits.around())
-    for arm in cell.supervised_arms:
+    cell.assistant.surround(visits.around())
+    for arm in cell.arms.values():
         if arm.place.is_out:
             arm.return_home()
 

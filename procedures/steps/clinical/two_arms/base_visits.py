@@ -94,9 +94,9 @@ class ArmVisits:
         return Mover(
             MASTER,
             Tracked.ARM,
-            cell.joints_rad,
+            cell.master.joints_rad,
             settle,
-            lambda: cell.flange_pose(cell.joints_rad(), ONE_SIDE),
+            lambda: cell.master.flange_pose(cell.master.joints_rad(), ONE_SIDE),
         )
 
     @property
@@ -120,7 +120,7 @@ class ArmVisits:
     def around(self) -> Surroundings:
         """Return what surrounds both arms besides themselves, robot frame."""
         robot_from_ct = self.context.result(Correspondence).robot_from_ct.transform
-        head = self.cell.flange_from(MountedTool.STEREO_HEAD)
+        head = self.cell.master.flange_from(MountedTool.STEREO_HEAD)
         return planning_scene_of(self.context).with_stereo_head(robot_from_ct, head, None)
 
     def planned_guides(self) -> list[PlannedGuide]:
@@ -159,13 +159,13 @@ class ArmVisits:
         """
         while batch := tuple(islice(possible, at_once)):
             for joints_rad in order_by_travel(arm.joints_rad(), batch):
-                if not self.cell.rest_apart(arm.role, joints_rad):
+                if not self.cell.arms[arm.role].rests_apart(joints_rad):
                     reasons.append("too close to the other arm")
                     continue
                 try:
                     arm.settle(joints_rad)
                 except (LimitError, NotClear) as error:
-                    if Lifecycle.FAULT in (self.cell.arm.state, self.assistant.arm.state):
+                    if Lifecycle.FAULT in (self.cell.master.arm.state, self.assistant.arm.state):
                         raise
                     reasons.append(f"{error.code} ({error.meaning})")
                 else:
@@ -193,8 +193,7 @@ def list_possible(
 def stated_arms(context: StepContext) -> tuple[StatedArm, StatedArm]:
     """Return master and assistant as their records state them."""
     workcell, records = context.workcell, context.workcell.calibrations
-    assert workcell.assistant is not None
-    arms = ((workcell.arm, records.arm), (workcell.assistant.arm, records.assistant_arm))
+    arms = ((workcell.master.arm, records.arm), (workcell.assistant.arm, records.assistant_arm))
     master, assistant = (
         StatedArm(arm.kinematics.chain, ErrorSizes.stated(context.setting.settings, record))
         for arm, record in arms

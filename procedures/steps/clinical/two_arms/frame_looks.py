@@ -66,7 +66,7 @@ class BaseFrameLooks:
         cell, assistant_arm = self.visits.cell, self.visits.assistant
         master, assistant = see_both_home(cell, self.visits.read(CAREFUL_FRAMES))
         flange = assistant_arm.flange_pose(assistant_arm.joints_rad())
-        by_master = robot_from_marker(cell, cell.joints_rad()) @ master.inverse()
+        by_master = robot_from_marker(cell, cell.master.joints_rad()) @ master.inverse()
         base = by_master @ assistant @ (flange @ self.visits.drawn_frame).inverse()
         return between_bases(base.as_matrix())
 
@@ -79,18 +79,20 @@ class BaseFrameLooks:
         region_mm = np.mean([one.entry_mm for one in visits.planned_guides()], axis=0) + FROM_ENTRY_MM
         frame = cell.calibrations.tracker_frame
         marker_mm = frame.tool_from_marker.translation_mm
-        reference = cell.tool_pose(cell.home_rad).rigid.rotation
+        reference = cell.master.tool_pose(cell.master.home_rad).rigid.rotation
         tracker = visits.context.result(GlobalLocalization).robot_from_tracker.transform
         found = self._turn(
             (
-                partial(cell.joints_at, one.pose, cell.home_rad, ONE_SIDE)
+                partial(cell.master.joints_at, one.pose, cell.master.home_rad, ONE_SIDE)
                 for one in plan_turns(reference, region_mm, marker_mm)
             ),
-            lambda at: explain_hidden_frame(tracker, robot_from_marker(cell, at), cell.arm.kinematics, at),
-            visits.master_mover(partial(cell.settle, arriving=ONE_SIDE, allow_detour=True)),
+            lambda at: explain_hidden_frame(
+                tracker, robot_from_marker(cell, at), cell.master.arm.kinematics, at
+            ),
+            visits.master_mover(partial(cell.master.settle, arriving=ONE_SIDE, allow_detour=True)),
             frame.tool,
         )
-        cell.return_home()
+        cell.master.return_home()
         drawn, from_base = visits.drawn_frame, visits.tracker_in_base
         frames_mm = assistant.base.inverse().apply(region_mm)
         home = assistant.flange_pose(assistant.home_rad).rigid.rotation

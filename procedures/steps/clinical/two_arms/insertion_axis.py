@@ -74,9 +74,9 @@ class Meeting(NamedTuple):
 
     def guide(self, workcell: Workcell) -> Transform:
         """Return where the guide really is, robot frame."""
-        axis, reach_mm = workcell.place.axis, self.bore.reach_mm
-        arrived, joints_rad = None if axis is None else axis.arriving, workcell.joints_rad()
-        by_record = workcell.tool_pose(joints_rad, arrived)
+        axis, reach_mm = workcell.master.place.axis, self.bore.reach_mm
+        arrived, joints_rad = None if axis is None else axis.arriving, workcell.master.joints_rad()
+        by_record = workcell.master.tool_pose(joints_rad, arrived)
         return self.master.displace(
             by_record, joints_rad, arrived, (-reach_mm - self.bore.length_mm, -reach_mm)
         )
@@ -147,9 +147,9 @@ def surround_at_guide(context: StepContext, near_rad: JointVector, robot_from_ct
     """
     workcell = context.workcell
     trajectory = context.result(CheckedPlan).trajectory(context.trajectory).trajectory
-    guide = workcell.flange_from(MountedTool.GUIDE)
+    guide = workcell.master.flange_from(MountedTool.GUIDE)
     around = planning_scene_of(context).with_guide(robot_from_ct, guide, trajectory)
-    workcell.surround_assistant(around, near_rad)
+    workcell.assistant.surround(around, near_rad)
 
 
 def _list_turns(context: StepContext, stop: DepthStop, meeting: Meeting) -> list[InsertionAxis]:
@@ -210,9 +210,9 @@ def _list_ways(home_rad: JointVector, start_rad: JointVector) -> tuple[tuple[Joi
 def _hides_head(context: StepContext, one: _Candidate) -> bool:
     """Return whether both arms, with the assistant on this axis, hide the head from the tracker."""
     workcell = context.workcell
-    assert workcell.surroundings is not None
-    expected = ExpectedSight(context, room_watch(context), workcell.surroundings)
-    here_rad = workcell.joints_rad()
+    assert workcell.master.surroundings is not None
+    expected = ExpectedSight(context, room_watch(context), workcell.master.surroundings)
+    here_rad = workcell.master.joints_rad()
     return any(expected.hidden_at(here_rad, at_rad) for at_rad in (one.start_rad, one.held_rad))
 
 

@@ -60,7 +60,7 @@ def require_seen_on_axis(workcell: Workcell, clock: Clock, watch: RoomWatch | No
         limit_mm, got_mm = LARGEST_OFF_MM, found.largest_mm
         if found.is_within and motion is not None:  # an arm is not where its joints have it
             limit_mm, got_mm = motion.limit_mm, motion.moved_mm
-    axis = workcell.assistant.place.axis if workcell.assistant is not None else None
+    axis = workcell.assistant.place.axis
     raise InsertionDisturbed(
         f"the tracker sees the assistant beside the axis of {'' if axis is None else axis.trajectory}, with "
         "the instrument in the guide: a cart was displaced, or a frame",

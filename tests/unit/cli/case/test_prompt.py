@@ -176,7 +176,7 @@ def test_abort_or_end_of_input_ends_a_paused_case(
 
 def away_from_home(cell: RecordingCell) -> Engine:
     engine = cell.engine(plain_order())
-    cell.workcell.set_home()
+    cell.workcell.master.set_home()
     a, *others = HOME
     cell.arm.joints_rad = (a + 0.5, *others)  # type: ignore[assignment]
     return engine

@@ -38,7 +38,7 @@ def test_the_guide_is_withdrawn_first_and_the_run_then_resumes_as_before(cell: C
     again, engine, left = left_after(cell, f"positioning:{FIRST}")
     assert bring_home(engine, left)
     assert [kind for kind, _ in again.arm.motions] == ["line", "joints", "joints"]
-    assert again.workcell.place.is_home
+    assert again.workcell.master.place.is_home
     assert again.entries("accepted", "home", "result")[-2:] == [("accepted", ""), ("home", "")]
     broken_off(again)
     later, engine, left = opened_again(again, order)
@@ -137,7 +137,7 @@ def test_where_no_note_says_who_moved_the_arm_last_the_operator_decides(
     cell: ClinicalCell, way: Callable[[Engine, InterruptedRun], object]
 ) -> None:
     again, engine, left = left_after(cell, f"positioning:{FIRST}")
-    assert not again.workcell.place.is_home
+    assert not again.workcell.master.place.is_home
     engine.setting = replace(engine.setting, arm_not_home=NOT_KNOWN)
     way(engine, left)
     assert NOT_KNOWN in again.operator.asked[0].value

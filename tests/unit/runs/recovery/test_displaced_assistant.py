@@ -11,7 +11,7 @@ from two_arm_room import OVER_GUIDE_RAD, TwoArmRoom, shifted
 from procedures.guards.errors import InsertionDisturbed
 from procedures.journal.journal import Line
 from procedures.runs import assistant_comparison
-from procedures.runs.assistant_comparison import compare_assistant
+from procedures.runs.assistant_comparison import compare_assistants
 from procedures.runs.comparison import Comparison
 from procedures.steps.clinical.two_arms import seen_on_axis
 from procedures.steps.clinical.two_arms.seen_on_axis import LOOK_AT_CART, look_before_retreat
@@ -37,7 +37,7 @@ def compare_seen(monkeypatch: pytest.MonkeyPatch, watch: object = None, **seen: 
     engine = SimpleNamespace(setting=SimpleNamespace(workcell=workcell, clock=None))
     left = SimpleNamespace(chain=SimpleNamespace(lines=LINES, torn=b""), lost=())
     comparison = Comparison()
-    compare_assistant(cast("Any", engine), cast("Any", left), comparison)
+    compare_assistants(cast("Any", engine), cast("Any", left), comparison)
     return comparison
 
 

@@ -94,7 +94,7 @@ def test_a_guide_in_front_of_an_entry_is_withdrawn_before_anything_else(cell: Cl
     before = len(again.motions("withdraw"))
     recover(engine, left)
     assert len(again.motions("withdraw")) == before + 1
-    assert again.workcell.place.is_home
+    assert again.workcell.master.place.is_home
     assert str(engine.upcoming) == f"positioning:{FIRST}"  # the work at the target was not done
     engine.run_to()
 
@@ -114,7 +114,7 @@ def test_a_guide_whose_journal_lines_were_lost_is_found_by_its_position(
     again, engine, left = opened_again(cell, order)
     recover(engine, left)
     assert len(again.motions("withdraw")) == 1
-    assert again.workcell.place.is_home
+    assert again.workcell.master.place.is_home
     # the lost lines can have said that an instrument goes in
     assert [one.topic for one in again.operator.asked][1] is Topic.INSTRUMENT_OUT
     assert not left.run.lines(Entry.RESTARTED)
@@ -159,7 +159,7 @@ def test_a_guide_at_the_gauge_counts_as_holding_the_mandrel_until_confirmed_out(
     again.operator.refusing = (Topic.INSTRUMENT_OUT,)
     if not inside:
         way(engine, left)
-        assert again.workcell.place.is_home
+        assert again.workcell.master.place.is_home
         return
     with pytest.raises(NotConfirmed, match="still in the gauge: nothing moves"):
         way(engine, left)
@@ -177,7 +177,7 @@ def test_a_resume_after_a_kill_during_the_insertion_asks_whether_the_instrument_
     assert topics[:3] == [Topic.RESUME, Topic.INSTRUMENT_OUT, Topic.FIRST_MOTION] or topics[1] is (
         Topic.INSTRUMENT_OUT
     )
-    assert again.workcell.place.is_home
+    assert again.workcell.master.place.is_home
     assert str(engine.upcoming) == f"positioning:{FIRST}"
 
 
@@ -281,7 +281,7 @@ def test_a_retreat_killed_outside_the_entry_is_finished_from_there(cell: Clinica
     broken_off(cell)
     again, engine, left = opened_again(cell, order)
     recover(engine, left)
-    assert again.workcell.place.is_home
+    assert again.workcell.master.place.is_home
     engine.run_to()
     assert engine.upcoming is None
     assert len(again.motions("withdraw")) == 1

@@ -67,7 +67,7 @@ def test_the_order_is_ball_then_guide_then_divot(cell: ClinicalCell) -> None:
     read(cell)
     assert cell.room.stand == ["ball", "divot"]
     assert [number for number, _, _ in cell.room.changed] == [GUIDE]
-    assert cell.workcell.place.is_home
+    assert cell.workcell.master.place.is_home
 
 
 @pytest.mark.parametrize("topic", [Topic.CALIBRATION, Topic.TOOL_CHANGE])
@@ -103,7 +103,7 @@ def test_the_arm_stands_still_while_hands_are_at_the_divot_until_it_is_confirmed
     assert stops == [before + 1]
     assert "are hands clear of it" in cell.operator.asked[-1].subject
     with pytest.raises(InstrumentInGuide, match=r"TOOL-001: home: .*in the divot"):
-        cell.workcell.go_home()
+        cell.workcell.master.go_home()
     assert arm_history(read_journal(cell.folder / JOURNAL_FILE)).place.instrument_may_be_inside == IN_DIVOT
 
 

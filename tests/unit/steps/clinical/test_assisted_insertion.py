@@ -96,7 +96,7 @@ def test_a_repeated_step_leads_no_instrument_out_beside_the_bore(monkeypatch: py
         led_out.append(doubt)
 
     assistant = SimpleNamespace(place=SimpleNamespace(is_on_axis=True), retreat=retreat)
-    workcell = SimpleNamespace(assistant=assistant, start=lambda: None)
+    workcell = SimpleNamespace(assistant=assistant, assistants=(assistant,), start=lambda: None)
     fields = {
         "workcell": workcell,
         "trajectory": "T1",

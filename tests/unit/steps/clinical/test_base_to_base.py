@@ -11,6 +11,7 @@ import pytest
 from procedures.steps.clinical.two_arms import base_to_base
 from procedures.steps.clinical.two_arms.base_to_base import bring_arms_home
 from procedures.steps.clinical.two_arms.base_visits import ArmVisits
+from ronna_hw.config import ASSISTANT, MASTER
 
 
 @pytest.fixture
@@ -29,11 +30,14 @@ def visits(done: list[str], *out: str, base: object | None = "as before") -> Arm
         return SimpleNamespace(place=place, history=history, base=base, return_home=noting(f"{name} home"))
 
     master, assistant = arm("master"), arm("assistant")
-    master.joints_rad, master.start = lambda: None, noting("start")
-    master.place_assistant = lambda _base, uncertain_mm: done.append(f"place within {uncertain_mm:g} mm")
-    master.surround_assistant = noting("surround")
-    master.is_any_arm_out, master.supervised_arms = bool(out), (master, assistant)
-    made = SimpleNamespace(cell=master, assistant=assistant, context=None, around=lambda: None)
+    master.joints_rad = lambda: None
+    assistant.place_base = lambda _base, uncertain_mm: done.append(f"place within {uncertain_mm:g} mm")
+    assistant.surround = noting("surround")
+    arms = {MASTER: master, ASSISTANT: assistant}
+    cell = SimpleNamespace(
+        master=master, assistant=assistant, arms=arms, is_any_arm_out=bool(out), start=noting("start")
+    )
+    made = SimpleNamespace(cell=cell, assistant=assistant, context=None, around=lambda: None)
     return cast("ArmVisits", made)
 
 

@@ -133,7 +133,7 @@ def frame_covered(cell: ClinicalCell) -> None:
 
 
 def gauge_blocked(cell: ClinicalCell) -> None:
-    cell.arm.blocked = lambda _start, target: target != cell.workcell.home_rad
+    cell.arm.blocked = lambda _start, target: target != cell.workcell.master.home_rad
 
 
 @pytest.mark.hazard(12)
@@ -268,7 +268,7 @@ def test_after_the_last_target_a_change_is_a_finding_on_it_and_the_case_ends(
     assert [targets for _, targets in findings(cell)] == [[LAST]]
     assert cell.entries("voided") == []
     assert engine.machine.state == "finished"
-    assert cell.workcell.place.is_home
+    assert cell.workcell.master.place.is_home
 
 
 @pytest.mark.hazard(12)
@@ -324,7 +324,7 @@ def test_an_arm_that_cannot_leave_the_gauge_ends_the_look(cell: ClinicalCell, en
     cell.arm.blocked = blocked_at_the_gauge
     with pytest.raises(NotClear):
         look_after(engine, FIRST)
-    assert not cell.workcell.place.is_home
+    assert not cell.workcell.master.place.is_home
 
 
 @pytest.mark.hazard(12)

@@ -55,7 +55,7 @@ class TrackerThatFails:
 def test_the_step_fails_with_the_trackers_own_fault(latched: bool, cell: ClinicalCell) -> None:
     tracker = TrackerThatFails(latched)
     cell.opened.replace_device("tracker", tracker)
-    cell.workcell.mount.check(MountedTool.STEREO_HEAD)
+    cell.workcell.master.mount.check(MountedTool.STEREO_HEAD)
     with pytest.raises(Bumped):
         cell.begin(checked_set_up(cell), STEP).run_to()
     assert tracker.calls == ([] if latched else ["deactivate"])

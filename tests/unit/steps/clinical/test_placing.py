@@ -171,8 +171,8 @@ def test_the_cart_is_not_pushed_while_a_guide_is_held_at_the_head(cell: Clinical
     )
     engine.run_to(engine.order.find("head_clamp"))
     cell.arm.joints_rad = tuple(angle + 0.3 for angle in cell.arm.joints_rad)
-    held = InsertionAxis("T1", cell.workcell.tool_pose(), travel_mm=60.0)
-    cell.workcell.restore_history(ArmHistory(place=ArmPlace(PlaceKind.ON_AXIS, held)))
+    held = InsertionAxis("T1", cell.workcell.master.tool_pose(), travel_mm=60.0)
+    cell.workcell.master.restore_history(ArmHistory(place=ArmPlace(PlaceKind.ON_AXIS, held)))
     with pytest.raises(StepRefused, match="held in front of the entry of T1"):
         engine.run_to()
 

@@ -74,7 +74,7 @@ def test_the_surroundings_are_exact_at_the_spheres_and_not_at_home(
     cell: ClinicalCell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     near: list[object] = []
-    monkeypatch.setattr(cell.workcell, "surround", lambda _room, near_rad: near.append(near_rad))
+    monkeypatch.setattr(cell.workcell.master, "surround", lambda _room, near_rad: near.append(near_rad))
     relocalize(cell)
     middle, *others = near
     planned = [one.joints_rad for one in checked_paths(cell).localizations["T1"]]
@@ -86,7 +86,7 @@ def test_from_the_second_sphere_on_the_head_is_where_the_stereo_head_has_seen_it
     cell: ClinicalCell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     rooms: list[Surroundings] = []
-    monkeypatch.setattr(cell.workcell, "surround", lambda room, _near_rad: rooms.append(room))
+    monkeypatch.setattr(cell.workcell.master, "surround", lambda room, _near_rad: rooms.append(room))
     relocalize(cell, robot_from_ct=shifted(ROBOT_FROM_CT, COARSE_OFF_MM))
     spheres_mm = [
         next(one.capsule.start_mm for one in room.obstacles if one.name == "fiducial 1") for room in rooms
@@ -150,7 +150,9 @@ def first_limit_mm(cell: ClinicalCell) -> float:
 
 def stands_off(cell: ClinicalCell, fiducial: int) -> bool:
     """Whether the head is still in front of that sphere, where its measurement ended."""
-    away_mm = np.linalg.norm(cell.workcell.tool_pose().translation_mm - cell.workcell.spheres_mm[fiducial])
+    away_mm = np.linalg.norm(
+        cell.workcell.master.tool_pose().translation_mm - cell.workcell.spheres_mm[fiducial]
+    )
     return abs(float(away_mm) - APPROACH_MM) < 0.1
 
 
@@ -241,7 +243,7 @@ def test_a_servo_that_does_not_converge_is_treated_like_a_missing_sphere(
     see = cell.workcell.look
 
     def look_at_a_drifting_sphere() -> Look:
-        if np.linalg.norm(cell.workcell.tool_pose().translation_mm - SPHERES_MM[0]) < 20.0:
+        if np.linalg.norm(cell.workcell.master.tool_pose().translation_mm - SPHERES_MM[0]) < 20.0:
             cell.workcell.spheres_mm[0] += (0.0, 0.0, 1.0)
         return see()
 

@@ -90,8 +90,8 @@ def test_the_guide_stops_before_the_entry_after_moving_along_the_axis(
 
 def test_the_axis_is_stored_in_the_workcell_and_the_journal(cell: ClinicalCell) -> None:
     run(before_positioning(cell), f"positioning:{FIRST}")
-    assert cell.workcell.place.is_on_axis
-    assert cell.workcell.place.trajectory == FIRST
+    assert cell.workcell.master.place.is_on_axis
+    assert cell.workcell.master.place.trajectory == FIRST
     assert cell.case.get(PositionedGuide, FIRST).result.joints_rad == cell.arm.joints_rad
     assert cell.motions("insert") == [FIRST]
 
@@ -219,7 +219,7 @@ def test_the_retreat_reverses_the_approach(cell: ClinicalCell) -> None:
     assert kind == "line"
     assert back == pytest.approx(over, abs=1e-6)
     assert tuple(before) == (below, home) == SETTLED_HOME
-    assert not cell.workcell.place.is_on_axis
+    assert not cell.workcell.master.place.is_on_axis
 
 
 TARGETING = ("positioning", "at_target", "retreat")
@@ -298,7 +298,7 @@ def test_a_damaged_record_does_not_keep_the_guide_from_retreating(cell: Clinical
         path.unlink()
     with pytest.raises(BadRecord):
         run(engine, f"retreat:{FIRST}")
-    assert not cell.workcell.place.is_on_axis
+    assert not cell.workcell.master.place.is_on_axis
 
 
 def test_a_step_that_would_need_a_new_localization_is_not_repeated_with_the_guide_mounted(
@@ -336,7 +336,7 @@ def test_a_target_refused_after_the_arm_has_moved_is_not_reported_as_if_nothing_
     with pytest.raises(NotReachable, match=r"the way is not clear.*; the arm has moved") as refused:
         run(engine, f"positioning:{FIRST}")
     assert refused.value.advice.startswith("The arm is on its way: send it home.")
-    assert not cell.workcell.place.is_home
+    assert not cell.workcell.master.place.is_home
 
 
 def after_a_fault(cell: ClinicalCell) -> Engine:

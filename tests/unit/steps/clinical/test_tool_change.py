@@ -49,7 +49,7 @@ def test_exchange_and_tip_calibration_are_both_confirmed(cell: ClinicalCell) -> 
     assert exchanged.value == f"the surgical guide, tool {GUIDE}"
     assert calibrated.value.startswith(f"{tip.identifier}, made ")
     assert cell.entries("confirmation") == [("confirmation", "")] * 3
-    assert cell.workcell.tool is MountedTool.GUIDE
+    assert cell.workcell.master.tool is MountedTool.GUIDE
 
 
 @pytest.mark.hazard(37)
@@ -59,7 +59,7 @@ def test_a_tool_other_than_the_guide_is_refused(cell: ClinicalCell, mounted: int
     cell.room.mounts = mounted
     with pytest.raises(WrongTool, match=f"PRO-009.*guide, number {GUIDE}, got number {mounted}"):
         exchange(cell)
-    assert cell.workcell.tool is MountedTool.UNKNOWN
+    assert cell.workcell.master.tool is MountedTool.UNKNOWN
     assert cell.case.find(MountedGuide, None) is None
 
 
@@ -68,7 +68,7 @@ def test_an_unconfirmed_exchange_does_not_count_as_a_mounted_guide(cell: Clinica
     cell.operator = RecordingOperator(Topic.TOOL_CHANGE)
     with pytest.raises(NotConfirmed, match="the tool has been exchanged"):
         exchange(cell)
-    assert cell.workcell.tool is not MountedTool.GUIDE
+    assert cell.workcell.master.tool is not MountedTool.GUIDE
     assert went(cell) == WAY_HOME  # before
 
 
@@ -115,7 +115,7 @@ def test_a_failed_exchange_is_repeated_without_moving_the_arm(cell: ClinicalCell
     moved = len(cell.arm.motions)
     cell.room.mounts = None
     engine.run_to()
-    assert cell.workcell.tool is MountedTool.GUIDE
+    assert cell.workcell.master.tool is MountedTool.GUIDE
     assert len(cell.arm.motions) == moved
 
 
@@ -130,7 +130,7 @@ def test_an_unconfirmed_exchange_resumes_with_the_guide_already_mounted(
     cell.operator.refusing = ()
     cell.operator.asked.clear()
     engine.run_to()
-    assert cell.workcell.tool is MountedTool.GUIDE
+    assert cell.workcell.master.tool is MountedTool.GUIDE
     assert len(cell.room.changed) == 1  # it is not to be mounted twice
     (still,) = (one for one in cell.operator.asked if one.topic is Topic.TOOL_CHANGE)
     assert still.subject == "the tool is still mounted; leave it on"
@@ -143,4 +143,4 @@ def test_after_an_arm_fault_the_tool_is_read_again_before_the_next_step(cell: Cl
     cell.arm.state = Lifecycle.FAULT
     engine.faults.acknowledge("A. Nurse")
     engine.run_to()
-    assert cell.workcell.tool is MountedTool.GUIDE
+    assert cell.workcell.master.tool is MountedTool.GUIDE

@@ -49,7 +49,7 @@ def test_the_arm_approaches_the_gauge_from_the_same_side_and_returns_home(cell: 
     for back, there in zip(ways[::2], ways[1::2], strict=True):
         assert all(before < after for before, after in zip(back, there, strict=True))
     assert at_gauge == [checked.joints_rad] * APPROACHES
-    assert home == cell.workcell.home_rad
+    assert home == cell.workcell.master.home_rad
     assert checked.off_mm == pytest.approx(0.0283, abs=1e-4)
     assert checked.tilt_deg == 0.0
 
@@ -69,8 +69,8 @@ def test_a_guide_that_deviates_from_its_record_is_refused_with_the_arm_at_home(
 ) -> None:
     with pytest.raises(ToolBesideGauge, match=r"TOOL-005: .*limit 0\.05 mm, 0\.1 deg"):
         check(cell, *dials_mm)
-    assert cell.workcell.place.is_home
-    assert not cell.workcell.streaming  # hands seat the guide anew
+    assert cell.workcell.master.place.is_home
+    assert not cell.workcell.master.streaming  # hands seat the guide anew
     assert [task.name for task in cell.room.worked].count(GAUGE) == 2 * MOST_APPROACHES  # mounted twice
 
 
@@ -101,7 +101,7 @@ def test_a_guide_that_comes_right_when_it_is_mounted_again_is_accepted(
     cell: ClinicalCell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def seated_well(number: int, _description: str) -> None:
-        assert (number, cell.workcell.streaming) == (2, False)
+        assert (number, cell.workcell.master.streaming) == (2, False)
         cell.room.dials_mm = tuple(dial - 0.06 for dial in cell.room.dials_mm)
 
     monkeypatch.setattr(cell.room, "change_tool", seated_well)
@@ -156,7 +156,7 @@ def test_the_arm_does_not_leave_the_gauge_before_the_mandrel_is_out(
     with pytest.raises(
         InstrumentInGuide, match="TOOL-001: home: an instrument is in the guide, and in the gauge"
     ):
-        cell.workcell.return_home()
+        cell.workcell.master.return_home()
 
 
 @pytest.mark.hazard(36)
@@ -182,7 +182,7 @@ def test_dials_read_an_hour_before_the_result_are_refused(
     monkeypatch.setattr("procedures.steps.conditions.LONGEST_S", 0.0)
     with pytest.raises(ReadingTooOld, match="TOOL-007: the dials of the gauge: read too long ago"):
         check(cell, *(0.0,) * 5)
-    assert cell.workcell.place.is_home
+    assert cell.workcell.master.place.is_home
 
 
 @pytest.mark.hazard(47)

@@ -446,7 +446,7 @@ def test_a_guide_that_stays_pushed_ends_the_step_and_leaves_the_instrument_in_pl
     with ends:
         work(engine)
     assert engine.instrument_in == FIRST
-    assert list(cell.workcell.instrument.stages.tasks_at(FIRST).values()) == [
+    assert list(cell.workcell.master.instrument.stages.tasks_at(FIRST).values()) == [
         True
     ]  # what was confirmed is done
 

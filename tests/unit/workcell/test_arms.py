@@ -1,9 +1,9 @@
-"""Rules for the motions of two arms: one at a time, never too close, and what stops one stops both."""
+"""Rules for the motions of several arms: one at a time, never too close, and what stops one stops all."""
 
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from math import radians
@@ -11,7 +11,7 @@ from math import radians
 import pytest
 from ideal_arm import Controller, IdealArm
 
-from procedures.workcell.arm_pair import ArmPair
+from procedures.workcell.arms import Arms
 from procedures.workcell.errors import BothArmsHalted, InstrumentInGuide, OtherArmMoving, OtherArmUnknown
 from ronna_hw.arm.clearance.bodies import Capsule, Part, Surroundings
 from ronna_hw.arm.errors import ArmsTooClose, ForceLimitExceeded, NotClear
@@ -22,7 +22,7 @@ from ronna_hw.devices.contact import Inserted, Insertion
 from ronna_hw.devices.errors import PersonNotNamed
 from ronna_hw.devices.lifecycle import LastKnown, Lifecycle
 from ronna_hw.devices.readings import ArmReading, Validity
-from ronna_hw.devices.robot import JointMove, StopKind
+from ronna_hw.devices.robot import JointMove, RobotArm, StopKind
 from ronna_hw.errors import RonnaError
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.vectors import JointVector, Vector3, joint_vector, vector3
@@ -86,19 +86,70 @@ def started(arm: WatchedArm) -> None:
     arm.activate()
 
 
+def across(
+    arms: Mapping[str, RobotArm], clock: Clock, instrument_inside: Callable[[], str | None] = lambda: None
+) -> Arms:
+    """Return two arms that face each other, both bases known."""
+    pair = Arms(arms, (MASTER, ASSISTANT), clock, instrument_inside)
+    pair.place(ASSISTANT, ACROSS)
+    return pair
+
+
 @pytest.fixture
-def pair(master: WatchedArm, assistant: WatchedArm) -> ArmPair:
-    return ArmPair({MASTER: master, ASSISTANT: assistant}, ACROSS, CLOCK)
+def pair(master: WatchedArm, assistant: WatchedArm) -> Arms:
+    return across({MASTER: master, ASSISTANT: assistant}, CLOCK)
 
 
-def test_one_arm_moves_while_the_other_rests(pair: ArmPair, master: WatchedArm) -> None:
+def test_an_arm_alone_moves_in_the_thread_that_asks_and_its_own_errors_pass_through(
+    master: WatchedArm,
+) -> None:
+    alone, movers = Arms({MASTER: master}, (MASTER,), CLOCK), set[int]()
+    master.on_step = lambda: movers.add(threading.get_ident())
+    alone.move(MASTER, turned(master, 5.0))
+    assert movers <= {threading.get_ident()}
+    master.on_step = lambda: None
+    master.stop(StopKind.PROTECTIVE)
+    with pytest.raises(RonnaError) as refused:
+        alone.move(MASTER, JointMove(HOME_RAD))
+    assert not isinstance(refused.value, BothArmsHalted)
+    alone.halt_for_fault()
+    assert alone.halted is None
+
+
+def test_no_arm_moves_before_the_bases_of_all_are_known(master: WatchedArm, assistant: WatchedArm) -> None:
+    both = Arms({MASTER: master, ASSISTANT: assistant}, (MASTER, ASSISTANT), CLOCK)
+    for role in (MASTER, ASSISTANT):
+        with pytest.raises(OtherArmUnknown, match="where the assistant stands is not known"):
+            both.move(role, JointMove(HOME_RAD))
+    both.place(ASSISTANT, ACROSS)
+    both.move(MASTER, turned(master, 2.0))
+
+
+def test_a_third_arm_is_an_obstacle_and_is_watched_like_the_second(
+    master: WatchedArm, assistant: WatchedArm
+) -> None:
+    third = WatchedArm("robot.third", HOME_RAD)
+    started(third)
+    three = Arms({MASTER: master, ASSISTANT: assistant, "third": third}, (MASTER, ASSISTANT, "third"), CLOCK)
+    three.place(ASSISTANT, Pose.from_kuka(0.0, 3000.0, 0.0, 0.0, 0.0, 0.0))
+    three.place("third", ACROSS)
+    third.controller.joints_rad = STRETCHED_RAD
+    with pytest.raises(NotClear, match="of the third"):
+        three.move(MASTER, JointMove(STRETCHED_RAD))
+    third.guard.latch(ForceLimitExceeded("pressed"))
+    with pytest.raises(BothArmsHalted, match="the third has gone to fault: pressed"):
+        three.move(MASTER, turned(master, 10.0))
+    third.close()
+
+
+def test_one_arm_moves_while_the_other_rests(pair: Arms, master: WatchedArm) -> None:
     goal = turned(master, 10.0)
     assert pair.move(MASTER, goal).joints_rad == pytest.approx(goal.target_rad)
     assert pair.halted is None
 
 
 def test_the_resting_arm_is_an_obstacle_of_the_other(
-    pair: ArmPair, master: WatchedArm, assistant: WatchedArm
+    pair: Arms, master: WatchedArm, assistant: WatchedArm
 ) -> None:
     assistant.controller.joints_rad = STRETCHED_RAD
     with pytest.raises(NotClear, match="of the assistant"):
@@ -108,7 +159,7 @@ def test_the_resting_arm_is_an_obstacle_of_the_other(
 
 
 def test_what_is_previewed_knows_the_other_arm_where_it_is_now(
-    pair: ArmPair, master: WatchedArm, assistant: WatchedArm
+    pair: Arms, master: WatchedArm, assistant: WatchedArm
 ) -> None:
     pair.surround(MASTER, Surroundings())
     assert master.preview(JointMove(STRETCHED_RAD), start_rad=HOME_RAD).refused is None
@@ -121,7 +172,7 @@ def test_what_is_previewed_knows_the_other_arm_where_it_is_now(
 
 
 def test_no_motion_begins_while_another_is_under_way(
-    pair: ArmPair, master: WatchedArm, assistant: WatchedArm
+    pair: Arms, master: WatchedArm, assistant: WatchedArm
 ) -> None:
     refused: list[Exception] = []
 
@@ -150,16 +201,15 @@ def reaching(name: str, role: str, place_mm: Vector3) -> Part:
 
 @pytest.mark.hazard(58)
 def test_only_the_named_parts_of_both_tools_may_come_close_to_each_other(
-    pair: ArmPair, assistant: WatchedArm
+    pair: Arms, assistant: WatchedArm
 ) -> None:
-    at_home = {MASTER: HOME_RAD, ASSISTANT: HOME_RAD}
     pair.surround(MASTER, Surroundings(tool=(reaching("tube", MASTER, MIDDLE_MM),)))
     pair.surround(ASSISTANT, Surroundings(tool=(reaching("instrument", ASSISTANT, MIDDLE_MM),)))
-    assert not pair.rest_apart(at_home)
-    pair.allow_contact(["bridge"], ["instrument"])
-    assert not pair.rest_apart(at_home)
-    pair.allow_contact(["tube"], ["instrument"])
-    assert pair.rest_apart(at_home)
+    assert not pair.rests_apart(MASTER, HOME_RAD)
+    pair.placed.allow_contact(MASTER, ASSISTANT, ["bridge"], ["instrument"])
+    assert not pair.rests_apart(MASTER, HOME_RAD)
+    pair.placed.allow_contact(MASTER, ASSISTANT, ["tube"], ["instrument"])
+    assert pair.rests_apart(MASTER, HOME_RAD)
     pair.watch()
     assert pair.halted is None
     pair.move(ASSISTANT, turned(assistant, 1.0))
@@ -167,19 +217,19 @@ def test_only_the_named_parts_of_both_tools_may_come_close_to_each_other(
 
 @pytest.mark.hazard(58)
 def test_a_part_that_may_touch_the_instrument_keeps_its_distance_from_the_rest_of_the_other_arm(
-    pair: ArmPair, assistant: WatchedArm
+    pair: Arms, assistant: WatchedArm
 ) -> None:
     pair.surround(MASTER, Surroundings(tool=(reaching("tube", MASTER, HAND_MM),)))
     pair.surround(ASSISTANT, Surroundings(tool=(reaching("instrument", ASSISTANT, HAND_MM),)))
-    pair.allow_contact(["tube"], ["instrument"])
-    assert not pair.rest_apart({MASTER: HOME_RAD, ASSISTANT: HOME_RAD})
+    pair.placed.allow_contact(MASTER, ASSISTANT, ["tube"], ["instrument"])
+    assert not pair.rests_apart(MASTER, HOME_RAD)
     pair.watch()
     assert pair.halted is not None
     assert "tube of the master" in pair.halted.reason
 
 
 def test_both_arms_move_together_on_paths_that_are_clear_of_each_other(
-    pair: ArmPair, master: WatchedArm, assistant: WatchedArm
+    pair: Arms, master: WatchedArm, assistant: WatchedArm
 ) -> None:
     goals = {MASTER: turned(master, 10.0), ASSISTANT: turned(assistant, -10.0)}
     pair.move_together(goals)
@@ -188,7 +238,7 @@ def test_both_arms_move_together_on_paths_that_are_clear_of_each_other(
 
 
 def test_paths_that_meet_are_refused_before_anything_moves(
-    pair: ArmPair, master: WatchedArm, assistant: WatchedArm
+    pair: Arms, master: WatchedArm, assistant: WatchedArm
 ) -> None:
     both = {role: JointMove(STRETCHED_RAD) for role in (MASTER, ASSISTANT)}
     with pytest.raises(ArmsTooClose, match="ARM-011"):
@@ -198,7 +248,7 @@ def test_paths_that_meet_are_refused_before_anything_moves(
 
 @pytest.mark.hazard(58)
 def test_an_arm_that_has_stopped_halts_the_other_before_its_controller_says_why(
-    pair: ArmPair, master: WatchedArm, assistant: WatchedArm
+    pair: Arms, master: WatchedArm, assistant: WatchedArm
 ) -> None:
     def stops() -> None:
         master.on_step = lambda: None
@@ -212,9 +262,9 @@ def test_an_arm_that_has_stopped_halts_the_other_before_its_controller_says_why(
 
 @pytest.mark.hazard(58)
 def test_arms_that_are_closer_than_a_doubt_about_the_base_allows_may_still_go_home(
-    pair: ArmPair, master: WatchedArm
+    pair: Arms, master: WatchedArm
 ) -> None:
-    pair.place_assistant(ACROSS, 5000.0)
+    pair.place(ASSISTANT, ACROSS, 5000.0)
     *others, wrist_rad = HOME_RAD
     pair.move(MASTER, JointMove(joint_vector((*others, wrist_rad + radians(30.0)))))  # comes no closer
     assert pair.halted is None
@@ -231,7 +281,7 @@ def stop_on_the_way(arm: WatchedArm, kind: StopKind) -> Callable[[], None]:
 @pytest.mark.hazard(58)
 @pytest.mark.parametrize("moved", [MASTER, ASSISTANT])
 def test_a_fault_between_two_motions_halts_both(
-    pair: ArmPair, master: WatchedArm, assistant: WatchedArm, moved: str
+    pair: Arms, master: WatchedArm, assistant: WatchedArm, moved: str
 ) -> None:
     assistant.stop(StopKind.PROTECTIVE)
     with pytest.raises(BothArmsHalted, match="the assistant has gone to fault"):
@@ -242,7 +292,7 @@ def test_a_fault_between_two_motions_halts_both(
 
 @pytest.mark.hazard(58)
 def test_a_fault_that_a_step_finds_between_two_motions_latches_both(
-    pair: ArmPair, master: WatchedArm, assistant: WatchedArm
+    pair: Arms, master: WatchedArm, assistant: WatchedArm
 ) -> None:
     pair.halt_for_fault()
     assert pair.halted is None
@@ -258,7 +308,7 @@ def test_a_fault_that_a_step_finds_between_two_motions_latches_both(
 @pytest.mark.parametrize("kind", [StopKind.HOLD, StopKind.PROTECTIVE])
 @pytest.mark.parametrize("stopped", [MASTER, ASSISTANT])
 def test_a_stop_of_one_arm_stops_and_holds_both(
-    pair: ArmPair, master: WatchedArm, assistant: WatchedArm, kind: StopKind, stopped: str
+    pair: Arms, master: WatchedArm, assistant: WatchedArm, kind: StopKind, stopped: str
 ) -> None:
     arm = master if stopped == MASTER else assistant
     watched = threading.Event()
@@ -281,9 +331,7 @@ def pair_is_moving(arm: WatchedArm) -> bool:
     return arm.controller.joints_rad != HOME_RAD
 
 
-def test_an_arm_whose_state_is_old_stops_both(
-    pair: ArmPair, master: WatchedArm, assistant: WatchedArm
-) -> None:
+def test_an_arm_whose_state_is_old_stops_both(pair: Arms, master: WatchedArm, assistant: WatchedArm) -> None:
     assistant.frozen = assistant.read_state()
 
     def move_on() -> None:
@@ -299,7 +347,7 @@ def test_an_arm_whose_state_is_old_stops_both(
 
 @pytest.mark.hazard(58)
 def test_an_interruption_by_the_operator_holds_both_arms_without_a_fault(
-    pair: ArmPair, master: WatchedArm, assistant: WatchedArm, monkeypatch: pytest.MonkeyPatch
+    pair: Arms, master: WatchedArm, assistant: WatchedArm, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def watch() -> None:
         if pair_is_moving(master):
@@ -332,21 +380,21 @@ def test_a_thread_that_the_host_suspends_takes_no_arm_for_silent() -> None:
     arms = {role: SuspendedArm(f"robot.{role}", HOME_RAD, clock) for role in (MASTER, ASSISTANT)}
     for arm in arms.values():
         started(arm)
-    pair = ArmPair(arms, ACROSS, clock)
+    pair = across(arms, clock)
     goal = turned(arms[MASTER], 1.0)
     assert pair.move(MASTER, goal).joints_rad == pytest.approx(goal.target_rad)
     for arm in arms.values():
         arm.close()
 
 
-def test_an_arm_whose_telegrams_have_stopped_is_called_old(pair: ArmPair, assistant: WatchedArm) -> None:
+def test_an_arm_whose_telegrams_have_stopped_is_called_old(pair: Arms, assistant: WatchedArm) -> None:
     assistant.frozen = replace(assistant.read_state(), validity=Validity.STALE)
     with pytest.raises(OtherArmUnknown, match="the last state of the assistant is old"):
         pair.move(MASTER, JointMove(HOME_RAD))
 
 
 def test_an_arm_whose_state_is_not_known_keeps_the_other_at_rest(
-    pair: ArmPair, master: WatchedArm, assistant: WatchedArm
+    pair: Arms, master: WatchedArm, assistant: WatchedArm
 ) -> None:
     stamp = replace(assistant.read_state().stamp, theatre_time_s=CLOCK.now_s() - 1.0)
     assistant.frozen = replace(assistant.read_state(), stamp=stamp)
@@ -357,7 +405,7 @@ def test_an_arm_whose_state_is_not_known_keeps_the_other_at_rest(
 
 @pytest.mark.hazard(58)
 def test_both_arms_keep_as_much_more_distance_as_the_base_is_uncertain(
-    pair: ArmPair, master: WatchedArm, assistant: WatchedArm
+    pair: Arms, master: WatchedArm, assistant: WatchedArm
 ) -> None:
     shares = [number / 200 for number in range(200)]
     way = [
@@ -365,19 +413,17 @@ def test_both_arms_keep_as_much_more_distance_as_the_base_is_uncertain(
         for share in shares
     ]
     assistant.controller.joints_rad = STRETCHED_RAD
-    (*_, nearest_rad) = (one for one in way if pair.rest_apart({MASTER: one, ASSISTANT: STRETCHED_RAD}))
-    pair.place_assistant(ACROSS, 10.0)
-    assert not pair.rest_apart({MASTER: nearest_rad, ASSISTANT: STRETCHED_RAD})
+    (*_, nearest_rad) = (one for one in way if pair.rests_apart(MASTER, one))
+    pair.place(ASSISTANT, ACROSS, 10.0)
+    assert not pair.rests_apart(MASTER, nearest_rad)
     with pytest.raises(NotClear, match="of the assistant"):
         pair.move(MASTER, JointMove(nearest_rad))
-    pair.place_assistant(ACROSS, 0.0)
+    pair.place(ASSISTANT, ACROSS, 0.0)
     assert pair.move(MASTER, JointMove(nearest_rad)).joints_rad == pytest.approx(nearest_rad)
 
 
 @pytest.mark.hazard(58)
-def test_arms_that_come_too_close_are_stopped(
-    pair: ArmPair, master: WatchedArm, assistant: WatchedArm
-) -> None:
+def test_arms_that_come_too_close_are_stopped(pair: Arms, master: WatchedArm, assistant: WatchedArm) -> None:
     """Only the watch sees it: the arm that was to rest is pushed, as no plan foresees."""
 
     def push() -> None:
@@ -391,14 +437,14 @@ def test_arms_that_come_too_close_are_stopped(
 
 
 def test_nothing_moves_with_an_instrument_in_the_guide(master: WatchedArm, assistant: WatchedArm) -> None:
-    pair = ArmPair({MASTER: master, ASSISTANT: assistant}, ACROSS, CLOCK, lambda: "T1")
+    pair = across({MASTER: master, ASSISTANT: assistant}, CLOCK, lambda: "T1")
     for role in (MASTER, ASSISTANT):
         with pytest.raises(InstrumentInGuide, match="T1"):
             pair.move(role, JointMove(HOME_RAD))
 
 
 def test_a_halt_ends_when_both_arms_are_ready_and_a_person_acknowledges(
-    pair: ArmPair, master: WatchedArm, assistant: WatchedArm
+    pair: Arms, master: WatchedArm, assistant: WatchedArm
 ) -> None:
     pair.stop("the room asked for it")
     with pytest.raises(BothArmsHalted, match="the master is not ready"):
@@ -413,7 +459,7 @@ def test_a_halt_ends_when_both_arms_are_ready_and_a_person_acknowledges(
 
 
 def test_a_halt_names_the_place_of_the_instrument(master: WatchedArm, assistant: WatchedArm) -> None:
-    pair = ArmPair({MASTER: master, ASSISTANT: assistant}, ACROSS, CLOCK, lambda: "T2")
+    pair = across({MASTER: master, ASSISTANT: assistant}, CLOCK, lambda: "T2")
     pair.stop("a fault")
     with pytest.raises(BothArmsHalted, match="an instrument is in the guide, and in T2"):
         pair.move(MASTER, JointMove(HOME_RAD))
@@ -434,7 +480,7 @@ def test_an_insertion_that_meets_its_force_limit_holds_and_latches_nothing(maste
     """The arm's own error passes through; both arms can be led on, or back, once they are resumed."""
     pressing = PressingArm("robot.assistant", HOME_RAD)
     started(pressing)
-    pair = ArmPair({MASTER: master, ASSISTANT: pressing}, ACROSS, CLOCK, lambda: "T1")
+    pair = across({MASTER: master, ASSISTANT: pressing}, CLOCK, lambda: "T1")
     target = Transform.of(Frame.ROBOT, Frame.TOOL)
     insertion = Insertion(target, Transform.of(Frame.FLANGE, Frame.TOOL), force_limit_N=15.0)
     with pytest.raises(ForceLimitExceeded):
@@ -445,7 +491,7 @@ def test_an_insertion_that_meets_its_force_limit_holds_and_latches_nothing(maste
 
 
 def test_the_answers_to_a_motion_are_recorded_by_the_thread_that_moves(
-    pair: ArmPair, master: WatchedArm
+    pair: Arms, master: WatchedArm
 ) -> None:
     readers: list[int] = []
 
