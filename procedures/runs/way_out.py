@@ -58,6 +58,7 @@ def surround(engine: Engine) -> None:
 
 
 def _surround_assistant(engine: Engine, assistant: Assistant) -> None:
+    """Set the bodies around an assistant: those at the guide, if a guide is registered for its trajectory."""
     workcell = engine.setting.workcell
     trajectory = assistant.place.trajectory or workcell.master.place.trajectory
     registration = _find_guide_registration(engine)

@@ -183,6 +183,6 @@ def _rest_side(rates: NDArray[np.float64], step_mm: float) -> int:
 
 
 def approach_joints(joints_rad: Joints, arriving: Sequence[int]) -> Joints:
-    """Return joints slightly before a position, to be approached in each joint's direction. 0 leaves it."""
+    """Return joints slightly before a position, approached in each joint's direction; 0 leaves a joint."""
     before_rad = [joint - sign * APPROACH_RAD for joint, sign in zip(joints_rad, arriving, strict=True)]
     return (before_rad[0], before_rad[1], before_rad[2], before_rad[3], before_rad[4], before_rad[5])

@@ -1,4 +1,4 @@
-"""Where the arms of a theatre stand, what surrounds each, and how close they may come to each other."""
+"""Bases and surroundings of the arms of a theatre, and the distances kept between them."""
 
 from __future__ import annotations
 
