@@ -63,17 +63,20 @@ class BesideBore:
 
 
 def beside_bore(workcell: Workcell, watch: RoomWatch, judged: JudgedReading) -> BesideBore | None:
-    """Return how far the instrument may be beside the bore by a look at rest, None if a frame is hidden.
+    """Return how far the instrument may be beside the bore by a look at rest, None if its arm is not seen.
 
     Both carts may have moved at any moment since the arm was last home, as all looks since show together: the
-    worst of those moments counts.
+    worst of those moments counts. An arm with the guide whose frame is hidden counts by its joints, as it
+    does where nobody else works at the head.
     """
-    if not {Tracked.ARM, Tracked.ASSISTANT} <= judged.look.frames.keys():
+    seen = judged.look.frames.keys()
+    if Tracked.ASSISTANT not in seen:
         return None
+    bodies = INSTRUMENT_IN_GUIDE if Tracked.ARM in seen else {"assistant": 1.0}
     estimate, top_mm = watch.including(judged), _top_of_bore_mm(workcell, workcell.master.tool_pose())
     last = len(estimate.looks) - 1
     moments = range(min(watch.settled_home + 1, last), last + 1)
-    displaced = (estimate.displacement(top_mm, since, INSTRUMENT_IN_GUIDE) for since in moments)
+    displaced = (estimate.displacement(top_mm, since, bodies) for since in moments)
     beside = (_across(workcell.master.tool_pose(), one) for one in displaced)
     return max(beside, key=lambda one: one.largest_mm)
 

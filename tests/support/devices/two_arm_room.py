@@ -95,9 +95,13 @@ class TwoArmRoom:
         master: RigidTransform = STILL,
         head: RigidTransform = STILL,
         hidden: bool = False,
+        guide_hidden: bool = False,
         led: bool = False,
     ) -> RoomReading:
-        """A careful reading with the carts and the head displaced so far, robot frame."""
+        """A careful reading with the carts and the head displaced so far, robot frame.
+
+        `hidden` is the assistant's frame, `guide_hidden` that of the arm with the guide.
+        """
         joints_rad = joints_rad or self.joints_rad
         to_tracker = TO_ROBOT.inverse().rigid
         on_arm = to_tracker * master * (KR6.flange_pose(HOME_RAD) @ MOUNT).rigid
@@ -113,6 +117,8 @@ class TwoArmRoom:
         )
         frame = seen_frame(on_assistant.as_matrix(), MARKERS_MM, CAREFUL_FRAMES)
         frames = seen.frames if hidden else {**seen.frames, Tracked.ASSISTANT: frame}
+        if guide_hidden:
+            frames = {name: one for name, one in frames.items() if name is not Tracked.ARM}
         return replace(seen, frames=frames, assistant=Rest(joints_rad, ONE_SIDE), instrument_led=led)
 
     def look(self, joints_rad: JointVector | None = None, **room: Any) -> RoomLook:

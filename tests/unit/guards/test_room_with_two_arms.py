@@ -96,6 +96,18 @@ def test_a_cart_that_moved_on_the_way_is_beside_the_bore_by_the_whole_of_it(coun
 
 
 @pytest.mark.hazard(64)
+def test_where_the_guides_arm_is_hidden_the_assistant_is_held_against_its_joints() -> None:
+    room = TwoArmRoom()
+    room.joints_rad = OVER_GUIDE_RAD
+    still = beside(room, guide_hidden=True)
+    assert still is not None
+    assert still.is_within
+    moved = beside(room, guide_hidden=True, assistant=shifted(0.0, LARGEST_OFF_MM - 0.15, 0.0))
+    assert moved is not None
+    assert not moved.is_within
+
+
+@pytest.mark.hazard(64)
 def test_a_repeated_look_over_the_guide_forgives_nothing() -> None:
     room = TwoArmRoom()
     room.joints_rad = OVER_GUIDE_RAD

@@ -241,7 +241,7 @@ def _look_at_assistant(
 def _require_seen_coaxial(context: StepContext, axis: InsertionAxis, *, stood: bool) -> BesideBore | None:
     """Return how far the instrument may be beside the bore, by the tracker. Raises CAL-023 and PRO-007.
 
-    Where it does not see both arms, the joints alone count, provided that the assistant's cart has `stood`.
+    Where it does not see the assistant, the joints alone count, provided that its cart has `stood`.
     """
     sides = {} if axis.arriving is None else {Tracked.ASSISTANT: axis.arriving}
     for count in (CAREFUL_FRAMES, BETTER_FRAMES):
@@ -252,17 +252,18 @@ def _require_seen_coaxial(context: StepContext, axis: InsertionAxis, *, stood: b
         context.progress(0.72, f"looking again over {context.trajectory}: the instrument is {found}")
     if found is None and not stood:
         raise GateFailed(
-            f"over {context.trajectory} the tracker does not see the frames of both arms, nor did it see the "
-            "assistant before it left: nothing shows that its cart has stood still",
+            f"over {context.trajectory} the tracker does not see the frame on the assistant, nor did it at "
+            "every look before: nothing shows that the assistant's cart has stood still",
             action="Send the arms home, clear the line of sight, and go to the target again.",
         )
     if found is None:
         context.find(
-            f"over {context.trajectory} the tracker does not see the frames of both arms: the joints alone "
-            "count; before it left, the assistant was seen where it stood"
+            f"over {context.trajectory} the tracker does not see the frame on the assistant: joints alone "
+            "count; before it left, it was seen where it stood"
         )
         return None
-    context.find(f"over {context.trajectory}, by the tracker: the instrument is {found}")
+    hidden = "" if Tracked.ARM in judged.look.frames else "; the guide's arm is hidden: its joints count"
+    context.find(f"over {context.trajectory}, by the tracker: the instrument is {found}{hidden}")
     if not found.is_within:
         raise GateFailed(
             f"over {context.trajectory} the instrument may be further beside the bore than it gives way",

@@ -11,6 +11,7 @@ from procedures.guards.errors import InsertionDisturbed
 from procedures.guards.room_reading import CAREFUL_FRAMES
 from procedures.guards.room_watch import RoomWatch
 from procedures.room.motion import Moved
+from procedures.room.sighting import Tracked
 from procedures.workcell import Workcell
 from procedures.workcell.tracker_look import read_frames_at_rest
 from ronna_hw.clock import Clock
@@ -53,7 +54,7 @@ def require_seen_on_axis(workcell: Workcell, clock: Clock, watch: RoomWatch | No
                 f"the assistant was not compared with its frame ({problem.summary})"
             ) from problem
         found, motion = beside_bore(workcell, watch, judged), judged.motion
-        if found is None:
+        if found is None or Tracked.ARM not in judged.look.frames:  # the guide's cart counts as well
             raise NotCompared("the tracker does not see the frames of both arms")
         if found.is_within and (motion is None or motion.moved in OF_THE_HEAD):
             return found
