@@ -179,6 +179,10 @@ class SupervisedArm(ABC):
         """
         return read_axis_loads(self._arm, cycles, since_rest=True)
 
+    def start(self) -> None:
+        """Start the arm's correction stream, if it is configured. Raises PRO-002."""
+        self.supervised.start(f"start the {self.name}")
+
     def hold(self) -> None:
         """Hold still, supervised by the link, until the next motion."""
         if self._arm.state is Lifecycle.ACTIVE:

@@ -8,7 +8,7 @@ or after the end of the stream is confirmed by the operator.
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 from procedures.journal.errors import JournalNotWritable
 from procedures.journal.journal import Entry, JournalValue
@@ -19,7 +19,7 @@ from procedures.workcell.arm_history import ArmLog, MotionKind
 from procedures.workcell.errors import BothArmsHalted
 from procedures.workcell.motions import AnnouncedMotions, PlannedMotion, describe_motions, motion_facts
 from ronna_hw.arm.errors import NotClear
-from ronna_hw.devices import Device, Lifecycle, Motion, RobotArm
+from ronna_hw.devices import Lifecycle, Motion, RobotArm
 from ronna_hw.devices.errors import MotionInterrupted, WrongState
 from ronna_hw.devices.lifecycle import RUNNING
 from ronna_hw.devices.readings import ArmReading
@@ -129,29 +129,29 @@ class SupervisedMotion:
         self._held = self._arm().state is Lifecycle.HOLD
         self._confirmed = self._require_yes(question) or self._confirmed
 
-    def start(self, devices: Iterable[Device]) -> None:
-        """Activate all configured devices.
+    def start(self, subject: str) -> None:
+        """Activate the arm, if it is configured.
 
         A driver may require a confirmation before it starts its arm, and may then move it out and back. The
-        operator is asked, and the start is journalled as a motion. Raises PRO-002 unless the answer is yes.
+        operator is asked about the `subject`, and the start is journalled as a motion. Raises PRO-002 unless
+        the answer is yes.
         """
-        for device in devices:
-            if device.state is not Lifecycle.CONFIGURED:
-                continue
-            if isinstance(device, ConfirmedStart) and (words := device.to_confirm) is not None:
-                self._confirmed = False
-                if self._require_yes(Question(Topic.UNVERIFIED, "start the arm", words)):
-                    device.confirm_start(OPERATOR)
-                    self._start_arm(device)
-                    continue
-            device.activate()
+        arm = self._arm()
+        if arm.state is not Lifecycle.CONFIGURED:
+            return
+        if isinstance(arm, ConfirmedStart) and (words := arm.to_confirm) is not None:
+            self._confirmed = False
+            if self._require_yes(Question(Topic.UNVERIFIED, subject, words)):
+                arm.confirm_start(OPERATOR)
+                self._drive_journalled(
+                    {"what": MotionKind.START, "to": [], "trajectory": None}, self._activate
+                )
+                return
+        arm.activate()
 
-    def _start_arm(self, arm: Device) -> None:
-        def drive() -> ArmReading:
-            arm.activate()
-            return self._arm().read_state()
-
-        self._drive_journalled({"what": MotionKind.START, "to": [], "trajectory": None}, drive)
+    def _activate(self) -> ArmReading:
+        self._arm().activate()
+        return self._arm().read_state()
 
     def _require_yes(self, question: Question) -> bool:
         """Ask a question. Return False without an operator; raise PRO-002 unless the answer is yes."""

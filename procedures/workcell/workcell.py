@@ -225,7 +225,10 @@ class Workcell:
         starting = any(arm.state is Lifecycle.CONFIGURED for arm in arms)
         if starting and not self._starts_still(arms):
             self.master.instrument.require_out("start the arm")
-        self.master.supervised.start((*arms, self.stereo) if cameras else arms)
+        for one in self.arms.values():
+            one.start()
+        if cameras and self.stereo.state is Lifecycle.CONFIGURED:
+            self.stereo.activate()
 
     def _starts_still(self, arms: Sequence[RobotArm]) -> bool:
         """Whether an assistant on the axis waits for all arms, and starting them moves nothing.

@@ -19,7 +19,7 @@ from watched_case import findings, on_the_way, positioned, voiding, watched
 from procedures.engine.events import Advisory
 from procedures.guards import head_frames, motion_watch, patient_watch, watch_thread
 from procedures.guards.assistant_on_axis import LARGEST_OFF_MM
-from procedures.guards.errors import InsertionDisturbed, PatientMoved
+from procedures.guards.errors import BaseShifted, InsertionDisturbed, PatientMoved
 from procedures.guards.guide_displacement import GuideAtRest
 from procedures.guards.room_watch import RoomWatch
 from procedures.guards.tracker_guards import JUDGED
@@ -33,7 +33,7 @@ from ronna_hw.config import WatchPatient
 from ronna_hw.devices.errors import MotionInterrupted
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import ArmReading
-from ronna_hw.errors import DeviceError
+from ronna_hw.errors import DeviceError, LinkTimeout
 
 pytestmark = pytest.mark.hazard(12)
 
@@ -92,6 +92,30 @@ def test_a_shift_in_the_first_frame_stops_the_arm_before_the_motion_begins(
     with pytest.raises(PatientMoved), engine.checkpoint.watching("the next motion", MotionKind.GO):
         stops = cell.arm.stops
     assert stops > before
+
+
+@pytest.mark.hazard(13)
+def test_a_moved_cart_that_no_second_look_confirms_is_named_and_leaves_the_way_home_open(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cell = ClinicalCell(tmp_path / "run")
+    engine = watched(cell)
+
+    def wheel_away() -> None:
+        cell.tracker.frame_shift_mm = (60.0, -40.0, 0.0)
+        eventually(lambda: cell.arm.stops > 0)
+        cell.arm.interruptions = 1
+
+    def silent(*_args: object) -> None:
+        raise LinkTimeout("the tracker does not answer")
+
+    on_the_way(cell, wheel_away)
+    monkeypatch.setattr(motion_watch, "read_watched", silent)
+    with pytest.raises(BaseShifted, match=r"was moved.*limit 10 mm"):
+        positioned(engine)
+    assert engine.setting.memory.find(RoomWatch) is None
+    engine.retreat_home()
+    assert cell.workcell.master.place.is_home
 
 
 def test_an_interruption_while_the_first_frame_is_awaited_ends_the_watch(

@@ -245,7 +245,8 @@ def void_moved(context: StepContext, moved: RonnaError) -> None:
     if isinstance(moved, BaseShifted):
         _shift_room(context, moved)
     elif isinstance(moved, PlatformMoved) and moved.way_mm is not None:
-        context.workcell.assistant.follow(moved.way_mm)
+        for arm in context.workcell.assistants:
+            arm.follow(moved.way_mm)
 
 
 def _shift_room(context: StepContext, moved: BaseShifted) -> None:
@@ -255,4 +256,5 @@ def _shift_room(context: StepContext, moved: BaseShifted) -> None:
         on_cart = {body.name for body in bodies if body.frame is BodyFrame.ROBOT}
         context.workcell.shift_room(moved.room_moved, on_cart)
     elif moved.frame_off_mm:
-        context.workcell.assistant.doubt(moved.frame_off_mm)
+        for arm in context.workcell.assistants:
+            arm.doubt(moved.frame_off_mm)
