@@ -10,7 +10,8 @@ from enum import StrEnum
 from typing import Protocol, TypeVar
 
 from conformance.device_under_test import DeviceUnderTest
-from conformance.errors import NoSuchCase
+from conformance.errors import NO_SUCH_CASE
+from ronna_hw.errors import AnyCode, AnyError, is_error
 
 
 @dataclass(frozen=True)
@@ -47,7 +48,6 @@ class Nonconformity(AssertionError):
 
 
 Run = Callable[[DeviceUnderTest], object]
-E = TypeVar("E", bound=Exception)
 S = TypeVar("S")
 Decorator = Callable[[Callable[[S], object]], Callable[[S], object]]
 
@@ -149,7 +149,7 @@ class Suite(CaseList):
             return self
         cases = [case for case in self.cases if case.number.startswith(tuple(prefixes))]
         if not cases:
-            raise NoSuchCase(f"no case of the {self.kind} suite starts with {' or '.join(prefixes)}")
+            raise NO_SUCH_CASE(f"no case of the {self.kind} suite starts with {' or '.join(prefixes)}")
         return self.with_cases(cases)
 
 
@@ -178,12 +178,15 @@ def read_as(expected: str) -> Iterator[None]:
         raise Nonconformity(f"expected {expected}, got {error}") from error
 
 
-def refused(call: Callable[[], object], kind: type[E], what: str) -> E:
-    """Return the `kind` of error that `call` must raise; raises Nonconformity if it does not."""
+def refused(call: Callable[[], object], expected: AnyCode[AnyError], what: str) -> AnyError:
+    """Return the error that `call` must raise; raises Nonconformity if it does not."""
+    name, kind = (
+        (expected.__name__, expected) if isinstance(expected, type) else (expected.code, expected.kind)
+    )
     try:
         call()
-    except kind as error:
-        return error
     except Exception as error:
-        raise Nonconformity(f"expected {what} to raise {kind.__name__}, got {error!r}") from error
-    raise Nonconformity(f"expected {what} to raise {kind.__name__}, but it was carried out")
+        if isinstance(error, kind) and is_error(error, expected):
+            return error
+        raise Nonconformity(f"expected {what} to raise {name}, got {error!r}") from error
+    raise Nonconformity(f"expected {what} to raise {name}, but it was carried out")

@@ -2,28 +2,30 @@
 
 from __future__ import annotations
 
-from ronna_hw.errors import ConfigurationError, RefusedError
+from ronna_hw.errors import ConfigurationError, ErrorCode, RefusedError
+
+NO_DEVICE_CHOSEN = ErrorCode(
+    "CNF-001",
+    ConfigurationError,
+    "The command line specifies no device to test, or more than one.",
+    "Give one of --sim, --config FILE and --endpoint [NAME=]URI.",
+)
 
 
-class NoDeviceChosen(ConfigurationError):
-    """The command line specifies no device to test, or more than one."""
-
-    code = "CNF-001"
-    action = "Give one of --sim, --config FILE and --endpoint [NAME=]URI."
-
-
-class DeviceNotInFile(ConfigurationError):
-    """The theatre file has no such device."""
-
-    code = "CNF-002"
-    action = "Name a device of the theatre file, with --device for one of several robots."
+DEVICE_NOT_IN_FILE = ErrorCode(
+    "CNF-002",
+    ConfigurationError,
+    "The theatre file has no such device.",
+    "Name a device of the theatre file, with --device for one of several robots.",
+)
 
 
-class NoSuchCase(ConfigurationError):
-    """No case number starts with a prefix given to --only."""
-
-    code = "CNF-003"
-    action = "Run the suite without --only to see the numbers of its cases."
+NO_SUCH_CASE = ErrorCode(
+    "CNF-003",
+    ConfigurationError,
+    "No case number starts with a prefix given to --only.",
+    "Run the suite without --only to see the numbers of its cases.",
+)
 
 
 class NotConfirmed(RefusedError):
@@ -36,8 +38,9 @@ class NotConfirmed(RefusedError):
     )
 
 
-class NoSimulator(ConfigurationError):
-    """`--sim` was given, but there is no simulator for the driver's wire protocol."""
-
-    code = "CNF-006"
-    action = "Name the device with --endpoint or --config."
+NO_SIMULATOR = ErrorCode(
+    "CNF-006",
+    ConfigurationError,
+    "`--sim` was given, but there is no simulator for the driver's wire protocol.",
+    "Name the device with --endpoint or --config.",
+)

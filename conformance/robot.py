@@ -35,7 +35,7 @@ from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import ArmReading, Validity
 from ronna_hw.devices.robot import JointMove, LineMove, OperatingMode, RobotArm, StopKind
 from ronna_hw.errors import DataError, LimitError, RefusedError, RonnaError, StateError
-from ronna_hw.frames import Frame, FrameMismatch, Transform
+from ronna_hw.frames import FRAME_MISMATCH, Frame, Transform
 from ronna_hw.vectors import JointVector
 
 HOLDING_S = 0.2  # theatre time for which an arm with zero corrections is observed
@@ -288,7 +288,7 @@ def frames_of_a_line_are_checked(dut: DeviceUnderTest) -> None:
     ):
         line = LineMove(target, flange_from_tool)
         for call in (partial(line.drive, arm), partial(arm.preview, line)):
-            refused(call, FrameMismatch, f"a line to {target.target} <- {target.source}")
+            refused(call, FRAME_MISMATCH, f"a line to {target.target} <- {target.source}")
     check(arm.state is Lifecycle.ACTIVE, "state active", arm.state)
     check_standstill(arm.read_state(), before)
 

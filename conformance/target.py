@@ -12,11 +12,11 @@ from typing import Any, Protocol, runtime_checkable
 
 from conformance.case import DESTRUCTIVE, HOST_TIME, LINE_FAULTS, MOTION, Suite
 from conformance.device_under_test import DeviceUnderTest
-from conformance.errors import DeviceNotInFile, NoDeviceChosen, NoSimulator
+from conformance.errors import DEVICE_NOT_IN_FILE, NO_DEVICE_CHOSEN, NO_SIMULATOR
 from conformance.protocol import ProtocolCases, compose_suite, load_driver_protocol
 from ronna_hw.clock import Clock, open_clock
 from ronna_hw.config import DeviceConfig, TheatreFile, read_theatre_file
-from ronna_hw.devices.errors import UnknownDriver
+from ronna_hw.devices.errors import UNKNOWN_DRIVER
 from ronna_hw.devices.probing import ONLY, Option, Search
 from ronna_hw.endpoints import parse_endpoint
 from ronna_hw.host.child_process import ChildProcess, command
@@ -43,13 +43,13 @@ class Choice:
         given = {"--sim": self.sim, "--config": self.config is not None, "--endpoint": bool(self.endpoints)}
         named = [option for option, is_given in given.items() if is_given]
         if len(named) != 1:
-            raise NoDeviceChosen(
+            raise NO_DEVICE_CHOSEN(
                 "no single device is named",
                 expected="exactly one of --sim, --config and --endpoint",
                 got=" and ".join(named) or "none",
             )
         if unknown := sorted(set(self.allow) - set(PERMISSIONS)):
-            raise NoDeviceChosen(
+            raise NO_DEVICE_CHOSEN(
                 f"--allow does not accept {', '.join(unknown)}",
                 expected=" or ".join(PERMISSIONS),
                 action="Correct it.",
@@ -104,7 +104,7 @@ def resolve_target(kind: str, choice: Choice) -> Target:
         config = config_for_suite(driver, addresses)
     protocol = load_driver_protocol(driver)
     if choice.sim and protocol.simulator is None:
-        raise NoSimulator(f"there is no simulator for the wire protocol of {driver}")
+        raise NO_SIMULATOR(f"there is no simulator for the wire protocol of {driver}")
     return Target(
         suite=compose_suite(suite, protocol),
         protocol=protocol,
@@ -136,7 +136,7 @@ def _parse_endpoints(endpoints: Sequence[str]) -> dict[str | None, str]:
         named.append((name, address) if separator and "://" not in name else (None, text))
     names = [name for name, _ in named]
     if len(named) > 1 and (None in names or len(set(names)) < len(names)):
-        raise NoDeviceChosen("each of several endpoints needs a name", action="Write NAME=URI for each.")
+        raise NO_DEVICE_CHOSEN("each of several endpoints needs a name", action="Write NAME=URI for each.")
     return dict(named)
 
 
@@ -153,7 +153,7 @@ def _require_driver(name: str) -> None:
                 if name != option.value:
                     action += f', and --config with a theatre file whose options say {option.key} = "{name}"'
                 action += "."
-    raise UnknownDriver(
+    raise UNKNOWN_DRIVER(
         f"no driver {name!r} is installed", expected="one of " + ", ".join(known), action=action
     )
 
@@ -172,7 +172,7 @@ def _require_roles(kind: str, driver: str, addresses: Mapping[str | None, str], 
     missing = [name for name in wanted if (name or None) not in addresses]
     unknown = [name for name in addresses if name is not None and name not in wanted]
     example = f"Example: {_format_given(wanted)}."
-    raise NoDeviceChosen(
+    raise NO_DEVICE_CHOSEN(
         f"the endpoints do not match {driver}"
         + (", which is assumed without --driver" if assumed else "")
         + "".join(f"; endpoint {name} is unknown{suggest_keys(name, missing)}" for name in unknown),
@@ -214,14 +214,14 @@ def _find_in_file(theatre: TheatreFile, kind: str, device: str | None) -> tuple[
             found = (
                 "several robots" if theatre.robot and not name else " ".join(("no robot", name or "")).strip()
             )
-            raise DeviceNotInFile(
+            raise DEVICE_NOT_IN_FILE(
                 f"the theatre file has {found}",
                 expected=", ".join(theatre.robot) or "a table such as [robot.master]",
             )
         return f"robot.{name}", theatre.robot[name]
     chosen = theatre.devices.get(kind)
     if chosen is None or device is not None:
-        raise DeviceNotInFile(f"the theatre file has no {' '.join(filter(None, (kind, device)))}")
+        raise DEVICE_NOT_IN_FILE(f"the theatre file has no {' '.join(filter(None, (kind, device)))}")
     return kind, chosen
 
 

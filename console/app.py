@@ -22,7 +22,7 @@ from starlette.requests import ClientDisconnect, Request
 from starlette.responses import JSONResponse
 
 from console.case_view import RecordedCase
-from console.errors import NothingToShow
+from console.errors import NOTHING_TO_SHOW
 from console.guard import LARGEST_BODY_BYTES, SESSION, Guard, Role, Sessions
 from console.hub import Hub
 from console.listening import HOST, build_server, listen
@@ -63,12 +63,12 @@ def review(folder: Path, port: int, viewers: ViewersAddress | None = None) -> No
     try:
         followed = FollowedRun(folder)
     except RonnaError as error:
-        raise NothingToShow(f"{folder} contains no run that can be shown: {error.what}") from error
+        raise NOTHING_TO_SHOW(f"{folder} contains no run that can be shown: {error.what}") from error
     batches = followed.batches(whole=True)
     recorded, hub = RecordedCase(), Hub(folder)
     recorded.extend(next(batches))
     if not len(recorded):
-        raise NothingToShow(f"{folder} has no events yet")
+        raise NOTHING_TO_SHOW(f"{folder} has no events yet")
     hub.review = recorded
     hub.show(recorded.latest)
     if followed.over:

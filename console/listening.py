@@ -15,7 +15,7 @@ from typing import Any
 import uvicorn
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
-from console.errors import PortTaken
+from console.errors import PORT_TAKEN
 from console.guard import LARGEST_BODY_BYTES, LARGEST_HEAD_BYTES, Guard, Role
 from ronna_hw.command_line.viewers_address import ViewersAddress
 from ronna_hw.host.network import find_account
@@ -37,7 +37,7 @@ def listen(address: str, port: int, family: socket.AddressFamily = socket.AF_INE
         listening.bind((address, port))
     except OSError as error:
         listening.close()
-        raise PortTaken(f"port {port} of {address} cannot be used: {error.strerror}") from error
+        raise PORT_TAKEN(f"port {port} of {address} cannot be used: {error.strerror}") from error
     listening.listen(BACKLOG)
     return listening
 

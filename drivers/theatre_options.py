@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, ValidationError
 
 from ronna_hw.config import BadTheatreFile, DeviceConfig, Role
-from ronna_hw.errors import ConfigurationError
+from ronna_hw.errors import AnyCode, ConfigurationError
 from ronna_hw.mistakes import describe_mistakes
 from ronna_hw.text import format_count
 
@@ -20,7 +20,7 @@ ANOTHER_MAKE = "Correct the options and endpoints, or the driver if they are tho
 
 
 def parse_options(
-    model: type[M], options: Mapping[str, Any], subject: str, refusal: type[ConfigurationError]
+    model: type[M], options: Mapping[str, Any], subject: str, refusal: AnyCode[ConfigurationError]
 ) -> M:
     """Validate the options of one device; raises `refusal` listing every mistake."""
     try:
@@ -43,7 +43,7 @@ def naming_endpoints_too(device: str, config: DeviceConfig, roles: Mapping[str, 
         try:
             config.require_addresses(roles, device)
         except BadTheatreFile as of_endpoints:
-            raise type(of_options)(
+            raise of_options.reworded(
                 f"{of_options.what}; {of_endpoints.what}",
                 expected=of_endpoints.expected,
                 got=of_endpoints.got,

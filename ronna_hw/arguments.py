@@ -6,7 +6,7 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ronna_hw.errors import EXIT_USAGE, DataError
+from ronna_hw.errors import EXIT_USAGE, AnyCode, DataError
 
 if TYPE_CHECKING:
     import numpy as np
@@ -44,7 +44,7 @@ def require_numbers(
     what: str,
     *,
     shape: tuple[int, ...] | None = None,
-    mistake: type[DataError] = WrongArgument,
+    mistake: AnyCode[DataError] = WrongArgument,
 ) -> NDArray[np.float64]:
     """Return a new float array; raises `mistake` for anything else than real numbers, or another shape.
 

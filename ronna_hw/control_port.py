@@ -18,7 +18,7 @@ from typing import Any, Self
 
 from ronna_hw.bounded_input import parse_json
 from ronna_hw.endpoints import BadEndpoint, Endpoint, parse_endpoint
-from ronna_hw.errors import ConfigurationError, ConnectError
+from ronna_hw.errors import ConfigurationError, ConnectError, ErrorCode
 from ronna_hw.text import printable
 
 ANSWER_LIMIT_S = 5.0  # host time
@@ -45,11 +45,12 @@ class ControlRequestRefused(ConfigurationError):
     action = "Correct what is named; a token is copied with the whole endpoint, from the READY line."
 
 
-class ControlPortOfAnother(ConfigurationError):
-    """The control port belongs to another simulated theatre than the theatre file."""
-
-    code = "CTL-003"
-    action = 'Set it anew: eval "$(ronna-sim env THEATRE-FOLDER)" with the folder of the theatre file.'
+CONTROL_PORT_OF_ANOTHER = ErrorCode(
+    "CTL-003",
+    ConfigurationError,
+    "The control port belongs to another simulated theatre than the theatre file.",
+    'Set it anew: eval "$(ronna-sim env THEATRE-FOLDER)" with the folder of the theatre file.',
+)
 
 
 @dataclass(frozen=True)
@@ -157,7 +158,7 @@ def require_theatre(address: str, identity: str, file: Path) -> None:
     """Raise CTL-003 unless the port is that of the theatre with this identity, from its theatre `file`."""
     answer = ask_control_port(address, "identify")
     if answer.get("identity") != identity:
-        raise ControlPortOfAnother(
+        raise CONTROL_PORT_OF_ANOTHER(
             f"the control port is of another theatre than {file}",
             expected=f"the port of the theatre in {file.resolve().parent}",
             got=f"that of {printable(str(answer.get('folder'))) or 'a simulator alone'}",

@@ -11,14 +11,16 @@
     +-- StateError           the call is not allowed in the current state
     +-- RefusedError         a guard refused; says which preconditions are unmet
 
-Each concrete error is a subclass in its package's `errors.py` with a stable `code` such as `NDI-004`.
-The table of codes in the reference is generated from these classes.
+The errors of a package stand in its `errors.py`, each with a stable code such as `NDI-004`: an `ErrorCode`,
+which is data, or a subclass where somebody catches it by name. The table of codes in the reference is
+generated from them.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any, ClassVar
+from dataclasses import dataclass
+from typing import Any, ClassVar, Generic, Self, TypeAlias, TypeVar
 
 from ronna_hw.text import printable
 
@@ -34,21 +36,23 @@ EXIT_RECOVERY_NEEDED = 8
 EXIT_UNCONFIRMED = 9  # of verify: intact as far as can be said
 EXIT_INTERRUPTED = 130
 
+AnyError = TypeVar("AnyError", bound="RonnaError", covariant=True)
+
 LAST_BYTES_KEPT = 64  # enough for a whole short telegram, short enough for one line of hex
 
 
 class RonnaError(Exception):
     """Base of all project errors: what happened, what was expected, the limit, and what to do.
 
-    `code`, `action` and `exit_code` are class attributes of the concrete error; the raiser supplies `what`
-    and, if helpful, `expected`, `limit`, `got` and what to do instead of the class's `action`. `page_action`
-    is the part of the class's `action` that is done without a command. `wire` keeps the last bytes of a
-    protocol error.
+    `code`, `action` and `exit_code` are attributes of the concrete class, or come from the `entry` of its
+    package's table; the raiser supplies `what` and, if helpful, `expected`, `limit`, `got` and what to do
+    instead of `action`. `page_action` is the part of `action` that is done without a command. `wire` keeps
+    the last bytes of a protocol error.
     """
 
-    code: ClassVar[str] = ""
+    code: str = ""
     action: str = ""
-    page_action: ClassVar[str] = ""  # nothing: all of `action`
+    page_action: str = ""  # nothing: all of `action`
     exit_code: int = EXIT_FAILED  # of an error that quotes a program: that program's
 
     def __init__(
@@ -60,7 +64,16 @@ class RonnaError(Exception):
         got: str | None = None,
         action: str | None = None,
         wire: bytes = b"",
+        entry: ErrorCode[Any] | None = None,
     ) -> None:
+        self.entry = entry
+        meaning = (type(self).__doc__ or "").strip().partition("\n")[0]
+        if entry is not None:
+            meaning, self.code, self.exit_code = entry.meaning, entry.code, entry.exit_code
+            self.action, self.page_action = entry.action, entry.page_action
+        self.meaning = (
+            f"{meaning[:1].lower()}{meaning[1:].rstrip('.')}"  # of the code, to go on in a sentence
+        )
         self.what = printable(what)
         self.expected = expected and printable(expected)
         self.limit = limit and printable(limit)
@@ -71,12 +84,6 @@ class RonnaError(Exception):
         self.attachments: dict[str, str] = {}  # file name -> text: evidence for the run folder
         self.shown = False  # already, at the terminal, by a command that continued; not printed again
         super().__init__(self._one_line())
-
-    @property
-    def meaning(self) -> str:
-        """Meaning of the code in words, as in the table of codes, to go on in a sentence."""
-        first = (type(self).__doc__ or "").strip().partition("\n")[0].rstrip(".")
-        return first[:1].lower() + first[1:]
 
     @property
     def summary(self) -> str:
@@ -92,6 +99,18 @@ class RonnaError(Exception):
         if values == [f"got {self.got}"]:  # nothing to compare with: it explains what happened
             return f"{self.what}: {self.got}"
         return "; ".join(part for part in (self.what, ", ".join(values)) if part)
+
+    def reworded(
+        self,
+        what: str,
+        *,
+        expected: str | None = None,
+        limit: str | None = None,
+        got: str | None = None,
+        action: str | None = None,
+    ) -> Self:
+        """Return an error of the same code that says it in other words."""
+        return type(self)(what, expected=expected, limit=limit, got=got, action=action, entry=self.entry)
 
     def happened_during(self, doing: str) -> None:
         """Say during what it happened."""
@@ -165,14 +184,71 @@ class RefusedError(RonnaError):
     exit_code = EXIT_REFUSED
 
 
+@dataclass(frozen=True)
+class ErrorCode(Generic[AnyError]):
+    """Error that nobody catches by name: its code, kind, meaning and what to do, as one row of a table.
+
+    Called as a class of errors would be: `raise WRONG_SERIES("...", got="...")`. By default it ends a program
+    with the exit code of its kind.
+    """
+
+    code: str
+    kind: type[AnyError]
+    meaning: str
+    action: str
+    page_action: str = ""
+    own_exit_code: int | None = None
+    known: ClassVar[dict[str, ErrorCode[Any]]] = {}  # by code, as Python keeps the subclasses of a class
+
+    def __post_init__(self) -> None:
+        """Enter it among those known."""
+        self.known[self.code] = self
+
+    @property
+    def exit_code(self) -> int:
+        """Exit status of a program that ends with this error."""
+        return self.kind.exit_code if self.own_exit_code is None else self.own_exit_code
+
+    def __call__(
+        self,
+        what: str,
+        *,
+        expected: str | None = None,
+        limit: str | None = None,
+        got: str | None = None,
+        action: str | None = None,
+        wire: bytes = b"",
+    ) -> AnyError:
+        """Return the error that has happened; the parameters are those of `RonnaError`."""
+        return self.kind(what, expected=expected, limit=limit, got=got, action=action, wire=wire, entry=self)
+
+
+AnyCode: TypeAlias = type[AnyError] | ErrorCode[AnyError]
+
+
+def is_error(problem: BaseException, *expected: AnyCode[RonnaError] | type[BaseException]) -> bool:
+    """Return whether a problem is one of these errors: of a class, or with the code of a row."""
+    return any(
+        isinstance(problem, one) if isinstance(one, type) else getattr(problem, "code", "") == one.code
+        for one in expected
+    )
+
+
+def find_code(code: str) -> ErrorCode[RonnaError] | type[RonnaError] | None:
+    """Return the error with a code among those of all imported modules, None if there is none."""
+    if (row := ErrorCode.known.get(code)) is not None:
+        return row
+    return next((one for one in coded_classes() if one.code == code), None)
+
+
 def summary_of(problem: Exception) -> str:
     """Summarise a project error, or a Python error with its class name."""
     return problem.summary if isinstance(problem, RonnaError) else f"{type(problem).__name__}: {problem}"
 
 
-def concrete_errors(root: type[RonnaError] = RonnaError) -> Iterator[type[RonnaError]]:
-    """Yield every imported error class with a code, in definition order."""
+def coded_classes(root: type[RonnaError] = RonnaError) -> Iterator[type[RonnaError]]:
+    """Yield every imported error class with a code of its own, in definition order."""
     for child in root.__subclasses__():
         if child.code and "code" in vars(child):
             yield child
-        yield from concrete_errors(child)
+        yield from coded_classes(child)

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from ronna_hw.arguments import WrongArgument, show
-from ronna_hw.errors import DataError
+from ronna_hw.errors import DataError, ErrorCode
 
 Array = NDArray[np.float64]
 
@@ -38,18 +38,20 @@ class Frame(StrEnum):
     PATIENT = "patient"  # reference frame on the head clamp, seen by the tracker
 
 
-class FrameMismatch(DataError):
-    """Frames of composed transforms, or of a transform and its points, do not match."""
+FRAME_MISMATCH = ErrorCode(
+    "FRM-001",
+    DataError,
+    "Frames of composed transforms, or of a transform and its points, do not match.",
+    "Check which frame each transform maps from and to; invert one of them if it is reversed.",
+)
 
-    code = "FRM-001"
-    action = "Check which frame each transform maps from and to; invert one of them if it is reversed."
 
-
-class UnknownFrame(DataError):
-    """The name is not that of a frame."""
-
-    code = "FRM-002"
-    action = "Name the frames as in Frame.ROBOT and Frame.CT, or by these words."
+UNKNOWN_FRAME = ErrorCode(
+    "FRM-002",
+    DataError,
+    "The name is not that of a frame.",
+    "Name the frames as in Frame.ROBOT and Frame.CT, or by these words.",
+)
 
 
 def build_rigid(translation_mm: Array, rotation: Rotation) -> RigidTransform:
@@ -65,7 +67,7 @@ def build_rigid(translation_mm: Array, rotation: Rotation) -> RigidTransform:
     matrix[:3, 3] = np.reshape(translation_mm, 3)
     # A quaternion whose square overflows leaves a matrix of zeros.
     if not abs(float(np.vdot(turned, turned)) - 3.0) < ROUNDING or not np.isfinite(matrix).all():
-        raise FrameMismatch(f"expected a finite translation and a rotation, got\n{matrix}")
+        raise FRAME_MISMATCH(f"expected a finite translation and a rotation, got\n{matrix}")
     return RigidTransform(matrix, normalize=False, copy=False)
 
 
@@ -103,7 +105,7 @@ class Transform:
             try:
                 object.__setattr__(self, name, Frame(given))
             except ValueError as error:
-                raise UnknownFrame(
+                raise UNKNOWN_FRAME(
                     "there is no such frame", expected=", ".join(Frame), got=repr(given)
                 ) from error
 
@@ -123,7 +125,7 @@ class Transform:
         try:
             rotation = Rotation.from_quat(np.asarray(quaternion_wxyz, dtype=float), scalar_first=True)
         except ValueError as error:
-            raise FrameMismatch(
+            raise FRAME_MISMATCH(
                 f"the quaternion {target} <- {source} is no rotation",
                 expected="w, x, y, z, not all of them zero",
                 got=f"{quaternion_wxyz!r}",
@@ -131,7 +133,7 @@ class Transform:
             ) from error
         translation = _as_floats(translation_mm, "the translation")
         if translation.size != 3:
-            raise FrameMismatch(f"the translation has shape {translation.shape}", expected="(3,), mm")
+            raise FRAME_MISMATCH(f"the translation has shape {translation.shape}", expected="(3,), mm")
         return cls(target, source, build_rigid(translation, rotation))
 
     @classmethod
@@ -140,7 +142,7 @@ class Transform:
         values = _as_floats(matrix, "the matrix")
         if values.shape != (4, 4) or not np.all(np.isfinite(values)):
             rows = np.flatnonzero(~np.isfinite(values).all(axis=-1)).tolist() if values.ndim == 2 else []
-            raise FrameMismatch(
+            raise FRAME_MISMATCH(
                 f"a transform {target} <- {source} needs a finite 4x4 matrix",
                 got=f"shape {values.shape}"
                 if values.shape != (4, 4)
@@ -148,7 +150,7 @@ class Transform:
                 action="Give rotation and translation in mm, with 0, 0, 0, 1 in the last row.",
             )
         if not is_rotation(values[:3, :3]):
-            raise FrameMismatch(
+            raise FRAME_MISMATCH(
                 f"the matrix {target} <- {source} is not a proper rotation",
                 expected="orthogonal axes of length 1, determinant 1",
                 got=f"determinant {np.linalg.det(values[:3, :3]):.6g}",
@@ -179,7 +181,7 @@ class Transform:
         """Map points (3,) or (n, 3) in mm from source to target. Raises ARG-001, FRM-001."""
         points = _as_floats(points_mm, "the points")
         if points.shape[-1:] != (3,) or points.ndim > 2:
-            raise FrameMismatch(
+            raise FRAME_MISMATCH(
                 f"the points in {self.source} have shape {points.shape}",
                 expected="(3,) or (n, 3)",
                 action="Give one point a row, x, y, z in mm.",
@@ -198,7 +200,7 @@ class Transform:
     def __matmul__(self, other: Transform) -> Transform:
         """`(a <- b) @ (b <- c)` is `a <- c`; raises FRM-001 when the inner frames differ."""
         if self.source is not other.target:
-            raise FrameMismatch(
+            raise FRAME_MISMATCH(
                 f"cannot compose {self.target} <- {self.source} with {other.target} <- {other.source}"
             )
         # A product of two proper rotations is one: SciPy would check that, in twice the time.

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ronna_hw.arguments import WrongArgument, require_path
-from ronna_hw.errors import ConfigurationError
+from ronna_hw.errors import ConfigurationError, ErrorCode
 from ronna_hw.frames import Transform
 from ronna_hw.registry import load_entry_point
 
@@ -36,18 +36,20 @@ AXES = {2: "xy", 3: "xyz", 4: "wxyz", 6: ("A1", "A2", "A3", "A4", "A5", "A6")}  
 QUATERNION = "wxyz"  # unit in the name of one, which names its axes already
 
 
-class NoRunReader(ConfigurationError):
-    """No installed package reads run folders."""
+NO_RUN_READER = ErrorCode(
+    "RUN-001",
+    ConfigurationError,
+    "No installed package reads run folders.",
+    "Run make setup in the clone, which installs the packages again with their entry points.",
+)
 
-    code = "RUN-001"
-    action = "Run make setup in the clone, which installs the packages again with their entry points."
 
-
-class NoPandas(ConfigurationError):
-    """A table was requested for pandas, which is not installed."""
-
-    code = "RUN-002"
-    action = "Run make setup in the clone, or python -m pip install pandas; the arrays need nothing else."
+NO_PANDAS = ErrorCode(
+    "RUN-002",
+    ConfigurationError,
+    "A table was requested for pandas, which is not installed.",
+    "Run make setup in the clone, or python -m pip install pandas; the arrays need nothing else.",
+)
 
 
 class RunWarning(UserWarning):
@@ -117,7 +119,7 @@ class RunTable(np.recarray[Any, np.dtype[np.void]]):
         try:
             import pandas as pd
         except ImportError as error:
-            raise NoPandas("pandas is not installed") from error
+            raise NO_PANDAS("pandas is not installed") from error
         plain: dict[str, Any] = {}
         for column in self.columns:
             names = column.pandas_names
@@ -240,4 +242,6 @@ def load_run(folder: str | os.PathLike[str]) -> LoadedRun:
         if point.name == READER:
             reader: RunReader = load_entry_point(point)
             return reader(path)
-    raise NoRunReader("no reader of run folders is installed", expected=f"an entry point {READER} in {GROUP}")
+    raise NO_RUN_READER(
+        "no reader of run folders is installed", expected=f"an entry point {READER} in {GROUP}"
+    )

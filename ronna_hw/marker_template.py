@@ -15,7 +15,7 @@ from pydantic import Field, ValidationError, model_validator
 
 from ronna_hw.bounded_input import read_toml
 from ronna_hw.calibration import Strict
-from ronna_hw.errors import ConfigurationError
+from ronna_hw.errors import ConfigurationError, ErrorCode
 from ronna_hw.mistakes import count_mistakes
 
 FEWEST, MOST = 3, 4  # with more, their number identifies them
@@ -27,11 +27,12 @@ Coordinate = Annotated[float, Field(allow_inf_nan=False, ge=-10_000.0, le=10_000
 Point = tuple[Coordinate, Coordinate, Coordinate]
 
 
-class BadTemplate(ConfigurationError):
-    """The marker template is missing, is not TOML, or contains errors (all listed)."""
-
-    code = "TPL-001"
-    action = "Make one with `ronna-plan template`, or correct the lines named here."
+BAD_TEMPLATE = ErrorCode(
+    "TPL-001",
+    ConfigurationError,
+    "The marker template is missing, is not TOML, or contains errors (all listed).",
+    "Make one with `ronna-plan template`, or correct the lines named here.",
+)
 
 
 class TemplateMarker(Strict):
@@ -86,10 +87,10 @@ class MarkerTemplate(Strict):
 def read_marker_template(path: Path) -> MarkerTemplate:
     """Read and validate a template; raises TPL-001 listing every mistake."""
     try:
-        content = read_toml(path, BadTemplate)
+        content = read_toml(path, BAD_TEMPLATE)
     except OSError as error:
-        raise BadTemplate(f"cannot read {path}: {error.strerror}") from error
+        raise BAD_TEMPLATE(f"cannot read {path}: {error.strerror}") from error
     try:
         return MarkerTemplate.model_validate_json(json.dumps(content, default=str))
     except ValidationError as error:
-        raise BadTemplate(f"{path.name} has {count_mistakes(error)}") from error
+        raise BAD_TEMPLATE(f"{path.name} has {count_mistakes(error)}") from error

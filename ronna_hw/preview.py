@@ -22,7 +22,7 @@ from ronna_hw.arm.motion.progress import MOST_STEPS, SpeedStep, State, drive_sta
 from ronna_hw.arm.path_preview import PathPreview
 from ronna_hw.arm.pose import Pose
 from ronna_hw.devices.robot import JointMove, Motion
-from ronna_hw.frames import Frame, FrameMismatch, Transform
+from ronna_hw.frames import FRAME_MISMATCH, Frame, Transform
 from ronna_hw.vectors import JointVector
 
 Array = NDArray[np.float64]
@@ -55,7 +55,7 @@ def plan_motion(
 def _require_transform(value: object) -> None:
     """Raise FRM-001 for anything but a transform, such as the pose vector of a controller."""
     if not isinstance(value, Transform):
-        raise FrameMismatch(
+        raise FRAME_MISMATCH(
             "a line needs transforms, which say between which frames they are",
             expected="a Transform robot <- flange, or with a tool robot <- tool",
             got=type(value).__name__,
@@ -67,7 +67,7 @@ def _require_transform(value: object) -> None:
 def _tool_in_flange(flange_from_tool: Transform) -> Transform:
     """Return a tool transform unchanged; raises FRM-001 if it is not FLANGE <- TOOL."""
     if (flange_from_tool.target, flange_from_tool.source) != (Frame.FLANGE, Frame.TOOL):
-        raise FrameMismatch(
+        raise FRAME_MISMATCH(
             "a tool needs flange <- tool", got=f"{flange_from_tool.target} <- {flange_from_tool.source}"
         )
     return flange_from_tool

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from ronna_hw.bounded_input import MOST_VALUES, parse_json, read_json_bytes
-from ronna_hw.errors import DataError
+from ronna_hw.errors import DataError, ErrorCode
 
 PARTIAL = ".partial"  # suffix of a file's name while it is written
 
@@ -30,18 +30,20 @@ class BadRecord(DataError):
     action = "Do not use this result; repeat the step that made it."
 
 
-class RecordExists(DataError):
-    """A record with this identifier already exists; identifiers are never reused."""
+RECORD_EXISTS = ErrorCode(
+    "REC-002",
+    DataError,
+    "A record with this identifier already exists; identifiers are never reused.",
+    "Keep the folder as it is, and start a new run.",
+)
 
-    code = "REC-002"
-    action = "Keep the folder as it is, and start a new run."
 
-
-class OtherVersion(DataError):
-    """A record was written by a program version with different field meanings."""
-
-    code = "REC-003"
-    action = "Read it with the version that wrote it, or repeat the step."
+OTHER_VERSION = ErrorCode(
+    "REC-003",
+    DataError,
+    "A record was written by a program version with different field meanings.",
+    "Read it with the version that wrote it, or repeat the step.",
+)
 
 
 @dataclass(frozen=True)
@@ -81,7 +83,7 @@ def write_record(record: Record, folder: Path) -> Path:
     try:
         write_atomically(path, _encode_record(record), exclusive=True)
     except FileExistsError as error:
-        raise RecordExists(f"{path.name} already exists") from error
+        raise RECORD_EXISTS(f"{path.name} already exists") from error
     return path
 
 

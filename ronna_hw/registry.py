@@ -16,7 +16,7 @@ from typing import Any, Protocol
 
 from ronna_hw.clock import Clock
 from ronna_hw.config import DeviceConfig
-from ronna_hw.devices.errors import UnknownDriver
+from ronna_hw.devices.errors import UNKNOWN_DRIVER
 from ronna_hw.devices.lifecycle import Device
 from ronna_hw.devices.probing import (
     Diagnostic,
@@ -61,7 +61,7 @@ def load_driver(name: str) -> Any:
     for point in entry_points(group=GROUP):
         if point.name == name:
             return load_entry_point(point)
-    raise UnknownDriver(
+    raise UNKNOWN_DRIVER(
         f"no driver {name!r} is installed", expected="one of " + ", ".join(list_driver_names())
     )
 

@@ -23,7 +23,7 @@ from typing import Self, TypeVar, cast
 from ronna_hw.clock import Clock, SharedClock, open_clock
 from ronna_hw.config import Calibrations, DeviceConfig, TheatreFile, read_theatre_file
 from ronna_hw.devices.capabilities import ByteSink, RecordsBytes
-from ronna_hw.devices.errors import NotInTheatre, TheatreClosed, WrongKind
+from ronna_hw.devices.errors import THEATRE_CLOSED, WRONG_KIND, NotInTheatre
 from ronna_hw.devices.lifecycle import RUNNING, Device, Lifecycle
 from ronna_hw.devices.robot import RobotArm, StopKind
 from ronna_hw.devices.sensors import OpticalTracker, StereoPair
@@ -186,7 +186,7 @@ class Theatre:
 
     def _require_open(self) -> None:
         if self._closed:
-            raise TheatreClosed(f"theatre {self.file.theatre} is closed")
+            raise THEATRE_CLOSED(f"theatre {self.file.theatre} is closed")
 
     def _get_device_as(self, name: str, interface: Callable[..., D]) -> D:
         device = self._get_device(name)
@@ -256,7 +256,7 @@ def require_interface(table: str, driver: str, device: object, interface: Callab
         missing_names = [
             member for member in dir(interface) if member[0] != "_" and not hasattr(device, member)
         ]
-        raise WrongKind(
+        raise WRONG_KIND(
             f"{table}: driver {driver} does not provide {interface.__name__}",
             got=f"it lacks {', '.join(missing_names)}" if missing_names else None,
         )

@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from typing import Protocol
 
 from ronna_hw.endpoints import Endpoint, parse_endpoint
-from ronna_hw.errors import RefusedError
+from ronna_hw.errors import ErrorCode, RefusedError
 
 PSEUDO_TERMINALS = "/dev/pts/"
 
@@ -28,11 +28,12 @@ class Addresses(Protocol):
     def banner(self) -> str: ...
 
 
-class MixedTheatre(RefusedError):
-    """The theatre file mixes simulated and real devices, or does not declare itself simulated."""
-
-    code = "CFG-004"
-    action = "Use one theatre per file: ronna-sim theatre writes the simulated one, you write the real one."
+MIXED_THEATRE = ErrorCode(
+    "CFG-004",
+    RefusedError,
+    "The theatre file mixes simulated and real devices, or does not declare itself simulated.",
+    "Use one theatre per file: ronna-sim theatre writes the simulated one, you write the real one.",
+)
 
 
 def is_on_this_computer(endpoint: Endpoint) -> bool | None:
@@ -64,13 +65,13 @@ def require_one_kind(theatre: Addresses) -> None:
     """Raise CFG-004 for mixed real and simulated devices, or a simulated theatre without a banner."""
     simulated, real = _sort_by_kind(theatre)
     if simulated and real:
-        raise MixedTheatre(
+        raise MIXED_THEATRE(
             "the theatre file mixes simulated and real devices",
             expected="one kind",
             got=f"simulated: {', '.join(simulated)}; real: {', '.join(real)}",
         )
     if simulated and not theatre.banner:
-        raise MixedTheatre(
+        raise MIXED_THEATRE(
             "every device is on this computer, as with simulators, and the theatre file has no banner",
             action="Add a banner that says so; if they are real, give their network addresses.",
         )

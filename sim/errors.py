@@ -4,23 +4,25 @@ from __future__ import annotations
 
 import errno
 
-from ronna_hw.errors import ConfigurationError, ConnectError, DataError, RefusedError
+from ronna_hw.errors import ConfigurationError, ConnectError, DataError, ErrorCode, RefusedError
 
 SEE_PHANTOM = "See ronna-sim phantom --help."  # advice for its options
 
 
-class BadScene(ConfigurationError):
-    """A scene file is missing or invalid."""
+BAD_SCENE = ErrorCode(
+    "SIM-001",
+    ConfigurationError,
+    "A scene file is missing or invalid.",
+    "Correct the scene file, or name one of default, mini, bench.",
+)
 
-    code = "SIM-001"
-    action = "Correct the scene file, or name one of default, mini, bench."
 
-
-class WorldUnavailable(ConnectError):
-    """The shared scene of a theatre cannot be opened."""
-
-    code = "SIM-002"
-    action = "Start the theatre again; a device process cannot outlive it."
+WORLD_UNAVAILABLE = ErrorCode(
+    "SIM-002",
+    ConnectError,
+    "The shared scene of a theatre cannot be opened.",
+    "Start the theatre again; a device process cannot outlive it.",
+)
 
 
 class BadFaultScript(ConfigurationError):
@@ -52,79 +54,87 @@ class EndpointTaken(ConnectError):
         return cls(f"cannot listen on {endpoint}: {reason}", action=action or cls.action)
 
 
-class NothingToVerify(DataError):
-    """A run folder contains nothing to compare with the ground truth."""
-
-    code = "SIM-006"
-    action = "Give the folder of a run made with --sim that reached a target, or add --theatre DIR."
-
-
-class BadTruth(DataError):
-    """The truth samples in a run folder cannot be read."""
-
-    code = "SIM-007"
-    action = "The file was changed or truncated after the run; repeat the run."
+NOTHING_TO_VERIFY = ErrorCode(
+    "SIM-006",
+    DataError,
+    "A run folder contains nothing to compare with the ground truth.",
+    "Give the folder of a run made with --sim that reached a target, or add --theatre DIR.",
+)
 
 
-class BadDeviceParameter(ConfigurationError):
-    """A device parameter of the theatre is invalid."""
-
-    code = "SIM-010"
-    action = "Write --set robot.NAME=VALUE, or assistant or tracker in place of robot."
-
-
-class FolderNotEmpty(ConfigurationError):
-    """The folder for a phantom case is not empty."""
-
-    code = "SIM-011"
-    action = "Give a new or empty folder, or delete this one."
+BAD_TRUTH = ErrorCode(
+    "SIM-007",
+    DataError,
+    "The truth samples in a run folder cannot be read.",
+    "The file was changed or truncated after the run; repeat the run.",
+)
 
 
-class BadSavedWorld(DataError):
-    """The saved world of the last theatre cannot be read."""
+BAD_DEVICE_PARAMETER = ErrorCode(
+    "SIM-010",
+    ConfigurationError,
+    "A device parameter of the theatre is invalid.",
+    "Write --set robot.NAME=VALUE, or assistant or tracker in place of robot.",
+)
 
-    code = "SIM-012"
-    action = (
+
+FOLDER_NOT_EMPTY = ErrorCode(
+    "SIM-011",
+    ConfigurationError,
+    "The folder for a phantom case is not empty.",
+    "Give a new or empty folder, or delete this one.",
+)
+
+
+BAD_SAVED_WORLD = ErrorCode(
+    "SIM-012",
+    DataError,
+    "The saved world of the last theatre cannot be read.",
+    (
         "Put the file back from a copy; without one this world is lost: start a new run, or a theatre "
         "without --continue."
-    )
+    ),
+)
 
 
-class BadCalibrationFile(DataError):
-    """A theatre's calibration record file cannot be read or contains no records."""
-
-    code = "SIM-014"
-    action = "Give the folder that a calibration command wrote, or its calibration.toml."
-
-
-class StandNotReady(RefusedError):
-    """The dials of the calibration stand cannot be read in its present state."""
-
-    code = "SIM-015"
-    action = "Put the divot on the stand, mount the guide and bring its tip to the divot."
+BAD_CALIBRATION_FILE = ErrorCode(
+    "SIM-014",
+    DataError,
+    "A theatre's calibration record file cannot be read or contains no records.",
+    "Give the folder that a calibration command wrote, or its calibration.toml.",
+)
 
 
-class BadCartMove(ConfigurationError):
-    """The cart of an arm cannot be moved as asked: no such cart, or no such move."""
-
-    code = "SIM-016"
-    action = (
-        "Give a cart of the theatre and a move within the room, such as: move cart 1 --by 60 -40 0 --turn 5."
-    )
-
-
-class InstrumentInGuide(RefusedError):
-    """The cart would be moved with an instrument in the guide, and in the head."""
-
-    code = "SIM-017"
-    action = "Take it out first: ronna-sim work out. To rehearse exactly this accident, add --anyway."
+STAND_NOT_READY = ErrorCode(
+    "SIM-015",
+    RefusedError,
+    "The dials of the calibration stand cannot be read in its present state.",
+    "Put the divot on the stand, mount the guide and bring its tip to the divot.",
+)
 
 
-class TheatreRunning(ConnectError):
-    """Another theatre is already running in this folder."""
+BAD_CART_MOVE = ErrorCode(
+    "SIM-016",
+    ConfigurationError,
+    "The cart of an arm cannot be moved as asked: no such cart, or no such move.",
+    "Give a cart of the theatre and a move within the room, such as: move cart 1 --by 60 -40 0 --turn 5.",
+)
 
-    code = "SIM-013"
-    action = "Stop the other theatre, or give another folder."
+
+INSTRUMENT_IN_GUIDE = ErrorCode(
+    "SIM-017",
+    RefusedError,
+    "The cart would be moved with an instrument in the guide, and in the head.",
+    "Take it out first: ronna-sim work out. To rehearse exactly this accident, add --anyway.",
+)
+
+
+THEATRE_RUNNING = ErrorCode(
+    "SIM-013",
+    ConnectError,
+    "Another theatre is already running in this folder.",
+    "Stop the other theatre, or give another folder.",
+)
 
 
 class RegisterNotOwn(RefusedError):
@@ -137,8 +147,9 @@ class RegisterNotOwn(RefusedError):
     )
 
 
-class NotRunning(RefusedError):
-    """No running simulator, or more than one, is meant; or it cannot be stopped from here."""
-
-    code = "SIM-018"
-    action = "ronna-sim list shows what is running."
+NOT_RUNNING = ErrorCode(
+    "SIM-018",
+    RefusedError,
+    "No running simulator, or more than one, is meant; or it cannot be stopped from here.",
+    "ronna-sim list shows what is running.",
+)

@@ -13,7 +13,7 @@ from difflib import get_close_matches
 from enum import IntEnum
 from typing import TYPE_CHECKING, Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
-from ronna_hw.errors import ConfigurationError
+from ronna_hw.errors import AnyCode, ConfigurationError
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -30,7 +30,7 @@ class MaximumValue:
 
 
 def apply_assignments(
-    defaults: Parameters, assignments: Iterable[str], refusal: type[ConfigurationError]
+    defaults: Parameters, assignments: Iterable[str], refusal: AnyCode[ConfigurationError]
 ) -> Parameters:
     """Apply `NAME=VALUE` assignments; raises `refusal` for an unknown name or invalid value."""
     values: dict[str, Any] = {}

@@ -2,86 +2,94 @@
 
 from __future__ import annotations
 
-from ronna_hw.errors import ConfigurationError, ConnectError, DataError
+from ronna_hw.errors import ConfigurationError, ConnectError, DataError, ErrorCode
+
+OTHER_STUDY = ErrorCode(
+    "STU-001",
+    ConfigurationError,
+    "The folder contains a study with different settings, or results of different code.",
+    "Choose another --out, or use settings and code of the study in this folder.",
+)
 
 
-class OtherStudy(ConfigurationError):
-    """The folder contains a study with different settings, or results of different code."""
-
-    code = "STU-001"
-    action = "Choose another --out, or use settings and code of the study in this folder."
-
-
-class LedgerUnreadable(DataError):
-    """The ledger of finished units cannot be read."""
-
-    code = "STU-002"
-    action = (
-        "Choose another --out: the units in this folder cannot be distinguished from those of another study."
-    )
+LEDGER_UNREADABLE = ErrorCode(
+    "STU-002",
+    DataError,
+    "The ledger of finished units cannot be read.",
+    "Choose another --out: the units in this folder cannot be distinguished from those of another study.",
+)
 
 
-class SchedulerUnreachable(ConnectError):
-    """No Dask scheduler can be reached at this address."""
-
-    code = "STU-003"
-    action = "Start one with `dask scheduler`, or omit --scheduler to use this computer's cores."
-
-
-class ExtraMissing(ConfigurationError):
-    """An optional package needed for this option is not installed."""
-
-    code = "STU-004"
-    action = "Install it with: pip install 'ronna-hw[dask]'."
+SCHEDULER_UNREACHABLE = ErrorCode(
+    "STU-003",
+    ConnectError,
+    "No Dask scheduler can be reached at this address.",
+    "Start one with `dask scheduler`, or omit --scheduler to use this computer's cores.",
+)
 
 
-class UnitFailed(DataError):
-    """A unit of the study raised an error."""
-
-    code = "STU-005"
-    action = "Run the study again: finished units are kept; --verbose shows the traceback."
-
-
-class PhantomFailed(DataError):
-    """`ronna-sim phantom` failed to write a scan for the study."""
-
-    code = "STU-006"
-    action = "Run `ronna-sim phantom` with these arguments to see the reason."
+EXTRA_MISSING = ErrorCode(
+    "STU-004",
+    ConfigurationError,
+    "An optional package needed for this option is not installed.",
+    "Install it with: pip install 'ronna-hw[dask]'.",
+)
 
 
-class NotForJudging(ConfigurationError):
-    """A phantom family reserved for tuning was selected for evaluating the localizer."""
-
-    code = "STU-007"
-    action = "Remove it from the evaluation families, or state its purpose in the phantom."
-
-
-class TrackerNotSimulated(DataError):
-    """The simulated tracker failed to read the frame for the study."""
-
-    code = "STU-008"
-    action = "Run `ronna-sim polaris` and `ronna-sim scene` alone to see the reason."
+UNIT_FAILED = ErrorCode(
+    "STU-005",
+    DataError,
+    "A unit of the study raised an error.",
+    "Run the study again: finished units are kept; --verbose shows the traceback.",
+)
 
 
-class PoseNotSolved(DataError):
-    """A random arm does not converge to a planned pose, which may be singular or out of reach."""
-
-    code = "STU-009"
-    action = "Use another --seed and report this one: the study plans its poses clear of singularities."
-
-
-class NoRunToTime(ConfigurationError):
-    """A folder given to `times` is not a run folder."""
-
-    code = "STU-011"
-    action = "Give folders written by ronna-procedure run; ronna-procedure list shows them."
+PHANTOM_FAILED = ErrorCode(
+    "STU-006",
+    DataError,
+    "`ronna-sim phantom` failed to write a scan for the study.",
+    "Run `ronna-sim phantom` with these arguments to see the reason.",
+)
 
 
-class PhantomOutOfReach(DataError):
-    """The arm cannot reach the phantom at one of its positions."""
+NOT_FOR_JUDGING = ErrorCode(
+    "STU-007",
+    ConfigurationError,
+    "A phantom family reserved for tuning was selected for evaluating the localizer.",
+    "Remove it from the evaluation families, or state its purpose in the phantom.",
+)
 
-    code = "STU-010"
-    action = "The positions are fixed: report the strategy and the trajectory."
+
+TRACKER_NOT_SIMULATED = ErrorCode(
+    "STU-008",
+    DataError,
+    "The simulated tracker failed to read the frame for the study.",
+    "Run `ronna-sim polaris` and `ronna-sim scene` alone to see the reason.",
+)
+
+
+POSE_NOT_SOLVED = ErrorCode(
+    "STU-009",
+    DataError,
+    "A random arm does not converge to a planned pose, which may be singular or out of reach.",
+    "Use another --seed and report this one: the study plans its poses clear of singularities.",
+)
+
+
+NO_RUN_TO_TIME = ErrorCode(
+    "STU-011",
+    ConfigurationError,
+    "A folder given to `times` is not a run folder.",
+    "Give folders written by ronna-procedure run; ronna-procedure list shows them.",
+)
+
+
+PHANTOM_OUT_OF_REACH = ErrorCode(
+    "STU-010",
+    DataError,
+    "The arm cannot reach the phantom at one of its positions.",
+    "The positions are fixed: report the strategy and the trajectory.",
+)
 
 
 class MethodRefused(ConfigurationError):
@@ -105,29 +113,33 @@ class MethodAnswerWrong(DataError):
     action = "Correct what it returns; docs/how-to/research/own-methods.md shows one of each kind."
 
 
-class WorldNotRun(DataError):
-    """The case of a random world did not start, so there is nothing to judge."""
-
-    code = "STU-015"
-    action = "Repeat this world with --only to see the reason."
-
-
-class NotebooksNotInstalled(ConfigurationError):
-    """The packages that execute notebooks are not installed."""
-
-    code = "STU-016"
-    action = "Run make setup in the clone, or python -m pip install 'ronna-hw[notebooks]'."
+WORLD_NOT_RUN = ErrorCode(
+    "STU-015",
+    DataError,
+    "The case of a random world did not start, so there is nothing to judge.",
+    "Repeat this world with --only to see the reason.",
+)
 
 
-class NotebookFailed(DataError):
-    """A cell of a notebook raised an error, took too long, or ended its kernel."""
+NOTEBOOKS_NOT_INSTALLED = ErrorCode(
+    "STU-016",
+    ConfigurationError,
+    "The packages that execute notebooks are not installed.",
+    "Run make setup in the clone, or python -m pip install 'ronna-hw[notebooks]'.",
+)
 
-    code = "STU-017"
-    action = "Correct the cell, or take the example from examples/notebooks again."
+
+NOTEBOOK_FAILED = ErrorCode(
+    "STU-017",
+    DataError,
+    "A cell of a notebook raised an error, took too long, or ended its kernel.",
+    "Correct the cell, or take the example from examples/notebooks again.",
+)
 
 
-class NotANotebook(DataError):
-    """A file given as a notebook is not one."""
-
-    code = "STU-018"
-    action = "Give one of examples/notebooks, or a notebook that Jupyter has written."
+NOT_A_NOTEBOOK = ErrorCode(
+    "STU-018",
+    DataError,
+    "A file given as a notebook is not one.",
+    "Give one of examples/notebooks, or a notebook that Jupyter has written.",
+)

@@ -8,10 +8,10 @@ from pathlib import Path
 
 from ronna_hw.arguments import LONGEST_SHOWN
 from ronna_hw.bounded_input import parse_json, read_json_bytes
-from ronna_hw.command_line.errors import PathProblem
+from ronna_hw.command_line.errors import PATH_PROBLEM
 from ronna_hw.host.child_process import end_descendants
 from ronna_hw.records import write_atomically
-from studies.errors import NotANotebook, NotebookFailed, NotebooksNotInstalled
+from studies.errors import NOT_A_NOTEBOOK, NOTEBOOK_FAILED, NOTEBOOKS_NOT_INSTALLED
 
 LONGEST_CELL_S = 300.0  # host time; the longest of the examples takes a tenth of it
 NOTEBOOK = ".ipynb"
@@ -28,10 +28,10 @@ def execute_notebook(path: Path, out: Path) -> Path:
         from nbclient import NotebookClient
         from nbclient.exceptions import CellExecutionError, CellTimeoutError, DeadKernelError
     except ImportError as error:
-        raise NotebooksNotInstalled(f"notebooks need {error.name}, which is not installed") from error
+        raise NOTEBOOKS_NOT_INSTALLED(f"notebooks need {error.name}, which is not installed") from error
     if not path.is_file():
         is_there = "is a folder, not a notebook" if path.is_dir() else "does not exist"
-        raise PathProblem(
+        raise PATH_PROBLEM(
             f"{path} {is_there}",
             expected=f"a file NAME{NOTEBOOK}",
             action="Give one or more, such as examples/notebooks/*.ipynb.",
@@ -41,12 +41,12 @@ def execute_notebook(path: Path, out: Path) -> Path:
         parse_json(content)["cells"]
         notebook = nbformat.reads(content.decode(), as_version=4)
     except (ValueError, TypeError, KeyError, nbformat.ValidationError) as error:
-        raise NotANotebook(
+        raise NOT_A_NOTEBOOK(
             f"{path} is not a notebook, or a damaged one", expected="JSON as Jupyter writes it"
         ) from error
     written = out / path.name
     if written.exists() and written.samefile(path):
-        raise PathProblem(
+        raise PATH_PROBLEM(
             f"{path} would be overwritten by its executed copy",
             expected="another folder than that of the notebook",
             action="Choose another --out.",
@@ -66,15 +66,15 @@ def execute_notebook(path: Path, out: Path) -> Path:
         try:
             client.execute()
         except CellExecutionError as error:
-            raise NotebookFailed(
+            raise NOTEBOOK_FAILED(
                 f"{_name_cell(running, path)} failed", got=f"{error.ename}: {error.evalue}"
             ) from error
         except CellTimeoutError as error:
-            raise NotebookFailed(
+            raise NOTEBOOK_FAILED(
                 f"{_name_cell(running, path)} took too long", limit=f"{LONGEST_CELL_S:g} s"
             ) from error
         except DeadKernelError as error:
-            raise NotebookFailed(f"{_name_cell(running, path)} ended its kernel") from error
+            raise NOTEBOOK_FAILED(f"{_name_cell(running, path)} ended its kernel") from error
     write_atomically(written, nbformat.writes(notebook).encode())
     return written
 

@@ -18,7 +18,7 @@ from procedures.reporting.run_statistics import (
     times_taken,
 )
 from studies.campaign.study import Table
-from studies.errors import NoRunToTime
+from studies.errors import NO_RUN_TO_TIME
 
 
 def time_tables(runs: Sequence[Path]) -> tuple[Table, Table]:
@@ -28,7 +28,7 @@ def time_tables(runs: Sequence[Path]) -> tuple[Table, Table]:
     """
     for run in runs:
         if not (run / JOURNAL_FILE).is_file():
-            raise NoRunToTime(f"{run} has no journal", expected="the folder of a run")
+            raise NO_RUN_TO_TIME(f"{run} has no journal", expected="the folder of a run")
     journals = [tuple(read_journal(run / JOURNAL_FILE)) for run in runs]
     each = [times_taken(journal) for journal in journals]
     keys = dict.fromkeys((one.kind, one.name) for times in each for one in times)

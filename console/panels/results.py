@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path, PurePath
 
 from console.case_view import CaseView, Notice
-from console.errors import UnreliableRun
+from console.errors import UNRELIABLE_RUN
 from console.hub import Hub
 from console.panels.html import evidence_table, tag, text
 from procedures.imaging.trajectory_cuts import PLAN_PICTURE
@@ -145,7 +145,7 @@ def problems(figures: CaseFigures | None) -> str:
         return ""
     first, *more = figures.problems
     others = f" and {len(more)} more" if more else ""
-    error = UnreliableRun(f"parts of this run cannot be relied on: {first}{others}")
+    error = UNRELIABLE_RUN(f"parts of this run cannot be relied on: {first}{others}")
     return tag("div", text(error), class_="said", role="alert")
 
 

@@ -20,7 +20,7 @@ from procedures.imaging import Candidate, PatientIdentity, Volume, likeliest_fir
 from procedures.imaging.errors import MarkerCountWrong, PickRefused
 from procedures.imaging.localization import DIAMETER_MM
 from procedures.imaging.markers import Marker, ScanDeformation
-from procedures.planning.errors import PlanInUse, PlanMistakes, PlanNotSaved, UnsavedChanges, WrongSeries
+from procedures.planning.errors import PLAN_NOT_SAVED, WRONG_SERIES, PlanInUse, PlanMistakes, UnsavedChanges
 from procedures.planning.head_in_ct import sample_hu
 from procedures.planning.plan_file import parse_plan, read_plan, seal_plan, write_plan
 from procedures.planning.plan_lock import PlannerLock, find_planner, is_plan_in_use, plan_replacement
@@ -140,7 +140,7 @@ class PlanEditor(ChangeNotifier):
                 return None
             plan = read_plan(self.file, sealed_only=False)
             if plan.series_instance_uid != self.volume.series_instance_uid:
-                raise WrongSeries(
+                raise WRONG_SERIES(
                     f"{self.file.name} belongs to another CT series and is left unchanged",
                     expected=self.volume.series_instance_uid,
                     got=plan.series_instance_uid,
@@ -180,7 +180,7 @@ class PlanEditor(ChangeNotifier):
                 self._unsaved.forget()
         except OSError as error:
             why = f"unsaved changes cannot be stored next to the plan: {error.strerror}"
-            self.storage_problem = PlanNotSaved(why)
+            self.storage_problem = PLAN_NOT_SAVED(why)
         return None
 
     @property
@@ -220,7 +220,7 @@ class PlanEditor(ChangeNotifier):
         )
         with plan_replacement(self.file):  # a case that has begun since wins
             if self._was_changed_by_others():
-                raise PlanNotSaved(
+                raise PLAN_NOT_SAVED(
                     f"{self.file.name} was changed by another program since it was opened",
                     action="Nothing was overwritten. Move that file away, then save again.",
                 )
@@ -232,7 +232,7 @@ class PlanEditor(ChangeNotifier):
         try:
             return _digest(self.file) not in ("", self._on_disk)
         except OSError as error:
-            raise PlanNotSaved(f"cannot read {self.file.name}: {error.strerror}") from error
+            raise PLAN_NOT_SAVED(f"cannot read {self.file.name}: {error.strerror}") from error
 
     # The draft
 

@@ -20,7 +20,7 @@ from console.planning.plan_editor import PlanEditor
 from console.planning.slices import PageView
 from procedures.imaging.picks import LARGEST_FILE_BYTES
 from procedures.imaging.volume import VoxelGeometry
-from procedures.planning.errors import PlanMistakes, StructureUnreadable, raise_together
+from procedures.planning.errors import STRUCTURE_UNREADABLE, PlanMistakes, raise_together
 from procedures.planning.plan_file import find_structure_unit_mistakes
 from procedures.planning.plan_model import MOST_POINTS_TOGETHER, MOST_STRUCTURES, Structure
 from procedures.planning.structures import StructureDistance, build_structure, read_structure
@@ -137,7 +137,7 @@ class StructurePanel:
             self._name.set_value(free_name(self._editor.draft))
 
     def _on_rejected(self) -> None:
-        self._show_problem(StructureUnreadable("the file is too large", limit=f"{LARGEST_FILE_BYTES} bytes"))
+        self._show_problem(STRUCTURE_UNREADABLE("the file is too large", limit=f"{LARGEST_FILE_BYTES} bytes"))
 
     def _change(self, change: Callable[[Draft], Draft], *, continues: bool = False) -> bool:
         try:

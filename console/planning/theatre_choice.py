@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from procedures.planning.errors import HeadPlaceUnknown, PlaceUnfit
+from procedures.planning.errors import PLACE_UNFIT, HeadPlaceUnknown
 from procedures.planning.proposed_place import read_place
 from procedures.planning.theatre_arm import SixNumbers, TheatreArm, theatre_arm
 from procedures.strategies.catalogue import find_strategy
@@ -62,7 +62,7 @@ class TheatreChoice:
         if found is None:
             raise HeadPlaceUnknown("reach was not checked: it is not known where the head will be")
         if found.place.series_instance_uid != series_instance_uid:
-            raise PlaceUnfit(f"{PLACE_FILE} next to the plan belongs to another CT")
+            raise PLACE_UNFIT(f"{PLACE_FILE} next to the plan belongs to another CT")
         return found.place.robot_from_ct, "cart at the place proposed for it"
 
 

@@ -7,6 +7,7 @@ from ronna_hw.errors import (
     ConfigurationError,
     ConnectError,
     DeviceError,
+    ErrorCode,
     LimitError,
     LinkTimeout,
     ProtocolError,
@@ -20,28 +21,31 @@ class NoCamera(ConnectError):
     action = "Check power, cable and the address in the theatre file; camera and host must share a subnet."
 
 
-class WrongModel(ConnectError):
-    """The device found is not the camera model that the theatre file expects."""
+WRONG_MODEL = ErrorCode(
+    "GEV-002",
+    ConnectError,
+    "The device found is not the camera model that the theatre file expects.",
+    "Check the address; if this model is intended, set expected_model in the options.",
+)
 
-    code = "GEV-002"
-    action = "Check the address; if this model is intended, set expected_model in the options."
 
-
-class WrongSerial(ConnectError):
-    """The camera is not the one calibrated for this side."""
-
-    code = "GEV-003"
-    action = (
+WRONG_SERIAL = ErrorCode(
+    "GEV-003",
+    ConnectError,
+    "The camera is not the one calibrated for this side.",
+    (
         "Check which camera is mounted and its serial number in the options; after replacing a camera, "
         "calibrate the head and edit the file."
-    )
+    ),
+)
 
 
-class CablesSwapped(ConnectError):
-    """The left camera is at the right camera's address and vice versa."""
-
-    code = "GEV-004"
-    action = "Swap the cables or the two endpoints in the theatre file."
+CABLES_SWAPPED = ErrorCode(
+    "GEV-004",
+    ConnectError,
+    "The left camera is at the right camera's address and vice versa.",
+    "Swap the cables or the two endpoints in the theatre file.",
+)
 
 
 class ControlTaken(ConnectError):
@@ -73,32 +77,36 @@ class MalformedReply(ProtocolError):
     action = "Check that a GigE Vision camera is at this address; note its firmware and report it."
 
 
-class BadDescription(ProtocolError):
-    """The camera's GenICam description cannot be read or is inconsistent."""
-
-    code = "GEV-009"
-    action = "Note the camera's firmware version and report it; another firmware may help."
-
-
-class MissingFeature(DeviceError):
-    """The camera lacks a feature, or the feature does not support the requested value."""
-
-    code = "GEV-010"
-    action = "Check the model and its firmware; this driver needs an area scan camera with software trigger."
+BAD_DESCRIPTION = ErrorCode(
+    "GEV-009",
+    ProtocolError,
+    "The camera's GenICam description cannot be read or is inconsistent.",
+    "Note the camera's firmware version and report it; another firmware may help.",
+)
 
 
-class OutOfRange(LimitError):
-    """An area, exposure or gain is outside the camera's limits."""
+MISSING_FEATURE = ErrorCode(
+    "GEV-010",
+    DeviceError,
+    "The camera lacks a feature, or the feature does not support the requested value.",
+    "Check the model and its firmware; this driver needs an area scan camera with software trigger.",
+)
 
-    code = "GEV-011"
-    action = "Choose a value within the limits; areas also have a step size."
+
+OUT_OF_RANGE = ErrorCode(
+    "GEV-011",
+    LimitError,
+    "An area, exposure or gain is outside the camera's limits.",
+    "Choose a value within the limits; areas also have a step size.",
+)
 
 
-class PacketTooLarge(ConfigurationError):
-    """Stream packets of the configured size do not reach this computer."""
-
-    code = "GEV-012"
-    action = "Allow jumbo frames on the network card and every switch, or choose a smaller packet_bytes."
+PACKET_TOO_LARGE = ErrorCode(
+    "GEV-012",
+    ConfigurationError,
+    "Stream packets of the configured size do not reach this computer.",
+    "Allow jumbo frames on the network card and every switch, or choose a smaller packet_bytes.",
+)
 
 
 class TriggerMissed(LinkTimeout):
@@ -122,11 +130,12 @@ class ControlLost(DeviceError):
     action = f"Find out what stalled or restarted, then {ACKNOWLEDGE}. All settings are written again."
 
 
-class BadOptions(ConfigurationError):
-    """The stereo options in the theatre file contain mistakes."""
-
-    code = "GEV-016"
-    action = "Correct the options; docs/reference/stereo-options.md lists every key."
+BAD_OPTIONS = ErrorCode(
+    "GEV-016",
+    ConfigurationError,
+    "The stereo options in the theatre file contain mistakes.",
+    "Correct the options; docs/reference/stereo-options.md lists every key.",
+)
 
 
 class ReceiverEnded(DeviceError):
@@ -138,8 +147,9 @@ class ReceiverEnded(DeviceError):
     )
 
 
-class NoPylon(ConfigurationError):
-    """The vendor library pypylon is not installed."""
-
-    code = "GEV-018"
-    action = "Install the optional extra: pip install 'ronna-hw[pylon]'; or use the driver basler_stereo."
+NO_PYLON = ErrorCode(
+    "GEV-018",
+    ConfigurationError,
+    "The vendor library pypylon is not installed.",
+    "Install the optional extra: pip install 'ronna-hw[pylon]'; or use the driver basler_stereo.",
+)

@@ -12,7 +12,7 @@ from typing import Annotated, Literal, Self, TypeVar
 
 from pydantic import Field, model_validator
 
-from drivers.basler_stereo.errors import BadOptions
+from drivers.basler_stereo.errors import BAD_OPTIONS
 from drivers.theatre_options import parse_options
 from ronna_hw.calibration import Strict
 from ronna_hw.config import DeviceConfig
@@ -98,4 +98,4 @@ Options = TypeVar("Options", bound=BaslerOptions)
 
 def read_options(config: DeviceConfig, model: type[Options]) -> Options:
     """Parse the options from the theatre file; raises GEV-016 listing all mistakes."""
-    return parse_options(model, config.options, "stereo options", BadOptions)
+    return parse_options(model, config.options, "stereo options", BAD_OPTIONS)

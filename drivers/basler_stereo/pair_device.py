@@ -8,7 +8,7 @@ from collections.abc import Callable
 from contextlib import AbstractContextManager
 from typing import Any, Generic, Protocol, Self, TypeVar
 
-from drivers.basler_stereo.errors import CablesSwapped, NoReply, WrongModel, WrongSerial
+from drivers.basler_stereo.errors import CABLES_SWAPPED, WRONG_MODEL, WRONG_SERIAL, NoReply
 from drivers.basler_stereo.identity import CameraIdentity
 from drivers.basler_stereo.options import BaslerOptions
 from ronna_hw.clock import Clock
@@ -173,7 +173,9 @@ class PairDevice(ABC, Generic[C]):
         found = (identities[0].serial, identities[1].serial)
         if found != before:
             self._close_all(cameras)
-            raise WrongSerial("different cameras than before", expected="+".join(before), got="+".join(found))
+            raise WRONG_SERIAL(
+                "different cameras than before", expected="+".join(before), got="+".join(found)
+            )
         self._cameras, self._identities = cameras, identities
         self._configure_cameras(deadline_s)
         for camera, area in zip(cameras, self._areas or (), strict=False):
@@ -267,25 +269,25 @@ def check_pair(left: CameraIdentity, right: CameraIdentity, options: BaslerOptio
     """Raise GEV-002, GEV-003 or GEV-004 unless each camera is the expected one for its side."""
     for identity in (left, right):
         if options.expected_model and identity.model != options.expected_model:
-            raise WrongModel(
+            raise WRONG_MODEL(
                 f"unexpected device at {identity.address}",
                 expected=options.expected_model,
                 got=f"{identity.vendor} {identity.model}".strip(),
             )
     wanted = (options.left_serial, options.right_serial)
     if left.serial == right.serial:
-        raise WrongSerial(f"{left.address} and {right.address} are the same camera", got=left.serial)
+        raise WRONG_SERIAL(f"{left.address} and {right.address} are the same camera", got=left.serial)
     if _matches((left.serial, right.serial), wanted):
         return
     if _matches((right.serial, left.serial), wanted):
-        raise CablesSwapped(
+        raise CABLES_SWAPPED(
             "left and right camera are swapped",
             expected=f"left {wanted[0]}, right {wanted[1]}",
             got=f"left {left.serial}, right {right.serial}",
         )
     for side, identity, serial in (("left", left, wanted[0]), ("right", right, wanted[1])):
         if serial is not None and identity.serial != serial:
-            raise WrongSerial(f"unexpected camera on the {side} side", expected=serial, got=identity.serial)
+            raise WRONG_SERIAL(f"unexpected camera on the {side} side", expected=serial, got=identity.serial)
 
 
 def pair_identity(left: CameraIdentity, right: CameraIdentity) -> Identity:

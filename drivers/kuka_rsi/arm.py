@@ -10,7 +10,7 @@ from dataclasses import replace
 from drivers.kuka_rsi.connections import Connections
 from drivers.kuka_rsi.eki.client import ControllerCommands
 from drivers.kuka_rsi.eki.telegrams import ControllerState
-from drivers.kuka_rsi.errors import STREAM_ERRORS, Unverified
+from drivers.kuka_rsi.errors import STREAM_ERRORS, UNVERIFIED_CONTROLLER
 from drivers.kuka_rsi.fault_errors import RsiFaults
 from drivers.kuka_rsi.fault_watch import FaultWatch
 from drivers.kuka_rsi.micro_move import MicroMove
@@ -108,7 +108,7 @@ class KukaRsiArm(StreamedArm[ControllerState]):
         elif person:
             self.activate_unverified(person, timeout_s)
         else:
-            raise Unverified(f"{self._name}: the controller does not report which context it runs")
+            raise UNVERIFIED_CONTROLLER(f"{self._name}: the controller does not report which context it runs")
 
     def activate_unverified(self, confirmed_by: str, timeout_s: float = 30.0) -> None:
         """Activate with a controller whose context is unknown, after testing its response by a micro-move.

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 from drivers.kuka_rsi.eki.client import EkiClient
 from drivers.kuka_rsi.eki.telegrams import ControllerState, require_matching_setup, require_ready
-from drivers.kuka_rsi.errors import CommandRefused, ControllerNotFound, NoTelegram, Unverified
+from drivers.kuka_rsi.errors import UNVERIFIED_CONTROLLER, CommandRefused, ControllerNotFound, NoTelegram
 from drivers.kuka_rsi.fault_errors import RsiFaults
 from drivers.kuka_rsi.link import start_link
 from drivers.kuka_rsi.options import ROLES, KukaOptions
@@ -141,7 +141,7 @@ class Connections(StreamConnections[ControllerState, EkiClient]):
             ) from error
         unreported = require_matching_setup(state, self._context, options.variant)
         if unreported and not options.accept_unverified:
-            raise Unverified("the controller does not report its " + ", ".join(unreported))
+            raise UNVERIFIED_CONTROLLER("the controller does not report its " + ", ".join(unreported))
         self.verified = not unreported
         details = (
             ("context", str(state.context_hash)),

@@ -8,6 +8,7 @@ from ronna_hw.errors import (
     ConfigurationError,
     ConnectError,
     DeviceError,
+    ErrorCode,
     LimitError,
     LinkTimeout,
     ProtocolError,
@@ -16,12 +17,12 @@ from ronna_hw.errors import (
 )
 from ronna_hw.wire.kuka_eki import PROJECT_PORT
 
-
-class LinkNotStarted(ConnectError):
-    """The real-time process did not start, or its port is in use."""
-
-    code = "RSI-001"
-    action = "Free the port of endpoint rsi, or choose another one in the theatre file and the Ethernet file."
+LINK_NOT_STARTED = ErrorCode(
+    "RSI-001",
+    ConnectError,
+    "The real-time process did not start, or its port is in use.",
+    "Free the port of endpoint rsi, or choose another one in the theatre file and the Ethernet file.",
+)
 
 
 class NoTelegram(LinkTimeout):
@@ -33,83 +34,92 @@ class NoTelegram(LinkTimeout):
     )
 
 
-class LinkSilent(LinkTimeout):
-    """Telegrams stopped arriving while the stream was running."""
-
-    code = "RSI-003"
-    action = f"Check the controller's message window and the cable, then {ACKNOWLEDGE}."
-
-
-class LinkStopped(StateError):
-    """Replies were stopped on request, so that the controller's Timeout ends the stream."""
-
-    code = "RSI-004"
-    action = f"Find the reason, then {ACKNOWLEDGE}."
+LINK_SILENT = ErrorCode(
+    "RSI-003",
+    LinkTimeout,
+    "Telegrams stopped arriving while the stream was running.",
+    f"Check the controller's message window and the cable, then {ACKNOWLEDGE}.",
+)
 
 
-class MotionTripped(LimitError):
-    """The monitor stopped the arm."""
-
-    code = "RSI-005"
-    action = f"Read the recorded cycles, find the cause, then {ACKNOWLEDGE}."
-
-
-class HeartbeatLate(LinkTimeout):
-    """This program's heartbeat to the real-time process was late, so the arm was stopped."""
-
-    code = "RSI-006"
-    action = f"Reduce the computer's load, or find what blocked the program; then {ACKNOWLEDGE}."
+LINK_STOPPED = ErrorCode(
+    "RSI-004",
+    StateError,
+    "Replies were stopped on request, so that the controller's Timeout ends the stream.",
+    f"Find the reason, then {ACKNOWLEDGE}.",
+)
 
 
-class LinkProcessDied(DeviceError):
-    """The real-time process terminated unexpectedly."""
-
-    code = "RSI-007"
-    action = (
-        f"The controller stops the arm by its Timeout. Then {ACKNOWLEDGE}. Report the message if it repeats."
-    )
-
-
-class ControllerRestarted(DeviceError):
-    """Telegrams come from an RSI run that this program did not start."""
-
-    code = "RSI-008"
-    action = f"Check who started the program, then {ACKNOWLEDGE}."
+MOTION_TRIPPED = ErrorCode(
+    "RSI-005",
+    LimitError,
+    "The monitor stopped the arm.",
+    f"Read the recorded cycles, find the cause, then {ACKNOWLEDGE}.",
+)
 
 
-class ProtectiveStop(StateError):
-    """A protective stop was requested; it remains latched."""
-
-    code = "RSI-009"
-    action = f"Find the reason, then {ACKNOWLEDGE}."
-
-
-class MotionStopped(MotionInterrupted):
-    """A motion was stopped before its end, with the arm at rest on its path."""
-
-    code = "RSI-010"
-    action = "Resume and plan a new motion from here; an interrupted path is not continued."
+HEARTBEAT_LATE = ErrorCode(
+    "RSI-006",
+    LinkTimeout,
+    "This program's heartbeat to the real-time process was late, so the arm was stopped.",
+    f"Reduce the computer's load, or find what blocked the program; then {ACKNOWLEDGE}.",
+)
 
 
-class MotionNotFinished(LinkTimeout):
-    """The motion did not end, or the arm did not settle, within the time limit."""
-
-    code = "RSI-011"
-    action = "Give the motion more time, or check the lost cycles and option settle_tolerance_deg."
-
-
-class MotionRefused(RefusedError):
-    """The real-time process refused a motion."""
-
-    code = "RSI-012"
-    action = "Wait for the current motion to end, and plan from the arm's current pose."
+LINK_PROCESS_DIED = ErrorCode(
+    "RSI-007",
+    DeviceError,
+    "The real-time process terminated unexpectedly.",
+    f"The controller stops the arm by its Timeout. Then {ACKNOWLEDGE}. Report the message if it repeats.",
+)
 
 
-class BadOptions(ConfigurationError):
-    """The arm options in the theatre file are invalid."""
+CONTROLLER_RESTARTED = ErrorCode(
+    "RSI-008",
+    DeviceError,
+    "Telegrams come from an RSI run that this program did not start.",
+    f"Check who started the program, then {ACKNOWLEDGE}.",
+)
 
-    code = "RSI-013"
-    action = "Correct the listed options; docs/reference/robot-options.md describes them."
+
+PROTECTIVE_STOP = ErrorCode(
+    "RSI-009",
+    StateError,
+    "A protective stop was requested; it remains latched.",
+    f"Find the reason, then {ACKNOWLEDGE}.",
+)
+
+
+MOTION_STOPPED = ErrorCode(
+    "RSI-010",
+    MotionInterrupted,
+    "A motion was stopped before its end, with the arm at rest on its path.",
+    "Resume and plan a new motion from here; an interrupted path is not continued.",
+)
+
+
+MOTION_NOT_FINISHED = ErrorCode(
+    "RSI-011",
+    LinkTimeout,
+    "The motion did not end, or the arm did not settle, within the time limit.",
+    "Give the motion more time, or check the lost cycles and option settle_tolerance_deg.",
+)
+
+
+MOTION_REFUSED = ErrorCode(
+    "RSI-012",
+    RefusedError,
+    "The real-time process refused a motion.",
+    "Wait for the current motion to end, and plan from the arm's current pose.",
+)
+
+
+BAD_OPTIONS = ErrorCode(
+    "RSI-013",
+    ConfigurationError,
+    "The arm options in the theatre file are invalid.",
+    "Correct the listed options; docs/reference/robot-options.md describes them.",
+)
 
 
 class BadTelegram(ProtocolError):
@@ -126,44 +136,47 @@ class PoseDisagrees(DeviceError):
     action = "Check that the endpoints rsi and eki_project belong to the same controller."
 
 
-class PathFailed(LimitError):
-    """The path had no solution at some point, so the arm was stopped in joint space."""
-
-    code = "RSI-016"
-    action = f"First {ACKNOWLEDGE}. Then move away from the singular pose by a joint move."
-
-
-class ContextUnusable(ConfigurationError):
-    """The RSI context is unsafe or insufficient for this driver."""
-
-    code = "RSI-017"
-    action = "Correct the listed entries, then generate and load the controller's files again."
+PATH_FAILED = ErrorCode(
+    "RSI-016",
+    LimitError,
+    "The path had no solution at some point, so the arm was stopped in joint space.",
+    f"First {ACKNOWLEDGE}. Then move away from the singular pose by a joint move.",
+)
 
 
-class HandshakeFailed(DeviceError):
-    """An unverified controller failed the micro-move test."""
-
-    code = "RSI-018"
-    action = "Load the files of drivers/kuka_rsi/controller on the controller before moving the arm."
-
-
-class LinkUnusable(LinkTimeout):
-    """Too many replies were lost for too long, so the arm was stopped."""
-
-    code = "RSI-019"
-    action = (
-        f"Find what loads the computer or the RSI network (it must carry nothing else), then {ACKNOWLEDGE}."
-    )
+CONTEXT_UNUSABLE = ErrorCode(
+    "RSI-017",
+    ConfigurationError,
+    "The RSI context is unsafe or insufficient for this driver.",
+    "Correct the listed entries, then generate and load the controller's files again.",
+)
 
 
-class LinkProcessStalled(DeviceError):
-    """The real-time process is running but stalled, so the controller gets no replies."""
+HANDSHAKE_FAILED = ErrorCode(
+    "RSI-018",
+    DeviceError,
+    "An unverified controller failed the micro-move test.",
+    "Load the files of drivers/kuka_rsi/controller on the controller before moving the arm.",
+)
 
-    code = "RSI-020"
-    action = (
+
+LINK_UNUSABLE = ErrorCode(
+    "RSI-019",
+    LinkTimeout,
+    "Too many replies were lost for too long, so the arm was stopped.",
+    f"Find what loads the computer or the RSI network (it must carry nothing else), then {ACKNOWLEDGE}.",
+)
+
+
+LINK_PROCESS_STALLED = ErrorCode(
+    "RSI-020",
+    DeviceError,
+    "The real-time process is running but stalled, so the controller gets no replies.",
+    (
         "The controller stops the arm by its Timeout. Find what blocks the process or the computer; "
         f"then {ACKNOWLEDGE}. A new process is started."
-    )
+    ),
+)
 
 
 EKI_LISTENS = (
@@ -207,35 +220,38 @@ class BadEkiTelegram(ProtocolError):
     )
 
 
-class WrongController(ConnectError):
-    """The controller's RSI context, cycle, corrections or arm differ from the driver's configuration."""
-
-    code = "EKI-005"
-    action = (
+WRONG_CONTROLLER = ErrorCode(
+    "EKI-005",
+    ConnectError,
+    "The controller's RSI context, cycle, corrections or arm differ from the driver's configuration.",
+    (
         "Load the files of drivers/kuka_rsi/controller on the controller, or correct the options variant, "
         "cycle_ms and context."
-    )
+    ),
+)
 
 
-class Unverified(ConnectError):
-    """The controller does not report which RSI context it runs."""
-
-    code = "EKI-006"
-    action = (
+UNVERIFIED_CONTROLLER = ErrorCode(
+    "EKI-006",
+    ConnectError,
+    "The controller does not report which RSI context it runs.",
+    (
         "Load the EKI program of this driver, which reports it; or set option accept_unverified and confirm "
         "the start (a case prompts for it; otherwise activate_unverified(confirmed_by)): a micro-move then "
         "verifies it."
-    )
+    ),
+)
 
 
-class ControllerNotReady(RefusedError):
-    """Operating mode, drives, emergency stop, guard or an active message prevent motion."""
-
-    code = "EKI-007"
-    action = (
+CONTROLLER_NOT_READY = ErrorCode(
+    "EKI-007",
+    RefusedError,
+    "Operating mode, drives, emergency stop, guard or an active message prevent motion.",
+    (
         "Release the emergency stop, close the guard, select EXT (a case asks before a start in T1; in "
         f"Python: allow_t1); then {ACKNOWLEDGE}."
-    )
+    ),
+)
 
 
 class CommandRefused(DeviceError):
@@ -245,11 +261,12 @@ class CommandRefused(DeviceError):
     action = "Look up the code, and read the controller's message window."
 
 
-class DrivesOff(StateError):
-    """The drives were switched off on request, and a fault is latched."""
-
-    code = "EKI-009"
-    action = f"Find the reason, then {ACKNOWLEDGE}."
+DRIVES_OFF = ErrorCode(
+    "EKI-009",
+    StateError,
+    "The drives were switched off on request, and a fault is latched.",
+    f"Find the reason, then {ACKNOWLEDGE}.",
+)
 
 
 class ControllerStopped(LimitError):
@@ -263,20 +280,20 @@ STREAM_ERRORS = StreamErrors(
     not_found=ControllerNotFound,
     lost=ControllerLost,
     no_answer=NoAnswer,
-    not_started=LinkNotStarted,
-    died=LinkProcessDied,
-    stalled=LinkProcessStalled,
-    silent=LinkSilent,
-    heartbeat_late=HeartbeatLate,
-    tripped=MotionTripped,
-    path_failed=PathFailed,
-    unusable=LinkUnusable,
-    protective_stop=ProtectiveStop,
-    link_stopped=LinkStopped,
-    drives_off=DrivesOff,
-    stopped=MotionStopped,
-    not_finished=MotionNotFinished,
-    refused=MotionRefused,
+    not_started=LINK_NOT_STARTED,
+    died=LINK_PROCESS_DIED,
+    stalled=LINK_PROCESS_STALLED,
+    silent=LINK_SILENT,
+    heartbeat_late=HEARTBEAT_LATE,
+    tripped=MOTION_TRIPPED,
+    path_failed=PATH_FAILED,
+    unusable=LINK_UNUSABLE,
+    protective_stop=PROTECTIVE_STOP,
+    link_stopped=LINK_STOPPED,
+    drives_off=DRIVES_OFF,
+    stopped=MOTION_STOPPED,
+    not_finished=MOTION_NOT_FINISHED,
+    refused=MOTION_REFUSED,
     clock_name="IPOC",
     message_name="telegram",
 )

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from math import degrees
 
 from drivers.kuka_rsi.eki.telegrams import ControllerState
-from drivers.kuka_rsi.errors import ControllerRestarted, NoTelegram, PoseDisagrees
+from drivers.kuka_rsi.errors import CONTROLLER_RESTARTED, NoTelegram, PoseDisagrees
 from drivers.kuka_rsi.options import KukaOptions
 from drivers.kuka_rsi.realtime.link_health import AXES_AGREE_DEG
 from ronna_hw.arm.clearance.bodies import Surroundings
@@ -35,7 +35,7 @@ class RsiFaults(StreamFaults):
                 return self.silence_error(state, f"; the controller shows message {reported.error}")
             case Fault.RESTARTED:
                 sender = f" from {state.foreign_host}" if state.foreign else ""
-                return ControllerRestarted(
+                return CONTROLLER_RESTARTED(
                     f"{self.name}: after {state.cycles} cycles received telegrams of another run{sender}",
                     got=f"IPOC {state.device_clock}",
                 )

@@ -10,7 +10,7 @@ from dataclasses import replace
 from math import degrees, dist, radians
 from typing import NoReturn
 
-from drivers.kuka_rsi.errors import HandshakeFailed, MotionStopped
+from drivers.kuka_rsi.errors import HANDSHAKE_FAILED, MOTION_STOPPED
 from drivers.kuka_rsi.realtime.settings import AXIS_NAMES
 from ronna_hw.arm.kinematics import Kinematics
 from ronna_hw.arm.motion.limits import MotionLimits
@@ -67,7 +67,7 @@ class MicroMove:
         seen = self._link.wait(lambda s: s.cycles >= initial.cycles + CYCLES_WATCHED, TELEGRAMS_LIMIT_S)
         if seen is None or seen.lost - initial.lost >= CYCLES_WATCHED:
             lost = "no telegrams" if seen is None else f"{seen.lost - initial.lost} cycles lost by IPOC"
-            raise HandshakeFailed(
+            raise HANDSHAKE_FAILED(
                 f"{self._name}: the cycle differs: {lost} within {CYCLES_WATCHED} telegrams"
             )
 
@@ -89,7 +89,7 @@ class MicroMove:
                 self._refuse(f"no telegram was answered for {link.stalled_s:.1f} s", LARGEST_ANGLE_RAD)
             link.wait(lambda _: False, POLL_S)  # theatre time passes meanwhile
         if state.result in (Result.STOPPED, Result.REFUSED_STOP) and not state.fault:
-            raise MotionStopped(
+            raise MOTION_STOPPED(
                 f"{self._name}: stopped while {AXIS_NAMES[axis]} was tested",
                 action="Acknowledge the arm and start it again: what it does with corrections is not "
                 "verified.",
@@ -110,7 +110,7 @@ class MicroMove:
 
     def _refuse(self, what: str, limit_rad: float) -> NoReturn:
         self._link.stop(StopOrder.HOLD)
-        raise HandshakeFailed(
+        raise HANDSHAKE_FAILED(
             f"{self._name}: the controller does not move as commanded: {what}",
             limit=f"{degrees(limit_rad):.4f} deg",
         )

@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field
 
-from drivers.kuka_rsi.errors import BadOptions, ContextUnusable
+from drivers.kuka_rsi.errors import BAD_OPTIONS, CONTEXT_UNUSABLE
 from drivers.kuka_rsi.realtime.settings import AXIS_NAMES
 from drivers.theatre_options import parse_options
 from ronna_hw.arm.kr6_r900 import ArmVariant
@@ -55,7 +55,7 @@ class KukaOptions(StreamOptions):
 
 def read_options(device: str, options: dict[str, Any]) -> KukaOptions:
     """Parse the arm options; raises RSI-013 listing every mistake."""
-    return parse_options(KukaOptions, options, f"{device}: options", BadOptions)
+    return parse_options(KukaOptions, options, f"{device}: options", BAD_OPTIONS)
 
 
 def load_usable_context(device: str, options: KukaOptions) -> RsiContext:
@@ -69,7 +69,7 @@ def load_usable_context(device: str, options: KukaOptions) -> RsiContext:
         reasons.append(f"its program is for {context.program.variant}, option variant is {options.variant}")
     if reasons:
         source = options.context or "our own"
-        raise ContextUnusable(f"{device}: the RSI context ({source}) cannot be used: " + "; ".join(reasons))
+        raise CONTEXT_UNUSABLE(f"{device}: the RSI context ({source}) cannot be used: " + "; ".join(reasons))
     return context
 
 

@@ -15,11 +15,11 @@ from drivers.ndi_polaris.command_link import (
     trailing_text,
 )
 from drivers.ndi_polaris.errors import (
+    NOTHING_ANSWERS,
     LinkLost,
     MalformedReply,
     NoReply,
     NotAPolaris,
-    NothingAnswers,
     PortUnavailable,
     UnitError,
 )
@@ -71,7 +71,7 @@ def find_unit(link: CommandLink) -> None:
     if heard:
         raise NotAPolaris("bytes without a valid CRC", wire=bytes(heard))
     tried_text = ", ".join(tried) or "none: the time limit is too short"
-    raise NothingAnswers(f"no unit replied; tried {tried_text}", expected=f"a reply to {INQUIRY_COMMAND}")
+    raise NOTHING_ANSWERS(f"no unit replied; tried {tried_text}", expected=f"a reply to {INQUIRY_COMMAND}")
 
 
 def initialise(link: CommandLink) -> None:

@@ -11,12 +11,12 @@ from typing import Any, Self, TypeVar
 from drivers.ndi_polaris.command_link import CommandLink
 from drivers.ndi_polaris.discovery import find_unit, initialise, raise_baud
 from drivers.ndi_polaris.errors import (
+    WRONG_UNIT,
     HardwareFailure,
     LinkLost,
     SensorBumped,
     TemperatureHold,
     UnitRestarted,
-    WrongUnit,
 )
 from drivers.ndi_polaris.measuring_volume import MeasuringVolume, Section, choose_volume
 from drivers.ndi_polaris.options import read_options
@@ -243,7 +243,7 @@ class PolarisTracker:
         identity = self._open_unit(deadline_s)
         if before is not None and identity.serial != before.serial:
             self._drop_link()
-            raise WrongUnit("a different unit from before", expected=before.serial, got=identity.serial)
+            raise WRONG_UNIT("a different unit from before", expected=before.serial, got=identity.serial)
         if isinstance(cause, SensorBumped) or self._bump_reported:
             clear_bump(self._link)
             self._bump_reported = False

@@ -15,6 +15,7 @@ from ronna_hw.errors import (
     ConnectError,
     DataError,
     DeviceError,
+    ErrorCode,
     LinkTimeout,
     ProtocolError,
 )
@@ -30,11 +31,12 @@ class PortUnavailable(ConnectError):
     reason = ""  # in the system's words
 
 
-class NothingAnswers(ConnectError):
-    """The line is open, but no unit replies at any baud rate, even after a break."""
-
-    code = "NDI-002"
-    action = "Check that the unit is powered and warmed up, and that this is its port."
+NOTHING_ANSWERS = ErrorCode(
+    "NDI-002",
+    ConnectError,
+    "The line is open, but no unit replies at any baud rate, even after a break.",
+    "Check that the unit is powered and warmed up, and that this is its port.",
+)
 
 
 class NotAPolaris(ConnectError):
@@ -44,11 +46,12 @@ class NotAPolaris(ConnectError):
     action = "Check the endpoint: another device or program is on this port."
 
 
-class WrongUnit(ConnectError):
-    """The Polaris unit is not the expected model, or has another serial number."""
-
-    code = "NDI-004"
-    action = "Connect the right unit, or correct the expected model or serial number in the theatre file."
+WRONG_UNIT = ErrorCode(
+    "NDI-004",
+    ConnectError,
+    "The Polaris unit is not the expected model, or has another serial number.",
+    "Connect the right unit, or correct the expected model or serial number in the theatre file.",
+)
 
 
 class BadReplyCrc(ProtocolError):
@@ -87,32 +90,36 @@ class UnitRestarted(DeviceError):
     exit_code = EXIT_LINK_LOST
 
 
-class BadOptions(ConfigurationError):
-    """The tracker options in the theatre file contain mistakes."""
-
-    code = "NDI-010"
-    action = "Correct the tracker's options; docs/reference/tracker-options.md lists them."
-
-
-class BadToolFile(DataError):
-    """A tool definition is missing, invalid or corrupt."""
-
-    code = "NDI-011"
-    action = "Use the .rom of the tool, or regenerate it from the marker coordinates."
+BAD_OPTIONS = ErrorCode(
+    "NDI-010",
+    ConfigurationError,
+    "The tracker options in the theatre file contain mistakes.",
+    "Correct the tracker's options; docs/reference/tracker-options.md lists them.",
+)
 
 
-class SameGeometry(ConfigurationError):
-    """Two tools are indistinguishable because their marker distances are too similar."""
+BAD_TOOL_FILE = ErrorCode(
+    "NDI-011",
+    DataError,
+    "A tool definition is missing, invalid or corrupt.",
+    "Use the .rom of the tool, or regenerate it from the marker coordinates.",
+)
 
-    code = "NDI-012"
-    action = "Use tools whose marker distances differ by several millimetres."
+
+SAME_GEOMETRY = ErrorCode(
+    "NDI-012",
+    ConfigurationError,
+    "Two tools are indistinguishable because their marker distances are too similar.",
+    "Use tools whose marker distances differ by several millimetres.",
+)
 
 
-class ForeignTool(DataError):
-    """A tool definition is valid but belongs to a different tool."""
-
-    code = "NDI-013"
-    action = "Use the .rom of this tool; if it was changed on purpose, correct sha256 in the theatre file."
+FOREIGN_TOOL = ErrorCode(
+    "NDI-013",
+    DataError,
+    "A tool definition is valid but belongs to a different tool.",
+    "Use the .rom of this tool; if it was changed on purpose, correct sha256 in the theatre file.",
+)
 
 
 class HardwareFailure(DeviceError):

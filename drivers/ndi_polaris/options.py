@@ -12,7 +12,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, field_validator, model_validator
 
-from drivers.ndi_polaris.errors import BadOptions, ForeignTool
+from drivers.ndi_polaris.errors import BAD_OPTIONS, FOREIGN_TOOL
 from drivers.ndi_polaris.shipped_tools import find_definition
 from drivers.ndi_polaris.tool_comparison import check_distinct
 from drivers.ndi_polaris.tool_definition import ToolDefinition, definition_hash, read_definition
@@ -47,7 +47,7 @@ class ToolOption(Strict):
         definition = read_definition(find_definition(Path(self.rom), folder))
         found = definition_hash(definition)
         if self.sha256 not in (None, found):
-            raise ForeignTool(
+            raise FOREIGN_TOOL(
                 f"{self.rom} is not the definition configured for tool {self.name}",
                 expected=f"sha256 {self.sha256}",
                 got=found,
@@ -119,4 +119,4 @@ class PolarisOptions(Strict):
 
 def read_options(config: DeviceConfig) -> PolarisOptions:
     """Parse the tracker options from the theatre file; raises NDI-010 listing every mistake."""
-    return parse_options(PolarisOptions, config.options, "tracker options", BadOptions)
+    return parse_options(PolarisOptions, config.options, "tracker options", BAD_OPTIONS)

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from drivers.ndi_polaris.errors import SameGeometry
+from drivers.ndi_polaris.errors import SAME_GEOMETRY
 from drivers.ndi_polaris.tool_definition import FIELDS, ToolDefinition, decode_definition, encode_definition
 from ronna_hw.vectors import Vector3
 from ronna_hw.wire import polaris_rom as layout
@@ -152,7 +152,7 @@ def check_distinct(tools: Mapping[str, ToolDefinition], files: Mapping[str, str]
     """Raise NDI-012 if any two tools share a triangle of markers; `files` are their definitions by name."""
     for (name, tool), (other_name, other) in itertools.combinations(tools.items(), 2):
         if shares_triangle(tool, other):
-            raise SameGeometry(
+            raise SAME_GEOMETRY(
                 f"tools {_with_file(name, files)} and {_with_file(other_name, files)} share a triangle of "
                 "markers",
                 limit=f"{TRIANGLE_TOLERANCE_MM} mm between distances",

@@ -15,7 +15,7 @@ from datetime import date, timedelta
 from pathlib import Path
 from typing import Any
 
-from drivers.ndi_polaris.errors import BadToolFile
+from drivers.ndi_polaris.errors import BAD_TOOL_FILE
 from ronna_hw.bounded_input import InputRefused, read_bounded
 from ronna_hw.vectors import Vector3
 from ronna_hw.wire import polaris_rom as layout
@@ -95,26 +95,26 @@ def read_definition(path: Path) -> ToolDefinition:
     try:
         block = read_bounded(path, LARGEST_FILE_BYTES)
     except InputRefused as error:
-        raise BadToolFile(error.summary) from error
+        raise BAD_TOOL_FILE(error.summary) from error
     except OSError as error:
-        raise BadToolFile(f"cannot read {path.name}: {error.strerror}") from error
+        raise BAD_TOOL_FILE(f"cannot read {path.name}: {error.strerror}") from error
     return decode_definition(block, path.name)
 
 
 def decode_definition(block: bytes, name: str = "definition") -> ToolDefinition:
     """Decode .rom bytes with optional zero padding; raises NDI-011."""
     if not layout.ROM_BYTES <= len(block) <= layout.ROM_FILE_LIMIT_BYTES or any(block[layout.ROM_BYTES :]):
-        raise BadToolFile(f"{name} has {len(block)} bytes", expected=f"{layout.ROM_BYTES} bytes")
+        raise BAD_TOOL_FILE(f"{name} has {len(block)} bytes", expected=f"{layout.ROM_BYTES} bytes")
     if block[: len(layout.ROM_MAGIC)] != layout.ROM_MAGIC:
-        raise BadToolFile(f"{name} is not a tool definition", expected="a file that starts with NDI")
+        raise BAD_TOOL_FILE(f"{name} is not a tool definition", expected="a file that starts with NDI")
     (claimed,) = struct.unpack_from("<H", block, layout.CHECKSUM_OFFSET)
     if claimed != checksum(block):
-        raise BadToolFile(
+        raise BAD_TOOL_FILE(
             f"{name} has a wrong checksum", expected=f"{checksum(block):04X}", got=f"{claimed:04X}"
         )
     count = block[layout.MARKER_COUNT_OFFSET]
     if count > layout.ROM_MARKERS:
-        raise BadToolFile(f"{name} has {count} markers", limit=str(layout.ROM_MARKERS))
+        raise BAD_TOOL_FILE(f"{name} has {count} markers", limit=str(layout.ROM_MARKERS))
     origin = bytes(block[: layout.ROM_BYTES])
     values = {property_.name: property_.read(origin) for property_ in FIELDS}
     tool = ToolDefinition(**values, origin=origin)
@@ -146,24 +146,24 @@ def _check_definition(tool: ToolDefinition, name: str = "") -> None:
     subject = name or tool.part_number
     count = len(tool.markers_mm)
     if not layout.ROM_MINIMUM_MARKERS <= count <= layout.ROM_MARKERS:
-        raise BadToolFile(
+        raise BAD_TOOL_FILE(
             f"{subject} has {count} markers", limit=f"{layout.ROM_MINIMUM_MARKERS} to {layout.ROM_MARKERS}"
         )
     if len(tool.normals) != count or len(tool.faces) != count:
-        raise BadToolFile(f"{subject} needs one normal and one face per marker")
+        raise BAD_TOOL_FILE(f"{subject} needs one normal and one face per marker")
     if not 1 <= len(tool.face_normals) <= layout.ROM_FACES or not all(
         1 <= face <= len(tool.face_normals) for face in tool.faces
     ):
-        raise BadToolFile(f"{subject} has a face number out of range", limit=f"1 to {layout.ROM_FACES}")
+        raise BAD_TOOL_FILE(f"{subject} has a face number out of range", limit=f"1 to {layout.ROM_FACES}")
     if not layout.ROM_MINIMUM_MARKERS <= tool.minimum_markers <= count:
-        raise BadToolFile(
+        raise BAD_TOOL_FILE(
             f"{subject} has a minimum of {tool.minimum_markers} of {count} markers", limit=f"3 to {count}"
         )
     numbers = [value for vector in (*tool.markers_mm, *tool.normals, *tool.face_normals) for value in vector]
     if not all(math.isfinite(value) for value in (*numbers, tool.maximum_error_mm, *tool.minimum_spread_mm)):
-        raise BadToolFile(f"{subject} contains numbers that are not finite")
+        raise BAD_TOOL_FILE(f"{subject} contains numbers that are not finite")
     if tool.maximum_error_mm <= 0 or not 0 <= tool.maximum_angle_deg <= LARGEST_ANGLE_DEG:
-        raise BadToolFile(f"{subject} has an impossible maximum error or angle")
+        raise BAD_TOOL_FILE(f"{subject} has an impossible maximum error or angle")
 
 
 def checksum(block: bytes | bytearray) -> int:
@@ -188,7 +188,7 @@ def _number_field(name: str, form: str, offset: int) -> Field:
         try:
             code.pack_into(block, offset, value)
         except (struct.error, OverflowError) as error:
-            raise BadToolFile(f"{name} does not fit into a definition", got=str(value)) from error
+            raise BAD_TOOL_FILE(f"{name} does not fit into a definition", got=str(value)) from error
 
     return Field(name, ((offset, code.size),), lambda block: code.unpack_from(block, offset)[0], write)
 
@@ -201,9 +201,9 @@ def _text_field(name: str, offset: int, size: int) -> Field:
         try:
             encoded = value.encode("ascii")
         except UnicodeEncodeError as error:
-            raise BadToolFile(f"{value!r} is not ASCII") from error
+            raise BAD_TOOL_FILE(f"{value!r} is not ASCII") from error
         if len(encoded) > size:
-            raise BadToolFile(f"{value!r} is too long", limit=f"{size} characters")
+            raise BAD_TOOL_FILE(f"{value!r} is too long", limit=f"{size} characters")
         block[offset : offset + size] = encoded.ljust(size, b"\0")
 
     return Field(name, ((offset, size),), read, write)
@@ -259,7 +259,7 @@ def _read_bits(block: bytes, bits: Bits) -> int:
 
 def _write_bits(block: bytearray, bits: Bits, value: int) -> None:
     if not 0 <= value < 1 << bits[1]:
-        raise BadToolFile("the serial number of a definition does not fit", got=str(value))
+        raise BAD_TOOL_FILE("the serial number of a definition does not fit", got=str(value))
     (serial,) = struct.unpack_from("<I", block, layout.SERIAL_OFFSET)
     mask = ((1 << bits[1]) - 1) << bits[0]
     struct.pack_into("<I", block, layout.SERIAL_OFFSET, serial & ~mask | value << bits[0])

@@ -17,7 +17,7 @@ from typing import Annotated, Any, Self
 
 from pydantic import Field, ValidationError, model_validator
 
-from drivers.ndi_polaris.errors import BadToolFile
+from drivers.ndi_polaris.errors import BAD_TOOL_FILE
 from drivers.ndi_polaris.tool_definition import ToolDefinition, face_normal_of
 from ronna_hw.bounded_input import read_toml
 from ronna_hw.calibration import Numbers3, Strict
@@ -117,13 +117,13 @@ class ToolDescription(Strict):
 def read_description(path: Path) -> ToolDescription:
     """Read a tool description; raises NDI-011 listing every mistake."""
     try:
-        content = read_toml(path, partial(BadToolFile, action="Correct the description."))
+        content = read_toml(path, partial(BAD_TOOL_FILE, action="Correct the description."))
     except OSError as error:
         what = f"cannot read {path}: {error.strerror}"
-        raise BadToolFile(what, action="Give the path of a description; ronna-rom make --help.") from error
+        raise BAD_TOOL_FILE(what, action="Give the path of a description; ronna-rom make --help.") from error
     for key, kind in (("trajectories", "plan"), ("theatre", "theatre file")):
         if key in content:
-            raise BadToolFile(
+            raise BAD_TOOL_FILE(
                 f"{path.name} is a {kind}, not a tool description",
                 expected="part_number and markers_mm",
                 action="Give the path of a description; ronna-rom show TOOL.rom --toml prints one.",
@@ -133,7 +133,7 @@ def read_description(path: Path) -> ToolDescription:
         return ToolDescription.model_validate_json(json.dumps(content, default=str))
     except ValidationError as error:
         mistakes = describe_mistakes(error, ToolDescription)
-        raise BadToolFile(
+        raise BAD_TOOL_FILE(
             f"{path.name} has {format_count(len(mistakes), 'mistake')}: " + "; ".join(mistakes),
             action="Correct the description.",
         ) from error
@@ -185,7 +185,7 @@ def _face_normal(normals: tuple[Vector3, ...], faces: tuple[int, ...], face: int
     members = [normal for normal, own in zip(normals, faces, strict=True) if own == face]
     x, y, z = (sum(values) for values in zip(*members, strict=True))
     if math.hypot(x, y, z) == 0:
-        raise BadToolFile(
+        raise BAD_TOOL_FILE(
             f"the normals of face {face} cancel each other",
             action="Give these markers faces of their own, or give face_normals.",
         )

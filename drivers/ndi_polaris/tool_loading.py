@@ -9,8 +9,8 @@ from functools import cached_property
 
 from drivers.ndi_polaris.command_link import CommandLink, warning_meaning
 from drivers.ndi_polaris.errors import (
+    FOREIGN_TOOL,
     BadReplyCrc,
-    ForeignTool,
     HandleRefused,
     MalformedReply,
     NoReply,
@@ -126,7 +126,7 @@ def check_handle(link: CommandLink, handle: int, name: str, definition: ToolDefi
     expected = f"part number {definition.part_number}, serial number {sent[::-1].hex().upper()}"
     reported = f"part number {part_number or '-'}, serial number {serial or '-'}"
     if not same_serial and not same_part_number:
-        raise ForeignTool(
+        raise FOREIGN_TOOL(
             f"handle {handle:02X} holds another tool than {name}", expected=expected, got=reported
         )
     return f"{name}: the unit reports {reported}, the definition has {expected}"

@@ -6,13 +6,13 @@ import math
 
 from drivers.ndi_polaris.command_link import CommandLink
 from drivers.ndi_polaris.errors import (
+    WRONG_UNIT,
     HardwareFailure,
     MalformedReply,
     NotAPolaris,
     SensorBumped,
     TemperatureHold,
     UnitError,
-    WrongUnit,
 )
 from ronna_hw.devices.lifecycle import Identity
 from ronna_hw.errors import DeviceError
@@ -80,9 +80,9 @@ def read_identity(link: CommandLink) -> Identity:
 def check_identity(identity: Identity, model: str | None, serial: str | None) -> None:
     """Raise NDI-004 unless model and serial number are as expected; None accepts any."""
     if model is not None and model.lower() not in identity.model.lower():
-        raise WrongUnit("wrong model of unit", expected=model, got=identity.model)
+        raise WRONG_UNIT("wrong model of unit", expected=model, got=identity.model)
     if serial is not None and serial != identity.serial:
-        raise WrongUnit("wrong serial number", expected=serial, got=identity.serial or "none")
+        raise WRONG_UNIT("wrong serial number", expected=serial, got=identity.serial or "none")
 
 
 def _ask_or_empty(link: CommandLink, name: str, argument: str) -> str:

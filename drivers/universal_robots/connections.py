@@ -17,15 +17,15 @@ from dataclasses import replace
 from drivers.universal_robots.controller.script import render_script, render_secondary
 from drivers.universal_robots.dashboard import DashboardClient
 from drivers.universal_robots.errors import (
+    ANOTHER_PROGRAM_RUNS,
+    LINK_NOT_STARTED,
+    LOAD_NOT_TAKEN,
+    SCRIPT_NOT_STARTED,
+    SPEED_AT_ZERO,
     STREAM_ERRORS,
-    AnotherProgramRuns,
     ControllerLost,
     ControllerNotFound,
-    LinkNotStarted,
-    LoadNotTaken,
     RegistersInUse,
-    ScriptNotStarted,
-    SpeedAtZero,
 )
 from drivers.universal_robots.faults import UrFaults
 from drivers.universal_robots.identification import (
@@ -128,7 +128,7 @@ class Connections(StreamConnections[ControllerState, PrimaryClient]):
             except BaseException as error:
                 ours.close()
                 if isinstance(error, StartRefused):
-                    raise LinkNotStarted(f"the real-time process: {os.strerror(error.errno)}") from None
+                    raise LINK_NOT_STARTED(f"the real-time process: {os.strerror(error.errno)}") from None
                 raise
         self._channel = ours
 
@@ -194,7 +194,7 @@ class Connections(StreamConnections[ControllerState, PrimaryClient]):
         wanted, mass_kg = self._load, self._options.payload_kg
         found = self.read_load(timeout_s, lambda load: has_load(load, wanted, mass_kg))
         if not has_load(found, wanted, mass_kg):
-            raise LoadNotTaken(
+            raise LOAD_NOT_TAKEN(
                 f"{self._name}: the controller does not use the load that was set",
                 expected=f"{(wanted.mass_kg if wanted else mass_kg):g} kg",
                 got=f"{found.mass_kg:g} kg, centre {found.centre_mm} mm, tip {found.tip_mm} mm",
@@ -302,10 +302,10 @@ class Connections(StreamConnections[ControllerState, PrimaryClient]):
             raise self.control.failure
         self.power.require_safe()
         if dashboard.is_program_running(ASK_LIMIT_S):
-            raise AnotherProgramRuns(f"{name}: the controller is running another program")
+            raise ANOTHER_PROGRAM_RUNS(f"{name}: the controller is running another program")
         reported = self.reported
         if reported is not None and not reported.mode.speed_fraction > 0.0:
-            raise SpeedAtZero(f"{name}: the speed slider is at {reported.mode.speed_fraction:.0%}")
+            raise SPEED_AT_ZERO(f"{name}: the speed slider is at {reported.mode.speed_fraction:.0%}")
 
     def _hand_over(self, run: int, safety: SafetyMode, timeout_s: float) -> None:
         """Open a new RTDE connection with our recipes, and give it to the real-time process."""
@@ -314,7 +314,7 @@ class Connections(StreamConnections[ControllerState, PrimaryClient]):
             outputs = rtde.set_up_outputs(round(1.0 / self._options.cycle_s))
             inputs = rtde.set_up_inputs()
             if self._channel is None:
-                raise LinkNotStarted(f"{self._name}: no real-time process is running")
+                raise LINK_NOT_STARTED(f"{self._name}: no real-time process is running")
             Handover(outputs, inputs, run, safety).give(self._channel, rtde.socket)
         finally:
             rtde.close()  # the process has its own descriptor
@@ -333,7 +333,7 @@ class Connections(StreamConnections[ControllerState, PrimaryClient]):
             )
         texts = [m.text for m in self.control.messages if m.kind == MessageKind.RUNTIME_EXCEPTION and m.text]
         word = ControllerWord.from_number(self.link.state.controller_word)
-        return ScriptNotStarted(
+        return SCRIPT_NOT_STARTED(
             f"{self._name}: {what}" + "".join(f"; the controller says: {text}" for text in texts[-1:]),
             limit=f"{timeout_s:g} s",
             got=word.text,

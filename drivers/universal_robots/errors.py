@@ -9,6 +9,7 @@ from ronna_hw.errors import (
     ConnectError,
     DataError,
     DeviceError,
+    ErrorCode,
     LimitError,
     LinkTimeout,
     ProtocolError,
@@ -16,12 +17,12 @@ from ronna_hw.errors import (
     StateError,
 )
 
-
-class BadOptions(ConfigurationError):
-    """The arm options in the theatre file are invalid."""
-
-    code = "URD-001"
-    action = "Correct the listed options; docs/reference/ur-options.md describes them."
+BAD_OPTIONS = ErrorCode(
+    "URD-001",
+    ConfigurationError,
+    "The arm options in the theatre file are invalid.",
+    "Correct the listed options; docs/reference/ur-options.md describes them.",
+)
 
 
 class ControllerNotFound(ConnectError):
@@ -34,70 +35,79 @@ class ControllerNotFound(ConnectError):
     )
 
 
-class WrongArm(ConnectError):
-    """The arm at the endpoint has another model or serial number than the theatre file states."""
-
-    code = "URD-003"
-    action = "Correct the endpoints, or the options model and serial."
-
-
-class WrongVersion(ConnectError):
-    """The controller's software lacks what the driver needs."""
-
-    code = "URD-004"
-    action = "Update the controller: PolyScope 3.9 or newer on CB3, 5.6 or newer on the e-Series."
+WRONG_ARM = ErrorCode(
+    "URD-003",
+    ConnectError,
+    "The arm at the endpoint has another model or serial number than the theatre file states.",
+    "Correct the endpoints, or the options model and serial.",
+)
 
 
-class FactoryCalibrationDiffers(ConnectError):
-    """The controller's factory calibration is not the one that this theatre was measured with."""
+WRONG_VERSION = ErrorCode(
+    "URD-004",
+    ConnectError,
+    "The controller's software lacks what the driver needs.",
+    "Update the controller: PolyScope 3.9 or newer on CB3, 5.6 or newer on the e-Series.",
+)
 
-    code = "URD-005"
-    action = (
+
+FACTORY_CALIBRATION_DIFFERS = ErrorCode(
+    "URD-005",
+    ConnectError,
+    "The controller's factory calibration is not the one that this theatre was measured with.",
+    (
         "Check that this is the arm of this theatre. If it has been exchanged or calibrated anew, repeat the "
         "calibrations of the theatre, then correct option calibration."
-    )
+    ),
+)
 
 
-class LocalMode(RefusedError):
-    """The controller is not in remote control, so that it accepts no program."""
-
-    code = "URD-006"
-    action = "Choose remote control at the top right of the pendant's screen."
-
-
-class EmergencyStopped(RefusedError):
-    """An emergency stop is pressed."""
-
-    code = "URD-007"
-    action = "Release the emergency stop when the cell is safe, then start again."
+LOCAL_MODE = ErrorCode(
+    "URD-006",
+    RefusedError,
+    "The controller is not in remote control, so that it accepts no program.",
+    "Choose remote control at the top right of the pendant's screen.",
+)
 
 
-class NotPowered(RefusedError):
-    """The arm could not be switched on, or its brakes could not be released."""
-
-    code = "URD-008"
-    action = "Read the pendant's messages, and switch the arm on there (red button at the bottom left)."
-
-
-class ProtectivelyStopped(RefusedError):
-    """The controller has stopped the arm for its protection, and nobody has acknowledged it."""
-
-    code = "URD-009"
-    action = f"Find the cause at the arm first, and wait for 5 s. Then {ACKNOWLEDGE}."
+EMERGENCY_STOPPED = ErrorCode(
+    "URD-007",
+    RefusedError,
+    "An emergency stop is pressed.",
+    "Release the emergency stop when the cell is safe, then start again.",
+)
 
 
-class SafetyStopped(RefusedError):
-    """A safeguard, or a fault of the controller's safety system, prevents motion."""
+NOT_POWERED = ErrorCode(
+    "URD-008",
+    RefusedError,
+    "The arm could not be switched on, or its brakes could not be released.",
+    "Read the pendant's messages, and switch the arm on there (red button at the bottom left).",
+)
 
-    code = "URD-010"
-    action = f"Reset the safeguard; after a violation or fault read the pendant's messages and {ACKNOWLEDGE}."
+
+PROTECTIVELY_STOPPED = ErrorCode(
+    "URD-009",
+    RefusedError,
+    "The controller has stopped the arm for its protection, and nobody has acknowledged it.",
+    f"Find the cause at the arm first, and wait for 5 s. Then {ACKNOWLEDGE}.",
+)
 
 
-class SpeedAtZero(RefusedError):
-    """The speed slider is at zero: no motion would ever end."""
+SAFETY_STOPPED = ErrorCode(
+    "URD-010",
+    RefusedError,
+    "A safeguard, or a fault of the controller's safety system, prevents motion.",
+    f"Reset the safeguard; after a violation or fault read the pendant's messages and {ACKNOWLEDGE}.",
+)
 
-    code = "URD-011"
-    action = "Raise the speed slider at the bottom of the pendant's screen."
+
+SPEED_AT_ZERO = ErrorCode(
+    "URD-011",
+    RefusedError,
+    "The speed slider is at zero: no motion would ever end.",
+    "Raise the speed slider at the bottom of the pendant's screen.",
+)
 
 
 class RegistersInUse(ConnectError):
@@ -107,11 +117,12 @@ class RegistersInUse(ConnectError):
     action = "End the other client (another run, a fieldbus with these registers), then start again."
 
 
-class AnotherProgramRuns(RefusedError):
-    """The controller is running a program that this driver did not start."""
-
-    code = "URD-013"
-    action = "Check who started it, stop it at the pendant, then start again."
+ANOTHER_PROGRAM_RUNS = ErrorCode(
+    "URD-013",
+    RefusedError,
+    "The controller is running a program that this driver did not start.",
+    "Check who started it, stop it at the pendant, then start again.",
+)
 
 
 class ControllerLost(ProtocolError):
@@ -142,28 +153,31 @@ class CommandRefused(DeviceError):
     action = "Read the pendant's messages."
 
 
-class ScriptNotStarted(DeviceError):
-    """The controller did not start our script, or the script ended at once."""
-
-    code = "URD-018"
-    action = (
+SCRIPT_NOT_STARTED = ErrorCode(
+    "URD-018",
+    DeviceError,
+    "The controller did not start our script, or the script ended at once.",
+    (
         "Read the pendant's log page. If it has no message, the script did not arrive: check that endpoint "
         "primary is of this controller, and that Settings > Security allows the primary client interface."
-    )
+    ),
+)
 
 
-class LinkNotStarted(ConnectError):
-    """The real-time process did not start."""
+LINK_NOT_STARTED = ErrorCode(
+    "URD-020",
+    ConnectError,
+    "The real-time process did not start.",
+    "Check the computer's memory and process limits, then start again.",
+)
 
-    code = "URD-020"
-    action = "Check the computer's memory and process limits, then start again."
 
-
-class LinkSilent(LinkTimeout):
-    """Packages stopped arriving while the stream was running."""
-
-    code = "URD-021"
-    action = f"The script stops the arm. Check the cable and the controller, then {ACKNOWLEDGE}."
+LINK_SILENT = ErrorCode(
+    "URD-021",
+    LinkTimeout,
+    "Packages stopped arriving while the stream was running.",
+    f"The script stops the arm. Check the cable and the controller, then {ACKNOWLEDGE}.",
+)
 
 
 class LinkBroken(ProtocolError):
@@ -173,94 +187,106 @@ class LinkBroken(ProtocolError):
     action = f"The script stops the arm. Check the cable and the controller, then {ACKNOWLEDGE}."
 
 
-class HeartbeatLate(LinkTimeout):
-    """This program's heartbeat to the real-time process was late, so the arm was stopped."""
-
-    code = "URD-023"
-    action = f"Reduce the computer's load, or find what blocked the program; then {ACKNOWLEDGE}."
-
-
-class LinkProcessDied(DeviceError):
-    """The real-time process terminated unexpectedly."""
-
-    code = "URD-024"
-    action = f"The script stops the arm. Then {ACKNOWLEDGE}. Report the message if it repeats."
+HEARTBEAT_LATE = ErrorCode(
+    "URD-023",
+    LinkTimeout,
+    "This program's heartbeat to the real-time process was late, so the arm was stopped.",
+    f"Reduce the computer's load, or find what blocked the program; then {ACKNOWLEDGE}.",
+)
 
 
-class LinkProcessStalled(DeviceError):
-    """The real-time process is running but stalled, so the controller gets no set-points."""
+LINK_PROCESS_DIED = ErrorCode(
+    "URD-024",
+    DeviceError,
+    "The real-time process terminated unexpectedly.",
+    f"The script stops the arm. Then {ACKNOWLEDGE}. Report the message if it repeats.",
+)
 
-    code = "URD-025"
-    action = (
+
+LINK_PROCESS_STALLED = ErrorCode(
+    "URD-025",
+    DeviceError,
+    "The real-time process is running but stalled, so the controller gets no set-points.",
+    (
         "The script stops the arm. Find what blocks the process or the computer; "
         f"then {ACKNOWLEDGE}. A new process is started."
-    )
+    ),
+)
 
 
-class MotionTripped(LimitError):
-    """The monitor stopped the arm."""
-
-    code = "URD-026"
-    action = f"Read the recorded cycles, find the cause, then {ACKNOWLEDGE}."
-
-
-class PathFailed(LimitError):
-    """The path had no solution at some point, so the arm was stopped in joint space."""
-
-    code = "URD-027"
-    action = f"First {ACKNOWLEDGE}. Then move away from the singular pose by a joint move."
+MOTION_TRIPPED = ErrorCode(
+    "URD-026",
+    LimitError,
+    "The monitor stopped the arm.",
+    f"Read the recorded cycles, find the cause, then {ACKNOWLEDGE}.",
+)
 
 
-class LinkUnusable(LinkTimeout):
-    """Too many set-points came late for too long, so the arm was stopped."""
+PATH_FAILED = ErrorCode(
+    "URD-027",
+    LimitError,
+    "The path had no solution at some point, so the arm was stopped in joint space.",
+    f"First {ACKNOWLEDGE}. Then move away from the singular pose by a joint move.",
+)
 
-    code = "URD-028"
-    action = (
+
+LINK_UNUSABLE = ErrorCode(
+    "URD-028",
+    LinkTimeout,
+    "Too many set-points came late for too long, so the arm was stopped.",
+    (
         f"Find what loads the computer or the network to the controller, which must carry nothing else; "
         f"then {ACKNOWLEDGE}."
-    )
+    ),
+)
 
 
-class ProtectiveStop(StateError):
-    """A protective stop was requested; it remains latched."""
-
-    code = "URD-029"
-    action = f"Find the reason, then {ACKNOWLEDGE}."
-
-
-class LinkStopped(StateError):
-    """Set-points were withheld on request, so that the script stops the arm."""
-
-    code = "URD-030"
-    action = f"Find the reason, then {ACKNOWLEDGE}."
+PROTECTIVE_STOP = ErrorCode(
+    "URD-029",
+    StateError,
+    "A protective stop was requested; it remains latched.",
+    f"Find the reason, then {ACKNOWLEDGE}.",
+)
 
 
-class DrivesOff(StateError):
-    """The arm was switched off on request, and a fault is latched."""
-
-    code = "URD-031"
-    action = f"Find the reason, then {ACKNOWLEDGE}."
-
-
-class MotionStopped(MotionInterrupted):
-    """A motion was stopped before its end, with the arm at rest on its path."""
-
-    code = "URD-032"
-    action = "Resume and plan a new motion from here; an interrupted path is not continued."
+LINK_STOPPED = ErrorCode(
+    "URD-030",
+    StateError,
+    "Set-points were withheld on request, so that the script stops the arm.",
+    f"Find the reason, then {ACKNOWLEDGE}.",
+)
 
 
-class MotionNotFinished(LinkTimeout):
-    """The motion did not end, or the arm did not settle, within the time limit."""
+DRIVES_OFF = ErrorCode(
+    "URD-031",
+    StateError,
+    "The arm was switched off on request, and a fault is latched.",
+    f"Find the reason, then {ACKNOWLEDGE}.",
+)
 
-    code = "URD-033"
-    action = "Check the speed slider and the lost cycles, or give the motion more time."
+
+MOTION_STOPPED = ErrorCode(
+    "URD-032",
+    MotionInterrupted,
+    "A motion was stopped before its end, with the arm at rest on its path.",
+    "Resume and plan a new motion from here; an interrupted path is not continued.",
+)
 
 
-class MotionRefused(RefusedError):
-    """The real-time process refused a motion."""
+MOTION_NOT_FINISHED = ErrorCode(
+    "URD-033",
+    LinkTimeout,
+    "The motion did not end, or the arm did not settle, within the time limit.",
+    "Check the speed slider and the lost cycles, or give the motion more time.",
+)
 
-    code = "URD-034"
-    action = "Wait for the current motion to end, and plan from the arm's current pose."
+
+MOTION_REFUSED = ErrorCode(
+    "URD-034",
+    RefusedError,
+    "The real-time process refused a motion.",
+    "Wait for the current motion to end, and plan from the arm's current pose.",
+)
 
 
 class ControllerStopped(LimitError):
@@ -277,76 +303,80 @@ class ProgramStopped(DeviceError):
     action = f"Check who did it at the pendant, then {ACKNOWLEDGE}."
 
 
-class ScriptStopped(LinkTimeout):
-    """Our script stopped the arm by itself: no set-point came in time, or one was too far away."""
-
-    code = "URD-037"
-    action = (
+SCRIPT_STOPPED = ErrorCode(
+    "URD-037",
+    LinkTimeout,
+    "Our script stopped the arm by itself: no set-point came in time, or one was too far away.",
+    (
         "Find what delayed the set-points: a busy computer (option starve_limit_s can allow more; start a "
         f"rehearsal with --lock-step), or the network. Then {ACKNOWLEDGE}."
-    )
+    ),
+)
 
 
-class ControllerRestarted(DeviceError):
-    """The controller's time jumped: it is another run of the controller than at the start."""
-
-    code = "URD-038"
-    action = f"Check the controller, then {ACKNOWLEDGE}."
-
-
-class PoseImplausible(DeviceError):
-    """At the start the arm is outside its joint ranges, or not where it is commanded to be."""
-
-    code = "URD-039"
-    action = (
-        f"Check that nothing touches the arm; bring it into its ranges at the pendant. Then {ACKNOWLEDGE}."
-    )
+CONTROLLER_RESTARTED = ErrorCode(
+    "URD-038",
+    DeviceError,
+    "The controller's time jumped: it is another run of the controller than at the start.",
+    f"Check the controller, then {ACKNOWLEDGE}.",
+)
 
 
-class LoadNotTaken(RefusedError):
-    """The controller does not use the mass, centre of gravity or tool centre point that were set."""
-
-    code = "URD-040"
-    action = "Read the pendant's messages, and set the payload again; without it the force is not known."
-
-
-class BadLoad(DataError):
-    """The load of a tool is not one that the arm can carry."""
-
-    code = "URD-041"
-    action = "Give the mass in kg, and places in mm in the frame of the flange."
+POSE_IMPLAUSIBLE = ErrorCode(
+    "URD-039",
+    DeviceError,
+    "At the start the arm is outside its joint ranges, or not where it is commanded to be.",
+    f"Check that nothing touches the arm; bring it into its ranges at the pendant. Then {ACKNOWLEDGE}.",
+)
 
 
-class ControllerExchanged(ConnectError):
-    """At a recovery another arm, software or factory calibration is found than was connected."""
+LOAD_NOT_TAKEN = ErrorCode(
+    "URD-040",
+    RefusedError,
+    "The controller does not use the mass, centre of gravity or tool centre point that were set.",
+    "Read the pendant's messages, and set the payload again; without it the force is not known.",
+)
 
-    code = "URD-042"
-    action = (
+
+BAD_LOAD = ErrorCode(
+    "URD-041",
+    DataError,
+    "The load of a tool is not one that the arm can carry.",
+    "Give the mass in kg, and places in mm in the frame of the flange.",
+)
+
+
+CONTROLLER_EXCHANGED = ErrorCode(
+    "URD-042",
+    ConnectError,
+    "At a recovery another arm, software or factory calibration is found than was connected.",
+    (
         "Check which arm answers at the endpoints. Plans and calibrations hold for the first one only: end "
         "this run, and connect anew."
-    )
+    ),
+)
 
 
 STREAM_ERRORS = StreamErrors(
     not_found=ControllerNotFound,
     lost=ControllerLost,
     no_answer=NoAnswer,
-    not_started=LinkNotStarted,
-    died=LinkProcessDied,
-    stalled=LinkProcessStalled,
-    silent=LinkSilent,
-    heartbeat_late=HeartbeatLate,
-    tripped=MotionTripped,
-    path_failed=PathFailed,
-    unusable=LinkUnusable,
-    protective_stop=ProtectiveStop,
-    link_stopped=LinkStopped,
-    drives_off=DrivesOff,
-    stopped=MotionStopped,
-    not_finished=MotionNotFinished,
-    refused=MotionRefused,
+    not_started=LINK_NOT_STARTED,
+    died=LINK_PROCESS_DIED,
+    stalled=LINK_PROCESS_STALLED,
+    silent=LINK_SILENT,
+    heartbeat_late=HEARTBEAT_LATE,
+    tripped=MOTION_TRIPPED,
+    path_failed=PATH_FAILED,
+    unusable=LINK_UNUSABLE,
+    protective_stop=PROTECTIVE_STOP,
+    link_stopped=LINK_STOPPED,
+    drives_off=DRIVES_OFF,
+    stopped=MOTION_STOPPED,
+    not_finished=MOTION_NOT_FINISHED,
+    refused=MOTION_REFUSED,
     clock_name="timestamp",
     message_name="package",
     speed_name="the speed slider",
-    speed_action=SpeedAtZero.action,
+    speed_action=SPEED_AT_ZERO.action,
 )

@@ -6,12 +6,12 @@ from dataclasses import dataclass
 from typing import Any
 
 from drivers.universal_robots.errors import (
-    ControllerRestarted,
+    CONTROLLER_RESTARTED,
+    POSE_IMPLAUSIBLE,
+    SCRIPT_STOPPED,
     ControllerStopped,
     LinkBroken,
-    PoseImplausible,
     ProgramStopped,
-    ScriptStopped,
 )
 from drivers.universal_robots.options import UrOptions, script_settings
 from drivers.universal_robots.realtime.packages import Cause, ControllerWord
@@ -42,11 +42,11 @@ class UrFaults(StreamFaults):
                     f"{prefix} the RTDE connection broke", got=f"timestamp {state.device_clock} us"
                 )
             case Fault.RESTARTED:
-                return ControllerRestarted(
+                return CONTROLLER_RESTARTED(
                     f"{prefix} the controller's time jumped to {state.device_clock} us"
                 )
             case Fault.BASE:
-                return PoseImplausible(
+                return POSE_IMPLAUSIBLE(
                     f"{self.name}: at the start the joints are out of range, or off their commanded angles",
                     got=self.axes_text(state),
                 )
@@ -78,12 +78,12 @@ class UrFaults(StreamFaults):
                 return ProgramStopped(f"{prefix} another program took the place of ours", got=word.text)
             case Cause.SCRIPT if word.script_state == ScriptState.TOO_FAR:
                 limit_rad = script_settings(self.options).LARGEST_STEP_RAD
-                return ScriptStopped(
+                return SCRIPT_STOPPED(
                     f"{prefix} our script refused a step between two set-points", limit=f"{limit_rad:.4f} rad"
                 )
             case Cause.SCRIPT if word.script_state == ScriptState.STARVED:
                 starved_s = script_settings(self.options).STARVED_CYCLES * self.options.cycle_s
-                return ScriptStopped(
+                return SCRIPT_STOPPED(
                     f"{prefix} no set-point reached our script in time, and it stopped the arm",
                     limit=f"{starved_s * 1e3:g} ms",
                 )

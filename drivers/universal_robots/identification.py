@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from drivers.universal_robots.errors import (
-    ControllerExchanged,
-    FactoryCalibrationDiffers,
-    WrongArm,
-    WrongVersion,
+    CONTROLLER_EXCHANGED,
+    FACTORY_CALIBRATION_DIFFERS,
+    WRONG_ARM,
+    WRONG_VERSION,
 )
 from drivers.universal_robots.options import UrOptions
 from drivers.universal_robots.primary.packages import KinematicsInfo
@@ -26,7 +26,7 @@ def require_version(name: str, options: UrOptions, version: Version) -> None:
     """Raise URD-004 for software that lacks what the stream needs."""
     major, least = MAJOR_VERSION[options.model], LEAST_MINOR[options.model]
     if version.major == major and version.minor < least:
-        raise WrongVersion(
+        raise WRONG_VERSION(
             f"{name}: the controller's software is too old",
             expected=f"{major}.{least} or newer",
             got=str(version),
@@ -36,13 +36,13 @@ def require_version(name: str, options: UrOptions, version: Version) -> None:
 def require_arm(name: str, options: UrOptions, model: str, serial: str, version: Version) -> None:
     """Raise URD-003 for another model or serial number; `model` is the dashboard's word."""
     if model != ARM_TYPE or version.major != MAJOR_VERSION[options.model]:
-        raise WrongArm(
+        raise WRONG_ARM(
             f"{name}: the controller drives another arm",
             expected=f"option model, {options.model}",
             got=_arm_text(model, version),
         )
     if options.serial and serial != options.serial:
-        raise WrongArm(
+        raise WRONG_ARM(
             f"{name}: the arm has another serial number",
             expected=f"option serial, {options.serial}",
             got=serial,
@@ -59,7 +59,7 @@ def identity_of(options: UrOptions, serial: str, version: Version, info: Kinemat
 def require_same(name: str, first: Identity | None, found: Identity) -> None:
     """Raise URD-042 for another arm or controller than was found first."""
     if first is not None and first != found:
-        raise ControllerExchanged(
+        raise CONTROLLER_EXCHANGED(
             f"{name}: another arm or controller answers than at the start",
             expected=_describe(first),
             got=_describe(found),
@@ -69,7 +69,7 @@ def require_same(name: str, first: Identity | None, found: Identity) -> None:
 def require_calibration(name: str, options: UrOptions, info: KinematicsInfo) -> FactoryCalibration | None:
     """Return the factory calibration to compute with, if any; raises URD-005 or ARM-010."""
     if options.calibration and info.fingerprint != options.calibration:
-        raise FactoryCalibrationDiffers(
+        raise FACTORY_CALIBRATION_DIFFERS(
             f"{name}: the controller has the factory calibration of another arm",
             expected=f"option calibration, {options.calibration}",
             got=info.fingerprint,

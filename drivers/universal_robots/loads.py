@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from math import dist, isfinite
 
-from drivers.universal_robots.errors import BadLoad
+from drivers.universal_robots.errors import BAD_LOAD
 from ronna_hw.devices.contact import ToolLoad
 from ronna_hw.vectors import Vector3
 
@@ -22,10 +22,10 @@ def load_commands(load: ToolLoad | None, mass_kg: float | None = None) -> tuple[
     if load is None:
         return () if mass_kg is None else (f"set_payload({mass_kg:g})",)
     if not 0.0 <= load.mass_kg <= LARGEST_MASS_KG:
-        raise BadLoad("the mass of the tool", limit=f"{LARGEST_MASS_KG:g} kg", got=f"{load.mass_kg:g} kg")
+        raise BAD_LOAD("the mass of the tool", limit=f"{LARGEST_MASS_KG:g} kg", got=f"{load.mass_kg:g} kg")
     for place in (load.centre_mm, load.tip_mm):
         if not (all(map(isfinite, place)) and dist(place, (0.0, 0.0, 0.0)) <= FARTHEST_MM):
-            raise BadLoad("a place of the tool", limit=f"{FARTHEST_MM:g} mm from the flange", got=f"{place}")
+            raise BAD_LOAD("a place of the tool", limit=f"{FARTHEST_MM:g} mm from the flange", got=f"{place}")
     return (
         f"set_payload({load.mass_kg:g}, [{_metres(load.centre_mm)}])",
         f"set_tcp(p[{_metres(load.tip_mm)}, 0, 0, 0])",

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 from pydantic import Field
 
 from drivers.theatre_options import parse_options
-from drivers.universal_robots.errors import BadOptions
+from drivers.universal_robots.errors import BAD_OPTIONS
 from drivers.universal_robots.realtime.settings import LinkSettings
 from ronna_hw.arm.motion.limits import WORKING_SPEED_FRACTION
 from ronna_hw.arm.universal_robots import UrModel, universal_robot
@@ -123,7 +123,7 @@ class UrOptions(StreamOptions):
 
 def read_options(device: str, options: dict[str, Any]) -> UrOptions:
     """Parse the arm options; raises URD-001 listing every mistake."""
-    return parse_options(UrOptions, options, f"{device}: options", BadOptions)
+    return parse_options(UrOptions, options, f"{device}: options", BAD_OPTIONS)
 
 
 def script_settings(options: UrOptions) -> ScriptSettings:

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 
 from drivers.universal_robots.dashboard import DashboardClient, is_accepted
-from drivers.universal_robots.errors import BadBytes, LocalMode, NoAnswer, NotPowered, ProtectivelyStopped
+from drivers.universal_robots.errors import LOCAL_MODE, NOT_POWERED, PROTECTIVELY_STOPPED, BadBytes, NoAnswer
 from drivers.universal_robots.safety import NORMAL_MODES, RESTART_MODES, safety_refusal
 from ronna_hw.arm.universal_robots import UrModel
 from ronna_hw.arm_stream.connections import remaining_s
@@ -80,7 +80,7 @@ class PowerAndSafety:
     def require_not_switching_off(self) -> None:
         """Raise URD-008 while the arm is being switched off on our own order."""
         if self._goes_off:
-            raise NotPowered(
+            raise NOT_POWERED(
                 f"{self._name}: the arm is being switched off on request",
                 expected=RobotMode.POWER_OFF.name,
                 got=self._dashboard().robot_mode(ASK_LIMIT_S).name,
@@ -90,7 +90,7 @@ class PowerAndSafety:
     def require_remote(self) -> None:
         """Raise URD-006 while the pendant has the control."""
         if self.is_remote(ASK_LIMIT_S) is False:
-            raise LocalMode(f"{self._name}: the controller is in local control", expected="remote control")
+            raise LOCAL_MODE(f"{self._name}: the controller is in local control", expected="remote control")
 
     def require_safe(self) -> None:
         """Raise what the safety state reports, unless it permits motion."""
@@ -108,7 +108,7 @@ class PowerAndSafety:
 
     def _await_mode(self, modes: tuple[RobotMode, ...], deadline: float) -> None:
         if not self.await_condition(lambda: self._dashboard().robot_mode(ASK_LIMIT_S) in modes, deadline):
-            raise NotPowered(
+            raise NOT_POWERED(
                 f"{self._name}: the arm was not switched on",
                 expected=RobotMode.RUNNING.name,
                 limit=f"{POWER_LIMIT_S:g} s",
@@ -126,7 +126,7 @@ class PowerAndSafety:
             if is_accepted(Order.UNLOCK_PROTECTIVE_STOP, answer):
                 return
             if remaining_s(deadline) <= UNLOCK_PAUSE_S:
-                raise ProtectivelyStopped(f"{self._name}: the protective stop remains", got=answer)
+                raise PROTECTIVELY_STOPPED(f"{self._name}: the protective stop remains", got=answer)
             self._pause(UNLOCK_PAUSE_S)
 
     def _pause(self, host_s: float) -> None:

@@ -10,12 +10,12 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 from drivers.universal_robots.errors import (
+    WRONG_VERSION,
     BadBytes,
     ControllerLost,
     ControllerNotFound,
     NoAnswer,
     RegistersInUse,
-    WrongVersion,
 )
 from drivers.universal_robots.realtime.packages import HEADER, INPUT_FIELDS, OUTPUT_FIELDS
 from ronna_hw.arm_stream.control_channel import describe, open_connection
@@ -64,7 +64,7 @@ class RtdeSetup:
             raise ControllerNotFound(f"{self.where} is open, but no RTDE server answers there") from error
         if accepted[:1] != b"\x01":
             self.close()
-            raise WrongVersion(f"{self.where} does not speak version {PROTOCOL_VERSION} of RTDE")
+            raise WRONG_VERSION(f"{self.where} does not speak version {PROTOCOL_VERSION} of RTDE")
 
     def close(self) -> None:
         """Close the connection; never raises."""
@@ -86,7 +86,7 @@ class RtdeSetup:
         for name, kind in zip(fields, types, strict=True):
             self._require_type(name, kind, OUTPUTS[name].name)
         if recipe == NO_RECIPE:
-            raise WrongVersion(f"{self.where} gives no recipe for {frequency_hz:g} packages a second")
+            raise WRONG_VERSION(f"{self.where} gives no recipe for {frequency_hz:g} packages a second")
         return recipe
 
     def set_up_inputs(self) -> int:
@@ -102,7 +102,7 @@ class RtdeSetup:
         for name, kind in zip(INPUT_FIELDS, types, strict=True):
             self._require_type(name, kind, INPUTS[name].name)
         if recipe == NO_RECIPE:
-            raise WrongVersion(f"{self.where} gives no recipe for our set-points")
+            raise WRONG_VERSION(f"{self.where} gives no recipe for our set-points")
         return recipe
 
     def read_outputs(
@@ -134,7 +134,7 @@ class RtdeSetup:
 
     def _require_type(self, name: str, kind: str, expected: str) -> None:
         if kind == NOT_FOUND:
-            raise WrongVersion(f"{self.where} has no field {name}")
+            raise WRONG_VERSION(f"{self.where} has no field {name}")
         if kind != expected:
             raise BadBytes(f"{self.where}: field {name} has another type", expected=expected, got=kind)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from drivers.universal_robots.errors import EmergencyStopped, ProtectivelyStopped, SafetyStopped
+from drivers.universal_robots.errors import EMERGENCY_STOPPED, PROTECTIVELY_STOPPED, SAFETY_STOPPED
 from ronna_hw.devices.capabilities import EMERGENCY_STOP
 from ronna_hw.errors import RefusedError
 from ronna_hw.wire.universal_robots import SafetyMode
@@ -40,7 +40,7 @@ def safety_refusal(name: str, mode: SafetyMode) -> RefusedError | None:
         return None
     what = f"{name}: {safety_text(mode)}"
     if mode in EMERGENCY_MODES:
-        return EmergencyStopped(what)
+        return EMERGENCY_STOPPED(what)
     if mode is SafetyMode.PROTECTIVE_STOP:
-        return ProtectivelyStopped(what)
-    return SafetyStopped(what)
+        return PROTECTIVELY_STOPPED(what)
+    return SAFETY_STOPPED(what)

@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from scipy.special import chdtri
 
 from procedures.calibration.arm_model import BACKLASH, ArmLooks, ArmModel, LookArrays, arrays_of
-from procedures.calibration.errors import DoesNotFit, Unobservable
+from procedures.calibration.errors import UNOBSERVABLE, DoesNotFit
 from procedures.calibration.head_calibration import LIFE, move_tip, new_identifier
 from procedures.calibration.head_model import pose_record
 from procedures.calibration.pose_set import (
@@ -254,7 +254,7 @@ def validate(fit: ArmFit, looks: LookArrays) -> ArmValidation:
     model_mm, around_mm = _size_mm(fit_mm2), _around_spheres_mm(fit, looks)
     if around_mm > LARGEST_ERROR_MM:
         worst = np.argsort(fit.learnt)[::-1][:3]
-        raise Unobservable(
+        raise UNOBSERVABLE(
             "the measurements do not determine enough of the arm: least of all "
             + ", ".join(model.names[number] for number in worst),
             limit=f"{LARGEST_ERROR_MM:g} mm in all orientations around the spheres",
@@ -289,7 +289,7 @@ def _require_both_sides(fit: ArmFit) -> None:
         if name.endswith(BACKLASH) and share > LEAST_LEARNT
     ]
     if unknown:
-        raise Unobservable(
+        raise UNOBSERVABLE(
             f"the measurements do not determine the {', '.join(unknown)}: these joints "
             "arrived from one side only",
             limit=f"{LEAST_LEARNT:g} of the prior uncertainty",

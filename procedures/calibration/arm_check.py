@@ -12,7 +12,7 @@ from scipy.special import chdtri
 from procedures.calibration.arm_calibration import LEAST_VALIDATION, MODEL_SHARE
 from procedures.calibration.arm_model import ArmLooks, LookArrays, arrays_of
 from procedures.calibration.arm_sources import ArmPoses, arm_sources
-from procedures.calibration.errors import ArmChanged, NoArmRecord
+from procedures.calibration.errors import ARM_CHANGED, NO_ARM_RECORD
 from procedures.calibration.pose_set import require_count
 from procedures.registration.target_prediction import SharedErrors
 from ronna_hw.arm.catalogue import find_kinematics
@@ -49,7 +49,7 @@ class ArmCheck:
         """Raise CAL-012 unless the measurements agree with the calibration."""
         if not self.passed:
             error, limit = format_distinct(self.error_mm, self.expected_mm, 3)
-            raise ArmChanged(
+            raise ARM_CHANGED(
                 f"the measurements do not match calibration {self.calibration}",
                 limit=f"{limit} mm rms expected",
                 got=f"{error} mm",
@@ -59,7 +59,7 @@ class ArmCheck:
 def require_record(record: ArmCalibration | None) -> ArmCalibration:
     """Return the record; raise CAL-014 if there is none."""
     if record is None:
-        raise NoArmRecord("the theatre file has no calibration record of the arm")
+        raise NO_ARM_RECORD("the theatre file has no calibration record of the arm")
     return record
 
 

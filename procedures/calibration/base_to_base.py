@@ -19,7 +19,7 @@ from scipy.spatial.transform import RigidTransform
 from scipy.special import chdtri
 
 from procedures.calibration.arm_errors import FoundArm, StatedArm
-from procedures.calibration.errors import BasesDisagree, DegeneratePoses, DoesNotFit
+from procedures.calibration.errors import BASES_DISAGREE, DegeneratePoses, DoesNotFit
 from procedures.calibration.hand_eye import PosePairs, apply_change, solve
 from procedures.calibration.pose_set import require_consistent, require_count, require_spread
 from procedures.strategies.strategy import ONE_SIDE
@@ -247,7 +247,7 @@ def require_agreement(coarse: BaseToBase, fit: BallFit) -> None:
     squared = float(apart @ np.linalg.solve(covariance, apart))
     if squared > AGREE_CHI2:
         limit_mm = float(np.linalg.norm(apart)) * float(np.sqrt(AGREE_CHI2 / squared))
-        raise BasesDisagree(
+        raise BASES_DISAGREE(
             "tracker and stereo head disagree about where the assistant stands",
             limit=f"{limit_mm:.2f} mm",
             got=f"{format_against_limit(float(np.linalg.norm(apart)), limit_mm, 2)} mm",

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from ronna_hw.errors import EXIT_REFUSED, DataError, RefusedError
+from ronna_hw.errors import EXIT_REFUSED, DataError, ErrorCode, RefusedError
 
-
-class TooFewPoses(DataError):
-    """Too few poses show the ball in both images."""
-
-    code = "CAL-002"
-    action = "Check illumination, focus and occlusion of the ball, then calibrate again with more poses."
+TOO_FEW_POSES = ErrorCode(
+    "CAL-002",
+    DataError,
+    "Too few poses show the ball in both images.",
+    "Check illumination, focus and occlusion of the ball, then calibrate again with more poses.",
+)
 
 
 class DegeneratePoses(DataError):
@@ -29,29 +29,32 @@ class DoesNotFit(DataError):
     )
 
 
-class BadObservations(DataError):
-    """A file of observations or a baseline is missing or invalid; the message lists all errors."""
+BAD_OBSERVATIONS = ErrorCode(
+    "CAL-005",
+    DataError,
+    "A file of observations or a baseline is missing or invalid; the message lists all errors.",
+    "Give the folder that the calibrate command wrote, unchanged.",
+)
 
-    code = "CAL-005"
-    action = "Give the folder that the calibrate command wrote, unchanged."
 
-
-class HeadMoved(RefusedError):
-    """The head sees the ball away from its calibrated position, so a camera or the mount has moved."""
-
-    code = "CAL-006"
-    action = (
+HEAD_MOVED = ErrorCode(
+    "CAL-006",
+    RefusedError,
+    "The head sees the ball away from its calibrated position, so a camera or the mount has moved.",
+    (
         "Do not use this calibration: check the screws of cameras and mount, then repeat the calibrations of "
         "stereo head, tracker frame and tool tip: frame and tip have not moved with the head."
-    )
+    ),
+)
 
 
-class CheckUncertain(DataError):
-    """The views in a check scatter so much that a rotated camera could go unnoticed."""
-
-    code = "CAL-007"
-    action = "Check that ball and arm are rigid, then repeat the check with more visits."
-    exit_code = EXIT_REFUSED
+CHECK_UNCERTAIN = ErrorCode(
+    "CAL-007",
+    DataError,
+    "The views in a check scatter so much that a rotated camera could go unnoticed.",
+    "Check that ball and arm are rigid, then repeat the check with more visits.",
+    own_exit_code=EXIT_REFUSED,
+)
 
 
 class NotTheBaseline(DataError):
@@ -61,83 +64,93 @@ class NotTheBaseline(DataError):
     action = "Use the baseline of the current calibration, with its poses."
 
 
-class NoBall(RefusedError):
-    """No ball position was given, and the tracker sees no ball within reach of the arm."""
-
-    code = "CAL-009"
-    action = "Give the position of the ball with --ball X Y Z, or clear the tracker's line of sight to it."
-
-
-class PosesOutOfReach(RefusedError):
-    """Too few of the planned poses around the ball are reachable and free of collisions."""
-
-    code = "CAL-010"
-    action = "Place the ball nearer to the middle of the workspace, with free space around it."
+NO_BALL = ErrorCode(
+    "CAL-009",
+    RefusedError,
+    "No ball position was given, and the tracker sees no ball within reach of the arm.",
+    "Give the position of the ball with --ball X Y Z, or clear the tracker's line of sight to it.",
+)
 
 
-class Unobservable(RefusedError):
-    """The measurements leave too much of the arm undetermined."""
+POSES_OUT_OF_REACH = ErrorCode(
+    "CAL-010",
+    RefusedError,
+    "Too few of the planned poses around the ball are reachable and free of collisions.",
+    "Place the ball nearer to the middle of the workspace, with free space around it.",
+)
 
-    code = "CAL-011"
-    action = (
+
+UNOBSERVABLE = ErrorCode(
+    "CAL-011",
+    RefusedError,
+    "The measurements leave too much of the arm undetermined.",
+    (
         "Measure more spheres, farther apart, from more strongly tilted and rotated poses; "
         "then calibrate again."
-    )
+    ),
+)
 
 
-class ArmChanged(RefusedError):
-    """The arm, or the head on it, no longer matches its calibration."""
-
-    code = "CAL-012"
-    action = "Check the mount's screws and the arm's mastering, then run ronna-arm calibrate again."
-
-
-class NoArmRecord(RefusedError):
-    """An arm calibration record is required, but there is none."""
-
-    code = "CAL-014"
-    action = "Run ronna-arm calibrate, and name its record in [calibration.arm] of the theatre file."
+ARM_CHANGED = ErrorCode(
+    "CAL-012",
+    RefusedError,
+    "The arm, or the head on it, no longer matches its calibration.",
+    "Check the mount's screws and the arm's mastering, then run ronna-arm calibrate again.",
+)
 
 
-class FrameNotCarried(DataError):
-    """The tool tracked as the reference frame does not rotate with the flange."""
+NO_ARM_RECORD = ErrorCode(
+    "CAL-014",
+    RefusedError,
+    "An arm calibration record is required, but there is none.",
+    "Run ronna-arm calibrate, and name its record in [calibration.arm] of the theatre file.",
+)
 
-    code = "CAL-015"
-    action = (
+
+FRAME_NOT_CARRIED = ErrorCode(
+    "CAL-015",
+    DataError,
+    "The tool tracked as the reference frame does not rotate with the flange.",
+    (
         "Check that the frame on the mount is the tool named in the record, that it is screwed tight, "
         "and that no other frame of that kind is in view; then calibrate again."
-    )
+    ),
+)
 
 
-class TrackerMoved(DataError):
-    """The reference frame appears to have moved although the arm returned to the same pose."""
+TRACKER_MOVED = ErrorCode(
+    "CAL-016",
+    DataError,
+    "The reference frame appears to have moved although the arm returned to the same pose.",
+    "Lock the tracker's stand, the arm's platform and the frame on the mount, then calibrate again.",
+)
 
-    code = "CAL-016"
-    action = "Lock the tracker's stand, the arm's platform and the frame on the mount, then calibrate again."
 
-
-class FarFromRecord(RefusedError):
-    """The result differs from the initial record by more than any mount allows."""
-
-    code = "CAL-017"
-    action = (
+FAR_FROM_RECORD = ErrorCode(
+    "CAL-017",
+    RefusedError,
+    "The result differs from the initial record by more than any mount allows.",
+    (
         "Correct the record in the theatre file (millimetres, quaternion with the scalar first, as in "
         "the drawing), or mount the part as drawn. Then calibrate again."
-    )
+    ),
+)
 
 
-class ReadingImplausible(RefusedError):
-    """A dial reading from the stand is implausible."""
+READING_IMPLAUSIBLE = ErrorCode(
+    "CAL-018",
+    RefusedError,
+    "A dial reading from the stand is implausible.",
+    "Read the three dials again and give x y z in millimetres, along the axes of the robot.",
+)
 
-    code = "CAL-018"
-    action = "Read the three dials again and give x y z in millimetres, along the axes of the robot."
 
-
-class BallAndDivotApart(DataError):
-    """The stand's divot and ball do not coincide."""
-
-    code = "CAL-019"
-    action = "Clean the seats of ball and divot, zero the dials, screw the stand down; then repeat."
+BALL_AND_DIVOT_APART = ErrorCode(
+    "CAL-019",
+    DataError,
+    "The stand's divot and ball do not coincide.",
+    "Clean the seats of ball and divot, zero the dials, screw the stand down; then repeat.",
+)
 
 
 class OfAnotherTheatre(RefusedError):
@@ -157,14 +170,15 @@ class ArmOlderThanHead(RefusedError):
     action = "Run ronna-arm calibrate; no motion until then."
 
 
-class BasesDisagree(DataError):
-    """Tracker and stereo head disagree about where the assistant's base is."""
-
-    code = "CAL-022"
-    action = (
+BASES_DISAGREE = ErrorCode(
+    "CAL-022",
+    DataError,
+    "Tracker and stereo head disagree about where the assistant's base is.",
+    (
         "Check that both carts are locked, that the frames on both arms are those of the records and screwed "
         "tight, and that the ball is the assistant's; then calibrate the bases again."
-    )
+    ),
+)
 
 
 class PlatformMoved(RefusedError):

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 from scipy.special import chdtri
 
-from procedures.calibration.errors import DoesNotFit, FarFromRecord, TooFewPoses, TrackerMoved
+from procedures.calibration.errors import FAR_FROM_RECORD, TOO_FEW_POSES, TRACKER_MOVED, DoesNotFit
 from procedures.calibration.hand_eye import HandEye, PosePairs, misses_of, slopes_of, solve
 from procedures.calibration.head_calibration import LIFE, new_identifier
 from procedures.calibration.head_model import pose_record
@@ -182,7 +182,7 @@ def arm_share_mm(record: ArmCalibration | None) -> float:
 def _require_at_rest(returns: Sequence[FrameLook]) -> None:
     """Raise CAL-002 for fewer than two measurements at the first pose, CAL-016 if they disagree."""
     if len(returns) < 2:
-        raise TooFewPoses(
+        raise TOO_FEW_POSES(
             "the arm did not return to its first pose, so tracker stability is unknown",
             expected="at least 2 measurements from there",
             got=str(len(returns)),
@@ -191,7 +191,7 @@ def _require_at_rest(returns: Sequence[FrameLook]) -> None:
         was, now = (one.tracker_from_marker.transform(Frame.TRACKER, Frame.MARKER) for one in (before, after))
         moved_mm, moved_rad = _change(was, now, limited=False)
         if moved_mm > MOVED_MM or moved_rad > MOVED_RAD:
-            raise TrackerMoved(
+            raise TRACKER_MOVED(
                 f"tracker, arm or frame moved between measurements {number} and {later} at the first pose",
                 limit=f"{MOVED_MM:g} mm and {np.degrees(MOVED_RAD):.1f} deg",
                 got=f"{format_against_limit(moved_mm, MOVED_MM, 2)} mm and "
@@ -225,7 +225,7 @@ def _change(before: Transform, after: Transform, *, limited: bool = True) -> tup
     apart_mm = float(np.linalg.norm(after.translation_mm - before.translation_mm))
     apart_rad = float((before.rigid.rotation.inv() * after.rigid.rotation).magnitude())
     if limited and (apart_mm > FAR_MM or apart_rad > FAR_RAD):
-        raise FarFromRecord(
+        raise FAR_FROM_RECORD(
             "the reference frame is not at its recorded pose",
             limit=f"{FAR_MM:g} mm and {np.degrees(FAR_RAD):.0f} deg",
             got=f"{format_against_limit(apart_mm, FAR_MM, 1)} mm and "

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 from scipy.special import chdtri
 
-from procedures.calibration.errors import DoesNotFit, FrameNotCarried
+from procedures.calibration.errors import FRAME_NOT_CARRIED, DoesNotFit
 from procedures.calibration.pose_set import require_consistent, require_count, require_spread
 from ronna_hw.text import format_against_limit
 
@@ -121,7 +121,7 @@ def _require_solvable(pairs: PosePairs, least_looks: int) -> None:
     flange, marker = pairs.robot_from_flange[:, :3, :3], pairs.tracker_from_marker[:, :3, :3]
     apart = np.abs(_successive_angles_rad(flange) - _successive_angles_rad(marker))
     if np.median(apart) > TURNS_AGREE_RAD:
-        raise FrameNotCarried(
+        raise FRAME_NOT_CARRIED(
             "the tool tracked as the reference frame does not rotate with the flange",
             limit=f"{np.degrees(TURNS_AGREE_RAD):g} deg from pose to pose",
             got=format_against_limit(math.degrees(np.median(apart)), math.degrees(TURNS_AGREE_RAD), 1)

@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal, Self, TypeVar
 
 from pydantic import Field, ValidationError
 
-from procedures.calibration.errors import BadObservations, OfAnotherTheatre
+from procedures.calibration.errors import BAD_OBSERVATIONS, OfAnotherTheatre
 from procedures.relocalization.outline import SphereImage
 from ronna_hw.bounded_input import read_json_bytes
 from ronna_hw.calibration import Dated, PoseRecord, StereoHeadCalibration, Strict, ToolTipCalibration
@@ -158,9 +158,9 @@ def read_strict(kind: type[S], path: Path) -> S:
     try:
         return kind.model_validate_json(read_json_bytes(path))
     except OSError as error:
-        raise BadObservations(f"cannot read {path}: {error.strerror}") from error
+        raise BAD_OBSERVATIONS(f"cannot read {path}: {error.strerror}") from error
     except ValidationError as error:
         mistakes = describe_mistakes(error)
-        raise BadObservations(
+        raise BAD_OBSERVATIONS(
             f"{path.name} has {format_count(len(mistakes), 'mistake')}: {'; '.join(mistakes[:5])}"
         ) from error

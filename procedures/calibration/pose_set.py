@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from procedures.calibration.errors import DegeneratePoses, DoesNotFit, TooFewPoses
+from procedures.calibration.errors import TOO_FEW_POSES, DegeneratePoses, DoesNotFit
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.text import format_against_limit
 
@@ -179,7 +179,7 @@ def rms_mm(misses_mm: Array) -> float:
 def require_count(count: int, least: int, what: str, action: str | None = None) -> None:
     """Raise CAL-002 with the message `what` if the count is below the minimum."""
     if count < least:
-        raise TooFewPoses(what, expected=f"at least {least}", got=str(count), action=action)
+        raise TOO_FEW_POSES(what, expected=f"at least {least}", got=str(count), action=action)
 
 
 def require_spread(rotations: NDArray[np.float64], what: str, action: str | None = None) -> None:

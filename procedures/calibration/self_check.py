@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 from scipy.special import chdtri
 
-from procedures.calibration.errors import CheckUncertain, HeadMoved, NotTheBaseline
+from procedures.calibration.errors import CHECK_UNCERTAIN, HEAD_MOVED, NotTheBaseline
 from procedures.calibration.head_model import cameras_of, intersect_rays
 from procedures.calibration.observations import Observation
 from ronna_hw.calibration import StereoHeadCalibration, Strict
@@ -126,7 +126,7 @@ class CheckResult:
             return
         moved = float(np.linalg.norm(self.shift.value))
         got, limit = format_distinct(bad[0].statistic, bad[0].limit, 1)
-        raise HeadMoved(
+        raise HEAD_MOVED(
             "the stereo head has changed since its calibration "
             f"({', '.join(sign.name for sign in bad)}); the ball appears shifted by "
             f"{1000 * moved:.0f} um",
@@ -168,7 +168,7 @@ def compare_with_baseline(looks: Sequence[Observation], baseline: Baseline) -> C
     shift, shift_covariance = solution[3:], covariance[3:, 3:]
     worst = float(np.sqrt(np.linalg.eigvalsh(shift_covariance)[-1]))
     if SENSITIVITY * worst > TWIST_SHIFT_MM:
-        raise CheckUncertain(
+        raise CHECK_UNCERTAIN(
             "the check could not detect a camera rotated by 0.01 degrees",
             limit=f"{1000 * TWIST_SHIFT_MM / SENSITIVITY:.0f} um",
             got=f"{format_against_limit(1000 * worst, 1000 * TWIST_SHIFT_MM / SENSITIVITY, 0)} um",

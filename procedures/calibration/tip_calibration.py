@@ -26,11 +26,11 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from scipy.special import fdtri
 
 from procedures.calibration.errors import (
-    BadObservations,
-    BallAndDivotApart,
+    BAD_OBSERVATIONS,
+    BALL_AND_DIVOT_APART,
+    FAR_FROM_RECORD,
+    READING_IMPLAUSIBLE,
     DoesNotFit,
-    FarFromRecord,
-    ReadingImplausible,
 )
 from procedures.calibration.head_calibration import LIFE, new_identifier
 from procedures.calibration.head_model import pose_record
@@ -132,7 +132,7 @@ def calibrate_tip(observed: TipLooks, *, life: timedelta = LIFE) -> TipResult:
     before = observed.start.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
     change_mm = float(np.linalg.norm(head.apply(fit.tip_mm) - before.translation_mm))
     if change_mm > FAR_MM:
-        raise FarFromRecord(
+        raise FAR_FROM_RECORD(
             "the tip is not at its recorded position",
             limit=f"{FAR_MM:g} mm",
             got=f"{format_against_limit(change_mm, FAR_MM, 1)} mm",
@@ -166,7 +166,7 @@ def calibrate_tip(observed: TipLooks, *, life: timedelta = LIFE) -> TipResult:
 def require_plausible(dials_mm: tuple[float, float, float]) -> None:
     """Raise CAL-018 for values that the three millimetre dials cannot show."""
     if not all(np.isfinite(dials_mm)) or max(map(abs, dials_mm)) > DIALS_TRAVEL_MM:
-        raise ReadingImplausible(
+        raise READING_IMPLAUSIBLE(
             "the dials cannot show this",
             limit=f"each within ±{DIALS_TRAVEL_MM:g} mm",
             got=" ".join(f"{value:g}" for value in dials_mm),
@@ -176,7 +176,7 @@ def require_plausible(dials_mm: tuple[float, float, float]) -> None:
 def _require_plausible(observed: TipLooks) -> None:
     numbers = [one.look for one in observed.readings]
     if len(set(numbers)) < len(numbers) or any(number >= len(observed.looks) for number in numbers):
-        raise BadObservations(
+        raise BAD_OBSERVATIONS(
             "each reading of the dials needs its own measurement", expected=f"0 to {len(observed.looks) - 1}"
         )
     for one in observed.readings:
@@ -259,7 +259,7 @@ def fit_tip(pairs: TipPairs) -> TipFit:
         )
     limit = max(LARGEST_GAP_MM, GAP_SIGMAS * gap_error)
     if np.linalg.norm(gap) > limit:
-        raise BallAndDivotApart(
+        raise BALL_AND_DIVOT_APART(
             "according to the pivoting, the divot is not where the ball was",
             limit=f"{limit:.2f} mm",
             got=f"{format_against_limit(float(np.linalg.norm(gap)), limit, 2)} mm",

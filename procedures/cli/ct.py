@@ -14,7 +14,7 @@ import typer
 
 from procedures.cli.postoperative import postoperative
 from ronna_hw.command_line import terminal
-from ronna_hw.command_line.errors import PathProblem, UsageMistake
+from ronna_hw.command_line.errors import PATH_PROBLEM, UsageMistake
 from ronna_hw.command_line.options import require_folder_of, require_output_folder
 from ronna_hw.text import format_count
 
@@ -287,7 +287,7 @@ def view(
     from ronna_hw.records import write_atomically
 
     if out.suffix.lower() != PAGE_ENDING:
-        raise PathProblem(
+        raise PATH_PROBLEM(
             f"--out: {out} is no page", expected=f"a file that ends in {PAGE_ENDING}", action="Name another."
         )
     require_folder_of(out)

@@ -30,7 +30,7 @@ from procedures.cli.planning_inputs import (
     require_theatre_options,
 )
 from ronna_hw.command_line import terminal
-from ronna_hw.command_line.errors import PathProblem
+from ronna_hw.command_line.errors import PATH_PROBLEM
 from ronna_hw.command_line.options import VERBOSE_FLAG, require_new
 
 if TYPE_CHECKING:
@@ -340,7 +340,7 @@ def open_plan(
     require_theatre_options(config, robot_from_ct, home, strategy, chosen_later=True)
     check_console()
     if not series_dir.is_dir():
-        raise PathProblem(f"{series_dir} does not exist", expected="the folder of a CT series")
+        raise PATH_PROBLEM(f"{series_dir} does not exist", expected="the folder of a CT series")
     plan = (plan_file or series_dir.resolve().parent / "plan.toml").resolve()
     if (planner := find_planner(plan)) is not None:
         terminal.tell(f"{plan} is open in another planner, {planner}: read-only here until that one ends")

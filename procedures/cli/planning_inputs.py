@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from procedures.planning.errors import WrongSeries
+from procedures.planning.errors import WRONG_SERIES
 from ronna_hw.command_line import terminal
 from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.command_line.options import require_new
@@ -138,7 +138,7 @@ def read_assumed_pose(source: Path, plan: Plan) -> SixNumbers:
 
 def _read_registration(folder: Path, plan: Plan) -> FramedPose:
     """Return a run's latest valid registration, fine or else coarse."""
-    from procedures.exchange.errors import NoRegistration
+    from procedures.exchange.errors import NO_REGISTRATION
     from procedures.reporting.run_reading import RunReading
     from procedures.runs.folders import require_run
     from procedures.steps.clinical.correspondence import Correspondence
@@ -150,7 +150,7 @@ def _read_registration(folder: Path, plan: Plan) -> FramedPose:
     reading = RunReading.of(inspect_run(folder).require_unchanged())
     found = reading.find(RegisteredRobot) or reading.find(Correspondence)
     if found is None:
-        raise NoRegistration(
+        raise NO_REGISTRATION(
             f"{folder.name} has no valid registration",
             action="Give a run that got past correspondence, or the scene file of a simulated theatre.",
         )
@@ -231,7 +231,7 @@ def propose_marker_places(
         assert series_dir is not None
         volume = read_volume(series_dir)
         if plan.series_instance_uid != volume.series_instance_uid:
-            raise WrongSeries(
+            raise WRONG_SERIES(
                 "the plan belongs to another CT series",
                 expected=f"{plan.series_instance_uid} ({plan_file})",
                 got=f"{volume.series_instance_uid} ({series_dir})",

@@ -91,11 +91,11 @@ def postoperative(
 def _check_same_patient(pre_dir: Path, post_dir: Path) -> tuple[str, ...]:
     """Raise POST-005 if the patient identifiers differ; return a warning if one is missing."""
     from procedures.imaging.dicom.slice_headers import read_identity
-    from procedures.postoperative.errors import OtherPatient
+    from procedures.postoperative.errors import OTHER_PATIENT
 
     before, after = (read_identity(folder).identifier for folder in (pre_dir, post_dir))
     if before and after and before != after:  # messages never name patients
-        raise OtherPatient("the two CTs have different patient identifiers")
+        raise OTHER_PATIENT("the two CTs have different patient identifiers")
     if before and after:
         return ()
     return ("not both CTs have a patient identifier: only the skull shows that they are of the same patient",)
@@ -104,30 +104,30 @@ def _check_same_patient(pre_dir: Path, post_dir: Path) -> tuple[str, ...]:
 def _require_same_plan(run: Path, plan: Plan) -> None:
     """Raise POST-008 if the run followed another plan, or PRO-033 if its files were changed."""
     from procedures.engine.run_folder import read_run
-    from procedures.postoperative.errors import RunOfAnotherPlan
+    from procedures.postoperative.errors import RUN_OF_ANOTHER_PLAN
     from procedures.steps.clinical.plan_check import CheckedPlan
 
     checked = read_run(run).standing(CheckedPlan)
     if not checked:
-        raise RunOfAnotherPlan("the run has no checked plan")
+        raise RUN_OF_ANOTHER_PLAN("the run has no checked plan")
     if checked[-1].result.plan != plan:
         followed = checked[-1].result.plan
         fields = type(plan).model_fields
         differing = [name for name in fields if getattr(followed, name) != getattr(plan, name)]
-        raise RunOfAnotherPlan(
+        raise RUN_OF_ANOTHER_PLAN(
             f"the run {run.name} followed another plan: it differs in {' and '.join(differing)}"
         )
 
 
 def _write_files(out: Path, after: PostoperativeResult, frames: tuple[str, str]) -> None:
     from procedures.exchange.dicom_objects import write_postoperative
-    from procedures.exchange.errors import NotWritable
+    from procedures.exchange.errors import NOT_WRITABLE
     from procedures.reporting.files import store_check
 
     try:
         store_check(out, after)
     except OSError as error:
-        raise NotWritable(f"cannot write into {out}: {error.strerror}") from error
+        raise NOT_WRITABLE(f"cannot write into {out}: {error.strerror}") from error
     write_postoperative(after.found, frames, out)
     if frames[0] == frames[1]:
         terminal.tell(

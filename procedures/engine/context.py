@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
 from procedures.engine.case import Case, StepKey, Stored
-from procedures.engine.errors import WrongResult
+from procedures.engine.errors import WRONG_RESULT
 from procedures.engine.events import EventStream, Progress
 from procedures.engine.questions import Questions
 from procedures.engine.setting import CaseSetting, ClinicalInput
@@ -59,7 +59,7 @@ class StepContext:
 
     def _read_result(self, model: type[R]) -> Stored[R]:
         if model not in self.reads:
-            raise WrongResult(f"{self.key} asks for {model.kind}, which it does not declare in its reads")
+            raise WRONG_RESULT(f"{self.key} asks for {model.kind}, which it does not declare in its reads")
         return self._read_from_case(model, self.key.trajectory)
 
     def _read_from_case(self, model: type[R], trajectory: str | None) -> Stored[R]:
@@ -100,7 +100,7 @@ class StepContext:
     def trajectory(self) -> str:
         """The trajectory of this step. Raises PRO-016 if it has none."""
         if self.key.trajectory is None:
-            raise WrongResult(f"{self.key} is not a step of one trajectory")
+            raise WRONG_RESULT(f"{self.key} is not a step of one trajectory")
         return self.key.trajectory
 
     @property
@@ -123,7 +123,7 @@ class StepContext:
     def clinical(self) -> ClinicalInput:
         """CT series, plan and strategy of the case. Raises PRO-016 in a procedure without a patient."""
         if self.setting.clinical is None:
-            raise WrongResult(f"{self.key} needs a case with a patient")
+            raise WRONG_RESULT(f"{self.key} needs a case with a patient")
         return self.setting.clinical
 
     def device(self, name: str, interface: Callable[..., D]) -> D:

@@ -12,7 +12,7 @@ from procedures.engine.case import Case, StepKey, Stored
 from procedures.engine.case_progress import CaseProgress, unusable_inputs
 from procedures.engine.context import StepContext
 from procedures.engine.device_faults import DeviceFaults
-from procedures.engine.errors import ToolUnchecked, WrongResult
+from procedures.engine.errors import TOOL_UNCHECKED, WRONG_RESULT
 from procedures.engine.events import Advisory, CaseState, EventStream, Fault, Refusal, StepState
 from procedures.engine.machine import ProcedureMachine
 from procedures.engine.order import CaseOrder, Outcome
@@ -248,7 +248,7 @@ class Engine:
         standing = self.case.standing
         self.faults.doubt_tool(found)
         if self.running and self.case.standing != standing:
-            raise ToolUnchecked(TOUCHED, got=found)
+            raise TOOL_UNCHECKED(TOUCHED, got=found)
 
     # Between steps
 
@@ -310,7 +310,7 @@ class Engine:
         if in_use or self.machine.state == RECOVERY or self.machine.ended:
             return
         for key, fault in self.course.checks_in_doubt.items():
-            self.void(key, ToolUnchecked(TOUCHED, got=fault))
+            self.void(key, TOOL_UNCHECKED(TOUCHED, got=fault))
 
     def _forget_latest(self) -> None:
         """Forget the latest step unless the step that must follow it can still run."""
@@ -380,7 +380,7 @@ class Engine:
         """Record, journal and accept a result, in that order; it becomes valid only once journalled."""
         expected = self.order.spec(key).result
         if type(outcome.result) is not expected:
-            raise WrongResult(
+            raise WRONG_RESULT(
                 f"{key} returned a different result from the one it declares",
                 expected=expected.__name__,
                 got=type(outcome.result).__name__,

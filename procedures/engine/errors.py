@@ -7,6 +7,7 @@ from ronna_hw.errors import (
     EXIT_RECOVERY_NEEDED,
     EXIT_USAGE,
     DataError,
+    ErrorCode,
     RefusedError,
     RonnaError,
 )
@@ -21,11 +22,12 @@ class UnknownStep(RonnaError):
     exit_code = EXIT_USAGE
 
 
-class ToolUnchecked(RefusedError):
-    """The mounted tool may have been removed, exchanged or hit since its check."""
-
-    code = "PRO-027"
-    action = "It is checked again before it goes to a target."
+TOOL_UNCHECKED = ErrorCode(
+    "PRO-027",
+    RefusedError,
+    "The mounted tool may have been removed, exchanged or hit since its check.",
+    "It is checked again before it goes to a target.",
+)
 
 
 class CommandRefused(RonnaError):
@@ -40,18 +42,20 @@ class CommandRefused(RonnaError):
         self.exit_code = exit_code if exit_code > 0 else EXIT_FAILED
 
 
-class WrongResult(RonnaError):
-    """A step produced or requested a result that it does not declare."""
+WRONG_RESULT = ErrorCode(
+    "PRO-016",
+    RonnaError,
+    "A step produced or requested a result that it does not declare.",
+    "Correct the step: its declaration names its result and the results it reads.",
+)
 
-    code = "PRO-016"
-    action = "Correct the step: its declaration names its result and the results it reads."
 
-
-class EventsUnreadable(RonnaError):
-    """A run's event file is invalid or was written by another version."""
-
-    code = "PRO-018"
-    action = "Follow the run with the version that runs it; the journal, not this file, is the evidence."
+EVENTS_UNREADABLE = ErrorCode(
+    "PRO-018",
+    RonnaError,
+    "A run's event file is invalid or was written by another version.",
+    "Follow the run with the version that runs it; the journal, not this file, is the evidence.",
+)
 
 
 class NotRecorded(DataError):
@@ -61,65 +65,73 @@ class NotRecorded(DataError):
     action = "This part of the run cannot be recomputed; its records remain valid."
 
 
-class ReplayDiffers(RonnaError):
-    """Recomputed results differ from the recorded ones."""
-
-    code = "PRO-025"
-    action = "Compare the program versions and check the run for edited files before relying on it."
-
-
-class AnswersUnfit(RonnaError):
-    """An answers file does not match the questions of the case."""
-
-    code = "PRO-026"
-    action = "Correct the file; docs/reference/answers.md lists the topics and their answers."
-    exit_code = EXIT_USAGE
+REPLAY_DIFFERS = ErrorCode(
+    "PRO-025",
+    RonnaError,
+    "Recomputed results differ from the recorded ones.",
+    "Compare the program versions and check the run for edited files before relying on it.",
+)
 
 
-class RunInUse(RefusedError):
-    """The run is already open in another program; only one may operate it at a time."""
-
-    code = "PRO-030"
-    action = "Operate it where it runs, or follow it with ronna-procedure watch."
-
-
-class OtherProgram(RonnaError):
-    """The run was made by another program version, so its records may have a different meaning."""
-
-    code = "PRO-031"
-    action = "Resume it with the version that made it, or start a new run."
-    exit_code = EXIT_RECOVERY_NEEDED
+ANSWERS_UNFIT = ErrorCode(
+    "PRO-026",
+    RonnaError,
+    "An answers file does not match the questions of the case.",
+    "Correct the file; docs/reference/answers.md lists the topics and their answers.",
+    own_exit_code=EXIT_USAGE,
+)
 
 
-class RecoveryRefused(RonnaError):
-    """The run was not resumed: the findings differ from its records, or were not accepted."""
-
-    code = "PRO-032"
-    action = "Nothing was moved. Put right what is named, then repeat the command."
-    exit_code = EXIT_RECOVERY_NEEDED
-
-
-class BadRequestFile(RonnaError):
-    """The folder is not a run folder, or its request file was changed."""
-
-    code = "PRO-034"
-    action = "Give a run folder, which contains request.json."
-    exit_code = EXIT_USAGE
+RUN_IN_USE = ErrorCode(
+    "PRO-030",
+    RefusedError,
+    "The run is already open in another program; only one may operate it at a time.",
+    "Operate it where it runs, or follow it with ronna-procedure watch.",
+)
 
 
-class ConsoleMissing(RonnaError):
-    """The browser console is not installed."""
+OTHER_PROGRAM = ErrorCode(
+    "PRO-031",
+    RonnaError,
+    "The run was made by another program version, so its records may have a different meaning.",
+    "Resume it with the version that made it, or start a new run.",
+    own_exit_code=EXIT_RECOVERY_NEEDED,
+)
 
-    code = "PRO-040"
-    action = "Install ronna-hw[console], or run without --console."
-    exit_code = EXIT_USAGE
+
+RECOVERY_REFUSED = ErrorCode(
+    "PRO-032",
+    RonnaError,
+    "The run was not resumed: the findings differ from its records, or were not accepted.",
+    "Nothing was moved. Put right what is named, then repeat the command.",
+    own_exit_code=EXIT_RECOVERY_NEEDED,
+)
 
 
-class FaultOfRun(RefusedError):
-    """The fault belongs to an unfinished run and must be acknowledged there."""
+BAD_REQUEST_FILE = ErrorCode(
+    "PRO-034",
+    RonnaError,
+    "The folder is not a run folder, or its request file was changed.",
+    "Give a run folder, which contains request.json.",
+    own_exit_code=EXIT_USAGE,
+)
 
-    code = "PRO-044"
-    action = "Acknowledge it in that run."
+
+CONSOLE_MISSING = ErrorCode(
+    "PRO-040",
+    RonnaError,
+    "The browser console is not installed.",
+    "Install ronna-hw[console], or run without --console.",
+    own_exit_code=EXIT_USAGE,
+)
+
+
+FAULT_OF_RUN = ErrorCode(
+    "PRO-044",
+    RefusedError,
+    "The fault belongs to an unfinished run and must be acknowledged there.",
+    "Acknowledge it in that run.",
+)
 
 
 class InstrumentLeftInside(RefusedError):
@@ -129,12 +141,13 @@ class InstrumentLeftInside(RefusedError):
     action = "Touch neither the tool nor the arm: bring that run's arm home first."
 
 
-class CaseLeftWithInstrument(RonnaError):
-    """The commands of a case ended while an instrument was, or may have been, inside."""
-
-    code = "PRO-055"
-    action = "Move nothing by hand. Bring the arm home with the run: it asks for the removal first."
-    exit_code = EXIT_RECOVERY_NEEDED
+CASE_LEFT_WITH_INSTRUMENT = ErrorCode(
+    "PRO-055",
+    RonnaError,
+    "The commands of a case ended while an instrument was, or may have been, inside.",
+    "Move nothing by hand. Bring the arm home with the run: it asks for the removal first.",
+    own_exit_code=EXIT_RECOVERY_NEEDED,
+)
 
 
 class TheatreNotNoted(RefusedError):
@@ -144,11 +157,12 @@ class TheatreNotNoted(RefusedError):
     action = "Make that file writable for a group of everyone who uses this arm (chgrp, chmod g+w)."
 
 
-class HistoryChanged(RefusedError):
-    """A line of a theatre file's history is not as it was written."""
-
-    code = "PRO-046"
-    action = "Put the history back from a backup, or move it away: it then begins with the file as it is."
+HISTORY_CHANGED = ErrorCode(
+    "PRO-046",
+    RefusedError,
+    "A line of a theatre file's history is not as it was written.",
+    "Put the history back from a backup, or move it away: it then begins with the file as it is.",
+)
 
 
 class TheatreInUse(RefusedError):

@@ -26,7 +26,7 @@ from ronna_hw.evidence.manifest import (
 )
 from ronna_hw.logs import logger
 from ronna_hw.mistakes import describe_mistakes
-from ronna_hw.records import BadRecord, OtherVersion, Record
+from ronna_hw.records import OTHER_VERSION, BadRecord, Record
 from ronna_hw.wire.room_tasks import INSERT
 
 R = TypeVar("R", bound=StepResult)
@@ -89,7 +89,7 @@ def run_of(found: Inspection) -> RunFolder:
 def parse_record(record: Record, model: type[R]) -> R:
     """Parse a record's payload. Raises REC-003 for a different version, REC-001 for invalid content."""
     if record.version != model.version:
-        raise OtherVersion(
+        raise OTHER_VERSION(
             f"{record.identifier} has another version",
             expected=f"{model.kind} version {model.version}",
             got=f"version {record.version}",

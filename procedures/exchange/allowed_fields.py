@@ -13,7 +13,7 @@ from typing import Any, Literal, TypeVar
 
 from pydicom.dataset import Dataset
 
-from procedures.exchange.errors import FieldNotAllowed
+from procedures.exchange.errors import FIELD_NOT_ALLOWED
 
 M = TypeVar("M")
 
@@ -202,5 +202,5 @@ def require_allowed(dicom_object: Dataset) -> Dataset:
         if element.keyword in EMPTY_ATTRIBUTES and element.is_empty:
             continue
         if element.keyword not in FILLED_ATTRIBUTES:
-            raise FieldNotAllowed(f"{element.keyword or element.tag} must not leave the run folder")
+            raise FIELD_NOT_ALLOWED(f"{element.keyword or element.tag} must not leave the run folder")
     return dicom_object

@@ -10,7 +10,7 @@ from typing import TypeVar
 from procedures.engine.case import Stored
 from procedures.engine.run_folder import RunFolder, targets_in_doubt
 from procedures.exchange.allowed_fields import label_of
-from procedures.exchange.errors import NothingToExport
+from procedures.exchange.errors import NOTHING_TO_EXPORT
 from procedures.exchange.export_tables import CT_FROM_ROBOT, CtIdentity, format_table
 from procedures.exchange.trajectory_lines import (
     Deviation,
@@ -163,7 +163,7 @@ def read_results(reading: RunReading, find_truth: FindTruth) -> CaseResults:
     run = reading.run
     imported = run.standing(ImportedCt)
     if not imported:
-        raise NothingToExport(
+        raise NOTHING_TO_EXPORT(
             f"{run.name} has no CT: it is no case, or it ended before its CT was imported",
             expected="a case that imported its CT",
             got=f"a run without, {ending_of(reading).word}",

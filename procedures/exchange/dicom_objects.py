@@ -28,7 +28,7 @@ from pydicom.uid import (
 from scipy.spatial.transform import RigidTransform
 
 from procedures.exchange.allowed_fields import ALWAYS_EMPTY, label_of, name_spheres, require_allowed
-from procedures.exchange.errors import NotWritable
+from procedures.exchange.errors import NOT_WRITABLE
 from procedures.imaging.markers import Marker
 from procedures.postoperative.summary import PostoperativeCheck
 from ronna_hw.frames import Transform
@@ -286,7 +286,7 @@ def write(made: Dataset, path: Path) -> Path:
     try:
         write_atomically(path, encode(made))
     except OSError as error:
-        raise NotWritable(f"cannot write {path}: {error.strerror}") from error
+        raise NOT_WRITABLE(f"cannot write {path}: {error.strerror}") from error
     return path
 
 

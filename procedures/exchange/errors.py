@@ -2,42 +2,46 @@
 
 from __future__ import annotations
 
-from ronna_hw.errors import ConfigurationError, DataError
+from ronna_hw.errors import ConfigurationError, DataError, ErrorCode
+
+UNKNOWN_FORM = ErrorCode(
+    "EXC-001",
+    ConfigurationError,
+    "The file name extension matches no exchange format.",
+    "Use a name that ends in .dcm, .json, .mrk.json or .csv.",
+)
 
 
-class UnknownForm(ConfigurationError):
-    """The file name extension matches no exchange format."""
-
-    code = "EXC-001"
-    action = "Use a name that ends in .dcm, .json, .mrk.json or .csv."
-
-
-class NotWritable(DataError):
-    """An exported file cannot be written."""
-
-    code = "EXC-002"
-    action = "Give another folder."
+NOT_WRITABLE = ErrorCode(
+    "EXC-002",
+    DataError,
+    "An exported file cannot be written.",
+    "Give another folder.",
+)
 
 
-class NothingToExport(DataError):
-    """The run has no result of the requested kind."""
-
-    code = "EXC-003"
-    action = "Give a case, such as runs/<run id>; figures of a calibration are in its report and result.json."
-
-
-class FieldNotAllowed(DataError):
-    """An object for export has an attribute that is not on the allow-list."""
-
-    code = "EXC-004"
-    action = "This is a fault of the program: nothing of that object was written."
+NOTHING_TO_EXPORT = ErrorCode(
+    "EXC-003",
+    DataError,
+    "The run has no result of the requested kind.",
+    "Give a case, such as runs/<run id>; figures of a calibration are in its report and result.json.",
+)
 
 
-class NoRegistration(DataError):
-    """The run has no registration for the requested target."""
+FIELD_NOT_ALLOWED = ErrorCode(
+    "EXC-004",
+    DataError,
+    "An object for export has an attribute that is not on the allow-list.",
+    "This is a fault of the program: nothing of that object was written.",
+)
 
-    code = "EXC-005"
-    action = "Give a trajectory whose predicted_mm in run.targets is a number."
+
+NO_REGISTRATION = ErrorCode(
+    "EXC-005",
+    DataError,
+    "The run has no registration for the requested target.",
+    "Give a trajectory whose predicted_mm in run.targets is a number.",
+)
 
 
 class NoSuchLook(DataError, IndexError):

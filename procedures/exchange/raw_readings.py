@@ -17,7 +17,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from procedures.engine.errors import NotRecorded
 from procedures.engine.replay.recorded_answers import BEGINS, RecordedReading, iterate_readings
-from procedures.exchange.errors import NothingToExport, NotWritable
+from procedures.exchange.errors import NOT_WRITABLE, NOTHING_TO_EXPORT
 from procedures.journal.journal import JOURNAL_FILE
 from ronna_hw.arguments import require_path
 from ronna_hw.bounded_input import read_json_bytes
@@ -92,7 +92,7 @@ def write_raw(run: Path | str, out: Path | str, most_bytes: int = MOST_RAW_BYTES
     """
     run, out = require_path(run, "the folder of the run"), require_path(out, "the new folder")
     if out.exists():
-        raise NotWritable(f"{out} already exists", action="Give a new folder.")
+        raise NOT_WRITABLE(f"{out} already exists", action="Give a new folder.")
     partial_folder = out.with_name(f".{out.name}{PARTIAL}")
     try:
         remove_folder(partial_folder)
@@ -102,7 +102,7 @@ def write_raw(run: Path | str, out: Path | str, most_bytes: int = MOST_RAW_BYTES
         write_extent(partial_folder, RawExtent(journal_lines=lines, whole=whole))
         os.replace(partial_folder, out)
     except OSError as error:
-        raise NotWritable(f"cannot write into {out}: {error.strerror}") from error
+        raise NOT_WRITABLE(f"cannot write into {out}: {error.strerror}") from error
     finally:
         remove_folder(partial_folder)
     return out, whole
@@ -178,7 +178,9 @@ def _write_all(run: Path, folder: Path, most_bytes: int) -> bool:
         for file in files.values():
             file.close()
     if not readings:
-        raise NothingToExport(f"{run.name} has no readings", action="Give a run that reached a measurement.")
+        raise NOTHING_TO_EXPORT(
+            f"{run.name} has no readings", action="Give a run that reached a measurement."
+        )
     return True
 
 

@@ -35,7 +35,7 @@ from procedures.exchange.dicom_objects import (
     spatial_registration,
     sphere_fiducials,
 )
-from procedures.exchange.errors import NotWritable
+from procedures.exchange.errors import NOT_WRITABLE
 from procedures.exchange.export_tables import (
     IN_CT,
     ROBOT_FROM_CT,
@@ -84,7 +84,7 @@ def export_run(run: Path, out: Path, find_truth: FindTruth = lambda _run: None) 
         for name, content in contents.items():
             write_atomically(out / name, content)
     except OSError as error:
-        raise NotWritable(f"cannot write into {out}: {error.strerror}") from error
+        raise NOT_WRITABLE(f"cannot write into {out}: {error.strerror}") from error
     return Exported(tuple(out / name for name in contents), absent)
 
 
@@ -93,7 +93,7 @@ def _refuse_others(out: Path, own: set[str]) -> None:
     names = {file.name for file in out.glob("*")} - own
     others = sorted(name for name in names if any(fnmatch(name, known) for known in FILES))
     if others:
-        raise NotWritable(
+        raise NOT_WRITABLE(
             f"{out} holds files that are not of this export",
             expected="a new folder, or an earlier export of this run",
             got=", ".join(others),

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from procedures.exchange.allowed_fields import name_spheres
-from procedures.exchange.errors import NotWritable, UnknownForm
+from procedures.exchange.errors import NOT_WRITABLE, UNKNOWN_FORM
 from procedures.exchange.export_tables import IN_CT, CtIdentity, format_table
 from procedures.exchange.slicer_markups import build_markup, format_markups
 from ronna_hw.records import canonical_json, write_atomically
@@ -25,7 +25,7 @@ def check_names(paths: Sequence[Path]) -> None:
     """Raise EXC-001 for a file name with an unknown extension. Cheap enough to call before any work."""
     for path in paths:
         if not path.name.endswith((MARKUPS, JSON, CSV, DICOM)):
-            raise UnknownForm(f"cannot tell the format of {path.name}")
+            raise UNKNOWN_FORM(f"cannot tell the format of {path.name}")
 
 
 def write_spheres(
@@ -62,7 +62,7 @@ def write_spheres(
         try:
             write_atomically(path, text.encode())
         except OSError as error:
-            raise NotWritable(f"cannot write {path}: {error.strerror}") from error
+            raise NOT_WRITABLE(f"cannot write {path}: {error.strerror}") from error
 
 
 def slicer_markups(markers: Sequence[Marker], ct: CtIdentity) -> str:

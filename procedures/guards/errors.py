@@ -6,7 +6,7 @@ import math
 from typing import Self
 
 from procedures.calibration.errors import PlatformMoved
-from ronna_hw.errors import RefusedError
+from ronna_hw.errors import ErrorCode, RefusedError
 from ronna_hw.frames import Transform
 from ronna_hw.text import format_against_limit
 
@@ -25,14 +25,15 @@ class BaseShifted(RefusedError):
     frame_off_mm: float | None = None  # if no look tells that: the frame on the arm from where the arm has it
 
 
-class InputChanged(RefusedError):
-    """The CT, the plan or the proposed cart position has changed since the case was computed from it."""
-
-    code = "PRO-021"
-    action = (
+INPUT_CHANGED = ErrorCode(
+    "PRO-021",
+    RefusedError,
+    "The CT, the plan or the proposed cart position has changed since the case was computed from it.",
+    (
         "Find out who changed it. Everything computed from it is superseded: run the steps again or, with "
         "the guide mounted, go home and start a new run."
-    )
+    ),
+)
 
 
 class FrameSlipped(RefusedError):

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from procedures.imaging.errors import AdhesiveCountWrong
+from procedures.imaging.errors import ADHESIVE_COUNT_WRONG
 from procedures.imaging.volume import AIR_HU, Volume
 from ronna_hw.adhesive_marker import INNER_RADIUS_MM, OUTER_RADIUS_MM, THICKNESS_MM
 
@@ -76,7 +76,7 @@ def localize_adhesives(volume: Volume, expected: int | None = None) -> tuple[Adh
     ]
     rings.sort(key=lambda ring: -ring.centre_mm[2])
     if not rings or expected not in (None, len(rings)):
-        raise AdhesiveCountWrong(
+        raise ADHESIVE_COUNT_WRONG(
             f"{len(rings)} adhesive rings found in the CT",
             expected="at least one" if expected is None else str(expected),
             got=str(len(rings)),

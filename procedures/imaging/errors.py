@@ -3,23 +3,25 @@
 from __future__ import annotations
 
 from procedures.imaging.markers import Candidate, likeliest_first
-from ronna_hw.errors import EXIT_REFUSED, DataError
+from ronna_hw.errors import EXIT_REFUSED, DataError, ErrorCode
 
 LISTED_CANDIDATES = 8  # in the message; the error carries all of them
 
 
-class SeriesNotFound(DataError):
-    """The series folder does not exist or is a file."""
+SERIES_NOT_FOUND = ErrorCode(
+    "CT-001",
+    DataError,
+    "The series folder does not exist or is a file.",
+    "Give the folder that holds the DICOM files of one CT series.",
+)
 
-    code = "CT-001"
-    action = "Give the folder that holds the DICOM files of one CT series."
 
-
-class SeriesEmpty(DataError):
-    """The folder contains no DICOM images."""
-
-    code = "CT-002"
-    action = "Give the folder that holds the DICOM files of one CT series; subfolders are not searched."
+SERIES_EMPTY = ErrorCode(
+    "CT-002",
+    DataError,
+    "The folder contains no DICOM images.",
+    "Give the folder that holds the DICOM files of one CT series; subfolders are not searched.",
+)
 
 
 class SeriesMixed(DataError):
@@ -29,18 +31,20 @@ class SeriesMixed(DataError):
     action = "Put each series into its own folder and give one of them."
 
 
-class WrongModality(DataError):
-    """The images are not CT slices."""
+WRONG_MODALITY = ErrorCode(
+    "CT-004",
+    DataError,
+    "The images are not CT slices.",
+    "Export the CT as single-slice CT images.",
+)
 
-    code = "CT-004"
-    action = "Export the CT as single-slice CT images."
 
-
-class FileDamaged(DataError):
-    """A file is truncated or not readable as DICOM."""
-
-    code = "CT-005"
-    action = "If the series is still being copied, wait for its end; else copy or export the file again."
+FILE_DAMAGED = ErrorCode(
+    "CT-005",
+    DataError,
+    "A file is truncated or not readable as DICOM.",
+    "If the series is still being copied, wait for its end; else copy or export the file again.",
+)
 
 
 class FramesMixed(DataError):
@@ -50,70 +54,79 @@ class FramesMixed(DataError):
     action = "Export the series again; positions of different frames of reference cannot be compared."
 
 
-class GantryTilted(DataError):
-    """The slices are sheared relative to each other."""
-
-    code = "CT-007"
-    action = "Scan without gantry tilt, or export a reconstruction without it."
-
-
-class OrientationUnusable(DataError):
-    """The image orientation is not a pair of perpendicular unit vectors, or differs between slices."""
-
-    code = "CT-008"
-    action = "Export the series again with one valid orientation for all slices."
+GANTRY_TILTED = ErrorCode(
+    "CT-007",
+    DataError,
+    "The slices are sheared relative to each other.",
+    "Scan without gantry tilt, or export a reconstruction without it.",
+)
 
 
-class SliceDuplicated(DataError):
-    """Two slices have the same position."""
+ORIENTATION_UNUSABLE = ErrorCode(
+    "CT-008",
+    DataError,
+    "The image orientation is not a pair of perpendicular unit vectors, or differs between slices.",
+    "Export the series again with one valid orientation for all slices.",
+)
 
-    code = "CT-009"
-    action = "Remove the duplicates; if they differ, export the series again."
+
+SLICE_DUPLICATED = ErrorCode(
+    "CT-009",
+    DataError,
+    "Two slices have the same position.",
+    "Remove the duplicates; if they differ, export the series again.",
+)
 
 
-class SpacingUneven(DataError):
-    """Slices are missing or not evenly spaced."""
-
-    code = "CT-010"
-    action = (
+SPACING_UNEVEN = ErrorCode(
+    "CT-010",
+    DataError,
+    "Slices are missing or not evenly spaced.",
+    (
         "If the series is still being copied, wait for its end; else export the complete series with one "
         "slice spacing."
-    )
+    ),
+)
 
 
-class SlicesDiffer(DataError):
-    """Slices differ in size or pixel spacing."""
-
-    code = "CT-011"
-    action = "Export the series again with one matrix and one pixel spacing."
-
-
-class AttributeMissing(DataError):
-    """A DICOM attribute needed for geometry or intensities is missing or unusable."""
-
-    code = "CT-012"
-    action = "Export the series again with complete headers."
+SLICES_DIFFER = ErrorCode(
+    "CT-011",
+    DataError,
+    "Slices differ in size or pixel spacing.",
+    "Export the series again with one matrix and one pixel spacing.",
+)
 
 
-class CompressionUnknown(DataError):
-    """The pixel data are compressed in a format that no installed decoder supports."""
-
-    code = "CT-013"
-    action = "Export without compression, or install the decoders: pip install 'ronna-hw[compressed]'."
-
-
-class PixelsUnusable(DataError):
-    """The pixel format is not that of a CT slice."""
-
-    code = "CT-014"
-    action = "Export the CT as monochrome images of one sample per pixel."
+ATTRIBUTE_MISSING = ErrorCode(
+    "CT-012",
+    DataError,
+    "A DICOM attribute needed for geometry or intensities is missing or unusable.",
+    "Export the series again with complete headers.",
+)
 
 
-class SeriesTooShort(DataError):
-    """There are too few slices to form a volume."""
+COMPRESSION_UNKNOWN = ErrorCode(
+    "CT-013",
+    DataError,
+    "The pixel data are compressed in a format that no installed decoder supports.",
+    "Export without compression, or install the decoders: pip install 'ronna-hw[compressed]'.",
+)
 
-    code = "CT-015"
-    action = "Export the whole series."
+
+PIXELS_UNUSABLE = ErrorCode(
+    "CT-014",
+    DataError,
+    "The pixel format is not that of a CT slice.",
+    "Export the CT as monochrome images of one sample per pixel.",
+)
+
+
+SERIES_TOO_SHORT = ErrorCode(
+    "CT-015",
+    DataError,
+    "There are too few slices to form a volume.",
+    "Export the whole series.",
+)
 
 
 class MarkerCountWrong(DataError):
@@ -134,11 +147,12 @@ class MarkerCountWrong(DataError):
         super().__init__(f"{what}; candidates: {listed or 'none'}")
 
 
-class LocalizationMisused(DataError):
-    """The localizer was given an invalid diameter or count."""
-
-    code = "CT-017"
-    action = "Give a marker diameter that the voxels can resolve, and a count that is not negative."
+LOCALIZATION_MISUSED = ErrorCode(
+    "CT-017",
+    DataError,
+    "The localizer was given an invalid diameter or count.",
+    "Give a marker diameter that the voxels can resolve, and a count that is not negative.",
+)
 
 
 class PicksUnreadable(DataError):
@@ -156,25 +170,28 @@ class PickRefused(DataError):
     exit_code = EXIT_REFUSED
 
 
-class RescaleUnusable(DataError):
-    """The stored values cannot be converted to Hounsfield units."""
-
-    code = "CT-020"
-    action = "Export the series again in Hounsfield units, with the scanner's intensities."
-
-
-class ScoutView(DataError):
-    """A file is a scout view (localizer radiograph), not a slice."""
-
-    code = "CT-021"
-    action = "Export the slices only, without the scout view."
+RESCALE_UNUSABLE = ErrorCode(
+    "CT-020",
+    DataError,
+    "The stored values cannot be converted to Hounsfield units.",
+    "Export the series again in Hounsfield units, with the scanner's intensities.",
+)
 
 
-class VolumeMalformed(DataError):
-    """A volume built without a series has voxels or a geometry that no CT can have."""
+SCOUT_VIEW = ErrorCode(
+    "CT-021",
+    DataError,
+    "A file is a scout view (localizer radiograph), not a slice.",
+    "Export the slices only, without the scout view.",
+)
 
-    code = "CT-022"
-    action = "Give int16 voxels (slices, rows, columns) in HU and their geometry."
+
+VOLUME_MALFORMED = ErrorCode(
+    "CT-022",
+    DataError,
+    "A volume built without a series has voxels or a geometry that no CT can have.",
+    "Give int16 voxels (slices, rows, columns) in HU and their geometry.",
+)
 
 
 class PatientMoved(DataError):
@@ -192,31 +209,34 @@ class ScanDeformed(DataError):
     exit_code = EXIT_REFUSED
 
 
-class SeriesMirrored(DataError):
-    """The image orientation contradicts the patient position; no scanner stores slices this way."""
-
-    code = "CT-025"
-    action = (
+SERIES_MIRRORED = ErrorCode(
+    "CT-025",
+    DataError,
+    "The image orientation contradicts the patient position; no scanner stores slices this way.",
+    (
         "Left and right may be swapped: export the series again from the scanner's archive, without a change "
         "of orientation."
-    )
-    exit_code = EXIT_REFUSED
+    ),
+    own_exit_code=EXIT_REFUSED,
+)
 
 
-class AdhesiveCountWrong(DataError):
-    """The CT shows no adhesive rings, or another number than expected."""
+ADHESIVE_COUNT_WRONG = ErrorCode(
+    "CT-026",
+    DataError,
+    "The CT shows no adhesive rings, or another number than expected.",
+    "Look at the skin in the CT: a ring may be bent, touch a support, or be outside the field.",
+    own_exit_code=EXIT_REFUSED,
+)
 
-    code = "CT-026"
-    action = "Look at the skin in the CT: a ring may be bent, touch a support, or be outside the field."
-    exit_code = EXIT_REFUSED
 
-
-class KernelUnnamed(DataError):
-    """A series for a case does not name its kernel, so the errors of its spheres are unknown."""
-
-    code = "CT-027"
-    action = (
+KERNEL_UNNAMED = ErrorCode(
+    "CT-027",
+    DataError,
+    "A series for a case does not name its kernel, so the errors of its spheres are unknown.",
+    (
         "Export the series again with its acquisition parameters, or have it reconstructed anew with a usual "
         "kernel, soft to sharp. To look at it without a case: ronna-ct localize."
-    )
-    exit_code = EXIT_REFUSED
+    ),
+    own_exit_code=EXIT_REFUSED,
+)

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from scipy import fft
 
 from procedures.imaging.doubts import assess_neighbours, assess_sizes
-from procedures.imaging.errors import LocalizationMisused, MarkerCountWrong
+from procedures.imaging.errors import LOCALIZATION_MISUSED, MarkerCountWrong
 from procedures.imaging.examination import (
     OVERLAPS,
     Sphere,
@@ -243,23 +243,23 @@ def require_count(found: int, expected: int | None, candidates: tuple[Candidate,
 def check_request(volume: object, diameter_mm: float, expected: int | None) -> None:
     """Raise CT-017 unless volume, diameter and expected count are valid together."""
     if not isinstance(volume, Volume):
-        raise LocalizationMisused(
+        raise LOCALIZATION_MISUSED(
             "spheres are localized in a Volume, which carries its geometry in mm",
             got=type(volume).__name__,
             action="Read one with procedures.imaging.read_series(FOLDER).",
         )
     geometry = volume.geometry
     coarsest_mm = float(geometry.spacing_mm.max())
-    (size_mm,) = require_numbers([diameter_mm], "diameter_mm", shape=(1,), mistake=LocalizationMisused)
+    (size_mm,) = require_numbers([diameter_mm], "diameter_mm", shape=(1,), mistake=LOCALIZATION_MISUSED)
     if not 0.0 < size_mm < np.inf:
-        raise LocalizationMisused(
+        raise LOCALIZATION_MISUSED(
             "diameter_mm is not the diameter of a sphere",
             expected="a positive number",
             got=show(diameter_mm),
             action="Give the diameter of the spheres in mm.",
         )
     if size_mm < LEAST_DIAMETER_MM:
-        raise LocalizationMisused(
+        raise LOCALIZATION_MISUSED(
             "diameter_mm is no size of a marker",
             limit=f"at least {LEAST_DIAMETER_MM:g} mm",
             got=f"{size_mm:g} mm",
@@ -267,15 +267,15 @@ def check_request(volume: object, diameter_mm: float, expected: int | None) -> N
         )
     if diameter_mm < MIN_VOXELS_ACROSS * coarsest_mm:
         finer_mm = diameter_mm / MIN_VOXELS_ACROSS
-        raise LocalizationMisused(
+        raise LOCALIZATION_MISUSED(
             f"spheres of {diameter_mm:g} mm cannot be localized in voxels of {coarsest_mm:g} mm",
             limit=f"at least {MIN_VOXELS_ACROSS * coarsest_mm:.1f} mm",
             action=f"Reconstruct with slices and pixels of at most {finer_mm:.1f} mm, or check the diameter.",
         )
     if diameter_mm > float((geometry.spacing_mm * geometry.shape).min()):
-        raise LocalizationMisused(f"spheres of {diameter_mm:g} mm do not fit into this series")
+        raise LOCALIZATION_MISUSED(f"spheres of {diameter_mm:g} mm do not fit into this series")
     if expected is not None and not (isinstance(expected, int | np.integer) and expected >= 0):
-        raise LocalizationMisused(f"{show(expected)} is not a possible number of markers")
+        raise LOCALIZATION_MISUSED(f"{show(expected)} is not a possible number of markers")
 
 
 def _is_same_object(one: Candidate, other: Candidate) -> bool:

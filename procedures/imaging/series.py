@@ -26,7 +26,7 @@ from procedures.imaging.dicom.frame_decoder import (
 )
 from procedures.imaging.dicom.slice_headers import Progress, SliceHeader, read_headers
 from procedures.imaging.dicom.slice_stack import accuracy_warnings, stack_slices
-from procedures.imaging.errors import CompressionUnknown, FileDamaged, PixelsUnusable
+from procedures.imaging.errors import COMPRESSION_UNKNOWN, FILE_DAMAGED, PIXELS_UNUSABLE
 from procedures.imaging.scan_faults import check_motion
 from procedures.imaging.volume import Volume
 from ronna_hw.arguments import require_path
@@ -100,15 +100,15 @@ def read_pixels(target: NDArray[np.int16], header: SliceHeader, decoder: FrameDe
     name = header.path.name
     for keyword, defect in (("SamplesPerPixel", "has colour"), ("NumberOfFrames", "has several frames")):
         if (count := _read_integer(header, data, keyword, 1)) != 1:
-            raise PixelsUnusable(f"{name} {defect}", expected=f"{keyword} of 1", got=str(count))
+            raise PIXELS_UNUSABLE(f"{name} {defect}", expected=f"{keyword} of 1", got=str(count))
     if (
         photometry := read_attribute_text(header.path, data, "PhotometricInterpretation") or "MONOCHROME2"
     ) != "MONOCHROME2":
-        raise PixelsUnusable(f"{name} has photometric interpretation {photometry}")
+        raise PIXELS_UNUSABLE(f"{name} has photometric interpretation {photometry}")
     if "FloatPixelData" in data or "DoubleFloatPixelData" in data:
-        raise PixelsUnusable(f"{name} has floating-point pixels", expected="integers")
+        raise PIXELS_UNUSABLE(f"{name} has floating-point pixels", expected="integers")
     if "PixelData" not in data:
-        raise FileDamaged(f"{name} is truncated: its pixel data are missing or cut off")
+        raise FILE_DAMAGED(f"{name} is truncated: its pixel data are missing or cut off")
     syntax = read_attribute_text(header.path, data.file_meta, "TransferSyntaxUID")
     if syntax in _LITTLE_ENDIAN_UNCOMPRESSED and _read_integer(header, data, "BitsAllocated", 0) == 16:
         stored = _decode_16_bit(data, read_value(header.path, data, "PixelData"), header, target.shape)
@@ -128,13 +128,13 @@ def _decode_16_bit(
     name = header.path.name
     representation = _read_integer(header, data, "PixelRepresentation", 0)
     if representation not in (UNSIGNED, SIGNED):
-        raise PixelsUnusable(f"{name} has pixel representation {representation}", expected="0 or 1")
+        raise PIXELS_UNUSABLE(f"{name} has pixel representation {representation}", expected="0 or 1")
     needed = 2 * shape[0] * shape[1]
     if not isinstance(pixels, bytes) or len(pixels) < needed:
         got = f"{len(pixels)}" if isinstance(pixels, bytes) else "none"
-        raise FileDamaged(f"{name} is truncated", expected=f"{needed} bytes of pixels", got=got)
+        raise FILE_DAMAGED(f"{name} is truncated", expected=f"{needed} bytes of pixels", got=got)
     if len(pixels) > needed:
-        raise FileDamaged(
+        raise FILE_DAMAGED(
             f"{name} has more pixels than its header says",
             expected=f"{needed} bytes",
             got=f"{len(pixels)}",
@@ -145,7 +145,7 @@ def _decode_16_bit(
     bits = _read_integer(header, data, "BitsStored", 16)
     high = _read_integer(header, data, "HighBit", bits - 1)
     if not 1 <= bits <= high + 1 <= 16:
-        raise PixelsUnusable(f"{name} stores {bits} bits up to bit {high}")
+        raise PIXELS_UNUSABLE(f"{name} stores {bits} bits up to bit {high}")
     if bits == 16:
         return stored
     # bits above the high bit are not part of the value; shifting back extends the sign
@@ -183,19 +183,19 @@ def _decode_with_library(
                 warnings.simplefilter("ignore")  # the header was checked before
                 stored = np.asarray(data.pixel_array)
     except InputRefused as problem:
-        raise FileDamaged(f"{name} is refused: {problem.summary}") from problem
+        raise FILE_DAMAGED(f"{name} is refused: {problem.summary}") from problem
     except MemoryError:
         raise
     except Exception as problem:
         if not _can_decode(syntax):
-            raise CompressionUnknown(f"{name} is compressed with {syntax.name}") from problem
+            raise COMPRESSION_UNKNOWN(f"{name} is compressed with {syntax.name}") from problem
         sound = isinstance(problem, NotDecoded) and problem.from_outside
-        raise FileDamaged(
+        raise FILE_DAMAGED(
             f"{name}: its pixel data cannot be decoded ({problem})",
             action=MAY_BE_SOUND if sound else None,
         ) from problem
     if stored.shape != shape or stored.dtype.kind not in "iu":
-        raise PixelsUnusable(f"{name} decodes to shape {stored.shape} of {stored.dtype}")
+        raise PIXELS_UNUSABLE(f"{name} decodes to shape {stored.shape} of {stored.dtype}")
     return stored
 
 

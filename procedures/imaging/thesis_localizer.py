@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from procedures.imaging.errors import LocalizationMisused
+from procedures.imaging.errors import LOCALIZATION_MISUSED
 from procedures.imaging.localization import DIAMETER_MM, check_request, require_count, superior_first_key
 from procedures.imaging.markers import Candidate, Localization, Marker
 from procedures.imaging.volume import Volume
@@ -80,7 +80,7 @@ def localize_as_thesis(
     """Localize spheres with the thesis pipeline; arguments and errors as for `localize`."""
     check_request(volume, diameter_mm, expected)
     if fit not in list(ThesisFit):
-        raise LocalizationMisused(
+        raise LOCALIZATION_MISUSED(
             "the thesis has no such fit",
             expected=" or ".join(ThesisFit),
             got=repr(fit),

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import map_coordinates, spline_filter
 
-from procedures.imaging.errors import VolumeMalformed
+from procedures.imaging.errors import VOLUME_MALFORMED
 
 Array = NDArray[np.float64]
 
@@ -45,12 +45,12 @@ class VoxelGeometry:
         has_size = len(self.shape) == 3 and min(self.shape) > 0
         shapes = [np.shape(value) for value in (self.origin_mm, self.axes, self.spacing_mm)]
         if not has_size or shapes != [(3,), (3, 3), (3,)]:
-            raise VolumeMalformed("the geometry has the wrong shape", got=f"{self.shape}, {shapes}")
+            raise VOLUME_MALFORMED("the geometry has the wrong shape", got=f"{self.shape}, {shapes}")
         numbers = np.concatenate([self.origin_mm, np.ravel(self.axes), self.spacing_mm])
         if not np.isfinite(numbers).all() or np.min(self.spacing_mm) <= 0:
-            raise VolumeMalformed("a geometry that is not finite, or a spacing that is not positive")
+            raise VOLUME_MALFORMED("a geometry that is not finite, or a spacing that is not positive")
         if np.abs(self.axes.T @ self.axes - np.eye(3)).max() > AXES_TOLERANCE:
-            raise VolumeMalformed("the axes are not perpendicular unit vectors")
+            raise VOLUME_MALFORMED("the axes are not perpendicular unit vectors")
 
     def to_patient_mm(self, indices: ArrayLike) -> Array:
         """Return the patient positions (..., 3) mm of voxel indices (..., 3), which may be fractional."""
@@ -101,7 +101,7 @@ class Volume:
     def __post_init__(self) -> None:
         # integers: NaN cannot hide among the voxels
         if self.voxels.dtype != np.int16 or self.voxels.shape != self.geometry.shape:
-            raise VolumeMalformed(
+            raise VOLUME_MALFORMED(
                 f"voxels of {self.voxels.dtype} and shape {self.voxels.shape}",
                 expected=f"int16 and {self.geometry.shape}",
             )

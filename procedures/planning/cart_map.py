@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from procedures.planning.cart_place import CartCase, CartMove, PlaceSolution, Verdict
-from procedures.planning.errors import NoPlace
+from procedures.planning.errors import NO_PLACE
 from procedures.planning.proposed_place import TURNED_SHARE
 from ronna_hw.host.worker_processes import collect_results, start_workers
 
@@ -233,13 +233,13 @@ def propose_place(places: PlaceMap, judge: Judge) -> PlaceProposal:
     if found is None:
         reasons = Counter(one.reason for one in places.verdicts.values() if one.reason)
         reason = f"; most frequent reason: {reasons.most_common(1)[0][0]}" if reasons else ""
-        raise NoPlace(
+        raise NO_PLACE(
             f"the plan cannot be carried out from any cart position within {places.within_mm:g} mm{reason}"
         )
     best, free_mm = found
     (verdict,) = judge([(best, (), True)])
     if verdict.found is None:
-        raise NoPlace(f"the best position of the map does not work: {verdict.pose}: {verdict.reason}")
+        raise NO_PLACE(f"the best position of the map does not work: {verdict.pose}: {verdict.reason}")
     free_deg = {-1.0: 0.0, 1.0: 0.0}  # by direction of rotation
     free_sides = list(free_deg)
     for turn in TURNS_DEG:

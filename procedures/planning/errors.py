@@ -8,14 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from ronna_hw.errors import ConfigurationError, DataError, RefusedError, RonnaError
+from ronna_hw.errors import ConfigurationError, DataError, ErrorCode, RefusedError, RonnaError
 
-
-class PlanUnreadable(ConfigurationError):
-    """The plan file is missing, unreadable or not valid TOML."""
-
-    code = "PLAN-001"
-    action = "Give the path of a readable plan.toml, or correct the line that is quoted."
+PLAN_UNREADABLE = ErrorCode(
+    "PLAN-001",
+    ConfigurationError,
+    "The plan file is missing, unreadable or not valid TOML.",
+    "Give the path of a readable plan.toml, or correct the line that is quoted.",
+)
 
 
 class PlanError(DataError):
@@ -29,35 +29,39 @@ class PlanMistakes(PlanError):
     action = "Correct every line listed; docs/reference/plan-file.md describes every key."
 
 
-class WrongSeries(PlanError):
-    """The plan belongs to a different CT series."""
-
-    code = "PLAN-003"
-    action = (
+WRONG_SERIES = ErrorCode(
+    "PLAN-003",
+    PlanError,
+    "The plan belongs to a different CT series.",
+    (
         "Load the series that the plan was made on (with --sim: give --scene and --seed of the run that it "
         "came from), or re-plan on this one."
-    )
+    ),
+)
 
 
-class BadTrajectoryGeometry(PlanError):
-    """Entry and target coincide, or the depth is impossible."""
-
-    code = "PLAN-004"
-    action = "Correct entry and target; coordinates are LPS millimetres of the series."
-
-
-class DuplicateTrajectory(PlanError):
-    """Two trajectories have the same id and cannot be told apart."""
-
-    code = "PLAN-005"
-    action = "Give every trajectory a unique id."
+BAD_TRAJECTORY_GEOMETRY = ErrorCode(
+    "PLAN-004",
+    PlanError,
+    "Entry and target coincide, or the depth is impossible.",
+    "Correct entry and target; coordinates are LPS millimetres of the series.",
+)
 
 
-class OutsideField(PlanError):
-    """An entry or target is outside the CT."""
+DUPLICATE_TRAJECTORY = ErrorCode(
+    "PLAN-005",
+    PlanError,
+    "Two trajectories have the same id and cannot be told apart.",
+    "Give every trajectory a unique id.",
+)
 
-    code = "PLAN-006"
-    action = "Check the coordinates: LPS millimetres of this series, not of another frame or in RAS."
+
+OUTSIDE_FIELD = ErrorCode(
+    "PLAN-006",
+    PlanError,
+    "An entry or target is outside the CT.",
+    "Check the coordinates: LPS millimetres of this series, not of another frame or in RAS.",
+)
 
 
 class NotReachable(RefusedError):
@@ -77,11 +81,12 @@ class WrongMarkerCount(PlanError):
     action = "Look at the candidates in the CT; correct the count in the plan only after counting the screws."
 
 
-class WrongOrientation(PlanError):
-    """The CT was acquired in a different patient position from the plan's."""
-
-    code = "PLAN-009"
-    action = "First find out which is right: left and right may be swapped."
+WRONG_ORIENTATION = ErrorCode(
+    "PLAN-009",
+    PlanError,
+    "The CT was acquired in a different patient position from the plan's.",
+    "First find out which is right: left and right may be swapped.",
+)
 
 
 class NotIntoHead(PlanError):
@@ -98,39 +103,44 @@ class UnknownTool(PlanError):
     action = "Name the tool that the plan was made for; other tools have other lengths."
 
 
-class NotTheFrame(PlanError):
-    """The CT shows only part of the planned x-shaped frame, or none of it."""
-
-    code = "PLAN-013"
-    action = 'Check the spheres in the CT; for single spheres on screws, set fiducials = "free".'
-
-
-class NoHeadInCt(PlanError):
-    """No head was found in the CT, so clearance to it cannot be checked."""
-
-    code = "PLAN-014"
-    action = "Check that this is the CT of the head, in Hounsfield units."
+NOT_THE_FRAME = ErrorCode(
+    "PLAN-013",
+    PlanError,
+    "The CT shows only part of the planned x-shaped frame, or none of it.",
+    'Check the spheres in the CT; for single spheres on screws, set fiducials = "free".',
+)
 
 
-class NoTemplate(PlanError):
-    """No set of positions on the head has distances that differ by the requested margin."""
-
-    code = "PLAN-015"
-    action = "Ask for a smaller --margin or for three markers."
-
-
-class HeadUnreadable(ConfigurationError):
-    """The file does not describe a head."""
-
-    code = "PLAN-016"
-    action = "Give the output of `ronna-sim scene`, or theatre/scene.json of a simulated run."
+NO_HEAD_IN_CT = ErrorCode(
+    "PLAN-014",
+    PlanError,
+    "No head was found in the CT, so clearance to it cannot be checked.",
+    "Check that this is the CT of the head, in Hounsfield units.",
+)
 
 
-class NotTheTemplate(PlanError):
-    """The fiducials in the CT do not match the plan's template."""
+NO_TEMPLATE = ErrorCode(
+    "PLAN-015",
+    PlanError,
+    "No set of positions on the head has distances that differ by the requested margin.",
+    "Ask for a smaller --margin or for three markers.",
+)
 
-    code = "PLAN-017"
-    action = "Check that this is the patient's template; if there is none, remove template_mm from the plan."
+
+HEAD_UNREADABLE = ErrorCode(
+    "PLAN-016",
+    ConfigurationError,
+    "The file does not describe a head.",
+    "Give the output of `ronna-sim scene`, or theatre/scene.json of a simulated run.",
+)
+
+
+NOT_THE_TEMPLATE = ErrorCode(
+    "PLAN-017",
+    PlanError,
+    "The fiducials in the CT do not match the plan's template.",
+    "Check that this is the patient's template; if there is none, remove template_mm from the plan.",
+)
 
 
 class StandoffInsideSkin(PlanError):
@@ -140,39 +150,44 @@ class StandoffInsideSkin(PlanError):
     action = "Set a larger standoff_mm; also check the entry in the CT."
 
 
-class StopBeyondInstrument(PlanError):
-    """The depth stop would be beyond the end of the instrument."""
-
-    code = "PLAN-019"
-    action = "Plan with a longer instrument or a smaller standoff_mm."
-
-
-class NoPlace(RefusedError):
-    """None of the cart positions examined allows the whole plan to be executed."""
-
-    code = "PLAN-020"
-    action = "Search farther with --within, or change the head position, the free angles or the --strategy."
+STOP_BEYOND_INSTRUMENT = ErrorCode(
+    "PLAN-019",
+    PlanError,
+    "The depth stop would be beyond the end of the instrument.",
+    "Plan with a longer instrument or a smaller standoff_mm.",
+)
 
 
-class NoMarkerSites(PlanError):
-    """The head has no room for that many markers clear of the trajectories."""
-
-    code = "PLAN-021"
-    action = "Ask for fewer --markers, or move an entry point."
-
-
-class PlaceUnfit(PlanError):
-    """The file with the proposed cart position is unreadable or belongs to another CT."""
-
-    code = "PLAN-022"
-    action = "Make it again with ronna-plan place PLAN --ct DIR --out DIR, or remove it from the case folder."
+NO_PLACE = ErrorCode(
+    "PLAN-020",
+    RefusedError,
+    "None of the cart positions examined allows the whole plan to be executed.",
+    "Search farther with --within, or change the head position, the free angles or the --strategy.",
+)
 
 
-class AlteredPlan(PlanError):
-    """The plan does not match its planner seal."""
+NO_MARKER_SITES = ErrorCode(
+    "PLAN-021",
+    PlanError,
+    "The head has no room for that many markers clear of the trajectories.",
+    "Ask for fewer --markers, or move an entry point.",
+)
 
-    code = "PLAN-023"
-    action = "Open it in the planner, review it and save it again; remove the seal if the edit is yours."
+
+PLACE_UNFIT = ErrorCode(
+    "PLAN-022",
+    PlanError,
+    "The file with the proposed cart position is unreadable or belongs to another CT.",
+    "Make it again with ronna-plan place PLAN --ct DIR --out DIR, or remove it from the case folder.",
+)
+
+
+ALTERED_PLAN = ErrorCode(
+    "PLAN-023",
+    PlanError,
+    "The plan does not match its planner seal.",
+    "Open it in the planner, review it and save it again; remove the seal if the edit is yours.",
+)
 
 
 class OtherVoxels(PlanError):
@@ -182,13 +197,12 @@ class OtherVoxels(PlanError):
     action = "Find out which CT is the patient's; re-plan on the one that is used."
 
 
-class PlanNotSaved(ConfigurationError):
-    """The plan cannot be saved."""
-
-    code = "PLAN-025"
-    action = (
-        "Nothing is lost: the plan stays on this page. Free space or fix the permissions, then save again."
-    )
+PLAN_NOT_SAVED = ErrorCode(
+    "PLAN-025",
+    ConfigurationError,
+    "The plan cannot be saved.",
+    "Nothing is lost: the plan stays on this page. Free space or fix the permissions, then save again.",
+)
 
 
 class PlanInUse(RefusedError):
@@ -198,18 +212,20 @@ class PlanInUse(RefusedError):
     action = "You can still view it; save it when the case has ended or the other planner is closed."
 
 
-class NearStructure(PlanError):
-    """A trajectory comes closer to a structure than its margin allows."""
+NEAR_STRUCTURE = ErrorCode(
+    "PLAN-027",
+    PlanError,
+    "A trajectory comes closer to a structure than its margin allows.",
+    "Move entry or target; reduce the margin only if you accept passing that close.",
+)
 
-    code = "PLAN-027"
-    action = "Move entry or target; reduce the margin only if you accept passing that close."
 
-
-class StructureUnreadable(PlanError):
-    """The file with a structure's points cannot be used."""
-
-    code = "PLAN-028"
-    action = "Give CSV rows or a JSON list of L, P, S in mm, or a 3D Slicer point list, of at most 1 MB."
+STRUCTURE_UNREADABLE = ErrorCode(
+    "PLAN-028",
+    PlanError,
+    "The file with a structure's points cannot be used.",
+    "Give CSV rows or a JSON list of L, P, S in mm, or a 3D Slicer point list, of at most 1 MB.",
+)
 
 
 class UnsavedChanges(PlanError):
@@ -219,14 +235,15 @@ class UnsavedChanges(PlanError):
     action = "Review them; Save keeps them, Undo restores the saved plan."
 
 
-class MarkersAdhesive(PlanError):
-    """The plan has adhesive markers, which only the CT shows, where a case needs spheres."""
-
-    code = "PLAN-030"
-    action = (
+MARKERS_ADHESIVE = ErrorCode(
+    "PLAN-030",
+    PlanError,
+    "The plan has adhesive markers, which only the CT shows, where a case needs spheres.",
+    (
         "Implant screws with spheres or the x-shaped frame, scan again, and plan on that CT. Adhesive "
         "markers move with the skin, and neither the tracker nor the stereo head sees them."
-    )
+    ),
+)
 
 
 class AcPcUnfit(PlanError):
@@ -246,28 +263,31 @@ class HeadPlaceUnknown(RefusedError):
     )
 
 
-class NoToolRecord(ConfigurationError):
-    """The theatre file lacks a required tool record or has an inconsistent one."""
-
-    code = "TOOL-002"
-    action = "Write the record with ronna-tool define and name it in the theatre file; see ronna-tool check."
-
-
-class ForeignTool(RefusedError):
-    """A tool record refers to another flange, or to a tip calibration other than the one in use."""
-
-    code = "TOOL-003"
-    action = "Measure the tool on this flange, with its tip, and define it again; no motion until then."
+NO_TOOL_RECORD = ErrorCode(
+    "TOOL-002",
+    ConfigurationError,
+    "The theatre file lacks a required tool record or has an inconsistent one.",
+    "Write the record with ronna-tool define and name it in the theatre file; see ronna-tool check.",
+)
 
 
-class PatientFrameUnfit(RefusedError):
-    """The patient's frame is not a rigid body of its own: it has the shape of another frame in the room."""
+FOREIGN_TOOL = ErrorCode(
+    "TOOL-003",
+    RefusedError,
+    "A tool record refers to another flange, or to a tip calibration other than the one in use.",
+    "Measure the tool on this flange, with its tip, and define it again; no motion until then.",
+)
 
-    code = "TOOL-008"
-    action = (
+
+PATIENT_FRAME_UNFIT = ErrorCode(
+    "TOOL-008",
+    RefusedError,
+    "The patient's frame is not a rigid body of its own: it has the shape of another frame in the room.",
+    (
         "Load the definition of the frame on the head clamp under its name in the theatre file; the shipped "
         "one is patient_frame.rom."
-    )
+    ),
+)
 
 
 def raise_together(findings: Sequence[RonnaError], what: str) -> None:
@@ -276,10 +296,8 @@ def raise_together(findings: Sequence[RonnaError], what: str) -> None:
         return
     if len(findings) == 1:
         raise findings[0]
-    kinds = {type(finding) for finding in findings}
-    if len(kinds) == 1:
-        kind = kinds.pop()
-        raise kind(
+    if len({finding.code for finding in findings}) == 1:
+        raise findings[0].reworded(
             f"{what}, {len(findings)} mistakes: "
             + "; ".join(summarize_finding(one, False) for one in findings)
         )

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
-from procedures.planning.errors import NoHeadInCt, NotIntoHead, StandoffInsideSkin
+from procedures.planning.errors import NO_HEAD_IN_CT, NotIntoHead, StandoffInsideSkin
 from procedures.planning.plan_model import PlannedTrajectory
 from procedures.strategies.trajectory import Trajectory
 from ronna_hw.calibration import Numbers3, Strict
@@ -85,7 +85,7 @@ def fit_head(volume: Volume) -> HeadEllipsoid:
     labels, count = ndimage.label(kept)
     sizes = np.bincount(labels.ravel())[1:] if count else np.zeros(1, dtype=int)
     if sizes.max() < LEAST_VOXELS:
-        raise NoHeadInCt("the CT shows nothing of the size of a head", got=f"{sizes.max()} solid cells")
+        raise NO_HEAD_IN_CT("the CT shows nothing of the size of a head", got=f"{sizes.max()} solid cells")
     largest = labels == 1 + int(sizes.argmax())
     largest = ndimage.binary_dilation(largest, iterations=rounds)
     points = volume.geometry.to_patient_mm(np.argwhere(largest) * strides)

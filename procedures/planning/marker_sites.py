@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from procedures.planning.errors import NoMarkerSites, NoTemplate
+from procedures.planning.errors import NO_MARKER_SITES, NO_TEMPLATE
 from procedures.planning.head_in_ct import AIR_BELOW_HU, HeadEllipsoid, sample_hu
 from procedures.registration.error_theory import tre_principal_axes_mm
 from procedures.strategies.trajectory import Trajectory, split_along
@@ -106,7 +106,7 @@ def propose_markers(
     )
     sets = sets[mark_allowed(centres[sets])] if len(sets) else sets
     if not len(sets):
-        raise NoMarkerSites(
+        raise NO_MARKER_SITES(
             f"there is no room for {count} markers clear of the trajectories and of one another",
             got=f"{len(centres)} positions on the skin between forehead and vertex",
         )
@@ -144,7 +144,7 @@ def propose_further(
     centres, _ = _find_free_sites(head, trajectories, volume, np.random.default_rng(seed))
     is_apart = np.linalg.norm(centres[:, None] - present_mm, axis=2).min(axis=1) >= APART_MM
     if not is_apart.any():
-        raise NoMarkerSites("there is no room for one more marker clear of the trajectories and the others")
+        raise NO_MARKER_SITES("there is no room for one more marker clear of the trajectories and the others")
     centres = centres[is_apart]
     targets = np.array([one.target_mm for one in trajectories])
     sets = np.concatenate(
@@ -176,7 +176,7 @@ def propose_template(
     random = np.random.default_rng(seed)
     centres, posts = list_sites(head, volume, random)
     if len(centres) < markers:
-        raise NoTemplate("the CT shows no skin between forehead and vertex", got=f"{len(centres)} positions")
+        raise NO_TEMPLATE("the CT shows no skin between forehead and vertex", got=f"{len(centres)} positions")
     sets = random.integers(len(centres), size=(TEMPLATE_DRAWS, markers))
     points = centres[sets]
     first, second = np.array(list(combinations(range(markers), 2))).T
@@ -184,7 +184,7 @@ def propose_template(
     is_apart = distances[:, 0] >= APART_MM
     margins = np.where(is_apart, np.diff(distances, axis=1).min(axis=1), 0.0)
     if margins.max() < margin_mm:
-        raise NoTemplate(
+        raise NO_TEMPLATE(
             f"no {markers} positions have distances that differ that much",
             expected=f"{margin_mm:g} mm",
             got=f"at most {margins.max():.1f} mm",

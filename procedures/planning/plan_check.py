@@ -11,16 +11,16 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from procedures.planning.errors import (
-    MarkersAdhesive,
+    MARKERS_ADHESIVE,
+    NOT_THE_FRAME,
+    NOT_THE_TEMPLATE,
+    OUTSIDE_FIELD,
+    STOP_BEYOND_INSTRUMENT,
+    WRONG_ORIENTATION,
+    WRONG_SERIES,
     NotReachable,
-    NotTheFrame,
-    NotTheTemplate,
-    OutsideField,
-    StopBeyondInstrument,
     UnknownTool,
     WrongMarkerCount,
-    WrongOrientation,
-    WrongSeries,
     raise_together,
 )
 from procedures.planning.guide import find_stops_beyond_end, place_guides
@@ -128,7 +128,7 @@ def require_spheres(plan: Plan) -> None:
 def _check_kind(plan: Plan) -> list[RonnaError]:
     if plan.fiducials is not FiducialKind.ADHESIVE:
         return []
-    wrong = MarkersAdhesive(
+    wrong = MARKERS_ADHESIVE(
         f"the plan has {plan.implanted} adhesive markers, which only the CT shows",
         expected=f'fiducials = "{FiducialKind.FREE}" or "{FiducialKind.XFRAME}"',
         got=f'fiducials = "{plan.fiducials}"',
@@ -197,7 +197,7 @@ def check_plan(
 def _check_series(plan: Plan, volume: Volume, plan_name: str, ct_name: str) -> CheckResult:
     """Check that the plan belongs to this series and that every trajectory leads into the head."""
     if plan.series_instance_uid != volume.series_instance_uid:
-        wrong = WrongSeries(
+        wrong = WRONG_SERIES(
             f"the plan belongs to another CT series{_first_difference(plan, volume)}",
             expected=f"{plan.series_instance_uid} ({plan_name})",
             got=f"{volume.series_instance_uid} ({ct_name})",
@@ -222,7 +222,7 @@ def _check_patient(plan: Plan, volume: Volume) -> CheckResult:
         warnings.append("the series does not give the patient position; check left and right by eye")
     elif volume.patient_position != plan.patient_orientation.value:
         findings.append(
-            WrongOrientation(
+            WRONG_ORIENTATION(
                 "the CT was taken in a different patient position",
                 expected=f"{plan.patient_orientation.value} (patient_orientation of the plan)",
                 got=f"{volume.patient_position} (of the CT)",
@@ -243,7 +243,7 @@ def _check_fiducials(plan: Plan, points_mm: Array) -> CheckResult:
     if len(points_mm) == plan.implanted:
         if plan.template_mm is None or shows_template(plan.template_mm, points_mm):
             return [], warn_of_ambiguity(points_mm)
-        return [NotTheTemplate("the fiducials in the CT do not match the plan's template")], []
+        return [NOT_THE_TEMPLATE("the fiducials in the CT do not match the plan's template")], []
     wrong = WrongMarkerCount(
         "the CT shows a different number of fiducials",
         expected=str(plan.implanted),
@@ -256,7 +256,7 @@ def _check_frame(points_mm: Array) -> CheckResult:
     try:
         others = find_layout(SPHERE_CENTRES_MM, points_mm).others
     except LayoutNotFound as missing:
-        wrong = NotTheFrame(
+        wrong = NOT_THE_FRAME(
             "the CT does not show the x-shaped frame", expected=missing.expected, got=missing.got
         )
         return [wrong], []
@@ -350,7 +350,7 @@ def _check_tool(plan: Plan) -> list[RonnaError]:
 def _check_instrument(plan: Plan, bore: GuideBore) -> list[RonnaError]:
     """Find trajectories whose depth stop does not fit on the instrument."""
     return [
-        StopBeyondInstrument(
+        STOP_BEYOND_INSTRUMENT(
             f"trajectory {one.id}: the depth stop would be beyond the instrument's end",
             limit=f"{plan.instrument_length_mm:g} mm",
             got=f"{format_against_limit(stop_mm, plan.instrument_length_mm, 1)} mm",
@@ -369,7 +369,7 @@ def _find_points_outside(plan: Plan, volume: Volume) -> list[RonnaError]:
             if np.any(index < -0.5) or np.any(index > last):
                 coordinates = ", ".join(f"{value:.1f}" for value in point)
                 found.append(
-                    OutsideField(
+                    OUTSIDE_FIELD(
                         f"the {name} of trajectory {one.id} at ({coordinates}) mm is outside the CT",
                         expected=_describe_extent(volume),
                     )

@@ -16,15 +16,15 @@ from typing import TYPE_CHECKING, Any
 from pydantic import ValidationError
 
 from procedures.planning.errors import (
+    ALTERED_PLAN,
+    BAD_TRAJECTORY_GEOMETRY,
+    DUPLICATE_TRAJECTORY,
+    PLAN_NOT_SAVED,
+    PLAN_UNREADABLE,
     AcPcUnfit,
-    AlteredPlan,
-    BadTrajectoryGeometry,
-    DuplicateTrajectory,
     OtherVoxels,
     PlanError,
     PlanMistakes,
-    PlanNotSaved,
-    PlanUnreadable,
     raise_together,
 )
 from procedures.planning.plan_model import (
@@ -41,6 +41,7 @@ from procedures.planning.plan_model import (
 )
 from procedures.planning.structures import LEAST_MARGIN_MM
 from ronna_hw.bounded_input import parse_toml_bytes, read_toml
+from ronna_hw.errors import AnyCode
 from ronna_hw.mistakes import describe_mistakes, mistakes_in
 from ronna_hw.records import canonical_json, write_atomically
 from ronna_hw.text import printable
@@ -54,8 +55,8 @@ LEAST_TARGET_MARGIN_MM = 0.05  # a third of the smallest predicted error
 UNSEALED = "0" * 64  # replaces a plan's digest while that is computed
 # Noun for an item of a list, and the key of its name.
 NAMED = {"trajectories": ("trajectory", "id"), "structures": ("structure", "name")}
-GEOMETRY_ERRORS: dict[str, type[PlanError]] = {
-    "trajectory_geometry": BadTrajectoryGeometry,
+GEOMETRY_ERRORS: dict[str, AnyCode[PlanError]] = {
+    "trajectory_geometry": BAD_TRAJECTORY_GEOMETRY,
     "ac_pc_geometry": AcPcUnfit,
 }
 # Keys that plans of earlier versions lack, with advice.
@@ -83,21 +84,21 @@ def read_plan(path: Path, *, sealed_only: bool = True) -> Plan:
     path = Path(path)
     if path.is_dir():
         inside = [one for one in (path / PLAN_FILE, path / "case" / PLAN_FILE) if one.is_file()]
-        raise PlanUnreadable(
+        raise PLAN_UNREADABLE(
             f"{path} is a folder, not a plan",
             expected="a plan file",
             action=f"Give the plan in it: {inside[0]}." if inside else None,
         )
     try:
-        content = read_toml(path, PlanUnreadable)
+        content = read_toml(path, PLAN_UNREADABLE)
     except OSError as error:
-        raise PlanUnreadable(f"cannot read {path}: {error.strerror}") from error
+        raise PLAN_UNREADABLE(f"cannot read {path}: {error.strerror}") from error
     return parse_plan(content, path.name, sealed_only=sealed_only)
 
 
 def parse_plan_bytes(content: bytes, name: str) -> Plan:
     """Parse the content of a plan file with this name. Raises like `read_plan`."""
-    return parse_plan(parse_toml_bytes(content, name, PlanUnreadable), name)
+    return parse_plan(parse_toml_bytes(content, name, PLAN_UNREADABLE), name)
 
 
 def parse_plan(content: dict[str, Any], name: str = "the plan", *, sealed_only: bool = True) -> Plan:
@@ -106,7 +107,7 @@ def parse_plan(content: dict[str, Any], name: str = "the plan", *, sealed_only: 
     Without `sealed_only`, a plan altered since it was sealed is still read, for viewing.
     """
     if "theatre" in content and "trajectories" not in content:
-        raise PlanUnreadable(f"{name} is a theatre file, not a plan", action="Give the path of a plan.toml.")
+        raise PLAN_UNREADABLE(f"{name} is a theatre file, not a plan", action="Give the path of a plan.toml.")
     found: list[PlanError] = []
     plan: Plan | None = None
     try:
@@ -119,13 +120,13 @@ def parse_plan(content: dict[str, Any], name: str = "the plan", *, sealed_only: 
             message = _name_item(line, mistake["loc"], content) + _advise_missing_key(mistake)
             found.append(kind(message))
     found += [
-        DuplicateTrajectory(f"{count} trajectories have the id {identifier!r}")
+        DUPLICATE_TRAJECTORY(f"{count} trajectories have the id {identifier!r}")
         for identifier, count in _count_ids(content).items()
         if count > 1
     ]
     found += [] if plan is None else find_unit_mistakes(plan)
     if len(found) == 1:
-        raise type(found[0])(f"{name}: {found[0].what}")
+        raise found[0].reworded(f"{name}: {found[0].what}")
     raise_together(found, name)
     if plan is None:
         raise PlanMistakes(f"{name} is not a plan")
@@ -143,7 +144,7 @@ def write_plan(path: Path, plan: Plan, notes: Iterable[str] = ()) -> None:
     try:
         write_atomically(path, (head + tomli_w.dumps(content)).encode())
     except OSError as error:
-        raise PlanNotSaved(f"cannot write {path.name}: {error.strerror}") from error
+        raise PLAN_NOT_SAVED(f"cannot write {path.name}: {error.strerror}") from error
 
 
 def _name_item(line: str, place: tuple[int | str, ...], content: dict[str, Any]) -> str:
@@ -238,7 +239,7 @@ def describe_seal(plan: Plan) -> str:
 def require_unaltered(plan: Plan, name: str) -> None:
     """Raise PLAN-023 if a plan does not match its seal."""
     if plan.seal is not None and plan.seal.plan_sha256 != _plan_digest(plan):
-        raise AlteredPlan(f"{name} was altered after {plan.seal.author} saved it")
+        raise ALTERED_PLAN(f"{name} was altered after {plan.seal.author} saved it")
 
 
 def check_voxels(plan: Plan, volume: Volume) -> OtherVoxels | None:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from socket import gethostname
 
-from procedures.planning.errors import PlanInUse, PlanNotSaved, PlanUnreadable
+from procedures.planning.errors import PLAN_NOT_SAVED, PLAN_UNREADABLE, PlanInUse
 from ronna_hw.bounded_input import LARGEST_TOML_BYTES
 
 LONGEST_HOLDER = 300  # bytes: a process and the longest name of a host
@@ -41,7 +41,7 @@ def lock_plan(path: Path) -> Iterator[LockedPlan]:
             stack.callback(os.close, file)
             content = os.pread(file, LARGEST_TOML_BYTES + 1, 0)
         except OSError as error:
-            raise PlanUnreadable(f"cannot read {path}: {error.strerror}") from error
+            raise PLAN_UNREADABLE(f"cannot read {path}: {error.strerror}") from error
         yield LockedPlan(content)
 
 
@@ -59,7 +59,7 @@ def plan_replacement(path: Path) -> Iterator[None]:
         yield
         return
     except OSError as error:
-        raise PlanNotSaved(f"{path.name} cannot be locked: {error.strerror}") from error
+        raise PLAN_NOT_SAVED(f"{path.name} cannot be locked: {error.strerror}") from error
     try:
         yield
     finally:

@@ -13,7 +13,7 @@ from pydantic import ConfigDict, Field, ValidationError
 from scipy.spatial.transform import RigidTransform
 
 from procedures.planning.cart_place import CartMove
-from procedures.planning.errors import PlaceUnfit
+from procedures.planning.errors import PLACE_UNFIT
 from ronna_hw.arm.pose import Pose
 from ronna_hw.bounded_input import InputRefused, read_json_bytes
 from ronna_hw.calibration import Strict
@@ -120,8 +120,8 @@ def read_place(path: Path) -> PlaceFile | None:
     except FileNotFoundError:
         return None
     except OSError as error:
-        raise PlaceUnfit(f"cannot read {path.name}: {error.strerror}") from error
+        raise PLACE_UNFIT(f"cannot read {path.name}: {error.strerror}") from error
     except InputRefused as error:
-        raise PlaceUnfit(f"{path.name}: {error.summary}") from error
+        raise PLACE_UNFIT(f"{path.name}: {error.summary}") from error
     except ValidationError as error:
-        raise PlaceUnfit(f"{path.name}: " + "; ".join(describe_mistakes(error))) from error
+        raise PLACE_UNFIT(f"{path.name}: " + "; ".join(describe_mistakes(error))) from error

@@ -8,7 +8,7 @@ from typing import Annotated
 
 from pydantic import ConfigDict, Field, ValidationError
 
-from procedures.planning.errors import HeadUnreadable, WrongSeries
+from procedures.planning.errors import HEAD_UNREADABLE, WRONG_SERIES
 from procedures.planning.head_in_ct import HeadEllipsoid
 from procedures.planning.plan_model import Plan
 from ronna_hw.bounded_input import InputRefused, read_json_bytes, read_toml
@@ -46,7 +46,7 @@ def read_scene_pose(path: Path, plan: Plan) -> PoseRecord:
     """Read the pose robot <- CT from a scene file. Raises PLAN-016, PLAN-003 like `read_scene_head`."""
     found = _read_head(path, plan).robot_from_ct
     if found is None:
-        raise HeadUnreadable(f"{path.name} has no head.robot_from_ct")
+        raise HEAD_UNREADABLE(f"{path.name} has no head.robot_from_ct")
     return found
 
 
@@ -54,16 +54,16 @@ def _read_head(path: Path, plan: Plan | None) -> _Head:
     try:
         found = _Head.model_validate_json(json.dumps(_read_table(path).get("head"), default=str))
     except OSError as error:
-        raise HeadUnreadable(f"cannot read {path}: {error.strerror}") from error
+        raise HEAD_UNREADABLE(f"cannot read {path}: {error.strerror}") from error
     except ValidationError as error:
-        raise HeadUnreadable(f"{path.name}, [head]: " + "; ".join(describe_mistakes(error))) from error
+        raise HEAD_UNREADABLE(f"{path.name}, [head]: " + "; ".join(describe_mistakes(error))) from error
     scene_targets = {one.target_ct_mm for one in found.targets}
     if (
         plan is not None
         and scene_targets
         and scene_targets.isdisjoint(one.target_mm for one in plan.trajectories)
     ):
-        raise WrongSeries(
+        raise WRONG_SERIES(
             f"{path.name} has none of the plan's targets: it is the scene of another head",
             action="Give the scene that the plan was made with, or the CT it was planned on (--ct).",
         )
@@ -73,13 +73,13 @@ def _read_head(path: Path, plan: Plan | None) -> _Head:
 def _read_table(path: Path) -> dict[str, object]:
     """Return the content of a TOML or JSON scene file. Raises PLAN-016, OSError."""
     if path.suffix != ".json":
-        return read_toml(path, HeadUnreadable)
+        return read_toml(path, HEAD_UNREADABLE)
     try:
         content = json.loads(read_json_bytes(path))
     except InputRefused as error:
-        raise HeadUnreadable(f"{path.name} is refused: {error.summary}") from error
+        raise HEAD_UNREADABLE(f"{path.name} is refused: {error.summary}") from error
     except ValueError as error:
-        raise HeadUnreadable(f"{path.name} is not JSON: {error}") from error
+        raise HEAD_UNREADABLE(f"{path.name} is not JSON: {error}") from error
     if not isinstance(content, dict):
-        raise HeadUnreadable(f"{path.name} is not a table")
+        raise HEAD_UNREADABLE(f"{path.name} is not a table")
     return content

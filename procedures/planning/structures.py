@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from procedures.imaging.errors import PicksUnreadable
 from procedures.imaging.picks import parse_points
-from procedures.planning.errors import NearStructure, OutsideField, StructureUnreadable
+from procedures.planning.errors import NEAR_STRUCTURE, OUTSIDE_FIELD, STRUCTURE_UNREADABLE
 from procedures.planning.plan_model import (
     MOST_POINTS,
     MOST_STRUCTURES,
@@ -127,13 +127,13 @@ def read_structure(
     try:
         points_mm = parse_points(content, file_name)
     except PicksUnreadable as refused:
-        raise StructureUnreadable(refused.what, expected=refused.expected, got=refused.got) from refused
+        raise STRUCTURE_UNREADABLE(refused.what, expected=refused.expected, got=refused.got) from refused
     if is_in_metres(points_mm):
-        raise StructureUnreadable(
+        raise STRUCTURE_UNREADABLE(
             f"the points in {file_name} are within {span(points_mm):.3g} mm of each other: {NOT_METRES}"
         )
     if (outside := _share_outside(points_mm, geometry)) > MOST_OUTSIDE:
-        raise OutsideField(f"{outside:.0%} of the points in {file_name} are outside the CT")
+        raise OUTSIDE_FIELD(f"{outside:.0%} of the points in {file_name} are outside the CT")
     return build_structure(name, margin_mm, points_mm)
 
 
@@ -142,7 +142,7 @@ def check_structures(
 ) -> tuple[list[RonnaError], list[str]]:
     """Return findings that reject the plan, and warnings for the surgeon."""
     findings: list[RonnaError] = [
-        NearStructure(
+        NEAR_STRUCTURE(
             f"trajectory {one.trajectory} comes too close to {one.structure}",
             expected=f"at least {one.margin_mm:g} mm",
             got=f"{one.distance_mm:.1f} mm",
@@ -154,7 +154,7 @@ def check_structures(
     for one in plan.structures or ():
         outside = _share_outside(one.points_mm, volume.geometry)
         if outside > MOST_OUTSIDE:
-            findings.append(OutsideField(f"{outside:.0%} of the points of {one.name} are outside the CT"))
+            findings.append(OUTSIDE_FIELD(f"{outside:.0%} of the points of {one.name} are outside the CT"))
         elif outside:
             warnings.append(f"{outside:.0%} of the points of {one.name} are outside the CT")
         if (gap_mm := widest_gap_mm(one.points_mm)) > one.margin_mm:

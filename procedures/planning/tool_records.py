@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from datetime import datetime
 from itertools import combinations
 
-from procedures.planning.errors import ForeignTool, NoToolRecord, PatientFrameUnfit
+from procedures.planning.errors import FOREIGN_TOOL, NO_TOOL_RECORD, PATIENT_FRAME_UNFIT
 from ronna_hw.calibration import STEREO_HEAD_NUMBER
 from ronna_hw.config import Calibrations, TheatreFile
 from ronna_hw.devices.errors import UnknownTool
@@ -55,9 +55,9 @@ class ToolRecords:
         """Record of the guide. Raises TOOL-002 if it is missing or describes another kind of tool."""
         found = self.records.get(GUIDE)
         if found is None:
-            raise NoToolRecord("the theatre file has no record of the guide", expected=f"[tools.{GUIDE}]")
+            raise NO_TOOL_RECORD("the theatre file has no record of the guide", expected=f"[tools.{GUIDE}]")
         if found.purpose not in GUIDES or found.bore is None or found.gauge is None:
-            raise NoToolRecord(
+            raise NO_TOOL_RECORD(
                 f"tool record {found.identifier} is not that of a guide",
                 expected=" or ".join(one.value for one in GUIDES),
                 got=found.purpose.value,
@@ -71,7 +71,7 @@ class ToolRecords:
             check_flange(record, self.flange)
             numbers = {GUIDE: calibrations.tool_tip.tool_number, STEREO_HEAD: STEREO_HEAD_NUMBER}
             if record.number != numbers.get(name, record.number):
-                raise NoToolRecord(
+                raise NO_TOOL_RECORD(
                     f"tool record {record.identifier} has a different number from the {name}",
                     expected=str(numbers[name]),
                     got=str(record.number),
@@ -118,7 +118,7 @@ def check_patient_frame(name: str, calibrations: Calibrations, markers_mm: Marke
             continue
         apart_mm = max(abs(own - their) for own, their in zip(own_mm, theirs_mm, strict=True))
         if apart_mm < SAME_BODY_MM:
-            raise PatientFrameUnfit(
+            raise PATIENT_FRAME_UNFIT(
                 f"the definition of {name} is that of {other}: the tracker cannot tell them apart",
                 limit=f"{SAME_BODY_MM:g} mm between marker distances",
                 got=f"{apart_mm:.2f} mm",
@@ -132,7 +132,7 @@ def _distances_mm(markers_mm: Sequence[Sequence[float]]) -> list[float]:
 def check_flange(record: ToolRecord, flange: str) -> None:
     """Raise TOOL-003 unless a tool was measured on this flange."""
     if record.flange != flange:
-        raise ForeignTool(
+        raise FOREIGN_TOOL(
             f"tool record {record.identifier} belongs to another flange",
             expected=flange or "a name: the theatre file has no key `flange`",
             got=record.flange,
@@ -143,7 +143,7 @@ def check_tip(record: ToolRecord, calibrations: Calibrations) -> None:
     """Raise TOOL-003 unless a tool's record refers to this tip calibration and has the same values."""
     tip = calibrations.tool_tip
     if record.tip != tip.identifier:
-        raise ForeignTool(
+        raise FOREIGN_TOOL(
             f"tool record {record.identifier} refers to another calibration of its tip",
             expected=tip.identifier,
             got=record.tip or "none",
@@ -153,7 +153,7 @@ def check_tip(record: ToolRecord, calibrations: Calibrations) -> None:
         return
     off_mm, off_rad = record.tip_in_head.off(calibrations.tip_in_head)
     if off_mm > SAME_TIP_MM or off_rad > SAME_TIP_RAD:
-        raise ForeignTool(
+        raise FOREIGN_TOOL(
             f"{tip.identifier} has other numbers than when the gauge of {record.identifier} was read: "
             "its tip is elsewhere relative to the stereo head",
             limit=f"{SAME_TIP_MM:g} mm, {math.degrees(SAME_TIP_RAD):g} deg",

@@ -16,7 +16,7 @@ from scipy import ndimage
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from procedures.imaging.volume import Volume, VoxelGeometry
-from procedures.postoperative.errors import HeadsDiffer, NoBone
+from procedures.postoperative.errors import HEADS_DIFFER, NO_BONE
 from ronna_hw.robust_scale import cauchy_weights, robust_sigma
 
 Array = NDArray[np.float64]
@@ -92,7 +92,7 @@ def register_on_bone(pre: Volume, post: Volume) -> BoneRegistration:
 def _require_one_skull(agreement: float, overlap: float) -> None:
     """Raise POST-002 unless both scans show the same skull."""
     if overlap < LEAST_OVERLAP or agreement < LEAST_AGREEMENT:
-        raise HeadsDiffer(
+        raise HEADS_DIFFER(
             "the skulls of the two CTs do not match",
             expected=f"agreement of at least {LEAST_AGREEMENT:g} over at least "
             f"{LEAST_OVERLAP:.0%} of the bone",
@@ -138,7 +138,7 @@ def _find_bone_points(level: _Level, spacing_mm: float) -> tuple[Array, Array]:
     around = ndimage.binary_dilation(bone) if count else bone
     index = np.argwhere(around)
     if sizes.max(initial=0) * (spacing_mm / LEVELS_MM[0]) ** 3 < LEAST_POINTS:
-        raise NoBone("the CT shows no skull", got=f"{sizes.max(initial=0)} voxels of bone in one piece")
+        raise NO_BONE("the CT shows no skull", got=f"{sizes.max(initial=0)} voxels of bone in one piece")
     index = index[:: max(1, len(index) // MOST_POINTS)]
     return level.geometry.to_patient_mm(index), level.values[tuple(index.T)].astype(float)
 

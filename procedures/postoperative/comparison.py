@@ -15,16 +15,16 @@ from pydantic import Field
 from scipy.optimize import linear_sum_assignment
 
 from procedures.imaging.volume import Volume
-from procedures.planning.errors import WrongSeries
+from procedures.planning.errors import WRONG_SERIES
 from procedures.planning.plan_model import Plan, PlannedTrajectory
 from procedures.postoperative.bone_registration import BoneRegistration, register_on_bone
 from procedures.postoperative.drill_hole import USUAL_HOLE, find_holes
 from procedures.postoperative.errors import (
-    FitFailed,
-    InstrumentAmbiguous,
-    InstrumentMissing,
-    OneSeriesTwice,
-    SeriesSwapped,
+    FIT_FAILED,
+    INSTRUMENT_AMBIGUOUS,
+    INSTRUMENT_MISSING,
+    ONE_SERIES_TWICE,
+    SERIES_SWAPPED,
 )
 from procedures.postoperative.instrument import USUAL_ROD, find_rods
 from procedures.postoperative.planned_line import SEARCH_MM, PlannedLine
@@ -102,15 +102,15 @@ def compare_registered(
     found, lost_to = assign(lines, candidates)
     if lost_to:
         pairs = ", ".join(f"{name} and {other}" for name, other in lost_to.items())
-        raise InstrumentAmbiguous(f"the same instrument or hole was found along {pairs}")
+        raise INSTRUMENT_AMBIGUOUS(f"the same instrument or hole was found along {pairs}")
     if missing := [name for name in lines if name not in found]:
-        raise InstrumentMissing(
+        raise INSTRUMENT_MISSING(
             f"neither an instrument nor a drilled hole was found along {', '.join(missing)}",
             expected=f"one along each of {len(chosen)}",
             got=f"found along {', '.join(found)}" if found else "none",
         )
     if failures_by_name := {name: one.failures for name, one in found.items() if one.failures}:
-        raise FitFailed(
+        raise FIT_FAILED(
             "no straight rod or round hole could be fitted to the object along "
             + ", ".join(
                 f"{name} ({found[name].kind}: {'; '.join(problems)})"
@@ -125,12 +125,12 @@ def compare_registered(
 def require_series(plan: Plan, pre: Volume, post: Volume) -> None:
     """Require `pre` to be the plan's series and `post` another. Raises PLAN-003, POST-003, POST-004."""
     if pre.series_instance_uid == post.series_instance_uid:
-        raise OneSeriesTwice("both CTs are the same series", got=pre.series_instance_uid)
+        raise ONE_SERIES_TWICE("both CTs are the same series", got=pre.series_instance_uid)
     if plan.series_instance_uid == pre.series_instance_uid:
         return
     if plan.series_instance_uid == post.series_instance_uid:
-        raise SeriesSwapped("the plan was made on the second CT: the two are swapped")
-    raise WrongSeries(
+        raise SERIES_SWAPPED("the plan was made on the second CT: the two are swapped")
+    raise WRONG_SERIES(
         "the plan belongs to another CT series",
         expected=plan.series_instance_uid,
         got=pre.series_instance_uid,

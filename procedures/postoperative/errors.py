@@ -2,72 +2,80 @@
 
 from __future__ import annotations
 
-from ronna_hw.errors import EXIT_REFUSED, DataError
+from ronna_hw.errors import EXIT_REFUSED, DataError, ErrorCode
+
+NO_BONE = ErrorCode(
+    "POST-001",
+    DataError,
+    "A CT shows no skull for registration.",
+    "Give CTs of the whole head, in Hounsfield units.",
+)
 
 
-class NoBone(DataError):
-    """A CT shows no skull for registration."""
-
-    code = "POST-001"
-    action = "Give CTs of the whole head, in Hounsfield units."
-
-
-class HeadsDiffer(DataError):
-    """The skulls of the two CTs do not match."""
-
-    code = "POST-002"
-    action = "Check that both series are of this patient and show the same part of the head."
-    exit_code = EXIT_REFUSED
+HEADS_DIFFER = ErrorCode(
+    "POST-002",
+    DataError,
+    "The skulls of the two CTs do not match.",
+    "Check that both series are of this patient and show the same part of the head.",
+    own_exit_code=EXIT_REFUSED,
+)
 
 
-class SeriesSwapped(DataError):
-    """The plan belongs to the CT that was given as postoperative."""
-
-    code = "POST-003"
-    action = "Give the planning CT first, then the postoperative one."
-
-
-class OneSeriesTwice(DataError):
-    """Both folders contain the same series."""
-
-    code = "POST-004"
-    action = "Give the planning CT, then the postoperative one."
+SERIES_SWAPPED = ErrorCode(
+    "POST-003",
+    DataError,
+    "The plan belongs to the CT that was given as postoperative.",
+    "Give the planning CT first, then the postoperative one.",
+)
 
 
-class OtherPatient(DataError):
-    """The two CTs have different patient identifiers."""
-
-    code = "POST-005"
-    action = "Stop and find out whose CT each is; nothing was compared."
-    exit_code = EXIT_REFUSED
-
-
-class InstrumentMissing(DataError):
-    """The CT shows neither an instrument nor a drilled hole along a trajectory."""
-
-    code = "POST-006"
-    action = "Check that the CT reaches that far; name the trajectories that were carried out with --only."
-    exit_code = EXIT_REFUSED
+ONE_SERIES_TWICE = ErrorCode(
+    "POST-004",
+    DataError,
+    "Both folders contain the same series.",
+    "Give the planning CT, then the postoperative one.",
+)
 
 
-class InstrumentAmbiguous(DataError):
-    """The same instrument or hole was found along more than one trajectory."""
-
-    code = "POST-007"
-    action = "Check the CT to see which trajectory it was; name the ones that were carried out with --only."
-    exit_code = EXIT_REFUSED
-
-
-class RunOfAnotherPlan(DataError):
-    """The run to be reported on used another plan, or a plan on another CT."""
-
-    code = "POST-008"
-    action = "Give the run of this operation, or omit --run."
+OTHER_PATIENT = ErrorCode(
+    "POST-005",
+    DataError,
+    "The two CTs have different patient identifiers.",
+    "Stop and find out whose CT each is; nothing was compared.",
+    own_exit_code=EXIT_REFUSED,
+)
 
 
-class FitFailed(DataError):
-    """The object along a trajectory does not fit a rod or a round hole, so its axis is unknown."""
+INSTRUMENT_MISSING = ErrorCode(
+    "POST-006",
+    DataError,
+    "The CT shows neither an instrument nor a drilled hole along a trajectory.",
+    "Check that the CT reaches that far; name the trajectories that were carried out with --only.",
+    own_exit_code=EXIT_REFUSED,
+)
 
-    code = "POST-009"
-    action = "Check the CT there: a bent lead, a larger opening? Leave that trajectory out with --only."
-    exit_code = EXIT_REFUSED
+
+INSTRUMENT_AMBIGUOUS = ErrorCode(
+    "POST-007",
+    DataError,
+    "The same instrument or hole was found along more than one trajectory.",
+    "Check the CT to see which trajectory it was; name the ones that were carried out with --only.",
+    own_exit_code=EXIT_REFUSED,
+)
+
+
+RUN_OF_ANOTHER_PLAN = ErrorCode(
+    "POST-008",
+    DataError,
+    "The run to be reported on used another plan, or a plan on another CT.",
+    "Give the run of this operation, or omit --run.",
+)
+
+
+FIT_FAILED = ErrorCode(
+    "POST-009",
+    DataError,
+    "The object along a trajectory does not fit a rod or a round hole, so its axis is unknown.",
+    "Check the CT there: a bent lead, a larger opening? Leave that trajectory out with --only.",
+    own_exit_code=EXIT_REFUSED,
+)

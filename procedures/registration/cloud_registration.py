@@ -18,12 +18,12 @@ from scipy.spatial.transform import RigidTransform
 
 from procedures.registration.correspondence import turn_rad
 from procedures.registration.errors import (
+    NOT_CONVERGED,
+    SYMMETRIC_CLOUD,
+    TOO_FEW_POINTS,
+    UNSOUND_REGISTRATION,
     BadParameter,
     CollinearPoints,
-    NotConverged,
-    SymmetricCloud,
-    TooFewPoints,
-    UnsoundRegistration,
 )
 from procedures.registration.points import FEWEST_PAIRS, validate_points, validate_transform
 from procedures.registration.rigid_fit import as_transform, fit_rigid
@@ -90,14 +90,14 @@ def register_clouds(
     ]
     nearest_mm = min(fit.residual_mm for fit in reflected)
     if best.residual_mm > CLEARLY_BETTER * nearest_mm + ROUNDING_MM:
-        raise UnsoundRegistration(
+        raise UNSOUND_REGISTRATION(
             "the clouds fit better as a mirror image",
             got=f"{nearest_mm:.3g} mm, else {best.residual_mm:.3g} mm",
         )
     for fit in fits:
         differs = turn_rad(best.matrix[:3, :3], fit.matrix[:3, :3]) > SAME_TURN_RAD
         if differs and fit.residual_mm < CLEARLY_BETTER * best.residual_mm + ROUNDING_MM:
-            raise SymmetricCloud(
+            raise SYMMETRIC_CLOUD(
                 "two orientations fit equally well",
                 got=f"{best.residual_mm:.3g} and {fit.residual_mm:.3g} mm",
             )
@@ -157,7 +157,7 @@ def _steps(
         fit = fit_rigid(image[used], physical[nearest[used]])
         matrix = np.eye(4)
         matrix[:3, :3], matrix[:3, 3] = fit.rotation, fit.translation_mm
-    raise NotConverged("the closest points did not converge", limit=f"{MOST_STEPS} steps")
+    raise NOT_CONVERGED("the closest points did not converge", limit=f"{MOST_STEPS} steps")
 
 
 def _align_axes(image: Array, physical: Array) -> list[Array]:
@@ -178,14 +178,14 @@ def principal_axes(points: Array, name: str) -> Array:
     """Return the principal axes as columns, longest first. Raises REG-011 if two are equally long."""
     _, spread, axes = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)
     if np.any(spread[:-1] < DISTINCT_AXES * spread[1:]):
-        raise SymmetricCloud(f"two principal axes of the {name} cloud are equally long")
+        raise SYMMETRIC_CLOUD(f"two principal axes of the {name} cloud are equally long")
     return np.asarray(axes.T)
 
 
 def _validate_cloud(points_mm: ArrayLike, name: str) -> Array:
     points = validate_points(points_mm, name)
     if len(points) < FEWEST_PAIRS:
-        raise TooFewPoints(f"{len(points)} {name} point(s) given", expected=f"at least {FEWEST_PAIRS}")
+        raise TOO_FEW_POINTS(f"{len(points)} {name} point(s) given", expected=f"at least {FEWEST_PAIRS}")
     spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
     if spread[1] <= LINE_RATIO * spread[0]:
         raise CollinearPoints(f"the {name} cloud is a line")

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from procedures.registration.errors import BadParameter, NoUniqueMatch
+from procedures.registration.errors import NO_UNIQUE_MATCH, BadParameter
 
 Array = NDArray[np.float64]
 
@@ -131,7 +131,7 @@ class Match:
         if self.status is not MatchStatus.UNIQUE or self.transform is None:
             nearest = [_format_pairs(self.pairs)] if len(self.pairs) else []
             nearest += [_format_pairs(self.runner_up.pairs)] if self.runner_up else []
-            raise NoUniqueMatch(
+            raise NO_UNIQUE_MATCH(
                 f"the correspondence is {self.status}: {self.reason}", got=", or ".join(nearest)
             )
         return self.transform

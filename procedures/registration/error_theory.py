@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import chdtri, fdtri
 
-from procedures.registration.errors import BadParameter, ResidualTooLarge, TooFewPoints
+from procedures.registration.errors import RESIDUAL_TOO_LARGE, TOO_FEW_POINTS, BadParameter
 from procedures.registration.points import FEWEST_PAIRS
 from procedures.registration.rigid_fit import pose_jacobian
 from ronna_hw.arguments import show
@@ -30,7 +30,7 @@ DEFAULT_CONFIDENCE = 0.95
 def degrees_of_freedom(pairs: int) -> int:
     """Return the residual degrees of freedom of a rigid fit to `pairs` points, 3n - 6. Raises REG-002."""
     if pairs < FEWEST_PAIRS:
-        raise TooFewPoints(f"{pairs} pair(s) given", expected=f"at least {FEWEST_PAIRS}")
+        raise TOO_FEW_POINTS(f"{pairs} pair(s) given", expected=f"at least {FEWEST_PAIRS}")
     return 3 * pairs - POSE_UNKNOWNS
 
 
@@ -103,7 +103,7 @@ class FreGate:
         """Raise REG-010 if the residual is too large, with this action or the usual one."""
         if not self.passed:
             fre, limit = format_distinct(self.fre_mm, self.limit_mm, 3)
-            raise ResidualTooLarge(
+            raise RESIDUAL_TOO_LARGE(
                 "the fiducial residual is larger than the localization error explains",
                 limit=f"{limit} mm at {100.0 * self.confidence:g}%",
                 got=f"{fre} mm",

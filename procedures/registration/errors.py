@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
-from ronna_hw.errors import DataError, RefusedError
+from ronna_hw.errors import DataError, ErrorCode, RefusedError
+
+BAD_POINTS = ErrorCode(
+    "REG-001",
+    DataError,
+    "A point array is not (n, 3) with finite coordinates in mm, or paired arrays differ in length.",
+    "Give finite points in mm as an (n, 3) array, one row per pair in both sets.",
+)
 
 
-class BadPoints(DataError):
-    """A point array is not (n, 3) with finite coordinates in mm, or paired arrays differ in length."""
-
-    code = "REG-001"
-    action = "Give finite points in mm as an (n, 3) array, one row per pair in both sets."
-
-
-class TooFewPoints(DataError):
-    """Fewer than three pairs, or points of a layout, were given for a rigid transform."""
-
-    code = "REG-002"
-    action = "Measure at least three fiducials; five are recommended."
+TOO_FEW_POINTS = ErrorCode(
+    "REG-002",
+    DataError,
+    "Fewer than three pairs, or points of a layout, were given for a rigid transform.",
+    "Measure at least three fiducials; five are recommended.",
+)
 
 
 class CollinearPoints(DataError):
@@ -26,27 +27,28 @@ class CollinearPoints(DataError):
     action = "Use fiducials that span a plane."
 
 
-class DuplicatePoints(DataError):
-    """Two points in a set are closer than two spheres can be, so one sphere was measured twice."""
-
-    code = "REG-004"
-    action = "Remove the duplicate point; it would silently count twice."
-
-
-class BadCovariance(DataError):
-    """The covariances are not (n, 3, 3), symmetric and positive definite, in mm2."""
-
-    code = "REG-005"
-    action = "Give one symmetric positive definite 3x3 matrix in mm2 per pair."
+DUPLICATE_POINTS = ErrorCode(
+    "REG-004",
+    DataError,
+    "Two points in a set are closer than two spheres can be, so one sphere was measured twice.",
+    "Remove the duplicate point; it would silently count twice.",
+)
 
 
-class NotConverged(DataError):
-    """A weighted fit or a cloud registration did not converge, as when its inputs contradict each other."""
+BAD_COVARIANCE = ErrorCode(
+    "REG-005",
+    DataError,
+    "The covariances are not (n, 3, 3), symmetric and positive definite, in mm2.",
+    "Give one symmetric positive definite 3x3 matrix in mm2 per pair.",
+)
 
-    code = "REG-006"
-    action = (
-        "Check pairing and covariances (for clouds, the start); fit without covariances to see the residuals."
-    )
+
+NOT_CONVERGED = ErrorCode(
+    "REG-006",
+    DataError,
+    "A weighted fit or a cloud registration did not converge, as when its inputs contradict each other.",
+    "Check pairing and covariances (for clouds, the start); fit without covariances to see the residuals.",
+)
 
 
 class BadParameter(DataError):
@@ -56,36 +58,40 @@ class BadParameter(DataError):
     action = "Give a positive finite length in mm."
 
 
-class NoUniqueMatch(RefusedError):
-    """The correspondence is not unique, so it must not be used."""
-
-    code = "REG-008"
-    action = (
+NO_UNIQUE_MATCH = ErrorCode(
+    "REG-008",
+    RefusedError,
+    "The correspondence is not unique, so it must not be used.",
+    (
         "First make sure that this is the CT of the patient on the table, that left and right in it are "
         "right, and that no sphere was displaced; then add fiducials, or correct the patient's position in "
         "the plan, or its range in the theatre file (recline_deg, head_turn_deg)."
-    )
+    ),
+)
 
 
-class UnsoundRegistration(RefusedError):
-    """The registration is mirrored or ill-posed, so it must not be used."""
-
-    code = "REG-009"
-    action = "Check left and right in the series and in the pairing; measure a fiducial outside the plane."
-
-
-class ResidualTooLarge(RefusedError):
-    """The residuals are larger than the known localization errors can explain."""
-
-    code = "REG-010"
-    action = "Find the fiducial that moved (leave-one-out residuals), or localize again."
+UNSOUND_REGISTRATION = ErrorCode(
+    "REG-009",
+    RefusedError,
+    "The registration is mirrored or ill-posed, so it must not be used.",
+    "Check left and right in the series and in the pairing; measure a fiducial outside the plane.",
+)
 
 
-class SymmetricCloud(DataError):
-    """A cloud of unpaired points fits in more than one orientation."""
+RESIDUAL_TOO_LARGE = ErrorCode(
+    "REG-010",
+    RefusedError,
+    "The residuals are larger than the known localization errors can explain.",
+    "Find the fiducial that moved (leave-one-out residuals), or localize again.",
+)
 
-    code = "REG-011"
-    action = "Give an approximate transform as the start, or register paired fiducials."
+
+SYMMETRIC_CLOUD = ErrorCode(
+    "REG-011",
+    DataError,
+    "A cloud of unpaired points fits in more than one orientation.",
+    "Give an approximate transform as the start, or register paired fiducials.",
+)
 
 
 class LayoutNotFound(RefusedError):

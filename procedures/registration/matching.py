@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from procedures.registration.correspondence import Hypothesis, Match, MatchStatus, PosePrior, Prior
-from procedures.registration.errors import BadParameter, BadPoints
+from procedures.registration.errors import BAD_POINTS, BadParameter
 from procedures.registration.pairings import (
     CLIQUE_SLACK,
     Candidate,
@@ -63,7 +63,7 @@ def match(
     image, physical = validate_points(image_mm, "image"), validate_points(physical_mm, "physical")
     for name, points in (("image", image), ("physical", physical)):
         if len(points) > MOST_POINTS:
-            raise BadPoints(f"{len(points)} {name} points", limit=f"{MOST_POINTS} per set")
+            raise BAD_POINTS(f"{len(points)} {name} points", limit=f"{MOST_POINTS} per set")
     evidence = weigh_evidence(sigma_image_mm, sigma_physical_mm)
     _check_expected(expected)
     search = CorrespondenceSearch(image, physical, evidence, expected, validate_prior(prior))

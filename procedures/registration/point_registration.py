@@ -24,7 +24,7 @@ from procedures.registration.error_theory import (
     target_covariance_mm2,
     tre_principal_axes_mm,
 )
-from procedures.registration.errors import BadParameter, CollinearPoints, UnsoundRegistration
+from procedures.registration.errors import UNSOUND_REGISTRATION, BadParameter, CollinearPoints
 from procedures.registration.points import (
     FEWEST_PAIRS,
     validate_covariances,
@@ -116,7 +116,7 @@ class Registration:
         """Raise REG-009 if the fit is mirrored or ill-posed, whatever its residuals."""
         bad = [one for one in self.caveats if one in (Caveat.MIRRORED, Caveat.ILL_POSED)]
         if bad:
-            raise UnsoundRegistration(f"the registration is not sound: {', '.join(bad)}")
+            raise UNSOUND_REGISTRATION(f"the registration is not sound: {', '.join(bad)}")
 
     def require_sound(self) -> None:
         """Raise REG-009 if the fit is mirrored or ill-posed, REG-010 if its covariances do not explain it.

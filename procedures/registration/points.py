@@ -7,11 +7,11 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform
 
 from procedures.registration.errors import (
-    BadCovariance,
+    BAD_COVARIANCE,
+    BAD_POINTS,
+    DUPLICATE_POINTS,
+    TOO_FEW_POINTS,
     BadParameter,
-    BadPoints,
-    DuplicatePoints,
-    TooFewPoints,
 )
 from ronna_hw.arguments import require_numbers
 from ronna_hw.frames import Transform, is_rotation
@@ -27,17 +27,17 @@ SYMMETRY_TOLERANCE = 1e-9  # relative; covariances are products, symmetric up to
 
 def validate_points(points_mm: ArrayLike, name: str) -> Array:
     """Return the points as a new float array (n, 3); an empty list becomes (0, 3). Raises REG-001."""
-    values = require_numbers(points_mm, f"the {name} points", mistake=BadPoints)
+    values = require_numbers(points_mm, f"the {name} points", mistake=BAD_POINTS)
     if values.size == 0 and values.ndim <= 2:
         return np.zeros((0, 3))
     if values.ndim != 2 or values.shape[1] != 3:
-        raise BadPoints(f"the {name} points have shape {values.shape}", expected="(n, 3)")
+        raise BAD_POINTS(f"the {name} points have shape {values.shape}", expected="(n, 3)")
     if not np.all(np.isfinite(values)):
         rows = np.flatnonzero(~np.isfinite(values).all(axis=1)).tolist()
-        raise BadPoints(f"the {name} points are not finite in row(s) {rows}")
+        raise BAD_POINTS(f"the {name} points are not finite in row(s) {rows}")
     farthest_mm = float(np.abs(values).max(initial=0.0))
     if farthest_mm > COORDINATE_LIMIT_MM:
-        raise BadPoints(
+        raise BAD_POINTS(
             f"the {name} points are farther away than any theatre is wide",
             limit=f"{COORDINATE_LIMIT_MM:g} mm",
             got=f"{farthest_mm:g} mm",
@@ -92,7 +92,7 @@ def validate_pairs(image_mm: ArrayLike, physical_mm: ArrayLike) -> tuple[Array, 
     """Return two sets of equal length, with at least three distinct points. Raises REG-001, 002, 004."""
     image, physical = validate_points(image_mm, "image"), validate_points(physical_mm, "physical")
     if len(image) != len(physical):
-        raise BadPoints(f"{len(image)} image points but {len(physical)} physical points")
+        raise BAD_POINTS(f"{len(image)} image points but {len(physical)} physical points")
     require_enough(image, "pair(s)")
     for name, points in (("image", image), ("physical", physical)):
         refuse_duplicates(points, name)
@@ -102,7 +102,9 @@ def validate_pairs(image_mm: ArrayLike, physical_mm: ArrayLike) -> tuple[Array, 
 def require_enough(points: Array, name: str, action: str | None = None) -> None:
     """Raise REG-002 for fewer points than determine a rigid transform."""
     if len(points) < FEWEST_PAIRS:
-        raise TooFewPoints(f"{len(points)} {name} given", expected=f"at least {FEWEST_PAIRS}", action=action)
+        raise TOO_FEW_POINTS(
+            f"{len(points)} {name} given", expected=f"at least {FEWEST_PAIRS}", action=action
+        )
 
 
 def refuse_duplicates(points: Array, name: str) -> None:
@@ -113,7 +115,7 @@ def refuse_duplicates(points: Array, name: str) -> None:
         spread_mm = float(np.ptp(points, axis=0).max())
         metres = SMALLEST_SPREAD_M < spread_mm < NEAREST_SPHERES_MM
         first, second = (int(index) for index in np.unravel_index(distances.argmin(), distances.shape))
-        raise DuplicatePoints(
+        raise DUPLICATE_POINTS(
             f"{name} points {first} and {second} are the same sphere",
             limit=f"{NEAREST_SPHERES_MM:g} mm apart",
             got=f"{distances.min():.3g} mm",
@@ -123,20 +125,20 @@ def refuse_duplicates(points: Array, name: str) -> None:
 
 def validate_covariances(covariance_mm2: ArrayLike, count: int) -> Array:
     """Return covariances (count, 3, 3) in mm2, symmetrized exactly. Raises REG-005."""
-    values = require_numbers(covariance_mm2, "the covariances", mistake=BadCovariance)
+    values = require_numbers(covariance_mm2, "the covariances", mistake=BAD_COVARIANCE)
     if values.shape != (count, 3, 3):
-        raise BadCovariance(f"the covariances have shape {values.shape}", expected=f"({count}, 3, 3)")
+        raise BAD_COVARIANCE(f"the covariances have shape {values.shape}", expected=f"({count}, 3, 3)")
     if not np.all(np.isfinite(values)):
-        raise BadCovariance("a covariance is not finite")
+        raise BAD_COVARIANCE("a covariance is not finite")
     transposed = values.transpose(0, 2, 1)
     if np.abs(values - transposed).max() > SYMMETRY_TOLERANCE * np.abs(values).max():
-        raise BadCovariance("a covariance is not symmetric")
+        raise BAD_COVARIANCE("a covariance is not symmetric")
     values = 0.5 * (values + transposed)
     smallest = np.linalg.eigvalsh(values)[:, 0]
     scale = np.trace(values, axis1=1, axis2=2)
     if np.any(smallest <= np.finfo(float).eps * np.abs(scale)):
         row = int(np.argmin(smallest))
-        raise BadCovariance(
+        raise BAD_COVARIANCE(
             f"covariance {row} is not positive definite", got=f"smallest variance {smallest[row]:.3g} mm2"
         )
     return np.asarray(values, dtype=float)

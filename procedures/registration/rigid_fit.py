@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from procedures.registration.errors import NotConverged
+from procedures.registration.errors import NOT_CONVERGED
 
 Array = NDArray[np.float64]
 
@@ -130,7 +130,7 @@ def fit_weighted(
         rotation, translation_mm, cost = next_rotation, next_translation, next_cost
         if np.abs(step[:3]).max() < SETTLED and np.abs(step[3:]).max() < SETTLED * scale_mm:
             return rotation, translation_mm
-    raise NotConverged(
+    raise NOT_CONVERGED(
         f"the weighted fit did not converge in {MOST_STEPS} steps", got=f"{np.abs(step).max():.3g}"
     )
 

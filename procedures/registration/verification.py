@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 from scipy.spatial.transform import RigidTransform
 
-from procedures.registration.errors import BadPoints
+from procedures.registration.errors import BAD_POINTS
 from procedures.registration.point_registration import Registration
 from procedures.registration.points import validate_points, validate_transform
 from ronna_hw.calibration import Strict
@@ -95,11 +95,11 @@ def verify_two_way(
     if len(partners) and (
         partners.min() < 0 or np.any(partners.max(axis=0) >= np.array([len(image), len(tracker)]))
     ):
-        raise BadPoints("a pair names a point that does not exist")
+        raise BAD_POINTS("a pair names a point that does not exist")
     if any(not 0 <= point.fiducial < len(image) for point in stereo):
-        raise BadPoints("a stereo measurement names a fiducial that does not exist")
+        raise BAD_POINTS("a stereo measurement names a fiducial that does not exist")
     if fine is not None and fine.pairs != len(stereo):
-        raise BadPoints(f"{fine.pairs} registered pairs but {len(stereo)} stereo measurements")
+        raise BAD_POINTS(f"{fine.pairs} registered pairs but {len(stereo)} stereo measurements")
     rows = _build_ct_rows(image, tracker, partners, tracker_from_ct, fine, stereo, ct_disagreement_mm or {})
     fiducial_of = {reading: fiducial for fiducial, reading in reversed(partners.tolist())}
     readings = [

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ronna_hw.errors import EXIT_REFUSED, DataError, RefusedError
+from ronna_hw.errors import EXIT_REFUSED, DataError, ErrorCode, RefusedError
 
 
 class BadImage(DataError):
@@ -26,11 +26,12 @@ class NoSphere(DataError):
     action = "Search around this pose; if that fails, check that the sphere is present, clean and lit."
 
 
-class BadMeasurement(DataError):
-    """Input numbers are not finite or have the wrong shape."""
-
-    code = "STE-004"
-    action = "Measure again; do not edit the numbers."
+BAD_MEASUREMENT = ErrorCode(
+    "STE-004",
+    DataError,
+    "Input numbers are not finite or have the wrong shape.",
+    "Measure again; do not edit the numbers.",
+)
 
 
 class RaysDoNotMeet(DataError):
@@ -47,18 +48,20 @@ class WrongSize(DataError):
     action = "Check what is in view: glare, another sphere, or a marker of a different diameter."
 
 
-class ServoDiverges(DataError):
-    """The servo residual does not decrease from step to step."""
+SERVO_DIVERGES = ErrorCode(
+    "STE-007",
+    DataError,
+    "The servo residual does not decrease from step to step.",
+    "Check the stereo calibration and that the patient's head is still, then start again.",
+)
 
-    code = "STE-007"
-    action = "Check the stereo calibration and that the patient's head is still, then start again."
 
-
-class ServoExhausted(DataError):
-    """The servo residual still exceeds its tolerance after the last allowed step."""
-
-    code = "STE-008"
-    action = "Leave out this sphere, or check lens, light and arm, then start again."
+SERVO_EXHAUSTED = ErrorCode(
+    "STE-008",
+    DataError,
+    "The servo residual still exceeds its tolerance after the last allowed step.",
+    "Leave out this sphere, or check lens, light and arm, then start again.",
+)
 
 
 class SphereNotInView(DataError):
@@ -68,12 +71,13 @@ class SphereNotInView(DataError):
     action = "Put the ball there, in view of both cameras, or give its position with --ball X Y Z."
 
 
-class WrongCamera(DataError):
-    """The image comes from a camera other than the calibrated one."""
-
-    code = "STE-010"
-    action = "Use the calibration of the mounted head, or calibrate it."
-    exit_code = EXIT_REFUSED
+WRONG_CAMERA = ErrorCode(
+    "STE-010",
+    DataError,
+    "The image comes from a camera other than the calibrated one.",
+    "Use the calibration of the mounted head, or calibrate it.",
+    own_exit_code=EXIT_REFUSED,
+)
 
 
 class Saturated(DataError):
@@ -99,8 +103,9 @@ class NotTrusted(DataError):
     )
 
 
-class HeadTurned(RefusedError):
-    """A camera of the stereo head has moved since its calibration."""
-
-    code = "STE-014"
-    action = "Do not use these positions: check the stereo head with ronna-stereo check, then calibrate it."
+HEAD_TURNED = ErrorCode(
+    "STE-014",
+    RefusedError,
+    "A camera of the stereo head has moved since its calibration.",
+    "Do not use these positions: check the stereo head with ronna-stereo check, then calibrate it.",
+)

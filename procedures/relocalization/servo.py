@@ -14,8 +14,8 @@ from typing import Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from procedures.relocalization.errors import BadMeasurement, ServoDiverges, ServoExhausted, SphereNotInView
-from ronna_hw.frames import Frame, FrameMismatch, Transform
+from procedures.relocalization.errors import BAD_MEASUREMENT, SERVO_DIVERGES, SERVO_EXHAUSTED, SphereNotInView
+from ronna_hw.frames import FRAME_MISMATCH, Frame, Transform
 
 Array = NDArray[np.float64]
 
@@ -90,7 +90,7 @@ class ServoState:
             return state
         state._require_trend()
         if state.step_count >= self.settings.steps:
-            raise ServoExhausted(
+            raise SERVO_EXHAUSTED(
                 f"the servo has not converged after {state.step_count} steps",
                 expected=f"a residual of at most {self.settings.tolerance_mm} mm",
                 got=f"{length:.3f} mm",
@@ -105,7 +105,7 @@ class ServoState:
         """
         _require_tool_pose(tool_pose)
         if not self.points_mm:
-            raise BadMeasurement("the sphere has not been measured yet")
+            raise BAD_MEASUREMENT("the sphere has not been measured yet")
         way_errors_mm = self.settings.way_error * np.array(self.residuals_mm)
         weights = 1.0 / (self.settings.repeatability_mm**2 + way_errors_mm**2)
         step = np.average(self.points_mm, axis=0, weights=weights) - tool_pose.translation_mm
@@ -125,7 +125,7 @@ class ServoState:
             return
         earlier_mm, latest_mm = self.residuals_mm[-1 - span], self.residuals_mm[-1]
         if latest_mm > self.settings.noise_mm and latest_mm > self.settings.shrink * earlier_mm:
-            raise ServoDiverges(
+            raise SERVO_DIVERGES(
                 f"the residual has not decreased within {span} steps",
                 expected=f"at most {self.settings.shrink * earlier_mm:.3f} mm",
                 got=" ".join(f"{value:.3f}" for value in self.residuals_mm) + " mm",
@@ -144,13 +144,13 @@ def recorded_point(tool_pose: Transform, residual_mm: ArrayLike) -> Array:
 def _validate_residual(residual_mm: ArrayLike) -> Array:
     residual = np.array(residual_mm, dtype=float)
     if residual.shape != (3,) or not all(math.isfinite(value) for value in residual):
-        raise BadMeasurement("a residual is three finite numbers in mm", got=str(residual_mm))
+        raise BAD_MEASUREMENT("a residual is three finite numbers in mm", got=str(residual_mm))
     return residual
 
 
 def _require_tool_pose(pose: Transform) -> None:
     if (pose.target, pose.source) != (Frame.ROBOT, Frame.TOOL):
-        raise FrameMismatch(f"a tool pose is robot <- tool, not {pose.target} <- {pose.source}")
+        raise FRAME_MISMATCH(f"a tool pose is robot <- tool, not {pose.target} <- {pose.source}")
 
 
 def search_offsets_mm() -> Array:

@@ -25,8 +25,8 @@ from procedures.relocalization.circle_search import (
     halve_image,
 )
 from procedures.relocalization.errors import (
+    BAD_MEASUREMENT,
     BadImage,
-    BadMeasurement,
     NoContrast,
     NoSphere,
     RaysDoNotMeet,
@@ -113,14 +113,14 @@ def _iterate_spheres(
     if enhance_contrast:
         grey = equalize_contrast(grey)
     if radius_range_px is not None and np.shape(radius_range_px) != (2,):
-        raise BadMeasurement(
+        raise BAD_MEASUREMENT(
             "the range of radii is no pair",
             expected="smallest and largest, px",
             got=show(radius_range_px),
             action="Give two radii, such as (18.0, 22.0).",
         )
     if radius_range_px is not None and not 0.0 < radius_range_px[0] <= radius_range_px[1]:
-        raise BadMeasurement(
+        raise BAD_MEASUREMENT(
             "the range of radii is empty",
             expected="0 < smallest <= largest, px",
             got=_format_range(radius_range_px),
@@ -264,7 +264,7 @@ def _combine_errors(problems: dict[str, DataError]) -> DataError:
     if len(problems) == len(SIDES) and len(words) == 1:
         problems = {"both cameras": worst}
     what = "; ".join(f"{camera}: {one.what}" for camera, one in problems.items())
-    return type(worst)(what, expected=worst.expected, limit=worst.limit, got=worst.got)
+    return worst.reworded(what, expected=worst.expected, limit=worst.limit, got=worst.got)
 
 
 def _find_agreeing(

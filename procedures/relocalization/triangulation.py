@@ -14,7 +14,13 @@ from statistics import median
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from procedures.relocalization.errors import BadMeasurement, HeadTurned, RaysDoNotMeet, WrongCamera, WrongSize
+from procedures.relocalization.errors import (
+    BAD_MEASUREMENT,
+    HEAD_TURNED,
+    WRONG_CAMERA,
+    RaysDoNotMeet,
+    WrongSize,
+)
 from procedures.relocalization.outline import SphereImage
 from ronna_hw.arguments import WrongArgument, show
 from ronna_hw.calibration import CameraCalibration, StereoHeadCalibration
@@ -96,14 +102,14 @@ class Camera:
         """Convert a pixel to undistorted normalized coordinates (2,) iteratively. Raises STE-004."""
         observed: Array = (np.asarray(pixel, dtype=float) - self._principal) / self._focal
         if observed.shape != (2,) or not np.all(np.isfinite(observed)):
-            raise BadMeasurement("a pixel is two finite numbers", got=str(pixel))
+            raise BAD_MEASUREMENT("a pixel is two finite numbers", got=str(pixel))
         ideal: Array = observed.copy()
         for _ in range(UNDISTORT_ITERATIONS):
             step = observed - distort(ideal, self._distortion)
             ideal = ideal + step
             if np.abs(step).max() < UNDISTORT_END:
                 return ideal
-        raise BadMeasurement("the distortion cannot be removed here", got=str(tuple(observed)))
+        raise BAD_MEASUREMENT("the distortion cannot be removed here", got=str(tuple(observed)))
 
     def direction(self, normalised: Array) -> Array:
         """Return the unit direction (3,) of the line of sight, in tool coordinates."""
@@ -203,7 +209,7 @@ def triangulate(
 def check_serial(calibration: CameraCalibration, serial: str) -> None:
     """Raise STE-010 unless the calibration is for the camera with this serial number."""
     if calibration.serial != serial:
-        raise WrongCamera(
+        raise WRONG_CAMERA(
             "the calibration belongs to a different camera", expected=calibration.serial, got=serial
         )
 
@@ -226,7 +232,7 @@ def _check_outlines(outlines: tuple[SphereImage, SphereImage]) -> None:
             )
         numbers = np.array([*outline.centre_px, *outline.axes_px, *np.ravel(outline.covariance_px2)])
         if not np.all(np.isfinite(numbers)) or min(outline.axes_px) <= 0:
-            raise BadMeasurement("an outline has invalid numbers", got=str(numbers))
+            raise BAD_MEASUREMENT("an outline has invalid numbers", got=str(numbers))
 
 
 def _find_nearest_point(cameras: tuple[Camera, Camera], centres: list[Array]) -> tuple[Array, float]:
@@ -291,7 +297,7 @@ def check_head(
     """
     unlikeness = median(2.0 * (left - right) / (left + right) for left, right in radii_mm)
     if abs(unlikeness) > LARGEST_UNLIKENESS:
-        raise HeadTurned(
+        raise HEAD_TURNED(
             "a camera of the stereo head has rotated: the spheres appear larger in one "
             "camera than in the other",
             limit=f"{LARGEST_UNLIKENESS:.2%}",
@@ -300,7 +306,7 @@ def check_head(
     radius_mm = median((left + right) / 2.0 for left, right in radii_mm)
     size_error = 2.0 * radius_mm / sphere_diameter_mm - 1.0
     if abs(size_error) > LARGEST_SIZE_ERROR:
-        raise HeadTurned(
+        raise HEAD_TURNED(
             "both cameras of the stereo head have rotated, or these are other spheres: their size is wrong",
             limit=f"{LARGEST_SIZE_ERROR:.2%} of {sphere_diameter_mm:g} mm (procedure.sphere_diameter_mm)",
             got=f"{abs(size_error):.2%}",
@@ -309,7 +315,7 @@ def check_head(
     limit_mm = max(LEAST_GAP_LIMIT_MM, LARGEST_GAP_OVER_STATED * stated_error_mm)
     if gap_mm > limit_mm:
         gap, limit = format_distinct(gap_mm, limit_mm, 2)
-        raise HeadTurned(
+        raise HEAD_TURNED(
             "a camera of the stereo head has moved: the lines of sight do not meet",
             limit=f"{limit} mm",
             got=f"{gap} mm",

@@ -19,7 +19,7 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from procedures.engine.errors import AnswersUnfit
+from procedures.engine.errors import ANSWERS_UNFIT
 from procedures.operator.question import FOR_A_PERSON, Answer, Operator, Question, Topic, join_answers
 from ronna_hw.bounded_input import read_toml
 from ronna_hw.config import read_theatre_file
@@ -46,7 +46,7 @@ class Answers(BaseModel):
         """Raise PRO-026 for answers whose trajectory is not in the plan."""
         named = {key: key.partition(":")[2] for key in self.answers if ":" in key}
         if unknown := [key for key, name in named.items() if name not in trajectories]:
-            raise AnswersUnfit(
+            raise ANSWERS_UNFIT(
                 f"the plan has no trajectory for {', '.join(unknown)}", expected=", ".join(trajectories)
             )
 
@@ -61,22 +61,22 @@ def read_answers(path: Path, config: Path | None = None) -> Answers:
 
     Raises PRO-026 with everything in it that does not fit, also for real devices, CFG-001, OSError.
     """
-    content = read_toml(path, AnswersUnfit)
+    content = read_toml(path, ANSWERS_UNFIT)
     for key, kind in OTHER_FILES.items():
         if key in content:
-            raise AnswersUnfit(
+            raise ANSWERS_UNFIT(
                 f"{path} is {kind}, not a file of answers", expected="a table [answers], or a default"
             )
     try:
         read = Answers.model_validate(content)
     except ValidationError as error:
-        raise AnswersUnfit(f"{path}: {'; '.join(describe_mistakes(error, Answers))}") from error
+        raise ANSWERS_UNFIT(f"{path}: {'; '.join(describe_mistakes(error, Answers))}") from error
     if mistakes := [mistake for key, word in read.answers.items() if (mistake := _find_mistake(key, word))]:
-        raise AnswersUnfit(f"{path}: {'; '.join(mistakes)}")
+        raise ANSWERS_UNFIT(f"{path}: {'; '.join(mistakes)}")
     if (
         personal := [key for key in read.answers if key.partition(":")[0] in FOR_A_PERSON]
     ) and not is_rehearsal(config):
-        raise AnswersUnfit(
+        raise ANSWERS_UNFIT(
             f"{path}: on real devices only a person answers {', '.join(personal)}",
             action="Remove these lines; the questions are asked at the terminal or the console.",
         )

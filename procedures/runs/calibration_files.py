@@ -12,7 +12,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from procedures.calibration.errors import BadObservations
+from procedures.calibration.errors import BAD_OBSERVATIONS
 from procedures.reporting.calibration_figures import RESULT_FILE, RecordFigures, read_figures
 from procedures.runs.theatre_history import Signature, update_tables
 from ronna_hw.bounded_input import read_toml
@@ -35,13 +35,13 @@ def require_records(folders: Iterable[Path]) -> None:
     for folder in folders:
         file = folder / CALIBRATION_FILE if folder.is_dir() else folder
         try:
-            content = read_toml(file, BadObservations)
+            content = read_toml(file, BAD_OBSERVATIONS)
         except OSError as error:
-            raise BadObservations(f"cannot read {file}: {error.strerror}") from error
+            raise BAD_OBSERVATIONS(f"cannot read {file}: {error.strerror}") from error
         found = content.get("calibration")
         unknown = set(found) - set(Calibrations.model_fields) if isinstance(found, dict) else set()
         if unknown or not found or not isinstance(found, dict):
-            raise BadObservations(
+            raise BAD_OBSERVATIONS(
                 f"{file} has no calibration records",
                 expected=f"[calibration.{'|'.join(Calibrations.model_fields)}]",
                 got=", ".join(sorted(unknown)) or "none",
@@ -53,9 +53,9 @@ def read_finished_figures(folder: Path) -> RecordFigures:
     try:
         figures = read_figures(folder)
     except (OSError, ValueError) as error:
-        raise BadObservations(f"cannot read {folder / RESULT_FILE}: {error}") from error
+        raise BAD_OBSERVATIONS(f"cannot read {folder / RESULT_FILE}: {error}") from error
     if not isinstance(figures, RecordFigures):
-        raise BadObservations(f"cannot read {folder / RESULT_FILE}: it is not of a calibration")
+        raise BAD_OBSERVATIONS(f"cannot read {folder / RESULT_FILE}: it is not of a calibration")
     return figures
 
 

@@ -15,7 +15,7 @@ from procedures.calibration import Baseline, CheckResult, HeadResult, Observatio
 from procedures.calibration.arm_calibration import ArmResult, calibrate_arm
 from procedures.calibration.arm_model import LOOKS_FILE as ARM_LOOKS_FILE
 from procedures.calibration.arm_model import ArmLooks
-from procedures.calibration.errors import BadObservations, NotTheBaseline
+from procedures.calibration.errors import BAD_OBSERVATIONS, NotTheBaseline
 from procedures.calibration.frame_calibration import LOOKS_FILE as FRAME_LOOKS_FILE
 from procedures.calibration.frame_calibration import FrameLooks, FrameResult, calibrate_frame
 from procedures.calibration.observations import (
@@ -130,7 +130,7 @@ def compute_calibration(kind: CalibrationKind[Looks, Result], request: RunReques
     except RonnaError:
         raise
     except (ValueError, ArithmeticError) as error:  # the former also of a matrix
-        raise BadObservations(f"nothing can be computed from these measurements: {error}") from error
+        raise BAD_OBSERVATIONS(f"nothing can be computed from these measurements: {error}") from error
     if theatre is not None:
         require_same_theatre(looks, theatre, kind.records_of(result))
     return result

@@ -89,7 +89,7 @@ def prepare_case(
 ) -> EngineInput:
     """Prepare the engine input of a case, and keep its plan locked until `held` closes."""
     from procedures.calibration.validity import options_of, require_valid
-    from procedures.engine.errors import RecoveryRefused
+    from procedures.engine.errors import RECOVERY_REFUSED
     from procedures.engine.setting import now_to_second
     from procedures.planning.plan_lock import lock_plan
     from procedures.planning.tool_records import ToolRecords
@@ -116,7 +116,7 @@ def prepare_case(
     except RonnaError as problem:
         if resumption is None or resumption.interrupted.untouched:
             raise
-        raise RecoveryRefused(
+        raise RECOVERY_REFUSED(
             f"the run cannot be resumed: {file} is not as it was",
             expected="the plan that the run was opened with",
             got=problem.summary,

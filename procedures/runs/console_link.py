@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from procedures.engine.errors import ConsoleMissing
+from procedures.engine.errors import CONSOLE_MISSING
 from procedures.engine.events import Event, EventStream, Questioned
 from procedures.runs.observers import RunObservers
 from procedures.runs.operator_station import OperatorStation
@@ -229,7 +229,7 @@ class ConsoleRequest:
 def check_console() -> None:
     """Raise PRO-040 if the libraries of the console are not installed."""
     if missing := [name for name in REQUIRED_MODULES if importlib.util.find_spec(name) is None]:
-        raise ConsoleMissing(f"the console needs {' and '.join(missing)}")
+        raise CONSOLE_MISSING(f"the console needs {' and '.join(missing)}")
 
 
 def check_port(port: int) -> None:

@@ -11,11 +11,11 @@ from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
 from pathlib import Path
 
-from procedures.engine.errors import CommandRefused, RunInUse, TheatreNotNoted
+from procedures.engine.errors import RUN_IN_USE, CommandRefused, TheatreNotNoted
 from procedures.journal.journal import JOURNAL_FILE
 from procedures.runs.request import CaseProcedure, Measurement, RunRequest
 from procedures.runs.request_file import write_request
-from ronna_hw.command_line.errors import PathProblem
+from ronna_hw.command_line.errors import PATH_PROBLEM
 from ronna_hw.command_line.options import require_folder, require_outside_runs
 from ronna_hw.errors import EXIT_USAGE, ConfigurationError, DataError
 from ronna_hw.evidence.lost_end import EVENTS_FILE
@@ -72,7 +72,7 @@ def hold_run(folder: Path) -> Iterator[None]:
         except BlockingIOError:
             holder = find_lock_holder(file)
             by = "another program" if holder is None else str(holder)
-            raise RunInUse(
+            raise RUN_IN_USE(
                 f"{by} has {folder.name} open",
                 action=f"Operate it where it runs; to follow it from here: ronna-procedure watch {folder}",
             ) from None
@@ -84,7 +84,7 @@ def hold_run(folder: Path) -> Iterator[None]:
 def find_runs(folder: Path) -> list[Path]:
     """Return the runs in a folder, oldest first. Raises CLI-005 if the folder does not exist."""
     if not folder.is_dir():
-        raise PathProblem(f"{folder} is not a folder", expected="a folder of runs")
+        raise PATH_PROBLEM(f"{folder} is not a folder", expected="a folder of runs")
     return sorted(path for path in folder.iterdir() if path.is_dir() and is_run(path))
 
 
@@ -103,12 +103,12 @@ def require_run(folder: Path) -> None:
     if is_run(folder):
         return
     if folder.is_dir() and (held := [run.name for run in find_runs(folder)]):
-        raise PathProblem(
+        raise PATH_PROBLEM(
             f"{folder} is not a run; it holds {format_count(len(held), 'run')}: {format_names(held)}",
             action=f"Give one of them: {folder / held[-1]}.",
         )
     is_file = folder.is_file()
-    raise PathProblem(
+    raise PATH_PROBLEM(
         f"{folder} is {'a file, not a run' if is_file else 'not the folder of a run'}",
         expected="a folder with journal.jsonl",
         action=next((f"Give the run's folder: {above}." for above in folder.parents if is_run(above)), None),

@@ -28,7 +28,7 @@ from procedures.runs.simulated_theatre import SimulatedRoom, SimulatedTheatre
 from ronna_hw.command_line.messages import fail_with, tell
 from ronna_hw.control_port import VARIABLE
 from ronna_hw.errors import RonnaError
-from ronna_hw.evidence.journal_reading import RunChanged
+from ronna_hw.evidence.journal_reading import RUN_CHANGED
 from ronna_hw.evidence.manifest import SCENE_FILE
 from ronna_hw.host.files import require_open_files
 from ronna_hw.host.process import ENDING_SIGNALS, defer_interruption, resume_garbage_collection
@@ -261,7 +261,7 @@ def _require_same_scene(folder: Path, interrupted: InterruptedRun) -> None:
     """Raise PRO-033 if the scene file was changed since the run left its simulated theatre."""
     for change in interrupted.changes:
         if change.file == SCENE_FILE:
-            raise RunChanged(
+            raise RUN_CHANGED(
                 f"the simulated theatre cannot continue in {folder / SCENE_FILE}",
                 expected="the scene that the run began with",
                 got=f"one that is {change.what}",

@@ -6,7 +6,7 @@ import warnings
 from functools import cached_property
 from pathlib import Path
 
-from procedures.exchange.errors import NoRegistration
+from procedures.exchange.errors import NO_REGISTRATION
 from procedures.exchange.recorded_tables import RecordedPictures, RecordedTables, recorded_tables
 from procedures.exchange.run_tables import (
     EVENTS,
@@ -136,7 +136,7 @@ class RunArrays:
         """Return the registration used for a target. Raises EXC-005 if it has none."""
         used = find_registration(self._reading, target)
         if used is None:
-            raise NoRegistration(
+            raise NO_REGISTRATION(
                 f"{self.name} has no registration for a target {target!r}",
                 expected=f"one of {', '.join(self.targets.name) or 'no targets: the plan was not checked'}",
             )

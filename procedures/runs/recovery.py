@@ -12,7 +12,7 @@ from collections.abc import Sequence
 
 from procedures.engine.case import StepKey
 from procedures.engine.engine import Engine
-from procedures.engine.errors import RecoveryRefused
+from procedures.engine.errors import RECOVERY_REFUSED
 from procedures.engine.questions import IN_DIVOT, IN_GAUGE, removal_words
 from procedures.engine.run_folder import step_key
 from procedures.journal.errors import StepRefused
@@ -232,7 +232,7 @@ def _require_acceptance(engine: Engine, comparison: Comparison, subject: str, or
     if engine.ask(question) != YES:
         late_s = engine.questions.unanswered_s
         found = "; ".join([*comparison.warnings, *comparison.notes])
-        raise RecoveryRefused(
+        raise RECOVERY_REFUSED(
             "the operator did not accept the findings" if late_s is None else "the time to answer ran out",
             expected=None if late_s is None else "that the findings are accepted",
             got=found or None,
@@ -263,7 +263,7 @@ def _conclude(engine: Engine, comparison: Comparison, action: str | None = None)
     engine.found(comparison.findings, comparison.differences)
     if comparison.differences:
         by_other = engine.setting.arm_not_home in comparison.differences
-        raise RecoveryRefused(
+        raise RECOVERY_REFUSED(
             "the run cannot be resumed: " + "; ".join(comparison.differences),
             action="Nothing was moved. Bring the arm home as said, then repeat this command."
             if by_other

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 from procedures.journal.free_space import describe_shortage
 from procedures.runs.request import PATIENT_SCENES, CaseProcedure
 from ronna_hw.bounded_input import read_bounded
-from ronna_hw.command_line.errors import DiskFull, PathProblem, UsageMistake
+from ronna_hw.command_line.errors import DISK_FULL, PATH_PROBLEM, UsageMistake
 from ronna_hw.command_line.messages import on_terminal
 from ronna_hw.config import ASSISTANT, MASTER, TheatreFile, read_theatre_file
 from ronna_hw.control_port import VARIABLE, require_theatre
@@ -124,15 +124,17 @@ def check_case(request: RunRequest, out: Path) -> None:
         case = case_procedure.case or Path()
         around = case.resolve().parent
         if case.resolve() == around / "ct" and (around / "plan.toml").exists():
-            raise PathProblem(f"{case} is the ct folder of a case", action=f"Give the case folder, {around}.")
+            raise PATH_PROBLEM(
+                f"{case} is the ct folder of a case", action=f"Give the case folder, {around}."
+            )
         if case.is_file():
-            raise PathProblem(
+            raise PATH_PROBLEM(
                 f"{case} is a file", expected="a case folder with ct/ and plan.toml", action=f"Give {around}."
             )
         for part in ("ct", "plan.toml"):
             path = case / part
             if not path.exists():
-                raise PathProblem(f"{path} does not exist", expected="a case folder with ct/ and plan.toml")
+                raise PATH_PROBLEM(f"{path} does not exist", expected="a case folder with ct/ and plan.toml")
         if request.answers is not None:
             from procedures.planning.plan_file import read_plan
 
@@ -158,7 +160,7 @@ def require_space(out: Path) -> None:
     resolved = out.resolve()
     folder = next(path for path in (resolved, *resolved.parents) if path.exists())  # a run makes the others
     if shortage := describe_shortage(folder):
-        raise DiskFull(f"no case was started in {folder}: {shortage}")
+        raise DISK_FULL(f"no case was started in {folder}: {shortage}")
 
 
 def require_simulated_patient(plan_file: Path, series_instance_uid: str, choice: SceneChoice) -> None:
@@ -169,7 +171,7 @@ def require_simulated_patient(plan_file: Path, series_instance_uid: str, choice:
     """
     from procedures.imaging.dicom.attributes import read_attribute_text
     from procedures.imaging.dicom.slice_headers import CT_FOLDER, iterate_images
-    from procedures.planning.errors import WrongSeries
+    from procedures.planning.errors import WRONG_SERIES
 
     ct = plan_file.resolve().parent / CT_FOLDER
     tags = ("PatientID", "SeriesInstanceUID")
@@ -182,7 +184,7 @@ def require_simulated_patient(plan_file: Path, series_instance_uid: str, choice:
     scene, seed = patient
     if scene in PATIENT_SCENES:
         same_scene = scene == choice.scene
-        raise WrongSeries(
+        raise WRONG_SERIES(
             f"{plan_file.name} belongs to the simulated patient of scene {scene}, seed {seed}",
             expected=f"a plan of scene {choice.scene}, seed {choice.scene_seed}",
             action=f"For its own patient add {'' if same_scene else f'--scene {scene} '}--seed {seed}.",

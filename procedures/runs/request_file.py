@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, JsonValue, ValidationError
 
-from procedures.engine.errors import BadRequestFile, OtherProgram
+from procedures.engine.errors import BAD_REQUEST_FILE, OTHER_PROGRAM
 from procedures.engine.methods import CaseMethods
 from procedures.runs.request import (
     DEFAULT_ARM,
@@ -128,11 +128,11 @@ def read_request(folder: Path) -> RunRequest:
     try:
         content = RequestFile.model_validate_json(read_json_bytes(path))
     except OSError as error:
-        raise BadRequestFile(f"{path} cannot be read: {error.strerror}") from error
+        raise BAD_REQUEST_FILE(f"{path} cannot be read: {error.strerror}") from error
     except ValidationError as error:
-        raise BadRequestFile(f"{path}: {'; '.join(describe_mistakes(error))}") from error
+        raise BAD_REQUEST_FILE(f"{path}: {'; '.join(describe_mistakes(error))}") from error
     if content.program != version(PROGRAM):
-        raise OtherProgram(
+        raise OTHER_PROGRAM(
             f"{folder.name} was made by another version", expected=version(PROGRAM), got=content.program
         )
     procedure: CaseProcedure | CalibrationProcedure
@@ -151,7 +151,7 @@ def read_request(folder: Path) -> RunRequest:
             dual=content.dual,
         )
     else:
-        raise BadRequestFile(f"{path} names neither the strategy of a case nor a calibration")
+        raise BAD_REQUEST_FILE(f"{path} names neither the strategy of a case nor a calibration")
     return RunRequest(
         procedure=procedure,
         config=content.config,
@@ -169,7 +169,7 @@ def _answers(path: Path, content: dict[str, JsonValue]) -> Answers:
     try:
         return Answers.model_validate(content)
     except ValidationError as error:
-        raise BadRequestFile(f"{path}: {'; '.join(describe_mistakes(error, Answers))}") from error
+        raise BAD_REQUEST_FILE(f"{path}: {'; '.join(describe_mistakes(error, Answers))}") from error
 
 
 def request_hash(folder: Path) -> dict[str, str]:

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from procedures.engine.errors import HistoryChanged
+from procedures.engine.errors import HISTORY_CHANGED
 from ronna_hw.bounded_input import read_bounded
 
 LARGEST_HISTORY_BYTES = 100_000_000  # thousands of updates
@@ -88,7 +88,7 @@ def read_history(path: Path) -> History:
             carried_out.add(len(updates) - 1)
         before, above = hash_bytes(line), entry
     if cut_off and cut_off[-1] == len(lines) and content.endswith(b"\n"):
-        raise HistoryChanged(
+        raise HISTORY_CHANGED(
             f"line {len(lines)} of {path.name} was changed: it is complete, but neither an update nor its end"
         )
     return History(tuple(updates), frozenset(carried_out), tuple(cut_off), before)
@@ -107,7 +107,7 @@ def _check_chain(path: Path, number: int, before: str, entry: Update | CarriedOu
     if entry.previous == before:
         return
     changed = f"line {number - 1} of {path.name} was changed or moved" if number > 1 else "lines are missing"
-    raise HistoryChanged(
+    raise HISTORY_CHANGED(
         f"{changed} since line {number} of {path.name} was written",
         expected=f"SHA-256 {entry.previous or 'of no line before'}",
         got=before or "no line before",
@@ -120,7 +120,7 @@ def _check_texts(path: Path, number: int, update: Update) -> None:
         ("text", update.text, update.sha256_after),
     ):
         if text is not None and (found := hash_bytes(text.encode())) != recorded:
-            raise HistoryChanged(
+            raise HISTORY_CHANGED(
                 f"line {number} of {path.name} was changed: its {name} is not the recorded one",
                 expected=f"SHA-256 {recorded}",
                 got=found,

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 from procedures.engine.case import StepKey
 from procedures.engine.engine import Engine
-from procedures.engine.errors import RecoveryRefused
+from procedures.engine.errors import RECOVERY_REFUSED
 from procedures.engine.run_folder import parse_record
 from procedures.steps.calibration.ball_place import BallPlace
 from procedures.steps.calibration.tip_readings import HOVER_MM
@@ -76,7 +76,7 @@ def _surround_off_axis(engine: Engine, assistant: Assistant) -> None:
     former = [record for record in case.records if record.kind == Correspondence.kind]
     if standing is None and not former:
         if assistant.place.is_out:
-            raise RecoveryRefused(
+            raise RECOVERY_REFUSED(
                 "the assistant is not home, and no result gives the position of the head",
                 action="Jog it home with its controller's pendant, then resume again.",
             )
@@ -104,7 +104,7 @@ def _surround_guide_or_head(engine: Engine, keys: Sequence[StepKey]) -> None:
             workcell.master.joints_rad(),
         )
     elif not workcell.master.place.is_home:
-        raise RecoveryRefused(
+        raise RECOVERY_REFUSED(
             "the arm is not home, and no result gives the position of the head",
             action="Jog the arm home with the controller's pendant, then resume again.",
         )

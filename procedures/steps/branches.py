@@ -18,11 +18,11 @@ from procedures.operator.errors import GuardUnmet, NotConfirmed, OperatorAborted
 from procedures.operator.question import NO, YES, Question, Topic
 from procedures.planning.errors import NotReachable, WrongMarkerCount
 from procedures.planning.free_angle import BY_ACCURACY
-from procedures.registration.errors import HeadElsewhere, NoUniqueMatch
-from procedures.relocalization.errors import Saturated, ServoDiverges, ServoExhausted
-from procedures.steps.errors import CartMisplaced, CartNotLocked, DepthStopWrong, ToolBesideGauge
-from procedures.workcell.errors import SphereNotFound, WrongTool
-from ronna_hw.errors import RonnaError
+from procedures.registration.errors import NO_UNIQUE_MATCH, HeadElsewhere
+from procedures.relocalization.errors import SERVO_DIVERGES, SERVO_EXHAUSTED, Saturated
+from procedures.steps.errors import CART_NOT_LOCKED, CART_OUT_OF_PLACE, DEPTH_STOP_WRONG, ToolBesideGauge
+from procedures.workcell.errors import SPHERE_NOT_FOUND, WrongTool
+from ronna_hw.errors import AnyCode, RonnaError
 from ronna_hw.wire.room_tasks import DRILL, DURA, INSERT, SKIN
 
 GO_ON, LEAVE_OUT, FOLLOW, HOLD = "go on", "leave it out", "follow", "hold"
@@ -52,7 +52,7 @@ class Branch:
     steps: tuple[str, ...]  # in which it can happen; none for any
     action: str
     ending: Ending
-    errors: tuple[type[RonnaError], ...] = ()
+    errors: tuple[AnyCode[RonnaError], ...] = ()
     topic: Topic | None = None
     answers: tuple[str, ...] = ()
 
@@ -131,7 +131,7 @@ AMBIGUOUS = Branch(
     ("correspondence",),
     "both pairings are shown; neither is used",
     Ending.HOLD,
-    (NoUniqueMatch,),
+    (NO_UNIQUE_MATCH,),
 )
 MIRRORED_CT = Branch(
     "a mirrored CT would match as well, and the head is not where the match has it",
@@ -147,7 +147,7 @@ UNMATCHED_SPHERE = Branch(
     ("correspondence",),
     f"it is named; the case continues with the others if {FEWEST_SPHERES} remain and the operator agrees",
     Ending.ASK,
-    (NoUniqueMatch,),
+    (NO_UNIQUE_MATCH,),
     Topic.UNMATCHED_SPHERE,
     (LEAVE_OUT, HOLD),
 )
@@ -158,7 +158,7 @@ SPHERE_FAILED = Branch(
     ("relocalization",),
     f"left out if {FEWEST_SPHERES} remain and the operator agrees; the head backs off along its axis",
     Ending.ASK,
-    (SphereNotFound, ServoDiverges, ServoExhausted, Saturated),
+    (SPHERE_NOT_FOUND, SERVO_DIVERGES, SERVO_EXHAUSTED, Saturated),
     Topic.SPHERE,
     (LEAVE_OUT, HOLD),
 )
@@ -177,7 +177,7 @@ CART_MISPLACED = Branch(
     f"the correction is shown; the cart is placed again, {PLACINGS} times at most, or stays if the "
     "operator says so: the path check judges the actual position",
     Ending.ASK,
-    (CartMisplaced,),
+    (CART_OUT_OF_PLACE,),
     Topic.CART_PLACE,
     (AGAIN, AS_IT_STANDS, HOLD),
 )
@@ -188,7 +188,7 @@ CART_UNLOCKED = Branch(
     ("cart_lock",),
     "nothing is localized and nothing moves; it is locked and leaned on again",
     Ending.HOLD,
-    (CartNotLocked,),
+    (CART_NOT_LOCKED,),
 )
 REFERENCE_MOVED = Branch(
     "the patient's reference has moved: head, cart or tracker",
@@ -338,7 +338,7 @@ WRONG_STOP = Branch(
     ("at_target",),
     f"it is set and read again, {SETTINGS} times at most; no instrument is inserted",
     Ending.ASK,
-    (DepthStopWrong,),
+    (DEPTH_STOP_WRONG,),
     Topic.DEPTH_STOP,
     (YES, NO),
 )

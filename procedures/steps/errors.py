@@ -2,32 +2,31 @@
 
 from __future__ import annotations
 
-from ronna_hw.errors import LimitError, RefusedError
+from ronna_hw.errors import ErrorCode, LimitError, RefusedError
+
+CART_NOT_LOCKED = ErrorCode(
+    "PRO-041",
+    RefusedError,
+    "The cart's lock was not confirmed, or the cart rolled when leaned on.",
+    "Lock the brakes of every wheel, or lower the cart onto its feet, then repeat the step.",
+)
 
 
-class CartNotLocked(RefusedError):
-    """The cart's lock was not confirmed, or the cart rolled when leaned on."""
-
-    code = "PRO-041"
-    action = "Lock the brakes of every wheel, or lower the cart onto its feet, then repeat the step."
-
-
-class CartMisplaced(RefusedError):
-    """The cart is farther from its proposed position than the tolerance allows."""
-
-    code = "PRO-042"
-    action = "Push the cart as indicated and repeat the step, or make a map from here: ronna-plan place."
+CART_OUT_OF_PLACE = ErrorCode(
+    "PRO-042",
+    RefusedError,
+    "The cart is farther from its proposed position than the tolerance allows.",
+    "Push the cart as indicated and repeat the step, or make a map from here: ronna-plan place.",
+)
 
 
-class DepthStopWrong(LimitError):
-    """The depth stop of the instrument is not at the setting computed for the trajectory."""
-
-    code = "TOOL-004"
-    action = (
-        "Set the depth stop to the expected value, then repeat the step; no instrument is "
-        "inserted until then."
-    )
-    exit_code = RefusedError.exit_code
+DEPTH_STOP_WRONG = ErrorCode(
+    "TOOL-004",
+    LimitError,
+    "The depth stop of the instrument is not at the setting computed for the trajectory.",
+    ("Set the depth stop to the expected value, then repeat the step; no instrument is inserted until then."),
+    own_exit_code=RefusedError.exit_code,
+)
 
 
 class ReadingTooOld(LimitError):

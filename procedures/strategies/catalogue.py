@@ -8,7 +8,7 @@ from difflib import get_close_matches
 
 from numpy.typing import ArrayLike
 
-from procedures.strategies.errors import UnknownStrategy
+from procedures.strategies.errors import UNKNOWN_STRATEGY
 from procedures.strategies.fixed_orientation import NeutralOrientation, OrientationCorrection
 from procedures.strategies.joint_displacement import (
     ImprovedDisplacementMinimization,
@@ -107,5 +107,5 @@ def find_strategy(name: str) -> Strategy:
         if strategy.name == name:
             return strategy
     close_matches = get_close_matches(name.lower(), [one.name for one in STRATEGIES], n=1)
-    suggestion = f"Did you mean {close_matches[0]}? {UnknownStrategy.action}" if close_matches else None
-    raise UnknownStrategy(f"there is no strategy {name!r}", action=suggestion)
+    suggestion = f"Did you mean {close_matches[0]}? {UNKNOWN_STRATEGY.action}" if close_matches else None
+    raise UNKNOWN_STRATEGY(f"there is no strategy {name!r}", action=suggestion)

@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
-from ronna_hw.errors import ConfigurationError, DataError, LimitError
+from ronna_hw.errors import ConfigurationError, DataError, ErrorCode, LimitError
+
+UNKNOWN_STRATEGY = ErrorCode(
+    "STR-002",
+    ConfigurationError,
+    "No strategy has this name.",
+    "Use one of: ocs, thesis-ocs, nos, jdms, improved, best.",
+)
 
 
-class UnknownStrategy(ConfigurationError):
-    """No strategy has this name."""
-
-    code = "STR-002"
-    action = "Use one of: ocs, thesis-ocs, nos, jdms, improved, best."
-
-
-class BadTrajectory(DataError):
-    """Entry and target coincide, or a number is not finite, or not in its place and range."""
-
-    code = "STR-003"
-    action = "Correct the trajectory in the plan."
+BAD_TRAJECTORY = ErrorCode(
+    "STR-003",
+    DataError,
+    "Entry and target coincide, or a number is not finite, or not in its place and range.",
+    "Correct the trajectory in the plan.",
+)
 
 
 class NoNearbyJoints(LimitError):

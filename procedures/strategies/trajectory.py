@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
-from procedures.strategies.errors import BadTrajectory
+from procedures.strategies.errors import BAD_TRAJECTORY
 from ronna_hw.arguments import require_numbers
-from ronna_hw.frames import Frame, FrameMismatch, Transform, build_rigid
+from ronna_hw.frames import FRAME_MISMATCH, Frame, Transform, build_rigid
 
 Array = NDArray[np.float64]
 Point = tuple[float, float, float]
@@ -59,20 +59,20 @@ class Trajectory:
             ]
         )
         if not np.isfinite(numbers).all():
-            raise BadTrajectory(f"trajectory {self.identifier} has a number that is not finite")
+            raise BAD_TRAJECTORY(f"trajectory {self.identifier} has a number that is not finite")
         if abs(self.free_angle_rad) > LARGEST_ANGLE_RAD:
-            raise BadTrajectory(
+            raise BAD_TRAJECTORY(
                 f"the free angle of trajectory {self.identifier} is more than two turns: are these degrees?",
                 limit=f"{LARGEST_ANGLE_RAD:.3f} rad",
                 got=f"{self.free_angle_rad:g} rad",
                 action="Give radians, such as math.radians(30).",
             )
         if self.depth_mm < SHORTEST_MM:
-            raise BadTrajectory(f"entry and target of trajectory {self.identifier} coincide")
+            raise BAD_TRAJECTORY(f"entry and target of trajectory {self.identifier} coincide")
 
     def _require_numbers(self, name: str, shape: tuple[int, ...]) -> Array:
         what = f"the numbers in {name} of trajectory {self.identifier}"
-        return require_numbers(getattr(self, name), what, shape=shape, mistake=BadTrajectory)
+        return require_numbers(getattr(self, name), what, shape=shape, mistake=BAD_TRAJECTORY)
 
     def with_rest(self, beyond_mm: float, standoff_mm: float | None = None) -> Trajectory:
         """Return a copy of the trajectory whose tool comes to rest `beyond_mm` past the target."""
@@ -151,7 +151,7 @@ def back_along_axis(pose: Transform, distance_mm: float) -> Transform:
 def require_frames(transform: Transform, target: Frame, source: Frame) -> None:
     """Raise FRM-001 unless the transform is target <- source."""
     if (transform.target, transform.source) != (target, source):
-        raise FrameMismatch(
+        raise FRAME_MISMATCH(
             f"a transform {target} <- {source} is needed", got=f"{transform.target} <- {transform.source}"
         )
 

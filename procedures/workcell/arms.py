@@ -15,7 +15,7 @@ from contextlib import AbstractContextManager, contextmanager, nullcontext, supp
 from dataclasses import dataclass, replace
 from typing import NoReturn, TypeVar
 
-from procedures.workcell.errors import BothArmsHalted, InstrumentInGuide, OtherArmMoving, OtherArmUnknown
+from procedures.workcell.errors import INSTRUMENT_IN_GUIDE, OTHER_ARM_MOVING, BothArmsHalted, OtherArmUnknown
 from procedures.workcell.placed_arms import PlacedArms, RolePair
 from ronna_hw.arm.clearance.arm_pair import (
     APART_MM,
@@ -263,13 +263,13 @@ class Arms:
         """Hold the right to move. Raises DUAL-001 to DUAL-003, TOOL-001."""
         self.placed.require_all_placed()
         if not self._moving.acquire(blocking=False):
-            raise OtherArmMoving("another motion is under way")
+            raise OTHER_ARM_MOVING("another motion is under way")
         try:
             self._require_released()
             self.halt_for_fault()
             self._require_released()
             if not with_instrument and (place := self.instrument_inside()) is not None:
-                raise InstrumentInGuide(f"an instrument is in the guide, and in {place}")
+                raise INSTRUMENT_IN_GUIDE(f"an instrument is in the guide, and in {place}")
             self._live = self.placed.live()
             self._least_mm = {pair: self._find_least_mm(pair, live) for pair, live in self._live.items()}
             yield

@@ -25,7 +25,7 @@ from procedures.workcell.arm_history import (
     MotionKind,
 )
 from procedures.workcell.arms import Arms
-from procedures.workcell.errors import GuideHeldAtEntry, InstrumentInGuide, OtherArmUnknown
+from procedures.workcell.errors import GUIDE_HELD_AT_ENTRY, INSTRUMENT_IN_GUIDE, OtherArmUnknown
 from procedures.workcell.motions import PlannedMotion, joints_after
 from procedures.workcell.supervised_arm import SupervisedArm
 from procedures.workcell.tools import CarriedTool
@@ -350,7 +350,7 @@ class Assistant(SupervisedArm):
         """Return the motion that `withdraw` would make. Raises PRO-014 on no axis."""
         axis = self.place.axis
         if axis is None:
-            raise GuideHeldAtEntry("the assistant is on no axis", expected="the axis of a trajectory")
+            raise GUIDE_HELD_AT_ENTRY("the assistant is on no axis", expected="the axis of a trajectory")
         legs = [] if guided is None else [self._line(axis, guided.end_mm, WITHDRAWAL_SPEED_MM_S)]
         last_mm_s = OFF_SKIN_SPEED_MM_S if guided else WITHDRAWAL_SPEED_MM_S
         return self._along(MotionKind.WITHDRAW, axis, *legs, self._line(axis, 0.0, last_mm_s))
@@ -446,9 +446,9 @@ class Assistant(SupervisedArm):
             self.require_on_axis()  # a straight line from beside the axis would bend the instrument
             return
         if on is not None:
-            raise GuideHeldAtEntry(
+            raise GUIDE_HELD_AT_ENTRY(
                 f"{motion.what}: the assistant holds an instrument at the guide",
                 expected=f"a retreat along {on.trajectory}",
             )
         if (inside := self._arms.instrument_inside()) is not None:
-            raise InstrumentInGuide(f"{motion.what}: an instrument is in the guide, and in {inside}")
+            raise INSTRUMENT_IN_GUIDE(f"{motion.what}: an instrument is in the guide, and in {inside}")

@@ -15,7 +15,7 @@ from procedures.relocalization import ServoSettings, ServoState, recorded_point,
 from procedures.relocalization.errors import NoContrast, NotTrusted, Saturated, SphereNotInView
 from procedures.strategies.trajectory import back_along_axis
 from procedures.workcell.device_views import ArmView
-from procedures.workcell.errors import SphereNotFound
+from procedures.workcell.errors import SPHERE_NOT_FOUND
 from procedures.workcell.stereo_look import Look
 from ronna_hw.arm.catalogue import repeatability_mm
 from ronna_hw.devices.lifecycle import Lifecycle
@@ -89,7 +89,7 @@ class Centring:
             joints = workcell.master.joints_rad()
             pose = workcell.master.tool_pose(joints, self.arriving)
             if seen.point is None:
-                raise SphereNotFound(f"sphere {fiducial + 1} was lost during the servo", got=seen.reason)
+                raise SPHERE_NOT_FOUND(f"sphere {fiducial + 1} was lost during the servo", got=seen.reason)
             servo = servo.with_measurement(pose, seen.point.position_mm)
             if servo.converged:
                 break
@@ -135,7 +135,7 @@ class Centring:
                 if best_look.left is None and seen.left is not None:
                     best_look, pose = seen, around
         except SphereNotInView as error:
-            refusal = SphereNotFound(
+            refusal = SPHERE_NOT_FOUND(
                 f"sphere {fiducial + 1} was not found: {error.what}: {best_look.reason}", limit=error.limit
             )
             if not isinstance(best_look.problem, LIGHT_PROBLEMS):

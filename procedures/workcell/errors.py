@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ronna_hw.errors import LimitError, RefusedError
+from ronna_hw.errors import ErrorCode, LimitError, RefusedError
 
 
 class WrongTool(LimitError):
@@ -13,11 +13,12 @@ class WrongTool(LimitError):
     exit_code = RefusedError.exit_code
 
 
-class GuideHeldAtEntry(RefusedError):
-    """The guide is held in front of an entry, so it may only move along its own axis."""
-
-    code = "PRO-014"
-    action = "First retreat along the named trajectory."
+GUIDE_HELD_AT_ENTRY = ErrorCode(
+    "PRO-014",
+    RefusedError,
+    "The guide is held in front of an entry, so it may only move along its own axis.",
+    "First retreat along the named trajectory.",
+)
 
 
 class TipOffAxis(LimitError):
@@ -28,18 +29,20 @@ class TipOffAxis(LimitError):
     exit_code = RefusedError.exit_code
 
 
-class InstrumentInGuide(RefusedError):
-    """An instrument is in the guide, beyond the entry, so nothing may move."""
+INSTRUMENT_IN_GUIDE = ErrorCode(
+    "TOOL-001",
+    RefusedError,
+    "An instrument is in the guide, beyond the entry, so nothing may move.",
+    "Remove the instrument from the guide and confirm that it is out.",
+)
 
-    code = "TOOL-001"
-    action = "Remove the instrument from the guide and confirm that it is out."
 
-
-class SphereNotFound(RefusedError):
-    """The stereo head sees no sphere at or near its expected position."""
-
-    code = "PRO-008"
-    action = "Check that the sphere is mounted, lit and unobstructed, lenses uncovered; or plan without it."
+SPHERE_NOT_FOUND = ErrorCode(
+    "PRO-008",
+    RefusedError,
+    "The stereo head sees no sphere at or near its expected position.",
+    "Check that the sphere is mounted, lit and unobstructed, lenses uncovered; or plan without it.",
+)
 
 
 class AnotherArm(RefusedError):
@@ -59,18 +62,20 @@ class BothArmsHalted(RefusedError):
     )
 
 
-class SameArmTwice(RefusedError):
-    """Master and assistant report the same serial number: both roles would be played by one arm."""
+SAME_ARM_TWICE = ErrorCode(
+    "DUAL-004",
+    RefusedError,
+    "Master and assistant report the same serial number: both roles would be played by one arm.",
+    "Correct the addresses of [robot.master] and [robot.assistant] in the theatre file.",
+)
 
-    code = "DUAL-004"
-    action = "Correct the addresses of [robot.master] and [robot.assistant] in the theatre file."
 
-
-class OtherArmMoving(RefusedError):
-    """An arm was to move while another motion is under way."""
-
-    code = "DUAL-002"
-    action = "Wait for the other motion, or have both paths checked and driven together."
+OTHER_ARM_MOVING = ErrorCode(
+    "DUAL-002",
+    RefusedError,
+    "An arm was to move while another motion is under way.",
+    "Wait for the other motion, or have both paths checked and driven together.",
+)
 
 
 class OtherArmUnknown(RefusedError):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from ronna_hw.arm.clearance.bodies import Surroundings
-from ronna_hw.arm.errors import ForceNotSensed
+from ronna_hw.arm.errors import FORCE_NOT_SENSED
 from ronna_hw.devices import RobotArm
 from ronna_hw.devices.contact import FollowsHand, GuidanceEnd, Guided, HandGuidance
 
@@ -23,7 +23,7 @@ def lead_by_hand(
     arm that senses no force, and as `FollowsHand.guide_by_hand`.
     """
     if not isinstance(arm, FollowsHand):
-        raise ForceNotSensed(
+        raise FORCE_NOT_SENSED(
             f"{arm.name} senses no force, so it follows no hand",
             action="Jog it with the controller's pendant.",
         )

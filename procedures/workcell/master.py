@@ -14,7 +14,7 @@ from procedures.operator.question import Topic
 from procedures.strategies.strategy import AXIAL_SPEED_FRACTION, Sides, approach_joints
 from procedures.workcell.arm_history import ArmLog, InsertionAxis, MotionKind
 from procedures.workcell.arms import Arms
-from procedures.workcell.errors import GuideHeldAtEntry, InstrumentInGuide
+from procedures.workcell.errors import GUIDE_HELD_AT_ENTRY, INSTRUMENT_IN_GUIDE
 from procedures.workcell.motions import PlannedMotion
 from procedures.workcell.supervised_arm import SupervisedArm
 from procedures.workcell.tools import CarriedTool, Instrument, MountedTool, ToolMount
@@ -188,7 +188,7 @@ class Master(SupervisedArm):
         axis = self.place.axis
         if axis is None or axis.trajectory != trajectory:
             on = self.place.trajectory or "no trajectory"
-            raise GuideHeldAtEntry(f"the guide is not on {trajectory}", expected=trajectory, got=on)
+            raise GUIDE_HELD_AT_ENTRY(f"the guide is not on {trajectory}", expected=trajectory, got=on)
         return axis
 
     def _require_allowed(self, motion: PlannedMotion) -> None:
@@ -204,14 +204,14 @@ class Master(SupervisedArm):
     def _require_outside(self, what: str) -> None:
         self._require_free(what)
         for held in self.place.hold_reasons:
-            raise GuideHeldAtEntry(f"{what}: {held}", expected=f"a retreat along {self.place.trajectory}")
+            raise GUIDE_HELD_AT_ENTRY(f"{what}: {held}", expected=f"a retreat along {self.place.trajectory}")
 
     def _require_free(self, what: str) -> None:
         """Raise TOOL-001 while an instrument, or another arm, is in the guide or on its axis."""
         self.instrument.require_out(what)
         for other in self._others:
             if other.place.is_on_axis:
-                raise InstrumentInGuide(f"{what}: the {other.name} is on the axis of the guide")
+                raise INSTRUMENT_IN_GUIDE(f"{what}: the {other.name} is on the axis of the guide")
 
     def _via_home(self, direct: PlannedMotion) -> PlannedMotion:
         """Return a motion that may lead via home if its direct path is not clear."""

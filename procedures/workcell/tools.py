@@ -11,7 +11,7 @@ from procedures.calibration.validity import MADE_BY_HAND
 from procedures.journal.journal import Entry
 from procedures.strategies.strategy import Sides
 from procedures.workcell.arm_history import ArmLog, Stop
-from procedures.workcell.errors import AnotherArm, InstrumentInGuide, SameArmTwice, WrongTool
+from procedures.workcell.errors import INSTRUMENT_IN_GUIDE, SAME_ARM_TWICE, AnotherArm, WrongTool
 from ronna_hw.arm.catalogue import find_kinematics
 from ronna_hw.arm.kinematics import Kinematics
 from ronna_hw.calibrated_arm.arm import CalibratedArm
@@ -146,7 +146,7 @@ def require_two_arms(master: tuple[str, str], assistant: tuple[str, str]) -> Non
     """Raise DUAL-004 if two arms have the same model and serial number. An empty one is unreported."""
     model, serial = master
     if serial and master == assistant:
-        raise SameArmTwice("master and assistant are one arm", got=f"{model} {serial}, twice")
+        raise SAME_ARM_TWICE("master and assistant are one arm", got=f"{model} {serial}, twice")
 
 
 @dataclass(frozen=True)
@@ -259,7 +259,7 @@ class Instrument:
     def require_out(self, what: str) -> None:
         """Raise TOOL-001 while the instrument is inside. `what` is the refused action."""
         if self.inside is not None:
-            raise InstrumentInGuide(
+            raise INSTRUMENT_IN_GUIDE(
                 f"{what}: an instrument is in the guide, and in {self.inside}",
                 expected="the instrument removed, and confirmed to be out",
             )

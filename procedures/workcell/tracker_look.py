@@ -21,7 +21,7 @@ from ronna_hw.devices import OpticalTracker
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import StrayReading, TrackerFrame, Validity
 from ronna_hw.errors import LinkTimeout, ProtocolError
-from ronna_hw.frames import Frame, FrameMismatch, Transform
+from ronna_hw.frames import FRAME_MISMATCH, Frame, Transform
 from ronna_hw.vectors import JointVector, Quaternion, Vector3
 from ronna_hw.x_frame import SPHERE_CENTRES_MM
 
@@ -160,7 +160,7 @@ def _average_poses(seen_poses: list[tuple[Quaternion, Vector3]]) -> Transform:
     quaternions, places_mm = (np.array(values, dtype=float) for values in zip(*seen_poses, strict=True))
     rotations = Rotation.from_quat(quaternions, scalar_first=True).as_matrix()
     if not (np.isfinite(rotations).all() and np.isfinite(places_mm).all()):
-        raise FrameMismatch("expected finite poses from the tracker")
+        raise FRAME_MISMATCH("expected finite poses from the tracker")
     mean = RigidTransform.from_components(np.mean(places_mm, axis=0), Rotation.from_matrix(rotations).mean())
     return Transform(Frame.TRACKER, Frame.MARKER, mean)
 

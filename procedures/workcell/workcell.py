@@ -30,7 +30,7 @@ from procedures.workcell.supervised_arm import SupervisedArm
 from procedures.workcell.tracker_move import UNPUSHED, TrackerMove
 from ronna_hw.config import MASTER, Calibrations, DeviceConfig
 from ronna_hw.devices import OpticalTracker, RobotArm, StereoPair
-from ronna_hw.devices.errors import WrongKind
+from ronna_hw.devices.errors import WRONG_KIND
 from ronna_hw.devices.lifecycle import RUNNING, Device, Lifecycle
 from ronna_hw.devices.robot import ConfirmedStart
 from ronna_hw.errors import RonnaError
@@ -123,7 +123,7 @@ class Workcell:
         """
         device = self._theatre.device(name, interface)
         if isinstance(device, RobotArm):
-            raise WrongKind(
+            raise WRONG_KIND(
                 f"device.{name} is an arm, which only the workcell moves",
                 action="Declare it as [robot.NAME].",
             )

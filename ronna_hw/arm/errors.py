@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ronna_hw.errors import ConfigurationError, DataError, LimitError, RefusedError
+from ronna_hw.errors import ConfigurationError, DataError, ErrorCode, LimitError, RefusedError
 
 
 class Unreachable(LimitError):
@@ -26,18 +26,20 @@ class OutOfJointRange(LimitError):
     action = "Choose another branch or another angle about the tool axis, or approach from another pose."
 
 
-class TooFast(LimitError):
-    """A joint would exceed its working speed or acceleration."""
+TOO_FAST = ErrorCode(
+    "ARM-005",
+    LimitError,
+    "A joint would exceed its working speed or acceleration.",
+    "Stay farther from the singular pose, or choose a slower motion.",
+)
 
-    code = "ARM-005"
-    action = "Stay farther from the singular pose, or choose a slower motion."
 
-
-class MotionInvalid(DataError):
-    """The motion generator rejected its input."""
-
-    code = "ARM-006"
-    action = "Check the motion's numbers: finite values, positive limits, one value per joint."
+MOTION_INVALID = ErrorCode(
+    "ARM-006",
+    DataError,
+    "The motion generator rejected its input.",
+    "Check the motion's numbers: finite values, positive limits, one value per joint.",
+)
 
 
 class NotClear(LimitError):
@@ -50,11 +52,12 @@ class NotClear(LimitError):
     )
 
 
-class SurroundingsTooLarge(DataError):
-    """[cell] defines more bodies than the real-time process supports."""
-
-    code = "ARM-008"
-    action = "Use fewer bodies and shorter names in [cell] of the theatre file."
+SURROUNDINGS_TOO_LARGE = ErrorCode(
+    "ARM-008",
+    DataError,
+    "[cell] defines more bodies than the real-time process supports.",
+    "Use fewer bodies and shorter names in [cell] of the theatre file.",
+)
 
 
 class UnknownArm(ConfigurationError):
@@ -64,46 +67,47 @@ class UnknownArm(ConfigurationError):
     action = "Correct the name, or install the package that brings the arm."
 
 
-class CalibrationOfAnotherArm(ConfigurationError):
-    """An arm's factory calibration does not fit its model."""
-
-    code = "ARM-010"
-    action = "Check the arm's model in the theatre file, and that the controller belongs to this arm."
-
-
-class ArmsTooClose(LimitError):
-    """Two arms would come, or have come, too close to each other."""
-
-    code = "ARM-011"
-    action = "Move one arm out of the way first, or choose another path for one of them."
+CALIBRATION_OF_ANOTHER_ARM = ErrorCode(
+    "ARM-010",
+    ConfigurationError,
+    "An arm's factory calibration does not fit its model.",
+    "Check the arm's model in the theatre file, and that the controller belongs to this arm.",
+)
 
 
-class InsertionInvalid(DataError):
-    """An insertion is not along the instrument's axis, or a limit of a motion in contact is out of range."""
-
-    code = "ARM-012"
-    action = (
-        "Bring the instrument onto its axis first, and keep speed, force and reach within the stated limits."
-    )
-
-
-class ForceNotSensed(RefusedError):
-    """A force limit was asked for, and the arm does not sense the force on its tool."""
-
-    code = "ARM-013"
-    action = (
-        "Use an arm that senses force, or insert without a force limit and watch the instrument yourself."
-    )
+ARMS_TOO_CLOSE = ErrorCode(
+    "ARM-011",
+    LimitError,
+    "Two arms would come, or have come, too close to each other.",
+    "Move one arm out of the way first, or choose another path for one of them.",
+)
 
 
-class LoadedAtStart(RefusedError):
-    """A force acts on the tool before a motion with a force limit, so that it cannot be tared."""
+INSERTION_INVALID = ErrorCode(
+    "ARM-012",
+    DataError,
+    "An insertion is not along the instrument's axis, or a limit of a motion in contact is out of range.",
+    "Bring the instrument onto its axis first, and keep speed, force and reach within the stated limits.",
+)
 
-    code = "ARM-014"
-    action = (
+
+FORCE_NOT_SENSED = ErrorCode(
+    "ARM-013",
+    RefusedError,
+    "A force limit was asked for, and the arm does not sense the force on its tool.",
+    "Use an arm that senses force, or insert without a force limit and watch the instrument yourself.",
+)
+
+
+LOADED_AT_START = ErrorCode(
+    "ARM-014",
+    RefusedError,
+    "A force acts on the tool before a motion with a force limit, so that it cannot be tared.",
+    (
         "Let go of the tool, check that it touches nothing and that mass and centre of gravity are set, "
         "then wait a moment and start again."
-    )
+    ),
+)
 
 
 class ForceLimitExceeded(LimitError):

@@ -149,10 +149,10 @@ class Pose(NamedTuple):
     @classmethod
     def from_transform(cls, transform: Transform) -> Self:
         """Convert a checked transform; raises FRM-001 if it is not ROBOT <- FLANGE."""
-        from ronna_hw.frames import Frame, FrameMismatch
+        from ronna_hw.frames import FRAME_MISMATCH, Frame
 
         if (transform.target, transform.source) != (Frame.ROBOT, Frame.FLANGE):
-            raise FrameMismatch(
+            raise FRAME_MISMATCH(
                 "a flange pose needs robot <- flange", got=f"{transform.target} <- {transform.source}"
             )
         return cls.from_matrix(transform.as_matrix().tolist())

@@ -11,7 +11,7 @@ from functools import partial
 from typing import Any, Generic, Self
 
 from ronna_hw.arm.clearance.bodies import Surroundings
-from ronna_hw.arm.errors import ForceLimitExceeded, ForceNotSensed
+from ronna_hw.arm.errors import FORCE_NOT_SENSED, ForceLimitExceeded
 from ronna_hw.arm.kinematics import Kinematics
 from ronna_hw.arm.motion.limits import MotionLimits
 from ronna_hw.arm.path_preview import PathPreview
@@ -333,7 +333,7 @@ class StreamedArm(ABC, Generic[S]):
     def insert(self, insertion: Insertion, *, timeout_s: float = 120.0) -> Inserted:
         limit_N = insertion.force_limit_N
         if limit_N is not None and not self.senses_force:
-            raise ForceNotSensed(
+            raise FORCE_NOT_SENSED(
                 f"{self._name}: this arm does not sense the force on its tool", limit=f"{limit_N:g} N"
             )
         self._watch.raise_new()

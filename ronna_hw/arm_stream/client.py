@@ -27,7 +27,7 @@ from ronna_hw.arm_stream.records import (
 )
 from ronna_hw.clock import Clock, HostClock
 from ronna_hw.devices.capabilities import ByteSink, Direction, PassedBytes
-from ronna_hw.errors import DeviceError
+from ronna_hw.errors import DeviceError, is_error
 from ronna_hw.host.process import describe_exit, shield_children
 
 START_TIMEOUT_S = 10.0
@@ -224,7 +224,9 @@ class LinkClient:
         self._heartbeat_thread.start()
         try:
             state = self.wait(lambda s: s.phase is not Phase.STARTING, timeout_s)
-        except self._errors.died as error:
+        except DeviceError as error:
+            if not is_error(error, self._errors.died):
+                raise
             raise self._errors.not_started(error.what, action=END_CAUSE_ADVICE) from None
         if state is None:
             raise self._errors.not_started("the real-time process does not report", limit=f"{timeout_s:g} s")

@@ -13,7 +13,7 @@ from ronna_hw.arm_stream.records import CloseStream, EndStream, Fault, Phase
 from ronna_hw.clock import Clock
 from ronna_hw.devices.capabilities import ByteSink
 from ronna_hw.devices.lifecycle import Identity
-from ronna_hw.errors import RonnaError
+from ronna_hw.errors import RonnaError, is_error
 
 FIRST_PAUSE_S = 0.1  # between attempts to reopen the connections; doubled each time
 LONGEST_PAUSE_S = 2.0
@@ -110,7 +110,7 @@ class StreamConnections(ABC, Generic[S, C]):
                 break
             except RonnaError as error:
                 self.close_control()
-                may_return = retry and isinstance(error, (errors.not_found, errors.lost))
+                may_return = retry and is_error(error, errors.not_found, errors.lost)
                 if not may_return or remaining_s(deadline) <= pause_s:
                     raise
             time.sleep(pause_s)

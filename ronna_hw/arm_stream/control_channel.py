@@ -17,7 +17,7 @@ from typing import Any, ClassVar, Generic, Protocol, TypeVar
 
 from ronna_hw.arm_stream.errors import StreamErrors
 from ronna_hw.devices.capabilities import Direction
-from ronna_hw.errors import ConnectError, ProtocolError, RonnaError
+from ronna_hw.errors import AnyCode, ConnectError, ProtocolError, RonnaError
 from ronna_hw.vectors import JointVector
 
 RECEIVE_BYTES = 4096
@@ -235,7 +235,9 @@ class ControlChannel(ABC, Generic[S]):
 AnyChannel = ControlChannel[Any]
 
 
-def open_connection(host: str, port: int, timeout_s: float, not_found: type[ConnectError]) -> socket.socket:
+def open_connection(
+    host: str, port: int, timeout_s: float, not_found: AnyCode[ConnectError]
+) -> socket.socket:
     """Connect, with a time limit that remains set; raises `not_found`."""
     try:
         connection = socket.create_connection((host, port), timeout_s)

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from ronna_hw.devices.errors import MotionInterrupted
 from ronna_hw.errors import (
+    AnyCode,
     ConnectError,
     DeviceError,
     LimitError,
@@ -20,23 +21,23 @@ from ronna_hw.errors import (
 class StreamErrors:
     """A driver's errors, and its word for the time stamp of telegrams."""
 
-    not_found: type[ConnectError]  # no controller answers
-    lost: type[ProtocolError]  # a connection to it broke
-    no_answer: type[LinkTimeout]
-    not_started: type[ConnectError]  # the real-time process
-    died: type[DeviceError]
-    stalled: type[DeviceError]
-    silent: type[LinkTimeout]  # no telegram came
-    heartbeat_late: type[LinkTimeout]
-    tripped: type[LimitError]  # by the monitor
-    path_failed: type[LimitError]
-    unusable: type[LinkTimeout]  # too many losses
-    protective_stop: type[StateError]
-    link_stopped: type[StateError]
-    drives_off: type[StateError]
-    stopped: type[MotionInterrupted]
-    not_finished: type[LinkTimeout]
-    refused: type[RefusedError]
+    not_found: AnyCode[ConnectError]  # no controller answers
+    lost: AnyCode[ProtocolError]  # a connection to it broke
+    no_answer: AnyCode[LinkTimeout]
+    not_started: AnyCode[ConnectError]  # the real-time process
+    died: AnyCode[DeviceError]
+    stalled: AnyCode[DeviceError]
+    silent: AnyCode[LinkTimeout]  # no telegram came
+    heartbeat_late: AnyCode[LinkTimeout]
+    tripped: AnyCode[LimitError]  # by the monitor
+    path_failed: AnyCode[LimitError]
+    unusable: AnyCode[LinkTimeout]  # too many losses
+    protective_stop: AnyCode[StateError]
+    link_stopped: AnyCode[StateError]
+    drives_off: AnyCode[StateError]
+    stopped: AnyCode[MotionInterrupted]
+    not_finished: AnyCode[LinkTimeout]
+    refused: AnyCode[RefusedError]
     clock_name: str
     message_name: str  # of what the controller sends in every cycle
     speed_name: str = "the controller's speed"  # what slows motions there

@@ -9,7 +9,7 @@ from typing import Any
 
 from ronna_hw.arm.clearance.bodies import Bodies, Surroundings
 from ronna_hw.arm.clearance.live_watch import Violation, ViolationKind
-from ronna_hw.arm.errors import ForceLimitExceeded, LoadedAtStart
+from ronna_hw.arm.errors import LOADED_AT_START, ForceLimitExceeded
 from ronna_hw.arm.kinematics import Kinematics
 from ronna_hw.arm_stream.errors import StreamErrors
 from ronna_hw.arm_stream.losses import DEGRADED_SPEED, UNUSABLE_SHARE, WINDOW_CYCLES
@@ -21,7 +21,7 @@ from ronna_hw.arm_stream.records import (
     LinkState,
     Result,
 )
-from ronna_hw.errors import LimitError, LinkTimeout, RefusedError, RonnaError, StateError
+from ronna_hw.errors import AnyCode, LimitError, LinkTimeout, RefusedError, RonnaError, StateError
 
 _REFUSALS = {
     Result.REFUSED_BUSY: "another motion is running",
@@ -87,7 +87,7 @@ class StreamFaults:
             return self.errors.stopped(f"{self.name}: stopped before it began", got=self.axes_text(state))
         if state.result is Result.REFUSED_LOADED:
             axes = ", ".join(f"{axis} {value:.1f}" for axis, value in zip("xyz", state.force_N, strict=True))
-            return LoadedAtStart(
+            return LOADED_AT_START(
                 f"{self.name}: a force acts on the tool at the start, or the arm has just come to rest",
                 got=f"{math.hypot(*state.force_N):.1f} N ({axes} in the frame of the base)",
             )
@@ -150,7 +150,7 @@ def monitor_error(
     arm: Kinematics,
     surroundings: Surroundings,
     mode: str,
-    error: type[LimitError],
+    error: AnyCode[LimitError],
 ) -> LimitError:
     """Build the error for a limit that the monitor saw violated."""
     bodies = Bodies(arm, surroundings)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from ronna_hw.arm.errors import ForceLimitExceeded, InsertionInvalid
+from ronna_hw.arm.errors import INSERTION_INVALID, ForceLimitExceeded
 from ronna_hw.arm_stream.arm import StreamedArm
 from ronna_hw.arm_stream.control_channel import S
 from ronna_hw.arm_stream.guided import GuideLimits
@@ -49,7 +49,7 @@ def guide_limits(guidance: HandGuidance, cycle_s: float) -> GuideLimits:
     )
     for name, value, low, high, unit in checked:
         if not low < value <= high:
-            raise InsertionInvalid(
+            raise INSERTION_INVALID(
                 f"the {name} of a guidance by hand",
                 limit=f"above {low:g} to {high:g} {unit}",
                 got=f"{value:g} {unit}",

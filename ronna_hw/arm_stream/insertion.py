@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from math import atan2, degrees, hypot, isfinite, radians
 
-from ronna_hw.arm.errors import InsertionInvalid
+from ronna_hw.arm.errors import INSERTION_INVALID
 from ronna_hw.arm.kinematics import Kinematics
 from ronna_hw.arm.motion.limits import MotionLimits
 from ronna_hw.devices.contact import INSERTION_SPEED_MM_S, Insertion
@@ -26,11 +26,11 @@ def plan_insertion(
     """Return the line of an insertion; raises ARM-012, and FRM-001 for other frames."""
     speed, force_limit = insertion.speed_mm_s, insertion.force_limit_N
     if not 0.0 < speed <= INSERTION_SPEED_MM_S:
-        raise InsertionInvalid(
+        raise INSERTION_INVALID(
             "the speed of an insertion", limit=f"{INSERTION_SPEED_MM_S:g} mm/s", got=f"{speed:g} mm/s"
         )
     if force_limit is not None and not (isfinite(force_limit) and force_limit > 0.0):
-        raise InsertionInvalid(
+        raise INSERTION_INVALID(
             "the force limit of an insertion", expected="above 0 N", got=f"{force_limit:g} N"
         )
     tool = kinematics.flange_pose(start_rad) @ insertion.flange_from_tool
@@ -61,7 +61,7 @@ def _beside_line(tool: Transform, insertion: Insertion) -> tuple[float, float]:
 def _require_within(found: tuple[float, float], limit: tuple[float, float], what: str) -> None:
     """Raise ARM-012 for a distance in mm or an angle in rad above its limit, or not finite."""
     if not (found[0] <= limit[0] and found[1] <= limit[1]):
-        raise InsertionInvalid(
+        raise INSERTION_INVALID(
             what,
             limit=f"{limit[0]:g} mm and {degrees(limit[1]):g} deg",
             got=f"{found[0]:.3f} mm and {degrees(found[1]):.3f} deg",

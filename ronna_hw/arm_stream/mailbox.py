@@ -13,7 +13,7 @@ from enum import IntEnum
 from typing import Annotated, NamedTuple
 
 from ronna_hw.arm.clearance.bodies import Surroundings
-from ronna_hw.arm.errors import SurroundingsTooLarge
+from ronna_hw.arm.errors import SURROUNDINGS_TOO_LARGE
 from ronna_hw.arm.motion.limits import LIMITS_NUMBERS, MotionLimits
 from ronna_hw.arm.motion.planning import MotionPlan
 from ronna_hw.arm.motion.progress import MOST_STEPS, PathLimits, SpeedStep
@@ -172,7 +172,7 @@ class Mailbox:
     def _write_surroundings(self, surroundings: Surroundings) -> None:
         line = surroundings.to_json().encode()
         if len(line) > LONGEST_SURROUNDINGS_BYTES:
-            raise SurroundingsTooLarge(
+            raise SURROUNDINGS_TOO_LARGE(
                 "the arm's surroundings do not fit into its mailbox",
                 limit=f"{LONGEST_SURROUNDINGS_BYTES} bytes",
                 got=f"{len(line)} bytes",

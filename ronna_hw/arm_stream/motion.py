@@ -21,7 +21,7 @@ from ronna_hw.arm_stream.records import NO_LIMIT, ForceLimit, Guide, LinkState, 
 from ronna_hw.arm_stream.watch import StreamWatch
 from ronna_hw.devices.contact import GuidanceEnd
 from ronna_hw.devices.robot import Motion, OperatingMode
-from ronna_hw.errors import LinkTimeout
+from ronna_hw.errors import DeviceError, LinkTimeout, is_error
 from ronna_hw.logs import logger
 from ronna_hw.preview import plan_motion, preview_motion, with_speed_steps
 from ronna_hw.vectors import JointVector
@@ -147,8 +147,9 @@ class MotionFollower(Generic[S]):
         """Wait as `LinkClient.wait` does, and latch a fault if the real-time process ends."""
         try:
             return self._connections.link.wait(condition, timeout_s)
-        except self._faults.errors.died as error:
-            self._watch.latch(error)
+        except DeviceError as error:
+            if is_error(error, self._faults.errors.died):
+                self._watch.latch(error)
             raise
 
     def _execute(self, plan: MotionPlan, stop_count: int, timeout_s: float, force: ForceLimit) -> LinkState:

@@ -15,7 +15,7 @@ from collections.abc import Mapping, Sequence
 from difflib import get_close_matches
 from typing import Any
 
-from ronna_hw.errors import EXIT_USAGE, RonnaError
+from ronna_hw.errors import EXIT_USAGE, ErrorCode, RonnaError
 
 
 class UsageMistake(RonnaError):
@@ -26,73 +26,78 @@ class UsageMistake(RonnaError):
     exit_code = EXIT_USAGE
 
 
-class InternalFault(RonnaError):
-    """The program encountered an unexpected error."""
-
-    code = "CLI-002"
-    action = "This is a bug: run again with --verbose and report the traceback."
-
-
-class DiskFull(RonnaError):
-    """The disk is full, or the quota is exhausted."""
-
-    code = "CLI-003"
-    action = (
-        "Free some space or choose another folder; this file was not written, earlier files are complete."
-    )
+INTERNAL_FAULT = ErrorCode(
+    "CLI-002",
+    RonnaError,
+    "The program encountered an unexpected error.",
+    "This is a bug: run again with --verbose and report the traceback.",
+)
 
 
-class NotWritable(RonnaError):
-    """The current user lacks permission to read or write a file or folder."""
-
-    code = "CLI-004"
-    action = "Choose another folder, or change its permissions."
-
-
-class PathProblem(RonnaError):
-    """A path does not exist, or is a file instead of a folder or vice versa."""
-
-    code = "CLI-005"
-    action = "Check the path."
+DISK_FULL = ErrorCode(
+    "CLI-003",
+    RonnaError,
+    "The disk is full, or the quota is exhausted.",
+    "Free some space or choose another folder; this file was not written, earlier files are complete.",
+)
 
 
-class PortInUse(RonnaError):
-    """The network port is already in use by another program."""
-
-    code = "CLI-006"
-    action = "Stop the other program or choose another endpoint."
-
-
-class SystemRefused(RonnaError):
-    """The operating system refused an operation for another reason."""
-
-    code = "CLI-007"
-    action = "Fix what the system reports and run the command again."
+NOT_WRITABLE = ErrorCode(
+    "CLI-004",
+    RonnaError,
+    "The current user lacks permission to read or write a file or folder.",
+    "Choose another folder, or change its permissions.",
+)
 
 
-class OutOfMemory(RonnaError):
-    """The computer ran out of memory."""
+PATH_PROBLEM = ErrorCode(
+    "CLI-005",
+    RonnaError,
+    "A path does not exist, or is a file instead of a folder or vice versa.",
+    "Check the path.",
+)
 
-    code = "CLI-008"
-    action = "Close other programs, or use a smaller series."
+
+PORT_IN_USE = ErrorCode(
+    "CLI-006",
+    RonnaError,
+    "The network port is already in use by another program.",
+    "Stop the other program or choose another endpoint.",
+)
+
+
+SYSTEM_REFUSED = ErrorCode(
+    "CLI-007",
+    RonnaError,
+    "The operating system refused an operation for another reason.",
+    "Fix what the system reports and run the command again.",
+)
+
+
+OUT_OF_MEMORY = ErrorCode(
+    "CLI-008",
+    RonnaError,
+    "The computer ran out of memory.",
+    "Close other programs, or use a smaller series.",
+)
 
 
 LONGEST_FILE_NAME = 255  # bytes, of Linux file systems
 NOT_MAPPED = "failed to map segment"  # the loader's words for a library for which there is no memory
-_BY_ERRNO: dict[int, type[RonnaError]] = {
-    errno.ENOSPC: DiskFull,
-    errno.EDQUOT: DiskFull,
-    errno.EFBIG: DiskFull,
-    errno.EACCES: NotWritable,
-    errno.EPERM: NotWritable,
-    errno.EROFS: NotWritable,
-    errno.ENOENT: PathProblem,
-    errno.ENOTDIR: PathProblem,
-    errno.EISDIR: PathProblem,
-    errno.EEXIST: PathProblem,
-    errno.ENAMETOOLONG: PathProblem,
-    errno.EADDRINUSE: PortInUse,
-    errno.ENOMEM: OutOfMemory,
+_BY_ERRNO: dict[int, ErrorCode[RonnaError]] = {
+    errno.ENOSPC: DISK_FULL,
+    errno.EDQUOT: DISK_FULL,
+    errno.EFBIG: DISK_FULL,
+    errno.EACCES: NOT_WRITABLE,
+    errno.EPERM: NOT_WRITABLE,
+    errno.EROFS: NOT_WRITABLE,
+    errno.ENOENT: PATH_PROBLEM,
+    errno.ENOTDIR: PATH_PROBLEM,
+    errno.EISDIR: PATH_PROBLEM,
+    errno.EEXIST: PATH_PROBLEM,
+    errno.ENAMETOOLONG: PATH_PROBLEM,
+    errno.EADDRINUSE: PORT_IN_USE,
+    errno.ENOMEM: OUT_OF_MEMORY,
 }
 
 
@@ -101,10 +106,10 @@ def as_ronna_error(problem: BaseException) -> RonnaError:
     if isinstance(problem, RonnaError):
         return problem
     if isinstance(problem, MemoryError) or (isinstance(problem, ImportError) and NOT_MAPPED in str(problem)):
-        return OutOfMemory("the computer ran out of memory")
+        return OUT_OF_MEMORY("the computer ran out of memory")
     problem = _find_system_error(problem)
     if isinstance(problem, OSError) and problem.errno is not None:
-        kind = _BY_ERRNO.get(problem.errno, SystemRefused)
+        kind = _BY_ERRNO.get(problem.errno, SYSTEM_REFUSED)
         reason = os.strerror(problem.errno).lower()
         places = [str(name) for name in (problem.filename, problem.filename2) if name is not None]
         what = f"{' and '.join(places)}: {reason}" if places else reason
@@ -113,7 +118,7 @@ def as_ronna_error(problem: BaseException) -> RonnaError:
                 what, limit=f"{LONGEST_FILE_NAME} bytes for each name", action="Choose a shorter name."
             )
         return kind(what)
-    return InternalFault(f"{type(problem).__name__}: {problem}")
+    return INTERNAL_FAULT(f"{type(problem).__name__}: {problem}")
 
 
 def _find_system_error(problem: BaseException) -> BaseException:

@@ -19,7 +19,7 @@ from typing import Annotated, Any, TypeVar, get_args, get_type_hints
 import typer
 
 from ronna_hw.arguments import require_path
-from ronna_hw.command_line.errors import PathProblem, UsageMistake, format_parameter
+from ronna_hw.command_line.errors import PATH_PROBLEM, UsageMistake, format_parameter
 from ronna_hw.command_line.messages import say
 from ronna_hw.errors import RonnaError
 from ronna_hw.logs import Logger, is_known_logger, list_loggers, logger, set_level
@@ -217,7 +217,7 @@ def with_option_records(command: Callable[..., Returned]) -> Callable[..., Retur
 def require_folder(out: Path) -> None:
     """Raise CLI-005 if `--out` is a file instead of a folder."""
     if out.exists() and not out.is_dir():
-        raise PathProblem(f"--out: {out} is a file", expected="a folder, which may be new")
+        raise PATH_PROBLEM(f"--out: {out} is a file", expected="a folder, which may be new")
 
 
 def require_output_folder(out: Path) -> None:
@@ -227,7 +227,7 @@ def require_output_folder(out: Path) -> None:
     require_folder(out)
     require_outside_runs(out)
     if out.is_dir() and any((one / JOURNAL_FILE).exists() for one in out.iterdir()):
-        raise PathProblem(
+        raise PATH_PROBLEM(
             f"{out} holds runs, which this would mix with other files",
             expected="a folder without runs, which may be new",
             action=f"Name another, such as {out / 'results'}.",
@@ -242,7 +242,7 @@ def require_outside_runs(*outputs: Path) -> None:
         place = out.resolve()
         for folder in (place, *place.parents):
             if (folder / JOURNAL_FILE).exists():
-                raise PathProblem(
+                raise PATH_PROBLEM(
                     f"{out} is {'the folder of a run' if folder == place else f'inside the run {folder}'}",
                     expected="a place outside every run, which may be new",
                     action=f"Name another, such as one in {folder.parent}: an addition breaks a run's seal.",
@@ -254,7 +254,7 @@ def require_folder_of(*files: Path) -> None:
     require_outside_runs(*files)
     for file in files:
         if not file.parent.is_dir():
-            raise PathProblem(
+            raise PATH_PROBLEM(
                 f"{file.parent} is not a folder",
                 expected=f"an existing folder for {file.name}",
                 action="Create the folder, or name another.",

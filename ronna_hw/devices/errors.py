@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ronna_hw.errors import ConfigurationError, DataError, LinkTimeout, RefusedError, StateError
+from ronna_hw.errors import ConfigurationError, DataError, ErrorCode, LinkTimeout, RefusedError, StateError
 
 # What clears a latched fault, for everyone who may read the message: the operator of a held case or at the
 # command line, and the author of a program.
@@ -26,11 +26,12 @@ class MotionInterrupted(StateError):
     """
 
 
-class UnknownDriver(ConfigurationError):
-    """No installed package provides a driver of this name."""
-
-    code = "DEV-002"
-    action = "Check the driver name in the theatre file, or install the package that provides it."
+UNKNOWN_DRIVER = ErrorCode(
+    "DEV-002",
+    ConfigurationError,
+    "No installed package provides a driver of this name.",
+    "Check the driver name in the theatre file, or install the package that provides it.",
+)
 
 
 class NotInTheatre(ConfigurationError, KeyError):
@@ -42,27 +43,28 @@ class NotInTheatre(ConfigurationError, KeyError):
     __str__ = Exception.__str__  # a KeyError shows its message in quotes
 
 
-class WrongKind(ConfigurationError):
-    """The driver of a device does not provide the requested interface."""
-
-    code = "DEV-008"
-    action = (
-        "Name a driver of that kind in the device's table, or request an interface that its driver provides."
-    )
-
-
-class TheatreClosed(StateError):
-    """A theatre was used after it was closed."""
-
-    code = "DEV-010"
-    action = "Use its devices inside the block of open_theatre, or open the theatre again."
+WRONG_KIND = ErrorCode(
+    "DEV-008",
+    ConfigurationError,
+    "The driver of a device does not provide the requested interface.",
+    "Name a driver of that kind in the device's table, or request an interface that its driver provides.",
+)
 
 
-class NoNewFrame(LinkTimeout):
-    """The tracker replies, but delivers no new measurement within the time limit."""
+THEATRE_CLOSED = ErrorCode(
+    "DEV-010",
+    StateError,
+    "A theatre was used after it was closed.",
+    "Use its devices inside the block of open_theatre, or open the theatre again.",
+)
 
-    code = "DEV-009"
-    action = "Check that the tracker is tracking, and allow more than one frame period."
+
+NO_NEW_FRAME = ErrorCode(
+    "DEV-009",
+    LinkTimeout,
+    "The tracker replies, but delivers no new measurement within the time limit.",
+    "Check that the tracker is tracking, and allow more than one frame period.",
+)
 
 
 class UnknownTool(ConfigurationError, LookupError):
@@ -72,18 +74,20 @@ class UnknownTool(ConfigurationError, LookupError):
     action = "Use the name of a tool in the tracker's options, or add the tool there."
 
 
-class NoPose(DataError):
-    """A reading has no pose, or its pose cannot be trusted."""
+NO_POSE = ErrorCode(
+    "DEV-004",
+    DataError,
+    "A reading has no pose, or its pose cannot be trusted.",
+    "Check the validity of the reading before using its pose.",
+)
 
-    code = "DEV-004"
-    action = "Check the validity of the reading before using its pose."
 
-
-class BadStrays(DataError):
-    """The strays are not valid positions, or a grouping parameter is out of range."""
-
-    code = "DEV-005"
-    action = "Pass positions of three finite numbers in mm, a positive radius and a share between 0 and 1."
+BAD_STRAYS = ErrorCode(
+    "DEV-005",
+    DataError,
+    "The strays are not valid positions, or a grouping parameter is out of range.",
+    "Pass positions of three finite numbers in mm, a positive radius and a share between 0 and 1.",
+)
 
 
 class PersonNotNamed(RefusedError, ValueError):

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import TYPE_CHECKING, ClassVar, Protocol, runtime_checkable
 
-from ronna_hw.devices.errors import NoPose, UnknownTool
+from ronna_hw.devices.errors import NO_POSE, UnknownTool
 from ronna_hw.vectors import JointVector, Quaternion, Vector3
 
 # The robot's real-time process imports this: NumPy would be a third of its start and of its memory.
@@ -80,10 +80,10 @@ class ToolReading:
         Raises FRM-001 for another target. Outside the measuring volume the tracker's error is not specified:
         use those numbers only for aiming.
         """
-        from ronna_hw.frames import Frame, FrameMismatch, Transform
+        from ronna_hw.frames import FRAME_MISMATCH, Frame, Transform
 
         if target is not Frame.TRACKER or source is Frame.TRACKER:
-            raise FrameMismatch(
+            raise FRAME_MISMATCH(
                 f"the pose of tool {self.tool} was measured in the tracker frame",
                 expected=f"{Frame.TRACKER} <- a frame of the tool",
                 got=f"{target} <- {source}",
@@ -91,7 +91,7 @@ class ToolReading:
                 "of the tracker.",
             )
         if self.rotation is None or self.position_mm is None or self.validity is Validity.OUT_OF_VOLUME:
-            raise NoPose(
+            raise NO_POSE(
                 f"tool {self.tool} has no pose: {self.validity.value}",
                 action=_TO_SEE.get(self.validity),
             )

@@ -9,7 +9,7 @@ from operator import index
 from typing import Protocol, runtime_checkable
 
 from ronna_hw.arguments import WrongArgument, show
-from ronna_hw.devices.errors import NoNewFrame
+from ronna_hw.devices.errors import NO_NEW_FRAME
 from ronna_hw.devices.lifecycle import Device, LastKnown
 from ronna_hw.devices.readings import AreaOfInterest, StereoReading, TrackerFrame, Validity
 from ronna_hw.vectors import Vector3
@@ -140,4 +140,4 @@ def _read_new_frame(tracker: OpticalTracker, timeout_s: float) -> TrackerFrame:
         if frame.validity is not Validity.STALE:
             return frame
         time.sleep(ASK_AGAIN_S)
-    raise NoNewFrame(f"{tracker.name} delivers no new measurement", limit=f"{timeout_s:g} s")
+    raise NO_NEW_FRAME(f"{tracker.name} delivers no new measurement", limit=f"{timeout_s:g} s")

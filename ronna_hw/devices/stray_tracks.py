@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.distance import cdist
 
-from ronna_hw.devices.errors import BadStrays
+from ronna_hw.devices.errors import BAD_STRAYS
 from ronna_hw.devices.readings import TrackerFrame
 from ronna_hw.devices.strays import GATE_MM, LEAST_SHARE, pair_nearest, require_positions, select_strays
 from ronna_hw.vectors import Vector3
@@ -71,7 +71,7 @@ def track_strays(
     `gate_mm` is the farthest that a sphere may move between two frames. Raises DEV-005.
     """
     if not 0.0 <= least_share <= 1.0:
-        raise BadStrays("the share must be between 0 and 1", got=f"{least_share}")
+        raise BAD_STRAYS("the share must be between 0 and 1", got=f"{least_share}")
     read = select_strays(frames)
     identities_by_frame = identify_strays([positions for _, positions in read], gate_mm=gate_mm)
     seen: dict[int, list[tuple[int, Vector3]]] = {}
@@ -98,7 +98,7 @@ def identify_strays(
     Raises DEV-005.
     """
     if not 0.0 < gate_mm < math.inf:
-        raise BadStrays("the gate must be positive", got=f"{gate_mm} mm")
+        raise BAD_STRAYS("the gate must be positive", got=f"{gate_mm} mm")
     spheres: list[_Sphere] = []
     begun = 0
     found = []

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ronna_hw.arguments import WrongArgument, require_numbers
-from ronna_hw.devices.errors import BadStrays
+from ronna_hw.devices.errors import BAD_STRAYS
 from ronna_hw.devices.readings import TrackerFrame, Validity
 from ronna_hw.robust_scale import robust_sigma
 from ronna_hw.vectors import Vector3
@@ -109,7 +109,7 @@ def group_strays(
     those in fewer than `least_share` of the frames are rejected. Raises DEV-005.
     """
     if not (0.0 < radius_mm < math.inf and 0.0 <= least_share <= 1.0):
-        raise BadStrays("the radius must be positive and the share between 0 and 1")
+        raise BAD_STRAYS("the radius must be positive and the share between 0 and 1")
     groups: list[_GroupBuilder] = []
     for frame in frames:
         readings = require_positions(frame)
@@ -127,11 +127,11 @@ def group_strays(
 
 def require_positions(frame: Sequence[Vector3]) -> Array:
     """Return the positions of one frame as an array (n, 3). Raises DEV-005."""
-    readings = require_numbers(frame, "the positions of strays", mistake=BadStrays)
+    readings = require_numbers(frame, "the positions of strays", mistake=BAD_STRAYS)
     if readings.size == 0:
         return np.zeros((0, 3))
     if readings.ndim != 2 or readings.shape[1] != 3 or not np.isfinite(readings).all():
-        raise BadStrays("strays must be finite positions", expected="shape (n, 3)", got=f"{readings.shape}")
+        raise BAD_STRAYS("strays must be finite positions", expected="shape (n, 3)", got=f"{readings.shape}")
     return readings
 
 

@@ -18,10 +18,10 @@ from typing import NamedTuple
 from ronna_hw.bounded_input import InputRefused, parse_json, read_json_lines
 from ronna_hw.evidence.journal_reading import (
     JOURNAL_FILE,
+    RUN_CHANGED,
     Chain,
     Entry,
     Line,
-    RunChanged,
     read_chain_until_break,
 )
 from ronna_hw.evidence.lost_end import describe_lost_end, find_lost_lines, read_events
@@ -165,7 +165,7 @@ class Inspection:
             if action is None and all(problem.beside for problem in problems):
                 checked = "What the run wrote" if self.every_file else "Its journal, request and records"
                 action = f"{checked}: unchanged. {BESIDE_ACTION}"
-            raise RunChanged(f"{self.folder.name} is not {state}: {named}{more}", action=action)
+            raise RUN_CHANGED(f"{self.folder.name} is not {state}: {named}{more}", action=action)
         return self
 
 

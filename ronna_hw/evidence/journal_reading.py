@@ -13,7 +13,7 @@ from enum import StrEnum
 from pathlib import Path
 
 from ronna_hw.bounded_input import parse_json, read_json_lines
-from ronna_hw.errors import RefusedError, RonnaError
+from ronna_hw.errors import ErrorCode, RefusedError, RonnaError
 
 
 class JournalCorrupt(RonnaError):
@@ -23,11 +23,12 @@ class JournalCorrupt(RonnaError):
     action = "Do not rely on this run; keep the folder as it is for analysis."
 
 
-class RunChanged(RefusedError):
-    """Files of a run were changed after it ended."""
-
-    code = "PRO-033"
-    action = "Do not rely on this run; keep the folder as it is. ronna-procedure verify RUN lists everything."
+RUN_CHANGED = ErrorCode(
+    "PRO-033",
+    RefusedError,
+    "Files of a run were changed after it ended.",
+    "Do not rely on this run; keep the folder as it is. ronna-procedure verify RUN lists everything.",
+)
 
 
 JOURNAL_FILE = "journal.jsonl"

@@ -15,7 +15,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
-from ronna_hw.errors import RonnaError
+from ronna_hw.errors import ErrorCode, RonnaError
 
 NOT_REGULAR = (errno.EINVAL, "not a regular file")
 
@@ -99,11 +99,12 @@ def restrict_new_files() -> Iterator[None]:
         os.umask(before)
 
 
-class TooFewOpenFiles(RonnaError):
-    """The system's limit on open files and sockets is too low for this task."""
-
-    code = "PRC-002"
-    action = "Raise it with ulimit -n in this shell or LimitNOFILE of the service, and start again."
+TOO_FEW_OPEN_FILES = ErrorCode(
+    "PRC-002",
+    RonnaError,
+    "The system's limit on open files and sockets is too low for this task.",
+    "Raise it with ulimit -n in this shell or LimitNOFILE of the service, and start again.",
+)
 
 
 def require_open_files(needed: int) -> None:
@@ -112,5 +113,5 @@ def require_open_files(needed: int) -> None:
     if soft == resource.RLIM_INFINITY or soft >= needed:
         return
     if hard != resource.RLIM_INFINITY and hard < needed:
-        raise TooFewOpenFiles("the limit of open files is too low", expected=f"{needed}", got=f"{hard}")
+        raise TOO_FEW_OPEN_FILES("the limit of open files is too low", expected=f"{needed}", got=f"{hard}")
     resource.setrlimit(resource.RLIMIT_NOFILE, (needed, hard))

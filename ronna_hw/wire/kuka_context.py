@@ -17,7 +17,7 @@ from typing import Annotated, Literal, Self
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from ronna_hw.bounded_input import read_toml
-from ronna_hw.errors import ConfigurationError
+from ronna_hw.errors import ConfigurationError, ErrorCode
 
 DEFAULT_CONTEXT_FILE = "kuka_rsi_context.toml"
 OWN_CONTEXT = Path(__file__).with_name(DEFAULT_CONTEXT_FILE)
@@ -44,11 +44,12 @@ ElementType = Literal["BOOL", "STRING", "LONG", "DOUBLE"]
 SixDegrees = Annotated[tuple[float, ...], Field(min_length=AXES, max_length=AXES)]
 
 
-class ContextInvalid(ConfigurationError):
-    """An RSI context file is malformed."""
-
-    code = "WIR-001"
-    action = "Correct the listed entries; compare with ronna_hw/wire/kuka_rsi_context.toml."
+CONTEXT_INVALID = ErrorCode(
+    "WIR-001",
+    ConfigurationError,
+    "An RSI context file is malformed.",
+    "Correct the listed entries; compare with ronna_hw/wire/kuka_rsi_context.toml.",
+)
 
 
 class _Table(BaseModel):
@@ -203,16 +204,16 @@ def load_context(path: Path | None = None) -> RsiContext:
     """Read a context, by default the project's own. Raises WIR-001 listing every mistake in one line."""
     source = str(path) if path else DEFAULT_CONTEXT_FILE
     try:
-        content = read_toml(path or OWN_CONTEXT, ContextInvalid)
+        content = read_toml(path or OWN_CONTEXT, CONTEXT_INVALID)
         # JSON in between: in strict mode pydantic accepts arrays as tuples from JSON only.
         return RsiContext.model_validate_json(json.dumps(content, default=str))
     except OSError as error:
-        raise ContextInvalid(f"cannot read the RSI context {source}: {error.strerror}") from error
+        raise CONTEXT_INVALID(f"cannot read the RSI context {source}: {error.strerror}") from error
     except ValidationError as error:
         mistakes = "; ".join(
             f"{'.'.join(str(part) for part in m['loc']) or 'file'}: {m['msg']}" for m in error.errors()
         )
-        raise ContextInvalid(
+        raise CONTEXT_INVALID(
             f"the RSI context {source} has {error.error_count()} mistakes: {mistakes}"
         ) from None
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from typing import Annotated, Literal, Self
 
 from ronna_hw.wire.kuka_eki import FIRST_REQUEST_LIMIT_MS
-from sim.kuka.errors import UnknownParameter
+from sim.kuka.errors import UNKNOWN_PARAMETER
 from sim.named_parameters import MaximumValue, apply_assignments
 
 
@@ -160,7 +160,7 @@ class ControllerParameters:
 
 def parse_parameters(assignments: Iterable[str]) -> ControllerParameters:
     """Apply `NAME=VALUE` to the default parameters; raises KRC-003 for an unknown name or invalid value."""
-    return apply_assignments(ControllerParameters(), assignments, UnknownParameter)
+    return apply_assignments(ControllerParameters(), assignments, UNKNOWN_PARAMETER)
 
 
 IPO_FAST_S = 0.004  # cycle of #IPO_FAST, used by the drives until a program sets another

@@ -119,7 +119,7 @@ def phantom(
     rays, metal, bare and, with objects
     that are not spheres, ends, plates, hollow, fittings.
     """
-    from sim.errors import BadScene, FolderNotEmpty
+    from sim.errors import BAD_SCENE, FOLDER_NOT_EMPTY
     from sim.phantom.case import write_case
     from sim.phantom.families.family_scan import family_scan, protocol_named
     from sim.phantom.scan import plain_scan
@@ -130,7 +130,7 @@ def phantom(
         end_with_parent(lambda: os._exit(EXIT_INTERRUPTED))
     require_folder(out)
     if out.is_dir() and any(out.iterdir()):
-        raise FolderNotEmpty(f"{out} is not empty; nothing in it was changed")
+        raise FOLDER_NOT_EMPTY(f"{out} is not empty; nothing in it was changed")
     if postoperative is not None:
         if (
             scene != DEFAULT_SCENE
@@ -139,7 +139,7 @@ def phantom(
             or targets is not None
             or arm is not ArmChoice.KR6
         ):
-            raise BadScene(
+            raise BAD_SCENE(
                 "the run defines head and trajectories; omit --scene, --family and similar options"
             )
         _write_postoperative(postoperative, instrument, out, seed, protocol, as_json)
@@ -161,11 +161,11 @@ def phantom(
     carrier = {one.value: one for one in Carrier}.get(fiducials.value)
     if fiducials is Fiducials.ADHESIVE:
         if family is not None:
-            raise BadScene("a family has no adhesive markers", action="Omit --family or --fiducials.")
+            raise BAD_SCENE("a family has no adhesive markers", action="Omit --family or --fiducials.")
         truth, scan = _scan_adhesives(scene, seed, markers, targets, arm, protocol)
     elif family is not None or carrier is None:
         if scene != DEFAULT_SCENE or targets is not None or arm is not ArmChoice.KR6:
-            raise BadScene(
+            raise BAD_SCENE(
                 "a family generates its own head and trajectory", action="Omit --scene, --targets and --arm."
             )
         scan = family_scan(

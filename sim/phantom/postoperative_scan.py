@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.errors import NothingToVerify
+from sim.errors import NOTHING_TO_VERIFY
 from sim.phantom.head.anatomy import (
     AIR_HU,
     LAYERS,
@@ -85,11 +85,11 @@ def instruments_of(run: Path, kind: InstrumentKind) -> tuple[Scene, tuple[Instru
     """Read a run's scene and its instruments at the reached targets; raises SIM-006, SIM-007."""
     theatre = run / THEATRE_FOLDER
     if not (theatre / SCENE_FILE).is_file():
-        raise NothingToVerify(f"{run} has no simulated theatre")
+        raise NOTHING_TO_VERIFY(f"{run} has no simulated theatre")
     scene = read_scene(theatre / SCENE_FILE)
     samples = {sample.target: sample for sample in read_samples(theatre)}  # the last one of each target
     if not samples:
-        raise NothingToVerify(f"{run} reached no target")
+        raise NOTHING_TO_VERIFY(f"{run} reached no target")
     robot_from_ct = matrix_of(scene.head.robot_from_ct)
     found = []
     for identifier, sample in samples.items():

@@ -8,7 +8,7 @@ from typing import Any
 
 from ronna_hw.host.network import own_address, own_udp_endpoint
 from ronna_hw.wire.kuka_context import OWN_CONTEXT
-from sim.errors import BadDeviceParameter
+from sim.errors import BAD_DEVICE_PARAMETER
 from sim.kuka.controller_parameters import ControllerParameters as KukaParameters
 from sim.kuka.controller_parameters import parse_parameters as parse_kuka_parameters
 from sim.universal_robots.controller_parameters import ControllerParameters as UrParameters
@@ -105,7 +105,7 @@ def check_cycle(scene: Scene, cycle_ms: int | None) -> None:
     """Raise SIM-010 for a cycle that the controller of an arm in the scene does not have."""
     for role, arm in scene.arms.items():
         if cycle_ms is not None and cycle_ms not in CONTROLLERS[arm.variant].cycles_ms:
-            raise BadDeviceParameter(
+            raise BAD_DEVICE_PARAMETER(
                 f"the {role} is a {arm.variant}, whose cycle cannot be chosen",
                 got=f"--cycle-ms {cycle_ms}",
                 action="Omit --cycle-ms with this arm.",

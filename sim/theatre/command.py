@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ronna_hw.command_line.errors import PathProblem, UsageMistake
+from ronna_hw.command_line.errors import PATH_PROBLEM, UsageMistake
 from ronna_hw.command_line.options import require_folder
 from ronna_hw.command_line.terminal import JsonOption, print_json, print_table, say, tell
 from ronna_hw.control_port import VARIABLE, ask_control_port
@@ -181,21 +181,21 @@ def _require_plain_name(folder: Path) -> None:
     """Raise CLI-005 if a control character in the folder's path would act on every terminal that lists it."""
     path = str(folder.resolve())
     if any(unicodedata.category(character) == "Cc" for character in path):
-        raise PathProblem(
+        raise PATH_PROBLEM(
             f"--out: {path!r} has a control character", expected="a path of letters, digits and signs"
         )
 
 
 def _require_left_world(folder: Path) -> None:
     """Raise SIM-012 unless a theatre has left its world in the folder."""
-    from sim.errors import BadSavedWorld
+    from sim.errors import BAD_SAVED_WORLD
     from sim.theatre.launch import THEATRE_FILE
     from sim.world.saved_world import WORLD_FILE
     from sim.world.truth import SCENE_FILE
 
     missing = [name for name in (SCENE_FILE, WORLD_FILE, THEATRE_FILE) if not (folder / name).exists()]
     if missing:
-        raise BadSavedWorld(
+        raise BAD_SAVED_WORLD(
             f"--continue: no theatre left its world in {folder}: {', '.join(missing)} missing",
             expected="a folder in which a theatre has run",
         )
@@ -429,7 +429,7 @@ def scene(
     import tomli_w
 
     from ronna_hw.marker_template import read_marker_template
-    from sim.errors import BadScene
+    from sim.errors import BAD_SCENE
     from sim.world.process import load_scene
     from sim.world.scene.named_scenes import SCENES, add_patient_frame, draw_scene
 
@@ -437,7 +437,7 @@ def scene(
         truth = load_scene(scene, seed=seed, markers=markers, targets=targets, fiducials=fiducials, arm=arm)
     else:
         if scene not in SCENES or markers is not None or fiducials is not Carrier.FREE:
-            raise BadScene("a template belongs to a named scene and fixes the number of markers")
+            raise BAD_SCENE("a template belongs to a named scene and fixes the number of markers")
         implanted = read_marker_template(template)
         truth = draw_scene(scene, seed=seed, targets=targets, template=implanted, arm=arm)
     if patient_frame:

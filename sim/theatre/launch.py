@@ -16,7 +16,7 @@ from ronna_hw.bounded_input import read_toml
 from ronna_hw.host.child_process import IDLE_TIMEOUT_S, READY_TIMEOUT_S, ChildProcess, command
 from ronna_hw.host.process import describe_exit
 from ronna_hw.records import write_atomically
-from sim.errors import BadCalibrationFile, BadDeviceParameter, BadSavedWorld
+from sim.errors import BAD_CALIBRATION_FILE, BAD_DEVICE_PARAMETER, BAD_SAVED_WORLD
 from sim.kuka.pendant import PENDANT_PREFIX
 from sim.polaris.unit.behaviour import parse_behaviour
 from sim.polaris.unit.tool_definition import write_definition
@@ -194,7 +194,7 @@ def _read_origin(theatre_file: Path) -> tuple[str, datetime]:
     """Read identity and calibration time of the theatre to continue; raises SIM-012."""
     identity, calibrated = identity_of(theatre_file), read_calibration_time(theatre_file)
     if identity is None or calibrated is None:
-        raise BadSavedWorld(
+        raise BAD_SAVED_WORLD(
             f"{theatre_file} does not say which theatre it was",
             expected="its identity and the time of its calibration records",
         )
@@ -217,11 +217,11 @@ def read_calibrations(paths: Iterable[Path]) -> dict[str, Any]:
     for path in paths:
         file = path / CALIBRATION_FILE if path.is_dir() else path
         try:
-            found = read_toml(file, BadCalibrationFile).get("calibration")
+            found = read_toml(file, BAD_CALIBRATION_FILE).get("calibration")
         except OSError as error:
-            raise BadCalibrationFile(f"cannot read {file}: {error.strerror}") from error
+            raise BAD_CALIBRATION_FILE(f"cannot read {file}: {error.strerror}") from error
         if not isinstance(found, dict) or not found:
-            raise BadCalibrationFile(f"{file} has no table [calibration] with records")
+            raise BAD_CALIBRATION_FILE(f"{file} has no table [calibration] with records")
         records |= found
     return records
 
@@ -238,7 +238,7 @@ def parameters_by_device(settings: Sequence[str], scene: Scene) -> dict[str, tup
     for setting in settings:
         device, dot, assignment = setting.partition(".")
         if device not in names or not dot or "=" not in assignment:
-            raise BadDeviceParameter(
+            raise BAD_DEVICE_PARAMETER(
                 f"{setting!r} is not DEVICE.NAME=VALUE",
                 expected=" or ".join(f"{name}.NAME=VALUE" for name in names),
             )

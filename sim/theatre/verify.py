@@ -16,7 +16,7 @@ from ronna_hw.evidence.inspection import Inspection, inspect_run
 from ronna_hw.evidence.journal_reading import JOURNAL_FILE, theatre_time_s
 from ronna_hw.records import Record
 from ronna_hw.text import format_count, format_names
-from sim.errors import NothingToVerify
+from sim.errors import NOTHING_TO_VERIFY
 from sim.world.rigid import apply, matrix_of
 from sim.world.scene.model import Scene, parse_scene_json, read_scene
 from sim.world.truth import (
@@ -49,8 +49,8 @@ def verify_run(run: Path, theatre: Path | None = None) -> dict[str, Any]:
     place = run / THEATRE_FOLDER if theatre is None else theatre
     if not (place / SCENE_FILE).exists():
         if theatre is None:
-            raise NothingToVerify(f"{run} has no simulated theatre")
-        raise NothingToVerify(
+            raise NOTHING_TO_VERIFY(f"{run} has no simulated theatre")
+        raise NOTHING_TO_VERIFY(
             f"{theatre} is not the folder of a simulated theatre",
             expected=f"a folder with {SCENE_FILE}",
             action=WHERE_IT_WAS_MADE,
@@ -66,7 +66,7 @@ def verify_run(run: Path, theatre: Path | None = None) -> dict[str, Any]:
     samples = {sample.target: sample for sample in tip_samples}  # the last sample of each target
     localization = _find_valid_record(found, "fiducial_localization")
     if localization is None and not samples:
-        raise NothingToVerify(f"{run} located no sphere and reached no target")
+        raise NOTHING_TO_VERIFY(f"{run} located no sphere and reached no target")
     try:
         ct = _verify_ct(scene, localization)
         targets = [
@@ -75,9 +75,9 @@ def verify_run(run: Path, theatre: Path | None = None) -> dict[str, Any]:
             if trajectory["id"] in samples
         ]
     except (LookupError, TypeError, ValueError, ArithmeticError) as error:
-        raise NothingToVerify(f"a record of {run} is not what a run writes: {error!r}") from error
+        raise NOTHING_TO_VERIFY(f"a record of {run} is not what a run writes: {error!r}") from error
     if theatre is not None and ct is not None and not ct["found"]:
-        raise NothingToVerify(
+        raise NOTHING_TO_VERIFY(
             f"{theatre} has another patient than {run}: none of the spheres found is there",
             action=WHERE_IT_WAS_MADE,
         )
@@ -90,7 +90,7 @@ def _require_single_run(folder: Path) -> None:
         return
     runs = sorted(one.name for one in folder.iterdir() if (one / JOURNAL_FILE).exists())
     if runs:
-        raise NothingToVerify(
+        raise NOTHING_TO_VERIFY(
             f"{folder} is not a run; it holds {format_count(len(runs), 'run')}: {format_names(runs)}",
             action=f"Give one of them: {folder / runs[-1]}.",
         )
@@ -101,7 +101,7 @@ def require_targets(run: Path, outcome: dict[str, Any]) -> None:
     if outcome["targets"]:
         return
     other = ", ".join(outcome["other_samples"])
-    raise NothingToVerify(
+    raise NOTHING_TO_VERIFY(
         f"{run} reached no target: no instrument was inserted at a trajectory of its plan"
         + (f", but at {other}" if other else ""),
         action="Insert the instrument at each target: in a rehearsal by hand, ronna-sim work insert "

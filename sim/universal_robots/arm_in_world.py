@@ -9,7 +9,7 @@ from collections.abc import Callable
 from math import copysign, exp, radians
 from typing import Final
 
-from sim.errors import BadScene
+from sim.errors import BAD_SCENE
 from sim.universal_robots.controller_parameters import ControllerParameters
 from sim.universal_robots.drives import Drives
 from sim.universal_robots.model import JOINTS, Model, Vector6
@@ -98,7 +98,7 @@ class ArmInWorld:
 def require_arm(truth: ArmTruth, model: Model) -> None:
     """Raise SIM-001 if the scene has another arm than the controller moves."""
     if truth.variant != model.name:
-        raise BadScene(
+        raise BAD_SCENE(
             f"a controller of a {model.name} does not move the scene's arm {truth.variant}",
             action=f"Choose --model {truth.variant}, or a scene with this arm.",
         )

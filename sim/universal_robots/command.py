@@ -111,14 +111,14 @@ def require_loopback(address: str) -> str:
 
     from ronna_hw.wire.universal_robots import RTDE_PORT
     from sim.universal_robots.connections import find_free
-    from sim.universal_robots.errors import BadAddress
+    from sim.universal_robots.errors import BAD_ADDRESS
 
     try:
         if IPv4Address(address).is_loopback:
             return address
     except ValueError:
         pass
-    raise BadAddress(
+    raise BAD_ADDRESS(
         f"a controller cannot be simulated at {address!r}",
         expected="an address in 127.0.0.0/8",
         action=f"Give an address of its own for each arm: --address {find_free(DEFAULT_ADDRESS, RTDE_PORT)}.",

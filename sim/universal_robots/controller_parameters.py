@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from typing import Annotated, Literal, Self
 
 from sim.named_parameters import MaximumValue, apply_assignments
-from sim.universal_robots.errors import UnknownParameter
+from sim.universal_robots.errors import UNKNOWN_PARAMETER
 
 
 @dataclass(frozen=True)
@@ -145,4 +145,4 @@ class ControllerParameters:
 
 def parse_parameters(assignments: Iterable[str]) -> ControllerParameters:
     """Apply `NAME=VALUE` to the default parameters; raises URC-001 for an unknown name or invalid value."""
-    return apply_assignments(ControllerParameters(), assignments, UnknownParameter)
+    return apply_assignments(ControllerParameters(), assignments, UNKNOWN_PARAMETER)

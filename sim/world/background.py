@@ -17,7 +17,7 @@ import typer
 from ronna_hw.command_line.terminal import say, tell
 from ronna_hw.host.child_process import ChildNotReady, ChildProcess, command, descendants_of, kill_all
 from ronna_hw.host.process import PARENT
-from sim.errors import NotRunning
+from sim.errors import NOT_RUNNING
 from sim.world.running import LOG, RunningSimulator, find_running, register_folder
 
 DetachOption = Annotated[
@@ -80,7 +80,7 @@ def leave_output() -> None:
 def stop(running: RunningSimulator) -> None:
     """Stop a simulator that runs in the background, with its devices. Raises SIM-018 for any other."""
     if not running.in_background:
-        raise NotRunning(
+        raise NOT_RUNNING(
             f"{running.name} (pid {running.pid}) does not run in the background",
             expected="one that was started with --detach",
             action="End it where it was started: Ctrl-C in its terminal, or the run that it belongs to.",

@@ -14,7 +14,7 @@ from operator import itemgetter
 
 import numpy as np
 
-from sim.errors import BadCartMove
+from sim.errors import BAD_CART_MOVE
 from sim.world.faults.fault import Fault, join_choices
 from sim.world.faults.room import DEVICE, LARGEST_MOVE_MM, LARGEST_TURN_DEG, MOVE, cart_numbers
 from sim.world.options import ArmRole
@@ -47,18 +47,18 @@ class CartMove:
         shift_mm = math.hypot(*self.by_mm)
         given = f"by {' '.join(f'{value:g}' for value in self.by_mm)} mm, turned by {self.turn_deg:g} deg"
         if not math.isfinite(shift_mm) or not math.isfinite(self.turn_deg):
-            raise BadCartMove("the move is not finite", expected="finite numbers", got=given)
+            raise BAD_CART_MOVE("the move is not finite", expected="finite numbers", got=given)
         if shift_mm > LARGEST_MOVE_MM or abs(self.turn_deg) > LARGEST_TURN_DEG:
             limit = f"{LARGEST_MOVE_MM:g} mm and {LARGEST_TURN_DEG:g} deg"
-            raise BadCartMove("the cart would leave the room", limit=limit, got=given)
+            raise BAD_CART_MOVE("the cart would leave the room", limit=limit, got=given)
         if shift_mm == self.turn_deg == 0.0:
-            raise BadCartMove("the cart would stay where it is", got=given)
+            raise BAD_CART_MOVE("the cart would stay where it is", got=given)
 
     def check(self, scene: Scene) -> None:
         """Raise SIM-016 for a cart that is not there, and as `check_size`."""
         if self.number not in (known := cart_numbers(scene)):
             expected = f"cart {join_choices([str(number) for number in known])}"
-            raise BadCartMove("there is no such cart", expected=expected, got=f"cart {self.number}")
+            raise BAD_CART_MOVE("there is no such cart", expected=expected, got=f"cart {self.number}")
         self.check_size()
 
     @property

@@ -42,7 +42,7 @@ from ronna_hw.errors import RonnaError
 from ronna_hw.phantom_identity import format_patient_id
 from ronna_hw.text import printable
 from ronna_hw.wire.room_tasks import DEPTH_STOP, OnStand
-from sim.errors import InstrumentInGuide
+from sim.errors import INSTRUMENT_IN_GUIDE
 from sim.world.carts import CartMove
 from sim.world.faults import (
     FaultBoard,
@@ -290,7 +290,7 @@ class Room:
         move = CartMove(int(number) if number.is_integer() else 0, (x, y, z), turn_deg)
         move.check(self._world.scene)
         if (inserted := self._world.inserted()) is not None and request.get("anyway") is not True:
-            raise InstrumentInGuide(
+            raise INSTRUMENT_IN_GUIDE(
                 f"cart {move.number} is not moved: an instrument is in the guide at {inserted}",
                 expected="no instrument in the guide",
             )

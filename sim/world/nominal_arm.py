@@ -15,7 +15,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.errors import BadScene
+from sim.errors import BAD_SCENE
 from sim.world.rigid import rotation_from_vector
 
 Variant = Literal["kr6_r900_sixx", "kr6_r900_2"]
@@ -79,9 +79,9 @@ class RobotDescription:
 
 
 def description(variant: str) -> RobotDescription:
-    """Return the machine data of a variant. Raises BadScene for an arm that KUKA does not make."""
+    """Return the machine data of a variant. Raises BAD_SCENE for an arm that KUKA does not make."""
     if variant not in DESCRIPTIONS:
-        raise BadScene(f"a KUKA controller moves {' or '.join(DESCRIPTIONS)}, not the scene's arm {variant}")
+        raise BAD_SCENE(f"a KUKA controller moves {' or '.join(DESCRIPTIONS)}, not the scene's arm {variant}")
     return DESCRIPTIONS[variant]
 
 

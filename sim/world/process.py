@@ -17,7 +17,7 @@ from types import FrameType
 from ronna_hw.errors import EXIT_FAILED
 from ronna_hw.host.child_process import descendants_of, kill_all
 from ronna_hw.host.process import PARENT, resume_garbage_collection
-from sim.errors import BadScene
+from sim.errors import BAD_SCENE
 from sim.world.background import IN_BACKGROUND, Handover, hand_over, leave_output
 from sim.world.control_port import ControlPort, Room
 from sim.world.faults import read_faults
@@ -156,9 +156,9 @@ def load_scene(
         on_frame = fiducials is Carrier.XFRAME
         drawn = draw_scene(scene, seed=seed, markers=markers, targets=targets, x_frame=on_frame, arm=arm)
     elif fiducials is not Carrier.FREE:
-        raise BadScene("a scene file defines how its spheres are fixed: omit --fiducials")
+        raise BAD_SCENE("a scene file defines how its spheres are fixed: omit --fiducials")
     elif arm is not ArmChoice.KR6:
-        raise BadScene("a scene file defines its arm: omit --arm")
+        raise BAD_SCENE("a scene file defines its arm: omit --arm")
     else:
         drawn = read_scene(Path(scene))
     if target_balls:

@@ -25,7 +25,7 @@ from ronna_hw.bounded_input import parse_json, read_bounded
 from ronna_hw.endpoints import parse_endpoint
 from ronna_hw.errors import RonnaError
 from ronna_hw.text import printable
-from sim.errors import NotRunning, RegisterNotOwn
+from sim.errors import NOT_RUNNING, RegisterNotOwn
 
 OWNER_ONLY = 0o700
 LARGEST_ENTRY_BYTES = 64 * 1024  # one has 2
@@ -217,10 +217,10 @@ def find_running(cell: str | None) -> RunningSimulator:
     if not chosen:
         what = "no simulator is running" if cell is None else f"no simulator {cell!r} is running"
         start = None if running else "Start one, such as ronna-sim theatre --scene mini --out cell --detach."
-        raise NotRunning(what, expected="one that is running", got=listed, action=start)
+        raise NOT_RUNNING(what, expected="one that is running", got=listed, action=start)
     what = "several simulators are running" if cell is None else f"several simulators are named {cell!r}"
     action = "Give its name." if cell is None else "Give its process number, or a theatre's folder."
-    raise NotRunning(what, expected="one of them", got=listed, action=action)
+    raise NOT_RUNNING(what, expected="one of them", got=listed, action=action)
 
 
 def _is_meant(one: RunningSimulator, cell: str) -> bool:

@@ -24,7 +24,7 @@ from ronna_hw.bounded_input import read_json_bytes
 from ronna_hw.calibration import Strict
 from ronna_hw.mistakes import describe_mistakes
 from ronna_hw.records import write_atomically
-from sim.errors import BadSavedWorld, TheatreRunning
+from sim.errors import BAD_SAVED_WORLD, THEATRE_RUNNING
 from sim.world.carts import finished
 from sim.world.displacements import list_cart_rolls_mm
 from sim.world.faults import parse_faults
@@ -121,11 +121,11 @@ def read_saved_world(folder: Path) -> SavedWorld:
     """Read the state saved in a folder; raises SIM-003, SIM-012 also where there is none."""
     path = folder / WORLD_FILE
     if not path.exists():
-        raise BadSavedWorld(f"{folder} has no {WORLD_FILE}", expected=EXPECTED)
+        raise BAD_SAVED_WORLD(f"{folder} has no {WORLD_FILE}", expected=EXPECTED)
     try:
         saved = SavedWorld.model_validate_json(read_json_bytes(path), strict=False)
     except ValidationError as error:
-        raise BadSavedWorld(
+        raise BAD_SAVED_WORLD(
             f"{path} was changed", expected=EXPECTED, got="; ".join(describe_mistakes(error))
         ) from error
     parse_faults(saved.standing_faults)
@@ -169,7 +169,7 @@ def lock_folder(folder: Path) -> Iterator[None]:
                 break
             except BlockingIOError:
                 if time.monotonic() > limit_s:
-                    raise TheatreRunning(
+                    raise THEATRE_RUNNING(
                         f"another theatre is running in {folder}",
                         action=f"Stop it with ronna-sim stop {folder}, or give another folder.",
                     ) from None

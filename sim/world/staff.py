@@ -35,7 +35,7 @@ from ronna_hw.wire.room_tasks import (
     TOUCH,
     OnStand,
 )
-from sim.errors import StandNotReady
+from sim.errors import STAND_NOT_READY
 from sim.world.displacements import ShiftedRoom, rigid_move
 from sim.world.faults import FaultBoard, begin_now
 from sim.world.faults.room import CART, DEVICE, UNLOCKED, WRONG_STOP, tool_numbers
@@ -204,13 +204,13 @@ def read_dials(world: World) -> tuple[float, float, float]:
     stand, mount = world.scene.stand, world.scene.mount
     if (there := world.on_stand()) is not OnStand.DIVOT:
         holds = "nothing" if there is OnStand.NOTHING else f"the {there}"
-        raise StandNotReady(f"the divot is not on the stand, which holds {holds}")
+        raise STAND_NOT_READY(f"the divot is not on the stand, which holds {holds}")
     if world.mounted_tool() != mount.tool_number_guide:
-        raise StandNotReady("the guide is not mounted", got=f"tool {world.mounted_tool()}")
+        raise STAND_NOT_READY("the guide is not mounted", got=f"tool {world.mounted_tool()}")
     zero = np.add(stand.ball_mm, stand.divot_from_ball_mm)
     away = rotation_from_vector(stand.dials_turned_rad).T @ (TrueGuide(world).mandrel()[:3, 3] - zero)
     if np.abs(away).max() > stand.travel_mm:
-        raise StandNotReady(
+        raise STAND_NOT_READY(
             "the tip is beyond the divot's travel",
             limit=f"{stand.travel_mm:g} mm along each axis",
             got=f"{np.abs(away).max():.1f} mm",

@@ -16,7 +16,7 @@ from pydantic import ValidationError
 from ronna_hw.bounded_input import read_json_lines
 from ronna_hw.calibration import Numbers3, Strict
 from ronna_hw.mistakes import describe_mistakes
-from sim.errors import BadTruth, StandNotReady
+from sim.errors import BAD_TRUTH, STAND_NOT_READY
 from sim.world.displacements import STILL, ShiftedRoom, rigid_move, yielding_flange
 from sim.world.faults import Fault, FaultBoard, FaultKind
 from sim.world.faults.room import (
@@ -98,7 +98,7 @@ def sample_seated_instrument(
     """
     assistant, bore = world.scene.assistant, world.scene.mount.guide
     if assistant is None or not world.has_arm(ArmRole.ASSISTANT):
-        raise StandNotReady("there is no assistant that holds an instrument")
+        raise STAND_NOT_READY("there is no assistant that holds an instrument")
     room = ShiftedRoom(world)
     flange = world.arm(ArmRole.ASSISTANT).robot_from_flange
     clamp = room.robot_from_assistant(room.now()) @ flange @ matrix_of(assistant.flange_from_clamp)
@@ -106,14 +106,14 @@ def sample_seated_instrument(
     upper_z, lower_z = -bore.bore_mm - bore.reach_mm, -bore.reach_mm
     gap_mm = float(upper_z - in_guide[2, 3])
     if gap_mm < -SLIDES_MM:
-        raise StandNotReady(
+        raise STAND_NOT_READY(
             "the clamp has slid to its end", limit=f"{SLIDES_MM:g} mm", got=f"{-gap_mm:.2f} mm"
         )
     gap_mm = max(0.0, gap_mm)
     ends = [_beside_mm(in_guide, z) for z in (upper_z, lower_z)]
     off_mm = max(float(np.linalg.norm(end)) for end in ends)
     if off_mm > BINDS_MM:
-        raise StandNotReady(
+        raise STAND_NOT_READY(
             "the instrument binds in the guide",
             action="Leave the instrument where it is, and find out which arm, cart or head was moved.",
             limit=f"{BINDS_MM:g} mm beside its axis",
@@ -170,7 +170,7 @@ def truth_bytes(path: Path) -> bytes:
     try:
         return read_json_lines(path, LARGEST_TRUTH_BYTES)
     except OSError as error:
-        raise BadTruth(f"cannot read {path.name}: {error.strerror}") from error
+        raise BAD_TRUTH(f"cannot read {path.name}: {error.strerror}") from error
 
 
 def parse_samples(content: bytes) -> list[TipSample]:
@@ -178,7 +178,7 @@ def parse_samples(content: bytes) -> list[TipSample]:
     try:
         lines = content.decode().splitlines()
     except UnicodeDecodeError as error:
-        raise BadTruth(f"{TRUTH_FILE} is not UTF-8 text: {error.reason}") from error
+        raise BAD_TRUTH(f"{TRUTH_FILE} is not UTF-8 text: {error.reason}") from error
     samples: list[TipSample] = []
     mistakes: list[str] = []
     for number, line in enumerate(lines, 1):
@@ -189,7 +189,7 @@ def parse_samples(content: bytes) -> list[TipSample]:
             if len(mistakes) >= MOST_MISTAKES:
                 break
     if mistakes:
-        raise BadTruth(f"{TRUTH_FILE} has invalid lines: {'; '.join(mistakes)}")
+        raise BAD_TRUTH(f"{TRUTH_FILE} has invalid lines: {'; '.join(mistakes)}")
     return samples
 
 

@@ -23,7 +23,7 @@ from ronna_hw.clock import CLOCK, SharedClock
 from ronna_hw.endpoints import parse_endpoint
 from ronna_hw.host.shared_memory import MemoryMap, text
 from ronna_hw.wire.room_tasks import OnStand
-from sim.errors import WorldUnavailable
+from sim.errors import WORLD_UNAVAILABLE
 from sim.world.options import ArmRole
 from sim.world.rigid import matrix_of
 from sim.world.scene.model import Numbers6, Scene, parse_scene_json
@@ -103,9 +103,9 @@ class World:
             finally:
                 os.close(file)
         except (OSError, ValueError) as error:
-            raise WorldUnavailable(f"cannot open the world at {path}: {error}") from error
+            raise WORLD_UNAVAILABLE(f"cannot open the world at {path}: {error}") from error
         if not self._is_world():
-            raise WorldUnavailable(f"{path} is not a world file of this version")
+            raise WORLD_UNAVAILABLE(f"{path} is not a world file of this version")
         self._clock_path = _CLOCK.read(self._memory).path
         self.clock = SharedClock(self._clock_path, role.number)
         if scene is None:
@@ -251,13 +251,13 @@ class World:
             version, content = _FAULTS_VERSION.read(self._memory), _FAULTS.read(self._memory)
             if content is not None:
                 return version, content.decode(errors="replace")
-        raise WorldUnavailable("the fault script in the world was left half written")
+        raise WORLD_UNAVAILABLE("the fault script in the world was left half written")
 
     def set_fault_script(self, script: str) -> None:
         """Replace the fault script with text already checked; for use by the control port only."""
         content = script.encode()
         if len(content) > FAULTS_CAPACITY_BYTES:
-            raise WorldUnavailable("the fault script is too long", limit=f"{FAULTS_CAPACITY_BYTES} bytes")
+            raise WORLD_UNAVAILABLE("the fault script is too long", limit=f"{FAULTS_CAPACITY_BYTES} bytes")
         _FAULTS.write(self._memory, content)
         _FAULTS_VERSION.write(self._memory, _FAULTS_VERSION.read(self._memory) + 1)
 

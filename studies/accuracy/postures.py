@@ -23,7 +23,7 @@ from ronna_hw.frames import Frame, Transform
 from sim.world.scene.as_built import TOOL_IN_FLANGE_MM
 from studies.accuracy.phantom import Phantom
 from studies.accuracy.random_arms import PlannedPoses
-from studies.errors import PhantomOutOfReach
+from studies.errors import PHANTOM_OUT_OF_REACH
 
 Array = NDArray[np.float64]
 
@@ -114,7 +114,7 @@ def _best_turn(
             continue
         if all(ARM.wrist_bend_rad(one) >= LEAST_BEND_RAD for one in joints):
             return turned
-    raise PhantomOutOfReach(f"{strategy.name} does not reach all spheres for {along.identifier}")
+    raise PHANTOM_OUT_OF_REACH(f"{strategy.name} does not reach all spheres for {along.identifier}")
 
 
 def _nearest_turn(
@@ -129,4 +129,4 @@ def _nearest_turn(
             continue
         if ARM.wrist_bend_rad(joints) >= LEAST_BEND_RAD:
             return turned
-    raise PhantomOutOfReach(f"the arm does not reach the target of {trajectory.identifier}")
+    raise PHANTOM_OUT_OF_REACH(f"the arm does not reach the target of {trajectory.identifier}")

@@ -25,7 +25,7 @@ from sim.world.nominal_arm import RobotDescription
 from sim.world.scene.as_built import TOOL_IN_FLANGE_MM, draw_arm, draw_mount
 from sim.world.scene.model import ArmTruth
 from sim.world.true_arm import sag_levers
-from studies.errors import PoseNotSolved
+from studies.errors import POSE_NOT_SOLVED
 
 Array = NDArray[np.float64]
 Components = tuple[Array, Array, Array]
@@ -224,7 +224,7 @@ def solve_joints(
         joints = joints + np.einsum("pij,...pj->...pi", poses.inverse, step)
     left_mm = float(np.abs(shift).max())  # before the last step
     if not left_mm < SETTLED_MM:
-        raise PoseNotSolved(
+        raise POSE_NOT_SOLVED(
             f"an arm did not converge in {STEPS} steps", got=f"{left_mm:.2g} mm from its pose"
         )
     return joints, frames(joints)[0]

@@ -18,7 +18,7 @@ import studies
 from ronna_hw.bounded_input import parse_json, read_json_lines
 from ronna_hw.records import canonical_json, write_atomically
 from studies.campaign.study import Study, Sums, Table, Unit
-from studies.errors import LedgerUnreadable, OtherStudy
+from studies.errors import LEDGER_UNREADABLE, OTHER_STUDY
 
 PROGRAM = "ronna-hw"
 PACKAGES = ("procedures", "ronna_hw", "sim", "studies")  # packages that may affect results
@@ -95,13 +95,13 @@ class Ledger:
         try:
             there = parse_json(first)
             if there["fingerprint"] != head["fingerprint"]:
-                raise OtherStudy(f"{self._path.parent} contains {_describe_difference(there, head)}")
+                raise OTHER_STUDY(f"{self._path.parent} contains {_describe_difference(there, head)}")
             if (made_by := there.get("code", "unknown")) != head["code"]:
-                raise OtherStudy(
+                raise OTHER_STUDY(
                     f"{self._path.parent} contains results of other code: {made_by}, now {code()}"
                 )
         except (ValueError, KeyError, TypeError, AttributeError) as error:
-            raise LedgerUnreadable(f"{self._path}: line 1 does not identify the study: {error}") from error
+            raise LEDGER_UNREADABLE(f"{self._path}: line 1 does not identify the study: {error}") from error
         kept = [first]
         for line in lines:
             if (finished := _parse_finished(line)) is not None:
@@ -111,7 +111,7 @@ class Ledger:
                 continue
             self.damaged += 1
             if self.damaged > MOST_DAMAGED_LINES:
-                raise LedgerUnreadable(f"{self._path}: more than {MOST_DAMAGED_LINES} lines are damaged")
+                raise LEDGER_UNREADABLE(f"{self._path}: more than {MOST_DAMAGED_LINES} lines are damaged")
         if self.damaged:
             write_atomically(self._path, b"".join(kept))
 

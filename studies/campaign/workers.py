@@ -22,12 +22,12 @@ from ronna_hw.host.worker_processes import start_workers
 from studies.campaign.folder import Ledger
 from studies.campaign.study import Study, Sums, Unit
 from studies.errors import (
-    ExtraMissing,
+    EXTRA_MISSING,
+    SCHEDULER_UNREACHABLE,
+    UNIT_FAILED,
     MethodAnswerWrong,
     MethodFailed,
     MethodRefused,
-    SchedulerUnreachable,
-    UnitFailed,
 )
 from studies.plugins.method import PluginMethod
 
@@ -134,7 +134,7 @@ def _lost_worker_error(study: Study, keys: list[str]) -> RonnaError:
     among = f", in {' or '.join(keys)}"
     if own := _list_plugins(study):
         return MethodFailed(f"{' or '.join(one.name for one in own)} {PROCESS_ENDED}{among}")
-    return UnitFailed(f"a worker process was killed, or ran out of memory{among}")
+    return UNIT_FAILED(f"a worker process was killed, or ran out of memory{among}")
 
 
 def _require_address(scheduler: str) -> None:
@@ -145,7 +145,7 @@ def _require_address(scheduler: str) -> None:
     except ValueError:  # an invalid port
         whole = None
     if not whole:
-        raise SchedulerUnreachable(
+        raise SCHEDULER_UNREACHABLE(
             "not an address of a Dask scheduler", expected="tcp://HOST:PORT", got=scheduler
         )
 
@@ -156,11 +156,11 @@ def _dask_client(scheduler: str) -> Iterator[Any]:
     try:
         from distributed import Client
     except ImportError as error:
-        raise ExtraMissing("the package distributed is not installed") from error
+        raise EXTRA_MISSING("the package distributed is not installed") from error
     try:
         client = Client(scheduler, timeout=SCHEDULER_LIMIT_S, set_as_default=False)
     except (OSError, ValueError) as error:
-        raise SchedulerUnreachable(f"no Dask scheduler at {scheduler}") from error
+        raise SCHEDULER_UNREACHABLE(f"no Dask scheduler at {scheduler}") from error
     try:
         yield client
     finally:
@@ -181,8 +181,8 @@ def _take_result(unit: Unit, result: Callable[[], Sums]) -> Sums:
         return result()
     except (MethodAnswerWrong, MethodFailed, MethodRefused) as error:  # the user's own, reported as such
         unit_of_error = f"{error.what}, in unit {unit.key}"
-        raise type(error)(
+        raise error.reworded(
             unit_of_error, expected=error.expected, got=error.got, action=error.advice
         ) from error
     except Exception as error:
-        raise UnitFailed(f"{unit.key}: {error}") from error
+        raise UNIT_FAILED(f"{unit.key}: {error}") from error

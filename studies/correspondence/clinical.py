@@ -37,7 +37,7 @@ from studies.campaign import bounds
 from studies.campaign.plots import curves
 from studies.campaign.study import Cell, Sums, Table, Unit, generator
 from studies.correspondence.study import LOST, SUCCESS, Method, Pairs, outcome_key, pair_points, verdict
-from studies.errors import LedgerUnreadable, OtherStudy, TrackerNotSimulated
+from studies.errors import LEDGER_UNREADABLE, OTHER_STUDY, TRACKER_NOT_SIMULATED
 from studies.heads import NoiseReading, variance_from_thesis_mm2
 from studies.localization.phantom_scans import phantom_scan
 from studies.localization.study import SEED_BOUND
@@ -246,9 +246,9 @@ def load_or_take_readings(
         content = parse_json(read_json_bytes(path, most_values=MOST_VALUES))
         readings = np.atleast_1d(np.array(content["readings_mm"], dtype=float))
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise LedgerUnreadable(f"{path} is damaged: {error}") from error
+        raise LEDGER_UNREADABLE(f"{path} is damaged: {error}") from error
     if readings.shape != (count, SPHERES, 3) or content.get("seed") != seed:
-        raise OtherStudy(f"{folder} has {len(readings)} readings, drawn with another count or seed")
+        raise OTHER_STUDY(f"{folder} has {len(readings)} readings, drawn with another count or seed")
     return readings
 
 
@@ -277,7 +277,7 @@ def _take_whole_reading(
             # Pairing must find the order; here it is known from the frame's position.
             away_mm = np.linalg.norm(seen_mm[:, None] - (frame_mm + place_mm)[None], axis=2)
             return np.asarray(seen_mm[away_mm.argmin(axis=0)])
-    raise TrackerNotSimulated(f"the tracker did not see {SPHERES} spheres at {ATTEMPTS} positions")
+    raise TRACKER_NOT_SIMULATED(f"the tracker did not see {SPHERES} spheres at {ATTEMPTS} positions")
 
 
 def _draw_place(random: np.random.Generator) -> Array:
@@ -327,7 +327,7 @@ def _bench_scene(orientation: Rotation, seed: int) -> dict[str, Any]:
     words = command("sim.cli", "scene", "--scene", "bench", "--seed", str(seed))
     done = run_command("ronna-sim scene", words, LIMIT_S)
     if done.returncode != 0:
-        raise TrackerNotSimulated("ronna-sim scene", got=" ".join(done.stderr.split()))
+        raise TRACKER_NOT_SIMULATED("ronna-sim scene", got=" ".join(done.stderr.split()))
     scene = parse_toml(done.stdout)
     here = {"translation_mm": [0.0, 0.0, 0.0], "quaternion_wxyz": [1.0, 0.0, 0.0, 0.0]}
     turned = orientation.as_quat(scalar_first=True).tolist()

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from procedures.imaging import Volume, read_series
 from ronna_hw.host.child_process import command, run_command
-from studies.errors import PhantomFailed
+from studies.errors import PHANTOM_FAILED
 
 Array = NDArray[np.float64]
 
@@ -67,7 +67,7 @@ def scan_phantom(
     words = command("sim.cli", "phantom", "--out", str(folder), "--seed", str(seed), "--json", *arguments)
     done = run_command("ronna-sim phantom", words, PHANTOM_LIMIT_S)
     if done.returncode != 0:
-        raise PhantomFailed(f"{family}, {protocol}, seed {seed}", got=" ".join(done.stderr.split()))
+        raise PHANTOM_FAILED(f"{family}, {protocol}, seed {seed}", got=" ".join(done.stderr.split()))
     announcement = json.loads(done.stdout)
     return Path(announcement["series"]), json.loads(Path(announcement["truth"]).read_text(encoding="utf-8"))
 

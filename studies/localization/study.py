@@ -22,7 +22,7 @@ from procedures.imaging.markers import ESTIMATORS_DISAGREE, Marker
 from procedures.registration.point_registration import register
 from ronna_hw.x_frame import SPHERE_CENTRES_MM
 from studies.campaign.study import Sums, Unit, blocks, generator, omit_empty_own
-from studies.errors import NotForJudging
+from studies.errors import NOT_FOR_JUDGING
 from studies.localization.phantom_scans import PhantomScan, phantom_scan
 from studies.plugins.answers import PluginLocalizer
 from studies.plugins.method import PluginMethod
@@ -97,7 +97,7 @@ class LocalizationStudy:
         else:
             with phantom_scan(family, protocol, int(random.integers(SEED_BOUND))) as scan:
                 if family in JUDGING and scan.purpose != "judging":
-                    raise NotForJudging(f"family {family} is for {scan.purpose}")
+                    raise NOT_FOR_JUDGING(f"family {family} is for {scan.purpose}")
                 sums.update({"volumes": 1.0, "objects": scan.objects, "bound2": scan.bound_mm**2})
                 for method in AUTOMATIC:
                     sums.update(_count_localization(method, scan))

@@ -18,7 +18,7 @@ from ronna_hw.devices.sensors import OpticalTracker
 from ronna_hw.errors import LimitError
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.vectors import JointVector
-from studies.errors import PhantomOutOfReach
+from studies.errors import PHANTOM_OUT_OF_REACH
 from studies.low_cost.arms import PositionedArm
 from studies.low_cost.sight import Sight, require_look
 
@@ -40,7 +40,7 @@ class TipModel:
         try:
             return self.kinematics.solve_branch(pose, self.kinematics.branch_of(home), home)
         except LimitError as error:
-            raise PhantomOutOfReach(f"the arm does not reach a pose of the tool: {error}") from error
+            raise PHANTOM_OUT_OF_REACH(f"the arm does not reach a pose of the tool: {error}") from error
 
 
 @dataclass(frozen=True)

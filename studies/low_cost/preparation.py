@@ -34,7 +34,7 @@ from sim.world.noise import noise
 from sim.world.rigid import pose_of
 from sim.world.scene.model import CtProtocol, Scene
 from sim.world.scene.named_scenes import MINI_CT
-from studies.errors import LedgerUnreadable, OtherStudy, PhantomFailed, TrackerNotSimulated
+from studies.errors import LEDGER_UNREADABLE, OTHER_STUDY, PHANTOM_FAILED, TRACKER_NOT_SIMULATED
 from studies.low_cost.calibration import fit_pivot
 from studies.low_cost.devices import FRAME_LIMIT_S, PHANTOM_FRAME, Hand, open_room
 from studies.low_cost.room import draw_room, drawn_marker_in_tip, phantom_centre_mm
@@ -105,9 +105,9 @@ def load_or_prepare(
     try:
         found = Preparation.model_validate_json(read_json_bytes(path), strict=False)
     except (OSError, ValueError, ValidationError) as error:
-        raise LedgerUnreadable(f"{path} is damaged: {error}") from error
+        raise LEDGER_UNREADABLE(f"{path} is damaged: {error}") from error
     if (found.seed, len(found.scans_mm), found.frames, found.coarse) != (seed, scans, frames, coarse):
-        raise OtherStudy(
+        raise OTHER_STUDY(
             f"{folder} was prepared with other settings",
             expected=f"seed {seed}, {scans} scans, {frames} frames, coarse {coarse}",
             got=f"seed {found.seed}, {len(found.scans_mm)} scans, {found.frames} frames, "
@@ -148,7 +148,7 @@ def prepare(
         expected=len(scene.head.fiducials),
     )
     if found.pairs is None or not len(found.pairs):
-        raise TrackerNotSimulated(f"the phantom's spheres are not paired: {found.reason}")
+        raise TRACKER_NOT_SIMULATED(f"the phantom's spheres are not paired: {found.reason}")
     image, physical = np.asarray(found.pairs).T
     registered = register(scans_mm[0][image], spheres_mm[physical])
     x, y, z = pivot.tip_mm.tolist()
@@ -185,7 +185,7 @@ def _scan(scene: Scene, number: int, protocol: CtProtocol) -> Array:
         )
         done = run_command("ronna-sim phantom", words, SCAN_LIMIT_S)
         if done.returncode != 0:
-            raise PhantomFailed(f"scan {number}", got=" ".join(done.stderr.split()))
+            raise PHANTOM_FAILED(f"scan {number}", got=" ".join(done.stderr.split()))
         return localize(read_series(Path(json.loads(done.stdout)["series"]))).centres_mm
 
 
@@ -194,6 +194,6 @@ def _read_spheres(tracker: OpticalTracker) -> Array:
     read = list(new_frames(tracker, REGISTRATION_FRAMES, timeout_s=FRAME_LIMIT_S))
     phantom = mean_pose(read, PHANTOM_FRAME, REGISTRATION_FRAMES // 2)
     if phantom is None:
-        raise TrackerNotSimulated("the tracker does not see the phantom's frame")
+        raise TRACKER_NOT_SIMULATED("the tracker does not see the phantom's frame")
     spheres = np.array([group.mean_mm for group in average_strays(read).groups])
     return np.asarray(as_patient(phantom).inverse().apply(spheres.reshape(-1, 3)))

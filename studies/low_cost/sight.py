@@ -9,7 +9,7 @@ from procedures.workcell.tracker_look import mean_pose
 from ronna_hw.devices.readings import TrackerFrame
 from ronna_hw.devices.sensors import OpticalTracker, new_frames
 from ronna_hw.frames import Transform
-from studies.errors import TrackerNotSimulated
+from studies.errors import TRACKER_NOT_SIMULATED
 from studies.low_cost.devices import FRAME_LIMIT_S, PHANTOM_FRAME, TOOL_FRAME
 
 LEAST_SHARE = 0.5  # of the frames that must show a tool
@@ -38,7 +38,7 @@ def look(tracker: OpticalTracker, frames: int) -> Sight | None:
 def require_look(tracker: OpticalTracker, frames: int) -> Sight:
     """Average `frames` measurements. Raises STU-008 where either frame is hidden."""
     if (found := look(tracker, frames)) is None:
-        raise TrackerNotSimulated("the tracker does not see both frames")
+        raise TRACKER_NOT_SIMULATED("the tracker does not see both frames")
     return found
 
 

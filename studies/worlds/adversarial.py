@@ -17,7 +17,7 @@ from ronna_hw.host.process import shield_children
 from ronna_hw.records import write_atomically
 from studies.campaign import bounds
 from studies.campaign.study import Cell, Sums, Table, Unit
-from studies.errors import WorldNotRun
+from studies.errors import WORLD_NOT_RUN
 from studies.worlds.adversary import RELOCALIZATION, AdversarialWorld, draw_adversarial_world
 from studies.worlds.finished_case import LIMIT, RMS, parse_output, read_predictions, read_true_errors_mm
 from studies.worlds.silence import RANKS, Ending, JudgedCase, Silence, judge_case
@@ -219,7 +219,7 @@ def _run_case(world: AdversarialWorld, arguments: Sequence[str], folder: Path) -
     commands = [f"ronna-procedure run {' '.join(arguments)}"]
     run = _find_run(folder)
     if run is None:
-        raise WorldNotRun(
+        raise WORLD_NOT_RUN(
             f"world {world.number} ended with exit code {ended.returncode}: {ended.stderr[-300:]}"
         )
     if killed_at is not None:

@@ -10,7 +10,7 @@ from typing import Any
 from ronna_hw.evidence.manifest import RECORDS_FOLDER
 from ronna_hw.host.child_process import command, run_command
 from ronna_hw.records import read_record
-from studies.errors import WorldNotRun
+from studies.errors import WORLD_NOT_RUN
 
 VERIFY_LIMIT_S = 120.0
 NO_TARGET = "SIM-006"
@@ -23,7 +23,7 @@ def read_true_errors_mm(run: Path) -> dict[str, float]:
     """Return the true error of each target that an instrument reached; raises STU-015."""
     ended = run_command("ronna-sim verify", command("sim.cli", "verify", str(run), "--json"), VERIFY_LIMIT_S)
     if not ended.stdout and NO_TARGET not in ended.stderr:  # else no instrument reached a target
-        raise WorldNotRun(f"{run.name} cannot be judged: {ended.stderr[-300:]}")
+        raise WORLD_NOT_RUN(f"{run.name} cannot be judged: {ended.stderr[-300:]}")
     targets = json.loads(ended.stdout)["targets"] if ended.stdout else []
     return {str(one["id"]): float(one["application_error_mm"]) for one in targets}
 

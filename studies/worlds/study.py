@@ -15,7 +15,7 @@ from ronna_hw.host.child_process import command, run_command
 from ronna_hw.records import write_atomically
 from studies.campaign import bounds
 from studies.campaign.study import Cell, Sums, Table, Unit
-from studies.errors import WorldNotRun
+from studies.errors import WORLD_NOT_RUN
 from studies.worlds.finished_case import (
     FINISHED,
     parse_output,
@@ -151,7 +151,7 @@ def run_world(world: World, folder: Path) -> Judgement:
     ended = run_command(name, command("procedures.cli.procedure", "run", *arguments), LIMIT_S)
     run = next(iter(sorted(folder.glob(f"{RUN_FOLDER}/*/{JOURNAL_FILE}"))), None)
     if run is None:
-        raise WorldNotRun(
+        raise WORLD_NOT_RUN(
             f"world {world.number} ended with exit code {ended.returncode}: {ended.stderr[-300:]}"
         )
     chain, _ = read_chain_until_break(run)

@@ -6,12 +6,13 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
+from coded_errors import raises
 from room_trials import STILL, TrackedCase
 
 from procedures.guards.room_reading import RoomReading
 from procedures.guards.room_watch import RoomWatch
 from procedures.steps.clinical.cart_lock import LOCKED_LIMIT_MM, displacement_against_head
-from procedures.steps.errors import CartNotLocked
+from procedures.steps.errors import CART_NOT_LOCKED
 
 SCENES, TRIALS_PER_SCENE = 5, 20
 ROLLED_MM = 1.0
@@ -39,5 +40,5 @@ def test_a_cart_at_rest_is_never_refused() -> None:
 def test_a_cart_that_rolls_by_a_millimetre_is_always_detected() -> None:
     for case, watch, first in looks():
         second = case.reading(watch, case.home_rad, STILL, ROLLED_MM * case.direction())
-        with pytest.raises(CartNotLocked, match="PRO-041"):
+        with raises(CART_NOT_LOCKED, match="PRO-041"):
             displacement_against_head(watch.robot_from_tracker, first, second)

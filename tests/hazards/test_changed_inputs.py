@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 import tomli_w
 from clinical_case import FIRST, ClinicalCell, done_later, given
+from coded_errors import raises
 from painted_ct import write_series
 from prepared_results import (
     checked_paths,
@@ -29,7 +30,7 @@ from prepared_results import (
 from procedures.engine.context import StepContext
 from procedures.engine.engine import Engine
 from procedures.engine.order import Outcome, StepSpec
-from procedures.guards.errors import InputChanged
+from procedures.guards.errors import INPUT_CHANGED
 from procedures.imaging.series import read_series
 from procedures.journal.errors import StepRefused
 from procedures.journal.results import StepResult
@@ -127,7 +128,7 @@ def test_results_computed_from_another_ct_or_plan_move_nothing(
     cell: ClinicalCell, engine: Engine, change: Callable[[Engine], None]
 ) -> None:
     change(engine)
-    with pytest.raises(InputChanged, match="PRO-021"):
+    with raises(INPUT_CHANGED, match="PRO-021"):
         engine.run_step(engine.order.find(POSITIONING))
     with pytest.raises(StepRefused):
         engine.run_step(engine.order.find(POSITIONING))
@@ -144,7 +145,7 @@ def test_a_plan_that_changes_during_an_approach_is_detected_before_the_next_moti
         return False  # the way is clear
 
     cell.settled().arm.blocked = change_on_the_way
-    with pytest.raises(InputChanged):
+    with raises(INPUT_CHANGED):
         engine.run_step(engine.order.find(POSITIONING))
     assert motions(cell) == ["joints"]
     engine.retreat_home()
@@ -222,7 +223,7 @@ def test_a_changed_proposed_position_is_detected_and_voids_the_cart_lock_compare
     (guard,) = placed.checkpoint.guards
     assert guard.unmet() is None  # what was compared is the same
     place.write_text(json.dumps(PLACE | {"free_mm": 400.0}))
-    with pytest.raises(InputChanged, match=r"place\.json has changed since cart_lock: another position"):
+    with raises(INPUT_CHANGED, match=r"place\.json has changed since cart_lock: another position"):
         placed.run_to()
     assert str(placed.upcoming) == "cart_lock"
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import reference_tables
 
 from drivers.kuka_rsi import errors
-from ronna_hw.errors import RonnaError
+from ronna_hw.errors import ErrorCode, RonnaError
 from sim.world.faults.robot import ROBOT_FAULTS
 
 # A driver in automatic mode meets nothing of these, or what it meets stands in another line.
@@ -26,9 +26,9 @@ def test_every_test_named_in_the_table_exists_exactly_once() -> None:
 def test_every_promise_has_a_test_and_each_code_appears_in_one_of_them() -> None:
     files = reference_tables.files_of_tests()
     classes = {
-        error.code: error.__name__
-        for error in vars(errors).values()
-        if isinstance(error, type) and issubclass(error, RonnaError) and "code" in vars(error)
+        error.code: name
+        for name, error in vars(errors).items()
+        if isinstance(error, ErrorCode) or (isinstance(error, type) and issubclass(error, RonnaError))
     }
     for one in reference_tables.read_disturbances():
         assert one.tests, one.disturbance

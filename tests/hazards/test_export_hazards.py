@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from coded_errors import raises
 from localized_spheres import localized_marker
 from painted_ct import write_series
 from prepared_results import checked_plan, registered_robot
@@ -21,7 +22,7 @@ from procedures.engine.order import order_of
 from procedures.exchange import allowed_fields
 from procedures.exchange.allowed_fields import require_allowed
 from procedures.exchange.dicom_objects import name_patient
-from procedures.exchange.errors import FieldNotAllowed
+from procedures.exchange.errors import FIELD_NOT_ALLOWED
 from procedures.exchange.run_export import export_run
 from procedures.journal.journal import Entry, Journal
 from procedures.journal.results import StepResult
@@ -141,5 +142,5 @@ def test_an_object_with_any_other_field_is_refused(run: Path, tmp_path: Path, at
         name_patient(made, "Sown^Patient", "", "", "")
     else:
         setattr(made, attribute, "Sown Hospital")
-    with pytest.raises(FieldNotAllowed, match=f"EXC-004.*{attribute}"):
+    with raises(FIELD_NOT_ALLOWED, match=f"EXC-004.*{attribute}"):
         require_allowed(made)

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from clinical_case import CENTRES_CT_MM, FIRST, LAST, ROBOT_FROM_CT, SPHERES_MM, ClinicalCell, done_later
+from coded_errors import raises
 from numpy.typing import ArrayLike, NDArray
 from prepared_results import (
     checked_paths,
@@ -198,7 +199,7 @@ def test_no_other_kind_of_move_is_offered_for_following(
     cell = ClinicalCell(tmp_path)
     engine = seen_to_move(cell)
     cell.tracker.spheres_mm, cell.tracker.frame_shift_mm = spheres_mm, frame_shift_mm
-    with pytest.raises(refused):
+    with raises(refused):
         run(engine, NAME)
     assert Topic.MOVE_FOLLOWED not in [question.topic for question in cell.operator.asked]
     assert not engine.case.stands(engine.order.find(NAME))

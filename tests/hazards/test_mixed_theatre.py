@@ -6,13 +6,14 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from coded_errors import raises
 from recording_cell import ENDPOINTS, RecordingCell, mini_theatre
 from user_commands import in_this_process
 
 from procedures.cli.procedure import app as ronna_procedure
 from ronna_hw.config import TheatreFile, parse_theatre
 from ronna_hw.errors import EXIT_REFUSED
-from ronna_hw.theatre_kind import MixedTheatre, require_one_kind
+from ronna_hw.theatre_kind import MIXED_THEATRE, require_one_kind
 from sim.theatre.theatre_file import theatre_content, write_theatre_file
 from sim.world.scene.named_scenes import draw_scene
 
@@ -38,7 +39,7 @@ def theatre(clock: str, **endpoints: Any) -> TheatreFile:
 @pytest.mark.parametrize("clock", [THEATRE_CLOCK, HOST_CLOCK])
 @pytest.mark.parametrize("device", sorted(REAL))
 def test_a_real_device_among_simulated_ones_is_refused_and_named(clock: str, device: str) -> None:
-    with pytest.raises(MixedTheatre, match=r"CFG-004.*real: ") as refused:
+    with raises(MIXED_THEATRE, match=r"CFG-004.*real: ") as refused:
         require_one_kind(theatre(clock, **{device: REAL[device]}))
     assert refused.value.exit_code == EXIT_REFUSED
 
@@ -48,19 +49,19 @@ def test_a_simulated_device_behind_a_link_or_a_name_is_still_a_simulated_one(tmp
     link = tmp_path / "ttyTracker"
     link.symlink_to("/dev/pts/0")
     for hidden in ({"polaris": f"serial://{link}"}, {"polaris": "tcp://localhost.:8765"}):
-        with pytest.raises(MixedTheatre, match=r"simulated: tracker at .*; real: "):
+        with raises(MIXED_THEATRE, match=r"simulated: tracker at .*; real: "):
             require_one_kind(theatre(HOST_CLOCK, **REAL | hidden))
 
 
 @pytest.mark.hazard(31)
 def test_real_devices_on_the_clock_of_a_simulated_theatre_are_refused() -> None:
-    with pytest.raises(MixedTheatre, match="the clock at shm:"):
+    with raises(MIXED_THEATRE, match="the clock at shm:"):
         require_one_kind(theatre(THEATRE_CLOCK, **REAL))
 
 
 @pytest.mark.hazard(31)
 def test_simulated_devices_without_a_banner_are_refused() -> None:
-    with pytest.raises(MixedTheatre, match="no banner"):
+    with raises(MIXED_THEATRE, match="no banner"):
         require_one_kind(theatre(HOST_CLOCK).model_copy(update={"banner": ""}))
 
 
@@ -76,7 +77,7 @@ def test_theatres_of_one_kind_pass(sound: TheatreFile) -> None:
 @pytest.mark.hazard(31)
 def test_a_mixed_theatre_gets_no_workcell(tmp_path: Path) -> None:
     mixed = mini_theatre().model_copy(update={"tracker": theatre(HOST_CLOCK, **REAL).tracker})
-    with pytest.raises(MixedTheatre):
+    with raises(MIXED_THEATRE):
         RecordingCell(tmp_path, theatre=mixed)
 
 

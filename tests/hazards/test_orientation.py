@@ -6,11 +6,12 @@ from collections import Counter
 
 import numpy as np
 import pytest
+from coded_errors import raises
 from mirrored_case import LABELS, MIRRORS, TURNS
 from oriented_heads import LAYOUTS, OrientedHead, drawn_head
 
 from procedures.registration import MatchStatus, match
-from procedures.registration.errors import HeadElsewhere, NoUniqueMatch
+from procedures.registration.errors import NO_UNIQUE_MATCH, HeadElsewhere
 from procedures.steps.clinical.coarse_match import SIGMA_CT_MM, SIGMA_TRACKER_MM
 from sim.world.rigid import apply
 
@@ -35,7 +36,7 @@ def test_no_mirrored_or_turned_ct_is_registered(runs: int) -> None:
     for number in range(runs):
         layout, spoilt = LAYOUTS[number % len(LAYOUTS)], SPOILT[number // len(LAYOUTS) % len(SPOILT)]
         head = drawn_head(layout, random).spoilt(*spoilt)
-        with pytest.raises((NoUniqueMatch, HeadElsewhere)) as stopped:
+        with raises(NO_UNIQUE_MATCH, HeadElsewhere) as stopped:
             print(layout, *spoilt, head.pair(random))
         refused[stopped.value.code] += 1
     assert sum(refused.values()) == runs

@@ -13,11 +13,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from coded_errors import raises
 from rsi_tap import RsiTap
 from user_commands import Commands
 from waiting import eventually
 
-from drivers.kuka_rsi.errors import ControllerStopped, WrongController
+from drivers.kuka_rsi.errors import WRONG_CONTROLLER, ControllerStopped
 from procedures.journal.journal import JOURNAL_FILE, Entry, read_journal
 from ronna_hw.arm.kr6_r900 import ArmVariant, kr6_r900
 from ronna_hw.arm.motion.limits import WORKING_SPEED_FRACTION
@@ -233,7 +234,7 @@ def test_a_controller_in_another_mode_or_cycle_is_refused_before_anything_moves(
     cell = robot_cell(*option)
     before = cell.true_joints_rad()
     arm = cell.arm()
-    with pytest.raises(WrongController):
+    with raises(WRONG_CONTROLLER):
         arm.connect()
     assert arm.state is Lifecycle.DISCONNECTED
     assert (cell.true_joints_rad() == before).all()

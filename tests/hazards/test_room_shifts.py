@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from clinical_case import FIRST, SPHERES_MM, ClinicalCell, SeeingTracker
+from coded_errors import raises
 from numpy.typing import NDArray
 from prepared_results import (
     checked_paths,
@@ -79,7 +80,7 @@ def test_a_shift_while_the_arm_rests_is_detected_before_the_next_motion_in_a_tho
         rest = int(case.generator.integers(len(case.rests)))
         for place in case.rests[: rest + 1]:
             watch.compare(case.reading(watch, place)).require()
-        with pytest.raises(noticed):
+        with raises(noticed):
             watch.compare(case.reading(watch, case.rests[rest], head_mm * way, cart_mm * way)).require()
 
 
@@ -246,7 +247,7 @@ def test_nothing_moves_after_a_shift_and_the_localization_is_superseded(
     engine.run_to(engine.order.sequence[4])
     now = np.add(SPHERES_MM, (0.5, 0.0, 0.0)) if moved == "spheres_mm" else (0.0, 1.7, 0.0)
     setattr(cell.tracker, moved, now)
-    with pytest.raises(noticed):
+    with raises(noticed):
         engine.run_to()
     assert cell.arm.motions == []
     assert [
@@ -353,7 +354,7 @@ def test_a_head_or_cart_that_moved_by_little_is_noticed_before_the_approach(
     cell = ClinicalCell(tmp_path)
     engine = before_the_approach(cell)
     moved(cell.tracker)
-    with pytest.raises(noticed):
+    with raises(noticed):
         engine.run_to()
     assert cell.arm.motions == []
 

@@ -8,11 +8,12 @@ from typing import Any
 
 import pytest
 from arm_looks import ENDPOINTS
+from coded_errors import raises
 from recording_cell import GUIDE, STEREO_HEAD, RecordingCell
 
 from procedures.engine.order import order_of
 from procedures.journal.errors import StepRefused
-from procedures.relocalization.errors import WrongCamera
+from procedures.relocalization.errors import WRONG_CAMERA
 from procedures.steps.clinical import set_up
 from procedures.workcell.errors import WrongTool
 from ronna_hw.calibration import CalibrationExpired
@@ -47,7 +48,7 @@ def test_the_case_does_not_start_without_the_stereo_head_mounted(cell: Recording
 def test_set_up_refuses_swapped_cameras(cell: RecordingCell) -> None:
     left, right = cell.stereo.serials
     cell.stereo.serials = (right, left)
-    with pytest.raises(WrongCamera) as refused:
+    with raises(WRONG_CAMERA) as refused:
         run_set_up(cell)
     assert refused.value.exit_code == EXIT_REFUSED
 

@@ -6,9 +6,10 @@ import shutil
 from pathlib import Path
 
 import pytest
+from coded_errors import raises
 
 from drivers.ndi_polaris import PolarisTracker
-from drivers.ndi_polaris.errors import ForeignTool
+from drivers.ndi_polaris.errors import FOREIGN_TOOL
 from drivers.ndi_polaris.shipped_tools import FOLDER as SHIPPED_DEFINITIONS
 from ronna_hw.clock import open_clock
 from ronna_hw.config import parse_theatre
@@ -31,5 +32,5 @@ def test_a_definition_replaced_after_the_theatre_was_set_up_is_refused(tmp_path:
     assert theatre.tracker is not None
     PolarisTracker("tracker", theatre.tracker, open_clock("host:"))
     shutil.copy(SHIPPED_DEFINITIONS / "x_frame.rom", rom)
-    with pytest.raises(ForeignTool, match=r"NDI-013.*robot_frame"):
+    with raises(FOREIGN_TOOL, match=r"NDI-013.*robot_frame"):
         PolarisTracker("tracker", theatre.tracker, open_clock("host:"))

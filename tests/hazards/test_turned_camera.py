@@ -7,12 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from clinical_case import SPHERES_MM, ClinicalCell
+from coded_errors import raises
 from prepared_results import checked_paths, checked_plan, coarse
 from prepared_results import localized_fiducials as fiducials
 
 from benchmarks.stereo_head.head_looks import ENDPOINTS
 from benchmarks.stereo_head.stereo_cell import StereoCell
-from procedures.relocalization.errors import HeadTurned
+from procedures.relocalization.errors import HEAD_TURNED
 from procedures.relocalization.triangulation import check_head
 from procedures.steps.clinical.relocalization import STEP
 from procedures.workcell import MountedTool
@@ -36,7 +37,7 @@ def test_positions_from_a_head_with_a_turned_camera_are_refused(tmp_path: Path) 
     cell = ClinicalCell(tmp_path).carrying(MountedTool.STEREO_HEAD)
     cell.workcell.radii_mm = (RADIUS_MM * 1.0024, RADIUS_MM * 1.0042)  # 0.2 degrees
     before = (checked_paths(cell), *coarse(), checked_plan(), fiducials())
-    with pytest.raises(HeadTurned, match=r"STE-014.*larger in one.*ronna-stereo check") as refused:
+    with raises(HEAD_TURNED, match=r"STE-014.*larger in one.*ronna-stereo check") as refused:
         cell.run(*before, STEP)
     assert refused.value.exit_code == EXIT_REFUSED
     assert len(SPHERES_MM) == 4
@@ -45,7 +46,7 @@ def test_positions_from_a_head_with_a_turned_camera_are_refused(tmp_path: Path) 
 @pytest.mark.hazard(26)
 def test_spheres_of_a_wrong_size_are_refused_also_when_both_outlines_agree() -> None:
     turned = [(RADIUS_MM * 1.0026, RADIUS_MM * 1.0026)] * 3
-    with pytest.raises(HeadTurned, match=r"STE-014.*size is wrong; limit 0.05%.*got 0.26"):
+    with raises(HEAD_TURNED, match=r"STE-014.*size is wrong; limit 0.05%.*got 0.26"):
         check_head(turned, [0.01] * 3, STATED_MM)
     check_head(turned, [0.01] * 3, STATED_MM, sphere_diameter_mm=2.0 * RADIUS_MM * 1.0026)
 
@@ -54,7 +55,7 @@ def test_spheres_of_a_wrong_size_are_refused_also_when_both_outlines_agree() -> 
 def test_lines_of_sight_with_a_larger_gap_than_the_record_states_are_refused() -> None:
     alike = [(RADIUS_MM, RADIUS_MM)] * 3
     check_head(alike, [0.03, 0.5, 0.04], STATED_MM)  # one bad sphere is not the head's fault
-    with pytest.raises(HeadTurned, match="lines of sight"):
+    with raises(HEAD_TURNED, match="lines of sight"):
         check_head(alike, [0.11, 0.12, 0.01], STATED_MM)
 
 
@@ -76,5 +77,5 @@ def test_a_turn_of_a_fifth_of_a_degree_is_detected_on_every_head_and_an_intact_h
     check(cell.centre(start))
     for turned in TURNED:
         cell.world.set_fault_script("\n".join(f"at 0 s: camera twist {one} deg" for one in turned))
-        with pytest.raises(HeadTurned):
+        with raises(HEAD_TURNED):
             check(cell.centre(start))

@@ -10,6 +10,7 @@ import pkgutil
 import re
 import sys
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from types import ModuleType
 
 from api_pages import devices, numerics, runs
@@ -47,7 +48,7 @@ from procedures.planning.plan_model import Plan
 from procedures.steps.branches import BRANCHES
 from procedures.steps.catalogue import ANSWER_WORDS, clinical_steps
 from ronna_hw.config import Role, TheatreFile
-from ronna_hw.errors import RonnaError, concrete_errors
+from ronna_hw.errors import AnyCode, ErrorCode, RonnaError, coded_classes
 from sim.named_parameters import rows
 from sim.polaris.unit.behaviour import UnitBehaviour
 from sim.universal_robots.controller_parameters import ControllerParameters
@@ -128,16 +129,51 @@ def list_step_results() -> list[type[StepResult]]:
     return [*case, *sorted(set(ours) - set(case), key=lambda model: model.kind)]
 
 
-def list_errors_with_code() -> list[type[RonnaError]]:
-    """List all error classes that have a code, sorted by code."""
+@dataclass(frozen=True)
+class ListedError:
+    """Error of the reference, with the name by which it is raised and the module that has it."""
+
+    name: str
+    module: str
+    meaning: str
+    entry: AnyCode[RonnaError]
+
+    @property
+    def code(self) -> str:
+        """Its stable code."""
+        return self.entry.code
+
+    @property
+    def action(self) -> str:
+        """What its message says to do."""
+        return self.entry.action
+
+
+def list_errors_with_code() -> list[ListedError]:
+    """List all errors that have a code, sorted by code."""
+    ours = {package.__name__ for package in PACKAGES}  # tests define errors of their own
     for package in PACKAGES:
         for module in pkgutil.walk_packages(package.__path__, package.__name__ + "."):
             # ronna_hw defines its few errors where they are raised; every other package has an errors.py.
             if module.name.endswith("errors") or (package is ronna_hw and ".cli" not in module.name):
                 importlib.import_module(module.name)
-    ours = {package.__name__ for package in PACKAGES}  # tests define errors of their own
-    errors = (error for error in concrete_errors() if error.__module__.partition(".")[0] in ours)
-    return sorted(errors, key=lambda error: error.code)
+    found = [
+        ListedError(one.__name__, one.__module__, (one.__doc__ or "").strip().splitlines()[0], one)
+        for one in coded_classes()
+        if one.__module__.partition(".")[0] in ours
+    ]
+    # A row is where it was made, and has the first name there: errors.py of a package imports few of others.
+    places = sorted((name for name in sys.modules if name.partition(".")[0] in ours), key=_is_importer)
+    rows: dict[str, ListedError] = {}
+    for place in places:
+        for name, entry in vars(sys.modules[place]).items():
+            if isinstance(entry, ErrorCode):
+                rows.setdefault(entry.code, ListedError(name, place, entry.meaning, entry))
+    return sorted([*found, *rows.values()], key=lambda error: error.code)
+
+
+def _is_importer(module: str) -> bool:
+    return not module.endswith("errors")
 
 
 def _tabulate_faults(kinds: Iterable[FaultKind]) -> str:
@@ -168,28 +204,28 @@ def _tabulate_error_codes() -> str:
         [
             (
                 error.code,
-                (error.__doc__ or "").strip().splitlines()[0],
+                error.meaning,
                 error.action,
                 _name_places(error, raised),
-                error.exit_code,
+                error.entry.exit_code,
             )
             for error in list_errors_with_code()
         ],
     )
 
 
-def _name_places(error: type[RonnaError], raised: Mapping[str, tuple[set[str], str]]) -> str:
+def _name_places(error: ListedError, raised: Mapping[str, tuple[set[str], str]]) -> str:
     """Name the modules that raise an error, at most `MOST_PLACES`.
 
     Those of two drivers may have the same name: only modules that import this one count, and its own.
     """
-    own = f"{error.__module__.replace('.', '/')}.py"
+    own = f"{error.module.replace('.', '/')}.py"
     places = [
         f"`{name}`"
         for name, (errors, text) in raised.items()
-        if error.__name__ in errors and (name == own or f"from {error.__module__} import" in text)
+        if error.name in errors and (name == own or f"from {error.module} import" in text)
     ]
-    if error in vars(getattr(sys.modules[error.__module__], "STREAM_ERRORS", None) or object).values():
+    if error.entry in vars(getattr(sys.modules[error.module], "STREAM_ERRORS", None) or object).values():
         places.append("`ronna_hw/arm_stream`")
     more = f" and {len(places) - MOST_PLACES} more" if len(places) > MOST_PLACES else ""
     return ", ".join(places[:MOST_PLACES]) + more

@@ -13,7 +13,7 @@ from typing import Literal
 from xml.etree import ElementTree
 
 from drivers.basler_stereo.control_channel import ControlChannel
-from drivers.basler_stereo.errors import BadDescription
+from drivers.basler_stereo.errors import BAD_DESCRIPTION
 from ronna_hw.bounded_input import InputRefused, parse_xml, unzip
 from ronna_hw.wire import gige_vision as gev
 from ronna_hw.wire.gige_vision import Bootstrap
@@ -70,7 +70,7 @@ def fetch_description(control: ControlChannel, deadline_s: float) -> bytes:
             name, address, length = parse_url(url)
             data = control.read_memory(address, length, deadline_s)
             return unzip_description(data) if name.lower().endswith(".zip") else data.rstrip(b"\0")
-    raise BadDescription(f"{control.address} has no description on board", got=url or "an empty address")
+    raise BAD_DESCRIPTION(f"{control.address} has no description on board", got=url or "an empty address")
 
 
 def parse_url(url: str) -> tuple[str, int, int]:
@@ -79,11 +79,11 @@ def parse_url(url: str) -> tuple[str, int, int]:
         name, address, length = url[len(gev.URL_LOCAL) :].split("?", 1)[0].split(";")
         place = int(address, 16), int(length, 16)
     except ValueError as error:
-        raise BadDescription("the address of the description cannot be read", got=url) from error
+        raise BAD_DESCRIPTION("the address of the description cannot be read", got=url) from error
     if not 0 < place[1] <= LARGEST_FILE_BYTES:
-        raise BadDescription("the description has an invalid length", got=length[:LONGEST_SHOWN])
+        raise BAD_DESCRIPTION("the description has an invalid length", got=length[:LONGEST_SHOWN])
     if not 0 <= place[0] < ADDRESS_LIMIT - place[1]:
-        raise BadDescription("the description is at an impossible address", got=address[:LONGEST_SHOWN])
+        raise BAD_DESCRIPTION("the description is at an impossible address", got=address[:LONGEST_SHOWN])
     return name.lstrip("/"), *place
 
 
@@ -92,7 +92,7 @@ def unzip_description(data: bytes) -> bytes:
     try:
         return unzip(data, LARGEST_FILE_BYTES)
     except InputRefused as error:
-        raise BadDescription(f"the packed description is refused: {error.summary}") from error
+        raise BAD_DESCRIPTION(f"the packed description is refused: {error.summary}") from error
 
 
 def parse_description(data: bytes) -> dict[str, Node]:
@@ -100,9 +100,9 @@ def parse_description(data: bytes) -> dict[str, Node]:
     try:
         root = parse_xml(data, LARGEST_FILE_BYTES)
     except InputRefused as error:
-        raise BadDescription(f"the description is refused: {error.summary}", wire=data[:32]) from error
+        raise BAD_DESCRIPTION(f"the description is refused: {error.summary}", wire=data[:32]) from error
     if _local_name(root.tag) != ROOT:
-        raise BadDescription("the description has the wrong root", expected=ROOT, got=_local_name(root.tag))
+        raise BAD_DESCRIPTION("the description has the wrong root", expected=ROOT, got=_local_name(root.tag))
     return {node.name: node for node in _iterate_nodes(root)}
 
 
@@ -125,7 +125,7 @@ def _struct_entries(shared: ElementTree.Element) -> Iterator[Node]:
     ]
     common = tuple(_parse_field(child) for child in shared if _local_name(child.tag) != "StructEntry")
     if len(common) > MOST_SHARED_FIELDS:
-        raise BadDescription("a shared register has too many fields", limit=str(MOST_SHARED_FIELDS))
+        raise BAD_DESCRIPTION("a shared register has too many fields", limit=str(MOST_SHARED_FIELDS))
     for entry in entries:
         node = _parse_node(entry)
         yield Node("MaskedIntReg", node.name, node.fields + common)
@@ -146,7 +146,7 @@ def _parse_node(element: ElementTree.Element) -> Node:
         entries[entry] = parse_whole_number(value, f"entry of {name}")
         conditions[entry] = tuple(part.text for part in parts if part.tag in CONDITIONS)
     if len(fields) > MOST_FIELDS:
-        raise BadDescription(f"{name} has too many fields", limit=str(MOST_FIELDS))
+        raise BAD_DESCRIPTION(f"{name} has too many fields", limit=str(MOST_FIELDS))
     return Node(_local_name(element.tag), name, tuple(fields), entries, conditions)
 
 
@@ -159,9 +159,9 @@ def parse_whole_number(text: str | None, what: str) -> int:
     try:
         number = int((text or "").strip(), 0)
     except ValueError as error:
-        raise BadDescription(f"{what} is not a whole number", got=str(text)[:LONGEST_SHOWN]) from error
+        raise BAD_DESCRIPTION(f"{what} is not a whole number", got=str(text)[:LONGEST_SHOWN]) from error
     if abs(number) >= LARGEST_NUMBER:
-        raise BadDescription(f"{what} is too large", limit="64 bits")
+        raise BAD_DESCRIPTION(f"{what} is too large", limit="64 bits")
     return number
 
 
@@ -170,9 +170,9 @@ def parse_real_number(text: str, what: str) -> float:
     try:
         number = float(text)
     except ValueError as error:
-        raise BadDescription(f"{what} is not a number", got=text[:LONGEST_SHOWN]) from error
+        raise BAD_DESCRIPTION(f"{what} is not a number", got=text[:LONGEST_SHOWN]) from error
     if not math.isfinite(number):
-        raise BadDescription(f"{what} is not finite", got=text[:LONGEST_SHOWN])
+        raise BAD_DESCRIPTION(f"{what} is not finite", got=text[:LONGEST_SHOWN])
     return number
 
 
@@ -184,7 +184,7 @@ def register_length(node: Node) -> int:
     """Return the length of a register in bytes; raises GEV-009."""
     length = parse_whole_number(node.text("Length"), f"length of {node.name}")
     if length not in (_FLOATS if node.kind == "FloatReg" else (1, 2, 4, 8)):
-        raise BadDescription(f"{node.name} has a length of {length} bytes")
+        raise BAD_DESCRIPTION(f"{node.name} has a length of {length} bytes")
     return length
 
 
@@ -199,7 +199,7 @@ def decode_register(node: Node, data: bytes) -> Number:
     if node.kind == "FloatReg":
         number = float(struct.unpack(_float_layout(node, len(data)), data)[0])
         if not math.isfinite(number):
-            raise BadDescription(f"{node.name} reads {number}", expected="a finite number")
+            raise BAD_DESCRIPTION(f"{node.name} reads {number}", expected="a finite number")
         return number
     low, width = register_bits(node, len(data))
     value = int.from_bytes(data, _byte_order(node)) >> low & (1 << width) - 1
@@ -213,13 +213,13 @@ def encode_register(node: Node, value: Number, current: bytes = b"") -> bytes:
         try:
             return struct.pack(_float_layout(node, length), float(value))
         except OverflowError as error:
-            raise BadDescription(f"{node.name} cannot hold {value:g}", limit=f"{length} bytes") from error
+            raise BAD_DESCRIPTION(f"{node.name} cannot hold {value:g}", limit=f"{length} bytes") from error
     low, width = register_bits(node, length)
     mask = (1 << width) - 1
     number = round(value)
     least = -(1 << width - 1) if _is_signed(node) else 0
     if not least <= number <= least + mask:
-        raise BadDescription(f"{node.name} cannot hold {number}", limit=f"{least} to {least + mask}")
+        raise BAD_DESCRIPTION(f"{node.name} cannot hold {number}", limit=f"{least} to {least + mask}")
     others = int.from_bytes(current, _byte_order(node)) & ~(mask << low)
     return (others | (number & mask) << low).to_bytes(length, _byte_order(node))
 
@@ -244,7 +244,7 @@ def register_bits(node: Node, length: int) -> tuple[int, int]:
         ends = [8 * length - 1 - end for end in ends]
     low, high = min(ends), max(ends)
     if low < 0 or high >= 8 * length:
-        raise BadDescription(f"{node.name} uses bits outside its {length} bytes")
+        raise BAD_DESCRIPTION(f"{node.name} uses bits outside its {length} bytes")
     return low, high - low + 1
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from drivers.basler_stereo.control_channel import ControlChannel
-from drivers.basler_stereo.errors import BadDescription, MissingFeature
+from drivers.basler_stereo.errors import BAD_DESCRIPTION, MISSING_FEATURE
 from drivers.basler_stereo.features.description import (
     ADDRESS_LIMIT,
     CONDITIONS,
@@ -106,7 +106,7 @@ class FeatureMap:
         for entry, number in self._find_node(name).entries.items():
             if number == value:
                 return entry
-        raise BadDescription(f"{name} has the value {value}, which is not among its entries")
+        raise BAD_DESCRIPTION(f"{name} has the value {value}, which is not among its entries")
 
     def set_number(self, name: str, value: Number) -> None:
         """Set a numeric feature; the camera checks the value."""
@@ -117,7 +117,7 @@ class FeatureMap:
         """Set an enumeration by entry name."""
         entries = self.entries(name)
         if entry not in entries:
-            raise MissingFeature(f"{name} cannot be {entry}", expected=" or ".join(sorted(entries)))
+            raise MISSING_FEATURE(f"{name} cannot be {entry}", expected=" or ".join(sorted(entries)))
         self._write(name, entries[entry], 0)
 
     def execute(self, name: str) -> None:
@@ -129,7 +129,7 @@ class FeatureMap:
         self._budget = COST_LIMIT
         node = self._find_node(name)
         if node.kind != "Command":
-            raise MissingFeature(f"{name} is not a command", got=node.kind)
+            raise MISSING_FEATURE(f"{name} is not a command", got=node.kind)
         value = self._read_field_number(node, "CommandValue", 0)
         target = node.text("pValue")
         register = self._final_register(target or "", 0)
@@ -156,7 +156,7 @@ class FeatureMap:
         try:
             return self._nodes[name]
         except KeyError:
-            raise MissingFeature(f"the camera has no feature {name}") from None
+            raise MISSING_FEATURE(f"the camera has no feature {name}") from None
 
     def _read(self, name: str, depth: int) -> Number:
         node = self._visit(name, depth)
@@ -174,7 +174,7 @@ class FeatureMap:
             return self._local_values[name]
         own = node.text("Value")
         if own is None:
-            raise BadDescription(f"{name} ({node.kind}) has no value")
+            raise BAD_DESCRIPTION(f"{name} ({node.kind}) has no value")
         return parse_real_number(own, name) if node.kind == "Float" else parse_whole_number(own, name)
 
     def _write(self, name: str, value: Number, depth: int) -> None:
@@ -192,11 +192,11 @@ class FeatureMap:
         elif node.text("Value") is not None:
             self._local_values[name] = value
         else:
-            raise MissingFeature(f"{name} cannot be written", got=node.kind)
+            raise MISSING_FEATURE(f"{name} cannot be written", got=node.kind)
 
     def _visit(self, name: str, depth: int) -> Node:
         if depth > DEPTH_LIMIT:
-            raise BadDescription(f"the nodes below {name} form a cycle")
+            raise BAD_DESCRIPTION(f"the nodes below {name} form a cycle")
         node = self._find_node(name)
         self._spend(1 + len(node.fields), name)
         return node
@@ -204,7 +204,7 @@ class FeatureMap:
     def _spend(self, cost: int, name: str) -> None:
         self._budget -= cost
         if self._budget < 0:
-            raise BadDescription(f"too many nodes below {name}", limit=f"a cost of {COST_LIMIT}")
+            raise BAD_DESCRIPTION(f"too many nodes below {name}", limit=f"a cost of {COST_LIMIT}")
 
     def _final_register(self, name: str, depth: int) -> Node:
         node = self._visit(name, depth)
@@ -251,7 +251,7 @@ class FeatureMap:
                 values[name] = self._evaluate_formula(field.text, values, node)
         formula = node.text(tag)
         if formula is None:
-            raise BadDescription(f"{node.name} has no {tag}")
+            raise BAD_DESCRIPTION(f"{node.name} has no {tag}")
         return self._evaluate_formula(formula, values, node)
 
     def _evaluate_formula(self, formula: str, values: dict[str, Number], node: Node) -> Number:
@@ -266,7 +266,7 @@ class FeatureMap:
         for field in node.all("pIndex"):
             address += int(self._read(field.text, depth + 1)) * self._read_index_step(field, node, depth)
         if not 0 <= address < ADDRESS_LIMIT:
-            raise BadDescription(f"{node.name} is at an impossible address", got=f"{address}")
+            raise BAD_DESCRIPTION(f"{node.name} is at an impossible address", got=f"{address}")
         return address
 
     def _read_index_step(self, field: Field, node: Node, depth: int) -> int:
@@ -285,7 +285,7 @@ class FeatureMap:
     def _encode_value(self, node: Node, value: Number) -> bytes:
         length = register_length(node)
         if length % REGISTER_BYTES:
-            raise MissingFeature(
+            raise MISSING_FEATURE(
                 f"{node.name} cannot be written",
                 expected=f"a multiple of {REGISTER_BYTES} bytes",
                 got=f"{length} bytes",

@@ -11,7 +11,7 @@ from typing import Any
 from lark import Lark, Token, Tree
 from lark.exceptions import LarkError
 
-from drivers.basler_stereo.errors import BadDescription
+from drivers.basler_stereo.errors import BAD_DESCRIPTION
 from drivers.basler_stereo.features.description import LONGEST_SHOWN, Number
 
 LONGEST_FORMULA = 4000  # characters; real ones have some hundred
@@ -113,7 +113,7 @@ def evaluate(formula: str, values: Mapping[str, Number], *, whole: bool) -> Numb
     try:
         result = _evaluate(_parse(formula), values, whole, MAX_DEPTH)
     except (ArithmeticError, ValueError, TypeError) as error:
-        raise BadDescription(f"formula {formula[:LONGEST_SHOWN]!r} has no value: {error}") from error
+        raise BAD_DESCRIPTION(f"formula {formula[:LONGEST_SHOWN]!r} has no value: {error}") from error
     return int(result) if whole else float(result)
 
 
@@ -125,17 +125,17 @@ def _parser() -> Lark:
 @lru_cache(maxsize=CACHED_FORMULAS)
 def _parse(formula: str) -> Tree[Token] | Token:
     if len(formula) > LONGEST_FORMULA:
-        raise BadDescription("a formula is too long", limit=f"{LONGEST_FORMULA} characters")
+        raise BAD_DESCRIPTION("a formula is too long", limit=f"{LONGEST_FORMULA} characters")
     try:
         return _parser().parse(formula)
     except LarkError as error:
-        raise BadDescription(f"formula {formula[:LONGEST_SHOWN]!r} cannot be read") from error
+        raise BAD_DESCRIPTION(f"formula {formula[:LONGEST_SHOWN]!r} cannot be read") from error
 
 
 def _evaluate(node: Tree[Token] | Token, values: Mapping[str, Number], whole: bool, depth: int) -> Number:
     assert isinstance(node, Tree), "every rule of the grammar makes a tree"
     if depth == 0:
-        raise BadDescription("a formula is nested too deep", limit=f"{MAX_DEPTH} levels")
+        raise BAD_DESCRIPTION("a formula is nested too deep", limit=f"{MAX_DEPTH} levels")
     number = _evaluate_operation(node, values, whole, depth - 1)
     if isinstance(number, int) and abs(number) >= LARGEST_WHOLE:
         raise OverflowError("a number of more than 64 bits")
@@ -154,12 +154,12 @@ def _evaluate_operation(node: Tree[Token], values: Mapping[str, Number], whole: 
         return int(str(parts[0]), 16)
     if kind == "name":
         if str(parts[0]) not in values:
-            raise BadDescription(f"formula uses the unknown name {parts[0]}")
+            raise BAD_DESCRIPTION(f"formula uses the unknown name {parts[0]}")
         return values[str(parts[0])]
     if kind == "call":
         function = _FUNCTIONS.get(str(parts[0]).upper())
         if function is None:
-            raise BadDescription(f"formula uses the unknown function {parts[0]}")
+            raise BAD_DESCRIPTION(f"formula uses the unknown function {parts[0]}")
         return function(_evaluate(parts[1], values, whole, depth))
     if kind == "choose":
         return _evaluate(parts[1 if _evaluate(parts[0], values, whole, depth) else 2], values, whole, depth)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Protocol
 
-from drivers.basler_stereo.errors import BadDescription, MissingFeature, OutOfRange
+from drivers.basler_stereo.errors import BAD_DESCRIPTION, MISSING_FEATURE, OUT_OF_RANGE
 from drivers.basler_stereo.features.description import Number
 from drivers.basler_stereo.features.feature_map import Limits
 from drivers.basler_stereo.options import BaslerOptions
@@ -92,7 +92,7 @@ def arm_trigger(features: Features, options: BaslerOptions) -> None:
     """
     source = TRIGGER_SOURCES[options.trigger]
     if source == SOFTWARE and not features.has("TriggerSoftware"):
-        raise MissingFeature("the camera has no software trigger")
+        raise MISSING_FEATURE("the camera has no software trigger")
     for kind in features.entries("TriggerSelector"):
         features.choose("TriggerSelector", kind)
         features.choose("TriggerMode", "Off")
@@ -143,7 +143,7 @@ def set_area(features: Features, area: AreaOfInterest) -> None:
     features.set_number("OffsetX", area.offset_x)
     features.set_number("OffsetY", area.offset_y)
     if (found := read_area(features)) != area:
-        raise OutOfRange(
+        raise OUT_OF_RANGE(
             "the camera set a different area", expected=_format_area(area), got=_format_area(found)
         )
 
@@ -157,7 +157,7 @@ def payload_bytes(features: Features, area: AreaOfInterest, pixel_format: int) -
     """Return the image size in bytes; raises GEV-009 if the camera reports another payload size."""
     expected = image_bytes(area, pixel_format)
     if features.has("PayloadSize") and (reported_bytes := features.whole("PayloadSize")) != expected:
-        raise BadDescription(
+        raise BAD_DESCRIPTION(
             "payload size does not match the area", expected=str(expected), got=str(reported_bytes)
         )
     return expected
@@ -179,7 +179,7 @@ def _require_area(features: Features, area: AreaOfInterest, sensor: AreaOfIntere
         and area.offset_y + area.height <= sensor.height
     )
     if not is_inside:
-        raise OutOfRange("the area exceeds the sensor", limit=_format_area(sensor), got=_format_area(area))
+        raise OUT_OF_RANGE("the area exceeds the sensor", limit=_format_area(sensor), got=_format_area(area))
     for name, value in (
         ("Width", area.width),
         ("Height", area.height),
@@ -189,7 +189,7 @@ def _require_area(features: Features, area: AreaOfInterest, sensor: AreaOfIntere
         limits = features.limits(name)
         start, step = int(limits.minimum or 0), int(limits.step or 1)
         if value < start or (value - start) % step:
-            raise OutOfRange(
+            raise OUT_OF_RANGE(
                 f"{name} {value}", limit=f"from {start} in steps of {step}", got=_format_area(area)
             )
 
@@ -198,14 +198,14 @@ def _require_within(features: Features, name: str, value: Number, what: str) -> 
     limits = features.limits(name)
     low, high = limits.minimum, limits.maximum
     if (low is not None and value < low) or (high is not None and value > high):
-        raise OutOfRange(f"{what} is {value:g}", limit=f"{low} to {high} ({name})")
+        raise OUT_OF_RANGE(f"{what} is {value:g}", limit=f"{low} to {high} ({name})")
 
 
 def _find_feature(features: Features, names: tuple[str, ...]) -> str:
     for name in names:
         if features.has(name):
             return name
-    raise MissingFeature(f"the camera has none of {', '.join(names)}")
+    raise MISSING_FEATURE(f"the camera has none of {', '.join(names)}")
 
 
 def _format_area(area: AreaOfInterest) -> str:

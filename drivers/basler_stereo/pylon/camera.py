@@ -12,12 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.basler_stereo.errors import (
+    MISSING_FEATURE,
+    NO_PYLON,
+    OUT_OF_RANGE,
     CameraLost,
     ControlTaken,
-    MissingFeature,
     NoCamera,
-    NoPylon,
-    OutOfRange,
 )
 from drivers.basler_stereo.features import known_state
 from drivers.basler_stereo.features.description import Number
@@ -43,7 +43,7 @@ def load_pylon() -> tuple[Any, Any]:
             warnings.simplefilter("ignore", DeprecationWarning)
             from pypylon import genicam, pylon
     except ImportError as error:
-        raise NoPylon("pypylon is not installed") from error
+        raise NO_PYLON("pypylon is not installed") from error
     return pylon, genicam
 
 
@@ -223,16 +223,16 @@ class PylonFeatures:
         try:
             node.SetValue(value)
         except self._genicam.OutOfRangeException as error:
-            raise OutOfRange(f"{name} {value}", got=str(error).splitlines()[0]) from error
+            raise OUT_OF_RANGE(f"{name} {value}", got=str(error).splitlines()[0]) from error
         except self._genicam.GenericException as error:
-            raise MissingFeature(f"{name} cannot be set now", got=str(error).splitlines()[0]) from error
+            raise MISSING_FEATURE(f"{name} cannot be set now", got=str(error).splitlines()[0]) from error
 
     def choose(self, name: str, entry: str) -> None:
         """Set an enumeration by entry name."""
         try:
             self._find_node(name).SetValue(entry)
         except self._genicam.GenericException as error:
-            raise MissingFeature(f"{name} cannot be {entry}", got=str(error).splitlines()[0]) from error
+            raise MISSING_FEATURE(f"{name} cannot be {entry}", got=str(error).splitlines()[0]) from error
 
     def execute(self, name: str) -> None:
         """Execute a command feature."""
@@ -240,5 +240,5 @@ class PylonFeatures:
 
     def _find_node(self, name: str) -> Any:
         if not self.has(name):
-            raise MissingFeature(f"the camera has no feature {name}")
+            raise MISSING_FEATURE(f"the camera has no feature {name}")
         return self._nodes.GetNode(name)

@@ -13,7 +13,7 @@ import time
 from collections.abc import Callable
 
 from drivers.basler_stereo.control_channel import ControlChannel
-from drivers.basler_stereo.errors import PacketTooLarge, ReceiverEnded
+from drivers.basler_stereo.errors import PACKET_TOO_LARGE, ReceiverEnded
 from drivers.basler_stereo.gvcp import LARGEST_DATAGRAM_BYTES
 from drivers.basler_stereo.options import SMALLEST_PACKET_BYTES
 from drivers.basler_stereo.stream.frame_assembler import Frame, StreamCounters
@@ -220,7 +220,7 @@ def choose_packet_bytes(
                 return _set_packet_bytes(control, size, deadline_s), True
         for size in CANDIDATES_BYTES if wanted_bytes else ():
             if size < (wanted_bytes or 0) and _test_size(control, stream, size, deadline_s):
-                raise PacketTooLarge(
+                raise PACKET_TOO_LARGE(
                     f"packets of {wanted_bytes} bytes from {control.address} do not arrive",
                     expected=f"a test packet within {PROBE_LIMIT_S} s",
                     limit=f"{size} bytes, which do arrive",

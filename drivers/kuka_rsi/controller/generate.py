@@ -12,7 +12,7 @@ from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.arm.pose import degrees6
 from ronna_hw.command_line import terminal
 from ronna_hw.wire import kuka_eki
-from ronna_hw.wire.kuka_context import AXES, ContextInvalid, RsiContext, context_hash, load_context
+from ronna_hw.wire.kuka_context import AXES, CONTEXT_INVALID, RsiContext, context_hash, load_context
 
 TEMPLATES = {
     "ethernet.xml.j2": "{name}_eth.xml",
@@ -45,13 +45,13 @@ def render(context: RsiContext) -> dict[str, str]:
     used = {wire.object for wire in context.wiring} | {wire.object for wire in context.feedback}
     unknown = sorted(used - set(OBJECT_IDS))
     if unknown:
-        raise ContextInvalid(
+        raise CONTEXT_INVALID(
             f"the controller's files have no {', '.join(unknown)}",
             expected="wiring and feedback of AXISCORR and STOP only",
         )
     axis_wires = {w.input: w.indx for w in context.wiring if w.object == "AXISCORR"}
     if (axis_wires or context.feedback) and len(axis_wires) < AXES:
-        raise ContextInvalid("the wiring of AXISCORR is not complete", expected="A1 to A6")
+        raise CONTEXT_INVALID("the wiring of AXISCORR is not complete", expected="A1 to A6")
     environment = Environment(
         loader=PackageLoader("drivers.kuka_rsi.controller"),
         undefined=StrictUndefined,

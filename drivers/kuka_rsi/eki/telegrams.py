@@ -13,7 +13,7 @@ from math import isfinite
 from typing import ClassVar, NoReturn
 from xml.etree import ElementTree
 
-from drivers.kuka_rsi.errors import BadEkiTelegram, ControllerNotReady, WrongController
+from drivers.kuka_rsi.errors import CONTROLLER_NOT_READY, WRONG_CONTROLLER, BadEkiTelegram
 from ronna_hw.arm.kr6_r900 import ArmVariant
 from ronna_hw.arm.pose import radians6
 from ronna_hw.bounded_input import InputRefused, parse_xml
@@ -206,7 +206,7 @@ def require_matching_setup(
         if stated is not None and stated != expected
     ]
     if differences:
-        raise WrongController(
+        raise WRONG_CONTROLLER(
             "the controller is not set up for this driver: " + "; ".join(differences),
             expected=IN_A_CONTEXT if state.context_hash not in (None, context_hash(context)) else None,
         )
@@ -219,7 +219,7 @@ def require_ready(
     """Raise EKI-007 listing every obstacle to motion; with `drives`, the drives must already be on."""
     unmet = unmet_conditions(state, drives=drives, modes=modes)
     if unmet:
-        raise ControllerNotReady("the controller is not ready: " + "; ".join(unmet))
+        raise CONTROLLER_NOT_READY("the controller is not ready: " + "; ".join(unmet))
 
 
 def unmet_conditions(state: ControllerState, *, drives: bool, modes: tuple[OperationMode, ...]) -> list[str]:

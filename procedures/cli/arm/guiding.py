@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from procedures.engine.errors import RecoveryRefused
+from procedures.engine.errors import RECOVERY_REFUSED
 from procedures.runs.reopening import resumable_run
 from procedures.runs.theatre_lock import hold_theatre, require_free_theatre
 from procedures.workcell.assistant import holder_bodies
@@ -59,7 +59,7 @@ def guide(config: Path, name: str, guidance: HandGuidance) -> None:
         raise UsageMistake("guide needs a terminal, whose space bar is the switch that a person holds")
     require_free_theatre(config, (name,))
     if (run := resumable_run(config)) is not None:
-        raise RecoveryRefused(
+        raise RECOVERY_REFUSED(
             f"run {run.name} on this theatre is unfinished, and knows its arms where it left them",
             action=f"Nothing was moved. Bring them home first: ronna-procedure home {shlex.quote(str(run))}.",
         )

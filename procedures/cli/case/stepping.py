@@ -17,7 +17,7 @@ from procedures.cli.case.display import pause_on_interrupt, show_outcome, write_
 from procedures.cli.case.piped_lines import PipedLines
 from procedures.cli.case.prompt import Prompt
 from procedures.cli.case.staff import terminal_observers
-from procedures.engine.errors import CaseLeftWithInstrument
+from procedures.engine.errors import CASE_LEFT_WITH_INSTRUMENT
 from procedures.runs.case_outcome import build_finished_outcome
 from procedures.runs.finishing import finalize_run
 from procedures.runs.folders import hold_run, run_folder
@@ -113,7 +113,7 @@ def _require_instrument_out(engine: Engine) -> None:
     if inside is None:
         return
     run = shlex.quote(str(engine.case.folder))
-    raise CaseLeftWithInstrument(
+    raise CASE_LEFT_WITH_INSTRUMENT(
         f"the commands have ended, and {inside}",
         expected="`home`, which asks whether it is out, before the end",
         action=f"Touch neither the tool nor the arm. ronna-procedure home {run} asks for the removal, then "

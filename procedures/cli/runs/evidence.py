@@ -13,7 +13,7 @@ from pathlib import Path
 
 from pydantic import ValidationError
 
-from procedures.engine.errors import NotRecorded, ReplayDiffers
+from procedures.engine.errors import REPLAY_DIFFERS, NotRecorded
 from procedures.engine.order import order_of
 from procedures.engine.replay.recorded_answers import CalibrationOpening, RecordedAnswers, read_answers
 from procedures.engine.replay.replay import ReplayInput, Verdict, replay
@@ -25,7 +25,7 @@ from procedures.steps.calibration.recipe import Recipe
 from procedures.steps.catalogue import clinical_steps
 from procedures.steps.clinical.set_up import CheckedSetUp
 from procedures.strategies.catalogue import find_strategy
-from ronna_hw.command_line.errors import PathProblem, UsageMistake
+from ronna_hw.command_line.errors import PATH_PROBLEM, UsageMistake
 from ronna_hw.command_line.terminal import print_json, print_table, progress_bar, say, tell
 from ronna_hw.config import Calibrations, read_theatre_file
 from ronna_hw.devices.capabilities import Direction
@@ -119,7 +119,7 @@ def replay_run(run_folder: Path, *, as_json: bool) -> None:
         print_table("Recomputed results", ("record", "verdict", "why"), rows)
     unconfirmed = [one.record for one in results if one.verdict not in CONFIRMED]
     if unconfirmed:
-        raise ReplayDiffers(
+        raise REPLAY_DIFFERS(
             f"{len(unconfirmed)} of {len(results)} records are not confirmed: {', '.join(unconfirmed)}"
         )
 
@@ -190,7 +190,7 @@ def print_bytes(
     folder = run_folder / BYTES_FOLDER
     links = list_links(folder)
     if not links:
-        raise PathProblem(f"{folder} has no recorded link bytes", expected="the folder of a run")
+        raise PATH_PROBLEM(f"{folder} has no recorded link bytes", expected="the folder of a run")
     wanted = [name for name in links if link is None or name == link or name.startswith(f"{link}.")]
     if not wanted:
         raise UsageMistake(f"the run has no link {link}", expected=f"one of {', '.join(links)}")

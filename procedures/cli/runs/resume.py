@@ -13,7 +13,7 @@ import typer
 
 from procedures.cli.case.display import follow, observe_run, show_outcome
 from procedures.engine.device_faults import recover_faults
-from procedures.engine.errors import FaultOfRun, RecoveryRefused
+from procedures.engine.errors import FAULT_OF_RUN, RECOVERY_REFUSED
 from procedures.runs.case_outcome import finish_case, outcome_as_recorded, with_report
 from procedures.runs.finishing import complete_seal, finalize_run
 from procedures.runs.interrupted_run import InterruptedRun, Resumption
@@ -123,7 +123,7 @@ def _require_last_run(interrupted: InterruptedRun, request: RunRequest) -> None:
     if former == FormerRun():
         return
     require_ready_devices(request, interrupted.folder)
-    raise RecoveryRefused(former.not_home or "", action="Nothing was moved.")
+    raise RECOVERY_REFUSED(former.not_home or "", action="Nothing was moved.")
 
 
 def _print_outcome(
@@ -197,7 +197,7 @@ def _require_own_fault(theatre: Path, run: Path | None) -> None:
     Only that run's journal can put its earlier localizations in doubt.
     """
     if (last := resumable_run(theatre, run)) is not None:
-        raise FaultOfRun(
+        raise FAULT_OF_RUN(
             f"run {last.name} on this theatre is unfinished: after a fault it must ask which results are "
             "still valid",
             action=f"Use ronna-procedure acknowledge {shlex.quote(str(last))} --by 'YOUR NAME'.",

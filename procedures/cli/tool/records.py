@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from procedures.planning.errors import NoToolRecord
+from procedures.planning.errors import NO_TOOL_RECORD
 from procedures.planning.tool_records import GUIDE, ToolRecords
 from ronna_hw.bounded_input import read_bounded, read_toml
 from ronna_hw.clock import HostClock
@@ -175,13 +175,13 @@ def renew_record(
     gauge = with_gauge.get(name)
     if gauge is None:
         near_names = get_close_matches(name, with_gauge, n=1)
-        raise NoToolRecord(
+        raise NO_TOOL_RECORD(
             f"{config.name} has no tool {name!r} with a gauge",
             expected=", ".join(with_gauge) or "one with [tools.NAME.gauge]",
             action=f"Did you mean {near_names[0]}?" if near_names else None,
         )
     if theatre.calibration is None:
-        raise NoToolRecord(f"{config.name} has no calibration to renew {name} for")
+        raise NO_TOOL_RECORD(f"{config.name} has no calibration to renew {name} for")
     content = read_toml(config, BadTheatreFile)
     former_record = content["tools"][name]
     new = {**former_record, **signed, **_tip_fields(theatre.calibration)}

@@ -17,12 +17,12 @@ from pathlib import Path
 
 from pydantic import ValidationError
 
-from procedures.engine.errors import EventsUnreadable
+from procedures.engine.errors import EVENTS_UNREADABLE
 from procedures.engine.events.event_types import VERSION, Event, JournalLine, SignalsLost
 from procedures.engine.events.stream import CurrentState, EventStream
 from procedures.journal.journal import Entry
 from ronna_hw.bounded_input import check_json, count_values
-from ronna_hw.command_line.errors import PathProblem
+from ronna_hw.command_line.errors import PATH_PROBLEM
 from ronna_hw.evidence.lost_end import EVENTS_FILE
 from ronna_hw.logs import logger
 
@@ -179,7 +179,7 @@ class FollowedRun:
         """Open a run's event file. Raises CLI-005 if the folder has none."""
         self._path = folder / EVENTS_FILE
         if not self._path.is_file():
-            raise PathProblem(
+            raise PATH_PROBLEM(
                 f"{folder} has no {EVENTS_FILE}", expected="the folder of a run that has started"
             )
         self._sleep = sleep
@@ -217,7 +217,7 @@ class FollowedRun:
         """Return events from whole lines written since the last call."""
         with self._path.open("rb") as file:
             if os.fstat(file.fileno()).st_size > LARGEST_BYTES:
-                raise EventsUnreadable(
+                raise EVENTS_UNREADABLE(
                     f"{self._path} is too large", expected=f"at most {LARGEST_BYTES} bytes"
                 )
             file.seek(self._offset)
@@ -232,12 +232,12 @@ class FollowedRun:
             event = Event.model_validate_json(check_json(line))
         except ValueError as error:  # also a line out of bounds
             is_json = not isinstance(error, ValidationError) or error.errors()[0]["type"] != "json_invalid"
-            raise EventsUnreadable(
+            raise EVENTS_UNREADABLE(
                 f"line {self._lines} of {self._path} is not {'an event' if is_json else 'JSON'}",
                 action=None if is_json else CHANGED_ACTION,
             ) from error
         if event.version != VERSION:
-            raise EventsUnreadable(
+            raise EVENTS_UNREADABLE(
                 f"line {self._lines} of {self._path} was written by another version",
                 expected=f"version {VERSION}",
                 got=f"version {event.version}",
@@ -246,7 +246,7 @@ class FollowedRun:
             self.closed = event.what.line.get("entry") == Entry.CLOSED
             self._values += count_values(line)
             if self._values > MOST_VALUES_OF_JOURNAL:
-                raise EventsUnreadable(
+                raise EVENTS_UNREADABLE(
                     f"too many values in the lines of a journal in {self._path}",
                     expected=f"at most {MOST_VALUES_OF_JOURNAL}",
                 )

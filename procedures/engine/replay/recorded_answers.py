@@ -23,7 +23,7 @@ from procedures.journal.journal import ENDS_OF_A_STEP, Entry
 from ronna_hw.bounded_input import InputRefused, parse_json, read_json_lines
 from ronna_hw.clock import Clock
 from ronna_hw.devices.lifecycle import Lifecycle
-from ronna_hw.errors import DeviceError, RonnaError, concrete_errors
+from ronna_hw.errors import DeviceError, ErrorCode, RonnaError, find_code
 from ronna_hw.host.files import open_regular
 from ronna_hw.mistakes import describe_mistakes
 from ronna_hw.recording.reading_coding import (
@@ -78,10 +78,11 @@ class _Raised(_Strict):
     got: str | None = None
 
     def to_error(self) -> RonnaError:
-        """Rebuild the raised error, in its original class if that is known."""
-        known = (one for one in concrete_errors() if (one.code, one.__qualname__) == (self.code, self.kind))
-        kind = next(known, DeviceError)
-        error = kind.__new__(kind)  # some take other arguments than their base
+        """Rebuild the raised error, as that of its code if that is known."""
+        known = find_code(self.code) or DeviceError
+        if isinstance(known, ErrorCode):
+            return known(self.what, expected=self.expected, limit=self.limit, got=self.got)
+        error = known.__new__(known)  # some take other arguments than their base
         RonnaError.__init__(error, self.what, expected=self.expected, limit=self.limit, got=self.got)
         return error
 

@@ -13,7 +13,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from procedures.imaging.errors import AttributeMissing, FileDamaged
+from procedures.imaging.errors import ATTRIBUTE_MISSING, FILE_DAMAGED
 from ronna_hw.bounded_input import InputRefused, inflate, read_bounded
 
 MOST_READS = 50_000  # two to four per element; a slice has hundreds, with private sequences thousands
@@ -54,15 +54,15 @@ def read_dicom(path: Path, *, only: tuple[str, ...] | None = None) -> FileDatase
                 found.buffer = None  # the whole file, of each of a thousand slices
             return found
     except InputRefused as problem:
-        raise FileDamaged(f"{path.name} is refused: {problem.summary}") from problem
+        raise FILE_DAMAGED(f"{path.name} is refused: {problem.summary}") from problem
     except OSError as problem:
         if problem.errno is None:
-            raise FileDamaged(f"{path.name} cannot be read as DICOM ({problem})") from problem
+            raise FILE_DAMAGED(f"{path.name} cannot be read as DICOM ({problem})") from problem
         raise
     except MemoryError:  # which says nothing about the file
         raise
     except Exception as problem:  # a damaged file can break the parser in any way
-        raise FileDamaged(f"{path.name} cannot be read as DICOM ({problem})") from problem
+        raise FILE_DAMAGED(f"{path.name} cannot be read as DICOM ({problem})") from problem
 
 
 def _inflate(content: bytes, begin: int) -> bytes:
@@ -121,7 +121,7 @@ def read_value(path: Path, header: Dataset, keyword: str) -> Any:
     except MemoryError:
         raise
     except Exception as problem:  # a damaged value can break the decoder in any way
-        raise AttributeMissing(f"{path.name}: {keyword} is unreadable") from problem
+        raise ATTRIBUTE_MISSING(f"{path.name}: {keyword} is unreadable") from problem
 
 
 def read_numbers(path: Path, header: FileDataset, keyword: str, count: int) -> tuple[float, ...]:
@@ -133,8 +133,8 @@ def read_numbers(path: Path, header: FileDataset, keyword: str, count: int) -> t
     if len(found) != count or not all(math.isfinite(number) for number in found):
         expected = "a finite number" if count == 1 else f"{count} finite numbers"
         if raw_value is None or raw_value == "":
-            raise AttributeMissing(f"{path.name}: {keyword} is missing", expected=expected)
-        raise AttributeMissing(
+            raise ATTRIBUTE_MISSING(f"{path.name}: {keyword} is missing", expected=expected)
+        raise ATTRIBUTE_MISSING(
             f"{path.name}: {keyword} is unusable",
             expected=expected,
             got=str(raw_value)[:LONGEST_SHOWN],
@@ -157,5 +157,5 @@ def read_attribute_text(path: Path, header: Dataset, keyword: str) -> str:
 def require_text(path: Path, header: FileDataset, keyword: str) -> str:
     raw_value = read_attribute_text(path, header, keyword)
     if not raw_value:
-        raise AttributeMissing(f"{path.name}: {keyword} is missing")
+        raise ATTRIBUTE_MISSING(f"{path.name}: {keyword} is missing")
     return raw_value

@@ -20,15 +20,15 @@ from procedures.imaging.dicom.attributes import (
     require_text,
 )
 from procedures.imaging.errors import (
-    AttributeMissing,
-    FileDamaged,
+    ATTRIBUTE_MISSING,
+    FILE_DAMAGED,
+    RESCALE_UNUSABLE,
+    SCOUT_VIEW,
+    SERIES_EMPTY,
+    SERIES_NOT_FOUND,
+    WRONG_MODALITY,
     FramesMixed,
-    RescaleUnusable,
-    ScoutView,
-    SeriesEmpty,
     SeriesMixed,
-    SeriesNotFound,
-    WrongModality,
 )
 
 if TYPE_CHECKING:
@@ -139,7 +139,7 @@ def read_images(
     images = list(iterate_images(directory, tags, progress))
     if not images:
         inner = directory / CT_FOLDER
-        raise SeriesEmpty(
+        raise SERIES_EMPTY(
             f"no DICOM image in {directory}",
             action=f"Give the folder of the CT itself: {inner}." if inner.is_dir() else None,
         )
@@ -167,12 +167,12 @@ def list_dicom_files(directory: Path) -> list[Path]:
 def _list_files(directory: Path) -> list[Path]:
     if not directory.is_dir():
         reason = "is not a folder" if directory.exists() else "does not exist"
-        raise SeriesNotFound(f"{directory} {reason}")
+        raise SERIES_NOT_FOUND(f"{directory} {reason}")
     entries = [path for path in directory.iterdir() if not path.name.startswith(".") and not path.is_dir()]
     for path in entries:
         if path.suffix.lower() in ("", *DICOM_SUFFIXES) and not path.is_file():
             defect = "is a link that leads to no file" if path.is_symlink() else "is not a regular file"
-            raise FileDamaged(f"{path.name} {defect}", expected="a slice, or no file of that name")
+            raise FILE_DAMAGED(f"{path.name} {defect}", expected="a slice, or no file of that name")
     return sorted(path for path in entries if path.is_file())
 
 
@@ -183,7 +183,7 @@ def _is_dicom(path: Path) -> bool:
         return True
     cut_short = len(start) < PREAMBLE_BYTES + len(MAGIC) and not any(start)
     if path.suffix.lower() in DICOM_SUFFIXES or (not path.suffix and cut_short):
-        raise FileDamaged(f"{path.name} is truncated or not DICOM: the letters DICM are missing")
+        raise FILE_DAMAGED(f"{path.name} is truncated or not DICOM: the letters DICM are missing")
     return False
 
 
@@ -202,7 +202,7 @@ def _is_image(path: Path, header: FileDataset) -> bool:
     standard_object = kind.name != str(kind) and kind != _CT_IMAGE_STORAGE
     private_object = not kind.startswith(_STANDARD_ROOT) and kind.count(".") >= _PRIVATE_DOTS
     if not (standard_object or private_object):
-        raise FileDamaged(f"{path.name} is truncated: its header ends early")
+        raise FILE_DAMAGED(f"{path.name} is truncated: its header ends early")
     return False
 
 
@@ -230,30 +230,30 @@ def _refuse_other_modality(images: list[tuple[Path, FileDataset]]) -> None:
     for path, header in images:
         modality = read_attribute_text(path, header, "Modality")
         if modality != "CT":
-            raise WrongModality(f"{path.name} has modality {modality or '(none)'}", expected="CT")
+            raise WRONG_MODALITY(f"{path.name} has modality {modality or '(none)'}", expected="CT")
         if read_attribute_text(path, header, "SOPClassUID") in _ENHANCED_CT_STORAGES:
-            raise WrongModality(f"{path.name} is a multi-frame (enhanced) CT", expected="one slice per file")
+            raise WRONG_MODALITY(f"{path.name} is a multi-frame (enhanced) CT", expected="one slice per file")
 
 
 def _refuse_scouts(images: list[tuple[Path, FileDataset]]) -> None:
     for path, header in images:
         if scout := _SCOUT_WORDS.intersection(_read_image_type(path, header)):
-            raise ScoutView(f"{path.name} has image type {min(scout)}", expected="slices")
+            raise SCOUT_VIEW(f"{path.name} has image type {min(scout)}", expected="slices")
 
 
 def _parse_slice_header(path: Path, header: FileDataset) -> SliceHeader:
     spacing = read_numbers(path, header, "PixelSpacing", 2)
     rows, columns = (int(read_numbers(path, header, keyword, 1)[0]) for keyword in ("Rows", "Columns"))
     if not (SPACING_LIMITS_MM[0] <= min(spacing) and max(spacing) <= SPACING_LIMITS_MM[1]):
-        raise AttributeMissing(
+        raise ATTRIBUTE_MISSING(
             f"{path.name}: pixel spacing of {spacing[0]:g} x {spacing[1]:g} mm",
             limit=f"{SPACING_LIMITS_MM[0]:g} to {SPACING_LIMITS_MM[1]:g} mm",
         )
     if not 1 <= min(rows, columns) <= max(rows, columns) <= LARGEST_SIDE:
-        raise AttributeMissing(f"{path.name} has {rows} x {columns} pixels", limit=f"1 to {LARGEST_SIDE}")
+        raise ATTRIBUTE_MISSING(f"{path.name} has {rows} x {columns} pixels", limit=f"1 to {LARGEST_SIDE}")
     position_mm = read_numbers(path, header, "ImagePositionPatient", 3)
     if max(map(abs, position_mm)) > FARTHEST_MM:
-        raise AttributeMissing(
+        raise ATTRIBUTE_MISSING(
             f"{path.name} is {max(map(abs, position_mm)):g} mm away from the origin",
             limit=f"{FARTHEST_MM:g} mm",
         )
@@ -288,16 +288,16 @@ def _read_rescale(path: Path, header: FileDataset) -> tuple[float, float]:
     intercept = read_numbers(path, header, "RescaleIntercept", 1)[0]
     low, high = SLOPE_LIMITS
     if not low <= slope <= high:
-        raise RescaleUnusable(
+        raise RESCALE_UNUSABLE(
             f"{path.name}: RescaleSlope is {slope:g}", limit=f"{low:g} to {high:g} HU per stored step"
         )
     if abs(intercept) > INTERCEPT_LIMIT:
-        raise RescaleUnusable(
+        raise RESCALE_UNUSABLE(
             f"{path.name}: RescaleIntercept is {intercept:g}", limit=f"±{INTERCEPT_LIMIT:g} HU"
         )
     kind = read_attribute_text(path, header, "RescaleType").upper()
     if kind not in _HOUNSFIELD | _UNSPECIFIED:
-        raise RescaleUnusable(f"{path.name}: RescaleType is {kind}", expected="HU")
+        raise RESCALE_UNUSABLE(f"{path.name}: RescaleType is {kind}", expected="HU")
     return slope, intercept
 
 
@@ -366,7 +366,7 @@ def read_scan_identity(directory: Path) -> ScanIdentity:
         if read_attribute_text(path, header, "PatientID"):
             return _parse_scan_identity(path, header)
     if first is None:
-        raise SeriesEmpty(f"no DICOM image in {directory}")
+        raise SERIES_EMPTY(f"no DICOM image in {directory}")
     return _parse_scan_identity(*first)
 
 

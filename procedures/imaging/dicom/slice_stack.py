@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 
 from procedures.imaging.dicom.slice_headers import SliceHeader
 from procedures.imaging.errors import (
-    GantryTilted,
-    OrientationUnusable,
-    SeriesMirrored,
-    SeriesTooShort,
-    SliceDuplicated,
-    SlicesDiffer,
-    SpacingUneven,
+    GANTRY_TILTED,
+    ORIENTATION_UNUSABLE,
+    SERIES_MIRRORED,
+    SERIES_TOO_SHORT,
+    SLICE_DUPLICATED,
+    SLICES_DIFFER,
+    SPACING_UNEVEN,
 )
 from procedures.imaging.volume import VoxelGeometry
 from ronna_hw.text import format_against_limit
@@ -49,7 +49,7 @@ def stack_slices(slices: tuple[SliceHeader, ...]) -> tuple[tuple[SliceHeader, ..
     CT-025 (mirrored).
     """
     if len(slices) < MIN_SLICES:
-        raise SeriesTooShort(f"the series has {len(slices)} slices", limit=f"at least {MIN_SLICES}")
+        raise SERIES_TOO_SHORT(f"the series has {len(slices)} slices", limit=f"at least {MIN_SLICES}")
     _refuse_different_sizes(slices)
     row_direction, column_direction = _average_directions(slices)
     normal = np.cross(row_direction, column_direction)
@@ -115,7 +115,7 @@ def _refuse_mirrored(one: SliceHeader, normal: Array) -> None:
     A patient who lies feet first is exempt.
     """
     if normal[2] < -AXIAL_COSINE and one.patient_position.startswith(HEAD_FIRST):
-        raise SeriesMirrored(
+        raise SERIES_MIRRORED(
             f"{one.path.name} shows its slice as seen from the head, a mirror image of what a scanner stores "
             f"for {one.patient_position}",
             expected="1\\0\\0\\0\\1\\0, or the same turned within the slice",
@@ -138,13 +138,13 @@ def _refuse_different_sizes(slices: tuple[SliceHeader, ...]) -> None:
     first = slices[0]
     for other in slices[1:]:
         if (other.rows, other.columns) != (first.rows, first.columns):
-            raise SlicesDiffer(
+            raise SLICES_DIFFER(
                 f"{first.path.name} has {first.rows} x {first.columns} pixels, "
                 f"{other.path.name} has {other.rows} x {other.columns}"
             )
         spacings = (other.row_spacing_mm, other.column_spacing_mm)
         if not np.allclose(spacings, (first.row_spacing_mm, first.column_spacing_mm), rtol=1e-5, atol=0):
-            raise SlicesDiffer(
+            raise SLICES_DIFFER(
                 f"{first.path.name} has pixels of {first.row_spacing_mm:g} x {first.column_spacing_mm:g} mm, "
                 f"{other.path.name} of {spacings[0]:g} x {spacings[1]:g} mm"
             )
@@ -157,11 +157,11 @@ def _average_directions(slices: tuple[SliceHeader, ...]) -> tuple[Array, Array]:
     bad = (np.abs(lengths - 1).max(axis=1) > UNIT_TOLERANCE) | (skew > UNIT_TOLERANCE)
     if bad.any():
         name = slices[int(np.argmax(bad))].path.name
-        raise OrientationUnusable(f"{name}: the image orientation is not two perpendicular unit vectors")
+        raise ORIENTATION_UNUSABLE(f"{name}: the image orientation is not two perpendicular unit vectors")
     spread = np.abs(orientations - np.median(orientations, axis=0)).max(axis=(1, 2))
     if spread.max() > SAME_DIRECTION_TOLERANCE:
         name = slices[int(np.argmax(spread))].path.name
-        raise OrientationUnusable(f"{name} is oriented differently from the other slices")
+        raise ORIENTATION_UNUSABLE(f"{name} is oriented differently from the other slices")
     row, column = orientations.mean(axis=0)
     row = row / np.linalg.norm(row)
     column = column - row * float(row @ column)
@@ -172,7 +172,7 @@ def _fit_even_spacing(slices: tuple[SliceHeader, ...], along_mm: Array) -> float
     steps_mm = np.diff(along_mm)
     closest = int(np.argmin(steps_mm))
     if steps_mm[closest] < SAME_PLACE_MM:
-        raise SliceDuplicated(
+        raise SLICE_DUPLICATED(
             f"{slices[closest].path.name} and {slices[closest + 1].path.name} have the same position",
             got=f"{steps_mm[closest]:.4f} mm apart",
         )
@@ -182,7 +182,7 @@ def _fit_even_spacing(slices: tuple[SliceHeader, ...], along_mm: Array) -> float
         names = [f"{slices[gap].path.name} and {slices[gap + 1].path.name}" for gap in gaps[:GAPS_NAMED]]
         more = f" and in {len(gaps) - GAPS_NAMED} more places" if len(gaps) > GAPS_NAMED else ""
         total = int(missing[gaps].sum())
-        raise SpacingUneven(
+        raise SPACING_UNEVEN(
             f"{total} slice{'s' if total > 1 else ''} missing between {', between '.join(names)}{more}",
             expected=f"a slice every {usual_mm:.3f} mm",
             got=f"{steps_mm.max():.3f} mm",
@@ -192,7 +192,7 @@ def _fit_even_spacing(slices: tuple[SliceHeader, ...], along_mm: Array) -> float
     deviation_mm = np.abs(along_mm - (start_mm + spacing_mm * count))
     worst = int(np.argmax(deviation_mm))
     if deviation_mm[worst] > POSITION_TOLERANCE_MM:
-        raise SpacingUneven(
+        raise SPACING_UNEVEN(
             f"{slices[worst].path.name} deviates from the even spacing of {spacing_mm:.3f} mm",
             limit=f"{POSITION_TOLERANCE_MM} mm",
             got=f"{format_against_limit(float(deviation_mm[worst]), POSITION_TOLERANCE_MM, 3)} mm",
@@ -203,7 +203,7 @@ def _fit_even_spacing(slices: tuple[SliceHeader, ...], along_mm: Array) -> float
 def _refuse_shear(slices: tuple[SliceHeader, ...], positions_mm: Array, normal: Array) -> None:
     stated_deg = max((one.tilt_deg for one in slices), key=abs)
     if abs(stated_deg) > TILT_LIMIT_DEG:
-        raise GantryTilted(
+        raise GANTRY_TILTED(
             f"the scanner states a gantry tilt of {stated_deg:g} degrees", limit=f"{TILT_LIMIT_DEG} degrees"
         )
     offsets = positions_mm - positions_mm[0]
@@ -212,7 +212,7 @@ def _refuse_shear(slices: tuple[SliceHeader, ...], positions_mm: Array, normal: 
     drift = sideways[-1] / along_mm[-1]
     size = float(np.linalg.norm(drift))
     if size > SHEAR_LIMIT and np.linalg.norm(sideways[-1]) > POSITION_TOLERANCE_MM:
-        raise GantryTilted(
+        raise GANTRY_TILTED(
             "the slices are not stacked along their normal",
             limit=f"{np.degrees(SHEAR_LIMIT):.2f} degrees",
             got=format_against_limit(math.degrees(np.arctan(size)), math.degrees(SHEAR_LIMIT), 2)
@@ -221,7 +221,7 @@ def _refuse_shear(slices: tuple[SliceHeader, ...], positions_mm: Array, normal: 
     deviation_mm = np.linalg.norm(sideways - np.outer(along_mm, drift), axis=1)
     worst = int(np.argmax(deviation_mm))
     if deviation_mm[worst] > POSITION_TOLERANCE_MM:
-        raise SpacingUneven(
+        raise SPACING_UNEVEN(
             f"{slices[worst].path.name} is shifted sideways relative to the other slices",
             limit=f"{POSITION_TOLERANCE_MM} mm",
             got=f"{format_against_limit(float(deviation_mm[worst]), POSITION_TOLERANCE_MM, 3)} mm",

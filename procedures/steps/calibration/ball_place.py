@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 from scipy.spatial.transform import Rotation
 
-from procedures.calibration.errors import NoBall, PosesOutOfReach
+from procedures.calibration.errors import NO_BALL, POSES_OUT_OF_REACH
 from procedures.calibration.pose_set import PlannedLook, plan_calibration_looks
 from procedures.engine.context import StepContext
 from procedures.engine.order import Outcome, Phase, StepSpec
@@ -71,7 +71,7 @@ def run(context: StepContext) -> Outcome[BallPlace]:
     points = context.result(GlobalLocalization).points_mm
     isolated_balls = find_isolated(points)
     if not isolated_balls:
-        raise NoBall("the tracker sees no isolated ball", got=f"{len(points)} stray spheres")
+        raise NO_BALL("the tracker sees no isolated ball", got=f"{len(points)} stray spheres")
     head_mm = context.workcell.master.tool_pose().translation_mm
     chosen = min(isolated_balls, key=lambda number: float(np.linalg.norm(points[number] - head_mm)))
     place = BallPlace.among(points, chosen)
@@ -117,7 +117,7 @@ def bring_over_ball(
     plan = plan_calibration_looks(place.reference, ball_mm, round(SPARE * poses)) if poses else ()
     reached = sum(watcher.reaches(look.pose) for look in plan)
     if not watcher.reaches(place.first_look.pose) or reached < poses:
-        raise PosesOutOfReach(
+        raise POSES_OUT_OF_REACH(
             "the poses around the ball are out of the arm's reach",
             expected=f"{poses} poses",
             got=f"{reached} of {len(plan)}",

@@ -10,7 +10,7 @@ from functools import partial
 
 from pydantic import Field
 
-from procedures.calibration.errors import PosesOutOfReach, TooFewPoses
+from procedures.calibration.errors import POSES_OUT_OF_REACH, TOO_FEW_POSES
 from procedures.calibration.frame_calibration import (
     TILT_RAD,
     FrameLook,
@@ -78,7 +78,7 @@ def _turn_frame(context: StepContext, count: int, validation: int) -> Outcome[Ob
         context.progress(turning.taken / total, "rotating the reference frame")
     turning.look_at(workcell.master.home_rad, Use.RETURN)
     if turning.taken < LEAST_LOOKS:
-        raise TooFewPoses(
+        raise TOO_FEW_POSES(
             "too few poses show the reference frame",
             expected=f"at least {LEAST_LOOKS}",
             got=f"{turning.taken} of {len(plan)}; {turning.why_rejected}",
@@ -107,7 +107,7 @@ def _reachable_turns(workcell: Workcell, wanted: int) -> Sequence[JointVector]:
     planned = frame_poses(reference, frame, round(SPARE * wanted))
     reached = [joints for look in planned if (joints := reachable_joints(workcell, look)) is not None]
     if len(reached) < wanted:
-        raise PosesOutOfReach(
+        raise POSES_OUT_OF_REACH(
             "too few poses of the reference frame are reachable",
             expected=f"{wanted} poses",
             got=f"{len(reached)} of {len(planned)}",

@@ -9,7 +9,7 @@ from pydantic import Field
 
 from procedures.calibration import Baseline, Observation, ObservationSet, Outline
 from procedures.calibration.bundle import LEAST_POSES
-from procedures.calibration.errors import NotTheBaseline, PosesOutOfReach, TooFewPoses
+from procedures.calibration.errors import POSES_OUT_OF_REACH, TOO_FEW_POSES, NotTheBaseline
 from procedures.calibration.pose_set import (
     CHECK_ORIENTATIONS,
     PlannedLook,
@@ -178,8 +178,8 @@ def raise_too_few(watcher: BallWatcher, count: int) -> None:
     """Raise CAL-010 if most looks were out of reach, and CAL-002 otherwise."""
     expected, got = f"at least {LEAST_POSES}", f"{count}; {watcher.why_rejected()}"
     if any(reason.startswith("ARM-") for reason, _ in watcher.rejected.most_common(1)):
-        raise PosesOutOfReach("too few poses around the ball are reachable", expected=expected, got=got)
-    raise TooFewPoses("too few poses show the ball", expected=expected, got=got)
+        raise POSES_OUT_OF_REACH("too few poses around the ball are reachable", expected=expected, got=got)
+    raise TOO_FEW_POSES("too few poses show the ball", expected=expected, got=got)
 
 
 class VisitedBaseline(StepResult, kind="baseline_visit"):

@@ -21,7 +21,7 @@ from procedures.calibration.arm_model import (
     arrays_of,
     choose_poses,
 )
-from procedures.calibration.errors import NoBall, PosesOutOfReach
+from procedures.calibration.errors import NO_BALL, POSES_OUT_OF_REACH
 from procedures.calibration.pose_set import PlannedLook, order_by_orientation, plan_centred_looks
 from procedures.engine.context import StepContext
 from procedures.engine.order import Outcome, Phase, StepSpec
@@ -128,7 +128,7 @@ def _plan_looks(
         if (joints := reachable_joints(workcell, look)) is not None
     ]
     if len(reached) < wanted:
-        raise PosesOutOfReach(
+        raise POSES_OUT_OF_REACH(
             "too few poses around the spheres are reachable",
             expected=f"{wanted} poses",
             got=f"{len(reached)} of {each * len(places)}",
@@ -217,7 +217,7 @@ def _select_places(
     """Return the isolated spheres within reach, the nearest to the head first. Raises CAL-009."""
     isolated_spheres = find_isolated(points_mm)
     if not isolated_spheres:
-        raise NoBall("the tracker sees no isolated sphere", got=f"{len(points_mm)} stray spheres")
+        raise NO_BALL("the tracker sees no isolated sphere", got=f"{len(points_mm)} stray spheres")
     head_mm = workcell.master.tool_pose().translation_mm
     near = sorted(isolated_spheres, key=lambda number: float(np.linalg.norm(points_mm[number] - head_mm)))
     places = [BallPlace.among(points_mm, number) for number in near]
@@ -226,7 +226,7 @@ def _select_places(
         f"{_describe_place(one)} was left out: it is out of reach" for one in places if one not in reached
     ]
     if not reached:
-        raise NoBall("no isolated sphere is within reach", got=", ".join(map(_describe_place, places)))
+        raise NO_BALL("no isolated sphere is within reach", got=", ".join(map(_describe_place, places)))
     return tuple(reached[:MOST_SPHERES])
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 from scipy.spatial.transform import RigidTransform
 
-from procedures.calibration.errors import NoBall, PosesOutOfReach, TooFewPoses
+from procedures.calibration.errors import NO_BALL, POSES_OUT_OF_REACH, TOO_FEW_POSES
 from procedures.calibration.head_model import pose_record
 from procedures.calibration.pose_set import (
     PlannedLook,
@@ -101,7 +101,7 @@ def _measure_stand(context: StepContext, count: int) -> Outcome[ObservedStand]:
         )
     workcell.master.go_home()
     if len(looks) < count:
-        raise TooFewPoses(
+        raise TOO_FEW_POSES(
             "too few poses show the stand's ball",
             expected=str(count),
             got=f"{len(looks)}; {watcher.why_rejected()}",
@@ -116,7 +116,7 @@ def _looks_at_stand(place: BallPlace, watcher: BallWatcher, count: int) -> list[
     looks = plan_poses_about(place.reference, place.ball_mm, wanted, tilt_rad=TILT_RAD, turn_rad=TURN_RAD)
     reached = [look for look in looks if watcher.reaches(look.pose)]
     if len(reached) < count:
-        raise PosesOutOfReach(
+        raise POSES_OUT_OF_REACH(
             "too few poses around the stand are reachable",
             expected=f"{count} poses",
             got=f"{len(reached)} of {wanted}",
@@ -130,7 +130,7 @@ def _read_stand_position(context: StepContext) -> Outcome[BallPlace]:
     """Take the stand's position from the theatre file. Raises CAL-009."""
     stand_mm = context.setting.settings.stand_mm
     if stand_mm is None:
-        raise NoBall(
+        raise NO_BALL(
             "the position of the calibration stand is not given",
             action="Give the position of its ball with --ball X Y Z, or as stand_mm in [procedure].",
         )

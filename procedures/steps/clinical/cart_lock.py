@@ -19,7 +19,7 @@ from procedures.guards.room_reading import RoomReading, room_reading
 from procedures.journal.errors import GateFailed
 from procedures.journal.results import StepResult, Values
 from procedures.operator.question import YES, Question, Task, Topic
-from procedures.planning.errors import PlaceUnfit
+from procedures.planning.errors import PLACE_UNFIT
 from procedures.planning.proposed_place import PlaceFile, ProposalDeviation, ProposedPlace, read_place
 from procedures.registration.movement import measure_shift
 from procedures.steps.branches import AS_IT_STANDS, CART_MISPLACED, HOLD, PLACINGS
@@ -29,7 +29,7 @@ from procedures.steps.clinical.head_clamp import ClampedHead
 from procedures.steps.clinical.plan_check import SHORT_HASH, CheckedPlan
 from procedures.steps.clinical.set_up import CheckedSetUp
 from procedures.steps.conditions import needs_arm_home
-from procedures.steps.errors import CartMisplaced, CartNotLocked
+from procedures.steps.errors import CART_NOT_LOCKED, CART_OUT_OF_PLACE
 from procedures.workcell.tracker_look import average_pose, read_frames_at_rest, robot_from_marker
 from ronna_hw.calibration import Numbers3
 from ronna_hw.frames import Frame, Transform
@@ -127,7 +127,7 @@ def _read_proposal(context: StepContext) -> PlaceFile | None:
     proposed = read_place(path)
     series = context.result(CheckedPlan).plan.series_instance_uid
     if proposed is not None and proposed.place.series_instance_uid != series:
-        raise PlaceUnfit(
+        raise PLACE_UNFIT(
             f"{path.name} was made for another CT", expected=series, got=proposed.place.series_instance_uid
         )
     return proposed
@@ -172,7 +172,7 @@ def _accept_position(
     """Return whether the cart may stay where it is or must be placed again. Raises PRO-042."""
     if proposal.allows(drift):
         return True
-    problem = CartMisplaced(
+    problem = CART_OUT_OF_PLACE(
         f"the cart is {_format_offset(drift)} from its proposed position",
         limit=f"{proposal.free_mm:.0f} mm, or half of that turned by -{proposal.turns_deg[0]:g} to "
         f"+{proposal.turns_deg[1]:g} deg",
@@ -189,7 +189,7 @@ def _accept_position(
 def _confirm(context: StepContext, subject: str, value: str) -> None:
     """Ask for confirmation before the tracker measures, so that nobody is rushed. Raises PRO-041."""
     if context.choose(Question(Topic.CART_LOCKED, subject, f"{value}: is that so?")) != YES:
-        raise CartNotLocked(f"the cart is not locked: nobody confirmed that {subject}")
+        raise CART_NOT_LOCKED(f"the cart is not locked: nobody confirmed that {subject}")
 
 
 def displacement_against_head(
@@ -217,7 +217,7 @@ def displacement_against_head(
         raise PatientMoved(
             "the head moved while the cart was leaned on: it is not clamped", limit=limit, got=got
         )
-    raise CartNotLocked("the cart is not locked: it rolled when leaned on", limit=limit, got=got)
+    raise CART_NOT_LOCKED("the cart is not locked: it rolled when leaned on", limit=limit, got=got)
 
 
 def _format_offset(drift: ProposalDeviation) -> str:

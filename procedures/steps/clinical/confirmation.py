@@ -7,7 +7,7 @@ in doubt. Results that no longer hold are not used for another target.
 from __future__ import annotations
 
 from procedures.engine.context import StepContext
-from procedures.engine.errors import ToolUnchecked
+from procedures.engine.errors import TOOL_UNCHECKED
 from procedures.engine.order import Outcome, Phase, Scope, StepSpec
 from procedures.guards.errors import RoomMoved
 from procedures.guards.room_reading import CAREFUL_FRAMES
@@ -65,7 +65,7 @@ def _check_guide(context: StepContext, targets_remain: bool) -> SeenUnchanged:
         reason = f"the guide is {off} from its record after {context.trajectory}"
         doubt(context, reason)
         if targets_remain:
-            context.void(CheckedTool, ToolUnchecked(reason))
+            context.void(CheckedTool, TOOL_UNCHECKED(reason))
     return SeenUnchanged.guide(found.off_mm, found.noticeable_mm, differs=found.differs)
 
 

@@ -10,7 +10,7 @@ from pydantic import Field
 from procedures.engine.context import StepContext
 from procedures.engine.order import Outcome, Phase, StepSpec
 from procedures.imaging.dicom.slice_headers import list_dicom_files
-from procedures.imaging.errors import KernelUnnamed
+from procedures.imaging.errors import KERNEL_UNNAMED
 from procedures.imaging.series import read_series
 from procedures.imaging.volume import Volume
 from procedures.journal.errors import GateFailed
@@ -78,7 +78,7 @@ def run(context: StepContext) -> Outcome[ImportedCt]:
         volume = read_series(series, progress=lambda share: context.progress(share, "reading the CT series"))
         noting.result()
     if not volume.kernel:
-        raise KernelUnnamed(
+        raise KERNEL_UNNAMED(
             f"series {volume.series_instance_uid} does not name its reconstruction kernel",
             expected="ConvolutionKernel (0018,1210), such as B30f or H60s",
             got="none",

@@ -12,7 +12,7 @@ from pathlib import Path
 from procedures.engine.case import StepKey
 from procedures.engine.engine import Engine
 from procedures.engine.setting import ClinicalInput
-from procedures.guards.errors import InputChanged
+from procedures.guards.errors import INPUT_CHANGED
 from procedures.imaging.series import read_series
 from procedures.journal.results import StepResult
 from procedures.planning.plan_file import read_plan
@@ -62,7 +62,7 @@ class UnchangedInputs:
             if model is LockedCart and not _has_proposal(stored.result):
                 self._engine.find(f"{path.name} did not exist at {key}: the cart is not compared with it")
             elif changed := _describe_change(stored.result, path):
-                problem = InputChanged(f"{path.name} has changed since {key}: {changed}")
+                problem = INPUT_CHANGED(f"{path.name} has changed since {key}: {changed}")
                 self._engine.context(key).void(model, problem)
                 self._seen[path] = stamps
                 raise problem

@@ -35,7 +35,7 @@ from procedures.workcell import MountedTool
 from procedures.workcell.centring import CentredSphere, Centring
 from procedures.workcell.stereo_look import pair_picture
 from ronna_hw.calibrated_arm.error_budget import ErrorSizes
-from ronna_hw.errors import RonnaError
+from ronna_hw.errors import RonnaError, is_error
 from ronna_hw.text import format_against_limit
 
 Array = NDArray[np.float64]
@@ -98,7 +98,9 @@ def _localize_spheres(context: StepContext, paths: CheckedPaths) -> Outcome[Relo
             surround_stereo_head(context, item.joints_rad, offset_mm=offset_mm)
         try:
             sphere = centring.centre_on(item.fiducial, coarse.displace(offset_mm), item.approach_rad)
-        except SPHERE_FAILED.errors as problem:
+        except RonnaError as problem:
+            if not is_error(problem, *SPHERE_FAILED.errors):
+                raise
             check_room(context, f"without sight of sphere {item.fiducial + 1}")  # the cart may have left
             left_out.append(
                 _exclude_sphere(context, item.fiducial, problem, len(planned) - len(left_out) - 1)

@@ -16,7 +16,7 @@ from procedures.steps.branches import FINISHED, HOLD, SETTINGS, WORK_BEGUN, WRON
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.results import AssistedInsertion
 from procedures.steps.conditions import require_recent
-from procedures.steps.errors import DepthStopWrong, ReadingTooOld
+from procedures.steps.errors import DEPTH_STOP_WRONG, ReadingTooOld
 from procedures.workcell.tools import WorkedStages
 from ronna_hw.wire import room_tasks
 from ronna_hw.wire.room_tasks import DEPTH_STOP
@@ -219,7 +219,7 @@ def set_depth_stop(context: StepContext) -> DepthStop:
         wrong = abs(read_mm - computed_mm) > STOP_LIMIT_MM
         if not wrong:
             break
-        problem = DepthStopWrong(
+        problem = DEPTH_STOP_WRONG(
             f"the depth stop for {context.trajectory} is set wrong",
             expected=f"{computed_mm:.2f} mm",
             limit=f"{STOP_LIMIT_MM:g} mm from it",

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from ronna_hw.arm.clearance.bodies import Bodies, Capsule, Obstacle
 from ronna_hw.arm.clearance.sweep import moving_ends
-from ronna_hw.arm.errors import ArmsTooClose
+from ronna_hw.arm.errors import ARMS_TOO_CLOSE
 from ronna_hw.arm.kinematics import COLUMN_NAME, Kinematics
 from ronna_hw.arm.motion.planning import MotionPlan
 from ronna_hw.arm.motion.progress import drive_states
@@ -271,7 +271,7 @@ def require_apart(
     """Raise ARM-011 unless all pairs of postures of two paths are farther apart than the margin."""
     found = find_approach(world, first, second, apart_s, margin_mm)
     if found is not None:
-        raise ArmsTooClose(
+        raise ARMS_TOO_CLOSE(
             f"the {found.first} of the {first.arm.name} would come too close to the {found.second} of the "
             f"{second.arm.name}",
             limit=f"{margin_mm:g} mm",

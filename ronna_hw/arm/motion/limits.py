@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import astuple, dataclass, replace
 from itertools import chain
 
-from ronna_hw.arm.errors import MotionInvalid
+from ronna_hw.arm.errors import MOTION_INVALID
 from ronna_hw.arm.kinematics import JointRanges
 from ronna_hw.vectors import JointVector, joint_vector
 
@@ -86,7 +86,7 @@ class MotionLimits:
         except TypeError:  # "10%"
             is_fraction = False
         if not is_fraction:
-            raise MotionInvalid("a speed fraction must be above 0 and at most 1", got=repr(fraction))
+            raise MOTION_INVALID("a speed fraction must be above 0 and at most 1", got=repr(fraction))
         return replace(
             self,
             speed_rad_s=_scale_joints(self.speed_rad_s, fraction),

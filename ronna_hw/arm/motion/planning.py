@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from math import acos, cbrt, ceil, degrees, pi, radians, sin, sqrt, tau
 from typing import Protocol
 
-from ronna_hw.arm.errors import MotionInvalid, OutOfJointRange, Singular, TooFast, Unreachable
+from ronna_hw.arm.errors import MOTION_INVALID, TOO_FAST, OutOfJointRange, Singular, Unreachable
 from ronna_hw.arm.kinematics import RANGE_SLACK_RAD, JointRanges, Kinematics, require_off_base
 from ronna_hw.arm.motion.limits import MotionLimits
 from ronna_hw.arm.motion.progress import PathLimits, SpeedStep
@@ -181,7 +181,7 @@ def plan_line(
     wanted_limits = _line_limits(line, limits)
     allowed = _limit_for_joints(points, count, wanted_limits, limits)
     if allowed.velocity < LEAST_SPEED_FRACTION * wanted_limits.velocity:
-        raise TooFast(
+        raise TOO_FAST(
             "the line passes too close to a singular pose for the speed limits of the axes",
             limit=f"{LEAST_SPEED_FRACTION:.0%} of the line speed",
             got=f"{allowed.velocity / wanted_limits.velocity:.2%}",
@@ -225,12 +225,12 @@ def _require_within(
     lower_rad, upper_rad = ranges
     if len(joints_rad) != len(lower_rad):
         names = f"{arm.axis_names[0]} to {arm.axis_names[-1]}"
-        raise MotionInvalid(
+        raise MOTION_INVALID(
             f"a joint vector of {len(joints_rad)} values", expected=f"{len(lower_rad)}, {names} in rad"
         )
     for axis, (low, angle, high) in enumerate(zip(lower_rad, joints_rad, upper_rad, strict=True)):
         if angle != angle:
-            raise MotionInvalid(f"{arm.axis_names[axis]} is not a number")
+            raise MOTION_INVALID(f"{arm.axis_names[axis]} is not a number")
         if not low - RANGE_SLACK_RAD <= angle <= high + RANGE_SLACK_RAD:
             raise OutOfJointRange(
                 f"{arm.axis_names[axis]} would leave its range",

@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 from ruckig import ControlInterface, InputParameter, Ruckig, RuckigError, Synchronization, Trajectory
 
-from ronna_hw.arm.errors import MotionInvalid
+from ronna_hw.arm.errors import MOTION_INVALID
 
 Values = Sequence[float]
 
@@ -109,13 +109,13 @@ class MotionProfiler:
         try:
             self._generator.calculate(request, profile.raw)
         except RuckigError as error:
-            raise MotionInvalid("this motion has no profile", got=" ".join(str(error).split())) from error
+            raise MOTION_INVALID("this motion has no profile", got=" ".join(str(error).split())) from error
         profile.duration_s = profile.raw.duration
         return profile
 
     def _check(self, values: Values) -> None:
         if len(values) != self.axes:
-            raise MotionInvalid(f"a profile of {self.axes} axes got {len(values)} values")
+            raise MOTION_INVALID(f"a profile of {self.axes} axes got {len(values)} values")
 
 
 MOST_STEPS = 12  # per path; the block that carries a plan to the real-time process has room for this many

@@ -21,7 +21,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import atan2, cos, isfinite, sin
 
-from ronna_hw.arm.errors import CalibrationOfAnotherArm
+from ronna_hw.arm.errors import CALIBRATION_OF_ANOTHER_ARM
 from ronna_hw.arm.pose import Pose
 from ronna_hw.arm.universal_robots.geometry import ALPHA_RAD, Dimensions
 from ronna_hw.vectors import JointVector, Vector3, joint_vector
@@ -81,7 +81,7 @@ def reduce_chain(arm: Dimensions, calibration: FactoryCalibration) -> tuple[Pose
     """
     values = (*calibration.theta_rad, *calibration.a_mm, *calibration.d_mm, *calibration.alpha_rad)
     if not all(map(isfinite, values)):
-        raise CalibrationOfAnotherArm("the factory calibration contains a number that is not finite")
+        raise CALIBRATION_OF_ANOTHER_ARM("the factory calibration contains a number that is not finite")
     reduced = []
     unscrewed = Pose()  # S_i^-1
     for number, (link, nominal) in enumerate(zip(calibration.links(arm), arm.links, strict=True), start=1):
@@ -118,7 +118,7 @@ def _screw_towards(here: Pose, nominal: Pose) -> Pose:
 def _require_close(arm: Dimensions, number: int, here: Pose, nominal: Pose) -> None:
     away_mm, turned_rad = here.distance_mm(nominal), here.angle_rad(nominal)
     if away_mm > LARGEST_DEVIATION_MM or turned_rad > LARGEST_DEVIATION_RAD:
-        raise CalibrationOfAnotherArm(
+        raise CALIBRATION_OF_ANOTHER_ARM(
             f"the factory calibration does not fit {arm.name}: link {number} is not where the model has it",
             limit=f"{LARGEST_DEVIATION_MM:g} mm and {LARGEST_DEVIATION_RAD:g} rad",
             got=f"{away_mm:.3g} mm and {turned_rad:.3g} rad",

@@ -17,7 +17,7 @@ from ronna_hw.bounded_input import InputRefused, parse_xml, read_bounded
 from ronna_hw.mistakes import describe_mistakes
 from ronna_hw.text import format_count
 from ronna_hw.wire.kuka_context import RsiContext
-from sim.kuka.errors import EthernetFileInvalid
+from sim.kuka.errors import ETHERNET_FILE_INVALID
 from sim.kuka.rsi.telegrams import AXIS, FRAME
 
 SECTIONS = ("SEND", "RECEIVE")
@@ -40,7 +40,7 @@ def read_ethernet_file(path: Path, context: RsiContext | None, longest_name: int
     Raises KRC-001 with every mistake, and for a name of more than `longest_name` characters.
     """
     if len(path.stem) > longest_name:
-        raise EthernetFileInvalid(
+        raise ETHERNET_FILE_INVALID(
             f"the name {path.name} is too long", limit=f"{longest_name} characters", got=f"{len(path.stem)}"
         )
     root = _read_root(path)
@@ -50,7 +50,7 @@ def read_ethernet_file(path: Path, context: RsiContext | None, longest_name: int
     }
     protocol = (root.findtext("CONFIG/PROTOCOL") or "UDP").strip().upper()
     if protocol != "UDP":
-        raise EthernetFileInvalid(f"{path.name}: PROTOCOL {protocol} is not supported", expected="UDP")
+        raise ETHERNET_FILE_INVALID(f"{path.name}: PROTOCOL {protocol} is not supported", expected="UDP")
     elements = {
         section: [
             _parse_element(element, path, section) for element in root.findall(f"{section}/ELEMENTS/ELEMENT")
@@ -94,7 +94,7 @@ def read_ethernet_file(path: Path, context: RsiContext | None, longest_name: int
         return RsiContext.model_validate(content)
     except ValidationError as error:
         mistakes = describe_mistakes(error)
-        raise EthernetFileInvalid(
+        raise ETHERNET_FILE_INVALID(
             f"{path.name} has {format_count(len(mistakes), 'mistake')}: " + "; ".join(mistakes)
         ) from None
 
@@ -103,20 +103,20 @@ def _read_root(path: Path) -> ElementTree.Element:
     try:
         root = parse_xml(read_bounded(path, LARGEST_FILE_BYTES), LARGEST_FILE_BYTES)
     except OSError as error:
-        raise EthernetFileInvalid(
+        raise ETHERNET_FILE_INVALID(
             f"cannot read {path.name}: {error.strerror}", action="Give the path of an RSI Ethernet file."
         ) from error
     except InputRefused as error:
-        raise EthernetFileInvalid(f"{path.name} is not XML: {error.summary}") from error
+        raise ETHERNET_FILE_INVALID(f"{path.name} is not XML: {error.summary}") from error
     if root.tag != "ROOT" or root.find("CONFIG") is None:
-        raise EthernetFileInvalid(f"{path.name} is not an Ethernet file", expected="ROOT > CONFIG")
+        raise ETHERNET_FILE_INVALID(f"{path.name} is not an Ethernet file", expected="ROOT > CONFIG")
     return root
 
 
 def _parse_element(element: ElementTree.Element, path: Path, section: str) -> dict[str, Any]:
     tag = element.get("TAG", "")
     if not _TAG.fullmatch(tag):
-        raise EthernetFileInvalid(f"{path.name}: {section} has an element with TAG {tag!r}")
+        raise ETHERNET_FILE_INVALID(f"{path.name}: {section} has an element with TAG {tag!r}")
     indx = element.get("INDX", "")
     return {
         "tag": tag,
@@ -130,7 +130,7 @@ def _parse_integer(text: str, path: Path, what: str) -> int:
     try:
         return int(text)
     except ValueError:
-        raise EthernetFileInvalid(f"{path.name}: {what} is {text!r}", expected="an integer") from None
+        raise ETHERNET_FILE_INVALID(f"{path.name}: {what} is {text!r}", expected="an integer") from None
 
 
 def _infer_wiring(receive: list[dict[str, Any]]) -> tuple[dict[str, Any], ...]:

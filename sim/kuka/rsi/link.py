@@ -13,7 +13,7 @@ from ipaddress import IPv4Address
 import numpy as np
 
 from ronna_hw.endpoints import Endpoint
-from sim.kuka.errors import ClientAddressInvalid
+from sim.kuka.errors import CLIENT_ADDRESS_INVALID
 from sim.kuka.rsi.telegrams import Reply
 from sim.world.faults import Fault
 from sim.world.noise import noise
@@ -42,7 +42,7 @@ def resolve(endpoint: Endpoint) -> tuple[str, int]:
     try:
         socket.inet_pton(socket.AF_INET, host)
     except OSError as error:
-        raise ClientAddressInvalid(f"{endpoint} is not an address", expected="four numbers") from error
+        raise CLIENT_ADDRESS_INVALID(f"{endpoint} is not an address", expected="four numbers") from error
     return host, endpoint.port
 
 

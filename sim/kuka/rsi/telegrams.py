@@ -11,7 +11,7 @@ from xml.etree import ElementTree
 from ronna_hw.bounded_input import InputRefused, parse_xml
 from ronna_hw.wire.kuka_context import FREE_TAG, INTERNAL, Feedback, ReceiveElement, SendElement
 from sim.kuka.controller_parameters import ControllerParameters
-from sim.kuka.errors import EthernetFileInvalid
+from sim.kuka.errors import ETHERNET_FILE_INVALID
 
 FRAME = ("X", "Y", "Z", "A", "B", "C")
 AXIS = ("A1", "A2", "A3", "A4", "A5", "A6")
@@ -157,7 +157,7 @@ class TelegramWriter:
                 (name, "".join(f' {a}="{value}"' for a, value in zip(attributes, values, strict=True)))
             )
         else:
-            raise EthernetFileInvalid(f"SEND: {tag} is not an RSI keyword")
+            raise ETHERNET_FILE_INVALID(f"SEND: {tag} is not an RSI keyword")
 
     @staticmethod
     def _append(groups: list[tuple[str, str]], name: str, text: str) -> None:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.errors import SEE_PHANTOM, BadScene
+from sim.errors import BAD_SCENE, SEE_PHANTOM
 from sim.phantom.families.catalogue import (
     FAMILIES,
     PAIR_DISTANCE_MM,
@@ -82,9 +82,9 @@ def family_scan(
 ) -> Scan:
     """Draw a scan; raises SIM-001 if the name is unknown or the markers do not fit."""
     if name not in FAMILIES:
-        raise BadScene(f"unknown family {name!r}", expected=", ".join(FAMILIES), action=SEE_PHANTOM)
+        raise BAD_SCENE(f"unknown family {name!r}", expected=", ".join(FAMILIES), action=SEE_PHANTOM)
     if fiducials in FRAMES and markers is not None and not SPHERES <= markers <= LARGEST_MARKERS:
-        raise BadScene(f"the x-shaped frame has {SPHERES} spheres: {SPHERES} to {LARGEST_MARKERS} markers")
+        raise BAD_SCENE(f"the x-shaped frame has {SPHERES} spheres: {SPHERES} to {LARGEST_MARKERS} markers")
     family, generator = FAMILIES[name], noise(seed, f"family {name}", 0)
     count = markers or (SPHERES if fiducials in FRAMES else family.markers)
     head, sphere_centres = _draw_head(family, seed, count, fiducials, generator)
@@ -148,7 +148,7 @@ def _draw_metal(
 def protocol_named(name: str) -> CtProtocol:
     """Return a protocol by name; raises SIM-001 for an unknown name."""
     if name not in PROTOCOLS:
-        raise BadScene(f"unknown protocol {name!r}", expected=", ".join(PROTOCOLS), action=SEE_PHANTOM)
+        raise BAD_SCENE(f"unknown protocol {name!r}", expected=", ".join(PROTOCOLS), action=SEE_PHANTOM)
     return PROTOCOLS[name]
 
 
@@ -188,7 +188,7 @@ def _draw_free_fiducials(
 ) -> tuple[Fiducial, ...]:
     least = max(2 * family.pairs, 1)
     if not least <= count <= LARGEST_MARKERS:
-        raise BadScene(f"a head of this family carries {least} to {LARGEST_MARKERS} markers")
+        raise BAD_SCENE(f"a head of this family carries {least} to {LARGEST_MARKERS} markers")
     alone = count - family.pairs
     centres: list[Vector] = []
     posts: list[Vector] = []
@@ -204,7 +204,7 @@ def _draw_free_fiducials(
         if len(centres) == alone:
             break
     else:
-        raise BadScene(f"{count} markers do not fit on the head")
+        raise BAD_SCENE(f"{count} markers do not fit on the head")
     for number in range(family.pairs):
         side = np.cross(posts[number], generator.standard_normal(3))
         centres.append(centres[number] + PAIR_DISTANCE_MM * side / np.linalg.norm(side))
@@ -240,7 +240,7 @@ def _draw_frame_and_more(
                     post_ct=as_rounded_point(normal),
                 )
             )
-    raise BadScene(f"{count - SPHERES} markers do not fit next to the frame")
+    raise BAD_SCENE(f"{count - SPHERES} markers do not fit next to the frame")
 
 
 def _distance_to_segment_mm(point: Vector, start: Vector, end: Vector) -> float:
@@ -312,7 +312,7 @@ def _draw_look_alikes(
             if all((first < place).all() and (place < last).all() for place in drawn_one.places):
                 break
         else:
-            raise BadScene("the objects of this family do not fit in the CT's field of view")
+            raise BAD_SCENE("the objects of this family do not fit in the CT's field of view")
         drawn.append(drawn_one)
         occupied_points.append(skin + LOOK_ALIKE_HEIGHT_MM * normal)
     return drawn
@@ -392,4 +392,4 @@ def _find_free_direction(
         place = skin + standoff_mm * normal
         if all(np.linalg.norm(place - other) > clearance_mm for other in occupied_points):
             return direction
-    raise BadScene("no room left on the head")
+    raise BAD_SCENE("no room left on the head")

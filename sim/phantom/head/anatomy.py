@@ -8,7 +8,7 @@ from math import cos, radians, sin, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.errors import BadScene
+from sim.errors import BAD_SCENE
 from sim.phantom.head.painting import Band, Streak
 from sim.phantom.head.shapes import Ball, Cable, Ellipsoid, Rod, Shape, Trough, Values, ellipsoid_depth
 from sim.world.noise import noise
@@ -221,7 +221,7 @@ def distance_to_skin(fiducial: Fiducial, head: Head) -> float:
     a, b, c = along @ along, start @ along, start @ start - 1.0
     root = b * b - a * c
     if c <= 0.0 or b >= 0.0 or root < 0.0:
-        raise BadScene(f"the post of fiducial {fiducial.number} is not on the head")
+        raise BAD_SCENE(f"the post of fiducial {fiducial.number} is not on the head")
     return float((-b - np.sqrt(root)) / a)
 
 

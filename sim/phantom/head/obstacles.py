@@ -17,7 +17,7 @@ from ronna_hw.x_frame import (
     SPHERE_CENTRES_MM,
     STANDOFF_MM,
 )
-from sim.errors import BadScene
+from sim.errors import BAD_SCENE
 from sim.phantom.head.anatomy import (
     FLANGE_MM,
     FOAM_HU,
@@ -197,7 +197,7 @@ def frame_fiducials(head: Head, frame: str, generator: np.random.Generator) -> t
                 Fiducial(number=k + 1, centre_ct_mm=as_point(centre), post_ct=as_point(normal))
                 for k, centre in enumerate(centres)
             )
-    raise BadScene("the x-shaped frame is not clear of the head")
+    raise BAD_SCENE("the x-shaped frame is not clear of the head")
 
 
 def frame_markers(head: Head, generator: np.random.Generator) -> tuple[Marker, ...]:

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from sim.errors import SEE_PHANTOM, BadScene
+from sim.errors import BAD_SCENE, SEE_PHANTOM
 from sim.phantom.head.painting import PLANE_SIGMA_MM
 from sim.phantom.head.shapes import Values
 from sim.world.rigid import Point
@@ -67,19 +67,21 @@ class ScannerFaults:
 
     def __post_init__(self) -> None:
         if self.kernel not in KERNELS:
-            raise BadScene(f"unknown kernel {self.kernel!r}", expected=", ".join(KERNELS), action=SEE_PHANTOM)
+            raise BAD_SCENE(
+                f"unknown kernel {self.kernel!r}", expected=", ".join(KERNELS), action=SEE_PHANTOM
+            )
         if abs(self.tilt_deg) > MOST_TILT_DEG:
-            raise BadScene(
+            raise BAD_SCENE(
                 f"no gantry tilts by {self.tilt_deg:g} degrees",
                 limit=f"{MOST_TILT_DEG:g}",
                 action=SEE_PHANTOM,
             )
         if not 0.0 < float(np.linalg.norm(self.stretch_along)) < np.inf:
-            raise BadScene("a scan is stretched along a direction, three numbers", action=SEE_PHANTOM)
+            raise BAD_SCENE("a scan is stretched along a direction, three numbers", action=SEE_PHANTOM)
         if self.stretch and self.tilt_deg:
-            raise BadScene("a scan is either tilted or stretched", action=SEE_PHANTOM)
+            raise BAD_SCENE("a scan is either tilted or stretched", action=SEE_PHANTOM)
         if self.tilt_hidden and not self.tilt_deg:
-            raise BadScene("a tilt of 0 degrees cannot be hidden", action=SEE_PHANTOM)
+            raise BAD_SCENE("a tilt of 0 degrees cannot be hidden", action=SEE_PHANTOM)
 
     @property
     def stated_tilt_deg(self) -> float:

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.errors import BadScene
+from sim.errors import BAD_SCENE
 from sim.world.scene.model import CtProtocol, Head
 
 Vector = NDArray[np.float64]
@@ -74,7 +74,7 @@ def place_grid(head: Head, protocol: CtProtocol) -> CtGrid:
     low, high = needed.min(axis=0), needed.max(axis=0)
     field = counts * spacing
     if (high - low > field).any():
-        raise BadScene(
+        raise BAD_SCENE(
             "markers and trajectories do not fit in the CT's field of view",
             expected=f"a field of {_format_dimensions(high - low)} mm",
             got=f"{_format_dimensions(field)} mm",

@@ -20,7 +20,7 @@ import time
 import tty
 
 from ronna_hw.wire.polaris import REPLY_RESET
-from sim.polaris.errors import LineUnavailable
+from sim.polaris.errors import LINE_UNAVAILABLE
 from sim.polaris.line.interpreter import CommandInterpreter
 from sim.polaris.line.server import RECEIVE_BYTES, Ready
 from sim.polaris.unit.framing import LineSettings, ascii_reply
@@ -56,7 +56,7 @@ class PseudoTerminal:
             self._path = os.ttyname(self._host_end)
             self._watch = HostSideWatch(self._path)
         except OSError as error:
-            raise LineUnavailable(f"cannot create a pseudo-terminal: {error.strerror or error}") from error
+            raise LINE_UNAVAILABLE(f"cannot create a pseudo-terminal: {error.strerror or error}") from error
         tty.setraw(self._host_end)
         settings = termios.tcgetattr(self._host_end)
         settings[_TERMIOS_INPUT_SPEED] = settings[_TERMIOS_OUTPUT_SPEED] = termios.B9600

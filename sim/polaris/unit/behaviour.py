@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Annotated, Literal
 
 from sim.named_parameters import apply_assignments
-from sim.polaris.errors import BadUnitParameter
+from sim.polaris.errors import BAD_UNIT_PARAMETER
 from sim.polaris.unit.refusal import ErrorCode
 
 
@@ -168,4 +168,4 @@ class UnitBehaviour:
 
 def parse_behaviour(assignments: Iterable[str]) -> UnitBehaviour:
     """Apply `NAME=VALUE` assignments to the defaults; raises PSU-001."""
-    return apply_assignments(UnitBehaviour(), assignments, BadUnitParameter)
+    return apply_assignments(UnitBehaviour(), assignments, BAD_UNIT_PARAMETER)

@@ -10,7 +10,7 @@ from pathlib import Path
 from ronna_hw.bounded_input import read_bounded
 from ronna_hw.wire.polaris import HANDLE_DIGITS, PVWR_SPACE_BYTES, HandleQuery, PortStatus, TrackingPriority
 from ronna_hw.wire.polaris_rom import ROM_BYTES
-from sim.polaris.errors import BadWiredTool
+from sim.polaris.errors import BAD_WIRED_TOOL
 from sim.polaris.unit.refusal import ErrorCode, Refusal, hexadecimal
 from sim.polaris.unit.tool_definition import ToolDefinition
 
@@ -192,7 +192,7 @@ class WiredTool:
     def from_definition(cls, content: bytes, number: int, user_memory_bytes: int) -> WiredTool:
         """Create a tool with `content` as its memory; raises PSU-002 if the length is wrong."""
         if len(content) < ROM_BYTES or len(content) > PVWR_SPACE_BYTES:
-            raise BadWiredTool(
+            raise BAD_WIRED_TOOL(
                 f"the definition of wired tool {number} has {len(content)} bytes",
                 expected=f"{ROM_BYTES} to {PVWR_SPACE_BYTES} bytes",
             )
@@ -212,7 +212,7 @@ class WiredPorts:
         """Plug a tool into the next free socket; raises PSU-002 if there is none."""
         number = len(self.tools) + 1
         if number > self.count:
-            raise BadWiredTool(f"no port left for wired tool {number}", limit=f"{self.count} ports")
+            raise BAD_WIRED_TOOL(f"no port left for wired tool {number}", limit=f"{self.count} ports")
         self.tools[number] = tool
         self.plugged.add(number)
 
@@ -228,6 +228,6 @@ def plug_in(definitions: list[Path], ports: int, user_memory_bytes: int) -> Wire
         try:
             content = read_bounded(path, LARGEST_FILE_BYTES)
         except OSError as error:
-            raise BadWiredTool(f"cannot read {path.name}: {error.strerror}") from error
+            raise BAD_WIRED_TOOL(f"cannot read {path.name}: {error.strerror}") from error
         sockets.add(WiredTool.from_definition(content, number, user_memory_bytes))
     return sockets

@@ -11,7 +11,7 @@ from math import radians
 import numpy as np
 
 from ronna_hw.calibration import PoseRecord
-from sim.errors import BadScene
+from sim.errors import BAD_SCENE
 from sim.world.noise import noise
 from sim.world.options import ArmChoice, ArmRole
 from sim.world.rigid import as_point, matrix_from, pose_of, rotation_from_vector, rotation_towards
@@ -47,7 +47,7 @@ CLAMP = "clamp of the assistant"  # noise key
 def add_assistant(scene: Scene, arm: ArmChoice = ArmChoice.KR6) -> Scene:
     """Return the scene with an assistant of a model; raises SIM-001 without a patient."""
     if not scene.tracker.fiducials_visible:
-        raise BadScene(f"{scene.name} has no patient for two arms")
+        raise BAD_SCENE(f"{scene.name} has no patient for two arms")
     if scene.assistant is not None:
         return scene
     draws = noise(scene.seed, ArmRole.ASSISTANT.value, 1)

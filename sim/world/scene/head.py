@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from ronna_hw.adhesive_marker import THICKNESS_MM
 from ronna_hw.marker_template import MarkerTemplate
 from ronna_hw.x_frame import BAR_BELOW_MM, BAR_RADIUS_MM, SPHERE_CENTRES_MM, STANDOFF_MM, bodies
-from sim.errors import BadScene
+from sim.errors import BAD_SCENE
 from sim.world.rigid import (
     Point,
     apply,
@@ -86,9 +86,9 @@ def draw_head(
     A template fixes the spheres' places, each slightly missed; with `x_frame` they are those of the frame.
     """
     if not 3 <= markers <= 8:
-        raise BadScene(f"a head carries 3 to 8 markers, not {markers}")
+        raise BAD_SCENE(f"a head carries 3 to 8 markers, not {markers}")
     if not 1 <= targets <= 10:
-        raise BadScene(f"a plan has 1 to 10 targets, not {targets}")
+        raise BAD_SCENE(f"a plan has 1 to 10 targets, not {targets}")
     frame = draw_frame(generator) if x_frame else None
     if frame is not None:
         fiducials = frame.fiducials
@@ -121,7 +121,7 @@ def stick_adhesives(head: Head, count: int, generator: np.random.Generator) -> H
         if len(found) == count:
             break
     else:
-        raise BadScene(f"{count} adhesive markers do not fit on the head")
+        raise BAD_SCENE(f"{count} adhesive markers do not fit on the head")
     adhesives = tuple(
         Adhesive(
             number=number,
@@ -150,7 +150,7 @@ def _draw_fiducials(generator: np.random.Generator, count: int) -> tuple[Fiducia
         if _is_well_spread(centres):
             break
     else:
-        raise BadScene(f"{count} markers do not fit on the head")
+        raise BAD_SCENE(f"{count} markers do not fit on the head")
     return tuple(
         Fiducial(
             number=k + 1,
@@ -169,7 +169,7 @@ def _implant_fiducials(generator: np.random.Generator, template: MarkerTemplate)
         fiducial = Fiducial(number=number, centre_ct_mm=as_rounded_point(centre), post_ct=marker.post)
         height = centre - CENTRE_CT_MM
         if np.linalg.norm(height / np.array(SEMI_AXES_MM)) <= 1.0 or np.dot(height, marker.post) <= 0.0:
-            raise BadScene(f"marker {number} of the template is not on this head")
+            raise BAD_SCENE(f"marker {number} of the template is not on this head")
         found.append(fiducial)
     return tuple(found)
 
@@ -222,7 +222,7 @@ def _draw_targets(
         )
         if len(targets) == count:
             return tuple(targets)
-    raise BadScene(f"{count} trajectories do not fit between the markers within the arm's reach")
+    raise BAD_SCENE(f"{count} trajectories do not fit between the markers within the arm's reach")
 
 
 @dataclass(frozen=True)
@@ -271,7 +271,7 @@ def draw_frame(generator: np.random.Generator) -> FrameOnHead:
             ),
             np.vstack([centres, on_bars, on_foot]),
         )
-    raise BadScene("the x-shaped frame is not clear of the head")
+    raise BAD_SCENE("the x-shaped frame is not clear of the head")
 
 
 def _is_clear_of_head(points_mm: Vector) -> bool:

@@ -21,7 +21,7 @@ from ronna_hw.patient_frame import PART_NUMBER as PATIENT_FRAME_PART_NUMBER
 from ronna_hw.plausible import FocalPixels, Length
 from ronna_hw.text import format_count
 from ronna_hw.x_frame import SPHERE_CENTRES_MM
-from sim.errors import BadScene
+from sim.errors import BAD_SCENE
 from sim.world.options import ArmRole
 from sim.world.scene.parts import (
     ASSISTANT_FRAME_PART_NUMBER,
@@ -450,7 +450,7 @@ class Scene(Strict):
         """Return the true arm in a role; raises SIM-001 for one that is not there."""
         arm = self.arms.get(role)
         if arm is None:
-            raise BadScene(
+            raise BAD_SCENE(
                 f"{self.name} has no {role}", action="Start ronna-sim theatre --dual, or give it one."
             )
         return arm
@@ -473,7 +473,7 @@ def parse_scene(content: dict[str, Any], name: str) -> Scene:
         return Scene.model_validate(content, strict=False)
     except ValidationError as error:
         mistakes = describe_mistakes(error, Scene)
-        raise BadScene(
+        raise BAD_SCENE(
             f"{name} has {format_count(len(mistakes), 'mistake')}: " + "; ".join(mistakes)
         ) from error
 
@@ -483,7 +483,7 @@ def parse_scene_json(content: bytes, name: str) -> Scene:
     try:
         return Scene.model_validate_json(content, strict=False)
     except ValidationError as error:
-        raise BadScene(f"{name}: " + "; ".join(describe_mistakes(error, Scene))) from error
+        raise BAD_SCENE(f"{name}: " + "; ".join(describe_mistakes(error, Scene))) from error
 
 
 def read_scene(path: Path) -> Scene:
@@ -491,9 +491,9 @@ def read_scene(path: Path) -> Scene:
     try:
         if path.suffix == ".json":
             return parse_scene_json(read_json_bytes(path), path.name)
-        content = read_toml(path, BadScene)
+        content = read_toml(path, BAD_SCENE)
     except InputRefused as error:
-        raise BadScene(f"{path.name} is refused: {error.summary}") from error
+        raise BAD_SCENE(f"{path.name} is refused: {error.summary}") from error
     except OSError as error:
-        raise BadScene(f"cannot read the scene {path.name}: {error.strerror}") from error
+        raise BAD_SCENE(f"cannot read the scene {path.name}: {error.strerror}") from error
     return parse_scene(content, path.name)

@@ -15,7 +15,7 @@ from ronna_hw.marker_template import MarkerTemplate
 from ronna_hw.x_frame import NAME as X_FRAME_NAME
 from ronna_hw.x_frame import OUTWARD, SPHERE_CENTRES_MM
 from ronna_hw.x_frame import PART_NUMBER as X_FRAME_PART_NUMBER
-from sim.errors import BadScene
+from sim.errors import BAD_SCENE
 from sim.world.noise import noise
 from sim.world.options import ArmChoice
 from sim.world.rigid import Point, apply, as_point, matrix_from, matrix_of, pose_of, rotation_towards
@@ -68,9 +68,9 @@ def draw_scene(
     that frame, which the tracker knows as a tool.
     """
     if name not in SCENES:
-        raise BadScene(f"unknown scene {name!r}", expected=", ".join(SCENES))
+        raise BAD_SCENE(f"unknown scene {name!r}", expected=", ".join(SCENES))
     if x_frame and markers not in (None, len(SPHERE_CENTRES_MM)):
-        raise BadScene(f"the x-shaped frame has {len(SPHERE_CENTRES_MM)} markers, not {markers}")
+        raise BAD_SCENE(f"the x-shaped frame has {len(SPHERE_CENTRES_MM)} markers, not {markers}")
     mini = name == "mini"
     generator = np.random.Generator(np.random.Philox(key=seed))
     design = DESIGNS[arm]
@@ -145,7 +145,7 @@ def add_patient_frame(scene: Scene) -> Scene:
     Nothing is drawn at random, so everything else stays as it is.
     """
     if not scene.tracker.fiducials_visible:
-        raise BadScene(f"{scene.name} has no head: the patient's frame is on its clamp")
+        raise BAD_SCENE(f"{scene.name} has no head: the patient's frame is on its clamp")
     centre = apply(matrix_of(scene.head.robot_from_ct), scene.head.centre_ct_mm)
     place = centre + np.array(FRAME_BESIDE_HEAD_MM)
     to_tracker = np.array(scene.tracker.robot_from_tracker.translation_mm) - place

@@ -9,19 +9,20 @@ import time
 from pathlib import Path
 
 import pytest
+from coded_errors import raises
 from faulty_cameras import AREA, LIMIT_S, Cameras
 
 from drivers.basler_stereo import BaslerStereoPair
 from drivers.basler_stereo.errors import (
-    CablesSwapped,
+    CABLES_SWAPPED,
+    OUT_OF_RANGE,
+    WRONG_MODEL,
+    WRONG_SERIAL,
     CameraLost,
     CommandRefused,
     ControlTaken,
     NoReply,
-    OutOfRange,
     ReceiverEnded,
-    WrongModel,
-    WrongSerial,
 )
 from ronna_hw.devices import LastKnown, Lifecycle
 from ronna_hw.devices.errors import PersonNotNamed, WrongState
@@ -57,11 +58,11 @@ def test_identity_states_and_observation_follow_the_lifecycle(cameras: Cameras) 
 
 @pytest.mark.hazard(25)
 def test_swapped_cables_another_camera_and_another_model_are_distinguished(cameras: Cameras) -> None:
-    with pytest.raises(CablesSwapped, match="GEV-004"):
+    with raises(CABLES_SWAPPED, match="GEV-004"):
         cameras.new_pair(left_serial=SERIALS[1], right_serial=SERIALS[0]).connect(LIMIT_S)
-    with pytest.raises(WrongSerial, match="GEV-003"):
+    with raises(WRONG_SERIAL, match="GEV-003"):
         cameras.new_pair(right_serial="21900009").connect(LIMIT_S)
-    with pytest.raises(WrongModel, match=r"GEV-002.*acA640-120gm"):
+    with raises(WRONG_MODEL, match=r"GEV-002.*acA640-120gm"):
         cameras.new_pair(expected_model="acA640-120gm").connect(LIMIT_S)
 
 
@@ -103,13 +104,13 @@ def test_impossible_areas_and_exposures_are_refused_and_the_old_areas_stay(camer
         (0, -1, 64, 64),
         (0, 0, 0, 64),
     ):
-        with pytest.raises(OutOfRange, match="GEV-011"):
+        with raises(OUT_OF_RANGE, match="GEV-011"):
             pair.set_areas(
                 AreaOfInterest(0, 0, 64, 64), AreaOfInterest(offset_x, offset_y, width, height), LIMIT_S
             )
         assert pair.areas == (AREA, AREA)
     for exposure_us, gain_raw in ((10.0, 40), (2e6, 40), (500.0, 10), (500.0, 600)):
-        with pytest.raises(OutOfRange, match=r"GEV-011: (exposure_us|gain_raw) of the left camera is "):
+        with raises(OUT_OF_RANGE, match=r"GEV-011: (exposure_us|gain_raw) of the left camera is "):
             pair.set_exposure(exposure_us, gain_raw)
     assert pair.grab_pair(LIMIT_S).validity is Validity.OK
 
@@ -186,7 +187,7 @@ def test_recovery_is_refused_with_other_cameras_at_the_addresses_and_the_fault_s
     left, right = cameras.addresses
     with monkeypatch.context() as changed:
         changed.setattr(pair, "_addresses", {"left": right, "right": left})
-        with pytest.raises(WrongSerial, match="GEV-003: different cameras than before"):
+        with raises(WRONG_SERIAL, match="GEV-003: different cameras than before"):
             pair.recover("a tester", LIMIT_S)
     assert pair.state is Lifecycle.FAULT
     pair.recover("a tester", LIMIT_S)

@@ -19,10 +19,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from coded_errors import raises
 
 from drivers.basler_stereo.camera import Camera
 from drivers.basler_stereo.control_channel import send_together
-from drivers.basler_stereo.errors import OutOfRange
+from drivers.basler_stereo.errors import OUT_OF_RANGE
 from drivers.basler_stereo.identity import discover_cameras
 from drivers.basler_stereo.options import BaslerOptions
 from drivers.basler_stereo.readings import camera_image
@@ -116,7 +117,7 @@ def test_a_third_party_camera_can_be_configured_triggered_and_grabbed_from():
         camera.set_exposure(3000.0, 7, soon())
         assert camera.features.number("ExposureTimeAbs") == 3000.0
         assert camera.features.number("GainRaw") == 7
-        with pytest.raises(OutOfRange):
+        with raises(OUT_OF_RANGE):
             camera.set_exposure(3000.0, 11, soon())
         camera.start(soon())
         frames = [grab(camera) for _ in range(3)]

@@ -6,15 +6,16 @@ import time
 
 import numpy as np
 import pytest
+from coded_errors import raises
 from faulty_cameras import AREA, LIMIT_S
 
 from drivers.basler_stereo import BaslerStereoPair
 from drivers.basler_stereo.errors import (
+    PACKET_TOO_LARGE,
     CameraLost,
     ControlLost,
     ControlTaken,
     NoCamera,
-    PacketTooLarge,
     TriggerMissed,
 )
 from drivers.basler_stereo.identity import discover_cameras
@@ -258,7 +259,7 @@ def test_the_packet_size_is_what_the_path_carries(cameras):
     cameras.fault("narrow path both 2000 bytes")
     wide = cameras.new_pair(packet_bytes=8000)
     wide.connect(LIMIT_S)
-    with pytest.raises(PacketTooLarge, match="GEV-012"):
+    with raises(PACKET_TOO_LARGE, match="GEV-012"):
         wide.configure(LIMIT_S)
     wide.close()
     pair = cameras.streaming()

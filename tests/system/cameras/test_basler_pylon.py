@@ -8,6 +8,7 @@ from importlib.util import find_spec
 
 import numpy as np
 import pytest
+from coded_errors import raises
 from spoilt_cameras import Stand
 
 from conformance.case import Case, Outcome
@@ -15,12 +16,12 @@ from conformance.report import run_case
 from conformance.stereo import SUITE
 from conformance.target import build_device_under_test
 from drivers.basler_stereo.errors import (
-    BadOptions,
+    BAD_OPTIONS,
+    NO_PYLON,
+    OUT_OF_RANGE,
+    WRONG_MODEL,
     NoCamera,
-    NoPylon,
-    OutOfRange,
     TriggerMissed,
-    WrongModel,
 )
 from drivers.basler_stereo.pylon.pair import PylonStereoPair
 from drivers.basler_stereo.pylon.probe import probe
@@ -140,7 +141,7 @@ def test_areas_and_exposure_can_be_set_on_a_running_stream(pair):
     pair.set_exposure(3000.0, 200)
     assert pair.grab_pair().left.pixels.shape == (64, 128)
     assert [node(pair, side, "ExposureTimeAbs").GetValue() for side in (0, 1)] == [3000.0, 3000.0]
-    with pytest.raises(OutOfRange, match="GEV-011"):
+    with raises(OUT_OF_RANGE, match="GEV-011"):
         pair.set_areas(area, AreaOfInterest(0, 0, 1_000_000, 128))
     assert pair.areas == (area, area)
     assert pair.grab_pair().validity is Validity.OK
@@ -174,9 +175,9 @@ def test_a_trigger_that_reaches_no_camera_is_reported(pair, monkeypatch):
 def test_wrong_cameras_and_options_are_refused(make_pair):
     with pytest.raises(NoCamera, match="GEV-001"):
         make_pair(left_serial="0815-0009").connect()
-    with pytest.raises(WrongModel, match="GEV-002"):
+    with raises(WRONG_MODEL, match="GEV-002"):
         make_pair(expected_model="acA2000-50gmNIR").connect()
-    with pytest.raises(BadOptions, match="GEV-016"):
+    with raises(BAD_OPTIONS, match="GEV-016"):
         make_pair(trigger="line1")
 
 
@@ -236,5 +237,5 @@ def test_the_doctor_shows_emulated_cameras_and_the_missing_library(monkeypatch):
 
 def test_without_the_library_the_error_names_how_to_install_it(make_pair, monkeypatch):
     monkeypatch.setitem(sys.modules, "pypylon", None)
-    with pytest.raises(NoPylon, match=r"GEV-018.*ronna-hw\[pylon\]"):
+    with raises(NO_PYLON, match=r"GEV-018.*ronna-hw\[pylon\]"):
         make_pair()

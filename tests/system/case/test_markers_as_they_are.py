@@ -13,7 +13,7 @@ from user_commands import Commands
 
 from procedures.guards.errors import PatientMoved
 from procedures.journal.journal import JOURNAL_FILE, read_journal
-from procedures.registration.errors import NoUniqueMatch
+from procedures.registration.errors import NO_UNIQUE_MATCH
 from ronna_hw.errors import EXIT_REFUSED
 from sim.world.scene.named_scenes import draw_scene
 
@@ -95,8 +95,8 @@ def test_without_consent_the_case_ends_before_the_arm_moves(commands: Commands, 
     answers.write_text('default = "first"\n[answers]\nunmatched_sphere = "hold"\n')
     scene = scene_file(tmp_path, 5, {2: {"missing": True}})
     code, _, asked, said = run(commands, tmp_path, "--scene", scene, "--answers", answers)
-    assert code == NoUniqueMatch.exit_code
-    assert NoUniqueMatch.code in said
+    assert code == NO_UNIQUE_MATCH.exit_code
+    assert NO_UNIQUE_MATCH.code in said
     assert asked["unmatched_sphere"] == "hold"
     assert "first_motion" not in asked
 

@@ -11,12 +11,13 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+from coded_errors import raises
 from user_commands import Commands, in_this_process, one_error
 from waiting import eventually
 
 from ronna_hw.errors import EXIT_REFUSED, EXIT_USAGE
 from sim.cli import app as ronna_sim
-from sim.errors import NotRunning, RegisterNotOwn
+from sim.errors import NOT_RUNNING, RegisterNotOwn
 from sim.world import running
 from sim.world.running import (
     NO_VARIABLES,
@@ -137,9 +138,9 @@ def test_a_theatre_is_found_by_name_folder_or_file_and_two_of_a_name_are_told_ap
     monkeypatch.setattr(running, "list_running", lambda: tuple(cells))
     for named in (tmp_path / "b/cell", tmp_path / "b/cell/theatre.toml", 2):
         assert find_running(str(named)) is cells[1]
-    with pytest.raises(NotRunning, match=r"several .*'cell'.*pid 1.*pid 2"):
+    with raises(NOT_RUNNING, match=r"several .*'cell'.*pid 1.*pid 2"):
         find_running("cell")
-    with pytest.raises(NotRunning, match="no simulator 'other'"):
+    with raises(NOT_RUNNING, match="no simulator 'other'"):
         find_running("other")
     (tmp_path / "b").mkdir()
     monkeypatch.chdir(tmp_path / "b")

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from calibrated_ur import CALIBRATED_UR
+from coded_errors import raises
 from monitored_motion import drive_monitored
 
 from ronna_hw.arm.clearance.bodies import Bodies, Capsule, Obstacle, Part, Surroundings
@@ -24,7 +25,7 @@ from ronna_hw.arm.motion.set_points import PathMotion
 from ronna_hw.arm.pose import Pose, radians6
 from ronna_hw.arm.universal_robots import UrModel, universal_robot
 from ronna_hw.devices.robot import LineMove
-from ronna_hw.frames import Frame, FrameMismatch, Transform
+from ronna_hw.frames import FRAME_MISMATCH, Frame, Transform
 from ronna_hw.preview import plan_motion, preview
 from ronna_hw.vectors import JointVector, Vector3
 
@@ -246,5 +247,5 @@ def test_a_controllers_pose_vector_is_no_pose(tool: Any) -> None:
     move = LineMove(
         Transform.of(Frame.ROBOT, Frame.TOOL, translation_mm=(400.0, 0.0, 300.0)) if tool else pose, tool
     )
-    with pytest.raises(FrameMismatch, match=r"expected a Transform robot <- flange.*, got list"):
+    with raises(FRAME_MISMATCH, match=r"expected a Transform robot <- flange.*, got list"):
         plan_motion(arm, arm.home_rad, move, working_limits(arm))

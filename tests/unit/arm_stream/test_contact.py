@@ -5,9 +5,10 @@ from __future__ import annotations
 from math import dist, nan, radians
 
 import pytest
+from coded_errors import raises
 from rtde_stand import CYCLE_S, FAR, LIMITS, MODEL, START, RtdeStand, streaming
 
-from ronna_hw.arm.errors import InsertionInvalid
+from ronna_hw.arm.errors import INSERTION_INVALID
 from ronna_hw.arm_stream.guided import GuideLimits
 from ronna_hw.arm_stream.hand_guided import guide_limits
 from ronna_hw.arm_stream.insertion import has_begun, plan_insertion
@@ -178,7 +179,7 @@ def test_a_guided_arm_stops_before_the_end_of_a_joint_range_without_a_fault() ->
     "changes", [{"speed_mm_s": 51.0}, {"reach_mm": 400.0}, {"force_limit_N": 5.0}, {"timeout_s": nan}]
 )
 def test_a_guidance_that_no_person_may_be_exposed_to_is_refused(changes: dict[str, float]) -> None:
-    with pytest.raises(InsertionInvalid):
+    with raises(INSERTION_INVALID):
         guide_limits(HandGuidance(**changes), CYCLE_S)
 
 
@@ -204,7 +205,7 @@ def test_an_insertion_is_a_line_at_its_speed() -> None:
     ],
 )
 def test_an_insertion_off_its_axis_or_beyond_its_limits_is_refused(insertion: Insertion) -> None:
-    with pytest.raises(InsertionInvalid):
+    with raises(INSERTION_INVALID):
         plan_insertion(MODEL, START, insertion, LIMITS)
 
 

@@ -10,16 +10,16 @@ TRACEBACK = """Traceback (most recent call last):
   File "loop.py", line 10, in run
     step()
   File "path.py", line 4, in step
-    raise PathFailed("no solution")
-PathFailed: no solution
+    raise PATH_FAILED("no solution")
+PATH_FAILED: no solution
 """
 
 
 @pytest.mark.parametrize(
     ("text", "line"),
     [
-        (TRACEBACK, "PathFailed: no solution"),
-        (TRACEBACK + 'library: leaked 3 types!\n - leaked type "Result"\n', "PathFailed: no solution"),
+        (TRACEBACK, "PATH_FAILED: no solution"),
+        (TRACEBACK + 'library: leaked 3 types!\n - leaked type "Result"\n', "PATH_FAILED: no solution"),
         ("warning\nbad option", "bad option"),
         ("Traceback (most recent call last):\n  cut sho", "  cut sho"),
     ],

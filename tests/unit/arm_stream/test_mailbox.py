@@ -7,11 +7,12 @@ from contextlib import closing
 from dataclasses import replace
 
 import pytest
+from coded_errors import raises
 from responder_stand import SETTINGS
 
 from drivers.kuka_rsi.realtime.settings import LinkSettings
 from ronna_hw.arm.clearance.bodies import Capsule, Obstacle, Surroundings
-from ronna_hw.arm.errors import SurroundingsTooLarge
+from ronna_hw.arm.errors import SURROUNDINGS_TOO_LARGE
 from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.arm.motion.limits import working_limits
 from ronna_hw.arm.motion.planning import MotionPlan
@@ -63,7 +64,7 @@ def test_a_command_arrives_unchanged_on_the_other_side(
 
 def test_surroundings_too_large_for_the_mailbox_are_refused(mailbox: Mailbox) -> None:
     many = Surroundings(obstacles=(BALL,) * (LONGEST_SURROUNDINGS_BYTES // 100))
-    with pytest.raises(SurroundingsTooLarge, match="ARM-008"):
+    with raises(SURROUNDINGS_TOO_LARGE, match="ARM-008"):
         mailbox.write_command(Command(1, Move(PLAN), 0, many))
 
 

@@ -9,6 +9,7 @@ import threading
 import time
 
 import pytest
+from coded_errors import raises
 
 from drivers.basler_stereo import control_channel
 from drivers.basler_stereo.control_channel import (
@@ -20,7 +21,7 @@ from drivers.basler_stereo.control_channel import (
     take_control,
 )
 from drivers.basler_stereo.errors import (
-    BadDescription,
+    BAD_DESCRIPTION,
     CameraLost,
     CommandRefused,
     ControlLost,
@@ -189,7 +190,7 @@ def test_a_camera_without_a_description_is_refused(channel_to):
         return [ack(data, data[8:12] + b"http://somewhere/cam.xml".ljust(count, b"\0"))]
 
     _, channel = channel_to(answer)
-    with pytest.raises(BadDescription, match="GEV-009"):
+    with raises(BAD_DESCRIPTION, match="GEV-009"):
         fetch_description(channel, soon())
 
 

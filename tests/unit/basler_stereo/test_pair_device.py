@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 import pytest
+from coded_errors import raises
 
-from drivers.basler_stereo.errors import BadOptions, CablesSwapped, WrongModel, WrongSerial
+from drivers.basler_stereo.errors import BAD_OPTIONS, CABLES_SWAPPED, WRONG_MODEL, WRONG_SERIAL
 from drivers.basler_stereo.identity import CameraIdentity
 from drivers.basler_stereo.options import BaslerOptions, read_options
 from drivers.basler_stereo.pair_device import check_pair, pair_identity
@@ -27,16 +28,16 @@ def test_the_right_cameras_on_the_right_sides_pass():
 @pytest.mark.parametrize(
     ("left", "right", "options", "error"),
     [
-        (RIGHT, LEFT, BOUND, CablesSwapped),
-        (RIGHT, LEFT, BaslerOptions(left_serial="11"), CablesSwapped),
-        (LEFT, replace(RIGHT, serial="33"), BOUND, WrongSerial),
-        (replace(LEFT, serial="33"), RIGHT, BOUND, WrongSerial),
-        (LEFT, LEFT, BaslerOptions(), WrongSerial),
-        (LEFT, replace(RIGHT, model="Fake"), BOUND, WrongModel),
+        (RIGHT, LEFT, BOUND, CABLES_SWAPPED),
+        (RIGHT, LEFT, BaslerOptions(left_serial="11"), CABLES_SWAPPED),
+        (LEFT, replace(RIGHT, serial="33"), BOUND, WRONG_SERIAL),
+        (replace(LEFT, serial="33"), RIGHT, BOUND, WRONG_SERIAL),
+        (LEFT, LEFT, BaslerOptions(), WRONG_SERIAL),
+        (LEFT, replace(RIGHT, model="Fake"), BOUND, WRONG_MODEL),
     ],
 )
 def test_wrong_cameras_are_refused_with_the_matching_error(left, right, options, error):
-    with pytest.raises(error, match=error.code):
+    with raises(error, match=error.code):
         check_pair(left, right, options)
 
 
@@ -65,22 +66,22 @@ def test_every_option_has_a_working_default():
 
 
 def test_all_mistakes_are_reported_at_once():
-    with pytest.raises(BadOptions, match=r"GEV-016.*3 mistake") as caught:
+    with raises(BAD_OPTIONS, match=r"GEV-016.*3 mistake") as caught:
         options(exposure="long", gain_raw=1000, heartbeat_ms=10)
     for word in ("exposure", "gain_raw", "heartbeat_ms"):
         assert word in str(caught.value)
 
 
 def test_one_camera_cannot_be_both_sides():
-    with pytest.raises(BadOptions, match="serial are equal"):
+    with raises(BAD_OPTIONS, match="serial are equal"):
         options(left_serial="1", right_serial="1")
 
 
 def test_an_option_that_is_not_a_plain_value_is_refused():
-    with pytest.raises(BadOptions, match="GEV-016"):
+    with raises(BAD_OPTIONS, match="GEV-016"):
         options(left_serial=object())
 
 
 def test_a_serial_number_without_quotes_is_refused_with_the_advice_to_put_it_in_quotes():
-    with pytest.raises(BadOptions, match=r"left_serial: expected text: put it in quotes \(found 21904411\)"):
+    with raises(BAD_OPTIONS, match=r"left_serial: expected text: put it in quotes \(found 21904411\)"):
         options(left_serial=21904411)

@@ -8,20 +8,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 from arm_looks import ENDPOINTS, KINEMATICS, SPHERES_MM, LookingArm
+from coded_errors import raises
 
 from procedures.calibration.arm_calibration import ArmResult, calibrate_arm
 from procedures.calibration.arm_check import check_arm
 from procedures.calibration.arm_model import ArmLooks, ArmModel, arrays_of, choose_poses
 from procedures.calibration.errors import (
-    ArmChanged,
+    ARM_CHANGED,
+    BAD_OBSERVATIONS,
+    NO_ARM_RECORD,
+    TOO_FEW_POSES,
+    UNOBSERVABLE,
     ArmOlderThanHead,
-    BadObservations,
     DegeneratePoses,
     DoesNotFit,
-    NoArmRecord,
     OfAnotherTheatre,
-    TooFewPoses,
-    Unobservable,
 )
 from procedures.calibration.validity import require_consistent_arm
 from procedures.runs.calibrations import ARM
@@ -166,26 +167,26 @@ def test_an_unchanged_arm_passes_its_check_and_a_slipped_head_does_not(identifie
     slipped = result.stereo_head.model_copy(
         update={"flange_from_tool": moved.model_copy(update={"translation_mm": (x + 0.3, y, z)})}
     )
-    with pytest.raises(ArmChanged, match="CAL-012"):
+    with raises(ARM_CHANGED, match="CAL-012"):
         check_arm(later.model_copy(update={"stereo_head": slipped})).require()
 
 
 def test_a_check_without_a_record_names_the_command_that_makes_one() -> None:
-    with pytest.raises(NoArmRecord, match="ronna-arm calibrate"):
+    with raises(NO_ARM_RECORD, match="ronna-arm calibrate"):
         check_arm(LookingArm.of(3).looks(0, 12, SPHERES_MM))
 
 
 def test_too_few_looks_are_refused() -> None:
-    with pytest.raises(TooFewPoses, match="at least 60"):
+    with raises(TOO_FEW_POSES, match="at least 60"):
         calibrate_arm(LookingArm.of(3).looks(40, 24, SPHERES_MM))
 
 
 def test_no_look_at_all_is_too_few(identified: Identified) -> None:
     _, observed, result = identified
     nothing = observed.model_copy(update={"looks": (), "arm_record": result.arm})
-    with pytest.raises(TooFewPoses, match=r"to calibrate.*at least 60.*got 0"):
+    with raises(TOO_FEW_POSES, match=r"to calibrate.*at least 60.*got 0"):
         calibrate_arm(nothing)
-    with pytest.raises(TooFewPoses, match=r"to check.*at least 12.*got 0"):
+    with raises(TOO_FEW_POSES, match=r"to check.*at least 12.*got 0"):
         check_arm(nothing)
 
 
@@ -226,13 +227,13 @@ def test_a_sphere_that_moves_between_looks_is_refused() -> None:
 
 def test_backlash_that_no_look_reveals_is_named_and_refused() -> None:
     one_side = LookingArm.of(3).looks(LOOKS, VALIDATION, SPHERES_MM, same_side=True)
-    with pytest.raises(Unobservable, match=r"CAL-011.*A2 backlash.*from one side"):
+    with raises(UNOBSERVABLE, match=r"CAL-011.*A2 backlash.*from one side"):
         calibrate_arm(one_side)
 
 
 def test_looks_of_an_unknown_arm_are_refused(tmp_path: Path) -> None:
     ARM.write_looks(LookingArm.of(3).looks(0, 12, SPHERES_MM).model_copy(update={"arm": "kr3"}), tmp_path)
-    with pytest.raises(BadObservations, match=r"CAL-005.*there is no arm named 'kr3'"):
+    with raises(BAD_OBSERVATIONS, match=r"CAL-005.*there is no arm named 'kr3'"):
         ARM.read_looks(tmp_path)
 
 
@@ -246,7 +247,7 @@ def test_looks_in_nearly_one_orientation_leave_others_undetermined_and_are_refus
     alike = tuple(
         one.model_copy(update={"validation": number >= 75}) for number, one in enumerate(6 * nearest)
     )
-    with pytest.raises(Unobservable, match=r"CAL-011.*least of all.*0\.1 mm in all orientations"):
+    with raises(UNOBSERVABLE, match=r"CAL-011.*least of all.*0\.1 mm in all orientations"):
         calibrate_arm(observed.model_copy(update={"looks": alike}))
 
 

@@ -7,11 +7,12 @@ from collections.abc import Sequence
 
 import pytest
 from arm_looks import ENDPOINTS, SPHERES_MM, LookingArm
+from coded_errors import raises
 
 from procedures.calibration.arm_calibration import calibrate_arm
 from procedures.calibration.arm_check import check_arm
 from procedures.calibration.arm_model import ArmLooks
-from procedures.calibration.errors import ArmChanged
+from procedures.calibration.errors import ARM_CHANGED
 from ronna_hw.config import parse_theatre
 from sim.theatre.theatre_file import theatre_content
 from sim.world.process import load_scene
@@ -59,7 +60,7 @@ def test_an_intact_arm_passes_and_one_that_changed_is_refused(seed: int) -> None
     check_arm(observed).require()
     changed = [mastered_anew(observed, joint, 0.2) for joint in (A3, A5)]
     assert all(refused([*changed, with_slipped_head(observed, 2.0)]))
-    with pytest.raises(ArmChanged, match="CAL-012"):
+    with raises(ARM_CHANGED, match="CAL-012"):
         check_arm(changed[0]).require()
 
 

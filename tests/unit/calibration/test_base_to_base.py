@@ -7,10 +7,11 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
+from coded_errors import raises
 from two_arms import REGION_MM, TwoArms, two_arms
 
 from procedures.calibration.base_to_base import BallFit, BallLooks, BaseToBase, refine_bases
-from procedures.calibration.errors import BasesDisagree, DegeneratePoses, DoesNotFit, TooFewPoses
+from procedures.calibration.errors import BASES_DISAGREE, TOO_FEW_POSES, DegeneratePoses, DoesNotFit
 
 BY_FRAMES_MM, BY_BALL_MM = 0.5, 0.1
 MANY = 40
@@ -87,7 +88,7 @@ def test_many_spoilt_looks_are_refused(refined: Refine, looks: BallLooks) -> Non
 
 
 def test_few_looks_are_refused(refined: Refine, looks: BallLooks) -> None:
-    with pytest.raises(TooFewPoses):
+    with raises(TOO_FEW_POSES):
         refined(first(looks, 11))
 
 
@@ -103,7 +104,7 @@ def test_a_ball_that_contradicts_the_tracker_is_refused(
 ) -> None:
     elsewhere = known.robot_from_base.copy()
     elsewhere[:3, 3] += 5.0
-    with pytest.raises(BasesDisagree, match="CAL-022"):
+    with raises(BASES_DISAGREE, match="CAL-022"):
         refine_bases(BaseToBase(elsewhere, known.covariance), looks, *arms.stated)
 
 

@@ -8,16 +8,17 @@ from datetime import timedelta
 
 import numpy as np
 import pytest
+from coded_errors import raises
 from scipy.spatial.transform import Rotation
 
 from benchmarks.stereo_head.head_looks import TrueHead, observation_set, true_head
 from procedures.calibration import HeadResult, Observation, ObservationSet, calibrate_head
 from procedures.calibration.bundle import LEAST_POSES
-from procedures.calibration.errors import BadObservations, DegeneratePoses, DoesNotFit, TooFewPoses
+from procedures.calibration.errors import BAD_OBSERVATIONS, TOO_FEW_POSES, DegeneratePoses, DoesNotFit
 from procedures.calibration.observations import OBSERVATIONS_FILE
 from procedures.calibration.pose_set import PlannedLook, plan_calibration_looks
 from procedures.cli.calibrating.calibration import compute_calibration
-from procedures.relocalization.errors import HeadTurned
+from procedures.relocalization.errors import HEAD_TURNED
 from procedures.relocalization.triangulation import check_head
 from procedures.runs.calibrations import STEREO_HEAD
 from procedures.runs.request import CalibrationProcedure, RunRequest
@@ -97,7 +98,7 @@ def test_an_uncalibrated_arm_does_not_hide_a_turned_camera_in_the_stated_error()
     _, observed = with_its_arm(seed=0)
     found = calibrate_head(observed)
     assert found.stereo_head.stated_error_mm < GOAL_MM < found.tool_error_mm
-    with pytest.raises(HeadTurned):  # 0.05 degrees
+    with raises(HEAD_TURNED):  # 0.05 degrees
         check_head([(4.0, 4.0)], [0.25], found.stereo_head.stated_error_mm)
 
 
@@ -199,7 +200,7 @@ def test_for_a_count_of_zero_no_view_is_planned() -> None:
 
 
 def test_too_few_poses_are_refused(head: TrueHead) -> None:
-    with pytest.raises(TooFewPoses, match="CAL-002"):
+    with raises(TOO_FEW_POSES, match="CAL-002"):
         calibrate_head(observation_set(head, looks_at(head, count=LEAST_POSES - 1)))
 
 
@@ -234,7 +235,7 @@ def test_observations_round_trip_through_their_file(head: TrueHead, tmp_path) ->
 def test_a_file_without_valid_observations_is_refused(tmp_path, content: str | None) -> None:
     if content is not None:
         (tmp_path / OBSERVATIONS_FILE).write_text(content)
-    with pytest.raises(BadObservations, match="CAL-005"):
+    with raises(BAD_OBSERVATIONS, match="CAL-005"):
         STEREO_HEAD.read_looks(tmp_path)
 
 
@@ -243,7 +244,7 @@ def test_looks_from_which_nothing_can_be_computed_are_refused(head: TrueHead, va
     first, *others = looks_at(head, count=LEAST_POSES)
     left = first.left.model_copy(update={"covariance_px2": ((variance_px2, 0.0), (0.0, 1e-4))})
     observed = observation_set(head, [first.model_copy(update={"left": left}), *others])
-    with pytest.raises(BadObservations, match="CAL-005: nothing can be computed"):
+    with raises(BAD_OBSERVATIONS, match="CAL-005: nothing can be computed"):
         compute_calibration(
             STEREO_HEAD, RunRequest(procedure=CalibrationProcedure(recipe={}, days=1)), observed
         )

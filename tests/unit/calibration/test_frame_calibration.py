@@ -7,16 +7,17 @@ from datetime import timedelta
 
 import numpy as np
 import pytest
+from coded_errors import raises
 from scipy.spatial.transform import Rotation
 
 from benchmarks.mount.tracker_frame_calibration import FrameCell, pose_difference
 from procedures.calibration.errors import (
+    FAR_FROM_RECORD,
+    FRAME_NOT_CARRIED,
+    TOO_FEW_POSES,
+    TRACKER_MOVED,
     DegeneratePoses,
     DoesNotFit,
-    FarFromRecord,
-    FrameNotCarried,
-    TooFewPoses,
-    TrackerMoved,
 )
 from procedures.calibration.frame_calibration import FrameLook, FrameLooks, Use, calibrate_frame, pairs_of
 from procedures.calibration.hand_eye import PosePairs, solve
@@ -117,11 +118,11 @@ def test_held_out_looks_agree_with_the_predicted_error(seen: Seen) -> None:
 
 def test_too_few_poses_are_refused(observed: FrameLooks) -> None:
     few = [one for one in observed.looks if one.use is not Use.FIT]
-    with pytest.raises(TooFewPoses, match="CAL-002"):
+    with raises(TOO_FEW_POSES, match="CAL-002"):
         calibrate_frame(among(observed, few))
-    with pytest.raises(TooFewPoses, match="validate"):
+    with raises(TOO_FEW_POSES, match="validate"):
         calibrate_frame(among(observed, [one for one in observed.looks if one.use is not Use.VALIDATION]))
-    with pytest.raises(TooFewPoses, match="did not return"):
+    with raises(TOO_FEW_POSES, match="did not return"):
         calibrate_frame(among(observed, [one for one in observed.looks if one.use is not Use.RETURN]))
 
 
@@ -136,7 +137,7 @@ def test_turns_about_nearly_parallel_axes_are_refused() -> None:
 def test_a_frame_that_is_not_mounted_on_the_arm_is_refused(observed: FrameLooks) -> None:
     resting = observed.looks[0].tracker_from_marker
     looks = [one.model_copy(update={"tracker_from_marker": resting}) for one in observed.looks]
-    with pytest.raises(FrameNotCarried, match="CAL-015"):
+    with raises(FRAME_NOT_CARRIED, match="CAL-015"):
         calibrate_frame(among(observed, looks))
 
 
@@ -145,7 +146,7 @@ def test_a_tracker_that_moved_during_calibration_is_detected_at_the_repeated_pos
 ) -> None:
     *looks, last = observed.looks
     assert last.use is Use.RETURN
-    with pytest.raises(TrackerMoved, match="CAL-016") as refused:
+    with raises(TRACKER_MOVED, match="CAL-016") as refused:
         calibrate_frame(among(observed, [*looks, pushed(last, (0.0, 0.4, 0.0))]))
     assert refused.value.got is not None
     assert refused.value.got.startswith("0.4")
@@ -155,7 +156,7 @@ def test_a_creeping_tracker_is_detected_although_no_single_step_is(observed: Fra
     first, *_ = (one for one in observed.looks if one.use is Use.RETURN)
     others = [one for one in observed.looks if one.use is not Use.RETURN]
     creeping = [pushed(first, (0.0, 0.15 * step, 0.0)) for step in range(3)]
-    with pytest.raises(TrackerMoved, match="between measurements 1 and 3"):
+    with raises(TRACKER_MOVED, match="between measurements 1 and 3"):
         calibrate_frame(among(observed, [*others, *creeping]))
 
 
@@ -180,6 +181,6 @@ def test_a_result_far_from_the_record_is_refused_with_a_corrective_action(observ
         Frame.TOOL, Frame.MARKER, translation_mm=(150.0, 0.0, 140.0), quaternion_wxyz=(0.0, 1.0, 0.0, 0.0)
     )
     start = observed.start.model_copy(update={"tool_from_marker": pose_record(upside_down)})
-    with pytest.raises(FarFromRecord, match="CAL-017") as refused:
+    with raises(FAR_FROM_RECORD, match="CAL-017") as refused:
         calibrate_frame(observed.model_copy(update={"start": start}))
     assert "millimetres, quaternion with the scalar first" in refused.value.action

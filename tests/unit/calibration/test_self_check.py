@@ -6,11 +6,12 @@ from datetime import UTC, datetime
 
 import numpy as np
 import pytest
+from coded_errors import raises
 from scipy.spatial.transform import Rotation
 
 from benchmarks.stereo_head.head_looks import TrueHead, check_looks, observation_set, true_head
 from procedures.calibration import Baseline, CheckResult, Observation, calibrate_head, compare_with_baseline
-from procedures.calibration.errors import CheckUncertain, HeadMoved, NotTheBaseline
+from procedures.calibration.errors import CHECK_UNCERTAIN, HEAD_MOVED, NotTheBaseline
 from procedures.calibration.pose_set import plan_calibration_looks
 from ronna_hw.calibration import StereoHeadCalibration
 from ronna_hw.errors import EXIT_REFUSED
@@ -79,7 +80,7 @@ def test_a_twist_of_a_hundredth_of_a_degree_is_always_detected(laboratory: Labor
 @pytest.mark.parametrize("turn", [(1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, -1.0, 0.0)])
 def test_a_twist_is_refused_with_its_code(laboratory: Laboratory, turn: tuple[float, ...]) -> None:
     head = laboratory[0].with_twisted_camera("left", tuple(TWIST_RAD * value for value in turn))
-    with pytest.raises(HeadMoved, match="CAL-006") as refused:
+    with raises(HEAD_MOVED, match="CAL-006") as refused:
         checked(laboratory, head, 5).require()
     assert refused.value.exit_code == EXIT_REFUSED
 
@@ -100,7 +101,7 @@ def test_a_mount_that_turned_as_a_whole_is_detected_too(laboratory: Laboratory) 
 
 def test_looks_that_scatter_too_much_are_inconclusive_and_refused(laboratory: Laboratory) -> None:
     shaking = TrueHead(laboratory[0].scene, repeatability_mm=0.1)
-    with pytest.raises(CheckUncertain, match="CAL-007") as refused:
+    with raises(CHECK_UNCERTAIN, match="CAL-007") as refused:
         checked(laboratory, shaking, 5)
     assert refused.value.exit_code == EXIT_REFUSED
 

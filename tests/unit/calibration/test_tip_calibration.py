@@ -6,19 +6,20 @@ from datetime import timedelta
 
 import numpy as np
 import pytest
+from coded_errors import raises
 from scipy.spatial.transform import Rotation
 from user_commands import in_this_process
 
 from benchmarks.mount.tool_tip_calibration import TipCell
 from procedures.calibration import tip_calibration
 from procedures.calibration.errors import (
-    BadObservations,
-    BallAndDivotApart,
+    BAD_OBSERVATIONS,
+    BALL_AND_DIVOT_APART,
+    FAR_FROM_RECORD,
+    READING_IMPLAUSIBLE,
+    TOO_FEW_POSES,
     DegeneratePoses,
     DoesNotFit,
-    FarFromRecord,
-    ReadingImplausible,
-    TooFewPoses,
 )
 from procedures.calibration.tip_calibration import (
     LEAST_READINGS,
@@ -91,9 +92,9 @@ def test_the_record_places_the_tip_where_the_fit_does(observed: TipLooks) -> Non
 def test_too_few_readings_are_refused(observed: TipLooks) -> None:
     kept = [one for one in observed.readings if one.look in observed.validation]
     used = [one for one in observed.readings if one.look not in observed.validation]
-    with pytest.raises(TooFewPoses, match="too few readings of the divot"):
+    with raises(TOO_FEW_POSES, match="too few readings of the divot"):
         calibrate_tip(among(observed, [*used[1:], *kept]))
-    with pytest.raises(TooFewPoses, match="validate the tip"):
+    with raises(TOO_FEW_POSES, match="validate the tip"):
         calibrate_tip(among(observed, used))
 
 
@@ -123,7 +124,7 @@ def test_held_out_readings_must_agree_with_the_fit(observed: TipLooks) -> None:
 def test_implausible_readings_are_refused_with_the_value_read(observed: TipLooks, dials: Numbers3) -> None:
     first, *others = observed.readings
     wrong = first.model_copy(update={"dials_mm": dials})
-    with pytest.raises(ReadingImplausible, match="CAL-018") as refused:
+    with raises(READING_IMPLAUSIBLE, match="CAL-018") as refused:
         calibrate_tip(among(observed, [wrong, *others]))
     assert refused.value.got == " ".join(f"{value:g}" for value in dials)
 
@@ -131,7 +132,7 @@ def test_implausible_readings_are_refused_with_the_value_read(observed: TipLooks
 def test_each_reading_needs_its_own_look(observed: TipLooks) -> None:
     first, *others = observed.readings
     for wrong in (first.model_copy(update={"look": 99}), first.model_copy(update={"look": others[0].look})):
-        with pytest.raises(BadObservations, match="CAL-005"):
+        with raises(BAD_OBSERVATIONS, match="CAL-005"):
             calibrate_tip(among(observed, [wrong, *others]))
 
 
@@ -147,7 +148,7 @@ def test_pivoting_distinguishes_a_displaced_divot_from_a_shifted_tip() -> None:
     assert np.allclose(fit_tip(pairs).tip_mm, tip)
     assert np.allclose(fit_tip(pairs).gap_mm, 0.0, atol=1e-9)
     apart = TipPairs(at_ball, at_divot, np.zeros((12, 3)), np.tile(-gap, (12, 1)))
-    with pytest.raises(BallAndDivotApart, match="CAL-019"):
+    with raises(BALL_AND_DIVOT_APART, match="CAL-019"):
         fit_tip(apart)
 
 
@@ -204,5 +205,5 @@ def test_a_tip_far_from_its_record_is_refused(observed: TipLooks) -> None:
     x, y, z = place.translation_mm
     elsewhere = place.model_copy(update={"translation_mm": (x, y, z + 30.0)})
     start = observed.start.model_copy(update={"flange_from_tool": elsewhere})
-    with pytest.raises(FarFromRecord, match="CAL-017"):
+    with raises(FAR_FROM_RECORD, match="CAL-017"):
         calibrate_tip(observed.model_copy(update={"start": start}))

@@ -6,12 +6,13 @@ import os
 from collections.abc import Callable, Iterator
 
 import pytest
+from coded_errors import raises
 from ideal_arm import Controller, IdealArm
 
 from procedures.cli.arm.guiding import HELD_S, HeldKey
 from procedures.workcell.hand_guiding import lead_by_hand
 from ronna_hw.arm.clearance.bodies import Surroundings
-from ronna_hw.arm.errors import ForceNotSensed
+from ronna_hw.arm.errors import FORCE_NOT_SENSED
 from ronna_hw.clock import HostClock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.contact import GuidanceEnd, Guided, HandGuidance
@@ -98,6 +99,6 @@ def test_an_arm_follows_while_the_switch_is_held_and_rests_afterwards() -> None:
 
 def test_an_arm_that_senses_no_force_follows_no_hand() -> None:
     arm = RestingArm()
-    with pytest.raises(ForceNotSensed, match="ARM-013"):
+    with raises(FORCE_NOT_SENSED, match="ARM-013"):
         lead_by_hand(arm, HandGuidance(), Surroundings(), lambda: True, lambda: False)
     arm.close()

@@ -19,13 +19,13 @@ import typer
 
 from ronna_hw.command_line import messages, terminal
 from ronna_hw.command_line.errors import (
-    DiskFull,
-    InternalFault,
-    NotWritable,
-    OutOfMemory,
-    PathProblem,
-    PortInUse,
-    SystemRefused,
+    DISK_FULL,
+    INTERNAL_FAULT,
+    NOT_WRITABLE,
+    OUT_OF_MEMORY,
+    PATH_PROBLEM,
+    PORT_IN_USE,
+    SYSTEM_REFUSED,
     UsageMistake,
 )
 from ronna_hw.errors import LimitError, RonnaError
@@ -71,12 +71,12 @@ class TooFar(LimitError):
 @pytest.mark.parametrize(
     ("number", "kind"),
     [
-        (errno.ENOSPC, DiskFull),
-        (errno.EROFS, NotWritable),
-        (errno.EACCES, NotWritable),
-        (errno.ENOENT, PathProblem),
-        (errno.EADDRINUSE, PortInUse),
-        (errno.EIO, SystemRefused),
+        (errno.ENOSPC, DISK_FULL),
+        (errno.EROFS, NOT_WRITABLE),
+        (errno.EACCES, NOT_WRITABLE),
+        (errno.ENOENT, PATH_PROBLEM),
+        (errno.EADDRINUSE, PORT_IN_USE),
+        (errno.EIO, SYSTEM_REFUSED),
     ],
 )
 def test_an_operating_system_error_becomes_one_line_with_a_code(
@@ -92,10 +92,10 @@ def test_an_operating_system_error_becomes_one_line_with_a_code(
 @pytest.mark.parametrize(
     ("problem", "kind"),
     [
-        (MemoryError(), OutOfMemory),
-        (OSError(errno.ENOMEM, "no memory"), OutOfMemory),
-        (ImportError("cv2.so: failed to map segment from shared object"), OutOfMemory),
-        (TypeError("x"), InternalFault),
+        (MemoryError(), OUT_OF_MEMORY),
+        (OSError(errno.ENOMEM, "no memory"), OUT_OF_MEMORY),
+        (ImportError("cv2.so: failed to map segment from shared object"), OUT_OF_MEMORY),
+        (TypeError("x"), INTERNAL_FAULT),
     ],
 )
 def test_an_unexpected_error_has_a_code_and_no_traceback(

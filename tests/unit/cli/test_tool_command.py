@@ -13,6 +13,7 @@ from typing import Any
 
 import pytest
 import tomli_w
+from coded_errors import raises
 from recording_cell import ENDPOINTS
 from scipy.spatial.transform import Rotation
 from user_commands import in_this_process, one_error
@@ -20,7 +21,7 @@ from user_commands import in_this_process, one_error
 from procedures.cli.doctor.calibrations import setting_diagnostics, tool_diagnostics
 from procedures.cli.procedure import app as ronna_procedure
 from procedures.cli.tool.command import app
-from procedures.planning.errors import ForeignTool
+from procedures.planning.errors import FOREIGN_TOOL
 from procedures.planning.tool_records import ToolRecords
 from procedures.runs.calibration_files import update_theatre
 from procedures.runs.theatre_history import Signature, history_path
@@ -436,5 +437,5 @@ def test_calibration_accepts_a_tool_record_of_the_former_tip(theatre: Path) -> N
     assert file.calibration is not None
     now = datetime.now(UTC)
     ToolRecords.of(file, calibrating=True).check(file.calibration, now)
-    with pytest.raises(ForeignTool):
+    with raises(FOREIGN_TOOL):
         ToolRecords.of(file).check(file.calibration, now)

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
+from coded_errors import raises
 
 from conformance import case as conformance_case
 from conformance.case import (
@@ -24,10 +25,11 @@ from conformance.case import (
     refused,
 )
 from conformance.device_under_test import DeviceUnderTest
-from conformance.errors import NoSuchCase
+from conformance.errors import NO_SUCH_CASE
 from conformance.protocol import ProtocolCases, compose_suite
 from conformance.report import run_case, run_suite
-from ronna_hw.errors import ConnectError
+from ronna_hw.arguments import WrongArgument, require_numbers
+from ronna_hw.errors import ConnectError, DataError
 
 MakeDut = Callable[..., DeviceUnderTest]
 NEEDS = [need for need in vars(conformance_case).values() if isinstance(need, Need)]
@@ -37,7 +39,7 @@ def does_nothing(_dut: DeviceUnderTest) -> None:
     return
 
 
-def raises(error: Exception) -> Run:
+def failing_with(error: Exception) -> Run:
     def run(_dut: DeviceUnderTest) -> None:
         raise error
 
@@ -50,13 +52,13 @@ def suite_of(**runs: Run) -> Suite:
 
 
 def test_a_foreign_exception_is_a_failure(make_dut: MakeDut, good_tracker: Any) -> None:
-    result = run_case(Case("X", "breaks", (), raises(KeyError("x"))), make_dut(good_tracker))
+    result = run_case(Case("X", "breaks", (), failing_with(KeyError("x"))), make_dut(good_tracker))
     assert result.outcome is Outcome.FAIL
     assert "KeyError" in result.reason
 
 
 def test_a_reason_is_one_line_that_steers_no_terminal(make_dut: MakeDut, good_tracker: Any) -> None:
-    failing = raises(Nonconformity("got \x1b[2J" + "x" * 70_000))
+    failing = failing_with(Nonconformity("got \x1b[2J" + "x" * 70_000))
     reason = run_case(Case("X", "breaks", (), failing), make_dut(good_tracker)).reason
     assert reason.isprintable()
     assert len(reason) < 400
@@ -68,7 +70,7 @@ def test_a_reason_is_one_line_that_steers_no_terminal(make_dut: MakeDut, good_tr
 def test_a_case_with_an_unmet_need_is_skipped_with_the_reason(
     make_dut: MakeDut, good_tracker: Any, need: Need
 ) -> None:
-    result = run_case(Case("X", "does harm", (need,), raises(AssertionError())), make_dut(good_tracker))
+    result = run_case(Case("X", "does harm", (need,), failing_with(AssertionError())), make_dut(good_tracker))
     assert (result.outcome, result.reason) == (Outcome.SKIP, need.reason)
 
 
@@ -87,7 +89,7 @@ def test_a_protocol_can_define_and_offer_its_own_needs(make_dut: MakeDut, good_t
 
 def test_the_report_counts_outcomes_and_carries_a_hash(make_dut: MakeDut, good_tracker: Any) -> None:
     shares: list[float] = []
-    suite = suite_of(A1=does_nothing, A2=raises(NotShown("too dark")), A3=does_nothing)
+    suite = suite_of(A1=does_nothing, A2=failing_with(NotShown("too dark")), A3=does_nothing)
     report = run_suite(suite, make_dut(good_tracker), shares.append)
     document = report.as_document()
     assert report.passed
@@ -122,7 +124,7 @@ def test_part_of_a_suite_is_selected_by_case_number_prefix() -> None:
     )
     assert suite.only([]) is suite
     assert [case.number for case in suite.only(["T01", "P0"]).cases] == ["T01", "P01", "P01b"]
-    with pytest.raises(NoSuchCase) as caught:
+    with raises(NO_SUCH_CASE) as caught:
         suite.only(["Z"])
     assert caught.value.code == "CNF-003"
 
@@ -131,8 +133,8 @@ def test_a_failed_check_reports_what_was_expected_and_found() -> None:
     with pytest.raises(AssertionError, match="expected 1, got 2"):
         check(False, "1", 2)
     check(True, "1", 2)
-    assert isinstance(refused(lambda: int("x"), ValueError, "a word"), ValueError)
+    assert refused(lambda: require_numbers("x", "a word"), DataError, "a word").code == WrongArgument.code
     with pytest.raises(AssertionError, match="carried out"):
-        refused(lambda: 1, ValueError, "a number")
+        refused(lambda: 1, DataError, "a number")
     with pytest.raises(AssertionError, match="got KeyError"):
-        refused(lambda: {}[1], ValueError, "a key")
+        refused(lambda: {}[1], DataError, "a key")

@@ -8,12 +8,13 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from coded_errors import raises
 
 from conformance.device_under_test import DeviceUnderTest
-from conformance.errors import DeviceNotInFile, NoDeviceChosen, NoSimulator
+from conformance.errors import DEVICE_NOT_IN_FILE, NO_DEVICE_CHOSEN, NO_SIMULATOR
 from conformance.protocol import ProtocolCases
 from conformance.target import Choice, device_under_test, resolve_target
-from ronna_hw.devices.errors import UnknownDriver
+from ronna_hw.devices.errors import UNKNOWN_DRIVER
 from ronna_hw.host.child_process import ChildNotReady
 
 THEATRE = """
@@ -60,20 +61,20 @@ def test_a_device_from_a_theatre_file_keeps_its_options(theatre: Path) -> None:
 
 def test_a_device_missing_from_the_file_is_reported(theatre: Path) -> None:
     with (
-        pytest.raises(DeviceNotInFile) as caught,
+        raises(DEVICE_NOT_IN_FILE) as caught,
         under_test("stereo", Choice(config=theatre)),
     ):
         pass
     assert caught.value.code == "CNF-002"
     no_robot = theatre.with_name("no_robot.toml")
     no_robot.write_text('schema = 1\ntheatre = "empty"\n[clock]\nendpoint = "host:"\n')
-    with pytest.raises(DeviceNotInFile, match=r"has no robot;? .*\[robot.master\]"):
+    with raises(DEVICE_NOT_IN_FILE, match=r"has no robot;? .*\[robot.master\]"):
         resolve_target("robot", Choice(config=no_robot))
-    with pytest.raises(DeviceNotInFile, match="no tracker left"):
+    with raises(DEVICE_NOT_IN_FILE, match="no tracker left"):
         resolve_target("tracker", Choice(config=theatre, device="left"))
     for device in (None, "middle"):
         with (
-            pytest.raises(DeviceNotInFile, match="left, right"),
+            raises(DEVICE_NOT_IN_FILE, match="left, right"),
             under_test("robot", Choice(config=theatre, device=device)),
         ):
             pass
@@ -94,7 +95,7 @@ def test_named_endpoints_reach_the_driver_under_their_names() -> None:
 
 def test_endpoints_with_other_names_are_refused_with_all_names_and_an_example() -> None:
     given = ("rtde=tcp://127.0.0.1:1", "dashbord=tcp://127.0.0.1:2")
-    with pytest.raises(NoDeviceChosen) as caught:
+    with raises(NO_DEVICE_CHOSEN) as caught:
         resolve_target("robot", Choice(endpoints=given, driver="universal_robots"))
     assert "did you mean 'dashboard'" in caught.value.what
     assert caught.value.expected == "rtde, dashboard, primary"
@@ -108,7 +109,7 @@ def test_endpoints_with_other_names_are_refused_with_all_names_and_an_example() 
     ],
 )
 def test_endpoints_of_another_make_name_its_driver_with_all_its_endpoints(given: tuple[str, ...]) -> None:
-    with pytest.raises(NoDeviceChosen) as caught:
+    with raises(NO_DEVICE_CHOSEN) as caught:
         resolve_target("robot", Choice(endpoints=given))
     assert caught.value.advice == (
         "They look like those of universal_robots: --driver universal_robots "
@@ -127,7 +128,7 @@ def test_endpoints_of_another_make_name_its_driver_with_all_its_endpoints(given:
     ],
 )
 def test_a_model_given_as_a_driver_names_its_driver(name: str, said: str) -> None:
-    with pytest.raises(UnknownDriver, match=f"DEV-002: no driver '{name}' is installed; .*{said}"):
+    with raises(UNKNOWN_DRIVER, match=f"DEV-002: no driver '{name}' is installed; .*{said}"):
         resolve_target("robot", Choice(endpoints=("tcp://127.0.0.9:30004",), driver=name))
 
 
@@ -145,7 +146,7 @@ def test_a_simulator_that_does_not_start_is_reported() -> None:
 
 def test_a_driver_whose_protocol_has_no_simulator_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("conformance.target.load_driver_protocol", lambda driver: ProtocolCases())
-    with pytest.raises(NoSimulator) as caught:
+    with raises(NO_SIMULATOR) as caught:
         resolve_target("tracker", Choice(sim=True))
     assert caught.value.code == "CNF-006"
 

@@ -9,10 +9,11 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
+from coded_errors import raises
 
 from console.app import follow_engine, review
 from console.case_view import RecordedCase
-from console.errors import NothingToShow, PortTaken
+from console.errors import NOTHING_TO_SHOW, PORT_TAKEN
 from console.guard import MOST_SESSIONS, Role, Session, Sessions
 from console.hub import NOT_RUNNING, SILENT_FILE_S, SILENT_S, Hub
 from console.listening import HOST, listen
@@ -208,17 +209,17 @@ def test_a_port_in_use_is_reported() -> None:
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
-        with pytest.raises(PortTaken) as refused:
+        with raises(PORT_TAKEN) as refused:
             listen(HOST, taken.getsockname()[1])
     assert "CON-001" in str(refused.value)
 
 
 def test_a_folder_that_is_not_a_run_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sys.stdin", io.StringIO())
-    with pytest.raises(NothingToShow, match="CON-002"):
+    with raises(NOTHING_TO_SHOW, match="CON-002"):
         review(tmp_path, 0)
     (tmp_path / "events.jsonl").touch()
-    with pytest.raises(NothingToShow, match="has no events yet"):
+    with raises(NOTHING_TO_SHOW, match="has no events yet"):
         review(tmp_path, 0)
 
 

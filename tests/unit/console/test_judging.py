@@ -16,7 +16,7 @@ from console.planning.draft import Draft, DraftTrajectory
 from console.planning.judging import Judgement, judge, page_advice
 from console.planning.reach_panel import tell_trajectories
 from procedures.imaging.errors import MarkerCountWrong
-from procedures.planning.errors import NoToolRecord, NotReachable
+from procedures.planning.errors import NO_TOOL_RECORD, NotReachable
 from procedures.planning.pose_name import GAUGE, PoseKind, PoseName
 from procedures.planning.theatre_arm import SixNumbers, TheatreArm, theatre_arm
 from procedures.planning.visits import Unmet
@@ -96,4 +96,4 @@ def test_advice_on_the_page_is_whole_and_names_no_command() -> None:
     assert page_advice(NotReachable("too far", action=whole)) == whole
     counted = page_advice(MarkerCountWrong("no marker found", candidates=()))
     assert counted.endswith("scan again, or correct the expected count.")
-    assert page_advice(NoToolRecord("none")).startswith("Ask whoever set up this planner")
+    assert page_advice(NO_TOOL_RECORD("none")).startswith("Ask whoever set up this planner")

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from coded_errors import raises
 from plan_editors import ENTRY, draw, reopened, save, scan
 
 from console.planning import plan_editor
@@ -19,7 +20,7 @@ from console.planning.draft import Draft
 from console.planning.judging import ExpectedError, Judgement, expected, judge, verdict
 from console.planning.plan_editor import PlanEditor
 from procedures.imaging.errors import PickRefused
-from procedures.planning.errors import PlanInUse, PlanMistakes, PlanNotSaved
+from procedures.planning.errors import PLAN_NOT_SAVED, PlanInUse, PlanMistakes
 from procedures.planning.plan_file import read_plan, seal_plan, write_plan
 from procedures.planning.plan_lock import lock_plan
 from ronna_hw.errors import RonnaError
@@ -105,7 +106,7 @@ def test_a_plan_changed_meanwhile_by_another_program_is_not_overwritten(
     save(editor)
     file.write_text("theirs")
     draw(editor, standoff_mm=31.0)
-    with pytest.raises(PlanNotSaved, match=r"PLAN-025.*another program"):
+    with raises(PLAN_NOT_SAVED, match=r"PLAN-025.*another program"):
         save(editor)
     assert file.read_text() == "theirs"
     assert editor.draft.standoff_mm == 31.0
@@ -116,7 +117,7 @@ def test_a_plan_that_has_become_unreadable_is_not_overwritten(editor: PlanEditor
     save(editor)
     file.unlink()
     file.mkdir()
-    with pytest.raises(PlanNotSaved, match=r"PLAN-025: cannot read .*is a directory"):
+    with raises(PLAN_NOT_SAVED, match=r"PLAN-025: cannot read .*is a directory"):
         save(editor)
 
 
@@ -175,7 +176,7 @@ def test_a_full_disk_loses_neither_the_draft_nor_the_plan(file: Path, full_disk:
     assert editor.store_draft() is None
     assert editor.storage_problem is not None
     assert editor.storage_problem.code == "PLAN-025"
-    with pytest.raises(PlanNotSaved, match=r"PLAN-025.*No space left.*stays on this page"):
+    with raises(PLAN_NOT_SAVED, match=r"PLAN-025.*No space left.*stays on this page"):
         save(editor)
     assert not file.exists()
     assert not editor.is_saved
@@ -198,7 +199,7 @@ def test_a_plan_where_files_cannot_be_locked_is_not_saved_and_says_so(
         raise OSError(errno.ENOLCK, "No locks available")
 
     monkeypatch.setattr("fcntl.flock", unsupported)
-    with pytest.raises(PlanNotSaved, match=r"PLAN-025: plan\.toml cannot be locked: No locks available"):
+    with raises(PLAN_NOT_SAVED, match=r"PLAN-025: plan\.toml cannot be locked: No locks available"):
         save(editor)
     assert file.read_bytes() == before
 

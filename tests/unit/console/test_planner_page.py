@@ -11,6 +11,7 @@ from urllib.parse import parse_qs, urlsplit
 
 import numpy as np
 import pytest
+from coded_errors import raises
 from nicegui import Client, ui
 from plan_editors import ENTRY, SERIES, TARGET, draw, scan
 from recording_cell import mini_theatre_file
@@ -23,7 +24,7 @@ from console.planning.plan_editor import PlanEditor
 from console.planning.slices import WINDOWS_HU, ZOOMS, Plane
 from console.planning.theatre_choice import TheatreChoice
 from console.planning.views import Size, View, arrange
-from procedures.planning.errors import HeadPlaceUnknown, PlaceUnfit
+from procedures.planning.errors import PLACE_UNFIT, HeadPlaceUnknown
 
 AXIAL = list(Plane).index(Plane.AXIAL)
 
@@ -198,6 +199,6 @@ def test_a_chosen_theatre_file_is_checked_from_the_cart_s_proposed_place_of_this
     assert editor.theatre is not None
     assert editor.theatre.arm.robot_from_ct.translation_mm == pytest.approx((685.0, 0.0, 100.0))
     file.write_text(json.dumps({**place, "series_instance_uid": "1.2.3.4"}))
-    with pytest.raises(PlaceUnfit, match=r"PLAN-022.*another CT"):
+    with raises(PLACE_UNFIT, match=r"PLAN-022.*another CT"):
         asyncio.run(editor.choose_theatre("theatre.toml"))
     assert editor.theatre is not None, "the arm so far is kept"

@@ -13,14 +13,15 @@ from typing import Any
 
 import pytest
 from bounded_cost import bounded_cost
+from coded_errors import raises
 
-from drivers.ndi_polaris.errors import BadToolFile
+from drivers.ndi_polaris.errors import BAD_TOOL_FILE
 from drivers.ndi_polaris.tool_description import read_description
-from procedures.engine.errors import AnswersUnfit, EventsUnreadable
+from procedures.engine.errors import ANSWERS_UNFIT, EVENTS_UNREADABLE
 from procedures.engine.events.event_file import FollowedRun
 from procedures.imaging.errors import PicksUnreadable
 from procedures.imaging.picks import read_picks
-from procedures.planning.errors import PlaceUnfit, PlanMistakes, PlanUnreadable
+from procedures.planning.errors import PLACE_UNFIT, PLAN_UNREADABLE, PlanMistakes
 from procedures.planning.plan_file import read_plan
 from procedures.planning.proposed_place import read_place
 from procedures.reporting.calibration_figures import RESULT_FILE, load_figures
@@ -39,17 +40,17 @@ from ronna_hw.errors import RonnaError
 from ronna_hw.evidence.journal_reading import JournalCorrupt, read_chain
 from ronna_hw.recording.flight_recorder import read_link
 from ronna_hw.records import BadRecord, read_record
-from ronna_hw.wire.kuka_context import ContextInvalid, load_context
-from sim.errors import BadScene
+from ronna_hw.wire.kuka_context import CONTEXT_INVALID, load_context
+from sim.errors import BAD_SCENE
 from sim.world.scene.model import read_scene
 
 TOML_FILES = [
     (read_theatre_file, BadTheatreFile),
-    (read_scene, BadScene),
-    (read_plan, PlanUnreadable),
-    (load_context, ContextInvalid),
-    (read_description, BadToolFile),
-    (read_answers, AnswersUnfit),
+    (read_scene, BAD_SCENE),
+    (read_plan, PLAN_UNREADABLE),
+    (load_context, CONTEXT_INVALID),
+    (read_description, BAD_TOOL_FILE),
+    (read_answers, ANSWERS_UNFIT),
 ]
 HOSTILE_TOML = {
     "a key of many parts": ".".join("a" * 100_000) + " = 1",  # cost fifteen gigabytes
@@ -75,7 +76,7 @@ def test_hostile_toml_is_refused_with_the_code_of_its_reader(
 ) -> None:
     path = tmp_path / "hostile.toml"
     path.write_text(content, encoding="latin-1")
-    with bounded_cost(100 << 20, 1.0), pytest.raises(error, match=r"hostile\.toml"):
+    with bounded_cost(100 << 20, 1.0), raises(error, match=r"hostile\.toml"):
         read(path)
 
 
@@ -152,7 +153,7 @@ def test_too_many_values_are_refused_before_the_model_reads_them(
         (tmp_path / name).write_bytes(content())
     with bounded_cost(100 << 20, 1.0):
         assert load_figures(tmp_path) is None
-        with pytest.raises(PlaceUnfit, match="too many values"):
+        with raises(PLACE_UNFIT, match="too many values"):
             read_place(tmp_path / "place.json")
         with pytest.raises(RonnaError, match="too many values"):
             read_scene(tmp_path / "scene.json")
@@ -162,7 +163,7 @@ def test_as_many_mistakes_as_values_are_allowed_have_a_bounded_cost(tmp_path: Pa
     (tmp_path / "scene.json").write_bytes(b'{"head": {"fiducials": [' + b"{}," * 49_000 + b"{}]}}")
     (tmp_path / "plan.toml").write_text("trajectories = [" + "{}," * 14_900 + "]")
     with bounded_cost():
-        with pytest.raises(BadScene, match="more mistakes"):
+        with raises(BAD_SCENE, match="more mistakes"):
             read_scene(tmp_path / "scene.json")
         with pytest.raises(PlanMistakes, match="more mistakes"):
             read_plan(tmp_path / "plan.toml")
@@ -207,7 +208,7 @@ def test_hostile_files_in_a_run_are_refused(tmp_path: Path, name: str) -> None:
         read_record(tmp_path / "record.json")
     with pytest.raises(JournalCorrupt):
         read_chain(tmp_path / "journal.jsonl")
-    with pytest.raises(EventsUnreadable):
+    with raises(EVENTS_UNREADABLE):
         next(FollowedRun(tmp_path).batches())
 
 
@@ -217,7 +218,7 @@ def test_huge_sparse_files_in_a_run_are_refused_by_their_size(tmp_path: Path, si
         (tmp_path / file).touch()
         os.truncate(tmp_path / file, size)
     with bounded_cost(10 << 20, 1.0):
-        with pytest.raises(EventsUnreadable, match="too large"):
+        with raises(EVENTS_UNREADABLE, match="too large"):
             next(FollowedRun(tmp_path).batches())
         with pytest.raises(InputRefused, match="too large"):
             next(read_link(tmp_path, "link"))

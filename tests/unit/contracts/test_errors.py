@@ -20,8 +20,8 @@ def test_every_code_is_unique_and_every_error_says_what_to_do() -> None:
     for error in list_errors_with_code():
         assert re.fullmatch(r"[A-Z]{2,5}-\d{3}", error.code), error
         assert error.action, error
-        assert error.code not in seen, f"{error.code} is {error.__name__} and {seen[error.code]}"
-        seen[error.code] = error.__name__
+        assert error.code not in seen, f"{error.code} is {error.name} and {seen[error.code]}"
+        seen[error.code] = error.name
     assert len(seen) > 20
 
 
@@ -39,7 +39,7 @@ def test_every_code_is_mentioned_by_a_test() -> None:
     files = (path for path in TESTS.rglob("*") if path.suffix in (".py", ".txt"))
     tests = "\n".join(path.read_text(encoding="utf-8") for path in files)
     words = set(re.findall(r"\w+(?:-\d{3})?", tests))
-    assert [error for error in list_errors_with_code() if not words & {error.code, error.__name__}] == []
+    assert [error for error in list_errors_with_code() if not words & {error.code, error.name}] == []
 
 
 def test_an_error_is_one_line_with_expectation_limit_and_action() -> None:
@@ -92,5 +92,5 @@ def test_a_figure_and_a_computed_limit_keep_their_order_when_rounded(
 
 def test_errors_outside_ronna_hw_live_in_an_errors_module_of_their_package() -> None:
     for error in list_errors_with_code():
-        if not error.__module__.startswith("ronna_hw."):
-            assert error.__module__.endswith(".errors"), error
+        if not error.module.startswith("ronna_hw."):
+            assert error.module.endswith(".errors"), error

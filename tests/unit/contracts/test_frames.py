@@ -1,9 +1,10 @@
 import numpy as np
 import pytest
+from coded_errors import raises
 
 from ronna_hw.arguments import WrongArgument
 from ronna_hw.calibration import PoseRecord
-from ronna_hw.frames import Frame, FrameMismatch, Transform
+from ronna_hw.frames import FRAME_MISMATCH, Frame, Transform
 from ronna_hw.tool_record import TipInHead
 
 
@@ -17,7 +18,7 @@ def test_composing_across_matching_frames_maps_points_through_both() -> None:
 @pytest.mark.hazard(7)
 def test_composing_across_mismatched_frames_is_refused() -> None:
     robot_from_tool = Transform.of(Frame.ROBOT, Frame.TOOL)
-    with pytest.raises(FrameMismatch, match="FRM-001"):
+    with raises(FRAME_MISMATCH, match="FRM-001"):
         robot_from_tool @ Transform.of(Frame.CT, Frame.ROBOT)
 
 
@@ -32,7 +33,7 @@ def test_composing_across_mismatched_frames_is_refused() -> None:
 )
 @pytest.mark.hazard(7)
 def test_a_matrix_that_is_not_a_proper_rotation_is_refused(matrix: np.ndarray, shown: str) -> None:
-    with pytest.raises(FrameMismatch, match=shown):
+    with raises(FRAME_MISMATCH, match=shown):
         Transform.from_matrix(Frame.ROBOT, Frame.CT, matrix)
 
 
@@ -50,7 +51,7 @@ def test_what_is_no_array_of_numbers_is_refused() -> None:
 )
 @pytest.mark.hazard(7)
 def test_non_finite_values_are_refused(wrong: dict[str, tuple[float, ...]]) -> None:
-    with pytest.raises(FrameMismatch):
+    with raises(FRAME_MISMATCH):
         Transform.of(Frame.ROBOT, Frame.CT, **wrong)
 
 

@@ -7,8 +7,9 @@ from typing import Any
 
 import pytest
 from bounded_cost import bounded_cost
+from coded_errors import raises
 
-from ronna_hw.records import BadRecord, Record, RecordExists, read_record, write_atomically, write_record
+from ronna_hw.records import RECORD_EXISTS, BadRecord, Record, read_record, write_atomically, write_record
 
 
 def test_a_record_is_read_back_equal(tmp_path: Path) -> None:
@@ -124,7 +125,7 @@ def test_an_interrupted_write_leaves_no_file(tmp_path: Path, monkeypatch: pytest
 def test_a_record_is_never_overwritten(tmp_path: Path) -> None:
     first = Record("01-ct_import", "ct_import", {}, {"slices": 3})
     path = write_record(first, tmp_path)
-    with pytest.raises(RecordExists, match="REC-002"):
+    with raises(RECORD_EXISTS, match="REC-002"):
         write_record(Record("01-ct_import", "ct_import", {}, {"slices": 4}), tmp_path)
     assert read_record(path) == first
     assert list(tmp_path.iterdir()) == [path]

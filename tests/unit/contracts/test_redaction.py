@@ -9,8 +9,8 @@ import pytest
 from bounded_cost import bounded_cost
 
 from procedures.journal.errors import StepRefused
-from procedures.planning.errors import NotReachable, PlanUnreadable
-from procedures.workcell.errors import GuideHeldAtEntry, InstrumentInGuide
+from procedures.planning.errors import PLAN_UNREADABLE, NotReachable
+from procedures.workcell.errors import GUIDE_HELD_AT_ENTRY, INSTRUMENT_IN_GUIDE
 from ronna_hw.devices.lifecycle import Identity
 from ronna_hw.errors import ConnectError, DataError, RonnaError
 from ronna_hw.redaction import (
@@ -109,11 +109,11 @@ def test_a_record_is_logged_field_by_field() -> None:
         (ConnectError("tracker: no reply from /dev/ttyUSB0"), "tracker: no reply from /dev/ttyUSB0"),
         (Unreadable("DOE_JOHN is truncated"), "XX-001"),
         (RonnaError("DOE_JOHN"), "RonnaError"),
-        (PlanUnreadable("line 3: expected a value, trajectory DOE_JOHN"), "PLAN-001"),
+        (PLAN_UNREADABLE("line 3: expected a value, trajectory DOE_JOHN"), "PLAN-001"),
         (NotReachable("trajectory DOE_JOHN is out of reach"), "PLAN-007"),
         (StepRefused("registration:DOE_JOHN cannot start"), "PRO-001"),
-        (GuideHeldAtEntry("the guide is held in front of the entry of DOE_JOHN"), "PRO-014"),
-        (InstrumentInGuide("an instrument is in the guide, and in DOE_JOHN"), "TOOL-001"),
+        (GUIDE_HELD_AT_ENTRY("the guide is held in front of the entry of DOE_JOHN"), "PRO-014"),
+        (INSTRUMENT_IN_GUIDE("an instrument is in the guide, and in DOE_JOHN"), "TOOL-001"),
         (ValueError("could not convert 'DOE'"), "ValueError"),
     ],
 )

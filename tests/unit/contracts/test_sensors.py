@@ -5,10 +5,11 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from coded_errors import raises
 
 from ronna_hw.arguments import WrongArgument
 from ronna_hw.devices import new_frames
-from ronna_hw.devices.errors import NoNewFrame
+from ronna_hw.devices.errors import NO_NEW_FRAME
 from ronna_hw.devices.readings import Stamp, TrackerFrame, Validity
 
 
@@ -40,5 +41,5 @@ def test_a_count_of_frames_that_is_none_is_refused_at_once() -> None:
 
 
 def test_a_tracker_without_new_measurements_is_an_error_after_the_time_limit() -> None:
-    with pytest.raises(NoNewFrame, match=r"limit 0\.02 s"):
+    with raises(NO_NEW_FRAME, match=r"limit 0\.02 s"):
         next(new_frames(tracker(Validity.STALE), timeout_s=0.02))

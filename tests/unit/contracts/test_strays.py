@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from coded_errors import raises
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ronna_hw.devices.errors import BadStrays
+from ronna_hw.devices.errors import BAD_STRAYS
 from ronna_hw.devices.readings import Stamp, StrayReading, TrackerFrame, Validity
 from ronna_hw.devices.stray_tracks import UNKNOWN, identify_strays, track_strays
 from ronna_hw.devices.strays import GATE_MM, average_strays, group_strays
@@ -103,7 +104,7 @@ def test_only_strays_inside_the_volume_and_new_measurements_are_averaged():
     ],
 )
 def test_invalid_positions_and_impossible_parameters_are_refused(frames, wish):
-    with pytest.raises(BadStrays, match="DEV-005"):
+    with raises(BAD_STRAYS, match="DEV-005"):
         group_strays(frames, **wish)
 
 
@@ -210,7 +211,7 @@ def test_tracks_have_the_trackers_own_clock_and_leave_out_repeated_and_doubtful_
 
 @pytest.mark.parametrize("gate_mm", [0.0, -1.0, np.inf, np.nan])
 def test_a_gate_that_is_no_distance_is_refused(gate_mm):
-    with pytest.raises(BadStrays):
+    with raises(BAD_STRAYS):
         identify_strays([], gate_mm=gate_mm)
 
 
@@ -242,5 +243,5 @@ def test_what_is_seen_in_few_frames_is_left_out_unless_it_is_asked_for(spheres, 
     rarely = [one for number, one in enumerate(frames) if number > 15 or number % 4 == 0]
     assert [len(one.positions_mm) for one in track_strays(rarely)] == [8, 8, 8, 8]
     assert len(track_strays(rarely, least_share=0.0)) == 5
-    with pytest.raises(BadStrays):
+    with raises(BAD_STRAYS):
         track_strays(frames, least_share=1.5)

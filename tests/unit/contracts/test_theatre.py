@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from coded_errors import raises
 from force_sensor import DECLARED, ForceSensor, ScaledForceSensor, install
 from ideal_device import IdealDevice
 
@@ -14,7 +15,7 @@ from ronna_hw import Theatre, open_theatre
 from ronna_hw.clock import Clock, HostClock
 from ronna_hw.config import BadTheatreFile, DeviceConfig, parse_theatre
 from ronna_hw.devices import Lifecycle, RobotArm, StopKind
-from ronna_hw.devices.errors import NotInTheatre, TheatreClosed, WrongKind
+from ronna_hw.devices.errors import THEATRE_CLOSED, WRONG_KIND, NotInTheatre
 from ronna_hw.devices.lifecycle import Identity
 from ronna_hw.errors import ConnectError
 
@@ -100,8 +101,8 @@ def test_a_missing_device_is_an_error_that_lists_the_existing_ones(path: Path) -
 
 
 def test_a_device_of_the_wrong_kind_is_refused(path: Path) -> None:
-    with pytest.raises(
-        WrongKind, match=r"DEV-008: device\.force: driver force does not provide RobotArm: it lacks .*stop"
+    with raises(
+        WRONG_KIND, match=r"DEV-008: device\.force: driver force does not provide RobotArm: it lacks .*stop"
     ):
         Theatre.from_file(path).device("force", RobotArm)
 
@@ -184,9 +185,9 @@ def test_device_configs_have_the_names_of_their_tables_and_the_folder_of_the_fil
 def test_a_closed_theatre_provides_neither_devices_nor_clock(path: Path) -> None:
     with Theatre.from_file(path) as theatre:
         pass
-    with pytest.raises(TheatreClosed, match="DEV-010"):
+    with raises(THEATRE_CLOSED, match="DEV-010"):
         theatre.device("force", ScaledForceSensor)
-    with pytest.raises(TheatreClosed, match="DEV-010"):
+    with raises(THEATRE_CLOSED, match="DEV-010"):
         theatre.clock.now_s()
 
 

@@ -5,12 +5,13 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from coded_errors import raises
 from plain_steps import Fit, Image, Localization, ends_away, leaves, plain_order
 from recording_cell import RecordingCell, RecordingOperator
 
 from procedures.engine.context import StepContext
 from procedures.engine.engine import Engine
-from procedures.engine.errors import WrongResult
+from procedures.engine.errors import WRONG_RESULT
 from procedures.engine.events import Questioned
 from procedures.engine.order import Outcome
 from procedures.journal.errors import JournalNotWritable, StepRefused
@@ -106,13 +107,13 @@ def test_a_record_that_was_not_read_is_not_a_parent(cell: RecordingCell) -> None
 
 def test_a_step_cannot_read_a_result_it_does_not_declare(cell: RecordingCell) -> None:
     engine = run_to(cell.engine(plain_order(tool_on=leaves(Image, Image))), "fit:T2")
-    with pytest.raises(WrongResult, match="PRO-016: tool_on asks for image, which it does not declare"):
+    with raises(WRONG_RESULT, match="PRO-016: tool_on asks for image, which it does not declare"):
         run(engine, "tool_on")
 
 
 def test_a_step_that_returns_the_wrong_model_fails_and_its_result_is_not_stored(cell: RecordingCell) -> None:
     engine = run_to(cell.engine(plain_order(localization=leaves(Fit))), "image")
-    with pytest.raises(WrongResult, match="expected Localization, got Fit"):
+    with raises(WRONG_RESULT, match="expected Localization, got Fit"):
         run(engine, "localization:T1")
     assert engine.machine.state == "held"
     assert [path.stem for path in (cell.folder / "records").iterdir()] == ["01-image"]

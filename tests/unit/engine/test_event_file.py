@@ -8,12 +8,13 @@ from pathlib import Path
 
 import pytest
 from bounded_cost import bounded_cost
+from coded_errors import raises
 
 from procedures.cli.runs.showing import line_of
-from procedures.engine.errors import EventsUnreadable
+from procedures.engine.errors import EVENTS_UNREADABLE
 from procedures.engine.events import CaseState, Event, EventStream, JournalLine, Pose, SignalsLost, StepState
 from procedures.engine.events.event_file import EventFile, FollowedRun
-from ronna_hw.command_line.errors import PathProblem
+from ronna_hw.command_line.errors import PATH_PROBLEM
 from ronna_hw.evidence.lost_end import EVENTS_FILE
 
 
@@ -145,7 +146,7 @@ def test_a_huge_sparse_event_file_is_continued_without_reading_all_of_it(tmp_pat
 
 def test_a_folder_that_is_not_a_run_is_refused(tmp_path: Path) -> None:
     for folder in (tmp_path / "nowhere", tmp_path):
-        with pytest.raises(PathProblem):
+        with raises(PATH_PROBLEM):
             FollowedRun(folder)
 
 
@@ -162,7 +163,7 @@ def test_a_line_that_is_not_an_event_of_this_version_is_refused_with_its_number(
     tmp_path: Path, line: bytes
 ) -> None:
     (tmp_path / EVENTS_FILE).write_bytes(line + b"\n")
-    with pytest.raises(EventsUnreadable, match="line 1"):
+    with raises(EVENTS_UNREADABLE, match="line 1"):
         _all(FollowedRun(tmp_path))
 
 
@@ -194,5 +195,5 @@ def test_a_file_of_nested_journal_lines_is_refused_at_bounded_cost(tmp_path: Pat
     )
     text = line.model_dump_json().replace('"@"', f"[{','.join([nested] * 90)}]")
     (tmp_path / EVENTS_FILE).write_text(f"{text}\n" * (10_000_000 // len(text)))
-    with bounded_cost(), pytest.raises(EventsUnreadable, match="too many values"):
+    with bounded_cost(), raises(EVENTS_UNREADABLE, match="too many values"):
         list(FollowedRun(tmp_path).batches(whole=True))

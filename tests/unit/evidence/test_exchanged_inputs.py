@@ -6,6 +6,7 @@ import hashlib
 from pathlib import Path
 
 import pytest
+from coded_errors import raises
 from finished_runs import changed_files
 from plain_steps import Image, plain_order
 from recording_cell import RecordingCell
@@ -18,7 +19,7 @@ from procedures.journal.results import StepResult
 from procedures.runs.engine_setup import theatre_inputs
 from procedures.runs.interrupted_run import read_interrupted_run
 from ronna_hw.evidence.inspection import inspect_run
-from ronna_hw.evidence.journal_reading import JOURNAL_FILE, RunChanged, read_chain
+from ronna_hw.evidence.journal_reading import JOURNAL_FILE, RUN_CHANGED, read_chain
 from ronna_hw.evidence.manifest import WITH_PORTS, hash_inputs, list_theatre_files
 
 CT, TOOL = "case/ct/slice-1.dcm", "theatre/frame.rom"
@@ -123,7 +124,7 @@ def test_a_theatre_file_exchanged_before_a_kill_is_named_to_who_takes_the_run_up
     (run / TOOL).write_text("another")
     assert [str(problem) for problem in inspect_run(run).changes] == [f"{TOOL}: changed"]
     assert inspect_run(run).not_as_left == {TOOL: hashlib.sha256(b"as it was").hexdigest()}
-    with pytest.raises(RunChanged):
+    with raises(RUN_CHANGED):
         read_interrupted_run(run)
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from coded_errors import raises
 from finished_runs import (
     changed_files,
     finished_run,
@@ -24,7 +25,7 @@ from spoilt_runs import files_in, with_another_byte
 
 from procedures.journal.journal import JOURNAL_FILE
 from ronna_hw.evidence.inspection import inspect_run
-from ronna_hw.evidence.journal_reading import RunChanged
+from ronna_hw.evidence.journal_reading import RUN_CHANGED
 from ronna_hw.evidence.manifest import OWN_FOLDERS, REQUEST_FILE, SEAL_FILE
 from ronna_hw.records import canonical_json
 
@@ -41,7 +42,7 @@ def test_any_changed_byte_is_found(finished: Path, data: st.DataObject) -> None:
     place = data.draw(st.integers(0, path.stat().st_size - 1))
     with with_another_byte(path, place, data.draw(st.integers(1, 255))):
         assert path.relative_to(finished).as_posix() in {one.file for one in inspect_run(finished).problems}
-        with pytest.raises(RunChanged, match="PRO-033"):
+        with raises(RUN_CHANGED, match="PRO-033"):
             inspect_run(finished).require_whole()
 
 
@@ -158,13 +159,13 @@ def test_repeating_a_step_keeps_the_pictures_of_its_earlier_runs(tmp_path: Path)
 def test_a_renamed_run_is_refused(run: Path) -> None:
     assert {json.loads(path.read_text())["run"] for path in (run / "records").iterdir()} == {"run"}
     renamed = run.rename(run.with_name("another"))
-    with pytest.raises(RunChanged, match="of run run, in a folder named another"):
+    with raises(RUN_CHANGED, match="of run run, in a folder named another"):
         inspect_run(renamed).require_whole()
 
 
 def test_a_run_beside_which_something_was_added_is_told_apart_from_a_changed_one(run: Path) -> None:
     renamed = run.rename(run.with_name("another"))
-    with pytest.raises(RunChanged) as refused:
+    with raises(RUN_CHANGED) as refused:
         inspect_run(renamed).require_whole()
     assert "rename the folder to run" in str(refused.value)
     assert "Do not rely" not in str(refused.value)
@@ -176,11 +177,11 @@ def test_a_renamed_run_is_called_unchanged_only_as_far_as_it_was_compared(run: P
         (True, "What the run wrote: unchanged"),
         (False, "request and records: unch"),
     ):
-        with pytest.raises(RunChanged, match=compared):
+        with raises(RUN_CHANGED, match=compared):
             inspect_run(renamed, every_file=every_file).require_unchanged()
     request = renamed / REQUEST_FILE
     request.write_text(request.read_text() + " ")
-    with pytest.raises(RunChanged, match=r"request\.json: changed") as refused:
+    with raises(RUN_CHANGED, match=r"request\.json: changed") as refused:
         inspect_run(renamed, every_file=False).require_unchanged()
     assert "unchanged" not in str(refused.value)
 

@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 
 import pytest
+from coded_errors import raises
 from finished_runs import changed_files
 from user_commands import in_this_process
 
@@ -17,7 +18,7 @@ from procedures.runs.finishing import complete_seal, finalize_run
 from procedures.runs.interrupted_run import read_interrupted_run
 from ronna_hw.errors import EXIT_DONE, EXIT_REFUSED, DeviceError
 from ronna_hw.evidence.inspection import inspect_run
-from ronna_hw.evidence.journal_reading import RunChanged
+from ronna_hw.evidence.journal_reading import RUN_CHANGED
 from ronna_hw.evidence.manifest import LOG_FILES, SEAL_FILE, WORLD_FILE, seal_report
 
 NOT_CERTAIN = "This run is intact only as far as can be said."
@@ -63,7 +64,7 @@ def test_events_and_log_of_another_run_are_named_and_never_sealed(run: Path, nam
     refused = in_this_process(app, "report", run)
     assert refused.returncode == EXIT_REFUSED
     assert f"{name}: belongs to another run: another" in refused.stderr
-    with pytest.raises(RunChanged, match=name):
+    with raises(RUN_CHANGED, match=name):
         read_interrupted_run(run)
 
 

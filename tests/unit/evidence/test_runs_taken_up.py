@@ -7,6 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from coded_errors import raises
 from finished_runs import changed_files, gone_home, sealed, without_last_lines
 from user_commands import in_this_process
 
@@ -17,7 +18,7 @@ from procedures.runs.finishing import complete_seal
 from procedures.runs.interrupted_run import read_interrupted_run
 from ronna_hw.errors import EXIT_DONE, EXIT_REFUSED, EXIT_UNCONFIRMED
 from ronna_hw.evidence.inspection import Problem, inspect_run
-from ronna_hw.evidence.journal_reading import RunChanged, read_chain
+from ronna_hw.evidence.journal_reading import RUN_CHANGED, read_chain
 from ronna_hw.evidence.manifest import SEAL_FILE, Manifest, is_sealed
 from ronna_hw.evidence.unsealed import UNSEALED, describe_unsealed_files
 
@@ -69,7 +70,7 @@ def test_a_change_outside_journal_and_records_passes_the_check_before_homing(
     run: Path, spoil: Callable[[Path], Path]
 ) -> None:
     found = inspect_run(spoil(run))
-    with pytest.raises(RunChanged):
+    with raises(RUN_CHANGED):
         found.require_unchanged()
     assert found.require_account().changes != ()
 
@@ -125,7 +126,7 @@ def test_a_file_that_was_put_back_after_a_killed_session_is_as_it_was_left(run: 
 @pytest.mark.parametrize("name", [JOURNAL_FILE, "records/01-image.json"])
 def test_a_changed_journal_or_record_fails_the_check_before_homing(run: Path, name: str) -> None:
     (run / name).write_bytes((run / name).read_bytes().replace(b"image", b"imagf"))
-    with pytest.raises(RunChanged, match=name):
+    with raises(RUN_CHANGED, match=name):
         inspect_run(run).require_account()
 
 
@@ -148,7 +149,7 @@ def test_the_seal_of_an_earlier_end_does_not_cover_a_resumed_run(run: Path) -> N
     journal.close()
     assert not is_sealed(run)
     assert [problem.file for problem in inspect_run(run).problems] == [SEAL_FILE]
-    with pytest.raises(RunChanged, match="the last end was not sealed"):
+    with raises(RUN_CHANGED, match="the last end was not sealed"):
         inspect_run(run).require_whole()
     sealed(run)
     assert inspect_run(run).problems == ()

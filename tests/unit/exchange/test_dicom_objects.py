@@ -16,6 +16,7 @@ from typing import Any
 import gdcm
 import numpy as np
 import pytest
+from coded_errors import raises
 from localized_spheres import localized_marker
 from scipy.spatial.transform import RigidTransform, Rotation
 
@@ -27,7 +28,7 @@ from procedures.exchange.dicom_objects import (
     sphere_fiducials,
     write,
 )
-from procedures.exchange.errors import NotWritable
+from procedures.exchange.errors import NOT_WRITABLE
 from procedures.exchange.export_tables import CtIdentity
 from procedures.exchange.sphere_files import slicer_markups, table
 from ronna_hw.frames import Frame, Transform
@@ -169,7 +170,7 @@ def test_a_number_is_written_as_precisely_as_sixteen_characters_allow(value: flo
 
 
 def test_an_unwritable_path_is_reported(tmp_path: Path) -> None:
-    with pytest.raises(NotWritable, match="EXC-002"):
+    with raises(NOT_WRITABLE, match="EXC-002"):
         write(registration(), tmp_path / "no" / "such.dcm")
 
 

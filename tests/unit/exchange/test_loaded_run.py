@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from coded_errors import raises
 from declaration_checks import UNITS
 from prepared_results import checked_plan, imported_ct, localized_fiducials, registered_robot, relocalization
 
@@ -19,10 +20,10 @@ import procedures.relocalization
 import ronna_hw
 from procedures.cli.planning_inputs import read_assumed_pose
 from procedures.engine.case import Case, StepKey
-from procedures.engine.errors import EventsUnreadable
+from procedures.engine.errors import EVENTS_UNREADABLE
 from procedures.engine.replay.recorded_answers import section_follower
 from procedures.exchange import recorded_tables, run_tables
-from procedures.exchange.errors import NoRegistration, NoSuchLook
+from procedures.exchange.errors import NO_REGISTRATION, NoSuchLook
 from procedures.journal.journal import Entry, Journal
 from procedures.runs.folders import hold_run
 from procedures.runs.loaded_run import MOST_SHOWN
@@ -30,7 +31,7 @@ from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
 from ronna_hw import RunTable, RunWarning, load_run, track_strays
 from ronna_hw.arguments import WrongArgument
 from ronna_hw.arm.pose import Pose
-from ronna_hw.command_line.errors import PathProblem
+from ronna_hw.command_line.errors import PATH_PROBLEM
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import (
     AreaOfInterest,
@@ -42,12 +43,12 @@ from ronna_hw.devices.readings import (
     Validity,
 )
 from ronna_hw.evidence.inspection import inspect_run
-from ronna_hw.evidence.journal_reading import RunChanged
+from ronna_hw.evidence.journal_reading import RUN_CHANGED
 from ronna_hw.evidence.lost_end import EVENTS_FILE
 from ronna_hw.evidence.manifest import KEPT_TRUTH, seal
-from ronna_hw.loaded_run import Column, NoPandas, NoRunReader
+from ronna_hw.loaded_run import NO_PANDAS, NO_RUN_READER, Column
 from ronna_hw.recording.reading_tape import PIXELS_FILE, READINGS_FILE, READINGS_FOLDER, ReadingTape
-from ronna_hw.records import OtherVersion
+from ronna_hw.records import OTHER_VERSION
 
 STAMP = Stamp(1, 4242, 1.25)
 LEFT = CameraImage(
@@ -204,7 +205,7 @@ def test_readings_changed_since_the_seal_are_noted_and_so_is_that_nothing_is_sea
 def test_a_damaged_line_of_the_events_is_refused_and_spares_the_other_tables(run: Path) -> None:
     (run / EVENTS_FILE).write_text('{"version": 1, \n')
     loaded = load_run(run)
-    with pytest.raises(EventsUnreadable, match=r"line 1 of .* is not JSON.*was changed"):
+    with raises(EVENTS_UNREADABLE, match=r"line 1 of .* is not JSON.*was changed"):
         _ = loaded.events
     assert len(loaded.strays) == 5
 
@@ -247,12 +248,12 @@ def test_a_changed_record_is_refused_and_one_of_another_version_spares_the_other
     with monkeypatch.context() as other:
         other.setattr(LocalizedFiducials, "version", 99)
         loaded = load_run(run)
-        with pytest.raises(OtherVersion, match="version 99, got version 2"):
+        with raises(OTHER_VERSION, match="version 99, got version 2"):
             _ = loaded.spheres
         assert len(loaded.strays) == 5
     record = run / "records" / "02-fiducial_localization.json"
     record.write_text(record.read_text().replace('"quality": ', '"quality": 0'))
-    with pytest.raises(RunChanged):
+    with raises(RUN_CHANGED):
         load_run(run)
 
 
@@ -273,16 +274,16 @@ def test_loading_names_what_verify_names_and_warns(run: Path) -> None:
 
 
 def test_what_is_no_run_folder_is_refused_with_what_to_give(run: Path, tmp_path: Path) -> None:
-    with pytest.raises(PathProblem, match=run.name):
+    with raises(PATH_PROBLEM, match=run.name):
         load_run(run.parent)  # a folder of runs
     for wrong in (run / "journal.jsonl", tmp_path / "nothing", tmp_path):
-        with pytest.raises(PathProblem):
+        with raises(PATH_PROBLEM):
             load_run(wrong)
     for not_a_path in ("", " ", None, [run], 5, b"run"):
         with pytest.raises(WrongArgument, match=r"got .") as refused:
             load_run(not_a_path)
         assert isinstance(refused.value, TypeError)
-    with pytest.raises(NoRegistration, match="no registration for a target 'T9'"):
+    with raises(NO_REGISTRATION, match="no registration for a target 'T9'"):
         load_run(run).robot_from_ct("T9")
 
 
@@ -290,7 +291,7 @@ def test_a_stale_installation_without_the_reader_says_what_to_run(
     run: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("ronna_hw.loaded_run.entry_points", lambda *, group: [])
-    with pytest.raises(NoRunReader, match="make setup"):
+    with raises(NO_RUN_READER, match="make setup"):
         load_run(run)
 
 
@@ -303,7 +304,7 @@ def test_a_table_for_pandas_has_a_column_per_component_and_needs_pandas(
     assert {"joints_A6_rad", "stereo_covariance_robot_xz_mm2"} <= set(table.columns)
     assert "robot_from_ct_w" in loaded.registrations.to_pandas()
     monkeypatch.setitem(sys.modules, "pandas", None)
-    with pytest.raises(NoPandas, match="pip install pandas"):
+    with raises(NO_PANDAS, match="pip install pandas"):
         loaded.targets.to_pandas()
 
 

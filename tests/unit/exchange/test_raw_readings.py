@@ -10,13 +10,14 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from coded_errors import raises
 from user_commands import in_this_process
 
 from procedures.cli.procedure import app
 from procedures.cli.runs.commands import raw_command
 from procedures.engine.errors import NotRecorded
 from procedures.engine.replay.recorded_answers import section_follower
-from procedures.exchange.errors import NothingToExport, NotWritable
+from procedures.exchange.errors import NOT_WRITABLE, NOTHING_TO_EXPORT
 from procedures.exchange.raw_readings import EXTENT_FILE, TABLES, missing_in_raw, raw_readings, write_raw
 from procedures.journal.journal import Entry, Journal
 from procedures.runs.finishing import seal_run
@@ -35,7 +36,7 @@ from ronna_hw.devices.readings import (
     Validity,
 )
 from ronna_hw.evidence.inspection import inspect_run
-from ronna_hw.evidence.journal_reading import RunChanged, read_chain
+from ronna_hw.evidence.journal_reading import RUN_CHANGED, read_chain
 from ronna_hw.evidence.manifest import RAW_FOLDER, hash_files_at_closing, seal
 from ronna_hw.recording.reading_tape import READINGS_FILE, READINGS_FOLDER, ReadingTape
 
@@ -240,13 +241,13 @@ def test_raw_readings_truncated_for_lack_of_space_are_reported(run: Path) -> Non
 def test_the_raw_command_refuses_a_changed_run(run: Path, tmp_path: Path) -> None:
     tape = run / READINGS_FOLDER / READINGS_FILE
     tape.write_bytes(tape.read_bytes().replace(b"-1000.0", b"-1001.0"))
-    with pytest.raises(RunChanged, match=r"PRO-033.*readings\.jsonl: changed"):
+    with raises(RUN_CHANGED, match=r"PRO-033.*readings\.jsonl: changed"):
         raw_command(run, tmp_path / "raw")
     assert not (tmp_path / "raw").exists()
 
 
 def test_an_existing_output_folder_is_refused(run: Path, tmp_path: Path) -> None:
-    with pytest.raises(NotWritable, match=r"EXC-002: .* already exists"):
+    with raises(NOT_WRITABLE, match=r"EXC-002: .* already exists"):
         write_raw(run, tmp_path)
 
 
@@ -261,7 +262,7 @@ def test_unreadable_readings_leave_no_output(spoilt: str, run: Path, tmp_path: P
         (tape / "pixels.bin").write_bytes(b"tea")
     out = tmp_path / "out" / "raw"
     out.parent.mkdir()
-    with pytest.raises((NotRecorded, NothingToExport)):
+    with raises(NotRecorded, NOTHING_TO_EXPORT):
         write_raw(run, out)
     assert list(out.parent.iterdir()) == []
 

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 from clinical_case import FIRST, LAST, ROBOT_FROM_CT, ClinicalCell
+from coded_errors import raises
 from prepared_results import (
     SERIES,
     checked_plan,
@@ -26,7 +27,7 @@ from pydicom import dcmread
 from scipy.spatial.transform import Rotation
 
 from procedures.engine.case import Case, StepKey
-from procedures.exchange.errors import NothingToExport, NotWritable, UnknownForm
+from procedures.exchange.errors import NOT_WRITABLE, NOTHING_TO_EXPORT, UNKNOWN_FORM
 from procedures.exchange.run_export import export_run
 from procedures.exchange.sphere_files import check_names
 from procedures.journal.journal import Entry, Journal
@@ -40,10 +41,10 @@ from procedures.steps.clinical.at_target import ReachedTarget
 from procedures.steps.clinical.results import RegisteredRobot
 from procedures.steps.clinical.work_progress import DepthStop
 from procedures.strategies.trajectory import target_pose
-from ronna_hw.evidence.journal_reading import RunChanged
+from ronna_hw.evidence.journal_reading import RUN_CHANGED
 from ronna_hw.evidence.manifest import RAW_FOLDER, hash_files_at_closing, seal
 from ronna_hw.frames import Frame, Transform
-from ronna_hw.records import OtherVersion
+from ronna_hw.records import OTHER_VERSION
 
 IMPORTED = imported_ct()
 SPHERES = localized_fiducials(np.array([[1.0, 2.0, 3.0]]))
@@ -137,7 +138,7 @@ def test_the_registrations_reference_the_exported_spheres(finished: Path) -> Non
 
 def test_a_run_without_a_ct_is_refused(tmp_path: Path) -> None:
     run = record(tmp_path / "run", (StepKey("registration", "T1"), fit("T1", 1.0)))
-    with pytest.raises(NothingToExport, match="EXC-003"):
+    with raises(NOTHING_TO_EXPORT, match="EXC-003"):
         export_run(run, tmp_path / "export")
 
 
@@ -326,26 +327,26 @@ def test_a_real_theatre_has_no_true_error_even_if_its_folder_names_one(tmp_path:
 def test_a_changed_record_is_not_exported(finished: Path) -> None:
     path = finished / "records" / "04-registration-T2.json"
     path.write_text(path.read_text().replace("0.95", "0.99"))
-    with pytest.raises(RunChanged, match=r"PRO-033: .*04-registration-T2"):
+    with raises(RUN_CHANGED, match=r"PRO-033: .*04-registration-T2"):
         export_run(finished, finished / "export")
 
 
 def test_a_missing_record_is_named_and_nothing_is_exported(finished: Path) -> None:
     (finished / "records" / "04-registration-T2.json").unlink()
-    with pytest.raises(RunChanged, match=r"PRO-033: .*04-registration-T2\.json: missing"):
+    with raises(RUN_CHANGED, match=r"PRO-033: .*04-registration-T2\.json: missing"):
         export_run(finished, finished / "export")
     assert not (finished / "export").exists()
 
 
 def test_a_record_of_another_version_is_not_exported(finished: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(RegisteredRobot, "version", 2)
-    with pytest.raises(OtherVersion, match=r"REC-003.*expected registration version 2, got version 1"):
+    with raises(OTHER_VERSION, match=r"REC-003.*expected registration version 2, got version 1"):
         export_run(finished, finished / "export")
 
 
 def test_an_export_path_that_is_a_file_is_refused(finished: Path) -> None:
     (finished.parent / "export").touch()
-    with pytest.raises(NotWritable, match="EXC-002"):
+    with raises(NOT_WRITABLE, match="EXC-002"):
         export_run(finished, finished.parent / "export")
 
 
@@ -354,7 +355,7 @@ def test_a_registration_of_another_run_does_not_stay_among_the_exported_ones(fin
     export_run(finished, out)
     export_run(finished, out)
     (out / "registration-T9.dcm").touch()
-    with pytest.raises(NotWritable, match=r"EXC-002.*registration-T9\.dcm"):
+    with raises(NOT_WRITABLE, match=r"EXC-002.*registration-T9\.dcm"):
         export_run(finished, out)
 
 
@@ -372,7 +373,7 @@ def test_an_export_replaces_links_instead_of_writing_through_them(finished: Path
 
 
 def test_an_unknown_file_format_is_refused() -> None:
-    with pytest.raises(UnknownForm, match=r"EXC-001: cannot tell the format of spheres.xls"):
+    with raises(UNKNOWN_FORM, match=r"EXC-001: cannot tell the format of spheres.xls"):
         check_names([Path("a.csv"), Path("spheres.xls")])
 
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 import resource
 
 import pytest
+from coded_errors import raises
 
-from ronna_hw.host.files import TooFewOpenFiles, require_open_files
+from ronna_hw.host.files import TOO_FEW_OPEN_FILES, require_open_files
 
 
 @pytest.fixture
@@ -29,5 +30,5 @@ def test_a_hard_limit_that_is_too_low_is_reported_with_the_number_required(
     limits: list[tuple[int, int]],
 ) -> None:
     limits.append((64, 64))
-    with pytest.raises(TooFewOpenFiles, match=r"PRC-002: the limit of open files .* expected 96, got 64"):
+    with raises(TOO_FEW_OPEN_FILES, match=r"PRC-002: the limit of open files .* expected 96, got 64"):
         require_open_files(96)

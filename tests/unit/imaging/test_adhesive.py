@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from coded_errors import raises
 from painted_ct import FRAME_UID, SERIES_UID, Scan, Shape
 
 from procedures.imaging import Volume, VoxelGeometry
 from procedures.imaging.adhesive import localize_adhesives
-from procedures.imaging.errors import AdhesiveCountWrong
+from procedures.imaging.errors import ADHESIVE_COUNT_WRONG
 from ronna_hw.adhesive_marker import INNER_RADIUS_MM, OUTER_RADIUS_MM, THICKNESS_MM
 
 SKIN = np.array([20.0, 30.0, 30.0])  # slice, row, column, mm
@@ -57,12 +58,12 @@ def test_a_ring_is_found_to_within_a_tenth_of_a_millimetre_and_within_its_covari
 def test_a_disc_without_a_hole_is_no_ring() -> None:
     scan = skin()
     put_ring(scan, SKIN, inner_mm=-1.0)
-    with pytest.raises(AdhesiveCountWrong, match=r"CT-026.*0 adhesive rings.*at least one"):
+    with raises(ADHESIVE_COUNT_WRONG, match=r"CT-026.*0 adhesive rings.*at least one"):
         localize_adhesives(volume_of(scan))
 
 
 def test_another_number_than_expected_is_refused_with_both() -> None:
     scan = skin()
     put_ring(scan, SKIN)
-    with pytest.raises(AdhesiveCountWrong, match=r"expected 2.*1"):
+    with raises(ADHESIVE_COUNT_WRONG, match=r"expected 2.*1"):
         localize_adhesives(volume_of(scan), expected=2)

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 from bounded_cost import bounded_cost
+from coded_errors import raises
 from pydicom.dataset import Dataset
 from pydicom.encaps import encapsulate, get_frame
 from pydicom.uid import (
@@ -53,7 +54,7 @@ def test_a_deflated_slice_cannot_expand_without_limit(dicom_series: Write) -> No
     first(folder).write_bytes(content[:meta] + packed)
     with (
         bounded_cost(200 << 20),
-        pytest.raises(errors.FileDamaged, match=rf"{FIRST}.*expand beyond the limit"),
+        raises(errors.FILE_DAMAGED, match=rf"{FIRST}.*expand beyond the limit"),
     ):
         read_series(folder)
 
@@ -61,7 +62,7 @@ def test_a_deflated_slice_cannot_expand_without_limit(dicom_series: Write) -> No
 def test_an_oversized_file_is_refused_without_reading_it_whole(dicom_series: Write) -> None:
     folder = dicom_series()
     os.truncate(first(folder), 2_000_000_000)  # takes no place on the disk
-    with bounded_cost(100 << 20, 1.0), pytest.raises(errors.FileDamaged, match=rf"{FIRST}.*too large"):
+    with bounded_cost(100 << 20, 1.0), raises(errors.FILE_DAMAGED, match=rf"{FIRST}.*too large"):
         read_series(folder)
 
 
@@ -129,7 +130,7 @@ def test_a_slice_with_too_many_elements_is_refused(dicom_series: Write) -> None:
     first(folder).write_bytes(content[:pixels] + 20 * empty + content[pixels:])
     with (
         bounded_cost(200 << 20, 2.0),
-        pytest.raises(errors.FileDamaged, match=rf"{FIRST}.*too many elements"),
+        raises(errors.FILE_DAMAGED, match=rf"{FIRST}.*too many elements"),
     ):
         read_series(folder)
 
@@ -140,7 +141,7 @@ def test_an_overlong_value_is_refused_without_parsing_it(dicom_series: Write) ->
     spacing = content.index(struct.pack("<HH2s", 0x0028, 0x0030, b"DS"))
     long = struct.pack("<HH2sxxI", 0x0028, 0x0030, b"UN", 4_000_000) + b"1\\" * 2_000_000
     first(folder).write_bytes(content[:spacing] + long + content[spacing + 8 :])
-    with bounded_cost(100 << 20, 1.0), pytest.raises(errors.FileDamaged, match=rf"{FIRST}.*too long"):
+    with bounded_cost(100 << 20, 1.0), raises(errors.FILE_DAMAGED, match=rf"{FIRST}.*too long"):
         read_series(folder)
 
 
@@ -156,20 +157,20 @@ def test_an_overlong_value_is_refused_without_parsing_it(dicom_series: Write) ->
 )
 def test_sizes_impossible_for_a_scanner_are_refused(dicom_series: Write, absurd: dict[str, object]) -> None:
     folder = dicom_series(edit=every(setting(**absurd)))
-    with bounded_cost(100 << 20, 1.0), pytest.raises(errors.AttributeMissing, match=rf"CT-012: {FIRST}"):
+    with bounded_cost(100 << 20, 1.0), raises(errors.ATTRIBUTE_MISSING, match=rf"CT-012: {FIRST}"):
         read_series(folder)
 
 
 def test_a_value_of_very_many_numbers_is_named_in_short(dicom_series: Write) -> None:
     folder = dicom_series(edit=every(setting(PixelSpacing=["1"] * 16_000)))
-    with pytest.raises(errors.AttributeMissing, match="PixelSpacing is unusable") as refused:
+    with raises(errors.ATTRIBUTE_MISSING, match="PixelSpacing is unusable") as refused:
         read_series(folder)
     assert len(str(refused.value)) < 400
 
 
 def test_more_pixel_data_than_the_header_declares_is_refused(dicom_series: Write) -> None:
     folder = dicom_series(edit=every(lambda data: setattr(data, "PixelData", data.PixelData + bytes(1000))))
-    with pytest.raises(errors.FileDamaged, match=rf"{FIRST} has more pixels than its header says"):
+    with raises(errors.FILE_DAMAGED, match=rf"{FIRST} has more pixels than its header says"):
         read_series(folder)
 
 
@@ -209,7 +210,7 @@ def test_a_compressed_frame_is_checked_before_it_is_decoded(
         stored_as(data, syntax)
 
     folder = dicom_series(edit=every(compress))
-    with bounded_cost(), pytest.raises(errors.FileDamaged, match=rf"CT-005: {FIRST}"):
+    with bounded_cost(), raises(errors.FILE_DAMAGED, match=rf"CT-005: {FIRST}"):
         read_series(folder)
 
 
@@ -222,7 +223,7 @@ def test_a_table_that_leads_the_decoder_to_an_unchecked_frame_is_refused(dicom_s
         data.ExtendedOffsetTableLengths = struct.pack("<Q", len(runs(100_000)))
 
     folder = dicom_series(edit=every(compress))
-    with bounded_cost(), pytest.raises(errors.FileDamaged, match=rf"{FIRST} .*Extended Offset Table"):
+    with bounded_cost(), raises(errors.FILE_DAMAGED, match=rf"{FIRST} .*Extended Offset Table"):
         read_series(folder)
 
 
@@ -239,7 +240,7 @@ def test_a_slice_that_is_there_by_name_only_is_refused(
     last = max(folder.iterdir())
     last.unlink()
     replace(last.with_suffix(suffix))
-    with pytest.raises(errors.FileDamaged, match=f"CT-005: {last.stem}{suffix} is"):
+    with raises(errors.FILE_DAMAGED, match=f"CT-005: {last.stem}{suffix} is"):
         read_series(folder)
 
 
@@ -274,5 +275,5 @@ def test_a_frame_that_crashes_its_decoder_is_refused_and_the_program_survives(
 
     folder = dicom_series(edit=every(compress))
     for _ in range(2):
-        with pytest.raises(errors.FileDamaged, match=rf"{FIRST}: .*its decoder gave up"):
+        with raises(errors.FILE_DAMAGED, match=rf"{FIRST}: .*its decoder gave up"):
             read_series(folder)

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from coded_errors import raises
 from localized_spheres import as_volume, matched, rms
 from numpy.typing import NDArray
 
@@ -255,18 +256,18 @@ def test_an_empty_scan_is_refused_unless_nothing_is_expected(make_scan: Make) ->
     "request_", [{"diameter_mm": 1.0}, {"diameter_mm": float("nan")}, {"expected": -1}, {"expected": "3"}]
 )
 def test_impossible_requests_are_refused(make_scan: Make, request_: dict[str, Any]) -> None:
-    with pytest.raises(errors.LocalizationMisused) as refused:
+    with raises(errors.LOCALIZATION_MISUSED) as refused:
         localize(as_volume(make_scan(shape=(20, 40, 40))), **request_)
     assert "at most nan" not in str(refused.value)
 
 
 def test_a_diameter_in_metres_is_asked_about(make_scan: Make) -> None:
-    with pytest.raises(errors.LocalizationMisused, match=r"got 0\.0115 mm\. Are these metres"):
+    with raises(errors.LOCALIZATION_MISUSED, match=r"got 0\.0115 mm\. Are these metres"):
         localize(as_volume(make_scan(shape=(20, 40, 40))), diameter_mm=0.0115)
 
 
 def test_spheres_larger_than_the_scan_are_refused(make_scan: Make) -> None:
-    with pytest.raises(errors.LocalizationMisused, match="do not fit"):
+    with raises(errors.LOCALIZATION_MISUSED, match="do not fit"):
         localize(as_volume(make_scan(shape=(20, 40, 40))), diameter_mm=30.0)
 
 

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from coded_errors import raises
 from localized_spheres import as_volume
 from numpy.typing import NDArray
 
@@ -88,8 +89,8 @@ def test_picks_in_ras_or_in_metres_are_refused_with_a_hint(
 
 
 def test_an_array_instead_of_a_volume_is_refused_with_advice() -> None:
-    with pytest.raises(
-        errors.LocalizationMisused, match=r"CT-017: .* in mm: ndarray\. Read one with .*read_series"
+    with raises(
+        errors.LOCALIZATION_MISUSED, match=r"CT-017: .* in mm: ndarray\. Read one with .*read_series"
     ):
         localize(np.zeros((4, 4, 4), dtype=np.int16))  # type: ignore[arg-type]
 

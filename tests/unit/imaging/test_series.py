@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pydicom
 import pytest
+from coded_errors import raises
 from jpeg_ls import encode_buffer
 from pydicom.dataset import Dataset
 from pydicom.encaps import encapsulate, get_frame
@@ -21,7 +22,7 @@ from pydicom.uid import (
 from spoiled_slices import every, only, setting
 
 from procedures.imaging import read_series
-from procedures.imaging.errors import FileDamaged
+from procedures.imaging.errors import FILE_DAMAGED
 
 Write = Callable[..., Path]
 HU = np.arange(5 * 6 * 7, dtype=np.int16).reshape(5, 6, 7) - 1000  # what the fixture writes by default
@@ -131,7 +132,7 @@ def test_a_frame_that_cannot_be_decoded_is_named_although_the_next_slice_is_read
             data.PixelData = encapsulate([frame[: len(frame) // 2]])
             data["PixelData"].VR = "OB"
 
-    with pytest.raises(FileDamaged, match=r"CT-005: 0002\.dcm: its pixel data cannot be decoded"):
+    with raises(FILE_DAMAGED, match=r"CT-005: 0002\.dcm: its pixel data cannot be decoded"):
         read_series(dicom_series(HU, edit=compress))
 
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from coded_errors import raises
 from localized_spheres import as_volume
 
 from procedures.imaging import ThesisFit, Volume, errors, localize_as_thesis, read_series
@@ -55,7 +56,7 @@ def test_an_empty_scan_and_impossible_requests_are_refused(make_scan: Callable[.
     empty = as_volume(make_scan())
     with pytest.raises(errors.MarkerCountWrong, match="no marker found"):
         localize_as_thesis(empty, ThesisFit.LINE)
-    with pytest.raises(errors.LocalizationMisused):
+    with raises(errors.LOCALIZATION_MISUSED):
         localize_as_thesis(empty, ThesisFit.LINE, diameter_mm=1.0)
 
 

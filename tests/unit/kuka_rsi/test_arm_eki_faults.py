@@ -6,17 +6,18 @@ from threading import current_thread
 from typing import Any
 
 import pytest
+from coded_errors import raises
 from driven_arm import activated, configured
 from waiting import eventually
 
 from drivers.kuka_rsi.errors import (
+    CONTROLLER_NOT_READY,
+    UNVERIFIED_CONTROLLER,
+    WRONG_CONTROLLER,
     CommandRefused,
     ControllerLost,
     ControllerNotFound,
-    ControllerNotReady,
     NoAnswer,
-    Unverified,
-    WrongController,
 )
 from drivers.kuka_rsi.fault_watch import FaultWatch
 from ronna_hw.arm_stream.mailbox import MailboxTorn
@@ -55,7 +56,7 @@ def test_a_controller_with_another_configuration_is_refused_at_connect(
 ) -> None:
     controller.facts[fact] = value
     arm = make_arm()
-    with pytest.raises(WrongController, match=said) as caught:
+    with raises(WRONG_CONTROLLER, match=said) as caught:
         arm.connect()
     assert caught.value.code == "EKI-005"
     assert arm.state is Lifecycle.DISCONNECTED
@@ -69,7 +70,7 @@ def test_recovery_with_another_controller_is_refused(
     controller.drop_eki()
     eventually(lambda: active_arm.state is Lifecycle.FAULT)
     controller.facts[fact] = value
-    with pytest.raises(WrongController, match=value):
+    with raises(WRONG_CONTROLLER, match=value):
         active_arm.recover("tester", 3.0)
     assert active_arm.state is Lifecycle.FAULT
     assert "ACK_ERRORS" not in controller.commands
@@ -80,7 +81,7 @@ def test_a_controller_that_does_not_report_its_context_hash_is_unverified(
     controller: Any, make_arm: Any
 ) -> None:
     del controller.facts["CtxHash"]
-    with pytest.raises(Unverified, match="context hash") as caught:
+    with raises(UNVERIFIED_CONTROLLER, match="context hash") as caught:
         make_arm().connect()
     assert caught.value.code == "EKI-006"
 
@@ -88,7 +89,7 @@ def test_a_controller_that_does_not_report_its_context_hash_is_unverified(
 def test_a_controller_that_is_not_ready_is_not_started(controller: Any, make_arm: Any) -> None:
     arm = configured(make_arm())
     controller.facts["Err"] = "29002"
-    with pytest.raises(ControllerNotReady, match=r"message 29002.*recover\(acknowledged_by\)") as caught:
+    with raises(CONTROLLER_NOT_READY, match=r"message 29002.*recover\(acknowledged_by\)") as caught:
         arm.activate()
     assert caught.value.code == "EKI-007"
     assert arm.state is Lifecycle.FAULT

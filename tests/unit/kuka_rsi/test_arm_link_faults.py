@@ -11,10 +11,11 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
 import pytest
+from coded_errors import raises
 from driven_arm import THERE, configured, largest_step, moving
 from waiting import eventually
 
-from drivers.kuka_rsi.errors import LinkNotStarted, LinkSilent, MotionTripped, NoTelegram, PoseDisagrees
+from drivers.kuka_rsi.errors import LINK_NOT_STARTED, LINK_SILENT, MOTION_TRIPPED, NoTelegram, PoseDisagrees
 from ronna_hw.arm.pose import radians6
 from ronna_hw.arm_stream.records import Choice
 from ronna_hw.devices import Lifecycle
@@ -28,7 +29,7 @@ def test_an_axis_that_does_not_follow_trips_the_monitor_and_the_last_cycles_are_
     controller.frozen = True
     thread.join()
     error = caught[0]
-    assert isinstance(error, MotionTripped)
+    assert error.code == MOTION_TRIPPED.code
     assert "following error" in str(error)
     cycles = active_arm.recorded_cycles
     assert 10 < len(cycles) <= 256
@@ -46,7 +47,7 @@ def test_link_silence_is_detected_and_latched(controller: Any, active_arm: Any) 
     thread, caught = moving(active_arm, controller)
     controller.silent.set()
     thread.join()
-    assert isinstance(caught[0], LinkSilent)
+    assert caught[0].code == LINK_SILENT.code
     assert caught[0].code == "RSI-003"
     assert caught[0].exit_code == 5
     controller.silent.clear()
@@ -64,7 +65,7 @@ def test_configure_reports_a_port_in_use(controller: Any, make_arm: Any) -> None
     arm.connect()
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
         other.bind(controller.rsi_address)
-        with pytest.raises(LinkNotStarted, match="Address already in use") as caught:
+        with raises(LINK_NOT_STARTED, match="Address already in use") as caught:
             arm.configure()
     assert caught.value.code == "RSI-001"
     assert arm.state is Lifecycle.CONNECTED
@@ -83,7 +84,7 @@ def test_configure_names_the_signal_that_killed_the_real_time_process(
     arm = make_arm()
     arm.connect()
     monkeypatch.setattr(subprocess, "Popen", Killed)
-    with pytest.raises(LinkNotStarted, match="killed by SIGKILL") as caught:
+    with raises(LINK_NOT_STARTED, match="killed by SIGKILL") as caught:
         arm.configure()
     assert "port" not in caught.value.advice
     monkeypatch.undo()

@@ -16,7 +16,7 @@ from fake_controller import FakeController
 from recorded_bytes import RecordedBytes
 from waiting import HANG_LIMIT_S
 
-from drivers.kuka_rsi.errors import MotionStopped, NoTelegram
+from drivers.kuka_rsi.errors import MOTION_STOPPED, NoTelegram
 from drivers.kuka_rsi.fault_watch import FaultWatch
 from ronna_hw.devices import LastKnown, Lifecycle, RobotArm
 from ronna_hw.devices.capabilities import Direction, RecordsBytes
@@ -105,7 +105,7 @@ def test_an_error_inside_the_active_block_brings_a_moving_arm_to_rest(controller
         break_off()
     thread, caught = motions[0]
     thread.join()
-    assert [type(error) for error in caught] == [MotionStopped]
+    assert [error.code for error in caught] == [MOTION_STOPPED.code]
     assert arm.state is Lifecycle.CONFIGURED
     assert controller.facts["RSI"] == "0"
     assert largest_step(controller.replies) < 1 / 8

@@ -7,17 +7,24 @@ import signal
 from typing import Any
 
 import pytest
+from coded_errors import raises
 from driven_arm import FAR, THERE, activated, configured, largest_step, moving
 from waiting import HANG_LIMIT_S, eventually
 
-from drivers.kuka_rsi.errors import DrivesOff, LinkStopped, MotionNotFinished, MotionStopped, ProtectiveStop
+from drivers.kuka_rsi.errors import (
+    DRIVES_OFF,
+    LINK_STOPPED,
+    MOTION_NOT_FINISHED,
+    MOTION_STOPPED,
+    PROTECTIVE_STOP,
+)
 from ronna_hw.arm.pose import radians6
 from ronna_hw.arm_stream.motion import MotionFollower
 from ronna_hw.arm_stream.records import Fault, StopOrder
 from ronna_hw.devices import Lifecycle, StopKind
 from ronna_hw.devices.errors import WrongState
 from ronna_hw.devices.lifecycle import LifecycleGuard
-from ronna_hw.errors import RonnaError
+from ronna_hw.errors import ErrorCode, RonnaError
 
 
 @pytest.mark.hazard(32)
@@ -25,7 +32,7 @@ def test_hold_stops_the_arm_smoothly_and_resume_causes_no_motion(controller: Any
     thread, caught = moving(active_arm, controller)
     active_arm.stop(StopKind.HOLD)
     thread.join()
-    assert isinstance(caught[0], MotionStopped)
+    assert caught[0].code == MOTION_STOPPED.code
     assert caught[0].code == "RSI-010"
     assert active_arm.state is Lifecycle.HOLD
     with pytest.raises(WrongState):
@@ -70,7 +77,7 @@ def test_a_hold_right_after_the_state_was_checked_refuses_the_motion(
         active_arm.stop(StopKind.HOLD)
 
     monkeypatch.setattr(LifecycleGuard, "require", check_and_be_stopped)
-    with pytest.raises(MotionStopped, match="stopped before it began"):
+    with raises(MOTION_STOPPED, match="stopped before it began"):
         active_arm.move_joints(FAR)
     assert active_arm.read_state().commanded_rad == held
 
@@ -83,7 +90,7 @@ def test_a_stop_that_fails_leaves_the_state_as_it_was(
         active_arm.stop(StopKind.HOLD)
     with monkeypatch.context() as patched:
         patched.setattr(MotionFollower, "wait", lambda *_condition: None)
-        with pytest.raises(MotionNotFinished, match="does not come to rest"):
+        with raises(MOTION_NOT_FINISHED, match="does not come to rest"):
             active_arm.stop(StopKind.HOLD)
     assert active_arm.state is state
 
@@ -91,21 +98,21 @@ def test_a_stop_that_fails_leaves_the_state_as_it_was(
 @pytest.mark.parametrize(
     ("kind", "error"),
     [
-        (StopKind.PROTECTIVE, ProtectiveStop),
-        (StopKind.DRIVES_OFF, DrivesOff),
-        pytest.param(StopKind.LINK, LinkStopped, marks=pytest.mark.slow),
+        (StopKind.PROTECTIVE, PROTECTIVE_STOP),
+        (StopKind.DRIVES_OFF, DRIVES_OFF),
+        pytest.param(StopKind.LINK, LINK_STOPPED, marks=pytest.mark.slow),
     ],
 )
 @pytest.mark.hazard(32)
 def test_every_stop_except_hold_is_latched_until_recovered(
-    controller: Any, active_arm: Any, kind: StopKind, error: type[RonnaError]
+    controller: Any, active_arm: Any, kind: StopKind, error: ErrorCode[RonnaError]
 ) -> None:
     thread, caught = moving(active_arm, controller)
     active_arm.stop(kind)
     thread.join()
-    assert type(caught[0]) is error
+    assert caught[0].code == error.code
     assert active_arm.state is Lifecycle.FAULT
-    assert type(active_arm.fault) is error
+    assert active_arm.fault.code == error.code
     assert largest_step(controller.replies) < 1 / 8
     with pytest.raises(WrongState, match=error.code):  # later calls are refused and name it
         active_arm.read_state()
@@ -145,7 +152,7 @@ def test_a_motion_that_does_not_settle_is_reported_after_its_time_limit(
 ) -> None:
     arm = activated(make_arm())
     controller.frozen = True
-    with pytest.raises(MotionNotFinished) as caught:
+    with raises(MOTION_NOT_FINISHED) as caught:
         arm.move_joints(radians6(0, -90, 90, 0, 60, 0.05), timeout_s=0.5)
     assert caught.value.code == "RSI-011"
 
@@ -155,8 +162,8 @@ def test_an_arm_at_rest_off_its_goal_is_reported_after_the_settle_limit_not_the_
 ) -> None:
     monkeypatch.setattr("ronna_hw.arm_stream.motion.SETTLE_LIMIT_S", 0.5)
     controller.frozen = True
-    with pytest.raises(
-        MotionNotFinished,
+    with raises(
+        MOTION_NOT_FINISHED,
         match=r"did not settle at the end of its path; limit 0\.5 s, got A6 -0\.0500 deg off",
     ):
         active_arm.move_joints(radians6(0, -90, 90, 0, 60, 0.05), timeout_s=HANG_LIMIT_S)

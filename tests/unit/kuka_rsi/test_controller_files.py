@@ -10,10 +10,11 @@ from typing import Any
 from xml.etree import ElementTree
 
 import pytest
+from coded_errors import raises
 
 from drivers.kuka_rsi.controller.generate import render
 from ronna_hw.wire.kuka_context import (
-    ContextInvalid,
+    CONTEXT_INVALID,
     Feedback,
     SendElement,
     Wire,
@@ -116,7 +117,7 @@ def test_the_context_wires_feedback_to_its_channel() -> None:
     ],
 )
 def test_a_context_that_the_files_cannot_express_is_refused(changes: dict[str, Any], words: str) -> None:
-    with pytest.raises(ContextInvalid, match=words):
+    with raises(CONTEXT_INVALID, match=words):
         render(CONTEXT.model_copy(update=changes))
 
 

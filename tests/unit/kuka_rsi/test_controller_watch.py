@@ -9,24 +9,25 @@ from math import degrees
 from typing import Any
 
 import pytest
+from coded_errors import raises
 from driven_arm import THERE, configured
 from waiting import HANG_LIMIT_S, eventually
 
 from drivers.kuka_rsi import micro_move
 from drivers.kuka_rsi.connections import Connections
 from drivers.kuka_rsi.errors import (
-    ControllerNotReady,
-    HandshakeFailed,
-    LinkProcessDied,
-    MotionStopped,
+    CONTROLLER_NOT_READY,
+    HANDSHAKE_FAILED,
+    LINK_PROCESS_DIED,
+    MOTION_STOPPED,
+    UNVERIFIED_CONTROLLER,
     NoAnswer,
-    Unverified,
 )
 from drivers.kuka_rsi.micro_move import MicroMove
 from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.devices import ConfirmedStart, JointMove, Lifecycle, OperatingMode
 from ronna_hw.devices.errors import PersonNotNamed
-from ronna_hw.errors import RonnaError
+from ronna_hw.errors import ErrorCode, RonnaError
 
 FULL_SPEED_DEG_S = degrees(kr6_r900("kr6_r900_sixx").full_speed_rad_s[0])
 
@@ -37,7 +38,7 @@ def test_recovery_is_refused_while_the_cause_persists(
 ) -> None:
     controller.tell(**change)
     eventually(lambda: bool(active_arm.state is Lifecycle.FAULT))
-    with pytest.raises(ControllerNotReady):
+    with raises(CONTROLLER_NOT_READY):
         active_arm.recover("Ana")
     assert active_arm.state is Lifecycle.FAULT
 
@@ -59,7 +60,7 @@ def test_a_silent_eki_channel_is_latched_without_any_call(controller: Any, activ
 def test_t1_needs_a_persons_confirmation_for_each_start(controller: Any, make_arm: Any) -> None:
     controller.facts["Mode"] = "T1"
     arm = configured(make_arm())
-    with pytest.raises(ControllerNotReady, match="T1"):
+    with raises(CONTROLLER_NOT_READY, match="T1"):
         arm.activate()
     arm.recover("Ana")
     with pytest.raises(PersonNotNamed):
@@ -67,7 +68,7 @@ def test_t1_needs_a_persons_confirmation_for_each_start(controller: Any, make_ar
     arm.allow_t1("Ana")
     arm.activate()
     arm.deactivate()
-    with pytest.raises(ControllerNotReady, match="T1"):
+    with raises(CONTROLLER_NOT_READY, match="T1"):
         arm.activate()
 
 
@@ -127,7 +128,7 @@ def test_an_unverified_controller_is_activated_only_by_a_micro_move_a_person_con
     silent_controller: Any, make_arm: Any
 ) -> None:
     arm = _configured(make_arm)
-    with pytest.raises(Unverified):
+    with raises(UNVERIFIED_CONTROLLER):
         arm.activate()
     with pytest.raises(PersonNotNamed):
         arm.activate_unverified("")
@@ -150,7 +151,7 @@ def test_a_confirmed_start_of_an_unverified_controller_is_a_micro_move_and_is_va
     arm.activate()
     assert all(any(reply[1][axis] for reply in silent_controller.replies) for axis in range(6))
     arm.deactivate()
-    with pytest.raises(Unverified):
+    with raises(UNVERIFIED_CONTROLLER):
         arm.activate()
 
 
@@ -162,7 +163,7 @@ def test_a_confirmation_given_when_none_was_due_does_not_permit_a_start_in_t1(
     assert arm.to_confirm is None
     arm.confirm_start("Ana")
     controller.tell(Mode="T1")
-    with pytest.raises(ControllerNotReady, match="T1"):
+    with raises(CONTROLLER_NOT_READY, match="T1"):
         arm.activate()
 
 
@@ -187,7 +188,7 @@ def test_a_controller_that_follows_the_micro_move_wrongly_is_refused(
     silent_controller.adds_up = how == "corrections add up"
     silent_controller.frozen = how == "nothing follows"
     arm = _configured(make_arm)
-    with pytest.raises(HandshakeFailed):
+    with raises(HANDSHAKE_FAILED):
         arm.activate_unverified("Ana")
     assert arm.state is Lifecycle.FAULT
     assert not silent_controller.streaming.is_set()
@@ -205,7 +206,7 @@ def test_a_stop_during_the_micro_move_ends_it(silent_controller: Any, make_arm: 
 
     stopping = threading.Thread(target=stop_once_moving)
     stopping.start()
-    with pytest.raises(MotionStopped):
+    with raises(MOTION_STOPPED):
         arm.activate_unverified("Ana")
     stopping.join()
     assert not any(reply[1][0] for reply in silent_controller.replies)  # A1 is the last one tested
@@ -214,14 +215,14 @@ def test_a_stop_during_the_micro_move_ends_it(silent_controller: Any, make_arm: 
 
 @pytest.mark.hazard(4)
 @pytest.mark.parametrize(
-    ("signalled", "error"), [(signal.SIGKILL, LinkProcessDied), (signal.SIGSTOP, HandshakeFailed)]
+    ("signalled", "error"), [(signal.SIGKILL, LINK_PROCESS_DIED), (signal.SIGSTOP, HANDSHAKE_FAILED)]
 )
 def test_a_real_time_process_that_fails_during_the_micro_move_ends_it(
     silent_controller: Any,
     make_arm: Any,
     monkeypatch: pytest.MonkeyPatch,
     signalled: signal.Signals,
-    error: type[RonnaError],
+    error: ErrorCode[RonnaError],
 ) -> None:
     arm = _configured(make_arm)
     silent_controller.pace_s = 0.001
@@ -234,9 +235,9 @@ def test_a_real_time_process_that_fails_during_the_micro_move_ends_it(
             monkeypatch.setattr(micro_move, "TELEGRAMS_LIMIT_S", 0.5)
 
     monkeypatch.setattr(MicroMove, "_require_small", fail_once_moving)
-    with pytest.raises(error):
+    with raises(error):
         arm.activate_unverified("Ana")
-    assert isinstance(arm.fault, error)
+    assert arm.fault.code == error.code
     arm.connections.link.process.kill()  # so that closing need not wait for a stopped one
     arm.connections.control.status(HANG_LIMIT_S)  # what it was asked before is answered before it closes
 

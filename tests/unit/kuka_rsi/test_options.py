@@ -7,8 +7,9 @@ from typing import Any
 
 import pytest
 import tomli_w
+from coded_errors import raises
 
-from drivers.kuka_rsi.errors import BadOptions, ContextUnusable
+from drivers.kuka_rsi.errors import BAD_OPTIONS, CONTEXT_UNUSABLE
 from drivers.kuka_rsi.options import KukaOptions, load_usable_context, read_options
 from ronna_hw.wire.kuka_context import load_context
 
@@ -62,7 +63,7 @@ def test_an_unsafe_context_is_refused_with_the_reason(
 ) -> None:
     path = tmp_path / "context.toml"
     path.write_text(tomli_w.dumps(context))
-    with pytest.raises(ContextUnusable, match=reason) as refused:
+    with raises(CONTEXT_UNUSABLE, match=reason) as refused:
         load_usable_context("robot.master", KukaOptions(context=path))
     assert str(path) in str(refused.value)
 
@@ -70,7 +71,7 @@ def test_an_unsafe_context_is_refused_with_the_reason(
 def test_all_reasons_are_reported_at_once(tmp_path: Path) -> None:
     path = tmp_path / "context.toml"
     path.write_text(tomli_w.dumps(_with(axis_correction=None, stop=None)))
-    with pytest.raises(ContextUnusable, match=r"no STOP object.*AXISCORR are missing"):
+    with raises(CONTEXT_UNUSABLE, match=r"no STOP object.*AXISCORR are missing"):
         load_usable_context("robot.master", KukaOptions(context=path))
 
 
@@ -83,16 +84,16 @@ def test_the_shipped_context_is_usable_with_both_cycle_times() -> None:
 def test_options_have_defaults_and_all_mistakes_are_reported() -> None:
     assert read_options("arm", {}).silence_limit_s == 0.25
     assert read_options("arm", {"variant": "kr6_r900_2"}).variant.value == "kr6_r900_2"
-    with pytest.raises(BadOptions, match="options have 3 mistakes") as caught:
+    with raises(BAD_OPTIONS, match="options have 3 mistakes") as caught:
         read_options("arm", {"variant": "kr16", "speed_fraction": 0.5, "speed": 1})
     assert caught.value.code == "RSI-013"
     assert caught.value.exit_code == 2
-    with pytest.raises(BadOptions, match="silence_limit_s: expected a valid number without quotes"):
+    with raises(BAD_OPTIONS, match="silence_limit_s: expected a valid number without quotes"):
         read_options("arm", {"silence_limit_s": "5"})
-    with pytest.raises(BadOptions, match="accept_unverified: expected a valid boolean without quotes"):
+    with raises(BAD_OPTIONS, match="accept_unverified: expected a valid boolean without quotes"):
         read_options("arm", {"accept_unverified": "true"})
 
 
 def test_a_line_speed_in_metres_per_second_is_refused() -> None:
-    with pytest.raises(BadOptions, match="line_speed_mm_s"):
+    with raises(BAD_OPTIONS, match="line_speed_mm_s"):
         read_options("arm", {"line_speed_mm_s": 0.25})

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
+from coded_errors import raises
 from polaris_unit_in_process import StillClock, configured
 
 from drivers.ndi_polaris import PolarisTracker, errors
@@ -154,7 +155,7 @@ def test_a_unit_error_is_raised_as_its_own_type(
     device = make_tracker()
     device.connect()
     unit.answers_to["PHRQ"] = text
-    with pytest.raises(kind):
+    with raises(kind):
         device.configure(60.0)
     assert device.state is Lifecycle.CONNECTED
 
@@ -179,7 +180,7 @@ def test_a_device_of_another_make_is_refused(make_tracker: Make, unit: Any) -> N
 
 @pytest.mark.parametrize("wish", [{"expected_model": "vicra"}, {"expected_serial": "P7-99999"}])
 def test_a_unit_other_than_the_expected_one_is_refused(make_tracker: Make, wish: dict[str, str]) -> None:
-    with pytest.raises(errors.WrongUnit):
+    with raises(errors.WRONG_UNIT):
         make_tracker(**wish).connect()
 
 
@@ -242,7 +243,7 @@ def test_recovery_with_another_unit_is_refused(tracker: PolarisTracker, unit: An
     unit.closed = False
     unit.restart()
     unit.answers_to["VER"] = "Polaris Spectra Control Firmware\nNDI S/N: P7-77777"
-    with pytest.raises(errors.WrongUnit):
+    with raises(errors.WRONG_UNIT):
         tracker.recover("tester")
     assert tracker.state is Lifecycle.FAULT
 
@@ -285,5 +286,5 @@ def test_an_alert_that_affects_no_pose_is_read_and_tracking_continues(
 def test_wrong_options_are_all_reported_at_once(
     make_tracker: Make, options: dict[str, Any], words: str
 ) -> None:
-    with pytest.raises(errors.BadOptions, match=words):
+    with raises(errors.BAD_OPTIONS, match=words):
         make_tracker(**options)

@@ -7,17 +7,18 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
+from coded_errors import raises
 from polaris_unit_in_process import bring_up
 
 from drivers.ndi_polaris import PolarisTracker
 from drivers.ndi_polaris.errors import MalformedReply, NoReply
 from ronna_hw.devices import new_frames
-from ronna_hw.devices.errors import NoPose, UnknownTool
+from ronna_hw.devices.errors import NO_POSE, UnknownTool
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import Validity
 from ronna_hw.devices.strays import average_strays
 from ronna_hw.errors import EXIT_USAGE
-from ronna_hw.frames import Frame, FrameMismatch
+from ronna_hw.frames import FRAME_MISMATCH, Frame
 
 Make = Callable[..., PolarisTracker]
 
@@ -63,7 +64,7 @@ def test_a_tool_outside_the_volume_offers_no_transform(
         unit.missing.add(1)
     tool = tracker.read_frame().tool("robot_frame")
     assert tool.validity is Validity.OUT_OF_VOLUME
-    with pytest.raises(NoPose, match=r"DEV-004.*out_of_volume.*Move the tracker"):
+    with raises(NO_POSE, match=r"DEV-004.*out_of_volume.*Move the tracker"):
         tool.transform(Frame.TRACKER, Frame.MARKER)
 
 
@@ -80,7 +81,7 @@ def test_a_pose_in_the_tracker_frame_is_not_given_as_one_between_other_frames(
     tracker: PolarisTracker, target: Frame, source: Frame
 ) -> None:
     tool = tracker.read_frame().tool("robot_frame")
-    with pytest.raises(FrameMismatch, match=rf"FRM-001.*robot_frame.*got {target} <- {source}.*invert"):
+    with raises(FRAME_MISMATCH, match=rf"FRM-001.*robot_frame.*got {target} <- {source}.*invert"):
         tool.transform(target, source)
     assert tool.transform(Frame.TRACKER, Frame.MARKER).translation_mm == pytest.approx((10, -20, -1500))
 
@@ -127,7 +128,7 @@ def test_a_missing_tool_has_validity_missing_and_no_pose(tracker: PolarisTracker
     assert tool.validity is Validity.MISSING
     assert tool.position_mm is None
     assert tool.rotation is None
-    with pytest.raises(NoPose, match=r"missing.*line of sight"):
+    with raises(NO_POSE, match=r"missing.*line of sight"):
         tool.transform(Frame.TRACKER, Frame.MARKER)
 
 

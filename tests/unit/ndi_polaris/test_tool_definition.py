@@ -9,8 +9,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from coded_errors import raises
 
-from drivers.ndi_polaris.errors import BadToolFile, SameGeometry
+from drivers.ndi_polaris.errors import BAD_TOOL_FILE, SAME_GEOMETRY
 from drivers.ndi_polaris.shipped_tools import FOLDER, build_shipped_definitions
 from drivers.ndi_polaris.tool_comparison import (
     check_distinct,
@@ -122,7 +123,7 @@ def test_no_two_shipped_tools_share_a_triangle_of_markers() -> None:
     check_distinct(shipped)
     assert find_alike({"patient": shipped["patient_frame.rom"]}, 6.0) == ()
     again = {**shipped, "patient": shipped["robot_frame.rom"]}
-    with pytest.raises(SameGeometry, match=r"NDI-012: tools robot_frame.rom and patient share a triangle"):
+    with raises(SAME_GEOMETRY, match=r"NDI-012: tools robot_frame.rom and patient share a triangle"):
         check_distinct(again)
 
 
@@ -166,19 +167,19 @@ def test_an_invalid_definition_is_refused_with_the_reason(block: bytes, words: s
         block = bytearray(block)
         block[74:76] = b"\xc0\x7f"
         block[4:6] = (sum(block[6:]) & 0xFFFF).to_bytes(2, "little")
-    with pytest.raises(BadToolFile, match=words) as caught:
+    with raises(BAD_TOOL_FILE, match=words) as caught:
         decode_definition(bytes(block), "tool.rom")
     assert caught.value.code == "NDI-011"
 
 
 def test_a_missing_definition_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(BadToolFile, match=r"cannot read gone\.rom"):
+    with raises(BAD_TOOL_FILE, match=r"cannot read gone\.rom"):
         read_definition(tmp_path / "gone.rom")
 
 
 @pytest.mark.parametrize("part_number", ["x" * 21, "größer"])
 def test_a_part_number_that_does_not_fit_is_refused(part_number: str) -> None:
-    with pytest.raises(BadToolFile):
+    with raises(BAD_TOOL_FILE):
         encode_definition(dataclasses.replace(RIGID_BODY, part_number=part_number))
 
 
@@ -261,7 +262,7 @@ def test_two_tools_that_share_a_triangle_are_refused() -> None:
     mirrored = dataclasses.replace(
         RIGID_BODY, markers_mm=tuple((-x, y + 5.0, z) for x, y, z in RIGID_BODY.markers_mm)
     )
-    with pytest.raises(SameGeometry, match="first and second"):
+    with raises(SAME_GEOMETRY, match="first and second"):
         check_distinct({"first": RIGID_BODY, "second": mirrored})
     check_distinct({"first": RIGID_BODY, "second": ROBOT_FRAME})
 

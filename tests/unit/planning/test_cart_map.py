@@ -13,11 +13,12 @@ from typing import cast
 import numpy as np
 import psutil
 import pytest
+from coded_errors import raises
 from waiting import HANG_LIMIT_S, eventually
 
 from procedures.planning.cart_map import map_places, open_judge, propose_place
 from procedures.planning.cart_place import CartCase, CartMove, PlaceSolution, Verdict
-from procedures.planning.errors import NoPlace
+from procedures.planning.errors import NO_PLACE
 from procedures.planning.proposed_place import TURNED_SHARE, ProposedPlace
 from ronna_hw.arm.pose import Pose
 from ronna_hw.frames import Frame, Transform
@@ -133,7 +134,7 @@ def test_a_solution_known_from_a_neighbouring_place_is_passed_on() -> None:
 
 def test_a_map_without_any_usable_place_is_refused_with_the_commonest_reason() -> None:
     judge, _ = _judge(lambda x, y: False)
-    with pytest.raises(NoPlace, match="too far"):
+    with raises(NO_PLACE, match="too far"):
         propose_place(map_places(WITHIN_MM, judge), judge)
 
 

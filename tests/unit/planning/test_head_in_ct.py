@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from coded_errors import raises
 
 from procedures.imaging.volume import Volume, VoxelGeometry
-from procedures.planning.errors import NoHeadInCt
+from procedures.planning.errors import NO_HEAD_IN_CT
 from procedures.planning.head_in_ct import HeadEllipsoid, fit_head, skull_angle_rad
 from procedures.strategies.trajectory import Trajectory
 
@@ -73,7 +74,7 @@ def test_a_protruding_chin_lies_within_the_ellipsoid() -> None:
 
 
 def test_air_is_not_taken_for_a_head() -> None:
-    with pytest.raises(NoHeadInCt) as caught:
+    with raises(NO_HEAD_IN_CT) as caught:
         fit_head(_volume(np.zeros(SHAPE, dtype=bool)))
     assert caught.value.code == "PLAN-014"
 

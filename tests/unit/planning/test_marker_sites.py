@@ -8,11 +8,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from coded_errors import raises
 from prepared_results import checked_plan
 
 from procedures.cli.planning_inputs import read_assumed_pose
 from procedures.imaging.volume import Volume, VoxelGeometry
-from procedures.planning.errors import HeadUnreadable, NoMarkerSites, NoTemplate, WrongSeries
+from procedures.planning.errors import HEAD_UNREADABLE, NO_MARKER_SITES, NO_TEMPLATE, WRONG_SERIES
 from procedures.planning.head_in_ct import HeadEllipsoid, fit_head
 from procedures.planning.marker_sites import (
     APART_MM,
@@ -29,7 +30,7 @@ from procedures.registration.rigid_fit import fit_rigid
 from procedures.reporting.pictures import marker_picture
 from procedures.strategies.trajectory import Trajectory
 from ronna_hw.arm.pose import Pose
-from ronna_hw.marker_template import BadTemplate, MarkerTemplate, read_marker_template
+from ronna_hw.marker_template import BAD_TEMPLATE, MarkerTemplate, read_marker_template
 
 HEAD = HeadEllipsoid(centre_mm=(3.0, -40.0, 810.0), semi_axes_mm=(75.0, 95.0, 90.0))
 TRAJECTORIES = (
@@ -79,10 +80,10 @@ def test_the_claimed_errors_match_random_trials() -> None:
 
 def test_a_head_without_room_for_the_markers_is_refused() -> None:
     small = HeadEllipsoid(centre_mm=(0.0, 0.0, 0.0), semi_axes_mm=(25.0, 25.0, 25.0))
-    with pytest.raises(NoMarkerSites, match=r"PLAN-021.*8 markers"):
+    with raises(NO_MARKER_SITES, match=r"PLAN-021.*8 markers"):
         propose_markers(small, (Trajectory("T1", (0.0, -25.0, 25.0), (0.0, 0.0, 0.0)),), 8, ERROR_MM)
     around = np.random.default_rng(0).normal(0.0, 25.0, (200, 3))
-    with pytest.raises(NoMarkerSites, match=r"PLAN-021.*one more marker"):
+    with raises(NO_MARKER_SITES, match=r"PLAN-021.*one more marker"):
         propose_further(small, TRAJECTORIES, around, ERROR_MM)
 
 
@@ -114,7 +115,7 @@ def test_a_smaller_margin_never_costs_accuracy() -> None:
 
 
 def test_a_margin_no_head_has_room_for_is_refused_with_the_largest_possible_one() -> None:
-    with pytest.raises(NoTemplate, match=r"PLAN-015.*40 mm.*at most .* mm"):
+    with raises(NO_TEMPLATE, match=r"PLAN-015.*40 mm.*at most .* mm"):
         propose_template(HEAD, 4, 40.0)
 
 
@@ -180,7 +181,7 @@ def test_a_file_that_is_not_a_template_is_refused_with_the_reason(
 ) -> None:
     path = tmp_path / "t.toml"
     path.write_text(text)
-    with pytest.raises(BadTemplate, match=said) as refused:
+    with raises(BAD_TEMPLATE, match=said) as refused:
         read_marker_template(path)
     assert refused.value.code == "TPL-001"
 
@@ -192,7 +193,7 @@ def test_a_file_that_is_not_a_template_is_refused_with_the_reason(
 def test_a_scene_without_a_head_is_refused(tmp_path: Path, text: str, said: str) -> None:
     path = tmp_path / "scene.toml"
     path.write_text(text)
-    with pytest.raises(HeadUnreadable, match=said):
+    with raises(HEAD_UNREADABLE, match=said):
         read_scene_head(path)
 
 
@@ -206,10 +207,10 @@ def test_a_scene_file_tells_where_the_robot_has_the_ct(tmp_path: Path) -> None:
     assert Pose.from_kuka(*read_assumed_pose(path, plan)).position_mm == (900.0, 0.0, 20.0)
     assert read_assumed_pose(path, plan)[3:] == pytest.approx((180.0, 0.0, 0.0))
     path.write_text(json.dumps({"head": head}))
-    with pytest.raises(HeadUnreadable, match=r"no head\.robot_from_ct"):
+    with raises(HEAD_UNREADABLE, match=r"no head\.robot_from_ct"):
         read_assumed_pose(path, plan)
     path.write_text(json.dumps({"head": {**head, "targets": [{"target_ct_mm": [0.0, 0.0, 1.0]}]}}))
-    with pytest.raises(WrongSeries, match=r"PLAN-003: scene\.json"):
+    with raises(WRONG_SERIES, match=r"PLAN-003: scene\.json"):
         read_assumed_pose(path, plan)
 
 

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from coded_errors import raises
 
 from procedures.planning.errors import NotReachable
 from procedures.planning.free_angle import WristState
@@ -15,7 +16,7 @@ from procedures.planning.visits import ArmSetting, Axes, Visit, list_visits
 from procedures.strategies.trajectory import Trajectory
 from ronna_hw.arm.pose import radians6
 from ronna_hw.arm.universal_robots import universal_robot
-from ronna_hw.frames import Frame, FrameMismatch, Transform
+from ronna_hw.frames import FRAME_MISMATCH, Frame, Transform
 
 FIDUCIALS = [[60.0, -70.0, 60.0], [-50.0, -75.0, 55.0], [5.0, -40.0, 100.0]]
 TRAJECTORIES = (
@@ -167,7 +168,7 @@ def test_the_stereo_head_and_the_guide_may_differ(make_arm):
 
 
 def test_wrong_frames_are_refused(make_arm):
-    with pytest.raises(FrameMismatch, match="FRM-001"):
+    with raises(FRAME_MISMATCH, match="FRM-001"):
         make_arm(robot_from_ct=make_arm().flange_from_tool)
-    with pytest.raises(FrameMismatch, match="FRM-001"):
+    with raises(FRAME_MISMATCH, match="FRM-001"):
         make_arm(flange_from_stereo=make_arm().robot_from_ct)

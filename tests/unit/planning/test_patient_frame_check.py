@@ -6,8 +6,9 @@ from pathlib import Path
 
 import pytest
 from clinical_case import ClinicalCell
+from coded_errors import raises
 
-from procedures.planning.errors import PatientFrameUnfit
+from procedures.planning.errors import PATIENT_FRAME_UNFIT
 from procedures.planning.tool_records import check_patient_frame
 from ronna_hw.devices.errors import UnknownTool
 from ronna_hw.patient_frame import MARKERS_MM, NAME
@@ -43,5 +44,5 @@ def test_a_frame_that_the_tracker_does_not_know_is_refused(cell: ClinicalCell) -
 def test_a_frame_with_the_shape_of_another_is_refused(
     cell: ClinicalCell, markers_mm: list[tuple[float, float, float]], whose: str
 ) -> None:
-    with pytest.raises(PatientFrameUnfit, match=rf"TOOL-008.*{whose}.*limit 2 mm.*got 0\.00 mm.*shipped one"):
+    with raises(PATIENT_FRAME_UNFIT, match=rf"TOOL-008.*{whose}.*limit 2 mm.*got 0\.00 mm.*shipped one"):
         check_patient_frame(NAME, cell.calibrations, {**TOOLS, NAME: markers_mm})

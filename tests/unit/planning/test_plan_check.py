@@ -7,23 +7,24 @@ import re
 
 import numpy as np
 import pytest
+from coded_errors import raises
 from scipy.spatial.transform import Rotation
 from strategy_arms import Stuck
 
 from procedures.planning.errors import (
-    MarkersAdhesive,
+    MARKERS_ADHESIVE,
+    NOT_THE_FRAME,
+    NOT_THE_TEMPLATE,
+    OUTSIDE_FIELD,
+    STOP_BEYOND_INSTRUMENT,
+    WRONG_ORIENTATION,
+    WRONG_SERIES,
     NotIntoHead,
     NotReachable,
-    NotTheFrame,
-    NotTheTemplate,
-    OutsideField,
     PlanMistakes,
     StandoffInsideSkin,
-    StopBeyondInstrument,
     UnknownTool,
     WrongMarkerCount,
-    WrongOrientation,
-    WrongSeries,
 )
 from procedures.planning.line_of_sight import StereoSight
 from procedures.planning.plan_check import (
@@ -60,26 +61,26 @@ def test_a_valid_plan_passes(plan, make_volume, make_arm):
 
 @pytest.mark.hazard(9)
 def test_another_series_is_refused_with_both_uids(plan, make_volume):
-    with pytest.raises(WrongSeries, match="PLAN-003") as caught:
+    with raises(WRONG_SERIES, match="PLAN-003") as caught:
         check_plan(plan, make_volume(series_instance_uid="1.2.3.4")).require()
     assert plan.series_instance_uid in str(caught.value)
     assert "1.2.3.4" in str(caught.value)
     assert "mistyped" not in str(caught.value)
     other = ("2" if plan.series_instance_uid[0] == "1" else "1") + plan.series_instance_uid[1:]
-    with pytest.raises(WrongSeries, match=r"\(case/plan\.toml\), got 1\.2\.3\.4 \(scans/Monday\)"):
+    with raises(WRONG_SERIES, match=r"\(case/plan\.toml\), got 1\.2\.3\.4 \(scans/Monday\)"):
         check_plan(
             plan,
             make_volume(series_instance_uid="1.2.3.4"),
             plan_name="case/plan.toml",
             ct_name="scans/Monday",
         ).require()
-    with pytest.raises(WrongSeries, match="UID differs in character 1 only: mistyped"):
+    with raises(WRONG_SERIES, match="UID differs in character 1 only: mistyped"):
         check_plan(plan, make_volume(series_instance_uid=other)).require()
 
 
 @pytest.mark.hazard(7)
 def test_another_patient_position_is_refused(plan, make_volume):
-    with pytest.raises(WrongOrientation, match=r"PLAN-009.*HFS.*HFP"):
+    with raises(WRONG_ORIENTATION, match=r"PLAN-009.*HFS.*HFP"):
         check_plan(plan, make_volume(patient_position="HFP")).require()
 
 
@@ -99,7 +100,7 @@ def test_fiducials_away_from_the_template_are_refused(plan, make_volume):
     as_planned = plan.model_copy(update={"template_mm": tuple(map(tuple, four[::-1] + 7.0))})
     assert check_plan(as_planned, make_volume(), fiducials_mm=four).passed
     another = plan.model_copy(update={"template_mm": tuple(map(tuple, 1.2 * four))})
-    with pytest.raises(NotTheTemplate, match="PLAN-017"):
+    with raises(NOT_THE_TEMPLATE, match="PLAN-017"):
         check_plan(another, make_volume(), fiducials_mm=four).require()
 
 
@@ -143,7 +144,7 @@ IN_AIR = {ENTRY: "entry_mm = [10, -85, 90]", TARGET: "target_mm = [5, -80, 75]"}
 REFUSED = {
     "outside": (
         {ENTRY: "entry_mm = [10, -20, 100.5]"},
-        OutsideField,
+        OUTSIDE_FIELD,
         r"PLAN-006.*entry of trajectory T1.*expected L -.* to .*; S .* mm",
     ),
     "exchanged": (EXCHANGED, NotIntoHead, "PLAN-011.*T1.*probably swapped"),
@@ -165,7 +166,7 @@ def edited(text: str, changes: dict[str, str]) -> str:
 @pytest.mark.parametrize("name", REFUSED)
 def test_an_implausible_plan_is_refused(name, plan_text, plan_path, make_volume):
     changes, error, said = REFUSED[name]
-    with pytest.raises(error, match=said):
+    with raises(error, match=said):
         check_plan(read_plan(plan_path(edited(plan_text, changes))), make_volume()).require()
 
 
@@ -177,7 +178,7 @@ def test_the_x_frame_is_recognised_among_the_spheres_of_the_ct(plan_text, plan_p
     assert check.passed
     assert check.warnings == ("spheres that do not belong to the x-shaped frame are ignored: 1",)
     for spheres in (np.vstack([turned[:3], [[70.0, 10.0, 0.0]]]), FOUR):
-        with pytest.raises(NotTheFrame, match="PLAN-013"):
+        with raises(NOT_THE_FRAME, match="PLAN-013"):
             check_plan(plan, make_volume(), fiducials_mm=spheres).require()
 
 
@@ -243,7 +244,7 @@ def test_a_depth_stop_beyond_the_instrument_is_refused(plan, make_volume):
     short = plan.model_copy(update={"instrument_length_mm": 160.0})
     one = short.model_copy(update={"trajectories": short.trajectories[:1]})
     assert check_plan(short, make_volume()).passed  # without the guide nobody knows
-    with pytest.raises(StopBeyondInstrument, match=r"PLAN-019: .*limit 160 mm, got 170\.2 mm"):
+    with raises(STOP_BEYOND_INSTRUMENT, match=r"PLAN-019: .*limit 160 mm, got 170\.2 mm"):
         check_plan(one, make_volume(), bore=BORE).require()
 
 
@@ -297,9 +298,7 @@ def test_fewer_than_three_fiducials_give_no_layout_warning(count):
 
 def test_a_plan_with_adhesive_markers_is_refused_with_their_number_and_what_a_case_needs(plan, make_volume):
     adhesive = plan.model_copy(update={"fiducials": FiducialKind.ADHESIVE})
-    with pytest.raises(
-        MarkersAdhesive, match=r"PLAN-030.*4 adhesive.*\"free\".*\"adhesive\".*Implant screws"
-    ):
+    with raises(MARKERS_ADHESIVE, match=r"PLAN-030.*4 adhesive.*\"free\".*\"adhesive\".*Implant screws"):
         require_spheres(adhesive)
     assert [one.code for one in check_plan(adhesive, make_volume(), fiducials_mm=()).findings] == ["PLAN-030"]
     require_spheres(plan)

@@ -7,12 +7,13 @@ from pathlib import Path
 
 import pytest
 from bounded_cost import bounded_cost
+from coded_errors import raises
 
 from procedures.planning.errors import (
-    BadTrajectoryGeometry,
-    DuplicateTrajectory,
+    BAD_TRAJECTORY_GEOMETRY,
+    DUPLICATE_TRAJECTORY,
+    PLAN_UNREADABLE,
     PlanMistakes,
-    PlanUnreadable,
 )
 from procedures.planning.plan_file import compose_plan, read_plan
 from procedures.planning.plan_model import FiducialKind, PatientPosition
@@ -37,21 +38,21 @@ def test_a_plan_is_read(plan_text, plan_path):
     "content", ["schema = ", "\x00", "a = " + "[" * 5000, "x = 1\nx = 2", "n = 0\n" * 200_000]
 )
 def test_a_file_that_is_not_toml_is_unreadable(content, plan_path):
-    with pytest.raises(PlanUnreadable, match="PLAN-001") as caught:
+    with raises(PLAN_UNREADABLE, match="PLAN-001") as caught:
         read_plan(plan_path(content))
     assert caught.value.exit_code == EXIT_USAGE
     assert "\n" not in str(caught.value)
 
 
 def test_a_theatre_file_given_as_a_plan_is_recognised(plan_path):
-    with pytest.raises(PlanUnreadable, match="is a theatre file, not a plan"):
+    with raises(PLAN_UNREADABLE, match="is a theatre file, not a plan"):
         read_plan(plan_path('schema = 1\ntheatre = "lab"\n[tracker]\ndriver = "ndi_polaris"\n'))
 
 
 def test_a_missing_file_a_folder_and_bytes_that_are_not_text_are_unreadable(tmp_path):
     (tmp_path / "plan.toml").write_bytes(b"\xff\xfe\x00")
     for path in (tmp_path / "absent.toml", tmp_path, tmp_path / "plan.toml"):
-        with pytest.raises(PlanUnreadable, match="PLAN-001"):
+        with raises(PLAN_UNREADABLE, match="PLAN-001"):
             read_plan(path)
 
 
@@ -105,21 +106,21 @@ FIRST_TARGET = "target_mm = [5.0, -20.0, 20.0]"
 @pytest.mark.parametrize(
     ("old", "new", "error", "said"),
     [
-        (FIRST_TARGET, "target_mm = [10, -50, 60.2]", BadTrajectoryGeometry, "PLAN-004.*T1.*0.2 mm apart"),
+        (FIRST_TARGET, "target_mm = [10, -50, 60.2]", BAD_TRAJECTORY_GEOMETRY, "PLAN-004.*T1.*0.2 mm apart"),
         (
             FIRST_TARGET,
             "target_mm = [5, 140, 20]",
-            BadTrajectoryGeometry,
+            BAD_TRAJECTORY_GEOMETRY,
             r"PLAN-004.*the target at \(5\.0, 140\.0, 20\.0\) mm is .* deep",
         ),
-        ('"T2"', '"T1"', DuplicateTrajectory, "PLAN-005.*'T1'"),
+        ('"T2"', '"T1"', DUPLICATE_TRAJECTORY, "PLAN-005.*'T1'"),
         ("standoff_mm = 30.0", "standoff_mm = 0.03", PlanMistakes, "0.03 mm is closer .* not metres"),
-        ("implanted = 4", "implanted = 4,0", PlanUnreadable, "4,0; decimals have a point, not a comma"),
+        ("implanted = 4", "implanted = 4,0", PLAN_UNREADABLE, "4,0; decimals have a point, not a comma"),
     ],
 )
 def test_an_impossible_value_is_refused_with_its_code(old, new, error, said, plan_text, plan_path):
     assert old in plan_text
-    with pytest.raises(error, match=said):
+    with raises(error, match=said):
         read_plan(plan_path(plan_text.replace(old, new, 1)))
 
 
@@ -143,7 +144,7 @@ def test_thousands_of_mistakes_are_counted_not_listed(plan_text, plan_path):
 def test_several_mistakes_of_one_kind_keep_their_code(plan_text, plan_path):
     text = plan_text.replace("target_mm = [5.0, -20.0, 20.0]", "target_mm = [10, -50, 60]")
     text = text.replace("target_mm = [-15.5, -10.0, 25.0]", "target_mm = [-20, -40, 70]")
-    with pytest.raises(BadTrajectoryGeometry, match=r"PLAN-004.*2 mistakes.*trajectory T1.*trajectory T2"):
+    with raises(BAD_TRAJECTORY_GEOMETRY, match=r"PLAN-004.*2 mistakes.*trajectory T1.*trajectory T2"):
         read_plan(plan_path(text))
 
 

@@ -11,9 +11,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from coded_errors import raises
 
 from procedures.imaging.volume import Volume
-from procedures.planning.errors import AlteredPlan, OtherVoxels, PlanInUse, PlanNotSaved
+from procedures.planning.errors import ALTERED_PLAN, PLAN_NOT_SAVED, OtherVoxels, PlanInUse
 from procedures.planning.plan_check import check_plan
 from procedures.planning.plan_file import describe_seal, parse_plan_bytes, read_plan, seal_plan, write_plan
 from procedures.planning.plan_lock import is_plan_in_use, lock_plan, plan_replacement
@@ -49,7 +50,7 @@ def test_a_plan_altered_under_its_seal_is_refused(saved: Path, before: str, afte
     text = saved.read_text()
     assert before in text
     saved.write_text(text.replace(before, after, 1))
-    with pytest.raises(AlteredPlan, match=r"PLAN-023.*plan\.toml was altered"):
+    with raises(ALTERED_PLAN, match=r"PLAN-023.*plan\.toml was altered"):
         read_plan(saved)
     assert read_plan(saved, sealed_only=False).seal is not None  # to be looked at
 
@@ -84,7 +85,7 @@ def test_a_full_disk_leaves_the_previous_plan_intact(saved: Path, monkeypatch: p
         raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr("os.fsync", full)
-    with pytest.raises(PlanNotSaved, match=r"PLAN-025.*No space left"):
+    with raises(PLAN_NOT_SAVED, match=r"PLAN-025.*No space left"):
         write_plan(saved, plan)
     assert saved.read_bytes() == before
     assert [one.name for one in saved.parent.iterdir()] == ["plan.toml"]

@@ -7,9 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from coded_errors import raises
 
 from procedures.imaging.volume import Volume
-from procedures.planning.errors import NearStructure, OutsideField, PlanMistakes, StructureUnreadable
+from procedures.planning.errors import NEAR_STRUCTURE, OUTSIDE_FIELD, STRUCTURE_UNREADABLE, PlanMistakes
 from procedures.planning.plan_check import check_plan
 from procedures.planning.plan_file import parse_plan, read_plan, write_plan
 from procedures.planning.plan_model import MOST_POINTS, Plan, Structure
@@ -53,13 +54,13 @@ def test_a_trajectory_within_the_margin_of_a_structure_is_refused(
     said = check.as_payload()["structures"][0]
     assert (said["name"], said["trajectory"], said["margin_mm"]) == ("vessel", "T1", margin_mm)
     if not passes:
-        with pytest.raises(NearStructure, match=r"PLAN-027.*T1.*vessel.*at least 4\.5 mm.*got 4\.0 mm"):
+        with raises(NEAR_STRUCTURE, match=r"PLAN-027.*T1.*vessel.*at least 4\.5 mm.*got 4\.0 mm"):
             check.require()
 
 
 def test_a_structure_outside_the_ct_field_is_refused(plan: Plan, make_volume: Callable[..., Volume]) -> None:
     elsewhere = build_structure("vessel", 1.0, [(90.0, 90.0, 98.0), (90.0, 90.0, 101.0), (90.0, 90.0, 104.0)])
-    with pytest.raises(OutsideField, match=r"PLAN-006.*67% of the points of vessel"):
+    with raises(OUTSIDE_FIELD, match=r"PLAN-006.*67% of the points of vessel"):
         check_plan(avoiding(plan, elsewhere), make_volume()).require()
 
 
@@ -131,19 +132,19 @@ def test_points_are_imported_from_csv_and_slicer_files(make_volume: Callable[...
     ("content", "error", "said"),
     [
         *(
-            (content, StructureUnreadable, "PLAN-028.*Give CSV rows")
+            (content, STRUCTURE_UNREADABLE, "PLAN-028.*Give CSV rows")
             for content in (b"", b"\xff\xfe", b"1,2\n", b"x,y,z\n1,2,3\n", b"1,2,nan\n")
         ),
         (
             b"0.009,-0.02,0.02\n0.01,-0.03,0.03\n",
-            StructureUnreadable,
+            STRUCTURE_UNREADABLE,
             r"PLAN-028.*vessel\.csv.*millimetres, not metres",
         ),
-        (b"0,0,900\n", OutsideField, r"PLAN-006.*100% of the points in vessel\.csv"),
+        (b"0,0,900\n", OUTSIDE_FIELD, r"PLAN-006.*100% of the points in vessel\.csv"),
     ],
 )
 def test_a_file_without_points_in_millimetres_of_this_ct_is_refused(
     content: bytes, error: type[RonnaError], said: str, make_volume: Callable[..., Volume]
 ) -> None:
-    with pytest.raises(error, match=said):
+    with raises(error, match=said):
         read_structure(content, "vessel.csv", "vessel", 3.0, make_volume().geometry)

@@ -7,6 +7,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from coded_errors import raises
 from scipy.spatial.transform import RigidTransform
 
 from benchmarks.scans.postoperative import (
@@ -17,7 +18,7 @@ from benchmarks.scans.postoperative import (
     paint_before,
 )
 from procedures.imaging.volume import Volume
-from procedures.planning.errors import WrongSeries
+from procedures.planning.errors import WRONG_SERIES
 from procedures.postoperative.bone_registration import BoneRegistration, register_on_bone
 from procedures.postoperative.comparison import (
     Candidate,
@@ -28,13 +29,13 @@ from procedures.postoperative.comparison import (
     require_series,
 )
 from procedures.postoperative.errors import (
-    FitFailed,
-    HeadsDiffer,
-    InstrumentAmbiguous,
-    InstrumentMissing,
-    NoBone,
-    OneSeriesTwice,
-    SeriesSwapped,
+    FIT_FAILED,
+    HEADS_DIFFER,
+    INSTRUMENT_AMBIGUOUS,
+    INSTRUMENT_MISSING,
+    NO_BONE,
+    ONE_SERIES_TWICE,
+    SERIES_SWAPPED,
 )
 from procedures.postoperative.planned_line import ExpectedFit, FitQuality, PlannedLine
 from procedures.postoperative.summary import summarize_comparison
@@ -135,7 +136,7 @@ def test_a_trajectory_without_an_instrument_is_named_along_with_those_found(
     scene: Scene, planned: Volume
 ) -> None:
     post, truth = _after(scene, draw_misplaced(scene, InstrumentKind.ELECTRODE, SEED)[:1])
-    with pytest.raises(InstrumentMissing, match=r"was found along T2; .*found along T1"):
+    with raises(INSTRUMENT_MISSING, match=r"was found along T2; .*found along T1"):
         compare_registered(truth, make_plan(scene), planned, post)
     assert [
         one.id for one in compare_registered(truth, make_plan(scene), planned, post, ["T1"]).trajectories
@@ -153,7 +154,7 @@ def test_one_instrument_or_hole_is_not_counted_for_two_trajectories(
     aside = {name: tuple(np.add(getattr(first, name), (3.0, 0.0, 0.0))) for name in ("entry_mm", "target_mm")}
     beside = second.model_copy(update=aside)
     plan = make_plan(scene).model_copy(update={"trajectories": (first, beside)})
-    with pytest.raises(InstrumentAmbiguous, match=r"T1 and T2|T2 and T1"):
+    with raises(INSTRUMENT_AMBIGUOUS, match=r"T1 and T2|T2 and T1"):
         compare_registered(truth, plan, planned, post)
 
 
@@ -167,7 +168,7 @@ def test_an_opening_that_is_not_a_drill_hole_is_refused_with_the_reason(
     voxels = post.voxels.copy()
     flap = voxels[slices - 12 : slices + 13, rows - 15 : rows + 16, columns - 15 : columns + 16]
     flap[flap > 300] = 40  # a plate of bone of 36 mm was taken out
-    with pytest.raises(FitFailed, match=r"T1 \(drill hole: .*ended at a limit"):
+    with raises(FIT_FAILED, match=r"T1 \(drill hole: .*ended at a limit"):
         compare_registered(truth, make_plan(scene), planned, replace(post, voxels=voxels), ["T1"])
 
 
@@ -188,7 +189,7 @@ def test_bone_beyond_the_end_of_the_scan_is_not_taken_for_a_drill_hole(scene: Sc
     post, truth = _after(scene, ())
     entry = _slice_of(post, truth, scene.head.targets[0].entry_ct_mm)
     for below in (0, 8, 15):  # slices by which it ends too low
-        with pytest.raises(InstrumentMissing):
+        with raises(INSTRUMENT_MISSING):
             compare_registered(truth, make_plan(scene), planned, _between(post, 0, entry - below), ["T1"])
 
 
@@ -202,7 +203,7 @@ def test_an_instrument_or_hole_that_the_scan_shows_in_part_is_refused_with_the_r
     cut = _between(post, _slice_of(post, truth, target.target_ct_mm) + 10, len(post.voxels))
     if kind is InstrumentKind.DRILL_HOLE:
         cut = _between(post, 0, _slice_of(post, truth, target.entry_ct_mm) - 3)
-    with pytest.raises(FitFailed, match=r"T1 \(.*: the CT ends there"):
+    with raises(FIT_FAILED, match=r"T1 \(.*: the CT ends there"):
         compare_registered(truth, make_plan(scene), planned, cut, ["T1"])
 
 
@@ -212,14 +213,14 @@ def test_another_skull_is_refused(scene: Scene, planned: Volume) -> None:
     a, b, c = scene.head.semi_axes_mm
     hardly = scene.head.model_copy(update={"semi_axes_mm": (a - 1.0, b - 1.0, c + 1.0)})
     other = draw_scan(scene.model_copy(update={"head": hardly}), (), SEED)
-    with pytest.raises(HeadsDiffer):
+    with raises(HEADS_DIFFER):
         register_on_bone(planned, paint_after(other))
 
 
 def test_a_scan_without_bone_is_refused(planned: Volume) -> None:
     air = np.full((40, 40, 40), -1000, dtype=np.int16)
     nothing = Volume(air, replace(planned.geometry, shape=air.shape), "1.2.3", "1.2.4")
-    with pytest.raises(NoBone):
+    with raises(NO_BONE):
         register_on_bone(nothing, planned)
 
 
@@ -229,11 +230,11 @@ def test_the_plan_must_match_the_first_series_and_the_second_series_must_differ(
 ) -> None:
     plan, post = make_plan(scene), replace(planned, series_instance_uid="1.2.2")
     require_series(plan, planned, post)
-    with pytest.raises(SeriesSwapped):
+    with raises(SERIES_SWAPPED):
         require_series(plan, post, planned)
-    with pytest.raises(OneSeriesTwice):
+    with raises(ONE_SERIES_TWICE):
         require_series(plan, planned, planned)
-    with pytest.raises(WrongSeries):
+    with raises(WRONG_SERIES):
         require_series(plan, replace(planned, series_instance_uid="1.2.8"), post)
 
 

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from coded_errors import raises
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from procedures.registration import register_clouds
 from procedures.registration.errors import (
+    NOT_CONVERGED,
+    SYMMETRIC_CLOUD,
+    TOO_FEW_POINTS,
+    UNSOUND_REGISTRATION,
     BadParameter,
     CollinearPoints,
-    NotConverged,
-    SymmetricCloud,
-    TooFewPoints,
-    UnsoundRegistration,
 )
 
 
@@ -69,7 +70,7 @@ def test_a_symmetric_cloud_is_refused(shape, random, any_pose):
         "square": np.array([[0, 0, 0], [90, 0, 0], [90, 90, 0], [0, 90, 0]], dtype=float),
         "ball": 80.0 * ball / np.linalg.norm(ball, axis=1, keepdims=True),
     }[shape]
-    with pytest.raises(SymmetricCloud, match="REG-011"):
+    with raises(SYMMETRIC_CLOUD, match="REG-011"):
         register_clouds(cloud, any_pose(random).apply(cloud))
 
 
@@ -81,13 +82,13 @@ def test_a_start_resolves_the_symmetry(random, any_pose):
 
 def test_a_mirrored_cloud_is_refused(random, any_pose):
     points = head(500, random)
-    with pytest.raises(UnsoundRegistration, match=r"REG-009.*mirror image"):
+    with raises(UNSOUND_REGISTRATION, match=r"REG-009.*mirror image"):
         register_clouds(points, any_pose(random).apply(points * [-1.0, 1.0, 1.0]))
 
 
 def test_two_points_a_line_or_a_repeated_point_fix_no_pose(random):
     points = head(10, random)
-    with pytest.raises(TooFewPoints, match="REG-002"):
+    with raises(TOO_FEW_POINTS, match="REG-002"):
         register_clouds(points[:2], points)
     with pytest.raises(CollinearPoints, match="REG-003"):
         register_clouds(points, np.outer(np.arange(10.0), [1.0, 2.0, 3.0]))
@@ -108,5 +109,5 @@ def test_several_starts_are_refused(random):
 
 def test_a_registration_that_does_not_converge_is_reported(random, any_pose, monkeypatch):
     monkeypatch.setattr("procedures.registration.cloud_registration.MOST_STEPS", 1)
-    with pytest.raises(NotConverged, match="REG-006"):
+    with raises(NOT_CONVERGED, match="REG-006"):
         register_clouds(head(50, random), any_pose(random).apply(head(60, random)))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from coded_errors import raises
 
 from procedures.registration import register
 from procedures.registration.error_theory import (
@@ -16,7 +17,7 @@ from procedures.registration.error_theory import (
     target_covariance_mm2,
     tre_principal_axes_mm,
 )
-from procedures.registration.errors import BadParameter, ResidualTooLarge, TooFewPoints
+from procedures.registration.errors import RESIDUAL_TOO_LARGE, TOO_FEW_POINTS, BadParameter
 from procedures.registration.rigid_fit import fit_rigid, residuals
 
 FLE_MM = 0.3
@@ -97,7 +98,7 @@ def test_the_gate_passes_small_residuals_and_refuses_large_ones():
     gate = fre_gate(0.5, 0.3, 5)
     assert not gate.passed
     assert gate.limit_mm == pytest.approx(fre_limit_mm(0.3, 5))
-    with pytest.raises(ResidualTooLarge, match=r"REG-010.*0\.500 mm"):
+    with raises(RESIDUAL_TOO_LARGE, match=r"REG-010.*0\.500 mm"):
         gate.require()
 
 
@@ -114,7 +115,7 @@ def test_fle_of_two_equal_spaces_follows_from_ten_fre_within_two_percent(random,
 
 
 def test_two_points_have_no_residual_freedom():
-    with pytest.raises(TooFewPoints, match="REG-002"):
+    with raises(TOO_FEW_POINTS, match="REG-002"):
         fle_from_fre_mm(0.1, 2)
 
 

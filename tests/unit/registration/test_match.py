@@ -7,10 +7,11 @@ import time
 import numpy as np
 import pytest
 from bounded_cost import cpu_median_s
+from coded_errors import raises
 from scipy.spatial.transform import Rotation
 
 from procedures.registration import MatchStatus, Prior, match
-from procedures.registration.errors import BadParameter, BadPoints, NoUniqueMatch
+from procedures.registration.errors import BAD_POINTS, NO_UNIQUE_MATCH, BadParameter
 
 SIGMAS = {"sigma_image_mm": 0.17, "sigma_physical_mm": 0.56}
 FINE = {"sigma_image_mm": 0.05, "sigma_physical_mm": 0.03}
@@ -51,7 +52,7 @@ def test_a_triangle_with_two_equal_sides_is_ambiguous_and_shows_both_pairings(ra
         frozenset({(0, 0), (1, 1), (2, 2)}),
         frozenset({(0, 1), (1, 0), (2, 2)}),
     }
-    with pytest.raises(NoUniqueMatch, match=r"REG-008.*AMBIGUOUS") as refused:
+    with raises(NO_UNIQUE_MATCH, match=r"REG-008.*AMBIGUOUS") as refused:
         result.require_unique()
     for shown in ("1-1 2-2 3-3", "1-2 2-1 3-3"):
         assert shown in str(refused.value)
@@ -308,7 +309,7 @@ def test_a_twelve_by_twelve_match_takes_as_long_as_fourteen_fits_of_a_rotation(r
 
 
 def test_more_points_than_any_head_can_carry_are_refused(random):
-    with pytest.raises(BadPoints, match="REG-001"):
+    with raises(BAD_POINTS, match="REG-001"):
         match(random.normal(size=(200, 3)), random.normal(size=(200, 3)), **SIGMAS)
 
 

@@ -10,17 +10,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from coded_errors import raises
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from procedures.registration import Caveat, register
 from procedures.registration.errors import (
+    DUPLICATE_POINTS,
+    RESIDUAL_TOO_LARGE,
+    UNSOUND_REGISTRATION,
     BadParameter,
     CollinearPoints,
-    DuplicatePoints,
-    ResidualTooLarge,
-    UnsoundRegistration,
 )
 from ronna_hw.frames import Frame
 
@@ -56,7 +57,7 @@ def test_no_point_set_gives_a_reflection(seed, count):
     image, physical = random.normal(size=(2, count, 3)) * 100.0
     try:
         found = register(image, physical)
-    except (CollinearPoints, DuplicatePoints):
+    except (CollinearPoints, DUPLICATE_POINTS):
         assume(False)
     assert np.linalg.det(found.transform.as_matrix()[:3, :3]) == pytest.approx(1.0)
 
@@ -167,7 +168,7 @@ def test_a_mirrored_set_gets_a_proper_rotation_but_is_not_sound(random, fiducial
     found = register(points, points * [-1.0, 1.0, 1.0])
     assert np.linalg.det(found.transform.as_matrix()[:3, :3]) == pytest.approx(1.0)
     assert Caveat.MIRRORED in found.caveats
-    with pytest.raises(UnsoundRegistration, match="REG-009"):
+    with raises(UNSOUND_REGISTRATION, match="REG-009"):
         found.require_sound()
 
 
@@ -190,7 +191,7 @@ def test_residuals_beyond_the_stated_covariances_are_not_sound(random, fiducials
     sound.require_sound()
     found = register(points, spoil(points), covariance_mm2=covariance)
     assert Caveat.MISFIT in found.caveats
-    with pytest.raises(ResidualTooLarge, match=r"REG-010.* at 99\.9%"):
+    with raises(RESIDUAL_TOO_LARGE, match=r"REG-010.* at 99\.9%"):
         replace(found, caveats=(Caveat.MISFIT,)).require_sound()  # a swap of two may also look mirrored
 
 

@@ -6,6 +6,7 @@ from functools import partial
 
 import numpy as np
 import pytest
+from coded_errors import raises
 
 from procedures.registration import (
     find_layout,
@@ -16,17 +17,17 @@ from procedures.registration import (
     verify_two_way,
 )
 from procedures.registration.errors import (
-    BadCovariance,
+    BAD_COVARIANCE,
+    BAD_POINTS,
+    DUPLICATE_POINTS,
+    NOT_CONVERGED,
+    TOO_FEW_POINTS,
     BadParameter,
-    BadPoints,
     CollinearPoints,
-    DuplicatePoints,
-    NotConverged,
-    TooFewPoints,
 )
 from procedures.registration.rigid_fit import fit_weighted
 from ronna_hw.errors import RonnaError
-from ronna_hw.frames import Frame, FrameMismatch, Transform, UnknownFrame
+from ronna_hw.frames import FRAME_MISMATCH, UNKNOWN_FRAME, Frame, Transform
 
 GOOD = np.array([[0, 0, 0], [80, 0, 0], [0, 90, 0], [10, 20, 70]], dtype=float)
 LINE = np.outer([0.0, 30.0, 70.0, 100.0], [1.0, 2.0, 3.0])
@@ -50,7 +51,7 @@ TAKERS_OF_POINTS = {
 @pytest.mark.parametrize("bad", [np.full((4, 3), np.nan), np.zeros((4, 2)), np.zeros(6), [[1, 2], [3]], None])
 def test_malformed_points_raise_a_one_line_error(taker, bad):
     for pair in ((bad, GOOD), (GOOD, bad)):
-        with pytest.raises(BadPoints, match="REG-001") as caught:
+        with raises(BAD_POINTS, match="REG-001") as caught:
             TAKERS_OF_POINTS[taker](*pair)
         assert isinstance(caught.value, ValueError)
         assert "\n" not in str(caught.value)
@@ -60,36 +61,36 @@ def test_malformed_points_raise_a_one_line_error(taker, bad):
 @pytest.mark.parametrize("kind", [complex, object, bool, str])
 def test_points_that_are_not_real_numbers_are_refused_by_type(taker, kind):
     for pair in ((GOOD.astype(kind), GOOD), (GOOD, GOOD.astype(kind))):
-        with pytest.raises(BadPoints, match=r"REG-001.*not real numbers"):
+        with raises(BAD_POINTS, match=r"REG-001.*not real numbers"):
             TAKERS_OF_POINTS[taker](*pair)
 
 
 @pytest.mark.parametrize("kind", [complex, object, bool, str])
 def test_covariances_that_are_not_real_numbers_are_refused_by_type(kind):
-    with pytest.raises(BadCovariance, match=r"REG-005.*not real numbers"):
+    with raises(BAD_COVARIANCE, match=r"REG-005.*not real numbers"):
         register(GOOD, GOOD, covariance_mm2=UNIT.astype(kind))
 
 
 @pytest.mark.parametrize(
     ("image", "physical", "error"),
     [
-        (with_value(1, np.nan), GOOD, BadPoints),
-        (GOOD, with_value(2, np.inf), BadPoints),
-        (GOOD, with_value(2, 1e9), BadPoints),
-        (GOOD, GOOD[None], BadPoints),
-        (GOOD, GOOD[:3], BadPoints),
-        ("points", GOOD, BadPoints),
-        ([], [], TooFewPoints),
-        (GOOD[:2], GOOD[:2], TooFewPoints),
+        (with_value(1, np.nan), GOOD, BAD_POINTS),
+        (GOOD, with_value(2, np.inf), BAD_POINTS),
+        (GOOD, with_value(2, 1e9), BAD_POINTS),
+        (GOOD, GOOD[None], BAD_POINTS),
+        (GOOD, GOOD[:3], BAD_POINTS),
+        ("points", GOOD, BAD_POINTS),
+        ([], [], TOO_FEW_POINTS),
+        (GOOD[:2], GOOD[:2], TOO_FEW_POINTS),
         (LINE, LINE, CollinearPoints),
         (GOOD, LINE, CollinearPoints),
-        (np.vstack([GOOD, GOOD[:1] + 1.0]), np.vstack([GOOD, GOOD[:1] + 50.0]), DuplicatePoints),
-        (np.vstack([GOOD, GOOD[:1] + 50.0]), np.vstack([GOOD, GOOD[:1]]), DuplicatePoints),
-        (np.zeros((4, 3)), np.zeros((4, 3)), DuplicatePoints),
+        (np.vstack([GOOD, GOOD[:1] + 1.0]), np.vstack([GOOD, GOOD[:1] + 50.0]), DUPLICATE_POINTS),
+        (np.vstack([GOOD, GOOD[:1] + 50.0]), np.vstack([GOOD, GOOD[:1]]), DUPLICATE_POINTS),
+        (np.zeros((4, 3)), np.zeros((4, 3)), DUPLICATE_POINTS),
     ],
 )
 def test_bad_points_are_refused(image, physical, error):
-    with pytest.raises(error) as caught:
+    with raises(error) as caught:
         register(image, physical)
     assert isinstance(caught.value, ValueError)
     assert isinstance(caught.value, RonnaError)
@@ -111,25 +112,25 @@ def test_bad_points_are_refused(image, physical, error):
     ],
 )
 def test_bad_covariances_are_refused(covariance):
-    with pytest.raises(BadCovariance, match="REG-005") as caught:
+    with raises(BAD_COVARIANCE, match="REG-005") as caught:
         register(GOOD, GOOD, covariance_mm2=covariance)
     assert isinstance(caught.value, ValueError)
 
 
 def test_targets_are_checked_like_fiducials():
-    with pytest.raises(BadPoints, match="REG-001"):
+    with raises(BAD_POINTS, match="REG-001"):
         register(GOOD, GOOD).predict_tre_mm([[0.0, np.nan, 0.0]])
 
 
 def test_a_weighted_fit_that_does_not_converge_is_reported(monkeypatch):
     monkeypatch.setattr("procedures.registration.rigid_fit.MOST_STEPS", 1)
-    with pytest.raises(NotConverged, match="REG-006"):
+    with raises(NOT_CONVERGED, match="REG-006"):
         fit_weighted(GOOD, GOOD @ np.diag([1.0, 1.1, 0.9]) + 5.0, UNIT, np.eye(3), np.zeros(3))
 
 
 @pytest.mark.parametrize(("image", "physical"), [(GOOD / 1000.0, GOOD), (GOOD, GOOD / 1000.0)])
 def test_the_refusal_of_very_small_points_asks_whether_they_are_metres(image, physical):
-    with pytest.raises(DuplicatePoints, match=r"REG-004: .* are these metres\?"):
+    with raises(DUPLICATE_POINTS, match=r"REG-004: .* are these metres\?"):
         register(image, physical)
 
 
@@ -154,14 +155,14 @@ def test_frames_may_be_named_by_words_and_a_misspelt_one_is_refused():
     fit = register(GOOD, GOOD)
     assert (Transform.of("robot", "ct") @ fit.between(Frame.CT, "robot")).source is Frame.ROBOT
     for build in (fit.between, Transform.of):
-        with pytest.raises(UnknownFrame, match="'robt'"):
+        with raises(UNKNOWN_FRAME, match="'robt'"):
             build("robt", Frame.CT)
 
 
 def test_a_layout_of_two_spheres_is_refused():
-    with pytest.raises(TooFewPoints, match=r"2 sphere\(s\) of a layout given"):
+    with raises(TOO_FEW_POINTS, match=r"2 sphere\(s\) of a layout given"):
         find_layout(GOOD[:2], GOOD)
-    with pytest.raises(TooFewPoints, match=r"2 point\(s\) of a template given"):
+    with raises(TOO_FEW_POINTS, match=r"2 point\(s\) of a template given"):
         match_by_template(GOOD[:2], GOOD, GOOD, sigma_image_mm=0.1, sigma_physical_mm=0.1)
 
 
@@ -174,10 +175,10 @@ def test_a_number_given_as_text_is_shown_as_text():
 
 @pytest.mark.parametrize("quaternion", [(0.0, 0.0, 0.0, 0.0), (1.0, 0.0, 0.0)])
 def test_a_quaternion_that_is_no_rotation_is_refused(quaternion):
-    with pytest.raises(FrameMismatch, match="is no rotation"):
+    with raises(FRAME_MISMATCH, match="is no rotation"):
         Transform.of(Frame.ROBOT, Frame.CT, quaternion_wxyz=quaternion)
 
 
 def test_points_of_another_shape_are_refused_by_a_transform():
-    with pytest.raises(FrameMismatch, match=r"shape \(1, 4\)"):
+    with raises(FRAME_MISMATCH, match=r"shape \(1, 4\)"):
         Transform.of(Frame.ROBOT, Frame.CT).apply([[1.0, 2.0, 3.0, 1.0]])

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from coded_errors import raises
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from procedures.registration import MatchStatus, Prior, find_layout, match_by_template
-from procedures.registration.errors import BadPoints, LayoutNotFound
+from procedures.registration.errors import BAD_POINTS, LayoutNotFound
 from ronna_hw.x_frame import SPHERE_CENTRES_MM
 
 FRAME = np.array(SPHERE_CENTRES_MM)
@@ -84,7 +85,7 @@ def test_sides_that_fit_the_template_but_not_each_other_are_refused(random, any_
 
 
 def test_a_template_with_missing_values_is_refused():
-    with pytest.raises(BadPoints, match="REG-001"):
+    with raises(BAD_POINTS, match="REG-001"):
         match_by_template(np.full((4, 3), np.nan), FRAME, FRAME, **SIGMAS)
 
 

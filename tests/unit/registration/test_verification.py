@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from coded_errors import raises
 
 from procedures.registration import RoomPoint, match, register, verify_two_way
-from procedures.registration.errors import BadPoints
+from procedures.registration.errors import BAD_POINTS
 
 
 @pytest.fixture
@@ -91,11 +92,11 @@ def test_nothing_to_compare_gives_an_empty_table(any_pose, random):
 def test_indices_of_absent_points_are_refused(wrong, random, fiducials, any_pose):
     image, room = fiducials(4, random), any_pose(random)
     options = {"pairs": [[0, 0]], "stereo": (), **wrong}
-    with pytest.raises(BadPoints, match="REG-001"):
+    with raises(BAD_POINTS, match="REG-001"):
         verify_two_way(image, room.apply(image), options["pairs"], room, stereo=options["stereo"])
 
 
 def test_measurements_and_registration_must_belong_together(random, fiducials, any_pose):
     image, room = fiducials(4, random), any_pose(random)
-    with pytest.raises(BadPoints, match="REG-001"):
+    with raises(BAD_POINTS, match="REG-001"):
         verify_two_way(image, room.apply(image), [], room, fine=register(image, room.apply(image)))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from coded_errors import raises
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
@@ -16,12 +17,12 @@ from procedures.relocalization import (
     search_pose,
 )
 from procedures.relocalization.errors import (
-    BadMeasurement,
-    ServoDiverges,
-    ServoExhausted,
+    BAD_MEASUREMENT,
+    SERVO_DIVERGES,
+    SERVO_EXHAUSTED,
     SphereNotInView,
 )
-from ronna_hw.frames import Frame, FrameMismatch, Transform
+from ronna_hw.frames import FRAME_MISMATCH, Frame, Transform
 
 SPHERE_MM = np.array([612.0, -40.0, 310.0])
 
@@ -103,7 +104,7 @@ def test_a_distant_measurement_counts_less_than_a_near_one() -> None:
 
 
 def test_the_next_pose_is_refused_before_the_first_measurement() -> None:
-    with pytest.raises(BadMeasurement, match="STE-004: the sphere has not been measured yet"):
+    with raises(BAD_MEASUREMENT, match="STE-004: the sphere has not been measured yet"):
         ServoState().next_pose(tool_pose())
 
 
@@ -120,7 +121,7 @@ def test_one_step_never_exceeds_its_limit():
 
 
 def test_a_reversed_head_is_detected_as_divergence():
-    with pytest.raises(ServoDiverges, match="STE-007"):
+    with raises(SERVO_DIVERGES, match="STE-007"):
         run(ServoSettings(), Rotation.from_euler("x", 180, degrees=True))
 
 
@@ -128,13 +129,13 @@ def test_a_servo_that_stays_above_its_limit_is_exhausted():
     state = ServoState(ServoSettings(steps=5))
     for _ in range(5):
         state = state.with_measurement(tool_pose(), [0.0, 0.0, 0.05])
-    with pytest.raises(ServoExhausted, match="STE-008"):
+    with raises(SERVO_EXHAUSTED, match="STE-008"):
         state.with_measurement(tool_pose(), [0.0, 0.0, 0.05])
 
 
 @pytest.mark.parametrize("residual", [[np.nan, 0.0, 0.0], [1.0, 2.0], [[0.0, 0.0, 0.0]]])
 def test_an_invalid_residual_is_refused(residual):
-    with pytest.raises(BadMeasurement, match="STE-004"):
+    with raises(BAD_MEASUREMENT, match="STE-004"):
         ServoState().with_measurement(tool_pose(), residual)
 
 
@@ -145,9 +146,9 @@ def test_the_recorded_point_is_the_residual_mapped_by_the_pose():
 
 def test_a_pose_of_other_frames_is_refused():
     flange = Transform.of(Frame.ROBOT, Frame.FLANGE)
-    with pytest.raises(FrameMismatch):
+    with raises(FRAME_MISMATCH):
         recorded_point(flange, [0.0, 0.0, 0.0])
-    with pytest.raises(FrameMismatch):
+    with raises(FRAME_MISMATCH):
         ServoState().next_pose(flange)
 
 

@@ -7,12 +7,13 @@ from functools import partial
 import numpy as np
 import pytest
 from bounded_cost import cpu_median_s
+from coded_errors import raises
 from scipy.ndimage import gaussian_filter
 
 from procedures.relocalization import AreaImage, SphereStatus, locate_sphere, measure_sphere, measure_spheres
 from procedures.relocalization.errors import (
+    BAD_MEASUREMENT,
     BadImage,
-    BadMeasurement,
     NoContrast,
     NoSphere,
     RaysDoNotMeet,
@@ -353,14 +354,14 @@ def test_a_fault_in_either_image_is_reported_with_its_camera(renderer, head, loo
         ((black, black), NoContrast, "both cameras: the image is completely dark"),
         ((black, white), Saturated, "left camera: the image is completely dark; right camera: .* saturated"),
     ):
-        with pytest.raises(kind, match=said):
+        with raises(kind, match=said):
             locate_sphere(*images, head.calibration)
 
 
 def test_a_range_of_radii_given_the_wrong_way_round_is_refused(renderer, look):
-    with pytest.raises(BadMeasurement, match="80 to 20 px"):
+    with raises(BAD_MEASUREMENT, match="80 to 20 px"):
         measure_sphere(renderer.sphere(NOMINAL, look()), radius_range_px=(80.0, 20.0))
-    with pytest.raises(BadMeasurement, match=r"no pair.*got 20"):
+    with raises(BAD_MEASUREMENT, match=r"no pair.*got 20"):
         measure_sphere(renderer.sphere(NOMINAL, look()), radius_range_px=20)
     with pytest.raises(WrongArgument, match="ARG-001: the calibration"):
         locate_sphere(*[None] * 3)

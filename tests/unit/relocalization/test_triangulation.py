@@ -6,11 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from coded_errors import raises
 from scipy.spatial.transform import Rotation
 
 from procedures.relocalization import SphereImage, SphereStatus, measure_sphere, triangulate
 from procedures.relocalization.ellipse import circle_as_ellipse, fit_ellipse
-from procedures.relocalization.errors import BadMeasurement, RaysDoNotMeet, WrongCamera, WrongSize
+from procedures.relocalization.errors import BAD_MEASUREMENT, WRONG_CAMERA, RaysDoNotMeet, WrongSize
 from procedures.relocalization.triangulation import Camera, check_serial
 from ronna_hw.calibration import CameraCalibration, PoseRecord
 
@@ -178,14 +179,14 @@ def test_outlines_of_different_sizes_are_not_taken_for_one_sphere(head):
 @pytest.mark.parametrize("centre", [(np.nan, 0.0), (np.inf, 3.0)])
 def test_non_finite_coordinates_are_refused(head, centre):
     left, right = exact_pair(head, np.zeros(3))
-    with pytest.raises(BadMeasurement, match="STE-004"):
+    with raises(BAD_MEASUREMENT, match="STE-004"):
         triangulate(replace(left, centre_px=centre), right, head.calibration)
 
 
 @pytest.mark.hazard(25)
 def test_a_calibration_for_another_camera_is_refused(head):
     check_serial(head.calibration.left, "left")
-    with pytest.raises(WrongCamera, match="STE-010"):
+    with raises(WRONG_CAMERA, match="STE-010"):
         check_serial(head.calibration.left, "24000001")
 
 

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from coded_errors import raises
 
 from procedures.journal.journal import Entry, Journal, JournalValue, Line, read_journal
 from procedures.reporting.run_statistics import (
@@ -18,7 +19,7 @@ from procedures.reporting.run_statistics import (
     timeline,
     times_taken,
 )
-from studies.errors import NoRunToTime
+from studies.errors import NO_RUN_TO_TIME
 from studies.times import ALGORITHM_S, OPERATOR_S, time_tables
 
 
@@ -113,7 +114,7 @@ def test_times_name_the_processors_that_took_them(tmp_path: Path) -> None:
 
 
 def test_a_folder_that_is_not_a_run_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(NoRunToTime, match="STU-011"):
+    with raises(NO_RUN_TO_TIME, match="STU-011"):
         time_tables([tmp_path / "nowhere"])
 
 

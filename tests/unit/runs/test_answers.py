@@ -7,9 +7,10 @@ from pathlib import Path
 from typing import cast
 
 import pytest
+from coded_errors import raises
 from recording_cell import mini_theatre_file
 
-from procedures.engine.errors import AnswersUnfit
+from procedures.engine.errors import ANSWERS_UNFIT
 from procedures.operator.question import Answer, Question, ReadBack, Topic
 from procedures.runs.answers import AnsweringOperator, Answers, read_answers
 from procedures.runs.interrupted_run import InterruptedRun, Resumption
@@ -59,13 +60,13 @@ def test_an_unlisted_question_is_answered_by_the_default_of_the_file(
 def test_invalid_answers_are_refused_and_named(tmp_path: Path, text: str, named: str) -> None:
     path = tmp_path / "answers.toml"
     path.write_bytes(text.encode("latin-1"))
-    with pytest.raises(AnswersUnfit, match=named):
+    with raises(ANSWERS_UNFIT, match=named):
         read_answers(path)
 
 
 def test_a_trajectory_that_is_not_in_the_plan_is_refused() -> None:
     answers = Answers(answers={"approach:T9": "no"})
-    with pytest.raises(AnswersUnfit, match="approach:T9"):
+    with raises(ANSWERS_UNFIT, match="approach:T9"):
         answers.check_trajectories(("T1", "T2"))
 
 
@@ -111,7 +112,7 @@ def test_a_file_for_real_devices_that_answers_for_the_person_is_refused_when_it_
 ) -> None:
     path = tmp_path / "answers.toml"
     path.write_text("[answers]\ntool_change = 'yes'\n'instrument_out:T1' = 'out'\nresume = 'yes'\n")
-    with pytest.raises(AnswersUnfit, match="only a person answers instrument_out:T1, resume"):
+    with raises(ANSWERS_UNFIT, match="only a person answers instrument_out:T1, resume"):
         read_answers(path, mini_theatre_file(tmp_path, simulated=False))
     assert len(read_answers(path, mini_theatre_file(tmp_path, simulated=True)).answers) == 3
     assert len(read_answers(path).answers) == 3

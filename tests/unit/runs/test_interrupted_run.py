@@ -6,13 +6,14 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from coded_errors import raises
 from plain_steps import Approach, Image, plain_order
 from recording_cell import RecordingCell
 from run_again import broken_off, opened_again
 
 from procedures.engine.case import StepKey
 from procedures.engine.engine import Engine
-from procedures.engine.errors import RunInUse
+from procedures.engine.errors import RUN_IN_USE
 from procedures.engine.order import Outcome
 from procedures.journal.errors import StepRefused
 from procedures.journal.journal import JOURNAL_FILE, TORN_FILE, Entry, Journal
@@ -181,7 +182,7 @@ def test_the_step_that_had_started_is_known(cell: RecordingCell) -> None:
 
 @pytest.mark.hazard(42)
 def test_only_one_program_at_a_time_can_hold_a_run(tmp_path: Path) -> None:
-    with hold_run(tmp_path), pytest.raises(RunInUse, match="PRO-030"), hold_run(tmp_path):
+    with hold_run(tmp_path), raises(RUN_IN_USE, match="PRO-030"), hold_run(tmp_path):
         pass
     with hold_run(tmp_path):
         pass

@@ -18,7 +18,7 @@ from prepared_results import (
 from procedures.engine.case import StepKey
 from procedures.engine.engine import Engine
 from procedures.engine.order import Scope
-from procedures.guards.errors import BaseShifted, InputChanged, PatientMoved
+from procedures.guards.errors import INPUT_CHANGED, BaseShifted, PatientMoved
 from procedures.journal.errors import StepRefused
 from procedures.journal.results import StepResult
 from procedures.operator.question import Topic
@@ -128,7 +128,7 @@ def test_a_cart_that_keeps_moving_stops_the_case_after_the_maximum_number_of_mov
 
 @pytest.mark.parametrize(
     "problem",
-    [PatientMoved("the head has moved"), InputChanged("the plan has changed"), LinkTimeout("silent")],
+    [PatientMoved("the head has moved"), INPUT_CHANGED("the plan has changed"), LinkTimeout("silent")],
     ids=lambda problem: type(problem).__name__,
 )
 def test_the_case_continues_on_its_own_after_a_cart_move_only(tmp_path: Path, problem: RonnaError) -> None:
@@ -204,7 +204,7 @@ def test_a_resumed_run_knows_its_finished_targets(tmp_path: Path) -> None:
 def test_another_plan_voids_finished_targets_as_well(tmp_path: Path) -> None:
     cell = ClinicalCell(tmp_path)
     engine = half_done(cell, f"out:{FIRST}")
-    engine.void(StepKey("plan"), InputChanged("the plan was changed"))
+    engine.void(StepKey("plan"), INPUT_CHANGED("the plan was changed"))
     assert not any(engine.case.stands(key) for key in engine.order.sequence)
     assert engine.case.past_trajectories == frozenset()
 

@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+from coded_errors import raises
 from plain_steps import Fit, Image, only_home_remains, plain_order
 from recording_cell import HOME, RecordingCell
 from session_orders import SessionOrders
@@ -16,7 +17,7 @@ from waiting import eventually
 from procedures.cli.case.prompt import Prompt
 from procedures.engine.context import StepContext
 from procedures.engine.engine import Engine
-from procedures.engine.errors import ConsoleMissing
+from procedures.engine.errors import CONSOLE_MISSING
 from procedures.engine.order import Outcome
 from procedures.engine.questions import Questions
 from procedures.journal.errors import GateFailed
@@ -374,5 +375,5 @@ def test_a_fault_acknowledged_at_the_console_in_a_pause_has_its_step_begun_again
 
 def test_a_missing_console_package_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("importlib.util.find_spec", lambda _name: None)
-    with pytest.raises(ConsoleMissing, match="PRO-040"):
+    with raises(CONSOLE_MISSING, match="PRO-040"):
         check_console()

@@ -6,11 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from coded_errors import raises
 from painted_ct import SERIES_UID, write_series
 from pydicom.dataset import Dataset
 
 from procedures.journal import free_space
-from procedures.planning.errors import WrongSeries
+from procedures.planning.errors import WRONG_SERIES
 from procedures.runs import request_checks
 from procedures.runs.request import SceneChoice
 from procedures.runs.request_checks import (
@@ -19,7 +20,7 @@ from procedures.runs.request_checks import (
     require_simulated_patient,
     require_space,
 )
-from ronna_hw.command_line.errors import DiskFull, UsageMistake
+from ronna_hw.command_line.errors import DISK_FULL, UsageMistake
 
 STEPS = ("registration", "at_target")
 
@@ -87,7 +88,7 @@ def test_a_plan_of_another_simulated_patient_names_the_options_of_its_own(
     tmp_path: Path, choice: SceneChoice, added: str
 ) -> None:
     plan = _plan_beside_a_scan_of(tmp_path, "mini-4")
-    with pytest.raises(WrongSeries) as caught:
+    with raises(WRONG_SERIES) as caught:
         require_simulated_patient(plan, SERIES_UID, choice)
     assert caught.value.action == f"For its own patient add {added}."
 
@@ -108,6 +109,6 @@ def test_a_case_is_not_started_on_a_disk_without_room_for_it(
     monkeypatch.setattr(
         request_checks, "describe_shortage", lambda folder: free_space.describe_shortage(folder, 10**18)
     )
-    with pytest.raises(DiskFull) as caught:
+    with raises(DISK_FULL) as caught:
         require_space(tmp_path / "runs" / "deep")
     assert str(tmp_path) in caught.value.what

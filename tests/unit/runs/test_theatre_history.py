@@ -9,11 +9,12 @@ from pathlib import Path
 from threading import Thread
 
 import pytest
+from coded_errors import raises
 from user_commands import in_this_process
 
 from procedures.cli.doctor.calibrations import history_diagnostics
 from procedures.cli.procedure import app
-from procedures.engine.errors import HistoryChanged
+from procedures.engine.errors import HISTORY_CHANGED
 from procedures.runs import theatre_history
 from procedures.runs.theatre_history import (
     Signature,
@@ -183,7 +184,7 @@ def test_an_edited_line_of_the_history_is_refused_and_nothing_is_restored(lab: P
     refused = in_this_process(app, "theatre-history", lab, "--restore", 1, "--by", "A. N.")
     assert (refused.returncode, "PRO-046" in refused.stderr) == (3, True), refused.stderr
     assert "line 1 of lab.toml.history" in " ".join(refused.stderr.split())
-    with pytest.raises(HistoryChanged, match=r"SHA-256 [0-9a-f]{64}, got [0-9a-f]{64}"):
+    with raises(HISTORY_CHANGED, match=r"SHA-256 [0-9a-f]{64}, got [0-9a-f]{64}"):
         define(lab, 5)
     assert lab.read_bytes() == present
 
@@ -195,7 +196,7 @@ def test_removed_lines_of_the_history_are_noticed(lab: Path) -> None:
     lines = history.read_bytes().splitlines(keepends=True)
     for kept in (lines[:2] + lines[4:], lines[2:]):
         history.write_bytes(b"".join(kept))
-        with pytest.raises(HistoryChanged, match="PRO-046"):
+        with raises(HISTORY_CHANGED, match="PRO-046"):
             read_states(lab)
 
 
@@ -209,7 +210,7 @@ def test_a_history_of_unchained_lines_is_continued_and_its_texts_are_checked(lab
     assert [one.number for one in read_states(lab) if one.update is not None] == [1, 2]
     for field in ("text", "former"):
         history.write_text(json.dumps({**older, field: older[field] + "# more\n"}) + "\n")
-        with pytest.raises(HistoryChanged, match=f"line 1 .* its {field} is not the recorded one"):
+        with raises(HISTORY_CHANGED, match=f"line 1 .* its {field} is not the recorded one"):
             read_states(lab)
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 from clinical_case import FIRST, LAST, ClinicalCell, done_later, given
+from coded_errors import raises
 from left_operation import left_with_an_instrument_inside
 from prepared_results import (
     checked_paths,
@@ -25,7 +26,7 @@ from recording_cell import GUIDE
 from run_again import broken_off, opened_again
 
 from procedures.engine.engine import Engine
-from procedures.engine.errors import ToolUnchecked
+from procedures.engine.errors import TOOL_UNCHECKED
 from procedures.engine.order import CaseOrder, Scope, order_of
 from procedures.guards.default_guards import ToolStillMounted
 from procedures.journal.errors import StepRefused
@@ -235,7 +236,7 @@ def test_a_guide_found_off_before_it_goes_to_the_head_is_checked_again(
     cell: ClinicalCell, guarded: Engine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(positioning, "require_unmoved", lambda *_: setattr(cell.arm, "mounted", 0))
-    with pytest.raises(ToolUnchecked, match="no tool instead of the guide"):
+    with raises(TOOL_UNCHECKED, match="no tool instead of the guide"):
         guarded.run_step(guarded.order.find(f"positioning:{FIRST}"))
     cell.arm.mounted = GUIDE
     assert cell.motions("go") == []

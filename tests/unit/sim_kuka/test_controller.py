@@ -7,6 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
+from coded_errors import raises
 from shared_controller import Make, on_a1
 
 from ronna_hw.endpoints import parse_endpoint
@@ -15,7 +16,7 @@ from sim.errors import BadFaultScript
 from sim.kuka.autostart import Autostart
 from sim.kuka.controller_parameters import AUTOSTART_PAUSE_S, ControllerParameters
 from sim.kuka.eki.server import split_requests
-from sim.kuka.errors import ClientAddressInvalid
+from sim.kuka.errors import CLIENT_ADDRESS_INVALID
 from sim.kuka.pendant import TRIPS as MESSAGES
 from sim.kuka.rsi.link import RsiSocket, resolve
 from sim.world.faults import FaultBoard, check_faults, parse_faults
@@ -181,7 +182,7 @@ def test_requests_are_extracted_from_padding_fragments_and_merged_reads() -> Non
 
 
 def test_an_unresolvable_client_address_has_its_own_error() -> None:
-    with pytest.raises(ClientAddressInvalid) as caught:
+    with raises(CLIENT_ADDRESS_INVALID) as caught:
         resolve(parse_endpoint("udp://ip.address.of.rospc:59152"))
     assert caught.value.code == "KRC-002"
 

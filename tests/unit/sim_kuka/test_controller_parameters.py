@@ -5,10 +5,11 @@ from __future__ import annotations
 from dataclasses import fields
 
 import pytest
+from coded_errors import raises
 
 from sim.kuka.command import kuka
 from sim.kuka.controller_parameters import ControllerParameters, parse_parameters
-from sim.kuka.errors import UnknownParameter
+from sim.kuka.errors import UNKNOWN_PARAMETER
 
 
 def test_parameters_are_set_by_name() -> None:
@@ -37,7 +38,7 @@ def test_parameters_are_set_by_name() -> None:
     ],
 )
 def test_an_invalid_parameter_is_refused_with_the_expected_values(assignment: str, said: str) -> None:
-    with pytest.raises(UnknownParameter, match=said) as caught:
+    with raises(UNKNOWN_PARAMETER, match=said) as caught:
         parse_parameters([assignment])
     assert caught.value.code == "KRC-003"
 

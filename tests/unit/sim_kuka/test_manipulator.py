@@ -7,10 +7,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from coded_errors import raises
 from kr6_golden_poses import GOLDEN
 from shared_controller import Make
 
-from sim.errors import BadScene
+from sim.errors import BAD_SCENE
 from sim.world.nominal_arm import Variant, description, frame_of, pose_of_frame, status_and_turn
 from sim.world.scene.as_built import draw_arm
 from sim.world.scene.model import ArmTruth
@@ -259,5 +260,5 @@ def test_the_pose_believed_by_the_controller_stays_nominal(make_bench: Make, tru
 
 
 def test_the_arm_of_another_make_is_refused_with_the_known_ones() -> None:
-    with pytest.raises(BadScene, match="kr6_r900_sixx or kr6_r900_2, not the scene's arm ur5e"):
+    with raises(BAD_SCENE, match="kr6_r900_sixx or kr6_r900_2, not the scene's arm ur5e"):
         description("ur5e")

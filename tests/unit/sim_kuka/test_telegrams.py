@@ -8,6 +8,7 @@ from typing import Any
 from xml.etree import ElementTree
 
 import pytest
+from coded_errors import raises
 from mutations import mutations
 from shared_controller import Make
 
@@ -19,7 +20,7 @@ from ronna_hw.wire.kuka_context import (
     context_hash,
     load_context,
 )
-from sim.kuka.errors import EthernetFileInvalid
+from sim.kuka.errors import ETHERNET_FILE_INVALID
 from sim.kuka.rsi.telegrams import ReplyReader, TelegramWriter
 
 FRAME = (445.0, 0.0, 810.0, 180.0, 0.0, 180.0)
@@ -116,7 +117,7 @@ def test_wired_feedback_changes_the_context_hash() -> None:
 
 
 def test_an_unknown_keyword_is_refused() -> None:
-    with pytest.raises(EthernetFileInvalid, match="DEF_Nonsense") as caught:
+    with raises(ETHERNET_FILE_INVALID, match="DEF_Nonsense") as caught:
         TelegramWriter(sends("DEF_Nonsense"), 4, AXES, FRAME)
     assert caught.value.code == "KRC-001"
 
@@ -267,7 +268,7 @@ def test_a_context_supplies_the_wiring_of_an_ethernet_file(read_file: Make) -> N
     context = read_file(text, load_context())
     assert context.find_wired_tag("AXISCORR", "A5") == "V6"  # by channel, not by name
     assert context.axis_correction is not None
-    with pytest.raises(EthernetFileInvalid, match="not received"):
+    with raises(ETHERNET_FILE_INVALID, match="not received"):
         read_file(ETHERNET_XML, load_context())
 
 
@@ -296,20 +297,20 @@ def test_our_own_ethernet_file_with_our_context_is_our_context(read_file: Make) 
 def test_a_broken_file_is_refused_and_its_mistake_named(
     read_file: Make, old: str, new: str, what: str
 ) -> None:
-    with pytest.raises(EthernetFileInvalid, match=what):
+    with raises(ETHERNET_FILE_INVALID, match=what):
         read_file(ETHERNET_XML.replace(old, new))
 
 
 def test_a_file_name_that_is_too_long_is_refused(read_file: Make) -> None:
     assert read_file(ETHERNET_XML, longest_name=len("link"))
-    with pytest.raises(EthernetFileInvalid, match=r"link.xml is too long.*3 characters"):
+    with raises(ETHERNET_FILE_INVALID, match=r"link.xml is too long.*3 characters"):
         read_file(ETHERNET_XML, longest_name=3)
 
 
 def test_a_missing_file_is_refused(tmp_path: Path) -> None:
     from sim.kuka.rsi.ethernet_file import read_ethernet_file
 
-    with pytest.raises(EthernetFileInvalid, match="No such file"):
+    with raises(ETHERNET_FILE_INVALID, match="No such file"):
         read_ethernet_file(tmp_path / "none.xml", None, 255)
 
 

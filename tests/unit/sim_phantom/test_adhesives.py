@@ -8,9 +8,10 @@ from math import dist
 
 import numpy as np
 import pytest
+from coded_errors import raises
 
 from ronna_hw.adhesive_marker import THICKNESS_MM
-from sim.errors import BadScene
+from sim.errors import BAD_SCENE
 from sim.phantom.case import plan_toml
 from sim.phantom.head.adhesive import skin_rings
 from sim.phantom.scan import adhesive_scan, plain_scan
@@ -56,5 +57,5 @@ def test_rings_of_a_scene_are_scanned_beside_its_spheres(scene: Scene) -> None:
 
 
 def test_more_rings_than_fit_are_refused(coarse_scene: Scene) -> None:
-    with pytest.raises(BadScene, match="60 adhesive markers do not fit"):
+    with raises(BAD_SCENE, match="60 adhesive markers do not fit"):
         stick_adhesives(coarse_scene.head, 60, noise(3, "adhesive sites", 0))

@@ -7,9 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from coded_errors import raises
 
 from ronna_hw.x_frame import CLOSE_SPHERE_CENTRES_MM, SPHERE_CENTRES_MM
-from sim.errors import BadScene
+from sim.errors import BAD_SCENE
 from sim.phantom.case import write_case
 from sim.phantom.families.catalogue import FAMILIES, PAIR_DISTANCE_MM, PROTOCOLS, Purpose
 from sim.phantom.families.family_scan import CLEARANCE_MM, family_scan
@@ -125,7 +126,7 @@ def test_additional_markers_clear_the_bars_of_the_close_frame() -> None:
     ],
 )
 def test_an_impossible_family_is_refused(arguments: dict[str, object], words: str) -> None:
-    with pytest.raises(BadScene, match=words):
+    with raises(BAD_SCENE, match=words):
         family_scan(**({"name": "plain", "protocol": "good"} | arguments))  # type: ignore[arg-type]
 
 

@@ -7,8 +7,9 @@ from math import erf, sqrt
 
 import numpy as np
 import pytest
+from coded_errors import raises
 
-from sim.errors import BadScene
+from sim.errors import BAD_SCENE
 from sim.phantom.head.anatomy import AIR_HU, LAYERS, METAL_HU, Anatomy, HeadLayers, draw_anatomy
 from sim.phantom.head.painting import blur_weights, paint
 from sim.phantom.head.shapes import Ball, Cable, Ellipsoid, Rod, Trough
@@ -38,7 +39,7 @@ def test_all_spheres_and_trajectories_lie_in_the_field(name: str, seed: int) -> 
 
 
 def test_a_field_that_cannot_hold_the_spheres_is_refused(mini_scene: Scene) -> None:
-    with pytest.raises(BadScene, match="do not fit in the CT"):
+    with raises(BAD_SCENE, match="do not fit in the CT"):
         place_grid(mini_scene.head, CtProtocol(pixel_mm=0.2, columns=256, rows=256))
 
 
@@ -125,7 +126,7 @@ def test_a_post_that_points_away_from_the_head_is_refused(mini_scene: Scene) -> 
     first = mini_scene.head.fiducials[0]
     wrong = first.model_copy(update={"post_ct": tuple(-value for value in first.post_ct)})
     head = mini_scene.head.model_copy(update={"fiducials": (wrong,)})
-    with pytest.raises(BadScene, match="fiducial 1 is not on the head"):
+    with raises(BAD_SCENE, match="fiducial 1 is not on the head"):
         draw_anatomy(mini_scene.model_copy(update={"head": head}))
 
 

@@ -9,12 +9,13 @@ from typing import Any
 import numpy as np
 import pydicom
 import pytest
+from coded_errors import raises
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
 from procedures.imaging import read_series
-from procedures.imaging.errors import GantryTilted
-from sim.errors import BadScene
+from procedures.imaging.errors import GANTRY_TILTED
+from sim.errors import BAD_SCENE
 from sim.phantom.case import write_case
 from sim.phantom.head.anatomy import draw_anatomy
 from sim.phantom.scan import Planes, Scan
@@ -82,9 +83,9 @@ def test_a_stretched_image_shows_what_is_nearer_to_its_middle(
 
 
 def test_a_scan_is_either_stretched_or_tilted_and_in_a_direction() -> None:
-    with pytest.raises(BadScene, match="either tilted or stretched"):
+    with raises(BAD_SCENE, match="either tilted or stretched"):
         ScannerFaults(stretch=0.01, tilt_deg=1.0)
-    with pytest.raises(BadScene, match="along a direction"):
+    with raises(BAD_SCENE, match="along a direction"):
         ScannerFaults(stretch=0.01, stretch_along=(0.0, 0.0, 0.0))
 
 
@@ -176,7 +177,7 @@ def test_a_series_painted_with_tilt_is_refused_whether_or_not_the_scanner_states
             data = pydicom.dcmread(path)
             del data.GantryDetectorTilt
             data.save_as(path)
-    with pytest.raises(GantryTilted, match="5") as refused:
+    with raises(GANTRY_TILTED, match="5") as refused:
         read_series(series)
     assert refused.value.code == "CT-007"
 
@@ -196,5 +197,5 @@ def test_metal_is_cut_off_at_3071_hu_unless_the_range_is_extended(
 
 @pytest.mark.parametrize("faults", [{"tilt_deg": 31.0}, {"tilt_hidden": True}, {"kernel": "crisp"}])
 def test_impossible_scanner_faults_are_refused(faults: dict[str, Any]) -> None:
-    with pytest.raises(BadScene):
+    with raises(BAD_SCENE):
         ScannerFaults(**faults)

@@ -6,11 +6,12 @@ from dataclasses import fields
 from typing import Any
 
 import pytest
+from coded_errors import raises
 from polaris_bench import MakeBench
 
 from ronna_hw.wire.polaris import ReplyOption, SystemStatus
 from sim.named_parameters import rows
-from sim.polaris.errors import BadUnitParameter
+from sim.polaris.errors import BAD_UNIT_PARAMETER
 from sim.polaris.handlers.frame_replies import binary_body, text_reply
 from sim.polaris.measurement.frame import Frame, Stray
 from sim.polaris.unit.behaviour import UnitBehaviour, parse_behaviour
@@ -153,6 +154,6 @@ def test_parameters_are_set_by_text() -> None:
     ],
 )
 def test_a_wrong_setting_is_refused_with_its_reason(setting: str, said: str) -> None:
-    with pytest.raises(BadUnitParameter, match=said) as refused:
+    with raises(BAD_UNIT_PARAMETER, match=said) as refused:
         parse_behaviour([setting])
     assert refused.value.code == "PSU-001"

@@ -13,8 +13,9 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
+from coded_errors import raises
 
-from sim.polaris.errors import LineUnavailable
+from sim.polaris.errors import LINE_UNAVAILABLE
 from sim.polaris.line.interpreter import CommandInterpreter
 from sim.polaris.line.pseudo_terminal import PseudoTerminal
 from sim.polaris.line.server import EndSignal, Server
@@ -272,7 +273,7 @@ def test_unavailable_pseudo_terminals_are_reported_with_the_reason(monkeypatch: 
 
     monkeypatch.setattr(os, "openpty", refuse)
     interpreter = CommandInterpreter(Unit(World.create(draw_scene("bench"), paced=True)))
-    with pytest.raises(LineUnavailable, match="No space left") as refused:
+    with raises(LINE_UNAVAILABLE, match="No space left") as refused:
         PseudoTerminal(interpreter, throttle=False)
     assert refused.value.code == "PSU-003"
 

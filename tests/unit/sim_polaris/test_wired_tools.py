@@ -5,10 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from coded_errors import raises
 from polaris_bench import Bench, MakeBench
 
 from ronna_hw.wire import polaris_rom as rom
-from sim.polaris.errors import BadWiredTool
+from sim.polaris.errors import BAD_WIRED_TOOL
 from sim.polaris.unit.ports import WiredPorts, WiredTool, plug_in
 from sim.polaris.unit.tool_definition import checksum, write_definition
 from sim.world.scene.model import TrackerTool
@@ -194,10 +195,10 @@ def test_definition_files_are_plugged_in_as_wired_tools_and_bad_ones_refused(
     file.write_bytes(write_definition(pointer))
     assert plug_in([file, file], SOCKETS, USER_BYTES).plugged == {1, 2}
     assert plug_in([], SOCKETS, USER_BYTES).count == 0
-    with pytest.raises(BadWiredTool, match="no port left for wired tool 1"):
+    with raises(BAD_WIRED_TOOL, match="no port left for wired tool 1"):
         plug_in([file], 0, USER_BYTES)
-    with pytest.raises(BadWiredTool, match="cannot read"):
+    with raises(BAD_WIRED_TOOL, match="cannot read"):
         plug_in([tmp_path / "nothing.rom"], SOCKETS, USER_BYTES)
     file.write_bytes(b"short")
-    with pytest.raises(BadWiredTool, match="5 bytes"):
+    with raises(BAD_WIRED_TOOL, match="5 bytes"):
         plug_in([file], SOCKETS, USER_BYTES)

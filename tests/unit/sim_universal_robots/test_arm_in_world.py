@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from coded_errors import raises
 
-from sim.errors import BadScene
+from sim.errors import BAD_SCENE
 from sim.universal_robots.arm_in_world import ArmInWorld, require_arm
 from sim.universal_robots.controller_parameters import ControllerParameters
 from sim.universal_robots.drives import Drives
@@ -87,5 +88,5 @@ def test_an_arm_of_a_continued_world_is_where_it_was() -> None:
 
 
 def test_another_arm_than_the_scenes_is_refused() -> None:
-    with pytest.raises(BadScene, match="does not move the scene's arm ur5e"):
+    with raises(BAD_SCENE, match="does not move the scene's arm ur5e"):
         require_arm(SCENE.arm, MODELS[UrArm.UR5])

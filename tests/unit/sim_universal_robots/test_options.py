@@ -7,18 +7,19 @@ import socket
 from ipaddress import IPv4Address
 
 import pytest
+from coded_errors import raises
 from ur_clients import own_address
 
 from sim.errors import EndpointTaken
 from sim.universal_robots.command import require_loopback
 from sim.universal_robots.connections import Listener, Poll
 from sim.universal_robots.controller_parameters import parse_parameters
-from sim.universal_robots.errors import BadAddress, UnknownParameter
+from sim.universal_robots.errors import BAD_ADDRESS, UNKNOWN_PARAMETER
 
 
 @pytest.mark.parametrize("address", ["192.168.0.9", "0.0.0.0", "localhost", "127.0.0.1:30004", "127.0.0.300"])
 def test_a_controller_is_simulated_on_loopback_only(address: str) -> None:
-    with pytest.raises(BadAddress) as caught:
+    with raises(BAD_ADDRESS) as caught:
         require_loopback(address)
     assert caught.value.code == "URC-002"
 
@@ -36,6 +37,6 @@ def test_an_address_in_use_is_answered_with_the_next_free_one() -> None:
 
 @pytest.mark.parametrize("assignment", ["power_onn_s=1", "power_on_s=-1", "after_unlock=falls"])
 def test_an_unknown_parameter_or_value_is_refused(assignment: str) -> None:
-    with pytest.raises(UnknownParameter) as caught:
+    with raises(UNKNOWN_PARAMETER) as caught:
         parse_parameters([assignment])
     assert caught.value.code == "URC-001"

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from coded_errors import raises
 from scipy.spatial.transform import Rotation
 from strategy_arms import ARM
 
 from procedures.strategies.catalogue import find_strategy
-from procedures.strategies.errors import UnknownStrategy
+from procedures.strategies.errors import UNKNOWN_STRATEGY
 from procedures.strategies.strategy import arrival_signs, rest_sides
 from procedures.strategies.trajectory import back_along_axis
 from ronna_hw.arm.kr6_r900 import kr6_r900
@@ -39,7 +40,7 @@ def test_a_strategy_declares_how_often_it_localizes_and_whether_it_controls_the_
 
 
 def test_an_unknown_strategy_is_refused_and_named():
-    with pytest.raises(UnknownStrategy, match=r"STR-002.*'fastest'") as caught:
+    with raises(UNKNOWN_STRATEGY, match=r"STR-002.*'fastest'") as caught:
         find_strategy("fastest")
     assert caught.value.exit_code == EXIT_USAGE
 

@@ -6,10 +6,11 @@ import math
 
 import numpy as np
 import pytest
+from coded_errors import raises
 from scipy.spatial.transform import RigidTransform, Rotation
 from strategy_arms import ARM
 
-from procedures.strategies.errors import BadTrajectory
+from procedures.strategies.errors import BAD_TRAJECTORY
 from procedures.strategies.fixed_orientation import NeutralOrientation, OrientationCorrection
 from procedures.strategies.trajectory import (
     Trajectory,
@@ -19,7 +20,7 @@ from procedures.strategies.trajectory import (
     target_pose,
     turn_onto,
 )
-from ronna_hw.frames import Frame, FrameMismatch, Transform
+from ronna_hw.frames import FRAME_MISMATCH, Frame, Transform
 
 OCS = OrientationCorrection()
 FIDUCIALS = [[60.0, -30.0, 80.0], [-50.0, -40.0, 85.0], [0.0, 60.0, 95.0]]
@@ -108,9 +109,9 @@ def test_the_approach_point_lies_back_along_the_tool():
 
 
 def test_wrong_frames_are_refused():
-    with pytest.raises(FrameMismatch, match="FRM-001"):
+    with raises(FRAME_MISMATCH, match="FRM-001"):
         target_pose(trajectory(), room().inverse())
-    with pytest.raises(FrameMismatch, match="FRM-001"):
+    with raises(FRAME_MISMATCH, match="FRM-001"):
         refine_target_pose(room(), trajectory(), room())
 
 
@@ -126,7 +127,7 @@ def test_wrong_frames_are_refused():
     ],
 )
 def test_a_trajectory_without_direction_is_refused(numbers):
-    with pytest.raises(BadTrajectory, match="STR-003"):
+    with raises(BAD_TRAJECTORY, match="STR-003"):
         Trajectory("T1", *numbers)
 
 
@@ -160,5 +161,5 @@ def test_without_fiducials_there_is_no_localization_axis():
 
 
 def test_nos_refuses_wrong_frames():
-    with pytest.raises(FrameMismatch, match="FRM-001"):
+    with raises(FRAME_MISMATCH, match="FRM-001"):
         NOS.localized_along((LEANING,), FIDUCIALS, ROOM.inverse())

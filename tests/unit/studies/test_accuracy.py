@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from coded_errors import raises
 
 from procedures.planning.head_in_ct import HeadEllipsoid
 from procedures.planning.marker_sites import is_clear_of, list_sites, mark_allowed, propose_markers
@@ -21,7 +22,7 @@ from studies.accuracy.random_arms import RandomArms, Source
 from studies.accuracy.scene import CT_FLE_MM, FINE_CT_MM, SCENARIOS, SET_S, Scene, Sizes
 from studies.application_error import ApplicationErrorStudy
 from studies.campaign.study import Unit
-from studies.errors import PhantomOutOfReach, PoseNotSolved
+from studies.errors import PHANTOM_OUT_OF_REACH, POSE_NOT_SOLVED
 from studies.guide_direction import BIN_MM, EFFECTS, FITTED_REST, PUBLISHED_MM, SIZES_MRAD, rest_outside
 from studies.guide_direction import tables as guide_tables
 from studies.strategies import identified as by_looks
@@ -182,13 +183,13 @@ def test_known_backlash_helps_only_where_the_approach_is_controlled() -> None:
 
 def test_an_arm_whose_pose_does_not_converge_is_refused() -> None:
     arms = RandomArms.draw(0, [0])
-    with pytest.raises(PoseNotSolved, match="STU-009"):
+    with raises(POSE_NOT_SOLVED, match="STU-009"):
         errors_mm("ocs", replace(arms, tool_error_mm=arms.tool_error_mm + 400.0), Sizes(), range(1))
 
 
 def test_a_phantom_out_of_reach_is_refused() -> None:
     away = Transform.of(Frame.ROBOT, Frame.CT, translation_mm=(1500.0, 0.0, 0.0))
-    with pytest.raises(PhantomOutOfReach, match="STU-010: ocs does not reach all spheres for T1"):
+    with raises(PHANTOM_OUT_OF_REACH, match="STU-010: ocs does not reach all spheres for T1"):
         plan_postures(find_strategy("ocs"), SMALL, away)
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from coded_errors import raises
 from scipy.spatial.transform import Rotation
 
 from procedures.registration.correspondence import MatchStatus
@@ -16,7 +17,7 @@ from studies.correspondence import clinical, template
 from studies.correspondence.clinical import SCANS, THESIS_RANGES_MM, ClinicalStudy
 from studies.correspondence.study import condition_key
 from studies.correspondence.template import MARGIN_MM, TemplateStudy, sites_mm
-from studies.errors import LedgerUnreadable, OtherStudy, TrackerNotSimulated
+from studies.errors import LEDGER_UNREADABLE, OTHER_STUDY, TRACKER_NOT_SIMULATED
 from studies.heads import NoiseReading
 from studies.localization.study import AUTOMATIC
 from studies.localization.thesis_protocol import FRAME_MM, PATIENT, PHANTOM, LocalizedScan
@@ -86,7 +87,7 @@ def test_a_reading_with_two_spheres_swapped_counts_as_a_false_pairing(found_by_a
 
 
 def test_a_unit_that_never_sees_the_whole_frame_is_refused() -> None:
-    with pytest.raises(TrackerNotSimulated, match="STU-008"):
+    with raises(TRACKER_NOT_SIMULATED, match="STU-008"):
         clinical._take_whole_reading(lambda _: np.zeros((0, 3)), clinical.FRAME_MM, np.random.default_rng(1))
 
 
@@ -97,11 +98,11 @@ def test_readings_are_cached_in_the_folder_and_those_of_another_study_are_refuse
     monkeypatch.setattr(clinical, "take_readings", lambda *_: taken)
     assert clinical.load_or_take_readings(tmp_path, 3, 1) is taken
     assert np.array_equal(clinical.load_or_take_readings(tmp_path, 3, 1), taken)
-    with pytest.raises(OtherStudy, match="STU-001"):
+    with raises(OTHER_STUDY, match="STU-001"):
         clinical.load_or_take_readings(tmp_path, 3, 2)
-    for content, error in (('{"seed": 1, "readings_mm": 5}', OtherStudy), ("{}", LedgerUnreadable)):
+    for content, error in (('{"seed": 1, "readings_mm": 5}', OTHER_STUDY), ("{}", LEDGER_UNREADABLE)):
         (tmp_path / clinical.READINGS_FILE).write_text(content)
-        with pytest.raises(error):
+        with raises(error):
             clinical.load_or_take_readings(tmp_path, 3, 1)
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from coded_errors import raises
 from localized_spheres import localized_marker
 
 from procedures.imaging import Candidate, Localization, Volume, VoxelGeometry
@@ -15,7 +16,7 @@ from sim.phantom.families.catalogue import FAMILIES, Purpose
 from studies.campaign.folder import Ledger
 from studies.campaign.study import Unit, add_up
 from studies.campaign.workers import run_study
-from studies.errors import NotForJudging, PhantomFailed, UnitFailed
+from studies.errors import NOT_FOR_JUDGING, PHANTOM_FAILED, UNIT_FAILED
 from studies.localization import metal_study, phantom_scans
 from studies.localization import study as study_module
 from studies.localization.phantom_scans import PhantomScan, bound_mm, phantom_scan
@@ -180,7 +181,7 @@ def test_every_family_is_studied_for_its_purpose_and_a_tuning_phantom_is_refused
 
     scan = replace(scan_of(CENTRES, [True] * 4), purpose="tuning")
     monkeypatch.setattr(study_module, "phantom_scan", lambda *_: nullcontext(scan))
-    with pytest.raises(NotForJudging, match="plain is for tuning"):
+    with raises(NOT_FOR_JUDGING, match="plain is for tuning"):
         study.run(Unit("plain|poor", 0, 1))
 
 
@@ -208,7 +209,7 @@ def test_spheres_on_metal_are_found_doubtful_or_missed_apart_from_what_is_false(
 
 
 def test_a_phantom_failure_is_reported_with_the_generators_own_message() -> None:
-    with pytest.raises(PhantomFailed, match="unknown family 'martian'"), phantom_scan("martian", "poor", 1):
+    with raises(PHANTOM_FAILED, match="unknown family 'martian'"), phantom_scan("martian", "poor", 1):
         pass
 
 
@@ -239,5 +240,5 @@ def test_one_real_phantom_volume_and_frame_set_give_the_expected_errors(tmp_path
 def test_a_failed_unit_names_its_phantom(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(phantom_scans, "command", lambda *_: ["false"])
     study = LocalizationStudy(1, 1, families=("narrow",), protocols=("poor",))
-    with pytest.raises(UnitFailed, match=r"narrow\|poor #0"):
+    with raises(UNIT_FAILED, match=r"narrow\|poor #0"):
         run_study(study, Ledger(tmp_path, study), workers=1)

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from coded_errors import raises
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from ronna_hw.arm.universal_robots import universal_robot
@@ -19,7 +20,7 @@ from ronna_hw.vectors import JointVector
 from sim.world.true_arm import TrueArm
 from sim.world.world import World
 from studies.campaign.study import Sums
-from studies.errors import LedgerUnreadable, OtherStudy
+from studies.errors import LEDGER_UNREADABLE, OTHER_STUDY
 from studies.low_cost.arms import InstantArm, drive_arm, factory_kinematics
 from studies.low_cost.calibration import fit_pivot
 from studies.low_cost.devices import PHANTOM_FRAME, TOOL_FRAME, open_room
@@ -192,13 +193,13 @@ def test_what_was_prepared_is_measured_once(tmp_path: Path) -> None:
 
 def test_what_was_prepared_with_other_settings_is_refused(tmp_path: Path) -> None:
     (tmp_path / "preparation.json").write_text(PREPARED.model_dump_json())
-    with pytest.raises(OtherStudy, match="other settings"):
+    with raises(OTHER_STUDY, match="other settings"):
         load_or_prepare(tmp_path, 1, 1, 60, coarse=True)
 
 
 def test_a_damaged_preparation_is_refused(tmp_path: Path) -> None:
     (tmp_path / "preparation.json").write_text("{")
-    with pytest.raises(LedgerUnreadable):
+    with raises(LEDGER_UNREADABLE):
         load_or_prepare(tmp_path, 1, 1, 20)
 
 

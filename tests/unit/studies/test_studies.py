@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 from bounded_cost import bounded_cost
+from coded_errors import raises
 
 from procedures.registration.correspondence import MatchStatus, Prior
 from studies.campaign import folder as study_folder
@@ -22,7 +23,7 @@ from studies.campaign.workers import run_study
 from studies.correspondence import study as study_module
 from studies.correspondence.study import CorrespondenceStudy, Method, condition_key
 from studies.correspondence.tables import Series, bars_beside_thesis, outcome_shares, plots, tables
-from studies.errors import ExtraMissing, LedgerUnreadable, OtherStudy, SchedulerUnreachable, UnitFailed
+from studies.errors import EXTRA_MISSING, LEDGER_UNREADABLE, OTHER_STUDY, SCHEDULER_UNREACHABLE, UNIT_FAILED
 from studies.heads import NoiseReading, draw_noise, draw_readings, sites_mm
 from studies.registration import RegistrationStudy
 from studies.strategies.study import ANY_SIDE, TRIALS, StrategiesStudy
@@ -98,13 +99,13 @@ def test_arms_and_strategies_have_the_same_errors_on_dask_workers(scheduler: str
 
 def test_an_unreachable_scheduler_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("studies.campaign.workers.SCHEDULER_LIMIT_S", 0.2)
-    with pytest.raises(SchedulerUnreachable, match="STU-003"):
+    with raises(SCHEDULER_UNREACHABLE, match="STU-003"):
         results(SMALL, tmp_path, scheduler="tcp://127.0.0.1:9")
 
 
 def test_without_dask_a_scheduler_cannot_be_used(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
-    with pytest.raises(ExtraMissing, match="STU-004"):
+    with raises(EXTRA_MISSING, match="STU-004"):
         results(SMALL, tmp_path, scheduler="tcp://127.0.0.1:1")
 
 
@@ -112,7 +113,7 @@ def test_without_dask_a_scheduler_cannot_be_used(tmp_path: Path, monkeypatch: py
     "address", ["nonsense", "tcp://", "http://127.0.0.1:8786", "tcp://127.0.0.1:99999", ""]
 )
 def test_an_invalid_scheduler_address_is_refused_before_dask_sees_it(address: str, tmp_path: Path) -> None:
-    with pytest.raises(SchedulerUnreachable, match="STU-003: not an address"):
+    with raises(SCHEDULER_UNREACHABLE, match="STU-003: not an address"):
         results(SMALL, tmp_path, scheduler=address)
 
 
@@ -120,7 +121,7 @@ def test_a_failed_study_keeps_its_finished_units_and_resumes(tmp_path: Path) -> 
     broken = tmp_path / "broken"
     broken.touch()
     study = Failing(broken)
-    with pytest.raises(UnitFailed, match="STU-005: cell #1: no luck"):
+    with raises(UNIT_FAILED, match="STU-005: cell #1: no luck"):
         results(study, tmp_path / "out", workers=1)
     assert len(Ledger(tmp_path / "out", study).finished) == 1
     broken.unlink()
@@ -140,14 +141,14 @@ def test_a_unit_whose_line_was_truncated_is_run_again(tmp_path: Path) -> None:
 
 def test_a_folder_with_another_study_is_refused(tmp_path: Path) -> None:
     Ledger(tmp_path, SMALL)
-    with pytest.raises(OtherStudy, match=r"STU-001: .* other settings: runs 4, now 5"):
+    with raises(OTHER_STUDY, match=r"STU-001: .* other settings: runs 4, now 5"):
         Ledger(tmp_path, CorrespondenceStudy(5, seed=5, fiducials=(3, 5)))
 
 
 def test_results_of_other_code_are_not_added_to(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     Ledger(tmp_path, SMALL)
     monkeypatch.setattr("studies.campaign.folder.code", lambda: "other")
-    with pytest.raises(OtherStudy, match=r"STU-001: .* results of other code: .*[0-9a-f]{16}, now other"):
+    with raises(OTHER_STUDY, match=r"STU-001: .* results of other code: .*[0-9a-f]{16}, now other"):
         Ledger(tmp_path, SMALL)
 
 
@@ -180,7 +181,7 @@ def test_a_ledger_with_too_many_damaged_lines_is_refused_quickly(tmp_path: Path)
     Ledger(tmp_path, SMALL)
     with (tmp_path / FILE).open("ab") as file:
         file.write(b"\n" * 3_000_000)
-    with bounded_cost(limit_s=2.0), pytest.raises(LedgerUnreadable, match=r"STU-002: .*more than 1000 lines"):
+    with bounded_cost(limit_s=2.0), raises(LEDGER_UNREADABLE, match=r"STU-002: .*more than 1000 lines"):
         Ledger(tmp_path, SMALL)
 
 
@@ -200,7 +201,7 @@ def test_a_line_that_is_not_a_unit_is_ignored_even_with_a_valid_hash(
 def test_a_damaged_ledger_header_is_refused(tmp_path: Path, first: str) -> None:
     Ledger(tmp_path, SMALL)
     (tmp_path / FILE).write_text(f"{first}\n")
-    with pytest.raises(LedgerUnreadable, match="STU-002"):
+    with raises(LEDGER_UNREADABLE, match="STU-002"):
         Ledger(tmp_path, SMALL)
 
 

@@ -10,10 +10,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from coded_errors import raises
 
 from sim.world.faults import check_faults, parse_faults
 from sim.world.scene.named_scenes import draw_scene
-from studies.errors import WorldNotRun
+from studies.errors import WORLD_NOT_RUN
 from studies.worlds import study as worlds_study
 from studies.worlds.study import WorldsStudy
 from studies.worlds.verdict import RANKS, Verdict, judge, limits_used_mm
@@ -179,5 +180,5 @@ def test_a_case_that_never_began_is_an_error_with_its_last_words(
 ) -> None:
     ended = subprocess.CompletedProcess([], 2, stdout="", stderr="CLI-001: no such scene")
     monkeypatch.setattr(worlds_study, "run_command", lambda *_arguments: ended)
-    with pytest.raises(WorldNotRun, match=r"STU-015.*no such scene"):
+    with raises(WORLD_NOT_RUN, match=r"STU-015.*no such scene"):
         worlds_study.run_world(draw_world(0, 0), tmp_path / "world")

@@ -6,17 +6,18 @@ from datetime import timedelta
 from pathlib import Path
 
 import pytest
+from coded_errors import raises
 from user_commands import in_this_process, one_error
 
 from ronna_hw.bounded_input import InputRefused, read_toml
 from ronna_hw.errors import EXIT_FAILED, EXIT_USAGE
 from ronna_hw.wire.kuka_context import OWN_CONTEXT
 from sim.cli import app as ronna_sim
-from sim.errors import BadDeviceParameter
+from sim.errors import BAD_DEVICE_PARAMETER
 from sim.theatre.arm_controllers import check_cycle
 from sim.theatre.launch import THEATRE_FILE, Theatre, parameters_by_device
 from sim.theatre.theatre_file import write_theatre_file
-from sim.universal_robots.errors import UnknownParameter
+from sim.universal_robots.errors import UNKNOWN_PARAMETER
 from sim.world.options import ArmChoice
 from sim.world.saved_world import WORLD_FILE, read_saved_world
 from sim.world.scene.assistant import add_assistant
@@ -129,16 +130,16 @@ def test_settings_of_two_arms_are_told_apart_and_checked_by_the_controller_of_ea
         "kuka": ("lag_s=0.03",),
         "assistant": ("drive_delay_cycles=2",),
     }
-    with pytest.raises(UnknownParameter, match="lag_s"):
+    with raises(UNKNOWN_PARAMETER, match="lag_s"):
         parameters_by_device(("assistant.lag_s=0.03",), mixed)
-    with pytest.raises(BadDeviceParameter):
+    with raises(BAD_DEVICE_PARAMETER):
         parameters_by_device(("assistant.drive_delay_cycles=2",), draw_scene("mini"))
 
 
 def test_a_cycle_that_one_of_the_arms_does_not_have_is_refused_with_the_arms_role(mixed: Scene) -> None:
     check_cycle(draw_scene("mini"), 12)
     check_cycle(mixed, None)
-    with pytest.raises(BadDeviceParameter, match="the assistant is a ur5e"):
+    with raises(BAD_DEVICE_PARAMETER, match="the assistant is a ur5e"):
         check_cycle(mixed, 12)
 
 

@@ -7,9 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from coded_errors import raises
 
 from ronna_hw.marker_template import read_marker_template
-from sim.errors import BadScene
+from sim.errors import BAD_SCENE
 from sim.phantom.case import plan_toml
 from sim.phantom.scan import plain_scan
 from sim.theatre.command import scene
@@ -61,7 +62,7 @@ def test_a_template_places_the_spheres_and_enters_the_plan(
 def test_a_template_of_another_head_is_refused(tmp_path: Path) -> None:
     template = tmp_path / "template.toml"
     template.write_text(TEMPLATE.replace("883.888579", "783.888579"))
-    with pytest.raises(BadScene, match="marker 1 of the template is not on this head"):
+    with raises(BAD_SCENE, match="marker 1 of the template is not on this head"):
         scene(scene="mini", seed=4, template=template)
-    with pytest.raises(BadScene, match="fixes the number of markers"):
+    with raises(BAD_SCENE, match="fixes the number of markers"):
         scene(scene="mini", seed=4, markers=3, template=template)

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 import tomli_w
+from coded_errors import raises
 
 from drivers.kuka_rsi.options import read_options
 from procedures.workcell.errors import AnotherArm
@@ -21,7 +22,7 @@ from ronna_hw.config import (
     read_theatre_file,
 )
 from ronna_hw.errors import ConfigurationError
-from sim.errors import BadCalibrationFile
+from sim.errors import BAD_CALIBRATION_FILE
 from sim.kuka.controller_parameters import parse_parameters
 from sim.theatre.launch import CALIBRATION_FILE, read_calibrations
 from sim.theatre.theatre_file import theatre_content, write_theatre_file
@@ -189,7 +190,7 @@ def test_later_calibration_files_override_earlier_ones(tmp_path: Path) -> None:
 def test_a_calibration_file_without_records_is_refused(tmp_path: Path, text: str | None) -> None:
     if text is not None:
         (tmp_path / CALIBRATION_FILE).write_text(text)
-    with pytest.raises(BadCalibrationFile, match="SIM-014"):
+    with raises(BAD_CALIBRATION_FILE, match="SIM-014"):
         read_calibrations([tmp_path])
 
 

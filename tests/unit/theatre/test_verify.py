@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from coded_errors import raises
 from user_commands import in_this_process, one_error
 
 from procedures.engine.run_folder import close_run
@@ -15,11 +16,11 @@ from procedures.journal.journal import JOURNAL_FILE, Entry, Journal
 from procedures.runs.simulated_theatre import ask_verifier
 from ronna_hw.errors import EXIT_FAILED
 from ronna_hw.evidence.inspection import Inspection, inspect_run
-from ronna_hw.evidence.journal_reading import RunChanged, read_chain
+from ronna_hw.evidence.journal_reading import RUN_CHANGED, read_chain
 from ronna_hw.evidence.manifest import RECORDS_FOLDER, hash_truth_files
 from ronna_hw.records import Record, write_record
 from sim.cli import app as ronna_sim
-from sim.errors import NothingToVerify
+from sim.errors import NOTHING_TO_VERIFY
 from sim.theatre import verify
 from sim.theatre.verify import verify_run
 from sim.world.rigid import apply, inverse, matrix_of
@@ -122,17 +123,17 @@ def test_spheres_are_counted_as_found_missed_and_false(
 def test_a_record_that_no_run_writes_is_refused(run: Path, centre_mm: list[object] | None) -> None:
     payload = {"markers": [{"centre_mm": centre_mm}]}
     leave(run, Record("02-fiducial_localization", "fiducial_localization", {}, payload))
-    with pytest.raises(NothingToVerify, match="is not what a run writes"):
+    with raises(NOTHING_TO_VERIFY, match="is not what a run writes"):
         verify_run(run)
 
 
 def test_a_folder_without_a_theatre_cannot_be_verified(tmp_path: Path) -> None:
-    with pytest.raises(NothingToVerify, match="no simulated theatre"):
+    with raises(NOTHING_TO_VERIFY, match="no simulated theatre"):
         verify_run(tmp_path)
 
 
 def test_a_run_without_spheres_or_targets_cannot_be_verified(run: Path) -> None:
-    with pytest.raises(NothingToVerify, match="located no sphere and reached no target"):
+    with raises(NOTHING_TO_VERIFY, match="located no sphere and reached no target"):
         verify_run(run)
 
 
@@ -140,9 +141,7 @@ def test_a_folder_of_runs_is_refused_with_their_names(tmp_path: Path) -> None:
     for number in range(6):
         (tmp_path / f"{number}-mini").mkdir()
         (tmp_path / f"{number}-mini" / JOURNAL_FILE).touch()
-    with pytest.raises(
-        NothingToVerify, match=r"is not a run; it holds 6 runs: 0-mini.* and 1 more"
-    ) as caught:
+    with raises(NOTHING_TO_VERIFY, match=r"is not a run; it holds 6 runs: 0-mini.* and 1 more") as caught:
         verify_run(tmp_path)
     assert caught.value.advice == f"Give one of them: {tmp_path / '5-mini'}."
 
@@ -185,7 +184,7 @@ def test_a_manual_run_is_compared_with_the_samples_its_theatre_took_during_it(
 ) -> None:
     sample(theatre, (10.0, 20.0, 30.1), theatre_time_s=0.0)
     sample(theatre, (15.0, 20.0, 30.0), theatre_time_s=3600.0)  # by a later run
-    with pytest.raises(NothingToVerify, match=r"no simulated theatre.*--theatre"):
+    with raises(NOTHING_TO_VERIFY, match=r"no simulated theatre.*--theatre"):
         verify_run(run)
     assert [target["axial_mm"] for target in verify_run(run, theatre)["targets"]] == pytest.approx([-0.1])
 
@@ -194,7 +193,7 @@ def test_a_manual_run_is_not_compared_with_a_theatre_of_another_patient(
     run: Path, theatre: Path, localize: Callable[[Sequence[Sequence[float]]], None]
 ) -> None:
     localize([(500.0, 0.0, 0.0)])
-    with pytest.raises(NothingToVerify, match="another patient"):
+    with raises(NOTHING_TO_VERIFY, match="another patient"):
         verify_run(run, theatre)
 
 
@@ -220,7 +219,7 @@ def test_truth_that_changes_after_the_check_is_not_compared(
 
     assert verify_run(run)["targets"]
     monkeypatch.setattr(verify, "inspect_run", then_exchanged)
-    with pytest.raises(RunChanged, match=f"PRO-033: .*{name}: changed"):
+    with raises(RUN_CHANGED, match=f"PRO-033: .*{name}: changed"):
         verify_run(run)
 
 
@@ -233,5 +232,5 @@ def test_a_record_altered_after_the_run_is_not_compared_with_the_truth(
     assert verify_run(run)["ct"]["found"] == len(FIDUCIALS_MM)
     path = run / RECORDS_FOLDER / "02-fiducial_localization.json"
     path.write_text(path.read_text().replace('"created": "2', '"created": "1'))
-    with pytest.raises(RunChanged, match=r"PRO-033: .*02-fiducial_localization"):
+    with raises(RUN_CHANGED, match=r"PRO-033: .*02-fiducial_localization"):
         verify_run(run)

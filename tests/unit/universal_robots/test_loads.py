@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import pytest
+from coded_errors import raises
 
-from drivers.universal_robots.errors import BadLoad
+from drivers.universal_robots.errors import BAD_LOAD
 from drivers.universal_robots.loads import has_load, load_commands, to_load
 from ronna_hw.devices.contact import ToolLoad
 
@@ -15,5 +15,5 @@ def test_a_load_is_set_in_metres_and_compared_when_read_back() -> None:
     read = to_load((1.2, 0.0, 0.001, 0.06, 0.0, 0.0, 0.15, 0.0, 0.0, 0.0))
     assert has_load(read, load, None)
     assert not has_load(ToolLoad(1.2, load.centre_mm), load, None)
-    with pytest.raises(BadLoad):
+    with raises(BAD_LOAD):
         load_commands(ToolLoad(5.5))

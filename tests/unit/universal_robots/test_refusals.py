@@ -6,17 +6,18 @@ from collections.abc import Iterator
 from typing import Any
 
 import pytest
+from coded_errors import raises
 from handmade_ur import UR5E_A, HandmadeController
 
 from drivers.kuka_rsi.arm import KukaRsiArm
 from drivers.universal_robots import power as ur_power
 from drivers.universal_robots.arm import UniversalRobotsArm
 from drivers.universal_robots.errors import (
-    BadOptions,
-    ControllerExchanged,
+    BAD_OPTIONS,
+    CONTROLLER_EXCHANGED,
+    NOT_POWERED,
     ControllerLost,
     ControllerNotFound,
-    NotPowered,
 )
 from drivers.universal_robots.rtde import RtdeSetup
 from ronna_hw.arm_stream.control_channel import open_connection
@@ -207,7 +208,7 @@ def test_a_recovery_does_not_take_another_arm_for_the_one_that_was_connected(
     else:
         controller.a = (0.0, -0.4253, *UR5E_A[2:])
         controller.checksums = (7, 2, 3, 4, 5, 6)
-    with pytest.raises(ControllerExchanged):
+    with raises(CONTROLLER_EXCHANGED):
         arm.recover("Ann", LIMIT_S)
     assert arm.state is Lifecycle.FAULT
     assert arm.kinematics is kinematics
@@ -251,14 +252,14 @@ def test_an_arm_that_is_being_switched_off_on_request_is_not_started_before_it_i
     arm.configure(LIMIT_S)
     controller.answers["power off"] = "Powering off"
     arm.stop(StopKind.DRIVES_OFF)
-    with pytest.raises(NotPowered, match="being switched off on request"):
+    with raises(NOT_POWERED, match="being switched off on request"):
         arm.activate(LIMIT_S)
     assert arm.state is Lifecycle.FAULT
     assert not {"power on", "brake release"} & set(controller.asked)
     controller.answers["robotmode"] = "Robotmode: POWER_OFF"
     arm.recover("Ann", LIMIT_S)
     assert arm.state is Lifecycle.CONFIGURED
-    with pytest.raises(NotPowered, match="was not switched on"):  # this controller never does
+    with raises(NOT_POWERED, match="was not switched on"):  # this controller never does
         arm.activate(LIMIT_S)
     assert "power on" in controller.asked
     arm.close()
@@ -316,5 +317,5 @@ def test_a_protective_stop_is_released_in_the_name_of_a_person_when_the_controll
     ],
 )
 def test_bad_options_are_listed(controller: HandmadeController, options: dict[str, Any]) -> None:
-    with pytest.raises(BadOptions):
+    with raises(BAD_OPTIONS):
         make_arm(controller, **options)

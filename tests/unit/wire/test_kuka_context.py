@@ -3,8 +3,9 @@
 from pathlib import Path
 
 import pytest
+from coded_errors import raises
 
-from ronna_hw.wire.kuka_context import DEFAULT_CONTEXT_FILE, ContextInvalid, context_hash, load_context
+from ronna_hw.wire.kuka_context import CONTEXT_INVALID, DEFAULT_CONTEXT_FILE, context_hash, load_context
 
 OURS = Path(__file__).parents[3] / "ronna_hw" / "wire" / DEFAULT_CONTEXT_FILE
 
@@ -52,7 +53,7 @@ def test_all_three_mistakes_of_a_context_are_reported(tmp_path: Path) -> None:
         ("precision = 4", "precison = 4"),
         ("holdon = 0", "holdon = 2"),
     )
-    with pytest.raises(ContextInvalid) as caught:
+    with raises(CONTEXT_INVALID) as caught:
         load_context(path)
     assert caught.value.code == "WIR-001"
     assert "3 mistakes" in str(caught.value)
@@ -70,14 +71,14 @@ def test_all_three_mistakes_of_a_context_are_reported(tmp_path: Path) -> None:
     ],
 )
 def test_conflicting_channels_are_refused(tmp_path: Path, old: str, new: str, said: str) -> None:
-    with pytest.raises(ContextInvalid, match=said):
+    with raises(CONTEXT_INVALID, match=said):
         load_context(_edited(tmp_path, (old, new)))
 
 
 def test_a_missing_or_broken_file_is_refused_with_a_clear_reason(tmp_path: Path) -> None:
-    with pytest.raises(ContextInvalid, match="cannot read"):
+    with raises(CONTEXT_INVALID, match="cannot read"):
         load_context(tmp_path / "absent.toml")
     broken = tmp_path / "broken.toml"
     broken.write_text("schema = ", "utf-8")
-    with pytest.raises(ContextInvalid, match="not TOML"):
+    with raises(CONTEXT_INVALID, match="not TOML"):
         load_context(broken)

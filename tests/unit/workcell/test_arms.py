@@ -9,12 +9,13 @@ from dataclasses import replace
 from math import radians
 
 import pytest
+from coded_errors import raises
 from ideal_arm import Controller, IdealArm
 
 from procedures.workcell.arms import Arms
-from procedures.workcell.errors import BothArmsHalted, InstrumentInGuide, OtherArmMoving, OtherArmUnknown
+from procedures.workcell.errors import INSTRUMENT_IN_GUIDE, BothArmsHalted, OtherArmUnknown
 from ronna_hw.arm.clearance.bodies import Capsule, Part, Surroundings
-from ronna_hw.arm.errors import ArmsTooClose, ForceLimitExceeded, NotClear
+from ronna_hw.arm.errors import ARMS_TOO_CLOSE, ForceLimitExceeded, NotClear
 from ronna_hw.arm.pose import Pose
 from ronna_hw.clock import Clock, HostClock
 from ronna_hw.config import ASSISTANT, MASTER, DeviceConfig
@@ -174,13 +175,13 @@ def test_what_is_previewed_knows_the_other_arm_where_it_is_now(
 def test_no_motion_begins_while_another_is_under_way(
     pair: Arms, master: WatchedArm, assistant: WatchedArm
 ) -> None:
-    refused: list[Exception] = []
+    refused: list[RonnaError] = []
 
     def try_other() -> None:
         master.on_step = lambda: None
         try:
             pair.move(ASSISTANT, turned(assistant, 5.0))
-        except OtherArmMoving as error:
+        except RonnaError as error:
             refused.append(error)
 
     master.on_step = try_other
@@ -241,7 +242,7 @@ def test_paths_that_meet_are_refused_before_anything_moves(
     pair: Arms, master: WatchedArm, assistant: WatchedArm
 ) -> None:
     both = {role: JointMove(STRETCHED_RAD) for role in (MASTER, ASSISTANT)}
-    with pytest.raises(ArmsTooClose, match="ARM-011"):
+    with raises(ARMS_TOO_CLOSE, match="ARM-011"):
         pair.move_together(both)
     assert master.controller.joints_rad == assistant.controller.joints_rad == HOME_RAD
 
@@ -439,7 +440,7 @@ def test_arms_that_come_too_close_are_stopped(pair: Arms, master: WatchedArm, as
 def test_nothing_moves_with_an_instrument_in_the_guide(master: WatchedArm, assistant: WatchedArm) -> None:
     pair = across({MASTER: master, ASSISTANT: assistant}, CLOCK, lambda: "T1")
     for role in (MASTER, ASSISTANT):
-        with pytest.raises(InstrumentInGuide, match="T1"):
+        with raises(INSTRUMENT_IN_GUIDE, match="T1"):
             pair.move(role, JointMove(HOME_RAD))
 
 

@@ -8,6 +8,7 @@ from types import SimpleNamespace
 from typing import NoReturn, cast
 
 import pytest
+from coded_errors import raises
 from ideal_arm import Controller, IdealArm
 from recording_cell import RecordingCell
 
@@ -27,7 +28,7 @@ from ronna_hw.calibration import PoseRecord
 from ronna_hw.clock import HostClock
 from ronna_hw.config import ASSISTANT, MASTER, Calibrations, DeviceConfig
 from ronna_hw.devices import LineMove
-from ronna_hw.frames import Frame, FrameMismatch, Transform
+from ronna_hw.frames import FRAME_MISMATCH, Frame, Transform
 from sim.world.scene.assistant import KR6_HOME_DEG
 
 CLOCK = HostClock()
@@ -132,7 +133,7 @@ def test_after_a_stop_the_next_motion_of_the_assistant_is_confirmed_anew(
 def test_the_assistant_takes_no_pose_in_the_robot_frame_for_one_in_its_base(assistant: Assistant) -> None:
     flange = assistant.flange_pose(assistant.joints_rad())
     assert flange.target is Frame.ASSISTANT
-    with pytest.raises(FrameMismatch, match="FRM-001"):
+    with raises(FRAME_MISMATCH, match="FRM-001"):
         assistant.flange_joints(assistant.base @ flange, assistant.joints_rad())
 
 

@@ -7,11 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from coded_errors import raises
 
 from benchmarks.stereo_head.stereo_cell import StereoCell, calibrated_cell, servo_campaign, without_arm_errors
 from procedures.cli.stereo.display import show_look
 from procedures.relocalization.errors import NotTrusted, PairNotUsable, Saturated
-from procedures.workcell.errors import SphereNotFound
+from procedures.workcell.errors import SPHERE_NOT_FOUND
 from ronna_hw.devices.readings import StereoReading, Validity
 from sim.world.scene.named_scenes import draw_scene
 
@@ -120,8 +121,8 @@ def test_a_missing_sphere_is_refused_after_the_whole_search_pattern(cell: Stereo
         [0.0, 0.0, 80.0]
     )  # the starts are drawn far above the spheres
     start = start_of(cell, 5.0)
-    with pytest.raises(
-        SphereNotFound, match=r"PRO-008: sphere . was not found: no sphere in 36 image pairs"
+    with raises(
+        SPHERE_NOT_FOUND, match=r"PRO-008: sphere . was not found: no sphere in 36 image pairs"
     ) as caught:
         cell.centre(start)
     assert cell.stereo.pairs == 2 + SEARCH_LOOKS + 2  # servo's area, sensors, pattern, other light
@@ -134,7 +135,7 @@ def test_a_missing_sphere_is_refused_after_the_whole_search_pattern(cell: Stereo
 def test_black_images_are_refused_with_that_reason(cell: StereoCell) -> None:
     start = start_of(cell, 2.0)
     cell.stereo.set_exposure(24, 36)
-    with pytest.raises(SphereNotFound, match=r"PRO-008.*both cameras: the image is completely dark"):
+    with raises(SPHERE_NOT_FOUND, match=r"PRO-008.*both cameras: the image is completely dark"):
         cell.centre(start)
 
 
@@ -217,7 +218,7 @@ def test_a_pair_out_of_step_once_is_acquired_again(cell: StereoCell) -> None:
 def test_a_sphere_with_a_hidden_rim_is_refused(cell: StereoCell) -> None:
     start = start_of(cell, 2.0)
     cell.world.set_fault_script("now: camera occlude right 45 %")
-    with pytest.raises(SphereNotFound, match=r"PRO-008.*right camera: too much of the rim is hidden"):
+    with raises(SPHERE_NOT_FOUND, match=r"PRO-008.*right camera: too much of the rim is hidden"):
         cell.centre(start)
 
 
@@ -249,7 +250,7 @@ def test_an_acquisition_lost_during_the_servo_is_repeated(cell: StereoCell) -> N
 def test_a_sphere_that_stays_lost_during_the_servo_is_refused(cell: StereoCell) -> None:
     start = start_of(cell, 3.0)
     black_out(cell, lost={2, 3})
-    with pytest.raises(SphereNotFound, match=r"PRO-008.*was lost during the servo.*completely dark"):
+    with raises(SPHERE_NOT_FOUND, match=r"PRO-008.*was lost during the servo.*completely dark"):
         cell.centre(start)
     assert cell.stereo.pairs == 3
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import pytest
+from coded_errors import raises
 from plain_steps import plain_order
 from recording_cell import HOME, RecordingArm, RecordingCell, RecordingOperator
 
@@ -16,7 +17,7 @@ from procedures.journal.journal import JOURNAL_FILE, Line, read_journal
 from procedures.operator.errors import NotConfirmed, OperatorAborted
 from procedures.operator.question import Answer, Question, Topic
 from procedures.workcell import MountedTool
-from procedures.workcell.errors import InstrumentInGuide
+from procedures.workcell.errors import INSTRUMENT_IN_GUIDE
 from ronna_hw.arm.clearance.sweep import ClosestPair
 from ronna_hw.arm.errors import NotClear
 from ronna_hw.devices.errors import MotionInterrupted
@@ -251,7 +252,7 @@ def test_a_start_that_fails_has_its_result_in_the_journal(tmp_path: Path) -> Non
 def test_the_arm_does_not_start_with_an_instrument_in_the_guide(tmp_path: Path) -> None:
     cell = cell_with(tmp_path, RecordingOperator())
     cell.workcell.master.instrument.record_insertion("T1")
-    with pytest.raises(InstrumentInGuide, match="start the arm"):
+    with raises(INSTRUMENT_IN_GUIDE, match="start the arm"):
         cell.workcell.start()
     assert (cell.operator.asked, cell.arm.calls) == ([], [])
 

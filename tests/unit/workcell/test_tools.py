@@ -11,9 +11,10 @@ from typing import cast
 import numpy as np
 import pytest
 from arm_looks import ENDPOINTS
+from coded_errors import raises
 from recording_cell import RecordingCell, theatre_of
 
-from procedures.workcell.errors import AnotherArm, SameArmTwice
+from procedures.workcell.errors import SAME_ARM_TWICE, AnotherArm
 from procedures.workcell.tools import CarriedTool, calibrated_arm, require_this_arm, require_two_arms
 from ronna_hw.arm.clearance.bodies import Capsule, Obstacle, Surroundings
 from ronna_hw.arm.kr6_r900 import ArmVariant, kr6_r900
@@ -72,7 +73,7 @@ def test_one_arm_does_not_play_both_roles() -> None:
     require_two_arms(("KR 6 R900 sixx", "601234"), ("KR 6 R900 sixx", "601235"))
     require_two_arms(("KR 6 R900 sixx", "7"), ("UR5e", "7"))  # each maker counts its own
     require_two_arms(("KR 6 R900 sixx", ""), ("KR 6 R900 sixx", ""))  # unreported
-    with pytest.raises(SameArmTwice, match="DUAL-004"):
+    with raises(SAME_ARM_TWICE, match="DUAL-004"):
         require_two_arms(("KR 6 R900 sixx", "601234"), ("KR 6 R900 sixx", "601234"))
 
 

@@ -9,17 +9,18 @@ from contextlib import contextmanager
 from dataclasses import replace
 
 import pytest
+from coded_errors import raises
 from recording_cell import GUIDE, HOME, RecordingCell, tool_pose
 
 from procedures.journal.errors import JournalNotWritable
 from procedures.journal.journal import JOURNAL_FILE, read_journal
 from procedures.strategies.strategy import APPROACH_RAD, ONE_SIDE, approach_joints
 from procedures.workcell import InsertionAxis, MountedTool
-from procedures.workcell.errors import GuideHeldAtEntry, InstrumentInGuide, TipOffAxis, WrongTool
+from procedures.workcell.errors import GUIDE_HELD_AT_ENTRY, INSTRUMENT_IN_GUIDE, TipOffAxis, WrongTool
 from procedures.workcell.motions import PlannedMotion
 from ronna_hw.arm.errors import NotClear
 from ronna_hw.devices import Device
-from ronna_hw.devices.errors import WrongKind
+from ronna_hw.devices.errors import WRONG_KIND
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.errors import LinkTimeout
 from ronna_hw.frames import Transform
@@ -68,7 +69,7 @@ def inserted(cell: RecordingCell, trajectory: str = "T1") -> InsertionAxis:
 def nothing_moves(cell: RecordingCell, error: type[Exception], match: str) -> Iterator[None]:
     """The block is refused with this error before the arm has moved."""
     moved = len(cell.arm.motions)
-    with pytest.raises(error, match=match):
+    with raises(error, match=match):
         yield
     assert len(cell.arm.motions) == moved
 
@@ -224,14 +225,14 @@ def test_while_the_guide_is_before_an_entry_every_motion_off_its_axis_is_refused
     cell: RecordingCell, what: str
 ) -> None:
     inserted(cell)
-    with nothing_moves(cell, GuideHeldAtEntry, r"PRO-014.*in front of the entry of T1"):
+    with nothing_moves(cell, GUIDE_HELD_AT_ENTRY, r"PRO-014.*in front of the entry of T1"):
         OTHER_MOTIONS[what](cell)
 
 
 @pytest.mark.hazard(24)
 def test_a_retreat_along_another_trajectory_is_refused(cell: RecordingCell) -> None:
     inserted(cell, "T2")
-    with nothing_moves(cell, GuideHeldAtEntry, "not on T1; expected T1, got T2"):
+    with nothing_moves(cell, GUIDE_HELD_AT_ENTRY, "not on T1; expected T1, got T2"):
         cell.workcell.master.withdraw("T1")
 
 
@@ -271,7 +272,7 @@ def test_after_a_failed_approach_the_guide_is_still_known_to_be_on_its_axis(
     with pytest.raises(LinkTimeout):
         cell.workcell.master.insert(insertion(cell))
     cell.arm.failing = None
-    with pytest.raises(GuideHeldAtEntry):
+    with raises(GUIDE_HELD_AT_ENTRY):
         cell.workcell.master.go_home()
     cell.workcell.master.withdraw("T1")
 
@@ -281,7 +282,7 @@ def test_after_a_failed_approach_the_guide_is_still_known_to_be_on_its_axis(
 def test_while_an_instrument_is_in_the_guide_nothing_moves_at_all(cell: RecordingCell, what: str) -> None:
     inserted(cell)
     cell.workcell.master.instrument.record_insertion("T1")
-    with nothing_moves(cell, InstrumentInGuide, r"TOOL-001.*an instrument is in the guide, and in T1"):
+    with nothing_moves(cell, INSTRUMENT_IN_GUIDE, r"TOOL-001.*an instrument is in the guide, and in T1"):
         {**OTHER_MOTIONS, "withdraw": lambda cell: cell.workcell.master.withdraw("T1")}[what](cell)
     cell.workcell.master.instrument.record_removal()
     cell.workcell.master.withdraw("T1")
@@ -318,7 +319,7 @@ def test_devices_are_started_and_stopped_only_once(cell: RecordingCell) -> None:
 def test_an_arm_declared_as_another_kind_of_device_is_refused(cell: RecordingCell) -> None:
     second = {"second": cell.theatre.robot["master"]}
     cell.opened.file = cell.theatre.model_copy(update={"device": second})
-    with pytest.raises(WrongKind, match=r"DEV-008: device\.second is an arm.*Declare it as \[robot\.NAME\]"):
+    with raises(WRONG_KIND, match=r"DEV-008: device\.second is an arm.*Declare it as \[robot\.NAME\]"):
         cell.workcell.device("second", Device)
-    with pytest.raises(WrongKind):
+    with raises(WRONG_KIND):
         _ = cell.workcell.devices

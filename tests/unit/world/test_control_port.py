@@ -11,15 +11,16 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
+from coded_errors import raises
 from user_commands import in_this_process, one_error
 
 from procedures.runs import request_checks
 from procedures.runs.request import RunRequest
 from ronna_hw.control_port import (
+    CONTROL_PORT_OF_ANOTHER,
     LONGEST_LINE,
     ControlAddress,
     ControlPortClient,
-    ControlPortOfAnother,
     ControlPortSilent,
     ControlRequestRefused,
     ask_control_port,
@@ -446,7 +447,7 @@ def test_a_case_is_asked_in_words_only_with_the_control_port_of_its_own_theatre(
         if known == theatre.identity:
             request_checks.check_asking(request)
             return
-        with pytest.raises(ControlPortOfAnother) as refused:
+        with raises(CONTROL_PORT_OF_ANOTHER) as refused:
             request_checks.check_asking(request)
         for named in ("a", "b"):
             assert str(tmp_path / named) in str(refused.value)

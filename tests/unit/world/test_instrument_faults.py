@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from coded_errors import raises
 from numpy.typing import NDArray
 
-from sim.errors import StandNotReady
+from sim.errors import STAND_NOT_READY
 from sim.world.faults import check_faults, parse_faults
 from sim.world.options import ArmRole
 from sim.world.rigid import apply, inverse, matrix_from, matrix_of
@@ -74,7 +75,7 @@ def test_a_loose_instrument_leans_within_the_play_of_the_bore_and_slips_back_fro
     assert (off[2], gap_mm) == pytest.approx((STOP_MM - 0.3 - bore.bore_mm - bore.reach_mm, 0.3), abs=1e-6)
     tilted, _ = seated_mm(world, "at 0 s: room loose instrument 0 0 0 mm 0.3 deg")
     assert abs(tilted[1]) > bore.play_mm / 2.0  # it leans on both ends of the bore
-    with pytest.raises(StandNotReady, match="binds"):
+    with raises(STAND_NOT_READY, match="binds"):
         seated_mm(world, "at 0 s: room loose instrument 1.2 0 0 mm 0 deg")
 
 

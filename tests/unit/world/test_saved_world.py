@@ -7,8 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from coded_errors import raises
 
-from sim.errors import BadSavedWorld, TheatreRunning
+from sim.errors import BAD_SAVED_WORLD, THEATRE_RUNNING
 from sim.kuka.controller_parameters import ControllerParameters
 from sim.kuka.manipulator import Manipulator
 from sim.world import saved_world
@@ -118,13 +119,13 @@ def test_an_instrument_stays_in_the_guide_of_a_continued_world(
 
 
 def test_a_folder_in_which_no_theatre_has_run_has_no_saved_world(tmp_path: Path) -> None:
-    with pytest.raises(BadSavedWorld, match=r"SIM-012: .* has no world\.json"):
+    with raises(BAD_SAVED_WORLD, match=r"SIM-012: .* has no world\.json"):
         read_saved_world(tmp_path)
 
 
 def test_an_invalid_saved_world_is_refused(tmp_path: Path) -> None:
     (tmp_path / WORLD_FILE).write_text('{"theatre_time_ns": -1}')
-    with pytest.raises(BadSavedWorld, match="SIM-012") as refused:
+    with raises(BAD_SAVED_WORLD, match="SIM-012") as refused:
         read_saved_world(tmp_path)
     assert str(tmp_path / WORLD_FILE) in refused.value.what
     assert "Put the file back" in refused.value.advice
@@ -132,7 +133,7 @@ def test_an_invalid_saved_world_is_refused(tmp_path: Path) -> None:
 
 def test_a_folder_serves_one_theatre_at_a_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(saved_world, "END_LIMIT_S", 0.05)
-    with lock_folder(tmp_path), pytest.raises(TheatreRunning, match="SIM-013"), lock_folder(tmp_path):
+    with lock_folder(tmp_path), raises(THEATRE_RUNNING, match="SIM-013"), lock_folder(tmp_path):
         pass
     with lock_folder(tmp_path):
         pass

@@ -6,11 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from coded_errors import raises
 
 from ronna_hw.frames import Frame
 from ronna_hw.wire.room_tasks import CART_PUSH, DEPTH_STOP, GAUGE, INSERT, SKIN, TASKS, TOUCH, OnStand
 from sim.basler.camera.view import View
-from sim.errors import BadFaultScript, StandNotReady
+from sim.errors import STAND_NOT_READY, BadFaultScript
 from sim.world.control_port import Room
 from sim.world.displacements import ShiftedRoom
 from sim.world.faults import check_faults, parse_faults
@@ -347,7 +348,7 @@ def test_dials_that_cannot_be_read_are_refused(world: World, what: str) -> None:
         world.put_on_stand(OnStand.BALL)
     else:
         world.mount_tool(world.scene.mount.tool_number_stereo)
-    with pytest.raises(StandNotReady, match="SIM-015"):
+    with raises(STAND_NOT_READY, match="SIM-015"):
         read_dials(world)
 
 

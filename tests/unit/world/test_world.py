@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import pytest
+from coded_errors import raises
 
 from ronna_hw.clock import CLOCK, open_clock
-from sim.errors import BadTruth, WorldUnavailable
+from sim.errors import BAD_TRUTH, WORLD_UNAVAILABLE
 from sim.world.noise import noise
 from sim.world.rigid import matrix_from, rotation_from_vector
 from sim.world.scene.named_scenes import draw_scene
@@ -35,7 +35,7 @@ def test_another_process_sees_scene_arm_tool_step_and_faults() -> None:
 
 
 def test_a_world_that_no_longer_exists_is_refused() -> None:
-    with pytest.raises(WorldUnavailable, match="SIM-002"):
+    with raises(WORLD_UNAVAILABLE, match="SIM-002"):
         World.open("shm:///proc/self/fd/9999")
 
 
@@ -62,13 +62,13 @@ def test_every_bad_line_of_the_truth_is_reported(tmp_path: Path) -> None:
     append_sample(sampled(), tmp_path)
     with (tmp_path / TRUTH_FILE).open("a") as file:
         file.write('{"target": "T1"\nnonsense\n')
-    with pytest.raises(BadTruth, match=r"SIM-007: .* invalid lines: line 2: .*line 3: "):
+    with raises(BAD_TRUTH, match=r"SIM-007: .* invalid lines: line 2: .*line 3: "):
         read_samples(tmp_path)
 
 
 def test_truth_that_is_not_text_is_refused(tmp_path: Path) -> None:
     (tmp_path / TRUTH_FILE).write_bytes(b"\xff\xfe")
-    with pytest.raises(BadTruth, match="not UTF-8 text"):
+    with raises(BAD_TRUTH, match="not UTF-8 text"):
         read_samples(tmp_path)
 
 

@@ -18,7 +18,7 @@ from procedures.calibration.base_to_base import (
     BaseToBase,
     refine_bases,
 )
-from procedures.calibration.errors import DegeneratePoses, PosesOutOfReach
+from procedures.calibration.errors import POSES_OUT_OF_REACH, DegeneratePoses
 from procedures.calibration.pose_set import plan_poses_about
 from procedures.steps.clinical.two_arms.base_postures import (
     POSTURES,
@@ -95,7 +95,7 @@ class BallWatch:
                 if fit().error_mm <= ENOUGH_MM:
                     break
         if len(looks) < LEAST_BALL_LOOKS:
-            raise PosesOutOfReach(
+            raise POSES_OUT_OF_REACH(
                 "too few looks at the ball of the assistant",
                 expected=f"{POSTURES * LOOKS_PER_POSTURE}",
                 got=f"{len(looks)}; {', '.join(sorted(set(reasons)))}",

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from procedures.calibration.base_to_base import LEAST_FRAME_LOOKS
-from procedures.calibration.errors import PosesOutOfReach
+from procedures.calibration.errors import POSES_OUT_OF_REACH
 from procedures.calibration.hand_eye import PosePairs
 from procedures.guards.room_reading import CAREFUL_FRAMES
 from procedures.journal.errors import GateFailed
@@ -130,7 +130,7 @@ class BaseFrameLooks:
             if len(seen) == FRAME_LOOKS:
                 break
         if len(seen) < LEAST_FRAME_LOOKS:
-            raise PosesOutOfReach(
+            raise POSES_OUT_OF_REACH(
                 f"too few poses show the frame {frame}",
                 expected=f"{LEAST_FRAME_LOOKS}",
                 got=f"{len(seen)}; {', '.join(sorted(set(reasons)))}",

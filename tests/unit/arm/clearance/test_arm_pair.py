@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from coded_errors import raises
 from pair_of_arms import LAG_S, PairOfArms
 
 from ronna_hw.arm.clearance.arm_pair import APART_MM, SampledPath, find_approach, require_apart
 from ronna_hw.arm.clearance.bodies import segment_distance_mm
 from ronna_hw.arm.clearance.live_pair import LivePair
-from ronna_hw.arm.errors import ArmsTooClose
+from ronna_hw.arm.errors import ARMS_TOO_CLOSE
 
 FEW, MANY, SCENES = 12, 10_000, 50
 ARMS = ("kr6_r900_sixx", "ur5e")
@@ -69,7 +70,7 @@ def test_an_approach_between_two_postures_is_found() -> None:
     found = find_approach(pair.world, swing, still, LAG_S)
     assert found is not None
     assert found.distance_mm < min(at_ends)
-    with pytest.raises(ArmsTooClose, match="ARM-011"):
+    with raises(ARMS_TOO_CLOSE, match="ARM-011"):
         require_apart(pair.world, swing, still, LAG_S)
 
 

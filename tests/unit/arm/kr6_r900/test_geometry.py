@@ -6,11 +6,12 @@ import math
 
 import numpy as np
 import pytest
+from coded_errors import raises
 from kr6_golden_poses import GOLDEN
 
 from ronna_hw.arm.kr6_r900 import ArmVariant, Kr6R900, kr6_r900
 from ronna_hw.arm.pose import Pose, radians6
-from ronna_hw.frames import Frame, FrameMismatch, Transform
+from ronna_hw.frames import FRAME_MISMATCH, Frame, Transform
 
 
 @pytest.mark.parametrize("variant", list(ArmVariant))
@@ -68,5 +69,5 @@ def test_a_half_turn_about_each_axis_has_a_quaternion() -> None:
 
 
 def test_only_a_flange_in_robot_transform_becomes_a_pose() -> None:
-    with pytest.raises(FrameMismatch):
+    with raises(FRAME_MISMATCH):
         Pose.from_transform(Transform.of(Frame.ROBOT, Frame.TOOL))

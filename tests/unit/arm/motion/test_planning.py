@@ -5,8 +5,9 @@ from dataclasses import replace
 from typing import Any
 
 import pytest
+from coded_errors import raises
 
-from ronna_hw.arm.errors import MotionInvalid, OutOfJointRange, Singular, TooFast, Unreachable
+from ronna_hw.arm.errors import MOTION_INVALID, TOO_FAST, OutOfJointRange, Singular, Unreachable
 from ronna_hw.arm.kinematics import Kinematics
 from ronna_hw.arm.kr6_r900 import ArmVariant, kr6_r900
 from ronna_hw.arm.motion.limits import working_limits
@@ -75,15 +76,15 @@ def test_an_arm_inside_the_margin_may_stay_or_leave_but_not_go_further() -> None
     ],
 )
 def test_a_vector_of_other_than_six_numbers_is_refused(joints: tuple[float, ...], said: str) -> None:
-    with pytest.raises(MotionInvalid, match=said):
+    with raises(MOTION_INVALID, match=said):
         require_in_range(MODEL, joints)  # type: ignore[arg-type]
-    with pytest.raises(MotionInvalid, match=said):
+    with raises(MOTION_INVALID, match=said):
         plan_joint_move(MODEL, START, joints, LIMITS)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("fraction", [0.0, -1.0, 1.01, 10, math.nan, "10%", None])
 def test_a_speed_fraction_outside_its_range_is_refused(fraction: Any) -> None:
-    with pytest.raises(MotionInvalid, match="ARM-006: a speed fraction must be above 0 and at most 1"):
+    with raises(MOTION_INVALID, match="ARM-006: a speed fraction must be above 0 and at most 1"):
         LIMITS.slowed(fraction)
 
 
@@ -125,7 +126,7 @@ def test_a_line_whose_target_alone_is_within_reach_says_where_it_leaves_it() -> 
 def test_a_line_through_the_aligned_wrist_is_refused() -> None:
     start = radians6(0, -90, 90, 0, 10, 0)
     target = MODEL.forward(radians6(0, -90, 90, 0, -10, 0))
-    with pytest.raises((Singular, TooFast, OutOfJointRange)):
+    with raises(Singular, TOO_FAST, OutOfJointRange):
         plan_line(MODEL, start, target, LIMITS)
 
 
@@ -133,7 +134,7 @@ def test_a_line_close_to_the_aligned_wrist_is_too_fast_for_the_joints() -> None:
     start = radians6(0, -90, 90, 1.0, 10, 0)
     begin = MODEL.forward(start)
     target = MODEL.forward(radians6(0, -90, 90, 1.0, -10, 0))
-    with pytest.raises(TooFast, match="singular") as caught:
+    with raises(TOO_FAST, match="singular") as caught:
         plan_line(MODEL, start, Pose(begin.position_mm, target.rotation), LIMITS)
     assert caught.value.code == "ARM-005"
 

@@ -7,11 +7,12 @@ from dataclasses import replace
 from itertools import pairwise
 
 import pytest
+from coded_errors import raises
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from monitored_motion import drive_monitored
 
-from ronna_hw.arm.errors import MotionInvalid
+from ronna_hw.arm.errors import MOTION_INVALID
 from ronna_hw.arm.kr6_r900 import ArmVariant, kr6_r900
 from ronna_hw.arm.monitor import Monitor, monitor_limits
 from ronna_hw.arm.motion.limits import working_limits
@@ -178,7 +179,7 @@ def test_a_profile_holds_its_end_positions() -> None:
 def test_invalid_numbers_for_a_profile_give_one_typed_error(
     start: State, target: list[float], bounds: Bounds
 ) -> None:
-    with pytest.raises(MotionInvalid) as caught:
+    with raises(MOTION_INVALID) as caught:
         MotionProfiler(1).move(start, target, bounds)
     assert caught.value.code == "ARM-006"
     assert "\n" not in str(caught.value)

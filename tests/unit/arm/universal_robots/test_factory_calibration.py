@@ -7,10 +7,11 @@ from math import pi
 
 import numpy as np
 import pytest
+from coded_errors import raises
 from denavit_hartenberg import rows_of_axes
 from scipy.spatial.transform import Rotation
 
-from ronna_hw.arm.errors import CalibrationOfAnotherArm, Singular, Unreachable
+from ronna_hw.arm.errors import CALIBRATION_OF_ANOTHER_ARM, Singular, Unreachable
 from ronna_hw.arm.pose import Pose
 from ronna_hw.arm.universal_robots.calibrated import CalibratedUniversalRobot
 from ronna_hw.arm.universal_robots.factory_calibration import ZEROS, FactoryCalibration
@@ -156,7 +157,7 @@ def test_a_calibrated_arm_refuses_what_the_nominal_one_refuses() -> None:
     ids=["not a number", "longer upper arm", "twisted wrist"],
 )
 def test_a_calibration_that_no_factory_measures_is_refused(wrong: FactoryCalibration) -> None:
-    with pytest.raises(CalibrationOfAnotherArm, match="ARM-010"):
+    with raises(CALIBRATION_OF_ANOTHER_ARM, match="ARM-010"):
         CalibratedUniversalRobot(DIMENSIONS[UrModel.UR5], wrong)
 
 
@@ -169,6 +170,6 @@ def test_the_calibration_of_the_other_model_is_refused() -> None:
         joint_vector(link.position_mm[2] for link in other.links),
         ALPHA_RAD,
     )
-    with pytest.raises(CalibrationOfAnotherArm) as refused:
+    with raises(CALIBRATION_OF_ANOTHER_ARM) as refused:
         CalibratedUniversalRobot(DIMENSIONS[UrModel.UR5], parameters)
     assert refused.value.code == "ARM-010"

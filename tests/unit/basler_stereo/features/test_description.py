@@ -8,8 +8,9 @@ import zipfile
 
 import pytest
 from bounded_cost import bounded_cost
+from coded_errors import raises
 
-from drivers.basler_stereo.errors import BadDescription
+from drivers.basler_stereo.errors import BAD_DESCRIPTION
 from drivers.basler_stereo.features.description import parse_description, parse_url, unzip_description
 from drivers.basler_stereo.features.feature_map import FeatureMap
 from drivers.basler_stereo.features.formula import evaluate
@@ -43,7 +44,7 @@ def test_nodes_are_found_by_name_inside_groups_and_without_namespace():
     ids=["empty", "cut off", "other root", "bad number", "document type", "not XML"],
 )
 def test_an_invalid_description_is_refused(data):
-    with pytest.raises(BadDescription, match="GEV-009"):
+    with raises(BAD_DESCRIPTION, match="GEV-009"):
         parse_description(data)
 
 
@@ -67,7 +68,7 @@ def test_the_address_of_a_description_on_the_camera_is_parsed(url):
     ],
 )
 def test_an_invalid_address_is_refused(url):
-    with pytest.raises(BadDescription, match="GEV-009"):
+    with raises(BAD_DESCRIPTION, match="GEV-009"):
         parse_url(url)
 
 
@@ -76,7 +77,7 @@ def test_a_packed_description_is_unpacked_and_a_broken_one_refused():
     with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("cam.xml", GOOD)
     assert unzip_description(file.getvalue()) == GOOD
-    with pytest.raises(BadDescription, match="GEV-009"):
+    with raises(BAD_DESCRIPTION, match="GEV-009"):
         unzip_description(file.getvalue()[:40])
 
 
@@ -84,7 +85,7 @@ def test_a_packed_description_that_expands_too_far_is_refused():
     file = io.BytesIO()
     with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("cam.xml", bytes(9 * 1024 * 1024))
-    with pytest.raises(BadDescription, match="expands beyond the limit"):
+    with raises(BAD_DESCRIPTION, match="expands beyond the limit"):
         unzip_description(file.getvalue())
 
 
@@ -128,7 +129,7 @@ def packed_zeros(method: int, claimed: int, content: bytes) -> bytes:
 
 
 def test_a_packed_description_of_a_few_bytes_does_not_fill_the_memory():
-    with bounded_cost(), pytest.raises(BadDescription, match=r"GEV-009.*stored or deflated"):
+    with bounded_cost(), raises(BAD_DESCRIPTION, match=r"GEV-009.*stored or deflated"):
         unzip_description(packed_zeros(zipfile.ZIP_BZIP2, 1000, zeros()))
 
 
@@ -143,7 +144,7 @@ def test_a_zip_file_whose_member_lies_beyond_all_files_is_refused():
     entry[30:32] = struct.pack("<H", len(extra))
     last = bytearray(stored[end:])
     last[12:16] = struct.pack("<I", len(entry) + len(extra))
-    with bounded_cost(), pytest.raises(BadDescription, match="GEV-009"):
+    with bounded_cost(), raises(BAD_DESCRIPTION, match="GEV-009"):
         unzip_description(stored[:begin] + entry + extra + last)
 
 
@@ -166,7 +167,7 @@ def test_a_zip_file_whose_member_lies_beyond_all_files_is_refused():
 )
 @pytest.mark.parametrize("whole", [True, False])
 def test_a_formula_costs_neither_memory_nor_time(formula, whole):
-    with bounded_cost(limit_s=1.0), pytest.raises(BadDescription, match="GEV-009"):
+    with bounded_cost(limit_s=1.0), raises(BAD_DESCRIPTION, match="GEV-009"):
         evaluate(formula, {}, whole=whole)
 
 
@@ -185,7 +186,7 @@ def test_nodes_that_each_name_two_others_do_not_cost_exponential_time():
         for level in range(23)
     )
     doubling = features(knives + '<Integer Name="N23"><Value>1</Value></Integer>')
-    with bounded_cost(limit_s=1.0), pytest.raises(BadDescription, match="too many nodes"):
+    with bounded_cost(limit_s=1.0), raises(BAD_DESCRIPTION, match="too many nodes"):
         doubling.number("N0")
 
 
@@ -204,7 +205,7 @@ def test_nodes_that_each_name_two_others_do_not_cost_exponential_time():
     ids=["groups", "elements", "fields", "shared fields", "namespaces"],
 )
 def test_a_deep_or_dense_description_is_refused(what, content):
-    with bounded_cost(), pytest.raises(BadDescription, match=f"GEV-009.*{what}"):
+    with bounded_cost(), raises(BAD_DESCRIPTION, match=f"GEV-009.*{what}"):
         features(content)
 
 
@@ -220,5 +221,5 @@ def test_a_deep_or_dense_description_is_refused(what, content):
     ids=["before memory", "behind memory", "not a number", "a word", "a long number"],
 )
 def test_impossible_numbers_are_refused(nodes):
-    with pytest.raises(BadDescription, match="GEV-009"):
+    with raises(BAD_DESCRIPTION, match="GEV-009"):
         features(nodes).number("F")

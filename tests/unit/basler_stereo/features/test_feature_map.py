@@ -5,10 +5,11 @@ from __future__ import annotations
 from fractions import Fraction
 
 import pytest
+from coded_errors import raises
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.basler_stereo.errors import BadDescription, MissingFeature
+from drivers.basler_stereo.errors import BAD_DESCRIPTION, MISSING_FEATURE
 from drivers.basler_stereo.features.description import parse_description
 from drivers.basler_stereo.features.feature_map import FeatureMap, Limits
 from drivers.basler_stereo.features.formula import evaluate
@@ -111,7 +112,7 @@ def test_little_endian_and_signed_registers_are_read_and_written(features, memor
 )
 def test_a_value_that_its_register_cannot_hold_is_refused(features, memory, name, value):
     before = memory.read(0x10, 0x20)
-    with pytest.raises(BadDescription, match=f"cannot hold {value}"):
+    with raises(BAD_DESCRIPTION, match=f"cannot hold {value}"):
         features.set_number(name, value)
     assert memory.read(0x10, 0x20) == before
 
@@ -147,10 +148,10 @@ def test_selectors_and_pointers_move_the_address(features, memory):
 def test_enumerations_are_set_and_read_by_name(features):
     features.choose("Mode", "On")
     assert features.choice("Mode") == "On"
-    with pytest.raises(MissingFeature, match=r"GEV-010.*Off or On"):
+    with raises(MISSING_FEATURE, match=r"GEV-010.*Off or On"):
         features.choose("Mode", "Sometimes")
     features.set_number("ModeReg", 9)
-    with pytest.raises(BadDescription, match="not among its entries"):
+    with raises(BAD_DESCRIPTION, match="not among its entries"):
         features.choice("Mode")
 
 
@@ -158,7 +159,7 @@ def test_a_command_writes_its_value_to_its_register(features, memory):
     assert features.command_write("Go") == (0x54, bytes.fromhex("00000005"))
     features.execute("Go")
     assert memory.read(0x54, 4).hex() == "00000005"
-    with pytest.raises(MissingFeature, match="not a command"):
+    with raises(MISSING_FEATURE, match="not a command"):
         features.execute("Width")
 
 
@@ -178,7 +179,7 @@ def test_entries_that_this_model_lacks_cannot_be_chosen(features):
     features.choose("Source", "Action1")
     features.set_number("Installed", 0)
     assert features.entries("Source") == {"Software": 0}
-    with pytest.raises(MissingFeature, match=r"GEV-010: Source cannot be Action1; expected Software"):
+    with raises(MISSING_FEATURE, match=r"GEV-010: Source cannot be Action1; expected Software"):
         features.choose("Source", "Action1")
     assert features.choice("Source") == "Action1"  # what it is, it tells nevertheless
 
@@ -211,16 +212,16 @@ def test_a_formula_can_use_features(features):
 
 @pytest.mark.parametrize("name", ["RoundA", "Empty", "Odd", "Outside", "NoFormula"])
 def test_invalid_nodes_are_refused(features, name):
-    with pytest.raises(BadDescription, match="GEV-009"):
+    with raises(BAD_DESCRIPTION, match="GEV-009"):
         features.number(name)
 
 
 def test_unknown_and_unwritable_features_are_named(features):
     assert not features.has("Saturation")
-    with pytest.raises(MissingFeature, match=r"GEV-010.*Saturation"):
+    with raises(MISSING_FEATURE, match=r"GEV-010.*Saturation"):
         features.number("Saturation")
     for name in ("Size", "Half"):  # the protocol writes whole registers of four bytes
-        with pytest.raises(MissingFeature, match="cannot be written"):
+        with raises(MISSING_FEATURE, match="cannot be written"):
             features.set_number(name, 3)
 
 
@@ -255,7 +256,7 @@ def test_real_formulas_divide_exactly():
 
 @pytest.mark.parametrize("formula", ["1 +", "UNKNOWN", "1 / 0", "FOO(1)", "SQRT(-1)", "", "a b"])
 def test_formulas_without_a_value_are_refused(formula):
-    with pytest.raises(BadDescription, match="GEV-009"):
+    with raises(BAD_DESCRIPTION, match="GEV-009"):
         evaluate(formula, {}, whole=False)
 
 

@@ -12,9 +12,10 @@ from typing import cast
 import pytest
 import typer
 from arm_looks import ENDPOINTS, SPHERES_MM, LookingArm
+from coded_errors import raises
 from user_commands import in_this_process, one_error
 
-from procedures.calibration.errors import OfAnotherTheatre, TooFewPoses
+from procedures.calibration.errors import TOO_FEW_POSES, OfAnotherTheatre
 from procedures.cli.arm.command import app as arm
 from procedures.cli.calibrating.calibration import NOT_COMPARED, calibrate, show
 from procedures.cli.calibrating.mount import app as mount
@@ -56,7 +57,7 @@ def test_remarks_on_the_measurements_are_reported_also_if_these_yield_no_calibra
     result = ObservedSpheres(observed=looks, remarks=("30 x no sphere in view",))
     case = cast(Case, SimpleNamespace(get=lambda _kind: SimpleNamespace(result=result)))
     request = RunRequest(procedure=CalibrationProcedure(recipe={}, days=30))
-    with pytest.raises(TooFewPoses):
+    with raises(TOO_FEW_POSES):
         conclude(ARM, request, case, tmp_path)
     assert capsys.readouterr().err == "30 x no sphere in view\n"
 
@@ -80,7 +81,7 @@ def test_measurements_of_another_theatre_are_refused_before_anything_is_computed
     assert content is not None
     looks = LookingArm.of(3).looks(1, 0, SPHERES_MM).model_copy(update={"tool_tip": content.tool_tip})
     run = RunRequest(procedure=CalibrationProcedure(recipe={}, days=30), config=theatre)
-    with pytest.raises(expected):
+    with raises(expected):
         compute_calibration(replace(ARM, compute=begun), run, looks)
 
 

@@ -7,9 +7,10 @@ from types import SimpleNamespace
 from typing import Any, cast
 
 import pytest
+from coded_errors import raises
 
 from procedures.cli.case.stepping import _require_instrument_out
-from procedures.engine.errors import CaseLeftWithInstrument
+from procedures.engine.errors import CASE_LEFT_WITH_INSTRUMENT
 from procedures.workcell.arm_history import ArmPlace, HeldInstrument, describe_instrument
 from ronna_hw.errors import EXIT_RECOVERY_NEEDED
 
@@ -30,7 +31,7 @@ def left_with(inside: str | None, *, assumed: bool = False, held: HeldInstrument
 def test_the_end_of_the_commands_with_an_instrument_inside_is_an_error_that_names_the_way_home(
     *, assumed: bool, said: str
 ) -> None:
-    with pytest.raises(CaseLeftWithInstrument, match=rf"PRO-055: .* an instrument {said}") as left:
+    with raises(CASE_LEFT_WITH_INSTRUMENT, match=rf"PRO-055: .* an instrument {said}") as left:
         _require_instrument_out(cast("Any", left_with("T1", assumed=assumed)))
     assert left.value.exit_code == EXIT_RECOVERY_NEEDED
     assert "ronna-procedure home '/runs/a case' asks for the removal" in left.value.advice
@@ -42,5 +43,5 @@ def test_the_end_of_the_commands_with_no_instrument_inside_is_no_error() -> None
 
 @pytest.mark.hazard(63)
 def test_the_end_of_the_commands_with_an_instrument_in_the_holder_is_the_same_error() -> None:
-    with pytest.raises(CaseLeftWithInstrument, match=r"instrument for T1 is in the assistant's holder"):
+    with raises(CASE_LEFT_WITH_INSTRUMENT, match=r"instrument for T1 is in the assistant's holder"):
         _require_instrument_out(left_with(None, held=HELD))

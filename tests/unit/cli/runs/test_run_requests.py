@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import NoReturn
 
 import pytest
+from coded_errors import raises
 from recording_cell import mini_theatre_file
 from user_commands import in_this_process, one_error
 
@@ -17,7 +18,7 @@ from procedures.cli.case.options import CaseOptions
 from procedures.cli.case.stepping import step_through
 from procedures.cli.procedure import app
 from procedures.cli.runs.commands import COMMANDS
-from procedures.engine.errors import BadRequestFile, OtherProgram
+from procedures.engine.errors import BAD_REQUEST_FILE, OTHER_PROGRAM
 from procedures.engine.methods import CaseMethods, Localizer, Matcher
 from procedures.operator.errors import OperatorAborted
 from procedures.runs.answers import Answers
@@ -75,7 +76,7 @@ def test_methods_in_a_request_that_do_not_exist_are_refused(
     folder = new_run_folder(RunRequest(procedure=CaseProcedure()), tmp_path)
     path = folder / REQUEST_FILE
     path.write_text(json.dumps(json.loads(path.read_text()) | {"methods": methods}))
-    with pytest.raises(BadRequestFile, match=f"PRO-034: .*{named}"):
+    with raises(BAD_REQUEST_FILE, match=f"PRO-034: .*{named}"):
         read_request(folder)
 
 
@@ -91,7 +92,7 @@ def test_settings_of_the_thesis_matcher_out_of_range_are_refused_as_the_request_
     content = json.loads(path.read_text())
     content["methods"] |= {"matcher": "thesis", setting: value}
     path.write_text(json.dumps(content))
-    with pytest.raises(BadRequestFile) as refused:
+    with raises(BAD_REQUEST_FILE) as refused:
         read_request(folder)
     assert refused.value.code == "PRO-034"
     assert said in refused.value.summary
@@ -130,7 +131,7 @@ def test_answers_in_a_request_that_are_none_are_refused(tmp_path: Path) -> None:
     folder = new_run_folder(RunRequest(procedure=CaseProcedure()), tmp_path)
     path = folder / REQUEST_FILE
     path.write_text(json.dumps(json.loads(path.read_text()) | {"answers": {"default": "yes"}}))
-    with pytest.raises(BadRequestFile, match="default"):
+    with raises(BAD_REQUEST_FILE, match="default"):
         read_request(folder)
 
 
@@ -154,7 +155,7 @@ def test_resume_refuses_a_run_of_another_version(tmp_path: Path) -> None:
     path = folder / REQUEST_FILE
     content = json.loads(path.read_text())
     path.write_text(json.dumps(content | {"program": "0.0.1"}))
-    with pytest.raises(OtherProgram, match="PRO-031"):
+    with raises(OTHER_PROGRAM, match="PRO-031"):
         read_request(folder)
     refused = in_this_process(app, "resume", folder, "--accept")
     assert refused.returncode == EXIT_RECOVERY_NEEDED
@@ -165,7 +166,7 @@ def test_resume_refuses_a_run_of_another_version(tmp_path: Path) -> None:
 def test_a_folder_that_is_not_a_run_is_refused(tmp_path: Path, content: str | None) -> None:
     if content is not None:
         (tmp_path / REQUEST_FILE).write_text(content)
-    with pytest.raises(BadRequestFile, match="PRO-034"):
+    with raises(BAD_REQUEST_FILE, match="PRO-034"):
         read_request(tmp_path)
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 import typer
+from coded_errors import raises
 from plain_steps import plain_order
 from recording_cell import RecordingCell
 from user_commands import in_this_process, one_error
@@ -26,7 +27,7 @@ from procedures.runs import case_outcome
 from procedures.runs.finishing import seal_run
 from procedures.runs.folders import hold_run, new_run_folder
 from procedures.runs.request import CaseProcedure, RunRequest
-from ronna_hw.command_line.errors import PathProblem
+from ronna_hw.command_line.errors import PATH_PROBLEM
 from ronna_hw.evidence.manifest import is_sealed
 from ronna_hw.records import Record
 from studies.cli import app as campaign_app
@@ -154,7 +155,7 @@ def test_nothing_is_written_into_a_run(run: Path, inside: str) -> None:
     assert "CLI-005" in one_error(report.stderr)[0]
     export = in_this_process(app, "export", run, "--out", run / inside)
     assert "CLI-005" in one_error(export.stderr)[0]
-    with pytest.raises(PathProblem, match=r"the folder of a run|inside the run"):
+    with raises(PATH_PROBLEM, match=r"the folder of a run|inside the run"):
         new_run_folder(RunRequest(procedure=CaseProcedure()), run / inside)
     assert sorted(run.rglob("*")) == before
 

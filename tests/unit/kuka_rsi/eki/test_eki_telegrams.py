@@ -5,6 +5,7 @@ from __future__ import annotations
 from itertools import pairwise
 
 import pytest
+from coded_errors import raises
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -16,7 +17,7 @@ from drivers.kuka_rsi.eki.telegrams import (
     read_state,
     require_ready,
 )
-from drivers.kuka_rsi.errors import BadEkiTelegram, ControllerNotReady
+from drivers.kuka_rsi.errors import CONTROLLER_NOT_READY, BadEkiTelegram
 
 STATE = (
     b'<State Id="7" Mode="EXT" Drives="1" EStop="0" Guard="0" ProState="P_ACTIVE" Moving="0" Ov="100" Err="0"'
@@ -110,7 +111,7 @@ def test_a_state_without_axes_is_refused() -> None:
 
 def test_everything_that_forbids_motion_is_reported_at_once() -> None:
     state = _state(Mode="T1", EStop="1", Guard="1", Err="310", Drives="0")
-    with pytest.raises(ControllerNotReady) as caught:
+    with raises(CONTROLLER_NOT_READY) as caught:
         require_ready(state, drives=True)
     for words in ("T1, not EXT", "emergency stop", "guard", "message 310", "drives are off"):
         assert words in str(caught.value)

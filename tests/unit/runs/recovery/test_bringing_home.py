@@ -7,11 +7,12 @@ from dataclasses import replace
 
 import pytest
 from clinical_case import FIRST, ClinicalCell
+from coded_errors import raises
 from left_operation import case_order, left_after, other_arm, other_calibration, other_frame
 from run_again import broken_off, opened_again
 
 from procedures.engine.engine import Engine
-from procedures.engine.errors import RecoveryRefused
+from procedures.engine.errors import RECOVERY_REFUSED
 from procedures.operator.question import Topic
 from procedures.runs.interrupted_run import InterruptedRun
 from procedures.runs.recovery import bring_home, recover
@@ -26,7 +27,7 @@ from ronna_hw.evidence.inspection import Problem
 def test_nothing_moves_before_the_operator_accepts(cell: ClinicalCell) -> None:
     again, engine, left = left_after(cell, f"positioning:{FIRST}")
     again.operator.refusing = (Topic.RESUME,)
-    with pytest.raises(RecoveryRefused, match="PRO-032"):
+    with raises(RECOVERY_REFUSED, match="PRO-032"):
         bring_home(engine, left)
     assert again.arm.motions == []
     assert "activate" not in again.arm.calls
@@ -99,7 +100,7 @@ def test_changes_that_do_not_concern_the_way_home_are_shown_before_acceptance(ce
 def test_a_guide_with_another_tip_is_not_withdrawn_along_the_axis(cell: ClinicalCell) -> None:
     again, engine, left = left_after(cell, f"positioning:{FIRST}")
     other_calibration(again)
-    with pytest.raises(RecoveryRefused, match="tool_tip"):
+    with raises(RECOVERY_REFUSED, match="tool_tip"):
         bring_home(engine, left)
     assert again.arm.motions == []
 
@@ -116,7 +117,7 @@ def test_an_arm_that_another_run_left_away_is_not_moved_by_this_one(
     joints_rad = again.arm.joints_rad
     again.arm.joints_rad = (*joints_rad[:5], joints_rad[5] + 0.1)
     engine.setting = replace(engine.setting, arm_not_home=B_LEFT)
-    with pytest.raises(RecoveryRefused, match=f"PRO-032.*{B_LEFT}") as refused:
+    with raises(RECOVERY_REFUSED, match=f"PRO-032.*{B_LEFT}") as refused:
         way(engine, left)
     assert "new run" not in refused.value.advice  # it would take that position for its home
     assert again.arm.motions == []
@@ -147,6 +148,6 @@ def test_where_no_note_says_who_moved_the_arm_last_the_operator_decides(
 def test_another_arm_is_not_moved(cell: ClinicalCell) -> None:
     again, engine, left = left_after(cell, f"positioning:{FIRST}")
     other_arm(again)
-    with pytest.raises(RecoveryRefused, match="arm"):
+    with raises(RECOVERY_REFUSED, match="arm"):
         bring_home(engine, left)
     assert again.arm.motions == []

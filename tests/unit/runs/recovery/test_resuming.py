@@ -9,13 +9,14 @@ from dataclasses import replace
 
 import pytest
 from clinical_case import FIRST, ClinicalCell
+from coded_errors import raises
 from left_operation import case_order, left_after, left_with_an_instrument_inside
 from recording_cell import GUIDE
 from run_again import broken_off, lose_lines, opened_again
 
 from procedures.engine import questions
 from procedures.engine.engine import Engine
-from procedures.engine.errors import RecoveryRefused
+from procedures.engine.errors import RECOVERY_REFUSED
 from procedures.engine.order import order_of
 from procedures.journal.errors import StepRefused
 from procedures.journal.journal import JOURNAL_FILE, Entry, read_journal
@@ -34,7 +35,7 @@ from ronna_hw.devices.capabilities import Fact
 def test_nothing_moves_before_the_findings_are_accepted(cell: ClinicalCell) -> None:
     again, engine, left = left_after(cell, "tool_change")
     again.operator.refusing = (Topic.RESUME,)
-    with pytest.raises(RecoveryRefused, match="PRO-032"):
+    with raises(RECOVERY_REFUSED, match="PRO-032"):
         recover(engine, left)
     assert again.arm.motions == []
     assert "activate" not in again.arm.calls
@@ -48,7 +49,7 @@ def test_an_acceptance_that_times_out_is_reported_with_its_time_limit(
     again, engine, left = left_after(cell, "tool_change")
     again.operator.refusing = (Topic.RESUME,)
     monkeypatch.setattr(questions, "monotonic", itertools.count(0.0, 300.0).__next__)
-    with pytest.raises(RecoveryRefused, match=r"PRO-032: the time to answer ran out; .*limit 300 s"):
+    with raises(RECOVERY_REFUSED, match=r"PRO-032: the time to answer ran out; .*limit 300 s"):
         recover(engine, left)
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 from clinical_case import FIRST, ClinicalCell
+from coded_errors import raises
 from left_operation import left_after, other_arm, other_calibration, other_frame
 from prepared_results import (
     checked_plan,
@@ -16,7 +17,7 @@ from prepared_results import (
 from recording_cell import STEREO_HEAD
 
 from procedures.engine.engine import Engine
-from procedures.engine.errors import RecoveryRefused
+from procedures.engine.errors import RECOVERY_REFUSED
 from procedures.runs import comparison, recovery
 from procedures.runs.interrupted_run import InterruptedRun
 from procedures.runs.recovery import recover
@@ -40,7 +41,7 @@ def test_a_swapped_device_or_record_is_refused_and_nothing_is_asked(
 ) -> None:
     again, engine, left = left_after(cell, "tool_change")
     swap(again)
-    with pytest.raises(RecoveryRefused, match="PRO-032"):
+    with raises(RECOVERY_REFUSED, match="PRO-032"):
         recover(engine, left)
     assert again.operator.asked == []
     assert again.arm.motions == []
@@ -50,7 +51,7 @@ def test_a_swapped_device_or_record_is_refused_and_nothing_is_asked(
 def test_a_calibration_of_the_same_name_and_day_is_told_from_the_recorded_one(cell: ClinicalCell) -> None:
     again, engine, left = left_after(cell, "tool_change")
     other_calibration(again)
-    with pytest.raises(RecoveryRefused) as refused:
+    with raises(RECOVERY_REFUSED) as refused:
         recover(engine, left)
     _, difference = refused.value.what.split("calibration tool_tip: recorded ")
     recorded, found = difference.split("; ")[0].split(", found ")
@@ -64,7 +65,7 @@ def test_a_record_that_has_expired_is_refused_unless_the_calibration_only_starts
     again, engine, left = left_after(cell, "tool_change")
     tip = again.calibrations.tool_tip
     engine.setting = replace(engine.setting, today=lambda: tip.expires + timedelta(seconds=1))
-    with pytest.raises(RecoveryRefused, match=f"{tip.identifier}: recorded a valid one, found CAL-001"):
+    with raises(RECOVERY_REFUSED, match=f"{tip.identifier}: recorded a valid one, found CAL-001"):
         recover(engine, left)
     engine.setting = replace(engine.setting, starts=frozenset(again.calibrations.records))
     recover(engine, left)
@@ -79,7 +80,7 @@ def test_a_theatre_file_updated_since_is_said_with_the_command_that_undoes_it(
     monkeypatch.setattr(InterruptedRun, "theatre_sha256", sha256_of(lab))
     monkeypatch.setattr(recovery, "read_request", lambda _folder: RunRequest(config=lab))
     update_tables(lab, {"procedure": {"approach_mm": 50.0}}, Signature("calibration tool-tip", by="A. N."))
-    with pytest.raises(RecoveryRefused) as refused:
+    with raises(RECOVERY_REFUSED) as refused:
         recover(engine, left)
     said = refused.value.what
     assert "updated since its state 0: " in said
@@ -135,7 +136,7 @@ def test_a_changed_theatre_file_is_refused_with_its_differences_and_nothing_is_a
 ) -> None:
     again, engine, left = left_after(cell, "tool_check")
     change(engine)
-    with pytest.raises(RecoveryRefused, match=reported):
+    with raises(RECOVERY_REFUSED, match=reported):
         recover(engine, left)
     assert again.operator.asked == []
     assert again.arm.motions == []
@@ -146,7 +147,7 @@ def test_an_arm_moved_with_the_guide_in_front_of_an_entry_is_refused(cell: Clini
     again, engine, left = left_after(cell, f"positioning:{FIRST}")
     A1, *others = again.arm.joints_rad
     again.arm.joints_rad = (A1 + 0.02, *others)  # type: ignore[assignment]
-    with pytest.raises(RecoveryRefused, match="guide"):
+    with raises(RECOVERY_REFUSED, match="guide"):
         recover(engine, left)
     assert again.arm.motions == []
 
@@ -155,6 +156,6 @@ def test_an_arm_moved_with_the_guide_in_front_of_an_entry_is_refused(cell: Clini
 def test_a_changed_plan_is_refused(cell: ClinicalCell, monkeypatch: pytest.MonkeyPatch) -> None:
     again, engine, left = left_after(cell, "tool_change")
     monkeypatch.setattr(comparison, "read_plan", lambda _path: checked_plan(margin_mm=9.0).plan)
-    with pytest.raises(RecoveryRefused, match="plan"):
+    with raises(RECOVERY_REFUSED, match="plan"):
         recover(engine, left)
     assert again.arm.motions == []

@@ -9,20 +9,21 @@ from typing import Any
 import numpy as np
 import pytest
 from clinical_case import HOME_RAD, IN_VIEW_MM, ClinicalCell
+from coded_errors import raises
 from prepared_results import checked_set_up
 from recording_cell import RecordingOperator
 from scipy.spatial.transform import Rotation
 
 from procedures.calibration import Baseline
 from procedures.calibration.bundle import LEAST_POSES
-from procedures.calibration.errors import NotTheBaseline, PosesOutOfReach, TooFewPoses
+from procedures.calibration.errors import POSES_OUT_OF_REACH, TOO_FEW_POSES, NotTheBaseline
 from procedures.calibration.pose_set import CHECK_ORIENTATIONS, PlannedLook, self_check_variants
 from procedures.engine.order import StepSpec
 from procedures.journal.errors import StepRefused
 from procedures.journal.results import StepResult
 from procedures.operator.errors import NotConfirmed
 from procedures.operator.question import Topic
-from procedures.relocalization.errors import NoSphere, SphereNotInView, WrongCamera
+from procedures.relocalization.errors import WRONG_CAMERA, NoSphere, SphereNotInView
 from procedures.steps.calibration.ball_place import BallPlace
 from procedures.steps.calibration.head_looks import (
     BallMeasurement,
@@ -123,7 +124,7 @@ def test_the_arm_does_not_move_over_the_ball_without_confirmation(
 def test_a_ball_out_of_reach_is_refused_before_the_operator_is_asked(
     cell: ClinicalCell, step: StepSpec[StepResult]
 ) -> None:
-    with pytest.raises(PosesOutOfReach, match="CAL-010"):
+    with raises(POSES_OUT_OF_REACH, match="CAL-010"):
         over_ball(cell, step, at_mm=OUT_OF_REACH_MM)
     assert cell.operator.asked == []
 
@@ -173,7 +174,7 @@ def test_an_expired_calibration_is_refused_before_a_camera_is_connected(cell: Cl
 @pytest.mark.hazard(25)
 def test_a_calibration_of_other_cameras_is_refused(cell: ClinicalCell) -> None:
     cell.stereo.serials = ("1", "2")
-    with pytest.raises(WrongCamera, match="STE-010"):
+    with raises(WRONG_CAMERA, match="STE-010"):
         cell.run(look_step(over_ball=False))
     assert cell.stereo.calls == []
 
@@ -240,7 +241,7 @@ def test_a_baseline_of_other_cameras_is_refused_before_the_operator_is_asked(
     cell: ClinicalCell, baseline: Baseline
 ) -> None:
     cell.stereo.serials = ("1", "2")
-    with pytest.raises(WrongCamera, match="STE-010"):
+    with raises(WRONG_CAMERA, match="STE-010"):
         visited(cell, baseline)
     assert cell.operator.asked == []
 
@@ -254,14 +255,14 @@ def test_a_check_without_a_ball_returns_home_and_reports_why(cell: ClinicalCell,
 
 
 @pytest.mark.parametrize(
-    ("reason", "error"), [("ARM-007", PosesOutOfReach), ("no sphere in view", TooFewPoses)]
+    ("reason", "error"), [("ARM-007", POSES_OUT_OF_REACH), ("no sphere in view", TOO_FEW_POSES)]
 )
 def test_too_few_acquisitions_are_explained_by_the_most_frequent_reason(
     cell: ClinicalCell, reason: str, error: type[Exception]
 ) -> None:
     watcher = BallWatcher(cell.workcell, np.array(BALL_MM))
     watcher.rejected[reason] = 40
-    with pytest.raises(error, match=f"40 x {reason}"):
+    with raises(error, match=f"40 x {reason}"):
         raise_too_few(watcher, 30)
 
 

@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 from clinical_case import ClinicalCell
+from coded_errors import raises
 from prepared_results import global_localization
 
-from procedures.calibration.errors import NoBall
+from procedures.calibration.errors import NO_BALL
 from procedures.engine.case import Stored
 from procedures.steps.calibration.ball_place import BallPlace, place_step
 from procedures.workcell import MountedTool
@@ -33,7 +34,7 @@ def test_balls_close_together_are_skipped(cell: ClinicalCell) -> None:
 
 
 def test_the_step_is_refused_without_an_isolated_ball(cell: ClinicalCell) -> None:
-    with pytest.raises(NoBall, match="CAL-009") as refused:
+    with raises(NO_BALL, match="CAL-009") as refused:
         place_among(cell, (700.0, 0.0, 300.0), (710.0, 0.0, 300.0))
     assert refused.value.exit_code == EXIT_REFUSED
 

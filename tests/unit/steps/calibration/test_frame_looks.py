@@ -6,10 +6,11 @@ from datetime import UTC, datetime, timedelta
 
 import pytest
 from clinical_case import ClinicalCell
+from coded_errors import raises
 from prepared_results import checked_set_up
 from recording_cell import RecordingOperator
 
-from procedures.calibration.errors import PosesOutOfReach
+from procedures.calibration.errors import POSES_OUT_OF_REACH
 from procedures.calibration.frame_calibration import FrameLooks, Use, calibrate_frame
 from procedures.journal.errors import GateFailed, StepRefused
 from procedures.operator.errors import NotConfirmed
@@ -74,7 +75,7 @@ def test_an_arm_that_cannot_turn_from_its_pose_is_refused_before_the_operator_is
     cell: ClinicalCell,
 ) -> None:
     cell.arm.joints_rad = (0.0, 0.0, 0.0, 0.0, 0.3, 0.0)  # stretched out
-    with pytest.raises(PosesOutOfReach, match="CAL-010"):
+    with raises(POSES_OUT_OF_REACH, match="CAL-010"):
         turned(cell)
     assert cell.operator.asked == []
 

@@ -3,12 +3,12 @@
 from pathlib import Path
 
 import numpy as np
-import pytest
 from clinical_case import ClinicalCell
+from coded_errors import raises
 from prepared_results import checked_set_up, global_localization
 from recording_cell import theatre_of
 
-from procedures.calibration.errors import NoBall
+from procedures.calibration.errors import NO_BALL
 from procedures.operator.question import Topic
 from procedures.steps.calibration.sphere_looks import ObservedSpheres, looks_step
 from procedures.workcell import MountedTool
@@ -38,7 +38,7 @@ def test_a_sphere_out_of_reach_is_named_and_the_others_are_measured(cell: Clinic
 
 
 def test_without_a_sphere_within_reach_nothing_moves(cell: ClinicalCell) -> None:
-    with pytest.raises(NoBall, match="no isolated sphere is within reach"):
+    with raises(NO_BALL, match="no isolated sphere is within reach"):
         observed(cell, OUT_OF_REACH_MM)
     assert cell.arm.motions == []
 

@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from clinical_case import IN_VIEW_MM, ClinicalCell
+from coded_errors import raises
 from prepared_results import checked_set_up
 from recording_cell import GUIDE, RecordingOperator
 
-from procedures.calibration.errors import NoBall, PosesOutOfReach, ReadingImplausible
+from procedures.calibration.errors import NO_BALL, POSES_OUT_OF_REACH, READING_IMPLAUSIBLE
 from procedures.calibration.tip_calibration import TipLooks, calibrate_tip
 from procedures.engine.questions import IN_DIVOT
 from procedures.journal.journal import JOURNAL_FILE, read_journal
@@ -19,7 +20,7 @@ from procedures.steps.calibration.ball_place import BallPlace
 from procedures.steps.calibration.tip_readings import readings_step, stand_place_step, stand_step
 from procedures.workcell import MountedTool
 from procedures.workcell.arm_history import arm_history
-from procedures.workcell.errors import InstrumentInGuide, WrongTool
+from procedures.workcell.errors import INSTRUMENT_IN_GUIDE, WrongTool
 from ronna_hw.frames import Frame
 from ronna_hw.vectors import JointVector
 
@@ -102,7 +103,7 @@ def test_the_arm_stands_still_while_hands_are_at_the_divot_until_it_is_confirmed
     assert motions == [len(cell.arm.motions)]
     assert stops == [before + 1]
     assert "are hands clear of it" in cell.operator.asked[-1].subject
-    with pytest.raises(InstrumentInGuide, match=r"TOOL-001: home: .*in the divot"):
+    with raises(INSTRUMENT_IN_GUIDE, match=r"TOOL-001: home: .*in the divot"):
         cell.workcell.master.go_home()
     assert arm_history(read_journal(cell.folder / JOURNAL_FILE)).place.instrument_may_be_inside == IN_DIVOT
 
@@ -132,18 +133,18 @@ def test_a_tool_other_than_the_guide_is_refused(cell: ClinicalCell) -> None:
 def test_an_implausible_reading_is_refused(cell: ClinicalCell) -> None:
     stand(cell)
     cell.room.dials = lambda _joints: (0.0, 350.0, 0.0)
-    with pytest.raises(ReadingImplausible, match="CAL-018"):
+    with raises(READING_IMPLAUSIBLE, match="CAL-018"):
         read(cell)
 
 
 def test_a_stand_out_of_reach_is_refused_before_the_operator_is_asked(cell: ClinicalCell) -> None:
     stand(cell)
-    with pytest.raises(PosesOutOfReach, match="CAL-010"):
+    with raises(POSES_OUT_OF_REACH, match="CAL-010"):
         read(cell, (2000.0, 0.0, 300.0))
     assert cell.operator.asked == []
 
 
 def test_a_missing_stand_position_is_refused_and_the_option_named(cell: ClinicalCell) -> None:
-    with pytest.raises(NoBall, match="CAL-009") as refused:
+    with raises(NO_BALL, match="CAL-009") as refused:
         cell.run(stand_place_step())
     assert "--ball X Y Z" in refused.value.action

@@ -15,6 +15,7 @@ from clinical_case import (
     ClinicalCell,
     SeeingTracker,
 )
+from coded_errors import raises
 from numpy.typing import NDArray
 from prepared_results import checked_plan, global_localization, localized_fiducials
 from recording_cell import RecordingOperator
@@ -27,7 +28,7 @@ from procedures.imaging.thesis_localizer import REPORTED_FLE_MM
 from procedures.operator.question import Topic
 from procedures.planning.plan_model import FiducialKind, PatientPosition
 from procedures.registration.correspondence import MatchStatus
-from procedures.registration.errors import HeadElsewhere, NoUniqueMatch
+from procedures.registration.errors import NO_UNIQUE_MATCH, HeadElsewhere
 from procedures.registration.room_prior import READING_LIMIT_MM, Landmark, choose_landmark
 from procedures.steps.clinical import correspondence
 from procedures.steps.clinical.coarse_match import SIGMA_CT_MM, coarse_match, room_prior
@@ -84,7 +85,7 @@ def test_a_template_finds_its_spheres_among_others_in_ct_and_room(cell: Clinical
 
 def test_spheres_off_their_template_places_are_not_paired(cell: ClinicalCell) -> None:
     planned = implanted_by(1.1 * CENTRES_CT_MM[:3])
-    with pytest.raises(NoUniqueMatch, match="the template among the image points"):
+    with raises(NO_UNIQUE_MATCH, match="the template among the image points"):
         cell.run(localized_fiducials(CENTRES_CT_MM[:3]), global_localization(SPHERES_MM[:3]), planned, STEP)
 
 
@@ -108,7 +109,7 @@ def test_the_parents_of_the_pairing_are_spheres_room_and_plan(cell: ClinicalCell
 def test_anything_but_a_unique_answer_stops_with_its_reason(
     cell: ClinicalCell, room_mm: Array, ct_mm: Array, status: MatchStatus
 ) -> None:
-    with pytest.raises(NoUniqueMatch, match=f"the correspondence is {status}: "):
+    with raises(NO_UNIQUE_MATCH, match=f"the correspondence is {status}: "):
         match_with(cell, room_mm, ct_mm)
     assert cell.operator.asked == []
 
@@ -116,7 +117,7 @@ def test_anything_but_a_unique_answer_stops_with_its_reason(
 @pytest.mark.hazard(10)
 @pytest.mark.branch("AMBIGUOUS")
 def test_an_ambiguous_pairing_shows_both_candidates(cell: ClinicalCell) -> None:
-    with pytest.raises(NoUniqueMatch) as caught:
+    with raises(NO_UNIQUE_MATCH) as caught:
         match_with(cell, SQUARE_MM, SQUARE_CT_MM)
     assert caught.value.got is not None
     assert caught.value.got.count("image-physical") == 2
@@ -154,13 +155,13 @@ def test_a_sphere_out_of_place_is_left_out_when_the_operator_agrees(cell: Clinic
 @pytest.mark.branch("UNMATCHED_SPHERE")
 def test_a_case_with_a_sphere_out_of_place_is_refused_without_consent(cell: ClinicalCell) -> None:
     cell.operator = RecordingOperator(Topic.UNMATCHED_SPHERE)
-    with pytest.raises(NoUniqueMatch, match="5 image and 4 physical points"):
+    with raises(NO_UNIQUE_MATCH, match="5 image and 4 physical points"):
         match_five(cell, MISPLACED["missing"])
 
 
 @pytest.mark.hazard(11)
 def test_no_sphere_is_left_out_of_four(cell: ClinicalCell) -> None:
-    with pytest.raises(NoUniqueMatch):
+    with raises(NO_UNIQUE_MATCH):
         match_with(cell, SPHERES_MM[:3])
     assert cell.operator.asked == []
 
@@ -243,9 +244,7 @@ def test_a_plan_for_another_patient_position_than_gravity_allows_is_refused(
 ) -> None:
     planned = checked_plan()
     other = planned.plan.model_copy(update={"patient_orientation": PatientPosition(position)})
-    with pytest.raises(
-        NoUniqueMatch, match=r"turned \d+ deg beyond the planned patient position, limit 30 deg"
-    ):
+    with raises(NO_UNIQUE_MATCH, match=r"turned \d+ deg beyond the planned patient position, limit 30 deg"):
         cell.run(
             localized_fiducials(),
             global_localization(),
@@ -308,7 +307,7 @@ def test_our_matcher_stores_no_settings_of_the_other(cell: ClinicalCell) -> None
 def test_the_thesis_matcher_refuses_with_its_reason_as_ours_does(
     cell: ClinicalCell, room_mm: Array, ct_mm: Array, status: MatchStatus
 ) -> None:
-    with pytest.raises(NoUniqueMatch, match=f"REG-008: the correspondence is {status}: "):
+    with raises(NO_UNIQUE_MATCH, match=f"REG-008: the correspondence is {status}: "):
         match_with(by_thesis(cell), room_mm, ct_mm)
 
 
@@ -324,7 +323,7 @@ def test_the_thesis_matcher_leaves_a_missing_sphere_out_but_states_no_odds(cell:
 def test_the_thesis_matcher_may_drop_another_than_a_displaced_sphere_and_is_then_refused(
     cell: ClinicalCell,
 ) -> None:
-    with pytest.raises(NoUniqueMatch, match=r"4 pairs agree within e = 2\.5 mm, but with residuals beyond"):
+    with raises(NO_UNIQUE_MATCH, match=r"4 pairs agree within e = 2\.5 mm, but with residuals beyond"):
         match_five(by_thesis(cell), MISPLACED["displaced"])
 
 

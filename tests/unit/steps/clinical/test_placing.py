@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from clinical_case import ROBOT_FROM_CT, SPHERES_MM, ClinicalCell
+from coded_errors import raises
 from prepared_results import SERIES, checked_plan, checked_set_up, clamped_head, localized_fiducials
 from watched_case import findings
 
@@ -18,12 +19,12 @@ from procedures.guards.errors import PatientMoved
 from procedures.journal.errors import GateFailed, StepRefused
 from procedures.operator.errors import NotConfirmed
 from procedures.operator.question import Task, Topic
-from procedures.planning.errors import PlaceUnfit
+from procedures.planning.errors import PLACE_UNFIT
 from procedures.steps.branches import AS_IT_STANDS, HOLD, PLACINGS
 from procedures.steps.clinical import cart_lock, head_clamp
 from procedures.steps.clinical.cart_lock import LockedCart
 from procedures.steps.clinical.head_clamp import ClampedHead
-from procedures.steps.errors import CartMisplaced, CartNotLocked
+from procedures.steps.errors import CART_NOT_LOCKED, CART_OUT_OF_PLACE
 from procedures.workcell import MountedTool
 from procedures.workcell.arm_history import ArmHistory, ArmPlace, InsertionAxis, PlaceKind
 from ronna_hw.arm.pose import Pose
@@ -117,7 +118,7 @@ def test_a_cart_is_placed_locked_confirmed_and_push_tested(cell: ClinicalCell) -
 @pytest.mark.branch("CART_UNLOCKED")
 def test_a_cart_that_is_not_confirmed_locked_is_refused(cell: ClinicalCell) -> None:
     cell.operator.refusing = (Topic.CART_LOCKED,)
-    with pytest.raises(CartNotLocked, match=r"PRO-041.*Lock the brakes") as refused:
+    with raises(CART_NOT_LOCKED, match=r"PRO-041.*Lock the brakes") as refused:
         lock(cell)
     assert refused.value.exit_code == 3
     assert CART_PUSH not in tasks(cell)
@@ -130,7 +131,7 @@ def test_a_cart_that_rolls_in_the_push_test_is_refused(cell: ClinicalCell) -> No
         cell.tracker.frame_shift_mm = (0.3, 0.3, 0.0)
 
     when_done(cell, CART_PUSH, roll)
-    with pytest.raises(CartNotLocked, match=r"rolled.*0\.42 mm"):
+    with raises(CART_NOT_LOCKED, match=r"rolled.*0\.42 mm"):
         lock(cell)
 
 
@@ -220,7 +221,7 @@ def test_a_cart_out_of_tolerance_is_placed_again_with_instructions_and_finally_r
     cell: ClinicalCell,
 ) -> None:
     propose(cell, (60.0, 0.0))
-    with pytest.raises(CartMisplaced, match=r"PRO-042.*60 mm \(x -60, y \+0\).*Push it by x \+60 mm"):
+    with raises(CART_OUT_OF_PLACE, match=r"PRO-042.*60 mm \(x -60, y \+0\).*Push it by x \+60 mm"):
         lock(cell)
     assert tasks(cell) == [CART_PLACE, CART_LOCK] * PLACINGS
 
@@ -250,7 +251,7 @@ def test_the_operator_may_accept_a_misplaced_cart_and_leave_it_to_the_path_check
 def test_the_operator_may_hold_the_case_because_of_a_misplaced_cart(cell: ClinicalCell) -> None:
     propose(cell, (60.0, 0.0))
     cell.operator.answers = {Topic.CART_PLACE: HOLD}
-    with pytest.raises(CartMisplaced):
+    with raises(CART_OUT_OF_PLACE):
         lock(cell)
     assert tasks(cell) == [CART_PLACE, CART_LOCK]
 
@@ -267,7 +268,7 @@ def test_a_turned_cart_has_a_smaller_position_tolerance(
     if stays:
         assert lock(cell).turned_deg == pytest.approx(-turned_deg, abs=0.01)
     else:
-        with pytest.raises(CartMisplaced, match=re.escape(f"turn it by {turned_deg:+.1f} deg")):
+        with raises(CART_OUT_OF_PLACE, match=re.escape(f"turn it by {turned_deg:+.1f} deg")):
             lock(cell)
 
 
@@ -288,5 +289,5 @@ def test_an_unusable_place_file_is_refused(cell: ClinicalCell, content: str | No
     propose(cell, series_instance_uid="1.2.3")
     if content is not None:
         cell.setting().clinical.place.write_text(content)  # type: ignore[union-attr]
-    with pytest.raises(PlaceUnfit, match=f"PLAN-022.*{why}"):
+    with raises(PLACE_UNFIT, match=f"PLAN-022.*{why}"):
         lock(cell)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import tomli_w
 from clinical_case import CENTRES_CT_MM, SCENE, ClinicalCell
+from coded_errors import raises
 from numpy.typing import NDArray
 from painted_ct import SeriesEdit, write_series
 from prepared_results import SERIES, imported_ct, localized_fiducials, plan
@@ -18,7 +19,7 @@ from recording_cell import RecordingOperator
 from procedures.imaging.volume import Volume, VoxelGeometry
 from procedures.journal.errors import GateFailed
 from procedures.operator.question import Topic
-from procedures.planning.errors import NotIntoHead, PlanMistakes, WrongMarkerCount, WrongSeries
+from procedures.planning.errors import WRONG_SERIES, NotIntoHead, PlanMistakes, WrongMarkerCount
 from procedures.planning.plan_file import describe_seal
 from procedures.planning.plan_model import Plan
 from procedures.steps.clinical.fiducial_localization import DoubtfulSphere
@@ -75,7 +76,7 @@ def test_the_checked_plan_is_stored_with_its_head(cell: ClinicalCell) -> None:
 
 @pytest.mark.hazard(9)
 def test_the_plan_of_another_series_is_refused(cell: ClinicalCell) -> None:
-    with pytest.raises(WrongSeries):
+    with raises(WRONG_SERIES):
         checked(cell, series="1.2.3.4")
 
 

@@ -8,6 +8,7 @@ from itertools import count, pairwise
 import numpy as np
 import pytest
 from clinical_case import FIRST, HOME_RAD, ROBOT_FROM_CT, SPHERES_MM, TRAJECTORIES, ClinicalCell, shifted
+from coded_errors import raises
 from prepared_results import APPROACH_MM, ARRIVING, checked_paths, checked_plan, coarse, localized_fiducials
 from recording_cell import RecordingOperator
 
@@ -21,7 +22,7 @@ from procedures.steps.clinical.results import Relocalization
 from procedures.strategies.fixed_orientation import NeutralOrientation
 from procedures.strategies.strategy import APPROACH_RAD
 from procedures.workcell import MountedTool
-from procedures.workcell.errors import SphereNotFound
+from procedures.workcell.errors import SPHERE_NOT_FOUND
 from procedures.workcell.stereo_look import Look
 from ronna_hw.arm.clearance.bodies import Surroundings
 from ronna_hw.arm.errors import NotClear
@@ -160,7 +161,7 @@ def stands_off(cell: ClinicalCell, fiducial: int) -> bool:
 @pytest.mark.branch("SPHERE_FAILED")
 def test_a_missing_sphere_ends_the_step_when_too_few_remain(cell: ClinicalCell) -> None:
     cell.workcell.spheres_mm[1] += (0.0, 0.0, 80.0)
-    with pytest.raises(SphereNotFound, match="PRO-008"):
+    with raises(SPHERE_NOT_FOUND, match="PRO-008"):
         relocalize(cell)
     assert asked(cell) == []
 
@@ -195,7 +196,7 @@ def test_a_search_passes_over_poses_that_are_not_clear_and_still_names_the_spher
     cell.workcell.spheres_mm[1] += (0.0, 0.0, 80.0)
     refuse(cell, 30, 40)
     found = "sphere 2 was not found: no sphere in 34 image pairs, 2 poses not clear"
-    with pytest.raises(SphereNotFound, match=f"PRO-008: {found}"):
+    with raises(SPHERE_NOT_FOUND, match=f"PRO-008: {found}"):
         relocalize(cell)
 
 
@@ -231,7 +232,7 @@ def test_a_missing_sphere_is_not_left_out_without_consent(
     monkeypatch.setattr("procedures.steps.clinical.relocalization.FEWEST_SPHERES", 3)
     cell.operator = RecordingOperator(Topic.SPHERE)
     cell.workcell.spheres_mm[1] += (0.0, 0.0, 80.0)
-    with pytest.raises(SphereNotFound):
+    with raises(SPHERE_NOT_FOUND):
         relocalize(cell)
 
 

@@ -9,6 +9,7 @@ from datetime import UTC, datetime, timedelta
 
 import pytest
 from clinical_case import FIRST, ClinicalCell
+from coded_errors import raises
 from prepared_results import checked_plan, coarse, localized_fiducials, mounted_guide
 from recording_cell import RecordingOperator
 
@@ -17,13 +18,13 @@ from procedures.journal.errors import StepRefused
 from procedures.journal.journal import JOURNAL_FILE, read_journal
 from procedures.operator.errors import NotConfirmed
 from procedures.operator.question import Task, Topic
-from procedures.planning.errors import ForeignTool, NoToolRecord
+from procedures.planning.errors import FOREIGN_TOOL, NO_TOOL_RECORD
 from procedures.planning.tool_records import ToolRecords
 from procedures.steps.clinical import positioning
 from procedures.steps.clinical.tool_check import APPROACHES, STEP, CheckedTool
 from procedures.steps.errors import ReadingTooOld, ToolBesideGauge
 from procedures.workcell import MountedTool
-from procedures.workcell.errors import InstrumentInGuide
+from procedures.workcell.errors import INSTRUMENT_IN_GUIDE
 from ronna_hw.calibration import CalibrationExpired
 from ronna_hw.tool_record import TipInHead, ToolPurpose
 from ronna_hw.wire.room_tasks import GAUGE, OUT
@@ -153,9 +154,7 @@ def test_the_arm_does_not_leave_the_gauge_before_the_mandrel_is_out(
     with pytest.raises(NotConfirmed):
         check(cell, *dials_mm)
     assert len(cell.arm.motions) == 2  # over to the gauge
-    with pytest.raises(
-        InstrumentInGuide, match="TOOL-001: home: an instrument is in the guide, and in the gauge"
-    ):
+    with raises(INSTRUMENT_IN_GUIDE, match="TOOL-001: home: an instrument is in the guide, and in the gauge"):
         cell.workcell.master.return_home()
 
 
@@ -221,30 +220,30 @@ UNFIT: dict[str, tuple[Damage, type[Exception], str]] = {
     ),
     "another flange": (
         lambda cell: records(cell, flange="changer 7"),
-        ForeignTool,
+        FOREIGN_TOOL,
         "TOOL-003: .*another flange; expected changer of the simulated arm, got changer 7",
     ),
     "another tip": (
         lambda cell: records(cell, tip="tool-tip-of-may"),
-        ForeignTool,
+        FOREIGN_TOOL,
         "TOOL-003: .*another calibration of its tip",
     ),
     "the same tip with other numbers": (
         lambda cell: records(
             cell, tip_in_head=TipInHead(translation_mm=(0.0, 0.0, 0.0), quaternion_wxyz=(1.0, 0.0, 0.0, 0.0))
         ),
-        ForeignTool,
+        FOREIGN_TOOL,
         "TOOL-003: tool-tip-mini-3 has other numbers .* limit 0.001 mm, 0.001 deg",
     ),
-    "another number": (lambda cell: records(cell, number=5), NoToolRecord, "TOOL-002: .*expected 2, got 5"),
+    "another number": (lambda cell: records(cell, number=5), NO_TOOL_RECORD, "TOOL-002: .*expected 2, got 5"),
     "no guide": (
         lambda cell: records(cell, purpose=ToolPurpose.GRIPPER),
-        NoToolRecord,
+        NO_TOOL_RECORD,
         "TOOL-002: .*not that of a guide",
     ),
     "none": (
         lambda cell: replace(records(cell), records={}),
-        NoToolRecord,
+        NO_TOOL_RECORD,
         r"TOOL-002: .*no record of the guide.*\[tools.guide\]",
     ),
 }
@@ -255,5 +254,5 @@ UNFIT: dict[str, tuple[Damage, type[Exception], str]] = {
 def test_a_tool_record_that_does_not_fit_is_refused(cell: ClinicalCell, what: str) -> None:
     damage, error, said = UNFIT[what]
     records(cell).check(cell.calibrations, NOW)
-    with pytest.raises(error, match=said):
+    with raises(error, match=said):
         damage(cell).check(cell.calibrations, NOW)

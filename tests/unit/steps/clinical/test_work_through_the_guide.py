@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 from clinical_case import FIRST, ClinicalCell
+from coded_errors import raises
 from prepared_results import before_positioning, plan
 from waiting import eventually
 from watched_case import findings
@@ -22,7 +23,7 @@ from procedures.operator.errors import GuardUnmet, NotConfirmed
 from procedures.operator.question import Answer, Question, Topic
 from procedures.steps.clinical.at_target import ReachedTarget
 from procedures.steps.clinical.work_progress import STOP_LIMIT_MM
-from procedures.steps.errors import DepthStopWrong, ReadingTooOld
+from procedures.steps.errors import DEPTH_STOP_WRONG, ReadingTooOld
 
 READINGS = 10  # host time passes between them
 LEVER_MM = 161.0  # from the frame on the mount to the lower end of the guide
@@ -116,7 +117,7 @@ def test_a_depth_stop_reading_off_its_computed_value_is_part_of_the_error(
 def test_no_instrument_goes_in_while_the_depth_stop_stays_wrong(cell: ClinicalCell) -> None:
     engine = before_the_entry(cell)
     cell.room.stop_off_mm = 1.1 * STOP_LIMIT_MM
-    with pytest.raises(DepthStopWrong, match=r"TOOL-004: .*T1 is set wrong"):
+    with raises(DEPTH_STOP_WRONG, match=r"TOOL-004: .*T1 is set wrong"):
         work(engine)
     assert [task.name for task in cell.room.worked] == ["depth_stop"] * 3
     assert instrument_lines(cell) == []

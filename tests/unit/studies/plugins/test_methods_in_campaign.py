@@ -7,12 +7,13 @@ from multiprocessing import active_children
 from pathlib import Path
 
 import pytest
+from coded_errors import raises
 
 from studies.campaign.folder import Ledger
 from studies.campaign.study import Sums, add_up
 from studies.campaign.workers import SilenceWatch, run_study
 from studies.correspondence.study import CorrespondenceStudy
-from studies.errors import MethodFailed, MethodRefused, OtherStudy
+from studies.errors import OTHER_STUDY, MethodFailed, MethodRefused
 from studies.heads import NoiseReading
 from studies.plugin_trial import try_plugin
 from studies.plugins.contracts import MethodKind
@@ -63,7 +64,7 @@ def test_an_edited_method_is_another_study_and_its_old_version_does_not_run(fold
     with pytest.raises(MethodRefused, match="STU-012: mine:in_order is a different version here"):
         before.function()
     after = try_plugin(PAIRING, "mine:in_order")
-    with pytest.raises(OtherStudy, match=r"STU-001: .*own"):
+    with raises(OTHER_STUDY, match=r"STU-001: .*own"):
         Ledger(folder / "out", study_of(after))
 
 

@@ -4,10 +4,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from coded_errors import raises
 from scipy.spatial.transform import Rotation
 
 from ronna_hw.x_frame import SPHERE_CENTRES_MM, bodies
-from sim.errors import BadScene
+from sim.errors import BAD_SCENE
 from sim.world.scene.head import SMALLEST_DISTANCE_MM
 from sim.world.scene.model import parse_scene, read_scene
 from sim.world.scene.named_scenes import add_patient_frame, draw_scene
@@ -44,13 +45,13 @@ def test_targets_lie_inside_the_head_and_entries_on_its_skin(seed: int) -> None:
 
 
 def test_an_unknown_scene_is_refused_with_the_names_of_existing_ones() -> None:
-    with pytest.raises(BadScene, match="default, mini, bench"):
+    with raises(BAD_SCENE, match="default, mini, bench"):
         draw_scene("theatre royal")
 
 
 @pytest.mark.parametrize(("markers", "targets"), [(2, 1), (9, 1), (4, 0), (4, 11)])
 def test_impossible_numbers_of_markers_or_targets_are_refused(markers: int, targets: int) -> None:
-    with pytest.raises(BadScene):
+    with raises(BAD_SCENE):
         draw_scene("default", markers=markers, targets=targets)
 
 
@@ -58,7 +59,7 @@ def test_all_mistakes_of_a_scene_are_reported_at_once() -> None:
     content = draw_scene("mini").model_dump(by_alias=True)
     content["colour"] = "green"
     content["seed"] = "x"
-    with pytest.raises(BadScene, match=r"2 mistakes"):
+    with raises(BAD_SCENE, match=r"2 mistakes"):
         parse_scene(content, "scene.toml")
 
 
@@ -115,14 +116,14 @@ def test_an_impossible_scene_is_refused_and_the_field_named(
     place[path[-1]] = value
     file = tmp_path / "scene.json"
     file.write_text(json.dumps(content))
-    with pytest.raises(BadScene, match=f"SIM-001: .*{said}"):
+    with raises(BAD_SCENE, match=f"SIM-001: .*{said}"):
         read_scene(file)
 
 
 def test_a_scene_file_out_of_bounds_is_refused_by_its_name(tmp_path: Path) -> None:
     file = tmp_path / "theatre.json"
     file.write_text("[" * 200_000)
-    with pytest.raises(BadScene, match=r"^SIM-001: theatre\.json is refused: "):
+    with raises(BAD_SCENE, match=r"^SIM-001: theatre\.json is refused: "):
         read_scene(file)
 
 
@@ -136,7 +137,7 @@ def test_every_built_in_scene_is_read_back_unchanged_from_its_file(tmp_path: Pat
 def test_a_frame_whose_spheres_do_not_match_its_layout_is_refused() -> None:
     content = json.loads(draw_scene("mini", x_frame=True).model_dump_json(by_alias=True))
     content["head"]["fiducials"][1]["centre_ct_mm"][0] += 0.1
-    with pytest.raises(BadScene, match="do not match the x-shaped frame"):
+    with raises(BAD_SCENE, match="do not match the x-shaped frame"):
         parse_scene(content, "scene.json")
 
 
@@ -165,5 +166,5 @@ def test_the_patients_frame_changes_nothing_else_in_a_scene() -> None:
 
 
 def test_a_bench_has_no_head_clamp_for_a_frame() -> None:
-    with pytest.raises(BadScene, match="SIM-001: bench has no head"):
+    with raises(BAD_SCENE, match="SIM-001: bench has no head"):
         add_patient_frame(draw_scene("bench"))
