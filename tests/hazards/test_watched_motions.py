@@ -297,7 +297,8 @@ def test_a_guide_that_is_pushed_stops_the_assistant_on_its_way_through_it(tmp_pa
     cell = ClinicalCell(tmp_path)
     engine = watched(cell)
     positioned(engine)
-    pushed = GuideAtRest("T1", np.zeros(3), np.zeros(3), None, now_mm=0.5, is_worked_through=True)
+    unseen_mm = np.full((3, 3), np.nan)
+    pushed = GuideAtRest("T1", np.zeros(3), np.zeros(3), unseen_mm, now_mm=0.5, is_worked_through=True)
     engine.setting.memory.keep(pushed)
     with (
         pytest.raises(InsertionDisturbed, match="PRO-054: the guide was pushed"),
