@@ -205,6 +205,8 @@ def _changes(view: CaseView, what: EventContent) -> dict[str, Any]:
                 "link_said_s": now_s,
                 "link_rate": _update_rate(view.link_rate, what.cycles, now_s),
             }
+        case Pose() if view.bodies is not None and what.arm != view.bodies.arm:
+            return {}  # the scene shows the arm with the guide alone
         case Pose():
             return {"pose": ReportedPose(what, view.theatre_time_s)}
         case DeviceState(device=device) | DeviceAge(device=device):

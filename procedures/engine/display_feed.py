@@ -118,7 +118,12 @@ class BodyView:
         self._cameras: tuple[CameraView, ...] = ()
 
     def at(self, pose: Pose) -> Pose:
-        """Add the positions of the moving bodies to a pose, and that of a tool with cameras."""
+        """Add the positions of the moving bodies to a pose, and that of a tool with cameras.
+
+        A pose of another arm stays as it is: these are the bodies of the arm with the guide.
+        """
+        if pose.arm != self._workcell.master.name:
+            return pose
         bodies, joints_rad = self._current(), cast("JointVector", pose.joints_rad)
         places = tuple(_round_points(*segment) for segment in PlacedBodies(bodies, joints_rad))
         changes: dict[str, tuple[object, ...]] = {"bodies_mm": places}
@@ -139,7 +144,7 @@ class BodyView:
         """
         if self._current() is not self._published:
             self._published = self._current()
-            event = _as_event(self._published)
+            event = _as_event(self._workcell.master.name, self._published)
             events.publish(event.model_copy(update={"cameras": self._cameras}))
         self._looks += 1
         was_streaming, self._streamed = self._streamed, self._workcell.master.streaming
@@ -176,11 +181,12 @@ class BodyView:
         )
 
 
-def _as_event(bodies: Bodies) -> BodiesEvent:
+def _as_event(arm: str, bodies: Bodies) -> BodiesEvent:
     names = (COLUMN_NAME, *(one.name for one in bodies.surroundings.obstacles))
     heads = (False, *(one.is_head for one in bodies.surroundings.obstacles))
     moving = zip(bodies.moving_names, bodies.moving_radii_mm, strict=True)
     return BodiesEvent(
+        arm=arm,
         moving=tuple(Body(name=name, radius_mm=radius_mm) for name, radius_mm in moving),
         fixed=tuple(
             Body(

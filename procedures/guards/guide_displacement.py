@@ -1,8 +1,10 @@
 """Displacement of the guide while somebody works through it.
 
 Encoders do not see an arm give way under a hand. The tracker does, by the place of the frame on the mount
-and, as its seat may give way, of a frame on the guide. Where that is not seen, the lower end of the guide by
-the pose of the mount stands in: a turn of the wrist alone displaces it. The joints are compared as well.
+and, as its seat may give way, of a frame on the guide; each also while the other is hidden. Where the frame
+on the guide is not seen, the lower end of the guide by the pose of the mount stands in: a turn of the wrist
+alone displaces it. The joints are compared as well. What is not seen at the moment that counts is told: a
+displacement that has gone back by the next look leaves no trace.
 
 A pushed tracker sees the guide displaced as well. With the patient's frame in the theatre it is followed
 before the guide counts as pushed.
@@ -12,7 +14,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -33,7 +35,9 @@ PUSHED_MM = 0.2  # at the guide: ten newtons on the arm that is assumed make 0.1
 # 160 mm away, one of 0.42 mm: less than `END_SEEN_MM` means nothing. Frames take time, and a trajectory in
 # whose pose the head is hidden has ten seconds: hence a short look, and a long one only if that shows a push.
 END_SEEN_MM = 0.3
-END, ON_GUIDE = 1, 2  # rows of the guide's end and of the frame on the guide among the points
+MOUNT, END, ON_GUIDE = 0, 1, 2  # rows of both frames and of the guide's end among the points
+HEAD_NAME, FRAME_NAMES = "the head", {MOUNT: "the frame on the arm", ON_GUIDE: "the frame on the guide"}
+LONGEST_UNSEEN_S = 1.0  # theatre time; a hand that leans on something does so for longer (U)
 FRAMES, FRAMES_AT_FIRST = 60, 30  # at least half must show the frame
 BETWEEN_LOOKS_S = 1.0  # theatre time
 # Readings averaged by a watch, every fourth frame: with half as many for the place, 4 of 100 insertions of
@@ -48,45 +52,84 @@ class GuideAtRest:
     """Rest position of the guide, and its displacement since.
 
     `seen_mm` (3, 3) are the frame on the mount, the lower end of the guide and the frame on the guide, in the
-    frame of the tracker at the localization: NaN for the last if not seen, None if the first is not.
+    frame of the tracker at the localization; NaN where not seen.
     `end_in_frame_mm` (3,) is the end in the frame on the mount; `on_guide` names the frame on the guide, if
     any.
     `is_worked_through`: somebody works through it now; `was_worked_through`: somebody did.
-    `now_mm` is its last known displacement, `looked_s` the theatre time of the last look; `unseen` says that
-    this look did not show the frame. `find` records a tracker that was followed.
+    `now_mm` is its last known displacement, `looked_s` the theatre time of the last look; `hidden` are the
+    frames, known at rest, that this look did not show. `unseen_s` is for how long at most the work went on
+    with something out of sight, by its name.
+    `find` records a tracker that was followed.
     """
 
     trajectory: str
     tool_mm: Array
     end_in_frame_mm: Array
-    seen_mm: Array | None
+    seen_mm: Array
     on_guide: str | None = None
     now_mm: float = 0.0
     is_worked_through: bool = False
     was_worked_through: bool = False
     looked_s: float = -math.inf
-    unseen: bool = False
+    hidden: tuple[int, ...] = ()
+    unseen_s: dict[str, float] = field(default_factory=dict)
     find: Callable[[str], None] = lambda _text: None
     _point_shifts_mm: Array = field(default_factory=lambda: np.zeros(3))  # of each point, when last seen
-    _recent: deque[Array] = field(default_factory=lambda: deque(maxlen=END_READINGS))
+    _recent: Mapping[int, deque[Array]] = field(
+        default_factory=lambda: {
+            MOUNT: deque(maxlen=PLACE_READINGS),
+            END: deque(maxlen=END_READINGS),
+            ON_GUIDE: deque(maxlen=PLACE_READINGS),
+        }
+    )
+    _last_seen_s: dict[int, float] = field(default_factory=dict)
 
-    def begin_watch(self) -> None:
+    @property
+    def known(self) -> tuple[int, ...]:
+        """Frames that were seen with the guide at rest."""
+        return tuple(row for row in FRAME_NAMES if np.isfinite(self.seen_mm[row]).all())
+
+    @property
+    def is_unseen(self) -> bool:
+        """Whether the last look showed no frame: only the joints show a push."""
+        return len(self.hidden) == len(self.known)
+
+    def begin_watch(self, now_s: float) -> None:
         """Discard the readings of an earlier watch."""
-        self._recent.clear()
+        for readings in self._recent.values():
+            readings.clear()
+        self._last_seen_s = dict.fromkeys(self.known, now_s)
 
-    def add_frame(self, frame: TrackerFrame, tool: str) -> None:
+    def note_unseen(self, name: str, for_s: float) -> None:
+        """Note for how long something was out of sight while somebody works through the guide."""
+        if self.is_worked_through:
+            self.unseen_s[name] = max(for_s, self.unseen_s.get(name, 0.0))
+
+    def describe_unseen(self) -> str:
+        """Name what was out of sight for too long during the work, or return ''."""
+        longest = [(name, for_s) for name, for_s in self.unseen_s.items() if for_s > LONGEST_UNSEEN_S]
+        return ", ".join(f"{name} for {for_s:.0f} s" for name, for_s in longest)
+
+    def add_frame(self, frame: TrackerFrame, tool: str, now_s: float) -> None:
         """Add a tracker frame and compare the mean of the latest frames with the rest position."""
-        reading = frame.tool(tool)
-        if self.seen_mm is None or reading.validity is not Validity.OK:
-            return
-        is_on_mount = reading.transform(Frame.TRACKER, Frame.MARKER)
-        on_guide = None if self.on_guide is None else frame.tool(self.on_guide)
-        place_mm = on_guide.position_mm if on_guide and on_guide.validity is Validity.OK else None
-        self._recent.append(_points_mm(is_on_mount, self.end_in_frame_mm, place_mm))
-        recent_mm = np.array(self._recent)
-        if len(recent_mm) >= PLACE_READINGS:
-            now_mm = _mean_of_seen_mm(recent_mm[-PLACE_READINGS:])
-            now_mm[END] = recent_mm[:, END].mean(axis=0) if len(recent_mm) == END_READINGS else np.nan
+        mount, guide = (None if name is None else frame.tool(name) for name in (tool, self.on_guide))
+        is_on_mount = guide_mm = None
+        if mount is not None and mount.validity is Validity.OK:
+            is_on_mount = mount.transform(Frame.TRACKER, Frame.MARKER)
+        if guide is not None and guide.validity is Validity.OK:
+            guide_mm = guide.position_mm
+        points_mm = _points_mm(is_on_mount, self.end_in_frame_mm, guide_mm)
+        for row, since_s in self._last_seen_s.items():
+            self.note_unseen(FRAME_NAMES[row], now_s - since_s)
+            if np.isfinite(points_mm[row]).all():
+                self._last_seen_s[row] = now_s
+        now_mm = np.full((3, 3), np.nan)
+        for row, readings in self._recent.items():
+            if np.isfinite(points_mm[row]).all():
+                readings.append(points_mm[row])
+                if len(readings) == readings.maxlen:
+                    now_mm[row] = np.mean(readings, axis=0)
+        if np.isfinite(now_mm).any():
             self._compare(now_mm)
 
     def look(self, workcell: Workcell, clock: Clock, room: RoomWatch | None) -> None:
@@ -94,7 +137,7 @@ class GuideAtRest:
 
         `room` is the watch of the case. A push of the tracker alone that it shows is followed.
         """
-        known = self.seen_mm is not None
+        known = bool(self.known)
         for count in (FRAMES_AT_FIRST, FRAMES):
             frames = read_frames_at_rest(workcell.tracker, clock, count=count)[0] if known else []
             self._measure(workcell, frames, room)
@@ -113,16 +156,15 @@ class GuideAtRest:
         """Compare the guide in these frames, and the arm's joints, with the rest position."""
         seen_mm = _measure_frame(workcell, frames, room, self.end_in_frame_mm, self.on_guide)
         self._compare(seen_mm, workcell.master.tool_pose().translation_mm)
-        self.unseen = seen_mm is None
+        self.hidden = tuple(row for row in self.known if not np.isfinite(seen_mm[row]).all())
 
-    def _compare(self, seen_mm: Array | None, tool_mm: Array | None = None) -> None:
+    def _compare(self, seen_mm: Array, tool_mm: Array | None = None) -> None:
         """Update the displacement from its largest estimate. Hidden points keep their last displacement."""
-        if seen_mm is not None and self.seen_mm is not None:
-            moved_mm = np.linalg.norm(seen_mm - self.seen_mm, axis=1)
-            self._point_shifts_mm = np.where(np.isfinite(moved_mm), moved_mm, self._point_shifts_mm)
+        moved_mm = np.linalg.norm(seen_mm - self.seen_mm, axis=1)
+        self._point_shifts_mm = np.where(np.isfinite(moved_mm), moved_mm, self._point_shifts_mm)
         first_mm, end_mm, on_guide_mm = self._point_shifts_mm.tolist()
         # A marker of the mount that is hidden now and was not before turns it by milliradians.
-        stands_in = end_mm > END_SEEN_MM and (seen_mm is None or not np.isfinite(seen_mm[ON_GUIDE]).all())
+        stands_in = end_mm > END_SEEN_MM and not np.isfinite(seen_mm[ON_GUIDE]).all()
         by_frames_mm = max(first_mm, end_mm if stands_in else 0.0, on_guide_mm)
         by_joints_mm = 0.0 if tool_mm is None else float(np.linalg.norm(tool_mm - self.tool_mm))
         self.now_mm = max(by_frames_mm, by_joints_mm)
@@ -147,9 +189,9 @@ class GuideDisplacement:
         if rest.now_mm <= PUSHED_MM:
             return None
         return (
-            f"pushed or pulled by {rest.now_mm:.2f} mm, limit {PUSHED_MM:g} mm: let go of "
-            f"the guide and the arm{HIDDEN if rest.unseen else ''}; if nobody is touching them, the cart or "
-            "the tracker was moved, they were touched as the guide came to rest, or its seat has given way: "
+            f"pushed or pulled by {rest.now_mm:.2f} mm, limit {PUSHED_MM:g} mm: let go of the guide and "
+            f"the arm{HIDDEN if rest.is_unseen else ''}; if nobody is touching them, the cart or the tracker "
+            "was moved, they were touched as the guide came to rest, or its seat has given way: "
             "leave, send the arm home, repeat tool_check"
         )
 
@@ -184,28 +226,21 @@ def _measure_frame(
     room: RoomWatch | None,
     end_in_frame_mm: Array,
     on_guide: str | None,
-) -> Array | None:
-    """Return `seen_mm`, or None if the frame on the mount is rarely seen."""
+) -> Array:
+    """Return `seen_mm`, NaN for what is rarely seen."""
     if room is not None:
         frames = [room.as_localized(frame) for frame in frames]
     least = max(1, len(frames) // 2)
     is_on_mount = mean_pose(frames, workcell.calibrations.tracker_frame.tool, least)
-    if is_on_mount is None:
-        return None
     guide = None if on_guide is None else mean_pose(frames, on_guide, least)
     return _points_mm(is_on_mount, end_in_frame_mm, None if guide is None else guide.translation_mm)
 
 
-def _mean_of_seen_mm(readings_mm: Array) -> Array:
-    """Average each point (3, 3) over readings (n, 3, 3). NaN if seen in fewer than half."""
-    is_seen: NDArray[np.bool_] = np.asarray(np.isfinite(readings_mm).all(axis=2))
-    counts = is_seen.sum(axis=0)[:, np.newaxis]
-    sums_mm = np.where(is_seen[..., np.newaxis], readings_mm, 0.0).sum(axis=0)
-    means_mm: Array = np.where(2 * counts >= len(readings_mm), sums_mm / np.maximum(counts, 1), np.nan)
-    return means_mm
-
-
-def _points_mm(is_on_mount: Transform, end_in_frame_mm: Array, on_guide_mm: ArrayLike | None) -> Array:
-    """Return mount frame, guide end and guide frame as points (3, 3) mm in the tracker frame."""
-    guide_mm = np.full(3, np.nan) if on_guide_mm is None else np.asarray(on_guide_mm, dtype=float)
-    return np.array([is_on_mount.translation_mm, is_on_mount.apply(end_in_frame_mm), guide_mm])
+def _points_mm(is_on_mount: Transform | None, end_in_frame_mm: Array, on_guide_mm: ArrayLike | None) -> Array:
+    """Return mount frame, guide end and guide frame as points (3, 3) mm in the tracker frame, or NaN."""
+    points_mm = np.full((3, 3), np.nan)
+    if is_on_mount is not None:
+        points_mm[MOUNT], points_mm[END] = is_on_mount.translation_mm, is_on_mount.apply(end_in_frame_mm)
+    if on_guide_mm is not None:
+        points_mm[ON_GUIDE] = on_guide_mm
+    return points_mm

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from functools import partial
 
 from procedures.guards.assistant_on_axis import LARGEST_OFF_MM, AssistantOnAxis
-from procedures.guards.guide_displacement import PUSHED_MM, GuideAtRest
+from procedures.guards.guide_displacement import HEAD_NAME, PUSHED_MM, GuideAtRest
 from procedures.guards.head_frames import PATIENT_LIMIT_MM, Array, Flags, PatientFrames
 from procedures.guards.room_reading import find_ghosts
 from procedures.guards.room_watch import RoomWatch
@@ -63,6 +63,7 @@ class WatchThread:
     problem: str = ""  # why the thread no longer looks
     has_seen: bool = False
     unseen_s: float = 0.0
+    _longest_unseen_s: float = 0.0
     _seen_s: float = 0.0
     is_overdue: bool = False
     _stop_wanted: bool = False
@@ -107,7 +108,7 @@ class WatchThread:
     def begin(self) -> None:
         """Start the thread. Wait, within a limit, for its first frame and any stop triggered by it."""
         if self.guide is not None:
-            self.guide.begin_watch()
+            self.guide.begin_watch(self.clock.now_s())
         self._thread.start()
         self._first.wait(FIRST_FRAME_S)
         if self._stopping is not None:  # the motion that would begin now is refused
@@ -120,6 +121,8 @@ class WatchThread:
             self._thread.join()
         if self._stopping is not None:
             self._stopping.join()
+        if self.guide is not None:
+            self.guide.note_unseen(HEAD_NAME, max(self._longest_unseen_s, self.unseen_s))
         return self
 
     def _run(self) -> None:
@@ -194,6 +197,7 @@ class WatchThread:
     def _check_unseen(self) -> None:
         now_s = self.clock.now_s()
         self.unseen_s = now_s - self._seen_s
+        self._longest_unseen_s = max(self._longest_unseen_s, self.unseen_s)
         if not self.is_overdue and self.room.head_sight.is_overdue(now_s):
             self.is_overdue = True
             self._raise_alarm(UNSEEN, stop=self.arm_moves)
@@ -212,7 +216,7 @@ class WatchThread:
         """
         if self.guide is None or not (self.guide.is_worked_through or self._leads_instrument):
             return
-        self.guide.add_frame(frame, self.workcell.calibrations.tracker_frame.tool)
+        self.guide.add_frame(frame, self.workcell.calibrations.tracker_frame.tool, self.clock.now_s())
         self.pushed_mm = max(self.pushed_mm, self.guide.now_mm)
         pushed = self.guide.now_mm > PUSHED_MM
         most_mm = PUSHED_MM if self.motion == MotionKind.INSERT else LARGEST_OFF_MM

@@ -111,7 +111,7 @@ def test_a_moved_cart_that_no_second_look_confirms_is_named_and_leaves_the_way_h
 
     on_the_way(cell, wheel_away)
     monkeypatch.setattr(motion_watch, "read_watched", silent)
-    with pytest.raises(BaseShifted, match=r"was moved.*limit 10 mm"):
+    with pytest.raises(BaseShifted, match=r"has moved during.*limit 10 mm"):
         positioned(engine)
     assert engine.setting.memory.find(RoomWatch) is None
     engine.retreat_home()
@@ -297,7 +297,8 @@ def test_a_guide_that_is_pushed_stops_the_assistant_on_its_way_through_it(tmp_pa
     cell = ClinicalCell(tmp_path)
     engine = watched(cell)
     positioned(engine)
-    pushed = GuideAtRest("T1", np.zeros(3), np.zeros(3), None, now_mm=0.5, is_worked_through=True)
+    unseen_mm = np.full((3, 3), np.nan)
+    pushed = GuideAtRest("T1", np.zeros(3), np.zeros(3), unseen_mm, now_mm=0.5, is_worked_through=True)
     engine.setting.memory.keep(pushed)
     with (
         pytest.raises(InsertionDisturbed, match="PRO-054: the guide was pushed"),

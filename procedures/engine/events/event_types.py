@@ -238,6 +238,7 @@ class Bodies(_EventBase):
     """Bodies in the collision check before and during arm motion."""
 
     kind: Literal["bodies"] = "bodies"
+    arm: str = Field(default="arm", description="Device whose arm moves them.")
     moving: tuple[Body, ...] = Field(description="Links, then parts of the tool.")
     fixed: tuple[Body, ...]
     pairs: tuple[tuple[int, int], ...] = Field(

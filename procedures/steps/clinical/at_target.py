@@ -48,7 +48,7 @@ from ronna_hw.text import format_against_limit
 
 POSITION_LIMIT_MM = 0.05  # nominal place against the commanded one; more means the arm did not arrive
 STAYS = "Nothing moves. Repeat the step, or remove the instrument and send the arm home."
-UNSEEN = "the tracker does not see the frame on the arm; only the joints show a push on the guide"
+UNSEEN = "the tracker sees no frame on the arm or the guide; only the joints show a push on the guide"
 DONE = "done"  # the one word that ends a stage
 DWELL_S = 0.5  # of theatre time, before the reading
 
@@ -116,6 +116,12 @@ def run(context: StepContext) -> Outcome[ReachedTarget]:
     send_assistant_home(context)
     if work_so_far.finished_before:
         return _build_unwatched_outcome(work_so_far)
+    if unseen := rest.describe_unseen():
+        context.find(
+            f"during the work at {trajectory} the tracker did not see {unseen}: what was displaced meanwhile "
+            "and has gone back was not noticed",
+            [trajectory],
+        )
     pushed = work_so_far.pushed_mm > PUSHED_MM
     if pushed:
         context.find(f"the guide was pushed by up to {work_so_far.pushed_mm:.2f} mm at {trajectory}")
@@ -211,9 +217,9 @@ def _look_at_guide(
     """Measure the guide after a stage. If it is displaced, a guard suspends the case."""
     _look(context, rest)
     work_so_far.pushed_mm = max(work_so_far.pushed_mm, rest.now_mm)
-    if rest.unseen:
+    if rest.is_unseen:
         work_so_far.watched = False
-        if rest.seen_mm is not None:  # else reported before the work began
+        if rest.known:  # else reported before the work began
             context.find(f"at {context.trajectory}, {stage.done_statement}: {UNSEEN}")
 
 
@@ -242,7 +248,7 @@ def _watch_guide(context: StepContext) -> Iterator[GuideAtRest]:
             context.workcell, context.setting.clock, context.trajectory, find=context.find
         )
         memory.keep(rest)
-    if rest.seen_mm is None:
+    if not rest.known:
         context.find(f"at {context.trajectory}: {UNSEEN}")
     rest.is_worked_through = True
     try:

@@ -12,6 +12,7 @@ from console.panels.case_state import case_line, devices
 from console.panels.results import notices
 from procedures.engine.events import (
     Answered,
+    Bodies,
     CaseState,
     DeviceAge,
     DeviceState,
@@ -22,6 +23,7 @@ from procedures.engine.events import (
     LinkHealth,
     Order,
     OrderedStep,
+    Pose,
     Progress,
     Questioned,
     Seat,
@@ -138,6 +140,16 @@ def test_a_signal_that_was_written_late_changes_neither_the_time_nor_the_next_st
     view = fold(fold(CaseView(), begun), early)
     assert (view.running, view.share, view.doing) == ("fit:T1", 0.0, "")
     assert (view.number, view.theatre_time_s) == (2, 0.2)
+
+
+def test_the_bodies_of_one_arm_do_not_follow_the_joints_of_another() -> None:
+    bodies = Bodies(moving=(), fixed=(), pairs=())
+    own, other = (
+        Pose(arm=arm, joints_rad=(angle,), age_s=0.0) for arm, angle in (("arm", 0.1), ("assistant", 0.2))
+    )
+    view = view_after(bodies, own, other)
+    assert view.pose is not None
+    assert view.pose.pose == own
 
 
 def test_the_health_of_the_robot_link_is_shown_with_its_age() -> None:

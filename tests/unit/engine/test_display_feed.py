@@ -54,6 +54,14 @@ def test_a_pose_has_both_ends_of_each_moving_body(cell: RecordingCell) -> None:
     assert places[-1][3:] == pytest.approx(flange.apply([0.0, 0.0, 100.0]), abs=0.06)
 
 
+def test_the_bodies_of_the_guides_arm_are_not_placed_at_the_joints_of_another_arm(
+    cell: RecordingCell,
+) -> None:
+    cell.workcell.master.surround(AROUND)
+    other = POSE.model_copy(update={"arm": "assistant"})
+    assert BodyView(cell.workcell).at(other) == other
+
+
 def test_the_cameras_are_not_drawn_after_a_fault_while_the_mounted_head_is_unchecked(
     cell: RecordingCell,
 ) -> None:

@@ -54,9 +54,11 @@ def require_seen_on_axis(workcell: Workcell, clock: Clock, watch: RoomWatch | No
                 f"the assistant was not compared with its frame ({problem.summary})"
             ) from problem
         found, motion = beside_bore(workcell, watch, judged), judged.motion
-        if found is None or Tracked.ARM not in judged.look.frames:  # the guide's cart counts as well
-            raise NotCompared("the tracker does not see the frames of both arms")
+        if found is None:
+            raise NotCompared("the tracker does not see the frame on the assistant")
         if found.is_within and (motion is None or motion.moved in OF_THE_HEAD):
+            if Tracked.ARM not in judged.look.frames:  # the cart of the guide counts as well
+                raise NotCompared("the tracker does not see the frame on the arm with the guide")
             return found
         limit_mm, got_mm = LARGEST_OFF_MM, found.largest_mm
         if found.is_within and motion is not None:  # an arm is not where its joints have it

@@ -49,6 +49,17 @@ def test_a_displaced_assistant_leads_no_instrument_out_of_the_guide(monkeypatch:
 
 
 @pytest.mark.hazard(64)
+def test_a_displaced_assistant_is_refused_also_while_the_guides_arm_is_hidden(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    (refused,) = compare_seen(monkeypatch, guide_hidden=True, assistant=shifted(0.0, 1.2, 0.0)).differences
+    assert refused.startswith("PRO-054")
+    in_place = compare_seen(monkeypatch, guide_hidden=True)
+    assert in_place.differences == []
+    assert "the frame on the arm with the guide" in in_place.warnings[0]
+
+
+@pytest.mark.hazard(64)
 def test_a_guide_whose_cart_was_displaced_keeps_its_instrument(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(InsertionDisturbed, match="PRO-054"):
         look_before_retreat(*_with_clock(watched(monkeypatch, master=shifted(0.0, 0.6, 0.0))))

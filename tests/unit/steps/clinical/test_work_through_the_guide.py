@@ -6,6 +6,7 @@ import math
 from contextlib import AbstractContextManager
 from typing import Any
 
+import numpy as np
 import pytest
 from clinical_case import FIRST, ClinicalCell
 from coded_errors import raises
@@ -17,7 +18,7 @@ from procedures.engine.engine import Engine
 from procedures.engine.events import Advisory
 from procedures.guards import GuideDisplacement, patient_watch
 from procedures.guards.errors import BaseShifted, RoomUndecided
-from procedures.guards.guide_displacement import PUSHED_MM, GuideAtRest
+from procedures.guards.guide_displacement import LONGEST_UNSEEN_S, PUSHED_MM, GuideAtRest
 from procedures.journal.journal import JOURNAL_FILE, read_journal
 from procedures.operator.errors import GuardUnmet, NotConfirmed
 from procedures.operator.question import Answer, Question, Topic
@@ -383,11 +384,58 @@ def test_a_pushed_guide_that_is_then_hidden_from_the_tracker_does_not_count_as_r
         cell.tracker.frame_shift_mm = (1.5 * PUSHED_MM if question.topic is Topic.DRILL else 0.0, 0.0, 0.0)
         guards = [one for one in cell.operator.asked if one.topic is Topic.GUARD]
         cell.tracker.hidden = len(guards) == 1
+        cell.tracker.guide_shift_mm = None  # nor the frame on the guide
 
     cell.operator.meanwhile = push_and_hide
     work(engine)
     said = [one.subject for one in cell.operator.asked if one.topic is Topic.GUARD]
     assert ["it is not seen now" in subject for subject in said] == [False, True]
+
+
+@pytest.mark.hazard(46)
+@pytest.mark.branch("GUIDE_PUSHED")
+def test_a_push_that_only_the_frame_on_the_guide_shows_suspends_the_case(cell: ClinicalCell) -> None:
+    engine = before_the_entry(cell)
+
+    def push_behind_a_hand(question: Question) -> None:
+        held = any(one.topic is Topic.GUARD for one in cell.operator.asked)
+        cell.tracker.hidden = question.topic is Topic.DRILL
+        cell.tracker.guide_shift_mm = (2.0 * PUSHED_MM * (cell.tracker.hidden and not held), 0.0, 0.0)
+
+    cell.operator.meanwhile = push_behind_a_hand
+    work(engine)
+    assert len([one for one in cell.operator.asked if one.topic is Topic.GUARD]) == 1
+
+
+@pytest.mark.hazard(46)
+@pytest.mark.parametrize(
+    ("hide", "named"),
+    [
+        ({"guide_shift_mm": None}, "the frame on the guide"),
+        ({"hidden": True}, "the frame on the arm"),
+        ({"spheres_mm": np.empty((0, 3))}, "the head"),
+    ],
+)
+def test_what_the_tracker_does_not_see_while_somebody_works_is_named_with_its_time(
+    cell: ClinicalCell, hide: dict[str, object], named: str
+) -> None:
+    engine = before_the_entry(cell)
+    engine.checkpoint.watching = patient_watch(engine, lambda _moved: None).watching
+    seen = {name: getattr(cell.tracker, name) for name in hide}
+
+    def cover(question: Question) -> None:
+        if question.topic is not Topic.AT_TARGET:
+            return
+        vars(cell.tracker).update(hide)
+        read = cell.tracker.frames_read
+        engine.setting.clock.sleep(2.0 * LONGEST_UNSEEN_S)
+        eventually(lambda: cell.tracker.frames_read > read + READINGS)
+        vars(cell.tracker).update(seen)
+
+    cell.operator.meanwhile = cover
+    work(engine)
+    (found,) = (text for text in findings(cell) if "has gone back was not noticed" in text)
+    assert f"the tracker did not see {named} for" in found
 
 
 @pytest.mark.hazard(46)
@@ -399,11 +447,12 @@ def test_a_stage_that_ends_with_the_guide_hidden_from_the_tracker_does_not_count
 
     def hide(question: Question) -> None:
         cell.tracker.hidden = question.topic is Topic.SKIN
+        cell.tracker.guide_shift_mm = None if cell.tracker.hidden else (0.0, 0.0, 0.0)
         cell.tracker.frame_shift_mm = (pushed_mm if question.topic is Topic.DRILL else 0.0, 0.0, 0.0)
 
     cell.operator.meanwhile = hide
     work(engine)
-    (found,) = (text for text in findings(cell) if "does not see the frame on the arm" in text)
+    (found,) = (text for text in findings(cell) if "sees no frame on the arm or the guide" in text)
     assert f"at {FIRST}, the skin is open" in found
     reached = cell.case.get(ReachedTarget, FIRST).result
     assert reached.pushed_mm == (pytest.approx(pushed_mm) if pushed_mm else None)
