@@ -59,7 +59,10 @@ class BesideBore:
 
     def __str__(self) -> str:
         """Describe it to the operator."""
-        return f"seen {self.seen_mm:.2f} mm beside the bore, within {self.uncertain_mm:.2f} mm"
+        return (
+            f"seen {self.seen_mm:.2f} mm beside the bore, known to {self.uncertain_mm:.2f} mm "
+            f"(together at most {LARGEST_OFF_MM:g} mm)"
+        )
 
 
 def beside_bore(workcell: Workcell, watch: RoomWatch, judged: JudgedReading) -> BesideBore | None:

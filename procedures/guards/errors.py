@@ -100,7 +100,9 @@ class PatientMoved(RefusedError):
     def from_shift(cls, what: str, moved_mm: float, limit_mm: float) -> Self:
         """Build the error for a displacement."""
         moved = cls(
-            what, limit=f"{limit_mm:g} mm", got=f"{format_against_limit(moved_mm, limit_mm, 2)} mm rms"
+            what,
+            limit=f"{limit_mm:g} mm",
+            got=f"{format_against_limit(moved_mm, limit_mm, 2)} mm rms of its points",
         )
         moved.moved_mm = moved_mm
         return moved

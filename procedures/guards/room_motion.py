@@ -120,8 +120,8 @@ def name_motion(
             )
         case Moved.ASSISTANT:
             moved = PlatformMoved(
-                f"the assistant's cart was moved, or its frame: seen by {way}{where} from where its joints "
-                "have it",
+                "the tracker sees the frame on the assistant elsewhere than its joints have it, by "
+                f"{way}{where}: its cart was moved, or the frame",
                 limit=limit,
                 got=f"{got} mm",
             )

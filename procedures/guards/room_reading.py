@@ -57,7 +57,7 @@ FITTED_MM = 0.05
 SENSOR_MM = 10.0  # uncertainty of the sensors' positions; matters in proportion to the way along the line
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class RoomReading:
     """Mean of tracker frames with the arm at rest.
 
@@ -225,21 +225,21 @@ def room_reading(
         if other is not None:
             markers.append(other.apply(places_mm))
     return RoomReading(
-        workcell.master.flange_pose(joints, rests),
-        joints,
-        rests,
-        frame_mm,
-        average_strays(frames).groups,
-        np.vstack(markers),
-        seen,
-        len(frames),
-        workcell.master.settled_home,
-        workcell.master.place.is_on_axis,
-        find_frame_name(workcell.tracker.markers_mm) is not None,
-        workcell.master.history.motions,
-        assistant,
-        any(arm.place.is_on_axis for arm in workcell.assistants),
-        frames,
+        robot_from_flange=workcell.master.flange_pose(joints, rests),
+        joints_rad=joints,
+        sides=rests,
+        frame_mm=frame_mm,
+        groups=average_strays(frames).groups,
+        markers_mm=np.vstack(markers),
+        frames=seen,
+        count=len(frames),
+        settled_home=workcell.master.settled_home,
+        on_axis=workcell.master.place.is_on_axis,
+        fitted=find_frame_name(workcell.tracker.markers_mm) is not None,
+        motions=workcell.master.history.motions,
+        assistant=assistant,
+        instrument_led=any(arm.place.is_on_axis for arm in workcell.assistants),
+        tracker_frames=frames,
     )
 
 

@@ -54,7 +54,7 @@ class WatchedSubject:
     looked_at: tuple[str, ...] = ()
 
 
-AT_TARGETS = "what the looks show at each target, by its lever"
+AT_TARGETS = "at each target, by its lever: the second figure there"
 
 
 def guide_noticeable_mm(arm: str) -> float:
@@ -146,4 +146,4 @@ class SeenUnchanged(Values):
             return f"{self.subject} not seen"
         if self.differs:
             return f"{self.subject} changed, by {self.moved_mm:.2f} mm"
-        return f"{self.subject} within {self.moved_mm:.2f} mm"
+        return f"{self.subject} {self.moved_mm:.2f} mm (noticed from {self.noticeable_mm:.2f} mm)"

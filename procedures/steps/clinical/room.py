@@ -72,8 +72,10 @@ def require_unmoved(context: StepContext, occasion: str) -> None:
     """
     look = check_room(context, occasion, CAREFUL_FRAMES)
     if look.head_mm is None:
+        seen = len(look.judged.look.spheres.numbers)
         raise PatientUnseen(
-            f"{occasion}, the tracker does not see the head",
+            f"{occasion}, the tracker sees {seen} of the {len(room_watch(context).spheres_mm)} spheres on "
+            "the head, and no frame on its clamp",
             expected="at least three known spheres in view",
         )
     if look.base_mm is None:

@@ -237,6 +237,8 @@ def _list_mistakes(fault: Fault, scene: Scene, devices: Sequence[str]) -> Iterat
     if fault.kind.device not in devices:
         yield f"expected a fault of the {join_choices(devices)}, got {fault.phrase!r}: no other device here"
         return
+    if math.inf in (fault.at_s, fault.after_s):
+        yield "expected a time that comes, in s, got one beyond any number"
     if fault.cycle is not None and fault.kind.device not in CYCLES_OF:
         yield f"expected a time: only the robot counts cycles, not the {fault.kind.device}"
     is_of_other = fault.role is not ArmRole.MASTER

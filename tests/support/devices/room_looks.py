@@ -37,14 +37,14 @@ def room_reading_of(
     frames = {Tracked.ARM: arm, Tracked.CLAMP: clamp}
     on_arm = np.empty((0, 3)) if arm is None else arm.markers_mm
     return RoomReading(
-        flange,
-        joints_rad,
-        None if sides is None else tuple(sides),
-        frame_mm,
-        groups,
-        on_arm if markers_mm is None else np.asarray(markers_mm, dtype=float),
-        {name: seen for name, seen in frames.items() if seen is not None},
-        count,
+        robot_from_flange=flange,
+        joints_rad=joints_rad,
+        sides=None if sides is None else tuple(sides),
+        frame_mm=frame_mm,
+        groups=groups,
+        markers_mm=on_arm if markers_mm is None else np.asarray(markers_mm, dtype=float),
+        frames={name: seen for name, seen in frames.items() if seen is not None},
+        count=count,
         settled_home=sides is not None,
     )
 

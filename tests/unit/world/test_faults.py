@@ -139,6 +139,7 @@ def test_every_wrong_line_is_reported() -> None:
         ("at 1 s: tracker occlude tool spoon for 1 s", "expected tool robot_frame or guide_frame, got spoon"),
         ("at 3 s: robot drop 500 % for 1 s", "expected at most 100 %, got 500"),
         ("at cycle 5: tracker cold", "expected a time: only the robot counts cycles"),
+        ("at 1e400 s: tracker cold", "expected a time that comes"),
     ],
 )
 def test_a_fault_outside_the_scene_is_refused(line: str, said: str) -> None:

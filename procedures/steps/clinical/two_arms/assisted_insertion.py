@@ -8,6 +8,7 @@ unasked.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,10 +69,11 @@ def insert_with_assistant(context: StepContext, stop: DepthStop) -> AssistedInse
         surround_at_guide(context, assistant.joints_rad(), registered_here(context))
         workcell.start()
         assistant.return_home()
-    stood = assistant.place.is_home and _is_seen(_look_at_assistant(context, f"before {trajectory}"))
+    missed = [] if assistant.place.is_home else ["at home, where it was not"]  # of the looks at its frame
+    missed += _missed(context, "with the assistant home")
     surround_at_guide(context, assistant.joints_rad(), registered_here(context))
     _present_holder(context, assistant, stop.read_mm)
-    stood &= _is_seen(_look_at_assistant(context, f"with the holder empty, before {trajectory}"))
+    missed += _missed(context, "with the holder empty")
     workcell.assistant.hold_instrument(HeldInstrument(trajectory, stop.read_mm, _parts_at_bore(context)))
     load = (
         f"put the instrument for {trajectory} into the assistant's holder, its depth stop against the clamp, "
@@ -93,13 +95,13 @@ def insert_with_assistant(context: StepContext, stop: DepthStop) -> AssistedInse
         trajectory,
         covers=f"{axis.travel_mm:.0f} mm along the bore, which the distances below leave out",
     )
-    stood &= _is_seen(_look_at_assistant(context, f"with the holder loaded, before {trajectory}"))
+    missed += _missed(context, "with the holder loaded")
     context.progress(0.7, f"the assistant moves over the guide at {trajectory}")
     for joints_rad in via_rad:
         assistant.go(joints_rad)
     assistant.settle(start_rad, axis.arriving)
     off_axis = _require_coaxial(context, assistant, axis, known)
-    seen = _require_seen_coaxial(context, axis, stood=stood)
+    seen = _require_seen_coaxial(context, axis, missed)
     workcell.master.instrument.record_insertion(trajectory)
     context.progress(0.75, f"the assistant leads the instrument into the guide at {trajectory}")
     assistant.insert(assistant.axis_in_base(axis), _guided_stretch(context, stop))
@@ -158,8 +160,10 @@ def _present_holder(context: StepContext, assistant: Assistant, tip_mm: float) -
         assistant.settle(loading_rad)
 
 
-def _is_seen(judged: JudgedReading) -> bool:
-    return Tracked.ASSISTANT in judged.look.frames
+def _missed(context: StepContext, occasion: str) -> list[str]:
+    """Look at the room before the assistant leaves; return the occasion if its frame is not seen."""
+    judged = _look_at_assistant(context, f"{occasion}, before {context.trajectory}")
+    return [] if Tracked.ASSISTANT in judged.look.frames else [occasion]
 
 
 def _require_bases(context: StepContext) -> KnownBases:
@@ -241,10 +245,12 @@ def _look_at_assistant(
         return watch.judge(watch.read(context.workcell, frames, sides))
 
 
-def _require_seen_coaxial(context: StepContext, axis: InsertionAxis, *, stood: bool) -> BesideBore | None:
+def _require_seen_coaxial(
+    context: StepContext, axis: InsertionAxis, missed: Sequence[str]
+) -> BesideBore | None:
     """Return how far the instrument may be beside the bore, by the tracker. Raises CAL-023 and PRO-007.
 
-    Where it does not see the assistant, the joints alone count, provided that its cart has `stood`.
+    Where it does not see the assistant, the joints alone count, provided that no look before was `missed`.
     """
     sides = {} if axis.arriving is None else {Tracked.ASSISTANT: axis.arriving}
     for count in (CAREFUL_FRAMES, BETTER_FRAMES):
@@ -253,10 +259,11 @@ def _require_seen_coaxial(context: StepContext, axis: InsertionAxis, *, stood: b
         if found is None or found.is_within:
             break
         context.progress(0.72, f"looking again over {context.trajectory}: the instrument is {found}")
-    if found is None and not stood:
+    if found is None and missed:
         raise GateFailed(
-            f"over {context.trajectory} the tracker does not see the frame on the assistant, nor did it at "
-            "every look before: nothing shows that the assistant's cart has stood still",
+            f"over {context.trajectory} the tracker does not see the frame on the assistant, nor did it "
+            f"earlier at this target {', '.join(missed)}: nothing shows that the assistant's cart has stood "
+            "still",
             action="Send the arms home, clear the line of sight, and go to the target again.",
         )
     if found is None:
