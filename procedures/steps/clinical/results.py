@@ -26,7 +26,10 @@ from ronna_hw.calibration import Numbers3
 Array = NDArray[np.float64]
 
 # Rms at the spheres that remains after a rigid fit, as measured in docs/reference/scanner-faults.md.
-NOT_PREDICTED = "a patient who moved during the scan: 0.09 mm at the spheres for a motion by 0.3 mm"
+NOT_PREDICTED = (
+    "an instrument that is bent, or longer than its stop says; a patient who moved during the scan: 0.09 mm "
+    "at the spheres for a motion by 0.3 mm"
+)
 
 
 class LeftOutSphere(Values):
