@@ -134,7 +134,7 @@ def test_an_error_in_the_block_while_the_arm_moves_leaves_the_arm_at_rest(theatr
     thread, ended, raised_s = motions[0]
     thread.join(CLOSED_WITHIN_S)
     assert time.monotonic() - raised_s < CLOSED_WITHIN_S
-    assert [type(error).__name__ for error in ended] == ["MOTION_STOPPED"]
+    assert [error.code for error in ended] == ["RSI-010"]
     assert_at_rest(theatre_file)
 
 
