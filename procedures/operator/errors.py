@@ -20,7 +20,7 @@ class OperatorAborted(RonnaError):
     """The operator ended the procedure."""
 
     code = "PRO-004"
-    action = "The arm is at rest. Start a new run when ready."
+    action = "Go on with this run by ronna-procedure resume RUN, or start a new one."
     exit_code = EXIT_ABORTED
 
 

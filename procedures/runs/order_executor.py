@@ -261,7 +261,7 @@ class OrderExecutor:
         self._leave(engine)
         if not engine.machine.ended:  # on the way home
             engine.abort()
-        raise OperatorAborted("the operator ended the procedure", action="Start a new run when ready.")
+        raise OperatorAborted("the operator ended the procedure")
 
     def _leave(self, engine: Engine) -> None:
         self.has_led_home = True

@@ -48,6 +48,7 @@ class SupervisedArm(ABC):
         self._calibrated = partial(calibrated_arm, record=record, role=role, other=other)
         self._computed = self._calibrated(self._arm.kinematics)
         self.supervised = SupervisedMotion(
+            name,
             log,
             lambda: self._arm,
             self._require_allowed,

@@ -53,6 +53,7 @@ class SupervisedMotion:
 
     def __init__(
         self,
+        name: str,
         log: ArmLog,
         arm: Callable[[], RobotArm],
         require_allowed: Callable[[PlannedMotion], None],
@@ -62,14 +63,14 @@ class SupervisedMotion:
     ) -> None:
         """Supervise `arm`, opened on first use; `require_allowed` raises if a motion must not be made now.
 
-        `drive_leg` makes a leg of a motion. `release_held` ends a halt of arms that were only held, and
-        returns whether it did. `look_around` surrounds the arm with what may have moved since, before its
-        motions are previewed.
+        `name` is that of messages. `drive_leg` makes a leg of a motion. `release_held` ends a halt of arms
+        that were only held, and returns whether it did. `look_around` surrounds the arm with what may have
+        moved since, before its motions are previewed.
         """
         self._look_around = look_around
         self._drive_leg = drive_leg
         self._release_held = release_held
-        self._log = log
+        self._name, self._log = name, log
         self._arm = arm
         self._require_allowed = require_allowed
         self.ended: MotionKind | None = None
@@ -196,7 +197,7 @@ class SupervisedMotion:
             if not self._confirmed:
                 self.confirm(
                     Topic.FIRST_MOTION,
-                    f"first motion: {MOTION_DESCRIPTIONS[motion.what]}",
+                    f"first motion of the {self._name}: {MOTION_DESCRIPTIONS[motion.what]}",
                     [motion],
                     motion.trajectory,
                     self._announced,

@@ -94,7 +94,7 @@ def carry_out(engine: Engine, order: Order, say: Say, by: str = "") -> None:
             if not engine.machine.ended:
                 engine.leave_head()
             engine.abort()
-            raise OperatorAborted("the operator ended the procedure", action="Start a new run when ready.")
+            raise OperatorAborted("the operator ended the procedure")
         case Help():
             for name, rule in COMMANDS.items():
                 if engine.machine.ended and rule.order not in AT_END:

@@ -19,6 +19,7 @@ from procedures.reporting.run_reading import RunReading, describe_strategies, re
 from procedures.reporting.tables import target_rows
 from procedures.reporting.two_arms import collect_two_arms
 from procedures.runs.folders import find_folders_of_runs, find_runs
+from procedures.steps.clinical.work_progress import STAGES
 from ronna_hw.command_line.terminal import message_console, on_terminal, print_json, print_table, say, tell
 from ronna_hw.evidence.inspection import inspect_run
 from ronna_hw.text import format_count, printable
@@ -85,6 +86,8 @@ def show_run(folder: Path, *, as_json: bool) -> None:
         say(f"the instrument was still in {row['instrument_in']}")
     elif row["instrument_held_for"]:
         say(f"the instrument for {row['instrument_held_for']} was still in the assistant's holder")
+    for name, done in row["work_begun"].items():
+        say(f"work begun at {name}: {', '.join(done) or 'nothing confirmed yet'}")
     say(f"done: {', '.join(row['done']) or 'nothing'}")
     if row["superseded"]:
         say(f"superseded: {', '.join(row['superseded'])}")
@@ -143,6 +146,7 @@ def _summary(reading: RunReading) -> dict[str, Any]:
         "sentence": ending.sentence,
         "instrument_in": ending.instrument_in,
         "instrument_held_for": ending.instrument_held_for,
+        "work_begun": _list_work_begun(reading),
         "restarts": len(restarts := run.lines(Entry.RESTARTED)),
         "resumes": resumes(run.journal),
         "only_leaving": sum(ONLY_LEAVING in line for line in restarts),
@@ -163,6 +167,19 @@ def _summary(reading: RunReading) -> dict[str, Any]:
         "max_application_error_mm": max(errors_mm, default=None),
         **collect_two_arms(reading),
     }
+
+
+def _list_work_begun(reading: RunReading) -> dict[str, list[str]]:
+    """List what was confirmed at each target at which the work has begun and not ended."""
+    statements = {stage.task: stage.done_statement for stage in STAGES}
+    begun: dict[str, list[str]] = {}
+    for line in reading.run.lines(Entry.STAGE):
+        if (statement := statements.get(str(line.get("task")))) is None:  # the depth stop
+            continue
+        done = begun.setdefault(str(line["trajectory"]), [])
+        if line.get("done") and statement not in done:
+            done.append(statement)
+    return {name: done for name, done in begun.items() if statements[STAGES[-1].task] not in done}
 
 
 def watch(run: Path, *, as_json: bool) -> None:

@@ -118,6 +118,7 @@ def run(context: StepContext) -> Outcome[LockedCart]:
             f"{carts} {are} locked; {whose} moved {np.linalg.norm(moved_mm):.2f} mm against the head "
             "when leaned on"
         )
+        + (", the assistant's was not measured" if several else "")
         + ("" if drift is None else f"; {_format_offset(drift)} from its proposed position"),
     )
 
