@@ -58,7 +58,7 @@ class GuideAtRest:
     `is_worked_through`: somebody works through it now; `was_worked_through`: somebody did.
     `now_mm` is its last known displacement, `looked_s` the theatre time of the last look; `hidden` are the
     frames, known at rest, that this look did not show. `unseen_s` is for how long at most the work went on
-    with something out of sight, by its name.
+    with something out of sight, by its name; `missed` is what a watch did not see at all.
     `find` records a tracker that was followed.
     """
 
@@ -73,6 +73,7 @@ class GuideAtRest:
     looked_s: float = -math.inf
     hidden: tuple[int, ...] = ()
     unseen_s: dict[str, float] = field(default_factory=dict)
+    missed: set[str] = field(default_factory=set)
     find: Callable[[str], None] = lambda _text: None
     _point_shifts_mm: Array = field(default_factory=lambda: np.zeros(3))  # of each point, when last seen
     _recent: Mapping[int, deque[Array]] = field(
@@ -83,6 +84,7 @@ class GuideAtRest:
         }
     )
     _last_seen_s: dict[int, float] = field(default_factory=dict)
+    _seen_in_watch: set[int] = field(default_factory=set)
 
     @property
     def known(self) -> tuple[int, ...]:
@@ -99,16 +101,26 @@ class GuideAtRest:
         for readings in self._recent.values():
             readings.clear()
         self._last_seen_s = dict.fromkeys(self.known, now_s)
+        self._seen_in_watch = set()
 
-    def note_unseen(self, name: str, for_s: float) -> None:
-        """Note for how long something was out of sight while somebody works through the guide."""
+    def end_watch(self, now_s: float, head_unseen_s: float, *, head_seen: bool) -> None:
+        """Note what this watch did not see, and for how long at most it did not see the head."""
+        for row, since_s in self._last_seen_s.items():
+            self._note_unseen(FRAME_NAMES[row], now_s - since_s, seen=row in self._seen_in_watch)
+        self._note_unseen(HEAD_NAME, head_unseen_s, seen=head_seen)
+
+    def _note_unseen(self, name: str, for_s: float, *, seen: bool) -> None:
         if self.is_worked_through:
             self.unseen_s[name] = max(for_s, self.unseen_s.get(name, 0.0))
+            self.missed |= set() if seen else {name}
 
     def describe_unseen(self) -> str:
-        """Name what was out of sight for too long during the work, or return ''."""
-        longest = [(name, for_s) for name, for_s in self.unseen_s.items() if for_s > LONGEST_UNSEEN_S]
-        return ", ".join(f"{name} for {for_s:.0f} s" for name, for_s in longest)
+        """Name what was out of sight during the work, throughout a stage or for too long, or return ''."""
+        return ", ".join(
+            name if for_s <= LONGEST_UNSEEN_S else f"{name} for {for_s:.0f} s"
+            for name, for_s in self.unseen_s.items()
+            if name in self.missed or for_s > LONGEST_UNSEEN_S
+        )
 
     def add_frame(self, frame: TrackerFrame, tool: str, now_s: float) -> None:
         """Add a tracker frame and compare the mean of the latest frames with the rest position."""
@@ -120,9 +132,10 @@ class GuideAtRest:
             guide_mm = guide.position_mm
         points_mm = _points_mm(is_on_mount, self.end_in_frame_mm, guide_mm)
         for row, since_s in self._last_seen_s.items():
-            self.note_unseen(FRAME_NAMES[row], now_s - since_s)
             if np.isfinite(points_mm[row]).all():
+                self._note_unseen(FRAME_NAMES[row], now_s - since_s, seen=True)
                 self._last_seen_s[row] = now_s
+                self._seen_in_watch.add(row)
         now_mm = np.full((3, 3), np.nan)
         for row, readings in self._recent.items():
             if np.isfinite(points_mm[row]).all():

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from functools import partial
 
 from procedures.guards.assistant_on_axis import LARGEST_OFF_MM, AssistantOnAxis
-from procedures.guards.guide_displacement import HEAD_NAME, PUSHED_MM, GuideAtRest
+from procedures.guards.guide_displacement import PUSHED_MM, GuideAtRest
 from procedures.guards.head_frames import PATIENT_LIMIT_MM, Array, Flags, PatientFrames
 from procedures.guards.room_reading import find_ghosts
 from procedures.guards.room_watch import RoomWatch
@@ -122,7 +122,8 @@ class WatchThread:
         if self._stopping is not None:
             self._stopping.join()
         if self.guide is not None:
-            self.guide.note_unseen(HEAD_NAME, max(self._longest_unseen_s, self.unseen_s))
+            unseen_s = max(self._longest_unseen_s, self.unseen_s)
+            self.guide.end_watch(self.clock.now_s(), unseen_s, head_seen=self.has_seen)
         return self
 
     def _run(self) -> None:

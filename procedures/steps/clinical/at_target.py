@@ -119,8 +119,7 @@ def run(context: StepContext) -> Outcome[ReachedTarget]:
     if unseen := rest.describe_unseen():
         context.find(
             f"during the work at {trajectory} the tracker did not see {unseen}: what was displaced meanwhile "
-            "and has gone back was not noticed",
-            [trajectory],
+            "and has gone back was not noticed"
         )
     pushed = work_so_far.pushed_mm > PUSHED_MM
     if pushed:
@@ -170,9 +169,8 @@ def _do_stage(context: StepContext, stage: WorkStage, work_so_far: WorkProgress)
         work_so_far.rely_on_stop(context)
     stages.record_begin(trajectory, stage.task)
     assistants = context.workcell.assistants
-    if stage is not STAGES[-1] or not assistants:
-        context.perform_task(Task(stage.task, f"{stage.instruction} at {trajectory}", trajectory))
-    elif not (
+    by_hand = stage is not STAGES[-1] or not assistants
+    if not by_hand and not (
         any(arm.place.is_on_axis for arm in assistants)
         and work_so_far.assisted
         and context.doubt(KnownBases) is None
@@ -189,6 +187,8 @@ def _do_stage(context: StepContext, stage: WorkStage, work_so_far: WorkProgress)
         timeout_s=None,
     )
     with context.watching(f"the hold at {trajectory}"):
+        if by_hand:
+            context.perform_task(Task(stage.task, f"{stage.instruction} at {trajectory}", trajectory))
         answer = context.choose(question)
         if answer == DONE:  # done, whatever the watch has seen meanwhile
             stages.record_done(trajectory, stage.task)
