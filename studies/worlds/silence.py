@@ -119,11 +119,18 @@ def judge_case(
     """
     rms_mm, limits_mm = (limits_used_mm(lines, one) for one in predictions)
     found = judge(lines, errors_mm, limits_mm, trajectories=trajectories, change=change, unusual=UNUSUAL)
+    error = read_error_text(printed)
+    named = set(re.findall(r"\w+", error))  # what ends a case names the target that it is about
     targets = tuple(
-        ReachedTarget(one.identifier, one.error_mm, rms_mm.get(one.identifier, 0.0), one.limit_mm, one.warned)
+        ReachedTarget(
+            one.identifier,
+            one.error_mm,
+            rms_mm.get(one.identifier, 0.0),
+            one.limit_mm,
+            one.warned or one.identifier in named,
+        )
         for one in found.targets
     )
-    error = read_error_text(printed)
     ending = _find_ending(printed, exit_code, error, found)
     verdicts = [one.verdict for one in targets]
     if ending is Ending.BOUND:

@@ -162,6 +162,7 @@ RESTART = {
     "theatre_time_s": 13.0,
 }
 DIVERGED = {"outcome": "failed", "error": {"code": "STE-007", "what": "the residual has not decreased"}}
+MOVED_AT_T1 = {"outcome": "failed", "error": {"code": "PRO-032", "what": "the cart was moved, at T1"}}
 OUT_OF_REACH = {"outcome": "failed", "error": {"code": "PLAN-007", "what": "out of reach"}}
 RMS_MM, LIMIT_MM = 0.3, 0.5
 
@@ -181,6 +182,7 @@ RMS_MM, LIMIT_MM = 0.3, 0.5
         (0.1, None, {"outcome": "in doubt"}, 0, (Silence.TOLD, Ending.IN_DOUBT)),
         (None, None, {"outcome": "failed"}, EXIT_REFUSED, (Silence.REFUSED, Ending.REFUSED)),
         (0.7, None, {"outcome": "failed"}, EXIT_REFUSED, (Silence.SILENT, Ending.REFUSED)),
+        (0.7, None, MOVED_AT_T1, EXIT_REFUSED, (Silence.REFUSED, Ending.REFUSED)),
         (None, None, DIVERGED, 1, (Silence.REFUSED, Ending.REFUSED)),
         (None, None, {"outcome": "failed"}, 1, (Silence.BROKEN, Ending.BROKEN)),
         (
