@@ -282,7 +282,7 @@ class SharedClock:
 
     @staticmethod
     def silence(alarm: socket.socket) -> None:
-        """Take the calls from an alarm, so that the next wait is for a new one."""
+        """Clear an alarm's pending wake-ups, so that the next wait blocks until a new one."""
         with contextlib.suppress(BlockingIOError):
             for _ in range(ALARM_LIMIT):
                 alarm.recv(1)

@@ -150,7 +150,7 @@ class RoomEstimate:
     def largest(
         self, point_mm: ArrayLike, first: int = 1, bodies: Mapping[str, float] = GUIDE_AT_HEAD
     ) -> Displacement | None:
-        """Return the most significant displacement at a point by a motion before look `first` or later."""
+        """Return the most significant displacement of a point over motions before any look from `first` on."""
         if first >= len(self.looks):
             return None
         ways, covariances, chi_squares = self._displacements(point_mm, slice(first, len(self.looks)), bodies)

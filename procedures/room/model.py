@@ -76,7 +76,7 @@ class Arrival:
 
 @dataclass(frozen=True)
 class Rows:
-    """Linear model of a look: residual (r,) and its covariance (r, r) by noise.
+    """Linearized observation equations of one look: residual (r,) and its noise covariance (r, r).
 
     `shared` (r, k) are the effects of one standard deviation of each constant, `moved` (r, 24) those of each
     body's motion: a rotation vector (rad) about the room's centre, then a shift (mm), robot frame. `pull`

@@ -394,7 +394,7 @@ def fold_arms(chain: Chain, lost: Sequence[Line] = ()) -> tuple[ArmHistory, ArmH
 
 
 def describe_instrument(master: ArmPlace, held: HeldInstrument | None) -> str | None:
-    """State where an instrument is or may be: inside, or in the assistant's holder; None if nowhere."""
+    """Describe where an instrument is or may be, in the guide or a holder; None if nowhere."""
     return master.instrument_description or (None if held is None else held.description)
 
 

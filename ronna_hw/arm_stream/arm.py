@@ -1,4 +1,4 @@
-"""Arm that moves by a stream of set-points: the calls of `RobotArm`, whoever made the arm."""
+"""Vendor-neutral `RobotArm` driven by a stream of set-points."""
 
 from __future__ import annotations
 

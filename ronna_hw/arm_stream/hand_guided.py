@@ -18,7 +18,7 @@ LONGEST_S = 600.0
 
 
 class HandGuidedArm(StreamedArm[S]):
-    """Streamed arm whose controller estimates the force on the tool."""
+    """Streamed arm that can be guided by hand, by its controller's estimate of the tool force."""
 
     senses_force = True
 

@@ -1,4 +1,4 @@
-"""Start and end of a real-time process.
+"""Startup and shutdown of the real-time process of a robot link.
 
 Standard input carries one line of settings and nothing else: when it closes, the parent is gone. Orders and
 state go through the mailbox, whose descriptor is inherited. Nothing is written to standard output. Ctrl-C

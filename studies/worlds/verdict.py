@@ -24,7 +24,8 @@ SUPERSEDING = (Entry.VOIDED, Entry.DOUBTED)  # entries that name every target co
 # Of sight in one pose, not of a result, and how two arms meet; these are findings of honest cases too.
 USUAL = re.compile(
     r"fewer than three known spheres in this pose|not see the frame on the arm|has not seen the head for"
-    r"|did not see the head[:,]|is watched in their place|by the joints of both arms|by the tracker: the instrument is seen"
+    r"|did not see the head[:,]|is watched in their place"
+    r"|by the joints of both arms|by the tracker: the instrument is seen"
 )
 RESTART = re.compile(r"the program was not running")  # what a restart voids whatever has happened
 GROSS = 2.0  # times the limit: no larger error may go unnoticed

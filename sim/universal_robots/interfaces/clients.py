@@ -151,7 +151,7 @@ class ScriptHandler:
         self._take = take
 
     def receive(self, data: bytes) -> bytes:
-        """Carry out what is complete; raises HangUp for a text without end, or a flood."""
+        """Execute each complete script received; raises HangUp for one without end, or a flood."""
         try:
             for number, text in enumerate(self._text.feed(data)):
                 if number == MOST_SCRIPTS:

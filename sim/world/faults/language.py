@@ -110,7 +110,7 @@ def _controller_of(arm: ArmTruth) -> str:
 
 
 def parse_faults(text: str) -> tuple[Fault, ...]:
-    """Parse a script; raises SIM-003 listing every invalid line, with a suggestion for the first.
+    """Parse a fault script; raises SIM-003 listing every invalid line, with a suggestion for the first.
 
     The grammar is built only for lines that `read_plain_line` leaves to it: building it takes 0.3 s of
     processor time, during which a device that parses its first fault would serve nobody.

@@ -74,7 +74,7 @@ class ArmVisits:
 
     @property
     def cell(self) -> Workcell:
-        """Workcell of the master."""
+        """Workcell of the case."""
         return self.context.workcell
 
     @property

@@ -73,7 +73,7 @@ class Meeting(NamedTuple):
         return cls(*found_arms(context, known), context.workcell.tools.guide.bore)
 
     def guide(self, workcell: Workcell) -> Transform:
-        """Return where the guide really is, robot frame."""
+        """Return the pose of the guide, robot frame, corrected for its arm's identified errors."""
         axis, reach_mm = workcell.master.place.axis, self.bore.reach_mm
         arrived, joints_rad = None if axis is None else axis.arriving, workcell.master.joints_rad()
         by_record = workcell.master.tool_pose(joints_rad, arrived)
@@ -82,7 +82,7 @@ class Meeting(NamedTuple):
         )
 
     def clamp(self, assistant: Assistant, arrived: Sides) -> Transform:
-        """Return where the clamp of the assistant really is, robot frame."""
+        """Return the pose of the assistant's clamp, robot frame, corrected for its identified errors."""
         joints_rad, length_mm = assistant.joints_rad(), self.bore.length_mm
         by_record = assistant.base.inverse() @ assistant.clamp_pose(joints_rad, arrived)
         return assistant.base @ self.assistant.displace(by_record, joints_rad, arrived, (0.0, length_mm))
