@@ -150,7 +150,7 @@ class RoomEstimate:
     def largest(
         self, point_mm: ArrayLike, first: int = 1, bodies: Mapping[str, float] = GUIDE_AT_HEAD
     ) -> Displacement | None:
-        """Return the most significant displacement of a point over motions before any look from `first` on."""
+        """Return the most significant displacement of a point over motions before look `first` or later."""
         if first >= len(self.looks):
             return None
         ways, covariances, chi_squares = self._displacements(point_mm, slice(first, len(self.looks)), bodies)
