@@ -5,8 +5,9 @@ from __future__ import annotations
 import contextlib
 import threading
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import groupby
 from typing import TYPE_CHECKING
 
 from procedures.engine.events import (
@@ -52,6 +53,22 @@ class Entry:
     text: str
 
 
+def join_voided(events: Iterable[Event]) -> Iterator[Event]:
+    """Join results that no longer hold for one and the same reason into one event."""
+    for reason, group in groupby(events, _voided_by):
+        same = list(group)
+        if reason:
+            records = ", ".join(str(one.what.record) for one in same if isinstance(one.what, StepState))
+            what = same[0].what.model_copy(update={"record": records})
+            same = [same[0].model_copy(update={"what": what})]
+        yield from same
+
+
+def _voided_by(event: Event) -> str:
+    what = event.what
+    return what.summary if isinstance(what, StepState) and what.state == "superseded" else ""
+
+
 def entry_of(event: Event, *, errors: bool = True) -> Entry | None:
     """Return the history line for a step outcome or finding, or None for other events.
 
@@ -61,7 +78,7 @@ def entry_of(event: Event, *, errors: bool = True) -> Entry | None:
         case StepState(state="begun"):
             return None
         case StepState(step=step, state="superseded", record=record, summary=reason):
-            how = f"no longer holds: {reason}" if reason else f"is superseded by a new {step}"
+            how = f"{_hold(record)}: {reason}" if reason else f"is superseded by a new {step}"
             return Entry(*MARKS["superseded"], f"{record} {how}")
         case StepState(state="failed", summary=summary) as step if not errors:
             return Entry(*FAILED, f"{_name_step(step)}: {_code_of(summary)}")
@@ -71,6 +88,10 @@ def entry_of(event: Event, *, errors: bool = True) -> Entry | None:
             return Entry("!", "yellow", text)
         case _:
             return None
+
+
+def _hold(records: str | None) -> str:
+    return "no longer hold" if ", " in str(records) else "no longer holds"
 
 
 def _name_step(step: StepState) -> str:
@@ -84,7 +105,7 @@ def plain_line_of(event: Event) -> str | None:
         case StepState(step=step, title=title, state="done", summary=summary):
             return f"done {step} ({title}): {summary}"  # scripts await its code
         case StepState(state="superseded", record=record, summary=reason) if reason:
-            return f"note: {record} no longer holds: {reason}"
+            return f"note: {record} {_hold(record)}: {reason}"
         case Advisory(text=text):
             return f"note: {text}"
         case _:

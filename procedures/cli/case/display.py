@@ -21,7 +21,7 @@ from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING
 
-from procedures.cli.case.case_view import EventFollower, Show, plain_line_of
+from procedures.cli.case.case_view import EventFollower, Show, join_voided, plain_line_of
 from procedures.cli.case.operators import WritePrompt, write_prompt
 from procedures.cli.case.prompt import Prompt
 from procedures.cli.case.staff import terminal_observers
@@ -175,7 +175,7 @@ def _write_lines_of(engine: Engine, stack: contextlib.ExitStack) -> None:
 
 def write_lines(write: Callable[[str], None], events: Sequence[Event]) -> None:
     """Write one line for each finished step, voided result and finding."""
-    for event in events:
+    for event in join_voided(events):
         if (line := plain_line_of(event)) is not None:
             write(line)
 

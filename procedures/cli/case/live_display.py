@@ -13,7 +13,7 @@ from rich.live import Live
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.text import Text
 
-from procedures.cli.case.case_view import CaseView, entry_of
+from procedures.cli.case.case_view import CaseView, entry_of, join_voided
 from procedures.engine.events import Event
 from ronna_hw.text import printable
 
@@ -53,6 +53,7 @@ class LiveDisplay:
         """Update the display with these events."""
         for event in events:
             self.view.take_in(event)
+        for event in join_voided(events):
             if (entry := entry_of(event, errors=self._errors)) is not None:
                 self._console.print(Text.assemble((entry.mark, entry.style), f" {printable(entry.text)}"))
         self._bar.update(

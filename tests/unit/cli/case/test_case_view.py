@@ -12,7 +12,7 @@ from plain_steps import Image, leaves, plain_order
 from recording_cell import RecordingCell
 from rich.console import Console
 
-from procedures.cli.case.case_view import CaseView, entry_of, plain_line_of
+from procedures.cli.case.case_view import CaseView, entry_of, join_voided, plain_line_of
 from procedures.cli.case.display import observe_run
 from procedures.cli.case.live_display import LiveDisplay
 from procedures.cli.runs.showing import line_of
@@ -131,6 +131,17 @@ def test_a_result_that_no_longer_holds_is_told_with_the_reason_and_not_as_repeat
     lines = [(entry.text, plain_line_of(one)) for one in voided if (entry := entry_of(one)) is not None]
     text = "02-localization-T1 no longer holds: the head has moved"
     assert lines == [(text, f"note: {text}")]
+
+
+def test_results_that_one_reason_voids_are_told_in_one_line(tmp_path: Path) -> None:
+    engine = RecordingCell(tmp_path).engine(plain_order("T1"))
+    engine.run_to(engine.order.find("localization:T1"))
+    reader = engine.events.subscribe()
+    engine.void(engine.order.sequence[0], GateFailed("the head has moved"))
+    lines = [line for one in join_voided(reader.read(0.0).events) if (line := plain_line_of(one))]
+    (line,) = (line for line in lines if line.startswith("note: "))
+    assert line.endswith("-localization-T1 no longer hold: the head has moved")
+    assert line.startswith("note: 01-")
 
 
 def test_a_live_view_that_reappears_keeps_text_written_meanwhile() -> None:
