@@ -47,10 +47,14 @@ def _compare_assistant(
     workcell = engine.setting.workcell
     if (axis := assistant.place.axis) is not None:
         try:
-            assistant.require_on_axis()
+            travelled_mm = assistant.require_on_axis()
         except TipOffAxis as problem:
             comparison.add_difference("the assistant", f"on the axis of {axis.trajectory}", problem)
         else:
+            comparison.note(
+                f"assistant, by its joints: {travelled_mm:.0f} of the {axis.travel_mm:.0f} mm along the bore "
+                f"at {axis.trajectory} are gone"
+            )
             _compare_with_frame(engine, axis.trajectory, comparison)
     if assistant.history.base is None and workcell.is_any_arm_out:
         comparison.refuse(

@@ -189,11 +189,16 @@ class Assistant(SupervisedArm):
             plain = pose.model_dump(mode="json")
             self._log.write(Entry.BASE, robot_from_base=plain, uncertain_mm=uncertain_mm)
 
-    def require_on_axis(self) -> None:
-        """Raise PRO-015 if the clamp is beside the axis that it is on: it was jogged, or pushed."""
-        if (on := self.place.axis) is not None:
-            flange = self.flange_pose(self.joints_rad(), on.arriving)
-            on.check_on_axis(flange @ self.flange_from_clamp, "the assistant")
+    def require_on_axis(self) -> float:
+        """Return how far (mm) the clamp is along the axis that it is on, 0.0 on none.
+
+        Raises PRO-015 if it is beside that: it was jogged, or pushed.
+        """
+        if (on := self.place.axis) is None:
+            return 0.0
+        clamp = self.flange_pose(self.joints_rad(), on.arriving) @ self.flange_from_clamp
+        on.check_on_axis(clamp, "the assistant")
+        return on.travel_from_start_mm(clamp)
 
     def flange_pose(self, joints_rad: JointVector, arrived: Sides = None) -> Transform:
         """Return the flange, ASSISTANT <- FLANGE, by its calibration if there is one; see `Sides`."""

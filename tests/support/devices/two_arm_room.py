@@ -140,7 +140,9 @@ class TwoArmRoom:
         )
         assistant = SimpleNamespace(
             holder=SimpleNamespace(frame="assistant_frame"),
-            place=SimpleNamespace(axis=SimpleNamespace(trajectory="T1"), is_on_axis=True, is_out=True),
+            place=SimpleNamespace(
+                axis=SimpleNamespace(trajectory="T1", travel_mm=200.0), is_on_axis=True, is_out=True
+            ),
             arm=SimpleNamespace(
                 observe=lambda: SimpleNamespace(reading=SimpleNamespace(joints_rad=self.joints_rad))
             ),

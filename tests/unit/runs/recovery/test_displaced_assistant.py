@@ -31,7 +31,7 @@ def watched(monkeypatch: pytest.MonkeyPatch, **seen: Any) -> tuple[Any, Any]:
 
 def compare_seen(monkeypatch: pytest.MonkeyPatch, watch: object = None, **seen: Any) -> Comparison:
     workcell, known = watched(monkeypatch, **seen)
-    workcell.assistant.require_on_axis = lambda: None
+    workcell.assistant.require_on_axis = lambda: 120.0
     workcell.assistant.history = SimpleNamespace(base=object())
     monkeypatch.setattr(assistant_comparison, "_watch_with_bases", lambda _engine: watch or known)
     engine = SimpleNamespace(setting=SimpleNamespace(workcell=workcell, clock=None))
@@ -72,7 +72,8 @@ def test_a_head_that_has_moved_does_not_hold_up_the_way_out(monkeypatch: pytest.
 def test_an_assistant_on_its_axis_may_lead_the_instrument_out(monkeypatch: pytest.MonkeyPatch) -> None:
     comparison = compare_seen(monkeypatch)
     assert comparison.differences == comparison.warnings == []
-    assert "on the axis of T1" in comparison.notes[0]
+    assert "120 of the" in comparison.notes[0]
+    assert "on the axis of T1" in comparison.notes[1]
 
 
 @pytest.mark.hazard(64)
