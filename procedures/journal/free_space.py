@@ -18,7 +18,7 @@ def describe_shortage(folder: Path, least_bytes: int = LEAST_FREE_BYTES) -> str 
     except OSError as error:
         return f"the run folder {folder} cannot be read ({error.strerror}): mount it again"
     if not total:  # such as /proc
-        return "no files can be written there: choose another folder"
+        return "no files can be written there"
     if free >= least_bytes:
         return None
     return (

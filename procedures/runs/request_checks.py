@@ -160,7 +160,10 @@ def require_space(out: Path) -> None:
     resolved = out.resolve()
     folder = next(path for path in (resolved, *resolved.parents) if path.exists())  # a run makes the others
     if shortage := describe_shortage(folder):
-        raise DISK_FULL(f"no case was started in {folder}: {shortage}")
+        raise DISK_FULL(
+            f"no case was started in {out}: {shortage}",
+            action="Nothing was written. Make room there, or choose another folder with --out.",
+        )
 
 
 def require_simulated_patient(plan_file: Path, series_instance_uid: str, choice: SceneChoice) -> None:
