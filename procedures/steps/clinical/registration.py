@@ -155,6 +155,7 @@ def run(context: StepContext) -> Outcome[RegisteredRobot]:
             f"predicted target error {predicted.rms_mm:.2f} mm rms against a margin of "
             f"{against[0].margin_mm:g} mm, {predicted.limit_mm:.2f} mm at {predicted.confidence:.0%}"
             + _tell_widening(predicted)
+            + f"; not included: {predicted.excluded}"
             + "".join(f"; {said}" for said in (predicted.assumed, methods) if said),
             trajectory=predicted.target,
             evidence=(budget_table(predicted), two_way_table(two_way)),

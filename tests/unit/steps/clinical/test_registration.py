@@ -72,7 +72,7 @@ def test_the_operator_accepts_the_predicted_error_and_not_the_residual(cell: Cli
     margin_mm = plan().trajectory(FIRST).margin_mm
     assert question.value == (
         f"predicted target error {predicted.rms_mm:.2f} mm rms against a margin of {margin_mm:g} mm, "
-        f"{predicted.limit_mm:.2f} mm at 95%"
+        f"{predicted.limit_mm:.2f} mm at 95%; not included: {predicted.excluded}"
     )
     (shown,) = question.predicted
     assert (shown.target, shown.rms_mm, shown.margin_mm) == (FIRST, predicted.rms_mm, margin_mm)
