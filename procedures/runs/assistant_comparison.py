@@ -13,10 +13,10 @@ from procedures.runs.comparison import Comparison
 from procedures.runs.interrupted_run import InterruptedRun
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.global_localization import GlobalLocalization
-from procedures.steps.clinical.localized_room import build_watch, take_in_assistant
+from procedures.steps.clinical.localized_room import build_watch
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.results import KnownBases, RegisteredRobot
-from procedures.steps.clinical.room import find_followed_places, targets_mm
+from procedures.steps.clinical.room import targets_mm
 from procedures.steps.clinical.two_arms.seen_on_axis import (
     LOOK_AT_CART,
     NotCompared,
@@ -93,10 +93,9 @@ def _watch_with_bases(engine: Engine) -> RoomWatch | None:
     pairs = None if matched is None else matched[1].pairs
     checked, registered = _find_last(engine, CheckedPlan), _find_last(engine, RegisteredRobot)
     points_mm = targets_mm(checked[1], matched[1]) if checked and matched else {}
-    watch = build_watch(workcell, settings, localized[0].identifier, localized[1], pairs, points_mm)
-    take_in_assistant(watch, workcell, settings, bases[1])
-    watch.follow(*find_followed_places(None if registered is None else registered[1]))
-    return watch
+    followed = None if registered is None else registered[1]
+    name = localized[0].identifier
+    return build_watch(workcell, settings, name, localized[1], pairs, points_mm, bases[1], followed)
 
 
 def _find_last(engine: Engine, model: type[R]) -> tuple[Record, R] | None:

@@ -9,7 +9,6 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
-from functools import partial
 
 from pydantic import BaseModel
 
@@ -36,14 +35,10 @@ from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.ct_import import ImportedCt
 from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.inputs import note_same_content
-from procedures.steps.clinical.localized_room import build_watch, take_in_assistant
+from procedures.steps.clinical.localized_room import build_watch
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.results import KnownBases, RegisteredRobot
-from procedures.steps.clinical.room import (
-    find_followed_places,
-    find_followed_registration,
-    targets_mm,
-)
+from procedures.steps.clinical.room import find_followed, targets_mm
 from procedures.steps.clinical.set_up import CheckedSetUp, DeviceIdentity, DriverSettings
 from procedures.steps.clinical.tool_change import MountedGuide
 from procedures.workcell import MountedTool
@@ -358,16 +353,18 @@ def compare_room(engine: Engine, comparison: Comparison) -> bool:
     workcell, matched = engine.setting.workcell, engine.case.find(Correspondence, None)
     pairs = None if matched is None else matched.result.pairs
     context = engine.context(engine.order.sequence[0])
-    followed = find_followed_places(
-        context.result_among(RegisteredRobot, partial(find_followed_registration, trajectory=None))
-    )
     checked = engine.case.find(CheckedPlan, None)
     points_mm = targets_mm(checked.result, matched.result) if checked and matched else {}
-    settings, name = engine.setting.settings, stored.record.identifier
-    watch = build_watch(workcell, settings, name, stored.result, pairs, points_mm)
-    if (bases := context.latest(KnownBases)) is not None:
-        take_in_assistant(watch, workcell, settings, bases)
-    watch.follow(*followed)
+    watch = build_watch(
+        workcell,
+        engine.setting.settings,
+        stored.record.identifier,
+        stored.result,
+        pairs,
+        points_mm,
+        context.latest(KnownBases),
+        find_followed(context, None),
+    )
     look = watch.compare(read_watched(watch, workcell, engine.setting.clock, CAREFUL_FRAMES))
     if look.head_mm is None and not isinstance(look.moved, BaseShifted | PlatformMoved):
         return False

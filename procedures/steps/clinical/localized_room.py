@@ -15,7 +15,7 @@ from procedures.room.model import ArmModel, Places, RoomModel
 from procedures.room.motion import Motion
 from procedures.room.sighting import Rest, SeenFrame, Sighting, Tracked, expect_frame, expect_spheres
 from procedures.steps.clinical.global_localization import GlobalLocalization
-from procedures.steps.clinical.results import KnownBases
+from procedures.steps.clinical.results import KnownBases, RegisteredRobot
 from procedures.workcell import Workcell
 from procedures.workcell.tracker_look import flange_from_marker
 from ronna_hw.arm.catalogue import repeatability_mm
@@ -88,11 +88,13 @@ def build_watch(
     localized: GlobalLocalization,
     pairs: Sequence[tuple[int, int]] | None,
     points_mm: Mapping[str, Array] | None = None,
+    bases: KnownBases | None = None,
+    followed: RegisteredRobot | None = None,
 ) -> RoomWatch:
     """Build the watch over a named localization, limited to the matched spheres if `pairs` are given.
 
-    `points_mm` are the targets (3,), robot frame, by name. The looks that the journal has since, and where it
-    has the tracker, are taken up.
+    `points_mm` are the targets (3,), robot frame, by name; `bases` and `followed` as for `bring_up_to_date`.
+    The looks that the journal has since, and where it has the tracker, are taken up.
     """
     spheres = np.asarray(localized.points_tracker_mm, dtype=float).reshape(-1, 3)
     if pairs is not None:
@@ -122,7 +124,33 @@ def build_watch(
     if pairs is not None:  # before the match the spheres have other numbers
         watch.keep = partial(workcell.record_look, name)
         watch.restore(workcell.looks(name))
+    bring_up_to_date(watch, workcell, settings, bases, followed)
     return watch
+
+
+def bring_up_to_date(
+    watch: RoomWatch,
+    workcell: Workcell,
+    settings: ProcedureSettings,
+    bases: KnownBases | None,
+    followed: RegisteredRobot | None,
+) -> None:
+    """Take the assistant in once its base is known, and expect a followed head at its new place."""
+    if bases is not None and bases != watch.bases:
+        take_in_assistant(watch, workcell, settings, bases)
+    watch.follow(*find_followed_places(followed))
+
+
+def find_followed_places(registration: RegisteredRobot | None) -> tuple[Array | None, Transform | None]:
+    """Return where a registration followed the spheres (n, 3), mm, and the frame on the clamp.
+
+    In the tracker frame of the localization; None for what it did not follow.
+    """
+    move = None if registration is None else registration.followed
+    if move is None:
+        return None, None
+    on_clamp = None if move.tracker_from_patient is None else move.tracker_from_patient.transform
+    return np.asarray(move.spheres_tracker_mm, dtype=float), on_clamp
 
 
 def take_in_assistant(

@@ -25,7 +25,7 @@ from procedures.room.sighting import Tracked
 from procedures.steps.clinical.cart_lock import LockedCart
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.global_localization import GlobalLocalization
-from procedures.steps.clinical.localized_room import build_watch, take_in_assistant
+from procedures.steps.clinical.localized_room import bring_up_to_date, build_watch
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.results import ConfirmedTarget, KnownBases, RegisteredRobot
 from procedures.workcell import MountedTool
@@ -34,7 +34,6 @@ from ronna_hw.arm.clearance.bodies import Surroundings
 from ronna_hw.collision_config import BodyFrame
 from ronna_hw.devices.readings import TrackerFrame
 from ronna_hw.errors import RonnaError
-from ronna_hw.frames import Transform
 from ronna_hw.vectors import JointVector
 
 Array = NDArray[np.float64]
@@ -155,25 +154,14 @@ def room_watch(context: StepContext) -> RoomWatch:
     localized, matched = context.result(GlobalLocalization), context.result(Correspondence)
     checked, name = context.result(CheckedPlan), context.identifier(GlobalLocalization)
     watch = context.setting.memory.find(RoomWatch)
-    followed = find_followed_places(
-        context.result_among(
-            RegisteredRobot, partial(find_followed_registration, trajectory=context.key.trajectory)
-        )
-    )
+    bases, followed = context.latest(KnownBases), find_followed(context, context.key.trajectory)
+    workcell, settings = context.workcell, context.setting.settings
     if watch is None or watch.localization != name:
-        watch = build_watch(
-            context.workcell,
-            context.setting.settings,
-            name,
-            localized,
-            matched.pairs,
-            targets_mm(checked, matched),
-        )
+        points_mm = targets_mm(checked, matched)
+        watch = build_watch(workcell, settings, name, localized, matched.pairs, points_mm, bases, followed)
         context.setting.memory.keep(watch)
-    bases = context.latest(KnownBases)
-    if bases is not None and bases != watch.bases:
-        take_in_assistant(watch, context.workcell, context.setting.settings, bases)
-    watch.follow(*followed)
+    else:
+        bring_up_to_date(watch, workcell, settings, bases, followed)
     return watch
 
 
@@ -184,24 +172,14 @@ def read_localized(context: StepContext, count: int = CAREFUL_FRAMES) -> list[Tr
     return [room.as_localized(one) for one in read]
 
 
-def find_followed_registration(
-    registrations: Sequence[RegisteredRobot], trajectory: str | None
-) -> RegisteredRobot | None:
-    """Return the trajectory's registration, or else the last one, if it followed a head move."""
-    own = [one for one in registrations if trajectory in one.trajectories] or list(registrations)
-    return own[-1] if own and own[-1].followed is not None else None
+def find_followed(context: StepContext, trajectory: str | None) -> RegisteredRobot | None:
+    """Return the trajectory's valid registration, or else the last one, if it followed a head move."""
 
+    def own(registrations: Sequence[RegisteredRobot]) -> RegisteredRobot | None:
+        found = [one for one in registrations if trajectory in one.trajectories] or list(registrations)
+        return found[-1] if found and found[-1].followed is not None else None
 
-def find_followed_places(registration: RegisteredRobot | None) -> tuple[Array | None, Transform | None]:
-    """Return where a registration followed the spheres (n, 3), mm, and the frame on the clamp.
-
-    In the tracker frame of the localization; None for what it did not follow.
-    """
-    move = None if registration is None else registration.followed
-    if move is None:
-        return None, None
-    on_clamp = None if move.tracker_from_patient is None else move.tracker_from_patient.transform
-    return np.asarray(move.spheres_tracker_mm, dtype=float), on_clamp
+    return context.result_among(RegisteredRobot, own)
 
 
 def targets_mm(checked: CheckedPlan, matched: Correspondence) -> dict[str, Array]:
