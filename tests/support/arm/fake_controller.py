@@ -146,7 +146,8 @@ class FakeController:
                     buffer += b"" if self.deaf else data
                     while found := COMMAND.search(buffer):
                         buffer = buffer[found.end() :]
-                        self._answer(client, int(found[1]), found[2].decode())
+                        with contextlib.suppress(BrokenPipeError):  # the client has left before the answer
+                            self._answer(client, int(found[1]), found[2].decode())
             self._connected.clear()
             self._client = None
 

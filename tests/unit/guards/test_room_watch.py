@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -137,9 +138,7 @@ def test_a_look_says_how_far_head_and_arm_are_even_when_something_has_moved(room
 
 def test_what_is_not_seen_is_not_compared(room: Room) -> None:
     reading = room.case.read(room.watch, room.case.home_rad, np.eye(4), CAREFUL_FRAMES, hidden=True)
-    blind = type(reading)(
-        reading.robot_from_flange, reading.joints_rad, None, None, (), np.empty((0, 3)), {}, reading.count
-    )
+    blind = replace(reading, sides=None, frame_mm=None, groups=(), markers_mm=np.empty((0, 3)), frames={})
     looked = room.watch.compare(blind)
     assert (looked.head_mm, looked.base_mm, looked.moved) == (None, None, None)
     assert not looked.in_place
