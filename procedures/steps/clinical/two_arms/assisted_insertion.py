@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from procedures.engine.context import StepContext
 from procedures.guards.assistant_on_axis import BETTER_FRAMES, LARGEST_OFF_MM, BesideBore, beside_bore
 from procedures.guards.errors import PatientUnseen
+from procedures.guards.guide_displacement import PUSHED_MM, GuideAtRest
 from procedures.guards.room_reading import AS_KNOWN, CAREFUL_FRAMES, ArrivedSides
 from procedures.guards.room_watch import JudgedReading
 from procedures.journal.errors import GateFailed
@@ -108,7 +109,7 @@ def insert_with_assistant(context: StepContext, stop: DepthStop) -> AssistedInse
     if unknown := _look_before_retreat(
         context
     ):  # what moved at the end of the way was seen in too few frames
-        context.find(f"with the instrument at depth at {context.trajectory}: {unknown}", [context.trajectory])
+        context.find(f"with the instrument at depth at {context.trajectory}: {unknown}")
     task = Task(
         SEATED,
         f"look whether the depth stop rests on the guide at {trajectory}",
@@ -266,6 +267,8 @@ def _require_seen_coaxial(
             "still",
             action="Send the arms home, clear the line of sight, and go to the target again.",
         )
+    if Tracked.ARM not in judged.look.frames:
+        _require_guide_in_place(context)
     if found is None:
         context.find(
             f"over {context.trajectory} the tracker does not see the frame on the assistant: joints alone "
@@ -283,6 +286,26 @@ def _require_seen_coaxial(
             "arms and repeat the step; if it comes again, send the arms home and localize again.",
         )
     return found
+
+
+def _require_guide_in_place(context: StepContext) -> None:
+    """Raise PRO-007 unless the frame on the guide shows it where it was held, while its arm is hidden."""
+    rest = context.setting.memory.find(GuideAtRest)
+    if rest is not None:
+        rest.look(context.workcell, context.setting.clock, room_watch(context))
+    if rest is None or rest.is_unseen:
+        raise GateFailed(
+            f"over {context.trajectory} the tracker sees neither the frame on the arm with the guide nor the "
+            "one on the guide: nothing shows that the bore is where it was",
+            action="Nothing is led into the guide. Clear the line of sight to one of them, repeat the step.",
+        )
+    if rest.now_mm > PUSHED_MM:
+        raise GateFailed(
+            f"over {context.trajectory} the guide is not where it was held, while its arm is hidden",
+            limit=f"{PUSHED_MM:g} mm",
+            got=f"{format_against_limit(rest.now_mm, PUSHED_MM, 2)} mm",
+            action="Nothing is led into the guide. Send the arms home and localize again.",
+        )
 
 
 def _require_within(found: tuple[float, float], limit: tuple[float, float], what: str, action: str) -> None:

@@ -12,6 +12,7 @@ from two_arm_room import OVER_GUIDE_RAD, TwoArmRoom, shifted
 from procedures.engine.context import StepContext
 from procedures.guards.assistant_on_axis import LARGEST_OFF_MM
 from procedures.guards.errors import InsertionDisturbed
+from procedures.guards.guide_displacement import PUSHED_MM
 from procedures.journal.errors import GateFailed
 from procedures.operator.question import NO, YES
 from procedures.steps.clinical.two_arms import assisted_insertion
@@ -54,9 +55,12 @@ def over_the_guide(monkeypatch: pytest.MonkeyPatch, **seen: Any) -> tuple[StepCo
     room.joints_rad = OVER_GUIDE_RAD
     look = partial(room.look, **seen)
     monkeypatch.setattr(assisted_insertion, "check_room", lambda *_args: look())
+    kept: list[Any] = []
+    memory = SimpleNamespace(keep=kept.append, find=lambda _kind: kept[-1] if kept else None)
     fields = {
         "trajectory": "T1",
         "workcell": room.workcell(),
+        "setting": SimpleNamespace(memory=memory, clock=None),
         "find": found.append,
         "progress": lambda *_args: None,
     }
@@ -70,6 +74,21 @@ def test_joints_alone_do_not_lead_an_instrument_into_the_guide(monkeypatch: pyte
         _require_seen_coaxial(context, AXIS, ["with the holder empty"])
     assert _require_seen_coaxial(context, AXIS, []) is None
     assert "where it stood" in found[0]
+
+
+@pytest.mark.hazard(61)
+def test_a_bore_that_no_frame_shows_takes_no_instrument(monkeypatch: pytest.MonkeyPatch) -> None:
+    context, found = over_the_guide(monkeypatch, guide_hidden=True)
+    rest = SimpleNamespace(look=lambda *_args: None, is_unseen=True, now_mm=0.0)
+    context.setting.memory.keep(rest)
+    with pytest.raises(GateFailed, match="nothing shows that the bore is where it was"):
+        _require_seen_coaxial(context, AXIS, [])
+    rest.is_unseen = False
+    assert _require_seen_coaxial(context, AXIS, []) is not None
+    assert "the guide's arm is hidden" in found[-1]
+    rest.now_mm = 2.0 * PUSHED_MM
+    with pytest.raises(GateFailed, match=r"not where it was held.*limit 0\.2 mm, got 0\.40 mm"):
+        _require_seen_coaxial(context, AXIS, [])
 
 
 @pytest.mark.hazard(61)
