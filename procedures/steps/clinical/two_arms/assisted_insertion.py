@@ -106,9 +106,8 @@ def insert_with_assistant(context: StepContext, stop: DepthStop) -> AssistedInse
     workcell.master.instrument.record_insertion(trajectory)
     context.progress(0.75, f"the assistant leads the instrument into the guide at {trajectory}")
     assistant.insert(assistant.axis_in_base(axis), _guided_stretch(context, stop))
-    if unknown := _look_before_retreat(
-        context
-    ):  # what moved at the end of the way was seen in too few frames
+    # What moved at the end of the way was seen in too few frames.
+    if unknown := _look_before_retreat(context):
         context.find(f"with the instrument at depth at {context.trajectory}: {unknown}")
     task = Task(
         SEATED,
