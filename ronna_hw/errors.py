@@ -20,7 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, ClassVar, Generic, Self, TypeAlias, TypeVar
+from typing import Any, ClassVar, Generic, Self, TypeAlias, TypedDict, TypeVar, Unpack
 
 from ronna_hw.text import printable
 
@@ -39,6 +39,16 @@ EXIT_INTERRUPTED = 130
 AnyError = TypeVar("AnyError", bound="RonnaError", covariant=True)
 
 LAST_BYTES_KEPT = 64  # enough for a whole short telegram, short enough for one line of hex
+
+
+class ErrorWords(TypedDict, total=False):
+    """Optional words of a `RonnaError`, as its raiser gives them."""
+
+    expected: str | None
+    limit: str | None
+    got: str | None
+    action: str | None
+    wire: bytes
 
 
 class RonnaError(Exception):
@@ -71,9 +81,8 @@ class RonnaError(Exception):
         if entry is not None:
             meaning, self.code, self.exit_code = entry.meaning, entry.code, entry.exit_code
             self.action, self.page_action = entry.action, entry.page_action
-        self.meaning = (
-            f"{meaning[:1].lower()}{meaning[1:].rstrip('.')}"  # of the code, to go on in a sentence
-        )
+        # Of the code in words, to go on in a sentence.
+        self.meaning = f"{meaning[:1].lower()}{meaning[1:].rstrip('.')}"
         self.what = printable(what)
         self.expected = expected and printable(expected)
         self.limit = limit and printable(limit)
@@ -100,17 +109,9 @@ class RonnaError(Exception):
             return f"{self.what}: {self.got}"
         return "; ".join(part for part in (self.what, ", ".join(values)) if part)
 
-    def reworded(
-        self,
-        what: str,
-        *,
-        expected: str | None = None,
-        limit: str | None = None,
-        got: str | None = None,
-        action: str | None = None,
-    ) -> Self:
+    def reworded(self, what: str, **words: Unpack[ErrorWords]) -> Self:
         """Return an error of the same code that says it in other words."""
-        return type(self)(what, expected=expected, limit=limit, got=got, action=action, entry=self.entry)
+        return type(self)(what, **words, entry=self.entry)
 
     def happened_during(self, doing: str) -> None:
         """Say during what it happened."""
@@ -209,18 +210,9 @@ class ErrorCode(Generic[AnyError]):
         """Exit status of a program that ends with this error."""
         return self.kind.exit_code if self.own_exit_code is None else self.own_exit_code
 
-    def __call__(
-        self,
-        what: str,
-        *,
-        expected: str | None = None,
-        limit: str | None = None,
-        got: str | None = None,
-        action: str | None = None,
-        wire: bytes = b"",
-    ) -> AnyError:
+    def __call__(self, what: str, **words: Unpack[ErrorWords]) -> AnyError:
         """Return the error that has happened; the parameters are those of `RonnaError`."""
-        return self.kind(what, expected=expected, limit=limit, got=got, action=action, wire=wire, entry=self)
+        return self.kind(what, **words, entry=self)
 
 
 AnyCode: TypeAlias = type[AnyError] | ErrorCode[AnyError]

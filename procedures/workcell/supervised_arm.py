@@ -182,7 +182,7 @@ class SupervisedArm(ABC):
 
     def start(self) -> None:
         """Start the arm's correction stream, if it is configured. Raises PRO-002."""
-        self.supervised.start(f"start the {self.name}")
+        self.supervised.start()
 
     def hold(self) -> None:
         """Hold still, supervised by the link, until the next motion."""

@@ -130,19 +130,18 @@ class SupervisedMotion:
         self._held = self._arm().state is Lifecycle.HOLD
         self._confirmed = self._require_yes(question) or self._confirmed
 
-    def start(self, subject: str) -> None:
+    def start(self) -> None:
         """Activate the arm, if it is configured.
 
         A driver may require a confirmation before it starts its arm, and may then move it out and back. The
-        operator is asked about the `subject`, and the start is journalled as a motion. Raises PRO-002 unless
-        the answer is yes.
+        operator is asked, and the start is journalled as a motion. Raises PRO-002 unless the answer is yes.
         """
         arm = self._arm()
         if arm.state is not Lifecycle.CONFIGURED:
             return
         if isinstance(arm, ConfirmedStart) and (words := arm.to_confirm) is not None:
             self._confirmed = False
-            if self._require_yes(Question(Topic.UNVERIFIED, subject, words)):
+            if self._require_yes(Question(Topic.UNVERIFIED, f"start the {self._name}", words)):
                 arm.confirm_start(OPERATOR)
                 self._drive_journalled(
                     {"what": MotionKind.START, "to": [], "trajectory": None}, self._activate

@@ -145,7 +145,7 @@ class ListedError:
 
     @property
     def action(self) -> str:
-        """What its message says to do."""
+        """Advice that its message ends with."""
         return self.entry.action
 
 

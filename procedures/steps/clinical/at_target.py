@@ -170,11 +170,9 @@ def _do_stage(context: StepContext, stage: WorkStage, work_so_far: WorkProgress)
     stages.record_begin(trajectory, stage.task)
     assistants = context.workcell.assistants
     by_hand = stage is not STAGES[-1] or not assistants
-    if not by_hand and not (
-        any(arm.place.is_on_axis for arm in assistants)
-        and work_so_far.assisted
-        and context.doubt(KnownBases) is None
-    ):
+    is_on_axis = any(arm.place.is_on_axis for arm in assistants)
+    led_in = is_on_axis and work_so_far.assisted and context.doubt(KnownBases) is None
+    if not by_hand and not led_in:
         work_so_far.assisted = None
         work_so_far.assisted = insert_with_assistant(context, stop)
     question = Question(
