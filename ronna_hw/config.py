@@ -6,7 +6,7 @@ Strict TOML: unknown keys are errors, and all mistakes are reported at once.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple, Self
@@ -40,6 +40,7 @@ from ronna_hw.plausible import (
     SensorPixels,
     farther_than,
 )
+from ronna_hw.roles import ASSISTANT, MASTER
 from ronna_hw.text import format_count
 from ronna_hw.theatre_kind import is_simulated
 from ronna_hw.tool_record import GuideBore, TipInHead, ToolRecord
@@ -61,14 +62,9 @@ def require_expiry(theatre: TheatreFile) -> None:
 
 
 def require_own_patient_frame(theatre: TheatreFile) -> None:
-    """Raise ValueError if the patient's frame is also named as one on the arm, which moves with the arm."""
+    """Raise ValueError if the patient's frame is also named as one on an arm, which moves with the arm."""
     frame = theatre.procedure.patient_frame
-    if frame is None or theatre.calibration is None:
-        return
-    on_arm, holder = _frames_on_master(theatre), theatre.calibration.assistant_holder
-    if holder is not None:
-        on_arm["calibration.assistant_holder.frame"] = holder.frame
-    if shared := [key for key, tool in on_arm.items() if tool == frame]:
+    if shared := [key for key, tool in _frames_on_arms(theatre).items() if tool == frame]:
         raise ValueError(
             f"[procedure] patient_frame: {frame} is also {' and '.join(shared)}, a frame on the arm: "
             "name the frame on the head clamp, a tool of its own"
@@ -77,10 +73,8 @@ def require_own_patient_frame(theatre: TheatreFile) -> None:
 
 def require_own_holder_frame(theatre: TheatreFile) -> None:
     """Raise ValueError if the frame on the assistant's holder is also named as one on the master."""
-    records = theatre.calibration
-    if records is None or records.assistant_holder is None:
-        return
-    frame, on_master = records.assistant_holder.frame, _frames_on_master(theatre)
+    on_master = _frames_on_arms(theatre)
+    frame = on_master.pop(HOLDER_FRAME, None)
     if shared := [key for key, tool in on_master.items() if tool == frame]:
         raise ValueError(
             f"[calibration.assistant_holder] frame: {frame} is also {' and '.join(shared)}, a frame on the "
@@ -88,15 +82,16 @@ def require_own_holder_frame(theatre: TheatreFile) -> None:
         )
 
 
-def _frames_on_master(theatre: TheatreFile) -> dict[str, str]:
-    """Return the tracker's tools on the master, by the key that names them."""
-    records = theatre.calibration
-    on_mount = {} if records is None else {"calibration.tracker_frame.tool": records.tracker_frame.tool}
-    return on_mount | {
+def _frames_on_arms(theatre: TheatreFile) -> dict[str, str]:
+    """Return the tracker's tools on the arms, by the key that names them."""
+    if theatre.calibration is None:
+        return {}
+    on_guides = {
         f"tools.{name}.frame.tool": tool.frame.tool
         for name, tool in theatre.tools.items()
         if tool.frame is not None
     }
+    return theatre.calibration.frames | on_guides
 
 
 def require_separate_arms(theatre: TheatreFile) -> None:
@@ -141,8 +136,7 @@ def closest_to_flange_mm(flange_from_tool: PoseRecord, bore: GuideBore | None = 
 
 
 SLIMMEST_HAND_MM = min(arm.radii.hand_mm for arm in BUILT_IN.values())
-MASTER = "master"  # name of the arm that carries stereo head and guide
-ASSISTANT = "assistant"  # name of the arm that carries the instrument
+HOLDER_FRAME = "calibration.assistant_holder.frame"
 NEAREST_PLACE_MM = 10.0  # from an arm's origin: nothing stands inside its base, and its reach is below 10 m
 FARTHEST_APPROACH_MM = 500.0  # as the longest guide
 # Two spheres of 11.5 mm that touch are that far apart: one seen farther off than half of it may be another.
@@ -284,9 +278,21 @@ class Calibrations(Strict):
         return TipInHead.of(self.stereo_head.flange_from_tool, self.tool_tip.flange_from_tool)
 
     @property
-    def of_master(self) -> Calibrations:
-        """Records that a case with the master alone uses."""
-        return self.model_copy(update={"assistant_arm": None, "assistant_holder": None})
+    def arms(self) -> dict[str, ArmCalibration]:
+        """Records of the arms, by role."""
+        found = {MASTER: self.arm, ASSISTANT: self.assistant_arm}
+        return {role: record for role, record in found.items() if record is not None}
+
+    @property
+    def frames(self) -> dict[str, str]:
+        """Tracker's tools on the arms, by the key that names each."""
+        found = {"calibration.tracker_frame.tool": self.tracker_frame.tool}
+        return found if self.assistant_holder is None else found | {HOLDER_FRAME: self.assistant_holder.frame}
+
+    def of_arms(self, roles: Collection[str]) -> Calibrations:
+        """Return the records that a case with arms in these roles uses; those of other arms may be old."""
+        unused = () if ASSISTANT in roles else ("assistant_arm", "assistant_holder")
+        return self.model_copy(update=dict.fromkeys(unused))
 
     @property
     def records(self) -> dict[str, DatedRecord]:

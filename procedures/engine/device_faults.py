@@ -12,7 +12,6 @@ from procedures.engine.case_progress import CaseProgress
 from procedures.journal.errors import StepRefused
 from procedures.journal.journal import Entry, Journal
 from ronna_hw.clock import Clock
-from ronna_hw.config import ASSISTANT, MASTER
 from ronna_hw.devices.capabilities import MESSAGES
 from ronna_hw.devices.errors import WrongState
 from ronna_hw.devices.lifecycle import LastKnown, Lifecycle, require_person
@@ -24,7 +23,6 @@ if TYPE_CHECKING:
     from ronna_hw.devices.capabilities import Fact
     from ronna_hw.errors import RonnaError
 
-ARM = "arm"  # role of the device that carries the tools
 ACKNOWLEDGE = "acknowledge the fault by name: acknowledge YOUR-NAME"
 UNKNOWN = "a fault of unknown cause"
 EARLIER = "a message from before this connection"
@@ -133,7 +131,7 @@ class DeviceFaults:
     def require_arm_moves(self) -> None:
         """Raise PRO-001 with a fault description if an arm is in fault: of two, neither moves then."""
         found = self.descriptions
-        if faults := [found[role] for role in (ARM, ASSISTANT) if role in found]:
+        if faults := [found[arm.name] for arm in self._workcell.arms.values() if arm.name in found]:
             raise StepRefused(f"the arm cannot move: {'. '.join(faults)}", action="Then repeat the command.")
 
     def acknowledge(self, by: str) -> dict[str, str]:
@@ -196,16 +194,17 @@ class DeviceFaults:
 
     def _why_stopped(self, role: str) -> str:
         """Say what an arm was stopped for by the other one, or return ''."""
-        halt = self._workcell.halt
-        stopped_by_other = {ARM: ASSISTANT, ASSISTANT: MASTER}.get(role)
-        return f", since {halt.reason}" if halt is not None and halt.arm == stopped_by_other else ""
+        halt, arm = self._workcell.halt, self._workcell.find_arm(role)
+        stopped_by_other = halt is not None and arm is not None and halt.arm != arm.role
+        return f", since {halt.reason}" if halt is not None and stopped_by_other else ""
 
     def _doubt_after(self, role: str, fault: str) -> None:
-        order = self._course.order
-        if role == ARM:
-            self._doubt(fault, (*order.localizations, *order.checks_of_tool, *order.relations_of_arms))
-        elif role == ASSISTANT:  # it may have touched something, and its holder is off
-            self._doubt(fault, order.relations_of_arms)
+        order, arm = self._course.order, self._workcell.find_arm(role)
+        if arm is None:
+            return
+        # It may have touched something. Tools and localizations are of the arm that carries the tools.
+        carried = (*order.localizations, *order.checks_of_tool) if arm is self._workcell.master else ()
+        self._doubt(fault, (*carried, *order.relations_of_arms))
 
     def doubt_tool(self, fault: str) -> None:
         """Cast doubt on all checks of the mounted tool."""

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Self, cast
 
 import numpy as np
 
-from procedures.engine.device_faults import ARM
 from procedures.engine.events import Bodies as BodiesEvent
 from procedures.engine.events import (
     Body,
@@ -76,7 +75,8 @@ def publish_waiting(engine: Engine) -> None:
     if key is not None:
         unmet = engine.why_refused(key)
     else:
-        fault = engine.faults.descriptions.get(ARM) if name == HOME else None
+        arm = engine.setting.workcell.master.name
+        fault = engine.faults.descriptions.get(arm) if name == HOME else None
         unmet = () if fault is None else (fault,)
     engine.events.publish(Waiting(upcoming=name, unmet=unmet))
 

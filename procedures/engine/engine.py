@@ -255,29 +255,23 @@ class Engine:
     def retreat_home(self) -> None:
         """Leave the head and park: have the instrument removed, withdraw the guide along its axis, go home.
 
-        Raises PRO-001 for an arm in fault, PRO-002 unless the operator confirms, PRO-004 where they end the
-        case on the way, and the errors of motions.
+        Raises PRO-001 for an arm in fault or before set-up, PRO-002 unless the operator confirms, PRO-004
+        where they end the case on the way, and the errors of motions.
         """
         workcell = self.setting.workcell
         self.faults.require_arm_moves()
+        _ = workcell.master.home_rad  # PRO-001 before set-up
         self._write(Entry.HOME, instrument_in=self.instrument_in)
         try:
-            for assistant in workcell.assistants:
-                assistant.compare_place()
-                if assistant.place.is_on_axis:
+            for arm in workcell.outermost_first:
+                arm.compare_place()
+                if arm.leads_instrument:
                     workcell.start()
-                    assistant.retreat(doubt=self.look_before_retreat())
-            self.questions.request_instrument_removal()
-            for assistant in workcell.assistants:
-                if assistant.place.is_out:
+                    arm.lead_out(self.look_before_retreat())
+                self.questions.request_instrument_removal()
+                if arm.place.is_out:
                     workcell.start()
-                    assistant.return_home()
-            workcell.master.compare_place()
-            if not workcell.master.place.is_home:
-                workcell.start()
-                if (axis_place := workcell.master.place.axis) is not None:
-                    workcell.master.retreat(axis_place.trajectory)
-                workcell.master.park()
+                    arm.leave()
         except BaseException as ended:  # also an interruption: the arm comes to rest
             if isinstance(ended, KeyboardInterrupt):
                 self._on_ending()

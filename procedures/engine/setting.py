@@ -12,7 +12,8 @@ from procedures.engine.methods import CaseMethods
 from procedures.operator.question import Operator, Room
 from procedures.strategies.strategy import Strategy
 from ronna_hw.clock import Clock
-from ronna_hw.config import ASSISTANT, MASTER, ProcedureSettings
+from ronna_hw.config import ProcedureSettings
+from ronna_hw.roles import ONE_ARM
 
 if TYPE_CHECKING:
     from procedures.workcell import Workcell
@@ -54,12 +55,7 @@ class ClinicalInput:
     measure_targets: bool = False  # on a phantom
     plan_sha256: str | None = None  # of the plan as it was held when the case was opened
     methods: CaseMethods = field(default_factory=CaseMethods)
-    dual: bool = False  # with the assistant
-
-    @property
-    def roles(self) -> tuple[str, ...]:
-        """Roles of the arms, the master first."""
-        return (MASTER, ASSISTANT) if self.dual else (MASTER,)
+    roles: tuple[str, ...] = ONE_ARM  # of the arms, the master first
 
     @property
     def place(self) -> Path:

@@ -16,10 +16,11 @@ from procedures.operator.checkpoint import Guard
 from procedures.workcell import Workcell
 from procedures.workcell.supervised_arm import SupervisedArm
 from ronna_hw.clock import Clock
-from ronna_hw.config import MASTER, TheatreFile, read_theatre_file
+from ronna_hw.config import TheatreFile, read_theatre_file
 from ronna_hw.devices.lifecycle import RUNNING
 from ronna_hw.devices.readings import LinkStatistics, Validity
 from ronna_hw.errors import RonnaError
+from ronna_hw.roles import MASTER
 
 LARGEST_BAD_SHARE = 0.05  # of the cycles; the driver slows down at more than 3 in a row, far below this
 LEAST_CYCLES = 250  # one second: fewer mean little

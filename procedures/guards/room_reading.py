@@ -30,7 +30,6 @@ from procedures.room.sighting import (
 )
 from procedures.workcell import Workcell
 from procedures.workcell.patient_frame import seen_after
-from procedures.workcell.supervised_arm import SupervisedArm
 from procedures.workcell.tracker_look import (
     find_frame_name,
     list_poses,
@@ -41,11 +40,14 @@ from ronna_hw.devices.readings import TrackerFrame
 from ronna_hw.devices.strays import LEAST_SHARE, StrayGroup, average_strays
 from ronna_hw.errors import RonnaError
 from ronna_hw.frames import Frame, Transform
-from ronna_hw.vectors import JointVector
+from ronna_hw.roles import ASSISTANT, MASTER
 
 Array = NDArray[np.float64]
 ArrivedSides = Mapping[Tracked, Sequence[int] | None]  # from which the joints of an arm have arrived
 AS_KNOWN: ArrivedSides = MappingProxyType({})
+ON_ARM: Mapping[str, Tracked] = MappingProxyType(
+    {MASTER: Tracked.ARM, ASSISTANT: Tracked.ASSISTANT}
+)  # by role
 
 FRAMES = 12  # 0.2 s of the usual 60 Hz
 CAREFUL_FRAMES = 60
@@ -61,19 +63,17 @@ SENSOR_MM = 10.0  # uncertainty of the sensors' positions; matters in proportion
 class RoomReading:
     """Mean of tracker frames with the arm at rest.
 
-    `robot_from_flange` is the arm's pose, by its calibration if there is one, at `joints_rad`; `sides` are
-    those of its backlash on which the joints rest, None if unknown. In the tracker's frame, `groups` are the
-    strays and `markers_mm` (k, 3) the markers of all tools in view; `frames` are the tracked frames.
-    `frame_mm` (3,) is the frame on the arm by the tracker minus that by the arm, robot frame; None while it
-    is not seen. `settled_home` says that the arm is home, each joint from its usual side; `on_axis` that a
-    guide is at the head; `fitted` that the tracker has the spheres by fitting the frame that they are on.
-    `motions` counts those that the arm has made. `assistant` is how the second arm rests, None without one;
-    `instrument_led`: it leads an instrument.
+    `rests` are how the arms rest, by the frame on each; `robot_from_flange` is the pose of the master there,
+    by its calibration if there is one. In the tracker's frame, `groups` are the strays and `markers_mm` (k,
+    3) the markers of all tools in view; `frames` are the tracked frames. `frame_mm` (3,) is the frame on the
+    arm by the tracker minus that by the arm, robot frame; None while it is not seen. `settled_home` says that
+    the arm is home, each joint from its usual side; `on_axis` that a guide is at the head; `fitted` that the
+    tracker has the spheres by fitting the frame that they are on. `instrument_led`: an arm leads an
+    instrument.
     """
 
     robot_from_flange: Transform
-    joints_rad: JointVector
-    sides: tuple[int, ...] | None
+    rests: Mapping[Tracked, Rest]
     frame_mm: Array | None
     groups: tuple[StrayGroup, ...]
     markers_mm: Array
@@ -82,8 +82,6 @@ class RoomReading:
     settled_home: bool = False
     on_axis: bool = False
     fitted: bool = False
-    motions: int | None = None
-    assistant: Rest | None = None
     instrument_led: bool = False
     tracker_frames: Sequence[TrackerFrame] = field(default=(), repr=False)
 
@@ -149,10 +147,7 @@ class RoomReading:
             ).reshape(-1, 3, 3)
             + self.fitted * FITTED_MM**2 * np.eye(3),
         )
-        arms = {Tracked.ARM: Rest(self.joints_rad, self.sides, self.motions)}
-        if self.assistant is not None:
-            arms[Tracked.ASSISTANT] = self.assistant
-        return Sighting(arms, seen, self.frames, tracker, head)
+        return Sighting(self.rests, seen, self.frames, tracker, head)
 
     def _identify(self, spheres_mm: Array, sensors_mm: ArrayLike) -> list[tuple[int, StrayGroup]]:
         """Pair known spheres with strays: by their layout, or each with the one at its place.
@@ -201,19 +196,17 @@ def room_reading(
     `sides` are those from which the joints of an arm have arrived, by default as the workcell knows.
     """
     least, on_arm = round(LEAST_SHARE * len(frames)), workcell.calibrations.tracker_frame.tool
-    tracked = {Tracked.ARM: on_arm, Tracked.CLAMP: workcell.patient_frame}
-    assistant = None
-    for one in workcell.assistants:
-        if (assistant := _at_rest(one, sides.get(Tracked.ASSISTANT))) is not None:
-            tracked[Tracked.ASSISTANT] = one.holder.frame
+    rests = _rests(workcell, sides)
+    tracked = {ON_ARM[role]: arm.frame for role, arm in workcell.arms.items() if ON_ARM[role] in rests}
+    if workcell.patient_frame is not None:
+        tracked[Tracked.CLAMP] = workcell.patient_frame
     seen: dict[Tracked, SeenFrame] = {}
     for body, name in tracked.items():
-        poses = [] if name is None else list_poses(frames, name)
-        if name is not None and len(poses) >= max(1, least):
+        poses = list_poses(frames, name)
+        if len(poses) >= max(1, least):
             seen[body] = average_frame(poses, workcell.tracker.markers_mm[name])
-    joints, arrived = workcell.master.joints_rad(), sides.get(Tracked.ARM)
-    rests = workcell.master.rest_sides if arrived is None else tuple(arrived)
-    by_arm = robot_from_marker(workcell, joints, rests)
+    rest = rests[Tracked.ARM]
+    by_arm = robot_from_marker(workcell, rest.joints_rad, rest.sides)
     frame_mm = None
     if (arm := seen.get(Tracked.ARM)) is not None:
         frame_mm = robot_from_tracker.apply(arm.place_mm) - by_arm.translation_mm
@@ -225,9 +218,8 @@ def room_reading(
         if other is not None:
             markers.append(other.apply(places_mm))
     return RoomReading(
-        robot_from_flange=workcell.master.flange_pose(joints, rests),
-        joints_rad=joints,
-        sides=rests,
+        robot_from_flange=workcell.master.flange_pose(rest.joints_rad, rest.sides),
+        rests=rests,
         frame_mm=frame_mm,
         groups=average_strays(frames).groups,
         markers_mm=np.vstack(markers),
@@ -236,21 +228,25 @@ def room_reading(
         settled_home=workcell.master.settled_home,
         on_axis=workcell.master.place.is_on_axis,
         fitted=find_frame_name(workcell.tracker.markers_mm) is not None,
-        motions=workcell.master.history.motions,
-        assistant=assistant,
-        instrument_led=any(arm.place.is_on_axis for arm in workcell.assistants),
+        instrument_led=any(arm.leads_instrument for arm in workcell.arms.values()),
         tracker_frames=frames,
     )
 
 
-def _at_rest(arm: SupervisedArm, arrived: Sequence[int] | None) -> Rest | None:
-    """Return how an arm rests, None if it does not tell its joints."""
-    try:
-        joints_rad = arm.joints_rad()
-    except RonnaError:  # for the step that moves it to report
-        return None
-    rests = arm.rest_sides if arrived is None else tuple(arrived)
-    return Rest(joints_rad, rests, arm.history.motions)
+def _rests(workcell: Workcell, sides: ArrivedSides) -> dict[Tracked, Rest]:
+    """Return how the arms rest, without others than the master that do not tell their joints."""
+    rests: dict[Tracked, Rest] = {}
+    for role, arm in workcell.arms.items():
+        arrived = sides.get(ON_ARM[role])
+        try:
+            joints_rad = arm.joints_rad()
+        except RonnaError:
+            if arm is workcell.master:
+                raise
+            continue  # for the step that moves it to report
+        on_sides = arm.rest_sides if arrived is None else tuple(arrived)
+        rests[ON_ARM[role]] = Rest(joints_rad, on_sides, arm.history.motions)
+    return rests
 
 
 def find_ghosts(

@@ -7,15 +7,30 @@ makes it a parent of their own result.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import ClassVar, Self
+from typing import Annotated, ClassVar, Self
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import AliasChoices, BaseModel, BeforeValidator, ConfigDict, Field
 
 from ronna_hw.calibration import Numbers3, Numbers4
 from ronna_hw.frames import Frame, Transform
+from ronna_hw.roles import ONE_ARM, TWO_ARMS
 
 Numbers6 = tuple[float, float, float, float, float, float]
 Matrix3 = tuple[Numbers3, Numbers3, Numbers3]
+
+
+def _read_roles(told: object) -> object:
+    """Return roles as told; older files only say whether there is an assistant."""
+    if isinstance(told, bool):
+        return TWO_ARMS if told else ONE_ARM
+    return tuple(told) if isinstance(told, list) else told
+
+
+RecordedRoles = Annotated[
+    tuple[str, ...],
+    BeforeValidator(_read_roles),
+    Field(validation_alias=AliasChoices("roles", "dual"), description="Roles of the arms, the master first."),
+]
 
 
 class Values(BaseModel):

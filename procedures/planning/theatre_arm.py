@@ -20,9 +20,10 @@ from ronna_hw.calibrated_arm.error_budget import ErrorSizes
 from ronna_hw.clock import HostClock
 from ronna_hw.collision_config import CollisionConfig
 from ronna_hw.command_line.errors import UsageMistake
-from ronna_hw.config import MASTER, read_theatre_file
+from ronna_hw.config import read_theatre_file
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.registry import make_device
+from ronna_hw.roles import MASTER
 from ronna_hw.tool_record import GuideBore
 
 if TYPE_CHECKING:

@@ -82,13 +82,11 @@ class ToolRecords:
 
     def check_frames(self, calibrations: Calibrations, tracked: Sequence[str]) -> None:
         """Raise DEV-003 if a record refers to a frame that is not among the tracker's tools."""
-        named = {"calibration.tracker_frame": calibrations.tracker_frame.tool} | {
+        named = {key.rpartition(".")[0]: frame for key, frame in calibrations.frames.items()} | {
             f"tools.{name}.frame": record.frame.tool
             for name, record in self.records.items()
             if record.frame is not None
         }
-        if (holder := calibrations.assistant_holder) is not None:
-            named["calibration.assistant_holder"] = holder.frame
         for table, frame in named.items():
             if frame not in tracked:
                 raise UnknownTool(

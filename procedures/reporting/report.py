@@ -77,10 +77,10 @@ from procedures.steps.clinical.tool_change import MountedGuide
 from procedures.steps.clinical.tool_check import CheckedTool
 from procedures.steps.clinical.two_arms.assisted_insertion import COAXIAL_MM, COAXIAL_RAD
 from procedures.workcell.arm_history import MotionKind
-from ronna_hw.config import ASSISTANT
 from ronna_hw.evidence.manifest import KEPT_TRUTH, PICTURES_FOLDER, REPORT_FILE, read_hashes
 from ronna_hw.evidence.unsealed import describe_unsealed_files
 from ronna_hw.records import write_atomically
+from ronna_hw.roles import ASSISTANT
 from ronna_hw.text import escape_controls
 
 NUMBERS_FILE = "numbers.txt"

@@ -13,6 +13,7 @@ from typing import Any, Literal
 
 from procedures.journal.journal import ENDS_OF_A_STEP, Entry, Line, theatre_time_s
 from procedures.steps.catalogue import clinical_steps
+from ronna_hw.roles import TWO_ARMS
 from ronna_hw.text import format_count
 
 BETWEEN_STEPS = "between steps"
@@ -24,7 +25,7 @@ ALGORITHM_PROCESSOR = "Intel i7-6700HQ"
 LOCALIZATION = "fiducial_localization"
 OUTSIDE = "outside the steps"
 PHASES: Mapping[str, str] = {
-    step.name: step.phase.value for step in clinical_steps(measure_targets=True, dual=True)
+    step.name: step.phase.value for step in clinical_steps(measure_targets=True, roles=TWO_ARMS)
 }
 ACTIVE = "active"  # the state that a device left
 CONNECTED = "connected"  # the event with which counters of the connection begin

@@ -26,8 +26,8 @@ from procedures.steps.clinical.two_arms.seen_on_axis import (
 from procedures.workcell.arm_history import fold_history
 from procedures.workcell.assistant import Assistant
 from procedures.workcell.errors import TipOffAxis
-from ronna_hw.config import ASSISTANT
 from ronna_hw.records import Record
+from ronna_hw.roles import ASSISTANT
 
 R = TypeVar("R", bound=StepResult)
 

@@ -39,7 +39,7 @@ def clinical_input(case: CaseProcedure, folder: Path, plan: LockedPlan | None = 
         case.measure_targets,
         None if plan is None else plan.sha256,
         case.methods,
-        dual=case.dual,
+        roles=case.roles,
     )
 
 
@@ -74,7 +74,7 @@ def _build_order(case: CaseProcedure, plan: Plan | None) -> CaseOrder:
     from procedures.strategies.catalogue import find_strategy
 
     return order_of(
-        clinical_steps(measure_targets=case.measure_targets, dual=case.dual),
+        clinical_steps(measure_targets=case.measure_targets, roles=case.roles),
         [] if plan is None else [trajectory.id for trajectory in plan.trajectories],
         localizes_per_trajectory=find_strategy(case.strategy).localizes_per_trajectory,
     )
@@ -104,8 +104,7 @@ def prepare_case(
         arm = "" if choice.arm == DEFAULT_ARM else f" --arm {choice.arm}"
         simulated = f"--sim --scene {shlex.quote(choice.scene)} --seed {choice.seed}{arm}"
         options = simulated if request.config is None else options_of(request.config)
-        used = theatre.calibrations if case.dual else theatre.calibrations.of_master
-        require_valid(used, now, options)
+        require_valid(theatre.calibrations.of_arms(case.roles), now, options)
         ToolRecords.of(theatre.file).check(theatre.calibrations, now)
     file = case_folder(case, folder) / "plan.toml"
     if case.plan is not None and (resumption is None or resumption.interrupted.untouched):

@@ -14,7 +14,6 @@ from pydantic import BaseModel
 
 from procedures.calibration.errors import PlatformMoved
 from procedures.calibration.validity import require_valid_record
-from procedures.engine.device_faults import ARM
 from procedures.engine.engine import Engine
 from procedures.guards.errors import (
     BaseShifted,
@@ -44,14 +43,12 @@ from procedures.steps.clinical.tool_change import MountedGuide
 from procedures.workcell import MountedTool
 from procedures.workcell.errors import TipOffAxis
 from ronna_hw.calibration import CalibrationExpired, DatedRecord
-from ronna_hw.config import ASSISTANT
 from ronna_hw.errors import RonnaError
 from ronna_hw.records import canonical_json
 from ronna_hw.text import format_count
 
 # Calibrations that determine where arms and tools are.
 FOR_MOTION = ("arm", "stereo_head", "tool_tip", "assistant_arm", "assistant_holder")
-ARMS = (ARM, ASSISTANT)  # neither moves while it is not known where the other is
 
 
 @dataclass
@@ -164,13 +161,13 @@ def compare_devices(
             found = DeviceIdentity.from_identity(device.connect())
             device.configure()
         except RonnaError as problem:
-            if role in ARMS or not only_leaving:
+            if workcell.find_arm(role) or not only_leaving:
                 raise
             comparison.note(f"{role}: not needed on the way home ({problem.summary})")
             continue
         if (then := recorded.identities.get(role)) == found:
             comparison.add_unchanged(f"{role} {found.model}")
-        elif role not in ARMS and only_leaving:
+        elif only_leaving and not workcell.find_arm(role):
             comparison.note(f"{role}: a different one; not needed on the way home: {_describe_device(found)}")
         else:
             comparison.add_difference(

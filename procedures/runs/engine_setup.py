@@ -37,7 +37,7 @@ from procedures.steps.clinical.work_progress import work_begun_elsewhere
 from procedures.workcell import Workcell
 from procedures.workcell.arm_history import ArmHistory, fold_history
 from ronna_hw.clock import Clock
-from ronna_hw.config import MASTER, DeviceConfig, TheatreFile
+from ronna_hw.config import DeviceConfig, TheatreFile
 from ronna_hw.devices.lifecycle import Device
 from ronna_hw.errors import RonnaError
 from ronna_hw.evidence.manifest import hash_inputs, hash_truth_files, list_theatre_files, sha256_of
@@ -45,6 +45,7 @@ from ronna_hw.host.processor import name_processor
 from ronna_hw.recording.flight_recorder import BYTES_FOLDER, FlightRecorder
 from ronna_hw.recording.reading_tape import READINGS_FOLDER, ReadingTape, tape_device
 from ronna_hw.registry import make_device
+from ronna_hw.roles import MASTER
 from ronna_hw.software import identify_software
 from ronna_hw.theatre import Theatre
 

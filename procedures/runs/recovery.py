@@ -287,10 +287,11 @@ def _has_exchange_begun(engine: Engine, previous: InterruptedRun) -> bool:
 def _list_first_moves(engine: Engine) -> tuple[str, ...]:
     """Describe the actions that precede the first step."""
     workcell = engine.setting.workcell
-    first = []
-    for assistant in workcell.assistants:
-        if (axis := assistant.place.axis) is not None:
-            first.append(f"the assistant leads the instrument straight out of {axis.trajectory}")
+    first = [
+        f"the {arm.name} leads the instrument straight out of {arm.place.trajectory}"
+        for arm in workcell.outermost_first
+        if arm.leads_instrument
+    ]
     if (place := engine.instrument_in) is not None:
         first.append(f"{'then' if first else 'first'}, by hand: {removal_words(place)}")
     if (held := workcell.held_instrument) is not None:
@@ -298,14 +299,7 @@ def _list_first_moves(engine: Engine) -> tuple[str, ...]:
             f"{'then' if first else 'first'}, by hand: take the instrument for {held.trajectory} out of the "
             "assistant's holder"
         )
-    first += [
-        f"the {assistant.name} goes home" for assistant in workcell.assistants if assistant.place.is_out
-    ]
-    if (current_trajectory := workcell.master.place.trajectory) is not None:
-        first.append(f"the guide retreats from {current_trajectory} along its axis")
-    if engine.case.find(CheckedSetUp, None) is not None and not workcell.master.place.is_home:
-        first.append("the arm goes home the way it came")
-    return tuple(first)
+    return (*first, *(words for arm in workcell.outermost_first for words in arm.way_home))
 
 
 def _describe_remaining_steps(engine: Engine) -> str:
@@ -326,8 +320,8 @@ def _key_of(record: Record) -> StepKey:
 def _move_out(engine: Engine) -> bool:
     """Request instrument removal, retreat and bring the arm home; return whether anything moved."""
     workcell = engine.setting.workcell
-    if any(assistant.place.is_out for assistant in workcell.assistants):
-        engine.retreat_home()  # the assistant first: it may hold an instrument in the guide
+    if any(arm.place.is_out for arm in workcell.assistants):
+        engine.retreat_home()  # first whatever may hold an instrument in the guide
         return True
     engine.questions.request_instrument_removal()
     following = engine.upcoming

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from procedures.engine.methods import CaseMethods
 from ronna_hw.bounded_input import InputRefused, parse_json, read_json_bytes, read_toml
 from ronna_hw.command_line.errors import UsageMistake
+from ronna_hw.roles import ONE_ARM
 from ronna_hw.x_frame import SPHERE_CENTRES_MM
 
 if TYPE_CHECKING:
@@ -110,7 +111,7 @@ class CaseProcedure:
     case: Path | None = None  # folder with ct/ and plan.toml, on configured endpoints
     plan: Path | None = None  # for the simulated patient, in place of its own
     keep_raw: bool = False  # pictures and tracker frames as files
-    dual: bool = False  # with the assistant, which inserts the instrument
+    roles: tuple[str, ...] = ONE_ARM  # of the arms, the master first
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -155,10 +156,7 @@ class RunRequest:
     @property
     def roles(self) -> tuple[str, ...]:
         """Roles of the arms that it uses."""
-        from ronna_hw.config import ASSISTANT, MASTER  # here: it costs every command a tenth of a second
-
-        dual = isinstance(self.procedure, CaseProcedure) and self.procedure.dual
-        return (MASTER, ASSISTANT) if dual else (MASTER,)
+        return self.procedure.roles if isinstance(self.procedure, CaseProcedure) else ONE_ARM
 
     @property
     def seed(self) -> int | None:
@@ -176,11 +174,6 @@ class RunRequest:
         """Procedure of a calibration. Asserts that the request is for a calibration."""
         assert isinstance(self.procedure, CalibrationProcedure), "this is not a calibration"
         return self.procedure
-
-    @property
-    def is_dual(self) -> bool:
-        """Whether both arms work in the case."""
-        return isinstance(self.procedure, CaseProcedure) and self.procedure.dual
 
     @property
     def measures_targets(self) -> bool:

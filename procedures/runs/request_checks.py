@@ -18,11 +18,12 @@ from procedures.runs.request import PATIENT_SCENES, CaseProcedure
 from ronna_hw.bounded_input import read_bounded
 from ronna_hw.command_line.errors import DISK_FULL, PATH_PROBLEM, UsageMistake
 from ronna_hw.command_line.messages import on_terminal
-from ronna_hw.config import ASSISTANT, MASTER, TheatreFile, read_theatre_file
+from ronna_hw.config import TheatreFile, read_theatre_file
 from ronna_hw.control_port import VARIABLE, require_theatre
 from ronna_hw.devices.errors import NotInTheatre
 from ronna_hw.mistakes import suggest_keys
 from ronna_hw.phantom_identity import parse_patient_id
+from ronna_hw.roles import ASSISTANT, MASTER
 from ronna_hw.theatre_kind import is_simulated, require_one_kind
 
 if TYPE_CHECKING:
@@ -54,7 +55,7 @@ def check_theatre(request: RunRequest) -> None:
         theatre = read_theatre_file(request.config)
         if request.choice.calibrated:
             require_record(theatre.calibration.arm if theatre.calibration else None)
-        if request.is_dual:
+        if ASSISTANT in request.roles:
             require_two_arms(theatre)
 
 
@@ -151,7 +152,7 @@ def check_case(request: RunRequest, out: Path) -> None:
     if request.faults is not None:
         from procedures.steps.catalogue import clinical_steps
 
-        steps = clinical_steps(measure_targets=case_procedure.measure_targets, dual=case_procedure.dual)
+        steps = clinical_steps(measure_targets=case_procedure.measure_targets, roles=case_procedure.roles)
         check_fault_script(request.faults, [step.name for step in steps])
 
 

@@ -12,6 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, JsonValue, ValidationError
 
 from procedures.engine.errors import BAD_REQUEST_FILE, OTHER_PROGRAM
 from procedures.engine.methods import CaseMethods
+from procedures.journal.results import RecordedRoles
 from procedures.runs.request import (
     DEFAULT_ARM,
     FREE,
@@ -24,6 +25,7 @@ from ronna_hw.bounded_input import read_json_bytes
 from ronna_hw.evidence.manifest import REQUEST_FILE
 from ronna_hw.mistakes import describe_mistakes
 from ronna_hw.records import write_atomically
+from ronna_hw.roles import ONE_ARM
 
 if TYPE_CHECKING:
     from procedures.runs.answers import Answers
@@ -55,7 +57,7 @@ class RequestFile(BaseModel):
     fiducials: str = FREE
     arm: str = DEFAULT_ARM
     assistant_arm: str = Field(default=DEFAULT_ARM, description="Of a case with two arms.")
-    dual: bool = Field(default=False, description="Whether both arms work in the case.")
+    roles: RecordedRoles = ONE_ARM
     calibrated: bool = False
     first_day: bool = False
     records: tuple[Path, ...] = ()
@@ -110,7 +112,7 @@ def _procedure(request: RunRequest) -> dict[str, Any]:
                 strategy=case.strategy,
                 methods=case.methods,
                 measure_targets=case.measure_targets,
-                dual=case.dual,
+                roles=case.roles,
                 keep_raw=case.keep_raw,
                 case=case.case and case.case.resolve(),
                 plan=case.plan and case.plan.resolve(),
@@ -148,7 +150,7 @@ def read_request(folder: Path) -> RunRequest:
             case=content.case,
             plan=content.plan,
             keep_raw=content.keep_raw,
-            dual=content.dual,
+            roles=content.roles,
         )
     else:
         raise BAD_REQUEST_FILE(f"{path} names neither the strategy of a case nor a calibration")

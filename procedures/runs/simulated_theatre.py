@@ -20,6 +20,7 @@ from ronna_hw.evidence.manifest import WITH_PORTS
 from ronna_hw.host.child_process import ChildNotReady, await_end, command, run_command
 from ronna_hw.host.process import describe_exit
 from ronna_hw.records import write_atomically
+from ronna_hw.roles import ASSISTANT
 from ronna_hw.theatre import SIMULATOR_NAME, TheatreProcess
 
 if TYPE_CHECKING:
@@ -53,7 +54,7 @@ class SimulatedTheatre:
         )
         if request.measures_targets:
             extra_options.append("--target-balls")
-        if request.is_dual:
+        if ASSISTANT in request.roles:
             extra_options += ["--dual", "--assistant-arm", request.choice.assistant_arm]
         if continued:
             extra_options.append("--continue")

@@ -26,11 +26,12 @@ from procedures.workcell.arm_history import (
     fold_arms,
 )
 from ronna_hw.bounded_input import read_json_bytes
-from ronna_hw.config import ASSISTANT, MASTER, read_theatre_file
+from ronna_hw.config import read_theatre_file
 from ronna_hw.endpoints import parse_endpoint
 from ronna_hw.errors import RonnaError
 from ronna_hw.evidence.journal_reading import Chain, Line, read_chain
 from ronna_hw.evidence.lost_end import find_lost_lines, read_events
+from ronna_hw.roles import ASSISTANT, MASTER
 from ronna_hw.theatre_kind import is_on_this_computer
 
 ROLES = (MASTER, ASSISTANT)

@@ -5,6 +5,7 @@ A new step is a new module and an entry here.
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from procedures.engine.order import Steps, StepSpec
@@ -35,6 +36,7 @@ from procedures.steps.clinical import (
 from procedures.steps.clinical.at_target import DONE
 from procedures.steps.clinical.two_arms import base_to_base
 from procedures.steps.clinical.work_progress import STAGES
+from ronna_hw.roles import ASSISTANT, ONE_ARM
 
 CLINICAL_STEPS: Steps = (
     ct_import.STEP,
@@ -66,18 +68,23 @@ ANSWER_WORDS: dict[Topic, tuple[str, ...]] = {
 AFTER_STOP = "the arm has not moved since it was connected or stopped"
 
 
-def clinical_steps(*, measure_targets: bool = False, dual: bool = False) -> Steps:
-    """Return the steps of a case, with those of two arms and the measurement of targets if requested."""
-    more: dict[object, StepSpec[StepResult]] = {path_check.STEP: base_to_base.STEP} if dual else {}
-    instead: dict[object, StepSpec[StepResult]] = {at_target.STEP: at_target.WITH_ASSISTANT} if dual else {}
-    before: dict[object, StepSpec[StepResult]] = (
-        {tool_change.STEP: target_measurement.STEP} if measure_targets else {}
-    )
-    steps: list[StepSpec[StepResult]] = []
-    for step in CLINICAL_STEPS:
-        course = before.get(step), instead.get(step, step), more.get(step)
-        steps += [one for one in course if one is not None]
-    return tuple(steps)
+# What each arm's work adds to a case of one arm: the steps that take the place of one.
+BY_ROLE: Mapping[str, Mapping[StepSpec[StepResult], Steps]] = {
+    ASSISTANT: {
+        path_check.STEP: (path_check.STEP, base_to_base.STEP),
+        at_target.STEP: (at_target.WITH_ASSISTANT,),
+    }
+}
+MEASURING_TARGETS: Mapping[StepSpec[StepResult], Steps] = {
+    tool_change.STEP: (target_measurement.STEP, tool_change.STEP)
+}
+
+
+def clinical_steps(*, measure_targets: bool = False, roles: Sequence[str] = ONE_ARM) -> Steps:
+    """Return the steps of a case with arms in these roles, on request with the measurement of targets."""
+    changes = [BY_ROLE.get(role, {}) for role in roles] + [MEASURING_TARGETS] * measure_targets
+    replaced = {step: steps for change in changes for step, steps in change.items()}
+    return tuple(one for step in CLINICAL_STEPS for one in replaced.get(step, (step,)))
 
 
 @dataclass(frozen=True)

@@ -24,10 +24,10 @@ from procedures.strategies.trajectory import back_along_axis
 from procedures.workcell.errors import TipOffAxis
 from procedures.workcell.tracker_move import TrackerMove
 from ronna_hw.clock import Clock
-from ronna_hw.config import ASSISTANT, MASTER
 from ronna_hw.evidence.journal_reading import Chain, JournalCorrupt
 from ronna_hw.evidence.lost_end import LOST, lost_as_plain
 from ronna_hw.frames import Transform
+from ronna_hw.roles import ASSISTANT, MASTER
 from ronna_hw.vectors import JointVector
 
 # Nominal tip frame against the axis. A settled arm is within 0.05 mm; ten times that is beyond rounding, and

@@ -27,7 +27,6 @@ from ronna_hw.arm.clearance.live_pair import LivePair
 from ronna_hw.arm.errors import ForceLimitExceeded
 from ronna_hw.arm.pose import Pose
 from ronna_hw.clock import Clock
-from ronna_hw.config import MASTER
 from ronna_hw.devices import Lifecycle, Motion, RobotArm
 from ronna_hw.devices.contact import Inserted, Insertion, InsertsInstruments
 from ronna_hw.devices.lifecycle import RUNNING, LastKnown, require_person
@@ -36,6 +35,7 @@ from ronna_hw.devices.robot import StopKind
 from ronna_hw.errors import RonnaError, summary_of
 from ronna_hw.logs import logger
 from ronna_hw.preview import plan_motion
+from ronna_hw.roles import MASTER
 from ronna_hw.vectors import JointVector
 
 OLDEST_S = 0.1  # what is known of an arm while another moves

@@ -34,13 +34,14 @@ from ronna_hw.arm.clearance.sweep import sweep
 from ronna_hw.arm.pose import Pose
 from ronna_hw.calibrated_arm.error_budget import PER_AXIS
 from ronna_hw.calibration import HolderCalibration
-from ronna_hw.config import ASSISTANT, MASTER, Calibrations
+from ronna_hw.config import Calibrations
 from ronna_hw.devices import JointMove, LineMove, Motion
 from ronna_hw.devices.contact import INSERTION_SPEED_MM_S, Inserted, Insertion, InsertsInstruments
 from ronna_hw.devices.errors import NotInTheatre
 from ronna_hw.devices.readings import ArmReading
 from ronna_hw.errors import LimitError
 from ronna_hw.frames import Frame, Transform
+from ronna_hw.roles import ASSISTANT, MASTER, TWO_ARMS
 from ronna_hw.vectors import JointVector, vector3
 
 POST_MM, CLAMP_MM, INSTRUMENT_MM = 12.0, 14.0, 2.5  # radii of the holder's bodies, as drawn
@@ -94,14 +95,14 @@ class Assistant(SupervisedArm):
 
         Raises DEV-007 without records of the arm and its holder.
         """
-        record, holder = calibrations.assistant_arm, calibrations.assistant_holder
-        if record is None or holder is None or calibrations.arm is None:
+        holder = calibrations.assistant_holder
+        if holder is None or calibrations.arms.keys() != {*TWO_ARMS}:
             raise NotInTheatre(
                 "two arms need the records of both, and of the assistant's holder",
                 expected="calibration.arm, calibration.assistant_arm, calibration.assistant_holder",
                 action="Add them to the theatre file, or omit --dual.",
             )
-        super().__init__(ASSISTANT, log, arms, record, calibrations.arm, ASSISTANT)
+        super().__init__(ASSISTANT, log, arms, calibrations.arms, ASSISTANT)
         self.holder: HolderCalibration = holder
         self._insertion_force_N = insertion_force_N
         self._around: tuple[Surroundings, JointVector | None] | None = None  # robot frame
@@ -111,6 +112,11 @@ class Assistant(SupervisedArm):
     def carries(self) -> str:
         """Name of the load, as questions name it."""
         return "the holder"
+
+    @property
+    def frame(self) -> str:
+        """Name that the tracker has for the frame on the holder."""
+        return self.holder.frame
 
     @property
     def base(self) -> Transform:
@@ -372,7 +378,12 @@ class Assistant(SupervisedArm):
         ]
         self.inserted = replace(inserted, peak_force_N=max(peaks_N, default=None))
 
-    def retreat(self, guided: GuidedStretch | None = None, doubt: str = "") -> None:
+    @property
+    def leads_instrument(self) -> bool:
+        """Whether it is on an axis, with an instrument in the guide."""
+        return self.place.is_on_axis
+
+    def lead_out(self, doubt: str = "", guided: GuidedStretch | None = None) -> None:
         """Withdraw the instrument once the operator, told of a `doubt`, has confirmed it.
 
         Raises PRO-002 and as `withdraw`.
@@ -383,6 +394,15 @@ class Assistant(SupervisedArm):
             subject += f"; {doubt}"
         self.supervised.confirm(Topic.RETREAT, subject, [motion], motion.trajectory)
         self.withdraw(guided)
+
+    def leave(self) -> None:
+        """Return home; the holder is empty by then."""
+        self.return_home()
+
+    @property
+    def way_home(self) -> tuple[str, ...]:
+        """What `leave` will do."""
+        return ("the assistant goes home",) if self.place.is_out else ()
 
     @property
     def insertion_limit_N(self) -> float | None:

@@ -20,10 +20,11 @@ from procedures.workcell.supervised_arm import SupervisedArm
 from procedures.workcell.tools import CarriedTool, Instrument, MountedTool, ToolMount
 from ronna_hw.arm.clearance.bodies import Surroundings
 from ronna_hw.arm.pose import Pose
-from ronna_hw.config import MASTER, Calibrations
+from ronna_hw.config import Calibrations
 from ronna_hw.devices import JointMove, LineMove
 from ronna_hw.devices.readings import ArmReading
 from ronna_hw.frames import Transform
+from ronna_hw.roles import MASTER
 from ronna_hw.vectors import JointVector
 
 
@@ -34,8 +35,9 @@ class Master(SupervisedArm):
         self, log: ArmLog, arms: Arms, calibrations: Calibrations, others: Iterable[SupervisedArm]
     ) -> None:
         """Supervise the master beside `others`, which may be on the axis of its guide."""
-        super().__init__(MASTER, log, arms, calibrations.arm, calibrations.assistant_arm, "arm")
+        super().__init__(MASTER, log, arms, calibrations.arms, "arm")
         self._others = others
+        self._frame = calibrations.tracker_frame.tool
         self.mount = ToolMount(self.read_tool_number, calibrations)
         self.instrument = Instrument(log)
         self.surroundings: Surroundings | None = None  # as last declared to the arm
@@ -69,6 +71,11 @@ class Master(SupervisedArm):
     def carries(self) -> str:
         """Name of the load, as questions name it."""
         return f"the {self.tool}"
+
+    @property
+    def frame(self) -> str:
+        """Name that the tracker has for the frame on the mount."""
+        return self._frame
 
     def tool_pose(self, joints_rad: JointVector | None = None, arrived: Sides = None) -> Transform:
         """Return the mounted tool's pose at joint angles, by default the measured ones; see `Sides`."""
@@ -170,6 +177,20 @@ class Master(SupervisedArm):
         instrument is in it.
         """
         return self.supervised.carry_out(self.withdraw_motion(self._axis_of(trajectory)))
+
+    def leave(self) -> None:
+        """Withdraw the guide if it is on an axis, and park. Raises PRO-002 unless each is confirmed."""
+        if (on := self.place.axis) is not None:
+            self.retreat(on.trajectory)
+        self.park()
+
+    @property
+    def way_home(self) -> tuple[str, ...]:
+        """What `leave` will do; nothing is known of a home before set-up."""
+        place = self.place
+        retreat = place.trajectory and f"the guide retreats from {place.trajectory} along its axis"
+        park = self._log.home_rad and not place.is_home and "the arm goes home the way it came"
+        return tuple(words for words in (retreat, park) if words)
 
     def retreat(self, trajectory: str) -> None:
         """Withdraw the guide once the operator has confirmed it. Raises PRO-002 and as `withdraw`."""

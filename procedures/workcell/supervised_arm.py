@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import replace
 from functools import partial
 
@@ -39,13 +39,12 @@ class SupervisedArm(ABC):
         role: str,
         log: ArmLog,
         arms: Arms,
-        record: ArmCalibration | None,
-        other: ArmCalibration | None,
+        records: Mapping[str, ArmCalibration],
         name: str,
     ) -> None:
-        """Supervise the arm of a role; `record` is its calibration, `other` that of the arm in the other."""
+        """Supervise the arm of a role; `records` are the calibrations of all arms, by role."""
         self.role, self.name, self._log, self._arms = role, name, log, arms
-        self._calibrated = partial(calibrated_arm, record=record, role=role, other=other)
+        self._calibrated = partial(calibrated_arm, records=records, role=role)
         self._computed = self._calibrated(self._arm.kinematics)
         self.supervised = SupervisedMotion(
             name,
@@ -61,6 +60,11 @@ class SupervisedArm(ABC):
     @abstractmethod
     def carries(self) -> str:
         """Name of the load, as questions name it."""
+
+    @property
+    @abstractmethod
+    def frame(self) -> str:
+        """Name that the tracker has for the frame on the arm."""
 
     @abstractmethod
     def _require_allowed(self, motion: PlannedMotion) -> None:
@@ -207,7 +211,28 @@ class SupervisedArm(ABC):
     def shift_room(self, by: Transform, on_cart: Collection[str]) -> None:
         """Follow the room as it moves against a moved cart of the master, which carries bodies by name."""
 
-    # Motion home
+    # Way home
+
+    @property
+    def leads_instrument(self) -> bool:
+        """Whether it may hold an instrument in the guide, which then only it can lead out."""
+        return False
+
+    def lead_out(self, doubt: str = "") -> None:
+        """Lead the instrument out of the guide once the operator, told of a `doubt`, has confirmed it.
+
+        Raises PRO-002, and as a motion along the axis.
+        """
+        raise NotImplementedError(f"the {self.name} leads no instrument")
+
+    @abstractmethod
+    def leave(self) -> None:
+        """Go home from wherever it is, with no instrument in the guide. Raises PRO-002."""
+
+    @property
+    @abstractmethod
+    def way_home(self) -> tuple[str, ...]:
+        """What `leave` will do, as told to the operator before it begins; nothing at home."""
 
     def joint_motion(self, what: MotionKind, *legs: JointMove) -> PlannedMotion:
         """Return a motion by joint moves, with what the arm carries."""

@@ -17,9 +17,10 @@ from ronna_hw.arm.kinematics import Kinematics
 from ronna_hw.calibrated_arm.arm import CalibratedArm
 from ronna_hw.calibrated_arm.deviations import ArmDeviations
 from ronna_hw.calibration import STEREO_HEAD_NUMBER, ArmCalibration
-from ronna_hw.config import ASSISTANT, MASTER, Calibrations
+from ronna_hw.config import Calibrations
 from ronna_hw.errors import RonnaError
 from ronna_hw.frames import Frame, Transform
+from ronna_hw.roles import ASSISTANT, MASTER
 from ronna_hw.vectors import JointVector
 
 
@@ -89,34 +90,26 @@ class ToolMount:
 
 
 def calibrated_arm(
-    kinematics: Kinematics,
-    record: ArmCalibration | None,
-    role: str = MASTER,
-    other: ArmCalibration | None = None,
+    kinematics: Kinematics, records: Mapping[str, ArmCalibration], role: str = MASTER
 ) -> CalibratedArm:
-    """Return the arm with its record's deviations applied, or the nominal arm without a record.
+    """Return the arm in a role with its record's deviations applied, or the nominal arm without a record.
 
-    Raises CAL-013 for another arm's record, ARM-009 for an arm whose name is not in the catalogue. `other` is
-    the record of the arm in the other role.
+    Raises CAL-013 for another arm's record, ARM-009 for an arm whose name is not in the catalogue.
     """
     find_kinematics(kinematics.name)
-    if record is None:
+    if (record := records.get(role)) is None:
         return CalibratedArm(kinematics)
     if record.arm != kinematics.name or len(record.sag_rad) != len(kinematics.axis_names):
-        exchanged = other is not None and other.arm == kinematics.name
+        exchanged = any(other.arm == kinematics.name for other in records.values() if other is not record)
         raise _another_arm(record, kinematics.name, record.arm, role, exchanged=exchanged, model=True)
     return CalibratedArm(kinematics, ArmDeviations.of(record))
 
 
-def require_this_arm(
-    record: ArmCalibration | None, serial: str, role: str = MASTER, other: ArmCalibration | None = None
-) -> None:
-    """Raise CAL-013 if the record belongs to another arm of this model. An empty `serial` is unreported.
-
-    `other` is the record of the arm in the other role.
-    """
+def require_this_arm(records: Mapping[str, ArmCalibration], serial: str, role: str = MASTER) -> None:
+    """Raise CAL-013 if the record for a role is of another arm of this model. '' is an unreported serial."""
+    record = records.get(role)
     if record is not None and record.serial and serial and record.serial != serial:
-        exchanged = other is not None and other.serial == serial
+        exchanged = any(other.serial == serial for other in records.values() if other is not record)
         raise _another_arm(record, serial, record.serial, role, exchanged=exchanged)
 
 

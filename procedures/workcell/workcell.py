@@ -28,13 +28,14 @@ from procedures.workcell.master import Master
 from procedures.workcell.stereo_look import Look, Sensors, look
 from procedures.workcell.supervised_arm import SupervisedArm
 from procedures.workcell.tracker_move import UNPUSHED, TrackerMove
-from ronna_hw.config import MASTER, Calibrations, DeviceConfig
+from ronna_hw.config import Calibrations, DeviceConfig
 from ronna_hw.devices import OpticalTracker, RobotArm, StereoPair
 from ronna_hw.devices.errors import WRONG_KIND
 from ronna_hw.devices.lifecycle import RUNNING, Device, Lifecycle
 from ronna_hw.devices.robot import ConfirmedStart
 from ronna_hw.errors import RonnaError
 from ronna_hw.frames import Transform
+from ronna_hw.roles import MASTER
 from ronna_hw.theatre import Theatre
 from ronna_hw.theatre_kind import require_one_kind
 
@@ -139,6 +140,15 @@ class Workcell:
         raise OtherArmUnknown("there is no assistant in this case", action="Start the run with --dual.")
 
     @property
+    def outermost_first(self) -> tuple[SupervisedArm, ...]:
+        """The arms in the order of a way out: whatever reaches into the guide leaves before the guide."""
+        return (*self.assistants, self.master)
+
+    def find_arm(self, device: str) -> SupervisedArm | None:
+        """Return the arm that is the device of this name, or None for another device."""
+        return next((arm for arm in self.arms.values() if arm.name == device), None)
+
+    @property
     def is_any_arm_out(self) -> bool:
         """Whether an arm may be away from its home."""
         return any(arm.place.is_out for arm in self.arms.values())
@@ -236,7 +246,7 @@ class Workcell:
         Starting an unverified controller moves every axis. An instrument can only be led out once all arms
         are started.
         """
-        if not any(arm.place.is_on_axis for arm in self.assistants):
+        if not any(arm.leads_instrument for arm in self.arms.values()):
             return False
         return not any(isinstance(arm, ConfirmedStart) and arm.to_confirm is not None for arm in arms)
 

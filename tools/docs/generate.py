@@ -49,6 +49,7 @@ from procedures.steps.branches import BRANCHES
 from procedures.steps.catalogue import ANSWER_WORDS, clinical_steps
 from ronna_hw.config import Role, TheatreFile
 from ronna_hw.errors import AnyCode, ErrorCode, RonnaError, coded_classes
+from ronna_hw.roles import TWO_ARMS
 from sim.named_parameters import rows
 from sim.polaris.unit.behaviour import UnitBehaviour
 from sim.universal_robots.controller_parameters import ControllerParameters
@@ -57,7 +58,7 @@ from sim.world.faults.universal_robots import UR_FAULTS
 from sim.world.scene.model import Scene
 
 PACKAGES: tuple[ModuleType, ...] = (ronna_hw, conformance, drivers, sim, procedures, studies, console)
-CASE_STEPS = clinical_steps(measure_targets=True, dual=True)
+CASE_STEPS = clinical_steps(measure_targets=True, roles=TWO_ARMS)
 MOST_PLACES = 3  # of an error, in its table: beyond that it is one of many
 _RAISED = re.compile(r"(?<!class )\b([A-Z]\w*)(?:\.from_\w+)?\(")
 MARK = "<!-- below this line: written by tools/docs/generate.py; do not edit -->\n\n"

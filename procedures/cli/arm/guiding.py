@@ -21,8 +21,8 @@ from procedures.workcell.hand_guiding import lead_by_hand
 from ronna_hw.arm.clearance.bodies import Surroundings
 from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.command_line.messages import on_terminal, say, tell
-from ronna_hw.config import ASSISTANT
 from ronna_hw.devices.contact import HandGuidance
+from ronna_hw.roles import ASSISTANT
 from ronna_hw.theatre import Theatre
 
 HELD_S = 0.7  # host time: a key that is held repeats after half a second, then thirty times a second

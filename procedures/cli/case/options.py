@@ -17,6 +17,7 @@ from procedures.runs.request import LARGEST_SEED, CaseProcedure, RunRequest, Sce
 from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.command_line.messages import tell
 from ronna_hw.command_line.viewers_address import BindOption, CertificateOption, KeyOption, viewers_address
+from ronna_hw.roles import ONE_ARM, TWO_ARMS
 
 if TYPE_CHECKING:
     from procedures.runs.answers import Answers
@@ -271,7 +272,7 @@ class CaseOptions(TheatreOptions):
             case=self.case,
             plan=self.plan,
             keep_raw=self.keep_raw,
-            dual=self.dual,
+            roles=TWO_ARMS if self.dual else ONE_ARM,
         )
         return RunRequest(
             procedure=procedure,

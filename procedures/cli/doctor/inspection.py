@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
+from itertools import combinations
 
 from procedures.cli.doctor.pictures import pair_diagnostics
 from procedures.cli.doctor.theatre_checks import TOOL, run_check
@@ -23,7 +24,7 @@ from procedures.workcell.tools import (
     require_two_arms,
 )
 from ronna_hw.calibration import StereoHeadCalibration
-from ronna_hw.config import ASSISTANT, MASTER, Calibrations, DeviceConfig, TheatreFile
+from ronna_hw.config import Calibrations, DeviceConfig, TheatreFile
 from ronna_hw.devices import OpticalTracker, RobotArm, StereoPair
 from ronna_hw.devices.capabilities import TellsReadiness
 from ronna_hw.devices.lifecycle import Device, Identity
@@ -32,12 +33,13 @@ from ronna_hw.devices.readings import Validity
 from ronna_hw.devices.robot import ConfirmedStart
 from ronna_hw.endpoints import parse_endpoint
 from ronna_hw.errors import RonnaError
+from ronna_hw.roles import ASSISTANT, MASTER, TWO_ARMS
 from ronna_hw.theatre import require_interface, required_interface
 
 SIDES = ("left", "right")
 STEREO = "stereo"  # table of the cameras
 ARM_RECORD = "calibration of the arm"
-TWO_ARMS = "arms of master and assistant"
+ARE_TWO = "arms of master and assistant"
 TURN_FRAME = "Clear the line of sight between the tracker and the head clamp; turn the frame or the tracker."
 FRAMES_LOOKED_AT = 30  # half a second of tracking
 PAIRS_LOOKED_AT = 50  # a hundred pictures
@@ -47,7 +49,7 @@ OF_ONE_OF_ITS_MODEL = (
     "of another of its model, was not checked."
 )
 OF_THIS_ARM = f"{OF_ONE_OF_ITS_MODEL.format('arm')} ronna-arm check measures whether it fits."
-OF_THE_ASSISTANT = OF_ONE_OF_ITS_MODEL.format("assistant_arm")
+WHOSE_RECORD = {MASTER: OF_THIS_ARM, ASSISTANT: OF_ONE_OF_ITS_MODEL.format("assistant_arm")}
 
 
 def camera_endpoint(device: DeviceConfig, side: str) -> str:
@@ -246,16 +248,13 @@ def _check_records(
             camera_subject = f"{subject}calibration of the {side} camera"
             found = run_check(camera_subject, serial, partial(check_serial, record, serial))
             yield replace(found, serials={camera_endpoint(theatre.devices[name], side): serial})
-    if isinstance(device, RobotArm) and name in (f"robot.{MASTER}", f"robot.{ASSISTANT}"):
-        is_master = name == f"robot.{MASTER}"
-        kinematics, role = device.kinematics, MASTER if is_master else ASSISTANT
-        arm, other = calibrations.arm, calibrations.assistant_arm
-        if not is_master:
-            arm, other = other, arm
+    role = name.removeprefix("robot.")
+    if isinstance(device, RobotArm) and role in TWO_ARMS:
+        kinematics, arm = device.kinematics, calibrations.arms.get(role)
 
         def check_arm() -> None:
-            calibrated_arm(kinematics, arm, role, other)
-            require_this_arm(arm, serial, role, other)
+            calibrated_arm(kinematics, calibrations.arms, role)
+            require_this_arm(calibrations.arms, serial, role)
 
         seen = f"{kinematics.name} {serial}".rstrip()
         if arm is None:
@@ -264,9 +263,8 @@ def _check_records(
             run_check(f"{subject}{ARM_RECORD}", seen, check_arm), serials={kinematics.name: serial}
         )
         is_unverified = arm is not None and not (arm.serial and serial)
-        advice = OF_THIS_ARM if is_master else OF_THE_ASSISTANT
-        yield replace(arm_check, advice=advice) if is_unverified and arm_check.well else arm_check
-        if not is_master:
+        yield replace(arm_check, advice=WHOSE_RECORD[role]) if is_unverified and arm_check.well else arm_check
+        if role != MASTER:
             return
         mount = ToolMount(lambda: device.read_tool_identity().number, calibrations)
         mounted = MountedTool.STEREO_HEAD
@@ -277,14 +275,13 @@ def two_arm_diagnostics(found: Mapping[str, Sequence[Diagnostic]]) -> Iterator[D
     """Check that master and assistant are two arms, by the `found` diagnostics of each table."""
     arms = [
         identity
-        for name in (f"robot.{MASTER}", f"robot.{ASSISTANT}")
-        for one in found.get(name, ())
-        if one.subject == f"{name}: {ARM_RECORD}"
+        for role in TWO_ARMS
+        for one in found.get(f"robot.{role}", ())
+        if one.subject == f"robot.{role}: {ARM_RECORD}"
         for identity in one.serials.items()
     ]
-    if len(arms) == len((MASTER, ASSISTANT)):
-        master, assistant = ((model, serial or "") for model, serial in arms)
-        yield run_check(TWO_ARMS, "two", partial(require_two_arms, master, assistant))
+    for one, other in combinations([(model, serial or "") for model, serial in arms], 2):
+        yield run_check(ARE_TWO, "two", partial(require_two_arms, one, other))
 
 
 def frame_diagnostics(

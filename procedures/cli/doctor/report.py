@@ -43,12 +43,13 @@ from ronna_hw.clock import HostClock
 from ronna_hw.command_line.errors import as_ronna_error
 from ronna_hw.command_line.options import log_failure
 from ronna_hw.command_line.terminal import Progress, print_json, print_table, say
-from ronna_hw.config import ASSISTANT, Calibrations, DeviceConfig, TheatreFile, read_theatre_file
+from ronna_hw.config import Calibrations, DeviceConfig, TheatreFile, read_theatre_file
 from ronna_hw.devices import OpticalTracker
 from ronna_hw.devices.probing import Diagnostic, EndpointProbe, PortProbe, endpoints_of, refusal
 from ronna_hw.endpoints import BadEndpoint, Endpoint, parse_endpoint
 from ronna_hw.errors import EXIT_NOT_FOUND, EXIT_REFUSED, RonnaError
 from ronna_hw.registry import endpoint_probes, load_probe, make_device
+from ronna_hw.roles import ASSISTANT
 from ronna_hw.text import format_count
 
 ASSISTANT_RECORDS = ("calibration assistant_arm", "calibration assistant_holder")

@@ -17,12 +17,13 @@ from procedures.runs.theatre_lock import find_theatre_user, find_unwritable_note
 from procedures.runs.theatre_note import find_former_run
 from ronna_hw.bounded_input import LARGEST_TOML_BYTES, read_bounded
 from ronna_hw.clock import SharedClock, open_clock
-from ronna_hw.config import ASSISTANT, MASTER, TheatreFile
+from ronna_hw.config import TheatreFile
 from ronna_hw.devices.capabilities import MESSAGES
 from ronna_hw.devices.probing import Diagnostic, refusal
 from ronna_hw.errors import RonnaError
 from ronna_hw.host.files import require_open_files
 from ronna_hw.mistakes import suggest_keys
+from ronna_hw.roles import ASSISTANT, MASTER
 from ronna_hw.theatre_kind import is_simulated, require_one_kind
 
 CASE_OPEN_FILES = 96  # as a case requires

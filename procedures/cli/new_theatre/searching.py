@@ -10,10 +10,10 @@ from typing import TypeVar
 from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.command_line.messages import tell
 from ronna_hw.command_line.terminal import Progress
-from ronna_hw.config import ASSISTANT
 from ronna_hw.devices.probing import Finder, Proposal, Search
 from ronna_hw.endpoints import BadEndpoint, Endpoint, parse_endpoint
 from ronna_hw.host.network import Interface, interfaces
+from ronna_hw.roles import ASSISTANT
 from ronna_hw.wire.kuka_eki import PROJECT_PORT
 
 A = TypeVar("A")

@@ -137,7 +137,7 @@ def _replay_input(run_folder: Path, answers: RecordedAnswers) -> ReplayInput:
     plan = resolve_path(opening.plan)
     strategy = find_strategy(opening.strategy or "")
     order = order_of(
-        clinical_steps(measure_targets=opening.measure_targets, dual=opening.dual),
+        clinical_steps(measure_targets=opening.measure_targets, roles=opening.roles),
         [trajectory.id for trajectory in read_plan(plan).trajectories],
         localizes_per_trajectory=strategy.localizes_per_trajectory,
     )
@@ -147,7 +147,7 @@ def _replay_input(run_folder: Path, answers: RecordedAnswers) -> ReplayInput:
         strategy,
         opening.measure_targets,
         methods=opening.methods,
-        dual=opening.dual,
+        roles=opening.roles,
     )
     return ReplayInput(order, clinical, read_theatre_file(resolve_path(opening.theatre_file)))
 

@@ -17,7 +17,6 @@ from ronna_hw.bounded_input import read_bounded, read_toml
 from ronna_hw.clock import HostClock
 from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.config import (
-    MASTER,
     BadTheatreFile,
     Calibrations,
     TheatreFile,
@@ -26,6 +25,7 @@ from ronna_hw.config import (
 )
 from ronna_hw.devices.robot import RobotArm
 from ronna_hw.registry import make_device
+from ronna_hw.roles import MASTER
 from ronna_hw.tool_record import GAUGE_APPROACHES, GAUGE_MOUNTINGS, WITH_TIP, Gauge, ToolRecord
 
 DIALS = ("X", "Y", "Z", "UPPER_X", "UPPER_Y")

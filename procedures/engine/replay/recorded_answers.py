@@ -20,6 +20,7 @@ from procedures.engine.errors import NotRecorded
 from procedures.engine.methods import CaseMethods
 from procedures.engine.setting import ClinicalInput
 from procedures.journal.journal import ENDS_OF_A_STEP, Entry
+from procedures.journal.results import RecordedRoles
 from ronna_hw.bounded_input import InputRefused, parse_json, read_json_lines
 from ronna_hw.clock import Clock
 from ronna_hw.devices.lifecycle import Lifecycle
@@ -36,6 +37,7 @@ from ronna_hw.recording.reading_coding import (
     unpack_pixels,
 )
 from ronna_hw.recording.reading_tape import PIXELS_FILE, READINGS_FILE, READINGS_FOLDER, ReadingTape
+from ronna_hw.roles import ONE_ARM
 
 Count = Annotated[int, Field(gt=0, le=LARGEST_BYTES)]
 BEGINS = (Entry.INTENT, Entry.HOME)
@@ -62,7 +64,7 @@ class Opening(_Strict):
     strategy: str | None = None
     methods: CaseMethods = CaseMethods()
     measure_targets: bool = False
-    dual: bool = False
+    roles: RecordedRoles = ONE_ARM
     began: Annotated[AwareDatetime | None, Field(strict=False)] = None
     calibration: CalibrationOpening | None = None
 
@@ -335,7 +337,7 @@ def opening_line(
         "strategy": None if clinical is None else clinical.strategy.name,
         "methods": asdict(CaseMethods() if clinical is None else clinical.methods),
         "measure_targets": clinical is not None and clinical.measure_targets,
-        "dual": clinical is not None and clinical.dual,
+        "roles": list(ONE_ARM if clinical is None else clinical.roles),
         "began": began.isoformat(),
         "calibration": calibration,
     }

@@ -11,12 +11,12 @@ from procedures.engine.replay.recorded_answers import RecordedAnswers
 from procedures.journal.journal import Entry, Line
 from procedures.operator.checkpoint import CONTINUE
 from procedures.operator.question import Answer, Question, Task, Topic
-from ronna_hw.config import MASTER
 from ronna_hw.devices.capabilities import ByteSink
 from ronna_hw.devices.lifecycle import Device, LastKnown, Lifecycle, hold_active
 from ronna_hw.devices.robot import OperatingMode
 from ronna_hw.errors import RonnaError
 from ronna_hw.recording.reading_coding import ANSWERS, PROPERTIES, RECORDED_PROPERTIES, list_recorded_calls
+from ronna_hw.roles import MASTER
 
 AT_CHECKPOINTS = (Topic.PAUSE, Topic.GUARD, Topic.HEAD_UNSEEN)  # nobody pauses a replay, and it has no guards
 KNOWN_UNOPENED = (

@@ -31,11 +31,12 @@ from procedures.workcell import Workcell
 from procedures.workcell.arm_history import ArmHistory, arm_history
 from procedures.workcell.arms import ReplayedArms
 from ronna_hw.clock import Clock
-from ronna_hw.config import MASTER, Calibrations, DeviceConfig, TheatreFile
+from ronna_hw.config import Calibrations, DeviceConfig, TheatreFile
 from ronna_hw.devices.lifecycle import Device, Lifecycle
 from ronna_hw.errors import RonnaError
 from ronna_hw.records import Record
 from ronna_hw.registry import make_device
+from ronna_hw.roles import MASTER
 from ronna_hw.theatre import Theatre
 
 MOST_DIFFERENCES = 5  # that are named

@@ -168,10 +168,9 @@ def _do_stage(context: StepContext, stage: WorkStage, work_so_far: WorkProgress)
     if stage is STAGES[-1]:
         work_so_far.rely_on_stop(context)
     stages.record_begin(trajectory, stage.task)
-    assistants = context.workcell.assistants
-    by_hand = stage is not STAGES[-1] or not assistants
-    is_on_axis = any(arm.place.is_on_axis for arm in assistants)
-    led_in = is_on_axis and work_so_far.assisted and context.doubt(KnownBases) is None
+    by_hand = stage is not STAGES[-1] or not context.workcell.assistants
+    is_led = any(arm.leads_instrument for arm in context.workcell.arms.values())
+    led_in = is_led and work_so_far.assisted and context.doubt(KnownBases) is None
     if not by_hand and not led_in:
         work_so_far.assisted = None
         work_so_far.assisted = insert_with_assistant(context, stop)

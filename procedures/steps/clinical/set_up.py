@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from itertools import combinations
 
 from pydantic import Field
 
@@ -16,7 +17,7 @@ from procedures.relocalization.triangulation import check_serial
 from procedures.workcell import MountedTool
 from procedures.workcell.tools import require_this_arm, require_two_arms
 from ronna_hw.collision_config import CollisionConfig
-from ronna_hw.config import MASTER, Calibrations, DeviceConfig, ProcedureSettings
+from ronna_hw.config import Calibrations, DeviceConfig, ProcedureSettings
 from ronna_hw.devices.lifecycle import Identity, Lifecycle
 from ronna_hw.tool_record import ToolRecord
 
@@ -85,9 +86,8 @@ def run(context: StepContext) -> Outcome[CheckedSetUp]:
     Raises CAL-020 and CAL-021 for an arm calibrated with another stereo head or tip. Raises PRO-002 unless
     the position of an arm left by an earlier run is confirmed.
     """
-    workcell, calibrations = context.workcell, context.workcell.calibrations
-    if not workcell.assistants:
-        calibrations = calibrations.of_master
+    workcell = context.workcell
+    calibrations = workcell.calibrations.of_arms(workcell.arms)
     require_valid(calibrations, context.setting.today(), starts=context.setting.starts)
     workcell.tools.check(calibrations, context.setting.today())
     workcell.tools.check_frames(calibrations, workcell.tracker.tools)
@@ -100,12 +100,10 @@ def run(context: StepContext) -> Outcome[CheckedSetUp]:
         identities[role] = DeviceIdentity.from_identity(device.connect())
         device.configure()
     notices = tuple(f"{role}: {notice}" for role, device in devices.items() for notice in device.notices)
-    of_master, of_assistant = calibrations.arm, calibrations.assistant_arm
-    require_this_arm(of_master, identities["arm"].serial, MASTER, of_assistant)
-    for arm in workcell.assistants:
-        master, assistant = identities["arm"], identities[arm.name]
-        require_two_arms((master.model, master.serial), (assistant.model, assistant.serial))
-        require_this_arm(of_assistant, assistant.serial, arm.role, of_master)
+    for one, other in combinations((identities[arm.name] for arm in workcell.arms.values()), 2):
+        require_two_arms((one.model, one.serial), (other.model, other.serial))
+    for role, arm in workcell.arms.items():
+        require_this_arm(calibrations.arms, identities[arm.name].serial, role)
     left, right = workcell.stereo.serials
     check_serial(calibrations.stereo_head.left, left)
     check_serial(calibrations.stereo_head.right, right)

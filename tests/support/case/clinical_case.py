@@ -26,10 +26,11 @@ from procedures.workcell.arm_history import ArmHistory
 from procedures.workcell.stereo_look import Look
 from ronna_hw.arm.kinematics import Kinematics
 from ronna_hw.calibration import Numbers3, Numbers4, PoseRecord
-from ronna_hw.config import MASTER, Calibrations, TheatreFile
+from ronna_hw.config import Calibrations, TheatreFile
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import StereoReading, StrayReading, ToolReading, TrackerFrame, Validity
 from ronna_hw.frames import Frame, Transform
+from ronna_hw.roles import MASTER
 from ronna_hw.vectors import JointVector
 from sim.world.scene.named_scenes import draw_scene
 from sim.world.scene.parts import GUIDE_FRAME_NAME as GUIDE_FRAME

@@ -29,7 +29,7 @@ from ronna_hw.arm.motion.limits import MotionLimits, working_limits
 from ronna_hw.arm.path_preview import PathPreview
 from ronna_hw.arm.pose import Pose
 from ronna_hw.clock import HostClock
-from ronna_hw.config import ASSISTANT, MASTER, Calibrations, ProcedureSettings, TheatreFile, parse_theatre
+from ronna_hw.config import Calibrations, ProcedureSettings, TheatreFile, parse_theatre
 from ronna_hw.devices import Motion
 from ronna_hw.devices.errors import MotionInterrupted, WrongState
 from ronna_hw.devices.lifecycle import Identity, LastKnown, Lifecycle
@@ -45,6 +45,7 @@ from ronna_hw.devices.robot import OperatingMode
 from ronna_hw.errors import RonnaError
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.registry import make_device
+from ronna_hw.roles import ASSISTANT, MASTER
 from ronna_hw.theatre import DriverOfTable, Theatre
 from ronna_hw.vectors import JointVector
 from ronna_hw.wire.room_tasks import DEPTH_STOP, DIALS, GAUGE, TOUCH

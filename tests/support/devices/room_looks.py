@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from procedures.guards.room_reading import RoomReading
-from procedures.room.sighting import MARKER_NOISE_MM, SeenFrame, Tracked, expect_frame
+from procedures.room.sighting import MARKER_NOISE_MM, Rest, SeenFrame, Tracked, expect_frame
 from ronna_hw.devices.strays import StrayGroup
 from ronna_hw.frames import Transform
 from ronna_hw.vectors import JointVector
@@ -38,8 +38,7 @@ def room_reading_of(
     on_arm = np.empty((0, 3)) if arm is None else arm.markers_mm
     return RoomReading(
         robot_from_flange=flange,
-        joints_rad=joints_rad,
-        sides=None if sides is None else tuple(sides),
+        rests={Tracked.ARM: Rest(joints_rad, None if sides is None else tuple(sides))},
         frame_mm=frame_mm,
         groups=groups,
         markers_mm=on_arm if markers_mm is None else np.asarray(markers_mm, dtype=float),

@@ -18,10 +18,10 @@ from waiting import eventually
 
 from procedures.journal.journal import JOURNAL_FILE, Entry, Line, read_journal
 from ronna_hw.clock import open_clock
-from ronna_hw.config import ASSISTANT, MASTER
 from ronna_hw.control_port import ask_control_port
 from ronna_hw.errors import EXIT_RECOVERY_NEEDED, EXIT_REFUSED, EXIT_SAFETY_STOP
 from ronna_hw.host.child_process import command
+from ronna_hw.roles import ASSISTANT, MASTER
 from ronna_hw.wire.room_tasks import EMPTY
 from sim.world.running import find_running
 

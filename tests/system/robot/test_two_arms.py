@@ -11,10 +11,10 @@ import pytest
 from procedures.workcell.arms import Arms
 from procedures.workcell.errors import BothArmsHalted
 from ronna_hw.arm.pose import Pose
-from ronna_hw.config import ASSISTANT, MASTER
 from ronna_hw.control_port import ask_control_port
 from ronna_hw.devices import Lifecycle
 from ronna_hw.devices.robot import JointMove, RobotArm
+from ronna_hw.roles import ASSISTANT, MASTER
 from ronna_hw.theatre import SimulatedTheatre, TheatreProcess
 from sim.world.scene.model import read_scene
 from sim.world.truth import SCENE_FILE

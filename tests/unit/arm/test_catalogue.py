@@ -42,7 +42,7 @@ def test_a_package_brings_an_arm_of_its_own_and_a_theatre_file_may_calibrate_it(
     assert isinstance(find_kinematics(FOREIGN), PackagedArm)
     calibrations = parse_theatre(with_record_of(FOREIGN)).calibration
     assert calibrations is not None
-    assert calibrated_arm(PackagedArm(), calibrations.arm).nominal.name == FOREIGN
+    assert calibrated_arm(PackagedArm(), calibrations.arms).nominal.name == FOREIGN
 
 
 def with_record_of(arm: str) -> dict[str, Any]:

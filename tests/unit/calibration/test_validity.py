@@ -11,6 +11,7 @@ import pytest
 from procedures.calibration.validity import MADE_BY_COMMAND, MADE_BY_HAND, require_valid
 from ronna_hw.calibration import CalibrationExpired, DatedRecord
 from ronna_hw.config import Calibrations
+from ronna_hw.roles import ONE_ARM
 
 NOW = datetime(2026, 11, 27, tzinfo=UTC)
 EXPIRED = DatedRecord(
@@ -42,7 +43,7 @@ def test_an_expired_record_is_renewed_by_its_command_or_by_hand(
 
 def test_a_case_of_the_master_alone_needs_no_record_of_the_assistant() -> None:
     fields = dict.fromkeys(Calibrations.model_fields, EXPIRED)
-    assert {*Calibrations.model_construct(**fields).of_master.records} == {
+    assert {*Calibrations.model_construct(**fields).of_arms(ONE_ARM).records} == {
         name for name in fields if "assistant" not in name
     }
 

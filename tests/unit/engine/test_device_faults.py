@@ -7,11 +7,11 @@ from typing import Any, cast
 
 import pytest
 
-from procedures.engine.device_faults import ARM, DeviceFaults
+from procedures.engine.device_faults import DeviceFaults
 from procedures.workcell.arms import Halt
-from ronna_hw.config import ASSISTANT, MASTER
 from ronna_hw.devices.lifecycle import LastKnown, Lifecycle
 from ronna_hw.errors import LimitError
+from ronna_hw.roles import ASSISTANT, MASTER
 
 FROZEN = "the assistant has gone to fault: its telegrams stopped"
 
@@ -28,10 +28,12 @@ def doubts_after(halt: Halt | None) -> list[str]:
     order = SimpleNamespace(localizations=(), checks_of_tool=(), relations_of_arms=("base_to_base",))
     case = SimpleNamespace(trusts=lambda _key: True, doubt=lambda _key, _fault: None)
     known = LastKnown[object](Lifecycle.FAULT, Stopped("a stop was requested"), None)
-    devices = {ARM: SimpleNamespace(observe=lambda: known)}
+    master = SimpleNamespace(role=MASTER)
+    devices = {"arm": SimpleNamespace(observe=lambda: known)}
+    cell = SimpleNamespace(devices=devices, halt=halt, master=master, find_arm=lambda _name: master)
     faults = DeviceFaults(
         cast("Any", SimpleNamespace(order=order, case=case)),
-        cast("Any", SimpleNamespace(devices=devices, halt=halt)),
+        cast("Any", cell),
         cast("Any", SimpleNamespace(write=lambda _entry, _at_s, **more: lines.append(more["fault"]))),
         cast("Any", SimpleNamespace(now_s=lambda: 12.0)),
     )

@@ -28,12 +28,12 @@ from procedures.journal.journal import Entry, Journal, read_journal
 from procedures.operator.question import Question, Topic
 from procedures.workcell import InsertionAxis, MountedTool
 from procedures.workcell.arm_history import arm_history
-from ronna_hw.config import ASSISTANT, MASTER
 from ronna_hw.devices import ConfirmedStart, OpticalTracker, RobotArm, StereoPair
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.evidence.inspection import inspect_run
 from ronna_hw.recording.reading_coding import PIXELS
 from ronna_hw.recording.reading_tape import READINGS_FILE, READINGS_FOLDER, ReadingTape, tape_device
+from ronna_hw.roles import ASSISTANT, MASTER
 
 EQUAL, DIFFERENT, NOT_RECORDED = Verdict.EQUAL, Verdict.DIFFERENT, Verdict.NOT_RECORDED
 

@@ -31,10 +31,10 @@ from procedures.runs.theatre_note import (
 from procedures.steps.clinical import set_up
 from procedures.workcell import InsertionAxis, MountedTool
 from procedures.workcell.arm_history import ArmPlace, PlaceKind
-from ronna_hw.config import ASSISTANT, MASTER
 from ronna_hw.errors import EXIT_DONE, EXIT_RECOVERY_NEEDED
 from ronna_hw.evidence.journal_reading import read_chain
 from ronna_hw.evidence.lost_end import EVENTS_FILE
+from ronna_hw.roles import ASSISTANT, MASTER
 
 UNREADABLE = "run {} moved the arm last, and its journal cannot be read: an instrument may still be inside"
 

@@ -14,7 +14,7 @@ from procedures.engine.errors import TheatreInUse, TheatreNotNoted
 from procedures.runs import theatre_note
 from procedures.runs.theatre_lock import find_theatre_user, hold_theatre, read_last_note, require_free_theatre
 from procedures.runs.theatre_note import TheatreNote, read_note
-from ronna_hw.config import MASTER
+from ronna_hw.roles import MASTER
 
 NOBODY = 65534  # an account without rights
 

@@ -55,10 +55,11 @@ from procedures.steps.clinical.work_progress import DepthStop
 from procedures.workcell import MountedTool
 from ronna_hw.calibration import PoseRecord
 from ronna_hw.records import read_record
+from ronna_hw.roles import ONE_ARM, TWO_ARMS
 
 BASELINE = Baseline.model_construct(looks=())
 PROCEDURES: dict[str, Steps] = {
-    "case": clinical_steps(measure_targets=True, dual=True),
+    "case": clinical_steps(measure_targets=True, roles=TWO_ARMS),
     "calibration": head_calibration(60, 3, None),
     "calibration at a stated place": head_calibration(60, 3, (700.0, 0.0, 300.0)),
     "check": head_check(BASELINE, 3),
@@ -90,7 +91,8 @@ def test_no_two_steps_produce_the_same_kind_of_result() -> None:
 @pytest.mark.hazard(37)
 def test_with_an_assistant_the_work_at_a_target_is_declared_to_move_an_arm_but_not_the_master() -> None:
     alone, assisted = (
-        next(step for step in clinical_steps(dual=dual) if step.name == "at_target") for dual in (False, True)
+        next(step for step in clinical_steps(roles=roles) if step.name == "at_target")
+        for roles in (ONE_ARM, TWO_ARMS)
     )
     assert not alone.moves_an_arm
     assert assisted.moves_an_arm

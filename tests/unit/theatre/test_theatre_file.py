@@ -22,6 +22,7 @@ from ronna_hw.config import (
     read_theatre_file,
 )
 from ronna_hw.errors import ConfigurationError
+from ronna_hw.roles import ASSISTANT
 from sim.errors import BAD_CALIBRATION_FILE
 from sim.kuka.controller_parameters import parse_parameters
 from sim.theatre.launch import CALIBRATION_FILE, read_calibrations
@@ -213,4 +214,4 @@ def test_the_records_of_two_arms_name_the_serial_numbers_that_their_controllers_
     serials = [str(parse_parameters(()).of_arm(role.number).serial_number) for role in ArmRole]
     assert [one and one.serial for one in (records.arm, records.assistant_arm)] == serials
     with pytest.raises(AnotherArm, match="CAL-013"):  # as if they were exchanged
-        require_this_arm(records.assistant_arm, serials[0])
+        require_this_arm(records.arms, serials[0], ASSISTANT)

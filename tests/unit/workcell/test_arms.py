@@ -18,7 +18,7 @@ from ronna_hw.arm.clearance.bodies import Capsule, Part, Surroundings
 from ronna_hw.arm.errors import ARMS_TOO_CLOSE, ForceLimitExceeded, NotClear
 from ronna_hw.arm.pose import Pose
 from ronna_hw.clock import Clock, HostClock
-from ronna_hw.config import ASSISTANT, MASTER, DeviceConfig
+from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.contact import Inserted, Insertion
 from ronna_hw.devices.errors import PersonNotNamed
 from ronna_hw.devices.lifecycle import LastKnown, Lifecycle
@@ -26,6 +26,7 @@ from ronna_hw.devices.readings import ArmReading, Validity
 from ronna_hw.devices.robot import JointMove, RobotArm, StopKind
 from ronna_hw.errors import RonnaError
 from ronna_hw.frames import Frame, Transform
+from ronna_hw.roles import ASSISTANT, MASTER
 from ronna_hw.vectors import JointVector, Vector3, joint_vector, vector3
 
 HOST = DeviceConfig(driver="ideal", endpoint="host:")

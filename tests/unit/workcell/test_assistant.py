@@ -26,9 +26,10 @@ from ronna_hw.arm.clearance.bodies import Surroundings
 from ronna_hw.calibrated_arm.arm import CalibratedArm
 from ronna_hw.calibration import PoseRecord
 from ronna_hw.clock import HostClock
-from ronna_hw.config import ASSISTANT, MASTER, Calibrations, DeviceConfig
+from ronna_hw.config import Calibrations, DeviceConfig
 from ronna_hw.devices import LineMove
 from ronna_hw.frames import FRAME_MISMATCH, Frame, Transform
+from ronna_hw.roles import ASSISTANT, MASTER
 from sim.world.scene.assistant import KR6_HOME_DEG
 
 CLOCK = HostClock()

@@ -11,8 +11,8 @@ from procedures.workcell.assistant import ONE_LOOK_MM, TURNED_CART, TURNED_SHARE
 from procedures.workcell.master import Master
 from ronna_hw.arm.clearance.bodies import Capsule, Obstacle, Surroundings
 from ronna_hw.arm.pose import Pose
-from ronna_hw.config import ASSISTANT
 from ronna_hw.frames import Frame, Transform
+from ronna_hw.roles import ASSISTANT
 
 HEAD = Obstacle("head", Capsule((500.0, 0.0, 0.0), (500.0, 0.0, 0.0), 90.0), True)
 ON_CART = Obstacle("cabinet", Capsule((0.0, 0.0, -300.0), (0.0, 0.0, -400.0), 200.0))

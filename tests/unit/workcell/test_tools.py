@@ -19,8 +19,9 @@ from procedures.workcell.tools import CarriedTool, calibrated_arm, require_this_
 from ronna_hw.arm.clearance.bodies import Capsule, Obstacle, Surroundings
 from ronna_hw.arm.kr6_r900 import ArmVariant, kr6_r900
 from ronna_hw.calibration import ArmCalibration
-from ronna_hw.config import ASSISTANT, parse_theatre
+from ronna_hw.config import parse_theatre
 from ronna_hw.frames import Frame
+from ronna_hw.roles import ASSISTANT, MASTER
 from sim.theatre.theatre_file import theatre_content
 from sim.world.process import load_scene
 
@@ -34,7 +35,7 @@ def _records():  # of a calibrated theatre
 
 def test_the_record_of_another_arm_is_refused() -> None:
     with pytest.raises(AnotherArm, match="CAL-013"):
-        calibrated_arm(kr6_r900(ArmVariant.R900_2), _records().arm)
+        calibrated_arm(kr6_r900(ArmVariant.R900_2), _records().arms)
 
 
 @pytest.mark.parametrize(
@@ -47,7 +48,7 @@ def test_the_record_of_another_arm_of_the_model_is_refused_where_both_have_a_ser
     record = _records().arm.model_copy(update={"serial": recorded})
     expected = pytest.raises(AnotherArm, match="expected 2, got 1") if refused else nullcontext()
     with expected:
-        require_this_arm(record, reported)
+        require_this_arm({MASTER: record}, reported)
 
 
 @pytest.mark.parametrize(
@@ -64,7 +65,7 @@ def test_the_advice_on_a_record_of_the_assistant_leaves_that_of_the_master_alone
         cast("ArmCalibration", SimpleNamespace(identifier="one", serial=serial)) for serial in ("1", other)
     )
     with pytest.raises(AnotherArm) as refused:
-        require_this_arm(of_assistant, "2", ASSISTANT, of_master)
+        require_this_arm({MASTER: of_master, ASSISTANT: of_assistant}, "2", ASSISTANT)
     assert advice in refused.value.advice
     assert ("swapped" in refused.value.what) is (other == "2")
 
@@ -80,7 +81,7 @@ def test_one_arm_does_not_play_both_roles() -> None:
 def test_the_pose_sent_to_the_controller_is_corrected_by_the_calibration_of_the_arm() -> None:
     kinematics, records = kr6_r900(ArmVariant.SIXX), _records()
     flange_from_tool = records.stereo_head.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
-    carried = CarriedTool(calibrated_arm(kinematics, records.arm), flange_from_tool)
+    carried = CarriedTool(calibrated_arm(kinematics, records.arms), flange_from_tool)
     wanted = carried.pose(kinematics.home_rad)
     joints = carried.joints_at(wanted, kinematics.home_rad)
     commanded = carried.commanded(wanted, lambda: kinematics.home_rad)
@@ -93,7 +94,7 @@ def test_the_pose_sent_to_the_controller_is_corrected_by_the_calibration_of_the_
 def test_without_a_calibration_record_the_wanted_pose_itself_is_sent_to_the_controller() -> None:
     kinematics, records = kr6_r900(ArmVariant.SIXX), _records()
     flange_from_tool = records.stereo_head.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
-    carried = CarriedTool(calibrated_arm(kinematics, None), flange_from_tool)
+    carried = CarriedTool(calibrated_arm(kinematics, {}), flange_from_tool)
     wanted = carried.pose(kinematics.home_rad)
     assert carried.commanded(wanted, lambda: kinematics.home_rad) is wanted
 
@@ -101,7 +102,7 @@ def test_without_a_calibration_record_the_wanted_pose_itself_is_sent_to_the_cont
 def test_the_surroundings_are_exact_where_a_calibrated_arm_works(tmp_path: Path) -> None:
     """Between home and head the deviations of this arm differ by 0.4 mm, of others by 1.5 mm."""
     cell = RecordingCell(tmp_path, theatre=theatre_of(load_scene("mini", seed=3, calibrated=True)))
-    arm, there = calibrated_arm(cell.arm.kinematics, cell.calibrations.arm), (0.1, -0.8, 1.8, -0.3, 0.5, 3.4)
+    arm, there = calibrated_arm(cell.arm.kinematics, cell.calibrations.arms), (0.1, -0.8, 1.8, -0.3, 0.5, 3.4)
     touched_mm = arm.forward(there).position_mm
     room = Surroundings(obstacles=(Obstacle("ball", Capsule(touched_mm, touched_mm, 5.0)),))
     seen_mm = []

@@ -62,7 +62,7 @@ def insert_with_assistant(context: StepContext, stop: DepthStop) -> AssistedInse
     workcell, assistant, trajectory = context.workcell, context.workcell.assistant, context.trajectory
     if assistant.place.is_on_axis:  # halted on its way earlier
         workcell.start()
-        assistant.retreat(doubt=_look_before_retreat(context))
+        assistant.lead_out(_look_before_retreat(context))
         context.find(f"at {trajectory} the instrument, halted on its way in, was led out first")
     context.request_instrument_removal()
     known = _require_bases(context)
@@ -192,9 +192,9 @@ def withdraw_assistant(context: StepContext, stop: DepthStop) -> None:
     Raises PRO-054 if a cart was displaced while the instrument was at its target.
     """
     for assistant in context.workcell.assistants:
-        if assistant.place.is_on_axis:
+        if assistant.leads_instrument:
             context.workcell.start()
-            assistant.retreat(_guided_stretch(context, stop), _look_before_retreat(context))
+            assistant.lead_out(_look_before_retreat(context), _guided_stretch(context, stop))
 
 
 def send_assistant_home(context: StepContext) -> None:

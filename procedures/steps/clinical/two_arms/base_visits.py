@@ -33,11 +33,11 @@ from procedures.workcell.assistant import Assistant
 from ronna_hw.arm.clearance.bodies import Surroundings
 from ronna_hw.arm.errors import NotClear
 from ronna_hw.calibrated_arm.error_budget import ErrorSizes
-from ronna_hw.config import ASSISTANT, MASTER
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import TrackerFrame
 from ronna_hw.errors import LimitError
 from ronna_hw.frames import Frame, Transform
+from ronna_hw.roles import ASSISTANT, MASTER
 from ronna_hw.vectors import JointVector
 
 Array = NDArray[np.float64]

@@ -111,10 +111,10 @@ def test_a_repeated_step_leads_no_instrument_out_beside_the_bore(monkeypatch: py
 
     led_out: list[str] = []
 
-    def retreat(*, doubt: str) -> None:
+    def lead_out(doubt: str) -> None:
         led_out.append(doubt)
 
-    assistant = SimpleNamespace(place=SimpleNamespace(is_on_axis=True), retreat=retreat)
+    assistant = SimpleNamespace(place=SimpleNamespace(is_on_axis=True), lead_out=lead_out)
     workcell = SimpleNamespace(assistant=assistant, assistants=(assistant,), start=lambda: None)
     fields = {
         "workcell": workcell,

@@ -11,7 +11,7 @@ import pytest
 from procedures.steps.clinical.two_arms import base_to_base
 from procedures.steps.clinical.two_arms.base_to_base import bring_arms_home
 from procedures.steps.clinical.two_arms.base_visits import ArmVisits
-from ronna_hw.config import ASSISTANT, MASTER
+from ronna_hw.roles import ASSISTANT, MASTER
 
 
 @pytest.fixture
