@@ -260,9 +260,9 @@ class Engine:
         """
         workcell = self.setting.workcell
         self.faults.require_arm_moves()
-        _ = workcell.master.home_rad  # PRO-001 before set-up
         self._write(Entry.HOME, instrument_in=self.instrument_in)
         try:
+            _ = workcell.master.home_rad  # PRO-001 before set-up
             for arm in workcell.outermost_first:
                 arm.compare_place()
                 if arm.leads_instrument:

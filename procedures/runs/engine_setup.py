@@ -45,7 +45,7 @@ from ronna_hw.host.processor import name_processor
 from ronna_hw.recording.flight_recorder import BYTES_FOLDER, FlightRecorder
 from ronna_hw.recording.reading_tape import READINGS_FOLDER, ReadingTape, tape_device
 from ronna_hw.registry import make_device
-from ronna_hw.roles import MASTER
+from ronna_hw.roles import ONE_ARM
 from ronna_hw.software import identify_software
 from ronna_hw.theatre import Theatre
 
@@ -195,7 +195,7 @@ def _arm_histories(
     clinical: ClinicalInput | None, previous: InterruptedRun | None
 ) -> Mapping[str, ArmHistory]:
     """Return the history of each arm at once: a run may be closed before it is compared with anything."""
-    roles = (MASTER,) if clinical is None else clinical.roles
+    roles = ONE_ARM if clinical is None else clinical.roles
     if previous is None:
         return {role: ArmHistory(role) for role in roles}
     return {role: fold_history(previous.chain, previous.lost, role) for role in roles}

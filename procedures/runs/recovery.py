@@ -148,13 +148,9 @@ def _restore_arm(
 ) -> None:
     """Restore the arm's history, compare every device, and infer from the guide's pose what may be inside."""
     workcell = engine.setting.workcell
-    workcell.master.restore_history(previous.arm, set_up.home_rad)
-    for assistant in workcell.assistants:
-        if set_up.assistant_home_rad is None:
-            continue
-        assistant.restore_home(set_up.assistant_home_rad)
-        if (base := assistant.history.base) is not None:  # also if void by now: from there the way out begins
-            assistant.place_base(base, assistant.history.base_uncertain_mm)
+    workcell.master.restore_history(previous.arm)
+    for role, home_rad in set_up.homes_rad.items():
+        workcell.arms[role].restore_home(home_rad)
     inside = workcell.master.place.instrument_may_be_inside
     if inside is not None and workcell.master.place.assumed:
         comparison.warn(

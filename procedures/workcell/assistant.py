@@ -141,6 +141,12 @@ class Assistant(SupervisedArm):
             self._arms.surround(ASSISTANT, bare)
         self._allow_contact()
 
+    def restore_home(self, home_rad: JointVector) -> None:
+        """Restore the home and, also if void by now, the base: from there the way out begins."""
+        super().restore_home(home_rad)
+        if (base := self.history.base) is not None:
+            self.place_base(base, self.history.base_uncertain_mm)
+
     def surround(self, around: Surroundings, near_rad: JointVector | None = None) -> None:
         """Set what surrounds the arm, in the robot frame; its tool is its own.
 

@@ -149,10 +149,8 @@ class SupervisedArm(ABC):
         self._log.note(Entry.PLACED, joints_rad=list(home_rad), at_home=True)
         return home_rad
 
-    def restore_history(self, history: ArmHistory, home_rad: JointVector | None = None) -> None:
-        """Restore the arm's history, and any known home, in a resumed run. Nothing moves."""
-        if home_rad is not None:
-            self._log.home_rad = home_rad
+    def restore_history(self, history: ArmHistory) -> None:
+        """Restore the arm's history in a resumed run. Nothing moves."""
         self._log.history = history
 
     def restore_home(self, home_rad: JointVector) -> None:

@@ -48,6 +48,7 @@ from ronna_hw.arm.clearance.sweep import ClosestPair
 from ronna_hw.arm.kinematics import Branch
 from ronna_hw.arm.pose import radians6
 from ronna_hw.calibrated_arm.error_budget import ErrorSizes
+from ronna_hw.roles import MASTER
 
 Array = NDArray[np.float64]
 
@@ -219,7 +220,7 @@ def run(context: StepContext) -> Outcome[CheckedPaths]:
         flange_from_tool=workcell.master.flange_from(MountedTool.GUIDE),
         strategy=context.clinical.strategy,
         flange_from_stereo=workcell.master.flange_from(MountedTool.STEREO_HEAD),
-        start_rad=context.result(CheckedSetUp).home_rad,
+        start_rad=context.result(CheckedSetUp).homes_rad[MASTER],
         limits=workcell.master.arm.limits(),
         approach_mm=settings.approach_mm,
         scene=scene,

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json
 from itertools import combinations
+from typing import Any
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from procedures.calibration.validity import require_valid
 from procedures.engine.context import StepContext
@@ -19,6 +20,7 @@ from procedures.workcell.tools import require_this_arm, require_two_arms
 from ronna_hw.collision_config import CollisionConfig
 from ronna_hw.config import Calibrations, DeviceConfig, ProcedureSettings
 from ronna_hw.devices.lifecycle import Identity, Lifecycle
+from ronna_hw.roles import ASSISTANT, MASTER
 from ronna_hw.tool_record import ToolRecord
 
 
@@ -71,10 +73,19 @@ class CheckedSetUp(StepResult, kind="set_up", version=2):
     flange: str = Field(description="Name of the flange that the tools are mounted on.")
     cell: CollisionConfig = Field(description="The bodies around the arm, with those of the tools.")
     settings: ProcedureSettings = Field(description="Settings and assumptions of the procedure.")
-    home_rad: Numbers6 = Field(description="Measured joints of the arm at the start, where it also parks.")
-    assistant_home_rad: Numbers6 | None = Field(
-        default=None, description="The same for the assistant, in a case with two arms."
+    homes_rad: dict[str, Numbers6] = Field(
+        description="Measured joints of each arm at the start, by its role; there it also parks."
     )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _read_older(cls, plain: Any) -> Any:
+        """Read a result that has a field for the home of each arm."""
+        if not isinstance(plain, dict) or "home_rad" not in plain:
+            return plain
+        homes = {MASTER: plain["home_rad"], ASSISTANT: plain.get("assistant_home_rad")}
+        newer = {name: value for name, value in plain.items() if not name.endswith("home_rad")}
+        return newer | {"homes_rad": {role: home for role, home in homes.items() if home is not None}}
 
 
 def run(context: StepContext) -> Outcome[CheckedSetUp]:
@@ -121,8 +132,7 @@ def run(context: StepContext) -> Outcome[CheckedSetUp]:
             flange=workcell.tools.flange,
             cell=context.setting.surroundings,
             settings=context.setting.settings,
-            home_rad=workcell.master.set_home(),
-            assistant_home_rad=next((arm.set_home() for arm in workcell.assistants), None),
+            homes_rad={role: arm.set_home() for role, arm in workcell.arms.items()},
         ),
         summary="; ".join(
             [", ".join(f"{role} {identity.model}" for role, identity in identities.items()), *notices]

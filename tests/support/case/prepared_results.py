@@ -50,6 +50,7 @@ from procedures.workcell import MountedTool
 from ronna_hw.config import ProcedureSettings
 from ronna_hw.devices.lifecycle import Identity
 from ronna_hw.frames import Frame, Transform
+from ronna_hw.roles import MASTER
 from ronna_hw.vectors import JointVector
 
 Array = NDArray[np.float64]
@@ -155,7 +156,7 @@ def checked_set_up(cell: RecordingCell) -> CheckedSetUp:
         flange=cell.theatre.flange,
         cell=cell.theatre.cell_with_tools,
         settings=ProcedureSettings(),
-        home_rad=cell.arm.joints_rad,
+        homes_rad={MASTER: cell.arm.joints_rad},
     )
 
 

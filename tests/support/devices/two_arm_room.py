@@ -119,7 +119,8 @@ class TwoArmRoom:
         frames = seen.frames if hidden else {**seen.frames, Tracked.ASSISTANT: frame}
         if guide_hidden:
             frames = {name: one for name, one in frames.items() if name is not Tracked.ARM}
-        return replace(seen, frames=frames, assistant=Rest(joints_rad, ONE_SIDE), instrument_led=led)
+        rests = {**seen.rests, Tracked.ASSISTANT: Rest(joints_rad, ONE_SIDE)}
+        return replace(seen, frames=frames, rests=rests, instrument_led=led)
 
     def look(self, joints_rad: JointVector | None = None, **room: Any) -> RoomLook:
         self.joints_rad = joints_rad or self.joints_rad

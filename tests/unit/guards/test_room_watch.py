@@ -13,7 +13,7 @@ from room_trials import TrackedCase
 from procedures.guards.errors import BaseShifted, PatientMoved
 from procedures.guards.room_reading import CAREFUL_FRAMES, FRAMES
 from procedures.guards.room_watch import RoomLook, RoomWatch
-from procedures.room.sighting import Sighting
+from procedures.room.sighting import Rest, Sighting, Tracked
 from procedures.strategies.strategy import ONE_SIDE
 from ronna_hw.vectors import JointVector
 from sim.world.rigid import matrix_from, rotation_from_vector
@@ -138,7 +138,8 @@ def test_a_look_says_how_far_head_and_arm_are_even_when_something_has_moved(room
 
 def test_what_is_not_seen_is_not_compared(room: Room) -> None:
     reading = room.case.read(room.watch, room.case.home_rad, np.eye(4), CAREFUL_FRAMES, hidden=True)
-    blind = replace(reading, sides=None, frame_mm=None, groups=(), markers_mm=np.empty((0, 3)), frames={})
+    rests = {Tracked.ARM: Rest(room.case.home_rad)}
+    blind = replace(reading, rests=rests, frame_mm=None, groups=(), markers_mm=np.empty((0, 3)), frames={})
     looked = room.watch.compare(blind)
     assert (looked.head_mm, looked.base_mm, looked.moved) == (None, None, None)
     assert not looked.in_place

@@ -356,7 +356,8 @@ def test_an_arm_still_out_after_a_restart_can_be_brought_home(
     broken_off(cell)
     again, engine, left = opened_again(cell, engine.order)
     assert not engine.over
-    again.workcell.master.restore_history(left.arm, HOME_RAD)
+    again.workcell.master.restore_history(left.arm)
+    again.workcell.master.restore_home(HOME_RAD)
     again.workcell.master.mount.identify()
     assert has_head_moved(engine)
     engine.accept()

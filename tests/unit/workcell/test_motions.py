@@ -73,9 +73,7 @@ def tool_at(cell: RecordingCell, ahead_mm: float, turned_rad: float = 0.0) -> Tr
 def withdraw(cell: RecordingCell) -> None:
     """The guide is on its axis already, as in a run that is resumed."""
     on = InsertionAxis("T1", tool_pose(cell.arm.joints_rad, cell), WAY_MM)
-    cell.workcell.master.restore_history(
-        ArmHistory(place=ArmPlace(PlaceKind.ON_AXIS, on)), cell.workcell.master.home_rad
-    )
+    cell.workcell.master.restore_history(ArmHistory(place=ArmPlace(PlaceKind.ON_AXIS, on)))
     cell.workcell.master.withdraw("T1")
 
 

@@ -85,7 +85,8 @@ def test_the_arm_is_at_home_when_every_joint_is_near_its_home_angle(
 def test_a_restored_history_leads_back_like_the_original_one(cell: RecordingCell) -> None:
     cell.arm.joints_rad, cell.arm.state = TWO, Lifecycle.ACTIVE
     cell.arm.blocked = blocked_beyond(0.15)
-    cell.workcell.master.restore_history(ArmHistory(trail=(ONE, TWO)), HOME)
+    cell.workcell.master.restore_history(ArmHistory(trail=(ONE, TWO)))
+    cell.workcell.master.restore_home(HOME)
     cell.workcell.master.return_home()
     assert motions(cell) == [TWO, ONE, *HOMING]
 
