@@ -18,7 +18,7 @@ from drivers.ndi_polaris.errors import (
     TemperatureHold,
     UnitRestarted,
 )
-from drivers.ndi_polaris.measuring_volume import MeasuringVolume, Section, choose_volume
+from drivers.ndi_polaris.measuring_volume import MeasuringVolume, choose_volume, find_published_volume
 from drivers.ndi_polaris.options import read_options
 from drivers.ndi_polaris.tool_comparison import find_alike
 from drivers.ndi_polaris.tool_definition import encode_definition
@@ -46,6 +46,7 @@ from ronna_hw.devices.lifecycle import (
     require_person,
 )
 from ronna_hw.devices.readings import TrackerFrame
+from ronna_hw.devices.sensors import VolumeSections
 from ronna_hw.endpoints import Endpoint
 from ronna_hw.errors import RonnaError
 from ronna_hw.vectors import Vector3
@@ -147,9 +148,11 @@ class PolarisTracker:
         return self._volume
 
     @property
-    def volume_sections_mm(self) -> tuple[Section, ...]:
+    def volume_sections_mm(self) -> VolumeSections:
         """Cross-sections of the measuring volume; see `BoundedTracker`."""
-        return () if self._volume is None else self._volume.sections_mm
+        published = find_published_volume(self._identity, self._options.expected_model)
+        known = (one.sections_mm for one in (self._volume, published) if one is not None)
+        return next(filter(None, known), ())
 
     @property
     def replies_s(self) -> tuple[float, ...]:

@@ -1,19 +1,22 @@
-"""Measuring volume as reported by the unit, for the driver's own position checks."""
+"""Measuring volume as reported by the unit, or as published for its model."""
 
 from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+from types import MappingProxyType
 
 from drivers.ndi_polaris.command_link import CommandLink
 from drivers.ndi_polaris.errors import MalformedReply, UnitError
-from drivers.ndi_polaris.unit import parse_whole_number, read_parameter_or
+from drivers.ndi_polaris.unit import names_model, parse_whole_number, read_parameter_or
+from ronna_hw.devices.lifecycle import Identity
+from ronna_hw.devices.sensors import VolumeSections
 from ronna_hw.vectors import Vector3
 from ronna_hw.wire import polaris as ndi
+from ronna_hw.wire.polaris import PolarisModel
 
 PYRAMID_SHAPE = "5"  # pyramid and extended pyramid of the Spectra: the only shape whose formula is public
 SLOPE_PER = 1000.0  # slopes are sent per 1000
-Section = tuple[float, float, float]  # of `ronna_hw.devices.sensors.BoundedTracker`
 SFLIST_BYTES = 1024  # room for nine volumes of 74 characters each
 _DIMENSION = re.compile(rf"[+-][0-9]{{{ndi.SFLIST_DIMENSION_CHARACTERS - 1}}}")
 
@@ -45,7 +48,7 @@ class MeasuringVolume:
         return abs(x) <= half_x and abs(y) <= half_y
 
     @property
-    def sections_mm(self) -> tuple[Section, ...]:
+    def sections_mm(self) -> VolumeSections:
         """Cross-sections at the bends, near to far, as (z, half x, half y); empty for unknown shapes."""
         if self.shape != PYRAMID_SHAPE:
             return ()
@@ -84,6 +87,20 @@ def _parse_volume(record: str) -> MeasuringVolume:
     )
 
 
+_PYRAMID = _parse_volume("5-240000-153200-095000+057200+039800+056946+024303+029773+999999+999999")
+# As real Spectras send it. Public programs for the Vega test against the same; the Vicra's ten numbers are
+# not public, and those of this pyramid from 0.56 to 1.34 m are unconfirmed (U).
+PUBLISHED_VOLUMES = MappingProxyType(
+    {
+        PolarisModel.SPECTRA: _PYRAMID,
+        PolarisModel.VICRA: _parse_volume(
+            "5-133600-055700-055700+024550+019600+028690+028690+031772+999999+999999"
+        ),
+        PolarisModel.VEGA: _PYRAMID,
+    }
+)
+
+
 def choose_volume(link: CommandLink, wanted: int | None) -> MeasuringVolume | None:
     """Select volume `wanted` (from 1), if given, and return the volume in use, or None if unknown."""
     if wanted is not None:
@@ -97,3 +114,13 @@ def choose_volume(link: CommandLink, wanted: int | None) -> MeasuringVolume | No
     else:
         index = parse_whole_number(read_parameter_or(link, ndi.PARAMETER_SELECTED_VOLUME, "")) or 0
     return volumes[index] if 0 <= index < len(volumes) else None
+
+
+def find_published_volume(unit: Identity | None, expected: PolarisModel | None) -> MeasuringVolume | None:
+    """Return the published volume of a unit's model, or None for an unknown model.
+
+    A unit that is not connected yet is taken for the expected model, or else for a Spectra.
+    """
+    if unit is None:
+        return PUBLISHED_VOLUMES[expected or PolarisModel.SPECTRA]
+    return next((volume for model, volume in PUBLISHED_VOLUMES.items() if names_model(unit, model)), None)

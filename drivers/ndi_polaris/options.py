@@ -19,7 +19,7 @@ from drivers.ndi_polaris.tool_definition import ToolDefinition, definition_hash,
 from drivers.theatre_options import parse_options
 from ronna_hw.calibration import Strict
 from ronna_hw.config import DeviceConfig
-from ronna_hw.wire.polaris import COMM_BAUD_CODES, COMMAND_TIMEOUT_S
+from ronna_hw.wire.polaris import COMM_BAUD_CODES, COMMAND_TIMEOUT_S, PolarisModel
 
 
 class ToolOption(Strict):
@@ -63,7 +63,7 @@ class PolarisOptions(Strict):
         Field(description="Tools to track; without any, a dummy tool is loaded so that strays are measured."),
     ] = ()
     expected_model: Annotated[
-        Literal["spectra", "vicra", "vega"] | None, Field(description="Expected model; any other is refused.")
+        PolarisModel | None, Field(description="Expected model; any other is refused.")
     ] = None
     expected_serial: Annotated[
         str | None, Field(description="Expected serial number; any other unit is refused.")

@@ -77,9 +77,14 @@ def read_identity(link: CommandLink) -> Identity:
     )
 
 
+def names_model(identity: Identity, model: str) -> bool:
+    """Return whether a unit identifies itself as this model."""
+    return model.lower() in identity.model.lower()
+
+
 def check_identity(identity: Identity, model: str | None, serial: str | None) -> None:
     """Raise NDI-004 unless model and serial number are as expected; None accepts any."""
-    if model is not None and model.lower() not in identity.model.lower():
+    if model is not None and not names_model(identity, model):
         raise WRONG_UNIT("wrong model of unit", expected=model, got=identity.model)
     if serial is not None and serial != identity.serial:
         raise WRONG_UNIT("wrong serial number", expected=serial, got=identity.serial or "none")

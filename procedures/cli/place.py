@@ -131,7 +131,10 @@ def place(
     setting = theatre.with_scene(volume, plan.fiducials, marks)
     tracker = None if robot_from_tracker is None else _tracker_pose(robot_from_tracker)
     trajectories = place_guides(plan, theatre.bore)
-    case = CartCase(setting, trajectories, marks, theatre.sight, tracker, theatre.stereo_from_marker)
+    volume_mm = () if tracker is None else theatre.volume_mm
+    case = CartCase(
+        setting, trajectories, marks, theatre.sight, tracker, theatre.stereo_from_marker, volume_mm
+    )
     with terminal.progress_bar("mapping cart positions") as advance, open_judge(case) as judge:
         proposal = propose_place(map_places(within, judge, advance, math.radians(turned)), judge)
     payload = {

@@ -32,7 +32,7 @@ from ronna_hw.arm.clearance.live_watch import PlacedBodies
 from ronna_hw.arm.kinematics import COLUMN_NAME
 from ronna_hw.calibration import CameraCalibration, StereoHeadCalibration
 from ronna_hw.devices.readings import ArmReading, StampedReading
-from ronna_hw.devices.sensors import BoundedTracker
+from ronna_hw.devices.sensors import VolumeSections, measuring_volume_mm
 from ronna_hw.errors import RonnaError
 from ronna_hw.frames import Frame
 from ronna_hw.vectors import JointVector
@@ -231,7 +231,7 @@ class DeviceWatch:
         self._now_s = now_s
         self._period_s = period_s
         self._states: dict[str, DeviceState] = {}
-        self._bounded: set[str] = set()  # trackers whose volume was published
+        self._volumes: dict[str, VolumeSections] = {}  # as published
         self._last_problem = ""  # the latest failure to look
         self._ending = threading.Event()
         self._thread = threading.Thread(target=self._look_repeatedly, name="device watch", daemon=True)
@@ -267,10 +267,9 @@ class DeviceWatch:
             self._bodies.publish(self._events, last=last)
 
     def _publish_volume(self, role: str, device: DeviceView) -> None:
-        if role in self._bounded or not isinstance(device, BoundedTracker):
-            return
-        if sections_mm := device.volume_sections_mm:
-            self._bounded.add(role)
+        sections_mm = measuring_volume_mm(device)
+        if sections_mm != self._volumes.get(role, ()):
+            self._volumes[role] = sections_mm
             self._events.publish(MeasuringVolume(device=role, sections_mm=sections_mm))
 
     def __enter__(self) -> Self:

@@ -25,6 +25,7 @@ from procedures.planning.visits import (
 from procedures.strategies.trajectory import Trajectory
 from ronna_hw.arm.kinematics import Branch
 from ronna_hw.arm.pose import Pose
+from ronna_hw.devices.sensors import VolumeSections
 from ronna_hw.errors import LimitError
 from ronna_hw.frames import Frame, Transform
 
@@ -74,7 +75,7 @@ class CartCase:
     """Arm at the assumed cart position, with scene and task.
 
     Fiducials (n, 3) are in CT mm; `robot_from_tracker` is the tracker's pose, None if it does not matter, and
-    `stereo_from_marker` that of the frame on the arm.
+    `stereo_from_marker` that of the frame on the arm, and `volume_mm` where the tracker measures.
     Bodies that the cell describes in the robot frame are assumed to move with the cart.
     """
 
@@ -84,6 +85,7 @@ class CartCase:
     sight: StereoSight
     robot_from_tracker: Transform | None = None
     stereo_from_marker: Transform | None = None
+    volume_mm: VolumeSections = ()
 
     def judge(self, move: CartMove, known: Sequence[PlaceSolution] = (), *, search: bool = True) -> Verdict:
         """Judge a position. Known solutions are tried first, then all others if `search` is set."""
@@ -174,7 +176,9 @@ class CartCase:
         stereo = setting.flange_from_stereo or setting.flange_from_tool
         if self.stereo_from_marker is not None:
             marker = setting.kinematics.flange_pose(setting.start_rad) @ stereo @ self.stereo_from_marker
-            if unseen := explain_hidden_frame(tracker, marker, setting.kinematics, setting.start_rad):
+            if unseen := explain_hidden_frame(
+                tracker, marker, setting.kinematics, setting.start_rad, self.volume_mm
+            ):
                 return unseen
         around = scene.with_stereo_head(setting.robot_from_ct, stereo)
         seen = TrackerSight(tracker, spheres).seen(setting.kinematics, around, setting.start_rad)

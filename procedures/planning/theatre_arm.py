@@ -20,7 +20,8 @@ from ronna_hw.calibrated_arm.error_budget import ErrorSizes
 from ronna_hw.clock import HostClock
 from ronna_hw.collision_config import CollisionConfig
 from ronna_hw.command_line.errors import UsageMistake
-from ronna_hw.config import read_theatre_file
+from ronna_hw.config import DeviceConfig, read_theatre_file
+from ronna_hw.devices.sensors import VolumeSections, measuring_volume_mm
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.registry import make_device
 from ronna_hw.roles import MASTER
@@ -42,11 +43,17 @@ class TheatreArm:
     surroundings: CollisionConfig
     sight: StereoSight
     stereo_from_marker: Transform  # the frame on the arm that the tracker sees
+    tracker: DeviceConfig | None
     bore: GuideBore
     reserve_mm: float  # extra clearance for the stereo head's error: the servo leaves the path
     seating_error_mm: float  # per axis
     guide_direction_rad: float  # stated error of the bore's direction
     at_target_mm: tuple[tuple[str, float], ...]  # stated by calibrations, 3-D rms, by source
+
+    @property
+    def volume_mm(self) -> VolumeSections:
+        """Where the tracker measures, as far as that is known before it is connected."""
+        return measuring_volume_mm(self.tracker and make_device("tracker", self.tracker, HostClock()))
 
     def with_scene(self, volume: Volume, fiducials: FiducialKind, markers_mm: Points) -> ArmSetting:
         """Return the arm with the theatre's obstacles and this CT's head and markers. Raises PLAN-014."""
@@ -92,6 +99,7 @@ def theatre_arm(
         surroundings=theatre.cell_with_tools,
         sight=StereoSight.of(calibration.stereo_head),
         stereo_from_marker=calibration.tracker_frame.tool_from_marker.transform(Frame.TOOL, Frame.MARKER),
+        tracker=theatre.tracker,
         bore=guide.bore,
         reserve_mm=sizes.tool_mm,
         seating_error_mm=theatre.procedure.seating_error_mm,

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from ronna_hw.arm.clearance.bodies import Bodies, Surroundings
 from ronna_hw.arm.clearance.sweep import moving_ends, segment_distances
 from ronna_hw.arm.kinematics import ArmBodies
+from ronna_hw.devices.sensors import VolumeSections
 from ronna_hw.frames import Transform
 from ronna_hw.vectors import JointVector
 
@@ -22,8 +23,6 @@ Array = NDArray[np.float64]
 # The two sensors, tracker frame, mm: half a metre apart about the origin, along y. A sphere is measured only
 # if both see it. An estimate: manufacturers publish the outer size of their units, 0.6 m.
 SENSORS_MM = ((0.0, -250.0, 0.0), (0.0, 250.0, 0.0))
-# The pyramid of a Polaris Spectra, as published: z, half x, half y of faces and knee, tracker frame, mm.
-VOLUME_MM = ((-2400.0, 656.4, 783.0), (-1532.0, 398.0, 572.0), (-950.0, 224.7, 240.6))
 FRAME_MM = 100.0  # how far the spheres of the frame on the arm are from its origin
 
 
@@ -52,15 +51,18 @@ class TrackerSight:
 
 
 def explain_hidden_frame(
-    robot_from_tracker: Transform, robot_from_marker: Transform, arm: ArmBodies, joints_rad: JointVector
+    robot_from_tracker: Transform,
+    robot_from_marker: Transform,
+    arm: ArmBodies,
+    joints_rad: JointVector,
+    volume_mm: VolumeSections,
 ) -> str:
-    """Explain why the tracker cannot see the frame on the arm, which faces along its z axis, or return ''."""
+    """Explain why the tracker cannot see the frame on the arm, which faces along its z axis, or return ''.
+
+    An empty `volume_mm` is unknown, and explains nothing.
+    """
     marker = robot_from_tracker.inverse() @ robot_from_marker
-    x_mm, y_mm, z_mm = marker.translation_mm.tolist()
-    depths_mm, *halves_mm = np.transpose(VOLUME_MM)
-    half_x_mm, half_y_mm = (float(np.interp(z_mm, depths_mm, half)) for half in halves_mm)
-    outside_mm = max(abs(x_mm) - half_x_mm, abs(y_mm) - half_y_mm, depths_mm[0] - z_mm, z_mm - depths_mm[-1])
-    if outside_mm > -FRAME_MM:
+    if volume_mm and _outside_mm(marker.translation_mm, volume_mm) > -FRAME_MM:
         return "the frame on the arm at home is outside the measuring volume of the tracker"
     if ((np.array(SENSORS_MM) - marker.translation_mm) @ marker.rotation_matrix[:, 2]).min() <= 0.0:
         return "the frame on the arm at home faces away from the tracker"
@@ -69,3 +71,11 @@ def explain_hidden_frame(
     ):
         return "the arm at home hides the frame on it from the tracker"
     return ""
+
+
+def _outside_mm(place_mm: Array, volume_mm: VolumeSections) -> float:
+    """Return how far a place (3,), tracker frame, is outside the volume; inside, it is negative."""
+    x_mm, y_mm, z_mm = place_mm.tolist()
+    depths_mm, *halves_mm = np.transpose(volume_mm[::-1])
+    half_x_mm, half_y_mm = (float(np.interp(z_mm, depths_mm, half)) for half in halves_mm)
+    return float(max(abs(x_mm) - half_x_mm, abs(y_mm) - half_y_mm, depths_mm[0] - z_mm, z_mm - depths_mm[-1]))

@@ -45,17 +45,27 @@ class OpticalTracker(Device, Protocol):
         ...
 
 
+# Cross-sections of a measuring volume, near to far, in the tracker frame: z, half x, half y. Faces are flat
+# between two of them.
+VolumeSections = tuple[tuple[float, float, float], ...]
+
+
 @runtime_checkable
 class BoundedTracker(Protocol):
-    """Tracker that reports its measuring volume."""
+    """Tracker that knows its measuring volume."""
 
     @property
-    def volume_sections_mm(self) -> tuple[tuple[float, float, float], ...]:
-        """Cross-sections of the volume, near to far, in the tracker frame: z, half x, half y.
+    def volume_sections_mm(self) -> VolumeSections:
+        """Cross-sections of the volume: once configured, as the unit reports them.
 
-        Empty before `configure`, and if the unit does not report it. Faces are flat between two of them.
+        Before, and for a unit that does not report them, as published for its model; empty if unknown.
         """
         ...
+
+
+def measuring_volume_mm(tracker: object) -> VolumeSections:
+    """Return the cross-sections of a tracker's measuring volume, empty if it does not know them."""
+    return tracker.volume_sections_mm if isinstance(tracker, BoundedTracker) else ()
 
 
 @runtime_checkable

@@ -1,4 +1,4 @@
-"""NDI Polaris protocol constants (Spectra, Vicra): names, codes, bits, layouts and the CRC.
+"""NDI Polaris protocol constants (Spectra, Vicra, Vega): names, codes, bits, layouts and the CRC.
 
 Constants only: no I/O and no decoding. A command is ASCII and ends in CR, either `NAME:args` + CRC + CR or
 `NAME args` + CR. An ASCII reply is text + CRC + CR; a binary reply (BX) carries its own length and two CRCs.
@@ -7,9 +7,18 @@ Constants only: no I/O and no decoding. A command is ASCII and ends in CR, eithe
 from __future__ import annotations
 
 import struct
-from enum import IntEnum, IntFlag
+from enum import IntEnum, IntFlag, StrEnum
 from types import MappingProxyType
 from typing import Final
+
+
+class PolarisModel(StrEnum):
+    """Models of the family, each a word of the name by which a unit identifies itself."""
+
+    SPECTRA = "spectra"
+    VICRA = "vicra"
+    VEGA = "vega"
+
 
 # --- framing ---------------------------------------------------------------------------------------------
 

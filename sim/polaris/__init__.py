@@ -1,4 +1,4 @@
-"""Simulated NDI Polaris Spectra or Vicra: a separate process speaking the device's protocol.
+"""Simulated NDI Polaris Spectra, Vicra or Vega: a separate process speaking the device's protocol.
 
 `tracker_unit` holds the state, `unit` its parts and vocabulary; `measurement` turns the scene into frames.
 `handlers` executes commands, `line` carries bytes, `faults` disturbs unit and line.

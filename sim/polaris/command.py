@@ -2,30 +2,28 @@
 
 from __future__ import annotations
 
-from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from ronna_hw.wire.polaris import PolarisModel
 from sim.world.background import IN_BACKGROUND, DetachOption, start_in_background
 
-SERIAL_PTY = "serial-pty"
+SERIAL_PTY, ANY_PORT = "serial-pty", "tcp://127.0.0.1:0"
 FAULT_DEVICES = ("tracker", "room")  # whose faults a tracker started alone can have
-
-
-class ModelName(StrEnum):
-    """Supported tracker models."""
-
-    SPECTRA = "spectra"
-    VICRA = "vicra"
 
 
 def polaris(
     endpoint: Annotated[
-        str, typer.Option(help="serial-pty for a pseudo-terminal, or tcp://host:port.")
-    ] = SERIAL_PTY,
-    model: Annotated[ModelName, typer.Option("--profile", help="Model of the unit.")] = ModelName.SPECTRA,
+        str | None,
+        typer.Option(
+            help="serial-pty for a pseudo-terminal, or tcp://host:port; by default as the model is reached."
+        ),
+    ] = None,
+    profile: Annotated[
+        PolarisModel | None, typer.Option(help="Model of the unit, instead of the scene's.")
+    ] = None,
     scene: Annotated[str, typer.Option(help="bench, bench-near, default, mini, or a file.")] = "bench",
     throttle: Annotated[bool, typer.Option(help="Send at the baud rate of the serial line.")] = False,
     wired: Annotated[
@@ -43,7 +41,7 @@ def polaris(
     detach: DetachOption = False,
     world: Annotated[str | None, typer.Option(hidden=True, help="World of a running theatre.")] = None,
 ) -> None:
-    """Simulate an NDI Polaris Spectra or Vicra, for any client, until terminated."""
+    """Simulate an NDI Polaris Spectra, Vicra or Vega, for any client, until terminated."""
     from ronna_hw.endpoints import parse_endpoint
     from sim.named_parameters import rows
     from sim.polaris.line.interpreter import CommandInterpreter
@@ -62,13 +60,14 @@ def polaris(
     if detach and not IN_BACKGROUND:
         start_in_background("polaris")
         return
-    address = None if endpoint == SERIAL_PTY else parse_endpoint(endpoint, listening=True).require("tcp")
     behaviour = parse_behaviour(setting or [])
-    kind = UNIT_MODELS[model.value]
-    tools = plug_in(wired or [], kind.wired_ports, behaviour.user_memory_bytes)
-    if scene == "bench" and model is ModelName.VICRA:
+    if scene == "bench" and profile is PolarisModel.VICRA:
         scene = "bench-near"  # the usual bench is outside the Vicra's volume
     room = open_world(world, scene, faults, FAULT_DEVICES)
+    kind = UNIT_MODELS[profile or room.scene.tracker.model]
+    wanted = endpoint or (ANY_PORT if kind.networked else SERIAL_PTY)
+    address = None if wanted == SERIAL_PTY else parse_endpoint(wanted, listening=True).require("tcp")
+    tools = plug_in(wired or [], kind.wired_ports, behaviour.user_memory_bytes)
     unit = Unit(room, kind, behaviour, tools)
     interpreter = CommandInterpreter(unit)
     control = open_own_control_port(world, room, FAULT_DEVICES, unit.list_loaded_tools)

@@ -13,6 +13,7 @@ from ronna_hw.command_line.errors import PATH_PROBLEM, UsageMistake
 from ronna_hw.command_line.options import require_folder
 from ronna_hw.command_line.terminal import JsonOption, print_json, print_table, say, tell
 from ronna_hw.control_port import VARIABLE, ask_control_port
+from ronna_hw.wire.polaris import PolarisModel
 from ronna_hw.wire.room_tasks import OnStand
 from sim.world.background import IN_BACKGROUND, DetachOption, start_in_background
 from sim.world.options import ArmChoice, Carrier
@@ -424,6 +425,9 @@ def scene(
         bool,
         typer.Option("--patient-frame", help="Put the patient's tracked frame on the head clamp."),
     ] = False,
+    tracker: Annotated[
+        PolarisModel | None, typer.Option(help="Model of the tracker, instead of the scene's.")
+    ] = None,
 ) -> None:
     """Print the full ground truth of a scene as TOML, as a starting point for your own scene."""
     import tomli_w
@@ -442,4 +446,7 @@ def scene(
         truth = draw_scene(scene, seed=seed, targets=targets, template=implanted, arm=arm)
     if patient_frame:
         truth = add_patient_frame(truth)
+    if tracker is not None:
+        with_model = truth.tracker.model_copy(update={"model": tracker})
+        truth = truth.model_copy(update={"tracker": with_model})
     typer.echo(tomli_w.dumps(truth.model_dump(mode="json", by_alias=True, exclude_none=True)), nl=False)

@@ -81,7 +81,10 @@ def theatre_content(
         "tracker": {
             "driver": "ndi_polaris",
             "endpoint": endpoints["polaris"],
-            "options": {"tools": [_tool_entry(name, Path(rom)) for name, rom in tool_files.items()]},
+            "options": {
+                "tools": [_tool_entry(name, Path(rom)) for name, rom in tool_files.items()],
+                "expected_model": scene.tracker.model.value,
+            },
         },
         "robot": {
             role.value: CONTROLLERS[scene.arm_of(role).variant].device_entry(

@@ -42,10 +42,7 @@ def open_room(scene: Scene) -> Iterator[tuple[World, OpticalTracker]]:
     """Start a simulated Vicra in a world of its own, in lock-step, and track both frames. Raises PRC-001."""
     world = World.create(scene, paced=False)
     world.mount_tool(NO_TOOL)
-    arguments = command(
-        *("sim.cli", "polaris", "--profile", "vicra"),
-        *("--endpoint", "tcp://127.0.0.1:0", "--world", world.endpoint),
-    )
+    arguments = command("sim.cli", "polaris", "--endpoint", "tcp://127.0.0.1:0", "--world", world.endpoint)
     with ExitStack() as stack:
         unit = stack.enter_context(ChildProcess("ronna-sim polaris", arguments))
         config = DeviceConfig(
@@ -53,7 +50,7 @@ def open_room(scene: Scene) -> Iterator[tuple[World, OpticalTracker]]:
             endpoint=unit.ready["endpoint"],
             options={
                 "tools": [{"name": name, "rom": f"{name}.rom"} for name in (TOOL_FRAME, PHANTOM_FRAME)],
-                "expected_model": "vicra",
+                "expected_model": scene.tracker.model,
                 "illuminator_rate_hz": VICRA_HZ,
                 "time_limits_s": {"BX": FRAME_LIMIT_S},
             },

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ronna_hw.frames import Frame, Transform
+from ronna_hw.wire.polaris import PolarisModel
 from sim.world.descriptions import DESCRIPTIONS
 from sim.world.noise import noise
 from sim.world.nominal_arm import AXES
@@ -74,6 +75,7 @@ def draw_room(seed: int) -> Scene:
     backwards = np.array(TRACKER_DIRECTION) / np.linalg.norm(TRACKER_DIRECTION)
     place = centre + WATCHED_MM + TRACKER_DISTANCE_MM * backwards
     tracker = TrackerTruth(
+        model=PolarisModel.VICRA,
         robot_from_tracker=pose_of(matrix_from(place, rotation_towards(backwards, (0.0, 0.0, 1.0)))),
         tools=(robot_frame(),),
     )

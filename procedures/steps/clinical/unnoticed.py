@@ -27,6 +27,7 @@ from procedures.steps.clinical.results import RegisteredRobot
 from procedures.steps.clinical.room import check_room, room_watch
 from procedures.strategies.strategy import ONE_SIDE
 from procedures.workcell.tracker_look import robot_from_marker
+from ronna_hw.devices.sensors import measuring_volume_mm
 from ronna_hw.vectors import JointVector
 
 Array = NDArray[np.float64]
@@ -54,7 +55,8 @@ def expect_unnoticed(
     head = estimate.displacement(tip_mm, at_home, {"head": -1.0})
     here = watch.robot_from_tracker @ watch.tracker.move.inverse()
     marker = robot_from_marker(workcell, joints_rad, sides)
-    if not explain_hidden_frame(here, marker, workcell.master.arm.kinematics, joints_rad):
+    volume_mm = measuring_volume_mm(workcell.tracker)
+    if not explain_hidden_frame(here, marker, workcell.master.arm.kinematics, joints_rad, volume_mm):
         at_target = _expect_look(context, watch, joints_rad, sides, SeenSpheres())
         estimate = watch.with_look(at_target, estimate)
     base_mm2 = _base_unnoticed_mm2(estimate, tip_mm, at_home, at_home + 1)

@@ -60,8 +60,14 @@ class Optics:
     def __init__(self, truth: TrackerTruth, seed: int, volumes: tuple[Volume, ...]) -> None:
         self._sigma_mm = np.array([truth.noise_xy_mm, truth.noise_xy_mm, truth.noise_z_mm])
         self._middle_mm = volumes[0].middle_depth_mm
-        stated = (truth.bias_mm, truth.bias_extended_mm)
-        self.bias_field = bias_field(seed, tuple(zip(volumes[: len(stated)], stated, strict=False)))
+        given_mm = (truth.bias_mm, truth.bias_extended_mm)
+        self.bias_field = bias_field(
+            seed,
+            tuple(
+                (volume, volume.stated_mm if bias_mm is None else bias_mm)
+                for volume, bias_mm in zip(volumes, given_mm, strict=False)
+            ),
+        )
 
     def sight(self, points_mm: Vectors) -> Sight:
         """Return the mean and noise of markers at `points_mm` (n, 3)."""

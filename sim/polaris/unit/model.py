@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from types import MappingProxyType
 
-from ronna_hw.wire.polaris import LF, SFLIST_DIMENSION_SCALE
+from ronna_hw.wire.polaris import LF, SFLIST_DIMENSION_SCALE, PolarisModel
 
 SLOPE_SCALE = 100_000  # slopes are given per 1000 mm, in hundredths
 NO_CAP = 999_999
@@ -20,11 +20,12 @@ WAVELENGTHS = "24"  # as sent by real Spectras; the meaning of its two digits is
 
 @dataclass(frozen=True)
 class Volume:
-    """Measuring volume: shape code and the ten parameters D1..D10."""
+    """Measuring volume: shape code, the ten parameters D1..D10, and the accuracy that is stated for it."""
 
     name: str
     shape: str
     dimensions: tuple[int, int, int, int, int, int, int, int, int, int]
+    stated_mm: float  # 3-D rms of one marker
 
     def holds(self, x_mm: float, y_mm: float, z_mm: float) -> bool:
         """Return whether a point in the tracker frame is inside the volume."""
@@ -72,17 +73,20 @@ PYRAMID = Volume(
     name="Pyramid",
     shape="5",
     dimensions=(-240000, -153200, -95000, 57200, 39800, 56946, 24303, 29773, NO_CAP, NO_CAP),
+    stated_mm=0.25,
 )
 EXTENDED_PYRAMID = Volume(
     name="Extended Pyramid",
     shape="5",
     dimensions=(-300000, -153200, -95000, 57200, 39800, 56946, 24303, 29773, NO_CAP, 73500),
+    stated_mm=0.30,
 )
 # About 491 x 392 mm at 557 mm and 938 x 887 mm at 1336 mm; the ten numbers themselves are not public.
 VICRA_VOLUME = Volume(
     name="Vicra",
     shape="7",
     dimensions=(-133600, -55700, -55700, 24550, 19600, 28690, 28690, 31772, NO_CAP, NO_CAP),
+    stated_mm=0.25,
 )
 
 
@@ -107,6 +111,7 @@ class UnitModel:
     baud_codes: str
     illuminator_rates: tuple[int, ...]  # codes of IRATE
     longest_command: int
+    networked: bool = False  # reached by TCP instead of a serial line
 
 
 SPECTRA = UnitModel(
@@ -141,4 +146,18 @@ VICRA = replace(
     passive_ports=6,
     illuminator_rates=(0,),
 )
-UNIT_MODELS: MappingProxyType[str, UnitModel] = MappingProxyType({"spectra": SPECTRA, "vicra": VICRA})
+# Public programs for the Vega test against the pyramid of the Spectra, from 0.95 to 2.4 m. Its extended
+# pyramid, accuracy, 60 Hz and revisions are unconfirmed (U); ports and limits are a Spectra's (U).
+VEGA = replace(
+    SPECTRA,
+    name="Polaris Vega ST",
+    serial_number="P9-00042",
+    firmware="002.000.012",
+    api_revision="G.002.005",
+    volumes=(replace(PYRAMID, stated_mm=0.12), replace(EXTENDED_PYRAMID, stated_mm=0.15)),
+    wired_ports=0,
+    networked=True,
+)
+UNIT_MODELS: MappingProxyType[PolarisModel, UnitModel] = MappingProxyType(
+    {PolarisModel.SPECTRA: SPECTRA, PolarisModel.VICRA: VICRA, PolarisModel.VEGA: VEGA}
+)

@@ -20,6 +20,7 @@ from ronna_hw.mistakes import describe_mistakes
 from ronna_hw.patient_frame import PART_NUMBER as PATIENT_FRAME_PART_NUMBER
 from ronna_hw.plausible import FocalPixels, Length
 from ronna_hw.text import format_count
+from ronna_hw.wire.polaris import PolarisModel
 from ronna_hw.x_frame import SPHERE_CENTRES_MM
 from sim.errors import BAD_SCENE
 from sim.world.options import ArmRole
@@ -302,12 +303,13 @@ class TrackerTool(Strict):
 
 
 class TrackerTruth(Strict):
-    """True tracker: pose, single-marker accuracy, and objects that it mistakes for markers.
+    """True tracker: model, pose, single-marker accuracy, and objects that it mistakes for markers.
 
     Noise is one standard deviation at mid volume. A bias is the rms length of the fixed, smooth field over a
     volume: what manufacturers state as accuracy.
     """
 
+    model: PolarisModel = Field(default=PolarisModel.SPECTRA, description="Model of the unit.")
     robot_from_tracker: PoseRecord = Field(description="Pose robot <- tracker: where the unit is.")
     tools: Annotated[tuple[TrackerTool, ...], Field(min_length=1)] = Field(
         description="Passive tools; the first is the reference frame M on the mount."
@@ -322,8 +324,13 @@ class TrackerTruth(Strict):
         default=0.04, description="Noise of one marker across the line of sight."
     )
     noise_z_mm: NotNegative = Field(default=0.14, description="The same along the line of sight.")
-    bias_mm: NotNegative = Field(default=0.25, description="Bias over the pyramid, or the only volume.")
-    bias_extended_mm: NotNegative = Field(default=0.30, description="Bias over the extended pyramid.")
+    bias_mm: NotNegative | None = Field(
+        default=None,
+        description="Bias over the pyramid, or the only volume; default: as stated for the model.",
+    )
+    bias_extended_mm: NotNegative | None = Field(
+        default=None, description="Bias over the extended pyramid; default likewise."
+    )
     strays_mm: tuple[Numbers3, ...] = Field(
         default=(), description="More stray markers, fixed in the tracker frame."
     )

@@ -11,6 +11,7 @@ from typing import Any, cast
 
 import tomli_w
 
+from drivers.ndi_polaris.measuring_volume import PUBLISHED_VOLUMES
 from procedures.engine.case import Case
 from procedures.engine.engine import Engine
 from procedures.engine.methods import CaseMethods
@@ -42,12 +43,14 @@ from ronna_hw.devices.readings import (
     Validity,
 )
 from ronna_hw.devices.robot import OperatingMode
+from ronna_hw.devices.sensors import VolumeSections
 from ronna_hw.errors import RonnaError
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.registry import make_device
 from ronna_hw.roles import ASSISTANT, MASTER
 from ronna_hw.theatre import DriverOfTable, Theatre
 from ronna_hw.vectors import JointVector
+from ronna_hw.wire.polaris import PolarisModel
 from ronna_hw.wire.room_tasks import DEPTH_STOP, DIALS, GAUGE, TOUCH
 from sim.theatre.theatre_file import theatre_content
 from sim.world.scene.model import Scene
@@ -118,6 +121,7 @@ class RecordingTracker(RecordingDevice):
     """The tracker, with the tools that it was told to load."""
 
     tools: tuple[str, ...] = ()
+    volume_sections_mm: VolumeSections = PUBLISHED_VOLUMES[PolarisModel.SPECTRA].sections_mm
 
 
 @dataclass

@@ -65,8 +65,11 @@ def test_every_case_passes_on_a_serial_line(commands: Any, profile: str) -> None
 
 @pytest.mark.slow
 @pytest.mark.timeout(180)
-def test_every_case_passes_over_tcp_except_those_about_a_serial_line(commands: Any) -> None:
-    report = whole_suite(commands, "--endpoint", "tcp://127.0.0.1:0")
+@pytest.mark.parametrize("options", [("--endpoint", "tcp://127.0.0.1:0"), ("--profile", "vega")])
+def test_every_case_passes_over_tcp_except_those_about_a_serial_line(
+    commands: Any, options: tuple[str, ...]
+) -> None:
+    report = whole_suite(commands, *options)
     assert cases(report, "SKIP") == {"P01", "P08", "D40b"}
     assert all(case["reason"] for case in report["cases"] if case["outcome"] == "SKIP")
 

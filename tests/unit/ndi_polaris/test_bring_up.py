@@ -13,8 +13,9 @@ from polaris_unit_in_process import bring_up, configured
 
 from drivers.ndi_polaris import PolarisTracker
 from drivers.ndi_polaris.errors import MalformedReply
-from drivers.ndi_polaris.measuring_volume import parse_volumes
+from drivers.ndi_polaris.measuring_volume import PUBLISHED_VOLUMES, parse_volumes
 from drivers.ndi_polaris.tool_definition import encode_definition, make_planar_tool
+from ronna_hw.wire.polaris import PolarisModel
 
 Make = Callable[..., PolarisTracker]
 
@@ -257,3 +258,27 @@ def test_a_volumes_faces_bend_at_the_knee_and_where_the_width_is_capped() -> Non
         published = {**SECTIONS["pyramid"], **SECTIONS["extended"]}[round(z)]
         assert (half_x, half_y) == pytest.approx(published, abs=0.3)
     assert replace(pyramid, shape="7").sections_mm == ()
+
+
+def test_a_tracker_has_the_volume_published_for_its_model_until_the_unit_says_its_own(
+    make_tracker: Make, unit: Any
+) -> None:
+    vicra = PUBLISHED_VOLUMES[PolarisModel.VICRA].sections_mm
+    assert make_tracker(expected_model="vicra").volume_sections_mm == vicra
+    tracker = make_tracker()
+    pyramid, extended = (volume.sections_mm for volume in parse_volumes(ANSWER))
+    assert tracker.volume_sections_mm == pyramid  # a Spectra, unless another one is expected
+    unit.answers_to["SFLIST"] = ANSWER
+    unit.parameters["Param.Tracking.Selected Volume"] = "1"
+    configured(tracker)
+    assert tracker.volume_sections_mm == extended
+
+
+@pytest.mark.parametrize(("name", "known"), [("Polaris Vega ST", True), ("Polaris Lyra", False)])
+def test_a_unit_that_does_not_say_its_volume_has_that_of_the_model_it_says_it_is(
+    name: str, known: bool, make_tracker: Make, unit: Any
+) -> None:
+    unit.answers_to["VER"] = f"{name} Control Firmware"
+    unit.answers_to["SFLIST"] = "ERROR25"
+    published = PUBLISHED_VOLUMES[PolarisModel.VEGA].sections_mm
+    assert configured(make_tracker()).volume_sections_mm == (published if known else ())

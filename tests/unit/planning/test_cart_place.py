@@ -10,6 +10,7 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from benchmarks.place_map import agreement, cart_case
+from drivers.ndi_polaris.measuring_volume import PUBLISHED_VOLUMES
 from procedures.planning.cart_place import CartCase, CartMove, PlaceSolution
 from procedures.planning.free_angle import choose_free_angles
 from procedures.planning.head_in_ct import HeadEllipsoid
@@ -24,9 +25,12 @@ from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.arm.motion.limits import working_limits
 from ronna_hw.arm.pose import radians6
 from ronna_hw.collision_config import BodyFrame, CollisionConfig, RoomBody
+from ronna_hw.devices.sensors import VolumeSections
 from ronna_hw.frames import Frame, Transform
+from ronna_hw.wire.polaris import PolarisModel
 
 HEAD = HeadEllipsoid(centre_mm=(0.0, 0.0, 0.0), semi_axes_mm=(78.0, 98.0, 93.0))
+SPECTRA, VICRA = PUBLISHED_VOLUMES[PolarisModel.SPECTRA], PUBLISHED_VOLUMES[PolarisModel.VICRA]
 FIDUCIALS = ((-23.0, -68.0, 68.0), (61.0, -33.0, 68.0), (2.0, -18.0, 103.0))
 ALONG = Trajectory("T1", (7.0, -70.0, 60.0), (2.0, -28.0, 26.0)).with_rest(0.7)
 # Left towards robot y, the vertex up and towards the robot, the face up: as in a half sitting position.
@@ -57,7 +61,7 @@ def _setting(*bodies: RoomBody) -> ArmSetting:
 
 
 def _case(setting: ArmSetting, sight: StereoSight = SIGHT, tracker: Transform | None = None) -> CartCase:
-    return CartCase(setting, (ALONG,), FIDUCIALS, sight, tracker, ON_ARM)
+    return CartCase(setting, (ALONG,), FIDUCIALS, sight, tracker, ON_ARM, SPECTRA.sections_mm)
 
 
 def _looking_at_the_arm(setting: ArmSetting, way: tuple[float, float, float], far_mm: float) -> Transform:
@@ -177,6 +181,18 @@ def test_a_position_from_which_the_tracker_cannot_see_the_frame_on_the_arm_is_re
     setting = _setting()
     judged = _case(setting, tracker=_looking_at_the_arm(setting, way, far_mm)).judge(HERE, (_known(),))
     assert (judged.serves, judged.reason) == (not said, said)
+
+
+@pytest.mark.parametrize(
+    ("volume_mm", "serves"),
+    [(PUBLISHED_VOLUMES[PolarisModel.VEGA].sections_mm, True), (VICRA.sections_mm, False), ((), True)],
+)
+def test_the_frame_on_the_arm_must_be_in_the_volume_of_the_tracker_that_is_there(
+    volume_mm: VolumeSections, serves: bool
+) -> None:
+    setting = _setting()
+    case = _case(setting, tracker=_looking_at_the_arm(setting, ABOVE, 1900.0))
+    assert replace(case, volume_mm=volume_mm).judge(HERE, (_known(),)).serves is serves
 
 
 PLACES, WITHIN_MM = 100, 240.0

@@ -1,11 +1,11 @@
-"""User parameters, alerts, the feature list, what survives a reset, the watchdog, and the Vicra model."""
+"""User parameters, alerts, the feature list, what survives a reset, the watchdog, and the other models."""
 
 from __future__ import annotations
 
 import pytest
 from polaris_bench import Bench, MakeBench
 
-from sim.polaris.unit.model import VICRA
+from sim.polaris.unit.model import VEGA, VICRA
 from sim.world.scene.model import TrackerTool
 from sim.world.scene.named_scenes import draw_scene
 
@@ -211,3 +211,11 @@ def test_a_vicra_reports_its_own_identity_limits_and_volume(
     bench.track(pointer)
     assert bench.send("TX 0001").startswith("0101MISSING00000071")  # 1.5 m is behind its volume
     assert bench.send("TX 0801").startswith("0101+")
+
+
+def test_a_vega_is_a_spectra_of_another_name_and_accuracy_on_the_network(make_bench: MakeBench) -> None:
+    bench = make_bench(model=VEGA).ready()
+    assert bench.value("Features.Hardware.Model") == "Polaris Vega ST"
+    assert bench.send("SFLIST 03").startswith("25-240000-153200-095000")
+    assert bench.send("IRATE 2") == "OKAY"
+    assert [volume.stated_mm for volume in VEGA.volumes] == [0.12, 0.15]

@@ -35,6 +35,7 @@ from ronna_hw.arm.errors import NotClear
 from ronna_hw.calibrated_arm.error_budget import ErrorSizes
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import TrackerFrame
+from ronna_hw.devices.sensors import measuring_volume_mm
 from ronna_hw.errors import LimitError
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.roles import ASSISTANT, MASTER
@@ -115,7 +116,8 @@ class ArmVisits:
         """Explain why the tracker does not see the assistant's frame at these joints, or return ''."""
         one = self.assistant
         frame = one.flange_pose(joints_rad) @ self.drawn_frame
-        return explain_hidden_frame(self.tracker_in_base, frame, one.arm.kinematics, joints_rad)
+        volume_mm = measuring_volume_mm(self.cell.tracker)
+        return explain_hidden_frame(self.tracker_in_base, frame, one.arm.kinematics, joints_rad, volume_mm)
 
     def around(self) -> Surroundings:
         """Return what surrounds both arms besides themselves, robot frame."""

@@ -28,6 +28,7 @@ from procedures.strategies.strategy import ONE_SIDE
 from procedures.workcell import Workcell
 from procedures.workcell.tracker_look import FrameHidden, mean_pose, robot_from_marker, see_both_arms
 from ronna_hw.devices.readings import TrackerFrame
+from ronna_hw.devices.sensors import measuring_volume_mm
 from ronna_hw.frames import Transform
 from ronna_hw.vectors import JointVector
 
@@ -81,13 +82,14 @@ class BaseFrameLooks:
         marker_mm = frame.tool_from_marker.translation_mm
         reference = cell.master.tool_pose(cell.master.home_rad).rigid.rotation
         tracker = visits.context.result(GlobalLocalization).robot_from_tracker.transform
+        volume_mm = measuring_volume_mm(cell.tracker)
         found = self._turn(
             (
                 partial(cell.master.joints_at, one.pose, cell.master.home_rad, ONE_SIDE)
                 for one in plan_turns(reference, region_mm, marker_mm)
             ),
             lambda at: explain_hidden_frame(
-                tracker, robot_from_marker(cell, at), cell.master.arm.kinematics, at
+                tracker, robot_from_marker(cell, at), cell.master.arm.kinematics, at, volume_mm
             ),
             visits.master_mover(partial(cell.master.settle, arriving=ONE_SIDE, allow_detour=True)),
             frame.tool,

@@ -34,6 +34,7 @@ from procedures.steps.clinical.work_progress import DepthStop
 from procedures.strategies.strategy import LAST_STRETCH_MM, Sides
 from procedures.workcell import InsertionAxis, MountedTool, Workcell
 from procedures.workcell.assistant import Assistant
+from ronna_hw.devices.sensors import VolumeSections, measuring_volume_mm
 from ronna_hw.errors import LimitError
 from ronna_hw.frames import Transform
 from ronna_hw.tool_record import GuideBore
@@ -98,7 +99,7 @@ def find_axis(context: StepContext, assistant: Assistant, stop: DepthStop, known
     """Return how the assistant brings the instrument into the guide. Raises PLAN-007."""
     meeting, robot_from_ct = Meeting.of(context, known), registered_here(context)
     turns = _list_turns(context, stop, meeting)
-    found = _list_reached(assistant, turns, known)
+    found = _list_reached(assistant, turns, known, measuring_volume_mm(context.workcell.tracker))
     here_rad, in_sight = assistant.joints_rad(), 0
     in_the_way: list[str] = []
     for one in sorted(found, key=lambda one: one.rank):
@@ -164,7 +165,9 @@ def _list_turns(context: StepContext, stop: DepthStop, meeting: Meeting) -> list
     return axes
 
 
-def _list_reached(assistant: Assistant, axes: Sequence[InsertionAxis], known: KnownBases) -> list[_Candidate]:
+def _list_reached(
+    assistant: Assistant, axes: Sequence[InsertionAxis], known: KnownBases, volume_mm: VolumeSections
+) -> list[_Candidate]:
     """List the axes in reach, with either posture of the wrist.
 
     First those in the wrist's posture at the looks, for which it is known what the arm errs; of these, those
@@ -177,10 +180,10 @@ def _list_reached(assistant: Assistant, axes: Sequence[InsertionAxis], known: Kn
     onwards = face_along(assistant.flange_from_clamp.rotation_matrix[:, 2], inwards)
     flanges = [to_base @ one.held @ onto_flange for one in axes]
     away_rad = [float((onwards.inv() * flange.rigid.rotation).magnitude()) for flange in flanges]
-    branch_of = assistant.arm.kinematics.branch_of
+    kinematics = assistant.arm.kinematics
     found = []
     for near in wrist_branches(assistant):
-        other_wrist = branch_of(near) != branch_of(known.assistant_rad)
+        other_wrist = kinematics.branch_of(near) != kinematics.branch_of(known.assistant_rad)
         for one, away in zip(axes, away_rad, strict=True):
             try:
                 at_start = assistant.clamp_joints(one.start, near)
@@ -193,7 +196,7 @@ def _list_reached(assistant: Assistant, axes: Sequence[InsertionAxis], known: Kn
             except LimitError:
                 continue
             marker = assistant.flange_pose(at_start) @ frame
-            hidden = bool(explain_hidden_frame(tracker, marker, assistant.arm.kinematics, at_start))
+            hidden = bool(explain_hidden_frame(tracker, marker, kinematics, at_start, volume_mm))
             way_rad = travel_rad(assistant.home_rad, at_start) + travel_rad(at_start, at_end)
             rank = (other_wrist, hidden, round(away / TURN_STEP_RAD), way_rad)
             found.append(_Candidate(rank, replace(one, arriving=signs), at_start, at_end))
