@@ -353,7 +353,11 @@ def limits_are_stated(dut: DeviceUnderTest) -> None:
         lower, upper = limits.ranges(arm.kinematics)
         check(all(a < b for a, b in zip(lower, upper, strict=True)), "a range of each axis", limits)
     reduced = arm.limits(OperatingMode.REDUCED_SPEED)
-    check(reduced.body_speed_mm_s <= REDUCED_SPEED_MM_S, "at most 250 mm/s at reduced speed", reduced)
+    check(
+        reduced.body_speed_mm_s <= REDUCED_SPEED_MM_S,
+        f"at most {REDUCED_SPEED_MM_S:g} mm/s at reduced speed",
+        reduced,
+    )
     shares = [speed / most for speed, most in zip(reduced.speed_rad_s, full, strict=True)]
     check(max(shares) <= REDUCED_SPEED_FRACTION * ROUNDING, "at most a tenth of full axis speed", reduced)
 

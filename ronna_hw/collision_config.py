@@ -25,6 +25,7 @@ from ronna_hw.arm.clearance.bodies import (
     Surroundings,
     covering_ellipsoid,
 )
+from ronna_hw.arm.motion.limits import REDUCED_SPEED_MM_S
 from ronna_hw.arm.pose import Pose
 from ronna_hw.calibration import Numbers3, Strict
 from ronna_hw.plausible import FARTHEST_MM, Length, farther_than
@@ -35,8 +36,10 @@ Speed = Annotated[float, Field(gt=0, le=2000)]
 Place = Annotated[Numbers3, farther_than(0.0, FARTHEST_MM)]
 
 # The largest values that still limit anything.
+# Safety against a corridor that no longer limits the needle (U).
 LARGEST_CORRIDOR_MM = 15.0  # no burr hole is wider than 30 mm
-FASTEST_NEAR_HEAD_MM_S = 250.0  # the reduced speed of ISO 10218-1, with a person in reach
+# Safety against a fast arm at the head. Source: `REDUCED_SPEED_MM_S`.
+FASTEST_NEAR_HEAD_MM_S = REDUCED_SPEED_MM_S
 
 SPHERE_POST_RADIUS_MM = 7.0  # an 11.5 mm marker on its post, plus the error of the coarse localization
 POST_MM = 14.0  # from the sphere's centre towards the head
@@ -102,9 +105,11 @@ class HeadZone(Strict):
     """Speed limit for all moving parts, interpolated linearly over the distance to the head."""
 
     near_mm: NotNegative = Field(default=20.0, description="Up to this distance, near_speed_mm_s applies.")
+    # Safety against a fast arm at the head (U).
     near_speed_mm_s: Annotated[float, Field(gt=0, le=FASTEST_NEAR_HEAD_MM_S)] = Field(
         default=60.0, description="Largest speed up to near_mm."
     )
+
     far_mm: Millimetres = Field(default=400.0, description="From this distance on, far_speed_mm_s applies.")
     far_speed_mm_s: Speed = Field(default=1000.0, description="Largest speed from far_mm on.")
 
@@ -167,6 +172,7 @@ AROUND_THE_PATIENT = (
 class CollisionConfig(Strict):
     """Collision bodies and clearances for checking every path before the arm moves."""
 
+    # Safety against contact of arm, tool or needle with head, clamp, table and room (U).
     margin_mm: Millimetres = Field(default=10.0, description="Smallest clearance along a planned path.")
     live_margin_mm: NotNegative = Field(
         default=5.0, description="Smallest clearance of a set-point; below it the arm stops."
@@ -174,6 +180,7 @@ class CollisionConfig(Strict):
     corridor_mm: Annotated[float, Field(gt=0, le=LARGEST_CORRIDOR_MM), Length] = Field(
         default=2.5, description="Radius of the needle corridor about a trajectory."
     )
+
     arm: ArmThickness = Field(default=ArmThickness(), description="Radii of the links of the arm.")
     zone: HeadZone = Field(default=HeadZone(), description="Speed limit near the head.")
     stereo_head: tuple[ToolBody, ...] = Field(

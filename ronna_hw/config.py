@@ -140,7 +140,9 @@ HOLDER_FRAME = "calibration.assistant_holder.frame"
 NEAREST_PLACE_MM = 10.0  # from an arm's origin: nothing stands inside its base, and its reach is below 10 m
 FARTHEST_APPROACH_MM = 500.0  # as the longest guide
 # Two spheres of 11.5 mm that touch are that far apart: one seen farther off than half of it may be another.
+# Safety against a sphere taken for its neighbour. Source: the diameter of the spheres.
 LARGEST_COARSE_FINE_MM = 5.75
+# Safety against a force on the instrument that is not watched, or not limited (U).
 LEAST_INSERTION_N = 2.0  # below, the noise of a force from motor currents stops an insertion
 LARGEST_INSERTION_N = 50.0  # a Universal Robots arm holds 50 N in its reach; no instrument here needs more
 

@@ -25,15 +25,18 @@ LONGEST_FOCAL_PX = 1e6  # 1 m on pixels of 1 µm
 WIDEST_VIEW_DEG = 75.0  # a 6 mm lens on a 2/3 inch sensor has 72; wider ones do not follow this distortion
 # One standard deviation per axis of an arm that repeats to 0.02 mm (ISO 9283: mean plus three standard
 # deviations), the best of this size. Nothing on the mount, nor any sphere, is placed or known better.
+# Safety against a stated error that is not credible (U).
 FINEST_ON_ARM_MM = 0.005
 FINEST_MM = 0.001  # of a mean over many poses; coordinate measuring machines are off by more
 FINEST_SCATTER_MM = 1e-4  # of any arm, from pose to pose; 0.02 mm in metres would be less
 LARGEST_ARM_ERROR_MM = 1.0  # an arm of this size is off by 0.65 mm without any calibration
 # Of records: each a thousand times the finest above, so that no error in micrometres passes for one in mm.
+# Safety against a stated error that is not credible (U).
 LARGEST_MEASURED_ERROR_MM = 1.0  # of a point, by stereo head or calibrated arm: usually 0.02 to 0.2 mm
 LARGEST_MOUNTED_ERROR_MM = 5.0  # of a part on the mount; one as drawn is 2 to 4 mm off
 LARGEST_SEATING_MM = 2.0  # a sphere farther off its place is not on the same post
 LARGEST_DEVIATION_MM, LARGEST_DEVIATION_RAD = 20.0, 0.1  # of one joint or link: fifty times what is usual
+
 LONGEST_TRAVEL_MM = 100.0  # of a dial gauge
 SHORTEST_BORE_MM = 15.0  # a shorter bore does not guide; 85 mm in centimetres would be less
 LONGEST_LIFE = timedelta(days=366)  # of a record; also the most that a calibration accepts for --days
@@ -133,7 +136,9 @@ JointDegrees = Annotated[float, Field(ge=-720, le=720)]  # no axis turns twice; 
 NAME_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9_.-]*$"
 LONGEST_NAME = 32
 LEAST_DEPTH_MM = 1.0  # entry and target closer than this are the same point to every instrument here
+# Safety against a plan deeper than a head (U).
 MOST_DEPTH_MM = 150.0  # from one side of a head to far beyond its middle; anything longer is a typing error
+
 LARGEST_MARGIN_MM = 20.0  # accepted error at a target
 LARGEST_ANGLE_DEG = 360.0  # about the axis, either way
 

@@ -89,7 +89,7 @@ class KukaRsiArm(StreamedArm[ControllerState]):
     def allow_t1(self, confirmed_by: str) -> None:
         """Allow the next `activate` to start in T1, with a person at the arm holding the pendant.
 
-        Motions then stay within 250 mm/s and a tenth of the axes' full speed.
+        Motions then stay within reduced speed and a tenth of the axes' full speed.
         """
         self._t1_confirmed_by = require_person(confirmed_by)
 

@@ -19,6 +19,7 @@ from ronna_hw.devices.lifecycle import RUNNING, LifecycleGuard
 from ronna_hw.errors import RonnaError
 from ronna_hw.wire.kuka_eki import OperationMode
 
+# Safety against an arm that does not follow, for a reason not told (U).
 CAUSE_S = 1.0  # host time for the controller's cause when axes no longer follow; they are already stopping
 
 

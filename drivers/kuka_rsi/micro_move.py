@@ -19,9 +19,13 @@ from ronna_hw.arm_stream.client import LinkClient
 from ronna_hw.arm_stream.records import LinkState, Move, Result, StopOrder
 from ronna_hw.vectors import JointVector
 
+# Safety against a controller whose axes are not what they are taken for (U).
 LARGEST_SHIFT_MM = 0.05
+
 REACH_BEYOND_FLANGE_MM = 150.0  # for a tool: nothing on the arm may move farther than the limit
+# Safety against a controller whose axes are not what they are taken for (U).
 LARGEST_ANGLE_RAD = radians(0.02)
+
 SLOW_FRACTION = 0.1  # of the working speed
 STRAY_RAD = radians(0.002)  # for an axis that should not move: twenty digits of the wire
 FOLLOWED_SHARE = 0.75  # share of the commanded angle that must be measured

@@ -20,7 +20,9 @@ from ronna_hw.wire.kuka_context import SOFTWARE_END_SWITCHES, RsiContext, load_c
 from ronna_hw.wire.kuka_eki import PROJECT_PORT
 
 SETTLE_TOLERANCE_DEG = 0.0002  # two digits of the wire
+# Safety against a lost telegram that becomes a jump (U).
 LARGEST_SPEED_FRACTION = 0.125  # above this, two prepared steps at once exceed what a controller accepts
+
 LEAST_PRECISION = 3  # decimals: with fewer the arm never settles within its tolerance
 NEEDED_KEYWORDS = ("DEF_AIPos", "DEF_Delay")
 EXAMPLE_CONTROLLER = f"tcp://172.31.1.147:{PROJECT_PORT}"  # default address of a KR C4

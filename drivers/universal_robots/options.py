@@ -24,15 +24,21 @@ from ronna_hw.wire.universal_robots import ScriptSettings
 
 CYCLE_S = {UrModel.UR5: 0.008, UrModel.UR5E: 0.002}  # of the controller: CB3, e-Series
 SETTLE_TOLERANCE_DEG = 0.0008  # of servoj at rest (U); a tenth of what 0.1 mm of repeatability means
+# Safety against a late or missing set-point (U).
 LARGEST_SPEED_FRACTION = 0.25  # a late set-point makes one step of twice that, half of what the script takes
 STARVE_LIMIT_S = 0.02  # without a new set-point, until the script stops the arm
+
 LEAST_STARVED_CYCLES = 3  # one late set-point is no loss of the link
+# Safety against a set-point that is a jump, and a stop that takes long (U).
 LARGEST_STEP_SHARE = 0.5  # of a joint's full speed, between two set-points
 STOP_DECELERATION_RAD_S2 = (
     8.0  # of stopj: twice the vendor's default, to rest within 50 ms at working speed (U)
 )
+
 FORCE_FILTER_S = 0.02  # a few cycles of CB3: halves the noise of its estimate
+# Safety against a tool whose mass the controller does not know.
 FORCE_AT_REST_N = 15.0  # above the bias of CB3 on three axes (U), below a tool whose mass was not set
+
 LOOKAHEAD_S = 0.03  # the least: the arm follows within 34 ms
 GAIN = 1000.0
 TOOL_INPUTS = tuple(wire.TOOL_INPUTS)

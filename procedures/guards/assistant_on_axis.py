@@ -27,7 +27,9 @@ Array = NDArray[np.float64]
 
 # By as much the shaft of an instrument bends between clamp and bore before it presses on the guide (U). It
 # must leave room for what a look over the guide cannot tell, up to 0.4 mm.
+# Safety against an instrument that bends between clamp and bore.
 LARGEST_OFF_MM = 0.8
+
 BETTER_FRAMES = 240  # 4 s, where a careful look is too weak
 READINGS = 15  # averaged on the way
 WATCH_FALSE_ALARM = 1e-5  # share of these means: an insertion has some tens of them

@@ -30,14 +30,19 @@ from ronna_hw.frames import Frame, Transform
 
 Array = NDArray[np.float64]
 
+# Safety against a guide that is pushed aside (U).
 PUSHED_MM = 0.2  # at the guide: ten newtons on the arm that is assumed make 0.13 mm
 # In one frame of the tracker, the place of the frame on the mount has a noise of 0.16 mm, the guide's end,
 # 160 mm away, one of 0.42 mm: less than `END_SEEN_MM` means nothing. Frames take time, and a trajectory in
 # whose pose the head is hidden has ten seconds: hence a short look, and a long one only if that shows a push.
+# Safety against a guide that is pushed aside. Source: the tracker's noise.
 END_SEEN_MM = 0.3
+
 MOUNT, END, ON_GUIDE = 0, 1, 2  # rows of both frames and of the guide's end among the points
 HEAD_NAME, FRAME_NAMES = "the head", {MOUNT: "the frame on the arm", ON_GUIDE: "the frame on the guide"}
+# Safety against a guide that nobody sees.
 LONGEST_UNSEEN_S = 1.0  # theatre time; a hand that leans on something does so for longer (U)
+
 FRAMES, FRAMES_AT_FIRST = 60, 30  # at least half must show the frame
 BETWEEN_LOOKS_S = 1.0  # theatre time
 # Readings averaged by a watch, every fourth frame: with half as many for the place, 4 of 100 insertions of

@@ -28,12 +28,16 @@ GhostFinder = Callable[[Array, Array], Flags]
 AVERAGED = 8
 # Rms of the spheres while the arm moves: between the noise of so many readings and the 0.5 mm that must be
 # noticed on the way. At rest, the looks together are judged (`procedures.room`).
+# Safety against a head that moves while the arm does. Source: simulated looks.
 PATIENT_LIMIT_MM = 0.3
+
 SPAN = 2 * AVERAGED  # frames back to which a sphere's readings count
 # Mean displacement of all spheres in one reading from which the very next frame is read; a shift of 0.5 mm
 # stays below it once in a thousand.
 DOUBT_MM = 0.15
+# Safety against a head that has left its place (U).
 LEAST_FAR_MM = NEAR_MM / 2.0  # of spheres that are no longer near their places
+
 FAR_READINGS = 3  # in a row that show spheres, but too few of them in place
 # Spheres in place that show an unmoved head while the others are hidden; further points are glints and
 # ghosts, of which one may form the distances of three spheres together with these two.

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 # Theatre time for which a guide may approach an unseen head. The approach to a target takes some 5 s.
+# Safety against the approach to a head that nobody sees (U).
 MOST_UNSEEN_S = 10.0
 
 

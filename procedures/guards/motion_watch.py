@@ -33,6 +33,7 @@ from ronna_hw.devices.errors import MotionInterrupted, WrongState
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.errors import RonnaError
 
+# Safety against a head that nobody sees under way (U).
 LONGEST_UNSEEN_S = 5.0  # theatre time under way; beyond it is a finding
 
 

@@ -35,8 +35,11 @@ from ronna_hw.text import format_against_limit, format_count
 
 Array = NDArray[np.float64]
 
+# Safety against a cart that was rolled (U).
 GROSS_LIMIT_MM = 10.0  # of the frame on the arm, in any pose: a rolled cart, and no hand on the guide
+# Safety against a sphere at a place where none is known (U).
 NEAR_HEAD_MM = 60.0  # from a known sphere: anything that reflects there is taken for a sphere of the head
+
 HELD = (
     "Let go of guide and arm, check that mount and frame are tight and the cart locked. Send the arm home, "
     "then run the step again: there the next look tells whether anything has moved. If it shows nothing and "

@@ -51,11 +51,14 @@ ON_ARM: Mapping[str, Tracked] = MappingProxyType(
 
 FRAMES = 12  # 0.2 s of the usual 60 Hz
 CAREFUL_FRAMES = 60
+# Safety against a ghost or a glint that is taken for a sphere (U).
 LINE_MM = 1.0  # from a line: the tracker's bias differs between places by some tenths
 OTHER_LINE_MM = 4.0  # to a marker on the arm, perhaps located by the arm alone: its mount is off by 3.5 mm
 # Of spheres that are reported as one frame: how they sit differs from its definition, so the frame moves when
 # one of them is hidden; per axis (U).
+# Safety against a moved head within the fit of its frame.
 FITTED_MM = 0.05
+
 SENSOR_MM = 10.0  # uncertainty of the sensors' positions; matters in proportion to the way along the line
 
 

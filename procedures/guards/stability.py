@@ -21,7 +21,9 @@ from ronna_hw.arm.catalogue import repeatability_mm
 
 # On its gauge; beyond it, the guide is not as it was when its tip was calibrated. For an arm that repeats
 # within `REPEATABLE_MM` per axis; one that repeats less well shows less.
+# Safety against a guide that is not as it was calibrated (U).
 GUIDE_NOTICEABLE_MM, REPEATABLE_MM = 0.05, 0.015
+
 CONFIRMATION = "confirmation"
 LOOKS_AT_ROOM = (
     *("global_localization", "relocalization", "tool_change", "tool_check", "positioning"),

@@ -28,10 +28,14 @@ from ronna_hw.errors import RonnaError
 # From request to reply without the transfer, so that a slow serial line does not count as late: at 9600 baud
 # a frame of 170 bytes takes 0.18 s. A tracker replies within 0.02 s, and a computer stalls for tens of
 # milliseconds. The patient watch averages eight readings: with this delay it notices a shift within a second.
+# Safety against a tracker whose replies are old (U).
 LATE_S = 0.1
+
 JUDGED = 5  # replies, by their median: two may be late, such as the first and one during a stall
 BETWEEN_LOOKS_S = 10.0  # theatre time while replies are late; a look then takes three of them
+# Safety against a blocked line of sight (U).
 FRAME_PATIENCE_S = 0.2  # theatre time: a passing hand is no finding (12 frames of a 60 Hz tracker)
+
 CLEAR_THE_LINE = (
     "clear the line of sight between tracker and head; if only the arm or the guide blocks it, "
     "leave the step and move the tracker or turn the trajectory (free_angle_deg in the plan), or "
@@ -41,6 +45,7 @@ ARM_IN_THE_WAY = (
     "the arm or the guide blocks the view, as expected; leave the step and move the tracker or turn "
     "the trajectory (free_angle_deg in the plan), or continue without sight"
 )
+# Safety against a blocked line of sight (U).
 PATIENCE_S = 20.0  # theatre time for a hand or a drape to go; none if the arm itself is in the way
 
 

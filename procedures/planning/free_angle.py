@@ -34,8 +34,11 @@ from procedures.strategies.trajectory import Trajectory
 from ronna_hw.arm.kinematics import Branch, Kinematics
 from ronna_hw.errors import LimitError
 
+# Safety against a wrist near its singularity. Source: simulated cases.
 LEAST_BEND_RAD = math.radians(15.0)  # at 5 deg a target error of 0.69 mm was observed, three times the usual
+# Safety against a wrist that turns far between localization and target (U).
 MOST_TURN_CHANGE_RAD = math.radians(45.0)  # between a localization and the target
+
 Array = NDArray[np.float64]
 LEVER_MM = 270.0  # from the tool's axis to the far side of the hand that carries the default mount
 MOST_GAIN_MM = LEVER_MM * STEP_RAD / 2.0  # of clearance, by a turn of half a step

@@ -17,8 +17,10 @@ from ronna_hw.tool_record import GUIDES, Gauge, GuideBore, ToolRecord
 from ronna_hw.x_frame import SPHERE_CENTRES_MM
 
 # Far below the error of any tip, and above the rounding of a written number.
+# Safety against a record of another tip. Source: the rounding of a written number.
 SAME_TIP_MM = 0.001
 SAME_TIP_RAD = math.radians(0.001)
+
 RENEW = "Read the gauge with this tool, then run ronna-tool renew, which updates the record for that tip."
 SAME_BODY_MM = 2.0  # between distances of markers: closer ones are the same to a tracker
 Markers = Mapping[str, Sequence[Sequence[float]]]  # of each tool by name, mm, in its own frame

@@ -22,9 +22,12 @@ from procedures.room.model import HEAD, MOTIONS, POSE, Body, RoomModel, Rows, co
 
 Array = NDArray[np.float64]
 
+# Safety against a moved head, cart or tracker (U).
 FALSE_ALARM = 1e-4  # share of looks at an undisturbed room that raise an alarm, for each question asked
 # Prior of a motion between two looks, per axis; what moves further is plain in any look. (U)
+# Safety against a moved head, cart or tracker.
 MOTION_RAD, MOTION_MM = 0.02, 5.0
+
 AXES = 3
 
 BODIES = np.eye(MOTIONS).reshape(MOTIONS, len(Body), POSE)

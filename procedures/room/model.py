@@ -33,8 +33,10 @@ Array = NDArray[np.float64]
 
 # Smooth error of the tracker, per axis of its frame, and the way over which it changes: a unit of 0.25 mm
 # volumetric accuracy whose error varies over metres. (U)
+# Safety against a moved head or cart within the tracker's own error.
 FIELD_MM = np.array([0.1, 0.1, 0.2])
 FIELD_LENGTH_MM = 300.0
+
 REPEATABILITY_RAD = 2e-5  # per axis, of its orientation (U)
 # Places that nothing before the first look tells: of the frame on its mount, a sphere, a base as the tracker
 # has it, and each of them after a push or a move that was followed.

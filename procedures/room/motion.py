@@ -31,8 +31,10 @@ Array = NDArray[np.float64]
 
 # A hypothesis stands unless it is wrong with more than this confidence. The better one is named if it is this
 # much more likely, in chi-square; else both are.
+# Safety against a moved body that is taken for another (U).
 DOUBTED = 1e-3
 BETTER = 14.0
+
 TURNED_SHARE = 1.1  # of its own displacement, beyond which a body's motion is told at the point that counts
 
 

@@ -21,8 +21,11 @@ from ronna_hw.vectors import JointVector, joint_vector
 Array = NDArray[np.float64]
 
 # One marker in one frame, per axis of the tracker, across and along its line of sight. (U)
+# Safety against a moved head or cart within the tracker's own error.
 MARKER_NOISE_MM = np.array([0.06, 0.06, 0.20])
+
 NOISE_WORTH = 30  # frames that the stated noise counts as, beside the scatter of the frames themselves
+# Safety against a moved head or cart within the tracker's own error.
 FLOOR_MM = np.array([0.006, 0.006, 0.012])  # per axis, below which no number of frames brings a mean (U)
 
 

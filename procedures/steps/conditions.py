@@ -9,6 +9,7 @@ from procedures.steps.errors import ReadingTooOld
 from procedures.workcell import MountedTool
 
 REMOUNTED = "; with the arm home, run global_localization: it is mounted there again"
+# Safety against a reading of depth stop or gauge that is old (U).
 LONGEST_S = 3600.0  # theatre time; a check on the gauge takes minutes, skin, skull and dura half an hour
 
 

@@ -37,6 +37,7 @@ OUTWARDS_RAD: tuple[float, ...] = (
 # Side from which each joint arrives, +1 or -1: known backlash is then compensated. 0: unknown; None: all.
 Sides = Sequence[int] | None
 ONE_SIDE = (1, 1, 1, 1, 1, 1)  # which it is does not matter, as long as it is the same
+# Safety against a fast approach to the skin (U).
 AXIAL_SPEED_FRACTION = 0.5  # of the working speed, on the way towards the skin
 # How far each joint stands back before it turns onto a position: ten times the backlash of a worn gear.
 APPROACH_RAD = math.radians(0.2)

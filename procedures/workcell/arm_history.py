@@ -32,8 +32,10 @@ from ronna_hw.vectors import JointVector
 
 # Nominal tip frame against the axis. A settled arm is within 0.05 mm; ten times that is beyond rounding, and
 # still less than what bends a needle.
+# Safety against an instrument that is moved while off its axis (U).
 ON_AXIS_MM = 0.5
 ON_AXIS_RAD = math.radians(0.5)
+# Safety against an arm that is not where the journal has it (U).
 AT_PLACE_RAD = math.radians(0.1)  # far more than the arm's repeatability, far less than any motion
 # Places kept for the way back; without the first ones it could end where the way home is not clear. A
 # localized sphere adds six or seven, many more if it is searched for: 3 trajectories with 5 spheres each made

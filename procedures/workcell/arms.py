@@ -38,16 +38,23 @@ from ronna_hw.preview import plan_motion
 from ronna_hw.roles import MASTER
 from ronna_hw.vectors import JointVector
 
+# Safety against the other arm, not where it was last seen (U).
 OLDEST_S = 0.1  # what is known of an arm while another moves
 # The arms keep step there: a state is old because the host is busy, or because its arm stands still and the
 # clock (`STREAM_SILENCE_NS`, 2.5 s) has just let the other one go on without it.
+# Safety against the other arm, not where it was last seen. Source: `STREAM_SILENCE_NS`.
 OLDEST_IN_LOCK_STEP_S = 2.4
-WATCH_S = 0.02  # theatre time between two looks at both arms: 5 mm at 250 mm/s, of the 30 mm kept
+
+WATCH_S = 0.02  # theatre time between two looks at both arms: 5 mm at reduced speed, of the 30 mm kept
+# Safety against an arm that moves although it should rest (U).
 STILL_RAD = 2e-3  # an arm at rest does not move by this much: 1 mm at half a metre
+
 HALTED = "both arms are stopped"  # event of the log
+# Safety against two arms that meet (U).
 STOP_LIMIT_S = 5.0  # host time
 LEAVING_MM = 1.0  # by which arms that are closer than they should be may come closer on their way apart
 LARGEST_LAG_S = 0.5  # of one arm behind the other on checked paths: both starts, and a stop from full speed
+
 STOPPED_FOR_UNKNOWN = "the {} has stopped, and its controller has not said why"
 R = TypeVar("R")
 

@@ -47,14 +47,17 @@ from ronna_hw.vectors import JointVector, vector3
 POST_MM, CLAMP_MM, INSTRUMENT_MM = 12.0, 14.0, 2.5  # radii of the holder's bodies, as drawn
 POST, CLAMP, INSTRUMENT = "post of the holder", "clamp of the holder", "instrument"
 AT_GUIDE = (POST, CLAMP, INSTRUMENT)  # these come close to the guide when the instrument is led into it
+# Safety against an instrument drawn out too fast (U).
 WITHDRAWAL_SPEED_MM_S = 10.0  # straight out: nothing is ahead of the tip
 OFF_SKIN_SPEED_MM_S = 40.0  # of a withdrawal, the tip off the skin: in the bore and above, nothing holds it
 # By which a moved cart, seen by one look at the frame on its arm, may be misplaced (U).
+# Safety against an arm on a cart that was moved.
 ONE_LOOK_MM = 5.0
 TURNED_SHARE = 0.25  # of the way of its frame, by which a cart that turned has moved other parts differently
 TURNED_CART = 2.0  # a cart that turned moves parts of its arm farther than the frame that shows it
 # Where the bore leads the instrument and its tip is off the skin. At the accelerations of the arms it still
 # stops within 0.5 mm; an arm that senses force stays at the speed at which that is watched.
+# Safety against an instrument led too fast in the bore (U).
 BORE_SPEED_MM_S = 15.0
 
 

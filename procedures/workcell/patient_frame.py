@@ -25,11 +25,15 @@ Array = NDArray[np.float64]
 
 # Rms of the frame's markers from their mean place within a spell: by the tracker's noise 0.2 mm in one frame,
 # twice that in sunlight.
+# Safety against a tracker or clamp that moves during a reading (U).
 STILL_MM = 1.0
+
 LEAST_STILL = 15  # frames of a spell, 0.25 s; what is shorter is a movement
 # Of the frame on the arm against the clamp, from spell to spell: over 600 mm, the rotation of the frame on
 # the clamp has a noise of 0.3 mm in 15 frames.
+# Safety against a tracker or clamp that moves during a reading (U).
 ARM_STILL_MM = 1.0
+
 OR_ANOTHER = "; if it is in view, its definition is that of another frame (ronna-rom check)"
 
 

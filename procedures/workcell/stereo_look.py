@@ -29,7 +29,9 @@ from ronna_hw.errors import RonnaError
 # Errors that mean no sphere, or another object; everything else is a fault.
 NOT_SEEN = (NoContrast, NoSphere, RaysDoNotMeet, WrongSize)
 FURTHER_TRIES = 2  # a lost image is an everyday matter on a network; three in a row are a fault
+# Safety against a picture from before the arm was there (U).
 CLOCK_ERROR_S = 0.1  # theatre time, between the clocks of cameras and theatre; the arm rests for longer
+
 OFFSET_STEP_PX = 16  # of the older firmware of the camera family; newer firmware takes any
 PICTURE_HEIGHT_PX = 300  # of the report
 TRUSTED_BGR, DOUBTED_BGR, PAPER_BGR = (80, 220, 80), (40, 160, 255), (255, 255, 255)

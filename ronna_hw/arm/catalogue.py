@@ -22,6 +22,7 @@ _ARMS: tuple[Kinematics, ...] = (*map(kr6_r900, ArmVariant), *map(universal_robo
 BUILT_IN = {arm.name: arm for arm in _ARMS}
 # Of a pose that is reached again, one standard deviation per axis: half of the 0.03 mm that the vendors
 # publish; for a UR5 it is 0.1 mm by ISO 9283, a mean and three standard deviations of the distance.
+# Safety against a moved head or cart within the arm's own error. Source: data sheets, ISO 9283.
 REPEATABILITY_MM = {**{arm.value: 0.015 for arm in ArmVariant}, "ur5": 0.03, "ur5e": 0.015}
 
 

@@ -15,11 +15,13 @@ from ronna_hw.arm.kinematics import JointRanges
 from ronna_hw.arm.motion.limits import MotionLimits
 from ronna_hw.vectors import JointVector, joint_vector
 
+# Safety against set-points beyond the limits, and an arm that does not follow them (U).
 SPEED_MARGIN = 1.05  # over the working limits, so that rounding and the end of a ramp do not trip it
 ACCELERATION_MARGIN = 2.0  # differences over one cycle include jerk
 JERK_MARGIN = 4.0
 FOLLOWING_TIME_S = 0.25  # how late an arm may be at a set-point: dead time and servo lag stay below 0.1 s
 FOLLOWING_RAD = radians(0.1)  # off the range of set-points of that time; servo overshoot is not published
+
 RANGE_ROUNDING_RAD = 2e-6  # half a digit of the wire
 
 History = tuple[JointVector, JointVector, JointVector, JointVector]

@@ -11,8 +11,11 @@ from ronna_hw.arm_stream.guided import GuideLimits
 from ronna_hw.devices.contact import GUIDED_SPEED_MM_S, Guided, HandGuidance
 from ronna_hw.devices.lifecycle import Lifecycle
 
+# Safety against a hand-guided arm that goes far (U).
 LARGEST_REACH_MM = 300.0
+# Safety against a hand that is clamped. Source: ISO/TS 15066.
 LARGEST_FORCE_N = 100.0  # below 140 N, what ISO/TS 15066 permits for a hand that is clamped
+# Safety against a hand-guided arm that runs away, or is forgotten (U).
 LEAST_DAMPING_N_S_MM = 0.1  # less is felt as an arm that runs away
 LONGEST_S = 600.0
 

@@ -12,8 +12,10 @@ from ronna_hw.devices.robot import LineMove
 from ronna_hw.frames import Transform
 from ronna_hw.vectors import JointVector
 
+# Safety against an instrument that leaves its axis. Source: proposed requirement DA-5.
 OFF_AXIS_MM = 0.2  # proposed requirement DA-5: what a guide takes without bending the instrument
 OFF_AXIS_RAD = radians(0.2)
+
 BEGUN_MM = 1.0  # past the start of its line: more than an arm rests beside a set-point
 # Of a target from the z axis at the start of its line: five times what the errors of an uncalibrated arm
 # change along an axis of 160 mm, by simulated arms.

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 DEGRADED_SPEED = 0.5  # share of the planned speed while degraded
+# Safety against a link that loses telegrams (U).
 DEGRADED_ABOVE = 3  # lost cycles in one stretch
+
 STRETCH_CYCLES = 250  # loss-free cycles after which the count of the stretch restarts (1 s at 4 ms)
 WINDOW_CYCLES = 250  # over which the share of lost cycles is judged
+# Safety against a link that loses telegrams (U).
 UNUSABLE_SHARE = 0.35  # in two consecutive windows: far above 20 %, which is tolerated
+
 UNUSABLE_WINDOWS = 2  # one stall of the host, or one burst, does not fill two
 RECOVERED_CYCLES = 1000  # loss-free cycles after which full working speed is allowed again
 

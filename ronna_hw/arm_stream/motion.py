@@ -27,7 +27,9 @@ from ronna_hw.preview import plan_motion, preview_motion, with_speed_steps
 from ronna_hw.vectors import JointVector
 
 POLL_S = 0.5  # host time between checks of theatre time during a motion
+# Safety against an arm that does not come to rest at the end of its path (U).
 SETTLE_LIMIT_S = 5.0  # theatre time at the end of the path; servos settle within a tenth of a second
+
 HELD_POLL_S = 0.02  # host time between looks at an enabling switch
 STOP_S = 1.0  # for an arm that must stop: host time at the motion's time limit, theatre time after a fault
 

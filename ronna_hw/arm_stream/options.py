@@ -21,11 +21,15 @@ from ronna_hw.arm.motion.limits import (
 from ronna_hw.arm_stream.records import StreamSettings
 from ronna_hw.calibration import Strict
 
+# Safety against a robot link or a program that has stopped (U).
 SILENCE_LIMIT_S = 0.25
 HEARTBEAT_LIMIT_S = 1.0  # a program busy with other work may be delayed by tens of milliseconds
+
 FOREMOST_PRIORITY = 80  # of SCHED_FIFO: above other programs, below the kernel's own threads
 REHEARSAL_LEAD_US = 500  # finished before the sender needs the processor, with caches still warm
+# Safety against a theatre file that asks for a fast arm. Source: `REDUCED_SPEED_MM_S`.
 LARGEST_LINE_SPEED_MM_S = REDUCED_SPEED_MM_S  # on straight lines, also with nobody beside the arm
+
 SETTLE_TOLERANCE = "A motion has ended when all axes are within this distance of the target."
 SPEED_FRACTION = "Working speed of the axes, as a fraction of full speed."
 REHEARSAL_LEAD = "The reply is rehearsed this long before it is due; 0: never."

@@ -16,6 +16,7 @@ from ronna_hw.arm_stream.records import LinkState, StopOrder
 from ronna_hw.devices.lifecycle import READABLE, RUNNING, Lifecycle, LifecycleGuard
 from ronna_hw.errors import RonnaError
 
+# Safety against a controller that no longer tells its state (U).
 CONTROL_SILENCE_S = 2.0  # twenty periods of the state; the control channel is not for real-time control
 
 

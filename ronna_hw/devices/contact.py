@@ -10,14 +10,17 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
+from ronna_hw.arm.motion.limits import REDUCED_SPEED_MM_S
 from ronna_hw.devices.readings import ArmReading
 from ronna_hw.vectors import Vector3
 
 if TYPE_CHECKING:
     from ronna_hw.frames import Transform
 
+# Safety against an instrument that is inserted too fast. Source: proposed requirement DA-5.
 INSERTION_SPEED_MM_S = 5.0  # proposed requirement DA-5: slow enough to stop within a fraction of a mm
-GUIDED_SPEED_MM_S = 50.0  # a fifth of the reduced speed of ISO 10218-1: a hand is on the arm
+# Safety against a fast arm in a hand (U).
+GUIDED_SPEED_MM_S = REDUCED_SPEED_MM_S / 5.0  # a hand is on the arm
 
 
 @dataclass(frozen=True)

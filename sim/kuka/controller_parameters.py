@@ -10,6 +10,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Annotated, Literal, Self
 
+from ronna_hw.arm.motion.limits import REDUCED_SPEED_MM_S
 from ronna_hw.wire.kuka_eki import FIRST_REQUEST_LIMIT_MS
 from sim.kuka.errors import UNKNOWN_PARAMETER
 from sim.named_parameters import MaximumValue, apply_assignments
@@ -143,7 +144,9 @@ class ControllerParameters:
     T1_axis_speed_share: Annotated[
         float, "Fraction of the axis speed limits, for motions of the EKI program."
     ] = 0.10
-    T1_tool_speed_mm_s: Annotated[float, "The arm is stopped above this speed, by EKI or RSI."] = 250.0
+    T1_tool_speed_mm_s: Annotated[float, "The arm is stopped above this speed, by EKI or RSI."] = (
+        REDUCED_SPEED_MM_S
+    )
 
     # message numbers for which there is no public source
     end_switch_message: Annotated[int, "Number of the message: software end switch."] = 1205

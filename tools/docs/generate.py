@@ -27,6 +27,7 @@ from reference_tables import (
     scanner_faults,
     table,
 )
+from safety_figures import safety_table
 
 import conformance
 import console
@@ -95,6 +96,7 @@ def tables() -> dict[str, str]:
         "robot-options.md": _tabulate_roles(kuka_rsi.ROLES) + model_tables({"Options": kuka_rsi.KukaOptions}),
         "robot-parameters.md": robot_parameters(),
         "scene-file.md": model_tables({"scene": Scene}),
+        "safety-figures.md": safety_table(),
         "scanner-faults.md": scanner_faults(),
         "state-chart.md": f"```mermaid\n{state_chart_mermaid(CASE_STEPS)}```\n\n{_tabulate_branches()}",
         "stereo-options.md": model_tables({"Options": BaslerOptions}),

@@ -46,7 +46,9 @@ from procedures.steps.conditions import needs_insertion
 from ronna_hw.errors import RonnaError
 from ronna_hw.text import format_against_limit
 
+# Safety against a guide beside its target (U).
 POSITION_LIMIT_MM = 0.05  # nominal place against the commanded one; more means the arm did not arrive
+
 STAYS = "Nothing moves. Repeat the step, or remove the instrument and send the arm home."
 UNSEEN = "the tracker sees no frame on the arm or the guide; only the joints show a push on the guide"
 DONE = "done"  # the one word that ends a stage

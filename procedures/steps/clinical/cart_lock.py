@@ -39,7 +39,9 @@ Array = NDArray[np.float64]
 
 # Of the frame on the arm against the spheres, between two looks from one pose. The noise is 0.1 mm; a free
 # wheel gives way by centimetres.
+# Safety against a cart that is not locked (U).
 LOCKED_LIMIT_MM = 0.3
+
 HEAD_LEVEL_MM, HEAD_LEVEL_DEG = 5.0, 2.0  # beyond, the map was made for another position of the head
 
 

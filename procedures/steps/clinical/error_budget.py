@@ -50,9 +50,13 @@ REPEATABILITY_MM = 0.03  # per axis: robot at rest, and the servo's tolerance
 # are not independent points of one sigma. Only the gate allows for this; prediction and weights of the fit
 # keep the stated sigma. The price: with 4 spheres and a sigma of 0.1 mm, a moved sphere is found (9 times of
 # 10) from 1.2 mm instead of 1.0; with twice the sigma from 1.8.
+# Safety against spheres of CT and robot that do not agree. Source: simulated cases.
 GATE_ARM_RESERVE = 1.5
+
 ALIKE_MM = 1e-6  # shared displacements that differ by less are one
+# Safety against spheres of CT and robot that do not agree (U).
 GATE_CONFIDENCE = 0.999  # of the chi-square gate: one false alarm in a thousand registrations
+
 GROSS_MM = 3.0  # a sphere on its screw that is off by more is seen by eye (unconfirmed)
 NOTHING = "-"
 

@@ -35,8 +35,10 @@ Array = NDArray[np.float64]
 
 # Limits of a followed move, with `MOST_FOLLOWED_MM`: paths and angles were chosen for the head as it lay, and
 # a clamp that let it go further is not trusted to hold it now.
+# Safety against a registration that follows too large a move, or one not ended (U).
 MOST_FOLLOWED_RAD = math.radians(2.0)
 AT_REST_MM = 0.15  # between the halves of the reading: their noise is 0.05 mm
+
 STEADY_MM = 0.03  # per axis: drift of the tracker between two readings of one place; an estimate
 
 

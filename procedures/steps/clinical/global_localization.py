@@ -32,6 +32,7 @@ from ronna_hw.calibration import Numbers3
 from ronna_hw.devices.strays import StrayAverage, average_strays
 from ronna_hw.text import format_against_limit
 
+# Safety against spheres that move while they are localized (U).
 SPREAD_LIMIT_MM = 1.0  # rms of one sphere over the frames; more means that something moved
 
 

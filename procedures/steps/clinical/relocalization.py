@@ -41,6 +41,7 @@ from ronna_hw.text import format_against_limit
 Array = NDArray[np.float64]
 
 SMALL_STEPS = "the small steps over each sphere, or in search of one that is not seen"
+# Safety against a sphere taken for another. Source: chi distribution of three axes.
 SIGMAS = 4.0  # per axis; an error in space is longer in 1 of 1,000 cases
 
 

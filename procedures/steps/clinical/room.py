@@ -38,7 +38,9 @@ from ronna_hw.vectors import JointVector
 
 Array = NDArray[np.float64]
 
+# Safety against a registration that follows too large a move (U).
 MOST_FOLLOWED_MM = 5.0  # rms over the spheres, of a move that a registration may follow
+
 ROOM_READS = (
     GlobalLocalization,
     Correspondence,

@@ -36,6 +36,7 @@ from ronna_hw.tool_record import Gauge
 from ronna_hw.wire.room_tasks import GAUGE
 
 # 0.1 degrees move the end of an instrument 100 mm long by 0.17 mm.
+# Safety against a guide that is tilted (U).
 TILT_LIMIT_DEG = 0.1
 # An arm of the usual repeatability, 0.015 mm per axis, is off by 0.05 mm in 1 approach of 100. The mean of
 # three, including changer, dials and the record of twelve, is that far off in 4 of 1,000; then three more are

@@ -21,7 +21,9 @@ from ronna_hw.frames import Frame
 from ronna_hw.text import format_against_limit
 from ronna_hw.tool_record import ToolFrame
 
+# Safety against a tool that is not the one it is taken for (U).
 SEEN_LIMIT_MM = 1.0  # of any sphere on the tool: above the tracker's error; the gauge finds the rest
+
 FRAMES, LEAST_FRAMES = 30, 15  # half a second, and how many of them must show both
 
 

@@ -32,9 +32,12 @@ from ronna_hw.vectors import JointVector
 
 Array = NDArray[np.float64]
 
+# Safety against a move that no look shows (U).
 MOST_LOOKS = 4  # of a second each; more of them show little more
 # A hand that leans on the guide, per axis, where the signals of the load do not bound it closer. (U)
+# Safety against a hand on the guide that no look shows.
 HELD_MM, HELD_RAD = 0.3, 1e-3
+
 POORER = 1.25  # than expected, from which on the operator is told
 UNNOTICED = "unnoticed change: {}"
 HEAD, BASE, GUIDE = (UNNOTICED.format(one) for one in (Subject.HEAD, Subject.BASE, Subject.GUIDE))

@@ -22,7 +22,9 @@ from ronna_hw.wire import room_tasks
 from ronna_hw.wire.room_tasks import DEPTH_STOP
 
 # A vernier has steps of 0.05 mm: beyond twice that it is set wrong.
+# Safety against a depth stop set wrong. Source: the scale's step of 0.05 mm.
 STOP_LIMIT_MM = 0.1
+
 UNRECORDED = "more may have been done: the end of the journal may be lost"
 BESIDE = "the guide was repositioned since; its axis may miss the opening"
 

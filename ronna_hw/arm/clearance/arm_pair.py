@@ -30,11 +30,14 @@ from ronna_hw.vectors import JointVector, vector3
 
 Array = NDArray[np.float64]
 
+# Safety against two arms that meet (U).
 APART_MM = 30.0  # between the arms, at any moment
 PLANNED_APART_MM = 40.0  # along planned paths: the rest is for the errors of both arms and their bases
 # Between the assistant and a guide that it leads an instrument to: it is slow there, and was seen within a
 # millimetre of where its joints have it. Planned paths keep the same reserve beyond that.
+# Safety against two arms that meet at the guide (U).
 APART_AT_GUIDE_MM = 10.0
+
 STRAIGHT_FACTOR = 1.01  # between two samples of a line a joint turns slightly more than their difference
 POINT_MM = 1e-6  # a shorter axis has no direction
 NO_TURN = np.eye(3)

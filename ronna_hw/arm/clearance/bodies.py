@@ -87,6 +87,7 @@ def covering_ellipsoid(semi_axes_mm: Vector3, pose: Pose) -> tuple[Capsule, Caps
     )
 
 
+# Safety against a needle outside its corridor beyond the target (U).
 DEEPER_THAN_TARGET_MM = 3.0  # the corridor extends this far beyond the target, which a registration may shift
 
 

@@ -11,16 +11,20 @@ from ronna_hw.arm.errors import MOTION_INVALID
 from ronna_hw.arm.kinematics import JointRanges
 from ronna_hw.vectors import JointVector, joint_vector
 
+# Safety against a motion that nobody can follow or stop in time (U).
 WORKING_SPEED_FRACTION = 0.12  # below 1/8 of full speed, one lost packet is a small step for the controller
 WORKING_ACCELERATION_FRACTION = 0.25  # of the planner's accelerations
 RANGE_MARGIN_RAD = math.radians(0.5)  # a controller's software limits may be tighter than the model's
 ACCELERATION_RAMP_S = 0.08  # time from none to full acceleration: sets the jerk
-WORKING_LINE_SPEED_MM_S = 100.0  # below half of reduced speed, 250 mm/s
+WORKING_LINE_SPEED_MM_S = 100.0  # below half of reduced speed
 WORKING_LINE_ACCELERATION_MM_S2 = 400.0
 WORKING_ROTATION_RAD_S = math.radians(30.0)
 WORKING_ROTATION_RAD_S2 = math.radians(120.0)
+
 LEAST_LINE_SPEED_MM_S = 5.0  # of the option: below, it was meant in m/s, or is the speed fraction's job
-REDUCED_SPEED_MM_S = 250.0  # limit for anything that moves while a person is next to the arm (ISO 10218-1)
+# Safety against an arm that moves beside a person. Source: ISO 10218-1, reduced speed.
+REDUCED_SPEED_MM_S = 250.0  # of anything that moves; the speed of T1
+# Safety against an arm that moves beside a person (U).
 REDUCED_SPEED_FRACTION = 0.10  # of the full axis speed
 
 ANY_SPEED_MM_S = 1e6  # faster than any arm, and a number that a record can hold
@@ -95,7 +99,7 @@ class MotionLimits:
         )
 
     def with_reduced_speed(self, arm: JointRanges) -> MotionLimits:
-        """Limit speeds to 250 mm/s and a tenth of full axis speed, for work with a person near the arm."""
+        """Limit speeds to reduced speed and a tenth of full axis speed, with a person near the arm."""
         return replace(
             self,
             speed_rad_s=joint_vector(

@@ -46,11 +46,16 @@ from ronna_hw.wire.room_tasks import HOLDER, SEATED
 
 Array = NDArray[np.float64]
 
+# Safety against an instrument that enters the bore askew (U).
 COAXIAL_MM, COAXIAL_RAD = 0.2, math.radians(0.2)
+
 MOUTH_MM = 10.0  # of the bore, which the tip finds slowly
 OFF_SKIN_MM = 10.0  # of the tip, where it goes on slowly: edges of the incision stand above the entry
+# Safety against an instrument that is not at its stop (U).
 LARGEST_GAP_MM = 0.1  # between stop and guide: the scale is read to half of it
+
 LOADING_STEP_RAD = math.radians(30.0)
+# Safety against a holder that meets the guide (U).
 NEAR_BORE_MM = 60.0  # parts of the guide with an end this close to its axis may come close to the holder
 
 

@@ -43,6 +43,7 @@ LOOKS_PER_POSTURE = 2
 LOOKS_TRIED = 6  # for a posture: an arm stands in the way of the other in many
 HEAD_TILT_RAD, HEAD_TURN_RAD = math.radians(18.0), math.radians(40.0)
 MOST_UNSEEN = 12  # looks in a row that show no ball: it is not where the bases have it
+# Safety against bases of two arms that are known too poorly (U).
 ENOUGH_MM = 0.08  # stated error at which no more looks are taken
 
 

@@ -41,6 +41,7 @@ from ronna_hw.tool_record import GuideBore
 from ronna_hw.vectors import JointVector, joint_vector
 
 ABOVE_GUIDE_MM = 12.0  # of the tip, where it is compared with the axis of the bore
+# Safety against a clamp that pushes the guide (U).
 PAST_CONTACT_MM = 0.4  # of the clamp, which slides: more than both arms and their bases are in error
 
 
