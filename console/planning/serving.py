@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 from pydantic import BaseModel, ConfigDict
 
+from procedures.strategies.names import DEFAULT_STRATEGY
 from ronna_hw.command_line import terminal
 from ronna_hw.command_line.messages import tell_address
 
@@ -26,7 +27,7 @@ class PlannerRequest(BaseModel):
     folder: Path
     port: int = 0
     config: Path | None = None
-    strategy: str = "ocs"
+    strategy: str = DEFAULT_STRATEGY
     robot_from_ct: SixNumbers | None = None
     home_deg: SixNumbers | None = None
 

@@ -9,6 +9,7 @@ from procedures.planning.errors import PLACE_UNFIT, HeadPlaceUnknown
 from procedures.planning.proposed_place import read_place
 from procedures.planning.theatre_arm import SixNumbers, TheatreArm, theatre_arm
 from procedures.strategies.catalogue import find_strategy
+from procedures.strategies.names import DEFAULT_STRATEGY
 from ronna_hw.bounded_input import InputRefused, read_toml
 from ronna_hw.command_line.errors import UsageMistake
 
@@ -23,7 +24,7 @@ class TheatreChoice:
     folder: Path
     plan: Path
     given: Path | None = None
-    strategy: str = "ocs"
+    strategy: str = DEFAULT_STRATEGY
     robot_from_ct: SixNumbers | None = None  # mm and deg; otherwise that of the cart's proposed place
     home_deg: SixNumbers | None = None
 

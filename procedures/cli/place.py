@@ -20,6 +20,7 @@ from procedures.cli.planning_inputs import (
     read_assumed_pose,
     read_ct,
 )
+from procedures.strategies.names import DEFAULT_STRATEGY, STRATEGY_NAMES
 from ronna_hw.command_line import terminal
 from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.command_line.options import require_output_folder
@@ -63,10 +64,10 @@ def place(
     strategy: Annotated[
         str,
         typer.Option(
-            metavar="ocs|thesis-ocs|nos|jdms|improved",
+            metavar="|".join(name for name in STRATEGY_NAMES if name != CHOSEN_BY_PLACE),
             help="How the stereo head is oriented at the markers.",
         ),
-    ] = "ocs",
+    ] = DEFAULT_STRATEGY,
     within: Annotated[
         float, typer.Option("--within", metavar="MM", min=60.0, max=1000.0, help="Extent of the map.")
     ] = 240.0,

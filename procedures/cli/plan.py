@@ -15,7 +15,6 @@ import typer
 
 from procedures.cli.place import place
 from procedures.cli.planning_inputs import (
-    DEFAULT_STRATEGY,
     HeadOption,
     HomeOption,
     PlanArgument,
@@ -29,6 +28,7 @@ from procedures.cli.planning_inputs import (
     require_one_head,
     require_theatre_options,
 )
+from procedures.strategies.names import DEFAULT_STRATEGY
 from ronna_hw.command_line import terminal
 from ronna_hw.command_line.errors import PATH_PROBLEM
 from ronna_hw.command_line.options import VERBOSE_FLAG, require_new

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from procedures.planning.errors import WRONG_SERIES
+from procedures.strategies.names import DEFAULT_STRATEGY, STRATEGY_NAMES
 from ronna_hw.command_line import terminal
 from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.command_line.options import require_new
@@ -24,12 +25,8 @@ if TYPE_CHECKING:
     from ronna_hw.marker_template import TemplateMarker
 
 READING_SHARE = 0.4  # of the progress bar; the rest is for localizing the markers
-DEFAULT_STRATEGY = "ocs"
-STRATEGY_HELP = (
-    "How the stereo head is oriented at the spheres. ocs (recommended): as at the target; improved: where "
-    "the arm errs most nearly as at the target, for a calibrated arm; best: whichever of ocs, jdms and "
-    "improved predicts the smallest error; jdms: joints turned least; nos: straight down, once for all "
-    "targets; thesis-ocs: ocs as published, for comparisons."
+STRATEGY_HELP = "How the stereo head is oriented at the spheres. {}.".format(
+    "; ".join(f"{name}: {meaning}" for name, meaning in STRATEGY_NAMES.items())
 )
 NEAREST_CT_MM = 10.0  # from base to CT frame, unless they are one; any theatre in metres would be closer
 KUKA_ORDER = "X Y Z in mm, then A B C in deg about z, y and x, as KUKA's"
@@ -42,7 +39,7 @@ PlannedSeriesOption = Annotated[
 StrategyOption = Annotated[
     str,
     typer.Option(
-        metavar="ocs|thesis-ocs|nos|jdms|improved|best",
+        metavar="|".join(STRATEGY_NAMES),
         help=f"{STRATEGY_HELP} With --config.",
     ),
 ]

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from procedures.engine.methods import CaseMethods
+from procedures.strategies.names import DEFAULT_STRATEGY
 from ronna_hw.bounded_input import InputRefused, parse_json, read_json_bytes, read_toml
 from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.roles import ONE_ARM
@@ -105,7 +106,7 @@ class SceneChoice:
 class CaseProcedure:
     """A clinical case, on a patient or a phantom."""
 
-    strategy: str = "ocs"
+    strategy: str = DEFAULT_STRATEGY
     methods: CaseMethods = field(default_factory=CaseMethods)
     measure_targets: bool = False  # on a phantom with a ball at each target; a simulated one brings them
     case: Path | None = None  # folder with ct/ and plan.toml, on configured endpoints

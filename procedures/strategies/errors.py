@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from procedures.strategies.names import STRATEGY_NAMES
 from ronna_hw.errors import ConfigurationError, DataError, ErrorCode, LimitError
 
 UNKNOWN_STRATEGY = ErrorCode(
     "STR-002",
     ConfigurationError,
     "No strategy has this name.",
-    "Use one of: ocs, thesis-ocs, nos, jdms, improved, best.",
+    f"Use one of: {', '.join(STRATEGY_NAMES)}.",
 )
 
 

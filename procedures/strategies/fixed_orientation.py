@@ -19,6 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from procedures.strategies.names import DEFAULT_STRATEGY
 from procedures.strategies.strategy import OUTWARDS_RAD, ArmInBranch
 from procedures.strategies.trajectory import UP, Trajectory, poses_along, require_frames
 from ronna_hw.frames import Frame, Transform
@@ -31,7 +32,7 @@ LENGTH_MM = 100.0  # of the axis that represents the orientation; any length wil
 class OrientationCorrection:
     """Orientation correction strategy: `ocs`, and `thesis-ocs`, which does not control the approach."""
 
-    name: str = "ocs"
+    name: str = DEFAULT_STRATEGY
     controls_approach: bool = True
     localizes_per_trajectory: bool = True
 

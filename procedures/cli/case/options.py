@@ -14,6 +14,7 @@ from procedures.cli.planning_inputs import STRATEGY_HELP
 from procedures.engine.methods import CaseMethods, Localizer, Matcher
 from procedures.registration.thesis_settings import E_MM, E_RANGE_MM, REFUSED_SHARE, REFUSED_SHARE_RANGE
 from procedures.runs.request import LARGEST_SEED, CaseProcedure, RunRequest, SceneChoice
+from procedures.strategies.names import DEFAULT_STRATEGY, STRATEGY_NAMES
 from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.command_line.messages import tell
 from ronna_hw.command_line.viewers_address import BindOption, CertificateOption, KeyOption, viewers_address
@@ -182,10 +183,10 @@ class CaseOptions(TheatreOptions):
     strategy: Annotated[
         str,
         typer.Option(
-            metavar="ocs|thesis-ocs|nos|jdms|improved|best",
+            metavar="|".join(STRATEGY_NAMES),
             help=STRATEGY_HELP,
         ),
-    ] = "ocs"
+    ] = DEFAULT_STRATEGY
     localizer: Annotated[
         Localizer,
         typer.Option(help="Finds the spheres in the CT; a thesis localizer is not for clinical use."),

@@ -8,8 +8,9 @@ from coded_errors import raises
 from scipy.spatial.transform import Rotation
 from strategy_arms import ARM
 
-from procedures.strategies.catalogue import find_strategy
+from procedures.strategies.catalogue import STRATEGIES, find_strategy
 from procedures.strategies.errors import UNKNOWN_STRATEGY
+from procedures.strategies.names import STRATEGY_NAMES
 from procedures.strategies.strategy import arrival_signs, rest_sides
 from procedures.strategies.trajectory import back_along_axis
 from ronna_hw.arm.kr6_r900 import kr6_r900
@@ -17,6 +18,10 @@ from ronna_hw.arm.pose import Pose
 from ronna_hw.errors import EXIT_USAGE
 from ronna_hw.frames import Frame, RigidTransform, Transform
 from studies.accuracy.postures import TOOL
+
+
+def test_the_commands_name_every_strategy() -> None:
+    assert [strategy.name for strategy in STRATEGIES] == list(STRATEGY_NAMES)
 
 
 @pytest.mark.parametrize(
