@@ -1,4 +1,4 @@
-"""`docs/explanation/rooms.md` lists every subpackage, and names files that exist."""
+"""`docs/explanation/rooms.md` lists every subpackage, and what the console may import."""
 
 from __future__ import annotations
 

@@ -27,6 +27,7 @@ from pydicom import dcmread
 from scipy.spatial.transform import Rotation
 
 from procedures.engine.case import Case, StepKey
+from procedures.exchange.allowed_fields import FILES
 from procedures.exchange.errors import NOT_WRITABLE, NOTHING_TO_EXPORT, UNKNOWN_FORM
 from procedures.exchange.run_export import export_run
 from procedures.exchange.sphere_files import check_names
@@ -385,6 +386,6 @@ def test_pictures_kept_in_a_run_are_not_exported(finished: Path, tmp_path: Path)
     closed = json.loads((finished / "journal.jsonl").read_text().splitlines()[-1])["files"]
     seal(finished, closed)
     written = export_run(finished, tmp_path / "export").files
-    assert {path.suffix for path in written} == {".csv", ".json", ".dcm"}
+    assert {path.suffix for path in written} == {Path(name).suffix for name in FILES}
     assert sorted(written) == sorted(path for path in (tmp_path / "export").rglob("*") if path.is_file())
     assert not any(b"a picture" in path.read_bytes() for path in written)
