@@ -18,6 +18,7 @@ from ronna_hw.bounded_input import InputRefused, read_bounded, read_toml
 from ronna_hw.patient_frame import PART_NUMBER as PATIENT_FRAME_PART_NUMBER
 from ronna_hw.plausible import FINEST_ON_ARM_MM
 from ronna_hw.records import write_atomically
+from ronna_hw.wire.polaris import PolarisModel
 from ronna_hw.wire.polaris_rom import ROM_FILE_LIMIT_BYTES
 from sim.theatre.arm_controllers import CONTROLLERS, device_name
 from sim.theatre.records import (
@@ -72,7 +73,7 @@ def theatre_content(
     not now, `parameters` the NAME=VALUE of the master's controller. `records` replace the calibrations
     drawn here.
     """
-    made = calibrated or datetime.now(UTC).replace(microsecond=0)
+    made, model = calibrated or datetime.now(UTC).replace(microsecond=0), scene.tracker.model
     content: dict[str, Any] = {
         "schema": 1,
         "theatre": f"{scene.name} scene, seed {scene.seed}",
@@ -83,7 +84,7 @@ def theatre_content(
             "endpoint": endpoints["polaris"],
             "options": {
                 "tools": [_tool_entry(name, Path(rom)) for name, rom in tool_files.items()],
-                "expected_model": scene.tracker.model.value,
+                **({} if model is PolarisModel.SPECTRA else {"expected_model": model.value}),
             },
         },
         "robot": {

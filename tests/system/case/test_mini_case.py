@@ -397,3 +397,18 @@ def test_the_verifier_alone_reports_the_same_errors(finished: MiniRun) -> None:
     checked = in_this_process(ronna_sim, "verify", finished.folder, "--json")
     errors = [row["application_error_mm"] for row in json.loads(checked.stdout)["targets"]]
     assert errors == [row["application_error_mm"] for row in finished.outcome["targets"]]
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(300)
+def test_a_case_runs_with_a_polaris_vega(commands: Commands, tmp_path: Path) -> None:
+    printed = commands.run("ronna-sim", "scene", "--scene", "mini", "--seed", "7", "--tracker", "vega")
+    (tmp_path / "vega.toml").write_text(printed.stdout)
+    options = ("--sim", "--scene", str(tmp_path / "vega.toml"), "--out", str(tmp_path / "runs"), "--json")
+    ran = commands.run("ronna-procedure", "run", *options, timeout_s=200)
+    assert ran.returncode == 0, ran.stderr
+    run = MiniRun(tmp_path / "runs", ran.stdout)
+    (set_up,) = (one for one in records_of(run.folder) if one.kind == "set_up")
+    assert "Polaris Vega ST" in json.dumps(set_up.payload)
+    (target,) = run.outcome["targets"]
+    assert target["application_error_mm"] < LARGEST_ERROR_MM

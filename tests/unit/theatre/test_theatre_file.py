@@ -23,6 +23,7 @@ from ronna_hw.config import (
 )
 from ronna_hw.errors import ConfigurationError
 from ronna_hw.roles import ASSISTANT
+from ronna_hw.wire.polaris import PolarisModel
 from sim.errors import BAD_CALIBRATION_FILE
 from sim.kuka.controller_parameters import parse_parameters
 from sim.theatre.launch import CALIBRATION_FILE, read_calibrations
@@ -145,6 +146,14 @@ def framed_theatre(**settings: str) -> dict[str, Any]:
     """The theatre of a scene with the patient's frame."""
     content = theatre_content(add_patient_frame(draw_scene("mini", seed=4)), ENDPOINTS, "host:", {}, 1.0)
     return {**content, "procedure": {**content["procedure"], **settings}}
+
+
+def test_the_theatre_of_another_tracker_names_its_model() -> None:
+    scene = draw_scene("mini")
+    vega = scene.tracker.model_copy(update={"model": PolarisModel.VEGA})
+    content = theatre_content(scene.model_copy(update={"tracker": vega}), ENDPOINTS, "host:", {}, 1.0)
+    assert content["tracker"]["options"]["expected_model"] == "vega"
+    assert "expected_model" not in theatre_content(scene, ENDPOINTS, "host:", {}, 1.0)["tracker"]["options"]
 
 
 def test_the_theatre_names_the_patients_frame_only_where_there_is_one() -> None:
