@@ -16,7 +16,7 @@ NO_LIMITS = {
     *("REPEATING_S", "LARGEST_STEP_S", "HEAD_LEVEL_MM", "HEAD_LEVEL_DEG"),  # beyond them only a finding
     *("ALIKE_MM", "ANOTHER_BALL_MM", "OVER_SPHERE_MM"),  # rounding; of a calibration; of a rehearsal
 }
-NUMBER_AND_TIME = re.compile(r"[A-Z_]+_(MM|RAD|DEG|S)")
+LIMIT_NAME = re.compile(r"[A-Z_]+_(MM|RAD|DEG|S)")
 
 
 def test_every_safety_figure_has_a_source_or_is_said_to_be_unconfirmed() -> None:
@@ -63,7 +63,7 @@ def test_every_length_angle_or_time_of_a_case_that_something_is_compared_with_is
         parts = [part for node in nodes if isinstance(node, ast.Compare) for part in ast.walk(node)]
         compared = {one.id for one in parts if isinstance(one, ast.Name)}
         own = {one.id for one in nodes if isinstance(one, ast.Name) and isinstance(one.ctx, ast.Store)}
-        limits = {one for one in compared & own if NUMBER_AND_TIME.fullmatch(one)}
+        limits = {one for one in compared & own if LIMIT_NAME.fullmatch(one)}
         if "calibration" not in module.parts:
             found |= {(module.relative_to(ROOT).as_posix(), name) for name in limits - NO_LIMITS}
     assert found
