@@ -7,13 +7,14 @@ from collections.abc import Mapping
 
 from drivers.kuka_rsi.eki.client import EkiClient
 from drivers.kuka_rsi.eki.telegrams import ControllerState, require_matching_setup, require_ready
-from drivers.kuka_rsi.errors import UNVERIFIED_CONTROLLER, CommandRefused, ControllerNotFound, NoTelegram
+from drivers.kuka_rsi.errors import COMMAND_REFUSED, NO_TELEGRAM, STREAM_ERRORS, UNVERIFIED_CONTROLLER
 from drivers.kuka_rsi.fault_errors import RsiFaults
 from drivers.kuka_rsi.link import start_link
 from drivers.kuka_rsi.options import ROLES, KukaOptions
 from drivers.kuka_rsi.realtime.settings import AXIS_NAMES, LinkSettings
 from ronna_hw.arm.motion.limits import MotionLimits
 from ronna_hw.arm_stream.connections import SHORTEST_TRY_S, StreamConnections, remaining_s
+from ronna_hw.arm_stream.errors import CommandRefused
 from ronna_hw.arm_stream.records import OpenStream, Phase
 from ronna_hw.clock import Clock
 from ronna_hw.config import DeviceConfig
@@ -68,7 +69,7 @@ class Connections(StreamConnections[ControllerState, EkiClient]):
                     require_ready(
                         eki.status(max(remaining_s(deadline), SHORTEST_TRY_S)), drives=False, modes=modes
                     )
-                    raise CommandRefused(
+                    raise COMMAND_REFUSED(
                         f"the controller refused {CommandName.DRIVES}",
                         got=f"{answer.code.name} {answer.text}".strip(),
                     )
@@ -87,7 +88,7 @@ class Connections(StreamConnections[ControllerState, EkiClient]):
         if link.wait(lambda s: s.phase not in (Phase.ARMED, Phase.IDLE), remaining_s(deadline)) is None:
             raise faults.start_error(link.state, state.axes_deg, timeout_s)
         if eki.await_state(lambda s: s.rsi is RsiState.MOVECORR, remaining_s(deadline)) is None:
-            raise NoTelegram(
+            raise NO_TELEGRAM(
                 f"{faults.name}: the RSI program does not reach RSI_MOVECORR", limit=f"{timeout_s:g} s"
             )
         fault = faults.error(link.state, mode)
@@ -136,7 +137,7 @@ class Connections(StreamConnections[ControllerState, EkiClient]):
         try:
             state = self.control.status(remaining_s(deadline))
         except TimeoutError as error:
-            raise ControllerNotFound(
+            raise STREAM_ERRORS.not_found(
                 f"{address} is open, but no KR C4 answers there", limit=f"{timeout_s:g} s"
             ) from error
         unreported = require_matching_setup(state, self._context, options.variant)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from math import degrees
 
 from drivers.kuka_rsi.eki.telegrams import ControllerState
-from drivers.kuka_rsi.errors import CONTROLLER_RESTARTED, NoTelegram, PoseDisagrees
+from drivers.kuka_rsi.errors import CONTROLLER_RESTARTED, NO_TELEGRAM, POSE_DISAGREES
 from drivers.kuka_rsi.options import KukaOptions
 from drivers.kuka_rsi.realtime.link_health import AXES_AGREE_DEG
 from ronna_hw.arm.clearance.bodies import Surroundings
@@ -40,15 +40,13 @@ class RsiFaults(StreamFaults):
                     got=f"IPOC {state.device_clock}",
                 )
             case Fault.BASE:
-                return PoseDisagrees(
+                return POSE_DISAGREES(
                     f"{self.name}: the first telegram's axes are outside the joint ranges",
                     got=self.axes_text(state),
                 )
         return super().error(state, mode, surroundings)
 
-    def start_error(
-        self, state: LinkState, axes_deg: JointVector, timeout_s: float
-    ) -> NoTelegram | PoseDisagrees:
+    def start_error(self, state: LinkState, axes_deg: JointVector, timeout_s: float) -> RonnaError:
         """Build the error for a stream that received no matching telegram, with counts of all others."""
         last = f", the last from {state.foreign_host}" if state.foreign_host else ""
         counts = (
@@ -60,7 +58,7 @@ class RsiFaults(StreamFaults):
         others = f"; {sender_counts}{last}" if sender_counts else ""
         limit = f"{timeout_s:g} s"
         if not state.disagreeing:
-            return NoTelegram(
+            return NO_TELEGRAM(
                 f"{self.name}: the RSI program runs, but none of its telegrams arrive here{others}",
                 expected=f"telegrams of {host}" if (host := self.options.controller_host) else None,
                 limit=limit,
@@ -68,7 +66,7 @@ class RsiFaults(StreamFaults):
         pairs = [(by_eki, degrees(angle)) for by_eki, angle in zip(axes_deg, state.measured_rad, strict=True)]
         axis = max(range(len(pairs)), key=lambda k: abs(pairs[k][0] - pairs[k][1]))
         by_eki, by_rsi = pairs[axis]
-        return PoseDisagrees(
+        return POSE_DISAGREES(
             f"{self.name}: A{axis + 1} is {by_eki:.3f} deg by EKI and {by_rsi:.3f} by RSI{others}",
             expected=f"a telegram within {AXES_AGREE_DEG} deg of the axes by EKI",
             limit=limit,

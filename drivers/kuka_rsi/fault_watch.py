@@ -10,7 +10,7 @@ from typing import NamedTuple
 from drivers.kuka_rsi.connections import Connections
 from drivers.kuka_rsi.eki.client import EkiClient
 from drivers.kuka_rsi.eki.telegrams import ControllerState, unmet_conditions
-from drivers.kuka_rsi.errors import ControllerStopped
+from drivers.kuka_rsi.errors import CONTROLLER_STOPPED
 from ronna_hw.arm.clearance.live_watch import ViolationKind
 from ronna_hw.arm_stream.client import LinkClient
 from ronna_hw.arm_stream.records import Fault, LinkState
@@ -68,7 +68,7 @@ class FaultWatch(StreamWatch[ControllerState]):
             self.check()
         self._stop_for(failure)
 
-    def _controller_stop_error(self, state: ControllerState) -> ControllerStopped | None:
+    def _controller_stop_error(self, state: ControllerState) -> RonnaError | None:
         causes = unmet_conditions(state, drives=True, modes=(self.mode,))
         if not causes:
             return None
@@ -79,7 +79,7 @@ class FaultWatch(StreamWatch[ControllerState]):
             causes.append(
                 f"note: {telegrams} came from another sender, the last from {link.state.foreign_host}"
             )
-        return ControllerStopped(f"{self._connections.faults.name} was stopped: {'; '.join(causes)}")
+        return CONTROLLER_STOPPED(f"{self._connections.faults.name} was stopped: {'; '.join(causes)}")
 
     def _awaits_cause(self) -> bool:
         """Return whether axes no longer follow, and the controller is yet to tell why.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import errno
 import os
 
-from drivers.kuka_rsi.errors import LINK_NOT_STARTED, STREAM_ERRORS
+from drivers.kuka_rsi.errors import STREAM_ERRORS
 from drivers.kuka_rsi.realtime.settings import LinkSettings
 from ronna_hw.arm_stream.client import START_TIMEOUT_S, LinkClient, StartRefused, TrafficHandler
 from ronna_hw.clock import Clock
@@ -30,7 +30,7 @@ def start_link(
         known = os.strerror(refusal.errno) if refusal.errno > 0 else "no such address"
         reason = f"cannot listen on udp://{settings.host}:{settings.port}: {known}"
         if refusal.errno <= 0 or refusal.errno == errno.EADDRNOTAVAIL:
-            raise LINK_NOT_STARTED(
+            raise STREAM_ERRORS.not_started(
                 reason, expected="an address of this computer", action=ADDRESS_ADVICE
             ) from None
-        raise LINK_NOT_STARTED(reason) from None
+        raise STREAM_ERRORS.not_started(reason) from None

@@ -10,7 +10,7 @@ from dataclasses import replace
 from math import degrees, dist, radians
 from typing import NoReturn
 
-from drivers.kuka_rsi.errors import HANDSHAKE_FAILED, MOTION_STOPPED
+from drivers.kuka_rsi.errors import HANDSHAKE_FAILED, STREAM_ERRORS
 from drivers.kuka_rsi.realtime.settings import AXIS_NAMES
 from ronna_hw.arm.kinematics import Kinematics
 from ronna_hw.arm.motion.limits import MotionLimits
@@ -93,7 +93,7 @@ class MicroMove:
                 self._refuse(f"no telegram was answered for {link.stalled_s:.1f} s", LARGEST_ANGLE_RAD)
             link.wait(lambda _: False, POLL_S)  # theatre time passes meanwhile
         if state.result in (Result.STOPPED, Result.REFUSED_STOP) and not state.fault:
-            raise MOTION_STOPPED(
+            raise STREAM_ERRORS.stopped(
                 f"{self._name}: stopped while {AXIS_NAMES[axis]} was tested",
                 action="Acknowledge the arm and start it again: what it does with corrections is not "
                 "verified.",

@@ -12,10 +12,10 @@ from collections.abc import Sequence
 
 from drivers.kuka_rsi.arm import KukaRsiArm
 from drivers.kuka_rsi.eki.client import EkiClient
-from drivers.kuka_rsi.errors import BadEkiTelegram, ControllerNotFound, NoAnswer
 from drivers.kuka_rsi.options import EXAMPLE_CONTROLLER, KukaOptions
 from drivers.kuka_rsi.realtime.sockets import bind
 from ronna_hw.arm.kr6_r900 import ArmVariant
+from ronna_hw.arm_stream.errors import ControllerNotFound, MalformedMessage, NoAnswer
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.probing import (
     CONNECT_LIMIT_S,
@@ -129,7 +129,7 @@ def _make_proposal(controller: Endpoint, stream: str) -> Proposal:
         variant = state.variant if state.variant in known else None
         what = f"a controller of {state.variant or 'an arm that it does not identify'}, in mode {state.mode}"
         remarks = (STREAM,) if variant else remarks
-    except (ControllerNotFound, NoAnswer, BadEkiTelegram) as error:
+    except (ControllerNotFound, NoAnswer, MalformedMessage) as error:
         absent = error.what
         if not isinstance(error, ControllerNotFound):
             absent += ": it is not the EKI server of the project's files"

@@ -18,13 +18,10 @@ from drivers.universal_robots.controller.script import render_script, render_sec
 from drivers.universal_robots.dashboard import DashboardClient
 from drivers.universal_robots.errors import (
     ANOTHER_PROGRAM_RUNS,
-    LINK_NOT_STARTED,
     LOAD_NOT_TAKEN,
     SCRIPT_NOT_STARTED,
     SPEED_AT_ZERO,
     STREAM_ERRORS,
-    ControllerLost,
-    ControllerNotFound,
     RegistersInUse,
 )
 from drivers.universal_robots.faults import UrFaults
@@ -86,7 +83,7 @@ class Connections(StreamConnections[ControllerState, PrimaryClient]):
     def dashboard(self) -> DashboardClient:
         """Open dashboard connection; raises URD-002 if not connected."""
         if self.open_dashboard is None:
-            raise ControllerNotFound(f"{self._name}: no dashboard connection is open")
+            raise STREAM_ERRORS.not_found(f"{self._name}: no dashboard connection is open")
         return self.open_dashboard
 
     def request_state(self, timeout_s: float) -> ControllerState:
@@ -128,7 +125,9 @@ class Connections(StreamConnections[ControllerState, PrimaryClient]):
             except BaseException as error:
                 ours.close()
                 if isinstance(error, StartRefused):
-                    raise LINK_NOT_STARTED(f"the real-time process: {os.strerror(error.errno)}") from None
+                    raise STREAM_ERRORS.not_started(
+                        f"the real-time process: {os.strerror(error.errno)}"
+                    ) from None
                 raise
         self._channel = ours
 
@@ -314,7 +313,7 @@ class Connections(StreamConnections[ControllerState, PrimaryClient]):
             outputs = rtde.set_up_outputs(round(1.0 / self._options.cycle_s))
             inputs = rtde.set_up_inputs()
             if self._channel is None:
-                raise LINK_NOT_STARTED(f"{self._name}: no real-time process is running")
+                raise STREAM_ERRORS.not_started(f"{self._name}: no real-time process is running")
             Handover(outputs, inputs, run, safety).give(self._channel, rtde.socket)
         finally:
             rtde.close()  # the process has its own descriptor
@@ -327,7 +326,7 @@ class Connections(StreamConnections[ControllerState, PrimaryClient]):
         except RonnaError as error:
             return error
         if self.control.failure is not None:  # with our script, perhaps: sending it tells nothing
-            return ControllerLost(
+            return STREAM_ERRORS.lost(
                 f"{self._name}: {self.control.where} closed the connection before our script ran",
                 expected="no change between local and remote control during a start",
             )

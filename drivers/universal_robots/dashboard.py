@@ -15,14 +15,9 @@ import time
 from collections.abc import Mapping
 from typing import Final, TypeVar
 
-from drivers.universal_robots.errors import (
-    BadBytes,
-    CommandRefused,
-    ControllerLost,
-    ControllerNotFound,
-    NoAnswer,
-)
+from drivers.universal_robots.errors import BAD_BYTES, COMMAND_REFUSED, STREAM_ERRORS
 from ronna_hw.arm_stream.control_channel import BytesPassed, describe, open_connection
+from ronna_hw.arm_stream.errors import ControllerLost, MalformedMessage, NoAnswer
 from ronna_hw.devices.capabilities import Direction
 from ronna_hw.wire.universal_robots import RobotMode, SafetyMode
 from ronna_hw.wire.universal_robots_services import (
@@ -73,7 +68,9 @@ class DashboardClient:
         """
         deadline = time.monotonic() + timeout_s
         if not self._asking.acquire(timeout=max(0.0, timeout_s)):  # also a signal handler's own thread has it
-            raise NoAnswer(f"{self.where} has not answered an earlier question", limit=f"{timeout_s:g} s")
+            raise STREAM_ERRORS.no_answer(
+                f"{self.where} has not answered an earlier question", limit=f"{timeout_s:g} s"
+            )
         try:
             if not self._is_in_step():
                 self._disconnect()
@@ -81,7 +78,7 @@ class DashboardClient:
             self._send(f"{question} {text}".strip().encode() + b"\n", timeout_s)
             try:
                 return self._read_answer(question, deadline)
-            except (NoAnswer, BadBytes):
+            except (NoAnswer, MalformedMessage):
                 self._in_step = False  # a late answer would be taken for that to the next question
                 raise
         finally:
@@ -91,7 +88,7 @@ class DashboardClient:
         """Give an order; raises URD-017 unless it is carried out."""
         answer = self.ask(order, timeout_s)
         if not is_accepted(order, answer):
-            raise CommandRefused(
+            raise COMMAND_REFUSED(
                 f"the controller refused {order.value!r}", expected=ACCEPTED[order], got=answer
             )
 
@@ -119,17 +116,17 @@ class DashboardClient:
     def _open(self, timeout_s: float) -> None:
         """Connect, and read the line with which a dashboard server begins."""
         self._received, self._in_step = b"", True
-        self._socket = open_connection(*self._address, timeout_s, ControllerNotFound)
+        self._socket = open_connection(*self._address, timeout_s, STREAM_ERRORS.not_found)
         try:
             banner = self._read_line(time.monotonic() + timeout_s)
-        except (NoAnswer, ControllerLost, BadBytes) as error:
+        except (NoAnswer, ControllerLost, MalformedMessage) as error:
             self._disconnect()
-            raise ControllerNotFound(
+            raise STREAM_ERRORS.not_found(
                 f"{self.where} is open, but no dashboard server answers there", expected=BANNER
             ) from error
         if not banner.startswith(BANNER):
             self._disconnect()
-            raise ControllerNotFound(f"{self.where} is no dashboard server", expected=BANNER, got=banner)
+            raise STREAM_ERRORS.not_found(f"{self.where} is no dashboard server", expected=BANNER, got=banner)
 
     def _disconnect(self) -> None:
         with contextlib.suppress(OSError):
@@ -149,7 +146,7 @@ class DashboardClient:
     def _read_answer(self, question: Query | Order, deadline: float) -> str:
         answer = self._read_line(deadline)
         if self._received or not is_answer(question, answer):
-            raise BadBytes(
+            raise BAD_BYTES(
                 f"{self.where} does not answer {question.value!r} with one line that belongs to it",
                 got=answer,
                 wire=self._received,
@@ -162,7 +159,7 @@ class DashboardClient:
         for name, value in known.items():
             if name.lower() == word:
                 return value
-        raise BadBytes(f"{self.where} answers {command.value!r} unexpectedly", got=answer)
+        raise BAD_BYTES(f"{self.where} answers {command.value!r} unexpectedly", got=answer)
 
     def _send(self, data: bytes, timeout_s: float) -> None:
         try:
@@ -176,17 +173,17 @@ class DashboardClient:
     def _read_line(self, deadline: float) -> str:
         while b"\n" not in self._received:
             if len(self._received) > LONGEST_LINE_BYTES:
-                raise BadBytes(f"{self.where} sends an endless line", wire=self._received)
+                raise BAD_BYTES(f"{self.where} sends an endless line", wire=self._received)
             try:
                 # Past its limit it still takes an answer that has come while this program did not run.
                 self._socket.settimeout(max(0.0, deadline - time.monotonic()))
                 data = self._socket.recv(RECEIVE_BYTES)
             except (TimeoutError, BlockingIOError):
-                raise NoAnswer(f"{self.where} does not answer") from None
+                raise STREAM_ERRORS.no_answer(f"{self.where} does not answer") from None
             except OSError as error:
                 raise self._lost_error(error) from error
             if not data:
-                raise ControllerLost(f"{self.where} closed the connection")
+                raise STREAM_ERRORS.lost(f"{self.where} closed the connection")
             if self._on_bytes is not None:
                 self._on_bytes(Direction.RECEIVED, data)
             self._received += data
@@ -194,7 +191,7 @@ class DashboardClient:
         return line.decode(errors="replace").strip()
 
     def _lost_error(self, error: OSError) -> ControllerLost:
-        return ControllerLost(f"{self.where}: {describe(error)}")
+        return STREAM_ERRORS.lost(f"{self.where}: {describe(error)}")
 
 
 def is_answer(question: Query | Order, answer: str) -> bool:

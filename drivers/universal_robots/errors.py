@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from ronna_hw.arm_stream.errors import StreamErrors
-from ronna_hw.devices.errors import ACKNOWLEDGE, MotionInterrupted
+from ronna_hw.arm_stream.errors import CommandRefused, MakeRow, MalformedMessage, StreamErrors, StreamWords
+from ronna_hw.devices.errors import ACKNOWLEDGE
 from ronna_hw.errors import (
     ConfigurationError,
     ConnectError,
@@ -14,7 +14,57 @@ from ronna_hw.errors import (
     LinkTimeout,
     ProtocolError,
     RefusedError,
-    StateError,
+)
+
+SPEED_AT_ZERO = ErrorCode(
+    "URD-011",
+    RefusedError,
+    "The speed slider is at zero: no motion would ever end.",
+    "Raise the speed slider at the bottom of the pendant's screen.",
+)
+
+STREAM_ERRORS = StreamErrors(
+    StreamWords(
+        clock="timestamp",
+        message="package",
+        answers="set-points",
+        stop="The script stops the arm.",
+        speed="the speed slider",
+        speed_action=SPEED_AT_ZERO.action,
+    ),
+    {
+        "not_found": MakeRow(
+            "URD-002",
+            "No Universal Robots controller answers at an endpoint.",
+            "Check the address and the cable, that the controller has started, and that Settings > Security "
+            "allows its services dashboard, primary client and RTDE.",
+        ),
+        "lost": MakeRow("URD-014"),
+        "no_answer": MakeRow("URD-015"),
+        "not_started": MakeRow("URD-020"),
+        "silent": MakeRow("URD-021"),
+        "heartbeat_late": MakeRow("URD-023"),
+        "died": MakeRow("URD-024"),
+        "stalled": MakeRow("URD-025"),
+        "tripped": MakeRow("URD-026"),
+        "path_failed": MakeRow("URD-027"),
+        "unusable": MakeRow(
+            "URD-028",
+            "Too many set-points came late for too long, so the arm was stopped.",
+            "Find what loads the computer or the network to the controller, which must carry nothing else; "
+            f"then {ACKNOWLEDGE}.",
+        ),
+        "protective_stop": MakeRow("URD-029"),
+        "link_stopped": MakeRow(
+            "URD-030", "Set-points were withheld on request, so that the script stops the arm."
+        ),
+        "drives_off": MakeRow("URD-031", "The arm was switched off on request, and a fault is latched."),
+        "stopped": MakeRow("URD-032"),
+        "not_finished": MakeRow(
+            "URD-033", action="Check the speed slider and the lost cycles, or give the motion more time."
+        ),
+        "refused": MakeRow("URD-034"),
+    },
 )
 
 BAD_OPTIONS = ErrorCode(
@@ -24,17 +74,6 @@ BAD_OPTIONS = ErrorCode(
     "Correct the listed options; docs/reference/ur-options.md describes them.",
 )
 
-
-class ControllerNotFound(ConnectError):
-    """No Universal Robots controller answers at an endpoint."""
-
-    code = "URD-002"
-    action = (
-        "Check the address and the cable, that the controller has started, and that Settings > Security "
-        "allows its services dashboard, primary client and RTDE."
-    )
-
-
 WRONG_ARM = ErrorCode(
     "URD-003",
     ConnectError,
@@ -42,14 +81,12 @@ WRONG_ARM = ErrorCode(
     "Correct the endpoints, or the options model and serial.",
 )
 
-
 WRONG_VERSION = ErrorCode(
     "URD-004",
     ConnectError,
     "The controller's software lacks what the driver needs.",
     "Update the controller: PolyScope 3.9 or newer on CB3, 5.6 or newer on the e-Series.",
 )
-
 
 FACTORY_CALIBRATION_DIFFERS = ErrorCode(
     "URD-005",
@@ -61,14 +98,12 @@ FACTORY_CALIBRATION_DIFFERS = ErrorCode(
     ),
 )
 
-
 LOCAL_MODE = ErrorCode(
     "URD-006",
     RefusedError,
     "The controller is not in remote control, so that it accepts no program.",
     "Choose remote control at the top right of the pendant's screen.",
 )
-
 
 EMERGENCY_STOPPED = ErrorCode(
     "URD-007",
@@ -77,14 +112,12 @@ EMERGENCY_STOPPED = ErrorCode(
     "Release the emergency stop when the cell is safe, then start again.",
 )
 
-
 NOT_POWERED = ErrorCode(
     "URD-008",
     RefusedError,
     "The arm could not be switched on, or its brakes could not be released.",
     "Read the pendant's messages, and switch the arm on there (red button at the bottom left).",
 )
-
 
 PROTECTIVELY_STOPPED = ErrorCode(
     "URD-009",
@@ -93,20 +126,11 @@ PROTECTIVELY_STOPPED = ErrorCode(
     f"Find the cause at the arm first, and wait for 5 s. Then {ACKNOWLEDGE}.",
 )
 
-
 SAFETY_STOPPED = ErrorCode(
     "URD-010",
     RefusedError,
     "A safeguard, or a fault of the controller's safety system, prevents motion.",
     f"Reset the safeguard; after a violation or fault read the pendant's messages and {ACKNOWLEDGE}.",
-)
-
-
-SPEED_AT_ZERO = ErrorCode(
-    "URD-011",
-    RefusedError,
-    "The speed slider is at zero: no motion would ever end.",
-    "Raise the speed slider at the bottom of the pendant's screen.",
 )
 
 
@@ -124,34 +148,19 @@ ANOTHER_PROGRAM_RUNS = ErrorCode(
     "Check who started it, stop it at the pendant, then start again.",
 )
 
+BAD_BYTES = ErrorCode(
+    "URD-016",
+    MalformedMessage,
+    "Bytes received from the controller are not what its guides describe.",
+    "Check that the endpoint is of the right service of the controller, and report the bytes.",
+)
 
-class ControllerLost(ProtocolError):
-    """A connection to the controller broke."""
-
-    code = "URD-014"
-    action = f"To open a new connection and read everything again, {ACKNOWLEDGE}."
-
-
-class NoAnswer(LinkTimeout):
-    """The controller did not answer in time."""
-
-    code = "URD-015"
-    action = f"Check that the controller's software runs; if the arm is in fault, {ACKNOWLEDGE}."
-
-
-class BadBytes(ProtocolError):
-    """Bytes received from the controller are not what its guides describe."""
-
-    code = "URD-016"
-    action = "Check that the endpoint is of the right service of the controller, and report the bytes."
-
-
-class CommandRefused(DeviceError):
-    """The controller refused a command of its dashboard."""
-
-    code = "URD-017"
-    action = "Read the pendant's messages."
-
+COMMAND_REFUSED = ErrorCode(
+    "URD-017",
+    CommandRefused,
+    "The controller refused a command of its dashboard.",
+    "Read the pendant's messages.",
+)
 
 SCRIPT_NOT_STARTED = ErrorCode(
     "URD-018",
@@ -163,145 +172,26 @@ SCRIPT_NOT_STARTED = ErrorCode(
     ),
 )
 
-
-LINK_NOT_STARTED = ErrorCode(
-    "URD-020",
-    ConnectError,
-    "The real-time process did not start.",
-    "Check the computer's memory and process limits, then start again.",
+LINK_BROKEN = ErrorCode(
+    "URD-022",
+    ProtocolError,
+    "The RTDE connection ended, or carried bytes that are no package, while the stream was running.",
+    STREAM_ERRORS.silent.action,
 )
 
-
-LINK_SILENT = ErrorCode(
-    "URD-021",
-    LinkTimeout,
-    "Packages stopped arriving while the stream was running.",
-    f"The script stops the arm. Check the cable and the controller, then {ACKNOWLEDGE}.",
-)
-
-
-class LinkBroken(ProtocolError):
-    """The RTDE connection ended, or carried bytes that are no package, while the stream was running."""
-
-    code = "URD-022"
-    action = f"The script stops the arm. Check the cable and the controller, then {ACKNOWLEDGE}."
-
-
-HEARTBEAT_LATE = ErrorCode(
-    "URD-023",
-    LinkTimeout,
-    "This program's heartbeat to the real-time process was late, so the arm was stopped.",
-    f"Reduce the computer's load, or find what blocked the program; then {ACKNOWLEDGE}.",
-)
-
-
-LINK_PROCESS_DIED = ErrorCode(
-    "URD-024",
-    DeviceError,
-    "The real-time process terminated unexpectedly.",
-    f"The script stops the arm. Then {ACKNOWLEDGE}. Report the message if it repeats.",
-)
-
-
-LINK_PROCESS_STALLED = ErrorCode(
-    "URD-025",
-    DeviceError,
-    "The real-time process is running but stalled, so the controller gets no set-points.",
-    (
-        "The script stops the arm. Find what blocks the process or the computer; "
-        f"then {ACKNOWLEDGE}. A new process is started."
-    ),
-)
-
-
-MOTION_TRIPPED = ErrorCode(
-    "URD-026",
+CONTROLLER_STOPPED = ErrorCode(
+    "URD-035",
     LimitError,
-    "The monitor stopped the arm.",
-    f"Read the recorded cycles, find the cause, then {ACKNOWLEDGE}.",
+    "Emergency stop, safeguard, protective stop, power or the control mode interrupted a running stream.",
+    f"Check the cell first. When the cause is removed, {ACKNOWLEDGE}.",
 )
 
-
-PATH_FAILED = ErrorCode(
-    "URD-027",
-    LimitError,
-    "The path had no solution at some point, so the arm was stopped in joint space.",
-    f"First {ACKNOWLEDGE}. Then move away from the singular pose by a joint move.",
+PROGRAM_STOPPED = ErrorCode(
+    "URD-036",
+    DeviceError,
+    "Somebody stopped or paused our program, or started another one.",
+    f"Check who did it at the pendant, then {ACKNOWLEDGE}.",
 )
-
-
-LINK_UNUSABLE = ErrorCode(
-    "URD-028",
-    LinkTimeout,
-    "Too many set-points came late for too long, so the arm was stopped.",
-    (
-        f"Find what loads the computer or the network to the controller, which must carry nothing else; "
-        f"then {ACKNOWLEDGE}."
-    ),
-)
-
-
-PROTECTIVE_STOP = ErrorCode(
-    "URD-029",
-    StateError,
-    "A protective stop was requested; it remains latched.",
-    f"Find the reason, then {ACKNOWLEDGE}.",
-)
-
-
-LINK_STOPPED = ErrorCode(
-    "URD-030",
-    StateError,
-    "Set-points were withheld on request, so that the script stops the arm.",
-    f"Find the reason, then {ACKNOWLEDGE}.",
-)
-
-
-DRIVES_OFF = ErrorCode(
-    "URD-031",
-    StateError,
-    "The arm was switched off on request, and a fault is latched.",
-    f"Find the reason, then {ACKNOWLEDGE}.",
-)
-
-
-MOTION_STOPPED = ErrorCode(
-    "URD-032",
-    MotionInterrupted,
-    "A motion was stopped before its end, with the arm at rest on its path.",
-    "Resume and plan a new motion from here; an interrupted path is not continued.",
-)
-
-
-MOTION_NOT_FINISHED = ErrorCode(
-    "URD-033",
-    LinkTimeout,
-    "The motion did not end, or the arm did not settle, within the time limit.",
-    "Check the speed slider and the lost cycles, or give the motion more time.",
-)
-
-
-MOTION_REFUSED = ErrorCode(
-    "URD-034",
-    RefusedError,
-    "The real-time process refused a motion.",
-    "Wait for the current motion to end, and plan from the arm's current pose.",
-)
-
-
-class ControllerStopped(LimitError):
-    """Emergency stop, safeguard, protective stop, power or the control mode interrupted a running stream."""
-
-    code = "URD-035"
-    action = f"Check the cell first. When the cause is removed, {ACKNOWLEDGE}."
-
-
-class ProgramStopped(DeviceError):
-    """Somebody stopped or paused our program, or started another one."""
-
-    code = "URD-036"
-    action = f"Check who did it at the pendant, then {ACKNOWLEDGE}."
-
 
 SCRIPT_STOPPED = ErrorCode(
     "URD-037",
@@ -313,14 +203,12 @@ SCRIPT_STOPPED = ErrorCode(
     ),
 )
 
-
 CONTROLLER_RESTARTED = ErrorCode(
     "URD-038",
     DeviceError,
     "The controller's time jumped: it is another run of the controller than at the start.",
     f"Check the controller, then {ACKNOWLEDGE}.",
 )
-
 
 POSE_IMPLAUSIBLE = ErrorCode(
     "URD-039",
@@ -329,7 +217,6 @@ POSE_IMPLAUSIBLE = ErrorCode(
     f"Check that nothing touches the arm; bring it into its ranges at the pendant. Then {ACKNOWLEDGE}.",
 )
 
-
 LOAD_NOT_TAKEN = ErrorCode(
     "URD-040",
     RefusedError,
@@ -337,14 +224,12 @@ LOAD_NOT_TAKEN = ErrorCode(
     "Read the pendant's messages, and set the payload again; without it the force is not known.",
 )
 
-
 BAD_LOAD = ErrorCode(
     "URD-041",
     DataError,
     "The load of a tool is not one that the arm can carry.",
     "Give the mass in kg, and places in mm in the frame of the flange.",
 )
-
 
 CONTROLLER_EXCHANGED = ErrorCode(
     "URD-042",
@@ -354,29 +239,4 @@ CONTROLLER_EXCHANGED = ErrorCode(
         "Check which arm answers at the endpoints. Plans and calibrations hold for the first one only: end "
         "this run, and connect anew."
     ),
-)
-
-
-STREAM_ERRORS = StreamErrors(
-    not_found=ControllerNotFound,
-    lost=ControllerLost,
-    no_answer=NoAnswer,
-    not_started=LINK_NOT_STARTED,
-    died=LINK_PROCESS_DIED,
-    stalled=LINK_PROCESS_STALLED,
-    silent=LINK_SILENT,
-    heartbeat_late=HEARTBEAT_LATE,
-    tripped=MOTION_TRIPPED,
-    path_failed=PATH_FAILED,
-    unusable=LINK_UNUSABLE,
-    protective_stop=PROTECTIVE_STOP,
-    link_stopped=LINK_STOPPED,
-    drives_off=DRIVES_OFF,
-    stopped=MOTION_STOPPED,
-    not_finished=MOTION_NOT_FINISHED,
-    refused=MOTION_REFUSED,
-    clock_name="timestamp",
-    message_name="package",
-    speed_name="the speed slider",
-    speed_action=SPEED_AT_ZERO.action,
 )

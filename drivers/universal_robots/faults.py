@@ -7,11 +7,11 @@ from typing import Any
 
 from drivers.universal_robots.errors import (
     CONTROLLER_RESTARTED,
+    CONTROLLER_STOPPED,
+    LINK_BROKEN,
     POSE_IMPLAUSIBLE,
+    PROGRAM_STOPPED,
     SCRIPT_STOPPED,
-    ControllerStopped,
-    LinkBroken,
-    ProgramStopped,
 )
 from drivers.universal_robots.options import UrOptions, script_settings
 from drivers.universal_robots.realtime.packages import Cause, ControllerWord
@@ -38,7 +38,7 @@ class UrFaults(StreamFaults):
             case Fault.CONTROLLER:
                 return self._controller_error(prefix, state)
             case Fault.BROKEN:
-                return LinkBroken(
+                return LINK_BROKEN(
                     f"{prefix} the RTDE connection broke", got=f"timestamp {state.device_clock} us"
                 )
             case Fault.RESTARTED:
@@ -62,20 +62,20 @@ class UrFaults(StreamFaults):
             cause = Cause.SAFETY
         match cause:
             case Cause.SAFETY if word.safety_mode in NORMAL_MODES:
-                return ControllerStopped(
+                return CONTROLLER_STOPPED(
                     f"{prefix} the safety mode is {safety_text(word.safety_mode)}",
                     expected="the mode for whose speed limits the stream was started",
                 )
             case Cause.SAFETY:
-                return ControllerStopped(
+                return CONTROLLER_STOPPED(
                     f"{prefix} the controller stopped the arm: {safety_text(word.safety_mode)}"
                 )
             case Cause.ROBOT_MODE:
-                return ControllerStopped(
+                return CONTROLLER_STOPPED(
                     f"{prefix} the arm was switched off", expected=RobotMode.RUNNING.name, got=word.text
                 )
             case Cause.OTHER_SCRIPT:
-                return ProgramStopped(f"{prefix} another program took the place of ours", got=word.text)
+                return PROGRAM_STOPPED(f"{prefix} another program took the place of ours", got=word.text)
             case Cause.SCRIPT if word.script_state == ScriptState.TOO_FAR:
                 limit_rad = script_settings(self.options).LARGEST_STEP_RAD
                 return SCRIPT_STOPPED(
@@ -88,7 +88,7 @@ class UrFaults(StreamFaults):
                     limit=f"{starved_s * 1e3:g} ms",
                 )
             case _:
-                return ProgramStopped(f"{prefix} our program was stopped or paused", got=word.text)
+                return PROGRAM_STOPPED(f"{prefix} our program was stopped or paused", got=word.text)
 
 
 def may_be_power(state: LinkState) -> bool:

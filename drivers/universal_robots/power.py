@@ -7,10 +7,11 @@ import time
 from collections.abc import Callable
 
 from drivers.universal_robots.dashboard import DashboardClient, is_accepted
-from drivers.universal_robots.errors import LOCAL_MODE, NOT_POWERED, PROTECTIVELY_STOPPED, BadBytes, NoAnswer
+from drivers.universal_robots.errors import LOCAL_MODE, NOT_POWERED, PROTECTIVELY_STOPPED
 from drivers.universal_robots.safety import NORMAL_MODES, RESTART_MODES, safety_refusal
 from ronna_hw.arm.universal_robots import UrModel
 from ronna_hw.arm_stream.connections import remaining_s
+from ronna_hw.arm_stream.errors import MalformedMessage, NoAnswer
 from ronna_hw.clock import Clock, passing
 from ronna_hw.devices.errors import ACKNOWLEDGE
 from ronna_hw.wire.universal_robots import RobotMode, SafetyMode
@@ -118,7 +119,7 @@ class PowerAndSafety:
     def _unlock(self, person: str, deadline: float) -> None:
         """Release a protective stop in the name of a person, as soon as the controller permits it."""
         dashboard = self._dashboard()
-        with contextlib.suppress(NoAnswer, BadBytes):  # an entry in the log is no condition
+        with contextlib.suppress(NoAnswer, MalformedMessage):  # an entry in the log is no condition
             dashboard.ask(Query.ADD_TO_LOG, ASK_LIMIT_S, f"protective stop released by {_ascii(person)}")
         dashboard.ask(Order.CLOSE_SAFETY_POPUP, ASK_LIMIT_S)
         while True:

@@ -7,12 +7,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from drivers.universal_robots.arm import UniversalRobotsArm
-from drivers.universal_robots.errors import ControllerNotFound
 from drivers.universal_robots.identification import CALIBRATION, MAJOR_VERSION
 from drivers.universal_robots.options import EXAMPLE_HOST, ROLES, UrOptions
 from drivers.universal_robots.rtde import RtdeSetup
 from drivers.universal_robots.services import SERVICES, identify_service
 from ronna_hw.arm.universal_robots import UrModel
+from ronna_hw.arm_stream.errors import ControllerNotFound
 from ronna_hw.clock import HostClock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.lifecycle import Device, Identity

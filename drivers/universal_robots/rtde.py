@@ -9,16 +9,10 @@ import time
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
-from drivers.universal_robots.errors import (
-    WRONG_VERSION,
-    BadBytes,
-    ControllerLost,
-    ControllerNotFound,
-    NoAnswer,
-    RegistersInUse,
-)
+from drivers.universal_robots.errors import BAD_BYTES, STREAM_ERRORS, WRONG_VERSION, RegistersInUse
 from drivers.universal_robots.realtime.packages import HEADER, INPUT_FIELDS, OUTPUT_FIELDS
 from ronna_hw.arm_stream.control_channel import describe, open_connection
+from ronna_hw.arm_stream.errors import ControllerLost, MalformedMessage, NoAnswer
 from ronna_hw.wire.universal_robots import (
     IN_USE,
     INPUTS,
@@ -56,12 +50,14 @@ class RtdeSetup:
         """Connect and agree on version 2 of the protocol; raises URD-002 or URD-004."""
         self.where = f"tcp://{host}:{port}"
         self._deadline = time.monotonic() + timeout_s
-        self.socket = open_connection(host, port, timeout_s, ControllerNotFound)
+        self.socket = open_connection(host, port, timeout_s, STREAM_ERRORS.not_found)
         try:
             accepted = self._ask(PackageType.PROTOCOL_VERSION, struct.pack(">H", PROTOCOL_VERSION))
-        except (NoAnswer, ControllerLost, BadBytes) as error:
+        except (NoAnswer, ControllerLost, MalformedMessage) as error:
             self.close()
-            raise ControllerNotFound(f"{self.where} is open, but no RTDE server answers there") from error
+            raise STREAM_ERRORS.not_found(
+                f"{self.where} is open, but no RTDE server answers there"
+            ) from error
         if accepted[:1] != b"\x01":
             self.close()
             raise WRONG_VERSION(f"{self.where} does not speak version {PROTOCOL_VERSION} of RTDE")
@@ -136,7 +132,7 @@ class RtdeSetup:
         if kind == NOT_FOUND:
             raise WRONG_VERSION(f"{self.where} has no field {name}")
         if kind != expected:
-            raise BadBytes(f"{self.where}: field {name} has another type", expected=expected, got=kind)
+            raise BAD_BYTES(f"{self.where}: field {name} has another type", expected=expected, got=kind)
 
     def _ask(self, kind: PackageType, payload: bytes = b"") -> bytes:
         """Send a request and return the payload of its reply; messages in between are skipped."""
@@ -148,7 +144,7 @@ class RtdeSetup:
             self.socket.settimeout(max(0.0, self._deadline - time.monotonic()))
             self.socket.sendall(HEADER.pack(RTDE_HEADER_BYTES + len(payload), kind) + payload)
         except OSError as error:
-            raise ControllerLost(f"{self.where}: {describe(error)}") from error
+            raise STREAM_ERRORS.lost(f"{self.where}: {describe(error)}") from error
         return self._await_package(kind, kind.name)
 
     def _await_package(self, kind: PackageType, request: str) -> bytes:
@@ -158,10 +154,10 @@ class RtdeSetup:
                 if answered == kind:
                     return reply
         except TimeoutError as error:
-            raise NoAnswer(f"{self.where} does not answer the request {request}") from error
+            raise STREAM_ERRORS.no_answer(f"{self.where} does not answer the request {request}") from error
         except OSError as error:
-            raise ControllerLost(f"{self.where}: {describe(error)}") from error
-        raise BadBytes(f"{self.where} does not answer the request {request}, but sends other packages")
+            raise STREAM_ERRORS.lost(f"{self.where}: {describe(error)}") from error
+        raise BAD_BYTES(f"{self.where} does not answer the request {request}, but sends other packages")
 
     def _has_unread(self) -> bool:
         self.socket.settimeout(0.0)
@@ -174,7 +170,7 @@ class RtdeSetup:
         """Return kind and payload of the next package, and leave all that follows it to be read."""
         size, kind = HEADER.unpack(self._receive(RTDE_HEADER_BYTES))
         if not RTDE_HEADER_BYTES <= size <= LONGEST_PACKAGE_BYTES:
-            raise BadBytes(f"{self.where} sends a package of {size} bytes, which none has")
+            raise BAD_BYTES(f"{self.where} sends a package of {size} bytes, which none has")
         return kind, self._receive(size - RTDE_HEADER_BYTES)
 
     def _receive(self, count: int) -> bytes:
@@ -187,9 +183,9 @@ class RtdeSetup:
             except BlockingIOError:
                 raise TimeoutError from None
             if not data:
-                raise ControllerLost(f"{self.where} closed the connection")
+                raise STREAM_ERRORS.lost(f"{self.where} closed the connection")
             received += data
         return received
 
-    def _bad(self, what: str, reply: bytes) -> BadBytes:
-        return BadBytes(f"{self.where}: the reply with the {what} cannot be read", wire=reply)
+    def _bad(self, what: str, reply: bytes) -> MalformedMessage:
+        return BAD_BYTES(f"{self.where}: the reply with the {what} cannot be read", wire=reply)

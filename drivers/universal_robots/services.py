@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
 from drivers.universal_robots.dashboard import DashboardClient
-from drivers.universal_robots.errors import ControllerNotFound
+from drivers.universal_robots.errors import STREAM_ERRORS
 from drivers.universal_robots.primary.client import PrimaryClient
 from drivers.universal_robots.primary.packages import LONGEST_PACKAGE_BYTES
 from drivers.universal_robots.rtde import RtdeSetup
@@ -59,9 +59,9 @@ def _read_size(endpoint: Endpoint) -> str:
             size = int.from_bytes(connection.recv(SIZE_BYTES, socket.MSG_WAITALL), "big")
     except OSError as error:
         reason = (error.strerror or str(error)).lower()
-        raise ControllerNotFound(f"{endpoint} sends no package ({reason})") from error
+        raise STREAM_ERRORS.not_found(f"{endpoint} sends no package ({reason})") from error
     if not SIZE_BYTES < size <= LONGEST_PACKAGE_BYTES:
-        raise ControllerNotFound(f"{endpoint} sends a package of {size} bytes, which none has")
+        raise STREAM_ERRORS.not_found(f"{endpoint} sends a package of {size} bytes, which none has")
     return "it sends the arm's state"
 
 

@@ -13,24 +13,20 @@ import threading
 import time
 
 from drivers.universal_robots.connections import Connections
-from drivers.universal_robots.errors import (
-    ControllerLost,
-    ControllerStopped,
-    LinkBroken,
-    ProgramStopped,
-)
+from drivers.universal_robots.errors import CONTROLLER_STOPPED, LINK_BROKEN, PROGRAM_STOPPED, STREAM_ERRORS
 from drivers.universal_robots.faults import may_be_power
 from drivers.universal_robots.primary.client import ControllerState
 from ronna_hw.arm_stream.records import Fault, Phase, StopOrder
 from ronna_hw.arm_stream.watch import StreamWatch
 from ronna_hw.devices.lifecycle import RUNNING, LifecycleGuard
 from ronna_hw.devices.robot import OperatingMode
-from ronna_hw.errors import RonnaError
+from ronna_hw.errors import RonnaError, is_error
 
 DASHBOARD_LIMIT_S = 1.0
 EXPLAIN_LIMIT_S = 2.0 * DASHBOARD_LIMIT_S  # another question may have to be answered before
 POWER_DOWN_S = 1.0  # host time from the stop of a program to the robot mode of power going off (U)
-MAY_BE_CONTROL = (ControllerLost, LinkBroken, ProgramStopped)  # what a switch to local control looks like
+# A switch to local control can look like each of these.
+MAY_BE_CONTROL = (STREAM_ERRORS.lost, LINK_BROKEN, PROGRAM_STOPPED)
 LINK_FAULTS = (Fault.SILENCE, Fault.BROKEN, Fault.RESTARTED)
 
 
@@ -109,10 +105,10 @@ class UrWatch(StreamWatch[ControllerState]):
 
     def _cause_of(self, error: RonnaError) -> RonnaError:
         """Return that the control was switched, if so: that closes connections, and may end our program."""
-        if isinstance(error, MAY_BE_CONTROL):
+        if is_error(error, *MAY_BE_CONTROL):
             with contextlib.suppress(RonnaError):
                 if self._connections.power.is_remote(DASHBOARD_LIMIT_S) is False:
-                    return ControllerStopped(
+                    return CONTROLLER_STOPPED(
                         f"{self._connections.faults.name}: the pendant was switched to local control",
                         expected="remote control",
                     )

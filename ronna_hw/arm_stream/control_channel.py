@@ -15,9 +15,9 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from typing import Any, ClassVar, Generic, Protocol, TypeVar
 
-from ronna_hw.arm_stream.errors import StreamErrors
+from ronna_hw.arm_stream.errors import ControllerLost, StreamErrors
 from ronna_hw.devices.capabilities import Direction
-from ronna_hw.errors import AnyCode, ConnectError, ProtocolError, RonnaError
+from ronna_hw.errors import AnyCode, ConnectError, RonnaError
 from ronna_hw.vectors import JointVector
 
 RECEIVE_BYTES = 4096
@@ -173,7 +173,7 @@ class ControlChannel(ABC, Generic[S]):
             except BlockingIOError:
                 self._emptied_s = now_s
 
-    def _lost_error(self, how: str) -> ProtocolError:
+    def _lost_error(self, how: str) -> ControllerLost:
         return self.errors.lost(f"{self.where}{how}")
 
     def _read(self) -> None:

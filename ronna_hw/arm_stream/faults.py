@@ -76,9 +76,9 @@ class StreamFaults:
     def silence_error(self, state: LinkState, note: str = "") -> RonnaError:
         """Build the error for a controller that has fallen silent."""
         return self.errors.silent(
-            f"{self.name}: after {state.cycles} cycles no {self.errors.message_name} came for "
+            f"{self.name}: after {state.cycles} cycles no {self.errors.words.message} came for "
             f"{self.options.silence_limit_s:g} s{note}",
-            expected=f"a {self.errors.message_name} in every cycle",
+            expected=f"a {self.errors.words.message} in every cycle",
         )
 
     def refusal_error(self, state: LinkState) -> RefusedError | StateError:
@@ -98,12 +98,12 @@ class StreamFaults:
         """Build the error for a motion that did not end in time, with what slowed it: there, or losses."""
         share = state.speed_share / (DEGRADED_SPEED if state.degraded else 1.0)
         is_slowed = share < 1.0
-        reason = f": {self.errors.speed_name} is at {share:.0%}" if is_slowed else ""
+        reason = f": {self.errors.words.speed} is at {share:.0%}" if is_slowed else ""
         return self.errors.not_finished(
             f"{self.name}: the motion did not end or settle{reason or self.losses_text(initial, state)}",
             limit=f"{limit_s:g} s",
             got=self.axes_text(state),
-            action=self.errors.speed_action if is_slowed else None,
+            action=self.errors.words.speed_action if is_slowed else None,
         )
 
     def force_error(self, state: LinkState, limit_N: float) -> ForceLimitExceeded:
@@ -128,7 +128,7 @@ class StreamFaults:
             return ""
         return (
             f": of {cycles} cycles {late} were late or lost by the controller's count, "
-            f"{lost} by {self.errors.clock_name}"
+            f"{lost} by {self.errors.words.clock}"
         )
 
     def axes_text(self, state: LinkState) -> str:

@@ -168,7 +168,7 @@ class MotionFollower(Generic[S]):
                 self._watch.raise_any()
             if not is_told and link.state.speed_share == 0.0:
                 is_told = True
-                self._log.warning("the motion waits", because=f"{self._faults.errors.speed_name} is at 0%")
+                self._log.warning("the motion waits", because=f"{self._faults.errors.words.speed} is at 0%")
             # The controller's cycles are theatre time; if none arrive, the silence limit trips.
             state = link.state
             if state.fault and faulted_cycles is None:

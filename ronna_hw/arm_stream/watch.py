@@ -136,6 +136,6 @@ class StreamWatch(Generic[S]):
         if self._guard.state is not Lifecycle.FAULT:
             faults = self._connections.faults
             attach_flight_record(
-                error, faults.name, faults.arm, faults.errors.clock_name, link.recorded_cycles()
+                error, faults.name, faults.arm, faults.errors.words.clock, link.recorded_cycles()
             )
         self._guard.latch(error)

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import reference_tables
+from generate import list_errors_with_code
 
-from drivers.kuka_rsi import errors
-from ronna_hw.errors import ErrorCode, RonnaError
 from sim.world.faults.robot import ROBOT_FAULTS
 
 # A driver in automatic mode meets nothing of these, or what it meets stands in another line.
@@ -25,16 +24,16 @@ def test_every_test_named_in_the_table_exists_exactly_once() -> None:
 
 def test_every_promise_has_a_test_and_each_code_appears_in_one_of_them() -> None:
     files = reference_tables.files_of_tests()
-    classes = {
-        error.code: name
-        for name, error in vars(errors).items()
-        if isinstance(error, ErrorCode) or (isinstance(error, type) and issubclass(error, RonnaError))
+    names = {
+        error.code: error.name
+        for error in list_errors_with_code()
+        if error.module == "drivers.kuka_rsi.errors"
     }
     for one in reference_tables.read_disturbances():
         assert one.tests, one.disturbance
         text = "".join(path.read_text(encoding="utf-8") for name in one.tests for path in files[name])
         for code in one.codes:
-            assert code in text or classes[code] in text, f"{one.disturbance}: {code}"
+            assert code in text or names[code] in text, f"{one.disturbance}: {code}"
 
 
 def test_every_robot_fault_has_a_promise() -> None:

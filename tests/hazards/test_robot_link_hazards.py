@@ -18,7 +18,7 @@ from rsi_tap import RsiTap
 from user_commands import Commands
 from waiting import eventually
 
-from drivers.kuka_rsi.errors import WRONG_CONTROLLER, ControllerStopped
+from drivers.kuka_rsi.errors import CONTROLLER_STOPPED, WRONG_CONTROLLER
 from procedures.journal.journal import JOURNAL_FILE, Entry, read_journal
 from ronna_hw.arm.kr6_r900 import ArmVariant, kr6_r900
 from ronna_hw.arm.motion.limits import WORKING_SPEED_FRACTION
@@ -186,7 +186,7 @@ def test_two_unreported_lost_replies_in_a_row_at_full_working_speed_make_the_con
     arm = cell.active_arm(silence_limit_s=GENEROUS_S, heartbeat_limit_s=GENEROUS_S)
     start = arm.read_state().joints_rad
     _lose_at_speed(cell, tap, 2, WORKING_SPEED_FRACTION)
-    with pytest.raises(ControllerStopped, match="message"):
+    with raises(CONTROLLER_STOPPED, match="message"):
         arm.move_joints(_away(start))
     assert arm.state is Lifecycle.FAULT
     eventually(lambda: cell.world.arm().at_rest)

@@ -48,6 +48,7 @@ from procedures.operator.question import FOR_A_PERSON, Topic, join_answers
 from procedures.planning.plan_model import Plan
 from procedures.steps.branches import BRANCHES
 from procedures.steps.catalogue import ANSWER_WORDS, clinical_steps
+from ronna_hw.arm_stream.errors import StreamErrors
 from ronna_hw.config import Role, TheatreFile
 from ronna_hw.errors import AnyCode, ErrorCode, RonnaError, coded_classes
 from ronna_hw.roles import TWO_ARMS
@@ -61,7 +62,7 @@ from sim.world.scene.model import Scene
 PACKAGES: tuple[ModuleType, ...] = (ronna_hw, conformance, drivers, sim, procedures, studies, console)
 CASE_STEPS = clinical_steps(measure_targets=True, roles=TWO_ARMS)
 MOST_PLACES = 3  # of an error, in its table: beyond that it is one of many
-_RAISED = re.compile(r"(?<!class )\b([A-Z]\w*)(?:\.from_\w+)?\(")
+_RAISED = re.compile(r"(?<!class )\b([A-Z]\w*(?:\.(?!from_)\w+)?)(?:\.from_\w+)?\(")
 MARK = "<!-- below this line: written by tools/docs/generate.py; do not edit -->\n\n"
 
 
@@ -170,8 +171,12 @@ def list_errors_with_code() -> list[ListedError]:
     rows: dict[str, ListedError] = {}
     for place in places:
         for name, entry in vars(sys.modules[place]).items():
-            if isinstance(entry, ErrorCode):
-                rows.setdefault(entry.code, ListedError(name, place, entry.meaning, entry))
+            named = {name: entry}
+            if isinstance(entry, StreamErrors):
+                named = {f"{name}.{row}": error for row, error in entry.rows().items()}
+            for called, row in named.items():
+                if isinstance(row, ErrorCode):
+                    rows.setdefault(row.code, ListedError(called, place, row.meaning, row))
     return sorted([*found, *rows.values()], key=lambda error: error.code)
 
 
@@ -228,7 +233,7 @@ def _name_places(error: ListedError, raised: Mapping[str, tuple[set[str], str]])
         for name, (errors, text) in raised.items()
         if error.name in errors and (name == own or f"from {error.module} import" in text)
     ]
-    if error.entry in vars(getattr(sys.modules[error.module], "STREAM_ERRORS", None) or object).values():
+    if error.name.startswith("STREAM_ERRORS."):
         places.append("`ronna_hw/arm_stream`")
     more = f" and {len(places) - MOST_PLACES} more" if len(places) > MOST_PLACES else ""
     return ", ".join(places[:MOST_PLACES]) + more

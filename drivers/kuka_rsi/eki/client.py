@@ -11,16 +11,10 @@ from xml.etree import ElementTree
 from xml.sax.saxutils import quoteattr
 
 from drivers.kuka_rsi.eki.telegrams import ControllerState, TelegramScanner, parse_telegram, read_state
-from drivers.kuka_rsi.errors import (
-    EKI_LISTENS,
-    STREAM_ERRORS,
-    BadEkiTelegram,
-    CommandRefused,
-    ControllerLost,
-    NoAnswer,
-)
+from drivers.kuka_rsi.errors import BAD_EKI_TELEGRAM, COMMAND_REFUSED, EKI_LISTENS, STREAM_ERRORS
 from ronna_hw.arm.pose import Pose
 from ronna_hw.arm_stream.control_channel import BytesPassed, ControlChannel
+from ronna_hw.arm_stream.errors import ControllerLost
 from ronna_hw.devices.lifecycle import READABLE, Lifecycle, LifecycleGuard
 from ronna_hw.wire.kuka_eki import ACK, CMD, STATE, AckCode, CommandName
 
@@ -63,7 +57,9 @@ class EkiClient(ControlChannel[ControllerState]):
         """Request the controller state; raises EKI-003 on time-out, EKI-002 or EKI-004 on a broken link."""
         state = self.await_reply(self.request_state(), timeout_s)
         if state is None:
-            raise NoAnswer(f"{self.where} does not answer {CommandName.STATUS}", limit=f"{timeout_s:g} s")
+            raise STREAM_ERRORS.no_answer(
+                f"{self.where} does not answer {CommandName.STATUS}", limit=f"{timeout_s:g} s"
+            )
         return state
 
     def request_state(self) -> int:
@@ -83,14 +79,14 @@ class EkiClient(ControlChannel[ControllerState]):
         number = self._send(name, values)
         ack = self._wait_for(lambda: self._acks.get(number), timeout_s)
         if ack is None:
-            raise NoAnswer(f"{self.where} does not answer {name}", limit=f"{timeout_s:g} s")
+            raise STREAM_ERRORS.no_answer(f"{self.where} does not answer {name}", limit=f"{timeout_s:g} s")
         return ack
 
     def require(self, name: CommandName, timeout_s: float, **values: object) -> None:
         """Send a command as `command` does; raises EKI-008 unless it is acknowledged with OK."""
         ack = self.command(name, timeout_s, **values)
         if ack.code is not AckCode.OK:
-            raise CommandRefused(f"the controller refused {name}", got=f"{ack.code.name} {ack.text}".strip())
+            raise COMMAND_REFUSED(f"the controller refused {name}", got=f"{ack.code.name} {ack.text}".strip())
 
     def await_state(
         self, condition: Callable[[ControllerState], bool], timeout_s: float
@@ -129,14 +125,14 @@ class EkiClient(ControlChannel[ControllerState]):
             number = int(root.get("Id") or 0)
             code = AckCode(int(root.get("Code") or 0))
         except ValueError as error:
-            raise BadEkiTelegram(str(error), wire=ElementTree.tostring(root)) from error
+            raise BAD_EKI_TELEGRAM(str(error), wire=ElementTree.tostring(root)) from error
         sent = self._sent.get(number)
         state = read_state(root, time.monotonic()) if root.tag == STATE else None
         if state is not None and sent is CommandName.STATUS:
             _store(self._states, number, state)
         elif root.tag == ACK and sent is not None:  # otherwise of an earlier connection, or of nobody
             if root.get("Cmd", sent) != sent:
-                raise BadEkiTelegram(
+                raise BAD_EKI_TELEGRAM(
                     f"{self.where} answers another command",
                     expected=sent,
                     got=root.get("Cmd"),
@@ -149,8 +145,8 @@ class EkiClient(ControlChannel[ControllerState]):
     def _lost_error(self, how: str) -> ControllerLost:
         """Build the error for a broken connection, with other advice if no state ever arrived."""
         if self.latest is None:
-            return ControllerLost(f"{self.where}{how} before it sent anything", action=NOT_SERVED)
-        return ControllerLost(f"{self.where}{how}")
+            return STREAM_ERRORS.lost(f"{self.where}{how} before it sent anything", action=NOT_SERVED)
+        return STREAM_ERRORS.lost(f"{self.where}{how}")
 
 
 def _store(store: dict[int, T], number: int, value: T) -> None:

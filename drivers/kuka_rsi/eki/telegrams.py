@@ -13,7 +13,7 @@ from math import isfinite
 from typing import ClassVar, NoReturn
 from xml.etree import ElementTree
 
-from drivers.kuka_rsi.errors import CONTROLLER_NOT_READY, WRONG_CONTROLLER, BadEkiTelegram
+from drivers.kuka_rsi.errors import BAD_EKI_TELEGRAM, CONTROLLER_NOT_READY, WRONG_CONTROLLER
 from ronna_hw.arm.kr6_r900 import ArmVariant
 from ronna_hw.arm.pose import radians6
 from ronna_hw.bounded_input import InputRefused, parse_xml
@@ -57,7 +57,7 @@ class TelegramScanner:
             start, end = tag
             inner = bytes(self._buffer[start + 1 : end])
             if inner[:1] == b"!":
-                raise BadEkiTelegram("an XML declaration inside a telegram", wire=bytes(self._buffer))
+                raise BAD_EKI_TELEGRAM("an XML declaration inside a telegram", wire=bytes(self._buffer))
             if inner[:1] == b"?":
                 continue
             if self._root_start < 0:
@@ -75,7 +75,7 @@ class TelegramScanner:
                 del self._buffer[: end + 1]
                 self._root_start, self._scanned = -1, 0
         if len(self._buffer) > LONGEST_TELEGRAM:
-            raise BadEkiTelegram(
+            raise BAD_EKI_TELEGRAM(
                 "a telegram without end tag", limit=f"{LONGEST_TELEGRAM} bytes", wire=bytes(self._buffer)
             )
 
@@ -107,7 +107,7 @@ class TelegramScanner:
         return None
 
     def _refuse_truncated(self) -> NoReturn:
-        raise BadEkiTelegram("a telegram is truncated", expected="its end", wire=bytes(self._buffer))
+        raise BAD_EKI_TELEGRAM("a telegram is truncated", expected="its end", wire=bytes(self._buffer))
 
 
 def _tag_name(tag: bytes) -> bytes:
@@ -121,7 +121,7 @@ def parse_telegram(telegram: bytes) -> ElementTree.Element:
     try:
         return parse_xml(telegram, LONGEST_TELEGRAM)
     except InputRefused as error:
-        raise BadEkiTelegram(f"not a well-formed telegram: {error.summary}", wire=telegram) from error
+        raise BAD_EKI_TELEGRAM(f"not a well-formed telegram: {error.summary}", wire=telegram) from error
 
 
 @dataclass(frozen=True)
@@ -158,7 +158,7 @@ def read_state(element: ElementTree.Element, received_s: float) -> ControllerSta
     get = element.get
     axis = element.find(AXIS)
     if element.tag != STATE or axis is None:
-        raise BadEkiTelegram("a State without axes", wire=ElementTree.tostring(element))
+        raise BAD_EKI_TELEGRAM("a State without axes", wire=ElementTree.tostring(element))
     holdon, cycle = get(StateAttribute.HOLDON), get(StateAttribute.CYCLE)
     serial, brakes = get(StateAttribute.SERIAL), get(StateAttribute.BRAKES)
     try:
@@ -183,7 +183,7 @@ def read_state(element: ElementTree.Element, received_s: float) -> ControllerSta
             open_brakes=None if not brakes else int(brakes),
         )
     except (KeyError, ValueError) as error:
-        raise BadEkiTelegram(
+        raise BAD_EKI_TELEGRAM(
             f"a State that cannot be read: {error}", wire=ElementTree.tostring(element)
         ) from error
 

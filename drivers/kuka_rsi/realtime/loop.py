@@ -8,7 +8,6 @@ from __future__ import annotations
 import socket
 import time
 
-from drivers.kuka_rsi.errors import BadTelegram
 from drivers.kuka_rsi.realtime.replies import PreparedReply
 from drivers.kuka_rsi.realtime.responder import Responder
 from drivers.kuka_rsi.realtime.settings import LinkSettings
@@ -20,6 +19,7 @@ from drivers.kuka_rsi.realtime.telegram import (
     extract_telegram,
     read_strictly,
 )
+from ronna_hw.arm_stream.errors import MalformedMessage
 from ronna_hw.arm_stream.loop import StreamLoop
 from ronna_hw.arm_stream.mailbox import Mailbox
 from ronna_hw.arm_stream.records import Phase
@@ -145,7 +145,7 @@ class LinkLoop(StreamLoop):
         orders = self._mailbox.orders()
         try:
             telegram = extract_telegram(found) if found is not None else read_strictly(data)
-        except BadTelegram:
+        except MalformedMessage:
             responder.rejected += 1
             if responder.phase is Phase.ARMED:
                 responder.senders.host = address[0]

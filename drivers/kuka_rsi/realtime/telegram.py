@@ -13,7 +13,7 @@ from operator import itemgetter
 from typing import NamedTuple
 from xml.parsers import expat
 
-from drivers.kuka_rsi.errors import BadTelegram
+from drivers.kuka_rsi.errors import BAD_TELEGRAM
 from drivers.kuka_rsi.realtime.settings import AXIS_NAMES
 from ronna_hw.vectors import JointVector, joint_vector
 
@@ -155,14 +155,14 @@ def read_strictly(data: bytes) -> Telegram:
         if not path:
             kind = attributes.get("Type", attributes.get("TYPE"))
             if name != ROOT or kind != ROOT_TYPE:
-                raise BadTelegram(
+                raise BAD_TELEGRAM(
                     "wrong root element or Type",
                     expected=f'<{ROOT} Type="{ROOT_TYPE}">',
                     got=f'<{name} Type="{kind}">',
                     wire=data,
                 )
         if path[1:2] == ["IPOC"]:
-            raise BadTelegram("an element within the IPOC", got=f"<{name}>", wire=data)
+            raise BAD_TELEGRAM("an element within the IPOC", got=f"<{name}>", wire=data)
         path.append(name)
         text.clear()
         if len(path) == 2:
@@ -175,7 +175,7 @@ def read_strictly(data: bytes) -> Telegram:
         path.pop()
 
     def refuse(*_: object) -> None:
-        raise BadTelegram("a document type in a telegram", wire=data)
+        raise BAD_TELEGRAM("a document type in a telegram", wire=data)
 
     parser = expat.ParserCreate()
     parser.StartElementHandler = start
@@ -184,20 +184,20 @@ def read_strictly(data: bytes) -> Telegram:
     parser.StartDoctypeDeclHandler = refuse
     end_of_root = data.rfind(b"</Rob>")
     if end_of_root < 0 or len(data) > LONGEST_TELEGRAM:
-        raise BadTelegram("incomplete telegram", expected="<Rob>...</Rob>", wire=data)
+        raise BAD_TELEGRAM("incomplete telegram", expected="<Rob>...</Rob>", wire=data)
     try:
         parser.Parse(data[: end_of_root + len(b"</Rob>")], True)  # bytes after the root are tolerated
         A1, A2, A3, A4, A5, A6 = (float(values["AIPos", axis]) for axis in AXIS_NAMES)
         if not all(isfinite(angle) for angle in (A1, A2, A3, A4, A5, A6)):
-            raise BadTelegram("an axis value is not finite", wire=data)
+            raise BAD_TELEGRAM("an axis value is not finite", wire=data)
         delay = int(float(values["Delay", "D"])) if ("Delay", "D") in values else -1
         ipoc = values["IPOC", ""]
         if not -1 <= delay < MOST_LATE:
-            raise BadTelegram("the count of late packets is impossible", got=str(delay)[:32], wire=data)
+            raise BAD_TELEGRAM("the count of late packets is impossible", got=str(delay)[:32], wire=data)
         if not (ipoc.isascii() and ipoc.isdigit() and len(ipoc) <= MOST_DIGITS):
-            raise BadTelegram("the IPOC is not an integer", got=ipoc[:32], wire=data)
+            raise BAD_TELEGRAM("the IPOC is not an integer", got=ipoc[:32], wire=data)
     except (expat.ExpatError, LookupError, ValueError, OverflowError) as error:  # an encoding: LookupError
-        raise BadTelegram(f"malformed telegram: {error}", wire=data) from error
+        raise BAD_TELEGRAM(f"malformed telegram: {error}", wire=data) from error
     currents = "".join(f' {a}="{values[CURRENTS, a]}"' for a in AXIS_NAMES if (CURRENTS, a) in values)
     return Telegram((A1, A2, A3, A4, A5, A6), delay, ipoc.encode(), currents.encode())
 

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Generic, NamedTuple, TypeVar
 
-from drivers.universal_robots.errors import STREAM_ERRORS, BadBytes, NoAnswer
+from drivers.universal_robots.errors import BAD_BYTES, STREAM_ERRORS
 from drivers.universal_robots.primary.packages import (
     HEADER,
     LONGEST_PACKAGE_BYTES,
@@ -96,7 +96,7 @@ class PrimaryClient(ControlChannel[ControllerState]):
     def _await(self, find: Callable[[], T | None], what: str, timeout_s: float) -> T:
         found = self._wait_for(find, timeout_s)
         if found is None:
-            raise NoAnswer(f"{self.where} does not send {what}", limit=f"{timeout_s:g} s")
+            raise STREAM_ERRORS.no_answer(f"{self.where} does not send {what}", limit=f"{timeout_s:g} s")
         return found
 
     def _split(self, data: bytes) -> Iterator[bytes]:
@@ -147,5 +147,5 @@ def package_size(received: bytes) -> int | None:
         return None
     size: int = HEADER.unpack_from(received)[0]
     if not HEADER.size <= size <= LONGEST_PACKAGE_BYTES:
-        raise BadBytes(f"a package of {size} bytes on the primary interface", wire=received)
+        raise BAD_BYTES(f"a package of {size} bytes on the primary interface", wire=received)
     return size

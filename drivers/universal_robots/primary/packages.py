@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from hashlib import sha256
 from typing import NamedTuple
 
-from drivers.universal_robots.errors import BadBytes
+from drivers.universal_robots.errors import BAD_BYTES
 from ronna_hw.vectors import JointVector, joint_vector
 from ronna_hw.wire import universal_robots_services as wire
 from ronna_hw.wire.universal_robots_services import PartKind
@@ -96,10 +96,10 @@ def iterate_parts(payload: bytes) -> Iterator[Part]:
     offset = 0
     while offset < len(payload):
         if len(payload) - offset < PART_HEADER.size:
-            raise BadBytes("a part of the robot state is cut off", wire=payload)
+            raise BAD_BYTES("a part of the robot state is cut off", wire=payload)
         size, kind = PART_HEADER.unpack_from(payload, offset)
         if not PART_HEADER.size <= size <= len(payload) - offset:
-            raise BadBytes(f"a part of the robot state has {size} bytes", wire=payload[offset:])
+            raise BAD_BYTES(f"a part of the robot state has {size} bytes", wire=payload[offset:])
         part = _read_part(kind, payload[offset + PART_HEADER.size : offset + size])
         if part is not None:
             yield part
@@ -113,7 +113,7 @@ def _read_part(kind: int, body: bytes) -> Part | None:
         if kind == PartKind.JOINTS:
             rows = [JOINT.unpack_from(body, k * JOINT.size) for k in range(JOINTS)]
             if not all(abs(row[0]) <= FARTHEST_JOINT_RAD for row in rows):  # also if one is no number
-                raise BadBytes("joint angles that no arm has", wire=body)
+                raise BAD_BYTES("joint angles that no arm has", wire=body)
             return Joints(
                 joint_vector(row[0] for row in rows), any(abs(row[2]) > MOVING_RAD_S for row in rows)
             )
@@ -123,7 +123,7 @@ def _read_part(kind: int, body: bytes) -> Part | None:
         if kind == PartKind.KINEMATICS:
             return _read_kinematics(KINEMATICS.unpack_from(body))
     except struct.error as error:
-        raise BadBytes(f"part {kind} of the robot state is too short", wire=body) from error
+        raise BAD_BYTES(f"part {kind} of the robot state is too short", wire=body) from error
     return None
 
 
@@ -143,7 +143,7 @@ def _read_kinematics(values: tuple[float, ...]) -> KinematicsInfo:
 def read_message(payload: bytes) -> Message:
     """Decode a message; raises URD-016. Its text is whatever of it is readable."""
     if len(payload) < MESSAGE.size:
-        raise BadBytes("a message is cut off", wire=payload)
+        raise BAD_BYTES("a message is cut off", wire=payload)
     _, _, kind = MESSAGE.unpack_from(payload)
     return Message(kind, _readable(payload[MESSAGE.size :]))
 

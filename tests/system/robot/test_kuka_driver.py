@@ -16,7 +16,7 @@ import pytest
 from waiting import eventually
 
 from drivers.kuka_rsi import KukaRsiArm
-from drivers.kuka_rsi.errors import LINK_PROCESS_DIED
+from drivers.kuka_rsi.errors import STREAM_ERRORS
 from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.clock import HostClock
 from ronna_hw.config import DeviceConfig
@@ -159,7 +159,7 @@ def test_a_killed_link_process_leaves_a_message_that_recover_acknowledges(
     assert arm.connections.open_link is not None
     os.kill(arm.connections.open_link.process.pid, signal.SIGKILL)
     eventually(lambda: _state(arm) is Lifecycle.FAULT)
-    assert arm.fault.code == LINK_PROCESS_DIED.code
+    assert arm.fault.code == STREAM_ERRORS.died.code
     eventually(
         lambda: (
             arm.connections.open_control is not None

@@ -28,14 +28,12 @@ from conformance.report import Outcome, run_suite
 from conformance.robot import SUITE
 from drivers.universal_robots import UniversalRobotsArm
 from drivers.universal_robots.errors import (
-    LINK_PROCESS_DIED,
-    LINK_PROCESS_STALLED,
+    CONTROLLER_STOPPED,
+    LINK_BROKEN,
     LOAD_NOT_TAKEN,
-    MOTION_STOPPED,
+    PROGRAM_STOPPED,
     SCRIPT_NOT_STARTED,
-    ControllerStopped,
-    LinkBroken,
-    ProgramStopped,
+    STREAM_ERRORS,
     RegistersInUse,
 )
 from ronna_hw.arm.errors import LOADED_AT_START, ForceLimitExceeded
@@ -45,7 +43,7 @@ from ronna_hw.devices import Lifecycle
 from ronna_hw.devices.contact import GuidanceEnd, HandGuidance, Insertion, ToolLoad
 from ronna_hw.devices.robot import StopKind
 from ronna_hw.endpoints import parse_endpoint
-from ronna_hw.errors import RonnaError, is_error
+from ronna_hw.errors import ErrorCode, RonnaError, is_error
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.vectors import JointVector
 from sim.world.options import ArmChoice
@@ -175,7 +173,7 @@ def test_an_arm_moves_holds_and_goes_on_from_there(arm: UniversalRobotsArm) -> N
     assert reached == pytest.approx(turned(start), abs=radians(0.001))
     motion = Motion(arm)
     arm.stop(StopKind.HOLD)
-    assert is_error(motion.end(), MOTION_STOPPED)
+    assert is_error(motion.end(), STREAM_ERRORS.stopped)
     assert arm.state is Lifecycle.HOLD
     arm.resume()
     arm.move_joints(start)
@@ -188,21 +186,21 @@ def test_an_arm_moves_holds_and_goes_on_from_there(arm: UniversalRobotsArm) -> N
     ("fault", "error", "says"),
     [
         pytest.param(
-            "emergency stop pressed", ControllerStopped, "emergency stop", marks=pytest.mark.slow
+            "emergency stop pressed", CONTROLLER_STOPPED, "emergency stop", marks=pytest.mark.slow
         ),  # the arm is switched on again
-        pytest.param("protective stop", ControllerStopped, "protective stop", marks=pytest.mark.hazard(53)),
-        pytest.param("program pause", ProgramStopped, "stopped or paused", marks=pytest.mark.hazard(53)),
-        ("cut rtde", LinkBroken, ""),
-        pytest.param("local mode", ControllerStopped, "local control", marks=pytest.mark.hazard(55)),
+        pytest.param("protective stop", CONTROLLER_STOPPED, "protective stop", marks=pytest.mark.hazard(53)),
+        pytest.param("program pause", PROGRAM_STOPPED, "stopped or paused", marks=pytest.mark.hazard(53)),
+        ("cut rtde", LINK_BROKEN, ""),
+        pytest.param("local mode", CONTROLLER_STOPPED, "local control", marks=pytest.mark.hazard(55)),
     ],
 )
 def test_a_stop_from_outside_is_latched_and_left_only_in_the_name_of_a_person(
-    room: Room, arm: UniversalRobotsArm, fault: str, error: type[RonnaError], says: str
+    room: Room, arm: UniversalRobotsArm, fault: str, error: ErrorCode[RonnaError], says: str
 ) -> None:
     motion = Motion(arm)
     room.inject(fault)
     ended = motion.end()
-    assert isinstance(ended, error)
+    assert is_error(ended, error)
     assert says in str(ended)
     assert arm.state is Lifecycle.FAULT
     room.inject()
@@ -313,7 +311,7 @@ def _is_at_rest(watcher: Any) -> Callable[[], bool]:
 def test_a_real_time_process_that_dies_is_named(room: Room, arm: UniversalRobotsArm) -> None:
     motion = Motion(arm)
     arm.connections.link.process.kill()
-    assert is_error(motion.end(), LINK_PROCESS_DIED)
+    assert is_error(motion.end(), STREAM_ERRORS.died)
     arm.recover("Ann", timeout_s=30.0)
     arm.activate()
 
@@ -369,7 +367,7 @@ def test_a_real_time_process_that_freezes_in_mid_insertion_leaves_the_instrument
     depth_rad = room.world.arm().joints_rad
     ended = inserting.end()
     os.kill(pid, signal.SIGKILL)
-    assert ended.code == LINK_PROCESS_STALLED.code
+    assert ended.code == STREAM_ERRORS.stalled.code
     assert arm.state is Lifecycle.FAULT
     assert room.world.arm().joints_rad == depth_rad
     assert inserting.rests_on_its_way(room.world)
@@ -381,7 +379,7 @@ def test_a_program_that_is_killed_in_mid_insertion_leaves_the_instrument_at_rest
 ) -> None:
     inserting = Inserting(arm)
     assert room.cell.dashboard("stop") == "Stopped"
-    assert isinstance(inserting.end(), ProgramStopped)
+    assert is_error(inserting.end(), PROGRAM_STOPPED)
     assert arm.state is Lifecycle.FAULT
     room.await_cycles(lambda: room.world.arm().at_rest)
     assert inserting.rests_on_its_way(room.world)
@@ -467,5 +465,5 @@ def test_a_force_above_the_safety_limit_stops_the_arm_as_the_controller_does(
 ) -> None:
     motion = Motion(arm)
     room.inject("load axial 200 N")
-    assert isinstance(motion.end(), ControllerStopped)
+    assert is_error(motion.end(), CONTROLLER_STOPPED)
     room.inject()

@@ -14,7 +14,7 @@ from bounded_cost import bounded_cost
 from plain_steps import Approach, Fit, Held, Image, Localization, plain_order
 from recording_cell import GUIDE, HOME, RecordingArm, RecordingCell, RecordingTheatre
 
-from drivers.kuka_rsi.errors import MOTION_STOPPED
+from drivers.kuka_rsi.errors import STREAM_ERRORS
 from procedures.engine.context import StepContext
 from procedures.engine.errors import NotRecorded
 from procedures.engine.order import CaseOrder, Outcome
@@ -156,7 +156,8 @@ class Occluded:
 def test_a_replay_equals_a_run_that_a_guard_suspended_during_a_motion(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("recording_cell.MotionInterrupted", MOTION_STOPPED)  # it has a code, as a tape wants
+    # It has a code, as a tape wants.
+    monkeypatch.setattr("recording_cell.MotionInterrupted", STREAM_ERRORS.stopped)
     monkeypatch.setattr("procedures.operator.checkpoint.PATIENCE_S", 0.0)
     recorded = Recorded(tmp_path)
     guard = Occluded(recorded.cell.arm)

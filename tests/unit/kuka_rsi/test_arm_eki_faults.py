@@ -11,23 +11,22 @@ from driven_arm import activated, configured
 from waiting import eventually
 
 from drivers.kuka_rsi.errors import (
+    COMMAND_REFUSED,
     CONTROLLER_NOT_READY,
+    STREAM_ERRORS,
     UNVERIFIED_CONTROLLER,
     WRONG_CONTROLLER,
-    CommandRefused,
-    ControllerLost,
-    ControllerNotFound,
-    NoAnswer,
 )
 from drivers.kuka_rsi.fault_watch import FaultWatch
 from ronna_hw.arm_stream.mailbox import MailboxTorn
 from ronna_hw.devices import Lifecycle
 from ronna_hw.devices.errors import PersonNotNamed, WrongState
+from ronna_hw.errors import is_error
 
 
 def test_connect_reports_that_nothing_listens_at_the_address(make_arm: Any) -> None:
     arm = make_arm(eki_port=1)
-    with pytest.raises(ControllerNotFound, match="refused") as caught:
+    with raises(STREAM_ERRORS.not_found, match="refused") as caught:
         arm.connect(timeout_s=1.0)
     assert caught.value.code == "EKI-001"
     assert caught.value.exit_code == 4
@@ -36,7 +35,7 @@ def test_connect_reports_that_nothing_listens_at_the_address(make_arm: Any) -> N
 
 def test_connect_reports_that_no_controller_answers_at_the_address(controller: Any, make_arm: Any) -> None:
     controller.mute_commands.add("STATUS")
-    with pytest.raises(ControllerNotFound, match="no KR C4 answers"):
+    with raises(STREAM_ERRORS.not_found, match="no KR C4 answers"):
         make_arm().connect(timeout_s=0.2)
 
 
@@ -108,7 +107,7 @@ def test_activate_switches_on_drives_that_are_off(controller: Any, make_arm: Any
 def test_a_refused_start_is_reported_with_the_controllers_code(controller: Any, make_arm: Any) -> None:
     controller.ack_codes["RSI_START"] = 5
     arm = configured(make_arm())
-    with pytest.raises(CommandRefused, match="NOT_READY") as caught:
+    with raises(COMMAND_REFUSED, match="NOT_READY") as caught:
         arm.activate()
     assert caught.value.code == "EKI-008"
 
@@ -127,7 +126,7 @@ def test_a_reader_that_ends_by_any_error_is_a_lost_connection(
         FaultWatch, "check", lambda watch: torn() if current_thread().name == "eki reader" else check(watch)
     )
     eventually(lambda: active_arm.observe().state is Lifecycle.FAULT)
-    assert isinstance(active_arm.fault, ControllerLost)
+    assert is_error(active_arm.fault, STREAM_ERRORS.lost)
     assert "never consistent" in str(active_arm.fault)
     eventually(lambda: active_arm.connections.link.stop_number > 0)
 
@@ -135,7 +134,7 @@ def test_a_reader_that_ends_by_any_error_is_a_lost_connection(
 def test_a_session_that_fell_silent_is_recovered_by_a_new_one(controller: Any, make_arm: Any) -> None:
     arm = configured(make_arm())
     controller.deaf = True
-    with pytest.raises(NoAnswer):
+    with raises(STREAM_ERRORS.no_answer):
         arm.activate(timeout_s=0.1)
     assert arm.state is Lifecycle.FAULT
     arm.recover("operator", 3.0)
@@ -146,7 +145,7 @@ def test_an_unanswered_request_times_out(controller: Any, make_arm: Any) -> None
     arm = make_arm()
     arm.connect()
     controller.mute_commands.add("STATUS")
-    with pytest.raises(NoAnswer) as caught:
+    with raises(STREAM_ERRORS.no_answer) as caught:
         arm.read_tool_identity(timeout_s=0.1)
     assert caught.value.code == "EKI-003"
 

@@ -15,7 +15,7 @@ from coded_errors import raises
 from driven_arm import THERE, configured, largest_step, moving
 from waiting import eventually
 
-from drivers.kuka_rsi.errors import LINK_NOT_STARTED, LINK_SILENT, MOTION_TRIPPED, NoTelegram, PoseDisagrees
+from drivers.kuka_rsi.errors import NO_TELEGRAM, POSE_DISAGREES, STREAM_ERRORS
 from ronna_hw.arm.pose import radians6
 from ronna_hw.arm_stream.records import Choice
 from ronna_hw.devices import Lifecycle
@@ -29,7 +29,7 @@ def test_an_axis_that_does_not_follow_trips_the_monitor_and_the_last_cycles_are_
     controller.frozen = True
     thread.join()
     error = caught[0]
-    assert error.code == MOTION_TRIPPED.code
+    assert error.code == STREAM_ERRORS.tripped.code
     assert "following error" in str(error)
     cycles = active_arm.recorded_cycles
     assert 10 < len(cycles) <= 256
@@ -47,7 +47,7 @@ def test_link_silence_is_detected_and_latched(controller: Any, active_arm: Any) 
     thread, caught = moving(active_arm, controller)
     controller.silent.set()
     thread.join()
-    assert caught[0].code == LINK_SILENT.code
+    assert caught[0].code == STREAM_ERRORS.silent.code
     assert caught[0].code == "RSI-003"
     assert caught[0].exit_code == 5
     controller.silent.clear()
@@ -65,7 +65,7 @@ def test_configure_reports_a_port_in_use(controller: Any, make_arm: Any) -> None
     arm.connect()
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
         other.bind(controller.rsi_address)
-        with raises(LINK_NOT_STARTED, match="Address already in use") as caught:
+        with raises(STREAM_ERRORS.not_started, match="Address already in use") as caught:
             arm.configure()
     assert caught.value.code == "RSI-001"
     assert arm.state is Lifecycle.CONNECTED
@@ -84,7 +84,7 @@ def test_configure_names_the_signal_that_killed_the_real_time_process(
     arm = make_arm()
     arm.connect()
     monkeypatch.setattr(subprocess, "Popen", Killed)
-    with raises(LINK_NOT_STARTED, match="killed by SIGKILL") as caught:
+    with raises(STREAM_ERRORS.not_started, match="killed by SIGKILL") as caught:
         arm.configure()
     assert "port" not in caught.value.advice
     monkeypatch.undo()
@@ -94,7 +94,7 @@ def test_configure_names_the_signal_that_killed_the_real_time_process(
 def test_activate_reports_and_latches_a_missing_first_telegram(controller: Any, make_arm: Any) -> None:
     controller.silent.set()
     arm = configured(make_arm())
-    with pytest.raises(NoTelegram) as caught:
+    with raises(NO_TELEGRAM) as caught:
         arm.activate(timeout_s=0.5)
     assert caught.value.code == "RSI-002"
     assert arm.state is Lifecycle.FAULT
@@ -107,7 +107,7 @@ def test_activate_reports_and_latches_a_missing_first_telegram(controller: Any, 
 def test_axes_that_disagree_between_eki_and_rsi_are_refused(controller: Any, make_arm: Any) -> None:
     controller.eki_axes_deg = (5.0, -90.0, 90.0, 0.0, 60.0, 0.0)
     arm = configured(make_arm())
-    with pytest.raises(PoseDisagrees, match=r"A1 is 5\.000 deg by EKI and 0\.000 by RSI") as caught:
+    with raises(POSE_DISAGREES, match=r"A1 is 5\.000 deg by EKI and 0\.000 by RSI") as caught:
         arm.activate(timeout_s=0.5)
     assert caught.value.code == "RSI-015"
     assert controller.replies == []
@@ -157,6 +157,6 @@ def test_foreign_datagrams_are_counted_and_named_when_the_controllers_telegram_d
     arm, activated = waiting_arm
     _strangers_say(controller, b"hello", _elsewhere(controller), _elsewhere(controller))
     said = "A1 is 0.000 deg by EKI and 30.000 by RSI; 2 reported other axes, 1 were malformed"
-    with pytest.raises(PoseDisagrees, match=re.escape(said) + ".*the last from 127.0.0.1"):
+    with raises(POSE_DISAGREES, match=re.escape(said) + ".*the last from 127.0.0.1"):
         activated.result(5.0)
     assert arm.state is Lifecycle.FAULT

@@ -11,12 +11,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from coded_errors import raises
 from driven_arm import MODEL, THERE, largest_step, moving
 from fake_controller import FakeController
 from recorded_bytes import RecordedBytes
 from waiting import HANG_LIMIT_S
 
-from drivers.kuka_rsi.errors import MOTION_STOPPED, NoTelegram
+from drivers.kuka_rsi.errors import NO_TELEGRAM, STREAM_ERRORS
 from drivers.kuka_rsi.fault_watch import FaultWatch
 from ronna_hw.devices import LastKnown, Lifecycle, RobotArm
 from ronna_hw.devices.capabilities import Direction, RecordsBytes
@@ -105,7 +106,7 @@ def test_an_error_inside_the_active_block_brings_a_moving_arm_to_rest(controller
         break_off()
     thread, caught = motions[0]
     thread.join()
-    assert [error.code for error in caught] == [MOTION_STOPPED.code]
+    assert [error.code for error in caught] == [STREAM_ERRORS.stopped.code]
     assert arm.state is Lifecycle.CONFIGURED
     assert controller.facts["RSI"] == "0"
     assert largest_step(controller.replies) < 1 / 8
@@ -182,7 +183,7 @@ def test_a_telegram_without_a_reply_is_recorded_too(make_arm, controller: FakeCo
     controller.root_type = "OTHER"
     arm.connect()
     arm.configure()
-    with pytest.raises(NoTelegram):
+    with raises(NO_TELEGRAM):
         arm.activate(timeout_s=0.5)
     arm.close()
     assert {direction for direction, _ in sink.by_link["robot.master.rsi"]} == {Direction.RECEIVED}

@@ -11,13 +11,7 @@ from coded_errors import raises
 from driven_arm import FAR, THERE, activated, configured, largest_step, moving
 from waiting import HANG_LIMIT_S, eventually
 
-from drivers.kuka_rsi.errors import (
-    DRIVES_OFF,
-    LINK_STOPPED,
-    MOTION_NOT_FINISHED,
-    MOTION_STOPPED,
-    PROTECTIVE_STOP,
-)
+from drivers.kuka_rsi.errors import STREAM_ERRORS
 from ronna_hw.arm.pose import radians6
 from ronna_hw.arm_stream.motion import MotionFollower
 from ronna_hw.arm_stream.records import Fault, StopOrder
@@ -32,7 +26,7 @@ def test_hold_stops_the_arm_smoothly_and_resume_causes_no_motion(controller: Any
     thread, caught = moving(active_arm, controller)
     active_arm.stop(StopKind.HOLD)
     thread.join()
-    assert caught[0].code == MOTION_STOPPED.code
+    assert caught[0].code == STREAM_ERRORS.stopped.code
     assert caught[0].code == "RSI-010"
     assert active_arm.state is Lifecycle.HOLD
     with pytest.raises(WrongState):
@@ -77,7 +71,7 @@ def test_a_hold_right_after_the_state_was_checked_refuses_the_motion(
         active_arm.stop(StopKind.HOLD)
 
     monkeypatch.setattr(LifecycleGuard, "require", check_and_be_stopped)
-    with raises(MOTION_STOPPED, match="stopped before it began"):
+    with raises(STREAM_ERRORS.stopped, match="stopped before it began"):
         active_arm.move_joints(FAR)
     assert active_arm.read_state().commanded_rad == held
 
@@ -90,7 +84,7 @@ def test_a_stop_that_fails_leaves_the_state_as_it_was(
         active_arm.stop(StopKind.HOLD)
     with monkeypatch.context() as patched:
         patched.setattr(MotionFollower, "wait", lambda *_condition: None)
-        with raises(MOTION_NOT_FINISHED, match="does not come to rest"):
+        with raises(STREAM_ERRORS.not_finished, match="does not come to rest"):
             active_arm.stop(StopKind.HOLD)
     assert active_arm.state is state
 
@@ -98,9 +92,9 @@ def test_a_stop_that_fails_leaves_the_state_as_it_was(
 @pytest.mark.parametrize(
     ("kind", "error"),
     [
-        (StopKind.PROTECTIVE, PROTECTIVE_STOP),
-        (StopKind.DRIVES_OFF, DRIVES_OFF),
-        pytest.param(StopKind.LINK, LINK_STOPPED, marks=pytest.mark.slow),
+        (StopKind.PROTECTIVE, STREAM_ERRORS.protective_stop),
+        (StopKind.DRIVES_OFF, STREAM_ERRORS.drives_off),
+        pytest.param(StopKind.LINK, STREAM_ERRORS.link_stopped, marks=pytest.mark.slow),
     ],
 )
 @pytest.mark.hazard(32)
@@ -152,7 +146,7 @@ def test_a_motion_that_does_not_settle_is_reported_after_its_time_limit(
 ) -> None:
     arm = activated(make_arm())
     controller.frozen = True
-    with raises(MOTION_NOT_FINISHED) as caught:
+    with raises(STREAM_ERRORS.not_finished) as caught:
         arm.move_joints(radians6(0, -90, 90, 0, 60, 0.05), timeout_s=0.5)
     assert caught.value.code == "RSI-011"
 
@@ -163,7 +157,7 @@ def test_an_arm_at_rest_off_its_goal_is_reported_after_the_settle_limit_not_the_
     monkeypatch.setattr("ronna_hw.arm_stream.motion.SETTLE_LIMIT_S", 0.5)
     controller.frozen = True
     with raises(
-        MOTION_NOT_FINISHED,
+        STREAM_ERRORS.not_finished,
         match=r"did not settle at the end of its path; limit 0\.5 s, got A6 -0\.0500 deg off",
     ):
         active_arm.move_joints(radians6(0, -90, 90, 0, 60, 0.05), timeout_s=HANG_LIMIT_S)

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from drivers.kuka_rsi.errors import MOTION_TRIPPED, STREAM_ERRORS
+from drivers.kuka_rsi.errors import STREAM_ERRORS
 from drivers.kuka_rsi.fault_errors import RsiFaults
 from drivers.kuka_rsi.options import KukaOptions
 from ronna_hw.arm.clearance.bodies import Bodies, Capsule, Obstacle, Surroundings
@@ -120,7 +120,7 @@ def test_a_trip_names_the_two_bodies_and_the_distance() -> None:
     bodies = Bodies(MODEL, _post_beside(15.0))
     pair = next(k for k, one in enumerate(bodies.pairs) if bodies.names(one) == ("hand", "drip stand"))
     error = _fault(ViolationKind.CLEARANCE, pair, 4.2, 5.0)
-    assert error.code == MOTION_TRIPPED.code
+    assert error.code == STREAM_ERRORS.tripped.code
     assert "clearance of hand and drip stand" in str(error)
     assert (error.limit, error.got) == ("5.0 mm", "4.2 mm")
     assert _fault(ViolationKind.ZONE_SPEED, pair, 80.0, 60.0).got == "80.0 mm/s"

@@ -13,13 +13,11 @@ from waiting import eventually
 
 from drivers.kuka_rsi.arm import KukaRsiArm
 from drivers.kuka_rsi.errors import (
+    COMMAND_REFUSED,
     CONTEXT_UNUSABLE,
-    LINK_NOT_STARTED,
-    LINK_PROCESS_STALLED,
+    NO_TELEGRAM,
+    STREAM_ERRORS,
     WRONG_CONTROLLER,
-    CommandRefused,
-    ControllerNotFound,
-    NoTelegram,
 )
 from ronna_hw.arm.errors import FORCE_NOT_SENSED
 from ronna_hw.arm.pose import Pose
@@ -42,7 +40,7 @@ def test_configure_reports_a_stream_address_that_is_not_this_computers(
     endpoints = {"rsi": f"udp://{host}:59152", "eki_project": f"tcp://127.0.0.1:{controller.eki_port}"}
     arm = KukaRsiArm("robot.master", DeviceConfig(driver="kuka_rsi", endpoints=endpoints), HostClock())
     arm.connect()
-    with raises(LINK_NOT_STARTED, match=f"{host}.*{reason}") as caught:
+    with raises(STREAM_ERRORS.not_started, match=f"{host}.*{reason}") as caught:
         arm.configure()
     assert "subnet of the controller's RSI interface" in caught.value.advice
     arm.close()
@@ -54,8 +52,8 @@ def test_telegrams_from_another_host_than_the_configured_one_open_no_session(
     controller: Any, make_arm: Any
 ) -> None:
     arm = configured(make_arm(controller_host="127.0.0.9"))
-    with pytest.raises(
-        NoTelegram, match=r"came from elsewhere, the last from 127.0.0.1; expected telegrams of 127.0.0.9"
+    with raises(
+        NO_TELEGRAM, match=r"came from elsewhere, the last from 127.0.0.1; expected telegrams of 127.0.0.9"
     ):
         arm.activate(timeout_s=1.0)
     assert arm.state is Lifecycle.FAULT
@@ -71,7 +69,7 @@ def test_telegrams_from_the_configured_host_are_answered(controller: Any, make_a
 def test_telegrams_of_another_type_are_reported_and_get_no_reply(controller: Any, make_arm: Any) -> None:
     controller.root_type = "OTHER"
     arm = configured(make_arm())
-    with pytest.raises(NoTelegram, match="were malformed or of another Type"):
+    with raises(NO_TELEGRAM, match="were malformed or of another Type"):
         arm.activate(timeout_s=1.0)
     assert not controller.replies
 
@@ -103,7 +101,7 @@ def test_options_that_do_not_fit_the_context_are_refused_at_once(make_arm: Any, 
 
 
 def test_a_second_client_of_the_controller_gets_no_answer(active_arm: Any, make_arm: Any) -> None:
-    with pytest.raises(ControllerNotFound):
+    with raises(STREAM_ERRORS.not_found):
         make_arm().connect(timeout_s=0.5)
     active_arm.move_joints(THERE)  # the first one is not disturbed
 
@@ -118,8 +116,8 @@ def test_a_stalled_real_time_process_is_latched_without_any_call(controller: Any
         return bool(arm.observe().state is Lifecycle.FAULT)
 
     eventually(latched)
-    assert arm.fault.code == LINK_PROCESS_STALLED.code
-    with raises(LINK_PROCESS_STALLED):
+    assert arm.fault.code == STREAM_ERRORS.stalled.code
+    with raises(STREAM_ERRORS.stalled):
         arm.move_joints(THERE)
     arm.recover("Ana")
     arm.activate()
@@ -136,7 +134,7 @@ def test_tool_and_base_can_be_set_only_at_rest(controller: Any, make_arm: Any) -
     assert controller.commands[-3:] == ["SET_TOOL", "SET_BASE", "SET_OV"]
     assert arm.controller.state().tool == 2
     controller.ack_codes["SET_OV"] = 2
-    with pytest.raises(CommandRefused, match="SET_OV"):
+    with raises(COMMAND_REFUSED, match="SET_OV"):
         arm.controller.set_override(500)
     arm.activate()
     with pytest.raises(WrongState):

@@ -18,16 +18,14 @@ from drivers.kuka_rsi.connections import Connections
 from drivers.kuka_rsi.errors import (
     CONTROLLER_NOT_READY,
     HANDSHAKE_FAILED,
-    LINK_PROCESS_DIED,
-    MOTION_STOPPED,
+    STREAM_ERRORS,
     UNVERIFIED_CONTROLLER,
-    NoAnswer,
 )
 from drivers.kuka_rsi.micro_move import MicroMove
 from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.devices import ConfirmedStart, JointMove, Lifecycle, OperatingMode
 from ronna_hw.devices.errors import PersonNotNamed
-from ronna_hw.errors import ErrorCode, RonnaError
+from ronna_hw.errors import ErrorCode, RonnaError, is_error
 
 FULL_SPEED_DEG_S = degrees(kr6_r900("kr6_r900_sixx").full_speed_rad_s[0])
 
@@ -47,7 +45,7 @@ def test_recovery_is_refused_while_the_cause_persists(
 def test_a_silent_eki_channel_is_latched_without_any_call(controller: Any, active_arm: Any) -> None:
     controller.tells = False
     eventually(lambda: active_arm.observe().state is Lifecycle.FAULT)
-    assert isinstance(active_arm.fault, NoAnswer)
+    assert is_error(active_arm.fault, STREAM_ERRORS.no_answer)
     assert "is silent" in str(active_arm.fault)
     controller.tells = True
     active_arm.recover("Ana")
@@ -206,7 +204,7 @@ def test_a_stop_during_the_micro_move_ends_it(silent_controller: Any, make_arm: 
 
     stopping = threading.Thread(target=stop_once_moving)
     stopping.start()
-    with raises(MOTION_STOPPED):
+    with raises(STREAM_ERRORS.stopped):
         arm.activate_unverified("Ana")
     stopping.join()
     assert not any(reply[1][0] for reply in silent_controller.replies)  # A1 is the last one tested
@@ -215,7 +213,7 @@ def test_a_stop_during_the_micro_move_ends_it(silent_controller: Any, make_arm: 
 
 @pytest.mark.hazard(4)
 @pytest.mark.parametrize(
-    ("signalled", "error"), [(signal.SIGKILL, LINK_PROCESS_DIED), (signal.SIGSTOP, HANDSHAKE_FAILED)]
+    ("signalled", "error"), [(signal.SIGKILL, STREAM_ERRORS.died), (signal.SIGSTOP, HANDSHAKE_FAILED)]
 )
 def test_a_real_time_process_that_fails_during_the_micro_move_ends_it(
     silent_controller: Any,

@@ -6,10 +6,11 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import pytest
+from coded_errors import raises
 from watched_stream import MOVING, Control, Watched, watched_kuka
 
 from drivers.kuka_rsi.eki.telegrams import ControllerState
-from drivers.kuka_rsi.errors import ControllerStopped
+from drivers.kuka_rsi.errors import CONTROLLER_STOPPED
 from drivers.kuka_rsi.fault_watch import CAUSE_S
 from ronna_hw.arm.clearance.live_watch import ViolationKind
 from ronna_hw.arm_stream.records import Fault, Phase, StopOrder
@@ -122,7 +123,7 @@ def test_a_call_waits_for_the_cause_of_a_following_error() -> None:
     arm.link.state = NO_LONGER_FOLLOWS
     arm.watch.check()
     eki.answer = _changed(guard_open=True)
-    with pytest.raises(ControllerStopped, match="guard is open"):
+    with raises(CONTROLLER_STOPPED, match="guard is open"):
         arm.watch.raise_any()
 
 

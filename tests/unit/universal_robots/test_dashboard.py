@@ -7,10 +7,11 @@ from collections.abc import Iterator
 from contextlib import closing
 
 import pytest
+from coded_errors import raises
 from handmade_ur import HandmadeController
 
 from drivers.universal_robots.dashboard import DashboardClient
-from drivers.universal_robots.errors import BadBytes, CommandRefused, ControllerLost, NoAnswer
+from drivers.universal_robots.errors import BAD_BYTES, COMMAND_REFUSED, STREAM_ERRORS
 from ronna_hw.endpoints import parse_endpoint
 from ronna_hw.wire.universal_robots import RobotMode, SafetyMode
 from ronna_hw.wire.universal_robots_services import Order, Query
@@ -68,7 +69,7 @@ def test_a_line_too_many_is_an_error_and_moves_no_later_answer(
     controller: HandmadeController, client: DashboardClient, surplus: str
 ) -> None:
     controller.answers["safetymode"] = f"{surplus}\nSafetymode: FAULT"
-    with pytest.raises(BadBytes, match="URD-016"):
+    with raises(BAD_BYTES, match="URD-016"):
         client.safety_mode(LIMIT_S)
     controller.answers["safetymode"] = "Safetymode: FAULT"
     assert client.safety_mode(LIMIT_S) is SafetyMode.FAULT
@@ -84,7 +85,7 @@ def test_the_answer_to_any_other_question_is_an_error(
         if other is question:
             assert client.ask(question, LIMIT_S) == answer
         else:
-            with pytest.raises(BadBytes):
+            with raises(BAD_BYTES):
                 client.ask(question, LIMIT_S)
 
 
@@ -92,7 +93,7 @@ def test_an_order_that_is_refused_in_other_words_is_no_mistake_of_the_line(
     controller: HandmadeController, client: DashboardClient
 ) -> None:
     controller.answers["power on"] = "Command is not allowed due to safety reasons"
-    with pytest.raises(CommandRefused):
+    with raises(COMMAND_REFUSED):
         client.require(Order.POWER_ON, LIMIT_S)
     assert len(controller.dashboard_clients) == 1
 
@@ -101,7 +102,7 @@ def test_a_late_answer_is_not_that_to_the_next_question(
     controller: HandmadeController, client: DashboardClient
 ) -> None:
     controller.answers["safetymode"] = None
-    with pytest.raises(NoAnswer):
+    with raises(STREAM_ERRORS.no_answer):
         client.safety_mode(0.05)
     send_unasked(controller, client, "Safetymode: NORMAL\n")
     controller.answers["safetymode"] = "Safetymode: FAULT"
@@ -114,5 +115,5 @@ def test_a_connection_that_the_controller_closed_is_not_opened_again_on_its_own(
     # Perhaps another one answers there now: who recovers looks at its identity first.
     controller.dashboard_clients[-1].shutdown(2)
     for _ in range(2):
-        with pytest.raises(ControllerLost):
+        with raises(STREAM_ERRORS.lost):
             client.safety_mode(LIMIT_S)

@@ -6,8 +6,9 @@ import math
 import struct
 
 import pytest
+from coded_errors import raises
 
-from drivers.universal_robots.errors import BadBytes
+from drivers.universal_robots.errors import BAD_BYTES
 from drivers.universal_robots.primary.packages import Joints, iterate_parts
 from ronna_hw.wire import universal_robots_services as wire
 from ronna_hw.wire.universal_robots_services import PartKind
@@ -31,5 +32,5 @@ def test_joint_angles_are_read_as_sent() -> None:
 
 @pytest.mark.parametrize("angle_rad", [math.nan, math.inf, 1e300, -8.5])
 def test_angles_that_no_joint_has_are_no_reading(angle_rad: float) -> None:
-    with pytest.raises(BadBytes, match="URD-016"):
+    with raises(BAD_BYTES, match="URD-016"):
         list(iterate_parts(joints_part(0.0, 0.0, 0.0, 0.0, 0.0, angle_rad)))

@@ -12,13 +12,7 @@ from handmade_ur import UR5E_A, HandmadeController
 from drivers.kuka_rsi.arm import KukaRsiArm
 from drivers.universal_robots import power as ur_power
 from drivers.universal_robots.arm import UniversalRobotsArm
-from drivers.universal_robots.errors import (
-    BAD_OPTIONS,
-    CONTROLLER_EXCHANGED,
-    NOT_POWERED,
-    ControllerLost,
-    ControllerNotFound,
-)
+from drivers.universal_robots.errors import BAD_OPTIONS, CONTROLLER_EXCHANGED, NOT_POWERED, STREAM_ERRORS
 from drivers.universal_robots.rtde import RtdeSetup
 from ronna_hw.arm_stream.control_channel import open_connection
 from ronna_hw.clock import HostClock
@@ -190,8 +184,8 @@ def test_an_address_that_is_silent_is_refused_with_the_time_that_was_waited(
         raise TimeoutError("timed out")
 
     monkeypatch.setattr("socket.create_connection", time_out)
-    with pytest.raises(ControllerNotFound, match=r"\(timed out\); limit 3 s\."):
-        open_connection("192.0.2.1", 29999, 2.99842, ControllerNotFound)
+    with raises(STREAM_ERRORS.not_found, match=r"\(timed out\); limit 3 s\."):
+        open_connection("192.0.2.1", 29999, 2.99842, STREAM_ERRORS.not_found)
 
 
 @pytest.mark.parametrize("other", ["serial", "calibration"])
@@ -200,7 +194,7 @@ def test_a_recovery_does_not_take_another_arm_for_the_one_that_was_connected(
 ) -> None:
     arm = make_arm(controller)
     arm.connect(LIMIT_S)
-    arm._watch.latch(ControllerLost("the connection broke"))
+    arm._watch.latch(STREAM_ERRORS.lost("the connection broke"))
     kinematics = arm.kinematics
     arm.connections.close_control()
     if other == "serial":

@@ -10,10 +10,11 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 
 import pytest
+from coded_errors import raises
 from handmade_ur import robot_state
 
 from drivers.universal_robots.dashboard import BANNER, DashboardClient
-from drivers.universal_robots.errors import NoAnswer
+from drivers.universal_robots.errors import STREAM_ERRORS
 from drivers.universal_robots.primary.client import ControllerState, PrimaryClient
 from ronna_hw.arm_stream.control_channel import QUIET_S
 from ronna_hw.devices.capabilities import Direction
@@ -102,7 +103,7 @@ def test_a_state_that_came_before_the_request_does_not_answer_it_though_it_is_re
     assert select.select((line.client._socket,), (), (), LIMIT_S)[0]
     line.now_s += STOOD_STILL_S
     threading.Timer(0.1, line.runs.set).start()
-    with pytest.raises(NoAnswer):
+    with raises(STREAM_ERRORS.no_answer):
         line.client.await_new_state(0.0)
 
 

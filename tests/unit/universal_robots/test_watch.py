@@ -8,7 +8,7 @@ from typing import Any, cast
 import pytest
 from watched_stream import MOVING, Watched, watched_ur
 
-from drivers.universal_robots.errors import ControllerLost
+from drivers.universal_robots.errors import STREAM_ERRORS
 from drivers.universal_robots.realtime.packages import Cause, ControllerWord
 from drivers.universal_robots.watch import POWER_DOWN_S
 from ronna_hw.arm_stream.records import Fault, LinkState, Phase, StopOrder
@@ -78,21 +78,21 @@ def test_a_call_waits_for_the_cause_why_the_program_stopped(coming: list[LinkSta
 
 
 @pytest.mark.parametrize(
-    ("remote", "code"), [(False, "URD-035"), (True, "URD-014"), (ControllerLost("gone"), "URD-014")]
+    ("remote", "code"), [(False, "URD-035"), (True, "URD-014"), (STREAM_ERRORS.lost("gone"), "URD-014")]
 )
 def test_losing_the_primary_interface_is_told_apart_from_a_switch_to_local_control(
     remote: bool | RonnaError, code: str
 ) -> None:
     arm, dashboard = watched()
     dashboard.remote = remote
-    arm.watch.on_loss(ControllerLost("tcp://127.0.0.1:1 closed the connection"))
+    arm.watch.on_loss(STREAM_ERRORS.lost("tcp://127.0.0.1:1 closed the connection"))
     assert arm.outcome == (code, [StopOrder.PROTECTIVE])
 
 
 def test_a_thread_that_sees_the_loss_first_leaves_the_fault_to_the_question_for_the_control_mode() -> None:
     arm, dashboard = watched()
     dashboard.remote = False
-    arm.control.failure = ControllerLost("tcp://127.0.0.1:1 closed the connection")
+    arm.control.failure = STREAM_ERRORS.lost("tcp://127.0.0.1:1 closed the connection")
     arm.watch.check()
     assert arm.outcome == ("", [])
     reader = threading.Thread(target=arm.watch.on_loss, args=(arm.control.failure,))

@@ -6,11 +6,12 @@ from collections.abc import Iterator
 from contextlib import closing
 
 import pytest
+from coded_errors import raises
 from fake_controller import FakeController
 from waiting import HANG_LIMIT_S, eventually
 
 from drivers.kuka_rsi.eki.client import EkiClient
-from drivers.kuka_rsi.errors import BadEkiTelegram
+from drivers.kuka_rsi.errors import BAD_EKI_TELEGRAM
 from ronna_hw.wire.kuka_eki import AckCode, CommandName
 
 
@@ -54,7 +55,7 @@ def test_the_acknowledgement_of_another_command_is_a_mistake_of_the_controller(
     sent = client._send(CommandName.RSI_STOP, {})
     assert sent == following
     controller.send_raw(f'<Ack Id="{sent}" Cmd="DRIVES" Code="0" Text=""></Ack>'.encode())
-    with pytest.raises(BadEkiTelegram, match="DRIVES"):
+    with raises(BAD_EKI_TELEGRAM, match="DRIVES"):
         client.command(CommandName.ACK_ERRORS, HANG_LIMIT_S)
 
 

@@ -16,11 +16,11 @@ from driven_arm import FAR, THERE, activated, largest_step, moving
 from waiting import eventually
 
 from drivers.kuka_rsi.eki.telegrams import LONGEST_TELEGRAM
-from drivers.kuka_rsi.errors import BadEkiTelegram, ControllerLost, ControllerStopped
+from drivers.kuka_rsi.errors import BAD_EKI_TELEGRAM, CONTROLLER_STOPPED, STREAM_ERRORS
 from ronna_hw.arm_stream.records import Choice
 from ronna_hw.devices import Lifecycle
 from ronna_hw.devices.errors import WrongState
-from ronna_hw.errors import RonnaError
+from ronna_hw.errors import RonnaError, is_error
 
 HANG_S = 60.0
 LONGEST_STOP_CYCLES = 125  # half a second: what the table of disturbances promises for a path stop
@@ -80,7 +80,7 @@ def test_a_controller_fact_that_forbids_motion_stops_the_arm_and_is_named(
 ) -> None:
     before = dict(controller.facts)
     error = _stopped(patient_arm, controller, lambda c: c.tell(**change))
-    assert isinstance(error, ControllerStopped)
+    assert is_error(error, CONTROLLER_STOPPED)
     assert cause in str(error)
     rest = controller.replies[-1][1]
     with pytest.raises(WrongState, match="EKI-010"):
@@ -97,7 +97,7 @@ def test_a_cut_eki_channel_stops_the_arm_and_recovery_retries_until_it_reopens(
     controller: Any, patient_arm: Any
 ) -> None:
     error = _stopped(patient_arm, controller, lambda c: c.drop_eki())
-    assert isinstance(error, ControllerLost)
+    assert is_error(error, STREAM_ERRORS.lost)
     controller.turned_away = 2
     patient_arm.recover("Ana")
     assert controller.turned_away == 0
@@ -144,7 +144,7 @@ def test_an_unreadable_eki_telegram_stops_the_arm(
         controller.tell()  # it goes on as if nothing had been
 
     error = _stopped(patient_arm, controller, send)
-    assert isinstance(error, BadEkiTelegram)
+    assert is_error(error, BAD_EKI_TELEGRAM)
     assert words in str(error)
     patient_arm.recover("Ana")
     patient_arm.activate()

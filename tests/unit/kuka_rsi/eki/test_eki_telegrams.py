@@ -17,7 +17,7 @@ from drivers.kuka_rsi.eki.telegrams import (
     read_state,
     require_ready,
 )
-from drivers.kuka_rsi.errors import CONTROLLER_NOT_READY, BadEkiTelegram
+from drivers.kuka_rsi.errors import BAD_EKI_TELEGRAM, CONTROLLER_NOT_READY
 
 STATE = (
     b'<State Id="7" Mode="EXT" Drives="1" EStop="0" Guard="0" ProState="P_ACTIVE" Moving="0" Ov="100" Err="0"'
@@ -45,13 +45,13 @@ def test_quoted_brackets_self_closing_elements_and_declarations_are_handled() ->
 
 
 def test_a_doctype_declaration_is_refused() -> None:
-    with pytest.raises(BadEkiTelegram, match="declaration") as caught:
+    with raises(BAD_EKI_TELEGRAM, match="declaration") as caught:
         list(TelegramScanner().feed(b"<!DOCTYPE State><State></State>"))
     assert caught.value.code == "EKI-004"
 
 
 def test_a_telegram_without_an_end_is_refused() -> None:
-    with pytest.raises(BadEkiTelegram, match="without end tag"):
+    with raises(BAD_EKI_TELEGRAM, match="without end tag"):
         list(TelegramScanner().feed(b"<State>" + b"x" * 20_000))
 
 
@@ -60,7 +60,7 @@ def test_a_truncated_telegram_is_reported_before_the_end_of_the_next_one(followi
     for kept in range(1, len(STATE)):
         scanner = TelegramScanner()
         assert list(scanner.feed(STATE[:kept])) == []
-        with pytest.raises(BadEkiTelegram, match="is truncated"):
+        with raises(BAD_EKI_TELEGRAM, match="is truncated"):
             list(scanner.feed(following[:-1]))
 
 
@@ -71,7 +71,7 @@ def test_a_telegram_may_fill_the_buffer_of_a_channel() -> None:
 
 def test_wrongly_nested_elements_are_refused() -> None:
     (telegram,) = TelegramScanner().feed(b"<State><Axis></State></Axis>")
-    with pytest.raises(BadEkiTelegram, match="well-formed"):
+    with raises(BAD_EKI_TELEGRAM, match="well-formed"):
         parse_telegram(telegram)
 
 
@@ -94,18 +94,18 @@ def test_a_state_is_read_and_absent_facts_are_none() -> None:
     "change", [{"Mode": "FREE"}, {"RSI": "9"}, {"Err": ""}, {"Tool": "x"}, {"EStop": "nan"}, {"Drives": "on"}]
 )
 def test_a_state_with_invalid_values_is_refused(change: dict[str, str]) -> None:
-    with pytest.raises(BadEkiTelegram):
+    with raises(BAD_EKI_TELEGRAM):
         _state(**change)
 
 
 @pytest.mark.parametrize("angle", ["nan", "inf", "", "1,5"])
 def test_an_axis_that_is_not_a_number_is_refused(angle: str) -> None:
-    with pytest.raises(BadEkiTelegram, match="cannot be read"):
+    with raises(BAD_EKI_TELEGRAM, match="cannot be read"):
         read_state(parse_telegram(STATE.replace(b'A1="1.5"', f'A1="{angle}"'.encode())), 0.0)
 
 
 def test_a_state_without_axes_is_refused() -> None:
-    with pytest.raises(BadEkiTelegram, match="without axes"):
+    with raises(BAD_EKI_TELEGRAM, match="without axes"):
         read_state(parse_telegram(b'<State Mode="EXT"></State>'), 0.0)
 
 

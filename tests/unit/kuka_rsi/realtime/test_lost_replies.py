@@ -13,7 +13,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from responder_stand import FAR, LIMITS, MODEL, NUMBERS, SETTINGS, START, START_DEG
 
-from drivers.kuka_rsi.errors import LINK_UNUSABLE, STREAM_ERRORS
+from drivers.kuka_rsi.errors import STREAM_ERRORS
 from drivers.kuka_rsi.fault_errors import RsiFaults
 from drivers.kuka_rsi.options import KukaOptions
 from drivers.kuka_rsi.realtime.link_health import Losses
@@ -354,7 +354,7 @@ def test_losing_half_of_the_replies_for_seconds_stops_the_arm_and_names_the_caus
     error = RsiFaults("robot.master", kr6_r900(KukaOptions().variant), STREAM_ERRORS, KukaOptions()).error(
         controller.state, OperationMode.EXT
     )
-    assert error.code == LINK_UNUSABLE.code
+    assert error.code == STREAM_ERRORS.unusable.code
     assert "late or lost by the controller's count" in str(error)
 
 

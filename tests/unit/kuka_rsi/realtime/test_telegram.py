@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import pytest
+from coded_errors import raises
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from drivers.kuka_rsi.errors import BadTelegram
+from drivers.kuka_rsi.errors import BAD_TELEGRAM
 from drivers.kuka_rsi.realtime.telegram import (
     REPLY_TAIL,
     Element,
@@ -101,7 +102,7 @@ def test_a_telegram_without_delay_has_a_delay_of_minus_one() -> None:
     ],
 )
 def test_a_malformed_telegram_is_rejected_with_its_last_bytes(data: bytes) -> None:
-    with pytest.raises(BadTelegram) as caught:
+    with raises(BAD_TELEGRAM) as caught:
         READER.read(data)
     assert caught.value.code == "RSI-014"
     assert caught.value.wire == data[-64:]
