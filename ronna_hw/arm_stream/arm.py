@@ -7,6 +7,7 @@ import time
 from abc import ABC, abstractmethod
 from collections.abc import Iterable
 from contextlib import AbstractContextManager
+from dataclasses import replace
 from functools import partial
 from typing import Any, Generic, Self
 
@@ -250,7 +251,7 @@ class StreamedArm(ABC, Generic[S]):
             reading = self._readings.from_stream(after)
             return AxisLoads(reading.stamp, Validity.MISSING, reading.joints_rad, 0)
         if since_rest:
-            before = after._replace(load_cycles=0, load_sums=NO_SIGNALS)
+            before = replace(after, load_cycles=0, load_sums=NO_SIGNALS)
         while not _has_rested(before, after, cycles):
             before = after  # once more, if the arm has moved meanwhile
             ended = partial(_has_ended, before, cycles=cycles)

@@ -6,9 +6,8 @@ rest there however hard the hand pushes.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from math import hypot, radians
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 from ronna_hw.arm.kinematics import Kinematics
 from ronna_hw.arm.motion.limits import ACCELERATION_RAMP_S, MotionLimits
@@ -26,19 +25,13 @@ STANDSTILL_MM_S, STANDSTILL_MM_S2 = 1e-6, 1e-3
 
 
 class GuideLimits(NamedTuple):
-    """Guidance as plain numbers, for the mailbox."""
+    """Limits of a guidance by hand."""
 
     speed_mm_s: float
     reach_mm: float
     dead_band_N: float
     damping_N_s_mm: float
-    cycles: int  # at most
-
-    @classmethod
-    def from_numbers(cls, numbers: Sequence[float]) -> GuideLimits:
-        """Restore the limits from a row of the mailbox."""
-        speed, reach, dead_band, damping, cycles = numbers
-        return cls(speed, reach, dead_band, damping, int(cycles))
+    cycles: Annotated[int, "I"]  # at most
 
     def velocity(self, force_N: Vector3) -> Vector3:
         """Return the velocity that a force asks for, mm/s."""

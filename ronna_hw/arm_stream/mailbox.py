@@ -9,23 +9,16 @@ from __future__ import annotations
 import mmap
 import os
 from collections.abc import Iterator
-from enum import IntEnum
-from typing import Annotated, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 from ronna_hw.arm.clearance.bodies import Surroundings
 from ronna_hw.arm.errors import SURROUNDINGS_TOO_LARGE
-from ronna_hw.arm.motion.limits import LIMITS_NUMBERS, MotionLimits
-from ronna_hw.arm.motion.planning import MotionPlan
-from ronna_hw.arm.motion.progress import MOST_STEPS, PathLimits, SpeedStep
-from ronna_hw.arm.pose import Pose, Rotation9
-from ronna_hw.arm_stream.guided import GuideLimits
 from ronna_hw.arm_stream.records import (
     NO_STATE,
     STOP_KIND_BITS,
     CloseStream,
     Command,
     EndStream,
-    ForceLimit,
     Guide,
     LinkState,
     Move,
@@ -36,66 +29,35 @@ from ronna_hw.arm_stream.records import (
     StopOrder,
 )
 from ronna_hw.arm_stream.statistics import HISTOGRAM_BINS
-from ronna_hw.host.shared_memory import ByteRing, MemoryMap, RowCodec
-from ronna_hw.vectors import JointVector, Vector3
+from ronna_hw.host.row_codec import RowCodec, one_of
+from ronna_hw.host.shared_memory import ByteRing, MemoryMap
 
 RECORDER_CYCLES = 256
 LONGEST_SURROUNDINGS_BYTES = 24_000
 KEPT_BYTES = 1 << 20  # of telegrams and replies: a third of a second at the pace of lock-step
 LONGEST_KEPT_BYTES = 1 << 15  # a datagram of maximum length and its reply
 READ_TRIES = 100  # a writer is in the block for about 2 us
-NO_JOINTS: JointVector = (0.0,) * 6
-NO_GUIDE = GuideLimits(0.0, 0.0, 0.0, 0.0, 0)
+REQUESTS: tuple[type[Request], ...] = (Move, OpenStream, EndStream, CloseStream, Guide)
 
 
-class CommandKind(IntEnum):
-    """Kind of a request, as its row has it."""
-
-    MOVE = 1
-    OPEN = 2
-    END = 3
-    CLOSE = 4
-    GUIDE = 5
-
-
-KINDS: dict[type[Request], CommandKind] = {
-    Move: CommandKind.MOVE,
-    OpenStream: CommandKind.OPEN,
-    EndStream: CommandKind.END,
-    CloseStream: CommandKind.CLOSE,
-    Guide: CommandKind.GUIDE,
-}
-
-
-class CommandRow(NamedTuple):
-    """Command as plain numbers; a new `surroundings_number` means that the surroundings have changed."""
+class CommandHead(NamedTuple):
+    """Head of a command, before its request; a new `surroundings_number` means that they have changed."""
 
     number: Annotated[int, "Q"]
     stop_number: Annotated[int, "Q"]
     surroundings_number: Annotated[int, "Q"]
-    kind: Annotated[CommandKind, "B"]
-    has_target: Annotated[bool, "?"] = False
-    has_axes: Annotated[bool, "?"] = False  # of OPEN; they are in `start_rad`
-    speed_steps_used: Annotated[int, "B"] = 0
-    start_rad: Annotated[JointVector, "6d"] = NO_JOINTS
-    target_rad: Annotated[JointVector, "6d"] = NO_JOINTS
-    path_limits: Annotated[tuple[float, ...], "3d"] = (0.0,) * 3
-    arm_limits: Annotated[tuple[float, ...], f"{LIMITS_NUMBERS}d"] = (0.0,) * LIMITS_NUMBERS
-    target_position_mm: Annotated[Vector3, "3d"] = Pose().position_mm
-    target_rotation: Annotated[Rotation9, "9d"] = Pose().rotation
-    tool_in_flange_mm: Annotated[Vector3, "3d"] = (0.0,) * 3
-    speed_steps: Annotated[tuple[float, ...], f"{2 * MOST_STEPS}d"] = (0.0,) * (2 * MOST_STEPS)
-    force_limit_N: Annotated[float, "d"] = 0.0
-    force_goes_on: Annotated[bool, "B"] = False
-    guide: Annotated[tuple[float, ...], f"{len(NO_GUIDE)}d"] = NO_GUIDE
+    request: Annotated[type[Request], one_of(REQUESTS)]
 
+
+_HEAD = RowCodec(CommandHead)
+_REQUESTS: dict[type[Request], RowCodec[Any]] = {request: RowCodec(request) for request in REQUESTS}
 
 _MAP = MemoryMap(b"RONNAARM")
 _HEARTBEAT = _MAP.word()
 _STOP = _MAP.word()  # stop number and StopOrder
 _COMMAND_NUMBER = _MAP.word()  # of the command in the row
 _ALIVE_NS = _MAP.word()  # host monotonic time of the real-time process' last heartbeat
-_COMMAND = _MAP.checked_row(CommandRow)
+_COMMAND = _MAP.checked_bytes(_HEAD.size_bytes + max(codec.size_bytes for codec in _REQUESTS.values()))
 _STATE = _MAP.checked_row(LinkState)
 _TURNAROUNDS = _MAP.counters(HISTOGRAM_BINS)
 _JITTER = _MAP.counters(HISTOGRAM_BINS)
@@ -166,7 +128,9 @@ class Mailbox:
     def write_command(self, command: Command) -> None:
         if command.surroundings is not self._surroundings:
             self._write_surroundings(command.surroundings)
-        _COMMAND.write(self._memory, _to_row(command, self._surroundings_number))
+        request = command.request
+        head = CommandHead(command.number, command.stop_number, self._surroundings_number, type(request))
+        _COMMAND.write(self._memory, _HEAD.pack(head) + _REQUESTS[type(request)].pack(request))
         _COMMAND_NUMBER.write(self._memory, command.number)
 
     def _write_surroundings(self, surroundings: Surroundings) -> None:
@@ -193,10 +157,14 @@ class Mailbox:
 
     def read_command(self) -> Command | None:
         """Read the last command; None while it is being written."""
-        row = _COMMAND.read(self._memory)
-        if row is None or not self._read_surroundings(row.surroundings_number):
+        line = _COMMAND.read(self._memory)
+        if not line:  # also before the first
             return None
-        return Command(row.number, _to_request(row), row.stop_number, self._surroundings)
+        head = _HEAD.unpack(line[: _HEAD.size_bytes])
+        if not self._read_surroundings(head.surroundings_number):
+            return None
+        request = _REQUESTS[head.request].unpack(line[_HEAD.size_bytes :])
+        return Command(head.number, request, head.stop_number, self._surroundings)
 
     def _read_surroundings(self, number: int) -> bool:
         """Read new surroundings; returns False while they are being written."""
@@ -275,61 +243,3 @@ def _split_kept_cycles(content: bytes) -> Iterator[KeptCycle]:
         end = middle + head.reply_bytes
         yield KeptCycle(head.received_ns, head.sent_ns, content[offset:middle], content[middle:end])
         offset = end
-
-
-def _to_row(command: Command, surroundings_number: int) -> CommandRow:
-    request = command.request
-    row = CommandRow(command.number, command.stop_number, surroundings_number, KINDS[type(request)])
-    match request:
-        case OpenStream(limits, axes_rad):
-            return row._replace(
-                has_axes=axes_rad is not None,
-                start_rad=axes_rad or NO_JOINTS,
-                arm_limits=limits.as_numbers(),
-            )
-        case Move(plan, force):
-            steps = [value for step in plan.speed_steps for value in step]
-            target = plan.target or Pose()
-            return row._replace(
-                has_target=plan.target is not None,
-                speed_steps_used=len(plan.speed_steps),
-                start_rad=plan.start_rad,
-                target_rad=plan.target_rad,
-                path_limits=plan.limits,
-                target_position_mm=target.position_mm,
-                target_rotation=target.rotation,
-                tool_in_flange_mm=plan.tool_in_flange_mm,
-                speed_steps=(*steps, *row.speed_steps[len(steps) :]),
-                force_limit_N=force.limit_N,
-                force_goes_on=force.goes_on,
-            )
-        case Guide(guide, force_limit_N):
-            return row._replace(guide=guide, force_limit_N=force_limit_N)
-    return row
-
-
-def _to_request(row: CommandRow) -> Request:
-    match row.kind:
-        case CommandKind.MOVE:
-            return Move(_to_plan(row), ForceLimit(row.force_limit_N, bool(row.force_goes_on)))
-        case CommandKind.OPEN:
-            axes_rad = row.start_rad if row.has_axes else None
-            return OpenStream(MotionLimits.from_numbers(row.arm_limits), axes_rad)
-        case CommandKind.GUIDE:
-            return Guide(GuideLimits.from_numbers(row.guide), row.force_limit_N)
-        case CommandKind.END:
-            return EndStream()
-        case CommandKind.CLOSE:
-            return CloseStream()
-
-
-def _to_plan(row: CommandRow) -> MotionPlan:
-    values = row.speed_steps
-    return MotionPlan(
-        row.start_rad,
-        row.target_rad,
-        PathLimits(*row.path_limits),
-        Pose(row.target_position_mm, row.target_rotation) if row.has_target else None,
-        row.tool_in_flange_mm,
-        tuple(SpeedStep(values[2 * k], values[2 * k + 1]) for k in range(row.speed_steps_used)),
-    )

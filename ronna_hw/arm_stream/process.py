@@ -12,6 +12,7 @@ import signal
 import sys
 import threading
 from collections.abc import Callable
+from dataclasses import replace
 from types import FrameType
 from typing import NoReturn, TypeVar
 
@@ -47,7 +48,7 @@ def run_process(settings_type: type[S], open_loop: OpenLoop[S]) -> int:
     try:
         loop = open_loop(settings, mailbox, real_time, locked)
     except OSError as error:
-        mailbox.write_state(NO_STATE._replace(phase=Phase.FAILED, errno=error.errno or 0))
+        mailbox.write_state(replace(NO_STATE, phase=Phase.FAILED, errno=error.errno or 0))
         os.eventfd_write(settings.event_fd, 1)
         return EXIT_NOT_STARTED
     _watch_parent(loop.session, settings.parent_pid)

@@ -12,7 +12,7 @@ from ronna_hw.arm.clearance.live_watch import ViolationKind
 from ronna_hw.arm.motion.limits import MotionLimits
 from ronna_hw.arm.motion.planning import MotionPlan
 from ronna_hw.arm_stream.guided import GuideLimits
-from ronna_hw.host.shared_memory import IPV4_HOST, one_of
+from ronna_hw.host.row_codec import IPV4_HOST, one_of
 from ronna_hw.vectors import JointVector, Vector3
 
 VIOLATIONS = ("", *ViolationKind)
@@ -181,8 +181,12 @@ class Command(NamedTuple):
     surroundings: Surroundings = NOTHING_AROUND  # used to monitor a motion
 
 
-class LinkState(NamedTuple):
-    """State of the real-time process, published once per cycle; angles in rad."""
+@dataclass(slots=True)
+class LinkState:
+    """State of the real-time process, published once per cycle; angles in rad.
+
+    Not frozen: the process fills it by name in every cycle, at a fraction of the cost of a call by name.
+    """
 
     cycles: Annotated[int, "Q"] = 0
     device_clock: Annotated[int, "Q"] = 0  # of the last telegram, in the controller's own unit
@@ -190,11 +194,11 @@ class LinkState(NamedTuple):
     phase: Annotated[Phase, "B"] = Phase.STARTING
     fault: Annotated[Fault, "B"] = Fault.NONE
     result: Annotated[Result, "B"] = Result.NONE
-    degraded: Annotated[bool, "?"] = False
-    moving: Annotated[bool, "?"] = False
-    settled: Annotated[bool, "?"] = False
-    real_time: Annotated[bool, "?"] = False
-    locked: Annotated[bool, "?"] = False
+    degraded: bool = False
+    moving: bool = False
+    settled: bool = False
+    real_time: bool = False
+    locked: bool = False
     command_number: Annotated[int, "Q"] = 0
     stop_number: Annotated[int, "Q"] = 0  # the last stop order seen
     late: Annotated[int, "Q"] = 0  # the controller's count
@@ -204,18 +208,18 @@ class LinkState(NamedTuple):
     foreign: Annotated[int, "Q"] = 0  # from senders other than the controller
     foreign_host: Annotated[str, IPV4_HOST] = ""  # of the last such sender, or the next one; "" for none
     disagreeing: Annotated[int, "Q"] = 0  # reported other axes than expected before the stream began
-    measured_rad: Annotated[JointVector, "6d"] = _ZEROS
-    commanded_rad: Annotated[JointVector, "6d"] = _ZEROS
-    base_rad: Annotated[JointVector, "6d"] = _ZEROS
+    measured_rad: JointVector = _ZEROS
+    commanded_rad: JointVector = _ZEROS
+    base_rad: JointVector = _ZEROS
     violation_kind: Annotated[str, one_of(VIOLATIONS)] = ""
     violation_axis: Annotated[int, "I"] = 0
-    violation_value: Annotated[float, "d"] = 0.0
-    violation_limit: Annotated[float, "d"] = 0.0
-    speed_share: Annotated[float, "d"] = 1.0  # of the planned speed, that the controller and losses leave
+    violation_value: float = 0.0
+    violation_limit: float = 0.0
+    speed_share: float = 1.0  # of the planned speed, that the controller and losses leave
     controller_word: Annotated[int, "Q"] = 0  # what the controller reports, as its driver packs it
-    force_N: Annotated[Vector3, "3d"] = (0.0, 0.0, 0.0)  # on the tool, in the robot base, filtered
-    peak_force_N: Annotated[float, "d"] = 0.0  # largest change during the last motion with a force limit
-    carries_loads: Annotated[bool, "?"] = False  # the last telegram has signals of the load
+    force_N: Vector3 = (0.0, 0.0, 0.0)  # on the tool, in the robot base, filtered
+    peak_force_N: float = 0.0  # largest change during the last motion with a force limit
+    carries_loads: bool = False  # the last telegram has signals of the load
     load_since: Annotated[int, "Q"] = 0  # first cycle of the present standstill whose load signals are summed
     load_cycles: Annotated[int, "Q"] = 0  # how many they are by now; 0 while the arm moves
     load_sums: Annotated[tuple[float, ...], f"{LOAD_SIGNALS}d"] = (0.0,) * LOAD_SIGNALS
@@ -231,7 +235,7 @@ class RecordedCycle(NamedTuple):
     cycle: Annotated[int, "Q"]
     device_clock: Annotated[int, "Q"]
     received_ns: Annotated[int, "q"]
-    turnaround_us: Annotated[float, "d"]
-    measured_rad: Annotated[JointVector, "6d"]
-    sent_rad: Annotated[JointVector, "6d"]
+    turnaround_us: float
+    measured_rad: JointVector
+    sent_rad: JointVector
     choice: Annotated[Choice, "B"]

@@ -260,44 +260,47 @@ class StreamSession(ABC):
 
     def state(self, *, real_time: bool, locked: bool) -> LinkState:
         """Build the state for the mailbox."""
-        violation, senders = self.violation, self.senders
-        return LinkState(  # by position, in the order of its fields: by name costs five times as much
-            self.cycles,
-            self.device_clock,
-            self._received_ns,
-            self.phase,
-            self.fault,
-            self.result,
-            self._losses.degraded,
-            self.moving,
-            self._settled_cycles >= SETTLE_CYCLES,
-            real_time,
-            locked,
-            self._command_number,
-            self._stop_word >> STOP_KIND_BITS,
-            self._losses.late,
-            self._losses.lost,
-            self.rejected,
-            self.dropped,
-            senders.count,
-            senders.host,
-            senders.disagreeing,
-            self._measured,
-            self.sent_rad,
-            NO_STATE.base_rad if self._points is None else self._base_rad,
-            violation.kind if violation else "",
-            violation.axis if violation else 0,
-            violation.value if violation else 0.0,
-            violation.limit if violation else 0.0,
-            self._speed,
-            self.controller_word,
-            NO_FORCE if self._force is None else self._force.filtered_N,
-            0.0 if self._force is None else self._force.peak_N,
-            self._carries_loads(),
-            self._loads.since,
-            self._loads.cycles,
-            self._loads.sums,
-        )
+        state = LinkState()
+        losses, senders, loads = self._losses, self.senders, self._loads
+        state.cycles = self.cycles
+        state.device_clock = self.device_clock
+        state.received_ns = self._received_ns
+        state.phase = self.phase
+        state.fault = self.fault
+        state.result = self.result
+        state.degraded = losses.degraded
+        state.moving = self.moving
+        state.settled = self._settled_cycles >= SETTLE_CYCLES
+        state.real_time = real_time
+        state.locked = locked
+        state.command_number = self._command_number
+        state.stop_number = self._stop_word >> STOP_KIND_BITS
+        state.late = losses.late
+        state.lost = losses.lost
+        state.rejected = self.rejected
+        state.dropped = self.dropped
+        state.foreign = senders.count
+        state.foreign_host = senders.host
+        state.disagreeing = senders.disagreeing
+        state.measured_rad = self._measured
+        state.commanded_rad = self.sent_rad
+        state.speed_share = self._speed
+        state.controller_word = self.controller_word
+        state.carries_loads = self._carries_loads()
+        state.load_since = loads.since
+        state.load_cycles = loads.cycles
+        state.load_sums = loads.sums
+        if self._points is not None:
+            state.base_rad = self._base_rad
+        if self._force is not None:
+            state.force_N = self._force.filtered_N
+            state.peak_force_N = self._force.peak_N
+        if (violation := self.violation) is not None:
+            state.violation_kind = violation.kind
+            state.violation_axis = violation.axis
+            state.violation_value = violation.value
+            state.violation_limit = violation.limit
+        return state
 
     def _begin(self, start_rad: JointVector, limits: MotionLimits) -> SetPoints:
         """Begin to stream set-points from rest at `start_rad`."""

@@ -1,36 +1,21 @@
-"""Shared-memory block with allocated locations, tables of `NamedTuple` rows, and a byte ring.
+"""Shared-memory block with allocated locations, tables of rows, and a byte ring.
 
 None of the locations overlap, and no offset is written by hand. Each has one writer. Single words are aligned
 and need nothing more. A checked row or text has a checksum: a reader that finds it half written retries, and
 nobody waits for the other side.
-
-The annotations of a row carry the struct code of each field::
-
-    class Sample(NamedTuple):
-        number: Annotated[int, "Q"]
-        phase: Annotated[Phase, "B"]
-        joints_rad: Annotated[JointVector, "6d"]
-        side: Annotated[str, one_of(("left", "right"))]
-
-Struct, pack and unpack follow from it. They are compiled once, as `NamedTuple` compiles itself, so that a
-control cycle pays for nothing but the packing.
 """
 
 from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Callable, Sequence
-from enum import Enum
-from socket import inet_aton, inet_ntoa
-from typing import Annotated, Any, Generic, NamedTuple, TypeVar, get_args, get_origin, get_type_hints
+from typing import Any, Generic, NamedTuple
 
-ANY_HOST = "0.0.0.0"
-TEXT_PADDING = b"\0"
+from ronna_hw.host.row_codec import RowCodec, RowT
+
 ALIGNMENT_BYTES = 8
 _CHECKSUM = struct.Struct("<I")
 _LENGTH = struct.Struct("<I")
-RowT = TypeVar("RowT", bound=tuple[Any, ...])
 
 
 class MemoryMap:
@@ -249,84 +234,3 @@ class ByteRing:
         if self._written.read(memory) - begin > capacity - self._longest:  # overtaken in the meantime
             return RingPart(b"", end, end - begin)
         return RingPart(content, end, 0)
-
-
-class FieldCode(NamedTuple):
-    """Struct code with conversions for non-numeric values."""
-
-    code: str
-    encode: Callable[[Any], Any] | None = None
-    decode: Callable[[Any], Any] | None = None
-
-
-def one_of(choices: Sequence[str]) -> FieldCode:
-    """Build a field for a choice of words, stored as its index in one byte."""
-    return FieldCode("B", choices.index, choices.__getitem__)
-
-
-def text(capacity_bytes: int) -> FieldCode:
-    """Build a field for a short UTF-8 string; longer text is truncated."""
-
-    def encode(value: str) -> bytes:
-        return value.encode()[:capacity_bytes]
-
-    def decode(value: bytes) -> str:
-        return value.rstrip(TEXT_PADDING).decode(errors="ignore")
-
-    return FieldCode(f"{capacity_bytes}s", encode, decode)
-
-
-IPV4_HOST = FieldCode(  # "" for none
-    "4s", lambda host: inet_aton(host or ANY_HOST), lambda packed: inet_ntoa(packed) if any(packed) else ""
-)
-
-
-class RowCodec(Generic[RowT]):
-    """Codec of one `NamedTuple` class as a packed little-endian struct."""
-
-    def __init__(self, row: type[RowT]) -> None:
-        """Prepare the codec; raises TypeError for a field without a struct code."""
-        namespace: dict[str, Any] = {"row_type": row}
-        codes, packed, unpacked = ["<"], [], []
-        at = 0
-        for index, (name, hint) in enumerate(get_type_hints(row, include_extras=True).items()):
-            field = _field_code(row, name, hint, namespace)
-            count = len(struct.unpack(f"<{field.code}", bytes(struct.calcsize(f"<{field.code}"))))
-            codes.append(field.code)
-            value = f"row[{index}]"
-            if field.encode is not None:
-                namespace[f"encode_{name}"] = field.encode
-                value = f"encode_{name}({value})"
-            packed.append(value if count == 1 else f"*{value}")
-            value = f"v[{at}]" if count == 1 else f"v[{at}:{at + count}]"
-            if field.decode is not None:
-                namespace[f"decode_{name}"] = field.decode
-                value = f"decode_{name}({value})"
-            unpacked.append(value)
-            at += count
-        layout = struct.Struct("".join(codes))
-        namespace["pack_values"] = layout.pack
-        self.size_bytes = layout.size
-        self.pack: Callable[[RowT], bytes] = eval(f"lambda row: pack_values({', '.join(packed)})", namespace)
-        self._make: Callable[[tuple[Any, ...]], RowT] = eval(
-            f"lambda v: row_type({', '.join(unpacked)})", namespace
-        )
-        self._unpack, self._unpack_from = layout.unpack, layout.unpack_from
-
-    def unpack(self, data: bytes) -> RowT:
-        """Decode a row produced by `pack`; raises struct.error if the length is wrong."""
-        return self._make(self._unpack(data))
-
-    def unpack_from(self, memory: Any, offset: int) -> RowT:
-        """Decode the row at an offset in memory."""
-        return self._make(self._unpack_from(memory, offset))
-
-
-def _field_code(row: type, name: str, hint: Any, namespace: dict[str, Any]) -> FieldCode:
-    if get_origin(hint) is not Annotated:
-        raise TypeError(f"{row.__name__}.{name} has no struct code")
-    kind, code = get_args(hint)[:2]
-    field = code if isinstance(code, FieldCode) else FieldCode(code)
-    if isinstance(kind, type) and issubclass(kind, Enum):
-        return field._replace(decode=kind)
-    return field

@@ -21,7 +21,8 @@ from numpy.typing import NDArray
 from ronna_hw.bounded_input import check_json
 from ronna_hw.clock import CLOCK, SharedClock
 from ronna_hw.endpoints import parse_endpoint
-from ronna_hw.host.shared_memory import MemoryMap, text
+from ronna_hw.host.row_codec import text
+from ronna_hw.host.shared_memory import MemoryMap
 from ronna_hw.wire.room_tasks import OnStand
 from sim.errors import WORLD_UNAVAILABLE
 from sim.world.options import ArmRole

@@ -17,7 +17,8 @@ from dataclasses import asdict, dataclass, fields
 from typing import Annotated, NamedTuple
 
 from drivers.basler_stereo.stream.frame_assembler import Frame, Leader, StreamCounters
-from ronna_hw.host.shared_memory import FieldCode, MemoryMap, RowCodec
+from ronna_hw.host.row_codec import FieldCode, RowCodec
+from ronna_hw.host.shared_memory import MemoryMap
 
 LONGEST_ORDER_BYTES = 4096
 MOST_DESCRIPTORS = 4

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import astuple, dataclass, replace
-from itertools import chain
+from dataclasses import dataclass, replace
 
 from ronna_hw.arm.errors import MOTION_INVALID
 from ronna_hw.arm.kinematics import JointRanges
@@ -28,7 +27,6 @@ REDUCED_SPEED_MM_S = 250.0  # of anything that moves; the speed of T1
 REDUCED_SPEED_FRACTION = 0.10  # of the full axis speed
 
 ANY_SPEED_MM_S = 1e6  # faster than any arm, and a number that a record can hold
-LIMITS_NUMBERS = 26  # in a row of `MotionLimits.as_numbers`
 
 
 @dataclass(frozen=True)
@@ -49,16 +47,6 @@ class MotionLimits:
     body_speed_mm_s: float = ANY_SPEED_MM_S  # of everything that moves, at every fraction
     range_margin_rad: float = RANGE_MARGIN_RAD  # kept from both ends of each axis' range
     cycle_s: float = 0.004  # from one set-point to the next
-
-    def as_numbers(self) -> tuple[float, ...]:
-        """Flatten all fields into a row of numbers for the real-time process."""
-        return tuple(chain(*(entry if isinstance(entry, tuple) else (entry,) for entry in astuple(self))))
-
-    @classmethod
-    def from_numbers(cls, numbers: Sequence[float]) -> MotionLimits:
-        """Restore the limits from a row produced by `as_numbers`."""
-        speed, acceleration, jerk = (joint_vector(numbers[first : first + 6]) for first in (0, 6, 12))
-        return cls(speed, acceleration, jerk, *numbers[18:])
 
     def ranges(
         self, arm: JointRanges, start_rad: Sequence[float] | None = None

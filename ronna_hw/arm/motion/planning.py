@@ -7,12 +7,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import acos, cbrt, ceil, degrees, pi, radians, sin, sqrt, tau
-from typing import Protocol
+from typing import Annotated, Protocol
 
 from ronna_hw.arm.errors import MOTION_INVALID, TOO_FAST, OutOfJointRange, Singular, Unreachable
 from ronna_hw.arm.kinematics import RANGE_SLACK_RAD, JointRanges, Kinematics, require_off_base
 from ronna_hw.arm.motion.limits import MotionLimits
-from ronna_hw.arm.motion.progress import PathLimits, SpeedStep
+from ronna_hw.arm.motion.progress import MOST_STEPS, PathLimits, SpeedStep
 from ronna_hw.arm.pose import Pose
 from ronna_hw.vectors import JointVector, Quaternion, Vector3
 
@@ -118,7 +118,7 @@ class MotionPlan:
     limits: PathLimits
     target: Pose | None = None
     tool_in_flange_mm: Vector3 = (0.0, 0.0, 0.0)
-    speed_steps: tuple[SpeedStep, ...] = ()
+    speed_steps: Annotated[tuple[SpeedStep, ...], MOST_STEPS] = ()
 
     def path(self, kinematics: Kinematics) -> JointPath | LinePath:
         """Return the path of this plan."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, cast
 
 from drivers.kuka_rsi.connections import Connections as KukaConnections
@@ -35,7 +35,7 @@ from ronna_hw.devices.lifecycle import Lifecycle, LifecycleGuard
 from ronna_hw.errors import RonnaError
 from ronna_hw.wire.kuka_context import load_context
 
-MOVING = NO_STATE._replace(phase=Phase.RUNNING, moving=True)
+MOVING = replace(NO_STATE, phase=Phase.RUNNING, moving=True)
 HERE = "127.0.0.1:1"
 
 
@@ -54,7 +54,7 @@ class Link:
     """Real-time process as the driver sees it; `coming` are its next states."""
 
     faults: StreamFaults
-    state: LinkState = MOVING
+    state: LinkState = field(default_factory=lambda: replace(MOVING))
     alive: bool = True
     stalled_s: float = 0.0
     surroundings: Surroundings = NOTHING_AROUND

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 from watched_stream import kuka_faults, ur_faults
 
@@ -26,7 +28,7 @@ CODES = {
 
 
 def _with(fault: Fault) -> LinkState:
-    return NO_STATE._replace(fault=fault, violation_kind=ViolationKind.SPEED, violation_axis=1)
+    return replace(NO_STATE, fault=fault, violation_kind=ViolationKind.SPEED, violation_axis=1)
 
 
 @pytest.mark.parametrize("fault", CODES)
@@ -36,7 +38,7 @@ def test_each_fault_has_the_code_of_its_driver(fault: Fault) -> None:
 
 
 def test_a_silence_is_told_in_seconds() -> None:
-    said = str(UR.error(_with(Fault.SILENCE)._replace(cycles=17, device_clock=20926000), "automatic"))
+    said = str(UR.error(replace(_with(Fault.SILENCE), cycles=17, device_clock=20926000), "automatic"))
     limit_s = UR.options.silence_limit_s
     assert f"after 17 cycles no package came for {limit_s:g} s; expected a package in every cycle." in said
     assert "20926000" not in said
@@ -47,7 +49,7 @@ def test_every_fault_and_every_refusal_has_a_message(faults: StreamFaults) -> No
     assert [fault for fault in Fault if faults.error(_with(fault), "automatic") is None] == [Fault.NONE]
     for result in Result:
         if result.name.startswith("REFUSED"):
-            assert "robot.master" in str(faults.refusal_error(NO_STATE._replace(result=result)))
+            assert "robot.master" in str(faults.refusal_error(replace(NO_STATE, result=result)))
 
 
 @pytest.mark.parametrize(
@@ -56,5 +58,5 @@ def test_every_fault_and_every_refusal_has_a_message(faults: StreamFaults) -> No
 def test_a_motion_is_refused_or_stopped_in_the_code_of_its_driver(
     faults: StreamFaults, busy: str, stopped: str
 ) -> None:
-    assert faults.refusal_error(NO_STATE._replace(result=Result.REFUSED_BUSY)).code == busy
-    assert faults.refusal_error(NO_STATE._replace(result=Result.REFUSED_STOP)).code == stopped
+    assert faults.refusal_error(replace(NO_STATE, result=Result.REFUSED_BUSY)).code == busy
+    assert faults.refusal_error(replace(NO_STATE, result=Result.REFUSED_STOP)).code == stopped

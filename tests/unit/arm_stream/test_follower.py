@@ -20,7 +20,7 @@ PLAN = MotionPlan((0.0,) * 6, (0.1,) * 6, PathLimits(0.1, 0.2, 0.3))
 
 
 def follower_of(watched: Watched) -> MotionFollower[Any]:
-    watched.link.state = watched.link.state._replace(command_number=1, result=Result.STOPPED, moving=False)
+    watched.link.state = replace(watched.link.state, command_number=1, result=Result.STOPPED, moving=False)
     return MotionFollower(watched.connections, watched.watch, 0.002)
 
 

@@ -79,7 +79,8 @@ def test_the_limits_of_the_operating_mode_arrive_unchanged(mailbox: Mailbox, red
 
 
 def test_a_state_arrives_unchanged(mailbox: Mailbox) -> None:
-    state = NO_STATE._replace(
+    state = replace(
+        NO_STATE,
         cycles=7,
         device_clock=2**40,
         phase=Phase.RUNNING,
@@ -107,7 +108,7 @@ def test_stop_and_heartbeat_are_read_back_as_orders(mailbox: Mailbox) -> None:
 
 
 def test_a_torn_block_is_never_read_as_a_state(memory: int, mailbox: Mailbox) -> None:
-    mailbox.write_state(NO_STATE._replace(cycles=0xABCDEF))
+    mailbox.write_state(replace(NO_STATE, cycles=0xABCDEF))
     content = os.pread(memory, os.fstat(memory).st_size, 0)
     os.pwrite(memory, b"\0", content.find((0xABCDEF).to_bytes(8, "little")))
     with pytest.raises(MailboxTorn):

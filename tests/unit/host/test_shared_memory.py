@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import Annotated, NamedTuple
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
-from ronna_hw.host.shared_memory import IPV4_HOST, ByteRing, MemoryMap, RowCodec, one_of, text
+from ronna_hw.host.row_codec import IPV4_HOST, one_of, text
+from ronna_hw.host.shared_memory import ByteRing, MemoryMap
+from ronna_hw.vectors import Vector3
 
 ROOT = Path(__file__).resolve().parents[3]
 SIDES = ("left", "right")
@@ -28,39 +28,11 @@ class Phase(IntEnum):
 class Sample(NamedTuple):
     number: Annotated[int, "Q"]
     phase: Annotated[Phase, "B"]
-    ready: Annotated[bool, "?"]
-    position_mm: Annotated[tuple[float, ...], "3d"]
+    ready: bool
+    position_mm: Vector3
     side: Annotated[str, one_of(SIDES)]
     host: Annotated[str, IPV4_HOST]
     name: Annotated[str, text(16)]
-
-
-samples = st.builds(
-    Sample,
-    number=st.integers(0, 2**64 - 1),
-    phase=st.sampled_from(Phase),
-    ready=st.booleans(),
-    position_mm=st.tuples(*[st.floats(allow_nan=False)] * 3),
-    side=st.sampled_from(SIDES),
-    host=st.sampled_from(["", "192.168.10.30"]),
-    name=st.text(alphabet="abcäß:_", max_size=8),
-)
-
-
-@given(samples)
-def test_a_row_is_read_back_as_written(sample: Sample) -> None:
-    codec = RowCodec(Sample)
-    read = codec.unpack(codec.pack(sample))
-    assert read == sample
-    assert isinstance(read.phase, Phase)
-
-
-def test_a_field_without_a_struct_code_is_named() -> None:
-    class Forgotten(NamedTuple):
-        number: int
-
-    with pytest.raises(TypeError, match=r"Forgotten\.number"):
-        RowCodec(Forgotten)
 
 
 def test_the_places_of_a_memory_map_do_not_overlap() -> None:

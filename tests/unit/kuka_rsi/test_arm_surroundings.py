@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import degrees, radians
 from typing import Any
 
@@ -106,7 +107,8 @@ def test_the_real_time_process_trips_on_an_obstacle_that_planning_missed() -> No
 
 
 def _fault(kind: str, axis: int, value: float, limit: float, mode: OperationMode = OperationMode.EXT) -> Any:
-    state = NO_STATE._replace(
+    state = replace(
+        NO_STATE,
         fault=Fault.MONITOR,
         violation_kind=kind,
         violation_axis=axis,

@@ -80,7 +80,7 @@ def test_a_state_that_forbids_motion_latches_a_fault_and_orders_the_stop_once(ch
 
 def test_a_stop_names_a_foreign_sender_of_telegrams() -> None:
     arm, _ = watched()
-    arm.link.state = MOVING._replace(foreign=101, foreign_host="192.168.1.7")
+    arm.link.state = replace(MOVING, foreign=101, foreign_host="192.168.1.7")
     arm.watch.on_state(_changed(error=29002))
     assert (
         "29002 is not acknowledged; note: 101 telegrams came from another sender, the last from 192.168.1.7"
@@ -92,8 +92,8 @@ def _changed(**change: Any) -> ControllerState:
     return replace(STREAMING_WELL, **change)
 
 
-NO_LONGER_FOLLOWS = MOVING._replace(
-    phase=Phase.FAULT, fault=Fault.MONITOR, violation_kind=ViolationKind.FOLLOWING_ERROR
+NO_LONGER_FOLLOWS = replace(
+    MOVING, phase=Phase.FAULT, fault=Fault.MONITOR, violation_kind=ViolationKind.FOLLOWING_ERROR
 )
 
 

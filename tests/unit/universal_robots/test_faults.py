@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 from watched_stream import ur_faults
 
@@ -30,7 +32,7 @@ FAULTS = ur_faults()
     ],
 )
 def test_a_stop_by_the_controller_says_why(word: ControllerWord, code: str, says: str) -> None:
-    state = NO_STATE._replace(fault=Fault.CONTROLLER, controller_word=word.number)
+    state = replace(NO_STATE, fault=Fault.CONTROLLER, controller_word=word.number)
     error = FAULTS.error(state, "automatic")
     assert error is not None
     assert error.code == code
@@ -38,12 +40,12 @@ def test_a_stop_by_the_controller_says_why(word: ControllerWord, code: str, says
 
 
 def test_a_motion_that_does_not_end_names_the_speed_slider_or_else_losses() -> None:
-    lossy = NO_STATE._replace(cycles=500, late=9)
-    slowed = FAULTS.not_finished_error(NO_STATE, lossy._replace(speed_share=0.0), 3.0)
+    lossy = replace(NO_STATE, cycles=500, late=9)
+    slowed = FAULTS.not_finished_error(NO_STATE, replace(lossy, speed_share=0.0), 3.0)
     assert slowed.code == "URD-033"
     assert "the speed slider is at 0%" in slowed.summary
     assert "lost" not in str(slowed)
-    degraded = lossy._replace(speed_share=0.5, degraded=True)
+    degraded = replace(lossy, speed_share=0.5, degraded=True)
     assert "9 were late or lost" in FAULTS.not_finished_error(NO_STATE, degraded, 3.0).summary
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from dataclasses import replace
 from typing import Any, cast
 
 import pytest
@@ -43,7 +44,7 @@ def watched() -> tuple[Watched, Dashboard]:
 
 def _stopped(robot_mode: RobotMode) -> LinkState:
     word = ControllerWord(robot_mode, 1, RuntimeState.STOPPED, 2, Cause.PROGRAM)
-    return MOVING._replace(phase=Phase.SILENT, fault=Fault.CONTROLLER, controller_word=word.number)
+    return replace(MOVING, phase=Phase.SILENT, fault=Fault.CONTROLLER, controller_word=word.number)
 
 
 def test_a_program_that_stopped_because_power_goes_off_is_attributed_to_it() -> None:
@@ -109,7 +110,7 @@ def test_a_program_is_ended_once_after_each_fault_that_leaves_it_without_set_poi
     arm.watch.on_silence()
     assert dashboard.asked == []
     for _ in range(2):
-        arm.link.state = MOVING._replace(phase=Phase.FAULT, fault=fault)
+        arm.link.state = replace(MOVING, phase=Phase.FAULT, fault=fault)
         arm.watch.on_silence()
         arm.watch.on_silence()
         arm.link.state = MOVING
