@@ -42,7 +42,7 @@ class StreamLoop(ABC):
 
     def __init__(
         self,
-        session: StreamSession,
+        session: StreamSession[Any, Any],
         settings: StreamSettings,
         line: Line[Any],
         mailbox: Mailbox,

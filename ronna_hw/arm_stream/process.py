@@ -14,7 +14,7 @@ import threading
 from collections.abc import Callable
 from dataclasses import replace
 from types import FrameType
-from typing import NoReturn, TypeVar
+from typing import Any, NoReturn, TypeVar
 
 from ronna_hw.arm_stream.loop import StreamLoop
 from ronna_hw.arm_stream.mailbox import Mailbox
@@ -65,7 +65,7 @@ def leave(code: int) -> NoReturn:
     os._exit(code)
 
 
-def _watch_parent(session: StreamSession, parent_pid: int) -> None:
+def _watch_parent(session: StreamSession[Any, Any], parent_pid: int) -> None:
     def watch_lifeline() -> None:
         while os.read(0, 1):
             pass

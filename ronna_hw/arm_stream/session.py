@@ -1,8 +1,9 @@
-"""Session of an arm's stream, without I/O: motions, stops, faults, and the choice of each set-point.
+"""Session of an arm's stream, without I/O: motions, stops, faults, and the answer to each telegram.
 
 Reply k carries a point prepared after reply k-1. When a telegram arrives, only orders, losses and known
-faults are checked, to decide between the point that continues and the first point of a stop. The measured
-axes are judged once the reply is out.
+faults are checked, to decide between the point that continues and the first point of a stop. The reply to a
+telegram that contains nothing unexpected is prepared as a whole. The measured axes are judged once the reply
+is out.
 
 If the controller reports that it did not use the last reply, the path waits: the same point is sent again,
 and the prepared ones are kept. So each effective step is a prepared one, in spite of losses. A controller
@@ -14,7 +15,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from math import radians
-from typing import Protocol
+from typing import Generic, NamedTuple, Protocol, TypeVar
 
 from ronna_hw.arm.clearance.live_watch import Violation
 from ronna_hw.arm.kinematics import Kinematics
@@ -57,6 +58,8 @@ _STOP_FAULTS = {
     StopOrder.DRIVES_OFF: Fault.DRIVES_OFF,
 }
 STREAMING_PHASES = (Phase.RUNNING, Phase.FAULT, Phase.ENDING)
+M = TypeVar("M")  # a decoded telegram
+E = TypeVar("E")  # what is compared in the next one
 
 
 class Senders(Protocol):
@@ -75,7 +78,16 @@ class NoSenders:
     disagreeing = 0
 
 
-class StreamSession(ABC):
+class PreparedReply(NamedTuple, Generic[E]):
+    """Complete reply to the next telegram, valid if that contains nothing unexpected."""
+
+    expected: E  # in the telegram
+    stop_word: int  # no new stop
+    choice: Choice
+    reply: bytes
+
+
+class StreamSession(ABC, Generic[M, E]):
     """Session of one arm: a driver answers each telegram with `choose` and calls `finish_cycle`."""
 
     def __init__(self, settings: StreamSettings, kinematics: Kinematics, cycle_s: float) -> None:
@@ -103,6 +115,7 @@ class StreamSession(ABC):
         self._stop_word = 0  # last order seen
         self._command_number = 0
         self._received_ns = self._previous_ns = 0
+        self.ready: PreparedReply[E] | None = None
         self._missing = 0  # telegrams lost before the last one
         self._measured: JointVector = NO_STATE.measured_rad
         self._base_rad: JointVector = NO_STATE.base_rad
@@ -121,6 +134,37 @@ class StreamSession(ABC):
     # What a protocol adds:
 
     @abstractmethod
+    def _accept(self, telegram: M) -> bool:
+        """Take over a telegram; returns False to ignore it."""
+
+    @abstractmethod
+    def _accept_expected(self, telegram: M) -> None:
+        """Take over a telegram to which the prepared reply has been sent, and count its losses."""
+
+    @abstractmethod
+    def _answer_before_start(self, telegram: M) -> bytes | None:
+        """Return the reply to a telegram of an open stream that has not begun, and begin it if it may."""
+
+    @abstractmethod
+    def _judge_link(self, telegram: M, points: SetPoints) -> bool:
+        """Judge the link by a telegram: count losses, and return whether to answer it.
+
+        A telegram of another run, and a stop of the controller, are latched and end the stream.
+        """
+
+    @abstractmethod
+    def _encode(self, joints_rad: JointVector) -> bytes:
+        """Encode the reply to the last telegram."""
+
+    @abstractmethod
+    def _expect(self) -> E | None:
+        """Return what the next telegram must contain for a prepared reply; None if none can be prepared."""
+
+    @abstractmethod
+    def _encode_next(self, joints_rad: JointVector) -> bytes:
+        """Encode the reply to the next telegram, if that is the expected one."""
+
+    @abstractmethod
     def _measure(self) -> None:
         """Take over the measured axes of the last telegram."""
 
@@ -137,16 +181,8 @@ class StreamSession(ABC):
         return None
 
     @abstractmethod
-    def _prepare_reply(self, points: SetPoints) -> None:
-        """Encode the prepared points; the reply may be replaced by a stop until it is sent."""
-
-    @abstractmethod
     def _open(self, opened: OpenStream) -> bool:
         """Prepare for the first telegram of a stream; False if there is nothing to receive it from."""
-
-    @abstractmethod
-    def _forget_reply(self) -> None:
-        """Discard a reply that was complete: something has changed."""
 
     def _judge_measured(self, violation: Violation) -> None:
         """Act on measured axes that are not where the set-points were."""
@@ -173,7 +209,33 @@ class StreamSession(ABC):
         """Joint angles measured in the last telegram."""
         return self._measured
 
-    def choose(self, points: SetPoints, stop_word: int, missing: int) -> Choice | None:
+    def answer(self, telegram: M, orders: Orders, now_ns: int) -> bytes | None:
+        """Return the reply to a telegram, or None if it must not be answered."""
+        self.ready = None
+        if not self._accept(telegram):
+            return None
+        self._previous_ns, self._received_ns = self._received_ns, now_ns
+        self._check_heartbeat(orders.heartbeat, now_ns)
+        if self.phase is Phase.ARMED:
+            return self._answer_before_start(telegram)
+        points = self._points
+        if points is None or self.phase not in STREAMING_PHASES or not self._judge_link(telegram, points):
+            return None
+        choice = self._choose(points, orders.stop_word)
+        if choice is None:
+            return None
+        self.choice = choice
+        return self._encode(points.at(choice))
+
+    def note_answered(self, telegram: M, orders: Orders, now_ns: int) -> None:
+        """Update the state as `answer` does, after the prepared reply has been sent."""
+        self._previous_ns, self._received_ns = self._received_ns, now_ns
+        self._accept_expected(telegram)
+        if self.ready is not None:
+            self.choice = self.ready.choice
+        self._check_heartbeat(orders.heartbeat, now_ns)
+
+    def _choose(self, points: SetPoints, stop_word: int) -> Choice | None:
         """Choose the set-point of the next reply; None if there must be no reply."""
         self._check_stop(stop_word)
         if self.phase is Phase.SILENT:
@@ -184,7 +246,7 @@ class StreamSession(ABC):
             self._latch(Fault.PATH)
         elif points.moving and self._losses.is_unusable:
             self._latch(Fault.LOSSES)
-        if points.moving and (self._losses.reply_lost or missing > HELD_AFTER_CYCLES):
+        if points.moving and (self._losses.reply_lost or self._missing > HELD_AFTER_CYCLES):
             return self._choose_after_loss(points)
         return Choice.STOP if self._stopping else Choice.GO
 
@@ -218,7 +280,7 @@ class StreamSession(ABC):
 
     def execute_command(self, command: Command) -> None:
         """Execute a new command."""
-        self._forget_reply()
+        self.ready = None
         if command.number == self._command_number:
             return
         self._command_number = command.number
@@ -240,7 +302,7 @@ class StreamSession(ABC):
 
     def monitor_silence(self, orders: Orders, now_ns: int) -> None:
         """Check silence, heartbeat and stop orders while no telegrams arrive."""
-        self._forget_reply()
+        self.ready = None
         self._check_heartbeat(orders.heartbeat, now_ns)
         points = self._points
         if self.phase not in STREAMING_PHASES or points is None:
@@ -312,6 +374,24 @@ class StreamSession(ABC):
         if self.phase is Phase.ARMED:
             self.phase = Phase.RUNNING if self.fault is Fault.NONE else Phase.FAULT
         return points
+
+    def _prepare_reply(self, points: SetPoints) -> None:
+        """Prepare the complete next reply, if nothing but new information can change it."""
+        self.ready = None
+        is_unsettled = (
+            points.violation is not None
+            or points.path_failed
+            or self.is_parent_gone
+            or self._losses.is_unusable
+        )
+        if is_unsettled or self.phase not in STREAMING_PHASES:
+            return
+        expected = self._expect()
+        if expected is not None:
+            choice = Choice.STOP if self._stopping else Choice.GO
+            self.ready = PreparedReply(
+                expected, self._stop_word, choice, self._encode_next(points.at(choice))
+            )
 
     def _choose_after_loss(self, points: SetPoints) -> Choice:
         """Choose the set-point that makes the arm wait because replies or telegrams were lost."""

@@ -8,22 +8,15 @@ from __future__ import annotations
 import socket
 import time
 
-from drivers.kuka_rsi.realtime.replies import PreparedReply
-from drivers.kuka_rsi.realtime.responder import Responder
+from drivers.kuka_rsi.realtime.session import DelayAndIpoc, RsiSession
 from drivers.kuka_rsi.realtime.settings import LinkSettings
 from drivers.kuka_rsi.realtime.sockets import Address, LinkSockets, Received, Rehearsal
-from drivers.kuka_rsi.realtime.telegram import (
-    REPLY_TAIL,
-    Found,
-    TelegramReader,
-    extract_telegram,
-    read_strictly,
-)
+from drivers.kuka_rsi.realtime.telegram import Found, TelegramReader, extract_telegram, read_strictly
 from ronna_hw.arm_stream.errors import MalformedMessage
 from ronna_hw.arm_stream.loop import StreamLoop
 from ronna_hw.arm_stream.mailbox import Mailbox
 from ronna_hw.arm_stream.records import Phase
-from ronna_hw.arm_stream.session import STREAMING_PHASES
+from ronna_hw.arm_stream.session import STREAMING_PHASES, PreparedReply
 
 BUNCH_S = 200e-6  # in which telegrams that were delayed together arrive
 FOREIGN_AT_ONCE = 8  # taken at each look: a flood on the port must not delay the reply
@@ -31,6 +24,8 @@ FOREIGN_AT_ONCE = 8  # taken at each look: a flood on the port must not delay th
 
 class LinkLoop(StreamLoop):
     """Main loop of the real-time process; ends once the parent has exited and the arm is at rest."""
+
+    session: RsiSession
 
     def __init__(
         self,
@@ -41,10 +36,9 @@ class LinkLoop(StreamLoop):
         real_time: bool = False,
         locked: bool = False,
     ) -> None:
-        self.responder = Responder(settings)
         self._sockets = LinkSockets(link)
         super().__init__(
-            self.responder,
+            RsiSession(settings),
             settings,
             self._sockets,
             mailbox,
@@ -72,7 +66,7 @@ class LinkLoop(StreamLoop):
 
     def _receive(self) -> Received | None:
         """Return the controller's newest telegram, or None if none arrives in time."""
-        if self._peer is not None and self.responder.phase not in STREAMING_PHASES:
+        if self._peer is not None and self.session.phase not in STREAMING_PHASES:
             self._end_stream()
         received: Received | None = self._receiver.next()
         if received is None:
@@ -85,7 +79,7 @@ class LinkLoop(StreamLoop):
         if is_late:
             time.sleep(BUNCH_S)
         # Before a stream, anyone's may be the newest: each is checked.
-        if (is_late or self._receiver.was_queued) and self.responder.phase is not Phase.ARMED:
+        if (is_late or self._receiver.was_queued) and self.session.phase is not Phase.ARMED:
             newest = self._drain(newest)
         return newest
 
@@ -94,7 +88,7 @@ class LinkLoop(StreamLoop):
             while self._sockets.has_datagram():
                 received = self._sockets.receive(socket.MSG_DONTWAIT)
                 if not self._is_foreign(received[1]):
-                    self.responder.dropped += newest is not None
+                    self.session.dropped += newest is not None
                     newest = received
         except OSError:
             pass
@@ -120,70 +114,63 @@ class LinkLoop(StreamLoop):
             if address is None:
                 return
             if address != self._peer:  # the controller's own may still be queued from before the stream
-                self.responder.senders.count_foreign(address[0])
+                self.session.senders.count_foreign(address[0])
 
     def _is_foreign(self, address: Address) -> bool:
-        responder = self.responder
-        if responder.phase in STREAMING_PHASES:
+        session = self.session
+        if session.phase in STREAMING_PHASES:
             is_from_stranger = address != self._peer
         else:
             is_from_stranger = bool(self._controller_host) and address[0] != self._controller_host
         if is_from_stranger:
-            responder.senders.count_foreign(address[0])
+            session.senders.count_foreign(address[0])
         return is_from_stranger
 
     def _serve(self, data: bytes, address: Address) -> None:
-        responder = self.responder
-        found, ready = self._match_prepared_reply(data)
+        session = self.session
+        found, ready = self._match(data)
         if found is not None and ready is not None:
             self._send(ready.reply, address)
             self._last_data = data
             orders, telegram = self._mailbox.orders(), extract_telegram(found)
-            responder.note_answered(telegram, orders, self._received_ns)
-            self._finish_cycle(data, responder.device_clock, orders)
+            session.note_answered(telegram, orders, self._received_ns)
+            self._finish_cycle(data, session.device_clock, orders)
             return
         orders = self._mailbox.orders()
         try:
             telegram = extract_telegram(found) if found is not None else read_strictly(data)
         except MalformedMessage:
-            responder.rejected += 1
-            if responder.phase is Phase.ARMED:
-                responder.senders.host = address[0]
+            session.rejected += 1
+            if session.phase is Phase.ARMED:
+                session.senders.host = address[0]
             self._leave_unanswered(data)
             return
-        if responder.phase is Phase.ARMED:
-            if not responder.is_expected(telegram):
-                responder.senders.host = address[0]
+        if session.phase is Phase.ARMED:
+            if not session.is_expected(telegram):
+                session.senders.host = address[0]
                 self._leave_unanswered(data)
                 return
             self._begin_stream(address)
-        head = responder.answer(telegram, orders, self._received_ns)
-        if head is None:
+        reply = session.answer(telegram, orders, self._received_ns)
+        if reply is None:
             self._leave_unanswered(data)
             return
-        self._send(head + telegram.ipoc + REPLY_TAIL, address)
-        self._finish_cycle(data, responder.device_clock, orders)
+        self._send(reply, address)
+        self._finish_cycle(data, session.device_clock, orders)
 
-    def _match_prepared_reply(self, data: bytes) -> tuple[Found | None, PreparedReply | None]:
+    def _match(self, data: bytes) -> tuple[Found | None, PreparedReply[DelayAndIpoc] | None]:
         """Match a telegram against the fast parser and the prepared reply."""
-        found, ready = self._reader.match(data), self.responder.ready
-        if (
-            ready is None
-            or found is None
-            or found.group("D", "IPOC") != ready.delay_and_ipoc
-            or self._mailbox.stop_word() != ready.stop_word
-        ):
-            return found, None
-        return found, ready
+        found = self._reader.match(data)
+        return found, found and self.session.match(found, self._mailbox.stop_word())
 
     def _rehearse(self) -> None:
         """Run the code path from telegram to reply without effect, to keep the caches warm."""
         self._rehearsal.exchange(self._last_data)
-        self._match_prepared_reply(self._last_data)
+        self._match(self._last_data)
 
     def _send(self, reply: bytes, address: Address) -> None:
         try:
             self._sockets.send(reply, address)
         except OSError:
-            self.responder.rejected += 1
+            self.session.rejected += 1
         self._note_sent(reply)

@@ -51,6 +51,8 @@ def take_connection(channel: socket.socket) -> tuple[Handover, socket.socket] | 
 class LinkLoop(StreamLoop):
     """Main loop of the real-time process; ends once the parent has exited and the arm is at rest."""
 
+    session: RtdeSession
+
     def __init__(
         self,
         settings: LinkSettings,
@@ -61,10 +63,9 @@ class LinkLoop(StreamLoop):
         locked: bool = False,
     ) -> None:
         """Take connections from `channel`."""
-        self._stream = RtdeSession(settings)
         self._rtde = RtdeLine()
         super().__init__(
-            self._stream,
+            RtdeSession(settings),
             settings,
             self._rtde,
             mailbox,
@@ -87,7 +88,7 @@ class LinkLoop(StreamLoop):
         self._channel.close()
 
     def _step(self) -> None:
-        session = self._stream
+        session = self.session
         if session.has_line and session.phase is Phase.IDLE:
             self._disconnect()
         data = self._receive()
@@ -116,17 +117,17 @@ class LinkLoop(StreamLoop):
         try:
             while (newer := self._rtde.newer()) is not None:
                 if is_output(newer, self._recipe):
-                    self._stream.dropped += 1
+                    self.session.dropped += 1
                     data = newer
         except OSError:
             pass  # the next reception tells
         return data
 
     def _serve(self, data: bytes) -> None:
-        session = self._stream
+        session = self.session
         ready = session.match(data, self._mailbox.stop_word()) if data.startswith(self._head) else None
         if ready is not None:
-            self._send(ready.package)
+            self._send(ready.reply)
             self._last_data = data
             orders = self._mailbox.orders()
             session.note_answered(OUTPUT.unpack_from(data), orders, self._received_ns)
@@ -151,19 +152,19 @@ class LinkLoop(StreamLoop):
         data = self._last_data
         if data:
             self._rehearsal.exchange(data)
-            self._stream.match(data, self._mailbox.stop_word())
+            self.session.match(data, self._mailbox.stop_word())
 
     def _send(self, package: bytes) -> None:
         try:
             self._rtde.send(package)
         except OSError:
-            self._stream.rejected += 1
+            self.session.rejected += 1
         self._note_sent(package)
 
     def _new_command(self, number: int) -> Command | None:
         command = super()._new_command(number)
         is_opened = command is not None and isinstance(command.request, OpenStream)
-        if is_opened and self._stream.phase is Phase.IDLE:
+        if is_opened and self.session.phase is Phase.IDLE:
             self._connect()
         return command
 
@@ -178,12 +179,12 @@ class LinkLoop(StreamLoop):
         self._rtde.attach(connection)
         self._recipe = handover.output_recipe
         self._head = HEAD.pack(OUTPUT.size, PackageType.DATA, self._recipe)
-        self._stream.adopt(handover.input_recipe, handover.run, handover.safety_mode)
+        self.session.adopt(handover.input_recipe, handover.run, handover.safety_mode)
         with contextlib.suppress(OSError):
             self._rtde.send(START_REQUEST)
 
     def _disconnect(self) -> None:
         self._rtde.detach()
-        self._stream.has_line = False
+        self.session.has_line = False
         self._broken_off = False
         self._processor.free()

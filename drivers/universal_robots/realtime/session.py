@@ -41,8 +41,8 @@ from drivers.universal_robots.realtime.settings import LinkSettings
 from ronna_hw.arm.clearance.live_watch import Violation
 from ronna_hw.arm_stream.load_sums import Signals
 from ronna_hw.arm_stream.losses import LossCount
-from ronna_hw.arm_stream.records import NO_STATE, Choice, Fault, OpenStream, Orders, Phase
-from ronna_hw.arm_stream.session import STREAMING_PHASES, StreamSession
+from ronna_hw.arm_stream.records import NO_STATE, Fault, OpenStream, Phase
+from ronna_hw.arm_stream.session import STREAMING_PHASES, PreparedReply, StreamSession
 from ronna_hw.arm_stream.set_points import SetPoints
 from ronna_hw.vectors import JointVector, Vector3, joint_vector
 from ronna_hw.wire.universal_robots import RobotMode, RuntimeState, SafetyMode, ScriptOrder, ScriptState
@@ -57,23 +57,19 @@ HALF_CYCLE = 0.5
 REPORT_CYCLES = 5  # from a word of the script to its package, with room (U)
 
 
-class PreparedReply(NamedTuple):
-    """Complete reply to the next package, valid if that contains nothing unexpected."""
+class Expected(NamedTuple):
+    """Content of the next package to which the prepared reply belongs."""
 
-    status: bytes  # as the package must state it
+    status: bytes
     earliest_s: float  # time stamp
     latest_s: float
-    stop_word: int
-    choice: Choice
-    package: bytes
 
 
-class RtdeSession(StreamSession):
+class RtdeSession(StreamSession[Output, Expected]):
     """Protocol state machine: `answer` and `finish_cycle` per package, `monitor_silence` without one."""
 
     def __init__(self, settings: LinkSettings) -> None:
         super().__init__(settings, settings.kinematics(), settings.cycle_s)
-        self.ready: PreparedReply | None = None
         self.has_line = False
         self._recipe = 0
         self._run = 0
@@ -81,6 +77,7 @@ class RtdeSession(StreamSession):
         self._values: Output = ()
         self._status: tuple[float, ...] = ()  # last seen
         self._timestamp_s: float | None = None
+        self._before_s: float | None = None  # time stamp of the package before
         self._sequence = 0  # of the last set-point sent
         self._echo = 0  # of the last set-point that the script used
         self._unused_cycles = 0  # since then
@@ -102,75 +99,36 @@ class RtdeSession(StreamSession):
         """Whether a stream is open and its script has not used a set-point yet."""
         return self.phase is Phase.ARMED
 
-    def answer(self, values: Output, orders: Orders, now_ns: int) -> bytes | None:
-        """Return the reply to a package, or None if it must not be answered."""
-        self.ready = None
-        timestamp_s = values[TIMESTAMP]
-        if not 0.0 <= timestamp_s < LATEST_TIMESTAMP_S:  # NaN fails here
-            self.rejected += 1
-            return None
-        self._note(values, now_ns)
-        self._check_heartbeat(orders.heartbeat, now_ns)
-        points, before_s, self._timestamp_s = self._points, self._timestamp_s, timestamp_s
-        if self.phase is Phase.ARMED:
-            return self._answer_before_start(values)
-        if self.phase not in STREAMING_PHASES or points is None or before_s is None:
-            self._measure()
-            return None
-        cycles = round((timestamp_s - before_s) / self._cycle_s)
-        if not 0 < cycles * self._cycle_s < RESTART_S:
-            self._latch(Fault.RESTARTED)
-            self._stop_replying(points)
-            return None
-        self._count(cycles, values)
-        if self._is_stopped(values):
-            self._stop_replying(points)
-            self._measure()
-            return None
-        if self._doubt is not None and not (self._unused_cycles and self._controller_speed):
-            self._trip(self._doubt)
-            self._doubt = None
-        choice = self.choose(points, orders.stop_word, self._missing)
-        if choice is None:
-            return None
-        self.choice = choice
-        return self._encode(points.at(choice))
-
-    def match(self, data: bytes, stop_word: int) -> PreparedReply | None:
+    def match(self, data: bytes, stop_word: int) -> PreparedReply[Expected] | None:
         """Return the prepared reply unless the package has something new, or a stop is ordered.
 
         The package is one of our recipe, of exactly its size.
         """
         ready = self.ready
-        if ready is None or stop_word != ready.stop_word or not data.startswith(ready.status, STATUS_OFFSET):
+        if ready is None or stop_word != ready.stop_word:
+            return None
+        status, earliest_s, latest_s = ready.expected
+        if not data.startswith(status, STATUS_OFFSET):
             return None
         timestamp_s: float = TIMESTAMP_BYTES.unpack_from(data, TIMESTAMP_OFFSET)[0]
-        return ready if ready.earliest_s < timestamp_s < ready.latest_s else None
-
-    def note_answered(self, values: Output, orders: Orders, now_ns: int) -> None:
-        """Update the state as `answer` does, after the prepared reply has been sent."""
-        self._previous_ns, self._received_ns = self._received_ns, now_ns
-        self._values = values
-        self._timestamp_s = timestamp_s = values[TIMESTAMP]
-        self.device_clock = round(timestamp_s * 1e6)
-        self._sequence = _following(self._sequence)
-        self._count(1, values)
-        if self.ready is not None:
-            self.choice = self.ready.choice
-        self._check_heartbeat(orders.heartbeat, now_ns)
+        return ready if earliest_s < timestamp_s < latest_s else None
 
     def break_off(self) -> None:
         """End the stream because its connection is broken."""
-        self._forget_reply()
+        self.ready = None
         if self.phase is Phase.ARMED or self.phase in STREAMING_PHASES:
             self._latch(Fault.BROKEN)
         if self._points is not None:
             self._rest(self._points)
 
-    def _note(self, values: Output, now_ns: int) -> None:
-        self._previous_ns, self._received_ns = self._received_ns, now_ns
+    def _accept(self, values: Output) -> bool:
+        timestamp_s = values[TIMESTAMP]
+        if not 0.0 <= timestamp_s < LATEST_TIMESTAMP_S:  # NaN fails here
+            self.rejected += 1
+            return False
         self._values = values
-        self.device_clock = round(values[TIMESTAMP] * 1e6)
+        self._before_s, self._timestamp_s = self._timestamp_s, timestamp_s
+        self.device_clock = round(timestamp_s * 1e6)
         status = values[STATUS]
         if status != self._status:
             self._status = status
@@ -178,6 +136,35 @@ class RtdeSession(StreamSession):
             share = scaling * fraction if 0.0 <= scaling <= 1.0 and 0.0 <= fraction <= 1.0 else 0.0
             self._controller_speed = int(share * SPEED_STEPS + HALF_CYCLE) / SPEED_STEPS
             self._write_word()
+        if self._points is None or self.phase not in STREAMING_PHASES:
+            self._measure()
+        return True
+
+    def _accept_expected(self, values: Output) -> None:
+        self._values = values
+        self._timestamp_s = timestamp_s = values[TIMESTAMP]
+        self.device_clock = round(timestamp_s * 1e6)
+        self._sequence = _following(self._sequence)
+        self._count(1, values)
+
+    def _judge_link(self, values: Output, points: SetPoints) -> bool:
+        before_s, timestamp_s = self._before_s, self._timestamp_s
+        if before_s is None or timestamp_s is None:
+            return False
+        cycles = round((timestamp_s - before_s) / self._cycle_s)
+        if not 0 < cycles * self._cycle_s < RESTART_S:
+            self._latch(Fault.RESTARTED)
+            self._stop_replying(points)
+            return False
+        self._count(cycles, values)
+        if self._is_stopped(values):
+            self._stop_replying(points)
+            self._measure()
+            return False
+        if self._doubt is not None and not (self._unused_cycles and self._controller_speed):
+            self._trip(self._doubt)
+            self._doubt = None
+        return True
 
     def _write_word(self) -> None:
         places = (ROBOT_MODE, SAFETY_MODE, RUNTIME_STATE, SCRIPT_STATE)
@@ -235,7 +222,6 @@ class RtdeSession(StreamSession):
 
     def _answer_before_start(self, values: Output) -> bytes | None:
         """Hold the arm where it is until the script uses our set-points, and begin to stream then."""
-        self._measure()
         target = joint_vector(values[TARGET])
         if not all(map(isfinite, target)):
             self.rejected += 1
@@ -286,9 +272,6 @@ class RtdeSession(StreamSession):
         self._status, self.controller_word, self._measured = (), 0, NO_STATE.measured_rad
         return self.has_line
 
-    def _forget_reply(self) -> None:
-        self.ready = None
-
     def _measure(self) -> None:
         self._measured = joint_vector(self._values[ACTUAL])
 
@@ -301,40 +284,23 @@ class RtdeSession(StreamSession):
         signals = values[CURRENTS] + values[EXPECTED_CURRENTS] + values[FORCE]
         return signals if isfinite(sum(signals)) else None
 
-    def _prepare_reply(self, points: SetPoints) -> None:
-        """Prepare the complete next reply, if nothing but new information can change it."""
-        self.ready = None
+    def _expect(self) -> Expected | None:
         timestamp_s = self._timestamp_s
-        is_unsettled = (
-            points.violation is not None
-            or points.path_failed
-            or self.is_parent_gone
-            or self._doubt is not None
-            or self._losses.is_unusable
-            or timestamp_s is None
-            or self._echo >= LARGEST_SEQUENCE
-        )
-        if is_unsettled or timestamp_s is None or self.phase not in (Phase.RUNNING, Phase.FAULT):
-            return
-        choice = Choice.STOP if self._stopping else Choice.GO
-        expected = list(self._values[STATUS])
-        expected[ECHO - SPEED_SCALING] = self._echo + 1
-        if not isfinite(expected[0] + expected[1]):  # speeds; what is no number is new each time
-            return
-        self.ready = PreparedReply(
-            STATUS_BYTES.pack(*expected),
+        if timestamp_s is None or self._doubt is not None or self._echo >= LARGEST_SEQUENCE:
+            return None
+        status = list(self._values[STATUS])
+        status[ECHO - SPEED_SCALING] = self._echo + 1
+        if not isfinite(status[0] + status[1]):  # speeds; what is no number is new each time
+            return None
+        return Expected(
+            STATUS_BYTES.pack(*status),
             timestamp_s + HALF_CYCLE * self._cycle_s,
             timestamp_s + (1.0 + HALF_CYCLE) * self._cycle_s,
-            self._stop_word,
-            choice,
-            encode_input(
-                self._recipe,
-                _following(self._sequence),
-                ScriptOrder.STREAM,
-                self._run,
-                points.at(choice),
-            ),
         )
+
+    def _encode_next(self, joints_rad: JointVector) -> bytes:
+        sequence = _following(self._sequence)
+        return encode_input(self._recipe, sequence, self._order(), self._run, joints_rad)
 
 
 def _following(sequence: int) -> int:

@@ -10,7 +10,7 @@ from dataclasses import replace
 from typing import Any
 
 from mutations import mutations
-from responder_stand import LIMITS, SETTINGS, START_DEG
+from rsi_stand import LIMITS, SETTINGS, START_DEG
 
 from drivers.kuka_rsi.realtime.loop import LinkLoop
 from drivers.kuka_rsi.realtime.sockets import ANY_HOST
@@ -121,7 +121,7 @@ def answer_mutants(count: int, seed: int) -> tuple[int, int]:
     ipoc, answered = FIRST_IPOC, 0
     now = [original.replace(b"<IPOC>0<", b"<IPOC>%(now)<") for original in ORIGINALS]
     for mutant in mutations(now, count, seed):
-        if link.loop.responder.phase is not Phase.RUNNING:
+        if link.loop.session.phase is not Phase.RUNNING:
             link.open()
             assert link.receive(telegram(ipoc)) is not None
         ipoc += CYCLE_MS

@@ -122,7 +122,7 @@ class RtdeStand:
         values = OUTPUT.unpack(package)
         ready = session.match(package, self.stop_word)
         if ready is not None:
-            reply: bytes | None = ready.package
+            reply: bytes | None = ready.reply
             session.note_answered(values, orders, self.now_ns)
         else:
             reply = session.answer(values, orders, self.now_ns)

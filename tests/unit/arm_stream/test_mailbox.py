@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import pytest
 from coded_errors import raises
-from responder_stand import SETTINGS
+from rsi_stand import SETTINGS
 
 from drivers.kuka_rsi.realtime.settings import LinkSettings
 from ronna_hw.arm.clearance.bodies import Capsule, Obstacle, Surroundings

@@ -31,7 +31,7 @@ AT_ITS_START = GROUP + "subprocess.Popen = Interrupted\n"
 LINK = """
 from dataclasses import replace
 from drivers.kuka_rsi.link import start_link
-from responder_stand import SETTINGS
+from rsi_stand import SETTINGS
 from ronna_hw.endpoints import parse_endpoint
 from ronna_hw.host.network import own_udp_endpoint
 port = parse_endpoint(own_udp_endpoint()).port

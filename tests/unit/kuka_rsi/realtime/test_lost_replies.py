@@ -11,13 +11,13 @@ from typing import Literal
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
-from responder_stand import FAR, LIMITS, MODEL, NUMBERS, SETTINGS, START, START_DEG
+from rsi_stand import FAR, LIMITS, MODEL, NUMBERS, SETTINGS, START, START_DEG
 
 from drivers.kuka_rsi.errors import STREAM_ERRORS
 from drivers.kuka_rsi.fault_errors import RsiFaults
 from drivers.kuka_rsi.options import KukaOptions
 from drivers.kuka_rsi.realtime.link_health import Losses
-from drivers.kuka_rsi.realtime.responder import Responder
+from drivers.kuka_rsi.realtime.session import RsiSession
 from drivers.kuka_rsi.realtime.telegram import Telegram
 from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.arm.motion.planning import MotionPlan, plan_joint_move, plan_line
@@ -54,7 +54,7 @@ class HoldingController:
     """Controller that takes what arrives and keeps it otherwise; `tells` a loss so many telegrams late."""
 
     def __init__(self, tells: int | None = 0) -> None:
-        self.responder = Responder(SETTINGS)
+        self.session = RsiSession(SETTINGS)
         self._tells = tells
         self._cycle = 0
         self._commands = 0
@@ -63,7 +63,7 @@ class HoldingController:
         self.late = [0, 0]  # the count as of each cycle's begin
         self.taken: list[JointVector] = [(0.0,) * 6]  # the corrections that act, one per cycle
         self.sent: list[JointVector] = []
-        self.responder.execute_command(self._new(OpenStream(LIMITS)))
+        self.session.execute_command(self._new(OpenStream(LIMITS)))
         for _ in range(3):
             self.cycle()
 
@@ -85,7 +85,7 @@ class HoldingController:
             a, b, c, d, e, f = (s + v for s, v in zip(START_DEG, held, strict=True))
             shown = 0 if self._tells is None else self.late[-1 - self._tells]
             ipoc = str(CYCLE_MS * (1000 + self._cycle)).encode()
-            head = self.responder.answer(
+            head = self.session.answer(
                 Telegram((a, b, c, d, e, f), shown, ipoc),
                 Orders(self._cycle, self.stop_word, self._commands),
                 1_000_000_000 + self._cycle * CYCLE_MS * 1_000_000,
@@ -93,7 +93,7 @@ class HoldingController:
             assert head is not None
             A1, A2, A3, A4, A5, A6 = (float(v) for v in NUMBERS.findall(head))
             self.sent.append((A1, A2, A3, A4, A5, A6))
-            self.responder.finish_cycle(self._command)
+            self.session.finish_cycle(self._command)
         if not loss:
             held = self.sent[-1]
         self.taken.append(held)
@@ -102,14 +102,14 @@ class HoldingController:
     def finish(self) -> None:
         """Cycles without loss until the motion has a result."""
         for _ in range(3000):
-            if self.responder.result is not Result.RUNNING:
+            if self.session.result is not Result.RUNNING:
                 return
             self.cycle()
         raise AssertionError("no result")
 
     @property
     def state(self) -> LinkState:
-        return self.responder.state(real_time=False, locked=False)
+        return self.session.state(real_time=False, locked=False)
 
     @property
     def largest_share(self) -> float:
@@ -145,7 +145,7 @@ def _whole() -> list[JointVector]:
 
 
 def _arrived(controller: HoldingController) -> bool:
-    session = controller.responder
+    session = controller.session
     there = tuple(degrees(angle) for angle in FAR)
     assert (session.result, session.fault, session.violation) == (Result.DONE, Fault.NONE, None)
     return controller.end_deg == pytest.approx(there, abs=2e-6)
@@ -174,7 +174,7 @@ def test_a_motion_restarts_from_rest_after_more_than_three_consecutive_lost_repl
     held = controller.taken[-1]
     controller.lose(["reply"] * neighbours)
     controller.cycle()
-    assert controller.responder.choice is Choice.HOLD
+    assert controller.session.choice is Choice.HOLD
     assert controller.taken[-1] == held  # the arm stood there, not one point further
     controller.cycle()
     assert max(abs(y - x) for x, y in zip(held, controller.taken[-1], strict=True)) < 1e-3
@@ -222,15 +222,15 @@ def test_every_executed_step_is_one_prepared_step_in_more_examples(before: int, 
 
 def test_a_point_too_far_from_the_held_one_is_not_sent_again() -> None:
     controller = _moving()
-    points = controller.responder._points
+    points = controller.session._points
     assert points is not None
     points.monitor.limits = replace(points.monitor.limits, step_rad=(1e-6,) * 6)
     held = controller.taken[-1]
     controller.lose(["reply", ""])
     assert controller.taken[-1] == held
-    assert controller.responder.fault is Fault.MONITOR
+    assert controller.session.fault is Fault.MONITOR
     controller.lose([""] * 5)
-    assert not controller.responder.moving
+    assert not controller.session.moving
     assert controller.taken[-1] == held
 
 
@@ -246,8 +246,8 @@ def test_a_stop_during_lost_replies_is_smooth_and_ends_at_rest(before: int, loss
     controller.stop()
     controller.lose(losses)
     controller.lose([""] * 150)
-    assert not controller.responder.moving
-    assert controller.responder.fault is Fault.NONE
+    assert not controller.session.moving
+    assert controller.session.fault is Fault.NONE
     assert controller.largest_share <= WORKING_SHARE * ROUNDING
     assert len(set(controller.taken[-20:])) == 1
 
@@ -264,7 +264,7 @@ def test_a_lost_telegram_is_not_a_lost_reply_even_though_the_controller_counts_i
     controller.lose(["telegram"] * gap)
     controller.cycle()
     # The last reply acted before the gap: the path goes on from it, and nothing is sent twice.
-    assert controller.responder.choice is Choice.GO
+    assert controller.session.choice is Choice.GO
     assert controller.taken[at - 1 :] == [whole[at - 1]] * (gap + 1) + [whole[at]]
 
 
@@ -274,7 +274,7 @@ def test_a_reply_lost_just_before_a_gap_is_sent_again_after_it() -> None:
     controller = _moving()
     at = len(controller.taken)
     controller.lose(["reply", "telegram", ""])
-    assert controller.responder.choice is Choice.REPEAT
+    assert controller.session.choice is Choice.REPEAT
     assert controller.taken[at - 1 :] == [whole[at - 1]] * 3 + [whole[at]]
     controller.cycle()
     assert controller.taken[-1] == whole[at + 1]
@@ -345,11 +345,11 @@ def test_losing_half_of_the_replies_for_seconds_stops_the_arm_and_names_the_caus
     controller = _moving()
     for _ in range(2 * WINDOW_CYCLES):
         controller.lose(["reply", ""])
-        if controller.responder.fault:
+        if controller.session.fault:
             break
-    assert controller.responder.fault is Fault.LOSSES
+    assert controller.session.fault is Fault.LOSSES
     controller.lose(["reply", ""] * 100)
-    assert not controller.responder.moving
+    assert not controller.session.moving
     assert controller.largest_share <= WORKING_SHARE * ROUNDING
     error = RsiFaults("robot.master", kr6_r900(KukaOptions().variant), STREAM_ERRORS, KukaOptions()).error(
         controller.state, OperationMode.EXT
@@ -361,7 +361,7 @@ def test_losing_half_of_the_replies_for_seconds_stops_the_arm_and_names_the_caus
 @pytest.mark.parametrize("every", [5, 8])
 def test_a_motion_arrives_with_up_to_a_fifth_of_all_replies_lost(every: int) -> None:
     controller = _moving()
-    while controller.responder.result is Result.RUNNING:
+    while controller.session.result is Result.RUNNING:
         controller.lose(["reply", *[""] * (every - 1)])
     assert _arrived(controller)
 
@@ -378,5 +378,5 @@ def test_a_single_stall_of_half_a_second_does_not_make_the_link_unusable() -> No
 def test_lost_cycles_at_rest_are_counted_and_stop_nothing() -> None:
     controller = HoldingController()
     controller.lose(["reply", ""] * 600)
-    assert controller.responder.fault is Fault.NONE
+    assert controller.session.fault is Fault.NONE
     assert controller.state.late == 600

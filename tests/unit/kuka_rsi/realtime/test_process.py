@@ -11,8 +11,8 @@ from types import SimpleNamespace
 import pytest
 from driven_arm import activated
 from mutations import mutations
-from responder_stand import LIMITS
 from rsi_loop import CYCLE_MS, FIRST_IPOC, START_DEG, InProcessLink, answer_mutants, corrections_of, telegram
+from rsi_stand import LIMITS
 
 from drivers.kuka_rsi.arm import KukaRsiArm
 from drivers.kuka_rsi.connections import link_settings
@@ -46,7 +46,7 @@ def test_a_controller_delayed_by_less_than_its_timeout_is_still_sent_the_stop(
 
     assert b"<Stop>0</Stop>" in reply(0)
     assert not done_after(10_000)  # its parent is there
-    link.loop.responder.is_parent_gone = True
+    link.loop.session.is_parent_gone = True
     assert not done_after(390)
     assert done_after(410)
     cycle = 1

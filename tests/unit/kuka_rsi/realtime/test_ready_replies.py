@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from responder_stand import FAR, LIMITS, MODEL, START
 from rsi_loop import CYCLE_MS, FIRST_IPOC, START_DEG, InProcessLink, corrections_of, telegram
+from rsi_stand import FAR, LIMITS, MODEL, START
 
 from ronna_hw.arm.motion.planning import plan_joint_move
 from ronna_hw.arm_stream.records import Command, Fault, Move, StopOrder
@@ -46,8 +46,8 @@ class Follower:
         if event == "strict form":
             data = data.replace(b"/>", b" />")
         if not self.ahead:
-            self.link.loop.responder.ready = None
-        self.ahead_used += self.link.loop.responder.ready is not None
+            self.link.loop.session.ready = None
+        self.ahead_used += self.link.loop.session.ready is not None
         reply = self.link.receive(data)
         self.replies.append(reply)
         if event == "reply lost":
@@ -66,7 +66,7 @@ def test_replies_prepared_ahead_equal_those_made_on_arrival(events: list[str]) -
         follower.link.give(MOVE)
         for event in events:
             follower.cycle(event)
-        state = follower.link.loop.responder.state(real_time=False, locked=False)
+        state = follower.link.loop.session.state(real_time=False, locked=False)
         follower.link.close()
         assert state.violation_kind == ""
         assert state.fault in (Fault.NONE, Fault.PROTECTIVE)
@@ -80,7 +80,7 @@ def test_a_stop_ordered_after_a_reply_was_prepared_acts_on_the_very_next_reply(
     link.receive(telegram(FIRST_IPOC))
     link.give(MOVE)
     last = [corrections_of(link.receive(telegram(FIRST_IPOC + CYCLE_MS * k)) or b"") for k in range(1, 60)]
-    ready = link.loop.responder.ready
+    ready = link.loop.session.ready
     assert ready is not None
     link.stop(StopOrder.HOLD)
     reply = link.receive(telegram(FIRST_IPOC + CYCLE_MS * 60)) or b""
@@ -104,7 +104,7 @@ def test_a_malformed_telegram_gets_no_reply_even_with_the_expected_time_stamp(
     link: InProcessLink, change: object
 ) -> None:
     assert link.receive(telegram(FIRST_IPOC))
-    assert link.loop.responder.ready is not None
+    assert link.loop.session.ready is not None
     assert link.receive(change(telegram(FIRST_IPOC + CYCLE_MS))) is None  # type: ignore[operator]
-    assert link.loop.responder.rejected == 1
+    assert link.loop.session.rejected == 1
     assert link.receive(telegram(FIRST_IPOC + 2 * CYCLE_MS))

@@ -160,14 +160,14 @@ def test_only_the_newest_of_several_queued_telegrams_is_taken(rehearses: bool, l
         taken = own.loop._receive()
         assert taken is not None
         assert taken[0] == held[-1]
-        assert own.loop.responder.dropped == 4
+        assert own.loop.session.dropped == 4
         own.close()
 
 
 def test_a_rehearsal_changes_nothing_and_sends_nothing(link: InProcessLink) -> None:
     link.receive(telegram(FIRST_IPOC))
     link.receive(telegram(FIRST_IPOC + CYCLE_MS))
-    session = link.loop.responder
+    session = link.loop.session
     before = (session.state(real_time=False, locked=False), session.ready, session.cycles)
     sent, memory = len(link.replies.sent), link.mailbox.read_state()
     link.loop._rehearse()

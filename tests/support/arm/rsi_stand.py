@@ -8,7 +8,7 @@ from itertools import pairwise
 from math import degrees, inf
 from typing import Any
 
-from drivers.kuka_rsi.realtime.responder import Responder
+from drivers.kuka_rsi.realtime.session import RsiSession
 from drivers.kuka_rsi.realtime.settings import LinkSettings
 from drivers.kuka_rsi.realtime.telegram import Telegram
 from ronna_hw.arm.kr6_r900 import kr6_r900
@@ -47,12 +47,12 @@ NUMBERS = re.compile(rb'"(-?\d+\.\d{6})"')
 WORKING_STEP_DEG = [degrees(v) * 0.004 for v in LIMITS.speed_rad_s]
 
 
-class ResponderStand:
+class RsiStand:
     """Session and an arm that follows it exactly, cycle by cycle."""
 
     def __init__(self, limits: MotionLimits = LIMITS, **changes: Any) -> None:
         self.limits = limits
-        self.responder = Responder(replace(SETTINGS, **changes))
+        self.session = RsiSession(replace(SETTINGS, **changes))
         self.now_ns = 1_000_000_000
         self.ipoc = 1000
         self.delay = 0
@@ -71,7 +71,7 @@ class ResponderStand:
         seen = self.stop_word >> 3 if stop_number is None else stop_number
         self.pending: Command | None = Command(self.commands, request, seen)
         if not self.sent:
-            self.responder.execute_command(self.pending)
+            self.session.execute_command(self.pending)
 
     def stop(self, kind: StopOrder) -> None:
         self.stop_word = ((self.stop_word >> 3) + 1) * 8 + kind
@@ -82,13 +82,13 @@ class ResponderStand:
         self.beat += self.beats
         self.ipoc += 4 * (1 + lost)
         telegram = Telegram(self.axes, self.delay, str(self.ipoc).encode())
-        head = self.responder.answer(telegram, Orders(self.beat, self.stop_word, self.commands), self.now_ns)
+        head = self.session.answer(telegram, Orders(self.beat, self.stop_word, self.commands), self.now_ns)
         if head is None:
             return False
         A1, A2, A3, A4, A5, A6 = (float(v) for v in NUMBERS.findall(head))
         corrections = (A1, A2, A3, A4, A5, A6)
         self.sent.append((corrections, int(head[head.index(b"<Stop>") + 6 : head.index(b"</Stop>")])))
-        self.responder.finish_cycle(self.pending)
+        self.session.finish_cycle(self.pending)
         if self.follows:
             least, most = -self.clamp_deg, self.clamp_deg
             a, b, c, d, e, f = (
@@ -104,7 +104,7 @@ class ResponderStand:
     def run(self, most: int = 3000) -> int:
         """Run cycles until the motion has a result."""
         for count in range(most):
-            if self.responder.result is not Result.RUNNING:
+            if self.session.result is not Result.RUNNING:
                 return count
             self.cycle()
         raise AssertionError("no result")
@@ -112,7 +112,7 @@ class ResponderStand:
     @property
     def violation_kind(self) -> str:
         """Kind of the violation that stopped the arm; empty without one."""
-        return "" if self.responder.violation is None else self.responder.violation.kind
+        return "" if self.session.violation is None else self.session.violation.kind
 
     def smooth(self, share: float = 1.05) -> bool:
         """Assert that no step exceeds `share` of the working step, far below a controller's limit."""
@@ -124,15 +124,15 @@ class ResponderStand:
         return all(step <= limit * share for step, limit in steps)
 
 
-def begun(cycles: int = 3, **changes: Any) -> ResponderStand:
-    stand = ResponderStand(**changes)
+def begun(cycles: int = 3, **changes: Any) -> RsiStand:
+    stand = RsiStand(**changes)
     stand.cycles(cycles)
     return stand
 
 
-def moving(cycles: int = 120, target: JointVector = FAR) -> ResponderStand:
+def moving(cycles: int = 120, target: JointVector = FAR) -> RsiStand:
     stand = begun()
     stand.give(Move(plan_joint_move(MODEL, START, target, LIMITS)))
     stand.cycles(cycles)
-    assert stand.responder.moving
+    assert stand.session.moving
     return stand

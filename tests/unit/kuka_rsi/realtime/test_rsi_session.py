@@ -6,14 +6,14 @@ from dataclasses import replace
 from math import radians
 
 import pytest
-from responder_stand import (
+from rsi_stand import (
     FAR,
     LIMITS,
     MODEL,
     RAMP_DOWN_SHARE,
     SETTINGS,
     START,
-    ResponderStand,
+    RsiStand,
     begun,
     moving,
 )
@@ -44,10 +44,10 @@ def test_the_monitor_stops_a_generator_that_exceeds_a_limit(limits: PathLimits, 
     stand = begun()
     stand.give(Move(MotionPlan(START, FAR, limits)))
     stand.cycles(400)
-    assert stand.responder.fault is Fault.MONITOR
+    assert stand.session.fault is Fault.MONITOR
     assert stand.violation_kind == kind
-    assert not stand.responder.moving
-    assert stand.responder.phase is Phase.FAULT
+    assert not stand.session.moving
+    assert stand.session.phase is Phase.FAULT
     assert stand.smooth(RAMP_DOWN_SHARE)
 
 
@@ -55,11 +55,11 @@ def test_the_monitor_stops_a_generator_that_exceeds_a_limit(limits: PathLimits, 
 def test_at_reduced_speed_the_process_holds_an_axis_to_a_tenth_of_its_full_speed() -> None:
     """A motion planned at full working speed, as if planning had missed that the controller is in T1."""
     wrist_turned = radians6(0, -90, 90, 40, 60, 60)
-    stand = ResponderStand(limits=LIMITS.with_reduced_speed(MODEL))
+    stand = RsiStand(limits=LIMITS.with_reduced_speed(MODEL))
     stand.cycles(3)
     stand.give(Move(plan_joint_move(MODEL, START, wrist_turned, LIMITS)))
     stand.cycles(400)
-    violation = stand.responder.violation
+    violation = stand.session.violation
     assert violation is not None
     assert violation.kind == "speed"
     assert violation.limit == pytest.approx(0.1 * MODEL.full_speed_rad_s[violation.axis - 1])
@@ -69,13 +69,13 @@ def test_at_reduced_speed_the_process_holds_an_axis_to_a_tenth_of_its_full_speed
 @pytest.mark.hazard(51)
 @pytest.mark.parametrize("margin_deg", [0.5, 30.0])
 def test_the_process_keeps_the_margin_of_the_theatre_file(margin_deg: float) -> None:
-    stand = ResponderStand(limits=replace(LIMITS, range_margin_rad=radians(margin_deg)))
+    stand = RsiStand(limits=replace(LIMITS, range_margin_rad=radians(margin_deg)))
     stand.cycles(3)
     beyond = radians6(0, -90, 90, 0, 120.0 - margin_deg + 0.5, 0)
     stand.give(Move(MotionPlan(START, beyond, PathLimits(0.3, 1.0, 10.0))))
     stand.cycles(1500)
     assert stand.violation_kind == "range"
-    assert stand.responder.violation.limit == pytest.approx(radians(120.0 - margin_deg))
+    assert stand.session.violation.limit == pytest.approx(radians(120.0 - margin_deg))
 
 
 def test_a_path_that_leaves_the_axis_range_is_stopped_at_its_limit() -> None:
@@ -83,9 +83,9 @@ def test_a_path_that_leaves_the_axis_range_is_stopped_at_its_limit() -> None:
     stand = begun()
     stand.give(Move(MotionPlan(START, beyond, PathLimits(0.3, 1.0, 10.0))))
     stand.cycles(1500)
-    assert stand.responder.fault is Fault.MONITOR
+    assert stand.session.fault is Fault.MONITOR
     assert stand.violation_kind == "range"
-    assert stand.responder.sent_rad[4] <= MODEL.upper_rad[4] + radians(2.0)
+    assert stand.session.sent_rad[4] <= MODEL.upper_rad[4] + radians(2.0)
     assert stand.smooth()
 
 
@@ -96,10 +96,10 @@ def test_a_line_without_a_joint_solution_on_the_way_is_stopped() -> None:
     stand.give(Move(MotionPlan(START, (*START[:5], 0.1), PathLimits(0.1, 0.1, 1.0), away)))
     for _ in range(3000):
         stand.cycle()
-        if stand.responder.fault and not stand.responder.moving:
+        if stand.session.fault and not stand.session.moving:
             break
-    assert stand.responder.fault in (Fault.PATH, Fault.MONITOR)
-    assert not stand.responder.moving
+    assert stand.session.fault in (Fault.PATH, Fault.MONITOR)
+    assert not stand.session.moving
     assert stand.smooth(RAMP_DOWN_SHARE)
 
 
@@ -110,10 +110,10 @@ def test_an_axis_that_does_not_follow_stops_the_arm_at_every_speed(share_per_s: 
     stand = begun()
     stand.give(Move(MotionPlan(START, target, PathLimits(share_per_s, 2.0, 20.0))))
     stand.cycles(100)
-    before = stand.responder.sent_rad[0]
+    before = stand.session.sent_rad[0]
     stand.follows = False
     cycles = _until_fault(stand)
-    assert stand.responder.fault is Fault.MONITOR
+    assert stand.session.fault is Fault.MONITOR
     assert stand.violation_kind == "following error"
     left = [radians(sent[0]) + START[0] - before for sent, _ in stand.sent[-cycles:]]
     # The first set-point that the axis should have reached by now, but did not.
@@ -142,12 +142,12 @@ def test_silence_beyond_the_limit_latches_a_fault_and_discards_the_motion(
     stand = moving()
     orders = Orders(stand.beat, 0, stand.commands)
     if foreign:  # a controller that restarts its program sends from another port
-        stand.responder.senders.count_foreign("10.0.0.3")
-    stand.responder.monitor_silence(orders, stand.now_ns + 240_000_000)
-    assert stand.responder.fault is Fault.NONE
-    stand.responder.monitor_silence(orders, stand.now_ns + 260_000_000)
-    assert stand.responder.fault is fault
-    assert not stand.responder.moving
+        stand.session.senders.count_foreign("10.0.0.3")
+    stand.session.monitor_silence(orders, stand.now_ns + 240_000_000)
+    assert stand.session.fault is Fault.NONE
+    stand.session.monitor_silence(orders, stand.now_ns + 260_000_000)
+    assert stand.session.fault is fault
+    assert not stand.session.moving
     before = stand.sent[-1][0]
     stand.cycle(lost=70)
     assert stand.sent[-1][0] == before
@@ -158,7 +158,7 @@ def test_a_missing_heartbeat_stops_the_arm_and_ends_the_program() -> None:
     stand = moving(cycles=1)
     stand.beats = False
     cycles = _until_fault(stand)
-    assert stand.responder.fault is Fault.HEARTBEAT
+    assert stand.session.fault is Fault.HEARTBEAT
     assert cycles == pytest.approx(SETTINGS.heartbeat_limit_s / CYCLE_S, abs=2)
     assert _ends_smoothly(stand)
 
@@ -168,37 +168,37 @@ def test_an_irregular_heartbeat_within_the_limit_keeps_the_session() -> None:
     for k in range(1000):
         stand.beats = k % 200 == 0
         stand.cycle()
-    assert stand.responder.fault is Fault.NONE
+    assert stand.session.fault is Fault.NONE
 
 
 @pytest.mark.hazard(30)
 def test_losing_the_parent_process_stops_the_arm_and_ends_the_program() -> None:
     stand = moving()
-    stand.responder.is_parent_gone = True
+    stand.session.is_parent_gone = True
     assert _ends_smoothly(stand)
 
 
-def _until_fault(stand: ResponderStand) -> int:
+def _until_fault(stand: RsiStand) -> int:
     """Run cycles until a fault is latched."""
     for cycles in range(1, MOST_CYCLES):
         stand.cycle()
-        if stand.responder.fault:
+        if stand.session.fault:
             return cycles
     raise AssertionError("no fault")
 
 
-def _ends_smoothly(stand: ResponderStand) -> bool:
+def _ends_smoothly(stand: RsiStand) -> bool:
     """Test whether the arm comes to rest and the program is ended."""
     rests = _rests_within(stand, LONGEST_STOP_S)
     stand.cycle()
-    return rests and stand.responder.phase is Phase.ENDING and stand.sent[-1][1] == 1 and stand.smooth()
+    return rests and stand.session.phase is Phase.ENDING and stand.sent[-1][1] == 1 and stand.smooth()
 
 
-def _rests_within(stand: ResponderStand, limit_s: float) -> bool:
+def _rests_within(stand: RsiStand, limit_s: float) -> bool:
     """Test whether the set-points come to rest in that time."""
     for _ in range(round(limit_s / CYCLE_S)):
         stand.cycle()
-        if not stand.responder.moving:
+        if not stand.session.moving:
             return True
     return False
 
@@ -244,8 +244,8 @@ def test_overtaken_and_repeated_telegrams_get_no_reply_and_do_not_disturb_the_mo
         stand.ipoc += back - 4
         assert stand.cycle()
     stand.run()
-    assert stand.responder.result is Result.DONE
-    assert stand.responder.fault is Fault.NONE
+    assert stand.session.result is Result.DONE
+    assert stand.session.fault is Fault.NONE
     assert stand.smooth()
 
 
@@ -255,10 +255,10 @@ def test_a_motion_continues_smoothly_after_a_host_stall_and_arrives(stall_ms: in
     stand = moving()
     assert stand.cycle(lost=stall_ms // 4)
     stand.run()
-    assert stand.responder.result is Result.DONE
-    assert stand.responder.fault is Fault.NONE
+    assert stand.session.result is Result.DONE
+    assert stand.session.fault is Fault.NONE
     assert stand.smooth()
-    state = stand.responder.state(real_time=False, locked=False)
+    state = stand.session.state(real_time=False, locked=False)
     assert state.lost == stall_ms // 4
 
 
@@ -267,16 +267,16 @@ def test_telegrams_of_another_run_get_no_reply_and_latch_a_fault() -> None:
     stand = moving()
     stand.ipoc = 12
     assert not stand.cycle()
-    assert stand.responder.fault is Fault.RESTARTED
+    assert stand.session.fault is Fault.RESTARTED
     assert not stand.cycle()
 
 
 def test_a_stranger_among_the_telegrams_does_not_disturb_the_motion() -> None:
     stand = moving()
-    stand.responder.senders.count_foreign("10.0.0.3")
+    stand.session.senders.count_foreign("10.0.0.3")
     stand.run()
-    assert stand.responder.result is Result.DONE
-    state = stand.responder.state(real_time=False, locked=False)
+    assert stand.session.result is Result.DONE
+    state = stand.session.state(real_time=False, locked=False)
     assert (state.foreign, state.foreign_host) == (1, "10.0.0.3")
 
 
@@ -284,21 +284,21 @@ def test_a_stranger_among_the_telegrams_does_not_disturb_the_motion() -> None:
 def test_the_state_reports_each_field_under_its_name(told: str) -> None:
     """No two fields of one type have the same value; of the six flags one at a time is true."""
     stand = moving() if told == "moving" else begun()
-    responder = stand.responder
-    responder.cycles, responder.device_clock, responder._received_ns = 11, 12, 13
-    responder.phase, responder.fault, responder.result = Phase.ENDING, Fault.BASE, Result.REFUSED_START
-    responder._losses.degraded = told == "degraded"
-    responder._settled_cycles = SETTLE_CYCLES if told == "settled" else SETTLE_CYCLES - 1
-    responder._command_number, responder._stop_word = 14, 15 << STOP_KIND_BITS
-    responder._losses.late, responder._losses.lost = 16, 17
-    responder.rejected, responder.dropped = 18, 19
-    responder.senders.count, responder.senders.host, responder.senders.disagreeing = 20, "10.0.0.3", 21
-    responder._measured, responder._base_rad = FAR, (0.1, 0.2, 0.3, 0.4, 0.5, 0.6)
-    responder.violation = Violation(ViolationKind.JERK, 5, 0.7, 0.8)
-    responder._speed, responder.controller_word = 0.9, 22
-    responder._currents = b' A1=""' if told == "carries_loads" else b""
-    assert responder.sent_rad not in (FAR, responder._base_rad)
-    assert responder.state(real_time=told == "real_time", locked=told == "locked") == LinkState(
+    session = stand.session
+    session.cycles, session.device_clock, session._received_ns = 11, 12, 13
+    session.phase, session.fault, session.result = Phase.ENDING, Fault.BASE, Result.REFUSED_START
+    session._losses.degraded = told == "degraded"
+    session._settled_cycles = SETTLE_CYCLES if told == "settled" else SETTLE_CYCLES - 1
+    session._command_number, session._stop_word = 14, 15 << STOP_KIND_BITS
+    session._losses.late, session._losses.lost = 16, 17
+    session.rejected, session.dropped = 18, 19
+    session.senders.count, session.senders.host, session.senders.disagreeing = 20, "10.0.0.3", 21
+    session._measured, session._base_rad = FAR, (0.1, 0.2, 0.3, 0.4, 0.5, 0.6)
+    session.violation = Violation(ViolationKind.JERK, 5, 0.7, 0.8)
+    session._speed, session.controller_word = 0.9, 22
+    session._currents = b' A1=""' if told == "carries_loads" else b""
+    assert session.sent_rad not in (FAR, session._base_rad)
+    assert session.state(real_time=told == "real_time", locked=told == "locked") == LinkState(
         **{told: True},
         cycles=11,
         device_clock=12,
@@ -316,7 +316,7 @@ def test_the_state_reports_each_field_under_its_name(told: str) -> None:
         foreign_host="10.0.0.3",
         disagreeing=21,
         measured_rad=FAR,
-        commanded_rad=responder.sent_rad,
+        commanded_rad=session.sent_rad,
         base_rad=(0.1, 0.2, 0.3, 0.4, 0.5, 0.6),
         violation_kind=ViolationKind.JERK,
         violation_axis=5,

@@ -7,19 +7,19 @@ from collections.abc import Callable
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from responder_stand import (
+from rsi_stand import (
     FAR,
     LIMITS,
     MODEL,
     SETTINGS,
     START,
     START_DEG,
-    ResponderStand,
+    RsiStand,
     begun,
     moving,
 )
 
-from drivers.kuka_rsi.realtime.responder import Responder
+from drivers.kuka_rsi.realtime.session import RsiSession
 from drivers.kuka_rsi.realtime.telegram import Telegram
 from ronna_hw.arm.motion.planning import MotionPlan, plan_joint_move, plan_line
 from ronna_hw.arm.motion.progress import PathLimits
@@ -28,26 +28,26 @@ from ronna_hw.arm_stream.records import CloseStream, EndStream, Fault, Move, Ord
 
 
 def test_no_telegram_is_answered_before_a_session_is_open() -> None:
-    session = Responder(SETTINGS)
+    session = RsiSession(SETTINGS)
     assert session.answer(Telegram(START_DEG, 0, b"4"), Orders(1, 0, 0), 1) is None
     assert session.phase is Phase.IDLE
 
 
 def test_the_first_correction_is_zero_whatever_the_pose() -> None:
-    stand = ResponderStand()
+    stand = RsiStand()
     stand.axes = (1.2345, -77.7777, 99.9999, -3.3333, 12.3456, 200.0001)
     stand.follows = False
     stand.cycles(5)
     assert {s for s, _ in stand.sent} == {(0.0,) * 6}
-    assert stand.responder.phase is Phase.RUNNING
+    assert stand.session.phase is Phase.RUNNING
 
 
 def test_a_first_pose_out_of_range_latches_a_fault_and_still_gets_a_zero_correction() -> None:
-    stand = ResponderStand()
+    stand = RsiStand()
     stand.axes = (0.0, 60.0, 0.0, 0.0, 0.0, 0.0)
     stand.follows = False
     stand.cycle()
-    assert stand.responder.fault is Fault.BASE
+    assert stand.session.fault is Fault.BASE
     assert stand.sent[-1][0] == (0.0,) * 6
 
 
@@ -56,8 +56,8 @@ def test_a_motion_ends_at_its_target_and_is_done_after_ten_settled_cycles() -> N
     stand.give(Move(plan_joint_move(MODEL, START, FAR, LIMITS)))
     stand.cycle()
     cycles = stand.run()
-    assert stand.responder.result is Result.DONE
-    assert stand.responder.sent_rad == FAR
+    assert stand.session.result is Result.DONE
+    assert stand.session.sent_rad == FAR
     assert stand.smooth()
     last_change = max(k for k in range(1, len(stand.sent)) if stand.sent[k] != stand.sent[k - 1])
     assert len(stand.sent) - last_change >= 10
@@ -69,10 +69,10 @@ def test_a_motion_is_not_done_while_the_arm_is_off_target_by_more_than_the_toler
     for _ in range(300):
         stand.cycle()
         stand.axes = (stand.axes[0] - 0.0003, *stand.axes[1:])
-    assert stand.responder.result is Result.RUNNING
+    assert stand.session.result is Result.RUNNING
     stand.cycle()
     stand.run(50)
-    assert stand.responder.result is Result.DONE
+    assert stand.session.result is Result.DONE
 
 
 @settings(max_examples=40, deadline=None)
@@ -94,11 +94,11 @@ def test_a_stop_in_any_cycle_is_smooth_and_ends_at_rest(cycles: int, kind: StopO
     stand.cycles(cycles)
     stand.stop(kind)
     stand.cycles(150)
-    assert not stand.responder.moving
+    assert not stand.session.moving
     assert stand.smooth()
-    assert stand.responder.violation is None
+    assert stand.session.violation is None
     expected = Phase.RUNNING if kind is StopOrder.HOLD else Phase.FAULT
-    assert stand.responder.phase is expected
+    assert stand.session.phase is expected
 
 
 def test_a_stop_acts_on_the_reply_to_the_very_next_telegram() -> None:
@@ -114,20 +114,20 @@ def test_a_link_stop_ceases_replies_at_once() -> None:
     stand = moving()
     stand.stop(StopOrder.LINK)
     assert not stand.cycle()
-    assert stand.responder.fault is Fault.LINK_STOP
-    assert stand.responder.phase is Phase.SILENT
-    assert not stand.responder.moving
+    assert stand.session.fault is Fault.LINK_STOP
+    assert stand.session.phase is Phase.SILENT
+    assert not stand.session.moving
 
 
 def test_ending_the_session_sends_stop_with_the_last_point() -> None:
     stand = begun()
     stand.give(EndStream())
     stand.cycles(4)
-    assert stand.responder.phase is Phase.ENDING
+    assert stand.session.phase is Phase.ENDING
     assert stand.sent[-1] == ((0.0,) * 6, 1)
     stand.give(CloseStream())
     stand.cycle()
-    assert stand.responder.phase is Phase.IDLE
+    assert stand.session.phase is Phase.IDLE
     assert not stand.cycle()
 
 
@@ -135,19 +135,19 @@ def test_the_session_ends_only_after_its_motion() -> None:
     stand = moving()
     stand.give(EndStream())
     stand.run()
-    assert stand.responder.phase is Phase.RUNNING
+    assert stand.session.phase is Phase.RUNNING
     assert {stop for _, stop in stand.sent} == {0}
     stand.give(EndStream())
     stand.cycle()
     stand.cycle()
-    assert stand.responder.phase is Phase.ENDING
+    assert stand.session.phase is Phase.ENDING
     assert stand.sent[-1][1] == 1
 
 
 DIRECT = plan_joint_move(MODEL, START, FAR, LIMITS)
 
 
-def stopped(kind: StopOrder, cycles: int) -> ResponderStand:
+def stopped(kind: StopOrder, cycles: int) -> RsiStand:
     stand = begun()
     stand.stop(kind)
     stand.cycles(cycles)
@@ -179,11 +179,11 @@ def stopped(kind: StopOrder, cycles: int) -> ResponderStand:
     ],
 )
 def test_a_motion_that_must_not_start_is_refused(
-    make_stand: Callable[[], ResponderStand], plan: MotionPlan, result: Result
+    make_stand: Callable[[], RsiStand], plan: MotionPlan, result: Result
 ) -> None:
     stand = make_stand()
-    was_moving = stand.responder.moving
+    was_moving = stand.session.moving
     stand.give(Move(plan), stop_number=0)
     stand.cycle()
-    assert stand.responder.result is result
-    assert stand.responder.moving is was_moving
+    assert stand.session.result is result
+    assert stand.session.moving is was_moving
