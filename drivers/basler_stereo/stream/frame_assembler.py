@@ -10,7 +10,7 @@ import struct
 from collections import OrderedDict, deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 from ronna_hw.wire import gige_vision as gev
 from ronna_hw.wire.gige_vision import GevStatus, GvspFormat
@@ -48,13 +48,13 @@ class PacketHeader(NamedTuple):
 class Leader(NamedTuple):
     """Fields of a GVSP image leader packet."""
 
-    ticks: int
-    pixel_format: int
-    offset_x: int
-    offset_y: int
-    width: int
-    height: int
-    padding_x: int
+    ticks: Annotated[int, "Q"]
+    pixel_format: Annotated[int, "I"]
+    offset_x: Annotated[int, "I"]
+    offset_y: Annotated[int, "I"]
+    width: Annotated[int, "I"]
+    height: Annotated[int, "I"]
+    padding_x: Annotated[int, "H"]
 
     @property
     def area(self) -> AreaOfInterest:

@@ -17,7 +17,7 @@ from dataclasses import asdict, dataclass, fields
 from typing import Annotated, NamedTuple
 
 from drivers.basler_stereo.stream.frame_assembler import Frame, Leader, StreamCounters
-from ronna_hw.host.row_codec import FieldCode, RowCodec
+from ronna_hw.host.row_codec import RowCodec
 from ronna_hw.host.shared_memory import MemoryMap
 
 LONGEST_ORDER_BYTES = 4096
@@ -93,15 +93,6 @@ def receive_order(channel: socket.socket) -> tuple[Order, list[int]] | None:
     return _KINDS[fields.pop("order")](**fields), descriptors
 
 
-def _pack_leader(leader: Leader | None) -> tuple[int, ...]:
-    return (leader is not None, *(leader or (0,) * len(Leader._fields)))
-
-
-def _unpack_leader(values: tuple[int, ...]) -> Leader | None:
-    is_present, *leader = values
-    return Leader(*leader) if is_present else None
-
-
 class _FrameNote(NamedTuple):
     """Message that announces a finished frame and its slot in shared memory."""
 
@@ -109,7 +100,7 @@ class _FrameNote(NamedTuple):
     use_count: Annotated[int, "Q"]
     block_id: Annotated[int, "I"]
     missing_packets: Annotated[int, "I"]
-    leader: Annotated[Leader | None, FieldCode("?QIIIIIH", _pack_leader, _unpack_leader)]
+    leader: Leader | None
 
 
 _NOTE = RowCodec(_FrameNote)
