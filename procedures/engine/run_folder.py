@@ -95,7 +95,7 @@ def parse_record(record: Record, model: type[R]) -> R:
             got=f"version {record.version}",
         )
     try:
-        return model.model_validate_json(json.dumps(record.payload))
+        return model.model_validate_json(json.dumps(model.renew(record.payload)))
     except ValidationError as error:
         mistakes = "; ".join(describe_mistakes(error))
         raise BadRecord(f"{record.identifier} is not a {model.kind}: {mistakes}") from error

@@ -7,7 +7,7 @@ makes it a parent of their own result.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated, ClassVar, Self
+from typing import Annotated, Any, ClassVar, Self
 
 from pydantic import AliasChoices, BaseModel, BeforeValidator, ConfigDict, Field
 
@@ -48,6 +48,11 @@ class StepResult(Values):
     def __init_subclass__(cls, *, kind: str, version: int = 1) -> None:
         super().__init_subclass__()
         cls.kind, cls.version = kind, version
+
+    @classmethod
+    def renew(cls, plain: Mapping[str, Any]) -> Mapping[str, Any]:
+        """Return a stored result, perhaps of an older program, under today's names of the same fields."""
+        return plain
 
     def leaves_out(self) -> Mapping[str, str]:
         """Return the trajectories that this result excludes from the case, with reasons."""

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from itertools import combinations
 from typing import Any
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from procedures.calibration.validity import require_valid
 from procedures.engine.context import StepContext
@@ -77,11 +78,10 @@ class CheckedSetUp(StepResult, kind="set_up", version=2):
         description="Measured joints of each arm at the start, by its role; there it also parks."
     )
 
-    @model_validator(mode="before")
     @classmethod
-    def _read_older(cls, plain: Any) -> Any:
+    def renew(cls, plain: Mapping[str, Any]) -> Mapping[str, Any]:
         """Read a result that has a field for the home of each arm."""
-        if not isinstance(plain, dict) or "home_rad" not in plain:
+        if "home_rad" not in plain:
             return plain
         homes = {MASTER: plain["home_rad"], ASSISTANT: plain.get("assistant_home_rad")}
         newer = {name: value for name, value in plain.items() if not name.endswith("home_rad")}
