@@ -21,11 +21,11 @@ from fastapi import FastAPI
 from starlette.requests import ClientDisconnect, Request
 from starlette.responses import JSONResponse
 
-from console.case_view import RecordedCase
 from console.errors import NOTHING_TO_SHOW
 from console.guard import LARGEST_BODY_BYTES, SESSION, Guard, Role, Sessions
 from console.hub import Hub
 from console.listening import HOST, build_server, listen
+from console.recorded_case import RecordedCase
 from console.web.page import add_page
 from procedures.engine.events import Event
 from procedures.engine.events.event_file import FollowedRun

@@ -13,9 +13,9 @@ from typing import Any
 from starlette.requests import Request
 from starlette.responses import PlainTextResponse, Response
 
-from console.case_view import CaseView
 from console.hub import Hub
 from console.scene.head_surface import build_head_stl, find_series_folder
+from procedures.engine.case_view import CaseView
 from procedures.reporting.case_figures import CaseFigures, read_case_figures
 from procedures.reporting.files import LARGEST_PICTURE_BYTES
 from ronna_hw.bounded_input import InputRefused, read_bounded

@@ -11,9 +11,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from console.case_view import CaseView, RecordedCase, fold
 from console.changes import ChangeNotifier
 from console.guard import Role, Session
+from console.recorded_case import RecordedCase
+from procedures.engine.case_view import CaseView, fold
 from procedures.engine.events import DeviceAge, Event, Pose, Questioned
 from procedures.operator.question import Identity
 from procedures.reporting.ending import CLOSING, Ending

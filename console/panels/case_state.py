@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from itertools import groupby
 
-from console.case_view import CaseView, DeviceRow, Rate, StepRow
 from console.panels.html import table_of, tag, text
+from procedures.engine.case_view import CaseView, DeviceRow, Rate, StepRow
 
 OPENING, HARDWARE = "OPENING", "HARDWARE: A REAL ROBOT MOVES"
 MARKS = {  # a symbol per state, so that nothing is conveyed by colour alone

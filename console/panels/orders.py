@@ -16,10 +16,10 @@ from typing import Any
 
 from nicegui import ui
 
-from console.case_view import CaseView
 from console.panels.case_state import seat_line
 from console.panels.html import tag, text
 from console.panels.question import question_evidence, question_heading, question_pictures, question_words
+from procedures.engine.case_view import CaseView
 from procedures.engine.events import Questioned
 from procedures.engine.events.event_types import digest_of_question
 from procedures.operator.checkpoint import ABORT

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path, PurePath
 
-from console.case_view import CaseView, Notice
 from console.errors import UNRELIABLE_RUN
 from console.hub import Hub
 from console.panels.html import evidence_table, tag, text
+from procedures.engine.case_view import FAULT, FINDING, REFUSED, CaseView, Notice
 from procedures.imaging.trajectory_cuts import PLAN_PICTURE
 from procedures.reporting.case_figures import CaseFigures
 from ronna_hw.bounded_input import parse_json
@@ -17,10 +18,14 @@ from ronna_hw.log_output import LOG_FILE
 NOTE = "The residual of the fit (FRE) is not the accuracy; it only shows whether the fit is consistent."
 MOST_PICTURES = 4
 LIVE_OLD_S = 2.0  # host time after which a live image no longer shows the head's view
-SIGNS = {"fault": ("✗ fault", "bad"), "refused": ("⊘ refused", "warn"), "finding": ("! note", "warn")}
+SIGNS = {FAULT: ("✗ fault", "bad"), REFUSED: ("⊘ refused", "warn"), FINDING: ("! note", "warn")}
 JOURNAL_LINES = LOG_LINES = 60
 TAIL_BYTES = 16_384  # about eighty lines
 HEADS = ("timestamp", "level", "event")  # shown before a line's other fields
+JOURNAL_SHOWN = (  # fields of a journal line, in this order
+    *("step", "what", "topic", "subject", "trajectory", "task", "device", "state", "text", "answer", "by"),
+    *("outcome", "reason"),
+)
 
 
 def accuracy(view: CaseView, figures: CaseFigures | None) -> str:
@@ -136,7 +141,8 @@ def _render_notice(notice: Notice) -> str:
         if notice.advice and not notice.settled
         else ""
     )
-    return tag("li", f"{head} {when}<div>{text(notice.what)}</div>{advice}")
+    what = f"{notice.step} cannot start: {notice.what}" if notice.kind == REFUSED else notice.what
+    return tag("li", f"{head} {when}<div>{text(what)}</div>{advice}")
 
 
 def problems(figures: CaseFigures | None) -> str:
@@ -162,8 +168,17 @@ def _level_class(line: str) -> str:
 
 def journal(view: CaseView) -> str:
     """List the latest journal lines, newest first."""
-    lines = "".join(tag("li", text(line)) for line in reversed(view.journal[-JOURNAL_LINES:]))
+    latest = reversed(view.journal[-JOURNAL_LINES:])
+    lines = "".join(tag("li", text(_format_journal_line(line))) for line in latest)
     return tag("ol", lines, class_="journal") if lines else tag("p", "No journal entries yet.", class_="dim")
+
+
+def _format_journal_line(line: Mapping[str, object]) -> str:
+    """Format a journal line like `121 10:21:05 stage: T1, skin`."""
+    about = ", ".join(str(line[name]) for name in JOURNAL_SHOWN if line.get(name))
+    time = str(line.get("host_time") or "")[11:19]
+    head = " ".join(part for part in (str(line.get("sequence", "")), time, str(line.get("entry"))) if part)
+    return f"{head}: {about}" if about else head
 
 
 class LogTail:

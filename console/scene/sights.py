@@ -7,8 +7,8 @@ import math
 import time
 from typing import Any
 
-from console.case_view import CaseView
 from console.scene.bodies import METRES, Call, Point, Rod, axis_ends, placing_calls
+from procedures.engine.case_view import CaseView
 from procedures.engine.events import Bodies, MeasuringVolume, Pose
 from procedures.planning.tracker_sight import SENSORS_MM
 from procedures.reporting.case_figures import CaseFigures

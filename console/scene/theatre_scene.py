@@ -6,7 +6,6 @@ from typing import Any
 
 from nicegui import ui
 
-from console.case_view import CaseView
 from console.panels.html import tag, text
 from console.scene.bodies import (
     METRES,
@@ -21,6 +20,7 @@ from console.scene.bodies import (
     placing_calls,
 )
 from console.scene.sights import HIDDEN, VOLUME, Sights
+from procedures.engine.case_view import CaseView
 from procedures.engine.events import Bodies, Pose
 from procedures.planning.line_of_sight import SPHERE_RADIUS_MM
 from procedures.reporting.case_figures import CaseFigures, SphereFigure

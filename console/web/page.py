@@ -9,7 +9,6 @@ from typing import Any
 from fastapi import FastAPI, Request
 from nicegui import ui
 
-from console.case_view import CaseView, RecordedCase
 from console.changes import await_change
 from console.figures import Figures, figures_at
 from console.guard import SESSION, Role, Session
@@ -42,8 +41,10 @@ from console.panels.results import (
     pictures,
     problems,
 )
+from console.recorded_case import RecordedCase
 from console.scene.theatre_scene import ScenePanel
 from console.web.library import bind_page, page_head, use_library
+from procedures.engine.case_view import CaseView
 from procedures.reporting.case_figures import CaseFigures
 from procedures.runs.orders import explain_invalid_order
 

@@ -8,8 +8,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
-from procedures.cli.case.case_view import EventFollower
 from procedures.cli.case.display import pause_on_interrupt
+from procedures.cli.case.event_follower import EventFollower
 from procedures.cli.case.operators import WritePrompt
 from procedures.cli.case.staff import terminal_observers
 from procedures.engine.events import Event, Progress, StepState

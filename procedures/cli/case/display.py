@@ -21,7 +21,8 @@ from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING
 
-from procedures.cli.case.case_view import EventFollower, Show, join_voided, plain_line_of
+from procedures.cli.case.case_lines import join_voided, plain_line_of
+from procedures.cli.case.event_follower import EventFollower, Show
 from procedures.cli.case.operators import WritePrompt, write_prompt
 from procedures.cli.case.prompt import Prompt
 from procedures.cli.case.staff import terminal_observers

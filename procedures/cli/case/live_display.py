@@ -13,7 +13,14 @@ from rich.live import Live
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.text import Text
 
-from procedures.cli.case.case_view import CaseView, entry_of, join_voided
+from procedures.cli.case.case_lines import (
+    STARTING,
+    describe_activity,
+    entry_of,
+    join_voided,
+    status_lines,
+)
+from procedures.engine.case_view import CaseView, fold
 from procedures.engine.events import Event
 from ronna_hw.text import printable
 
@@ -32,13 +39,20 @@ class LiveDisplay:
             BarColumn(bar_width=24),
             TimeElapsedColumn(),
         )
-        self._status = "starting"
+        self._status = STARTING
         self._task = self._bar.add_task(self._status, total=1.0)
         self._live = self._picture()
 
     def _picture(self) -> Live:
         """Create a new, unstarted live area. Reusing an old one would hide later output."""
-        return Live(Group(self._bar, self.view), console=self._console, transient=True)
+        return Live(self, console=self._console, transient=True)
+
+    def __rich__(self) -> Group:
+        lines = [
+            Text(f"  {printable(text)}", style, no_wrap=True, overflow="ellipsis")
+            for style, text in status_lines(self.view)
+        ]
+        return Group(self._bar, *lines)
 
     def status(self, text: str) -> None:
         """Show a progress message until a step begins."""
@@ -52,12 +66,14 @@ class LiveDisplay:
     def show(self, events: Sequence[Event]) -> None:
         """Update the display with these events."""
         for event in events:
-            self.view.take_in(event)
+            self.view = fold(self.view, event)
         for event in join_voided(events):
             if (entry := entry_of(event, errors=self._errors)) is not None:
                 self._console.print(Text.assemble((entry.mark, entry.style), f" {printable(entry.text)}"))
         self._bar.update(
-            self._task, completed=self.view.share, description=printable(self.view.activity) or self._status
+            self._task,
+            completed=0.0 if self.view.awaits_order else self.view.share,
+            description=printable(describe_activity(self.view)) or self._status,
         )
 
     @contextlib.contextmanager

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from procedures.cli.case.case_view import describe_loss, describe_state, entry_of
+from procedures.cli.case.case_lines import describe_loss, describe_state, entry_of, status_lines
 from procedures.engine.events import CaseState, Event, Questioned, Refusal, SignalsLost
 from procedures.engine.events.event_file import FollowedRun
 from procedures.exchange.raw_readings import WRITES_ALL, missing_in_raw
@@ -200,7 +200,7 @@ def watch(run: Path, *, as_json: bool) -> None:
         with display.shown():
             for events in followed.batches():
                 display.show(events)
-        for _style, line in display.view.lines():
+        for _style, line in status_lines(display.view):
             tell(line)
     else:
         _write_lines(followed, line_of)
@@ -229,10 +229,10 @@ def _line(event: Event) -> str | None:
     if (entry := entry_of(event)) is not None:
         return f"{entry.mark} {entry.text}"
     match event.what:
-        case CaseState() as case:
-            return describe_state(case)
-        case SignalsLost() as lost:
-            return describe_loss(lost)
+        case CaseState(state=state, reason=reason):
+            return describe_state(state, reason)
+        case SignalsLost(count=count):
+            return describe_loss(count)
         case Questioned(subject=subject, value=value):
             return f"? {subject}: {'; '.join(value.splitlines())}"
         case Refusal(step=step, unmet=unmet):

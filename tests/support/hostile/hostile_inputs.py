@@ -44,7 +44,7 @@ from record_inputs import record_parsers
 from run_inputs import run_parsers
 from simulator_inputs import simulator_parsers
 
-from console.case_view import RecordedCase
+from console.recorded_case import RecordedCase
 from drivers.ndi_polaris.tool_description import read_description
 from procedures.engine.events.event_file import FollowedRun
 from procedures.imaging import read_series

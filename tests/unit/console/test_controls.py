@@ -12,12 +12,12 @@ import pytest
 from nicegui import Client, ui
 from plan_editors import draw, scan
 
-from console.case_view import CaseView
 from console.guard import Role, Session
 from console.panels.orders import ARMED_S, HeldButton, OrderPanel, QuestionPanel
 from console.planning.fields import NumberField
 from console.planning.page import PlannerPage
 from console.planning.plan_editor import PlanEditor
+from procedures.engine.case_view import CaseView
 from procedures.engine.events import Questioned, Waiting
 from ronna_hw.text import parse_typed_number
 

@@ -13,9 +13,10 @@ from starlette.applications import Starlette
 from starlette.requests import Request
 from starlette.routing import Route
 
-from console.case_view import CaseView, RecordedCase, StepRow
 from console.figures import Figures, figures_at
 from console.hub import Hub
+from console.recorded_case import RecordedCase
+from procedures.engine.case_view import CaseView, StepRow
 from procedures.operator.question import Evidence, PredictedError
 from procedures.reporting.case_figures import CaseFigures, SphereFigure, TrajectoryFigure
 from procedures.runs.finishing import seal_run

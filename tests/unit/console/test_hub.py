@@ -12,11 +12,11 @@ import pytest
 from coded_errors import raises
 
 from console.app import follow_engine, review
-from console.case_view import RecordedCase
 from console.errors import NOTHING_TO_SHOW, PORT_TAKEN
 from console.guard import MOST_SESSIONS, Role, Session, Sessions
 from console.hub import NOT_RUNNING, SILENT_FILE_S, SILENT_S, Hub
 from console.listening import HOST, listen
+from console.recorded_case import RecordedCase
 from procedures.engine.events import (
     CaseState,
     DeviceAge,

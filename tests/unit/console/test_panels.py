@@ -9,7 +9,6 @@ from pathlib import Path
 
 import pytest
 
-from console.case_view import CaseView, DeviceRow, Notice, StepRow
 from console.panels.case_state import advice, banner, chart, devices, mode, seat_line
 from console.panels.question import question_evidence, question_heading, question_pictures, question_words
 from console.panels.results import (
@@ -23,6 +22,7 @@ from console.panels.results import (
     pictures,
     problems,
 )
+from procedures.engine.case_view import CaseView, DeviceRow, Notice, StepRow
 from procedures.engine.events import DeviceFact, DeviceState, Questioned, Seat, Waiting
 from procedures.operator.question import Evidence, Identity, Picture, PredictedError
 from procedures.reporting.case_figures import CaseFigures
@@ -105,7 +105,7 @@ def test_external_text_is_escaped_in_every_panel() -> None:
         seat=Seat(holder=SCRIPT),
         devices={SCRIPT: DeviceRow(state)},
         notices=(Notice("fault", 0.0, SCRIPT, SCRIPT, SCRIPT),),
-        journal=(SCRIPT,),
+        journal=({"entry": SCRIPT},),
     )
     line = seat_line(view, is_mine=False, may_operate=True)
     named = CaseFigures(cuts=(f"plan-{SCRIPT}.png",), pictures=(f"stereo-{SCRIPT}.png",))

@@ -13,11 +13,11 @@ import numpy as np
 import pytest
 from nicegui import Client, ui
 
-from console.case_view import CaseView, ReportedPose
 from console.scene.bodies import closest_pair, rotation_along
 from console.scene.head_surface import encode_stl, find_series_folder, head_surface
 from console.scene.sights import is_hidden, volume_edges
 from console.scene.theatre_scene import TheatreScene
+from procedures.engine.case_view import CaseView, ReportedPose
 from procedures.engine.events import Bodies, Body, MeasuringVolume, Pose, Questioned
 from procedures.imaging.volume import Volume, VoxelGeometry
 from procedures.reporting.case_figures import CaseFigures, TrajectoryFigure

@@ -11,10 +11,10 @@ from typing import Any
 import pytest
 from nicegui import Client, core, ui
 
-from console.case_view import CaseView
 from console.guard import SESSION, Role, Session
 from console.panels.orders import OrderPanel
 from console.web.library import FROM_PAGES, bind_page, bind_sockets
+from procedures.engine.case_view import CaseView
 from procedures.engine.events import Waiting
 
 

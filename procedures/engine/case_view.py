@@ -1,11 +1,11 @@
 """Immutable snapshot of a case for display, folded from the case's events.
 
-The fold is pure; it is fed by the engine's socket or by a run's file.
+Terminal and console draw from the same snapshot. The fold is pure; it is fed by the engine's stream, its
+socket or a run's file.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -33,17 +33,14 @@ from procedures.engine.events import (
     StepState,
     Waiting,
 )
+from procedures.journal.journal import Entry
 
 RATE_OVER_S = 1.0  # theatre time
 NOTICES_KEPT = 40
 JOURNAL_KEPT = 200
-JOURNAL_SHOWN = (  # fields of a journal line, in this order
-    *("step", "what", "topic", "subject", "trajectory", "task", "device", "state", "text", "answer", "by"),
-    *("outcome", "reason"),
-)
 MOST_DEVICES = 64  # every stored view has them all: a file of others cost 665 MB
-BEGINNINGS, CLOSED = ("opened", "restarted"), "closed"
-STORED_EVERY = 100  # events between stored views
+OPENING = "opening"  # before the engine reports a state
+FAULT, REFUSED, FINDING = "fault", "refused", "finding"  # kinds of notices
 
 
 @dataclass(frozen=True)
@@ -95,15 +92,16 @@ class ReportedPose:
 
 @dataclass(frozen=True)
 class Notice:
-    """A fault, refusal or finding and the recommended action. `settled` once the step has finished."""
+    """A fault, refusal or finding and the recommended action."""
 
     kind: str
     theatre_time_s: float
-    what: str
+    what: str  # of a refusal, the unmet preconditions
     advice: str = ""
     code: str = ""
     step: str = ""  # the step it happened in
-    settled: bool = False
+    retried: bool = False  # that step has begun again, or the fault was acknowledged
+    settled: bool = False  # that step has finished
 
 
 @dataclass(frozen=True)
@@ -119,11 +117,12 @@ class CaseView:
     banner: str | None = None  # None: not reported yet; empty: hardware
     strategy: str = ""
     methods: str = ""  # localizer and matcher, unless both are ours
-    state: str = "opening"
+    state: str = OPENING
     reason: str = ""
     steps: tuple[StepRow, ...] = ()
     running: str = ""
-    share: float = 0.0
+    latest_step: str = ""  # the step that began or ended last
+    share: float = 0.0  # of that step
     doing: str = ""
     waiting: Waiting | None = None
     question: Questioned | None = None
@@ -137,7 +136,8 @@ class CaseView:
     volume: MeasuringVolume | None = None
     pose: ReportedPose | None = None
     notices: tuple[Notice, ...] = ()
-    journal: tuple[str, ...] = ()
+    journal: tuple[dict[str, Any], ...] = ()  # latest lines
+    lost_signals: int = 0  # that a run's file does not hold
     results: int = 0  # number of results added or superseded so far
     closings: int = 0  # of programs that had the run
     outcome: str = ""  # of a closed run: by its journal, and as the page tells it by its folder
@@ -148,6 +148,11 @@ class CaseView:
         """Operating mode of the controller, as last reported."""
         facts = (fact for row in self.devices.values() for fact in row.seen.says)
         return next((fact.found for fact in facts if fact.name == "operating mode"), "")
+
+    @property
+    def awaits_order(self) -> bool:
+        """Whether the case waits for an order, with something left to do."""
+        return self.waiting is not None and self.waiting.upcoming is not None
 
     @property
     def upcoming(self) -> str:
@@ -213,8 +218,8 @@ def _changes(view: CaseView, what: EventContent) -> dict[str, Any]:
             return _device_changes(view, device, what)
         case JournalLine(line=line):
             return _journal_changes(view, line)
-        case SignalsLost():
-            return {}  # concerns only the file; the view has the latest of each
+        case SignalsLost(count=count):
+            return {"lost_signals": count}  # of the file alone; the view has the latest of each
         case Fault() | Refusal() | Advisory():
             return {"notices": (*view.notices, _make_notice(view, what))[-NOTICES_KEPT:]}
 
@@ -239,22 +244,24 @@ def _step_changes(view: CaseView, step: StepState) -> dict[str, Any]:
         else row
         for row in view.steps
     )
-    begun = step.state == "begun"
-    return {
-        "steps": rows,
-        "notices": _settle_notices(view.notices, step.step) if step.state == "done" else view.notices,
-        "running": step.step if begun else "",
-        "share": 0.0,
-        "doing": "",
-        "waiting": None,
-        "results": view.results + (step.state == "done"),
-    }
+    changes: dict[str, Any] = {"steps": rows, "latest_step": step.step, "running": "", "waiting": None}
+    if step.state == "begun":
+        notices = _mark_notices(view.notices, step.step, retried=True)
+        return changes | {"running": step.step, "share": 0.0, "doing": "", "notices": notices}
+    if step.state == "done":
+        notices = _mark_notices(view.notices, step.step, settled=True)
+        return changes | {"results": view.results + 1, "notices": notices}
+    return changes
 
 
-def _settle_notices(notices: tuple[Notice, ...], step: str) -> tuple[Notice, ...]:
-    """Mark the notices of a finished step as settled, except for findings."""
+def _mark_notices(
+    notices: tuple[Notice, ...], step: str, *, retried: bool = False, settled: bool = False
+) -> tuple[Notice, ...]:
+    """Mark the notices of a step, except for findings."""
     return tuple(
-        replace(item, settled=True) if item.step == step and item.kind != "finding" else item
+        replace(item, retried=item.retried or retried, settled=item.settled or settled)
+        if item.step == step and item.kind != FINDING
+        else item
         for item in notices
     )
 
@@ -283,73 +290,31 @@ def _make_notice(view: CaseView, what: Fault | Refusal | Advisory) -> Notice:
         case Fault(code=code, what=text, advice=advice):
             text = text.removesuffix(advice).rstrip()
             text = text.removeprefix(f"{code}: ")
-            return Notice(
-                "fault", view.theatre_time_s, text, advice, code, step=view.running or view.upcoming
-            )
+            return Notice(FAULT, view.theatre_time_s, text, advice, code, step=view.running or view.upcoming)
         case Refusal(step=step, unmet=unmet):
-            refused = f"{step} cannot start: {'; '.join(unmet)}"
-            return Notice("refused", view.theatre_time_s, refused, step=step)
+            return Notice(REFUSED, view.theatre_time_s, "; ".join(unmet), step=step)
         case Advisory(text=text):
-            return Notice("finding", view.theatre_time_s, text)
+            return Notice(FINDING, view.theatre_time_s, text)
 
 
 def _journal_changes(view: CaseView, line: dict[str, Any]) -> dict[str, Any]:
-    entry = str(line.get("entry"))
-    changes: dict[str, Any] = {"journal": (*view.journal, _journal_text(line))[-JOURNAL_KEPT:]}
-    if entry in BEGINNINGS:  # of a session: anything the last one left open is over
-        changes |= {
-            "outcome": "",
-            "ending": "",
-            "running": "",
-            "question": None,
-            "seat": None,
-            "run": str(line.get("run") or ""),
-            "theatre": str(line.get("theatre") or ""),
-            "banner": str(line.get("banner") or ""),
-            "strategy": str(line.get("strategy") or ""),
-            "methods": str(line.get("methods") or ""),
-        }
-    elif entry == CLOSED:
-        changes |= {"outcome": str(line.get("outcome") or ""), "closings": view.closings + 1}
+    changes: dict[str, Any] = {"journal": (*view.journal, line)[-JOURNAL_KEPT:]}
+    match line.get("entry"):
+        case Entry.OPENED | Entry.RESTARTED:  # of a session: anything the last one left open is over
+            changes |= {"outcome": "", "ending": "", "running": "", "question": None, "seat": None}
+            named = ("run", "theatre", "banner", "strategy", "methods")
+            changes |= {name: str(line.get(name) or "") for name in named}
+        case Entry.CLOSED:
+            changes |= {"outcome": str(line.get("outcome") or ""), "closings": view.closings + 1}
+        case Entry.ACKNOWLEDGED:
+            changes["notices"] = tuple(
+                replace(item, retried=True) if _is_acknowledged(item, line) else item for item in view.notices
+            )
     return changes
 
 
-def _journal_text(line: dict[str, Any]) -> str:
-    """Format a journal line like `121 10:21:05 stage: T1, skin`."""
-    about = ", ".join(str(line[name]) for name in JOURNAL_SHOWN if line.get(name))
-    time = str(line.get("host_time") or "")[11:19]
-    head = " ".join(part for part in (str(line.get("sequence", "")), time, str(line.get("entry"))) if part)
-    return f"{head}: {about}" if about else head
-
-
-class RecordedCase:
-    """Recorded events in order. Views are folded from periodic snapshots."""
-
-    def __init__(self) -> None:
-        self._events: list[Event] = []
-        self._stored_views: list[CaseView] = [CaseView()]
-        self.latest = CaseView()
-        self.is_over = False  # the writer is gone
-
-    def extend(self, events: Iterable[Event]) -> None:
-        """Append events."""
-        for event in events:
-            self._events.append(event)
-            self.latest = fold(self.latest, event)
-            if len(self._events) % STORED_EVERY == 0:
-                self._stored_views.append(self.latest)
-
-    def __len__(self) -> int:
-        return len(self._events)
-
-    def at(self, count: int) -> CaseView:
-        """Return the view after the given number of events."""
-        count = min(max(count, 0), len(self._events))
-        view = self._stored_views[count // STORED_EVERY]
-        for event in self._events[count - count % STORED_EVERY : count]:
-            view = fold(view, event)
-        return view
-
-    def time_s(self, count: int) -> float:
-        """Return the theatre time after the given number of events."""
-        return self._events[count - 1].theatre_time_s if 0 < count <= len(self._events) else 0.0
+def _is_acknowledged(notice: Notice, line: dict[str, Any]) -> bool:
+    """Whether a journal line acknowledges the fault of a notice, or one that caused its refusal."""
+    code = str(line.get("fault")).partition(": ")[0]
+    text = f"{notice.code}: {notice.what}"
+    return f"the {line.get('device')} is in fault" in text or f"{code}: " in text

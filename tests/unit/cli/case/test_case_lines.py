@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import sys
 from contextlib import suppress
+from functools import reduce
 from pathlib import Path
 
 import pytest
@@ -12,10 +13,17 @@ from plain_steps import Image, leaves, plain_order
 from recording_cell import RecordingCell
 from rich.console import Console
 
-from procedures.cli.case.case_view import CaseView, entry_of, join_voided, plain_line_of
+from procedures.cli.case.case_lines import (
+    describe_activity,
+    entry_of,
+    join_voided,
+    plain_line_of,
+    status_lines,
+)
 from procedures.cli.case.display import observe_run
 from procedures.cli.case.live_display import LiveDisplay
 from procedures.cli.runs.showing import line_of
+from procedures.engine.case_view import CaseView, fold
 from procedures.engine.context import StepContext
 from procedures.engine.events import (
     Event,
@@ -52,10 +60,7 @@ def events(tmp_path: Path) -> list[Event]:
 
 
 def test_the_live_view_shows_once_why_a_case_is_held(events: list[Event]) -> None:
-    view = CaseView()
-    for event in events:
-        view.take_in(event)
-    text = "\n".join(line for _, line in view.lines())
+    text = "\n".join(line for _, line in status_lines(reduce(fold, events, CaseView())))
     assert text.startswith("held\n")
     assert text.count(REASON) == 1
 
@@ -74,9 +79,8 @@ def test_the_error_of_a_step_disappears_when_the_step_is_repeated_successfully(t
     for _ in range(2):
         with suppress(GateFailed):
             engine.run_step(engine.order.find("image"))
-        for event in reader.read(0.0).events:
-            view.take_in(event)
-        shown.append(REASON in "\n".join(line for _, line in view.lines()))
+        view = reduce(fold, reader.read(0.0).events, view)
+        shown.append(REASON in "\n".join(line for _, line in status_lines(view)))
     assert shown == [True, False]
 
 
@@ -86,14 +90,12 @@ def test_what_was_refused_because_of_a_fault_disappears_when_the_fault_is_acknow
     stopped = "EKI-010: robot.master was stopped: emergency stop is active. Release it."
     events.publish(Fault(code="EKI-010", what=stopped))
     events.publish(Refusal(step="tool_change", unmet=("the arm is in fault (EKI-010), pressed",)))
-    for event in reader.read(0.0).events:
-        view.take_in(event)
-    assert sum(style == "red" for style, _text in view.lines()) == 2
+    view = reduce(fold, reader.read(0.0).events, view)
+    assert sum(style == "red" for style, _text in status_lines(view)) == 2
     said = {"entry": "acknowledged", "device": "arm", "fault": "EKI-010: stopped", "by": "Ann"}
     events.publish(JournalLine(line=said))
-    for event in reader.read(0.0).events:
-        view.take_in(event)
-    assert not any(style == "red" for style, _text in view.lines())
+    view = reduce(fold, reader.read(0.0).events, view)
+    assert not any(style == "red" for style, _text in status_lines(view))
 
 
 def test_the_live_view_names_whom_a_case_waits_for_until_its_step_begins() -> None:
@@ -108,9 +110,8 @@ def test_the_live_view_names_whom_a_case_waits_for_until_its_step_begins() -> No
         Seat(holder="Ben"),
     ):
         events.publish(what)
-        for event in reader.read(0.0).events:
-            view.take_in(event)
-        shown.append(view.activity)
+        view = reduce(fold, reader.read(0.0).events, view)
+        shown.append(describe_activity(view))
     free = f"{SEAT_AWAITED}; next is ct_import"
     assert shown == [free, "waiting for an order of Ann; next is ct_import", free, "ct_import", "ct_import"]
 

@@ -1,0 +1,77 @@
+"""The view of a case is folded from its events alone."""
+
+from __future__ import annotations
+
+from case_events import ORDER, events_of, question, view_after
+
+from procedures.engine.case_view import JOURNAL_KEPT, MOST_DEVICES, CaseView, fold
+from procedures.engine.events import (
+    Answered,
+    Bodies,
+    DeviceState,
+    Fault,
+    JournalLine,
+    Order,
+    OrderedStep,
+    Pose,
+    Progress,
+    Seat,
+    StepState,
+)
+
+
+def test_a_completed_step_is_shown_as_done_and_a_superseded_one_as_superseded() -> None:
+    done = StepState(step="fit:T1", state="done", summary="0.2 mm", record="03-fit-T1")
+    view = view_after(ORDER, StepState(step="fit:T1", state="begun"), done)
+    assert (view.steps[2].state, view.steps[2].summary, view.running) == ("done", "0.2 mm", "")
+    gone = StepState(step="image", state="superseded", record="03-fit-T1")
+    again = view_after(ORDER, done, gone)
+    assert (again.steps[2].state, again.steps[2].summary) == ("superseded", done.summary)
+    voided = view_after(ORDER, done, gone.model_copy(update={"summary": "the cart has moved"}))
+    assert (voided.steps[2].state, voided.steps[2].summary) == ("superseded", "the cart has moved")
+
+
+def test_a_resumed_run_shows_its_results_as_done_and_drops_open_question_and_seat() -> None:
+    step = OrderedStep(step="image", title="Image", phase="operation", moves=False, record="01-image")
+    killed = (JournalLine(line={"entry": "opened"}), ORDER, question(2), Seat(holder="Ana"))
+    view = view_after(*killed, JournalLine(line={"entry": "restarted"}), Order(steps=(step,)))
+    assert [(row.state, row.record) for row in view.steps] == [("done", "01-image")]
+    assert (view.question, view.seat, view.results) == (None, None, 1)
+
+
+def test_an_answer_removes_only_its_own_question() -> None:
+    assert view_after(question(2), Answered(question=1, answer="yes")).question is not None
+    assert view_after(question(2), Answered(question=2, answer="yes")).question is None
+
+
+def test_a_signal_that_was_written_late_changes_neither_the_time_nor_the_next_step() -> None:
+    late = Progress(step="image", share=0.9, text="reading")
+    early, begun = events_of([late, StepState(step="fit:T1", state="begun")])
+    view = fold(fold(CaseView(), begun), early)
+    assert (view.running, view.share, view.doing) == ("fit:T1", 0.0, "")
+    assert (view.number, view.theatre_time_s) == (2, 0.2)
+
+
+def test_the_bodies_of_one_arm_do_not_follow_the_joints_of_another() -> None:
+    bodies = Bodies(moving=(), fixed=(), pairs=())
+    own, other = (
+        Pose(arm=arm, joints_rad=(angle,), age_s=0.0) for arm, angle in (("arm", 0.1), ("assistant", 0.2))
+    )
+    view = view_after(bodies, own, other)
+    assert view.pose is not None
+    assert view.pose.pose == own
+
+
+def test_a_long_case_keeps_a_bounded_number_of_journal_lines() -> None:
+    lines = [JournalLine(line={"entry": "motion", "sequence": number}) for number in range(2 * JOURNAL_KEPT)]
+    assert len(view_after(*lines).journal) == JOURNAL_KEPT
+
+
+def test_a_fault_notice_shows_the_advice_only_once() -> None:
+    view = view_after(Fault(code="RSI-010", what="RSI-010: it stopped. Look.", advice="Look."))
+    assert (view.notices[0].what, view.notices[0].advice) == ("it stopped.", "Look.")
+
+
+def test_a_file_of_more_devices_than_any_theatre_has_does_not_fill_every_stored_view() -> None:
+    seen = view_after(*(DeviceState(device=f"d{number}", state="active") for number in range(200)))
+    assert list(seen.devices) == [f"d{number}" for number in range(MOST_DEVICES)]
