@@ -37,6 +37,13 @@ class Figure(NamedTuple):
     verdict: str = ""
 
 
+class LookResidual(NamedTuple):
+    """Rms residual of one look of a calibration, and whether the look was used."""
+
+    rms_px: float
+    used: bool
+
+
 class Numbers(BaseModel):
     """Base of result values. The fields are the keys of `--json`, in the same order."""
 
@@ -107,16 +114,16 @@ class HeadFigures(RecordFigures):
     shifts_mm: tuple[Numbers3, ...] = Field(description="Arm error at each measurement.")
 
     @property
-    def looks_px(self) -> tuple[tuple[float, bool], ...]:
-        """Rms residual of each view in px, and whether the view was used."""
+    def looks_px(self) -> tuple[LookResidual, ...]:
+        """Residual of each look."""
         return tuple(
-            (math.sqrt(sum(value**2 for value in one) / len(one)), number not in self.outliers)
+            LookResidual(math.sqrt(sum(value**2 for value in one) / len(one)), number not in self.outliers)
             for number, one in enumerate(self.residuals_px)
             if one
         )
 
     def quality(self) -> Iterator[Figure]:
-        used = [value for value, is_used in self.looks_px if is_used]
+        used = [one.rms_px for one in self.looks_px if one.used]
         rms_px = math.sqrt(sum(value**2 for value in used) / max(len(used), 1))
         yield Figure("cameras", f"{self.serials[0]} left, {self.serials[1]} right")
         yield Figure("measurements", f"{len(used)} used, {len(self.outliers)} left out")

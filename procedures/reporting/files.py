@@ -5,19 +5,23 @@ from __future__ import annotations
 import base64
 import csv
 import io
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from typing import NamedTuple
 
+from procedures.journal.journal import Entry
 from procedures.postoperative.summary import PostoperativeCheck
+from procedures.reporting.calibration_figures import LookResidual
+from procedures.reporting.pictures import LinkBin
 from procedures.reporting.run_reading import RunReading
 from procedures.reporting.run_statistics import Span
 from procedures.reporting.tables import MotionRow, TargetRow
 from ronna_hw.bounded_input import InputRefused, read_bounded, read_json_bytes
+from ronna_hw.evidence.manifest import PICTURES_FOLDER, read_hashes
 from ronna_hw.records import write_atomically
 
 REPORT_FOLDER = "report"
-LINK_COLUMNS = ("from_us", "to_us", "turnaround_cycles", "jitter_cycles")
 LARGEST_PICTURE_BYTES = 20_000_000  # ten times a case's largest
 SUMMARY_FILE = "postoperative.json"
 PICTURE = "postoperative-"  # the trajectory's name follows
@@ -59,12 +63,9 @@ class ReportFiles:
             )
         self.text("targets.csv", _csv(lines))
 
-    def looks(self, looks_px: Sequence[tuple[float, bool]]) -> None:
+    def looks(self, looks_px: Sequence[LookResidual]) -> None:
         """Write the rms residual of each view of a calibration."""
-        rows = [
-            {"look": number, "rms_px": rms_px, "used": used}
-            for number, (rms_px, used) in enumerate(looks_px, start=1)
-        ]
+        rows = [{"look": number} | one._asdict() for number, one in enumerate(looks_px, start=1)]
         self.text("looks.csv", _csv(rows))
 
     def timeline(self, spans: Sequence[Span]) -> None:
@@ -80,9 +81,9 @@ class ReportFiles:
         ]
         self.text(f"clearance-{trajectory}.csv", _csv(rows))
 
-    def link(self, bins: Iterable[tuple[float, float, int, int]]) -> None:
+    def link(self, bins: Sequence[LinkBin]) -> None:
         """Write both histograms of the robot link."""
-        self.text("robot_link.csv", _csv([dict(zip(LINK_COLUMNS, one, strict=True)) for one in bins]))
+        self.text("robot_link.csv", _csv([one._asdict() for one in bins]))
 
 
 def _csv(rows: Sequence[Mapping[str, object]]) -> str:
@@ -91,6 +92,28 @@ def _csv(rows: Sequence[Mapping[str, object]]) -> str:
     writer.writeheader()
     writer.writerows(rows)
     return text.getvalue()
+
+
+class Picture(NamedTuple):
+    """Picture of a run as a data URL."""
+
+    name: str
+    url: str
+
+
+def load_pictures(reading: RunReading, prefix: str) -> tuple[Picture, ...]:
+    """Load the pictures whose names begin with a prefix, without those of superseded results."""
+    gone = {
+        name
+        for line in reading.run.lines(Entry.RESULT)
+        if line.get("record") in reading.run.superseded
+        for name in read_hashes(line, "pictures")
+    }
+    return tuple(
+        Picture(path.stem.removeprefix(prefix), data_url(picture))
+        for path in sorted((reading.folder / PICTURES_FOLDER).glob(f"{prefix}*.png"))
+        if path.is_file() and path.name not in gone and (picture := load_picture(reading, path)) is not None
+    )
 
 
 def load_picture(reading: RunReading, path: Path) -> bytes | None:
@@ -115,10 +138,10 @@ class PostoperativeResult:
     pictures: Mapping[str, bytes] = field(default_factory=dict)
 
     @property
-    def shown(self) -> list[tuple[str, str]]:
-        """Names of trajectories and their images as data URLs."""
-        names = [one.id for one in self.found.trajectories]
-        return [(name, data_url(self.pictures[name])) for name in names if name in self.pictures]
+    def shown(self) -> tuple[Picture, ...]:
+        """Images by the names of their trajectories."""
+        names = (one.id for one in self.found.trajectories)
+        return tuple(Picture(name, data_url(self.pictures[name])) for name in names if name in self.pictures)
 
 
 def store_check(folder: Path, after: PostoperativeResult) -> None:

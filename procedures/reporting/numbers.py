@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 
 NOT_KNOWN = "–"
 
@@ -10,6 +11,11 @@ NOT_KNOWN = "–"
 def millimetres(value_mm: float | None) -> str:
     """Format a length in millimetres with three decimals."""
     return NOT_KNOWN if value_mm is None else f"{value_mm:.3f}"
+
+
+def point(values_mm: Iterable[float]) -> str:
+    """Format the coordinates of a point in millimetres with three decimals."""
+    return " ".join(map(millimetres, values_mm))
 
 
 def degrees(value_rad: float | None) -> str:

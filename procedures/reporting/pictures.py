@@ -11,10 +11,11 @@ import itertools
 import math
 from collections.abc import Sequence
 from html import escape
-from typing import Literal
+from typing import Literal, NamedTuple
 
 from procedures.planning.head_in_ct import HeadEllipsoid
 from procedures.planning.marker_sites import ProposedMarkers
+from procedures.reporting.calibration_figures import LookResidual
 from procedures.reporting.numbers import millimetres, seconds, tenths
 from procedures.reporting.run_statistics import Span
 from procedures.reporting.tables import MotionRow, TargetRow
@@ -66,6 +67,22 @@ VIEWS = (  # title, axis across, axis upwards, and which of the two are reversed
     ("from the front", 0, 2, (False, False)),
     ("from above", 0, 1, (True, True)),
 )
+
+
+class Drawing(NamedTuple):
+    """SVG drawing about a trajectory."""
+
+    trajectory: str
+    svg: str
+
+
+class LinkBin(NamedTuple):
+    """Cycles of the robot link whose turnaround, or jitter, was between two times of the host."""
+
+    from_us: float
+    to_us: float
+    turnaround_cycles: int
+    jitter_cycles: int
 
 
 class Canvas:
@@ -208,24 +225,24 @@ def _ticks(length_s: float) -> list[float]:
     return [number * step for number in range(int(length_s / step) + 1)]
 
 
-def sum_histograms(links: Sequence[LinkHealth]) -> list[tuple[float, float, int, int]]:
-    """Sum the histograms of all streams to rows (from us, to us, turnaround, jitter), without empty ends."""
-    edges = links[0].histogram_edges_us
+def sum_histograms(links: Sequence[LinkHealth]) -> tuple[LinkBin, ...]:
+    """Sum the histograms of all streams, without empty ends."""
+    edges = links[0].histogram_edges_us if links else ()
     alike = [link for link in links if link.histogram_edges_us == edges]
     bins = []
     for number, (low, high) in enumerate(itertools.pairwise(edges)):
         turnaround = sum(link.histogram_counts[number] for link in alike)
         jitter = sum(link.jitter_counts[number] for link in alike if link.jitter_counts)
-        bins.append((low, high, turnaround, jitter))
-    filled = [number for number, one in enumerate(bins) if one[2] or one[3]]
-    return bins[filled[0] : filled[-1] + 1] if filled else []
+        bins.append(LinkBin(low, high, turnaround, jitter))
+    filled = [number for number, one in enumerate(bins) if one.turnaround_cycles or one.jitter_cycles]
+    return tuple(bins[filled[0] : filled[-1] + 1]) if filled else ()
 
 
-def link_figure(bins: Sequence[tuple[float, float, int, int]]) -> str:
+def link_figure(bins: Sequence[LinkBin]) -> str:
     """Draw a histogram of cycles by host time in microseconds: turnaround filled, jitter as a line."""
     canvas = Canvas(TOP + HISTOGRAM_HEIGHT + 22, "Cycles of the robot link over turnaround and jitter")
-    low, high = math.log10(max(bins[0][0], LEAST_SHOWN_US)), math.log10(bins[-1][1])
-    highest = max(max(one[2], one[3]) for one in bins)
+    low, high = math.log10(max(bins[0].from_us, LEAST_SHOWN_US)), math.log10(bins[-1].to_us)
+    highest = max(max(one.turnaround_cycles, one.jitter_cycles) for one in bins)
     across = (WIDTH - LEFT - 10) / max(high - low, 1e-6)
     up = HISTOGRAM_HEIGHT / math.log10(highest + 1)
 
@@ -254,7 +271,7 @@ def link_figure(bins: Sequence[tuple[float, float, int, int]]) -> str:
     return canvas.svg
 
 
-def looks_figure(looks_px: Sequence[tuple[float, bool]]) -> str:
+def looks_figure(looks_px: Sequence[LookResidual]) -> str:
     """Draw the rms residual of each view in px. Excluded views are red and clipped at the figure's top."""
     canvas = Canvas(TOP + LOOKS_HEIGHT + 18, "Rms residual of each measurement, px")
     highest_px = max((value for value, used in looks_px if used), default=1.0)

@@ -11,6 +11,8 @@ from procedures.calibration.errors import PlatformMoved
 from procedures.guards.errors import BaseShifted, FrameSlipped, PatientMoved
 from procedures.journal.journal import Entry, JournalValue, Line, theatre_time_s
 from procedures.reporting.numbers import NOT_KNOWN
+from procedures.workcell.arm_history import MotionKind
+from ronna_hw.config import ASSISTANT
 from ronna_hw.evidence.lost_end import LOST
 from ronna_hw.text import format_count
 
@@ -97,6 +99,16 @@ def advisories(journal: Sequence[Line]) -> tuple[RunEvent, ...]:
     for one in _events_of_kinds(journal, _NOTICES):
         first.setdefault(one.text, one)
     return tuple(first.values())
+
+
+def begun_insertions(journal: Sequence[Line]) -> tuple[str, ...]:
+    """List the trajectories at which the assistant began to lead an instrument in, in order."""
+    begun = (
+        str(line.get("trajectory"))
+        for line in journal
+        if (line["entry"], line.get("arm"), line.get("what")) == (Entry.MOTION, ASSISTANT, MotionKind.INSERT)
+    )
+    return tuple(dict.fromkeys(begun))
 
 
 def clock_time(line: Line) -> str:

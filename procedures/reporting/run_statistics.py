@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 from procedures.journal.journal import ENDS_OF_A_STEP, Entry, Line, theatre_time_s
 from procedures.steps.catalogue import clinical_steps
@@ -162,8 +162,16 @@ def _host_s(begin: Line, end: Line) -> float:
         return 0.0
 
 
-def link_counters(log: Sequence[Mapping[str, Any]]) -> tuple[tuple[str, str, str], ...]:
-    """Return name, number of active periods, and summed counters as text for each device."""
+class DeviceCounters(NamedTuple):
+    """Counters of a device in words, summed over its active periods."""
+
+    device: str
+    periods: str
+    counters: str
+
+
+def link_counters(log: Sequence[Mapping[str, Any]]) -> tuple[DeviceCounters, ...]:
+    """Return the summed counters of each device that counted anything."""
     totals: dict[str, _Totals] = {}
     for line in log:
         if "device" not in line:
@@ -174,7 +182,7 @@ def link_counters(log: Sequence[Mapping[str, Any]]) -> tuple[tuple[str, str, str
         elif line.get("before") == ACTIVE:
             of_device.add(line)
     return tuple(
-        (
+        DeviceCounters(
             device,
             format_count(one.times, "time"),
             ", ".join(f"{name} {count}" for name, count in one.sums.items()),

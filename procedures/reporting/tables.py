@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from procedures.operator.margin import MarginVerdict, judge_error
 from procedures.planning.motions import BACK
 from procedures.planning.pose_name import PoseName
-from procedures.reporting.numbers import millimetres, tenths
 from procedures.reporting.outcome import Truth
 from procedures.reporting.run_reading import RunReading
 from procedures.steps.clinical.path_check import CheckedPaths, ClosestApproach, MotionPreview
@@ -44,19 +44,58 @@ class TargetRow:
             return None
         return judge_error(self.margin_mm, self.predicted.rms_mm, self.predicted.limit_mm, self.known_mm)
 
-    @property
-    def cells(self) -> tuple[str, ...]:
-        """Cells of the report's table: target, depth, prediction, limit, error.
 
-        `second_reading` computes each of them again; the template reads them by their number.
-        """
-        return (
-            self.target,
-            tenths(self.depth_mm),
-            millimetres(self.predicted.rms_mm),
-            millimetres(self.predicted.limit_mm),
-            millimetres(self.error_mm),
+class ShareRow(NamedTuple):
+    """Share of one source in the predicted errors, one for each target; None where it has none."""
+
+    source: str
+    rms_mm: tuple[float | None, ...]
+
+
+@dataclass(frozen=True)
+class TargetTable:
+    """Rows of all targets, with what they have in common."""
+
+    rows: tuple[TargetRow, ...]
+
+    @property
+    def errors_mm(self) -> tuple[float, ...]:
+        """Known errors of the tip."""
+        return tuple(row.error_mm for row in self.rows if row.error_mm is not None)
+
+    @property
+    def mean_error_mm(self) -> float:
+        """Mean of the known errors."""
+        return sum(self.errors_mm) / len(self.errors_mm)
+
+    @property
+    def all_within(self) -> bool:
+        """Whether every target is known to be within its margin."""
+        return all(row.verdict is MarginVerdict.WITHIN for row in self.rows)
+
+    @property
+    def any_measured(self) -> bool:
+        """Whether the stereo head has measured any target in place of the guide."""
+        return any(row.measured_mm is not None for row in self.rows)
+
+    @property
+    def prediction(self) -> Prediction:
+        """Prediction of the first target; confidence, exclusions and assumptions are those of all."""
+        return self.rows[0].predicted
+
+    @property
+    def shares(self) -> tuple[ShareRow, ...]:
+        """Shares of the predicted errors, by the sources of the first target."""
+        by_target = [{share.source: share.rms_mm for share in row.predicted.budget} for row in self.rows]
+        return tuple(
+            ShareRow(share.source, tuple(shares.get(share.source) for shares in by_target))
+            for share in self.prediction.budget
         )
+
+    @property
+    def has_budget(self) -> bool:
+        """Whether any prediction states its shares."""
+        return any(row.predicted.budget for row in self.rows)
 
 
 def target_rows(reading: RunReading, truth: Truth) -> tuple[TargetRow, ...]:

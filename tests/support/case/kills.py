@@ -9,6 +9,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
+from report_figures import figures_in, figures_of_records
 from run_folders import records_of, run_folder
 from user_commands import Commands
 from waiting import eventually
@@ -79,6 +80,7 @@ def reopen_run(commands: Commands, killed: Killed) -> dict[str, Any]:
     assert_no_motion_before_acceptance(lines)
     assert_no_byte_before_acceptance(killed.folder, lines)
     assert inspect_run(killed.folder).problems == ()
+    assert figures_in(killed.folder / "report.html") == figures_of_records(killed.folder)
     printed: dict[str, Any] = json.loads(done.stdout)
     return printed
 

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 from pydicom import dcmread
+from report_figures import figures_in, figures_of_records
 from user_commands import Commands
 
 from procedures.exchange.run_export import export_run
@@ -117,6 +118,7 @@ def test_after_a_cart_move_the_case_continues_from_the_lock_and_reaches_its_targ
         kept = [one for one in stood if one[3:] in KEPT or (finished and one.endswith("-T1")) or one in gone]
         assert line["supersedes"] == [one for one in stood if one not in kept]
     (run_folder,) = (tmp_path / "runs").iterdir()
+    assert figures_in(run_folder / "report.html") == figures_of_records(run_folder)
     registrations = [one for one in export_run(run_folder, tmp_path / "out").files if one.match("reg*.dcm")]
     frames = {dcmread(one).FrameOfReferenceUID for one in registrations}
     assert len(frames) == (2 if step == "at_target:T2" else 1)  # before and after a move: two

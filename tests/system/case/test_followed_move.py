@@ -5,6 +5,7 @@ import subprocess
 from pathlib import Path
 
 import pytest
+from report_figures import figures_in, figures_of_records
 from user_commands import Commands
 
 from procedures.journal.journal import JOURNAL_FILE, read_journal
@@ -50,5 +51,6 @@ def test_the_guide_reaches_its_target_in_a_head_that_moved_and_the_run_replays(
     (target,) = json.loads((run / "report" / "truth.json").read_text())["targets"]
     assert target["application_error_mm"] <= LARGEST_ERROR_MM
     assert "It follows a head movement of" in (run / "report.html").read_text()
+    assert figures_in(run / "report.html") == figures_of_records(run)
     replayed = commands.run("ronna-procedure", "replay", str(run), timeout_s=300)
     assert replayed.returncode == 0, replayed.stdout

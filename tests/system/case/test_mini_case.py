@@ -16,6 +16,7 @@ import pydicom
 import pytest
 from documented import python_of
 from pseudo_terminal import Terminal
+from report_figures import figures_in, figures_of_records
 from run_folders import assert_nothing_half_written, await_motion_in, moved_in, records_of, run_folder
 from scipy.spatial.distance import cdist
 from shared_by_workers import made_once
@@ -313,6 +314,13 @@ def test_the_report_is_self_contained_and_marked_as_simulated_and_no_medical_dev
         r"by an operator, 28\.8 s by its algorithm on an? \S+",
         report,
     )
+
+
+@pytest.mark.hazard(6)
+def test_the_report_shows_the_figures_of_the_records_and_of_the_verifier(finished: MiniRun) -> None:
+    shown = figures_in(Path(finished.outcome["report"]))
+    assert len(shown) == 1
+    assert shown == figures_of_records(finished.folder)
 
 
 SIGNALS = (SIGINT, SIGTERM, SIGHUP)

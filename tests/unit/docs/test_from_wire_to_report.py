@@ -213,6 +213,14 @@ def numbers_of(report: str, sphere: int) -> str:
     return found[1]
 
 
+def place_in(report: str, sphere: int) -> str:
+    """What the page says of a sphere: where the tracker measured it, mm."""
+    table = report.partition("Spheres in the CT")[2].partition("</table>")[0]
+    found = re.search(rf'<tr><td>{sphere + 1}</td>.*<td class="point">([-\d. ]+)</td></tr>', table)
+    assert found
+    return found[1]
+
+
 def test_the_way_of_an_image_crosses_no_layer_twice() -> None:
     assert layers_of("An image")
 
@@ -261,6 +269,7 @@ def test_a_number_of_the_report_is_that_of_the_trackers_bytes(tmp_path: Path, as
     from_ct_mm = matched.robot_from_ct.transform.apply(CENTRES_CT_MM[SPHERE])
     assert numbers_of(report, SPHERE) == f"{np.linalg.norm(from_ct_mm - in_room_mm):.3f}"
     assert (float(numbers_of(report, SPHERE)) > 0.05) is (aside_mm > 0.0)
+    assert place_in(report, SPHERE) == " ".join(f"{value:.3f}" for value in on_wire_mm)
 
 
 @pytest.mark.parametrize(

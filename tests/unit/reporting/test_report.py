@@ -1,4 +1,4 @@
-"""The report shows the numbers of the records in full, reads them twice, and calls no fit an accuracy."""
+"""The report shows the numbers of the records in full, and calls no fit an accuracy."""
 
 from __future__ import annotations
 
@@ -11,20 +11,20 @@ from dataclasses import replace
 from html import unescape
 from html.parser import HTMLParser
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any, cast
 
 import numpy as np
 import pytest
 from clinical_case import FIRST, LAST, TRAJECTORIES, ClinicalCell, done_later
 from prepared_results import (
     checked_paths,
+    global_localization,
     imported_ct,
     localized_fiducials,
     registered_robot,
     relocalization,
     up_to_correspondence,
 )
+from report_figures import figures_in, figures_of_records
 from report_text import report_text
 
 from procedures.cli.runs.showing import show_run
@@ -34,13 +34,13 @@ from procedures.engine.methods import CaseMethods, Localizer
 from procedures.engine.order import Scope
 from procedures.exchange.run_export import export_run
 from procedures.guards.errors import BaseShifted, PatientMoved
-from procedures.journal.journal import Entry
+from procedures.journal.journal import Entry, Line
 from procedures.postoperative.summary import PostoperativeCheck
-from procedures.reporting import tables
 from procedures.reporting.files import LARGEST_PICTURE_BYTES, PostoperativeResult, store_check
 from procedures.reporting.outcome import TargetTruth, Truth
 from procedures.reporting.pictures import PUBLISHED_MM
-from procedures.reporting.report import _begun_insertions, write_report
+from procedures.reporting.report import write_report
+from procedures.reporting.run_events import begun_insertions
 from procedures.reporting.run_reading import find_used_strategies, read_for_report
 from procedures.reporting.run_statistics import timeline
 from procedures.reporting.tables import plan_rows
@@ -197,22 +197,33 @@ def test_a_picture_that_is_too_large_or_a_link_is_left_out_and_named(registered:
     assert len(page) < LARGEST_PICTURE_BYTES
 
 
-def test_the_numbers_are_read_twice_and_both_ways_agree(registered: Path) -> None:
-    text = write_report(registered, truth=TRUTH).read_text()
-    again = (registered / "report" / "numbers.txt").read_text()
-    assert again in text
-    assert [line.split()[0] for line in again.splitlines()[1:]] == list(TRAJECTORIES)
-    assert "these figures differ" not in text
+@pytest.mark.hazard(6)
+def test_the_figures_of_the_targets_are_those_of_the_records_and_of_the_truth(registered: Path) -> None:
+    shown = figures_in(write_report(registered, truth=TRUTH))
+    assert shown == figures_of_records(registered)
+    assert [(name, error) for name, error, *_ in shown] == [(FIRST, "0.432"), (LAST, "–")]
 
 
-def test_a_registration_voided_and_made_again_does_not_make_the_two_readings_differ(engine: Engine) -> None:
+@pytest.mark.hazard(6)
+def test_the_figures_after_a_registration_was_voided_are_those_of_the_next(engine: Engine) -> None:
     engine.run_to(StepKey("registration", FIRST))
     engine.context(StepKey("registration", FIRST)).void(
         GlobalLocalization, PatientMoved("the head has moved")
     )
     engine.run_to()
     engine.close("left")
-    assert "these figures differ" not in write_report(engine.case.folder, truth=TRUTH).read_text()
+    report = write_report(engine.case.folder, truth=TRUTH)
+    assert figures_in(report) == figures_of_records(engine.case.folder)
+
+
+def test_the_places_by_the_tracker_stand_beside_those_in_the_ct(cell: ClinicalCell) -> None:
+    before = imported_ct(), localized_fiducials()
+    cell.begin(*before, global_localization()).run_to()
+    (tracked,) = read_for_report(cell.folder).standing(GlobalLocalization)
+    places = [" ".join(f"{one:.3f}" for one in point) for point in tracked.result.points_tracker_mm]
+    text = report_text(write_report(cell.folder))
+    assert "<th>by the tracker x y z mm, tracker frame</th>" in text
+    assert f"paired with no sphere of the CT: {'; '.join(places)} (x y z in mm, tracker frame)" in text
 
 
 def test_results_that_a_repetition_superseded_are_named_and_struck_through(engine: Engine) -> None:
@@ -227,14 +238,6 @@ def test_results_that_a_repetition_superseded_are_named_and_struck_through(engin
     struck = re.findall(r'<tr class="superseded"><td>(\S+) \(superseded\)</td>', text)
     assert struck == standing
     assert "no later step has used them" in text
-
-
-@pytest.mark.hazard(6)
-def test_a_formatter_that_drops_a_digit_is_detected(
-    registered: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(tables, "millimetres", lambda value: "–" if value is None else f"{value:.3f}"[1:])
-    assert "these figures differ" in write_report(registered, truth=TRUTH).read_text()
 
 
 def test_a_move_of_the_cart_is_told_in_the_head_of_the_page_once(cell: ClinicalCell) -> None:
@@ -298,13 +301,13 @@ def test_a_rehearsal_without_truth_does_not_claim_measured_errors(registered: Pa
 
 
 def test_insertions_that_an_assistant_began_are_listed_by_trajectory() -> None:
-    lines = [
-        {"arm": "master", "what": "insert", "trajectory": "T3"},
-        {"arm": "assistant", "what": "settle", "trajectory": None},
-        *[{"arm": "assistant", "what": "insert", "trajectory": one} for one in ("T1", "T2", "T2")],
+    by_assistant = {"entry": "motion", "arm": "assistant"}
+    lines: list[Line] = [
+        {"entry": "motion", "arm": "master", "what": "insert", "trajectory": "T3"},
+        {**by_assistant, "what": "settle", "trajectory": None},
+        *[{**by_assistant, "what": "insert", "trajectory": one} for one in ("T1", "T2", "T2")],
     ]
-    reading = SimpleNamespace(run=SimpleNamespace(lines=lambda _entry: lines))
-    assert _begun_insertions(cast("Any", reading)) == ["T1", "T2"]
+    assert begun_insertions(lines) == ("T1", "T2")
 
 
 def test_a_simulated_report_says_how_the_arms_error_sizes_were_chosen(registered: Path) -> None:

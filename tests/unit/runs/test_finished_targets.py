@@ -25,6 +25,7 @@ from prepared_results import (
 )
 from pydicom import dcmread
 from recording_cell import RecordingArm
+from report_figures import figures_in, figures_of_records
 from run_again import broken_off, opened_again
 from user_commands import in_this_process
 
@@ -45,7 +46,6 @@ from procedures.reporting.ending import await_ending
 from procedures.reporting.outcome import TargetTruth, Truth
 from procedures.reporting.report import write_report
 from procedures.reporting.run_reading import read_for_report
-from procedures.reporting.second_reading import second_reading
 from procedures.reporting.tables import target_rows
 from procedures.runs import case_outcome, lifecycle
 from procedures.runs.case_outcome import build_finished_outcome
@@ -154,7 +154,7 @@ def test_outcome_and_report_show_each_target_with_the_registration_that_led_ther
     assert {one.id: one.predicted_tre_mm for one in outcome.targets} == PREDICTED_MM
     rows = target_rows(read_for_report(tmp_path), Truth())
     assert {one.target: one.predicted.rms_mm for one in rows} == PREDICTED_MM
-    assert second_reading(tmp_path, tmp_path / "no truth") == tuple(one.cells for one in rows)
+    assert figures_in(write_report(tmp_path)) == figures_of_records(tmp_path)
 
 
 @pytest.mark.parametrize(("figure", "changed"), [("rms_mm", 1e40), ("target", 5), ("target", "\ud800")])
@@ -168,7 +168,6 @@ def test_a_changed_figure_of_one_registration_does_not_prevent_the_report(
     path.write_text(json.dumps(record))
     report = write_report(tmp_path).read_text()
     assert path.name in report
-    assert ("could not be read a second time" in report) is (changed in (5, 1e40))
 
 
 def test_the_export_has_a_registration_for_each_target(tmp_path: Path) -> None:

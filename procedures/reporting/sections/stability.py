@@ -1,0 +1,69 @@
+"""What was watched for changes, and when it was last seen unchanged."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from procedures.guards.assistant_on_axis import LARGEST_OFF_MM
+from procedures.guards.stability import (
+    WATCHED_SUBJECTS,
+    SeenUnchanged,
+    Subject,
+    WatchedSubject,
+    last_seen_s,
+)
+from procedures.reporting.run_reading import RunReading
+from procedures.steps.clinical.results import ConfirmedTarget, KnownBases
+
+
+class StabilityRow(NamedTuple):
+    """Watched subject, when it was last seen, and how it was seen after each target."""
+
+    subject: WatchedSubject
+    last_seen_s: float | None  # theatre time
+    seen: tuple[SeenUnchanged | None, ...]
+
+
+@dataclass(frozen=True)
+class Stability:
+    """Subjects that were watched for changes during the case."""
+
+    targets: tuple[str, ...]  # looked at after these
+    rows: tuple[StabilityRow, ...]
+    has_assistant: bool
+    largest_off_mm: float = LARGEST_OFF_MM
+
+    @property
+    def headings(self) -> list[str]:
+        """Headings of the columns for the looks."""
+        return [f"after {name}: seen, noticed from, mm" for name in self.targets]
+
+
+def read_stability(reading: RunReading) -> Stability | None:
+    """Read the section, or return None before the first look after a target."""
+    confirmed = reading.standing(ConfirmedTarget)
+    if not confirmed:
+        return None
+    results = {one.record.identifier: one.result for one in confirmed}
+
+    def confirms(record: str, subject: Subject) -> bool:
+        return record in results and results[record].confirms(subject)
+
+    last_s = last_seen_s(reading.run.journal, confirms)
+    return Stability(
+        targets=tuple(str(one.record.trajectory) for one in confirmed),
+        rows=tuple(
+            StabilityRow(
+                watched,
+                last_s.get(watched.subject),
+                tuple(_find_seen(one, watched.subject) for one in results.values()),
+            )
+            for watched in WATCHED_SUBJECTS
+        ),
+        has_assistant=reading.find(KnownBases) is not None,
+    )
+
+
+def _find_seen(confirmed: ConfirmedTarget, subject: Subject) -> SeenUnchanged | None:
+    return next((one for one in confirmed.seen if one.subject == subject), None)
