@@ -165,14 +165,14 @@ def report_command(run_folder: RunArgument, out: FolderOption = None, as_json: J
     named.
     """
     from procedures.reporting.run_reading import read_for_report
-    from procedures.reporting.two_arms import collect_two_arms
+    from procedures.reporting.run_summary import read_two_arms
     from procedures.runs.finishing import rebuild_report
     from ronna_hw.command_line.terminal import print_json
 
     path = rebuild_report(run_folder, out)
     if as_json:
         reading = read_for_report(run_folder, every_file=False)
-        print_json({"report": str(path), **collect_two_arms(reading)})
+        print_json({"report": str(path), **read_two_arms(reading).model_dump(mode="json")})
     else:
         sys.stdout.write(f"{escape_controls(str(path))}\n")
 

@@ -6,20 +6,15 @@ import shlex
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 from procedures.cli.case.case_lines import describe_loss, describe_state, entry_of, status_lines
 from procedures.engine.events import CaseState, Event, Questioned, Refusal, SignalsLost
 from procedures.engine.events.event_file import FollowedRun
 from procedures.exchange.raw_readings import WRITES_ALL, missing_in_raw
-from procedures.journal.journal import ONLY_LEAVING, Entry
-from procedures.reporting.ending import await_ending, ending_of, resumes
-from procedures.reporting.outcome import Truth
-from procedures.reporting.run_reading import RunReading, describe_strategies, read_for_report
-from procedures.reporting.tables import target_rows
-from procedures.reporting.two_arms import collect_two_arms
+from procedures.reporting.ending import await_ending
+from procedures.reporting.run_reading import read_for_report
+from procedures.reporting.run_summary import RunSummary, summarize_run
 from procedures.runs.folders import find_folders_of_runs, find_runs
-from procedures.steps.clinical.work_progress import STAGES
 from ronna_hw.command_line.terminal import message_console, on_terminal, print_json, print_table, say, tell
 from ronna_hw.evidence.inspection import inspect_run
 from ronna_hw.text import format_count, printable
@@ -30,9 +25,9 @@ def list_runs(folder: Path, *, as_json: bool) -> None:
 
     Only the sources of the rows are compared; an error from a changed file is omitted.
     """
-    rows = [_summarize_run(run) for run in find_runs(folder)]
+    rows = [summarize_run(read_for_report(run, every_file=False)) for run in find_runs(folder)]
     if as_json:
-        print_json({"runs": rows})
+        print_json({"runs": [row.model_dump(mode="json") for row in rows]})
         return
     if not rows:
         say(f"no runs in {folder}")
@@ -44,63 +39,61 @@ def list_runs(folder: Path, *, as_json: bool) -> None:
         ("run", "began", "strategy", "ended", "steps", "largest error mm"),
         [
             (
-                printable(row["run"]),
-                str(row["began"] or "")[:16],
-                _describe_strategy(row) or "",
-                row["ended"],
-                str(len(row["done"])),
+                printable(row.run),
+                str(row.began or "")[:16],
+                row.strategies,
+                row.ended,
+                str(len(row.done)),
                 _largest_error(row),
             )
             for row in rows
         ],
     )
     for row in rows:
-        for problem in row["problems"]:
-            say(f"{printable(row['run'])} is not reliable: {problem}")
+        for problem in row.problems:
+            say(f"{printable(row.run)} is not reliable: {problem}")
 
 
 def show_run(folder: Path, *, as_json: bool) -> None:
     """Print the steps of a run, its outcome and its target errors."""
     reading = read_for_report(folder)
-    row, missing = _summary(reading), missing_in_raw(folder, tuple(reading.run.journal))
+    row, missing = summarize_run(reading), missing_in_raw(folder, tuple(reading.run.journal))
     if as_json:
-        print_json(row | {"problems": [*reading.changes, *reading.problems], "raw_missing": missing})
+        print_json(row.model_dump(mode="json") | {"raw_missing": missing})
         return
     for change in reading.changes:
         say(f"NOT AS THE RUN LEFT IT: {change}")
-    theatre = str(row["theatre"] or "no theatre")
-    seed = "" if row["seed"] is None or "seed" in theatre else f", seed {row['seed']}"
-    say(f"{row['run']}: {theatre}{seed}, strategy {_describe_strategy(row) or '-'}")
-    if row["methods"]:
-        say(row["methods"])
-    say(f"began {row['began'] or '-'}; {row['sentence']}")
-    if row["resumes"]:
-        say(f"resumed {format_count(row['resumes'], 'time')}")
-    if (in_vain := row["restarts"] - row["only_leaving"] - row["resumes"]) > 0:
+    theatre = str(row.theatre or "no theatre")
+    seed = "" if row.seed is None or "seed" in theatre else f", seed {row.seed}"
+    say(f"{row.run}: {theatre}{seed}, strategy {row.strategies or '-'}")
+    if row.methods:
+        say(str(row.methods))
+    say(f"began {row.began or '-'}; {row.sentence}")
+    if row.resumes:
+        say(f"resumed {format_count(row.resumes, 'time')}")
+    if (in_vain := row.restarts - row.only_leaving - row.resumes) > 0:
         say(f"taken up {format_count(in_vain, 'time')} without going on from what was left")
-    if row["only_leaving"]:
-        say(
-            f"taken up {format_count(row['only_leaving'], 'time')} only to go home, or to acknowledge a fault"
-        )
-    if row["instrument_in"]:
-        say(f"the instrument was still in {row['instrument_in']}")
-    elif row["instrument_held_for"]:
-        say(f"the instrument for {row['instrument_held_for']} was still in the assistant's holder")
-    for name, done in row["work_begun"].items():
+    if row.only_leaving:
+        say(f"taken up {format_count(row.only_leaving, 'time')} only to go home, or to acknowledge a fault")
+    if row.instrument_in:
+        say(f"the instrument was still in {row.instrument_in}")
+    elif row.instrument_held_for:
+        say(f"the instrument for {row.instrument_held_for} was still in the assistant's holder")
+    for name, done in row.work_begun.items():
         say(f"work begun at {name}: {', '.join(done) or 'nothing confirmed yet'}")
-    say(f"done: {', '.join(row['done']) or 'nothing'}")
-    if row["superseded"]:
-        say(f"superseded: {', '.join(row['superseded'])}")
-    for target in row["targets"]:
-        error_mm = target["application_error_mm"]
+    say(f"done: {', '.join(row.done) or 'nothing'}")
+    if row.superseded:
+        say(f"superseded: {', '.join(row.superseded)}")
+    for target in row.targets:
+        error_mm = target.application_error_mm
         known = "" if error_mm is None else f", error {error_mm:.3f} mm"
-        if target["verdict"]:
-            known += f", margin {target['margin_mm']:g} mm: {target['verdict']}"
-        say(f"{target['id']}: predicted {target['predicted_tre_mm']:.3f} mm{known}")
-    if (bases := row["bases"]) is not None:
-        say(f"two arms: head and ball meet within {bases['meeting_mm']:.2f} mm")
-    for name, one in row["insertions"].items():
-        say(f"the assistant inserted at {name}, {one['off_axis_mm']:.2f} mm off the axis of the guide")
+        if target.verdict:
+            known += f", margin {target.margin_mm:g} mm: {target.verdict}"
+        say(f"{target.id}: predicted {target.predicted_tre_mm:.3f} mm{known}")
+    if (bases := row.bases) is not None:
+        say(f"two arms: head and ball meet within {bases.meeting_mm:.2f} mm")
+    for name, one in row.insertions.items():
+        say(f"the assistant inserted at {name}, {one.off_axis_mm:.2f} mm off the axis of the guide")
     for problem in reading.problems:
         say(f"not reliable: {problem}")
     if missing:
@@ -115,71 +108,12 @@ def draw_lineage(folder: Path, *, as_mermaid: bool) -> None:
     say((lineage_mermaid(run) if as_mermaid else lineage_text(run)).rstrip("\n"))
 
 
-def _summarize_run(folder: Path) -> dict[str, Any]:
-    reading = read_for_report(folder, every_file=False)
-    return _summary(reading) | {"problems": [*reading.changes, *reading.problems]}
-
-
-def _describe_strategy(row: dict[str, Any]) -> str:
-    return describe_strategies(row["strategy"] or "", {one["id"]: one["strategy"] for one in row["targets"]})
-
-
-def _largest_error(row: dict[str, Any]) -> str:
-    error_mm = row["max_application_error_mm"]
-    mark = "?" if row["problems"] else ""
+def _largest_error(row: RunSummary) -> str:
+    error_mm = row.max_application_error_mm
+    mark = "?" if row.problems else ""
     if error_mm is None:
         return mark or "-"
     return f"{error_mm:.3f}{mark}"
-
-
-def _summary(reading: RunReading) -> dict[str, Any]:
-    run, truth = reading.run, reading.truth or Truth()
-    ending, errors_mm = ending_of(reading), [one.application_error_mm for one in truth.targets]
-    return {
-        "run": reading.folder.resolve().name,
-        "theatre": run.opened.get("theatre"),
-        "seed": run.opened.get("seed"),
-        "strategy": run.opened.get("strategy"),
-        "methods": run.opened.get("methods"),
-        "began": run.opened.get("host_time"),
-        "ended": ending.word,
-        "sentence": ending.sentence,
-        "instrument_in": ending.instrument_in,
-        "instrument_held_for": ending.instrument_held_for,
-        "work_begun": _list_work_begun(reading),
-        "restarts": len(restarts := run.lines(Entry.RESTARTED)),
-        "resumes": resumes(run.journal),
-        "only_leaving": sum(ONLY_LEAVING in line for line in restarts),
-        "done": [f"{one.kind}:{one.trajectory}" if one.trajectory else one.kind for one in run.valid_records],
-        "superseded": sorted(run.superseded),
-        "targets": [
-            {
-                "id": one.target,
-                "strategy": one.strategy,
-                "predicted_tre_mm": one.predicted.rms_mm,
-                "limit_mm": one.predicted.limit_mm,
-                "application_error_mm": one.error_mm,
-                "margin_mm": one.margin_mm,
-                "verdict": one.verdict,
-            }
-            for one in target_rows(reading, truth)
-        ],
-        "max_application_error_mm": max(errors_mm, default=None),
-        **collect_two_arms(reading),
-    }
-
-
-def _list_work_begun(reading: RunReading) -> dict[str, list[str]]:
-    """List what was confirmed at each target at which the work has begun and not ended."""
-    statements = {stage.task: stage.done_statement for stage in STAGES}
-    begun: dict[str, list[str]] = {}
-    for line in reading.run.lines(Entry.STAGE):
-        if (statement := statements.get(str(line.get("task")))) is None:  # the depth stop
-            continue
-        done = begun.setdefault(str(line["trajectory"]), [])
-        if line.get("done") and statement not in done:
-            done.append(statement)
-    return {name: done for name, done in begun.items() if statements[STAGES[-1].task] not in done}
 
 
 def watch(run: Path, *, as_json: bool) -> None:
