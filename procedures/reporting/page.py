@@ -2,20 +2,29 @@
 
 from __future__ import annotations
 
+import os
+from collections.abc import Sequence
 from dataclasses import dataclass
 
-from procedures.reporting.files import Picture, PostoperativeResult
-from procedures.reporting.run_reading import UsedRegistration
-from procedures.reporting.sections.calibration import Calibration
-from procedures.reporting.sections.course import Course
-from procedures.reporting.sections.devices import Devices
-from procedures.reporting.sections.evidence import Evidence
-from procedures.reporting.sections.header import Header
-from procedures.reporting.sections.plan import PlanSection
-from procedures.reporting.sections.spheres import Spheres
-from procedures.reporting.sections.stability import Stability
-from procedures.reporting.sections.targets import Targets
-from procedures.reporting.sections.verdict import Verdict
+from procedures.engine.run_folder import targets_in_doubt
+from procedures.imaging.trajectory_cuts import PLAN_PICTURE
+from procedures.reporting.ending import advise, ending_of, find_run_holder
+from procedures.reporting.files import Picture, PostoperativeResult, load_pictures
+from procedures.reporting.outcome import RunError, Truth
+from procedures.reporting.run_events import moves
+from procedures.reporting.run_reading import RunReading, UsedRegistration
+from procedures.reporting.sections.calibration import Calibration, read_calibration
+from procedures.reporting.sections.course import Course, read_course
+from procedures.reporting.sections.devices import Devices, read_devices
+from procedures.reporting.sections.evidence import Evidence, read_evidence
+from procedures.reporting.sections.header import Header, Opening, read_header
+from procedures.reporting.sections.plan import PlanSection, read_plan
+from procedures.reporting.sections.spheres import Spheres, read_spheres
+from procedures.reporting.sections.stability import Stability, read_stability
+from procedures.reporting.sections.targets import Targets, read_targets
+from procedures.reporting.sections.verdict import Verdict, describe_exclusions, read_assistant_work
+from procedures.reporting.tables import TargetTable, target_rows
+from ronna_hw.evidence.unsealed import describe_unsealed_files
 
 
 @dataclass(frozen=True)
@@ -35,3 +44,44 @@ class Page:
     course: Course
     devices: Devices
     evidence: Evidence
+
+
+def read_page(
+    reading: RunReading,
+    truth: Truth | None,
+    error: RunError | None,
+    after: PostoperativeResult | None,
+    unconfirmed: Sequence[str],
+) -> Page:
+    """Read every section of the page. Arguments as for `write_report`."""
+    run, journal = reading.folder, reading.run.journal
+    opening = Opening.of(reading.run.opened)
+    table = TargetTable(target_rows(reading, truth or Truth()))
+    holder = find_run_holder(run)
+    ending = ending_of(reading, error, is_writer=holder is not None and holder.pid == os.getpid())
+    plan = read_plan(reading)
+    return Page(
+        header=read_header(run.name, reading, opening, table, () if plan is None else plan.rows),
+        verdict=Verdict(
+            ending=ending,
+            advice=advise(ending, is_case=not opening.procedure),
+            table=table,
+            in_doubt=targets_in_doubt(journal),
+            assistant=read_assistant_work(reading),
+            left_out=describe_exclusions(reading),
+            moves=moves(journal),
+            unconfirmed=(*describe_unsealed_files(tuple(journal)), *unconfirmed),
+            problems=reading.problems,  # also those that the sections below note
+        ),
+        calibration=read_calibration(run),
+        after=after,
+        plan_pictures=load_pictures(reading, PLAN_PICTURE),
+        targets=read_targets(reading, table, simulated=bool(opening.banner)),
+        stability=read_stability(reading),
+        plan=plan,
+        registrations=reading.registrations,
+        spheres=read_spheres(reading, truth),
+        course=read_course(reading, opening.processor),
+        devices=read_devices(reading),
+        evidence=read_evidence(reading),
+    )

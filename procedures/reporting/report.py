@@ -6,42 +6,24 @@ from its verifier and is passed in.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
 
-from procedures.engine.run_folder import targets_in_doubt
-from procedures.imaging.trajectory_cuts import PLAN_PICTURE
 from procedures.reporting import numbers
-from procedures.reporting.ending import advise, ending_of, find_run_holder
 from procedures.reporting.files import (
     REPORT_FOLDER,
     PostoperativeResult,
     ReportFiles,
     load_check,
-    load_pictures,
     store_check,
 )
 from procedures.reporting.kept_truth import store_truth
 from procedures.reporting.outcome import RunError, Truth
-from procedures.reporting.page import Page
-from procedures.reporting.run_events import moves
-from procedures.reporting.run_reading import RunReading, read_for_report
-from procedures.reporting.sections.calibration import Calibration, read_calibration
-from procedures.reporting.sections.course import Course, read_course
-from procedures.reporting.sections.devices import Devices, read_devices
-from procedures.reporting.sections.evidence import read_evidence
-from procedures.reporting.sections.header import Opening, read_header
-from procedures.reporting.sections.plan import PlanSection, read_plan
-from procedures.reporting.sections.spheres import read_spheres
-from procedures.reporting.sections.stability import read_stability
-from procedures.reporting.sections.targets import Targets, read_targets
-from procedures.reporting.sections.verdict import Verdict, describe_exclusions, read_assistant_work
-from procedures.reporting.tables import TargetTable, target_rows
+from procedures.reporting.page import Page, read_page
+from procedures.reporting.run_reading import read_for_report
 from ronna_hw.evidence.manifest import REPORT_FILE
-from ronna_hw.evidence.unsealed import describe_unsealed_files
 from ronna_hw.records import write_atomically
 from ronna_hw.text import escape_controls
 
@@ -77,88 +59,34 @@ def write_report(
     after = load_check(reading) if after is None else after
     if after is not None and out != run:
         store_check(out / REPORT_FOLDER, after)
-    page = _read_page(reading, files, truth, error, after, unconfirmed)
+    page = read_page(reading, truth, error, after, unconfirmed)
+    _write_drawings(files, page)
     path = out / REPORT_FILE
     # The templates collect the titles of what is not on paper in `unprinted`.
-    write_atomically(path, _template().render(page=page, unprinted=[]).encode())
+    html = _template().render(page=page, files=files.written, unprinted=[])
+    write_atomically(path, html.encode())
     return path
 
 
-def _read_page(
-    reading: RunReading,
-    files: ReportFiles,
-    truth: Truth | None,
-    error: RunError | None,
-    after: PostoperativeResult | None,
-    unconfirmed: Sequence[str],
-) -> Page:
-    """Read every section of the page, and write the drawings with their data to files."""
-    run, journal = reading.folder, reading.run.journal
-    opening = Opening.of(reading.run.opened)
-    table = TargetTable(target_rows(reading, truth or Truth()))
-    ending = ending_of(reading, error, is_writer=_is_held_by_us(run))
-    plan, course, devices = read_plan(reading), read_course(reading, opening.processor), read_devices(reading)
-    targets = read_targets(reading, table, simulated=bool(opening.banner))
-    calibration = read_calibration(run)
-    _write_drawings(files, plan, targets, course, devices, calibration)
-    return Page(
-        header=read_header(run.name, reading, opening, table, () if plan is None else plan.rows),
-        verdict=Verdict(
-            ending=ending,
-            advice=advise(ending, is_case=not opening.procedure),
-            table=table,
-            in_doubt=targets_in_doubt(journal),
-            assistant=read_assistant_work(reading),
-            left_out=describe_exclusions(reading),
-            moves=moves(journal),
-            unconfirmed=(*describe_unsealed_files(tuple(journal)), *unconfirmed),
-            problems=reading.problems,  # also those that the sections below note
-        ),
-        calibration=calibration,
-        after=after,
-        plan_pictures=load_pictures(reading, PLAN_PICTURE),
-        targets=targets,
-        stability=read_stability(reading),
-        plan=plan,
-        registrations=reading.registrations,
-        spheres=read_spheres(reading, truth),
-        course=course,
-        devices=devices,
-        evidence=read_evidence(reading, files.written),
-    )
-
-
-def _write_drawings(
-    files: ReportFiles,
-    plan: PlanSection | None,
-    targets: Targets | None,
-    course: Course,
-    devices: Devices,
-    calibration: Calibration,
-) -> None:
+def _write_drawings(files: ReportFiles, page: Page) -> None:
     """Write each drawing and its data to files."""
-    if plan is not None:
-        motions = {row.name: row.motions for row in plan.rows}
-        for drawing in plan.clearances:
-            files.text(f"clearance-{drawing.trajectory}.svg", drawing.svg)
-            files.clearance(drawing.trajectory, motions[drawing.trajectory])
-    if targets is not None:
-        files.text("targets.svg", targets.picture)
-        files.targets(targets.table.rows)
-    if course.spans:
-        files.text("timeline.svg", course.timeline_picture)
-        files.timeline(course.spans)
-    if devices.link_bins:
-        files.text("robot_link.svg", devices.link_picture)
-        files.link(devices.link_bins)
-    if calibration.looks:
-        files.text("looks.svg", calibration.looks_picture)
-        files.looks(calibration.looks)
-
-
-def _is_held_by_us(run: Path) -> bool:
-    holder = find_run_holder(run)
-    return holder is not None and holder.pid == os.getpid()
+    if page.plan is not None:
+        motions = {row.name: row.motions for row in page.plan.rows}
+        for name, svg in page.plan.clearances:
+            files.text(f"clearance-{name}.svg", svg)
+            files.clearance(name, motions[name])
+    if page.targets is not None:
+        files.text("targets.svg", page.targets.picture)
+        files.targets(page.targets.table.rows)
+    if page.course.spans:
+        files.text("timeline.svg", page.course.timeline_picture)
+        files.timeline(page.course.spans)
+    if page.devices.link_bins:
+        files.text("robot_link.svg", page.devices.link_picture)
+        files.link(page.devices.link_bins)
+    if page.calibration.looks:
+        files.text("looks.svg", page.calibration.looks_picture)
+        files.looks(page.calibration.looks)
 
 
 def _without_controls(value: Any) -> Any:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from typing import Any, Self
@@ -36,14 +36,13 @@ class Evidence:
     superseded: Collection[str]  # identifiers
     lines: int  # of the journal
     motions: int
-    files: tuple[str, ...]  # written with the report
     software: tuple[str, ...]  # of each program that had the run
     computer: Computer
     made: str
 
 
-def read_evidence(reading: RunReading, files: Sequence[str]) -> Evidence:
-    """Read the section. `files` were written with the report."""
+def read_evidence(reading: RunReading) -> Evidence:
+    """Read the section."""
     journal = reading.run.journal
     software = (str(one) for line in journal if (one := line.get("software")))
     return Evidence(
@@ -51,7 +50,6 @@ def read_evidence(reading: RunReading, files: Sequence[str]) -> Evidence:
         superseded=reading.run.superseded,
         lines=len(journal),
         motions=len(reading.run.lines(Entry.MOTION)),
-        files=tuple(files),
         software=tuple(dict.fromkeys(software)),
         computer=Computer.of(next((line for line in reading.log if line.get("event") == "opened"), {})),
         made=f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC",

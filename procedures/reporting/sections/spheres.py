@@ -57,7 +57,7 @@ def read_spheres(reading: RunReading, truth: Truth | None) -> Spheres:
     matched = reading.find(Correspondence)
     points_mm = () if tracked is None else tracked.points_tracker_mm
     partners = {} if matched is None else dict(matched.pairs)
-    paired_mm = {index: points_mm[place] for index, place in partners.items() if place < len(points_mm)}
+    paired_mm = {index: points_mm[place] for index, place in partners.items() if 0 <= place < len(points_mm)}
     return Spheres(
         localization=localization,
         series=reading.find(ImportedCt),
