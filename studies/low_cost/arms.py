@@ -15,7 +15,7 @@ import numpy as np
 from ronna_hw.arm.kinematics import Kinematics
 from ronna_hw.arm.universal_robots.calibrated import CalibratedUniversalRobot
 from ronna_hw.arm.universal_robots.factory_calibration import FactoryCalibration
-from ronna_hw.arm.universal_robots.geometry import DIMENSIONS, UrModel
+from ronna_hw.arm.universal_robots.geometry import DIMENSIONS
 from ronna_hw.clock import Clock, open_clock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.readings import ArmReading, Stamp, Validity
@@ -27,7 +27,6 @@ from ronna_hw.vectors import JointVector, joint_vector
 from sim.universal_robots.controller_parameters import ControllerParameters
 from sim.universal_robots.factory_calibration import calibrate
 from sim.universal_robots.model import MODELS
-from sim.world.options import UrArm
 from sim.world.scene.model import ArmTruth
 from sim.world.true_arm import TrueArm
 from sim.world.world import ArmState, World
@@ -51,8 +50,8 @@ class PositionedArm(Protocol):
 
 def factory_kinematics(truth: ArmTruth, seed: int) -> CalibratedUniversalRobot:
     """Return the kinematics that an arm's controller states: as the factory measured this arm."""
-    arm = DIMENSIONS[UrModel(truth.variant)]
-    stated = calibrate(MODELS[UrArm(truth.variant)], truth, seed, ControllerParameters().factory_calibration)
+    arm = DIMENSIONS[truth.variant]
+    stated = calibrate(MODELS[truth.variant], truth, seed, ControllerParameters().factory_calibration)
     a_mm, d_mm = (joint_vector(1000.0 * value for value in row) for row in (stated.a_m, stated.d_m))
     return CalibratedUniversalRobot(
         arm,

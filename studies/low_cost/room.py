@@ -11,11 +11,11 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from ronna_hw.arm.catalogue import ArmChoice
 from ronna_hw.frames import Frame, Transform
 from sim.world.descriptions import DESCRIPTIONS
 from sim.world.noise import noise
 from sim.world.nominal_arm import AXES
-from sim.world.options import ArmChoice
 from sim.world.rigid import (
     apply,
     as_point,

@@ -20,13 +20,13 @@ from waiting import eventually
 
 from drivers.kuka_rsi.errors import WRONG_CONTROLLER, ControllerStopped
 from procedures.journal.journal import JOURNAL_FILE, Entry, read_journal
-from ronna_hw.arm.kr6_r900 import ArmVariant, kr6_r900
+from ronna_hw.arm.kr6_r900 import SIXX, kr6_r900
 from ronna_hw.arm.motion.limits import WORKING_SPEED_FRACTION
 from ronna_hw.devices import Lifecycle
 from ronna_hw.errors import RonnaError
 
 CYCLE_S = 0.004
-FULL_STEP_RAD = np.array(kr6_r900(ArmVariant.SIXX).full_speed_rad_s) * CYCLE_S
+FULL_STEP_RAD = np.array(kr6_r900(SIXX).full_speed_rad_s) * CYCLE_S
 WORKING_STEP_SHARE = WORKING_SPEED_FRACTION + 1e-3  # of a full-speed step: one prepared step and rounding
 LATE_STEP_SHARE = 2 * WORKING_SPEED_FRACTION + 1e-3  # two at once, below the quarter that a controller takes
 TAKEN_STEP_SHARE = 0.25  # what a controller takes in one cycle

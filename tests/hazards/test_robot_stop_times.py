@@ -15,7 +15,7 @@ import pytest
 from rsi_tap import RsiTap
 from waiting import eventually
 
-from ronna_hw.arm.kr6_r900 import ArmVariant, kr6_r900
+from ronna_hw.arm.kr6_r900 import SIXX, kr6_r900
 from ronna_hw.arm.monitor import SPEED_MARGIN
 from ronna_hw.arm.motion.limits import WORKING_SPEED_FRACTION
 from ronna_hw.arm_stream.records import Choice
@@ -23,7 +23,7 @@ from ronna_hw.devices import Lifecycle
 from ronna_hw.errors import RonnaError
 
 CYCLE_S = 0.004
-FULL_STEP_DEG = np.degrees(kr6_r900(ArmVariant.SIXX).full_speed_rad_s) * CYCLE_S
+FULL_STEP_DEG = np.degrees(kr6_r900(SIXX).full_speed_rad_s) * CYCLE_S
 AWAY_RAD = 1.5
 AT_SPEED = 0.99 * WORKING_SPEED_FRACTION  # of a full-speed step
 LONGEST_STOP_CYCLES = 125  # half a second: what the table of disturbances promises for a path stop

@@ -14,7 +14,7 @@ from drivers.kuka_rsi import KukaRsiArm
 from drivers.universal_robots import UniversalRobotsArm
 from procedures.calibration.guide_load import LoadEstimate, Standstill, estimate_load
 from procedures.workcell.arm_load import as_standstill, read_axis_loads
-from ronna_hw.calibrated_arm.load_model import LOAD_MODELS
+from ronna_hw.arm.catalogue import ArmChoice, find_arm
 from ronna_hw.clock import open_clock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.axis_loads import AxisLoads
@@ -23,7 +23,6 @@ from ronna_hw.host.child_process import ChildProcess, command
 from ronna_hw.host.network import own_address, own_udp_endpoint
 from ronna_hw.vectors import Vector3, joint_vector
 from ronna_hw.wire.kuka_context import OWN_CONTEXT
-from sim.world.options import ArmChoice
 from sim.world.scene.named_scenes import draw_scene
 from sim.world.tool_load import ToolLoad
 from sim.world.world import World
@@ -92,7 +91,7 @@ class Room:
     def estimate(self) -> LoadEstimate:
         arm = self._arm.kinematics
         now = self.standstill()
-        return estimate_load(arm, LOAD_MODELS[arm.name], self.references, now, self._guide_mm)
+        return estimate_load(arm, find_arm(arm.name).load, self.references, now, self._guide_mm)
 
 
 @pytest.mark.parametrize(

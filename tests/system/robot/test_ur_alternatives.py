@@ -9,12 +9,12 @@ import pytest
 from ur_clients import UrCell
 
 from drivers.universal_robots import UniversalRobotsArm
+from ronna_hw.arm.catalogue import ArmChoice
 from ronna_hw.clock import open_clock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices import Lifecycle
 from ronna_hw.devices.robot import StopKind
 from ronna_hw.frames import Frame, Transform
-from sim.world.options import ArmChoice
 from sim.world.scene.named_scenes import draw_scene
 from sim.world.world import World
 

@@ -38,6 +38,7 @@ from drivers.universal_robots.errors import (
     ProgramStopped,
     RegistersInUse,
 )
+from ronna_hw.arm.catalogue import ArmChoice
 from ronna_hw.arm.errors import LOADED_AT_START, ForceLimitExceeded
 from ronna_hw.clock import open_clock
 from ronna_hw.config import DeviceConfig
@@ -48,7 +49,6 @@ from ronna_hw.endpoints import parse_endpoint
 from ronna_hw.errors import RonnaError, is_error
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.vectors import JointVector
-from sim.world.options import ArmChoice
 from sim.world.scene.named_scenes import draw_scene
 from sim.world.world import World
 

@@ -13,23 +13,23 @@ from calibrated_ur import CALIBRATED_UR
 from coded_errors import raises
 from monitored_motion import drive_monitored
 
+from ronna_hw.arm import catalogue
 from ronna_hw.arm.clearance.bodies import Bodies, Capsule, Obstacle, Part, Surroundings
 from ronna_hw.arm.clearance.live_watch import LiveWatch
 from ronna_hw.arm.errors import OutOfJointRange, Singular, Unreachable
 from ronna_hw.arm.kinematics import Branch, Kinematics
-from ronna_hw.arm.kr6_r900 import ArmVariant, kr6_r900
 from ronna_hw.arm.monitor import Monitor, monitor_limits
 from ronna_hw.arm.motion.limits import working_limits
 from ronna_hw.arm.motion.planning import MotionPlan, plan_joint_move, plan_line
 from ronna_hw.arm.motion.set_points import PathMotion
 from ronna_hw.arm.pose import Pose, radians6
-from ronna_hw.arm.universal_robots import UrModel, universal_robot
+from ronna_hw.arm.universal_robots import universal_robot
 from ronna_hw.devices.robot import LineMove
 from ronna_hw.frames import FRAME_MISMATCH, Frame, Transform
 from ronna_hw.preview import plan_motion, preview
 from ronna_hw.vectors import JointVector, Vector3
 
-ARMS: tuple[Kinematics, ...] = (*map(kr6_r900, ArmVariant), *map(universal_robot, UrModel))
+ARMS = tuple(arm.kinematics for arm in catalogue.ARMS.values())
 
 
 def _kr6_singular(elbow_offset_mm: float) -> dict[str, JointVector]:

@@ -21,7 +21,7 @@ from procedures.workcell.arms import Arms
 from procedures.workcell.assistant import INSTRUMENT, Assistant, GuidedStretch
 from procedures.workcell.errors import OtherArmUnknown, TipOffAxis
 from procedures.workcell.motions import PlannedMotion
-from ronna_hw.arm.catalogue import find_kinematics
+from ronna_hw.arm.catalogue import find_arm
 from ronna_hw.arm.clearance.bodies import Surroundings
 from ronna_hw.calibrated_arm.arm import CalibratedArm
 from ronna_hw.calibration import PoseRecord
@@ -152,7 +152,7 @@ def test_where_the_assistant_stands_outlasts_the_program(assistant: Assistant, c
 def test_an_instrument_that_would_stand_in_the_arm_itself_is_not_clear_at_rest(
     assistant: Assistant, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(IdealArm, "kinematics", find_kinematics("kr6_r900_sixx"))
+    monkeypatch.setattr(IdealArm, "kinematics", find_arm("kr6_r900_sixx").kinematics)
     home_rad = tuple(map(radians, KR6_HOME_DEG))
     turned_rad = (*home_rad[:-1], radians(60.0))
     assistant.surround(Surroundings(), home_rad)
