@@ -14,7 +14,6 @@ from pydantic import BaseModel, ConfigDict, Field
 from ronna_hw.calibration import Numbers3, Numbers4
 from ronna_hw.frames import Frame, Transform
 
-Numbers6 = tuple[float, float, float, float, float, float]
 Matrix3 = tuple[Numbers3, Numbers3, Numbers3]
 
 

@@ -68,7 +68,7 @@ class InstantArm:
         self._true = TrueArm(truth, seed)
         self._world = world
         self._motions = 0
-        self._flanks = AT_REST
+        self._flanks: JointVector = AT_REST
         self._joints_rad = joint_vector(np.radians(truth.home_deg))
         self._publish()
 

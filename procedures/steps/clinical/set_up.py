@@ -9,7 +9,7 @@ from pydantic import Field
 from procedures.calibration.validity import require_valid
 from procedures.engine.context import StepContext
 from procedures.engine.order import Outcome, Phase, StepSpec
-from procedures.journal.results import Numbers6, StepResult, Values
+from procedures.journal.results import StepResult, Values
 from procedures.operator.question import Topic
 from procedures.planning.tool_records import check_patient_frame
 from procedures.relocalization.triangulation import check_serial
@@ -19,6 +19,7 @@ from ronna_hw.collision_config import CollisionConfig
 from ronna_hw.config import MASTER, Calibrations, DeviceConfig, ProcedureSettings
 from ronna_hw.devices.lifecycle import Identity, Lifecycle
 from ronna_hw.tool_record import ToolRecord
+from ronna_hw.vectors import JointVector
 
 
 class DeviceIdentity(Values):
@@ -70,8 +71,8 @@ class CheckedSetUp(StepResult, kind="set_up", version=2):
     flange: str = Field(description="Name of the flange that the tools are mounted on.")
     cell: CollisionConfig = Field(description="The bodies around the arm, with those of the tools.")
     settings: ProcedureSettings = Field(description="Settings and assumptions of the procedure.")
-    home_rad: Numbers6 = Field(description="Measured joints of the arm at the start, where it also parks.")
-    assistant_home_rad: Numbers6 | None = Field(
+    home_rad: JointVector = Field(description="Measured joints of the arm at the start, where it also parks.")
+    assistant_home_rad: JointVector | None = Field(
         default=None, description="The same for the assistant, in a case with two arms."
     )
 

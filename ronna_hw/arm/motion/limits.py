@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import astuple, dataclass, replace
+from dataclasses import astuple, dataclass, fields, replace
 from itertools import chain
 
 from ronna_hw.arm.errors import MOTION_INVALID
@@ -24,6 +24,7 @@ REDUCED_SPEED_MM_S = 250.0  # limit for anything that moves while a person is ne
 REDUCED_SPEED_FRACTION = 0.10  # of the full axis speed
 
 ANY_SPEED_MM_S = 1e6  # faster than any arm, and a number that a record can hold
+PER_AXIS = 3  # the first fields of `MotionLimits`, with a number for each axis
 LIMITS_NUMBERS = 26  # in a row of `MotionLimits.as_numbers`
 
 
@@ -53,8 +54,11 @@ class MotionLimits:
     @classmethod
     def from_numbers(cls, numbers: Sequence[float]) -> MotionLimits:
         """Restore the limits from a row produced by `as_numbers`."""
-        speed, acceleration, jerk = (joint_vector(numbers[first : first + 6]) for first in (0, 6, 12))
-        return cls(speed, acceleration, jerk, *numbers[18:])
+        axes = (len(numbers) - len(fields(cls)) + PER_AXIS) // PER_AXIS
+        speed, acceleration, jerk = (
+            joint_vector(numbers[number * axes : (number + 1) * axes]) for number in range(PER_AXIS)
+        )
+        return cls(speed, acceleration, jerk, *numbers[PER_AXIS * axes :])
 
     def ranges(
         self, arm: JointRanges, start_rad: Sequence[float] | None = None

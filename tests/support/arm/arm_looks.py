@@ -73,7 +73,7 @@ class LookingArm:
                 )
             except LimitError:
                 continue
-            flanks = flanks_of(0 if same_side else number)
+            flanks = flanks_of(0 if same_side else number, len(joints))
             seen = self.true_tool(joints, flanks, number).inv().apply(places[sphere])
             seen = seen + generator.normal(0.0, STEREO_SIGMA_MM, 3)
             found.append(
