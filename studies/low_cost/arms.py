@@ -19,7 +19,7 @@ from ronna_hw.arm.universal_robots.geometry import DIMENSIONS
 from ronna_hw.clock import Clock, open_clock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.readings import ArmReading, Stamp, Validity
-from ronna_hw.devices.robot import RobotArm
+from ronna_hw.devices.robot import JointMove, RobotArm
 from ronna_hw.host.child_process import ChildProcess, command
 from ronna_hw.host.network import own_address
 from ronna_hw.registry import make_device
@@ -41,9 +41,7 @@ START_LIMIT_S, SILENCE_LIMIT_S, HEARTBEAT_LIMIT_S = 60.0, 30.0, 30.0
 class PositionedArm(Protocol):
     """Part of `RobotArm` that the experiment uses."""
 
-    def move_joints(
-        self, target_rad: JointVector, *, speed_fraction: float = 1.0, timeout_s: float = 60.0
-    ) -> ArmReading:
+    def move(self, motion: JointMove, *, timeout_s: float = 60.0) -> ArmReading:
         """Move all joints together to rest at the target and return the settled reading."""
         ...
 
@@ -72,10 +70,9 @@ class InstantArm:
         self._joints_rad = joint_vector(np.radians(truth.home_deg))
         self._publish()
 
-    def move_joints(
-        self, target_rad: JointVector, *, speed_fraction: float = 1.0, timeout_s: float = 60.0
-    ) -> ArmReading:
-        del speed_fraction, timeout_s
+    def move(self, motion: JointMove, *, timeout_s: float = 60.0) -> ArmReading:
+        del timeout_s
+        target_rad = motion.target_rad
         moved = np.sign(np.subtract(target_rad, self._joints_rad))
         self._flanks = joint_vector(np.where(moved == 0.0, self._flanks, moved))
         self._joints_rad = target_rad
@@ -102,10 +99,8 @@ class DrivenArm:
         """Kinematics that the controller states: as the factory measured this arm."""
         return self._arm.kinematics
 
-    def move_joints(
-        self, target_rad: JointVector, *, speed_fraction: float = 1.0, timeout_s: float = 60.0
-    ) -> ArmReading:
-        self._arm.move_joints(target_rad, speed_fraction=speed_fraction, timeout_s=timeout_s)
+    def move(self, motion: JointMove, *, timeout_s: float = 60.0) -> ArmReading:
+        self._arm.move(motion, timeout_s=timeout_s)
         self._clock.sleep(SETTLING_S)
         return self._arm.read_state()
 

@@ -20,6 +20,7 @@ from ronna_hw.arm.monitor import SPEED_MARGIN
 from ronna_hw.arm.motion.limits import WORKING_SPEED_FRACTION
 from ronna_hw.arm_stream.records import Choice
 from ronna_hw.devices import Lifecycle
+from ronna_hw.devices.robot import JointMove
 from ronna_hw.errors import RonnaError
 
 CYCLE_S = 0.004
@@ -112,7 +113,7 @@ def test_the_first_telegram_after_the_report_is_answered_by_a_stop_and_the_arm_r
     start = arm.read_state().joints_rad
     witness = Witness(cell, tap, arm, case)
     with pytest.raises(RonnaError) as caught:
-        arm.move_joints((start[0] + AWAY_RAD, *start[1:]))
+        arm.move(JointMove((start[0] + AWAY_RAD, *start[1:])))
     assert witness.heard
     assert caught.value.code == case.code
     assert case.words in str(caught.value)

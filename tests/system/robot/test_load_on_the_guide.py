@@ -19,6 +19,7 @@ from ronna_hw.clock import open_clock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.axis_loads import AxisLoads
 from ronna_hw.devices.readings import Validity
+from ronna_hw.devices.robot import JointMove
 from ronna_hw.host.child_process import ChildProcess, command
 from ronna_hw.host.network import own_address, own_udp_endpoint
 from ronna_hw.vectors import Vector3, joint_vector
@@ -76,11 +77,11 @@ class Room:
         world.mount_tool(world.scene.mount.tool_number_guide)
         self.home = arm.read_state().joints_rad
         self.references = [self.stop_at(number) for number in range(1, REFERENCES + 1)]
-        arm.move_joints(self.home)
+        arm.move(JointMove(self.home))
 
     def stop_at(self, number: int) -> Standstill:
         ways = np.random.default_rng(number).uniform(-1.0, 1.0, 6)
-        self._arm.move_joints(joint_vector(np.array(self.home) + AWAY_RAD * ways))
+        self._arm.move(JointMove(joint_vector(np.array(self.home) + AWAY_RAD * ways)))
         return self.standstill()
 
     def standstill(self) -> Standstill:

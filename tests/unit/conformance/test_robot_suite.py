@@ -72,10 +72,10 @@ def spoilt_reading(change: Callable[[ArmReading], ArmReading]) -> Callable[..., 
 
 
 def other_motion(change: Callable[[Motion], Motion]) -> Callable[..., ArmReading]:
-    def drive(self: IdealArm, call: str, motion: Motion) -> ArmReading:
-        return IdealArm.drive(self, call, change(motion))
+    def move(self: IdealArm, motion: Motion, *, timeout_s: float = 60.0) -> ArmReading:
+        return IdealArm.move(self, change(motion))
 
-    return drive
+    return move
 
 
 def not_quite(motion: Motion) -> Motion:
