@@ -29,7 +29,7 @@ from ronna_hw.clock import HostClock
 from ronna_hw.config import ASSISTANT, MASTER, Calibrations, DeviceConfig
 from ronna_hw.devices import LineMove
 from ronna_hw.frames import FRAME_MISMATCH, Frame, Transform
-from sim.world.scene.assistant import KR6_HOME_DEG
+from sim.world.scene.arm_design import KR6
 
 CLOCK = HostClock()
 BALL_MM = (0.0, 0.0, 160.0)
@@ -153,7 +153,7 @@ def test_an_instrument_that_would_stand_in_the_arm_itself_is_not_clear_at_rest(
     assistant: Assistant, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(IdealArm, "kinematics", find_arm("kr6_r900_sixx").kinematics)
-    home_rad = tuple(map(radians, KR6_HOME_DEG))
+    home_rad = tuple(map(radians, KR6.assistant_home_deg))
     turned_rad = (*home_rad[:-1], radians(60.0))
     assistant.surround(Surroundings(), home_rad)
     assert assistant.rests_clear(home_rad, 0.0)
