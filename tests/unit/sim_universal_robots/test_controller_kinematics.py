@@ -24,7 +24,7 @@ POSTURES = np.random.default_rng(4).uniform(-pi, pi, (50, 6)).tolist()
 
 @pytest.mark.parametrize("arm", MODELS)
 def test_the_flange_is_where_the_drivers_have_it(arm: str) -> None:
-    ours, theirs = Kinematics(MODELS[arm]), universal_robot(arm.value)
+    ours, theirs = Kinematics(MODELS[arm]), universal_robot(arm)
     for joints in POSTURES:
         frame, pose = ours.flange(joints), theirs.forward(joint_vector(joints))
         assert [1000.0 * value for value in frame[9:]] == pytest.approx(pose.position_mm, abs=1e-9)

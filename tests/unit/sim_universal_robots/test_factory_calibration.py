@@ -26,7 +26,7 @@ NO_FLANK = (0.0,) * 6
 
 @cache
 def scene_of(arm: str) -> Scene:
-    return draw_scene("bench", seed=3, arm=ArmChoice(arm.value))
+    return draw_scene("bench", seed=3, arm=ArmChoice(arm))
 
 
 def chain(arm: str, kind: factory_calibration.FactoryCalibration) -> Kinematics:

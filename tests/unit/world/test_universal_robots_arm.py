@@ -58,7 +58,7 @@ def sagging(model: str) -> ArmTruth:
     link = {"translation_mm": (0.0, 0.0, 0.0), "rotation_rad": (0.0, 0.0, 0.0)}
     errors = ("joint_offset_rad", "harmonic_1_rad", "harmonic_2_rad", "backlash_rad")
     values = drawn.model_dump() | dict.fromkeys(errors, NO_ERROR)
-    return ArmTruth(**values | {"variant": model.value, "links": (link,) * 6, "sag_rad": (1e-3, 1e-3)})
+    return ArmTruth(**values | {"variant": model, "links": (link,) * 6, "sag_rad": (1e-3, 1e-3)})
 
 
 @pytest.mark.parametrize("model", [UR5, UR5E])
@@ -81,7 +81,7 @@ def test_an_upright_arm_does_not_sag(model: str) -> None:
 @pytest.mark.parametrize("model", [UR5, UR5E])
 def test_the_body_that_hides_things_is_where_the_driver_keeps_clear_of_things(model: str) -> None:
     scene = draw_scene("mini", seed=3)
-    scene = scene.model_copy(update={"arm": scene.arm.model_copy(update={"variant": model.value})})
+    scene = scene.model_copy(update={"arm": scene.arm.model_copy(update={"variant": model})})
     joints = (0.4, -1.2, -1.4, 0.3, 0.9, -0.6)
     segments, flange = universal_robot(model).link_segments(joints)
     pose = np.vstack([np.c_[np.reshape(flange.rotation, (3, 3)), flange.position_mm], [0.0, 0.0, 0.0, 1.0]])
