@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from procedures.calibration.guide_load import Standstill
-from ronna_hw.arm.catalogue import find_arm
+from ronna_hw.arm.load_model import LoadModel
 from ronna_hw.devices import RobotArm
 from ronna_hw.devices.axis_loads import LOAD_CYCLES, AxisLoads, TellsLoads
 from ronna_hw.devices.readings import Validity
@@ -20,9 +20,8 @@ def read_axis_loads(
     return arm.read_loads(cycles, since_rest=since_rest) if isinstance(arm, TellsLoads) else None
 
 
-def as_standstill(loads: AxisLoads | None, model_name: str, tool: str) -> Standstill | None:
+def as_standstill(loads: AxisLoads | None, model: LoadModel | None, tool: str) -> Standstill | None:
     """Return what the estimate needs, or None without fresh signals or assumptions on this model of arm."""
-    model = find_arm(model_name).load
     if loads is None or model is None or loads.validity is not Validity.OK:
         return None
     signal = loads.current_percent or loads.current_A

@@ -67,5 +67,7 @@ def _read(workcell: Workcell) -> Standstill | None:
     if not workcell.master.streaming:
         return None
     return as_standstill(
-        workcell.master.read_load(CYCLES), workcell.master.arm.kinematics.name, str(workcell.master.tool)
+        workcell.master.read_load(CYCLES),
+        find_arm(workcell.master.arm.kinematics.name).load,
+        str(workcell.master.tool),
     )

@@ -85,7 +85,7 @@ class Room:
         return self.standstill()
 
     def standstill(self) -> Standstill:
-        found = as_standstill(read_axis_loads(self._arm), self._arm.kinematics.name, "guide")
+        found = as_standstill(read_axis_loads(self._arm), find_arm(self._arm.kinematics.name).load, "guide")
         assert found is not None
         return found
 
