@@ -22,8 +22,8 @@ import tomli_w
 import typer
 
 from procedures.strategies.catalogue import STRATEGIES
+from ronna_hw.arm.catalogue import ArmChoice
 from ronna_hw.host.child_process import command, run_command
-from sim.world.options import ArmChoice
 from sim.world.scene.model import SEATING_ERROR_MM
 from sim.world.scene.named_scenes import draw_scene
 

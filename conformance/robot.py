@@ -105,7 +105,7 @@ def early_calls_are_refused(dut: DeviceUnderTest) -> None:
         connected=("activate",),
     )
     here = arm.read_state().joints_rad
-    refused(lambda: arm.move_joints(here), StateError, "move_joints while connected")
+    refused(lambda: arm.move(JointMove(here)), StateError, "move while connected")
 
 
 @SUITE.case("R04", "the axes can be read before the stream starts, and are plausible")
@@ -169,7 +169,7 @@ def speed_fraction_is_checked(dut: DeviceUnderTest) -> None:
     arm, here = active_arm(dut)
     for fraction in (0.0, -0.5, 1.5, math.nan):
         refused(
-            lambda fraction=fraction: arm.move_joints(here, speed_fraction=fraction),  # type: ignore[misc]
+            lambda fraction=fraction: arm.move(JointMove(here, speed_fraction=fraction)),  # type: ignore[misc]
             RonnaError,
             f"a speed fraction of {fraction}",
         )
@@ -181,7 +181,7 @@ def stop_and_start_again(dut: DeviceUnderTest) -> None:
     before = arm.read_state().joints_rad
     arm.deactivate()
     check(arm.state is Lifecycle.CONFIGURED, "state configured", arm.state)
-    refused(lambda: arm.move_joints(before), StateError, "move_joints after deactivate")
+    refused(lambda: arm.move(JointMove(before)), StateError, "move after deactivate")
     arm.activate()
     dut.clock.sleep(HOLDING_S)
     check_standstill(arm.read_state(), before)
@@ -191,7 +191,7 @@ def stop_and_start_again(dut: DeviceUnderTest) -> None:
 def small_joint_move(dut: DeviceUnderTest) -> None:
     arm, start = active_arm(dut)
     for target in (turn_last_axis(start, SMALL_TURN_RAD), start):
-        reading: ArmReading = arm.move_joints(target, speed_fraction=SLOW)
+        reading: ArmReading = arm.move(JointMove(target, speed_fraction=SLOW))
         missed = axis_distance_rad(reading.joints_rad, target)
         check(missed < REACHED_RAD, "the target", f"{degrees(missed):.4f} deg off")
         check(not reading.moving, "an arm at rest")
@@ -202,7 +202,7 @@ def small_line(dut: DeviceUnderTest) -> None:
     arm, start = active_arm(dut)
     here: Transform = arm.kinematics.flange_pose(start)
     for target in (here.displace((0.0, 0.0, SMALL_LINE_MM)), here):
-        reading: ArmReading = arm.move_linear(target, speed_fraction=SLOW)
+        reading: ArmReading = arm.move(LineMove(target, speed_fraction=SLOW))
         reached: Transform = arm.kinematics.flange_pose(reading.joints_rad)
         missed_mm = math.dist(reached.translation_mm, target.translation_mm)
         check(missed_mm < REACHED_MM, "the target", f"{missed_mm:.4f} mm off")
@@ -213,7 +213,7 @@ def small_line(dut: DeviceUnderTest) -> None:
 def target_out_of_range(dut: DeviceUnderTest) -> None:
     arm, here = active_arm(dut)
     outside = (*here[:-1], arm.kinematics.upper_rad[-1] + SMALL_TURN_RAD)
-    refused(lambda: arm.move_joints(outside), LimitError, "a target out of range")
+    refused(lambda: arm.move(JointMove(outside)), LimitError, "a target out of range")
     check(arm.state is Lifecycle.ACTIVE, "state active", arm.state)
     check_standstill(arm.read_state(), here)
 
@@ -224,14 +224,14 @@ def hold_comes_to_rest(dut: DeviceUnderTest) -> None:
     ends = _stop_midway(dut, arm, start, StopKind.HOLD)
     check(any(isinstance(error, StateError) for error in ends), "a motion that says it was stopped", ends)
     check(arm.state is Lifecycle.HOLD, "state hold", arm.state)
-    refused(lambda: arm.move_joints(start), StateError, "move_joints in hold")
+    refused(lambda: arm.move(JointMove(start)), StateError, "move in hold")
     held = arm.read_state().commanded_rad
     arm.resume()
     check(arm.state is Lifecycle.ACTIVE, "state active", arm.state)
     check(arm.read_state().commanded_rad == held, "an arm that stays where it was held")
     target = turn_last_axis(start, STOPPED_TURN_RAD)
     check(axis_distance_rad(held, target) > SMALL_TURN_RAD, "an arm stopped before its target")
-    arm.move_joints(start, speed_fraction=SLOW)
+    arm.move(JointMove(start, speed_fraction=SLOW))
 
 
 @SUITE.case("R15", "a protective stop is latched; recover clears it without motion", needs=(MOTION,))
@@ -241,11 +241,11 @@ def protective_stop_is_latched(dut: DeviceUnderTest) -> None:
     check(bool(ends), "a motion that says it was stopped")
     check(arm.state is Lifecycle.FAULT, "state fault", arm.state)
     check(observe(arm, Lifecycle.FAULT).fault is not None, "the fault observed")
-    refused(lambda: arm.move_joints(start), StateError, "move_joints in fault")
+    refused(lambda: arm.move(JointMove(start)), StateError, "move in fault")
     arm.recover("conformance suite")
     check(arm.state is Lifecycle.CONFIGURED, "state configured", arm.state)
     arm.activate()
-    arm.move_joints(start, speed_fraction=SLOW)
+    arm.move(JointMove(start, speed_fraction=SLOW))
 
 
 SUITE.case("R16", "closing ends in bounded time, is final and may be repeated")(
@@ -287,7 +287,7 @@ def frames_of_a_line_are_checked(dut: DeviceUnderTest) -> None:
         (here @ tool, tool.inverse()),
     ):
         line = LineMove(target, flange_from_tool)
-        for call in (partial(line.drive, arm), partial(arm.preview, line)):
+        for call in (partial(arm.move, line), partial(arm.preview, line)):
             refused(call, FRAME_MISMATCH, f"a line to {target.target} <- {target.source}")
     check(arm.state is Lifecycle.ACTIVE, "state active", arm.state)
     check_standstill(arm.read_state(), before)
@@ -304,7 +304,7 @@ def line_is_the_tools(dut: DeviceUnderTest) -> None:
         # The tool point stays in place while the hand turns about it.
         seen = []
         with ThreadPoolExecutor(1) as pool:
-            moving = pool.submit(arm.move_linear, target, flange_from_tool=tool, speed_fraction=SLOW)
+            moving = pool.submit(arm.move, LineMove(target, tool, SLOW))
             while not moving.done():
                 seen.append(arm.read_state().commanded_rad)
                 dut.clock.sleep(HOLDING_S / 20)
@@ -337,7 +337,7 @@ def exception_stops_the_arm(dut: DeviceUnderTest) -> None:
     dut.clock.sleep(HOLDING_S)
     check_standstill(arm.read_state(), rest.joints_rad)
     with arm.active():
-        arm.move_joints(start, speed_fraction=SLOW)
+        arm.move(JointMove(start, speed_fraction=SLOW))
 
 
 @SUITE.case("R27", "the arm states its limits for every operating mode")
@@ -394,7 +394,7 @@ def start_moving(
 
     def move() -> None:
         try:
-            arm.move_joints(turn_last_axis(start, STOPPED_TURN_RAD), speed_fraction=SLOW)
+            arm.move(JointMove(turn_last_axis(start, STOPPED_TURN_RAD), speed_fraction=SLOW))
         except RonnaError as error:
             ends.append(error)
 

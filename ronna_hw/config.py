@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal, NamedTuple, Self
 
 from pydantic import AfterValidator, Field, PrivateAttr, ValidationError, field_validator, model_validator
 
-from ronna_hw.arm.catalogue import BUILT_IN
+from ronna_hw.arm.catalogue import ARMS
 from ronna_hw.bounded_input import read_toml
 from ronna_hw.calibration import (
     ArmCalibration,
@@ -135,7 +135,7 @@ def closest_to_flange_mm(flange_from_tool: PoseRecord, bore: GuideBore | None = 
     return math.dist(tip_mm, [up_mm * along for along in axis])
 
 
-SLIMMEST_HAND_MM = min(arm.radii.hand_mm for arm in BUILT_IN.values())
+SLIMMEST_HAND_MM = min(arm.kinematics.radii.hand_mm for arm in ARMS.values())
 HOLDER_FRAME = "calibration.assistant_holder.frame"
 NEAREST_PLACE_MM = 10.0  # from an arm's origin: nothing stands inside its base, and its reach is below 10 m
 FARTHEST_APPROACH_MM = 500.0  # as the longest guide

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 GROUP = "ronna_hw.runs"
 READER = "run_folder"  # name of the entry point
-AXES = {2: "xy", 3: "xyz", 4: "wxyz", 6: ("A1", "A2", "A3", "A4", "A5", "A6")}  # names in a pandas column
+AXES = {2: "xy", 3: "xyz", 4: "wxyz"}  # names in a pandas column; more numbers are those of joints
 QUATERNION = "wxyz"  # unit in the name of one, which names its axes already
 
 
@@ -72,7 +72,8 @@ class Column:
             return [self.name]
         stem, _, unit = self.name.rpartition("_")
         tail = "" if unit == QUATERNION else f"_{unit}"
-        return [f"{stem}_{''.join(axes)}{tail}" for axes in itertools.product(*(AXES[n] for n in self.size))]
+        names = (AXES.get(n) or [f"A{axis}" for axis in range(1, n + 1)] for n in self.size)
+        return [f"{stem}_{''.join(axes)}{tail}" for axes in itertools.product(*names)]
 
 
 class RunTable(np.recarray[Any, np.dtype[np.void]]):

@@ -4,7 +4,7 @@ from collections.abc import Iterable
 
 Vector3 = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]  # scalar first, unit
-JointVector = tuple[float, float, float, float, float, float]  # from the base outwards, radians
+JointVector = tuple[float, ...]  # one number per joint, from the base outwards; angles in radians
 
 
 def vector3(values: Iterable[float]) -> Vector3:
@@ -14,6 +14,5 @@ def vector3(values: Iterable[float]) -> Vector3:
 
 
 def joint_vector(values: Iterable[float]) -> JointVector:
-    """Convert to a tuple of six numbers, from the base outwards; raises ValueError for another count."""
-    a, b, c, d, e, f = values
-    return (a, b, c, d, e, f)
+    """Convert to a tuple of numbers, one per joint from the base outwards."""
+    return tuple(values)

@@ -20,6 +20,7 @@ from statistics import median
 from benchmarks.figures import Figure, compare_samples, family_cpu_s, process_cpu_s, run_contest
 from benchmarks.robot.robot_cell import ControllerProbe, RobotCell, bare_telegram, peer
 from ronna_hw.arm_stream.records import RecordedCycle
+from ronna_hw.devices.robot import JointMove
 from ronna_hw.vectors import JointVector
 
 ETHERNET_FILE = (
@@ -89,7 +90,7 @@ def _measure_lock_step(measure: str, rounds: int) -> list[Figure]:
             nonlocal cycles_seen
             before = {name: process_cpu_s(pid) for name, pid in pids.items()}
             cycles, began = cell.arm.link_statistics().cycles, time.perf_counter()
-            cell.arm.move_joints(ends[0])
+            cell.arm.move(JointMove(ends[0]))
             ends.reverse()
             elapsed = time.perf_counter() - began
             cycles = cell.arm.link_statistics().cycles - cycles

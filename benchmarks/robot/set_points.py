@@ -12,7 +12,7 @@ from ruckig import InputParameter, OutputParameter, Result, Ruckig
 from benchmarks.figures import Figure, compare_samples, measure_cpu_s, run_contest
 from ronna_hw.arm.clearance.bodies import Surroundings
 from ronna_hw.arm.clearance.sweep import sweep_path
-from ronna_hw.arm.kr6_r900 import ArmVariant, kr6_r900
+from ronna_hw.arm.kr6_r900 import SIXX, kr6_r900
 from ronna_hw.arm.motion.limits import working_limits
 from ronna_hw.arm.motion.planning import MotionPlan, plan_joint_move, plan_line
 from ronna_hw.arm.pose import Pose, radians6
@@ -36,7 +36,7 @@ BARE = "bare 6-axis step of ruckig"
 
 
 def measure(smallest: bool = False) -> list[Figure]:
-    model = kr6_r900(ArmVariant.SIXX)
+    model = kr6_r900(SIXX)
     limits = working_limits(model)
     here = model.forward(START)
     x, y, z = here.position_mm
@@ -68,11 +68,11 @@ def _surroundings(flange: Pose) -> Surroundings:
 
 
 def _slow_down(plan: MotionPlan, around: Surroundings) -> MotionPlan:
-    return with_speed_steps(plan, sweep_path(kr6_r900(ArmVariant.SIXX), plan, around), inf)
+    return with_speed_steps(plan, sweep_path(kr6_r900(SIXX), plan, around), inf)
 
 
 def _measure_cycle_s(plan: MotionPlan | None, around: Surroundings | None = None) -> float:
-    model = kr6_r900(ArmVariant.SIXX)
+    model = kr6_r900(SIXX)
     points = SetPoints(model, working_limits(model), CYCLE_S, START)
     if plan is not None:
         points.start(plan, 1.0, around)
@@ -89,7 +89,7 @@ def _measure_cycle_s(plan: MotionPlan | None, around: Surroundings | None = None
 
 
 def _measure_bare_s() -> float:
-    model = kr6_r900(ArmVariant.SIXX)
+    model = kr6_r900(SIXX)
     limits = working_limits(model)
     generator, target, found = Ruckig(6, CYCLE_S), InputParameter(6), OutputParameter(6)
     target.current_position, target.target_position = list(START), list(AWAY)

@@ -31,6 +31,7 @@ from drivers.universal_robots.realtime.packages import (
     TARGET,
     TIMESTAMP,
 )
+from ronna_hw.arm.catalogue import ArmChoice
 from ronna_hw.arm_stream.options import FOREMOST_PRIORITY
 from ronna_hw.clock import open_clock
 from ronna_hw.config import DeviceConfig
@@ -48,7 +49,6 @@ from ronna_hw.wire.universal_robots import (
     SafetyMode,
     ScriptState,
 )
-from sim.world.options import ArmChoice
 from sim.world.scene.named_scenes import draw_scene
 from sim.world.world import World
 

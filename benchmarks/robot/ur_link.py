@@ -20,6 +20,7 @@ from benchmarks.robot.robot_cell import peer
 from benchmarks.robot.robot_link import rate_in_motion
 from benchmarks.robot.ur_cell import CYCLE_S, ControllerStandIn, UrCell
 from ronna_hw.arm.pose import Pose
+from ronna_hw.devices.robot import JointMove, LineMove
 from ronna_hw.frames import Transform
 from ronna_hw.vectors import JointVector
 
@@ -96,7 +97,7 @@ def _measure_lock_step(size: Size) -> list[Figure]:
             nonlocal cycles
             before, count = {name: process_cpu_s(pid) for name, pid in pids.items()}, link.state.cycles
             for end in ends:
-                arm.move_joints(end)
+                arm.move(JointMove(end))
             cycles += link.state.cycles - count
             for who, pid in pids.items():
                 spent[who] += process_cpu_s(pid) - before[who]
@@ -104,7 +105,7 @@ def _measure_lock_step(size: Size) -> list[Figure]:
 
         def line() -> float:
             for end in line_ends:
-                arm.move_linear(end)
+                arm.move(LineMove(end))
             return rate_in_motion(link.recorded_cycles())
 
         def exchange(stand_in: ControllerStandIn) -> float:

@@ -75,7 +75,8 @@ class TrueHead:
         """
         record = self.record.flange_from_tool
         nominal = look.pose.as_matrix() @ inverse(matrix_of(record))
-        joints, true = JOINTS, nominal.copy()
+        joints: JointVector = JOINTS
+        true = nominal.copy()
         if self.with_arm:
             joints, true = self._with_its_arm(nominal)
         true[:3, 3] += generator.normal(0.0, self.repeatability_mm, 3)

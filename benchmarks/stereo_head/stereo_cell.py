@@ -37,6 +37,7 @@ from ronna_hw.clock import HostClock
 from ronna_hw.config import parse_theatre
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import AreaOfInterest, CameraImage, Stamp, StereoReading, Validity
+from ronna_hw.devices.robot import JointMove, Motion
 from ronna_hw.errors import RonnaError
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.vectors import JointVector
@@ -104,7 +105,16 @@ class CellArm:
     def read_tool_identity(self, timeout_s: float = 1.0) -> SimpleNamespace:
         return SimpleNamespace(number=STEREO_HEAD_NUMBER)
 
-    def move_joints(self, target_rad: JointVector, **_more: Any) -> SimpleNamespace:
+    def move(self, motion: Motion, **_more: Any) -> SimpleNamespace:
+        target_rad = (
+            motion.target_rad
+            if isinstance(motion, JointMove)
+            else self.kinematics.solve_branch(
+                Pose.from_transform(motion.target),
+                self.kinematics.branch_of(self.joints_rad),
+                self.joints_rad,
+            )
+        )
         travels_rad = [new - old for new, old in zip(target_rad, self.joints_rad, strict=True)]
         self.flanks = [
             float(np.sign(travel_rad)) if travel_rad else flank
@@ -114,13 +124,6 @@ class CellArm:
         flange = self.truth.at_rest(target_rad, self.flanks, self.motions)
         self.world.publish_arm(ArmState(target_rad, flange, self.motions, True))
         return self.read_state()
-
-    def move_linear(self, target: Transform, **_more: Any) -> SimpleNamespace:
-        return self.move_joints(
-            self.kinematics.solve_branch(
-                Pose.from_transform(target), self.kinematics.branch_of(self.joints_rad), self.joints_rad
-            )
-        )
 
 
 class CellStereo:
@@ -249,7 +252,7 @@ class StereoCell:
         return not StereoSight.of(self._calibration).unmet([visit], self.centres_mm)
 
     def _move_tool(self, tool: Array) -> None:
-        self.arm.move_joints(self._solve_joints(tool))
+        self.arm.move(JointMove(self._solve_joints(tool)))
 
     def _solve_joints(self, tool: Array) -> JointVector:
         flange = Pose.from_transform(_as_transform(tool) @ self._tool_in_flange.inverse())

@@ -27,7 +27,7 @@ from conformance.kuka.client import (
     idle_controller,
     stream,
 )
-from ronna_hw.arm.kr6_r900 import ArmVariant, kr6_r900
+from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.arm.pose import Pose, radians6
 from ronna_hw.wire.kuka_context import SendElement
 
@@ -226,7 +226,7 @@ def pose_agrees_with_axes(line: RsiLine) -> None:
     state = line.eki.state()
     if state.get("Base") != "0":
         raise NotShown("a base is active")
-    model = kr6_r900(ArmVariant(state.get("Variant", "")))
+    model = kr6_r900(state.get("Variant", ""))
     axes, tool = telegram.values("AIPos"), telegram.values("RIst")
     flange = model.forward(radians6(*(axes[name] for name in AXES)))
     pose = Pose.from_kuka(*(tool[name] for name in ("X", "Y", "Z", "A", "B", "C")))

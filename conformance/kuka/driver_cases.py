@@ -20,6 +20,7 @@ from conformance.kuka.client import AXES, IPOC
 from conformance.kuka.tap import PiecewiseLine, RsiTap, Traffic, wait_for
 from conformance.robot import SLOW, SMALL_TURN_RAD, start_moving, turn_last_axis
 from ronna_hw.devices.lifecycle import Lifecycle
+from ronna_hw.devices.robot import JointMove
 from ronna_hw.endpoints import parse_endpoint
 from ronna_hw.errors import RonnaError
 from ronna_hw.host.network import own_udp_endpoint
@@ -144,7 +145,7 @@ def steps_are_small(dut: DeviceUnderTest) -> None:
         start: JointVector = arm.read_state().commanded_rad
         tap.take_traffic()
         for target in (turn_last_axis(start, SMALL_TURN_RAD), start):
-            arm.move_joints(target, speed_fraction=SLOW)
+            arm.move(JointMove(target, speed_fraction=SLOW))
         replies = [read_corrections(reply) for reply in tap.take_traffic().replies]
         cycle_s = load_context().program.cycle_ms / 1000.0
         limits = [
@@ -193,7 +194,7 @@ def motion_ends_with_silence(dut: DeviceUnderTest) -> None:
         check(len(set(later)) <= 1, "a constant correction from then on", later)
         arm.recover("conformance suite", LIMIT_S)
         arm.activate(LIMIT_S)
-        arm.move_joints(start, speed_fraction=SLOW)
+        arm.move(JointMove(start, speed_fraction=SLOW))
 
 
 @case("L31", "late cycles by D and our own turnaround are reported")

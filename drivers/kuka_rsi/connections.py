@@ -12,6 +12,7 @@ from drivers.kuka_rsi.fault_errors import RsiFaults
 from drivers.kuka_rsi.link import start_link
 from drivers.kuka_rsi.options import ROLES, KukaOptions
 from drivers.kuka_rsi.realtime.settings import AXIS_NAMES, LinkSettings
+from ronna_hw.arm.catalogue import KUKA
 from ronna_hw.arm.motion.limits import MotionLimits
 from ronna_hw.arm_stream.connections import SHORTEST_TRY_S, StreamConnections, remaining_s
 from ronna_hw.arm_stream.errors import CommandRefused
@@ -152,7 +153,7 @@ class Connections(StreamConnections[ControllerState, EkiClient]):
         )
         model, serial = state.variant or "unknown", state.serial or ""
         # EKI does not carry the software version of the controller.
-        return Identity("KUKA", model, serial, firmware="", details=details)
+        return Identity(KUKA, model, serial, firmware="", details=details)
 
 
 def link_settings(rsi: Endpoint, context: RsiContext, options: KukaOptions) -> LinkSettings:
@@ -160,7 +161,7 @@ def link_settings(rsi: Endpoint, context: RsiContext, options: KukaOptions) -> L
     return LinkSettings(
         host=rsi.host,
         port=rsi.port,
-        variant=options.variant.value,
+        variant=options.variant,
         cycle_ms=context.program.cycle_ms,
         sentype=context.ethernet.sentype,
         send_tags=tuple(e.tag for e in context.all_send),

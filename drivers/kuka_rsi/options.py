@@ -12,8 +12,10 @@ from pydantic import AfterValidator, Field
 from drivers.kuka_rsi.errors import BAD_OPTIONS, CONTEXT_UNUSABLE
 from drivers.kuka_rsi.realtime.settings import AXIS_NAMES
 from drivers.theatre_options import parse_options
-from ronna_hw.arm.kr6_r900 import ArmVariant
+from ronna_hw.arm.catalogue import KUKA
+from ronna_hw.arm.kr6_r900 import SIXX
 from ronna_hw.arm.motion.limits import WORKING_SPEED_FRACTION
+from ronna_hw.arm.name_field import arm_of
 from ronna_hw.arm_stream.options import SETTLE_TOLERANCE, SPEED_FRACTION, StreamOptions
 from ronna_hw.config import Role
 from ronna_hw.wire.kuka_context import SOFTWARE_END_SWITCHES, RsiContext, load_context
@@ -37,7 +39,9 @@ ControllerHost = Annotated[str, AfterValidator(lambda text: str(IPv4Address(text
 class KukaOptions(StreamOptions):
     """Arm options: table `[robot.<name>.options]`, with host times and fractions of full axis speed."""
 
-    variant: ArmVariant = Field(ArmVariant.SIXX, description="Variant of the arm, as on its name plate.")
+    variant: Annotated[str, arm_of(KUKA)] = Field(
+        SIXX, description="Variant of the arm, as on its name plate."
+    )
     context: Path | None = Field(
         None, description="Description of another RSI context, in the format of the built-in one."
     )
@@ -67,7 +71,7 @@ def load_usable_context(device: str, options: KukaOptions) -> RsiContext:
         program = context.program.model_copy(update={"cycle_ms": options.cycle_ms})
         context = context.model_copy(update={"program": program})
     reasons = list(find_objections(context))
-    if context.program.variant != options.variant.value:
+    if context.program.variant != options.variant:
         reasons.append(f"its program is for {context.program.variant}, option variant is {options.variant}")
     if reasons:
         source = options.context or "our own"

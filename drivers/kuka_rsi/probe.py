@@ -14,7 +14,8 @@ from drivers.kuka_rsi.arm import KukaRsiArm
 from drivers.kuka_rsi.eki.client import EkiClient
 from drivers.kuka_rsi.options import EXAMPLE_CONTROLLER, KukaOptions
 from drivers.kuka_rsi.realtime.sockets import bind
-from ronna_hw.arm.kr6_r900 import ArmVariant
+from ronna_hw.arm.catalogue import ARMS, KUKA
+from ronna_hw.arm.kr6_r900 import SIXX
 from ronna_hw.arm_stream.errors import ControllerNotFound, MalformedMessage, NoAnswer
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.probing import (
@@ -125,8 +126,8 @@ def _make_proposal(controller: Endpoint, stream: str) -> Proposal:
     try:
         with contextlib.closing(EkiClient(controller.host, controller.port, CONNECT_LIMIT_S)) as eki:
             state = eki.status(CONNECT_LIMIT_S)
-        known = {each.value for each in ArmVariant}
-        variant = state.variant if state.variant in known else None
+        known = {arm.reported_as: arm.name for arm in ARMS.values() if arm.make == KUKA}
+        variant = known.get(state.variant or "")
         what = f"a controller of {state.variant or 'an arm that it does not identify'}, in mode {state.mode}"
         remarks = (STREAM,) if variant else remarks
     except (ControllerNotFound, NoAnswer, MalformedMessage) as error:
@@ -143,4 +144,4 @@ def _endpoints(controller: str, stream: str) -> dict[str, str]:
 
 
 def _options(variant: str | None = None) -> tuple[Option, ...]:
-    return describe_options(KukaOptions, {"variant": variant or ArmVariant.SIXX.value})
+    return describe_options(KukaOptions, {"variant": variant or SIXX})

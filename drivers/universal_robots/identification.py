@@ -8,38 +8,37 @@ from drivers.universal_robots.errors import (
     WRONG_ARM,
     WRONG_VERSION,
 )
+from drivers.universal_robots.generations import GENERATIONS, arm_of_version
 from drivers.universal_robots.options import UrOptions
 from drivers.universal_robots.primary.packages import KinematicsInfo
 from drivers.universal_robots.rtde import Version
-from ronna_hw.arm.universal_robots import UrModel, universal_robot
+from ronna_hw.arm.catalogue import UNIVERSAL_ROBOTS, find_arm
+from ronna_hw.arm.universal_robots import universal_robot
 from ronna_hw.arm.universal_robots.factory_calibration import FactoryCalibration
 from ronna_hw.devices.lifecycle import Identity
-from ronna_hw.wire.universal_robots_services import ARM_TYPE
 
-MAJOR_VERSION = {UrModel.UR5: 3, UrModel.UR5E: 5}
-GENERATIONS = {UrModel.UR5: "a CB3 controller", UrModel.UR5E: "an e-Series controller"}
-LEAST_MINOR = {UrModel.UR5: 9, UrModel.UR5E: 6}  # registers 24 to 47; remote control
 CALIBRATION = "calibration"  # among the details of an identity
 
 
 def require_version(name: str, options: UrOptions, version: Version) -> None:
     """Raise URD-004 for software that lacks what the stream needs."""
-    major, least = MAJOR_VERSION[options.model], LEAST_MINOR[options.model]
-    if version.major == major and version.minor < least:
+    generation = GENERATIONS[options.model]
+    if version.major == generation.major and version.minor < generation.least_minor:
         raise WRONG_VERSION(
             f"{name}: the controller's software is too old",
-            expected=f"{major}.{least} or newer",
+            expected=f"{generation.major}.{generation.least_minor} or newer",
             got=str(version),
         )
 
 
 def require_arm(name: str, options: UrOptions, model: str, serial: str, version: Version) -> None:
     """Raise URD-003 for another model or serial number; `model` is the dashboard's word."""
-    if model != ARM_TYPE or version.major != MAJOR_VERSION[options.model]:
+    reported_as = find_arm(options.model).reported_as
+    if model != reported_as or version.major != GENERATIONS[options.model].major:
         raise WRONG_ARM(
             f"{name}: the controller drives another arm",
             expected=f"option model, {options.model}",
-            got=_arm_text(model, version),
+            got=_arm_text(model, version, reported_as),
         )
     if options.serial and serial != options.serial:
         raise WRONG_ARM(
@@ -52,8 +51,7 @@ def require_arm(name: str, options: UrOptions, model: str, serial: str, version:
 def identity_of(options: UrOptions, serial: str, version: Version, info: KinematicsInfo) -> Identity:
     """Return the identity of arm, controller and factory calibration."""
     details = ((CALIBRATION, info.fingerprint), ("cycle_ms", f"{options.cycle_s * 1e3:g}"))
-    model_name = universal_robot(options.model).name
-    return Identity("Universal Robots", model_name, serial, str(version), details)
+    return Identity(UNIVERSAL_ROBOTS, options.model, serial, str(version), details)
 
 
 def require_same(name: str, first: Identity | None, found: Identity) -> None:
@@ -85,12 +83,12 @@ def _describe(identity: Identity) -> str:
     return f"{identity.serial}, software {identity.firmware}, calibration {calibration}"
 
 
-def _arm_text(model: str, version: Version) -> str:
+def _arm_text(model: str, version: Version, reported_as: str) -> str:
     """Say which arm the controller drives, and how that is known."""
-    found = next((m for m, major in MAJOR_VERSION.items() if major == version.major), None)
-    if model != ARM_TYPE or found is None:
+    found = arm_of_version(version.major)
+    if model != reported_as or found is None:
         return f"{model}, software {version}"
     return (
-        f"{found}: the dashboard calls both generations {ARM_TYPE}, and software {version} is that of "
-        f"{GENERATIONS[found]}"
+        f"{found}: the dashboard calls both generations {reported_as}, and software {version} is that of "
+        f"{GENERATIONS[found].text}"
     )

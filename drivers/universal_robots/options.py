@@ -8,9 +8,12 @@ from pydantic import Field
 
 from drivers.theatre_options import parse_options
 from drivers.universal_robots.errors import BAD_OPTIONS
+from drivers.universal_robots.generations import GENERATIONS
 from drivers.universal_robots.realtime.settings import LinkSettings
+from ronna_hw.arm.catalogue import UNIVERSAL_ROBOTS
 from ronna_hw.arm.motion.limits import WORKING_SPEED_FRACTION
-from ronna_hw.arm.universal_robots import UrModel, universal_robot
+from ronna_hw.arm.name_field import arm_of
+from ronna_hw.arm.universal_robots import UR5E, universal_robot
 from ronna_hw.arm_stream.options import (
     REHEARSAL_LEAD,
     REHEARSAL_LEAD_US,
@@ -22,7 +25,6 @@ from ronna_hw.config import Role
 from ronna_hw.wire import universal_robots as wire
 from ronna_hw.wire.universal_robots import ScriptSettings
 
-CYCLE_S = {UrModel.UR5: 0.008, UrModel.UR5E: 0.002}  # of the controller: CB3, e-Series
 SETTLE_TOLERANCE_DEG = 0.0008  # of servoj at rest (U); a tenth of what 0.1 mm of repeatability means
 # Safety against a late or missing set-point (U).
 LARGEST_SPEED_FRACTION = 0.25  # a late set-point makes one step of twice that, half of what the script takes
@@ -62,8 +64,8 @@ DigitalInput = Annotated[int, Field(ge=0, le=LAST_DIGITAL_INPUT)]
 class UrOptions(StreamOptions):
     """Arm options: table `[robot.<name>.options]`, with host times and fractions of full joint speed."""
 
-    model: Annotated[UrModel, Field(strict=False)] = Field(
-        UrModel.UR5E, description="Model of the arm, ur5 or ur5e; the controller must agree."
+    model: Annotated[str, arm_of(UNIVERSAL_ROBOTS)] = Field(
+        UR5E, description="Model of the arm, ur5 or ur5e; the controller must agree."
     )
     serial: str = Field("", description="Expected serial number of the arm; empty: any.")
     calibration: str = Field(
@@ -124,7 +126,7 @@ class UrOptions(StreamOptions):
     @property
     def cycle_s(self) -> float:
         """Cycle of the controller."""
-        return CYCLE_S[self.model]
+        return GENERATIONS[self.model].cycle_s
 
 
 def read_options(device: str, options: dict[str, Any]) -> UrOptions:
@@ -149,7 +151,7 @@ def link_settings(options: UrOptions, handover_fd: int, calibration: tuple[float
     """Return the settings of a real-time process that this one starts."""
     return LinkSettings(
         handover_fd=handover_fd,
-        model=options.model.value,
+        model=options.model,
         cycle_s=options.cycle_s,
         starved_cycles=script_settings(options).STARVED_CYCLES,
         calibration=calibration,

@@ -8,8 +8,8 @@ from collections.abc import Callable
 
 from drivers.universal_robots.dashboard import DashboardClient, is_accepted
 from drivers.universal_robots.errors import LOCAL_MODE, NOT_POWERED, PROTECTIVELY_STOPPED
+from drivers.universal_robots.generations import GENERATIONS
 from drivers.universal_robots.safety import NORMAL_MODES, RESTART_MODES, safety_refusal
-from ronna_hw.arm.universal_robots import UrModel
 from ronna_hw.arm_stream.connections import remaining_s
 from ronna_hw.arm_stream.errors import MalformedMessage, NoAnswer
 from ronna_hw.clock import Clock, passing
@@ -27,16 +27,15 @@ ASK_LIMIT_S = 1.0
 class PowerAndSafety:
     """Switching an arm on and off, and releasing its stops; nothing here moves it."""
 
-    def __init__(
-        self, name: str, model: UrModel, clock: Clock, dashboard: Callable[[], DashboardClient]
-    ) -> None:
+    def __init__(self, name: str, model: str, clock: Clock, dashboard: Callable[[], DashboardClient]) -> None:
         """`dashboard` returns the open connection, or raises URD-002."""
         self._name, self._model, self._clock, self._dashboard = name, model, clock, dashboard
         self._goes_off = False  # on our order, until the robot mode says so
 
     def is_remote(self, timeout_s: float) -> bool | None:
         """Return whether the controller is in remote control; None for CB3, which has no such mode."""
-        return None if self._model is UrModel.UR5 else self._dashboard().is_remote(timeout_s)
+        has_one = GENERATIONS[self._model].has_remote_control
+        return self._dashboard().is_remote(timeout_s) if has_one else None
 
     def acknowledge(self, person: str, deadline: float) -> None:
         """End any program and release what a person has to release; moves nothing.

@@ -7,11 +7,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from drivers.universal_robots.arm import UniversalRobotsArm
-from drivers.universal_robots.identification import CALIBRATION, MAJOR_VERSION
+from drivers.universal_robots.generations import arm_of_version
+from drivers.universal_robots.identification import CALIBRATION
 from drivers.universal_robots.options import EXAMPLE_HOST, ROLES, UrOptions
 from drivers.universal_robots.rtde import RtdeSetup
 from drivers.universal_robots.services import SERVICES, identify_service
-from ronna_hw.arm.universal_robots import UrModel
+from ronna_hw.arm.universal_robots import UR5E
 from ronna_hw.arm_stream.errors import ControllerNotFound
 from ronna_hw.clock import HostClock
 from ronna_hw.config import DeviceConfig
@@ -94,7 +95,7 @@ def _make_proposal(host: str) -> Proposal:
     remarks: tuple[str, ...] = (MODEL,)
     try:
         model = _read_model(host)
-        chosen["model"] = model.value
+        chosen["model"] = model
         config = DeviceConfig(driver=DRIVER, endpoints=endpoints, options=dict(chosen))
         with contextlib.closing(UniversalRobotsArm("found", config, HostClock())) as arm:
             identity = arm.connect(CONNECT_LIMIT_S)
@@ -108,11 +109,11 @@ def _make_proposal(host: str) -> Proposal:
     return Proposal(DRIVER, what, endpoints, _options(chosen), remarks, absent)
 
 
-def _read_model(host: str) -> UrModel:
+def _read_model(host: str) -> str:
     """Return the model that the controller's generation drives; what it is not, the driver refuses."""
     with contextlib.closing(RtdeSetup(host, PORTS["rtde"], CONNECT_LIMIT_S)) as rtde:
         major = rtde.read_version().major
-    return next((model for model, one in MAJOR_VERSION.items() if one == major), UrModel.UR5E)
+    return arm_of_version(major) or UR5E
 
 
 def _endpoints(host: str) -> dict[str, str]:
@@ -120,4 +121,4 @@ def _endpoints(host: str) -> dict[str, str]:
 
 
 def _options(chosen: Mapping[str, Any]) -> tuple[Option, ...]:
-    return describe_options(UrOptions, {"model": UrModel.UR5E.value, **chosen})
+    return describe_options(UrOptions, {"model": UR5E, **chosen})

@@ -27,7 +27,7 @@ from procedures.calibration.pose_set import (
     require_spread,
     rms_mm,
 )
-from ronna_hw.arm.catalogue import find_kinematics
+from ronna_hw.arm.catalogue import find_arm
 from ronna_hw.arm.pose import Pose
 from ronna_hw.calibrated_arm.deviations import ArmDeviations
 from ronna_hw.calibration import ArmCalibration, StereoHeadCalibration, ToolTipCalibration
@@ -80,7 +80,7 @@ def calibrate_arm(observed: ArmLooks, *, life: timedelta = LIFE) -> ArmResult:
     usable = [one for one in observed.looks if one.sphere in identified]
     looks = arrays_of(usable)
     held_out = np.array([one.validation for one in usable], dtype=bool)
-    fit = identify(ArmModel(find_kinematics(observed.arm), before), looks.only(~held_out))
+    fit = identify(ArmModel(find_arm(observed.arm).kinematics, before), looks.only(~held_out))
     validation = validate(fit, looks.only(held_out))
     after = fit.flange_from_tool
     tip = None if observed.tool_tip is None else move_tip(observed.tool_tip, before, after)

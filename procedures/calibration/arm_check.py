@@ -15,7 +15,7 @@ from procedures.calibration.arm_sources import ArmPoses, arm_sources
 from procedures.calibration.errors import ARM_CHANGED, NO_ARM_RECORD
 from procedures.calibration.pose_set import require_count
 from procedures.registration.target_prediction import SharedErrors
-from ronna_hw.arm.catalogue import find_kinematics
+from ronna_hw.arm.catalogue import find_arm
 from ronna_hw.arm.kinematics import Chain
 from ronna_hw.calibrated_arm.deviations import ArmDeviations, flange_poses
 from ronna_hw.calibrated_arm.error_budget import ErrorSizes
@@ -69,7 +69,7 @@ def check_arm(observed: ArmLooks) -> ArmCheck:
     The spheres' positions need not be known.
     """
     record = require_record(observed.arm_record)
-    looks, kinematics = arrays_of(observed.looks), find_kinematics(observed.arm)
+    looks, kinematics = arrays_of(observed.looks), find_arm(observed.arm).kinematics
     count = len(looks.joints_rad)
     require_count(count, LEAST_VALIDATION, "too few measurements to check the arm")
     spheres = looks.spheres

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from procedures.calibration.observations import Joints, Measurements
+from procedures.calibration.observations import Measurements
 from ronna_hw.arm.kinematics import Kinematics
 from ronna_hw.calibrated_arm.deviations import ArmDeviations, flange_poses, flange_rotations, gravity_levers
 from ronna_hw.calibrated_arm.error_budget import (
@@ -40,12 +40,13 @@ from ronna_hw.calibration import (
     ToolTipCalibration,
 )
 from ronna_hw.frames import Frame, Transform
+from ronna_hw.vectors import JointVector
 
 Array = NDArray[np.float64]
 
 LOOKS_FILE = "looks.json"
 Side = Literal[-1, 1]
-Flanks = tuple[Side, Side, Side, Side, Side, Side]
+Flanks = tuple[Side, ...]
 
 TOOL_RAD = math.radians(0.5)  # a machined mount
 TOOL = 6
@@ -60,7 +61,7 @@ class SphereLook(Strict):
     """One measurement of a sphere."""
 
     sphere: Annotated[int, Field(ge=0)] = Field(description="Number of the sphere.")
-    joints_rad: Joints = Field(description="Measured joints, from the base outwards.")
+    joints_rad: JointVector = Field(description="Measured joints, from the base outwards.")
     flanks: Flanks = Field(description="Direction from which each joint arrived.")
     point_mm: Numbers3 = Field(description="The sphere in the tool frame of the record in use.")
     covariance_mm2: tuple[Numbers3, Numbers3, Numbers3] = Field(description="Covariance of that point.")

@@ -24,7 +24,7 @@ from procedures.calibration.errors import FAR_FROM_RECORD, TOO_FEW_POSES, TRACKE
 from procedures.calibration.hand_eye import HandEye, PosePairs, misses_of, slopes_of, solve
 from procedures.calibration.head_calibration import LIFE, new_identifier
 from procedures.calibration.head_model import pose_record
-from procedures.calibration.observations import Joints, Measurements
+from procedures.calibration.observations import Measurements
 from procedures.calibration.pose_set import (
     PlannedLook,
     choose_held_out,
@@ -44,6 +44,7 @@ from ronna_hw.calibration import (
 )
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.text import format_against_limit, format_distinct
+from ronna_hw.vectors import JointVector
 
 Array = NDArray[np.float64]
 
@@ -72,7 +73,7 @@ class FrameLook(Strict):
     """Stationary pose, and the tracker's mean measurement there."""
 
     use: Annotated[Use, Field(strict=False)] = Field(description="Purpose of the measurement.")
-    joints_rad: Joints = Field(description="Measured joints, from the base outwards.")
+    joints_rad: JointVector = Field(description="Measured joints, from the base outwards.")
     robot_from_flange: PoseRecord = Field(
         description="Pose robot <- flange, from the arm's record or nominal."
     )

@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from ronna_hw.arm.kinematics import Chain, Kinematics
-from ronna_hw.calibrated_arm.load_model import LoadModel
+from ronna_hw.arm.load_model import LoadModel
 from ronna_hw.vectors import JointVector, Vector3
 
 Array = NDArray[np.float64]

@@ -27,7 +27,7 @@ from procedures.calibration.head_model import (
 )
 from procedures.calibration.observations import ObservationSet, identifier_suffix
 from procedures.calibration.pose_set import rms_mm
-from ronna_hw.arm.catalogue import find_kinematics
+from ronna_hw.arm.catalogue import find_arm
 from ronna_hw.calibration import StereoHeadCalibration, ToolTipCalibration
 from ronna_hw.frames import Frame, Transform
 
@@ -82,7 +82,7 @@ def calibrate_head(
     fit = fit_bundle(
         observed.observations,
         before,
-        arm=find_kinematics(observed.arm_variant).chain if arm_geometry else None,
+        arm=find_arm(observed.arm_variant).kinematics.chain if arm_geometry else None,
     )
     flange_from_tool, misfit = _fit_tool_frame(before, fit.cameras)
     left, right = fit.cameras

@@ -19,6 +19,7 @@ from ronna_hw.config import Calibrations
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.mistakes import describe_mistakes
 from ronna_hw.text import format_count
+from ronna_hw.vectors import JointVector
 
 SAME = 1e-6  # in any unit: more than writing a number changes, far below the error of any calibration
 NOT_MEASURED = {"created", "expires", "made_by"}
@@ -26,7 +27,6 @@ NOT_MEASURED = {"created", "expires", "made_by"}
 OBSERVATIONS_FILE = "observations.json"
 Positive = Annotated[float, Field(gt=0)]
 Pixels = tuple[float, float]
-Joints = tuple[float, float, float, float, float, float]  # from the base outwards
 S = TypeVar("S", bound=Strict)
 
 
@@ -123,7 +123,7 @@ class Observation(Strict):
     `orientation` is the number of a self-check orientation; None for views used only for calibration.
     """
 
-    joints_rad: Joints = Field(description="Measured joints, from the base outwards.")
+    joints_rad: JointVector = Field(description="Measured joints, from the base outwards.")
     robot_from_flange: PoseRecord = Field(description="Nominal pose robot <- flange at these joints.")
     left: Outline = Field(description="In the left image.")
     right: Outline = Field(description="In the right image.")

@@ -34,7 +34,7 @@ from procedures.calibration.errors import (
 )
 from procedures.calibration.head_calibration import LIFE, new_identifier
 from procedures.calibration.head_model import pose_record
-from procedures.calibration.observations import Joints, Measurements
+from procedures.calibration.observations import Measurements
 from procedures.calibration.pose_set import require_count, require_spread, rms_mm
 from ronna_hw.calibration import (
     ArmCalibration,
@@ -47,6 +47,7 @@ from ronna_hw.calibration import (
 )
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.text import format_against_limit, format_distinct
+from ronna_hw.vectors import JointVector
 
 Array = NDArray[np.float64]
 
@@ -73,7 +74,7 @@ FAR_MM = 10.0  # no guide deviates this much from its drawing
 class BallLook(Strict):
     """The stereo head's view of the ball in one orientation."""
 
-    joints_rad: Joints = Field(description="Measured joints, from the base outwards.")
+    joints_rad: JointVector = Field(description="Measured joints, from the base outwards.")
     robot_from_flange: PoseRecord = Field(
         description="Pose robot <- flange, from the arm's record or nominal."
     )
@@ -84,7 +85,7 @@ class DivotReading(Strict):
     """Dial reading with the guide's tip in the divot, in the same orientation as a view of the ball."""
 
     look: int = Field(ge=0, description="Number of that measurement.")
-    joints_rad: Joints = Field(description="Measured joints, from the base outwards.")
+    joints_rad: JointVector = Field(description="Measured joints, from the base outwards.")
     robot_from_flange: PoseRecord = Field(
         description="Pose robot <- flange, from the arm's record or nominal."
     )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Mapping
 from types import TracebackType
-from typing import TYPE_CHECKING, Self, cast
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
@@ -35,7 +35,6 @@ from ronna_hw.devices.readings import ArmReading, StampedReading
 from ronna_hw.devices.sensors import VolumeSections, measuring_volume_mm
 from ronna_hw.errors import RonnaError
 from ronna_hw.frames import Frame
-from ronna_hw.vectors import JointVector
 
 if TYPE_CHECKING:
     from procedures.engine.engine import Engine
@@ -124,7 +123,7 @@ class BodyView:
         """
         if pose.arm != self._workcell.master.name:
             return pose
-        bodies, joints_rad = self._current(), cast("JointVector", pose.joints_rad)
+        bodies, joints_rad = self._current(), pose.joints_rad
         places = tuple(_round_points(*segment) for segment in PlacedBodies(bodies, joints_rad))
         changes: dict[str, tuple[object, ...]] = {"bodies_mm": places}
         if (

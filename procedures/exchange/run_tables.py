@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +31,7 @@ from ronna_hw.loaded_run import Column, RunTable
 
 Array = NDArray[np.float64]
 NOWHERE = (math.nan,) * 3
-UNKNOWN_JOINTS = (math.nan,) * 6
+AXES = 6  # of an arm of which no joints are known
 UNKNOWN_COVARIANCE = (NOWHERE,) * 3
 
 TARGETS = (
@@ -78,7 +79,7 @@ LOCALIZED = (
     Column("residual_mm", float, "last residual of the servo"),
     Column("ray_gap_mm", float, "between the two lines of sight"),
     Column("looks", int, "image pairs taken"),
-    Column("joints_rad", float, "measured at the last image pair", (6,)),
+    Column("joints_rad", float, "measured at the last image pair", (AXES,)),
 )
 REGISTRATIONS = (
     Column("record", str, "its record in the run folder"),
@@ -103,9 +104,9 @@ MOTIONS = (
     Column("kind", str, "such as `go`, `line`, `insert`, `home`"),
     Column("begin_s", float, "theatre time of its journal line"),
     Column("end_s", float, "theatre time at rest; NaN if the journal ends before"),
-    Column("goal_rad", float, "commanded joints; NaN for a straight line", (6,)),
+    Column("goal_rad", float, "commanded joints; NaN for a straight line", (AXES,)),
     Column("goal_robot_mm", float, "end of a straight line, origin of the tool frame; else NaN", (3,)),
-    Column("joints_rad", float, "measured at rest; NaN if the motion failed", (6,)),
+    Column("joints_rad", float, "measured at rest; NaN if the motion failed", (AXES,)),
     Column("error", str, "code of the error that ended it"),
 )
 EVENTS = (
@@ -194,7 +195,7 @@ def localized_table(run: RunFolder) -> RunTable:
                     *(one.looks[index], one.joints_rad[index]),
                 )
             )
-    return RunTable.of(LOCALIZED, rows)
+    return RunTable.of(_with_axes(LOCALIZED, len(rows[0][-1]) if rows else AXES), rows)
 
 
 def _find_total_covariances_mm2(run: RunFolder) -> dict[tuple[str, int], Any]:
@@ -255,12 +256,16 @@ def motions_table(journal: Sequence[Line]) -> RunTable:
     """Return one row per motion of an arm."""
     rows: list[list[Any]] = []
     step = ""
+    moved = [line for line in journal if line["entry"] in (Entry.MOTION, Entry.MOVED)]
+    goals: list[Any] = [line[field] for line in moved for field in ("to", "joints_rad") if field in line]
+    axes = max((len(goal) for goal in goals if len(goal) != len(NOWHERE)), default=AXES)
+    unknown = (math.nan,) * axes
     for line in journal:
         if line["entry"] in (Entry.INTENT, Entry.HOME):
             step = str(line.get("step", ""))
         elif line["entry"] == Entry.MOTION:
             goal: Any = line["to"]
-            in_joints = len(goal) == len(UNKNOWN_JOINTS)
+            in_joints = len(goal) != len(NOWHERE)
             rows.append(
                 [
                     *(
@@ -271,18 +276,30 @@ def motions_table(journal: Sequence[Line]) -> RunTable:
                         theatre_time_s(line),
                         math.nan,
                     ),
-                    *(tuple(goal) if in_joints else UNKNOWN_JOINTS, NOWHERE if in_joints else tuple(goal)),
-                    *(UNKNOWN_JOINTS, ""),
+                    *(
+                        (*goal, *unknown[len(goal) :]) if in_joints else unknown,
+                        NOWHERE if in_joints else tuple(goal),
+                    ),
+                    *(unknown, ""),
                 ]
             )
         elif line["entry"] == Entry.MOVED:
-            joints: Any = line.get("joints_rad", UNKNOWN_JOINTS)
+            joints: Any = line.get("joints_rad", unknown)
             begun = next(
                 (row for row in reversed(rows) if row[:2] == [line["number"], line.get("arm", "")]), None
             )
             if begun is not None:
-                begun[5], begun[8], begun[9] = theatre_time_s(line), tuple(joints), line.get("error", "")
-    return RunTable.of(MOTIONS, rows)
+                begun[5], begun[8], begun[9] = (
+                    theatre_time_s(line),
+                    (*joints, *unknown[len(joints) :]),
+                    line.get("error", ""),
+                )
+    return RunTable.of(_with_axes(MOTIONS, axes), rows)
+
+
+def _with_axes(columns: tuple[Column, ...], axes: int) -> tuple[Column, ...]:
+    """Give joints as many numbers as the arms of a run have axes."""
+    return tuple(replace(one, size=(axes,)) if one.size == (AXES,) else one for one in columns)
 
 
 def events_table(folder: Path) -> RunTable:

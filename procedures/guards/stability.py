@@ -17,7 +17,7 @@ from pydantic import Field
 
 from procedures.journal.journal import Entry, Line, theatre_time_s
 from procedures.journal.results import Values
-from ronna_hw.arm.catalogue import repeatability_mm
+from ronna_hw.arm.catalogue import find_arm
 
 # On its gauge; beyond it, the guide is not as it was when its tip was calibrated. For an arm that repeats
 # within `REPEATABLE_MM` per axis; one that repeats less well shows less.
@@ -61,7 +61,7 @@ AT_TARGETS = "at each target, by its lever: the second figure there"
 
 def guide_noticeable_mm(arm: str) -> float:
     """Return the displacement of the guide from which on its gauge shows it, with this model of arm."""
-    return GUIDE_NOTICEABLE_MM * max(1.0, repeatability_mm(arm) / REPEATABLE_MM)
+    return GUIDE_NOTICEABLE_MM * max(1.0, find_arm(arm).repeatability_mm / REPEATABLE_MM)
 
 
 def guide_unnoticed_mm(arm: str) -> float:

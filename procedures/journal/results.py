@@ -15,7 +15,6 @@ from ronna_hw.calibration import Numbers3, Numbers4
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.roles import ONE_ARM, TWO_ARMS
 
-Numbers6 = tuple[float, float, float, float, float, float]
 Matrix3 = tuple[Numbers3, Numbers3, Numbers3]
 
 

@@ -15,11 +15,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from procedures.relocalization.errors import BAD_MEASUREMENT, SERVO_DIVERGES, SERVO_EXHAUSTED, SphereNotInView
+from ronna_hw.arm.catalogue import find_arm
 from ronna_hw.frames import FRAME_MISMATCH, Frame, Transform
 
 Array = NDArray[np.float64]
 
-KR6_SCATTER_MM = 0.015  # per axis, at rest
+KR6_SCATTER_MM = find_arm("kr6_r900_sixx").repeatability_mm
 RINGS = 3
 RING_STEP_MM = 5.0
 SEARCH_RADIUS_MM = RINGS * RING_STEP_MM

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from procedures.engine.methods import CaseMethods
 from procedures.strategies.names import DEFAULT_STRATEGY
+from ronna_hw.arm.catalogue import ArmChoice
 from ronna_hw.bounded_input import InputRefused, parse_json, read_json_bytes, read_toml
 from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.roles import ONE_ARM
@@ -28,7 +29,7 @@ PATIENT_SCENES = ("default", "mini")  # of the scenes that ronna-sim knows, thos
 LARGEST_SEED = 65535  # more cases than any study runs, and short enough to be read aloud
 
 FREE = "free"  # screws of their own
-DEFAULT_ARM = "kr6"
+DEFAULT_ARM = ArmChoice.KR6.value
 
 
 @dataclass(frozen=True)

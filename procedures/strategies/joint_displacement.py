@@ -29,12 +29,13 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from procedures.strategies.errors import NoNearbyJoints
-from procedures.strategies.strategy import OUTWARDS_RAD, ArmInBranch, Joints
+from procedures.strategies.strategy import OUTWARDS_RAD, ArmInBranch
 from procedures.strategies.trajectory import Trajectory, target_pose, tool_pose
 from ronna_hw.arm.kinematics import Kinematics
 from ronna_hw.calibrated_arm.error_budget import displacements
 from ronna_hw.errors import LimitError
 from ronna_hw.frames import Transform
+from ronna_hw.vectors import JointVector, joint_vector
 
 Array = NDArray[np.float64]
 
@@ -48,8 +49,8 @@ MOST_TURNS = 8  # four or five is usual
 
 
 def least_displacement(
-    kinematics: Kinematics, tool_origin_mm: ArrayLike, start_rad: Joints, point_mm: ArrayLike
-) -> Joints:
+    kinematics: Kinematics, tool_origin_mm: ArrayLike, start_rad: JointVector, point_mm: ArrayLike
+) -> JointVector:
     """Find the joints nearest to `start_rad` that bring the tool origin to a point (3,) mm, robot frame.
 
     `tool_origin_mm` (3,) is in the flange. Minimises |q - q0| subject to p(q) = point, by sequential
@@ -61,7 +62,7 @@ def least_displacement(
     start = np.asarray(start_rad)
     joints = start
     for _ in range(MOST_STEPS):
-        position, jacobian = _tool_origin(kinematics, _as_joints(joints), tool)
+        position, jacobian = _tool_origin(kinematics, joint_vector(joints.tolist()), tool)
         wanted = point - position + jacobian @ (joints - start)
         try:
             next_joints = start + jacobian.T @ np.linalg.solve(jacobian @ jacobian.T, wanted)
@@ -70,24 +71,19 @@ def least_displacement(
         step = float(np.abs(next_joints - joints).max())
         joints = next_joints
         if step < CONVERGED_RAD:
-            return _as_joints(joints)
+            return joint_vector(joints.tolist())
         if not step < np.pi:  # also catches NaN
             break
     where = ", ".join(f"{value:.0f}" for value in point)
     raise NoNearbyJoints(f"no joint angles near those at the target bring the tool to ({where}) mm")
 
 
-def _tool_origin(kinematics: Kinematics, joints_rad: Joints, tool_mm: Array) -> tuple[Array, Array]:
+def _tool_origin(kinematics: Kinematics, joints_rad: JointVector, tool_mm: Array) -> tuple[Array, Array]:
     """Return the tool origin (3,) mm in the robot frame, and its Jacobian (3, n) mm per rad."""
     flange = kinematics.forward(joints_rad)
     arm = np.reshape(flange.rotation, (3, 3)) @ tool_mm
     jacobian = kinematics.jacobian(joints_rad)
     return np.add(flange.position_mm, arm), jacobian[:3] + np.cross(jacobian[3:], arm, axis=0)
-
-
-def _as_joints(joints: Array) -> Joints:
-    a, b, c, d, e, f = joints.tolist()
-    return a, b, c, d, e, f
 
 
 @dataclass(frozen=True)
@@ -132,7 +128,7 @@ class JointDisplacementMinimization:
 
 def solve_joints(
     along: Trajectory, fiducials_mm: ArrayLike, robot_from_ct: Transform, arm: ArmInBranch
-) -> tuple[Joints, tuple[Joints, ...]]:
+) -> tuple[JointVector, tuple[JointVector, ...]]:
     """Return the joints at the target and at each fiducial, rad."""
     at_target = arm.guide_joints(target_pose(along, robot_from_ct))
     points = robot_from_ct.apply(np.asarray(fiducials_mm, dtype=float).reshape(-1, 3))
@@ -157,7 +153,7 @@ class ImprovedDisplacementMinimization(JointDisplacementMinimization):
         return tuple(arm.stereo_pose(_find_nearest_joints(arm, start, wanted)) for start in at_fiducials)
 
 
-def _find_nearest_joints(arm: ArmInBranch, start_rad: Joints, wanted: Array) -> Joints:
+def _find_nearest_joints(arm: ArmInBranch, start_rad: JointVector, wanted: Array) -> JointVector:
     """Find joints with the tool origin of `start_rad` and error displacements nearest to `wanted`."""
     pose = arm.stereo_pose(start_rad)
     place = pose.translation_mm
@@ -188,7 +184,7 @@ def _find_nearest_joints(arm: ArmInBranch, start_rad: Joints, wanted: Array) -> 
     return joints
 
 
-def _error_displacements(arm: ArmInBranch, joints_rad: list[Joints], place_mm: Array) -> Array:
+def _error_displacements(arm: ArmInBranch, joints_rad: list[JointVector], place_mm: Array) -> Array:
     """Return displacements (p, 3 k) mm of a tool point (3,) mm due to one sigma of each error."""
     places = np.tile(place_mm, (len(joints_rad), 1))
     rotations = np.array([arm.stereo_pose(joints).rotation_matrix for joints in joints_rad])

@@ -23,8 +23,7 @@ from ronna_hw.arm.kinematics import Branch, Kinematics
 from ronna_hw.arm.pose import Pose
 from ronna_hw.calibrated_arm.error_budget import BACKLASH_RAD, UNCALIBRATED, ErrorSizes
 from ronna_hw.frames import Frame, Transform
-
-Joints = tuple[float, float, float, float, float, float]  # rad
+from ronna_hw.vectors import JointVector, joint_vector
 
 STEP_RAD = math.radians(10.0)
 FURTHEST_RAD = math.radians(90.0)
@@ -59,7 +58,7 @@ class ArmInBranch:
     flange_from_guide: Transform
     flange_from_stereo: Transform
     branch: Branch
-    near_rad: Joints
+    near_rad: JointVector
     sizes: ErrorSizes = UNCALIBRATED
 
     def __post_init__(self) -> None:
@@ -67,17 +66,17 @@ class ArmInBranch:
         require_frames(self.flange_from_guide, Frame.FLANGE, Frame.TOOL)
         require_frames(self.flange_from_stereo, Frame.FLANGE, Frame.TOOL)
 
-    def guide_joints(self, pose: Transform) -> Joints:
+    def guide_joints(self, pose: Transform) -> JointVector:
         """Return the joints that bring the guide to a pose ROBOT <- TOOL. Raises ARM-001 to ARM-003."""
         flange = Pose.from_transform(pose @ self.flange_from_guide.inverse())
         return self.kinematics.solve_branch(flange, self.branch, self.near_rad)
 
-    def stereo_joints(self, pose: Transform) -> Joints:
+    def stereo_joints(self, pose: Transform) -> JointVector:
         """Return the joints that bring the stereo head to a pose ROBOT <- TOOL. Raises ARM-001 to ARM-003."""
         flange = Pose.from_transform(pose @ self.flange_from_stereo.inverse())
         return self.kinematics.solve_branch(flange, self.branch, self.near_rad)
 
-    def stereo_pose(self, joints_rad: Joints) -> Transform:
+    def stereo_pose(self, joints_rad: JointVector) -> Transform:
         """Return the pose ROBOT <- TOOL of the stereo head at these joints."""
         return self.kinematics.flange_pose(joints_rad) @ self.flange_from_stereo
 
@@ -146,7 +145,7 @@ def intermediate_turns_rad(turns_rad: Iterable[float]) -> tuple[float, ...]:
 
 
 def arrival_signs(
-    kinematics: Kinematics, pose: Transform, at_rad: Joints, flange_from_tool: Transform
+    kinematics: Kinematics, pose: Transform, at_rad: JointVector, flange_from_tool: Transform
 ) -> tuple[int, ...]:
     """Return each joint's direction (+1 or -1) on arrival at a pose ROBOT <- TOOL with joints `at_rad`."""
     before = back_along_axis(pose, LAST_STRETCH_MM) @ flange_from_tool.inverse()
@@ -156,7 +155,7 @@ def arrival_signs(
 
 
 def rest_sides(
-    kinematics: Kinematics, pose: Transform, at_rad: Joints, flange_from_tool: Transform, way_mm: float
+    kinematics: Kinematics, pose: Transform, at_rad: JointVector, flange_from_tool: Transform, way_mm: float
 ) -> tuple[int, ...]:
     """Return the side of its backlash on which each joint rests after a line of `way_mm` along the axis.
 
@@ -183,7 +182,6 @@ def _rest_side(rates: NDArray[np.float64], step_mm: float) -> int:
     return 0 if abs(rates[since:].sum()) * step_mm < SURE_RAD else int(signs[-1])
 
 
-def approach_joints(joints_rad: Joints, arriving: Sequence[int]) -> Joints:
+def approach_joints(joints_rad: JointVector, arriving: Sequence[int]) -> JointVector:
     """Return joints slightly before a position, approached in each joint's direction; 0 leaves a joint."""
-    before_rad = [joint - sign * APPROACH_RAD for joint, sign in zip(joints_rad, arriving, strict=True)]
-    return (before_rad[0], before_rad[1], before_rad[2], before_rad[3], before_rad[4], before_rad[5])
+    return joint_vector(joint - sign * APPROACH_RAD for joint, sign in zip(joints_rad, arriving, strict=True))

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from procedures.calibration.guide_load import Standstill
-from ronna_hw.calibrated_arm.load_model import LOAD_MODELS
+from ronna_hw.arm.load_model import LoadModel
 from ronna_hw.devices import RobotArm
 from ronna_hw.devices.axis_loads import LOAD_CYCLES, AxisLoads, TellsLoads
 from ronna_hw.devices.readings import Validity
+from ronna_hw.vectors import joint_vector
 
 
 def read_axis_loads(
@@ -19,15 +20,13 @@ def read_axis_loads(
     return arm.read_loads(cycles, since_rest=since_rest) if isinstance(arm, TellsLoads) else None
 
 
-def as_standstill(loads: AxisLoads | None, model_name: str, tool: str) -> Standstill | None:
+def as_standstill(loads: AxisLoads | None, model: LoadModel | None, tool: str) -> Standstill | None:
     """Return what the estimate needs, or None without fresh signals or assumptions on this model of arm."""
-    model = LOAD_MODELS.get(model_name)
     if loads is None or model is None or loads.validity is not Validity.OK:
         return None
     signal = loads.current_percent or loads.current_A
     if signal is not None and model.subtracts_gravity:
         if (expected := loads.expected_current_A) is None:
             return None
-        a, b, c, d, e, f = (x - y for x, y in zip(signal, expected, strict=True))
-        signal = a, b, c, d, e, f
+        signal = joint_vector(x - y for x, y in zip(signal, expected, strict=True))
     return None if signal is None else Standstill(loads.joints_rad, signal, loads.cycles, tool, loads.force_N)

@@ -159,7 +159,7 @@ class Arms:
         and DUAL-003 if the place or the state of another is unknown. ARM-007 means that another is in the
         way, TOOL-001 that an instrument is in the guide. The arm's own errors pass through.
         """
-        return self._drive_one(role, motion.drive, with_instrument=with_instrument)
+        return self._drive_one(role, _driving(motion), with_instrument=with_instrument)
 
     def insert(self, role: str, insertion: Insertion) -> Inserted:
         """Have one arm insert an instrument while the others rest. Raises as `move`, and as that arm."""
@@ -196,7 +196,7 @@ class Arms:
             resting = [role for role in self.roles if role not in motions]
             for role in motions:
                 self._at_rest_rad = self._surround_with(role, resting)
-            return self._drive({role: motion.drive for role, motion in motions.items()})
+            return self._drive({role: _driving(motion) for role, motion in motions.items()})
 
     def stop(self, reason: str, arm: str = MASTER, kind: StopKind = StopKind.PROTECTIVE) -> None:
         """Bring all arms to rest and hold them there; never raises."""
@@ -401,3 +401,7 @@ class ReplayedArms(Arms):
 def _tell_state(role: str, seen: LastKnown[ArmReading]) -> str:
     why = "" if seen.fault is None else f": {summary_of(seen.fault)}"
     return f"the {role} has gone to {seen.state}{why}"
+
+
+def _driving(motion: Motion) -> Callable[[RobotArm], ArmReading]:
+    return lambda arm: arm.move(motion)

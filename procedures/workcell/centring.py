@@ -17,7 +17,7 @@ from procedures.strategies.trajectory import back_along_axis
 from procedures.workcell.device_views import ArmView
 from procedures.workcell.errors import SPHERE_NOT_FOUND
 from procedures.workcell.stereo_look import Look
-from ronna_hw.arm.catalogue import repeatability_mm
+from ronna_hw.arm.catalogue import find_arm
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.errors import LimitError, RonnaError
 from ronna_hw.frames import Transform
@@ -83,7 +83,7 @@ class Centring:
         workcell.master.line_to(expected)
         self._settle(expected)
         seen, looks = self._first_look(fiducial, expected)
-        exact = ServoSettings.for_arm(repeatability_mm(workcell.master.arm.kinematics.name))
+        exact = ServoSettings.for_arm(find_arm(workcell.master.arm.kinematics.name).repeatability_mm)
         servo = ServoState(exact if self.arriving is not None else WITHIN_BACKLASH)
         while True:
             joints = workcell.master.joints_rad()

@@ -12,7 +12,7 @@ from procedures.journal.journal import Entry
 from procedures.strategies.strategy import Sides
 from procedures.workcell.arm_history import ArmLog, Stop
 from procedures.workcell.errors import INSTRUMENT_IN_GUIDE, SAME_ARM_TWICE, AnotherArm, WrongTool
-from ronna_hw.arm.catalogue import find_kinematics
+from ronna_hw.arm.catalogue import find_arm
 from ronna_hw.arm.kinematics import Kinematics
 from ronna_hw.calibrated_arm.arm import CalibratedArm
 from ronna_hw.calibrated_arm.deviations import ArmDeviations
@@ -96,7 +96,7 @@ def calibrated_arm(
 
     Raises CAL-013 for another arm's record, ARM-009 for an arm whose name is not in the catalogue.
     """
-    find_kinematics(kinematics.name)
+    find_arm(kinematics.name)
     if (record := records.get(role)) is None:
         return CalibratedArm(kinematics)
     if record.arm != kinematics.name or len(record.sag_rad) != len(kinematics.axis_names):

@@ -5,48 +5,120 @@ A driver package with an arm of its own declares, for example::
     [project.entry-points."ronna_hw.arms"]
     tx2 = "my_package.tx2:Tx2"
 
-The class is called without arguments; the result is the arm's `Kinematics`.
+The class is called without arguments; the result is the arm's `ArmDescription`, or its `Kinematics` alone.
 """
 
 from __future__ import annotations
 
-from importlib.metadata import entry_points
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from enum import StrEnum
 
+from ronna_hw.arm import load_model
 from ronna_hw.arm.errors import UnknownArm
 from ronna_hw.arm.kinematics import Kinematics
-from ronna_hw.arm.kr6_r900 import ArmVariant, kr6_r900
-from ronna_hw.arm.universal_robots import UrModel, universal_robot
+from ronna_hw.arm.kr6_r900 import R900_2, SIXX, kr6_r900
+from ronna_hw.arm.load_model import LoadModel
+from ronna_hw.arm.universal_robots import UR5, UR5E, universal_robot
 
 GROUP = "ronna_hw.arms"
-_ARMS: tuple[Kinematics, ...] = (*map(kr6_r900, ArmVariant), *map(universal_robot, UrModel))
-BUILT_IN = {arm.name: arm for arm in _ARMS}
-# Of a pose that is reached again, one standard deviation per axis: half of the 0.03 mm that the vendors
-# publish; for a UR5 it is 0.1 mm by ISO 9283, a mean and three standard deviations of the distance.
+KUKA, UNIVERSAL_ROBOTS = "KUKA", "Universal Robots"  # makes
+
+
+class ArmChoice(StrEnum):
+    """Arm of a simulated theatre, as a command line names it."""
+
+    KR6 = "kr6"
+    UR5 = "ur5"
+    UR5E = "ur5e"
+
+
+@dataclass(frozen=True, kw_only=True)
+class ArmDescription:
+    """Model of an arm and what is known of it. Its axes, home and bodies are those of its `kinematics`."""
+
+    kinematics: Kinematics
+    make: str = ""
+    reported_as: str = ""  # by its controller
+    choice: ArmChoice | None = None  # None: no scene is drawn with it
+    repeatability_mm: float  # of a pose that is reached again, one standard deviation per axis
+    repeatability_source: str
+    load: LoadModel | None = None  # None: no load is estimated from the signals of its controller
+
+    @property
+    def name(self) -> str:
+        """Name of the arm, as used in calibration records."""
+        return self.kinematics.name
+
+
+# Of a pose that is reached again, one standard deviation per axis: of a KR6 and a UR5e, and of a UR5.
 # Safety against a moved head or cart within the arm's own error. Source: data sheets, ISO 9283.
-REPEATABILITY_MM = {**{arm.value: 0.015 for arm in ArmVariant}, "ur5": 0.03, "ur5e": 0.015}
+REPEATABILITY_MM, UR5_REPEATABILITY_MM = 0.015, 0.03
+
+HALF_OF_PUBLISHED = "half of the 0.03 mm that the vendor publishes by ISO 9283 (U)"
+_KR6 = ArmDescription(
+    kinematics=kr6_r900(SIXX),
+    make=KUKA,
+    reported_as=SIXX,  # by our program on the controller
+    choice=ArmChoice.KR6,
+    repeatability_mm=REPEATABILITY_MM,
+    repeatability_source=HALF_OF_PUBLISHED,
+    load=load_model.KR6,
+)
+_UR5E = ArmDescription(
+    kinematics=universal_robot(UR5E),
+    make=UNIVERSAL_ROBOTS,
+    reported_as="UR5",  # by the dashboard of both generations
+    choice=ArmChoice.UR5E,
+    repeatability_mm=REPEATABILITY_MM,
+    repeatability_source=HALF_OF_PUBLISHED,
+    load=load_model.UR5E,
+)
+ARMS: Mapping[str, ArmDescription] = {
+    arm.name: arm
+    for arm in (
+        _KR6,
+        replace(_KR6, kinematics=kr6_r900(R900_2), reported_as=R900_2, choice=None),
+        replace(
+            _UR5E,
+            kinematics=universal_robot(UR5),
+            choice=ArmChoice.UR5,
+            repeatability_mm=UR5_REPEATABILITY_MM,
+            repeatability_source="0.1 mm by ISO 9283: a mean and three standard deviations of the distance",
+            load=load_model.UR5,
+        ),
+        _UR5E,
+    )
+}
 
 
-def find_kinematics(name: str) -> Kinematics:
+def find_arm(name: str) -> ArmDescription:
     """Look up an arm by its `Kinematics.name`. Raises ARM-009 listing the known names."""
-    if name in BUILT_IN:
-        return BUILT_IN[name]
+    if name in ARMS:
+        return ARMS[name]
+    from importlib.metadata import entry_points  # on demand: commands that only list the choices start faster
+
     others = {point.name: point for point in entry_points(group=GROUP)}
     if name not in others:
-        known = ", ".join(sorted([*BUILT_IN, *others]))
+        known = ", ".join(sorted([*ARMS, *others]))
         raise UnknownArm(f"there is no arm named {name!r}", expected=f"one of {known}")
-    arm: Kinematics = others[name].load()()
-    return arm
-
-
-def repeatability_mm(name: str) -> float:
-    """Return the repeatability of an arm, mm per axis; of another one as of the least repeatable here."""
-    return REPEATABILITY_MM.get(name, max(REPEATABILITY_MM.values()))
+    arm: ArmDescription | Kinematics = others[name].load()()
+    return arm if isinstance(arm, ArmDescription) else _describe(arm)
 
 
 def require_known_arm(name: str) -> str:
     """Validate that an arm is known and return its name; raises ValueError listing the known names."""
     try:
-        find_kinematics(name)
+        find_arm(name)
     except UnknownArm as error:
         raise ValueError(error.summary) from error
     return name
+
+
+def _describe(kinematics: Kinematics) -> ArmDescription:
+    """Describe an arm of which a package brings the kinematics alone."""
+    return ArmDescription(
+        kinematics=kinematics,
+        repeatability_mm=max(arm.repeatability_mm for arm in ARMS.values()),
+        repeatability_source="that of the least repeatable arm here, assumed",
+    )

@@ -48,9 +48,8 @@ from ronna_hw.devices.lifecycle import (
     require_person,
 )
 from ronna_hw.devices.readings import ArmReading, LinkStatistics, ToolIdentity, Validity
-from ronna_hw.devices.robot import JointMove, LineMove, Motion, OperatingMode, StopKind
+from ronna_hw.devices.robot import Motion, OperatingMode, StopKind
 from ronna_hw.errors import RonnaError
-from ronna_hw.frames import Transform
 from ronna_hw.vectors import JointVector
 
 TARE_LIMIT_S = 10.0  # host time; the motion is refused if it does not suffice
@@ -316,20 +315,8 @@ class StreamedArm(ABC, Generic[S]):
             link.state, link.mailbox.read_histogram(), link.mailbox.read_jitter_histogram()
         )
 
-    def move_joints(
-        self, target_rad: JointVector, *, speed_fraction: float = 1.0, timeout_s: float = 60.0
-    ) -> ArmReading:
-        return self._move("move_joints", JointMove(target_rad, speed_fraction), timeout_s)
-
-    def move_linear(
-        self,
-        target: Transform,
-        *,
-        flange_from_tool: Transform | None = None,
-        speed_fraction: float = 1.0,
-        timeout_s: float = 60.0,
-    ) -> ArmReading:
-        return self._move("move_linear", LineMove(target, flange_from_tool, speed_fraction), timeout_s)
+    def move(self, motion: Motion, *, timeout_s: float = 60.0) -> ArmReading:
+        return self._move("move", motion, timeout_s)
 
     def insert(self, insertion: Insertion, *, timeout_s: float = 120.0) -> Inserted:
         limit_N = insertion.force_limit_N

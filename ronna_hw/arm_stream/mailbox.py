@@ -14,6 +14,7 @@ from typing import Annotated, Any, NamedTuple
 from ronna_hw.arm.clearance.bodies import Surroundings
 from ronna_hw.arm.errors import SURROUNDINGS_TOO_LARGE
 from ronna_hw.arm_stream.records import (
+    AXES,
     NO_STATE,
     STOP_KIND_BITS,
     CloseStream,
@@ -50,7 +51,7 @@ class CommandHead(NamedTuple):
 
 
 _HEAD = RowCodec(CommandHead)
-_REQUESTS: dict[type[Request], RowCodec[Any]] = {request: RowCodec(request) for request in REQUESTS}
+_REQUESTS: dict[type[Request], RowCodec[Any]] = {request: RowCodec(request, AXES) for request in REQUESTS}
 
 _MAP = MemoryMap(b"RONNAARM")
 _HEARTBEAT = _MAP.word()

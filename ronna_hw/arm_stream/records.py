@@ -21,7 +21,9 @@ NO_DESCRIPTOR = -1
 STOP_KIND_BITS = 3  # lowest bits of the stop word: its kind; above them its number
 STOP_KIND = (1 << STOP_KIND_BITS) - 1
 LOAD_SIGNALS = 15  # currents and expected currents of six axes, force on the tool
-_ZEROS: JointVector = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+AXES = 6  # of the arms whose links these rows are of
+Joints = Annotated[JointVector, f"{AXES}d"]
+_ZEROS: JointVector = (0.0,) * AXES
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -208,9 +210,9 @@ class LinkState:
     foreign: Annotated[int, "Q"] = 0  # from senders other than the controller
     foreign_host: Annotated[str, IPV4_HOST] = ""  # of the last such sender, or the next one; "" for none
     disagreeing: Annotated[int, "Q"] = 0  # reported other axes than expected before the stream began
-    measured_rad: JointVector = _ZEROS
-    commanded_rad: JointVector = _ZEROS
-    base_rad: JointVector = _ZEROS
+    measured_rad: Joints = _ZEROS
+    commanded_rad: Joints = _ZEROS
+    base_rad: Joints = _ZEROS
     violation_kind: Annotated[str, one_of(VIOLATIONS)] = ""
     violation_axis: Annotated[int, "I"] = 0
     violation_value: float = 0.0
@@ -236,6 +238,6 @@ class RecordedCycle(NamedTuple):
     device_clock: Annotated[int, "Q"]
     received_ns: Annotated[int, "q"]
     turnaround_us: float
-    measured_rad: JointVector
-    sent_rad: JointVector
+    measured_rad: Joints
+    sent_rad: Joints
     choice: Annotated[Choice, "B"]

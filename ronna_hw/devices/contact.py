@@ -65,7 +65,7 @@ class InsertsInstruments(Protocol):
         Raises ARM-012 before motion for a target off the axis or a speed above the limit, ARM-013 for a force
         limit that the arm cannot watch, ARM-014 for a force on the tool at the start, and ARM-015 when the
         force limit stopped it: the arm is then in HOLD where it stopped, and nothing withdraws by itself.
-        Otherwise like `RobotArm.move_linear`.
+        Otherwise like `RobotArm.move`.
         """
         ...
 
@@ -106,7 +106,7 @@ class FollowsHand(Protocol):
         """Follow the hand's force while `is_held`, the operator's enabling switch, says so.
 
         Raises ARM-012 for limits that no person may be exposed to, ARM-014 if a force acts at the start,
-        ARM-015 when the force limit stopped it (then in HOLD), and otherwise like `RobotArm.move_linear`.
+        ARM-015 when the force limit stopped it (then in HOLD), and otherwise like `RobotArm.move`.
         """
         ...
 

@@ -1,4 +1,4 @@
-"""Interface of a six-axis arm driven by real-time corrections, and its motions as value objects."""
+"""Interface of an arm driven by real-time corrections, and its motions as value objects."""
 
 from __future__ import annotations
 
@@ -29,10 +29,6 @@ class JointMove:
     target_rad: JointVector
     speed_fraction: float = 1.0
 
-    def drive(self, arm: RobotArm) -> ArmReading:
-        """Execute the motion with `RobotArm.move_joints`."""
-        return arm.move_joints(self.target_rad, speed_fraction=self.speed_fraction)
-
 
 @dataclass(frozen=True)
 class LineMove:
@@ -44,12 +40,6 @@ class LineMove:
     target: Transform
     flange_from_tool: Transform | None = None
     speed_fraction: float = 1.0
-
-    def drive(self, arm: RobotArm) -> ArmReading:
-        """Execute the motion with `RobotArm.move_linear`."""
-        return arm.move_linear(
-            self.target, flange_from_tool=self.flange_from_tool, speed_fraction=self.speed_fraction
-        )
 
 
 Motion = JointMove | LineMove
@@ -127,39 +117,21 @@ class RobotArm(Device, Protocol):
         """Read the number of the mounted tool from the controller's inputs. Allowed from CONNECTED."""
         ...
 
-    def move_joints(
-        self, target_rad: JointVector, *, speed_fraction: float = 1.0, timeout_s: float = 60.0
-    ) -> ArmReading:
-        """Move all joints together to rest at the target and return the settled reading.
+    def move(self, motion: Motion, *, timeout_s: float = 60.0) -> ArmReading:
+        """Carry out a motion to rest at its target and return the settled reading.
 
-        `speed_fraction` scales the driver's working speed, 0 < fraction <= 1. `timeout_s` is in theatre time
-        if that clocks the controller. Raises LimitError before motion if the path leaves the joint ranges,
+        All joints move together; along a line the orientation follows by slerp, and the arm stays in the
+        branch of its current pose. `timeout_s` is in theatre time if that clocks the controller. Raises
+        LimitError before motion if the path leaves the joint ranges, FRM-001 for a line between other frames,
         StateError outside ACTIVE, MotionInterrupted when `stop` ended it, and the latched fault when link or
         monitor trips.
-        """
-        ...
-
-    def move_linear(
-        self,
-        target: Transform,
-        *,
-        flange_from_tool: Transform | None = None,
-        speed_fraction: float = 1.0,
-        timeout_s: float = 60.0,
-    ) -> ArmReading:
-        """Move the flange straight to a pose ROBOT <- FLANGE, or the tool to a pose ROBOT <- TOOL.
-
-        `flange_from_tool` (FLANGE <- TOOL) is given with the latter. Orientation by slerp; the arm stays in
-        the branch of its current pose. Raises FRM-001 before motion for other frames, otherwise like
-        `move_joints`.
         """
         ...
 
     def preview(self, motion: Motion, *, start_rad: JointVector | None = None) -> PathPreview:
         """Predict a motion from `start_rad`, by default the current position, without moving.
 
-        Raises like `move_joints` and `move_linear` if there is no such path; one that is not clear is
-        reported in `refused`.
+        Raises like `move` if there is no such path; one that is not clear is reported in `refused`.
         """
         ...
 

@@ -63,9 +63,12 @@ IPV4_HOST = FieldCode(  # "" for none
 class RowCodec(Generic[RowT]):
     """Codec of one class of rows."""
 
-    def __init__(self, row: type[RowT]) -> None:
-        """Prepare the codec; raises TypeError for a field without a struct code."""
-        compiler = _Compiler()
+    def __init__(self, row: type[RowT], open_length: int | None = None) -> None:
+        """Prepare the codec; raises TypeError for a field without a struct code.
+
+        `open_length` is the number of floats in a `tuple[float, ...]`.
+        """
+        compiler = _Compiler(open_length)
         field = compiler.row(row)
         layout = struct.Struct(f"<{field.code}")
         self.size_bytes = layout.size
@@ -95,8 +98,9 @@ class _Field:
 class _Compiler:
     """Compiler of one codec, whose expressions share their names."""
 
-    def __init__(self) -> None:
+    def __init__(self, open_length: int | None) -> None:
         self._names: dict[str, Any] = {}
+        self._open_length = open_length
 
     def pack(self, field: _Field, finish: Callable[..., Any]) -> Callable[[Any], Any]:
         """Compile what calls `finish` with the numbers of a value."""
@@ -143,6 +147,8 @@ class _Compiler:
         parts = get_args(kind)
         if NoneType in parts:
             return self._optional(self._field(next(one for one in parts if one is not NoneType), where))
+        if parts == (float, Ellipsis) and self._open_length is not None:
+            return self._coded(kind, FieldCode(f"{self._open_length}d"))
         if kind is float or (parts and set(parts) == {float}):
             return self._coded(kind, FieldCode(f"{max(len(parts), 1)}d"))
         if kind is bool:

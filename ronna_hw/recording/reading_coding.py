@@ -34,8 +34,7 @@ ANSWERS: dict[str, Any] = {
     "read_state": ArmReading,
     "read_tool_identity": ToolIdentity,
     "read_loads": AxisLoads,
-    "move_joints": ArmReading,
-    "move_linear": ArmReading,
+    "move": ArmReading,
     "insert": Inserted,
     "preview": PathPreview,
     "limits": MotionLimits,
@@ -43,6 +42,8 @@ ANSWERS: dict[str, Any] = {
     **dict.fromkeys(("configure", "activate", "deactivate", "resume"), None),
     **dict.fromkeys(("surround", "set_areas", "set_exposure", "scale_exposure", "confirm_start"), None),
 }
+# Calls of earlier tapes, by their present names.
+RENAMED = {"move_joints": "move", "move_linear": "move"}
 # Properties that may change on their own; each access is an answer.
 RECORDED_PROPERTIES: dict[str, Any] = {"to_confirm": str | None}
 # Properties that a device knows after one of the calls below; recorded with its answer.

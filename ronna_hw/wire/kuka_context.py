@@ -16,6 +16,8 @@ from typing import Annotated, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
+from ronna_hw.arm.catalogue import KUKA
+from ronna_hw.arm.name_field import arm_of
 from ronna_hw.bounded_input import read_toml
 from ronna_hw.errors import ConfigurationError, ErrorCode
 
@@ -94,7 +96,7 @@ class Program(_Table):
 
     cycle_ms: Literal[4, 12]
     corrections: Literal["absolute", "relative"]
-    variant: Literal["kr6_r900_sixx", "kr6_r900_2"]
+    variant: Annotated[str, arm_of(KUKA)]
 
 
 class Ethernet(_Table):

@@ -76,7 +76,7 @@ class StateAttribute(StrEnum):
     HOLDON = "HoldOn"  # 1 if every correction channel keeps its value over a missing reply
     CYCLE = "Cycle"  # ms
     CONTEXT_HASH = "CtxHash"  # ronna_hw.wire.kuka_context.context_hash of the context that the program loads
-    VARIANT = "Variant"  # ronna_hw.arm.kr6_r900.ArmVariant
+    VARIANT = "Variant"  # name in ronna_hw.arm.catalogue
     SERIAL = "Serial"  # of the arm; 0 if the controller does not have it
     BRAKES = "Brakes"  # one bit for each axis, A1 the lowest; set if the brake is open
 

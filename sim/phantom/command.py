@@ -10,11 +10,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from ronna_hw.arm.catalogue import ArmChoice
 from ronna_hw.command_line.options import require_folder
 from ronna_hw.command_line.terminal import JsonOption, print_json, progress_bar
 from ronna_hw.errors import EXIT_INTERRUPTED
 from ronna_hw.text import escape_controls, format_count
-from sim.world.options import ArmChoice, Carrier, InstrumentKind
+from sim.world.options import Carrier, InstrumentKind
 
 if TYPE_CHECKING:
     from sim.phantom.scan import Scan

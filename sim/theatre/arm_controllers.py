@@ -17,7 +17,7 @@ from sim.universal_robots.factory_calibration import calibrate
 from sim.universal_robots.model import MODELS
 from sim.universal_robots.stated_chain import Chain, stated_chain
 from sim.world import nominal_arm, universal_robots_arm
-from sim.world.options import ArmRole, UrArm
+from sim.world.options import ArmRole
 from sim.world.scene.model import ArmTruth, Scene
 
 FREE = "tcp://127.0.0.1:0"
@@ -70,7 +70,7 @@ class ArmController:
 def _state_measured_chain(truth: ArmTruth, seed: int, parameters: tuple[str, ...]) -> Chain:
     """Return the chain that the factory has measured."""
     kind = parse_ur_parameters(parameters).factory_calibration
-    measured = calibrate(MODELS[UrArm(truth.variant)], truth, seed, kind)
+    measured = calibrate(MODELS[truth.variant], truth, seed, kind)
     return stated_chain(measured, universal_robots_arm.DESCRIPTIONS[truth.variant])
 
 

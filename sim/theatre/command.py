@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ronna_hw.arm.catalogue import ArmChoice
 from ronna_hw.command_line.errors import PATH_PROBLEM, UsageMistake
 from ronna_hw.command_line.options import require_folder
 from ronna_hw.command_line.terminal import JsonOption, print_json, print_table, say, tell
@@ -16,7 +17,7 @@ from ronna_hw.control_port import VARIABLE, ask_control_port
 from ronna_hw.wire.polaris import PolarisModel
 from ronna_hw.wire.room_tasks import OnStand
 from sim.world.background import IN_BACKGROUND, DetachOption, start_in_background
-from sim.world.options import ArmChoice, Carrier
+from sim.world.options import Carrier
 
 if TYPE_CHECKING:
     import threading

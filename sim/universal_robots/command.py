@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
+from ronna_hw.arm.catalogue import ArmChoice
 from sim.world.background import IN_BACKGROUND, DetachOption, start_in_background
-from sim.world.options import ArmChoice, ArmRole, UrArm
+from sim.world.options import ArmRole
 
 FAULTS_OF = ("ur",)  # devices whose faults this simulator can have alone
 MASTER = ArmRole.MASTER
@@ -20,9 +21,9 @@ def ur(
         str, typer.Option(help="Address that has the controller's standard ports; one for each arm.")
     ] = DEFAULT_ADDRESS,
     model: Annotated[
-        UrArm,
+        Literal["ur5", "ur5e"],
         typer.Option(case_sensitive=False, help="Arm: ur5 with a CB3 controller (125 Hz), ur5e (500 Hz)."),
-    ] = UrArm.UR5E,
+    ] = "ur5e",
     lock_step: Annotated[
         bool,
         typer.Option(
@@ -71,8 +72,7 @@ def ur(
         return
     parameters = parse_parameters(parameter or ()).of_arm(role.number)
     place = require_loopback(address)
-    chosen = ArmChoice(model.value)
-    room = open_world(world, scene, faults, FAULTS_OF, paced=not lock_step, arm=chosen, role=role)
+    room = open_world(world, scene, faults, FAULTS_OF, paced=not lock_step, arm=ArmChoice(model), role=role)
     described, truth = MODELS[model], room.scene.arm_of(role)
     require_arm(truth, described)
     seed = arm_seed(room.scene.seed, role)
@@ -94,7 +94,7 @@ def ur(
         "ur",
         control=control,
         endpoints=cycle_loop.endpoints,
-        model=model.value,
+        model=model,
         cycle_s=controller.model.cycle_s,
         version=controller.model.version_text,
     )

@@ -18,7 +18,6 @@ from sim.universal_robots.robot import Robot
 from sim.universal_robots.variables import PAYLOAD, PLACES
 from sim.world.held_torques import GRAVITY_M_S2, Body, HeldTorques, Stiction
 from sim.world.noise import TabledNoise
-from sim.world.options import UrArm
 from sim.world.tool_load import ToolLoad
 
 MM: Final = 1000.0
@@ -30,15 +29,7 @@ LINK_CENTRES_M: Final = (
     (0.0, 0.0018, 0.01634),
     (0.0, 0.0, -0.001159),
 )
-LINK_MASSES_KG: Final = {
-    UrArm.UR5: (3.7, 8.393, 2.275, 1.219, 1.219, 0.1879),
-    UrArm.UR5E: (3.761, 8.058, 2.846, 1.37, 1.3, 0.365),
-}
 TORQUE_PER_CURRENT_NM_A: Final = (12.6, 12.6, 12.6, 9.3, 9.3, 9.3)  # motor constant times gear (U)
-# Noise of one cycle, and largest error of the estimate on each axis, N (U). CB3 estimates from currents; the
-# e-Series has a sensor in the flange, of 3.5 N precision by its data sheet.
-NOISE_N: Final = {UrArm.UR5: 3.0, UrArm.UR5E: 0.5}
-BIAS_N: Final = {UrArm.UR5: 5.0, UrArm.UR5E: 2.0}
 NOISE_TABLE: Final = 4099  # a prime: three values a cycle do not repeat soon
 CONTACT_STIFFNESS_N_MM: Final = 20.0  # of an instrument in bone, by which it is relieved when drawn back (U)
 BONE_RAMP_MM: Final = 0.5  # from its surface to its full resistance (U)
@@ -89,11 +80,11 @@ class Loads:
     """Loads on one arm. Without any, a cycle costs a few sums."""
 
     def __init__(self, robot: Robot, seed: int) -> None:
-        parameters, name = robot.parameters, robot.model.name
+        parameters, model = robot.parameters, robot.model
         scale = parameters.force_error_scale
         random = Random(f"force estimate {seed}")
-        self._noise = [random.gauss(0.0, scale * NOISE_N[name]) for _ in range(NOISE_TABLE)]
-        self._bias = [random.uniform(-1.0, 1.0) * scale * BIAS_N[name] for _ in range(3)]
+        self._noise = [random.gauss(0.0, scale * model.force_noise_N) for _ in range(NOISE_TABLE)]
+        self._bias = [random.uniform(-1.0, 1.0) * scale * model.force_bias_N for _ in range(3)]
         self._place = 0
         self._robot = robot
         self._share = 1.0 - exp(-robot.cycle_s / parameters.force_lag_s)
@@ -107,7 +98,7 @@ class Loads:
         self.force_n: Force = NONE  # of the room on the tool
         self.trip = ""  # why the safety system must stop the arm
         self.shows_forces = self.shows_torques = True  # some client reads them
-        self._torques = HeldTorques(name, link_bodies(robot.model))
+        self._torques = HeldTorques(model.name, link_bodies(model))
         self._held_at: tuple[object, ...] = ()
         self._held_nm: list[float] = [0.0] * JOINTS
         self._stiction = Stiction([parameters.stiction_share * most for most in TORQUES_NM], seed)
@@ -241,7 +232,7 @@ def link_bodies(model: Model) -> list[Body]:
     )
     return [
         Body(mass_kg, (MM * place.x, MM * place.y, MM * place.z))
-        for mass_kg, place in zip(LINK_MASSES_KG[model.name], centres, strict=True)
+        for mass_kg, place in zip(model.link_masses_kg, centres, strict=True)
     ]
 
 

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from math import pi, radians
 from typing import Final
 
-from sim.world.options import UrArm
 from sim.world.universal_robots_arm import FULL_SPEED_DEG_S, RANGE_DEG, UR5, UR5E, Place
 
 JOINTS: Final = 6
@@ -29,12 +28,17 @@ TORQUES_NM: Final[Vector6] = (150.0, 150.0, 150.0, 28.0, 28.0, 28.0)
 class Model:
     """An arm with the controller that it is sold with."""
 
-    name: UrArm
+    name: str
     d_m: Vector6
     a_m: Vector6
     cycle_s: float
     version: tuple[int, int, int, int]  # major, minor, bug fix, build
     realtime_doubles: int  # in a package of the real-time interface
+    link_masses_kg: Vector6
+    # Noise of one cycle, and largest error of the estimated force on each axis (U). CB3 estimates it from
+    # currents; the e-Series has a sensor in the flange, of 3.5 N precision by its data sheet.
+    force_noise_N: float
+    force_bias_N: float
     robot_type: int = 1  # UR5, and UR5e too
     controller_box: int = 1
 
@@ -49,7 +53,7 @@ class Model:
         return ".".join(map(str, self.version))
 
 
-def _model(name: UrArm, places: tuple[Place, ...], **controller: object) -> Model:
+def _model(name: str, places: tuple[Place, ...], **controller: object) -> Model:
     d1, a2, a3, d4 = places[0][0][2], places[2][0][0], places[3][0][0], places[3][0][2]
     d5, d6 = -places[4][0][1], places[5][0][1]
     return Model(
@@ -61,10 +65,29 @@ def _model(name: UrArm, places: tuple[Place, ...], **controller: object) -> Mode
 
 
 MODELS: Final = {
-    UrArm.UR5: _model(
-        UrArm.UR5, UR5, cycle_s=0.008, version=(3, 15, 8, 106339), realtime_doubles=138, controller_box=1
-    ),
-    UrArm.UR5E: _model(
-        UrArm.UR5E, UR5E, cycle_s=0.002, version=(5, 11, 5, 1010327), realtime_doubles=152, controller_box=2
-    ),
+    model.name: model
+    for model in (
+        _model(
+            "ur5",
+            UR5,
+            cycle_s=0.008,
+            version=(3, 15, 8, 106339),
+            realtime_doubles=138,
+            controller_box=1,
+            link_masses_kg=(3.7, 8.393, 2.275, 1.219, 1.219, 0.1879),
+            force_noise_N=3.0,
+            force_bias_N=5.0,
+        ),
+        _model(
+            "ur5e",
+            UR5E,
+            cycle_s=0.002,
+            version=(5, 11, 5, 1010327),
+            realtime_doubles=152,
+            controller_box=2,
+            link_masses_kg=(3.761, 8.058, 2.846, 1.37, 1.3, 0.365),
+            force_noise_N=0.5,
+            force_bias_N=2.0,
+        ),
+    )
 }

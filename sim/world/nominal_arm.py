@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import acos, atan2, cos, degrees, hypot, pi, radians, sin
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from sim.errors import BAD_SCENE
 from sim.world.rigid import rotation_from_vector
 
-Variant = Literal["kr6_r900_sixx", "kr6_r900_2"]
 AXES = 6
 ORIGIN = (0.0, 0.0, 0.0)
 FLANGE_PITCH_DEG = 90.0  # the flange frame is the last link turned about its y: z points out of the flange
@@ -104,7 +103,7 @@ def _build_joints(
     )
 
 
-def _describe(variant: Variant, model: str, joints: tuple[Joint, ...]) -> RobotDescription:
+def _describe(variant: str, model: str, joints: tuple[Joint, ...]) -> RobotDescription:
     return RobotDescription(
         variant,
         model,

@@ -14,21 +14,6 @@ class InstrumentKind(StrEnum):
     DRILL_HOLE = "drill-hole"
 
 
-class ArmChoice(StrEnum):
-    """Arm of a named scene."""
-
-    KR6 = "kr6"
-    UR5 = "ur5"
-    UR5E = "ur5e"
-
-
-class UrArm(StrEnum):
-    """Universal Robots arm with its controller: UR5 on a CB3, UR5e on an e-Series controller."""
-
-    UR5 = "ur5"
-    UR5E = "ur5e"
-
-
 class Carrier(StrEnum):
     """Sphere mounting in a named scene: on individual screws or on the x-shaped frame."""
 

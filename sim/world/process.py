@@ -14,6 +14,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import FrameType
 
+from ronna_hw.arm.catalogue import ArmChoice
 from ronna_hw.errors import EXIT_FAILED
 from ronna_hw.host.child_process import descendants_of, kill_all
 from ronna_hw.host.process import PARENT, resume_garbage_collection
@@ -21,7 +22,7 @@ from sim.errors import BAD_SCENE
 from sim.world.background import IN_BACKGROUND, Handover, hand_over, leave_output
 from sim.world.control_port import ControlPort, Room
 from sim.world.faults import read_faults
-from sim.world.options import ArmChoice, ArmRole, Carrier
+from sim.world.options import ArmRole, Carrier
 from sim.world.running import register
 from sim.world.scene.assistant import add_assistant
 from sim.world.scene.model import ArmResidual, Scene, read_scene

@@ -15,7 +15,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from operator import itemgetter
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, cast
 
 import numpy as np
 from pydantic import Field, ValidationError
@@ -61,8 +61,8 @@ class SavedArm(Strict):
             return None
         arm = world.arm(role)
         return cls(
-            joints_rad=arm.joints_rad,
-            flanks=arm.flanks,
+            joints_rad=cast("Numbers6", arm.joints_rad),
+            flanks=cast("Numbers6", arm.flanks),
             motion_number=arm.motion_number,
             moved_s=arm.moved_s,
         )

@@ -23,11 +23,12 @@ from ronna_hw.clock import CLOCK, SharedClock
 from ronna_hw.endpoints import parse_endpoint
 from ronna_hw.host.row_codec import text
 from ronna_hw.host.shared_memory import MemoryMap
+from ronna_hw.vectors import JointVector
 from ronna_hw.wire.room_tasks import OnStand
 from sim.errors import WORLD_UNAVAILABLE
 from sim.world.options import ArmRole
 from sim.world.rigid import matrix_of
-from sim.world.scene.model import Numbers6, Scene, parse_scene_json
+from sim.world.scene.model import Scene, parse_scene_json
 
 READ_ATTEMPTS = 100_000  # attempts to read during a write, which takes microseconds
 LARGEST_SCENE_BYTES = 10_000_000  # a hundred times the largest scene of ours
@@ -43,11 +44,11 @@ class ClockRow(NamedTuple):
 class ArmRow(NamedTuple):
     """An `ArmState` as plain numbers, with the flange pose row by row."""
 
-    joints_rad: Annotated[Numbers6, "6d"]
+    joints_rad: Annotated[JointVector, "6d"]
     flange_rows: Annotated[tuple[float, ...], "12d"]
     motion_number: Annotated[int, "Q"]
     at_rest: Annotated[bool, "?"]
-    flanks: Annotated[Numbers6, "6d"]
+    flanks: Annotated[JointVector, "6d"]
     moved_s: Annotated[float, "d"]
 
 
@@ -82,11 +83,11 @@ _SCENE_OFFSET = _MAP.size_bytes  # the scene is the rest of the block
 class ArmState(NamedTuple):
     """True arm state: encoder angles, and flange pose in the base of the arm."""
 
-    joints_rad: Numbers6
+    joints_rad: JointVector
     robot_from_flange: NDArray[np.float64]  # (4, 4)
     motion_number: int
     at_rest: bool
-    flanks: Numbers6 = (0.0,) * 6  # position of each joint in its backlash, -1 to 1
+    flanks: JointVector = (0.0,) * 6  # position of each joint in its backlash, -1 to 1
     moved_s: float = 0.0  # time in motion so far
 
 

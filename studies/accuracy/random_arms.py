@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
-from ronna_hw.arm.catalogue import find_kinematics
+from ronna_hw.arm.catalogue import find_arm
 from ronna_hw.arm.kinematics import Chain, Joint, Kinematics
 from ronna_hw.calibrated_arm.deviations import FLANK_SHARE
 from sim.world.descriptions import DESCRIPTIONS
@@ -74,7 +74,7 @@ class RandomArms:
         turns = np.array([[link.rotation_rad for link in arm] for arm in links])
         return cls(
             description=DESCRIPTIONS[truths[0].variant],
-            chain=find_kinematics(truths[0].variant).chain,
+            chain=find_arm(truths[0].variant).kinematics.chain,
             link_translation_mm=np.array([[link.translation_mm for link in arm] for arm in links]),
             link_rotation=Rotation.from_rotvec(turns.reshape(-1, 3)).as_matrix().reshape(-1, 6, 3, 3),
             joint_offset_rad=np.array([truth.joint_offset_rad for truth in truths]),

@@ -15,11 +15,11 @@ import numpy as np
 from ronna_hw.arm.kinematics import Kinematics
 from ronna_hw.arm.universal_robots.calibrated import CalibratedUniversalRobot
 from ronna_hw.arm.universal_robots.factory_calibration import FactoryCalibration
-from ronna_hw.arm.universal_robots.geometry import DIMENSIONS, UrModel
+from ronna_hw.arm.universal_robots.geometry import DIMENSIONS
 from ronna_hw.clock import Clock, open_clock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.readings import ArmReading, Stamp, Validity
-from ronna_hw.devices.robot import RobotArm
+from ronna_hw.devices.robot import JointMove, RobotArm
 from ronna_hw.host.child_process import ChildProcess, command
 from ronna_hw.host.network import own_address
 from ronna_hw.registry import make_device
@@ -27,7 +27,6 @@ from ronna_hw.vectors import JointVector, joint_vector
 from sim.universal_robots.controller_parameters import ControllerParameters
 from sim.universal_robots.factory_calibration import calibrate
 from sim.universal_robots.model import MODELS
-from sim.world.options import UrArm
 from sim.world.scene.model import ArmTruth
 from sim.world.true_arm import TrueArm
 from sim.world.world import ArmState, World
@@ -42,17 +41,15 @@ START_LIMIT_S, SILENCE_LIMIT_S, HEARTBEAT_LIMIT_S = 60.0, 30.0, 30.0
 class PositionedArm(Protocol):
     """Part of `RobotArm` that the experiment uses."""
 
-    def move_joints(
-        self, target_rad: JointVector, *, speed_fraction: float = 1.0, timeout_s: float = 60.0
-    ) -> ArmReading:
+    def move(self, motion: JointMove, *, timeout_s: float = 60.0) -> ArmReading:
         """Move all joints together to rest at the target and return the settled reading."""
         ...
 
 
 def factory_kinematics(truth: ArmTruth, seed: int) -> CalibratedUniversalRobot:
     """Return the kinematics that an arm's controller states: as the factory measured this arm."""
-    arm = DIMENSIONS[UrModel(truth.variant)]
-    stated = calibrate(MODELS[UrArm(truth.variant)], truth, seed, ControllerParameters().factory_calibration)
+    arm = DIMENSIONS[truth.variant]
+    stated = calibrate(MODELS[truth.variant], truth, seed, ControllerParameters().factory_calibration)
     a_mm, d_mm = (joint_vector(1000.0 * value for value in row) for row in (stated.a_m, stated.d_m))
     return CalibratedUniversalRobot(
         arm,
@@ -69,14 +66,13 @@ class InstantArm:
         self._true = TrueArm(truth, seed)
         self._world = world
         self._motions = 0
-        self._flanks = AT_REST
+        self._flanks: JointVector = AT_REST
         self._joints_rad = joint_vector(np.radians(truth.home_deg))
         self._publish()
 
-    def move_joints(
-        self, target_rad: JointVector, *, speed_fraction: float = 1.0, timeout_s: float = 60.0
-    ) -> ArmReading:
-        del speed_fraction, timeout_s
+    def move(self, motion: JointMove, *, timeout_s: float = 60.0) -> ArmReading:
+        del timeout_s
+        target_rad = motion.target_rad
         moved = np.sign(np.subtract(target_rad, self._joints_rad))
         self._flanks = joint_vector(np.where(moved == 0.0, self._flanks, moved))
         self._joints_rad = target_rad
@@ -103,10 +99,8 @@ class DrivenArm:
         """Kinematics that the controller states: as the factory measured this arm."""
         return self._arm.kinematics
 
-    def move_joints(
-        self, target_rad: JointVector, *, speed_fraction: float = 1.0, timeout_s: float = 60.0
-    ) -> ArmReading:
-        self._arm.move_joints(target_rad, speed_fraction=speed_fraction, timeout_s=timeout_s)
+    def move(self, motion: JointMove, *, timeout_s: float = 60.0) -> ArmReading:
+        self._arm.move(motion, timeout_s=timeout_s)
         self._clock.sleep(SETTLING_S)
         return self._arm.read_state()
 

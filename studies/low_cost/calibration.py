@@ -13,6 +13,7 @@ from procedures.calibration.frame_calibration import Use, assign_uses
 from procedures.calibration.hand_eye import HandEye, PosePairs, misses_of, solve
 from procedures.calibration.pose_set import order_by_orientation, plan_poses_about, rms_mm
 from ronna_hw.arm.kinematics import Kinematics
+from ronna_hw.devices.robot import JointMove
 from ronna_hw.devices.sensors import OpticalTracker
 from ronna_hw.frames import Transform
 from ronna_hw.vectors import JointVector
@@ -65,7 +66,7 @@ def take_looks(
     ]
     joints, seen = [], []
     for one in order_by_orientation(planned):
-        reading = arm.move_joints(model.joints(one.pose))
+        reading = arm.move(JointMove(model.joints(one.pose)))
         if (found := look(tracker, frames)) is not None:
             joints.append(reading.joints_rad)
             seen.append(found.tool.as_matrix())

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from procedures.registration.rigid_fit import fit_rigid, residuals
 from ronna_hw.arm.kinematics import Kinematics
+from ronna_hw.devices.robot import JointMove
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.vectors import JointVector
 from sim.world.rigid import matrix_of
@@ -70,7 +71,7 @@ def measure_repeatability_mm(
     places = np.empty((CYCLES, len(poses), 3))
     for cycle in range(CYCLES):
         for pose, target in enumerate(joints):
-            arm.move_joints(target)
+            arm.move(JointMove(target))
             places[cycle, pose] = judge.tip_mm()
     away = np.linalg.norm(places - places.mean(axis=0), axis=2)
     return float((away.mean(axis=0) + 3.0 * away.std(axis=0, ddof=1)).max())
@@ -91,7 +92,7 @@ def measure_accuracy_mm(
     read: list[JointVector] = []
     true = np.empty((len(poses), 3))
     for number, pose in enumerate(poses):
-        read.append(arm.move_joints(model.joints(pose)).joints_rad)
+        read.append(arm.move(JointMove(model.joints(pose))).joints_rad)
         true[number] = judge.tip_mm()
     errors = {}
     for name, kinematics in models.items():

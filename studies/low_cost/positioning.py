@@ -14,6 +14,7 @@ from scipy.spatial.transform import RigidTransform
 from procedures.calibration.hand_eye import HandEye
 from ronna_hw.arm.kinematics import Kinematics
 from ronna_hw.arm.pose import Pose
+from ronna_hw.devices.robot import JointMove
 from ronna_hw.devices.sensors import OpticalTracker
 from ronna_hw.errors import LimitError
 from ronna_hw.frames import Frame, Transform
@@ -98,7 +99,7 @@ class TipPositioner:
         `phantom` is the pose TRACKER <- PATIENT. Returns the pose ROBOT <- TOOL that was commanded.
         """
         commanded = model.robot_from_tracker @ phantom @ target
-        self._arm.move_joints(model.joints(commanded))
+        self._arm.move(JointMove(model.joints(commanded)))
         return commanded
 
     def iterate(self, model: ArmModel, commanded: Transform, target: Transform) -> Positioned:
@@ -109,7 +110,7 @@ class TipPositioner:
             if residual.is_settled or rounds == MOST_ROUNDS:
                 break
             commanded = self._corrected(model, commanded, seen, target)
-            self._arm.move_joints(model.joints(commanded))
+            self._arm.move(JointMove(model.joints(commanded)))
         return Positioned(rounds, residual)
 
     def residual(self, seen: Sight, target: Transform) -> Residual:

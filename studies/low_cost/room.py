@@ -11,12 +11,12 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from ronna_hw.arm.catalogue import ArmChoice
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.wire.polaris import PolarisModel
 from sim.world.descriptions import DESCRIPTIONS
 from sim.world.noise import noise
 from sim.world.nominal_arm import AXES
-from sim.world.options import ArmChoice
 from sim.world.rigid import (
     apply,
     as_point,

@@ -253,7 +253,7 @@ def _list_candidates(spheres_mm: Array) -> LookArrays:
                 )
             except LimitError:
                 continue
-            found.append((number, joints, flanks_of(order)))
+            found.append((number, joints, flanks_of(order, len(joints))))
     return LookArrays(
         joints_rad=np.array([joints for _, joints, _ in found]),
         flanks=np.array([flanks for _, _, flanks in found], dtype=float),

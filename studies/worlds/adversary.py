@@ -12,7 +12,8 @@ from typing import TypeVar
 
 import numpy as np
 
-from sim.world.options import ArmChoice, Carrier
+from ronna_hw.arm.catalogue import ArmChoice
+from sim.world.options import Carrier
 from sim.world.process import load_scene
 from sim.world.rigid import Matrix, apply, inverse, vector_from_rotation
 from sim.world.scene.model import Scene

@@ -43,8 +43,7 @@ CUTS = [
 USES = (
     "read_state",
     "read_tool_identity",
-    "move_joints",
-    "move_linear",
+    "move",
     "activate",
     "set_areas",
     "grab_pair",

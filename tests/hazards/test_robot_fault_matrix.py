@@ -14,6 +14,7 @@ import pytest
 from waiting import eventually
 
 from ronna_hw.devices import Lifecycle
+from ronna_hw.devices.robot import JointMove
 from ronna_hw.errors import RonnaError
 
 AWAY_RAD = 0.6
@@ -91,7 +92,7 @@ def _moved_through(cell: Any, arm: Any, happen: Callable[[], None], speed: float
 
     def move() -> None:
         try:
-            arm.move_joints((start[0] + AWAY_RAD, *start[1:]), speed_fraction=speed)
+            arm.move(JointMove((start[0] + AWAY_RAD, *start[1:]), speed_fraction=speed))
         except RonnaError as error:
             caught.append(error)
 
@@ -156,7 +157,7 @@ def test_controller_and_wire_faults_stop_the_arm_and_are_named(robot_cell: Any, 
     eventually(recovered)
     arm.activate()
     assert np.abs(cell.true_joints_rad() - rest).max() < 1e-3
-    arm.move_joints(arm.read_state().commanded_rad)
+    arm.move(JointMove(arm.read_state().commanded_rad))
 
 
 @pytest.mark.hazard(4)

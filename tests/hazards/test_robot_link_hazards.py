@@ -20,13 +20,14 @@ from waiting import eventually
 
 from drivers.kuka_rsi.errors import CONTROLLER_STOPPED, WRONG_CONTROLLER
 from procedures.journal.journal import JOURNAL_FILE, Entry, read_journal
-from ronna_hw.arm.kr6_r900 import ArmVariant, kr6_r900
+from ronna_hw.arm.kr6_r900 import SIXX, kr6_r900
 from ronna_hw.arm.motion.limits import WORKING_SPEED_FRACTION
 from ronna_hw.devices import Lifecycle
+from ronna_hw.devices.robot import JointMove
 from ronna_hw.errors import RonnaError
 
 CYCLE_S = 0.004
-FULL_STEP_RAD = np.array(kr6_r900(ArmVariant.SIXX).full_speed_rad_s) * CYCLE_S
+FULL_STEP_RAD = np.array(kr6_r900(SIXX).full_speed_rad_s) * CYCLE_S
 WORKING_STEP_SHARE = WORKING_SPEED_FRACTION + 1e-3  # of a full-speed step: one prepared step and rounding
 LATE_STEP_SHARE = 2 * WORKING_SPEED_FRACTION + 1e-3  # two at once, below the quarter that a controller takes
 TAKEN_STEP_SHARE = 0.25  # what a controller takes in one cycle
@@ -42,6 +43,7 @@ import sys
 from drivers.kuka_rsi import KukaRsiArm
 from ronna_hw.clock import open_clock
 from ronna_hw.config import DeviceConfig
+from ronna_hw.devices.robot import JointMove
 
 rsi, eki, clock, heartbeat_limit_s = sys.argv[1:]
 options = {"heartbeat_limit_s": float(heartbeat_limit_s), "silence_limit_s": 5.0}
@@ -50,7 +52,7 @@ arm = KukaRsiArm("robot.master", config, open_clock(clock))
 arm.connect(); arm.configure(); arm.activate()
 start = arm.read_state().joints_rad
 print("moving", flush=True)
-arm.move_joints((start[0] + 2.5, *start[1:]), speed_fraction=0.5)
+arm.move(JointMove((start[0] + 2.5, *start[1:]), speed_fraction=0.5))
 print("arrived", flush=True)
 """
 
@@ -104,7 +106,7 @@ def test_the_arm_arrives_without_a_jump_while_replies_are_lost_at_full_working_s
     start = arm.read_state().joints_rad
     cell.world.set_fault_script(f"at 0 s: robot drop {lost_percent} % for 1000 s")
     for target in (_away(start), start):
-        arm.move_joints(target)
+        arm.move(JointMove(target))
         assert cell.true_joints_rad() == pytest.approx(target, abs=1e-5)
     assert arm.state is Lifecycle.ACTIVE
     assert max(_largest_steps(tap)) < (LATE_STEP_SHARE if late else WORKING_STEP_SHARE)
@@ -144,7 +146,7 @@ def test_the_arm_continues_without_a_jump_after_a_burst_of_lost_replies_at_full_
     start = arm.read_state().joints_rad
     for neighbours, target, late_cycles in ((2, _away(start), 2), (25, start, 27)):
         _lose_at_speed(cell, tap, neighbours, WORKING_SPEED_FRACTION)
-        arm.move_joints(target)
+        arm.move(JointMove(target))
         assert cell.true_joints_rad() == pytest.approx(target, abs=1e-5)
         assert arm.state is Lifecycle.ACTIVE
         assert arm.link_statistics().late_cycles == late_cycles
@@ -168,7 +170,7 @@ def test_lost_replies_the_controller_never_reports_lead_to_one_longer_step_that_
     )
     target = _away(arm.read_state().joints_rad)
     _lose_at_speed(cell, tap, neighbours, speed_fraction)
-    arm.move_joints(target)
+    arm.move(JointMove(target))
     assert cell.true_joints_rad() == pytest.approx(target, abs=1e-5)
     assert tap.lost == neighbours
     assert arm.link_statistics().late_cycles == 0
@@ -187,7 +189,7 @@ def test_two_unreported_lost_replies_in_a_row_at_full_working_speed_make_the_con
     start = arm.read_state().joints_rad
     _lose_at_speed(cell, tap, 2, WORKING_SPEED_FRACTION)
     with raises(CONTROLLER_STOPPED, match="message"):
-        arm.move_joints(_away(start))
+        arm.move(JointMove(_away(start)))
     assert arm.state is Lifecycle.FAULT
     eventually(lambda: cell.world.arm().at_rest)
     # The longer step was refused and not followed.
@@ -245,7 +247,7 @@ def test_the_arm_also_arrives_with_a_cycle_of_twelve_milliseconds(robot_cell: An
     cell = robot_cell("--cycle-ms", "12")
     arm = cell.active_arm(cycle_ms=12, silence_limit_s=GENEROUS_S)
     target = _away(arm.read_state().joints_rad, 0.1)
-    arm.move_joints(target)
+    arm.move(JointMove(target))
     assert cell.true_joints_rad() == pytest.approx(target, abs=1e-5)
     assert arm.link_statistics().lost_cycles == 0
 
@@ -259,7 +261,7 @@ def test_a_controller_that_dies_during_a_motion_latches_a_fault_and_no_more_pose
     os.kill(cell.controller.process.pid, signal.SIGKILL)
     cell.controller.process.wait()
     with pytest.raises(RonnaError):
-        arm.move_joints(_away(arm.read_state().joints_rad))
+        arm.move(JointMove(_away(arm.read_state().joints_rad)))
     assert arm.state is Lifecycle.FAULT
     with pytest.raises(RonnaError):
         arm.read_state()

@@ -15,15 +15,16 @@ import pytest
 from rsi_tap import RsiTap
 from waiting import eventually
 
-from ronna_hw.arm.kr6_r900 import ArmVariant, kr6_r900
+from ronna_hw.arm.kr6_r900 import SIXX, kr6_r900
 from ronna_hw.arm.monitor import SPEED_MARGIN
 from ronna_hw.arm.motion.limits import WORKING_SPEED_FRACTION
 from ronna_hw.arm_stream.records import Choice
 from ronna_hw.devices import Lifecycle
+from ronna_hw.devices.robot import JointMove
 from ronna_hw.errors import RonnaError
 
 CYCLE_S = 0.004
-FULL_STEP_DEG = np.degrees(kr6_r900(ArmVariant.SIXX).full_speed_rad_s) * CYCLE_S
+FULL_STEP_DEG = np.degrees(kr6_r900(SIXX).full_speed_rad_s) * CYCLE_S
 AWAY_RAD = 1.5
 AT_SPEED = 0.99 * WORKING_SPEED_FRACTION  # of a full-speed step
 LONGEST_STOP_CYCLES = 125  # half a second: what the table of disturbances promises for a path stop
@@ -112,7 +113,7 @@ def test_the_first_telegram_after_the_report_is_answered_by_a_stop_and_the_arm_r
     start = arm.read_state().joints_rad
     witness = Witness(cell, tap, arm, case)
     with pytest.raises(RonnaError) as caught:
-        arm.move_joints((start[0] + AWAY_RAD, *start[1:]))
+        arm.move(JointMove((start[0] + AWAY_RAD, *start[1:])))
     assert witness.heard
     assert caught.value.code == case.code
     assert case.words in str(caught.value)

@@ -141,7 +141,7 @@ def test_on_the_wire_the_arm_moves_as_previewed(robot_cell: Any, seed: int) -> N
     for motion in (LineMove(up), JointMove(start), JointMove(aside), JointMove(start)):
         previewed = arm.preview(motion)
         before = len(tap.acting_deg)
-        motion.drive(arm)
+        arm.move(motion)
         moving = sum(a != b for a, b in pairwise(tap.acting_deg[before:]))
         assert moving * arm.limits().cycle_s == pytest.approx(previewed.duration_s, rel=AGREE)
     for each in cell.arms:

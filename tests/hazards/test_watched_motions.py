@@ -158,16 +158,16 @@ def test_a_tracker_moved_as_the_way_in_begins_is_followed_and_distinguished_from
 ) -> None:
     cell = ClinicalCell(tmp_path)
     engine = watched(cell)
-    move, way_mm = cell.arm.move_linear, (0.0, 2.0, 0.0)
+    move, way_mm = cell.arm.move_line, (0.0, 2.0, 0.0)
 
     def pushed_meanwhile(*_words: Any, **_more: Any) -> ArmReading:
-        cell.arm.move_linear = move  # type: ignore[method-assign]
+        cell.arm.move_line = move  # type: ignore[method-assign]
         cell.tracker.spheres_mm, cell.tracker.frame_shift_mm = np.add(SPHERES_MM, way_mm), way_mm
         eventually(lambda: cell.arm.stops > 0)
         cell.arm.state = Lifecycle.HOLD
         raise MotionInterrupted("stopped before it has left")
 
-    cell.arm.move_linear = pushed_meanwhile  # type: ignore[method-assign]
+    cell.arm.move_line = pushed_meanwhile  # type: ignore[method-assign]
     positioned(engine)
     (followed,) = [text for text in findings(cell) if "the tracker was moved" in text]
     assert "by 2.0 mm as seen at the head" in followed

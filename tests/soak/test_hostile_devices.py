@@ -38,6 +38,7 @@ from ronna_hw.clock import HostClock, open_clock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices import Lifecycle
 from ronna_hw.devices.errors import WrongState
+from ronna_hw.devices.robot import JointMove
 from ronna_hw.endpoints import parse_endpoint
 from ronna_hw.errors import RonnaError, StateError
 from ronna_hw.host.child_process import ChildProcess, command
@@ -241,7 +242,7 @@ def _arm(world: World, rsi: str, eki: str) -> KukaRsiArm:
 def _arm_calls(arm: KukaRsiArm) -> list[Callable[[], Any]]:
     def move() -> None:
         A1, A2, A3, A4, A5, A6 = arm.read_state(LIMIT_S).joints_rad
-        arm.move_joints((A1 + (0.05 if A1 < 0.0 else -0.05), A2, A3, A4, A5, A6), timeout_s=LIMIT_S)
+        arm.move(JointMove((A1 + (0.05 if A1 < 0.0 else -0.05), A2, A3, A4, A5, A6)), timeout_s=LIMIT_S)
 
     def acknowledge() -> None:
         with contextlib.suppress(StateError):  # the session before left no message

@@ -34,6 +34,7 @@ import sys
 from drivers.kuka_rsi import KukaRsiArm
 from ronna_hw.clock import HostClock
 from ronna_hw.config import DeviceConfig
+from ronna_hw.devices.robot import JointMove
 
 endpoints = {"rsi": sys.argv[1], "eki_project": sys.argv[2]}
 limits = {"silence_limit_s": 5.0, "heartbeat_limit_s": 5.0}  # what is not the subject here
@@ -46,7 +47,7 @@ print(arm.connections.link.process.pid, flush=True)
 away = 0.5
 while True:
     here = arm.read_state().commanded_rad
-    arm.move_joints((away, *here[1:]))
+    arm.move(JointMove((away, *here[1:])))
     away = -away
 """
 

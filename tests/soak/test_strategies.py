@@ -12,7 +12,7 @@ import tomli_w
 from user_commands import Commands
 
 from procedures.strategies.catalogue import STRATEGIES
-from sim.world.options import ArmChoice
+from ronna_hw.arm.catalogue import ArmChoice
 from sim.world.scene.named_scenes import draw_scene
 
 pytestmark = [pytest.mark.soak, pytest.mark.timeout(3600)]

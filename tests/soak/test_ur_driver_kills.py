@@ -41,6 +41,7 @@ import sys
 from drivers.universal_robots import UniversalRobotsArm
 from ronna_hw.clock import HostClock
 from ronna_hw.config import DeviceConfig
+from ronna_hw.devices.robot import JointMove
 
 endpoints = dict(zip(("rtde", "dashboard", "primary"), sys.argv[1:]))
 arm = UniversalRobotsArm("arm", DeviceConfig(driver="universal_robots", endpoints=endpoints), HostClock())
@@ -51,7 +52,7 @@ print(arm.connections.link.process.pid, flush=True)
 away = 0.5
 while True:
     here = arm.read_state().commanded_rad
-    arm.move_joints((away, *here[1:]))
+    arm.move(JointMove((away, *here[1:])))
     away = -away
 """
 

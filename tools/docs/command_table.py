@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from enum import Enum
 from importlib import import_module
-from typing import Any
+from typing import Any, Literal, get_args, get_origin
 
 import typer
 from reference_tables import table
@@ -40,6 +40,8 @@ def _value_of(option: Any) -> str:
     kind = option.type_descriptor.annotation
     if isinstance(kind, type) and issubclass(kind, Enum):
         return " or ".join(map(str, kind))
+    if get_origin(kind) is Literal:
+        return " or ".join(get_args(kind))
     return "" if option.is_flag else option.metavar or option.name.upper()
 
 

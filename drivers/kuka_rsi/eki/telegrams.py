@@ -14,7 +14,7 @@ from typing import ClassVar, NoReturn
 from xml.etree import ElementTree
 
 from drivers.kuka_rsi.errors import BAD_EKI_TELEGRAM, CONTROLLER_NOT_READY, WRONG_CONTROLLER
-from ronna_hw.arm.kr6_r900 import ArmVariant
+from ronna_hw.arm.catalogue import find_arm
 from ronna_hw.arm.pose import radians6
 from ronna_hw.bounded_input import InputRefused, parse_xml
 from ronna_hw.devices.capabilities import EMERGENCY_STOP
@@ -188,9 +188,7 @@ def read_state(element: ElementTree.Element, received_s: float) -> ControllerSta
         ) from error
 
 
-def require_matching_setup(
-    state: ControllerState, context: RsiContext, variant: ArmVariant
-) -> tuple[str, ...]:
+def require_matching_setup(state: ControllerState, context: RsiContext, variant: str) -> tuple[str, ...]:
     """Return the facts that the controller does not report; raises EKI-005 listing all mismatches."""
     reference = Reference.ABSOLUTE if context.program.corrections == "absolute" else Reference.RELATIVE
     facts = (
@@ -198,7 +196,7 @@ def require_matching_setup(
         ("corrections", reference.value, state.reference),
         ("HOLDON", True, state.holdon),
         ("context hash", context_hash(context), state.context_hash),
-        ("arm", variant.value, state.variant),
+        ("arm", find_arm(variant).reported_as, state.variant),
     )
     differences = [
         f"{name} is {stated}, not {expected}"

@@ -15,6 +15,7 @@ from procedures.engine.methods import CaseMethods, Localizer, Matcher
 from procedures.registration.thesis_settings import E_MM, E_RANGE_MM, REFUSED_SHARE, REFUSED_SHARE_RANGE
 from procedures.runs.request import LARGEST_SEED, CaseProcedure, RunRequest, SceneChoice
 from procedures.strategies.names import DEFAULT_STRATEGY, STRATEGY_NAMES
+from ronna_hw.arm.catalogue import ArmChoice
 from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.command_line.messages import tell
 from ronna_hw.command_line.viewers_address import BindOption, CertificateOption, KeyOption, viewers_address
@@ -37,14 +38,6 @@ class FiducialChoice(StrEnum):
 
     FREE = "free"
     XFRAME = "xframe"
-
-
-class ArmChoice(StrEnum):
-    """Arm of the simulated theatre."""
-
-    KR6 = "kr6"
-    UR5 = "ur5"
-    UR5E = "ur5e"
 
 
 class SpeedChoice(StrEnum):

@@ -14,7 +14,7 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import AwareDatetime, BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
+from pydantic import AfterValidator, AwareDatetime, BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
 from procedures.engine.errors import NotRecorded
 from procedures.engine.methods import CaseMethods
@@ -32,6 +32,7 @@ from ronna_hw.recording.reading_coding import (
     LARGEST_BYTES,
     PROPERTIES,
     RECORDED_PROPERTIES,
+    RENAMED,
     GetPixels,
     as_recorded,
     unpack_pixels,
@@ -94,7 +95,7 @@ class _AnswerLine(_Strict):
 
     section: int
     device: str
-    call: str
+    call: Annotated[str, AfterValidator(lambda call: RENAMED.get(call, call))]
     state: Annotated[Lifecycle, Field(strict=False)]
     theatre_time_s: FiniteFloat
     answer: object = None

@@ -28,7 +28,7 @@ KNOWN_UNOPENED = (
     "senses_force",
 )  # as configured
 KNOWN_MEMBERS = {*ANSWERS, *RECORDED_PROPERTIES, *PROPERTIES, *KNOWN_UNOPENED}
-READINGS = ("read_frame", "grab_pair", "read_state", "move_joints", "move_linear")
+READINGS = ("read_frame", "grab_pair", "read_state", "move")
 
 
 class RecordedOperator:

@@ -16,7 +16,6 @@ from procedures.calibration.arm_model import (
     ArmLooks,
     ArmModel,
     Flanks,
-    Side,
     SphereLook,
     arrays_of,
     choose_poses,
@@ -122,7 +121,9 @@ def _plan_looks(
     wanted = informative_count + validation_count
     each = max(CANDIDATES, math.ceil(CHOICE * wanted / len(places)))
     reached = [
-        _PlannedSphereLook(look, _build_placeholder(number, joints, flanks_of(order), validation=False))
+        _PlannedSphereLook(
+            look, _build_placeholder(number, joints, flanks_of(order, len(joints)), validation=False)
+        )
         for number, place in enumerate(places)
         for order, look in enumerate(plan_centred_looks(place.reference, place.ball_mm, each))
         if (joints := reachable_joints(workcell, look)) is not None
@@ -203,12 +204,10 @@ def looks_step(count: int, validation: int) -> StepSpec[ObservedSpheres]:
     )
 
 
-def flanks_of(number: int) -> Flanks:
+def flanks_of(number: int, axes: int) -> Flanks:
     """Return each joint's approach side for look `number`; all side patterns occur equally often."""
-    pattern = int(GOLDEN * number % 1.0 * 64)
-    sides: list[Side] = [1 if pattern >> axis & 1 else -1 for axis in range(6)]
-    a, b, c, d, e, f = sides
-    return (a, b, c, d, e, f)
+    pattern = int(GOLDEN * number % 1.0 * 2**axes)
+    return tuple(1 if pattern >> axis & 1 else -1 for axis in range(axes))
 
 
 def _select_places(

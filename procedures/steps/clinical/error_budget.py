@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 
 from procedures.calibration.arm_sources import ArmPoses, arm_sources
 from procedures.engine.context import StepContext
-from procedures.journal.results import Numbers6
 from procedures.operator.question import Evidence
 from procedures.planning.guide import place_guide
 from procedures.planning.plan_model import PlannedTrajectory
@@ -42,6 +41,7 @@ from procedures.steps.clinical.results import Prediction
 from procedures.strategies.trajectory import refine_target_pose
 from ronna_hw.calibrated_arm.error_budget import ErrorSizes, backlash_mm2
 from ronna_hw.frames import Transform
+from ronna_hw.vectors import JointVector
 
 Array = NDArray[np.float64]
 
@@ -138,7 +138,7 @@ class HeldGuide:
     """
 
     rotation: Array
-    joints_rad: Numbers6
+    joints_rad: JointVector
     tip_mm: Array
     head_rotation: Array
     sides: tuple[int, ...] | None

@@ -17,7 +17,7 @@ from pydantic import Field
 from procedures.engine.context import StepContext
 from procedures.engine.order import Outcome, Phase, StepSpec
 from procedures.journal.errors import GateFailed
-from procedures.journal.results import FramedPose, Numbers6, StepResult
+from procedures.journal.results import FramedPose, StepResult
 from procedures.operator.question import Topic
 from procedures.registration.movement import LEAST_POINTS
 from procedures.steps.clinical.cart_lock import LockedCart
@@ -31,6 +31,7 @@ from procedures.workcell.tracker_look import average_pose, read_frames_at_rest, 
 from ronna_hw.calibration import Numbers3
 from ronna_hw.devices.strays import StrayAverage, average_strays
 from ronna_hw.text import format_against_limit
+from ronna_hw.vectors import JointVector
 
 # Safety against spheres that move while they are localized (U).
 SPREAD_LIMIT_MM = 1.0  # rms of one sphere over the frames; more means that something moved
@@ -48,7 +49,7 @@ class GlobalLocalization(StepResult, kind="global_localization"):
     rejected_strays: int = Field(description="Groups of strays seen too rarely to be a sphere.")
     lost_readings: int = Field(description="Replies lost or corrupted on the line.")
     robot_from_tracker: FramedPose = Field(description="Pose robot <- tracker.")
-    joints_rad: Numbers6 = Field(description="Joints measured at the same time.")
+    joints_rad: JointVector = Field(description="Joints measured at the same time.")
     tracker_from_patient: FramedPose | None = Field(
         default=None,
         description="Pose tracker <- frame on the head clamp, relative to which the spheres were measured; "

@@ -14,7 +14,7 @@ from procedures.engine.context import StepContext
 from procedures.guards.errors import RoomUndecided
 from procedures.workcell import MountedTool, Workcell
 from procedures.workcell.arm_load import as_standstill
-from ronna_hw.calibrated_arm.load_model import LOAD_MODELS
+from ronna_hw.arm.catalogue import find_arm
 from ronna_hw.vectors import vector3
 
 CYCLES = 25  # averaged: a tenth of a second of a KR C4; friction of the gears decides, not noise
@@ -44,13 +44,13 @@ def note_unloaded(context: StepContext) -> None:
 def require_unloaded(context: StepContext) -> LoadEstimate | None:
     """Return the load on the held guide, None if the controller tells too little. Raises PRO-052 for one."""
     workcell, known = context.workcell, context.setting.memory.find(UnloadedStops)
-    now = _read(workcell)
-    if now is None or known is None:
+    arm = workcell.master.arm.kinematics
+    now, model = _read(workcell), find_arm(arm.name).load
+    if now is None or known is None or model is None:
         return None
     bore = workcell.tools.guide.bore
     end_mm = workcell.master.flange_from(MountedTool.GUIDE).apply((0.0, 0.0, -bore.reach_mm))
-    arm = workcell.master.arm.kinematics
-    load = estimate_load(arm, LOAD_MODELS[arm.name], known.stops, now, vector3(end_mm))
+    load = estimate_load(arm, model, known.stops, now, vector3(end_mm))
     if load.is_loaded:
         x, y, z = load.force_N.tolist()
         raise RoomUndecided(
@@ -67,5 +67,7 @@ def _read(workcell: Workcell) -> Standstill | None:
     if not workcell.master.streaming:
         return None
     return as_standstill(
-        workcell.master.read_load(CYCLES), workcell.master.arm.kinematics.name, str(workcell.master.tool)
+        workcell.master.read_load(CYCLES),
+        find_arm(workcell.master.arm.kinematics.name).load,
+        str(workcell.master.tool),
     )

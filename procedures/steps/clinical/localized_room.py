@@ -18,7 +18,7 @@ from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.results import KnownBases, RegisteredRobot
 from procedures.workcell import Workcell
 from procedures.workcell.tracker_look import flange_from_marker
-from ronna_hw.arm.catalogue import repeatability_mm
+from ronna_hw.arm.catalogue import find_arm
 from ronna_hw.calibrated_arm.error_budget import ErrorSizes
 from ronna_hw.config import ProcedureSettings
 from ronna_hw.frames import Transform
@@ -115,7 +115,7 @@ def build_watch(
         workcell.master.arm.kinematics.chain,
         ErrorSizes.stated(settings, workcell.calibrations.arm),
         flange_from_marker(workcell).as_matrix(),
-        repeatability_mm(workcell.master.arm.kinematics.name),
+        find_arm(workcell.master.arm.kinematics.name).repeatability_mm,
     )
     watch = room.watch(name, arm, workcell.master.calibrated.flange_pose)
     watch.points_mm = points_mm or {}
@@ -163,7 +163,7 @@ def take_in_assistant(
         kinematics.chain,
         ErrorSizes.stated(settings, workcell.calibrations.assistant_arm),
         known.flange_from_frame.transform.as_matrix(),
-        repeatability_mm(kinematics.name),
+        find_arm(kinematics.name).repeatability_mm,
         base.as_matrix(),
     )
 

@@ -16,7 +16,7 @@ from pydantic import Field, PlainSerializer, PlainValidator
 
 from procedures.engine.context import StepContext
 from procedures.engine.order import Outcome, Phase, StepSpec
-from procedures.journal.results import FramedPose, Numbers6, StepResult, Values
+from procedures.journal.results import FramedPose, StepResult, Values
 from procedures.operator.question import join_answers
 from procedures.planning.free_angle import (
     TurnedPaths,
@@ -49,6 +49,7 @@ from ronna_hw.arm.kinematics import Branch
 from ronna_hw.arm.pose import radians6
 from ronna_hw.calibrated_arm.error_budget import ErrorSizes
 from ronna_hw.roles import MASTER
+from ronna_hw.vectors import JointVector
 
 Array = NDArray[np.float64]
 
@@ -139,16 +140,16 @@ class LocalizationPose(Values):
 
     fiducial: int = Field(description="Index of the sphere in the CT.")
     tool_pose: FramedPose = Field(description="Pose robot <- tool with the tool centre on the sphere.")
-    approach_rad: Numbers6 = Field(description="Joints where the approach along its axis begins.")
-    joints_rad: Numbers6 = Field(description="Joints at the sphere.")
+    approach_rad: JointVector = Field(description="Joints where the approach along its axis begins.")
+    joints_rad: JointVector = Field(description="Joints at the sphere.")
 
 
 class TargetPose(Values):
     """Pose for holding the guide at one target, with its approach, by the coarse registration."""
 
     tool_pose: FramedPose = Field(description="Pose robot <- tool in which the guide is held.")
-    approach_rad: Numbers6 = Field(description="Joints where the approach along the axis begins.")
-    joints_rad: Numbers6 = Field(description="Joints where the guide is held.")
+    approach_rad: JointVector = Field(description="Joints where the approach along the axis begins.")
+    joints_rad: JointVector = Field(description="Joints where the guide is held.")
     approach_signs: tuple[int, ...] = Field(description="Direction from which each joint arrives, +1 or -1.")
     rest_sides: tuple[int, ...] | None = Field(
         default=None,

@@ -11,7 +11,7 @@ from procedures.engine.context import StepContext
 from procedures.engine.order import Outcome, Phase, Scope, StepSpec
 from procedures.guards.guide_displacement import measure_guide_at_rest
 from procedures.journal.errors import GateFailed
-from procedures.journal.results import FramedPose, Numbers6, StepResult
+from procedures.journal.results import FramedPose, StepResult
 from procedures.operator.question import YES, Topic
 from procedures.planning.errors import NotReachable
 from procedures.planning.guide import place_guide
@@ -50,7 +50,7 @@ class PositionedGuide(StepResult, kind="positioning"):
     """Commanded pose of the guide, and the joints on arrival."""
 
     tool_pose: FramedPose = Field(description="Pose robot <- tool in which the guide is held, as commanded.")
-    joints_rad: Numbers6 = Field(description="Measured joints on arrival.")
+    joints_rad: JointVector = Field(description="Measured joints on arrival.")
 
 
 def run(context: StepContext) -> Outcome[PositionedGuide]:

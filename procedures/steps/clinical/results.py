@@ -17,11 +17,12 @@ from pydantic import Field, NonNegativeFloat, NonNegativeInt, model_validator
 from procedures.calibration.base_to_base import meeting_error_mm
 from procedures.engine.context import StepContext
 from procedures.guards.stability import SeenUnchanged, Subject
-from procedures.journal.results import FramedPose, Matrix3, Numbers6, StepResult, Values
+from procedures.journal.results import FramedPose, Matrix3, StepResult, Values
 from procedures.operator.question import PredictedError
 from procedures.registration import TwoWayTable
 from procedures.workcell.supervised_arm import SupervisedArm
 from ronna_hw.calibration import Numbers3
+from ronna_hw.vectors import JointVector
 
 Array = NDArray[np.float64]
 
@@ -53,7 +54,7 @@ class Relocalization(StepResult, kind="relocalization", version=2):
         description="Centres of its outlines, left and right, at the measured position."
     )
     looks: tuple[int, ...] = Field(description="Image pairs taken.")
-    joints_rad: tuple[Numbers6, ...] = Field(description="Joints measured at the last image pair.")
+    joints_rad: tuple[JointVector, ...] = Field(description="Joints measured at the last image pair.")
     coarse_offset_mm: Numbers3 = Field(description="Mean of fine minus coarse position.")
     left_out: tuple[LeftOutSphere, ...] = Field(default=(), description="Spheres without a measurement.")
     frame_at_home_mm: Numbers3 | None = Field(
@@ -255,7 +256,7 @@ class KnownBases(StepResult, kind="base_to_base"):
     outliers: int = Field(description="Of these, those left out.")
     master_errors: tuple[float, ...] = Field(description="Of the master, as found; see `FoundArm`.")
     assistant_errors: tuple[float, ...] = Field(description="The same of the assistant.")
-    assistant_rad: Numbers6 = Field(description="Posture of the assistant in the last look.")
+    assistant_rad: JointVector = Field(description="Posture of the assistant in the last look.")
     region_mm: Numbers3 = Field(description="Middle of the looks at the ball, robot frame.")
     first_look: NonNegativeInt = Field(
         default=0, description="Number of the look at the room with which this began."

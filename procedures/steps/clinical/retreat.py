@@ -6,18 +6,19 @@ from pydantic import Field
 
 from procedures.engine.context import StepContext
 from procedures.engine.order import Outcome, Phase, Scope, StepSpec
-from procedures.journal.results import Numbers6, StepResult
+from procedures.journal.results import StepResult
 from procedures.operator.question import Topic
 from procedures.steps.clinical.at_target import ReachedTarget
 from procedures.steps.clinical.positioning import PositionedGuide
 from procedures.steps.clinical.results import LinkHealth, assistant_link_health, link_health
 from procedures.steps.conditions import needs_insertion_or_withdrawal
+from ronna_hw.vectors import JointVector
 
 
 class Retreated(StepResult, kind="retreat", version=2):
     """State after the retreat: the guide is away from the head and the arm is home."""
 
-    joints_rad: Numbers6 = Field(description="Measured joints at home.")
+    joints_rad: JointVector = Field(description="Measured joints at home.")
     link: LinkHealth = Field(description="Health of the robot link when it was closed.")
     assistant_link: LinkHealth | None = Field(
         default=None, description="Health of the assistant's link; none without one."

@@ -12,7 +12,7 @@ from pydantic import Field
 from procedures.calibration.validity import require_valid
 from procedures.engine.context import StepContext
 from procedures.engine.order import Outcome, Phase, StepSpec
-from procedures.journal.results import Numbers6, StepResult, Values
+from procedures.journal.results import StepResult, Values
 from procedures.operator.question import Topic
 from procedures.planning.tool_records import check_patient_frame
 from procedures.relocalization.triangulation import check_serial
@@ -23,6 +23,7 @@ from ronna_hw.config import Calibrations, DeviceConfig, ProcedureSettings
 from ronna_hw.devices.lifecycle import Identity, Lifecycle
 from ronna_hw.roles import ASSISTANT, MASTER
 from ronna_hw.tool_record import ToolRecord
+from ronna_hw.vectors import JointVector
 
 
 class DeviceIdentity(Values):
@@ -74,7 +75,7 @@ class CheckedSetUp(StepResult, kind="set_up", version=2):
     flange: str = Field(description="Name of the flange that the tools are mounted on.")
     cell: CollisionConfig = Field(description="The bodies around the arm, with those of the tools.")
     settings: ProcedureSettings = Field(description="Settings and assumptions of the procedure.")
-    homes_rad: dict[str, Numbers6] = Field(
+    homes_rad: dict[str, JointVector] = Field(
         description="Measured joints of each arm at the start, by its role; there it also parks."
     )
 

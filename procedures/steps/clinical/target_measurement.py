@@ -12,7 +12,7 @@ from pydantic import Field
 
 from procedures.engine.context import StepContext
 from procedures.engine.order import Outcome, Phase, Scope, StepSpec
-from procedures.journal.results import FramedPose, Matrix3, Numbers6, StepResult
+from procedures.journal.results import FramedPose, Matrix3, StepResult
 from procedures.operator.question import Topic
 from procedures.relocalization.errors import Saturated
 from procedures.steps.clinical.path_check import CheckedPaths
@@ -26,6 +26,7 @@ from procedures.strategies.trajectory import back_along_axis, refine_target_pose
 from procedures.workcell import MountedTool
 from procedures.workcell.stereo_look import Look, pair_picture
 from ronna_hw.calibration import Numbers3
+from ronna_hw.vectors import JointVector
 
 
 class MeasuredTarget(StepResult, kind="target_measurement"):
@@ -38,7 +39,7 @@ class MeasuredTarget(StepResult, kind="target_measurement"):
     ball_tool_mm: Numbers3 | None = Field(description="The ball in the tool frame; z is along the axis.")
     covariance_mm2: Matrix3 | None = Field(description="Covariance of this measurement alone, tool frame.")
     not_measured: str = Field(default="", description="Why there is no measurement.")
-    joints_rad: Numbers6 = Field(description="Joints measured with the image pair.")
+    joints_rad: JointVector = Field(description="Joints measured with the image pair.")
 
 
 def run(context: StepContext) -> Outcome[MeasuredTarget]:

@@ -18,7 +18,7 @@ from procedures.engine.order import Outcome, Phase, StepSpec
 from procedures.engine.questions import IN_GAUGE
 from procedures.guards.room_reading import CAREFUL_FRAMES
 from procedures.guards.stability import guide_noticeable_mm
-from procedures.journal.results import Numbers6, StepResult
+from procedures.journal.results import StepResult
 from procedures.operator.question import NO, YES, Task, Topic
 from procedures.steps.branches import TOOL_BESIDE_GAUGE
 from procedures.steps.clinical.correspondence import Correspondence
@@ -33,6 +33,7 @@ from procedures.workcell import MountedTool
 from ronna_hw.arm.pose import radians6
 from ronna_hw.calibration import Numbers3
 from ronna_hw.tool_record import Gauge
+from ronna_hw.vectors import JointVector
 from ronna_hw.wire.room_tasks import GAUGE
 
 # 0.1 degrees move the end of an instrument 100 mm long by 0.17 mm.
@@ -55,7 +56,7 @@ class CheckedTool(StepResult, kind="tool_check"):
     offset_mm: Numbers3 = Field(description="Offset of the mandrel's end from the record, tip frame.")
     off_mm: float = Field(description="Length of that offset.")
     tilt_deg: float = Field(description="Tilt of the mandrel from the record.")
-    joints_rad: Numbers6 = Field(description="Measured joints at the gauge.")
+    joints_rad: JointVector = Field(description="Measured joints at the gauge.")
     seen_off_mm: float | None = Field(
         default=None,
         description="Its distance from the record as seen by the tracker; none without a frame on it.",
@@ -129,7 +130,7 @@ class GuideOnGauge:
     readings_mm: tuple[tuple[float, ...], ...]
     offset_mm: Numbers3
     tilt_deg: float
-    joints_rad: Numbers6
+    joints_rad: JointVector
     noticeable_mm: float
 
     @property

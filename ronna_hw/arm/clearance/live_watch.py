@@ -129,24 +129,15 @@ class _MeasuredStep(NamedTuple):
 
     def bound_of(self, levers_mm: JointVector, from_rad: JointVector, to_rad: JointVector) -> float:
         """Return an upper bound on any point's motion in another step, mm; infinite for a reversed step."""
-        a, b, c, d, e, f = self.step_rad
-        p1, p2, p3, p4, p5, p6 = to_rad
-        q1, q2, q3, q4, q5, q6 = from_rad
-        u1, u2, u3, u4, u5, u6 = p1 - q1, p2 - q2, p3 - q3, p4 - q4, p5 - q5, p6 - q6
-        along = (u1 * a + u2 * b + u3 * c + u4 * d + u5 * e + u6 * f) / self.square_rad2
+        along = away = aside = 0.0
+        for new, old, step, origin in zip(to_rad, from_rad, self.step_rad, self.from_rad, strict=True):
+            along += (new - old) * step
+            away += abs(old - origin)
+        along /= self.square_rad2
         if along <= 0.0:
             return inf
-        o1, o2, o3, o4, o5, o6 = self.from_rad
-        away = abs(q1 - o1) + abs(q2 - o2) + abs(q3 - o3) + abs(q4 - o4) + abs(q5 - o5) + abs(q6 - o6)
-        l1, l2, l3, l4, l5, l6 = levers_mm
-        aside = (
-            l1 * abs(u1 - along * a)
-            + l2 * abs(u2 - along * b)
-            + l3 * abs(u3 - along * c)
-            + l4 * abs(u4 - along * d)
-            + l5 * abs(u5 - along * e)
-            + l6 * abs(u6 - along * f)
-        )
+        for lever, new, old, step in zip(levers_mm, to_rad, from_rad, self.step_rad, strict=True):
+            aside += lever * abs(new - old - along * step)
         bent = self.bound_mm * (away + abs(along - 1.0) * self.size_rad)
         return along * (self.moved_mm + bent) + aside
 
@@ -292,15 +283,11 @@ class LiveWatch:
 
         Item i counts joints from i outwards.
         """
-        a, b, c, d, e, f = self._levers
-        p1, p2, p3, p4, p5, p6 = to_rad
-        q1, q2, q3, q4, q5, q6 = from_rad
-        from_6 = f * abs(p6 - q6)
-        from_5 = e * abs(p5 - q5) + from_6
-        from_4 = d * abs(p4 - q4) + from_5
-        from_3 = c * abs(p3 - q3) + from_4
-        from_2 = b * abs(p2 - q2) + from_3
-        return [a * abs(p1 - q1) + from_2, from_2, from_3, from_4, from_5, from_6, 0.0]
+        motion_mm, motions = 0.0, [0.0] * (len(self._levers) + 1)
+        for number in reversed(range(len(self._levers))):
+            motion_mm += self._levers[number] * abs(to_rad[number] - from_rad[number])
+            motions[number] = motion_mm
+        return motions
 
     def _is_slow(self, most: float) -> bool:
         """Return whether a motion of at most `most` mm stays below every speed cap."""

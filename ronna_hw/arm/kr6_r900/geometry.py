@@ -4,19 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from enum import StrEnum
 from functools import cached_property
 
 from ronna_hw.arm.kinematics import ArmRadii
 from ronna_hw.arm.pose import radians6
 from ronna_hw.vectors import JointVector
 
-
-class ArmVariant(StrEnum):
-    """Variant of the KR 6 R900; the two differ by 10 mm at the elbow and at the flange."""
-
-    SIXX = "kr6_r900_sixx"
-    R900_2 = "kr6_r900_2"
+SIXX, R900_2 = "kr6_r900_sixx", "kr6_r900_2"  # the two differ by 10 mm at the elbow and at the flange
 
 
 @dataclass(frozen=True)
@@ -26,7 +20,7 @@ class Dimensions:
     A1 turns about -z, A2, A3, A5 about +y, A4, A6 about -x. With all axes at zero the arm extends along x.
     """
 
-    variant: ArmVariant
+    name: str
     base_height_mm: float  # $ROBROOT to A2, along z
     shoulder_offset_mm: float  # A1 to A2, along x
     upper_arm_mm: float  # A2 to A3
@@ -72,8 +66,8 @@ _ACCELERATION: JointVector = (21.67, 6.89, 31.42, 133.1, 135.6, 268.4)
 RADII = ArmRadii(column_mm=150.0, upper_arm_mm=85.0, forearm_mm=70.0, wrist_mm=45.0, hand_mm=45.0)
 
 DIMENSIONS = {
-    ArmVariant.SIXX: Dimensions(
-        variant=ArmVariant.SIXX,
+    SIXX: Dimensions(
+        name=SIXX,
         base_height_mm=400.0,
         shoulder_offset_mm=25.0,
         upper_arm_mm=455.0,
@@ -85,8 +79,8 @@ DIMENSIONS = {
         full_speed_rad_s=radians6(360, 300, 360, 381, 388, 615),
         acceleration_rad_s2=_ACCELERATION,
     ),
-    ArmVariant.R900_2: Dimensions(
-        variant=ArmVariant.R900_2,
+    R900_2: Dimensions(
+        name=R900_2,
         base_height_mm=400.0,
         shoulder_offset_mm=25.0,
         upper_arm_mm=455.0,

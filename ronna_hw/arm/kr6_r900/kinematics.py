@@ -22,7 +22,7 @@ from ronna_hw.arm.kinematics import (
     require_off_base,
 )
 from ronna_hw.arm.kr6_r900 import inverse
-from ronna_hw.arm.kr6_r900.geometry import DIMENSIONS, RADII, ArmVariant, Dimensions
+from ronna_hw.arm.kr6_r900.geometry import DIMENSIONS, RADII, SIXX, Dimensions
 from ronna_hw.arm.pose import Pose, radians6
 from ronna_hw.vectors import JointVector, Vector3
 
@@ -51,7 +51,7 @@ class Kr6R900:
 
     def __init__(self, dimensions: Dimensions) -> None:
         self.dimensions = dimensions
-        self.name = str(dimensions.variant)
+        self.name = dimensions.name
         self.lower_rad = dimensions.lower_rad
         self.upper_rad = dimensions.upper_rad
         self.full_speed_rad_s = dimensions.full_speed_rad_s
@@ -234,9 +234,9 @@ def _links(arm: Dimensions) -> tuple[Link, ...]:
     )
 
 
-_ARMS = {variant: Kr6R900(dimensions) for variant, dimensions in DIMENSIONS.items()}
+_ARMS = {name: Kr6R900(dimensions) for name, dimensions in DIMENSIONS.items()}
 
 
-def kr6_r900(variant: ArmVariant | str = ArmVariant.SIXX) -> Kr6R900:
-    """Return the arm model of a variant; raises ValueError for an unknown name."""
-    return _ARMS[ArmVariant(variant)]
+def kr6_r900(variant: str = SIXX) -> Kr6R900:
+    """Return the arm model of a variant; raises KeyError for an unknown name."""
+    return _ARMS[variant]

@@ -45,16 +45,8 @@ class JointPath:
         self.target_rad = target_rad
 
     def joints(self, s: float, near: JointVector) -> JointVector:
-        a, b = self.start_rad, self.target_rad
         r = 1.0 - s
-        return (
-            r * a[0] + s * b[0],
-            r * a[1] + s * b[1],
-            r * a[2] + s * b[2],
-            r * a[3] + s * b[3],
-            r * a[4] + s * b[4],
-            r * a[5] + s * b[5],
-        )
+        return tuple([r * a + s * b for a, b in zip(self.start_rad, self.target_rad, strict=True)])
 
 
 class LinePath:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import StrEnum
 from functools import cached_property
 from math import pi
 
@@ -73,17 +72,12 @@ class Dimensions:
         )
 
 
-class UrModel(StrEnum):
-    """Model of arm; the two differ by the shoulder's height and by the wrist's offsets."""
-
-    UR5 = "ur5"
-    UR5E = "ur5e"
-
+UR5, UR5E = "ur5", "ur5e"  # the two differ by the shoulder's height and by the wrist's offsets
 
 # Geometry: the vendor's published parameters. Tubes beside the plane: its robot descriptions.
 DIMENSIONS = {
-    UrModel.UR5: Dimensions(
-        name=str(UrModel.UR5),
+    UR5: Dimensions(
+        name=UR5,
         a2_mm=-425.0,
         a3_mm=-392.25,
         d1_mm=89.159,
@@ -93,8 +87,8 @@ DIMENSIONS = {
         upper_arm_aside_mm=135.85,
         forearm_aside_mm=16.5,
     ),
-    UrModel.UR5E: Dimensions(
-        name=str(UrModel.UR5E),
+    UR5E: Dimensions(
+        name=UR5E,
         a2_mm=-425.0,
         a3_mm=-392.2,
         d1_mm=162.5,

@@ -27,7 +27,6 @@ from ronna_hw.arm.universal_robots.geometry import (
     FULL_SPEED_RAD_S,
     RADII,
     Dimensions,
-    UrModel,
 )
 from ronna_hw.vectors import JointVector, Vector3
 
@@ -264,9 +263,9 @@ def _links(arm: Dimensions) -> tuple[Link, ...]:
     )
 
 
-_ARMS = {model: UniversalRobot(dimensions) for model, dimensions in DIMENSIONS.items()}
+_ARMS = {name: UniversalRobot(dimensions) for name, dimensions in DIMENSIONS.items()}
 
 
-def universal_robot(model: UrModel | str) -> UniversalRobot:
-    """Return the nominal arm of a model; raises ValueError for an unknown name."""
-    return _ARMS[UrModel(model)]
+def universal_robot(model: str) -> UniversalRobot:
+    """Return the nominal arm of a model; raises KeyError for an unknown name."""
+    return _ARMS[model]

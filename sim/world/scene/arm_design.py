@@ -9,9 +9,9 @@ from __future__ import annotations
 from math import radians
 from typing import NamedTuple
 
-from sim.world.options import ArmChoice
+from ronna_hw.arm.catalogue import ArmChoice
 from sim.world.rigid import Point
-from sim.world.scene.model import Numbers6, Variant
+from sim.world.scene.model import Numbers6
 
 
 class ErrorSizes(NamedTuple):
@@ -30,10 +30,13 @@ class ErrorSizes(NamedTuple):
 class ArmDesign(NamedTuple):
     """Start of an arm, the place of the patient in front of it, and the sizes of its errors."""
 
-    variant: Variant
+    variant: str
     home_deg: Numbers6  # flange down, stereo head forward: above the head, clear of every singularity
     head_mm: Point  # middle of the places of the head's centre, robot frame: clear of singularities
     errors: ErrorSizes
+    # Of an assistant: the flange down, drawn back from the patient, where the master turns its frame, and in
+    # a place where the master at home does not hide the assistant's frame.
+    assistant_home_deg: Numbers6
 
 
 SET_S = ErrorSizes(
@@ -68,11 +71,13 @@ UR5_ERRORS = UR5E_ERRORS._replace(
 )
 
 _UR_HOME_DEG = (0.0, -90.0, -90.0, -90.0, 90.0, -90.0)  # elbow up, forearm level
+_UR_ASSISTANT_HOME_DEG = (77.0, -39.0, -119.0, -112.0, 90.0, 134.0)
 KR6 = ArmDesign(
     variant="kr6_r900_sixx",
     home_deg=(0.0, -75.0, 99.0, 0.0, 66.0, 180.0),
     head_mm=(760.0, 0.0, 200.0),
     errors=SET_S,
+    assistant_home_deg=(-32.0, -120.0, 145.0, 0.0, 65.0, 0.0),
 )
 DESIGNS = {
     ArmChoice.KR6: KR6,
@@ -81,12 +86,14 @@ DESIGNS = {
         home_deg=_UR_HOME_DEG,
         head_mm=(700.0, -109.0, 30.0),
         errors=UR5_ERRORS,
+        assistant_home_deg=_UR_ASSISTANT_HOME_DEG,
     ),
     ArmChoice.UR5E: ArmDesign(
         variant="ur5e",
         home_deg=_UR_HOME_DEG,
         head_mm=(710.0, -133.0, 70.0),
         errors=UR5E_ERRORS,
+        assistant_home_deg=_UR_ASSISTANT_HOME_DEG,
     ),
 }
 

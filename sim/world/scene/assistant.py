@@ -10,10 +10,11 @@ from math import radians
 
 import numpy as np
 
+from ronna_hw.arm.catalogue import ArmChoice
 from ronna_hw.calibration import PoseRecord
 from sim.errors import BAD_SCENE
 from sim.world.noise import noise
-from sim.world.options import ArmChoice, ArmRole
+from sim.world.options import ArmRole
 from sim.world.rigid import as_point, matrix_from, pose_of, rotation_from_vector, rotation_towards
 from sim.world.scene.arm_design import DESIGNS, head_place_mm
 from sim.world.scene.as_built import draw_arm
@@ -36,11 +37,6 @@ BALL_MM = (0.0, 0.0, 160.0)  # at the end of the holder's post
 # The post also carries the clamp, across: the instrument points along the flange's x axis.
 CLAMP_MM, CLAMP_TURN_DEG = (0.0, 0.0, 110.0), 90.0  # about y
 BUILT_MM, BUILT_DEG = 1.0, 0.5  # frame, post and clamp against their drawing; one sigma
-# The flange down, drawn back from the patient, where the master turns its frame, and in a place where the
-# master at home does not hide the assistant's frame.
-KR6_HOME_DEG = (-32.0, -120.0, 145.0, 0.0, 65.0, 0.0)
-UR_HOME_DEG = (77.0, -39.0, -119.0, -112.0, 90.0, 134.0)
-HOMES_DEG = {ArmChoice.KR6: KR6_HOME_DEG, ArmChoice.UR5: UR_HOME_DEG, ArmChoice.UR5E: UR_HOME_DEG}
 CLAMP = "clamp of the assistant"  # noise key
 
 
@@ -62,7 +58,7 @@ def add_assistant(scene: Scene, arm: ArmChoice = ArmChoice.KR6) -> Scene:
     clamp_turn = rotation_from_vector((0.0, radians(CLAMP_TURN_DEG), 0.0)) @ rotation_from_vector(
         np.radians(clamp)
     )
-    true_arm = draw_arm(draws, design).model_copy(update={"home_deg": HOMES_DEG[arm]})
+    true_arm = draw_arm(draws, design).model_copy(update={"home_deg": design.assistant_home_deg})
     assistant = AssistantTruth(
         robot_from_base=pose_of(matrix_from(place_mm, on_floor @ turned)),
         arm=true_arm,

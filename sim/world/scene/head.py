@@ -27,7 +27,7 @@ from sim.world.rigid import (
     rotation_towards,
 )
 from sim.world.scene.arm_design import KR6, ArmDesign
-from sim.world.scene.model import Adhesive, Fiducial, Head, Variant
+from sim.world.scene.model import Adhesive, Fiducial, Head
 from sim.world.scene.parts import Target
 from sim.world.scene.plan_feasibility import PlanFeasibility
 
@@ -192,7 +192,7 @@ def _draw_targets(
     fiducials: tuple[Fiducial, ...],
     robot_from_ct: Vector,
     frame: FrameOnHead | None,
-    variant: Variant,
+    variant: str,
 ) -> tuple[Target, ...]:
     """Draw trajectories between the spheres, all within reach of the arm in one posture."""
     axis = np.array(CAP_AXIS_CT)

@@ -14,6 +14,8 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, ValidationError, model_validator
 
+from ronna_hw.arm.catalogue import KUKA, UNIVERSAL_ROBOTS
+from ronna_hw.arm.name_field import arm_of
 from ronna_hw.bounded_input import InputRefused, read_json_bytes, read_toml
 from ronna_hw.calibration import Numbers3, PoseRecord, Strict
 from ronna_hw.mistakes import describe_mistakes
@@ -39,7 +41,7 @@ from sim.world.scene.parts import (
 )
 
 Numbers6 = tuple[float, float, float, float, float, float]
-Variant = Literal["kr6_r900_sixx", "kr6_r900_2", "ur5", "ur5e"]
+Variant = Annotated[str, arm_of(KUKA, UNIVERSAL_ROBOTS)]
 Count = Annotated[int, Field(ge=1)]
 SlicePixels = Annotated[int, Field(ge=16, le=2048)]  # no scanner reconstructs more
 HeadAxis = Annotated[float, Field(gt=0, le=1000), Length]

@@ -11,13 +11,13 @@ from math import radians
 import numpy as np
 
 from ronna_hw import patient_frame
+from ronna_hw.arm.catalogue import ArmChoice
 from ronna_hw.marker_template import MarkerTemplate
 from ronna_hw.x_frame import NAME as X_FRAME_NAME
 from ronna_hw.x_frame import OUTWARD, SPHERE_CENTRES_MM
 from ronna_hw.x_frame import PART_NUMBER as X_FRAME_PART_NUMBER
 from sim.errors import BAD_SCENE
 from sim.world.noise import noise
-from sim.world.options import ArmChoice
 from sim.world.rigid import Point, apply, as_point, matrix_from, matrix_of, pose_of, rotation_towards
 from sim.world.scene.arm_design import DESIGNS
 from sim.world.scene.as_built import draw_arm, draw_cameras, draw_mount

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from sim.world.descriptions import DESCRIPTIONS, INVERSES
 from sim.world.rigid import inverse, matrix_from
 from sim.world.scene.as_built import CAMERAS_IN_TOOL_MM, TOOL_IN_FLANGE_MM
-from sim.world.scene.model import Variant
 from sim.world.scene.parts import Guide
 
 Vector = NDArray[np.float64]
@@ -33,7 +32,7 @@ BESIDE_MM = 4.0  # clearance around each sphere, a millimetre more than the plan
 class PlanFeasibility:
     """Checks whether trajectories are feasible for an arm that must also measure the spheres (n, 3)."""
 
-    def __init__(self, spheres_mm: Vector, variant: Variant) -> None:
+    def __init__(self, spheres_mm: Vector, variant: str) -> None:
         self._arm, self._inverse = DESCRIPTIONS[variant], INVERSES[variant]
         # Joints that turn more than a full circle reach every angle.
         self._limited = [

@@ -11,7 +11,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from procedures.calibration.arm_model import ArmLooks, SphereLook
 from procedures.calibration.pose_set import plan_centred_looks
 from procedures.steps.calibration.sphere_looks import flanks_of
-from ronna_hw.arm.kr6_r900 import ArmVariant, kr6_r900
+from ronna_hw.arm.kr6_r900 import SIXX, kr6_r900
 from ronna_hw.arm.pose import Pose
 from ronna_hw.calibration import StereoHeadCalibration
 from ronna_hw.config import parse_theatre
@@ -23,7 +23,7 @@ from sim.world.scene.model import Scene
 from sim.world.scene.named_scenes import draw_scene
 from sim.world.true_arm import TrueArm
 
-KINEMATICS = kr6_r900(ArmVariant.SIXX)
+KINEMATICS = kr6_r900(SIXX)
 ENDPOINTS = {
     "polaris": "serial:///dev/pts/9",
     "kuka": {"rsi": "udp://127.0.0.1:59152", "eki_project": "tcp://127.0.0.1:54602"},
@@ -73,7 +73,7 @@ class LookingArm:
                 )
             except LimitError:
                 continue
-            flanks = flanks_of(0 if same_side else number)
+            flanks = flanks_of(0 if same_side else number, len(joints))
             seen = self.true_tool(joints, flanks, number).inv().apply(places[sphere])
             seen = seen + generator.normal(0.0, STEREO_SIGMA_MM, 3)
             found.append(

@@ -4,11 +4,10 @@ from typing import Literal
 
 from ronna_hw.arm.universal_robots.calibrated import CalibratedUniversalRobot
 from ronna_hw.arm.universal_robots.factory_calibration import FactoryCalibration
-from ronna_hw.arm.universal_robots.geometry import DIMENSIONS, UrModel
+from ronna_hw.arm.universal_robots.geometry import DIMENSIONS, UR5E
 from ronna_hw.vectors import joint_vector
 from sim.universal_robots.factory_calibration import calibrate
 from sim.universal_robots.model import MODELS
-from sim.world.options import UrArm
 from sim.world.scene.model import ArmTruth
 
 CALIBRATION = FactoryCalibration(
@@ -17,15 +16,15 @@ CALIBRATION = FactoryCalibration(
     d_mm=(0.3, 150.0, -149.0, -0.6, 0.1, 0.2),
     alpha_rad=(-3e-4, 4e-4, -5e-4, 3e-4, 2e-4, -1e-4),
 )
-CALIBRATED_UR = CalibratedUniversalRobot(DIMENSIONS[UrModel.UR5E], CALIBRATION)
+CALIBRATED_UR = CalibratedUniversalRobot(DIMENSIONS[UR5E], CALIBRATION)
 
 
 def stated_kinematics(
     truth: ArmTruth, seed: int, kind: Literal["linearised", "exact", "none"] = "linearised"
 ) -> CalibratedUniversalRobot:
     """Return what a driver computes of a simulated arm from the parameters that its controller sends."""
-    arm = DIMENSIONS[UrModel(truth.variant)]
-    stated = calibrate(MODELS[UrArm(truth.variant)], truth, seed, kind)
+    arm = DIMENSIONS[truth.variant]
+    stated = calibrate(MODELS[truth.variant], truth, seed, kind)
     a_mm, d_mm = (joint_vector(1000.0 * value for value in row) for row in (stated.a_m, stated.d_m))
     theta_rad, alpha_rad = joint_vector(stated.theta_rad), joint_vector(stated.alpha_rad)
     return CalibratedUniversalRobot(

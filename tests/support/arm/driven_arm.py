@@ -11,6 +11,7 @@ from waiting import eventually
 
 from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.arm.pose import radians6
+from ronna_hw.devices.robot import JointMove
 
 CYCLE_S = 0.004
 MODEL = kr6_r900("kr6_r900_sixx")
@@ -46,7 +47,7 @@ def moving(arm: Any, controller: Any) -> tuple[threading.Thread, list[BaseExcept
 
     def move() -> None:
         try:
-            arm.move_joints(FAR)
+            arm.move(JointMove(FAR))
         except BaseException as error:
             caught.append(error)
 

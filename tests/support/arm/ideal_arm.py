@@ -19,9 +19,8 @@ from ronna_hw.devices.axis_loads import LOAD_CYCLES, AxisLoads
 from ronna_hw.devices.errors import MotionInterrupted
 from ronna_hw.devices.lifecycle import READABLE, RUNNING, Identity, Lifecycle, require_person
 from ronna_hw.devices.readings import ArmReading, LinkStatistics, Stamp, ToolIdentity, Validity
-from ronna_hw.devices.robot import JointMove, LineMove, Motion, OperatingMode, StopKind
+from ronna_hw.devices.robot import Motion, OperatingMode, StopKind
 from ronna_hw.errors import ConnectError
-from ronna_hw.frames import Transform
 from ronna_hw.preview import plan_motion, preview_motion
 from ronna_hw.vectors import JointVector
 
@@ -114,21 +113,6 @@ class IdealArm(IdealDevice):
         cycles = self.controller.cycles
         return LinkStatistics(cycles, 0, 0, 0, 1.0, 2.0, (0.0, 1000.0), (cycles,))
 
-    def move_joints(
-        self, target_rad: JointVector, *, speed_fraction: float = 1.0, timeout_s: float = 60.0
-    ) -> ArmReading:
-        return self.drive("move_joints", JointMove(target_rad, speed_fraction))
-
-    def move_linear(
-        self,
-        target: Transform,
-        *,
-        flange_from_tool: Transform | None = None,
-        speed_fraction: float = 1.0,
-        timeout_s: float = 60.0,
-    ) -> ArmReading:
-        return self.drive("move_linear", LineMove(target, flange_from_tool, speed_fraction))
-
     def preview(self, motion: Motion, *, start_rad: JointVector | None = None) -> PathPreview:
         here_rad = start_rad or self.controller.joints_rad
         return preview_motion(self.kinematics, here_rad, motion, self.surroundings, self.limits())
@@ -149,8 +133,8 @@ class IdealArm(IdealDevice):
         self.halted.clear()
         self.guard.enter(Lifecycle.ACTIVE)
 
-    def drive(self, call: str, motion: Motion) -> ArmReading:
-        self.guard.require(call, {Lifecycle.ACTIVE})
+    def move(self, motion: Motion, *, timeout_s: float = 60.0) -> ArmReading:
+        self.guard.require("move", {Lifecycle.ACTIVE})
         plan = plan_motion(self.kinematics, self.controller.joints_rad, motion, self.limits())
         sweep_path(self.kinematics, plan, self.surroundings).require("the path")
         path = plan.path(self.kinematics)

@@ -14,7 +14,7 @@ import numpy as np
 from ronna_hw.arm.clearance.bodies import Bodies, Surroundings
 from ronna_hw.arm.clearance.live_watch import LiveWatch
 from ronna_hw.arm.clearance.sweep import moving_ends, sweep, sweep_path
-from ronna_hw.arm.kr6_r900 import ArmVariant, kr6_r900
+from ronna_hw.arm.kr6_r900 import SIXX, kr6_r900
 from ronna_hw.arm.monitor import Monitor, monitor_limits
 from ronna_hw.arm.motion.limits import MotionLimits, working_limits
 from ronna_hw.arm.motion.planning import MotionPlan, plan_joint_move, plan_line
@@ -26,7 +26,7 @@ from ronna_hw.preview import with_speed_steps
 from ronna_hw.vectors import JointVector
 
 CYCLE_S = 0.004
-MODEL = kr6_r900(ArmVariant.SIXX)
+MODEL = kr6_r900(SIXX)
 CELL = CollisionConfig()
 TOOL = Pose((220.0, 0.0, 60.0))
 HEAD_SEMI_AXES_MM = (75.0, 95.0, 90.0)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from ronna_hw.arm.universal_robots.geometry import DIMENSIONS, UrModel
+from ronna_hw.arm.catalogue import ArmDescription
+from ronna_hw.arm.universal_robots.geometry import DIMENSIONS, UR5E
 from ronna_hw.arm.universal_robots.kinematics import UniversalRobot
 
 
@@ -12,4 +13,14 @@ class PackagedArm(UniversalRobot):
     """Called without arguments, as the catalogue does."""
 
     def __init__(self) -> None:
-        super().__init__(replace(DIMENSIONS[UrModel.UR5E], name="packaged"))
+        super().__init__(replace(DIMENSIONS[UR5E], name="packaged"))
+
+
+def describe_packaged_arm() -> ArmDescription:
+    """Describe it as well."""
+    return ArmDescription(
+        kinematics=PackagedArm(),
+        make="Packager",
+        repeatability_mm=0.02,
+        repeatability_source="its data sheet",
+    )

@@ -12,7 +12,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from ronna_hw.arm.catalogue import find_kinematics
+from ronna_hw.arm.catalogue import find_arm
 from ronna_hw.arm.clearance.arm_pair import ArmPairWorld, PlacedArm, SampledPath
 from ronna_hw.arm.clearance.bodies import Bodies, Capsule, Part, Surroundings
 from ronna_hw.arm.kinematics import Kinematics
@@ -116,7 +116,7 @@ class PairOfArms:
             self.draws.normal(0.0, BASE_ERROR_MM, 3),
             rotation_from_vector(self.draws.normal(0.0, BASE_ERROR_RAD, 3)),
         )
-        master_arm, other_arm = find_kinematics(scene.arm.variant), find_kinematics(assistant)
+        master_arm, other_arm = find_arm(scene.arm.variant).kinematics, find_arm(assistant).kinematics
         around = CELL.build_surroundings(
             CELL.stereo_head,
             TOOL_OF_MASTER,
@@ -135,7 +135,7 @@ class PairOfArms:
 
     def sampled_path(self, arm: PlacedArm) -> SampledPath:
         """A random joint move of an arm."""
-        kinematics = find_kinematics(arm.bodies.arm.name)  # type: ignore[attr-defined]
+        kinematics = find_arm(arm.bodies.arm.name).kinematics  # type: ignore[attr-defined]
         while True:
             start, goal = self.posture(kinematics), self.posture(kinematics)
             try:

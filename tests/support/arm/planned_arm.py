@@ -13,12 +13,11 @@ from ronna_hw.arm.motion.limits import MotionLimits
 from ronna_hw.arm.motion.planning import MotionPlan
 from ronna_hw.arm.path_preview import PathPreview
 from ronna_hw.arm_stream.motion import MotionPlanner
-from ronna_hw.devices import JointMove, LineMove, Motion
+from ronna_hw.devices import Motion
 from ronna_hw.devices.errors import MotionInterrupted
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import ArmReading
 from ronna_hw.devices.robot import OperatingMode
-from ronna_hw.frames import Transform
 from ronna_hw.vectors import JointVector
 
 CYCLE_S = 0.004
@@ -49,22 +48,7 @@ class PlannedArm(RecordingArm):
     def preview(self, motion: Motion, *, start_rad: JointVector | None = None) -> PathPreview:
         return self.planner.preview(motion, start_rad or self.joints_rad, self.operating_mode)
 
-    def move_joints(
-        self, target_rad: JointVector, *, speed_fraction: float = 1.0, **_more: Any
-    ) -> ArmReading:
-        return self._drive(JointMove(target_rad, speed_fraction))
-
-    def move_linear(
-        self,
-        target: Transform,
-        *,
-        flange_from_tool: Transform | None = None,
-        speed_fraction: float = 1.0,
-        **_more: Any,
-    ) -> ArmReading:
-        return self._drive(LineMove(target, flange_from_tool, speed_fraction))
-
-    def _drive(self, motion: Motion) -> ArmReading:
+    def move(self, motion: Motion, **_more: Any) -> ArmReading:
         plan = self.planner.plan(motion, self.joints_rad, self.operating_mode)
         return self._follow(self.planner.clear_plan(plan, self.operating_mode))
 

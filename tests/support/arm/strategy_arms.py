@@ -12,13 +12,13 @@ from procedures.strategies.errors import NoNearbyJoints
 from procedures.strategies.fixed_orientation import OrientationCorrection
 from procedures.strategies.strategy import ArmInBranch
 from procedures.strategies.trajectory import Trajectory
-from ronna_hw.arm.kr6_r900 import ArmVariant, kr6_r900
+from ronna_hw.arm.kr6_r900 import SIXX, kr6_r900
 from ronna_hw.arm.pose import radians6
 from ronna_hw.frames import Frame, Transform
 
 HOME_RAD = radians6(0.0, -75.0, 99.0, 0.0, 66.0, 180.0)
 TOOL = Transform.of(Frame.FLANGE, Frame.TOOL, translation_mm=(220.0, 0.0, 60.0))
-KR6 = kr6_r900(ArmVariant.SIXX)
+KR6 = kr6_r900(SIXX)
 ARM = ArmInBranch(KR6, TOOL, TOOL, KR6.branch_of(HOME_RAD), HOME_RAD)
 FIDUCIALS = np.array([[60.0, -70.0, 60.0], [-50.0, -75.0, 55.0], [5.0, -40.0, 100.0]])
 # CT left towards robot y, anterior up, superior towards the robot.

@@ -18,7 +18,7 @@ from procedures.calibration.arm_errors import StatedArm
 from procedures.calibration.base_to_base import BallFit, BallLooks, BaseToBase, bases_by_frames, refine_bases
 from procedures.calibration.hand_eye import PosePairs
 from procedures.strategies.strategy import ONE_SIDE
-from ronna_hw.arm.catalogue import find_kinematics
+from ronna_hw.arm.catalogue import find_arm
 from ronna_hw.arm.pose import Pose
 from ronna_hw.calibrated_arm.arm import CalibratedArm
 from ronna_hw.calibrated_arm.deviations import ArmDeviations
@@ -56,7 +56,7 @@ class SimulatedArm:
     """An arm with its truth and the model that the procedure has of it."""
 
     def __init__(self, truth: ArmTruth, seed: int, calibrated: bool) -> None:
-        self.kinematics = find_kinematics(truth.variant)
+        self.kinematics = find_arm(truth.variant).kinematics
         deviations = None
         if calibrated:
             values = arm_values(truth, ArmResidual(), noise(seed, "arm calibration", 1))

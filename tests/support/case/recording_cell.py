@@ -31,7 +31,6 @@ from ronna_hw.arm.path_preview import PathPreview
 from ronna_hw.arm.pose import Pose
 from ronna_hw.clock import HostClock
 from ronna_hw.config import Calibrations, ProcedureSettings, TheatreFile, parse_theatre
-from ronna_hw.devices import Motion
 from ronna_hw.devices.errors import MotionInterrupted, WrongState
 from ronna_hw.devices.lifecycle import Identity, LastKnown, Lifecycle
 from ronna_hw.devices.readings import (
@@ -42,7 +41,7 @@ from ronna_hw.devices.readings import (
     ToolIdentity,
     Validity,
 )
-from ronna_hw.devices.robot import OperatingMode
+from ronna_hw.devices.robot import JointMove, LineMove, Motion, OperatingMode
 from ronna_hw.devices.sensors import VolumeSections
 from ronna_hw.errors import RonnaError
 from ronna_hw.frames import Frame, Transform
@@ -167,7 +166,11 @@ class RecordingArm(RecordingDevice):
     def surround(self, surroundings: object) -> None:
         self.calls.append("surround")
 
-    def move_joints(self, target_rad: JointVector, **_more: Any) -> ArmReading:
+    def move(self, motion: Motion, **_more: Any) -> ArmReading:
+        return self.move_joints(motion) if isinstance(motion, JointMove) else self.move_line(motion)
+
+    def move_joints(self, motion: JointMove) -> ArmReading:
+        target_rad = motion.target_rad
         self._begin()
         if self.blocked(self.joints_rad, target_rad):
             raise NotClear("the way is not clear")
@@ -176,9 +179,8 @@ class RecordingArm(RecordingDevice):
         self.joints_rad = target_rad
         return self.read_state()
 
-    def move_linear(
-        self, target: Transform, *, flange_from_tool: Transform | None = None, **_more: Any
-    ) -> ArmReading:
+    def move_line(self, motion: LineMove) -> ArmReading:
+        target, flange_from_tool = motion.target, motion.flange_from_tool
         self._begin()
         flange = target if flange_from_tool is None else target @ flange_from_tool.inverse()
         branch = self.kinematics.branch_of(self.joints_rad)

@@ -16,8 +16,8 @@ from procedures.guards.room_watch import RoomWatch
 from procedures.room.model import ArmModel
 from procedures.steps.clinical.localized_room import LocalizedRoom
 from procedures.strategies.strategy import ONE_SIDE
-from ronna_hw.arm.catalogue import repeatability_mm
-from ronna_hw.arm.kr6_r900 import ArmVariant, kr6_r900
+from ronna_hw.arm.catalogue import find_arm
+from ronna_hw.arm.kr6_r900 import SIXX, kr6_r900
 from ronna_hw.calibrated_arm.error_budget import ErrorSizes
 from ronna_hw.frames import Frame, Transform
 from sim.polaris.measurement.optics import Optics
@@ -29,7 +29,7 @@ from sim.world.scene.named_scenes import MARKER_FROM_HEAD_MM, add_patient_frame,
 
 Array = NDArray[np.float64]
 
-KR6 = kr6_r900(ArmVariant.SIXX)
+KR6 = kr6_r900(SIXX)
 HOME_RAD = KR6.home_rad
 IN_PLACE = np.eye(4)
 HOME = Transform.of(Frame.ROBOT, Frame.FLANGE, translation_mm=(500.0, 0.0, 600.0))
@@ -75,7 +75,7 @@ class ClampedCase:
             pose, spheres, HOME_RAD, self._on_arm_mm, LOCALIZED_FRAMES, on_clamp, self._on_clamp_mm
         )
         mount = (HOME.inverse() @ on_arm).as_matrix()
-        arm = ArmModel(KR6.chain, ErrorSizes(), mount, repeatability_mm(KR6.name))
+        arm = ArmModel(KR6.chain, ErrorSizes(), mount, find_arm(KR6.name).repeatability_mm)
         self.watch = room.watch("trial", arm, lambda _joints, _sides: HOME)
         self.watch.points_mm = {"T1": apply(robot_from_ct, [scene.head.targets[0].target_ct_mm])[0]}
         for _ in range(3):  # as a case looks, settled home, before anything happens

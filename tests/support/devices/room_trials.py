@@ -23,7 +23,7 @@ from procedures.steps.clinical.localized_room import LocalizedRoom
 from procedures.strategies.catalogue import find_strategy
 from procedures.strategies.strategy import ArmInBranch
 from procedures.strategies.trajectory import Trajectory, back_along_axis, target_pose
-from ronna_hw.arm.catalogue import repeatability_mm
+from ronna_hw.arm.catalogue import find_arm
 from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.arm.pose import Pose
 from ronna_hw.calibrated_arm.error_budget import ErrorSizes
@@ -132,7 +132,7 @@ class TrackedCase:
         robot_from_tracker = self.frame_by_arm(flange) @ frame.inverse()
         room = LocalizedRoom(robot_from_tracker, spheres, self.home_rad, self.body_mm, GLOBAL_FRAMES)
         mount = flange.inverse() @ self.frame_by_arm(flange)
-        repeatable_mm = repeatability_mm(self.kinematics.name)
+        repeatable_mm = find_arm(self.kinematics.name).repeatability_mm
         arm = ArmModel(self.kinematics.chain, ErrorSizes(), mount.as_matrix(), repeatable_mm)
         watch = room.watch("trial", arm, self._flange_pose)
         robot_from_ct = matrix_of(self.scene.head.robot_from_ct)

@@ -19,6 +19,7 @@ from ronna_hw import open_theatre, simulated_theatre
 from ronna_hw.clock import ClockUnavailable
 from ronna_hw.control_port import ControlAddress
 from ronna_hw.devices import RobotArm
+from ronna_hw.devices.robot import JointMove
 from ronna_hw.errors import RonnaError
 from ronna_hw.host.child_process import ChildNotReady, descendants_of
 from ronna_hw.theatre import TheatreProcess
@@ -33,12 +34,13 @@ MOVES_UNTIL_INTERRUPTED = f"""
 import signal
 
 from ronna_hw import open_theatre
+from ronna_hw.devices.robot import JointMove
 
 signal.signal(signal.SIGINT, signal.default_int_handler)  # which a shell ignores in what it starts with &
 with open_theatre("theatre.toml") as theatre, theatre.arms["master"].active() as arm:
     A1, A2, A3, A4, A5, A6 = arm.read_state().joints_rad
     print("moving", flush=True)
-    arm.move_joints((A1 + {TURN_RAD}, A2, A3, A4, A5, A6), speed_fraction={SLOWLY}, timeout_s=1e6)
+    arm.move(JointMove((A1 + {TURN_RAD}, A2, A3, A4, A5, A6), speed_fraction={SLOWLY}), timeout_s=1e6)
 """
 
 
@@ -74,7 +76,7 @@ def start_to_move(arm: RobotArm) -> tuple[threading.Thread, list[RonnaError]]:
         try:
             A1, A2, A3, A4, A5, A6 = arm.read_state().joints_rad
             target_rad = (A1 + TURN_RAD, A2, A3, A4, A5, A6)
-            arm.move_joints(target_rad, speed_fraction=SLOWLY, timeout_s=1e6)
+            arm.move(JointMove(target_rad, speed_fraction=SLOWLY), timeout_s=1e6)
         except RonnaError as error:
             ended.append(error)
 

@@ -10,6 +10,7 @@ from drivers.kuka_rsi import KukaRsiArm
 from ronna_hw.clock import open_clock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices import Lifecycle
+from ronna_hw.devices.robot import JointMove, LineMove
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.host.child_process import ChildProcess, command
 from ronna_hw.host.network import own_udp_endpoint
@@ -72,15 +73,15 @@ def _work(arm: KukaRsiArm, world: World) -> None:
         arm.activate()
         start = arm.read_state().joints_rad
         there = (start[0] + AWAY_RAD, *start[1:])
-        arm.move_joints(there)
+        arm.move(JointMove(there))
         assert world.arm().joints_rad == pytest.approx(there, abs=2e-5)
         begin = kinematics.flange_pose(arm.read_state().joints_rad)
-        arm.move_linear(begin @ AHEAD)
+        arm.move(LineMove(begin @ AHEAD))
         end = kinematics.flange_pose(world.arm().joints_rad)
         gone_mm = dist(end.translation_mm, begin.translation_mm)
         assert gone_mm == pytest.approx(LINE_MM, abs=0.02)
-        arm.move_linear(begin)
-        arm.move_joints(start)
+        arm.move(LineMove(begin))
+        arm.move(JointMove(start))
         assert world.arm().joints_rad == pytest.approx(start, abs=2e-5)
         statistics = arm.link_statistics()
         assert (statistics.lost_cycles, statistics.late_cycles) == (0, 0)

@@ -21,6 +21,7 @@ from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.clock import HostClock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices import Lifecycle
+from ronna_hw.devices.robot import JointMove, LineMove
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.host.child_process import ChildProcess, command
 from ronna_hw.host.network import own_udp_endpoint
@@ -35,6 +36,7 @@ from math import radians
 from drivers.kuka_rsi import KukaRsiArm
 from ronna_hw.clock import HostClock
 from ronna_hw.config import DeviceConfig
+from ronna_hw.devices.robot import JointMove
 
 endpoints = {"rsi": sys.argv[1], "eki_project": sys.argv[2]}
 arm = KukaRsiArm("robot.master", DeviceConfig(driver="kuka_rsi", endpoints=endpoints), HostClock())
@@ -43,7 +45,7 @@ arm.configure()
 arm.activate()
 start = arm.read_state().commanded_rad
 there = (start[0] + radians(60), *start[1:])
-threading.Thread(target=arm.move_joints, args=(there,), daemon=True).start()
+threading.Thread(target=arm.move, args=(JointMove(there),), daemon=True).start()
 while not arm.read_state().joints_rad[0] > start[0] + radians(3):
     pass
 print(arm.connections.open_link.process.pid, flush=True)
@@ -102,7 +104,7 @@ def test_a_whole_session_of_joint_and_linear_moves(make_arm: Callable[[], KukaRs
     arm.activate()
     start = arm.read_state().joints_rad
     target = _moved(start, 5, 3, -4, 6, -5, 10)
-    reading = arm.move_joints(target)
+    reading = arm.move(JointMove(target))
     # At rest the arm is exactly where it was told to be, to the last digit of the wire.
     assert reading.joints_rad == pytest.approx(target, abs=radians(0.0002))
     here = MODEL.flange_pose(target) @ TOOL
@@ -112,7 +114,7 @@ def test_a_whole_session_of_joint_and_linear_moves(make_arm: Callable[[], KukaRs
         translation_mm=np.add(here.translation_mm, (-15.0, 10.0, -20.0)),
         quaternion_wxyz=here.quaternion_wxyz,
     )
-    reading = arm.move_linear(line_end, flange_from_tool=TOOL)
+    reading = arm.move(LineMove(line_end, flange_from_tool=TOOL))
     reached = MODEL.flange_pose(reading.joints_rad) @ TOOL
     assert reached.translation_mm == pytest.approx(line_end.translation_mm, abs=0.005)
     statistics = arm.link_statistics()
@@ -121,7 +123,7 @@ def test_a_whole_session_of_joint_and_linear_moves(make_arm: Callable[[], KukaRs
     arm.deactivate()
     assert arm.read_state().joints_rad == pytest.approx(reading.joints_rad, abs=radians(0.001))
     arm.activate()
-    arm.move_joints(_moved(reading.joints_rad, -1, 0, 0, 0, 0, 0))
+    arm.move(JointMove(_moved(reading.joints_rad, -1, 0, 0, 0, 0, 0)))
 
 
 @pytest.mark.parametrize("how", [signal.SIGKILL, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
@@ -147,7 +149,7 @@ def test_after_the_program_is_killed_the_arm_is_at_rest_and_the_controller_is_le
     arm.configure()
     # Had the program not been ended by its STOP object, a message would forbid this start.
     arm.activate()
-    arm.move_joints(_moved(before, -1, 0, 0, 0, 0, 0))
+    arm.move(JointMove(_moved(before, -1, 0, 0, 0, 0, 0)))
 
 
 @pytest.mark.hazard(4)
@@ -169,5 +171,5 @@ def test_a_killed_link_process_leaves_a_message_that_recover_acknowledges(
     )
     arm.recover("operator")
     arm.activate()
-    reading = arm.move_joints(_moved(start, 1, 0, 0, 0, 0, 0))
+    reading = arm.move(JointMove(_moved(start, 1, 0, 0, 0, 0, 0)))
     assert reading.joints_rad == pytest.approx(_moved(start, 1, 0, 0, 0, 0, 0), abs=radians(0.0002))

@@ -33,6 +33,7 @@ from ronna_hw.arm_stream.client import LinkClient
 from ronna_hw.arm_stream.records import NO_DESCRIPTOR, LinkState, Move, OpenStream, Phase, Result
 from ronna_hw.clock import HostClock
 from ronna_hw.config import DeviceConfig
+from ronna_hw.devices.robot import JointMove
 from ronna_hw.endpoints import parse_endpoint
 from ronna_hw.host.network import own_udp_endpoint
 from ronna_hw.wire.kuka_context import DEFAULT_CONTEXT_FILE, context_hash, load_context
@@ -200,7 +201,7 @@ def test_the_whole_driver_moves_the_arm_of_a_third_party_controller(
         arm.connect()
         arm.configure()
         arm.activate()
-        reading = arm.move_joints(TARGET)
+        reading = arm.move(JointMove(TARGET))
         assert reading.joints_rad == pytest.approx(TARGET, abs=radians(ECHO_DIGIT_DEG))
         assert arm.link_statistics().rejected_telegrams == 0
         arm.deactivate()  # ended by EKI: the echo server knows no STOP object

@@ -14,16 +14,16 @@ from drivers.kuka_rsi import KukaRsiArm
 from drivers.universal_robots import UniversalRobotsArm
 from procedures.calibration.guide_load import LoadEstimate, Standstill, estimate_load
 from procedures.workcell.arm_load import as_standstill, read_axis_loads
-from ronna_hw.calibrated_arm.load_model import LOAD_MODELS
+from ronna_hw.arm.catalogue import ArmChoice, find_arm
 from ronna_hw.clock import open_clock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.axis_loads import AxisLoads
 from ronna_hw.devices.readings import Validity
+from ronna_hw.devices.robot import JointMove
 from ronna_hw.host.child_process import ChildProcess, command
 from ronna_hw.host.network import own_address, own_udp_endpoint
 from ronna_hw.vectors import Vector3, joint_vector
 from ronna_hw.wire.kuka_context import OWN_CONTEXT
-from sim.world.options import ArmChoice
 from sim.world.scene.named_scenes import draw_scene
 from sim.world.tool_load import ToolLoad
 from sim.world.world import World
@@ -77,22 +77,22 @@ class Room:
         world.mount_tool(world.scene.mount.tool_number_guide)
         self.home = arm.read_state().joints_rad
         self.references = [self.stop_at(number) for number in range(1, REFERENCES + 1)]
-        arm.move_joints(self.home)
+        arm.move(JointMove(self.home))
 
     def stop_at(self, number: int) -> Standstill:
         ways = np.random.default_rng(number).uniform(-1.0, 1.0, 6)
-        self._arm.move_joints(joint_vector(np.array(self.home) + AWAY_RAD * ways))
+        self._arm.move(JointMove(joint_vector(np.array(self.home) + AWAY_RAD * ways)))
         return self.standstill()
 
     def standstill(self) -> Standstill:
-        found = as_standstill(read_axis_loads(self._arm), self._arm.kinematics.name, "guide")
+        found = as_standstill(read_axis_loads(self._arm), find_arm(self._arm.kinematics.name).load, "guide")
         assert found is not None
         return found
 
     def estimate(self) -> LoadEstimate:
         arm = self._arm.kinematics
         now = self.standstill()
-        return estimate_load(arm, LOAD_MODELS[arm.name], self.references, now, self._guide_mm)
+        return estimate_load(arm, find_arm(arm.name).load, self.references, now, self._guide_mm)
 
 
 @pytest.mark.parametrize(

@@ -9,12 +9,12 @@ import pytest
 from ur_clients import UrCell
 
 from drivers.universal_robots import UniversalRobotsArm
+from ronna_hw.arm.catalogue import ArmChoice
 from ronna_hw.clock import open_clock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices import Lifecycle
-from ronna_hw.devices.robot import StopKind
+from ronna_hw.devices.robot import JointMove, LineMove, StopKind
 from ronna_hw.frames import Frame, Transform
-from sim.world.options import ArmChoice
 from sim.world.scene.named_scenes import draw_scene
 from sim.world.world import World
 
@@ -67,16 +67,16 @@ def _work(arm: UniversalRobotsArm, world: World) -> None:
         arm.activate()
         kinematics = arm.kinematics
         start = arm.read_state().joints_rad
-        arm.move_joints((start[0] + AWAY_RAD, *start[1:]))
+        arm.move(JointMove((start[0] + AWAY_RAD, *start[1:])))
         assert world.arm().joints_rad[0] - start[0] == pytest.approx(AWAY_RAD, abs=radians(0.01))
         begin = kinematics.flange_pose(arm.read_state().joints_rad)
-        arm.move_linear(begin @ AHEAD)
+        arm.move(LineMove(begin @ AHEAD))
         end = kinematics.flange_pose(arm.read_state().joints_rad)
         assert dist(end.translation_mm, begin.translation_mm) == pytest.approx(LINE_MM, abs=0.05)
         arm.stop(StopKind.HOLD)
         arm.resume()
-        arm.move_linear(begin)
-        arm.move_joints(start)
+        arm.move(LineMove(begin))
+        arm.move(JointMove(start))
         assert arm.link_statistics().lost_cycles == 0
         arm.deactivate()
     assert arm.state is Lifecycle.CONFIGURED

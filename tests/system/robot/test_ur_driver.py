@@ -36,17 +36,17 @@ from drivers.universal_robots.errors import (
     STREAM_ERRORS,
     RegistersInUse,
 )
+from ronna_hw.arm.catalogue import ArmChoice
 from ronna_hw.arm.errors import LOADED_AT_START, ForceLimitExceeded
 from ronna_hw.clock import open_clock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices import Lifecycle
 from ronna_hw.devices.contact import GuidanceEnd, HandGuidance, Insertion, ToolLoad
-from ronna_hw.devices.robot import StopKind
+from ronna_hw.devices.robot import JointMove, StopKind
 from ronna_hw.endpoints import parse_endpoint
 from ronna_hw.errors import ErrorCode, RonnaError, is_error
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.vectors import JointVector
-from sim.world.options import ArmChoice
 from sim.world.scene.named_scenes import draw_scene
 from sim.world.world import World
 
@@ -66,6 +66,7 @@ import sys, threading
 from drivers.universal_robots import UniversalRobotsArm
 from ronna_hw.clock import HostClock
 from ronna_hw.config import DeviceConfig
+from ronna_hw.devices import JointMove
 
 endpoints = dict(zip(("rtde", "dashboard", "primary"), sys.argv[1:]))
 config = DeviceConfig(driver="universal_robots", endpoints=endpoints, options={"starve_limit_s": 0.1})
@@ -75,7 +76,7 @@ arm.configure()
 arm.activate()
 start = arm.read_state().commanded_rad
 there = (start[0] + 1.0, *start[1:])
-threading.Thread(target=arm.move_joints, args=(there,), daemon=True).start()
+threading.Thread(target=arm.move, args=(JointMove(there),), daemon=True).start()
 while not arm.read_state().joints_rad[0] > start[0] + 0.05:
     pass
 print(arm.connections.open_link.process.pid, flush=True)
@@ -155,7 +156,7 @@ class Motion:
     def _move(self, arm: UniversalRobotsArm) -> None:
         try:
             target_rad = turned(self.start, -TURN_RAD if self.start[0] > 0.0 else TURN_RAD)
-            arm.move_joints(target_rad, speed_fraction=SLOW)
+            arm.move(JointMove(target_rad, speed_fraction=SLOW))
         except RonnaError as error:
             self.errors.append(error)
 
@@ -169,14 +170,14 @@ class Motion:
 def test_an_arm_moves_holds_and_goes_on_from_there(arm: UniversalRobotsArm) -> None:
     start = arm.read_state().commanded_rad
     assert start is not None
-    reached = arm.move_joints(turned(start)).joints_rad
+    reached = arm.move(JointMove(turned(start))).joints_rad
     assert reached == pytest.approx(turned(start), abs=radians(0.001))
     motion = Motion(arm)
     arm.stop(StopKind.HOLD)
     assert is_error(motion.end(), STREAM_ERRORS.stopped)
     assert arm.state is Lifecycle.HOLD
     arm.resume()
-    arm.move_joints(start)
+    arm.move(JointMove(start))
     statistics = arm.link_statistics()
     assert statistics.cycles > 500
     assert statistics.rejected_telegrams == 0
@@ -212,7 +213,7 @@ def test_a_stop_from_outside_is_latched_and_left_only_in_the_name_of_a_person(
     arm.recover("Ann", timeout_s=30.0)
     assert room.world.arm().joints_rad == pytest.approx(rest, abs=radians(0.001))
     arm.activate()
-    arm.move_joints(motion.start)
+    arm.move(JointMove(motion.start))
 
 
 def test_a_pendant_turned_to_remote_control_during_a_recovery_leaves_an_arm_that_starts(

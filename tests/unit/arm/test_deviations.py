@@ -9,22 +9,21 @@ import numpy as np
 import pytest
 from calibrated_ur import stated_kinematics
 
-from ronna_hw.arm.catalogue import find_kinematics
+from ronna_hw.arm.catalogue import ArmChoice, find_arm
 from ronna_hw.arm.clearance.bodies import Capsule, Corridor, Obstacle, Surroundings
 from ronna_hw.arm.errors import Unreachable
-from ronna_hw.arm.kr6_r900 import ArmVariant, kr6_r900
+from ronna_hw.arm.kr6_r900 import SIXX, kr6_r900
 from ronna_hw.arm.pose import Pose
 from ronna_hw.calibrated_arm.arm import CalibratedArm
 from ronna_hw.calibrated_arm.deviations import ArmDeviations, flange_poses
 from sim.theatre.arm_controllers import CONTROLLERS
 from sim.theatre.records import arm_values
-from sim.world.options import ArmChoice
 from sim.world.scene.as_built import draw_arm
 from sim.world.scene.model import ArmResidual, ArmTruth
 from sim.world.scene.named_scenes import draw_scene
 from sim.world.true_arm import TrueArm
 
-KINEMATICS = kr6_r900(ArmVariant.SIXX)
+KINEMATICS = kr6_r900(SIXX)
 EXACT = ArmResidual(link_mm=0.0, angle_rad=0.0, tool_mm=0.0)
 SAME_MM = 0.005  # of two chains whose joints are at other points of nearly the same axes
 SAG_MISMATCH_MM = 0.06  # the lever of the wrist has the elbow's offset in it; the simulator's leaves it out
@@ -49,7 +48,7 @@ def test_without_deviations_the_chain_is_the_nominal_arm() -> None:
 @pytest.mark.parametrize("variant", ["kr6_r900_sixx", "ur5e"])
 def test_links_joints_harmonics_and_backlash_act_as_in_the_simulated_arm(variant: str) -> None:
     truth, deviations = _truth(variant)
-    chain, true = find_kinematics(variant).chain, TrueArm(truth, 5)
+    chain, true = find_arm(variant).kinematics.chain, TrueArm(truth, 5)
     flanks = np.sign(np.random.default_rng(2).normal(size=(50, 6)))
     ours = flange_poses(chain, deviations, _postures(50), flanks)
     theirs = [true.moving(joints, side) for joints, side in zip(_postures(50), flanks, strict=True)]
@@ -133,7 +132,7 @@ def test_the_surroundings_are_shifted_to_where_the_nominal_arm_of_the_controller
 
 @pytest.mark.parametrize("variant", ["kr6_r900_sixx", "ur5e"])
 def test_one_posture_is_where_the_arrays_of_many_have_it(variant: str) -> None:
-    kinematics, (_, deviations) = find_kinematics(variant), _truth(variant)
+    kinematics, (_, deviations) = find_arm(variant).kinematics, _truth(variant)
     arm, draws = CalibratedArm(kinematics, deviations), np.random.default_rng(17)
     joints_rad, flanks = draws.uniform(-3.0, 3.0, (50, 6)), draws.choice([-1.0, 1.0], (50, 6))
     ours = [

@@ -8,13 +8,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ronna_hw.arm.clearance.live_watch import Violation
-from ronna_hw.arm.kr6_r900 import ArmVariant, kr6_r900
+from ronna_hw.arm.kr6_r900 import SIXX, kr6_r900
 from ronna_hw.arm.monitor import FOLLOWING_RAD, RANGE_ROUNDING_RAD, Monitor, MonitorLimits, monitor_limits
 from ronna_hw.arm.motion.limits import working_limits
 from ronna_hw.arm.pose import radians6
 from ronna_hw.vectors import JointVector
 
-MODEL = kr6_r900(ArmVariant.SIXX)
+MODEL = kr6_r900(SIXX)
 CYCLE_S = 0.004
 START = radians6(0, -90, 90, 0, 60, 0)
 LIMITS: MonitorLimits = monitor_limits(MODEL, working_limits(MODEL), CYCLE_S, START)

@@ -1,4 +1,4 @@
-"""The neutral interface holds for a spherical and for an offset wrist, and planning works with both."""
+"""The neutral interface holds for both kinds of wrist and for seven axes, and planning works with all."""
 
 from __future__ import annotations
 
@@ -12,24 +12,25 @@ import pytest
 from calibrated_ur import CALIBRATED_UR
 from coded_errors import raises
 from monitored_motion import drive_monitored
+from seven_axes import SevenAxisArm
 
+from ronna_hw.arm import catalogue
 from ronna_hw.arm.clearance.bodies import Bodies, Capsule, Obstacle, Part, Surroundings
-from ronna_hw.arm.clearance.live_watch import LiveWatch
+from ronna_hw.arm.clearance.live_watch import LiveWatch, Violation
 from ronna_hw.arm.errors import OutOfJointRange, Singular, Unreachable
 from ronna_hw.arm.kinematics import Branch, Kinematics
-from ronna_hw.arm.kr6_r900 import ArmVariant, kr6_r900
 from ronna_hw.arm.monitor import Monitor, monitor_limits
-from ronna_hw.arm.motion.limits import working_limits
+from ronna_hw.arm.motion.limits import MotionLimits, working_limits
 from ronna_hw.arm.motion.planning import MotionPlan, plan_joint_move, plan_line
 from ronna_hw.arm.motion.set_points import PathMotion
 from ronna_hw.arm.pose import Pose, radians6
-from ronna_hw.arm.universal_robots import UrModel, universal_robot
+from ronna_hw.arm.universal_robots import universal_robot
 from ronna_hw.devices.robot import LineMove
 from ronna_hw.frames import FRAME_MISMATCH, Frame, Transform
 from ronna_hw.preview import plan_motion, preview
 from ronna_hw.vectors import JointVector, Vector3
 
-ARMS: tuple[Kinematics, ...] = (*map(kr6_r900, ArmVariant), *map(universal_robot, UrModel))
+ARMS = tuple(arm.kinematics for arm in catalogue.ARMS.values())
 
 
 def _kr6_singular(elbow_offset_mm: float) -> dict[str, JointVector]:
@@ -61,17 +62,16 @@ TIP_MM = (0.0, 0.0, 120.0)
 
 each_arm = pytest.mark.parametrize("arm", ARMS, ids=lambda arm: arm.name)
 each_chain = pytest.mark.parametrize(
-    "arm", [*ARMS, CALIBRATED_UR], ids=[*(arm.name for arm in ARMS), "calibrated"]
+    "arm",
+    [*ARMS, CALIBRATED_UR, SevenAxisArm()],
+    ids=[*(arm.name for arm in ARMS), "calibrated", "seven axes"],
 )
 
 
 def _postures(arm: Kinematics, count: int, seed: int) -> list[JointVector]:
     rng = random.Random(seed)
-    found = []
-    for _ in range(count):
-        a, b, c, d, e, f = (rng.uniform(*ends) for ends in zip(arm.lower_rad, arm.upper_rad, strict=True))
-        found.append((a, b, c, d, e, f))
-    return found
+    ends = [*zip(arm.lower_rad, arm.upper_rad, strict=True)]
+    return [tuple(rng.uniform(low, high) for low, high in ends) for _ in range(count)]
 
 
 def _largest_difference(a: JointVector, b: JointVector) -> float:
@@ -123,7 +123,7 @@ def test_the_jacobian_is_the_derivative_of_the_forward_kinematics(arm: Kinematic
         analytic = arm.jacobian(joints)
         for axis in range(len(joints)):
             ends = [tuple(q + side * step * (k == axis) for k, q in enumerate(joints)) for side in (-1, 1)]
-            before, after = (arm.flange_pose(one) for one in ends)  # type: ignore[arg-type]
+            before, after = (arm.flange_pose(one) for one in ends)
             moved = (after.translation_mm - before.translation_mm) / (2 * step)
             turned = (after.rigid.rotation * before.rigid.rotation.inv()).as_rotvec() / (2 * step)
             assert analytic[:3, axis] == pytest.approx(moved, abs=1e-3)
@@ -192,14 +192,40 @@ def _driven(arm: Kinematics, plan: MotionPlan) -> JointVector:
     return monitor.last_rad
 
 
-@each_arm
+@each_chain
 def test_range_errors_name_the_axis_as_the_arm_does(arm: Kinematics) -> None:
-    beyond: JointVector = (*arm.home_rad[:5], arm.upper_rad[5] + 0.1)
-    with pytest.raises(OutOfJointRange, match=f"ARM-003: {arm.axis_names[5]} would leave its range"):
+    beyond: JointVector = (*arm.home_rad[:-1], arm.upper_rad[-1] + 0.1)
+    with pytest.raises(OutOfJointRange, match=f"ARM-003: {arm.axis_names[-1]} would leave its range"):
         plan_joint_move(arm, arm.home_rad, beyond, working_limits(arm))
 
 
-@each_arm
+@each_chain
+def test_limits_pass_to_the_real_time_process_as_a_row_of_numbers_whatever_the_axes(arm: Kinematics) -> None:
+    limits = working_limits(arm).with_reduced_speed(arm)
+    assert MotionLimits.from_numbers(limits.as_numbers()) == limits
+    assert [len(side) for side in limits.ranges(arm, arm.home_rad)] == 2 * [len(arm.axis_names)]
+
+
+@each_chain
+def test_the_monitor_trips_on_the_last_axis_and_on_an_obstacle_that_was_never_planned(
+    arm: Kinematics,
+) -> None:
+    start, limits = arm.home_rad, working_limits(arm)
+    monitor = Monitor(monitor_limits(arm, limits, CYCLE_S, start), start)
+    leap: JointVector = (*start[:-1], start[-1] + 0.1)
+    violation = monitor.check(leap)
+    assert violation is not None
+    assert (violation.kind, violation.axis) == ("speed", len(start))
+    plan = plan_joint_move(arm, start, (start[0] + 0.6, *start[1:]), limits)
+    tip = arm.forward((start[0] + 0.3, *start[1:])).apply(TIP_MM)
+    post = Obstacle("post", Capsule(tip, (tip[0], tip[1], 0.0), 10.0))
+    monitor.watch(LiveWatch(Bodies(arm, Surroundings(tool=TOOL, obstacles=(post,))), CYCLE_S, start))
+    met = drive_monitored(PathMotion(plan.path(arm), start, plan.limits, CYCLE_S), monitor)
+    assert isinstance(met, Violation)
+    assert met.kind == "clearance"
+
+
+@each_chain
 def test_a_preview_detects_a_collision_of_the_tool_with_an_obstacle(arm: Kinematics) -> None:
     start, limits = arm.home_rad, working_limits(arm)
     away: JointVector = (start[0] + 0.6, *start[1:])

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from procedures.calibration.arm_sources import REPEATABILITY_MM, ArmPoses, arm_sources
 from procedures.registration.target_prediction import IndependentErrors, SharedErrors, predict_target_error
-from ronna_hw.arm.kr6_r900 import ArmVariant, kr6_r900
+from ronna_hw.arm.kr6_r900 import SIXX, kr6_r900
 from ronna_hw.arm.pose import radians6
 from ronna_hw.calibrated_arm.deviations import ArmDeviations, joint_errors
 from ronna_hw.calibrated_arm.error_budget import (
@@ -28,7 +28,7 @@ from ronna_hw.calibrated_arm.error_budget import (
 from ronna_hw.calibration import ArmCalibration
 from ronna_hw.config import ProcedureSettings
 
-KR6 = kr6_r900(ArmVariant.SIXX)
+KR6 = kr6_r900(SIXX)
 NOW = datetime(2026, 11, 22, tzinfo=UTC)
 LOOKS = np.array([radians6(10.0 * k, -75.0 + 3.0 * k, 99.0, 5.0, 66.0, 180.0) for k in range(5)])
 POINTS_MM = np.array([KR6.flange_pose(tuple(one)).apply((220.0, 0.0, 60.0)) for one in LOOKS.tolist()])

@@ -16,24 +16,23 @@ from procedures.calibration.guide_load import (
     estimate_load,
     point_jacobian,
 )
+from ronna_hw.arm.catalogue import ArmChoice
 from ronna_hw.arm.kinematics import Kinematics
 from ronna_hw.arm.kr6_r900 import kr6_r900
+from ronna_hw.arm.load_model import KR6, UR5E, LoadModel
 from ronna_hw.arm.universal_robots import universal_robot
-from ronna_hw.calibrated_arm.load_model import LOAD_MODELS, LoadModel
 from ronna_hw.vectors import JointVector, joint_vector, vector3
 from sim.kuka.controller_parameters import ControllerParameters as KukaParameters
 from sim.kuka.motor_currents import LARGEST_TORQUES_NM
 from sim.universal_robots.controller_parameters import ControllerParameters as UrParameters
-from sim.universal_robots.loads import BIAS_N, link_bodies
 from sim.universal_robots.loads import TORQUE_PER_CURRENT_NM_A as PER_CURRENT_NM_A
+from sim.universal_robots.loads import link_bodies
 from sim.universal_robots.model import MODELS, TORQUES_NM
 from sim.world.held_torques import BODIES, HeldTorques, Stiction
-from sim.world.options import ArmChoice, UrArm
 from sim.world.scene.arm_design import DESIGNS
 
 Array = NDArray[np.float64]
 GUIDE_MM = (220.0, 0.0, 60.0)
-KR6, UR5E = LOAD_MODELS["kr6_r900_sixx"], LOAD_MODELS["ur5e"]
 KUKA_STICTION, UR_STICTION = KukaParameters().stiction_share, UrParameters().stiction_share
 DRIVE_ERROR_SHARE = KukaParameters().current_error_share
 NO_WAY = (0.0,) * 6
@@ -50,15 +49,15 @@ class Trial:
         design = DESIGNS[choice]
         self.is_kr6 = choice is ArmChoice.KR6
         self.arm: Kinematics = kr6_r900(design.variant) if self.is_kr6 else universal_robot(design.variant)
-        self.model = LOAD_MODELS[design.variant]
+        self.model = KR6 if self.is_kr6 else UR5E
         self.home_rad = np.radians(design.home_deg) + generator.uniform(-0.3, 0.3, 6)
-        bodies = BODIES[design.variant] if self.is_kr6 else link_bodies(MODELS[UrArm(design.variant)])
+        bodies = BODIES[design.variant] if self.is_kr6 else link_bodies(MODELS[design.variant])
         self._weights = HeldTorques(design.variant, bodies)
         share, largest = (KUKA_STICTION, LARGEST_TORQUES_NM) if self.is_kr6 else (UR_STICTION, TORQUES_NM)
         self._gears = Stiction([share * most for most in largest], seed)
         nominal = 100.0 / np.array(LARGEST_TORQUES_NM) if self.is_kr6 else 1.0 / np.array(PER_CURRENT_NM_A)
         self._per_Nm = (1.0 + self.is_kr6 * generator.normal(0.0, DRIVE_ERROR_SHARE, 6)) * nominal
-        self._bias_N = generator.uniform(-1.0, 1.0, 3) * BIAS_N[UrArm.UR5E]
+        self._bias_N = generator.uniform(-1.0, 1.0, 3) * MODELS["ur5e"].force_bias_N
         self._stops = 0
 
     def stop(self, away_rad: float, force_N: Sequence[float] = NONE, number: int | None = None) -> Standstill:

@@ -72,10 +72,10 @@ def spoilt_reading(change: Callable[[ArmReading], ArmReading]) -> Callable[..., 
 
 
 def other_motion(change: Callable[[Motion], Motion]) -> Callable[..., ArmReading]:
-    def drive(self: IdealArm, call: str, motion: Motion) -> ArmReading:
-        return IdealArm.drive(self, call, change(motion))
+    def move(self: IdealArm, motion: Motion, *, timeout_s: float = 60.0) -> ArmReading:
+        return IdealArm.move(self, change(motion))
 
-    return drive
+    return move
 
 
 def not_quite(motion: Motion) -> Motion:
@@ -98,8 +98,8 @@ def at_any_speed(motion: Motion) -> Motion:
     return replace(motion, speed_fraction=1.0)
 
 
-def anywhere(self: IdealArm, call: str, motion: Motion) -> ArmReading:
-    self.guard.require(call, {Lifecycle.ACTIVE})
+def anywhere(self: IdealArm, motion: Motion, *, timeout_s: float = 60.0) -> ArmReading:
+    self.guard.require("move", {Lifecycle.ACTIVE})
     if isinstance(motion, JointMove):
         self.controller.joints_rad = motion.target_rad
     return self.read_state()
@@ -167,12 +167,12 @@ MISTAKES: dict[str, tuple[str, dict[str, Any]]] = {
         "R08",
         {"link_statistics": lambda self: LinkStatistics(0, 0, 0, 0, 1.0, 2.0, (0.0, 1.0), (1,))},
     ),
-    "any speed": ("R09", {"drive": other_motion(at_any_speed)}),
+    "any speed": ("R09", {"move": other_motion(at_any_speed)}),
     "jumps at the second start": ("R10", {"deactivate": jumps_at_the_second}),
     "inserts anything": ("R29", {"insert": nothing, "senses_force": False}),
-    "misses its target": ("R11", {"drive": other_motion(not_quite)}),
-    "misses the end of a line": ("R12", {"drive": other_motion(twice_as_far)}),
-    "moves anywhere": ("R13", {"drive": anywhere}),
+    "misses its target": ("R11", {"move": other_motion(not_quite)}),
+    "misses the end of a line": ("R12", {"move": other_motion(twice_as_far)}),
+    "moves anywhere": ("R13", {"move": anywhere}),
     "a resume that moves": ("R14", {"resume": moves_on}),
     "stops that are not latched": ("R15", {"stop": only_holds}),
     "does not close": ("R16", {"close": nothing}),
@@ -186,8 +186,8 @@ MISTAKES: dict[str, tuple[str, dict[str, Any]]] = {
             )
         },
     ),
-    "lines between any frames": ("R20", {"drive": anywhere}),
-    "moves the flange on the line": ("R21", {"drive": other_motion(without_tool)}),
+    "lines between any frames": ("R20", {"move": anywhere}),
+    "moves the flange on the line": ("R21", {"move": other_motion(without_tool)}),
     "goes on after the block": ("R26", {"deactivate": lets_it_go_on}),
     "the same limits in every mode": (
         "R27",

@@ -38,9 +38,7 @@ def test_drivers_do_not_mention_simulation() -> None:
 
 
 # Calls on a device; the methods of the workcell's arms have other names, but for `surround`.
-MOVES_OR_LOOKS = re.compile(
-    r"\.(move_joints|move_linear|drive|grab_pair|set_areas)\(|(?<!master)(?<!assistant)\.surround\("
-)
+MOVES_OR_LOOKS = re.compile(r"\.(move|grab_pair|set_areas)\(|(?<!master)(?<!assistant)\.surround\(")
 
 
 def test_procedures_move_and_measure_only_through_the_workcell() -> None:

@@ -29,7 +29,7 @@ def test_a_latched_fault_keeps_its_first_cause_and_names_it() -> None:
     guard.latch(LinkTimeout("silence"))
     guard.latch(LinkTimeout("something later"))
     with pytest.raises(WrongState, match="silence"):
-        guard.require("move_joints", [Lifecycle.ACTIVE])
+        guard.require("move", [Lifecycle.ACTIVE])
 
 
 def test_a_fault_can_only_be_left_for_the_connected_state() -> None:

@@ -51,9 +51,9 @@ from procedures.workcell.tracker_look import FRAMES, robot_from_marker
 from ronna_hw.config import read_theatre_file
 from ronna_hw.devices.capabilities import Direction, PassedBytes
 from ronna_hw.devices.readings import ArmReading
+from ronna_hw.devices.robot import Motion
 from ronna_hw.frames import Frame
 from ronna_hw.recording.reading_tape import READINGS_FILE, READINGS_FOLDER, ReadingTape, tape_device
-from ronna_hw.vectors import JointVector
 
 ROOT = Path(__file__).resolve().parents[3]
 PAGE = ROOT / "docs" / "explanation" / "from-wire-to-report.md"
@@ -179,11 +179,11 @@ def test_a_motion_goes_down_by_the_layers_of_the_page_and_asks_upwards_only_wher
     add_guards(engine, file, read_theatre_file(file))
     led_here: set[tuple[str, ...]] = set()
     ran: set[str] = set()
-    move, carry_out = cell.arm.move_joints, SupervisedMotion.carry_out
+    move, carry_out = cell.arm.move, SupervisedMotion.carry_out
 
-    def moved(target_rad: JointVector, **more: Any) -> ArmReading:
+    def moved(motion: Motion, **more: Any) -> ArmReading:
         led_here.add(layers_on_stack())
-        return move(target_rad, **more)
+        return move(motion, **more)
 
     def carried_out(self: SupervisedMotion, motion: PlannedMotion) -> ArmReading:
         with modules_run() as run:
@@ -191,12 +191,12 @@ def test_a_motion_goes_down_by_the_layers_of_the_page_and_asks_upwards_only_wher
         ran.update(run)
         return reading
 
-    monkeypatch.setattr(cell.arm, "move_joints", moved)
+    monkeypatch.setattr(cell.arm, "move", moved)
     monkeypatch.setattr(SupervisedMotion, "carry_out", carried_out)
     engine.run_to()
-    *_, below = down = layers_of("A motion")
-    assert below == "drivers"  # which are not in this process
-    assert led_here == {(*reversed(down[:-1]), "procedures/engine")}
+    *above, interface, below = layers_of("A motion")
+    assert (interface, below) == ("ronna_hw", "drivers")  # of which a recording arm has neither
+    assert led_here == {(*reversed(above), "procedures/engine")}
     asked = PAGE.read_text(encoding="utf-8").split("asks upwards")[1].split("\n\n")[0]
     linked = set(re.findall(r"\(\.\./\.\./(procedures/[\w/]+\.py)\)", asked))
     assert linked <= ran

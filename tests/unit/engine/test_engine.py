@@ -269,7 +269,7 @@ def test_an_interrupt_during_a_motion_ends_the_case_also_without_a_journal(
         raise KeyboardInterrupt
 
     engine = cell.engine(plain_order(image=ends_away))
-    monkeypatch.setattr(cell.arm, "move_joints", interrupted)
+    monkeypatch.setattr(cell.arm, "move", interrupted)
     with pytest.raises(KeyboardInterrupt):
         run(engine, "image")
     assert engine.machine.state == "aborted"

@@ -119,6 +119,21 @@ def test_a_replay_equals_its_run_even_where_a_path_was_blocked(tmp_path: Path) -
     assert verdicts(recorded.replayed()) == dict.fromkeys(CASE, EQUAL)
 
 
+def test_a_run_whose_motions_were_recorded_as_the_two_calls_of_then_is_replayed(tmp_path: Path) -> None:
+    recorded = Recorded(tmp_path)
+    recorded.run(*CASE)
+    earlier: list[str] = []
+
+    def rename(line: dict[str, Any]) -> None:
+        if line["call"] == "move":
+            line["call"] = ("move_joints", "move_linear")[len(earlier) % 2]
+            earlier.append(line["call"])
+
+    recorded.edit(rename)
+    assert earlier
+    assert verdicts(recorded.replayed()) == dict.fromkeys(CASE, EQUAL)
+
+
 def test_a_replay_equals_a_run_whose_arm_was_stopped_between_two_motions(tmp_path: Path) -> None:
     stops = iter([True, False])
 

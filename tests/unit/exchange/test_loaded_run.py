@@ -323,3 +323,17 @@ def test_an_empty_table_has_all_columns_and_each_quantity_has_its_unit(name: str
 def test_completion_shows_the_public_names_of_a_package_and_no_others(package: object) -> None:
     assert dir(package) == sorted(package.__all__)
     assert all(hasattr(package, name) for name in dir(package))
+
+
+def test_joints_in_a_table_are_as_many_as_the_arm_with_most_axes_has() -> None:
+    motion = {"number": 1, "what": "go", "theatre_time_s": 1.0}
+    table = run_tables.motions_table(
+        [
+            {**motion, "entry": Entry.MOTION, "arm": "master", "to": [0.1] * 7},
+            {**motion, "entry": Entry.MOVED, "arm": "master", "joints_rad": [0.1] * 7},
+            {**motion, "entry": Entry.MOTION, "arm": "assistant", "to": [0.2] * 6},
+        ]
+    )
+    assert table.goal_rad[:, :6].tolist() == [[0.1] * 6, [0.2] * 6]
+    assert np.isnan(table.goal_rad[:, 6]).tolist() == [False, True]
+    assert table.columns[6].pandas_names[-1] == "goal_A7_rad"

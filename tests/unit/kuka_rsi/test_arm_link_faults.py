@@ -19,6 +19,7 @@ from drivers.kuka_rsi.errors import NO_TELEGRAM, POSE_DISAGREES, STREAM_ERRORS
 from ronna_hw.arm.pose import radians6
 from ronna_hw.arm_stream.records import Choice
 from ronna_hw.devices import Lifecycle
+from ronna_hw.devices.robot import JointMove
 
 
 @pytest.mark.hazard(38)
@@ -57,7 +58,7 @@ def test_link_silence_is_detected_and_latched(controller: Any, active_arm: Any) 
     assert {r[1] for r in controller.replies[count:]} == {last}
     active_arm.recover("operator")
     active_arm.activate()
-    active_arm.move_joints(THERE)
+    active_arm.move(JointMove(THERE))
 
 
 def test_configure_reports_a_port_in_use(controller: Any, make_arm: Any) -> None:

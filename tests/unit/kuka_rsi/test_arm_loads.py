@@ -12,6 +12,7 @@ from fake_controller import FakeController
 from ronna_hw.devices.axis_loads import TellsLoads
 from ronna_hw.devices.errors import WrongState
 from ronna_hw.devices.readings import Validity
+from ronna_hw.devices.robot import JointMove
 
 CURRENTS = (1.5, -31.25, 12.0, 0.25, -4.5, 0.0)
 
@@ -35,7 +36,7 @@ def test_loads_are_those_of_one_standstill(controller: FakeController, active_ar
     controller.currents_percent = CURRENTS
     active_arm.read_loads(cycles=20)
     with ThreadPoolExecutor(1) as pool:
-        moving = pool.submit(active_arm.move_joints, THERE)
+        moving = pool.submit(active_arm.move, JointMove(THERE))
         loads = active_arm.read_loads(cycles=2000, timeout_s=60.0)
         moving.result()
     assert loads.cycles >= 2000
@@ -46,7 +47,7 @@ def test_a_controller_that_does_not_send_currents_is_missing_and_never_zero(
     controller: FakeController, active_arm: Any
 ) -> None:
     controller.currents_percent = None
-    active_arm.move_joints(THERE)  # telegrams under way had them
+    active_arm.move(JointMove(THERE))  # telegrams under way had them
     loads = active_arm.read_loads()
     assert loads.validity is Validity.MISSING
     assert (loads.cycles, loads.current_percent) == (0, None)

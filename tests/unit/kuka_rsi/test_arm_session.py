@@ -23,6 +23,7 @@ from ronna_hw.devices import LastKnown, Lifecycle, RobotArm
 from ronna_hw.devices.capabilities import Direction, RecordsBytes
 from ronna_hw.devices.errors import WrongState
 from ronna_hw.devices.readings import Validity
+from ronna_hw.devices.robot import JointMove, LineMove
 from ronna_hw.frames import Frame, Transform
 
 
@@ -39,7 +40,7 @@ def test_a_session_runs_from_connect_to_close(controller: Any, make_arm: Any) ->
     arm.configure()
     arm.activate()
     assert arm.state is Lifecycle.ACTIVE
-    reading = arm.move_joints(THERE)
+    reading = arm.move(JointMove(THERE))
     assert reading.joints_rad == pytest.approx(THERE, abs=4e-6)
     assert reading.commanded_rad == THERE
     assert not reading.moving
@@ -52,7 +53,7 @@ def test_a_session_runs_from_connect_to_close(controller: Any, make_arm: Any) ->
         translation_mm=np.add(here.translation_mm, (0.0, 20.0, 0.0)),
         quaternion_wxyz=here.quaternion_wxyz,
     )
-    reading = arm.move_linear(target, flange_from_tool=tool)
+    reading = arm.move(LineMove(target, flange_from_tool=tool))
     reached = MODEL.flange_pose(reading.joints_rad) @ tool
     assert reached.translation_mm == pytest.approx(target.translation_mm, abs=0.01)
     statistics = arm.link_statistics()
@@ -81,7 +82,7 @@ def test_observe_works_in_every_state_from_any_thread_without_checking_for_fault
     assert arm.observe().reading.joints_rad == asked.joints_rad
     arm.configure()
     arm.activate()
-    arm.move_joints(THERE)
+    arm.move(JointMove(THERE))
     with monkeypatch.context() as patch:
         patch.setattr(FaultWatch, "check", lambda _watch: looked_in.append(current_thread().name))
         with ThreadPoolExecutor(thread_name_prefix="observer") as elsewhere:
@@ -115,14 +116,14 @@ def test_an_error_inside_the_active_block_brings_a_moving_arm_to_rest(controller
 def test_motion_is_refused_outside_active(make_arm: Any) -> None:
     arm = make_arm()
     with pytest.raises(WrongState):
-        arm.move_joints(THERE)
+        arm.move(JointMove(THERE))
     with pytest.raises(WrongState):
         arm.read_state()
 
 
 def test_a_move_to_the_current_position_returns_the_settled_reading(active_arm: Any) -> None:
     here = active_arm.read_state().commanded_rad
-    assert active_arm.move_joints(here).commanded_rad == here
+    assert active_arm.move(JointMove(here)).commanded_rad == here
 
 
 def test_close_is_bounded_when_the_controller_is_gone(controller: Any, active_arm: Any) -> None:

@@ -18,6 +18,7 @@ from ronna_hw.arm_stream.records import Fault, StopOrder
 from ronna_hw.devices import Lifecycle, StopKind
 from ronna_hw.devices.errors import WrongState
 from ronna_hw.devices.lifecycle import LifecycleGuard
+from ronna_hw.devices.robot import JointMove
 from ronna_hw.errors import ErrorCode, RonnaError
 
 
@@ -30,11 +31,11 @@ def test_hold_stops_the_arm_smoothly_and_resume_causes_no_motion(controller: Any
     assert caught[0].code == "RSI-010"
     assert active_arm.state is Lifecycle.HOLD
     with pytest.raises(WrongState):
-        active_arm.move_joints(FAR)
+        active_arm.move(JointMove(FAR))
     held = active_arm.read_state().commanded_rad
     active_arm.resume()
     assert active_arm.read_state().commanded_rad == held
-    active_arm.move_joints(THERE)
+    active_arm.move(JointMove(THERE))
     assert largest_step(controller.replies) < 1 / 8
 
 
@@ -49,7 +50,7 @@ def test_a_motion_begun_while_a_hold_is_carried_out_is_refused(
         state = wait(*condition)
         monkeypatch.setattr(MotionFollower, "wait", wait)
         with pytest.raises(WrongState):
-            active_arm.move_joints(FAR)
+            active_arm.move(JointMove(FAR))
         return state
 
     monkeypatch.setattr(MotionFollower, "wait", move_once_the_stop_is_seen)
@@ -72,7 +73,7 @@ def test_a_hold_right_after_the_state_was_checked_refuses_the_motion(
 
     monkeypatch.setattr(LifecycleGuard, "require", check_and_be_stopped)
     with raises(STREAM_ERRORS.stopped, match="stopped before it began"):
-        active_arm.move_joints(FAR)
+        active_arm.move(JointMove(FAR))
     assert active_arm.read_state().commanded_rad == held
 
 
@@ -116,7 +117,7 @@ def test_every_stop_except_hold_is_latched_until_recovered(
     assert active_arm.state is Lifecycle.CONFIGURED
     assert "ACK_ERRORS" in controller.commands
     active_arm.activate()
-    active_arm.move_joints(THERE)
+    active_arm.move(JointMove(THERE))
 
 
 @pytest.mark.hazard(32)
@@ -147,7 +148,7 @@ def test_a_motion_that_does_not_settle_is_reported_after_its_time_limit(
     arm = activated(make_arm())
     controller.frozen = True
     with raises(STREAM_ERRORS.not_finished) as caught:
-        arm.move_joints(radians6(0, -90, 90, 0, 60, 0.05), timeout_s=0.5)
+        arm.move(JointMove(radians6(0, -90, 90, 0, 60, 0.05)), timeout_s=0.5)
     assert caught.value.code == "RSI-011"
 
 
@@ -160,7 +161,7 @@ def test_an_arm_at_rest_off_its_goal_is_reported_after_the_settle_limit_not_the_
         STREAM_ERRORS.not_finished,
         match=r"did not settle at the end of its path; limit 0\.5 s, got A6 -0\.0500 deg off",
     ):
-        active_arm.move_joints(radians6(0, -90, 90, 0, 60, 0.05), timeout_s=HANG_LIMIT_S)
+        active_arm.move(JointMove(radians6(0, -90, 90, 0, 60, 0.05)), timeout_s=HANG_LIMIT_S)
 
 
 @pytest.mark.hazard(38)

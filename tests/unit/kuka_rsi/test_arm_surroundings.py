@@ -41,12 +41,12 @@ def test_an_obstructed_goal_is_refused_before_motion(controller: Any, active_arm
     active_arm.surround(_post_beside(15.0))
     sent = controller.replies[-1][1]
     with pytest.raises(NotClear, match=r"ARM-007: .*hand would come too close to the drip stand") as caught:
-        active_arm.move_joints(ASIDE)
+        active_arm.move(JointMove(ASIDE))
     assert "\n" not in str(caught.value)
     assert active_arm.state is Lifecycle.ACTIVE
     assert controller.replies[-1][1] == sent
     active_arm.surround(Surroundings())
-    assert active_arm.move_joints(ASIDE).joints_rad[0] == pytest.approx(radians(20.0), abs=1e-4)
+    assert active_arm.move(JointMove(ASIDE)).joints_rad[0] == pytest.approx(radians(20.0), abs=1e-4)
 
 
 @pytest.mark.hazard(24)
@@ -80,9 +80,11 @@ def test_a_preview_needs_no_stream(make_arm: Any) -> None:
 def test_unreachable_and_singular_goals_are_refused_before_motion(controller: Any, active_arm: Any) -> None:
     sent = controller.replies[-1][1]
     with pytest.raises(Unreachable, match="ARM-001"):
-        active_arm.move_linear(Transform.of(Frame.ROBOT, Frame.FLANGE, translation_mm=(2000.0, 0.0, 500.0)))
+        active_arm.move(
+            LineMove(Transform.of(Frame.ROBOT, Frame.FLANGE, translation_mm=(2000.0, 0.0, 500.0)))
+        )
     with pytest.raises(Singular, match="ARM-002"):
-        active_arm.move_linear(MODEL.flange_pose(radians6(0.0, -90.0, 90.0, 0.0, 0.0, 0.0)))
+        active_arm.move(LineMove(MODEL.flange_pose(radians6(0.0, -90.0, 90.0, 0.0, 0.0, 0.0))))
     assert active_arm.state is Lifecycle.ACTIVE
     assert controller.replies[-1][1] == sent
 

@@ -26,6 +26,7 @@ from ronna_hw.config import DeviceConfig
 from ronna_hw.devices import Lifecycle
 from ronna_hw.devices.contact import Insertion
 from ronna_hw.devices.errors import WrongState
+from ronna_hw.devices.robot import JointMove
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.wire.kuka_context import CONTEXT_INVALID, context_hash, load_context
 
@@ -62,7 +63,7 @@ def test_telegrams_from_another_host_than_the_configured_one_open_no_session(
 
 def test_telegrams_from_the_configured_host_are_answered(controller: Any, make_arm: Any) -> None:
     arm = activated(make_arm(controller_host="127.0.0.1"))
-    arm.move_joints(THERE)
+    arm.move(JointMove(THERE))
     assert controller.replies
 
 
@@ -83,7 +84,7 @@ def test_a_12_ms_cycle_runs_when_driver_and_controller_agree_on_it(controller: A
     controller.facts.update(Cycle="12", CtxHash=context_hash(context.model_copy(update={"program": program})))
     controller.cycle_ms = 12
     arm = activated(make_arm(cycle_ms=12))
-    reading = arm.move_joints(THERE)
+    reading = arm.move(JointMove(THERE))
     assert reading.joints_rad == pytest.approx(THERE, abs=1e-5)
     assert arm.link_statistics().lost_cycles == 0
 
@@ -103,7 +104,7 @@ def test_options_that_do_not_fit_the_context_are_refused_at_once(make_arm: Any, 
 def test_a_second_client_of_the_controller_gets_no_answer(active_arm: Any, make_arm: Any) -> None:
     with raises(STREAM_ERRORS.not_found):
         make_arm().connect(timeout_s=0.5)
-    active_arm.move_joints(THERE)  # the first one is not disturbed
+    active_arm.move(JointMove(THERE))  # the first one is not disturbed
 
 
 @pytest.mark.hazard(4)
@@ -118,7 +119,7 @@ def test_a_stalled_real_time_process_is_latched_without_any_call(controller: Any
     eventually(latched)
     assert arm.fault.code == STREAM_ERRORS.stalled.code
     with raises(STREAM_ERRORS.stalled):
-        arm.move_joints(THERE)
+        arm.move(JointMove(THERE))
     arm.recover("Ana")
     arm.activate()
 

@@ -91,7 +91,7 @@ def test_in_t1_the_pendant_can_start_the_program_and_speed_is_limited_to_a_tenth
     presser.start()
     arm.activate()
     presser.join()
-    arm.move_joints(THERE)
+    arm.move(JointMove(THERE))
     angles = [reply[1][0] for reply in controller.replies]
     fastest_deg_s = max(abs(b - a) for a, b in pairwise(angles)) / 0.004
     assert 0.0 < fastest_deg_s <= 0.1001 * FULL_SPEED_DEG_S
@@ -135,7 +135,7 @@ def test_an_unverified_controller_is_activated_only_by_a_micro_move_a_person_con
     largest = [max(abs(reply[1][axis]) for reply in silent_controller.replies) for axis in range(6)]
     assert all(0.002 < angle <= 0.02 for angle in largest)  # each axis, and none by more
     assert silent_controller.replies[-1][1] == (0.0,) * 6  # and back
-    arm.move_joints(THERE)
+    arm.move(JointMove(THERE))
 
 
 @pytest.mark.hazard(20)

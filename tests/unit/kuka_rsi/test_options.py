@@ -83,7 +83,7 @@ def test_the_shipped_context_is_usable_with_both_cycle_times() -> None:
 
 def test_options_have_defaults_and_all_mistakes_are_reported() -> None:
     assert read_options("arm", {}).silence_limit_s == 0.25
-    assert read_options("arm", {"variant": "kr6_r900_2"}).variant.value == "kr6_r900_2"
+    assert read_options("arm", {"variant": "kr6_r900_2"}).variant == "kr6_r900_2"
     with raises(BAD_OPTIONS, match="options have 3 mistakes") as caught:
         read_options("arm", {"variant": "kr16", "speed_fraction": 0.5, "speed": 1})
     assert caught.value.code == "RSI-013"

@@ -35,6 +35,7 @@ from ronna_hw.devices.readings import (
     TrackerFrame,
     Validity,
 )
+from ronna_hw.devices.robot import JointMove
 from ronna_hw.recording.reading_coding import ANSWERS, as_plain, as_recorded
 from ronna_hw.recording.reading_tape import READINGS_FILE, ReadingTape, tape_device
 
@@ -115,7 +116,7 @@ def test_an_error_is_raised_as_usual_and_recorded_with_the_resulting_state(
     )
     tape.begin(1)
     with pytest.raises(NotClear, match="too near"):
-        arm.move_joints(HOME)
+        arm.move(JointMove(HOME))
     (line,) = _lines(tape, tmp_path)
     assert (line["state"], line["error"]["code"], line["error"]["got"]) == ("fault", "ARM-007", "2 mm")
 

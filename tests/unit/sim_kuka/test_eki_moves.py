@@ -13,7 +13,7 @@ import pytest
 from ronna_hw.wire.kuka_eki import AXIS_ATTRIBUTES, AckCode, OperationMode, ProState
 from sim.kuka.eki.moves import EkiMoves
 from sim.kuka.motion import Acknowledgement, path_parameters
-from sim.world.nominal_arm import Variant, axes_of_posture, description, frame_of, status_and_turn
+from sim.world.nominal_arm import axes_of_posture, description, frame_of, status_and_turn
 from sim.world.true_arm import JointChain
 
 HOME_DEG = (0.0, -90.0, 90.0, 0.0, 90.0, 0.0)
@@ -62,7 +62,7 @@ def program(make_bench: Callable[..., Any]) -> Program:
 
 
 @pytest.mark.parametrize("variant", ["kr6_r900_sixx", "kr6_r900_2"])
-def test_status_and_turn_recover_the_axes_they_were_computed_from(variant: Variant) -> None:
+def test_status_and_turn_recover_the_axes_they_were_computed_from(variant: str) -> None:
     arm, generator = description(variant), np.random.default_rng(8)
     chain = JointChain(arm)
     for _ in range(2000):

@@ -12,14 +12,13 @@ from sim.universal_robots.controller import Controller
 from sim.universal_robots.controller_parameters import parse_parameters
 from sim.universal_robots.model import MODELS
 from sim.universal_robots.rtde.server import RtdeServer
-from sim.world.options import UrArm
 
 MakeController = Callable[..., Controller]
 
 
 @pytest.fixture
 def make() -> MakeController:
-    def make_controller(*assignments: str, arm: UrArm = UrArm.UR5E) -> Controller:
+    def make_controller(*assignments: str, arm: str = "ur5e") -> Controller:
         return Controller(MODELS[arm], parse_parameters(assignments))
 
     return make_controller

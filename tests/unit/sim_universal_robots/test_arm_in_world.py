@@ -6,17 +6,17 @@ import numpy as np
 import pytest
 from coded_errors import raises
 
+from ronna_hw.arm.catalogue import ArmChoice
 from sim.errors import BAD_SCENE
 from sim.universal_robots.arm_in_world import ArmInWorld, require_arm
 from sim.universal_robots.controller_parameters import ControllerParameters
 from sim.universal_robots.drives import Drives
 from sim.universal_robots.model import HOME_RAD, MODELS
-from sim.world.options import ArmChoice, UrArm
 from sim.world.scene.named_scenes import draw_scene
 from sim.world.true_arm import TrueArm
 from sim.world.world import ArmState
 
-CYCLE_S = MODELS[UrArm.UR5E].cycle_s
+CYCLE_S = MODELS["ur5e"].cycle_s
 SCENE = draw_scene("bench", seed=4, arm=ArmChoice.UR5E)
 PARAMETERS = ControllerParameters()
 LAG_S = 0.03
@@ -89,4 +89,4 @@ def test_an_arm_of_a_continued_world_is_where_it_was() -> None:
 
 def test_another_arm_than_the_scenes_is_refused() -> None:
     with raises(BAD_SCENE, match="does not move the scene's arm ur5e"):
-        require_arm(SCENE.arm, MODELS[UrArm.UR5])
+        require_arm(SCENE.arm, MODELS["ur5"])

@@ -29,7 +29,6 @@ from sim.universal_robots.model import MODELS
 from sim.universal_robots.programs.recognition import REGISTER_LOOP_MARK, recognise
 from sim.universal_robots.rtde.server import RtdeServer
 from sim.universal_robots.rtde.session import BadPackage, Session
-from sim.world.options import UrArm
 
 LONGEST_S = 1.0  # of CPU, for one stream and its cycles
 CYCLES = 3
@@ -89,7 +88,7 @@ class Target:
     def renew(self) -> None:
         """Begin anew with a controller that may move."""
         self._opened.close()
-        self.controller = Controller(MODELS[UrArm.UR5E], parse_parameters(("power_on_s=0.01",)))
+        self.controller = Controller(MODELS["ur5e"], parse_parameters(("power_on_s=0.01",)))
         self.poll, address = Poll(), own_address()
         poll = self.poll
         self._opened.callback(poll.close)

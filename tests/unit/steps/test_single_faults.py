@@ -26,9 +26,9 @@ from single_faults import (
 from procedures.steps import branches
 from procedures.steps.branches import Branch
 from procedures.steps.catalogue import CLINICAL_STEPS, clinical_steps
+from ronna_hw.arm.catalogue import ArmChoice
 from ronna_hw.roles import ONE_ARM, TWO_ARMS
 from sim.world.faults import DEVICES, FAULT_KINDS, check_faults, parse_faults
-from sim.world.options import ArmChoice
 from sim.world.scene.assistant import add_assistant
 from sim.world.scene.named_scenes import draw_scene
 

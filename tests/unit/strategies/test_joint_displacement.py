@@ -16,13 +16,14 @@ from procedures.registration.target_prediction import predict_target_error
 from procedures.strategies.catalogue import BestOfEach, find_strategy
 from procedures.strategies.errors import NoNearbyJoints
 from procedures.strategies.joint_displacement import JointDisplacementMinimization, least_displacement
-from procedures.strategies.strategy import OUTWARDS_RAD, ArmInBranch, Joints
+from procedures.strategies.strategy import OUTWARDS_RAD, ArmInBranch
 from procedures.strategies.trajectory import Trajectory, target_pose
 from ronna_hw.arm.errors import Unreachable
 from ronna_hw.arm.pose import Pose
 from ronna_hw.arm.universal_robots import universal_robot
 from ronna_hw.calibrated_arm.error_budget import ErrorSizes, displacements
 from ronna_hw.frames import Frame, Transform
+from ronna_hw.vectors import JointVector
 
 JDMS = JointDisplacementMinimization()
 UR5 = universal_robot("ur5")
@@ -31,7 +32,7 @@ OFFSET_WRIST = ArmInBranch(
 )
 
 
-def from_target_rad(arm: ArmInBranch, pose: Transform, at_target: Joints) -> float:
+def from_target_rad(arm: ArmInBranch, pose: Transform, at_target: JointVector) -> float:
     """Distance of the joints at a pose from those at the target."""
     flange = Pose.from_transform(pose @ arm.flange_from_stereo.inverse())
     return math.dist(arm.kinematics.solve_branch(flange, arm.branch, at_target), at_target)

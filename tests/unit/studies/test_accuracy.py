@@ -11,7 +11,7 @@ from coded_errors import raises
 from procedures.planning.head_in_ct import HeadEllipsoid
 from procedures.planning.marker_sites import is_clear_of, list_sites, mark_allowed, propose_markers
 from procedures.strategies.catalogue import CANDIDATES, find_strategy
-from ronna_hw.arm.catalogue import find_kinematics
+from ronna_hw.arm.catalogue import find_arm
 from ronna_hw.frames import Frame, Transform
 from sim.world.scene.as_built import draw_arm
 from sim.world.true_arm import TrueArm
@@ -55,7 +55,7 @@ def test_the_vectorized_arm_equals_the_simulators_arm(model: str) -> None:
     truths = [draw_arm(random).model_copy(update={"variant": model}) for _ in range(2)]
     tools = random.normal(size=(2, 3))
     arms = RandomArms.of(list(zip(truths, tools, strict=True)))
-    joints = np.array(find_kinematics(model).home_rad) + 0.5 * random.normal(size=(2, 4, 6))
+    joints = np.array(find_arm(model).kinematics.home_rad) + 0.5 * random.normal(size=(2, 4, 6))
     flanks = random.choice((-1.0, 1.0), size=joints.shape)
     found = arms.tool_points_mm(joints, flanks)
     for arm, truth in enumerate(truths):

@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from ronna_hw.arm.catalogue import ArmChoice
 from ronna_hw.errors import EXIT_REFUSED, EXIT_USAGE
 from sim.world.displacements import ShiftedRoom, rigid_move
 from sim.world.faults import check_faults, parse_faults
-from sim.world.options import ArmChoice
 from sim.world.process import load_scene
 from sim.world.rigid import apply, inverse
 from sim.world.scene.model import Scene

@@ -15,6 +15,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from ronna_hw.arm.universal_robots import universal_robot
 from ronna_hw.calibration import PoseRecord
 from ronna_hw.devices.readings import ArmReading, Stamp, ToolReading, TrackerFrame, Validity
+from ronna_hw.devices.robot import JointMove
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.vectors import JointVector
 from sim.world.true_arm import TrueArm
@@ -68,9 +69,8 @@ class WrongArm:
     joints_rad: JointVector = ARM.home_rad
     moves: int = 0
 
-    def move_joints(
-        self, target_rad: JointVector, *, speed_fraction: float = 1.0, timeout_s: float = 60.0
-    ) -> ArmReading:
+    def move(self, motion: JointMove, *, timeout_s: float = 60.0) -> ArmReading:
+        target_rad = motion.target_rad
         if self.obeys or self.moves == 0:
             self.joints_rad = target_rad
         self.moves += 1
@@ -258,7 +258,7 @@ def test_an_arm_behind_its_driver_goes_where_it_is_sent_and_states_its_factorys_
     world = World.create(draw_room(0).model_copy(update={"arm": truth}), paced=False)
     with drive_arm(world) as arm:
         target = TipModel(ARM, FLANGE_FROM_TIP).joints(named_pose(np.array(PHANTOM_MM), REFERENCE))
-        reading = arm.move_joints(target)
+        reading = arm.move(JointMove(target))
         assert reading.joints_rad == pytest.approx(target, abs=math.radians(0.001))
         assert world.arm().at_rest
         true_mm = world.arm().robot_from_flange[:3, 3]
@@ -292,5 +292,5 @@ def test_a_vicra_sees_both_frames_with_the_tool_at_every_target(
     scene = draw_room(0)
     robot_from_ct = scene.head.robot_from_ct.transform(Frame.ROBOT, Frame.CT)
     for target in plan_targets(scene, 0, 5):
-        arm.move_joints(TipModel(ARM, FLANGE_FROM_TIP).joints(robot_from_ct @ target.ct_from_tool))
+        arm.move(JointMove(TipModel(ARM, FLANGE_FROM_TIP).joints(robot_from_ct @ target.ct_from_tool)))
         require_look(tracker, 2)  # type: ignore[arg-type]

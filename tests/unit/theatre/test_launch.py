@@ -9,6 +9,7 @@ import pytest
 from coded_errors import raises
 from user_commands import in_this_process, one_error
 
+from ronna_hw.arm.catalogue import ArmChoice
 from ronna_hw.bounded_input import InputRefused, read_toml
 from ronna_hw.errors import EXIT_FAILED, EXIT_USAGE
 from ronna_hw.wire.kuka_context import OWN_CONTEXT
@@ -18,7 +19,6 @@ from sim.theatre.arm_controllers import check_cycle
 from sim.theatre.launch import THEATRE_FILE, Theatre, parameters_by_device
 from sim.theatre.theatre_file import write_theatre_file
 from sim.universal_robots.errors import UNKNOWN_PARAMETER
-from sim.world.options import ArmChoice
 from sim.world.saved_world import WORLD_FILE, read_saved_world
 from sim.world.scene.assistant import add_assistant
 from sim.world.scene.model import Scene

@@ -12,6 +12,7 @@ from coded_errors import raises
 from drivers.kuka_rsi.options import read_options
 from procedures.workcell.errors import AnotherArm
 from procedures.workcell.tools import require_this_arm
+from ronna_hw.arm.catalogue import ArmChoice
 from ronna_hw.calibrated_arm.error_budget import ErrorSizes
 from ronna_hw.calibration import CalibrationExpired
 from ronna_hw.config import (
@@ -28,7 +29,7 @@ from sim.errors import BAD_CALIBRATION_FILE
 from sim.kuka.controller_parameters import parse_parameters
 from sim.theatre.launch import CALIBRATION_FILE, read_calibrations
 from sim.theatre.theatre_file import theatre_content, write_theatre_file
-from sim.world.options import ArmChoice, ArmRole
+from sim.world.options import ArmRole
 from sim.world.process import load_scene
 from sim.world.rigid import inverse, matrix_of
 from sim.world.scene.model import Scene

@@ -7,6 +7,7 @@ from dataclasses import replace
 import pytest
 
 from procedures.workcell.arm_load import as_standstill
+from ronna_hw.arm.load_model import KR6, UR5E, LoadModel
 from ronna_hw.devices.axis_loads import AxisLoads
 from ronna_hw.devices.readings import Stamp, Validity
 
@@ -22,7 +23,7 @@ UR = replace(
 
 
 def test_currents_are_as_stated_or_less_what_the_controller_expects() -> None:
-    kuka, ur = as_standstill(KUKA, "kr6_r900_sixx", "guide"), as_standstill(UR, "ur5e", "guide")
+    kuka, ur = as_standstill(KUKA, KR6, "guide"), as_standstill(UR, UR5E, "guide")
     assert kuka is not None
     assert ur is not None
     assert (kuka.signal, kuka.force_N, kuka.cycles) == (KUKA.current_percent, None, 100)
@@ -33,15 +34,15 @@ def test_currents_are_as_stated_or_less_what_the_controller_expects() -> None:
 @pytest.mark.parametrize(
     ("loads", "model"),
     [
-        (None, "kr6_r900_sixx"),
-        (replace(KUKA, validity=Validity.MISSING), "kr6_r900_sixx"),
-        (replace(KUKA, validity=Validity.STALE), "kr6_r900_sixx"),
-        (LOADS, "kr6_r900_sixx"),
-        (replace(UR, expected_current_A=None), "ur5e"),
-        (KUKA, "an arm of another make"),
+        (None, KR6),
+        (replace(KUKA, validity=Validity.MISSING), KR6),
+        (replace(KUKA, validity=Validity.STALE), KR6),
+        (LOADS, KR6),
+        (replace(UR, expected_current_A=None), UR5E),
+        (KUKA, None),
     ],
 )
 def test_without_fresh_signals_or_assumptions_there_is_no_estimate(
-    loads: AxisLoads | None, model: str
+    loads: AxisLoads | None, model: LoadModel | None
 ) -> None:
     assert as_standstill(loads, model, "guide") is None

@@ -21,7 +21,7 @@ from procedures.workcell.arms import Arms
 from procedures.workcell.assistant import INSTRUMENT, Assistant, GuidedStretch
 from procedures.workcell.errors import OtherArmUnknown, TipOffAxis
 from procedures.workcell.motions import PlannedMotion
-from ronna_hw.arm.catalogue import find_kinematics
+from ronna_hw.arm.catalogue import find_arm
 from ronna_hw.arm.clearance.bodies import Surroundings
 from ronna_hw.calibrated_arm.arm import CalibratedArm
 from ronna_hw.calibration import PoseRecord
@@ -30,7 +30,7 @@ from ronna_hw.config import Calibrations, DeviceConfig
 from ronna_hw.devices import LineMove
 from ronna_hw.frames import FRAME_MISMATCH, Frame, Transform
 from ronna_hw.roles import ASSISTANT, MASTER
-from sim.world.scene.assistant import KR6_HOME_DEG
+from sim.world.scene.arm_design import KR6
 
 CLOCK = HostClock()
 BALL_MM = (0.0, 0.0, 160.0)
@@ -153,8 +153,8 @@ def test_where_the_assistant_stands_outlasts_the_program(assistant: Assistant, c
 def test_an_instrument_that_would_stand_in_the_arm_itself_is_not_clear_at_rest(
     assistant: Assistant, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(IdealArm, "kinematics", find_kinematics("kr6_r900_sixx"))
-    home_rad = tuple(map(radians, KR6_HOME_DEG))
+    monkeypatch.setattr(IdealArm, "kinematics", find_arm("kr6_r900_sixx").kinematics)
+    home_rad = tuple(map(radians, KR6.assistant_home_deg))
     turned_rad = (*home_rad[:-1], radians(60.0))
     assistant.surround(Surroundings(), home_rad)
     assert assistant.rests_clear(home_rad, 0.0)

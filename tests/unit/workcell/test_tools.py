@@ -17,7 +17,7 @@ from recording_cell import RecordingCell, theatre_of
 from procedures.workcell.errors import SAME_ARM_TWICE, AnotherArm
 from procedures.workcell.tools import CarriedTool, calibrated_arm, require_this_arm, require_two_arms
 from ronna_hw.arm.clearance.bodies import Capsule, Obstacle, Surroundings
-from ronna_hw.arm.kr6_r900 import ArmVariant, kr6_r900
+from ronna_hw.arm.kr6_r900 import R900_2, SIXX, kr6_r900
 from ronna_hw.calibration import ArmCalibration
 from ronna_hw.config import parse_theatre
 from ronna_hw.frames import Frame
@@ -35,7 +35,7 @@ def _records():  # of a calibrated theatre
 
 def test_the_record_of_another_arm_is_refused() -> None:
     with pytest.raises(AnotherArm, match="CAL-013"):
-        calibrated_arm(kr6_r900(ArmVariant.R900_2), _records().arms)
+        calibrated_arm(kr6_r900(R900_2), _records().arms)
 
 
 @pytest.mark.parametrize(
@@ -79,7 +79,7 @@ def test_one_arm_does_not_play_both_roles() -> None:
 
 
 def test_the_pose_sent_to_the_controller_is_corrected_by_the_calibration_of_the_arm() -> None:
-    kinematics, records = kr6_r900(ArmVariant.SIXX), _records()
+    kinematics, records = kr6_r900(SIXX), _records()
     flange_from_tool = records.stereo_head.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
     carried = CarriedTool(calibrated_arm(kinematics, records.arms), flange_from_tool)
     wanted = carried.pose(kinematics.home_rad)
@@ -92,7 +92,7 @@ def test_the_pose_sent_to_the_controller_is_corrected_by_the_calibration_of_the_
 
 
 def test_without_a_calibration_record_the_wanted_pose_itself_is_sent_to_the_controller() -> None:
-    kinematics, records = kr6_r900(ArmVariant.SIXX), _records()
+    kinematics, records = kr6_r900(SIXX), _records()
     flange_from_tool = records.stereo_head.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
     carried = CarriedTool(calibrated_arm(kinematics, {}), flange_from_tool)
     wanted = carried.pose(kinematics.home_rad)

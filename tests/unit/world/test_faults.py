@@ -3,6 +3,7 @@ from pathlib import Path
 
 import pytest
 
+from ronna_hw.arm.catalogue import ArmChoice
 from sim.errors import BadFaultScript
 from sim.world.faults import (
     FAULT_KINDS,
@@ -16,7 +17,7 @@ from sim.world.faults import (
     read_faults,
 )
 from sim.world.faults.plain_lines import read_plain_line
-from sim.world.options import ArmChoice, ArmRole
+from sim.world.options import ArmRole
 from sim.world.scene.assistant import add_assistant
 from sim.world.scene.named_scenes import draw_scene
 from sim.world.world import World

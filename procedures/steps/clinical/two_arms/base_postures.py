@@ -118,8 +118,8 @@ def turns_about_axis(clamp: Rotation) -> list[Rotation]:
 
 def wrist_branches(assistant: Assistant) -> tuple[JointVector, JointVector]:
     """Return joints in both branches of the wrist, of which each pose leaves the choice."""
-    one, two, three, four, five, six = assistant.home_rad
-    return assistant.home_rad, (one, two, three, four, -five, six)
+    *inner, bend, turn = assistant.home_rad
+    return assistant.home_rad, (*inner, -bend, turn)
 
 
 def travel_rad(start_rad: JointVector, end_rad: JointVector) -> float:

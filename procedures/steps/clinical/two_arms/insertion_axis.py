@@ -38,9 +38,10 @@ from ronna_hw.devices.sensors import VolumeSections, measuring_volume_mm
 from ronna_hw.errors import LimitError
 from ronna_hw.frames import Transform
 from ronna_hw.tool_record import GuideBore
-from ronna_hw.vectors import JointVector, joint_vector
+from ronna_hw.vectors import JointVector
 
 ABOVE_GUIDE_MM = 12.0  # of the tip, where it is compared with the axis of the bore
+WRIST_JOINTS = 3  # the last ones, which turn the instrument where it is
 # Safety against a clamp that pushes the guide (U).
 PAST_CONTACT_MM = 0.4  # of the clamp, which slides: more than both arms and their bases are in error
 
@@ -206,9 +207,9 @@ def _list_reached(
 
 def _list_ways(home_rad: JointVector, start_rad: JointVector) -> tuple[tuple[JointVector, ...], ...]:
     """List ways from home: straight, or drawn back as at home until the base is turned, or the wrist too."""
-    _, two, three, four, five, six = home_rad
-    first, _, _, *wrist = start_rad
-    return (), ((first, two, three, four, five, six),), (joint_vector((first, two, three, *wrist)),)
+    base = start_rad[:1]
+    drawn_back, wrist = home_rad[1:-WRIST_JOINTS], start_rad[-WRIST_JOINTS:]
+    return (), ((*base, *home_rad[1:]),), ((*base, *drawn_back, *wrist),)
 
 
 def _hides_head(context: StepContext, one: _Candidate) -> bool:

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 from ur_clients import RUN, UrCell, stream
 
+from ronna_hw.arm.catalogue import ArmChoice
 from ronna_hw.wire.universal_robots import TOOL_INPUTS, SafetyMode
 from sim.errors import BadFaultScript
 from sim.world.faults import check_faults, parse_faults
-from sim.world.options import ArmChoice
 from sim.world.scene.named_scenes import draw_scene
 from sim.world.true_arm import TrueArm
 from sim.world.world import World

@@ -20,13 +20,13 @@ from ronna_hw.arm.clearance.bodies import (
 from ronna_hw.arm.clearance.live_watch import LiveWatch, PlacedBodies
 from ronna_hw.arm.clearance.sweep import segment_distances, sweep
 from ronna_hw.arm.kinematics import Kinematics
-from ronna_hw.arm.kr6_r900 import ArmVariant, kr6_r900
+from ronna_hw.arm.kr6_r900 import R900_2, kr6_r900
 from ronna_hw.arm.pose import Pose
 from ronna_hw.arm.universal_robots import universal_robot
 from ronna_hw.collision_config import CollisionConfig
 from ronna_hw.vectors import JointVector, Vector3
 
-MODEL = kr6_r900(ArmVariant.R900_2)
+MODEL = kr6_r900(R900_2)
 CYCLE_S = 0.004
 CELL = CollisionConfig()
 TOOL = Pose((220.0, 0.0, 60.0))

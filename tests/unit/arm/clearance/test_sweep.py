@@ -15,7 +15,7 @@ from ronna_hw.arm.clearance.bodies import Bodies, Capsule, Corridor, Obstacle, P
 from ronna_hw.arm.clearance.live_watch import LiveWatch
 from ronna_hw.arm.clearance.sweep import sweep, sweep_path
 from ronna_hw.arm.errors import NotClear
-from ronna_hw.arm.kr6_r900 import ArmVariant, kr6_r900
+from ronna_hw.arm.kr6_r900 import SIXX, kr6_r900
 from ronna_hw.arm.monitor import Monitor, monitor_limits
 from ronna_hw.arm.motion.limits import REDUCED_SPEED_MM_S, working_limits
 from ronna_hw.arm.motion.planning import MotionPlan, plan_joint_move, plan_line
@@ -24,7 +24,7 @@ from ronna_hw.arm.motion.set_points import PathMotion
 from ronna_hw.arm.pose import Pose, radians6
 from ronna_hw.preview import preview, with_speed_steps
 
-MODEL = kr6_r900(ArmVariant.SIXX)
+MODEL = kr6_r900(SIXX)
 LIMITS = working_limits(MODEL)
 CYCLE_S = 0.004
 START = radians6(0, -75, 99, 0, 66, 180)

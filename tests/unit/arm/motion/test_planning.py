@@ -9,14 +9,14 @@ from coded_errors import raises
 
 from ronna_hw.arm.errors import MOTION_INVALID, TOO_FAST, OutOfJointRange, Singular, Unreachable
 from ronna_hw.arm.kinematics import Kinematics
-from ronna_hw.arm.kr6_r900 import ArmVariant, kr6_r900
+from ronna_hw.arm.kr6_r900 import SIXX, kr6_r900
 from ronna_hw.arm.motion.limits import working_limits
 from ronna_hw.arm.motion.planning import plan_joint_move, plan_line, require_in_range
 from ronna_hw.arm.pose import Pose, degrees6, radians6
-from ronna_hw.arm.universal_robots import UrModel, universal_robot
+from ronna_hw.arm.universal_robots import UR5E, universal_robot
 
-MODEL = kr6_r900(ArmVariant.SIXX)
-UR5E = universal_robot(UrModel.UR5E)
+MODEL = kr6_r900(SIXX)
+UR5E = universal_robot(UR5E)
 LIMITS = working_limits(MODEL)
 START = radians6(0, -90, 90, 0, 60, 0)
 

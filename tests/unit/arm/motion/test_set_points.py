@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from monitored_motion import drive_monitored
 
 from ronna_hw.arm.errors import MOTION_INVALID
-from ronna_hw.arm.kr6_r900 import ArmVariant, kr6_r900
+from ronna_hw.arm.kr6_r900 import SIXX, kr6_r900
 from ronna_hw.arm.monitor import Monitor, monitor_limits
 from ronna_hw.arm.motion.limits import working_limits
 from ronna_hw.arm.motion.planning import LinePath, MotionPlan, plan_joint_move, plan_line
@@ -22,7 +22,7 @@ from ronna_hw.arm.motion.set_points import PathMotion, StopMotion, plan_halt, st
 from ronna_hw.arm.pose import Pose, radians6
 from ronna_hw.vectors import JointVector
 
-MODEL = kr6_r900(ArmVariant.SIXX)
+MODEL = kr6_r900(SIXX)
 LIMITS = working_limits(MODEL)
 TO_THE_ENDS = replace(LIMITS, range_margin_rad=0.0)
 CYCLE_S = 0.004

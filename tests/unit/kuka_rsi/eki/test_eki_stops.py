@@ -20,6 +20,7 @@ from drivers.kuka_rsi.errors import BAD_EKI_TELEGRAM, CONTROLLER_STOPPED, STREAM
 from ronna_hw.arm_stream.records import Choice
 from ronna_hw.devices import Lifecycle
 from ronna_hw.devices.errors import WrongState
+from ronna_hw.devices.robot import JointMove
 from ronna_hw.errors import RonnaError, is_error
 
 HANG_S = 60.0
@@ -84,7 +85,7 @@ def test_a_controller_fact_that_forbids_motion_stops_the_arm_and_is_named(
     assert cause in str(error)
     rest = controller.replies[-1][1]
     with pytest.raises(WrongState, match="EKI-010"):
-        patient_arm.move_joints(THERE)
+        patient_arm.move(JointMove(THERE))
     controller.tell(**before)
     patient_arm.recover("Ana")
     patient_arm.activate()
@@ -105,7 +106,7 @@ def test_a_cut_eki_channel_stops_the_arm_and_recovery_retries_until_it_reopens(
     # The program that still ran was ended, not assumed to have ended with the channel.
     assert controller.facts["RSI"] == "0"
     patient_arm.activate()
-    patient_arm.move_joints(THERE)
+    patient_arm.move(JointMove(THERE))
 
 
 def _half(controller: Any, ends_with: bytes) -> bytes:
@@ -154,5 +155,5 @@ def test_padding_and_text_between_eki_telegrams_are_skipped(controller: Any, pat
     controller.send_raw(bytes(500) + b" ready\r\n")
     controller.tell(Tool="7")
     eventually(lambda: patient_arm.connections.control.latest.tool == 7)
-    patient_arm.move_joints(THERE)
+    patient_arm.move(JointMove(THERE))
     assert patient_arm.state is Lifecycle.ACTIVE

@@ -21,6 +21,7 @@ from drivers.kuka_rsi.options import KukaOptions
 from ronna_hw.arm_stream import loop as link_loop
 from ronna_hw.arm_stream.client import LinkClient
 from ronna_hw.arm_stream.records import CloseStream, OpenStream, Phase
+from ronna_hw.devices.robot import JointMove
 from ronna_hw.endpoints import parse_endpoint
 from ronna_hw.host.network import own_udp_endpoint
 from ronna_hw.wire.kuka_context import load_context
@@ -67,7 +68,7 @@ def test_a_running_link_imports_no_heavy_package(
     monkeypatch.setenv("PYTHONPROFILEIMPORTTIME", "1")  # the process lists each import on standard error
     arm = activated(make_arm())
     start = arm.read_state().joints_rad
-    arm.move_joints((start[0] + 0.01, *start[1:]))
+    arm.move(JointMove((start[0] + 0.01, *start[1:])))
     stream = arm.connections.link.process.stderr
     assert stream is not None
     with os.fdopen(os.dup(stream.fileno()), encoding="utf-8") as messages:

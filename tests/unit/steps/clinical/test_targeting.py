@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -46,6 +45,7 @@ from procedures.workcell.errors import WrongTool
 from ronna_hw.arm.errors import NotClear
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import ArmReading
+from ronna_hw.devices.robot import JointMove
 from ronna_hw.records import BadRecord
 from ronna_hw.vectors import JointVector
 
@@ -141,10 +141,10 @@ def test_a_guide_that_is_held_turned_when_it_comes_to_rest_is_refused(
     cell.tracker.guide_shift_mm = None  # the frame on the guide is hidden, and cannot tell
     move = cell.arm.move_joints
 
-    def move_and_turn(target_rad: JointVector, **more: Any) -> ArmReading:
-        at_home = np.allclose(target_rad, HOME_RAD)
+    def move_and_turn(motion: JointMove) -> ArmReading:
+        at_home = np.allclose(motion.target_rad, HOME_RAD)
         cell.tracker.frame_turn_rad = (0.0, 0.0 if at_home else math.radians(0.8), 0.0)
-        return move(target_rad, **more)
+        return move(motion)
 
     monkeypatch.setattr(cell.arm, "move_joints", move_and_turn)
     refused = rf"PRO-052: the frame on the arm is not where the arm has it.*at {FIRST}: the guide is pushed"

@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ronna_hw.arm.catalogue import find_kinematics
+from ronna_hw.arm.catalogue import ArmChoice, find_arm
 from ronna_hw.arm.clearance.arm_pair import PlacedArm
 from ronna_hw.arm.clearance.bodies import Bodies, Surroundings, segment_distance_mm
 from ronna_hw.arm.pose import Pose
-from sim.world.options import ArmChoice
 from sim.world.rigid import apply, matrix_of
 from sim.world.scene.assistant import add_assistant
 from sim.world.scene.named_scenes import draw_scene
@@ -27,7 +26,7 @@ def test_at_home_an_assistant_of_any_model_leaves_the_master_room_to_turn_its_fr
     assert scene.assistant is not None
     head_mm = apply(matrix_of(scene.head.robot_from_ct), scene.head.centre_ct_mm)
     x, y, z = (head_mm + BETWEEN_THE_ARMS_MM).tolist()
-    bodies = Bodies(find_kinematics(scene.assistant.arm.variant), Surroundings())
+    bodies = Bodies(find_arm(scene.assistant.arm.variant).kinematics, Surroundings())
     base = Pose.from_matrix(matrix_of(scene.assistant.robot_from_base).tolist())
     arm = PlacedArm("assistant", bodies, base)
     (axes_mm,) = arm.axes(np.radians([scene.assistant.arm.home_deg])).tolist()

@@ -16,12 +16,11 @@ from procedures.planning.scene import PlanningScene
 from procedures.planning.visits import ArmSetting
 from procedures.strategies.catalogue import find_strategy
 from procedures.strategies.trajectory import Trajectory
-from ronna_hw.arm.catalogue import find_kinematics
+from ronna_hw.arm.catalogue import ArmChoice, find_arm
 from ronna_hw.arm.motion.limits import working_limits
 from ronna_hw.arm.pose import radians6
 from ronna_hw.collision_config import CollisionConfig
 from ronna_hw.frames import Frame
-from sim.world.options import ArmChoice
 from sim.world.rigid import apply, inverse, matrix_of
 from sim.world.scene.arm_design import KR6
 from sim.world.scene.model import Scene
@@ -33,7 +32,7 @@ LEAST_BEND_RAD = math.radians(4.0)
 
 
 def setting_of(scene: Scene) -> ArmSetting:
-    arm = find_kinematics(scene.arm.variant)
+    arm = find_arm(scene.arm.variant).kinematics
     return ArmSetting(
         arm,
         scene.head.robot_from_ct.transform(Frame.ROBOT, Frame.CT),

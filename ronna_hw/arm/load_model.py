@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from math import sqrt
 
-from ronna_hw.vectors import JointVector
+from ronna_hw.vectors import JointVector, joint_vector
 
 TORQUE_ERROR_SHARE = 0.15  # of the torque that a drive has per ampere or percent, one standard deviation
 STIFFNESS_ERROR_SHARE = 0.2  # in directions and postures, one standard deviation
@@ -34,8 +34,7 @@ class LoadModel:
     @property
     def friction_Nm(self) -> JointVector:
         """Standard deviation of the friction at an undisturbed stop: anywhere within what the gears hold."""
-        a, b, c, d, e, f = (limit / EVEN for limit in self.stiction_Nm)
-        return a, b, c, d, e, f
+        return joint_vector(limit / EVEN for limit in self.stiction_Nm)
 
 
 KR6 = LoadModel(
@@ -58,4 +57,3 @@ UR5E = LoadModel(
     force_error_N=2.0,
 )
 UR5 = replace(UR5E, force_error_N=None)  # its controller estimates the force by these very currents
-LOAD_MODELS = {"kr6_r900_sixx": KR6, "kr6_r900_2": KR6, "ur5": UR5, "ur5e": UR5E}
