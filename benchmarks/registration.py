@@ -21,7 +21,7 @@ from studies.correspondence.study import (
     PART,
     SUCCESS,
     CorrespondenceStudy,
-    Method,
+    StudiedMatching,
     pair_points,
     verdict,
 )
@@ -175,9 +175,9 @@ def _measure_pairing_goals(runs: Runs) -> list[Figure]:
             ("4 markers", (4,), FOUR, runs.four),
             ("3 markers", (3,), THREE[noise], runs.three),
         ):
-            knowing = Method.PRIOR if counts[0] in WITH_PRIOR else Method.COUNT
+            knowing = StudiedMatching.PRIOR if counts[0] in WITH_PRIOR else StudiedMatching.COUNT
             study = CorrespondenceStudy(
-                per_cell, SEED, (Method.CLIQUE, knowing), readings=(noise,), fiducials=counts
+                per_cell, SEED, (StudiedMatching.CLIQUE, knowing), readings=(noise,), fiducials=counts
             )
             total: dict[str, float] = {}
             for unit in study.units():
@@ -185,14 +185,16 @@ def _measure_pairing_goals(runs: Runs) -> list[Figure]:
                     total[key] = total.get(key, 0.0) + value
             for outcome, most in zip(OUTCOMES, limits, strict=True):
                 figures.append(
-                    _share_figure(f"{outcome}, {name}, {noise.value}", Method.CLIQUE, outcome, total, most)
+                    _share_figure(
+                        f"{outcome}, {name}, {noise.value}", StudiedMatching.CLIQUE, outcome, total, most
+                    )
                 )
             if with_prior := WITH_PRIOR.get(counts[0]):
                 what = f"unsuccessful, {name}, {noise.value}, with orientation"
-                figures.append(_share_figure(what, Method.PRIOR, "unsuccessful", total, with_prior))
+                figures.append(_share_figure(what, StudiedMatching.PRIOR, "unsuccessful", total, with_prior))
             else:
                 what = f"false, {name}, {noise.value}, with the planned count"
-                figures.append(_share_figure(what, Method.COUNT, "false", total, 0.0))
+                figures.append(_share_figure(what, StudiedMatching.COUNT, "false", total, 0.0))
     return figures
 
 
@@ -217,7 +219,9 @@ def _measure_sides_apart(count: int) -> list[Figure]:
     return figures
 
 
-def _share_figure(what: str, method: Method, outcome: str, total: dict[str, float], most: float) -> Figure:
+def _share_figure(
+    what: str, method: StudiedMatching, outcome: str, total: dict[str, float], most: float
+) -> Figure:
     def count(*outcomes: str) -> float:
         return sum(total.get(f"{method.value}||{one}", 0.0) for one in outcomes)
 

@@ -31,7 +31,7 @@ CHECKED_REPLIES = Need("checked replies", "the driver's wire protocol has no kno
 HOST_TIME = Need("host time", "the theatre's clock is not the host's")
 
 
-class Outcome(StrEnum):
+class CaseOutcome(StrEnum):
     """Outcome of a conformance case."""
 
     PASS = "PASS"
@@ -59,7 +59,7 @@ class CaseOf(Protocol[S]):
 
 
 @dataclass(frozen=True)
-class Case:
+class SuiteCase:
     """Required behaviour with a stable case number.
 
     T, R and S cases apply to any tracker, robot or stereo pair; the other letters belong to a wire protocol.
@@ -74,7 +74,7 @@ class Case:
 class CaseList:
     """Conformance cases in order of definition."""
 
-    def __init__(self, cases: Iterable[Case] = ()) -> None:
+    def __init__(self, cases: Iterable[SuiteCase] = ()) -> None:
         self.cases = list(cases)
 
     def case(self, number: str, statement: str, *, needs: tuple[Need, ...] = ()) -> Callable[[Run], Run]:
@@ -83,7 +83,7 @@ class CaseList:
             raise ValueError(f"two cases have number {number}")
 
         def add(run: Run) -> Run:
-            self.cases.append(Case(number, statement, needs, run))
+            self.cases.append(SuiteCase(number, statement, needs, run))
             return run
 
         return add
@@ -129,13 +129,13 @@ class Suite(CaseList):
     `driver` is tested unless another is named; `motions` describes what the cases that need "motion" move.
     """
 
-    def __init__(self, kind: str, driver: str, *, motions: str = "", cases: Iterable[Case] = ()) -> None:
+    def __init__(self, kind: str, driver: str, *, motions: str = "", cases: Iterable[SuiteCase] = ()) -> None:
         super().__init__(cases)
         self.kind = kind
         self.driver = driver
         self.motions = motions
 
-    def with_cases(self, cases: Iterable[Case]) -> Suite:
+    def with_cases(self, cases: Iterable[SuiteCase]) -> Suite:
         """Return a suite of the same kind with these cases."""
         return Suite(self.kind, self.driver, motions=self.motions, cases=cases)
 

@@ -58,12 +58,12 @@ def conformance(
 ) -> int:
     """Run the conformance suite on a driver and its device. Safe by default: no motion, no reset."""
     from conformance.report import run_suite
-    from conformance.target import Choice, device_under_test, resolve_target
+    from conformance.target import DeviceChoice, device_under_test, resolve_target
     from ronna_hw.records import write_atomically
 
     if report_file is not None:
         write_atomically(report_file, b"")  # fail before the run, not after it
-    choice = Choice(sim, config, tuple(endpoint or ()), driver, device, tuple(allow or ()))
+    choice = DeviceChoice(sim, config, tuple(endpoint or ()), driver, device, tuple(allow or ()))
     target = resolve_target(kind, choice)
     suite = target.suite.only(only or [])
     with device_under_test(target) as dut:
@@ -101,7 +101,7 @@ def _require_confirmation(
 
 
 def _print_report(report: Report) -> None:
-    from conformance.case import Outcome
+    from conformance.case import CaseOutcome
 
     where = ", ".join(report.endpoints.values())
     identity = report.identity
@@ -110,7 +110,7 @@ def _print_report(report: Report) -> None:
         ("case", "outcome", "behaviour", "reason"),
         [(r.number, r.outcome.value, r.statement, r.reason) for r in report.results],
     )
-    counts = ", ".join(f"{report.count(outcome)} {outcome.value.lower()}" for outcome in Outcome)
+    counts = ", ".join(f"{report.count(outcome)} {outcome.value.lower()}" for outcome in CaseOutcome)
     tell(f"{report.suite} suite, driver {report.driver}: {counts}")
 
 

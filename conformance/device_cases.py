@@ -15,7 +15,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
-from conformance.case import Case, Nonconformity, check, refused
+from conformance.case import Nonconformity, SuiteCase, check, refused
 from conformance.device_under_test import DeviceUnderTest
 from ronna_hw.devices.lifecycle import Device, Identity, LastKnown, Lifecycle
 from ronna_hw.errors import ConfigurationError, ConnectError, StateError
@@ -120,7 +120,7 @@ class DeviceCases:
     read: Callable[[Any], object]
     limit_s: float
 
-    def build_cases(self, letter: str, first: int) -> list[Case]:
+    def build_cases(self, letter: str, first: int) -> list[SuiteCase]:
         """Build the cases, numbered consecutively from `first`."""
         runs = (
             ("a block makes a disconnected device active and leaves it configured", self.active_block),
@@ -132,7 +132,7 @@ class DeviceCases:
             ("the driver's probe recognizes the device and disconnects", self.probe),
         )
         return [
-            Case(f"{letter}{number:02d}", statement, (), run)
+            SuiteCase(f"{letter}{number:02d}", statement, (), run)
             for number, (statement, run) in enumerate(runs, first)
         ]
 

@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from importlib.metadata import entry_points
 
-from conformance.case import Case, Suite
+from conformance.case import Suite, SuiteCase
 from conformance.device_under_test import DeviceUnderTest
 from ronna_hw.registry import load_driver
 
@@ -71,7 +71,7 @@ class ProtocolCases:
     of `ronna-sim` for a device that speaks the protocol.
     """
 
-    cases: tuple[Case, ...] = ()
+    cases: tuple[SuiteCase, ...] = ()
     checklist: Checklist | None = None
     offers: Callable[[DeviceUnderTest], frozenset[str]] = lambda _dut: frozenset()
     simulator: Callable[[], tuple[str, ...]] | None = None

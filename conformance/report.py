@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from typing import Any
 
-from conformance.case import Case, Nonconformity, NotShown, Outcome, Suite
+from conformance.case import CaseOutcome, Nonconformity, NotShown, Suite, SuiteCase
 from conformance.device_under_test import DeviceUnderTest
 from ronna_hw.devices.lifecycle import Identity
 from ronna_hw.errors import RonnaError
@@ -26,7 +26,7 @@ class CaseResult:
     number: str
     statement: str
     needs: tuple[str, ...]
-    outcome: Outcome
+    outcome: CaseOutcome
     reason: str
     elapsed_s: float
 
@@ -43,14 +43,14 @@ class Report:
     results: tuple[CaseResult, ...]
     confirmed_by: str = ""  # the person who stood by while the device was moved
 
-    def count(self, outcome: Outcome) -> int:
+    def count(self, outcome: CaseOutcome) -> int:
         """Count the cases with this outcome."""
         return sum(result.outcome is outcome for result in self.results)
 
     @property
     def passed(self) -> bool:
         """Whether no case failed and at least one passed."""
-        return self.count(Outcome.FAIL) == 0 and self.count(Outcome.PASS) > 0
+        return self.count(CaseOutcome.FAIL) == 0 and self.count(CaseOutcome.PASS) > 0
 
     def as_document(self) -> dict[str, Any]:
         """Return the report as plain data with a SHA-256 hash of its contents."""
@@ -63,7 +63,7 @@ class Report:
             "started": self.started,
             "confirmed_by": self.confirmed_by,
             "passed": self.passed,
-            "summary": {outcome.value.lower(): self.count(outcome) for outcome in Outcome},
+            "summary": {outcome.value.lower(): self.count(outcome) for outcome in CaseOutcome},
             "cases": [{**asdict(result), "needs": list(result.needs)} for result in self.results],
         }
         return {**document, "sha256": hashlib.sha256(canonical_json(document)).hexdigest()}
@@ -96,26 +96,26 @@ def run_suite(
     return Report(suite.kind, config.driver, endpoints, identity, started, tuple(results), confirmed_by)
 
 
-def run_case(case: Case, dut: DeviceUnderTest) -> CaseResult:
+def run_case(case: SuiteCase, dut: DeviceUnderTest) -> CaseResult:
     """Run one case, or skip it with a reason; never raises.
 
     After a failure every connection is closed.
     """
     began_s = time.monotonic()
     needs = sorted(case.needs, key=lambda need: need.name)
-    outcome, reason = Outcome.PASS, ""
+    outcome, reason = CaseOutcome.PASS, ""
     if missing := [need.reason for need in needs if need.name not in dut.offers]:
-        outcome, reason = Outcome.SKIP, "; ".join(missing)
+        outcome, reason = CaseOutcome.SKIP, "; ".join(missing)
     else:
         try:
             case.run(dut)
         except NotShown as excuse:
-            outcome, reason = Outcome.SKIP, str(excuse)
+            outcome, reason = CaseOutcome.SKIP, str(excuse)
         except (Nonconformity, RonnaError) as problem:
-            outcome, reason = Outcome.FAIL, str(problem)
+            outcome, reason = CaseOutcome.FAIL, str(problem)
         except Exception as problem:
-            outcome, reason = Outcome.FAIL, f"raised {problem!r}, which is not a RonnaError"
-        if outcome is Outcome.FAIL:
+            outcome, reason = CaseOutcome.FAIL, f"raised {problem!r}, which is not a RonnaError"
+        if outcome is CaseOutcome.FAIL:
             dut.release()
     elapsed_s = round(time.monotonic() - began_s, 3)
     names = tuple(need.name for need in needs)

@@ -28,7 +28,7 @@ PERMISSIONS = (MOTION.name, DESTRUCTIVE.name)
 
 
 @dataclass(frozen=True)
-class Choice:
+class DeviceChoice:
     """Command-line selection of a device: one of `sim`, `config` and `endpoints`, with its options."""
 
     sim: bool = False
@@ -57,7 +57,7 @@ class Choice:
 
 
 @dataclass(frozen=True)
-class Target:
+class SuiteTarget:
     """Resolved device to test; `config` is None for our own simulator, whose endpoint is not yet known."""
 
     suite: Suite  # the generic cases, then those of the driver's wire protocol
@@ -86,7 +86,7 @@ def load_suite(kind: str) -> Suite:
     return suite
 
 
-def resolve_target(kind: str, choice: Choice) -> Target:
+def resolve_target(kind: str, choice: DeviceChoice) -> SuiteTarget:
     """Resolve a command-line choice; raises CNF-001, CNF-002, CNF-006, CFG-00x, DEV-002."""
     choice.check()
     suite = load_suite(kind)
@@ -105,7 +105,7 @@ def resolve_target(kind: str, choice: Choice) -> Target:
     protocol = load_driver_protocol(driver)
     if choice.sim and protocol.simulator is None:
         raise NO_SIMULATOR(f"there is no simulator for the wire protocol of {driver}")
-    return Target(
+    return SuiteTarget(
         suite=compose_suite(suite, protocol),
         protocol=protocol,
         name=name,
@@ -247,7 +247,7 @@ def build_device_under_test(
 
 
 @contextmanager
-def device_under_test(target: Target) -> Iterator[DeviceUnderTest]:
+def device_under_test(target: SuiteTarget) -> Iterator[DeviceUnderTest]:
     """Open the device under test for the block, starting its simulator if needed; raises PRC-001."""
     with ExitStack() as stack:
         config = target.config

@@ -22,7 +22,7 @@ from starlette.requests import ClientDisconnect, Request
 from starlette.responses import JSONResponse
 
 from console.errors import NOTHING_TO_SHOW
-from console.guard import LARGEST_BODY_BYTES, SESSION, Guard, Role, Sessions
+from console.guard import LARGEST_BODY_BYTES, SESSION, AccessGuard, SessionRole, Sessions
 from console.hub import Hub
 from console.listening import HOST, build_server, listen
 from console.recorded_case import RecordedCase
@@ -32,7 +32,7 @@ from procedures.engine.events.event_file import FollowedRun
 from procedures.engine.events.event_types import digest_of_question
 from procedures.operator.question import Identity
 from procedures.reporting.ending import await_ending, read_ending
-from procedures.runs.orders import LONGEST_BYTES, Reply, SentOrder
+from procedures.runs.orders import LONGEST_BYTES, OrderReply, SentOrder
 from ronna_hw.bounded_input import parse_json
 from ronna_hw.command_line.messages import tell_address
 from ronna_hw.command_line.viewers_address import ViewersAddress
@@ -132,7 +132,7 @@ def serve_pages(
     sessions = Sessions()
     pages = FastAPI(openapi_url=None, docs_url=None, redoc_url=None)
     add(pages)
-    guard = Guard(pages, sessions, port, largest_body_bytes, listening.trust, listening.is_foreign)
+    guard = AccessGuard(pages, sessions, port, largest_body_bytes, listening.trust, listening.is_foreign)
     servers = [(build_server(guard), listening)]
     local = f"http://{HOST}:{port}/?token="
     addresses = {"url": local + sessions.operator_token, "viewer_url": local + sessions.viewer_token}
@@ -190,7 +190,7 @@ def _handle_line(hub: Hub, line: bytes) -> None:
     elif line.startswith(PAIR):
         hub.take_pair(base64.b64decode(line.strip()[len(PAIR) : -2]))
     elif line.strip():
-        hub.reply(Reply.model_validate(json.loads(line)))
+        hub.reply(OrderReply.model_validate(json.loads(line)))
 
 
 def add_order_routes(app: Any, hub: Hub) -> None:
@@ -201,7 +201,7 @@ def add_order_routes(app: Any, hub: Hub) -> None:
 
     async def orders(request: Request) -> JSONResponse:
         session = request.scope[SESSION]
-        if session.role is not Role.OPERATOR:
+        if session.role is not SessionRole.OPERATOR:
             return JSONResponse({"refused": "viewers cannot give orders"}, 403)
         try:
             content = parse_json(await request.body(), LONGEST_BYTES)

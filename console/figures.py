@@ -63,7 +63,7 @@ def figures_at(figures: CaseFigures | None, view: CaseView, latest: CaseView) ->
     )
 
 
-class Figures:
+class LatestFigures:
     """The latest figures, read by a background thread."""
 
     def __init__(self, hub: Hub) -> None:

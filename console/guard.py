@@ -66,7 +66,7 @@ class RateLimit:
         return True
 
 
-class Role(StrEnum):
+class SessionRole(StrEnum):
     """Role of a session, which determines its rights."""
 
     OPERATOR = "operator"
@@ -77,7 +77,7 @@ class Role(StrEnum):
 class Session:
     """A browser's session. `identifier` may be shown and recorded; its cookie may not."""
 
-    role: Role
+    role: SessionRole
     identifier: str
     orders: RateLimit = field(default_factory=lambda: RateLimit(ORDERS_PER_SECOND, 1.0))
 
@@ -90,11 +90,11 @@ class Sessions:
         self.operator_token = secrets.token_urlsafe(TOKEN_BYTES)
         self.viewer_token = secrets.token_urlsafe(TOKEN_BYTES)
         self._sessions: dict[str, Session] = {}  # by cookie, oldest first
-        self._pages = {role: RateLimit(PAGES, PAGES_S) for role in Role}
+        self._pages = {role: RateLimit(PAGES, PAGES_S) for role in SessionRole}
 
-    def open(self, token: str, allowed: Collection[Role] = tuple(Role)) -> str | None:
+    def open(self, token: str, allowed: Collection[SessionRole] = tuple(SessionRole)) -> str | None:
         """Open a session for a token and return its cookie, or None if the token is unknown or disallowed."""
-        roles = {self.operator_token: Role.OPERATOR, self.viewer_token: Role.VIEWER}
+        roles = {self.operator_token: SessionRole.OPERATOR, self.viewer_token: SessionRole.VIEWER}
         given = token.encode()
         role = None
         for known, candidate in roles.items():  # both are always compared
@@ -109,7 +109,7 @@ class Sessions:
             del self._sessions[oldest]
         return cookie
 
-    def may_open_page(self, role: Role) -> bool:
+    def may_open_page(self, role: SessionRole) -> bool:
         """Return whether another page is within the limit of a role, and count it if so."""
         return self._pages[role].allows(self.now_s())
 
@@ -118,13 +118,18 @@ class Sessions:
         return None if cookie is None else self._sessions.get(cookie)
 
 
-Trust = Callable[[object, Role], bool]  # of a connection, by host and port, that has shown the key of a role
+Trust = Callable[
+    [object, SessionRole], bool
+]  # of a connection, by host and port, that has shown the key of a role
 
 
-MOST_CLIENTS = {Role.OPERATOR: 4, Role.VIEWER: 8}  # open pages; viewers leave room for the operator
+MOST_CLIENTS = {
+    SessionRole.OPERATOR: 4,
+    SessionRole.VIEWER: 8,
+}  # open pages; viewers leave room for the operator
 
 
-class Guard:
+class AccessGuard:
     """ASGI middleware that guards another application."""
 
     def __init__(
@@ -146,18 +151,18 @@ class Guard:
         self._hosts = {f"127.0.0.1:{port}", f"localhost:{port}"}
         self._cookie = f"ronna_console_{port}"  # browsers do not separate ports
         self._scheme = "http"
-        self._roles = frozenset(Role)
+        self._roles = frozenset(SessionRole)
         self._trust = trust
         self._is_foreign = is_foreign
-        self.clients = dict.fromkeys(Role, 0)  # open sockets
+        self.clients = dict.fromkeys(SessionRole, 0)  # open sockets
 
-    def viewer_guard(self, host: str, trust: Trust = lambda _peer, _role: True) -> Guard:
+    def viewer_guard(self, host: str, trust: Trust = lambda _peer, _role: True) -> AccessGuard:
         """Return a guard for remote viewers of the same application, with TLS and no operator token.
 
         Its clients count towards the limits of this guard.
         """
         other = copy.copy(self)
-        other._hosts, other._scheme, other._roles = {host}, "https", frozenset({Role.VIEWER})
+        other._hosts, other._scheme, other._roles = {host}, "https", frozenset({SessionRole.VIEWER})
         other._trust = trust
         return other
 

@@ -12,13 +12,13 @@ from pathlib import Path
 from typing import Any
 
 from console.changes import ChangeNotifier
-from console.guard import Role, Session
+from console.guard import Session, SessionRole
 from console.recorded_case import RecordedCase
 from procedures.engine.case_view import CaseView, fold
 from procedures.engine.events import DeviceAge, Event, Pose, Questioned
 from procedures.operator.question import Identity
 from procedures.reporting.ending import CLOSING, Ending
-from procedures.runs.orders import Claim, Renew, Reply, SentOrder, Stop, read_order
+from procedures.runs.orders import Claim, OrderReply, Renew, SentOrder, Stop, read_order
 from ronna_hw.devices.lifecycle import Lifecycle
 
 UNSEEN_S = 1.0  # host time without a new pose or age of a device, which are reported five times a second
@@ -192,7 +192,7 @@ class Hub(ChangeNotifier):
         self.live = True
         self.note_heartbeat()
 
-    def reply(self, reply: Reply) -> None:
+    def reply(self, reply: OrderReply) -> None:
         """Handle the engine's reply to an order."""
         waiting = self._replies.pop(reply.nonce, None)
         if waiting is not None and not waiting.done():
@@ -204,7 +204,7 @@ class Hub(ChangeNotifier):
         Raises ValueError if it is not an order.
         """
         sent = read_order(json.dumps({"nonce": new_nonce(), **content, "session": session.identifier}))
-        if session.role is not Role.OPERATOR:
+        if session.role is not SessionRole.OPERATOR:
             return "viewers cannot give orders"
         if self._send is None or self.has_ended:
             return NOT_RUNNING if self._send is None else "the engine has ended"

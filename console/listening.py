@@ -16,7 +16,7 @@ import uvicorn
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from console.errors import PORT_TAKEN
-from console.guard import LARGEST_BODY_BYTES, LARGEST_HEAD_BYTES, Guard, Role
+from console.guard import LARGEST_BODY_BYTES, LARGEST_HEAD_BYTES, AccessGuard, SessionRole
 from ronna_hw.command_line.viewers_address import ViewersAddress
 from ronna_hw.host.network import find_account
 
@@ -25,7 +25,7 @@ ANSWER_LIMIT_S = 60.0  # host time from there until the answer was taken: five m
 HOST = "127.0.0.1"
 BACKLOG = 32  # also the most that the loop accepts at a time
 MOST_STRANGERS = 8 * BACKLOG  # the loop reaches a request long before as many others have come after it
-MOST_CONNECTIONS = {Role.OPERATOR: 32, Role.VIEWER: 64}  # with a session; a browser opens seven
+MOST_CONNECTIONS = {SessionRole.OPERATOR: 32, SessionRole.VIEWER: 64}  # with a session; a browser opens seven
 SOCKET_BYTES = 4 * LARGEST_BODY_BYTES  # the page library sends some messages of its own
 
 
@@ -42,7 +42,7 @@ def listen(address: str, port: int, family: socket.AddressFamily = socket.AF_INE
     return listening
 
 
-def build_server(guard: Guard, viewers: ViewersAddress | None = None) -> uvicorn.Server:
+def build_server(guard: AccessGuard, viewers: ViewersAddress | None = None) -> uvicorn.Server:
     """Build a server for the guarded application, with TLS if it is for `viewers`."""
     tls = {} if viewers is None else {"ssl_certfile": viewers.certificate, "ssl_keyfile": str(viewers.key)}
     return uvicorn.Server(
@@ -77,7 +77,9 @@ class ListeningSocket(socket.socket):
         super().__init__(family, socket.SOCK_STREAM, socket.IPPROTO_TCP)
         self._strangers: dict[object, socket.socket] = {}  # by host and port, oldest first
         self._foreign: dict[object, socket.socket] = {}  # likewise, of other accounts
-        self._known: dict[Role, dict[object, socket.socket]] = {role: {} for role in Role}  # with a session
+        self._known: dict[SessionRole, dict[object, socket.socket]] = {
+            role: {} for role in SessionRole
+        }  # with a session
 
     def accept(self) -> tuple[socket.socket, Any]:
         """Accept the next connection, before authentication and any TLS handshake."""
@@ -100,7 +102,7 @@ class ListeningSocket(socket.socket):
         """
         return peer in self._foreign
 
-    def trust(self, peer: object, role: Role) -> bool:
+    def trust(self, peer: object, role: SessionRole) -> bool:
         """Mark an authenticated connection as trusted. Return False if its role has too many connections."""
         if peer not in self._strangers:
             return True

@@ -57,7 +57,7 @@ class RunWarning(UserWarning):
 
 
 @dataclass(frozen=True)
-class Column:
+class RunColumn:
     """Column of a table: its unit is in the name, and the frame of a position before it."""
 
     name: str
@@ -79,10 +79,10 @@ class Column:
 class RunTable(np.recarray[Any, np.dtype[np.void]]):
     """Record array with described columns: `table.error_mm`, `table[table.name == "T1"]`, `table[0]`."""
 
-    columns: tuple[Column, ...] = ()
+    columns: tuple[RunColumn, ...] = ()
 
     @classmethod
-    def of(cls, columns: tuple[Column, ...], rows: Iterable[Sequence[object]]) -> RunTable:
+    def of(cls, columns: tuple[RunColumn, ...], rows: Iterable[Sequence[object]]) -> RunTable:
         """Build a table from its rows, with one value per column."""
         listed = [tuple(row) for row in rows]
         table: RunTable = np.array(
@@ -129,7 +129,7 @@ class RunTable(np.recarray[Any, np.dtype[np.void]]):
         return pd.DataFrame(plain)
 
 
-def _find_type(column: Column, rows: Sequence[Sequence[object]], number: int) -> object:
+def _find_type(column: RunColumn, rows: Sequence[Sequence[object]], number: int) -> object:
     if column.kind is not str:
         return column.kind
     return f"U{max((len(str(row[number])) for row in rows), default=1) or 1}"

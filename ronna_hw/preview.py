@@ -18,7 +18,7 @@ from ronna_hw.arm.clearance.sweep import ARC_FACTOR, SweptPath, motion_mm, sweep
 from ronna_hw.arm.kinematics import Kinematics, SingularMeasure
 from ronna_hw.arm.motion.limits import MotionLimits
 from ronna_hw.arm.motion.planning import MotionPlan, plan_joint_move, plan_line
-from ronna_hw.arm.motion.progress import MOST_STEPS, SpeedStep, State, drive_states
+from ronna_hw.arm.motion.progress import MOST_STEPS, AxisState, SpeedStep, drive_states
 from ronna_hw.arm.path_preview import PathPreview
 from ronna_hw.arm.pose import Pose
 from ronna_hw.devices.robot import JointMove, Motion
@@ -117,7 +117,7 @@ def preview(
     )
 
 
-def _interval_speeds(path: SweptPath, states: Sequence[State]) -> Array:
+def _interval_speeds(path: SweptPath, states: Sequence[AxisState]) -> Array:
     """Return the peak path-parameter speed per interval as executed; short paths stay below the limit."""
     positions = np.array([0.0, *(state.position[0] for state in states)])
     velocities = np.array([0.0, *(state.velocity[0] for state in states)])

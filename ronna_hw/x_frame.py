@@ -37,7 +37,7 @@ PART_NUMBER: Final = "RONNA-X"  # of its definition
 OUTWARD: Final[Point] = (0.0, 0.0, 1.0)  # all spheres are visible from this side
 
 
-class Body(NamedTuple):
+class FrameRod(NamedTuple):
     """Rod of the frame, in mm and in the frame's own coordinates."""
 
     name: str
@@ -46,13 +46,13 @@ class Body(NamedTuple):
     radius_mm: float
 
 
-def bodies() -> tuple[Body, ...]:
+def bodies() -> tuple[FrameRod, ...]:
     """Return the two bars and the foot, the latter down to the skin."""
     bars = (
-        Body(f"bar {number} of the frame", _bar_end(start_sphere), _bar_end(end_sphere), BAR_RADIUS_MM)
+        FrameRod(f"bar {number} of the frame", _bar_end(start_sphere), _bar_end(end_sphere), BAR_RADIUS_MM)
         for number, (start_sphere, end_sphere) in enumerate(BARS, start=1)
     )
-    foot = Body("foot of the frame", (0.0, 0.0, -BAR_BELOW_MM), (0.0, 0.0, -STANDOFF_MM), FOOT_RADIUS_MM)
+    foot = FrameRod("foot of the frame", (0.0, 0.0, -BAR_BELOW_MM), (0.0, 0.0, -STANDOFF_MM), FOOT_RADIUS_MM)
     return (*bars, foot)
 
 

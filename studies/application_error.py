@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from studies.accuracy.phantom import Markers, draw_phantom
-from studies.accuracy.scene import Scene
+from studies.accuracy.scene import StudiedScene
 from studies.campaign import bounds
 from studies.campaign.plots import boxes
 from studies.campaign.study import Cell, Sums, Table, Unit, blocks
@@ -67,7 +67,7 @@ class ApplicationErrorStudy:
             return run_guided(self.seed, (rest, depth, kind, number), arms)
         markers = Markers(kind)
         drawn = draw_phantom(markers, DEPTHS_MM[depth], TARGETS, WHOLE_HEAD)
-        return Scene.of(self.seed, drawn, markers, int(number)).trials(arms, STRATEGIES)
+        return StudiedScene.of(self.seed, drawn, markers, int(number)).trials(arms, STRATEGIES)
 
 
 def tables(sums: Mapping[str, Sums]) -> list[Table]:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from studies.accuracy.phantom import Markers, draw_phantom
 from studies.accuracy.random_arms import RandomArms, Source
-from studies.accuracy.scene import Scene, Sizes
+from studies.accuracy.scene import Sizes, StudiedScene
 from studies.campaign.study import Cell, Sums, Table
 
 Array = NDArray[np.float64]
@@ -43,7 +43,7 @@ POOLED = "pooled"
 Key = tuple[str, str, str, str]  # rest, effect or size, depth, markers
 
 
-def rest_outside(scene: Scene, standoff_mm: float) -> Scene:
+def rest_outside(scene: StudiedScene, standoff_mm: float) -> StudiedScene:
     """Return the scene with the guide held `standoff_mm` before each entry, and all spheres used."""
     held = tuple(
         one.with_rest(-(one.depth_mm + standoff_mm), standoff_mm) for one in scene.phantom.trajectories
@@ -59,7 +59,7 @@ def run_guided(seed: int, condition: Sequence[str], arms: Sequence[int]) -> Sums
     rest, depth, kind, place = condition
     markers = Markers(kind)
     drawn = draw_phantom(markers, DEPTHS_MM[depth], TARGETS, WHOLE_HEAD)
-    scene = rest_outside(Scene.of(seed, drawn, markers, int(place)), RESTS_MM[rest])
+    scene = rest_outside(StudiedScene.of(seed, drawn, markers, int(place)), RESTS_MM[rest])
     robots, chance, planned = RandomArms.draw(seed, arms), scene.chance(arms), scene.planned(STRATEGY)
     straight = scene.errors_mm(robots, planned, chance, Sizes())
     # the tip is an affine function of the bore's direction

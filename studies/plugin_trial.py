@@ -16,7 +16,7 @@ from ronna_hw.host.worker_processes import start_workers
 from studies.accuracy.phantom import Markers, draw_phantom, phantom_pose
 from studies.accuracy.postures import plan_postures
 from studies.campaign.workers import PROCESS_ENDED, SilenceWatch, Tell
-from studies.correspondence.study import Method
+from studies.correspondence.study import StudiedMatching
 from studies.errors import MethodAnswerWrong, MethodFailed, MethodRefused
 from studies.heads import NoiseReading, draw_pose, draw_readings, sites_mm
 from studies.plugins.answers import PluginLocalizer, PluginPairing, PluginRegistration
@@ -36,11 +36,11 @@ TRIAL_BALLS = ((0.25, 0.25, 0.3), (0.75, 0.25, 0.4), (0.25, 0.75, 0.5), (0.75, 0
 BALL_RADIUS_MM = 5.75
 BALL_HU, AIR_HU = 100, -1000
 NAMES = {
-    "clique": Method.CLIQUE,
-    "orientation": Method.PRIOR,
-    "count": Method.COUNT,
-    "thesis": Method.THESIS,
-    "thesis-validated": Method.VALIDATED,
+    "clique": StudiedMatching.CLIQUE,
+    "orientation": StudiedMatching.PRIOR,
+    "count": StudiedMatching.COUNT,
+    "thesis": StudiedMatching.THESIS,
+    "thesis-validated": StudiedMatching.VALIDATED,
 }
 
 
@@ -78,13 +78,13 @@ def try_plugin(kind: MethodKind, text: str) -> PluginMethod:
 
 def select_methods(
     names: Sequence[str], tell: Tell = lambda text: None
-) -> tuple[tuple[Method, ...], tuple[PluginMethod, ...]]:
+) -> tuple[tuple[StudiedMatching, ...], tuple[PluginMethod, ...]]:
     """Return the built-in and user methods selected by `names`, or all built-in ones if it is empty.
 
     `tell` is called with the name of a user method that does not respond.
     """
     if not names:
-        return tuple(Method), ()
+        return tuple(StudiedMatching), ()
     requested = tuple(dict.fromkeys(names))
     unknown = [name for name in requested if name not in NAMES]
     for name in unknown:

@@ -16,7 +16,7 @@ FIDUCIALS_OF_TABLE_3 = 4
 
 
 @dataclass(frozen=True)
-class Column:
+class ThesisColumn:
     """A table column: its rows, and the summary figure printed below them."""
 
     rows_mm: tuple[float, ...]
@@ -34,35 +34,35 @@ class StrategyRow:
     least_mm: float
 
 
-TABLE_2: Mapping[str, Column] = {  # FLE in five image sets of the phantom; their mean
-    HUMAN_OPERATORS: Column((0.2956, 0.3043, 0.2243, 0.3558, 0.4146), 0.3189),
-    LINE_FIT: Column((0.0986, 0.1627, 0.0678, 0.2354, 0.2780), 0.1685),
-    SPHERE_FIT: Column((0.1030, 0.0799, 0.1042, 0.2307, 0.2907), 0.1617),
+TABLE_2: Mapping[str, ThesisColumn] = {  # FLE in five image sets of the phantom; their mean
+    HUMAN_OPERATORS: ThesisColumn((0.2956, 0.3043, 0.2243, 0.3558, 0.4146), 0.3189),
+    LINE_FIT: ThesisColumn((0.0986, 0.1627, 0.0678, 0.2354, 0.2780), 0.1685),
+    SPHERE_FIT: ThesisColumn((0.1030, 0.0799, 0.1042, 0.2307, 0.2907), 0.1617),
 }
 
 # FRE of ten registrations; the FLE. Two printed figures do not follow from their rows: operator 3's is
 # truncated, and the average operator's is the mean of the four FLE, while its rows (the means of the four, in
 # another order) give 0.4601.
-TABLE_3: Mapping[str, Column] = {
-    "operator 1": Column(
+TABLE_3: Mapping[str, ThesisColumn] = {
+    "operator 1": ThesisColumn(
         (0.3471, 0.5055, 0.504, 0.413, 0.7072, 0.5486, 0.3625, 0.3085, 0.459, 0.2483), 0.4583
     ),
-    "operator 2": Column(
+    "operator 2": ThesisColumn(
         (0.2454, 0.3918, 0.1204, 0.1664, 0.6116, 0.2623, 0.2946, 0.3788, 0.3697, 0.1653), 0.3306
     ),
-    "operator 3": Column(
+    "operator 3": ThesisColumn(
         (0.3123, 0.4241, 0.3983, 0.3678, 0.5293, 0.3361, 0.2779, 0.3843, 0.3205, 0.2648), 0.3690
     ),
-    "operator 4": Column(
+    "operator 4": ThesisColumn(
         (0.4643, 0.8468, 0.6072, 0.7419, 0.761, 0.4719, 0.7309, 0.5366, 1.0682, 0.7636), 0.7211
     ),
-    AVERAGE_OPERATOR: Column(
+    AVERAGE_OPERATOR: ThesisColumn(
         (0.3605, 0.4075, 0.4047, 0.4021, 0.4222, 0.4165, 0.5543, 0.3423, 0.5421, 0.6523), 0.4698
     ),
-    LINE_FIT: Column(
+    LINE_FIT: ThesisColumn(
         (0.1748, 0.0638, 0.2018, 0.2857, 0.1327, 0.3568, 0.1466, 0.2458, 0.2470, 0.4830), 0.2604
     ),
-    SPHERE_FIT: Column(
+    SPHERE_FIT: ThesisColumn(
         (0.1218, 0.0731, 0.2125, 0.2785, 0.1300, 0.2506, 0.2508, 0.1798, 0.3310, 0.4673), 0.2541
     ),
 }

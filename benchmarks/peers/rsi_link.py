@@ -18,7 +18,7 @@ from ronna_hw.arm.kr6_r900 import Kr6R900, kr6_r900
 from ronna_hw.arm.motion.limits import MotionLimits, working_limits
 from ronna_hw.arm.motion.planning import plan_joint_move
 from ronna_hw.arm_stream.client import LinkClient
-from ronna_hw.arm_stream.records import Move, OpenStream, Phase, Result
+from ronna_hw.arm_stream.records import MotionResult, Move, OpenStream, StreamPhase
 from ronna_hw.endpoints import parse_endpoint
 from ronna_hw.host.network import own_udp_endpoint
 from ronna_hw.vectors import JointVector
@@ -43,14 +43,14 @@ def main() -> None:
         number = link.command(OpenStream(limits))
         link.wait(lambda state: state.command_number >= number, PATIENCE_S)
         print("READY " + json.dumps({"endpoint": endpoint, "pid": link.process.pid}), flush=True)
-        link.wait(lambda state: state.phase is Phase.RUNNING, PATIENCE_S)
+        link.wait(lambda state: state.phase is StreamPhase.RUNNING, PATIENCE_S)
         if sys.argv[1] == "move":
             if "busy" in sys.argv:
                 threading.Thread(target=_swing, args=(link, model, limits), daemon=True).start()
                 _never_rest()
             _swing(link, model, limits)
         while link.alive:
-            link.wait(lambda state: state.phase is not Phase.RUNNING, PATIENCE_S)
+            link.wait(lambda state: state.phase is not StreamPhase.RUNNING, PATIENCE_S)
     finally:
         link.close()
 
@@ -69,7 +69,7 @@ def _swing(link: LinkClient, model: Kr6R900, limits: MotionLimits) -> None:
             number = link.command(Move(plan), link.stop_number)
 
             def has_ended(state: object, number: int = number) -> bool:
-                return state.command_number >= number and state.result is not Result.RUNNING  # type: ignore[attr-defined]
+                return state.command_number >= number and state.result is not MotionResult.RUNNING  # type: ignore[attr-defined]
 
             while link.wait(has_ended, PATIENCE_S) is None:
                 pass

@@ -20,7 +20,7 @@ from ronna_hw.arm.motion.limits import MotionLimits
 from ronna_hw.arm.motion.planning import plan_joint_move
 from ronna_hw.arm.universal_robots import UniversalRobot, universal_robot
 from ronna_hw.arm_stream.client import LinkClient
-from ronna_hw.arm_stream.records import LinkState, Move, OpenStream, Phase, Result
+from ronna_hw.arm_stream.records import LinkState, MotionResult, Move, OpenStream, StreamPhase
 from ronna_hw.endpoints import parse_endpoint
 from ronna_hw.vectors import JointVector
 from sim.world.process import end_with_parent
@@ -52,11 +52,11 @@ def main() -> None:
         number = link.command(OpenStream(limits))
         link.wait(lambda state: state.command_number >= number, PATIENCE_S)
         print("READY " + json.dumps({"endpoint": sys.argv[1], "pid": link.process.pid}), flush=True)
-        link.wait(lambda state: state.phase is Phase.RUNNING, PATIENCE_S)
+        link.wait(lambda state: state.phase is StreamPhase.RUNNING, PATIENCE_S)
         if "move" in sys.argv:
             _swing(link, model, limits)
         while link.alive:
-            link.wait(lambda state: state.phase is not Phase.RUNNING, PATIENCE_S)
+            link.wait(lambda state: state.phase is not StreamPhase.RUNNING, PATIENCE_S)
     finally:
         link.close()
 
@@ -70,7 +70,7 @@ def _swing(link: LinkClient, model: UniversalRobot, limits: MotionLimits) -> Non
             number = link.command(Move(plan), link.stop_number)
 
             def has_ended(state: LinkState, number: int = number) -> bool:
-                return state.command_number >= number and state.result is not Result.RUNNING
+                return state.command_number >= number and state.result is not MotionResult.RUNNING
 
             while link.wait(has_ended, PATIENCE_S) is None:
                 pass

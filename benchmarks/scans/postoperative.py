@@ -19,7 +19,7 @@ from procedures.planning.plan_model import Plan, PlannedTrajectory
 from procedures.postoperative.comparison import FoundTrajectory, compare_with_plan
 from procedures.strategies.trajectory import split_along
 from ronna_hw.errors import RonnaError
-from sim.phantom.postoperative_scan import Instrument, PostoperativeScan, draw_scan
+from sim.phantom.postoperative_scan import ImagedInstrument, PostoperativeScan, draw_scan
 from sim.phantom.scan import Planes, plain_scan
 from sim.phantom.scanner.dicom_series import INTERCEPT_HU, to_stored_values
 from sim.phantom.scanner.grid import CtGrid
@@ -76,17 +76,17 @@ def make_plan(scene: Scene) -> Plan:
     )
 
 
-def draw_misplaced(scene: Scene, kind: InstrumentKind, seed: int) -> tuple[Instrument, ...]:
+def draw_misplaced(scene: Scene, kind: InstrumentKind, seed: int) -> tuple[ImagedInstrument, ...]:
     generator = noise(seed, "misplaced", 0)
     found = []
     for target in scene.head.targets:
         turned = rotation_from_vector(generator.uniform(-OFF_RAD, OFF_RAD, 3)) @ np.array(target.outwards_ct)
         tip = np.array(target.target_ct_mm) + generator.uniform(-OFF_MM, OFF_MM, 3)
-        found.append(Instrument(target.identifier, kind, tuple(tip.tolist()), tuple(turned.tolist())))
+        found.append(ImagedInstrument(target.identifier, kind, tuple(tip.tolist()), tuple(turned.tolist())))
     return tuple(found)
 
 
-def compare_instrument(truth: Instrument, found: FoundTrajectory) -> tuple[float, float, float]:
+def compare_instrument(truth: ImagedInstrument, found: FoundTrajectory) -> tuple[float, float, float]:
     """Return tip error (for a hole, axis error at the target) and entry error in mm, and angle in deg."""
     tip, outwards = np.array(truth.tip_mm), np.array(truth.outwards)
     at_entry_mm, _ = split_along(np.subtract(found.entry_mm, tip), outwards)

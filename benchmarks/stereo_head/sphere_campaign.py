@@ -22,7 +22,7 @@ from procedures.relocalization import (
     triangulate,
 )
 from procedures.relocalization.errors import NoContrast, NoSphere, RaysDoNotMeet, WrongSize
-from procedures.relocalization.triangulation import Camera
+from procedures.relocalization.triangulation import CameraModel
 from ronna_hw.frames import Frame
 from sim.basler.optics.sensor import BACKGROUND_ELECTRONS_PER_US, FILM_ELECTRONS_PER_US
 
@@ -110,7 +110,7 @@ def contour_ellipse(picture: GreyPicture, _radius_px: float) -> Array:
     return np.array([x, y], dtype=float)
 
 
-def triangulate_linearly(cameras: tuple[Camera, Camera], centres_px: tuple[Array, Array]) -> Array:
+def triangulate_linearly(cameras: tuple[CameraModel, CameraModel], centres_px: tuple[Array, Array]) -> Array:
     """Triangulate undistorted outline centres by linear least squares, ignoring perspective bias."""
     rays = [camera.undistort(centre)[:, None] for camera, centre in zip(cameras, centres_px, strict=True)]
     poses = [np.column_stack([camera.rotation, camera.translation_mm]) for camera in cameras]
@@ -147,7 +147,10 @@ def campaign(
     `enhance`: with the contrast equalized first, as the thesis does (1.4).
     """
     calibration = studio.calibration()
-    cameras = (Camera(calibration.left, Frame.CAMERA_LEFT), Camera(calibration.right, Frame.CAMERA_RIGHT))
+    cameras = (
+        CameraModel(calibration.left, Frame.CAMERA_LEFT),
+        CameraModel(calibration.right, Frame.CAMERA_RIGHT),
+    )
     tally = Tally(others_mm={name: [] for name in OTHERS if others})
     for number, pair in enumerate(studio.pairs(case, count, seed)):
         outlines = [_measure_view(view, tally, enhance) for view in pair.views]
@@ -179,7 +182,7 @@ def _measure_view(view: View, tally: Tally, enhance: bool) -> SphereImage | None
     return found.with_offset(*view.offset_px)
 
 
-def _others(pair: Pair, cameras: tuple[Camera, Camera], tally: Tally) -> None:
+def _others(pair: Pair, cameras: tuple[CameraModel, CameraModel], tally: Tally) -> None:
     for name, method in OTHERS.items():
         left, right = (method(view.picture, view.radius_px) + view.offset_px for view in pair.views)
         error = triangulate_linearly(cameras, (left, right)) - pair.centre_mm
@@ -187,7 +190,7 @@ def _others(pair: Pair, cameras: tuple[Camera, Camera], tally: Tally) -> None:
 
 
 def _bound_mm(
-    outlines: tuple[SphereImage, SphereImage], cameras: tuple[Camera, Camera], place_mm: Array
+    outlines: tuple[SphereImage, SphereImage], cameras: tuple[CameraModel, CameraModel], place_mm: Array
 ) -> float:
     """Return the lower bound on the 3-D rms error in mm, with each image coordinate at its bound."""
     gain = GAIN_RAW / UNITY_GAIN_RAW

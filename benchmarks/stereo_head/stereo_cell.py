@@ -42,7 +42,7 @@ from ronna_hw.errors import RonnaError
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.vectors import JointVector
 from sim.basler.camera.photographer import Photographer
-from sim.basler.settings import Settings
+from sim.basler.settings import CameraSettings
 from sim.world.displacements import spheres_in_theatre
 from sim.world.rigid import (
     apply,
@@ -131,7 +131,11 @@ class CellStereo:
 
     def __init__(self, world: World) -> None:
         self._cameras = [
-            (Photographer(world, truth), truth.serial, Settings(exposure_us=EXPOSURE_US, gain_raw=GAIN_RAW))
+            (
+                Photographer(world, truth),
+                truth.serial,
+                CameraSettings(exposure_us=EXPOSURE_US, gain_raw=GAIN_RAW),
+            )
             for truth in (world.scene.left, world.scene.right)
         ]
         self._exposure_us: float = EXPOSURE_US
@@ -160,7 +164,9 @@ class CellStereo:
         )
         return StereoReading(stamp, Validity.OK, left, right)
 
-    def _take_image(self, stamp: Stamp, camera: Photographer, serial: str, settings: Settings) -> CameraImage:
+    def _take_image(
+        self, stamp: Stamp, camera: Photographer, serial: str, settings: CameraSettings
+    ) -> CameraImage:
         drawn = camera.triggered(settings.frame(), self.pairs)
         pixels = np.frombuffer(drawn, np.uint8).reshape(settings.height, settings.width)
         area = AreaOfInterest(settings.offset_x, settings.offset_y, settings.width, settings.height)

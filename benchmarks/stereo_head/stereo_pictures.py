@@ -17,9 +17,9 @@ from ronna_hw.calibration import CameraCalibration, PoseRecord, StereoHeadCalibr
 from ronna_hw.plausible import FINEST_MM
 from sim.basler.optics.canvas import Area, Lens
 from sim.basler.optics.film import Stain, draw_stains
-from sim.basler.optics.picture import Disturbance, Glare, Occluder, Optics
+from sim.basler.optics.picture import Glare, LensOptics, Occluder, PictureDisturbance
 from sim.basler.optics.sensor import Sensor
-from sim.basler.optics.sphere import Sphere
+from sim.basler.optics.sphere import DrawnSphere
 from sim.world.noise import noise
 from sim.world.rigid import matrix_of, rotation_towards
 from sim.world.scene.model import CameraTruth, Scene
@@ -96,7 +96,7 @@ class Studio:
         """Yield the pairs of a case one at a time to limit memory use."""
         generator = np.random.default_rng(seed)
         cameras = (self.scene.left, self.scene.right)
-        optics = [Optics(camera, self.scene.seed) for camera in cameras]
+        optics = [LensOptics(camera, self.scene.seed) for camera in cameras]
         for number in range(count):
             place = generator.uniform(-case.reach_mm, case.reach_mm, 3) + np.array([0.0, 0.0, case.deeper_mm])
             post = np.array([*generator.uniform(-case.tilt, case.tilt, 2), -1.0])
@@ -105,7 +105,7 @@ class Studio:
             views = []
             for camera, optic in zip(cameras, optics, strict=True):
                 lost, direction = generator.uniform(*case.rim_lost), generator.uniform(0.0, 2.0 * np.pi)
-                disturbance = Disturbance(
+                disturbance = PictureDisturbance(
                     stains=((number % FILMS, stains),) if stains else (),
                     occluders=(Occluder(lost, direction),) if lost else (),
                     glares=_draw_glares(case, camera, generator),
@@ -155,9 +155,9 @@ class Studio:
     def _draw_view(
         self,
         camera: CameraTruth,
-        optics: Optics,
-        spheres: list[Sphere],
-        disturbance: Disturbance,
+        optics: LensOptics,
+        spheres: list[DrawnSphere],
+        disturbance: PictureDisturbance,
         case: Case,
         number: int,
     ) -> View:
@@ -175,7 +175,7 @@ class Studio:
         return View(np.asarray(pixels, dtype=np.uint8), (area.x, area.y), centre, radius, lost)
 
 
-def true_outline(lens: Lens, sphere: Sphere) -> tuple[Array, float]:
+def true_outline(lens: Lens, sphere: DrawnSphere) -> tuple[Array, float]:
     """Return the centre and mean radius (px) of the ellipse fitted to the projected outline."""
     outline = lens.project(sphere.outline_mm())
     middle = outline.mean(axis=0)
@@ -207,13 +207,15 @@ def _draw_glares(case: Case, camera: CameraTruth, generator: np.random.Generator
     )
 
 
-def _sphere_in_camera(camera: CameraTruth, place_mm: Array, post: Array, number: int) -> Sphere:
+def _sphere_in_camera(camera: CameraTruth, place_mm: Array, post: Array, number: int) -> DrawnSphere:
     pose = matrix_of(camera.camera_from_tool)
     rotation = pose[:3, :3] @ rotation_towards(tuple(post), (1.0, 0.0, 0.0))
-    return Sphere(pose[:3, :3] @ place_mm + pose[:3, 3], RADIUS_MM, rotation, number)
+    return DrawnSphere(pose[:3, :3] @ place_mm + pose[:3, 3], RADIUS_MM, rotation, number)
 
 
-def _area_around(lens: Lens, sphere: Sphere, size_px: tuple[int, int], sensor_px: tuple[int, int]) -> Area:
+def _area_around(
+    lens: Lens, sphere: DrawnSphere, size_px: tuple[int, int], sensor_px: tuple[int, int]
+) -> Area:
     """Return an area of the given size around a sphere's image, shifted to fit on the sensor."""
     middle = lens.project(sphere.centre_mm[None])[0]
     x, y = (

@@ -127,13 +127,13 @@ def _add_rounds(rounds: list[Sums]) -> Sums:
 def _measure_drawing() -> Figure:
     from sim.basler.camera.photographer import Photographer
     from sim.basler.optics.canvas import Area
-    from sim.basler.settings import Settings
+    from sim.basler.settings import CameraSettings
     from sim.world.scene.named_scenes import draw_scene
     from sim.world.world import World
 
     scene = draw_scene("bench")
     photographer = Photographer(World.create(scene, paced=False), scene.left)
-    frame = replace(Settings().frame(), area=Area(512, 32, SERVO_AREA_PX, SERVO_AREA_PX))
+    frame = replace(CameraSettings().frame(), area=Area(512, 32, SERVO_AREA_PX, SERVO_AREA_PX))
     spent_ms = []
     for number in range(DRAWINGS):
         began_s = time.process_time()

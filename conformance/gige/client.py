@@ -37,7 +37,7 @@ SILENCE_S = 0.15  # after this long without a datagram there is no answer
 
 
 @dataclass(frozen=True)
-class Reply:
+class GvcpReply:
     """GVCP acknowledge: decoded header, raw payload."""
 
     status: int
@@ -62,7 +62,7 @@ class GigeLink:
     def __exit__(self, *reason: object) -> None:
         self._socket.close()
 
-    def exchange(self, command: int, payload: bytes = b"") -> Reply:
+    def exchange(self, command: int, payload: bytes = b"") -> GvcpReply:
         """Send a command and return its reply, whatever the status; raises Nonconformity if none arrives."""
         self._request_id = self._request_id % 0xFFFF + 1
         datagram = struct.pack(">BBHHH", GVCP_KEY, 1, command, len(payload), self._request_id) + payload
@@ -123,11 +123,11 @@ class GigeLink:
         return str(self._socket.getsockname()[0])
 
     @staticmethod
-    def expect(answer: Reply, status: GevStatus, what: str) -> None:
+    def expect(answer: GvcpReply, status: GevStatus, what: str) -> None:
         """Raise Nonconformity unless the reply has this status."""
         check(answer.status == status, f"{what}: status 0x{status:04X}", f"0x{answer.status:04X}")
 
-    def _receive_reply(self, request_id: int) -> Reply | None:
+    def _receive_reply(self, request_id: int) -> GvcpReply | None:
         deadline_s = time.monotonic() + ANSWER_LIMIT_S
         while (remaining_s := deadline_s - time.monotonic()) > 0:
             self._socket.settimeout(remaining_s)
@@ -139,7 +139,7 @@ class GigeLink:
             status, code, length, reply_id = struct.unpack_from(">HHHH", datagram)
             if reply_id == request_id and code != GvcpCommand.PENDING_ACK:
                 check(len(datagram) == 8 + length, f"{length} bytes, as the header says", len(datagram) - 8)
-                return Reply(status, code, reply_id, datagram[8:])
+                return GvcpReply(status, code, reply_id, datagram[8:])
         return None
 
 
@@ -154,7 +154,9 @@ def cameras(dut: DeviceUnderTest) -> Iterator[GigeLink]:
 @contextmanager
 def camera_control(link: GigeLink) -> Iterator[GigeLink]:
     """Control a camera for the duration of the block."""
-    GigeLink.expect(Reply(link.write(Bootstrap.CCP, CCP_CONTROL), 0, 0, b""), GevStatus.SUCCESS, "control")
+    GigeLink.expect(
+        GvcpReply(link.write(Bootstrap.CCP, CCP_CONTROL), 0, 0, b""), GevStatus.SUCCESS, "control"
+    )
     try:
         yield link
     finally:

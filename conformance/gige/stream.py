@@ -34,7 +34,7 @@ class Packet:
 
 
 @dataclass(frozen=True)
-class Leader:
+class SeenLeader:
     """Fields of a GVSP leader packet."""
 
     payload_type: int
@@ -149,19 +149,19 @@ class GigeStream:
         self.link.send(GvcpCommand.PACKETRESEND, struct.pack(">HHII", 0, block_id, first, last))
 
 
-def require_leader(frame: list[Packet]) -> Leader:
+def require_leader(frame: list[Packet]) -> SeenLeader:
     """Return the leader of a frame, which must be its first packet."""
     check(frame[0].kind == LEADER and frame[0].packet_id == 0, "the leader first", frame[0].kind)
     return decode_leader(frame[0])
 
 
 @read_as("a whole leader")
-def decode_leader(packet: Packet) -> Leader:
+def decode_leader(packet: Packet) -> SeenLeader:
     """Decode a leader packet."""
     _, payload_type, ticks, pixel_format, width, height, x, y, _, _ = struct.unpack_from(
         ">HHQIIIIIHH", packet.content
     )
-    return Leader(payload_type, ticks, pixel_format, width, height, x, y)
+    return SeenLeader(payload_type, ticks, pixel_format, width, height, x, y)
 
 
 @contextmanager

@@ -163,7 +163,7 @@ SPECTRA_SHAPE, VICRA_SHAPE = "5", "7"
 
 
 @dataclass(frozen=True)
-class MeasuringVolume:
+class StatedVolume:
     """Measuring volume: shape and ten numbers, in hundredths of a mm and of a slope per 1000."""
 
     shape: str
@@ -201,7 +201,7 @@ class MeasuringVolume:
         return min(x_mm - abs(x), y_mm - abs(y), z - far_mm, near_mm - z)
 
 
-def measuring_volumes(unit: PolarisLink) -> tuple[MeasuringVolume, ...]:
+def measuring_volumes(unit: PolarisLink) -> tuple[StatedVolume, ...]:
     """Read the measuring volumes with SFLIST 03; every record must have the exact length."""
     text = unit.ask("SFLIST:03")
     records = text[1:].splitlines(keepends=True)
@@ -211,11 +211,11 @@ def measuring_volumes(unit: PolarisLink) -> tuple[MeasuringVolume, ...]:
         check(len(record) == SFLIST_VOLUME_CHARACTERS, "74 characters with the line feed", len(record))
         match = require_present(_RECORD.fullmatch(record), "a shape and ten numbers", record)
         numbers = tuple(int(match[2][at : at + 7]) for at in range(0, 70, 7))
-        volumes.append(MeasuringVolume(match[1], numbers))
+        volumes.append(StatedVolume(match[1], numbers))
     return tuple(volumes)
 
 
-def volume_in_use(unit: PolarisLink) -> MeasuringVolume:
+def volume_in_use(unit: PolarisLink) -> StatedVolume:
     """Return the selected volume, or the first if the unit does not report its selection."""
     volumes = measuring_volumes(unit)
     value = unit.ask(f"GET:{PARAMETER_SELECTED_VOLUME}").partition("=")[2].strip()

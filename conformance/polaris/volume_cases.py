@@ -11,7 +11,7 @@ from conformance.polaris.fixtures import (
     SPECTRA_VOLUMES,
     VICRA_SHAPE,
     WITH_TOOL,
-    MeasuringVolume,
+    StatedVolume,
     definition,
     measuring_volumes,
     read_frame,
@@ -118,7 +118,7 @@ def volume_formulas(dut: DeviceUnderTest) -> None:
             raise NotShown("the tool is not in view, or too close to a face of the volume")
 
 
-def _check_strays(dut: DeviceUnderTest, unit: PolarisLink, volume: MeasuringVolume) -> set[bool]:
+def _check_strays(dut: DeviceUnderTest, unit: PolarisLink, volume: StatedVolume) -> set[bool]:
     """Check the stray flags against the volume, except near its faces; returns the expected flags."""
     orders = {"low bit first", "high bit first"}
     found: set[bool] = set()
@@ -135,7 +135,7 @@ def _check_strays(dut: DeviceUnderTest, unit: PolarisLink, volume: MeasuringVolu
     return found
 
 
-def _test_points(volume: MeasuringVolume) -> list[Vector3]:
+def _test_points(volume: StatedVolume) -> list[Vector3]:
     """Return test points at the centre and just inside and outside the faces."""
     far_mm, near_mm = volume.depths_mm
     middle_mm = volume.middle_mm

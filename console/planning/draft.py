@@ -192,7 +192,7 @@ class Draft:
         return content
 
 
-class History:
+class DraftHistory:
     """The current draft, with undo and redo."""
 
     def __init__(self, draft: Draft) -> None:

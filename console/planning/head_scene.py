@@ -11,8 +11,8 @@ from nicegui import ui
 from console.planning.plan_editor import PlanEditor
 from console.planning.slice_panel import AVOIDED, CHOSEN, CROSS, OTHER, SPHERE
 from console.planning.slices import SIZE_PX, PageView
-from console.planning.views import View
-from console.scene.bodies import METRES, Call, Rod
+from console.planning.views import PlanView
+from console.scene.bodies import METRES, Call, DrawnRod
 from console.scene.theatre_scene import (
     BACKGROUND,
     FRAMES_PER_S,
@@ -35,7 +35,7 @@ class HeadScene:
     """3-D scene of the head on one page, in CT coordinates, metres."""
 
     def __init__(
-        self, editor: PlanEditor, page_view: PageView, enlarge: Callable[[View], None], *, low: bool
+        self, editor: PlanEditor, page_view: PageView, enlarge: Callable[[PlanView], None], *, low: bool
     ) -> None:
         self._editor, self._page_view, self._low = editor, page_view, low
         self._scene: Any = None
@@ -51,7 +51,9 @@ class HeadScene:
                 ui.html("<h2>3-D head</h2>", sanitize=False)
                 self._views = ui.element("div").classes("views").props('role=group aria-label="Views"')
             stage = ui.element("div").classes("stagebox")
-            stage.on("click", lambda: enlarge(View.HEAD) if page_view.large is not View.HEAD else None)
+            stage.on(
+                "click", lambda: enlarge(PlanView.HEAD) if page_view.large is not PlanView.HEAD else None
+            )
         self._stage = stage
 
     def build_scene(self) -> None:
@@ -67,7 +69,7 @@ class HeadScene:
             ).classes("stage")
             self._scene.props('role=img aria-label="The head in three dimensions"')
             with self._scene:
-                self._cross = [Rod(self._scene, 0.5, CROSS) for _ in range(3)]
+                self._cross = [DrawnRod(self._scene, 0.5, CROSS) for _ in range(3)]
         with self._views:
             for name in (*VIEWS, "along"):
                 ui.button(name, on_click=lambda name=name: self._move_camera(name), color=None).classes(
@@ -110,7 +112,7 @@ class HeadScene:
             if way.ends is not None and way.depth_mm:
                 share = OUTSIDE_MM / way.depth_mm
                 outer_end_mm = tuple(e + share * (e - t) for e, t in zip(*way.ends, strict=True))
-                rod = Rod(self._scene, 0.9, colour)
+                rod = DrawnRod(self._scene, 0.9, colour)
                 self._scene.run_method(
                     "run_methods", rod.place((outer_end_mm[0], outer_end_mm[1], outer_end_mm[2]), way.ends[1])
                 )

@@ -39,7 +39,7 @@ COMMAND = re.compile(r"ronna-|(?<!\S)--[a-z]")  # a command, or an option of one
 
 
 @dataclass(frozen=True)
-class ExpectedError:
+class ExpectedAtTarget:
     """Expected error at one target. Its components add up in quadrature to `rms_mm`."""
 
     rms_mm: float
@@ -56,7 +56,7 @@ class Judgement:
     thorough: bool = False
     findings: tuple[RonnaError, ...] = ()
     warnings: tuple[str, ...] = ()
-    expected: dict[str, ExpectedError] = field(default_factory=dict)
+    expected: dict[str, ExpectedAtTarget] = field(default_factory=dict)
     reached: tuple[str, ...] = ()  # in words, by the arm
     angles_deg: dict[str, float | None] = field(default_factory=dict)  # to the skull; 90 is perpendicular
     distances: tuple[StructureDistance, ...] = ()
@@ -134,7 +134,7 @@ def _predict_errors(
     draft: Draft,
     theatre: TheatreArm | None,
     paths: PathCheck | None,
-) -> dict[str, ExpectedError]:
+) -> dict[str, ExpectedAtTarget]:
     if len(draft.markers) < FEWEST_PAIRS:
         return {}
     markers_mm = np.array([item.centre_mm for item in draft.markers])
@@ -155,9 +155,9 @@ def _predict_errors(
     return found
 
 
-def _to_expected_error(predicted: TargetPrediction, *, with_arm: bool) -> ExpectedError:
+def _to_expected_error(predicted: TargetPrediction, *, with_arm: bool) -> ExpectedAtTarget:
     shares = sorted(predicted.budget_mm.items(), key=lambda item: -item[1])
-    return ExpectedError(predicted.rms_mm, predicted.limit_mm(), tuple(shares), with_arm)
+    return ExpectedAtTarget(predicted.rms_mm, predicted.limit_mm(), tuple(shares), with_arm)
 
 
 def _describe_reach(check: PlanCheck) -> tuple[str, ...]:
@@ -248,7 +248,7 @@ def _skull_text(name: str, angle_deg: float | None) -> str:
     return f"{name} meets the skull at {angle_deg:.0f}° (90° is perpendicular)"
 
 
-def _target_html(name: str, item: ExpectedError, margin_mm: float) -> str:
+def _target_html(name: str, item: ExpectedAtTarget, margin_mm: float) -> str:
     judged = judge_error(margin_mm, item.rms_mm, item.limit_mm)
     limit = f"{item.limit_mm:.2f} mm at {DEFAULT_CONFIDENCE:.0%}"
     line = tag(
@@ -262,7 +262,7 @@ def _target_html(name: str, item: ExpectedError, margin_mm: float) -> str:
     return line + table(("source", "rms mm"), rows)
 
 
-def _basis_text(expected: Iterable[ExpectedError]) -> str:
+def _basis_text(expected: Iterable[ExpectedAtTarget]) -> str:
     if all(item.with_arm for item in expected):
         return (
             "Includes the arm at the poses found; "

@@ -12,7 +12,7 @@ from fastapi import FastAPI, Request
 from nicegui import ui
 
 from console.changes import await_change
-from console.guard import SESSION, Role, Session
+from console.guard import SESSION, Session, SessionRole
 from console.panels.html import tag, text
 from console.planning.ac_pc_panel import CLICK_NEXT, AcPcPanel
 from console.planning.head_scene import HeadScene
@@ -25,7 +25,7 @@ from console.planning.slice_panel import STROKE, SlicePanel
 from console.planning.slices import WINDOWS_HU, PageView, Plane, add_pictures
 from console.planning.structure_panel import StructurePanel
 from console.planning.trajectory_panel import TrajectoryPanel
-from console.planning.views import NAMES, Size, View, arrange
+from console.planning.views import NAMES, PlanView, Size, arrange
 from console.web.library import bind_page, page_head, use_library
 from procedures.imaging import PatientIdentity
 from procedures.planning.errors import AcPcUnfit, PlanMistakes
@@ -71,7 +71,7 @@ class PlannerPage:
 
     def __init__(self, editor: PlanEditor, session: Session, *, low: bool) -> None:
         self._editor, self._low = editor, low
-        self._may_edit = session.role is Role.OPERATOR and editor.problem is None
+        self._may_edit = session.role is SessionRole.OPERATOR and editor.problem is None
         self._page_view = PageView(editor.volume.geometry)
         self._page_view.open_on(editor.draft.ways)
         self._beat = 0
@@ -105,8 +105,9 @@ class PlannerPage:
                         for plane in Plane
                     ]
                     self._scene = HeadScene(editor, page_view, self._enlarge, low=self._low)
-                self._sections = {View.HEAD: self._scene.section} | {
-                    View(plane.value): item.section for plane, item in zip(Plane, self._slices, strict=True)
+                self._sections = {PlanView.HEAD: self._scene.section} | {
+                    PlanView(plane.value): item.section
+                    for plane, item in zip(Plane, self._slices, strict=True)
                 }
             with ui.element("div").classes("left"):
                 self._ways = TrajectoryPanel(editor, page_view, self._show_view, may_edit=self._may_edit)
@@ -160,9 +161,9 @@ class PlannerPage:
             self._mode.on_value_change(self._on_mode)
             window = self._choices("Window", {name: name for name in WINDOWS_HU}, self._page_view.window)
             window.on_value_change(lambda event: self._set_window(str(event.value)))
-            names = {view.value: NAMES[view] for view in View}
+            names = {view.value: NAMES[view] for view in PlanView}
             self._large = self._choices("Large", names, self._page_view.large.value)
-            self._large.on_value_change(lambda event: self._enlarge(View(event.value)))
+            self._large.on_value_change(lambda event: self._enlarge(PlanView(event.value)))
             with ui.element("div").classes("views"):
                 self._button("−", lambda: self._magnify(-1), "smaller").props('aria-label="smaller"')
                 self._button("+", lambda: self._magnify(1), "larger").props('aria-label="larger"')
@@ -254,7 +255,7 @@ class PlannerPage:
         self._page_view.go_to(place_mm)
         self._show_view()
 
-    def _enlarge(self, view: View) -> None:
+    def _enlarge(self, view: PlanView) -> None:
         """Make a view the large one. Its picture keeps the keyboard's focus."""
         self._page_view.large = view
         self._large.set_value(view.value)

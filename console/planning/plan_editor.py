@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from console.changes import ChangeNotifier
-from console.planning.draft import Draft, History, UnsavedFile
+from console.planning.draft import Draft, DraftHistory, UnsavedFile
 from console.planning.judging import Judgement, judge
 from console.planning.theatre_choice import TheatreChoice
 from console.scene.head_surface import encode_stl, head_surface
@@ -122,7 +122,7 @@ class PlanEditor(ChangeNotifier):
 
     def _read(self) -> None:
         draft = self._read_draft() or Draft(self.volume.patient_position, FEWEST_MARKERS)
-        self.history = History(draft)
+        self.history = DraftHistory(draft)
         self._saved: Draft | None = draft if self._on_disk else None
         self._adopt_markers(self._markers, self._deformation)
 
@@ -242,7 +242,7 @@ class PlanEditor(ChangeNotifier):
         return self.history.now
 
     def change(self, draft: Draft, *, continues: bool = False) -> None:
-        """Apply a change to the draft (see `History.change`). Refused while the draft is read-only."""
+        """Apply a change to the draft (see `DraftHistory.change`). Refused while the draft is read-only."""
         if self.read_only is None:
             self.history.change(draft, continues=continues)
         self.altered()

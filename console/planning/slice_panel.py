@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from console.panels.html import tag, text
 from console.planning.draft import LANDMARKS, Draft, DraftTrajectory
 from console.planning.slices import SIZE_PX, Cut, PageView, Plane
-from console.planning.views import View
+from console.planning.views import PlanView
 from procedures.planning.line_of_sight import SPHERE_RADIUS_MM
 from procedures.strategies.trajectory import Point
 
@@ -68,7 +68,7 @@ class SlicePanel:
         drag: Drag,
         is_drawing: Callable[[], bool],
         key: Callable[[str], None],
-        enlarge: Callable[[View], None],
+        enlarge: Callable[[PlanView], None],
         on_view_change: Callable[[], None],
     ) -> None:
         self._plane, self._page_view = plane, page_view
@@ -150,7 +150,7 @@ class SlicePanel:
         elif key in "+=-":
             self._page_view.magnify(-1 if key == "-" else 1)
         elif key == "Enter" and not self._is_large:
-            self._enlarge(View(self._plane.value))
+            self._enlarge(PlanView(self._plane.value))
         elif key == "Enter" and self._is_drawing():
             self._drag(STROKE, self._page_view.place_mm, True)
         elif key == "Enter":
@@ -165,7 +165,7 @@ class SlicePanel:
             return
         kind, x, y = args.get("mouse_event_type"), float(args["image_x"]), float(args["image_y"])
         if kind == "mousedown" and not self._is_large:
-            self._enlarge(View(self._plane.value))
+            self._enlarge(PlanView(self._plane.value))
         elif kind == "mousedown" and args.get("button") == 0 and self._is_drawing():
             self._dragged_end = STROKE
             self._drag(STROKE, cut.to_patient_mm(x, y), True)

@@ -18,7 +18,7 @@ from starlette.responses import PlainTextResponse, Response
 
 from console.planning.draft import DraftTrajectory
 from console.planning.plan_editor import PlanEditor
-from console.planning.views import View
+from console.planning.views import PlanView
 from procedures.imaging.volume import Volume, VoxelGeometry
 from procedures.strategies.trajectory import Point
 
@@ -161,7 +161,7 @@ class PageView:
     window: str = "spheres"  # to be judged first, as long as there is no target
     turn_deg: float = 0.0
     way: str = "T1"  # the one being edited
-    large: View = View.AXIAL
+    large: PlanView = PlanView.AXIAL
     measured_mm: tuple[Point, ...] = ()  # ends of the measured distance, as far as they are clicked
     _bounds: tuple[Array, Array] = field(init=False)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from enum import StrEnum
 
 
-class View(StrEnum):
+class PlanView(StrEnum):
     """Views of a page: four CT slices and the head in three dimensions."""
 
     AXIAL = "axial"
@@ -16,11 +16,11 @@ class View(StrEnum):
 
 
 NAMES = {
-    View.AXIAL: "axial",
-    View.CORONAL: "coronal",
-    View.SAGITTAL: "sagittal",
-    View.HEAD: "3-D",
-    View.ALONG: "along trajectory",
+    PlanView.AXIAL: "axial",
+    PlanView.CORONAL: "coronal",
+    PlanView.SAGITTAL: "sagittal",
+    PlanView.HEAD: "3-D",
+    PlanView.ALONG: "along trajectory",
 }
 SMALL_ONES = 3
 
@@ -33,8 +33,8 @@ class Size(StrEnum):
     UNSEEN = "unseen"
 
 
-def arrange(large: View) -> dict[View, Size]:
+def arrange(large: PlanView) -> dict[PlanView, Size]:
     """Return the size of each view. The small ones are the first three of the others."""
-    others = [view for view in View if view is not large]
+    others = [view for view in PlanView if view is not large]
     small = dict.fromkeys(others[:SMALL_ONES], Size.SMALL)
     return {large: Size.LARGE, **small, **dict.fromkeys(others[SMALL_ONES:], Size.UNSEEN)}

@@ -113,7 +113,7 @@ def _unit(a: Point) -> Point:
     return (a[0] / length, a[1] / length, a[2] / length)
 
 
-class Capsule:
+class DrawnCapsule:
     """Capsule between two points a fixed distance apart, so that moving it only takes a new pose."""
 
     def __init__(self, scene: Any, body: Body, start: Point, end: Point, colour: str, opacity: float) -> None:
@@ -136,7 +136,7 @@ class Capsule:
         self.group.delete()
 
 
-class Rod:
+class DrawnRod:
     """Thin line between two points, either of which may move."""
 
     def __init__(self, scene: Any, radius_mm: float, colour: str) -> None:

@@ -7,7 +7,7 @@ import math
 import time
 from typing import Any
 
-from console.scene.bodies import METRES, Call, Point, Rod, axis_ends, placing_calls
+from console.scene.bodies import METRES, Call, DrawnRod, Point, axis_ends, placing_calls
 from procedures.engine.case_view import CaseView
 from procedures.engine.events import Bodies, MeasuringVolume, Pose
 from procedures.planning.tracker_sight import SENSORS_MM
@@ -66,7 +66,7 @@ class Sights:
         if tracker is None or figures is None:
             return
         eyes = [_to_point(eye) for eye in tracker.apply(SENSORS_MM).tolist()]
-        housing = Rod(self._scene, HOUSING_RADIUS_MM, SIGHT)
+        housing = DrawnRod(self._scene, HOUSING_RADIUS_MM, SIGHT)
         self._scene.run_method("run_methods", housing.place(eyes[0], eyes[1]))
         self._marks.append(housing.group)
         sphere_places = [sphere.tracker_mm for sphere in figures.spheres if sphere.tracker_mm is not None]

@@ -10,10 +10,10 @@ from console.panels.html import tag, text
 from console.scene.bodies import (
     METRES,
     Call,
-    Capsule,
     Closest,
+    DrawnCapsule,
+    DrawnRod,
     Point,
-    Rod,
     axis_ends,
     closest_pair,
     guide_end,
@@ -138,8 +138,8 @@ class TheatreScene:
         ).classes("stage")
         self.scene.props('role=img aria-label="The theatre in three dimensions"')
         self._bodies: Bodies | None = None
-        self._moving: list[Capsule] = []
-        self._fixed: list[Capsule] = []
+        self._moving: list[DrawnCapsule] = []
+        self._fixed: list[DrawnCapsule] = []
         self._pose: Pose | None = None
         self._is_grey: bool | None = None
         self._figures: object = None
@@ -149,7 +149,7 @@ class TheatreScene:
         self._head: Any = None
         self._head_count = 0
         with self.scene:
-            self._near = Rod(self.scene, 2.0, NEAR)
+            self._near = DrawnRod(self.scene, 2.0, NEAR)
             self._sights = Sights(self.scene)
         self.closest: Closest | None = None
 
@@ -178,7 +178,7 @@ class TheatreScene:
             item.delete()
         self._bodies, self._moving, self._pose, self._is_grey = bodies, [], None, None
         self._fixed = [
-            Capsule(self.scene, body, *axis_ends(body.ends_mm), ROOM, 1.0)
+            DrawnCapsule(self.scene, body, *axis_ends(body.ends_mm), ROOM, 1.0)
             for body in bodies.fixed
             if not body.is_head
         ]
@@ -187,7 +187,7 @@ class TheatreScene:
 
     def _build_moving(self, bodies: Bodies, pose: Pose) -> None:
         self._moving = [
-            Capsule(self.scene, body, *axis_ends(place), ARM if number < LINKS else TOOL, 1.0)
+            DrawnCapsule(self.scene, body, *axis_ends(place), ARM if number < LINKS else TOOL, 1.0)
             for number, (body, place) in enumerate(zip(bodies.moving, pose.bodies_mm, strict=True))
         ]
 
@@ -285,7 +285,7 @@ class TheatreScene:
         self._add_label(name, (out[0], out[1], out[2]))
 
     def _add_rod(self, radius_mm: float, colour: str, start: Point, end: Point) -> Any:
-        rod = Rod(self.scene, radius_mm, colour)
+        rod = DrawnRod(self.scene, radius_mm, colour)
         self.scene.run_method("run_methods", rod.place(start, end))
         return rod.group
 

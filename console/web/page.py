@@ -10,8 +10,8 @@ from fastapi import FastAPI, Request
 from nicegui import ui
 
 from console.changes import await_change
-from console.figures import Figures, figures_at
-from console.guard import SESSION, Role, Session
+from console.figures import LatestFigures, figures_at
+from console.guard import SESSION, Session, SessionRole
 from console.hub import NO_REPLY, Hub
 from console.panels.case_state import (
     advice,
@@ -58,7 +58,7 @@ SLOW_KEYS_S = 0.5  # host time between two updates of what a person reads as num
 
 def add_page(app: FastAPI, hub: Hub) -> None:
     """Serve the page at `/` of an application."""
-    figures = Figures(hub)
+    figures = LatestFigures(hub)
     figures.add_routes(app)
     tail = LogTail(hub.folder)
     head = page_head()
@@ -76,7 +76,9 @@ def add_page(app: FastAPI, hub: Hub) -> None:
 class CasePage:
     """Case page open in one session."""
 
-    def __init__(self, hub: Hub, figures: Figures, tail: LogTail, session: Session, *, low: bool) -> None:
+    def __init__(
+        self, hub: Hub, figures: LatestFigures, tail: LogTail, session: Session, *, low: bool
+    ) -> None:
         self._hub = hub
         self._figures = figures
         self._tail = tail
@@ -96,7 +98,7 @@ class CasePage:
 
     def build(self) -> None:
         """Create the panels and start updating them."""
-        may_operate = self._session.role is Role.OPERATOR and self._hub.review is None
+        may_operate = self._session.role is SessionRole.OPERATOR and self._hub.review is None
         with ui.element("header").classes("head"):
             with ui.element("div").classes("headrow"):
                 self._add(banner, lambda view: view.banner)

@@ -9,8 +9,8 @@ from dataclasses import asdict
 
 from drivers.basler_stereo import gvcp
 from drivers.basler_stereo.control_channel import (
+    CameraControl,
     Command,
-    ControlChannel,
     Heartbeat,
     register_write,
     take_control,
@@ -22,7 +22,7 @@ from drivers.basler_stereo.features.feature_map import FeatureMap, RegisterMemor
 from drivers.basler_stereo.identity import CameraIdentity, describe_cameras_near, identify
 from drivers.basler_stereo.options import BaslerOptions
 from drivers.basler_stereo.readings import Tie
-from drivers.basler_stereo.stream.frame_assembler import Frame, StreamCounters, next_block_id
+from drivers.basler_stereo.stream.frame_assembler import ReceivedImage, StreamCounters, next_block_id
 from drivers.basler_stereo.stream.receiver import (
     ReceiverProcess,
     StreamReceiver,
@@ -52,7 +52,7 @@ class Camera:
         self._recorder = recorder or LinkRecorder("", None)
         self._address = address
         self._options = options
-        self._control: ControlChannel | None = None
+        self._control: CameraControl | None = None
         self._memory: RegisterMemory | None = None
         self._features: FeatureMap | None = None
         self._heartbeat: Heartbeat | None = None
@@ -69,7 +69,7 @@ class Camera:
         self.notices: list[str] = []
 
     @property
-    def control(self) -> ControlChannel:
+    def control(self) -> CameraControl:
         """Control channel; available only while connected."""
         assert self._control is not None, "the lifecycle allows this only while connected"
         return self._control
@@ -97,7 +97,7 @@ class Camera:
         If no camera replies, the message names those found by broadcast discovery.
         """
         try:
-            self._control = ControlChannel(self._address, on_bytes=self._recorder.on_bytes)
+            self._control = CameraControl(self._address, on_bytes=self._recorder.on_bytes)
         except OSError as error:
             raise NoCamera(f"no route to {self._address}", got=error.strerror) from error
         try:
@@ -203,7 +203,7 @@ class Camera:
         patience_s = PATIENCE_S + self._exposure_us * 1e-6
         self.receiver.expect(self._next_block or gev.BLOCK_ID_FIRST, patience_s)
 
-    def take(self, deadline_s: float, give_up: Callable[[], bool] = lambda: False) -> Frame | None:
+    def take(self, deadline_s: float, give_up: Callable[[], bool] = lambda: False) -> ReceivedImage | None:
         """Return the frame of the last trigger, or None at the deadline or when `give_up()` is true.
 
         Late frames of earlier triggers are discarded.
@@ -321,7 +321,7 @@ class LinkRecorder:
         if self._sink is not None:
             self._sink.on_bytes(f"{self._name}.control", direction, data)
 
-    def note_frame(self, frame: Frame, counters: StreamCounters) -> None:
+    def note_frame(self, frame: ReceivedImage, counters: StreamCounters) -> None:
         """Record the arrival of a complete or incomplete image."""
         if self._sink is None:
             return

@@ -14,7 +14,7 @@ from dataclasses import asdict, dataclass
 from enum import StrEnum
 from typing import Any, NamedTuple
 
-from drivers.basler_stereo.control_channel import ControlChannel
+from drivers.basler_stereo.control_channel import CameraControl
 from drivers.basler_stereo.errors import CommandRefused, MalformedReply, NoCamera, NoReply
 from drivers.basler_stereo.identity import CameraIdentity, identify
 from drivers.basler_stereo.stream.receiver import choose_packet_bytes, open_stream_socket
@@ -44,7 +44,7 @@ class Response(StrEnum):
 
 
 @dataclass(frozen=True)
-class Controller:
+class ControllingHost:
     """Application in control of a camera, if any; the camera may not report its address."""
 
     taken: bool
@@ -62,7 +62,7 @@ class CameraState:
     response: Response
     interface: Interface | None = None
     identity: CameraIdentity | None = None
-    controller: Controller | None = None
+    controller: ControllingHost | None = None
     packet_bytes: int | None = None  # the largest that arrives; 0 if no test packet arrived at all
     reason: str = ""  # the system's, if there is no route
 
@@ -70,13 +70,13 @@ class CameraState:
 def check_camera(endpoint: Endpoint) -> CameraState:
     """Check one camera's address within about two seconds; never raises."""
     try:
-        with contextlib.closing(ControlChannel(endpoint.host)) as control:
+        with contextlib.closing(CameraControl(endpoint.host)) as control:
             return _check_stages(control, endpoint)
     except OSError as error:  # also when the network goes down meanwhile
         return CameraState(endpoint, Response.NO_ROUTE, reason=error.strerror or str(error))
 
 
-def _check_stages(control: ControlChannel, endpoint: Endpoint) -> CameraState:
+def _check_stages(control: CameraControl, endpoint: Endpoint) -> CameraState:
     interface = find_interface(control.local_address)
     try:
         identity = identify(control, _reply_deadline_s())
@@ -88,9 +88,9 @@ def _check_stages(control: ControlChannel, endpoint: Endpoint) -> CameraState:
     return CameraState(endpoint, Response.ANSWERED, interface, identity, controller, size)
 
 
-def _read_controller(control: ControlChannel) -> Controller:
+def _read_controller(control: CameraControl) -> ControllingHost:
     if _try_read_register(control, Bootstrap.CCP) == gev.CCP_OPEN:
-        return Controller(taken=False)
+        return ControllingHost(taken=False)
     reports_application = (
         _try_read_register(control, Bootstrap.GVCP_CAPABILITY) or 0
     ) & GvcpCapability.CCP_APPLICATION
@@ -99,17 +99,17 @@ def _read_controller(control: ControlChannel) -> Controller:
         _try_read_register(control, Bootstrap.PRIMARY_APPLICATION_ADDRESS) if reports_application else None
     )
     if not port or not address:
-        return Controller(taken=True)  # under exclusive access even reading is refused
+        return ControllingHost(taken=True)  # under exclusive access even reading is refused
     owner = socket.inet_ntoa(address.to_bytes(4, "big"))
     own_interfaces = [
         each for each in interfaces() if each.address == owner or (each.loopback and each.reaches(owner))
     ]
-    return Controller(
+    return ControllingHost(
         True, owner, port, find_udp_port_user(owner, port) if own_interfaces else None, bool(own_interfaces)
     )
 
 
-def _find_largest_packet(control: ControlChannel) -> int | None:
+def _find_largest_packet(control: CameraControl) -> int | None:
     """Determine the largest test packet that arrives, or None if the camera refuses control."""
     try:
         control.write_register(Bootstrap.CCP, gev.CCP_CONTROL, _reply_deadline_s())
@@ -130,7 +130,7 @@ def _find_largest_packet(control: ControlChannel) -> int | None:
             control.write_register(Bootstrap.CCP, gev.CCP_OPEN, _reply_deadline_s())
 
 
-def _try_read_register(control: ControlChannel, register: int) -> int | None:
+def _try_read_register(control: CameraControl, register: int) -> int | None:
     """Read a register, or return None if the camera refuses or does not reply."""
     try:
         return control.read_register(register, _reply_deadline_s())
@@ -215,7 +215,7 @@ def _identity_document(identity: CameraIdentity) -> dict[str, str]:
     }
 
 
-def _control_document(controller: Controller) -> dict[str, Any]:
+def _control_document(controller: ControllingHost) -> dict[str, Any]:
     return {
         "taken": controller.taken,
         "address": controller.address,
@@ -225,7 +225,9 @@ def _control_document(controller: Controller) -> dict[str, Any]:
     }
 
 
-def _observations(camera: CameraState, identity: CameraIdentity, controller: Controller) -> Iterator[str]:
+def _observations(
+    camera: CameraState, identity: CameraIdentity, controller: ControllingHost
+) -> Iterator[str]:
     yield f"{identity.vendor} {identity.model} {identity.serial}".strip()
     if camera.interface is not None:
         yield f"via {camera.interface.name} ({camera.interface.address}, MTU {camera.interface.mtu_bytes})"
@@ -234,7 +236,7 @@ def _observations(camera: CameraState, identity: CameraIdentity, controller: Con
         yield f"packets of {camera.packet_bytes} bytes arrive"
 
 
-def _controller_name(controller: Controller) -> str:
+def _controller_name(controller: ControllingHost) -> str:
     if controller.process is not None:
         return str(controller.process)
     if controller.port:
@@ -242,7 +244,7 @@ def _controller_name(controller: Controller) -> str:
     return "an application not identified by the camera"
 
 
-def _release_advice(controller: Controller) -> str:
+def _release_advice(controller: ControllingHost) -> str:
     if controller.process is not None:
         return f"{LEAVE_A_CASE_ALONE} Otherwise stop it, then wait for the camera's heartbeat time-out."
     if controller.here:

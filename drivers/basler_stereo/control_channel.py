@@ -36,7 +36,7 @@ ASK_LIMIT_S = 1.0
 JOIN_LIMIT_S = 1.5
 
 
-class ControlChannel:
+class CameraControl:
     """GVCP control channel that handles one command at a time; thread-safe.
 
     Retries reuse the request id, so that a device that replies late does not execute a command twice.
@@ -147,7 +147,7 @@ class ControlChannel:
 
     def _receive(
         self, command: GvcpCommand, request_id: int, until_s: float, deadline_s: float
-    ) -> gvcp.Acknowledge | None:
+    ) -> gvcp.GvcpAcknowledge | None:
         """Receive the acknowledge with this request id, or return None at `until_s`."""
         while True:
             # also after the deadline: data that arrived while the host stalled was in time
@@ -192,7 +192,7 @@ def register_write(address: int, value: int) -> Command:
 
 
 def send_together(
-    commands: Sequence[tuple[ControlChannel, Command]], deadline_s: float, what: str
+    commands: Sequence[tuple[CameraControl, Command]], deadline_s: float, what: str
 ) -> list[Exception | None]:
     """Send one command on each channel, as nearly simultaneously as possible.
 
@@ -216,7 +216,7 @@ def send_together(
     return results
 
 
-def take_control(control: ControlChannel, camera_name: str, deadline_s: float) -> None:
+def take_control(control: CameraControl, camera_name: str, deadline_s: float) -> None:
     """Take control of a camera; `camera_name` is its name in messages.
 
     Retries until the current controller's heartbeat time-out has passed, within the deadline (host monotonic
@@ -231,7 +231,7 @@ def take_control(control: ControlChannel, camera_name: str, deadline_s: float) -
         time.sleep(RETRY_PAUSE_S)
 
 
-def _describe_taken(control: ControlChannel, camera_name: str, refusal: str) -> ControlTaken:
+def _describe_taken(control: CameraControl, camera_name: str, refusal: str) -> ControlTaken:
     """Build the error for a controlled camera; on this computer it names the programs that talk to it."""
     users = find_udp_clients(control.peer_address, gev.GVCP_PORT)
     if not users:
@@ -243,7 +243,7 @@ def _describe_taken(control: ControlChannel, camera_name: str, refusal: str) -> 
     )
 
 
-def require_control(control: ControlChannel, deadline_s: float) -> None:
+def require_control(control: CameraControl, deadline_s: float) -> None:
     """Raise GEV-015 unless we still control the camera, GEV-007 if it does not reply."""
     try:
         privilege = control.read_register(Bootstrap.CCP, deadline_s)
@@ -253,7 +253,7 @@ def require_control(control: ControlChannel, deadline_s: float) -> None:
         raise ControlLost(f"{control.address} has released control", got=f"privilege {privilege}")
 
 
-def _try_control(control: ControlChannel, deadline_s: float) -> str | None:
+def _try_control(control: CameraControl, deadline_s: float) -> str | None:
     """Request control; returns the reason if the camera refuses, otherwise None."""
     try:
         control.write_register(Bootstrap.CCP, gev.CCP_CONTROL, deadline_s)
@@ -265,7 +265,7 @@ def _try_control(control: ControlChannel, deadline_s: float) -> str | None:
     return None if privilege & gev.CCP_CONTROL else f"privilege {privilege}"
 
 
-def _control_end_s(control: ControlChannel, deadline_s: float) -> float:
+def _control_end_s(control: CameraControl, deadline_s: float) -> float:
     """Return when control lapses if its holder is dead, at most the deadline."""
     try:
         timeout_ms = control.read_register(Bootstrap.HEARTBEAT_TIMEOUT_MS, deadline_s)
@@ -284,7 +284,7 @@ class Heartbeat:
 
     def __init__(
         self,
-        control: ControlChannel,
+        control: CameraControl,
         timeout_ms: int,
         on_lost: Callable[[RonnaError], None],
         name: str,

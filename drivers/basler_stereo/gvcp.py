@@ -17,7 +17,7 @@ _U32 = struct.Struct(gev.READREG_ITEM)
 
 
 @dataclass(frozen=True)
-class Acknowledge:
+class GvcpAcknowledge:
     """Decoded GVCP acknowledge; `status` 0 means success."""
 
     status: int
@@ -39,19 +39,19 @@ def encode_resend(request_id: int, block_id: int, first: int, last: int) -> byte
     return encode(GvcpCommand.PACKETRESEND, request_id, payload, GvcpFlag(0))
 
 
-def decode(datagram: bytes) -> Acknowledge | None:
+def decode(datagram: bytes) -> GvcpAcknowledge | None:
     """Decode an acknowledge, or return None if the datagram is truncated."""
     if len(datagram) < gev.GVCP_HEADER_BYTES:
         return None
     status, command, length, request_id = _ACK_HEADER.unpack_from(datagram)
     if len(datagram) < gev.GVCP_HEADER_BYTES + length:
         return None
-    return Acknowledge(
+    return GvcpAcknowledge(
         status, command, request_id, datagram[gev.GVCP_HEADER_BYTES : gev.GVCP_HEADER_BYTES + length]
     )
 
 
-def require_success(acknowledge: Acknowledge, what: str) -> bytes:
+def require_success(acknowledge: GvcpAcknowledge, what: str) -> bytes:
     """Return the payload of a successful acknowledge; raises GEV-006 with the status."""
     if acknowledge.status != GevStatus.SUCCESS:
         refused = CommandRefused(f"{what} was rejected", got=status_name(acknowledge.status))

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from ipaddress import IPv4Address
 
 from drivers.basler_stereo import gvcp
-from drivers.basler_stereo.control_channel import ControlChannel
+from drivers.basler_stereo.control_channel import CameraControl
 from drivers.basler_stereo.errors import MalformedReply, NoCamera, NoReply
 from ronna_hw.host.network import Interface, find_interface
 from ronna_hw.wire import gige_vision as gev
@@ -36,7 +36,7 @@ class CameraIdentity:
     user_name: str
 
 
-def identify(control: ControlChannel, deadline_s: float) -> CameraIdentity:
+def identify(control: CameraControl, deadline_s: float) -> CameraIdentity:
     """Identify the device at the channel's address; raises GEV-001, GEV-008."""
     try:
         memory = control.ask(GvcpCommand.DISCOVERY, b"", deadline_s, "discovery")

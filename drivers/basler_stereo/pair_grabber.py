@@ -11,7 +11,7 @@ from drivers.basler_stereo.control_channel import require_control, send_together
 from drivers.basler_stereo.errors import CommandRefused, ControlLost, NoReply, TriggerMissed
 from drivers.basler_stereo.options import BaslerOptions
 from drivers.basler_stereo.readings import PairClock, camera_image, stereo_reading
-from drivers.basler_stereo.stream.frame_assembler import Frame
+from drivers.basler_stereo.stream.frame_assembler import ReceivedImage
 from ronna_hw.clock import Clock
 from ronna_hw.devices.readings import StereoReading, Validity
 from ronna_hw.errors import RonnaError
@@ -25,7 +25,7 @@ SHORTEST_LIMIT_FOR_TWO_S = 1.0  # below this only one trigger is sent
 BUSY_ADVICE = "Reconnect to reset their triggers; if they are still busy then, grab less often."
 NO_PULSE_ADVICE = "Check the source of the trigger pulse and its wiring to input Line1 of both cameras."
 
-Frames = tuple[Frame | None, Frame | None]
+Frames = tuple[ReceivedImage | None, ReceivedImage | None]
 
 
 class PairGrabber:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.basler_stereo.features.known_state import image_bytes
-from drivers.basler_stereo.stream.frame_assembler import Frame
+from drivers.basler_stereo.stream.frame_assembler import ReceivedImage
 from ronna_hw.devices.readings import AreaOfInterest, CameraImage, Stamp, StereoReading, Validity
 from ronna_hw.wire.gige_vision import PixelFormat
 
@@ -24,7 +24,7 @@ _WORST_FIRST = (
 
 
 def camera_image(
-    frame: Frame,
+    frame: ReceivedImage,
     serial: str,
     area: AreaOfInterest,
     pixel_format: PixelFormat,

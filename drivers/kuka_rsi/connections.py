@@ -16,7 +16,7 @@ from ronna_hw.arm.catalogue import KUKA
 from ronna_hw.arm.motion.limits import MotionLimits
 from ronna_hw.arm_stream.connections import SHORTEST_TRY_S, StreamConnections, remaining_s
 from ronna_hw.arm_stream.errors import CommandRefused
-from ronna_hw.arm_stream.records import OpenStream, Phase
+from ronna_hw.arm_stream.records import OpenStream, StreamPhase
 from ronna_hw.clock import Clock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.lifecycle import Identity
@@ -86,7 +86,10 @@ class Connections(StreamConnections[ControllerState, EkiClient]):
         else:
             # Whether or not the controller accepts it: in T1 an operator starts the program on the pendant.
             eki.command(CommandName.RSI_START, remaining_s(deadline), **parameters)
-        if link.wait(lambda s: s.phase not in (Phase.ARMED, Phase.IDLE), remaining_s(deadline)) is None:
+        if (
+            link.wait(lambda s: s.phase not in (StreamPhase.ARMED, StreamPhase.IDLE), remaining_s(deadline))
+            is None
+        ):
             raise faults.start_error(link.state, state.axes_deg, timeout_s)
         if eki.await_state(lambda s: s.rsi is RsiState.MOVECORR, remaining_s(deadline)) is None:
             raise NO_TELEGRAM(

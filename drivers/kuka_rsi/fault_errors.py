@@ -11,7 +11,7 @@ from drivers.kuka_rsi.options import KukaOptions
 from drivers.kuka_rsi.realtime.link_health import AXES_AGREE_DEG
 from ronna_hw.arm.clearance.bodies import Surroundings
 from ronna_hw.arm_stream.faults import StreamFaults
-from ronna_hw.arm_stream.records import NOTHING_AROUND, Fault, LinkState
+from ronna_hw.arm_stream.records import NOTHING_AROUND, LinkFault, LinkState
 from ronna_hw.errors import RonnaError
 from ronna_hw.vectors import JointVector
 
@@ -31,15 +31,15 @@ class RsiFaults(StreamFaults):
     ) -> RonnaError | None:
         """Build the error for a latched fault, if any; silence may have left a message on the controller."""
         match state.fault:
-            case Fault.SILENCE if reported is not None and reported.error:
+            case LinkFault.SILENCE if reported is not None and reported.error:
                 return self.silence_error(state, f"; the controller shows message {reported.error}")
-            case Fault.RESTARTED:
+            case LinkFault.RESTARTED:
                 sender = f" from {state.foreign_host}" if state.foreign else ""
                 return CONTROLLER_RESTARTED(
                     f"{self.name}: after {state.cycles} cycles received telegrams of another run{sender}",
                     got=f"IPOC {state.device_clock}",
                 )
-            case Fault.BASE:
+            case LinkFault.BASE:
                 return POSE_DISAGREES(
                     f"{self.name}: the first telegram's axes are outside the joint ranges",
                     got=self.axes_text(state),

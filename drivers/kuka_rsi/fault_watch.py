@@ -13,7 +13,7 @@ from drivers.kuka_rsi.eki.telegrams import ControllerState, unmet_conditions
 from drivers.kuka_rsi.errors import CONTROLLER_STOPPED
 from ronna_hw.arm.clearance.live_watch import ViolationKind
 from ronna_hw.arm_stream.client import LinkClient
-from ronna_hw.arm_stream.records import Fault, LinkState
+from ronna_hw.arm_stream.records import LinkFault, LinkState
 from ronna_hw.arm_stream.watch import StreamWatch
 from ronna_hw.devices.lifecycle import RUNNING, LifecycleGuard
 from ronna_hw.errors import RonnaError
@@ -114,4 +114,4 @@ class FaultWatch(StreamWatch[ControllerState]):
 
 
 def _is_lagging(state: LinkState) -> bool:
-    return state.fault is Fault.MONITOR and state.violation_kind == ViolationKind.FOLLOWING_ERROR
+    return state.fault is LinkFault.MONITOR and state.violation_kind == ViolationKind.FOLLOWING_ERROR

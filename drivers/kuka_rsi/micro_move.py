@@ -16,7 +16,7 @@ from ronna_hw.arm.kinematics import Kinematics
 from ronna_hw.arm.motion.limits import MotionLimits
 from ronna_hw.arm.motion.planning import plan_joint_move
 from ronna_hw.arm_stream.client import LinkClient
-from ronna_hw.arm_stream.records import LinkState, Move, Result, StopOrder
+from ronna_hw.arm_stream.records import LinkState, MotionResult, Move, StopOrder
 from ronna_hw.vectors import JointVector
 
 # Safety against a controller whose axes are not what they are taken for (U).
@@ -83,7 +83,7 @@ class MicroMove:
         while True:
             state = link.state
             self._require_small(state, start, axis)
-            if state.fault or (state.command_number >= number and state.result is not Result.RUNNING):
+            if state.fault or (state.command_number >= number and state.result is not MotionResult.RUNNING):
                 break
             if state.cycles - initial_cycles > AXIS_LIMIT_CYCLES:
                 self._refuse(f"{AXIS_NAMES[axis]} does not settle", LARGEST_ANGLE_RAD)
@@ -92,13 +92,13 @@ class MicroMove:
             if link.stalled_s > TELEGRAMS_LIMIT_S:
                 self._refuse(f"no telegram was answered for {link.stalled_s:.1f} s", LARGEST_ANGLE_RAD)
             link.wait(lambda _: False, POLL_S)  # theatre time passes meanwhile
-        if state.result in (Result.STOPPED, Result.REFUSED_STOP) and not state.fault:
+        if state.result in (MotionResult.STOPPED, MotionResult.REFUSED_STOP) and not state.fault:
             raise STREAM_ERRORS.stopped(
                 f"{self._name}: stopped while {AXIS_NAMES[axis]} was tested",
                 action="Acknowledge the arm and start it again: what it does with corrections is not "
                 "verified.",
             )
-        if state.fault or state.result is not Result.DONE:
+        if state.fault or state.result is not MotionResult.DONE:
             self._refuse(f"{AXIS_NAMES[axis]} was stopped: {state.fault.name} {state.result.name}", 0.0)
 
     def _require_small(self, state: LinkState, start: JointVector, axis: int) -> None:

@@ -53,7 +53,7 @@ _FIRST_BYTES_OF_TEXT = b"ERW"  # ERROR, RESET, WARNING: possible in place of a b
 
 
 @dataclass
-class LinkStatistics:
+class LineStatistics:
     """Command statistics since the link was opened."""
 
     commands: int = 0
@@ -77,7 +77,7 @@ class CommandLink:
         monotonic: Callable[[], float] = time.monotonic,
     ) -> None:
         self.transport = transport
-        self.statistics = LinkStatistics()
+        self.statistics = LineStatistics()
         self.deadline_s = math.inf  # on the clock `monotonic`: no command waits for longer
         self.waited_s = 0.0  # from the last command to its reply, without the transfer of both
         self._limits_s = limits_s

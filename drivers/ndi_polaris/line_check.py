@@ -43,7 +43,7 @@ SECTION = "lines"
 Finding = tuple[bool, str, str]  # whether all is well, observation, advice
 
 
-class Opening(StrEnum):
+class LineOpening(StrEnum):
     """Result of opening the line."""
 
     OPENED = "opened"
@@ -55,7 +55,7 @@ class Opening(StrEnum):
     CLOSED = "closed"  # accepted, and closed at once
 
 
-class Outcome(StrEnum):
+class LineOutcome(StrEnum):
     """Result of an inquiry at one baud rate."""
 
     ANSWERED = "answered"
@@ -71,7 +71,7 @@ class Attempt:
     """Inquiry at one baud rate, with the last bytes received and the text of any valid reply."""
 
     baud: int | None  # None over TCP
-    outcome: Outcome
+    outcome: LineOutcome
     heard: bytes = b""
     reply: str = ""
 
@@ -81,7 +81,7 @@ class LineState:
     """Diagnostic findings for one line."""
 
     endpoint: Endpoint
-    opening: Opening
+    opening: LineOpening
     attempts: tuple[Attempt, ...] = ()
     users: tuple[PortUser, ...] = ()
     refusal: PortUnavailable | None = None  # if the line could not be opened
@@ -89,7 +89,7 @@ class LineState:
     @property
     def answered_attempt(self) -> Attempt | None:
         """First attempt that got a reply, if any."""
-        return next((attempt for attempt in self.attempts if attempt.outcome is Outcome.ANSWERED), None)
+        return next((attempt for attempt in self.attempts if attempt.outcome is LineOutcome.ANSWERED), None)
 
     @property
     def last_bytes(self) -> bytes:
@@ -98,10 +98,10 @@ class LineState:
 
 
 _OPENING_BY_ERROR = {
-    errno.EACCES: Opening.FORBIDDEN,
-    errno.EAGAIN: Opening.HELD,
-    errno.EBUSY: Opening.HELD,
-    errno.ECONNREFUSED: Opening.REFUSED,
+    errno.EACCES: LineOpening.FORBIDDEN,
+    errno.EAGAIN: LineOpening.HELD,
+    errno.EBUSY: LineOpening.HELD,
+    errno.ECONNREFUSED: LineOpening.REFUSED,
 }
 
 
@@ -109,32 +109,34 @@ def check_line(endpoint: Endpoint) -> LineState:
     """Check a serial or TCP line, reporting all problems in the result; raises CFG-002 for other schemes."""
     if endpoint.require("serial", "tcp").scheme == "serial":
         if not os.path.exists(endpoint.path):
-            return LineState(endpoint, Opening.MISSING)
+            return LineState(endpoint, LineOpening.MISSING)
         users = find_serial_port_users(endpoint.path)
         if not os.access(endpoint.path, os.R_OK | os.W_OK):
-            return LineState(endpoint, Opening.FORBIDDEN, users=users)
+            return LineState(endpoint, LineOpening.FORBIDDEN, users=users)
         if users:
-            return LineState(endpoint, Opening.HELD, users=users)
+            return LineState(endpoint, LineOpening.HELD, users=users)
     elif users := find_tcp_clients(endpoint.host, endpoint.port):  # a second client may disturb theirs
-        return LineState(endpoint, Opening.HELD, users=users)
+        return LineState(endpoint, LineOpening.HELD, users=users)
     try:
         transport = open_transport(endpoint, OPEN_LIMIT_S)
     except PortUnavailable as error:
-        opening = _OPENING_BY_ERROR.get(error.number or 0, Opening.UNREACHABLE)
+        opening = _OPENING_BY_ERROR.get(error.number or 0, LineOpening.UNREACHABLE)
         return LineState(endpoint, opening, refusal=error)
     try:
         attempts = _try_rates(CommandLink(transport))
     finally:
         transport.close()
-    closed = endpoint.scheme == "tcp" and attempts[-1].outcome is Outcome.LOST
-    return LineState(endpoint, Opening.CLOSED if closed else Opening.OPENED, () if closed else attempts)
+    closed = endpoint.scheme == "tcp" and attempts[-1].outcome is LineOutcome.LOST
+    return LineState(
+        endpoint, LineOpening.CLOSED if closed else LineOpening.OPENED, () if closed else attempts
+    )
 
 
 def _try_rates(link: CommandLink) -> tuple[Attempt, ...]:
     attempts: list[Attempt] = []
     for baud in BAUDS if link.transport.baud is not None else (None,):
         attempts.append(_try_rate(link, baud))
-        if attempts[-1].outcome in (Outcome.ANSWERED, Outcome.LOST):
+        if attempts[-1].outcome in (LineOutcome.ANSWERED, LineOutcome.LOST):
             break
     return tuple(attempts)
 
@@ -144,21 +146,21 @@ def _try_rate(link: CommandLink, baud: int | None) -> Attempt:
         if baud is not None:
             link.transport.set_baud(baud)
         elif (greeting := link.transport.read(SPEAKS_FIRST_S)).startswith(b"<"):
-            return Attempt(baud, Outcome.GARBAGE, greeting[-KEPT_BYTES:])
+            return Attempt(baud, LineOutcome.GARBAGE, greeting[-KEPT_BYTES:])
         link.deadline_s = time.monotonic() + INQUIRY_LIMIT_S
         heard, reply = inquire(link)
     except PortUnavailable:
-        return Attempt(baud, Outcome.REFUSED)
+        return Attempt(baud, LineOutcome.REFUSED)
     except LinkLost:
-        return Attempt(baud, Outcome.LOST)
+        return Attempt(baud, LineOutcome.LOST)
     except NotAPolaris as error:
-        return Attempt(baud, Outcome.GARBAGE, error.wire[-KEPT_BYTES:])
+        return Attempt(baud, LineOutcome.GARBAGE, error.wire[-KEPT_BYTES:])
     if reply is not None:
-        outcome = Outcome.ANSWERED
+        outcome = LineOutcome.ANSWERED
     elif INQUIRY.rstrip(CR) in heard:
-        outcome = Outcome.ECHO
+        outcome = LineOutcome.ECHO
     else:
-        outcome = Outcome.GARBAGE if heard else Outcome.SILENCE
+        outcome = LineOutcome.GARBAGE if heard else LineOutcome.SILENCE
     return Attempt(baud, outcome, heard[-KEPT_BYTES:], reply or "")
 
 
@@ -188,11 +190,11 @@ def line_diagnostic(line: LineState, *, of_tracker: bool = True) -> Diagnostic:
 
 
 def _diagnose(line: LineState, *, of_tracker: bool) -> Finding:
-    if line.opening is not Opening.OPENED:
+    if line.opening is not LineOpening.OPENED:
         return _diagnose_refusal(line)
     if (answered_attempt := line.answered_attempt) is not None:
         return _diagnose_reply(answered_attempt)
-    if any(attempt.outcome is Outcome.LOST for attempt in line.attempts):
+    if any(attempt.outcome is LineOutcome.LOST for attempt in line.attempts):
         return (
             False,
             "lost during the inquiry",
@@ -201,7 +203,7 @@ def _diagnose(line: LineState, *, of_tracker: bool) -> Finding:
     noisy_attempts = [attempt for attempt in line.attempts if attempt.heard]
     if not noisy_attempts:
         return _diagnose_silence(line)
-    if any(attempt.outcome is Outcome.ECHO for attempt in noisy_attempts):
+    if any(attempt.outcome is LineOutcome.ECHO for attempt in noisy_attempts):
         return (
             False,
             f"echoes our commands {_rate_text(noisy_attempts[0])}",
@@ -230,10 +232,10 @@ def _diagnose(line: LineState, *, of_tracker: bool) -> Finding:
 
 def _diagnose_refusal(line: LineState) -> Finding:
     endpoint = line.endpoint
-    if line.opening is Opening.MISSING:
+    if line.opening is LineOpening.MISSING:
         advice = "Is the adapter plugged in? doctor --all lists the ports that exist."
         return False, f"{endpoint.path} does not exist", advice
-    if line.opening is Opening.FORBIDDEN:
+    if line.opening is LineOpening.FORBIDDEN:
         return False, f"permission denied: {endpoint.path}", advise_on_permission(endpoint.path)
     if line.users:
         users = " and ".join(str(user) for user in line.users)
@@ -242,13 +244,13 @@ def _diagnose_refusal(line: LineState) -> Finding:
             f"held by another program: {users}",
             f"{LEAVE_A_CASE_ALONE} Otherwise stop it, or use another port.",
         )
-    if line.opening is Opening.HELD:
+    if line.opening is LineOpening.HELD:
         return (
             False,
             "held by another program, not visible to this user",
             f"Find it with: sudo fuser -v {endpoint.path}",
         )
-    if line.opening is Opening.CLOSED:
+    if line.opening is LineOpening.CLOSED:
         return (
             False,
             "the connection is closed as soon as it is used",
@@ -279,7 +281,7 @@ def _diagnose_silence(line: LineState) -> Finding:
             "accepts the connection and sends nothing",
             "Another program is listening there, or the unit serves another client: check address and port.",
         )
-    tried = [attempt.baud for attempt in line.attempts if attempt.outcome is not Outcome.REFUSED]
+    tried = [attempt.baud for attempt in line.attempts if attempt.outcome is not LineOutcome.REFUSED]
     return (
         False,
         f"silent at {', '.join(map(str, tried))} baud",

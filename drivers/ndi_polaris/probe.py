@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any, get_args
 
 from drivers.ndi_polaris.driver import PolarisTracker
-from drivers.ndi_polaris.line_check import Opening, check_line, line_diagnostic
+from drivers.ndi_polaris.line_check import LineOpening, check_line, line_diagnostic
 from drivers.ndi_polaris.options import PolarisOptions
 from ronna_hw.clock import HostClock
 from ronna_hw.config import DeviceConfig
@@ -65,7 +65,7 @@ class PolarisProbe:
             state = check_line(line)
             if state.answered_attempt is not None:
                 found.append(_make_proposal(line))
-            elif state.opening is Opening.MISSING:
+            elif state.opening is LineOpening.MISSING:
                 found.append(_missing_proposal(line))
             progress(number / len(search.lines))
         return found

@@ -172,7 +172,7 @@ def checksum(block: bytes | bytearray) -> int:
 
 
 @dataclass(frozen=True)
-class Field:
+class ByteField:
     """Field of a .rom file: attribute name, byte spans (offset, length), reader and writer."""
 
     name: str
@@ -181,7 +181,7 @@ class Field:
     write: Callable[[bytearray, Any], None]
 
 
-def _number_field(name: str, form: str, offset: int) -> Field:
+def _number_field(name: str, form: str, offset: int) -> ByteField:
     code = struct.Struct(form)
 
     def write(block: bytearray, value: Any) -> None:
@@ -190,10 +190,10 @@ def _number_field(name: str, form: str, offset: int) -> Field:
         except (struct.error, OverflowError) as error:
             raise BAD_TOOL_FILE(f"{name} does not fit into a definition", got=str(value)) from error
 
-    return Field(name, ((offset, code.size),), lambda block: code.unpack_from(block, offset)[0], write)
+    return ByteField(name, ((offset, code.size),), lambda block: code.unpack_from(block, offset)[0], write)
 
 
-def _text_field(name: str, offset: int, size: int) -> Field:
+def _text_field(name: str, offset: int, size: int) -> ByteField:
     def read(block: bytes) -> str:
         return block[offset : offset + size].split(b"\0", 1)[0].decode("ascii", "replace").strip()
 
@@ -206,7 +206,7 @@ def _text_field(name: str, offset: int, size: int) -> Field:
             raise BAD_TOOL_FILE(f"{value!r} is too long", limit=f"{size} characters")
         block[offset : offset + size] = encoded.ljust(size, b"\0")
 
-    return Field(name, ((offset, size),), read, write)
+    return ByteField(name, ((offset, size),), read, write)
 
 
 def _read_vectors(block: bytes, offset: int, count: int) -> tuple[Vector3, ...]:
@@ -283,21 +283,21 @@ def _write_flag(block: bytearray, unique: bool) -> None:
 
 
 # Markers first: their number determines the number of normals and faces.
-FIELDS: tuple[Field, ...] = (
-    Field(
+FIELDS: tuple[ByteField, ...] = (
+    ByteField(
         "markers_mm",
         ((layout.MARKER_COUNT_OFFSET, 1), (layout.MARKER_POSITIONS_OFFSET, _MARKER_VECTORS_BYTES)),
         lambda block: _read_vectors(block, layout.MARKER_POSITIONS_OFFSET, _read_count(block)),
         _write_markers,
     ),
-    Field(
+    ByteField(
         "normals",
         ((layout.MARKER_NORMALS_OFFSET, _MARKER_VECTORS_BYTES),),
         lambda block: _read_vectors(block, layout.MARKER_NORMALS_OFFSET, _read_count(block)),
         lambda block, value: _write_vectors(block, layout.MARKER_NORMALS_OFFSET, value),
     ),
-    Field("faces", ((layout.MARKER_FACES_OFFSET, layout.ROM_MARKERS),), _read_faces, _write_faces),
-    Field(
+    ByteField("faces", ((layout.MARKER_FACES_OFFSET, layout.ROM_MARKERS),), _read_faces, _write_faces),
+    ByteField(
         "face_normals",
         ((layout.FACE_NORMALS_OFFSET, layout.ROM_FACES * _F3.size),),
         _read_face_normals,
@@ -308,23 +308,23 @@ FIELDS: tuple[Field, ...] = (
     _number_field("main_type", "<B", layout.MAIN_TYPE_OFFSET),
     _number_field("subtype", "<B", layout.SUBTYPE_OFFSET),
     _number_field("revision", "<H", layout.REVISION_OFFSET),
-    Field(
+    ByteField(
         "sequence",
         _SERIAL,
         lambda block: _read_bits(block, layout.SERIAL_SEQUENCE_BITS),
         lambda block, value: _write_bits(block, layout.SERIAL_SEQUENCE_BITS, value),
     ),
-    Field("made_on", _SERIAL, _read_date, _write_date),
+    ByteField("made_on", _SERIAL, _read_date, _write_date),
     _number_field("maximum_angle_deg", "<B", layout.MAXIMUM_ANGLE_OFFSET),
     _number_field("minimum_markers", "<B", layout.MINIMUM_MARKER_COUNT_OFFSET),
     _number_field("maximum_error_mm", "<f", layout.MAXIMUM_ERROR_OFFSET),
-    Field(
+    ByteField(
         "minimum_spread_mm",
         ((layout.MINIMUM_SPREAD_OFFSET, _F3.size),),
         lambda block: _read_vectors(block, layout.MINIMUM_SPREAD_OFFSET, 1)[0],
         lambda block, value: _F3.pack_into(block, layout.MINIMUM_SPREAD_OFFSET, *value),
     ),
-    Field(
+    ByteField(
         "unique_geometry",
         ((layout.FLAGS_OFFSET, 1),),
         lambda block: bool(block[layout.FLAGS_OFFSET] & layout.FLAG_UNIQUE_GEOMETRY),

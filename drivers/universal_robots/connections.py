@@ -45,7 +45,7 @@ from ronna_hw.arm.universal_robots import universal_robot
 from ronna_hw.arm.universal_robots.calibrated import CalibratedUniversalRobot
 from ronna_hw.arm_stream.client import LinkClient, StartRefused
 from ronna_hw.arm_stream.connections import StreamConnections, remaining_s
-from ronna_hw.arm_stream.records import LinkState, OpenStream, Phase
+from ronna_hw.arm_stream.records import LinkState, OpenStream, StreamPhase
 from ronna_hw.clock import Clock, passing
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.contact import ToolLoad
@@ -53,7 +53,7 @@ from ronna_hw.devices.lifecycle import Identity
 from ronna_hw.devices.robot import OperatingMode
 from ronna_hw.errors import RonnaError
 from ronna_hw.wire.universal_robots import SafetyMode, ScriptState
-from ronna_hw.wire.universal_robots_services import MessageKind, Order, Query
+from ronna_hw.wire.universal_robots_services import DashboardOrder, MessageKind, Query
 
 PROCESS = "drivers.universal_robots.realtime.process"
 STATE_PERIOD_S = 0.1  # of the primary interface
@@ -150,19 +150,20 @@ class Connections(StreamConnections[ControllerState, PrimaryClient]):
         self._hand_over(run, safety, remaining_s(deadline))
         number = link.command(OpenStream(limits(mode)))
         opened = link.wait(
-            lambda s: s.command_number >= number and (s.device_clock > 0 or s.phase is not Phase.ARMED),
+            lambda s: s.command_number >= number and (s.device_clock > 0 or s.phase is not StreamPhase.ARMED),
             remaining_s(deadline),
         )
-        if opened is None or opened.phase is not Phase.ARMED:
+        if opened is None or opened.phase is not StreamPhase.ARMED:
             raise self._start_error("the controller sends no packages", timeout_s)
         self.control.messages.clear()
         settings = script_settings(self._options)
         load = load_commands(self._load, self._options.payload_kg)
         self.control.send_script(render_script(settings, load))
         started = link.wait(
-            lambda s: s.phase is not Phase.ARMED or self.control.failure is not None, remaining_s(deadline)
+            lambda s: s.phase is not StreamPhase.ARMED or self.control.failure is not None,
+            remaining_s(deadline),
         )
-        if started is None or started.phase is Phase.ARMED:
+        if started is None or started.phase is StreamPhase.ARMED:
             raise self._start_error("the script does not start", timeout_s)
         fault = self.faults.error(link.state, mode)
         if fault is not None:
@@ -208,11 +209,11 @@ class Connections(StreamConnections[ControllerState, PrimaryClient]):
     def stop_program(self, timeout_s: float) -> None:
         """Stop whatever program runs, by a new connection if the dashboard's has been closed."""
         try:
-            self.dashboard.ask(Order.STOP, timeout_s)
+            self.dashboard.ask(DashboardOrder.STOP, timeout_s)
         except RonnaError:
             address = self._dashboard_address
             with contextlib.closing(DashboardClient(address.host, address.port, timeout_s)) as anew:
-                anew.ask(Order.STOP, timeout_s)
+                anew.ask(DashboardOrder.STOP, timeout_s)
 
     def acknowledge(self, person: str, deadline: float) -> None:
         """End any program and release what a person has to release; moves nothing.
@@ -247,7 +248,7 @@ class Connections(StreamConnections[ControllerState, PrimaryClient]):
         return self.link.wait(has_ended, timeout_s) is not None
 
     def _end_program(self, timeout_s: float) -> None:
-        self.dashboard.require(Order.STOP, timeout_s)
+        self.dashboard.require(DashboardOrder.STOP, timeout_s)
 
     def _identify(self, timeout_s: float) -> Identity:
         """Connect and check the arm; raises URD-002 to URD-005, ARM-010."""

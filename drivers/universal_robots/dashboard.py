@@ -26,7 +26,7 @@ from ronna_hw.wire.universal_robots_services import (
     ROBOT_MODE_HEAD,
     RUNNING_HEAD,
     SAFETY_MODE_HEAD,
-    Order,
+    DashboardOrder,
     Query,
 )
 
@@ -34,8 +34,8 @@ LONGEST_LINE_BYTES = 1000
 RECEIVE_BYTES = 1024
 T = TypeVar("T")
 TRUTHS = {"true": True, "false": False}
-_ORDERS: Final[dict[Query | Order, str]] = {order: f"{head}.*" for order, head in ACCEPTED.items()}
-_QUERIES: Final[dict[Query | Order, str]] = {
+_ORDERS: Final[dict[Query | DashboardOrder, str]] = {order: f"{head}.*" for order, head in ACCEPTED.items()}
+_QUERIES: Final[dict[Query | DashboardOrder, str]] = {
     Query.ROBOT_MODE: f"{ROBOT_MODE_HEAD}.*",
     Query.SAFETY_MODE: f"{SAFETY_MODE_HEAD}.*",
     Query.ROBOT_MODEL: r"UR\d+\w*",
@@ -60,7 +60,7 @@ class DashboardClient:
         self._socket: socket.socket
         self._open(timeout_s)
 
-    def ask(self, question: Query | Order, timeout_s: float, text: str = "") -> str:
+    def ask(self, question: Query | DashboardOrder, timeout_s: float, text: str = "") -> str:
         """Return the answer to a question, which a text may follow.
 
         Raises URD-014 on a broken connection, URD-015 on time-out, URD-016 for a line of another form,
@@ -84,7 +84,7 @@ class DashboardClient:
         finally:
             self._asking.release()
 
-    def require(self, order: Order, timeout_s: float) -> None:
+    def require(self, order: DashboardOrder, timeout_s: float) -> None:
         """Give an order; raises URD-017 unless it is carried out."""
         answer = self.ask(order, timeout_s)
         if not is_accepted(order, answer):
@@ -143,7 +143,7 @@ class DashboardClient:
         except OSError:  # nothing has arrived, or asking tells what is wrong
             return self._in_step
 
-    def _read_answer(self, question: Query | Order, deadline: float) -> str:
+    def _read_answer(self, question: Query | DashboardOrder, deadline: float) -> str:
         answer = self._read_line(deadline)
         if self._received or not is_answer(question, answer):
             raise BAD_BYTES(
@@ -194,13 +194,15 @@ class DashboardClient:
         return STREAM_ERRORS.lost(f"{self.where}: {describe(error)}")
 
 
-def is_answer(question: Query | Order, answer: str) -> bool:
+def is_answer(question: Query | DashboardOrder, answer: str) -> bool:
     """Return whether an answer can be that to a question; an order is refused in any other words."""
     if _FORMS[question].fullmatch(answer):
         return True
-    return isinstance(question, Order) and not any(form.fullmatch(answer) for form in _FORMS.values())
+    return isinstance(question, DashboardOrder) and not any(
+        form.fullmatch(answer) for form in _FORMS.values()
+    )
 
 
-def is_accepted(order: Order, answer: str) -> bool:
+def is_accepted(order: DashboardOrder, answer: str) -> bool:
     """Return whether an answer says that an order is carried out."""
     return answer.lower().startswith(ACCEPTED[order].lower())

@@ -18,7 +18,7 @@ from drivers.universal_robots.realtime.packages import Cause, ControllerWord
 from drivers.universal_robots.safety import NORMAL_MODES, safety_text
 from ronna_hw.arm.clearance.bodies import Surroundings
 from ronna_hw.arm_stream.faults import StreamFaults
-from ronna_hw.arm_stream.records import NOTHING_AROUND, Fault, LinkState
+from ronna_hw.arm_stream.records import NOTHING_AROUND, LinkFault, LinkState
 from ronna_hw.errors import RonnaError
 from ronna_hw.wire.universal_robots import RobotMode, RuntimeState, ScriptState
 
@@ -35,17 +35,17 @@ class UrFaults(StreamFaults):
         """Build the error for a latched fault, if any."""
         prefix = f"{self.name}: after {state.cycles} cycles"
         match state.fault:
-            case Fault.CONTROLLER:
+            case LinkFault.CONTROLLER:
                 return self._controller_error(prefix, state)
-            case Fault.BROKEN:
+            case LinkFault.BROKEN:
                 return LINK_BROKEN(
                     f"{prefix} the RTDE connection broke", got=f"timestamp {state.device_clock} us"
                 )
-            case Fault.RESTARTED:
+            case LinkFault.RESTARTED:
                 return CONTROLLER_RESTARTED(
                     f"{prefix} the controller's time jumped to {state.device_clock} us"
                 )
-            case Fault.BASE:
+            case LinkFault.BASE:
                 return POSE_IMPLAUSIBLE(
                     f"{self.name}: at the start the joints are out of range, or off their commanded angles",
                     got=self.axes_text(state),
@@ -95,7 +95,7 @@ def may_be_power(state: LinkState) -> bool:
     """Return whether our program has stopped for a reason that the robot mode may still tell."""
     word = ControllerWord.from_number(state.controller_word)
     return (
-        state.fault is Fault.CONTROLLER
+        state.fault is LinkFault.CONTROLLER
         and word.cause == Cause.PROGRAM
         and word.runtime_state in (RuntimeState.STOPPING, RuntimeState.STOPPED)
         and word.robot_mode == RobotMode.RUNNING

@@ -15,7 +15,7 @@ from ronna_hw.arm_stream.errors import MalformedMessage, NoAnswer
 from ronna_hw.clock import Clock, passing
 from ronna_hw.devices.errors import ACKNOWLEDGE
 from ronna_hw.wire.universal_robots import RobotMode, SafetyMode
-from ronna_hw.wire.universal_robots_services import Order, Query
+from ronna_hw.wire.universal_robots_services import DashboardOrder, Query
 
 POLL_S = 0.05  # host time between two looks at the controller's modes
 PASSING_SHARE = 10.0  # of theatre time that may pass meanwhile, where it runs freely
@@ -44,7 +44,7 @@ class PowerAndSafety:
         """
         dashboard = self._dashboard()
         self.require_remote()
-        dashboard.require(Order.STOP, ASK_LIMIT_S)
+        dashboard.require(DashboardOrder.STOP, ASK_LIMIT_S)
         if self._goes_off:
             self.await_condition(lambda: dashboard.robot_mode(ASK_LIMIT_S) is RobotMode.POWER_OFF, deadline)
             self._goes_off = False  # a person has looked, even if it has been switched on again meanwhile
@@ -52,8 +52,8 @@ class PowerAndSafety:
         if safety is SafetyMode.PROTECTIVE_STOP:
             self._unlock(person, deadline)
         elif safety in RESTART_MODES:
-            dashboard.ask(Order.CLOSE_SAFETY_POPUP, ASK_LIMIT_S)
-            dashboard.require(Order.RESTART_SAFETY, ASK_LIMIT_S)
+            dashboard.ask(DashboardOrder.CLOSE_SAFETY_POPUP, ASK_LIMIT_S)
+            dashboard.require(DashboardOrder.RESTART_SAFETY, ASK_LIMIT_S)
         if safety in (SafetyMode.PROTECTIVE_STOP, *RESTART_MODES):
             self.await_condition(lambda: dashboard.safety_mode(ASK_LIMIT_S) in NORMAL_MODES, deadline)
         self.require_safe()
@@ -61,7 +61,7 @@ class PowerAndSafety:
     def switch_off(self, timeout_s: float) -> None:
         """Switch the arm off; until it is off, no start succeeds."""
         self._goes_off = True
-        self._dashboard().require(Order.POWER_OFF, timeout_s)
+        self._dashboard().require(DashboardOrder.POWER_OFF, timeout_s)
 
     def switch_on(self) -> None:
         """Switch power on and release the brakes; raises URD-008 if that takes too long."""
@@ -72,9 +72,9 @@ class PowerAndSafety:
         if mode is RobotMode.RUNNING:
             return
         if mode not in (RobotMode.IDLE, RobotMode.BACKDRIVE):
-            dashboard.require(Order.POWER_ON, ASK_LIMIT_S)
+            dashboard.require(DashboardOrder.POWER_ON, ASK_LIMIT_S)
             self._await_mode((RobotMode.IDLE, RobotMode.RUNNING), deadline)
-        dashboard.require(Order.BRAKE_RELEASE, ASK_LIMIT_S)
+        dashboard.require(DashboardOrder.BRAKE_RELEASE, ASK_LIMIT_S)
         self._await_mode((RobotMode.RUNNING,), deadline)
 
     def require_not_switching_off(self) -> None:
@@ -120,10 +120,10 @@ class PowerAndSafety:
         dashboard = self._dashboard()
         with contextlib.suppress(NoAnswer, MalformedMessage):  # an entry in the log is no condition
             dashboard.ask(Query.ADD_TO_LOG, ASK_LIMIT_S, f"protective stop released by {_ascii(person)}")
-        dashboard.ask(Order.CLOSE_SAFETY_POPUP, ASK_LIMIT_S)
+        dashboard.ask(DashboardOrder.CLOSE_SAFETY_POPUP, ASK_LIMIT_S)
         while True:
-            answer = dashboard.ask(Order.UNLOCK_PROTECTIVE_STOP, ASK_LIMIT_S)
-            if is_accepted(Order.UNLOCK_PROTECTIVE_STOP, answer):
+            answer = dashboard.ask(DashboardOrder.UNLOCK_PROTECTIVE_STOP, ASK_LIMIT_S)
+            if is_accepted(DashboardOrder.UNLOCK_PROTECTIVE_STOP, answer):
                 return
             if remaining_s(deadline) <= UNLOCK_PAUSE_S:
                 raise PROTECTIVELY_STOPPED(f"{self._name}: the protective stop remains", got=answer)

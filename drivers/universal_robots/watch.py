@@ -16,7 +16,7 @@ from drivers.universal_robots.connections import Connections
 from drivers.universal_robots.errors import CONTROLLER_STOPPED, LINK_BROKEN, PROGRAM_STOPPED, STREAM_ERRORS
 from drivers.universal_robots.faults import may_be_power
 from drivers.universal_robots.primary.client import ControllerState
-from ronna_hw.arm_stream.records import Fault, Phase, StopOrder
+from ronna_hw.arm_stream.records import LinkFault, StopOrder, StreamPhase
 from ronna_hw.arm_stream.watch import StreamWatch
 from ronna_hw.devices.lifecycle import RUNNING, LifecycleGuard
 from ronna_hw.devices.robot import OperatingMode
@@ -27,7 +27,7 @@ EXPLAIN_LIMIT_S = 2.0 * DASHBOARD_LIMIT_S  # another question may have to be ans
 POWER_DOWN_S = 1.0  # host time from the stop of a program to the robot mode of power going off (U)
 # A switch to local control can look like each of these.
 MAY_BE_CONTROL = (STREAM_ERRORS.lost, LINK_BROKEN, PROGRAM_STOPPED)
-LINK_FAULTS = (Fault.SILENCE, Fault.BROKEN, Fault.RESTARTED)
+LINK_FAULTS = (LinkFault.SILENCE, LinkFault.BROKEN, LinkFault.RESTARTED)
 
 
 class UrWatch(StreamWatch[ControllerState]):
@@ -120,7 +120,7 @@ class UrWatch(StreamWatch[ControllerState]):
         if link is None or dashboard is None:
             return
         state = link.state
-        must_end = state.phase is Phase.SILENT or state.fault in LINK_FAULTS
+        must_end = state.phase is StreamPhase.SILENT or state.fault in LINK_FAULTS
         if must_end and not self._program_ended:
             try:
                 self._connections.stop_program(DASHBOARD_LIMIT_S)

@@ -34,7 +34,7 @@ DiameterOption = Annotated[
 app = typer.Typer(name="ronna-ct", no_args_is_help=True, add_completion=False, rich_markup_mode=None)
 
 
-class Method(StrEnum):
+class LocalizationMethod(StrEnum):
     """Sphere localization method."""
 
     COMBINED = "combined"
@@ -61,11 +61,11 @@ def localize(
         ),
     ] = None,
     method: Annotated[
-        Method,
+        LocalizationMethod,
         typer.Option(
             "--method", help="combined is ours; the other two are the thesis methods, for comparison."
         ),
-    ] = Method.COMBINED,
+    ] = LocalizationMethod.COMBINED,
     layout: Annotated[
         str | None,
         typer.Option(
@@ -127,7 +127,7 @@ def localize(
     require_folder_of(*(write or ()))
     if pictures is not None:
         require_output_folder(pictures)
-    if pick is not None and method is not Method.COMBINED:
+    if pick is not None and method is not LocalizationMethod.COMBINED:
         raise UsageMistake("--pick works with the combined method only; omit --method")
     picks_mm = None if pick is None else imaging.read_picks(pick)
     layout_mm = None if layout is None else _read_layout_mm(layout)
@@ -141,7 +141,7 @@ def localize(
         localize_in = partial(imaging.localize, volume)
         if picks_mm is not None:
             localize_in = partial(imaging.localize_picks, volume, picks_mm)
-        elif method is not Method.COMBINED:
+        elif method is not LocalizationMethod.COMBINED:
             localize_in = partial(imaging.localize_as_thesis, volume, imaging.ThesisFit(method.value))
         try:
             result = localize_in(

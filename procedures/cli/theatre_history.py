@@ -29,7 +29,7 @@ def theatre_history(
     theatre.
     """
     from procedures.runs.theatre_history import (
-        Signature,
+        UpdateAuthor,
         describe_state,
         find_state,
         history_path,
@@ -56,7 +56,7 @@ def theatre_history(
             )
         person = require_person(by)
         require_free_theatre(theatre)
-        restore_state(theatre, states[restore], Signature(f"restored state {restore}", by=person))
+        restore_state(theatre, states[restore], UpdateAuthor(f"restored state {restore}", by=person))
         terminal.tell(f"state {restore} is in force again in {theatre}")
         return
     made_with = None if run is None else _read_hash(run)

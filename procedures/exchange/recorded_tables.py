@@ -16,26 +16,26 @@ from ronna_hw.arguments import WrongArgument, show
 from ronna_hw.bounded_input import InputRefused
 from ronna_hw.devices.readings import CameraImage, StereoReading, TrackerFrame, Validity
 from ronna_hw.devices.stray_tracks import identify_strays
-from ronna_hw.loaded_run import Column, RunTable, StereoPictures
+from ronna_hw.loaded_run import RunColumn, RunTable, StereoPictures
 from ronna_hw.text import format_count
 
 STRAYS = (
-    Column("frame", int, "number of the tracker frame in the run, from 0"),
-    Column("step", str, "step that read it"),
-    Column("theatre_time_s", float, "theatre time of its arrival"),
-    Column("device_clock", int, "the tracker's own count of frames"),
-    Column("identity", int, "the same sphere over the frames; -1 where it cannot be told"),
-    Column("position_tracker_mm", float, "as measured", (3,)),
-    Column("validity", str, "`ok`, or why the tracker doubts it"),
+    RunColumn("frame", int, "number of the tracker frame in the run, from 0"),
+    RunColumn("step", str, "step that read it"),
+    RunColumn("theatre_time_s", float, "theatre time of its arrival"),
+    RunColumn("device_clock", int, "the tracker's own count of frames"),
+    RunColumn("identity", int, "the same sphere over the frames; -1 where it cannot be told"),
+    RunColumn("position_tracker_mm", float, "as measured", (3,)),
+    RunColumn("validity", str, "`ok`, or why the tracker doubts it"),
 )
 LOOKS = (
-    Column("look", int, "number of the look in the run, from 0: its place in `pictures`"),
-    Column("step", str, "step that took it"),
-    Column("theatre_time_s", float, "theatre time of its arrival"),
-    Column("device_clock", int, "ticks of the left camera's clock"),
-    Column("validity", str, "`ok`, or what is missing"),
-    Column("left_offset_px", int, "top-left pixel of the left picture on its sensor", (2,)),
-    Column("right_offset_px", int, "top-left pixel of the right picture on its sensor", (2,)),
+    RunColumn("look", int, "number of the look in the run, from 0: its place in `pictures`"),
+    RunColumn("step", str, "step that took it"),
+    RunColumn("theatre_time_s", float, "theatre time of its arrival"),
+    RunColumn("device_clock", int, "ticks of the left camera's clock"),
+    RunColumn("validity", str, "`ok`, or what is missing"),
+    RunColumn("left_offset_px", int, "top-left pixel of the left picture on its sensor", (2,)),
+    RunColumn("right_offset_px", int, "top-left pixel of the right picture on its sensor", (2,)),
 )
 NO_OFFSET_PX = (-1, -1)  # of a picture that did not arrive
 

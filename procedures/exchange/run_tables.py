@@ -27,7 +27,7 @@ from procedures.steps.clinical.path_check import CheckedPaths
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.results import RegisteredRobot, Relocalization
 from procedures.steps.clinical.target_measurement import MeasuredTarget
-from ronna_hw.loaded_run import Column, RunTable
+from ronna_hw.loaded_run import RunColumn, RunTable
 
 Array = NDArray[np.float64]
 NOWHERE = (math.nan,) * 3
@@ -35,87 +35,93 @@ AXES = 6  # of an arm of which no joints are known
 UNKNOWN_COVARIANCE = (NOWHERE,) * 3
 
 TARGETS = (
-    Column("name", str, "of the trajectory in the plan"),
-    Column("depth_mm", float, "from entry to target"),
-    Column("margin_mm", float, "largest error that the plan accepts"),
-    Column("strategy", str, "used; another than the run's if the operator agreed to it, and with `best`"),
-    Column(
+    RunColumn("name", str, "of the trajectory in the plan"),
+    RunColumn("depth_mm", float, "from entry to target"),
+    RunColumn("margin_mm", float, "largest error that the plan accepts"),
+    RunColumn("strategy", str, "used; another than the run's if the operator agreed to it, and with `best`"),
+    RunColumn(
         "predicted_mm", float, "predicted error at the target, root mean square; NaN without a registration"
     ),
-    Column("limit_mm", float, "radius that holds the error with the confidence"),
-    Column("confidence", float, "of that radius, 0 to 1"),
-    Column("error_mm", float, "of the instrument's tip against the truth of the simulated theatre; else NaN"),
-    Column("lateral_mm", float, "its component across the planned axis"),
-    Column("axial_mm", float, "its component along it, positive if too deep"),
-    Column("measured_mm", float, "measured by the stereo head in place of the guide, on a phantom; else NaN"),
-    Column("entry_ct_mm", float, "planned entry", (3,)),
-    Column("target_ct_mm", float, "planned target", (3,)),
-    Column("target_robot_mm", float, "planned target by its registration", (3,)),
-    Column("reached_robot_mm", float, "instrument's tip by joints and depth stop; not the truth", (3,)),
-    Column("reached_ct_mm", float, "the same, back through the registration", (3,)),
+    RunColumn("limit_mm", float, "radius that holds the error with the confidence"),
+    RunColumn("confidence", float, "of that radius, 0 to 1"),
+    RunColumn(
+        "error_mm", float, "of the instrument's tip against the truth of the simulated theatre; else NaN"
+    ),
+    RunColumn("lateral_mm", float, "its component across the planned axis"),
+    RunColumn("axial_mm", float, "its component along it, positive if too deep"),
+    RunColumn(
+        "measured_mm", float, "measured by the stereo head in place of the guide, on a phantom; else NaN"
+    ),
+    RunColumn("entry_ct_mm", float, "planned entry", (3,)),
+    RunColumn("target_ct_mm", float, "planned target", (3,)),
+    RunColumn("target_robot_mm", float, "planned target by its registration", (3,)),
+    RunColumn("reached_robot_mm", float, "instrument's tip by joints and depth stop; not the truth", (3,)),
+    RunColumn("reached_ct_mm", float, "the same, back through the registration", (3,)),
 )
 SPHERES = (
-    Column("name", str, "M1, M2, ... from superior to inferior"),
-    Column("centre_ct_mm", float, "its centre", (3,)),
-    Column("covariance_ct_mm2", float, "of the centre", (3, 3)),
-    Column("radius_mm", float, "fitted radius"),
-    Column("quality", float, "share of the surface used, 0 to 1, reduced by disagreement of the estimates"),
-    Column("agreement_mm", float, "between the two estimates of the centre"),
-    Column("odds", float, "that it is a marker, 0 to 1"),
+    RunColumn("name", str, "M1, M2, ... from superior to inferior"),
+    RunColumn("centre_ct_mm", float, "its centre", (3,)),
+    RunColumn("covariance_ct_mm2", float, "of the centre", (3, 3)),
+    RunColumn("radius_mm", float, "fitted radius"),
+    RunColumn(
+        "quality", float, "share of the surface used, 0 to 1, reduced by disagreement of the estimates"
+    ),
+    RunColumn("agreement_mm", float, "between the two estimates of the centre"),
+    RunColumn("odds", float, "that it is a marker, 0 to 1"),
 )
 LOCALIZED = (
-    Column("step", str, "step that localized it, such as `relocalization:T1`"),
-    Column("standing", bool, "whether the result still holds; False once another took its place"),
-    Column("sphere", str, "its name in `spheres`"),
-    Column("centre_robot_mm", float, "its centre by the stereo head", (3,)),
-    Column("stereo_covariance_robot_mm2", float, "of the stereo measurement alone: no arm, no CT", (3, 3)),
-    Column(
+    RunColumn("step", str, "step that localized it, such as `relocalization:T1`"),
+    RunColumn("standing", bool, "whether the result still holds; False once another took its place"),
+    RunColumn("sphere", str, "its name in `spheres`"),
+    RunColumn("centre_robot_mm", float, "its centre by the stereo head", (3,)),
+    RunColumn("stereo_covariance_robot_mm2", float, "of the stereo measurement alone: no arm, no CT", (3, 3)),
+    RunColumn(
         "total_covariance_robot_mm2",
         float,
         "of CT, seating of the sphere, stereo measurement and arm together, which weighted the registration: "
         "what `register` asks for; NaN without one",
         (3, 3),
     ),
-    Column("residual_mm", float, "last residual of the servo"),
-    Column("ray_gap_mm", float, "between the two lines of sight"),
-    Column("looks", int, "image pairs taken"),
-    Column("joints_rad", float, "measured at the last image pair", (AXES,)),
+    RunColumn("residual_mm", float, "last residual of the servo"),
+    RunColumn("ray_gap_mm", float, "between the two lines of sight"),
+    RunColumn("looks", int, "image pairs taken"),
+    RunColumn("joints_rad", float, "measured at the last image pair", (AXES,)),
 )
 REGISTRATIONS = (
-    Column("record", str, "its record in the run folder"),
-    Column("targets", str, "targets it serves, separated by blanks"),
-    Column("standing", bool, "whether the result still holds; False once another took its place"),
-    Column("pairs", int, "spheres it was fitted to"),
-    Column("fre_mm", float, "fiducial registration error; not a measure of accuracy"),
-    Column("robot_from_ct_mm", float, "origin of the CT in the robot frame", (3,)),
-    Column("robot_from_ct_wxyz", float, "rotation robot <- ct, scalar first", (4,)),
+    RunColumn("record", str, "its record in the run folder"),
+    RunColumn("targets", str, "targets it serves, separated by blanks"),
+    RunColumn("standing", bool, "whether the result still holds; False once another took its place"),
+    RunColumn("pairs", int, "spheres it was fitted to"),
+    RunColumn("fre_mm", float, "fiducial registration error; not a measure of accuracy"),
+    RunColumn("robot_from_ct_mm", float, "origin of the CT in the robot frame", (3,)),
+    RunColumn("robot_from_ct_wxyz", float, "rotation robot <- ct, scalar first", (4,)),
 )
 BUDGET = (
-    Column("target", str, "name of the trajectory"),
-    Column("record", str, "registration that the prediction belongs to"),
-    Column("standing", bool, "whether the result still holds; False once another took its place"),
-    Column("source", str, "source of error, such as `CT` or `links and joint offsets`"),
-    Column("rms_mm", float, "its rms at the target; the squares add up to that of `predicted_mm`"),
+    RunColumn("target", str, "name of the trajectory"),
+    RunColumn("record", str, "registration that the prediction belongs to"),
+    RunColumn("standing", bool, "whether the result still holds; False once another took its place"),
+    RunColumn("source", str, "source of error, such as `CT` or `links and joint offsets`"),
+    RunColumn("rms_mm", float, "its rms at the target; the squares add up to that of `predicted_mm`"),
 )
 MOTIONS = (
-    Column("motion", int, "its number in the run, from 1"),
-    Column("arm", str, "such as `master`"),
-    Column("step", str, "step that moved the arm; empty for the way home outside the steps"),
-    Column("kind", str, "such as `go`, `line`, `insert`, `home`"),
-    Column("begin_s", float, "theatre time of its journal line"),
-    Column("end_s", float, "theatre time at rest; NaN if the journal ends before"),
-    Column("goal_rad", float, "commanded joints; NaN for a straight line", (AXES,)),
-    Column("goal_robot_mm", float, "end of a straight line, origin of the tool frame; else NaN", (3,)),
-    Column("joints_rad", float, "measured at rest; NaN if the motion failed", (AXES,)),
-    Column("error", str, "code of the error that ended it"),
+    RunColumn("motion", int, "its number in the run, from 1"),
+    RunColumn("arm", str, "such as `master`"),
+    RunColumn("step", str, "step that moved the arm; empty for the way home outside the steps"),
+    RunColumn("kind", str, "such as `go`, `line`, `insert`, `home`"),
+    RunColumn("begin_s", float, "theatre time of its journal line"),
+    RunColumn("end_s", float, "theatre time at rest; NaN if the journal ends before"),
+    RunColumn("goal_rad", float, "commanded joints; NaN for a straight line", (AXES,)),
+    RunColumn("goal_robot_mm", float, "end of a straight line, origin of the tool frame; else NaN", (3,)),
+    RunColumn("joints_rad", float, "measured at rest; NaN if the motion failed", (AXES,)),
+    RunColumn("error", str, "code of the error that ended it"),
 )
 EVENTS = (
-    Column("number", int, "of the event in the run; starts again when the run is resumed"),
-    Column("theatre_time_s", float, "theatre time"),
-    Column("host_time", "datetime64[ms]", "the computer's time, UTC"),
-    Column("kind", str, "such as `step`, `question`, `answer`, `pose`, `fault`"),
-    Column("step", str, "step it belongs to, if it names one"),
-    Column("content", object, "all of it, as JSON"),
+    RunColumn("number", int, "of the event in the run; starts again when the run is resumed"),
+    RunColumn("theatre_time_s", float, "theatre time"),
+    RunColumn("host_time", "datetime64[ms]", "the computer's time, UTC"),
+    RunColumn("kind", str, "such as `step`, `question`, `answer`, `pose`, `fault`"),
+    RunColumn("step", str, "step it belongs to, if it names one"),
+    RunColumn("content", object, "all of it, as JSON"),
 )
 
 
@@ -297,7 +303,7 @@ def motions_table(journal: Sequence[Line]) -> RunTable:
     return RunTable.of(_with_axes(MOTIONS, axes), rows)
 
 
-def _with_axes(columns: tuple[Column, ...], axes: int) -> tuple[Column, ...]:
+def _with_axes(columns: tuple[RunColumn, ...], axes: int) -> tuple[RunColumn, ...]:
     """Give joints as many numbers as the arms of a run have axes."""
     return tuple(replace(one, size=(axes,)) if one.size == (AXES,) else one for one in columns)
 

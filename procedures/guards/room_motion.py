@@ -27,7 +27,7 @@ from procedures.registration.movement import (
     lone_displacement_mm,
 )
 from procedures.registration.rigid_fit import as_transform, fit_rigid
-from procedures.room.motion import Motion, Moved
+from procedures.room.motion import Moved, RoomMotion
 from procedures.room.sighting import Sighting, Tracked
 from procedures.workcell.tracker_move import STILL
 from ronna_hw.frames import Frame, Transform
@@ -106,7 +106,7 @@ def push_of_tracker(expected: Expected) -> Transform | None:
 
 
 def name_motion(
-    motion: Motion, expected: Expected, reading: RoomReading, *, approached: bool = False
+    motion: RoomMotion, expected: Expected, reading: RoomReading, *, approached: bool = False
 ) -> RoomMoved | RoomUndecided | InsertionDisturbed:
     """Return the error for a motion that a reading shows; `approached`: with the guide at the head."""
     limit, got = f"{motion.limit_mm:.2f} mm", format_against_limit(motion.moved_mm, motion.limit_mm, 2)
@@ -167,7 +167,7 @@ def _is_home(reading: RoomReading) -> bool:
 
 
 def _base_shifted(
-    motion: Motion, expected: Expected, reading: RoomReading, way: str, limit: str, got: str
+    motion: RoomMotion, expected: Expected, reading: RoomReading, way: str, limit: str, got: str
 ) -> BaseShifted:
     cart = motion.moved is not Moved.TRACKER
     if not cart:  # what it sees moves against it
@@ -198,7 +198,7 @@ def _room_moved(expected: Expected, reading: RoomReading) -> Transform | None:
     return by_frame @ push @ expected.robot_from_tracker.inverse()
 
 
-def _patient_moved(motion: Motion, expected: Expected, reading: RoomReading, way: str) -> PatientMoved:
+def _patient_moved(motion: RoomMotion, expected: Expected, reading: RoomReading, way: str) -> PatientMoved:
     head = HeadSeen.of(expected)
     tracker = motion.moved is Moved.HEAD_OR_TRACKER
     moved_mm = motion.moved_mm if head is None else max(head.shift.rms_mm, motion.limit_mm)

@@ -31,8 +31,8 @@ from procedures.guards.room_reading import (
 )
 from procedures.planning.tracker_sight import SENSORS_MM, TrackerSight
 from procedures.room.estimate import GUIDE_AT_HEAD, Displacement, RoomEstimate
-from procedures.room.model import ArmModel, Body, Places, Rows
-from procedures.room.motion import Motion, Moved, find_hidden_motion, find_motion
+from procedures.room.model import Body, Places, Rows, TrackedArm
+from procedures.room.motion import Moved, RoomMotion, find_hidden_motion, find_motion
 from procedures.room.sighting import Sighting, Tracked, expect_frame, expect_spheres
 from procedures.strategies.strategy import ONE_SIDE
 from procedures.workcell import Workcell
@@ -60,7 +60,7 @@ class JudgedReading:
     reading: RoomReading
     look: Sighting
     rows: Rows
-    motion: Motion | None = None
+    motion: RoomMotion | None = None
 
 
 @dataclass(frozen=True)
@@ -197,8 +197,8 @@ class RoomWatch:
             self._count(look, self._rows(look))
 
     def take_in_assistant(
-        self, bases: object, arm: ArmModel, flange_pose: FlangePose, first_look: int
-    ) -> Motion | None:
+        self, bases: object, arm: TrackedArm, flange_pose: FlangePose, first_look: int
+    ) -> RoomMotion | None:
         """Take the assistant into the estimate, by the frame on it in look `first_look` and later.
 
         `bases` is the result by which it is known. Return the motion that the looks show with it, or None.
@@ -289,14 +289,14 @@ class RoomWatch:
         at = approach.trajectory
         return {name: point for name, point in self.points_mm.items() if name == at} or self.points_mm
 
-    def _find_gross(self, rows: Rows) -> Motion | None:
+    def _find_gross(self, rows: Rows) -> RoomMotion | None:
         """Return a motion of the base that is plain although the arm was never seen in this pose."""
         if Body.BASE not in rows.blocks:
             return None
         way_mm = self._arm_way_mm(rows)
         if (moved_mm := float(np.linalg.norm(way_mm))) < GROSS_LIMIT_MM:
             return None
-        return Motion(Moved.BASE, len(self.estimate.looks), moved_mm**2, GROSS_LIMIT_MM**2, way_mm)
+        return RoomMotion(Moved.BASE, len(self.estimate.looks), moved_mm**2, GROSS_LIMIT_MM**2, way_mm)
 
     def with_look(self, look: Sighting, estimate: RoomEstimate | None = None) -> RoomEstimate:
         """Return the estimate, by default the present one, with a look that is only imagined."""

@@ -22,8 +22,8 @@ from ronna_hw.evidence.journal_reading import (
     ENDS_OF_A_STEP,
     FIRST,
     JOURNAL_FILE,
-    Chain,
     Entry,
+    JournalChain,
     JournalValue,
     Line,
     read_journal,
@@ -74,7 +74,7 @@ class Journal:
 
     @classmethod
     def reopen_run(
-        cls, folder: Path, chain: Chain, on_line: Callable[[bytes], None] = lambda _line: None
+        cls, folder: Path, chain: JournalChain, on_line: Callable[[bytes], None] = lambda _line: None
     ) -> Journal:
         """Reopen the journal of an interrupted run, setting aside a torn end.
 

@@ -20,14 +20,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from procedures.planning.cart_place import CartCase, CartMove, PlaceSolution, Verdict
+from procedures.planning.cart_place import CartCase, CartMove, PlaceSolution, PlaceVerdict
 from procedures.planning.errors import NO_PLACE
 from procedures.planning.proposed_place import TURNED_SHARE
 from ronna_hw.host.worker_processes import collect_results, start_workers
 
 Node = tuple[int, int]
 Request = tuple[CartMove, tuple[PlaceSolution, ...], bool]  # position, known solutions, whether to search
-Judge = Callable[[Sequence[Request]], Sequence[Verdict]]
+Judge = Callable[[Sequence[Request]], Sequence[PlaceVerdict]]
 
 COARSE = 4  # finest squares along the side of a coarsest one
 FINEST_MM = 15.0
@@ -47,7 +47,7 @@ class PlaceMap:
     """
 
     half: int  # finest squares from the centre to the edge
-    verdicts: dict[Node, Verdict]
+    verdicts: dict[Node, PlaceVerdict]
     allowed: NDArray[np.bool_]
     turn_rad: float = 0.0
 
@@ -83,7 +83,7 @@ class _Search:
     half: int
     judge: Judge
     turn_rad: float
-    verdicts: dict[Node, Verdict] = field(default_factory=dict)
+    verdicts: dict[Node, PlaceVerdict] = field(default_factory=dict)
 
     def judge_nodes(
         self, nodes: Sequence[Node], known: Callable[[Node], tuple[PlaceSolution, ...]], search: bool
@@ -173,7 +173,7 @@ def open_judge(case: CartCase, workers: int | None = None) -> Iterator[Judge]:
         return
     with start_workers(count) as pool:
 
-        def judge_in_processes(requests: Sequence[Request]) -> Sequence[Verdict]:
+        def judge_in_processes(requests: Sequence[Request]) -> Sequence[PlaceVerdict]:
             parts = [requests[begin : begin + CHUNK] for begin in range(0, len(requests), CHUNK)]
             judged = collect_results([pool.submit(_judge, case, part) for part in parts])
             return [verdict for part in judged for verdict in part]
@@ -181,7 +181,7 @@ def open_judge(case: CartCase, workers: int | None = None) -> Iterator[Judge]:
         yield judge_in_processes
 
 
-def _judge(case: CartCase, requests: Sequence[Request]) -> list[Verdict]:
+def _judge(case: CartCase, requests: Sequence[Request]) -> list[PlaceVerdict]:
     return [case.judge(move, known, search=search) for move, known, search in requests]
 
 
@@ -198,7 +198,7 @@ class PlaceProposal:
     places: PlaceMap
 
     @property
-    def assumed(self) -> Verdict:
+    def assumed(self) -> PlaceVerdict:
         """Verdict on the cart's assumed position at the map's rotation."""
         return self.places.verdicts[(0, 0)]
 

@@ -57,7 +57,7 @@ class PlaceSolution:
 
 
 @dataclass(frozen=True)
-class Verdict:
+class PlaceVerdict:
     """Verdict on a cart position: the solution, or the first pose that fails, with the reason."""
 
     found: PlaceSolution | None
@@ -87,19 +87,21 @@ class CartCase:
     stereo_from_marker: Transform | None = None
     volume_mm: VolumeSections = ()
 
-    def judge(self, move: CartMove, known: Sequence[PlaceSolution] = (), *, search: bool = True) -> Verdict:
+    def judge(
+        self, move: CartMove, known: Sequence[PlaceSolution] = (), *, search: bool = True
+    ) -> PlaceVerdict:
         """Judge a position. Known solutions are tried first, then all others if `search` is set."""
         setting = self.setting_at(move)
         hidden = self._find_hidden(setting, move)
         if hidden:
-            return Verdict(None, "home", hidden)
+            return PlaceVerdict(None, "home", hidden)
         for unmet in check_fixed_places(setting):
-            return Verdict(None, str(unmet.pose), unmet.reason)
+            return PlaceVerdict(None, str(unmet.pose), unmet.reason)
         for found in known:
             if self._serves(setting, found):
-                return Verdict(found)
+                return PlaceVerdict(found)
         if not search:
-            return Verdict(None, "", "reachable nearby, but not from here")
+            return PlaceVerdict(None, "", "reachable nearby, but not from here")
         unreached_axis = self._find_unreachable(setting)
         if unreached_axis is not None:
             return unreached_axis
@@ -126,7 +128,7 @@ class CartCase:
             return False
         return check_branch(setting, axes, self.fiducials_mm, found.branch, first_only=True).passed
 
-    def _find_unreachable(self, setting: ArmSetting) -> Verdict | None:
+    def _find_unreachable(self, setting: ArmSetting) -> PlaceVerdict | None:
         """Find the first axis with a pose unreachable at every turn, as a cheap check before the search."""
         start_branch = setting.kinematics.branch_of(setting.start_rad)
         arm = setting.in_branch(start_branch)
@@ -148,7 +150,7 @@ class CartCase:
             else:
                 if last_error is not None:
                     reason = f"{last_error.summary} [{last_error.code}]"
-                    return Verdict(None, axis.identifier, reason)
+                    return PlaceVerdict(None, axis.identifier, reason)
         return None
 
     def _require_solutions(self, setting: ArmSetting, axis: Axes) -> None:
@@ -191,8 +193,8 @@ def _depends_on_branch(setting: ArmSetting) -> bool:
     return setting.strategy.name not in ("ocs", "thesis-ocs")
 
 
-def _to_verdict(check: PathCheck, turns_rad: dict[str, float]) -> Verdict:
+def _to_verdict(check: PathCheck, turns_rad: dict[str, float]) -> PlaceVerdict:
     if check.passed and check.branch is not None:
-        return Verdict(PlaceSolution(check.branch, tuple(sorted(turns_rad.items()))))
+        return PlaceVerdict(PlaceSolution(check.branch, tuple(sorted(turns_rad.items()))))
     first = check.unmet[0] if check.unmet else None
-    return Verdict(None, str(first.pose) if first else "", first.reason if first else "no branch works")
+    return PlaceVerdict(None, str(first.pose) if first else "", first.reason if first else "no branch works")

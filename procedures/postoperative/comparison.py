@@ -139,7 +139,7 @@ def require_series(plan: Plan, pre: Volume, post: Volume) -> None:
 
 def _candidates(
     line: PlannedLine, pre: Volume, post: Volume, registration: BoneRegistration
-) -> tuple[Candidate, ...]:
+) -> tuple[InstrumentCandidate, ...]:
     """Find rods and holes near a planned trajectory, in planning CT coordinates."""
     pose = registration.post_from_pre
     back = pose.inv()
@@ -149,7 +149,7 @@ def _candidates(
         (FoundKind.DRILL_HOLE, find_holes(pre, post, line, pose), USUAL_HOLE),
     )
     return tuple(
-        Candidate(
+        InstrumentCandidate(
             kind,
             back.apply(one.point_mm),
             -back.rotation.apply(one.outwards),
@@ -161,7 +161,9 @@ def _candidates(
     )
 
 
-def _compare_trajectory(planned: PlannedTrajectory, line: PlannedLine, found: Candidate) -> FoundTrajectory:
+def _compare_trajectory(
+    planned: PlannedTrajectory, line: PlannedLine, found: InstrumentCandidate
+) -> FoundTrajectory:
     """Measure the deviation of an instrument or hole from its planned trajectory."""
     along, point_mm, inwards = line.inwards, found.point_mm, found.inwards
     entry = point_mm + inwards * (float((line.entry_mm - point_mm) @ along) / float(inwards @ along))
@@ -195,7 +197,7 @@ def _to_point(values: Array) -> Point:
 
 
 @dataclass(frozen=True, eq=False)
-class Candidate:
+class InstrumentCandidate:
     """Rod or hole in planning CT coordinates: tip or point in the bone, (3,) mm, and axis.
 
     `failures` are reasons why it cannot be used at all, `doubts` why it may be wrong.
@@ -211,7 +213,7 @@ class Candidate:
         """Return the distance of the axis from a point (3,), in mm."""
         return split_along(point_mm - self.point_mm, self.inwards)[0]
 
-    def is_same_object(self, other: Candidate) -> bool:
+    def is_same_object(self, other: InstrumentCandidate) -> bool:
         """Return whether two candidates are the same instrument or hole, or an instrument in its hole."""
         if self.kind is other.kind is FoundKind.DRILL_HOLE:
             return float(np.linalg.norm(self.point_mm - other.point_mm)) < ONE_INSTRUMENT_MM
@@ -224,15 +226,15 @@ class Candidate:
 
 
 def assign(
-    lines: Mapping[str, PlannedLine], candidates: Mapping[str, Sequence[Candidate]]
-) -> tuple[dict[str, Candidate], dict[str, str]]:
+    lines: Mapping[str, PlannedLine], candidates: Mapping[str, Sequence[InstrumentCandidate]]
+) -> tuple[dict[str, InstrumentCandidate], dict[str, str]]:
     """Assign candidates to trajectories by smallest total distance, and report who won a contested one.
 
     `lines` are the planned ones, `candidates` those found along each; both by name.
     """
     names = list(lines)
-    found_objects: list[Candidate] = []
-    nearest: dict[tuple[int, int], tuple[float, Candidate]] = {}  # by trajectory and candidate
+    found_objects: list[InstrumentCandidate] = []
+    nearest: dict[tuple[int, int], tuple[float, InstrumentCandidate]] = {}  # by trajectory and candidate
     for row, name in enumerate(names):
         for one in candidates[name]:
             number = next(
@@ -253,7 +255,7 @@ def assign(
     return found, lost_to
 
 
-def _assignment_cost_mm(line: PlannedLine, one: Candidate) -> float:
+def _assignment_cost_mm(line: PlannedLine, one: InstrumentCandidate) -> float:
     """Return the axis's mean distance from entry and target, plus a penalty for holes and failed fits."""
     mean_mm = 0.5 * (one.axis_distance_mm(line.entry_mm) + one.axis_distance_mm(line.target_mm))
     rank = (one.kind is FoundKind.DRILL_HOLE) + 2 * bool(one.failures)

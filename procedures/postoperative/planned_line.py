@@ -60,7 +60,7 @@ class PlannedLine:
 
 
 @dataclass(frozen=True, eq=False)
-class Surroundings:
+class ImagedSurroundings:
     """HU on a grid of `STEP_MM` around a trajectory (along, across, across), at positions (..., 3) mm.
 
     NaN outside the scan, where nothing is known.
@@ -70,12 +70,12 @@ class Surroundings:
     places_mm: Array
 
 
-def sample_along(volume: Volume, line: PlannedLine, first_mm: float, last_mm: float) -> Surroundings:
+def sample_along(volume: Volume, line: PlannedLine, first_mm: float, last_mm: float) -> ImagedSurroundings:
     """Sample HU by linear interpolation around a trajectory, between two distances from its entry."""
     side = np.arange(-SEARCH_MM, SEARCH_MM + STEP_MM / 2, STEP_MM)
     along = np.arange(first_mm, last_mm, STEP_MM)
     local = np.stack(np.meshgrid(along, side, side, indexing="ij"), axis=-1)
-    return Surroundings(volume.sample(line.to_patient_mm(local), np.nan), local)
+    return ImagedSurroundings(volume.sample(line.to_patient_mm(local), np.nan), local)
 
 
 def select_voxels(

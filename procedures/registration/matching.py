@@ -19,9 +19,9 @@ from procedures.registration.correspondence import Hypothesis, Match, MatchStatu
 from procedures.registration.errors import BAD_POINTS, BadParameter
 from procedures.registration.pairings import (
     CLIQUE_SLACK,
-    Candidate,
     CliqueSearch,
-    Evidence,
+    PairingCandidate,
+    PairingEvidence,
     as_hypothesis,
     bits,
     consistency_graph,
@@ -81,14 +81,14 @@ def validate_prior(prior: PosePrior | Rotation | None) -> PosePrior | None:
     return prior if prior is None or hasattr(prior, "objection") else Prior(prior)
 
 
-def weigh_evidence(sigma_image_mm: Any, sigma_physical_mm: Any) -> Evidence:
+def weigh_evidence(sigma_image_mm: Any, sigma_physical_mm: Any) -> PairingEvidence:
     """Build the evidence from the standard deviations given to `match`. Raises REG-007."""
     variance = _variance_mm2("image", sigma_image_mm) + _variance_mm2("physical", sigma_physical_mm)
     if variance <= 0.0:
         raise BadParameter(
             "at least one sigma must be positive", got=f"{variance} mm2", action="Give the larger one in mm."
         )
-    return Evidence(variance)
+    return PairingEvidence(variance)
 
 
 def _variance_mm2(name: str, sigma_mm: Any) -> float:
@@ -126,7 +126,7 @@ class CorrespondenceSearch:
 
     image: Array
     physical: Array
-    evidence: Evidence
+    evidence: PairingEvidence
     expected: int | None
     prior: PosePrior | None
 
@@ -134,7 +134,7 @@ class CorrespondenceSearch:
         """Search the largest cliques first, then all cliques if that does not settle the match."""
         tolerance_mm = DISTANCE_GATE_SIGMAS * math.sqrt(2.0 * self.evidence.variance_mm2)
         graph = consistency_graph(self.image, self.physical, tolerance_mm)
-        nearest: list[Candidate] = []
+        nearest: list[PairingCandidate] = []
         is_outside_prior = False
         for slack in (CLIQUE_SLACK, len(graph)):
             search = CliqueSearch(graph, FEWEST_PAIRS, slack)
@@ -172,13 +172,13 @@ class CorrespondenceSearch:
         without_pairs = self.answer_without_pairs(MatchStatus.TOO_FEW, f"{counts}; {found.reason}")
         return replace(without_pairs, runner_up=found.runner_up)
 
-    def _evaluate(self, cliques: list[int]) -> tuple[list[Candidate], list[Candidate]]:
+    def _evaluate(self, cliques: list[int]) -> tuple[list[PairingCandidate], list[PairingCandidate]]:
         """Split candidates into passing and failed ones, dropping those with too little evidence."""
         masks_by_size: dict[int, list[int]] = {}
         for clique in cliques:
             masks_by_size.setdefault(clique.bit_count(), []).append(clique)
-        passing: list[Candidate] = []
-        failed: list[Candidate] = []
+        passing: list[PairingCandidate] = []
+        failed: list[PairingCandidate] = []
         best = -math.inf
         drops = dict.fromkeys(cliques, 0)
         for size in range(max(masks_by_size), FEWEST_PAIRS - 1, -1):
@@ -204,14 +204,14 @@ class CorrespondenceSearch:
                     drops[child] = max(drops.get(child, 0), drops[parent] + 1)
         return passing, failed
 
-    def _objection(self, one: Candidate) -> str:
+    def _objection(self, one: PairingCandidate) -> str:
         """Explain why the prior excludes a candidate; return '' if it does not."""
         if self.prior is None:
             return ""
         paired = [node % len(self.physical) for node in bits(one.nodes)]
         return self.prior.objection(one.rotation, one.translation_mm, self.physical[paired])
 
-    def _may_have_bad_pair(self, one: Candidate) -> bool:
+    def _may_have_bad_pair(self, one: PairingCandidate) -> bool:
         """Whether a candidate may contain a bad pair that lowers its score, so that subsets must be tried.
 
         Up to the planned number of pairs none is doubted: they are known to exist.
@@ -219,7 +219,7 @@ class CorrespondenceSearch:
         planned = self.expected is not None and one.size <= self.expected
         return not planned and one.score_nats < self.evidence.most_nats(one.size - 1)
 
-    def _judge(self, ranked: list[Candidate], failed: list[Candidate]) -> Match:
+    def _judge(self, ranked: list[PairingCandidate], failed: list[PairingCandidate]) -> Match:
         """Decide whether the best candidate clearly beats all contradicting ones."""
         larger = [
             one for one in failed if one.size > max(FEWEST_PAIRS, ranked[0].size) and one.passed_mirrored
@@ -258,11 +258,11 @@ class CorrespondenceSearch:
             return self._build_match(MatchStatus.AMBIGUOUS, reason, best, rivals[0], margin)
         return self._answer_unique(best, rivals[0], margin)
 
-    def _answer_unique(self, best: Candidate, rival: Candidate | None, margin: float) -> Match:
+    def _answer_unique(self, best: PairingCandidate, rival: PairingCandidate | None, margin: float) -> Match:
         reason = f"{best.size} pairs agree, odds against any other pairing at least e^{margin:.0f}"
         return self._build_match(MatchStatus.UNIQUE, reason, best, rival, margin)
 
-    def _answer_too_noisy(self, ranked: list[Candidate]) -> Match:
+    def _answer_too_noisy(self, ranked: list[PairingCandidate]) -> Match:
         reason = "too many pairings agree within this noise; give a smaller sigma or fewer points"
         if not ranked:
             return self.answer_without_pairs(MatchStatus.AMBIGUOUS, reason)
@@ -271,7 +271,7 @@ class CorrespondenceSearch:
         margin = ranked[0].score_nats - rival.score_nats if rival else 0.0
         return self._build_match(MatchStatus.AMBIGUOUS, reason, ranked[0], rival, margin)
 
-    def _explain(self, nearest: list[Candidate], is_outside_prior: bool) -> Match:
+    def _explain(self, nearest: list[PairingCandidate], is_outside_prior: bool) -> Match:
         """Explain, using the closest candidate, why no pairing passes."""
         excluded = [one for one in nearest if is_outside_prior and self._objection(one)]
         miss = max(excluded or nearest, key=lambda one: (one.size, one.score_nats))
@@ -290,13 +290,20 @@ class CorrespondenceSearch:
             )
         return self.answer_without_pairs(MatchStatus.INCONSISTENT, reason, miss)
 
-    def answer_without_pairs(self, status: MatchStatus, reason: str, miss: Candidate | None = None) -> Match:
+    def answer_without_pairs(
+        self, status: MatchStatus, reason: str, miss: PairingCandidate | None = None
+    ) -> Match:
         """Return a result without pairs."""
         counts = len(self.image), len(self.physical)
         return Match.of(status, reason, None, counts, runner_up=self._to_hypothesis(miss))
 
     def _build_match(
-        self, status: MatchStatus, reason: str, best: Candidate, rival: Candidate | None, margin: float
+        self,
+        status: MatchStatus,
+        reason: str,
+        best: PairingCandidate,
+        rival: PairingCandidate | None,
+        margin: float,
     ) -> Match:
         return Match.of(
             status,
@@ -307,13 +314,13 @@ class CorrespondenceSearch:
             margin_nats=margin,
         )
 
-    def _to_hypothesis(self, one: Candidate | None) -> Hypothesis | None:
+    def _to_hypothesis(self, one: PairingCandidate | None) -> Hypothesis | None:
         return None if one is None else as_hypothesis(one, len(self.physical))
 
 
-def _mirror_reason(one: Candidate) -> str:
+def _mirror_reason(one: PairingCandidate) -> str:
     return f"{one.size} pairs agree only as a mirror image: check left and right of the series"
 
 
-def _score_key(one: Candidate) -> float:
+def _score_key(one: PairingCandidate) -> float:
     return -one.score_nats

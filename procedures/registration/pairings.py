@@ -175,7 +175,7 @@ def bit_rows(adjacency: NDArray[np.bool_]) -> list[int]:
 
 
 @dataclass(frozen=True)
-class Evidence:
+class PairingEvidence:
     """Weight of evidence, from the combined variance per axis of both sets, mm2."""
 
     variance_mm2: float
@@ -205,7 +205,7 @@ def gate(pairs: int, false_alarm: float = GATE_FALSE_ALARM) -> float:
 
 
 @dataclass(frozen=True)
-class Candidate:
+class PairingCandidate:
     """Fitted pairing. `nodes` is a bit mask, `chi_square` the residual sum over the variance."""
 
     nodes: int
@@ -234,8 +234,8 @@ class Candidate:
 
 
 def evaluate(
-    masks: Sequence[int], image_mm: Array, physical_mm: Array, evidence: Evidence
-) -> list[Candidate]:
+    masks: Sequence[int], image_mm: Array, physical_mm: Array, evidence: PairingEvidence
+) -> list[PairingCandidate]:
     """Fit and score pairings of equal size."""
     if not masks:
         return []
@@ -251,7 +251,7 @@ def evaluate(
     scores = evidence.most_nats(size) + prior_nats - 0.5 * chi_squares
     on_a_line = fit.spread_mm2[:, 1] <= LINE_RATIO * fit.spread_mm2[:, 0]
     return [
-        Candidate(
+        PairingCandidate(
             mask,
             size,
             float(chi_squares[row]),
@@ -273,7 +273,7 @@ def leave_one_out(masks: Sequence[int]) -> list[int]:
     return list(dict.fromkeys(mask & ~(1 << node) for mask in masks for node in bits(mask)))
 
 
-def as_hypothesis(one: Candidate, physical_count: int) -> Hypothesis:
+def as_hypothesis(one: PairingCandidate, physical_count: int) -> Hypothesis:
     """Convert a candidate to a hypothesis with index pairs, transform and score."""
     pairs = np.stack(np.divmod(np.array(bits(one.nodes), dtype=np.intp), physical_count), axis=1)
     transform = as_transform(one.rotation, one.translation_mm)

@@ -25,7 +25,7 @@ from ronna_hw.frames import Transform
 Array = NDArray[np.float64]
 
 
-class Instrument(StrEnum):
+class MeasuringInstrument(StrEnum):
     """Instrument that measured a point in the room."""
 
     TRACKER = "tracker"
@@ -47,7 +47,7 @@ class CtToRoomRow(Strict):
 class RoomToCtRow(Strict):
     """Measured point, mapped into the CT."""
 
-    instrument: Instrument = Field(description="Tracker or stereo head.")
+    instrument: MeasuringInstrument = Field(description="Tracker or stereo head.")
     index: int = Field(description="Among that instrument's points.")
     fiducial: int | None = Field(description="Its match in the CT; none if unmatched.")
     nearest_fiducial: int = Field(description="The nearest sphere of the CT.")
@@ -60,7 +60,9 @@ class TwoWayTable(Strict):
     ct_to_room: tuple[CtToRoomRow, ...] = Field(description="A row for each sphere of the CT.")
     room_to_ct: tuple[RoomToCtRow, ...] = Field(description="A row for each measured point.")
     unmatched_ct: tuple[int, ...] = Field(description="Spheres of the CT without a match in the room.")
-    unmatched_room: tuple[tuple[Instrument, int], ...] = Field(description="Points that match no sphere.")
+    unmatched_room: tuple[tuple[MeasuringInstrument, int], ...] = Field(
+        description="Points that match no sphere."
+    )
     agrees_both_ways: bool = Field(description="Every match is the nearest in both directions.")
 
 
@@ -103,12 +105,12 @@ def verify_two_way(
     rows = _build_ct_rows(image, tracker, partners, tracker_from_ct, fine, stereo, ct_disagreement_mm or {})
     fiducial_of = {reading: fiducial for fiducial, reading in reversed(partners.tolist())}
     readings = [
-        (Instrument.TRACKER, index, fiducial_of.get(index), point, tracker_from_ct)
+        (MeasuringInstrument.TRACKER, index, fiducial_of.get(index), point, tracker_from_ct)
         for index, point in enumerate(tracker)
     ]
     if fine is not None:
         readings += [
-            (Instrument.STEREO, index, point.fiducial, np.asarray(point.position_mm), fine.transform)
+            (MeasuringInstrument.STEREO, index, point.fiducial, np.asarray(point.position_mm), fine.transform)
             for index, point in enumerate(stereo)
         ]
     back = tuple(_build_room_row(image, *reading) for reading in readings) if len(image) else ()
@@ -159,7 +161,7 @@ def _build_ct_rows(
 
 def _build_room_row(
     image: Array,
-    instrument: Instrument,
+    instrument: MeasuringInstrument,
     index: int,
     fiducial: int | None,
     position: Array,

@@ -10,7 +10,7 @@ from procedures.relocalization.servo import (
 )
 from procedures.relocalization.sphere_measurement import (
     AreaImage,
-    Sighting,
+    SphereSighting,
     locate_sphere,
     measure_sphere,
     measure_spheres,
@@ -21,8 +21,8 @@ __all__ = [
     "AreaImage",
     "ServoSettings",
     "ServoState",
-    "Sighting",
     "SphereImage",
+    "SphereSighting",
     "SphereStatus",
     "StereoPoint",
     "locate_sphere",

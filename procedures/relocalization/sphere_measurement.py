@@ -36,7 +36,7 @@ from procedures.relocalization.errors import (
 from procedures.relocalization.outline import SphereImage, SphereStatus, fit_outline
 from procedures.relocalization.triangulation import (
     SPHERE_DIAMETER_MM,
-    Camera,
+    CameraModel,
     StereoPoint,
     require_calibration,
     triangulate,
@@ -188,7 +188,7 @@ class AreaImage:
 
 
 @dataclass(frozen=True)
-class Sighting:
+class SphereSighting:
     """Outlines in both images, in full-sensor pixels, and the point if both are reliable."""
 
     left: SphereImage
@@ -208,7 +208,7 @@ def locate_sphere(
     calibration: StereoHeadCalibration,
     *,
     sphere_diameter_mm: float = SPHERE_DIAMETER_MM,
-) -> Sighting:
+) -> SphereSighting:
     """Locate the sphere seen by both cameras. There is no point if a camera sees too little of it.
 
     Raises the errors of `measure_sphere` with the camera's name, STE-005 or STE-006 when no two round shapes
@@ -221,7 +221,7 @@ def locate_sphere(
     )
     first = _measure_outlines(images, ranges)
     if SphereStatus.UNRELIABLE in (first[0].status, first[1].status):
-        return Sighting(first[0], first[1], None)
+        return SphereSighting(first[0], first[1], None)
     try:
         point = triangulate(first[0], first[1], calibration, sphere_diameter_mm=sphere_diameter_mm)
     except (RaysDoNotMeet, WrongSize):
@@ -229,12 +229,12 @@ def locate_sphere(
         if sighting is None:
             raise
         return sighting
-    return Sighting(first[0], first[1], point)
+    return SphereSighting(first[0], first[1], point)
 
 
 def radius_range_px(camera: CameraCalibration, sphere_diameter_mm: float) -> tuple[float, float]:
     """Return the minimum and maximum image radius in px of a sphere near the tool centre point."""
-    distance_mm = float(np.linalg.norm(Camera(camera).translation_mm))
+    distance_mm = float(np.linalg.norm(CameraModel(camera).translation_mm))
     radius = math.sqrt(math.prod(camera.focal_px)) * sphere_diameter_mm / 2.0 / distance_mm
     return (1.0 - RADIUS_TOLERANCE) * radius, (1.0 + RADIUS_TOLERANCE) * radius
 
@@ -272,18 +272,18 @@ def _find_agreeing(
     ranges: tuple[tuple[float, float], ...],
     calibration: StereoHeadCalibration,
     sphere_diameter_mm: float,
-) -> Sighting | None:
+) -> SphereSighting | None:
     """Find the reliable outlines with the smallest ray gap, or return None if none agree."""
     found: list[list[SphereImage]] = []
     for image, limits in zip(images, ranges, strict=True):
         shapes = measure_spheres(image.pixels, radius_range_px=limits)
         reliable = [shape for shape in shapes if shape.status is SphereStatus.OK]
         found.append([shape.with_offset(image.offset_x_px, image.offset_y_px) for shape in reliable])
-    sightings: list[tuple[float, Sighting]] = []
+    sightings: list[tuple[float, SphereSighting]] = []
     for left, right in product(*found):
         try:
             point = triangulate(left, right, calibration, sphere_diameter_mm=sphere_diameter_mm)
         except (RaysDoNotMeet, WrongSize):
             continue
-        sightings.append((point.ray_gap_mm, Sighting(left, right, point)))
+        sightings.append((point.ray_gap_mm, SphereSighting(left, right, point)))
     return min(sightings, key=lambda each: each[0], default=(0.0, None))[1]

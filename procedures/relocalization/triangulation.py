@@ -50,7 +50,7 @@ LARGEST_GAP_OVER_STATED = 5.0
 LEAST_GAP_LIMIT_MM = 0.02  # rims measured to a few micrometres never meet better
 
 
-class Camera:
+class CameraModel:
     """Camera calibration in computational form, with tool coordinates in mm."""
 
     def __init__(self, calibration: CameraCalibration, frame: Frame = Frame.CAMERA_LEFT) -> None:
@@ -168,8 +168,8 @@ def triangulate(
     """
     require_calibration(calibration)
     cameras = (
-        Camera(calibration.left, Frame.CAMERA_LEFT),
-        Camera(calibration.right, Frame.CAMERA_RIGHT),
+        CameraModel(calibration.left, Frame.CAMERA_LEFT),
+        CameraModel(calibration.right, Frame.CAMERA_RIGHT),
     )
     outlines = (left, right)
     _check_outlines(outlines)
@@ -235,7 +235,9 @@ def _check_outlines(outlines: tuple[SphereImage, SphereImage]) -> None:
             raise BAD_MEASUREMENT("an outline has invalid numbers", got=str(numbers))
 
 
-def _find_nearest_point(cameras: tuple[Camera, Camera], centres: list[Array]) -> tuple[Array, float]:
+def _find_nearest_point(
+    cameras: tuple[CameraModel, CameraModel], centres: list[Array]
+) -> tuple[Array, float]:
     """Return the midpoint of the shortest segment between the lines of sight, and its length in mm."""
     (first, second), (a, b) = cameras, [c.direction(p) for c, p in zip(cameras, centres, strict=True)]
     baseline = second.centre_mm - first.centre_mm
@@ -250,7 +252,7 @@ def _find_nearest_point(cameras: tuple[Camera, Camera], centres: list[Array]) ->
 
 
 def _minimise_distances(
-    cameras: tuple[Camera, Camera],
+    cameras: tuple[CameraModel, CameraModel],
     outlines: tuple[SphereImage, SphereImage],
     pixels: list[Array],
     start: Array,

@@ -16,13 +16,13 @@ from procedures.reporting.run_reading import RunReading, UsedRegistration
 from procedures.reporting.sections.calibration import Calibration, read_calibration
 from procedures.reporting.sections.course import Course, read_course
 from procedures.reporting.sections.devices import Devices, read_devices
-from procedures.reporting.sections.evidence import Evidence, read_evidence
-from procedures.reporting.sections.header import Header, Opening, read_header
+from procedures.reporting.sections.evidence import EvidenceSection, read_evidence
+from procedures.reporting.sections.header import Header, RunOpening, read_header
 from procedures.reporting.sections.plan import PlanSection, read_plan
 from procedures.reporting.sections.spheres import Spheres, read_spheres
 from procedures.reporting.sections.stability import Stability, read_stability
 from procedures.reporting.sections.targets import Targets, read_targets
-from procedures.reporting.sections.verdict import Verdict, describe_exclusions, read_assistant_work
+from procedures.reporting.sections.verdict import VerdictSection, describe_exclusions, read_assistant_work
 from procedures.reporting.tables import TargetTable, target_rows
 from ronna_hw.evidence.unsealed import describe_unsealed_files
 
@@ -32,7 +32,7 @@ class Page:
     """Sections of a report, in the order of the page. What a run has not come to is None or empty."""
 
     header: Header
-    verdict: Verdict
+    verdict: VerdictSection
     calibration: Calibration
     after: PostoperativeResult | None
     plan_pictures: tuple[Picture, ...]
@@ -43,7 +43,7 @@ class Page:
     spheres: Spheres
     course: Course
     devices: Devices
-    evidence: Evidence
+    evidence: EvidenceSection
 
 
 def read_page(
@@ -55,14 +55,14 @@ def read_page(
 ) -> Page:
     """Read every section of the page. Arguments as for `write_report`."""
     run, journal = reading.folder, reading.run.journal
-    opening = Opening.of(reading.run.opened)
+    opening = RunOpening.of(reading.run.opened)
     table = TargetTable(target_rows(reading, truth or Truth()))
     holder = find_run_holder(run)
     ending = ending_of(reading, error, is_writer=holder is not None and holder.pid == os.getpid())
     plan = read_plan(reading)
     return Page(
         header=read_header(run.name, reading, opening, table, () if plan is None else plan.rows),
-        verdict=Verdict(
+        verdict=VerdictSection(
             ending=ending,
             advice=advise(ending, is_case=not opening.procedure),
             table=table,

@@ -107,7 +107,7 @@ class Places:
 
 
 @dataclass(frozen=True)
-class ArmModel:
+class TrackedArm:
     """How an arm errs, and where it carries its frame: FLANGE <- MARKER (4, 4), as recorded.
 
     `repeatability_mm` is at rest, per axis; `robot_from_base` (4, 4) is where it stands.
@@ -159,7 +159,7 @@ class RoomModel:
     the point about which motions are expressed, robot frame; `spheres` is their number.
     """
 
-    arms: Mapping[Tracked, ArmModel]
+    arms: Mapping[Tracked, TrackedArm]
     robot_from_tracker: Array
     centre_mm: Array
     spheres: int

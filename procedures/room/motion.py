@@ -62,7 +62,7 @@ WAYS = {**TURNING, Moved.TRACKER: {"tracker": -1.0}}  # as the tracker sees what
 
 
 @dataclass(frozen=True)
-class Motion:
+class RoomMotion:
     """Motion that the looks show; `chi_square` exceeds `limit`.
 
     `since` is the look before which it happened, `way_mm` (3,) its estimate in the robot frame: at the point
@@ -97,7 +97,7 @@ def find_motion(
     rows: Rows,
     points_mm: Mapping[str, Array],
     unpushed: Callable[[], Rows | None] = lambda: None,
-) -> Motion | None:
+) -> RoomMotion | None:
     """Return the motion that one look more shows, or None.
 
     `points_mm` are the points (3,) that count, robot frame, by name. `unpushed` gives the look as the tracker
@@ -109,7 +109,7 @@ def find_motion(
     return _seen_at_points(found, known.add(rows), points_mm)
 
 
-def _seen_at_points(found: Motion, estimate: RoomEstimate, points_mm: Mapping[str, Array]) -> Motion:
+def _seen_at_points(found: RoomMotion, estimate: RoomEstimate, points_mm: Mapping[str, Array]) -> RoomMotion:
     """Return the motion as it counts: a body that has turned displaces what is far from it by more."""
     if found.moved not in TURNING:
         return found
@@ -120,7 +120,7 @@ def _seen_at_points(found: Motion, estimate: RoomEstimate, points_mm: Mapping[st
     return found
 
 
-def _find_by_body(known: RoomEstimate, rows: Rows, unpushed: Callable[[], Rows | None]) -> Motion | None:
+def _find_by_body(known: RoomEstimate, rows: Rows, unpushed: Callable[[], Rows | None]) -> RoomMotion | None:
     values, covariance = known.innovation(rows)
     chi_squares, limits = {}, {}
     for body, block in rows.blocks.items():
@@ -130,11 +130,11 @@ def _find_by_body(known: RoomEstimate, rows: Rows, unpushed: Callable[[], Rows |
     if not out:
         return None
 
-    def motion(moved: Moved) -> Motion:
+    def motion(moved: Moved) -> RoomMotion:
         worst = max(out, key=lambda body: chi_squares[body] / limits[body])
         shown = Body.BASE if moved in (Moved.BASE, Moved.SEVERAL) else worst
         way_mm = _way_mm(values[rows.blocks[shown]], shown)
-        return Motion(moved, len(known.looks), chi_squares[shown], limits[shown], way_mm)
+        return RoomMotion(moved, len(known.looks), chi_squares[shown], limits[shown], way_mm)
 
     arms = set(BASES.values())
     if len(out) == 1 and out <= arms:
@@ -169,14 +169,14 @@ def _fits_pushed(known: RoomEstimate, rows: Rows) -> bool:
 
 def find_hidden_motion(
     estimate: RoomEstimate, points_mm: Mapping[str, Array], first: int = 1
-) -> Motion | None:
+) -> RoomMotion | None:
     """Return a motion before look `first` or later that all looks show together, or None."""
     moments = len(estimate.looks) - first
     if moments < 1:
         return None
     # It is the largest of so many that is judged: each has its share of the rate (Bonferroni).
     share = FALSE_ALARM / moments
-    found: list[Motion] = []
+    found: list[RoomMotion] = []
     chi_squares, weights = estimate.explained(first=first)
     limits = _limits(weights, share)
     if (chi_squares > limits).any():
@@ -184,13 +184,13 @@ def find_hidden_motion(
         since = first + at
         moved = _name(estimate, since)
         way_mm = estimate.displacement(estimate.model.centre_mm, since, WAYS[moved]).way_mm
-        motion = Motion(moved, since, float(chi_squares[at]), float(limits[at]), way_mm)
+        motion = RoomMotion(moved, since, float(chi_squares[at]), float(limits[at]), way_mm)
         found.append(_seen_at_points(motion, estimate, points_mm))
     for name, point_mm in points_mm.items():
         limit = _limit(AXES, share)
         for largest in _list_displacements(estimate, point_mm, first, limit):
             moved = _name(estimate, largest.since)
-            found.append(Motion(moved, largest.since, largest.chi_square, limit, largest.way_mm, name))
+            found.append(RoomMotion(moved, largest.since, largest.chi_square, limit, largest.way_mm, name))
     return max(found, key=lambda one: one.chi_square / one.limit, default=None)
 
 

@@ -14,7 +14,7 @@ from typing import Any
 
 from procedures.calibration.errors import BAD_OBSERVATIONS
 from procedures.reporting.calibration_figures import RESULT_FILE, RecordFigures, read_figures
-from procedures.runs.theatre_history import Signature, update_tables
+from procedures.runs.theatre_history import UpdateAuthor, update_tables
 from ronna_hw.bounded_input import read_toml
 from ronna_hw.command_line import terminal
 from ronna_hw.config import BadTheatreFile, Calibrations
@@ -59,7 +59,9 @@ def read_finished_figures(folder: Path) -> RecordFigures:
     return figures
 
 
-def update_theatre(theatre: Path, records: dict[str, Any], measured: datetime, signature: Signature) -> None:
+def update_theatre(
+    theatre: Path, records: dict[str, Any], measured: datetime, signature: UpdateAuthor
+) -> None:
     """Put new calibration records into a theatre file, in place.
 
     A record that was only moved, not `measured` then, keeps its dates. Records of tools stay as they are: a

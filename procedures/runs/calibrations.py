@@ -44,7 +44,7 @@ from procedures.runs.calibration_files import update_theatre, write_records
 from procedures.runs.interrupted_run import InterruptedRun
 from procedures.runs.reopening import close_completed_run
 from procedures.runs.request import RunRequest
-from procedures.runs.theatre_history import Signature
+from procedures.runs.theatre_history import UpdateAuthor
 from procedures.steps.calibration.frame_looks import ObservedFrame
 from procedures.steps.calibration.head_looks import ObservedBall
 from procedures.steps.calibration.recipe import Calibrated, Recipe
@@ -144,7 +144,7 @@ def write_calibration_files(
     write_records(kind.records_of(result), folder)
     write_figures(kind.figures(result), folder)
     if request.calibration.update and request.config is not None:
-        signature = Signature(f"calibration {kind.name}", source=str(folder.resolve()))
+        signature = UpdateAuthor(f"calibration {kind.name}", source=str(folder.resolve()))
         update_theatre(request.config, kind.records_of(result), looks.created, signature)
 
 

@@ -19,7 +19,7 @@ from procedures.engine.events import Event, EventStream, Questioned
 from procedures.runs.observers import RunObservers
 from procedures.runs.operator_station import OperatorStation
 from procedures.runs.order_executor import OrderExecutor
-from procedures.runs.orders import LONGEST_BYTES, Reply, read_order
+from procedures.runs.orders import LONGEST_BYTES, OrderReply, read_order
 from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.command_line.messages import tell, tell_address
 from ronna_hw.errors import RonnaError
@@ -140,7 +140,7 @@ class ConsoleLink:
                     sent = read_order(line)
                 except ValueError:
                     continue  # the console's own side has refused it
-                self._send(Reply(nonce=sent.nonce, refused=self._station.take(sent)).model_dump_json())
+                self._send(OrderReply(nonce=sent.nonce, refused=self._station.take(sent)).model_dump_json())
         self._on_console_gone()
 
     def _beat_until_followed(self) -> None:

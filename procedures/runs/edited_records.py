@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from procedures.runs.theatre_history import State, describe_state, read_states
+from procedures.runs.theatre_history import TheatreState, describe_state, read_states
 from ronna_hw.bounded_input import parse_toml_bytes
 from ronna_hw.config import BadTheatreFile
 
@@ -27,7 +27,7 @@ class EditedRecord:
 
 def edited_records(theatre: Path) -> tuple[EditedRecord, ...]:
     """Compare the records of a theatre file with its history. Raises PRO-046, OSError."""
-    known: dict[str, tuple[State, dict[str, Any]]] = {}
+    known: dict[str, tuple[TheatreState, dict[str, Any]]] = {}
     above: dict[str, dict[str, Any]] = {}
     for state in read_states(theatre):
         now = dict(_records(state))
@@ -43,7 +43,7 @@ def edited_records(theatre: Path) -> tuple[EditedRecord, ...]:
     )
 
 
-def _records(state: State) -> Iterator[tuple[str, dict[str, Any]]]:
+def _records(state: TheatreState) -> Iterator[tuple[str, dict[str, Any]]]:
     content = parse_toml_bytes(state.text.encode(), f"state {state.number}", BadTheatreFile)
     for table in TABLES:
         for name, record in content.get(table, {}).items():

@@ -14,7 +14,7 @@ from procedures.engine.run_folder import RunFolder, parse_record, run_of, step_k
 from procedures.journal.journal import ENDS_OF_A_STEP, JOURNAL_FILE, Entry, JournalValue, Line
 from procedures.workcell.arm_history import ArmHistory, fold_history, is_any_arm_out
 from ronna_hw.evidence.inspection import Problem, inspect_run
-from ronna_hw.evidence.journal_reading import Chain, JournalCorrupt
+from ronna_hw.evidence.journal_reading import JournalChain, JournalCorrupt
 from ronna_hw.evidence.lost_end import LOST, describe_lost_end, describe_orphans, find_orphans, lost_as_plain
 from ronna_hw.evidence.manifest import NOT_AS_LEFT
 from ronna_hw.evidence.unsealed import UNSEALED, unsealed
@@ -26,7 +26,7 @@ class InterruptedRun:
     """A run that has ended or was killed, read back from its folder to be resumed."""
 
     run: RunFolder
-    chain: Chain
+    chain: JournalChain
     changes: tuple[Problem, ...] = ()  # of files on which the way home does not depend
     not_as_left: Mapping[str, str | None] = field(default_factory=dict)  # hashes of those files
     unsealed: Mapping[str, int | None] = field(default_factory=dict)  # unconfirmed files, with their length

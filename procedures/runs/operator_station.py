@@ -56,7 +56,7 @@ EMPTY_SEAT = "the operator's seat was empty"
 NONCES_KEPT = 4096  # at the ten orders a second that the console lets through: seven minutes
 
 
-class Seat:
+class OperatorSeat:
     """Operator's seat: a lease claimed under a name and renewed periodically. Not thread-safe."""
 
     def __init__(self, now_s: Callable[[], float] = time.monotonic) -> None:
@@ -131,7 +131,7 @@ class OperatorStation:
         """If `waits`, no step runs and no question is answered until someone takes the seat."""
         self._changed = threading.Condition()
         self._now_s = now_s
-        self._seat = Seat(now_s)
+        self._seat = OperatorSeat(now_s)
         self._waits = waits
         self._engine: Engine | None = None
         self._waiting_for: str | None = None  # the upcoming step, while the engine waits between steps

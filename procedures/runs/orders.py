@@ -303,7 +303,7 @@ def explain_invalid_order(order: dict[str, Any]) -> str:
     return "not a valid order"
 
 
-class Reply(BaseModel):
+class OrderReply(BaseModel):
     """Reply to an order."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")

@@ -30,7 +30,7 @@ Tables = dict[str, dict[str, object]]
 
 
 @dataclass(frozen=True)
-class Signature:
+class UpdateAuthor:
     """Author of an update: the person, the command and the calibration behind it."""
 
     command: str
@@ -39,7 +39,7 @@ class Signature:
 
 
 @dataclass(frozen=True)
-class State:
+class TheatreState:
     """A state of a theatre file. `update` led to it, except to the first and to one edited by hand."""
 
     number: int
@@ -54,7 +54,7 @@ def history_path(theatre: Path) -> Path:
     return theatre.with_name(theatre.name + SUFFIX)
 
 
-def update_tables(theatre: Path, tables: Tables, signature: Signature) -> None:
+def update_tables(theatre: Path, tables: Tables, signature: UpdateAuthor) -> None:
     """Put new entries into a theatre file's tables, keeping its comments.
 
     Raises CFG-001 without writing anything if the file would be invalid, PRO-046 if its history was changed.
@@ -70,7 +70,7 @@ def update_tables(theatre: Path, tables: Tables, signature: Signature) -> None:
         _replace(theatre, history, change, signature)
 
 
-def restore(theatre: Path, state: State, signature: Signature) -> None:
+def restore(theatre: Path, state: TheatreState, signature: UpdateAuthor) -> None:
     """Put an earlier state of a theatre file back in force, byte for byte, as an update of its own."""
     with _locked(theatre) as history:
         _replace(theatre, history, lambda _content: state.text.encode(), signature)
@@ -86,7 +86,7 @@ def _locked(theatre: Path) -> Iterator[int]:
         os.close(file)
 
 
-def _replace(theatre: Path, history: int, change: Callable[[bytes], bytes], signature: Signature) -> None:
+def _replace(theatre: Path, history: int, change: Callable[[bytes], bytes], signature: UpdateAuthor) -> None:
     theatre = theatre.resolve()
     content = read_bounded(theatre, LARGEST_TOML_BYTES)
     before = parse_toml_bytes(content, theatre.name, BadTheatreFile)
@@ -152,7 +152,7 @@ def _identifier(record: object) -> str:
     return str(record.get("identifier", "unnamed")) if isinstance(record, dict) else "none"
 
 
-def read_states(theatre: Path) -> tuple[State, ...]:
+def read_states(theatre: Path) -> tuple[TheatreState, ...]:
     """Return every known state of a theatre file, oldest first; the last is the present one.
 
     An update that was in force stays listed, whatever became of the file since. Left out are those cut off
@@ -162,11 +162,11 @@ def read_states(theatre: Path) -> tuple[State, ...]:
     present = read_bounded(theatre, LARGEST_TOML_BYTES)
     history = read_history(history_path(theatre))
     followed_by = [*(one.sha256_before for one in history.updates), hash_bytes(present)][1:]
-    states: list[State] = []
+    states: list[TheatreState] = []
 
     def add(text: str, sha256: str, update: Update | None = None) -> None:
         if update is not None or not states or states[-1].sha256 != sha256:
-            states.append(State(len(states), sha256, text, update))
+            states.append(TheatreState(len(states), sha256, text, update))
 
     for index, (update, next_sha256) in enumerate(zip(history.updates, followed_by, strict=True)):
         if index not in history.carried_out and next_sha256 == update.sha256_before:
@@ -190,12 +190,12 @@ def describe_updates_since(theatre: Path, sha256: str) -> str | None:
     return f"{theatre.name} was updated since its state {number}: {said}"
 
 
-def find_state(states: Sequence[State], sha256: str) -> int | None:
+def find_state(states: Sequence[TheatreState], sha256: str) -> int | None:
     """Return the number of the latest state with this hash, or None."""
     return next((one.number for one in reversed(states) if one.sha256 == sha256), None)
 
 
-def describe_state(state: State) -> str:
+def describe_state(state: TheatreState) -> str:
     """Describe what led to a state, on one line."""
     if state.update is None:
         return "as first known" if state.number == 0 else "edited by hand"

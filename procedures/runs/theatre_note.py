@@ -29,7 +29,7 @@ from ronna_hw.bounded_input import read_json_bytes
 from ronna_hw.config import read_theatre_file
 from ronna_hw.endpoints import parse_endpoint
 from ronna_hw.errors import RonnaError
-from ronna_hw.evidence.journal_reading import Chain, Line, read_chain
+from ronna_hw.evidence.journal_reading import JournalChain, Line, read_chain
 from ronna_hw.evidence.lost_end import find_lost_lines, read_events
 from ronna_hw.roles import ASSISTANT, MASTER
 from ronna_hw.theatre_kind import is_on_this_computer
@@ -92,7 +92,7 @@ def _has_brought_arm_home(run: Path, lines_before: int, role: str | None) -> boo
         return False
 
 
-def _read_left_journal(run: Path) -> tuple[Chain, tuple[Line, ...]]:
+def _read_left_journal(run: Path) -> tuple[JournalChain, tuple[Line, ...]]:
     """Read the journal of an ended program, and the lines at its end that only the event file still has."""
     events = read_events(run)
     chain = read_chain(run / JOURNAL_FILE)

@@ -34,7 +34,7 @@ PLACINGS = 3  # of the cart, before the case is held
 MOUNTINGS = 3  # of a tool that is not the right one, before the case is held
 
 
-class Ending(StrEnum):
+class BranchEnding(StrEnum):
     """How a failure branch ends."""
 
     HOLD = "hold"  # the step fails with an error: arm at rest, every result stands
@@ -51,7 +51,7 @@ class Branch:
     detected_by: str
     steps: tuple[str, ...]  # in which it can happen; none for any
     action: str
-    ending: Ending
+    ending: BranchEnding
     errors: tuple[AnyCode[RonnaError], ...] = ()
     topic: Topic | None = None
     answers: tuple[str, ...] = ()
@@ -84,7 +84,7 @@ SPHERE_COUNT = Branch(
     "number of spheres found against the plan",
     ("plan_check",),
     f"all candidates are shown; fewer are accepted only if {FEWEST_SPHERES} remain",
-    Ending.ASK,
+    BranchEnding.ASK,
     (WrongMarkerCount,),
     Topic.SPHERE_COUNT,
     (GO_ON, HOLD),
@@ -94,14 +94,14 @@ CT_DISAGREEMENT = Branch(
     "distance between the two centres",
     ("fiducial_localization",),
     "the sphere is flagged and weighted less: its covariance grows by the difference",
-    Ending.RECORDED,
+    BranchEnding.RECORDED,
 )
 SIGHT_LOST = Branch(
     "the tracker loses sight of the reference frame",
     "frames that lack it, or are partial, disturbed or stale",
     ("global_localization",),
     "nothing moves; the step is repeated once the line of sight is clear",
-    Ending.HOLD,
+    BranchEnding.HOLD,
     (GateFailed,),
 )
 GUARD_UNMET = Branch(
@@ -109,7 +109,7 @@ GUARD_UNMET = Branch(
     "the guards at every checkpoint",
     (),
     "the case is suspended and waits; then the operator keeps waiting or leaves the step",
-    Ending.ASK,
+    BranchEnding.ASK,
     (GuardUnmet,),
     Topic.GUARD,
     (WAIT, LEAVE),
@@ -120,7 +120,7 @@ HEAD_UNSEEN = Branch(
     ("positioning", "at_target"),
     "the arm stops and the case is suspended until the head is seen; or the operator continues without "
     "it for as long again, or leaves the step",
-    Ending.ASK,
+    BranchEnding.ASK,
     (GuardUnmet,),
     Topic.HEAD_UNSEEN,
     (WAIT, CONTINUE, LEAVE),
@@ -130,7 +130,7 @@ AMBIGUOUS = Branch(
     "log-likelihood over the runner-up below ln 10,000",
     ("correspondence",),
     "both pairings are shown; neither is used",
-    Ending.HOLD,
+    BranchEnding.HOLD,
     (NO_UNIQUE_MATCH,),
 )
 MIRRORED_CT = Branch(
@@ -138,7 +138,7 @@ MIRRORED_CT = Branch(
     "the match of the mirrored spheres in view of the tracker; then a point of the head, touched and read",
     ("correspondence",),
     "the point is named with its expected and its read position; nothing is localized further",
-    Ending.HOLD,
+    BranchEnding.HOLD,
     (HeadElsewhere,),
 )
 UNMATCHED_SPHERE = Branch(
@@ -146,7 +146,7 @@ UNMATCHED_SPHERE = Branch(
     "ignoring the count, the CT matches in exactly one way, with fewer spheres than were implanted",
     ("correspondence",),
     f"it is named; the case continues with the others if {FEWEST_SPHERES} remain and the operator agrees",
-    Ending.ASK,
+    BranchEnding.ASK,
     (NO_UNIQUE_MATCH,),
     Topic.UNMATCHED_SPHERE,
     (LEAVE_OUT, HOLD),
@@ -157,7 +157,7 @@ SPHERE_FAILED = Branch(
     "three search rings of 5 mm, other exposures, 15 servo steps",
     ("relocalization",),
     f"left out if {FEWEST_SPHERES} remain and the operator agrees; the head backs off along its axis",
-    Ending.ASK,
+    BranchEnding.ASK,
     (SPHERE_NOT_FOUND, SERVO_DIVERGES, SERVO_EXHAUSTED, Saturated),
     Topic.SPHERE,
     (LEAVE_OUT, HOLD),
@@ -167,7 +167,7 @@ WRONG_SPHERE = Branch(
     "fine against coarse position, 3 mm",
     ("relocalization",),
     "wrong sphere, or the patient moved: localize with the tracker again",
-    Ending.HOLD,
+    BranchEnding.HOLD,
     (GateFailed,),
 )
 CART_MISPLACED = Branch(
@@ -176,7 +176,7 @@ CART_MISPLACED = Branch(
     ("cart_lock",),
     f"the correction is shown; the cart is placed again, {PLACINGS} times at most, or stays if the "
     "operator says so: the path check judges the actual position",
-    Ending.ASK,
+    BranchEnding.ASK,
     (CART_OUT_OF_PLACE,),
     Topic.CART_PLACE,
     (AGAIN, AS_IT_STANDS, HOLD),
@@ -187,7 +187,7 @@ CART_UNLOCKED = Branch(
     "leans on the cart; 0.3 mm",
     ("cart_lock",),
     "nothing is localized and nothing moves; it is locked and leaned on again",
-    Ending.HOLD,
+    BranchEnding.HOLD,
     (CART_NOT_LOCKED,),
 )
 REFERENCE_MOVED = Branch(
@@ -198,7 +198,7 @@ REFERENCE_MOVED = Branch(
     "the arm stops; the localization is void: the arm goes home, the stereo head is mounted again and "
     "the tracker localizes again. After a small move with the guide mounted, only the registrations "
     "are void, and may follow the move",
-    Ending.HOLD,
+    BranchEnding.HOLD,
     (BaseShifted, PatientMoved, FrameSlipped),
 )
 REFERENCE_UNDECIDED = Branch(
@@ -208,7 +208,7 @@ REFERENCE_UNDECIDED = Branch(
     ("relocalization", "positioning", "retreat"),
     "the arm stops and nothing is void; from home, the next look follows a pushed tracker, or names the "
     "head that has moved",
-    Ending.HOLD,
+    BranchEnding.HOLD,
     (RoomUndecided,),
 )
 CART_MOVED = Branch(
@@ -219,7 +219,7 @@ CART_MOVED = Branch(
     "if the operator agrees, the arm goes home, the cart is locked again and the case continues from "
     "the global localization; CT, plan and finished targets remain valid. If all are finished, the arm "
     "goes home and the case ends. While an instrument is or may be inside, nobody is asked and nothing moves",
-    Ending.ASK,
+    BranchEnding.ASK,
     (BaseShifted, PlatformMoved),
     Topic.CART_MOVED,
     (GO_ON, HOLD),
@@ -230,7 +230,7 @@ MOVE_FOLLOWED = Branch(
     ("registration",),
     "if the operator agrees, the registration follows the measured move and the prediction includes "
     "its error; otherwise the localization is void",
-    Ending.ASK,
+    BranchEnding.ASK,
     (PatientMoved,),
     Topic.MOVE_FOLLOWED,
     (FOLLOW, HOLD),
@@ -240,7 +240,7 @@ MOVED_SPHERE = Branch(
     "chi-square gate, then leaving out one sphere at a time",
     ("registration",),
     "the sphere is named; registration without it if the operator agrees",
-    Ending.ASK,
+    BranchEnding.ASK,
     (GateFailed,),
     Topic.MOVED_SPHERE,
     (LEAVE_OUT, HOLD),
@@ -250,7 +250,7 @@ FIT_DISAGREES = Branch(
     "chi-square gate, then leaving out one sphere at a time",
     ("registration",),
     "localize again",
-    Ending.HOLD,
+    BranchEnding.HOLD,
     (GateFailed,),
 )
 BEYOND_MARGIN = Branch(
@@ -258,7 +258,7 @@ BEYOND_MARGIN = Branch(
     "propagation of all errors to the target",
     ("registration",),
     "the trajectory is refused; the others continue without it if the operator agrees",
-    Ending.ASK,
+    BranchEnding.ASK,
     (GateFailed,),
     Topic.MARGIN,
     (LEAVE_OUT, HOLD),
@@ -270,7 +270,7 @@ UNREACHABLE = Branch(
     ("path_check",),
     "a working free angle is used and reported; otherwise, if the operator agrees, another strategy "
     "that reaches it, or the others continue without it",
-    Ending.ASK,
+    BranchEnding.ASK,
     (NotReachable,),
     Topic.UNREACHABLE,
     (*(strategy_answer(name) for name in BY_ACCURACY), LEAVE_OUT, HOLD),
@@ -280,7 +280,7 @@ NOT_CLEAR_NOW = Branch(
     "the same checks, right before the motion",
     ("positioning",),
     "nothing moves; the trajectory is named",
-    Ending.HOLD,
+    BranchEnding.HOLD,
     (NotReachable,),
 )
 ARM_FAULT = Branch(
@@ -289,14 +289,14 @@ ARM_FAULT = Branch(
     (),
     "safe stop; nothing starts until the fault is acknowledged. A mounted guide is checked at the "
     "gauge again before the next target",
-    Ending.HOLD,
+    BranchEnding.HOLD,
 )
 KEPT_REGISTRATION = Branch(
     "a registration is older than a fault of the arm",
     "acknowledged faults",
     ("positioning",),
     "it is kept only if the operator says so",
-    Ending.ASK,
+    BranchEnding.ASK,
     (GateFailed,),
     Topic.REGISTRATION_KEPT,
     (YES, NO),
@@ -306,7 +306,7 @@ KEPT_BASES = Branch(
     "acknowledged faults",
     ("at_target",),
     "they are kept only if the operator says that no arm, tool or cart was touched",
-    Ending.ASK,
+    BranchEnding.ASK,
     (GateFailed,),
     Topic.REGISTRATION_KEPT,
     (YES, NO),
@@ -316,7 +316,7 @@ WRONG_TOOL = Branch(
     "the controller's inputs",
     ("tool_change", "global_localization"),
     f"the tool is mounted and checked again, {MOUNTINGS} times at most; nothing moves",
-    Ending.ASK,
+    BranchEnding.ASK,
     (WrongTool,),
     Topic.TOOL_CHANGE,
     (YES, NO),
@@ -327,7 +327,7 @@ TOOL_BESIDE_GAUGE = Branch(
     "dials of a gauge on the table, 0.05 mm and 0.1 deg from the tool's record",
     ("tool_check",),
     "it is mounted again and checked again, once, if the operator agrees; nothing moves towards the patient",
-    Ending.ASK,
+    BranchEnding.ASK,
     (ToolBesideGauge,),
     Topic.TOOL_CHANGE,
     (YES, NO),
@@ -337,7 +337,7 @@ WRONG_STOP = Branch(
     "the reading of its scale against the computed value, 0.1 mm",
     ("at_target",),
     f"it is set and read again, {SETTINGS} times at most; no instrument is inserted",
-    Ending.ASK,
+    BranchEnding.ASK,
     (DEPTH_STOP_WRONG,),
     Topic.DEPTH_STOP,
     (YES, NO),
@@ -349,7 +349,7 @@ WORK_BEGUN = Branch(
     ("at_target",),
     "the work done there is listed; the operator chooses the stage to continue from, "
     "possibly one already done",
-    Ending.ASK,
+    BranchEnding.ASK,
     (NotConfirmed,),
     Topic.WORK_BEGUN,
     (FINISHED, *(stage_answer(task) for task in (INSERT, DURA, DRILL, SKIN)), HOLD),
@@ -361,7 +361,7 @@ GUIDE_PUSHED = Branch(
     ("at_target",),
     "reported immediately; the case is suspended until guide and arm are released, or the operator "
     "leaves the step",
-    Ending.ASK,
+    BranchEnding.ASK,
     (GuardUnmet,),
     Topic.GUARD,
     (WAIT, LEAVE),
@@ -371,7 +371,7 @@ INSTRUMENT_INSIDE = Branch(
     "the journal, which records an insertion before it begins",
     ("tool_check", "at_target", "retreat", "confirmation"),
     "nothing moves until the operator has confirmed that it is out",
-    Ending.ASK,
+    BranchEnding.ASK,
     (NotConfirmed,),
     Topic.INSTRUMENT_OUT,
     (IS_OUT, INSIDE),
@@ -381,7 +381,7 @@ ABORTED = Branch(
     "any checkpoint, any question of a pause",
     (),
     "the arm stops; it leaves along the tool axis, then goes home, when the operator says so",
-    Ending.ABORT,
+    BranchEnding.ABORT,
     (OperatorAborted,),
 )
 

@@ -24,7 +24,7 @@ from procedures.strategies.trajectory import back_along_axis
 from procedures.workcell.errors import TipOffAxis
 from procedures.workcell.tracker_move import TrackerMove
 from ronna_hw.clock import Clock
-from ronna_hw.evidence.journal_reading import Chain, JournalCorrupt
+from ronna_hw.evidence.journal_reading import JournalChain, JournalCorrupt
 from ronna_hw.evidence.lost_end import LOST, lost_as_plain
 from ronna_hw.frames import Transform
 from ronna_hw.roles import ASSISTANT, MASTER
@@ -381,7 +381,7 @@ def arm_history(lines: Iterable[Line], arm: str = MASTER) -> ArmHistory:
     return reduce(_fold_line, lines, ArmHistory(arm))
 
 
-def fold_history(chain: Chain, lost: Sequence[Line] = (), arm: str = MASTER) -> ArmHistory:
+def fold_history(chain: JournalChain, lost: Sequence[Line] = (), arm: str = MASTER) -> ArmHistory:
     """Build an arm's history from the journal of an ended program and the lines `lost` at its end.
 
     Raises as `arm_history`.
@@ -390,7 +390,7 @@ def fold_history(chain: Chain, lost: Sequence[Line] = (), arm: str = MASTER) -> 
     return _fold_line(arm_history(chain.lines, arm), ending | lost_as_plain(lost))
 
 
-def fold_arms(chain: Chain, lost: Sequence[Line] = ()) -> tuple[ArmHistory, ArmHistory]:
+def fold_arms(chain: JournalChain, lost: Sequence[Line] = ()) -> tuple[ArmHistory, ArmHistory]:
     """Build the histories of master and assistant; that of a missing assistant is empty. Raises as above."""
     return fold_history(chain, lost), fold_history(chain, lost, ASSISTANT)
 
@@ -400,7 +400,7 @@ def describe_instrument(master: ArmPlace, held: HeldInstrument | None) -> str | 
     return master.instrument_description or (None if held is None else held.description)
 
 
-def is_any_arm_out(chain: Chain, lost: Sequence[Line] = ()) -> bool:
+def is_any_arm_out(chain: JournalChain, lost: Sequence[Line] = ()) -> bool:
     """Return whether an ended program may have left an arm away from home. Raises as above."""
     return any(arm.place.is_out for arm in fold_arms(chain, lost))
 

@@ -28,9 +28,9 @@ from ronna_hw.arm_stream.records import (
     NO_STATE,
     ForceLimit,
     LinkState,
-    Phase,
     RecordedCycle,
     StopOrder,
+    StreamPhase,
 )
 from ronna_hw.arm_stream.statistics import link_statistics
 from ronna_hw.arm_stream.watch import StreamWatch
@@ -296,7 +296,11 @@ class StreamedArm(ABC, Generic[S]):
         connections = self.connections
         with contextlib.suppress(Exception):
             link = connections.open_link
-            if link is not None and link.alive and link.state.phase in (Phase.RUNNING, Phase.FAULT):
+            if (
+                link is not None
+                and link.alive
+                and link.state.phase in (StreamPhase.RUNNING, StreamPhase.FAULT)
+            ):
                 link.stop(StopOrder.HOLD)
                 link.wait(lambda s: not s.moving, CLOSING_STOP_S)
                 self._follower.await_end(CLOSING_STOP_S)
@@ -362,7 +366,7 @@ class StreamedArm(ABC, Generic[S]):
         )  # a start that ended meanwhile
         try:
             rest_state = self._follower.wait(
-                lambda s: (s.stop_number >= number and not s.moving) or s.phase is Phase.IDLE, timeout_s
+                lambda s: (s.stop_number >= number and not s.moving) or s.phase is StreamPhase.IDLE, timeout_s
             )
         finally:  # also if the process that sends our set-points has died meanwhile
             if kind is StopKind.DRIVES_OFF:

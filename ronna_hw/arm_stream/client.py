@@ -19,10 +19,10 @@ from ronna_hw.arm_stream.records import (
     Command,
     LinkState,
     OpenStream,
-    Phase,
     RecordedCycle,
     Request,
     StopOrder,
+    StreamPhase,
     StreamSettings,
 )
 from ronna_hw.clock import Clock, HostClock
@@ -223,14 +223,14 @@ class LinkClient:
                 stdin.flush()
         self._heartbeat_thread.start()
         try:
-            state = self.wait(lambda s: s.phase is not Phase.STARTING, timeout_s)
+            state = self.wait(lambda s: s.phase is not StreamPhase.STARTING, timeout_s)
         except DeviceError as error:
             if not is_error(error, self._errors.died):
                 raise
             raise self._errors.not_started(error.what, action=END_CAUSE_ADVICE) from None
         if state is None:
             raise self._errors.not_started("the real-time process does not report", limit=f"{timeout_s:g} s")
-        if state.phase is Phase.FAILED:
+        if state.phase is StreamPhase.FAILED:
             raise StartRefused(state.errno)
 
     def _run_heartbeat(self) -> None:

@@ -9,7 +9,7 @@ from typing import Generic, TypeVar
 from ronna_hw.arm_stream.client import LinkClient, TrafficHandler, pass_traffic
 from ronna_hw.arm_stream.control_channel import AnyChannel, BytesPassed, Listener, S
 from ronna_hw.arm_stream.faults import StreamFaults
-from ronna_hw.arm_stream.records import CloseStream, EndStream, Fault, Phase
+from ronna_hw.arm_stream.records import CloseStream, EndStream, LinkFault, StreamPhase
 from ronna_hw.clock import Clock
 from ronna_hw.devices.capabilities import ByteSink
 from ronna_hw.devices.lifecycle import Identity
@@ -124,7 +124,9 @@ class StreamConnections(ABC, Generic[S, C]):
         link = self.link
         number = link.command(EndStream())
         state = link.wait(lambda s: s.command_number >= number, remaining_s(deadline))
-        can_end = state is not None and state.phase is Phase.ENDING and state.fault is not Fault.SILENCE
+        can_end = (
+            state is not None and state.phase is StreamPhase.ENDING and state.fault is not LinkFault.SILENCE
+        )
         if not (can_end and self._await_program_end(min(remaining_s(deadline) / 2, END_LIMIT_S))):
             self._end_program(max(remaining_s(deadline), SHORTEST_TRY_S))
         number = link.command(CloseStream())

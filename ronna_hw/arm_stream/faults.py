@@ -17,17 +17,17 @@ from ronna_hw.arm_stream.options import StreamOptions
 from ronna_hw.arm_stream.records import (
     NO_STATE,
     NOTHING_AROUND,
-    Fault,
+    LinkFault,
     LinkState,
-    Result,
+    MotionResult,
 )
 from ronna_hw.errors import AnyCode, LimitError, LinkTimeout, RefusedError, RonnaError, StateError
 
 _REFUSALS = {
-    Result.REFUSED_BUSY: "another motion is running",
-    Result.REFUSED_START: "it was planned from a pose other than the last one sent",
-    Result.REFUSED_PHASE: "no correction stream is running",
-    Result.REFUSED_NUMBERS: "no motion profile exists for its values",
+    MotionResult.REFUSED_BUSY: "another motion is running",
+    MotionResult.REFUSED_START: "it was planned from a pose other than the last one sent",
+    MotionResult.REFUSED_PHASE: "no correction stream is running",
+    MotionResult.REFUSED_NUMBERS: "no motion profile exists for its values",
 }
 
 
@@ -47,26 +47,26 @@ class StreamFaults:
         name, errors = self.name, self.errors
         prefix = f"{name}: after {state.cycles} cycles"
         match state.fault:
-            case Fault.NONE:
+            case LinkFault.NONE:
                 return None
-            case Fault.MONITOR:
+            case LinkFault.MONITOR:
                 return monitor_error(prefix, state, self.arm, surroundings, mode, errors.tripped)
-            case Fault.SILENCE:
+            case LinkFault.SILENCE:
                 return self.silence_error(state)
-            case Fault.HEARTBEAT:
+            case LinkFault.HEARTBEAT:
                 return errors.heartbeat_late(
                     f"{prefix} this program's heartbeat was late",
                     limit=f"{self.options.heartbeat_limit_s:g} s",
                 )
-            case Fault.PROTECTIVE:
+            case LinkFault.PROTECTIVE:
                 return errors.protective_stop(f"{name}: a protective stop was requested")
-            case Fault.LINK_STOP:
+            case LinkFault.LINK_STOP:
                 return errors.link_stopped(f"{name}: replies were stopped on request")
-            case Fault.DRIVES_OFF:
+            case LinkFault.DRIVES_OFF:
                 return errors.drives_off(f"{name}: the drives were switched off on request")
-            case Fault.PATH:
+            case LinkFault.PATH:
                 return errors.path_failed(f"{prefix} the path had no solution")
-            case Fault.LOSSES:
+            case LinkFault.LOSSES:
                 return errors.unusable(
                     f"{prefix} too few replies were accepted{self.losses_text(NO_STATE, state)}",
                     limit=f"{UNUSABLE_SHARE:.0%} of {WINDOW_CYCLES} cycles, in two consecutive windows",
@@ -83,9 +83,9 @@ class StreamFaults:
 
     def refusal_error(self, state: LinkState) -> RefusedError | StateError:
         """Build the error for a motion that was refused, or stopped before it began."""
-        if state.result is Result.REFUSED_STOP:
+        if state.result is MotionResult.REFUSED_STOP:
             return self.errors.stopped(f"{self.name}: stopped before it began", got=self.axes_text(state))
-        if state.result is Result.REFUSED_LOADED:
+        if state.result is MotionResult.REFUSED_LOADED:
             axes = ", ".join(f"{axis} {value:.1f}" for axis, value in zip("xyz", state.force_N, strict=True))
             return LOADED_AT_START(
                 f"{self.name}: a force acts on the tool at the start, or the arm has just come to rest",

@@ -11,7 +11,7 @@ from typing import Annotated, NamedTuple
 
 from ronna_hw.arm.kinematics import Kinematics
 from ronna_hw.arm.motion.limits import ACCELERATION_RAMP_S, MotionLimits
-from ronna_hw.arm.motion.progress import Bounds, MotionProfiler, State
+from ronna_hw.arm.motion.progress import AxisState, Bounds, MotionProfiler
 from ronna_hw.arm.motion.set_points import Prepared
 from ronna_hw.arm.pose import Pose
 from ronna_hw.vectors import JointVector, Vector3
@@ -71,9 +71,9 @@ class GuidedMotion:
         acceleration = [ACCELERATION_MM_S2] * 3
         jerk = [ACCELERATION_MM_S2 / ACCELERATION_RAMP_S] * 3
         self._bounds = Bounds([guide.speed_mm_s] * 3, acceleration, jerk)
-        self._state = State.resting(self._origin)
+        self._state = AxisState.resting(self._origin)
         self._joints = start_rad
-        self._next: tuple[State, JointVector, State, JointVector] | None = None
+        self._next: tuple[AxisState, JointVector, AxisState, JointVector] | None = None
         self._force: Vector3 = (0.0, 0.0, 0.0)
         self._speed = 1.0
         self._cycles = 0
@@ -107,7 +107,7 @@ class GuidedMotion:
         """Compute the next set-points; raises an error from `arm.errors` where there are none."""
         wanted = list(STILL) if self._stopping or self.is_over else self._wanted_velocity()
         if self._is_still and not any(wanted):
-            rest = State.resting(self._state.position)
+            rest = AxisState.resting(self._state.position)
             self._next = (rest, self._joints, rest, self._joints)
             return Prepared(self._joints, self._joints)
         stop = self._after_a_cycle(STILL)
@@ -149,11 +149,11 @@ class GuidedMotion:
                 velocity = [v - (outwards - permitted) * u for v, u in zip(velocity, out, strict=True)]
         return velocity
 
-    def _after_a_cycle(self, velocity: list[float]) -> State:
+    def _after_a_cycle(self, velocity: list[float]) -> AxisState:
         profile = self._profiler.brake(self._state, velocity, self._bounds)
-        return State(*profile.raw.at_time(self._cycle_s))
+        return AxisState(*profile.raw.at_time(self._cycle_s))
 
-    def _joints_at(self, state: State) -> JointVector:
+    def _joints_at(self, state: AxisState) -> JointVector:
         x, y, z = state.position
         return self._kinematics.solve_branch(Pose((x, y, z), self._rotation), self._branch, self._joints)
 

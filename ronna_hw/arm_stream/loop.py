@@ -18,7 +18,7 @@ from typing import Any
 
 from ronna_hw.arm_stream.mailbox import Mailbox
 from ronna_hw.arm_stream.pace import Line, PacedReceiver
-from ronna_hw.arm_stream.records import Command, Orders, Phase, RecordedCycle, StreamSettings
+from ronna_hw.arm_stream.records import Command, Orders, RecordedCycle, StreamPhase, StreamSettings
 from ronna_hw.arm_stream.session import STREAMING_PHASES, StreamSession
 from ronna_hw.arm_stream.statistics import histogram_bin
 from ronna_hw.host.real_time import ProcessorAffinity
@@ -129,7 +129,7 @@ class StreamLoop(ABC):
     def _finish_cycle(self, data: bytes, device_clock: int, orders: Orders) -> None:
         """Prepare the next reply and record the completed cycle."""
         session, mailbox = self.session, self._mailbox
-        self._stop_sent = session.phase is Phase.ENDING
+        self._stop_sent = session.phase is StreamPhase.ENDING
         session.finish_cycle(self._new_command(orders.command_number))
         mailbox.count_turnaround(histogram_bin(self._turnaround_us))
         mailbox.count_jitter(histogram_bin(session.jitter_us))
@@ -200,7 +200,7 @@ class StreamLoop(ABC):
             return False
         if session.phase not in STREAMING_PHASES:
             return True
-        if session.phase is Phase.ENDING:
+        if session.phase is StreamPhase.ENDING:
             self._ending_cycles += 1
         quiet_ns = QUIET_AFTER_STOP_NS if self._stop_sent else QUIET_BEFORE_STOP_NS
         return (

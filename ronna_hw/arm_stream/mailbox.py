@@ -20,7 +20,7 @@ from ronna_hw.arm_stream.records import (
     CloseStream,
     Command,
     EndStream,
-    Guide,
+    GuideByHand,
     LinkState,
     Move,
     OpenStream,
@@ -38,7 +38,7 @@ LONGEST_SURROUNDINGS_BYTES = 24_000
 KEPT_BYTES = 1 << 20  # of telegrams and replies: a third of a second at the pace of lock-step
 LONGEST_KEPT_BYTES = 1 << 15  # a datagram of maximum length and its reply
 READ_TRIES = 100  # a writer is in the block for about 2 us
-REQUESTS: tuple[type[Request], ...] = (Move, OpenStream, EndStream, CloseStream, Guide)
+REQUESTS: tuple[type[Request], ...] = (Move, OpenStream, EndStream, CloseStream, GuideByHand)
 
 
 class CommandHead(NamedTuple):

@@ -17,7 +17,15 @@ from ronna_hw.arm_stream.connections import StreamConnections
 from ronna_hw.arm_stream.control_channel import S
 from ronna_hw.arm_stream.faults import StreamFaults
 from ronna_hw.arm_stream.guided import GuideLimits
-from ronna_hw.arm_stream.records import NO_LIMIT, ForceLimit, Guide, LinkState, Move, Result, StopOrder
+from ronna_hw.arm_stream.records import (
+    NO_LIMIT,
+    ForceLimit,
+    GuideByHand,
+    LinkState,
+    MotionResult,
+    Move,
+    StopOrder,
+)
 from ronna_hw.arm_stream.watch import StreamWatch
 from ronna_hw.devices.contact import GuidanceEnd
 from ronna_hw.devices.robot import Motion, OperatingMode
@@ -104,7 +112,7 @@ class MotionFollower(Generic[S]):
             raise self._faults.errors.refused(f"{self._faults.name}: another motion is running")
         link = self._connections.link
         try:
-            number = link.command(Guide(guide, force_limit_N), stop_count)
+            number = link.command(GuideByHand(guide, force_limit_N), stop_count)
             begin = link.state.cycles
             is_released = False
             while (state := self.wait(_has_ended(number), HELD_POLL_S)) is None:
@@ -115,9 +123,9 @@ class MotionFollower(Generic[S]):
                     is_released = True
                     stop_count = link.stop(StopOrder.HOLD)
             self._watch.raise_any()
-            if state.result is Result.FORCE:
+            if state.result is MotionResult.FORCE:
                 raise self._faults.force_error(state, force_limit_N)
-            if state.result is not Result.STOPPED:
+            if state.result is not MotionResult.STOPPED:
                 raise self._faults.refusal_error(state)
             if link.stop_number != stop_count:
                 raise self._faults.errors.stopped(
@@ -175,7 +183,7 @@ class MotionFollower(Generic[S]):
                 faulted_cycles = state.cycles
             if faulted_cycles is not None and (state.cycles - faulted_cycles) * self._cycle_s > STOP_S:
                 break  # the fault is news, whether the arm has come to rest or not
-            if state.moving or state.command_number < number or state.result is not Result.RUNNING:
+            if state.moving or state.command_number < number or state.result is not MotionResult.RUNNING:
                 rested_cycles = None
             elif rested_cycles is None:  # the next check is a while later also where theatre time runs fast
                 rested_cycles = state.cycles
@@ -194,13 +202,13 @@ class MotionFollower(Generic[S]):
                 self._watch.raise_any()
                 raise self._faults.not_finished_error(start, link.state, timeout_s)
         self._watch.raise_any()
-        if state.result is Result.FORCE:
+        if state.result is MotionResult.FORCE:
             raise self._faults.force_error(state, force.limit_N)
-        if state.result is Result.STOPPED:
+        if state.result is MotionResult.STOPPED:
             raise self._faults.errors.stopped(
                 f"{self._faults.name}: stopped before its end", got=self._faults.axes_text(state)
             )
-        if state.result is not Result.DONE:
+        if state.result is not MotionResult.DONE:
             raise self._faults.refusal_error(state)
         return state
 
@@ -211,6 +219,6 @@ def _has_ended(number: int) -> Condition:
     def has_ended(state: LinkState) -> bool:
         if state.fault:
             return not state.moving
-        return state.command_number >= number and state.result is not Result.RUNNING
+        return state.command_number >= number and state.result is not MotionResult.RUNNING
 
     return has_ended

@@ -18,7 +18,7 @@ from typing import Any, NoReturn, TypeVar
 
 from ronna_hw.arm_stream.loop import StreamLoop
 from ronna_hw.arm_stream.mailbox import Mailbox
-from ronna_hw.arm_stream.records import NO_STATE, Phase, StreamSettings
+from ronna_hw.arm_stream.records import NO_STATE, StreamPhase, StreamSettings
 from ronna_hw.arm_stream.session import StreamSession
 from ronna_hw.host.real_time import (
     PARENT_DEATH_SIGNAL,
@@ -48,7 +48,7 @@ def run_process(settings_type: type[S], open_loop: OpenLoop[S]) -> int:
     try:
         loop = open_loop(settings, mailbox, real_time, locked)
     except OSError as error:
-        mailbox.write_state(replace(NO_STATE, phase=Phase.FAILED, errno=error.errno or 0))
+        mailbox.write_state(replace(NO_STATE, phase=StreamPhase.FAILED, errno=error.errno or 0))
         os.eventfd_write(settings.event_fd, 1)
         return EXIT_NOT_STARTED
     _watch_parent(loop.session, settings.parent_pid)

@@ -66,7 +66,7 @@ class StopOrder(IntEnum):
     DRIVES_OFF = 4
 
 
-class Phase(IntEnum):
+class StreamPhase(IntEnum):
     """Phase of the real-time process."""
 
     STARTING = 0
@@ -79,7 +79,7 @@ class Phase(IntEnum):
     FAILED = 7  # could not start; `errno` is the reason
 
 
-class Fault(IntEnum):
+class LinkFault(IntEnum):
     """Cause of a latched FAULT."""
 
     NONE = 0
@@ -97,7 +97,7 @@ class Fault(IntEnum):
     BROKEN = 12  # the connection ended, or carried something that is no telegram
 
 
-class Result(IntEnum):
+class MotionResult(IntEnum):
     """Outcome of the last motion."""
 
     NONE = 0
@@ -154,7 +154,7 @@ class Move(NamedTuple):
     force: ForceLimit = NO_LIMIT
 
 
-class Guide(NamedTuple):
+class GuideByHand(NamedTuple):
     """Follow a hand until stopped."""
 
     limits: GuideLimits
@@ -171,7 +171,7 @@ class CloseStream:
     """Stop answering; clears a fault."""
 
 
-Request = OpenStream | Move | Guide | EndStream | CloseStream
+Request = OpenStream | Move | GuideByHand | EndStream | CloseStream
 
 
 class Command(NamedTuple):
@@ -193,9 +193,9 @@ class LinkState:
     cycles: Annotated[int, "Q"] = 0
     device_clock: Annotated[int, "Q"] = 0  # of the last telegram, in the controller's own unit
     received_ns: Annotated[int, "q"] = 0
-    phase: Annotated[Phase, "B"] = Phase.STARTING
-    fault: Annotated[Fault, "B"] = Fault.NONE
-    result: Annotated[Result, "B"] = Result.NONE
+    phase: Annotated[StreamPhase, "B"] = StreamPhase.STARTING
+    fault: Annotated[LinkFault, "B"] = LinkFault.NONE
+    result: Annotated[MotionResult, "B"] = MotionResult.NONE
     degraded: bool = False
     moving: bool = False
     settled: bool = False

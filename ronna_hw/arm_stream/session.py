@@ -32,16 +32,16 @@ from ronna_hw.arm_stream.records import (
     CloseStream,
     Command,
     EndStream,
-    Fault,
     ForceLimit,
-    Guide,
+    GuideByHand,
+    LinkFault,
     LinkState,
+    MotionResult,
     Move,
     OpenStream,
     Orders,
-    Phase,
-    Result,
     StopOrder,
+    StreamPhase,
     StreamSettings,
 )
 from ronna_hw.arm_stream.set_points import SetPoints
@@ -53,11 +53,11 @@ HELD_AFTER_CYCLES = 3  # without an effective reply; after more the arm is at re
 START_TOLERANCE_RAD = 1e-9  # between a motion's planned start and the last point sent
 
 _STOP_FAULTS = {
-    StopOrder.PROTECTIVE: Fault.PROTECTIVE,
-    StopOrder.LINK: Fault.LINK_STOP,
-    StopOrder.DRIVES_OFF: Fault.DRIVES_OFF,
+    StopOrder.PROTECTIVE: LinkFault.PROTECTIVE,
+    StopOrder.LINK: LinkFault.LINK_STOP,
+    StopOrder.DRIVES_OFF: LinkFault.DRIVES_OFF,
 }
-STREAMING_PHASES = (Phase.RUNNING, Phase.FAULT, Phase.ENDING)
+STREAMING_PHASES = (StreamPhase.RUNNING, StreamPhase.FAULT, StreamPhase.ENDING)
 M = TypeVar("M")  # a decoded telegram
 E = TypeVar("E")  # what is compared in the next one
 
@@ -97,9 +97,9 @@ class StreamSession(ABC, Generic[M, E]):
         self._tolerance_rad = radians(settings.settle_tolerance_deg)
         self._silence_ns = round(settings.silence_limit_s * 1e9)
         self._heartbeat_ns = round(settings.heartbeat_limit_s * 1e9)
-        self.phase = Phase.IDLE
-        self.fault = Fault.NONE
-        self.result = Result.NONE
+        self.phase = StreamPhase.IDLE
+        self.fault = LinkFault.NONE
+        self.result = MotionResult.NONE
         self.violation: Violation | None = None
         self.rejected = 0
         self.dropped = 0
@@ -188,9 +188,9 @@ class StreamSession(ABC, Generic[M, E]):
         """Act on measured axes that are not where the set-points were."""
         self._trip(violation)
 
-    def _silence_fault(self) -> Fault:
+    def _silence_fault(self) -> LinkFault:
         """Return the fault to latch when no telegram has come for too long."""
-        return Fault.SILENCE
+        return LinkFault.SILENCE
 
     # The same for all:
 
@@ -216,7 +216,7 @@ class StreamSession(ABC, Generic[M, E]):
             return None
         self._previous_ns, self._received_ns = self._received_ns, now_ns
         self._check_heartbeat(orders.heartbeat, now_ns)
-        if self.phase is Phase.ARMED:
+        if self.phase is StreamPhase.ARMED:
             return self._answer_before_start(telegram)
         points = self._points
         if points is None or self.phase not in STREAMING_PHASES or not self._judge_link(telegram, points):
@@ -238,14 +238,14 @@ class StreamSession(ABC, Generic[M, E]):
     def _choose(self, points: SetPoints, stop_word: int) -> Choice | None:
         """Choose the set-point of the next reply; None if there must be no reply."""
         self._check_stop(stop_word)
-        if self.phase is Phase.SILENT:
+        if self.phase is StreamPhase.SILENT:
             return None
         if points.violation is not None:
             self._trip(points.violation)
         elif points.path_failed:
-            self._latch(Fault.PATH)
+            self._latch(LinkFault.PATH)
         elif points.moving and self._losses.is_unusable:
-            self._latch(Fault.LOSSES)
+            self._latch(LinkFault.LOSSES)
         if points.moving and (self._losses.reply_lost or self._missing > HELD_AFTER_CYCLES):
             return self._choose_after_loss(points)
         return Choice.STOP if self._stopping else Choice.GO
@@ -285,20 +285,20 @@ class StreamSession(ABC, Generic[M, E]):
             return
         self._command_number = command.number
         match command.request:
-            case Move() | Guide() as motion:
+            case Move() | GuideByHand() as motion:
                 self.result = self._start_motion(motion, command)
-            case OpenStream() as opened if self.phase is Phase.IDLE:
+            case OpenStream() as opened if self.phase is StreamPhase.IDLE:
                 self._limits = opened.limits
-                self.fault, self.result = Fault.NONE, Result.NONE
+                self.fault, self.result = LinkFault.NONE, MotionResult.NONE
                 self.violation = None
                 self.cycles = self.rejected = self.dropped = self.device_clock = 0
                 self._stopping, self._speed, self._points = False, 1.0, None
                 if self._open(opened):
-                    self.phase = Phase.ARMED
-            case EndStream() if not self.moving and self.phase in (Phase.RUNNING, Phase.FAULT):
-                self.phase = Phase.ENDING
+                    self.phase = StreamPhase.ARMED
+            case EndStream() if not self.moving and self.phase in (StreamPhase.RUNNING, StreamPhase.FAULT):
+                self.phase = StreamPhase.ENDING
             case CloseStream() if not self.moving:
-                self.phase, self.fault, self._points = Phase.IDLE, Fault.NONE, None
+                self.phase, self.fault, self._points = StreamPhase.IDLE, LinkFault.NONE, None
 
     def monitor_silence(self, orders: Orders, now_ns: int) -> None:
         """Check silence, heartbeat and stop orders while no telegrams arrive."""
@@ -312,7 +312,7 @@ class StreamSession(ABC, Generic[M, E]):
         if now_ns - self._received_ns > self._silence_ns:
             # The controller has held the last point for long: the arm is at rest there.
             self._rest(points)
-            if self.phase is Phase.RUNNING:
+            if self.phase is StreamPhase.RUNNING:
                 self._latch(self._silence_fault())
         self._prepare_reply(points)
 
@@ -371,8 +371,8 @@ class StreamSession(ABC, Generic[M, E]):
         self._points = points = SetPoints(self._kinematics, limits, self._cycle_s, start_rad)
         self._settled_cycles = 0
         self.choice = Choice.GO
-        if self.phase is Phase.ARMED:
-            self.phase = Phase.RUNNING if self.fault is Fault.NONE else Phase.FAULT
+        if self.phase is StreamPhase.ARMED:
+            self.phase = StreamPhase.RUNNING if self.fault is LinkFault.NONE else StreamPhase.FAULT
         return points
 
     def _prepare_reply(self, points: SetPoints) -> None:
@@ -402,21 +402,21 @@ class StreamSession(ABC, Generic[M, E]):
             return Choice.HOLD
         return Choice.REPEAT
 
-    def _start_motion(self, motion: Move | Guide, command: Command) -> Result:
+    def _start_motion(self, motion: Move | GuideByHand, command: Command) -> MotionResult:
         points = self._points
-        if self.phase is not Phase.RUNNING or points is None:
-            return Result.REFUSED_PHASE
+        if self.phase is not StreamPhase.RUNNING or points is None:
+            return MotionResult.REFUSED_PHASE
         if command.stop_number != self._stop_word >> STOP_KIND_BITS:
-            return Result.REFUSED_STOP
+            return MotionResult.REFUSED_STOP
         if points.moving or self._stopping:
-            return Result.REFUSED_BUSY
+            return MotionResult.REFUSED_BUSY
         if isinstance(motion, Move) and not _starts_at(motion.plan, points.last_rad):
-            return Result.REFUSED_START
+            return MotionResult.REFUSED_START
         force = motion.force if isinstance(motion, Move) else ForceLimit(motion.force_limit_N)
-        if (force.limit_N or isinstance(motion, Guide)) and not (
+        if (force.limit_N or isinstance(motion, GuideByHand)) and not (
             self._force is not None and self._force.begin(force)
         ):
-            return Result.REFUSED_LOADED
+            return MotionResult.REFUSED_LOADED
         self._is_force_exceeded = False
         try:
             if isinstance(motion, Move):
@@ -424,9 +424,9 @@ class StreamSession(ABC, Generic[M, E]):
             else:
                 points.guide(motion.limits, self._speed, command.surroundings)
         except RonnaError:
-            return Result.REFUSED_NUMBERS
+            return MotionResult.REFUSED_NUMBERS
         self._settled_cycles = 0
-        return Result.RUNNING
+        return MotionResult.RUNNING
 
     def _follow_force(self, points: SetPoints, force: ForceWatch) -> None:
         """Stop a motion whose force limit is exceeded, or pass the force on to one that follows it."""
@@ -449,22 +449,22 @@ class StreamSession(ABC, Generic[M, E]):
         if points.moving:
             self._settled_cycles = 0
             return
-        if self._stopping and self.phase is not Phase.FAULT:
+        if self._stopping and self.phase is not StreamPhase.FAULT:
             self._stopping = False
         last = points.last_rad
         is_near = all(abs(x - y) <= self._tolerance_rad for x, y in zip(self._measured, last, strict=True))
         self._settled_cycles = self._settled_cycles + 1 if is_near else 0
-        if self.result is Result.RUNNING:
+        if self.result is MotionResult.RUNNING:
             if points.was_stopped_early and (self._settled_cycles >= SETTLE_CYCLES or self.fault):
-                self.result = Result.FORCE if self._is_force_exceeded else Result.STOPPED
+                self.result = MotionResult.FORCE if self._is_force_exceeded else MotionResult.STOPPED
             elif self._settled_cycles >= SETTLE_CYCLES:
-                self.result = Result.DONE
-            if self._force is not None and self.result is not Result.RUNNING:
+                self.result = MotionResult.DONE
+            if self._force is not None and self.result is not MotionResult.RUNNING:
                 self._force.end()
-        if self.phase in (Phase.RUNNING, Phase.FAULT) and (
-            self.is_parent_gone or self._is_parent_frozen or self.fault is Fault.HEARTBEAT
+        if self.phase in (StreamPhase.RUNNING, StreamPhase.FAULT) and (
+            self.is_parent_gone or self._is_parent_frozen or self.fault is LinkFault.HEARTBEAT
         ):
-            self.phase = Phase.ENDING
+            self.phase = StreamPhase.ENDING
 
     def _check_stop(self, stop_word: int) -> None:
         if stop_word == self._stop_word:
@@ -479,7 +479,7 @@ class StreamSession(ABC, Generic[M, E]):
 
     def _stop_replying(self, points: SetPoints) -> None:
         """Stop replying, so that the controller holds the last point and ends the run by itself."""
-        self.phase = Phase.SILENT
+        self.phase = StreamPhase.SILENT
         self._rest(points)
 
     def _rest(self, points: SetPoints) -> None:
@@ -495,21 +495,21 @@ class StreamSession(ABC, Generic[M, E]):
             self._is_parent_frozen = False
         elif now_ns - since > self._heartbeat_ns:
             self._is_parent_frozen = True
-            if self.phase in (Phase.ARMED, Phase.RUNNING):
-                self._latch(Fault.HEARTBEAT)
+            if self.phase in (StreamPhase.ARMED, StreamPhase.RUNNING):
+                self._latch(LinkFault.HEARTBEAT)
         if self.is_parent_gone:
             self._stopping = self.moving
 
     def _trip(self, violation: Violation) -> None:
         if self.violation is None:
             self.violation = violation
-        self._latch(Fault.MONITOR)
+        self._latch(LinkFault.MONITOR)
 
-    def _latch(self, fault: Fault) -> None:
-        if self.fault is Fault.NONE:
+    def _latch(self, fault: LinkFault) -> None:
+        if self.fault is LinkFault.NONE:
             self.fault = fault
-        if self.phase in (Phase.ARMED, Phase.RUNNING):
-            self.phase = Phase.FAULT
+        if self.phase in (StreamPhase.ARMED, StreamPhase.RUNNING):
+            self.phase = StreamPhase.FAULT
         self._stopping = self.moving
 
 

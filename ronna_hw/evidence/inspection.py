@@ -19,8 +19,8 @@ from ronna_hw.bounded_input import InputRefused, parse_json, read_json_lines
 from ronna_hw.evidence.journal_reading import (
     JOURNAL_FILE,
     RUN_CHANGED,
-    Chain,
     Entry,
+    JournalChain,
     Line,
     read_chain_until_break,
 )
@@ -34,7 +34,7 @@ from ronna_hw.evidence.manifest import (
     SEAL_FILE,
     TRUTH_FILES,
     Manifest,
-    Seal,
+    RunSeal,
     count_names,
     is_of_report,
     is_regenerated,
@@ -95,7 +95,7 @@ class Inspection:
     """Inspection result: the run's journal, its matching records, and all problems."""
 
     folder: Path
-    chain: Chain
+    chain: JournalChain
     manifest: Manifest
     records: tuple[Record, ...]
     problems: tuple[Problem, ...]
@@ -195,16 +195,16 @@ def inspect_run(folder: Path, *, every_file: bool = True, files: Collection[str]
     return Inspection(folder, chain, manifest, records, found, tuple(out_of_reach), every_file, lost)
 
 
-def _read_chain(folder: Path, problems: list[Problem]) -> Chain:
+def _read_chain(folder: Path, problems: list[Problem]) -> JournalChain:
     try:
         chain, broken = read_chain_until_break(folder / JOURNAL_FILE)
     except FileNotFoundError:
         began = any((folder / name).exists() for name in (RECORDS_FOLDER, SEAL_FILE))
         problems.append(Problem(JOURNAL_FILE, "missing", unfinished=not began))
-        return Chain()
+        return JournalChain()
     except (OSError, InputRefused) as error:
         problems.append(Problem(JOURNAL_FILE, explain_unreadable(error)))
-        return Chain()
+        return JournalChain()
     if broken is not None:
         problems.append(Problem(JOURNAL_FILE, broken.what))
     if not chain.lines and (any((folder / RECORDS_FOLDER).glob("*.json")) or (folder / SEAL_FILE).exists()):
@@ -269,7 +269,7 @@ def _find_mismatches(
             yield f"is of another CT series than its parent {identifier}"
 
 
-def _check_files(folder: Path, chain: Chain, manifest: Manifest) -> Iterator[Problem]:
+def _check_files(folder: Path, chain: JournalChain, manifest: Manifest) -> Iterator[Problem]:
     """Find problems with pictures, truth, and files listed by the journal's end or the seal."""
     closed, named = chain.is_closed, manifest.files
     yield from compare_files(folder, manifest.pictures)
@@ -314,7 +314,7 @@ def _check_files(folder: Path, chain: Chain, manifest: Manifest) -> Iterator[Pro
         yield Problem(SEAL_FILE, "from an earlier end: the last end was not sealed", unfinished=True)
 
 
-def _find_foreign_logs(folder: Path, chain: Chain) -> Iterator[Problem]:
+def _find_foreign_logs(folder: Path, chain: JournalChain) -> Iterator[Problem]:
     """Report logs and events of another run; only a seal covers them, since the journal omits them."""
     run = chain.lines[0].get("run")
     for name in LOG_FILES:
@@ -346,7 +346,7 @@ def _find_unrestored_files(folder: Path, manifest: Manifest, present: Collection
 
 
 def _check_named_files(
-    folder: Path, chain: Chain, manifest: Manifest, names: Collection[str]
+    folder: Path, chain: JournalChain, manifest: Manifest, names: Collection[str]
 ) -> Iterator[Problem]:
     """Find problems with these files, by the journal's end or the seal, and with the sealed journal."""
     at_end = manifest.files if chain.is_closed else {}
@@ -367,7 +367,7 @@ def _check_named_files(
             yield from _report_added_files([name])
 
 
-def _compare_with_seal(folder: Path, chain: Chain, seal: Seal) -> Generator[Problem, None, bool]:
+def _compare_with_seal(folder: Path, chain: JournalChain, seal: RunSeal) -> Generator[Problem, None, bool]:
     """Compare the journal with its sealed state; returns whether the seal covers all of it."""
     journal = read_json_lines(folder / JOURNAL_FILE, follow_links=False)
     sealed, after = journal[: seal.journal_bytes], journal[seal.journal_bytes :]

@@ -84,7 +84,7 @@ def theatre_time_s(line: Line) -> float:
 
 
 @dataclass(frozen=True)
-class Chain:
+class JournalChain:
     """Complete lines of a journal, with their length in bytes and the SHA-256 of the last one."""
 
     lines: tuple[Line, ...] = ()
@@ -98,7 +98,7 @@ class Chain:
         return bool(self.lines) and self.lines[-1]["entry"] == Entry.CLOSED
 
 
-def read_chain(path: Path) -> Chain:
+def read_chain(path: Path) -> JournalChain:
     """Read the lines of a journal in order, and its truncated end; raises PRO-011 for a broken chain."""
     chain, broken = read_chain_until_break(path)
     if broken is not None:
@@ -106,7 +106,7 @@ def read_chain(path: Path) -> Chain:
     return chain
 
 
-def read_chain_until_break(path: Path) -> tuple[Chain, JournalCorrupt | None]:
+def read_chain_until_break(path: Path) -> tuple[JournalChain, JournalCorrupt | None]:
     """Read the chain up to the first broken line, and return any break. Raises INP-001, OSError."""
     content = read_json_lines(path, follow_links=False)
     lines: list[Line] = []
@@ -118,7 +118,7 @@ def read_chain_until_break(path: Path) -> tuple[Chain, JournalCorrupt | None]:
     except JournalCorrupt as problem:
         broken = problem
     last = content[:size].rfind(b"\n", 0, max(0, size - 1)) + 1
-    return Chain(
+    return JournalChain(
         tuple(lines), size, _hash(content[last:size]) if lines else FIRST, b"" if broken else content[size:]
     ), broken
 

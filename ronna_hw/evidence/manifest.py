@@ -291,7 +291,7 @@ def hash_truth_files(folder: Path) -> dict[str, JournalValue]:
     return {TRUTH_FIELD: known} if known else {}
 
 
-class Seal(BaseModel):
+class RunSeal(BaseModel):
     """Contents of `seal.json`. `own_sha256` is the hash of all other fields."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -307,7 +307,7 @@ class Seal(BaseModel):
         """Whether the seal itself is unchanged."""
         return self.own_sha256 == self._own()
 
-    def with_own_hash(self) -> Seal:
+    def with_own_hash(self) -> RunSeal:
         """Return a copy that includes its own hash."""
         return self.model_copy(update={"own_sha256": self._own()})
 
@@ -330,7 +330,7 @@ def seal(
         name: sha256_of(path) for name, path in _own_files(folder) if name not in closed and name not in apart
     }
     journal = folder / JOURNAL_FILE
-    new_seal = Seal(
+    new_seal = RunSeal(
         journal_bytes=journal.stat().st_size,
         journal_sha256=sha256_of(journal),
         files=later | dict(kept or {}),
@@ -356,17 +356,17 @@ def seal_report(folder: Path, *, finished: bool = True) -> None:
     write_atomically(folder / SEAL_FILE, _encode_seal(renewed))
 
 
-def read_seal(folder: Path) -> Seal | None:
+def read_seal(folder: Path) -> RunSeal | None:
     """Read the seal of a run, or return None if it is missing, unreadable or changed."""
     try:
         content = read_json_bytes(folder / SEAL_FILE, follow_links=False)
-        found = Seal.model_validate_json(content)
+        found = RunSeal.model_validate_json(content)
     except (OSError, ValueError):
         return None
     return found if found.whole and content == _encode_seal(found) else None
 
 
-def find_valid_seal(folder: Path) -> Seal | None:
+def find_valid_seal(folder: Path) -> RunSeal | None:
     """Return the seal if it covers the journal as it is, or None."""
     found = read_seal(folder)
     with suppress(OSError):
@@ -399,5 +399,5 @@ def _is_text(name: str) -> bool:
     return True
 
 
-def _encode_seal(new_seal: Seal) -> bytes:
+def _encode_seal(new_seal: RunSeal) -> bytes:
     return new_seal.model_dump_json(by_alias=True, indent=1).encode()

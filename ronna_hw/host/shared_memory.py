@@ -40,9 +40,9 @@ class MemoryMap:
         """Allocate an aligned number with a struct code."""
         return Word(code, self._take(ALIGNMENT_BYTES))
 
-    def rows(self, row: type[RowT], count: int = 1) -> Rows[RowT]:
+    def rows(self, row: type[RowT], count: int = 1) -> SharedRows[RowT]:
         """Allocate `count` plain rows."""
-        place = Rows(row, self.size_bytes, count)
+        place = SharedRows(row, self.size_bytes, count)
         self._take(place.size_bytes)
         return place
 
@@ -95,7 +95,7 @@ class Word:
         memory[self._place] = self._struct.pack(number)
 
 
-class Rows(Generic[RowT]):
+class SharedRows(Generic[RowT]):
     """Sequence of plain rows of one type; use `index` 0 for a single row."""
 
     def __init__(self, row: type[RowT], offset: int, count: int) -> None:

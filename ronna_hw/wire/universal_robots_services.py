@@ -64,7 +64,7 @@ class Query(StrEnum):
     ADD_TO_LOG = "addToLog"  # the text follows
 
 
-class Order(StrEnum):
+class DashboardOrder(StrEnum):
     """Command of the dashboard that acts on the arm or its program."""
 
     POWER_ON = "power on"
@@ -79,12 +79,12 @@ class Order(StrEnum):
 ROBOT_MODE_HEAD: Final = "Robotmode:"  # begins an answer; then the mode
 SAFETY_MODE_HEAD: Final = "Safetymode:"
 RUNNING_HEAD: Final = "Program running:"
-ACCEPTED: Final[dict[Order, str]] = {  # how the answer to an order begins that is carried out
-    Order.POWER_ON: "Powering on",
-    Order.POWER_OFF: "Powering off",
-    Order.BRAKE_RELEASE: "Brake releasing",
-    Order.STOP: "Stopped",
-    Order.CLOSE_SAFETY_POPUP: "closing safety popup",
-    Order.UNLOCK_PROTECTIVE_STOP: "Protective stop releasing",
-    Order.RESTART_SAFETY: "Restarting safety",
+ACCEPTED: Final[dict[DashboardOrder, str]] = {  # how the answer to an order begins that is carried out
+    DashboardOrder.POWER_ON: "Powering on",
+    DashboardOrder.POWER_OFF: "Powering off",
+    DashboardOrder.BRAKE_RELEASE: "Brake releasing",
+    DashboardOrder.STOP: "Stopped",
+    DashboardOrder.CLOSE_SAFETY_POPUP: "closing safety popup",
+    DashboardOrder.UNLOCK_PROTECTIVE_STOP: "Protective stop releasing",
+    DashboardOrder.RESTART_SAFETY: "Restarting safety",
 }

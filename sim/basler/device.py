@@ -10,16 +10,16 @@ from sim.basler.camera.acquisition import Acquisition
 from sim.basler.camera.photographer import FrameSource
 from sim.basler.control.bootstrap import Identity, add_bootstrap, add_message_channel
 from sim.basler.control.feature_table import add_features
-from sim.basler.control.port import Actions, ControlPort, ReplayCache
+from sim.basler.control.port import Actions, GvcpPort, ReplayCache
 from sim.basler.control.privilege import Privilege
-from sim.basler.control.registers import Refusal, RegisterMap
+from sim.basler.control.registers import RegisterMap, RegisterRefusal
 from sim.basler.faults import NO_FAULTS, CameraFaults
 from sim.basler.message_channel import EventReporter, MessageChannel
-from sim.basler.settings import Settings, TheatreClock, Ticks, TriggerMoments, UserSet
+from sim.basler.settings import CameraSettings, TheatreClock, Ticks, TriggerMoments, UserSet
 from sim.basler.stream_channel import StreamChannel
 
 
-class Camera:
+class SimulatedCamera:
     """A GigE Vision camera without a control socket; pass datagrams to `port`.
 
     `now_s` is the host's monotonic clock, used for the heartbeat.
@@ -36,8 +36,8 @@ class Camera:
         now_s: Callable[[], float] = time.monotonic,
     ) -> None:
         self.identity = identity
-        self.settings = Settings()
-        self._user_sets: dict[int, Settings] = {UserSet.DEFAULT: Settings()}
+        self.settings = CameraSettings()
+        self._user_sets: dict[int, CameraSettings] = {UserSet.DEFAULT: CameraSettings()}
         self.privilege = Privilege(now_s, self._release_control)
         self.faults = faults
         self.channel = StreamChannel(identity.address, self._owner_address, faults)
@@ -60,7 +60,7 @@ class Camera:
         )
         add_message_channel(self.registers, self.messages)
         add_features(self.registers, self)
-        self.port = ControlPort(
+        self.port = GvcpPort(
             self.registers,
             self.privilege,
             ReplayCache(now_s),
@@ -96,7 +96,7 @@ class Camera:
         """Save the present settings to the selected user set; raises Refusal for the default set."""
         selected = self.settings.user_set_selector
         if selected == UserSet.DEFAULT:
-            raise Refusal(GevStatus.WRITE_PROTECT)
+            raise RegisterRefusal(GevStatus.WRITE_PROTECT)
         self._user_sets[selected] = self.settings.copy()
 
     def apply_faults(self) -> None:
@@ -113,7 +113,7 @@ class Camera:
         self.acquisition.stop()
         self.channel.shut()
         self.messages.shut()
-        self.settings = Settings()
+        self.settings = CameraSettings()
         self._ticks.reset()
 
     def _owner_address(self) -> str | None:

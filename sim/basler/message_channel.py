@@ -24,7 +24,7 @@ from ronna_hw.wire.gige_vision import (
     GvcpFlag,
 )
 from sim.basler.faults import NO_FAULTS, CameraFaults
-from sim.basler.settings import EventKind, Settings, Ticks
+from sim.basler.settings import CameraSettings, EventKind, Ticks
 from sim.basler.stream_channel import UdpChannel
 
 STREAM_CHANNEL = 0
@@ -36,7 +36,7 @@ DATAGRAM_BYTES = 2048
 
 
 @dataclass(frozen=True)
-class Event:
+class CameraEvent:
     """A camera event, with block id 0 if it does not belong to a frame."""
 
     kind: EventKind
@@ -77,7 +77,7 @@ class MessageChannel(UdpChannel):
         self.socket.setblocking(False)
         self._now_s = now_s
         self._lock = threading.Lock()
-        self._waiting: deque[Event] = deque()
+        self._waiting: deque[CameraEvent] = deque()
         self._pending: _PendingMessage | None = None
         self._request_id = 0
         self._port = 0
@@ -99,7 +99,7 @@ class MessageChannel(UdpChannel):
             self._pending = None
             self._port = value
 
-    def report(self, event: Event, *, beyond_limit: bool = False) -> bool:
+    def report(self, event: CameraEvent, *, beyond_limit: bool = False) -> bool:
         """Queue an event, returning False if the queue is full; a closed channel accepts and drops it."""
         with self._lock:
             if self.receiver is None:
@@ -169,7 +169,7 @@ class MessageChannel(UdpChannel):
                 together.append(self._waiting.popleft())
             self._send(together)
 
-    def _send(self, events: list[Event]) -> None:
+    def _send(self, events: list[CameraEvent]) -> None:
         self._request_id = self._request_id % REQUEST_ID_LAST + REQUEST_ID_FIRST
         command = GvcpCommand.EVENTDATA if events[0].data else GvcpCommand.EVENT
         payload = b"".join(event.encode_item() for event in events)
@@ -193,7 +193,7 @@ class MessageChannel(UdpChannel):
 class EventReporter:
     """Thread-safe reporter of one camera's events, limited to those with notification enabled."""
 
-    def __init__(self, settings: Callable[[], Settings], channel: MessageChannel, ticks: Ticks) -> None:
+    def __init__(self, settings: Callable[[], CameraSettings], channel: MessageChannel, ticks: Ticks) -> None:
         self._settings = settings
         self._channel = channel
         self._ticks = ticks
@@ -205,9 +205,9 @@ class EventReporter:
             return
         data = struct.pack(FRAME_NUMBER, block_id) if kind is EventKind.EXPOSURE_END else b""
         ticks = self._ticks.count(moment_ns)
-        if self._channel.report(Event(kind, block_id, ticks, data)):
+        if self._channel.report(CameraEvent(kind, block_id, ticks, data)):
             self._overrun_reported = False
         elif EventKind.EVENT_OVERRUN in self._settings().events_notified and not self._overrun_reported:
             # one warning while the queue stays full; the number of lost events is not reported
             self._overrun_reported = True
-            self._channel.report(Event(EventKind.EVENT_OVERRUN, 0, ticks), beyond_limit=True)
+            self._channel.report(CameraEvent(EventKind.EVENT_OVERRUN, 0, ticks), beyond_limit=True)

@@ -18,7 +18,7 @@ from ronna_hw.wire.gige_vision import GVCP_ACK_HEADER, GVCP_PORT, PENDING_PAYLOA
 from sim.basler.camera.photographer import Photographer, PhotographerApart
 from sim.basler.control.bootstrap import Identity
 from sim.basler.control.privilege import Peer
-from sim.basler.device import Camera
+from sim.basler.device import SimulatedCamera
 from sim.basler.faults import CameraFaults
 from sim.basler.message_channel import MessageChannel
 from sim.basler.settings import TriggerMoments
@@ -54,7 +54,7 @@ class CameraPair:
         for side, truth, source, control in zip(SIDES, truths, sources, sockets, strict=True):
             faults = CameraFaults(world, truth, side)
             self._cameras.append(
-                Camera(
+                SimulatedCamera(
                     Identity(control.getsockname()[0], truth.serial, side),
                     source,
                     world.clock,
@@ -150,7 +150,7 @@ class ControlServer:
 
     def __init__(
         self,
-        cameras: Sequence[Camera],
+        cameras: Sequence[SimulatedCamera],
         sockets: Sequence[socket.socket],
         shared: Sequence[socket.socket],
         report: Callable[[str], None],
@@ -221,7 +221,7 @@ class ControlServer:
             with contextlib.suppress(OSError):
                 own.sendto(answer, peer)
 
-    def _receive(self, source: socket.socket, cameras: list[tuple[Camera, socket.socket]]) -> None:
+    def _receive(self, source: socket.socket, cameras: list[tuple[SimulatedCamera, socket.socket]]) -> None:
         for _ in range(DATAGRAMS_AT_ONCE):
             try:
                 datagram, peer = source.recvfrom(DATAGRAM_BYTES)
@@ -231,7 +231,9 @@ class ControlServer:
                 if _is_same_network(camera.identity.address, peer[0]):
                     self._answer(camera, own, datagram, peer)
 
-    def _answer(self, camera: Camera, own: socket.socket, datagram: bytes, peer: tuple[str, int]) -> None:
+    def _answer(
+        self, camera: SimulatedCamera, own: socket.socket, datagram: bytes, peer: tuple[str, int]
+    ) -> None:
         if camera.faults.active("unplug"):
             return
         try:
@@ -246,7 +248,7 @@ class ControlServer:
         self._send_delayed()
 
 
-def _delay_answer(camera: Camera, answer: bytes) -> Iterator[tuple[float, bytes]]:
+def _delay_answer(camera: SimulatedCamera, answer: bytes) -> Iterator[tuple[float, bytes]]:
     """Yield an answer's datagrams under the active faults, each with its delay in host time."""
     faults = camera.faults
     if not faults.scripted:

@@ -122,7 +122,7 @@ class FrameSettings:
 
 
 @dataclass
-class Settings:
+class CameraSettings:
     """User set contents and selectors, with the power-on values as defaults."""
 
     width: int = SENSOR_WIDTH_PX
@@ -168,7 +168,7 @@ class Settings:
             RampImage(self.test_image),
         )
 
-    def copy(self) -> Settings:
+    def copy(self) -> CameraSettings:
         """Return an independent copy."""
         return copy.deepcopy(self)
 
@@ -199,7 +199,7 @@ def shortest_period_us(frame: FrameSettings) -> float:
     return max(float(frame.exposure_us), readout_us(frame), frame.payload_bytes / LINK_BYTES_PER_S * 1e6)
 
 
-def free_running_period_us(settings: Settings) -> float:
+def free_running_period_us(settings: CameraSettings) -> float:
     """Return the frame period when no frame trigger is used."""
     shortest = max(shortest_period_us(settings.frame()), 1e6 / FULL_FRAME_RATE_HZ)
     return max(shortest, 1e6 / settings.frame_rate_hz) if settings.frame_rate_enabled else shortest

@@ -45,7 +45,7 @@ WRONG_AREA_PX = 16  # offset of a leader's area from the true one under that fau
 
 
 @dataclass(frozen=True)
-class Frame:
+class SentImage:
     """Encoded image with its exposure settings and time stamp in ticks."""
 
     settings: FrameSettings
@@ -56,7 +56,7 @@ class Frame:
 class Block:
     """Leader, payload and trailer packets of a frame, built on demand."""
 
-    def __init__(self, block_id: int, frame: Frame, packet_size: int) -> None:
+    def __init__(self, block_id: int, frame: SentImage, packet_size: int) -> None:
         self.block_id = block_id
         self._frame = frame
         self._image = memoryview(frame.image)
@@ -156,7 +156,7 @@ class StreamChannel(UdpChannel):
         self._next_block_id = BLOCK_ID_FIRST
         self._kept.clear()
 
-    def block_of(self, frame: Frame) -> Block | None:
+    def block_of(self, frame: SentImage) -> Block | None:
         """Create the next block to send, or return None while the channel is closed."""
         if self.receiver is None:
             return None
@@ -210,7 +210,7 @@ class StreamChannel(UdpChannel):
         self.port = 0
         self._kept.clear()
 
-    def _apply_faults(self, frame: Frame) -> Frame:
+    def _apply_faults(self, frame: SentImage) -> SentImage:
         if self._faults.active("truncate"):
             frame = replace(frame, image=frame.image[: len(frame.image) // 2])
         if self._faults.active("shift_area"):

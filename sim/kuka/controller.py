@@ -14,7 +14,7 @@ from ronna_hw.wire.kuka_eki import AckCode, OperationMode, ProState, RsiState
 from sim.kuka.controller_parameters import IPO_FAST_S, ControllerParameters
 from sim.kuka.manipulator import Manipulator
 from sim.kuka.motion import DONE, Acknowledgement, EkiMotion
-from sim.kuka.pendant import TRIPS, Interlocks, Message
+from sim.kuka.pendant import TRIPS, Interlocks, PendantMessage
 from sim.kuka.rsi.program_run import RsiRun, RunSettings
 from sim.kuka.rsi.signal_flow import resolve_inputs
 from sim.kuka.rsi.telegrams import Reply
@@ -44,7 +44,7 @@ class Controller:
         self.program_state = ProState.FREE
         self.cycle_ms: int = context.program.cycle_ms
         self.relative = context.program.corrections == "relative"
-        self.message: Message | None = None
+        self.message: PendantMessage | None = None
         self.run: RsiRun | None = None
         self.motion: EkiMotion | None = None
         self.runs = 0
@@ -332,9 +332,9 @@ class Controller:
         self._fast_cycles = self._fast_cycles + 1 if speed_mm_s > limit_mm_s else 0
         if self._fast_cycles >= self.parameters.overspeed_cycles:
             text = f"T1: tool speed {speed_mm_s:.0f} mm/s, at most {limit_mm_s:.0f}"
-            self._fail(Message(self.parameters.T1_speed_message, text, drives_off=True))
+            self._fail(PendantMessage(self.parameters.T1_speed_message, text, drives_off=True))
 
-    def _fail(self, message: Message) -> None:
+    def _fail(self, message: PendantMessage) -> None:
         """End the program with a message."""
         self._display(message)
         self.arm.drives.brake()
@@ -343,10 +343,10 @@ class Controller:
 
     def _stop_with(self, number: int, text: str) -> None:
         """Switch the drives off and stop the program with a message, without ending its streaming."""
-        self._display(Message(number, text, drives_off=True))
+        self._display(PendantMessage(number, text, drives_off=True))
         self._interrupt(text)
 
-    def _display(self, message: Message) -> None:
+    def _display(self, message: PendantMessage) -> None:
         self.message = self.message or message  # the first one is the cause
         if message.drives_off:
             self.drives_on = False

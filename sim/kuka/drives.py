@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from math import copysign, exp
 
 from sim.kuka.controller_parameters import IPO_FAST_S, ControllerParameters
-from sim.kuka.pendant import COMMAND_ACCELERATION, Message, end_switch, near_singularity, too_fast
+from sim.kuka.pendant import COMMAND_ACCELERATION, PendantMessage, end_switch, near_singularity, too_fast
 from sim.world.nominal_arm import AXES, RobotDescription
 
 STICKS_AGAIN_SHARE = 0.5  # share of the breakaway below which a lagging axis sticks again; a fast one slides
@@ -232,7 +232,9 @@ class Supervision:
         ]
         return command_deg if cut == command_deg else cut
 
-    def judge(self, command_deg: list[float], before_deg: list[float], *, has_reply: bool) -> Message | None:
+    def judge(
+        self, command_deg: list[float], before_deg: list[float], *, has_reply: bool
+    ) -> PendantMessage | None:
         """Return the message for a stop, or None if the arm can follow.
 
         Values held for missing replies (`has_reply` is false) do not count as acceleration; after a few of
@@ -281,7 +283,7 @@ class Supervision:
 
     def _judge_axes(
         self, command_deg: list[float], before_deg: list[float], middle: list[float], oldest: list[float]
-    ) -> Message | None:
+    ) -> PendantMessage | None:
         fast_axis = hard_axis = -1
         hardest_deg = 0.0
         for axis, (new, old, largest, full, lower, upper, mid, far, bend) in enumerate(
@@ -303,7 +305,7 @@ class Supervision:
                 if axis in self._turning_axes:
                     return near_singularity()
                 text = f"{self._arm.joints[axis].name}: step {step:.4f} deg, at most {largest:.4f}"
-                return Message(COMMAND_ACCELERATION, f"command acceleration {text}", drives_off=True)
+                return PendantMessage(COMMAND_ACCELERATION, f"command acceleration {text}", drives_off=True)
             if step > full or step < -full:
                 fast_axis = axis
             if new < lower or new > upper:
@@ -315,7 +317,7 @@ class Supervision:
         if self._hard_cycles >= self._parameters.acceleration_cycles:
             found, limit = (bend / self._window_s**2 for bend in (hardest_deg, self._bend_deg[hard_axis]))
             text = f"{self._arm.joints[hard_axis].name}: {found:.0f} deg/s2, at most {limit:.0f}"
-            return Message(COMMAND_ACCELERATION, f"command acceleration {text}", drives_off=True)
+            return PendantMessage(COMMAND_ACCELERATION, f"command acceleration {text}", drives_off=True)
         self._fast_cycles = self._fast_cycles + 1 if fast_axis >= 0 else 0
         if self._fast_cycles >= self._parameters.overspeed_cycles:
             joint = self._arm.joints[fast_axis]

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ronna_hw.wire.kuka_eki import AckCode
 from sim.kuka.controller_parameters import ControllerParameters
-from sim.kuka.pendant import Message, end_switch, near_singularity, too_fast
+from sim.kuka.pendant import PendantMessage, end_switch, near_singularity, too_fast
 from sim.world.nominal_arm import RobotDescription
 from sim.world.rigid import rotation_from_vector
 from sim.world.true_arm import rotation_vector
@@ -38,14 +38,14 @@ DONE = Acknowledgement()
 class EkiMotion:
     """A motion in progress, which calls `report` once with its outcome."""
 
-    points: Iterator[list[float] | Message]
+    points: Iterator[list[float] | PendantMessage]
     report: Callable[[Acknowledgement], None]
-    message: Message | None = field(default=None, init=False)
+    message: PendantMessage | None = field(default=None, init=False)
 
     def next_point(self) -> list[float] | None:
         """Return the axes (deg) for the next cycle, or None at the end or after an abort (see `message`)."""
         point = next(self.points, None)
-        if isinstance(point, Message):
+        if isinstance(point, PendantMessage):
             self.message = point
             return None
         return point
@@ -77,7 +77,7 @@ def point_to_point(
     acceleration_share: float,
     cycle_s: float,
     fastest_1_s: float = inf,
-) -> Iterator[list[float] | Message]:
+) -> Iterator[list[float] | PendantMessage]:
     """Yield the axes (deg) of a synchronous motion, given shares of the axis speed and acceleration limits.
 
     `fastest_1_s` limits the speed, in whole paths per second.
@@ -116,7 +116,7 @@ def line(
     speed_mm_s: float,
     parameters: ControllerParameters,
     cycle_s: float,
-) -> Iterator[list[float] | Message]:
+) -> Iterator[list[float] | PendantMessage]:
     """Yield the axes (deg) of a straight tool motion to a pose (4, 4) in $ROBROOT."""
     turn = rotation_vector(goal[:3, :3] @ start[:3, :3].T)
     length_mm = float(np.linalg.norm(goal[:3, 3] - start[:3, 3]))
@@ -152,7 +152,7 @@ def _check_limits(
     before_deg: list[float],
     parameters: ControllerParameters,
     cycle_s: float,
-) -> Message | None:
+) -> PendantMessage | None:
     for joint, now, before in zip(arm.joints, axes_deg, before_deg, strict=True):
         if not joint.lower_deg <= now <= joint.upper_deg:
             return end_switch(parameters.end_switch_message, joint.name, now)

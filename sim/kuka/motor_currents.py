@@ -17,7 +17,7 @@ from sim.world.held_torques import BODIES, HeldTorques, Stiction
 from sim.world.noise import TabledNoise, noise
 from sim.world.nominal_arm import AXES
 from sim.world.scene.parts import CENTRE_OF_GRAVITY_MM
-from sim.world.tool_load import ToolLoad
+from sim.world.tool_load import SimulatedLoad
 from sim.world.true_arm import arm_seed
 from sim.world.world import World
 
@@ -37,7 +37,7 @@ class MotorCurrents:
 
     def __init__(self, world: World, drives: Drives, parameters: ControllerParameters) -> None:
         truth, seed = world.scene.arm_of(world.role), arm_seed(world.scene.seed, world.role)
-        self._drives, self._load = drives, ToolLoad(world)
+        self._drives, self._load = drives, SimulatedLoad(world)
         self._torques = HeldTorques(truth.variant, BODIES[truth.variant], truth.links)
         self._stiction = Stiction([parameters.stiction_share * most for most in LARGEST_TORQUES_NM], seed)
         errors = noise(seed, DEVICE, 0).normal(0.0, parameters.current_error_share, AXES).tolist()

@@ -25,7 +25,7 @@ MANUAL_MODES = (OperationMode.T1, OperationMode.T2)
 PENDANT_PREFIX = "pendant at "  # of each line of the display
 
 
-class Message(NamedTuple):
+class PendantMessage(NamedTuple):
     """A message requiring acknowledgement; the drives go off (`drives_off`) or the arm brakes on its path."""
 
     number: int
@@ -33,55 +33,59 @@ class Message(NamedTuple):
     drives_off: bool
 
 
-def rsi_timeout(late: int) -> Message:
+def rsi_timeout(late: int) -> PendantMessage:
     """Return the message for too many late replies."""
-    return Message(
+    return PendantMessage(
         RSI_OBJECT_ERROR, f"signal flow: object ETHERNET1 returns error RSITimeout ({late} packets)", False
     )
 
 
-def rsi_bad(object_name: str) -> Message:
+def rsi_bad(object_name: str) -> PendantMessage:
     """Return the message for an RSI object that has no effect at this point."""
-    return Message(RSI_OBJECT_ERROR, f"signal flow: object {object_name} returns error RSIBad", False)
+    return PendantMessage(RSI_OBJECT_ERROR, f"signal flow: object {object_name} returns error RSIBad", False)
 
 
-def out_of_range(monitor: str, what: str, value: float, limit: float) -> Message:
+def out_of_range(monitor: str, what: str, value: float, limit: float) -> PendantMessage:
     """Return the message for a total correction beyond a monitor's range."""
-    return Message(
+    return PendantMessage(
         RSI_LIMIT_EXCEEDED, f"{monitor}: {what} out of range, {value:.4f} beyond {limit:.4f}", False
     )
 
 
-def too_fast(axis: str, speed_deg_s: float, limit_deg_s: float) -> Message:
+def too_fast(axis: str, speed_deg_s: float, limit_deg_s: float) -> PendantMessage:
     """Return the message for a commanded speed above the axis limit."""
-    return Message(
+    return PendantMessage(
         COMMAND_VELOCITY, f"command velocity {axis}: {speed_deg_s:.1f} deg/s, at most {limit_deg_s:.1f}", True
     )
 
 
-def end_switch(number: int, axis: str, angle_deg: float) -> Message:
+def end_switch(number: int, axis: str, angle_deg: float) -> PendantMessage:
     """Return the message for a command beyond a software end switch."""
     sign = "+" if angle_deg > 0 else "-"
-    return Message(number, f"software end switch {sign}{axis} at {angle_deg:.4f} deg", False)
+    return PendantMessage(number, f"software end switch {sign}{axis} at {angle_deg:.4f} deg", False)
 
 
-def near_singularity() -> Message:
+def near_singularity() -> PendantMessage:
     """Return the message for a Cartesian correction or path that the joints cannot follow."""
-    return Message(COMMAND_VELOCITY, "command velocity A4, A6: Cartesian motion near a singularity", True)
+    return PendantMessage(
+        COMMAND_VELOCITY, "command velocity A4, A6: Cartesian motion near a singularity", True
+    )
 
 
 # Trips by their name in a fault script; always of the first axis.
-TRIPS: dict[str, Callable[[ControllerParameters], Message]] = {
-    "timeout": lambda _: Message(
+TRIPS: dict[str, Callable[[ControllerParameters], PendantMessage]] = {
+    "timeout": lambda _: PendantMessage(
         RSI_OBJECT_ERROR, "signal flow: object ETHERNET1 returns error RSITimeout", False
     ),
     "rsi_bad": lambda _: rsi_bad("AXISCORR1"),
-    "monitor": lambda _: Message(RSI_LIMIT_EXCEEDED, "AXISCORRMON: A1 out of range", False),
-    "torque": lambda _: Message(COMMAND_TORQUE, "command gear torque A1", True),
-    "acceleration": lambda _: Message(COMMAND_ACCELERATION, "command acceleration A1", True),
-    "velocity": lambda _: Message(COMMAND_VELOCITY, "command velocity A1", True),
-    "overspeed": lambda _: Message(OVERSPEED, "overspeed A1", True),
-    "end_switch": lambda parameters: Message(parameters.end_switch_message, "software end switch +A1", False),
+    "monitor": lambda _: PendantMessage(RSI_LIMIT_EXCEEDED, "AXISCORRMON: A1 out of range", False),
+    "torque": lambda _: PendantMessage(COMMAND_TORQUE, "command gear torque A1", True),
+    "acceleration": lambda _: PendantMessage(COMMAND_ACCELERATION, "command acceleration A1", True),
+    "velocity": lambda _: PendantMessage(COMMAND_VELOCITY, "command velocity A1", True),
+    "overspeed": lambda _: PendantMessage(OVERSPEED, "overspeed A1", True),
+    "end_switch": lambda parameters: PendantMessage(
+        parameters.end_switch_message, "software end switch +A1", False
+    ),
     "singularity": lambda _: near_singularity(),
 }
 
@@ -126,10 +130,10 @@ class PendantDisplay:
 
     def __init__(self, now_s: Callable[[], float]) -> None:
         self._now_s = now_s
-        self._message: Message | None = None
+        self._message: PendantMessage | None = None
         self._notice = ""
 
-    def update(self, message: Message | None, notice: str) -> None:
+    def update(self, message: PendantMessage | None, notice: str) -> None:
         """Print a new message, its acknowledgement, or a new EStr text."""
         if message is not self._message:
             shown, self._message = self._message, message
@@ -148,5 +152,5 @@ class PendantDisplay:
         sys.stderr.flush()
 
 
-def _kss_number(message: Message) -> str:
+def _kss_number(message: PendantMessage) -> str:
     return f"KSS{message.number:05d}"

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from ronna_hw.records import write_atomically
 from ronna_hw.x_frame import SPHERE_CENTRES_MM
 from sim.phantom.head.obstacles import ADHESIVE, FREE, XFRAME
-from sim.phantom.postoperative_scan import Instrument, PostoperativeScan
+from sim.phantom.postoperative_scan import ImagedInstrument, PostoperativeScan
 from sim.phantom.scan import Planes, Scan, plain_scan
 from sim.phantom.scanner.dicom_series import PATIENT_POSITION, DicomSeries, to_stored_values
 from sim.phantom.scanner.grid import CtGrid
@@ -176,7 +176,7 @@ def _collect_case_truth(scan: Scan, series: DicomSeries, planes: Planes) -> dict
 
 def write_postoperative(
     scan: PostoperativeScan,
-    instruments: tuple[Instrument, ...],
+    instruments: tuple[ImagedInstrument, ...],
     folder: Path,
     progress: Progress = lambda share: None,
 ) -> PostoperativeCase:
@@ -199,7 +199,7 @@ def write_postoperative(
 
 
 def postoperative_truth(
-    scan: PostoperativeScan, instruments: tuple[Instrument, ...], series_instance_uid: str
+    scan: PostoperativeScan, instruments: tuple[ImagedInstrument, ...], series_instance_uid: str
 ) -> dict[str, Any]:
     """Return the pose of the new scan, and the instruments in the CT frames of plan and new scan."""
     post_from_pre = scan.pose.scan_from_head

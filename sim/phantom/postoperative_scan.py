@@ -63,7 +63,7 @@ RADII_MM = {InstrumentKind.ELECTRODE: 0.635, InstrumentKind.NEEDLE: 0.9, Instrum
 
 
 @dataclass(frozen=True)
-class Instrument:
+class ImagedInstrument:
     """An instrument left by a run: its tip and outward unit vector in the plan's CT frame."""
 
     identifier: str
@@ -81,7 +81,7 @@ class Instrument:
         return Rod(FLUID_HU, (x, y, z), self.outwards, deep_mm, RADII_MM[self.kind])
 
 
-def instruments_of(run: Path, kind: InstrumentKind) -> tuple[Scene, tuple[Instrument, ...]]:
+def instruments_of(run: Path, kind: InstrumentKind) -> tuple[Scene, tuple[ImagedInstrument, ...]]:
     """Read a run's scene and its instruments at the reached targets; raises SIM-006, SIM-007."""
     theatre = run / THEATRE_FOLDER
     if not (theatre / SCENE_FILE).is_file():
@@ -97,7 +97,7 @@ def instruments_of(run: Path, kind: InstrumentKind) -> tuple[Scene, tuple[Instru
         tip = apply(ct_from_robot, sample.tip_mm)
         inwards = ct_from_robot[:3, :3] @ np.array(sample.axis)
         found.append(
-            Instrument(identifier, kind, as_point(tip), as_point(-inwards / np.linalg.norm(inwards)))
+            ImagedInstrument(identifier, kind, as_point(tip), as_point(-inwards / np.linalg.norm(inwards)))
         )
     return scene, tuple(found)
 
@@ -152,7 +152,7 @@ class PostoperativeScan:
 
 
 def draw_scan(
-    scene: Scene, instruments: tuple[Instrument, ...], seed: int, protocol: CtProtocol | None = None
+    scene: Scene, instruments: tuple[ImagedInstrument, ...], seed: int, protocol: CtProtocol | None = None
 ) -> PostoperativeScan:
     """Draw a head pose from `seed`, removing spheres and bases but leaving screws in the bone."""
     generator = noise(seed, "postoperative pose", 0)
@@ -251,7 +251,7 @@ class PosedLayers:
         return as_point(centre - half_sides), as_point(centre + half_sides)
 
 
-def _to_skin_mm(instrument: Instrument, head: Head) -> float:
+def _to_skin_mm(instrument: ImagedInstrument, head: Head) -> float:
     """Return the outward distance in mm from the tip to the skin."""
     axes = np.array(head.semi_axes_mm)
     start = np.subtract(instrument.tip_mm, head.centre_ct_mm) / axes

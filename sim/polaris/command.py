@@ -47,7 +47,7 @@ def polaris(
     from sim.polaris.line.interpreter import CommandInterpreter
     from sim.polaris.line.pseudo_terminal import PseudoTerminal
     from sim.polaris.line.server import EndSignal, Server, listen
-    from sim.polaris.tracker_unit import Unit
+    from sim.polaris.tracker_unit import SimulatedUnit
     from sim.polaris.unit.behaviour import UnitBehaviour, parse_behaviour
     from sim.polaris.unit.model import UNIT_MODELS
     from sim.polaris.unit.ports import plug_in
@@ -68,7 +68,7 @@ def polaris(
     wanted = endpoint or (ANY_PORT if kind.networked else SERIAL_PTY)
     address = None if wanted == SERIAL_PTY else parse_endpoint(wanted, listening=True).require("tcp")
     tools = plug_in(wired or [], kind.wired_ports, behaviour.user_memory_bytes)
-    unit = Unit(room, kind, behaviour, tools)
+    unit = SimulatedUnit(room, kind, behaviour, tools)
     interpreter = CommandInterpreter(unit)
     control = open_own_control_port(world, room, FAULT_DEVICES, unit.list_loaded_tools)
     end = EndSignal()

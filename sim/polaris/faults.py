@@ -14,9 +14,9 @@ from enum import Enum, auto
 import numpy as np
 
 from ronna_hw.wire.polaris import COMMAND_TIMEOUT_S, CR, Alert
-from sim.polaris.tracker_unit import Unit
+from sim.polaris.tracker_unit import SimulatedUnit
 from sim.polaris.unit.ports import WiredTool
-from sim.polaris.unit.refusal import ErrorCode, Refusal, hexadecimal
+from sim.polaris.unit.refusal import CommandRefusal, NdiErrorCode, hexadecimal
 from sim.polaris.unit.tool_definition import build_test_definition
 from sim.world.noise import noise
 
@@ -30,7 +30,7 @@ BITS = 8
 class UnitFaults:
     """Tracker faults applied to a unit, costing one look-up per call when there are none."""
 
-    def __init__(self, unit: Unit) -> None:
+    def __init__(self, unit: SimulatedUnit) -> None:
         self._unit = unit
         self._board = unit.faults
         self._dead = False
@@ -78,19 +78,19 @@ class UnitFaults:
         match name:
             case "TSTART":
                 if self._board.active("wavelength") and ports.enabled():
-                    raise Refusal(ErrorCode.WAVELENGTH)
+                    raise CommandRefusal(NdiErrorCode.WAVELENGTH)
             case "PENA":
-                self._refuse_beyond("enabled_limit", len(ports.enabled()), ErrorCode.TOO_MANY_ENABLED)
+                self._refuse_beyond("enabled_limit", len(ports.enabled()), NdiErrorCode.TOO_MANY_ENABLED)
             case "PHRQ":
-                self._refuse_beyond("handle_limit", len(list(ports)), ErrorCode.NO_HANDLES_LEFT)
+                self._refuse_beyond("handle_limit", len(list(ports)), NdiErrorCode.NO_HANDLES_LEFT)
             case "PINIT" if self._board.active("corrupt_definitions"):
-                port = ports.port(hexadecimal(argument, ErrorCode.BAD_HANDLE))
+                port = ports.port(hexadecimal(argument, NdiErrorCode.BAD_HANDLE))
                 if not port.initialised:
                     port.memory[-1] ^= 0x01
 
-    def _refuse_beyond(self, kind: str, count: int, code: ErrorCode) -> None:
+    def _refuse_beyond(self, kind: str, count: int, code: NdiErrorCode) -> None:
         if any(count >= int(fault.argument) for fault in self._board.active(kind)):
-            raise Refusal(code)
+            raise CommandRefusal(code)
 
     def _change_plugs(self) -> None:
         """Plug and unplug wired tools as scripted."""
@@ -118,7 +118,7 @@ class Power(Enum):
     RETURNS = auto()  # restored after a loss or a dip
 
 
-def _provide_tool(unit: Unit, number: int) -> None:
+def _provide_tool(unit: SimulatedUnit, number: int) -> None:
     """Create a test tool for a socket without one."""
     wired = unit.wired
     wired.count = max(wired.count, number)
@@ -130,7 +130,7 @@ def _provide_tool(unit: Unit, number: int) -> None:
 class LineFaults:
     """Disturbances of the line between host and unit, costing one look-up per call when there are none."""
 
-    def __init__(self, unit: Unit) -> None:
+    def __init__(self, unit: SimulatedUnit) -> None:
         self._unit = unit
         self._board = unit.faults
         self._count = 0  # commands received during faults

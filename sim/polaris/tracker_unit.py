@@ -14,12 +14,12 @@ from enum import StrEnum
 from ronna_hw.clock import SharedClock
 from ronna_hw.wire import polaris as wire
 from ronna_hw.wire.polaris import FRAME_RATE_HZ, ILLUMINATOR_RATES_HZ, SystemStatus
-from sim.polaris.measurement.frame import DEVICE, Frame, Measurer
+from sim.polaris.measurement.frame import DEVICE, MeasuredFrame, Measurer
 from sim.polaris.unit.behaviour import UnitBehaviour
 from sim.polaris.unit.framing import DEFAULT_LINE
-from sim.polaris.unit.model import SPECTRA, UnitModel, Volume
+from sim.polaris.unit.model import SPECTRA, UnitModel, UnitVolume
 from sim.polaris.unit.ports import Port, PortTable, WiredPorts
-from sim.polaris.unit.refusal import Refusal
+from sim.polaris.unit.refusal import CommandRefusal
 from sim.polaris.unit.user_parameters import WATCH_DOG, Alerts, UserParameters
 from sim.world.faults import FaultBoard
 from sim.world.world import World
@@ -28,7 +28,7 @@ NANOSECONDS_PER_SECOND = 1_000_000_000
 COUNTS_PER_SECOND = int(FRAME_RATE_HZ)
 
 
-class Mode(StrEnum):
+class UnitMode(StrEnum):
     """Operating modes, with values as in `Info.Status.System Mode`."""
 
     NOT_INITIALISED = "Booted"
@@ -37,7 +37,7 @@ class Mode(StrEnum):
     DIAGNOSTIC = "Diagnostic"
 
 
-class Unit:
+class SimulatedUnit:
     """A Polaris unit in a scene."""
 
     def __init__(
@@ -52,7 +52,7 @@ class Unit:
         self.clock = world.clock
         self.seed = world.scene.seed
         self.faults = FaultBoard(world, DEVICE)
-        self.mode = Mode.NOT_INITIALISED
+        self.mode = UnitMode.NOT_INITIALISED
         self.line = DEFAULT_LINE
         self.ports = PortTable(model.handles)
         self.wired = wired or WiredPorts(0)
@@ -62,7 +62,7 @@ class Unit:
         self.port_changes = SystemStatus(0)  # wired tools plugged or unplugged
         self.infrared_checked = False
         self.beeps_until_s = 0.0
-        self._frame: Frame | None = None
+        self._frame: MeasuredFrame | None = None
         self._frame_was_lost = False  # on the line; the host will request it again
         self.user_parameters = UserParameters(model, self.wired.count, self.alerts, lambda: self.mode.value)
         rate = min(self.behaviour.saved_illuminator_rate, max(model.illuminator_rates))
@@ -75,7 +75,7 @@ class Unit:
     def initialise(self) -> None:
         """Enter setup mode (INIT), freeing passive handles and assigning handles to plugged-in tools."""
         self.frames.stop()
-        self.mode = Mode.SETUP
+        self.mode = UnitMode.SETUP
         self.infrared_checked = False
         if self.behaviour.init_forgets_handles:
             self.ports.free_all()
@@ -84,7 +84,7 @@ class Unit:
 
     def reset(self) -> None:
         """Reset as at power-up or after a break: saved settings, default line settings, not initialised."""
-        self.mode = Mode.NOT_INITIALISED
+        self.mode = UnitMode.NOT_INITIALISED
         self.line = DEFAULT_LINE
         self.frames.stop()
         self.frames = FrameCounter(self.clock)
@@ -98,24 +98,24 @@ class Unit:
         """Enter tracking mode, restarting the frame number at zero if `restart` is set."""
         self._begin(restart=restart)
         self.measurer.begin_tracking()
-        self.mode = Mode.TRACKING
+        self.mode = UnitMode.TRACKING
 
     def start_diagnostic(self) -> None:
         """Enter diagnostic mode."""
         self._begin(restart=False)
-        self.mode = Mode.DIAGNOSTIC
+        self.mode = UnitMode.DIAGNOSTIC
 
     def stop(self) -> None:
         """Return from tracking or diagnostic mode to setup mode, keeping all handles."""
         self.frames.stop()
-        self.mode = Mode.SETUP
+        self.mode = UnitMode.SETUP
 
     def plug(self, number: int) -> None:
         """Plug in a wired tool, which gets a handle immediately if the unit is initialised."""
         if number in self.wired.plugged or number not in self.wired.tools:
             return
         self.wired.plugged.add(number)
-        if self.mode is not Mode.NOT_INITIALISED:
+        if self.mode is not UnitMode.NOT_INITIALISED:
             self._give_handle(number)
             self._report_port_change(SystemStatus.PORT_OCCUPIED)
 
@@ -128,7 +128,7 @@ class Unit:
         self._report_port_change(SystemStatus.PORT_UNOCCUPIED)
 
     @property
-    def volume(self) -> Volume:
+    def volume(self) -> UnitVolume:
         """Selected measuring volume."""
         return self.model.volumes[self.user_parameters.number(wire.PARAMETER_SELECTED_VOLUME)]
 
@@ -137,7 +137,7 @@ class Unit:
         """Watchdog limit in seconds without a command, or 0 if disabled."""
         return self.user_parameters.number(WATCH_DOG)
 
-    def frame(self) -> Frame:
+    def frame(self) -> MeasuredFrame:
         """Return the current frame without remeasuring it on repeated requests."""
         faulty = self.frames.missed or not self.faults.empty
         if faulty and self._frame is not None and self._repeats_frame():
@@ -158,12 +158,12 @@ class Unit:
         """Resend the last frame to a host that resynchronises after a line disturbance."""
         self._frame_was_lost = True
 
-    def diagnostic_frame(self, port: Port) -> Frame:
+    def diagnostic_frame(self, port: Port) -> MeasuredFrame:
         """In diagnostic mode, measure one tool, enabled or not, and everything else in view."""
         self.measurer.forget_tools()  # the previous frame may have shown another tool
         return self._measure(self.frames.number(), self.alerts.system_status, (port,))
 
-    def _measure(self, number: int, status: SystemStatus, ports: tuple[Port, ...]) -> Frame:
+    def _measure(self, number: int, status: SystemStatus, ports: tuple[Port, ...]) -> MeasuredFrame:
         seen = tuple(port for port in ports if port.occupied)
         since_start = self.frames.since_start(number)
         frame = self.measurer.frame(number, since_start, seen, self.volume, status)
@@ -204,7 +204,7 @@ class Unit:
         if tool is not None and self.ports.find_by_socket(number) is None:
             try:
                 self.ports.request_wired(number, tool)
-            except Refusal:  # no handle left: the tool waits
+            except CommandRefusal:  # no handle left: the tool waits
                 return
 
     def _report_port_change(self, change: SystemStatus) -> None:

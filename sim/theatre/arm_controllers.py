@@ -15,7 +15,7 @@ from sim.universal_robots.controller_parameters import ControllerParameters as U
 from sim.universal_robots.controller_parameters import parse_parameters as parse_ur_parameters
 from sim.universal_robots.factory_calibration import calibrate
 from sim.universal_robots.model import MODELS
-from sim.universal_robots.stated_chain import Chain, stated_chain
+from sim.universal_robots.stated_chain import StatedChain, stated_chain
 from sim.world import nominal_arm, universal_robots_arm
 from sim.world.options import ArmRole
 from sim.world.scene.model import ArmTruth, Scene
@@ -41,7 +41,7 @@ class ArmController:
     parse_parameters: Callable[[tuple[str, ...]], KukaParameters | UrParameters]
     files: tuple[str, ...] = ()  # options of the command: what is set up at the controller
     # Chain that the controller states of a true arm, by its seed and parameters; None: the model's.
-    state_chain: Callable[[ArmTruth, int, tuple[str, ...]], Chain | None] = lambda truth, seed, _: None
+    state_chain: Callable[[ArmTruth, int, tuple[str, ...]], StatedChain | None] = lambda truth, seed, _: None
     cycles_ms: tuple[int, ...] = ()  # to choose from
     speed_fraction: float | None = None  # of full joint speed, at work; None: the driver's own
 
@@ -67,7 +67,7 @@ class ArmController:
         }
 
 
-def _state_measured_chain(truth: ArmTruth, seed: int, parameters: tuple[str, ...]) -> Chain:
+def _state_measured_chain(truth: ArmTruth, seed: int, parameters: tuple[str, ...]) -> StatedChain:
     """Return the chain that the factory has measured."""
     kind = parse_ur_parameters(parameters).factory_calibration
     measured = calibrate(MODELS[truth.variant], truth, seed, kind)

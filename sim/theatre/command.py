@@ -22,7 +22,7 @@ from sim.world.options import Carrier
 if TYPE_CHECKING:
     import threading
 
-    from sim.theatre.launch import Theatre
+    from sim.theatre.launch import LaunchedTheatre
 
 CONTROL = VARIABLE  # on the command line every user here could read the token
 ControlOption = Annotated[
@@ -125,7 +125,7 @@ def theatre(
 
     from ronna_hw.errors import EXIT_FAILED
     from sim.theatre.arm_controllers import check_cycle
-    from sim.theatre.launch import Theatre, parameters_by_device, read_calibrations
+    from sim.theatre.launch import LaunchedTheatre, parameters_by_device, read_calibrations
     from sim.world.faults import read_faults
     from sim.world.process import end_with_parent, fail, load_scene
     from sim.world.saved_world import lock_folder, read_saved_world
@@ -164,7 +164,7 @@ def theatre(
     ended = threading.Event()
     end_with_parent(ended.set)
     with lock_folder(out):
-        running = Theatre(
+        running = LaunchedTheatre(
             truth,
             out,
             paced=speed is Speed.REAL,
@@ -236,7 +236,7 @@ def _is_typed(context: typer.Context, option: str) -> bool:
     return source is not None and source.name == "COMMANDLINE"
 
 
-def _serve(running: Theatre, ended: threading.Event, run: str) -> list[str]:
+def _serve(running: LaunchedTheatre, ended: threading.Event, run: str) -> list[str]:
     """Serve until `ended` is set, and return the reason if a device ended unprompted."""
     from sim.world.process import announce
 
@@ -304,9 +304,9 @@ def move(
     ] = None,
 ) -> None:
     """Wheel the cart of an arm to another place in a running theatre, as the staff would."""
-    from sim.world.carts import CartMove
+    from sim.world.carts import CartDisplacement
 
-    CartMove(number, by, turn).check_size()  # JSON has no number for the values refused here
+    CartDisplacement(number, by, turn).check_size()  # JSON has no number for the values refused here
     ask_control_port(
         _require_control(control, "to move the cart"),
         "move",

@@ -28,7 +28,7 @@ from sim.theatre.theatre_file import (
     theatre_content,
     write_theatre_file,
 )
-from sim.world.control_port import ControlPort, Room
+from sim.world.control_port import ControlledRoom, ControlPort
 from sim.world.options import OTHER_ARMS, ArmRole
 from sim.world.saved_world import SavedWorld, save_world
 from sim.world.scene.model import Scene
@@ -56,7 +56,7 @@ ROBOT, TRACKER = "robot", "tracker"  # devices by their names in fault scripts
 POLARIS = "polaris"
 
 
-class Theatre:
+class LaunchedTheatre:
     """A running theatre: world, control port and a process per device."""
 
     def __init__(
@@ -86,7 +86,7 @@ class Theatre:
             self.world.set_fault_script(f"{standing_script}\n{faults}" if standing_script else faults)
         write_atomically(folder / SCENE_FILE, scene.model_dump_json(by_alias=True, indent=1).encode())
         identity, calibrated = (uuid4().hex, None) if saved is None else _read_origin(self.file)
-        self._control = ControlPort(Room(self.world, folder, identity=identity))
+        self._control = ControlPort(ControlledRoom(self.world, folder, identity=identity))
         self._children: list[ChildProcess] = []
         try:
             self.endpoints = self._start_devices(parameters, cycle_ms)

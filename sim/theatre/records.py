@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ronna_hw.calibration import PoseRecord
 from ronna_hw.tool_record import GAUGE_APPROACHES, GAUGE_MOUNTINGS, TipInHead
-from sim.universal_robots.stated_chain import Chain, deviations_from
+from sim.universal_robots.stated_chain import StatedChain, deviations_from
 from sim.world.descriptions import DESCRIPTIONS
 from sim.world.noise import noise
 from sim.world.rigid import inverse, matrix_from, matrix_of, pose_of, rotation_from_vector
@@ -32,7 +32,7 @@ GAUGE_BASE_MM = 60.0
 
 
 def arm_values(
-    truth: ArmTruth, residual: ArmResidual, generator: np.random.Generator, stated: Chain | None = None
+    truth: ArmTruth, residual: ArmResidual, generator: np.random.Generator, stated: StatedChain | None = None
 ) -> dict[str, Any]:
     """Return the deviations for an arm record, keyed as in `ronna_hw.calibration.ArmCalibration`.
 

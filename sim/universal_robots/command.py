@@ -60,7 +60,7 @@ def ur(
     from sim.universal_robots.model import MODELS
     from sim.world.process import announce, end_with_parent, open_own_control_port, open_world
     from sim.world.rigid import matrix_of
-    from sim.world.tool_load import ToolLoad
+    from sim.world.tool_load import SimulatedLoad
     from sim.world.true_arm import arm_seed
 
     if list_parameters:
@@ -80,7 +80,7 @@ def ur(
     start_rad = tuple(map(radians, truth.home_deg)) if last is None else last.joints_rad
     kinematics = calibrate(described, truth, seed, parameters.factory_calibration)
     controller = Controller(described, parameters, kinematics, start_rad, seed)
-    controller.loads.on_tool = ToolLoad(room)
+    controller.loads.on_tool = SimulatedLoad(room)
     held = room.scene.assistant
     if role is not MASTER and held is not None:
         controller.loads.instrument = frame_of_matrix_mm(matrix_of(held.flange_from_clamp))

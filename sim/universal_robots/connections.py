@@ -82,10 +82,10 @@ class HangUp(Exception):
         self.last = last
 
 
-class Connection:
+class ClientConnection:
     """Connection to a client, closed once the client stops reading."""
 
-    def __init__(self, client: socket.socket, poll: Poll, forget: Callable[[Connection], None]) -> None:
+    def __init__(self, client: socket.socket, poll: Poll, forget: Callable[[ClientConnection], None]) -> None:
         self.socket = client
         self._poll, self._forget = poll, forget
         self.handler: Handler | None = None
@@ -168,7 +168,7 @@ class Connection:
             self.handler.closed()
 
 
-class Listener:
+class ServiceListener:
     """Accepts clients of one port."""
 
     def __init__(
@@ -176,13 +176,13 @@ class Listener:
         address: str,
         port: int,
         poll: Poll,
-        connect: Callable[[Connection], Handler | None],
+        connect: Callable[[ClientConnection], Handler | None],
         *,
         send_buffer_bytes: int = 0,
     ) -> None:
         self._poll, self._connect = poll, connect
         self._send_buffer_bytes = send_buffer_bytes
-        self.connections: tuple[Connection, ...] = ()  # open ones
+        self.connections: tuple[ClientConnection, ...] = ()  # open ones
         self._holds = False
         self._has_room = True
         self._socket = _listen(address, port)
@@ -230,7 +230,7 @@ class Listener:
             client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             if self._send_buffer_bytes:
                 client.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, self._send_buffer_bytes)
-            connection = Connection(client, self._poll, self._forget)
+            connection = ClientConnection(client, self._poll, self._forget)
             self.connections = (*self.connections, connection)
             connection.handler = self._connect(connection)
             if connection.handler is None:
@@ -243,7 +243,7 @@ class Listener:
             self._has_room = False
             tell(f"warning: {self.endpoint} cannot accept a client ({error.strerror}); it is tried again")
 
-    def _forget(self, connection: Connection) -> None:
+    def _forget(self, connection: ClientConnection) -> None:
         self.connections = tuple(one for one in self.connections if one is not connection)
 
 

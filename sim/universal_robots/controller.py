@@ -10,12 +10,12 @@ from typing import Final
 
 from ronna_hw.wire.universal_robots import RobotMode, RobotStatus, RuntimeState, SafetyMode
 from sim.universal_robots.controller_parameters import ControllerParameters
-from sim.universal_robots.kinematics import Kinematics
+from sim.universal_robots.kinematics import TrueKinematics
 from sim.universal_robots.loads import Loads
 from sim.universal_robots.model import HOME_RAD, JOINTS, Model
 from sim.universal_robots.modes import BROKEN, EMERGENCY, Modes
 from sim.universal_robots.programs.outgoing import Outgoing
-from sim.universal_robots.programs.program import Program
+from sim.universal_robots.programs.program import UrProgram
 from sim.universal_robots.robot import Robot
 from sim.universal_robots.variables import (
     PLACES,
@@ -66,17 +66,17 @@ class Controller:
         self,
         model: Model,
         parameters: ControllerParameters,
-        kinematics: Kinematics | None = None,
+        kinematics: TrueKinematics | None = None,
         start_rad: Sequence[float] = HOME_RAD,
         seed: int = 0,
     ) -> None:
         self.model = model
         self.parameters = parameters
-        self.robot = Robot(model, parameters, kinematics or Kinematics(model), start_rad)
+        self.robot = Robot(model, parameters, kinematics or TrueKinematics(model), start_rad)
         self.loads = Loads(self.robot, seed)
         self.modes = Modes(parameters, model.cycle_s)
         self.news = News()
-        self.program: Program | None = None
+        self.program: UrProgram | None = None
         self.loaded = ""  # name of the program that the dashboard loaded
         self.runtime_state = RuntimeState.STOPPED
         self.cycles = 0
@@ -113,7 +113,7 @@ class Controller:
         """Connections that the program has opened."""
         return self.program.links if self.program else []
 
-    def start(self, program: Program) -> str:
+    def start(self, program: UrProgram) -> str:
         """Start a program in place of the present one; returns why not, or an empty string."""
         forbidden = self.may_run
         if forbidden:
@@ -247,7 +247,7 @@ class Controller:
             program.failure = str(error)
             self.stop()
 
-    def _watchdog_allows(self, program: Program) -> bool:
+    def _watchdog_allows(self, program: UrProgram) -> bool:
         watchdog = program.watchdog
         if watchdog is None:
             return True

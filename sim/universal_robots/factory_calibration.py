@@ -16,7 +16,7 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.universal_robots.kinematics import Kinematics
+from sim.universal_robots.kinematics import TrueKinematics
 from sim.universal_robots.model import ALPHA_RAD, JOINTS, Model, Vector6
 from sim.world.noise import noise
 from sim.world.rigid import rotation_from_vector
@@ -39,16 +39,16 @@ THETA, D, A, ALPHA, BETA = range(5)
 _PARALLEL: Final = (1, 2)  # links between parallel axes: their d only repeats that of wrist 1
 
 
-def calibrate(model: Model, truth: ArmTruth, seed: int, kind: FactoryCalibration) -> Kinematics:
+def calibrate(model: Model, truth: ArmTruth, seed: int, kind: FactoryCalibration) -> TrueKinematics:
     """Return the chain that the factory has stored in the controller of an arm."""
     if kind == "none":
-        return Kinematics(model)
+        return TrueKinematics(model)
     nominal = _nominal(model)
     fitted = _fit(nominal, TrueArm(truth, seed), seed, has_turns=kind == "exact")
     if kind == "exact":
         fitted = _without_turns(fitted)
     theta, d, a, alpha, _ = (_six(row) for row in fitted - nominal)
-    return Kinematics(model, theta_rad=theta, a_m=a, d_m=d, alpha_rad=alpha)
+    return TrueKinematics(model, theta_rad=theta, a_m=a, d_m=d, alpha_rad=alpha)
 
 
 def _nominal(model: Model) -> Matrix:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from ronna_hw.wire.universal_robots import CLIENT_REGISTERS, SafetyMode
-from sim.universal_robots.connections import Listener
+from sim.universal_robots.connections import ServiceListener
 from sim.universal_robots.controller import Controller
 from sim.universal_robots.interfaces.clients import ClientInterfaces
 from sim.universal_robots.interfaces.dashboard import Dashboard
@@ -51,7 +51,7 @@ class ControllerFaults:
         self.is_cut = False  # nothing passes
 
     @property
-    def _listeners(self) -> Sequence[Listener]:
+    def _listeners(self) -> Sequence[ServiceListener]:
         return (self._rtde.listener, self._dashboard.listener, *self._clients.listeners)
 
     def poll(self) -> None:

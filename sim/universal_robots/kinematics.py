@@ -24,7 +24,7 @@ DAMPING = 1e-9  # of the normal equations, which keeps steps near singular postu
 NEARLY_HALF_A_TURN = -0.9  # cosine of a turn below which its sine is too small to have a direction
 
 
-class Frame(NamedTuple):
+class LinkPose(NamedTuple):
     """Orientation row by row and position in metres."""
 
     r00: float
@@ -41,14 +41,14 @@ class Frame(NamedTuple):
     z: float
 
 
-IDENTITY = Frame(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+IDENTITY = LinkPose(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
 
 
-def compose(a: Frame, b: Frame) -> Frame:
+def compose(a: LinkPose, b: LinkPose) -> LinkPose:
     """Return the frame `b` of frame `a` in the outer frame."""
     a00, a01, a02, a10, a11, a12, a20, a21, a22, ax, ay, az = a
     b00, b01, b02, b10, b11, b12, b20, b21, b22, bx, by, bz = b
-    return Frame(
+    return LinkPose(
         a00 * b00 + a01 * b10 + a02 * b20,
         a00 * b01 + a01 * b11 + a02 * b21,
         a00 * b02 + a01 * b12 + a02 * b22,
@@ -64,10 +64,10 @@ def compose(a: Frame, b: Frame) -> Frame:
     )
 
 
-def inverted(a: Frame) -> Frame:
+def inverted(a: LinkPose) -> LinkPose:
     """Return the outer frame in frame `a`."""
     r00, r01, r02, r10, r11, r12, r20, r21, r22, x, y, z = a
-    return Frame(
+    return LinkPose(
         r00, r10, r20, r01, r11, r21, r02, r12, r22,
         -(r00 * x + r10 * y + r20 * z),
         -(r01 * x + r11 * y + r21 * z),
@@ -75,21 +75,21 @@ def inverted(a: Frame) -> Frame:
     )  # fmt: skip
 
 
-def frame_of_matrix_mm(pose: NDArray[np.float64]) -> Frame:
+def frame_of_matrix_mm(pose: NDArray[np.float64]) -> LinkPose:
     """Return the frame of a pose (4, 4) in mm."""
-    return Frame(*pose[:3, :3].ravel().tolist(), *(pose[:3, 3] / MM_PER_M).tolist())
+    return LinkPose(*pose[:3, :3].ravel().tolist(), *(pose[:3, 3] / MM_PER_M).tolist())
 
 
-def frame_of_pose(pose: Sequence[float]) -> Frame:
+def frame_of_pose(pose: Sequence[float]) -> LinkPose:
     """Return the frame of a pose x y z (m) rx ry rz (rad)."""
     x, y, z, rx, ry, rz = pose
     angle = sqrt(rx * rx + ry * ry + rz * rz)
     if angle == 0.0:
-        return Frame(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, x, y, z)
+        return LinkPose(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, x, y, z)
     u, v, w = rx / angle, ry / angle, rz / angle
     c, s = cos(angle), sin(angle)
     k = 1.0 - c
-    return Frame(
+    return LinkPose(
         c + u * u * k, u * v * k - w * s, u * w * k + v * s,
         v * u * k + w * s, c + v * v * k, v * w * k - u * s,
         w * u * k - v * s, w * v * k + u * s, c + w * w * k,
@@ -97,7 +97,7 @@ def frame_of_pose(pose: Sequence[float]) -> Frame:
     )  # fmt: skip
 
 
-def rotation_vector(frame: Frame) -> tuple[float, float, float]:
+def rotation_vector(frame: LinkPose) -> tuple[float, float, float]:
     """Return the rotation vector (rad) of a frame, of at most half a turn."""
     r00, r01, r02, r10, r11, r12, r20, r21, r22, *_ = frame
     x, y, z = r21 - r12, r02 - r20, r10 - r01  # 2 sin(angle) axis
@@ -116,12 +116,12 @@ def rotation_vector(frame: Frame) -> tuple[float, float, float]:
     return u * scale, v * scale, w * scale
 
 
-def pose_of_frame(frame: Frame) -> list[float]:
+def pose_of_frame(frame: LinkPose) -> list[float]:
     """Return x y z (m) rx ry rz (rad) of a frame."""
     return [frame.x, frame.y, frame.z, *rotation_vector(frame)]
 
 
-class Kinematics:
+class TrueKinematics:
     """Chain of one arm, with the factory's differences to its model."""
 
     def __init__(
@@ -141,7 +141,7 @@ class Kinematics:
             for theta, alpha, a, d in zip(theta_rad, self.alpha_rad, self.a_m, self.d_m, strict=True)
         )
 
-    def flange(self, joints_rad: Sequence[float]) -> Frame:
+    def flange(self, joints_rad: Sequence[float]) -> LinkPose:
         """Return the flange in the base."""
         r00 = r11 = r22 = 1.0
         r01 = r02 = r10 = r12 = r20 = r21 = x = y = z = 0.0
@@ -155,21 +155,21 @@ class Kinematics:
             r00, r10, r20 = u0, u1, u2
             r01, r11, r21 = v0 * ca + r02 * sa, v1 * ca + r12 * sa, v2 * ca + r22 * sa
             r02, r12, r22 = r02 * ca - v0 * sa, r12 * ca - v1 * sa, r22 * ca - v2 * sa
-        return Frame(r00, r01, r02, r10, r11, r12, r20, r21, r22, x, y, z)
+        return LinkPose(r00, r01, r02, r10, r11, r12, r20, r21, r22, x, y, z)
 
-    def link_frames(self, joints_rad: Sequence[float]) -> list[Frame]:
+    def link_frames(self, joints_rad: Sequence[float]) -> list[LinkPose]:
         """Return the base and the frame behind each joint; a joint turns about z of the frame before it."""
         frame = IDENTITY
         frames = [frame]
         for q, (theta, ca, sa, a, d) in zip(joints_rad, self._links, strict=True):
             c, s = cos(q + theta), sin(q + theta)
             frame = compose(
-                frame, Frame(c, -s * ca, s * sa, s, c * ca, -c * sa, 0.0, sa, ca, a * c, a * s, d)
+                frame, LinkPose(c, -s * ca, s * sa, s, c * ca, -c * sa, 0.0, sa, ca, a * c, a * s, d)
             )
             frames.append(frame)
         return frames
 
-    def jacobian(self, joints_rad: Sequence[float], tcp: Frame = IDENTITY) -> np.ndarray:
+    def jacobian(self, joints_rad: Sequence[float], tcp: LinkPose = IDENTITY) -> np.ndarray:
         """Return the Jacobian (6, 6) of the tool centre point in the base, translation first."""
         *links, flange = self.link_frames(joints_rad)
         end = compose(flange, tcp)
@@ -180,7 +180,7 @@ class Kinematics:
             columns.append((v * dz - w * dy, w * dx - u * dz, u * dy - v * dx, u, v, w))
         return np.array(columns).T
 
-    def joints_at(self, flange: Frame, near_rad: Sequence[float]) -> list[float] | None:
+    def joints_at(self, flange: LinkPose, near_rad: Sequence[float]) -> list[float] | None:
         """Return the joints nearest to `near_rad` that bring the flange there, or None if none are found."""
         joints = np.array(near_rad, dtype=float)
         for _ in range(MOST_ITERATIONS):

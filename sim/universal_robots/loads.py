@@ -12,13 +12,13 @@ from random import Random
 from typing import Final
 
 from sim.universal_robots.controller_parameters import ControllerParameters
-from sim.universal_robots.kinematics import IDENTITY, Frame, Kinematics, compose
+from sim.universal_robots.kinematics import IDENTITY, LinkPose, TrueKinematics, compose
 from sim.universal_robots.model import JOINTS, TORQUES_NM, ZEROS, Model
 from sim.universal_robots.robot import Robot
 from sim.universal_robots.variables import PAYLOAD, PLACES
-from sim.world.held_torques import GRAVITY_M_S2, Body, HeldTorques, Stiction
+from sim.world.held_torques import GRAVITY_M_S2, HeldTorques, LinkWeight, Stiction
 from sim.world.noise import TabledNoise
-from sim.world.tool_load import ToolLoad
+from sim.world.tool_load import SimulatedLoad
 
 MM: Final = 1000.0
 LINK_CENTRES_M: Final = (
@@ -91,10 +91,10 @@ class Loads:
         self._estimate: Force = NONE  # without bias and noise
         self.axial_n = 0.0
         self.hand_n: Force = NONE
-        self.on_tool: ToolLoad | None = None  # a hand in the theatre's room
+        self.on_tool: SimulatedLoad | None = None  # a hand in the theatre's room
         self._push_n: Force = NONE
         self.tissue: Tissue | None = None
-        self.instrument: Frame | None = None  # held beside the flange; its z axis replaces the tool's
+        self.instrument: LinkPose | None = None  # held beside the flange; its z axis replaces the tool's
         self.force_n: Force = NONE  # of the room on the tool
         self.trip = ""  # why the safety system must stop the arm
         self.shows_forces = self.shows_torques = True  # some client reads them
@@ -197,7 +197,7 @@ class Loads:
             x, y, z = x - against * u, y - against * v, z - against * w
         return x, y, z
 
-    def _pushed(self) -> Frame:
+    def _pushed(self) -> LinkPose:
         """Return what is pushed along its z axis, in the base."""
         robot = self._robot
         if self.instrument is None:
@@ -223,15 +223,15 @@ class Loads:
         )
 
 
-def link_bodies(model: Model) -> list[Body]:
+def link_bodies(model: Model) -> list[LinkWeight]:
     """Return the links with the arm at zero, in the base."""
-    frames = Kinematics(model).link_frames(ZEROS)[1:]
+    frames = TrueKinematics(model).link_frames(ZEROS)[1:]
     centres = (
         compose(frame, IDENTITY._replace(x=x, y=y, z=z))
         for frame, (x, y, z) in zip(frames, LINK_CENTRES_M, strict=True)
     )
     return [
-        Body(mass_kg, (MM * place.x, MM * place.y, MM * place.z))
+        LinkWeight(mass_kg, (MM * place.x, MM * place.y, MM * place.z))
         for mass_kg, place in zip(model.link_masses_kg, centres, strict=True)
     ]
 

@@ -10,8 +10,8 @@ from sim.universal_robots.controller_parameters import ControllerParameters
 from sim.universal_robots.drives import Drives
 from sim.universal_robots.kinematics import (
     IDENTITY,
-    Frame,
-    Kinematics,
+    LinkPose,
+    TrueKinematics,
     compose,
     frame_of_pose,
     inverted,
@@ -42,7 +42,7 @@ class Robot:
         self,
         model: Model,
         parameters: ControllerParameters,
-        kinematics: Kinematics,
+        kinematics: TrueKinematics,
         start_rad: Sequence[float] = HOME_RAD,
     ) -> None:
         self.model = model
@@ -112,7 +112,7 @@ class Robot:
 
     # -- kinematics
 
-    def tool_frame(self, joints_rad: Sequence[float]) -> Frame:
+    def tool_frame(self, joints_rad: Sequence[float]) -> LinkPose:
         """Return the tool centre point in the base."""
         return compose(self.kinematics.flange(joints_rad), self.tcp)
 
@@ -120,7 +120,7 @@ class Robot:
         """Return the tool centre point in the base, x y z (m) rx ry rz (rad)."""
         return pose_of_frame(self.tool_frame(joints_rad))
 
-    def joints_at(self, tool: Frame, near_rad: Sequence[float]) -> list[float] | None:
+    def joints_at(self, tool: LinkPose, near_rad: Sequence[float]) -> list[float] | None:
         """Return the joints that bring the tool centre point there, or None if none are found."""
         return self.kinematics.joints_at(compose(tool, inverted(self.tcp)), near_rad)
 

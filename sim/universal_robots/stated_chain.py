@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.universal_robots.kinematics import Kinematics
+from sim.universal_robots.kinematics import TrueKinematics
 from sim.universal_robots.model import ZEROS
 from sim.world.nominal_arm import RobotDescription
 from sim.world.rigid import rotation_from_vector
@@ -21,7 +21,7 @@ MM_PER_M = 1000.0
 
 
 @dataclass(frozen=True)
-class Chain:
+class StatedChain:
     """Chain of an arm with all joints at zero: frames are parallel to the base, as in `RobotDescription`."""
 
     points_mm: Array  # (n + 1, 3): a point on each axis, and the flange
@@ -29,17 +29,17 @@ class Chain:
     flange_rotation: Array  # (3, 3)
 
 
-def nominal_chain(arm: RobotDescription) -> Chain:
+def nominal_chain(arm: RobotDescription) -> StatedChain:
     """Return the chain of a model."""
     steps = [joint.origin_mm for joint in arm.joints]
-    return Chain(
+    return StatedChain(
         np.cumsum([*steps, arm.flange_mm], axis=0),
         np.array([joint.axis for joint in arm.joints]),
         rotation_from_vector(arm.flange_turn_rad),
     )
 
 
-def stated_chain(kinematics: Kinematics, arm: RobotDescription) -> Chain:
+def stated_chain(kinematics: TrueKinematics, arm: RobotDescription) -> StatedChain:
     """Return the chain of Denavit-Hartenberg parameters, however far away their common normals are.
 
     The point on an axis is the one nearest to where the model has the joint.
@@ -53,11 +53,15 @@ def stated_chain(kinematics: Kinematics, arm: RobotDescription) -> Chain:
         points.append(place + axis * ((wanted - place) @ axis))
         axes.append(axis)
     end = np.reshape(flange[:9], (3, 3))
-    return Chain(np.array([*points, MM_PER_M * np.array(flange[9:])]), np.array(axes), end)
+    return StatedChain(np.array([*points, MM_PER_M * np.array(flange[9:])]), np.array(axes), end)
 
 
 def deviations_from(
-    stated: Chain, arm: RobotDescription, translations_mm: Array, rotations_rad: Array, offsets_rad: Array
+    stated: StatedChain,
+    arm: RobotDescription,
+    translations_mm: Array,
+    rotations_rad: Array,
+    offsets_rad: Array,
 ) -> tuple[Array, Array]:
     """Return translations (n, 3) and rotation vectors (n, 3) of the links, from a stated chain to a true arm.
 

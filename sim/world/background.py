@@ -29,7 +29,7 @@ _MARK = "RONNA_SIM_BACKGROUND"  # in the environment of the process that is to r
 IN_BACKGROUND = os.environ.pop(_MARK, None) is not None  # its own children are not told
 
 
-class Handover:
+class DaemonState:
     """Daemon state."""
 
     done = False
@@ -69,7 +69,7 @@ def hand_over() -> None:
     )
     os.dup2(log, sys.stderr.fileno())
     os.close(log)
-    Handover.done = not PARENT.is_gone  # else nobody would tell the user of it
+    DaemonState.done = not PARENT.is_gone  # else nobody would tell the user of it
 
 
 def leave_output() -> None:

@@ -29,7 +29,7 @@ DONE_S = "0"  # time that a finished move still takes
 
 
 @dataclass(frozen=True)
-class CartMove:
+class CartDisplacement:
     """Move of a cart along the robot's present axes, and turn about its z axis through its base."""
 
     number: int

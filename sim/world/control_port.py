@@ -43,7 +43,7 @@ from ronna_hw.phantom_identity import format_patient_id
 from ronna_hw.text import printable
 from ronna_hw.wire.room_tasks import DEPTH_STOP, OnStand
 from sim.errors import INSTRUMENT_IN_GUIDE
-from sim.world.carts import CartMove
+from sim.world.carts import CartDisplacement
 from sim.world.faults import (
     FaultBoard,
     begin_now,
@@ -78,7 +78,7 @@ class ControlPort:
 
     def __init__(
         self,
-        room: Room,
+        room: ControlledRoom,
         *,
         first_line_limit_s: float = FIRST_LINE_LIMIT_S,
         idle_limit_s: float = IDLE_LIMIT_S,
@@ -103,7 +103,7 @@ class _Server(socketserver.ThreadingTCPServer):
     daemon_threads = True
     block_on_close = False
 
-    def __init__(self, room: Room, token: str, limits_s: tuple[float, float]) -> None:
+    def __init__(self, room: ControlledRoom, token: str, limits_s: tuple[float, float]) -> None:
         super().__init__(("127.0.0.1", 0), _Conversation)
         self.room = room
         self.token = token
@@ -182,7 +182,7 @@ class _HangUp(Exception):
     """The connection must be closed."""
 
 
-class Room:
+class ControlledRoom:
     """Executes requests in a world, and stores the truth at each target in `folder` if given.
 
     `devices` are simulated here, by default all: faults of others are refused. `loaded` returns the tools
@@ -287,7 +287,7 @@ class Room:
             raise TaskRefused("there is no arm on a cart here", "Give the control port of a theatre.")
         x, y, z = (_require_number(value) for value in request["by_mm"])
         number, turn_deg = _require_number(request["cart"]), _require_number(request["turn_deg"])
-        move = CartMove(int(number) if number.is_integer() else 0, (x, y, z), turn_deg)
+        move = CartDisplacement(int(number) if number.is_integer() else 0, (x, y, z), turn_deg)
         move.check(self._world.scene)
         if (inserted := self._world.inserted()) is not None and request.get("anyway") is not True:
             raise INSTRUMENT_IN_GUIDE(

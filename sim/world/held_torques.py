@@ -26,27 +26,27 @@ STICTION = "stiction"  # noise key
 NO_INERTIA = np.zeros((3, 3))
 
 
-class Body(NamedTuple):
+class LinkWeight(NamedTuple):
     """Weight of a link; its centre is given with the arm at zero, in the base."""
 
     mass_kg: float
     centre_mm: Point
 
 
-def _kr6(elbow_mm: float, flange_mm: float) -> tuple[Body, ...]:
+def _kr6(elbow_mm: float, flange_mm: float) -> tuple[LinkWeight, ...]:
     """Return the links of a KR 6 R900, stretched out along x: 34 of its 52 kg, the base has the rest."""
     level_mm = 400.0 + elbow_mm
     return (
-        Body(12.0, (10.0, 0.0, 330.0)),
-        Body(9.0, (220.0, 0.0, 400.0)),
-        Body(8.0, (530.0, 0.0, 420.0)),
-        Body(3.5, (710.0, 0.0, level_mm)),
-        Body(1.5, (920.0, 0.0, level_mm)),
-        Body(0.15, (890.0 + flange_mm, 0.0, level_mm)),
+        LinkWeight(12.0, (10.0, 0.0, 330.0)),
+        LinkWeight(9.0, (220.0, 0.0, 400.0)),
+        LinkWeight(8.0, (530.0, 0.0, 420.0)),
+        LinkWeight(3.5, (710.0, 0.0, level_mm)),
+        LinkWeight(1.5, (920.0, 0.0, level_mm)),
+        LinkWeight(0.15, (890.0 + flange_mm, 0.0, level_mm)),
     )
 
 
-BODIES: dict[str, tuple[Body, ...]] = {
+BODIES: dict[str, tuple[LinkWeight, ...]] = {
     "kr6_r900_sixx": _kr6(35.0, 80.0),
     "kr6_r900_2": _kr6(25.0, 90.0),
 }
@@ -56,7 +56,7 @@ class HeldTorques:
     """Static torques of one arm. One object belongs to one thread, as Pinocchio's data does."""
 
     def __init__(
-        self, variant: str, bodies: Sequence[Body], links: Sequence[LinkError] | None = None
+        self, variant: str, bodies: Sequence[LinkWeight], links: Sequence[LinkError] | None = None
     ) -> None:
         """Describe an arm, with the errors of its links or as drawn."""
         shared, self._flange = build_model(DESCRIPTIONS[variant], None if links is None else tuple(links))

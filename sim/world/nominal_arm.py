@@ -33,7 +33,7 @@ ZERO_DEG = 0.01  # a frame with four decimals does not show on which side of zer
 
 
 @dataclass(frozen=True)
-class Joint:
+class NominalJoint:
     """A revolute joint at `origin_mm` in the previous joint's frame."""
 
     name: str
@@ -64,7 +64,7 @@ class RobotDescription:
 
     variant: str
     model: str
-    joints: tuple[Joint, ...]
+    joints: tuple[NominalJoint, ...]
     flange_mm: tuple[float, float, float]
     flange_turn_rad: tuple[float, float, float]  # rotation vector
     upper_arm_mm: float
@@ -90,20 +90,20 @@ _ACCELERATION = tuple(degrees(value) for value in (21.67, 6.89, 31.42, 133.1, 13
 
 def _build_joints(
     elbow_mm: float, flange_mm: float, wrist_speeds_deg_s: tuple[float, float, float]
-) -> tuple[Joint, ...]:
+) -> tuple[NominalJoint, ...]:
     fourth, fifth, sixth = wrist_speeds_deg_s
     a = _ACCELERATION
     return (
-        Joint("A1", (0.0, 0.0, 400.0), (0.0, 0.0, -1.0), -170.0, 170.0, 360.0, a[0]),
-        Joint("A2", (25.0, 0.0, 0.0), (0.0, 1.0, 0.0), -190.0, 45.0, 300.0, a[1]),
-        Joint("A3", (455.0, 0.0, 0.0), (0.0, 1.0, 0.0), -120.0, 156.0, 360.0, a[2]),
-        Joint("A4", (0.0, 0.0, elbow_mm), (-1.0, 0.0, 0.0), -185.0, 185.0, fourth, a[3]),
-        Joint("A5", (420.0, 0.0, 0.0), (0.0, 1.0, 0.0), -120.0, 120.0, fifth, a[4]),
-        Joint("A6", (flange_mm, 0.0, 0.0), (-1.0, 0.0, 0.0), -350.0, 350.0, sixth, a[5]),
+        NominalJoint("A1", (0.0, 0.0, 400.0), (0.0, 0.0, -1.0), -170.0, 170.0, 360.0, a[0]),
+        NominalJoint("A2", (25.0, 0.0, 0.0), (0.0, 1.0, 0.0), -190.0, 45.0, 300.0, a[1]),
+        NominalJoint("A3", (455.0, 0.0, 0.0), (0.0, 1.0, 0.0), -120.0, 156.0, 360.0, a[2]),
+        NominalJoint("A4", (0.0, 0.0, elbow_mm), (-1.0, 0.0, 0.0), -185.0, 185.0, fourth, a[3]),
+        NominalJoint("A5", (420.0, 0.0, 0.0), (0.0, 1.0, 0.0), -120.0, 120.0, fifth, a[4]),
+        NominalJoint("A6", (flange_mm, 0.0, 0.0), (-1.0, 0.0, 0.0), -350.0, 350.0, sixth, a[5]),
     )
 
 
-def _describe(variant: str, model: str, joints: tuple[Joint, ...]) -> RobotDescription:
+def _describe(variant: str, model: str, joints: tuple[NominalJoint, ...]) -> RobotDescription:
     return RobotDescription(
         variant,
         model,

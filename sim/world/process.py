@@ -19,8 +19,8 @@ from ronna_hw.errors import EXIT_FAILED
 from ronna_hw.host.child_process import descendants_of, kill_all
 from ronna_hw.host.process import PARENT, resume_garbage_collection
 from sim.errors import BAD_SCENE
-from sim.world.background import IN_BACKGROUND, Handover, hand_over, leave_output
-from sim.world.control_port import ControlPort, Room
+from sim.world.background import IN_BACKGROUND, DaemonState, hand_over, leave_output
+from sim.world.control_port import ControlledRoom, ControlPort
 from sim.world.faults import read_faults
 from sim.world.options import ArmRole, Carrier
 from sim.world.running import register
@@ -80,7 +80,7 @@ def end_with_parent(end: Callable[[], None]) -> None:
         leave()
 
     def watch() -> None:
-        while Handover.done or not PARENT.is_gone:
+        while DaemonState.done or not PARENT.is_gone:
             time.sleep(PARENT_CHECK_S)
         with contextlib.suppress(OSError):  # there may be no reader left
             sys.stderr.write(PARENT_GONE)
@@ -130,7 +130,7 @@ def open_own_control_port(
     world: str | None, own: World, devices: Sequence[str], loaded: Callable[[], Sequence[str]] | None = None
 ) -> str | None:
     """Open a standalone simulator's control port, or return None in a theatre, which has its own."""
-    return None if world is not None else ControlPort(Room(own, None, devices, loaded)).endpoint
+    return None if world is not None else ControlPort(ControlledRoom(own, None, devices, loaded)).endpoint
 
 
 def load_scene(

@@ -11,7 +11,7 @@ from sim.world.scene.parts import STEREO_HEAD_KG
 from sim.world.world import World
 
 
-class ToolLoad:
+class SimulatedLoad:
     """Load on the flange: the mounted tool with its weight, and a hand on it."""
 
     def __init__(self, world: World) -> None:

@@ -10,7 +10,7 @@ from math import acos, asin, atan2, cos, degrees, hypot, pi, sin
 
 import numpy as np
 
-from sim.world.nominal_arm import ORIGIN, Corner, Joint, Matrix, RobotDescription
+from sim.world.nominal_arm import ORIGIN, Corner, Matrix, NominalJoint, RobotDescription
 from sim.world.rigid import as_point, rotation_from_vector, vector_from_rotation
 
 NAMES = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
@@ -66,7 +66,7 @@ def _describe(
         ahead_mm = (step_mm @ axis) * axis if name.startswith("wrist") else np.zeros(3)
         end = ELBOW_RANGE_DEG if name == "elbow" else RANGE_DEG
         joints.append(
-            Joint(
+            NominalJoint(
                 name,
                 as_point(step_mm - ahead_mm),
                 as_point(axis),

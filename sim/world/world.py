@@ -52,7 +52,7 @@ class ArmRow(NamedTuple):
     moved_s: Annotated[float, "d"]
 
 
-class StepRow(NamedTuple):
+class SharedStep(NamedTuple):
     """The current step as plain data."""
 
     started_ns: Annotated[int, "q"]  # theatre time
@@ -73,7 +73,7 @@ _TOOL = _MAP.word("I")  # number of the mounted tool, 0 for none
 _MOUNTINGS = _MAP.word()
 _STAND = _MAP.word("I")  # content of the calibration stand: index in `OnStand`
 _INSTRUMENT = _MAP.rows(InstrumentRow)
-_STEP = _MAP.rows(StepRow)
+_STEP = _MAP.rows(SharedStep)
 _FAULTS_VERSION = _MAP.word()
 _FAULTS = _MAP.checked_bytes(FAULTS_CAPACITY_BYTES)
 _SCENE_LENGTH = _MAP.word()
@@ -238,7 +238,7 @@ class World:
 
     def enter_step(self, name: str) -> None:
         """Set the current step; for use by the control port only."""
-        _STEP.write(self._memory, StepRow(self.clock.now_ns(), name))
+        _STEP.write(self._memory, SharedStep(self.clock.now_ns(), name))
 
     def fault_version(self) -> int:
         """Return the version of the fault script, which changes with every edit of the text."""

@@ -180,7 +180,7 @@ SCENARIOS = (
 
 
 @dataclass(frozen=True)
-class Outcome:
+class DrawnOutcome:
     """Error vectors (arms, targets, sphere counts, 3) in mm, and predictions by sphere count and target."""
 
     errors_mm: Array
@@ -188,7 +188,7 @@ class Outcome:
 
 
 @dataclass(frozen=True)
-class Scene:
+class StudiedScene:
     """A phantom with its markers at position `number`. Registrations use `counts` spheres."""
 
     seed: int
@@ -308,7 +308,7 @@ class Scene:
         scenario: Scenario = SET_S,
         *,
         any_side: bool = False,
-    ) -> dict[str, Outcome]:
+    ) -> dict[str, DrawnOutcome]:
         """Run the strategies on arms of set S, with planning and prediction adapted to the scenario."""
         single = dict.fromkeys(
             (*(FROM if BEST in strategies else ()), *(one for one in strategies if one != BEST))
@@ -317,7 +317,7 @@ class Scene:
         for one in single:
             errors = scenario.remaining_errors(one)
             planned, remaining = self.planned(one, errors), scenario.scale(arms, one)
-            found[one] = Outcome(
+            found[one] = DrawnOutcome(
                 self.errors_mm(remaining, planned, chance, Sizes(scenario.ct_mm), any_side=any_side),
                 self.predictions(planned, errors, scenario.ct_mm),
             )
@@ -346,11 +346,11 @@ class Scene:
         return found
 
 
-def _choose_best(candidates: Sequence[Outcome]) -> Outcome:
+def _choose_best(candidates: Sequence[DrawnOutcome]) -> DrawnOutcome:
     predictions = [one.predictions for one in candidates]
     chosen = np.array([[[each.rms_mm for each in row] for row in one] for one in predictions]).argmin(axis=0)
     errors_mm = np.stack([one.errors_mm for one in candidates])
-    return Outcome(
+    return DrawnOutcome(
         np.take_along_axis(errors_mm, chosen.T[None, None, :, :, None], axis=0)[0],
         [[predictions[k][count][target] for target, k in enumerate(row)] for count, row in enumerate(chosen)],
     )

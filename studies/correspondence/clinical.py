@@ -36,12 +36,20 @@ from ronna_hw.registry import make_device
 from studies.campaign import bounds
 from studies.campaign.plots import curves
 from studies.campaign.study import Cell, Sums, Table, Unit, generator
-from studies.correspondence.study import LOST, SUCCESS, Method, Pairs, outcome_key, pair_points, verdict
+from studies.correspondence.study import (
+    LOST,
+    SUCCESS,
+    Pairs,
+    StudiedMatching,
+    outcome_key,
+    pair_points,
+    verdict,
+)
 from studies.errors import LEDGER_UNREADABLE, OTHER_STUDY, TRACKER_NOT_SIMULATED
 from studies.heads import NoiseReading, variance_from_thesis_mm2
 from studies.localization.phantom_scans import phantom_scan
 from studies.localization.study import SEED_BOUND
-from studies.localization.study import Method as Localizer
+from studies.localization.study import StudiedLocalization as Localizer
 from studies.localization.thesis_protocol import (
     FRAME,
     FRAME_MM,
@@ -63,8 +71,8 @@ SCANS: tuple[ThesisScan, ...] = tuple(
 THESIS_RANGES_MM = {PHANTOM: (1.8, 4.5), PATIENT: (2.5, 4.0)}
 THESIS_READINGS = 1415
 # Readings of what a cell counts, each validated, by name of the series.
-ANY_COUNTERPART = f"{Method.VALIDATED}, any counterpart"
-COUNTINGS = {Method.VALIDATED.value: Counting.ONE_TO_ONE, ANY_COUNTERPART: Counting.ANY}
+ANY_COUNTERPART = f"{StudiedMatching.VALIDATED}, any counterpart"
+COUNTINGS = {StudiedMatching.VALIDATED.value: Counting.ONE_TO_ONE, ANY_COUNTERPART: Counting.ANY}
 NOISE = NoiseReading.NORM  # the interpretation that reproduces the thesis' other figures
 READINGS_FILE = "frame-readings.json"
 ORIENTATIONS = 28
@@ -115,12 +123,12 @@ class ClinicalStudy:
 
     def _count_our_outcomes(self, image_mm: Array | None, random: np.random.Generator) -> Counter[str]:
         if image_mm is None:
-            return Counter({outcome_key(Method.COUNT, None, LOST): len(self.readings_mm)})
+            return Counter({outcome_key(StudiedMatching.COUNT, None, LOST): len(self.readings_mm)})
         physical_mm, rights = self._shuffle_readings(random)
         sums: Counter[str] = Counter()
         for seen_mm, right in zip(physical_mm, rights, strict=True):
             one = pair_points(image_mm, seen_mm, NOISE, expected=len(image_mm))
-            sums[outcome_key(Method.COUNT, None, verdict(one.status, one.pairs, right))] += 1
+            sums[outcome_key(StudiedMatching.COUNT, None, verdict(one.status, one.pairs, right))] += 1
         return sums
 
     def _count_thesis_outcomes(self, image_mm: Array | None, random: np.random.Generator) -> Counter[str]:
@@ -155,7 +163,7 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
         against = success_against_tolerance(sums, kind)
         if not against:
             continue
-        runs, ours = _success_share(sums, kind, Method.COUNT.value, "")
+        runs, ours = _success_share(sums, kind, StudiedMatching.COUNT.value, "")
         perfect = [e for e, share in against if share == 1.0]
         any_perfect = [
             e for e, share in success_against_tolerance(sums, kind, ANY_COUNTERPART) if share == 1.0
@@ -212,7 +220,7 @@ def plots(sums: Mapping[str, Sums]) -> dict[str, bytes]:
 
 
 def success_against_tolerance(
-    sums: Mapping[str, Sums], kind: str, method: str = Method.VALIDATED.value
+    sums: Mapping[str, Sums], kind: str, method: str = StudiedMatching.VALIDATED.value
 ) -> list[tuple[float, float]]:
     """Return the validated thesis method's success rate by e (mm), for one kind of scan and one counting."""
     found = [(e, *_success_share(sums, kind, method, f"{e}")) for e in THESIS_TOLERANCES_MM]

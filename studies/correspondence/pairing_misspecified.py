@@ -27,7 +27,7 @@ from studies.correspondence.study import (
     LOST,
     OUTLIERS,
     PART,
-    Method,
+    StudiedMatching,
     outcome_key,
     verdict,
 )
@@ -55,7 +55,7 @@ WAVELENGTHS_MM = (200.0, 600.0)
 WAVES = 4
 POOLED = range(5, 9)
 GOAL_FALSE = 0.05  # per cent, five to eight fiducials, sigmas wrong by up to a factor of two
-METHODS = (Method.COUNT, Method.CLIQUE)
+METHODS = (StudiedMatching.COUNT, StudiedMatching.CLIQUE)
 
 
 class Assumption(StrEnum):
@@ -118,7 +118,7 @@ class MisspecifiedPairingStudy:
         for image, physical, pairs in zip(seen.image_mm, seen.physical_mm, seen.pairs.tolist(), strict=True):
             right = frozenset((i, j) for i, j in pairs)
             for method in METHODS:
-                expected = int(count) if method is Method.COUNT else None
+                expected = int(count) if method is StudiedMatching.COUNT else None
                 found = match(image, physical, **sigmas, expected=expected)
                 sums[outcome_key(method, None, verdict(found.status, found.pairs, right))] += 1
         return {key: float(value) for key, value in sums.items()}
@@ -220,7 +220,7 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
 
 
 def _pool_fiducials(sums: Mapping[str, Sums]) -> Table:
-    counted: dict[tuple[str, str, Method], Counter[str]] = defaultdict(Counter)
+    counted: dict[tuple[str, str, StudiedMatching], Counter[str]] = defaultdict(Counter)
     for condition, content in sums.items():
         assumption, noise, _, count, _ = condition.split("|")
         for method in METHODS if int(count) in POOLED else ():
@@ -248,7 +248,7 @@ def _pool_fiducials(sums: Mapping[str, Sums]) -> Table:
     )
 
 
-def _tabulate_cells(sums: Mapping[str, Sums], method: Method) -> Table:
+def _tabulate_cells(sums: Mapping[str, Sums], method: StudiedMatching) -> Table:
     counted: dict[tuple[str, str, int], dict[int, Counter[str]]] = defaultdict(lambda: defaultdict(Counter))
     for condition, content in sums.items():
         assumption, noise, _, count, outliers = condition.split("|")
@@ -266,7 +266,7 @@ def _tabulate_cells(sums: Mapping[str, Sums], method: Method) -> Table:
     )
 
 
-def _outcomes(content: Mapping[str, float], method: Method) -> Counter[str]:
+def _outcomes(content: Mapping[str, float], method: StudiedMatching) -> Counter[str]:
     """Select a method's outcomes from the sums of a condition."""
     found: Counter[str] = Counter()
     for key, number in content.items():

@@ -56,7 +56,7 @@ SUCCESS, LOST, PART, FALSE = "success", "lost", "part", "false"
 USUAL_TOLERANCES_MM = (1.5, 2.5)
 
 
-class Method(StrEnum):
+class StudiedMatching(StrEnum):
     """Our method, alone or with prior knowledge from the plan; the thesis' method, raw or validated."""
 
     CLIQUE = "clique"
@@ -66,8 +66,8 @@ class Method(StrEnum):
     VALIDATED = "thesis, validated"
 
 
-OURS = (Method.CLIQUE, Method.PRIOR, Method.COUNT)
-OF_THE_THESIS = (Method.THESIS, Method.VALIDATED)
+OURS = (StudiedMatching.CLIQUE, StudiedMatching.PRIOR, StudiedMatching.COUNT)
+OF_THE_THESIS = (StudiedMatching.THESIS, StudiedMatching.VALIDATED)
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,7 @@ class CorrespondenceStudy:
 
     runs: int
     seed: int = 0
-    methods: tuple[Method, ...] = tuple(Method)
+    methods: tuple[StudiedMatching, ...] = tuple(StudiedMatching)
     tolerances_mm: tuple[float, ...] = USUAL_TOLERANCES_MM
     readings: tuple[NoiseReading, ...] = tuple(NoiseReading)
     fiducials: tuple[int, ...] = FIDUCIALS
@@ -118,9 +118,9 @@ class CorrespondenceStudy:
                 plain = solve()
                 for method in ours:
                     found = plain
-                    if method is Method.COUNT:
+                    if method is StudiedMatching.COUNT:
                         found = solve(expected=count)
-                    elif method is Method.PRIOR and not _satisfies_prior(plain, prior_matrices[run]):
+                    elif method is StudiedMatching.PRIOR and not _satisfies_prior(plain, prior_matrices[run]):
                         found = solve(prior=Prior(priors[run]))
                     sums[outcome_key(method, None, verdict(found.status, found.pairs, right))] += 1
         if any(method in OF_THE_THESIS for method in self.methods):
@@ -138,9 +138,9 @@ class CorrespondenceStudy:
             found = match_many_by_similarity(
                 seen.image_mm, seen.physical_mm, np.full(len(seen), tolerance_mm)
             )
-            answers = {Method.THESIS: found}
-            if Method.VALIDATED in self.methods:
-                answers[Method.VALIDATED] = validate_many(
+            answers = {StudiedMatching.THESIS: found}
+            if StudiedMatching.VALIDATED in self.methods:
+                answers[StudiedMatching.VALIDATED] = validate_many(
                     seen.image_mm,
                     seen.physical_mm,
                     found,

@@ -9,7 +9,7 @@ from studies.campaign import bounds
 from studies.campaign.bounds import Bounded, percent
 from studies.campaign.plots import Point, bars, curve_panels
 from studies.campaign.study import Cell, Sums, Table
-from studies.correspondence.study import FALSE, LOST, PART, Method, condition_of
+from studies.correspondence.study import FALSE, LOST, PART, StudiedMatching, condition_of
 from studies.heads import NoiseReading
 
 Range = tuple[float, float]
@@ -260,7 +260,11 @@ def plots(sums: Mapping[str, Sums]) -> dict[str, bytes]:
         false: dict[str, list[Point]] = {}
         for series, one in found.items():
             e_mm = series.tolerance_mm
-            if series.noise is noise and series.method == Method.VALIDATED.value and e_mm is not None:
+            if (
+                series.noise is noise
+                and series.method == StudiedMatching.VALIDATED.value
+                and e_mm is not None
+            ):
                 who = f"{series.fiducials} fiducials"
                 share = one.bound_share(100.0 - one.unsuccessful - one.false)
                 success.setdefault(who, []).append((e_mm, share))

@@ -52,7 +52,7 @@ OPERATORS_FLE_MM = tuple(TABLE_3[operator].printed_mm for operator in OPERATORS)
 SUMS = "squares, fourth powers and tails"  # older campaigns lack these sums, which the bounds need
 
 
-class Method(StrEnum):
+class StudiedLocalization(StrEnum):
     """Localization methods."""
 
     OURS = "combined"
@@ -62,7 +62,7 @@ class Method(StrEnum):
     REFINED = "person's picks refined"
 
 
-AUTOMATIC = (Method.OURS, Method.THESIS_LINE, Method.THESIS_SPHERE)
+AUTOMATIC = (StudiedLocalization.OURS, StudiedLocalization.THESIS_LINE, StudiedLocalization.THESIS_SPHERE)
 
 
 @dataclass(frozen=True)
@@ -106,17 +106,17 @@ class LocalizationStudy:
         return {key: float(value) for key, value in sums.items()}
 
 
-def localize_by(method: Method, volume: Volume) -> Localization | None:
+def localize_by(method: StudiedLocalization, volume: Volume) -> Localization | None:
     """Localize by a built-in method, or return None if the marker count is implausible."""
     try:
-        if method is Method.OURS:
+        if method is StudiedLocalization.OURS:
             return localize(volume)
         return localize_as_thesis(volume, ThesisFit(method.value))
     except MarkerCountWrong:
         return None
 
 
-def _count_localization(method: Method, scan: PhantomScan) -> dict[str, float]:
+def _count_localization(method: StudiedLocalization, scan: PhantomScan) -> dict[str, float]:
     result = localize_by(method, scan.volume)
     return _count_outcomes(
         method, None if result is None else result.centres_mm, result.markers if result else (), scan
@@ -179,10 +179,10 @@ def _localize_frame_set(random: np.random.Generator, own: Sequence[PluginLocaliz
             picks: list[Array] = []
             for number, fle_mm in enumerate(OPERATORS_FLE_MM, start=1):
                 picks.append(scan.centres_mm + random.normal(size=(4, 3)) * fle_mm / np.sqrt(3.0))
-                points.setdefault(f"{Method.PERSON} {number}", []).append(picks[-1])
+                points.setdefault(f"{StudiedLocalization.PERSON} {number}", []).append(picks[-1])
             ordered = _refine_picks(scan, picks[0])
             if ordered is not None:
-                points.setdefault(Method.REFINED.value, []).append(ordered)
+                points.setdefault(StudiedLocalization.REFINED.value, []).append(ordered)
     return fle_sums(points)
 
 

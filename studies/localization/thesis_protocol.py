@@ -23,7 +23,7 @@ from ronna_hw.x_frame import CLOSE_SPHERE_CENTRES_MM
 from studies.campaign import bounds
 from studies.campaign.study import Cell, Sums, Table, Unit, generator, yes_or_no
 from studies.localization.phantom_scans import PhantomScan, phantom_scan
-from studies.localization.study import AUTOMATIC, SAME_SPHERE_MM, SEED_BOUND, Method, localize_by
+from studies.localization.study import AUTOMATIC, SAME_SPHERE_MM, SEED_BOUND, StudiedLocalization, localize_by
 from studies.localization.tables import IN_THE_THESIS
 from studies.thesis_tables import AVERAGE_OPERATOR, HUMAN_OPERATORS, TABLE_2, TABLE_3
 
@@ -91,7 +91,7 @@ class LocalizedScan:
             return None
 
 
-def localize_scan(scan: PhantomScan) -> dict[Method, LocalizedScan]:
+def localize_scan(scan: PhantomScan) -> dict[StudiedLocalization, LocalizedScan]:
     """Localize the scan with our method and both methods of the thesis."""
     found = {}
     for method in AUTOMATIC:
@@ -222,7 +222,7 @@ def _fre_mm(one: Array, other: Array) -> Array:
     return np.asarray(np.sqrt(np.square(residuals(fit, one, other)).sum(axis=-1).mean(axis=-1)))
 
 
-def _collect_frames(sums: Mapping[str, Sums], method: Method) -> list[Array]:
+def _collect_frames(sums: Mapping[str, Sums], method: StudiedLocalization) -> list[Array]:
     """Return the frame coordinates of every phantom scan in which the method found the frame."""
     every = (
         points_of(content, method.value)
@@ -233,7 +233,7 @@ def _collect_frames(sums: Mapping[str, Sums], method: Method) -> list[Array]:
 
 
 def _compute_fle(
-    sums: Mapping[str, Sums], method: Method, largest: float = LARGEST_SCALE_ERROR
+    sums: Mapping[str, Sums], method: StudiedLocalization, largest: float = LARGEST_SCALE_ERROR
 ) -> tuple[float, float, float] | None:
     scans = _collect_frames(sums, method)
     if len(scans) < 2:

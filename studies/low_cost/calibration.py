@@ -31,7 +31,7 @@ TILT_RAD, TURN_RAD = math.radians(25.0), math.radians(35.0)  # with more, the to
 
 
 @dataclass(frozen=True)
-class Looks:
+class CalibrationLooks:
     """What arm and tracker showed: measured joints, and poses TRACKER <- MARKER (m, 4, 4)."""
 
     joints_rad: tuple[JointVector, ...]
@@ -56,7 +56,7 @@ class FrameCalibration:
 
 def take_looks(
     arm: PositionedArm, tracker: OpticalTracker, model: TipModel, points_mm: Sequence[ArrayLike], frames: int
-) -> Looks:
+) -> CalibrationLooks:
     """Look at the tool's frame in orientations about points (3,) of the robot frame."""
     planned = [
         plan_poses_about(
@@ -70,10 +70,10 @@ def take_looks(
         if (found := look(tracker, frames)) is not None:
             joints.append(reading.joints_rad)
             seen.append(found.tool.as_matrix())
-    return Looks(tuple(joints), np.array(seen))
+    return CalibrationLooks(tuple(joints), np.array(seen))
 
 
-def calibrate(looks: Looks, kinematics: Kinematics) -> FrameCalibration:
+def calibrate(looks: CalibrationLooks, kinematics: Kinematics) -> FrameCalibration:
     """Solve for both frames, and judge them by the looks held out. Raises CAL-002 to CAL-004, CAL-015."""
     fit = solve(
         looks.pairs(kinematics, Use.FIT),

@@ -10,14 +10,14 @@ NOMINAL_ERROR_KEY = "nominal error|mm"
 REPEATABILITY_KEY = "repeatability|mm"
 
 
-class Method(StrEnum):
+class CalibrationMethod(StrEnum):
     """Method of positioning."""
 
     OPEN = "open"  # method 1
     CLOSED = "closed"  # method 2
 
 
-class Dimensions(StrEnum):
+class DimensionSource(StrEnum):
     """Source of the Denavit-Hartenberg parameters."""
 
     NOMINAL = "nominal"
@@ -53,8 +53,8 @@ class Fit(StrEnum):
 class Place(NamedTuple):
     """Positioning at one target, with the number of its orientation."""
 
-    method: Method
-    dimensions: Dimensions
+    method: CalibrationMethod
+    dimensions: DimensionSource
     orientation: int
     target: int
 
@@ -69,15 +69,15 @@ def read_key(key: str) -> tuple[Place, Quantity] | None:
     if len(parts) != len(Place._fields) + 1:
         return None
     method, dimensions, orientation, target, quantity = parts
-    place = Place(Method(method), Dimensions(dimensions), int(orientation), int(target))
+    place = Place(CalibrationMethod(method), DimensionSource(dimensions), int(orientation), int(target))
     return place, Quantity(quantity)
 
 
-def absolute_key(dimensions: Dimensions, extent: Extent) -> str:
+def absolute_key(dimensions: DimensionSource, extent: Extent) -> str:
     """Return the name of the absolute error of an arm alone."""
     return SEPARATOR.join(("absolute", dimensions, extent))
 
 
-def fit_key(dimensions: Dimensions, fit: Fit) -> str:
+def fit_key(dimensions: DimensionSource, fit: Fit) -> str:
     """Return the name of a figure of the calibration."""
     return SEPARATOR.join(("calibration", dimensions, fit))

@@ -19,9 +19,9 @@ from sim.world.scene.model import Scene
 from sim.world.world import World
 from studies.campaign.study import Sums
 from studies.low_cost.arms import PositionedArm
-from studies.low_cost.figures import Dimensions, Place, Quantity
+from studies.low_cost.figures import DimensionSource, Place, Quantity
 from studies.low_cost.positioning import TipModel
-from studies.low_cost.targets import Target
+from studies.low_cost.targets import StudiedTarget
 
 Array = NDArray[np.float64]
 
@@ -51,7 +51,7 @@ class Judge:
         self._robot_from_ct = matrix_of(scene.head.robot_from_ct)
         self._flange_from_tip = matrix_of(scene.mount.flange_from_tool_true)
 
-    def error(self, target: Target) -> TrueError:
+    def error(self, target: StudiedTarget) -> TrueError:
         """Return the error of the tip at a target."""
         tip = self._world.arm().robot_from_flange @ self._flange_from_tip
         wanted = self._robot_from_ct @ target.ct_from_tool.as_matrix()
@@ -82,8 +82,8 @@ def measure_accuracy_mm(
     judge: Judge,
     model: TipModel,
     poses: list[Transform],
-    models: Mapping[Dimensions, Kinematics],
-) -> dict[Dimensions, Array]:
+    models: Mapping[DimensionSource, Kinematics],
+) -> dict[DimensionSource, Array]:
     """Return the errors (n,) of the tip's place by each kinematics, over poses that the model moves to.
 
     Each is fitted to the true places by a rigid transform first, as an independent instrument's frame has to

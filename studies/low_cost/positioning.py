@@ -21,7 +21,7 @@ from ronna_hw.frames import Frame, Transform
 from ronna_hw.vectors import JointVector
 from studies.errors import PHANTOM_OUT_OF_REACH
 from studies.low_cost.arms import PositionedArm
-from studies.low_cost.sight import Sight, require_look
+from studies.low_cost.sight import StudiedSight, require_look
 
 SETTLED_MM, SETTLED_RAD = 0.1, math.radians(0.1)
 MOST_ROUNDS = 5
@@ -45,13 +45,15 @@ class TipModel:
 
 
 @dataclass(frozen=True)
-class ArmModel(TipModel):
+class BelievedPositioning(TipModel):
     """An arm calibrated with the tracker: also ROBOT <- TRACKER."""
 
     robot_from_tracker: Transform
 
     @classmethod
-    def of(cls, kinematics: Kinematics, calibrated: HandEye, tip_from_marker: Transform) -> ArmModel:
+    def of(
+        cls, kinematics: Kinematics, calibrated: HandEye, tip_from_marker: Transform
+    ) -> BelievedPositioning:
         """Build from a calibration with these kinematics, and the tip TOOL <- MARKER."""
         marker = Transform.from_matrix(Frame.FLANGE, Frame.MARKER, calibrated.flange_from_marker)
         tracker = Transform.from_matrix(Frame.ROBOT, Frame.TRACKER, calibrated.robot_from_tracker)
@@ -93,7 +95,7 @@ class TipPositioner:
         self._marker_from_tip = tip_from_marker.inverse()
         self._frames = frames
 
-    def aim(self, model: ArmModel, phantom: Transform, target: Transform) -> Transform:
+    def aim(self, model: BelievedPositioning, phantom: Transform, target: Transform) -> Transform:
         """Move to a target PATIENT <- TOOL once, by the calibration alone (method 1).
 
         `phantom` is the pose TRACKER <- PATIENT. Returns the pose ROBOT <- TOOL that was commanded.
@@ -102,7 +104,7 @@ class TipPositioner:
         self._arm.move(JointMove(model.joints(commanded)))
         return commanded
 
-    def iterate(self, model: ArmModel, commanded: Transform, target: Transform) -> Positioned:
+    def iterate(self, model: BelievedPositioning, commanded: Transform, target: Transform) -> Positioned:
         """Correct by what the tracker sees, until settled or too many rounds (method 2)."""
         for rounds in range(MOST_ROUNDS + 1):
             seen = require_look(self._tracker, self._frames)
@@ -113,13 +115,15 @@ class TipPositioner:
             self._arm.move(JointMove(model.joints(commanded)))
         return Positioned(rounds, residual)
 
-    def residual(self, seen: Sight, target: Transform) -> Residual:
+    def residual(self, seen: StudiedSight, target: Transform) -> Residual:
         """Return how far the tip is from its target in one look."""
         tip = seen.patient_from_marker @ self._marker_from_tip
         angle = (target.rigid.rotation.inv() * tip.rigid.rotation).magnitude()
         return Residual(float(np.linalg.norm(tip.translation_mm - target.translation_mm)), float(angle))
 
-    def _corrected(self, model: ArmModel, commanded: Transform, seen: Sight, target: Transform) -> Transform:
+    def _corrected(
+        self, model: BelievedPositioning, commanded: Transform, seen: StudiedSight, target: Transform
+    ) -> Transform:
         """Return the command moved by the residual, along the robot's axes."""
         wanted = model.robot_from_tracker @ seen.phantom @ target
         tip = model.robot_from_tracker @ seen.tool @ self._marker_from_tip

@@ -16,7 +16,7 @@ LEAST_SHARE = 0.5  # of the frames that must show a tool
 
 
 @dataclass(frozen=True)
-class Sight:
+class StudiedSight:
     """Mean poses TRACKER <- MARKER of the tool's frame and TRACKER <- PATIENT of the phantom's."""
 
     tool: Transform
@@ -28,14 +28,14 @@ class Sight:
         return self.phantom.inverse() @ self.tool
 
 
-def look(tracker: OpticalTracker, frames: int) -> Sight | None:
+def look(tracker: OpticalTracker, frames: int) -> StudiedSight | None:
     """Average `frames` measurements, or return None where either frame is hidden."""
     read = list(new_frames(tracker, frames, timeout_s=FRAME_LIMIT_S))
     tool, phantom = (_mean_pose(read, name) for name in (TOOL_FRAME, PHANTOM_FRAME))
-    return None if tool is None or phantom is None else Sight(tool, as_patient(phantom))
+    return None if tool is None or phantom is None else StudiedSight(tool, as_patient(phantom))
 
 
-def require_look(tracker: OpticalTracker, frames: int) -> Sight:
+def require_look(tracker: OpticalTracker, frames: int) -> StudiedSight:
     """Average `frames` measurements. Raises STU-008 where either frame is hidden."""
     if (found := look(tracker, frames)) is None:
         raise TRACKER_NOT_SIMULATED("the tracker does not see both frames")

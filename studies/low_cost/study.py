@@ -28,21 +28,21 @@ from studies.low_cost.devices import open_room
 from studies.low_cost.figures import (
     NOMINAL_ERROR_KEY,
     REPEATABILITY_KEY,
-    Dimensions,
+    CalibrationMethod,
+    DimensionSource,
     Extent,
     Fit,
-    Method,
     Place,
     Quantity,
     absolute_key,
     fit_key,
 )
 from studies.low_cost.judge import Judge, measure_accuracy_mm, measure_repeatability_mm, named_pose
-from studies.low_cost.positioning import ArmModel, TipModel, TipPositioner
+from studies.low_cost.positioning import BelievedPositioning, TipModel, TipPositioner
 from studies.low_cost.preparation import Preparation
 from studies.low_cost.room import MODEL, PHANTOM_MM, TIP_IN_FLANGE_MM, draw_room, draw_ur5, nominal_error_mm
 from studies.low_cost.sight import require_look
-from studies.low_cost.targets import ORIENTATIONS_RAD, REFERENCE, Target, draw_targets, oriented
+from studies.low_cost.targets import ORIENTATIONS_RAD, REFERENCE, StudiedTarget, draw_targets, oriented
 
 Array = NDArray[np.float64]
 
@@ -94,29 +94,29 @@ class LowCostStudy:
         sums: Sums = {NOMINAL_ERROR_KEY: nominal_error_mm(truth)}
         with open_room(scene) as (world, tracker), self._open_arm(world, truth, number) as (arm, factory):
             models, judge = (
-                {Dimensions.NOMINAL: universal_robot(MODEL), Dimensions.FACTORY: factory},
+                {DimensionSource.NOMINAL: universal_robot(MODEL), DimensionSource.FACTORY: factory},
                 Judge(scene, world),
             )
-            drawn = TipModel(models[Dimensions.NOMINAL], _drawn_tip())
+            drawn = TipModel(models[DimensionSource.NOMINAL], _drawn_tip())
             sums |= _measure_alone(arm, judge, drawn, models, self.seed)
             points = [np.add(PHANTOM_MM, ABOVE_MM) + place for place in CUBE_MM]
             looks = take_looks(arm, tracker, drawn, points, self.frames)
             known = {}
             for name, kinematics in models.items():
                 found = calibrate(looks, kinematics)
-                known[name] = ArmModel.of(kinematics, found.fit, self.preparation.tip_from_marker)
+                known[name] = BelievedPositioning.of(kinematics, found.fit, self.preparation.tip_from_marker)
                 sums |= _collect_calibration(name, found)
             positioner = TipPositioner(arm, tracker, self.preparation.tip_from_marker, self.frames)
             for target in plan_targets(scene, self.seed, self.targets):
                 wanted = self.preparation.registration @ target.ct_from_tool
                 phantom = require_look(tracker, self.frames).phantom
                 # Method 2 continues from where the nominal arm took itself, so that comes last.
-                for name in (Dimensions.FACTORY, Dimensions.NOMINAL):
+                for name in (DimensionSource.FACTORY, DimensionSource.NOMINAL):
                     commanded = positioner.aim(known[name], phantom, wanted)
-                    opened = Place(Method.OPEN, name, target.orientation, target.number)
+                    opened = Place(CalibrationMethod.OPEN, name, target.orientation, target.number)
                     sums |= judge.error(target).sums(opened)
-                reached = positioner.iterate(known[Dimensions.NOMINAL], commanded, wanted)
-                closed = opened._replace(method=Method.CLOSED)
+                reached = positioner.iterate(known[DimensionSource.NOMINAL], commanded, wanted)
+                closed = opened._replace(method=CalibrationMethod.CLOSED)
                 sums |= judge.error(target).sums(closed)
                 sums[closed.key(Quantity.ROUNDS)] = float(reached.rounds)
                 sums[closed.key(Quantity.SETTLED)] = float(reached.residual.is_settled)
@@ -140,7 +140,7 @@ def study_name(*, over_the_wire: bool) -> str:
     return "low-cost-over-the-wire" if over_the_wire else "low-cost"
 
 
-def plan_targets(scene: Scene, seed: int, count: int) -> tuple[Target, ...]:
+def plan_targets(scene: Scene, seed: int, count: int) -> tuple[StudiedTarget, ...]:
     """Draw the targets of a room, in orientations that suit how the phantom lies on the table."""
     turned = Rotation.from_matrix(matrix_of(scene.head.robot_from_ct)[:3, :3])
     head = scene.head
@@ -154,7 +154,7 @@ def _drawn_tip() -> Transform:
 
 
 def _measure_alone(
-    arm: PositionedArm, judge: Judge, drawn: TipModel, models: Mapping[Dimensions, Kinematics], seed: int
+    arm: PositionedArm, judge: Judge, drawn: TipModel, models: Mapping[DimensionSource, Kinematics], seed: int
 ) -> Sums:
     """Measure repeatability and absolute error of the arm, over the same poses for every arm."""
     centre = np.add(PHANTOM_MM, ABOVE_MM)
@@ -175,7 +175,7 @@ def _measure_alone(
     return sums
 
 
-def _collect_calibration(dimensions: Dimensions, found: FrameCalibration) -> Sums:
+def _collect_calibration(dimensions: DimensionSource, found: FrameCalibration) -> Sums:
     figures = {
         Fit.SCATTER_MM: found.fit.scatter_mm,
         Fit.SCATTER_DEG: float(np.degrees(found.fit.scatter_rad)),

@@ -17,10 +17,10 @@ from studies.campaign.study import Cell, Sums, Table, yes_or_no
 from studies.low_cost.figures import (
     NOMINAL_ERROR_KEY,
     REPEATABILITY_KEY,
-    Dimensions,
+    CalibrationMethod,
+    DimensionSource,
     Extent,
     Fit,
-    Method,
     Place,
     Quantity,
     absolute_key,
@@ -42,9 +42,9 @@ LEAST_ARMS = 5  # that show whether errors depend on the arm
 PEER = "Tovar-Arriaga et al., Sensors 12 (2012), another arm and tracker"
 PEER_CALIBRATION_MM, PEER_OPEN_MM, PEER_CLOSED_RMS_MM = (0.81, 0.41), (1.2, 0.4), 0.35
 METHODS = {
-    f"1, {Dimensions.NOMINAL} DH": (Method.OPEN, Dimensions.NOMINAL),
-    f"1, {Dimensions.FACTORY} DH": (Method.OPEN, Dimensions.FACTORY),
-    f"2, {Dimensions.NOMINAL} DH": (Method.CLOSED, Dimensions.NOMINAL),
+    f"1, {DimensionSource.NOMINAL} DH": (CalibrationMethod.OPEN, DimensionSource.NOMINAL),
+    f"1, {DimensionSource.FACTORY} DH": (CalibrationMethod.OPEN, DimensionSource.FACTORY),
+    f"2, {DimensionSource.NOMINAL} DH": (CalibrationMethod.CLOSED, DimensionSource.NOMINAL),
 }
 NOT_JUDGED = "not judged"
 NOT_FOUND = (
@@ -60,7 +60,7 @@ class Arm:
     number: int
     sums: Sums
 
-    def at_targets(self, method: Method, model: Dimensions, quantity: Quantity) -> Array:
+    def at_targets(self, method: CalibrationMethod, model: DimensionSource, quantity: Quantity) -> Array:
         """Return a quantity at all targets, (orientations, targets)."""
         found: dict[int, list[float]] = {}
         for key, value in self.sums.items():
@@ -97,7 +97,7 @@ def tables(preparation: Preparation, sums: Mapping[str, Sums]) -> list[Table]:
 
 def tabulate_relations(arms: list[Arm]) -> Table:
     """Judge the relations that have to hold whatever the figures are."""
-    opened, closed = (_errors_mm(arms, method, Dimensions.NOMINAL) for method in Method)
+    opened, closed = (_errors_mm(arms, method, DimensionSource.NOMINAL) for method in CalibrationMethod)
     better = closed.mean(axis=(1, 2)) < opened.mean(axis=(1, 2))
     better_sets = closed.mean(axis=2) < opened.mean(axis=2)
     means = closed.mean(axis=(1, 2))
@@ -193,7 +193,7 @@ def _tabulate_positioning(arms: list[Arm]) -> Table:
                 "rounds": None,
                 "settled %": None,
             }
-            if method is Method.CLOSED:
+            if method is CalibrationMethod.CLOSED:
                 rounds, settled = (
                     np.array([arm.at_targets(method, model, what) for arm in chosen])
                     for what in (Quantity.ROUNDS, Quantity.SETTLED)
@@ -219,7 +219,7 @@ def _tabulate_arms(arms: list[Arm]) -> Table:
                 "repeatability mm": arm[REPEATABILITY_KEY],
                 **{
                     f"{model} DH, {what} mm": arm[absolute_key(model, what)]
-                    for model in Dimensions
+                    for model in DimensionSource
                     for what in Extent
                 },
             }
@@ -245,7 +245,7 @@ def _tabulate_calibrations(arms: list[Arm], preparation: Preparation) -> Table:
                 "held out deg": arm[fit_key(model, Fit.HELD_OUT_DEG)],
             }
             for arm in arms
-            for model in Dimensions
+            for model in DimensionSource
         ],
         "Joint solution of base to tracker and flange to tool frame (A X = Z B). Held out: 3-D rms at looks "
         f"that were not fitted. Tip by pivoting: {preparation.pivot_rms_mm:.3f} mm rms. Registration of the "
@@ -277,8 +277,8 @@ def _tabulate_scans(preparation: Preparation) -> Table:
 
 
 def _tabulate_peer(arms: list[Arm]) -> Table:
-    held_out = np.array([arm[fit_key(Dimensions.NOMINAL, Fit.HELD_OUT_MM)] for arm in arms])
-    opened, closed = (_errors_mm(arms, method, Dimensions.NOMINAL) for method in Method)
+    held_out = np.array([arm[fit_key(DimensionSource.NOMINAL, Fit.HELD_OUT_MM)] for arm in arms])
+    opened, closed = (_errors_mm(arms, method, DimensionSource.NOMINAL) for method in CalibrationMethod)
     return Table(
         "Beside a peer",
         ("what", "peer mm", "here mm"),
@@ -293,12 +293,12 @@ def _tabulate_peer(arms: list[Arm]) -> Table:
 
 def plots(sums: Mapping[str, Sums]) -> dict[str, bytes]:
     """Plot the errors of both methods, their dependence on the arm's own, and the rounds."""
-    own_error = absolute_key(Dimensions.NOMINAL, Extent.MEAN)
+    own_error = absolute_key(DimensionSource.NOMINAL, Extent.MEAN)
     arms = sorted(collect_arms(sums), key=lambda arm: arm[own_error])
     lines = {
         f"method {name}": [
             (
-                arm[absolute_key(Dimensions.NOMINAL, Extent.MEAN)],
+                arm[absolute_key(DimensionSource.NOMINAL, Extent.MEAN)],
                 float(arm.at_targets(method, model, Quantity.ERROR_MM).mean()),
             )
             for arm in arms
@@ -306,7 +306,9 @@ def plots(sums: Mapping[str, Sums]) -> dict[str, bytes]:
         for name, (method, model) in METHODS.items()
     }
     rounds, ended = (
-        np.array([arm.at_targets(Method.CLOSED, Dimensions.NOMINAL, one) for arm in arms]).ravel()
+        np.array(
+            [arm.at_targets(CalibrationMethod.CLOSED, DimensionSource.NOMINAL, one) for arm in arms]
+        ).ravel()
         for one in (Quantity.ROUNDS, Quantity.SETTLED)
     )
     settled = ended > 0.0
@@ -325,7 +327,7 @@ def plots(sums: Mapping[str, Sums]) -> dict[str, bytes]:
         ),
         "dependence-on-the-arm.png": curves(
             "Error at the target against that of the arm",
-            f"absolute error of the arm, {Dimensions.NOMINAL} DH, mean, mm",
+            f"absolute error of the arm, {DimensionSource.NOMINAL} DH, mean, mm",
             "mean error at the target, mm",
             lines,
         ),
@@ -344,6 +346,6 @@ def plots(sums: Mapping[str, Sums]) -> dict[str, bytes]:
     }
 
 
-def _errors_mm(arms: list[Arm], method: Method, model: Dimensions) -> Array:
+def _errors_mm(arms: list[Arm], method: CalibrationMethod, model: DimensionSource) -> Array:
     """Return the errors (arms, orientations, targets) in mm."""
     return np.array([arm.at_targets(method, model, Quantity.ERROR_MM) for arm in arms])

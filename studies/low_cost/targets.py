@@ -28,7 +28,7 @@ KEY = 2015  # of the random numbers
 
 
 @dataclass(frozen=True)
-class Target:
+class StudiedTarget:
     """Pose CT <- TOOL that the tool should take: its set is the number of its orientation."""
 
     number: int
@@ -38,7 +38,7 @@ class Target:
 
 def draw_targets(
     seed: int, count: int, centre_ct_mm: Array, semi_axes_mm: Array, ct_from_robot: Rotation
-) -> tuple[Target, ...]:
+) -> tuple[StudiedTarget, ...]:
     """Draw `count` points in the middle of the phantom, each with every orientation.
 
     `ct_from_robot`: roughly how the phantom lies, as a planner knows it.
@@ -50,7 +50,7 @@ def draw_targets(
         if np.linalg.norm(point) < 1.0:
             points.append(centre_ct_mm + INNER_SHARE * point * semi_axes_mm)
     return tuple(
-        Target(number, orientation, _pose(point, ct_from_robot * oriented(orientation)))
+        StudiedTarget(number, orientation, _pose(point, ct_from_robot * oriented(orientation)))
         for orientation in range(len(ORIENTATIONS_RAD))
         for number, point in enumerate(points)
     )

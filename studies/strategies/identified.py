@@ -30,7 +30,7 @@ from sim.world.true_arm import TrueArm
 from studies.accuracy.phantom import Markers, draw_phantom, phantom_pose
 from studies.accuracy.postures import ARM, TOOL, TOOL_MM, Postures
 from studies.accuracy.random_arms import RandomArms, draw_numbered_arm, solve_joints
-from studies.accuracy.scene import AXES, FINE_CT_MM, Scene, Sizes
+from studies.accuracy.scene import AXES, FINE_CT_MM, Sizes, StudiedScene
 from studies.campaign import bounds
 from studies.campaign.plots import boxes
 from studies.campaign.study import Sums, Table, Unit, blocks
@@ -70,7 +70,7 @@ class IdentifiedStudy:
         Predicted, as sums: predicted|strategy|spheres|inside, rms2.
         """
         drawn = draw_phantom(Markers.FREE, DEPTHS_MM, TARGETS)
-        scenes = [Scene.of(self.seed, drawn, Markers.FREE, number) for number in range(1, PLACES + 1)]
+        scenes = [StudiedScene.of(self.seed, drawn, Markers.FREE, number) for number in range(1, PLACES + 1)]
         planned = {
             (scene.number, strategy): scene.planned(strategy, EXPECTED)
             for scene in scenes
@@ -282,11 +282,11 @@ def compute_identified_errors_mm(
     arm: RandomArms,
     believed: BelievedArm,
     planned: Postures,
-    scene: Scene,
+    scene: StudiedScene,
     numbers: Sequence[int],
     sizes: Sizes,
 ) -> Array:
-    """Return one arm's error vectors (t, c, 3) in mm, like `Scene.errors_mm` for many arms."""
+    """Return one arm's error vectors (t, c, 3) in mm, like `StudiedScene.errors_mm` for many arms."""
     image, recorded = record_spheres_mm(arm, believed, planned, scene, numbers, sizes)
     return np.stack(
         [
@@ -303,7 +303,7 @@ def record_spheres_mm(
     arm: RandomArms,
     believed: BelievedArm,
     planned: Postures,
-    scene: Scene,
+    scene: StudiedScene,
     numbers: Sequence[int],
     sizes: Sizes,
 ) -> tuple[Array, Array]:
@@ -328,7 +328,7 @@ def reach_targets_mm(
     arm: RandomArms,
     believed: BelievedArm,
     planned: Postures,
-    scene: Scene,
+    scene: StudiedScene,
     numbers: Sequence[int],
     fit: RigidFit,
 ) -> Array:

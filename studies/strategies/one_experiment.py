@@ -23,7 +23,7 @@ from sim.world.scene.as_built import TOOL_ERROR_MM
 from studies.accuracy.phantom import FREE_SPHERES, Markers, Tilts, draw_phantom, phantom_pose
 from studies.accuracy.postures import Postures
 from studies.accuracy.random_arms import RandomArms, Source
-from studies.accuracy.scene import AXES, CT_FLE_MM, DIGITS, Chance, Scene, Sizes
+from studies.accuracy.scene import AXES, CT_FLE_MM, DIGITS, Chance, Sizes, StudiedScene
 from studies.campaign.study import Sums, Unit, blocks
 from studies.strategies.study import DEPTHS_MM, PLACES, TARGETS
 from studies.thesis_tables import TABLE_4, StrategyRow
@@ -177,7 +177,7 @@ class Trials:
 
     arms: RandomArms
     numbers: Sequence[int]
-    scenes: Sequence[Scene]
+    scenes: Sequence[StudiedScene]
     planned: Mapping[tuple[int, str], Postures]  # by place and strategy
     chances: Sequence[Chance]
     drawn: Array  # (a, k) tool frame and CT, in standard deviations
@@ -190,7 +190,8 @@ class Trials:
         drawn = draw_phantom(Markers.FREE, DEPTHS_MM, TARGETS, tilts=TILTS)
         scenes = [
             replace(
-                Scene.of(seed, drawn, Markers.FREE, number), robot_from_ct=phantom_pose(number, TURN_SHARE)
+                StudiedScene.of(seed, drawn, Markers.FREE, number),
+                robot_from_ct=phantom_pose(number, TURN_SHARE),
             )
             for number in places
         ]

@@ -16,7 +16,7 @@ import numpy as np
 
 from studies.accuracy.phantom import ALIKE, USUAL_TILTS, Markers, draw_phantom
 from studies.accuracy.random_arms import RandomArms, Source
-from studies.accuracy.scene import DIGITS, SCENARIOS, SET_S, Scenario, Scene, Sizes
+from studies.accuracy.scene import DIGITS, SCENARIOS, SET_S, Scenario, Sizes, StudiedScene
 from studies.campaign.study import Sums, Unit, blocks, omit_empty_own
 from studies.plugins.method import PluginMethod
 from studies.plugins.strategy import PluginStrategy
@@ -83,7 +83,7 @@ class StrategiesStudy:
         markers, tilts = Markers(kind), ALIKE if part == TILTED_ALIKE else USUAL_TILTS
         drawn = draw_phantom(markers, DEPTHS_MM, TARGETS, tilts=tilts)
         own = tuple(PluginStrategy.of(one) for one in self.own)
-        scene = Scene.of(self.seed, drawn, markers, int(number), own)
+        scene = StudiedScene.of(self.seed, drawn, markers, int(number), own)
         first = unit.block * BLOCK_ARMS + (FIRST_OF_PREDICTION * int(number) if part == PREDICTION else 0)
         arms = range(first, first + unit.runs)
         if part == TRIALS:
@@ -96,7 +96,7 @@ class StrategiesStudy:
         return _run_predictions(scene, arms) if part == PREDICTION else _run_reading(scene, arms, part)
 
 
-def _run_sources(scene: Scene, arms: Sequence[int]) -> Sums:
+def _run_sources(scene: StudiedScene, arms: Sequence[int]) -> Sums:
     """Return error sums for each source alone, `strategy|spheres|source`, and counts, `strategy|spheres`."""
     drawn, chance = RandomArms.draw(scene.seed, arms), scene.chance(arms)
     found: Sums = {}
@@ -112,7 +112,7 @@ def _run_sources(scene: Scene, arms: Sequence[int]) -> Sums:
     return found
 
 
-def _run_predictions(scene: Scene, arms: Sequence[int]) -> Sums:
+def _run_predictions(scene: StudiedScene, arms: Sequence[int]) -> Sums:
     """Return sums of predicted and actual errors, keyed `scenario|strategy|spheres|quantity`."""
     drawn, chance = RandomArms.draw(scene.seed, arms), scene.chance(arms)
     sums: dict[str, float] = defaultdict(float)
@@ -128,7 +128,7 @@ def _run_predictions(scene: Scene, arms: Sequence[int]) -> Sums:
     return dict(sums)
 
 
-def _run_scenarios(scene: Scene, arms: Sequence[int]) -> Sums:
+def _run_scenarios(scene: StudiedScene, arms: Sequence[int]) -> Sums:
     """Return error histograms and sums by arm: `scenario|strategy|spheres|` then bin, or `arm` number."""
     drawn, chance = RandomArms.draw(scene.seed, arms), scene.chance(arms)
     found: dict[str, float] = defaultdict(float)
@@ -145,8 +145,8 @@ def _run_scenarios(scene: Scene, arms: Sequence[int]) -> Sums:
     return dict(found)
 
 
-def _run_reading(scene: Scene, arms: Sequence[int], reading: str) -> Sums:
-    """Run the trials under another interpretation of the protocol, keyed as by `Scene.trials`."""
+def _run_reading(scene: StudiedScene, arms: Sequence[int], reading: str) -> Sums:
+    """Run the trials under another interpretation of the protocol, keyed as by `StudiedScene.trials`."""
     return scene.trials(
         arms,
         READ_AGAIN,

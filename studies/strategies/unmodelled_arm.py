@@ -37,7 +37,7 @@ from sim.world.true_arm import TrueArm
 from studies.accuracy.phantom import Markers, draw_phantom, phantom_pose
 from studies.accuracy.postures import ARM, TOOL, Postures
 from studies.accuracy.random_arms import RandomArms, draw_numbered_arm
-from studies.accuracy.scene import AXES, FINE_CT_MM, Scene, Sizes
+from studies.accuracy.scene import AXES, FINE_CT_MM, Sizes, StudiedScene
 from studies.accuracy.unmodelled_effects import BUMPS, DisplacedArms, DrawnEffect, Effect
 from studies.campaign.study import Sums, Unit, blocks
 from studies.strategies import distorted_tracker
@@ -108,7 +108,7 @@ class _Judged:
     arm_mm: float  # of the residual gate
     listed: dict[tuple[int, int, int], Sources] = field(default_factory=dict)
 
-    def sources(self, scene: Scene, planned: Postures, target: int, count: int) -> Sources:
+    def sources(self, scene: StudiedScene, planned: Postures, target: int, count: int) -> Sources:
         """List the error sources at a target registered by the first `count` spheres."""
         key = (scene.number, id(planned), target)  # the postures live as long as the bench
         if key not in self.listed:
@@ -136,7 +136,7 @@ class _Bench:
     """Phantom, planned postures and planned calibration, common to all arms."""
 
     seed: int
-    scenes: tuple[Scene, ...]
+    scenes: tuple[StudiedScene, ...]
     planned: Mapping[tuple[str, int, str], Postures]
     looks: LookArrays
     held_out: NDArray[np.bool_]
@@ -147,7 +147,7 @@ class _Bench:
     @lru_cache(maxsize=1)
     def set_up(cls, seed: int) -> _Bench:
         drawn = draw_phantom(Markers.FREE, DEPTHS_MM, TARGETS)
-        scenes = tuple(Scene.of(seed, drawn, Markers.FREE, number) for number in PLACES)
+        scenes = tuple(StudiedScene.of(seed, drawn, Markers.FREE, number) for number in PLACES)
         spheres_mm = phantom_pose(PLACES[0]).apply(drawn.spheres_mm)
         planned = {
             (kind, scene.number, strategy): scene.planned(strategy, sizes)
@@ -213,7 +213,7 @@ class _Bench:
         )
 
     def _try_case(
-        self, number: int, effect: Effect, scene: Scene, planned: Postures, judged: _Judged
+        self, number: int, effect: Effect, scene: StudiedScene, planned: Postures, judged: _Judged
     ) -> Sums:
         """Localize, register and reach all targets once; sums by number of spheres."""
         case = self._place_case(number, effect, scene, planned)
@@ -246,7 +246,7 @@ class _Bench:
                     sums[f"{count}|widened"] += predicted.widening > 1.0
         return sums
 
-    def _place_case(self, number: int, effect: Effect, scene: Scene, planned: Postures) -> _Case:
+    def _place_case(self, number: int, effect: Effect, scene: StudiedScene, planned: Postures) -> _Case:
         """Displace an arm at all poses of a case, in the order in which a case takes them."""
         arm = RandomArms.draw(self.seed, [number])
         drawn, chain = DrawnEffect.draw(effect, self.seed, number), ARM.chain
@@ -300,7 +300,7 @@ def _passes_gate(
 
 
 def _predict(
-    scene: Scene,
+    scene: StudiedScene,
     planned: Postures,
     target: int,
     count: int,

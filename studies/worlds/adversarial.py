@@ -20,14 +20,14 @@ from studies.campaign.study import Cell, Sums, Table, Unit
 from studies.errors import WORLD_NOT_RUN
 from studies.worlds.adversary import RELOCALIZATION, AdversarialWorld, draw_adversarial_world
 from studies.worlds.finished_case import LIMIT, RMS, parse_output, read_predictions, read_true_errors_mm
-from studies.worlds.silence import RANKS, Ending, JudgedCase, Silence, judge_case
+from studies.worlds.silence import RANKS, CaseEnding, JudgedCase, Silence, judge_case
 from studies.worlds.study import CASE_FILE, LIMIT_S, RUN_FOLDER, SCRIPT_FILE
 from studies.worlds.verdict import find_change_time_s
 
 KEPT = RANKS[Silence.BEYOND]  # runs with this verdict or a worse one are kept
 ROWS = 40  # of the table of cases
 LONGEST_SAID = 160  # characters of a row
-ENDINGS = tuple(Ending)
+ENDINGS = tuple(CaseEnding)
 MOST_BEYOND = 0.05  # share of the targets of undisturbed cases that chance puts beyond a 95 % limit
 
 
@@ -190,7 +190,7 @@ def run_adversarial_world(world: AdversarialWorld, folder: Path, *, quiet: bool 
         killed_at, commands = case.killed_at, case.commands
         found = _judge(world, case, quiet=quiet)
     except RonnaError as error:
-        found = JudgedCase(Silence.BROKEN, Ending.BROKEN, (), True, (), str(error))
+        found = JudgedCase(Silence.BROKEN, CaseEnding.BROKEN, (), True, (), str(error))
     mode = "--adversarial --quiet" if quiet else "--adversarial"
     content = {
         "world": asdict(world),
@@ -300,4 +300,4 @@ def _count_verdicts(judged: Any) -> dict[Silence, int]:
 
 
 def _count_noticed(judged: Any) -> int:
-    return sum(ENDINGS[round(one["ending"])] in (Ending.REFUSED, Ending.IN_DOUBT) for one in judged)
+    return sum(ENDINGS[round(one["ending"])] in (CaseEnding.REFUSED, CaseEnding.IN_DOUBT) for one in judged)

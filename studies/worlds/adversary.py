@@ -17,7 +17,7 @@ from sim.world.options import Carrier
 from sim.world.process import load_scene
 from sim.world.rigid import Matrix, apply, inverse, vector_from_rotation
 from sim.world.scene.model import Scene
-from studies.worlds.looks import ARM_MM, TWIST, Body, HiddenMove, Looks, find_hidden_moves
+from studies.worlds.looks import ARM_MM, TWIST, HiddenMove, Looks, MovedBody, find_hidden_moves
 from studies.worlds.world import MINI
 
 DEFAULT, EVERY_THIRD = "default", 3  # of the cases, one in three is in the default scene
@@ -51,14 +51,22 @@ STEPS_S = {
 }
 AT_TARGET_DUAL_S = 50.0
 OF_ALL = (TOOL_CHANGE, TOOL_CHECK)
-SINGLE = ((Body.HEAD,), (Body.CART,), (Body.SEAT,), (Body.GUIDE,), (Body.TRACKER,))
-PAIRS = ((Body.HEAD, Body.CART), (Body.CART, Body.TRACKER), (Body.HEAD, Body.TRACKER))
-OF_DUAL = ((Body.ASSISTANT_CART,), (Body.ASSISTANT_CART, Body.TRACKER), (Body.CART, Body.ASSISTANT_CART))
-SHARES: dict[tuple[Body, ...], float] = {  # where they could do as much; one for each of the others
-    (Body.HEAD,): 4.0,
-    (Body.CART,): 3.0,
-    (Body.GUIDE,): 2.0,
-    (Body.ASSISTANT_CART,): 4.0,
+SINGLE = ((MovedBody.HEAD,), (MovedBody.CART,), (MovedBody.SEAT,), (MovedBody.GUIDE,), (MovedBody.TRACKER,))
+PAIRS = (
+    (MovedBody.HEAD, MovedBody.CART),
+    (MovedBody.CART, MovedBody.TRACKER),
+    (MovedBody.HEAD, MovedBody.TRACKER),
+)
+OF_DUAL = (
+    (MovedBody.ASSISTANT_CART,),
+    (MovedBody.ASSISTANT_CART, MovedBody.TRACKER),
+    (MovedBody.CART, MovedBody.ASSISTANT_CART),
+)
+SHARES: dict[tuple[MovedBody, ...], float] = {  # where they could do as much; one for each of the others
+    (MovedBody.HEAD,): 4.0,
+    (MovedBody.CART,): 3.0,
+    (MovedBody.GUIDE,): 2.0,
+    (MovedBody.ASSISTANT_CART,): 4.0,
 }
 One = TypeVar("One")
 
@@ -188,29 +196,29 @@ class Adversary:
             for body, twist_mm in zip(move.bodies, move.twist_mm.reshape(-1, TWIST), strict=True)
             for line in format_lines(looks, body, looks.displacement(body, twist_mm), ending)
         ]
-        if Body.TRACKER in bodies:
+        if MovedBody.TRACKER in bodies:
             lines += self._draw_push(looks, ending)
         return HiddenChange(
             tuple(one.value for one in bodies), step, after_s, tuple(lines), move.sigmas, move.effect_mm
         )
 
-    def _pick_bodies(self, looks: Looks, choices: Sequence[tuple[Body, ...]]) -> tuple[Body, ...]:
+    def _pick_bodies(self, looks: Looks, choices: Sequence[tuple[MovedBody, ...]]) -> tuple[MovedBody, ...]:
         weights = np.array([SHARES.get(one, 1.0) * _find_reach_mm(looks, one) for one in choices])
         return choices[int(self._draws.choice(len(choices), p=weights / weights.sum()))]
 
-    def _pick_step(self, bodies: tuple[Body, ...]) -> str:
+    def _pick_step(self, bodies: tuple[MovedBody, ...]) -> str:
         """Pick the step of a change: of the guide once it is mounted, by a hand once it is at the head."""
-        if bodies == (Body.GUIDE,):
+        if bodies == (MovedBody.GUIDE,):
             return self._pick((POSITIONING, AT_TARGET))
-        if bodies == (Body.SEAT,):
+        if bodies == (MovedBody.SEAT,):
             return self._pick((TOOL_CHECK, POSITIONING, AT_TARGET, RETREAT))
-        if Body.ASSISTANT_CART in bodies:
+        if MovedBody.ASSISTANT_CART in bodies:
             return self._pick((TOOL_CHECK, POSITIONING, AT_TARGET, AT_TARGET))
         return self._pick(tuple(STEPS_S))
 
-    def _draw_move(self, looks: Looks, bodies: tuple[Body, ...]) -> HiddenMove:
+    def _draw_move(self, looks: Looks, bodies: tuple[MovedBody, ...]) -> HiddenMove:
         """Draw a direction and a size within the limits; a tracker alone has no move that is felt."""
-        if bodies == (Body.TRACKER,):
+        if bodies == (MovedBody.TRACKER,):
             return HiddenMove((), np.zeros(0), 0.0, 0.0)
         worst = find_hidden_moves(looks, bodies)[: len(DIRECTIONS)]
         one = worst[int(self._draws.choice(len(worst), p=DIRECTIONS))]
@@ -224,12 +232,12 @@ class Adversary:
         shift_mm, turn = self._draws.standard_normal(3), self._draws.standard_normal(3)
         shift_mm *= self._between((0.0, PUSH_MM)) / np.linalg.norm(shift_mm)
         turn *= ARM_MM * math.radians(self._between((0.0, PUSH_DEG))) / np.linalg.norm(turn)
-        pushed = looks.displacement(Body.TRACKER, np.hstack([shift_mm, turn]))
-        return format_lines(looks, Body.TRACKER, pushed, ending)
+        pushed = looks.displacement(MovedBody.TRACKER, np.hstack([shift_mm, turn]))
+        return format_lines(looks, MovedBody.TRACKER, pushed, ending)
 
-    def _draw_ending(self, bodies: tuple[Body, ...]) -> str:
+    def _draw_ending(self, bodies: tuple[MovedBody, ...]) -> str:
         """Draw how a change comes about, and how long a hand holds the guide."""
-        by_hand, slowly = bodies == (Body.GUIDE,), self._happens(SLOW_SHARE)
+        by_hand, slowly = bodies == (MovedBody.GUIDE,), self._happens(SLOW_SHARE)
         over = f" over {self._between(LEANING_S if by_hand else SLOWLY_S):.1f} s" if slowly else ""
         return over + (f" for {self._between(HELD_S):.1f} s" if by_hand else "")
 
@@ -243,17 +251,17 @@ class Adversary:
         return float(self._draws.uniform(*limits))
 
 
-def _find_reach_mm(looks: Looks, bodies: tuple[Body, ...]) -> float:
+def _find_reach_mm(looks: Looks, bodies: tuple[MovedBody, ...]) -> float:
     """Return the largest effect of a move of these bodies that the looks hardly show, within its bounds."""
-    if bodies == (Body.TRACKER,):
+    if bodies == (MovedBody.TRACKER,):
         return FAINT_MM
     return min(GRAVE_MM, max(FAINT_MM, MOST_SIGMAS * find_hidden_moves(looks, bodies)[0].effect_mm))
 
 
-def format_lines(looks: Looks, body: Body, displacement: Matrix, ending: str) -> list[str]:
+def format_lines(looks: Looks, body: MovedBody, displacement: Matrix, ending: str) -> list[str]:
     """Return a displacement as a fault script has it: a shift, and a turn about the body's centre."""
     moved, centre_mm = displacement, looks.centre_mm(body)
-    if body is Body.SEAT:  # along the axes of the tip, about it
+    if body is MovedBody.SEAT:  # along the axes of the tip, about it
         moved, centre_mm = inverse(looks.tip) @ displacement @ looks.tip, np.zeros(3)
     shift = " ".join(f"{one:+.5f}" for one in apply(moved, centre_mm) - centre_mm)
     turn = " ".join(f"{one:+.6f}" for one in np.degrees(vector_from_rotation(moved[:3, :3])))

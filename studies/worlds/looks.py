@@ -47,7 +47,7 @@ FLANKS = (1.0,) * 6  # each joint rests on this side of its backlash
 TWIST = 6
 
 
-class Body(StrEnum):
+class MovedBody(StrEnum):
     """A body that can be moved, named as in a fault script."""
 
     HEAD = "head"
@@ -66,7 +66,7 @@ class HiddenMove:
     `effect_mm` the displacement of the guide against the target, or of an instrument against its bore.
     """
 
-    bodies: tuple[Body, ...]
+    bodies: tuple[MovedBody, ...]
     twist_mm: Array
     sigmas: float
     effect_mm: float
@@ -106,35 +106,39 @@ class Looks:
         self._guide_markers_mm = apply(self.tip @ matrix_of(GUIDE_FRAME_IN_TIP), GUIDE_FRAME_MARKERS_MM)
 
     @property
-    def _sighted(self) -> tuple[Body, ...]:
+    def _sighted(self) -> tuple[MovedBody, ...]:
         """The bodies that the tracker sees at home."""
-        return (Body.HEAD, Body.CART, *((Body.ASSISTANT_CART,) if self.scene.assistant else ()))
+        return (
+            MovedBody.HEAD,
+            MovedBody.CART,
+            *((MovedBody.ASSISTANT_CART,) if self.scene.assistant else ()),
+        )
 
-    def centre_mm(self, body: Body) -> Array:
+    def centre_mm(self, body: MovedBody) -> Array:
         """Return the point (3,) about which a fault script turns a body, robot frame."""
         scene = self.scene
         match body:
-            case Body.HEAD:
+            case MovedBody.HEAD:
                 return apply(matrix_of(scene.head.robot_from_ct), scene.head.centre_ct_mm)
-            case Body.CART:
+            case MovedBody.CART:
                 return np.zeros(3)
-            case Body.ASSISTANT_CART:
+            case MovedBody.ASSISTANT_CART:
                 assert scene.assistant is not None
                 return matrix_of(scene.assistant.robot_from_base)[:3, 3]
-            case Body.TRACKER:
+            case MovedBody.TRACKER:
                 return self._robot_from_tracker[:3, 3]
-            case Body.SEAT:
+            case MovedBody.SEAT:
                 return self.tip[:3, 3]
-            case Body.GUIDE:
+            case MovedBody.GUIDE:
                 return self.mount_frame[:3, 3]
 
-    def information(self, body: Body) -> Array:
+    def information(self, body: MovedBody) -> Array:
         """Return the information (6, 6) of the looks about a body's twist, per mm2."""
         seen = self._jacobian(self._points_mm(body), body)
         found: Array = seen.T @ np.linalg.solve(self._covariance_mm2(body), seen)
-        return found + self._gauge_information() if body is Body.SEAT else found
+        return found + self._gauge_information() if body is MovedBody.SEAT else found
 
-    def shared_information(self, body: Body) -> Array:
+    def shared_information(self, body: MovedBody) -> Array:
         """Return the information (6, 6) that remains where the tracker may have moved as well.
 
         A move of the tracker alone displaces everything that it sees alike; what looks like one is not told
@@ -147,60 +151,60 @@ class Looks:
         own = each[body]
         return own - own @ np.linalg.solve(whole, own)
 
-    def feeling(self, body: Body) -> Array:
+    def feeling(self, body: MovedBody) -> Array:
         """Return the displacement (3, 6) of the guide against the target per mm of a body's twist.
 
         The cart of an assistant moves the instrument against the bore instead, on average of its two ends.
         """
-        if body is Body.TRACKER:
+        if body is MovedBody.TRACKER:
             return np.zeros((3, TWIST))
-        if body is Body.ASSISTANT_CART:
+        if body is MovedBody.ASSISTANT_CART:
             bore, axis = self.scene.mount.guide, self.tip[:3, 2]
             middle_mm = self.tip[:3, 3] - (bore.reach_mm + bore.bore_mm / 2.0) * axis
             across = np.eye(3) - np.outer(axis, axis)
             found: Array = across @ self._jacobian(middle_mm[None], body)
             return found
-        sign = -1.0 if body is Body.HEAD else 1.0
+        sign = -1.0 if body is MovedBody.HEAD else 1.0
         return sign * self._jacobian(self.target_mm[None], body)
 
-    def displacement(self, body: Body, twist_mm: Array) -> Matrix:
+    def displacement(self, body: MovedBody, twist_mm: Array) -> Matrix:
         """Return a body's twist as a displacement (4, 4) in the robot frame."""
         about_mm = self.centre_mm(body)
         turn = rotation_from_vector(twist_mm[3:] / ARM_MM)
         return matrix_from(about_mm - turn @ about_mm + twist_mm[:3], turn)
 
-    def _information_about(self, body: Body, about_mm: Array) -> Array:
+    def _information_about(self, body: MovedBody, about_mm: Array) -> Array:
         seen = _jacobian(self._points_mm(body), about_mm)
         found: Array = seen.T @ np.linalg.solve(self._covariance_mm2(body), seen)
         return found
 
-    def _jacobian(self, points_mm: Array, body: Body) -> Array:
+    def _jacobian(self, points_mm: Array, body: MovedBody) -> Array:
         return _jacobian(points_mm, self.centre_mm(body))
 
-    def _points_mm(self, body: Body) -> Array:
+    def _points_mm(self, body: MovedBody) -> Array:
         """Return the points (n, 3) that the tracker sees move with a body, or for the tracker all of them."""
         match body:
-            case Body.HEAD:
+            case MovedBody.HEAD:
                 return self._on_head_mm
-            case Body.CART:
+            case MovedBody.CART:
                 return self.home_frame_mm
-            case Body.ASSISTANT_CART:
+            case MovedBody.ASSISTANT_CART:
                 return self._assistant_frame_mm
-            case Body.TRACKER:
+            case MovedBody.TRACKER:
                 return np.vstack([self._points_mm(one) for one in self._sighted])
-            case Body.SEAT:
+            case MovedBody.SEAT:
                 return self._guide_markers_mm
-            case Body.GUIDE:
+            case MovedBody.GUIDE:
                 return np.vstack([apply(self.mount_frame, self._markers_mm), self._guide_markers_mm])
 
-    def _covariance_mm2(self, body: Body) -> Array:
+    def _covariance_mm2(self, body: MovedBody) -> Array:
         """Return the covariance (3 n, 3 n) of these points in one look."""
-        if body is Body.TRACKER:
+        if body is MovedBody.TRACKER:
             joined: Array = block_diag(*(self._covariance_mm2(one) for one in self._sighted))
             return joined
         points_mm = self._points_mm(body)
         seen_mm = apply(inverse(self._robot_from_tracker), points_mm)
-        frames = HELD_FRAMES if body is Body.GUIDE else FRAMES
+        frames = HELD_FRAMES if body is MovedBody.GUIDE else FRAMES
         variances = self._optics.sight(seen_mm).sigma_mm ** 2 / frames + POINT_MM**2
         turn = self._robot_from_tracker[:3, :3]
         single: Array = block_diag(*(turn @ np.diag(one) @ turn.T for one in variances))
@@ -210,11 +214,11 @@ class Looks:
         common = np.tile(np.eye(3), (len(points_mm), len(points_mm)))
         return single + (FRAME_MM**2 + repeats_mm**2) * common
 
-    def _repeatability_mm(self, body: Body) -> float | None:
+    def _repeatability_mm(self, body: MovedBody) -> float | None:
         """Return the repeatability of the arm on which these points are, or None for the head."""
-        if body is Body.HEAD:
+        if body is MovedBody.HEAD:
             return None
-        if body is Body.ASSISTANT_CART:
+        if body is MovedBody.ASSISTANT_CART:
             assert self.scene.assistant is not None
             return self.scene.assistant.arm.repeatability_mm
         return self.scene.arm.repeatability_mm
@@ -226,8 +230,8 @@ class Looks:
         turn = self.tip[:3, :3].T
         rows = np.vstack(
             [
-                turn @ self._jacobian(self.tip[:3, 3][None], Body.SEAT),
-                (turn @ self._jacobian(higher_mm[None], Body.SEAT))[:2],
+                turn @ self._jacobian(self.tip[:3, 3][None], MovedBody.SEAT),
+                (turn @ self._jacobian(higher_mm[None], MovedBody.SEAT))[:2],
             ]
         )
         variance = (self.scene.hands.gauge_mm**2 + self.scene.arm.repeatability_mm**2) / APPROACHES
@@ -243,15 +247,16 @@ class Looks:
         return apply(frame, ASSISTANT_FRAME_MARKERS_MM)
 
 
-def find_hidden_moves(looks: Looks, bodies: tuple[Body, ...]) -> list[HiddenMove]:
+def find_hidden_moves(looks: Looks, bodies: tuple[MovedBody, ...]) -> list[HiddenMove]:
     """Return the moves of one standard deviation that the target feels most, the worst first.
 
     With the tracker among the bodies, only the other one's move counts: that of the tracker is known to be
     harmless, and may cover it.
     """
-    felt_by = tuple(one for one in bodies if one is not Body.TRACKER)
+    felt_by = tuple(one for one in bodies if one is not MovedBody.TRACKER)
     information = [
-        looks.shared_information(one) if Body.TRACKER in bodies else looks.information(one) for one in felt_by
+        looks.shared_information(one) if MovedBody.TRACKER in bodies else looks.information(one)
+        for one in felt_by
     ]
     feeling = np.hstack([looks.feeling(one) for one in felt_by])
     gains, twists = eigh(feeling.T @ feeling, block_diag(*information))

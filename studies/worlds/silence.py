@@ -26,7 +26,7 @@ ASKED = "asked: "
 UNUSUAL = UNUSUAL_TOPICS - {Topic.RESUME, Topic.WORK_BEGUN}  # which every killed case asks
 
 
-class Ending(StrEnum):
+class CaseEnding(StrEnum):
     """How a case ended."""
 
     DONE = "done"
@@ -51,17 +51,17 @@ class Silence(StrEnum):
 
 
 OF_ENDING = {
-    Ending.QUESTION: Silence.TOLD,
-    Ending.IN_DOUBT: Silence.TOLD,
-    Ending.REFUSED: Silence.REFUSED,
-    Ending.NOT_POSSIBLE: Silence.NOT_POSSIBLE,
-    Ending.BROKEN: Silence.BROKEN,
+    CaseEnding.QUESTION: Silence.TOLD,
+    CaseEnding.IN_DOUBT: Silence.TOLD,
+    CaseEnding.REFUSED: Silence.REFUSED,
+    CaseEnding.NOT_POSSIBLE: Silence.NOT_POSSIBLE,
+    CaseEnding.BROKEN: Silence.BROKEN,
 }
 RANKS = {verdict: rank for rank, verdict in enumerate(Silence)}
 
 
 @dataclass(frozen=True)
-class ReachedTarget:
+class UnderstoodTarget:
     """A target reached by an instrument: its true error, what was stated of it, and whether a word was said.
 
     Nothing stated counts as 0.
@@ -87,14 +87,14 @@ class JudgedCase:
     """A judged case. `said` lists its words since the change, in order."""
 
     verdict: Silence
-    ending: Ending
-    targets: tuple[ReachedTarget, ...]
+    ending: CaseEnding
+    targets: tuple[UnderstoodTarget, ...]
     happened: bool
     said: tuple[str, ...]
     error: str
 
     @property
-    def worst(self) -> ReachedTarget | None:
+    def worst(self) -> UnderstoodTarget | None:
         """The target with the worst verdict, of equals that with the largest error to its rms."""
         return max(
             self.targets,
@@ -122,7 +122,7 @@ def judge_case(
     error = read_error_text(printed)
     named = set(re.findall(r"\w+", error))  # what ends a case names the target that it is about
     targets = tuple(
-        ReachedTarget(
+        UnderstoodTarget(
             one.identifier,
             one.error_mm,
             rms_mm.get(one.identifier, 0.0),
@@ -133,7 +133,7 @@ def judge_case(
     )
     ending = _find_ending(printed, exit_code, error, found)
     verdicts = [one.verdict for one in targets]
-    if ending is Ending.BOUND:
+    if ending is CaseEnding.BOUND:
         verdicts.append(Silence.TOLD if found.said else Silence.SILENT)
     elif ending in OF_ENDING:
         verdicts.append(OF_ENDING[ending])
@@ -141,17 +141,17 @@ def judge_case(
     return JudgedCase(verdict, ending, targets, found.happened, found.said, error)
 
 
-def _find_ending(printed: Mapping[str, Any], exit_code: int, error: str, found: Judgement) -> Ending:
+def _find_ending(printed: Mapping[str, Any], exit_code: int, error: str, found: Judgement) -> CaseEnding:
     outcome = printed.get("outcome")
     if outcome == IN_DOUBT:
-        return Ending.IN_DOUBT
+        return CaseEnding.IN_DOUBT
     if outcome in FINISHED:
         asked = any(one.startswith(ASKED) for one in found.said)
-        return Ending.QUESTION if asked else Ending.DONE
+        return CaseEnding.QUESTION if asked else CaseEnding.DONE
     if BINDS in error:
-        return Ending.BOUND
+        return CaseEnding.BOUND
     if OF_THE_PLAN.match(error):
-        return Ending.NOT_POSSIBLE
+        return CaseEnding.NOT_POSSIBLE
     # The last exit code: a room that is not as recorded.
     by_the_procedure = exit_code in (EXIT_REFUSED, EXIT_SAFETY_STOP, EXIT_RECOVERY_NEEDED)
-    return Ending.REFUSED if by_the_procedure or OF_THE_LOOKS.match(error) else Ending.BROKEN
+    return CaseEnding.REFUSED if by_the_procedure or OF_THE_LOOKS.match(error) else CaseEnding.BROKEN

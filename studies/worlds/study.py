@@ -23,16 +23,24 @@ from studies.worlds.finished_case import (
     read_predictions,
     read_true_errors_mm,
 )
-from studies.worlds.verdict import RANKS, Judgement, Target, Verdict, judge, limits_used_mm, worst_of
-from studies.worlds.world import MINI, World, draw_world
+from studies.worlds.verdict import (
+    RANKS,
+    JudgedTarget,
+    Judgement,
+    WorldVerdict,
+    judge,
+    limits_used_mm,
+    worst_of,
+)
+from studies.worlds.world import MINI, DrawnWorld, draw_world
 
 LIMIT_S = 900.0  # host time of a case, on a busy machine
 BY_THE_PROCEDURE = (EXIT_REFUSED, EXIT_SAFETY_STOP)  # neither a lost link nor a failed device
 SCRIPT_FILE, CASE_FILE, RUN_FOLDER = "faults.txt", "case.json", "run"
-KEPT = RANKS[Verdict.FALSE_FINDING]  # runs with this verdict or a worse one are kept
+KEPT = RANKS[WorldVerdict.FALSE_FINDING]  # runs with this verdict or a worse one are kept
 WORST = 15  # rows of the table
 MOST_SILENT = 0.05  # share of cases with an error beyond its limit and no finding
-SILENT = (Verdict.SILENT, Verdict.SILENT2)
+SILENT = (WorldVerdict.SILENT, WorldVerdict.SILENT2)
 LONGEST_WARNING = 100  # characters of a row
 
 
@@ -65,7 +73,7 @@ class WorldsStudy:
         sums = {"verdict": float(RANKS[found.verdict]), "happened": float(found.happened)}
         return sums if worst is None else {**sums, "error_mm": worst.error_mm, "limit_mm": worst.limit_mm}
 
-    def world(self, number: int) -> World:
+    def world(self, number: int) -> DrawnWorld:
         return draw_world(self.seed, number, self.scene, quiet=self.quiet)
 
     def place(self, number: int) -> Path:
@@ -79,7 +87,7 @@ class WorldsStudy:
     def _tabulate_summary(self, judged: Mapping[int, Sums]) -> Table:
         counts = _count_verdicts(judged.values())
         rows: list[list[Cell]] = []
-        for verdict in Verdict:
+        for verdict in WorldVerdict:
             share = bounds.percent(counts[verdict], len(judged))
             rows.append([verdict.value, counts[verdict], share.value, share.text])
         happened = round(sum(one["happened"] for one in judged.values()))
@@ -100,7 +108,10 @@ class WorldsStudy:
     def _make_row(self, number: int) -> list[Cell]:
         case: dict[str, Any] = json.loads((self.place(number) / CASE_FILE).read_text())
         world = self.world(number)
-        targets = [Target(**{one.name: row[one.name] for one in fields(Target)}) for row in case["targets"]]
+        targets = [
+            JudgedTarget(**{one.name: row[one.name] for one in fields(JudgedTarget)})
+            for row in case["targets"]
+        ]
         worst = worst_of(targets)
         change = world.change
         warnings = "; ".join(dict.fromkeys([*case["said"], case["error"]])).strip("; ")
@@ -120,23 +131,25 @@ class WorldsStudy:
         silent = sum(counts[one] for one in SILENT)
         missed = []
         if self.quiet:
-            if counts[Verdict.FALSE_FINDING] or counts[Verdict.REFUSED]:
+            if counts[WorldVerdict.FALSE_FINDING] or counts[WorldVerdict.REFUSED]:
                 missed.append("quiet cases with a finding or a refusal: expected none")
         else:
             if silent > MOST_SILENT * len(sums):
                 missed.append(
                     f"{silent} of {len(sums)} cases beyond a limit unseen: at most {MOST_SILENT:.0%}"
                 )
-            if counts[Verdict.SILENT2]:
-                missed.append(f"{counts[Verdict.SILENT2]} cases beyond twice a limit unseen: expected none")
-            if counts[Verdict.FALSE_FINDING]:
-                missed.append(f"{counts[Verdict.FALSE_FINDING]} findings before any change: expected none")
-        if counts[Verdict.NO_VERDICT]:
-            missed.append(f"{counts[Verdict.NO_VERDICT]} cases broke off without a verdict")
+            if counts[WorldVerdict.SILENT2]:
+                count = counts[WorldVerdict.SILENT2]
+                missed.append(f"{count} cases beyond twice a limit unseen: expected none")
+            if counts[WorldVerdict.FALSE_FINDING]:
+                count = counts[WorldVerdict.FALSE_FINDING]
+                missed.append(f"{count} findings before any change: expected none")
+        if counts[WorldVerdict.NO_VERDICT]:
+            missed.append(f"{counts[WorldVerdict.NO_VERDICT]} cases broke off without a verdict")
         return missed
 
 
-def run_world(world: World, folder: Path) -> Judgement:
+def run_world(world: DrawnWorld, folder: Path) -> Judgement:
     """Run a world's case in a new folder and judge it; raises STU-015 if no run was written.
 
     The folder keeps the fault script and the judgement, and the run where the verdict is bad.
@@ -171,7 +184,7 @@ def run_world(world: World, folder: Path) -> Judgement:
     return found
 
 
-def document(world: World, found: Judgement) -> dict[str, Any]:
+def document(world: DrawnWorld, found: Judgement) -> dict[str, Any]:
     """Return a world and its judgement as plain data."""
     return {
         "world": asdict(world),
@@ -183,10 +196,10 @@ def document(world: World, found: Judgement) -> dict[str, Any]:
     }
 
 
-def _count_verdicts(judged: Any) -> dict[Verdict, int]:
-    verdicts = list(Verdict)
+def _count_verdicts(judged: Any) -> dict[WorldVerdict, int]:
+    verdicts = list(WorldVerdict)
     found = [verdicts[round(one["verdict"])] for one in judged]
-    return {verdict: found.count(verdict) for verdict in Verdict}
+    return {verdict: found.count(verdict) for verdict in WorldVerdict}
 
 
 def _badness(one: Sums) -> tuple[float, float]:

@@ -39,7 +39,7 @@ UNUSUAL_TOPICS = frozenset(
 )
 
 
-class Verdict(StrEnum):
+class WorldVerdict(StrEnum):
     """Verdict on a case, from best to worst."""
 
     OK = "ok"
@@ -51,11 +51,11 @@ class Verdict(StrEnum):
     SILENT2 = "SILENT2"  # beyond twice its limit
 
 
-RANKS = {verdict: rank for rank, verdict in enumerate(Verdict)}
+RANKS = {verdict: rank for rank, verdict in enumerate(WorldVerdict)}
 
 
 @dataclass(frozen=True)
-class Target:
+class JudgedTarget:
     """A target reached by an instrument: true error, predicted limit, and whether it was warned about.
 
     The limit is 0 where none was predicted.
@@ -72,30 +72,30 @@ class Target:
         return self.error_mm / self.limit_mm if self.limit_mm > 0.0 else math.inf
 
     @property
-    def verdict(self) -> Verdict:
+    def verdict(self) -> WorldVerdict:
         if self.ratio <= 1.0:
-            return Verdict.OK
+            return WorldVerdict.OK
         if self.warned:
-            return Verdict.WARNED
-        return Verdict.SILENT2 if self.ratio > GROSS else Verdict.SILENT
+            return WorldVerdict.WARNED
+        return WorldVerdict.SILENT2 if self.ratio > GROSS else WorldVerdict.SILENT
 
 
 @dataclass(frozen=True)
 class Judgement:
     """A judged case. `said` lists the warnings since the change, in order."""
 
-    verdict: Verdict
-    targets: tuple[Target, ...]
+    verdict: WorldVerdict
+    targets: tuple[JudgedTarget, ...]
     happened: bool
     said: tuple[str, ...]
     error: str = ""
 
     @property
-    def worst(self) -> Target | None:
+    def worst(self) -> JudgedTarget | None:
         return worst_of(self.targets)
 
 
-def worst_of(targets: Iterable[Target]) -> Target | None:
+def worst_of(targets: Iterable[JudgedTarget]) -> JudgedTarget | None:
     """Return the target with the worst verdict, choosing the largest error-to-limit ratio among equals."""
     return max(targets, key=lambda one: (RANKS[one.verdict], one.ratio), default=None)
 
@@ -136,14 +136,17 @@ def judge(
         lines, _find_localization_time_s(lines) if not happened else since_s, trajectories, unusual
     )
     targets = tuple(
-        Target(one, error_mm, limits_mm.get(one, 0.0), one in touched) for one, error_mm in errors_mm.items()
+        JudgedTarget(one, error_mm, limits_mm.get(one, 0.0), one in touched)
+        for one, error_mm in errors_mm.items()
     )
     verdicts = [one.verdict for one in targets]
     if not happened and said:
-        verdicts.append(Verdict.FALSE_FINDING)
+        verdicts.append(WorldVerdict.FALSE_FINDING)
     if not done:
-        verdicts.append(Verdict.REFUSED if error else Verdict.NO_VERDICT)
-    return Judgement(max(verdicts, key=RANKS.__getitem__, default=Verdict.OK), targets, happened, said, error)
+        verdicts.append(WorldVerdict.REFUSED if error else WorldVerdict.NO_VERDICT)
+    return Judgement(
+        max(verdicts, key=RANKS.__getitem__, default=WorldVerdict.OK), targets, happened, said, error
+    )
 
 
 def _collect_warnings(

@@ -61,7 +61,7 @@ class Change:
 
 
 @dataclass(frozen=True)
-class World:
+class DrawnWorld:
     """A case: its scene, and the change during it, if any."""
 
     number: int
@@ -78,7 +78,7 @@ class World:
         return [*options, "--markers", str(self.markers), "--targets", str(self.targets)]
 
 
-def draw_world(seed: int, number: int, scene: str = MINI, *, quiet: bool = False) -> World:
+def draw_world(seed: int, number: int, scene: str = MINI, *, quiet: bool = False) -> DrawnWorld:
     """Draw world `number` of a seed. A quiet world has no change."""
     generator = np.random.default_rng(np.random.SeedSequence([seed, number, int(quiet)]))
     mini = scene == MINI
@@ -86,7 +86,7 @@ def draw_world(seed: int, number: int, scene: str = MINI, *, quiet: bool = False
     markers = MINI_MARKERS if mini else int(generator.integers(3, 9))
     targets = int(generator.integers(1, 3 if mini else 4))
     change = None if quiet else _draw_change(generator, markers, targets)
-    return World(number, scene, scene_seed, markers, targets, change)
+    return DrawnWorld(number, scene, scene_seed, markers, targets, change)
 
 
 def _draw_change(generator: np.random.Generator, markers: int, targets: int) -> Change:

@@ -18,7 +18,7 @@ from ronna_hw.arm.clearance.sweep import sweep_path
 from ronna_hw.arm.motion.limits import working_limits
 from ronna_hw.arm.motion.planning import MotionPlan, plan_joint_move, plan_line
 from ronna_hw.arm.pose import Pose
-from ronna_hw.arm_stream.records import Fault, Move, Result, StopOrder
+from ronna_hw.arm_stream.records import LinkFault, MotionResult, Move, StopOrder
 from ronna_hw.errors import RonnaError
 from ronna_hw.vectors import JointVector, joint_vector
 
@@ -92,11 +92,11 @@ def test_random_motions_break_no_limit(seed: int) -> None:
             if cycle == slows_at + 200:
                 stand.fraction = 1.0
             stand.cycle()
-            if cycle and stand.session.result is not Result.RUNNING:
+            if cycle and stand.session.result is not MotionResult.RUNNING:
                 break
         stand.fraction = 1.0
-        assert stand.session.fault is Fault.NONE
-        assert stand.session.result in (Result.DONE, Result.STOPPED)
+        assert stand.session.fault is LinkFault.NONE
+        assert stand.session.result in (MotionResult.DONE, MotionResult.STOPPED)
         cycles += len(stand.goals)
         speed, acceleration = shares_of_limits(stand.goals)
         fastest, hardest = max(fastest, speed), max(hardest, acceleration)

@@ -93,7 +93,7 @@ def runs() -> str:
     return page
 
 
-def _format_column_type(column: loaded_run.Column) -> str:
+def _format_column_type(column: loaded_run.RunColumn) -> str:
     kind = column.kind if isinstance(column.kind, str) else column.kind.__name__
     size = " x ".join(map(str, column.size))
     return f"{size} {kind}" if size else kind

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 from xml.etree import ElementTree
 
-from drivers.basler_stereo.control_channel import ControlChannel
+from drivers.basler_stereo.control_channel import CameraControl
 from drivers.basler_stereo.errors import BAD_DESCRIPTION
 from ronna_hw.bounded_input import InputRefused, parse_xml, unzip
 from ronna_hw.wire import gige_vision as gev
@@ -58,7 +58,7 @@ class Node:
         return (each for each in self.fields if each.tag == tag)
 
 
-def fetch_description(control: ControlChannel, deadline_s: float) -> bytes:
+def fetch_description(control: CameraControl, deadline_s: float) -> bytes:
     """Download the XML description stored on the camera.
 
     Raises GEV-009 if there is none, GEV-006 to GEV-008 if it cannot be read.

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from drivers.basler_stereo.control_channel import ControlChannel
+from drivers.basler_stereo.control_channel import CameraControl
 from drivers.basler_stereo.errors import BAD_DESCRIPTION, MISSING_FEATURE
 from drivers.basler_stereo.features.description import (
     ADDRESS_LIMIT,
@@ -49,7 +49,7 @@ class Limits:
 class RegisterMemory:
     """Camera memory, accessed over the control channel with the deadline `deadline_s`."""
 
-    def __init__(self, control: ControlChannel) -> None:
+    def __init__(self, control: CameraControl) -> None:
         self._control = control
         self.deadline_s = 0.0
 

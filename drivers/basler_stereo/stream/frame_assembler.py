@@ -91,7 +91,7 @@ def next_block_id(block_id: int) -> int:
 
 
 @dataclass(frozen=True)
-class Frame:
+class ReceivedImage:
     """Received image: raw bytes and leader (None if it was lost)."""
 
     block_id: int
@@ -159,7 +159,7 @@ class FrameAssembler:
             return
         self._open_block(block_id).last_packet_s = from_s
 
-    def accept(self, packet: memoryview, now_s: float) -> Frame | None:
+    def accept(self, packet: memoryview, now_s: float) -> ReceivedImage | None:
         """Process one packet; returns a frame that it completes or that a newer block displaces."""
         self.counters.packets += 1
         if self._store_fast(packet, now_s):
@@ -177,7 +177,7 @@ class FrameAssembler:
         # a single packet never completes a block, so no frame is lost here
         return self._finish_block(block) if block.remaining == 0 else displaced
 
-    def find_overdue(self, now_s: float) -> tuple[list[tuple[int, int, int]], Frame | None]:
+    def find_overdue(self, now_s: float) -> tuple[list[tuple[int, int, int]], ReceivedImage | None]:
         """Return overdue packets as (block id, first, last packet id), or a frame given up as incomplete."""
         for block in list(self._open.values()):
             if now_s - block.last_packet_s < self._resend_pause_s(block):
@@ -236,7 +236,7 @@ class FrameAssembler:
             self._open[block_id] = block
         return block
 
-    def _displace_oldest(self, block_id: int) -> Frame | None:
+    def _displace_oldest(self, block_id: int) -> ReceivedImage | None:
         if block_id in self._open or len(self._open) < OPEN_BLOCKS:
             return None
         return self._finish_block(next(iter(self._open.values())))
@@ -295,7 +295,7 @@ class FrameAssembler:
         block.data[begin:end] = content
         return True
 
-    def _finish_block(self, block: _Block) -> Frame | None:
+    def _finish_block(self, block: _Block) -> ReceivedImage | None:
         del self._open[block.block_id]
         if block.remaining > self._trailer_id:
             return None  # expected, never seen
@@ -306,7 +306,7 @@ class FrameAssembler:
             block.data[begin:end] = bytes(end - begin)  # not the pixels of an earlier frame
         self.counters.frames += 1
         self.counters.incomplete_frames += bool(missing) or block.leader is None
-        return Frame(block.block_id, block.leader, block.data, len(missing), block.slot)
+        return ReceivedImage(block.block_id, block.leader, block.data, len(missing), block.slot)
 
     def _payload_range(self, packet_id: int) -> tuple[int, int]:
         """Return the byte range of a payload packet."""

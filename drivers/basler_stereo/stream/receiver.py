@@ -12,19 +12,19 @@ import sys
 import time
 from collections.abc import Callable
 
-from drivers.basler_stereo.control_channel import ControlChannel
+from drivers.basler_stereo.control_channel import CameraControl
 from drivers.basler_stereo.errors import PACKET_TOO_LARGE, ReceiverEnded
 from drivers.basler_stereo.gvcp import LARGEST_DATAGRAM_BYTES
 from drivers.basler_stereo.options import SMALLEST_PACKET_BYTES
-from drivers.basler_stereo.stream.frame_assembler import Frame, StreamCounters
+from drivers.basler_stereo.stream.frame_assembler import ReceivedImage, StreamCounters
 from drivers.basler_stereo.stream.receiver_interface import (
     NOTE_BYTES,
-    CloseStream,
+    CloseImageStream,
     EndKeepAlive,
     ExpectBlock,
     FrameSlots,
     KeepAlive,
-    OpenStream,
+    OpenImageStream,
     Order,
     send_order,
 )
@@ -77,7 +77,7 @@ class ReceiverProcess:
         try:
             parent_end, child_end = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
             with child_end:
-                order = OpenStream(number, payload_bytes, packet_bytes, resend)
+                order = OpenImageStream(number, payload_bytes, packet_bytes, resend)
                 self.give_order(order, stream.fileno(), control.fileno(), memory, child_end.fileno())
             return StreamReceiver(self, number, FrameSlots(memory, payload_bytes), parent_end)
         finally:
@@ -145,7 +145,7 @@ class StreamReceiver:
         """Expect a triggered block and request it if none of it arrives within `patience_s`."""
         self._process.give_order(ExpectBlock(self._number, block_id, patience_s))
 
-    def take(self, deadline_s: float, give_up: Callable[[], bool] = lambda: False) -> Frame | None:
+    def take(self, deadline_s: float, give_up: Callable[[], bool] = lambda: False) -> ReceivedImage | None:
         """Return the oldest pending frame, or None at the deadline (host monotonic time).
 
         Also None as soon as `give_up()`. Raises GEV-017.
@@ -168,7 +168,7 @@ class StreamReceiver:
     def close(self) -> None:
         """Stop receiving the stream."""
         with contextlib.suppress(ReceiverEnded):
-            self._process.give_order(CloseStream(self._number))
+            self._process.give_order(CloseImageStream(self._number))
         self._notes.close()
 
     def _next_note(self) -> bytes:
@@ -205,7 +205,7 @@ def await_packet(stream: socket.socket, sender: str, packet_bytes: int, limit_s:
 
 
 def choose_packet_bytes(
-    control: ControlChannel, stream: socket.socket, wanted_bytes: int | None, deadline_s: float
+    control: CameraControl, stream: socket.socket, wanted_bytes: int | None, deadline_s: float
 ) -> tuple[int, bool]:
     """Choose and set the packet size; returns whether a test packet confirmed it.
 
@@ -230,7 +230,7 @@ def choose_packet_bytes(
         control.write_register(Bootstrap.SCP, 0, deadline_s)
 
 
-def point_stream_to(control: ControlChannel, stream: socket.socket, deadline_s: float) -> None:
+def point_stream_to(control: CameraControl, stream: socket.socket, deadline_s: float) -> None:
     """Set the camera's stream destination."""
     host, port = stream.getsockname()
     address = int.from_bytes(socket.inet_aton(host), "big")
@@ -238,7 +238,7 @@ def point_stream_to(control: ControlChannel, stream: socket.socket, deadline_s: 
     control.write_register(Bootstrap.SCP, port & gev.SCP_PORT_MASK, deadline_s)
 
 
-def _test_size(control: ControlChannel, stream: socket.socket, size: int, deadline_s: float) -> bool:
+def _test_size(control: CameraControl, stream: socket.socket, size: int, deadline_s: float) -> bool:
     probe_value = size | gev.SCPS_FIRE_TEST | gev.SCPS_DO_NOT_FRAGMENT
     for _ in range(PROBES):
         control.write_register(Bootstrap.SCPS, probe_value, deadline_s)
@@ -247,7 +247,7 @@ def _test_size(control: ControlChannel, stream: socket.socket, size: int, deadli
     return False
 
 
-def _set_packet_bytes(control: ControlChannel, size: int, deadline_s: float) -> int:
+def _set_packet_bytes(control: CameraControl, size: int, deadline_s: float) -> int:
     """Set the packet size; return the size that the camera accepted."""
     control.write_register(Bootstrap.SCPS, size | gev.SCPS_DO_NOT_FRAGMENT, deadline_s)
     return control.read_register(Bootstrap.SCPS, deadline_s) & gev.SCPS_SIZE_MASK

@@ -16,7 +16,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields
 from typing import Annotated, NamedTuple
 
-from drivers.basler_stereo.stream.frame_assembler import Frame, Leader, StreamCounters
+from drivers.basler_stereo.stream.frame_assembler import Leader, ReceivedImage, StreamCounters
 from ronna_hw.host.row_codec import RowCodec
 from ronna_hw.host.shared_memory import MemoryMap
 
@@ -30,7 +30,7 @@ _DATA_AT = -(-_MAP.size_bytes // mmap.PAGESIZE) * mmap.PAGESIZE
 
 
 @dataclass(frozen=True)
-class OpenStream:
+class OpenImageStream:
     """Order to receive a stream; passes descriptors of stream, control, memory and note channel."""
 
     stream: int
@@ -40,7 +40,7 @@ class OpenStream:
 
 
 @dataclass(frozen=True)
-class CloseStream:
+class CloseImageStream:
     """Order to stop receiving a stream."""
 
     stream: int
@@ -70,11 +70,11 @@ class EndKeepAlive:
     camera: int
 
 
-Order = OpenStream | CloseStream | ExpectBlock | KeepAlive | EndKeepAlive
+Order = OpenImageStream | CloseImageStream | ExpectBlock | KeepAlive | EndKeepAlive
 
 
 _KINDS: dict[str, type[Order]] = {
-    kind.__name__: kind for kind in (OpenStream, CloseStream, ExpectBlock, KeepAlive, EndKeepAlive)
+    kind.__name__: kind for kind in (OpenImageStream, CloseImageStream, ExpectBlock, KeepAlive, EndKeepAlive)
 }
 
 
@@ -135,7 +135,7 @@ class FrameSlots:
         begin = _DATA_AT + slot * self._payload_bytes
         return slot, self._view[begin : begin + self._payload_bytes]
 
-    def note(self, frame: Frame) -> bytes:
+    def note(self, frame: ReceivedImage) -> bytes:
         """Encode the note that announces a finished frame."""
         return _NOTE.pack(
             _FrameNote(
@@ -147,7 +147,7 @@ class FrameSlots:
             )
         )
 
-    def fetch(self, note: bytes) -> Frame | None:
+    def fetch(self, note: bytes) -> ReceivedImage | None:
         """Copy a frame from its slot, or return None if a newer frame has overwritten it."""
         slot, use_count, block_id, missing, leader = _NOTE.unpack(note)
         if self._use_counts[slot] != use_count:
@@ -156,7 +156,7 @@ class FrameSlots:
         data = bytearray(self._view[begin : begin + self._payload_bytes])
         if self._use_counts[slot] != use_count:
             return None
-        return Frame(block_id, leader, data, missing)
+        return ReceivedImage(block_id, leader, data, missing)
 
     def write_counters(self, counters: StreamCounters) -> None:
         """Publish the counters to the driver."""

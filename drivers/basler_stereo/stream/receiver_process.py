@@ -16,14 +16,14 @@ import sys
 import time
 
 from drivers.basler_stereo import gvcp
-from drivers.basler_stereo.stream.frame_assembler import Frame, FrameAssembler
+from drivers.basler_stereo.stream.frame_assembler import FrameAssembler, ReceivedImage
 from drivers.basler_stereo.stream.receiver_interface import (
-    CloseStream,
+    CloseImageStream,
     EndKeepAlive,
     ExpectBlock,
     FrameSlots,
     KeepAlive,
-    OpenStream,
+    OpenImageStream,
     Order,
     receive_order,
 )
@@ -44,7 +44,7 @@ NICENESS = -10  # the socket buffers less than a tenth of a second of packets
 class _Stream:
     """One camera's stream: socket, assembler, shared memory and note channel."""
 
-    def __init__(self, order: OpenStream, descriptors: list[int]) -> None:
+    def __init__(self, order: OpenImageStream, descriptors: list[int]) -> None:
         stream, control, memory, notes = descriptors
         self.socket = socket.socket(fileno=stream)
         self.socket.setblocking(False)
@@ -105,7 +105,7 @@ class _Stream:
         for each in (self.socket, self._control, self._notes):
             each.close()
 
-    def _announce(self, frame: Frame) -> None:
+    def _announce(self, frame: ReceivedImage) -> None:
         self._slots.write_counters(self._assembler.counters)
         with contextlib.suppress(OSError):  # the driver does not fetch: newer frames reuse the slots
             self._notes.send(self._slots.note(frame))
@@ -191,12 +191,12 @@ class ReceiverLoop:
 
     def _execute(self, order: Order, descriptors: list[int]) -> None:
         match order:
-            case OpenStream():
+            case OpenImageStream():
                 stream = _Stream(order, descriptors)
                 self._streams[order.stream] = stream
                 self._by_descriptor[stream.socket.fileno()] = stream
                 self._poll.register(stream.socket, select.POLLIN)
-            case CloseStream():
+            case CloseImageStream():
                 if (closed_stream := self._streams.pop(order.stream, None)) is not None:
                     self._poll.unregister(closed_stream.socket)
                     del self._by_descriptor[closed_stream.socket.fileno()]

@@ -15,7 +15,7 @@ from drivers.kuka_rsi.realtime.telegram import Found, TelegramReader, extract_te
 from ronna_hw.arm_stream.errors import MalformedMessage
 from ronna_hw.arm_stream.loop import StreamLoop
 from ronna_hw.arm_stream.mailbox import Mailbox
-from ronna_hw.arm_stream.records import Phase
+from ronna_hw.arm_stream.records import StreamPhase
 from ronna_hw.arm_stream.session import STREAMING_PHASES, PreparedReply
 
 BUNCH_S = 200e-6  # in which telegrams that were delayed together arrive
@@ -79,7 +79,7 @@ class LinkLoop(StreamLoop):
         if is_late:
             time.sleep(BUNCH_S)
         # Before a stream, anyone's may be the newest: each is checked.
-        if (is_late or self._receiver.was_queued) and self.session.phase is not Phase.ARMED:
+        if (is_late or self._receiver.was_queued) and self.session.phase is not StreamPhase.ARMED:
             newest = self._drain(newest)
         return newest
 
@@ -141,11 +141,11 @@ class LinkLoop(StreamLoop):
             telegram = extract_telegram(found) if found is not None else read_strictly(data)
         except MalformedMessage:
             session.rejected += 1
-            if session.phase is Phase.ARMED:
+            if session.phase is StreamPhase.ARMED:
                 session.senders.host = address[0]
             self._leave_unanswered(data)
             return
-        if session.phase is Phase.ARMED:
+        if session.phase is StreamPhase.ARMED:
             if not session.is_expected(telegram):
                 session.senders.host = address[0]
                 self._leave_unanswered(data)

@@ -13,7 +13,7 @@ from drivers.kuka_rsi.realtime.settings import LinkSettings
 from drivers.kuka_rsi.realtime.telegram import REPLY_TAIL, Found, ReplyWriter, Telegram, read_currents
 from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.arm_stream.load_sums import NO_SIGNALS, Signals
-from ronna_hw.arm_stream.records import NO_STATE, Fault, OpenStream, Phase
+from ronna_hw.arm_stream.records import NO_STATE, LinkFault, OpenStream, StreamPhase
 from ronna_hw.arm_stream.session import STREAMING_PHASES, PreparedReply, StreamSession
 from ronna_hw.arm_stream.set_points import SetPoints
 from ronna_hw.vectors import JointVector
@@ -79,7 +79,7 @@ class RsiSession(StreamSession[Telegram, DelayAndIpoc]):
         axes_deg, lower, upper = telegram.axes_deg, self._kinematics.lower_rad, self._kinematics.upper_rad
         for low, angle, high in zip(lower, axes_deg, upper, strict=True):
             if not degrees(low) - RANGE_TOLERANCE_DEG <= angle <= degrees(high) + RANGE_TOLERANCE_DEG:
-                self._latch(Fault.BASE)
+                self._latch(LinkFault.BASE)
         self._measure()
         self._start_deg, self._last_head = axes_deg, None
         points = self._begin(self._measured, self._limits)
@@ -95,7 +95,7 @@ class RsiSession(StreamSession[Telegram, DelayAndIpoc]):
         self._missing = missing or 0
         if missing is None:
             # Our corrections are meaningless for a run that we did not start: it gets no reply at all.
-            self._latch(Fault.RESTARTED)
+            self._latch(LinkFault.RESTARTED)
             self._stop_replying(points)
             return False
         return True
@@ -105,9 +105,9 @@ class RsiSession(StreamSession[Telegram, DelayAndIpoc]):
         self._losses = Losses(self._cycle_ms)
         return True
 
-    def _silence_fault(self) -> Fault:
+    def _silence_fault(self) -> LinkFault:
         # A controller that restarts its program sends from another port.
-        return Fault.RESTARTED if self.senders.foreign_sent_last else Fault.SILENCE
+        return LinkFault.RESTARTED if self.senders.foreign_sent_last else LinkFault.SILENCE
 
     def _measure(self) -> None:
         a, b, c, d, e, f = self._axes_deg
@@ -121,7 +121,7 @@ class RsiSession(StreamSession[Telegram, DelayAndIpoc]):
         return None if currents is None else currents + NOTHING_ELSE
 
     def _prepare_reply(self, points: SetPoints) -> None:
-        self._is_ending = self.phase is Phase.ENDING and not points.moving
+        self._is_ending = self.phase is StreamPhase.ENDING and not points.moving
         super()._prepare_reply(points)
 
     def _expect(self) -> DelayAndIpoc:

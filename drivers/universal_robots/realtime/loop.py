@@ -14,7 +14,7 @@ from drivers.universal_robots.realtime.session import RtdeSession
 from drivers.universal_robots.realtime.settings import LinkSettings
 from ronna_hw.arm_stream.loop import StreamLoop
 from ronna_hw.arm_stream.mailbox import Mailbox
-from ronna_hw.arm_stream.records import Command, OpenStream, Phase
+from ronna_hw.arm_stream.records import Command, OpenStream, StreamPhase
 from ronna_hw.wire.universal_robots import PackageType, SafetyMode
 
 BUNCH_S = 200e-6  # in which packages that were delayed together arrive
@@ -89,7 +89,7 @@ class LinkLoop(StreamLoop):
 
     def _step(self) -> None:
         session = self.session
-        if session.has_line and session.phase is Phase.IDLE:
+        if session.has_line and session.phase is StreamPhase.IDLE:
             self._disconnect()
         data = self._receive()
         if data is not None:
@@ -164,7 +164,7 @@ class LinkLoop(StreamLoop):
     def _new_command(self, number: int) -> Command | None:
         command = super()._new_command(number)
         is_opened = command is not None and isinstance(command.request, OpenStream)
-        if is_opened and self.session.phase is Phase.IDLE:
+        if is_opened and self.session.phase is StreamPhase.IDLE:
             self._connect()
         return command
 

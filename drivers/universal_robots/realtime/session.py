@@ -41,7 +41,7 @@ from drivers.universal_robots.realtime.settings import LinkSettings
 from ronna_hw.arm.clearance.live_watch import Violation
 from ronna_hw.arm_stream.load_sums import Signals
 from ronna_hw.arm_stream.losses import LossCount
-from ronna_hw.arm_stream.records import NO_STATE, Fault, OpenStream, Phase
+from ronna_hw.arm_stream.records import NO_STATE, LinkFault, OpenStream, StreamPhase
 from ronna_hw.arm_stream.session import STREAMING_PHASES, PreparedReply, StreamSession
 from ronna_hw.arm_stream.set_points import SetPoints
 from ronna_hw.vectors import JointVector, Vector3, joint_vector
@@ -57,7 +57,7 @@ HALF_CYCLE = 0.5
 REPORT_CYCLES = 5  # from a word of the script to its package, with room (U)
 
 
-class Expected(NamedTuple):
+class NextPackage(NamedTuple):
     """Content of the next package to which the prepared reply belongs."""
 
     status: bytes
@@ -65,7 +65,7 @@ class Expected(NamedTuple):
     latest_s: float
 
 
-class RtdeSession(StreamSession[Output, Expected]):
+class RtdeSession(StreamSession[Output, NextPackage]):
     """Protocol state machine: `answer` and `finish_cycle` per package, `monitor_silence` without one."""
 
     def __init__(self, settings: LinkSettings) -> None:
@@ -97,9 +97,9 @@ class RtdeSession(StreamSession[Output, Expected]):
     @property
     def awaits_start(self) -> bool:
         """Whether a stream is open and its script has not used a set-point yet."""
-        return self.phase is Phase.ARMED
+        return self.phase is StreamPhase.ARMED
 
-    def match(self, data: bytes, stop_word: int) -> PreparedReply[Expected] | None:
+    def match(self, data: bytes, stop_word: int) -> PreparedReply[NextPackage] | None:
         """Return the prepared reply unless the package has something new, or a stop is ordered.
 
         The package is one of our recipe, of exactly its size.
@@ -116,8 +116,8 @@ class RtdeSession(StreamSession[Output, Expected]):
     def break_off(self) -> None:
         """End the stream because its connection is broken."""
         self.ready = None
-        if self.phase is Phase.ARMED or self.phase in STREAMING_PHASES:
-            self._latch(Fault.BROKEN)
+        if self.phase is StreamPhase.ARMED or self.phase in STREAMING_PHASES:
+            self._latch(LinkFault.BROKEN)
         if self._points is not None:
             self._rest(self._points)
 
@@ -153,7 +153,7 @@ class RtdeSession(StreamSession[Output, Expected]):
             return False
         cycles = round((timestamp_s - before_s) / self._cycle_s)
         if not 0 < cycles * self._cycle_s < RESTART_S:
-            self._latch(Fault.RESTARTED)
+            self._latch(LinkFault.RESTARTED)
             self._stop_replying(points)
             return False
         self._count(cycles, values)
@@ -188,13 +188,13 @@ class RtdeSession(StreamSession[Output, Expected]):
         cause = self._find_cause(values)
         if cause is Cause.NONE:
             return False
-        if self.phase is Phase.ENDING:
+        if self.phase is StreamPhase.ENDING:
             if self.is_parent_gone:
-                self.phase = Phase.IDLE
+                self.phase = StreamPhase.IDLE
             return cause is not Cause.SCRIPT
         self._cause = cause
         self._write_word()
-        self._latch(Fault.CONTROLLER)
+        self._latch(LinkFault.CONTROLLER)
         return True
 
     def _find_cause(self, values: Output) -> Cause:
@@ -214,7 +214,7 @@ class RtdeSession(StreamSession[Output, Expected]):
 
     def _judge_measured(self, violation: Violation) -> None:
         """Stop the arm; before saying that it does not follow our script, await whether that still runs."""
-        if self._unused_cycles and self._controller_speed and self.fault is Fault.NONE:
+        if self._unused_cycles and self._controller_speed and self.fault is LinkFault.NONE:
             self._doubt = self._doubt or violation
             self._stopping = self.moving
         else:
@@ -238,12 +238,12 @@ class RtdeSession(StreamSession[Output, Expected]):
                 self._stop_replying(points)
                 return None
             if not self._is_plausible(self._start_rad):
-                self._latch(Fault.BASE)
+                self._latch(LinkFault.BASE)
             return self._encode(points.last_rad)
         if state != ScriptState.WAITING:
             self._cause = Cause.SCRIPT
             self._write_word()
-            self._latch(Fault.CONTROLLER)
+            self._latch(LinkFault.CONTROLLER)
             return None
         return self._encode(self._start_rad)
 
@@ -262,7 +262,7 @@ class RtdeSession(StreamSession[Output, Expected]):
         return encode_input(self._recipe, self._sequence, self._order(), self._run, joints_rad)
 
     def _order(self) -> ScriptOrder:
-        return ScriptOrder.END if self.phase is Phase.ENDING and not self.moving else ScriptOrder.STREAM
+        return ScriptOrder.END if self.phase is StreamPhase.ENDING and not self.moving else ScriptOrder.STREAM
 
     def _open(self, opened: OpenStream) -> bool:
         self._losses = LossCount()
@@ -284,7 +284,7 @@ class RtdeSession(StreamSession[Output, Expected]):
         signals = values[CURRENTS] + values[EXPECTED_CURRENTS] + values[FORCE]
         return signals if isfinite(sum(signals)) else None
 
-    def _expect(self) -> Expected | None:
+    def _expect(self) -> NextPackage | None:
         timestamp_s = self._timestamp_s
         if timestamp_s is None or self._doubt is not None or self._echo >= LARGEST_SEQUENCE:
             return None
@@ -292,7 +292,7 @@ class RtdeSession(StreamSession[Output, Expected]):
         status[ECHO - SPEED_SCALING] = self._echo + 1
         if not isfinite(status[0] + status[1]):  # speeds; what is no number is new each time
             return None
-        return Expected(
+        return NextPackage(
             STATUS_BYTES.pack(*status),
             timestamp_s + HALF_CYCLE * self._cycle_s,
             timestamp_s + (1.0 + HALF_CYCLE) * self._cycle_s,

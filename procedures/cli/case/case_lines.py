@@ -20,7 +20,7 @@ ABOUT = ("step", "what", "topic", "device", "text")  # fields of a journal line;
 
 
 @dataclass(frozen=True)
-class Entry:
+class CaseEntry:
     """One line in the history of a case."""
 
     mark: str
@@ -44,7 +44,7 @@ def _voided_by(event: Event) -> str:
     return what.summary if isinstance(what, StepState) and what.state == "superseded" else ""
 
 
-def entry_of(event: Event, *, errors: bool = True) -> Entry | None:
+def entry_of(event: Event, *, errors: bool = True) -> CaseEntry | None:
     """Return the history line for a step outcome or finding, or None for other events.
 
     Without `errors`, which are shown beside it, a failed step is shown with its code only.
@@ -54,13 +54,13 @@ def entry_of(event: Event, *, errors: bool = True) -> Entry | None:
             return None
         case StepState(step=step, state="superseded", record=record, summary=reason):
             how = f"{_hold(record)}: {reason}" if reason else f"is superseded by a new {step}"
-            return Entry(*MARKS["superseded"], f"{record} {how}")
+            return CaseEntry(*MARKS["superseded"], f"{record} {how}")
         case StepState(state="failed", summary=summary) as step if not errors:
-            return Entry(*FAILED, f"{_name_step(step)}: {_code_of(summary)}")
+            return CaseEntry(*FAILED, f"{_name_step(step)}: {_code_of(summary)}")
         case StepState(state=state, summary=summary) as step:
-            return Entry(*MARKS.get(state, FAILED), f"{_name_step(step)}: {summary}")
+            return CaseEntry(*MARKS.get(state, FAILED), f"{_name_step(step)}: {summary}")
         case Advisory(text=text):
-            return Entry("!", "yellow", text)
+            return CaseEntry("!", "yellow", text)
         case _:
             return None
 

@@ -16,7 +16,7 @@ from pydantic import ValidationError
 from procedures.engine.errors import REPLAY_DIFFERS, NotRecorded
 from procedures.engine.order import order_of
 from procedures.engine.replay.recorded_answers import CalibrationOpening, RecordedAnswers, read_answers
-from procedures.engine.replay.replay import ReplayInput, Verdict, replay
+from procedures.engine.replay.replay import ReplayInput, ReplayVerdict, replay
 from procedures.engine.run_folder import RunFolder, parse_record, run_of
 from procedures.engine.setting import ClinicalInput
 from procedures.exchange.raw_readings import WRITES_ALL, missing_in_raw
@@ -38,7 +38,7 @@ from ronna_hw.recording.flight_recorder import BYTES_FOLDER, LinkLine, list_link
 from ronna_hw.recording.reading_tape import READINGS_FILE
 from ronna_hw.text import format_count, printable
 
-CONFIRMED = (Verdict.EQUAL, Verdict.ROUNDED)
+CONFIRMED = (ReplayVerdict.EQUAL, ReplayVerdict.ROUNDED)
 ROW_BYTES = 16
 MARKS = {Direction.SENT: "O", Direction.RECEIVED: "I"}  # outbound and inbound, as text2pcap has them
 
@@ -103,7 +103,7 @@ def replay_run(run_folder: Path, *, as_json: bool) -> None:
     counts = Counter(result.verdict for result in results)
     methods = answers.opening.methods.describe()
     if as_json:
-        totals = {str(verdict).replace(" ", "_"): counts[verdict] for verdict in Verdict}
+        totals = {str(verdict).replace(" ", "_"): counts[verdict] for verdict in ReplayVerdict}
         print_json(
             {
                 "run": run_folder.name,

@@ -137,14 +137,14 @@ def _identity_fields(name: str, by: str, days: int) -> dict[str, Any]:
 
 
 def _update(config: Path, name: str, record: dict[str, Any], command: str, *, as_json: bool) -> None:
-    from procedures.runs.theatre_history import Signature, update_tables
+    from procedures.runs.theatre_history import UpdateAuthor, update_tables
     from procedures.runs.theatre_lock import require_free_theatre
     from ronna_hw.config import read_theatre_file
 
     require_free_theatre(config)  # a run would find its records changed
     former = read_theatre_file(config).tools.get(name)
     replaced = None if former is None else former.identifier
-    update_tables(config, {"tools": {name: record}}, Signature(command, by=record["made_by"]))
+    update_tables(config, {"tools": {name: record}}, UpdateAuthor(command, by=record["made_by"]))
     if as_json:
         terminal.print_json(
             {

@@ -47,7 +47,7 @@ ROUNDING_SHARE = 1e-3  # of any other number; a covariance in those cases: 1e-4
 ShowRecord = Callable[[int, int], None]  # records done, of how many
 
 
-class Verdict(StrEnum):
+class ReplayVerdict(StrEnum):
     """Verdict of a replay on one record."""
 
     EQUAL = "equal"
@@ -62,7 +62,7 @@ class ReplayedRecord:
 
     record: str
     step: str
-    verdict: Verdict
+    verdict: ReplayVerdict
     why: tuple[str, ...] = ()
 
 
@@ -76,7 +76,7 @@ def compare_records(step: str, recorded: Record, again: Record) -> ReplayedRecor
     """Compare payloads: equal if identical, rounded if all differences are within rounding limits."""
     found = list(_differences(recorded.payload, again.payload, ""))
     real = [one for one in found if not one.rounding]
-    verdict = Verdict.DIFFERENT if real else Verdict.ROUNDED if found else Verdict.EQUAL
+    verdict = ReplayVerdict.DIFFERENT if real else ReplayVerdict.ROUNDED if found else ReplayVerdict.EQUAL
     why = tuple(one.text for one in (real or found)[:MOST_DIFFERENCES])
     return ReplayedRecord(recorded.identifier, step, verdict, why)
 
@@ -178,7 +178,7 @@ class _Replay:
         self._answers = answers
         self._operator = RecordedOperator()
         self._room = RecordedRoom()
-        self._uncomputed = Verdict.DIFFERENT  # verdict on the last step that could not be computed
+        self._uncomputed = ReplayVerdict.DIFFERENT  # verdict on the last step that could not be computed
         clock = RecordedClock(answers)
         self._theatre = theatre = Theatre(replay_input.theatre, clock, make)
         journal = Journal(folder)
@@ -250,10 +250,10 @@ class _Replay:
             why = f"not computed: {error.summary}"
             return ReplayedRecord(recorded.identifier, step, self._uncomputed, (why,))
         except NotRecorded as error:
-            self._uncomputed = Verdict.NOT_RECORDED
+            self._uncomputed = ReplayVerdict.NOT_RECORDED
             return ReplayedRecord(recorded.identifier, step, self._uncomputed, (error.summary,))
         except Exception as error:  # other numbers may fail anywhere in a step
-            self._uncomputed = Verdict.DIFFERENT
+            self._uncomputed = ReplayVerdict.DIFFERENT
             return ReplayedRecord(recorded.identifier, step, self._uncomputed, (f"not computed: {error}",))
         return compare_records(step, recorded, again)
 

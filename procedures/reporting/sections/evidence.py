@@ -29,7 +29,7 @@ class Computer:
 
 
 @dataclass(frozen=True)
-class Evidence:
+class EvidenceSection:
     """Records of a run, its journal, and what made them."""
 
     records: tuple[Record, ...]
@@ -41,11 +41,11 @@ class Evidence:
     made: str
 
 
-def read_evidence(reading: RunReading) -> Evidence:
+def read_evidence(reading: RunReading) -> EvidenceSection:
     """Read the section."""
     journal = reading.run.journal
     software = (str(one) for line in journal if (one := line.get("software")))
-    return Evidence(
+    return EvidenceSection(
         records=reading.run.records,
         superseded=reading.run.superseded,
         lines=len(journal),

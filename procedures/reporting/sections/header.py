@@ -12,7 +12,7 @@ from procedures.reporting.tables import PlanRow, TargetTable
 
 
 @dataclass(frozen=True)
-class Opening:
+class RunOpening:
     """What a run's first journal line says of it; empty where it says nothing."""
 
     procedure: str  # of a calibration, check or measurement
@@ -50,7 +50,7 @@ class Header:
 
 
 def read_header(
-    run: str, reading: RunReading, opening: Opening, table: TargetTable, plan: Sequence[PlanRow]
+    run: str, reading: RunReading, opening: RunOpening, table: TargetTable, plan: Sequence[PlanRow]
 ) -> Header:
     """Read the head of the report."""
     errors = ""
@@ -68,7 +68,7 @@ def read_header(
     )
 
 
-def _describe_origin(reading: RunReading, opening: Opening, plan: Sequence[PlanRow]) -> str:
+def _describe_origin(reading: RunReading, opening: RunOpening, plan: Sequence[PlanRow]) -> str:
     """Name procedure, theatre, strategy, seed and time of a run in one line."""
     strategy = f"strategy {opening.strategy}" if opening.strategy else ""
     used = list(dict.fromkeys(row.strategy for row in plan if row.strategy))

@@ -30,7 +30,7 @@ class AssistantWork:
 
 
 @dataclass(frozen=True)
-class Verdict:
+class VerdictSection:
     """Ending of a run, its targets against the margin of the plan, and what cannot be relied on."""
 
     ending: Ending

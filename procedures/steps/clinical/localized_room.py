@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from procedures.guards.room_watch import FlangePose, RoomWatch
 from procedures.room.estimate import RoomEstimate
-from procedures.room.model import ArmModel, Places, RoomModel
-from procedures.room.motion import Motion
+from procedures.room.model import Places, RoomModel, TrackedArm
+from procedures.room.motion import RoomMotion
 from procedures.room.sighting import Rest, SeenFrame, Sighting, Tracked, expect_frame, expect_spheres
 from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.results import KnownBases, RegisteredRobot
@@ -51,7 +51,7 @@ class LocalizedRoom:
     def watch(
         self,
         localization: str,
-        arm: ArmModel,
+        arm: TrackedArm,
         flange_pose: FlangePose,
     ) -> RoomWatch:
         """Begin the watch, with the localization as its first look."""
@@ -111,7 +111,7 @@ def build_watch(
         None if on_clamp is None or markers_mm is None else on_clamp.transform,
         markers_mm,
     )
-    arm = ArmModel(
+    arm = TrackedArm(
         workcell.master.arm.kinematics.chain,
         ErrorSizes.stated(settings, workcell.calibrations.arm),
         flange_from_marker(workcell).as_matrix(),
@@ -155,11 +155,11 @@ def find_followed_places(registration: RegisteredRobot | None) -> tuple[Array | 
 
 def take_in_assistant(
     watch: RoomWatch, workcell: Workcell, settings: ProcedureSettings, known: KnownBases
-) -> Motion | None:
+) -> RoomMotion | None:
     """Take the assistant into a watch; return the motion that the looks show with it, or None."""
     assistant, base = workcell.assistant, known.robot_from_base.transform
     kinematics = assistant.arm.kinematics
-    arm = ArmModel(
+    arm = TrackedArm(
         kinematics.chain,
         ErrorSizes.stated(settings, workcell.calibrations.assistant_arm),
         known.flange_from_frame.transform.as_matrix(),

@@ -14,7 +14,7 @@ SIXX, R900_2 = "kr6_r900_sixx", "kr6_r900_2"  # the two differ by 10 mm at the e
 
 
 @dataclass(frozen=True)
-class Dimensions:
+class Kr6Dimensions:
     """Dimensions of a variant; names follow the chain from $ROBROOT to the flange.
 
     A1 turns about -z, A2, A3, A5 about +y, A4, A6 about -x. With all axes at zero the arm extends along x.
@@ -66,7 +66,7 @@ _ACCELERATION: JointVector = (21.67, 6.89, 31.42, 133.1, 135.6, 268.4)
 RADII = ArmRadii(column_mm=150.0, upper_arm_mm=85.0, forearm_mm=70.0, wrist_mm=45.0, hand_mm=45.0)
 
 DIMENSIONS = {
-    SIXX: Dimensions(
+    SIXX: Kr6Dimensions(
         name=SIXX,
         base_height_mm=400.0,
         shoulder_offset_mm=25.0,
@@ -79,7 +79,7 @@ DIMENSIONS = {
         full_speed_rad_s=radians6(360, 300, 360, 381, 388, 615),
         acceleration_rad_s2=_ACCELERATION,
     ),
-    R900_2: Dimensions(
+    R900_2: Kr6Dimensions(
         name=R900_2,
         base_height_mm=400.0,
         shoulder_offset_mm=25.0,

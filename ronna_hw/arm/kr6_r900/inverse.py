@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 from ronna_hw.arm.errors import OutOfJointRange, Singular, Unreachable
 from ronna_hw.arm.kinematics import RANGE_SLACK_RAD, Branch, Solution
-from ronna_hw.arm.kr6_r900.geometry import Dimensions
+from ronna_hw.arm.kr6_r900.geometry import Kr6Dimensions
 from ronna_hw.arm.pose import Pose
 from ronna_hw.vectors import JointVector
 
@@ -42,14 +42,14 @@ BRANCHES = tuple(
 )
 
 
-def branch_of(arm: Dimensions, joints_rad: JointVector) -> Branch:
+def branch_of(arm: Kr6Dimensions, joints_rad: JointVector) -> Branch:
     """Return the branch of a joint vector."""
     _, A2, A3, _, A5, _ = joints_rad
     overhead = arm.wrist_ahead_mm(A2, A3) < 0.0
     return branch(overhead=overhead, elbow=arm.stretched_A3_rad <= A3, flipped=A5 <= 0.0)
 
 
-def solutions(arm: Dimensions, pose: Pose) -> tuple[Solution, ...]:
+def solutions(arm: Kr6Dimensions, pose: Pose) -> tuple[Solution, ...]:
     """Return all joint vectors within range that reach the flange pose, branch by branch.
 
     Raises ARM-001 when the wrist centre is out of reach; ARM-002 when A1, A4 and A6 or the bend of the elbow
@@ -84,7 +84,7 @@ def solutions(arm: Dimensions, pose: Pose) -> tuple[Solution, ...]:
     return tuple(found)
 
 
-def solve_branch(arm: Dimensions, pose: Pose, branch: Branch, near: JointVector) -> JointVector:
+def solve_branch(arm: Kr6Dimensions, pose: Pose, branch: Branch, near: JointVector) -> JointVector:
     """Return the solution in `branch`, unwrapped to be nearest `near`, for path following.
 
     Raises ARM-001, ARM-002 or ARM-003 like `solutions`, for this branch alone.
@@ -112,7 +112,7 @@ class _Shoulder(NamedTuple):
     bend: float  # angle of A3 away from stretched, not negative
 
 
-def _shoulder(arm: Dimensions, pose: Pose, overhead: bool) -> _Shoulder:
+def _shoulder(arm: Kr6Dimensions, pose: Pose, overhead: bool) -> _Shoulder:
     (px, py, pz), r, hand = pose.position_mm, pose.rotation, arm.flange_mm
     x, y, z = px - hand * r[2], py - hand * r[5], pz - hand * r[8]
     radius = hypot(x, y)
@@ -137,7 +137,7 @@ def _shoulder(arm: Dimensions, pose: Pose, overhead: bool) -> _Shoulder:
     return _Shoulder(A1, atan2(below, ahead), atan2(lower * sin(bend), upper + lower * cosine), bend)
 
 
-def _bend(arm: Dimensions, shoulder: _Shoulder, elbow: bool) -> tuple[float, float, float]:
+def _bend(arm: Kr6Dimensions, shoulder: _Shoulder, elbow: bool) -> tuple[float, float, float]:
     if elbow:
         return (
             shoulder.A1,
@@ -147,7 +147,7 @@ def _bend(arm: Dimensions, shoulder: _Shoulder, elbow: bool) -> tuple[float, flo
     return (shoulder.A1, shoulder.elevation + shoulder.inner, arm.stretched_A3_rad - shoulder.bend)
 
 
-def _into_range(arm: Dimensions, first: tuple[float, float, float]) -> tuple[float, float, float] | None:
+def _into_range(arm: Kr6Dimensions, first: tuple[float, float, float]) -> tuple[float, float, float] | None:
     """Shift A1..A3 into range by whole turns, or return None; each range is shorter than a turn."""
     result = []
     for axis, angle in enumerate(first):
@@ -182,7 +182,7 @@ def _wrist(pose: Pose, first: tuple[float, float, float], flipped: bool) -> tupl
     return (atan2(-zy, -zz), atan2(sine, zx), atan2(-yx, -xx))
 
 
-def _turns(arm: Dimensions, wrist: tuple[float, float, float]) -> Iterator[tuple[float, float, float]]:
+def _turns(arm: Kr6Dimensions, wrist: tuple[float, float, float]) -> Iterator[tuple[float, float, float]]:
     A4, A5, A6 = wrist
     low, high = arm.lower_rad, arm.upper_rad
     if not low[4] - RANGE_SLACK_RAD <= A5 <= high[4] + RANGE_SLACK_RAD:
@@ -203,7 +203,7 @@ def _nearest_turn(angle: float, near: float, low: float, high: float) -> float:
     return angle
 
 
-def _unreachable(arm: Dimensions, pose: Pose) -> Unreachable:
+def _unreachable(arm: Kr6Dimensions, pose: Pose) -> Unreachable:
     (px, py, pz), r, hand = pose.position_mm, pose.rotation, arm.flange_mm
     x, y, z = px - hand * r[2], py - hand * r[5], pz - hand * r[8]
     distance = hypot(hypot(x, y) - arm.shoulder_offset_mm, z - arm.base_height_mm)
@@ -216,7 +216,7 @@ def _unreachable(arm: Dimensions, pose: Pose) -> Unreachable:
     )
 
 
-def _out_of_range(arm: Dimensions, joints_rad: tuple[float, ...]) -> OutOfJointRange:
+def _out_of_range(arm: Kr6Dimensions, joints_rad: tuple[float, ...]) -> OutOfJointRange:
     for axis, angle in enumerate(joints_rad):
         low, high = arm.lower_rad[axis], arm.upper_rad[axis]
         if angle > high and angle - TURN >= low:

@@ -22,7 +22,7 @@ from ronna_hw.arm.kinematics import (
     require_off_base,
 )
 from ronna_hw.arm.kr6_r900 import inverse
-from ronna_hw.arm.kr6_r900.geometry import DIMENSIONS, RADII, SIXX, Dimensions
+from ronna_hw.arm.kr6_r900.geometry import DIMENSIONS, RADII, SIXX, Kr6Dimensions
 from ronna_hw.arm.pose import Pose, radians6
 from ronna_hw.vectors import JointVector, Vector3
 
@@ -49,7 +49,7 @@ class Kr6R900:
     branches = inverse.BRANCHES
     radii = RADII
 
-    def __init__(self, dimensions: Dimensions) -> None:
+    def __init__(self, dimensions: Kr6Dimensions) -> None:
         self.dimensions = dimensions
         self.name = dimensions.name
         self.lower_rad = dimensions.lower_rad
@@ -207,7 +207,7 @@ def _combine(u: Vector3, a: float, v: Vector3, b: float) -> Vector3:
     return (a * u[0] + b * v[0], a * u[1] + b * v[1], a * u[2] + b * v[2])
 
 
-def _chain(arm: Dimensions) -> Chain:
+def _chain(arm: Kr6Dimensions) -> Chain:
     """Build the chain Rz(-A1) Tx Ry(A2) Tx Ry(A3) Tz Rx(-A4) Tx Ry(A5) Tx Rx(-A6) Ry(90 deg)."""
     return Chain(
         base_mm=(0.0, 0.0, arm.base_height_mm),
@@ -223,7 +223,7 @@ def _chain(arm: Dimensions) -> Chain:
     )
 
 
-def _links(arm: Dimensions) -> tuple[Link, ...]:
+def _links(arm: Kr6Dimensions) -> tuple[Link, ...]:
     """Build the links: upper arm, forearm with drives, slim wrist, and hand from wrist centre to flange."""
     slim = (FOREARM_SHARE * arm.forearm_mm, 0.0, 0.0)
     return (

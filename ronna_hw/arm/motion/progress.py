@@ -21,7 +21,7 @@ from ronna_hw.arm.errors import MOTION_INVALID
 Values = Sequence[float]
 
 
-class State(NamedTuple):
+class AxisState(NamedTuple):
     """Position, velocity and acceleration, one value per axis."""
 
     position: list[float]
@@ -29,7 +29,7 @@ class State(NamedTuple):
     acceleration: list[float]
 
     @classmethod
-    def resting(cls, position: Values) -> State:
+    def resting(cls, position: Values) -> AxisState:
         """Build a state at rest at a position."""
         still = [0.0] * len(position)
         return cls(list(position), still, list(still))
@@ -50,10 +50,10 @@ class MotionProfile:
         self.raw = Trajectory(axes)
         self.duration_s = 0.0
 
-    def sample(self, time_s: float) -> State:
+    def sample(self, time_s: float) -> AxisState:
         """Return the state at a time, clamped to the start and end of the profile."""
         position, velocity, acceleration = self.raw.at_time(min(max(time_s, 0.0), self.duration_s))
-        return State(position, velocity, acceleration)
+        return AxisState(position, velocity, acceleration)
 
 
 class MotionProfiler:
@@ -77,7 +77,7 @@ class MotionProfiler:
         self._braking_input.target_acceleration = [0.0] * axes
         self._bounds_of: dict[InputParameter, Bounds] = {}  # bounds last given to each request
 
-    def move(self, start: State, target: Values, bounds: Bounds) -> MotionProfile:
+    def move(self, start: AxisState, target: Values, bounds: Bounds) -> MotionProfile:
         """Move all axes from any state to rest at `target`, arriving simultaneously. Raises ARM-006.
 
         The profile may overshoot start and target if it starts in motion.
@@ -86,17 +86,17 @@ class MotionProfiler:
         self._move.target_position = list(target)
         return self._calculate(self._move, start, bounds)
 
-    def stop(self, start: State, bounds: Bounds) -> MotionProfile:
+    def stop(self, start: AxisState, bounds: Bounds) -> MotionProfile:
         """Bring each axis from any state to rest as fast as its bounds allow. Raises ARM-006."""
         return self._calculate(self._stop, start, bounds)
 
-    def brake(self, start: State, velocity: Values, bounds: Bounds) -> MotionProfile:
+    def brake(self, start: AxisState, velocity: Values, bounds: Bounds) -> MotionProfile:
         """Slow each axis to a lower speed as fast as its bounds allow. Raises ARM-006."""
         self._check(velocity)
         self._braking_input.target_velocity = list(velocity)
         return self._calculate(self._braking_input, start, bounds)
 
-    def _calculate(self, request: InputParameter, start: State, bounds: Bounds) -> MotionProfile:
+    def _calculate(self, request: InputParameter, start: AxisState, bounds: Bounds) -> MotionProfile:
         for values in start:
             self._check(values)
         if self._bounds_of.get(request) is not bounds:
@@ -151,13 +151,15 @@ class _Leg(NamedTuple):
     velocity: float
     leads_to_end: bool
 
-    def sample(self, time_s: float) -> State:
+    def sample(self, time_s: float) -> AxisState:
         """Return the state at a time; a braking leg continues at its reduced speed."""
         if self.leads_to_end:
-            return State.resting([1.0]) if time_s >= self.profile.duration_s else self.profile.sample(time_s)
+            return (
+                AxisState.resting([1.0]) if time_s >= self.profile.duration_s else self.profile.sample(time_s)
+            )
         if not self.velocity and time_s >= self.profile.duration_s:
-            return State.resting(self.profile.sample(time_s).position)
-        return State(*self.profile.raw.at_time(time_s))
+            return AxisState.resting(self.profile.sample(time_s).position)
+        return AxisState(*self.profile.raw.at_time(time_s))
 
 
 class PathProgress:
@@ -174,13 +176,13 @@ class PathProgress:
         self._fraction = 1.0
         self._profiler = MotionProfiler(1)
         self._stop_bounds = self._bounds(limits.velocity)
-        self.state = self._before = State.resting([0.0])
+        self.state = self._before = AxisState.resting([0.0])
         self._ceiling: SpeedStep | None = None  # the slower step ahead, while braking for it
         self._leg = self._plan_leg(self._speed_at(0.0))
         self._time_s = 0.0
         self._halt: MotionProfile | None = None  # the stop in progress
-        self._next: tuple[State, _Leg, float] | None = None  # go state, its leg, and the time on it
-        self._next_halt: tuple[State, MotionProfile] | None = None
+        self._next: tuple[AxisState, _Leg, float] | None = None  # go state, its leg, and the time on it
+        self._next_halt: tuple[AxisState, MotionProfile] | None = None
 
     @property
     def is_stopping(self) -> bool:
@@ -194,7 +196,7 @@ class PathProgress:
             return self._time_s >= self._halt.duration_s
         return self._leg.leads_to_end and self._time_s >= self._leg.profile.duration_s
 
-    def prepare(self) -> tuple[State, State]:
+    def prepare(self) -> tuple[AxisState, AxisState]:
         """Return the next states for continuing and for stopping; during a stop, they are the same object."""
         if self._halt is not None:
             go = self._halt.sample(self._time_s + self._cycle_s)
@@ -246,7 +248,7 @@ class PathProgress:
     def restart_from_rest(self, *, one_back: bool = False) -> None:
         """Continue from rest at the last or second-to-last state, after a stop outside this profile."""
         sample = self._before if one_back else self.state
-        self.state = self._before = State.resting([min(max(sample.position[0], 0.0), 1.0)])
+        self.state = self._before = AxisState.resting([min(max(sample.position[0], 0.0), 1.0)])
         self._next = self._next_halt = self._ceiling = None
         self._time_s = 0.0
         if self._halt is not None:
@@ -255,7 +257,7 @@ class PathProgress:
             velocity = self._speed_at(self.state.position[0])
             self._leg = self._plan_leg(velocity) if velocity else self._braking_leg(velocity)
 
-    def _choose_state(self) -> State:
+    def _choose_state(self) -> AxisState:
         """Return the fastest next state from which the end and every slower section can still be reached."""
         velocity = self._speed_at(self.state.position[0])
         if self._ceiling is not None:
@@ -285,7 +287,7 @@ class PathProgress:
             return self._leg._replace(velocity=velocity), self._time_s + self._cycle_s
         return braking, self._cycle_s
 
-    def _find_missed_step(self, go: State, velocity: float) -> SpeedStep | None:
+    def _find_missed_step(self, go: AxisState, velocity: float) -> SpeedStep | None:
         """Return the slowest upcoming step that `go` would make impossible to respect, or None."""
         found: SpeedStep | None = None
         here = self.state.position[0]
@@ -301,7 +303,7 @@ class PathProgress:
                 found = step
         return found
 
-    def _can_reach_speed(self, go: State, slow: float, start: float) -> bool:
+    def _can_reach_speed(self, go: AxisState, slow: float, start: float) -> bool:
         peak = _peak_speed(go, self._limits.jerk)
         if peak <= slow:
             return True
@@ -315,14 +317,14 @@ class PathProgress:
         if s + peak * fall_s + ahead < start:
             return True
         profile = self._profiler.brake(go, [slow], self._bounds(slow))
-        slowed = State(*profile.raw.at_time(profile.duration_s))
+        slowed = AxisState(*profile.raw.at_time(profile.duration_s))
         return slowed.position[0] + ahead < start and self._stop_position(slowed) + ahead < 1.0
 
-    def _stop_position(self, state: State) -> float:
+    def _stop_position(self, state: AxisState) -> float:
         profile = self._plan_stop(state)
         return profile.sample(profile.duration_s).position[0]
 
-    def _plan_stop(self, state: State) -> MotionProfile:
+    def _plan_stop(self, state: AxisState) -> MotionProfile:
         return self._profiler.stop(state, self._stop_bounds)
 
     def _speed_at(self, s: float) -> float:
@@ -345,16 +347,16 @@ class PathProgress:
         return Bounds([velocity], [self._limits.acceleration], [self._limits.jerk])
 
 
-def _peak_speed(state: State, jerk: float) -> float:
+def _peak_speed(state: AxisState, jerk: float) -> float:
     """Return the lowest possible peak speed, reached once the acceleration has ramped down to zero."""
     (v,), (a,) = state.velocity, state.acceleration
     return v + a * a / (2.0 * jerk) if a > 0.0 else v
 
 
-def drive_states(limits: PathLimits, steps: tuple[SpeedStep, ...], cycle_s: float) -> list[State]:
+def drive_states(limits: PathLimits, steps: tuple[SpeedStep, ...], cycle_s: float) -> list[AxisState]:
     """Return the states along a path driven from rest to rest, one per cycle."""
     progress = PathProgress(limits, steps, cycle_s)
-    states: list[State] = []
+    states: list[AxisState] = []
     while not progress.is_finished:
         progress.prepare()
         progress.take_go()

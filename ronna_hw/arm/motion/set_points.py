@@ -21,13 +21,13 @@ from typing import NamedTuple
 from ronna_hw.arm.motion.limits import MotionLimits
 from ronna_hw.arm.motion.planning import Path
 from ronna_hw.arm.motion.progress import (
+    AxisState,
     Bounds,
     MotionProfile,
     MotionProfiler,
     PathLimits,
     PathProgress,
     SpeedStep,
-    State,
 )
 from ronna_hw.vectors import JointVector, joint_vector
 
@@ -110,7 +110,7 @@ class PathMotion:
         self._next = None
         self._along.restart_from_rest(one_back=one_back)
 
-    def _joints_at(self, state: State, near: JointVector) -> JointVector:
+    def _joints_at(self, state: AxisState, near: JointVector) -> JointVector:
         return self._path.joints(min(max(state.position[0], 0.0), 1.0), near)
 
 
@@ -121,7 +121,7 @@ class StopMotion:
     brakes independently.
     """
 
-    def __init__(self, start: State, limits: MotionLimits, cycle_s: float) -> None:
+    def __init__(self, start: AxisState, limits: MotionLimits, cycle_s: float) -> None:
         self._cycle_s = cycle_s
         self._profile = MotionProfiler(len(start.position)).stop(start, joint_bounds(limits))
         self._halt = plan_halt(start, limits)
@@ -156,7 +156,7 @@ class StopMotion:
         return joint_vector(self._profile.sample(time_s).position)
 
 
-def state_from_history(history_rad: Sequence[JointVector], cycle_s: float) -> State:
+def state_from_history(history_rad: Sequence[JointVector], cycle_s: float) -> AxisState:
     """Estimate the motion state at the newest of four set-points from the cubic through them.
 
     The third difference matters: without it the acceleration is one cycle old, and a stop gains too much
@@ -169,7 +169,7 @@ def state_from_history(history_rad: Sequence[JointVector], cycle_s: float) -> St
         twist = bend - (previous - 2.0 * earlier + earliest)
         velocity.append((step + bend / 2.0 + twist / 3.0) / cycle_s)
         acceleration.append((bend + twist) / cycle_s**2)
-    return State(list(history_rad[0]), velocity, acceleration)
+    return AxisState(list(history_rad[0]), velocity, acceleration)
 
 
 def joint_bounds(limits: MotionLimits) -> Bounds:
@@ -193,7 +193,7 @@ class Parabola(NamedTuple):
         )
 
 
-class Halt(NamedTuple):
+class StopProfile(NamedTuple):
     """Stop along a path: the path, and a one-axis profile from the current speed to rest."""
 
     curve: Parabola
@@ -204,7 +204,7 @@ class Halt(NamedTuple):
         return self.curve.sample(self.profile.sample(time_s).position[0])
 
 
-def plan_halt(start: State, limits: MotionLimits) -> Halt | None:
+def plan_halt(start: AxisState, limits: MotionLimits) -> StopProfile | None:
     """Plan the shortest stop along the current course that the joint limits allow.
 
     None if the arm has no direction, its curvature alone uses up the limits, or a joint would first become
@@ -226,7 +226,7 @@ def plan_halt(start: State, limits: MotionLimits) -> Halt | None:
     if fastest > SPEED_MARGIN:
         return None
     curve = Parabola(start.position, direction, bend)
-    return Halt(curve, MotionProfiler(1).stop(State([0.0], [speed], [tangential]), bounds))
+    return StopProfile(curve, MotionProfiler(1).stop(AxisState([0.0], [speed], [tangential]), bounds))
 
 
 def _braking_bounds(

@@ -12,9 +12,9 @@ from sim.basler.camera.photographer import FrameSource
 from sim.basler.faults import NO_FAULTS, CameraFaults
 from sim.basler.settings import (
     AcquisitionMode,
+    CameraSettings,
     EventKind,
     FrameSettings,
-    Settings,
     TheatreClock,
     Ticks,
     Trigger,
@@ -25,7 +25,7 @@ from sim.basler.settings import (
     readout_us,
     shortest_period_us,
 )
-from sim.basler.stream_channel import Frame, StreamChannel
+from sim.basler.stream_channel import SentImage, StreamChannel
 
 IDLE_CHECK_S = 0.5
 FRAMES_IN_PROGRESS = 2  # one being drawn or sent, one being exposed
@@ -52,7 +52,7 @@ class Acquisition:
     def __init__(
         self,
         name: str,
-        settings: Callable[[], Settings],
+        settings: Callable[[], CameraSettings],
         source: FrameSource,
         channel: StreamChannel,
         clock: TheatreClock,
@@ -170,7 +170,7 @@ class Acquisition:
                 return
             self._fire_frame(settings, trigger)
 
-    def _fire_frame(self, settings: Settings, trigger: TriggerSettings) -> None:
+    def _fire_frame(self, settings: CameraSettings, trigger: TriggerSettings) -> None:
         if self._permitted == 0 or self._is_busy():
             self._missed_triggers += 1
             self._report(EventKind.FRAME_START_OVERTRIGGER, 0, self._clock.now_ns())
@@ -185,7 +185,7 @@ class Acquisition:
     def _is_busy(self) -> bool:
         return len(self._waiting) >= FRAMES_IN_PROGRESS or self._clock.now_ns() < self._ready_ns
 
-    def _schedule_exposure(self, settings: Settings, start_ns: int, number: int) -> _Exposure:
+    def _schedule_exposure(self, settings: CameraSettings, start_ns: int, number: int) -> _Exposure:
         """Schedule a frame and count it against the frame limit of the acquisition or its trigger."""
         frame = settings.frame()
         self._ready_ns = start_ns + round(shortest_period_us(frame) * 1e3)
@@ -243,7 +243,7 @@ class Acquisition:
                 return
             if triggered:
                 self._waiting.popleft()
-            block = self._channel.block_of(Frame(frame, image, self._ticks.stamp(exposure.start_ns)))
+            block = self._channel.block_of(SentImage(frame, image, self._ticks.stamp(exposure.start_ns)))
         if block is not None:
             self._report(EventKind.EXPOSURE_END, block.block_id, exposed_ns)
             self._channel.send(block, (read_ns - self._clock.now_ns()) / 1e9)

@@ -13,8 +13,8 @@ from ronna_hw.wire.gige_vision import (
     PixelFormat,
 )
 from sim.basler.camera.features import (
-    CameraState,
     Feature,
+    FeatureState,
     Kind,
     choice,
     command,
@@ -113,7 +113,7 @@ OFF_ON = {"Off": 0, "On": 1}
 FRAME_TRIGGER_WAIT, ACQUISITION_ACTIVE = 0, 1
 
 
-def _status(camera: CameraState) -> int:
+def _status(camera: FeatureState) -> int:
     if camera.settings.status_selector == FRAME_TRIGGER_WAIT:
         return int(camera.acquisition.awaits_trigger)
     return int(camera.acquiring)
@@ -243,7 +243,7 @@ ACQUISITION_FEATURES: tuple[Feature, ...] = (
 BLACK_LEVEL_RAW_MAXIMUM = 255
 
 
-def _set_exposure(camera: CameraState, value: float) -> None:
+def _set_exposure(camera: FeatureState, value: float) -> None:
     camera.settings.exposure_us = round(value)
 
 

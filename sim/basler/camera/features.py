@@ -12,17 +12,17 @@ from enum import Enum
 from typing import Any, Protocol
 
 from sim.basler.camera.acquisition import Acquisition
-from sim.basler.settings import Settings
+from sim.basler.settings import CameraSettings
 from sim.basler.stream_channel import StreamChannel
 
 Number = int | float
 
 
-class CameraState(Protocol):
+class FeatureState(Protocol):
     """Camera state that the features read and write."""
 
     @property
-    def settings(self) -> Settings: ...
+    def settings(self) -> CameraSettings: ...
 
     @property
     def acquisition(self) -> Acquisition: ...
@@ -48,9 +48,9 @@ class Kind(Enum):
     COMMAND = "Command"
 
 
-Getter = Callable[[CameraState], Number]
+Getter = Callable[[FeatureState], Number]
 Limit = Number | Getter  # a limit may depend on other settings
-Setter = Callable[[CameraState, Any], None]
+Setter = Callable[[FeatureState, Any], None]
 
 
 @dataclass(frozen=True)
@@ -75,7 +75,7 @@ class Feature:
     selects: tuple[str, ...] = ()
     visibility: str = "Beginner"
 
-    def accepts(self, camera: CameraState, value: Number) -> bool:
+    def accepts(self, camera: FeatureState, value: Number) -> bool:
         """Return whether a value may be written."""
         if self.kind is Kind.ENUMERATION:
             return value in self.entries.values()
@@ -89,7 +89,7 @@ class Feature:
         return within and (self.kind is Kind.FLOAT or (value - low) % self.step == 0)
 
 
-def resolve_limit(limit: Limit, camera: CameraState) -> Number:
+def resolve_limit(limit: Limit, camera: FeatureState) -> Number:
     """Return the value of a limit, which may depend on the camera's state."""
     return limit(camera) if callable(limit) else limit
 
@@ -143,6 +143,6 @@ def single_choice(name: str, category: str, about: str, entry: str, **more: Any)
     )
 
 
-def command(name: str, category: str, about: str, do: Callable[[CameraState], None], **more: Any) -> Feature:
+def command(name: str, category: str, about: str, do: Callable[[FeatureState], None], **more: Any) -> Feature:
     """Define a command."""
     return Feature(name, category, about, Kind.COMMAND, write=lambda camera, _value: do(camera), **more)

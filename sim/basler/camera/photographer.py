@@ -15,9 +15,9 @@ import numpy as np
 
 from ronna_hw.host.process import resume_garbage_collection
 from ronna_hw.wire.gige_vision import PixelFormat
-from sim.basler.camera.view import Disturbances, Pose, View
+from sim.basler.camera.view import Pose, View, ViewDisturbances
 from sim.basler.faults import NO_FAULTS, CameraFaults
-from sim.basler.optics.picture import Optics
+from sim.basler.optics.picture import LensOptics
 from sim.basler.optics.sensor import Pixels, Sensor
 from sim.basler.settings import FrameSettings, RampImage, bits_per_pixel
 from sim.world.noise import noise
@@ -57,8 +57,8 @@ class Photographer:
         self._seed = world.scene.seed
         self._serial = camera.serial
         self._view = View(world, camera)
-        self._disturbances = Disturbances(world, camera)
-        self._optics = Optics(camera, world.scene.seed)
+        self._disturbances = ViewDisturbances(world, camera)
+        self._optics = LensOptics(camera, world.scene.seed)
         self._sensor = Sensor(camera.read_noise_electrons, camera.full_well_electrons)
         self._drawing = threading.Lock()
         self._ring = ImageRing(self)

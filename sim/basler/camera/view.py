@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from ronna_hw.wire.room_tasks import OnStand
 from sim.basler.optics.film import draw_stains
-from sim.basler.optics.picture import CLEAR, Disturbance, Glare, Occluder
-from sim.basler.optics.sphere import Sphere
+from sim.basler.optics.picture import CLEAR, Glare, Occluder, PictureDisturbance
+from sim.basler.optics.sphere import DrawnSphere
 from sim.world.displacements import NOTHING_MOVED, RoomShift, ShiftedRoom, spheres_in_theatre
 from sim.world.faults import Fault, FaultBoard
 from sim.world.noise import noise
@@ -72,7 +72,7 @@ class View:
 
     def spheres(
         self, robot_from_tool: Pose | None, twist_rad: float = 0.0, room: RoomShift = NOTHING_MOVED
-    ) -> tuple[Sphere, ...]:
+    ) -> tuple[DrawnSphere, ...]:
         """Return the spheres in front of the camera, in the camera frame, for a pose returned by `pose`.
 
         `twist_rad` turns the camera in its mount, about an axis through its centre of projection across the
@@ -88,18 +88,18 @@ class View:
         centres = apply(camera_from_robot, room.displace_spheres_mm(self._centres_mm, self._numbers))
         rotation = camera_from_robot[:3, :3] @ self._robot_from_ct[:3, :3]
         seen = [
-            Sphere(centre, each.radius_mm, rotation @ _rotation_along_post(each.post_ct), each.number)
+            DrawnSphere(centre, each.radius_mm, rotation @ _rotation_along_post(each.post_ct), each.number)
             for each, centre in zip(self._fiducials, centres, strict=True)
         ]
         if self.stand_has_ball:
             centre = apply(camera_from_robot, self._stand_mm)
             upright = camera_from_robot[:3, :3] @ _rotation_along_post((0.0, 0.0, 1.0))
-            seen.append(Sphere(centre, SPHERE_RADIUS_MM, upright, self._stand_number))
+            seen.append(DrawnSphere(centre, SPHERE_RADIUS_MM, upright, self._stand_number))
         if self._assistant is not None and (base := self.assistant_flange()) is not None:
             pose = camera_from_robot @ self._room.robot_from_assistant(room) @ base
             centre = apply(pose, self._assistant.flange_from_ball_mm)
             along = pose[:3, :3] @ _rotation_along_post((0.0, 0.0, 1.0))  # the post, from the flange
-            seen.append(Sphere(centre, self._assistant.ball_radius_mm, along, self._stand_number + 1))
+            seen.append(DrawnSphere(centre, self._assistant.ball_radius_mm, along, self._stand_number + 1))
         return tuple(one for one in seen if 0.0 < one.centre_mm[2] < FURTHEST_MM)
 
     def _twist_pose(self, angle_rad: float) -> Pose:
@@ -107,13 +107,13 @@ class View:
         turn = matrix_from((0.0, 0.0, 0.0), rotation_from_vector(angle_rad * across))
         return turn @ self._camera_from_tool if angle_rad else self._camera_from_tool
 
-    def _bench_spheres(self, camera_from_tool: Pose) -> tuple[Sphere, ...]:
+    def _bench_spheres(self, camera_from_tool: Pose) -> tuple[DrawnSphere, ...]:
         first = self._fiducials[0]
         rotation = camera_from_tool[:3, :3] @ _rotation_along_post((0.0, 0.0, -1.0))
-        return (Sphere(camera_from_tool[:3, 3], first.radius_mm, rotation, first.number),)
+        return (DrawnSphere(camera_from_tool[:3, 3], first.radius_mm, rotation, first.number),)
 
 
-class Disturbances:
+class ViewDisturbances:
     """Optical disturbances of one camera, as defined by the fault script and the scene."""
 
     def __init__(self, world: World, camera: CameraTruth) -> None:
@@ -124,7 +124,7 @@ class Disturbances:
         self._side = "left" if camera.serial == world.scene.left.serial else "right"
 
     @cached_property
-    def _worn(self) -> Disturbance:
+    def _worn(self) -> PictureDisturbance:
         """Worn spots of the film: permanent defects, as dark as a stain."""
         scene = self._world.scene
         spots = tuple(
@@ -132,15 +132,15 @@ class Disturbances:
             for one in spheres_in_theatre(scene)
             if one.worn_percent
         )
-        return Disturbance(stains=spots) if spots else CLEAR
+        return PictureDisturbance(stains=spots) if spots else CLEAR
 
-    def now(self) -> Disturbance:
+    def now(self) -> PictureDisturbance:
         """Return the active disturbances, using only a single query when there are no faults."""
         room = self._room.now()
         if self._board.empty:
             return self._worn if room is NOTHING_MOVED else replace(self._worn, room=room)
         seed = self._world.scene.seed
-        return Disturbance(
+        return PictureDisturbance(
             stains=self._worn.stains
             + tuple(
                 (int(number), draw_stains(seed, int(number), float(share) * PERCENT))

@@ -28,7 +28,7 @@ from ronna_hw.wire.gige_vision import (
     GvcpCapability,
 )
 from sim.basler.control.privilege import Privilege
-from sim.basler.control.registers import Memory, Refusal, RegisterMap, Word
+from sim.basler.control.registers import Memory, RegisterMap, RegisterRefusal, RegisterWord
 from sim.basler.control.xml import camera_xml
 from sim.basler.message_channel import MessageChannel
 from sim.basler.settings import Ticks
@@ -166,13 +166,13 @@ def _add_control(registers: RegisterMap, privilege: Privilege) -> None:
     for address, value in fixed.items():
         registers.add(address, _constant_word(value))
     registers.add(Bootstrap.HEARTBEAT_TIMEOUT_MS, _attribute_word(privilege, "heartbeat_ms"))
-    registers.add(Bootstrap.CCP, Word(lambda: privilege.value))
+    registers.add(Bootstrap.CCP, RegisterWord(lambda: privilege.value))
 
     def owner() -> tuple[str, int]:
         return privilege.owner or ("0.0.0.0", 0)
 
-    registers.add(Bootstrap.PRIMARY_APPLICATION_PORT, Word(lambda: owner()[1]))
-    registers.add(Bootstrap.PRIMARY_APPLICATION_ADDRESS, Word(lambda: _address_number(owner()[0])))
+    registers.add(Bootstrap.PRIMARY_APPLICATION_PORT, RegisterWord(lambda: owner()[1]))
+    registers.add(Bootstrap.PRIMARY_APPLICATION_ADDRESS, RegisterWord(lambda: _address_number(owner()[0])))
     registers.add(Bootstrap.GVCP_CONFIGURATION, _stored_word(allowed=GVCP_CONFIGURATION_EXTENDED_STATUS))
 
 
@@ -193,19 +193,19 @@ def _add_stream(registers: RegisterMap, channel: StreamChannel, acquiring: Calla
             and requested_size % PACKET_SIZE_STEP == 0
         )
         if not valid_size:
-            raise Refusal(GevStatus.INVALID_PARAMETER)
+            raise RegisterRefusal(GevStatus.INVALID_PARAMETER)
         if acquiring() and requested_size != channel.packet_size:
-            raise Refusal(GevStatus.BUSY)
+            raise RegisterRefusal(GevStatus.BUSY)
         channel.packet_size = requested_size
         channel.do_not_fragment = bool(value & SCPS_DO_NOT_FRAGMENT)
         if value & SCPS_FIRE_TEST:
             channel.fire_test_packet(requested_size)
 
-    registers.add(Bootstrap.SCP, Word(lambda: channel.port, set_port))
-    registers.add(Bootstrap.SCPS, Word(size, set_size))
+    registers.add(Bootstrap.SCP, RegisterWord(lambda: channel.port, set_port))
+    registers.add(Bootstrap.SCPS, RegisterWord(size, set_size))
     registers.add(Bootstrap.SCPD, _attribute_word(channel, "delay_ticks"))
     registers.add(Bootstrap.SCDA, _destination_word(channel))
-    registers.add(Bootstrap.SCSP, Word(lambda: channel.source_port))
+    registers.add(Bootstrap.SCSP, RegisterWord(lambda: channel.source_port))
     registers.add(Bootstrap.SCC, _constant_word(0))
     registers.add(
         Bootstrap.SCCFG, _stored_word(allowed=0)
@@ -221,37 +221,37 @@ def _add_time(registers: RegisterMap, ticks: Ticks) -> None:
 
     registers.add(Bootstrap.TICK_FREQUENCY_HIGH, _constant_word(TICK_FREQUENCY_HZ >> 32))
     registers.add(Bootstrap.TICK_FREQUENCY_LOW, _constant_word(TICK_FREQUENCY_HZ & 0xFFFFFFFF))
-    registers.add(Bootstrap.TIMESTAMP_CONTROL, Word(lambda: 0, control))
-    registers.add(Bootstrap.TIMESTAMP_HIGH, Word(lambda: ticks.latched >> 32))
-    registers.add(Bootstrap.TIMESTAMP_LOW, Word(lambda: ticks.latched & 0xFFFFFFFF))
+    registers.add(Bootstrap.TIMESTAMP_CONTROL, RegisterWord(lambda: 0, control))
+    registers.add(Bootstrap.TIMESTAMP_HIGH, RegisterWord(lambda: ticks.latched >> 32))
+    registers.add(Bootstrap.TIMESTAMP_LOW, RegisterWord(lambda: ticks.latched & 0xFFFFFFFF))
 
 
-def _constant_word(value: int) -> Word:
-    return Word(lambda: value)
+def _constant_word(value: int) -> RegisterWord:
+    return RegisterWord(lambda: value)
 
 
-def _stored_word(allowed: int) -> Word:
+def _stored_word(allowed: int) -> RegisterWord:
     """Define a register that stores the permitted bits but has no other effect."""
     content = {"value": 0}
-    return Word(lambda: content["value"], lambda value: content.update(value=value & allowed))
+    return RegisterWord(lambda: content["value"], lambda value: content.update(value=value & allowed))
 
 
-def _attribute_word(owner: object, name: str, most: int = 0xFFFFFFFF) -> Word:
+def _attribute_word(owner: object, name: str, most: int = 0xFFFFFFFF) -> RegisterWord:
     """Define a register backed by an attribute of a camera component."""
 
     def write(value: int) -> None:
         if value > most:
-            raise Refusal(GevStatus.INVALID_PARAMETER)
+            raise RegisterRefusal(GevStatus.INVALID_PARAMETER)
         setattr(owner, name, value)
 
-    return Word(lambda: int(getattr(owner, name)), write)
+    return RegisterWord(lambda: int(getattr(owner, name)), write)
 
 
-def _destination_word(channel: UdpChannel) -> Word:
+def _destination_word(channel: UdpChannel) -> RegisterWord:
     def write(value: int) -> None:
         channel.destination = socket.inet_ntoa(value.to_bytes(4, "big"))
 
-    return Word(lambda: _address_number(channel.destination), write)
+    return RegisterWord(lambda: _address_number(channel.destination), write)
 
 
 def _address_number(address: str) -> int:
@@ -264,8 +264,8 @@ def add_message_channel(registers: RegisterMap, channel: MessageChannel) -> None
     def set_port(value: int) -> None:
         channel.port = value & MCP_PORT_MASK
 
-    registers.add(Bootstrap.MCP, Word(lambda: channel.port, set_port))
+    registers.add(Bootstrap.MCP, RegisterWord(lambda: channel.port, set_port))
     registers.add(Bootstrap.MCDA, _destination_word(channel))
     registers.add(Bootstrap.MCTT_MS, _attribute_word(channel, "timeout_ms", LONGEST_TIMEOUT_MS))
     registers.add(Bootstrap.MCRC, _attribute_word(channel, "retries", MOST_RETRIES))
-    registers.add(Bootstrap.MCSP, Word(lambda: channel.source_port))
+    registers.add(Bootstrap.MCSP, RegisterWord(lambda: channel.source_port))

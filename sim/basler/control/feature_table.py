@@ -12,8 +12,8 @@ import struct
 from ronna_hw.wire.gige_vision import GevStatus
 from sim.basler.camera.capture_features import ACQUISITION_FEATURES, EXPOSURE_FEATURES, IMAGE_FEATURES
 from sim.basler.camera.features import (
-    CameraState,
     Feature,
+    FeatureState,
     Kind,
     Limit,
     Number,
@@ -23,12 +23,12 @@ from sim.basler.camera.features import (
     resolve_limit,
     setting,
 )
-from sim.basler.control.registers import Refusal, RegisterMap, Word
+from sim.basler.control.registers import RegisterMap, RegisterRefusal, RegisterWord
 from sim.basler.settings import EventKind, UserSet
 from sim.basler.stream_channel import LARGEST_PACKET_SIZE, PACKET_SIZE_STEP, SMALLEST_PACKET_SIZE
 
 
-def _set_packet_size(camera: CameraState, value: int) -> None:
+def _set_packet_size(camera: FeatureState, value: int) -> None:
     camera.channel.packet_size = value
 
 
@@ -104,11 +104,11 @@ EVENTS = "EventsGeneration"
 OFF, ON = 0, 1
 
 
-def _is_notified(camera: CameraState) -> int:
+def _is_notified(camera: FeatureState) -> int:
     return int(camera.settings.event_selector in camera.settings.events_notified)
 
 
-def _set_notified(camera: CameraState, value: int) -> None:
+def _set_notified(camera: FeatureState, value: int) -> None:
     settings = camera.settings
     other_events = settings.events_notified - {settings.event_selector}
     settings.events_notified = other_events | {settings.event_selector} if value == ON else other_events
@@ -152,7 +152,7 @@ def address_of(name: str) -> int:
     return ADDRESSES[name]
 
 
-def add_features(registers: RegisterMap, camera: CameraState) -> None:
+def add_features(registers: RegisterMap, camera: FeatureState) -> None:
     """Add the registers of all features."""
     for feature in FEATURES:
         address = address_of(feature.name)
@@ -163,7 +163,7 @@ def add_features(registers: RegisterMap, camera: CameraState) -> None:
             registers.add(address + STEP_OFFSET, _limit_register(feature, feature.step, camera))
 
 
-def _value_register(feature: Feature, camera: CameraState) -> Word:
+def _value_register(feature: Feature, camera: FeatureState) -> RegisterWord:
     def read() -> int:
         # A command is never pending: it is done once its register has been written.
         return 0 if feature.read is None else _encode(feature, feature.read(camera))
@@ -171,17 +171,17 @@ def _value_register(feature: Feature, camera: CameraState) -> Word:
     def write(word: int) -> None:
         assert feature.write is not None
         if feature.locked and camera.acquiring:
-            raise Refusal(GevStatus.BUSY)
+            raise RegisterRefusal(GevStatus.BUSY)
         value = _decode(feature, word)
         if not feature.accepts(camera, value):
-            raise Refusal(GevStatus.INVALID_PARAMETER)
+            raise RegisterRefusal(GevStatus.INVALID_PARAMETER)
         feature.write(camera, value)
 
-    return Word(read, None if feature.write is None else write)
+    return RegisterWord(read, None if feature.write is None else write)
 
 
-def _limit_register(feature: Feature, limit: Limit, camera: CameraState) -> Word:
-    return Word(lambda: _encode(feature, resolve_limit(limit, camera)))
+def _limit_register(feature: Feature, limit: Limit, camera: FeatureState) -> RegisterWord:
+    return RegisterWord(lambda: _encode(feature, resolve_limit(limit, camera)))
 
 
 def _encode(feature: Feature, value: Number) -> int:

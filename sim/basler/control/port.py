@@ -35,7 +35,7 @@ from ronna_hw.wire.gige_vision import (
     GvcpFlag,
 )
 from sim.basler.control.privilege import Peer, Privilege
-from sim.basler.control.registers import Refusal, RegisterMap
+from sim.basler.control.registers import RegisterMap, RegisterRefusal
 
 PEERS_KEPT = 16
 KEPT_S = 3.0  # clients retry after 0.2 to 0.5 s, up to five times
@@ -58,7 +58,7 @@ class Actions:
     """Device key, group key, group mask; returns True if addressed to this camera."""
 
 
-class ControlPort:
+class GvcpPort:
     """Control port of one camera, identified by its `mac` and IP `address`."""
 
     def __init__(
@@ -118,7 +118,7 @@ class ControlPort:
             content, status = handler(payload, peer, flags), GevStatus.SUCCESS
         except CommandIgnored:
             return None
-        except Refusal as refusal:
+        except RegisterRefusal as refusal:
             status = refusal.status
             # A write command's answer also states how far it got.
             writes = command in (GvcpCommand.WRITEREG, GvcpCommand.WRITEMEM)
@@ -133,14 +133,14 @@ class ControlPort:
     def _force_ip(self, payload: bytes, _peer: Peer, _flags: int) -> bytes:
         """Execute FORCEIP, accepting only the present address, to which the camera's socket is bound."""
         if len(payload) != FORCEIP_BYTES:
-            raise Refusal(GevStatus.INVALID_HEADER)
+            raise RegisterRefusal(GevStatus.INVALID_HEADER)
         if payload[FORCEIP_MAC_OFFSET : FORCEIP_MAC_OFFSET + MAC_BYTES] != self._mac:
             raise CommandIgnored
         if self._privilege.owner is not None:
-            raise Refusal(GevStatus.ACCESS_DENIED)
+            raise RegisterRefusal(GevStatus.ACCESS_DENIED)
         requested_address = payload[FORCEIP_ADDRESS_OFFSET : FORCEIP_ADDRESS_OFFSET + ADDRESS_BYTES]
         if requested_address not in (self._address, bytes(ADDRESS_BYTES)):
-            raise Refusal(GevStatus.LOCAL_PROBLEM)
+            raise RegisterRefusal(GevStatus.LOCAL_PROBLEM)
         return b""
 
     def _read_registers(self, payload: bytes, peer: Peer, _flags: int) -> bytes:
@@ -155,26 +155,26 @@ class ControlPort:
         for index, (address, value) in enumerate(pairs):
             try:
                 self._write_word(address, value, peer)
-            except Refusal as refusal:
-                raise Refusal(refusal.status, index) from refusal
+            except RegisterRefusal as refusal:
+                raise RegisterRefusal(refusal.status, index) from refusal
         return struct.pack(WRITE_ACK, 0, len(pairs))
 
     def _read_memory(self, payload: bytes, peer: Peer, _flags: int) -> bytes:
         self._check_readable(peer)
         address, _, count = struct.unpack(READMEM_COMMAND, payload)
         if not 0 < count <= READMEM_LIMIT:
-            raise Refusal(GevStatus.INVALID_PARAMETER)
+            raise RegisterRefusal(GevStatus.INVALID_PARAMETER)
         return struct.pack(READMEM_ACK_HEAD, address) + self._registers.read(address, count)
 
     def _write_memory(self, payload: bytes, peer: Peer, _flags: int) -> bytes:
         (address,) = struct.unpack_from(WRITEMEM_HEAD, payload)
         data = payload[struct.calcsize(WRITEMEM_HEAD) :]
         if not data:
-            raise Refusal(GevStatus.INVALID_PARAMETER)
+            raise RegisterRefusal(GevStatus.INVALID_PARAMETER)
         if address == Bootstrap.CCP and len(data) == ADDRESS_BYTES:
             self._write_word(address, int.from_bytes(data, "big"), peer)
         elif not self._privilege.may_write(peer):
-            raise Refusal(GevStatus.ACCESS_DENIED)
+            raise RegisterRefusal(GevStatus.ACCESS_DENIED)
         else:
             self._registers.write(address, data)
         return struct.pack(WRITE_ACK, 0, len(data))
@@ -195,7 +195,7 @@ class ControlPort:
     def _action(self, payload: bytes, _peer: Peer, flags: int) -> bytes:
         keys = struct.unpack_from(ACTION_COMMAND, payload)
         if flags & GvcpFlag.SCHEDULED:
-            raise Refusal(GevStatus.NO_REFERENCE_TIME)  # no clock is shared with the application
+            raise RegisterRefusal(GevStatus.NO_REFERENCE_TIME)  # no clock is shared with the application
         if self._privilege.owner is None or not self._actions.act(*keys):
             raise CommandIgnored
         return b""
@@ -204,15 +204,15 @@ class ControlPort:
         if address == Bootstrap.CCP:
             status = self._privilege.request(peer, value)
             if status is not GevStatus.SUCCESS:
-                raise Refusal(status)
+                raise RegisterRefusal(status)
         elif not self._privilege.may_write(peer):
-            raise Refusal(GevStatus.ACCESS_DENIED)
+            raise RegisterRefusal(GevStatus.ACCESS_DENIED)
         else:
             self._registers.write_word(address, value)
 
     def _check_readable(self, peer: Peer) -> None:
         if not self._privilege.may_read(peer):
-            raise Refusal(GevStatus.ACCESS_DENIED)
+            raise RegisterRefusal(GevStatus.ACCESS_DENIED)
 
 
 @dataclass(frozen=True)
@@ -251,7 +251,7 @@ class ReplayCache:
 
 def _unpack_items(layout: str, payload: bytes) -> list[tuple[int, ...]]:
     if not payload:
-        raise Refusal(GevStatus.INVALID_PARAMETER)
+        raise RegisterRefusal(GevStatus.INVALID_PARAMETER)
     return list(struct.iter_unpack(layout, payload))
 
 

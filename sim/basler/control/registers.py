@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from ronna_hw.wire.gige_vision import REGISTER_BYTES, GevStatus
 
 
-class Refusal(Exception):
+class RegisterRefusal(Exception):
     """Register access refused with a status code after writing `written` bytes or registers."""
 
     def __init__(self, status: GevStatus, written: int = 0) -> None:
@@ -19,7 +19,7 @@ class Refusal(Exception):
 
 
 @dataclass(frozen=True)
-class Word:
+class RegisterWord:
     """A 32-bit register, read-only if `write` is None; `write` raises Refusal for an invalid value."""
 
     read: Callable[[], int]
@@ -44,10 +44,10 @@ class RegisterMap:
     """Register map of one camera, by address."""
 
     def __init__(self) -> None:
-        self._words: dict[int, Word] = {}
+        self._words: dict[int, RegisterWord] = {}
         self._blocks: list[Memory] = []
 
-    def add(self, address: int, word: Word) -> None:
+    def add(self, address: int, word: RegisterWord) -> None:
         """Add a register; each address may be used only once."""
         if address % REGISTER_BYTES or address in self._words:
             raise ValueError(f"register address 0x{address:X} is odd or taken")
@@ -69,7 +69,7 @@ class RegisterMap:
             return word.read() & 0xFFFFFFFF
         block = self._find_block(address)
         if block is None:
-            raise Refusal(GevStatus.INVALID_ADDRESS)
+            raise RegisterRefusal(GevStatus.INVALID_ADDRESS)
         offset = address - block.address
         return int.from_bytes(block.content()[offset : offset + REGISTER_BYTES], "big")
 
@@ -80,7 +80,7 @@ class RegisterMap:
         if word is None:
             self._write_block(address, value.to_bytes(REGISTER_BYTES, "big"))
         elif word.write is None:
-            raise Refusal(GevStatus.WRITE_PROTECT)
+            raise RegisterRefusal(GevStatus.WRITE_PROTECT)
         else:
             word.write(value)
 
@@ -112,15 +112,15 @@ class RegisterMap:
                     part = data[done : done + block.address + block.size - here]
                     self._write_block(here, part)
                     done += len(part)
-            except Refusal as refusal:
-                raise Refusal(refusal.status, done) from refusal
+            except RegisterRefusal as refusal:
+                raise RegisterRefusal(refusal.status, done) from refusal
 
     def _write_block(self, address: int, data: bytes) -> None:
         block = self._find_block(address)
         if block is None:
-            raise Refusal(GevStatus.INVALID_ADDRESS)
+            raise RegisterRefusal(GevStatus.INVALID_ADDRESS)
         if block.write is None:
-            raise Refusal(GevStatus.WRITE_PROTECT)
+            raise RegisterRefusal(GevStatus.WRITE_PROTECT)
         content, offset = block.content(), address - block.address
         block.write(content[:offset] + data + content[offset + len(data) :])
 
@@ -133,4 +133,4 @@ class RegisterMap:
 
 def _check_alignment(address: int, count: int = 0) -> None:
     if address % REGISTER_BYTES or count % REGISTER_BYTES:
-        raise Refusal(GevStatus.BAD_ALIGNMENT)
+        raise RegisterRefusal(GevStatus.BAD_ALIGNMENT)

@@ -140,7 +140,7 @@ def bounds_of(lens: Lens, points_mm: NDArray[np.float64]) -> Area:
 
 
 @dataclass(frozen=True)
-class Canvas:
+class PixelCanvas:
     """Light on `area`, in electrons per microsecond per pixel."""
 
     area: Area

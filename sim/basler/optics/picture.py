@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from sim.basler.optics.canvas import (
     LARGEST_SIGMA_PX,
     Area,
-    Canvas,
     Image,
     Lens,
+    PixelCanvas,
     blur,
     bounds_of,
     row_bands,
@@ -24,7 +24,7 @@ from sim.basler.optics.canvas import (
 )
 from sim.basler.optics.film import Film, Grain, Stain
 from sim.basler.optics.sensor import BACKGROUND_ELECTRONS_PER_US, FILM_ELECTRONS_PER_US, Lighting
-from sim.basler.optics.sphere import BodyImage, Sphere, draw_sphere, draw_stalk, stalk_outline_mm
+from sim.basler.optics.sphere import BodyImage, DrawnSphere, draw_sphere, draw_stalk, stalk_outline_mm
 from sim.world.displacements import NOTHING_MOVED, RoomShift
 from sim.world.scene.model import CameraTruth
 
@@ -60,7 +60,7 @@ class Occluder:
 
 
 @dataclass(frozen=True)
-class Disturbance:
+class PictureDisturbance:
     """Disturbances of one camera's view at one moment, hashable, with stains keyed by sphere number."""
 
     stains: tuple[tuple[int, tuple[Stain, ...]], ...] = ()
@@ -74,10 +74,10 @@ class Disturbance:
         return tuple(stain for each, stains in self.stains if each == number for stain in stains)
 
 
-CLEAR = Disturbance()
+CLEAR = PictureDisturbance()
 
 
-class Optics:
+class LensOptics:
     """Lens, lighting and cached sphere grains of one camera."""
 
     def __init__(self, camera: CameraTruth, seed: int) -> None:
@@ -86,10 +86,12 @@ class Optics:
         self._seed = seed
         self._grains: dict[int, Grain] = {}
 
-    def light_on(self, area: Area, spheres: Sequence[Sphere], disturbance: Disturbance = CLEAR) -> Image:
+    def light_on(
+        self, area: Area, spheres: Sequence[DrawnSphere], disturbance: PictureDisturbance = CLEAR
+    ) -> Image:
         """Return the light on an area of the sensor, (height, width) in electrons per microsecond."""
         around = area.expand(MARGIN_PX) if spheres else area
-        canvas = Canvas(around, self._lighting.on_background(around))
+        canvas = PixelCanvas(around, self._lighting.on_background(around))
         for sphere in sorted(spheres, key=lambda each: -each.distance_mm):
             self._draw(canvas, sphere, disturbance)
         aimed_at = nearest_to_axis([each for each in spheres if _is_drawable(each)])
@@ -101,7 +103,7 @@ class Optics:
             add_glare(canvas, glare)
         return canvas.part(area)
 
-    def _draw(self, canvas: Canvas, sphere: Sphere, disturbance: Disturbance) -> None:
+    def _draw(self, canvas: PixelCanvas, sphere: DrawnSphere, disturbance: PictureDisturbance) -> None:
         if not _is_drawable(sphere):
             return
         sigma_px = self.lens.blur_sigma_px(float(sphere.centre_mm[2]))
@@ -112,11 +114,13 @@ class Optics:
             return
         patch_area = _enclosing_area(parts).expand(spread_px(sigma_px)).intersect(canvas.area)
         patch = canvas.part(patch_area)
-        drawn = Canvas(patch_area, patch.copy())
+        drawn = PixelCanvas(patch_area, patch.copy())
         self._paint(drawn, sphere, self._make_film(sphere, disturbance), sphere_area, stalk_area)
         patch[:] = blur(drawn.light, sigma_px)
 
-    def _paint(self, canvas: Canvas, sphere: Sphere, film: Film, sphere_area: Area, stalk_area: Area) -> None:
+    def _paint(
+        self, canvas: PixelCanvas, sphere: DrawnSphere, film: Film, sphere_area: Area, stalk_area: Area
+    ) -> None:
         # Light falls off with the square of the distance; full strength at the focus distance.
         strength = np.float32((self.lens.focus_mm / sphere.distance_mm) ** 2)
         stalk = self._draw_stalk_part(sphere, stalk_area, strength)
@@ -130,13 +134,16 @@ class Optics:
         both = sphere_area.intersect(stalk_area)
         if stalk is None or both.empty:
             return
-        stalk_part, drawn_part = Canvas(stalk_area, stalk.depth_mm), Canvas(sphere_area, drawn.depth_mm)
+        stalk_part, drawn_part = (
+            PixelCanvas(stalk_area, stalk.depth_mm),
+            PixelCanvas(sphere_area, drawn.depth_mm),
+        )
         in_front = stalk_part.part(both) < drawn_part.part(both)
         in_front &= np.isfinite(drawn_part.part(both))
-        cover = Canvas(stalk_area, stalk.cover).part(both) * in_front
-        _composite(canvas.part(both), cover, Canvas(stalk_area, stalk.light).part(both))
+        cover = PixelCanvas(stalk_area, stalk.cover).part(both) * in_front
+        _composite(canvas.part(both), cover, PixelCanvas(stalk_area, stalk.light).part(both))
 
-    def _draw_stalk_part(self, sphere: Sphere, area: Area, strength: np.float32) -> BodyImage | None:
+    def _draw_stalk_part(self, sphere: DrawnSphere, area: Area, strength: np.float32) -> BodyImage | None:
         """Draw the stalk within an area, or return None if the area is empty."""
         if area.empty:
             return None
@@ -150,7 +157,7 @@ class Optics:
         light *= self._lighting.on_film(image.area)
         light *= strength
 
-    def _make_film(self, sphere: Sphere, disturbance: Disturbance) -> Film:
+    def _make_film(self, sphere: DrawnSphere, disturbance: PictureDisturbance) -> Film:
         if sphere.number not in self._grains:
             self._grains[sphere.number] = Grain(self._seed, sphere.number)
         grain = self._grains[sphere.number]
@@ -159,7 +166,9 @@ class Optics:
         return Film(grain, sphere.radius_mm, stains)
 
 
-def occlude(canvas: Canvas, occluder: Occluder, sphere: Sphere, lens: Lens, sigma_px: float) -> None:
+def occlude(
+    canvas: PixelCanvas, occluder: Occluder, sphere: DrawnSphere, lens: Lens, sigma_px: float
+) -> None:
     """Hide a sphere's rim behind an edge that is as blurred as the sphere itself."""
     outline = lens.project(sphere.outline_mm())
     middle = (outline.min(axis=0) + outline.max(axis=0)) / 2
@@ -175,7 +184,7 @@ def occlude(canvas: Canvas, occluder: Occluder, sphere: Sphere, lens: Lens, sigm
     canvas.light[:] += cover * (dark - canvas.light)
 
 
-def add_glare(canvas: Canvas, glare: Glare) -> None:
+def add_glare(canvas: PixelCanvas, glare: Glare) -> None:
     """Add a glare to the light."""
     sigma = max(GLARE_SOFTNESS * glare.radius_px, 1.0)
     margin = int(glare.radius_px + EDGE_SIGMAS * sigma) + 1
@@ -191,7 +200,7 @@ def add_glare(canvas: Canvas, glare: Glare) -> None:
     )
 
 
-def nearest_to_axis(spheres: Sequence[Sphere]) -> Sphere | None:
+def nearest_to_axis(spheres: Sequence[DrawnSphere]) -> DrawnSphere | None:
     """Return the sphere nearest to the optical axis, or None if there are no spheres."""
     return min(spheres, key=lambda each: float(np.hypot(*each.centre_mm[:2])), default=None)
 
@@ -212,7 +221,7 @@ def _edge_table() -> tuple[Array, Array]:
     return at, cover
 
 
-def _is_drawable(sphere: Sphere) -> bool:
+def _is_drawable(sphere: DrawnSphere) -> bool:
     return bool(sphere.centre_mm[2] - sphere.radius_mm >= NEAREST_MM)
 
 

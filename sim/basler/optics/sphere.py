@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.basler.optics.canvas import Area, Canvas, Dot, Image, Lens, Rays, bounds_of, row_bands
+from sim.basler.optics.canvas import Area, Dot, Image, Lens, PixelCanvas, Rays, bounds_of, row_bands
 from sim.basler.optics.film import Film
 
 Vector = NDArray[np.float64]
@@ -31,7 +31,7 @@ OUTLINE_POINTS = 90
 
 
 @dataclass(frozen=True)
-class Sphere:
+class DrawnSphere:
     """A sphere in the camera frame, in millimetres.
 
     The third column of `camera_from_sphere` (3, 3) points along the post, from the skull to the sphere.
@@ -74,7 +74,7 @@ class BodyImage:
     depth_mm: Image
 
 
-def draw_sphere(sphere: Sphere, lens: Lens, area: Area, film: Film) -> BodyImage:
+def draw_sphere(sphere: DrawnSphere, lens: Lens, area: Area, film: Film) -> BodyImage:
     """Draw a sphere of unit brightness over `area`."""
     shape = (area.height, area.width)
     rays = SphereRays.of(sphere, Rays(lens, area))
@@ -100,7 +100,7 @@ class SphereRays:
     axes: tuple[Dot, Dot, Dot]
 
     @classmethod
-    def of(cls, sphere: Sphere, rays: Rays) -> SphereRays:
+    def of(cls, sphere: DrawnSphere, rays: Rays) -> SphereRays:
         """Compute the dot products of an area's rays for a sphere."""
         x, y, z = sphere.centre_mm
         across = ([z, 0.0, -x], [0.0, z, -y], [y, -x, 0.0])
@@ -124,7 +124,7 @@ class SphereRays:
 
 
 def _draw_inside(
-    sphere: Sphere, lens: Lens, film: Film, rays: SphereRays, image: BodyImage, rows: slice
+    sphere: DrawnSphere, lens: Lens, film: Film, rays: SphereRays, image: BodyImage, rows: slice
 ) -> Image:
     """Draw some rows with one ray per pixel and return each pixel's depth inside the outline."""
     miss = rays.squared_miss_distance(rows)
@@ -154,7 +154,7 @@ def _draw_inside(
 
 
 def _sample_rim(
-    sphere: Sphere, lens: Lens, film: Film, band: tuple[NDArray[np.intp], ...], image: BodyImage
+    sphere: DrawnSphere, lens: Lens, film: Film, band: tuple[NDArray[np.intp], ...], image: BodyImage
 ) -> None:
     rows, columns = band
     if not len(rows):
@@ -191,7 +191,7 @@ def _sample_rim(
     image.light[rows, columns] = weighted / np.maximum(covered, np.finfo(float).tiny)
 
 
-def _limb_brightness(discriminant: Values, squared: Values, sphere: Sphere) -> Values:
+def _limb_brightness(discriminant: Values, squared: Values, sphere: DrawnSphere) -> Values:
     """Return the brightness at an angle of incidence given by cos^2 = discriminant / (radius^2 ray^2)."""
     limb: Values = discriminant / squared
     limb *= LIMB_DARKENING / sphere.radius_mm**2
@@ -199,7 +199,7 @@ def _limb_brightness(discriminant: Values, squared: Values, sphere: Sphere) -> V
     return limb
 
 
-def _surface_points(sphere: Sphere, depth: Values, dots: Iterator[Values]) -> Iterator[Image]:
+def _surface_points(sphere: DrawnSphere, depth: Values, dots: Iterator[Values]) -> Iterator[Image]:
     """Yield x, y, z of the surface points in the sphere's frame, with `dots` for the rays along its axes."""
     for axis, dot in zip(sphere.camera_from_sphere.T, dots, strict=True):
         dot *= depth
@@ -230,7 +230,7 @@ SECTIONS = (
 )
 
 
-def stalk_outline_mm(sphere: Sphere, sections: Sequence[Section] = SECTIONS) -> Vector:
+def stalk_outline_mm(sphere: DrawnSphere, sections: Sequence[Section] = SECTIONS) -> Vector:
     """Return points (n, 3) enclosing a sphere's stalk or the given sections of it."""
     across, over, post = sphere.camera_from_sphere.T
     angle = np.linspace(0.0, 2 * np.pi, STALK_OUTLINE_POINTS, endpoint=False)[:, None]
@@ -243,7 +243,7 @@ def stalk_outline_mm(sphere: Sphere, sections: Sequence[Section] = SECTIONS) -> 
     return np.concatenate(rings)
 
 
-def draw_stalk(sphere: Sphere, lens: Lens, area: Area) -> BodyImage:
+def draw_stalk(sphere: DrawnSphere, lens: Lens, area: Area) -> BodyImage:
     """Draw the stalk of a sphere with unit brightness over `area`."""
     shape = (area.height, area.width)
     image = BodyImage(
@@ -256,9 +256,9 @@ def draw_stalk(sphere: Sphere, lens: Lens, area: Area) -> BodyImage:
     return image
 
 
-def _draw_section(image: BodyImage, part: Area, sphere: Sphere, section: Section, lens: Lens) -> None:
+def _draw_section(image: BodyImage, part: Area, sphere: DrawnSphere, section: Section, lens: Lens) -> None:
     rays = Rays(lens, part)
-    layers = [Canvas(image.area, each).part(part) for each in (image.cover, image.light, image.depth_mm)]
+    layers = [PixelCanvas(image.area, each).part(part) for each in (image.cover, image.light, image.depth_mm)]
     # From the skull end up to the sphere: seen from above, the axis points to the camera.
     axis = sphere.camera_from_sphere[:, 2]
     foot = sphere.centre_mm - section.end_mm * axis

@@ -8,7 +8,7 @@ from math import inf
 from ronna_hw.wire.kuka_eki import AXIS_ATTRIBUTES, POS_ATTRIBUTES, AckCode, OperationMode
 from sim.kuka.controller import FULL_OVERRIDE, Controller
 from sim.kuka.motion import Acknowledgement, EkiMotion, line, point_to_point
-from sim.kuka.pendant import Message
+from sim.kuka.pendant import PendantMessage
 from sim.world.nominal_arm import pose_of_frame
 
 LARGEST = 1e6  # mm or degrees: a pose far out of reach, whose squares are still numbers
@@ -165,6 +165,6 @@ class EkiMoves:
         )
         return None
 
-    def _begin(self, points: Iterator[list[float] | Message]) -> Acknowledgement:
+    def _begin(self, points: Iterator[list[float] | PendantMessage]) -> Acknowledgement:
         self._controller.move(EkiMotion(points, self._report_end))
         return ACCEPTED

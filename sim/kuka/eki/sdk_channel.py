@@ -20,7 +20,7 @@ FIRST_STATUS_LOOPS = 3  # the first unsolicited status waits, so that the answer
 AXES, EXTERNAL_AXES = 6, 0
 
 
-class Request(IntEnum):
+class SdkRequest(IntEnum):
     """REQTYPE values."""
 
     CONNECT = 0
@@ -34,7 +34,7 @@ class Request(IntEnum):
     CHANGE_CYCLE = 8
 
 
-class Event(IntEnum):
+class SdkEvent(IntEnum):
     """EventID values in a response."""
 
     STARTED = 0
@@ -52,7 +52,7 @@ class Event(IntEnum):
     STATUS = 12
 
 
-class State(Enum):
+class SdkState(Enum):
     """State of the program serving the channel."""
 
     INITIALIZED = 0
@@ -60,11 +60,11 @@ class State(Enum):
     ACTIVE = 2
 
 
-SETTINGS = {Request.CHANGE_MODE, Request.DRIVES_ON, Request.DRIVES_OFF, Request.CHANGE_CYCLE}
+SETTINGS = {SdkRequest.CHANGE_MODE, SdkRequest.DRIVES_ON, SdkRequest.DRIVES_OFF, SdkRequest.CHANGE_CYCLE}
 ACCEPTED = {
-    State.INITIALIZED: {Request.CONNECT} | SETTINGS,
-    State.INACTIVE: {Request.START, Request.CANCEL} | SETTINGS,
-    State.ACTIVE: {Request.CANCEL, Request.RESET},
+    SdkState.INITIALIZED: {SdkRequest.CONNECT} | SETTINGS,
+    SdkState.INACTIVE: {SdkRequest.START, SdkRequest.CANCEL} | SETTINGS,
+    SdkState.ACTIVE: {SdkRequest.CANCEL, SdkRequest.RESET},
 }
 CONTROL_MODES = {1: "JOINT_POSITION_CONTROL", 5: "CARTESIAN_POSITION_CONTROL"}
 CORRECTIONS = {1: "AXIS"}  # Cartesian position is selectable but no program is mapped to it
@@ -103,24 +103,24 @@ class SdkChannel:
         if element.tag != REQUEST:
             return
         try:
-            request = Request(int(element.get("REQTYPE", "")))
+            request = SdkRequest(int(element.get("REQTYPE", "")))
             control_mode = int(element.get("ControlMode", "0"))
             cycle = int(element.get("CycleTime", "0"))
         except ValueError:
-            self._respond(Event.INVALID)
+            self._respond(SdkEvent.INVALID)
             return
-        if request is Request.NONE:
+        if request is SdkRequest.NONE:
             return
         if request not in ACCEPTED[self._state]:
-            self._respond(Event.INVALID)
-        elif request is Request.CONNECT:
+            self._respond(SdkEvent.INVALID)
+        elif request is SdkRequest.CONNECT:
             self._server.send(
-                f"<Robot>{_compose_response(Event.CONNECTED)}{self._compose_status()}{self._compose_init()}</Robot>"
+                f"<Robot>{_compose_response(SdkEvent.CONNECTED)}{self._compose_status()}{self._compose_init()}</Robot>"
             )
-        elif request is Request.CHANGE_MODE:
+        elif request is SdkRequest.CHANGE_MODE:
             self._change_mode(control_mode)
-        elif request is Request.CHANGE_CYCLE:
-            self._respond(Event.CYCLE_CHANGED if cycle in CYCLES_MS else Event.ERROR)
+        elif request is SdkRequest.CHANGE_CYCLE:
+            self._respond(SdkEvent.CYCLE_CHANGED if cycle in CYCLES_MS else SdkEvent.ERROR)
             self._cycle = cycle if cycle in CYCLES_MS else self._cycle
         else:
             self._respond(self._command(request))
@@ -139,55 +139,55 @@ class SdkChannel:
             self._server.send(f"<Robot>{self._compose_status()}</Robot>")
         return again_s
 
-    def _command(self, request: Request) -> Event:
+    def _command(self, request: SdkRequest) -> SdkEvent:
         controller = self._controller
-        if request is Request.DRIVES_ON:
+        if request is SdkRequest.DRIVES_ON:
             if controller.message is not None:
                 controller.acknowledge()
-            return Event.DRIVES_ON if controller.switch_drives(True).code is AckCode.OK else Event.ERROR
-        if request is Request.DRIVES_OFF:
+            return SdkEvent.DRIVES_ON if controller.switch_drives(True).code is AckCode.OK else SdkEvent.ERROR
+        if request is SdkRequest.DRIVES_OFF:
             controller.switch_drives(False)
-            return Event.DRIVES_OFF
-        if request is Request.START:
+            return SdkEvent.DRIVES_OFF
+        if request is SdkRequest.START:
             return self._start()
         # CANCEL and RESET both end the program; they differ in the state that follows.
         self._autostart.disarm()
         if controller.acknowledge().code is not AckCode.OK:
-            return Event.ERROR
-        if request is Request.RESET:
-            self._state = State.INACTIVE
-            return Event.RESET_OK
+            return SdkEvent.ERROR
+        if request is SdkRequest.RESET:
+            self._state = SdkState.INACTIVE
+            return SdkEvent.RESET_OK
         self._reset(keep_cycle=True)
-        return Event.CANCELLED
+        return SdkEvent.CANCELLED
 
-    def _start(self) -> Event:
+    def _start(self) -> SdkEvent:
         correction = CORRECTIONS.get(self._control_mode)
         controller = self._controller
         if correction is None or controller.interlocks.mode is not OperationMode.EXT:
-            return Event.ERROR
+            return SdkEvent.ERROR
         self._autostart.yield_to_client()
         if controller.run is None and controller.program_state is not ProState.FREE:
             controller.acknowledge()
         if controller.start(CYCLES_MS[self._cycle], False, correction).code is not AckCode.OK:
-            return Event.ERROR
-        self._state = State.ACTIVE
-        return Event.STARTED
+            return SdkEvent.ERROR
+        self._state = SdkState.ACTIVE
+        return SdkEvent.STARTED
 
     def _change_mode(self, control_mode: int) -> None:
         if control_mode not in CONTROL_MODES:
-            self._respond(Event.ERROR)
+            self._respond(SdkEvent.ERROR)
             return
         self._control_mode = control_mode
-        self._state = State.INACTIVE
-        self._respond(Event.MODE_SWITCHED, CONTROL_MODES[control_mode])
+        self._state = SdkState.INACTIVE
+        self._respond(SdkEvent.MODE_SWITCHED, CONTROL_MODES[control_mode])
 
     def _reset(self, *, keep_cycle: bool = False) -> None:
-        self._state = State.INITIALIZED
+        self._state = SdkState.INITIALIZED
         self._control_mode = 0
         if not keep_cycle:
             self._cycle = DEFAULT_CYCLE
 
-    def _respond(self, event: Event, text: str = " ") -> None:
+    def _respond(self, event: SdkEvent, text: str = " ") -> None:
         self._server.send(f"<Robot>{_compose_response(event, text)}</Robot>")
 
     def _collect_values(self) -> tuple[int, ...]:
@@ -219,5 +219,5 @@ class SdkChannel:
         )
 
 
-def _compose_response(event: Event, text: str = " ") -> str:
+def _compose_response(event: SdkEvent, text: str = " ") -> str:
     return f'<Response EventID="{event.value}">{text}</Response>'

@@ -15,7 +15,7 @@ from ronna_hw.wire.kuka_eki import RsiState
 from sim.kuka.controller_parameters import ControllerParameters
 from sim.kuka.drives import Supervision
 from sim.kuka.manipulator import Manipulator
-from sim.kuka.pendant import Message, rsi_bad, rsi_timeout
+from sim.kuka.pendant import PendantMessage, rsi_bad, rsi_timeout
 from sim.kuka.rsi.signal_flow import (
     ACTIVE_BIT,
     AxisCorrector,
@@ -62,7 +62,7 @@ class RsiRun:
         self._ipoc_range = 1 << parameters.ipoc_bits
         self.late = 0
         self.over = False
-        self.message: Message | None = None
+        self.message: PendantMessage | None = None
         self.notice = ""  # last EStr
         self.sent_once = False  # the cycle of the first telegram has ended
         self.held = False
@@ -244,6 +244,6 @@ class RsiRun:
         consecutive = self._parameters.timeout_counting == "consecutive"
         return (self._late_in_a_row if consecutive else self.late) >= self._timeout
 
-    def _end(self, message: Message | None) -> None:
+    def _end(self, message: PendantMessage | None) -> None:
         self.over = True
         self.message = message

@@ -23,7 +23,7 @@ from ronna_hw.wire.kuka_context import (
     PositionMonitor,
     RsiContext,
 )
-from sim.kuka.pendant import Message, near_singularity, out_of_range
+from sim.kuka.pendant import PendantMessage, near_singularity, out_of_range
 from sim.kuka.rsi.telegrams import AXIS, FRAME
 from sim.world.nominal_arm import AXES, RobotDescription, pose_of_frame
 from sim.world.rigid import rotation_from_vector
@@ -86,7 +86,7 @@ class AxisCorrector:
             ]
         return True
 
-    def apply(self, inputs_deg: Sequence[float]) -> Message | None:
+    def apply(self, inputs_deg: Sequence[float]) -> PendantMessage | None:
         """Add one cycle's inputs and return the monitor's message if a total exceeds its limit."""
         wanted = (
             [total + step for total, step in zip(self.totals_deg, inputs_deg, strict=True)]
@@ -147,7 +147,7 @@ class PositionCorrector:
         self.joints_deg: list[float] = self._base_deg
         self.stat = 0
 
-    def apply(self, inputs: Sequence[float]) -> Message | None:
+    def apply(self, inputs: Sequence[float]) -> PendantMessage | None:
         """Apply one cycle's X Y Z (mm) A B C (deg) and return the message for a stop, or None."""
         step = pose_of_frame(inputs)
         shift_mm = step[:3, 3] + self._shift_mm if self._relative else step[:3, 3]
@@ -287,7 +287,7 @@ class SignalFlow:
         self._stop_before = now
         return rises
 
-    def correct(self, values: list[float]) -> Message | None:
+    def correct(self, values: list[float]) -> PendantMessage | None:
         """Apply one cycle's corrections, keeping the same `command_deg` object if nothing changes."""
         if values == self._last and not self._relative:
             return None

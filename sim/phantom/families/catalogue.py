@@ -12,7 +12,7 @@ from math import cos, pi, sin
 
 import numpy as np
 
-from sim.phantom.head.anatomy import METAL_HU, POST_METAL_HU, Marker, shift_point
+from sim.phantom.head.anatomy import METAL_HU, POST_METAL_HU, SkinMarker, shift_point
 from sim.phantom.head.look_alikes import CAPS, ENDS, FITTINGS, HOLLOW, JOINED, PLATES, ROUNDED, SIZES, Draw
 from sim.phantom.head.painting import Band
 from sim.world.scene.model import CtProtocol
@@ -286,7 +286,7 @@ FAMILIES: dict[str, Family] = {
 
 
 def draw_bands(
-    kind: MarkerBands | None, markers: tuple[Marker, ...], generator: np.random.Generator
+    kind: MarkerBands | None, markers: tuple[SkinMarker, ...], generator: np.random.Generator
 ) -> tuple[Band, ...]:
     """Draw the bands of each marker, or none if the family has no bands."""
     if kind is None:
@@ -298,7 +298,7 @@ def draw_bands(
     )
 
 
-def _draw_band(kind: MarkerBands, marker: Marker, generator: np.random.Generator) -> Band:
+def _draw_band(kind: MarkerBands, marker: SkinMarker, generator: np.random.Generator) -> Band:
     angle = float(generator.uniform(0.0, 2.0 * pi))
     sign = float(generator.choice((-1.0, 1.0)))
     below = float(generator.uniform(*kind.below_mm))

@@ -25,7 +25,7 @@ from sim.phantom.head.anatomy import (
     CABLE_GAP_MM,
     SPHERE_HU,
     Anatomy,
-    Marker,
+    SkinMarker,
     bare_marker,
     jaw_teeth,
     marker_on_metal,
@@ -36,7 +36,7 @@ from sim.phantom.head.anatomy import (
     trough,
     ventricles,
 )
-from sim.phantom.head.look_alikes import LookAlike, Seat
+from sim.phantom.head.look_alikes import LookAlike, PlacedOn
 from sim.phantom.head.obstacles import (
     FRAMES,
     FREE,
@@ -129,7 +129,7 @@ def family_scan(
 
 def _draw_metal(
     kind: MetalBases, head: Head, generator: np.random.Generator
-) -> tuple[tuple[Marker, ...], Obstacles]:
+) -> tuple[tuple[SkinMarker, ...], Obstacles]:
     """Draw the markers of a head on metal screws, and the metal beside them."""
     markers, around = [], Obstacles()
     for fiducial in head.fiducials:
@@ -308,7 +308,7 @@ def _draw_look_alikes(
                 head, occupied_points, LOOK_ALIKE_ROOM_MM, LOOK_ALIKE_HEIGHT_MM, generator, cap_rad=pi / 2
             )
             skin, normal = skin_point(head, direction)
-            drawn_one = draw(Seat(skin, normal, generator))
+            drawn_one = draw(PlacedOn(skin, normal, generator))
             if all((first < place).all() and (place < last).all() for place in drawn_one.places):
                 break
         else:
@@ -321,7 +321,7 @@ def _draw_look_alikes(
 def _draw_anatomy(
     family: Family,
     head: Head,
-    markers: tuple[Marker, ...],
+    markers: tuple[SkinMarker, ...],
     around: Obstacles,
     fiducials: str,
     generator: np.random.Generator,
@@ -342,7 +342,7 @@ def _draw_anatomy(
 
 
 def _draw_post_streaks(
-    family: Family, markers: tuple[Marker, ...], generator: np.random.Generator
+    family: Family, markers: tuple[SkinMarker, ...], generator: np.random.Generator
 ) -> tuple[Streak, ...]:
     kind = family.post_streaks
     if kind is None:

@@ -116,7 +116,7 @@ def _blur_table(table: NDArray[np.float64], sigma: float) -> NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Marker:
+class SkinMarker:
     """A painted sphere with its post, whose material is `post`."""
 
     fiducial: Fiducial
@@ -131,7 +131,7 @@ class Anatomy:
 
     headrest: tuple[Shape, ...]  # the same in all slices
     surroundings: tuple[Shape, ...]
-    markers: tuple[Marker, ...]
+    markers: tuple[SkinMarker, ...]
     fillings: tuple[Ball, ...]
     streaks: tuple[Streak, ...] = ()  # from metal other than fillings
     bands: tuple[Band, ...] = ()
@@ -162,22 +162,24 @@ def draw_anatomy(scene: Scene) -> Anatomy:
     return Anatomy(trough(head), surroundings, markers, fillings)
 
 
-def marker_on_post(fiducial: Fiducial, head: Head, generator: np.random.Generator) -> Marker:
+def marker_on_post(fiducial: Fiducial, head: Head, generator: np.random.Generator) -> SkinMarker:
     """Return a sphere on a screw in the skull, with a flange on the skin."""
     to_skin = distance_to_skin(fiducial, head)
     to_tip = to_skin + SCALP_MM + SCREW_IN_BONE_MM
     return marker_on_foot(fiducial, to_skin - FLANGE_MM, to_tip, generator)
 
 
-def bare_marker(fiducial: Fiducial, generator: np.random.Generator) -> Marker:
+def bare_marker(fiducial: Fiducial, generator: np.random.Generator) -> SkinMarker:
     """Return a free-floating sphere without film."""
     sphere_hu = float(generator.uniform(*SPHERE_HU))
-    return Marker(fiducial, sphere_hu, "none", (Ball(sphere_hu, fiducial.centre_ct_mm, fiducial.radius_mm),))
+    return SkinMarker(
+        fiducial, sphere_hu, "none", (Ball(sphere_hu, fiducial.centre_ct_mm, fiducial.radius_mm),)
+    )
 
 
 def marker_on_foot(
     fiducial: Fiducial, flange_mm: float, tip_mm: float, generator: np.random.Generator
-) -> Marker:
+) -> SkinMarker:
     """Return a sphere whose post ends `tip_mm` below its centre, with a flange from `flange_mm` down."""
     sphere_hu = float(generator.uniform(*SPHERE_HU))
     metal = bool(generator.uniform() < METAL_POSTS)
@@ -191,12 +193,12 @@ def marker_on_foot(
         Rod(post_hu, shift_point(centre, inward, top), inward, tip_mm - top, POST_RADIUS_MM),
         Rod(post_hu, shift_point(centre, inward, flange_mm), inward, FLANGE_MM, FLANGE_RADIUS_MM),
     )
-    return Marker(fiducial, sphere_hu, "metal" if metal else "polymer", shapes)
+    return SkinMarker(fiducial, sphere_hu, "metal" if metal else "polymer", shapes)
 
 
 def marker_on_metal(
     fiducial: Fiducial, head: Head, post_hu: float, post_radius_mm: float, flange_mm: float, sphere_hu: float
-) -> Marker:
+) -> SkinMarker:
     """Return a sphere on a metal screw of this radius, with a metal flange of this thickness on the skin."""
     to_skin = distance_to_skin(fiducial, head)
     centre, radius = fiducial.centre_ct_mm, fiducial.radius_mm
@@ -210,7 +212,7 @@ def marker_on_metal(
         Rod(post_hu, shift_point(centre, inward, top), inward, tip - top, post_radius_mm),
         Rod(post_hu, flange, inward, flange_mm, FLANGE_RADIUS_MM),
     )
-    return Marker(fiducial, sphere_hu, "metal", shapes)
+    return SkinMarker(fiducial, sphere_hu, "metal", shapes)
 
 
 def distance_to_skin(fiducial: Fiducial, head: Head) -> float:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.phantom.head.anatomy import AIR_HU, METAL_HU
-from sim.phantom.head.shapes import Ball, Barrel, Capsule, Dome, Egg, Ring, Rod, Shape
+from sim.phantom.head.shapes import Ball, Barrel, Dome, Egg, HeadCapsule, Ring, Rod, Shape
 from sim.world.rigid import Point, as_rounded_point
 
 Vector = NDArray[np.float64]
@@ -35,7 +35,7 @@ class LookAlike:
 
 
 @dataclass(frozen=True)
-class Seat:
+class PlacedOn:
     """Placement of an object: a skin point, its outward normal and a generator for further draws."""
 
     skin: Vector
@@ -66,7 +66,7 @@ class Seat:
         return first, second, third
 
 
-Draw = Callable[[Seat], LookAlike]
+Draw = Callable[[PlacedOn], LookAlike]
 
 
 def _make_look_alike(kind: str, shapes: Sequence[Shape], *places: Vector) -> LookAlike:
@@ -81,21 +81,21 @@ def _rod(hu: float, start: Vector, along: Vector, length: float, radius: float) 
     return Rod(hu, as_rounded_point(start), as_rounded_point(along), length, radius)
 
 
-def _capsule(hu: float, start: Vector, end: Vector, radius: float) -> Capsule:
-    return Capsule(hu, as_rounded_point(start), as_rounded_point(end), radius)
+def _capsule(hu: float, start: Vector, end: Vector, radius: float) -> HeadCapsule:
+    return HeadCapsule(hu, as_rounded_point(start), as_rounded_point(end), radius)
 
 
 def _dome(hu: float, centre: Vector, outward: Vector, radius: float, height: float) -> Dome:
     return Dome(hu, as_rounded_point(centre), as_rounded_point(outward), radius, height)
 
 
-def _egg(seat: Seat, hu: float, centre: Vector, *semi_axes: float) -> Egg:
+def _egg(seat: PlacedOn, hu: float, centre: Vector, *semi_axes: float) -> Egg:
     """Create a randomly oriented ellipsoid."""
     a, b, c = semi_axes
     return Egg(hu, as_rounded_point(centre), (a, b, c), seat.axes())
 
 
-def capsule(seat: Seat) -> LookAlike:
+def capsule(seat: PlacedOn) -> LookAlike:
     """Return a round-ended rod 2 to 24 mm longer than it is wide."""
     middle, along = seat.middle(), seat.along()
     half = 0.5 * along * seat.between(2.0, 24.0)
@@ -103,7 +103,7 @@ def capsule(seat: Seat) -> LookAlike:
     return _make_look_alike("capsule", [body], middle - half, middle, middle + half)
 
 
-def round_ended_rod(seat: Seat) -> LookAlike:
+def round_ended_rod(seat: PlacedOn) -> LookAlike:
     """Return a rod with one round end and one flat end."""
     end, along = seat.middle(), seat.along()
     radius, hu = seat.between(5.4, 6.1), seat.polymer()
@@ -111,14 +111,14 @@ def round_ended_rod(seat: Seat) -> LookAlike:
     return _make_look_alike("round-ended rod", [_ball(hu, end, radius), rod], end)
 
 
-def egg(seat: Seat) -> LookAlike:
+def egg(seat: PlacedOn) -> LookAlike:
     """Return an ellipsoid a quarter to a seventh longer than wide."""
     middle, longer = seat.middle(), seat.between(0.07, 0.2)
     sizes = (RADIUS_MM * (1.0 - longer), RADIUS_MM, RADIUS_MM * (1.0 + longer))
     return _make_look_alike("egg", [_egg(seat, seat.polymer(), middle, *sizes)], middle)
 
 
-def beads(seat: Seat) -> LookAlike:
+def beads(seat: PlacedOn) -> LookAlike:
     """Return a string of three to five marker-sized balls."""
     count, spacing = int(seat.random.integers(3, 6)), seat.between(9.0, 11.4)
     first, along, hu = seat.middle(), seat.along(), seat.polymer()
@@ -128,14 +128,14 @@ def beads(seat: Seat) -> LookAlike:
     return _make_look_alike("beads", [string, *(_ball(hu, place, radius) for place in places)], *places)
 
 
-def knob(seat: Seat) -> LookAlike:
+def knob(seat: PlacedOn) -> LookAlike:
     """Return a ball at the end of a rod that is much thicker than a post."""
     middle, along, hu = seat.middle(), seat.along(), seat.polymer()
     rod = _rod(hu, middle, along, seat.between(16.0, 26.0), seat.between(3.6, 5.0))
     return _make_look_alike("knob", [rod, _ball(hu, middle, seat.between(5.6, 5.9))], middle)
 
 
-def elbow(seat: Seat) -> LookAlike:
+def elbow(seat: PlacedOn) -> LookAlike:
     """Return two rods joined by a round elbow."""
     joint, hu, radius = seat.middle(), seat.polymer(), seat.between(5.5, 6.0)
     arm_directions = seat.along(), seat.along()
@@ -143,7 +143,7 @@ def elbow(seat: Seat) -> LookAlike:
     return _make_look_alike("elbow", [_capsule(hu, joint, end, radius) for end in ends], joint, *ends)
 
 
-def thumb(seat: Seat) -> LookAlike:
+def thumb(seat: PlacedOn) -> LookAlike:
     """Return a rod tapering towards its round end."""
     end, along, hu = seat.middle(), seat.along(), seat.polymer()
     radius, opening = seat.between(5.3, 5.9), seat.between(0.05, 0.25)
@@ -152,7 +152,7 @@ def thumb(seat: Seat) -> LookAlike:
     return _make_look_alike("thumb", balls, end)
 
 
-def dome(seat: Seat) -> LookAlike:
+def dome(seat: PlacedOn) -> LookAlike:
     """Return roughly half a ball on the skin."""
     centre = seat.skin + seat.normal * seat.between(-0.5, 2.0)
     radius = seat.between(5.6, 6.0)
@@ -160,7 +160,7 @@ def dome(seat: Seat) -> LookAlike:
     return _make_look_alike("dome", [ball], centre)
 
 
-def mushroom(seat: Seat) -> LookAlike:
+def mushroom(seat: PlacedOn) -> LookAlike:
     """Return a flat-bottomed cap on a stem, two thirds to nine tenths of a ball in height."""
     middle, hu = seat.middle(), seat.polymer()
     cap = _dome(hu, middle, seat.normal, RADIUS_MM, -RADIUS_MM * seat.between(0.3, 0.75))
@@ -168,7 +168,7 @@ def mushroom(seat: Seat) -> LookAlike:
     return _make_look_alike("mushroom", [cap, stem], middle)
 
 
-def barrel(seat: Seat) -> LookAlike:
+def barrel(seat: PlacedOn) -> LookAlike:
     """Return a cylinder as tall as it is wide, with rounded edges."""
     middle, radius = seat.middle(), seat.between(5.2, 5.9)
     hu, along = seat.polymer(), as_rounded_point(seat.along())
@@ -178,21 +178,21 @@ def barrel(seat: Seat) -> LookAlike:
     )
 
 
-def button(seat: Seat) -> LookAlike:
+def button(seat: PlacedOn) -> LookAlike:
     """Return a lens-shaped ellipsoid, flattened by a fifth to a half."""
     middle, width = seat.middle(), seat.between(5.75, 6.6)
     sizes = (width, width, width * seat.between(0.5, 0.8))
     return _make_look_alike("button", [_egg(seat, seat.polymer(), middle, *sizes)], middle)
 
 
-def hollow_ball(seat: Seat) -> LookAlike:
+def hollow_ball(seat: PlacedOn) -> LookAlike:
     """Return a marker-sized hollow ball filled with air."""
     middle = seat.middle()
     core = _ball(AIR_HU, middle, RADIUS_MM - seat.between(1.2, 3.0))
     return _make_look_alike("hollow ball", [_ball(seat.polymer(), middle, RADIUS_MM), core], middle)
 
 
-def other_ball(seat: Seat) -> LookAlike:
+def other_ball(seat: PlacedOn) -> LookAlike:
     """Return a whole ball 9.5 to 10.6 mm or 12.5 to 14 mm in diameter."""
     middle = seat.middle()
     small = bool(seat.random.uniform() < 0.5)
@@ -200,13 +200,13 @@ def other_ball(seat: Seat) -> LookAlike:
     return _make_look_alike("other ball", [_ball(seat.polymer(), middle, radius)], middle)
 
 
-def near_ball(seat: Seat) -> LookAlike:
+def near_ball(seat: PlacedOn) -> LookAlike:
     """Return a whole ball 10.6 to 11.2 mm in diameter, closer to marker size than `other_ball`."""
     middle = seat.middle()
     return _make_look_alike("near ball", [_ball(seat.polymer(), middle, seat.between(5.3, 5.6))], middle)
 
 
-def gel(seat: Seat) -> LookAlike:
+def gel(seat: PlacedOn) -> LookAlike:
     """Return a drop of gel containing air bubbles."""
     middle, hu = seat.middle(), seat.between(*GEL_HU)
     bubbles = []
@@ -217,14 +217,14 @@ def gel(seat: Seat) -> LookAlike:
     return _make_look_alike("gel with bubbles", [_ball(hu, middle, seat.between(5.6, 6.6)), *bubbles], middle)
 
 
-def ring(seat: Seat) -> LookAlike:
+def ring(seat: PlacedOn) -> LookAlike:
     """Return a thick ring."""
     middle, tube = seat.middle(), seat.between(2.4, 3.2)
     body = Ring(seat.polymer(), as_rounded_point(middle), seat.axes()[0], seat.between(2.6, 3.4), tube)
     return _make_look_alike("ring", [body], middle)
 
 
-def acrylic_teeth(seat: Seat) -> LookAlike:
+def acrylic_teeth(seat: PlacedOn) -> LookAlike:
     """Return three artificial teeth in a row."""
     middle, along, hu = seat.middle(), seat.along(), seat.polymer()
     places = [middle + along * 9.0 * k for k in (-1, 0, 1)]
@@ -233,21 +233,21 @@ def acrylic_teeth(seat: Seat) -> LookAlike:
     return _make_look_alike("acrylic teeth", bodies, *places)
 
 
-def pearl(seat: Seat) -> LookAlike:
+def pearl(seat: PlacedOn) -> LookAlike:
     """Return a polymer ball with a metal core."""
     middle = seat.middle()
     core = _ball(METAL_HU, middle, seat.between(1.0, 2.2))
     return _make_look_alike("pearl", [_ball(seat.polymer(), middle, RADIUS_MM), core], middle)
 
 
-def threaded_ball(seat: Seat) -> LookAlike:
+def threaded_ball(seat: PlacedOn) -> LookAlike:
     """Return a ball with a pin right through it."""
     middle, along = seat.middle(), seat.along()
     pin = _rod(METAL_HU, middle - 12.0 * along, along, 24.0, seat.between(0.8, 1.6))
     return _make_look_alike("threaded ball", [_ball(seat.polymer(), middle, RADIUS_MM), pin], middle)
 
 
-def plated_dome(seat: Seat) -> LookAlike:
+def plated_dome(seat: PlacedOn) -> LookAlike:
     """Return slightly more than half a ball, on a plate."""
     middle, hu, inward = seat.middle(), seat.polymer(), -seat.normal
     below = seat.between(0.0, 3.5)
@@ -256,7 +256,7 @@ def plated_dome(seat: Seat) -> LookAlike:
     return _make_look_alike("plated dome", [cap, plate], middle)
 
 
-def peanut(seat: Seat) -> LookAlike:
+def peanut(seat: PlacedOn) -> LookAlike:
     """Return two balls fused together."""
     middle, along, hu = seat.middle(), seat.along(), seat.polymer()
     apart = along * seat.between(1.5, 5.0)
@@ -264,7 +264,7 @@ def peanut(seat: Seat) -> LookAlike:
     return _make_look_alike("peanut", balls, middle, middle + 0.5 * apart)
 
 
-def cup_electrode(seat: Seat) -> LookAlike:
+def cup_electrode(seat: PlacedOn) -> LookAlike:
     """Return a polymer dome over a metal disc on the skin."""
     centre = seat.skin + seat.normal * seat.between(1.5, 3.0)
     cap = _dome(seat.polymer(), centre, seat.normal, seat.between(5.6, 6.0), 0.0)

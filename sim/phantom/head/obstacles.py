@@ -23,7 +23,7 @@ from sim.phantom.head.anatomy import (
     FOAM_HU,
     METAL_HU,
     SHELL_HU,
-    Marker,
+    SkinMarker,
     marker_on_foot,
     marker_on_post,
     shift_point,
@@ -200,7 +200,7 @@ def frame_fiducials(head: Head, frame: str, generator: np.random.Generator) -> t
     raise BAD_SCENE("the x-shaped frame is not clear of the head")
 
 
-def frame_markers(head: Head, generator: np.random.Generator) -> tuple[Marker, ...]:
+def frame_markers(head: Head, generator: np.random.Generator) -> tuple[SkinMarker, ...]:
     """Create the frame's spheres on short posts in its bars, and all others on individual screws."""
     flange_mm = BAR_BELOW_MM - BAR_RADIUS_MM - FLANGE_MM
     on_frame = [marker_on_foot(one, flange_mm, BAR_BELOW_MM, generator) for one in head.fiducials[:SPHERES]]

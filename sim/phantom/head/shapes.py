@@ -210,7 +210,7 @@ def _around_line(start: Sequence[float], end: Sequence[float], radius: float) ->
 
 
 @dataclass(frozen=True)
-class Capsule:
+class HeadCapsule:
     """A round-ended rod: all points within `radius` of the segment from `start` to `end`."""
 
     hu: float

@@ -10,8 +10,8 @@ from collections.abc import Sequence
 
 from ronna_hw.wire import polaris as wire
 from ronna_hw.wire.polaris import HandleStatus, ReplyOption, ToolInformation
-from sim.polaris.measurement.frame import Frame, Stray
-from sim.polaris.measurement.tracking_rules import ToolPose, Tracked, as_requested
+from sim.polaris.measurement.frame import MeasuredFrame, Stray
+from sim.polaris.measurement.tracking_rules import ToolPose, TrackedTool, as_requested
 from sim.polaris.unit.behaviour import UnitBehaviour
 from sim.polaris.unit.ports import Port
 
@@ -39,7 +39,7 @@ _POINT = struct.Struct("<3f")
 _U16 = struct.Struct("<H")
 
 
-def text_reply(frame: Frame, options: int, behaviour: UnitBehaviour) -> str:
+def text_reply(frame: MeasuredFrame, options: int, behaviour: UnitBehaviour) -> str:
     """Compose the TX reply without its CRC."""
     parts = [f"{len(frame.tools):02X}"]
     for port, tracked in frame.tools:
@@ -58,7 +58,7 @@ def text_reply(frame: Frame, options: int, behaviour: UnitBehaviour) -> str:
 
 
 def _tool_text(
-    frame: Frame, port: Port, tracked: Tracked | None, options: int, behaviour: UnitBehaviour
+    frame: MeasuredFrame, port: Port, tracked: TrackedTool | None, options: int, behaviour: UnitBehaviour
 ) -> list[str]:
     parts = []
     tracked = omit_unreported(tracked, options, behaviour)
@@ -78,7 +78,7 @@ def _tool_text(
     return parts
 
 
-def _status_text(frame: Frame, port: Port, tracked: Tracked | None) -> str:
+def _status_text(frame: MeasuredFrame, port: Port, tracked: TrackedTool | None) -> str:
     return f"{port_status(port, tracked):08X}{frame.number & FRAME_NUMBER_MASK:08X}"
 
 
@@ -112,7 +112,7 @@ def _format_bits(flags: Sequence[bool], *, first_is_high: bool) -> str:
     return "".join(f"{sum(1 << k for k, flag in enumerate(group) if flag):X}" for group in groups)
 
 
-def binary_body(frame: Frame, options: int, behaviour: UnitBehaviour) -> bytes:
+def binary_body(frame: MeasuredFrame, options: int, behaviour: UnitBehaviour) -> bytes:
     """Compose the body of the BX reply."""
     parts = [bytes([len(frame.tools)])]
     for port, tracked in frame.tools:
@@ -127,7 +127,7 @@ def binary_body(frame: Frame, options: int, behaviour: UnitBehaviour) -> bytes:
 
 
 def _tool_bytes(
-    frame: Frame, port: Port, tracked: Tracked | None, options: int, behaviour: UnitBehaviour
+    frame: MeasuredFrame, port: Port, tracked: TrackedTool | None, options: int, behaviour: UnitBehaviour
 ) -> list[bytes]:
     tracked = omit_unreported(tracked, options, behaviour)
     pose = None if tracked is None else tracked.pose
@@ -156,7 +156,9 @@ def _markers_bytes(markers: Markers, sent_mm: list[Point], behaviour: UnitBehavi
     return bytes([len(markers)]) + flags + b"".join(_POINT.pack(*position) for position in sent_mm)
 
 
-def omit_unreported(tracked: Tracked | None, options: int, behaviour: UnitBehaviour) -> Tracked | None:
+def omit_unreported(
+    tracked: TrackedTool | None, options: int, behaviour: UnitBehaviour
+) -> TrackedTool | None:
     """Strip out-of-volume tool data enabled neither by the request nor by the unit's settings."""
     if tracked is None or not tracked.volume_status:
         return tracked
@@ -164,24 +166,24 @@ def omit_unreported(tracked: Tracked | None, options: int, behaviour: UnitBehavi
     return as_requested(tracked, outside=outside, partially_outside=behaviour.poses_partially_out)
 
 
-def port_status(port: Port, tracked: Tracked | None) -> int:
+def port_status(port: Port, tracked: TrackedTool | None) -> int:
     """Return the port status, including the frame-dependent bits."""
     return port.status.value | (tracked.volume_status.value if tracked is not None else 0)
 
 
-def information(tracked: Tracked | None) -> int:
+def information(tracked: TrackedTool | None) -> int:
     """Return the tool information byte."""
     return int(ToolInformation.TOO_FEW_MARKERS) if tracked is None else tracked.information
 
 
-def marker_digits(tracked: Tracked | None, *, first_first: bool) -> str:
+def marker_digits(tracked: TrackedTool | None, *, first_first: bool) -> str:
     """Return all 20 marker status digits."""
     digits = "" if tracked is None else "".join(map(str, tracked.marker_digits))
     digits = digits.ljust(MARKER_DIGITS, "0")
     return digits if first_first else digits[::-1]
 
 
-def list_markers(tracked: Tracked | None) -> Markers:
+def list_markers(tracked: TrackedTool | None) -> Markers:
     """Return each measured marker's position and whether it is inside the volume."""
     if tracked is None:
         return []

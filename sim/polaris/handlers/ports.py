@@ -13,9 +13,9 @@ from typing import Literal
 from ronna_hw.wire import polaris as wire
 from ronna_hw.wire.polaris import HANDLE_DIGITS, HandleQuery, SystemStatus, TrackingPriority
 from ronna_hw.wire.polaris_rom import PART_NUMBER_BYTES
-from sim.polaris.tracker_unit import Unit
+from sim.polaris.tracker_unit import SimulatedUnit
 from sim.polaris.unit.ports import ALL_FACES, Port
-from sim.polaris.unit.refusal import ErrorCode, Refusal, WarningCode, hexadecimal
+from sim.polaris.unit.refusal import CommandRefusal, NdiErrorCode, WarningCode, hexadecimal
 from sim.polaris.unit.tool_definition import BadDefinition, parse_definition, warning_of
 from sim.polaris.unit.user_parameters import RETURN_WARNING
 
@@ -43,39 +43,39 @@ DUMMIES = ("01", "02")  # passive or wired, and active wireless
 ACTIVE_WIRELESS_DUMMY = "02"
 
 
-def search(unit: Unit, argument: str) -> str:
+def search(unit: SimulatedUnit, argument: str) -> str:
     """PHSR oo"""
     option = hexadecimal(argument) if argument else HandleQuery.ALL
     if option not in list(HandleQuery):
-        raise Refusal(ErrorCode.OUT_OF_RANGE)
+        raise CommandRefusal(NdiErrorCode.OUT_OF_RANGE)
     unit.port_changes = SystemStatus(0)  # the host knows them now
     ports = unit.ports.list_matching(HandleQuery(option))
     return f"{len(ports):02X}" + "".join(f"{port.handle:02X}{int(port.status):03X}" for port in ports)
 
 
-def request(unit: Unit, argument: str) -> str:
+def request(unit: SimulatedUnit, argument: str) -> str:
     """PHRQ"""
     requested_port = _PORT_DESCRIPTION.fullmatch(argument)
     if requested_port is None:
-        raise Refusal(ErrorCode.BAD_PORT_DESCRIPTION)
+        raise CommandRefusal(NdiErrorCode.BAD_PORT_DESCRIPTION)
     kind, number, load = requested_port.groups()
     port = _request_wired(unit, number, load) if kind == WIRED else _request_wireless(unit, number, load)
     return f"{port.handle:02X}"
 
 
-def free(unit: Unit, argument: str) -> None:
+def free(unit: SimulatedUnit, argument: str) -> None:
     """PHF hh"""
     unit.ports.free(unit.ports.require_port(argument).handle)
 
 
-def initialise(unit: Unit, argument: str) -> str:
+def initialise(unit: SimulatedUnit, argument: str) -> str:
     """PINIT hh"""
     port = unit.ports.require_occupied(argument)
     if port.dummy:
         port.initialised = True
         return wire.REPLY_OKAY
     if not port.written:
-        raise Refusal(ErrorCode.NO_TOOL)
+        raise CommandRefusal(NdiErrorCode.NO_TOOL)
     _read_definition(unit, port)
     warning = _find_warning(unit, port)
     port.initialised = True
@@ -84,58 +84,60 @@ def initialise(unit: Unit, argument: str) -> str:
     return f"{wire.REPLY_WARNING}{warning:02X}" if unit.behaviour.warns_with_code else wire.REPLY_WARNING
 
 
-def enable(unit: Unit, argument: str) -> None:
+def enable(unit: SimulatedUnit, argument: str) -> None:
     """PENA hh p: enable with a priority"""
     priority = argument[HANDLE_DIGITS]
     if priority not in PRIORITIES:
-        raise Refusal(ErrorCode.BAD_PRIORITY)
+        raise CommandRefusal(NdiErrorCode.BAD_PRIORITY)
     port = unit.ports.require_initialised(argument)
     if not port.enabled and len(unit.ports.enabled()) >= unit.model.enabled_tools:
-        raise Refusal(ErrorCode.TOO_MANY_ENABLED)
+        raise CommandRefusal(NdiErrorCode.TOO_MANY_ENABLED)
     port.priority = priority
     port.enabled = True
 
 
-def disable(unit: Unit, argument: str) -> None:
+def disable(unit: SimulatedUnit, argument: str) -> None:
     """PDIS hh"""
     port = unit.ports.require_initialised(argument)
     if not port.enabled:
-        raise Refusal(ErrorCode.HANDLE_NOT_ENABLED)
+        raise CommandRefusal(NdiErrorCode.HANDLE_NOT_ENABLED)
     port.enabled = False
 
 
-def information(unit: Unit, argument: str) -> str:
+def information(unit: SimulatedUnit, argument: str) -> str:
     """PHINF hh oooo: all requested parts, lowest option bit first"""
     requested_port = hexadecimal(argument[HANDLE_DIGITS:] or DEFAULT_INFORMATION)
     if not requested_port or requested_port & ~sum(PORT_INFORMATION):
-        raise Refusal(ErrorCode.OUT_OF_RANGE)
+        raise CommandRefusal(NdiErrorCode.OUT_OF_RANGE)
     port = unit.ports.require_port(argument)
     if not port.occupied:
         return wire.REPLY_UNOCCUPIED
     return "".join(part(unit, port) for bit, part in PORT_INFORMATION.items() if requested_port & bit)
 
 
-def select_faces(unit: Unit, argument: str) -> None:
+def select_faces(unit: SimulatedUnit, argument: str) -> None:
     """PFSEL hhmm: track only the selected faces"""
     faces = hexadecimal(argument[HANDLE_DIGITS:])
     if not 0 < faces <= ALL_FACES:
-        raise Refusal(ErrorCode.OUT_OF_RANGE)
+        raise CommandRefusal(NdiErrorCode.OUT_OF_RANGE)
     unit.ports.require_initialised(argument).faces = faces
 
 
-def _read_definition(unit: Unit, port: Port) -> None:
+def _read_definition(unit: SimulatedUnit, port: Port) -> None:
     behaviour = unit.behaviour
     try:
         port.definition = parse_definition(bytes(port.memory))
     except BadDefinition as bad:
         limits = bad.limits
-        raise Refusal(behaviour.definition_beyond_limits if limits else behaviour.bad_definition) from None
+        raise CommandRefusal(
+            behaviour.definition_beyond_limits if limits else behaviour.bad_definition
+        ) from None
     port.place = None
     if not unit.measurer.is_mount_frame(port):
         port.place = unit.ports.free_place()
 
 
-def _find_warning(unit: Unit, port: Port) -> WarningCode | None:
+def _find_warning(unit: SimulatedUnit, port: Port) -> WarningCode | None:
     tool = port.definition
     if tool is None or port.wired_port:  # active markers fire in turn: geometry does not identify them
         return None
@@ -146,29 +148,31 @@ def _find_warning(unit: Unit, port: Port) -> WarningCode | None:
     return warning
 
 
-def _request_wireless(unit: Unit, number: str, load: str) -> Port:
+def _request_wireless(unit: SimulatedUnit, number: str, load: str) -> Port:
     if number not in (ANY_PORT, NO_PORT):
-        raise Refusal(ErrorCode.BAD_PORT_DESCRIPTION)
+        raise CommandRefusal(NdiErrorCode.BAD_PORT_DESCRIPTION)
     active = load == ACTIVE_WIRELESS_DUMMY
     return unit.ports.request(dummy=load in DUMMIES, active_wireless=active)
 
 
-def _request_wired(unit: Unit, number: str, load: str) -> Port:
+def _request_wired(unit: SimulatedUnit, number: str, load: str) -> Port:
     """Allocate a handle for the numbered socket, or for the first socket without a handle."""
     sockets = range(1, unit.wired.count + 1)
     if number == ANY_PORT:
         free_ones = [socket for socket in sockets if unit.ports.find_by_socket(socket) is None]
         if not free_ones:
-            raise Refusal(ErrorCode.PORT_HAS_HANDLE if sockets else ErrorCode.BAD_PORT_DESCRIPTION)
+            raise CommandRefusal(
+                NdiErrorCode.PORT_HAS_HANDLE if sockets else NdiErrorCode.BAD_PORT_DESCRIPTION
+            )
         socket = free_ones[0]
     else:
         socket = int(number)
     if socket not in sockets or load == ACTIVE_WIRELESS_DUMMY:
-        raise Refusal(ErrorCode.BAD_PORT_DESCRIPTION)
+        raise CommandRefusal(NdiErrorCode.BAD_PORT_DESCRIPTION)
     return unit.ports.request_wired(socket, unit.wired.tool(socket), dummy=load in DUMMIES)
 
 
-def _tool_information(unit: Unit, port: Port) -> str:
+def _tool_information(unit: SimulatedUnit, port: Port) -> str:
     tool = port.definition
     status = f"{int(port.status) & PORT_STATUS_BYTE:02X}"
     if tool is None:
@@ -182,12 +186,12 @@ def _tool_information(unit: Unit, port: Port) -> str:
     return f"{kind}{maker}{revision}{serial}{status}"
 
 
-def _part_number(_unit: Unit, port: Port) -> str:
+def _part_number(_unit: SimulatedUnit, port: Port) -> str:
     number = port.definition.part_number if port.definition else ""
     return number[:PART_NUMBER_BYTES].ljust(PART_NUMBER_BYTES)
 
 
-def _accessories(unit: Unit, port: Port) -> str:
+def _accessories(unit: SimulatedUnit, port: Port) -> str:
     tool = port.definition
     if tool is None or not (port.wired_port or unit.behaviour.accessories_of_passive):
         return NO_ACCESSORIES
@@ -195,13 +199,13 @@ def _accessories(unit: Unit, port: Port) -> str:
     return f"{sum(bit for bit, has in zip(ACCESSORY_BITS, fitted, strict=True) if has):02X}"
 
 
-def _location(unit: Unit, port: Port) -> str:
+def _location(unit: SimulatedUnit, port: Port) -> str:
     device = unit.model.serial_number[:DEVICE_CHARACTERS].ljust(DEVICE_CHARACTERS)
     tool_type = TOOL_WIRED if port.wired_port else TOOL_WIRELESS
     return f"{device}{SYSTEM_POLARIS}{tool_type}{port.wired_port:02d}{CHANNEL}"
 
 
-PORT_INFORMATION: MappingProxyType[int, Callable[[Unit, Port], str]] = MappingProxyType(
+PORT_INFORMATION: MappingProxyType[int, Callable[[SimulatedUnit, Port], str]] = MappingProxyType(
     {
         0x0001: _tool_information,
         0x0002: lambda _unit, port: f"{port.current_test:08X}",

@@ -9,9 +9,9 @@ import string
 
 from ronna_hw.wire import polaris as wire
 from ronna_hw.wire.polaris import LF, Alert
-from sim.polaris.tracker_unit import Mode, Unit
+from sim.polaris.tracker_unit import SimulatedUnit, UnitMode
 from sim.polaris.unit.framing import LineSettings
-from sim.polaris.unit.refusal import ErrorCode, Refusal, digit_within, hexadecimal
+from sim.polaris.unit.refusal import CommandRefusal, NdiErrorCode, digit_within, hexadecimal
 from sim.polaris.unit.user_parameters import HARDWARE_ALERTS, LONGEST_WATCH_DOG_S, WATCH_DOG
 
 VERSION_CONTROL, VERSION_LEFT, VERSION_RIGHT, VERSION_WIRED, VERSION_ENHANCED, VERSION_COMBINED = range(6)
@@ -20,7 +20,7 @@ LONGEST_BEEP = 9
 ABSENT = (
     "GETIO", "SETIO", "SENSEL", "GP", "PSTART", "PSTOP", "GETLOG", "SYSLOG", "VSNAP", "VGET", "VCAP",
 )  # fmt: skip
-FAULT_REPLIES = {"ERROR15": ErrorCode.CANNOT_INITIALISE, "ERROR1A": ErrorCode.INTERNAL}
+FAULT_REPLIES = {"ERROR15": NdiErrorCode.CANNOT_INITIALISE, "ERROR1A": NdiErrorCode.INTERNAL}
 
 FEATURE_ACTIVE_PORTS = 0x0001
 FEATURE_PASSIVE_PORTS = 0x0002
@@ -35,18 +35,18 @@ LEFT_ROM, RIGHT_ROM = 0x01, 0x10
 INTERFACE_VOLTAGES = 0x02
 
 
-def initialise(unit: Unit, _argument: str) -> str:
+def initialise(unit: SimulatedUnit, _argument: str) -> str:
     """INIT"""
     reply = (
         unit.behaviour.hardware_fault_at_init if unit.alerts.current & HARDWARE_ALERTS else wire.REPLY_OKAY
     )
     if reply in FAULT_REPLIES:
-        raise Refusal(FAULT_REPLIES[reply])
+        raise CommandRefusal(FAULT_REPLIES[reply])
     unit.initialise()
     return reply
 
 
-def reset(unit: Unit, argument: str) -> str:
+def reset(unit: SimulatedUnit, argument: str) -> str:
     """RESET [n]"""
     if argument:
         digit_within(argument, 0, 1)
@@ -54,14 +54,14 @@ def reset(unit: Unit, argument: str) -> str:
     return wire.REPLY_RESET
 
 
-def version(unit: Unit, argument: str) -> str:
+def version(unit: SimulatedUnit, argument: str) -> str:
     """VER n"""
     which = digit_within(argument, VERSION_CONTROL, VERSION_COMBINED)
     model = unit.model
     if which == VERSION_COMBINED:
         return model.combined_revision
     if which == VERSION_WIRED and not unit.wired.tools:
-        raise Refusal(ErrorCode.NO_FIRMWARE_VERSION)  # no tool interface unit is connected
+        raise CommandRefusal(NdiErrorCode.NO_FIRMWARE_VERSION)  # no tool interface unit is connected
     parts = {VERSION_LEFT: "Left Sensor", VERSION_RIGHT: "Right Sensor", VERSION_WIRED: "System Control Unit"}
     revision = model.firmware.rsplit(".", 1)[0]
     if not unit.behaviour.freeze_tag_with_minor:
@@ -77,12 +77,12 @@ def version(unit: Unit, argument: str) -> str:
     return LF.join(lines)
 
 
-def api_revision(unit: Unit, _argument: str) -> str:
+def api_revision(unit: SimulatedUnit, _argument: str) -> str:
     """APIREV"""
     return unit.model.api_revision
 
 
-def beep(unit: Unit, argument: str) -> str:
+def beep(unit: SimulatedUnit, argument: str) -> str:
     """BEEP n"""
     count = digit_within(argument, 1, LONGEST_BEEP)
     now_s = unit.clock.now_s()
@@ -92,78 +92,78 @@ def beep(unit: Unit, argument: str) -> str:
     return BEEPED
 
 
-def communication(unit: Unit, argument: str) -> None:
+def communication(unit: SimulatedUnit, argument: str) -> None:
     """COMM: the reply is still sent with the old settings."""
     try:
         settings = LineSettings.from_argument(argument)
     except KeyError:
-        raise Refusal(unit.behaviour.malformed_line_settings) from None
+        raise CommandRefusal(unit.behaviour.malformed_line_settings) from None
     if argument[0] not in unit.model.baud_codes:
-        raise Refusal(ErrorCode.COMMUNICATION_PARAMETERS)
+        raise CommandRefusal(NdiErrorCode.COMMUNICATION_PARAMETERS)
     unit.line = settings
 
 
-def echo(unit: Unit, argument: str) -> str:
+def echo(unit: SimulatedUnit, argument: str) -> str:
     """ECHO text: lets a host resynchronise after a missed reply."""
     unit.resend_frame()
     return argument
 
 
-def absent(unit: Unit, _argument: str) -> str:
+def absent(unit: SimulatedUnit, _argument: str) -> str:
     """Refuse a command for which real units use an undocumented format."""
-    raise Refusal(unit.behaviour.absent_command)
+    raise CommandRefusal(unit.behaviour.absent_command)
 
 
-def get(unit: Unit, argument: str) -> str:
+def get(unit: SimulatedUnit, argument: str) -> str:
     """GET name, or a prefix and *."""
     return LF.join(
         f"{p.name}={unit.user_parameters.value(p.name)}" for p in unit.user_parameters.list(argument)
     )
 
 
-def get_information(unit: Unit, argument: str) -> str:
+def get_information(unit: SimulatedUnit, argument: str) -> str:
     """GETINFO name"""
     return LF.join(unit.user_parameters.information(p) for p in unit.user_parameters.list(argument))
 
 
-def set_parameter(unit: Unit, argument: str) -> None:
+def set_parameter(unit: SimulatedUnit, argument: str) -> None:
     """SET name=value"""
     name, equals, value = argument.partition("=")
     if not name or not equals:
-        raise Refusal(ErrorCode.PARAMETER_COUNT)
-    unit.user_parameters.set(name, value, tracking=unit.mode is Mode.TRACKING)
+        raise CommandRefusal(NdiErrorCode.PARAMETER_COUNT)
+    unit.user_parameters.set(name, value, tracking=unit.mode is UnitMode.TRACKING)
 
 
-def set_default(unit: Unit, argument: str) -> None:
+def set_default(unit: SimulatedUnit, argument: str) -> None:
     """DFLT name, or a prefix and *."""
-    unit.user_parameters.set_default(argument, tracking=unit.mode is Mode.TRACKING)
+    unit.user_parameters.set_default(argument, tracking=unit.mode is UnitMode.TRACKING)
 
 
-def save(unit: Unit, _argument: str) -> None:
+def save(unit: SimulatedUnit, _argument: str) -> None:
     """SAVE: keep the settings across a reset."""
     unit.user_parameters.save()
 
 
-def select_volume(unit: Unit, argument: str) -> None:
+def select_volume(unit: SimulatedUnit, argument: str) -> None:
     """VSEL n, counted from 1; the parameter counts from 0."""
-    number = digit_within(argument, 1, len(unit.model.volumes), ErrorCode.NO_SUCH_VOLUME)
+    number = digit_within(argument, 1, len(unit.model.volumes), NdiErrorCode.NO_SUCH_VOLUME)
     unit.user_parameters.set(wire.PARAMETER_SELECTED_VOLUME, str(number - 1), tracking=False)
 
 
-def illuminator_rate(unit: Unit, argument: str) -> None:
+def illuminator_rate(unit: SimulatedUnit, argument: str) -> None:
     """IRATE n"""
     number = digit_within(argument, 0, max(unit.model.illuminator_rates))
     unit.user_parameters.set(wire.PARAMETER_ILLUMINATOR_RATE, str(number), tracking=False)
 
 
-def watch_dog(unit: Unit, argument: str) -> None:
+def watch_dog(unit: SimulatedUnit, argument: str) -> None:
     """HCWDOG n: seconds in decimal digits, 0 for off."""
     if not set(argument) <= set(string.digits) or int(argument[:9]) > LONGEST_WATCH_DOG_S:
-        raise Refusal(ErrorCode.OUT_OF_RANGE)
+        raise CommandRefusal(NdiErrorCode.OUT_OF_RANGE)
     unit.user_parameters.set(WATCH_DOG, argument, tracking=False)
 
 
-def feature_list(unit: Unit, argument: str) -> str:
+def feature_list(unit: SimulatedUnit, argument: str) -> str:
     """SFLIST nn"""
     model = unit.model
     volumes = "".join(volume.feature_line() for volume in model.volumes)
@@ -177,17 +177,17 @@ def feature_list(unit: Unit, argument: str) -> str:
     }
     number = hexadecimal(argument)
     if number in AURORA_LISTS:
-        raise Refusal(ErrorCode.NO_FEATURE_LIST)
+        raise CommandRefusal(NdiErrorCode.NO_FEATURE_LIST)
     if number not in lists:
-        raise Refusal(unit.behaviour.unknown_feature_list)
+        raise CommandRefusal(unit.behaviour.unknown_feature_list)
     return lists[number]
 
 
-def system_checks(unit: Unit, argument: str) -> str:
+def system_checks(unit: SimulatedUnit, argument: str) -> str:
     """SSTAT oooo: two digits per option, 00 when healthy."""
     requested_options = hexadecimal(argument)
     if not requested_options or requested_options & ~(CONTROL | SENSORS | TOOL_INTERFACE):
-        raise Refusal(ErrorCode.OUT_OF_RANGE)
+        raise CommandRefusal(NdiErrorCode.OUT_OF_RANGE)
     alerts = unit.alerts.current
     sensors_wrong = alerts & (Alert.SENSOR_PARAMETER | Alert.SENSOR_VOLTAGE)
     found = {
@@ -198,7 +198,7 @@ def system_checks(unit: Unit, argument: str) -> str:
     return "".join(f"{value:02X}" for option, value in found.items() if requested_options & option)
 
 
-def _feature_bits(unit: Unit) -> int:
+def _feature_bits(unit: SimulatedUnit) -> int:
     model = unit.model
     return (
         FEATURE_PASSIVE_PORTS

@@ -7,9 +7,9 @@ from __future__ import annotations
 
 from ronna_hw.wire import polaris as wire
 from ronna_hw.wire.polaris import HANDLE_DIGITS
-from sim.polaris.tracker_unit import Unit
+from sim.polaris.tracker_unit import SimulatedUnit
 from sim.polaris.unit.ports import WiredTool
-from sim.polaris.unit.refusal import ErrorCode, Refusal, hexadecimal
+from sim.polaris.unit.refusal import CommandRefusal, NdiErrorCode, hexadecimal
 from sim.polaris.unit.tool_definition import build_test_definition
 
 ADDRESS_DIGITS = 4
@@ -21,100 +21,100 @@ OUTPUTS = 3
 OUTPUT_STATES = frozenset("NSPO")  # no change, solid, pulse, off
 
 
-def write_virtual(unit: Unit, argument: str) -> None:
+def write_virtual(unit: SimulatedUnit, argument: str) -> None:
     """PVWR hh aaaa and 64 bytes: load without checking, which PINIT does later"""
     address, content = _parse_block(argument, wire.PVWR_SPACE_BYTES)
     port = unit.ports.require_port(argument)
     if port.unoccupied:
-        raise Refusal(ErrorCode.HANDLE_UNOCCUPIED)
+        raise CommandRefusal(NdiErrorCode.HANDLE_UNOCCUPIED)
     if port.dummy:
-        raise Refusal(ErrorCode.NOT_FOR_THIS_DEVICE)
+        raise CommandRefusal(NdiErrorCode.NOT_FOR_THIS_DEVICE)
     port.memory[address : address + len(content)] = content
     port.written = True
 
 
-def read(unit: Unit, argument: str) -> str:
+def read(unit: SimulatedUnit, argument: str) -> str:
     """PPRD hh aaaa: read 64 bytes of a wired tool's memory"""
     address = _parse_address(argument, wire.PVWR_SPACE_BYTES)
-    tool = _require_tool(unit, argument, ErrorCode.CANNOT_READ_MEMORY)
+    tool = _require_tool(unit, argument, NdiErrorCode.CANNOT_READ_MEMORY)
     if tool.memory is None:
-        raise Refusal(ErrorCode.CANNOT_READ_MEMORY)
+        raise CommandRefusal(NdiErrorCode.CANNOT_READ_MEMORY)
     return tool.memory[address : address + wire.PVWR_BLOCK_BYTES].hex().upper()
 
 
-def write(unit: Unit, argument: str) -> None:
+def write(unit: SimulatedUnit, argument: str) -> None:
     """PPWR hh aaaa and 64 bytes: store in the tool"""
     address, content = _parse_block(argument, wire.PVWR_SPACE_BYTES)
-    tool = _require_tool(unit, argument, ErrorCode.CANNOT_WRITE_MEMORY)
+    tool = _require_tool(unit, argument, NdiErrorCode.CANNOT_WRITE_MEMORY)
     if tool.memory is None:
-        raise Refusal(ErrorCode.CANNOT_WRITE_MEMORY)
+        raise CommandRefusal(NdiErrorCode.CANNOT_WRITE_MEMORY)
     tool.memory[address : address + len(content)] = content
     unit.ports.require_port(argument).memory[:] = tool.memory
 
 
-def read_user_area(unit: Unit, argument: str) -> str:
+def read_user_area(unit: SimulatedUnit, argument: str) -> str:
     """PURD hh aaaa"""
     address = _parse_address(argument, unit.behaviour.user_memory_bytes)
-    tool = _require_tool(unit, argument, ErrorCode.CANNOT_READ_MEMORY)
+    tool = _require_tool(unit, argument, NdiErrorCode.CANNOT_READ_MEMORY)
     return tool.user_memory[address : address + wire.PVWR_BLOCK_BYTES].hex().upper()
 
 
-def write_user_area(unit: Unit, argument: str) -> None:
+def write_user_area(unit: SimulatedUnit, argument: str) -> None:
     """PUWR hh aaaa and 64 bytes"""
     address, content = _parse_block(argument, unit.behaviour.user_memory_bytes)
-    tool = _require_tool(unit, argument, ErrorCode.CANNOT_WRITE_MEMORY)
+    tool = _require_tool(unit, argument, NdiErrorCode.CANNOT_WRITE_MEMORY)
     tool.user_memory[address : address + len(content)] = content
 
 
-def search(unit: Unit, argument: str) -> str:
+def search(unit: SimulatedUnit, argument: str) -> str:
     """PSRCH hh: count and identifiers of the tool's memory devices"""
     tool = unit.ports.require_wired(argument).tool
     return "0" if tool is None or tool.memory is None else f"1{tool.identifier}"
 
 
-def select(unit: Unit, argument: str) -> None:
+def select(unit: SimulatedUnit, argument: str) -> None:
     """PSEL hh d...: select a memory device by its identifier"""
     if len(argument) <= HANDLE_DIGITS:
-        raise Refusal(ErrorCode.PARAMETER_COUNT)
+        raise CommandRefusal(NdiErrorCode.PARAMETER_COUNT)
     tool = unit.ports.require_wired(argument).tool
     if tool is None or tool.memory is None or argument[HANDLE_DIGITS:].upper() != tool.identifier:
-        raise Refusal(ErrorCode.CANNOT_SELECT_MEMORY)
+        raise CommandRefusal(NdiErrorCode.CANNOT_SELECT_MEMORY)
 
 
-def use_test_definition(unit: Unit, argument: str) -> None:
+def use_test_definition(unit: SimulatedUnit, argument: str) -> None:
     """TTCFG hh: load the test definition for a tool without memory"""
     port = unit.ports.require_wired(argument)
     if port.written and not unit.behaviour.replaces_definition_by_test:
-        raise Refusal(ErrorCode.NOT_FOR_THIS_DEVICE)
+        raise CommandRefusal(NdiErrorCode.NOT_FOR_THIS_DEVICE)
     content = build_test_definition()
     port.memory[: len(content)] = content
     port.written = True
 
 
-def test_current(unit: Unit, argument: str) -> None:
+def test_current(unit: SimulatedUnit, argument: str) -> None:
     """TCTST hh: test the marker current, with the result read by PHINF 0002"""
     port = unit.ports.require_wired(argument)
     definition = unit.ports.require_initialised(argument).definition
     if definition is None:  # a dummy draws no current
-        raise Refusal(ErrorCode.CURRENT_TEST_FAILED)
+        raise CommandRefusal(NdiErrorCode.CURRENT_TEST_FAILED)
     port.current_test = (1 << len(definition.markers_mm)) - 1  # every marker passes
 
 
-def light(unit: Unit, argument: str) -> None:
+def light(unit: SimulatedUnit, argument: str) -> None:
     """LED hh n s"""
     number, state = argument[HANDLE_DIGITS], argument[HANDLE_DIGITS + 1]
     if number not in LIGHTS:
-        raise Refusal(ErrorCode.BAD_LED_NUMBER)
+        raise CommandRefusal(NdiErrorCode.BAD_LED_NUMBER)
     if state not in LIGHT_STATES:
-        raise Refusal(ErrorCode.BAD_LED_STATE)
+        raise CommandRefusal(NdiErrorCode.BAD_LED_STATE)
     unit.ports.require_wired(argument)
     unit.ports.require_initialised(argument)
 
 
-def general_purpose(unit: Unit, argument: str) -> None:
+def general_purpose(unit: SimulatedUnit, argument: str) -> None:
     """PSOUT hh abc"""
     if not OUTPUT_STATES.issuperset(argument[HANDLE_DIGITS:]):
-        raise Refusal(ErrorCode.OUT_OF_RANGE)
+        raise CommandRefusal(NdiErrorCode.OUT_OF_RANGE)
     unit.ports.require_wired(argument)
     unit.ports.require_initialised(argument)
 
@@ -122,7 +122,7 @@ def general_purpose(unit: Unit, argument: str) -> None:
 def _parse_address(argument: str, space_bytes: int) -> int:
     address = hexadecimal(argument[HANDLE_DIGITS:ADDRESSED])
     if address % wire.PVWR_BLOCK_BYTES or address + wire.PVWR_BLOCK_BYTES > space_bytes:
-        raise Refusal(ErrorCode.OUT_OF_RANGE)
+        raise CommandRefusal(NdiErrorCode.OUT_OF_RANGE)
     return address
 
 
@@ -132,11 +132,11 @@ def _parse_block(argument: str, space_bytes: int) -> tuple[int, bytes]:
     return address, bytes.fromhex(argument[ADDRESSED:])
 
 
-def _require_tool(unit: Unit, argument: str, without_memory: ErrorCode) -> WiredTool:
+def _require_tool(unit: SimulatedUnit, argument: str, without_memory: NdiErrorCode) -> WiredTool:
     port = unit.ports.require_port(argument)
     if not port.wired_port and unit.behaviour.memory_of_passive == "1E/1F":
-        raise Refusal(without_memory)
+        raise CommandRefusal(without_memory)
     tool = unit.ports.require_wired(argument).tool
     if tool is None:
-        raise Refusal(without_memory)
+        raise CommandRefusal(without_memory)
     return tool

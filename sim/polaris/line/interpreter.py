@@ -11,9 +11,9 @@ import time
 from ronna_hw.wire.polaris import REPLY_ERROR, REPLY_OKAY, REPLY_RESET
 from sim.polaris.faults import Power, UnitFaults
 from sim.polaris.handlers.table import COMMANDS, modes_of_commands
-from sim.polaris.tracker_unit import Mode, Unit
+from sim.polaris.tracker_unit import SimulatedUnit, UnitMode
 from sim.polaris.unit.framing import DEFAULT_LINE, ascii_reply, parse_request
-from sim.polaris.unit.refusal import ErrorCode, Refusal
+from sim.polaris.unit.refusal import CommandRefusal, NdiErrorCode
 
 NANOSECONDS_PER_SECOND = 1_000_000_000
 POLL_S = 0.1  # between checks for events that need no command
@@ -22,7 +22,7 @@ POLL_S = 0.1  # between checks for events that need no command
 class CommandInterpreter:
     """Executes command lines from successive hosts."""
 
-    def __init__(self, unit: Unit) -> None:
+    def __init__(self, unit: SimulatedUnit) -> None:
         self.unit = unit
         self.reply_line = unit.line  # settings for the last reply: COMM is answered with the old ones
         self._modes = modes_of_commands(unit.behaviour)
@@ -49,7 +49,7 @@ class CommandInterpreter:
         self.reply_line = self.unit.line
         try:
             reply = self._carry_out(line)
-        except Refusal as refusal:
+        except CommandRefusal as refusal:
             return ascii_reply(f"{REPLY_ERROR}{refusal.code:02X}")
         return ascii_reply(reply) if isinstance(reply, str) else reply
 
@@ -99,10 +99,10 @@ class CommandInterpreter:
         name = request.name.upper() if unit.behaviour.accepts_lower_case else request.name
         command = COMMANDS.get(name)
         if command is None:
-            raise Refusal(ErrorCode.UNKNOWN_COMMAND)
+            raise CommandRefusal(NdiErrorCode.UNKNOWN_COMMAND)
         if unit.mode not in self._modes[name]:
-            early = unit.mode is Mode.NOT_INITIALISED
-            raise Refusal(ErrorCode.NOT_INITIALISED if early else ErrorCode.WRONG_MODE)
+            early = unit.mode is UnitMode.NOT_INITIALISED
+            raise CommandRefusal(NdiErrorCode.NOT_INITIALISED if early else NdiErrorCode.WRONG_MODE)
         if not command.reads_frame:
             self._replies.clear()
         if not unit.faults.empty:
@@ -138,7 +138,7 @@ class CommandInterpreter:
         self._replies.clear()
         if self.unit.behaviour.watch_dog == "reset":
             self.restart()
-        elif self.unit.mode is Mode.TRACKING:
+        elif self.unit.mode is UnitMode.TRACKING:
             self.unit.stop()
 
     def _has_power(self) -> bool:

@@ -48,7 +48,7 @@ class Channel(Protocol):
         ...
 
 
-class Connection:
+class HostConnection:
     """TCP connection to a host, treated as lost if it accepts no reply for `patience_s`."""
 
     def __init__(self, peer: socket.socket, patience_s: float) -> None:
@@ -118,7 +118,7 @@ class Server:
             if not ready:
                 self._interpreter.unsolicited_bytes()  # no host is connected
                 continue
-            connection = Connection(listener.accept()[0], self._silent_host_s)
+            connection = HostConnection(listener.accept()[0], self._silent_host_s)
             try:
                 self.serve_channel(connection)
             finally:

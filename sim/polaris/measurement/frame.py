@@ -25,9 +25,9 @@ from sim.polaris.measurement.optics import (
     reflecting_places,
     reflections,
 )
-from sim.polaris.measurement.tracking_rules import INFRARED_COPY, Tracked, track
+from sim.polaris.measurement.tracking_rules import INFRARED_COPY, TrackedTool, track
 from sim.polaris.measurement.true_scene import Disturbance, Disturbances, TrueScene, TrueTool
-from sim.polaris.unit.model import Volume
+from sim.polaris.unit.model import UnitVolume
 from sim.polaris.unit.ports import Port
 from sim.world.displacements import ShiftedRoom
 from sim.world.faults import FaultBoard
@@ -54,11 +54,11 @@ class Stray:
 
 
 @dataclass(frozen=True)
-class Frame:
+class MeasuredFrame:
     """Reportable data of one frame, with `tools` pairing each enabled port with its result."""
 
     number: int
-    tools: tuple[tuple[Port, Tracked | None], ...]  # None: no result
+    tools: tuple[tuple[Port, TrackedTool | None], ...]  # None: no result
     strays: tuple[Stray, ...]
     system_status: SystemStatus
 
@@ -66,7 +66,7 @@ class Frame:
 class Measurer:
     """Measures a world's scene with a unit's sensors and volumes."""
 
-    def __init__(self, world: World, volumes: tuple[Volume, ...]) -> None:
+    def __init__(self, world: World, volumes: tuple[UnitVolume, ...]) -> None:
         truth = world.scene.tracker
         self._seed = world.scene.seed
         self._scene = TrueScene(world)
@@ -107,15 +107,15 @@ class Measurer:
         return SystemStatus.TOO_MUCH_INFRARED if too_much else SystemStatus(0)
 
     def frame(
-        self, number: int, since_start: int, ports: tuple[Port, ...], volume: Volume, status: SystemStatus
-    ) -> Frame:
+        self, number: int, since_start: int, ports: tuple[Port, ...], volume: UnitVolume, status: SystemStatus
+    ) -> MeasuredFrame:
         """Measure frame `number`, `since_start` frames after tracking began."""
         if status & WITHHELD:
-            return Frame(number, tuple((port, None) for port in ports), (), status)
+            return MeasuredFrame(number, tuple((port, None) for port in ports), (), status)
         disturbance = self._disturbances.now()
         in_view = self._visibility.now(ports, disturbance)
         generator = self._noise.at(since_start, TOOL_LANE)
-        tools: list[tuple[Port, Tracked | None]] = []
+        tools: list[tuple[Port, TrackedTool | None]] = []
         unclaimed: list[tuple[float, float, float]] = []  # markers of tools without a pose
         for port in ports:
             tracked = self._measure_tool(port, in_view.tools[port.handle], generator, volume)
@@ -124,11 +124,11 @@ class Measurer:
                 unclaimed += tracked.measured_mm
         # Illuminators fire for enabled handles only.
         strays = self._measure_strays(since_start, in_view, disturbance, unclaimed, volume) if ports else ()
-        return Frame(number, tuple(tools), strays, status)
+        return MeasuredFrame(number, tuple(tools), strays, status)
 
     def _measure_tool(
-        self, port: Port, group: Group | None, generator: np.random.Generator, volume: Volume
-    ) -> Tracked | None:
+        self, port: Port, group: Group | None, generator: np.random.Generator, volume: UnitVolume
+    ) -> TrackedTool | None:
         definition = port.definition
         if definition is None:
             return None
@@ -155,7 +155,7 @@ class Measurer:
         in_view: VisibleMarkers,
         disturbance: Disturbance,
         unclaimed: list[tuple[float, float, float]],
-        volume: Volume,
+        volume: UnitVolume,
     ) -> tuple[Stray, ...]:
         points = self._measure_points(in_view.fixed, since_start, STRAY_LANE) + unclaimed
         if in_view.frame is not None:  # its spheres are in view even if the tool is not loaded
@@ -207,7 +207,9 @@ class VisibleMarkers:
 class MarkerVisibility:
     """Marker visibility, cached while nothing moves."""
 
-    def __init__(self, scene: TrueScene, optics: Optics, seed: int, volume: Volume, line_mm: float) -> None:
+    def __init__(
+        self, scene: TrueScene, optics: Optics, seed: int, volume: UnitVolume, line_mm: float
+    ) -> None:
         self._scene = scene
         self._optics = optics
         self._seed = seed

@@ -42,7 +42,7 @@ CAMERA_LENGTH_MM = 80.0  # housing and lens, from the lens' centre backwards
 
 
 def visible(
-    eyes_mm: Vectors, points_mm: Vectors, bodies: tuple[Body, ...], past_mount: Flags | None = None
+    eyes_mm: Vectors, points_mm: Vectors, bodies: tuple[OpaqueBody, ...], past_mount: Flags | None = None
 ) -> Flags:
     """Return flags (m, n) for whether each eye (m, 3) sees each point (n, 3) past all bodies.
 
@@ -55,7 +55,7 @@ def visible(
     return seen
 
 
-class Body(Protocol):
+class OpaqueBody(Protocol):
     """An opaque body."""
 
     def hides(self, eyes_mm: Vectors, points_mm: Vectors, past_mount: Flags | None = None) -> Flags:
@@ -63,16 +63,16 @@ class Body(Protocol):
         ...
 
 
-def head_ellipsoid(head: Head, tracker_from_robot: Matrix) -> Ellipsoid:
+def head_ellipsoid(head: Head, tracker_from_robot: Matrix) -> OpaqueEllipsoid:
     """Return the scene's head as an ellipsoid in the tracker frame."""
     ct_from_tracker = inverse(tracker_from_robot @ matrix_of(head.robot_from_ct))
     unit_from_ct = np.diag([*(1.0 / np.array(head.semi_axes_mm)), 1.0])
     unit_from_ct[:3, 3] = -np.array(head.centre_ct_mm) / head.semi_axes_mm
-    return Ellipsoid(unit_from_ct @ ct_from_tracker)
+    return OpaqueEllipsoid(unit_from_ct @ ct_from_tracker)
 
 
 @dataclass(frozen=True)
-class Ellipsoid:
+class OpaqueEllipsoid:
     """Head ellipsoid, mapped to the unit sphere by `unit_from_tracker` (4, 4)."""
 
     unit_from_tracker: Matrix

@@ -15,7 +15,7 @@ from math import radians, tan
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.polaris.unit.model import Volume
+from sim.polaris.unit.model import UnitVolume
 from sim.world.noise import noise
 from sim.world.scene.model import TrackerTruth
 
@@ -57,7 +57,7 @@ class Sight:
 class Optics:
     """Sensor pair, with the scene's noise stated for the centre of the unit's first volume."""
 
-    def __init__(self, truth: TrackerTruth, seed: int, volumes: tuple[Volume, ...]) -> None:
+    def __init__(self, truth: TrackerTruth, seed: int, volumes: tuple[UnitVolume, ...]) -> None:
         self._sigma_mm = np.array([truth.noise_xy_mm, truth.noise_xy_mm, truth.noise_z_mm])
         self._middle_mm = volumes[0].middle_depth_mm
         given_mm = (truth.bias_mm, truth.bias_extended_mm)
@@ -117,13 +117,13 @@ def phantoms(eyes_mm: Vectors, points_mm: Vectors, seen: Flags, line_separation_
 
 
 @lru_cache(maxsize=8)
-def extra_strays(seed: int, count: int, volume: Volume) -> Vectors:
+def extra_strays(seed: int, count: int, volume: UnitVolume) -> Vectors:
     """Return positions (n, 3) of fault-induced spheres, keeping earlier positions as the count grows."""
     return _draw_places(seed, SPHERES, count, volume)
 
 
 @lru_cache(maxsize=8)
-def reflecting_places(seed: int, count: int, volume: Volume) -> Vectors:
+def reflecting_places(seed: int, count: int, volume: UnitVolume) -> Vectors:
     """Return positions (n, 3) of flickering reflective surfaces."""
     return _draw_places(seed, REFLECTIONS, count, volume)
 
@@ -136,7 +136,7 @@ def reflections(places_mm: Vectors, generator: np.random.Generator) -> Vectors:
     return found
 
 
-def _draw_places(seed: int, what: str, count: int, volume: Volume) -> Vectors:
+def _draw_places(seed: int, what: str, count: int, volume: UnitVolume) -> Vectors:
     near, far = volume.depths_mm
     middle, half = (near + far) / 2.0, INNER_SHARE * (far - near) / 2.0
     places = np.empty((count, 3))
@@ -156,7 +156,7 @@ class BiasField:
     of many readings of a stationary marker.
     """
 
-    def __init__(self, seed: int, stated: tuple[tuple[Volume, float], ...]) -> None:
+    def __init__(self, seed: int, stated: tuple[tuple[UnitVolume, float], ...]) -> None:
         """Fit to `stated`: one or two volumes, smaller first, each with its rms error length in mm."""
         generator = noise(seed, "tracker bias", 0)
         directions = generator.standard_normal((WAVES, 3))
@@ -186,7 +186,7 @@ class BiasField:
 
 
 @cache
-def bias_field(seed: int, stated: tuple[tuple[Volume, float], ...]) -> BiasField:
+def bias_field(seed: int, stated: tuple[tuple[UnitVolume, float], ...]) -> BiasField:
     """Return the bias field, cached because fitting its power dominates a unit's start-up time."""
     return BiasField(seed, stated)
 
@@ -215,7 +215,7 @@ def _fit_power(small: _Sizes, large: _Sizes, ratio: float) -> float:
 
 
 @cache
-def _grid(volume: Volume) -> Vectors:
+def _grid(volume: UnitVolume) -> Vectors:
     """Return read-only points (n, 3) spread evenly over the volume."""
     near, far = volume.depths_mm
     x, y = volume.half_widths_mm(far)

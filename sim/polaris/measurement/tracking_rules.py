@@ -44,7 +44,7 @@ class ToolPose:
 
 
 @dataclass(frozen=True)
-class Tracked:
+class TrackedTool:
     """Result for one tool in one frame, regardless of whether it is inside the volume."""
 
     pose: ToolPose | None
@@ -76,7 +76,7 @@ def track(
     inside: list[bool],
     previous_face: int = 0,
     allowed_faces: int = ALL_FACES,
-) -> Tracked:
+) -> TrackedTool:
     """Apply the tracking rules, with `seen` as the marker indices of the rows of `measured_mm` (n, 3)."""
     judge = _Judge(definition, seen, measured_mm, inside)
     return judge.tracked(
@@ -84,7 +84,7 @@ def track(
     )
 
 
-def as_requested(tracked: Tracked, *, outside: bool, partially_outside: bool) -> Tracked:
+def as_requested(tracked: TrackedTool, *, outside: bool, partially_outside: bool) -> TrackedTool:
     """Return the result, hiding the pose of an out-of-volume tool unless it was requested.
 
     `outside`: such tools were requested. `partially_outside`: the unit reports them unrequested if some
@@ -112,7 +112,7 @@ class _Judge:
         self._inside = inside
         self._digits = [int(MarkerState.MISSING)] * len(definition.markers_mm)
 
-    def tracked(self, chosen: FittedFace | None, previous_face: int) -> Tracked:
+    def tracked(self, chosen: FittedFace | None, previous_face: int) -> TrackedTool:
         definition = self._definition
         if chosen is None:
             status = _volume_status(self._inside, definition)
@@ -154,10 +154,10 @@ class _Judge:
 
     def _build_verdict(
         self, pose: ToolPose | None, status: PortStatus, information: int, face: int
-    ) -> Tracked:
+    ) -> TrackedTool:
         points = tuple((x, y, z) for x, y, z in self._measured_mm.tolist())
         seen, inside = tuple(self._seen), tuple(self._inside)
-        return Tracked(pose, status, int(information), tuple(self._digits), face, seen, points, inside)
+        return TrackedTool(pose, status, int(information), tuple(self._digits), face, seen, points, inside)
 
 
 def _find_facing(normals: Vectors, markers_mm: Vectors, maximum_angle_deg: float) -> list[bool]:
@@ -188,7 +188,7 @@ def _is_spread_enough(body_mm: Vectors, definition: ToolDefinition) -> bool:
     return bool((extents >= np.array(definition.minimum_spread_mm)).all())
 
 
-def _as_tool_pose(fit: RigidFit) -> ToolPose:
+def _as_tool_pose(fit: MarkerFit) -> ToolPose:
     w, qx, qy, qz = quaternion_from_rotation(fit.rotation).tolist()
     x, y, z = fit.translation_mm.tolist()
     squares = fit.distances_mm**2
@@ -202,7 +202,7 @@ class FittedFace:
     face: int
     markers: list[int]
     rows: list[int]
-    fit: RigidFit
+    fit: MarkerFit
 
 
 def best_face(
@@ -253,7 +253,7 @@ def _angle_to_sensor_deg(definition: ToolDefinition, fitted: FittedFace) -> floa
     return degrees(atan2(float(np.linalg.norm(np.cross(normal, towards))), float(normal @ towards)))
 
 
-class RigidFit(NamedTuple):
+class MarkerFit(NamedTuple):
     """Fitted pose tracker <- tool: rotation (3, 3), translation (3,) and marker residuals (n,)."""
 
     rotation: Vectors
@@ -261,7 +261,7 @@ class RigidFit(NamedTuple):
     distances_mm: Vectors
 
 
-def fit_rigid_body(body_mm: Vectors, measured_mm: Vectors) -> RigidFit:
+def fit_rigid_body(body_mm: Vectors, measured_mm: Vectors) -> MarkerFit:
     """Fit markers (n, 3), n >= 3, to their measured positions (n, 3), paired by row.
 
     Orthogonal Procrustes by SVD (Arun 1987) with Umeyama's sign, so that a mirror image is never returned.
@@ -276,7 +276,7 @@ def fit_rigid_body(body_mm: Vectors, measured_mm: Vectors) -> RigidFit:
         rotation = left @ right
     translation = measured_centre - rotation @ body_centre
     residuals = body_mm @ rotation.T + translation - measured_mm
-    return RigidFit(rotation, translation, np.sqrt((residuals * residuals).sum(axis=1)))
+    return MarkerFit(rotation, translation, np.sqrt((residuals * residuals).sum(axis=1)))
 
 
 def _determinant(matrix: list[list[float]]) -> float:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ronna_hw.patient_frame import PART_NUMBER as PATIENT_FRAME_PART_NUMBER
 from ronna_hw.x_frame import NAME as X_FRAME_NAME
 from ronna_hw.x_frame import PART_NUMBER as X_FRAME_PART_NUMBER
-from sim.polaris.measurement.line_of_sight import ArmBody, Body, head_ellipsoid
+from sim.polaris.measurement.line_of_sight import ArmBody, OpaqueBody, head_ellipsoid
 from sim.polaris.unit.tool_definition import ToolDefinition
 from sim.world.displacements import (
     NOTHING_MOVED,
@@ -83,7 +83,7 @@ class TrueScene:
         on_clamp = scene.head.robot_from_patient_frame
         self._robot_from_patient_frame = None if on_clamp is None else matrix_of(on_clamp)
         self._guide = TrueGuide(world)
-        self._head: tuple[Body, ...] = (head_ellipsoid(scene.head, self._tracker_from_robot),)
+        self._head: tuple[OpaqueBody, ...] = (head_ellipsoid(scene.head, self._tracker_from_robot),)
 
     def arm(self, role: ArmRole = ArmRole.MASTER) -> ArmState | None:
         """Return an arm's state, or None if the world has no such arm."""
@@ -102,7 +102,7 @@ class TrueScene:
 
     def bodies(
         self, arm: ArmState | None, mounted_tool: int, room: RoomShift = NOTHING_MOVED
-    ) -> tuple[Body, ...]:
+    ) -> tuple[OpaqueBody, ...]:
         """Return the opaque bodies: the head at its scene position, and the arm."""
         head = self._head if self.fiducial_numbers else ()
         tracker_from_robot = self._tracker_from(room)

@@ -12,7 +12,7 @@ from typing import Annotated, Literal
 
 from sim.named_parameters import apply_assignments
 from sim.polaris.errors import BAD_UNIT_PARAMETER
-from sim.polaris.unit.refusal import ErrorCode
+from sim.polaris.unit.refusal import NdiErrorCode
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,8 +47,8 @@ class UnitBehaviour:
         float,
         "Time from a break, a power cycle or a watchdog reset to RESET; seconds on a real unit.",
     ] = 0.1
-    malformed_line_settings: Annotated[ErrorCode, "Error of COMM with an unknown code: 23 or 07."] = (
-        ErrorCode.OUT_OF_RANGE
+    malformed_line_settings: Annotated[NdiErrorCode, "Error of COMM with an unknown code: 23 or 07."] = (
+        NdiErrorCode.OUT_OF_RANGE
     )
     accepts_lower_case: Annotated[bool, "Command names in lower case are accepted."] = False
     strips_eighth_bit: Annotated[bool, "With 7 data bits, a BX reply loses its eighth bits."] = True
@@ -82,21 +82,21 @@ class UnitBehaviour:
         Literal["stop", "reset"], "Effect of the watchdog: stop tracking, or reset the unit."
     ] = "stop"
     beep_s: Annotated[float, "Length of a beep; BEEP returns 0 while the previous one lasts."] = 0.0
-    absent_command: Annotated[ErrorCode, "GETIO, SETIO, GX and others without a public format: 33 or 01."] = (
-        ErrorCode.NOT_AVAILABLE
-    )
-    unknown_feature_list: Annotated[ErrorCode, "Error of SFLIST with an unknown list: 23 or 25."] = (
-        ErrorCode.OUT_OF_RANGE
+    absent_command: Annotated[
+        NdiErrorCode, "GETIO, SETIO, GX and others without a public format: 33 or 01."
+    ] = NdiErrorCode.NOT_AVAILABLE
+    unknown_feature_list: Annotated[NdiErrorCode, "Error of SFLIST with an unknown list: 23 or 25."] = (
+        NdiErrorCode.OUT_OF_RANGE
     )
 
     # tools
     bad_definition: Annotated[
-        ErrorCode, "Error of PINIT for a wrong checksum or content: 13, on newer firmware 40."
-    ] = ErrorCode.BAD_DEFINITION
+        NdiErrorCode, "Error of PINIT for a wrong checksum or content: 13, on newer firmware 40."
+    ] = NdiErrorCode.BAD_DEFINITION
     definition_beyond_limits: Annotated[
-        ErrorCode,
+        NdiErrorCode,
         "Error of PINIT for too many or too few markers, faces or groups: 13, on newer firmware 41.",
-    ] = ErrorCode.BAD_DEFINITION
+    ] = NdiErrorCode.BAD_DEFINITION
     warns_with_code: Annotated[bool, "WARNING carries two digits; older firmware sends WARNING alone."] = True
     segment_tolerance_mm: Annotated[
         float,

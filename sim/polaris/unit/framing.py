@@ -12,7 +12,7 @@ from functools import lru_cache
 
 from ronna_hw.wire import polaris as wire
 from ronna_hw.wire.polaris import ASCII_CRC_DIGITS, BX_START, CR, crc16
-from sim.polaris.unit.refusal import ErrorCode, Refusal
+from sim.polaris.unit.refusal import CommandRefusal, NdiErrorCode
 
 CACHED_HEADERS = 64  # lengths of the replies of a case
 STALE_S = 1.0  # half a command this old came from a client that disappeared
@@ -55,7 +55,7 @@ DEFAULT_LINE = LineSettings.from_argument(wire.COMM_DEFAULT_ARGUMENT)
 
 
 @dataclass(frozen=True)
-class Request:
+class FramedRequest:
     """One command, with everything after the separator except the CRC as its argument."""
 
     name: str
@@ -92,26 +92,26 @@ class LineBuffer:
         return [line if len(line) <= self._limit else Overlong(line[: self._limit]) for line in lines]
 
 
-def parse_request(line: bytes) -> Request:
+def parse_request(line: bytes) -> FramedRequest:
     """Parse one line; raises Refusal if its length or CRC is wrong."""
     if isinstance(line, Overlong):
-        raise Refusal(ErrorCode.TOO_LONG)
+        raise CommandRefusal(NdiErrorCode.TOO_LONG)
     line = line.lstrip(STRAY_LINE_FEED)
     if not line:
-        raise Refusal(ErrorCode.TOO_SHORT)
+        raise CommandRefusal(NdiErrorCode.TOO_SHORT)
     separator = _SEPARATOR.search(line)
     if separator is None:
-        return Request(line.decode("latin-1"), "")
+        return FramedRequest(line.decode("latin-1"), "")
     name, argument = line[: separator.start()], line[separator.end() :]
     if separator.group() == b":":
         if len(argument) < ASCII_CRC_DIGITS:
-            raise Refusal(ErrorCode.TOO_SHORT)
+            raise CommandRefusal(NdiErrorCode.TOO_SHORT)
         crc = argument[-ASCII_CRC_DIGITS:]
         argument = argument[:-ASCII_CRC_DIGITS]
         sent = line[:-ASCII_CRC_DIGITS]
         if not _FOUR_DIGITS.fullmatch(crc) or int(crc, 16) != crc16(sent):
-            raise Refusal(ErrorCode.WRONG_CRC)
-    return Request(name.decode("latin-1"), argument.decode("latin-1"))
+            raise CommandRefusal(NdiErrorCode.WRONG_CRC)
+    return FramedRequest(name.decode("latin-1"), argument.decode("latin-1"))
 
 
 def ascii_reply(text: str) -> bytes:

@@ -19,7 +19,7 @@ WAVELENGTHS = "24"  # as sent by real Spectras; the meaning of its two digits is
 
 
 @dataclass(frozen=True)
-class Volume:
+class UnitVolume:
     """Measuring volume: shape code, the ten parameters D1..D10, and the accuracy that is stated for it."""
 
     name: str
@@ -69,20 +69,20 @@ class Volume:
         return f"{self.shape}{numbers}{WAVELENGTHS}{LF}"
 
 
-PYRAMID = Volume(
+PYRAMID = UnitVolume(
     name="Pyramid",
     shape="5",
     dimensions=(-240000, -153200, -95000, 57200, 39800, 56946, 24303, 29773, NO_CAP, NO_CAP),
     stated_mm=0.25,
 )
-EXTENDED_PYRAMID = Volume(
+EXTENDED_PYRAMID = UnitVolume(
     name="Extended Pyramid",
     shape="5",
     dimensions=(-300000, -153200, -95000, 57200, 39800, 56946, 24303, 29773, NO_CAP, 73500),
     stated_mm=0.30,
 )
 # About 491 x 392 mm at 557 mm and 938 x 887 mm at 1336 mm; the ten numbers themselves are not public.
-VICRA_VOLUME = Volume(
+VICRA_VOLUME = UnitVolume(
     name="Vicra",
     shape="7",
     dimensions=(-133600, -55700, -55700, 24550, 19600, 28690, 28690, 31772, NO_CAP, NO_CAP),
@@ -102,7 +102,7 @@ class UnitModel:
     api_revision: str
     characterization_date: str  # MM/DD/YY
     freeze_date: str
-    volumes: tuple[Volume, ...]
+    volumes: tuple[UnitVolume, ...]
     handles: int
     enabled_tools: int
     wired_ports: int  # of the optional tool interface; 0 if the model has none

@@ -11,7 +11,7 @@ from ronna_hw.bounded_input import read_bounded
 from ronna_hw.wire.polaris import HANDLE_DIGITS, PVWR_SPACE_BYTES, HandleQuery, PortStatus, TrackingPriority
 from ronna_hw.wire.polaris_rom import ROM_BYTES
 from sim.polaris.errors import BAD_WIRED_TOOL
-from sim.polaris.unit.refusal import ErrorCode, Refusal, hexadecimal
+from sim.polaris.unit.refusal import CommandRefusal, NdiErrorCode, hexadecimal
 from sim.polaris.unit.tool_definition import ToolDefinition
 
 DEVICE_IDENTIFIER_BYTES = 8
@@ -92,12 +92,12 @@ class PortTable:
                 )
                 self._ports[handle] = port
                 return port
-        raise Refusal(ErrorCode.NO_HANDLES_LEFT)
+        raise CommandRefusal(NdiErrorCode.NO_HANDLES_LEFT)
 
     def request_wired(self, number: int, tool: WiredTool | None, *, dummy: bool = False) -> Port:
         """Allocate a handle for a socket; raises Refusal if the socket already has one or none is left."""
         if self.find_by_socket(number) is not None:
-            raise Refusal(ErrorCode.PORT_HAS_HANDLE)
+            raise CommandRefusal(NdiErrorCode.PORT_HAS_HANDLE)
         port = self.request(dummy=dummy, wired_port=number, tool=None if dummy else tool)
         if port.tool is not None and port.tool.memory is not None:
             port.memory[:] = port.tool.memory
@@ -120,33 +120,33 @@ class PortTable:
         try:
             return self._ports[handle]
         except KeyError:
-            raise Refusal(ErrorCode.HANDLE_NOT_ALLOCATED) from None
+            raise CommandRefusal(NdiErrorCode.HANDLE_NOT_ALLOCATED) from None
 
     def require_port(self, argument: str) -> Port:
         """Return the port addressed by a command's argument; raises Refusal for an invalid handle."""
-        return self.port(hexadecimal(argument[:HANDLE_DIGITS], ErrorCode.BAD_HANDLE))
+        return self.port(hexadecimal(argument[:HANDLE_DIGITS], NdiErrorCode.BAD_HANDLE))
 
     def require_occupied(self, argument: str) -> Port:
         """Return the addressed port; raises Refusal if it has no tool plugged in."""
         port = self.require_port(argument)
         if port.unoccupied:
-            raise Refusal(ErrorCode.HANDLE_UNOCCUPIED)
+            raise CommandRefusal(NdiErrorCode.HANDLE_UNOCCUPIED)
         if not port.occupied:
-            raise Refusal(ErrorCode.NO_TOOL)
+            raise CommandRefusal(NdiErrorCode.NO_TOOL)
         return port
 
     def require_initialised(self, argument: str) -> Port:
         """Return the addressed port; raises Refusal unless it is occupied and initialised."""
         port = self.require_occupied(argument)
         if not port.initialised:
-            raise Refusal(ErrorCode.HANDLE_NOT_INITIALISED)
+            raise CommandRefusal(NdiErrorCode.HANDLE_NOT_INITIALISED)
         return port
 
     def require_wired(self, argument: str) -> Port:
         """Return the addressed port; raises Refusal unless it is occupied by a wired tool."""
         port = self.require_occupied(argument)
         if not port.wired_port:
-            raise Refusal(ErrorCode.NOT_FOR_THIS_DEVICE)
+            raise CommandRefusal(NdiErrorCode.NOT_FOR_THIS_DEVICE)
         return port
 
     def free(self, handle: int) -> None:

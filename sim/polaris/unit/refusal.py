@@ -8,7 +8,7 @@ from enum import IntEnum
 _HEXADECIMAL = frozenset(string.hexdigits)
 
 
-class ErrorCode(IntEnum):
+class NdiErrorCode(IntEnum):
     """Error codes sent by this unit, explained in `ronna_hw.wire.polaris.ERROR_MEANINGS`."""
 
     UNKNOWN_COMMAND = 0x01
@@ -69,23 +69,25 @@ class WarningCode(IntEnum):
     DEFAULT_WAVELENGTH = 0x05
 
 
-class Refusal(Exception):
+class CommandRefusal(Exception):
     """The command was refused and has no effect."""
 
-    def __init__(self, code: ErrorCode) -> None:
+    def __init__(self, code: NdiErrorCode) -> None:
         super().__init__(code.name)
         self.code = code
 
 
-def hexadecimal(text: str, refusal: ErrorCode = ErrorCode.OUT_OF_RANGE) -> int:
+def hexadecimal(text: str, refusal: NdiErrorCode = NdiErrorCode.OUT_OF_RANGE) -> int:
     """Parse hexadecimal digits in either case; raises `refusal` for anything else."""
     if not text or not _HEXADECIMAL.issuperset(text):
-        raise Refusal(refusal)
+        raise CommandRefusal(refusal)
     return int(text, 16)
 
 
-def digit_within(argument: str, low: int, high: int, refusal: ErrorCode = ErrorCode.OUT_OF_RANGE) -> int:
+def digit_within(
+    argument: str, low: int, high: int, refusal: NdiErrorCode = NdiErrorCode.OUT_OF_RANGE
+) -> int:
     """Parse a decimal digit from `low` to `high`; raises `refusal` for anything else."""
     if argument not in string.digits or not low <= int(argument) <= high:
-        raise Refusal(refusal)
+        raise CommandRefusal(refusal)
     return int(argument)

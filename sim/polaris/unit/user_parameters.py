@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from ronna_hw.wire import polaris as wire
 from ronna_hw.wire.polaris import Alert, SystemStatus
 from sim.polaris.unit.model import UnitModel
-from sim.polaris.unit.refusal import ErrorCode, Refusal
+from sim.polaris.unit.refusal import CommandRefusal, NdiErrorCode
 
 LONGEST_WATCH_DOG_S = 3600
 LARGEST_SENSITIVITY = 7
@@ -77,7 +77,7 @@ class UserParameters:
         beginning = pattern.removeprefix(DEVICE_PREFIX).removesuffix(WILDCARD)
         found = tuple(p for name, p in self._parameters.items() if name.startswith(beginning))
         if not found:
-            raise Refusal(ErrorCode.NO_SUCH_PARAMETER)
+            raise CommandRefusal(NdiErrorCode.NO_SUCH_PARAMETER)
         return found
 
     def information(self, parameter: Parameter) -> str:
@@ -95,7 +95,7 @@ class UserParameters:
         if parameter.limits is not None:
             value = str(_parse_number_within(value, parameter.limits))
         elif len(value) > LONGEST_TEXT:
-            raise Refusal(ErrorCode.WRONG_SIZE)
+            raise CommandRefusal(NdiErrorCode.WRONG_SIZE)
         self._store(parameter, value)
 
     def set_default(self, pattern: str, *, tracking: bool) -> None:
@@ -136,15 +136,15 @@ class UserParameters:
     def _require_writable(self, name: str, *, tracking: bool) -> Parameter:
         parameter = self._require_parameter(name)
         if not parameter.writable:
-            raise Refusal(ErrorCode.READ_ONLY)
+            raise CommandRefusal(NdiErrorCode.READ_ONLY)
         if tracking and not parameter.while_tracking:
-            raise Refusal(ErrorCode.WRONG_MODE)
+            raise CommandRefusal(NdiErrorCode.WRONG_MODE)
         return parameter
 
     def _require_parameter(self, name: str) -> Parameter:
         parameter = self._parameters.get(name.removeprefix(DEVICE_PREFIX))
         if parameter is None:
-            raise Refusal(ErrorCode.NO_SUCH_PARAMETER)
+            raise CommandRefusal(NdiErrorCode.NO_SUCH_PARAMETER)
         return parameter
 
     def _bump_status(self) -> str:
@@ -153,10 +153,10 @@ class UserParameters:
 
 def _parse_number_within(value: str, limits: tuple[int, int]) -> int:
     if not (value.isascii() and value.removeprefix("-").isdigit()):
-        raise Refusal(ErrorCode.WRONG_VALUE_TYPE)
+        raise CommandRefusal(NdiErrorCode.WRONG_VALUE_TYPE)
     low, high = limits
     if len(value) > len(str(high)) + 1 or not low <= int(value) <= high:
-        raise Refusal(ErrorCode.VALUE_OUT_OF_RANGE)
+        raise CommandRefusal(NdiErrorCode.VALUE_OUT_OF_RANGE)
     return int(value)
 
 

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 from ronna_hw.logs import logger
 from ronna_hw.wire.universal_robots import PRIMARY_PORT, REALTIME_PORT, SECONDARY_PORT
-from sim.universal_robots.connections import Connection, HangUp, Listener, Poll
+from sim.universal_robots.connections import ClientConnection, HangUp, Poll, ServiceListener
 from sim.universal_robots.controller import Controller
 from sim.universal_robots.interfaces.scripts import ScriptText
 from sim.universal_robots.interfaces.state_packages import StatePackages
@@ -28,9 +28,9 @@ class ClientInterfaces:
         self._period = max(1, round(controller.parameters.state_period_s / controller.model.cycle_s))
         self._due_cycle, self._due_s = 0, 0.0  # of the next state; the latter in host time
         self._waiting: list[tuple[int, str]] = []  # scripts, with the cycles until they start
-        self.primary = Listener(address, PRIMARY_PORT, poll, self._connect)
-        self.secondary = Listener(address, SECONDARY_PORT, poll, self._connect_secondary)
-        self.realtime = Listener(address, REALTIME_PORT, poll, self._connect_realtime)
+        self.primary = ServiceListener(address, PRIMARY_PORT, poll, self._connect)
+        self.secondary = ServiceListener(address, SECONDARY_PORT, poll, self._connect_secondary)
+        self.realtime = ServiceListener(address, REALTIME_PORT, poll, self._connect_realtime)
         news, packages = controller.news, self._packages
         news.program.append(lambda what, name: self._tell(packages.key(f"PROGRAM_XXX_{what}", name)))
         news.safety.append(lambda mode: self._tell(packages.safety_mode(mode)))
@@ -38,23 +38,23 @@ class ClientInterfaces:
         news.error.append(lambda code, text: self._tell(packages.error(code, text)))
 
     @property
-    def listeners(self) -> tuple[Listener, ...]:
+    def listeners(self) -> tuple[ServiceListener, ...]:
         """All ports."""
         return self.primary, self.secondary, self.realtime
 
-    def _connect(self, connection: Connection) -> ScriptHandler:
+    def _connect(self, connection: ClientConnection) -> ScriptHandler:
         packages = self._packages
         connection.send(packages.version())
         connection.send(packages.safety_mode(self._controller.modes.safety_mode))
         connection.send(packages.state())
         return self._handler()
 
-    def _connect_secondary(self, connection: Connection) -> ScriptHandler:
+    def _connect_secondary(self, connection: ClientConnection) -> ScriptHandler:
         connection.send(self._packages.version())
         connection.send(self._packages.state())
         return self._handler()
 
-    def _connect_realtime(self, _connection: Connection) -> ScriptHandler:
+    def _connect_realtime(self, _connection: ClientConnection) -> ScriptHandler:
         return self._handler()
 
     def _handler(self) -> ScriptHandler:

@@ -13,13 +13,13 @@ from ronna_hw.wire.universal_robots_services import (
     ROBOT_MODE_HEAD,
     RUNNING_HEAD,
     SAFETY_MODE_HEAD,
-    Order,
+    DashboardOrder,
     Query,
 )
-from sim.universal_robots.connections import Connection, HangUp, Listener, Poll
+from sim.universal_robots.connections import ClientConnection, HangUp, Poll, ServiceListener
 from sim.universal_robots.controller import Controller
 from sim.universal_robots.interfaces.state_packages import BUILD_DATE
-from sim.universal_robots.programs.program import Program
+from sim.universal_robots.programs.program import UrProgram
 from sim.universal_robots.programs.program_request import requested_program
 from sim.universal_robots.programs.recognition import endless
 
@@ -59,17 +59,17 @@ class Dashboard:
             Query.RUNNING: lambda _: f"{RUNNING_HEAD} {str(self._is_playing).lower()}",
             "programstate": lambda _: f"{STATES[controller.runtime_state]} {controller.loaded or 'null'}",
             "get loaded program": self._get_loaded,
-            Order.POWER_ON: self._power_on,
-            Order.POWER_OFF: self._power_off,
-            Order.BRAKE_RELEASE: self._release_brakes,
-            Order.UNLOCK_PROTECTIVE_STOP: self._unlock,
-            Order.CLOSE_SAFETY_POPUP: lambda _: ACCEPTED[Order.CLOSE_SAFETY_POPUP],
+            DashboardOrder.POWER_ON: self._power_on,
+            DashboardOrder.POWER_OFF: self._power_off,
+            DashboardOrder.BRAKE_RELEASE: self._release_brakes,
+            DashboardOrder.UNLOCK_PROTECTIVE_STOP: self._unlock,
+            DashboardOrder.CLOSE_SAFETY_POPUP: lambda _: ACCEPTED[DashboardOrder.CLOSE_SAFETY_POPUP],
             "close popup": lambda _: "closing popup",
             "popup": self._popup,
-            Order.RESTART_SAFETY: self._restart_safety,
+            DashboardOrder.RESTART_SAFETY: self._restart_safety,
             "play": self._play,
             "pause": self._pause,
-            Order.STOP: self._stop,
+            DashboardOrder.STOP: self._stop,
             "load": self._load,
             "isprogramsaved": lambda _: f"true {controller.loaded}" if controller.loaded else "false",
             "get operational mode": lambda _: "NONE",
@@ -77,10 +77,10 @@ class Dashboard:
             "savelog": lambda _: "Log saved to disk",
         }
         self._most_words = max(len(name.split()) for name in self._commands)
-        self._listener = Listener(address, DASHBOARD_PORT, poll, self._connect)
+        self._listener = ServiceListener(address, DASHBOARD_PORT, poll, self._connect)
 
     @property
-    def listener(self) -> Listener:
+    def listener(self) -> ServiceListener:
         """The port."""
         return self._listener
 
@@ -88,7 +88,7 @@ class Dashboard:
     def _is_playing(self) -> bool:
         return STATES[self._controller.runtime_state] == "PLAYING"
 
-    def _connect(self, connection: Connection) -> LineHandler:
+    def _connect(self, connection: ClientConnection) -> LineHandler:
         connection.send(f"{BANNER}\n".encode())
         return LineHandler(self)
 
@@ -109,23 +109,23 @@ class Dashboard:
 
     def _power_on(self, _: str) -> str:
         self._controller.modes.power_on()
-        return ACCEPTED[Order.POWER_ON]
+        return ACCEPTED[DashboardOrder.POWER_ON]
 
     def _power_off(self, _: str) -> str:
         self._controller.power_off()
-        return ACCEPTED[Order.POWER_OFF]
+        return ACCEPTED[DashboardOrder.POWER_OFF]
 
     def _release_brakes(self, _: str) -> str:
         self._controller.modes.release_brakes()
-        return ACCEPTED[Order.BRAKE_RELEASE]
+        return ACCEPTED[DashboardOrder.BRAKE_RELEASE]
 
     def _unlock(self, _: str) -> str:
         is_released = self._controller.unlock_protective_stop()
-        return ACCEPTED[Order.UNLOCK_PROTECTIVE_STOP] if is_released else TOO_EARLY
+        return ACCEPTED[DashboardOrder.UNLOCK_PROTECTIVE_STOP] if is_released else TOO_EARLY
 
     def _restart_safety(self, _: str) -> str:
         self._controller.modes.restart_safety()
-        return ACCEPTED[Order.RESTART_SAFETY]
+        return ACCEPTED[DashboardOrder.RESTART_SAFETY]
 
     # -- programs
 
@@ -150,7 +150,7 @@ class Dashboard:
             started = bool(controller.loaded) and not controller.start(self._loaded_program())
         return "Starting program" if started else "Failed to execute: play"
 
-    def _loaded_program(self) -> Program:
+    def _loaded_program(self) -> UrProgram:
         name, parameters = self._controller.loaded, self._controller.parameters
         if not name.startswith(EXTERNAL_CONTROL):
             return endless(name)
@@ -161,7 +161,7 @@ class Dashboard:
 
     def _stop(self, _: str) -> str:
         self._controller.stop()
-        return ACCEPTED[Order.STOP]
+        return ACCEPTED[DashboardOrder.STOP]
 
     def _popup(self, text: str) -> str:
         self._controller.popup = text

@@ -16,10 +16,10 @@ from typing import Final
 
 from sim.universal_robots.kinematics import frame_of_pose
 from sim.universal_robots.model import JOINTS
-from sim.universal_robots.programs.external_trajectory import Trajectory
+from sim.universal_robots.programs.external_trajectory import ReceivedTrajectory
 from sim.universal_robots.programs.motions import speedj, speedl, stopj
 from sim.universal_robots.programs.outgoing import Outgoing, is_this_computer
-from sim.universal_robots.programs.program import Program
+from sim.universal_robots.programs.program import UrProgram
 from sim.universal_robots.robot import Robot
 
 TRAJECTORY, SCRIPT_COMMANDS, REVERSE = "trajectory_socket", "script_command_socket", "reverse_socket"
@@ -38,7 +38,7 @@ _SERVOJ: Final = "servoj("
 _LOOKAHEAD = re.compile(r"lookahead_time\s*=\s*([0-9.]+)")
 
 
-class Mode(IntEnum):
+class ControlMode(IntEnum):
     """Last number of a message of the reverse interface."""
 
     STOPPED = -2
@@ -54,7 +54,7 @@ class Mode(IntEnum):
     TORQUE = 8
 
 
-class Command(IntEnum):
+class ControlCommand(IntEnum):
     """First number of a message of the script command interface, as far as it has an effect here."""
 
     SET_PAYLOAD = 1
@@ -64,7 +64,7 @@ class Command(IntEnum):
 
 
 @dataclass(frozen=True)
-class Settings:
+class ControlSettings:
     """Constants at the head of the script, and whom it dials."""
 
     endpoints: dict[str, tuple[str, int]]  # by the name of the socket
@@ -77,7 +77,7 @@ class Settings:
     lookahead_s: float
 
 
-def read_external_control(text: str) -> Settings | None:
+def read_external_control(text: str) -> ControlSettings | None:
     """Return the settings of a script, or None if it is another one."""
     endpoints = {name: (host, int(port)) for host, port, name in _DIALS.findall(text)}
     constants = _read_constants(text)
@@ -86,7 +86,7 @@ def read_external_control(text: str) -> Settings | None:
     if REVERSE not in endpoints or units <= 0.0 or not JOINTS + 2 <= numbers <= MOST_NUMBERS:
         return None
     commands = int(constants.get("SCRIPT_COMMAND_DATA_DIMENSION", LEAST_COMMAND_NUMBERS))
-    return Settings(
+    return ControlSettings(
         endpoints,
         units,
         constants.get("MULT_time", MILLISECONDS) or MILLISECONDS,
@@ -117,25 +117,25 @@ def _is_number(text: str) -> bool:
     return text.count(".") < 2 and any(map(str.isdigit, text))
 
 
-def external_control(name: str, settings: Settings) -> Program:
+def external_control(name: str, settings: ControlSettings) -> UrProgram:
     """Return the script as a program."""
 
-    def steps(robot: Robot, program: Program) -> Iterator[None]:
+    def steps(robot: Robot, program: UrProgram) -> Iterator[None]:
         yield from ExternalControl(robot, program, settings).steps()
 
-    return Program(name, steps)
+    return UrProgram(name, steps)
 
 
 class ExternalControl:
     """State of the running script: its connections, mode, set-point, and what runs beside its loop."""
 
-    def __init__(self, robot: Robot, program: Program, settings: Settings) -> None:
+    def __init__(self, robot: Robot, program: UrProgram, settings: ControlSettings) -> None:
         self._robot, self._program, self._settings = robot, program, settings
         self._links = {name: Outgoing() for name in DIAL_ORDER}
         program.links.extend(self._links.values())
         self._message = Struct(f">{settings.reverse_numbers}i")
         self._command = Struct(f">{settings.command_numbers}i")
-        self._mode: int = Mode.UNINITIALIZED
+        self._mode: int = ControlMode.UNINITIALIZED
         self._beside: Iterator[None] | None = None  # the motion of the mode
         self._goal: list[float] = robot.drives.actual
         self._is_new = False  # the goal, in this cycle
@@ -143,7 +143,9 @@ class ExternalControl:
         self._speeds: Sequence[float] = ()
         self._limit_cycles = 0  # of the next read; 0: none
         self._silent_cycles = 0
-        self._trajectory = Trajectory(robot, self._links[TRAJECTORY], settings.units, settings.time_units)
+        self._trajectory = ReceivedTrajectory(
+            robot, self._links[TRAJECTORY], settings.units, settings.time_units
+        )
         self._lag_s = max(LEAST_LAG_S, settings.lookahead_s) + robot.parameters.servoj_lag_s
 
     def steps(self) -> Iterator[None]:
@@ -151,9 +153,9 @@ class ExternalControl:
         for name in DIAL_ORDER:
             if name in self._settings.endpoints:
                 yield from self._dial(name)
-        while self._mode > Mode.STOPPED:
+        while self._mode > ControlMode.STOPPED:
             yield from self._read_messages()
-            if self._mode <= Mode.STOPPED:
+            if self._mode <= ControlMode.STOPPED:
                 break
             self._take_commands()
             if self._beside is not None and next(self._beside, self) is self:
@@ -187,44 +189,44 @@ class ExternalControl:
             self._silent_cycles = 0
             self._limit_cycles = ceil(message[0] / MILLISECONDS / self._robot.cycle_s)
             yield from self._obey(message[1:-1], message[-1])
-            if self._mode <= Mode.STOPPED:
+            if self._mode <= ControlMode.STOPPED:
                 return
         if not link.is_open or 0 < self._limit_cycles < self._silent_cycles:
-            self._mode = Mode.STOPPED
+            self._mode = ControlMode.STOPPED
 
     def _obey(self, numbers: tuple[int, ...], mode: int) -> Iterator[None]:
         if mode != self._mode:
             yield from self._change_mode(mode)
         values = [number / self._settings.units for number in numbers[:JOINTS]]
-        if mode == Mode.SERVOJ:
+        if mode == ControlMode.SERVOJ:
             self._set_goal(values)
-        elif mode == Mode.POSE:
+        elif mode == ControlMode.POSE:
             joints = self._robot.joints_at(frame_of_pose(values), self._goal)
             if joints is None:
                 self._program.failure = "get_inverse_kin: no solution"
-                self._mode = Mode.STOPPED
+                self._mode = ControlMode.STOPPED
             else:
                 self._set_goal(joints)
-        elif mode in (Mode.SPEEDJ, Mode.SPEEDL):
+        elif mode in (ControlMode.SPEEDJ, ControlMode.SPEEDL):
             self._speeds = values
-        elif mode == Mode.FORWARD:
+        elif mode == ControlMode.FORWARD:
             yield from self._direct_trajectory(numbers[0], numbers[1])
 
     def _change_mode(self, mode: int) -> Iterator[None]:
         robot = self._robot
-        if self._mode == Mode.FORWARD and self._trajectory.cancel():
+        if self._mode == ControlMode.FORWARD and self._trajectory.cancel():
             yield from self._stop()
             self._trajectory.report_cancelled()
         self._mode = mode
         if self._beside is not None:
             self._beside = None
             yield from self._stop()
-        if mode in (Mode.SERVOJ, Mode.POSE):
+        if mode in (ControlMode.SERVOJ, ControlMode.POSE):
             self._goal = robot.drives.actual
             self._beside = self._servo()
-        elif mode == Mode.SPEEDJ:
+        elif mode == ControlMode.SPEEDJ:
             self._speeds, self._beside = [0.0] * JOINTS, self._speed(speedj)
-        elif mode == Mode.SPEEDL:
+        elif mode == ControlMode.SPEEDL:
             self._speeds, self._beside = [0.0] * JOINTS, self._speed(speedl)
 
     def _stop(self) -> Iterator[None]:
@@ -245,11 +247,11 @@ class ExternalControl:
             if message is None:
                 return
             values = [number / self._settings.units for number in message[1:]]
-            if message[0] in (Command.SET_PAYLOAD, Command.SET_TARGET_PAYLOAD):
+            if message[0] in (ControlCommand.SET_PAYLOAD, ControlCommand.SET_TARGET_PAYLOAD):
                 self._robot.set_payload(values[0], values[1:4])
-            elif message[0] == Command.SET_TCP_OFFSET:
+            elif message[0] == ControlCommand.SET_TCP_OFFSET:
                 self._robot.set_tcp(values[:JOINTS])
-            elif message[0] == Command.END_TOOL_CONTACT:
+            elif message[0] == ControlCommand.END_TOOL_CONTACT:
                 link.send(pack(">i", TOOL_CONTACT_CANCELLED))
 
     # -- motions

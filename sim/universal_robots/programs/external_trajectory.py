@@ -25,7 +25,7 @@ FIRST_WAIT_S: Final = 0.5  # for a point while the arm rests; in motion it waits
 UNKNOWN_COUNT: Final = 2**31 - 1  # points of a stream whose end is not known
 
 
-class Order(IntEnum):
+class TrajectoryOrder(IntEnum):
     """First number of a reverse message in mode FORWARD."""
 
     CANCEL = -1
@@ -34,7 +34,7 @@ class Order(IntEnum):
     STREAM_END = 3
 
 
-class Result(IntEnum):
+class TrajectoryResult(IntEnum):
     """Answer on the trajectory interface."""
 
     SUCCESS = 0
@@ -65,7 +65,7 @@ LINE_TO_POSE: Final = frozenset({PointType.MOVEL, PointType.MOVEP, PointType.OPT
 LINE_TO_JOINTS: Final = frozenset({PointType.MOVEL_JOINT, PointType.MOVEP_JOINT, PointType.OPTIMOVEL_JOINT})
 
 
-class Trajectory:
+class ReceivedTrajectory:
     """Points that were announced, and the motion through them."""
 
     def __init__(self, robot: Robot, link: Outgoing, units: float, time_units: float) -> None:
@@ -80,14 +80,14 @@ class Trajectory:
     def obey(self, order: int, count: int) -> bool:
         """Carry out an order; returns whether a new trajectory begins."""
         self.is_cancelled = False
-        if order in (Order.RECEIVE, Order.STREAM_START):
-            self._streams = order == Order.STREAM_START
+        if order in (TrajectoryOrder.RECEIVE, TrajectoryOrder.STREAM_START):
+            self._streams = order == TrajectoryOrder.STREAM_START
             self._left = UNKNOWN_COUNT if self._streams else max(0, count)
             return True
-        if self._streams and order in (Order.STREAM_END, Order.CANCEL):
+        if self._streams and order in (TrajectoryOrder.STREAM_END, TrajectoryOrder.CANCEL):
             self._left = max(0, count - (UNKNOWN_COUNT - self._left))
             self._streams = False
-        if order == Order.CANCEL:
+        if order == TrajectoryOrder.CANCEL:
             self.cancel()
             self.is_cancelled = True
         return False
@@ -102,13 +102,13 @@ class Trajectory:
 
     def report_cancelled(self) -> None:
         """Tell the client that its trajectory did not end."""
-        self._link.send(pack(">i", Result.CANCELLED))
+        self._link.send(pack(">i", TrajectoryResult.CANCELLED))
 
     def run(self, stop_rad_s2: float) -> Iterator[None]:
         """Go through the points, come to rest, and report the result."""
-        result = Result.SUCCESS
+        result = TrajectoryResult.SUCCESS
         self._speed = self._acceleration = (0.0,) * JOINTS
-        while self._left > 0 and result is Result.SUCCESS:
+        while self._left > 0 and result is TrajectoryResult.SUCCESS:
             moving = any(self._speed)
             cycles = 1 if moving else round(FIRST_WAIT_S / self._robot.cycle_s)
             point = self._link.take(POINT)
@@ -120,15 +120,19 @@ class Trajectory:
                 point = self._link.take(POINT)
             if point is None:
                 if self._left > 0:
-                    result = Result.FAILURE
+                    result = TrajectoryResult.FAILURE
                 break
             self._left -= 1
             motion = self._motion(point)
             if motion is None:
-                result = Result.CANCELLED if point[TYPE_PLACE] == PointType.SPLINE else Result.FAILURE
+                result = (
+                    TrajectoryResult.CANCELLED
+                    if point[TYPE_PLACE] == PointType.SPLINE
+                    else TrajectoryResult.FAILURE
+                )
             else:
                 yield from motion
-        if result is not Result.SUCCESS:
+        if result is not TrajectoryResult.SUCCESS:
             self.cancel()
         yield from stopj(self._robot, stop_rad_s2)
         self._link.send(pack(">i", result))

@@ -19,11 +19,11 @@ class Watchdog:
 
 
 @dataclass
-class Program:
+class UrProgram:
     """A program. `steps` moves the robot once for each of its steps; the arm brakes when it has ended."""
 
     name: str
-    steps: Callable[[Robot, Program], Iterator[None]]
+    steps: Callable[[Robot, UrProgram], Iterator[None]]
     watchdog: Watchdog | None = None
     awaits_client: bool = field(default=False, init=False)  # streams now: lock-step waits for each set-point
     links: list[Outgoing] = field(default_factory=list, init=False)  # closed when the program stops

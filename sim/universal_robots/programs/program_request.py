@@ -6,7 +6,7 @@ from collections.abc import Generator, Iterator
 from typing import Final
 
 from sim.universal_robots.programs.outgoing import Outgoing, is_this_computer
-from sim.universal_robots.programs.program import Program
+from sim.universal_robots.programs.program import UrProgram
 from sim.universal_robots.programs.recognition import recognise
 from sim.universal_robots.robot import Robot
 
@@ -15,10 +15,10 @@ FIRST_WAIT_S: Final = 2.0  # for the first byte of the script (U)
 QUIET_S: Final = 0.2  # without a byte, after which the script is complete (U): nothing marks its end
 
 
-def requested_program(name: str, host: str, port: int) -> Program:
+def requested_program(name: str, host: str, port: int) -> UrProgram:
     """Return a program that fetches its script from a client of this computer when it starts."""
 
-    def steps(robot: Robot, program: Program) -> Iterator[None]:
+    def steps(robot: Robot, program: UrProgram) -> Iterator[None]:
         link = Outgoing()
         program.links.append(link)
         if is_this_computer(host):
@@ -35,7 +35,7 @@ def requested_program(name: str, host: str, port: int) -> Program:
         program.watchdog = script.watchdog
         yield from script.steps(robot, program)
 
-    return Program(name, steps)
+    return UrProgram(name, steps)
 
 
 def _fetch(link: Outgoing, robot: Robot) -> Generator[None, None, bytes]:

@@ -8,7 +8,7 @@ from typing import Final
 
 from ronna_hw.wire.universal_robots import SCRIPT_NAME
 from sim.universal_robots.programs.external_control import external_control, read_external_control
-from sim.universal_robots.programs.program import Program, Watchdog
+from sim.universal_robots.programs.program import UrProgram, Watchdog
 from sim.universal_robots.programs.register_loop import register_loop
 from sim.universal_robots.programs.statements import require_known, run_statements
 from sim.universal_robots.programs.stream_script import stream_program
@@ -30,7 +30,7 @@ def name_of(text: str) -> str:
     return found[1] if found else text.strip().partition("\n")[0].strip()
 
 
-def recognise(text: str, cycle_s: float) -> Program:
+def recognise(text: str, cycle_s: float) -> UrProgram:
     """Return the program that a script is.
 
     Raises ArithmeticError or ValueError for numbers out of range, UnknownStatement for what is not simulated.
@@ -45,22 +45,22 @@ def recognise(text: str, cycle_s: float) -> Program:
         first = int(offset[1]) if offset else 0
         if first > LAST_OFFSET:
             raise ValueError(f"reg_offset_int is {first}, at most {LAST_OFFSET}")
-        return Program(name, lambda robot, program: register_loop(robot, program, first))
+        return UrProgram(name, lambda robot, program: register_loop(robot, program, first))
     settings = read_external_control(text)
     if settings is not None:
         return external_control(name, settings)
     require_known(text)
-    return Program(name, lambda robot, program: run_statements(robot, text))
+    return UrProgram(name, lambda robot, program: run_statements(robot, text))
 
 
-def endless(name: str) -> Program:
+def endless(name: str) -> UrProgram:
     """Return a program of the pendant that runs until it is stopped."""
 
-    def steps(_robot: Robot, _program: Program) -> Iterator[None]:
+    def steps(_robot: Robot, _program: UrProgram) -> Iterator[None]:
         while True:
             yield
 
-    return Program(name, steps)
+    return UrProgram(name, steps)
 
 
 def _read_watchdog(text: str, cycle_s: float) -> Watchdog | None:

@@ -12,7 +12,7 @@ from typing import Final
 from sim.universal_robots.kinematics import compose, frame_of_pose, inverted, pose_of_frame
 from sim.universal_robots.model import JOINT_RANGE_RAD, JOINTS
 from sim.universal_robots.programs.motions import movej, movel, speedj, speedl, stopj
-from sim.universal_robots.programs.program import Program, Watchdog
+from sim.universal_robots.programs.program import UrProgram, Watchdog
 from sim.universal_robots.robot import Robot
 from sim.universal_robots.variables import INPUT_INTS, PLACES
 
@@ -31,7 +31,7 @@ Handler = Callable[["RegisterLoop"], Iterator[None] | None]
 class RegisterLoop:
     """State of the script: what runs beside the loop, and the progress that it reports."""
 
-    def __init__(self, robot: Robot, program: Program, first_register: int) -> None:
+    def __init__(self, robot: Robot, program: UrProgram, first_register: int) -> None:
         self.robot = robot
         self.program = program
         self.first = first_register
@@ -133,7 +133,7 @@ class RegisterLoop:
         return None if handler is None else handler(self)
 
 
-def register_loop(robot: Robot, program: Program, first_register: int) -> Iterator[None]:
+def register_loop(robot: Robot, program: UrProgram, first_register: int) -> Iterator[None]:
     """Run the script with its registers from that number on."""
     return RegisterLoop(robot, program, first_register).steps()
 

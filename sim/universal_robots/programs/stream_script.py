@@ -23,7 +23,7 @@ from ronna_hw.wire.universal_robots import (
     ScriptState,
 )
 from sim.universal_robots.programs.motions import stopj
-from sim.universal_robots.programs.program import Program
+from sim.universal_robots.programs.program import UrProgram
 from sim.universal_robots.programs.statements import run_at_once
 from sim.universal_robots.robot import Robot
 from sim.universal_robots.variables import index
@@ -66,22 +66,22 @@ def read_settings(text: str) -> ScriptSettings | str:
     )
 
 
-def stream_program(name: str, text: str) -> Program:
+def stream_program(name: str, text: str) -> UrProgram:
     """Return the script as a program."""
     settings = read_settings(text)
     load = "\n".join(line for line in text.splitlines() if line.strip().startswith(LOAD_CALLS))
 
-    def steps(robot: Robot, program: Program) -> Iterator[None]:
+    def steps(robot: Robot, program: UrProgram) -> Iterator[None]:
         if isinstance(settings, str):
             program.failure = settings
             return
         run_at_once(robot, load)
         yield from _stream(robot, program, settings)
 
-    return Program(name, steps)
+    return UrProgram(name, steps)
 
 
-def _stream(robot: Robot, program: Program, settings: ScriptSettings) -> Iterator[None]:
+def _stream(robot: Robot, program: UrProgram, settings: ScriptSettings) -> Iterator[None]:
     values, drives = robot.values, robot.drives
     lag_s = settings.LOOKAHEAD_S + robot.parameters.servoj_lag_s
     slows = robot.parameters.slider_slows_servoj

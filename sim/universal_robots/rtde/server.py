@@ -8,7 +8,7 @@ from random import Random
 from typing import Any
 
 from ronna_hw.wire.universal_robots import CLIENT_REGISTERS, RTDE_PORT
-from sim.universal_robots.connections import Connection, HangUp, Listener, Poll
+from sim.universal_robots.connections import ClientConnection, HangUp, Poll, ServiceListener
 from sim.universal_robots.controller import POSES
 from sim.universal_robots.loads import FORCE, TORQUES
 from sim.universal_robots.model import Model
@@ -62,12 +62,12 @@ class RtdeServer:
         self.watched_writes = 0
         self._cycle = 0
         self.wants_poses = self.wants_forces = self.wants_torques = False
-        self._clients: list[tuple[Connection, Session]] = []
-        self.listener = Listener(
+        self._clients: list[tuple[ClientConnection, Session]] = []
+        self.listener = ServiceListener(
             address, RTDE_PORT, poll, self._connect, send_buffer_bytes=self.parameters.send_buffer_bytes
         )
 
-    def _connect(self, connection: Connection) -> ClientHandler | None:
+    def _connect(self, connection: ClientConnection) -> ClientHandler | None:
         most = self.parameters.most_rtde_clients
         if most and len(self._clients) >= most:
             return None
@@ -175,7 +175,7 @@ class RtdeServer:
 class ClientHandler:
     """Connects a session with its socket."""
 
-    def __init__(self, server: RtdeServer, connection: Connection, session: Session) -> None:
+    def __init__(self, server: RtdeServer, connection: ClientConnection, session: Session) -> None:
         self._server, self._connection, self._session = server, connection, session
 
     def receive(self, data: bytes) -> bytes:

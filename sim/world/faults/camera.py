@@ -8,7 +8,7 @@ from sim.world.faults.fault import (
     WHOLE_PERCENT,
     Arguments,
     Both,
-    DeviceFaults,
+    FaultKinds,
     OneOf,
     check_at_most,
     fiducial_number,
@@ -20,9 +20,9 @@ SMALLEST_PATH_BYTES = 68  # least packet size that a network must carry
 MOST_SPOTS = 500
 MOST_STAINED_PERCENT = 60.0  # spots overlap: more would take long and look alike
 
-SIGHT = DeviceFaults("camera")
-PAIR = DeviceFaults("camera", prefix="camera_")
-CAMERA = DeviceFaults("camera", prefix="camera_", first=OneOf("camera", ("left", "right", BOTH)))
+SIGHT = FaultKinds("camera")
+PAIR = FaultKinds("camera", prefix="camera_")
+CAMERA = FaultKinds("camera", prefix="camera_", first=OneOf("camera", ("left", "right", BOTH)))
 declare_lasting, share, declare_momentary = CAMERA.declare_lasting, CAMERA.share, CAMERA.declare_momentary
 _side = OneOf("camera", ("left", "right"))
 

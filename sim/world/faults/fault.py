@@ -133,7 +133,7 @@ def accept_any(_arguments: Arguments, _scene: Scene) -> Iterator[str]:
     yield from ()
 
 
-class DeviceFaults:
+class FaultKinds:
     """Declares the fault kinds of one device.
 
     `prefix` distinguishes their names from those of other devices; `first` checks every first argument.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from sim.world.faults.fault import DeviceFaults, OneOf
+from sim.world.faults.fault import FaultKinds, OneOf
 
 MODES = ("T1", "T2", "AUT", "EXT")
 AXES = ("1", "2", "3", "4", "5", "6")
@@ -17,7 +17,7 @@ TRIPS = (
     "end_switch",
     "singularity",
 )
-ROBOT = DeviceFaults("robot")
+ROBOT = FaultKinds("robot")
 declare_lasting, share, declare_momentary = ROBOT.declare_lasting, ROBOT.share, ROBOT.declare_momentary
 
 LINK_FAULTS = (

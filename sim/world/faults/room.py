@@ -9,14 +9,14 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
-from sim.world.faults.fault import Arguments, Both, DeviceFaults, OneOf, fiducial_number, unless_known
+from sim.world.faults.fault import Arguments, Both, FaultKinds, OneOf, fiducial_number, unless_known
 from sim.world.scene.model import Scene
 
 DEVICE = "room"
 HEAD, CART, TRACKER, GUIDE, SEAT = "head", "cart", "tracker", "guide", "seat"
 ASSISTANT_CART = "assistant_cart"
 BODIES = (HEAD, CART, ASSISTANT_CART, TRACKER, GUIDE, SEAT)
-ROOM = DeviceFaults(DEVICE)
+ROOM = FaultKinds(DEVICE)
 declare_lasting = ROOM.declare_lasting
 # Twice the reach of the arm: from there, no head that was within reach is still within it.
 LARGEST_MOVE_MM, LARGEST_TURN_DEG = 2000.0, 90.0

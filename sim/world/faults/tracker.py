@@ -7,8 +7,8 @@ from collections.abc import Iterator, Sequence
 from ronna_hw.wire.polaris import MAXIMUM_STRAYS
 from sim.world.faults.fault import (
     Arguments,
-    DeviceFaults,
     Fault,
+    FaultKinds,
     OneOf,
     check_at_most,
     fiducial_number,
@@ -20,7 +20,7 @@ SLOW_COMMANDS = ("INIT", "PINIT", "TSTART")
 SOCKETS = ("1", "2", "3")  # for wired tools
 # Bits of Info.Status.Alerts with a defined meaning.
 KNOWN_ALERTS = tuple(str(bit) for bit in (*range(9), *range(20, 27), 29, 30))
-TRACKER = DeviceFaults("tracker")
+TRACKER = FaultKinds("tracker")
 declare_lasting, share, declare_momentary = TRACKER.declare_lasting, TRACKER.share, TRACKER.declare_momentary
 
 

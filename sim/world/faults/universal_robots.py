@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from sim.world.faults.fault import Arguments, DeviceFaults, check_at_most
+from sim.world.faults.fault import Arguments, FaultKinds, check_at_most
 from sim.world.scene.model import Scene
 
 LONGEST_DELAY_CYCLES = 1000.0
@@ -12,7 +12,7 @@ LONGEST_DELAY_CYCLES = 1000.0
 LARGEST_FORCE_N = 1000.0
 FARTHEST_MM = 500.0
 
-UR = DeviceFaults("ur", prefix="ur_")
+UR = FaultKinds("ur", prefix="ur_")
 declare_lasting, share, declare_momentary = UR.declare_lasting, UR.share, UR.declare_momentary
 
 LINK_FAULTS = (

@@ -16,7 +16,7 @@ from drivers.kuka_rsi.realtime.loop import LinkLoop
 from drivers.kuka_rsi.realtime.sockets import ANY_HOST
 from ronna_hw.arm_stream.mailbox import Mailbox
 from ronna_hw.arm_stream.options import REHEARSAL_LEAD_US
-from ronna_hw.arm_stream.records import CloseStream, Command, OpenStream, Phase, StopOrder
+from ronna_hw.arm_stream.records import CloseStream, Command, OpenStream, StopOrder, StreamPhase
 
 CONTROLLER = ("127.0.0.1", 40000)
 CYCLE_MS = 4
@@ -121,7 +121,7 @@ def answer_mutants(count: int, seed: int) -> tuple[int, int]:
     ipoc, answered = FIRST_IPOC, 0
     now = [original.replace(b"<IPOC>0<", b"<IPOC>%(now)<") for original in ORIGINALS]
     for mutant in mutations(now, count, seed):
-        if link.loop.session.phase is not Phase.RUNNING:
+        if link.loop.session.phase is not StreamPhase.RUNNING:
             link.open()
             assert link.receive(telegram(ipoc)) is not None
         ipoc += CYCLE_MS

@@ -15,7 +15,7 @@ from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.arm.motion.limits import MotionLimits, working_limits
 from ronna_hw.arm.motion.planning import plan_joint_move
 from ronna_hw.arm.pose import radians6
-from ronna_hw.arm_stream.records import Command, Move, OpenStream, Orders, Request, Result, StopOrder
+from ronna_hw.arm_stream.records import Command, MotionResult, Move, OpenStream, Orders, Request, StopOrder
 from ronna_hw.vectors import JointVector
 
 MODEL = kr6_r900("kr6_r900_sixx")
@@ -104,7 +104,7 @@ class RsiStand:
     def run(self, most: int = 3000) -> int:
         """Run cycles until the motion has a result."""
         for count in range(most):
-            if self.session.result is not Result.RUNNING:
+            if self.session.result is not MotionResult.RUNNING:
                 return count
             self.cycle()
         raise AssertionError("no result")

@@ -24,11 +24,11 @@ from ronna_hw.arm_stream.records import (
     NO_LIMIT,
     Command,
     ForceLimit,
+    MotionResult,
     Move,
     OpenStream,
     Orders,
     Request,
-    Result,
     StopOrder,
 )
 from ronna_hw.vectors import JointVector
@@ -149,7 +149,7 @@ class RtdeStand:
     def run(self, most: int = 4000) -> int:
         """Run until the motion has a result."""
         for count in range(most):
-            if self.session.result is not Result.RUNNING and count:
+            if self.session.result is not MotionResult.RUNNING and count:
                 return count
             self.cycle()
         raise AssertionError("no result")

@@ -25,9 +25,9 @@ from ronna_hw.arm_stream.records import (
     NO_STATE,
     NOTHING_AROUND,
     LinkState,
-    Phase,
     RecordedCycle,
     StopOrder,
+    StreamPhase,
 )
 from ronna_hw.clock import HostClock
 from ronna_hw.config import DeviceConfig
@@ -35,7 +35,7 @@ from ronna_hw.devices.lifecycle import Lifecycle, LifecycleGuard
 from ronna_hw.errors import RonnaError
 from ronna_hw.wire.kuka_context import load_context
 
-MOVING = replace(NO_STATE, phase=Phase.RUNNING, moving=True)
+MOVING = replace(NO_STATE, phase=StreamPhase.RUNNING, moving=True)
 HERE = "127.0.0.1:1"
 
 

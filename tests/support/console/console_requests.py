@@ -15,10 +15,10 @@ from starlette.routing import WebSocketRoute
 from starlette.websockets import WebSocket
 
 from console.app import add_order_routes
-from console.guard import Guard, Sessions
+from console.guard import AccessGuard, Sessions
 from console.hub import Hub
 from procedures.runs.operator_station import OperatorStation
-from procedures.runs.orders import Reply, SentOrder
+from procedures.runs.orders import OrderReply, SentOrder
 
 PORT = 8765
 HOST = f"127.0.0.1:{PORT}"
@@ -50,10 +50,10 @@ class Console:
         app = Starlette(routes=[WebSocketRoute(SOCKET, self._socket)])
         add_order_routes(app, self.hub)
         app.add_route("/", self._page, methods=["GET"])
-        self.app = Guard(app, self.sessions, PORT)  # type: ignore[arg-type]  # Starlette names its scope otherwise
+        self.app = AccessGuard(app, self.sessions, PORT)  # type: ignore[arg-type]  # Starlette names its scope otherwise
 
         async def send(order: SentOrder) -> None:
-            self.hub.reply(Reply(nonce=order.nonce, refused=self.station.take(order)))
+            self.hub.reply(OrderReply(nonce=order.nonce, refused=self.station.take(order)))
 
         self.hub.connect(send)
 

@@ -28,7 +28,7 @@ from procedures.engine.events import (
     Pose,
     Seat,
 )
-from procedures.runs.orders import Claim, Reply, read_order
+from procedures.runs.orders import Claim, OrderReply, read_order
 
 PERIOD_S = 0.05
 FACT_EVERY = 5  # poses
@@ -79,7 +79,7 @@ def _reply(ours: socket.socket) -> None:
             sent = read_order(line)
             if isinstance(sent.order, Claim):
                 _event(ours, Seat(holder=sent.order.name))
-            ours.sendall(Reply(nonce=sent.nonce).model_dump_json().encode() + b"\n")
+            ours.sendall(OrderReply(nonce=sent.nonce).model_dump_json().encode() + b"\n")
 
 
 def _send(ours: socket.socket, over: threading.Event, content: Iterable[EventContent]) -> None:

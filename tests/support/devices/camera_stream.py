@@ -11,7 +11,7 @@ from pathlib import Path
 
 from drivers.basler_stereo.camera import Camera
 from drivers.basler_stereo.options import BaslerOptions
-from drivers.basler_stereo.stream.frame_assembler import Frame
+from drivers.basler_stereo.stream.frame_assembler import ReceivedImage
 from drivers.basler_stereo.stream.receiver import ReceiverProcess
 from ronna_hw.host.child_process import ChildProcess, command
 
@@ -110,7 +110,7 @@ def stream_pairs(addresses: list[str], pairs: int, packet_bytes: int = 8000) -> 
         receiver.close()
 
 
-def _frame(camera: Camera) -> Frame:
+def _frame(camera: Camera) -> ReceivedImage:
     frame = camera.receiver.take(time.monotonic() + FRAME_LIMIT_S)
     assert frame is not None, f"no frame from the {camera.side} camera"
     return frame

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sim.basler.optics.canvas import Area
-from sim.basler.optics.sphere import Sphere
+from sim.basler.optics.sphere import DrawnSphere
 from sim.world.displacements import spheres_in_theatre
 from sim.world.rigid import apply, inverse, matrix_from, matrix_of, rotation_towards
 from sim.world.scene.model import CameraTruth
@@ -30,10 +30,10 @@ def bare_camera() -> CameraTruth:
     return draw_scene("default").left.model_copy(update=changes)
 
 
-def ball(centre_mm: ArrayLike = (0.0, 0.0, 250.0), rotation: ArrayLike | None = None) -> Sphere:
+def ball(centre_mm: ArrayLike = (0.0, 0.0, 250.0), rotation: ArrayLike | None = None) -> DrawnSphere:
     """A sphere whose post points away from the camera, unless it is turned otherwise."""
     upright = np.diag([1.0, -1.0, -1.0]) if rotation is None else np.asarray(rotation)
-    return Sphere(np.array(centre_mm), RADIUS_MM, upright, 1)
+    return DrawnSphere(np.array(centre_mm), RADIUS_MM, upright, 1)
 
 
 def aim_at_first_sphere(

@@ -13,7 +13,7 @@ from room_looks import room_reading_of, seen_frame
 
 from procedures.guards.room_reading import RoomReading
 from procedures.guards.room_watch import RoomWatch
-from procedures.room.model import ArmModel
+from procedures.room.model import TrackedArm
 from procedures.steps.clinical.localized_room import LocalizedRoom
 from procedures.strategies.strategy import ONE_SIDE
 from ronna_hw.arm.catalogue import find_arm
@@ -75,7 +75,7 @@ class ClampedCase:
             pose, spheres, HOME_RAD, self._on_arm_mm, LOCALIZED_FRAMES, on_clamp, self._on_clamp_mm
         )
         mount = (HOME.inverse() @ on_arm).as_matrix()
-        arm = ArmModel(KR6.chain, ErrorSizes(), mount, find_arm(KR6.name).repeatability_mm)
+        arm = TrackedArm(KR6.chain, ErrorSizes(), mount, find_arm(KR6.name).repeatability_mm)
         self.watch = room.watch("trial", arm, lambda _joints, _sides: HOME)
         self.watch.points_mm = {"T1": apply(robot_from_ct, [scene.head.targets[0].target_ct_mm])[0]}
         for _ in range(3):  # as a case looks, settled home, before anything happens

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from ronna_hw.wire.polaris import PVWR_BLOCK_BYTES, crc16
 from sim.polaris.line.interpreter import CommandInterpreter
-from sim.polaris.tracker_unit import Unit
+from sim.polaris.tracker_unit import SimulatedUnit
 from sim.polaris.unit.tool_definition import write_definition
 from sim.world.scene.model import TrackerTool
 from sim.world.world import World
@@ -20,7 +20,7 @@ class Bench:
     """One unit and one host that sends whole lines."""
 
     world: World
-    unit: Unit
+    unit: SimulatedUnit
     interpreter: CommandInterpreter
 
     def send(self, line: str) -> str:

@@ -18,7 +18,7 @@ from room_looks import room_reading_of, seen_frame
 from benchmarks.stereo_head.head_looks import ENDPOINTS
 from procedures.guards.room_reading import FRAMES, RoomReading
 from procedures.guards.room_watch import RoomWatch
-from procedures.room.model import ArmModel
+from procedures.room.model import TrackedArm
 from procedures.steps.clinical.localized_room import LocalizedRoom
 from procedures.strategies.catalogue import find_strategy
 from procedures.strategies.strategy import ArmInBranch
@@ -133,7 +133,7 @@ class TrackedCase:
         room = LocalizedRoom(robot_from_tracker, spheres, self.home_rad, self.body_mm, GLOBAL_FRAMES)
         mount = flange.inverse() @ self.frame_by_arm(flange)
         repeatable_mm = find_arm(self.kinematics.name).repeatability_mm
-        arm = ArmModel(self.kinematics.chain, ErrorSizes(), mount.as_matrix(), repeatable_mm)
+        arm = TrackedArm(self.kinematics.chain, ErrorSizes(), mount.as_matrix(), repeatable_mm)
         watch = room.watch("trial", arm, self._flange_pose)
         robot_from_ct = matrix_of(self.scene.head.robot_from_ct)
         watch.points_mm = {

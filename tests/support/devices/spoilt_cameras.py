@@ -20,8 +20,8 @@ from ronna_hw.wire.gige_vision import TEXT_BYTES, Bootstrap, GevStatus, GvcpComm
 from sim.basler.control.bootstrap import XML_ADDRESS
 from sim.basler.control.feature_table import address_of
 from sim.basler.control.port import Actions
-from sim.basler.control.registers import Memory, Refusal, Word
-from sim.basler.device import Camera
+from sim.basler.control.registers import Memory, RegisterRefusal, RegisterWord
+from sim.basler.device import SimulatedCamera
 from sim.basler.faults import NoFaults
 from sim.basler.server import CameraPair
 from sim.basler.stream_channel import Block, StreamChannel
@@ -32,7 +32,7 @@ SERVE_LIMIT_S = 10.0
 LONG_S = 1.0  # until a controller that should be forgotten will be
 
 Patch = pytest.MonkeyPatch
-Mistake = Callable[[Camera, Patch], None]
+Mistake = Callable[[SimulatedCamera, Patch], None]
 
 
 class Stand:
@@ -66,21 +66,21 @@ class Stand:
             camera.messages.close()
 
 
-def handle(command: GvcpCommand, change: Callable[[Camera, Callable[..., bytes]], Any]) -> Mistake:
+def handle(command: GvcpCommand, change: Callable[[SimulatedCamera, Callable[..., bytes]], Any]) -> Mistake:
     """Another handler of a command, made from the true one."""
 
-    def spoil(camera: Camera, _patch: Patch) -> None:
+    def spoil(camera: SimulatedCamera, _patch: Patch) -> None:
         camera.port._handlers[command] = change(camera, camera.port._handlers[command])
 
     return spoil
 
 
-def register(address: int, read: Callable[[Camera], int], write: Any = None) -> Mistake:
+def register(address: int, read: Callable[[SimulatedCamera], int], write: Any = None) -> Mistake:
     """Another register; `write` gets camera and value."""
 
-    def spoil(camera: Camera, _patch: Patch) -> None:
+    def spoil(camera: SimulatedCamera, _patch: Patch) -> None:
         setter = None if write is None else lambda value: write(camera, value)
-        camera.registers._words[address] = Word(lambda: read(camera), setter)
+        camera.registers._words[address] = RegisterWord(lambda: read(camera), setter)
 
     return spoil
 
@@ -88,7 +88,7 @@ def register(address: int, read: Callable[[Camera], int], write: Any = None) -> 
 def block(address: int, content: Callable[[bytes], bytes]) -> Mistake:
     """Other content of a block of memory."""
 
-    def spoil(camera: Camera, _patch: Patch) -> None:
+    def spoil(camera: SimulatedCamera, _patch: Patch) -> None:
         blocks = camera.registers._blocks
         (place,) = (n for n, each in enumerate(blocks) if each.address == address)
         altered = content(blocks[place].content())
@@ -97,10 +97,10 @@ def block(address: int, content: Callable[[bytes], bytes]) -> Mistake:
     return spoil
 
 
-def member(path: str, make: Callable[[Camera, Any], Any]) -> Mistake:
+def member(path: str, make: Callable[[SimulatedCamera, Any], Any]) -> Mistake:
     """Another attribute of the camera or a part of it, made from the true one."""
 
-    def spoil(camera: Camera, patch: Patch) -> None:
+    def spoil(camera: SimulatedCamera, patch: Patch) -> None:
         *parts, name = path.split(".")
         owner: Any = camera
         for part in parts:
@@ -114,16 +114,16 @@ def does_nothing(*_arguments: Any) -> None:
     return None
 
 
-def denies_while_controlled(camera: Camera, true: Callable[..., bytes]) -> Callable[..., bytes]:
+def denies_while_controlled(camera: SimulatedCamera, true: Callable[..., bytes]) -> Callable[..., bytes]:
     def discovery(*arguments: Any) -> bytes:
         if camera.privilege.owner is not None:
-            raise Refusal(GevStatus.ACCESS_DENIED)
+            raise RegisterRefusal(GevStatus.ACCESS_DENIED)
         return true(*arguments)
 
     return discovery
 
 
-def in_reverse(_camera: Camera, true: Callable[..., bytes]) -> Callable[..., bytes]:
+def in_reverse(_camera: SimulatedCamera, true: Callable[..., bytes]) -> Callable[..., bytes]:
     def read_registers(*arguments: Any) -> bytes:
         words = struct.iter_unpack("4s", true(*arguments))
         return b"".join(word for (word,) in reversed(list(words)))
@@ -131,23 +131,23 @@ def in_reverse(_camera: Camera, true: Callable[..., bytes]) -> Callable[..., byt
     return read_registers
 
 
-def in_small_pieces(_camera: Camera, true: Callable[..., bytes]) -> Callable[..., bytes]:
+def in_small_pieces(_camera: SimulatedCamera, true: Callable[..., bytes]) -> Callable[..., bytes]:
     def read_memory(payload: bytes, *others: Any) -> bytes:
         if struct.unpack(">IHH", payload)[2] > 512:
-            raise Refusal(GevStatus.INVALID_PARAMETER)
+            raise RegisterRefusal(GevStatus.INVALID_PARAMETER)
         return true(payload, *others)
 
     return read_memory
 
 
-def forgiving(status: GevStatus) -> Callable[[Camera, Any], Any]:
+def forgiving(status: GevStatus) -> Callable[[SimulatedCamera, Any], Any]:
     """Registers that keep quiet about one kind of mistake."""
 
-    def make(_camera: Camera, true: Callable[..., Any]) -> Callable[..., Any]:
+    def make(_camera: SimulatedCamera, true: Callable[..., Any]) -> Callable[..., Any]:
         def access(*arguments: Any) -> Any:
             try:
                 return true(*arguments)
-            except Refusal as refusal:
+            except RegisterRefusal as refusal:
                 if refusal.status is not status:
                     raise
                 return 0
@@ -157,17 +157,17 @@ def forgiving(status: GevStatus) -> Callable[[Camera, Any], Any]:
     return make
 
 
-def tells_no_index(_camera: Camera, true: Callable[..., bytes]) -> Callable[..., bytes]:
+def tells_no_index(_camera: SimulatedCamera, true: Callable[..., bytes]) -> Callable[..., bytes]:
     def write_registers(*arguments: Any) -> bytes:
         try:
             return true(*arguments)
-        except Refusal as refusal:
-            raise Refusal(refusal.status, 0) from refusal
+        except RegisterRefusal as refusal:
+            raise RegisterRefusal(refusal.status, 0) from refusal
 
     return write_registers
 
 
-def gives_way(camera: Camera, true: Callable[..., GevStatus]) -> Callable[..., GevStatus]:
+def gives_way(camera: SimulatedCamera, true: Callable[..., GevStatus]) -> Callable[..., GevStatus]:
     def request(peer: Any, value: int) -> GevStatus:
         if value:
             camera.privilege.owner = None
@@ -176,7 +176,7 @@ def gives_way(camera: Camera, true: Callable[..., GevStatus]) -> Callable[..., G
     return request
 
 
-def starts_by_itself(camera: Camera, true: Callable[[], None]) -> Callable[[], None]:
+def starts_by_itself(camera: SimulatedCamera, true: Callable[[], None]) -> Callable[[], None]:
     def software_trigger() -> None:
         camera.acquisition.start()
         true()
@@ -184,7 +184,7 @@ def starts_by_itself(camera: Camera, true: Callable[[], None]) -> Callable[[], N
     return software_trigger
 
 
-def twice(_camera: Camera, true: Callable[..., None]) -> Callable[..., None]:
+def twice(_camera: SimulatedCamera, true: Callable[..., None]) -> Callable[..., None]:
     def do(*arguments: Any) -> None:
         true(*arguments)
         true(*arguments)
@@ -192,7 +192,7 @@ def twice(_camera: Camera, true: Callable[..., None]) -> Callable[..., None]:
     return do
 
 
-def no_default_destination(_camera: Camera, patch: Patch) -> None:
+def no_default_destination(_camera: SimulatedCamera, patch: Patch) -> None:
     true = StreamChannel.receiver
     patch.setattr(
         StreamChannel,
@@ -201,7 +201,7 @@ def no_default_destination(_camera: Camera, patch: Patch) -> None:
     )
 
 
-def short_packets(_camera: Camera, patch: Patch) -> None:
+def short_packets(_camera: SimulatedCamera, patch: Patch) -> None:
     true = Block.__init__
 
     def shorter(self: Block, block_id: int, frame: Any, packet_size: int) -> None:
@@ -215,7 +215,7 @@ class ShiftedLeader(NoFaults):
         return kind == "shift_area"
 
 
-def only_known_blocks(camera: Camera, true: Actions) -> Actions:
+def only_known_blocks(camera: SimulatedCamera, true: Actions) -> Actions:
     def resend(block_id: int, first: int, last: int) -> None:
         if any(kept.block_id == block_id for kept in camera.channel._kept):
             true.resend(block_id, first, last)
@@ -223,7 +223,7 @@ def only_known_blocks(camera: Camera, true: Actions) -> Actions:
     return Actions(resend, true.act)
 
 
-def obeys_every_action(camera: Camera, true: Actions) -> Actions:
+def obeys_every_action(camera: SimulatedCamera, true: Actions) -> Actions:
     def act(*_keys: int) -> bool:
         camera.acquisition.action()
         return True
@@ -231,7 +231,7 @@ def obeys_every_action(camera: Camera, true: Actions) -> Actions:
     return Actions(true.resend, act)
 
 
-def pack_description(camera: Camera, patch: Patch) -> None:
+def pack_description(camera: SimulatedCamera, patch: Patch) -> None:
     """Deliver it as real cameras of the family are believed to do."""
     xml = next(each for each in camera.registers._blocks if each.address == XML_ADDRESS).read()
     packed = io.BytesIO()
@@ -242,11 +242,11 @@ def pack_description(camera: Camera, patch: Patch) -> None:
     block(Bootstrap.FIRST_URL, lambda _: url.encode())(camera, patch)
 
 
-def lose_a_register(camera: Camera, _patch: Patch) -> None:
+def lose_a_register(camera: SimulatedCamera, _patch: Patch) -> None:
     del camera.registers._words[address_of("BlackLevelRaw")]
 
 
-def know_a_further_command(camera: Camera, _patch: Patch) -> None:
+def know_a_further_command(camera: SimulatedCamera, _patch: Patch) -> None:
     camera.port._handlers[0x0F00] = lambda *_: b""
 
 
@@ -256,21 +256,21 @@ def serial_of_the_other(content: bytes) -> bytes:
     return content[:place] + other
 
 
-def set_gain(camera: Camera, value: int) -> None:
+def set_gain(camera: SimulatedCamera, value: int) -> None:
     camera.settings.gain_raw = value
 
 
-def set_width(camera: Camera, value: int) -> None:
+def set_width(camera: SimulatedCamera, value: int) -> None:
     camera.settings.width = value
 
 
-def store_heartbeat(camera: Camera, value: int) -> None:
+def store_heartbeat(camera: SimulatedCamera, value: int) -> None:
     camera.privilege._heartbeat_ms = value
 
 
-def unlocked(_camera: Camera, patch: Patch) -> None:
-    patch.setattr(Camera, "acquiring", property(lambda camera: False))
+def unlocked(_camera: SimulatedCamera, patch: Patch) -> None:
+    patch.setattr(SimulatedCamera, "acquiring", property(lambda camera: False))
 
 
-def always_fifty(_camera: Camera, patch: Patch) -> None:
+def always_fifty(_camera: SimulatedCamera, patch: Patch) -> None:
     patch.setattr("sim.basler.camera.acquisition.free_running_period_us", lambda settings: 20_000.0)

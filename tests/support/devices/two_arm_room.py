@@ -14,8 +14,8 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from procedures.guards.room_reading import CAREFUL_FRAMES, RoomReading
 from procedures.guards.room_watch import RoomLook, RoomWatch
-from procedures.room.model import ArmModel
-from procedures.room.motion import Motion
+from procedures.room.model import TrackedArm
+from procedures.room.motion import RoomMotion
 from procedures.room.sighting import Rest, Tracked
 from procedures.steps.clinical.localized_room import LocalizedRoom
 from procedures.strategies.strategy import ONE_SIDE
@@ -67,7 +67,7 @@ class TwoArmRoom:
         room = LocalizedRoom(
             TO_ROBOT, TO_ROBOT.inverse().apply(SPHERES_MM), HOME_RAD, MARKERS_MM, CAREFUL_FRAMES
         )
-        self.arm = ArmModel(KR6.chain, ErrorSizes(), MOUNT.as_matrix(), 0.03)
+        self.arm = TrackedArm(KR6.chain, ErrorSizes(), MOUNT.as_matrix(), 0.03)
         self.watch: RoomWatch = room.watch("room", self.arm, lambda joints, _sides: KR6.flange_pose(joints))
         self.watch.points_mm = {"T1": TARGET_MM}
         self.joints_rad = HOME_RAD
@@ -83,7 +83,7 @@ class TwoArmRoom:
             self.look(joint_vector(turned), assistant=carts if number > 2 else STILL)
         self.look(HOME_RAD, assistant=carts)
 
-    def take_in(self, first_look: int = 0) -> Motion | None:
+    def take_in(self, first_look: int = 0) -> RoomMotion | None:
         arm = replace(self.arm, robot_from_base=BASE.as_matrix())
         return self.watch.take_in_assistant("bases", arm, flange_of_assistant, first_look)
 

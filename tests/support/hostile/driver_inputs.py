@@ -42,7 +42,7 @@ from ronna_hw.bounded_input import InputRefused
 from ronna_hw.errors import RonnaError
 from ronna_hw.wire import polaris
 from ronna_hw.wire.kuka_context import load_context
-from ronna_hw.wire.universal_robots_services import Order, PackageKind, Query
+from ronna_hw.wire.universal_robots_services import DashboardOrder, PackageKind, Query
 from sim.kuka.rsi.telegrams import ReplyReader
 
 OUTPUT_PACKAGE = rtde_streaming().package()
@@ -209,7 +209,7 @@ def _dashboard(data: bytes) -> None:
     client.is_remote(1.0)
     client.is_program_running(1.0)
     client.ask(Query.SERIAL_NUMBER, 1.0)
-    client.require(Order.POWER_ON, 1.0)
+    client.require(DashboardOrder.POWER_ON, 1.0)
 
 
 def _primary(data: bytes) -> None:

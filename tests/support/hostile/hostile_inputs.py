@@ -59,7 +59,7 @@ from ronna_hw.config import read_theatre_file
 from ronna_hw.devices.capabilities import Direction
 from ronna_hw.errors import RonnaError
 from ronna_hw.evidence.journal_reading import read_chain
-from ronna_hw.evidence.manifest import Seal, read_seal
+from ronna_hw.evidence.manifest import RunSeal, read_seal
 from ronna_hw.recording.flight_recorder import encode_bytes, encode_note, read_link
 from ronna_hw.recording.reading_coding import pack_pixels, unpack_pixels
 from ronna_hw.records import Record, read_record, write_record
@@ -112,7 +112,7 @@ def parsers(folder: Path) -> dict[str, Parser]:
     request = json.dumps(
         {"schema": 1, "program": version("ronna-hw"), "scene": "mini", "strategy": "ocs", "speed": "max"}
     )
-    sealed = Seal(journal_bytes=9, journal_sha256="0" * 64, files={"log.jsonl": "1" * 64}).with_own_hash()
+    sealed = RunSeal(journal_bytes=9, journal_sha256="0" * 64, files={"log.jsonl": "1" * 64}).with_own_hash()
     seal = sealed.model_dump_json(by_alias=True, indent=1).encode()
     context = Path(kuka_context.__file__).with_name(kuka_context.DEFAULT_CONTEXT_FILE).read_bytes()
     lines = encode_bytes(1_800_000_000_000_000_000, 1.25, Direction.SENT, b"AP") + encode_note(

@@ -29,7 +29,7 @@ from ronna_hw.errors import RonnaError
 from ronna_hw.tool_record import GAUGE_APPROACHES, Gauge
 from ronna_hw.wire.kuka_eki import CommandName
 from ronna_hw.wire.polaris import PARAMETER_FIRMWARE, HandleQuery, crc16
-from sim.world.control_port import Room, _Conversation
+from sim.world.control_port import ControlledRoom, _Conversation
 from sim.world.scene.named_scenes import draw_scene
 from sim.world.world import World
 
@@ -49,7 +49,7 @@ def line_parsers(folder: Path) -> dict[str, tuple[tuple[bytes, ...], Take]]:
         found = read_gauge(gauge, GAUGE)
         assert len(found["reading_mm"]) + len(found["upper_reading_mm"]) == len(DIALS)
 
-    room = Room(World.create(draw_scene("mini"), paced=False), None)
+    room = ControlledRoom(World.create(draw_scene("mini"), paced=False), None)
     return {
         "standard input": ((b"next\nstop\nresume\nquit",), _piped(folder / "piped")),
         "gauge readings": ((ONE_APPROACH * GAUGE_APPROACHES,), read),
@@ -97,7 +97,7 @@ class _Came:
         self.sent.append(data)
 
 
-def _conversation(room: Room) -> Take:
+def _conversation(room: ControlledRoom) -> Take:
     def take(data: bytes) -> None:
         came = _Came(data)
         conversation = _Conversation.__new__(_Conversation)

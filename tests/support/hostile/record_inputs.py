@@ -61,7 +61,7 @@ from ronna_hw.marker_template import read_marker_template
 from ronna_hw.recording.reading_coding import ANSWERS, RECORDED_PROPERTIES
 from ronna_hw.recording.reading_tape import READINGS_FILE, ReadingTape
 from ronna_hw.wire.gige_vision import PixelFormat
-from sim.world.control_port import Room
+from sim.world.control_port import ControlledRoom
 from sim.world.saved_world import read_saved_world
 from sim.world.scene.named_scenes import draw_scene
 from sim.world.truth import read_samples
@@ -137,7 +137,7 @@ def record_parsers(folder: Path) -> dict[str, tuple[tuple[bytes, ...], Take]]:
     def of(name: str, read: Callable[[Path], object], where: Path = run) -> Take:
         return reading((where if where == folder else run) / name, lambda _path: read(where))
 
-    room = Room(World.create(draw_scene("mini"), paced=False), None)
+    room = ControlledRoom(World.create(draw_scene("mini"), paced=False), None)
     mono = bytes(range(240)) * 5
     body = struct.pack("<3B8f2IBBH", 1, 2, 1, 1.0, 0, 0, 0, 10.0, -20.0, -1500.0, 0.1, 0x31, 300, 0, 0, 0)
     return {
@@ -267,7 +267,7 @@ def _ledger(folder: Path) -> None:
     add_up(study_folder.Ledger(folder, STUDY).results())
 
 
-def _asked(room: Room) -> Take:
+def _asked(room: ControlledRoom) -> Take:
     """No answer may be an excuse for a mistake of ours."""
 
     def take(data: bytes) -> None:

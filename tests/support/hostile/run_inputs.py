@@ -22,7 +22,7 @@ from prepared_results import (
 from procedures.engine.run_folder import parse_record
 from procedures.journal.journal import JOURNAL_FILE, Entry, read_journal
 from procedures.journal.results import FramedPose, StepResult
-from procedures.registration.verification import CtToRoomRow, Instrument, RoomToCtRow
+from procedures.registration.verification import CtToRoomRow, MeasuringInstrument, RoomToCtRow
 from procedures.reporting.case_figures import read_case_figures
 from procedures.reporting.files import SUMMARY_FILE, load_check
 from procedures.reporting.outcome import TargetTruth, Truth
@@ -145,7 +145,11 @@ def _results(cell: ClinicalCell) -> list[StepResult]:
             ),
             "room_to_ct": (
                 RoomToCtRow(
-                    instrument=Instrument.TRACKER, index=0, fiducial=None, nearest_fiducial=0, distance_mm=0.1
+                    instrument=MeasuringInstrument.TRACKER,
+                    index=0,
+                    fiducial=None,
+                    nearest_fiducial=0,
+                    distance_mm=0.1,
                 ),
             ),
         }

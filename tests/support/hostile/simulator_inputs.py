@@ -29,7 +29,7 @@ from ronna_hw.wire.kuka_context import load_context
 from ronna_hw.wire.polaris import BX_START, crc16
 from sim.basler.control.bootstrap import Identity
 from sim.basler.control.feature_table import address_of
-from sim.basler.device import Camera
+from sim.basler.device import SimulatedCamera
 from sim.basler.settings import FrameSettings, TriggerMoments
 from sim.kuka.autostart import Autostart
 from sim.kuka.controller import Controller
@@ -39,7 +39,7 @@ from sim.kuka.eki.sdk_channel import SdkChannel
 from sim.kuka.eki.server import BUFFER_LIMIT_BYTES, EkiServer, split_requests
 from sim.kuka.manipulator import Manipulator
 from sim.polaris.line.interpreter import CommandInterpreter
-from sim.polaris.tracker_unit import Unit
+from sim.polaris.tracker_unit import SimulatedUnit
 from sim.polaris.unit.framing import LineBuffer
 from sim.polaris.unit.tool_definition import BadDefinition, parse_definition, write_definition
 from sim.world.scene.named_scenes import draw_scene, robot_frame
@@ -73,7 +73,7 @@ def simulator_parsers() -> dict[str, tuple[tuple[bytes, ...], Take]]:
 
 
 def _told(world: World, data: bytes) -> None:
-    interpreter, lines = CommandInterpreter(Unit(world)), LineBuffer(LONGEST_HOST_LINE)
+    interpreter, lines = CommandInterpreter(SimulatedUnit(world)), LineBuffer(LONGEST_HOST_LINE)
     for begin in range(0, len(data), PIECE_BYTES):
         for line in lines.feed(data[begin : begin + PIECE_BYTES], 0.0):
             _well_formed(interpreter.reply(line))
@@ -164,7 +164,9 @@ def _camera(world: World) -> Take:
     moments = TriggerMoments(world.clock)
 
     def take(data: bytes) -> None:
-        camera = Camera(Identity("127.0.0.1", "21904411", "left"), _PlainImages(), world.clock, moments)
+        camera = SimulatedCamera(
+            Identity("127.0.0.1", "21904411", "left"), _PlainImages(), world.clock, moments
+        )
         numbers = count(1)
         try:
             for flags, command, payload in _records(data):

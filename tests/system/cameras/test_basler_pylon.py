@@ -11,7 +11,7 @@ import pytest
 from coded_errors import raises
 from spoilt_cameras import Stand
 
-from conformance.case import Case, Outcome
+from conformance.case import CaseOutcome, SuiteCase
 from conformance.report import run_case
 from conformance.stereo import SUITE
 from conformance.target import build_device_under_test
@@ -100,11 +100,11 @@ def test_the_pair_is_a_stereo_pair_that_follows_the_lifecycle(make_pair):
     "case",
     [pytest.param(case, id=case.number) for case in SUITE.cases if case.number not in EMULATION_LACKS],
 )
-def test_the_pair_passes_the_generic_suite_as_far_as_the_emulation_goes(case: Case) -> None:
+def test_the_pair_passes_the_generic_suite_as_far_as_the_emulation_goes(case: SuiteCase) -> None:
     dut = build_device_under_test("stereo", configured(), HostClock())
     result = run_case(case, dut)
     dut.release()
-    assert result.outcome is Outcome.PASS, result.reason
+    assert result.outcome is CaseOutcome.PASS, result.reason
 
 
 def test_a_closed_pair_leaves_no_file_open(make_pair):

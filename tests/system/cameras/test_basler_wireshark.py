@@ -16,9 +16,9 @@ from captured import Datagram, wireshark_reads, write_capture
 
 from drivers.basler_stereo import gvcp
 from ronna_hw.wire.gige_vision import GVCP_PORT, Bootstrap, GvcpCommand, PixelFormat
-from sim.basler.message_channel import Event, MessageChannel
-from sim.basler.settings import EventKind, RampImage, Settings
-from sim.basler.stream_channel import Frame, StreamChannel
+from sim.basler.message_channel import CameraEvent, MessageChannel
+from sim.basler.settings import CameraSettings, EventKind, RampImage
+from sim.basler.stream_channel import SentImage, StreamChannel
 
 pytestmark = pytest.mark.skipif(
     shutil.which("tshark") is None,
@@ -53,9 +53,9 @@ def receiver() -> Iterator[Receiver]:
 def test_wireshark_reads_events_and_their_acknowledges(receiver: Receiver, tmp_path: Path) -> None:
     channel = MessageChannel("127.0.0.1", lambda: "127.0.0.1", lambda: 0.0)
     channel.port = receiver.address[1]
-    channel.report(Event(EventKind.EXPOSURE_END, 7, TICKS, struct.pack(">I", 7)))
-    channel.report(Event(EventKind.FRAME_START_OVERTRIGGER, 0, TICKS + 1))
-    channel.report(Event(EventKind.FRAME_START, 0, TICKS + 2))
+    channel.report(CameraEvent(EventKind.EXPOSURE_END, 7, TICKS, struct.pack(">I", 7)))
+    channel.report(CameraEvent(EventKind.FRAME_START_OVERTRIGGER, 0, TICKS + 1))
+    channel.report(CameraEvent(EventKind.FRAME_START, 0, TICKS + 2))
     seen: list[Datagram] = []
     for _ in range(2):  # what waits goes together as soon as the first is acknowledged
         seen.append(receiver.next())
@@ -92,10 +92,10 @@ def test_wireshark_reads_events_and_their_acknowledges(receiver: Receiver, tmp_p
 def test_wireshark_reads_an_image_its_resend_and_a_refusal(receiver: Receiver, tmp_path: Path) -> None:
     channel = StreamChannel("127.0.0.1", lambda: "127.0.0.1")
     channel.port = receiver.address[1]
-    settings = Settings(width=64, height=48, offset_x=16, offset_y=2, test_image=RampImage.FIXED)
+    settings = CameraSettings(width=64, height=48, offset_x=16, offset_y=2, test_image=RampImage.FIXED)
     settings.pixel_format = PixelFormat.MONO12_PACKED
     frame = settings.frame()
-    block = channel.block_of(Frame(frame, bytes(frame.payload_bytes), TICKS))
+    block = channel.block_of(SentImage(frame, bytes(frame.payload_bytes), TICKS))
     assert block is not None
     channel.send(block)
     channel.repeat(1, 2, 2)

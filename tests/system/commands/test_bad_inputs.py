@@ -12,7 +12,7 @@ import pytest
 from bad_inputs import BadInput, app_of, write_bench
 from user_commands import in_this_process, one_error
 
-from sim.world.control_port import ControlPort, Room
+from sim.world.control_port import ControlledRoom, ControlPort
 from sim.world.scene.named_scenes import draw_scene
 from sim.world.world import World
 from studies import plugin_trial as trial
@@ -36,9 +36,9 @@ def names() -> Iterator[Mapping[str, str]]:
     theatre = World.create(draw_scene("mini"), paced=False)
     alone = World.create(draw_scene("bench"), paced=False)
     ports = {
-        "control": ControlPort(Room(theatre, None)),
-        "tracker_alone": ControlPort(Room(alone, None, ("tracker", "room"), lambda: LOADED)),
-        "robot_alone": ControlPort(Room(alone, None, ("robot",))),
+        "control": ControlPort(ControlledRoom(theatre, None)),
+        "tracker_alone": ControlPort(ControlledRoom(alone, None, ("tracker", "room"), lambda: LOADED)),
+        "robot_alone": ControlPort(ControlledRoom(alone, None, ("robot",))),
     }
     yield {name: port.endpoint for name, port in ports.items()}
     for port in ports.values():

@@ -30,7 +30,7 @@ from ronna_hw.arm.motion.limits import working_limits
 from ronna_hw.arm.motion.planning import plan_joint_move
 from ronna_hw.arm.pose import radians6
 from ronna_hw.arm_stream.client import LinkClient
-from ronna_hw.arm_stream.records import NO_DESCRIPTOR, LinkState, Move, OpenStream, Phase, Result
+from ronna_hw.arm_stream.records import NO_DESCRIPTOR, LinkState, MotionResult, Move, OpenStream, StreamPhase
 from ronna_hw.clock import HostClock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.robot import JointMove
@@ -147,12 +147,12 @@ def test_the_link_moves_the_arm_of_a_third_party_controller(
         _wait(link, lambda s: s.device_clock > 0 or s.rejected > 0 or s.received_ns > 0)
         time.sleep(0.05)  # telegrams that nobody answers yet
         link.command(OpenStream(working_limits(MODEL)))
-        first = _wait(link, lambda s: s.phase is Phase.RUNNING and s.settled)
+        first = _wait(link, lambda s: s.phase is StreamPhase.RUNNING and s.settled)
         assert first.base_rad == (0.0,) * 6
         plan = plan_joint_move(MODEL, first.commanded_rad, TARGET, working_limits(MODEL))
         number = link.command(Move(plan))
-        done = _wait(link, lambda s: s.command_number >= number and s.result is not Result.RUNNING)
-        assert done.result is Result.DONE
+        done = _wait(link, lambda s: s.command_number >= number and s.result is not MotionResult.RUNNING)
+        assert done.result is MotionResult.DONE
         assert done.rejected == 0
         assert not done.fault
         axes_deg = end()

@@ -25,7 +25,7 @@ from ronna_hw.host.network import own_address, own_udp_endpoint
 from ronna_hw.vectors import Vector3, joint_vector
 from ronna_hw.wire.kuka_context import OWN_CONTEXT
 from sim.world.scene.named_scenes import draw_scene
-from sim.world.tool_load import ToolLoad
+from sim.world.tool_load import SimulatedLoad
 from sim.world.world import World
 
 PATIENT = {"silence_limit_s": 5.0, "heartbeat_limit_s": 5.0}  # these machines stall
@@ -73,7 +73,7 @@ class Room:
 
     def __init__(self, world: World, arm: Any) -> None:
         self._world, self._arm = world, arm
-        self._guide_mm: Vector3 = ToolLoad(world).point_mm
+        self._guide_mm: Vector3 = SimulatedLoad(world).point_mm
         world.mount_tool(world.scene.mount.tool_number_guide)
         self.home = arm.read_state().joints_rad
         self.references = [self.stop_at(number) for number in range(1, REFERENCES + 1)]

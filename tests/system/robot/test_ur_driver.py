@@ -24,7 +24,7 @@ from waiting import eventually
 
 from conformance.case import HOST_TIME, MOTION
 from conformance.device_under_test import DeviceUnderTest
-from conformance.report import Outcome, run_suite
+from conformance.report import CaseOutcome, run_suite
 from conformance.robot import SUITE
 from drivers.universal_robots import UniversalRobotsArm
 from drivers.universal_robots.errors import (
@@ -268,7 +268,7 @@ def test_the_arm_passes_the_robot_cases_unchanged(room: Room) -> None:
     dut = DeviceUnderTest("robot.master", room.config, room.clock)
     dut.offers |= {MOTION.name, HOST_TIME.name}
     report = run_suite(SUITE, dut)
-    assert {r.number: r.reason for r in report.results if r.outcome is not Outcome.PASS} == {}
+    assert {r.number: r.reason for r in report.results if r.outcome is not CaseOutcome.PASS} == {}
 
 
 @pytest.mark.slow

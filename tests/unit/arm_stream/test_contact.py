@@ -12,7 +12,7 @@ from ronna_hw.arm.errors import INSERTION_INVALID
 from ronna_hw.arm_stream.guided import GuideLimits
 from ronna_hw.arm_stream.hand_guided import guide_limits
 from ronna_hw.arm_stream.insertion import has_begun, plan_insertion
-from ronna_hw.arm_stream.records import ForceLimit, Guide, Result, StopOrder
+from ronna_hw.arm_stream.records import ForceLimit, GuideByHand, MotionResult, StopOrder
 from ronna_hw.devices.contact import HandGuidance, Insertion
 from ronna_hw.frames import Frame, Transform
 
@@ -35,7 +35,7 @@ def move(stand: RtdeStand, limit_N: float) -> None:
 
 
 def guide(stand: RtdeStand, limits: GuideLimits = GUIDE) -> None:
-    stand.give(Guide(limits, LIMIT_N))
+    stand.give(GuideByHand(limits, LIMIT_N))
     stand.cycle()
 
 
@@ -51,7 +51,7 @@ def test_a_motion_stops_when_its_force_limit_is_exceeded(force_N: tuple[float, f
     assert stand.session.moving
     stand.force_N = force_N
     stand.run()
-    assert stand.session.result is Result.FORCE
+    assert stand.session.result is MotionResult.FORCE
     assert stand.goal != pytest.approx(FAR, abs=0.01)
     assert not stand.session.fault
 
@@ -62,13 +62,13 @@ def test_a_force_below_the_limit_or_a_bias_does_not_stop_a_motion() -> None:
     stand.cycles(200)
     stand.force_N = (6.0, -6.0, 34.0)
     stand.run()
-    assert stand.session.result is Result.DONE
+    assert stand.session.result is MotionResult.DONE
     assert stand.session.state(real_time=False, locked=False).peak_force_N == pytest.approx(28.0, abs=0.1)
 
 
 @pytest.mark.hazard(56)
-@pytest.mark.parametrize(("goes_on", "end"), [(True, Result.FORCE), (False, Result.DONE)])
-def test_what_presses_while_a_motion_is_held_counts_once_it_goes_on(goes_on: bool, end: Result) -> None:
+@pytest.mark.parametrize(("goes_on", "end"), [(True, MotionResult.FORCE), (False, MotionResult.DONE)])
+def test_what_presses_while_a_motion_is_held_counts_once_it_goes_on(goes_on: bool, end: MotionResult) -> None:
     stand = resting()
     move(stand, 30.0)
     stand.cycles(200)
@@ -93,7 +93,7 @@ def test_the_largest_force_counts_from_the_tare_also_over_a_stop(goes_on: bool, 
     stand.cycles(2 * REST_CYCLES)
     stand.move(force=ForceLimit(30.0, goes_on))
     stand.run()
-    assert stand.session.result is Result.DONE
+    assert stand.session.result is MotionResult.DONE
     assert stand.session.state(real_time=False, locked=False).peak_force_N == pytest.approx(peak_N, abs=0.1)
 
 
@@ -101,7 +101,7 @@ def test_a_force_at_the_start_cannot_be_tared_away() -> None:
     stand = resting((0.0, 16.0, 0.0))
     move(stand, 30.0)
     stand.cycles(3)
-    assert stand.session.result is Result.REFUSED_LOADED
+    assert stand.session.result is MotionResult.REFUSED_LOADED
     assert not stand.session.moving
 
 
@@ -110,7 +110,7 @@ def test_an_arm_without_an_estimate_starts_no_motion_with_a_force_limit() -> Non
     stand.cycles(REST_CYCLES)
     move(stand, 30.0)
     stand.cycles(3)
-    assert stand.session.result is Result.REFUSED_LOADED
+    assert stand.session.result is MotionResult.REFUSED_LOADED
 
 
 def test_a_guided_arm_goes_with_the_hand_no_faster_than_its_limit() -> None:
@@ -151,7 +151,7 @@ def test_a_guided_arm_stands_still_without_a_hand_and_ends_by_its_time() -> None
     guide(stand)
     stand.force_N = (5.0, -5.0, 0.0)
     stand.run()
-    assert stand.session.result is Result.STOPPED
+    assert stand.session.result is MotionResult.STOPPED
     assert len(set(stand.goals[-2000:])) == 1
 
 
@@ -160,7 +160,7 @@ def test_a_hand_that_pushes_too_hard_stops_the_guided_arm() -> None:
     guide(stand)
     stand.force_N = (0.0, 80.0, 0.0)
     count = stand.run()
-    assert stand.session.result is Result.FORCE
+    assert stand.session.result is MotionResult.FORCE
     assert count < 300
 
 
@@ -170,7 +170,7 @@ def test_a_guided_arm_stops_before_the_end_of_a_joint_range_without_a_fault() ->
     stand.force_N = (0.0, 0.0, 55.0)  # up, until the elbow is stretched or a joint would be too fast
     for _ in range(8000):
         stand.cycle()
-        if stand.session.result is not Result.RUNNING:
+        if stand.session.result is not MotionResult.RUNNING:
             break
     assert not stand.session.fault
 

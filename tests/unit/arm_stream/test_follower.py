@@ -12,7 +12,7 @@ from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.arm.motion.planning import MotionPlan
 from ronna_hw.arm.motion.progress import PathLimits
 from ronna_hw.arm_stream.motion import MotionFollower
-from ronna_hw.arm_stream.records import LinkState, Result
+from ronna_hw.arm_stream.records import LinkState, MotionResult
 from ronna_hw.devices.errors import MotionInterrupted
 from ronna_hw.errors import RefusedError
 
@@ -20,7 +20,9 @@ PLAN = MotionPlan((0.0,) * 6, (0.1,) * 6, PathLimits(0.1, 0.2, 0.3))
 
 
 def follower_of(watched: Watched) -> MotionFollower[Any]:
-    watched.link.state = replace(watched.link.state, command_number=1, result=Result.STOPPED, moving=False)
+    watched.link.state = replace(
+        watched.link.state, command_number=1, result=MotionResult.STOPPED, moving=False
+    )
     return MotionFollower(watched.connections, watched.watch, 0.002)
 
 

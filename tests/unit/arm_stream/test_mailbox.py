@@ -22,14 +22,14 @@ from ronna_hw.arm_stream.mailbox import LONGEST_SURROUNDINGS_BYTES, Mailbox, Mai
 from ronna_hw.arm_stream.records import (
     NO_STATE,
     Command,
-    Fault,
+    LinkFault,
+    MotionResult,
     Move,
     OpenStream,
     Orders,
-    Phase,
     RecordedCycle,
-    Result,
     StopOrder,
+    StreamPhase,
 )
 from ronna_hw.arm_stream.statistics import EDGES_US, histogram_bin, percentile_us
 
@@ -83,9 +83,9 @@ def test_a_state_arrives_unchanged(mailbox: Mailbox) -> None:
         NO_STATE,
         cycles=7,
         device_clock=2**40,
-        phase=Phase.RUNNING,
-        fault=Fault.MONITOR,
-        result=Result.STOPPED,
+        phase=StreamPhase.RUNNING,
+        fault=LinkFault.MONITOR,
+        result=MotionResult.STOPPED,
         degraded=True,
         settled=True,
         stop_number=4,

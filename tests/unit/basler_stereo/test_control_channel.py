@@ -14,7 +14,7 @@ from coded_errors import raises
 from drivers.basler_stereo import control_channel
 from drivers.basler_stereo.control_channel import (
     SILENT_BEATS,
-    ControlChannel,
+    CameraControl,
     Heartbeat,
     register_write,
     send_together,
@@ -71,7 +71,7 @@ def channel_to():
 
     def make(answer, **options):
         peer = Answering(answer)
-        channel = ControlChannel("127.0.0.1", port=peer.port, **options)
+        channel = CameraControl("127.0.0.1", port=peer.port, **options)
         opened.append((peer, channel))
         return peer, channel
 
@@ -114,7 +114,7 @@ def test_answers_to_other_requests_and_garbage_are_ignored(channel_to):
 
 def test_every_datagram_is_reported_in_both_directions_even_ignored_ones():
     peer, said = Answering(lambda data, _: [b"rubbish", ack(data, b"\0\0\0\x09")]), []
-    channel = ControlChannel("127.0.0.1", port=peer.port, on_bytes=lambda *on_bytes: said.append(on_bytes))
+    channel = CameraControl("127.0.0.1", port=peer.port, on_bytes=lambda *on_bytes: said.append(on_bytes))
     channel.read_register(0x938, soon())
     channel.close()
     peer.close()
@@ -138,7 +138,7 @@ def test_silence_ends_at_the_deadline(channel_to):
 
 def test_a_port_without_a_listener_ends_at_the_deadline_too():
     nobody = parse_endpoint(own_udp_endpoint())
-    channel = ControlChannel(nobody.host, port=nobody.port)
+    channel = CameraControl(nobody.host, port=nobody.port)
     with pytest.raises(NoReply, match="GEV-007"):
         channel.read_register(0, soon(0.3))
     channel.close()

@@ -26,7 +26,7 @@ def test_a_resend_request_asks_for_no_acknowledge():
 
 def test_an_answer_is_split_into_its_parts():
     answer = gvcp.decode(bytes.fromhex("000000810004123400000007"))
-    assert answer == gvcp.Acknowledge(0, 0x81, 0x1234, bytes.fromhex("00000007"))
+    assert answer == gvcp.GvcpAcknowledge(0, 0x81, 0x1234, bytes.fromhex("00000007"))
     assert gvcp.register_value(answer.payload, "x") == 7
 
 
@@ -37,7 +37,7 @@ def test_a_datagram_shorter_than_its_stated_length_is_not_an_answer(datagram):
 
 def test_a_refusal_names_the_status():
     with pytest.raises(CommandRefused, match=r"GEV-006.*access denied \(0x8006\)") as caught:
-        gvcp.require_success(gvcp.Acknowledge(0x8006, 0x83, 1, b""), "writing")
+        gvcp.require_success(gvcp.GvcpAcknowledge(0x8006, 0x83, 1, b""), "writing")
     assert caught.value.status == 0x8006
     assert gvcp.status_name(0x8042) == "0x8042"
 

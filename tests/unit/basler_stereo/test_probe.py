@@ -15,7 +15,7 @@ from drivers.basler_stereo import camera_check
 from drivers.basler_stereo import probe as camera_probe
 from drivers.basler_stereo.camera_check import (
     CameraState,
-    Controller,
+    ControllingHost,
     ExpectedCamera,
     Response,
     camera_diagnostic,
@@ -38,7 +38,7 @@ MANY = tuple(replace(RIGHT, address=f"192.168.3.{number}") for number in range(2
 CARD = Interface("enp3s0", "192.168.3.1", 24, 9000)
 ENDPOINT = Endpoint("gev", host="192.168.3.11")
 EXPECTED = ExpectedCamera(ENDPOINT, LEFT.serial, MODEL)
-WELL = CameraState(ENDPOINT, Response.ANSWERED, CARD, LEFT, Controller(False), 8192)
+WELL = CameraState(ENDPOINT, Response.ANSWERED, CARD, LEFT, ControllingHost(False), 8192)
 
 
 # --- the diagnosis -----------------------------------------------------------------------------------------
@@ -87,25 +87,27 @@ def test_a_healthy_camera_reports_its_network_card_and_packet_size() -> None:
         (CameraState(ENDPOINT, Response.SILENT, CARD), MANY, "silent", "Check power and cable of the camera"),
         (CameraState(ENDPOINT, Response.SILENT, CARD), MANY, "silent", "at 192.168.3.24 and 2 more."),
         (
-            replace(WELL, controller=Controller(True, "192.168.3.7", 40001), packet_bytes=None),
+            replace(WELL, controller=ControllingHost(True, "192.168.3.7", 40001), packet_bytes=None),
             (),
             "controlled by 192.168.3.7:40001",
             "on the other computer",
         ),
         (
-            replace(WELL, controller=Controller(True, "192.168.3.1", 40001, PortUser(812, "pylon viewer"))),
+            replace(
+                WELL, controller=ControllingHost(True, "192.168.3.1", 40001, PortUser(812, "pylon viewer"))
+            ),
             (),
             "controlled by pylon viewer (pid 812)",
             "If it runs a case, leave it alone",
         ),
         (
-            replace(WELL, controller=Controller(True, "192.168.3.1", 40001, here=True)),
+            replace(WELL, controller=ControllingHost(True, "192.168.3.1", 40001, here=True)),
             (),
             "controlled by 192.168.3.1:40001",
             "has ended, or belongs to another user",
         ),
         (
-            replace(WELL, controller=Controller(True)),
+            replace(WELL, controller=ControllingHost(True)),
             (),
             "application not identified by the camera",
             "heartbeat",
@@ -183,7 +185,7 @@ def test_a_camera_is_queried_measured_and_released(stand: Stand) -> None:
         assert (found.identity.serial, found.identity.model) == (SERIALS[0], MODEL)
         assert found.interface is not None
         assert found.interface.loopback
-        assert found.controller == Controller(False)
+        assert found.controller == ControllingHost(False)
         assert found.packet_bytes == 1500
 
 

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers.basler_stereo.readings import PairClock, Tie, camera_image, stereo_reading, unpack_12_bits
-from drivers.basler_stereo.stream.frame_assembler import Frame, Leader
+from drivers.basler_stereo.stream.frame_assembler import Leader, ReceivedImage
 from ronna_hw.devices.readings import AreaOfInterest, Validity
 from ronna_hw.wire.gige_vision import PixelFormat
 
@@ -23,7 +23,9 @@ def image(
         if leader
         else None
     )
-    return camera_image(Frame(1, said, bytearray(data), missing), "S", AREA, PixelFormat.MONO8, 5, 1.25)
+    return camera_image(
+        ReceivedImage(1, said, bytearray(data), missing), "S", AREA, PixelFormat.MONO8, 5, 1.25
+    )
 
 
 def test_a_complete_frame_is_a_valid_image():

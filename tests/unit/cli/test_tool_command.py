@@ -24,7 +24,7 @@ from procedures.cli.tool.command import app
 from procedures.planning.errors import FOREIGN_TOOL
 from procedures.planning.tool_records import ToolRecords
 from procedures.runs.calibration_files import update_theatre
-from procedures.runs.theatre_history import Signature, history_path
+from procedures.runs.theatre_history import UpdateAuthor, history_path
 from ronna_hw.config import parse_theatre, read_theatre_file
 from sim.theatre.theatre_file import theatre_content
 from sim.world.scene.named_scenes import draw_scene
@@ -187,7 +187,7 @@ def _with_another_tip(theatre: Path) -> dict[str, Any]:
         theatre,
         {"tool_tip": {**old.tool_tip.model_dump(), "identifier": "tip-of-today"}},
         old.tool_tip.created,
-        Signature("calibration tool-tip"),
+        UpdateAuthor("calibration tool-tip"),
     )
     guide: dict[str, Any] = tomllib.loads(theatre.read_text())["tools"]["guide"]
     return guide

@@ -13,14 +13,14 @@ from conformance import case as conformance_case
 from conformance.case import (
     HOST_TIME,
     MOTION,
-    Case,
     CaseList,
+    CaseOutcome,
     Need,
     Nonconformity,
     NotShown,
-    Outcome,
     Run,
     Suite,
+    SuiteCase,
     check,
     refused,
 )
@@ -47,19 +47,19 @@ def failing_with(error: Exception) -> Run:
 
 
 def suite_of(**runs: Run) -> Suite:
-    cases = [Case(number, f"statement of {number}", (), run) for number, run in runs.items()]
+    cases = [SuiteCase(number, f"statement of {number}", (), run) for number, run in runs.items()]
     return Suite("tracker", "none", cases=cases)
 
 
 def test_a_foreign_exception_is_a_failure(make_dut: MakeDut, good_tracker: Any) -> None:
-    result = run_case(Case("X", "breaks", (), failing_with(KeyError("x"))), make_dut(good_tracker))
-    assert result.outcome is Outcome.FAIL
+    result = run_case(SuiteCase("X", "breaks", (), failing_with(KeyError("x"))), make_dut(good_tracker))
+    assert result.outcome is CaseOutcome.FAIL
     assert "KeyError" in result.reason
 
 
 def test_a_reason_is_one_line_that_steers_no_terminal(make_dut: MakeDut, good_tracker: Any) -> None:
     failing = failing_with(Nonconformity("got \x1b[2J" + "x" * 70_000))
-    reason = run_case(Case("X", "breaks", (), failing), make_dut(good_tracker)).reason
+    reason = run_case(SuiteCase("X", "breaks", (), failing), make_dut(good_tracker)).reason
     assert reason.isprintable()
     assert len(reason) < 400
 
@@ -70,21 +70,23 @@ def test_a_reason_is_one_line_that_steers_no_terminal(make_dut: MakeDut, good_tr
 def test_a_case_with_an_unmet_need_is_skipped_with_the_reason(
     make_dut: MakeDut, good_tracker: Any, need: Need
 ) -> None:
-    result = run_case(Case("X", "does harm", (need,), failing_with(AssertionError())), make_dut(good_tracker))
-    assert (result.outcome, result.reason) == (Outcome.SKIP, need.reason)
+    result = run_case(
+        SuiteCase("X", "does harm", (need,), failing_with(AssertionError())), make_dut(good_tracker)
+    )
+    assert (result.outcome, result.reason) == (CaseOutcome.SKIP, need.reason)
 
 
 def test_a_case_whose_need_is_allowed_runs(make_dut: MakeDut, good_tracker: Any) -> None:
     dut = make_dut(good_tracker, allowed=frozenset({"motion"}))
-    assert run_case(Case("X", "moves", (MOTION,), does_nothing), dut).outcome is Outcome.PASS
+    assert run_case(SuiteCase("X", "moves", (MOTION,), does_nothing), dut).outcome is CaseOutcome.PASS
 
 
 def test_a_protocol_can_define_and_offer_its_own_needs(make_dut: MakeDut, good_tracker: Any) -> None:
     frobnication = Need("frobnication", "the device does not frobnicate")
-    case = Case("F01", "frobnicates", (frobnication,), does_nothing)
+    case = SuiteCase("F01", "frobnicates", (frobnication,), does_nothing)
     protocol = ProtocolCases((case,), offers=lambda dut: frozenset({frobnication.name}))
     assert run_case(case, make_dut(good_tracker)).reason == frobnication.reason
-    assert run_case(case, make_dut(good_tracker, protocol=protocol)).outcome is Outcome.PASS
+    assert run_case(case, make_dut(good_tracker, protocol=protocol)).outcome is CaseOutcome.PASS
 
 
 def test_the_report_counts_outcomes_and_carries_a_hash(make_dut: MakeDut, good_tracker: Any) -> None:

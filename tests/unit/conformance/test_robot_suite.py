@@ -10,7 +10,7 @@ import pytest
 from ideal_arm import Controller, IdealArm
 
 from conformance import robot
-from conformance.case import MOTION, Outcome
+from conformance.case import MOTION, CaseOutcome
 from conformance.device_under_test import DeviceUnderTest
 from conformance.report import run_case
 from ronna_hw.arm.motion.limits import working_limits
@@ -202,7 +202,7 @@ MISTAKES: dict[str, tuple[str, dict[str, Any]]] = {
 def test_each_mistake_is_found_by_its_case(make_arm: MakeDut, mistake: str) -> None:
     number, members = MISTAKES[mistake]
     case = next(case for case in robot.SUITE.cases if case.number == number)
-    assert run_case(case, make_arm(**members)).outcome is Outcome.FAIL
+    assert run_case(case, make_arm(**members)).outcome is CaseOutcome.FAIL
 
 
 def test_every_robot_case_has_its_mistake() -> None:

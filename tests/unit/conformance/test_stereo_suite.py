@@ -10,7 +10,7 @@ import pytest
 from ideal_pair import LEFT, RIGHT, IdealPair, Rig, altered
 
 from conformance import device_under_test, stereo
-from conformance.case import Outcome
+from conformance.case import CaseOutcome
 from conformance.device_under_test import DeviceUnderTest
 from conformance.report import run_case
 from conformance.target import build_device_under_test
@@ -38,12 +38,12 @@ def make_dut(monkeypatch: pytest.MonkeyPatch) -> MakeDut:
     return make
 
 
-def outcomes(dut: DeviceUnderTest) -> dict[str, Outcome]:
+def outcomes(dut: DeviceUnderTest) -> dict[str, CaseOutcome]:
     return {case.number: run_case(case, dut).outcome for case in stereo.SUITE.cases}
 
 
 def test_a_good_pair_passes_every_case(make_dut: MakeDut) -> None:
-    assert set(outcomes(make_dut()).values()) == {Outcome.PASS}
+    assert set(outcomes(make_dut()).values()) == {CaseOutcome.PASS}
 
 
 def nothing(self: IdealPair, *arguments: Any) -> None:
@@ -140,7 +140,7 @@ MISTAKES: dict[str, tuple[str, dict[str, Any]]] = {
 def test_each_mistake_is_found_by_its_case(make_dut: MakeDut, mistake: str) -> None:
     number, members = MISTAKES[mistake]
     case = next(case for case in stereo.SUITE.cases if case.number == number)
-    assert run_case(case, make_dut(**members)).outcome is Outcome.FAIL
+    assert run_case(case, make_dut(**members)).outcome is CaseOutcome.FAIL
 
 
 def test_every_stereo_case_has_its_mistake() -> None:

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from conformance.case import Outcome
+from conformance.case import CaseOutcome
 from conformance.device_under_test import DeviceUnderTest
 from conformance.report import run_case
 from conformance.tracker import SUITE
@@ -21,18 +21,18 @@ from ronna_hw.errors import ConnectError, StateError
 MakeDut = Callable[..., DeviceUnderTest]
 
 
-def outcomes(dut: DeviceUnderTest) -> dict[str, Outcome]:
+def outcomes(dut: DeviceUnderTest) -> dict[str, CaseOutcome]:
     return {case.number: run_case(case, dut).outcome for case in SUITE.cases}
 
 
 def failed(dut: DeviceUnderTest) -> set[str]:
-    return {number for number, outcome in outcomes(dut).items() if outcome is Outcome.FAIL}
+    return {number for number, outcome in outcomes(dut).items() if outcome is CaseOutcome.FAIL}
 
 
 def test_a_good_driver_passes_all_applicable_cases(make_dut: MakeDut, good_tracker: Any) -> None:
     found = outcomes(make_dut(good_tracker))
-    assert Outcome.FAIL not in found.values()
-    assert [n for n, outcome in found.items() if outcome is Outcome.PASS] == [
+    assert CaseOutcome.FAIL not in found.values()
+    assert [n for n, outcome in found.items() if outcome is CaseOutcome.PASS] == [
         f"T{number:02d}" for number in (*range(1, 18), *range(23, 27))
     ]
 
@@ -189,5 +189,5 @@ def test_undecidable_cases_are_skipped(make_dut: MakeDut, good_tracker: Any) -> 
             return ToolReading(tool, Validity.MISSING, None, None, None)
 
     found = outcomes(make_dut(Blind))
-    assert found["T10"] is found["T11"] is Outcome.SKIP
-    assert found["T09"] is Outcome.PASS
+    assert found["T10"] is found["T11"] is CaseOutcome.SKIP
+    assert found["T09"] is CaseOutcome.PASS

@@ -12,7 +12,7 @@ import pytest
 from nicegui import Client, ui
 from plan_editors import draw, scan
 
-from console.guard import Role, Session
+from console.guard import Session, SessionRole
 from console.panels.orders import ARMED_S, HeldButton, OrderPanel, QuestionPanel
 from console.planning.fields import NumberField
 from console.planning.page import PlannerPage
@@ -192,7 +192,7 @@ def test_a_plan_is_not_saved_while_a_field_shows_something_else_than_its_value(t
 
     async def saved() -> tuple[str, bool]:
         with Client(ui.page("/of-a-test"), request=None):
-            page = PlannerPage(editor, Session(Role.OPERATOR, "session-1"), low=True)
+            page = PlannerPage(editor, Session(SessionRole.OPERATOR, "session-1"), low=True)
             page.build()
             page._author.set_value("Dr Test")
             typed(page._ways.fields["target L"], "12o.5")

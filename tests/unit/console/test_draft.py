@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import pytest
 
-from console.planning.draft import Axis, Draft, History
+from console.planning.draft import Axis, Draft, DraftHistory
 from procedures.planning.errors import AcPcUnfit
 from procedures.planning.plan_file import parse_plan
 
@@ -43,7 +43,7 @@ def test_ac_pc_points_are_clicked_in_turn_kept_in_the_plan_and_refused_if_they_g
 
 
 def test_undo_and_redo_go_step_by_step() -> None:
-    history = History(drawn())
+    history = DraftHistory(drawn())
     first, second = replace(drawn(), standoff_mm=31.0), replace(drawn(), standoff_mm=32.0)
     history.change(first)
     history.change(second)
@@ -61,7 +61,7 @@ def test_undo_and_redo_go_step_by_step() -> None:
 
 
 def test_a_drag_is_undone_as_one_step() -> None:
-    history = History(drawn())
+    history = DraftHistory(drawn())
     for step, standoff_mm in enumerate((31.0, 32.0, 33.0)):
         history.change(replace(drawn(), standoff_mm=standoff_mm), continues=step > 0)
     history.undo()

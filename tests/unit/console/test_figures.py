@@ -13,7 +13,7 @@ from starlette.applications import Starlette
 from starlette.requests import Request
 from starlette.routing import Route
 
-from console.figures import Figures, figures_at
+from console.figures import LatestFigures, figures_at
 from console.hub import Hub
 from console.recorded_case import RecordedCase
 from procedures.engine.case_view import CaseView, StepRow
@@ -84,7 +84,7 @@ def test_a_review_checks_every_file_once_the_program_of_the_case_has_ended(tmp_p
     seal_run(cell.folder)
     hub = Hub(cell.folder)
     hub.review = RecordedCase()
-    figures = Figures(hub)
+    figures = LatestFigures(hub)
 
     async def named() -> set[str]:
         figures.key()
@@ -105,7 +105,7 @@ def test_a_review_checks_every_file_once_the_program_of_the_case_has_ended(tmp_p
 def test_a_link_in_place_of_a_picture_is_not_followed_nor_one_served_that_changed_since_the_question(
     tmp_path: Path,
 ) -> None:
-    app, figures = Starlette(), Figures(Hub(tmp_path))
+    app, figures = Starlette(), LatestFigures(Hub(tmp_path))
     figures.latest = FIGURES
     figures.add_routes(app)
     (route,) = (one for one in app.routes if isinstance(one, Route) and one.path == "/picture/{name}")

@@ -7,7 +7,7 @@ import time
 import pytest
 from console_requests import HOST, ORIGIN, SOCKET, Console
 
-from console.guard import LARGEST_BODY_BYTES, LARGEST_HEAD_BYTES, MOST_CLIENTS, PAGES, PAGES_S, Role
+from console.guard import LARGEST_BODY_BYTES, LARGEST_HEAD_BYTES, MOST_CLIENTS, PAGES, PAGES_S, SessionRole
 
 
 @pytest.fixture
@@ -61,12 +61,14 @@ def test_a_session_is_found_among_the_cookies_of_others(console: Console) -> Non
     assert console.request("GET", "/", headers={"cookie": cookie}).status == 200
 
 
-@pytest.mark.parametrize("role", Role)
-def test_a_role_that_opens_page_after_page_does_not_hold_up_the_others(console: Console, role: Role) -> None:
+@pytest.mark.parametrize("role", SessionRole)
+def test_a_role_that_opens_page_after_page_does_not_hold_up_the_others(
+    console: Console, role: SessionRole
+) -> None:
     now_s = [0.0]
     console.sessions.now_s = lambda: now_s[0]
     viewer, operator = {"cookie": console.viewer()}, {"cookie": console.operator()}
-    ours, others = (viewer, operator) if role is Role.VIEWER else (operator, viewer)
+    ours, others = (viewer, operator) if role is SessionRole.VIEWER else (operator, viewer)
     answers = [console.request("GET", "/", headers=ours).status for _ in range(PAGES + 1)]
     assert answers == [200] * PAGES + [429]
     assert console.request("GET", "/", headers=others).status == 200
@@ -139,9 +141,9 @@ def test_the_polling_transport_of_the_page_library_is_disabled(console: Console)
 
 def test_a_viewer_over_the_limit_is_refused_while_the_operator_is_admitted(console: Console) -> None:
     headers = {"cookie": console.viewer(), "origin": ORIGIN}
-    console.app.clients[Role.VIEWER] = MOST_CLIENTS[Role.VIEWER] - 1
+    console.app.clients[SessionRole.VIEWER] = MOST_CLIENTS[SessionRole.VIEWER] - 1
     assert console.open_socket(headers)
-    console.app.clients[Role.VIEWER] = MOST_CLIENTS[Role.VIEWER]
+    console.app.clients[SessionRole.VIEWER] = MOST_CLIENTS[SessionRole.VIEWER]
     assert not console.open_socket(headers)
     assert console.open_socket({"cookie": console.operator(), "origin": ORIGIN})
 

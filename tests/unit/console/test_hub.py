@@ -13,7 +13,7 @@ from coded_errors import raises
 
 from console.app import follow_engine, review
 from console.errors import NOTHING_TO_SHOW, PORT_TAKEN
-from console.guard import MOST_SESSIONS, Role, Session, Sessions
+from console.guard import MOST_SESSIONS, Session, SessionRole, Sessions
 from console.hub import NOT_RUNNING, SILENT_FILE_S, SILENT_S, Hub
 from console.listening import HOST, listen
 from console.recorded_case import RecordedCase
@@ -30,9 +30,9 @@ from procedures.engine.events import (
 from procedures.engine.questions import as_shown
 from procedures.operator.question import Identity, Question, Topic
 from procedures.runs.console_link import event_lines
-from procedures.runs.orders import Reply, SentOrder, read_order
+from procedures.runs.orders import OrderReply, SentOrder, read_order
 
-OPERATOR = Session(Role.OPERATOR, "session-1")
+OPERATOR = Session(SessionRole.OPERATOR, "session-1")
 
 
 class Clock:
@@ -162,7 +162,7 @@ def test_orders_are_sent_to_the_engine_and_return_its_answer() -> None:
         async def engine() -> None:
             for words in ("", "the seat is taken by Ana"):
                 order = read_order((await reader.readline()).strip())
-                writer.write(Reply(nonce=order.nonce, refused=words).model_dump_json().encode() + b"\n")
+                writer.write(OrderReply(nonce=order.nonce, refused=words).model_dump_json().encode() + b"\n")
 
         task = asyncio.create_task(engine())
         await asyncio.sleep(0)
@@ -180,7 +180,7 @@ def test_a_claim_is_known_though_its_reply_overtakes_what_came_before_it() -> No
     hub.take(event(1, Seat(holder="Ana")))
 
     async def carry_out(order: SentOrder) -> None:
-        hub.reply(Reply(nonce=order.nonce))
+        hub.reply(OrderReply(nonce=order.nonce))
 
     hub.connect(carry_out)
     assert asyncio.run(hub.order(OPERATOR, {"kind": "claim", "name": " Ben "})) == ""

@@ -12,7 +12,7 @@ from collections.abc import AsyncIterator
 import pytest
 
 from console import listening
-from console.guard import SESSION, Guard, Receive, Role, Scope, Send, Sessions
+from console.guard import SESSION, AccessGuard, Receive, Scope, Send, SessionRole, Sessions
 from console.listening import HOST, build_server, listen
 from ronna_hw.host import network
 from ronna_hw.host.network import find_account
@@ -34,7 +34,9 @@ class Served:
     @contextlib.asynccontextmanager
     async def serving(self) -> AsyncIterator[Served]:
         trust, is_foreign = self.listening.trust, self.listening.is_foreign
-        server = build_server(Guard(self._page, self.sessions, self.port, trust=trust, is_foreign=is_foreign))
+        server = build_server(
+            AccessGuard(self._page, self.sessions, self.port, trust=trust, is_foreign=is_foreign)
+        )
         task = asyncio.create_task(server.serve(sockets=[self.listening]))
         while not server.started:
             await asyncio.sleep(0)
@@ -198,7 +200,7 @@ def test_connections_without_the_key_do_not_lock_out_the_operator(monkeypatch: p
 def test_a_viewer_with_too_many_connections_gets_no_more_and_locks_out_no_operator(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setitem(listening.MOST_CONNECTIONS, Role.VIEWER, 2)
+    monkeypatch.setitem(listening.MOST_CONNECTIONS, SessionRole.VIEWER, 2)
 
     async def come() -> None:
         async with Served().serving() as console:

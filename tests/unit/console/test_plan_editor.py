@@ -17,7 +17,7 @@ from plan_editors import ENTRY, draw, reopened, save, scan
 
 from console.planning import plan_editor
 from console.planning.draft import Draft
-from console.planning.judging import ExpectedError, Judgement, expected, judge, verdict
+from console.planning.judging import ExpectedAtTarget, Judgement, expected, judge, verdict
 from console.planning.plan_editor import PlanEditor
 from procedures.imaging.errors import PickRefused
 from procedures.planning.errors import PLAN_NOT_SAVED, PlanInUse, PlanMistakes
@@ -294,7 +294,7 @@ def test_what_was_found_for_an_earlier_draft_is_not_told_as_that_of_the_current_
     found = Judgement(
         earlier,
         thorough=True,
-        expected={"T1": ExpectedError(1.5, 3.0, (), with_arm=False)},
+        expected={"T1": ExpectedAtTarget(1.5, 3.0, (), with_arm=False)},
         angles_deg={"T1": 79.0},
         complete=True,
     )

@@ -16,14 +16,14 @@ from nicegui import Client, ui
 from plan_editors import ENTRY, SERIES, TARGET, draw, scan
 from recording_cell import mini_theatre_file
 
-from console.guard import Role, Session
+from console.guard import Session, SessionRole
 from console.planning.draft import Axis
 from console.planning.head_scene import ARM_OF_CROSS_MM
 from console.planning.page import AC_PC, DRAW, LOOK, MEASURE, SPHERE, PlannerPage
 from console.planning.plan_editor import PlanEditor
 from console.planning.slices import WINDOWS_HU, ZOOMS, Plane
 from console.planning.theatre_choice import TheatreChoice
-from console.planning.views import Size, View, arrange
+from console.planning.views import PlanView, Size, arrange
 from procedures.planning.errors import PLACE_UNFIT, HeadPlaceUnknown
 
 AXIAL = list(Plane).index(Plane.AXIAL)
@@ -35,7 +35,7 @@ def on_the_page(folder: Path, do: Callable[[PlannerPage], Awaitable[None]]) -> N
 
     async def page() -> None:
         with Client(ui.page("/of-a-test"), request=None):
-            page = PlannerPage(editor, Session(Role.OPERATOR, "session-1"), low=True)
+            page = PlannerPage(editor, Session(SessionRole.OPERATOR, "session-1"), low=True)
             page.build()
             await do(page)
 
@@ -112,8 +112,8 @@ def test_the_enter_key_does_at_the_crosshair_what_a_click_does(tmp_path: Path) -
     on_the_page(tmp_path, do)
 
 
-@pytest.mark.parametrize("large", list(View))
-def test_one_view_is_large_and_three_are_small(large: View) -> None:
+@pytest.mark.parametrize("large", list(PlanView))
+def test_one_view_is_large_and_three_are_small(large: PlanView) -> None:
     sizes = list(arrange(large).values())
     assert arrange(large)[large] is Size.LARGE
     assert [sizes.count(size) for size in Size] == [1, 3, 1]
@@ -123,10 +123,10 @@ def test_the_page_opens_on_the_target_and_enter_enlarges_a_small_picture(tmp_pat
     async def do(page: PlannerPage) -> None:
         assert (page._page_view.place_mm, page._page_view.window) == (TARGET, "brain")
         await press(page, "Enter", Plane.SAGITTAL)
-        assert page._page_view.large is View.SAGITTAL
+        assert page._page_view.large is PlanView.SAGITTAL
         assert page._page_view.measured_mm == ()
-        assert "large" in page._sections[View.SAGITTAL].classes
-        assert "small" in page._sections[View.AXIAL].classes
+        assert "large" in page._sections[PlanView.SAGITTAL].classes
+        assert "small" in page._sections[PlanView.AXIAL].classes
 
     on_the_page(tmp_path, do)
 

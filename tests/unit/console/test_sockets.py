@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 from nicegui import Client, core, ui
 
-from console.guard import SESSION, Role, Session
+from console.guard import SESSION, Session, SessionRole
 from console.panels.orders import OrderPanel
 from console.web.library import FROM_PAGES, bind_page, bind_sockets
 from procedures.engine.case_view import CaseView
@@ -48,7 +48,7 @@ class Library:
 @pytest.fixture
 def library() -> Library:
     library = Library()
-    library.sessions = {"a": Session(Role.OPERATOR, "ana"), "b": Session(Role.VIEWER, "ben")}
+    library.sessions = {"a": Session(SessionRole.OPERATOR, "ana"), "b": Session(SessionRole.VIEWER, "ben")}
     bind_sockets(library)
     bind_page(SimpleNamespace(id="page-of-ana", on_delete=lambda _: None), "ana")
     return library
@@ -84,7 +84,7 @@ ODD_ARGUMENTS = ("", "{", "null", "1e999", "[" * 5000, '{"timeStamp": NaN}', '{"
 DEEP: list[Any] = []
 for _ in range(5000):
     DEEP = [DEEP]
-HERS, HIS = Session(Role.OPERATOR, "ana"), Session(Role.OPERATOR, "ben")
+HERS, HIS = Session(SessionRole.OPERATOR, "ana"), Session(SessionRole.OPERATOR, "ben")
 
 
 class OpenPage:

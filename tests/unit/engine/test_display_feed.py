@@ -12,7 +12,7 @@ from waiting import eventually
 
 from procedures.engine.display_feed import BodyView, DeviceWatch, camera_views
 from procedures.engine.events import Bodies, DeviceAge, DeviceState, EventStream, LinkHealth, Pose
-from procedures.relocalization.triangulation import Camera
+from procedures.relocalization.triangulation import CameraModel
 from procedures.workcell import MountedTool
 from ronna_hw.arm.clearance.bodies import Capsule, Obstacle, Part, Surroundings
 from ronna_hw.devices.capabilities import Fact
@@ -101,9 +101,9 @@ def test_the_corners_of_a_pyramid_match_the_picture_and_it_reaches_beyond_the_to
         centre, *corners = np.reshape(view.points_mm, (-1, 3))
         columns, rows = camera.sensor_px
         undistorted = camera.model_copy(update={"distortion": (0.0,) * 5})
-        seen = np.array([Camera(undistorted).project(corner)[0] for corner in corners])
+        seen = np.array([CameraModel(undistorted).project(corner)[0] for corner in corners])
         assert np.allclose(seen, [(0, 0), (columns, 0), (columns, rows), (0, rows)], atol=15.0)  # 0.05 mm
-        assert np.allclose(centre, Camera(camera).centre_mm, atol=0.06)
+        assert np.allclose(centre, CameraModel(camera).centre_mm, atol=0.06)
         middle = np.mean(corners, axis=0) - centre
         assert np.linalg.norm(middle) > np.linalg.norm(centre)  # beyond the tool's origin
 

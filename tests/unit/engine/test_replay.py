@@ -20,7 +20,7 @@ from procedures.engine.errors import NotRecorded
 from procedures.engine.order import CaseOrder, Outcome
 from procedures.engine.replay.recorded_answers import read_answers, read_in_order, section_follower
 from procedures.engine.replay.recorded_people import KNOWN_MEMBERS, RecordedOperator
-from procedures.engine.replay.replay import ReplayedRecord, ReplayInput, Verdict, replay
+from procedures.engine.replay.replay import ReplayedRecord, ReplayInput, ReplayVerdict, replay
 from procedures.engine.run_folder import run_of
 from procedures.engine.setting import ClinicalInput
 from procedures.journal.errors import GateFailed
@@ -35,7 +35,7 @@ from ronna_hw.recording.reading_coding import PIXELS
 from ronna_hw.recording.reading_tape import READINGS_FILE, READINGS_FOLDER, ReadingTape, tape_device
 from ronna_hw.roles import ASSISTANT, MASTER
 
-EQUAL, DIFFERENT, NOT_RECORDED = Verdict.EQUAL, Verdict.DIFFERENT, Verdict.NOT_RECORDED
+EQUAL, DIFFERENT, NOT_RECORDED = ReplayVerdict.EQUAL, ReplayVerdict.DIFFERENT, ReplayVerdict.NOT_RECORDED
 
 
 def looks(context: StepContext) -> Outcome[Localization]:
@@ -103,7 +103,7 @@ class Recorded:
         path.write_text("".join(json.dumps(line) + "\n" for line in lines))
 
 
-def verdicts(results: list[ReplayedRecord]) -> dict[str, Verdict]:
+def verdicts(results: list[ReplayedRecord]) -> dict[str, ReplayVerdict]:
     return {result.step: result.verdict for result in results}
 
 

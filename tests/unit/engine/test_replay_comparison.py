@@ -4,13 +4,13 @@ from typing import Any
 
 import pytest
 
-from procedures.engine.replay.replay import Verdict, compare_records
+from procedures.engine.replay.replay import ReplayVerdict, compare_records
 from ronna_hw.records import Record
 
 RECORDED = {"count": 3, "centre_mm": [812.1865, 0.25], "covariance_mm2": [[1e-5, 0.0]], "joints_rad": [0.009]}
 
 
-def verdict(**now: Any) -> tuple[Verdict, tuple[str, ...]]:
+def verdict(**now: Any) -> tuple[ReplayVerdict, tuple[str, ...]]:
     was, again = (Record("09-fit", "fit", {}, payload) for payload in (RECORDED, {**RECORDED, **now}))
     found = compare_records("fit", was, again)
     return found.verdict, found.why
@@ -18,9 +18,9 @@ def verdict(**now: Any) -> tuple[Verdict, tuple[str, ...]]:
 
 def test_differences_in_the_last_digits_count_as_rounded_and_are_named() -> None:
     said = verdict(centre_mm=[812.186505, 0.25], covariance_mm2=[[1.0005e-5, 0.0]], joints_rad=[0.00900001])
-    assert said[0] is Verdict.ROUNDED
+    assert said[0] is ReplayVerdict.ROUNDED
     assert said[1][0] == "centre_mm[0]: 812.1865 recorded, 812.186505 computed"
-    assert verdict() == (Verdict.EQUAL, ())
+    assert verdict() == (ReplayVerdict.EQUAL, ())
 
 
 @pytest.mark.parametrize(
@@ -35,7 +35,7 @@ def test_differences_in_the_last_digits_count_as_rounded_and_are_named() -> None
     ],
 )
 def test_differences_beyond_rounding_count_as_different(other: dict[str, Any]) -> None:
-    assert verdict(**other)[0] is Verdict.DIFFERENT
+    assert verdict(**other)[0] is ReplayVerdict.DIFFERENT
 
 
 def test_only_real_differences_are_named_when_there_are_any() -> None:

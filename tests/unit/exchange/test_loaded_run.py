@@ -46,7 +46,7 @@ from ronna_hw.evidence.inspection import inspect_run
 from ronna_hw.evidence.journal_reading import RUN_CHANGED
 from ronna_hw.evidence.lost_end import EVENTS_FILE
 from ronna_hw.evidence.manifest import KEPT_TRUTH, seal
-from ronna_hw.loaded_run import NO_PANDAS, NO_RUN_READER, Column
+from ronna_hw.loaded_run import NO_PANDAS, NO_RUN_READER, RunColumn
 from ronna_hw.recording.reading_tape import PIXELS_FILE, READINGS_FILE, READINGS_FOLDER, ReadingTape
 from ronna_hw.records import OTHER_VERSION
 
@@ -59,7 +59,7 @@ TABLES = {
     name: table
     for module in (run_tables, recorded_tables)
     for name, table in vars(module).items()
-    if isinstance(table, tuple) and table and isinstance(table[0], Column)
+    if isinstance(table, tuple) and table and isinstance(table[0], RunColumn)
 }
 WITHOUT_UNIT = {"confidence", "quality", "odds"}
 

@@ -14,7 +14,7 @@ from waiting import HANG_LIMIT_S, eventually
 from drivers.kuka_rsi.errors import STREAM_ERRORS
 from ronna_hw.arm.pose import radians6
 from ronna_hw.arm_stream.motion import MotionFollower
-from ronna_hw.arm_stream.records import Fault, StopOrder
+from ronna_hw.arm_stream.records import LinkFault, StopOrder
 from ronna_hw.devices import Lifecycle, StopKind
 from ronna_hw.devices.errors import WrongState
 from ronna_hw.devices.lifecycle import LifecycleGuard
@@ -130,7 +130,7 @@ def test_of_two_stops_within_one_cycle_the_stronger_one_counts(active_arm: Any) 
     os.kill(link.process.pid, signal.SIGCONT)
     eventually(lambda: link.state.stop_number == 2)
     eventually(lambda: link.state.fault)
-    assert link.state.fault is Fault.PROTECTIVE
+    assert link.state.fault is LinkFault.PROTECTIVE
     assert active_arm.state is Lifecycle.FAULT
 
 

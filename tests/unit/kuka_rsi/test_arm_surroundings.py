@@ -18,7 +18,7 @@ from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.arm.motion.limits import working_limits
 from ronna_hw.arm.motion.planning import plan_joint_move
 from ronna_hw.arm.pose import radians6
-from ronna_hw.arm_stream.records import NO_STATE, Choice, Fault
+from ronna_hw.arm_stream.records import NO_STATE, Choice, LinkFault
 from ronna_hw.arm_stream.set_points import SetPoints
 from ronna_hw.devices import JointMove, Lifecycle, LineMove
 from ronna_hw.frames import Frame, Transform
@@ -111,7 +111,7 @@ def test_the_real_time_process_trips_on_an_obstacle_that_planning_missed() -> No
 def _fault(kind: str, axis: int, value: float, limit: float, mode: OperationMode = OperationMode.EXT) -> Any:
     state = replace(
         NO_STATE,
-        fault=Fault.MONITOR,
+        fault=LinkFault.MONITOR,
         violation_kind=kind,
         violation_axis=axis,
         violation_value=value,

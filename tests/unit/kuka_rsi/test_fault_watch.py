@@ -13,7 +13,7 @@ from drivers.kuka_rsi.eki.telegrams import ControllerState
 from drivers.kuka_rsi.errors import CONTROLLER_STOPPED
 from drivers.kuka_rsi.fault_watch import CAUSE_S
 from ronna_hw.arm.clearance.live_watch import ViolationKind
-from ronna_hw.arm_stream.records import Fault, Phase, StopOrder
+from ronna_hw.arm_stream.records import LinkFault, StopOrder, StreamPhase
 from ronna_hw.wire.kuka_eki import OperationMode, RsiState
 
 A_LITTLE_S = 1e-3
@@ -93,7 +93,7 @@ def _changed(**change: Any) -> ControllerState:
 
 
 NO_LONGER_FOLLOWS = replace(
-    MOVING, phase=Phase.FAULT, fault=Fault.MONITOR, violation_kind=ViolationKind.FOLLOWING_ERROR
+    MOVING, phase=StreamPhase.FAULT, fault=LinkFault.MONITOR, violation_kind=ViolationKind.FOLLOWING_ERROR
 )
 
 

@@ -19,9 +19,9 @@ import pytest
 
 from drivers.ndi_polaris import discovery, line_check
 from drivers.ndi_polaris.line_check import (
+    LineOpening,
+    LineOutcome,
     LineState,
-    Opening,
-    Outcome,
     check_line,
     line_diagnostic,
 )
@@ -105,7 +105,7 @@ def test_a_unit_is_found_at_the_rate_it_was_left_at(
     assert state.last_bytes == ANSWER
 
 
-GARBAGE, ECHO, SILENCE = Outcome.GARBAGE, Outcome.ECHO, Outcome.SILENCE
+GARBAGE, ECHO, SILENCE = LineOutcome.GARBAGE, LineOutcome.ECHO, LineOutcome.SILENCE
 
 
 @pytest.mark.parametrize(
@@ -124,7 +124,7 @@ GARBAGE, ECHO, SILENCE = Outcome.GARBAGE, Outcome.ECHO, Outcome.SILENCE
     ids=["garbage", "text", "loop-back", "silence"],
 )
 def test_a_line_without_a_unit_is_tried_at_every_rate_and_diagnosed(
-    other_end: Callable[[Hears], OtherEnd], hears: Hears, outcomes: list[Outcome], seen: str, advice: str
+    other_end: Callable[[Hears], OtherEnd], hears: Hears, outcomes: list[LineOutcome], seen: str, advice: str
 ) -> None:
     end = other_end(hears)
     state = check_line(end.endpoint)
@@ -204,7 +204,7 @@ def test_a_missing_permission_is_reported_and_nothing_is_sent(
     end = other_end(unit_at(9600))
     monkeypatch.setattr(line_check.os, "access", lambda _path, _mode: False)
     state = check_line(end.endpoint)
-    assert state.opening is Opening.FORBIDDEN
+    assert state.opening is LineOpening.FORBIDDEN
     diagnostic = line_diagnostic(state)
     assert diagnostic.seen == f"permission denied: {end.path}"
     assert end.heard == []
@@ -318,7 +318,7 @@ def test_the_document_lists_every_attempt_in_hex(other_end: Callable[[Hears], Ot
 
 
 def test_a_line_that_was_not_opened_has_no_attempts() -> None:
-    diagnostic = line_diagnostic(LineState(Endpoint("tcp", host="127.0.0.1", port=1), Opening.MISSING))
+    diagnostic = line_diagnostic(LineState(Endpoint("tcp", host="127.0.0.1", port=1), LineOpening.MISSING))
     assert diagnostic.document is not None
     assert diagnostic.document["attempts"] == []
 

@@ -17,7 +17,7 @@ from coded_errors import raises
 from waiting import HANG_LIMIT_S, eventually
 
 from procedures.planning.cart_map import map_places, open_judge, propose_place
-from procedures.planning.cart_place import CartCase, CartMove, PlaceSolution, Verdict
+from procedures.planning.cart_place import CartCase, CartMove, PlaceSolution, PlaceVerdict
 from procedures.planning.errors import NO_PLACE
 from procedures.planning.proposed_place import TURNED_SHARE, ProposedPlace
 from ronna_hw.arm.pose import Pose
@@ -30,13 +30,15 @@ FOUND = PlaceSolution(2, (("T1", 0.0),))
 Asked = Sequence[tuple[CartMove, tuple[PlaceSolution, ...], bool]]
 
 
-def _judge(serves: Callable[[float, float], bool]) -> tuple[Callable[[Asked], list[Verdict]], list[CartMove]]:
+def _judge(
+    serves: Callable[[float, float], bool],
+) -> tuple[Callable[[Asked], list[PlaceVerdict]], list[CartMove]]:
     asked: list[CartMove] = []
 
-    def judge(moves: Asked) -> list[Verdict]:
+    def judge(moves: Asked) -> list[PlaceVerdict]:
         asked.extend(move for move, _, _ in moves)
         return [
-            Verdict(FOUND if serves(move.x_mm, move.y_mm) else None, "T1/target", "too far [ARM-001]")
+            PlaceVerdict(FOUND if serves(move.x_mm, move.y_mm) else None, "T1/target", "too far [ARM-001]")
             for move, _, _ in moves
         ]
 
@@ -104,9 +106,9 @@ def _serves_turned(move: CartMove) -> bool:
 def test_a_turned_cart_states_how_far_off_and_turned_it_still_works() -> None:
     asked: list[CartMove] = []
 
-    def judge(moves: Asked) -> list[Verdict]:
+    def judge(moves: Asked) -> list[PlaceVerdict]:
         asked.extend(move for move, _, _ in moves)
-        return [Verdict(FOUND if _serves_turned(move) else None) for move, _, _ in moves]
+        return [PlaceVerdict(FOUND if _serves_turned(move) else None) for move, _, _ in moves]
 
     places = map_places(WITHIN_MM, judge, turn_rad=math.radians(20.0))
     assert {move.turn_rad for move in asked} == {places.turn_rad}
@@ -124,9 +126,9 @@ def test_a_turned_cart_states_how_far_off_and_turned_it_still_works() -> None:
 def test_a_solution_known_from_a_neighbouring_place_is_passed_on() -> None:
     knew: dict[tuple[float, float], int] = {}
 
-    def judge(moves: Asked) -> list[Verdict]:
+    def judge(moves: Asked) -> list[PlaceVerdict]:
         knew.update({(move.x_mm, move.y_mm): len(known) for move, known, _ in moves})
-        return [Verdict(FOUND) for _ in moves]
+        return [PlaceVerdict(FOUND) for _ in moves]
 
     map_places(WITHIN_MM, judge)
     assert [place for place, known in knew.items() if not known] == [(0.0, 0.0)]
@@ -147,7 +149,7 @@ class _Unjudged:
 
     halted: bool
 
-    def judge(self, *_: object, search: bool) -> Verdict:
+    def judge(self, *_: object, search: bool) -> PlaceVerdict:
         if self.halted:
             os.kill(os.getpid(), signal.SIGSTOP)
         while True:

@@ -21,8 +21,8 @@ from procedures.imaging.volume import Volume
 from procedures.planning.errors import WRONG_SERIES
 from procedures.postoperative.bone_registration import BoneRegistration, register_on_bone
 from procedures.postoperative.comparison import (
-    Candidate,
     FoundKind,
+    InstrumentCandidate,
     assign,
     compare_registered,
     compare_with_plan,
@@ -39,7 +39,7 @@ from procedures.postoperative.errors import (
 )
 from procedures.postoperative.planned_line import ExpectedFit, FitQuality, PlannedLine
 from procedures.postoperative.summary import summarize_comparison
-from sim.phantom.postoperative_scan import Instrument, draw_scan
+from sim.phantom.postoperative_scan import ImagedInstrument, draw_scan
 from sim.world.options import InstrumentKind
 from sim.world.scene.model import CtProtocol, Scene
 from sim.world.scene.named_scenes import MINI_CT, draw_scene
@@ -59,7 +59,7 @@ def planned(scene: Scene) -> Volume:
 
 
 @cache
-def _after(scene: Scene, left: tuple[Instrument, ...]) -> tuple[Volume, BoneRegistration]:
+def _after(scene: Scene, left: tuple[ImagedInstrument, ...]) -> tuple[Volume, BoneRegistration]:
     """The second scan, and how it truly lies."""
     scan = draw_scan(scene, left, SEED)
     pose = RigidTransform.from_matrix(scan.pose.scan_from_head)
@@ -97,7 +97,7 @@ def test_the_streaks_of_an_electrode_do_not_shift_its_tip() -> None:
 def test_errors_are_measured_against_the_plan(scene: Scene, planned: Volume) -> None:
     target = scene.head.targets[0]
     deeper = np.subtract(target.target_ct_mm, 1.5 * np.array(target.outwards_ct))
-    left = (Instrument("T1", InstrumentKind.NEEDLE, tuple(deeper.tolist()), target.outwards_ct),)
+    left = (ImagedInstrument("T1", InstrumentKind.NEEDLE, tuple(deeper.tolist()), target.outwards_ct),)
     post, truth = _after(scene, left)
     plan = make_plan(scene)
     proof = compare_registered(truth, plan, planned, post, ["T1"])
@@ -245,12 +245,12 @@ WAYS = {
 }
 
 
-def rod(x_mm: float, tip_mm: float = -60.0) -> Candidate:
-    return Candidate(FoundKind.INSTRUMENT, np.array([x_mm, 0.0, tip_mm]), DOWN)
+def rod(x_mm: float, tip_mm: float = -60.0) -> InstrumentCandidate:
+    return InstrumentCandidate(FoundKind.INSTRUMENT, np.array([x_mm, 0.0, tip_mm]), DOWN)
 
 
-def hole(x_mm: float) -> Candidate:
-    return Candidate(FoundKind.DRILL_HOLE, np.array([x_mm, 0.0, -8.0]), DOWN)
+def hole(x_mm: float) -> InstrumentCandidate:
+    return InstrumentCandidate(FoundKind.DRILL_HOLE, np.array([x_mm, 0.0, -8.0]), DOWN)
 
 
 def test_two_nearby_trajectories_each_get_their_own_instrument() -> None:
@@ -286,7 +286,9 @@ def test_a_trajectory_without_candidates_is_neither_found_nor_lost() -> None:
 
 
 def test_a_sound_fit_is_preferred_to_a_failed_one() -> None:
-    failed = Candidate(FoundKind.INSTRUMENT, np.array([0.0, 0.0, -60.0]), DOWN, failures=("it did not end",))
+    failed = InstrumentCandidate(
+        FoundKind.INSTRUMENT, np.array([0.0, 0.0, -60.0]), DOWN, failures=("it did not end",)
+    )
     found, _ = assign(WAYS, {"T1": (failed, rod(3.0)), "T2": ()})
     assert found["T1"].failures == ()
 

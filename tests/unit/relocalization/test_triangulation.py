@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from procedures.relocalization import SphereImage, SphereStatus, measure_sphere, triangulate
 from procedures.relocalization.ellipse import circle_as_ellipse, fit_ellipse
 from procedures.relocalization.errors import BAD_MEASUREMENT, WRONG_CAMERA, RaysDoNotMeet, WrongSize
-from procedures.relocalization.triangulation import Camera, check_serial
+from procedures.relocalization.triangulation import CameraModel, check_serial
 from ronna_hw.calibration import CameraCalibration, PoseRecord
 
 FOCAL_PX = 62.5e3 / 5.5
@@ -57,7 +57,7 @@ def bare_camera(**changes):
         "principal_point_px": (1023.5, 543.5),
         "camera_from_tool": PoseRecord(translation_mm=(0, 0, 0), quaternion_wxyz=(1, 0, 0, 0)),
     }
-    return Camera(CameraCalibration(**{**values, **changes}))
+    return CameraModel(CameraCalibration(**{**values, **changes}))
 
 
 @pytest.mark.parametrize("x_mm", [0.0, 3.0, 10.0, 20.0])

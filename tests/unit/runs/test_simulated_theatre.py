@@ -10,7 +10,7 @@ from procedures.runs import simulated_theatre
 from procedures.runs.request import CaseProcedure, RunRequest
 from procedures.runs.simulated_theatre import SimulatedRoom, SimulatedTheatre
 from ronna_hw.errors import RonnaError
-from sim.world.control_port import ControlPort, Room
+from sim.world.control_port import ControlledRoom, ControlPort
 from sim.world.scene.named_scenes import draw_scene
 from sim.world.world import World
 
@@ -37,7 +37,7 @@ def test_the_theatre_ends_when_its_patient_cannot_be_started(
 
 
 def test_the_simulated_wristband_is_that_of_the_theatres_patient() -> None:
-    port = ControlPort(Room(World.create(draw_scene("mini", seed=7), paced=False), None))
+    port = ControlPort(ControlledRoom(World.create(draw_scene("mini", seed=7), paced=False), None))
     assert SimulatedRoom(port.endpoint).read_wristband() == "mini-7"
     port.close()
 
@@ -50,7 +50,7 @@ def test_a_fault_that_came_too_late_is_named_when_the_run_ends(
 ) -> None:
     world = World.create(draw_scene("mini"), paced=False)
     world.set_fault_script("at 0 s: room wrong tool 1")
-    port = ControlPort(Room(world, None))
+    port = ControlPort(ControlledRoom(world, None))
     told: list[str] = []
     at_exit = SimulatedRoom(port.endpoint).tell_missed_faults(told.append)
     at_exit(None, problem, None)

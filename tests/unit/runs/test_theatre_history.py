@@ -17,7 +17,7 @@ from procedures.cli.procedure import app
 from procedures.engine.errors import HISTORY_CHANGED
 from procedures.runs import theatre_history
 from procedures.runs.theatre_history import (
-    Signature,
+    UpdateAuthor,
     describe_state,
     describe_updates_since,
     find_state,
@@ -37,7 +37,7 @@ flange = "changer"\r
 [procedure]\r
 approach_mm = 50.0  # as in the protocol\r
 """
-SIGNED = Signature("ronna-tool define", by="Ana Novak")
+SIGNED = UpdateAuthor("ronna-tool define", by="Ana Novak")
 
 
 def tool(number: int) -> dict[str, object]:
@@ -217,7 +217,7 @@ def test_a_history_of_unchained_lines_is_continued_and_its_texts_are_checked(lab
 def test_an_update_that_was_in_force_stays_listed_when_the_file_is_edited_back(lab: Path) -> None:
     define(lab, 3)
     before = lab.read_bytes()
-    restore(lab, read_states(lab)[0], Signature("restored state 0", by="Rest O"))
+    restore(lab, read_states(lab)[0], UpdateAuthor("restored state 0", by="Rest O"))
     lab.write_bytes(before)
     assert [describe_state(one).rpartition(", ")[2].partition(":")[0] for one in read_states(lab)] == [
         "as first known", "ronna-tool define", "restored state 0", "edited by hand"

@@ -14,7 +14,7 @@ import pytest
 from ronna_hw.wire.gige_vision import Bootstrap
 from sim.basler.control.bootstrap import Identity
 from sim.basler.control.feature_table import address_of
-from sim.basler.device import Camera
+from sim.basler.device import SimulatedCamera
 from sim.basler.settings import FrameSettings, TriggerMoments
 
 CLIENT = ("127.0.0.1", 40001)
@@ -70,7 +70,7 @@ class PlainImages:
 class Bench:
     """One camera, its surroundings, and the requests of a client."""
 
-    camera: Camera
+    camera: SimulatedCamera
     clock: StillClock
     host_s: HostSeconds
     images: PlainImages
@@ -168,7 +168,7 @@ def make_bench() -> Iterator[MakeBench]:
         clock = beside.clock if beside else StillClock()
         host_s, images = HostSeconds(), PlainImages()
         moments = beside.moments if beside else TriggerMoments(clock)
-        camera = Camera(Identity("127.0.0.1", serial, name), images, clock, moments, now_s=host_s)
+        camera = SimulatedCamera(Identity("127.0.0.1", serial, name), images, clock, moments, now_s=host_s)
         bench = Bench(camera, clock, host_s, images, receiver, moments)
         camera.open()
         made.append(bench)

@@ -8,13 +8,13 @@ from camera_views import FOCAL_PX, FULL, PRINCIPAL_PX, RADIUS_MM, aim_at_first_s
 from numpy.typing import NDArray
 
 from sim.basler.camera.photographer import Photographer
-from sim.basler.camera.view import Disturbances, View
+from sim.basler.camera.view import View, ViewDisturbances
 from sim.basler.optics.canvas import Area
 from sim.basler.optics.film import STAINED_BRIGHTNESS, Stain, draw_stains
-from sim.basler.optics.picture import Disturbance, Glare, Occluder, Optics
+from sim.basler.optics.picture import Glare, LensOptics, Occluder, PictureDisturbance
 from sim.basler.optics.sensor import Sensor
-from sim.basler.optics.sphere import Sphere
-from sim.basler.settings import FrameSettings, Settings
+from sim.basler.optics.sphere import DrawnSphere
+from sim.basler.settings import CameraSettings, FrameSettings
 from sim.errors import BadFaultScript
 from sim.world.faults import check_faults, parse_faults
 from sim.world.rigid import matrix_of
@@ -25,8 +25,8 @@ from sim.world.world import World
 Array = NDArray[np.float64]
 
 
-def light(disturbance: Disturbance, spheres: list[Sphere] | None = None) -> Array:
-    drawn = Optics(bare_camera(), 0).light_on(FULL, [ball()] if spheres is None else spheres, disturbance)
+def light(disturbance: PictureDisturbance, spheres: list[DrawnSphere] | None = None) -> Array:
+    drawn = LensOptics(bare_camera(), 0).light_on(FULL, [ball()] if spheres is None else spheres, disturbance)
     return drawn.astype(float)
 
 
@@ -35,8 +35,8 @@ def test_a_stain_has_its_projected_place_and_size(tilt_rad: float) -> None:
     half_angle = 0.12
     # the sphere's frame looks at the camera: its z axis is the camera's -z
     stain = Stain((float(np.sin(tilt_rad)), 0.0, float(np.cos(tilt_rad))), half_angle)
-    lost = light(Disturbance()) - light(Disturbance(stains=((1, (stain,)),)))
-    share = lost / np.maximum(light(Disturbance()), 0.5) / (1.0 - STAINED_BRIGHTNESS)
+    lost = light(PictureDisturbance()) - light(PictureDisturbance(stains=((1, (stain,)),)))
+    share = lost / np.maximum(light(PictureDisturbance()), 0.5) / (1.0 - STAINED_BRIGHTNESS)
     rows, columns = np.indices(share.shape)
     found = np.array([(share * columns).sum(), (share * rows).sum()]) / share.sum()
     angle = np.linspace(0.0, 2.0 * np.pi, 720, endpoint=False)[:, None]
@@ -60,7 +60,7 @@ def test_drawn_stains_cover_the_requested_share(share: float) -> None:
 
 @pytest.mark.parametrize(("share", "direction"), [(0.1, 0.3), (0.3, 2.0), (0.45, -1.2)])
 def test_an_occluder_hides_its_share_of_the_rim(share: float, direction: float) -> None:
-    seen = light(Disturbance(occluders=(Occluder(share, direction),)))
+    seen = light(PictureDisturbance(occluders=(Occluder(share, direction),)))
     angle = np.arange(3600) * (2 * np.pi / 3600)
     rim = FOCAL_PX * RADIUS_MM / np.sqrt(250.0**2 - RADIUS_MM**2)
     radius = rim - 4.0  # just inside, where the chord leaves a little less of the circle beyond it
@@ -74,7 +74,7 @@ def test_an_occluder_hides_its_share_of_the_rim(share: float, direction: float) 
 
 def test_a_glare_saturates_its_own_place_and_nothing_else() -> None:
     glare = Glare((300.5, 200.0), 60.0)
-    seen, clean = light(Disturbance(glares=(glare,)), []), light(Disturbance(), [])
+    seen, clean = light(PictureDisturbance(glares=(glare,)), []), light(PictureDisturbance(), [])
     extra = seen - clean
     rows, columns = np.indices(extra.shape)
     centre = np.array([(extra * columns).sum(), (extra * rows).sum()]) / extra.sum()
@@ -88,19 +88,19 @@ def test_a_glare_saturates_its_own_place_and_nothing_else() -> None:
 
 
 def test_a_disturbed_area_of_interest_shows_its_part_of_the_full_image() -> None:
-    disturbance = Disturbance(
+    disturbance = PictureDisturbance(
         stains=((1, draw_stains(1, 1, 0.05)),),
         occluders=(Occluder(0.2, 1.0),),
         glares=(Glare((1200.0, 400.0), 90.0),),
     )
-    optics = Optics(bare_camera(), 0)
+    optics = LensOptics(bare_camera(), 0)
     full = optics.light_on(FULL, [ball()], disturbance)
     part = optics.light_on(Area(800, 200, 640, 480), [ball()], disturbance)
     assert np.isclose(part, full[200:680, 800:1440], atol=1e-4).mean() > 0.99
 
 
 def frame() -> FrameSettings:
-    settings = Settings()
+    settings = CameraSettings()
     settings.offset_x, settings.width, settings.height = 512, 1024, 1024
     return settings.frame()
 
@@ -148,7 +148,7 @@ def test_a_twisted_camera_sees_everything_turned_about_its_centre() -> None:
 
 def test_a_creeping_camera_keeps_turning_with_theatre_time() -> None:
     world = World.create(draw_scene("bench"), paced=False)
-    left, right = (Disturbances(world, truth) for truth in (world.scene.left, world.scene.right))
+    left, right = (ViewDisturbances(world, truth) for truth in (world.scene.left, world.scene.right))
     world.set_fault_script("at 10 s: camera creep left -0.02 deg per min for 60 s")
     turned_deg = []
     for _ in range(4):  # at 0, 25, 50 and 75 s

@@ -11,7 +11,7 @@ import pytest
 
 from ronna_hw.wire.gige_vision import Bootstrap
 from sim.basler.faults import NoFaults
-from sim.basler.message_channel import EVENTS_KEPT, EVENTS_PER_MESSAGE, Event, MessageChannel
+from sim.basler.message_channel import EVENTS_KEPT, EVENTS_PER_MESSAGE, CameraEvent, MessageChannel
 from sim.basler.settings import EventKind
 
 OK, INVALID_PARAMETER, ACCESS_DENIED = 0, 0x8002, 0x8006
@@ -193,7 +193,7 @@ def test_nothing_is_sent_after_control_is_released(bench: Any, listener: Listene
     subscribe(bench, listener, EventKind.FRAME_START_OVERTRIGGER)
     assert bench.write(Bootstrap.CCP, 0) == OK
     assert bench.camera.messages.receiver is None
-    assert bench.camera.messages.report(Event(EventKind.FRAME_START, 0, 1))
+    assert bench.camera.messages.report(CameraEvent(EventKind.FRAME_START, 0, 1))
     assert listener.nothing()
 
 
@@ -210,7 +210,7 @@ class Channel:
         self.channel.timeout_ms, self.channel.retries = TIMEOUT_MS, 2
 
     def tell(self, kind: EventKind = EventKind.FRAME_START, block: int = 0, data: bytes = b"") -> bool:
-        return self.channel.report(Event(kind, block, 8, data))
+        return self.channel.report(CameraEvent(kind, block, 8, data))
 
     def later(self, seconds: float) -> None:
         self.now_s += seconds

@@ -13,9 +13,9 @@ from scipy.special import ndtr
 
 from sim.basler.optics.canvas import Area, Lens, blur
 from sim.basler.optics.film import CONTRAST, Film, Grain
-from sim.basler.optics.picture import Optics
+from sim.basler.optics.picture import LensOptics
 from sim.basler.optics.sensor import Lighting
-from sim.basler.optics.sphere import Sphere, draw_sphere
+from sim.basler.optics.sphere import DrawnSphere, draw_sphere
 from sim.world.noise import noise
 from sim.world.rigid import rotation_from_vector
 from sim.world.scene.named_scenes import draw_scene
@@ -154,7 +154,7 @@ def fitted_centre(points: Array) -> Array:
 def test_the_light_on_the_sensor_has_its_rim_at_the_projected_outline(
     place: tuple[float, float, float],
 ) -> None:
-    light = Optics(bare_camera(), 0).light_on(FULL, [ball(place)]).astype(float)
+    light = LensOptics(bare_camera(), 0).light_on(FULL, [ball(place)]).astype(float)
     wanted, axes = expected_ellipse(place)
     found = fitted_centre(rim_points(light, wanted, float(axes.mean())))
     assert np.abs(found - wanted).max() < 0.02
@@ -172,7 +172,7 @@ def thin_lens_sigma_px(depth_mm: float) -> float:
 @pytest.mark.parametrize("depth_mm", [250.0, 244.0, 256.0, 264.0])
 def test_the_rim_is_as_soft_as_a_thin_lens_makes_it_at_its_depth(depth_mm: float) -> None:
     # across the post's axis nothing but film and background meets at the rim
-    light = Optics(bare_camera(), 0).light_on(FULL, [ball((0.0, 0.0, depth_mm))]).astype(float)
+    light = LensOptics(bare_camera(), 0).light_on(FULL, [ball((0.0, 0.0, depth_mm))]).astype(float)
     centre, axes = expected_ellipse((0.0, 0.0, depth_mm))
     rows = np.arange(round(centre[1]) - 20, round(centre[1]) + 21)[:, None]
     rims = centre[0] + np.sqrt(axes[0] ** 2 - (rows - centre[1]) ** 2)
@@ -203,7 +203,7 @@ def test_the_light_is_uneven_differently_for_each_camera_and_darker_in_the_corne
 
 def test_the_brightness_of_a_sphere_follows_the_light_at_its_place() -> None:
     camera = bare_camera()
-    optics, lighting = Optics(camera, 3), Lighting(3, camera.serial, camera.sensor_px)
+    optics, lighting = LensOptics(camera, 3), Lighting(3, camera.serial, camera.sensor_px)
     seen, falling = [], []
     for x_mm in (-15.0, 15.0):
         centre, _ = expected_ellipse((x_mm, 0.0, 250.0))
@@ -257,7 +257,7 @@ def oblique(degrees: float) -> Array:
 def test_the_flange_cuts_the_rim_only_when_seen_from_the_side() -> None:
     light = {}
     for degrees in (0.0, 85.0):
-        light[degrees] = Optics(bare_camera(), 0).light_on(FULL, [ball((0, 0, 250.0), oblique(degrees))])
+        light[degrees] = LensOptics(bare_camera(), 0).light_on(FULL, [ball((0, 0, 250.0), oblique(degrees))])
     centre, axes = expected_ellipse((0.0, 0.0, 250.0))
     just_inside = (round(centre[1]), round(centre[0] - axes[0]) + 8)  # the side of the skull
     assert light[0.0][just_inside] > 1.2
@@ -271,7 +271,7 @@ def test_the_flange_cuts_the_rim_only_when_seen_from_the_side() -> None:
 
 def test_the_nearer_of_two_spheres_hides_the_farther_one() -> None:
     near, far = ball((0.0, 0.0, 240.0)), ball((1.0, 0.0, 280.0))
-    optics = Optics(bare_camera(), 0)
+    optics = LensOptics(bare_camera(), 0)
     both = optics.light_on(FULL, [near, far])
     alone = optics.light_on(FULL, [near])
     centre, axes = expected_ellipse((0.0, 0.0, 240.0))
@@ -281,7 +281,7 @@ def test_the_nearer_of_two_spheres_hides_the_farther_one() -> None:
 
 
 def test_an_area_of_interest_shows_its_part_of_the_full_image() -> None:
-    optics = Optics(bare_camera(), 0)
+    optics = LensOptics(bare_camera(), 0)
     full = optics.light_on(FULL, [ball((4.0, 1.0, 253.0))])
     area = Area(800, 200, 640, 480)
     part = optics.light_on(area, [ball((4.0, 1.0, 253.0))])
@@ -301,14 +301,14 @@ def test_blur_has_its_width_and_preserves_the_light(sigma: float) -> None:
 
 
 def test_a_sphere_behind_or_inside_the_lens_is_not_drawn() -> None:
-    optics = Optics(bare_camera(), 0)
+    optics = LensOptics(bare_camera(), 0)
     dark = optics.light_on(FULL, [])
     assert np.allclose(optics.light_on(FULL, [ball((0, 0, -250.0)), ball((0, 0, 20.0))]), dark)
     assert dark.max() < 0.1
 
 
 def test_a_servo_image_renders_within_its_time_budget() -> None:
-    optics = Optics(bare_camera(), 0)
+    optics = LensOptics(bare_camera(), 0)
     area = Area(512, 32, 1024, 1024)
     optics.light_on(area, [ball((0.0, 0.0, 250.0))])
     costs = []
@@ -320,14 +320,14 @@ def test_a_servo_image_renders_within_its_time_budget() -> None:
 
 
 def test_any_sphere_in_any_area_gives_finite_non_negative_light() -> None:
-    optics = Optics(bare_camera(), 0)
+    optics = LensOptics(bare_camera(), 0)
     chance = noise(1, "spheres and areas", 0)
     for _ in range(60):
         spheres = []
         for number in range(int(chance.integers(0, 4))):
             place = (*chance.normal(0.0, (30.0, 20.0)), chance.choice((chance.uniform(40, 1000), 250.0)))
             spheres.append(
-                Sphere(np.array(place), RADIUS_MM, rotation_from_vector(chance.normal(0, 2, 3)), number)
+                DrawnSphere(np.array(place), RADIUS_MM, rotation_from_vector(chance.normal(0, 2, 3)), number)
             )
         width, height = int(chance.choice((16, 640, 2048))), int(chance.choice((1, 480, 1088)))
         area = Area(

@@ -14,7 +14,7 @@ from sim.basler.camera.photographer import ramp_image as ramp
 from sim.basler.camera.view import View
 from sim.basler.optics.canvas import Area
 from sim.basler.optics.sensor import Sensor
-from sim.basler.settings import FrameSettings, RampImage, Settings
+from sim.basler.settings import CameraSettings, FrameSettings, RampImage
 from sim.world.noise import noise
 from sim.world.rigid import apply, matrix_of, rotation_towards
 from sim.world.scene.named_scenes import draw_scene
@@ -25,7 +25,7 @@ AREA = Area(512, 32, 1024, 1024)
 
 
 def frame(**changes: object) -> FrameSettings:
-    settings = Settings(width=AREA.width, height=AREA.height, offset_x=AREA.x, offset_y=AREA.y)
+    settings = CameraSettings(width=AREA.width, height=AREA.height, offset_x=AREA.x, offset_y=AREA.y)
     for name, value in changes.items():
         setattr(settings, name, value)
     return settings.frame()
@@ -187,7 +187,7 @@ def test_a_picture_is_rendered_wherever_the_head_is_over_a_sphere(seed: int) -> 
     world = World.create(scene, paced=False)
     photographer = Photographer(world, scene.left)
     generator = np.random.default_rng(seed)
-    frame = Settings().frame()
+    frame = CameraSettings().frame()
     for number in range(12):
         axis = generator.normal(0.0, 0.4, 3) - (0.0, 0.0, 1.0)
         aim_at_first_sphere(world, generator.normal(0.0, 12.0, 3), axis)

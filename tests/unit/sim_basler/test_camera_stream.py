@@ -11,14 +11,14 @@ import pytest
 
 from ronna_hw.wire.gige_vision import Bootstrap, PixelFormat
 from sim.basler import stream_channel as stream
-from sim.basler.settings import SOFTWARE_TRIGGER_SKEW_NS, Settings, readout_us
+from sim.basler.settings import SOFTWARE_TRIGGER_SKEW_NS, CameraSettings, readout_us
 from sim.basler.stream_channel import (
     BURST_BYTES,
     KEPT_BLOCKS,
     LONGEST_CREDIT_S,
     WIRE_BYTES_PER_S,
     Block,
-    Frame,
+    SentImage,
     StreamChannel,
 )
 
@@ -188,7 +188,7 @@ def test_a_trigger_in_lock_step_advances_the_theatre_by_exposure_and_readout(ben
     triggered(bench)
     begun_ns = bench.clock.time_ns
     bench.shoot()
-    frame = Settings(width=64, height=48).frame()
+    frame = CameraSettings(width=64, height=48).frame()
     assert bench.clock.time_ns - begun_ns == frame.exposure_us * 1000 + round(readout_us(frame) * 1e3)
 
 
@@ -202,7 +202,7 @@ def test_a_pair_in_lock_step_takes_the_time_of_one_frame(make_bench: Any) -> Non
         first = stamp(left.shoot())  # the theatre has advanced before the second trigger comes
         second = stamp(right.shoot())
         assert 0 <= second - first <= SOFTWARE_TRIGGER_SKEW_NS // 8
-        frame = Settings(width=64, height=48).frame()
+        frame = CameraSettings(width=64, height=48).frame()
         one_ns = frame.exposure_us * 1000 + round(readout_us(frame) * 1e3)
         assert left.clock.time_ns - begun_ns <= (number + 1) * (one_ns + SOFTWARE_TRIGGER_SKEW_NS)
 
@@ -300,8 +300,8 @@ def sent_by(monkeypatch: pytest.MonkeyPatch, computer: StallingComputer, duratio
     channel.port, channel.packet_size = 9, PACKET_BYTES
     monkeypatch.setattr(stream, "time", computer)
     monkeypatch.setattr(channel, "_send_packet", computer.put)
-    frame = Settings().frame()
-    channel.send(Block(1, Frame(frame, bytes(frame.payload_bytes), 1), PACKET_BYTES), duration_s)
+    frame = CameraSettings().frame()
+    channel.send(Block(1, SentImage(frame, bytes(frame.payload_bytes), 1), PACKET_BYTES), duration_s)
     channel.close()
     return computer.sent
 

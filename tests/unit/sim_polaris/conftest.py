@@ -8,7 +8,7 @@ import pytest
 from polaris_bench import Bench, MakeBench
 
 from sim.polaris.line.interpreter import CommandInterpreter
-from sim.polaris.tracker_unit import Unit
+from sim.polaris.tracker_unit import SimulatedUnit
 from sim.polaris.unit.behaviour import UnitBehaviour
 from sim.polaris.unit.model import SPECTRA, UnitModel
 from sim.polaris.unit.ports import WiredPorts
@@ -39,7 +39,7 @@ def make_bench() -> MakeBench:
     ) -> Bench:
         world = World.create(scene or BENCH, paced=paced)
         behaviour.setdefault("saved_illuminator_rate", EVERY_FRAME)
-        unit = Unit(world, model, UnitBehaviour(**behaviour), wired)
+        unit = SimulatedUnit(world, model, UnitBehaviour(**behaviour), wired)
         return Bench(world, unit, CommandInterpreter(unit))
 
     return make

@@ -10,7 +10,7 @@ from polaris_bench import Bench, MakeBench
 
 from ronna_hw.wire.polaris import PVWR_BLOCK_BYTES, crc16
 from sim.polaris.handlers.table import COMMANDS
-from sim.polaris.tracker_unit import Mode
+from sim.polaris.tracker_unit import UnitMode
 from sim.polaris.unit.model import SPECTRA
 from sim.polaris.unit.ports import WiredPorts, WiredTool
 from sim.polaris.unit.tool_definition import write_definition
@@ -116,9 +116,9 @@ def check(reply: bytes, seen: Counter[str], line: str) -> None:
 def converse(bench: Bench, tool: TrackerTool, lines: int, seed: int) -> Counter[str]:
     dice, seen = Dice(seed), Counter[str]()
     for _ in range(lines):
-        if bench.unit.mode is Mode.NOT_INITIALISED and dice.chance(0.2):
+        if bench.unit.mode is UnitMode.NOT_INITIALISED and dice.chance(0.2):
             bench.raw("INIT ")
-        if bench.unit.mode is Mode.SETUP and dice.chance(0.02) and len(list(bench.unit.ports)) < 10:
+        if bench.unit.mode is UnitMode.SETUP and dice.chance(0.02) and len(list(bench.unit.ports)) < 10:
             bench.enable(tool)
         if dice.chance(0.005):
             change = bench.unit.plug if dice.chance(0.5) else bench.unit.unplug

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from sim.polaris.unit.framing import LineBuffer, Overlong, ascii_reply, binary_reply, parse_request
-from sim.polaris.unit.refusal import ErrorCode, Refusal
+from sim.polaris.unit.refusal import CommandRefusal, NdiErrorCode
 
 LIMIT = 40
 
@@ -31,15 +31,15 @@ def test_all_three_forms_of_a_command_are_read(line: bytes, name: str, argument:
 @pytest.mark.parametrize(
     ("line", "code"),
     [
-        (b"INIT:E3A6", ErrorCode.WRONG_CRC),
-        (b"INIT:+3A5", ErrorCode.WRONG_CRC),
-        (b"INIT:E3", ErrorCode.TOO_SHORT),
-        (b"", ErrorCode.TOO_SHORT),
-        (Overlong(b"ECHO"), ErrorCode.TOO_LONG),
+        (b"INIT:E3A6", NdiErrorCode.WRONG_CRC),
+        (b"INIT:+3A5", NdiErrorCode.WRONG_CRC),
+        (b"INIT:E3", NdiErrorCode.TOO_SHORT),
+        (b"", NdiErrorCode.TOO_SHORT),
+        (Overlong(b"ECHO"), NdiErrorCode.TOO_LONG),
     ],
 )
-def test_a_malformed_line_is_refused_with_its_own_code(line: bytes, code: ErrorCode) -> None:
-    with pytest.raises(Refusal) as refused:
+def test_a_malformed_line_is_refused_with_its_own_code(line: bytes, code: NdiErrorCode) -> None:
+    with pytest.raises(CommandRefusal) as refused:
         parse_request(line)
     assert refused.value.code is code
 

@@ -8,7 +8,7 @@ import pytest
 from ronna_hw.arm.clearance.bodies import Capsule
 from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.collision_config import CollisionConfig
-from sim.polaris.measurement.line_of_sight import ArmBody, Capsules, Ellipsoid, visible
+from sim.polaris.measurement.line_of_sight import ArmBody, Capsules, OpaqueEllipsoid, visible
 from sim.polaris.measurement.optics import EYES_MM
 from sim.polaris.measurement.true_scene import UNDISTURBED, TrueScene
 from sim.world.nominal_arm import description
@@ -34,10 +34,10 @@ def stage_at_home(name: str, seed: int) -> tuple[TrueScene, World]:
     return TrueScene(world), world
 
 
-def ball(centre: tuple[float, float, float], radius_mm: float) -> Ellipsoid:
+def ball(centre: tuple[float, float, float], radius_mm: float) -> OpaqueEllipsoid:
     unit = np.diag([1.0 / radius_mm] * 3 + [1.0])
     unit[:3, 3] = -np.array(centre) / radius_mm
-    return Ellipsoid(unit)
+    return OpaqueEllipsoid(unit)
 
 
 @pytest.mark.parametrize(

@@ -13,9 +13,9 @@ from ronna_hw.wire.polaris import ReplyOption, SystemStatus
 from sim.named_parameters import rows
 from sim.polaris.errors import BAD_UNIT_PARAMETER
 from sim.polaris.handlers.frame_replies import binary_body, text_reply
-from sim.polaris.measurement.frame import Frame, Stray
+from sim.polaris.measurement.frame import MeasuredFrame, Stray
 from sim.polaris.unit.behaviour import UnitBehaviour, parse_behaviour
-from sim.polaris.unit.refusal import ErrorCode
+from sim.polaris.unit.refusal import NdiErrorCode
 from sim.world.scene.model import TrackerTool
 
 
@@ -23,10 +23,10 @@ from sim.world.scene.model import TrackerTool
     ("behaviour", "line", "usual", "other"),
     [
         ({"accepts_lower_case": True}, "echo x", "ERROR01", "x"),
-        ({"malformed_line_settings": ErrorCode.PARAMETER_COUNT}, "COMM Z0000", "ERROR23", "ERROR07"),
-        ({"absent_command": ErrorCode.UNKNOWN_COMMAND}, "GETIO 01", "ERROR33", "ERROR01"),
-        ({"absent_command": ErrorCode.UNKNOWN_COMMAND}, "PSTART ", "ERROR33", "ERROR01"),
-        ({"unknown_feature_list": ErrorCode.NO_FEATURE_LIST}, "SFLIST 77", "ERROR23", "ERROR25"),
+        ({"malformed_line_settings": NdiErrorCode.PARAMETER_COUNT}, "COMM Z0000", "ERROR23", "ERROR07"),
+        ({"absent_command": NdiErrorCode.UNKNOWN_COMMAND}, "GETIO 01", "ERROR33", "ERROR01"),
+        ({"absent_command": NdiErrorCode.UNKNOWN_COMMAND}, "PSTART ", "ERROR33", "ERROR01"),
+        ({"unknown_feature_list": NdiErrorCode.NO_FEATURE_LIST}, "SFLIST 77", "ERROR23", "ERROR25"),
         ({"starts_without_tools": False}, "TSTART ", "OKAY", "ERROR12"),
         ({"most_tracked": -1}, "TSTART ", "OKAY", "ERROR28"),
         ({"freeze_tag_with_minor": False}, "VER 0", "Rev 007.000\n", "Rev 007\n"),
@@ -110,7 +110,7 @@ def test_tool_markers_are_reported_by_bx_and_optionally_by_tx(
 
 def test_out_of_volume_bits_can_start_at_either_end_of_a_byte() -> None:
     outside, inside = Stray((900.0, 0.0, -1000.0), False), Stray((0.0, 0.0, -1000.0), True)
-    frame = Frame(1, (), (outside, inside, inside), SystemStatus(0))
+    frame = MeasuredFrame(1, (), (outside, inside, inside), SystemStatus(0))
     option = ReplyOption.STRAY_PASSIVE
     assert binary_body(frame, option, UnitBehaviour())[1:3] == b"\x03\x01"
     assert binary_body(frame, option, UnitBehaviour(first_stray_is_low_bit=False))[1:3] == b"\x03\x80"
@@ -138,7 +138,7 @@ def test_parameters_are_set_by_text() -> None:
     settings = ["enforces_line=no", "bad_definition=40", "watch_dog=reset", "reset_s=2.5"]
     chosen = parse_behaviour(settings)
     assert not chosen.enforces_line
-    assert chosen.bad_definition is ErrorCode.DEFINITION_CORRUPT
+    assert chosen.bad_definition is NdiErrorCode.DEFINITION_CORRUPT
     assert (chosen.watch_dog, chosen.reset_s) == ("reset", 2.5)
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sim.polaris.measurement.optics import Optics
-from sim.polaris.unit.model import EXTENDED_PYRAMID, PYRAMID, SPECTRA, VICRA_VOLUME, Volume
+from sim.polaris.unit.model import EXTENDED_PYRAMID, PYRAMID, SPECTRA, VICRA_VOLUME, UnitVolume
 from sim.world.noise import noise
 from sim.world.scene.model import TrackerTruth
 from sim.world.scene.named_scenes import draw_scene
@@ -21,11 +21,11 @@ def truth() -> TrackerTruth:
     return draw_scene("default").tracker
 
 
-def optics(truth: TrackerTruth, seed: int, *volumes: Volume) -> Optics:
+def optics(truth: TrackerTruth, seed: int, *volumes: UnitVolume) -> Optics:
     return Optics(truth, seed, volumes or SPECTRA.volumes)
 
 
-def places_in(volume: Volume, count: int = PLACES) -> np.ndarray:
+def places_in(volume: UnitVolume, count: int = PLACES) -> np.ndarray:
     """Points spread evenly over a volume (n, 3)."""
     near, far = volume.depths_mm
     x, y = volume.half_widths_mm(far)
@@ -57,7 +57,7 @@ def test_noise_grows_with_the_square_of_the_distance(truth: TrackerTruth) -> Non
 @pytest.mark.parametrize("volume", [PYRAMID, EXTENDED_PYRAMID, VICRA_VOLUME], ids=lambda volume: volume.name)
 @pytest.mark.parametrize("seed", [0, 7, 11])
 def test_the_rms_error_over_the_whole_volume_matches_the_published_value(
-    truth: TrackerTruth, volume: Volume, seed: int
+    truth: TrackerTruth, volume: UnitVolume, seed: int
 ) -> None:
     unit = optics(truth, seed, volume) if volume is VICRA_VOLUME else optics(truth, seed)
     points = places_in(volume)
@@ -99,7 +99,7 @@ def test_a_scene_may_have_a_tracker_without_error(truth: TrackerTruth) -> None:
         (EXTENDED_PYRAMID, -3000.0, 735.0, 928.77),
     ],
 )
-def test_a_volume_has_the_published_cross_sections(volume: Volume, z: float, x: float, y: float) -> None:
+def test_a_volume_has_the_published_cross_sections(volume: UnitVolume, z: float, x: float, y: float) -> None:
     assert volume.holds(x - 0.01, y - 0.01, z)
     assert volume.holds(-x + 0.01, -y + 0.01, z)
     assert not volume.holds(x + 0.01, 0.0, z)

@@ -19,7 +19,7 @@ from sim.polaris.errors import LINE_UNAVAILABLE
 from sim.polaris.line.interpreter import CommandInterpreter
 from sim.polaris.line.pseudo_terminal import PseudoTerminal
 from sim.polaris.line.server import EndSignal, Server
-from sim.polaris.tracker_unit import Mode, Unit
+from sim.polaris.tracker_unit import SimulatedUnit, UnitMode
 from sim.polaris.unit.behaviour import UnitBehaviour
 from sim.world.scene.named_scenes import draw_scene
 from sim.world.world import World
@@ -88,7 +88,7 @@ class Line:
     def __init__(self, *, throttle: bool = False, faults: str = "", **behaviour: Any) -> None:
         world = World.create(draw_scene("bench"), paced=True)
         world.set_fault_script(faults)
-        self.interpreter = CommandInterpreter(Unit(world, behaviour=UnitBehaviour(**behaviour)))
+        self.interpreter = CommandInterpreter(SimulatedUnit(world, behaviour=UnitBehaviour(**behaviour)))
         self._end = EndSignal()
         self._terminal = PseudoTerminal(self.interpreter, throttle=throttle)
         server = Server(self.interpreter, self._end)
@@ -229,7 +229,7 @@ def test_a_restarting_unit_ignores_commands_until_it_sends_reset(make_line: Call
     host.ask("INIT ")
     host.send_break()
     deadline_s = time.monotonic() + ANSWER_LIMIT_S
-    while line.interpreter.unit.mode is not Mode.NOT_INITIALISED and time.monotonic() < deadline_s:
+    while line.interpreter.unit.mode is not UnitMode.NOT_INITIALISED and time.monotonic() < deadline_s:
         time.sleep(0.01)
     host.write(b"INIT \r")
     assert host.read() == RESET
@@ -272,7 +272,7 @@ def test_unavailable_pseudo_terminals_are_reported_with_the_reason(monkeypatch: 
         raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr(os, "openpty", refuse)
-    interpreter = CommandInterpreter(Unit(World.create(draw_scene("bench"), paced=True)))
+    interpreter = CommandInterpreter(SimulatedUnit(World.create(draw_scene("bench"), paced=True)))
     with raises(LINE_UNAVAILABLE, match="No space left") as refused:
         PseudoTerminal(interpreter, throttle=False)
     assert refused.value.code == "PSU-003"

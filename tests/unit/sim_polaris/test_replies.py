@@ -8,8 +8,8 @@ import pytest
 
 from ronna_hw.wire.polaris import PortStatus, ReplyOption, SystemStatus
 from sim.polaris.handlers.frame_replies import binary_body, text_reply
-from sim.polaris.measurement.frame import Frame, Stray
-from sim.polaris.measurement.tracking_rules import ToolPose, Tracked
+from sim.polaris.measurement.frame import MeasuredFrame, Stray
+from sim.polaris.measurement.tracking_rules import ToolPose, TrackedTool
 from sim.polaris.unit.behaviour import UnitBehaviour
 from sim.polaris.unit.framing import ascii_reply, binary_reply
 from sim.polaris.unit.ports import Port
@@ -22,16 +22,16 @@ NO_FAULT = SystemStatus(0)
 USUAL = UnitBehaviour()
 
 
-def frame_with(number: int, tracked: Tracked | None, *strays: Stray) -> Frame:
-    return Frame(number, ((PORT, tracked),), strays, NO_FAULT)
+def frame_with(number: int, tracked: TrackedTool | None, *strays: Stray) -> MeasuredFrame:
+    return MeasuredFrame(number, ((PORT, tracked),), strays, NO_FAULT)
 
 
-def valid(volume_status: PortStatus = INSIDE) -> Tracked:
-    return Tracked(POSE, volume_status, 0x10, (3, 3, 0, 3))
+def valid(volume_status: PortStatus = INSIDE) -> TrackedTool:
+    return TrackedTool(POSE, volume_status, 0x10, (3, 3, 0, 3))
 
 
-def missing() -> Tracked:
-    return Tracked(None, INSIDE, 0x02, (0, 0, 0, 0))
+def missing() -> TrackedTool:
+    return TrackedTool(None, INSIDE, 0x02, (0, 0, 0, 0))
 
 
 def test_a_visible_tool_is_encoded_as_in_the_published_example() -> None:
@@ -53,7 +53,7 @@ def test_a_missing_tool_keeps_its_status_and_frame() -> None:
 
 
 @pytest.mark.parametrize("tracked", [valid(), missing()])
-def test_tool_information_adds_22_characters_or_11_bytes(tracked: Tracked) -> None:
+def test_tool_information_adds_22_characters_or_11_bytes(tracked: TrackedTool) -> None:
     frame = frame_with(1, tracked)
     more = T | ReplyOption.TOOL_INFORMATION
     assert len(text_reply(frame, more, USUAL)) == len(text_reply(frame, T, USUAL)) + 22
@@ -78,7 +78,7 @@ def test_a_tool_outside_the_volume_is_reported_only_on_request() -> None:
 
 def test_all_strays_are_counted_but_those_outside_are_reported_only_on_request() -> None:
     strays = (Stray((1.0, 2.0, -1000.0), True), Stray((900.0, 0.0, -1000.0), False))
-    frame = Frame(1, (), strays, NO_FAULT)
+    frame = MeasuredFrame(1, (), strays, NO_FAULT)
     alone = ReplyOption.STRAY_PASSIVE
     every = alone | ReplyOption.OUT_OF_VOLUME
     assert text_reply(frame, alone, USUAL) == "00" + "021" + "+000100+000200-100000" + "0000"
@@ -92,7 +92,7 @@ def test_all_strays_are_counted_but_those_outside_are_reported_only_on_request()
 def test_out_of_volume_bits_take_as_many_digits_as_strays_need(
     count: int, digits: int, flag_bytes: int
 ) -> None:
-    frame = Frame(1, (), (Stray((0.0, 0.0, -1500.0), True),) * count, NO_FAULT)
+    frame = MeasuredFrame(1, (), (Stray((0.0, 0.0, -1500.0), True),) * count, NO_FAULT)
     option = ReplyOption.STRAY_PASSIVE
     assert len(text_reply(frame, option, USUAL)) == 2 + 2 + digits + 21 * count + 4
     assert len(binary_body(frame, option, USUAL)) == 1 + 1 + flag_bytes + 12 * count + 2

@@ -11,7 +11,7 @@ import pytest
 from polaris_bench import Bench, MakeBench
 
 from sim.polaris.line import server
-from sim.polaris.line.server import Connection, EndSignal, Server
+from sim.polaris.line.server import EndSignal, HostConnection, Server
 from sim.polaris.unit.framing import DEFAULT_LINE
 
 OKAY = b"OKAYA896\r"
@@ -140,7 +140,7 @@ def test_pending_commands_of_a_host_that_reads_no_replies_are_not_executed() -> 
         socket.create_server(("127.0.0.1", 0)) as listener,
         socket.create_connection(listener.getsockname()) as host,
     ):
-        unit = Connection(listener.accept()[0], patience_s=0.05)
+        unit = HostConnection(listener.accept()[0], patience_s=0.05)
         host.sendall(b"INIT \r" * 1000)
         assert unit.receive(READY)
         unit.send(MUCH, DEFAULT_LINE)

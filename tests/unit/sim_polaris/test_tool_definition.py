@@ -9,7 +9,7 @@ import pytest
 from polaris_bench import Bench, MakeBench
 
 from ronna_hw.wire import polaris_rom as rom
-from sim.polaris.unit.refusal import ErrorCode
+from sim.polaris.unit.refusal import NdiErrorCode
 from sim.polaris.unit.tool_definition import BadDefinition, checksum, parse_definition, write_definition
 from sim.world.scene.model import TrackerTool
 from sim.world.scene.named_scenes import robot_frame
@@ -114,7 +114,7 @@ def test_a_bad_definition_gets_the_error_code_of_the_firmware(
 ) -> None:
     content = changed(write_definition(pointer), offset, value)
     old = make_bench()
-    new = make_bench(**{parameter: ErrorCode.DEFINITION_CORRUPT})
+    new = make_bench(**{parameter: NdiErrorCode.DEFINITION_CORRUPT})
     for bench, answer in ((old, "ERROR13"), (new, "ERROR40")):
         bench.send("INIT ")
         assert judged(bench, content) == answer

@@ -12,7 +12,7 @@ from ronna_hw.arm.universal_robots.calibrated import CalibratedUniversalRobot
 from ronna_hw.arm.universal_robots.factory_calibration import FactoryCalibration
 from ronna_hw.vectors import joint_vector
 from sim.universal_robots.kinematics import (
-    Kinematics,
+    TrueKinematics,
     frame_of_pose,
     pose_of_frame,
     rotation_vector,
@@ -24,7 +24,7 @@ POSTURES = np.random.default_rng(4).uniform(-pi, pi, (50, 6)).tolist()
 
 @pytest.mark.parametrize("arm", MODELS)
 def test_the_flange_is_where_the_drivers_have_it(arm: str) -> None:
-    ours, theirs = Kinematics(MODELS[arm]), universal_robot(arm)
+    ours, theirs = TrueKinematics(MODELS[arm]), universal_robot(arm)
     for joints in POSTURES:
         frame, pose = ours.flange(joints), theirs.forward(joint_vector(joints))
         assert [1000.0 * value for value in frame[9:]] == pytest.approx(pose.position_mm, abs=1e-9)
@@ -39,7 +39,7 @@ def test_an_arm_with_nearly_parallel_axes_and_huge_lengths_is_the_drivers_too() 
     deltas = FactoryCalibration(
         joint_vector(theta), d_mm=joint_vector(1000.0 * x for x in d), alpha_rad=joint_vector(alpha)
     )
-    ours = Kinematics(model, theta_rad=theta, d_m=d, alpha_rad=alpha)
+    ours = TrueKinematics(model, theta_rad=theta, d_m=d, alpha_rad=alpha)
     theirs = CalibratedUniversalRobot(universal_robot("ur5e").dimensions, deltas)
     for joints in POSTURES:
         pose = theirs.forward(joint_vector(joints))
@@ -47,7 +47,7 @@ def test_an_arm_with_nearly_parallel_axes_and_huge_lengths_is_the_drivers_too() 
 
 
 def test_joints_near_a_posture_are_found_again() -> None:
-    ours = Kinematics(MODELS["ur5"])
+    ours = TrueKinematics(MODELS["ur5"])
     for joints in POSTURES[:20]:
         found = ours.joints_at(ours.flange(joints), [angle + 0.05 for angle in joints])
         assert found is not None

@@ -11,12 +11,12 @@ import pytest
 
 from ronna_hw.wire.universal_robots import RuntimeState
 from sim.universal_robots.controller import Controller
-from sim.universal_robots.programs.external_control import Mode
+from sim.universal_robots.programs.external_control import ControlMode
 from sim.universal_robots.programs.external_trajectory import (
     QUINTIC,
-    Order,
     PointType,
-    Result,
+    TrajectoryOrder,
+    TrajectoryResult,
     cubic,
     quintic,
 )
@@ -65,13 +65,13 @@ class Client:
             self.sockets[name].settimeout(LIMIT_S)
             self.controller.step()
 
-    def send(self, mode: Mode, values: Sequence[float] = (0.0,) * 6, limit_ms: int = 20) -> None:
+    def send(self, mode: ControlMode, values: Sequence[float] = (0.0,) * 6, limit_ms: int = 20) -> None:
         numbers = [round(value * UNITS) for value in values]
         self.sockets["reverse"].sendall(pack(">8i", limit_ms, *numbers, mode))
         self.controller.step()
 
-    def order(self, order: Order, count: int) -> None:
-        self.sockets["reverse"].sendall(pack(">8i", 0, order, count, 0, 0, 0, 0, Mode.FORWARD))
+    def order(self, order: TrajectoryOrder, count: int) -> None:
+        self.sockets["reverse"].sendall(pack(">8i", 0, order, count, 0, 0, 0, 0, ControlMode.FORWARD))
         self.controller.step()
 
     def steps(self, count: int) -> None:
@@ -105,14 +105,14 @@ def test_the_first_message_is_awaited_for_ever(dialled: Client) -> None:
 def test_set_points_of_servoj_are_followed(dialled: Client) -> None:
     goal = [angle + 0.01 for angle in target(dialled)]
     for _ in range(200):
-        dialled.send(Mode.SERVOJ, goal)
+        dialled.send(ControlMode.SERVOJ, goal)
     assert target(dialled) == pytest.approx(goal, abs=1e-5)
 
 
 def test_a_missed_set_point_is_extrapolated_with_the_speed_of_the_target(dialled: Client) -> None:
     start = target(dialled)
     for number in range(1, 101):
-        dialled.send(Mode.SERVOJ, [start[0] + 0.001 * number, *start[1:]])
+        dialled.send(ControlMode.SERVOJ, [start[0] + 0.001 * number, *start[1:]])
     before, speed = target(dialled)[0], dialled.controller.robot.drives.target_speed[0]
     dialled.steps(5)
     assert target(dialled)[0] - before == pytest.approx(5 * 0.002 * speed, rel=0.05)
@@ -121,7 +121,7 @@ def test_a_missed_set_point_is_extrapolated_with_the_speed_of_the_target(dialled
 @pytest.mark.parametrize(("limit_ms", "cycles"), [(20, 10), (100, 50)])
 def test_a_silent_client_is_given_up_after_its_limit(dialled: Client, limit_ms: int, cycles: int) -> None:
     for _ in range(50):
-        dialled.send(Mode.SPEEDJ, (0.1, 0, 0, 0, 0, 0), limit_ms)
+        dialled.send(ControlMode.SPEEDJ, (0.1, 0, 0, 0, 0, 0), limit_ms)
     dialled.steps(cycles)
     assert isclose(dialled.controller.robot.drives.target_speed[0], 0.1)
     dialled.steps(1)
@@ -132,7 +132,7 @@ def test_a_silent_client_is_given_up_after_its_limit(dialled: Client, limit_ms: 
 
 
 def test_a_client_that_has_gone_ends_the_program_at_once(dialled: Client) -> None:
-    dialled.send(Mode.IDLE, limit_ms=0)
+    dialled.send(ControlMode.IDLE, limit_ms=0)
     dialled.sockets["reverse"].close()
     dialled.steps(3)
     assert dialled.controller.program is None
@@ -140,10 +140,10 @@ def test_a_client_that_has_gone_ends_the_program_at_once(dialled: Client) -> Non
 
 def test_a_step_that_needs_more_than_20_rad_per_s_is_ignored(dialled: Client) -> None:
     start = target(dialled)
-    dialled.send(Mode.SERVOJ, [start[0] + 20.5 * 0.002, *start[1:]])
+    dialled.send(ControlMode.SERVOJ, [start[0] + 20.5 * 0.002, *start[1:]])
     dialled.steps(5)
     assert target(dialled) == start
-    dialled.send(Mode.SERVOJ, [start[0] + 19.5 * 0.002, *start[1:]])
+    dialled.send(ControlMode.SERVOJ, [start[0] + 19.5 * 0.002, *start[1:]])
     assert target(dialled) != start
 
 
@@ -152,13 +152,13 @@ def test_a_pose_is_followed(dialled: Client) -> None:
     pose = robot.tool_pose(target(dialled))
     pose[2] += 0.005
     for _ in range(200):
-        dialled.send(Mode.POSE, pose)
+        dialled.send(ControlMode.POSE, pose)
     assert robot.tool_pose(target(dialled))[:3] == pytest.approx(pose[:3], abs=1e-4)
 
 
 def test_stopped_ends_the_program(dialled: Client) -> None:
-    dialled.send(Mode.IDLE)
-    dialled.send(Mode.STOPPED)
+    dialled.send(ControlMode.IDLE)
+    dialled.send(ControlMode.STOPPED)
     dialled.steps(2)
     assert dialled.controller.program is None
     assert dialled.sockets["reverse"].recv(1) == b""
@@ -180,34 +180,34 @@ def test_points_of_a_trajectory_are_reached_and_its_result_is_told(dialled: Clie
             kind,
         ]
         dialled.sockets["trajectory"].sendall(pack(">21i", *numbers))
-    dialled.order(Order.RECEIVE, 2)
+    dialled.order(TrajectoryOrder.RECEIVE, 2)
     dialled.steps(255)
     assert target(dialled)[0] == pytest.approx(goal[0], abs=1e-3)
     dialled.steps(255)
     assert target(dialled) == pytest.approx(back, abs=2e-6)
-    assert dialled.sockets["trajectory"].recv(4) == pack(">i", Result.SUCCESS)
+    assert dialled.sockets["trajectory"].recv(4) == pack(">i", TrajectoryResult.SUCCESS)
 
 
 def test_a_cancelled_trajectory_stops_the_arm_and_says_so(dialled: Client) -> None:
     goal = [round((angle + 0.5) * UNITS) for angle in target(dialled)]
     dialled.sockets["trajectory"].sendall(pack(">21i", *goal, *(0,) * 12, UNITS, 0, PointType.MOVEJ) * 2)
-    dialled.order(Order.RECEIVE, 2)
+    dialled.order(TrajectoryOrder.RECEIVE, 2)
     dialled.steps(100)
-    dialled.order(Order.CANCEL, 0)
+    dialled.order(TrajectoryOrder.CANCEL, 0)
     dialled.steps(200)
     assert not dialled.controller.robot.drives.moving
-    assert dialled.sockets["trajectory"].recv(4) == pack(">i", Result.CANCELLED)
+    assert dialled.sockets["trajectory"].recv(4) == pack(">i", TrajectoryResult.CANCELLED)
 
 
 def test_a_missing_point_is_a_failure(dialled: Client) -> None:
-    dialled.order(Order.RECEIVE, 1)
+    dialled.order(TrajectoryOrder.RECEIVE, 1)
     dialled.steps(300)
-    assert dialled.sockets["trajectory"].recv(4) == pack(">i", Result.FAILURE)
+    assert dialled.sockets["trajectory"].recv(4) == pack(">i", TrajectoryResult.FAILURE)
 
 
 def test_the_tool_is_set_by_a_script_command(dialled: Client) -> None:
     dialled.sockets["commands"].sendall(pack(">28i", 10, 0, 0, UNITS // 10, *(0,) * 24))
-    dialled.send(Mode.IDLE, limit_ms=0)
+    dialled.send(ControlMode.IDLE, limit_ms=0)
     assert dialled.controller.robot.tcp.z == pytest.approx(0.1)
 
 
@@ -245,9 +245,9 @@ def test_the_program_of_the_pendant_runs_the_script_that_it_requested(controller
     client = Client(controller)
     assert not request_script(controller, client.script(), hangs_up=False)
     client.accept()
-    client.send(Mode.IDLE, limit_ms=0)
+    client.send(ControlMode.IDLE, limit_ms=0)
     assert controller.runtime_state is RuntimeState.PLAYING
-    client.send(Mode.STOPPED)
+    client.send(ControlMode.STOPPED)
     client.steps(2)
     assert controller.program is None
     client.close()

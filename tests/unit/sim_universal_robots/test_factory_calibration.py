@@ -14,7 +14,7 @@ from ronna_hw.arm.universal_robots.geometry import DIMENSIONS, UR5E
 from ronna_hw.vectors import joint_vector
 from sim.universal_robots import factory_calibration
 from sim.universal_robots.factory_calibration import calibrate
-from sim.universal_robots.kinematics import Kinematics
+from sim.universal_robots.kinematics import TrueKinematics
 from sim.universal_robots.model import MODELS
 from sim.world.scene.model import Scene
 from sim.world.scene.named_scenes import draw_scene
@@ -29,12 +29,12 @@ def scene_of(arm: str) -> Scene:
     return draw_scene("bench", seed=3, arm=ArmChoice(arm))
 
 
-def chain(arm: str, kind: factory_calibration.FactoryCalibration) -> Kinematics:
+def chain(arm: str, kind: factory_calibration.FactoryCalibration) -> TrueKinematics:
     scene = scene_of(arm)
     return calibrate(MODELS[arm], scene.arm, scene.seed, kind)
 
 
-def error_mm(arm: str, kinematics: Kinematics) -> float:
+def error_mm(arm: str, kinematics: TrueKinematics) -> float:
     """Mean distance of the true flange from where the controller computes it."""
     true = TrueArm(scene_of(arm).arm, scene_of(arm).seed)
     return float(

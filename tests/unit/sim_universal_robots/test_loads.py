@@ -10,7 +10,7 @@ import pytest
 from ronna_hw.wire.universal_robots import SafetyMode
 from sim.universal_robots.controller import Controller
 from sim.universal_robots.controller_parameters import parse_parameters
-from sim.universal_robots.kinematics import Frame
+from sim.universal_robots.kinematics import LinkPose
 from sim.universal_robots.loads import TORQUE_PER_CURRENT_NM_A, resistance_n
 from sim.universal_robots.model import MODELS, TORQUES_NM
 from sim.universal_robots.programs.statements import run_at_once
@@ -145,7 +145,7 @@ def test_tissue_resists_as_skin_bone_and_brain() -> None:
 def test_tissue_lies_ahead_of_the_instrument_in_a_holder() -> None:
     """Its axis leads across the flange."""
     loads = make(EXACT).loads
-    loads.instrument = Frame(0.0, 0.0, 1.0, 0.0, 1.0, 0.0, -1.0, 0.0, 0.0, 0.1, 0.0, 0.0)
+    loads.instrument = LinkPose(0.0, 0.0, 1.0, 0.0, 1.0, 0.0, -1.0, 0.0, 0.0, 0.1, 0.0, 0.0)
     loads.meet_tissue(0.0)
     assert loads.tissue is not None
     robot = make(EXACT).robot

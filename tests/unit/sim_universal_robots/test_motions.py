@@ -13,10 +13,10 @@ from ronna_hw.wire.universal_robots import RuntimeState, SafetyMode
 from sim.universal_robots.controller import Controller
 from sim.universal_robots.controller_parameters import ControllerParameters
 from sim.universal_robots.drives import Drives
-from sim.universal_robots.kinematics import Frame, frame_of_pose, pose_of_frame
+from sim.universal_robots.kinematics import LinkPose, frame_of_pose, pose_of_frame
 from sim.universal_robots.model import FULL_SPEED_RAD_S, HOME_RAD, LARGEST_ACCELERATION_RAD_S2
 from sim.universal_robots.programs.motions import movej, movel, speedj
-from sim.universal_robots.programs.program import Program
+from sim.universal_robots.programs.program import UrProgram
 from sim.universal_robots.robot import Robot
 
 CYCLE_S = 0.002
@@ -25,7 +25,7 @@ ROUNDING = 1e-9
 
 def run(controller: Controller, motion: Callable[[Robot], Iterator[None]]) -> int:
     """Run a motion as a program and return its cycles."""
-    assert not controller.start(Program("motion", lambda robot, _: motion(robot)))
+    assert not controller.start(UrProgram("motion", lambda robot, _: motion(robot)))
     for number in range(10_000):
         if controller.runtime_state is RuntimeState.STOPPED:
             return number
@@ -51,8 +51,8 @@ def test_a_line_is_straight_and_ends_at_its_pose(controller: Controller) -> None
     robot = controller.robot
     start = robot.tool_frame(robot.drives.target)
     goal = pose_of_frame(start._replace(y=start.y + 0.05, z=start.z + 0.05))
-    frames: list[Frame] = []
-    controller.start(Program("line", lambda robot, _: movel(robot, goal, 0.5, 5.0)))
+    frames: list[LinkPose] = []
+    controller.start(UrProgram("line", lambda robot, _: movel(robot, goal, 0.5, 5.0)))
     while controller.runtime_state is not RuntimeState.STOPPED:
         controller.step()
         frames.append(robot.tool_frame(robot.drives.target))
@@ -63,7 +63,7 @@ def test_a_line_is_straight_and_ends_at_its_pose(controller: Controller) -> None
 
 def test_a_line_out_of_reach_ends_in_a_protective_stop(controller: Controller) -> None:
     far = [1.5, 0.0, 0.5, 0.0, pi, 0.0]
-    controller.start(Program("line", lambda robot, _: movel(robot, far, 0.5, 5.0)))
+    controller.start(UrProgram("line", lambda robot, _: movel(robot, far, 0.5, 5.0)))
     for _ in range(1000):
         controller.step()
     assert controller.modes.safety_mode is SafetyMode.PROTECTIVE_STOP

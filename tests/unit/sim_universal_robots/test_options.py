@@ -12,7 +12,7 @@ from ur_clients import own_address
 
 from sim.errors import EndpointTaken
 from sim.universal_robots.command import require_loopback
-from sim.universal_robots.connections import Listener, Poll
+from sim.universal_robots.connections import Poll, ServiceListener
 from sim.universal_robots.controller_parameters import parse_parameters
 from sim.universal_robots.errors import BAD_ADDRESS, UNKNOWN_PARAMETER
 
@@ -32,7 +32,7 @@ def test_an_address_in_use_is_answered_with_the_next_free_one() -> None:
         socket.create_server((second, port)),
         pytest.raises(EndpointTaken, match=re.escape(f"of its own: --address {third}.")),
     ):
-        Listener(one, port, Poll(), lambda _connection: None)
+        ServiceListener(one, port, Poll(), lambda _connection: None)
 
 
 @pytest.mark.parametrize("assignment", ["power_onn_s=1", "power_on_s=-1", "after_unlock=falls"])

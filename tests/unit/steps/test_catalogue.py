@@ -11,7 +11,7 @@ from clinical_case import ClinicalCell
 from procedures.cli.case.commands import carry_out, read_command
 from procedures.operator.question import Topic
 from procedures.steps import branches
-from procedures.steps.branches import BRANCHES, Branch, Ending
+from procedures.steps.branches import BRANCHES, Branch, BranchEnding
 from procedures.steps.catalogue import CLINICAL_STEPS, list_questions
 
 
@@ -62,7 +62,7 @@ def test_a_row_names_steps_of_a_case(row: Branch) -> None:
 
 @pytest.mark.parametrize("row", BRANCHES, ids=ROWS)
 def test_only_a_row_that_asks_has_a_question(row: Branch) -> None:
-    assert (row.ending is Ending.ASK) == isinstance(row.topic, Topic) == bool(row.answers)
+    assert (row.ending is BranchEnding.ASK) == isinstance(row.topic, Topic) == bool(row.answers)
 
 
 @pytest.mark.parametrize("row", BRANCHES, ids=ROWS)

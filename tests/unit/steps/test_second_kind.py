@@ -32,7 +32,7 @@ from procedures.cli.doctor.report import examine
 from procedures.engine.engine import Engine
 from procedures.engine.order import CaseOrder, order_of
 from procedures.engine.replay.recorded_answers import read_answers, section_follower
-from procedures.engine.replay.replay import ReplayedRecord, ReplayInput, Verdict, replay
+from procedures.engine.replay.replay import ReplayedRecord, ReplayInput, ReplayVerdict, replay
 from procedures.engine.run_folder import run_of
 from procedures.engine.setting import ClinicalInput
 from procedures.journal.errors import StepRefused
@@ -129,7 +129,7 @@ def test_a_replay_reads_it_from_the_tape(case: CaseWithSensor, monkeypatch: pyte
     case.engine.close("done")
     monkeypatch.setattr(ScaledForceSensor, "read_force_N", None)  # the driver object is never asked
     assert {one.step: one.verdict for one in case.replayed()} == dict.fromkeys(
-        ("set_up", "tool_change", "force_check"), Verdict.EQUAL
+        ("set_up", "tool_change", "force_check"), ReplayVerdict.EQUAL
     )
 
 

@@ -19,7 +19,7 @@ from studies import application_error
 from studies.accuracy.phantom import HALF_AXES_MM, PATIENT, Markers, draw_phantom, phantom_pose
 from studies.accuracy.postures import plan_postures
 from studies.accuracy.random_arms import RandomArms, Source
-from studies.accuracy.scene import CT_FLE_MM, FINE_CT_MM, SCENARIOS, SET_S, Scene, Sizes
+from studies.accuracy.scene import CT_FLE_MM, FINE_CT_MM, SCENARIOS, SET_S, Sizes, StudiedScene
 from studies.application_error import ApplicationErrorStudy
 from studies.campaign.study import Unit
 from studies.errors import PHANTOM_OUT_OF_REACH, POSE_NOT_SOLVED
@@ -41,7 +41,7 @@ from studies.strategies.tables import compare_pairs, plots, tables
 HERE = phantom_pose(1)
 SMALL = draw_phantom(Markers.FREE, (30.0, 120.0), 2)
 COUNTS = (3, 5)
-SCENE = Scene(1, Markers.FREE, 1, SMALL, HERE, COUNTS)
+SCENE = StudiedScene(1, Markers.FREE, 1, SMALL, HERE, COUNTS)
 ALONE = [(effect, 1.0) for effect in EFFECTS]
 
 
@@ -153,7 +153,7 @@ def test_two_strategies_are_compared_on_each_arm_and_scatter_between_arms_does_n
 
 @pytest.mark.slow
 def test_best_has_the_errors_of_the_strategy_with_the_least_predicted_error_at_each_target() -> None:
-    scene = Scene.of(1, SMALL, Markers.FREE, 1)
+    scene = StudiedScene.of(1, SMALL, Markers.FREE, 1)
     numbers = range(3)
     names = [one.name for one in CANDIDATES]
     found = scene.outcomes([*names, "best"], RandomArms.draw(1, numbers), scene.chance(numbers))
@@ -168,7 +168,10 @@ def test_best_has_the_errors_of_the_strategy_with_the_least_predicted_error_at_e
 
 @pytest.mark.slow
 def test_known_backlash_helps_only_where_the_approach_is_controlled() -> None:
-    arms, scene = RandomArms.draw(1, range(3)).only(Source.BACKLASH), Scene.of(1, SMALL, Markers.FREE, 1)
+    arms, scene = (
+        RandomArms.draw(1, range(3)).only(Source.BACKLASH),
+        StudiedScene.of(1, SMALL, Markers.FREE, 1),
+    )
     quiet = replace(scene.chance(range(3)), servo=np.zeros((3, 2, 5, 3)))
     names = ("ocs", "thesis-ocs")
     set_s, calibrated, known = (
@@ -251,7 +254,7 @@ def test_the_direction_whose_errors_are_the_published_ones_is_the_fitted_one() -
 def test_an_identified_arm_meets_the_goal_with_nos_and_improved() -> None:
     fit = identify_arm(1, 0, HERE.apply(SMALL.spheres_mm))
     believed = BelievedArm(fit.deviations, fit.flange_from_tool)
-    arm, scene = RandomArms.draw(1, [0]), Scene.of(1, SMALL, Markers.FREE, 1)
+    arm, scene = RandomArms.draw(1, [0]), StudiedScene.of(1, SMALL, Markers.FREE, 1)
     for strategy in ("nos", "improved"):
         errors = compute_identified_errors_mm(
             arm, believed, scene.planned(strategy, EXPECTED), scene, [0], Sizes(FINE_CT_MM)
@@ -289,7 +292,7 @@ def test_with_random_arms_the_proposed_places_leave_less_error_than_random_place
 
     def rms_mm(spheres_mm: np.ndarray) -> float:
         scene = replace(
-            Scene.of(0, replace(drawn, spheres_mm=spheres_mm), Markers.FREE, 1), counts=(SPHERES,)
+            StudiedScene.of(0, replace(drawn, spheres_mm=spheres_mm), Markers.FREE, 1), counts=(SPHERES,)
         )
         errors = scene.errors_mm(arms, scene.planned("ocs"), scene.chance(ARMS), Sizes())
         return float(np.sqrt(np.square(errors).sum(axis=-1).mean()))

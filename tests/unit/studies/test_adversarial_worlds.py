@@ -30,8 +30,8 @@ from studies.worlds.adversary import (
     AdversarialWorld,
     draw_adversarial_world,
 )
-from studies.worlds.looks import FRAME_MM, Body, Looks, find_hidden_moves
-from studies.worlds.silence import Ending, Silence, judge_case
+from studies.worlds.looks import FRAME_MM, Looks, MovedBody, find_hidden_moves
+from studies.worlds.silence import CaseEnding, Silence, judge_case
 from studies.worlds.world import MINI
 
 Array = NDArray[np.float64]
@@ -79,15 +79,17 @@ def test_every_drawn_change_is_a_script_for_its_scene_within_the_stated_sizes() 
         assert change.effect_mm * 1.000001 >= LEAST_EFFECT_MM
         assert change.effect_mm <= MOST_EFFECT_MM
         assert change.sigmas <= MOST_SIGMAS or change.effect_mm == pytest.approx(LEAST_EFFECT_MM)
-    assert {body for one in drawn() for body in one.change.bodies} == {body.value for body in Body}
+    assert {body for one in drawn() for body in one.change.bodies} == {body.value for body in MovedBody}
     killed = sum(one.killed_after_s is not None for one in drawn())
     assert 0.1 * CASES < killed < 0.4 * CASES
 
 
 @pytest.mark.parametrize("dual", [False, True])
-@pytest.mark.parametrize("bodies", [(Body.HEAD,), (Body.CART,), (Body.SEAT,), (Body.HEAD, Body.CART)])
+@pytest.mark.parametrize(
+    "bodies", [(MovedBody.HEAD,), (MovedBody.CART,), (MovedBody.SEAT,), (MovedBody.HEAD, MovedBody.CART)]
+)
 def test_no_move_of_a_body_is_felt_more_for_what_the_looks_show_than_the_worst(
-    bodies: tuple[Body, ...], dual: bool
+    bodies: tuple[MovedBody, ...], dual: bool
 ) -> None:
     looks = looks_of(dual=dual)
     worst = find_hidden_moves(looks, bodies)[0]
@@ -102,8 +104,8 @@ def test_no_move_of_a_body_is_felt_more_for_what_the_looks_show_than_the_worst(
 
 def test_the_worst_move_of_a_cart_leaves_the_frame_on_its_arm_and_displaces_the_target() -> None:
     looks = looks_of()
-    move = find_hidden_moves(looks, (Body.CART,))[0]
-    moved = looks.displacement(Body.CART, move.twist_mm)
+    move = find_hidden_moves(looks, (MovedBody.CART,))[0]
+    moved = looks.displacement(MovedBody.CART, move.twist_mm)
     frame_mm = looks.home_frame_mm.mean(axis=0)
     assert np.linalg.norm(apply(moved, frame_mm) - frame_mm) < FRAME_MM
     felt_mm = np.linalg.norm(apply(moved, looks.target_mm) - looks.target_mm)
@@ -113,17 +115,18 @@ def test_the_worst_move_of_a_cart_leaves_the_frame_on_its_arm_and_displaces_the_
 
 def test_a_tracker_that_may_have_moved_hides_more() -> None:
     looks = looks_of()
-    for body in (Body.HEAD, Body.CART):
+    for body in (MovedBody.HEAD, MovedBody.CART):
         hidden = looks.information(body) - looks.shared_information(body)
         assert np.linalg.eigvalsh(hidden).min() > -1e-6 * np.abs(hidden).max()
     alone, covered = (
-        find_hidden_moves(looks, bodies)[0].effect_mm for bodies in ((Body.HEAD,), (Body.HEAD, Body.TRACKER))
+        find_hidden_moves(looks, bodies)[0].effect_mm
+        for bodies in ((MovedBody.HEAD,), (MovedBody.HEAD, MovedBody.TRACKER))
     )
     assert covered > 2.0 * alone
 
 
-@pytest.mark.parametrize("body", [Body.HEAD, Body.CART, Body.SEAT, Body.GUIDE])
-def test_the_lines_of_a_script_move_the_guide_against_the_target_as_drawn(body: Body) -> None:
+@pytest.mark.parametrize("body", [MovedBody.HEAD, MovedBody.CART, MovedBody.SEAT, MovedBody.GUIDE])
+def test_the_lines_of_a_script_move_the_guide_against_the_target_as_drawn(body: MovedBody) -> None:
     looks = looks_of()
     move = find_hidden_moves(looks, (body,))[0]
     displacement = looks.displacement(body, 5.0 * move.twist_mm)
@@ -170,27 +173,39 @@ RMS_MM, LIMIT_MM = 0.3, 0.5
 @pytest.mark.parametrize(
     ("error_mm", "line", "printed", "exit_code", "expected"),
     [
-        (0.4, None, {"outcome": "done"}, 0, (Silence.OK, Ending.DONE)),
-        (0.55, None, {"outcome": "done"}, 0, (Silence.BEYOND, Ending.DONE)),
-        (0.61, None, {"outcome": "done"}, 0, (Silence.SILENT, Ending.DONE)),
-        (0.61, USUAL, {"outcome": "done"}, 0, (Silence.SILENT, Ending.DONE)),
-        (0.61, RESTART, {"outcome": "done"}, 0, (Silence.SILENT, Ending.DONE)),
-        (None, None, OUT_OF_REACH, EXIT_REFUSED, (Silence.NOT_POSSIBLE, Ending.NOT_POSSIBLE)),
-        (0.61, FINDING, {"outcome": "done"}, 0, (Silence.TOLD, Ending.DONE)),
-        (0.61, {**FINDING, "theatre_time_s": 10.4}, {"outcome": "done"}, 0, (Silence.SILENT, Ending.DONE)),
-        (2.1, None, {"outcome": "missed"}, EXIT_REFUSED, (Silence.SILENT, Ending.DONE)),  # the truth refuses
-        (0.1, None, {"outcome": "in doubt"}, 0, (Silence.TOLD, Ending.IN_DOUBT)),
-        (None, None, {"outcome": "failed"}, EXIT_REFUSED, (Silence.REFUSED, Ending.REFUSED)),
-        (0.7, None, {"outcome": "failed"}, EXIT_REFUSED, (Silence.SILENT, Ending.REFUSED)),
-        (0.7, None, MOVED_AT_T1, EXIT_REFUSED, (Silence.REFUSED, Ending.REFUSED)),
-        (None, None, DIVERGED, 1, (Silence.REFUSED, Ending.REFUSED)),
-        (None, None, {"outcome": "failed"}, 1, (Silence.BROKEN, Ending.BROKEN)),
+        (0.4, None, {"outcome": "done"}, 0, (Silence.OK, CaseEnding.DONE)),
+        (0.55, None, {"outcome": "done"}, 0, (Silence.BEYOND, CaseEnding.DONE)),
+        (0.61, None, {"outcome": "done"}, 0, (Silence.SILENT, CaseEnding.DONE)),
+        (0.61, USUAL, {"outcome": "done"}, 0, (Silence.SILENT, CaseEnding.DONE)),
+        (0.61, RESTART, {"outcome": "done"}, 0, (Silence.SILENT, CaseEnding.DONE)),
+        (None, None, OUT_OF_REACH, EXIT_REFUSED, (Silence.NOT_POSSIBLE, CaseEnding.NOT_POSSIBLE)),
+        (0.61, FINDING, {"outcome": "done"}, 0, (Silence.TOLD, CaseEnding.DONE)),
+        (
+            0.61,
+            {**FINDING, "theatre_time_s": 10.4},
+            {"outcome": "done"},
+            0,
+            (Silence.SILENT, CaseEnding.DONE),
+        ),
+        (
+            2.1,
+            None,
+            {"outcome": "missed"},
+            EXIT_REFUSED,
+            (Silence.SILENT, CaseEnding.DONE),
+        ),  # the truth refuses
+        (0.1, None, {"outcome": "in doubt"}, 0, (Silence.TOLD, CaseEnding.IN_DOUBT)),
+        (None, None, {"outcome": "failed"}, EXIT_REFUSED, (Silence.REFUSED, CaseEnding.REFUSED)),
+        (0.7, None, {"outcome": "failed"}, EXIT_REFUSED, (Silence.SILENT, CaseEnding.REFUSED)),
+        (0.7, None, MOVED_AT_T1, EXIT_REFUSED, (Silence.REFUSED, CaseEnding.REFUSED)),
+        (None, None, DIVERGED, 1, (Silence.REFUSED, CaseEnding.REFUSED)),
+        (None, None, {"outcome": "failed"}, 1, (Silence.BROKEN, CaseEnding.BROKEN)),
         (
             None,
             None,
             {"outcome": "failed", "error": {"code": "CTL-002", "what": "SIM-015: it binds"}},
             EXIT_USAGE,
-            (Silence.SILENT, Ending.BOUND),
+            (Silence.SILENT, CaseEnding.BOUND),
         ),
     ],
 )
@@ -199,7 +214,7 @@ def test_a_case_is_silent_if_nothing_was_said_of_an_error_beyond_twice_the_state
     line: Mapping[str, Any] | None,
     printed: Mapping[str, Any],
     exit_code: int,
-    expected: tuple[Silence, Ending],
+    expected: tuple[Silence, CaseEnding],
 ) -> None:
     lines = sorted([*JOURNAL, *([] if line is None else [line])], key=lambda one: one["theatre_time_s"])
     stated = tuple({"11-registration-T1": {"T1": figure}} for figure in (RMS_MM, LIMIT_MM))
@@ -222,7 +237,7 @@ def test_a_case_that_wrote_no_run_is_broken_and_keeps_no_other_from_running(
     monkeypatch.setattr(adversarial, "run_command", lambda *_arguments: ended)
     world = next(one for one in drawn() if one.killed_after_s is None)
     judged = adversarial.run_adversarial_world(world, tmp_path / "world")
-    assert (judged.verdict, judged.ending) == (Silence.BROKEN, Ending.BROKEN)
+    assert (judged.verdict, judged.ending) == (Silence.BROKEN, CaseEnding.BROKEN)
     kept = json.loads((tmp_path / "world" / "case.json").read_text())
     assert "no such scene" in kept["error"]
     assert kept["script"] == world.change.script == (tmp_path / "world" / "faults.txt").read_text()

@@ -20,7 +20,7 @@ from studies.errors import NOT_FOR_JUDGING, PHANTOM_FAILED, UNIT_FAILED
 from studies.localization import metal_study, phantom_scans
 from studies.localization import study as study_module
 from studies.localization.phantom_scans import PhantomScan, bound_mm, phantom_scan
-from studies.localization.study import AUTOMATIC, JUDGING, TUNING, LocalizationStudy, Method
+from studies.localization.study import AUTOMATIC, JUDGING, TUNING, LocalizationStudy, StudiedLocalization
 from studies.localization.tables import goals, plots, tables
 
 CENTRES = np.array([[0.0, 0.0, 0.0], [40.0, 0.0, 0.0], [0.0, 50.0, 0.0], [0.0, 0.0, 60.0]])
@@ -45,7 +45,9 @@ def test_missed_false_cut_and_large_errors_are_counted_separately(monkeypatch: p
     monkeypatch.setattr(
         study_module, "localize", lambda volume: found_at(points, 0.01, ("estimators_disagree",))
     )
-    sums = study_module._count_localization(Method.OURS, scan_of(CENTRES, [True, True, True, False]))
+    sums = study_module._count_localization(
+        StudiedLocalization.OURS, scan_of(CENTRES, [True, True, True, False])
+    )
     counted = {key.partition("|")[2]: value for key, value in sums.items()}
     expected = {"spheres": 3, "found": 2, "missed": 1, "false": 2, "cut": 1, "cut found": 1}
     expected |= {"large": 1, "large flagged": 1, "tail": 1}
@@ -233,8 +235,10 @@ def test_one_real_phantom_volume_and_frame_set_give_the_expected_errors(tmp_path
     assert (ours["found %"], ours["false"]) == (100.0, 0)
     assert ours["rms µm"] < 40.0
     by_who = {row[0]: row for row in frames.rows}
-    assert by_who[Method.OURS][2] < 0.1 < by_who["person 1"][2]
-    assert by_who[Method.REFINED][2] == pytest.approx(by_who[Method.OURS][2], abs=0.01)
+    assert by_who[StudiedLocalization.OURS][2] < 0.1 < by_who["person 1"][2]
+    assert by_who[StudiedLocalization.REFINED][2] == pytest.approx(
+        by_who[StudiedLocalization.OURS][2], abs=0.01
+    )
 
 
 def test_a_failed_unit_names_its_phantom(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -25,9 +25,9 @@ from studies.errors import LEDGER_UNREADABLE, OTHER_STUDY
 from studies.low_cost.arms import InstantArm, drive_arm, factory_kinematics
 from studies.low_cost.calibration import fit_pivot
 from studies.low_cost.devices import PHANTOM_FRAME, TOOL_FRAME, open_room
-from studies.low_cost.figures import NOMINAL_ERROR_KEY, Dimensions, Method, Place, Quantity
+from studies.low_cost.figures import NOMINAL_ERROR_KEY, CalibrationMethod, DimensionSource, Place, Quantity
 from studies.low_cost.judge import Judge, distance_errors_mm, measure_repeatability_mm, named_pose
-from studies.low_cost.positioning import MOST_ROUNDS, SETTLED_MM, ArmModel, TipModel, TipPositioner
+from studies.low_cost.positioning import MOST_ROUNDS, SETTLED_MM, BelievedPositioning, TipModel, TipPositioner
 from studies.low_cost.preparation import Preparation, load_or_prepare
 from studies.low_cost.room import (
     NOMINAL_ERRORS_MM,
@@ -57,7 +57,7 @@ ROBOT_FROM_TRACKER = pose(Frame.ROBOT, Frame.TRACKER, (900.0, 700.0, 800.0), (0.
 TRACKER_FROM_PATIENT = ROBOT_FROM_TRACKER.inverse() @ pose(
     Frame.ROBOT, Frame.PATIENT, (520.0, 150.0, 0.0), (0.1, 0.2, 1.0)
 )
-MODEL = ArmModel(ARM, FLANGE_FROM_TIP, ROBOT_FROM_TRACKER)
+MODEL = BelievedPositioning(ARM, FLANGE_FROM_TIP, ROBOT_FROM_TRACKER)
 
 
 @dataclass
@@ -207,8 +207,8 @@ def figures(closed_mm: float, opened_mm: float, nominal_mm: float = 3.0) -> Sums
     sums: Sums = {NOMINAL_ERROR_KEY: nominal_mm}
     for orientation in range(len(ORIENTATIONS_RAD)):
         for target in range(2):
-            for method, error_mm in zip(Method, (opened_mm, closed_mm), strict=True):
-                place = Place(method, Dimensions.NOMINAL, orientation, target)
+            for method, error_mm in zip(CalibrationMethod, (opened_mm, closed_mm), strict=True):
+                place = Place(method, DimensionSource.NOMINAL, orientation, target)
                 sums[place.key(Quantity.ERROR_MM)] = error_mm
     return sums
 

@@ -21,7 +21,7 @@ from studies.campaign.folder import FILE, Ledger, code, publish
 from studies.campaign.study import Table, Unit, add_up, blocks, generator
 from studies.campaign.workers import run_study
 from studies.correspondence import study as study_module
-from studies.correspondence.study import CorrespondenceStudy, Method, condition_key
+from studies.correspondence.study import CorrespondenceStudy, StudiedMatching, condition_key
 from studies.correspondence.tables import Series, bars_beside_thesis, outcome_shares, plots, tables
 from studies.errors import EXTRA_MISSING, LEDGER_UNREADABLE, OTHER_STUDY, SCHEDULER_UNREACHABLE, UNIT_FAILED
 from studies.heads import NoiseReading, draw_noise, draw_readings, sites_mm
@@ -209,14 +209,14 @@ def test_a_damaged_ledger_header_is_refused(tmp_path: Path, first: str) -> None:
 def test_ours_and_the_thesis_method_are_counted_on_the_same_runs(tmp_path: Path) -> None:
     sums = results(SMALL, tmp_path, workers=1)
     found = outcome_shares(sums)
-    assert {series.method for series in found} == {one.value for one in Method}
+    assert {series.method for series in found} == {one.value for one in StudiedMatching}
     assert {one.runs for one in found.values()} == {4 * 3 * 5}  # runs, patients, numbers of outliers
     pictures = bars_beside_thesis(sums) | plots(sums)
     assert sorted(pictures) == [
         f"{what}-{noise}.png" for what in ("figure-13", "unsuccessful") for noise in ("norm", "per-axis")
     ]
     assert all(png.startswith(b"\x89PNG") for png in pictures.values())
-    five = found[Series(NoiseReading.PER_AXIS, Method.CLIQUE.value, "", 5)]
+    five = found[Series(NoiseReading.PER_AXIS, StudiedMatching.CLIQUE.value, "", 5)]
     assert (five.unsuccessful, five.false) == (0.0, 0.0)
     assert [table.title for table in tables(sums)] == [
         "Correspondence, noise per axis",
@@ -235,8 +235,8 @@ def test_a_partial_pairing_counts_as_unsuccessful_and_a_wrong_pair_as_false() ->
         ("false", [(0, 2), (1, 0), (2, 1), (3, 3), (4, 4)]),
     ):
         assert study_module.verdict(MatchStatus.UNIQUE, np.array(pairs), right) == outcome
-    key = study_module.outcome_key(Method.VALIDATED, 2.5, "part")
-    lost = study_module.outcome_key(Method.VALIDATED, 2.5, "success")
+    key = study_module.outcome_key(StudiedMatching.VALIDATED, 2.5, "part")
+    lost = study_module.outcome_key(StudiedMatching.VALIDATED, 2.5, "success")
     ((_, share),) = outcome_shares({condition_key(NoiseReading.NORM, 1, 5, 0): {key: 1.0, lost: 3.0}}).items()
     assert (share.unsuccessful, share.false, share.part) == (25.0, 0.0, 25.0)
 
@@ -244,7 +244,7 @@ def test_a_partial_pairing_counts_as_unsuccessful_and_a_wrong_pair_as_false() ->
 def test_the_values_of_e_that_reproduce_the_thesis_are_reported_as_ranges() -> None:
     sums = {
         condition_key(NoiseReading.NORM, 1, 4, outliers): {
-            study_module.outcome_key(Method.VALIDATED, e, outcome): number
+            study_module.outcome_key(StudiedMatching.VALIDATED, e, outcome): number
             for e, lost in ((1.4, 46.0), (1.5, 40.0), (1.6, 30.0), (3.0, 45.0))
             for outcome, number in (("success", 1000.0 - lost), ("lost", lost))
         }

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from procedures.registration.error_theory import fle_from_fre_mm, fle_of_one_space_mm
-from studies.localization.study import AUTOMATIC, Method
+from studies.localization.study import AUTOMATIC, StudiedLocalization
 from studies.localization.thesis_protocol import (
     FRAME_MM,
     LARGEST_SCALE_ERROR,
@@ -90,11 +90,14 @@ def test_the_reproduction_is_compared_with_both_tables_including_gain_and_time()
         ("patient", 12, 52, 52, "at least 94.4", 0, "at most 3", 100.0),
     ]
     scaled = {row[0]: row for row in errors.rows if row[1] == 100.0 * LARGEST_SCALE_ERROR}
-    assert (scaled[Method.THESIS_LINE][4], scaled[Method.THESIS_LINE][6]) == (0.1685, 0.2604)
-    assert scaled[Method.OURS][2] < scaled[Method.THESIS_LINE][2]
+    assert (scaled[StudiedLocalization.THESIS_LINE][4], scaled[StudiedLocalization.THESIS_LINE][6]) == (
+        0.1685,
+        0.2604,
+    )
+    assert scaled[StudiedLocalization.OURS][2] < scaled[StudiedLocalization.THESIS_LINE][2]
     printed = {(row[0], row[1]): round(row[5], 2) for row in gains.rows if row[5] is not None}
-    assert printed[(Method.THESIS_SPHERE, "2")] == 49.29
-    assert printed[(Method.THESIS_SPHERE, "3")] == 45.91
+    assert printed[(StudiedLocalization.THESIS_SPHERE, "2")] == 49.29
+    assert printed[(StudiedLocalization.THESIS_SPHERE, "3")] == 45.91
     assert [row[1] for row in times.rows[:3]] == [191.5, 28.8, 1.5]
 
 

@@ -13,7 +13,7 @@ import pytest
 
 from procedures.registration.thesis_settings import REFUSED_SHARE
 from studies.campaign.study import Unit
-from studies.correspondence.study import CorrespondenceStudy, Method, condition_key
+from studies.correspondence.study import CorrespondenceStudy, StudiedMatching, condition_key
 from studies.correspondence.tables import THESIS_FALSE, THESIS_UNSUCCESSFUL, Series, Shares, outcome_shares
 from studies.heads import PATIENTS, NoiseReading
 
@@ -23,10 +23,10 @@ STRICT_SHARE, STRICT_RUNS = 0.015, 5_000  # of the correct pairings refused; fal
 
 @cache
 def outcome(markers: int, e_mm: float, refused_share: float = REFUSED_SHARE, runs: int = RUNS) -> Shares:
-    study = CorrespondenceStudy(runs, 4, (Method.VALIDATED,), (e_mm,), refused_share=refused_share)
+    study = CorrespondenceStudy(runs, 4, (StudiedMatching.VALIDATED,), (e_mm,), refused_share=refused_share)
     conditions = [condition_key(NoiseReading.NORM, patient, markers, 4) for patient in PATIENTS]
     found = outcome_shares({condition: study.run(Unit(condition, 0, runs)) for condition in conditions})
-    return found[Series(NoiseReading.NORM, Method.VALIDATED.value, str(e_mm), markers)]
+    return found[Series(NoiseReading.NORM, StudiedMatching.VALIDATED.value, str(e_mm), markers)]
 
 
 def test_at_the_large_e_five_to_eight_markers_are_no_worse_than_in_the_thesis() -> None:
@@ -68,12 +68,12 @@ def test_at_the_small_e_five_and_eight_markers_lose_one_more_often_than_in_the_t
 
 
 def test_without_validation_wrong_pairings_of_three_are_more_than_twice_as_frequent() -> None:
-    study = CorrespondenceStudy(RUNS, 4, (Method.THESIS, Method.VALIDATED), (LARGE_E_MM,))
+    study = CorrespondenceStudy(RUNS, 4, (StudiedMatching.THESIS, StudiedMatching.VALIDATED), (LARGE_E_MM,))
     conditions = [condition_key(NoiseReading.NORM, patient, 3, 4) for patient in PATIENTS]
     found = outcome_shares({condition: study.run(Unit(condition, 0, RUNS)) for condition in conditions})
     plain, validated = (
         found[Series(NoiseReading.NORM, method.value, str(LARGE_E_MM), 3)].false
-        for method in (Method.THESIS, Method.VALIDATED)
+        for method in (StudiedMatching.THESIS, StudiedMatching.VALIDATED)
     )
     assert plain > 2.0 * validated
     assert plain > THESIS_FALSE[3][1]

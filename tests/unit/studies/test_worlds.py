@@ -17,7 +17,7 @@ from sim.world.scene.named_scenes import draw_scene
 from studies.errors import WORLD_NOT_RUN
 from studies.worlds import study as worlds_study
 from studies.worlds.study import WorldsStudy
-from studies.worlds.verdict import RANKS, Verdict, judge, limits_used_mm
+from studies.worlds.verdict import RANKS, WorldVerdict, judge, limits_used_mm
 from studies.worlds.world import MOST_BENT_MM, MOST_DEG, MOST_MM, STEPS_S, ChangedObject, draw_world
 
 LIMITS_MM = {"T1": 0.3, "T2": 0.4}
@@ -40,7 +40,7 @@ def verdict(
     *more: Mapping[str, Any],
     change: tuple[str, float] | None = CHANGE,
     **ended: Any,
-) -> Verdict:
+) -> WorldVerdict:
     lines, trajectories = journal(*more), ("T1", "T2")
     return judge(lines, errors_mm, LIMITS_MM, trajectories=trajectories, change=change, **ended).verdict
 
@@ -97,35 +97,35 @@ VOIDED = {"entry": "voided", "step": "cart_lock", "supersedes": ["12-positioning
 @pytest.mark.parametrize(
     ("errors_mm", "line", "expected"),
     [
-        ({"T1": 0.29, "T2": 0.39}, None, Verdict.OK),
-        ({"T1": 0.31}, None, Verdict.SILENT),
-        ({"T1": 0.6}, None, Verdict.SILENT),
-        ({"T1": 0.61}, None, Verdict.SILENT2),
-        ({"T1": 0.9, "T2": 0.1}, finding("T2 in doubt", 25.0), Verdict.SILENT2),
-        ({"T1": 0.9, "T2": 0.1}, finding("T1 in doubt", 25.0), Verdict.WARNED),
-        ({"T1": 0.9}, finding("the head moved", 15.0), Verdict.WARNED),  # by the step, which is at T1
-        ({"T1": 0.9}, finding("the head moved", 25.0), Verdict.SILENT2),
-        ({"T1": 0.9}, finding("T1 in doubt", 10.5), Verdict.SILENT2),  # before the change
-        ({"T1": 0.9}, HIDDEN, Verdict.SILENT2),
-        ({"T1": 0.9}, {**HIDDEN, "targets": ["T1"]}, Verdict.WARNED),
-        ({"T1": 0.9}, VOIDED, Verdict.SILENT2),
-        ({"T1": 0.9}, {**VOIDED, "supersedes": ["10-at_target-T1"]}, Verdict.WARNED),
+        ({"T1": 0.29, "T2": 0.39}, None, WorldVerdict.OK),
+        ({"T1": 0.31}, None, WorldVerdict.SILENT),
+        ({"T1": 0.6}, None, WorldVerdict.SILENT),
+        ({"T1": 0.61}, None, WorldVerdict.SILENT2),
+        ({"T1": 0.9, "T2": 0.1}, finding("T2 in doubt", 25.0), WorldVerdict.SILENT2),
+        ({"T1": 0.9, "T2": 0.1}, finding("T1 in doubt", 25.0), WorldVerdict.WARNED),
+        ({"T1": 0.9}, finding("the head moved", 15.0), WorldVerdict.WARNED),  # by the step, which is at T1
+        ({"T1": 0.9}, finding("the head moved", 25.0), WorldVerdict.SILENT2),
+        ({"T1": 0.9}, finding("T1 in doubt", 10.5), WorldVerdict.SILENT2),  # before the change
+        ({"T1": 0.9}, HIDDEN, WorldVerdict.SILENT2),
+        ({"T1": 0.9}, {**HIDDEN, "targets": ["T1"]}, WorldVerdict.WARNED),
+        ({"T1": 0.9}, VOIDED, WorldVerdict.SILENT2),
+        ({"T1": 0.9}, {**VOIDED, "supersedes": ["10-at_target-T1"]}, WorldVerdict.WARNED),
     ],
 )
 def test_an_error_beyond_its_limit_is_silent_unless_a_later_entry_names_its_target_or_step(
-    errors_mm: Mapping[str, float], line: Mapping[str, Any] | None, expected: Verdict
+    errors_mm: Mapping[str, float], line: Mapping[str, Any] | None, expected: WorldVerdict
 ) -> None:
     assert verdict(errors_mm, *([] if line is None else [line])) is expected
 
 
 def test_a_second_target_that_is_refused_does_not_warn_of_the_first() -> None:
     failed = {"entry": "failed", "step": "positioning:T2", "what": "PRO-020", "theatre_time_s": 25.0}
-    assert verdict({"T1": 0.9}, failed, done=False, error="PRO-020") is Verdict.SILENT2
+    assert verdict({"T1": 0.9}, failed, done=False, error="PRO-020") is WorldVerdict.SILENT2
 
 
 def test_a_case_that_is_refused_with_small_errors_is_refused() -> None:
-    assert verdict({}, done=False, error="PRO-020: moved") is Verdict.REFUSED
-    assert verdict({}, done=False) is Verdict.NO_VERDICT
+    assert verdict({}, done=False, error="PRO-020: moved") is WorldVerdict.REFUSED
+    assert verdict({}, done=False) is WorldVerdict.NO_VERDICT
 
 
 LATE = ("positioning:T2", 11.0)  # which the case does not reach, so that it is a quiet one
@@ -137,14 +137,14 @@ ASKED = {"entry": "confirmation", "topic": "cart_moved", "subject": "it moved", 
 @pytest.mark.parametrize(
     ("line", "expected"),
     [
-        (USUAL, Verdict.OK),
-        (HIDDEN, Verdict.OK),
-        (ASKED, Verdict.FALSE_FINDING),
-        (finding("the head moved", 25.0), Verdict.FALSE_FINDING),
+        (USUAL, WorldVerdict.OK),
+        (HIDDEN, WorldVerdict.OK),
+        (ASKED, WorldVerdict.FALSE_FINDING),
+        (finding("the head moved", 25.0), WorldVerdict.FALSE_FINDING),
     ],
 )
 def test_a_quiet_case_with_a_finding_or_an_unusual_question_is_false(
-    change: tuple[str, float] | None, line: Mapping[str, Any], expected: Verdict
+    change: tuple[str, float] | None, line: Mapping[str, Any], expected: WorldVerdict
 ) -> None:
     assert verdict({"T1": 0.1}, line, change=change) is expected
 
@@ -160,19 +160,19 @@ def test_the_limit_is_the_one_that_held_when_the_instrument_went_in() -> None:
 
 
 def test_the_goals_are_missed_by_one_gross_error_or_one_false_finding(tmp_path: Path) -> None:
-    def sums(*verdicts: Verdict) -> dict[str, dict[str, float]]:
+    def sums(*verdicts: WorldVerdict) -> dict[str, dict[str, float]]:
         return {
             f"world {number}": {"verdict": float(RANKS[one]), "happened": 1.0}
             for number, one in enumerate(verdicts)
         }
 
     study = WorldsStudy(20, 0, tmp_path)
-    assert study.list_missed_goals(sums(*[Verdict.OK] * 19, Verdict.SILENT)) == []
-    assert "2 of 20" in study.list_missed_goals(sums(*[Verdict.OK] * 18, *[Verdict.SILENT] * 2))[0]
-    assert "twice" in study.list_missed_goals(sums(*[Verdict.OK] * 19, Verdict.SILENT2))[0]
+    assert study.list_missed_goals(sums(*[WorldVerdict.OK] * 19, WorldVerdict.SILENT)) == []
+    assert "2 of 20" in study.list_missed_goals(sums(*[WorldVerdict.OK] * 18, *[WorldVerdict.SILENT] * 2))[0]
+    assert "twice" in study.list_missed_goals(sums(*[WorldVerdict.OK] * 19, WorldVerdict.SILENT2))[0]
     quiet = WorldsStudy(20, 0, tmp_path, quiet=True)
-    assert quiet.list_missed_goals(sums(Verdict.OK)) == []
-    assert len(quiet.list_missed_goals(sums(Verdict.OK, Verdict.FALSE_FINDING))) == 1
+    assert quiet.list_missed_goals(sums(WorldVerdict.OK)) == []
+    assert len(quiet.list_missed_goals(sums(WorldVerdict.OK, WorldVerdict.FALSE_FINDING))) == 1
 
 
 def test_a_case_that_never_began_is_an_error_with_its_last_words(

@@ -16,7 +16,7 @@ from ronna_hw.wire.kuka_context import OWN_CONTEXT
 from sim.cli import app as ronna_sim
 from sim.errors import BAD_DEVICE_PARAMETER
 from sim.theatre.arm_controllers import check_cycle
-from sim.theatre.launch import THEATRE_FILE, Theatre, parameters_by_device
+from sim.theatre.launch import THEATRE_FILE, LaunchedTheatre, parameters_by_device
 from sim.theatre.theatre_file import write_theatre_file
 from sim.universal_robots.errors import UNKNOWN_PARAMETER
 from sim.world.saved_world import WORLD_FILE, read_saved_world
@@ -91,13 +91,13 @@ def test_a_theatre_killed_before_anything_happened_continues_as_the_same_one(
 ) -> None:
     rsi = {"rsi": "udp://127.0.0.1:1", "eki_project": "tcp://127.0.0.1:1"}
     endpoints = {"polaris": "tcp://127.0.0.1:1", "kuka": rsi, "basler": {"left": "a", "right": "b"}}
-    monkeypatch.setattr(Theatre, "_start_devices", lambda *_: endpoints)
+    monkeypatch.setattr(LaunchedTheatre, "_start_devices", lambda *_: endpoints)
     scene = draw_scene("mini", seed=1)
-    killed = Theatre(scene, tmp_path, paced=False)
+    killed = LaunchedTheatre(scene, tmp_path, paced=False)
     first = read_toml(killed.file, InputRefused)
     first["calibration"]["stereo_head"]["created"] -= timedelta(days=1)  # as if it had begun yesterday
     write_theatre_file(first, killed.file)
-    again = Theatre(scene, tmp_path, paced=False, saved=read_saved_world(tmp_path))
+    again = LaunchedTheatre(scene, tmp_path, paced=False, saved=read_saved_world(tmp_path))
     second = read_toml(again.file, InputRefused)
     killed.close()
     again.close()
@@ -159,7 +159,7 @@ def test_each_device_is_started_with_its_own_parameters(
 
     monkeypatch.setattr("sim.theatre.launch.ChildProcess", started_without_waiting)
     with pytest.raises(Enough):
-        Theatre(
+        LaunchedTheatre(
             scene,
             tmp_path,
             paced=False,

@@ -14,10 +14,10 @@ from drivers.universal_robots.dashboard import DashboardClient
 from drivers.universal_robots.errors import BAD_BYTES, COMMAND_REFUSED, STREAM_ERRORS
 from ronna_hw.endpoints import parse_endpoint
 from ronna_hw.wire.universal_robots import RobotMode, SafetyMode
-from ronna_hw.wire.universal_robots_services import Order, Query
+from ronna_hw.wire.universal_robots_services import DashboardOrder, Query
 
 LIMIT_S = 5.0
-ANSWERS: dict[Query | Order, str] = {
+ANSWERS: dict[Query | DashboardOrder, str] = {
     Query.ROBOT_MODE: "Robotmode: RUNNING",
     Query.SAFETY_MODE: "Safetymode: NORMAL",
     Query.ROBOT_MODEL: "UR5",
@@ -25,13 +25,13 @@ ANSWERS: dict[Query | Order, str] = {
     Query.REMOTE_CONTROL: "true",
     Query.RUNNING: "Program running: false",
     Query.ADD_TO_LOG: "Added log message",
-    Order.POWER_ON: "Powering on",
-    Order.POWER_OFF: "Powering off",
-    Order.BRAKE_RELEASE: "Brake releasing",
-    Order.STOP: "Stopped",
-    Order.CLOSE_SAFETY_POPUP: "closing safety popup",
-    Order.UNLOCK_PROTECTIVE_STOP: "Protective stop releasing",
-    Order.RESTART_SAFETY: "Restarting safety",
+    DashboardOrder.POWER_ON: "Powering on",
+    DashboardOrder.POWER_OFF: "Powering off",
+    DashboardOrder.BRAKE_RELEASE: "Brake releasing",
+    DashboardOrder.STOP: "Stopped",
+    DashboardOrder.CLOSE_SAFETY_POPUP: "closing safety popup",
+    DashboardOrder.UNLOCK_PROTECTIVE_STOP: "Protective stop releasing",
+    DashboardOrder.RESTART_SAFETY: "Restarting safety",
 }
 
 
@@ -78,7 +78,7 @@ def test_a_line_too_many_is_an_error_and_moves_no_later_answer(
 
 @pytest.mark.parametrize("question", ANSWERS)
 def test_the_answer_to_any_other_question_is_an_error(
-    controller: HandmadeController, client: DashboardClient, question: Query | Order
+    controller: HandmadeController, client: DashboardClient, question: Query | DashboardOrder
 ) -> None:
     for other, answer in ANSWERS.items():
         controller.answers[question] = answer
@@ -94,7 +94,7 @@ def test_an_order_that_is_refused_in_other_words_is_no_mistake_of_the_line(
 ) -> None:
     controller.answers["power on"] = "Command is not allowed due to safety reasons"
     with raises(COMMAND_REFUSED):
-        client.require(Order.POWER_ON, LIMIT_S)
+        client.require(DashboardOrder.POWER_ON, LIMIT_S)
     assert len(controller.dashboard_clients) == 1
 
 

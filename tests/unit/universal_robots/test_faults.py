@@ -9,7 +9,7 @@ from watched_stream import ur_faults
 
 from drivers.universal_robots.options import UrOptions, script_settings
 from drivers.universal_robots.realtime.packages import Cause, ControllerWord
-from ronna_hw.arm_stream.records import NO_STATE, Fault
+from ronna_hw.arm_stream.records import NO_STATE, LinkFault
 
 FAULTS = ur_faults()
 
@@ -32,7 +32,7 @@ FAULTS = ur_faults()
     ],
 )
 def test_a_stop_by_the_controller_says_why(word: ControllerWord, code: str, says: str) -> None:
-    state = replace(NO_STATE, fault=Fault.CONTROLLER, controller_word=word.number)
+    state = replace(NO_STATE, fault=LinkFault.CONTROLLER, controller_word=word.number)
     error = FAULTS.error(state, "automatic")
     assert error is not None
     assert error.code == code

@@ -21,7 +21,7 @@ from drivers.universal_robots.errors import RegistersInUse
 from drivers.universal_robots.realtime.loop import Handover, LinkLoop
 from drivers.universal_robots.rtde import RtdeSetup
 from ronna_hw.arm_stream.mailbox import Mailbox
-from ronna_hw.arm_stream.records import Command, OpenStream, Phase
+from ronna_hw.arm_stream.records import Command, OpenStream, StreamPhase
 
 OUTPUT_NAMES = (
     b"timestamp,target_q,actual_q,speed_scaling,target_speed_fraction,robot_mode,safety_mode,runtime_state,"
@@ -181,7 +181,7 @@ def test_each_package_is_answered_by_the_next_set_point(split: int) -> None:
         while not _readable(controller):
             loop._step()
         assert receive(controller, 0x40) == bytes.fromhex(reply)
-    assert loop.session.phase is Phase.RUNNING
+    assert loop.session.phase is StreamPhase.RUNNING
     assert loop.session.rejected == 0
     for end in (driver, controller, ours):
         end.close()

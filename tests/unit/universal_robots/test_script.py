@@ -25,7 +25,7 @@ from ronna_hw.wire.universal_robots import (
     ScriptState,
 )
 from sim.universal_robots.controller_parameters import ControllerParameters
-from sim.universal_robots.kinematics import Kinematics
+from sim.universal_robots.kinematics import TrueKinematics
 from sim.universal_robots.model import MODELS
 from sim.universal_robots.programs.recognition import recognise
 from sim.universal_robots.robot import Robot
@@ -73,7 +73,7 @@ class ScriptAndSimulator:
         settings = script_settings(UrOptions(model=model))
         self.largest_step_rad = settings.LARGEST_STEP_RAD
         arm = MODELS[model]
-        self.robot = Robot(arm, ControllerParameters(), Kinematics(arm))
+        self.robot = Robot(arm, ControllerParameters(), TrueKinematics(arm))
         text = render_script(settings)
         self.set_point = self.robot.drives.target
         self.script = RunningScript(text, self.set_point)

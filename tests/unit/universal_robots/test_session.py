@@ -12,7 +12,7 @@ from rtde_stand import CYCLE_S, FAR, IN, LIMITS, RUN, SETTINGS, START, RtdeStand
 from drivers.universal_robots.realtime.packages import Cause, ControllerWord
 from drivers.universal_robots.realtime.session import REPORT_CYCLES
 from ronna_hw.arm_stream.losses import WINDOW_CYCLES
-from ronna_hw.arm_stream.records import EndStream, Fault, Phase, Result, StopOrder
+from ronna_hw.arm_stream.records import EndStream, LinkFault, MotionResult, StopOrder, StreamPhase
 
 WORKING_STEP_RAD = max(LIMITS.speed_rad_s) * CYCLE_S
 REST_CYCLES = 400
@@ -28,7 +28,7 @@ def test_before_the_script_runs_nothing_but_the_number_of_the_session_is_sent() 
     reply = stand.cycle()
     assert reply is not None
     assert IN.unpack(reply)[3:] == (0, 0, RUN, *START)
-    assert stand.session.phase is Phase.ARMED
+    assert stand.session.phase is StreamPhase.ARMED
 
 
 def test_registers_of_an_earlier_script_start_nothing() -> None:
@@ -38,12 +38,12 @@ def test_registers_of_an_earlier_script_start_nothing() -> None:
         reply = stand.cycle()
         assert reply is not None
         assert IN.unpack(reply)[3] == 0
-    assert stand.session.phase is Phase.ARMED
+    assert stand.session.phase is StreamPhase.ARMED
 
 
 def test_the_stream_starts_where_the_controller_holds_the_arm_and_moves_nothing() -> None:
     stand = streaming()
-    assert stand.session.phase is Phase.RUNNING
+    assert stand.session.phase is StreamPhase.RUNNING
     stand.cycles(50)
     assert set(stand.goals) == {START}
 
@@ -57,7 +57,7 @@ def test_each_set_point_has_the_next_sequence_number() -> None:
 def test_a_motion_reaches_its_target_within_the_working_speed() -> None:
     stand = moving()
     stand.run()
-    assert stand.session.result is Result.DONE
+    assert stand.session.result is MotionResult.DONE
     assert stand.goal == pytest.approx(FAR, abs=1e-9)
     assert stand.largest_step_rad < 1.001 * WORKING_STEP_RAD
     assert stand.session.state(real_time=False, locked=False).late == 0
@@ -71,7 +71,7 @@ def test_the_path_waits_for_set_points_that_came_late(every: int) -> None:
         stand.cycle()
     stand.is_late = False
     stand.run()
-    assert stand.session.result is Result.DONE
+    assert stand.session.result is MotionResult.DONE
     assert stand.session.state(real_time=False, locked=False).late > 0
     assert stand.largest_step_rad < 2.01 * WORKING_STEP_RAD
 
@@ -84,7 +84,7 @@ def test_a_stall_of_the_computer_is_followed_by_a_start_from_rest() -> None:
     steps = stand.goals[before - 2 :]
     assert max(abs(a[0] - b[0]) for a, b in itertools.pairwise(steps)) < 0.1 * WORKING_STEP_RAD
     stand.run()
-    assert stand.session.result is Result.DONE
+    assert stand.session.result is MotionResult.DONE
 
 
 def test_losing_half_of_the_set_points_for_long_stops_the_arm() -> None:
@@ -94,7 +94,7 @@ def test_losing_half_of_the_set_points_for_long_stops_the_arm() -> None:
         stand.cycle()
         if stand.session.fault:
             break
-    assert stand.session.fault is Fault.LOSSES
+    assert stand.session.fault is LinkFault.LOSSES
 
 
 @pytest.mark.hazard(52)
@@ -110,7 +110,7 @@ def test_the_speed_slider_slows_the_path_and_at_zero_holds_it_until_it_is_raised
     assert stand.session.moving
     stand.fraction = 1.0
     stand.run()
-    assert stand.session.result is Result.DONE
+    assert stand.session.result is MotionResult.DONE
 
 
 @pytest.mark.hazard(52)
@@ -123,10 +123,10 @@ def test_a_path_held_by_the_slider_at_zero_survives_lost_packages_and_a_script_t
     stand.cycles(3)
     stand.is_replaced = True  # stands still: it uses no set-points
     stand.cycles(3 * WINDOW_CYCLES)
-    assert stand.session.fault is Fault.NONE
+    assert stand.session.fault is LinkFault.NONE
     stand.is_replaced, stand.fraction = False, 1.0
     stand.run()
-    assert stand.session.result is Result.DONE
+    assert stand.session.result is MotionResult.DONE
 
 
 @pytest.mark.parametrize("scaling", [math.nan, -1.0, 1.5])
@@ -155,7 +155,7 @@ def test_a_stop_by_the_controller_is_latched_in_its_cycle_and_nothing_is_sent_an
     for name, value in change.items():
         setattr(stand, name, value)
     assert stand.cycle() is None
-    assert (stand.session.fault, cause_of(stand)) == (Fault.CONTROLLER, cause)
+    assert (stand.session.fault, cause_of(stand)) == (LinkFault.CONTROLLER, cause)
     for name in change:
         setattr(stand, name, getattr(streaming(), name))  # as if resumed at the pendant
     assert all(stand.cycle() is None for _ in range(20))
@@ -166,7 +166,7 @@ def test_a_safety_mode_that_is_not_that_of_the_limits_ends_the_start() -> None:
     stand = RtdeStand()
     stand.safety_mode = REDUCED
     stand.begin()
-    assert (stand.session.fault, cause_of(stand)) == (Fault.CONTROLLER, Cause.SAFETY)
+    assert (stand.session.fault, cause_of(stand)) == (LinkFault.CONTROLLER, Cause.SAFETY)
     assert stand.cycle() is None
     assert set(stand.goals) == {START}
 
@@ -192,7 +192,7 @@ def test_another_program_in_place_of_ours_ends_the_stream_before_it_is_taken_for
             stand.measured = (stand.measured[0] + 0.001, *stand.measured[1:])
         if stand.cycle() is None:
             break
-    assert (stand.session.fault, cause_of(stand)) == (Fault.CONTROLLER, Cause.OTHER_SCRIPT)
+    assert (stand.session.fault, cause_of(stand)) == (LinkFault.CONTROLLER, Cause.OTHER_SCRIPT)
     assert cycle == SETTINGS.starved_cycles + REPORT_CYCLES + 1
     assert not stand.session.moving
 
@@ -204,15 +204,15 @@ def test_an_arm_that_does_not_follow_while_a_set_point_is_late_is_in_fault_once_
     stand.cycles(2)
     stand.is_late = False
     stand.cycles(3)
-    assert stand.session.fault is Fault.MONITOR
+    assert stand.session.fault is LinkFault.MONITOR
 
 
 def test_hold_comes_to_rest_on_the_path_and_the_stream_continues() -> None:
     stand = moving()
     stand.stop(StopOrder.HOLD)
     stand.run()
-    assert stand.session.result is Result.STOPPED
-    assert stand.session.phase is Phase.RUNNING
+    assert stand.session.result is MotionResult.STOPPED
+    assert stand.session.phase is StreamPhase.RUNNING
     assert stand.cycle() is not None
 
 
@@ -241,13 +241,13 @@ def test_a_program_that_freezes_after_another_fault_leaves_an_ended_script_and_t
     stand = moving()
     stand.stop(StopOrder.PROTECTIVE)
     stand.cycles(REST_CYCLES)
-    assert stand.session.phase is Phase.FAULT
+    assert stand.session.phase is StreamPhase.FAULT
     stand.cycles(2000)
     assert stand.script_state == 2, "the program lives, and may still acknowledge"
     stand.beats = False
     stand.cycles(600)
     assert stand.script_state == 3
-    assert stand.session.fault is Fault.PROTECTIVE
+    assert stand.session.fault is LinkFault.PROTECTIVE
 
 
 def test_silence_beyond_the_limit_latches_a_fault() -> None:
@@ -256,9 +256,9 @@ def test_silence_beyond_the_limit_latches_a_fault() -> None:
     from ronna_hw.arm_stream.records import Orders
 
     stand.session.monitor_silence(Orders(*orders), stand.now_ns + 240_000_000)
-    assert stand.session.fault is Fault.NONE
+    assert stand.session.fault is LinkFault.NONE
     stand.session.monitor_silence(Orders(*orders), stand.now_ns + 260_000_000)
-    assert stand.session.fault is Fault.SILENCE
+    assert stand.session.fault is LinkFault.SILENCE
 
 
 @pytest.mark.parametrize("jump_s", [-1.0, 20.0])
@@ -266,7 +266,7 @@ def test_a_jump_of_the_controllers_time_ends_the_stream(jump_s: float) -> None:
     stand = moving()
     stand.timestamp_s += jump_s
     assert stand.cycle() is None
-    assert stand.session.fault is Fault.RESTARTED
+    assert stand.session.fault is LinkFault.RESTARTED
 
 
 def test_joints_off_their_commanded_angles_at_the_start_are_refused() -> None:
@@ -274,7 +274,7 @@ def test_joints_off_their_commanded_angles_at_the_start_are_refused() -> None:
     stand.follows = False
     stand.measured = (0.1, *START[1:])
     stand.begin()
-    assert stand.session.fault is Fault.BASE
+    assert stand.session.fault is LinkFault.BASE
 
 
 def test_ending_leaves_the_script_by_its_order() -> None:
@@ -282,7 +282,7 @@ def test_ending_leaves_the_script_by_its_order() -> None:
     stand.give(EndStream())
     stand.cycles(4)
     assert stand.script_state == 3
-    assert stand.session.phase is Phase.ENDING
+    assert stand.session.phase is StreamPhase.ENDING
 
 
 def test_a_number_that_is_not_finite_is_rejected_before_the_start_and_trips_the_monitor_after_it() -> None:
@@ -294,7 +294,7 @@ def test_a_number_that_is_not_finite_is_rejected_before_the_start_and_trips_the_
     stand.follows = False
     stand.measured = (math.nan, *START[1:])
     stand.cycles(2)
-    assert stand.session.fault is Fault.MONITOR
+    assert stand.session.fault is LinkFault.MONITOR
 
 
 def test_the_word_of_the_controller_survives_the_mailbox() -> None:
@@ -313,7 +313,7 @@ def test_reduced_limits_are_those_of_the_stream() -> None:
     stand.begin()
     stand.move()
     stand.run(most=8000)
-    assert stand.session.result is Result.DONE
+    assert stand.session.result is MotionResult.DONE
     assert stand.largest_step_rad < 1.001 * max(reduced.speed_rad_s) * CYCLE_S
 
 

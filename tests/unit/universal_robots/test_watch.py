@@ -12,7 +12,7 @@ from watched_stream import MOVING, Watched, watched_ur
 from drivers.universal_robots.errors import STREAM_ERRORS
 from drivers.universal_robots.realtime.packages import Cause, ControllerWord
 from drivers.universal_robots.watch import POWER_DOWN_S
-from ronna_hw.arm_stream.records import Fault, LinkState, Phase, StopOrder
+from ronna_hw.arm_stream.records import LinkFault, LinkState, StopOrder, StreamPhase
 from ronna_hw.errors import RonnaError
 from ronna_hw.wire.universal_robots import RobotMode, RuntimeState
 
@@ -44,7 +44,7 @@ def watched() -> tuple[Watched, Dashboard]:
 
 def _stopped(robot_mode: RobotMode) -> LinkState:
     word = ControllerWord(robot_mode, 1, RuntimeState.STOPPED, 2, Cause.PROGRAM)
-    return replace(MOVING, phase=Phase.SILENT, fault=Fault.CONTROLLER, controller_word=word.number)
+    return replace(MOVING, phase=StreamPhase.SILENT, fault=LinkFault.CONTROLLER, controller_word=word.number)
 
 
 def test_a_program_that_stopped_because_power_goes_off_is_attributed_to_it() -> None:
@@ -104,13 +104,13 @@ def test_a_thread_that_sees_the_loss_first_leaves_the_fault_to_the_question_for_
     assert arm.outcome == ("URD-035", [StopOrder.PROTECTIVE])
 
 
-@pytest.mark.parametrize("fault", [Fault.SILENCE, Fault.BROKEN, Fault.RESTARTED])
-def test_a_program_is_ended_once_after_each_fault_that_leaves_it_without_set_points(fault: Fault) -> None:
+@pytest.mark.parametrize("fault", [LinkFault.SILENCE, LinkFault.BROKEN, LinkFault.RESTARTED])
+def test_a_program_is_ended_once_after_each_fault_that_leaves_it_without_set_points(fault: LinkFault) -> None:
     arm, dashboard = watched()
     arm.watch.on_silence()
     assert dashboard.asked == []
     for _ in range(2):
-        arm.link.state = replace(MOVING, phase=Phase.FAULT, fault=fault)
+        arm.link.state = replace(MOVING, phase=StreamPhase.FAULT, fault=fault)
         arm.watch.on_silence()
         arm.watch.on_silence()
         arm.link.state = MOVING

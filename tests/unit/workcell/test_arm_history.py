@@ -17,7 +17,7 @@ from procedures.workcell.arm_history import TRAIL, ArmHistory, PlaceKind, arm_hi
 from ronna_hw.arm.errors import NotClear
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.errors import LinkTimeout
-from ronna_hw.evidence.journal_reading import Chain, JournalCorrupt, Line
+from ronna_hw.evidence.journal_reading import JournalChain, JournalCorrupt, Line
 from ronna_hw.evidence.lost_end import lost_as_plain
 from ronna_hw.vectors import JointVector
 
@@ -213,7 +213,7 @@ def test_work_in_lost_lines_stays_known_and_in_doubt_to_every_later_program() ->
         {"entry": Entry.INSTRUMENT, "trajectory": "T1", "inside": True},
         {"entry": Entry.STAGE, "trajectory": "T1", "task": ["not", "a", "task"], "done": True},
     )
-    left = fold_history(Chain(tuple(MOTION_FROM_HOME[:1])), lost)
+    left = fold_history(JournalChain(tuple(MOTION_FROM_HOME[:1])), lost)
     assert left.stages == {"T1": {"drill": True}}
     assert left.doubted == {"T1"}
     assert left.place.instrument_may_be_inside == "T1"

@@ -28,7 +28,7 @@ from ronna_hw.control_port import (
 from ronna_hw.endpoints import BadEndpoint
 from ronna_hw.errors import EXIT_USAGE
 from sim.cli import app as ronna_sim
-from sim.world.control_port import MOST_CONNECTIONS, ControlPort, Room
+from sim.world.control_port import MOST_CONNECTIONS, ControlledRoom, ControlPort
 from sim.world.displacements import NOTHING_MOVED, ShiftedRoom
 from sim.world.faults import parse_faults
 from sim.world.saved_world import WORLD_FILE, SavedWorld, read_saved_world
@@ -47,12 +47,12 @@ def world() -> World:
 
 
 @pytest.fixture
-def room(world: World, tmp_path: Path) -> Room:
-    return Room(world, tmp_path)
+def room(world: World, tmp_path: Path) -> ControlledRoom:
+    return ControlledRoom(world, tmp_path)
 
 
 @pytest.fixture
-def port(room: Room) -> Iterator[ControlPort]:
+def port(room: ControlledRoom) -> Iterator[ControlPort]:
     port = ControlPort(room, first_line_limit_s=SOON_S, idle_limit_s=SOON_S)
     yield port
     port.close()
@@ -148,7 +148,7 @@ def test_a_client_that_sends_no_complete_line_is_disconnected(port: ControlPort,
         assert _said(line) in (b"", b'{"ok": true}\n')
 
 
-def test_a_line_sent_in_drips_is_cut_off_after_the_time_of_one_line(room: Room) -> None:
+def test_a_line_sent_in_drips_is_cut_off_after_the_time_of_one_line(room: ControlledRoom) -> None:
     port = ControlPort(room, first_line_limit_s=SOON_S)
     with _connected(port) as line:
         line.settimeout(SOON_S / 4)
@@ -170,7 +170,7 @@ def test_a_line_sent_in_drips_is_cut_off_after_the_time_of_one_line(room: Room) 
     "request_of_staff", [{"do": "step", "name": "registration:T1"}, {"do": "mount", "number": GUIDE}]
 )
 def test_a_theatre_that_is_killed_continues_from_the_last_request_of_its_staff(
-    room: Room, world: World, tmp_path: Path, request_of_staff: dict[str, object]
+    room: ControlledRoom, world: World, tmp_path: Path, request_of_staff: dict[str, object]
 ) -> None:
     room.answer({"do": "identify"})
     assert not (tmp_path / WORLD_FILE).exists()
@@ -179,7 +179,7 @@ def test_a_theatre_that_is_killed_continues_from_the_last_request_of_its_staff(
     assert read_saved_world(tmp_path) == SavedWorld.from_world(world)
 
 
-def test_clients_without_the_token_do_not_keep_out_those_with_it(room: Room, world: World) -> None:
+def test_clients_without_the_token_do_not_keep_out_those_with_it(room: ControlledRoom, world: World) -> None:
     port = ControlPort(room)
     strangers = [_connected(port) for _ in range(3 * MOST_CONNECTIONS)]
     ask_control_port(port.endpoint, "mount", number=GUIDE)
@@ -205,7 +205,7 @@ def test_a_reset_connection_causes_no_traceback_and_the_next_is_served(
 
 
 def test_each_port_has_its_own_token_and_explains_the_refusal_of_another(
-    port: ControlPort, room: Room
+    port: ControlPort, room: ControlledRoom
 ) -> None:
     another = ControlPort(room)
     stale = ControlAddress(
@@ -263,7 +263,7 @@ def test_one_fault_is_cleared_and_one_that_was_not_injected_is_refused(
 
 
 @pytest.mark.parametrize("line", ["at 0 s: tracker occlude marker 99 for 1 s", "tea"])
-def test_an_impossible_live_fault_is_refused_with_its_code(room: Room, line: str) -> None:
+def test_an_impossible_live_fault_is_refused_with_its_code(room: ControlledRoom, line: str) -> None:
     answer: dict[str, Any] = room.answer({"do": "fault", "line": line})
     assert not answer["ok"]
     assert "SIM-003" in answer["reason"]
@@ -365,7 +365,7 @@ def test_a_cart_of_a_continued_theatre_is_not_moved_with_the_instrument_of_the_l
     ask_control_port(theatre, "mount", number=GUIDE)
     ask_control_port(theatre, "work", task="depth_stop", trajectory="T1", numbers=[170.0])
     ask_control_port(theatre, "work", task="insert", trajectory="T1")
-    continued = Room(SavedWorld.from_world(world).restore(world.scene, paced=False), tmp_path)
+    continued = ControlledRoom(SavedWorld.from_world(world).restore(world.scene, paced=False), tmp_path)
     move = {"do": "move", "cart": 1, "by_mm": [60, -40, 0], "turn_deg": 5}
     refused = continued.answer(move)
     assert not refused["ok"]
@@ -426,7 +426,7 @@ def test_no_cart_is_moved_without_a_theatre_or_with_the_token_of_another(
 
 
 def test_a_device_alone_has_no_cart_to_move(world: World) -> None:
-    answer = Room(world, None, ("tracker", "room")).answer(
+    answer = ControlledRoom(world, None, ("tracker", "room")).answer(
         {"do": "move", "cart": 1, "by_mm": [60, 0, 0], "turn_deg": 0}
     )
     assert answer["reason"] == "there is no arm on a cart here"
@@ -436,7 +436,7 @@ def test_a_device_alone_has_no_cart_to_move(world: World) -> None:
 def test_a_case_is_asked_in_words_only_with_the_control_port_of_its_own_theatre(
     known: str, world: World, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    port = ControlPort(Room(world, tmp_path / "b", identity=known))
+    port = ControlPort(ControlledRoom(world, tmp_path / "b", identity=known))
     monkeypatch.setenv("RONNA_CONTROL", port.endpoint)
     monkeypatch.setattr(request_checks, "on_terminal", lambda _stream: True)
     monkeypatch.setattr(request_checks, "is_simulated", lambda _theatre: True)

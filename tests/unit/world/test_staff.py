@@ -12,7 +12,7 @@ from ronna_hw.frames import Frame
 from ronna_hw.wire.room_tasks import CART_PUSH, DEPTH_STOP, GAUGE, INSERT, SKIN, TASKS, TOUCH, OnStand
 from sim.basler.camera.view import View
 from sim.errors import STAND_NOT_READY, BadFaultScript
-from sim.world.control_port import Room
+from sim.world.control_port import ControlledRoom
 from sim.world.displacements import ShiftedRoom
 from sim.world.faults import check_faults, parse_faults
 from sim.world.rigid import inverse, matrix_from, matrix_of, rotation_from_vector
@@ -86,7 +86,7 @@ def test_each_mounting_seats_the_guide_a_little_differently(tmp_path: Path) -> N
     for mounted in ([guide], [other, 0, other, guide], [guide, guide]):
         world = a_world(EXACT.model_copy(update={"seat_mm": 0.008}))
         for number in mounted:
-            assert Room(world, None).answer({"do": "mount", "number": number})["ok"]
+            assert ControlledRoom(world, None).answer({"do": "mount", "number": number})["ok"]
         seats_mm.append(tip_mm(world, tmp_path) - planned_mm())
     first, same, again = seats_mm
     assert first == pytest.approx(same, abs=0.0)
@@ -96,7 +96,7 @@ def test_each_mounting_seats_the_guide_a_little_differently(tmp_path: Path) -> N
 @pytest.mark.parametrize("mistaken", [0, SCENE.mount.tool_number_stereo])
 def test_staff_mount_the_wrong_tool_as_long_as_the_fault_lasts(mistaken: int) -> None:
     world, guide = a_world(), SCENE.mount.tool_number_guide
-    room = Room(world, None)
+    room = ControlledRoom(world, None)
     world.set_fault_script(f"at 0 s: room wrong tool {mistaken}")
     assert room.answer({"do": "mount", "number": guide})["ok"]
     assert world.mounted_tool() == mistaken
@@ -117,7 +117,7 @@ def test_a_wrongly_set_depth_stop_reads_its_actual_value() -> None:
 
 
 def test_impossible_work_is_refused_with_a_reason(tmp_path: Path) -> None:
-    room = Room(a_world(), tmp_path)
+    room = ControlledRoom(a_world(), tmp_path)
     assert room.answer({"do": "work", "task": SKIN})["readings"] == []
     at_t1 = {"do": "work", "task": INSERT, "trajectory": "T1"}
     for request, reason in (
@@ -138,12 +138,12 @@ def test_impossible_work_is_refused_with_a_reason(tmp_path: Path) -> None:
 
 
 def test_the_staff_know_every_task_word_and_no_other(tmp_path: Path) -> None:
-    reason = Room(a_world(), tmp_path).answer({"do": "work", "task": "tea"})["reason"]
+    reason = ControlledRoom(a_world(), tmp_path).answer({"do": "work", "task": "tea"})["reason"]
     assert set(reason.partition("expected ")[2].split(", ")) == set(TASKS)
 
 
 def test_an_instrument_is_not_inserted_without_the_name_of_a_trajectory(tmp_path: Path) -> None:
-    room = Room(a_world(), tmp_path)
+    room = ControlledRoom(a_world(), tmp_path)
     assert room.answer({"do": "work", "task": DEPTH_STOP, "trajectory": "T1", "numbers": [STOP_MM]})["ok"]
     answer = room.answer({"do": "work", "task": INSERT})
     assert not answer["ok"]
@@ -155,7 +155,7 @@ def test_an_instrument_is_not_inserted_without_the_name_of_a_trajectory(tmp_path
 
 
 def test_an_instrument_is_inserted_only_where_the_depth_stop_was_set_for(tmp_path: Path) -> None:
-    room = Room(a_world(), tmp_path)
+    room = ControlledRoom(a_world(), tmp_path)
     assert room.answer({"do": "work", "task": DEPTH_STOP, "trajectory": "T1", "numbers": [STOP_MM]})["ok"]
     answer = room.answer({"do": "work", "task": INSERT, "trajectory": "T9"})
     assert answer["reason"] == "the depth stop was set for T1; got an order to insert at T9"
@@ -165,7 +165,7 @@ def test_an_instrument_is_inserted_only_where_the_depth_stop_was_set_for(tmp_pat
 @pytest.mark.parametrize("task", [SKIN, INSERT])
 def test_nothing_is_done_through_a_stereo_head(tmp_path: Path, task: str) -> None:
     world = a_world()
-    room = Room(world, tmp_path)
+    room = ControlledRoom(world, tmp_path)
     assert room.answer({"do": "work", "task": DEPTH_STOP, "trajectory": "T1", "numbers": [STOP_MM]})["ok"]
     world.mount_tool(SCENE.mount.tool_number_stereo)
     answer = room.answer({"do": "work", "task": task, "trajectory": "T1"})
@@ -196,7 +196,7 @@ def test_an_unlocked_cart_rolls_and_stays_where_it_was_pushed() -> None:
 
 def test_a_since_fault_begins_with_its_step_and_outlasts_it() -> None:
     world = a_world()
-    room = Room(world, None)
+    room = ControlledRoom(world, None)
     world.set_fault_script("since step == relocalization:T2: room shift cart 0 2 0 mm  # kicked")
     for step, moved_mm in (("relocalization:T1", 0.0), ("relocalization:T2", -2.0), ("retreat:T1", -2.0)):
         assert room.answer({"do": "step", "name": step})["ok"]
@@ -220,7 +220,7 @@ def test_a_fault_that_came_after_its_last_task_is_named_with_its_step_and_the_re
     fault: str, task: str, begins: str, when: str
 ) -> None:
     world = a_world()
-    room = Room(world, None)
+    room = ControlledRoom(world, None)
     if begins != "now":
         world.set_fault_script(f"{begins}: room {fault}")
     for request in (
@@ -243,7 +243,7 @@ def test_a_fault_that_came_after_its_last_task_is_named_with_its_step_and_the_re
 
 def test_a_missed_fault_with_an_endless_number_is_cut_and_not_its_reason() -> None:
     world = a_world()
-    room = Room(world, None)
+    room = ControlledRoom(world, None)
     world.set_fault_script(f"at 0 s: room depth stop off by {'9' * 3000} mm")
     (missed,) = room.answer({"do": "missed_faults"})["missed"]
     assert missed.endswith(
@@ -254,7 +254,7 @@ def test_a_missed_fault_with_an_endless_number_is_cut_and_not_its_reason() -> No
 
 def test_a_fault_that_acted_in_its_task_is_not_named_at_the_end() -> None:
     world = a_world()
-    room = Room(world, None)
+    room = ControlledRoom(world, None)
     world.set_fault_script(
         "at 0 s: room wrong tool 1\nwhen step == at_target:T1: room depth stop off by 4 mm"
     )
@@ -353,7 +353,7 @@ def test_dials_that_cannot_be_read_are_refused(world: World, what: str) -> None:
 
 
 def test_the_control_port_moves_the_stand_and_reads_it(world: World) -> None:
-    room = Room(world, None)
+    room = ControlledRoom(world, None)
     assert room.answer({"do": "work", "task": "dials"})["readings"] == list(read_dials(world))
     assert room.answer({"do": "stand", "holds": "ball"})["ok"]
     assert world.on_stand() is OnStand.BALL

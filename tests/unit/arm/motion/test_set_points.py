@@ -17,7 +17,7 @@ from ronna_hw.arm.kr6_r900 import SIXX, kr6_r900
 from ronna_hw.arm.monitor import Monitor, monitor_limits
 from ronna_hw.arm.motion.limits import working_limits
 from ronna_hw.arm.motion.planning import LinePath, MotionPlan, plan_joint_move, plan_line
-from ronna_hw.arm.motion.progress import Bounds, MotionProfiler, State
+from ronna_hw.arm.motion.progress import AxisState, Bounds, MotionProfiler
 from ronna_hw.arm.motion.set_points import PathMotion, StopMotion, plan_halt, state_from_history
 from ronna_hw.arm.pose import Pose, radians6
 from ronna_hw.vectors import JointVector
@@ -150,7 +150,7 @@ def test_after_an_interruption_the_motion_continues_from_rest(stopping: bool, on
 def test_a_joint_stop_comes_to_rest_from_any_state(
     velocity: tuple[float, ...], acceleration: tuple[float, ...]
 ) -> None:
-    motion = StopMotion(State(list(START), list(velocity), list(acceleration)), LIMITS, CYCLE_S)
+    motion = StopMotion(AxisState(list(START), list(velocity), list(acceleration)), LIMITS, CYCLE_S)
     points = [motion.prepare().go_rad]
     while not motion.is_finished:
         motion.take_go()
@@ -161,7 +161,7 @@ def test_a_joint_stop_comes_to_rest_from_any_state(
 
 def test_a_profile_holds_its_end_positions() -> None:
     bounds = Bounds([1.0], [2.0], [10.0])
-    profile = MotionProfiler(1).move(State([0.0], [0.5], [0.0]), [0.05], bounds)
+    profile = MotionProfiler(1).move(AxisState([0.0], [0.5], [0.0]), [0.05], bounds)
     assert profile.sample(-5.0).position == [0.0]
     assert profile.sample(1e6).position[0] == pytest.approx(0.05)
 
@@ -169,15 +169,15 @@ def test_a_profile_holds_its_end_positions() -> None:
 @pytest.mark.parametrize(
     ("start", "target", "bounds"),
     [
-        (State.resting([0.0]), [1.0, 2.0], Bounds([1.0], [1.0], [1.0])),
-        (State.resting([0.0, 0.0]), [1.0], Bounds([1.0], [1.0], [1.0])),
-        (State.resting([0.0]), [math.nan], Bounds([1.0], [1.0], [1.0])),
-        (State.resting([0.0]), [1.0], Bounds([0.0], [1.0], [1.0])),
-        (State.resting([0.0]), [1.0], Bounds([1.0], [1.0], [-1.0])),
+        (AxisState.resting([0.0]), [1.0, 2.0], Bounds([1.0], [1.0], [1.0])),
+        (AxisState.resting([0.0, 0.0]), [1.0], Bounds([1.0], [1.0], [1.0])),
+        (AxisState.resting([0.0]), [math.nan], Bounds([1.0], [1.0], [1.0])),
+        (AxisState.resting([0.0]), [1.0], Bounds([0.0], [1.0], [1.0])),
+        (AxisState.resting([0.0]), [1.0], Bounds([1.0], [1.0], [-1.0])),
     ],
 )
 def test_invalid_numbers_for_a_profile_give_one_typed_error(
-    start: State, target: list[float], bounds: Bounds
+    start: AxisState, target: list[float], bounds: Bounds
 ) -> None:
     with raises(MOTION_INVALID) as caught:
         MotionProfiler(1).move(start, target, bounds)
@@ -244,12 +244,12 @@ def test_a_stop_takes_little_longer_than_joints_braking_independently(plan: Moti
 
 
 def test_at_rest_there_is_nothing_to_stop() -> None:
-    assert plan_halt(State.resting(list(START)), LIMITS) is None
-    assert StopMotion(State.resting(list(START)), LIMITS, CYCLE_S).is_finished
+    assert plan_halt(AxisState.resting(list(START)), LIMITS) is None
+    assert StopMotion(AxisState.resting(list(START)), LIMITS, CYCLE_S).is_finished
 
 
 def test_joints_that_cannot_brake_together_brake_independently() -> None:
-    turning_hard = State(list(START), [0.5, 0.0, 0.0, 0.0, 0.0, 0.0], [0.0, 20.0, 0.0, 0.0, 0.0, 0.0])
+    turning_hard = AxisState(list(START), [0.5, 0.0, 0.0, 0.0, 0.0, 0.0], [0.0, 20.0, 0.0, 0.0, 0.0, 0.0])
     assert plan_halt(turning_hard, LIMITS) is None
     stop = StopMotion(turning_hard, LIMITS, CYCLE_S)
     assert stop._halt is None

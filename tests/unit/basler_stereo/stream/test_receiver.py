@@ -8,9 +8,9 @@ import socket
 
 import pytest
 
-from drivers.basler_stereo.stream.frame_assembler import Frame, Leader, StreamCounters
+from drivers.basler_stereo.stream.frame_assembler import Leader, ReceivedImage, StreamCounters
 from drivers.basler_stereo.stream.receiver import await_packet, open_stream_socket
-from drivers.basler_stereo.stream.receiver_interface import SLOTS, FrameSlots, OpenStream
+from drivers.basler_stereo.stream.receiver_interface import SLOTS, FrameSlots, OpenImageStream
 from drivers.basler_stereo.stream.receiver_process import _Stream
 from ronna_hw.wire import gige_vision as gev
 
@@ -28,7 +28,7 @@ def sides():
 def written(slots: FrameSlots, block_id: int, leader: Leader | None = LEADER) -> bytes:
     number, memory = slots.claim()
     memory[:] = bytes([block_id]) * PAYLOAD
-    return slots.note(Frame(block_id, leader, memory, 2, number))
+    return slots.note(ReceivedImage(block_id, leader, memory, 2, number))
 
 
 def test_a_frame_is_fetched_as_it_was_written(sides):
@@ -86,7 +86,7 @@ def test_packets_from_another_address_than_the_cameras_are_dropped_and_counted()
         images = open_stream_socket(HOST, 1 << 20)
         to = images.getsockname()
         descriptors = [images.detach(), control.detach(), memory, notes.detach()]
-        stream = _Stream(OpenStream(1, PAYLOAD_BYTES, PACKET_BYTES, resend=False), descriptors)
+        stream = _Stream(OpenImageStream(1, PAYLOAD_BYTES, PACKET_BYTES, resend=False), descriptors)
         with contextlib.closing(stream):
             for one in (stranger, stranger, camera):
                 one.sendto(bytes(100), to)

@@ -8,7 +8,7 @@ import pytest
 import spoilt_cameras as spoil
 from spoilt_cameras import Mistake, Patch, Stand
 
-from conformance.case import Outcome
+from conformance.case import CaseOutcome
 from conformance.gige.protocol import PROTOCOL
 from ronna_hw.wire.gige_vision import Bootstrap, GevStatus, GvcpCommand
 from sim.basler.control.bootstrap import XML_ADDRESS
@@ -144,7 +144,7 @@ def test_each_mistake_is_found_by_its_case(
     stand = make_stand()
     make_mistake(stand.left, monkeypatch)
     result = stand.run(number)
-    assert result.outcome is Outcome.FAIL
+    assert result.outcome is CaseOutcome.FAIL
     assert "no error of the tree" not in result.reason
 
 
@@ -154,12 +154,14 @@ def test_good_cameras_pass_every_case(make_stand: Callable[[], Stand], monkeypat
     stand = make_stand()
     monkeypatch.setattr("conformance.gige.stream.FRAME_LIMIT_S", GOOD_FRAME_LIMIT_S)
     results = [stand.run(case.number) for case in PROTOCOL.cases if case.number not in WAITING]
-    assert {result.number: result.reason for result in results if result.outcome is not Outcome.PASS} == {}
+    assert {
+        result.number: result.reason for result in results if result.outcome is not CaseOutcome.PASS
+    } == {}
 
 
 def test_cameras_that_ignore_broadcasts_fail(make_stand: Callable[[], Stand], monkeypatch: Patch) -> None:
     monkeypatch.setattr("sim.basler.server.bind_broadcast", list)
-    assert make_stand().run("G01").outcome is Outcome.FAIL
+    assert make_stand().run("G01").outcome is CaseOutcome.FAIL
 
 
 def test_every_gige_case_has_its_mistake() -> None:
@@ -170,4 +172,4 @@ def test_a_zipped_description_is_read_too(make_stand: Callable[[], Stand], monke
     stand = make_stand()
     for camera in (stand.left, stand.right):
         spoil.pack_description(camera, monkeypatch)
-    assert [stand.run(number).outcome for number in ("G17", "G18")] == [Outcome.PASS, Outcome.PASS]
+    assert [stand.run(number).outcome for number in ("G17", "G18")] == [CaseOutcome.PASS, CaseOutcome.PASS]

@@ -11,7 +11,7 @@ from conformance.case import Nonconformity
 from conformance.polaris.client import PolarisLink, place_markers, read_body, with_crc
 from conformance.polaris.fixtures import (
     SPECTRA_VOLUMES,
-    MeasuringVolume,
+    StatedVolume,
     build_published_definition,
     read_markers,
     reverse_normals,
@@ -76,13 +76,13 @@ def test_markers_are_placed_by_rotation_and_translation() -> None:
 def test_the_volume_has_the_published_sections(
     volume: int, z_mm: float, half_mm: tuple[float, float]
 ) -> None:
-    assert MeasuringVolume("5", SPECTRA_VOLUMES[volume]).half_extents_mm(z_mm) == pytest.approx(
+    assert StatedVolume("5", SPECTRA_VOLUMES[volume]).half_extents_mm(z_mm) == pytest.approx(
         half_mm, abs=0.02
     )
 
 
 def test_the_clearance_of_a_point_is_negative_outside() -> None:
-    pyramid = MeasuringVolume("5", SPECTRA_VOLUMES[0])
+    pyramid = StatedVolume("5", SPECTRA_VOLUMES[0])
     assert pyramid.clearance_mm((0.0, 0.0, -1000.0)) == pytest.approx(50.0)
     assert pyramid.clearance_mm((400.0, 0.0, -1532.0)) == pytest.approx(-2.0)
     assert pyramid.clearance_mm((0.0, 0.0, -2401.0)) < 0

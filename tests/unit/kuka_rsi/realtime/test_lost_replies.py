@@ -26,13 +26,13 @@ from ronna_hw.arm_stream.losses import WINDOW_CYCLES
 from ronna_hw.arm_stream.records import (
     Choice,
     Command,
-    Fault,
+    LinkFault,
     LinkState,
+    MotionResult,
     Move,
     OpenStream,
     Orders,
     Request,
-    Result,
     StopOrder,
 )
 from ronna_hw.vectors import JointVector
@@ -102,7 +102,7 @@ class HoldingController:
     def finish(self) -> None:
         """Cycles without loss until the motion has a result."""
         for _ in range(3000):
-            if self.session.result is not Result.RUNNING:
+            if self.session.result is not MotionResult.RUNNING:
                 return
             self.cycle()
         raise AssertionError("no result")
@@ -147,7 +147,7 @@ def _whole() -> list[JointVector]:
 def _arrived(controller: HoldingController) -> bool:
     session = controller.session
     there = tuple(degrees(angle) for angle in FAR)
-    assert (session.result, session.fault, session.violation) == (Result.DONE, Fault.NONE, None)
+    assert (session.result, session.fault, session.violation) == (MotionResult.DONE, LinkFault.NONE, None)
     return controller.end_deg == pytest.approx(there, abs=2e-6)
 
 
@@ -228,7 +228,7 @@ def test_a_point_too_far_from_the_held_one_is_not_sent_again() -> None:
     held = controller.taken[-1]
     controller.lose(["reply", ""])
     assert controller.taken[-1] == held
-    assert controller.session.fault is Fault.MONITOR
+    assert controller.session.fault is LinkFault.MONITOR
     controller.lose([""] * 5)
     assert not controller.session.moving
     assert controller.taken[-1] == held
@@ -247,7 +247,7 @@ def test_a_stop_during_lost_replies_is_smooth_and_ends_at_rest(before: int, loss
     controller.lose(losses)
     controller.lose([""] * 150)
     assert not controller.session.moving
-    assert controller.session.fault is Fault.NONE
+    assert controller.session.fault is LinkFault.NONE
     assert controller.largest_share <= WORKING_SHARE * ROUNDING
     assert len(set(controller.taken[-20:])) == 1
 
@@ -347,7 +347,7 @@ def test_losing_half_of_the_replies_for_seconds_stops_the_arm_and_names_the_caus
         controller.lose(["reply", ""])
         if controller.session.fault:
             break
-    assert controller.session.fault is Fault.LOSSES
+    assert controller.session.fault is LinkFault.LOSSES
     controller.lose(["reply", ""] * 100)
     assert not controller.session.moving
     assert controller.largest_share <= WORKING_SHARE * ROUNDING
@@ -361,7 +361,7 @@ def test_losing_half_of_the_replies_for_seconds_stops_the_arm_and_names_the_caus
 @pytest.mark.parametrize("every", [5, 8])
 def test_a_motion_arrives_with_up_to_a_fifth_of_all_replies_lost(every: int) -> None:
     controller = _moving()
-    while controller.session.result is Result.RUNNING:
+    while controller.session.result is MotionResult.RUNNING:
         controller.lose(["reply", *[""] * (every - 1)])
     assert _arrived(controller)
 
@@ -378,5 +378,5 @@ def test_a_single_stall_of_half_a_second_does_not_make_the_link_unusable() -> No
 def test_lost_cycles_at_rest_are_counted_and_stop_nothing() -> None:
     controller = HoldingController()
     controller.lose(["reply", ""] * 600)
-    assert controller.session.fault is Fault.NONE
+    assert controller.session.fault is LinkFault.NONE
     assert controller.state.late == 600

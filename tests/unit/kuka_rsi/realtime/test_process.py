@@ -20,7 +20,7 @@ from drivers.kuka_rsi.link import start_link
 from drivers.kuka_rsi.options import KukaOptions
 from ronna_hw.arm_stream import loop as link_loop
 from ronna_hw.arm_stream.client import LinkClient
-from ronna_hw.arm_stream.records import CloseStream, OpenStream, Phase
+from ronna_hw.arm_stream.records import CloseStream, OpenStream, StreamPhase
 from ronna_hw.devices.robot import JointMove
 from ronna_hw.endpoints import parse_endpoint
 from ronna_hw.host.network import own_udp_endpoint
@@ -114,7 +114,7 @@ def test_mutants_over_the_socket_cause_no_crash_and_no_motion() -> None:
 def _answered(controller: socket.socket, link: LinkClient, ipoc: int) -> None:
     """Test whether a fresh session answers a telegram, whatever came before."""
     link.command(CloseStream())
-    link.wait(lambda s: s.phase is Phase.IDLE, GENEROUS_S)
+    link.wait(lambda s: s.phase is StreamPhase.IDLE, GENEROUS_S)
     number = link.command(OpenStream(LIMITS))
     link.wait(lambda s: s.command_number >= number, GENEROUS_S)
     deadline = time.monotonic() + GENEROUS_S

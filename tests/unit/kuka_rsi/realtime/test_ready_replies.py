@@ -9,7 +9,7 @@ from rsi_loop import CYCLE_MS, FIRST_IPOC, START_DEG, InProcessLink, corrections
 from rsi_stand import FAR, LIMITS, MODEL, START
 
 from ronna_hw.arm.motion.planning import plan_joint_move
-from ronna_hw.arm_stream.records import Command, Fault, Move, StopOrder
+from ronna_hw.arm_stream.records import Command, LinkFault, Move, StopOrder
 
 MOVE = Command(0, Move(plan_joint_move(MODEL, START, FAR, LIMITS)))
 
@@ -69,7 +69,7 @@ def test_replies_prepared_ahead_equal_those_made_on_arrival(events: list[str]) -
         state = follower.link.loop.session.state(real_time=False, locked=False)
         follower.link.close()
         assert state.violation_kind == ""
-        assert state.fault in (Fault.NONE, Fault.PROTECTIVE)
+        assert state.fault in (LinkFault.NONE, LinkFault.PROTECTIVE)
     assert ahead.replies == on_arrival.replies
     assert ahead.ahead_used > len(events) / 4
 

@@ -24,7 +24,15 @@ from ronna_hw.arm.monitor import FOLLOWING_RAD, FOLLOWING_TIME_S
 from ronna_hw.arm.motion.planning import MotionPlan, plan_joint_move
 from ronna_hw.arm.motion.progress import PathLimits
 from ronna_hw.arm.pose import Pose, radians6
-from ronna_hw.arm_stream.records import STOP_KIND_BITS, Fault, LinkState, Move, Orders, Phase, Result
+from ronna_hw.arm_stream.records import (
+    STOP_KIND_BITS,
+    LinkFault,
+    LinkState,
+    MotionResult,
+    Move,
+    Orders,
+    StreamPhase,
+)
 from ronna_hw.arm_stream.session import SETTLE_CYCLES
 
 CYCLE_S = SETTINGS.cycle_ms / 1000.0
@@ -44,10 +52,10 @@ def test_the_monitor_stops_a_generator_that_exceeds_a_limit(limits: PathLimits, 
     stand = begun()
     stand.give(Move(MotionPlan(START, FAR, limits)))
     stand.cycles(400)
-    assert stand.session.fault is Fault.MONITOR
+    assert stand.session.fault is LinkFault.MONITOR
     assert stand.violation_kind == kind
     assert not stand.session.moving
-    assert stand.session.phase is Phase.FAULT
+    assert stand.session.phase is StreamPhase.FAULT
     assert stand.smooth(RAMP_DOWN_SHARE)
 
 
@@ -83,7 +91,7 @@ def test_a_path_that_leaves_the_axis_range_is_stopped_at_its_limit() -> None:
     stand = begun()
     stand.give(Move(MotionPlan(START, beyond, PathLimits(0.3, 1.0, 10.0))))
     stand.cycles(1500)
-    assert stand.session.fault is Fault.MONITOR
+    assert stand.session.fault is LinkFault.MONITOR
     assert stand.violation_kind == "range"
     assert stand.session.sent_rad[4] <= MODEL.upper_rad[4] + radians(2.0)
     assert stand.smooth()
@@ -98,7 +106,7 @@ def test_a_line_without_a_joint_solution_on_the_way_is_stopped() -> None:
         stand.cycle()
         if stand.session.fault and not stand.session.moving:
             break
-    assert stand.session.fault in (Fault.PATH, Fault.MONITOR)
+    assert stand.session.fault in (LinkFault.PATH, LinkFault.MONITOR)
     assert not stand.session.moving
     assert stand.smooth(RAMP_DOWN_SHARE)
 
@@ -113,7 +121,7 @@ def test_an_axis_that_does_not_follow_stops_the_arm_at_every_speed(share_per_s: 
     before = stand.session.sent_rad[0]
     stand.follows = False
     cycles = _until_fault(stand)
-    assert stand.session.fault is Fault.MONITOR
+    assert stand.session.fault is LinkFault.MONITOR
     assert stand.violation_kind == "following error"
     left = [radians(sent[0]) + START[0] - before for sent, _ in stand.sent[-cycles:]]
     # The first set-point that the axis should have reached by now, but did not.
@@ -134,17 +142,17 @@ def test_an_arm_clamped_near_its_target_is_stopped_instead_of_waited_for() -> No
 
 @pytest.mark.parametrize(
     ("foreign", "fault"),
-    [(False, Fault.SILENCE), pytest.param(True, Fault.RESTARTED, marks=pytest.mark.hazard(34))],
+    [(False, LinkFault.SILENCE), pytest.param(True, LinkFault.RESTARTED, marks=pytest.mark.hazard(34))],
 )
 def test_silence_beyond_the_limit_latches_a_fault_and_discards_the_motion(
-    foreign: bool, fault: Fault
+    foreign: bool, fault: LinkFault
 ) -> None:
     stand = moving()
     orders = Orders(stand.beat, 0, stand.commands)
     if foreign:  # a controller that restarts its program sends from another port
         stand.session.senders.count_foreign("10.0.0.3")
     stand.session.monitor_silence(orders, stand.now_ns + 240_000_000)
-    assert stand.session.fault is Fault.NONE
+    assert stand.session.fault is LinkFault.NONE
     stand.session.monitor_silence(orders, stand.now_ns + 260_000_000)
     assert stand.session.fault is fault
     assert not stand.session.moving
@@ -158,7 +166,7 @@ def test_a_missing_heartbeat_stops_the_arm_and_ends_the_program() -> None:
     stand = moving(cycles=1)
     stand.beats = False
     cycles = _until_fault(stand)
-    assert stand.session.fault is Fault.HEARTBEAT
+    assert stand.session.fault is LinkFault.HEARTBEAT
     assert cycles == pytest.approx(SETTINGS.heartbeat_limit_s / CYCLE_S, abs=2)
     assert _ends_smoothly(stand)
 
@@ -168,7 +176,7 @@ def test_an_irregular_heartbeat_within_the_limit_keeps_the_session() -> None:
     for k in range(1000):
         stand.beats = k % 200 == 0
         stand.cycle()
-    assert stand.session.fault is Fault.NONE
+    assert stand.session.fault is LinkFault.NONE
 
 
 @pytest.mark.hazard(30)
@@ -191,7 +199,7 @@ def _ends_smoothly(stand: RsiStand) -> bool:
     """Test whether the arm comes to rest and the program is ended."""
     rests = _rests_within(stand, LONGEST_STOP_S)
     stand.cycle()
-    return rests and stand.session.phase is Phase.ENDING and stand.sent[-1][1] == 1 and stand.smooth()
+    return rests and stand.session.phase is StreamPhase.ENDING and stand.sent[-1][1] == 1 and stand.smooth()
 
 
 def _rests_within(stand: RsiStand, limit_s: float) -> bool:
@@ -244,8 +252,8 @@ def test_overtaken_and_repeated_telegrams_get_no_reply_and_do_not_disturb_the_mo
         stand.ipoc += back - 4
         assert stand.cycle()
     stand.run()
-    assert stand.session.result is Result.DONE
-    assert stand.session.fault is Fault.NONE
+    assert stand.session.result is MotionResult.DONE
+    assert stand.session.fault is LinkFault.NONE
     assert stand.smooth()
 
 
@@ -255,8 +263,8 @@ def test_a_motion_continues_smoothly_after_a_host_stall_and_arrives(stall_ms: in
     stand = moving()
     assert stand.cycle(lost=stall_ms // 4)
     stand.run()
-    assert stand.session.result is Result.DONE
-    assert stand.session.fault is Fault.NONE
+    assert stand.session.result is MotionResult.DONE
+    assert stand.session.fault is LinkFault.NONE
     assert stand.smooth()
     state = stand.session.state(real_time=False, locked=False)
     assert state.lost == stall_ms // 4
@@ -267,7 +275,7 @@ def test_telegrams_of_another_run_get_no_reply_and_latch_a_fault() -> None:
     stand = moving()
     stand.ipoc = 12
     assert not stand.cycle()
-    assert stand.session.fault is Fault.RESTARTED
+    assert stand.session.fault is LinkFault.RESTARTED
     assert not stand.cycle()
 
 
@@ -275,7 +283,7 @@ def test_a_stranger_among_the_telegrams_does_not_disturb_the_motion() -> None:
     stand = moving()
     stand.session.senders.count_foreign("10.0.0.3")
     stand.run()
-    assert stand.session.result is Result.DONE
+    assert stand.session.result is MotionResult.DONE
     state = stand.session.state(real_time=False, locked=False)
     assert (state.foreign, state.foreign_host) == (1, "10.0.0.3")
 
@@ -286,7 +294,11 @@ def test_the_state_reports_each_field_under_its_name(told: str) -> None:
     stand = moving() if told == "moving" else begun()
     session = stand.session
     session.cycles, session.device_clock, session._received_ns = 11, 12, 13
-    session.phase, session.fault, session.result = Phase.ENDING, Fault.BASE, Result.REFUSED_START
+    session.phase, session.fault, session.result = (
+        StreamPhase.ENDING,
+        LinkFault.BASE,
+        MotionResult.REFUSED_START,
+    )
     session._losses.degraded = told == "degraded"
     session._settled_cycles = SETTLE_CYCLES if told == "settled" else SETTLE_CYCLES - 1
     session._command_number, session._stop_word = 14, 15 << STOP_KIND_BITS
@@ -303,9 +315,9 @@ def test_the_state_reports_each_field_under_its_name(told: str) -> None:
         cycles=11,
         device_clock=12,
         received_ns=13,
-        phase=Phase.ENDING,
-        fault=Fault.BASE,
-        result=Result.REFUSED_START,
+        phase=StreamPhase.ENDING,
+        fault=LinkFault.BASE,
+        result=MotionResult.REFUSED_START,
         command_number=14,
         stop_number=15,
         late=16,

@@ -24,13 +24,22 @@ from drivers.kuka_rsi.realtime.telegram import Telegram
 from ronna_hw.arm.motion.planning import MotionPlan, plan_joint_move, plan_line
 from ronna_hw.arm.motion.progress import PathLimits
 from ronna_hw.arm.pose import Pose, radians6
-from ronna_hw.arm_stream.records import CloseStream, EndStream, Fault, Move, Orders, Phase, Result, StopOrder
+from ronna_hw.arm_stream.records import (
+    CloseStream,
+    EndStream,
+    LinkFault,
+    MotionResult,
+    Move,
+    Orders,
+    StopOrder,
+    StreamPhase,
+)
 
 
 def test_no_telegram_is_answered_before_a_session_is_open() -> None:
     session = RsiSession(SETTINGS)
     assert session.answer(Telegram(START_DEG, 0, b"4"), Orders(1, 0, 0), 1) is None
-    assert session.phase is Phase.IDLE
+    assert session.phase is StreamPhase.IDLE
 
 
 def test_the_first_correction_is_zero_whatever_the_pose() -> None:
@@ -39,7 +48,7 @@ def test_the_first_correction_is_zero_whatever_the_pose() -> None:
     stand.follows = False
     stand.cycles(5)
     assert {s for s, _ in stand.sent} == {(0.0,) * 6}
-    assert stand.session.phase is Phase.RUNNING
+    assert stand.session.phase is StreamPhase.RUNNING
 
 
 def test_a_first_pose_out_of_range_latches_a_fault_and_still_gets_a_zero_correction() -> None:
@@ -47,7 +56,7 @@ def test_a_first_pose_out_of_range_latches_a_fault_and_still_gets_a_zero_correct
     stand.axes = (0.0, 60.0, 0.0, 0.0, 0.0, 0.0)
     stand.follows = False
     stand.cycle()
-    assert stand.session.fault is Fault.BASE
+    assert stand.session.fault is LinkFault.BASE
     assert stand.sent[-1][0] == (0.0,) * 6
 
 
@@ -56,7 +65,7 @@ def test_a_motion_ends_at_its_target_and_is_done_after_ten_settled_cycles() -> N
     stand.give(Move(plan_joint_move(MODEL, START, FAR, LIMITS)))
     stand.cycle()
     cycles = stand.run()
-    assert stand.session.result is Result.DONE
+    assert stand.session.result is MotionResult.DONE
     assert stand.session.sent_rad == FAR
     assert stand.smooth()
     last_change = max(k for k in range(1, len(stand.sent)) if stand.sent[k] != stand.sent[k - 1])
@@ -69,10 +78,10 @@ def test_a_motion_is_not_done_while_the_arm_is_off_target_by_more_than_the_toler
     for _ in range(300):
         stand.cycle()
         stand.axes = (stand.axes[0] - 0.0003, *stand.axes[1:])
-    assert stand.session.result is Result.RUNNING
+    assert stand.session.result is MotionResult.RUNNING
     stand.cycle()
     stand.run(50)
-    assert stand.session.result is Result.DONE
+    assert stand.session.result is MotionResult.DONE
 
 
 @settings(max_examples=40, deadline=None)
@@ -97,7 +106,7 @@ def test_a_stop_in_any_cycle_is_smooth_and_ends_at_rest(cycles: int, kind: StopO
     assert not stand.session.moving
     assert stand.smooth()
     assert stand.session.violation is None
-    expected = Phase.RUNNING if kind is StopOrder.HOLD else Phase.FAULT
+    expected = StreamPhase.RUNNING if kind is StopOrder.HOLD else StreamPhase.FAULT
     assert stand.session.phase is expected
 
 
@@ -114,8 +123,8 @@ def test_a_link_stop_ceases_replies_at_once() -> None:
     stand = moving()
     stand.stop(StopOrder.LINK)
     assert not stand.cycle()
-    assert stand.session.fault is Fault.LINK_STOP
-    assert stand.session.phase is Phase.SILENT
+    assert stand.session.fault is LinkFault.LINK_STOP
+    assert stand.session.phase is StreamPhase.SILENT
     assert not stand.session.moving
 
 
@@ -123,11 +132,11 @@ def test_ending_the_session_sends_stop_with_the_last_point() -> None:
     stand = begun()
     stand.give(EndStream())
     stand.cycles(4)
-    assert stand.session.phase is Phase.ENDING
+    assert stand.session.phase is StreamPhase.ENDING
     assert stand.sent[-1] == ((0.0,) * 6, 1)
     stand.give(CloseStream())
     stand.cycle()
-    assert stand.session.phase is Phase.IDLE
+    assert stand.session.phase is StreamPhase.IDLE
     assert not stand.cycle()
 
 
@@ -135,12 +144,12 @@ def test_the_session_ends_only_after_its_motion() -> None:
     stand = moving()
     stand.give(EndStream())
     stand.run()
-    assert stand.session.phase is Phase.RUNNING
+    assert stand.session.phase is StreamPhase.RUNNING
     assert {stop for _, stop in stand.sent} == {0}
     stand.give(EndStream())
     stand.cycle()
     stand.cycle()
-    assert stand.session.phase is Phase.ENDING
+    assert stand.session.phase is StreamPhase.ENDING
     assert stand.sent[-1][1] == 1
 
 
@@ -157,29 +166,31 @@ def stopped(kind: StopOrder, cycles: int) -> RsiStand:
 @pytest.mark.parametrize(
     ("make_stand", "plan", "result"),
     [
-        pytest.param(begun, plan_joint_move(MODEL, FAR, START, LIMITS), Result.REFUSED_START, id="start"),
-        pytest.param(moving, DIRECT, Result.REFUSED_BUSY, id="busy"),
         pytest.param(
-            begun, MotionPlan(START, FAR, PathLimits(1, -1, 1)), Result.REFUSED_NUMBERS, id="limits"
+            begun, plan_joint_move(MODEL, FAR, START, LIMITS), MotionResult.REFUSED_START, id="start"
+        ),
+        pytest.param(moving, DIRECT, MotionResult.REFUSED_BUSY, id="busy"),
+        pytest.param(
+            begun, MotionPlan(START, FAR, PathLimits(1, -1, 1)), MotionResult.REFUSED_NUMBERS, id="limits"
         ),
         pytest.param(
             lambda: stopped(StopOrder.HOLD, 0),
             DIRECT,
-            Result.REFUSED_STOP,
+            MotionResult.REFUSED_STOP,
             id="planned before a stop",
             marks=pytest.mark.hazard(32),
         ),
         pytest.param(
             lambda: stopped(StopOrder.PROTECTIVE, 1),
             DIRECT,
-            Result.REFUSED_PHASE,
+            MotionResult.REFUSED_PHASE,
             id="fault",
             marks=pytest.mark.hazard(32),
         ),
     ],
 )
 def test_a_motion_that_must_not_start_is_refused(
-    make_stand: Callable[[], RsiStand], plan: MotionPlan, result: Result
+    make_stand: Callable[[], RsiStand], plan: MotionPlan, result: MotionResult
 ) -> None:
     stand = make_stand()
     was_moving = stand.session.moving

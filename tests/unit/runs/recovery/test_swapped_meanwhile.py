@@ -22,7 +22,7 @@ from procedures.runs import comparison, recovery
 from procedures.runs.interrupted_run import InterruptedRun
 from procedures.runs.recovery import recover
 from procedures.runs.request import RunRequest
-from procedures.runs.theatre_history import Signature, update_tables
+from procedures.runs.theatre_history import UpdateAuthor, update_tables
 from ronna_hw.evidence.manifest import sha256_of
 
 
@@ -79,7 +79,7 @@ def test_a_theatre_file_updated_since_is_said_with_the_command_that_undoes_it(
     (lab := tmp_path / "lab.toml").write_text('theatre = "lab"\n')
     monkeypatch.setattr(InterruptedRun, "theatre_sha256", sha256_of(lab))
     monkeypatch.setattr(recovery, "read_request", lambda _folder: RunRequest(config=lab))
-    update_tables(lab, {"procedure": {"approach_mm": 50.0}}, Signature("calibration tool-tip", by="A. N."))
+    update_tables(lab, {"procedure": {"approach_mm": 50.0}}, UpdateAuthor("calibration tool-tip", by="A. N."))
     with raises(RECOVERY_REFUSED) as refused:
         recover(engine, left)
     said = refused.value.what
