@@ -107,7 +107,7 @@ def _require_same_plan(run: Path, plan: Plan) -> None:
     from procedures.postoperative.errors import RUN_OF_ANOTHER_PLAN
     from procedures.steps.clinical.plan_check import CheckedPlan
 
-    checked = read_run(run).standing(CheckedPlan)
+    checked = read_run(run).valid_results(CheckedPlan)
     if not checked:
         raise RUN_OF_ANOTHER_PLAN("the run has no checked plan")
     if checked[-1].result.plan != plan:

@@ -109,14 +109,14 @@ class Case:
         return tuple(record for record in gone if record.trajectory not in finished)
 
     @property
-    def past(self) -> frozenset[str]:
+    def finished_before_move(self) -> frozenset[str]:
         """Identifiers of valid results of finished trajectories whose ancestors are no longer valid."""
         return without_ancestors(stored.record for stored in self._standing.values())
 
     @property
-    def past_trajectories(self) -> frozenset[str]:
+    def trajectories_finished_before_move(self) -> frozenset[str]:
         """Trajectories finished before a move. Their results stay valid, but no further steps run."""
-        past = self.past
+        past = self.finished_before_move
         named = (one.record for one in self._standing.values() if one.record.identifier in past)
         return frozenset(record.trajectory for record in named if record.trajectory is not None)
 
@@ -214,7 +214,7 @@ class Case:
         return tuple(sorted((*self._superseded, *standing), key=_number))
 
     @property
-    def standing(self) -> tuple[Stored[StepResult], ...]:
+    def valid_results(self) -> tuple[Stored[StepResult], ...]:
         """Valid results, in order."""
         return tuple(self._standing.values())
 

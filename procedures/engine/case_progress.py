@@ -26,7 +26,7 @@ class CaseProgress:
         """Whether a step needs no work: its result is valid, or its trajectory is left out or finished."""
         if self.case.stands(key) or self.left_out(key) is not None:
             return True
-        return key.trajectory is not None and key.trajectory in self.case.past_trajectories
+        return key.trajectory is not None and key.trajectory in self.case.trajectories_finished_before_move
 
     def remains(self, name: str) -> bool:
         """Whether a step of this name is still to be done."""
@@ -35,7 +35,7 @@ class CaseProgress:
     @property
     def _all_finished_before(self) -> bool:
         """Whether every target was finished before something moved, so no step leads to a target any more."""
-        return self.case.past_trajectories.issuperset(self.order.trajectories or ("",))
+        return self.case.trajectories_finished_before_move.issuperset(self.order.trajectories or ("",))
 
     @property
     def over(self) -> bool:
@@ -163,5 +163,5 @@ def unusable_inputs(case: Case, spec: StepSpec[StepResult], key: StepKey) -> tup
     where = f" for {key.trajectory}" if key.trajectory else ""
     missing = tuple(f"no result of {model.kind}{where}" for model, one in found.items() if one is None)
     read = [one.record.identifier for one in found.values() if one is not None]
-    past = [identifier for identifier in read if identifier in case.past]
+    past = [identifier for identifier in read if identifier in case.finished_before_move]
     return missing or ((f"made before something moved: {', '.join(past)}",) if past else ())

@@ -111,7 +111,7 @@ class StepContext:
     @property
     def remaining(self) -> tuple[str, ...]:
         """Trajectories that were neither left out nor finished before something moved."""
-        gone = {*self.left_out, *self._case.past_trajectories}
+        gone = {*self.left_out, *self._case.trajectories_finished_before_move}
         return tuple(name for name in self.trajectories if name not in gone)
 
     @property
@@ -209,8 +209,8 @@ class StepContext:
         return bool(self._standing(model))
 
     def _standing(self, model: type[R]) -> list[Stored[R]]:
-        past = self._case.past
-        kept = (one for one in self._case.standing if one.record.identifier not in past)
+        past = self._case.finished_before_move
+        kept = (one for one in self._case.valid_results if one.record.identifier not in past)
         return [Stored(one.record, one.result) for one in kept if isinstance(one.result, model)]
 
     def void_each(self, model: type[R], reason: RonnaError) -> None:

@@ -245,9 +245,9 @@ class Engine:
 
         Raises PRO-027 in a step whose check this voids: the check must be repeated first.
         """
-        standing = self.case.standing
+        standing = self.case.valid_results
         self.faults.doubt_tool(found)
-        if self.running and self.case.standing != standing:
+        if self.running and self.case.valid_results != standing:
             raise TOOL_UNCHECKED(TOUCHED, got=found)
 
     # Between steps

@@ -63,11 +63,11 @@ class RunFolder:
         return tuple(record for record in self.records if record.identifier not in self.superseded)
 
     @property
-    def past(self) -> frozenset[str]:
+    def finished_before_move(self) -> frozenset[str]:
         """Identifiers of valid results of trajectories finished before something moved."""
         return without_ancestors(self.valid_records)
 
-    def standing(self, model: type[R]) -> tuple[Stored[R], ...]:
+    def valid_results(self, model: type[R]) -> tuple[Stored[R], ...]:
         """Return the valid results of a step, in order. Raises REC-001, REC-003."""
         return _results_of(model, self.valid_records)
 

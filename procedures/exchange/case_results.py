@@ -122,7 +122,9 @@ class CaseResults:
         doubts, left_out = targets_in_doubt(self.run.journal), self._left_out()
         strategies = find_used_strategies(self.run.made(CheckedPaths))
         predictions = {one.target: one for used in self.registrations for one in used.predictions}
-        stereo_mm = {one.record.trajectory: one.result.error_mm for one in self.run.standing(MeasuredTarget)}
+        stereo_mm = {
+            one.record.trajectory: one.result.error_mm for one in self.run.valid_results(MeasuredTarget)
+        }
         rows = []
         for one in self.plan.plan.trajectories:
             line, found, truth = self.reached.get(one.id), self.found.get(one.id), self.truth.get(one.id)
@@ -149,7 +151,7 @@ class CaseResults:
         return {
             name
             for model in LEAVE_OUT
-            for one in self.run.standing(model)
+            for one in self.run.valid_results(model)
             for name in one.result.leaves_out()
         }
 
@@ -161,7 +163,7 @@ def read_results(reading: RunReading, find_truth: FindTruth) -> CaseResults:
     a CT, REC-001, REC-003.
     """
     run = reading.run
-    imported = run.standing(ImportedCt)
+    imported = run.valid_results(ImportedCt)
     if not imported:
         raise NOTHING_TO_EXPORT(
             f"{run.name} has no CT: it is no case, or it ended before its CT was imported",
@@ -174,7 +176,7 @@ def read_results(reading: RunReading, find_truth: FindTruth) -> CaseResults:
     planned = [] if plan is None else [one.id for one in plan.plan.trajectories]
     names = dict.fromkeys([*planned, *(name for one in registrations for name in one.targets)])
     labels = {name: label_of(name, number) for number, name in enumerate(names, 1)}
-    spheres = run.standing(LocalizedFiducials)
+    spheres = run.valid_results(LocalizedFiducials)
     after = load_check(reading)
     truth = (reading.truth or find_truth(run.path)) if run.opened.get("banner") else None
     return CaseResults(
@@ -203,7 +205,7 @@ def reached_lines(
     tool = None if plan is None or set_up is None else set_up.tools.get(plan.plan.tool)
     poses = {name: one.result.robot_from_ct.transform for one in registrations for name in one.targets}
     lines: dict[str, TrajectoryLine | None] = {}
-    for one in run.standing(ReachedTarget):
+    for one in run.valid_results(ReachedTarget):
         name, pose, stop = one.record.trajectory, one.result.tool_pose, one.result.depth_stop
         if plan is None or name is None or name not in labels:
             continue
@@ -216,7 +218,7 @@ def reached_lines(
 
 
 def _last(run: RunFolder, model: type[R]) -> R | None:
-    found = run.standing(model)
+    found = run.valid_results(model)
     return found[-1].result if found else None
 
 

@@ -134,7 +134,7 @@ def targets_table(reading: RunReading, truth: Truth) -> RunTable:
         RegisteredRobot,
     ):  # a report leaves out what is unreadable: raise instead
         run.made(model)
-    plans, registrations = run.standing(CheckedPlan), reading.registrations
+    plans, registrations = run.valid_results(CheckedPlan), reading.registrations
     plan = plans[-1].result if plans else None
     trajectories = () if plan is None else plan.plan.trajectories
     known = {row.target: row for row in target_rows(reading, truth)}
@@ -165,7 +165,7 @@ def targets_table(reading: RunReading, truth: Truth) -> RunTable:
 
 def spheres_table(run: RunFolder) -> RunTable:
     """Return one row per sphere found in the CT. Raises REC-001, REC-003."""
-    found = run.standing(LocalizedFiducials)
+    found = run.valid_results(LocalizedFiducials)
     return RunTable.of(
         SPHERES,
         (

@@ -17,7 +17,7 @@ from itertools import permutations
 import numpy as np
 from numpy.typing import NDArray
 
-from procedures.imaging.markers import Doubt
+from procedures.imaging.markers import MarkerDoubt
 from procedures.imaging.sphere_centre.ball_model import (
     METAL_HU,
     Stretch,
@@ -90,7 +90,7 @@ def assess_shape(
     stretch: Stretch | None,
     *,
     cleaned: Region | None = None,
-) -> tuple[Doubt, ...]:
+) -> tuple[MarkerDoubt, ...]:
     """Quantify each way in which a body may differ from a whole sphere.
 
     `edge` is a sphere fitted to its surface; `centre_mm` grid mm. `stretch` comes from the voxels if they
@@ -115,7 +115,7 @@ def assess_shape(
 
 def _judge_region(
     region: Region, centre_mm: Array, edge: RadialEdge, stretch: Stretch | None, *, streaked: bool = False
-) -> tuple[Doubt, ...]:
+) -> tuple[MarkerDoubt, ...]:
     """Judge one region. If `streaked`, the edge is sought midway between each ray's own levels."""
     shares = np.linspace(0.0, OUTERMOST, STEPS)
     directions = ray_directions()
@@ -177,12 +177,12 @@ def _judge_region(
             hollow_excess = max(hollow_excess, float((one @ volume).sum() / all_of_it) / limit)
     metal_core = float((profiles[:, inner] > METAL_HU).mean())
     return (
-        Doubt(f"{off_sphere.mean():.0%} of its surface is off a sphere", amiss),
-        Doubt("extends beyond a sphere", limit_hu / max(float(border_hu.min()), LEAST_BORDER_HU)),
-        Doubt("ends under its cover before a sphere would", early_hu / EARLY_FALL_HU),
-        Doubt(f"is {difference_mm:.2f} mm longer in one direction than in another", elongation),
-        Doubt(f"{hollow:.0%} of its core is a different material", hollow_excess),
-        Doubt("has metal in its core", metal_core / METAL_CORE_SHARE),
+        MarkerDoubt(f"{off_sphere.mean():.0%} of its surface is off a sphere", amiss),
+        MarkerDoubt("extends beyond a sphere", limit_hu / max(float(border_hu.min()), LEAST_BORDER_HU)),
+        MarkerDoubt("ends under its cover before a sphere would", early_hu / EARLY_FALL_HU),
+        MarkerDoubt(f"is {difference_mm:.2f} mm longer in one direction than in another", elongation),
+        MarkerDoubt(f"{hollow:.0%} of its core is a different material", hollow_excess),
+        MarkerDoubt("has metal in its core", metal_core / METAL_CORE_SHARE),
     )
 
 
@@ -247,31 +247,33 @@ def _extent_difference(directions: Array, offsets: Array) -> float:
     return float(np.ptp(np.linalg.eigvalsh(stretch_matrix(terms))))
 
 
-def assess_neighbours(centres_mm: Array, others_mm: Array, diameter_mm: float) -> list[tuple[Doubt, ...]]:
+def assess_neighbours(
+    centres_mm: Array, others_mm: Array, diameter_mm: float
+) -> list[tuple[MarkerDoubt, ...]]:
     """List doubts about spheres at `centres_mm` (n, 3) near bodies of equal size at `others_mm` (m, 3)."""
     bodies = np.vstack([centres_mm.reshape(-1, 3), others_mm.reshape(-1, 3)])
     offsets = bodies[None] - bodies[:, None]
     distances = np.linalg.norm(offsets, axis=2)
     np.fill_diagonal(distances, np.inf)
     row_members = _find_rows(offsets, distances, diameter_mm)
-    doubts: list[tuple[Doubt, ...]] = []
+    doubts: list[tuple[MarkerDoubt, ...]] = []
     for number in range(len(centres_mm)):
         found = []
         if distances[number].min(initial=np.inf) < OVERLAP * diameter_mm:
-            found.append(Doubt("overlaps another body of its size", CERTAIN))
+            found.append(MarkerDoubt("overlaps another body of its size", CERTAIN))
         if number in row_members:
-            found.append(Doubt("is one of a row", CERTAIN))
+            found.append(MarkerDoubt("is one of a row", CERTAIN))
         doubts.append(tuple(found))
     return doubts
 
 
-def assess_sizes(radii_mm: Array, clear: NDArray[np.bool_]) -> list[Doubt]:
+def assess_sizes(radii_mm: Array, clear: NDArray[np.bool_]) -> list[MarkerDoubt]:
     """List a doubt for each radius (n,), from its deviation from the median radius of clear spheres."""
     if clear.sum() < FEWEST_ALIKE:
-        return [Doubt("", 0.0)] * len(radii_mm)
+        return [MarkerDoubt("", 0.0)] * len(radii_mm)
     usual_mm = float(np.median(radii_mm[clear]))
     return [
-        Doubt(
+        MarkerDoubt(
             f"has radius {radius_mm:.2f} mm, the others {usual_mm:.2f}",
             abs(radius_mm - usual_mm) / (RADIUS_DIFFERENCE * usual_mm),
         )

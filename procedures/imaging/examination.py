@@ -20,8 +20,8 @@ from procedures.imaging.markers import (
     STREAKED,
     SURFACE_HIDDEN,
     Candidate,
-    Doubt,
     Marker,
+    MarkerDoubt,
     odds,
     reasons,
 )
@@ -98,10 +98,10 @@ class Sphere:
     cleaned: Region | None = None
     is_evident: bool = False
     contrast_hu: float = 0.0
-    doubts: tuple[Doubt, ...] = ()
+    doubts: tuple[MarkerDoubt, ...] = ()
     picked: bool = False
 
-    def with_doubts(self, doubts: Iterable[Doubt]) -> Sphere:
+    def with_doubts(self, doubts: Iterable[MarkerDoubt]) -> Sphere:
         """Return the sphere with additional doubts, which may push the odds below even."""
         return replace(self, doubts=(*self.doubts, *doubts))
 
@@ -167,7 +167,7 @@ def examine_place(
     if shows_little:
         sphere = measure_under_streaks(region, refined, radius_mm)
         if sphere is None or not sphere.is_evident or sphere.edge.surface_share < min_surface_share:
-            doubt = Doubt(
+            doubt = MarkerDoubt(
                 f"shows only {edge.surface_share:.0%} of a sphere's surface in the slices of metal",
                 min_surface_share / edge.surface_share,
             )
@@ -199,7 +199,7 @@ def judge_shape(sphere: Sphere, volume: Volume, radius_mm: float) -> Sphere:
     return rejudged if rejudged.accepted else judged
 
 
-def _assess_sphere(sphere: Sphere, region: Region) -> tuple[Doubt, ...]:
+def _assess_sphere(sphere: Sphere, region: Region) -> tuple[MarkerDoubt, ...]:
     cleaned = sphere.cleaned if sphere.is_evident else None
     return assess_shape(region, sphere.centre_mm, sphere.edge, sphere.stretch, cleaned=cleaned)
 

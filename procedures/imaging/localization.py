@@ -30,7 +30,7 @@ from procedures.imaging.examination import (
     examine_place,
     judge_shape,
 )
-from procedures.imaging.markers import Candidate, Doubt, Localization
+from procedures.imaging.markers import Candidate, Localization, MarkerDoubt
 from procedures.imaging.scan_deformation import combine_spheres
 from procedures.imaging.volume import Volume, VoxelGeometry
 from ronna_hw.arguments import require_numbers, show
@@ -51,7 +51,7 @@ DIAMETER_MM = 11.5  # the usual passive sphere
 LEAST_DIAMETER_MM = 1.0  # no marker is smaller, and none as large as 1 m: below it a diameter is in metres
 DETECTION_SHARE = 0.7  # of the work
 CLEAR, UNCLEAR = 0.9, 0.8  # odds that separate an expected number of markers from the rest
-NOT_EXPECTED = Doubt("is less marker-like than the expected number of others", 2.0)
+NOT_EXPECTED = MarkerDoubt("is less marker-like than the expected number of others", 2.0)
 MIN_VOXELS_ACROSS = 3.0  # per diameter, along the coarsest axis
 
 

@@ -141,19 +141,19 @@ def likeliest_first(candidates: Iterable[Candidate]) -> list[Candidate]:
 
 
 @dataclass(frozen=True)
-class Doubt:
+class MarkerDoubt:
     """Reason why a candidate may not be a marker; an `excess` of 1 on its own means even odds."""
 
     reason: str
     excess: float
 
 
-def odds(doubts: Iterable[Doubt]) -> float:
+def odds(doubts: Iterable[MarkerDoubt]) -> float:
     """Combine doubts into odds [0..1] that a candidate is a marker; one doubt at its limit gives 0.5."""
     return float(np.prod([1.0 / (1.0 + doubt.excess**STEEPNESS) for doubt in doubts]))
 
 
-def reasons(doubts: Iterable[Doubt]) -> str:
+def reasons(doubts: Iterable[MarkerDoubt]) -> str:
     """List the significant doubts in words, most serious first."""
     gravest = sorted(doubts, key=lambda doubt: -doubt.excess)
     return ", ".join(doubt.reason for doubt in gravest if doubt.excess > WORTH_TELLING)

@@ -101,8 +101,8 @@ def read_case_figures(folder: Path, *, every_file: bool = False) -> CaseFigures:
 
 def _currently_valid(reading: RunReading, model: type[R]) -> list[R]:
     """Return the valid results, without those of targets finished before something moved."""
-    past = reading.run.past
-    return [one.result for one in reading.standing(model) if one.record.identifier not in past]
+    past = reading.run.finished_before_move
+    return [one.result for one in reading.valid_results(model) if one.record.identifier not in past]
 
 
 def _pictures(folder: Path, prefix: str) -> tuple[str, ...]:

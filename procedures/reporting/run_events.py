@@ -12,7 +12,7 @@ from procedures.guards.errors import BaseShifted, FrameSlipped, PatientMoved
 from procedures.journal.journal import Entry, JournalValue, Line, theatre_time_s
 from procedures.reporting.numbers import NOT_KNOWN
 from procedures.workcell.arm_history import MotionKind
-from ronna_hw.evidence.lost_end import LOST
+from ronna_hw.evidence.lost_journal_end import LOST
 from ronna_hw.roles import ASSISTANT
 from ronna_hw.text import format_count
 

@@ -24,7 +24,7 @@ from procedures.steps.clinical.results import Prediction, RegisteredRobot
 from ronna_hw.bounded_input import InputRefused, parse_json, read_json_lines
 from ronna_hw.errors import RonnaError
 from ronna_hw.evidence.inspection import Inspection, inspect_run
-from ronna_hw.evidence.lost_end import (
+from ronna_hw.evidence.lost_journal_end import (
     describe_former_losses,
     describe_lost_end,
     describe_orphans,
@@ -72,7 +72,7 @@ class RunReading:
     def folder(self) -> Path:
         return self.run.path
 
-    def standing(self, model: type[R]) -> tuple[Stored[R], ...]:
+    def valid_results(self, model: type[R]) -> tuple[Stored[R], ...]:
         """Return the valid and readable results of a step, in order."""
         return self._readable(model, self.run.valid_records)
 
@@ -99,7 +99,7 @@ class RunReading:
 
     def find(self, model: type[R]) -> R | None:
         """Return the latest valid and readable result of a step, or None."""
-        found = self.standing(model)
+        found = self.valid_results(model)
         return found[-1].result if found else None
 
     def note(self, problem: str) -> None:
@@ -227,7 +227,7 @@ def describe_strategies(strategy: str, used: Mapping[str, str | None]) -> str:
 
 def registrations_of(case: Case) -> tuple[UsedRegistration, ...]:
     """Find the registrations used in a case. Raises REC-001, REC-003 for an unreadable record."""
-    records, stands = case.records, {one.record.identifier for one in case.standing}
+    records, stands = case.records, {one.record.identifier for one in case.valid_results}
     made = [
         Stored(one, parse_record(one, RegisteredRobot)) for one in records if one.kind == RegisteredRobot.kind
     ]

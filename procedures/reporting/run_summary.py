@@ -138,7 +138,7 @@ def read_two_arms(reading: RunReading) -> TwoArms:
         else BasesFigures(**{name: getattr(known, name) for name in BasesFigures.model_fields}),
         insertions={
             str(one.record.trajectory): one.result.assisted
-            for one in reading.standing(ReachedTarget)
+            for one in reading.valid_results(ReachedTarget)
             if one.result.assisted is not None
         },
     )

@@ -104,7 +104,9 @@ def target_rows(reading: RunReading, truth: Truth) -> tuple[TargetRow, ...]:
     depth_mm = {} if plan is None else {one.id: one.depth_mm for one in plan.plan.trajectories}
     margin_mm = {} if plan is None else {one.id: one.margin_mm for one in plan.plan.trajectories}
     truths, strategies = {one.id: one for one in truth.targets}, reading.strategies
-    measured_mm = {one.record.trajectory: one.result.error_mm for one in reading.standing(MeasuredTarget)}
+    measured_mm = {
+        one.record.trajectory: one.result.error_mm for one in reading.valid_results(MeasuredTarget)
+    }
     return tuple(
         TargetRow(
             one.target,

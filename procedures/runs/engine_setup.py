@@ -278,7 +278,7 @@ class MovedCart:
             goes_on = "lock it; the work at every target is done: the arm goes home and the case ends"
         else:
             goes_on = f"lock it; the arm goes home, and {following} is next"
-        stands = ", ".join(dict.fromkeys(stored.record.kind for stored in engine.case.standing))
+        stands = ", ".join(dict.fromkeys(stored.record.kind for stored in engine.case.valid_results))
         value = (
             f"nobody is in the arm's way home; these results remain valid: {stands}",
             *work_begun_elsewhere(engine),

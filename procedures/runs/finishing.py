@@ -293,8 +293,8 @@ def _describe_theatre_restart(folder: Path) -> str:
 
 def _has_other_run_left_arm_away(folder: Path) -> bool:
     """Whether another run on the same theatre left the arm away from home."""
+    from procedures.runs.arm_notes import FormerRun, find_former_run
     from procedures.runs.theatre_lock import read_last_note
-    from procedures.runs.theatre_note import FormerRun, find_former_run
 
     with contextlib.suppress(RonnaError, OSError):
         request = read_request(folder)

@@ -18,7 +18,7 @@ from procedures.runs.request_file import write_request
 from ronna_hw.command_line.errors import PATH_PROBLEM
 from ronna_hw.command_line.options import require_folder, require_outside_runs
 from ronna_hw.errors import EXIT_USAGE, ConfigurationError, DataError
-from ronna_hw.evidence.lost_end import EVENTS_FILE
+from ronna_hw.evidence.lost_journal_end import EVENTS_FILE
 from ronna_hw.evidence.manifest import RECORDS_FOLDER, REQUEST_FILE
 from ronna_hw.host.files import walk
 from ronna_hw.host.port_users import find_lock_holder

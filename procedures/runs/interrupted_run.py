@@ -15,7 +15,13 @@ from procedures.journal.journal import ENDS_OF_A_STEP, JOURNAL_FILE, Entry, Jour
 from procedures.workcell.arm_history import ArmHistory, fold_history, is_any_arm_out
 from ronna_hw.evidence.inspection import Problem, inspect_run
 from ronna_hw.evidence.journal_reading import JournalChain, JournalCorrupt
-from ronna_hw.evidence.lost_end import LOST, describe_lost_end, describe_orphans, find_orphans, lost_as_plain
+from ronna_hw.evidence.lost_journal_end import (
+    LOST,
+    describe_lost_end,
+    describe_orphans,
+    find_orphans,
+    lost_as_plain,
+)
 from ronna_hw.evidence.manifest import NOT_AS_LEFT
 from ronna_hw.evidence.unsealed import UNSEALED, unsealed
 from ronna_hw.records import BadRecord, Record
@@ -55,15 +61,15 @@ class InterruptedRun:
         )
 
     @property
-    def has_lost_end(self) -> bool:
+    def has_lost_lines(self) -> bool:
         """Whether lines at the end of the journal are torn or lost."""
         return bool(self.chain.torn or self.lost)
 
     @property
-    def ever_lost_end(self) -> bool:
+    def ever_lost_lines(self) -> bool:
         """Whether the journal has lost its end now, or had when an earlier program resumed the run."""
         restarts = self.run.lines(Entry.RESTARTED)
-        return self.has_lost_end or any(line.get("torn_bytes") or LOST in line for line in restarts)
+        return self.has_lost_lines or any(line.get("torn_bytes") or LOST in line for line in restarts)
 
     @property
     def contradictions(self) -> tuple[str, ...]:
@@ -97,7 +103,7 @@ class InterruptedRun:
         """Reason why no device is needed to bring the arm home, or None if devices are needed."""
         if self.parked:
             return "the run is finished: its arm is parked"
-        if not self.run.lines(Entry.MOTION) and not self.has_lost_end:
+        if not self.run.lines(Entry.MOTION) and not self.has_lost_lines:
             return "the run has moved nothing"
         return None
 
@@ -105,7 +111,7 @@ class InterruptedRun:
     def untouched(self) -> bool:
         """Whether the run has no results, motions or lost lines, so that it can start from the beginning."""
         lines = self.run.journal
-        lost = bool(lines and self.has_lost_end)
+        lost = bool(lines and self.has_lost_lines)
         done = any(line["entry"] in (Entry.RESULT, Entry.MOTION) for line in lines)
         return not (lost or done or self.orphans)
 

@@ -166,7 +166,7 @@ def open_engine(
             if (instrument := engine.setting.workcell.instrument_description) is not None:
                 tell(f"{instrument}: the arm does not move")
             if engine.record_is_deleted:
-                from procedures.runs.theatre_note import describe_arm_without_record
+                from procedures.runs.arm_notes import describe_arm_without_record
 
                 tell(
                     describe_arm_without_record(
@@ -186,8 +186,8 @@ def _hold_configured_theatre(
     stack: contextlib.ExitStack,
 ) -> tuple[str | None, Room]:
     """Lock a theatre file's devices; return a warning if the arm was left away from home, and the staff."""
+    from procedures.runs.arm_notes import find_former_run
     from procedures.runs.theatre_lock import hold_theatre
-    from procedures.runs.theatre_note import find_former_run
     from ronna_hw.config import read_theatre_file
     from ronna_hw.theatre_kind import is_simulated
 

@@ -24,7 +24,7 @@ from procedures.reporting.outcome import Truth
 from procedures.reporting.run_reading import RunReading
 from procedures.runs.folders import require_run
 from ronna_hw.evidence.inspection import explain_unreadable, inspect_run
-from ronna_hw.evidence.lost_end import EVENTS_FILE
+from ronna_hw.evidence.lost_journal_end import EVENTS_FILE
 from ronna_hw.evidence.manifest import SEAL_FILE
 from ronna_hw.frames import Transform
 from ronna_hw.host.files import open_regular

@@ -18,12 +18,12 @@ from procedures.engine.run_folder import step_key
 from procedures.journal.errors import StepRefused
 from procedures.journal.journal import Entry
 from procedures.operator.question import YES, Question, Topic
+from procedures.runs.arm_notes import NOT_KNOWN
 from procedures.runs.assistant_comparison import compare_assistants
 from procedures.runs.comparison import Comparison, compare_devices, compare_inputs, compare_room
 from procedures.runs.interrupted_run import InterruptedRun
 from procedures.runs.request_file import read_request
 from procedures.runs.theatre_history import describe_updates_since, find_state, read_states
-from procedures.runs.theatre_note import NOT_KNOWN
 from procedures.runs.way_out import (
     MOVED_SINCE,
     find_guide_axis,
@@ -277,7 +277,7 @@ def _has_exchange_begun(engine: Engine, previous: InterruptedRun) -> bool:
         return False
     begun = any(line["entry"] == Entry.INTENT and step_key(line) == exchange for line in previous.run.journal)
     looks = [key for key in engine.order.sequence if key.name in LOOKS]
-    return begun or (previous.ever_lost_end and all(map(engine.case.stands, looks)))
+    return begun or (previous.ever_lost_lines and all(map(engine.case.stands, looks)))
 
 
 def _list_first_moves(engine: Engine) -> tuple[str, ...]:

@@ -17,7 +17,7 @@ from pathlib import Path
 
 from procedures.engine.errors import TheatreInUse, TheatreNotNoted
 from procedures.journal.journal import JOURNAL_FILE
-from procedures.runs.theatre_note import (
+from procedures.runs.arm_notes import (
     ROLES,
     TheatreNote,
     find_former_run,

@@ -198,7 +198,7 @@ def _find_guide_registration(engine: Engine) -> _GuideRegistration | None:
     keys = [key for key in keys if current_trajectory in (None, key.trajectory)]
     for key in keys:
         registered = case.find(RegisteredRobot, key.trajectory)
-        if registered is not None and registered.record.identifier not in case.past:
+        if registered is not None and registered.record.identifier not in case.finished_before_move:
             return _GuideRegistration(key, registered.result.robot_from_ct.transform, is_valid=True)
     made = [record for record in case.records if record.kind == RegisteredRobot.kind]
     for record in reversed(made):

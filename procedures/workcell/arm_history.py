@@ -25,7 +25,7 @@ from procedures.workcell.errors import TipOffAxis
 from procedures.workcell.tracker_move import TrackerMove
 from ronna_hw.clock import Clock
 from ronna_hw.evidence.journal_reading import JournalChain, JournalCorrupt
-from ronna_hw.evidence.lost_end import LOST, lost_as_plain
+from ronna_hw.evidence.lost_journal_end import LOST, lost_as_plain
 from ronna_hw.frames import Transform
 from ronna_hw.roles import ASSISTANT, MASTER
 from ronna_hw.vectors import JointVector

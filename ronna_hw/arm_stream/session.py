@@ -227,7 +227,7 @@ class StreamSession(ABC, Generic[M, E]):
         self.choice = choice
         return self._encode(points.at(choice))
 
-    def note_answered(self, telegram: M, orders: Orders, now_ns: int) -> None:
+    def advance_after_reply(self, telegram: M, orders: Orders, now_ns: int) -> None:
         """Update the state as `answer` does, after the prepared reply has been sent."""
         self._previous_ns, self._received_ns = self._received_ns, now_ns
         self._accept_expected(telegram)

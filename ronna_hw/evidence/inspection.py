@@ -24,7 +24,7 @@ from ronna_hw.evidence.journal_reading import (
     Line,
     read_chain_until_break,
 )
-from ronna_hw.evidence.lost_end import describe_lost_end, find_lost_lines, read_events
+from ronna_hw.evidence.lost_journal_end import describe_lost_end, find_lost_lines, read_events
 from ronna_hw.evidence.manifest import (
     CHUNK_BYTES,
     LOG_FILES,

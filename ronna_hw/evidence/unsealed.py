@@ -11,7 +11,7 @@ from pathlib import PurePosixPath
 
 from ronna_hw.evidence.inspection import Inspection
 from ronna_hw.evidence.journal_reading import Line
-from ronna_hw.evidence.lost_end import describe_former_losses
+from ronna_hw.evidence.lost_journal_end import describe_former_losses
 from ronna_hw.evidence.manifest import (
     LOG_FILES,
     TRUTH_FILES,

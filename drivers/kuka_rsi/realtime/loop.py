@@ -133,7 +133,7 @@ class LinkLoop(StreamLoop):
             self._send(ready.reply, address)
             self._last_data = data
             orders, telegram = self._mailbox.orders(), extract_telegram(found)
-            session.note_answered(telegram, orders, self._received_ns)
+            session.advance_after_reply(telegram, orders, self._received_ns)
             self._finish_cycle(data, session.device_clock, orders)
             return
         orders = self._mailbox.orders()

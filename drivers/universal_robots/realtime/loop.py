@@ -130,7 +130,7 @@ class LinkLoop(StreamLoop):
             self._send(ready.reply)
             self._last_data = data
             orders = self._mailbox.orders()
-            session.note_answered(OUTPUT.unpack_from(data), orders, self._received_ns)
+            session.advance_after_reply(OUTPUT.unpack_from(data), orders, self._received_ns)
             self._finish_cycle(data, session.device_clock, orders)
             return
         if not is_output(data, self._recipe):  # a message, or the reply to our start

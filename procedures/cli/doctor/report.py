@@ -37,8 +37,8 @@ from procedures.cli.doctor.theatre_checks import (
     computer_diagnostics,
     use_diagnostics,
 )
+from procedures.runs.arm_notes import list_noted_theatres
 from procedures.runs.theatre_lock import require_free_theatre
-from procedures.runs.theatre_note import list_noted_theatres
 from ronna_hw.clock import HostClock
 from ronna_hw.command_line.errors import as_ronna_error
 from ronna_hw.command_line.options import log_failure

@@ -11,10 +11,10 @@ from dataclasses import replace
 from pathlib import Path
 
 from procedures.journal.free_space import describe_shortage
+from procedures.runs.arm_notes import find_former_run
 from procedures.runs.reopening import resumable_run
 from procedures.runs.request_checks import require_two_arms
 from procedures.runs.theatre_lock import find_theatre_user, find_unwritable_note, read_last_note
-from procedures.runs.theatre_note import find_former_run
 from ronna_hw.bounded_input import LARGEST_TOML_BYTES, read_bounded
 from ronna_hw.clock import SharedClock, open_clock
 from ronna_hw.config import TheatreFile

@@ -14,6 +14,7 @@ import typer
 from procedures.cli.case.display import follow, observe_run, show_outcome
 from procedures.engine.device_faults import recover_faults
 from procedures.engine.errors import FAULT_OF_RUN, RECOVERY_REFUSED
+from procedures.runs.arm_notes import FormerRun, find_former_run
 from procedures.runs.case_outcome import finish_case, outcome_as_recorded, with_report
 from procedures.runs.finishing import complete_seal, finalize_run
 from procedures.runs.interrupted_run import InterruptedRun, Resumption
@@ -30,7 +31,6 @@ from procedures.runs.reopening import (
 from procedures.runs.request import CalibrationProcedure, RunRequest
 from procedures.runs.request_checks import check_asking
 from procedures.runs.theatre_lock import read_last_note
-from procedures.runs.theatre_note import FormerRun, find_former_run
 from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.command_line.terminal import on_terminal, print_json, say, tell
 from ronna_hw.devices.lifecycle import Lifecycle, require_person

@@ -23,7 +23,7 @@ from procedures.engine.events.stream import CurrentState, EventStream
 from procedures.journal.journal import Entry
 from ronna_hw.bounded_input import check_json, count_values
 from ronna_hw.command_line.errors import PATH_PROBLEM
-from ronna_hw.evidence.lost_end import EVENTS_FILE
+from ronna_hw.evidence.lost_journal_end import EVENTS_FILE
 from ronna_hw.logs import logger
 
 SIGNAL_PERIOD_S = 0.5  # host time between two signals about the same: what a person can follow

@@ -56,8 +56,8 @@ def read_devices(reading: RunReading) -> Devices:
     return Devices(
         set_up=reading.find(CheckedSetUp),
         planned_tool="" if plan is None else plan.plan.tool,
-        tools=reading.standing(MountedGuide),
-        tool_checks=reading.standing(CheckedTool),
+        tools=reading.valid_results(MountedGuide),
+        tool_checks=reading.valid_results(CheckedTool),
         bases=reading.find(KnownBases),
         links=links,
         link_bins=bins,
@@ -69,9 +69,9 @@ def read_devices(reading: RunReading) -> Devices:
 
 def _read_links(reading: RunReading) -> tuple[StreamHealth, ...]:
     """Return the health of each stream, those of the assistant last."""
-    heads = (StreamHealth("stereo head", one.result.link) for one in reading.standing(MountedGuide))
-    ends: list[Retreated | ConfirmedTarget] = [one.result for one in reading.standing(Retreated)]
-    ends += [one.result for one in reading.standing(ConfirmedTarget)]
+    heads = (StreamHealth("stereo head", one.result.link) for one in reading.valid_results(MountedGuide))
+    ends: list[Retreated | ConfirmedTarget] = [one.result for one in reading.valid_results(Retreated)]
+    ends += [one.result for one in reading.valid_results(ConfirmedTarget)]
     guides = (StreamHealth("guide", one.link) for one in ends if one.link is not None)
     holders = (
         StreamHealth("holder of the assistant", one.assistant_link)

@@ -42,7 +42,7 @@ class Stability:
 
 def read_stability(reading: RunReading) -> Stability | None:
     """Read the section, or return None before the first look after a target."""
-    confirmed = reading.standing(ConfirmedTarget)
+    confirmed = reading.valid_results(ConfirmedTarget)
     if not confirmed:
         return None
     results = {one.record.identifier: one.result for one in confirmed}

@@ -50,4 +50,6 @@ def read_targets(reading: RunReading, table: TargetTable, *, simulated: bool) ->
     """Read the section, or return None where nothing was registered."""
     if not table.rows:
         return None
-    return Targets(table, reading.standing(ReachedTarget), target_figure(table.rows, simulated), simulated)
+    return Targets(
+        table, reading.valid_results(ReachedTarget), target_figure(table.rows, simulated), simulated
+    )

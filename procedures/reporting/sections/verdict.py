@@ -53,7 +53,7 @@ def read_assistant_work(reading: RunReading) -> AssistantWork | None:
     """Read what the assistant did, or return None without two arms whose bases are known."""
     if reading.find(KnownBases) is None:
         return None
-    reached = reading.standing(ReachedTarget)
+    reached = reading.valid_results(ReachedTarget)
     done = tuple(str(one.record.trajectory) for one in reached if one.result.assisted)
     return AssistantWork(begun_insertions(reading.run.journal), done)
 
@@ -62,7 +62,7 @@ def describe_exclusions(reading: RunReading) -> tuple[str, ...]:
     """Return a sentence for each trajectory and sphere that was left out."""
     sentences: list[str] = []
     models: tuple[type[StepResult], ...] = (Correspondence, CheckedPaths, Relocalization, RegisteredRobot)
-    for stored in (stored for model in models for stored in reading.standing(model)):
+    for stored in (stored for model in models for stored in reading.valid_results(model)):
         where = f" ({stored.record.trajectory})" if stored.record.trajectory else ""
         left_out = stored.result.leaves_out()
         sentences += [f"{name} was left out: {reason}" for name, reason in left_out.items()]

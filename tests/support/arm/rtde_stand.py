@@ -123,7 +123,7 @@ class RtdeStand:
         ready = session.match(package, self.stop_word)
         if ready is not None:
             reply: bytes | None = ready.reply
-            session.note_answered(values, orders, self.now_ns)
+            session.advance_after_reply(values, orders, self.now_ns)
         else:
             reply = session.answer(values, orders, self.now_ns)
         if reply is not None:

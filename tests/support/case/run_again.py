@@ -11,7 +11,7 @@ from procedures.engine.engine import Engine
 from procedures.engine.order import CaseOrder
 from procedures.journal.journal import JOURNAL_FILE, Journal
 from procedures.runs.interrupted_run import InterruptedRun, read_interrupted_run
-from ronna_hw.evidence.lost_end import EVENTS_FILE
+from ronna_hw.evidence.lost_journal_end import EVENTS_FILE
 
 C = TypeVar("C", bound=RecordingCell)
 

@@ -51,9 +51,9 @@ from procedures.imaging import read_series
 from procedures.imaging.picks import read_picks
 from procedures.planning.plan_file import read_plan
 from procedures.runs.answers import read_answers
+from procedures.runs.arm_notes import TheatreNote, read_note
 from procedures.runs.request import SceneChoice
 from procedures.runs.request_file import read_request
-from procedures.runs.theatre_note import TheatreNote, read_note
 from ronna_hw.bounded_input import parse_json
 from ronna_hw.config import read_theatre_file
 from ronna_hw.devices.capabilities import Direction

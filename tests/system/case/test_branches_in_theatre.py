@@ -10,7 +10,7 @@ from user_commands import Commands
 
 from procedures.guards.errors import PatientMoved
 from procedures.journal.journal import JOURNAL_FILE, Line, read_journal
-from ronna_hw.evidence.lost_end import EVENTS_FILE
+from ronna_hw.evidence.lost_journal_end import EVENTS_FILE
 from sim.world.scene.named_scenes import draw_scene
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(400)]

@@ -139,13 +139,13 @@ class AnyOrder(RuleBasedStateMachine):
     def attempt(self, key: StepKey, failure: Failure | None = None, unread: int = 0) -> None:
         self.failure, self.unread = failure, unread
         self.cell.arm.failing = LinkTimeout("drawn") if failure is Failure.MOTION else None
-        standing = self.cell.case.standing
+        standing = self.cell.case.valid_results
         ended = NotConfirmed if failure is Failure.CONFIRMATION else LinkTimeout
         try:
             record = self.engine.run_step(key)
         except ended:
             assert self.engine.machine.state == "held"
-            assert self.cell.case.standing == standing
+            assert self.cell.case.valid_results == standing
             return
         moves = self.engine.order.spec(key).scope is Scope.TRAJECTORY
         assert failure is None or (failure is Failure.MOTION and not moves)
@@ -160,15 +160,15 @@ class AnyOrder(RuleBasedStateMachine):
 
     @invariant()
     def what_stands_descends_only_from_what_stands(self) -> None:
-        standing = {stored.record.identifier for stored in self.cell.case.standing}
-        for stored in self.cell.case.standing:
+        standing = {stored.record.identifier for stored in self.cell.case.valid_results}
+        for stored in self.cell.case.valid_results:
             assert set(stored.record.parents) <= standing
 
     @invariant()
     def the_journal_tells_the_same_as_the_engine(self) -> None:
         run = read_run(self.cell.folder)
         said = {record.identifier for record in run.records} - run.superseded
-        assert said == {stored.record.identifier for stored in self.cell.case.standing}
+        assert said == {stored.record.identifier for stored in self.cell.case.valid_results}
 
     def teardown(self) -> None:
         self.cell.journal.close()
@@ -177,7 +177,9 @@ class AnyOrder(RuleBasedStateMachine):
 
 def only_itself(case: Case, key: StepKey, _finished: object = ()) -> tuple[Record, ...]:
     """What a repeated step supersedes, if what descends from its former result were forgotten."""
-    return tuple(stored.record for stored in case.standing if case.record_of(key) == stored.record.identifier)
+    return tuple(
+        stored.record for stored in case.valid_results if case.record_of(key) == stored.record.identifier
+    )
 
 
 @pytest.mark.parametrize("forgets", [False, True])

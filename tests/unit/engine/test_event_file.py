@@ -15,7 +15,7 @@ from procedures.engine.errors import EVENTS_UNREADABLE
 from procedures.engine.events import CaseState, Event, EventStream, JournalLine, Pose, SignalsLost, StepState
 from procedures.engine.events.event_file import EventFile, FollowedRun
 from ronna_hw.command_line.errors import PATH_PROBLEM
-from ronna_hw.evidence.lost_end import EVENTS_FILE
+from ronna_hw.evidence.lost_journal_end import EVENTS_FILE
 
 
 def pose(joint_rad: float) -> Pose:

@@ -14,7 +14,7 @@ from procedures.reporting.run_reading import read_for_report
 from procedures.runs.interrupted_run import read_interrupted_run
 from ronna_hw.evidence.inspection import inspect_run
 from ronna_hw.evidence.journal_reading import read_chain
-from ronna_hw.evidence.lost_end import EVENTS_FILE, find_lost_lines
+from ronna_hw.evidence.lost_journal_end import EVENTS_FILE, find_lost_lines
 from ronna_hw.evidence.manifest import SEAL_FILE, hash_truth_files
 from ronna_hw.evidence.unsealed import describe_unsealed_files
 from ronna_hw.records import read_record, write_record

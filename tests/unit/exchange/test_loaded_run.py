@@ -44,7 +44,7 @@ from ronna_hw.devices.readings import (
 )
 from ronna_hw.evidence.inspection import inspect_run
 from ronna_hw.evidence.journal_reading import RUN_CHANGED
-from ronna_hw.evidence.lost_end import EVENTS_FILE
+from ronna_hw.evidence.lost_journal_end import EVENTS_FILE
 from ronna_hw.evidence.manifest import KEPT_TRUTH, seal
 from ronna_hw.loaded_run import NO_PANDAS, NO_RUN_READER, RunColumn
 from ronna_hw.recording.reading_tape import PIXELS_FILE, READINGS_FILE, READINGS_FOLDER, ReadingTape

@@ -153,7 +153,7 @@ def test_fit_residuals_are_not_mentioned_on_the_page(registered: Path) -> None:
 
 def test_prediction_error_and_budget_of_each_target_are_shown(registered: Path) -> None:
     text = report_text(write_report(registered, truth=TRUTH))
-    for stored in read_for_report(registered).standing(RegisteredRobot):
+    for stored in read_for_report(registered).valid_results(RegisteredRobot):
         (predicted,) = stored.result.predictions
         for value in (predicted.rms_mm, predicted.limit_mm, *(share.rms_mm for share in predicted.budget)):
             assert f"<td>{value:.3f}</td>" in text or f"<td>{value:.3f} mm at 95 %</td>" in text
@@ -219,7 +219,7 @@ def test_the_figures_after_a_registration_was_voided_are_those_of_the_next(engin
 def test_the_places_by_the_tracker_stand_beside_those_in_the_ct(cell: ClinicalCell) -> None:
     before = imported_ct(), localized_fiducials()
     cell.begin(*before, global_localization()).run_to()
-    (tracked,) = read_for_report(cell.folder).standing(GlobalLocalization)
+    (tracked,) = read_for_report(cell.folder).valid_results(GlobalLocalization)
     places = [" ".join(f"{one:.3f}" for one in point) for point in tracked.result.points_tracker_mm]
     text = report_text(write_report(cell.folder))
     assert "<th>by the tracker x y z mm, tracker frame</th>" in text
@@ -433,7 +433,7 @@ def test_a_target_keeps_the_strategy_it_was_last_planned_with(
     assert [row["strategy"] for row in rows] == ["nos", "ocs"]
     show_run(cell.folder, as_json=False)
     assert f"strategy ocs ({FIRST} by nos)" in capsys.readouterr().out
-    (made,) = read_for_report(cell.folder).standing(CheckedPaths)
+    (made,) = read_for_report(cell.folder).valid_results(CheckedPaths)
     later = made.result.model_copy(update={"replaced": {}, "targets": {LAST: made.result.targets[LAST]}})
     again = replace(made, result=later)  # after a move, when the first is finished
     assert find_used_strategies((made, again)) == {FIRST: "nos", LAST: "ocs"}
@@ -454,7 +454,7 @@ def test_the_head_of_the_page_marks_methods_that_are_not_for_clinical_use(tmp_pa
 
 def test_the_budget_has_a_row_for_each_share_and_a_column_for_each_target(registered: Path) -> None:
     text = write_report(registered, truth=TRUTH).read_text()
-    (predicted,) = read_for_report(registered).standing(RegisteredRobot)[0].result.predictions
+    (predicted,) = read_for_report(registered).valid_results(RegisteredRobot)[0].result.predictions
     table = text.partition("What the prediction is made of")[2].partition("</table>")[0]
     assert table.count("<tr>") == 1 + len(predicted.budget) + 2
     assert f"Not included: {predicted.excluded}." in text

@@ -18,22 +18,22 @@ from procedures.engine.order import order_of
 from procedures.journal.journal import JOURNAL_FILE, Entry, Journal
 from procedures.operator.errors import NotConfirmed
 from procedures.operator.question import Topic
-from procedures.runs import theatre_note
-from procedures.runs.request import CaseProcedure, RunRequest
-from procedures.runs.request_file import write_request
-from procedures.runs.theatre_lock import hold_theatre
-from procedures.runs.theatre_note import (
+from procedures.runs import arm_notes
+from procedures.runs.arm_notes import (
     NOT_KNOWN,
     TheatreNote,
     describe_arm_without_record,
     find_former_run,
 )
+from procedures.runs.request import CaseProcedure, RunRequest
+from procedures.runs.request_file import write_request
+from procedures.runs.theatre_lock import hold_theatre
 from procedures.steps.clinical import set_up
 from procedures.workcell import InsertionAxis, MountedTool
 from procedures.workcell.arm_history import ArmPlace, PlaceKind
 from ronna_hw.errors import EXIT_DONE, EXIT_RECOVERY_NEEDED
 from ronna_hw.evidence.journal_reading import read_chain
-from ronna_hw.evidence.lost_end import EVENTS_FILE
+from ronna_hw.evidence.lost_journal_end import EVENTS_FILE
 from ronna_hw.roles import ASSISTANT, MASTER
 
 UNREADABLE = "run {} moved the arm last, and its journal cannot be read: an instrument may still be inside"
@@ -146,8 +146,8 @@ def test_a_run_in_a_place_hidden_from_this_user_is_named(
     def hidden(*_: object, **__: object) -> None:
         raise PermissionError
 
-    monkeypatch.setattr(theatre_note, "read_chain", hidden)
-    monkeypatch.setattr(theatre_note, "read_chain", hidden)
+    monkeypatch.setattr(arm_notes, "read_chain", hidden)
+    monkeypatch.setattr(arm_notes, "read_chain", hidden)
     monkeypatch.setattr(Path, "exists", hidden)
     assert warning(tmp_path) == UNREADABLE.format(away.name)
 
@@ -268,7 +268,7 @@ def test_home_of_another_run_names_the_run_that_left_the_arm_away(tmp_path: Path
 def test_a_copy_of_the_theatre_file_keeps_the_warning_that_an_instrument_may_be_inside(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, goes_in: bool, says: str
 ) -> None:
-    monkeypatch.setattr(theatre_note, "ARMS_FOLDER", tmp_path / "arms")
+    monkeypatch.setattr(arm_notes, "ARMS_FOLDER", tmp_path / "arms")
     theatre = simulated_theatre(tmp_path / "theatre.toml", "a" * 32)
     cell = RecordingCell(tmp_path / "20260101T000000-abcd")
     write_request(RunRequest(procedure=CaseProcedure(case=tmp_path), config=theatre), cell.folder)

@@ -80,7 +80,9 @@ def test_valid_results_stay_valid_and_superseded_ones_superseded(cell: Recording
     engine.run_step(order.find("localization:T1"))  # supersedes the fit
     broken_off(cell)
     again, _, left = opened_again(cell, order)
-    assert [stored.record for stored in again.case.standing] == [one.record for one in cell.case.standing]
+    assert [stored.record for stored in again.case.valid_results] == [
+        one.record for one in cell.case.valid_results
+    ]
     assert again.case.was_superseded(StepKey("fit", "T1"))
     assert left.latest == StepKey("localization", "T1")
 
@@ -149,7 +151,7 @@ def test_a_localization_doubted_after_an_arm_fault_is_still_doubted_after_a_rest
     if not cell.journal.closed:
         broken_off(cell)
     again, _, _ = opened_again(cell, order)
-    (localized,) = (one.record for one in again.case.standing if one.record.kind == "localization")
+    (localized,) = (one.record for one in again.case.valid_results if one.record.kind == "localization")
     assert again.case.doubt_of(localized) == "a fault of unknown cause (theatre time 0 s)"
     assert len(again.entries("doubted")) == 1
 

@@ -194,7 +194,7 @@ def test_a_resumed_run_knows_its_finished_targets(tmp_path: Path) -> None:
     engine = half_done(cell, f"out:{FIRST}")
     engine.close("left")
     case = read_interrupted_run(tmp_path).restore_case(engine.order)
-    assert [stored.record.identifier for stored in case.standing] == [
+    assert [stored.record.identifier for stored in case.valid_results] == [
         "01-plan",
         f"03-target-{FIRST}",
         f"04-out-{FIRST}",
@@ -206,7 +206,7 @@ def test_another_plan_voids_finished_targets_as_well(tmp_path: Path) -> None:
     engine = half_done(cell, f"out:{FIRST}")
     engine.void(StepKey("plan"), INPUT_CHANGED("the plan was changed"))
     assert not any(engine.case.stands(key) for key in engine.order.sequence)
-    assert engine.case.past_trajectories == frozenset()
+    assert engine.case.trajectories_finished_before_move == frozenset()
 
 
 def test_no_step_remains_once_all_targets_are_finished(tmp_path: Path) -> None:
@@ -224,7 +224,7 @@ def test_a_repeated_step_leaves_a_finished_target_valid_unless_the_step_belongs_
     assert not engine.case.stands(StepKey("out", FIRST))
     engine.close("left")
     case = read_interrupted_run(tmp_path).restore_case(engine.order)
-    assert [one.record for one in case.standing] == [one.record for one in cell.case.standing]
+    assert [one.record for one in case.valid_results] == [one.record for one in cell.case.valid_results]
 
 
 def test_a_requested_run_ends_at_the_cart_move(tmp_path: Path) -> None:

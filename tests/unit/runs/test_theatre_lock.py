@@ -11,9 +11,9 @@ from pathlib import Path
 import pytest
 
 from procedures.engine.errors import TheatreInUse, TheatreNotNoted
-from procedures.runs import theatre_note
+from procedures.runs import arm_notes
+from procedures.runs.arm_notes import TheatreNote, read_note
 from procedures.runs.theatre_lock import find_theatre_user, hold_theatre, read_last_note, require_free_theatre
-from procedures.runs.theatre_note import TheatreNote, read_note
 from ronna_hw.roles import MASTER
 
 NOBODY = 65534  # an account without rights
@@ -30,7 +30,7 @@ def theatre(tmp_path: Path) -> Path:
 def arms_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Where the notes of real arms are for this test, instead of the computer's own."""
     folder = tmp_path / "arms"
-    monkeypatch.setattr(theatre_note, "ARMS_FOLDER", folder)
+    monkeypatch.setattr(arm_notes, "ARMS_FOLDER", folder)
     return folder
 
 
@@ -141,10 +141,10 @@ def test_a_note_is_believed_by_every_user_of_the_group_that_may_write_it(
         path.chmod(path.stat().st_mode | 0o020)
         if os.geteuid() == 0:  # who owns everything that root made
             os.chown(path, NOBODY, -1)
-    monkeypatch.setattr(theatre_note.os, "geteuid", lambda: NOBODY - 1)
+    monkeypatch.setattr(arm_notes.os, "geteuid", lambda: NOBODY - 1)
     assert not read_last_note(theatre).unreadable
-    monkeypatch.setattr(theatre_note.os, "getegid", lambda: NOBODY)
-    monkeypatch.setattr(theatre_note.os, "getgroups", list)
+    monkeypatch.setattr(arm_notes.os, "getegid", lambda: NOBODY)
+    monkeypatch.setattr(arm_notes.os, "getgroups", list)
     assert read_last_note(theatre).unreadable
 
 

@@ -18,7 +18,7 @@ from ronna_hw.arm.errors import NotClear
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.errors import LinkTimeout
 from ronna_hw.evidence.journal_reading import JournalChain, JournalCorrupt, Line
-from ronna_hw.evidence.lost_end import lost_as_plain
+from ronna_hw.evidence.lost_journal_end import lost_as_plain
 from ronna_hw.vectors import JointVector
 
 WAY_MM = 60.0

@@ -252,7 +252,7 @@ def test_a_command_counts_in_upper_case_and_manual_work_is_no_command(
     typed = Typed(monkeypatch, "drill", "QUIT", "next")
     assert typed.at(engine := cell.engine(plain_order())) is False
     assert typed.said[0].startswith("'drill' is manual work, which is typed when the case asks for it")
-    assert engine.case.standing == ()
+    assert engine.case.valid_results == ()
 
 
 @pytest.mark.parametrize("command", ["to", "back", "run"])

@@ -21,11 +21,11 @@ from procedures.cli.doctor.report import RUN, examine
 from procedures.cli.procedure import app as ronna_procedure
 from procedures.cli.stereo.command import app as ronna_stereo
 from procedures.journal.journal import Entry, Journal
-from procedures.runs import theatre_note
+from procedures.runs import arm_notes
+from procedures.runs.arm_notes import TheatreNote, note_paths
 from procedures.runs.request import CaseProcedure, RunRequest
 from procedures.runs.request_file import RequestFile, write_request
 from procedures.runs.theatre_lock import hold_theatre
-from procedures.runs.theatre_note import TheatreNote, note_paths
 from ronna_hw.devices.probing import Diagnostic
 from ronna_hw.errors import EXIT_REFUSED
 
@@ -100,7 +100,7 @@ def test_an_endpoint_of_a_theatre_in_use_is_refused_and_no_device_queried(
 def test_a_bare_endpoint_of_a_theatre_in_use_is_refused_before_its_run_has_connected_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(theatre_note, "ARMS_FOLDER", tmp_path / "arms")
+    monkeypatch.setattr(arm_notes, "ARMS_FOLDER", tmp_path / "arms")
     theatre, run = theatre_in(tmp_path), tmp_path / "runs" / RUN_NAME
     arm = '[robot.master]\ndriver = "kuka_rsi"\nendpoints = { rsi = "udp://0.0.0.0:1", eki_project = '
     theatre.write_text(theatre.read_text() + arm + '"tcp://192.0.2.1:54602" }\n')

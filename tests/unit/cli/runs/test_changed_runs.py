@@ -34,7 +34,7 @@ from ronna_hw.errors import (
     EXIT_REFUSED,
 )
 from ronna_hw.evidence.inspection import inspect_run
-from ronna_hw.evidence.lost_end import EVENTS_FILE
+from ronna_hw.evidence.lost_journal_end import EVENTS_FILE
 from ronna_hw.evidence.manifest import RECORDS_FOLDER, SEAL_FILE
 from ronna_hw.recording.flight_recorder import BYTES_FOLDER, FlightRecorder
 from studies.cli import app as campaign

@@ -14,9 +14,9 @@ from run_again import broken_off, opened_again
 from procedures.engine.engine import Engine
 from procedures.engine.errors import RECOVERY_REFUSED
 from procedures.operator.question import Topic
+from procedures.runs.arm_notes import NOT_KNOWN
 from procedures.runs.interrupted_run import InterruptedRun
 from procedures.runs.recovery import bring_home, recover
-from procedures.runs.theatre_note import NOT_KNOWN
 from ronna_hw.calibration import CalibrationExpired, DatedRecord
 from ronna_hw.devices.lifecycle import Identity
 from ronna_hw.errors import LinkTimeout

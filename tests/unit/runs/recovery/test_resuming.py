@@ -120,7 +120,7 @@ def test_a_guide_whose_journal_lines_were_lost_is_found_by_its_position(
     assert [one.topic for one in again.operator.asked][1] is Topic.INSTRUMENT_OUT
     assert not left.run.lines(Entry.RESTARTED)
     again.journal.write(Entry.RESTARTED, 0.0, **left.as_plain())
-    assert read_interrupted_run(again.folder).ever_lost_end  # also to the next program
+    assert read_interrupted_run(again.folder).ever_lost_lines  # also to the next program
 
 
 @pytest.mark.hazard(44)

@@ -49,10 +49,10 @@ def test_a_series_without_the_name_of_its_kernel_is_refused(cell: ClinicalCell) 
     write_series(cell.series, PLAIN, edit=lambda data, _: data.__delattr__("ConvolutionKernel"))
     with raises(KERNEL_UNNAMED, match=r"CT-027: .* expected ConvolutionKernel \(0018,1210\)"):
         cell.run(STEP)
-    assert cell.case.standing == ()
+    assert cell.case.valid_results == ()
 
 
 def test_a_missing_series_leaves_no_result(cell: ClinicalCell) -> None:
     with raises(SERIES_NOT_FOUND):
         cell.run(STEP)
-    assert cell.case.standing == ()
+    assert cell.case.valid_results == ()

@@ -66,7 +66,7 @@ def test_the_strategy_of_the_case_is_used_and_recorded(cell: ClinicalCell) -> No
 def test_a_head_out_of_reach_is_refused_and_the_failing_poses_are_named(cell: ClinicalCell) -> None:
     with pytest.raises(NotReachable, match=r"PLAN-007.*T1/fiducial 0.*T2/target"):
         check(cell, shifted(ROBOT_FROM_CT, (900.0, 0.0, 0.0)))
-    assert not any(stored.record.kind == STEP.name for stored in cell.case.standing)
+    assert not any(stored.record.kind == STEP.name for stored in cell.case.valid_results)
 
 
 def plan_with_one_out_of_reach() -> CheckedPlan:

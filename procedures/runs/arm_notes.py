@@ -30,7 +30,7 @@ from ronna_hw.config import read_theatre_file
 from ronna_hw.endpoints import parse_endpoint
 from ronna_hw.errors import RonnaError
 from ronna_hw.evidence.journal_reading import JournalChain, Line, read_chain
-from ronna_hw.evidence.lost_end import find_lost_lines, read_events
+from ronna_hw.evidence.lost_journal_end import find_lost_lines, read_events
 from ronna_hw.roles import ASSISTANT, MASTER
 from ronna_hw.theatre_kind import is_on_this_computer
 
