@@ -281,7 +281,7 @@ class Calibrations(Strict):
 
     @property
     def arms(self) -> dict[str, ArmCalibration]:
-        """Records of the arms, by role."""
+        """Calibration records of the arms, by role."""
         found = {MASTER: self.arm, ASSISTANT: self.assistant_arm}
         return {role: record for role, record in found.items() if record is not None}
 
@@ -298,7 +298,7 @@ class Calibrations(Strict):
 
     @property
     def records(self) -> dict[str, DatedRecord]:
-        """Records in the theatre file, by name."""
+        """Calibration records in the theatre file, by name."""
         found = {name: getattr(self, name) for name in type(self).model_fields}
         return {name: record for name, record in found.items() if record is not None}
 

@@ -27,7 +27,7 @@ from conformance.kuka.client import (
     idle_controller,
     stream,
 )
-from ronna_hw.arm.kr6_r900 import kr6_r900
+from ronna_hw.arm.kr6_r900 import R900_2, SIXX, kr6_r900
 from ronna_hw.arm.pose import Pose, radians6
 from ronna_hw.wire.kuka_context import SendElement
 
@@ -226,7 +226,9 @@ def pose_agrees_with_axes(line: RsiLine) -> None:
     state = line.eki.state()
     if state.get("Base") != "0":
         raise NotShown("a base is active")
-    model = kr6_r900(state.get("Variant", ""))
+    if (variant := state.get("Variant", "")) not in (SIXX, R900_2):
+        raise NotShown(f"the controller states no arm that is known here: {variant!r}")
+    model = kr6_r900(variant)
     axes, tool = telegram.values("AIPos"), telegram.values("RIst")
     flange = model.forward(radians6(*(axes[name] for name in AXES)))
     pose = Pose.from_kuka(*(tool[name] for name in ("X", "Y", "Z", "A", "B", "C")))

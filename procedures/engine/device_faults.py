@@ -194,12 +194,12 @@ class DeviceFaults:
 
     def _why_stopped(self, role: str) -> str:
         """Say what an arm was stopped for by the other one, or return ''."""
-        halt, arm = self._workcell.halt, self._workcell.find_arm(role)
+        halt, arm = self._workcell.halt, self._workcell.arm_of_device(role)
         stopped_by_other = halt is not None and arm is not None and halt.arm != arm.role
         return f", since {halt.reason}" if halt is not None and stopped_by_other else ""
 
     def _doubt_after(self, role: str, fault: str) -> None:
-        order, arm = self._course.order, self._workcell.find_arm(role)
+        order, arm = self._course.order, self._workcell.arm_of_device(role)
         if arm is None:
             return
         # It may have touched something. Tools and localizations are of the arm that carries the tools.

@@ -264,11 +264,13 @@ class Engine:
         try:
             _ = workcell.master.home_rad  # PRO-001 before set-up
             for arm in workcell.outermost_first:
-                arm.compare_place()
                 if arm.leads_instrument:
+                    arm.compare_place()
+                if arm.leads_instrument:  # still: nobody has jogged it home
                     workcell.start()
                     arm.lead_out(self.look_before_retreat())
                 self.questions.request_instrument_removal()
+                arm.compare_place()
                 if arm.place.is_out:
                     workcell.start()
                     arm.leave()

@@ -22,7 +22,10 @@ def _read_roles(told: object) -> object:
     """Return roles as told; older files only say whether there is an assistant."""
     if isinstance(told, bool):
         return TWO_ARMS if told else ONE_ARM
-    return tuple(told) if isinstance(told, list) else told
+    roles = tuple(told) if isinstance(told, list) else told
+    if roles not in (ONE_ARM, TWO_ARMS):
+        raise ValueError(f"expected the roles of one arm or of two: {', '.join(TWO_ARMS)}")
+    return roles
 
 
 RecordedRoles = Annotated[

@@ -161,13 +161,13 @@ def compare_devices(
             found = DeviceIdentity.from_identity(device.connect())
             device.configure()
         except RonnaError as problem:
-            if workcell.find_arm(role) or not only_leaving:
+            if workcell.arm_of_device(role) or not only_leaving:
                 raise
             comparison.note(f"{role}: not needed on the way home ({problem.summary})")
             continue
         if (then := recorded.identities.get(role)) == found:
             comparison.add_unchanged(f"{role} {found.model}")
-        elif only_leaving and not workcell.find_arm(role):
+        elif only_leaving and not workcell.arm_of_device(role):
             comparison.note(f"{role}: a different one; not needed on the way home: {_describe_device(found)}")
         else:
             comparison.add_difference(

@@ -144,7 +144,7 @@ class Workcell:
         """The arms in the order of a way out: whatever reaches into the guide leaves before the guide."""
         return (*self.assistants, self.master)
 
-    def find_arm(self, device: str) -> SupervisedArm | None:
+    def arm_of_device(self, device: str) -> SupervisedArm | None:
         """Return the arm that is the device of this name, or None for another device."""
         return next((arm for arm in self.arms.values() if arm.name == device), None)
 

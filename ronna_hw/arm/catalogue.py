@@ -35,7 +35,7 @@ class ArmChoice(StrEnum):
 
 @dataclass(frozen=True, kw_only=True)
 class ArmDescription:
-    """Model of an arm and what is known of it. Its axes, home and bodies are those of its `kinematics`."""
+    """Model of an arm: kinematics, which has axes, home and bodies, make, repeatability and load model."""
 
     kinematics: Kinematics
     make: str = ""
@@ -94,8 +94,10 @@ ARMS: Mapping[str, ArmDescription] = {
 
 def find_arm(name: str) -> ArmDescription:
     """Look up an arm by its `Kinematics.name`. Raises ARM-009 listing the known names."""
-    if name in ARMS:
-        return ARMS[name]
+    return ARMS[name] if name in ARMS else _find_packaged(name)
+
+
+def _find_packaged(name: str) -> ArmDescription:
     from importlib.metadata import entry_points  # on demand: commands that only list the choices start faster
 
     others = {point.name: point for point in entry_points(group=GROUP)}

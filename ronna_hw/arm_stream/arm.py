@@ -115,7 +115,7 @@ class StreamedArm(ABC, Generic[S]):
 
     @abstractmethod
     def _is_to_acknowledge(self, timeout_s: float) -> bool:
-        """Return whether the controller shows something of an earlier run that a person acknowledges."""
+        """Return whether the controller shows a state of an earlier run that a person must acknowledge."""
 
     @abstractmethod
     def _switch_drives_off(self, timeout_s: float) -> None:

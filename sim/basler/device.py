@@ -93,7 +93,7 @@ class SimulatedCamera:
         self.settings = settings
 
     def save_user_set(self) -> None:
-        """Save the present settings to the selected user set; raises Refusal for the default set."""
+        """Save the present settings to the selected user set; raises RegisterRefusal for the default set."""
         selected = self.settings.user_set_selector
         if selected == UserSet.DEFAULT:
             raise RegisterRefusal(GevStatus.WRITE_PROTECT)

@@ -70,7 +70,7 @@ class UnitFaults:
         return bool(self._board.happened("watchdog"))
 
     def apply_to_command(self, name: str, argument: str) -> None:
-        """Apply the faults of a command. Raises Refusal if one prevents the command."""
+        """Apply the faults of a command. Raises CommandRefusal if one prevents the command."""
         for fault in self._board.active("slow"):
             if fault.argument == name:
                 self._unit.clock.sleep(float(fault.arguments[1]))

@@ -83,7 +83,7 @@ def _fit(nominal: Matrix, arm: TrueArm, seed: int, *, has_turns: bool) -> Matrix
 
 
 def _difference(wanted: Matrix, poses: Matrix) -> Matrix:
-    """Return the small differences (n, 6) of poses, in m; turns count by the reach of the arm."""
+    """Return the small differences (n, 6) of poses, in m; rotations are scaled by the reach of the arm."""
     turns = wanted[:, :3, :3] @ poses[:, :3, :3].transpose(0, 2, 1)
     skew = (turns - turns.transpose(0, 2, 1)) / 2.0
     rotation = np.stack([skew[:, 2, 1], skew[:, 0, 2], skew[:, 1, 0]], axis=1)

@@ -36,7 +36,7 @@ def index(name: str) -> int:
 
 
 def indices(names: Iterable[str]) -> tuple[int, ...]:
-    """Return the places of fields one by one, vectors spread."""
+    """Return the index of each number in these fields; a vector has one for each element."""
     return tuple(number for name in names for number in range(PLACES[name].start, PLACES[name].stop))
 
 

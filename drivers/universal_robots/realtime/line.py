@@ -38,7 +38,7 @@ class RtdeLine:
 
     @property
     def is_connected(self) -> bool:
-        """Whether there is a controller."""
+        """Whether a controller is connected."""
         return self._socket is not None
 
     def attach(self, connection: socket.socket) -> None:

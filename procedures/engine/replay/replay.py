@@ -72,9 +72,14 @@ class _Difference:
     rounding: bool = False
 
 
-def compare_records(step: str, recorded: Record, again: Record) -> ReplayedRecord:
-    """Compare payloads: equal if identical, rounded if all differences are within rounding limits."""
-    found = list(_differences(recorded.payload, again.payload, ""))
+def compare_records(
+    step: str, recorded: Record, again: Record, result: type[StepResult] = StepResult
+) -> ReplayedRecord:
+    """Compare payloads: equal if identical, rounded if all differences are within rounding limits.
+
+    Those of an older program have today's names of their fields.
+    """
+    found = list(_differences(result.renew(recorded.payload), again.payload, ""))
     real = [one for one in found if not one.rounding]
     verdict = ReplayVerdict.DIFFERENT if real else ReplayVerdict.ROUNDED if found else ReplayVerdict.EQUAL
     why = tuple(one.text for one in (real or found)[:MOST_DIFFERENCES])
@@ -244,8 +249,9 @@ class _Replay:
         self._engine.close("replayed")
 
     def _recompute(self, step: str, recorded: Record) -> ReplayedRecord:
+        key = self._engine.order.find(step)
         try:
-            again = self._engine.run_step(self._engine.order.find(step))
+            again = self._engine.run_step(key)
         except StepRefused as error:  # what it needs was not computed either
             why = f"not computed: {error.summary}"
             return ReplayedRecord(recorded.identifier, step, self._uncomputed, (why,))
@@ -255,7 +261,7 @@ class _Replay:
         except Exception as error:  # other numbers may fail anywhere in a step
             self._uncomputed = ReplayVerdict.DIFFERENT
             return ReplayedRecord(recorded.identifier, step, self._uncomputed, (f"not computed: {error}",))
-        return compare_records(step, recorded, again)
+        return compare_records(step, recorded, again, self._engine.order.spec(key).result)
 
     def _rest_devices(self) -> None:
         """Return open devices to the configured state, so that the next motion counts as a first motion."""

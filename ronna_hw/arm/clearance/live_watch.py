@@ -21,7 +21,7 @@ from ronna_hw.vectors import JointVector, joint_vector
 
 
 class ViolationKind(StrEnum):
-    """Kind of limit exceeded: of an axis, a moving body, or (the last two) a pair of bodies."""
+    """Kind of limit exceeded: on an axis, by a moving body or, the last two, by a pair of bodies."""
 
     RANGE = "range"
     TOTAL_CORRECTION = "total correction"

@@ -20,7 +20,7 @@ class RegisterRefusal(Exception):
 
 @dataclass(frozen=True)
 class RegisterWord:
-    """A 32-bit register, read-only if `write` is None; `write` raises Refusal for an invalid value."""
+    """A 32-bit register, read-only if `write` is None; `write` raises RegisterRefusal for a bad value."""
 
     read: Callable[[], int]
     write: Callable[[int], None] | None = None
@@ -62,7 +62,7 @@ class RegisterMap:
         return address in self._words or self._find_block(address) is not None
 
     def read_word(self, address: int) -> int:
-        """Read one register; raises Refusal."""
+        """Read one register; raises RegisterRefusal."""
         _check_alignment(address)
         word = self._words.get(address)
         if word is not None:
@@ -74,7 +74,7 @@ class RegisterMap:
         return int.from_bytes(block.content()[offset : offset + REGISTER_BYTES], "big")
 
     def write_word(self, address: int, value: int) -> None:
-        """Write one register; raises Refusal."""
+        """Write one register; raises RegisterRefusal."""
         _check_alignment(address)
         word = self._words.get(address)
         if word is None:
@@ -85,7 +85,7 @@ class RegisterMap:
             word.write(value)
 
     def read(self, address: int, count: int) -> bytes:
-        """Read `count` bytes, across registers and blocks; raises Refusal."""
+        """Read `count` bytes, across registers and blocks; raises RegisterRefusal."""
         _check_alignment(address, count)
         content = bytearray()
         while len(content) < count:
@@ -98,7 +98,7 @@ class RegisterMap:
         return bytes(content)
 
     def write(self, address: int, data: bytes) -> None:
-        """Write bytes, register by register; raises Refusal with the number of bytes already written."""
+        """Write bytes, register by register; raises RegisterRefusal with the bytes already written."""
         _check_alignment(address, len(data))
         done = 0
         while done < len(data):

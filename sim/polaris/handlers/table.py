@@ -51,7 +51,7 @@ class CommandEntry:
     restarts_line: bool = False  # the reply has the new line settings
 
     def check(self, argument: str) -> None:
-        """Check the format of an argument; raises Refusal if it is wrong."""
+        """Check the format of an argument; raises CommandRefusal if it is wrong."""
         length = len(argument.strip() if self.lengths is NOTHING else argument)
         if length not in self.lengths:
             raise CommandRefusal(NdiErrorCode.PARAMETER_COUNT)

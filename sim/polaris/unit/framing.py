@@ -93,7 +93,7 @@ class LineBuffer:
 
 
 def parse_request(line: bytes) -> FramedRequest:
-    """Parse one line; raises Refusal if its length or CRC is wrong."""
+    """Parse one line; raises CommandRefusal if its length or CRC is wrong."""
     if isinstance(line, Overlong):
         raise CommandRefusal(NdiErrorCode.TOO_LONG)
     line = line.lstrip(STRAY_LINE_FEED)

@@ -84,7 +84,7 @@ class PortTable:
         wired_port: int = 0,
         tool: WiredTool | None = None,
     ) -> Port:
-        """Allocate a handle; raises Refusal if none is left."""
+        """Allocate a handle; raises CommandRefusal if none is left."""
         for handle in range(FIRST_HANDLE, FIRST_HANDLE + self._size):
             if handle not in self._ports:
                 port = Port(
@@ -95,7 +95,7 @@ class PortTable:
         raise CommandRefusal(NdiErrorCode.NO_HANDLES_LEFT)
 
     def request_wired(self, number: int, tool: WiredTool | None, *, dummy: bool = False) -> Port:
-        """Allocate a handle for a socket; raises Refusal if the socket already has one or none is left."""
+        """Allocate a handle for a socket; raises CommandRefusal if it already has one or none is left."""
         if self.find_by_socket(number) is not None:
             raise CommandRefusal(NdiErrorCode.PORT_HAS_HANDLE)
         port = self.request(dummy=dummy, wired_port=number, tool=None if dummy else tool)
@@ -116,18 +116,18 @@ class PortTable:
             port.tool = None
 
     def port(self, handle: int) -> Port:
-        """Return the port for a handle; raises Refusal if the handle is not allocated."""
+        """Return the port for a handle; raises CommandRefusal if the handle is not allocated."""
         try:
             return self._ports[handle]
         except KeyError:
             raise CommandRefusal(NdiErrorCode.HANDLE_NOT_ALLOCATED) from None
 
     def require_port(self, argument: str) -> Port:
-        """Return the port addressed by a command's argument; raises Refusal for an invalid handle."""
+        """Return the port addressed by a command's argument; raises CommandRefusal for an invalid handle."""
         return self.port(hexadecimal(argument[:HANDLE_DIGITS], NdiErrorCode.BAD_HANDLE))
 
     def require_occupied(self, argument: str) -> Port:
-        """Return the addressed port; raises Refusal if it has no tool plugged in."""
+        """Return the addressed port; raises CommandRefusal if it has no tool plugged in."""
         port = self.require_port(argument)
         if port.unoccupied:
             raise CommandRefusal(NdiErrorCode.HANDLE_UNOCCUPIED)
@@ -136,14 +136,14 @@ class PortTable:
         return port
 
     def require_initialised(self, argument: str) -> Port:
-        """Return the addressed port; raises Refusal unless it is occupied and initialised."""
+        """Return the addressed port; raises CommandRefusal unless it is occupied and initialised."""
         port = self.require_occupied(argument)
         if not port.initialised:
             raise CommandRefusal(NdiErrorCode.HANDLE_NOT_INITIALISED)
         return port
 
     def require_wired(self, argument: str) -> Port:
-        """Return the addressed port; raises Refusal unless it is occupied by a wired tool."""
+        """Return the addressed port; raises CommandRefusal unless it is occupied by a wired tool."""
         port = self.require_occupied(argument)
         if not port.wired_port:
             raise CommandRefusal(NdiErrorCode.NOT_FOR_THIS_DEVICE)

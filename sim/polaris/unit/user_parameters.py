@@ -61,7 +61,7 @@ class UserParameters:
         }
 
     def value(self, name: str) -> str:
-        """Return a parameter's value; raises Refusal if the name is unknown."""
+        """Return a parameter's value; raises CommandRefusal if the name is unknown."""
         known = self._require_parameter(name)
         live = self._live.get(known.name)
         return live() if live else self._values[known.name]
@@ -71,7 +71,7 @@ class UserParameters:
         return int(self.value(name))
 
     def list(self, pattern: str) -> tuple[Parameter, ...]:
-        """Return the parameters matching a name or a prefix and `*`; raises Refusal if none match."""
+        """Return the parameters matching a name or a prefix and `*`; raises CommandRefusal if none match."""
         if not pattern.endswith(WILDCARD):
             return (self._require_parameter(pattern),)
         beginning = pattern.removeprefix(DEVICE_PREFIX).removesuffix(WILDCARD)
@@ -90,7 +90,7 @@ class UserParameters:
         return ";".join(fields)
 
     def set(self, name: str, value: str, *, tracking: bool) -> None:
-        """Set a parameter; raises Refusal if it is unknown or read-only, or if the value is invalid."""
+        """Set a parameter; raises CommandRefusal if it is unknown or read-only, or the value invalid."""
         parameter = self._require_writable(name, tracking=tracking)
         if parameter.limits is not None:
             value = str(_parse_number_within(value, parameter.limits))

@@ -79,7 +79,7 @@ class RegisterLoop:
             self.report_progress(begins=False)
 
     def run_asynchronously(self, motion: Iterator[None]) -> None:
-        """Have a motion run beside the loop."""
+        """Run a motion beside the loop."""
 
         def reported() -> Iterator[None]:
             yield from motion

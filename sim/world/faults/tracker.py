@@ -105,7 +105,7 @@ SIGHT_FAULTS = (
     ),
 )
 
-UnitFaultS = (
+UNIT_FAULTS = (
     declare_momentary("bump", "bump", "The unit was bumped: no poses until the host reads the alert."),
     declare_lasting("cold", "cold", "The unit has not warmed up: no poses."),
     declare_lasting("hot", "hot", "The unit is too hot: no poses."),
@@ -161,4 +161,4 @@ LINE_FAULTS = (
     declare_lasting("late_replies", "delay replies NUMBER s", "Each reply is delayed by that much."),
 )
 
-TRACKER_FAULTS = (*SIGHT_FAULTS, *UnitFaultS, *LINE_FAULTS)
+TRACKER_FAULTS = (*SIGHT_FAULTS, *UNIT_FAULTS, *LINE_FAULTS)

@@ -30,7 +30,7 @@ def doubts_after(halt: Halt | None) -> list[str]:
     known = LastKnown[object](Lifecycle.FAULT, Stopped("a stop was requested"), None)
     master = SimpleNamespace(role=MASTER)
     devices = {"arm": SimpleNamespace(observe=lambda: known)}
-    cell = SimpleNamespace(devices=devices, halt=halt, master=master, find_arm=lambda _name: master)
+    cell = SimpleNamespace(devices=devices, halt=halt, master=master, arm_of_device=lambda _name: master)
     faults = DeviceFaults(
         cast("Any", SimpleNamespace(order=order, case=case)),
         cast("Any", cell),

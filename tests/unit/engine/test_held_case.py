@@ -161,6 +161,24 @@ def test_an_arm_at_home_is_asked_for_nothing_and_moves_nowhere(cell: RecordingCe
     assert engine.machine.state == "held"
 
 
+@pytest.mark.hazard(24)
+def test_an_arm_jogged_while_the_instrument_is_taken_out_is_found_where_it_is(
+    cell: RecordingCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    engine = with_the_guide_on_its_axis(cell)
+    remove = engine.questions.request_instrument_removal
+
+    def jog_home() -> None:
+        remove()
+        cell.arm.joints_rad = HOME
+
+    monkeypatch.setattr(engine.questions, "request_instrument_removal", jog_home)
+    moved = cell.entries("motion")
+    engine.retreat_home()
+    assert cell.entries("motion") == moved
+    assert cell.workcell.master.place.is_home
+
+
 @pytest.mark.hazard(36)
 def test_the_guide_stays_in_place_when_the_retreat_is_not_confirmed(cell: RecordingCell) -> None:
     engine = with_the_guide_on_its_axis(cell, Topic.RETREAT)

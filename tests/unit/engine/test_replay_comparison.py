@@ -5,7 +5,9 @@ from typing import Any
 import pytest
 
 from procedures.engine.replay.replay import ReplayVerdict, compare_records
+from procedures.steps.clinical.set_up import CheckedSetUp
 from ronna_hw.records import Record
+from ronna_hw.roles import ASSISTANT, MASTER
 
 RECORDED = {"count": 3, "centre_mm": [812.1865, 0.25], "covariance_mm2": [[1e-5, 0.0]], "joints_rad": [0.009]}
 
@@ -40,3 +42,12 @@ def test_differences_beyond_rounding_count_as_different(other: dict[str, Any]) -
 
 def test_only_real_differences_are_named_when_there_are_any() -> None:
     assert verdict(count=4, joints_rad=[0.00900001])[1] == ("count: 3 recorded, 4 computed",)
+
+
+@pytest.mark.parametrize("assistant", [False, True])
+def test_a_result_with_a_field_for_the_home_of_each_arm_is_compared_by_roles(assistant: bool) -> None:
+    home, other = [0.1] * 6, [0.2] * 6
+    older = {"flange": "F", "home_rad": home, "assistant_home_rad": other if assistant else None}
+    newer = {"flange": "F", "homes_rad": {MASTER: home} | ({ASSISTANT: other} if assistant else {})}
+    was, again = (Record("04-set_up", "set_up", {}, payload) for payload in (older, newer))
+    assert compare_records("set_up", was, again, CheckedSetUp).verdict is ReplayVerdict.EQUAL
