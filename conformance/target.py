@@ -6,7 +6,6 @@ import importlib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
-from enum import Enum
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
@@ -159,8 +158,8 @@ def _require_driver(name: str) -> None:
 
 
 def _list_choices(option: Option) -> list[str]:
-    kind = None if option.model is None else option.model.model_fields[option.key].annotation
-    return [one.value for one in kind] if isinstance(kind, type) and issubclass(kind, Enum) else []
+    schema = {} if option.model is None else option.model.model_json_schema()["properties"][option.key]
+    return list(schema.get("enum", []))
 
 
 def _require_roles(kind: str, driver: str, addresses: Mapping[str | None, str], *, assumed: bool) -> None:

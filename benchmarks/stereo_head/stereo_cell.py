@@ -274,7 +274,9 @@ def _build_workcell(
     theatre = SimpleNamespace(
         arms={"master": arm}, stereo=stereo, clock=stereo.clock, require=lambda *_names: None, file=file
     )
-    calibrations: Any = SimpleNamespace(stereo_head=calibration, arm=None, assistant_arm=None)
+    calibrations: Any = SimpleNamespace(
+        stereo_head=calibration, arms={}, tracker_frame=SimpleNamespace(tool="arm")
+    )
     workcell = Workcell(cast("Any", theatre), Journal(folder), calibrations=calibrations)
     operator = ScriptedOperator()
 

@@ -7,32 +7,14 @@ makes it a parent of their own result.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated, Any, ClassVar, Self
+from typing import Any, ClassVar, Self
 
-from pydantic import AliasChoices, BaseModel, BeforeValidator, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field
 
 from ronna_hw.calibration import Numbers3, Numbers4
 from ronna_hw.frames import Frame, Transform
-from ronna_hw.roles import ONE_ARM, TWO_ARMS
 
 Matrix3 = tuple[Numbers3, Numbers3, Numbers3]
-
-
-def _read_roles(told: object) -> object:
-    """Return roles as told; older files only say whether there is an assistant."""
-    if isinstance(told, bool):
-        return TWO_ARMS if told else ONE_ARM
-    roles = tuple(told) if isinstance(told, list) else told
-    if roles not in (ONE_ARM, TWO_ARMS):
-        raise ValueError(f"expected the roles of one arm or of two: {', '.join(TWO_ARMS)}")
-    return roles
-
-
-RecordedRoles = Annotated[
-    tuple[str, ...],
-    BeforeValidator(_read_roles),
-    Field(validation_alias=AliasChoices("roles", "dual"), description="Roles of the arms, the master first."),
-]
 
 
 class Values(BaseModel):

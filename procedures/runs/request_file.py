@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, JsonValue, ValidationError
 
 from procedures.engine.errors import BAD_REQUEST_FILE, OTHER_PROGRAM
 from procedures.engine.methods import CaseMethods
-from procedures.journal.results import RecordedRoles
+from procedures.journal.recorded_roles import RecordedRoles
 from procedures.runs.request import (
     DEFAULT_ARM,
     FREE,

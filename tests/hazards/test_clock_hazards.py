@@ -31,7 +31,7 @@ DATING = {
     "procedures/engine/setting.py",
     "procedures/runs/comparison.py",
     "ronna_hw/recording/flight_recorder.py",
-    "procedures/reporting/report.py",
+    "procedures/reporting/sections/evidence.py",
     "procedures/runs/folders.py",
     "procedures/runs/theatre_history.py",
     "procedures/cli/doctor/report.py",

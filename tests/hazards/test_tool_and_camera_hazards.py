@@ -19,6 +19,7 @@ from procedures.workcell.errors import WrongTool
 from ronna_hw.calibration import CalibrationExpired
 from ronna_hw.config import parse_theatre
 from ronna_hw.errors import EXIT_REFUSED
+from ronna_hw.roles import MASTER
 from sim.theatre.theatre_file import theatre_content
 from sim.world.process import load_scene
 
@@ -90,7 +91,7 @@ def test_the_result_of_set_up_contains_the_notices_of_the_drivers(cell: Recordin
     run_set_up(cell)
     done = cell.case.get(set_up.CheckedSetUp).result
     assert done.notices == (f"stereo: {notice}",)
-    assert done.home_rad == cell.arm.joints_rad
+    assert done.homes_rad == {MASTER: cell.arm.joints_rad}
 
 
 def test_connected_devices_are_not_connected_again(cell: RecordingCell) -> None:

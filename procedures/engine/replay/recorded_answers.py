@@ -20,7 +20,7 @@ from procedures.engine.errors import NotRecorded
 from procedures.engine.methods import CaseMethods
 from procedures.engine.setting import ClinicalInput
 from procedures.journal.journal import ENDS_OF_A_STEP, Entry
-from procedures.journal.results import RecordedRoles
+from procedures.journal.recorded_roles import RecordedRoles
 from ronna_hw.bounded_input import InputRefused, parse_json, read_json_lines
 from ronna_hw.clock import Clock
 from ronna_hw.devices.lifecycle import Lifecycle

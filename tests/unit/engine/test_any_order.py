@@ -188,7 +188,7 @@ def test_a_case_that_forgets_to_supersede_what_descends_is_caught_by_a_motion(
 ) -> None:
     if forgets:
         monkeypatch.setattr(Case, "records_superseded_by", only_itself)
-        monkeypatch.setattr(Case, "past", frozenset())  # which would refuse the step
+        monkeypatch.setattr(Case, "finished_before_move", frozenset())  # which would refuse the step
     drawn = AnyOrder()
     find = drawn.engine.order.find
     for name in (

@@ -8,14 +8,12 @@ from typing import Any, cast
 import pytest
 
 from procedures.planning.tool_records import ToolRecords
-from ronna_hw.config import require_own_holder_frame
+from ronna_hw.config import HOLDER_FRAME, require_own_holder_frame
 from ronna_hw.devices.errors import UnknownTool
 
 
 def with_holder(frame: str) -> Any:
-    return SimpleNamespace(
-        tracker_frame=SimpleNamespace(tool="robot"), assistant_holder=SimpleNamespace(frame=frame)
-    )
+    return SimpleNamespace(frames={"calibration.tracker_frame.tool": "robot", HOLDER_FRAME: frame})
 
 
 def test_a_frame_that_is_none_of_the_trackers_tools_is_refused_with_their_names() -> None:
