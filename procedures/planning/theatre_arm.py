@@ -52,7 +52,7 @@ class TheatreArm:
 
     @property
     def volume_mm(self) -> VolumeSections:
-        """Where the tracker measures, as far as that is known before it is connected."""
+        """Measuring volume of the tracker, as far as it is known before that is connected."""
         return measuring_volume_mm(self.tracker and make_device("tracker", self.tracker, HostClock()))
 
     def with_scene(self, volume: Volume, fiducials: FiducialKind, markers_mm: Points) -> ArmSetting:

@@ -66,7 +66,7 @@ class SummarizedTarget(Values):
 
 
 class RunSummary(Values):
-    """What a run did, how it ended, and the errors at its targets."""
+    """Summary of a run: its steps, its ending, and the errors at its targets."""
 
     run: str
     theatre: JsonValue

@@ -121,7 +121,7 @@ class TrackedArm:
 
     @cached_property
     def constants(self) -> int:
-        """Number of its constants: its errors, the place of its frame, that of its base."""
+        """Number of unknown constants: errors of the arm, pose of its frame, pose of its base."""
         nothing = np.zeros((1, len(self.chain.joints)))
         errors = unit_errors(self.chain, nothing, np.zeros((1, 3)), self.sizes, nothing)
         return int(errors.shape[2]) + 2 * POSE

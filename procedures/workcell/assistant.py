@@ -389,7 +389,7 @@ class Assistant(SupervisedArm):
 
     @property
     def leads_instrument(self) -> bool:
-        """Whether it is on an axis, with an instrument in the guide."""
+        """Whether the assistant is on an axis, with an instrument in the guide."""
         return self.place.is_on_axis
 
     def lead_out(self, doubt: str = "", guided: GuidedStretch | None = None) -> None:
@@ -410,7 +410,7 @@ class Assistant(SupervisedArm):
 
     @property
     def way_home(self) -> tuple[str, ...]:
-        """What `leave` will do."""
+        """Motions of `leave`, in words."""
         return ("the assistant goes home",) if self.place.is_out else ()
 
     @property

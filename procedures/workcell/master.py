@@ -178,6 +178,9 @@ class Master(SupervisedArm):
         """
         return self.supervised.carry_out(self.withdraw_motion(self._axis_of(trajectory)))
 
+    def lead_out(self, doubt: str = "") -> None:
+        """Do nothing: the master carries the guide, and no instrument."""
+
     def leave(self) -> None:
         """Withdraw the guide if it is on an axis, and park. Raises PRO-002 unless each is confirmed."""
         if (on := self.place.axis) is not None:
@@ -186,7 +189,7 @@ class Master(SupervisedArm):
 
     @property
     def way_home(self) -> tuple[str, ...]:
-        """What `leave` will do; nothing is known of a home before set-up."""
+        """Motions of `leave`, in words; without a home, before set-up, there is none."""
         place = self.place
         retreat = place.trajectory and f"the guide retreats from {place.trajectory} along its axis"
         park = self._log.home_rad and not place.is_home and "the arm goes home the way it came"

@@ -216,12 +216,12 @@ class SupervisedArm(ABC):
         """Whether it may hold an instrument in the guide, which then only it can lead out."""
         return False
 
+    @abstractmethod
     def lead_out(self, doubt: str = "") -> None:
-        """Lead the instrument out of the guide once the operator, told of a `doubt`, has confirmed it.
+        """Withdraw the instrument that the arm leads, if any, once the operator has confirmed it.
 
-        Raises PRO-002, and as a motion along the axis.
+        The question names a `doubt`. Raises PRO-002, and as a motion along the axis.
         """
-        raise NotImplementedError(f"the {self.name} leads no instrument")
 
     @abstractmethod
     def leave(self) -> None:
@@ -230,7 +230,7 @@ class SupervisedArm(ABC):
     @property
     @abstractmethod
     def way_home(self) -> tuple[str, ...]:
-        """What `leave` will do, as told to the operator before it begins; nothing at home."""
+        """Motions of `leave`, in the words told to the operator before they begin; none at home."""
 
     def joint_motion(self, what: MotionKind, *legs: JointMove) -> PlannedMotion:
         """Return a motion by joint moves, with what the arm carries."""

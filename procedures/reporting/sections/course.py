@@ -1,4 +1,4 @@
-"""What happened during the run, and where the time went."""
+"""Section on the course: events of the run, and the time of each step."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where the results come from: records with their parents, software and computer."""
+"""Section on evidence: records with their parents, software and computer."""
 
 from __future__ import annotations
 

@@ -13,7 +13,7 @@ from procedures.reporting.tables import PlanRow, TargetTable
 
 @dataclass(frozen=True)
 class RunOpening:
-    """What a run's first journal line says of it; empty where it says nothing."""
+    """First line of a run's journal; a field is empty where that says nothing."""
 
     procedure: str  # of a calibration, check or measurement
     theatre: str

@@ -1,4 +1,4 @@
-"""What was watched for changes, and when it was last seen unchanged."""
+"""Section on stability: each part of the room that was watched, and when it was last seen unchanged."""
 
 from __future__ import annotations
 
