@@ -16,6 +16,7 @@ from scipy.spatial.transform import RigidTransform
 from scipy.special import chdtri
 
 from procedures.guards.room_watch import JudgedReading, RoomWatch
+from procedures.registration.error_theory import offset_limit_mm
 from procedures.room.estimate import INSTRUMENT_IN_GUIDE, Displacement
 from procedures.room.sighting import Rest, Sighting, Tracked, expect_frame
 from procedures.workcell import Workcell
@@ -33,21 +34,18 @@ LARGEST_OFF_MM = 0.8
 BETTER_FRAMES = 240  # 4 s, where a careful look is too weak
 READINGS = 15  # averaged on the way
 WATCH_FALSE_ALARM = 1e-5  # share of these means: an insertion has some tens of them
-SIGMAS = 2.0  # 95 % along the direction across the bore that the looks show least
+SIGMAS = 2.0  # standard errors that are told, along the direction across the bore that the looks show least
+CONFIDENCE = 0.95  # that the instrument is no further beside the bore than it is said to be at most
 
 
 @dataclass(frozen=True)
 class BesideBore:
-    """Instrument across the bore, at its upper end: how far it is seen beside it, and two standard errors."""
+    """Instrument across the bore, at its upper end: how far it is seen beside it and may be."""
 
     seen_mm: float
-    uncertain_mm: float
+    uncertain_mm: float  # two standard errors
+    largest_mm: float  # 95 % limit
     chi_square: float  # of what is seen, with two degrees of freedom
-
-    @property
-    def largest_mm(self) -> float:
-        """How far it may be beside it."""
-        return self.seen_mm + self.uncertain_mm
 
     @property
     def is_within(self) -> bool:
@@ -62,8 +60,8 @@ class BesideBore:
     def __str__(self) -> str:
         """Describe it to the operator."""
         return (
-            f"seen {self.seen_mm:.2f} mm beside the bore, known to {self.uncertain_mm:.2f} mm "
-            f"(together at most {LARGEST_OFF_MM:g} mm)"
+            f"seen {self.seen_mm:.2f} mm beside the bore, known to {self.uncertain_mm:.2f} mm: within "
+            f"{self.largest_mm:.2f} mm (at most {LARGEST_OFF_MM:g} mm)"
         )
 
 
@@ -140,5 +138,6 @@ def _across(guide: Transform, displaced: Displacement) -> BesideBore:
     across = guide.rotation_matrix[:, :2].T
     way_mm, covariance_mm2 = across @ displaced.way_mm, across @ displaced.covariance_mm2 @ across.T
     chi_square = float(way_mm @ np.linalg.solve(covariance_mm2, way_mm))
-    widest_mm = math.sqrt(float(np.linalg.eigvalsh(covariance_mm2)[-1]))
-    return BesideBore(math.hypot(*way_mm), SIGMAS * widest_mm, chi_square)
+    uncertain_mm = SIGMAS * math.sqrt(float(np.linalg.eigvalsh(covariance_mm2)[-1]))
+    largest_mm = offset_limit_mm(way_mm, covariance_mm2, CONFIDENCE)
+    return BesideBore(math.hypot(*way_mm), uncertain_mm, largest_mm, chi_square)

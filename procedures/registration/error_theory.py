@@ -181,3 +181,15 @@ def error_limit_mm(covariance_mm2: Array, confidence: float, freedom: int | None
     else:
         factor = fdtri(shape, freedom, confidence)
     return np.asarray(np.sqrt(total * factor))
+
+
+def offset_limit_mm(offset_mm: Array, covariance_mm2: Array, confidence: float) -> float:
+    """Return the radius in mm that contains an offset (k,) of this covariance with the given probability.
+
+    Its squared length has the mean and variance of a scaled chi-square: Patnaik 1949, The non-central
+    chi-square and F-distributions and their applications.
+    """
+    _require_confidence(confidence)
+    mean = float(offset_mm @ offset_mm + np.trace(covariance_mm2))
+    variance = float(2.0 * np.sum(covariance_mm2**2) + 4.0 * offset_mm @ covariance_mm2 @ offset_mm)
+    return float(np.sqrt(variance / (2.0 * mean) * chdtri(2.0 * mean**2 / variance, 1.0 - confidence)))

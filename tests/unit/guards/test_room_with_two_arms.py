@@ -88,7 +88,7 @@ def test_what_the_looks_leave_open_counts_against_the_bore(counted: bool) -> Non
 def test_a_cart_that_moved_on_the_way_is_beside_the_bore_by_the_whole_of_it(counted: bool) -> None:
     room = TwoArmRoom()
     room.joints_rad = OVER_GUIDE_RAD
-    moved_mm = LARGEST_OFF_MM - 0.15
+    moved_mm = LARGEST_OFF_MM - 0.1
     found = beside(room, counted=counted, assistant=shifted(0.0, moved_mm, 0.0))
     assert found is not None
     assert found.seen_mm == pytest.approx(moved_mm, abs=0.1)
@@ -102,7 +102,7 @@ def test_where_the_guides_arm_is_hidden_the_assistant_is_held_against_its_joints
     still = beside(room, guide_hidden=True)
     assert still is not None
     assert still.is_within
-    moved = beside(room, guide_hidden=True, assistant=shifted(0.0, LARGEST_OFF_MM - 0.15, 0.0))
+    moved = beside(room, guide_hidden=True, assistant=shifted(0.0, LARGEST_OFF_MM - 0.1, 0.0))
     assert moved is not None
     assert not moved.is_within
 
@@ -111,7 +111,7 @@ def test_where_the_guides_arm_is_hidden_the_assistant_is_held_against_its_joints
 def test_a_repeated_look_over_the_guide_forgives_nothing() -> None:
     room = TwoArmRoom()
     room.joints_rad = OVER_GUIDE_RAD
-    displaced = shifted(0.0, LARGEST_OFF_MM - 0.15, 0.0)
+    displaced = shifted(0.0, LARGEST_OFF_MM - 0.1, 0.0)
     for _ in range(3):
         found = beside(room, counted=True, assistant=displaced)
         assert found is not None

@@ -13,6 +13,7 @@ from procedures.registration.error_theory import (
     fle_of_one_space_mm,
     fre_gate,
     fre_limit_mm,
+    offset_limit_mm,
     pose_covariance,
     target_covariance_mm2,
     tre_principal_axes_mm,
@@ -155,6 +156,15 @@ def test_the_limit_from_an_estimated_error_contains_the_stated_share_of_errors(s
     unit_limit = error_limit_mm(target_covariance_mm2(TARGET, points, pose), 0.95, 3 * len(points) - 6)[0]
     estimated_fle_mm = np.sqrt(squares * len(points) / (len(points) - 2))
     assert np.mean(error < unit_limit * estimated_fle_mm) == pytest.approx(0.95, abs=0.01)
+
+
+@pytest.mark.parametrize("offset_mm", [(0.0, 0.0), (0.4, 0.0), (0.1, -0.3), (1.0, 1.0)])
+@pytest.mark.parametrize("errors_mm", [(0.2, 0.2), (0.2, 0.05), (0.05, 0.2)])
+def test_the_limit_of_an_offset_contains_the_stated_share_of_its_draws(random, offset_mm, errors_mm):
+    covariance_mm2 = np.diag(np.square(errors_mm))
+    limit_mm = offset_limit_mm(np.array(offset_mm), covariance_mm2, 0.95)
+    drawn_mm = random.multivariate_normal(offset_mm, covariance_mm2, 20_000)
+    assert np.mean(np.linalg.norm(drawn_mm, axis=1) <= limit_mm) == pytest.approx(0.95, abs=0.01)
 
 
 def test_the_prediction_from_covariances_matches_the_errors(random, fiducials):
