@@ -13,7 +13,7 @@ QUICK := tests/unit tests/system tests/hazards
 # pip compiles what it copies; this is not copied. Otherwise each worker would compile all of it at the same time.
 OURS := ronna_hw conformance drivers sim procedures studies console
 
-.PHONY: setup demo test test-all test-browser test-browser-all soak fuzz lint bench bench-history profile docs lock clean
+.PHONY: setup demo budget test test-all test-browser test-browser-all soak fuzz lint bench bench-history profile docs lock clean
 
 # The tests start hundreds of processes. OpenBLAS's threads cost each of them a tenth of a second and gain nothing
 # with four workers on two cores; without bytecode each would compile again what the one before it has compiled.
@@ -81,6 +81,10 @@ lint: setup
 # Some measurements only, as ONLY="registration ct".
 bench: setup
 	@$(BIN)/python -P benchmarks/run.py $(addprefix --only ,$(ONLY))
+
+# Against the figures of tools/budget/budget.toml, as `.ci/run` does; WHOLE=1 for all, WRITE="reason" to set them.
+budget: setup
+	@OPENBLAS_NUM_THREADS=1 $(BIN)/python tools/budget/budget.py $(if $(WHOLE),--whole) $(if $(WRITE),--because "$(WRITE)")
 
 bench-history: setup
 	@$(BIN)/python -m benchmarks.history $(addprefix --only ,$(ONLY))

@@ -28,6 +28,7 @@ from reference_tables import (
     table,
 )
 from safety_figures import safety_table
+from time_table import time_table
 
 import conformance
 import console
@@ -107,6 +108,7 @@ def tables() -> dict[str, str]:
         "tracker-options.md": model_tables({"Options": PolarisOptions}),
         "tracker-parameters.md": parameter_table(rows(UnitBehaviour)),
         "ur-simulator.md": _describe_ur_simulator(),
+        "../explanation/where-the-time-goes.md": time_table(),
     }
 
 
