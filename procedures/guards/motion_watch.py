@@ -21,7 +21,6 @@ from procedures.guards.errors import (
 )
 from procedures.guards.guide_displacement import PUSHED_MM, GuideAtRest
 from procedures.guards.head_frames import PATIENT_LIMIT_MM, HeadFrames, PatientFrames
-from procedures.guards.room_motion import GROSS_LIMIT_MM
 from procedures.guards.room_watch import RoomWatch, read_watched
 from procedures.guards.watch_thread import BASE_MOVED, LATE, MOVED, PUSHED, UNSEEN, WatchThread
 from procedures.workcell import MountedTool, Workcell
@@ -164,7 +163,9 @@ class MotionWatch:
             self.find(f"no further reading after {what}: {found.summary}")
         if seen.moved_mm is None:
             shifted = BaseShifted(
-                f"{BASE_MOVED} during {what}", limit=f"{GROSS_LIMIT_MM:g} mm", got=f"{seen.base_mm:.1f} mm"
+                f"{BASE_MOVED} during {what}",
+                limit=f"{room.gross_limit_mm:.1f} mm",
+                got=f"{seen.base_mm:.1f} mm",
             )
             shifted.frame_off_mm = seen.base_mm
             return shifted

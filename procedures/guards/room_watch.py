@@ -9,6 +9,7 @@ from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import chdtri
 
 from procedures.engine.setting import CaseMemory
 from procedures.guards.errors import BaseShifted, InsertionDisturbed, PatientUnseen, RoomMoved, RoomUndecided
@@ -30,7 +31,7 @@ from procedures.guards.room_reading import (
     room_reading,
 )
 from procedures.planning.tracker_sight import SENSORS_MM, TrackerSight
-from procedures.room.estimate import GUIDE_AT_HEAD, Displacement, RoomEstimate
+from procedures.room.estimate import AXES, FALSE_ALARM, GUIDE_AT_HEAD, Displacement, RoomEstimate
 from procedures.room.model import Body, Places, Rows, TrackedArm
 from procedures.room.motion import Moved, RoomMotion, find_hidden_motion, find_motion
 from procedures.room.sighting import Sighting, Tracked, expect_frame, expect_spheres
@@ -139,6 +140,16 @@ class RoomWatch:
             if rest is not None and rest.sides == ONE_SIDE and stands_at(rest.joints_rad, home_rad)
         )
         return max(at_home, default=0)
+
+    @property
+    def gross_limit_mm(self) -> float:
+        """Way of the frame on the arm, in any pose, that a rolled cart alone explains.
+
+        An error of the tool frame goes unseen where the tracker was localized, and displaces the frame by up
+        to twice as much once the flange has turned.
+        """
+        tool_mm = self.estimate.model.arms[Tracked.ARM].sizes.tool_mm
+        return max(GROSS_LIMIT_MM, 2.0 * tool_mm * math.sqrt(float(chdtri(AXES, FALSE_ALARM))))
 
     @property
     def spheres_mm(self) -> Array:
@@ -293,10 +304,10 @@ class RoomWatch:
         """Return a motion of the base that is plain although the arm was never seen in this pose."""
         if Body.BASE not in rows.blocks:
             return None
-        way_mm = self._arm_way_mm(rows)
-        if (moved_mm := float(np.linalg.norm(way_mm))) < GROSS_LIMIT_MM:
+        way_mm, limit_mm = self._arm_way_mm(rows), self.gross_limit_mm
+        if (moved_mm := float(np.linalg.norm(way_mm))) < limit_mm:
             return None
-        return RoomMotion(Moved.BASE, len(self.estimate.looks), moved_mm**2, GROSS_LIMIT_MM**2, way_mm)
+        return RoomMotion(Moved.BASE, len(self.estimate.looks), moved_mm**2, limit_mm**2, way_mm)
 
     def with_look(self, look: Sighting, estimate: RoomEstimate | None = None) -> RoomEstimate:
         """Return the estimate, by default the present one, with a look that is only imagined."""
@@ -406,7 +417,7 @@ class RoomWatch:
         length_mm = math.hypot(*way_mm)
         share = float(gone_mm @ way_mm) / length_mm**2 if length_mm > 0.0 else 0.0
         off_mm = math.hypot(*(gone_mm - min(1.0, max(0.0, share)) * way_mm))
-        return off_mm if off_mm > GROSS_LIMIT_MM + length_mm else None
+        return off_mm if off_mm > self.gross_limit_mm + length_mm else None
 
 
 def read_watched(
