@@ -87,8 +87,7 @@ def inverse(matrix: Matrix) -> Matrix:
 
 def apply(matrix: Matrix, points_mm: ArrayLike) -> Matrix:
     """Transform points (3,) or (n, 3)."""
-    mapped: Matrix = np.asarray(points_mm, dtype=float) @ matrix[:3, :3].T + matrix[:3, 3]
-    return mapped
+    return np.asarray(points_mm, dtype=float) @ matrix[:3, :3].T + matrix[:3, 3]
 
 
 def rotation_from_vector(rotation_vector_rad: ArrayLike) -> Matrix:

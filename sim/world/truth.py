@@ -270,8 +270,7 @@ class TrueGuide:
         tilt = (-away[1] / height_mm, away[0] / height_mm, 0.0)
         whole = rotation_from_vector(np.add(tilt, (*np.radians(guide.tilt_deg), 0.0)))
         pivot, back = (matrix_from((0.0, 0.0, z), np.eye(3)) for z in (-height_mm, height_mm))
-        bent: Matrix = pivot @ matrix_from((0.0, 0.0, away[2]), whole) @ back
-        return bent
+        return pivot @ matrix_from((0.0, 0.0, away[2]), whole) @ back
 
     def _active_faults(self, kind: FaultKind) -> tuple[Fault, ...]:
         return () if self._board.empty else self._board.active(kind.name)
@@ -280,8 +279,7 @@ class TrueGuide:
 def tip_at_calibration(world: World) -> Matrix:
     """Return FLANGE <- tip (4, 4) at the time of the calibration records."""
     mount = world.scene.mount
-    pose: Matrix = matrix_of(mount.flange_from_tool_true) @ matrix_of(mount.tool_from_tip_true)
-    return pose
+    return matrix_of(mount.flange_from_tool_true) @ matrix_of(mount.tool_from_tip_true)
 
 
 def _draw_in_disc(generator: np.random.Generator, radius_mm: float) -> tuple[Vector, Vector]:

@@ -161,8 +161,7 @@ class Dot:
 
     def sum_rows(self, rows: slice, out: Image | None = None) -> Image:
         """Return the dot products of some rows, in `out` if given."""
-        total: Image = np.add(self.rows[rows], self.columns, out=out)
-        return total
+        return np.add(self.rows[rows], self.columns, out=out)
 
 
 class Rays:
@@ -262,8 +261,7 @@ def _box_filter(patch: Image, width: int, axis: int) -> Image:
     first = np.zeros_like(sums[:1] if axis == 0 else sums[:, :1])
     sums = np.concatenate([first, sums], axis=axis)
     ends = sums[width:] - sums[:-width] if axis == 0 else sums[:, width:] - sums[:, :-width]
-    mean: Image = (ends / width).astype(np.float32)
-    return mean
+    return (ends / width).astype(np.float32)
 
 
 def _extend_edge(patch: Image, spread: int, axis: int) -> Image:

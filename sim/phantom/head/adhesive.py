@@ -39,8 +39,7 @@ class SkinRing:
         thick = np.minimum(above, np.float32(THICKNESS_MM) - above)
         wide = np.minimum(across - np.float32(INNER_RADIUS_MM), np.float32(OUTER_RADIUS_MM) - across)
         # The axis passes through the far side of the head too; there is no ring there.
-        depth: Values = np.where(height > -OUTER_RADIUS_MM, np.minimum(thick, wide), np.float32(-1e3))
-        return depth
+        return np.where(height > -OUTER_RADIUS_MM, np.minimum(thick, wide), np.float32(-1e3))
 
 
 def skin_rings(scene: Scene) -> tuple[Shape, ...]:

@@ -121,8 +121,7 @@ def grid_ending_at_spheres(
 
 
 def _positions(first_mm: float, spacing_mm: float, count: int) -> Vector:
-    positions: Vector = first_mm + spacing_mm * np.arange(count, dtype=np.float64)
-    return positions
+    return first_mm + spacing_mm * np.arange(count, dtype=np.float64)
 
 
 def _format_dimensions(values: Vector) -> str:

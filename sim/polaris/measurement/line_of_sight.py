@@ -142,8 +142,7 @@ class Capsules:
         a = _squares(along)
         offsets = points_mm[:, None] - self.starts_mm
         shares = _share((offsets * along).sum(axis=-1) / np.where(a > 0.0, a, 1.0))
-        held: Flags = np.sqrt(_squares(offsets - shares[..., None] * along)) < self.radii_mm
-        return held
+        return np.sqrt(_squares(offsets - shares[..., None] * along)) < self.radii_mm
 
 
 def _squares(vectors: Vectors) -> Vectors:
@@ -154,8 +153,7 @@ def _squares(vectors: Vectors) -> Vectors:
 
 def _share(values: Vectors) -> Vectors:
     """Clamp values to 0..1, faster than `numpy.clip`."""
-    limited: Vectors = np.minimum(np.maximum(values, 0.0), 1.0)
-    return limited
+    return np.minimum(np.maximum(values, 0.0), 1.0)
 
 
 class ArmBody:

@@ -195,8 +195,7 @@ class StatePackages:
         values, modes = controller.robot.values, controller.modes
 
         def field(name: str) -> list[float]:
-            found: list[float] = values[PLACES[name]]
-            return found
+            return values[PLACES[name]]
 
         numbers = [
             *field("timestamp"),
