@@ -80,7 +80,7 @@ def kuka(
     from ronna_hw.endpoints import parse_endpoint
     from sim.kuka.autostart import Autostart
     from sim.kuka.controller import Controller
-    from sim.kuka.controller_parameters import SUBMIT_CYCLE_S, ControllerParameters, parse_parameters
+    from sim.kuka.controller_parameters import SUBMIT_CYCLE_S, ControllerParameters
     from sim.kuka.cycle_loop import CycleLoop
     from sim.kuka.eki.server import EkiServer
     from sim.kuka.manipulator import Manipulator
@@ -97,7 +97,7 @@ def kuka(
     if detach and not IN_BACKGROUND:
         start_in_background("kuka")
         return
-    parameters = parse_parameters(parameter or ()).of_arm(role.number)
+    parameters = ControllerParameters.parse(parameter or ()).of_arm(role.number)
     context = _read_context(rsi_config, rsi_context, corrections, cycle_ms, parameters.longest_file_name)
     ethernet = context.ethernet
     TelegramWriter(context.all_send, ethernet.precision, (0.0,) * 6, (0.0,) * 6)  # rejects a bad layout

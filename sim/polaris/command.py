@@ -48,7 +48,7 @@ def polaris(
     from sim.polaris.line.pseudo_terminal import PseudoTerminal
     from sim.polaris.line.server import EndSignal, Server, listen
     from sim.polaris.tracker_unit import SimulatedUnit
-    from sim.polaris.unit.behaviour import UnitBehaviour, parse_behaviour
+    from sim.polaris.unit.behaviour import UnitBehaviour
     from sim.polaris.unit.model import UNIT_MODELS
     from sim.polaris.unit.ports import plug_in
     from sim.world.process import announce, end_with_parent, open_own_control_port, open_world
@@ -60,7 +60,7 @@ def polaris(
     if detach and not IN_BACKGROUND:
         start_in_background("polaris")
         return
-    behaviour = parse_behaviour(setting or [])
+    behaviour = UnitBehaviour.parse(setting or [])
     if scene == "bench" and profile is PolarisModel.VICRA:
         scene = "bench-near"  # the usual bench is outside the Vicra's volume
     room = open_world(world, scene, faults, FAULT_DEVICES)

@@ -18,7 +18,7 @@ from ronna_hw.host.process import describe_exit
 from ronna_hw.records import write_atomically
 from sim.errors import BAD_CALIBRATION_FILE, BAD_DEVICE_PARAMETER, BAD_SAVED_WORLD
 from sim.kuka.pendant import PENDANT_PREFIX
-from sim.polaris.unit.behaviour import parse_behaviour
+from sim.polaris.unit.behaviour import UnitBehaviour
 from sim.polaris.unit.tool_definition import write_definition
 from sim.theatre.arm_controllers import CONTROLLERS, device_name
 from sim.theatre.theatre_file import (
@@ -245,8 +245,8 @@ def parameters_by_device(settings: Sequence[str], scene: Scene) -> dict[str, tup
         name = names[device]
         found[name] = (*found.get(name, ()), assignment)
     for role, arm in arms.items():
-        CONTROLLERS[arm.variant].parse_parameters(found.get(device_name(scene, role), ()))
-    parse_behaviour(found.get(POLARIS, ()))
+        CONTROLLERS[arm.variant].parameters.parse(found.get(device_name(scene, role), ()))
+    UnitBehaviour.parse(found.get(POLARIS, ()))
     return found
 
 

@@ -53,7 +53,7 @@ def ur(
     from sim.named_parameters import rows
     from sim.universal_robots.arm_in_world import ArmInWorld, require_arm
     from sim.universal_robots.controller import Controller
-    from sim.universal_robots.controller_parameters import ControllerParameters, parse_parameters
+    from sim.universal_robots.controller_parameters import ControllerParameters
     from sim.universal_robots.cycle_loop import CycleLoop
     from sim.universal_robots.factory_calibration import calibrate
     from sim.universal_robots.kinematics import frame_of_matrix_mm
@@ -70,7 +70,7 @@ def ur(
     if detach and not IN_BACKGROUND:
         start_in_background("ur")
         return
-    parameters = parse_parameters(parameter or ()).of_arm(role.number)
+    parameters = ControllerParameters.parse(parameter or ()).of_arm(role.number)
     place = require_loopback(address)
     room = open_world(world, scene, faults, FAULTS_OF, paced=not lock_step, arm=ArmChoice(model), role=role)
     described, truth = MODELS[model], room.scene.arm_of(role)

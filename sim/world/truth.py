@@ -18,7 +18,7 @@ from ronna_hw.calibration import Numbers3, Strict
 from ronna_hw.mistakes import describe_mistakes
 from sim.errors import BAD_TRUTH, STAND_NOT_READY
 from sim.world.displacements import STILL, ShiftedRoom, rigid_move, yielding_flange
-from sim.world.faults import Fault, FaultBoard, FaultKind
+from sim.world.faults import FaultBoard
 from sim.world.faults.room import (
     BAD_SEAT,
     BENT_INSTRUMENT,
@@ -221,14 +221,14 @@ class TrueGuide:
         room = self._room.now()
         pose = yielding_flange(flange, self._flange_from_marker, room).copy()
         pose[2, 3] -= self._scene.arm.sag_mm_kg * sum(
-            float(one.argument) for one in self._active_faults(WRONG_LOAD)
+            float(one.argument) for one in self._board.active(WRONG_LOAD.name)
         )
         moved = rigid_move(room.seat_rad, room.seat_mm)
         return pose @ self._tip_at_calibration @ moved @ self._seat_pose()
 
     def mandrel(self) -> Matrix:
         """Return the pose of the end of the mandrel in use."""
-        longer_mm = sum(float(one.argument) for one in self._active_faults(WRONG_MANDREL))
+        longer_mm = sum(float(one.argument) for one in self._board.active(WRONG_MANDREL.name))
         return self.tip_frame() @ matrix_from((0.0, 0.0, longer_mm), np.eye(3))
 
     def instrument_tip_mm(self, stop_mm: float, target: str, draw: int) -> Vector:
@@ -240,10 +240,10 @@ class TrueGuide:
     def tip_between_mm(self, stop_mm: float, upper: Vector, lower: Vector) -> Vector:
         """Return the tip (3,) of an instrument at these places (2,) in both ends of the bore."""
         guide = self._scene.mount.guide
-        longer_mm = sum(float(one.argument) for one in self._active_faults(WRONG_INSTRUMENT))
+        longer_mm = sum(float(one.argument) for one in self._board.active(WRONG_INSTRUMENT.name))
         beyond_mm = stop_mm + longer_mm - guide.bore_mm
         offset_mm = lower + (lower - upper) * beyond_mm / guide.bore_mm
-        for fault in self._active_faults(BENT_INSTRUMENT):
+        for fault in self._board.active(BENT_INSTRUMENT.name):
             offset_mm += [float(number) for number in fault.arguments]
         point = np.array([*offset_mm, beyond_mm - guide.reach_mm, 1.0])
         return np.asarray((self.tip_frame() @ point)[:3])
@@ -255,7 +255,7 @@ class TrueGuide:
             self._seat_offset_mm = (again, drawn_mm)
         seat_offset_mm = self._seat_offset_mm[1].copy()
         tilt_rad = 0.0
-        for fault in self._active_faults(BAD_SEAT):
+        for fault in self._board.active(BAD_SEAT.name):
             seat_offset_mm[2] -= float(fault.argument)
             tilt_rad += radians(float(fault.arguments[1]))
         return matrix_from(seat_offset_mm, rotation_from_vector((tilt_rad, 0.0, 0.0)))
@@ -264,16 +264,13 @@ class TrueGuide:
         """Return the guide's bend, about the upper end of the bore."""
         guide = self._scene.mount.guide
         away = np.array(guide.bent_mm)
-        for fault in self._active_faults(BENT_TIP):
+        for fault in self._board.active(BENT_TIP.name):
             away += [float(number) for number in fault.arguments]
         height_mm = guide.bore_mm + guide.reach_mm
         tilt = (-away[1] / height_mm, away[0] / height_mm, 0.0)
         whole = rotation_from_vector(np.add(tilt, (*np.radians(guide.tilt_deg), 0.0)))
         pivot, back = (matrix_from((0.0, 0.0, z), np.eye(3)) for z in (-height_mm, height_mm))
         return pivot @ matrix_from((0.0, 0.0, away[2]), whole) @ back
-
-    def _active_faults(self, kind: FaultKind) -> tuple[Fault, ...]:
-        return () if self._board.empty else self._board.active(kind.name)
 
 
 def tip_at_calibration(world: World) -> Matrix:
