@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import copy
 import threading
 import time
 from dataclasses import dataclass, field
 from enum import IntEnum
-from typing import Protocol
 
+from ronna_hw.clock import SharedClock
 from ronna_hw.wire.gige_vision import (
     GAIN_RAW_MINIMUM,
     PIXEL_FORMAT_BITS_MASK,
@@ -168,25 +167,10 @@ class CameraSettings:
             RampImage(self.test_image),
         )
 
-    def copy(self) -> CameraSettings:
-        """Return an independent copy."""
-        return copy.deepcopy(self)
-
 
 def bits_per_pixel(pixel_format: PixelFormat) -> int:
     """Return the number of bits per pixel on the wire."""
     return pixel_format >> PIXEL_FORMAT_BITS_SHIFT & PIXEL_FORMAT_BITS_MASK
-
-
-class TheatreClock(Protocol):
-    """The part of the theatre clock used by a camera."""
-
-    @property
-    def paced(self) -> bool: ...
-
-    def now_ns(self) -> int: ...
-
-    def wait_until_ns(self, moment_ns: int) -> None: ...
 
 
 def readout_us(frame: FrameSettings) -> float:
@@ -213,12 +197,11 @@ class TriggerMoments:
     triggered sequentially stays a pair and does not take twice the time.
     """
 
-    def __init__(self, clock: TheatreClock) -> None:
+    def __init__(self, clock: SharedClock) -> None:
         self._clock = clock
         self._lock = threading.Lock()
-        self._first: tuple[str, int, int] | None = (
-            None  # camera, host time, theatre time of the first trigger of a pair
-        )
+        # Camera, host time and theatre time of the first trigger of a pair.
+        self._first: tuple[str, int, int] | None = None
 
     def stamp_trigger(self, camera: str) -> int:
         """Return the theatre time in ns of the trigger now reaching this camera."""
@@ -238,7 +221,7 @@ class TriggerMoments:
 class Ticks:
     """Camera time stamp counter, driven by the theatre clock."""
 
-    def __init__(self, clock: TheatreClock, faults: CameraFaults = NO_FAULTS) -> None:
+    def __init__(self, clock: SharedClock, faults: CameraFaults = NO_FAULTS) -> None:
         self._clock = clock
         self._faults = faults
         self._zero_ns = 0
@@ -249,23 +232,20 @@ class Ticks:
 
     def stamp(self, moment_ns: int) -> int:
         """Return a frame's time stamp in ticks, unique even among frames at the same theatre time."""
-        self._last_stamp = max(self._ticks_at(moment_ns), self._last_stamp + 1)
+        self._last_stamp = max(self.count(moment_ns), self._last_stamp + 1)
         return self._last_stamp
-
-    def count(self, moment_ns: int) -> int:
-        """Return the tick count at a theatre time; for frame time stamps, use `stamp` instead."""
-        return self._ticks_at(moment_ns)
 
     def latch(self) -> None:
         """Latch the present count for reading."""
-        self.latched = self._ticks_at(self._clock.now_ns())
+        self.latched = self.count(self._clock.now_ns())
 
     def reset(self) -> None:
         """Reset the counter to zero."""
         self._zero_ns = self._clock.now_ns()
         self._last_stamp = 0
 
-    def _ticks_at(self, moment_ns: int) -> int:
+    def count(self, moment_ns: int) -> int:
+        """Return the tick count at a theatre time; for frame time stamps, use `stamp` instead."""
         if self._faults.happened("reset_clock"):
             self.reset()
         drift_ppm = self._faults.drift_ppm()

@@ -81,8 +81,7 @@ def ur(
     kinematics = calibrate(described, truth, seed, parameters.factory_calibration)
     controller = Controller(described, parameters, kinematics, start_rad, seed)
     controller.loads.on_tool = SimulatedLoad(room)
-    held = room.scene.assistant
-    if role is not MASTER and held is not None:
+    if (held := room.scene.holders.get(role)) is not None:
         controller.loads.instrument = frame_of_matrix_mm(matrix_of(held.flange_from_clamp))
     drives = controller.robot.drives
     arm = ArmInWorld(truth, seed, room.publish_arm, drives, parameters, described.cycle_s, last)
@@ -107,17 +106,13 @@ def _no_tool() -> int:
 
 def require_loopback(address: str) -> str:
     """Return an address of this computer alone; raises URC-002 for any other."""
-    from ipaddress import IPv4Address
-
     from ronna_hw.wire.universal_robots import RTDE_PORT
     from sim.universal_robots.connections import find_free
     from sim.universal_robots.errors import BAD_ADDRESS
+    from sim.universal_robots.programs.outgoing import is_this_computer
 
-    try:
-        if IPv4Address(address).is_loopback:
-            return address
-    except ValueError:
-        pass
+    if is_this_computer(address):
+        return address
     raise BAD_ADDRESS(
         f"a controller cannot be simulated at {address!r}",
         expected="an address in 127.0.0.0/8",

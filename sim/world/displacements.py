@@ -95,16 +95,12 @@ class ShiftedRoom:
         head = world.scene.head
         self._head_centre_mm = apply(matrix_of(head.robot_from_ct), head.centre_ct_mm)
         self._tracker_mm = np.array(world.scene.tracker.robot_from_tracker.translation_mm)
-        assistant = world.scene.assistant
-        self._assistant_base = IDENTITY if assistant is None else matrix_of(assistant.robot_from_base)
+        holders = world.scene.holders
+        self._bases = {role: matrix_of(one.robot_from_base) for role, one in holders.items()}
 
-    def robot_from_assistant(self, room: RoomShift) -> Matrix:
-        """Return ROBOT <- base of the assistant (4, 4) with a displacement of the room."""
-        return rigid_move(room.assistant_rad, room.assistant_mm) @ self._assistant_base
-
-    def _assistant_move(self, in_base: Matrix) -> Matrix:
-        """Return a move of the assistant's cart, given in its base, as one in the robot frame."""
-        return self._assistant_base @ in_base @ inverse(self._assistant_base)
+    def robot_from_base(self, role: ArmRole, room: RoomShift) -> Matrix:
+        """Return ROBOT <- base of an arm beside the master (4, 4) with a displacement of the room."""
+        return rigid_move(room.assistant_rad, room.assistant_mm) @ self._bases[role]
 
     def now(self) -> RoomShift:
         """Return the current displacements, or the object `NOTHING_MOVED` if there are no faults."""
@@ -119,9 +115,8 @@ class ShiftedRoom:
         push_N = _add_up([[float(each) for each in push.arguments] for push in pushes])
         knocked = matrix_from(cart_mm, rotation_from_vector(np.radians(_sum_arguments(turns, CART))))
         moves = [one for one in self._board.acting_since() if one[0].kind is MOVE]
-        wheeled = cart_pose(moves, now_s, ArmRole.MASTER)
         # Relative to a moved cart, all else moves back.
-        from_cart = inverse(knocked @ wheeled)
+        from_cart = inverse(knocked @ cart_pose(moves, now_s, ArmRole.MASTER))
         back = from_cart[:3, :3]
 
         def displaced(body: str, centre_mm: Matrix) -> Matrix:
@@ -130,9 +125,9 @@ class ShiftedRoom:
 
         head = displaced(HEAD, self._head_centre_mm)
         tracker = displaced(TRACKER, self._tracker_mm)
-        assistant = displaced(ASSISTANT_CART, self._assistant_base[:3, 3]) @ self._assistant_move(
-            cart_pose(moves, now_s, ArmRole.ASSISTANT)
-        )
+        base = self._bases.get(ArmRole.ASSISTANT, IDENTITY)
+        wheeled = base @ cart_pose(moves, now_s, ArmRole.ASSISTANT) @ inverse(base)
+        assistant = displaced(ASSISTANT_CART, base[:3, 3]) @ wheeled
         guide_mm = np.divide(push_N, self._stiffness_N_mm) + _sum_arguments(shifts, GUIDE)
         return RoomShift(
             head_mm=as_point(head[:3, 3]),

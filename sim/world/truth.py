@@ -30,7 +30,6 @@ from sim.world.faults.room import (
     WRONG_MANDREL,
 )
 from sim.world.noise import noise
-from sim.world.options import ArmRole
 from sim.world.rigid import Matrix, as_point, inverse, matrix_from, matrix_of, rotation_from_vector
 from sim.world.world import World
 
@@ -75,13 +74,17 @@ def sample_instrument(world: World, guide: TrueGuide, target: str, stop_mm: floa
     `target` is a name of the caller's; `draw` distinguishes insertions there, each elsewhere within the
     bore's play.
     """
+    return _sample_tip(world, guide, target, guide.instrument_tip_mm(stop_mm, target, draw))
+
+
+def _sample_tip(world: World, guide: TrueGuide, target: str, tip_mm: Vector) -> TipSample:
     room = ShiftedRoom(world).now()
     return TipSample(
         target=target,
         theatre_time_s=world.clock.now_s(),
         mounted_tool=world.mounted_tool(),
         arm_at_rest=world.arm().at_rest,
-        tip_mm=as_point(guide.instrument_tip_mm(stop_mm, target, draw)),
+        tip_mm=as_point(tip_mm),
         axis=as_point(guide.tip_frame()[:3, 2]),
         head_shift_mm=room.head_mm,
         head_turn_rad=room.head_rad,
@@ -96,12 +99,16 @@ def sample_seated_instrument(
     The bore decides where it is, within its play on the side to which the assistant holds it. Its clamp
     slides once the depth stop rests on the guide. Raises SIM-015 where it would bind or not slide.
     """
-    assistant, bore = world.scene.assistant, world.scene.mount.guide
-    if assistant is None or not world.has_arm(ArmRole.ASSISTANT):
+    room, bore = ShiftedRoom(world), world.scene.mount.guide
+    now = room.now()
+    clamps = [
+        room.robot_from_base(role, now) @ world.arm(role).robot_from_flange @ matrix_of(one.flange_from_clamp)
+        for role, one in world.scene.holders.items()
+        if world.has_arm(role)
+    ]
+    if not clamps:
         raise STAND_NOT_READY("there is no assistant that holds an instrument")
-    room = ShiftedRoom(world)
-    flange = world.arm(ArmRole.ASSISTANT).robot_from_flange
-    clamp = room.robot_from_assistant(room.now()) @ flange @ matrix_of(assistant.flange_from_clamp)
+    (clamp,) = clamps
     in_guide = inverse(guide.tip_frame()) @ clamp @ _loosened(world)
     upper_z, lower_z = -bore.bore_mm - bore.reach_mm, -bore.reach_mm
     gap_mm = float(upper_z - in_guide[2, 3])
@@ -122,20 +129,9 @@ def sample_seated_instrument(
     upper, lower = (
         end * min(1.0, bore.play_mm / 2.0 / max(float(np.linalg.norm(end)), 1e-9)) for end in ends
     )
-    now = room.now()
-    sample = TipSample(
-        target=target,
-        theatre_time_s=world.clock.now_s(),
-        mounted_tool=world.mounted_tool(),
-        arm_at_rest=world.arm().at_rest,
-        tip_mm=as_point(guide.tip_between_mm(stop_mm - gap_mm, upper, lower)),
-        axis=as_point(guide.tip_frame()[:3, 2]),
-        head_shift_mm=now.head_mm,
-        head_turn_rad=now.head_rad,
-        held_off_mm=off_mm,
-        held_off_rad=math.acos(min(1.0, float(in_guide[2, 2]))),
-    )
-    return sample, gap_mm
+    sample = _sample_tip(world, guide, target, guide.tip_between_mm(stop_mm - gap_mm, upper, lower))
+    held_off = {"held_off_mm": off_mm, "held_off_rad": math.acos(min(1.0, float(in_guide[2, 2])))}
+    return sample.model_copy(update=held_off), gap_mm
 
 
 def _loosened(world: World) -> Matrix:

@@ -32,7 +32,7 @@ from sim.polaris.unit.ports import Port
 from sim.world.displacements import ShiftedRoom
 from sim.world.faults import FaultBoard
 from sim.world.noise import ReusedNoise
-from sim.world.options import ArmRole
+from sim.world.options import OTHER_ARMS
 from sim.world.world import ArmState, World
 
 SUNLIGHT_NOISE = 2.0  # factor on the noise under ambient infrared light; an estimate without a source
@@ -226,8 +226,8 @@ class MarkerVisibility:
     def now(self, ports: tuple[Port, ...], disturbance: Disturbance) -> VisibleMarkers:
         """Return the markers currently visible with the given ports enabled."""
         arm, mounted = self._scene.arm(), self._scene.mounted_tool()
-        assistant = self._scene.arm(ArmRole.ASSISTANT)
-        flanges = (None if one is None else one.robot_from_flange.tobytes() for one in (arm, assistant))
+        arms = (arm, *map(self._scene.arm, OTHER_ARMS))
+        flanges = (None if one is None else one.robot_from_flange.tobytes() for one in arms)
         key = (*flanges, mounted, disturbance)
         if self._kept is None or key != self._key:
             self._kept = self._compute(ports, disturbance, arm, mounted)

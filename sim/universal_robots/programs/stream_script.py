@@ -8,7 +8,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from math import isfinite
-from typing import Final
+from typing import Any, Final
 
 from ronna_hw.wire.universal_robots import (
     ORDER_INPUT,
@@ -56,14 +56,8 @@ def read_settings(text: str) -> ScriptSettings | str:
     for name, value in numbers.items():
         if not (isfinite(value) and value > 0.0):
             return f"{name} is {value:g}"
-    return ScriptSettings(
-        CYCLE_S=numbers["CYCLE_S"],
-        STARVED_CYCLES=int(numbers["STARVED_CYCLES"]),
-        LARGEST_STEP_RAD=numbers["LARGEST_STEP_RAD"],
-        STOP_DECELERATION_RAD_S2=numbers["STOP_DECELERATION_RAD_S2"],
-        LOOKAHEAD_S=numbers["LOOKAHEAD_S"],
-        GAIN=numbers["GAIN"],
-    )
+    whole: dict[str, Any] = {"STARVED_CYCLES": int(numbers["STARVED_CYCLES"])}
+    return ScriptSettings(**numbers | whole)
 
 
 def stream_program(name: str, text: str) -> UrProgram:

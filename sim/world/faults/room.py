@@ -45,12 +45,12 @@ def _check_cart(arguments: Arguments, scene: Scene) -> Iterator[str]:
 
 
 def _check_present(arguments: Arguments, scene: Scene) -> Iterator[str]:
-    if arguments[0] == ASSISTANT_CART and scene.assistant is None:
+    if arguments[0] == ASSISTANT_CART and not scene.holders:
         yield f"expected a scene with two arms, got {scene.name}: there is no {ASSISTANT_CART}"
 
 
 def _check_clamp(_arguments: Arguments, scene: Scene) -> Iterator[str]:
-    if scene.assistant is None:
+    if not scene.holders:
         yield f"expected a scene with two arms, got {scene.name}: there is no clamp"
 
 

@@ -265,7 +265,7 @@ def test_losing_control_ends_the_stream_and_the_next_client_starts_from_one(benc
     triggered(bench)
     assert bench.write(Bootstrap.CCP, 0) == OK
     assert bench.read(Bootstrap.SCP) == 0
-    assert not bench.camera.acquiring
+    assert not bench.camera.acquisition.running
     triggered(bench)
     assert header(bench.shoot()[0])[1] == 1
 
