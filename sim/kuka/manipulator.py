@@ -39,9 +39,7 @@ class Manipulator:
         start_deg = (
             truth.home_deg if resume_from is None else [degrees(angle) for angle in resume_from.joints_rad]
         )
-        self.drives = Drives(self.description, start_deg, parameters)
-        if resume_from is not None:
-            self.drives.restore(resume_from.flanks, resume_from.motion_number, resume_from.moved_s)
+        self.drives = Drives(self.description, start_deg, parameters, resume_from)
         self._nominal = JointChain(self.description)
         self._true = TrueArm(truth, seed)
         self._publish = publish

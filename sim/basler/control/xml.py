@@ -70,17 +70,7 @@ def add_event_data(root: ElementTree.Element) -> None:
         node = _add_node(root, "Integer", data.name)
         _add_child(node, "ToolTip", data.about)
         _add_child(node, "pValue", f"{data.name}Register")
-        register = _add_node(root, "IntReg", f"{data.name}Register")
-        for tag, text in (
-            ("Address", f"0x{data.offset:X}"),
-            ("Length", str(data.length)),
-            ("AccessMode", "RO"),
-            ("pPort", data.port),
-            ("Cachable", "NoCache"),
-            ("Sign", "Unsigned"),
-            ("Endianess", "BigEndian"),
-        ):
-            _add_child(register, tag, text)
+        _add_integer_register(root, f"{data.name}Register", data.offset, "RO", data.length, port=data.port)
     for kind in EventKind:
         port = _add_node(root, "Port", f"{kind.feature_name}EventPort")
         _add_child(port, "EventID", f"{kind:x}")
@@ -116,9 +106,8 @@ class StandardFeature:
 
 
 def _text_feature(name: str, address: Bootstrap, about: str, access: str = "RO") -> StandardFeature:
-    return StandardFeature(
-        name, "DeviceInformation", "StringReg", address, about, access, TEXT_BYTES[address]
-    )
+    size = TEXT_BYTES[address]
+    return StandardFeature(name, "DeviceInformation", "StringReg", address, about, access, size)
 
 
 def _integer_feature(
@@ -252,14 +241,8 @@ def _add_feature(root: ElementTree.Element, feature: Feature) -> None:
     for selected in feature.selects:
         _add_child(node, "pSelected", selected)
     access = "WO" if feature.read is None else ("RO" if feature.write is None else "RW")
-    _add_number_register(
-        root,
-        register,
-        feature,
-        address,
-        access,
-        [one.name for one in FEATURES if feature.name in one.selects],
-    )
+    invalidators = [one.name for one in FEATURES if feature.name in one.selects]
+    _add_number_register(root, register, feature, address, access, invalidators)
 
 
 def _add_limits(root: ElementTree.Element, node: ElementTree.Element, feature: Feature, address: int) -> None:
@@ -275,19 +258,14 @@ def _add_limits(root: ElementTree.Element, node: ElementTree.Element, feature: F
 
 
 def _add_number_register(
-    root: ElementTree.Element,
-    name: str,
-    feature: Feature,
-    address: int,
-    access: str,
-    invalidators: Sequence[str],
+    root: ElementTree.Element, name: str, feature: Feature, address: int, access: str, more: Sequence[str]
 ) -> None:
     if feature.kind is Kind.FLOAT:
         node = _add_node(root, "FloatReg", name)
-        _locate(node, address, access, REGISTER_BYTES, invalidators)
+        _locate(node, address, access, REGISTER_BYTES, more)
         _add_child(node, "Endianess", "BigEndian")
         return
-    _add_integer_register(root, name, address, access, REGISTER_BYTES, invalidators)
+    _add_integer_register(root, name, address, access, REGISTER_BYTES, more)
 
 
 def _add_integer_register(
@@ -297,20 +275,26 @@ def _add_integer_register(
     access: str,
     size: int,
     invalidators: Sequence[str] = (),
+    port: str = PORT,
 ) -> None:
     node = _add_node(root, "IntReg", name)
-    _locate(node, address, access, size, invalidators)
+    _locate(node, address, access, size, invalidators, port)
     _add_child(node, "Sign", "Unsigned")
     _add_child(node, "Endianess", "BigEndian")
 
 
 def _locate(
-    node: ElementTree.Element, address: int, access: str, size: int, invalidators: Sequence[str] = ()
+    node: ElementTree.Element,
+    address: int,
+    access: str,
+    size: int,
+    invalidators: Sequence[str] = (),
+    port: str = PORT,
 ) -> None:
     _add_child(node, "Address", f"0x{address:X}")
     _add_child(node, "Length", str(size))
     _add_child(node, "AccessMode", access)
-    _add_child(node, "pPort", PORT)
+    _add_child(node, "pPort", port)
     # Limits, status and payload size change on their own: a client must always read them.
     _add_child(node, "Cachable", "NoCache")
     for invalidator in invalidators:
