@@ -8,15 +8,8 @@ from dataclasses import dataclass, field
 from enum import IntEnum
 
 from ronna_hw.clock import SharedClock
-from ronna_hw.wire.gige_vision import (
-    GAIN_RAW_MINIMUM,
-    PIXEL_FORMAT_BITS_MASK,
-    PIXEL_FORMAT_BITS_SHIFT,
-    SENSOR_HEIGHT_PX,
-    SENSOR_WIDTH_PX,
-    TICK_FREQUENCY_HZ,
-    PixelFormat,
-)
+from ronna_hw.wire import gige_vision as gev
+from ronna_hw.wire.gige_vision import PixelFormat
 from sim.basler.faults import NO_FAULTS, CameraFaults
 from sim.basler.optics.canvas import Area
 
@@ -25,9 +18,9 @@ DEFAULT_BLACK_LEVEL_RAW = 32
 DEFAULT_FRAME_RATE_HZ = 50.0
 
 FULL_FRAME_RATE_HZ = 50.0
-ROW_US = 1e6 / FULL_FRAME_RATE_HZ / SENSOR_HEIGHT_PX  # read-out of one row
+ROW_US = 1e6 / FULL_FRAME_RATE_HZ / gev.SENSOR_HEIGHT_PX  # read-out of one row
 LINK_BYTES_PER_S = 115e6  # image data on 1 Gbit/s: 50 frames/s of 8 bits, 26 of 12, 34 of 12 packed
-NS_PER_TICK = 1_000_000_000 // TICK_FREQUENCY_HZ
+NS_PER_TICK = 1_000_000_000 // gev.TICK_FREQUENCY_HZ
 # In lock-step two triggers within this host time belong together, and the theatre time between them is at
 # most that between two software triggers on a real network.
 SAME_PAIR_HOST_NS = 500_000_000
@@ -124,8 +117,8 @@ class FrameSettings:
 class CameraSettings:
     """User set contents and selectors, with the power-on values as defaults."""
 
-    width: int = SENSOR_WIDTH_PX
-    height: int = SENSOR_HEIGHT_PX
+    width: int = gev.SENSOR_WIDTH_PX
+    height: int = gev.SENSOR_HEIGHT_PX
     offset_x: int = 0
     offset_y: int = 0
     pixel_format: int = PixelFormat.MONO8
@@ -135,7 +128,7 @@ class CameraSettings:
     frame_rate_enabled: int = 0
     frame_rate_hz: float = DEFAULT_FRAME_RATE_HZ
     exposure_us: int = DEFAULT_EXPOSURE_US
-    gain_raw: int = GAIN_RAW_MINIMUM
+    gain_raw: int = gev.GAIN_RAW_MINIMUM
     black_level_raw: int = DEFAULT_BLACK_LEVEL_RAW
     trigger_selector: int = Trigger.FRAME_START
     triggers: tuple[TriggerSettings, TriggerSettings] = field(
@@ -170,7 +163,7 @@ class CameraSettings:
 
 def bits_per_pixel(pixel_format: PixelFormat) -> int:
     """Return the number of bits per pixel on the wire."""
-    return pixel_format >> PIXEL_FORMAT_BITS_SHIFT & PIXEL_FORMAT_BITS_MASK
+    return pixel_format >> gev.PIXEL_FORMAT_BITS_SHIFT & gev.PIXEL_FORMAT_BITS_MASK
 
 
 def readout_us(frame: FrameSettings) -> float:

@@ -19,16 +19,7 @@ from ronna_hw.mistakes import describe_mistakes
 from sim.errors import BAD_TRUTH, STAND_NOT_READY
 from sim.world.displacements import STILL, ShiftedRoom, rigid_move, yielding_flange
 from sim.world.faults import FaultBoard
-from sim.world.faults.room import (
-    BAD_SEAT,
-    BENT_INSTRUMENT,
-    BENT_TIP,
-    DEVICE,
-    LOOSE_INSTRUMENT,
-    WRONG_INSTRUMENT,
-    WRONG_LOAD,
-    WRONG_MANDREL,
-)
+from sim.world.faults import room as room_faults
 from sim.world.noise import noise
 from sim.world.rigid import Matrix, as_point, inverse, matrix_from, matrix_of, rotation_from_vector
 from sim.world.world import World
@@ -137,7 +128,7 @@ def sample_seated_instrument(
 def _loosened(world: World) -> Matrix:
     """Return clamp <- instrument's own clamp frame (4, 4) as a loose clamp leaves it."""
     pose = np.eye(4)
-    for fault in FaultBoard(world, DEVICE).active(LOOSE_INSTRUMENT.name):
+    for fault in FaultBoard(world, room_faults.DEVICE).active(room_faults.LOOSE_INSTRUMENT.name):
         *shift_mm, tilt_deg = map(float, fault.arguments)
         pose = pose @ matrix_from(shift_mm, rotation_from_vector((radians(tilt_deg), 0.0, 0.0)))
     return pose
@@ -195,7 +186,7 @@ class TrueGuide:
     def __init__(self, world: World) -> None:
         self._world = world
         self._scene = world.scene
-        self._board = FaultBoard(world, DEVICE)
+        self._board = FaultBoard(world, room_faults.DEVICE)
         self._room = ShiftedRoom(world)
         mount = self._scene.mount
         self._flange_from_marker = matrix_of(mount.flange_from_tool_true) @ matrix_of(
@@ -217,14 +208,14 @@ class TrueGuide:
         room = self._room.now()
         pose = yielding_flange(flange, self._flange_from_marker, room).copy()
         pose[2, 3] -= self._scene.arm.sag_mm_kg * sum(
-            float(one.argument) for one in self._board.active(WRONG_LOAD.name)
+            float(one.argument) for one in self._board.active(room_faults.WRONG_LOAD.name)
         )
         moved = rigid_move(room.seat_rad, room.seat_mm)
         return pose @ self._tip_at_calibration @ moved @ self._seat_pose()
 
     def mandrel(self) -> Matrix:
         """Return the pose of the end of the mandrel in use."""
-        longer_mm = sum(float(one.argument) for one in self._board.active(WRONG_MANDREL.name))
+        longer_mm = sum(float(one.argument) for one in self._board.active(room_faults.WRONG_MANDREL.name))
         return self.tip_frame() @ matrix_from((0.0, 0.0, longer_mm), np.eye(3))
 
     def instrument_tip_mm(self, stop_mm: float, target: str, draw: int) -> Vector:
@@ -236,10 +227,10 @@ class TrueGuide:
     def tip_between_mm(self, stop_mm: float, upper: Vector, lower: Vector) -> Vector:
         """Return the tip (3,) of an instrument at these places (2,) in both ends of the bore."""
         guide = self._scene.mount.guide
-        longer_mm = sum(float(one.argument) for one in self._board.active(WRONG_INSTRUMENT.name))
+        longer_mm = sum(float(one.argument) for one in self._board.active(room_faults.WRONG_INSTRUMENT.name))
         beyond_mm = stop_mm + longer_mm - guide.bore_mm
         offset_mm = lower + (lower - upper) * beyond_mm / guide.bore_mm
-        for fault in self._board.active(BENT_INSTRUMENT.name):
+        for fault in self._board.active(room_faults.BENT_INSTRUMENT.name):
             offset_mm += [float(number) for number in fault.arguments]
         point = np.array([*offset_mm, beyond_mm - guide.reach_mm, 1.0])
         return np.asarray((self.tip_frame() @ point)[:3])
@@ -251,7 +242,7 @@ class TrueGuide:
             self._seat_offset_mm = (again, drawn_mm)
         seat_offset_mm = self._seat_offset_mm[1].copy()
         tilt_rad = 0.0
-        for fault in self._board.active(BAD_SEAT.name):
+        for fault in self._board.active(room_faults.BAD_SEAT.name):
             seat_offset_mm[2] -= float(fault.argument)
             tilt_rad += radians(float(fault.arguments[1]))
         return matrix_from(seat_offset_mm, rotation_from_vector((tilt_rad, 0.0, 0.0)))
@@ -260,7 +251,7 @@ class TrueGuide:
         """Return the guide's bend, about the upper end of the bore."""
         guide = self._scene.mount.guide
         away = np.array(guide.bent_mm)
-        for fault in self._board.active(BENT_TIP.name):
+        for fault in self._board.active(room_faults.BENT_TIP.name):
             away += [float(number) for number in fault.arguments]
         height_mm = guide.bore_mm + guide.reach_mm
         tilt = (-away[1] / height_mm, away[0] / height_mm, 0.0)

@@ -9,16 +9,8 @@ from dataclasses import dataclass
 from functools import cache
 from xml.etree import ElementTree
 
-from ronna_hw.wire.gige_vision import (
-    ACA2000_50GM_NIR,
-    BASLER,
-    EVENT_ITEM_BYTES,
-    REGISTER_BYTES,
-    TEXT_BYTES,
-    TIMESTAMP_LATCH,
-    TIMESTAMP_RESET,
-    Bootstrap,
-)
+from ronna_hw.wire import gige_vision as gev
+from ronna_hw.wire.gige_vision import Bootstrap
 from sim.basler.camera.features import Feature, Kind
 from sim.basler.control.feature_table import FEATURES, MAXIMUM_OFFSET, MINIMUM_OFFSET, STEP_OFFSET, address_of
 from sim.basler.settings import EventKind
@@ -54,7 +46,7 @@ def _event_data() -> Iterator[EventData]:
     for kind in EventKind:
         yield EventData(kind, "StreamChannelIndex", 4, 2, "Stream channel of the event.")
         if kind is EventKind.EXPOSURE_END:
-            yield EventData(kind, "FrameID", EVENT_ITEM_BYTES, 4, "Block ID of the exposed frame.")
+            yield EventData(kind, "FrameID", gev.EVENT_ITEM_BYTES, 4, "Block ID of the exposed frame.")
         yield EventData(kind, "Timestamp", 8, 8, "Time of the event, ticks.")
 
 
@@ -101,17 +93,17 @@ class StandardFeature:
     address: Bootstrap
     about: str
     access: str = "RO"
-    size: int = REGISTER_BYTES
+    size: int = gev.REGISTER_BYTES
     command: int | None = None
 
 
 def _text_feature(name: str, address: Bootstrap, about: str, access: str = "RO") -> StandardFeature:
-    size = TEXT_BYTES[address]
+    size = gev.TEXT_BYTES[address]
     return StandardFeature(name, "DeviceInformation", "StringReg", address, about, access, size)
 
 
 def _integer_feature(
-    name: str, address: Bootstrap, about: str, access: str = "RW", size: int = REGISTER_BYTES
+    name: str, address: Bootstrap, about: str, access: str = "RW", size: int = gev.REGISTER_BYTES
 ) -> StandardFeature:
     return StandardFeature(name, "TransportLayer", "Integer", address, about, access, size)
 
@@ -136,8 +128,8 @@ STANDARD_FEATURES = (
     _integer_feature(
         "GevTimestampTickFrequency", Bootstrap.TICK_FREQUENCY_HIGH, "Ticks per second.", "RO", 8
     ),
-    _time_command("GevTimestampControlLatch", "Latch the current time stamp.", TIMESTAMP_LATCH),
-    _time_command("GevTimestampControlReset", "Reset the time stamp to zero.", TIMESTAMP_RESET),
+    _time_command("GevTimestampControlLatch", "Latch the current time stamp.", gev.TIMESTAMP_LATCH),
+    _time_command("GevTimestampControlReset", "Reset the time stamp to zero.", gev.TIMESTAMP_RESET),
     _integer_feature(
         "GevTimestampValue", Bootstrap.TIMESTAMP_HIGH, "The latched time stamp, ticks.", "RO", 8
     ),
@@ -160,8 +152,8 @@ def camera_xml() -> bytes:
             "xmlns": NAMESPACE,
             "xmlns:xsi": "http://www.w3.org/2001/XMLSchema-instance",
             "xsi:schemaLocation": SCHEMA,
-            "ModelName": ACA2000_50GM_NIR,
-            "VendorName": BASLER,
+            "ModelName": gev.ACA2000_50GM_NIR,
+            "VendorName": gev.BASLER,
             "ToolTip": "Monochrome near-infrared camera",
             "StandardNameSpace": "GEV",
             "SchemaMajorVersion": "1",
@@ -170,7 +162,7 @@ def camera_xml() -> bytes:
             "MajorVersion": "1",
             "MinorVersion": "0",
             "SubMinorVersion": "0",
-            "ProductGuid": str(uuid.uuid5(uuid.NAMESPACE_URL, f"{NAMESPACE}/{ACA2000_50GM_NIR}")),
+            "ProductGuid": str(uuid.uuid5(uuid.NAMESPACE_URL, f"{NAMESPACE}/{gev.ACA2000_50GM_NIR}")),
             "VersionGuid": VERSION_PLACE,
         },
     )
@@ -262,10 +254,10 @@ def _add_number_register(
 ) -> None:
     if feature.kind is Kind.FLOAT:
         node = _add_node(root, "FloatReg", name)
-        _locate(node, address, access, REGISTER_BYTES, more)
+        _locate(node, address, access, gev.REGISTER_BYTES, more)
         _add_child(node, "Endianess", "BigEndian")
         return
-    _add_integer_register(root, name, address, access, REGISTER_BYTES, more)
+    _add_integer_register(root, name, address, access, gev.REGISTER_BYTES, more)
 
 
 def _add_integer_register(

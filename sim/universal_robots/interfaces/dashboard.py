@@ -5,17 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Final
 
+from ronna_hw.wire import universal_robots_services as wire
 from ronna_hw.wire.universal_robots import DASHBOARD_PORT, RuntimeState
-from ronna_hw.wire.universal_robots_services import (
-    ACCEPTED,
-    ARM_TYPE,
-    BANNER,
-    ROBOT_MODE_HEAD,
-    RUNNING_HEAD,
-    SAFETY_MODE_HEAD,
-    DashboardOrder,
-    Query,
-)
+from ronna_hw.wire.universal_robots_services import DashboardOrder, Query
 from sim.universal_robots.connections import ClientConnection, Handler, HangUp, Poll, ServiceListener
 from sim.universal_robots.controller import Controller
 from sim.universal_robots.interfaces.state_packages import BUILD_DATE
@@ -55,15 +47,15 @@ class Dashboard:
             DashboardOrder.STOP: controller.stop,
         }
         self._commands: dict[str, Callable[[str], str]] = {
-            Query.ROBOT_MODE: lambda _: f"{ROBOT_MODE_HEAD} {controller.modes.robot_mode.name}",
-            Query.SAFETY_MODE: lambda _: f"{SAFETY_MODE_HEAD} {controller.modes.safety_mode.name}",
+            Query.ROBOT_MODE: lambda _: f"{wire.ROBOT_MODE_HEAD} {controller.modes.robot_mode.name}",
+            Query.SAFETY_MODE: lambda _: f"{wire.SAFETY_MODE_HEAD} {controller.modes.safety_mode.name}",
             "safetystatus": lambda _: f"Safetystatus: {controller.modes.safety_mode.name}",
             "polyscopeversion": lambda _: f"URSoftware {controller.model.version_text} ({BUILD_DATE[:11]})",
             "version": lambda _: controller.model.version_text,
             Query.SERIAL_NUMBER: lambda _: str(controller.parameters.serial_number),
-            Query.ROBOT_MODEL: lambda _: ARM_TYPE,
+            Query.ROBOT_MODEL: lambda _: wire.ARM_TYPE,
             Query.REMOTE_CONTROL: lambda _: str(not controller.modes.local).lower(),
-            Query.RUNNING: lambda _: f"{RUNNING_HEAD} {str(self._is_playing).lower()}",
+            Query.RUNNING: lambda _: f"{wire.RUNNING_HEAD} {str(self._is_playing).lower()}",
             "programstate": lambda _: f"{STATES[controller.runtime_state]} {controller.loaded or 'null'}",
             "get loaded program": self._get_loaded,
             **{order: _accepting(order, do) for order, do in orders.items()},
@@ -86,7 +78,7 @@ class Dashboard:
         return STATES[self._controller.runtime_state] == "PLAYING"
 
     def _connect(self, connection: ClientConnection) -> LineHandler:
-        connection.send(f"{BANNER}\n".encode())
+        connection.send(f"{wire.BANNER}\n".encode())
         return LineHandler(self)
 
     def answer(self, line: str) -> str:
@@ -104,7 +96,7 @@ class Dashboard:
 
     def _unlock(self, _: str) -> str:
         is_released = self._controller.unlock_protective_stop()
-        return ACCEPTED[DashboardOrder.UNLOCK_PROTECTIVE_STOP] if is_released else TOO_EARLY
+        return wire.ACCEPTED[DashboardOrder.UNLOCK_PROTECTIVE_STOP] if is_released else TOO_EARLY
 
     def _get_loaded(self, _: str) -> str:
         loaded = self._controller.loaded
@@ -144,7 +136,7 @@ class Dashboard:
 def _accepting(order: DashboardOrder, do: Callable[[], object]) -> Callable[[str], str]:
     def carry_out(_: str) -> str:
         do()
-        return ACCEPTED[order]
+        return wire.ACCEPTED[order]
 
     return carry_out
 

@@ -10,18 +10,8 @@ from collections.abc import Iterator
 from math import isfinite
 from typing import Any, Final
 
-from ronna_hw.wire.universal_robots import (
-    ORDER_INPUT,
-    RUN_INPUT,
-    RUN_OUTPUT,
-    SEQUENCE_INPUT,
-    SEQUENCE_OUTPUT,
-    SET_POINT_INPUTS,
-    STATE_OUTPUT,
-    ScriptOrder,
-    ScriptSettings,
-    ScriptState,
-)
+from ronna_hw.wire import universal_robots as wire
+from ronna_hw.wire.universal_robots import ScriptOrder, ScriptSettings, ScriptState
 from sim.universal_robots.programs.motions import stopj
 from sim.universal_robots.programs.program import UrProgram
 from sim.universal_robots.programs.statements import run_at_once
@@ -32,9 +22,9 @@ _SETTING = re.compile(
     r"^[^\S\n]*+(?:global\s+|local\s+)?([A-Z0-9_a-z]++)\s*+=\s*+([-+0-9.eE]++)[^\S\n]*+(?:#.*)?$",
     re.MULTILINE,
 )
-_SEQUENCE, _ORDER, _RUN = index(SEQUENCE_INPUT), index(ORDER_INPUT), index(RUN_INPUT)
-_SET_POINT: Final = slice(index(SET_POINT_INPUTS[0]), index(SET_POINT_INPUTS[-1]) + 1)
-_USED, _STATE, _RUN_ECHO = map(index, (SEQUENCE_OUTPUT, STATE_OUTPUT, RUN_OUTPUT))
+_SEQUENCE, _ORDER, _RUN = index(wire.SEQUENCE_INPUT), index(wire.ORDER_INPUT), index(wire.RUN_INPUT)
+_SET_POINT: Final = slice(index(wire.SET_POINT_INPUTS[0]), index(wire.SET_POINT_INPUTS[-1]) + 1)
+_USED, _STATE, _RUN_ECHO = map(index, (wire.SEQUENCE_OUTPUT, wire.STATE_OUTPUT, wire.RUN_OUTPUT))
 NO_SET_POINT: Final = 0
 LOAD_CALLS: Final = ("set_payload(", "set_tcp(")  # carried out at the start
 _RANGES: Final = {"LOOKAHEAD_S": (0.03, 0.2), "GAIN": (100.0, 2000.0)}  # of servoj
