@@ -8,7 +8,8 @@ from typing import Annotated
 import typer
 
 from ronna_hw.wire.polaris import PolarisModel
-from sim.world.background import IN_BACKGROUND, DetachOption, start_in_background
+from sim.world.background import start_in_background
+from sim.world.options import DetachOption, FaultsOption, ListParametersOption, SetOption, WorldOption
 
 SERIAL_PTY, ANY_PORT = "serial-pty", "tcp://127.0.0.1:0"
 FAULT_DEVICES = ("tracker", "room")  # whose faults a tracker started alone can have
@@ -30,16 +31,11 @@ def polaris(
         list[Path] | None,
         typer.Option(metavar="FILE", help="Tool definition of a wired tool to plug in; repeatable."),
     ] = None,
-    setting: Annotated[
-        list[str] | None,
-        typer.Option("--set", metavar="NAME=VALUE", help="Choose an unconfirmed behaviour; repeatable."),
-    ] = None,
-    list_parameters: Annotated[
-        bool, typer.Option("--list-parameters", help="List the parameters that --set accepts, and exit.")
-    ] = False,
-    faults: Annotated[Path | None, typer.Option(help="Fault script, one fault per line.")] = None,
+    setting: SetOption = None,
+    list_parameters: ListParametersOption = False,
+    faults: FaultsOption = None,
     detach: DetachOption = False,
-    world: Annotated[str | None, typer.Option(hidden=True, help="World of a running theatre.")] = None,
+    world: WorldOption = None,
 ) -> None:
     """Simulate an NDI Polaris Spectra, Vicra or Vega, for any client, until terminated."""
     from ronna_hw.endpoints import parse_endpoint
@@ -57,8 +53,7 @@ def polaris(
         for name, value, meaning in rows(UnitBehaviour):
             typer.echo(f"{name}={value}  {meaning}")
         return
-    if detach and not IN_BACKGROUND:
-        start_in_background("polaris")
+    if detach and start_in_background("polaris"):
         return
     behaviour = UnitBehaviour.parse(setting or [])
     if scene == "bench" and profile is PolarisModel.VICRA:

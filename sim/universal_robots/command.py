@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated, Literal
 
 import typer
 
 from ronna_hw.arm.catalogue import ArmChoice
-from sim.world.background import IN_BACKGROUND, DetachOption, start_in_background
+from sim.world import options
+from sim.world.background import start_in_background
 from sim.world.options import ArmRole
 
 FAULTS_OF = ("ur",)  # devices whose faults this simulator can have alone
@@ -30,18 +30,13 @@ def ur(
             "--lock-step", help="While our script streams, a cycle begins once the client has answered."
         ),
     ] = False,
-    parameter: Annotated[
-        list[str] | None,
-        typer.Option("--set", metavar="NAME=VALUE", help="Choose an unconfirmed behaviour; repeatable."),
-    ] = None,
-    list_parameters: Annotated[
-        bool, typer.Option("--list-parameters", help="List the parameters that --set accepts, and exit.")
-    ] = False,
-    scene: Annotated[str, typer.Option(help="default, mini, bench, or a scene file.")] = "default",
-    faults: Annotated[Path | None, typer.Option(help="Fault script, one fault per line.")] = None,
-    detach: DetachOption = False,
-    world: Annotated[str | None, typer.Option(hidden=True, help="Address of the parent theatre.")] = None,
-    role: Annotated[ArmRole, typer.Option(hidden=True, help="Role of the arm in that theatre.")] = MASTER,
+    parameter: options.SetOption = None,
+    list_parameters: options.ListParametersOption = False,
+    scene: options.SceneOption = "default",
+    faults: options.FaultsOption = None,
+    detach: options.DetachOption = False,
+    world: options.WorldOption = None,
+    role: options.RoleOption = MASTER,
 ) -> None:
     """Simulate a Universal Robots controller and its arm, for any client, until terminated.
 
@@ -67,8 +62,7 @@ def ur(
         for name, value, meaning in rows(ControllerParameters):
             typer.echo(f"{name}={value}  {meaning}")
         return
-    if detach and not IN_BACKGROUND:
-        start_in_background("ur")
+    if detach and start_in_background("ur"):
         return
     parameters = ControllerParameters.parse(parameter or ()).of_arm(role.number)
     place = require_loopback(address)
@@ -85,7 +79,7 @@ def ur(
         controller.loads.instrument = frame_of_matrix_mm(matrix_of(held.flange_from_clamp))
     drives = controller.robot.drives
     arm = ArmInWorld(truth, seed, room.publish_arm, drives, parameters, described.cycle_s, last)
-    tool = room.mounted_tool if role is MASTER else _no_tool
+    tool = room.mounted_tool if role is MASTER else (lambda: 0)
     cycle_loop = CycleLoop(controller, arm, tool, room, place, alone=world is None)
     control = open_own_control_port(world, room, FAULTS_OF)
     end_with_parent(cycle_loop.end)
@@ -98,10 +92,6 @@ def ur(
         version=controller.model.version_text,
     )
     cycle_loop.run()
-
-
-def _no_tool() -> int:
-    return 0
 
 
 def require_loopback(address: str) -> str:
