@@ -172,7 +172,9 @@ def draw_scan(
         pose=pose,
         head=PosedLayers(HeadLayers(head.centre_ct_mm, head.semi_axes_mm, edge_mm), pose),
         bodies=tuple(
-            PosedShape(shape, pose) for shape in (*anatomy.surroundings, *screws) if shape not in beside
+            PosedShape(shape.hu, shape, pose)
+            for shape in (*anatomy.surroundings, *screws)
+            if shape not in beside
         ),
         fillings=tuple(
             Ball(one.hu, as_point(apply(pose.scan_from_head, one.centre)), one.radius)
@@ -207,16 +209,11 @@ class HeadPose:
 
 
 @dataclass(frozen=True, eq=False)
-class PosedShape:
+class PosedShape(Shape):
     """A body of the head in the new scan."""
 
     shape: Shape
     pose: HeadPose
-
-    @property
-    def hu(self) -> float:
-        """Intensity in HU."""
-        return self.shape.hu
 
     def bounds(self) -> Bounds:
         """Return a box around the rotated bounding box, cached for all slices."""

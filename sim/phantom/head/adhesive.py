@@ -16,10 +16,9 @@ RING_HU = (60.0, 130.0)  # hydrogel in a foam ring: near soft tissue (unconfirme
 
 
 @dataclass(frozen=True)
-class SkinRing:
+class SkinRing(Shape):
     """A ring of constant thickness on an ellipsoid's surface, around `axis` through its `centre`."""
 
-    hu: float
     centre: Point
     axis: Point
     head_centre: Point
