@@ -17,7 +17,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,14 +54,6 @@ def visible(
     return seen
 
 
-class OpaqueBody(Protocol):
-    """An opaque body."""
-
-    def hides(self, eyes_mm: Vectors, points_mm: Vectors, past_mount: Flags | None = None) -> Flags:
-        """Return flags (m, n) for whether the body hides each point (n, 3) from each eye (m, 3)."""
-        ...
-
-
 def head_ellipsoid(head: Head, tracker_from_robot: Matrix) -> OpaqueEllipsoid:
     """Return the scene's head as an ellipsoid in the tracker frame."""
     ct_from_tracker = inverse(tracker_from_robot @ matrix_of(head.robot_from_ct))
@@ -78,6 +69,7 @@ class OpaqueEllipsoid:
     unit_from_tracker: Matrix
 
     def hides(self, eyes_mm: Vectors, points_mm: Vectors, _past_mount: Flags | None = None) -> Flags:
+        """Return flags (m, n) for whether the head hides each point (n, 3) from each eye (m, 3)."""
         eyes = apply(self.unit_from_tracker, eyes_mm)[:, None]
         points = apply(self.unit_from_tracker, points_mm)
         ways = points - eyes
@@ -143,6 +135,9 @@ class Capsules:
         offsets = points_mm[:, None] - self.starts_mm
         shares = _share((offsets * along).sum(axis=-1) / np.where(a > 0.0, a, 1.0))
         return np.sqrt(_squares(offsets - shares[..., None] * along)) < self.radii_mm
+
+
+OpaqueBody = OpaqueEllipsoid | Capsules
 
 
 def _squares(vectors: Vectors) -> Vectors:
