@@ -75,7 +75,8 @@ class Block:
         if packet_id == LEADER_PACKET_ID:
             return header(status, self.block_id, GvspFormat.LEADER, packet_id), self._encode_leader()
         if packet_id == self.trailer_id:
-            return header(status, self.block_id, GvspFormat.TRAILER, packet_id), self._encode_trailer()
+            trailer = struct.pack(GVSP_TRAILER, 0, PayloadType.IMAGE, self._frame.settings.area.height)
+            return header(status, self.block_id, GvspFormat.TRAILER, packet_id), trailer
         start = (packet_id - 1) * self._share
         content = self._image[start : start + self._share]
         return header(status, self.block_id, GvspFormat.PAYLOAD, packet_id), content
@@ -87,9 +88,6 @@ class Block:
         return struct.pack(
             GVSP_LEADER, 0, PayloadType.IMAGE, self._frame.stamp_ticks, settings.pixel_format, *geometry, 0, 0
         )
-
-    def _encode_trailer(self) -> bytes:
-        return struct.pack(GVSP_TRAILER, 0, PayloadType.IMAGE, self._frame.settings.area.height)
 
 
 def header(status: GevStatus, block_id: int, kind: GvspFormat, packet_id: int) -> bytes:

@@ -124,7 +124,8 @@ class PostoperativeScan:
         x, y = grid.x_mm.astype(np.float32), grid.y_mm.astype(np.float32)
         image = np.full((grid.rows, grid.columns), AIR_HU, dtype=np.float32)
         self._paint_head(image, x, y, z_mm)
-        axes, edge_mm = (x, y, np.array([z_mm], dtype=np.float32)), self._edge_mm
+        axes = (x, y, np.array([z_mm], dtype=np.float32))
+        edge_mm = RAMP_WIDTH * edge_sigma_mm(grid.pixel_mm, grid.slice_mm)
         for shape in self.bodies:
             paint(image[None], axes, shape, edge_mm)
         for rod in self.rods:
@@ -139,10 +140,6 @@ class PostoperativeScan:
         generator = noise(self.seed, "postoperative ct", number)
         image += slice_noise(generator, image.shape, grid.pixel_mm, self.protocol.noise_HU)
         return image
-
-    @property
-    def _edge_mm(self) -> float:
-        return RAMP_WIDTH * edge_sigma_mm(self.grid.pixel_mm, self.grid.slice_mm)
 
     def _paint_head(self, image: Values, x: Values, y: Values, z_mm: float) -> None:
         low, high = self.head.bounds(SKIN_MARGIN_MM)

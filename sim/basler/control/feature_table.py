@@ -105,10 +105,6 @@ USER_SET_FEATURES = in_category(
 OFF, ON = 0, 1
 
 
-def _is_notified(camera: FeatureState) -> int:
-    return int(camera.settings.event_selector in camera.settings.events_notified)
-
-
 def _set_notified(camera: FeatureState, value: int) -> None:
     settings = camera.settings
     other_events = settings.events_notified - {settings.event_selector}
@@ -128,7 +124,7 @@ EVENT_FEATURES = in_category(
         "EventNotification",
         "Report the selected event on the message channel.",
         Kind.ENUMERATION,
-        read=_is_notified,
+        read=lambda camera: int(camera.settings.event_selector in camera.settings.events_notified),
         write=_set_notified,
         entries={"Off": OFF, "On": ON},
     ),

@@ -55,7 +55,9 @@ class Dashboard:
             Query.SERIAL_NUMBER: lambda _: str(controller.parameters.serial_number),
             Query.ROBOT_MODEL: lambda _: wire.ARM_TYPE,
             Query.REMOTE_CONTROL: lambda _: str(not controller.modes.local).lower(),
-            Query.RUNNING: lambda _: f"{wire.RUNNING_HEAD} {str(self._is_playing).lower()}",
+            Query.RUNNING: lambda _: (
+                f"{wire.RUNNING_HEAD} {str(STATES[controller.runtime_state] == 'PLAYING').lower()}"
+            ),
             "programstate": lambda _: f"{STATES[controller.runtime_state]} {controller.loaded or 'null'}",
             "get loaded program": self._get_loaded,
             **{order: _accepting(order, do) for order, do in orders.items()},
@@ -72,10 +74,6 @@ class Dashboard:
         }
         self._most_words = max(len(name.split()) for name in self._commands)
         self.listener = ServiceListener(address, DASHBOARD_PORT, poll, self._connect)
-
-    @property
-    def _is_playing(self) -> bool:
-        return STATES[self._controller.runtime_state] == "PLAYING"
 
     def _connect(self, connection: ClientConnection) -> LineHandler:
         connection.send(f"{wire.BANNER}\n".encode())

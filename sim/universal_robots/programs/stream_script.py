@@ -82,7 +82,7 @@ def _stream(robot: Robot, program: UrProgram, settings: ScriptSettings) -> Itera
         sequence = values[_SEQUENCE]
         if sequence != used:
             wanted = values[_SET_POINT]
-            if max(map(_distance, wanted, goal)) > largest:
+            if max(abs(a - b) for a, b in zip(wanted, goal, strict=True)) > largest:
                 state = ScriptState.TOO_FAR
                 break
             state = ScriptState.STREAMING
@@ -102,7 +102,3 @@ def _stream(robot: Robot, program: UrProgram, settings: ScriptSettings) -> Itera
     program.awaits_client = False
     values[_STATE] = state.value
     yield from stopj(robot, settings.STOP_DECELERATION_RAD_S2)
-
-
-def _distance(a: float, b: float) -> float:
-    return abs(a - b)
