@@ -239,7 +239,6 @@ def _scan_adhesives(
 def _write_postoperative(
     run: Path, instrument: InstrumentKind, out: Path, seed: int, protocol: str | None, as_json: bool
 ) -> None:
-    """Write the postoperative CT of a run's head."""
     from sim.phantom.case import write_postoperative
     from sim.phantom.families.family_scan import protocol_named
     from sim.phantom.postoperative_scan import draw_scan, instruments_of

@@ -197,7 +197,6 @@ def _read_origin(theatre_file: Path) -> tuple[str, datetime]:
 
 
 def _pass_on_pendant(line: str) -> None:
-    """Forward messages from the robot's pendant."""
     if line.startswith(PENDANT_PREFIX):
         sys.stderr.write(f"{line}\n")
         sys.stderr.flush()

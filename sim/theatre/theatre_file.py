@@ -129,7 +129,6 @@ def _tool_entry(name: str, rom: Path) -> dict[str, str]:
 
 
 def _patient_frame(scene: Scene) -> str:
-    """Return the tracker's name for the frame on the head clamp."""
     return next(tool.name for tool in scene.tracker.tools if tool.part_number == PATIENT_FRAME_PART_NUMBER)
 
 

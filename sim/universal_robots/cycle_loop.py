@@ -109,7 +109,6 @@ class CycleLoop:
             self._poll.close()
 
     def _cycle_number(self) -> int:
-        """Return the number of the next cycle."""
         return self._controller.cycles + 1
 
     def _run_cycle(self) -> None:

@@ -267,7 +267,6 @@ def tip_at_calibration(world: World) -> Matrix:
 
 
 def _draw_in_disc(generator: np.random.Generator, radius_mm: float) -> tuple[Vector, Vector]:
-    """Draw two points (2,) in a disc."""
     radii = radius_mm * np.sqrt(generator.uniform(size=2))
     angles = generator.uniform(0.0, 2.0 * np.pi, 2)
     one, other = (

@@ -181,7 +181,6 @@ class ProjectChannel:
 
 
 def _parse_number(arguments: Mapping[str, str], last: int) -> int:
-    """Parse a tool or base number."""
     number = integer(arguments, "No")
     if not 1 <= number <= last:
         raise ValueError(f"No is 1 to {last}")

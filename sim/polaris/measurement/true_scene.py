@@ -212,7 +212,6 @@ class TrueScene:
 
 
 def _disturb(names: frozenset[str], pose: Vectors, markers_mm: Vectors, disturbance: Disturbance) -> TrueTool:
-    """Apply the faults that affect a tool."""
     for name, push_mm in disturbance.bent:
         if name in names:
             outwards = markers_mm[-1] - markers_mm.mean(axis=0)

@@ -70,7 +70,6 @@ class FaultBoard:
         return tuple(due)
 
     def _list_onsets(self, now_s: float) -> Iterator[tuple[Fault, float]]:
-        """Yield each fault and the theatre time of its onset."""
         step, started_ns = self._world.step()
 
         def cycle_began_s(cycle: int) -> float:

@@ -319,7 +319,6 @@ def _describe_unexpected(error: UnexpectedInput, line: str, number: int, *, advi
 
 
 def _is_valid_line(line: str) -> bool:
-    """Return whether the parser accepts a line."""
     from lark.exceptions import UnexpectedInput
 
     try:
