@@ -170,12 +170,5 @@ class Manipulator:
         if drives.at_rest and self._published == (id(drives.axes_deg), True):
             return
         encoders = [radians(angle) for angle in drives.axes_deg]
-        if drives.at_rest:
-            pose = self._true.at_rest(encoders, drives.flanks, drives.motion_number, drives.moved_s)
-        else:
-            pose = self._true.moving(encoders, drives.flanks, drives.moved_s)
-        A1, A2, A3, A4, A5, A6 = encoders
-        F1, F2, F3, F4, F5, F6 = drives.flanks
-        joints, flanks = (A1, A2, A3, A4, A5, A6), (F1, F2, F3, F4, F5, F6)
-        self._publish(ArmState(joints, pose, drives.motion_number, drives.at_rest, flanks, drives.moved_s))
+        self._publish(drives.state(self._true, encoders, at_rest=drives.at_rest))
         self._published = (id(drives.axes_deg), drives.at_rest)

@@ -12,7 +12,7 @@ from typing import Final
 from sim.errors import BAD_SCENE
 from sim.universal_robots.controller_parameters import ControllerParameters
 from sim.universal_robots.drives import Drives
-from sim.universal_robots.model import Model, Vector6
+from sim.universal_robots.model import Model
 from sim.world.gears import Gears
 from sim.world.scene.model import ArmTruth
 from sim.world.true_arm import TrueArm
@@ -58,13 +58,10 @@ class ArmInWorld(Gears):
         if self._rests:
             self._in_motion = False
             self.flanks = list(self._directions)
-            pose = self._true.at_rest(angles, self.flanks, self.motion_number, self.moved_s)
         else:
             self.moved_s += self._cycle_s
             self._approach_flanks(self._flank_share)
-            pose = self._true.moving(angles, self.flanks, self.moved_s)
-        joints, flanks = _six(angles), _six(self.flanks)
-        self._publish(ArmState(joints, pose, self.motion_number, self._rests, flanks, self.moved_s))
+        self._publish(self.state(self._true, angles, at_rest=self._rests))
 
 
 def require_arm(truth: ArmTruth, model: Model) -> None:
@@ -74,8 +71,3 @@ def require_arm(truth: ArmTruth, model: Model) -> None:
             f"a controller of a {model.name} does not move the scene's arm {truth.variant}",
             action=f"Choose --model {truth.variant}, or a scene with this arm.",
         )
-
-
-def _six(values: list[float]) -> Vector6:
-    one, two, three, four, five, six = values
-    return one, two, three, four, five, six

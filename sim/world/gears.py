@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from math import copysign
 
 from sim.world.nominal_arm import AXES
+from sim.world.true_arm import TrueArm
 from sim.world.world import ArmState
 
 
@@ -24,6 +25,16 @@ class Gears:
         self._extremes = list(angles)
         self._directions = list(self.flanks)
         self._in_motion = False
+
+    def state(self, arm: TrueArm, joints_rad: Sequence[float], *, at_rest: bool) -> ArmState:
+        """Return the state of an arm with these gears, its flange as it truly is."""
+        if at_rest:
+            pose = arm.at_rest(joints_rad, self.flanks, self.motion_number, self.moved_s)
+        else:
+            pose = arm.moving(joints_rad, self.flanks, self.moved_s)
+        return ArmState(
+            tuple(joints_rad), pose, self.motion_number, at_rest, tuple(self.flanks), self.moved_s
+        )
 
     def _turn(self, angles: Sequence[float], before: Sequence[float], motion_step: float) -> None:
         """Take new angles: a motion begins, a joint changes its flank once it has turned back far enough."""
