@@ -77,8 +77,8 @@ class ImagedInstrument:
         if self.kind is not InstrumentKind.DRILL_HOLE:
             return Rod(METAL_HU, self.tip_mm, self.outwards, skin_mm + ABOVE_SKIN_MM, RADII_MM[self.kind])
         deep_mm = TO_BRAIN_MM + BELOW_SKULL_MM
-        x, y, z = np.add(self.tip_mm, (skin_mm - deep_mm) * np.array(self.outwards)).tolist()
-        return Rod(FLUID_HU, (x, y, z), self.outwards, deep_mm, RADII_MM[self.kind])
+        start = as_point(np.add(self.tip_mm, (skin_mm - deep_mm) * np.array(self.outwards)))
+        return Rod(FLUID_HU, start, self.outwards, deep_mm, RADII_MM[self.kind])
 
 
 def instruments_of(run: Path, kind: InstrumentKind) -> tuple[Scene, tuple[ImagedInstrument, ...]]:

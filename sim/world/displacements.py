@@ -198,5 +198,4 @@ def _sum_arguments(faults: tuple[Fault, ...], what: str) -> Point:
 
 
 def _add_up(ways: Sequence[Sequence[float]]) -> Point:
-    x, y, z = (sum(column) for column in zip(*ways, strict=True)) if ways else STILL
-    return (x, y, z)
+    return as_point(sum(column) for column in zip(*ways, strict=True)) if ways else STILL
