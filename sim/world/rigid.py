@@ -122,3 +122,14 @@ def vector_from_rotation(rotation: ArrayLike) -> Matrix:
         return np.zeros(3)
     vector: Matrix = np.array(axis) * (2.0 * np.arctan2(half_sine, w) / half_sine)
     return vector
+
+
+def twice_sine_axis(rotation: Matrix) -> Matrix:
+    """Return the axis of a rotation matrix, (3,), multiplied by twice the sine of the angle."""
+    return np.array(
+        [
+            rotation[2, 1] - rotation[1, 2],
+            rotation[0, 2] - rotation[2, 0],
+            rotation[1, 0] - rotation[0, 1],
+        ]
+    )
