@@ -7,18 +7,16 @@ from itertools import pairwise
 from math import degrees, dist, radians
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sim.kuka.controller_parameters import ControllerParameters
 from sim.kuka.drives import Drives
 from sim.kuka.motion import pose_on_line
 from sim.world.nominal_arm import axes_of_posture, description, frame_of, pose_of_frame
-from sim.world.rigid import inverse
+from sim.world.rigid import Matrix, inverse
 from sim.world.scene.model import ArmTruth
 from sim.world.true_arm import JointChain, TrueArm, rotation_vector
 from sim.world.world import ArmState
 
-Matrix = NDArray[np.float64]
 IDENTITY = np.eye(4)
 WAYPOINTS = 40  # checked before a straight path is accepted
 

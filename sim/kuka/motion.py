@@ -11,17 +11,15 @@ from math import inf
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ronna_hw.wire.kuka_eki import AckCode
 from sim.kuka.controller_parameters import ControllerParameters
 from sim.kuka.pendant import PendantMessage, end_switch, near_singularity, too_fast
 from sim.world.nominal_arm import RobotDescription
-from sim.world.rigid import rotation_from_vector
+from sim.world.rigid import Matrix, rotation_from_vector
 from sim.world.trapezoid import Trapezoid
 from sim.world.true_arm import rotation_vector
 
-Matrix = NDArray[np.float64]
 Inverse = Callable[[Matrix, Sequence[float]], list[float] | None]
 
 

@@ -9,7 +9,6 @@ from math import radians
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sim.errors import NOTHING_TO_VERIFY
 from sim.phantom.head.anatomy import (
@@ -42,8 +41,6 @@ from sim.world.rigid import (
 )
 from sim.world.scene.model import CtProtocol, Head, Scene, read_scene
 from sim.world.truth import SCENE_FILE, THEATRE_FOLDER, read_samples
-
-Array = NDArray[np.float64]
 
 ABOVE_SKIN_MM = 25.0  # length of an instrument outside the head
 FLUID_HU = 15.0  # in a drilled hole: blood and cerebrospinal fluid

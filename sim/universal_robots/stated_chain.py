@@ -9,14 +9,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sim.universal_robots.kinematics import TrueKinematics
 from sim.universal_robots.model import ZEROS
 from sim.world.nominal_arm import RobotDescription
-from sim.world.rigid import rotation_from_vector, twice_sine_axis
+from sim.world.rigid import Array, rotation_from_vector, twice_sine_axis
 
-Array = NDArray[np.float64]
 MM_PER_M = 1000.0
 
 

@@ -11,7 +11,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sim.world.carts import cart_pose
 from sim.world.faults import Fault, FaultBoard
@@ -33,6 +32,7 @@ from sim.world.faults.room import (
 from sim.world.noise import noise
 from sim.world.options import ArmRole
 from sim.world.rigid import (
+    Array,
     Matrix,
     Point,
     apply,
@@ -47,7 +47,6 @@ from sim.world.scene.model import Fiducial, Scene
 from sim.world.slow_faults import come_to
 from sim.world.world import World
 
-Array = NDArray[np.float64]
 STILL: Point = (0.0, 0.0, 0.0)
 IDENTITY = np.eye(4)
 SECONDS_PER_MINUTE = 60.0

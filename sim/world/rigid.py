@@ -13,7 +13,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from ronna_hw.calibration import PoseRecord
 
-Matrix = NDArray[np.float64]
+Array = NDArray[np.float64]
+Matrix = Array
+Vector = Array
+Vectors = Array  # (n, 3)
 Point = tuple[float, float, float]
 
 

@@ -10,7 +10,6 @@ from math import radians
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from ronna_hw.bounded_input import read_json_lines
@@ -21,10 +20,8 @@ from sim.world.displacements import STILL, ShiftedRoom, rigid_move, yielding_fla
 from sim.world.faults import FaultBoard
 from sim.world.faults import room as room_faults
 from sim.world.noise import noise
-from sim.world.rigid import Matrix, as_point, inverse, matrix_from, matrix_of, rotation_from_vector
+from sim.world.rigid import Matrix, Vector, as_point, inverse, matrix_from, matrix_of, rotation_from_vector
 from sim.world.world import World
-
-Vector = NDArray[np.float64]
 
 SLIDES_MM = 2.0  # way of the assistant's clamp along the instrument, against a friction
 BINDS_MM = 1.0  # beside the axis of the bore at one of its ends: beyond it a held instrument bends

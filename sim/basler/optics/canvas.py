@@ -14,9 +14,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ronna_hw.wire.gige_vision import PIXEL_PITCH_UM
+from sim.world.rigid import Array
 from sim.world.scene.model import CameraTruth
-
-Array = NDArray[np.float64]
 
 F_NUMBER = 8.0  # macro work: stopped down for depth of field
 # Diffraction at f/8, magnification 0.25 and 850 nm (0.42 * wavelength * effective f-number), in pixels.

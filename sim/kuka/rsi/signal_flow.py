@@ -8,7 +8,6 @@ from math import degrees
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ronna_hw.wire.kuka_context import (
     AXISCORR_DEFAULT_LIMIT_DEG,
@@ -26,9 +25,7 @@ from ronna_hw.wire.kuka_context import (
 from sim.kuka.pendant import PendantMessage, near_singularity, out_of_range
 from sim.kuka.rsi.telegrams import AXIS, FRAME
 from sim.world.nominal_arm import AXES, RobotDescription, pose_of_frame
-from sim.world.rigid import rotation_from_vector, twice_sine_axis
-
-Matrix = NDArray[np.float64]
+from sim.world.rigid import Matrix, rotation_from_vector, twice_sine_axis
 
 # Stat of AXISCORR: bit n for axis n at a limit; of POSCORR: bits 1 to 3 for X, Y, Z, bit 4 for the rotation.
 ACTIVE_BIT = 1

@@ -8,7 +8,6 @@ from math import pi, radians
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sim.errors import BAD_SCENE, SEE_PHANTOM
 from sim.phantom.families.catalogue import (
@@ -54,13 +53,11 @@ from sim.phantom.scan import Scan
 from sim.phantom.scanner.faults import NO_FAULTS, ScannerFaults
 from sim.phantom.scanner.grid import CtGrid, grid_ending_at_spheres, place_grid
 from sim.world.noise import noise
-from sim.world.rigid import as_rounded_point
+from sim.world.rigid import Vector, as_rounded_point
 from sim.world.scene.head import CAP_AXIS_CT, CENTRE_CT_MM, draw_direction
 from sim.world.scene.model import CtProtocol, Fiducial, Head, Scene
 from sim.world.scene.named_scenes import draw_scene
 from sim.world.scene.parts import Target
-
-Vector = NDArray[np.float64]
 
 LARGEST_MARKERS = 8
 CAP_HALF_ANGLE_RAD = radians(60.0)

@@ -8,12 +8,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sim.errors import BAD_SCENE
+from sim.world.rigid import Vector
 from sim.world.scene.model import CtProtocol, Head
-
-Vector = NDArray[np.float64]
 
 MARKER_ROOM_MM = 14.0  # around a sphere's centre: the sphere, its blur, and air for contrast
 TARGET_ROOM_MM = 3.0

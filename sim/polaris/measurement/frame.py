@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 from itertools import accumulate
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ronna_hw.patient_frame import PART_NUMBER as PATIENT_FRAME_PART_NUMBER
 from ronna_hw.wire.polaris import MAXIMUM_STRAYS, PortStatus, SystemStatus
@@ -33,10 +32,10 @@ from sim.world.displacements import ShiftedRoom
 from sim.world.faults import FaultBoard
 from sim.world.noise import ReusedNoise
 from sim.world.options import OTHER_ARMS
+from sim.world.rigid import Vectors
 from sim.world.world import ArmState, World
 
 SUNLIGHT_NOISE = 2.0  # factor on the noise under ambient infrared light; an estimate without a source
-Vectors = NDArray[np.float64]
 
 DEVICE = "tracker"
 # Independent noise within one frame.

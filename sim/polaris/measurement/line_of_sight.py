@@ -23,13 +23,11 @@ from numpy.typing import NDArray
 
 from sim.world.descriptions import DESCRIPTIONS
 from sim.world.options import ArmRole
-from sim.world.rigid import Matrix, apply, inverse, matrix_of
+from sim.world.rigid import Matrix, Vector, Vectors, apply, inverse, matrix_of
 from sim.world.scene.model import Head, Mount, Scene
 from sim.world.world import ArmState
 
-Vectors = NDArray[np.float64]
 Flags = NDArray[np.bool_]
-Vector = NDArray[np.float64]
 Limb = tuple[Vector, Vector, float]  # two ends (3,) and a radius
 
 MOUNT_RADIUS_MM = 12.0

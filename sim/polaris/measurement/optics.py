@@ -17,9 +17,8 @@ from numpy.typing import NDArray
 
 from sim.polaris.unit.model import UnitVolume
 from sim.world.noise import noise
+from sim.world.rigid import Vectors
 from sim.world.scene.model import TrackerTruth
-
-Vectors = NDArray[np.float64]
 
 WAVES = 8
 WAVELENGTH_MM = (1500.0, 3000.0)  # longer than any tool: neighbouring markers share their bias

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from math import radians
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ronna_hw.patient_frame import PART_NUMBER as PATIENT_FRAME_PART_NUMBER
 from ronna_hw.x_frame import NAME as X_FRAME_NAME
@@ -23,7 +22,7 @@ from sim.world.displacements import (
 )
 from sim.world.faults import Fault, FaultBoard
 from sim.world.options import ArmRole
-from sim.world.rigid import Matrix, apply, inverse, matrix_of, rotation_from_vector
+from sim.world.rigid import Matrix, Vectors, apply, inverse, matrix_of, rotation_from_vector
 from sim.world.scene.model import TrackerTool
 from sim.world.scene.parts import (
     ASSISTANT_FRAME_PART_NUMBER,
@@ -35,7 +34,6 @@ from sim.world.truth import TrueGuide
 from sim.world.world import ArmState, World
 
 Vector = tuple[float, float, float]
-Vectors = NDArray[np.float64]
 NO_TOOL = 0
 
 
