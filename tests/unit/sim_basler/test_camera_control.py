@@ -91,10 +91,10 @@ def test_a_silent_owner_loses_control_stream_and_acquisition(bench: Any) -> None
     bench.put(TriggerMode=1, AcquisitionStart=1)
     bench.host_s.now += 0.95
     bench.camera.privilege.expire()
-    assert bench.camera.acquiring
+    assert bench.camera.acquisition.running
     bench.host_s.now += 0.1
     bench.camera.privilege.expire()
-    assert not bench.camera.acquiring
+    assert not bench.camera.acquisition.running
     assert bench.read(Bootstrap.CCP) == bench.read(Bootstrap.SCP) == 0
     assert bench.read(Bootstrap.HEARTBEAT_TIMEOUT_MS) == 3000
 

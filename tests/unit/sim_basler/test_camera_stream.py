@@ -265,7 +265,7 @@ def test_losing_control_ends_the_stream_and_the_next_client_starts_from_one(benc
     triggered(bench)
     assert bench.write(Bootstrap.CCP, 0) == OK
     assert bench.read(Bootstrap.SCP) == 0
-    assert not bench.camera.acquiring
+    assert not bench.camera.acquisition.running
     triggered(bench)
     assert header(bench.shoot()[0])[1] == 1
 
@@ -299,7 +299,7 @@ def sent_by(monkeypatch: pytest.MonkeyPatch, computer: StallingComputer, duratio
     channel = StreamChannel("127.0.0.1", lambda: "127.0.0.1")
     channel.port, channel.packet_size = 9, PACKET_BYTES
     monkeypatch.setattr(stream, "time", computer)
-    monkeypatch.setattr(channel, "_send_packet", computer.put)
+    monkeypatch.setattr(channel, "_transmit", computer.put)
     frame = CameraSettings().frame()
     channel.send(Block(1, SentImage(frame, bytes(frame.payload_bytes), 1), PACKET_BYTES), duration_s)
     channel.close()

@@ -21,7 +21,7 @@ from ronna_hw.wire.universal_robots import DASHBOARD_PORT, SCRIPT_NAME
 from sim.universal_robots import connections
 from sim.universal_robots.connections import Handler, HangUp, Poll
 from sim.universal_robots.controller import Controller
-from sim.universal_robots.controller_parameters import parse_parameters
+from sim.universal_robots.controller_parameters import ControllerParameters
 from sim.universal_robots.interfaces.clients import ClientInterfaces, ScriptHandler
 from sim.universal_robots.interfaces.dashboard import Dashboard, LineHandler
 from sim.universal_robots.interfaces.state_packages import StatePackages
@@ -88,7 +88,7 @@ class Target:
     def renew(self) -> None:
         """Begin anew with a controller that may move."""
         self._opened.close()
-        self.controller = Controller(MODELS["ur5e"], parse_parameters(("power_on_s=0.01",)))
+        self.controller = Controller(MODELS["ur5e"], ControllerParameters.parse(("power_on_s=0.01",)))
         self.poll, address = Poll(), own_address()
         poll = self.poll
         self._opened.callback(poll.close)
