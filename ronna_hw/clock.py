@@ -45,23 +45,18 @@ class Clock(Protocol):
     @property
     def paced(self) -> bool:
         """Whether theatre time follows the host clock, so that host durations are meaningful."""
-        ...
 
     def now_s(self) -> float:
         """Current theatre time, seconds."""
-        ...
 
     def sleep(self, duration_s: float) -> None:
         """Sleep for `duration_s` of theatre time."""
-        ...
 
     def let_pass(self, duration_s: float) -> None:
         """Let theatre time pass by `duration_s` at most, until `hold_back`, without waiting for it."""
-        ...
 
     def hold_back(self) -> None:
         """Let theatre time pass no further unless somebody waits for it."""
-        ...
 
 
 class HostClock:

@@ -48,26 +48,21 @@ class Transport(Protocol):
 
     def write(self, data: bytes) -> None:
         """Send all bytes; raises NDI-008 if the connection is lost."""
-        ...
 
     def read(self, timeout_s: float) -> bytes:
         """Return received bytes, waiting up to `timeout_s` for the first; empty on time-out.
 
         Raises NDI-008 when the peer is gone.
         """
-        ...
 
     def set_baud(self, baud: int) -> None:
         """Switch the host's port to another baud rate."""
-        ...
 
     def send_break(self) -> None:
         """Send a break, which resets the unit, if the transport supports it."""
-        ...
 
     def close(self) -> None:
         """Close the transport; never raises."""
-        ...
 
 
 def open_transport(endpoint: Endpoint, timeout_s: float) -> Transport:

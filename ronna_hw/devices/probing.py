@@ -88,7 +88,6 @@ class Probe(Protocol):
         Talks only to the endpoints of `config`, in bounded time; nothing moves and no setting stays changed.
         The findings of `inspect` on the connected device are appended: a device accepts one client at a time.
         """
-        ...
 
 
 @runtime_checkable
@@ -98,11 +97,9 @@ class EndpointProbe(Probe, Protocol):
     @property
     def endpoint_schemes(self) -> frozenset[str]:
         """Endpoint schemes that the probe can check, such as `serial`."""
-        ...
 
     def probe_endpoints(self, endpoints: Sequence[Endpoint], progress: Progress) -> Sequence[Diagnostic]:
         """Identify the device at each endpoint without using the driver."""
-        ...
 
 
 @runtime_checkable
@@ -112,7 +109,6 @@ class PortProbe(EndpointProbe, Protocol):
     @property
     def endpoint_ports(self) -> frozenset[int]:
         """Ports of the endpoints that the probe can check."""
-        ...
 
 
 def connect_and_identify(
@@ -212,11 +208,9 @@ class Finder(Protocol):
 
         Nothing moves and no setting is changed.
         """
-        ...
 
     def example(self, search: Search) -> Proposal:
         """Return an example table, with placeholder addresses, for a device that was not found."""
-        ...
 
 
 def describe_options(model: type[BaseModel], chosen: Mapping[str, Any]) -> tuple[Option, ...]:

@@ -50,12 +50,10 @@ class StampedReading(Protocol):
     @property
     def stamp(self) -> Stamp:
         """Time stamp of the reading."""
-        ...
 
     @property
     def validity(self) -> Validity:
         """Usability of the reading."""
-        ...
 
 
 _TO_SEE = {

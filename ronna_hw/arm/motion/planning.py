@@ -34,7 +34,6 @@ class Path(Protocol):
 
     def joints(self, s: float, near: JointVector) -> JointVector:
         """Return the joint angles at `s` (0..1), unwrapped to be nearest `near`."""
-        ...
 
 
 class JointPath:
