@@ -360,12 +360,10 @@ class ProcedureSettings(Strict):
         "The default is unconfirmed: bone under a drill takes 5 to 20 N.",
     )
     coarse_fine_limit_mm: Annotated[float, Field(gt=0, le=LARGEST_COARSE_FINE_MM), Length] = Field(
-        default=3.0,
-        description="Largest difference between stereo head and tracker for the same sphere.",
+        default=3.0, description="Largest difference between stereo head and tracker for the same sphere."
     )
     stand_mm: Annotated[Numbers3, farther_than(NEAREST_PLACE_MM)] | None = Field(
-        default=None,
-        description="Position of the calibration stand's ball, within 10 mm, robot frame.",
+        default=None, description="Position of the calibration stand's ball, within 10 mm, robot frame."
     )
     watch_patient: Annotated[WatchPatient, Field(strict=False)] = Field(
         default=WatchPatient.INSTRUMENT,

@@ -189,13 +189,7 @@ class PairGrabber:
         match, moments_s = self._match(frames, triggered_s)
         left, right = (
             camera_image(
-                frame,
-                serial,
-                camera.area,
-                self._options.pixel_format_code,
-                sequence,
-                triggered_s,
-                moment_s,
+                frame, serial, camera.area, self._options.pixel_format_code, sequence, triggered_s, moment_s
             )
             if frame is not None
             else None

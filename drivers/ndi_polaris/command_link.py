@@ -91,12 +91,7 @@ class CommandLink:
         self._limits_s = {**self._limits_s, **limits_s}
 
     def ask(
-        self,
-        name: str,
-        argument: str = "",
-        *,
-        reply_bytes: int = ORDINARY_REPLY_BYTES,
-        retry: bool = True,
+        self, name: str, argument: str = "", *, reply_bytes: int = ORDINARY_REPLY_BYTES, retry: bool = True
     ) -> str:
         """Send a command and return the text of its reply, including OKAY and WARNINGhh.
 
@@ -163,15 +158,7 @@ class CommandLink:
                 break
         self._raise_silence()
 
-    def _exchange(
-        self,
-        name: str,
-        argument: str,
-        reply_bytes: int,
-        *,
-        retry: bool,
-        binary: bool,
-    ) -> Reply:
+    def _exchange(self, name: str, argument: str, reply_bytes: int, *, retry: bool, binary: bool) -> Reply:
         try:
             return self._exchange_once(name, argument, reply_bytes, binary)
         except (ProtocolError, NoReply, UnitError) as problem:

@@ -31,8 +31,7 @@ RomArgument = Annotated[
     Path, typer.Argument(metavar="ROM", help="A .rom, or the name of one shipped with the driver.")
 ]
 ToleranceOption = Annotated[
-    float | None,
-    typer.Option("--tolerance-mm", min=0.0, help="Distances closer than this are too similar."),
+    float | None, typer.Option("--tolerance-mm", min=0.0, help="Distances closer than this are too similar.")
 ]
 
 
@@ -131,11 +130,7 @@ def show(
 
 
 @app.command()
-def compare(
-    first: RomArgument,
-    second: RomArgument,
-    as_json: terminal.JsonOption = False,
-) -> int:
+def compare(first: RomArgument, second: RomArgument, as_json: terminal.JsonOption = False) -> int:
     """Show the differences between two definitions.
 
     Field by field; marker positions by their distance in mm, unexplained bytes in hex.

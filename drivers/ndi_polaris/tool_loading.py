@@ -46,9 +46,7 @@ class LoadedTool:
 
 
 def load_tools(
-    link: CommandLink,
-    tools: Iterable[tuple[ToolOption, ToolDefinition]],
-    note: Callable[[str], None],
+    link: CommandLink, tools: Iterable[tuple[ToolOption, ToolDefinition]], note: Callable[[str], None]
 ) -> tuple[LoadedTool, ...]:
     """Free all port handles, then load, initialise and enable each tool; `note` receives warnings.
 
@@ -64,9 +62,7 @@ def load_tools(
 
 
 def _load_all(
-    link: CommandLink,
-    tools: tuple[tuple[ToolOption, ToolDefinition], ...],
-    note: Callable[[str], None],
+    link: CommandLink, tools: tuple[tuple[ToolOption, ToolDefinition], ...], note: Callable[[str], None]
 ) -> tuple[LoadedTool, ...]:
     for handle in list_handles(link, HandleQuery.ALL):  # ours or an earlier client's
         free_handle(link, handle)

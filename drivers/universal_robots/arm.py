@@ -92,10 +92,7 @@ class UniversalRobotsArm(HandGuidedArm[ControllerState]):
 
     def _name_loads(self, loads: AxisLoads, means: LoadMeans) -> AxisLoads:
         return replace(
-            loads,
-            current_A=means.currents,
-            expected_current_A=means.expected_currents,
-            force_N=means.force,
+            loads, current_A=means.currents, expected_current_A=means.expected_currents, force_N=means.force
         )
 
     def _controller_facts(self, state: ControllerState) -> Iterable[Fact]:

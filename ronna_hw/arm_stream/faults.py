@@ -14,13 +14,7 @@ from ronna_hw.arm.kinematics import Kinematics
 from ronna_hw.arm_stream.errors import StreamErrors
 from ronna_hw.arm_stream.losses import DEGRADED_SPEED, UNUSABLE_SHARE, WINDOW_CYCLES
 from ronna_hw.arm_stream.options import StreamOptions
-from ronna_hw.arm_stream.records import (
-    NO_STATE,
-    NOTHING_AROUND,
-    LinkFault,
-    LinkState,
-    MotionResult,
-)
+from ronna_hw.arm_stream.records import NO_STATE, NOTHING_AROUND, LinkFault, LinkState, MotionResult
 from ronna_hw.errors import AnyCode, LimitError, LinkTimeout, RefusedError, RonnaError, StateError
 
 _REFUSALS = {

@@ -75,10 +75,7 @@ SYSTEM_REFUSED = ErrorCode(
 
 
 OUT_OF_MEMORY = ErrorCode(
-    "CLI-008",
-    RonnaError,
-    "The computer ran out of memory.",
-    "Close other programs, or use a smaller series.",
+    "CLI-008", RonnaError, "The computer ran out of memory.", "Close other programs, or use a smaller series."
 )
 
 

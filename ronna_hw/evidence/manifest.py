@@ -317,10 +317,7 @@ class RunSeal(BaseModel):
 
 
 def seal(
-    folder: Path,
-    closed: Collection[str],
-    apart: Collection[str] = (),
-    kept: Mapping[str, str] | None = None,
+    folder: Path, closed: Collection[str], apart: Collection[str] = (), kept: Mapping[str, str] | None = None
 ) -> None:
     """Seal every file that is neither in `closed` (the journal's last line) nor in `apart`.
 

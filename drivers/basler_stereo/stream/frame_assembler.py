@@ -28,11 +28,7 @@ _PACKET_HEADER = struct.Struct(gev.GVSP_HEADER)
 _LEADER = struct.Struct(gev.GVSP_LEADER)
 _UNPACK_HEADER = struct.Struct(gev.GVSP_HEADER).unpack_from
 _UNAVAILABLE = frozenset(
-    {
-        GevStatus.PACKET_UNAVAILABLE,
-        GevStatus.PACKET_REMOVED,
-        GevStatus.PACKET_AND_PREVIOUS_REMOVED,
-    }
+    {GevStatus.PACKET_UNAVAILABLE, GevStatus.PACKET_REMOVED, GevStatus.PACKET_AND_PREVIOUS_REMOVED}
 )
 
 
@@ -228,10 +224,7 @@ class FrameAssembler:
         block = self._open.get(block_id)
         if block is None:
             block = _Block(
-                block_id,
-                *self._claim(),
-                bytearray(self._trailer_id + 1),
-                remaining=self._trailer_id + 1,
+                block_id, *self._claim(), bytearray(self._trailer_id + 1), remaining=self._trailer_id + 1
             )
             self._open[block_id] = block
         return block

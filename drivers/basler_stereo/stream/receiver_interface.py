@@ -139,11 +139,7 @@ class FrameSlots:
         """Encode the note that announces a finished frame."""
         return _NOTE.pack(
             _FrameNote(
-                frame.slot,
-                self._use_counts[frame.slot],
-                frame.block_id,
-                frame.missing_packets,
-                frame.leader,
+                frame.slot, self._use_counts[frame.slot], frame.block_id, frame.missing_packets, frame.leader
             )
         )
 

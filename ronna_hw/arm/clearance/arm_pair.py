@@ -246,12 +246,7 @@ def find_approach(
         middle = [(low + high) // 2 for low, high in block]
         found = world.distance_of(first.axes_mm[middle[0]], second.axes_mm[middle[1]])
         reach_mm = [
-            float(
-                max(
-                    path.travel_mm[high] - path.travel_mm[at],
-                    path.travel_mm[at] - path.travel_mm[low],
-                )
-            )
+            float(max(path.travel_mm[high] - path.travel_mm[at], path.travel_mm[at] - path.travel_mm[low]))
             for path, at, (low, high) in zip((first, second), middle, block, strict=True)
         ]
         at_least_mm = found.distance_mm - sum(reach_mm)

@@ -277,10 +277,7 @@ class Bodies:
     @cached_property
     def moving_names(self) -> tuple[str, ...]:
         """Names of the moving bodies."""
-        return (
-            *(link.name for link in self.arm.links),
-            *(part.name for part in self.surroundings.tool),
-        )
+        return (*(link.name for link in self.arm.links), *(part.name for part in self.surroundings.tool))
 
     @cached_property
     def moving_radii_mm(self) -> tuple[float, ...]:

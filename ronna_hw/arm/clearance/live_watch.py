@@ -198,11 +198,7 @@ class LiveWatch:
     """
 
     def __init__(
-        self,
-        bodies: Bodies,
-        cycle_s: float,
-        joints_rad: JointVector,
-        body_speed_mm_s: float = inf,
+        self, bodies: Bodies, cycle_s: float, joints_rad: JointVector, body_speed_mm_s: float = inf
     ) -> None:
         """Start at rest at `joints_rad`. Bodies that start too close together may only move apart.
 

@@ -139,11 +139,7 @@ def _shoulder(arm: Kr6Dimensions, pose: Pose, overhead: bool) -> _Shoulder:
 
 def _bend(arm: Kr6Dimensions, shoulder: _Shoulder, elbow: bool) -> tuple[float, float, float]:
     if elbow:
-        return (
-            shoulder.A1,
-            shoulder.elevation - shoulder.inner,
-            arm.stretched_A3_rad + shoulder.bend,
-        )
+        return (shoulder.A1, shoulder.elevation - shoulder.inner, arm.stretched_A3_rad + shoulder.bend)
     return (shoulder.A1, shoulder.elevation + shoulder.inner, arm.stretched_A3_rad - shoulder.bend)
 
 
