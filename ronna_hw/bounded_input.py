@@ -236,8 +236,7 @@ def parse_toml(text: str) -> dict[str, Any]:
         inside = [inner for outer in level for inner in _iterate_values(outer)]
         if any(isinstance(value, int) and value not in WHOLE for value in inside):
             raise InputRefused("a whole number in TOML is too large", limit="64 bits, signed")
-        level = [inner for inner in inside if isinstance(inner, dict | list)]
-        if not level:
+        if not (level := [inner for inner in inside if isinstance(inner, dict | list)]):
             return content
     raise InputRefused("TOML nested too deep", limit=f"{DEEPEST_TOML} levels")
 

@@ -292,8 +292,7 @@ class HolderCalibration(DatedRecord):
         """Refuse a clamp whose z leads the wrong way: with the tip at the head, its frame would face that."""
         tip, faces = (pose.z_axis for pose in (self.flange_from_clamp, self.flange_from_frame))
         cosine = sum(one * other for one, other in zip(tip, faces, strict=True))
-        apart_deg = math.degrees(math.acos(min(1.0, max(-1.0, cosine))))
-        if apart_deg < LEAST_TIP_FROM_FACE_DEG:
+        if (apart_deg := math.degrees(math.acos(min(1.0, max(-1.0, cosine))))) < LEAST_TIP_FROM_FACE_DEG:
             raise ValueError(
                 f"z of flange_from_clamp is {apart_deg:.0f} degrees from that of flange_from_frame, expected "
                 f"at least {LEAST_TIP_FROM_FACE_DEG:g}: the first leads to the instrument's tip, the other "

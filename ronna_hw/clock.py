@@ -385,8 +385,7 @@ class SharedClock:
 
     def must_wait_for_reader(self, duration_ns: int) -> bool:
         """Whether the next cycle would reach a measurement that no reader is waiting for yet."""
-        due_ns = UNREAD_NS.read(self._memory)
-        if due_ns == 0 or self._paced or self.has_waiters():
+        if (due_ns := UNREAD_NS.read(self._memory)) == 0 or self._paced or self.has_waiters():
             return False
         return self._cycle_start_ns() + duration_ns >= due_ns
 

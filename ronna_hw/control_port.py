@@ -138,12 +138,10 @@ class ControlPortClient:
         deadline_s = time.monotonic() + ANSWER_LIMIT_S
         line = bytearray()
         while b"\n" not in line and len(line) < LONGEST_LINE:
-            remaining_s = deadline_s - time.monotonic()
-            if remaining_s <= 0:
+            if (remaining_s := deadline_s - time.monotonic()) <= 0:
                 raise TimeoutError("timed out")
             self._socket.settimeout(remaining_s)
-            part = self._socket.recv(LONGEST_LINE - len(line))
-            if not part:
+            if not (part := self._socket.recv(LONGEST_LINE - len(line))):
                 break
             line += part
         self._socket.settimeout(ANSWER_LIMIT_S)

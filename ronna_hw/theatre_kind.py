@@ -83,8 +83,7 @@ def _sort_by_kind(theatre: Addresses) -> tuple[list[str], list[str]]:
     real: list[str] = []
     for name, addresses in theatre.addresses.items():
         for address in addresses:
-            here = is_on_this_computer(parse_endpoint(address))
-            if here is not None:
+            if (here := is_on_this_computer(parse_endpoint(address))) is not None:
                 (simulated if here else real).append(f"{name} at {address}")
     clock = theatre.clock_address
     if parse_endpoint(clock).scheme == "shm":

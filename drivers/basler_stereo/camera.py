@@ -187,8 +187,7 @@ class Camera:
             low = self.control.read_register(Bootstrap.TIMESTAMP_LOW, deadline_s)
         except CommandRefused:
             return None
-        ticks = high << 32 | low
-        if not ticks:
+        if not (ticks := high << 32 | low):
             return None  # the register exists but has no effect
         half_s = (after_s - before_s) / 2.0
         return Tie(ticks, self.tick_frequency_hz, before_s + half_s, half_s)
@@ -251,8 +250,7 @@ class Camera:
     def _set_heartbeat_timeout(self, deadline_s: float) -> None:
         wanted_ms = self._options.heartbeat_ms
         self.control.write_register(Bootstrap.HEARTBEAT_TIMEOUT_MS, wanted_ms, deadline_s)
-        set_ms = self.control.read_register(Bootstrap.HEARTBEAT_TIMEOUT_MS, deadline_s)
-        if set_ms != wanted_ms:
+        if (set_ms := self.control.read_register(Bootstrap.HEARTBEAT_TIMEOUT_MS, deadline_s)) != wanted_ms:
             self.notices.append(f"{self.side}: heartbeat time-out {set_ms} ms instead of {wanted_ms} ms")
         timeout_ms = min(wanted_ms, set_ms or wanted_ms)
         assert self._receiver_process is not None, "set by configure"

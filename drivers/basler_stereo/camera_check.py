@@ -286,8 +286,7 @@ def _diagnose_no_reply(camera: CameraState, found: Sequence[CameraIdentity]) -> 
 
 
 def _other_replies(camera: CameraState, found: Sequence[CameraIdentity]) -> str:
-    others = [each for each in found if each.address != camera.endpoint.host]
-    if not others:
+    if not (others := [each for each in found if each.address != camera.endpoint.host]):
         return ""
     listed = ", ".join(map(_describe_camera, others[:LISTED_CAMERAS]))
     more = f" and {len(others) - LISTED_CAMERAS} more" if len(others) > LISTED_CAMERAS else ""

@@ -151,8 +151,7 @@ class CameraControl:
         """Receive the acknowledge with this request id, or return None at `until_s`."""
         while True:
             # also after the deadline: data that arrived while the host stalled was in time
-            remaining_s = until_s - self._monotonic()
-            if remaining_s < -COMMAND_LIMIT_S:
+            if (remaining_s := until_s - self._monotonic()) < -COMMAND_LIMIT_S:
                 return None  # only unrelated datagrams
             self.link.settimeout(max(LAST_READ_S, remaining_s))
             try:
@@ -164,8 +163,7 @@ class CameraControl:
                 time.sleep(max(0.0, min(REFUSED_PAUSE_S, until_s - self._monotonic())))
                 return None
             self._passed(Direction.RECEIVED, datagram)
-            acknowledge = gvcp.decode(datagram)
-            if acknowledge is None or acknowledge.request_id != request_id:
+            if (acknowledge := gvcp.decode(datagram)) is None or acknowledge.request_id != request_id:
                 continue  # a late acknowledge of an earlier command
             if acknowledge.command == GvcpCommand.PENDING_ACK:
                 wait_s = gvcp.pending_ms(acknowledge.payload) / 1000.0
@@ -233,8 +231,7 @@ def take_control(control: CameraControl, camera_name: str, deadline_s: float) ->
 
 def _describe_taken(control: CameraControl, camera_name: str, refusal: str) -> ControlTaken:
     """Build the error for a controlled camera; on this computer it names the programs that talk to it."""
-    users = find_udp_clients(control.peer_address, gev.GVCP_PORT)
-    if not users:
+    if not (users := find_udp_clients(control.peer_address, gev.GVCP_PORT)):
         return ControlTaken(f"{camera_name} is controlled by another application", got=refusal)
     return ControlTaken(
         f"{camera_name} is controlled by another application",

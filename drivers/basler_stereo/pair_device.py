@@ -170,8 +170,7 @@ class PairDevice(ABC, Generic[C]):
         deadline_s = time.monotonic() + timeout_s
         self._release_all()
         cameras, identities = self._open_cameras(deadline_s)
-        found = (identities[0].serial, identities[1].serial)
-        if found != before:
+        if (found := (identities[0].serial, identities[1].serial)) != before:
             self._close_all(cameras)
             raise WRONG_SERIAL(
                 "different cameras than before", expected="+".join(before), got="+".join(found)

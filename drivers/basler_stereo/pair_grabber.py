@@ -148,8 +148,7 @@ class PairGrabber:
             return any(camera.lost is not None for camera in self._cameras)
 
         left, right = self._cameras
-        first = left.take(deadline_s, is_any_lost)
-        if first is not None:
+        if (first := left.take(deadline_s, is_any_lost)) is not None:
             deadline_s = min(deadline_s, time.monotonic() + PARTNER_LIMIT_S)
         return first, right.take(deadline_s, is_any_lost)
 

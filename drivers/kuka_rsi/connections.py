@@ -95,8 +95,7 @@ class Connections(StreamConnections[ControllerState, EkiClient]):
             raise NO_TELEGRAM(
                 f"{faults.name}: the RSI program does not reach RSI_MOVECORR", limit=f"{timeout_s:g} s"
             )
-        fault = faults.error(link.state, mode)
-        if fault is not None:
+        if (fault := faults.error(link.state, mode)) is not None:
             raise fault
         require_ready(eki.status(max(remaining_s(deadline), SHORTEST_TRY_S)), drives=True, modes=(mode,))
         return mode

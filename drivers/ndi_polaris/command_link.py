@@ -224,8 +224,7 @@ class CommandLink:
                 return decode_ascii(split[0]), split[1]
             if len(buffer) > LONGEST_REPLY_BYTES:
                 raise MalformedReply("a reply has no end", limit=f"{LONGEST_REPLY_BYTES} bytes", wire=buffer)
-            remaining_s = until_s - self.monotonic()
-            if remaining_s <= 0:
+            if (remaining_s := until_s - self.monotonic()) <= 0:
                 return None, buffer
             data = self.transport.read(min(remaining_s, STALL_S) if buffer else remaining_s)
             if not data and buffer and remaining_s > STALL_S:
@@ -255,11 +254,9 @@ class CommandLink:
                 raise UnitRestarted("the unit sent RESET", wire=heard)
             if not heard.endswith(b"\r"):
                 continue
-            text = trailing_text(heard[:-1])
-            if text is not None and text.endswith(mark):
+            if (text := trailing_text(heard[:-1])) is not None and text.endswith(mark):
                 return _Echo.HEARD
-            error = unit_error(text or "", "ECHO")
-            if error is not None and not self.transport.read(QUIET_S):
+            if unit_error(text or "", "ECHO") is not None and not self.transport.read(QUIET_S):
                 return _Echo.REFUSED
         if heard:
             self._silent_since_s = None
@@ -363,8 +360,7 @@ def unit_error(text: str, command: str = "") -> UnitError | None:
 
 def warning_meaning(text: str) -> str | None:
     """Return the meaning of a WARNING reply, or None; a warning does not prevent execution."""
-    match = _WARNING.fullmatch(text)
-    if not match:
+    if not (match := _WARNING.fullmatch(text)):
         return None
     if match[1] is None:
         return "a warning without a code (older firmware)"

@@ -315,8 +315,7 @@ class PolarisTracker:
         link.adopt_limits({**read_time_limits(link), **self._options.time_limits_s})
         refuse_pending_alerts(link)
         wanted_hz = self._options.illuminator_rate_hz
-        rate_hz = set_illuminator_rate(link, wanted_hz)
-        if rate_hz != wanted_hz:
+        if (rate_hz := set_illuminator_rate(link, wanted_hz)) != wanted_hz:
             self._notices.append(f"the illuminators stay at {rate_hz} Hz instead of {wanted_hz} Hz")
         self._volume = choose_volume(link, self._options.volume)
         if self._volume is None:

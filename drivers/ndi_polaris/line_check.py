@@ -200,8 +200,7 @@ def _diagnose(line: LineState, *, of_tracker: bool) -> Finding:
             "lost during the inquiry",
             "Was the adapter unplugged, or the program at the other end stopped?",
         )
-    noisy_attempts = [attempt for attempt in line.attempts if attempt.heard]
-    if not noisy_attempts:
+    if not (noisy_attempts := [attempt for attempt in line.attempts if attempt.heard]):
         return _diagnose_silence(line)
     if any(attempt.outcome is LineOutcome.ECHO for attempt in noisy_attempts):
         return (

@@ -103,8 +103,7 @@ def _decode_bx_body(body: bytes, with_strays: bool) -> TrackingReply:
 
 
 def _unpack_bx_strays(body: bytes, offset: int) -> tuple[tuple[Vector3, ...], tuple[bool, ...] | None, int]:
-    count = body[offset]
-    if count > ndi.MAXIMUM_STRAYS:
+    if (count := body[offset]) > ndi.MAXIMUM_STRAYS:
         raise MalformedReply(f"BX announces {count} strays", limit=str(ndi.MAXIMUM_STRAYS), wire=body)
     bits = int.from_bytes(body[offset + 1 : offset + 1 + (count + 7) // 8], "little")
     outside = tuple(bool(bits >> k & 1) for k in range(count)) if bits else (False,) * count
@@ -163,8 +162,7 @@ def _parse_tx_handle(record: str, text: str) -> HandleReport:
 
 
 def _parse_tx_strays(block: str, text: str) -> tuple[tuple[Vector3, ...], tuple[bool, ...] | None]:
-    count = _parse_hex2(block[:2], "number of strays", text)
-    if count > ndi.MAXIMUM_STRAYS:
+    if (count := _parse_hex2(block[:2], "number of strays", text)) > ndi.MAXIMUM_STRAYS:
         raise _malformed_error(f"TX announces {count} strays", text)
     digits = (count + 3) // 4
     bits, rest = block[2 : 2 + digits], block[2 + digits :]
@@ -184,8 +182,7 @@ def _parse_tx_strays(block: str, text: str) -> tuple[tuple[Vector3, ...], tuple[
 
 
 def _parse_tx_position(record: str, text: str) -> Vector3:
-    match = _STRAY.fullmatch(record)
-    if not match:
+    if not (match := _STRAY.fullmatch(record)):
         raise _malformed_error("unknown form of a stray position in TX", text)
     x, y, z = (int(value) / ndi.TX_POSITION_SCALE for value in match.groups())
     return x, y, z
@@ -203,8 +200,7 @@ def _malformed_error(what: str, text: str) -> MalformedReply:
 
 def frame_number(reply: TrackingReply) -> int:
     """Return a reply's frame number; raises NDI-006 if no handle has one."""
-    numbers = [report.frame for report in reply.handles if report.frame is not None]
-    if not numbers:
+    if not (numbers := [report.frame for report in reply.handles if report.frame is not None]):
         raise MalformedReply("no handle of the reply carries a frame number")
     return max(numbers)
 

@@ -112,8 +112,7 @@ def decode_definition(block: bytes, name: str = "definition") -> ToolDefinition:
         raise BAD_TOOL_FILE(
             f"{name} has a wrong checksum", expected=f"{checksum(block):04X}", got=f"{claimed:04X}"
         )
-    count = block[layout.MARKER_COUNT_OFFSET]
-    if count > layout.ROM_MARKERS:
+    if (count := block[layout.MARKER_COUNT_OFFSET]) > layout.ROM_MARKERS:
         raise BAD_TOOL_FILE(f"{name} has {count} markers", limit=str(layout.ROM_MARKERS))
     origin = bytes(block[: layout.ROM_BYTES])
     values = {property_.name: property_.read(origin) for property_ in FIELDS}

@@ -98,10 +98,9 @@ class Tracking:
             *self.replies_s[1 - REPLIES_KEPT :],
             min(self._link.waited_s, arrived_s - requested_s),
         )
-        if reply.system_status & ALARMING_STATUS:
-            problem = find_alarm(reply.system_status, self._link)
-            if problem is not None:
-                raise problem
+        alarming = reply.system_status & ALARMING_STATUS
+        if alarming and (problem := find_alarm(reply.system_status, self._link)) is not None:
+            raise problem
         repeated = count == self._last_count
         if repeated:
             self.statistics.repeated += 1
@@ -178,12 +177,10 @@ class FrameClock:
         """Add a reply to the fit and return the fitted theatre time of its frame."""
         if self._origin_s is not None and arrived_s < self._origin_s + count * self.period_s - JUMP_S:
             self._reset()
-        window = count // WINDOW_FRAMES
-        if window != self._window:
+        if (window := count // WINDOW_FRAMES) != self._window:
             self._window = window
             self._end_window()
-        origin_s = arrived_s - count * self.period_s
-        if origin_s < self._earliest_origin_s:
+        if (origin_s := arrived_s - count * self.period_s) < self._earliest_origin_s:
             self._earliest, self._earliest_origin_s = (count, arrived_s), origin_s
         if self._origin_s is None or origin_s < self._origin_s:
             self._origin_s = origin_s

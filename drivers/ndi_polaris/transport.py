@@ -111,8 +111,7 @@ class _Descriptor:
         writable.register(self._descriptor, select.POLLOUT)
         until_s = time.monotonic() + WRITE_LIMIT_S
         while data:
-            remaining_s = until_s - time.monotonic()
-            if remaining_s <= 0 or not writable.poll(remaining_s * 1000):
+            if (remaining_s := until_s - time.monotonic()) <= 0 or not writable.poll(remaining_s * 1000):
                 raise LinkLost(f"{self._endpoint} does not accept data", limit=f"{WRITE_LIMIT_S} s")
             try:
                 data = data[os.write(self._descriptor, data) :]
@@ -224,8 +223,7 @@ def _error_number(error: Exception) -> int | None:
 
 
 def _error_reason(error: Exception) -> str:
-    number = _error_number(error)
-    if number is None:
+    if (number := _error_number(error)) is None:
         return str(getattr(error, "strerror", None) or error)
     return _REASONS.get(number) or os.strerror(number).lower()
 
@@ -247,8 +245,7 @@ class RecordedTransport:
         self._sink.on_bytes(self._link, Direction.SENT, data)
 
     def read(self, timeout_s: float) -> bytes:
-        data = self._transport.read(timeout_s)
-        if data:
+        if data := self._transport.read(timeout_s):
             self._sink.on_bytes(self._link, Direction.RECEIVED, data)
         return data
 

@@ -133,8 +133,7 @@ def find_alarm(bits: int, link: CommandLink) -> DeviceError | None:
 def read_new_alerts(link: CommandLink) -> Alert:
     """Read new alerts, which also clears the pending bit."""
     value = read_parameter(link, ndi.PARAMETER_NEW_ALERTS)
-    alerts = parse_whole_number(value)
-    if alerts is None:
+    if (alerts := parse_whole_number(value)) is None:
         raise MalformedReply("unknown format of the alerts", got=value)
     return Alert(alerts)
 

@@ -165,8 +165,7 @@ class Connections(StreamConnections[ControllerState, PrimaryClient]):
         )
         if started is None or started.phase is StreamPhase.ARMED:
             raise self._start_error("the script does not start", timeout_s)
-        fault = self.faults.error(link.state, mode)
-        if fault is not None:
+        if (fault := self.faults.error(link.state, mode)) is not None:
             raise fault
         if load:
             self._require_load(max(remaining_s(deadline), ASK_LIMIT_S))
@@ -270,8 +269,7 @@ class Connections(StreamConnections[ControllerState, PrimaryClient]):
             primary.await_state(remaining_s(deadline))
         identity = identity_of(options, serial, version, info)
         require_same(self._name, self._identity, identity)
-        calibration = require_calibration(self._name, options, info)
-        if calibration is not None:
+        if (calibration := require_calibration(self._name, options, info)) is not None:
             nominal = universal_robot(options.model).dimensions
             self.faults = replace(self.faults, arm=CalibratedUniversalRobot(nominal, calibration))
             self._calibration = (
@@ -303,8 +301,7 @@ class Connections(StreamConnections[ControllerState, PrimaryClient]):
         self.power.require_safe()
         if dashboard.is_program_running(ASK_LIMIT_S):
             raise ANOTHER_PROGRAM_RUNS(f"{name}: the controller is running another program")
-        reported = self.reported
-        if reported is not None and not reported.mode.speed_fraction > 0.0:
+        if (reported := self.reported) is not None and not reported.mode.speed_fraction > 0.0:
             raise SPEED_AT_ZERO(f"{name}: the speed slider is at {reported.mode.speed_fraction:.0%}")
 
     def _hand_over(self, run: int, safety: SafetyMode, timeout_s: float) -> None:

@@ -48,8 +48,7 @@ class PowerAndSafety:
         if self._goes_off:
             self.await_condition(lambda: dashboard.robot_mode(ASK_LIMIT_S) is RobotMode.POWER_OFF, deadline)
             self._goes_off = False  # a person has looked, even if it has been switched on again meanwhile
-        safety = dashboard.safety_mode(ASK_LIMIT_S)
-        if safety is SafetyMode.PROTECTIVE_STOP:
+        if (safety := dashboard.safety_mode(ASK_LIMIT_S)) is SafetyMode.PROTECTIVE_STOP:
             self._unlock(person, deadline)
         elif safety in RESTART_MODES:
             dashboard.ask(DashboardOrder.CLOSE_SAFETY_POPUP, ASK_LIMIT_S)
@@ -94,8 +93,7 @@ class PowerAndSafety:
 
     def require_safe(self) -> None:
         """Raise what the safety state reports, unless it permits motion."""
-        refusal = safety_refusal(self._name, self._dashboard().safety_mode(ASK_LIMIT_S))
-        if refusal is not None:
+        if (refusal := safety_refusal(self._name, self._dashboard().safety_mode(ASK_LIMIT_S))) is not None:
             raise refusal
 
     def await_condition(self, holds: Callable[[], bool], deadline: float) -> bool:

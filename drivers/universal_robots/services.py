@@ -85,8 +85,7 @@ SERVICES = {  # by their ports, which the controller has fixed
 def require_own_services(device: str, addresses: Mapping[str, Endpoint]) -> None:
     """Raise CFG-001 for an endpoint at the fixed port of another service, or services of two controllers."""
     for role, address in addresses.items():
-        service = SERVICES.get(address.port)
-        if service is not None and service.role != role:
+        if (service := SERVICES.get(address.port)) is not None and service.role != role:
             own = next(port for port, one in SERVICES.items() if one.role == role)
             raise BadTheatreFile(
                 f"[{device}.endpoints] {role}: port {address.port} is that of the {service.name}",

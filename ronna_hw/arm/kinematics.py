@@ -27,8 +27,7 @@ METRES_ADVICE = "Positions are in mm; were these metres?"
 
 def require_off_base(target: Pose) -> None:
     """Raise ARM-001 for a target at the centre of the base, where one in metres seems to be."""
-    distance_mm = hypot(*target.position_mm)
-    if distance_mm < NEAR_BASE_MM:
+    if (distance_mm := hypot(*target.position_mm)) < NEAR_BASE_MM:
         x, y, z = target.position_mm
         raise Unreachable(
             f"the target at x {x:g} mm, y {y:g} mm, z {z:g} mm is inside the base",

@@ -147,8 +147,7 @@ class Monitor:
                 and -bent <= bend <= bent
                 and -twisted <= bend - before + previous - earlier <= twisted
             ):  # NaN fails here
-                found = self._find_axis_violation(joints_rad)
-                if found is not None:
+                if (found := self._find_axis_violation(joints_rad)) is not None:
                     return found
                 break
         return None if self._watch is None else self._watch.check(joints_rad)

@@ -161,8 +161,7 @@ class StreamedArm(ABC, Generic[S]):
 
     def observe(self) -> LastKnown[ArmReading]:
         streaming = self._guard.state in RUNNING  # unlike `state`, this does not check for new faults
-        reported = self.connections.reported
-        if reported is not self._stated[0]:
+        if (reported := self.connections.reported) is not self._stated[0]:
             self._stated = reported, () if reported is None else tuple(self._controller_facts(reported))
         reading, stopped = self._readings.newest(streaming=streaming)
         return self._guard.last_known(reading, self._stated[1], stopped=stopped)
@@ -211,8 +210,7 @@ class StreamedArm(ABC, Generic[S]):
         self._guard.require("recover", (Lifecycle.FAULT,))
         if not connections.is_answering(REPLY_LIMIT_S):
             self._find_controller(remaining_s(deadline), retry=True)
-        link = connections.open_link
-        if link is not None:
+        if (link := connections.open_link) is not None:
             if link.alive and link.stalled_s < LIVE_HEARTBEAT_S:
                 with contextlib.suppress(RonnaError):
                     connections.end_stream(time.monotonic() + 0.5 * remaining_s(deadline))
@@ -312,8 +310,7 @@ class StreamedArm(ABC, Generic[S]):
     def link_statistics(self) -> LinkStatistics:
         """Return the link statistics since the last `activate`."""
         self._guard.require("link_statistics", (*READABLE, Lifecycle.FAULT))
-        link = self.connections.open_link
-        if link is None:
+        if (link := self.connections.open_link) is None:
             return link_statistics(NO_STATE, ())
         return link_statistics(
             link.state, link.mailbox.read_histogram(), link.mailbox.read_jitter_histogram()
@@ -323,8 +320,7 @@ class StreamedArm(ABC, Generic[S]):
         return self._move("move", motion, timeout_s)
 
     def insert(self, insertion: Insertion, *, timeout_s: float = 120.0) -> Inserted:
-        limit_N = insertion.force_limit_N
-        if limit_N is not None and not self.senses_force:
+        if (limit_N := insertion.force_limit_N) is not None and not self.senses_force:
             raise FORCE_NOT_SENSED(
                 f"{self._name}: this arm does not sense the force on its tool", limit=f"{limit_N:g} N"
             )

@@ -169,8 +169,7 @@ class LinkClient:
                         return state
                     if not self.alive:
                         raise self.death_error()
-                    remaining_s = deadline - time.monotonic()
-                    if remaining_s <= 0.0:
+                    if (remaining_s := deadline - time.monotonic()) <= 0.0:
                         return None
                     lets_time_pass = True
                     self._clock.let_pass(PASSING_S)

@@ -145,8 +145,7 @@ class ControlChannel(ABC, Generic[S]):
         deadline = time.monotonic() + timeout_s
         with self._arrived:
             while True:
-                found = find()
-                if found is not None:
+                if (found := find()) is not None:
                     return found
                 if self.failure is not None:
                     raise self.failure
@@ -217,8 +216,7 @@ class ControlChannel(ABC, Generic[S]):
 
     def _handle(self, message: bytes) -> None:
         with self._arrived:
-            state = self._take(message)
-            if state is not None:
+            if (state := self._take(message)) is not None:
                 self.latest = state
             self._arrived.notify_all()
         if state is not None and self._listener is not None:

@@ -162,8 +162,7 @@ class StreamLoop(ABC):
         self._look_aside()
         orders = self._mailbox.orders()
         self.session.monitor_silence(orders, time.monotonic_ns())
-        command = self._new_command(orders.command_number)
-        if command is not None:
+        if (command := self._new_command(orders.command_number)) is not None:
             self.session.execute_command(command)
         self._publish()
 
@@ -171,8 +170,7 @@ class StreamLoop(ABC):
         """Return the latest command if complete and not seen yet."""
         if number == self._command_number:
             return None
-        command = self._mailbox.read_command()
-        if command is None or command.number != number:
+        if (command := self._mailbox.read_command()) is None or command.number != number:
             return None
         self._command_number = number
         return command

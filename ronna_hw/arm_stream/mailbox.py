@@ -171,8 +171,7 @@ class Mailbox:
         """Read new surroundings; returns False while they are being written."""
         if number == self._surroundings_number:
             return True
-        line = _SURROUNDINGS.read(self._memory)
-        if line is None:
+        if (line := _SURROUNDINGS.read(self._memory)) is None:
             return False
         self._surroundings = Surroundings.from_json(line.decode())
         self._surroundings_number = number
@@ -214,8 +213,7 @@ class Mailbox:
     def read_state(self) -> LinkState:
         """Read the latest state; raises MailboxTorn if no consistent one can be read."""
         for _ in range(READ_TRIES):
-            state = _STATE.read(self._memory)
-            if state is not None:
+            if (state := _STATE.read(self._memory)) is not None:
                 return state
         raise MailboxTorn("the state row is never consistent")
 

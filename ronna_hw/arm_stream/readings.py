@@ -58,8 +58,7 @@ class StreamReadings(Generic[S]):
                 stamp = Stamp(self._sequence, state.device_clock, now_s - age_s)
                 self._newest = self._make_stream_reading(state, stamp)
             else:
-                reported = self._connections.reported
-                if reported is not None:
+                if (reported := self._connections.reported) is not None:
                     age_s = host_s - reported.received_s
                     stamp = Stamp(self._sequence, reported.device_clock, now_s - age_s)
                     self._newest = _controller_reading(reported, stamp)

@@ -221,8 +221,7 @@ class StreamSession(ABC, Generic[M, E]):
         points = self._points
         if points is None or self.phase not in STREAMING_PHASES or not self._judge_link(telegram, points):
             return None
-        choice = self._choose(points, orders.stop_word)
-        if choice is None:
+        if (choice := self._choose(points, orders.stop_word)) is None:
             return None
         self.choice = choice
         return self._encode(points.at(choice))
@@ -252,8 +251,7 @@ class StreamSession(ABC, Generic[M, E]):
 
     def finish_cycle(self, command: Command | None) -> None:
         """Check the measured joint angles, accept a new command and prepare the next reply."""
-        points = self._points
-        if points is None:
+        if (points := self._points) is None:
             return
         self.cycles += 1
         due_ns = (self._missing + 1) * self._cycle_s * 1e9
@@ -263,8 +261,7 @@ class StreamSession(ABC, Generic[M, E]):
         self._measure()
         if self._force is not None:
             self._follow_force(points, self._force)
-        following_violation = points.monitor.check_measured(self._measured)
-        if following_violation is not None:
+        if (following_violation := points.monitor.check_measured(self._measured)) is not None:
             self._judge_measured(following_violation)
         points.commit(self.choice)
         self._follow_motion(points)
@@ -386,8 +383,7 @@ class StreamSession(ABC, Generic[M, E]):
         )
         if is_unsettled or self.phase not in STREAMING_PHASES:
             return
-        expected = self._expect()
-        if expected is not None:
+        if (expected := self._expect()) is not None:
             choice = Choice.STOP if self._stopping else Choice.GO
             self.ready = PreparedReply(
                 expected, self._stop_word, choice, self._encode_next(points.at(choice))

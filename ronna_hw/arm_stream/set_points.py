@@ -108,8 +108,7 @@ class SetPoints:
     def prepare(self) -> None:
         """Compute and check the points for continuing and for stopping."""
         self._joint_stop = None
-        motion = self._motion
-        if motion is None:
+        if (motion := self._motion) is None:
             self.go_rad = self.stop_rad = self.last_rad
             return
         try:

@@ -41,8 +41,7 @@ class StreamWatch(Generic[S]):
             self._check_idle()
             return
         link, control = self._connections.link, self._connections.open_control
-        error = self._stream_error(link, link.state)
-        if error is not None:
+        if (error := self._stream_error(link, link.state)) is not None:
             self._latch_with_record(self._cause_of(error), link)
         elif control is not None and control.failure is not None:
             self._stop_for(self._cause_of(control.failure))
@@ -62,8 +61,7 @@ class StreamWatch(Generic[S]):
 
     def latch(self, error: RonnaError) -> None:
         """Latch an error that the caller is about to raise."""
-        link = self._connections.open_link
-        if link is not None and self._guard.state in RUNNING:
+        if (link := self._connections.open_link) is not None and self._guard.state in RUNNING:
             self._latch_with_record(error, link)
         self._guard.latch(error)
         self._raised_fault = self._guard.fault
@@ -71,16 +69,14 @@ class StreamWatch(Generic[S]):
     def raise_new(self) -> None:
         """Raise a latched fault that no call has raised yet."""
         self.check_until_certain()
-        fault = self._guard.fault
-        if fault is not None and fault is not self._raised_fault:
+        if (fault := self._guard.fault) is not None and fault is not self._raised_fault:
             self._raised_fault = fault
             raise fault
 
     def raise_any(self) -> None:
         """Raise a latched fault, if any."""
         self.check_until_certain()
-        fault = self._guard.fault
-        if fault is not None:
+        if (fault := self._guard.fault) is not None:
             self._raised_fault = fault
             raise fault
 
@@ -126,8 +122,7 @@ class StreamWatch(Generic[S]):
         return error
 
     def _stop_for(self, error: RonnaError) -> None:
-        link = self._connections.open_link
-        if link is None or self._guard.state not in RUNNING:
+        if (link := self._connections.open_link) is None or self._guard.state not in RUNNING:
             return
         self._latch_with_record(error, link)
         link.stop(StopOrder.PROTECTIVE)

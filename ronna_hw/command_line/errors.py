@@ -137,8 +137,7 @@ def find_selected_command(command: Any, arguments: Sequence[str]) -> tuple[str, 
     """Return name and parameters of the command selected by the arguments."""
     names = [str(command.name)]
     for word in arguments:
-        inner = getattr(command, "commands", {}).get(word)
-        if inner is None:
+        if (inner := getattr(command, "commands", {}).get(word)) is None:
             break
         command = inner
         names.append(word)
@@ -171,8 +170,7 @@ def convert_usage_error(mistake: Exception, command: str, parameters: Sequence[A
             (f"{candidate.metavar or candidate.opts[0]}: {candidate.help} " for candidate in named), ""
         )
         return UsageMistake(text, action=f"{meant}{see}")
-    message = getattr(mistake, "message", "")
-    if not message:
+    if not (message := getattr(mistake, "message", "")):
         message = str(mistake.format_message() if hasattr(mistake, "format_message") else mistake)
     if found := _EXTRA.match(message):
         repeat = _advise_several_values(parameters)
@@ -238,8 +236,7 @@ def _unknown_option(name: str, context: Any, help_of: str) -> UsageMistake:
 
 def _read_validation(cause: BaseException | None) -> tuple[str, str] | None:
     """Return the expected and actual values of a failed validation, or None for other errors."""
-    errors = getattr(cause, "errors", None)
-    if errors is None:
+    if (errors := getattr(cause, "errors", None)) is None:
         return None
     first: Mapping[str, Any] = errors()[0]
     limits: Mapping[str, Any] = first.get("ctx", {})

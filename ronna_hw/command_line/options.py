@@ -154,8 +154,7 @@ def set_log_levels_by_option(levels: Sequence[str] | None) -> None:
 
 def set_log_levels_from_environment() -> None:
     """Set log levels from the comma-separated RONNA_LOG; options are applied later and take precedence."""
-    given = os.environ.get(LEVELS_VARIABLE)
-    if given:
+    if given := os.environ.get(LEVELS_VARIABLE):
         set_log_levels(given.split(","))
 
 

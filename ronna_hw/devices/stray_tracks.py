@@ -119,8 +119,7 @@ def identify_strays(
                 here.append(_Sphere(reading, None))
                 continue
             known = _NEW if column is None else spheres[column]
-            identity = known.identity
-            if identity is None:
+            if (identity := known.identity) is None:
                 identity, begun = begun, begun + 1
             identities[row] = identity
             here.append(_Sphere(reading, identity, known.count + 1))

@@ -144,8 +144,7 @@ def _identify_user(pid: int) -> PortUser:
     with contextlib.suppress(psutil.Error):
         process = psutil.Process(pid)
         while process.cmdline()[1:3] == OF_OURS:
-            starter = process.parent()
-            if starter is None or not _is_python(starter.cmdline()):
+            if (starter := process.parent()) is None or not _is_python(starter.cmdline()):
                 break
             process = starter
             pid = process.pid

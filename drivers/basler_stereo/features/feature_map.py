@@ -172,8 +172,7 @@ class FeatureMap:
             return float(value) if node.kind == "Float" else value
         if name in self._local_values:
             return self._local_values[name]
-        own = node.text("Value")
-        if own is None:
+        if (own := node.text("Value")) is None:
             raise BAD_DESCRIPTION(f"{name} ({node.kind}) has no value")
         return parse_real_number(own, name) if node.kind == "Float" else parse_whole_number(own, name)
 
@@ -249,8 +248,7 @@ class FeatureMap:
                 values[name] = self._read(field.text.split(".")[0], depth + 1)
             elif field.tag in ("Constant", "Expression"):
                 values[name] = self._evaluate_formula(field.text, values, node)
-        formula = node.text(tag)
-        if formula is None:
+        if (formula := node.text(tag)) is None:
             raise BAD_DESCRIPTION(f"{node.name} has no {tag}")
         return self._evaluate_formula(formula, values, node)
 

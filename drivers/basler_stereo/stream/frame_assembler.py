@@ -221,8 +221,7 @@ class FrameAssembler:
         return bool(block.requested) and all(block.received[packet_id] for packet_id in block.requested)
 
     def _open_block(self, block_id: int) -> _Block:
-        block = self._open.get(block_id)
-        if block is None:
+        if (block := self._open.get(block_id)) is None:
             block = _Block(
                 block_id, *self._claim(), bytearray(self._trailer_id + 1), remaining=self._trailer_id + 1
             )
@@ -276,8 +275,7 @@ class FrameAssembler:
 
     def _store(self, block: _Block, header: PacketHeader, content: memoryview) -> bool:
         """Store a packet's content; returns False if its kind or length does not match its id."""
-        packet_id = header.packet_id
-        if packet_id == gev.LEADER_PACKET_ID:
+        if (packet_id := header.packet_id) == gev.LEADER_PACKET_ID:
             block.leader = decode_leader(content) if header.kind == GvspFormat.LEADER else None
             return block.leader is not None
         if packet_id == self._trailer_id:

@@ -154,8 +154,7 @@ class StreamReceiver:
             remaining_s = deadline_s - time.monotonic()
             # an available frame is taken even after the deadline
             if select.select([self._notes], [], [], max(0.0, min(remaining_s, POLL_S)))[0]:
-                frame = self._slots.fetch(self._next_note())
-                if frame is not None:
+                if (frame := self._slots.fetch(self._next_note())) is not None:
                     return frame
             elif remaining_s <= 0 or give_up():
                 return None

@@ -81,8 +81,7 @@ class _Stream:
                 if sender != self._camera_address:
                     self._assembler.counters.foreign += 1
                     continue
-                frame = accept(view[:size], now_s)
-                if frame is not None:
+                if (frame := accept(view[:size], now_s)) is not None:
                     self._announce(frame)
             return True
         self._slots.write_counters(self._assembler.counters)
@@ -157,8 +156,7 @@ class ReceiverLoop:
         while True:
             has_more = False
             for descriptor, _ in self._poll.poll(self._poll_limit_s() * 1e3):
-                stream = self._by_descriptor.get(descriptor)
-                if stream is not None:
+                if (stream := self._by_descriptor.get(descriptor)) is not None:
                     has_more |= stream.receive(buffer, view)
                 elif descriptor == self._orders.fileno() and not self._take_order():
                     return

@@ -55,8 +55,7 @@ class EkiClient(ControlChannel[ControllerState]):
 
     def status(self, timeout_s: float) -> ControllerState:
         """Request the controller state; raises EKI-003 on time-out, EKI-002 or EKI-004 on a broken link."""
-        state = self.await_reply(self.request_state(), timeout_s)
-        if state is None:
+        if (state := self.await_reply(self.request_state(), timeout_s)) is None:
             raise STREAM_ERRORS.no_answer(
                 f"{self.where} does not answer {CommandName.STATUS}", limit=f"{timeout_s:g} s"
             )
@@ -77,8 +76,7 @@ class EkiClient(ControlChannel[ControllerState]):
     def command(self, name: CommandName, timeout_s: float, **values: object) -> Ack:
         """Send a command and wait for its answer, of any code. Raises EKI-003, EKI-002 or EKI-004."""
         number = self._send(name, values)
-        ack = self._wait_for(lambda: self._acks.get(number), timeout_s)
-        if ack is None:
+        if (ack := self._wait_for(lambda: self._acks.get(number), timeout_s)) is None:
             raise STREAM_ERRORS.no_answer(f"{self.where} does not answer {name}", limit=f"{timeout_s:g} s")
         return ack
 
@@ -102,8 +100,7 @@ class EkiClient(ControlChannel[ControllerState]):
 
         deadline = time.monotonic() + timeout_s
         while (remaining_s := deadline - time.monotonic()) > 0.0:
-            found = self._wait_for(find_matching, min(remaining_s, REQUEST_PERIOD_S))
-            if found is not None:
+            if (found := self._wait_for(find_matching, min(remaining_s, REQUEST_PERIOD_S))) is not None:
                 return found
             self._send(CommandName.STATUS, {})
         return find_matching()

@@ -82,8 +82,7 @@ class TelegramScanner:
     def _next_tag(self) -> tuple[int, int] | None:
         """Find the next complete tag, respecting quotes; returns the positions of "<" and ">"."""
         buffer = self._buffer
-        start = buffer.find(b"<", self._scanned)
-        if start < 0:
+        if (start := buffer.find(b"<", self._scanned)) < 0:
             if self._root_start < 0:
                 buffer.clear()
             self._scanned = len(buffer)
@@ -93,8 +92,7 @@ class TelegramScanner:
             start = 0
         quote = b""
         for mark in _MARK.finditer(buffer, start + 1):
-            found = mark[0]
-            if found == b"<":
+            if (found := mark[0]) == b"<":
                 self._refuse_truncated()  # no tag contains one, not even in quotes
             if quote:
                 quote = b"" if found == quote else quote
@@ -215,8 +213,7 @@ def require_ready(
     state: ControllerState, *, drives: bool, modes: tuple[OperationMode, ...] = (OperationMode.EXT,)
 ) -> None:
     """Raise EKI-007 listing every obstacle to motion; with `drives`, the drives must already be on."""
-    unmet = unmet_conditions(state, drives=drives, modes=modes)
-    if unmet:
+    if unmet := unmet_conditions(state, drives=drives, modes=modes):
         raise CONTROLLER_NOT_READY("the controller is not ready: " + "; ".join(unmet))
 
 

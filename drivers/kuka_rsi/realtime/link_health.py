@@ -34,8 +34,7 @@ class Losses(LossCount):
         if self._last_ipoc is None:
             self._last_ipoc, self._last_delay, self.reported_late = ipoc, max(delay, 0), delay
             return 0
-        step = ipoc - self._last_ipoc
-        if step < -IPOC_WRAP // 2:
+        if (step := ipoc - self._last_ipoc) < -IPOC_WRAP // 2:
             step += IPOC_WRAP
         if -STALE_CYCLES * self._cycle_ms <= step <= 0:
             self._stale += 1

@@ -53,8 +53,7 @@ class LinkLoop(StreamLoop):
         self._peer: Address | None = None
 
     def _step(self) -> None:
-        received = self._receive()
-        if received is None:
+        if (received := self._receive()) is None:
             self._check_orders()
         else:
             self._serve(*received)
@@ -110,8 +109,7 @@ class LinkLoop(StreamLoop):
     def _look_aside(self) -> None:
         """Count foreign senders."""
         for _ in range(FOREIGN_AT_ONCE):
-            address = self._sockets.foreign_sender()
-            if address is None:
+            if (address := self._sockets.foreign_sender()) is None:
                 return
             if address != self._peer:  # the controller's own may still be queued from before the stream
                 self.session.senders.count_foreign(address[0])
@@ -151,8 +149,7 @@ class LinkLoop(StreamLoop):
                 self._leave_unanswered(data)
                 return
             self._begin_stream(address)
-        reply = session.answer(telegram, orders, self._received_ns)
-        if reply is None:
+        if (reply := session.answer(telegram, orders, self._received_ns)) is None:
             self._leave_unanswered(data)
             return
         self._send(reply, address)

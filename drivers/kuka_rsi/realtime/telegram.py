@@ -103,8 +103,7 @@ class TelegramReader:
             if not attributes:
                 pattern.append(rb">[^<]{0,80}+</" + re.escape(name.encode()) + b">")
                 continue
-            captured = {"AIPos": _DECIMAL, "Delay": _INTEGER}.get(name)
-            if captured is None:
+            if (captured := {"AIPos": _DECIMAL, "Delay": _INTEGER}.get(name)) is None:
                 pattern.append(_UNREAD + b"/>")
                 continue
             for attribute in attributes:
@@ -182,8 +181,7 @@ def read_strictly(data: bytes) -> Telegram:
     parser.EndElementHandler = end
     parser.CharacterDataHandler = text.append
     parser.StartDoctypeDeclHandler = refuse
-    end_of_root = data.rfind(b"</Rob>")
-    if end_of_root < 0 or len(data) > LONGEST_TELEGRAM:
+    if (end_of_root := data.rfind(b"</Rob>")) < 0 or len(data) > LONGEST_TELEGRAM:
         raise BAD_TELEGRAM("incomplete telegram", expected="<Rob>...</Rob>", wire=data)
     try:
         parser.Parse(data[: end_of_root + len(b"</Rob>")], True)  # bytes after the root are tolerated

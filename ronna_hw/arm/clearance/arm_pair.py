@@ -168,8 +168,7 @@ class ArmPairWorld:
         for body, ((start, end), radius) in enumerate(zip(axes_mm, arm.radii_mm, strict=True)):
             along = end - start
             length = float(np.linalg.norm(along))
-            shape = self._shapes.get((number, body))
-            if shape is None:
+            if (shape := self._shapes.get((number, body))) is None:
                 solid = coal.Capsule(radius, length) if length > POINT_MM else coal.Sphere(radius)
                 shape = self._shapes[number, body] = coal.CollisionObject(solid)
             shape.setTransform(coal.Transform3s(_turn_towards(along, length), (start + end) / 2.0))
@@ -249,8 +248,7 @@ def find_approach(
             float(max(path.travel_mm[high] - path.travel_mm[at], path.travel_mm[at] - path.travel_mm[low]))
             for path, at, (low, high) in zip((first, second), middle, block, strict=True)
         ]
-        at_least_mm = found.distance_mm - sum(reach_mm)
-        if at_least_mm >= margin_mm:
+        if (at_least_mm := found.distance_mm - sum(reach_mm)) >= margin_mm:
             continue
         divisible = [number for number, (low, high) in enumerate(block) if high - low > 1]
         if found.distance_mm < margin_mm or not divisible:
@@ -267,8 +265,7 @@ def require_apart(
     margin_mm: float = PLANNED_APART_MM,
 ) -> None:
     """Raise ARM-011 unless all pairs of postures of two paths are farther apart than the margin."""
-    found = find_approach(world, first, second, apart_s, margin_mm)
-    if found is not None:
+    if (found := find_approach(world, first, second, apart_s, margin_mm)) is not None:
         raise ARMS_TOO_CLOSE(
             f"the {found.first} of the {first.arm.name} would come too close to the {found.second} of the "
             f"{second.arm.name}",

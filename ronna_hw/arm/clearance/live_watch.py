@@ -103,8 +103,7 @@ class PlacedBodies:
         if self._flange is None:
             links, self._flange = self._bodies.arm.link_segments(self._joints)
             self._axes = [*links, *(None for _ in self._bodies.surroundings.tool)]
-        axis = self._axes[number]
-        if axis is None:
+        if (axis := self._axes[number]) is None:
             part = self._bodies.surroundings.tool[number - len(self._axes)]
             axis = (self._flange.apply(part.capsule.start_mm), self._flange.apply(part.capsule.end_mm))
             self._axes[number] = axis
@@ -299,8 +298,7 @@ class LiveWatch:
     def _measure(self, joints_rad: JointVector, moved_mm: float) -> None:
         """Keep this step and its exact motion as the reference for bounding later steps."""
         step = tuple(new - old for new, old in zip(joints_rad, self._joints, strict=True))
-        square = sum(angle * angle for angle in step)
-        if square > SMALLEST_STEP_RAD**2:
+        if (square := sum(angle * angle for angle in step)) > SMALLEST_STEP_RAD**2:
             size = sum(abs(angle) for angle in step)
             bound = sum(lever * abs(angle) for lever, angle in zip(self._levers, step, strict=True))
             self._measured = _MeasuredStep(self._joints, step, square, size, bound, moved_mm)
@@ -312,8 +310,7 @@ class LiveWatch:
             if group.odometer_mm + moved <= group.due_mm:
                 continue
             for number in group.take_due(moved):
-                room_mm = self._room_left_mm(number, group, trial)
-                if room_mm <= 0.0:
+                if (room_mm := self._room_left_mm(number, group, trial)) <= 0.0:
                     gap, floor = self._gap(number, trial.placed), self._floors[number]
                     if gap < floor and found is None:
                         found = Violation(ViolationKind.CLEARANCE, number, gap, floor)
@@ -332,8 +329,7 @@ class LiveWatch:
         return before.rooms_mm[number] - between[group.first]
 
     def _find_speed_violation(self, placed: PlacedBodies, moved: float) -> Violation | None:
-        speed = moved / self._cycle_s
-        if speed > self._body_speed_mm_s * SPEED_MARGIN:
+        if (speed := moved / self._cycle_s) > self._body_speed_mm_s * SPEED_MARGIN:
             motions = self._motions_mm(placed)
             fastest = motions.index(max(motions))
             return Violation(ViolationKind.BODY_SPEED, fastest, speed, self._body_speed_mm_s)

@@ -89,8 +89,7 @@ class SweptPath:
 
     def require(self, what: str = "the path") -> None:
         """Raise ARM-007 with the pair, the distance and the position if the path is not clear."""
-        offender = self.refused
-        if offender is None:
+        if (offender := self.refused) is None:
             return
         raise NotClear(
             f"on {what} the {offender.first} would come too close to the {offender.second}, "
@@ -223,8 +222,7 @@ def sweep(bodies: Bodies, joints_rad: ArrayLike) -> SweepSamples:
     to_head = np.full(len(joints), np.inf)
     if head.any():
         to_head = np.maximum(gaps[:, head].min(axis=1), 0.0)
-    corridor = bodies.surroundings.corridor
-    if corridor is not None:
+    if (corridor := bodies.surroundings.corridor) is not None:
         for column, pair in enumerate(pairs):
             if pair.enters_head and pair.is_head:
                 inside = [corridor.holds(tuple(start), tuple(end)) for start, end in ends[:, pair.moving]]

@@ -268,8 +268,7 @@ class PathProgress:
             if velocity != leg.velocity or (has_braked and velocity):
                 leg, time_s = self._choose_leg(velocity)
             go = leg.sample(time_s)
-            missed = self._find_missed_step(go, velocity)
-            if missed is None:
+            if (missed := self._find_missed_step(go, velocity)) is None:
                 self._next = (go, leg, time_s)
                 return go
             self._ceiling, velocity = missed, missed.velocity * self._fraction
@@ -304,8 +303,7 @@ class PathProgress:
         return found
 
     def _can_reach_speed(self, go: AxisState, slow: float, start: float) -> bool:
-        peak = _peak_speed(go, self._limits.jerk)
-        if peak <= slow:
+        if (peak := _peak_speed(go, self._limits.jerk)) <= slow:
             return True
         (s,), (v,), (a,) = go
         ahead = 2.0 * v * self._cycle_s  # the decision is made once per cycle

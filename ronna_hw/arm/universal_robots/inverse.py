@@ -74,8 +74,7 @@ def closed_form(arm: Dimensions, pose: Pose, branch: Branch, guess: bool = False
 
     # Components along n of the flange's axes: x is c6 s5, y is -s6 s5, z is c5.
     xn, yn, c5 = r[0] * s1 - r[3] * c1, r[1] * s1 - r[4] * c1, r[2] * s1 - r[5] * c1
-    s5 = hypot(xn, yn)
-    if s5 < SINGULAR_SINE:
+    if (s5 := hypot(xn, yn)) < SINGULAR_SINE:
         raise Singular(
             "wrist 1 and wrist 3 are in line", limit=f"wrist 2 {SINGULAR_SINE} rad", got=f"{s5:.2e} rad"
         )
