@@ -31,7 +31,7 @@ def percentile_us(counts: Sequence[int], share: float) -> float:
     return EDGES_US[-1]
 
 
-def link_statistics(state: LinkState, counts: Sequence[int], jitter: Sequence[int] = ()) -> LinkStatistics:
+def link_statistics(state: LinkState, counts: Sequence[int], jitter: Sequence[int]) -> LinkStatistics:
     """Convert a link state and its histograms to the statistics of the device interface."""
     return LinkStatistics(
         cycles=state.cycles,
