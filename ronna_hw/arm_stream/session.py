@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from math import radians
-from typing import Generic, NamedTuple, Protocol, TypeVar
+from typing import Generic, NamedTuple, TypeVar
 
 from ronna_hw.arm.clearance.live_watch import Violation
 from ronna_hw.arm.kinematics import Kinematics
@@ -62,20 +62,12 @@ M = TypeVar("M")  # a decoded telegram
 E = TypeVar("E")  # what is compared in the next one
 
 
-class Senders(Protocol):
-    """Counts of others that sent to the link."""
-
-    count: int
-    host: str
-    disagreeing: int
-
-
-class NoSenders:
-    """Counts of a connection, on which nobody else can send."""
+class Senders:
+    """Counts of others that sent to the link; to a connection nobody else can."""
 
     count = 0
-    host = ""
-    disagreeing = 0
+    host = ""  # of the last one
+    disagreeing = 0  # readable telegrams with other axes, before the controller's first
 
 
 class PreparedReply(NamedTuple, Generic[E]):
@@ -103,7 +95,7 @@ class StreamSession(ABC, Generic[M, E]):
         self.violation: Violation | None = None
         self.rejected = 0
         self.dropped = 0
-        self.senders: Senders = NoSenders()
+        self.senders = Senders()
         self.cycles = 0
         self.jitter_us = 0.0  # deviation of the last telegram from its expected arrival
         self.is_parent_gone = False

@@ -55,11 +55,9 @@ class EkiClient(ControlChannel[ControllerState]):
 
     def status(self, timeout_s: float) -> ControllerState:
         """Request the controller state; raises EKI-003 on time-out, EKI-002 or EKI-004 on a broken link."""
-        if (state := self.await_reply(self.request_state(), timeout_s)) is None:
-            raise STREAM_ERRORS.no_answer(
-                f"{self.where} does not answer {CommandName.STATUS}", limit=f"{timeout_s:g} s"
-            )
-        return state
+        return self._answered(
+            CommandName.STATUS, self.await_reply(self.request_state(), timeout_s), timeout_s
+        )
 
     def request_state(self) -> int:
         """Request the state without waiting and return the request's number; raises EKI-002."""
@@ -76,9 +74,7 @@ class EkiClient(ControlChannel[ControllerState]):
     def command(self, name: CommandName, timeout_s: float, **values: object) -> Ack:
         """Send a command and wait for its answer, of any code. Raises EKI-003, EKI-002 or EKI-004."""
         number = self._send(name, values)
-        if (ack := self._wait_for(lambda: self._acks.get(number), timeout_s)) is None:
-            raise STREAM_ERRORS.no_answer(f"{self.where} does not answer {name}", limit=f"{timeout_s:g} s")
-        return ack
+        return self._answered(name, self._wait_for(lambda: self._acks.get(number), timeout_s), timeout_s)
 
     def require(self, name: CommandName, timeout_s: float, **values: object) -> None:
         """Send a command as `command` does; raises EKI-008 unless it is acknowledged with OK."""
@@ -104,6 +100,11 @@ class EkiClient(ControlChannel[ControllerState]):
                 return found
             self._send(CommandName.STATUS, {})
         return find_matching()
+
+    def _answered(self, name: CommandName, answer: T | None, timeout_s: float) -> T:
+        if answer is None:
+            raise STREAM_ERRORS.no_answer(f"{self.where} does not answer {name}", limit=f"{timeout_s:g} s")
+        return answer
 
     def _send(self, name: CommandName, values: dict[str, object]) -> int:
         with self._arrived:

@@ -64,7 +64,7 @@ class TelegramScanner:
                 if inner[:1] == b"/":
                     continue  # the end of something whose beginning was lost
                 self._root_start, self._depth = start, 0
-            elif _tag_name(inner) in ROOTS:
+            elif (name := _NAME.match(inner)) and name[0] in ROOTS:
                 self._refuse_truncated()
             if inner[:1] == b"/":
                 self._depth -= 1
@@ -106,12 +106,6 @@ class TelegramScanner:
 
     def _refuse_truncated(self) -> NoReturn:
         raise BAD_EKI_TELEGRAM("a telegram is truncated", expected="its end", wire=bytes(self._buffer))
-
-
-def _tag_name(tag: bytes) -> bytes:
-    """Return the name of an opening tag, or an empty text for a closing tag."""
-    found = _NAME.match(tag)
-    return found[0] if found else b""
 
 
 def parse_telegram(telegram: bytes) -> ElementTree.Element:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from math import degrees
 
 from ronna_hw.arm_stream.losses import LossCount
+from ronna_hw.arm_stream.session import Senders
 from ronna_hw.vectors import JointVector
 
 IPOC_WRAP = 2**32
@@ -51,15 +52,12 @@ class Losses(LossCount):
         return missing
 
 
-class SenderCheck:
+class SenderCheck(Senders):
     """Foreign senders since a stream was opened, counted for error messages."""
 
     def __init__(self, expected_rad: JointVector | None = None) -> None:
         """Expect these joint angles in the first telegram; with None, any are accepted."""
         self._expected_rad = expected_rad
-        self.count = 0
-        self.host = ""  # of the last one
-        self.disagreeing = 0  # readable telegrams with other axes, before the controller's first
         self.foreign_sent_last = False  # a stranger sent after the controller's last telegram
 
     def count_foreign(self, host: str) -> None:

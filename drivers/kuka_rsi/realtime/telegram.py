@@ -8,6 +8,7 @@ prepared before the telegram arrives.
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from math import isfinite
 from operator import itemgetter
 from typing import NamedTuple
@@ -114,16 +115,14 @@ class TelegramReader:
         pattern.append(b"" if "DEF_Delay" in send_tags else b"(?P<D>)")
         pattern.append(b"" if currents in pattern else currents)
         pattern.append(b"<IPOC>(?P<IPOC>\\d{1,%d}+)</IPOC></Rob>" % MOST_DIGITS)
-        has_axes = "DEF_AIPos" in send_tags
-        self._match = re.compile(b"".join(pattern)).match if has_axes else _match_nothing
-
-    def match(self, data: bytes) -> Found | None:
-        """Match a telegram in the usual layout, or return None if it needs the strict parser."""
-        return self._match(data)
+        if "DEF_AIPos" not in send_tags:
+            pattern = [rb"(?!)"]  # nothing matches
+        # Matches a telegram in the usual layout; returns None if it needs the strict parser.
+        self.match: Callable[[bytes], Found | None] = re.compile(b"".join(pattern)).match
 
     def read(self, data: bytes) -> Telegram:
         """Decode a telegram in any layout; raises RSI-014 if it is invalid."""
-        found = self._match(data)
+        found = self.match(data)
         return read_strictly(data) if found is None else extract_telegram(found)
 
 
@@ -138,10 +137,6 @@ def read_currents(attributes: bytes) -> JointVector | None:
     """Return the motor currents in percent from the attributes of MACur, None unless all are there."""
     found = _READ_CURRENTS(attributes)
     return None if found is None else joint_vector(map(float, found.groups()))
-
-
-def _match_nothing(_data: bytes) -> None:
-    return None
 
 
 def read_strictly(data: bytes) -> Telegram:

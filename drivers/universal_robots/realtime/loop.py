@@ -140,7 +140,7 @@ class LinkLoop(StreamLoop):
             self._leave_unanswered(data)
             return
         self._send(reply)
-        if session.awaits_start:
+        if session.phase is StreamPhase.ARMED:  # the script has not used a set-point yet
             self._check_orders()
             return
         self._finish_cycle(data, session.device_clock, orders)

@@ -94,11 +94,6 @@ class RtdeSession(StreamSession[Output, NextPackage]):
         self._recipe, self._run, self.has_line = recipe, run, True
         self._safety_mode = safety_mode
 
-    @property
-    def awaits_start(self) -> bool:
-        """Whether a stream is open and its script has not used a set-point yet."""
-        return self.phase is StreamPhase.ARMED
-
     def match(self, data: bytes, stop_word: int) -> PreparedReply[NextPackage] | None:
         """Return the prepared reply unless the package has something new, or a stop is ordered.
 
