@@ -26,6 +26,7 @@ from ronna_hw.devices.probing import (
     connect_and_identify,
     describe_options,
     inspect_nothing,
+    reporting,
 )
 from ronna_hw.endpoints import Endpoint, parse_endpoint
 from ronna_hw.host.network import find_interface
@@ -64,9 +65,8 @@ class BaslerProbe:
         Each network is queried with one broadcast; no camera is controlled.
         """
         cameras: dict[str, CameraIdentity] = {}  # by address
-        for number, network in enumerate(search.interfaces, start=1):
+        for network in reporting(search.interfaces, progress):
             cameras |= {each.address: each for each in discover_cameras(network)}
-            progress(number / len(search.interfaces))
         pairs = [
             (camera_a, camera_b)
             for camera_a, camera_b in permutations(cameras.values(), 2)
@@ -91,9 +91,8 @@ class BaslerProbe:
         diagnostics = [
             discovery_diagnostic(network, replied) for network, replied in networks.items() if replied
         ]
-        for number, camera in enumerate(cameras, start=1):
+        for camera in reporting(cameras, progress):
             diagnostics.append(camera_diagnostic(check_camera(camera.endpoint), found, camera))
-            progress(number / len(cameras))
         return diagnostics
 
 

@@ -163,15 +163,13 @@ def _with_file(name: str, files: Mapping[str, str]) -> str:
     return f"{name} ({files[name]})" if name in files else name
 
 
-def shares_triangle(
-    first: ToolDefinition, second: ToolDefinition, tolerance_mm: float = TRIANGLE_TOLERANCE_MM
-) -> bool:
+def shares_triangle(first: ToolDefinition, second: ToolDefinition) -> bool:
     """Return whether any three markers of one tool are congruent with three of the other."""
     triangles = [
         segment_lengths_mm(corners) for corners in itertools.combinations(second.markers_mm, TRIANGLE_CORNERS)
     ]
     return any(
-        all(abs(a - b) < tolerance_mm for a, b in zip(lengths, other, strict=True))
+        all(abs(a - b) < TRIANGLE_TOLERANCE_MM for a, b in zip(lengths, other, strict=True))
         for corners in itertools.combinations(first.markers_mm, TRIANGLE_CORNERS)
         for lengths in [segment_lengths_mm(corners)]
         for other in triangles

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -142,10 +143,8 @@ def request_handle(link: CommandLink, argument: str) -> int:
 
 def free_handle(link: CommandLink, handle: int) -> None:
     """Free a port handle; a handle that is already free is not an error."""
-    try:
+    with suppress(HandleRefused):
         link.ask("PHF", f"{handle:02X}")
-    except HandleRefused:
-        return
 
 
 def list_handles(link: CommandLink, query: HandleQuery) -> dict[int, PortStatus]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import combinations
 from statistics import median
@@ -147,10 +148,8 @@ class Tracking:
 
 def stop_tracking(link: CommandLink) -> None:
     """Stop tracking; a unit that is not tracking is not an error."""
-    try:
+    with suppress(WrongMode):  # it had stopped on its own, or the reply to the first try was lost
         link.ask("TSTOP")
-    except WrongMode:  # it had stopped on its own, or the reply to the first try was lost
-        return
 
 
 class FrameClock:

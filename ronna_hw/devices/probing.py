@@ -33,6 +33,7 @@ CONNECT_LIMIT_S = 3.0  # host time
 REACH_LIMIT_S = 1.0
 
 D = TypeVar("D", bound=Device)
+T = TypeVar("T")
 
 Progress = Callable[[float], None]  # called with the fraction done, 0 to 1
 
@@ -67,6 +68,13 @@ def fact_diagnostics(subject: str, device: TellsReadiness) -> Iterator[Diagnosti
     """Report each fact as a doctor finding, with advice if it prevents a case."""
     for fact in device.readiness():
         yield Diagnostic(f"{subject}{fact.name}", fact.ready, fact.found, "" if fact.ready else fact.advice)
+
+
+def reporting(items: Sequence[T], progress: Progress) -> Iterator[T]:
+    """Yield the items, and report the fraction of them that is done after each."""
+    for number, item in enumerate(items, start=1):
+        yield item
+        progress(number / len(items))
 
 
 Inspection = Callable[[Device, Identity], Iterable[Diagnostic]]  # further checks on a connected device
