@@ -65,7 +65,6 @@ class CameraControl:
         self.address = address
         self._monotonic = monotonic
         self._lock = threading.RLock()
-        self._id_lock = threading.Lock()
         self._request_id = 0
         self.port_closed = False  # the address is reachable, but nothing listens on its GVCP port
 
@@ -100,12 +99,8 @@ class CameraControl:
         while len(data) < count:
             start = address + len(data)
             piece = min(gev.READMEM_LIMIT, -(-(count - len(data)) // 4) * 4)
-            payload = self.ask(
-                GvcpCommand.READMEM,
-                gvcp.read_memory_command(start, piece),
-                deadline_s,
-                f"reading memory at 0x{start:X}",
-            )
+            what = f"reading memory at 0x{start:X}"
+            payload = self.ask(GvcpCommand.READMEM, gvcp.read_memory_command(start, piece), deadline_s, what)
             data += gvcp.memory_data(payload, start, piece)
         return bytes(data[:count])
 
@@ -122,8 +117,8 @@ class CameraControl:
             return self._finish(command, request_id, datagram, deadline_s, what)
 
     def _prepare(self, command: GvcpCommand, payload: bytes) -> tuple[int, bytes]:
-        request_id = self._next_id()
-        return request_id, gvcp.encode(command, request_id, payload)
+        self._request_id = self._request_id % LAST_OWN_ID + gev.REQUEST_ID_FIRST
+        return self._request_id, gvcp.encode(command, self._request_id, payload)
 
     def _finish(
         self, command: GvcpCommand, request_id: int, datagram: bytes, deadline_s: float, what: str
@@ -135,10 +130,8 @@ class CameraControl:
         limit_s = min(deadline_s, started_s + COMMAND_LIMIT_S)
         patience_s = FIRST_TRY_S
         while True:
-            acknowledge = self._receive(
-                command, request_id, min(limit_s, self._monotonic() + patience_s), deadline_s
-            )
-            if acknowledge is not None:
+            until_s = min(limit_s, self._monotonic() + patience_s)
+            if (acknowledge := self._receive(command, request_id, until_s, deadline_s)) is not None:
                 return gvcp.require_success(acknowledge, f"{self.address}: {what}")
             if self._monotonic() >= limit_s:
                 raise NoReply(f"{self.address}: no reply", expected=what, limit=f"{COMMAND_LIMIT_S} s")
@@ -177,11 +170,6 @@ class CameraControl:
         with contextlib.suppress(OSError):
             self.link.send(datagram)
             self._passed(Direction.SENT, datagram)
-
-    def _next_id(self) -> int:
-        with self._id_lock:
-            self._request_id = self._request_id % LAST_OWN_ID + gev.REQUEST_ID_FIRST
-            return self._request_id
 
 
 def register_write(address: int, value: int) -> Command:
@@ -231,13 +219,11 @@ def take_control(control: CameraControl, camera_name: str, deadline_s: float) ->
 
 def _describe_taken(control: CameraControl, camera_name: str, refusal: str) -> ControlTaken:
     """Build the error for a controlled camera; on this computer it names the programs that talk to it."""
+    what = f"{camera_name} is controlled by another application"
     if not (users := find_udp_clients(control.peer_address, gev.GVCP_PORT)):
-        return ControlTaken(f"{camera_name} is controlled by another application", got=refusal)
-    return ControlTaken(
-        f"{camera_name} is controlled by another application",
-        got=f"{refusal}; in use by {' and '.join(map(str, users))}",
-        action=f"{LEAVE_A_CASE_ALONE} Otherwise end it.",
-    )
+        return ControlTaken(what, got=refusal)
+    got = f"{refusal}; in use by {' and '.join(map(str, users))}"
+    return ControlTaken(what, got=got, action=f"{LEAVE_A_CASE_ALONE} Otherwise end it.")
 
 
 def require_control(control: CameraControl, deadline_s: float) -> None:

@@ -170,19 +170,14 @@ class PairGrabber:
         """Build the error for a trigger that produced no image, with the probable reason."""
         expected = "an image from either camera"
         if self._options.trigger == "line1":
-            return TriggerMissed(
-                "no pulse arrived on the trigger line", expected=expected, action=NO_PULSE_ADVICE
-            )
+            what = "no pulse arrived on the trigger line"
+            return TriggerMissed(what, expected=expected, action=NO_PULSE_ADVICE)
+        what, got, action = "no image after a trigger", "no packets", TriggerMissed.action
         if any(camera.receiver.has_begun for camera in self._cameras):
-            return TriggerMissed(
-                "no complete image after a trigger", expected=expected, got="some of its packets"
-            )
-        if any(camera.receiver.counters.refusals for camera in self._cameras):
-            refusal_text = "'no image' from both cameras"
-            return TriggerMissed(
-                "no image after a trigger", expected=expected, got=refusal_text, action=BUSY_ADVICE
-            )
-        return TriggerMissed("no image after a trigger", expected=expected, got="no packets")
+            what, got = "no complete image after a trigger", "some of its packets"
+        elif any(camera.receiver.counters.refusals for camera in self._cameras):
+            got, action = "'no image' from both cameras", BUSY_ADVICE
+        return TriggerMissed(what, expected=expected, got=got, action=action)
 
     def _make_reading(self, frames: Frames, sequence: int, triggered_s: float) -> StereoReading:
         match, moments_s = self._match(frames, triggered_s)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import permutations
-from typing import Any
 
 from drivers.basler_stereo.camera_check import (
     ExpectedCamera,
@@ -19,7 +18,6 @@ from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.probing import (
     Diagnostic,
     Inspection,
-    Option,
     Progress,
     Proposal,
     Search,
@@ -77,7 +75,8 @@ class BaslerProbe:
 
     def example(self, search: Search) -> Proposal:
         chosen = dict(zip(("left_serial", "right_serial"), EXAMPLE_SERIALS, strict=True))
-        return Proposal(DRIVER, "", _endpoints(EXAMPLE_ADDRESSES), _options(chosen), (SIDES_REMARK,))
+        options = describe_options(BaslerOptions, chosen)
+        return Proposal(DRIVER, "", _endpoints(EXAMPLE_ADDRESSES), options, (SIDES_REMARK,))
 
     def _diagnose_cameras(
         self, cameras: Sequence[ExpectedCamera], progress: Progress
@@ -123,14 +122,10 @@ def _make_proposal(left: CameraIdentity, right: CameraIdentity, *, named: bool) 
         DRIVER,
         f"{left.vendor} {left.model} {left.serial} (left) and {right.serial} (right)",
         _endpoints((left.address, right.address)),
-        _options(chosen),
+        describe_options(BaslerOptions, chosen),
         (NAMED_REMARK if named else SIDES_REMARK,),
     )
 
 
 def _endpoints(addresses: tuple[str, str]) -> dict[str, str]:
     return {side: f"gev://{address}" for side, address in zip(SIDES, addresses, strict=True)}
-
-
-def _options(chosen: dict[str, Any]) -> tuple[Option, ...]:
-    return describe_options(BaslerOptions, chosen)

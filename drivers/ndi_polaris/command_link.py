@@ -188,12 +188,8 @@ class CommandLink:
             self._settled = False
             if self._silent_since_s is None:
                 self._silent_since_s = started_s
-            raise NoReply(
-                f"no reply to {name}",
-                limit=f"{until_s - started_s:.3f} s",
-                wire=rest,
-                expected="a reply with CRC",
-            )
+            limit = f"{until_s - started_s:.3f} s"
+            raise NoReply(f"no reply to {name}", limit=limit, wire=rest, expected="a reply with CRC")
         self.waited_s = max(0.0, self.monotonic() - started_s - self._transfer_s(len(command) + len(reply)))
         self._silent_since_s = None
         if rest:  # one reply per command: anything more is a duplicate or a late one
@@ -268,11 +264,10 @@ class CommandLink:
         since_s = self._silent_since_s
         silent_s = self.monotonic() - since_s if since_s is not None else 0.0
         limit_s = max(self._limits_s.get(name, 0.0) for name in ("BX", "TX", "ECHO"))
+        limit, got = f"{limit_s:.1f} s", f"{silent_s:.1f} s"
         if silent_s >= limit_s:
-            raise LinkLost("the unit is silent", limit=f"{limit_s:.1f} s", got=f"{silent_s:.1f} s")
-        raise NoReply(
-            "the link has not resynchronised yet", limit=f"{limit_s:.1f} s", got=f"{silent_s:.1f} s"
-        )
+            raise LinkLost("the unit is silent", limit=limit, got=got)
+        raise NoReply("the link has not resynchronised yet", limit=limit, got=got)
 
 
 @lru_cache(maxsize=CACHED_COMMANDS)
@@ -343,12 +338,9 @@ def split_binary(buffer: bytes) -> tuple[bytes, bytes] | None:
         return None
     body = buffer[ndi.BX_HEADER_BYTES : total_bytes - ndi.BX_CRC_BYTES]
     (crc,) = _CRC.unpack_from(buffer, total_bytes - ndi.BX_CRC_BYTES)
-    if crc != ndi.crc16(body):
-        raise BadReplyCrc(
-            "wrong CRC in the body of a binary reply",
-            expected=f"{ndi.crc16(body):04X}",
-            wire=buffer[:total_bytes],
-        )
+    if crc != (right := ndi.crc16(body)):
+        what = "wrong CRC in the body of a binary reply"
+        raise BadReplyCrc(what, expected=f"{right:04X}", wire=buffer[:total_bytes])
     return body, buffer[total_bytes:]
 
 

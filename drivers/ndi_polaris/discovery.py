@@ -56,7 +56,7 @@ def find_unit(link: CommandLink) -> None:
         tried.append(f"{baud} baud" if transport.baud is not None else "the connection")
         inquiry = inquire(link)
         heard += inquiry.heard
-        if inquiry.is_answered:
+        if inquiry.reply is not None:
             return
     if transport.baud is not None and link.monotonic() < link.deadline_s:
         transport.set_baud(ndi.DEFAULT_BAUD)
@@ -66,7 +66,7 @@ def find_unit(link: CommandLink) -> None:
             return
         inquiry = inquire(link)
         heard += inquiry.heard
-        if inquiry.is_answered:
+        if inquiry.reply is not None:
             return
     if heard:
         raise NotAPolaris("bytes without a valid CRC", wire=bytes(heard))
@@ -139,10 +139,10 @@ def _switch_rate(
         pass  # the reply was lost: only a try shows whether the unit has switched
     pause(RATE_SETTLING_S)
     link.transport.set_baud(baud)
-    if inquire(link).is_answered:
+    if inquire(link).reply is not None:
         return True
     link.transport.set_baud(current)
-    if not inquire(link).is_answered:
+    if inquire(link).reply is None:
         raise LinkLost(f"no reply at {baud} baud nor at {current}")
     return False
 
@@ -152,10 +152,6 @@ class Inquiry(NamedTuple):
 
     heard: bytes
     reply: str | None = None
-
-    @property
-    def is_answered(self) -> bool:
-        return self.reply is not None
 
 
 def inquire(link: CommandLink) -> Inquiry:
@@ -167,7 +163,7 @@ def inquire(link: CommandLink) -> Inquiry:
     for _ in range(TRIES):
         inquiry = _inquire_once(link)
         heard = inquiry.heard or heard
-        if inquiry.is_answered or not inquiry.heard:
+        if inquiry.reply is not None or not inquiry.heard:
             return Inquiry(heard, inquiry.reply)
     return Inquiry(heard)
 

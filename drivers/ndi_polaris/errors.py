@@ -223,17 +223,7 @@ class UnitFault(UnitError):
 
 
 _BY_VENDOR_CODE: dict[int, type[UnitError]] = {
-    vendor_code: kind
-    for kind in (
-        CommandRejected,
-        CommandGarbled,
-        WrongMode,
-        NotInitialised,
-        HandleRefused,
-        ToolRefused,
-        NotOffered,
-    )
-    for vendor_code in kind.vendor_codes
+    vendor_code: kind for kind in UnitError.__subclasses__() for vendor_code in kind.vendor_codes
 }
 
 

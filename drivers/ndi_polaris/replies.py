@@ -140,20 +140,11 @@ def decode_tx(text: str, *, strays: bool = True) -> TrackingReply:
 def _parse_tx_handle(record: str, text: str) -> HandleReport:
     number, content = _parse_hex2(record[:2], "handle", text), record[2:]
     if match := _VALID.fullmatch(content):
-        q0, qx, qy, qz, tx, ty, tz, fit = (int(value) for value in match.groups()[:8])
-        return HandleReport(
-            number,
-            (
-                q0 / ndi.TX_QUATERNION_SCALE,
-                qx / ndi.TX_QUATERNION_SCALE,
-                qy / ndi.TX_QUATERNION_SCALE,
-                qz / ndi.TX_QUATERNION_SCALE,
-            ),
-            (tx / ndi.TX_POSITION_SCALE, ty / ndi.TX_POSITION_SCALE, tz / ndi.TX_POSITION_SCALE),
-            fit / ndi.TX_ERROR_SCALE,
-            int(match[9], 16),
-            int(match[10], 16),
-        )
+        sent = [int(value) for value in match.groups()[:8]]
+        w, x, y, z = (value / ndi.TX_QUATERNION_SCALE for value in sent[:4])
+        tx, ty, tz = (value / ndi.TX_POSITION_SCALE for value in sent[4:7])
+        fit_error_mm, port_status, frame = sent[7] / ndi.TX_ERROR_SCALE, int(match[9], 16), int(match[10], 16)
+        return HandleReport(number, (w, x, y, z), (tx, ty, tz), fit_error_mm, port_status, frame)
     if match := _MISSING.fullmatch(content):
         return HandleReport(number, port_status=int(match[1], 16), frame=int(match[2], 16))
     if _ABSENT.fullmatch(content):

@@ -111,21 +111,12 @@ def show(
     content["segments_mm"] = ", ".join(f"{length:.2f}" for length in segments)
     content["sha256"] = definition_hash(tool)
     terminal.print_table(rom.name, ("property", "value"), list(content.items()))
-    terminal.print_table(
-        "Markers",
-        ("marker", "x mm", "y mm", "z mm", "normal", "face"),
-        [
-            (
-                number,
-                *(f"{value:.3f}" for value in marker),
-                " ".join(f"{value:.3f}" for value in normal),
-                face,
-            )
-            for number, (marker, normal, face) in enumerate(
-                zip(tool.markers_mm, tool.normals, tool.faces, strict=True), start=1
-            )
-        ],
-    )
+    markers = zip(tool.markers_mm, tool.normals, tool.faces, strict=True)
+    rows = [
+        (number, *(f"{value:.3f}" for value in marker), " ".join(f"{value:.3f}" for value in normal), face)
+        for number, (marker, normal, face) in enumerate(markers, start=1)
+    ]
+    terminal.print_table("Markers", ("marker", "x mm", "y mm", "z mm", "normal", "face"), rows)
     return EXIT_DONE
 
 

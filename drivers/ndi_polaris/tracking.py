@@ -31,6 +31,7 @@ JUMP_S = 1.0  # a reply this early means that another client has reset the count
 FRAME_OPTIONS = ReplyOption.TRANSFORMS | ReplyOption.OUT_OF_VOLUME | ReplyOption.STRAY_PASSIVE
 BYTES_PER_HANDLE = 80  # of TX, the longer form
 BYTES_PER_STRAY = 21
+LONGEST_WITHOUT_TOOLS_BYTES = ndi.BX_HEADER_BYTES + ndi.BX_CRC_BYTES + ndi.MAXIMUM_STRAYS * BYTES_PER_STRAY
 REPLIES_KEPT = 10  # of which the times are reported
 _OPTIONS_TEXT = f"{FRAME_OPTIONS.value:04X}"
 
@@ -64,12 +65,7 @@ class Tracking:
         self._clock = clock
         self._frames_per_measurement = round(ndi.FRAME_RATE_HZ / rate_hz)
         self._binary = options.reply != "TX"
-        self._longest_reply_bytes = (
-            ndi.BX_HEADER_BYTES
-            + ndi.BX_CRC_BYTES
-            + len(tools) * BYTES_PER_HANDLE
-            + ndi.MAXIMUM_STRAYS * BYTES_PER_STRAY
-        )
+        self._longest_reply_bytes = LONGEST_WITHOUT_TOOLS_BYTES + len(tools) * BYTES_PER_HANDLE
         self.replies_s: tuple[float, ...] = ()
         self._reset()
 
@@ -95,10 +91,8 @@ class Tracking:
         reply, count = self._request_newest()
         self.statistics.disturbed += self._link.statistics.retries - retries
         arrived_s = self._clock.now_s()
-        self.replies_s = (
-            *self.replies_s[1 - REPLIES_KEPT :],
-            min(self._link.waited_s, arrived_s - requested_s),
-        )
+        reply_s = min(self._link.waited_s, arrived_s - requested_s)
+        self.replies_s = (*self.replies_s[1 - REPLIES_KEPT :], reply_s)
         alarming = reply.system_status & ALARMING_STATUS
         if alarming and (problem := find_alarm(reply.system_status, self._link)) is not None:
             raise problem
@@ -134,9 +128,8 @@ class Tracking:
         try:
             if self._binary:
                 try:
-                    return decode_bx(
-                        self._link.ask_binary("BX", _OPTIONS_TEXT, reply_bytes=self._longest_reply_bytes)
-                    )
+                    body = self._link.ask_binary("BX", _OPTIONS_TEXT, reply_bytes=self._longest_reply_bytes)
+                    return decode_bx(body)
                 except UnitError as error:
                     if self._options.reply == "BX" or isinstance(error, WrongMode | HandleRefused):
                         raise

@@ -120,15 +120,13 @@ def _iterate_nodes(group: ElementTree.Element) -> Iterator[Node]:
 
 def _struct_entries(shared: ElementTree.Element) -> Iterator[Node]:
     """Yield the entries of a shared register, which inherit the fields that they lack."""
-    entries = [
-        child for child in shared if _local_name(child.tag) == "StructEntry" and "Name" in child.attrib
-    ]
     common = tuple(_parse_field(child) for child in shared if _local_name(child.tag) != "StructEntry")
     if len(common) > MOST_SHARED_FIELDS:
         raise BAD_DESCRIPTION("a shared register has too many fields", limit=str(MOST_SHARED_FIELDS))
-    for entry in entries:
-        node = _parse_node(entry)
-        yield Node("MaskedIntReg", node.name, node.fields + common)
+    for child in shared:
+        if _local_name(child.tag) == "StructEntry" and "Name" in child.attrib:
+            node = _parse_node(child)
+            yield Node("MaskedIntReg", node.name, node.fields + common)
 
 
 def _parse_node(element: ElementTree.Element) -> Node:

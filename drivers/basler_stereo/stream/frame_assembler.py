@@ -24,7 +24,6 @@ OPEN_BLOCKS = 15  # at full rate the next images begin before the last packets o
 PACKETS_PER_ROUND = 64  # requested at a time: a larger burst could overrun the socket again
 Claim = Callable[[], tuple[int, bytearray | memoryview]]
 """Memory for the next frame, of the payload's size, and its number."""
-_PACKET_HEADER = struct.Struct(gev.GVSP_HEADER)
 _LEADER = struct.Struct(gev.GVSP_LEADER)
 _UNPACK_HEADER = struct.Struct(gev.GVSP_HEADER).unpack_from
 _UNAVAILABLE = frozenset(
@@ -64,7 +63,7 @@ def decode_header(packet: memoryview) -> PacketHeader | None:
     """Decode a packet header, or return None unless it is a standard stream packet."""
     if len(packet) < gev.GVSP_HEADER_BYTES:
         return None
-    status, block_id, word = _PACKET_HEADER.unpack_from(packet)
+    status, block_id, word = _UNPACK_HEADER(packet)
     kind = word >> gev.GVSP_FORMAT_SHIFT & gev.GVSP_FORMAT_MASK
     if word & gev.GVSP_EXTENDED_ID_BIT or block_id == 0:
         return None
@@ -263,15 +262,13 @@ class FrameAssembler:
             # until the trailer arrives, "unavailable" may mean "not yet"
             if block.received[self._trailer_id]:
                 block.unavailable.add(packet_id)
-            return
-        if block.received[packet_id]:
+        elif block.received[packet_id]:
             self.counters.duplicates += 1
-            return
-        if not self._store(block, header, content):
+        elif self._store(block, header, content):
+            block.received[packet_id] = 1
+            block.remaining -= 1
+        else:
             self.counters.ignored += 1
-            return
-        block.received[packet_id] = 1
-        block.remaining -= 1
 
     def _store(self, block: _Block, header: PacketHeader, content: memoryview) -> bool:
         """Store a packet's content; returns False if its kind or length does not match its id."""

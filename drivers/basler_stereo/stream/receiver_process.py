@@ -172,20 +172,16 @@ class ReceiverLoop:
     def _poll_limit_s(self) -> float:
         if any(stream.is_waiting for stream in self._streams.values()):
             return FRAME_WAIT_S
-        now_s = time.monotonic()
-        return max(
-            0.0, min([IDLE_WAIT_S, *(keep_alive.due_s - now_s for keep_alive in self._keep_alives.values())])
-        )
+        waits_s = [keep_alive.due_s - time.monotonic() for keep_alive in self._keep_alives.values()]
+        return max(0.0, min([IDLE_WAIT_S, *waits_s]))
 
     def _take_order(self) -> bool:
-        try:
+        received = None
+        with contextlib.suppress(OSError):
             received = receive_order(self._orders)
-        except OSError:
-            return False
-        if received is None:
-            return False
-        self._execute(*received)
-        return True
+        if received is not None:
+            self._execute(*received)
+        return received is not None
 
     def _execute(self, order: Order, descriptors: list[int]) -> None:
         match order:
