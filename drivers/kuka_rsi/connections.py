@@ -90,10 +90,8 @@ class Connections(StreamConnections[ControllerState, EkiClient]):
         else:
             # Whether or not the controller accepts it: in T1 an operator starts the program on the pendant.
             eki.command(CommandName.RSI_START, remaining_s(deadline), **parameters)
-        if (
-            link.wait(lambda s: s.phase not in (StreamPhase.ARMED, StreamPhase.IDLE), remaining_s(deadline))
-            is None
-        ):
+        before_stream = (StreamPhase.ARMED, StreamPhase.IDLE)
+        if link.wait(lambda s: s.phase not in before_stream, remaining_s(deadline)) is None:
             raise faults.start_error(link.state, state.axes_deg, timeout_s)
         if eki.await_state(lambda s: s.rsi is RsiState.MOVECORR, remaining_s(deadline)) is None:
             raise NO_TELEGRAM(

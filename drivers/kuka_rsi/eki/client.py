@@ -55,9 +55,8 @@ class EkiClient(ControlChannel[ControllerState]):
 
     def status(self, timeout_s: float) -> ControllerState:
         """Request the controller state; raises EKI-003 on time-out, EKI-002 or EKI-004 on a broken link."""
-        return self._answered(
-            CommandName.STATUS, self.await_reply(self.request_state(), timeout_s), timeout_s
-        )
+        reply = self.await_reply(self.request_state(), timeout_s)
+        return self._answered(CommandName.STATUS, reply, timeout_s)
 
     def request_state(self) -> int:
         """Request the state without waiting and return the request's number; raises EKI-002."""
@@ -179,11 +178,9 @@ class ControllerCommands:
         timeout_s: float = DEFAULT_TIMEOUT_S,
     ) -> None:
         """Set a tool frame (number 1..16) with its load; at rest only."""
-        CX, CY, CZ = centre_of_mass_mm
         frame = _frame_attributes(tool_in_flange)
-        self._send_command(
-            CommandName.SET_TOOL, timeout_s, No=number, **frame, M=mass_kg, CX=CX, CY=CY, CZ=CZ
-        )
+        centre = dict(zip(("CX", "CY", "CZ"), centre_of_mass_mm, strict=True))
+        self._send_command(CommandName.SET_TOOL, timeout_s, No=number, **frame, M=mass_kg, **centre)
 
     def set_base(self, number: int, base_in_world: Pose, timeout_s: float = DEFAULT_TIMEOUT_S) -> None:
         """Set a base frame (number 1..32); at rest only."""
@@ -199,6 +196,4 @@ class ControllerCommands:
 
 
 def _frame_attributes(pose: Pose) -> dict[str, object]:
-    X, Y, Z, A, B, C = pose.to_kuka()
-    values = {"X": X, "Y": Y, "Z": Z, "A": A, "B": B, "C": C}
-    return {name: f"{value:.6f}" for name, value in values.items()}
+    return {name: f"{value:.6f}" for name, value in zip("XYZABC", pose.to_kuka(), strict=True)}

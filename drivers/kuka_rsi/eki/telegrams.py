@@ -154,7 +154,6 @@ def read_state(element: ElementTree.Element, received_s: float) -> ControllerSta
     holdon, cycle = get(StateAttribute.HOLDON), get(StateAttribute.CYCLE)
     serial, brakes = get(StateAttribute.SERIAL), get(StateAttribute.BRAKES)
     try:
-        A1, A2, A3, A4, A5, A6 = (_parse_number(axis.attrib[name]) for name in AXIS_ATTRIBUTES)
         return ControllerState(
             received_s=received_s,
             mode=OperationMode(element.attrib[StateAttribute.MODE]),
@@ -165,7 +164,7 @@ def read_state(element: ElementTree.Element, received_s: float) -> ControllerSta
             error=int(element.attrib[StateAttribute.ERROR]),
             rsi=RsiState(int(element.attrib[StateAttribute.RSI])),
             tool=int(element.attrib[StateAttribute.TOOL]),
-            axes_deg=(A1, A2, A3, A4, A5, A6),
+            axes_deg=tuple(_parse_number(axis.attrib[name]) for name in AXIS_ATTRIBUTES),
             reference=get(StateAttribute.REFERENCE),
             holdon=None if holdon is None else bool(int(holdon)),
             cycle_ms=None if cycle is None else int(cycle),
@@ -175,9 +174,8 @@ def read_state(element: ElementTree.Element, received_s: float) -> ControllerSta
             open_brakes=None if not brakes else int(brakes),
         )
     except (KeyError, ValueError) as error:
-        raise BAD_EKI_TELEGRAM(
-            f"a State that cannot be read: {error}", wire=ElementTree.tostring(element)
-        ) from error
+        what = f"a State that cannot be read: {error}"
+        raise BAD_EKI_TELEGRAM(what, wire=ElementTree.tostring(element)) from error
 
 
 def require_matching_setup(state: ControllerState, context: RsiContext, variant: str) -> tuple[str, ...]:

@@ -180,8 +180,8 @@ def read_strictly(data: bytes) -> Telegram:
         raise BAD_TELEGRAM("incomplete telegram", expected="<Rob>...</Rob>", wire=data)
     try:
         parser.Parse(data[: end_of_root + len(b"</Rob>")], True)  # bytes after the root are tolerated
-        A1, A2, A3, A4, A5, A6 = (float(values["AIPos", axis]) for axis in AXIS_NAMES)
-        if not all(isfinite(angle) for angle in (A1, A2, A3, A4, A5, A6)):
+        axes_deg = tuple(float(values["AIPos", axis]) for axis in AXIS_NAMES)
+        if not all(map(isfinite, axes_deg)):
             raise BAD_TELEGRAM("an axis value is not finite", wire=data)
         delay = int(float(values["Delay", "D"])) if ("Delay", "D") in values else -1
         ipoc = values["IPOC", ""]
@@ -192,7 +192,7 @@ def read_strictly(data: bytes) -> Telegram:
     except (expat.ExpatError, LookupError, ValueError, OverflowError) as error:  # an encoding: LookupError
         raise BAD_TELEGRAM(f"malformed telegram: {error}", wire=data) from error
     currents = "".join(f' {a}="{values[CURRENTS, a]}"' for a in AXIS_NAMES if (CURRENTS, a) in values)
-    return Telegram((A1, A2, A3, A4, A5, A6), delay, ipoc.encode(), currents.encode())
+    return Telegram(axes_deg, delay, ipoc.encode(), currents.encode())
 
 
 class ReplyWriter:
