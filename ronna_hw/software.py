@@ -42,9 +42,7 @@ class Software:
         if self.lock_sha256 is None:
             return f"{PACKAGE} {self.version}{commit}, packages not locked"
         lock = f"lock {self.lock_sha256[:SHORT_HASH]}"
-        return f"{PACKAGE} {self.version}{commit}, {lock}" + "".join(
-            f"; {difference}" for difference in self.otherwise
-        )
+        return "; ".join((f"{PACKAGE} {self.version}{commit}, {lock}", *self.otherwise))
 
 
 def identify_software(checkout: Path = CHECKOUT) -> Software:

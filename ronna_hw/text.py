@@ -33,17 +33,13 @@ def printable_lines(text: str) -> str:
 
 def escape_controls(text: str) -> str:
     """Replace whitespace with spaces, and other unprintable characters with backslash escapes."""
-    if text.isprintable():
-        return text
-    return "".join(map(_escape_character, text))
+    return text if text.isprintable() else "".join(map(_escape_character, text))
 
 
 def _escape_character(letter: str) -> str:
     if letter.isprintable():
         return letter
-    if letter.isspace():
-        return " "
-    return letter.encode("unicode_escape").decode("ascii")
+    return " " if letter.isspace() else letter.encode("unicode_escape").decode("ascii")
 
 
 def _shorten(text: str, most: int) -> str:

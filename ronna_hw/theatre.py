@@ -162,9 +162,7 @@ class Theatre:
         """
         with defer_interruption():
             self.stop()
-            for device in sorted(
-                self._devices.values(), key=lambda candidate: not isinstance(candidate, RobotArm)
-            ):
+            for device in sorted(self._devices.values(), key=lambda one: not isinstance(one, RobotArm)):
                 try:
                     device.close()
                 except Exception as error:  # the others must be closed nevertheless
@@ -253,12 +251,10 @@ def require_interface(table: str, driver: str, device: object, interface: Callab
     Raises DEV-008 naming what the driver lacks.
     """
     if not isinstance(device, cast("type", interface)):
-        missing_names = [
-            member for member in dir(interface) if member[0] != "_" and not hasattr(device, member)
-        ]
+        missing = [name for name in dir(interface) if name[0] != "_" and not hasattr(device, name)]
         raise WRONG_KIND(
             f"{table}: driver {driver} does not provide {interface.__name__}",
-            got=f"it lacks {', '.join(missing_names)}" if missing_names else None,
+            got=f"it lacks {', '.join(missing)}" if missing else None,
         )
     return cast("D", device)
 

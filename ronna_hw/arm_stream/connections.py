@@ -151,9 +151,8 @@ class StreamConnections(ABC, Generic[S, C]):
 
     def _traffic_of(self, interface: str) -> TrafficHandler | None:
         """Return what takes the traffic of the stream, or None without a recorder."""
-        return (
-            None if self.recorder is None else pass_traffic(self.recorder, f"{self.faults.name}.{interface}")
-        )
+        sink, name = self.recorder, f"{self.faults.name}.{interface}"
+        return None if sink is None else pass_traffic(sink, name)
 
 
 def remaining_s(deadline: float) -> float:

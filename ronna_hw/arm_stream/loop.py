@@ -194,7 +194,5 @@ class StreamLoop(ABC):
         if session.phase is StreamPhase.ENDING:
             self._ending_cycles += 1
         quiet_ns = QUIET_AFTER_STOP_NS if self._stop_sent else QUIET_BEFORE_STOP_NS
-        return (
-            self._ending_cycles > LONGEST_ENDING_CYCLES
-            or session.silent_for_ns(time.monotonic_ns()) > quiet_ns
-        )
+        is_quiet = session.silent_for_ns(time.monotonic_ns()) > quiet_ns
+        return is_quiet or self._ending_cycles > LONGEST_ENDING_CYCLES

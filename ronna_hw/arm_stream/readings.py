@@ -57,11 +57,10 @@ class StreamReadings(Generic[S]):
                 age_s = host_s - state.received_ns / 1e9
                 stamp = Stamp(self._sequence, state.device_clock, now_s - age_s)
                 self._newest = self._make_stream_reading(state, stamp)
-            else:
-                if (reported := self._connections.reported) is not None:
-                    age_s = host_s - reported.received_s
-                    stamp = Stamp(self._sequence, reported.device_clock, now_s - age_s)
-                    self._newest = _controller_reading(reported, stamp)
+            elif (reported := self._connections.reported) is not None:
+                age_s = host_s - reported.received_s
+                stamp = Stamp(self._sequence, reported.device_clock, now_s - age_s)
+                self._newest = _controller_reading(reported, stamp)
         return self._newest, stopped
 
     def _make_stream_reading(self, state: LinkState, stamp: Stamp) -> ArmReading:

@@ -367,19 +367,14 @@ class StreamSession(ABC, Generic[M, E]):
     def _prepare_reply(self, points: SetPoints) -> None:
         """Prepare the complete next reply, if nothing but new information can change it."""
         self.ready = None
-        is_unsettled = (
-            points.violation is not None
-            or points.path_failed
-            or self.is_parent_gone
-            or self._losses.is_unusable
-        )
-        if is_unsettled or self.phase not in STREAMING_PHASES:
+        if points.violation is not None or points.path_failed or self._losses.is_unusable:
+            return
+        if self.is_parent_gone or self.phase not in STREAMING_PHASES:
             return
         if (expected := self._expect()) is not None:
             choice = Choice.STOP if self._stopping else Choice.GO
-            self.ready = PreparedReply(
-                expected, self._stop_word, choice, self._encode_next(points.at(choice))
-            )
+            reply = self._encode_next(points.at(choice))
+            self.ready = PreparedReply(expected, self._stop_word, choice, reply)
 
     def _choose_after_loss(self, points: SetPoints) -> Choice:
         """Choose the set-point that makes the arm wait because replies or telegrams were lost."""

@@ -111,9 +111,8 @@ def as_ronna_error(problem: BaseException) -> RonnaError:
         places = [str(name) for name in (problem.filename, problem.filename2) if name is not None]
         what = f"{' and '.join(places)}: {reason}" if places else reason
         if problem.errno == errno.ENAMETOOLONG:
-            return kind(
-                what, limit=f"{LONGEST_FILE_NAME} bytes for each name", action="Choose a shorter name."
-            )
+            limit = f"{LONGEST_FILE_NAME} bytes for each name"
+            return kind(what, limit=limit, action="Choose a shorter name.")
         return kind(what)
     return INTERNAL_FAULT(f"{type(problem).__name__}: {problem}")
 
@@ -155,20 +154,12 @@ def convert_usage_error(mistake: Exception, command: str, parameters: Sequence[A
     reason = _read_validation(mistake.__cause__)
     if parameter is not None and reason is not None:
         expected, got = reason
-        meaning = _describe_parameter(parameter, context)
-        return UsageMistake(
-            f"{format_parameter(parameter)} cannot be {got}",
-            expected=expected,
-            action=f"{meaning} {see}".lstrip(),
-        )
+        what = f"{format_parameter(parameter)} cannot be {got}"
+        return UsageMistake(what, expected=expected, action=_explain(parameter, context, see))
     if type(mistake).__name__ == "BadOptionUsage":  # too few values
         text = str(getattr(mistake, "message", "")).replace("Option ", "").replace("'", "").rstrip(".")
-        named = (
-            candidate for candidate in parameters if getattr(mistake, "option_name", "") in candidate.opts
-        )
-        meant = next(
-            (f"{candidate.metavar or candidate.opts[0]}: {candidate.help} " for candidate in named), ""
-        )
+        named = (one for one in parameters if getattr(mistake, "option_name", "") in one.opts)
+        meant = next((f"{one.metavar or one.opts[0]}: {one.help} " for one in named), "")
         return UsageMistake(text, action=f"{meant}{see}")
     if not (message := getattr(mistake, "message", "")):
         message = str(mistake.format_message() if hasattr(mistake, "format_message") else mistake)
@@ -183,15 +174,11 @@ def convert_usage_error(mistake: Exception, command: str, parameters: Sequence[A
             repeat = "A pattern such as * may stand for several files or folders: name one. "
         return UsageMistake(f"unexpected on this command line: {found[1]!r}", action=f"{repeat}{see}")
     if parameter is not None and type(mistake).__name__ == "MissingParameter":
-        return UsageMistake(
-            f"{format_parameter(parameter)} is missing",
-            action=f"{_describe_parameter(parameter, context)} {see}".lstrip(),
-        )
+        what = f"{format_parameter(parameter)} is missing"
+        return UsageMistake(what, action=_explain(parameter, context, see))
     if found := _UNREADABLE.search(message):
-        return UsageMistake(
-            f"{found[1]}: {_name_account(os.geteuid())} may not read it",
-            action=f"{_advise_rights(found[1])}. {see}",
-        )
+        what = f"{found[1]}: {_name_account(os.geteuid())} may not read it"
+        return UsageMistake(what, action=f"{_advise_rights(found[1])}. {see}")
     hint = getattr(mistake, "param_hint", None)
     text = f"{hint}: {message}" if hint else message
     return UsageMistake(text if text.endswith("...") else text.rstrip("."), action=see)
@@ -223,11 +210,8 @@ def _name_account(number: int) -> str:
 
 
 def _unknown_option(name: str, context: Any, help_of: str) -> UsageMistake:
-    known = (
-        []
-        if context is None
-        else [option for candidate in context.command.params for option in candidate.opts]
-    )
+    parameters = () if context is None else context.command.params
+    known = (option for one in parameters for option in one.opts)
     words = [option.removeprefix("--") for option in known if option.startswith("--")]
     close_matches = get_close_matches(name.removeprefix("--"), words, n=MOST_ALIKE)
     meant = f"Did you mean {' or '.join(f'--{word}' for word in close_matches)}? " if close_matches else ""
@@ -260,8 +244,9 @@ def format_parameter(parameter: Any) -> str:
     return str(parameter.get_error_hint()).replace("'", "").split(" (")[0]
 
 
-def _describe_parameter(parameter: Any, context: Any) -> str:
-    """Return the help of an option or argument, with its limits."""
+def _explain(parameter: Any, context: Any, see: str) -> str:
+    """Return the help of an option or argument, with its limits, and where to see more."""
     record = parameter.get_help_record(context)
     text = " ".join(str(record[1] if record else "").replace("[required]", "").split())
-    return text if not text or text.endswith((".", "]")) else f"{text}."
+    end = "" if not text or text.endswith((".", "]")) else "."
+    return f"{text}{end} {see}".lstrip()
