@@ -225,10 +225,8 @@ class SharedClock:
         while (now_ns := self.now_ns()) < moment_ns:
             wanted_ns = min(moment_ns, now_ns + WISH_NS)
             # Without the lock: the time only grows, and so does the latest time wanted.
-            if (
-                WANTED_NS.read(self._memory) < min(moment_ns, now_ns + WISH_NS // 2)
-                or not self.is_streaming()
-            ):
+            is_unasked = WANTED_NS.read(self._memory) < min(moment_ns, now_ns + WISH_NS // 2)
+            if is_unasked or not self.is_streaming():
                 with self._lock:
                     if self.now_ns() >= moment_ns:
                         return
@@ -350,9 +348,8 @@ class SharedClock:
             self._keep_step()
             other = STREAMS[turn]
             rests = other.resting.read(memory) == FOR_TIME_TO_PASS
-            if self._streams(other) and not (
-                rests and other.time_ns.read(memory) >= self._stream.time_ns.read(memory)
-            ):
+            is_level = other.time_ns.read(memory) >= self._stream.time_ns.read(memory)
+            if self._streams(other) and not (rests and is_level):
                 return True
             TURN.write(memory, self._device)  # the other has ended, has fallen silent or rests
         return False

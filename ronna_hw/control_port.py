@@ -88,9 +88,8 @@ class ControlPortClient:
         found = ControlAddress.parse(address)
         self._endpoint = str(found.endpoint)
         try:
-            self._socket = socket.create_connection(
-                (found.endpoint.host, found.endpoint.port), ANSWER_LIMIT_S
-            )
+            place = (found.endpoint.host, found.endpoint.port)
+            self._socket = socket.create_connection(place, ANSWER_LIMIT_S)
         except OSError as error:
             raise self._silence_error(error) from error
         try:

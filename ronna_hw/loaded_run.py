@@ -85,12 +85,8 @@ class RunTable(np.recarray[Any, np.dtype[np.void]]):
     def of(cls, columns: tuple[RunColumn, ...], rows: Iterable[Sequence[object]]) -> RunTable:
         """Build a table from its rows, with one value per column."""
         listed = [tuple(row) for row in rows]
-        table: RunTable = np.array(
-            listed,
-            dtype=[
-                (one.name, _find_type(one, listed, number), one.size) for number, one in enumerate(columns)
-            ],
-        ).view(cls)
+        types = [(one.name, _find_type(one, listed, number), one.size) for number, one in enumerate(columns)]
+        table: RunTable = np.array(listed, dtype=types).view(cls)
         table.columns = columns
         return table
 
@@ -101,9 +97,8 @@ class RunTable(np.recarray[Any, np.dtype[np.void]]):
     def __getitem__(self, key: Any) -> Any:
         """Return a column by name, or rows. Raises ARG-001 for a name that is no column."""
         if isinstance(key, str) and key not in (self.dtype.names or ()):
-            raise WrongArgument(
-                self._describe_missing(key), action='Rows by name: table[table.name == "T1"].'
-            )
+            what = self._describe_missing(key)
+            raise WrongArgument(what, action='Rows by name: table[table.name == "T1"].')
         return super().__getitem__(key)
 
     def _describe_missing(self, name: str) -> str:

@@ -87,18 +87,10 @@ class Monitor:
         self.limits = limits
         self._start = start_rad
         # What range and total correction both allow, narrower by rounding: beyond it each is compared.
-        self._lower_rad = [
-            max(low, start + least) - RANGE_ROUNDING_RAD / 2
-            for low, start, least in zip(
-                limits.lower_rad, start_rad, limits.correction_lower_rad, strict=True
-            )
-        ]
-        self._upper_rad = [
-            min(high, start + most) + RANGE_ROUNDING_RAD / 2
-            for high, start, most in zip(
-                limits.upper_rad, start_rad, limits.correction_upper_rad, strict=True
-            )
-        ]
+        lows = zip(limits.lower_rad, start_rad, limits.correction_lower_rad, strict=True)
+        self._lower_rad = [max(low, start + least) - RANGE_ROUNDING_RAD / 2 for low, start, least in lows]
+        highs = zip(limits.upper_rad, start_rad, limits.correction_upper_rad, strict=True)
+        self._upper_rad = [min(high, start + most) + RANGE_ROUNDING_RAD / 2 for high, start, most in highs]
         # Newest first: the arm starts at rest.
         self._last: History = (start_rad, start_rad, start_rad, start_rad)
         self._followed_rad = start_rad
@@ -159,12 +151,8 @@ class Monitor:
             angle = joints_rad[i]
             low, high = limits.lower_rad[i] - RANGE_ROUNDING_RAD, limits.upper_rad[i] + RANGE_ROUNDING_RAD
             if not low <= angle <= high:  # NaN fails here
-                return Violation(
-                    ViolationKind.RANGE,
-                    i + 1,
-                    angle,
-                    limits.lower_rad[i] if angle < low else limits.upper_rad[i],
-                )
+                limit = limits.lower_rad[i] if angle < low else limits.upper_rad[i]
+                return Violation(ViolationKind.RANGE, i + 1, angle, limit)
             total = angle - self._start[i]
             least, most = limits.correction_lower_rad[i], limits.correction_upper_rad[i]
             if not least - RANGE_ROUNDING_RAD <= total <= most + RANGE_ROUNDING_RAD:

@@ -286,8 +286,7 @@ def _check_files(folder: Path, chain: JournalChain, manifest: Manifest) -> Itera
         yield from compare_files(folder, manifest.lasting_files)
         yield from _find_unrestored_files(folder, manifest, present)
         # A resumed run compares what is in them.
-        since = compare_files(folder, manifest.result_inputs, inputs=True)
-        for issue in since:
+        for issue in compare_files(folder, manifest.result_inputs, inputs=True):
             yield replace(issue, what=f"{issue.what} since results were made from it", unfinished=True)
         for name in present:
             if name.startswith(f"{RECORDS_FOLDER}/") and name not in manifest.records:

@@ -41,11 +41,8 @@ LATER_FOLDERS = ("report", RAW_FOLDER)
 BESIDE = f".report{PARTIAL}"  # where a new report is written
 THEATRE_FILES = ("theatre/*.toml", "theatre/*.rom")
 WITH_PORTS = "theatre/theatre.toml"  # written anew by each program that simulates the theatre
-APART = (
-    "export",
-    BESIDE,
-    f".{RAW_FOLDER}{PARTIAL}",
-)  # folders derived from the run at any time, and not part of it
+# Folders derived from the run at any time, and not part of it.
+APART = ("export", BESIDE, f".{RAW_FOLDER}{PARTIAL}")
 FIRST_FOLDERS = ("records", "pictures", "readings", "bytes", "theatre", "case", "case/ct")
 OWN_FOLDERS = frozenset((*FIRST_FOLDERS, *LATER_FOLDERS, "raw/pictures"))  # made empty at first
 LASTING = (REQUEST_FILE, f"{RECORDS_FOLDER}/", "case/")  # no longer changed once a run continues
@@ -144,12 +141,8 @@ class Manifest:
         Inputs of results are left out: resuming the run compares their content.
         """
         lasting_files = {name: sha256 for name, sha256 in self.files.items() if name.startswith(LASTING)}
-        apart = {WITH_PORTS, *self.result_inputs}
-        return {
-            name: sha256
-            for name, sha256 in (lasting_files | self.initial_inputs).items()
-            if name not in apart
-        }
+        apart, known = {WITH_PORTS, *self.result_inputs}, lasting_files | self.initial_inputs
+        return {name: sha256 for name, sha256 in known.items() if name not in apart}
 
     def find_exchanged_inputs(self) -> Iterator[tuple[str, str]]:
         """Find inputs of a closed run that changed between its standing results and its end."""

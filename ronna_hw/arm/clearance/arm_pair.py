@@ -104,17 +104,12 @@ class PlacedArm:
         All of that arm may come as close to the bodies `near`, by name, as to a guide.
         """
         to_other, closer_mm = seen_from.inverse(), APART_MM - APART_AT_GUIDE_MM
-        return tuple(
-            Obstacle(
-                name_of(name, self.name),
-                Capsule(
-                    vector3(start), vector3(end), radius + grown_mm - (closer_mm if name in near else 0.0)
-                ).moved(to_other),
-            )
-            for name, radius, (start, end) in zip(
-                self.names, self.radii_mm, self.axes(np.array([joints_rad]))[0], strict=True
-            )
-        )
+        axes, obstacles = self.axes(np.array([joints_rad]))[0], []
+        for name, radius, (start, end) in zip(self.names, self.radii_mm, axes, strict=True):
+            radius_mm = radius + grown_mm - (closer_mm if name in near else 0.0)
+            capsule = Capsule(vector3(start), vector3(end), radius_mm).moved(to_other)
+            obstacles.append(Obstacle(name_of(name, self.name), capsule))
+        return tuple(obstacles)
 
 
 def name_of(body: str, arm: str) -> str:
@@ -142,11 +137,8 @@ class ArmPairWorld:
 
     def distance(self, first_rad: JointVector | Array, second_rad: JointVector | Array) -> ArmDistance:
         """Return the distance between the arms in a pair of postures."""
-        first, second = (
-            arm.axes(np.asarray(joints))[0]
-            for arm, joints in ((self.first, first_rad), (self.second, second_rad))
-        )
-        return self.distance_of(first, second)
+        first, second = self.first.axes(np.asarray(first_rad)), self.second.axes(np.asarray(second_rad))
+        return self.distance_of(first[0], second[0])
 
     def distance_of(self, first_axes_mm: Array, second_axes_mm: Array) -> ArmDistance:
         """Return the distance between arms whose bodies have these axes (bodies, 2, 3)."""

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 
 from ronna_hw.arm.kinematics import COLUMN_NAME, PARTS, ArmBodies, ArmPart
 from ronna_hw.arm.pose import Pose
-from ronna_hw.vectors import Vector3
+from ronna_hw.vectors import Vector3, vector3
 
 POINT_MM2 = 1e-12  # a segment shorter than a nanometre is a point
 
@@ -225,7 +225,7 @@ class Surroundings:
             zone=None if zone is None else SpeedZone(*zone),
             corridor=None
             if corridor is None
-            else Corridor(_vector3(corridor[0]), _vector3(corridor[1]), corridor[2]),
+            else Corridor(vector3(corridor[0]), vector3(corridor[1]), corridor[2]),
             owner=str(values["owner"]),
             contacts=tuple((str(moving), str(other)) for moving, other in values["contacts"]),
         )
@@ -233,12 +233,7 @@ class Surroundings:
 
 def _capsule(values: Any) -> Capsule:
     start, end, radius = values
-    return Capsule(_vector3(start), _vector3(end), float(radius))
-
-
-def _vector3(values: Any) -> Vector3:
-    x, y, z = values
-    return (float(x), float(y), float(z))
+    return Capsule(vector3(start), vector3(end), float(radius))
 
 
 class Pair(NamedTuple):

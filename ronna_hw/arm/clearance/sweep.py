@@ -187,8 +187,7 @@ def _find_open_intervals(bodies: Bodies, found: SweepSamples, floors: Array) -> 
 
 
 def _end_motions_mm(swept: SweepSamples) -> Array:
-    steps = np.linalg.norm(np.diff(swept.ends_mm, axis=0), axis=3)
-    return np.asarray(steps.max(axis=2))
+    return np.asarray(np.linalg.norm(np.diff(swept.ends_mm, axis=0), axis=3).max(axis=2))
 
 
 def _sample_joints(path: JointPath | LinePath, start_rad: JointVector, fractions: Array) -> Array:

@@ -248,8 +248,7 @@ def _line_limits(line: LinePath, limits: MotionLimits) -> PathLimits:
     acceleration = min(limits.line_acceleration_mm_s2 / length, limits.rotation_rad_s2 / angle)
     # From rest to rest over s = 0..1 no more than sqrt(acceleration) is reached. On a line of nanometres the
     # velocity itself would turn the rounding of the joint angles into apparent jerk.
-    reached = min(velocity, sqrt(acceleration))
-    return PathLimits(reached, acceleration, acceleration / limits.ramp_s)
+    return PathLimits(min(velocity, sqrt(acceleration)), acceleration, acceleration / limits.ramp_s)
 
 
 def _limit_for_joints(

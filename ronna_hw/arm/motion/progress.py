@@ -153,11 +153,10 @@ class _Leg(NamedTuple):
 
     def sample(self, time_s: float) -> AxisState:
         """Return the state at a time; a braking leg continues at its reduced speed."""
+        is_over = time_s >= self.profile.duration_s
         if self.leads_to_end:
-            return (
-                AxisState.resting([1.0]) if time_s >= self.profile.duration_s else self.profile.sample(time_s)
-            )
-        if not self.velocity and time_s >= self.profile.duration_s:
+            return AxisState.resting([1.0]) if is_over else self.profile.sample(time_s)
+        if is_over and not self.velocity:
             return AxisState.resting(self.profile.sample(time_s).position)
         return AxisState(*self.profile.raw.at_time(time_s))
 
@@ -292,13 +291,10 @@ class PathProgress:
         here = self.state.position[0]
         for step in self._steps:
             slow = step.velocity * self._fraction
-            if (
-                step.start <= here
-                or slow >= velocity
-                or (found is not None and step.velocity >= found.velocity)
-            ):
+            if step.start <= here or slow >= velocity:
                 continue
-            if not self._can_reach_speed(go, slow, step.start):
+            is_slowest = found is None or step.velocity < found.velocity
+            if is_slowest and not self._can_reach_speed(go, slow, step.start):
                 found = step
         return found
 

@@ -45,10 +45,8 @@ def ahead_mm(arm: Dimensions, joints_rad: JointVector) -> float:
 
 def branch_of(arm: Dimensions, joints_rad: JointVector) -> Branch:
     """Return the branch of a joint vector."""
-    behind = ahead_mm(arm, joints_rad) < 0.0
-    return Branch(
-        BEHIND * behind + BENT_BACK * (sin(joints_rad[2]) < 0.0) + TURNED * (sin(joints_rad[4]) < 0.0)
-    )
+    behind, bent_back = ahead_mm(arm, joints_rad) < 0.0, sin(joints_rad[2]) < 0.0
+    return Branch(BEHIND * behind + BENT_BACK * bent_back + TURNED * (sin(joints_rad[4]) < 0.0))
 
 
 def closed_form(arm: Dimensions, pose: Pose, branch: Branch, guess: bool = False) -> JointVector:
