@@ -80,8 +80,6 @@ class StreamedArm(ABC, Generic[S]):
         self._readings = StreamReadings(connections, senses_force=self.senses_force)
         self._stated: tuple[S | None, tuple[Fact, ...]] = None, ()  # the last state, and its facts
 
-    # What a driver adds:
-
     @abstractmethod
     def _start_stream(self, timeout_s: float) -> None:
         """Start the controller's program and its stream, and note the operating mode in the watch."""
@@ -113,8 +111,6 @@ class StreamedArm(ABC, Generic[S]):
     @abstractmethod
     def _switch_drives_off(self, timeout_s: float) -> None:
         """Ask the controller to switch its drives off."""
-
-    # The same for all:
 
     @property
     def name(self) -> str:

@@ -32,8 +32,6 @@ class StreamConnections(ABC, Generic[S, C]):
         self.open_link: LinkClient | None = None
         self.recorder: ByteSink | None = None  # takes effect when a connection is opened
 
-    # What a driver adds:
-
     @abstractmethod
     def start_link(self, timeout_s: float) -> None:
         """Start the real-time process."""
@@ -61,8 +59,6 @@ class StreamConnections(ABC, Generic[S, C]):
     @abstractmethod
     def _end_program(self, timeout_s: float) -> None:
         """End the controller's program by command."""
-
-    # The same for all:
 
     @property
     def reported(self) -> S | None:

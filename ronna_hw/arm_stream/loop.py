@@ -79,8 +79,6 @@ class StreamLoop(ABC):
         self._lock_step_cycles = 0  # without a pause
         self._cycles_since_fault = 0
 
-    # What a protocol adds:
-
     @abstractmethod
     def _step(self) -> None:
         """Receive and answer a telegram, or call `_check_orders` when none arrives in time."""
@@ -95,8 +93,6 @@ class StreamLoop(ABC):
     @abstractmethod
     def close(self) -> None:
         """Close what the loop has opened."""
-
-    # The same for all:
 
     def run(self) -> None:
         """Run until the parent has exited and the arm is at rest."""

@@ -123,8 +123,6 @@ class StreamSession(ABC, Generic[M, E]):
         self._is_force_exceeded = False  # in the last motion
         self._loads = LoadSums()
 
-    # What a protocol adds:
-
     @abstractmethod
     def _accept(self, telegram: M) -> bool:
         """Take over a telegram; returns False to ignore it."""
@@ -183,8 +181,6 @@ class StreamSession(ABC, Generic[M, E]):
     def _silence_fault(self) -> LinkFault:
         """Return the fault to latch when no telegram has come for too long."""
         return LinkFault.SILENCE
-
-    # The same for all:
 
     @property
     def moving(self) -> bool:
