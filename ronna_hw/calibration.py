@@ -383,10 +383,7 @@ class ArmCalibration(DatedRecord):
 
     @model_validator(mode="after")
     def _leaves_plausible_errors(self) -> Self:
-        """Check the shape and row magnitudes of `remaining`.
-
-        A triangle cannot be asymmetric or indefinite.
-        """
+        """Check shape and row magnitudes of `remaining`: a triangle cannot be asymmetric or indefinite."""
         if self.remaining is None:
             return self
         joints = len(self.joint_offset_rad)

@@ -204,10 +204,7 @@ class CollisionConfig(Strict):
         fiducials_mm: tuple[Numbers3, ...] = (),
         corridor: Corridor | None = None,
     ) -> Surroundings:
-        """Build the surroundings in the frames used by the arm.
-
-        `fiducials_mm` are in $ROBROOT, as localized so far.
-        """
+        """Build the surroundings in the arm's frames; `fiducials_mm` are in $ROBROOT, as localized so far."""
         head = covering_ellipsoid(head_semi_axes_mm, robot_from_head)
         obstacles = [Obstacle(HEAD, capsule, True) for capsule in head]
         for body in self.bodies:

@@ -246,10 +246,7 @@ def required_interface(table: str) -> Callable[..., Device]:
 
 
 def require_interface(table: str, driver: str, device: object, interface: Callable[..., D]) -> D:
-    """Return a table's device as `interface`, a runtime-checkable protocol or a class.
-
-    Raises DEV-008 naming what the driver lacks.
-    """
+    """Return a table's device as `interface`, protocol or class; raises DEV-008 with what it lacks."""
     if not isinstance(device, cast("type", interface)):
         missing = [name for name in dir(interface) if name[0] != "_" and not hasattr(device, name)]
         raise WRONG_KIND(

@@ -29,10 +29,7 @@ Frames = tuple[ReceivedImage | None, ReceivedImage | None]
 
 
 class PairGrabber:
-    """Stream control and frame pairing for two cameras; deadlines are host monotonic time.
-
-    Use from one thread at a time.
-    """
+    """Stream control and frame pairing for two cameras, in one thread; deadlines are host monotonic time."""
 
     def __init__(
         self, cameras: tuple[Camera, Camera], serials: tuple[str, str], clock: Clock, options: BaslerOptions
@@ -153,10 +150,7 @@ class PairGrabber:
         return first, right.take(deadline_s, is_any_lost)
 
     def _raise_for_missing(self, frames: Frames) -> None:
-        """Raise the error that explains a missing frame.
-
-        GEV-007, GEV-014 or GEV-015 for its camera, GEV-013 for both.
-        """
+        """Raise GEV-007, GEV-014 or GEV-015 for a camera without a frame, GEV-013 if neither has one."""
         for camera, frame in zip(self._cameras, frames, strict=True):
             if frame is not None:
                 continue

@@ -61,10 +61,7 @@ OpenTransport = Callable[[Endpoint, float], Transport]
 
 
 class PolarisTracker:
-    """Polaris tracker with synchronous calls; not thread-safe.
-
-    Time limits are host seconds.
-    """
+    """Polaris tracker with synchronous calls; not thread-safe. Time limits are host seconds."""
 
     wire_protocol = "ndi-polaris"  # which byte-level conformance cases apply
 

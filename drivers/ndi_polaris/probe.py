@@ -57,10 +57,7 @@ class PolarisProbe:
         return _diagnose_lines(endpoints, progress, of_tracker=False)
 
     def find(self, search: Search, progress: Progress) -> Sequence[Proposal]:
-        """Propose every line with a responding unit, and report missing lines.
-
-        A unit is identified as a procedure would identify it.
-        """
+        """Propose every line with a unit, identified as a procedure would, and report missing lines."""
         found = []
         for line in reporting(search.lines, progress):
             state = check_line(line)

@@ -191,10 +191,7 @@ class FrameClock:
 
 
 def unwrap_frame_number(number: int, last: int | None) -> int:
-    """Unwrap a frame number to the count nearest `last` that is congruent to `number`.
-
-    A result below `last` is an older frame.
-    """
+    """Return the count nearest `last` that is congruent to a frame number; one below `last` is older."""
     if last is None:
         return number
     half = FRAME_NUMBERS // 2

@@ -50,10 +50,7 @@ class Transport(Protocol):
         """Send all bytes; raises NDI-008 if the connection is lost."""
 
     def read(self, timeout_s: float) -> bytes:
-        """Return received bytes, waiting up to `timeout_s` for the first; empty on time-out.
-
-        Raises NDI-008 when the peer is gone.
-        """
+        """Return bytes, waiting up to `timeout_s` for the first; empty on time-out. Raises NDI-008."""
 
     def set_baud(self, baud: int) -> None:
         """Switch the host's port to another baud rate."""

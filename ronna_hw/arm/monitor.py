@@ -78,10 +78,7 @@ def monitor_limits(
 
 
 class Monitor:
-    """Monitor for a single stream of set-points.
-
-    `check` changes nothing; `sent` and the methods after it record what happened.
-    """
+    """Monitor of one stream: `check` changes nothing, `sent` and those after it record what happened."""
 
     def __init__(self, limits: MonitorLimits, start_rad: JointVector) -> None:
         self.limits = limits

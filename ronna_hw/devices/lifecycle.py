@@ -240,10 +240,7 @@ class LifecycleGuard:
         return LastKnown(*self._now, reading, says, stopped)
 
     def require(self, call: str, allowed: Iterable[Lifecycle]) -> None:
-        """Raise DEV-001 unless the state is one of `allowed`.
-
-        After a latched fault the error quotes it, and has its exit code.
-        """
+        """Raise DEV-001, with a latched fault and its exit code, unless the state is one of `allowed`."""
         states = tuple(allowed)
         state, fault = self._now
         if state in states:

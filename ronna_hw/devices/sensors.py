@@ -17,10 +17,7 @@ from ronna_hw.vectors import Vector3
 
 @runtime_checkable
 class OpticalTracker(Device, Protocol):
-    """Optical tracker.
-
-    `configure` loads and enables the tools of the theatre file; `activate` starts tracking.
-    """
+    """Optical tracker: `configure` loads and enables the tools of the theatre file, `activate` tracks."""
 
     @property
     def tools(self) -> tuple[str, ...]:

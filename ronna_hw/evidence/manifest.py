@@ -262,10 +262,7 @@ def hash_outside_files(folder: Path, inputs: Iterable[Path]) -> dict[str, str]:
 
 
 def hash_inputs(folder: Path, files: Iterable[Path]) -> dict[str, str]:
-    """Hash the readable input files of a run.
-
-    Files in the run's folder are named relative to it, others by their whole path.
-    """
+    """Hash a run's readable inputs, named relative to its folder, or elsewhere by their whole path."""
     own, hashes = folder.resolve(), {}
     for path in (file.resolve() for file in files):
         name = path.relative_to(own).as_posix() if own in path.parents else str(path)

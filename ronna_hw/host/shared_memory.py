@@ -20,10 +20,7 @@ PlaceT = TypeVar("PlaceT", bound="SharedRows[Any] | CheckedRow[Any] | CheckedByt
 
 
 class MemoryMap:
-    """Allocator for locations in a block that begins with its owner's mark.
-
-    `size_bytes` grows with every location.
-    """
+    """Allocator of locations in a block that begins with a mark; `size_bytes` grows with each."""
 
     def __init__(self, mark: bytes) -> None:
         self.mark = mark

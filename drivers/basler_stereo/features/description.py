@@ -1,7 +1,4 @@
-"""GenICam description of a camera: download, strict XML parsing, register decoding.
-
-`feature_map` interprets the nodes.
-"""
+"""GenICam description of a camera: download, strict parsing, registers; `feature_map` interprets nodes."""
 
 from __future__ import annotations
 
@@ -59,10 +56,7 @@ class Node:
 
 
 def fetch_description(control: CameraControl, deadline_s: float) -> bytes:
-    """Download the XML description stored on the camera.
-
-    Raises GEV-009 if there is none, GEV-006 to GEV-008 if it cannot be read.
-    """
+    """Download the XML description stored on the camera; raises GEV-009 without one, GEV-006 to GEV-008."""
     for register in (Bootstrap.FIRST_URL, Bootstrap.SECOND_URL):
         block = control.read_memory(register, gev.TEXT_BYTES[register], deadline_s)
         url = block.split(b"\0", 1)[0].decode("ascii", errors="replace").strip()

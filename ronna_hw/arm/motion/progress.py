@@ -165,10 +165,7 @@ class PathProgress:
     """Path-parameter values for each cycle, each paired with the first value of a stop."""
 
     def __init__(self, limits: PathLimits, steps: tuple[SpeedStep, ...], cycle_s: float) -> None:
-        """Start at rest at 0; `steps` are the sections with reduced speed.
-
-        Raises ARM-006 if the limits permit no profile.
-        """
+        """Start at rest at 0; `steps` are sections of reduced speed. Raises ARM-006 without a profile."""
         self._limits = limits
         self._steps = steps or (SpeedStep(0.0, limits.velocity),)
         self._cycle_s = cycle_s
@@ -236,10 +233,7 @@ class PathProgress:
         return StopPrediction(max(duration_s - elapsed_s, 0.0), profile.sample(duration_s).position[0])
 
     def limit_speed(self, fraction: float) -> None:
-        """Continue at `fraction` of the planned speed, braking smoothly; at 0, to rest until it rises again.
-
-        No effect during a stop.
-        """
+        """Continue at `fraction` of the planned speed, braking smoothly, at 0 to rest; not in a stop."""
         if not self.is_stopping and not self.is_finished:
             self._fraction = fraction
             self._next = self._next_halt = None
