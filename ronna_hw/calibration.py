@@ -1,7 +1,4 @@
-"""Calibration records of the theatre file: values, stated error, date and expiry.
-
-Plain numbers. Poses are a translation (mm) and a scalar-first quaternion.
-"""
+"""Calibration records of the theatre file: plain numbers, poses as mm and scalar-first quaternion."""
 
 from __future__ import annotations
 
@@ -196,10 +193,7 @@ class Dated(Strict):
         return self
 
     def check_valid_at(self, moment: datetime) -> None:
-        """Raise CAL-001 if the record has expired at `moment` or is dated after it.
-
-        With a clock that was set back, an expired record would appear valid.
-        """
+        """Raise CAL-001 if expired at `moment` or dated later: with a clock set back, none would expire."""
         if moment < self.created - CLOCKS_AGREE:
             raise CalibrationExpired(
                 f"{self.what} {self.identifier} is dated {_as_text(self.created)}, which is in the future",

@@ -82,10 +82,7 @@ class RoomBody(BodyConfig):
 
 
 class ArmThickness(Strict):
-    """Conservative capsule radii of the arm's bodies; those left out are the arm's own.
-
-    They hold for the master, and for an assistant of the same model.
-    """
+    """Conservative radii of the arm's bodies, by default its own; also of an assistant of the same model."""
 
     column_mm: Millimetres | None = Field(
         default=None, description="Radius from the base to the second joint."

@@ -1,7 +1,4 @@
-"""Theatre file: devices with their endpoints, and calibrations.
-
-Strict TOML: unknown keys are errors, and all mistakes are reported at once.
-"""
+"""Theatre file of devices and calibrations, in strict TOML; all mistakes are reported at once."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""Log output: lines on a stream, or a rotated, size-limited `log.jsonl` in a run folder.
-
-Messages from library loggers take the same path, without their values.
-"""
+"""Log output: lines on a stream, or a rotated `log.jsonl`; of libraries' messages without values."""
 
 from __future__ import annotations
 

@@ -51,10 +51,7 @@ def open_theatre(path: str | os.PathLike[str], timeout_s: float = 10.0) -> Itera
 
 
 class Theatre:
-    """Devices of one theatre file. Each is created on first access; `connect` creates all.
-
-    As a context manager it closes everything on leaving.
-    """
+    """Devices of one theatre file, created on first access or by `connect`, closed on leaving a block."""
 
     def __init__(self, file: TheatreFile, clock: Clock, make: DriverOfTable = make_device) -> None:
         """Create the theatre without opening anything; `make` creates the driver objects."""
@@ -139,10 +136,7 @@ class Theatre:
                 device.configure(timeout_s)
 
     def stop(self) -> list[str]:
-        """Stop all arms simultaneously, as far as their links allow; never raises.
-
-        Returns what went wrong, for each arm that may not be at rest.
-        """
+        """Stop all arms at once, as far as links allow; returns what failed, by arm. Never raises."""
         failures: list[str] = []
         moving = [  # also one that is being started; in HOLD an earlier stop may still be under way
             threading.Thread(target=_stop_arm, args=(device, failures))

@@ -82,10 +82,7 @@ class PairGrabber:
         return self._grab(sequence, deadline_s)
 
     def await_replies(self, deadline_s: float) -> None:
-        """Wait until both cameras reply again.
-
-        The heartbeat decides whether one is lost: raises GEV-014, GEV-015; GEV-007 at the deadline.
-        """
+        """Wait until both cameras reply again; raises GEV-014, GEV-015, or GEV-007 at the deadline."""
         for camera in self._cameras:
             while True:
                 if camera.lost is not None:

@@ -38,10 +38,7 @@ RATE_SETTLING_S = 0.1  # after OKAY to COMM, as other clients wait for the unit 
 
 
 def find_unit(link: CommandLink) -> None:
-    """Find the unit's baud rate and switch the line to it.
-
-    Raises NDI-002 without any reply, NDI-003 when the device is not a Polaris unit.
-    """
+    """Find the unit's baud rate and use it; raises NDI-002 without a reply, NDI-003 for another device."""
     transport = link.transport
     heard = bytearray()
     tried = []
@@ -155,10 +152,7 @@ class Inquiry(NamedTuple):
 
 
 def inquire(link: CommandLink) -> Inquiry:
-    """Send a command without side effects, repeated if the reply is garbled.
-
-    Raises NDI-003 when the line never falls silent, NDI-008 when it is lost.
-    """
+    """Send a harmless command, repeated if garbled; raises NDI-003 on endless noise, NDI-008 when lost."""
     heard = b""
     for _ in range(TRIES):
         inquiry = _inquire_once(link)

@@ -75,10 +75,7 @@ class PolarisTracker:
         monotonic: Callable[[], float] = time.monotonic,
         pause: Callable[[float], None] = time.sleep,
     ) -> None:
-        """Check options and tool definitions without opening a connection.
-
-        Raises NDI-010 to NDI-013, and CFG-001 or CFG-002 for the endpoint.
-        """
+        """Check options and definitions, opening nothing; raises NDI-010 to NDI-013, CFG-001 or CFG-002."""
         self._name = name
         self._clock = clock
         self._endpoint = config.address().require("serial", "tcp")
@@ -177,10 +174,7 @@ class PolarisTracker:
         self._sink = sink
 
     def connect(self, timeout_s: float = 10.0) -> Identity:
-        """Find the unit at any baud rate, initialise it and check its identity.
-
-        Raises NDI-001 to NDI-004 (no port, no reply, wrong device) and the errors of the link.
-        """
+        """Find, initialise and check the unit at any rate; raises NDI-001 to NDI-004, the link's errors."""
         self._guard.require("connect", {Lifecycle.DISCONNECTED})
         self._identity = self._open_unit(self._monotonic() + timeout_s)
         self._guard.enter(Lifecycle.CONNECTED, endpoint=str(self._endpoint), identity=self._identity)

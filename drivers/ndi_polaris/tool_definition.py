@@ -122,10 +122,7 @@ def decode_definition(block: bytes, name: str = "definition") -> ToolDefinition:
 
 
 def encode_definition(tool: ToolDefinition) -> bytes:
-    """Encode a definition as 752 .rom bytes; raises NDI-011 if it is invalid.
-
-    An unchanged definition yields exactly the bytes that were read.
-    """
+    """Encode 752 .rom bytes, of an unchanged definition exactly those that were read; raises NDI-011."""
     _check_definition(tool)
     block = bytearray(tool.origin)
     for property_ in FIELDS:

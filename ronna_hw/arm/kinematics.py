@@ -1,7 +1,4 @@
-"""Vendor-neutral interface to an arm: its chain of joints, its bodies, and its kinematics.
-
-It assumes neither an axis order nor a spherical wrist.
-"""
+"""Vendor-neutral interface to an arm (chain, bodies, kinematics) of any axis order, with any wrist."""
 
 from __future__ import annotations
 
@@ -76,10 +73,7 @@ class Joint(NamedTuple):
 
 
 class Chain(NamedTuple):
-    """Nominal kinematic chain from the robot base to the flange.
-
-    `flange_rotation` rotates the frame of the last link into that of the flange.
-    """
+    """Nominal chain from base to flange; `flange_rotation` turns the last link's frame into the flange's."""
 
     base_mm: Vector3  # of the first joint
     joints: tuple[Joint, ...]

@@ -116,10 +116,7 @@ class Device(Protocol):
         """
 
     def active(self, timeout_s: float = 10.0) -> AbstractContextManager[Self]:
-        """Activate the device for a `with` block, whatever its state, and deactivate it on exit.
-
-        `hold_active` implements this for every driver.
-        """
+        """Activate the device for a `with` block, and deactivate it on exit, as `hold_active` does."""
 
     def connect(self, timeout_s: float = 10.0) -> Identity:
         """Open the connection and check identity and version.

@@ -309,10 +309,7 @@ class RunSeal(BaseModel):
 def seal(
     folder: Path, closed: Collection[str], apart: Collection[str] = (), kept: Mapping[str, str] | None = None
 ) -> None:
-    """Seal every file that is neither in `closed` (the journal's last line) nor in `apart`.
-
-    Files in `kept` keep these hashes. Raises OSError.
-    """
+    """Seal files neither `closed` (in the journal's last line) nor `apart`, or as `kept`; raises OSError."""
     later = {
         name: sha256_of(path) for name, path in _own_files(folder) if name not in closed and name not in apart
     }

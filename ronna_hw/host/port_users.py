@@ -1,7 +1,4 @@
-"""Processes using a serial port, network port or lock, as far as this user can see.
-
-Who may use a serial port is stated in the words of its mode, owner and group.
-"""
+"""Processes using a serial port, network port or lock, and who may use a port, as this user sees."""
 
 from __future__ import annotations
 

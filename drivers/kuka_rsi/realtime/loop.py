@@ -1,7 +1,4 @@
-"""Exchange of RSI telegrams: receive, answer with the prepared reply or a new one.
-
-Telegrams from anyone but the stream's controller are counted and otherwise ignored.
-"""
+"""Exchange of RSI telegrams: receive and answer those of the stream's controller, count all others."""
 
 from __future__ import annotations
 

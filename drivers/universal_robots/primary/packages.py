@@ -1,7 +1,4 @@
-"""Packages of the primary client interface, as far as this driver needs them.
-
-What follows the fields known here is skipped: newer controllers send longer parts.
-"""
+"""Packages of the primary interface; of the longer parts of newer controllers the rest is skipped."""
 
 from __future__ import annotations
 

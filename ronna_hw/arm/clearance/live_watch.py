@@ -84,10 +84,7 @@ LEAVING_MM = 0.5  # a body that starts too close may stay or move away; planning
 
 
 class PlacedBodies:
-    """Axes of all moving bodies in the robot base at given joint angles, ordered as `Bodies.moving_names`.
-
-    Each is computed when it is first asked for.
-    """
+    """Axes of all moving bodies in the robot base, as `Bodies.moving_names`, each computed when asked for."""
 
     def __init__(self, bodies: Bodies, joints_rad: JointVector) -> None:
         self._bodies = bodies

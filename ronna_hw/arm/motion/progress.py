@@ -78,10 +78,7 @@ class MotionProfiler:
         self._bounds_of: dict[InputParameter, Bounds] = {}  # bounds last given to each request
 
     def move(self, start: AxisState, target: Values, bounds: Bounds) -> MotionProfile:
-        """Move all axes from any state to rest at `target`, arriving simultaneously. Raises ARM-006.
-
-        The profile may overshoot start and target if it starts in motion.
-        """
+        """Move to rest at `target`, all axes at once; from motion it may overshoot. Raises ARM-006."""
         self._check(target)
         self._move.target_position = list(target)
         return self._calculate(self._move, start, bounds)
