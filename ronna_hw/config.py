@@ -1,7 +1,4 @@
-"""Theatre file: devices with their endpoints, and calibrations.
-
-Strict TOML: unknown keys are errors, and all mistakes are reported at once.
-"""
+"""Theatre file of devices and calibrations, in strict TOML; all mistakes are reported at once."""
 
 from __future__ import annotations
 
@@ -47,10 +44,7 @@ from ronna_hw.tool_record import GuideBore, TipInHead, ToolRecord
 
 
 def require_expiry(theatre: TheatreFile) -> None:
-    """Raise ValueError unless records of a real theatre expire within a year.
-
-    In a simulated theatre nothing is knocked or worn.
-    """
+    """Raise ValueError unless records expire within a year; in a simulated theatre nothing is worn."""
     calibrations = {} if theatre.calibration is None else theatre.calibration.records
     records: dict[str, Dated] = {f"calibration.{name}": one for name, one in calibrations.items()}
     records |= {f"tools.{name}": one for name, one in theatre.tools.items()}
@@ -61,21 +55,16 @@ def require_expiry(theatre: TheatreFile) -> None:
         )
 
 
-def require_own_patient_frame(theatre: TheatreFile) -> None:
-    """Raise ValueError if the patient's frame is also named as one on an arm, which moves with the arm."""
-    frame = theatre.procedure.patient_frame
-    if shared := [key for key, tool in _frames_on_arms(theatre).items() if tool == frame]:
+def require_own_frames(theatre: TheatreFile) -> None:
+    """Raise ValueError if the patient's frame is also one on an arm, or the holder's one on the master."""
+    on_arms, frame = _frames_on_arms(theatre), theatre.procedure.patient_frame
+    if shared := [key for key, tool in on_arms.items() if tool == frame]:
         raise ValueError(
             f"[procedure] patient_frame: {frame} is also {' and '.join(shared)}, a frame on the arm: "
             "name the frame on the head clamp, a tool of its own"
         )
-
-
-def require_own_holder_frame(theatre: TheatreFile) -> None:
-    """Raise ValueError if the frame on the assistant's holder is also named as one on the master."""
-    on_master = _frames_on_arms(theatre)
-    frame = on_master.pop(HOLDER_FRAME, None)
-    if shared := [key for key, tool in on_master.items() if tool == frame]:
+    frame = on_arms.pop(HOLDER_FRAME, None)
+    if shared := [key for key, tool in on_arms.items() if tool == frame]:
         raise ValueError(
             f"[calibration.assistant_holder] frame: {frame} is also {' and '.join(shared)}, a frame on the "
             "master: name the frame on the holder, a tool of its own"
@@ -126,9 +115,7 @@ def require_outside_hand(theatre: TheatreFile) -> None:
 
 def closest_to_flange_mm(flange_from_tool: PoseRecord, bore: GuideBore | None = None) -> float:
     """Return the distance in mm from the flange centre to a tip, or to a guide's axis up to its upper end."""
-    w, x, y, z = flange_from_tool.quaternion_wxyz
-    axis = (2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y))
-    tip_mm = flange_from_tool.translation_mm
+    axis, tip_mm = flange_from_tool.z_axis, flange_from_tool.translation_mm
     length_mm = 0.0 if bore is None else bore.reach_mm + bore.length_mm
     up_mm = sum(coordinate * along for coordinate, along in zip(tip_mm, axis, strict=True))
     up_mm = min(max(up_mm, 0.0), length_mm)
@@ -360,12 +347,10 @@ class ProcedureSettings(Strict):
         "The default is unconfirmed: bone under a drill takes 5 to 20 N.",
     )
     coarse_fine_limit_mm: Annotated[float, Field(gt=0, le=LARGEST_COARSE_FINE_MM), Length] = Field(
-        default=3.0,
-        description="Largest difference between stereo head and tracker for the same sphere.",
+        default=3.0, description="Largest difference between stereo head and tracker for the same sphere."
     )
     stand_mm: Annotated[Numbers3, farther_than(NEAREST_PLACE_MM)] | None = Field(
-        default=None,
-        description="Position of the calibration stand's ball, within 10 mm, robot frame.",
+        default=None, description="Position of the calibration stand's ball, within 10 mm, robot frame."
     )
     watch_patient: Annotated[WatchPatient, Field(strict=False)] = Field(
         default=WatchPatient.INSTRUMENT,
@@ -441,8 +426,7 @@ class TheatreFile(Strict):
     def _records_are_plausible(self) -> Self:
         require_expiry(self)
         require_outside_hand(self)
-        require_own_patient_frame(self)
-        require_own_holder_frame(self)
+        require_own_frames(self)
         require_separate_arms(self)
         return self
 

@@ -161,8 +161,7 @@ class CalibratedArm:
 
 def _turn(vector_rad: Vector3) -> Pose:
     """Return a turn by a rotation vector, by Rodrigues' formula."""
-    angle_rad = math.hypot(*vector_rad)
-    if not angle_rad:
+    if not (angle_rad := math.hypot(*vector_rad)):
         return Pose()
     x, y, z = (component / angle_rad for component in vector_rad)
     sine, versine = math.sin(angle_rad), 2.0 * math.sin(angle_rad / 2.0) ** 2

@@ -145,11 +145,9 @@ def _command_of(app: typer.Typer, requested: str) -> Any:
         assert candidate.callback is not None
         return candidate.name or typer.main.get_command_name(candidate.callback.__name__)
 
-    chosen_command = next(
-        (candidate for candidate in app.registered_commands if name_of(candidate) == requested), None
-    )
+    chosen = (candidate for candidate in app.registered_commands if name_of(candidate) == requested)
     is_single = len(app.registered_commands) + len(app.registered_groups) == 1
-    return _build_command(app, None if is_single else chosen_command)
+    return _build_command(app, None if is_single else next(chosen, None))
 
 
 @cache

@@ -8,7 +8,7 @@ from typing import Any, cast
 import pytest
 
 from procedures.planning.tool_records import ToolRecords
-from ronna_hw.config import HOLDER_FRAME, require_own_holder_frame
+from ronna_hw.config import HOLDER_FRAME, require_own_frames
 from ronna_hw.devices.errors import UnknownTool
 
 
@@ -22,6 +22,7 @@ def test_a_frame_that_is_none_of_the_trackers_tools_is_refused_with_their_names(
 
 
 def test_a_frame_on_the_master_is_not_that_on_the_holder() -> None:
-    theatre = cast("Any", SimpleNamespace(calibration=with_holder("robot"), tools={}))
+    procedure = SimpleNamespace(patient_frame=None)
+    theatre = cast("Any", SimpleNamespace(calibration=with_holder("robot"), tools={}, procedure=procedure))
     with pytest.raises(ValueError, match=r"robot is also .*, a frame on the master"):
-        require_own_holder_frame(theatre)
+        require_own_frames(theatre)

@@ -15,8 +15,7 @@ from rsi_loop import CYCLE_MS, FIRST_IPOC, START_DEG, InProcessLink, answer_muta
 from rsi_stand import LIMITS
 
 from drivers.kuka_rsi.arm import KukaRsiArm
-from drivers.kuka_rsi.connections import link_settings
-from drivers.kuka_rsi.link import start_link
+from drivers.kuka_rsi.connections import link_settings, start_link
 from drivers.kuka_rsi.options import KukaOptions
 from ronna_hw.arm_stream import loop as link_loop
 from ronna_hw.arm_stream.client import LinkClient
