@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, TextIO
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, Field
 
 from procedures.engine.errors import NotRecorded
 from procedures.engine.replay.recorded_answers import BEGINS, RecordedReading, iterate_readings
@@ -108,10 +108,8 @@ def write_raw(run: Path | str, out: Path | str, most_bytes: int = MOST_RAW_BYTES
     return out, whole
 
 
-class RawExtent(BaseModel):
+class RawExtent(BaseModel, frozen=True, extra="forbid", strict=True):
     """Fields of `extent.json`."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 
     schema_version: Literal[1] = Field(default=1, alias="schema")
     journal_lines: int = Field(

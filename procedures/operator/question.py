@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Protocol
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, Field
 
 from procedures.operator.margin import MarginVerdict, judge_error
 from ronna_hw.text import strip_unit
@@ -87,20 +87,16 @@ DELIBERATE = frozenset(
 FOR_A_PERSON = DELIBERATE | {Topic.DEPTH_STOP, Topic.SKIN, Topic.DRILL, Topic.DURA}
 
 
-class Evidence(BaseModel):
+class Evidence(BaseModel, frozen=True, extra="forbid", allow_inf_nan=False):
     """Table of evidence for a question, as displayed text with units."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     title: str
     head: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
 
 
-class PredictedError(BaseModel):
+class PredictedError(BaseModel, frozen=True, extra="forbid", allow_inf_nan=False):
     """Predicted error at a target, against the margin that the plan allows there."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     target: str
     rms_mm: float
@@ -123,23 +119,19 @@ class PredictedError(BaseModel):
         return f"{within} the margin; {self.confidence:.0%} of such errors stay within {limit}"
 
 
-class Picture(BaseModel):
+class Picture(BaseModel, frozen=True, extra="forbid"):
     """Picture shown with a question: its name among the run's pictures, and its SHA-256."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     name: str
     sha256: str
     trajectory: str = ""  # whose cuts it shows
 
 
-class Identity(BaseModel):
+class Identity(BaseModel, frozen=True, extra="forbid"):
     """Identity of the patient, shown with a question and stored nowhere.
 
     Its digest is salted, because a record that has the digest must not confirm a guessed identity.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     rows: tuple[tuple[str, str], ...] = Field(repr=False)  # name and value
     salt: str = Field(default_factory=lambda: secrets.token_hex(16), repr=False)

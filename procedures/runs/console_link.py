@@ -27,7 +27,6 @@ from ronna_hw.host.child_process import ChildProcess, command
 
 if TYPE_CHECKING:
     from procedures.engine.engine import Engine
-    from procedures.workcell import Workcell
     from procedures.workcell.stereo_look import Look
     from ronna_hw.command_line.viewers_address import ViewersAddress
 
@@ -76,6 +75,8 @@ class ConsoleLink:
         self._answered = threading.Event()
         self._followed = threading.Event()
         self._over = threading.Event()
+        self._newest: Look | None = None
+        self._look_arrived = threading.Event()
         self._start(self._await_ready, "console ready")
         self._start(self._beat_until_followed, "console beats")
 
@@ -91,12 +92,11 @@ class ConsoleLink:
         """
         self._answered.wait(READY_S)
 
-    def show_looks(self, workcell: Workcell) -> None:
-        """Start sending the stereo head's pictures to the console."""
-
-        pictures = LivePictures(self._send, self._over)
-        workcell.on_look = pictures.look
-        self._start(pictures.send_all, "console pictures")
+    def show(self, engine: Engine) -> None:
+        """Start sending the events of an engine, and the stereo head's pictures."""
+        self.follow(engine.events)
+        engine.setting.workcell.on_look = self._keep_look
+        self._start(self._send_pictures, "console pictures")
 
     def close(self) -> None:
         """Stop the console once it has shown the end of the run. Never raises."""
@@ -161,6 +161,23 @@ class ConsoleLink:
             if all(event.what.signal for event in batch.events):
                 time.sleep(SIGNAL_PERIOD_S)
 
+    def _keep_look(self, seen: Look) -> None:
+        """Keep the latest stereo pair to be sent, so that taking a look is not delayed."""
+        self._newest = seen
+        self._look_arrived.set()
+
+    def _send_pictures(self) -> None:
+        from procedures.workcell.stereo_look import pair_picture
+
+        while not self._over.wait(PICTURE_PERIOD_S):
+            if not self._look_arrived.is_set():
+                continue
+            self._look_arrived.clear()
+            assert self._newest is not None
+            content = base64.b64encode(pair_picture(self._newest, HEIGHT_PX)).decode()
+            if not self._send(f'{{"pair":"{content}"}}'):
+                return
+
     def _send(self, text: str) -> bool:
         try:
             with self._writing:
@@ -183,39 +200,6 @@ def event_lines(event: Event) -> Iterator[str]:
     if isinstance(event.what, Questioned) and event.what.identity is not None:
         yield f'{{"identity":{event.what.identity.model_dump_json()}}}'
     yield f'{{"event":{event.model_dump_json()}}}'
-
-
-class LivePictures:
-    """Background sender of the latest stereo pair, so that taking a look is not delayed."""
-
-    def __init__(self, send: Callable[[str], bool], ending: threading.Event) -> None:
-        """`send` transmits one line and returns whether it succeeded; `ending` stops the loop."""
-        self._send = send
-        self._ending = ending
-        self._newest: Look | None = None
-        self._arrived = threading.Event()
-
-    def look(self, seen: Look) -> None:
-        """Keep the latest stereo pair for the next transmission."""
-        self._newest = seen
-        self._arrived.set()
-
-    def send_all(self) -> None:
-        """Render and send the latest stereo pair periodically until `ending` is set."""
-        while not self._ending.wait(PICTURE_PERIOD_S):
-            if not self._arrived.is_set():
-                continue
-            self._arrived.clear()
-            if self._newest is not None and not self._send(picture_line(self._newest)):
-                return
-
-
-def picture_line(seen: Look) -> str:
-    """Encode a stereo pair as a JSON line for the console."""
-    from procedures.workcell.stereo_look import pair_picture
-
-    content = base64.b64encode(pair_picture(seen, HEIGHT_PX)).decode()
-    return f'{{"pair":"{content}"}}'
 
 
 @dataclass(frozen=True)
@@ -271,8 +255,7 @@ def with_console(
         def opened(engine: Engine) -> None:
             observers.opened(engine)
             executor.attach(engine)
-            link.follow(engine.events)
-            link.show_looks(engine.setting.workcell)
+            link.show(engine)
             link.await_ready()
 
         yield replace(observers, opened=opened, executor=executor)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterable, Set
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Protocol
 
@@ -43,7 +43,6 @@ ASKED_AT_CONSOLE = (
     "questions are asked at the console; manual work is done here, by the word that is asked for"
 )
 SEAT_AWAITED = "waiting until someone takes the operator's seat at the console"
-Rule = tuple[Operator | None, Set[Topic], bool]  # who answers which topics, and whether they are there
 
 
 class HeldPrompt(Protocol):
@@ -121,21 +120,18 @@ def operator_selection(
     ):
         tell(NOBODY_ACCEPTS)
     script, accepting = ScriptedOperator(), AcceptingOperator(observers.announce)
-    without_file = _apply_rules(
-        (
-            (prompt, {Topic.PAUSE}, True),
-            (accepting, {Topic.RESUME}, accepted),
-            (person, {Topic.RESUME}, resumption is not None),
-            (person, ALL_TOPICS, request.has_person),
-            (person, {Topic.PAUSE, Topic.REPEAT}, at_terminal),
-            (script, ALL_TOPICS, True),  # in a simulated theatre of its own
-        )
+    operator = without_file = OperatorByTopic(
+        (prompt, {Topic.PAUSE}, True),
+        (accepting, {Topic.RESUME}, accepted),
+        (person, {Topic.RESUME}, resumption is not None),
+        (person, ALL_TOPICS, request.has_person),
+        (person, {Topic.PAUSE, Topic.REPEAT}, at_terminal),
+        (script, ALL_TOPICS, True),  # in a simulated theatre of its own
     )
-    operator = without_file
     if answers is not None:
         by_file = AnsweringOperator(answers, without_file, None if file_answers_all else without_file)
         # `--accept` is the later word.
-        operator = _apply_rules(((accepting, {Topic.RESUME}, accepted), (by_file, ALL_TOPICS, True)))
+        operator = OperatorByTopic((accepting, {Topic.RESUME}, accepted), (by_file, ALL_TOPICS, True))
     if observers.executor is None:
         return operator
     person_present = on_terminal(sys.stdin) and (prompt is not None or on_terminal(sys.stderr))
@@ -148,11 +144,3 @@ def _describe_script(request: RunRequest, observers: RunObservers, resumption: R
     until = "" if observers.executor is None else " until somebody takes the operator's seat"
     hint = "; --ask asks you" if resumption is None else ""
     return f"a script answers the questions{by_file} and does the manual work{until}{hint}"
-
-
-def _apply_rules(rules: Iterable[Rule]) -> Operator:
-    """Return an operator that answers each topic by the first rule that covers it."""
-    present = [(operator, topics) for operator, topics, applies in rules if operator is not None and applies]
-    return OperatorByTopic(
-        {topic: next(one for one, topics in present if topic in topics) for topic in Topic}
-    )

@@ -19,9 +19,9 @@ from procedures.engine.errors import TheatreInUse, TheatreNotNoted
 from procedures.journal.journal import JOURNAL_FILE
 from procedures.runs.arm_notes import (
     ROLES,
+    FormerRun,
     TheatreNote,
     find_former_run,
-    find_telling,
     note_paths,
     read_note,
 )
@@ -161,9 +161,10 @@ def read_last_notes(theatre: Path, roles: Collection[str] = ROLES) -> tuple[Thea
     return tuple(read_note(path).with_outcome() for path in note_paths(theatre, roles))
 
 
-def read_last_note(theatre: Path, run: Path | None = None, roles: Collection[str] = ROLES) -> TheatreNote:
-    """Return the first of these notes by which another run than `run` left an arm, or the first of all."""
-    return find_telling(read_last_notes(theatre, roles), run)
+def read_former_run(theatre: Path, run: Path | None = None, roles: Collection[str] = ROLES) -> FormerRun:
+    """Return how another run than `run` left an arm of a theatre; empty if at home with nothing inside."""
+    found = (find_former_run(note, run) for note in read_last_notes(theatre, roles))
+    return next((one for one in found if one != FormerRun()), FormerRun())
 
 
 def find_unwritable_note(theatre: Path) -> Path | None:

@@ -89,8 +89,7 @@ def step_through(request: RunRequest, out: Path, console: ConsoleRequest | None 
                     prompt.follow(engine)
                 else:
                     executor.attach(engine)
-                    link.follow(engine.events)
-                    link.show_looks(engine.setting.workcell)
+                    link.show(engine)
                     prompt.follow(engine)
                     if prompt.input_ended:
                         executor.run_to_end(engine)

@@ -15,14 +15,8 @@ from procedures.cli.doctor.pictures import pair_diagnostics
 from procedures.cli.doctor.theatre_checks import TOOL, run_check
 from procedures.planning.tool_records import ToolRecords, check_patient_frame
 from procedures.relocalization.triangulation import check_serial
+from procedures.workcell import tools
 from procedures.workcell.stereo_look import FURTHER_TRIES
-from procedures.workcell.tools import (
-    MountedTool,
-    ToolMount,
-    calibrated_arm,
-    require_this_arm,
-    require_two_arms,
-)
 from ronna_hw.calibration import StereoHeadCalibration
 from ronna_hw.config import Calibrations, DeviceConfig, TheatreFile
 from ronna_hw.devices import OpticalTracker, RobotArm, StereoPair
@@ -253,8 +247,8 @@ def _check_records(
         kinematics, arm = device.kinematics, calibrations.arms.get(role)
 
         def check_arm() -> None:
-            calibrated_arm(kinematics, calibrations.arms, role)
-            require_this_arm(calibrations.arms, serial, role)
+            tools.calibrated_arm(kinematics, calibrations.arms, role)
+            tools.require_this_arm(calibrations.arms, serial, role)
 
         seen = f"{kinematics.name} {serial}".rstrip()
         if arm is None:
@@ -266,8 +260,8 @@ def _check_records(
         yield replace(arm_check, advice=WHOSE_RECORD[role]) if is_unverified and arm_check.well else arm_check
         if role != MASTER:
             return
-        mount = ToolMount(lambda: device.read_tool_identity().number, calibrations)
-        mounted = MountedTool.STEREO_HEAD
+        mount = tools.ToolMount(lambda: device.read_tool_identity().number, calibrations)
+        mounted = tools.MountedTool.STEREO_HEAD
         yield run_check(f"{subject}{TOOL}", str(mounted), partial(mount.check, mounted))
 
 
@@ -281,16 +275,16 @@ def two_arm_diagnostics(found: Mapping[str, Sequence[Diagnostic]]) -> Iterator[D
         for identity in one.serials.items()
     ]
     for one, other in combinations([(model, serial or "") for model, serial in arms], 2):
-        yield run_check(ARE_TWO, "two", partial(require_two_arms, one, other))
+        yield run_check(ARE_TWO, "two", partial(tools.require_two_arms, one, other))
 
 
 def frame_diagnostics(
     subject: str, tracker: OpticalTracker, calibrations: Calibrations, theatre: TheatreFile
 ) -> Iterator[Diagnostic]:
     """Check every frame that the theatre file names against the tracker's tools; needs no connection."""
-    tools, patient_frame = ", ".join(tracker.tools), theatre.procedure.patient_frame
+    named, patient_frame = ", ".join(tracker.tools), theatre.procedure.patient_frame
     check_frames = partial(ToolRecords.of(theatre).check_frames, calibrations, tracker.tools)
-    yield run_check(f"{subject}frames named in records", tools, check_frames)
+    yield run_check(f"{subject}frames named in records", named, check_frames)
     if patient_frame is not None:
         check_patient = partial(check_patient_frame, patient_frame, calibrations, tracker.markers_mm)
         yield run_check(f"{subject}frame of the patient", patient_frame, check_patient)
