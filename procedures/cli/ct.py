@@ -31,7 +31,9 @@ SeriesArgument = Annotated[
 DiameterOption = Annotated[
     float, typer.Option("--diameter-mm", min=2.0, max=50.0, help="Diameter of the marker spheres in mm.")
 ]
-app = typer.Typer(name="ronna-ct", no_args_is_help=True, add_completion=False, rich_markup_mode=None)
+app = terminal.command_group(
+    "ronna-ct", "Localize marker spheres in a CT series, and check the postoperative CT."
+)
 
 
 class LocalizationMethod(StrEnum):
@@ -40,11 +42,6 @@ class LocalizationMethod(StrEnum):
     COMBINED = "combined"
     THESIS_LINE = "thesis-line"
     THESIS_SPHERE = "thesis-sphere"
-
-
-@app.callback()
-def ct() -> None:
-    """Localize marker spheres in a CT series, and check the postoperative CT."""
 
 
 app.command()(postoperative)

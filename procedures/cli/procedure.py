@@ -14,18 +14,15 @@ from procedures.cli.new_theatre.command import new_theatre
 from procedures.cli.runs.commands import add_commands
 from procedures.cli.theatre_history import theatre_history
 from ronna_hw.command_line.options import with_option_records
-from ronna_hw.command_line.terminal import JsonOption, run
+from ronna_hw.command_line.terminal import JsonOption, command_group, run
 from ronna_hw.host.process import resume_garbage_collection, suspend_garbage_collection
 from ronna_hw.roles import ONE_ARM, TWO_ARMS
 
-app = typer.Typer(
-    name="ronna-procedure",
-    help="The procedure of a frameless stereotactic robot, from the CT to the needle tip. "
+app = command_group(
+    "ronna-procedure",
+    "The procedure of a frameless stereotactic robot, from the CT to the needle tip. "
     "Research software, not a medical device.",
-    epilog="Example: ronna-procedure run --sim",
-    no_args_is_help=True,
-    add_completion=False,
-    rich_markup_mode=None,
+    example="ronna-procedure run --sim",
 )
 
 

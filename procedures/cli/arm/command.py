@@ -16,20 +16,12 @@ from ronna_hw.command_line.options import with_option_records
 if TYPE_CHECKING:
     from procedures.engine.case import Case
 
-app = typer.Typer(
-    name="ronna-arm",
-    help="The arm: calibrate its geometry with stationary spheres, check that the calibration still holds, "
+app = terminal.command_group(
+    "ronna-arm",
+    "The arm: calibrate its geometry with stationary spheres, check that the calibration still holds, "
     "lead it by hand.",
-    epilog="Example: ronna-arm calibrate --sim --scene mini",
-    no_args_is_help=True,
-    add_completion=False,
-    rich_markup_mode=None,
+    example="ronna-arm calibrate --sim --scene mini",
 )
-
-
-@app.callback()
-def arm() -> None:
-    """The arm: calibrate its geometry with stationary spheres, check that the calibration still holds."""
 
 
 @app.command("calibrate")
@@ -48,12 +40,7 @@ def calibrate_arm(
     measurements do not yield a calibration, 2 usage, 3 refused, 4 device not found, 5 link lost, 6 safety
     stop, 7 not confirmed, 130 interrupted.
     """
-    theatre = command_options.source(context)
-    from procedures.cli.calibrating.calibration import calibrate
-    from procedures.runs.calibrations import ARM
-    from procedures.steps.calibration.recipe import Calibrated, Recipe
-
-    calibrate(ARM, Recipe(of=Calibrated.ARM, looks=looks, more=validation), command_options, theatre)
+    command_options.calibrate(context, "arm", looks, validation)
 
 
 @app.command()

@@ -51,16 +51,12 @@ NOT_COMPARED = (
 )
 
 
-def calibrate(
-    kind: CalibrationKind[Looks, Result],
-    recipe: Recipe,
-    command_options: CalibrationOptions,
-    theatre: RunRequest,
-) -> None:
+def calibrate(recipe: Recipe, command_options: CalibrationOptions, theatre: RunRequest) -> None:
     """Run a calibration from new or recorded looks, write its files and show the figures.
 
     Raises CAL-002 to CAL-020, PRO-033.
     """
+    kind = KINDS[recipe.of]
     procedure = CalibrationProcedure(
         recipe=recipe.model_dump(mode="json"), days=command_options.days, update=command_options.update
     )

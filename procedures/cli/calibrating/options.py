@@ -45,6 +45,17 @@ class CalibrationOptions(MeasuringOptions):
         ),
     ] = False
 
+    def calibrate(
+        self, context: typer.Context, of: str, looks: int, more: int, ball_mm: Numbers3 | None = None
+    ) -> None:
+        """Calibrate from new or recorded measurements; the arguments are those of a `Recipe`."""
+        require_finite_ball(ball_mm)
+        theatre = self.source(context)
+        from procedures.cli.calibrating.calibration import calibrate
+        from procedures.steps.calibration.recipe import Calibrated, Recipe
+
+        calibrate(Recipe(of=Calibrated(of), looks=looks, more=more, ball_mm=ball_mm), self, theatre)
+
     def source(self, context: typer.Context) -> RunRequest:
         """Return the run request for a theatre to measure in, or for recomputing from recorded measurements.
 

@@ -21,13 +21,10 @@ if TYPE_CHECKING:
 Triple = tuple[float, float, float]
 LARGE_PICTURE_PX = 544  # half the sensor's rows
 
-app = typer.Typer(
-    name="ronna-stereo",
-    help="The stereo head: calibrate it, check its calibration, measure a ball.",
-    epilog="Example: ronna-stereo calibrate --sim --scene mini",
-    no_args_is_help=True,
-    add_completion=False,
-    rich_markup_mode=None,
+app = terminal.command_group(
+    "ronna-stereo",
+    "The stereo head: calibrate it, check its calibration, measure a ball.",
+    example="ronna-stereo calibrate --sim --scene mini",
 )
 
 BallOption = Annotated[
@@ -37,11 +34,6 @@ BallOption = Annotated[
         help="Position of the ball in $ROBROOT, mm, to within 10 mm [default: from the tracker].",
     ),
 ]
-
-
-@app.callback()
-def stereo() -> None:
-    """The stereo head: calibrate it, check its calibration, measure a ball."""
 
 
 @app.command("calibrate")
@@ -60,14 +52,7 @@ def calibrate_head(
     The arm moves after a confirmation. Exit codes: 0 done, 1 the observations do not yield a calibration,
     2 usage, 3 refused, 4 device not found, 5 link lost, 6 safety stop, 7 not confirmed, 130 interrupted.
     """
-    require_finite_ball(ball)
-    theatre = command_options.source(context)
-    from procedures.cli.calibrating.calibration import calibrate
-    from procedures.runs.calibrations import STEREO_HEAD
-    from procedures.steps.calibration.recipe import Calibrated, Recipe
-
-    recipe = Recipe(of=Calibrated.HEAD, looks=poses, more=visits, ball_mm=ball)
-    calibrate(STEREO_HEAD, recipe, command_options, theatre)
+    command_options.calibrate(context, "stereo head", poses, visits, ball)
 
 
 @app.command()

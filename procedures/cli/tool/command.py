@@ -12,13 +12,10 @@ from ronna_hw.command_line import terminal
 from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.tool_record import ToolPurpose
 
-app = typer.Typer(
-    name="ronna-tool",
-    help="The tools of an arm: define, check and list their records.",
-    epilog="Example: ronna-tool list --config theatre.toml",
-    no_args_is_help=True,
-    add_completion=False,
-    rich_markup_mode=None,
+app = terminal.command_group(
+    "ronna-tool",
+    "The tools of an arm: define, check and list their records.",
+    example="ronna-tool list --config theatre.toml",
 )
 ConfigOption = Annotated[Path, typer.Option(metavar="FILE", help="The theatre file.")]
 DaysOption = Annotated[int, typer.Option(min=1, max=366, help="Validity of the record.")]
@@ -27,11 +24,6 @@ GaugeFile = typer.Option(
     metavar="FILE",
     help="The gauge's dials as read with this tool: X Y Z UPPER_X UPPER_Y, one line for each approach.",
 )
-
-
-@app.callback()
-def tool() -> None:
-    """The tools of an arm: define, check and list their records."""
 
 
 @app.command()

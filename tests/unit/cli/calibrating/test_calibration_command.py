@@ -97,7 +97,7 @@ def test_records_computed_without_a_theatre_file_are_said_to_be_compared_with_no
     theatre = tmp_path / "theatre.toml" if config else None
     options = CalibrationOptions(config=theatre, out=tmp_path / "out", as_json=True, recorded=tmp_path)
     recipe = Recipe(of=Calibrated.ARM, looks=60, more=12)
-    calibrate(ARM, recipe, options, RunRequest(config=theatre))
+    calibrate(recipe, options, RunRequest(config=theatre))
     assert (NOT_COMPARED in capsys.readouterr().err) is not config
 
 
