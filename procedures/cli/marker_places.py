@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
+from typer import Argument, Option
 
 from procedures.planning.errors import WRONG_SERIES
 from ronna_hw.command_line import terminal
@@ -21,24 +21,22 @@ if TYPE_CHECKING:
     from ronna_hw.marker_template import TemplateMarker
 
 SceneOption = Annotated[
-    Path | None, typer.Option("--scene", metavar="FILE", help="Output of `ronna-sim scene` instead of a CT.")
+    Path | None, Option("--scene", metavar="FILE", help="Output of `ronna-sim scene` instead of a CT.")
 ]
-SpacingOption = Annotated[int, typer.Option("--seed", min=0, help="Spacing of the positions tried.")]
+SpacingOption = Annotated[int, Option("--seed", min=0, help="Spacing of the positions tried.")]
 
 
 def template(
-    out: Annotated[Path, typer.Option("--out", metavar="FILE", help="New file: the template, TOML.")],
+    out: Annotated[Path, Option("--out", metavar="FILE", help="New file: the template, TOML.")],
     series_dir: Annotated[
         Path | None,
-        typer.Option("--ct", metavar="SERIES_DIR", help="Folder of a CT series that shows the head's skin."),
+        Option("--ct", metavar="SERIES_DIR", help="Folder of a CT series that shows the head's skin."),
     ] = None,
     scene: SceneOption = None,
-    markers: Annotated[int, typer.Option("--markers", min=3, max=4, help="Number of markers.")] = 4,
+    markers: Annotated[int, Option("--markers", min=3, max=4, help="Number of markers.")] = 4,
     margin_mm: Annotated[
         float,
-        typer.Option(
-            "--margin", metavar="MM", min=1.0, max=60.0, help="Minimum difference between all distances."
-        ),
+        Option("--margin", metavar="MM", min=1.0, max=60.0, help="Minimum difference between all distances."),
     ] = 10.0,
     seed: SpacingOption = 0,
     as_json: terminal.JsonOption = False,
@@ -69,18 +67,18 @@ def template(
 
 
 def marker_places(
-    plan_file: Annotated[Path, typer.Argument(metavar="PLAN", help="Plan file with the trajectories.")],
+    plan_file: Annotated[Path, Argument(metavar="PLAN", help="Plan file with the trajectories.")],
     out: Annotated[
-        Path, typer.Option("--out", metavar="FILE", help="New TOML file; a picture is written next to it.")
+        Path, Option("--out", metavar="FILE", help="New TOML file; a picture is written next to it.")
     ],
     series_dir: Annotated[
-        Path | None, typer.Option("--ct", metavar="SERIES_DIR", help="CT series that shows the head's skin.")
+        Path | None, Option("--ct", metavar="SERIES_DIR", help="CT series that shows the head's skin.")
     ] = None,
     scene: SceneOption = None,
-    markers: Annotated[int, typer.Option("--markers", min=3, max=8, help="Number of markers.")] = 5,
+    markers: Annotated[int, Option("--markers", min=3, max=8, help="Number of markers.")] = 5,
     error_mm: Annotated[
         float,
-        typer.Option(
+        Option(
             "--error", metavar="MM", min=0.001, max=5.0, help="Localization error of each marker, 3-D rms."
         ),
     ] = 0.1,
@@ -112,11 +110,9 @@ def marker_places(
         terminal.print_json({**document, "picture": str(picture)})
         return
     _print_markers(f"{out}: {len(found.markers)} markers", found.markers)
-    terminal.print_table(
-        f"expected from marker errors of {found.marker_error_mm:g} mm each",
-        ["target", "rms mm", "random mm"],
-        [[one.target, f"{one.expected_mm:.3f}", f"{one.usual_mm:.3f}"] for one in found.targets],
-    )
+    title = f"expected from marker errors of {found.marker_error_mm:g} mm each"
+    rows = [[one.target, f"{one.expected_mm:.3f}", f"{one.usual_mm:.3f}"] for one in found.targets]
+    terminal.print_table(title, ["target", "rms mm", "random mm"], rows)
 
 
 def _require_one_head(series_dir: Path | None, scene: Path | None) -> None:
@@ -152,15 +148,8 @@ def _read_head(
 
 def _print_markers(title: str, markers: Sequence[TemplateMarker]) -> None:
     """Print each marker's position and post direction."""
-    terminal.print_table(
-        title,
-        ["marker", "centre LPS mm", "post"],
-        [
-            [
-                str(number),
-                " ".join(f"{value:.1f}" for value in one.centre_mm),
-                " ".join(f"{value:.3f}" for value in one.post),
-            ]
-            for number, one in enumerate(markers, start=1)
-        ],
-    )
+    rows = []
+    for number, one in enumerate(markers, start=1):
+        centre = " ".join(f"{value:.1f}" for value in one.centre_mm)
+        rows.append([number, centre, " ".join(f"{value:.3f}" for value in one.post)])
+    terminal.print_table(title, ["marker", "centre LPS mm", "post"], rows)

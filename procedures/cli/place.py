@@ -178,16 +178,7 @@ def _print_proposal(proposal: PlaceProposal) -> None:
     if not proposal.assumed.serves:
         at_assumed = f"the assumed position does not work: {proposal.assumed.pose}: {proposal.assumed.reason}"
     terminal.tell(f"{at_assumed}; {places.allowed.mean():.0%} of the map works")
-    terminal.print_table(
-        "push the cart from the assumed position by",
-        ["x mm", "y mm", "turned deg", "tolerance mm", "or half that, turned by deg"],
-        [
-            [
-                f"{best.x_mm:+.0f}",
-                f"{best.y_mm:+.0f}",
-                f"{math.degrees(best.turn_rad):+g}",
-                f"{proposal.free_mm:.0f}",
-                f"-{proposal.turns_deg[0]:g} to +{proposal.turns_deg[1]:g}",
-            ]
-        ],
-    )
+    headings = ["x mm", "y mm", "turned deg", "tolerance mm", "or half that, turned by deg"]
+    push = [f"{best.x_mm:+.0f}", f"{best.y_mm:+.0f}", f"{math.degrees(best.turn_rad):+g}"]
+    free = [f"{proposal.free_mm:.0f}", f"-{proposal.turns_deg[0]:g} to +{proposal.turns_deg[1]:g}"]
+    terminal.print_table("push the cart from the assumed position by", headings, [push + free])

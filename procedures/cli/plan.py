@@ -11,7 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
+from typer import Argument, Option
 
 from procedures.cli import planning_inputs
 from procedures.cli.marker_places import marker_places, template
@@ -45,14 +45,13 @@ def check(
     series_dir: planning_inputs.PlannedSeriesOption,
     markers: Annotated[
         bool,
-        typer.Option(
+        Option(
             "--markers",
             help="Also check the motions to the markers, and refuse a CT in which none can be localized.",
         ),
     ] = False,
     config: Annotated[
-        Path | None,
-        typer.Option("--config", metavar="FILE", help="Theatre file: check every motion of its arm."),
+        Path | None, Option("--config", metavar="FILE", help="Theatre file: check every motion of its arm.")
     ] = None,
     strategy: planning_inputs.StrategyOption = DEFAULT_STRATEGY,
     robot_from_ct: planning_inputs.HeadOption = None,
@@ -111,39 +110,26 @@ app.command("markers")(marker_places)
 def _print_trajectories(result: PlanCheck, head: HeadEllipsoid, bore: GuideBore | None) -> None:
     from procedures.planning.guide import depth_stop_mm
 
-    rows = [
-        [
-            one.id,
-            head.side_of(one.entry_mm, one.target_mm),
-            " ".join(f"{value:.1f}" for value in one.entry_mm),
-            " ".join(f"{value:.1f}" for value in one.target_mm),
-            f"{one.depth_mm:.1f}",
-            f"{result.plan.standoff_mm:g}",
-            "-" if bore is None else f"{depth_stop_mm(result.plan, one, bore):.1f}",
-            f"{one.free_angle_deg:.0f}",
-            f"{one.margin_mm:.2f}",
-        ]
-        for one in result.plan.trajectories
-    ]
-    terminal.print_table(
-        f"plan accepted: {result.plan.implanted} fiducials, tool {result.plan.tool}",
-        [
-            *("trajectory", "side", "entry LPS mm", "target LPS mm", "depth mm"),
-            *("stand-off mm", "depth stop mm", "free angle deg", "margin mm"),
-        ],
-        rows,
-    )
+    rows = []
+    for one in result.plan.trajectories:
+        points = (" ".join(f"{value:.1f}" for value in point) for point in (one.entry_mm, one.target_mm))
+        stop = "-" if bore is None else f"{depth_stop_mm(result.plan, one, bore):.1f}"
+        line = [one.id, head.side_of(one.entry_mm, one.target_mm), *points, f"{one.depth_mm:.1f}"]
+        limits = [f"{one.free_angle_deg:.0f}", f"{one.margin_mm:.2f}"]
+        rows.append([*line, f"{result.plan.standoff_mm:g}", stop, *limits])
+    headings = ["trajectory", "side", "entry LPS mm", "target LPS mm", "depth mm"]
+    headings += ["stand-off mm", "depth stop mm", "free angle deg", "margin mm"]
+    title = f"plan accepted: {result.plan.implanted} fiducials, tool {result.plan.tool}"
+    terminal.print_table(title, headings, rows)
 
 
 def _print_distances(result: PlanCheck) -> None:
-    terminal.print_table(
-        "structures that the trajectories avoid",
-        ["structure", "trajectory", "distance mm", "margin mm"],
-        [
-            [one.structure, one.trajectory, f"{one.distance_mm:.1f}", f"{one.margin_mm:.1f}"]
-            for one in result.distances
-        ],
-    )
+    headings = ["structure", "trajectory", "distance mm", "margin mm"]
+    rows = [
+        [one.structure, one.trajectory, f"{one.distance_mm:.1f}", f"{one.margin_mm:.1f}"]
+        for one in result.distances
+    ]
+    terminal.print_table("structures that the trajectories avoid", headings, rows)
 
 
 def _print_motions(result: PlanCheck) -> None:
@@ -160,25 +146,17 @@ def _print_motions(result: PlanCheck) -> None:
 def _motion_row(motion: PreviewedMotion) -> list[str]:
     seen = motion.preview
     closest, head = seen.closest, seen.nearest_to_head_mm
-    ranges = [f"{math.degrees(low):.0f}..{math.degrees(high):.0f}" for low, high in seen.joint_ranges_rad]
-    return [
-        str(motion.motion.start),
-        str(motion.motion.end),
-        motion.motion.kind,
-        f"{seen.duration_s:.1f}",
-        "-" if closest is None else f"{closest.distance_mm:.0f} {closest.first}, {closest.second}",
-        "-" if head is None else f"{head:.0f}",
-        f"{seen.singularity.least:.2f}",
-        " ".join(ranges),
-    ]
+    ranges_deg = ((math.degrees(low), math.degrees(high)) for low, high in seen.joint_ranges_rad)
+    ranges = " ".join(f"{low:.0f}..{high:.0f}" for low, high in ranges_deg)
+    distance = "-" if closest is None else f"{closest.distance_mm:.0f} {closest.first}, {closest.second}"
+    line = [str(motion.motion.start), str(motion.motion.end), motion.motion.kind, f"{seen.duration_s:.1f}"]
+    return [*line, distance, "-" if head is None else f"{head:.0f}", f"{seen.singularity.least:.2f}", ranges]
 
 
 @app.command()
 def new(
-    series_dir: Annotated[Path, typer.Argument(metavar="SERIES_DIR", help="Folder of the CT series.")],
-    out: Annotated[Path, typer.Option("--out", metavar="FILE", help="The plan file to write.")] = Path(
-        "plan.toml"
-    ),
+    series_dir: Annotated[Path, Argument(metavar="SERIES_DIR", help="Folder of the CT series.")],
+    out: Annotated[Path, Option("--out", metavar="FILE", help="The plan file to write.")] = Path("plan.toml"),
 ) -> None:
     """Create a plan for a CT: series, patient position and spheres are filled in; you add the trajectories.
 
@@ -205,16 +183,16 @@ def new(
 
 @app.command("open")
 def open_plan(
-    series_dir: Annotated[Path, typer.Argument(metavar="CT_DIR", help="Folder of the CT series.")],
+    series_dir: Annotated[Path, Argument(metavar="CT_DIR", help="Folder of the CT series.")],
     plan_file: Annotated[
         Path | None,
-        typer.Option(
+        Option(
             "--plan", metavar="FILE", help="The plan, new or existing [default: plan.toml next to CT_DIR]."
         ),
     ] = None,
     config: Annotated[
         Path | None,
-        typer.Option(
+        Option(
             "--config",
             metavar="FILE",
             help="Theatre file: its arm is checked while you plan. The page also lists those of this folder.",
@@ -223,7 +201,7 @@ def open_plan(
     strategy: planning_inputs.StrategyOption = DEFAULT_STRATEGY,
     robot_from_ct: planning_inputs.HeadOption = None,
     home: planning_inputs.HomeOption = None,
-    port: Annotated[int, typer.Option(min=0, max=65535, help="Port of the page; 0: any free one.")] = 0,
+    port: Annotated[int, Option(min=0, max=65535, help="Port of the page; 0: any free one.")] = 0,
 ) -> None:
     """Plan in the browser: slices, markers, trajectories, checked while they are drawn. Runs until Ctrl-C.
 

@@ -6,7 +6,7 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
+from typer import Argument, Option
 
 from procedures.strategies.names import DEFAULT_STRATEGY, STRATEGY_NAMES
 from ronna_hw.command_line import terminal
@@ -27,22 +27,20 @@ NEAREST_CT_MM = 10.0  # from base to CT frame, unless they are one; any theatre 
 KUKA_ORDER = "X Y Z in mm, then A B C in deg about z, y and x, as KUKA's"
 SixNumbers = tuple[float, float, float, float, float, float]
 
-PlanArgument = Annotated[Path, typer.Argument(metavar="PLAN", help="The plan.toml.")]
+PlanArgument = Annotated[Path, Argument(metavar="PLAN", help="The plan.toml.")]
 PlannedSeriesOption = Annotated[
-    Path, typer.Option("--ct", metavar="SERIES_DIR", help="Folder of the CT series it was planned on.")
+    Path, Option("--ct", metavar="SERIES_DIR", help="Folder of the CT series it was planned on.")
 ]
 StrategyOption = Annotated[
-    str, typer.Option(metavar="|".join(STRATEGY_NAMES), help=f"{STRATEGY_HELP} With --config.")
+    str, Option(metavar="|".join(STRATEGY_NAMES), help=f"{STRATEGY_HELP} With --config.")
 ]
 HeadOption = Annotated[
     SixNumbers | None,
-    typer.Option(
-        metavar="X Y Z A B C", help=f"Pose of the CT frame in $ROBROOT, {KUKA_ORDER}; with --config."
-    ),
+    Option(metavar="X Y Z A B C", help=f"Pose of the CT frame in $ROBROOT, {KUKA_ORDER}; with --config."),
 ]
 HomeOption = Annotated[
     SixNumbers | None,
-    typer.Option(
+    Option(
         metavar="A1 .. A6",
         help="Joint angles at which the arm starts, deg; with --config [default: those of the arm].",
     ),

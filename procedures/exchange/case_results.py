@@ -58,18 +58,15 @@ class CaseResults:
         """All lines, trajectory by trajectory."""
         if self.plan is None:
             return []
-        return [
-            line
-            for one in self.plan.plan.trajectories
-            for line in (
-                trajectory_lines.planned_line(self.labels[one.id], one),
-                self.reached.get(one.id),
-                trajectory_lines.found_line(self.labels[one.id], self.found[one.id])
-                if one.id in self.found
-                else None,
-            )
-            if line is not None
-        ]
+        lines = []
+        for one in self.plan.plan.trajectories:
+            label = self.labels[one.id]
+            lines.append(trajectory_lines.planned_line(label, one))
+            if (reached := self.reached.get(one.id)) is not None:
+                lines.append(reached)
+            if one.id in self.found:
+                lines.append(trajectory_lines.found_line(label, self.found[one.id]))
+        return lines
 
     @property
     def simulated(self) -> bool:
@@ -121,23 +118,16 @@ class CaseResults:
         }
         rows = []
         for one in self.plan.plan.trajectories:
-            state = "reached" if one.id in self.reached else "not reached"
-            rows.append(
-                {
-                    "trajectory": self.labels[one.id],
-                    "state": "left out" if one.id in left_out and one.id not in self.reached else state,
-                    "in_doubt": int(one.id in doubts),
-                    "depth_mm": one.depth_mm,
-                    "margin_mm": one.margin_mm,
-                    "strategy": strategies.get(one.id),
-                    **predicted.get(one.id, {}),
-                    **_columns("nominal", self.reached.get(one.id), one),
-                    "stereo_error_mm": stereo_mm.get(one.id),
-                    **_columns("found", self.found.get(one.id), one),
-                    **_columns("simulated", self.truth.get(one.id), one),
-                    **self.ct.describe(CT_FROM_ROBOT),
-                }
-            )
+            name, state = one.id, "reached" if one.id in self.reached else "not reached"
+            if name in left_out and name not in self.reached:
+                state = "left out"
+            row: dict[str, object] = {"trajectory": self.labels[name], "state": state}
+            row |= {"in_doubt": int(name in doubts), "strategy": strategies.get(name)}
+            row |= {"depth_mm": one.depth_mm, "margin_mm": one.margin_mm, **predicted.get(name, {})}
+            row |= _columns("nominal", self.reached.get(name), one)
+            row |= {"stereo_error_mm": stereo_mm.get(name), **_columns("found", self.found.get(name), one)}
+            row |= _columns("simulated", self.truth.get(name), one)
+            rows.append(row | self.ct.describe(CT_FROM_ROBOT))
         return format_table("errors.csv", rows)
 
     def _left_out(self) -> set[str]:

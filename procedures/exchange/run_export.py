@@ -102,18 +102,13 @@ def _case_texts(results: CaseResults) -> dict[str, str]:
 def _registration_texts(fits: Fits, ct: export_tables.CtIdentity) -> dict[str, str]:
     if not fits:
         return {}
-    rows = [
-        {
-            "trajectory": predicted.target,
-            **allowed_fields.pick_allowed(
-                fit.result.model_dump(mode="json"), allowed_fields.REGISTRATION_FIELDS
-            ),
-            **describe_prediction(predicted),
-            "record": fit.record.sha256,
-        }
-        for fit in fits.values()
-        for predicted in fit.result.predictions
-    ]
+    rows = []
+    for fit in fits.values():
+        plain = fit.result.model_dump(mode="json")
+        shared = allowed_fields.pick_allowed(plain, allowed_fields.REGISTRATION_FIELDS)
+        for one in fit.result.predictions:
+            row = {"trajectory": one.target, **shared, **describe_prediction(one)}
+            rows.append({**row, "record": fit.record.sha256})
     content = {**ct.describe(export_tables.ROBOT_FROM_CT), "registrations": rows}
     text = json.dumps(content, indent=1, allow_nan=False) + "\n"
     return {"registrations.json": text, **_with_schemas({"registrations.csv": _registration_table(fits, ct)})}
@@ -136,7 +131,7 @@ def _registration_table(fits: Fits, ct: export_tables.CtIdentity) -> str:
 def _with_schemas(tables: Mapping[str, str]) -> dict[str, str]:
     return {
         **tables,
-        **{export_tables.schema_name(name): export_tables.format_schema(name) for name in tables},
+        **{name.removesuffix(".csv") + ".schema.csv": export_tables.format_schema(name) for name in tables},
     }
 
 
@@ -147,6 +142,7 @@ def _dicom_objects(results: CaseResults, fits: Fits) -> dict[str, Dataset]:
     spheres = results.spheres.result.markers
     origin = _origin(results, results.spheres.record)
     objects = {"spheres.dcm": dicom_objects.sphere_fiducials(spheres, origin)}
+    uids = [dicom_objects.fiducial_uid(origin, name) for name in allowed_fields.name_spheres(spheres)]
     for label, fit in fits.items():
         objects[f"registration-{label}.dcm"] = dicom_objects.spatial_registration(
             fit.result.robot_from_ct.transform,
@@ -154,9 +150,7 @@ def _dicom_objects(results: CaseResults, fits: Fits) -> dict[str, Dataset]:
             spheres=origin,
             placing=_placing(fit.record, results),
             description=f"trajectory {label}",
-            fiducial_uids=[
-                dicom_objects.fiducial_uid(origin, name) for name in allowed_fields.name_spheres(spheres)
-            ],
+            fiducial_uids=uids,
         )
     return objects
 
@@ -197,13 +191,8 @@ def _index(results: CaseResults, contents: Mapping[str, bytes], absent: Mapping[
         name: next(meaning for known, meaning in allowed_fields.FILES.items() if fnmatch(name, known))
         for name in contents
     }
-    content = {
-        **results.ct.describe(export_tables.IN_CT),
-        "simulated": results.simulated,
-        "ending": ending.word,
-        "code": ending.code,
-        "files": meanings,
-        "sha256": {name: hashlib.sha256(content).hexdigest() for name, content in contents.items()},
-        "absent": dict(absent),
-    }
+    hashes = {name: hashlib.sha256(content).hexdigest() for name, content in contents.items()}
+    ended = {"simulated": results.simulated, "ending": ending.word, "code": ending.code}
+    files = {"files": meanings, "sha256": hashes, "absent": dict(absent)}
+    content = {**results.ct.describe(export_tables.IN_CT), **ended, **files}
     return json.dumps(content, indent=1, allow_nan=False) + "\n"

@@ -63,25 +63,12 @@ class Topic(StrEnum):
 
 
 DELIBERATE = frozenset(
-    {
-        Topic.RESUME,
-        Topic.FIRST_MOTION,
-        Topic.REGISTRATION,
-        Topic.REGISTRATION_KEPT,
-        Topic.TOOL_CHECK,
-        Topic.APPROACH,
-        Topic.WORK_BEGUN,
-        Topic.AT_TARGET,
-        Topic.INSTRUMENT_OUT,
-        Topic.RETREAT,
-        Topic.PARK,
-        Topic.CALIBRATION,
-        Topic.PAUSE,
-        Topic.HEAD_UNSEEN,
-        Topic.MOVE_FOLLOWED,
-        Topic.CART_MOVED,
+    (
+        *(Topic.RESUME, Topic.FIRST_MOTION, Topic.REGISTRATION, Topic.REGISTRATION_KEPT, Topic.TOOL_CHECK),
+        *(Topic.APPROACH, Topic.WORK_BEGUN, Topic.AT_TARGET, Topic.INSTRUMENT_OUT, Topic.RETREAT, Topic.PARK),
+        *(Topic.CALIBRATION, Topic.PAUSE, Topic.HEAD_UNSEEN, Topic.MOVE_FOLLOWED, Topic.CART_MOVED),
         Topic.UNVERIFIED,
-    }
+    )
 )
 # Topics that no file answers on real devices, including manual work on the patient.
 FOR_A_PERSON = DELIBERATE | {Topic.DEPTH_STOP, Topic.SKIN, Topic.DRILL, Topic.DURA}
@@ -170,10 +157,6 @@ class ReadBack:
         return strip_unit(typed, self.unit).casefold() == self.value.strip().casefold()
 
 
-def _record_nothing() -> None:
-    """Do nothing, as the default for `misread`."""
-
-
 @dataclass(frozen=True)
 class Signature:
     """Signature of an answer from the console: the person's name and the digest of the question shown."""
@@ -211,7 +194,7 @@ class Question:
     trajectory: str | None = None
     timeout_s: float | None = 300.0
     read_back: ReadBack | None = None
-    misread: Callable[[], None] = field(default=_record_nothing, compare=False, repr=False)
+    misread: Callable[[], None] = field(default=lambda: None, compare=False, repr=False)
     number: int = 0
     evidence: tuple[Evidence, ...] = ()
     predicted: tuple[PredictedError, ...] = ()  # first what is decided on

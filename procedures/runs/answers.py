@@ -72,9 +72,8 @@ def read_answers(path: Path, config: Path | None = None) -> Answers:
         raise ANSWERS_UNFIT(f"{path}: {'; '.join(describe_mistakes(error, Answers))}") from error
     if mistakes := [mistake for key, word in read.answers.items() if (mistake := _find_mistake(key, word))]:
         raise ANSWERS_UNFIT(f"{path}: {'; '.join(mistakes)}")
-    if (
-        personal := [key for key in read.answers if key.partition(":")[0] in FOR_A_PERSON]
-    ) and not is_rehearsal(config):
+    personal = [key for key in read.answers if key.partition(":")[0] in FOR_A_PERSON]
+    if personal and not is_rehearsal(config):
         raise ANSWERS_UNFIT(
             f"{path}: on real devices only a person answers {', '.join(personal)}",
             action="Remove these lines; the questions are asked at the terminal or the console.",
@@ -83,9 +82,7 @@ def read_answers(path: Path, config: Path | None = None) -> Answers:
 
 
 def _find_mistake(key: str, word: str) -> str | None:
-    from procedures.steps.catalogue import (
-        ANSWER_WORDS,  # all steps, which a script without a file does not need
-    )
+    from procedures.steps.catalogue import ANSWER_WORDS  # it has all steps: not for a script without a file
 
     name = key.partition(":")[0]
     if name not in set(Topic):

@@ -19,12 +19,7 @@ from pydantic import BaseModel, NonNegativeInt, ValidationError
 from procedures.engine.errors import InstrumentLeftInside
 from procedures.journal.journal import JOURNAL_FILE
 from procedures.runs.request_file import read_request
-from procedures.workcell.arm_history import (
-    ArmPlace,
-    arm_history,
-    describe_instrument,
-    fold_arms,
-)
+from procedures.workcell.arm_history import ArmPlace, arm_history, describe_instrument, fold_arms
 from ronna_hw.bounded_input import read_json_bytes
 from ronna_hw.config import read_theatre_file
 from ronna_hw.endpoints import parse_endpoint

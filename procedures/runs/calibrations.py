@@ -326,19 +326,18 @@ TRACKER_FRAME = CalibrationKind(
 def tip_figures(result: TipResult) -> calibration_figures.TipFigures:
     """Return the figures of a tool tip calibration."""
     fit, record = result.fit, result.tool_tip
-    missed = [math.hypot(*miss) ** 2 for miss in result.misses_mm.tolist()]
     return calibration_figures.TipFigures(
         **_dates(record),
         tool_number=record.tool_number,
         readings=len(fit.misses_mm),
-        validation_readings=len(missed),
+        validation_readings=len(result.misses_mm),
         tip_in_head_mm=fit.tip_mm.tolist(),
         flange_from_tool=record.flange_from_tool,
         error_mm=math.sqrt(float(fit.covariance_mm2.trace())),
         stated_error_mm=record.stated_error_mm,
         stated_direction_error_rad=record.stated_direction_error_rad,
         reading_scatter_mm=fit.scatter_mm,
-        validation_mm=math.sqrt(sum(missed) / len(missed)),
+        validation_mm=_rms(result.misses_mm.tolist()),
         predicted_mm=result.predicted_mm,
         gap_mm=fit.gap_mm.tolist(),
         gap_error_mm=fit.gap_error_mm,

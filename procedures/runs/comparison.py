@@ -143,16 +143,16 @@ def compare_devices(
                 f"{role}: a different one; not needed on the way home: {_describe_device(found)}"
             )
         else:
-            comparison.add_difference(
-                role, _describe_device(then) if then else "none", _describe_device(found)
-            )
+            comparison.add_difference(role, _describe_device(then), _describe_device(found))
     if not only_leaving:
         _compare_cameras(engine, comparison)
     workcell.compare_places()  # it may have been jogged meanwhile
     _compare_tool(engine, comparison, exchange_begun=exchange_begun)
 
 
-def _describe_device(identity: DeviceIdentity) -> str:
+def _describe_device(identity: DeviceIdentity | None) -> str:
+    if identity is None:
+        return "none"
     return f"{identity.model} {identity.serial} with firmware {identity.firmware}"
 
 
@@ -353,10 +353,9 @@ def compare_room(engine: Engine, comparison: Comparison) -> bool:
     except errors.InsertionDisturbed:  # told with the axis on which the assistant stands
         return True
     except (errors.PatientMoved, errors.BaseShifted, errors.FrameSlipped, PlatformMoved) as moved:
+        # The step registration asks whether to follow it.
         follows = workcell.master.tool is MountedTool.GUIDE and not context.stands(RegisteredRobot)
-        if (
-            isinstance(moved, errors.PatientMoved) and follows
-        ):  # the step registration asks whether to follow it
+        if isinstance(moved, errors.PatientMoved) and follows:
             comparison.notes.append(f"patient: {moved.what}; no registration is valid")
         elif workcell.is_any_arm_out:
             comparison.add_difference("room", f"all within {moved.limit}", moved.what)
@@ -371,11 +370,8 @@ def compare_room(engine: Engine, comparison: Comparison) -> bool:
         if look.by_frame
         else f"patient: spheres within {look.head_mm:.2f} mm of their recorded positions"
     )
-    if look.base_mm is None:
-        comparison.notes.append("robot base: the tracker does not see the frame on the arm")
-    else:
-        comparison.notes.append(
-            f"robot base: the frame on the arm within {look.base_mm:.2f} mm of where it is expected"
-        )
-    comparison.notes += findings
+    base = "the tracker does not see the frame on the arm"
+    if look.base_mm is not None:
+        base = f"the frame on the arm within {look.base_mm:.2f} mm of where it is expected"
+    comparison.notes += [f"robot base: {base}", *findings]
     return True

@@ -41,6 +41,14 @@ LOOPBACK = "127.0.0.1"
 REQUIRED_MODULES = ("nicegui", "skimage")  # of the extra `console`
 
 
+@dataclass(frozen=True)
+class ConsoleRequest:
+    """Console options: loopback port (0 for any free one) and an optional address for remote viewers."""
+
+    port: int = 0
+    viewers: ViewersAddress | None = None
+
+
 class ConsoleLink:
     """Link between one run and one console. Its threads never block the engine."""
 
@@ -48,11 +56,10 @@ class ConsoleLink:
         self,
         folder: Path,
         station: OperatorStation,
-        port: int,
+        console: ConsoleRequest,
         say: Callable[[str], None] = tell,
-        viewers: ViewersAddress | None = None,
     ) -> None:
-        """Start the console without waiting for it. Port 0 selects any free port, announced by `say`."""
+        """Start the console without waiting for it; `say` announces its address."""
         self._station = station
         self._say = say
         self._ending = False
@@ -61,8 +68,8 @@ class ConsoleLink:
         self._socket, child_socket = socket.socketpair()
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, struct.pack("ll", int(STALLED_S), 0))
         with child_socket:
-            arguments = ["--feed", str(child_socket.fileno()), "--port", str(port)]
-            if viewers is not None:
+            arguments = ["--feed", str(child_socket.fileno()), "--port", str(console.port)]
+            if (viewers := console.viewers) is not None:
                 files = (str(viewers.certificate.resolve()), str(viewers.key.resolve()))
                 arguments += ["--viewers", viewers.address, *files]
             arguments.append(str(folder.resolve()))
@@ -202,14 +209,6 @@ def event_lines(event: Event) -> Iterator[str]:
     yield f'{{"event":{event.model_dump_json()}}}'
 
 
-@dataclass(frozen=True)
-class ConsoleRequest:
-    """Console options: loopback port (0 for any free one) and an optional address for remote viewers."""
-
-    port: int = 0
-    viewers: ViewersAddress | None = None
-
-
 def check_console() -> None:
     """Raise PRO-040 if the libraries of the console are not installed."""
     if missing := [name for name in REQUIRED_MODULES if importlib.util.find_spec(name) is None]:
@@ -230,18 +229,6 @@ def check_port(port: int) -> None:
 
 
 @contextlib.contextmanager
-def serve_console(
-    executor: OrderExecutor, folder: Path, console: ConsoleRequest, say: Callable[[str], None] = tell
-) -> Iterator[ConsoleLink]:
-    """Run a console for the duration of the block; `say` announces its address."""
-    link = ConsoleLink(folder, executor.station, console.port, say, console.viewers)
-    try:
-        yield link
-    finally:
-        link.close()
-
-
-@contextlib.contextmanager
 def with_console(
     observers: RunObservers, folder: Path, console: ConsoleRequest, *, waits: bool
 ) -> Iterator[RunObservers]:
@@ -250,7 +237,8 @@ def with_console(
     With `waits`, nothing is done until someone has taken the operator's seat.
     """
     executor = OrderExecutor(OperatorStation(waits=waits), runs=True)
-    with serve_console(executor, folder, console, observers.announce) as link:
+    link = ConsoleLink(folder, executor.station, console, observers.announce)
+    with contextlib.closing(link):
 
         def opened(engine: Engine) -> None:
             observers.opened(engine)

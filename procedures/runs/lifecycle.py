@@ -224,15 +224,11 @@ def _start_simulated(
     """
     if resumption is not None:
         _require_same_scene(folder, resumption.interrupted)
-    simulated = stack.enter_context(
-        SimulatedTheatre(
-            request,
-            folder / "theatre",
-            phantom,
-            continued=resumption is not None and not resumption.interrupted.untouched,
-            on_controller_message=observers.announce,
-        )
+    continued = resumption is not None and not resumption.interrupted.untouched
+    theatre = SimulatedTheatre(
+        request, folder / "theatre", phantom, continued=continued, on_controller_message=observers.announce
     )
+    simulated = stack.enter_context(theatre)
     with defer_interruption():  # NumPy can be imported only once, also by the report of an interrupted run
         for module in ("procedures.steps.catalogue", "procedures.runs.engine_setup"):
             importlib.import_module(module)  # a second of imports, meanwhile

@@ -98,7 +98,6 @@ def operator_selection(
     console is in charge, its operator replaces all of them.
     """
     answers, person, prompt = request.answers, observers.person, observers.at_pause
-    configured = request.config is not None
     if request.ask:
         observers.announce(ASKED if observers.executor is None else ASKED_AT_CONSOLE)
     elif not request.has_person:
@@ -106,19 +105,13 @@ def operator_selection(
     at_terminal = on_terminal(sys.stdin) and on_terminal(sys.stderr)
     accepted = resumption is not None and resumption.accepted
     file_answers_all = answers is not None and is_rehearsal(request.config)
-    if (
-        isinstance(request.procedure, CaseProcedure)  # a measurement may ask nothing
-        and configured
-        and not (file_answers_all or at_terminal or observers.executor or prompt)
-        and (resumption is None or resumption.asks)
-    ):
-        tell(NOBODY_ANSWERS if answers is None else NO_PERSON)
-    elif (
-        resumption is not None
-        and resumption.asks
-        and not (accepted or answers or at_terminal or observers.executor or prompt)
-    ):
-        tell(NOBODY_ACCEPTS)
+    nobody_is_there = not (at_terminal or observers.executor or prompt)
+    if nobody_is_there and (resumption is None or resumption.asks):
+        is_case = isinstance(request.procedure, CaseProcedure)  # a measurement may ask nothing
+        if is_case and request.config is not None and not file_answers_all:
+            tell(NOBODY_ANSWERS if answers is None else NO_PERSON)
+        elif resumption is not None and not (accepted or answers):
+            tell(NOBODY_ACCEPTS)
     script, accepting = ScriptedOperator(), AcceptingOperator(observers.announce)
     operator = without_file = OperatorByTopic(
         (prompt, {Topic.PAUSE}, True),

@@ -113,7 +113,7 @@ class OperatorStation:
         self._changed = threading.Condition()
         self._now_s = now_s
         self._seat = OperatorSeat(now_s)
-        self._waits = waits
+        self.waits = waits  # until someone takes the seat
         self._engine: Engine | None = None
         self._waiting_for: str | None = None  # the upcoming step, while the engine waits between steps
         self._pending: PendingOrder | None = None
@@ -143,7 +143,7 @@ class OperatorStation:
     def in_charge(self) -> bool:
         """Whether the console is alive and its seat has been taken, or must be."""
         with self._changed:
-            return not self._gone and (self._waits or self._seat.ever_taken)
+            return not self._gone and (self.waits or self._seat.ever_taken)
 
     @property
     def stopped(self) -> bool:
@@ -171,11 +171,6 @@ class OperatorStation:
         It takes no lock: a signal handler asks for it.
         """
         return self._awaits_seat or self._waiting_for is not None or self._question is not None
-
-    @property
-    def waits(self) -> bool:
-        """Whether the engine must wait until someone takes the seat."""
-        return self._waits
 
     @property
     def gone(self) -> bool:
@@ -358,20 +353,13 @@ class OperatorStation:
         """
         ends_s = None if question.timeout_s is None else self._now_s() + question.timeout_s
         with self._changed:
-            self._question = current = _OpenQuestion(
-                question, digest_of_question(as_shown(question, question.number))
-            )
+            shown = digest_of_question(as_shown(question, question.number))
+            self._question = current = _OpenQuestion(question, shown)
             try:
                 while current.answer is None and not self._gone:
-                    remaining_s = (
-                        LOOK_AGAIN_S if ends_s is None else min(LOOK_AGAIN_S, ends_s - self._now_s())
-                    )
-                    if remaining_s <= 0.0:
-                        return Answer(
-                            question.silence, silence_reason="" if self._seat.holder else EMPTY_SEAT
-                        )
-                    self._changed.wait(remaining_s)
-                    self._notice_lapse()
+                    if not self._wait_until(ends_s):
+                        reason = "" if self._seat.holder else EMPTY_SEAT
+                        return Answer(question.silence, silence_reason=reason)
                     while current.misread_noted < current.misread:
                         current.misread_noted += 1
                         question.misread()
@@ -386,11 +374,19 @@ class OperatorStation:
                 self._question = None
         return current.answer
 
+    def _wait_until(self, ends_s: float | None) -> bool:
+        """Wait a moment for a change, unless this host time has come; return whether it has not."""
+        remaining_s = LOOK_AGAIN_S if ends_s is None else min(LOOK_AGAIN_S, ends_s - self._now_s())
+        if remaining_s > 0.0:
+            self._changed.wait(remaining_s)
+            self._notice_lapse()
+        return remaining_s > 0.0
+
     def await_seat(self) -> None:
         """If the seat must be taken, wait until someone takes it or the console is gone."""
         with self._changed:
             try:
-                while self._waits and not self._seat.holder and not self._gone:
+                while self.waits and not self._seat.holder and not self._gone:
                     self._awaits_seat = True
                     self._changed.wait(LOOK_AGAIN_S)
                     self._notice_lapse()
@@ -404,13 +400,8 @@ class OperatorStation:
             self._waiting_for = upcoming
             try:
                 while self._pending is None and not self._gone:
-                    remaining_s = (
-                        LOOK_AGAIN_S if ends_s is None else min(LOOK_AGAIN_S, ends_s - self._now_s())
-                    )
-                    if remaining_s <= 0.0:
+                    if not self._wait_until(ends_s):
                         return None
-                    self._changed.wait(remaining_s)
-                    self._notice_lapse()
                 order, self._pending = self._pending, None
                 return order
             finally:

@@ -176,10 +176,8 @@ def _describe_theatre_updates(previous: InterruptedRun) -> str | None:
         return None
     if updates is None or number is None:
         return updates
-    command = (
-        f"ronna-procedure theatre-history {shlex.quote(str(config))} --restore {number} --by 'YOUR NAME'"
-    )
-    return f"{updates}; {command} puts the former records back"
+    options = f"{shlex.quote(str(config))} --restore {number} --by 'YOUR NAME'"
+    return f"{updates}; ronna-procedure theatre-history {options} puts the former records back"
 
 
 def _compare_last_to_move(engine: Engine, comparison: Comparison) -> None:

@@ -17,17 +17,10 @@ from pathlib import Path
 
 from procedures.engine.errors import TheatreInUse, TheatreNotNoted
 from procedures.journal.journal import JOURNAL_FILE
-from procedures.runs.arm_notes import (
-    ROLES,
-    FormerRun,
-    TheatreNote,
-    find_former_run,
-    note_paths,
-    read_note,
-)
+from procedures.runs.arm_notes import ROLES, FormerRun, TheatreNote, find_former_run, note_paths, read_note
 from ronna_hw.errors import RonnaError
 from ronna_hw.evidence.journal_reading import read_chain
-from ronna_hw.host.port_users import PortUser, find_lock_holder
+from ronna_hw.host.port_users import PortUser, find_folder_holder, find_lock_holder
 
 NOTE = os.O_NOFOLLOW  # where everyone may write, a link may lead to any file of whoever opens it
 READABLE_BY_ALL = 0o444
@@ -211,14 +204,7 @@ def _find_user_of_own_run(theatre: Path) -> TheatreUser | None:
     run = theatre.resolve().parent.parent
     if not (run / JOURNAL_FILE).is_file():
         return None
-    try:
-        folder = os.open(run, os.O_RDONLY | os.O_CLOEXEC)
-    except OSError:
-        return None
-    try:
-        holder = find_lock_holder(folder)
-    finally:
-        os.close(folder)
+    holder = find_folder_holder(run)
     return None if holder is None else TheatreUser(run, holder)
 
 

@@ -22,11 +22,7 @@ from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.path_check import CheckedPaths
 from procedures.steps.clinical.positioning import PositionedGuide, insertion_for
 from procedures.steps.clinical.results import RegisteredRobot, Relocalization
-from procedures.steps.clinical.surroundings import (
-    planning_scene_of,
-    surround_guide,
-    surround_stereo_head,
-)
+from procedures.steps.clinical.surroundings import planning_scene_of, surround_guide, surround_stereo_head
 from procedures.steps.clinical.two_arms.insertion_axis import surround_at_guide
 from procedures.workcell import InsertionAxis, MountedTool
 from procedures.workcell.arm_history import stands_at

@@ -28,7 +28,7 @@ app = terminal.command_group(
 @with_option_records
 def calibrate_arm(
     context: typer.Context,
-    command_options: CalibrationOptions,
+    options: CalibrationOptions,
     looks: Annotated[int, typer.Option(min=60, max=300, help="Measurements for the identification.")] = 90,
     validation: Annotated[
         int, typer.Option(min=12, max=100, help="Further measurements, held out for validation.")
@@ -40,13 +40,13 @@ def calibrate_arm(
     measurements do not yield a calibration, 2 usage, 3 refused, 4 device not found, 5 link lost, 6 safety
     stop, 7 not confirmed, 130 interrupted.
     """
-    command_options.calibrate(context, "arm", looks, validation)
+    options.calibrate(context, "arm", looks, validation)
 
 
 @app.command()
 @with_option_records
 def check(
-    command_options: MeasuringOptions,
+    options: MeasuringOptions,
     looks: Annotated[int, typer.Option(min=12, max=100, help="Measurements for the check.")] = 24,
 ) -> None:
     """Measure spheres from a few poses: does the arm still match its calibration record?
@@ -71,13 +71,11 @@ def check(
         rows = [[one.name, one.value, one.verdict] for one in figures.table()]
         terminal.print_table(f"check of calibration {figures.calibration}", ["", "value", ""], rows)
 
-    theatre = replace(command_options, calibrated=True).theatre()
+    theatre = replace(options, calibrated=True).theatre()
     recipe = Recipe(of=Calibrated.ARM, looks=0, more=looks)
     measurement = Measurement(steps=recipe.steps, title="Check of the arm", recipe=recipe)
     request = replace(theatre, procedure=measurement)
-    check_calibration(
-        request, command_options.out, ARM.activity, judge, show, as_json=command_options.as_json
-    )
+    check_calibration(request, options.out, ARM.activity, judge, show, as_json=options.as_json)
 
 
 @app.command()

@@ -21,7 +21,7 @@ app = command_group(
 @with_option_records
 def tracker_frame(
     context: typer.Context,
-    command_options: CalibrationOptions,
+    options: CalibrationOptions,
     looks: Annotated[int, typer.Option(min=15, max=100, help="Poses for the calibration.")] = 30,
     validation: Annotated[
         int, typer.Option(min=5, max=50, help="Further poses, held out for validation.")
@@ -32,14 +32,14 @@ def tracker_frame(
     Nothing moves before a confirmation. Exit codes: 0 done, 1 the measurements do not yield a calibration, 2
     usage, 3 refused, 4 device not found, 5 link lost, 6 safety stop, 7 not confirmed, 130 interrupted.
     """
-    command_options.calibrate(context, "tracker frame", looks, validation)
+    options.calibrate(context, "tracker frame", looks, validation)
 
 
 @app.command("tool-tip")
 @with_option_records
 def tool_tip(
     context: typer.Context,
-    command_options: CalibrationOptions,
+    options: CalibrationOptions,
     ball: Annotated[
         tuple[float, float, float] | None,
         typer.Option(
@@ -57,4 +57,4 @@ def tool_tip(
 
     Nothing moves before a confirmation. Exit codes as in `tracker-frame`.
     """
-    command_options.calibrate(context, "tool tip", readings, validation, ball)
+    options.calibrate(context, "tool tip", readings, validation, ball)

@@ -16,13 +16,8 @@ if TYPE_CHECKING:
     from procedures.engine.engine import Engine
 
 Say = Callable[[str], None]
-AT_END = (
-    orders.ListSteps,
-    orders.Why,
-    orders.DryRun,
-    orders.Help,
-    orders.Quit,
-)  # orders that still count when the case has ended
+# Orders that still count when the case has ended.
+AT_END = (orders.ListSteps, orders.Why, orders.DryRun, orders.Help, orders.Quit)
 
 
 def read_command(engine: Engine, command: str, argument: str) -> orders.Order:

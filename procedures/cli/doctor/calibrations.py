@@ -49,14 +49,9 @@ def calibration_diagnostics(theatre: TheatreFile, path: Path, now: datetime) -> 
         try:
             record.check_valid_at(now)
         except CalibrationExpired as error:
+            expired = refusal(subject, error)
             is_in_future = record.created > now  # a clock is wrong, not a record
-            yield Diagnostic(
-                subject,
-                False,
-                f"{error.code} {error.summary}",
-                error.advice if is_in_future else renewal,
-                command="" if is_in_future else command,
-            )
+            yield expired if is_in_future else replace(expired, advice=renewal, command=command)
             continue
         if name == "arm":
             try:
@@ -64,14 +59,10 @@ def calibration_diagnostics(theatre: TheatreFile, path: Path, now: datetime) -> 
             except (ArmOlderThanHead, OfAnotherTheatre) as error:
                 yield replace(refusal(subject, error), command=command)
                 continue
+        text = f"{record.identifier}, valid until {record.expires:%Y-%m-%d %H:%M %Z}"
+        valid = Diagnostic(subject, True, text)
         expires_soon = record.expires - now < EXPIRY_NOTICE
-        yield Diagnostic(
-            subject,
-            True,
-            f"{record.identifier}, valid until {record.expires:%Y-%m-%d %H:%M %Z}",
-            renewal if expires_soon else "",
-            command=command if expires_soon else "",
-        )
+        yield replace(valid, advice=renewal, command=command) if expires_soon else valid
 
 
 def history_diagnostics(path: Path) -> Iterator[Diagnostic]:

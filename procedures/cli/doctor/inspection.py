@@ -35,6 +35,7 @@ STEREO = "stereo"  # table of the cameras
 ARM_RECORD = "calibration of the arm"
 ARE_TWO = "arms of master and assistant"
 TURN_FRAME = "Clear the line of sight between the tracker and the head clamp; turn the frame or the tracker."
+TURN_CART = "Clear the line of sight between the tracker and the arm; turn the cart or the tracker."
 FRAMES_LOOKED_AT = 30  # half a second of tracking
 PAIRS_LOOKED_AT = 50  # a hundred pictures
 LEAST_SPHERES = 3  # for a registration
@@ -109,14 +110,8 @@ def _elsewhere(
     if len(set(serials)) < len(serials):
         return ""
     configured, endpoint = _configured(side, device, head), camera_endpoint(device, side)
-    return next(
-        (
-            parse_endpoint(at).host
-            for at, serial in replied.items()
-            if serial == configured and at != endpoint
-        ),
-        "",
-    )
+    places = (at for at, serial in replied.items() if serial == configured and at != endpoint)
+    return next((parse_endpoint(at).host for at in places), "")
 
 
 def _verdict(
@@ -253,9 +248,8 @@ def _check_records(
         seen = f"{kinematics.name} {serial}".rstrip()
         if arm is None:
             seen = f"none: {seen} is taken as nominal"
-        arm_check = replace(
-            run_check(f"{subject}{ARM_RECORD}", seen, check_arm), serials={kinematics.name: serial}
-        )
+        found = run_check(f"{subject}{ARM_RECORD}", seen, check_arm)
+        arm_check = replace(found, serials={kinematics.name: serial})
         is_unverified = arm is not None and not (arm.serial and serial)
         yield replace(arm_check, advice=WHOSE_RECORD[role]) if is_unverified and arm_check.well else arm_check
         if role != MASTER:
@@ -304,20 +298,11 @@ def _check_visibility(subject: str, tracker: OpticalTracker, theatre: TheatreFil
         seen = sum(frame.tool(tool).validity is Validity.OK for frame in frames)
         on_clamp = tool == theatre.procedure.patient_frame
         needed = on_clamp or (calibrations is not None and tool == calibrations.tracker_frame.tool)
-        yield Diagnostic(
-            f"{subject}visibility of {tool}",
-            seen > len(frames) // 2 or not needed,
-            f"in {seen} of {len(frames)} frames",
-            ""
-            if seen == len(frames) or tool in mounted_later
-            else TURN_FRAME
-            if on_clamp
-            else "Clear the line of sight between the tracker and the arm; turn the cart or the tracker.",
-        )
+        is_well, advice = seen > len(frames) // 2 or not needed, ""
+        if seen < len(frames) and tool not in mounted_later:
+            advice = TURN_FRAME if on_clamp else TURN_CART
+        text = f"in {seen} of {len(frames)} frames"
+        yield Diagnostic(f"{subject}visibility of {tool}", is_well, text, advice)
     spheres = sorted(len(frame.strays) for frame in frames)[len(frames) // 2]
-    yield Diagnostic(
-        f"{subject}spheres in view",
-        True,
-        f"{spheres}",
-        "" if spheres >= LEAST_SPHERES else f"A case needs at least {LEAST_SPHERES} on the head.",
-    )
+    advice = "" if spheres >= LEAST_SPHERES else f"A case needs at least {LEAST_SPHERES} on the head."
+    yield Diagnostic(f"{subject}spheres in view", True, f"{spheres}", advice)

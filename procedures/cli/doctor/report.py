@@ -251,14 +251,11 @@ def show_findings(report: Report, *, as_json: bool, everything: bool = False) ->
     elif folded := sum(report.grade(one) == OK for one in report.diagnostics) - len(report.replies):
         say(f"{format_count(folded, 'check')} without a finding; --all lists them")
     if report.verdicts:
-        print_table(
-            "Readiness",
-            ("", "", "because"),
-            [
-                (one.of, "ready" if one.ready else "NOT READY", "; ".join(_reasons(one, report)))
-                for one in report.verdicts
-            ],
-        )
+        readiness = [
+            (one.of, "ready" if one.ready else "NOT READY", "; ".join(_reasons(one, report)))
+            for one in report.verdicts
+        ]
+        print_table("Readiness", ("", "", "because"), readiness)
 
 
 def _reasons(verdict: Verdict, report: Report) -> Sequence[str]:

@@ -54,12 +54,8 @@ def case_diagnostics(theatre: TheatreFile, config: Path, out: Path) -> Iterator[
     folder = next(path for path in (resolved, *resolved.parents) if path.exists())  # a run makes the others
     shortage = describe_shortage(folder)
     found = f"{folder}: {shortage or 'enough for a case'}"
-    if shortage is None:
-        yield Diagnostic("disk", True, found)
-    else:
-        yield Diagnostic(
-            "disk", False, found, "Free some space.", command=f"df -h {shlex.quote(str(folder))}"
-        )
+    advice, command = ("Free some space.", f"df -h {shlex.quote(str(folder))}") if shortage else ("", "")
+    yield Diagnostic("disk", not shortage, found, advice, command=command)
 
 
 def assistant_diagnostics(theatre: TheatreFile) -> Iterator[Diagnostic]:

@@ -35,12 +35,7 @@ if TYPE_CHECKING:
 
 
 def resume(
-    folder: Path,
-    *,
-    accept: bool,
-    answers: Path | None,
-    as_json: bool,
-    console: ConsoleRequest | None = None,
+    folder: Path, *, accept: bool, answers: Path | None, as_json: bool, console: ConsoleRequest | None = None
 ) -> None:
     """Resume and finish a run; if already finished, just show its outcome.
 

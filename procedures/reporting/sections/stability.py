@@ -45,19 +45,13 @@ def read_stability(reading: RunReading) -> Stability | None:
         return record in results and results[record].confirms(subject)
 
     last_s = stability.last_seen_s(reading.run.journal, confirms)
+    rows = []
+    for watched in stability.WATCHED_SUBJECTS:
+        looks = (one.seen for one in results.values())
+        seen = tuple(next((one for one in look if one.subject == watched.subject), None) for look in looks)
+        rows.append(StabilityRow(watched, last_s.get(watched.subject), seen))
     return Stability(
         targets=tuple(str(one.record.trajectory) for one in confirmed),
-        rows=tuple(
-            StabilityRow(
-                watched,
-                last_s.get(watched.subject),
-                tuple(_find_seen(one, watched.subject) for one in results.values()),
-            )
-            for watched in stability.WATCHED_SUBJECTS
-        ),
+        rows=tuple(rows),
         has_assistant=reading.find(KnownBases) is not None,
     )
-
-
-def _find_seen(confirmed: ConfirmedTarget, subject: stability.Subject) -> stability.SeenUnchanged | None:
-    return next((one for one in confirmed.seen if one.subject == subject), None)
