@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Option
 
 from procedures.cli.calibrating.mount import app as calibrate_app
 from procedures.cli.case.options import CaseOptions, ConfigOption, ConsoleOptions
@@ -14,18 +14,15 @@ from procedures.cli.new_theatre.command import new_theatre
 from procedures.cli.runs.commands import add_commands
 from procedures.cli.theatre_history import theatre_history
 from ronna_hw.command_line.options import with_option_records
-from ronna_hw.command_line.terminal import JsonOption, run
+from ronna_hw.command_line.terminal import JsonOption, command_group, run
 from ronna_hw.host.process import resume_garbage_collection, suspend_garbage_collection
 from ronna_hw.roles import ONE_ARM, TWO_ARMS
 
-app = typer.Typer(
-    name="ronna-procedure",
-    help="The procedure of a frameless stereotactic robot, from the CT to the needle tip. "
+app = command_group(
+    "ronna-procedure",
+    "The procedure of a frameless stereotactic robot, from the CT to the needle tip. "
     "Research software, not a medical device.",
-    epilog="Example: ronna-procedure run --sim",
-    no_args_is_help=True,
-    add_completion=False,
-    rich_markup_mode=None,
+    example="ronna-procedure run --sim",
 )
 
 
@@ -53,7 +50,7 @@ def step_command(case: CaseOptions, console: ConsoleOptions) -> None:
 
 @app.command("steps")
 def steps_command(
-    dual: Annotated[bool, typer.Option("--dual", help="Of a case with two arms.")] = False,
+    dual: Annotated[bool, Option("--dual", help="Of a case with two arms.")] = False,
     as_json: JsonOption = False,
 ) -> None:
     """List the steps of the procedure, what each one needs and what it may ask."""
@@ -63,37 +60,22 @@ def steps_command(
 
     steps = clinical_steps(roles=TWO_ARMS if dual else ONE_ARM)
     if as_json:
-        rows = [
-            {
-                "name": step.name,
-                "title": step.title,
-                "needs": list(step.needs),
-                "per_trajectory": step.scope is not Scope.CASE,
-                "moves": step.moves_an_arm,
-                "asks": [
-                    {"topic": one.topic, "answers": list(one.answers), "if": one.condition}
-                    for one in list_questions(step)
-                ],
-            }
-            for step in steps
-        ]
+        rows = []
+        for step in steps:
+            asked = list_questions(step)
+            asks = [{"topic": one.topic, "answers": list(one.answers), "if": one.condition} for one in asked]
+            plain = {"name": step.name, "title": step.title, "needs": list(step.needs)}
+            kind = {"per_trajectory": step.scope is not Scope.CASE, "moves": step.moves_an_arm}
+            rows.append({**plain, **kind, "asks": asks})
         print_json({"steps": rows})
         return
-    print_table(
-        "Steps of the procedure",
-        ("step", "what it does", "for each trajectory", "moves an arm", "needs", "asks"),
-        [
-            (
-                step.name,
-                step.title,
-                "" if step.scope is Scope.CASE else "yes",
-                "yes" if step.moves_an_arm else "",
-                ", ".join(step.needs),
-                ", ".join(dict.fromkeys(one.topic for one in list_questions(step))),
-            )
-            for step in steps
-        ],
-    )
+    headings = ("step", "what it does", "for each trajectory", "moves an arm", "needs", "asks")
+    table = []
+    for step in steps:
+        marks = ("" if step.scope is Scope.CASE else "yes", "yes" if step.moves_an_arm else "")
+        topics = ", ".join(dict.fromkeys(one.topic for one in list_questions(step)))
+        table.append((step.name, step.title, *marks, ", ".join(step.needs), topics))
+    print_table("Steps of the procedure", headings, table)
 
 
 @app.command("graph")
@@ -110,17 +92,15 @@ def doctor_command(
     config: ConfigOption = None,
     endpoint: Annotated[
         list[str] | None,
-        typer.Option(
+        Option(
             "--endpoint",
             help="A tracker's line, a controller's EKI server or Universal Robots service, or a camera to "
             "check: serial:///dev/..., tcp://host:port or gev://host. Servers that do not speak first are "
             "sent a tracker's inquiry, at 30004 one of RTDE.",
         ),
     ] = None,
-    out: Annotated[Path, typer.Option(help="Folder for runs, whose disk is judged.")] = Path("runs"),
-    everything: Annotated[
-        bool, typer.Option("--all", help="Also list the checks without a finding.")
-    ] = False,
+    out: Annotated[Path, Option(help="Folder for runs, whose disk is judged.")] = Path("runs"),
+    everything: Annotated[bool, Option("--all", help="Also list the checks without a finding.")] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Check this computer and, with --config, every device of a theatre file with its driver's own probe.

@@ -54,15 +54,11 @@ class AskedQuestion:
 
 def questions(journal: Sequence[Line]) -> tuple[AskedQuestion, ...]:
     """Return every question with its answer, in order."""
-    return tuple(
-        AskedQuestion(
-            clock_time(line),
-            theatre_time_s(line),
-            *(str(line.get(key, "")) for key in ("topic", "subject", "value", "answer")),
-        )
-        for line in journal
-        if line["entry"] == Entry.CONFIRMATION
-    )
+    asked = []
+    for line in (line for line in journal if line["entry"] == Entry.CONFIRMATION):
+        texts = (str(line.get(key, "")) for key in ("topic", "subject", "value", "answer"))
+        asked.append(AskedQuestion(clock_time(line), theatre_time_s(line), *texts))
+    return tuple(asked)
 
 
 def notable_events(journal: Sequence[Line]) -> tuple[RunEvent, ...]:
@@ -103,12 +99,9 @@ def advisories(journal: Sequence[Line]) -> tuple[RunEvent, ...]:
 
 def begun_insertions(journal: Sequence[Line]) -> tuple[str, ...]:
     """List the trajectories at which the assistant began to lead an instrument in, in order."""
-    begun = (
-        str(line.get("trajectory"))
-        for line in journal
-        if (line["entry"], line.get("arm"), line.get("what")) == (Entry.MOTION, ASSISTANT, MotionKind.INSERT)
-    )
-    return tuple(dict.fromkeys(begun))
+    insertion = (Entry.MOTION, ASSISTANT, MotionKind.INSERT)
+    begun = (line for line in journal if (line["entry"], line.get("arm"), line.get("what")) == insertion)
+    return tuple(dict.fromkeys(str(line.get("trajectory")) for line in begun))
 
 
 def clock_time(line: Line) -> str:

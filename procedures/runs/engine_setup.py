@@ -25,7 +25,7 @@ from procedures.guards import (
     sight_guard,
 )
 from procedures.guards.errors import BaseShifted
-from procedures.journal.journal import ONLY_LEAVING, Entry, Journal, JournalValue
+from procedures.journal.journal import JOURNAL_FILE, ONLY_LEAVING, Entry, Journal, JournalValue
 from procedures.operator.question import Operator, Room
 from procedures.runs.assistant_comparison import look_with_instrument_in_guide
 from procedures.runs.interrupted_run import InterruptedRun, Resumption
@@ -103,9 +103,8 @@ def build_engine(
 
     theatre = Theatre.from_file(file, make)
     prepared = prepare(theatre)
-    calibrations = (
-        prepared.calibrations or theatre.calibrations
-    )  # what is missing is known before the journal
+    # What is missing is known before the journal.
+    calibrations = prepared.calibrations or theatre.calibrations
     events = EventStream(theatre.clock.now_s)
     stack.callback(EventFile(folder, events).join)
     stack.callback(events.end)
@@ -127,7 +126,7 @@ def build_engine(
     previous = None if resumption is None else resumption.interrupted
     only_leaving = resumption is not None and resumption.only_leaving
     case = Case(folder) if previous is None else previous.restore_case(prepared.order)
-    if previous is None or not previous.has_journal:
+    if previous is None or not (folder / JOURNAL_FILE).exists():
         journal = Journal(folder, publish_line)
     else:
         journal = Journal.reopen_run(folder, previous.chain, publish_line)
@@ -259,11 +258,8 @@ class MovedCart:
         Raises the errors of the way home.
         """
         engine = self._engine
-        if (
-            not isinstance(problem, BaseShifted | PlatformMoved)
-            or self._moves == MOST_MOVES
-            or engine.machine.ended
-        ):
+        has_moved = isinstance(problem, BaseShifted | PlatformMoved)
+        if not has_moved or self._moves == MOST_MOVES or engine.machine.ended:
             return False
         if (inside := engine.instrument_in) is not None:
             engine.find(
@@ -279,10 +275,8 @@ class MovedCart:
         else:
             goes_on = f"lock it; the arm goes home, and {following} is next"
         stands = ", ".join(dict.fromkeys(stored.record.kind for stored in engine.case.valid_results))
-        value = (
-            f"nobody is in the arm's way home; these results remain valid: {stands}",
-            *work_begun_elsewhere(engine),
-        )
+        begun = work_begun_elsewhere(engine)
+        value = (f"nobody is in the arm's way home; these results remain valid: {stands}", *begun)
         question = CART_MOVED.question(f"{problem.summary}: {goes_on}", "; ".join(value))
         if engine.ask(question) != GO_ON:
             return False

@@ -62,13 +62,9 @@ def check_theatre(request: RunRequest) -> None:
 def require_two_arms(theatre: TheatreFile) -> None:
     """Raise DEV-007 unless a theatre file has both arms, with the records that two arms need."""
     records = theatre.calibration
-    needed = {
-        f"robot.{MASTER}": MASTER in theatre.robot,
-        f"robot.{ASSISTANT}": ASSISTANT in theatre.robot,
-        "calibration.arm": records is not None and records.arm is not None,
-        "calibration.assistant_arm": records is not None and records.assistant_arm is not None,
-        "calibration.assistant_holder": records is not None and records.assistant_holder is not None,
-    }
+    needed = {f"robot.{role}": role in theatre.robot for role in (MASTER, ASSISTANT)}
+    for name in ("arm", "assistant_arm", "assistant_holder"):
+        needed[f"calibration.{name}"] = getattr(records, name, None) is not None
     if missing := [table for table, is_there in needed.items() if not is_there]:
         roles = [role for role in (MASTER, ASSISTANT) if role not in theatre.robot]
         unknown = [name for name in theatre.robot if roles and name not in (MASTER, ASSISTANT)]

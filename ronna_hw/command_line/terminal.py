@@ -51,6 +51,7 @@ from ronna_hw.host.process import ENDING_SIGNALS, limit_to_one_thread
 __all__ = [
     "JsonOption",
     "Progress",
+    "command_group",
     "command_logger",
     "exit_code_of",
     "fail_with",
@@ -70,6 +71,14 @@ JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object 
 _USAGE_ERROR: type[Exception] = typer.BadParameter.__bases__[0]
 # one of them: no arguments at all; its message is the help
 _NO_ARGUMENTS: type[Exception] = sys.modules[_USAGE_ERROR.__module__].NoArgsIsHelpError
+
+
+def command_group(name: str, help: str, *, example: str = "") -> typer.Typer:
+    """Return an application of several commands. Called without one, it shows its help."""
+    epilog = f"Example: {example}" if example else None
+    return typer.Typer(
+        name=name, help=help, epilog=epilog, no_args_is_help=True, add_completion=False, rich_markup_mode=None
+    )
 
 
 def run(app: typer.Typer) -> NoReturn:

@@ -106,6 +106,17 @@ def find_lock_holder(file: int) -> PortUser | None:
     return None
 
 
+def find_folder_holder(folder: Path) -> PortUser | None:
+    """Return the program that has a folder locked, or None, also for one that this user may not open."""
+    with contextlib.suppress(OSError):
+        file = os.open(folder, os.O_RDONLY | os.O_CLOEXEC)
+        try:
+            return find_lock_holder(file)
+        finally:
+            os.close(file)
+    return None
+
+
 def _open_devices(pid: int) -> Iterator[Path]:
     """List a process's open devices from /proc, since psutil's `open_files` omits them."""
     with contextlib.suppress(OSError):

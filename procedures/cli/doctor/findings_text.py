@@ -6,7 +6,6 @@ import shutil
 import sys
 from collections.abc import Iterator, Sequence
 from textwrap import wrap
-from typing import Protocol
 
 from ronna_hw.command_line.terminal import on_terminal
 from ronna_hw.devices.probing import Diagnostic
@@ -15,41 +14,24 @@ from ronna_hw.text import format_count
 INDENT = "   "
 
 
-class Findings(Protocol):
-    """Findings by how they are shown."""
-
-    @property
-    def problems(self) -> Sequence[Diagnostic]:
-        """Findings that keep something from beginning."""
-        ...
-
-    @property
-    def notes(self) -> Sequence[Diagnostic]:
-        """Findings worth knowing."""
-        ...
-
-    @property
-    def replies(self) -> Sequence[Diagnostic]:
-        """Findings that were asked for, though nothing is wrong."""
-        ...
-
-
-def findings_text(findings: Findings) -> Iterator[str]:
+def findings_text(
+    problems: Sequence[Diagnostic], notes: Sequence[Diagnostic], replies: Sequence[Diagnostic]
+) -> Iterator[str]:
     """Yield lines: a numbered list of problems, then notes, then what was asked for."""
-    if not findings.problems:
+    if not problems:
         yield "No problem found."
     else:
-        yield f"{format_count(len(findings.problems), 'problem')}:"
-        for number, one in enumerate(findings.problems, start=1):
+        yield f"{format_count(len(problems), 'problem')}:"
+        for number, one in enumerate(problems, start=1):
             yield from _lines(f"{number}. ", one)
-    if findings.notes:
+    if notes:
         yield ""
         yield "Worth knowing:"
-        for one in findings.notes:
+        for one in notes:
             yield from _lines("-  ", one)
-    if findings.replies:
+    if replies:
         yield ""
-        for one in findings.replies:
+        for one in replies:
             yield from _wrapped(f"ok {one.subject}: {one.seen}", "")
     yield ""
 

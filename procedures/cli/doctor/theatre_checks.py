@@ -11,10 +11,9 @@ from dataclasses import replace
 from pathlib import Path
 
 from procedures.journal.free_space import describe_shortage
-from procedures.runs.arm_notes import find_former_run
 from procedures.runs.reopening import resumable_run
 from procedures.runs.request_checks import require_two_arms
-from procedures.runs.theatre_lock import find_theatre_user, find_unwritable_note, read_last_note
+from procedures.runs.theatre_lock import find_theatre_user, find_unwritable_note, read_former_run
 from ronna_hw.bounded_input import LARGEST_TOML_BYTES, read_bounded
 from ronna_hw.clock import SharedClock, open_clock
 from ronna_hw.config import TheatreFile
@@ -55,12 +54,8 @@ def case_diagnostics(theatre: TheatreFile, config: Path, out: Path) -> Iterator[
     folder = next(path for path in (resolved, *resolved.parents) if path.exists())  # a run makes the others
     shortage = describe_shortage(folder)
     found = f"{folder}: {shortage or 'enough for a case'}"
-    if shortage is None:
-        yield Diagnostic("disk", True, found)
-    else:
-        yield Diagnostic(
-            "disk", False, found, "Free some space.", command=f"df -h {shlex.quote(str(folder))}"
-        )
+    advice, command = ("Free some space.", f"df -h {shlex.quote(str(folder))}") if shortage else ("", "")
+    yield Diagnostic("disk", not shortage, found, advice, command=command)
 
 
 def assistant_diagnostics(theatre: TheatreFile) -> Iterator[Diagnostic]:
@@ -110,7 +105,7 @@ def use_diagnostics(theatre: Path) -> Iterator[Diagnostic]:
         seen = f"{user.seen}: its devices were not checked"
         yield Diagnostic(RUN, False, seen, user.advice("check again"))
         return
-    former = find_former_run(read_last_note(theatre), None)
+    former = read_former_run(theatre)
     if (refused := former.refusal) is not None:
         yield Diagnostic(INSTRUMENT, False, refused.what, refused.advice, command=former.home or "")
     if former.not_home is not None:
@@ -124,7 +119,7 @@ def use_diagnostics(theatre: Path) -> Iterator[Diagnostic]:
 
 def advise_on_unfinished_run(theatre: Path, found: Sequence[Diagnostic]) -> list[Diagnostic]:
     """Adapt the advice in device diagnostics to the theatre and its unfinished run."""
-    run, inside = resumable_run(theatre), find_former_run(read_last_note(theatre), None).inside
+    run, inside = resumable_run(theatre), read_former_run(theatre).inside
     advised = list(found)
     for place, one in enumerate(found):
         if one.well:

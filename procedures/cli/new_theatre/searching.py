@@ -247,6 +247,5 @@ def _choose_proposal(table: str, proposals: Sequence[Proposal], choose: Choose) 
 def _list_cameras(pairs: Sequence[Proposal]) -> list[str]:
     """List each camera of these pairs once, by address."""
     cameras = {_camera_identity(pair, side) for pair in pairs for side in ("left", "right")}
-    return [
-        f"camera {serial} at {address}" for serial, address in sorted(cameras, key=lambda camera: camera[1])
-    ]
+    by_address = sorted(cameras, key=lambda camera: camera[1])
+    return [f"camera {serial} at {address}" for serial, address in by_address]

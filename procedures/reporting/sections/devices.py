@@ -73,9 +73,6 @@ def _read_links(reading: RunReading) -> tuple[StreamHealth, ...]:
     ends: list[Retreated | ConfirmedTarget] = [one.result for one in reading.valid_results(Retreated)]
     ends += [one.result for one in reading.valid_results(ConfirmedTarget)]
     guides = (StreamHealth("guide", one.link) for one in ends if one.link is not None)
-    holders = (
-        StreamHealth("holder of the assistant", one.assistant_link)
-        for one in ends
-        if one.assistant_link is not None
-    )
+    held = (one.assistant_link for one in ends)
+    holders = (StreamHealth("holder of the assistant", link) for link in held if link is not None)
     return (*heads, *guides, *holders)

@@ -10,7 +10,7 @@ import pytest
 from coded_errors import raises
 
 from benchmarks.stereo_head.stereo_cell import StereoCell, calibrated_cell, servo_campaign, without_arm_errors
-from procedures.cli.stereo.display import show_look
+from procedures.cli.stereo.command import show_look
 from procedures.relocalization.errors import NotTrusted, PairNotUsable, Saturated
 from procedures.workcell.errors import SPHERE_NOT_FOUND
 from ronna_hw.devices.readings import StereoReading, Validity

@@ -17,7 +17,8 @@ from user_commands import in_this_process
 
 from procedures.cli.arm.command import app as ronna_arm
 from procedures.cli.doctor import theatre_checks
-from procedures.cli.doctor.report import RUN, examine
+from procedures.cli.doctor.report import examine
+from procedures.cli.doctor.theatre_checks import RUN
 from procedures.cli.procedure import app as ronna_procedure
 from procedures.cli.stereo.command import app as ronna_stereo
 from procedures.journal.journal import Entry, Journal
