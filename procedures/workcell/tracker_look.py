@@ -112,22 +112,6 @@ def mean_pose(frames: list[TrackerFrame], tool: str, least: int) -> Transform | 
     return _average_poses(seen_poses) if len(seen_poses) >= least else None
 
 
-class FrameHidden(Exception):
-    """Frame that is seen in too few tracker frames, by its name."""
-
-
-def see_both_arms(workcell: Workcell, frames: list[TrackerFrame]) -> tuple[Transform, Transform]:
-    """Return the mean poses TRACKER <- MARKER of the frames on master and assistant.
-
-    Raises `FrameHidden` for one that is in less than half of the frames.
-    """
-    names = workcell.calibrations.tracker_frame.tool, workcell.assistant.holder.frame
-    on_master, on_assistant = (mean_pose(frames, name, max(1, len(frames) // 2)) for name in names)
-    if on_master is None or on_assistant is None:
-        raise FrameHidden(names[0] if on_master is None else names[1])
-    return on_master, on_assistant
-
-
 def _explain_missing_frames(frames: list[TrackerFrame], tool: str) -> tuple[str, str]:
     """Return the main reason why frames lack the tool, and the action to take."""
     readings = [frame.tool(tool) for frame in frames]

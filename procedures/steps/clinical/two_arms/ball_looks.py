@@ -76,9 +76,9 @@ class BallWatch:
             return refine_bases(coarse, seen, ball_mm, assistant.ball_error_mm, *stated_arms(visits.context))
 
         plan = (partial(assistant.flange_joints, one, near, ONE_SIDE) for one in postures)
-        arm = visits.assistant_mover
-        for _ in visits.visit(list_possible(plan, reasons), POSTURES, arm, reasons):
-            flange, before = arm.flange(), len(looks)
+        possible = list_possible(plan, reasons)
+        for _ in visits.visit(possible, POSTURES, assistant, assistant.settle, reasons):
+            flange, before = assistant.flange_pose(assistant.joints_rad(), ONE_SIDE), len(looks)
             for pose, ball_in_head_mm in self._look_from_around(
                 (base @ flange).apply(ball_mm), held, reasons
             ):
@@ -135,8 +135,8 @@ class BallWatch:
 
         Ways past the assistant are tried first, those via home only if none of them is clear.
         """
-        cell, looks = self._visits.cell, 0
-        reference = cell.master.tool_pose(cell.master.home_rad).rigid.rotation
+        cell, master, looks = self._visits.cell, self._visits.cell.master, 0
+        reference = master.tool_pose(master.home_rad).rigid.rotation
         around = plan_poses_about(
             reference,
             ball_mm,
@@ -146,21 +146,19 @@ class BallWatch:
             turn_rad=HEAD_TURN_RAD,
         )
         for allow_detour in (False, True):
-            plan = (
-                partial(cell.master.joints_at, one.pose, cell.master.home_rad, ONE_SIDE) for one in around
-            )
-            settle = partial(cell.master.settle, arriving=ONE_SIDE, allow_detour=allow_detour)
-            arm = self._visits.master_mover(settle)
-            for _ in self._visits.visit(list_possible(plan, reasons), LOOKS_PER_POSTURE, arm, reasons):
+            plan = (partial(master.joints_at, one.pose, master.home_rad, ONE_SIDE) for one in around)
+            settle = partial(master.settle, arriving=ONE_SIDE, allow_detour=allow_detour)
+            possible = list_possible(plan, reasons)
+            for _ in self._visits.visit(possible, LOOKS_PER_POSTURE, master, settle, reasons):
                 seen = cell.look()
                 if seen.point is None:
                     self._unseen += 1
                     reasons.append(seen.reason)
                     continue
                 self._unseen = 0
-                yield cell.master.tool_pose(arrived=ONE_SIDE), np.asarray(seen.point.position_mm)
+                yield master.tool_pose(arrived=ONE_SIDE), np.asarray(seen.point.position_mm)
                 looks += 1
                 if looks == LOOKS_PER_POSTURE:
                     return
-            if looks or cell.master.place.is_home:
+            if looks or master.place.is_home:
                 return

@@ -29,7 +29,7 @@ from procedures.steps.clinical.two_arms.base_postures import (
     turns_about_axis,
     wrist_branches,
 )
-from procedures.steps.clinical.two_arms.base_to_base import found_arms
+from procedures.steps.clinical.two_arms.base_visits import stated_arms
 from procedures.steps.clinical.work_progress import DepthStop
 from procedures.strategies.strategy import LAST_STRETCH_MM, Sides
 from procedures.workcell import InsertionAxis, MountedTool, Workcell
@@ -73,7 +73,12 @@ class Meeting(NamedTuple):
     @classmethod
     def of(cls, context: StepContext, known: KnownBases) -> Meeting:
         """Return the arms of a case."""
-        return cls(*found_arms(context, known), context.workcell.tools.guide.bore)
+        master, assistant = stated_arms(context)
+        return cls(
+            FoundArm(master, known.master_errors),
+            FoundArm(assistant, known.assistant_errors),
+            context.workcell.tools.guide.bore,
+        )
 
     def guide(self, workcell: Workcell) -> Transform:
         """Return the pose of the guide, robot frame, corrected for its arm's identified errors."""
