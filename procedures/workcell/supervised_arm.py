@@ -12,7 +12,6 @@ from procedures.journal.journal import Entry
 from procedures.operator.question import Topic
 from procedures.strategies.strategy import ONE_SIDE, Sides, approach_joints
 from procedures.workcell.arm_history import ArmHistory, ArmLog, ArmPlace, MotionKind, PlaceKind, stands_at
-from procedures.workcell.arm_load import read_axis_loads
 from procedures.workcell.arms import Arms
 from procedures.workcell.device_views import ArmView
 from procedures.workcell.motions import PlannedMotion
@@ -21,7 +20,7 @@ from procedures.workcell.tools import calibrated_arm
 from ronna_hw.calibrated_arm.arm import CalibratedArm
 from ronna_hw.calibration import ArmCalibration
 from ronna_hw.devices import Device, JointMove, Motion, RobotArm
-from ronna_hw.devices.axis_loads import LOAD_CYCLES, AxisLoads
+from ronna_hw.devices.axis_loads import LOAD_CYCLES, AxisLoads, TellsLoads
 from ronna_hw.devices.lifecycle import RUNNING, Lifecycle
 from ronna_hw.devices.readings import ArmReading, LinkStatistics
 from ronna_hw.frames import Transform
@@ -35,26 +34,13 @@ class SupervisedArm(ABC):
     """
 
     def __init__(
-        self,
-        role: str,
-        log: ArmLog,
-        arms: Arms,
-        records: Mapping[str, ArmCalibration],
-        name: str,
+        self, role: str, log: ArmLog, arms: Arms, records: Mapping[str, ArmCalibration], name: str
     ) -> None:
         """Supervise the arm of a role; `records` are the calibrations of all arms, by role."""
         self.role, self.name, self._log, self._arms = role, name, log, arms
         self._calibrated = partial(calibrated_arm, records=records, role=role)
         self._computed = self._calibrated(self._arm.kinematics)
-        self.supervised = SupervisedMotion(
-            name,
-            log,
-            lambda: self._arm,
-            self._require_allowed,
-            self._drive_leg,
-            arms.release_held,
-            partial(arms.look_around, role),
-        )
+        self.supervised = SupervisedMotion(name, role, log, arms, self._require_allowed, self._drive_leg)
 
     @property
     @abstractmethod
@@ -178,9 +164,10 @@ class SupervisedArm(ABC):
     def read_load(self, cycles: int = LOAD_CYCLES) -> AxisLoads | None:
         """Average the controller's signals of the load since the arm rests; None if its driver has none.
 
-        For an estimate see `arm_load.as_standstill`. Raises the arm's error if it does not rest.
+        Raises the arm's error if it does not rest.
         """
-        return read_axis_loads(self._arm, cycles, since_rest=True)
+        arm = self._arm
+        return arm.read_loads(cycles, since_rest=True) if isinstance(arm, TellsLoads) else None
 
     def start(self) -> None:
         """Start the arm's correction stream, if it is configured. Raises PRO-002."""
