@@ -54,8 +54,8 @@ class SimulatedTheatre:
         )
         if request.measures_targets:
             extra_options.append("--target-balls")
-        if ASSISTANT in request.roles:
-            extra_options += ["--dual", "--assistant-arm", request.choice.assistant_arm]
+        options_of = {ASSISTANT: ["--dual", "--assistant-arm", request.choice.assistant_arm]}
+        extra_options += [option for role in request.roles for option in options_of.get(role, ())]
         if continued:
             extra_options.append("--continue")
         self.theatre = TheatreProcess(

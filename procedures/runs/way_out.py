@@ -52,32 +52,32 @@ def surround(engine: Engine) -> None:
     """
     workcell = engine.setting.workcell
     _surround_guide_or_head(engine, engine.order.sequence)
-    for assistant in workcell.assistants:
-        if assistant.history.base is not None:
-            _surround_assistant(engine, assistant)
+    for arm in workcell.assistants:
+        if arm.history.base is not None:
+            _surround_assistant(engine, arm)
 
 
-def _surround_assistant(engine: Engine, assistant: Assistant) -> None:
+def _surround_assistant(engine: Engine, arm: Assistant) -> None:
     """Set the bodies around an assistant: those at the guide, if a guide is registered for its trajectory."""
     workcell = engine.setting.workcell
-    trajectory = assistant.place.trajectory or workcell.master.place.trajectory
+    trajectory = arm.place.trajectory or workcell.master.place.trajectory
     registration = _find_guide_registration(engine)
     if trajectory is None or registration is None:  # it shows its ball; or somebody has jogged it
-        _surround_off_axis(engine, assistant)
+        _surround_off_axis(engine, arm)
         return
     at_target = engine.context(StepKey(ReachedTarget.kind, trajectory))
-    surround_at_guide(at_target, assistant.joints_rad(), registration.robot_from_ct)
+    surround_at_guide(at_target, arm.joints_rad(), registration.robot_from_ct)
 
 
-def _surround_off_axis(engine: Engine, assistant: Assistant) -> None:
+def _surround_off_axis(engine: Engine, arm: Assistant) -> None:
     """Set the bodies around an assistant on no axis: the head as first found, or as last found of old."""
     workcell, case = engine.setting.workcell, engine.case
     standing = case.find(Correspondence, None)
     former = [record for record in case.records if record.kind == Correspondence.kind]
     if standing is None and not former:
-        if assistant.place.is_out:
+        if arm.place.is_out:
             raise RECOVERY_REFUSED(
-                "the assistant is not home, and no result gives the position of the head",
+                f"the {arm.name} is not home, and no result gives the position of the head",
                 action="Jog it home with its controller's pendant, then resume again.",
             )
         return
@@ -85,7 +85,7 @@ def _surround_off_axis(engine: Engine, assistant: Assistant) -> None:
     over = next(key for key in engine.order.sequence if key.name == Relocalization.kind)
     head = workcell.master.flange_from(MountedTool.STEREO_HEAD)
     scene = planning_scene_of(engine.context(over))
-    assistant.surround(scene.with_stereo_head(found.robot_from_ct.transform, head, None))
+    arm.surround(scene.with_stereo_head(found.robot_from_ct.transform, head, None))
 
 
 def _surround_guide_or_head(engine: Engine, keys: Sequence[StepKey]) -> None:

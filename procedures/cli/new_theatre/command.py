@@ -105,15 +105,10 @@ def new_theatre(
         cards = mistakes.collect(lambda name: searching.find_interfaces([name]), interface or ())
         lines = mistakes.collect(partial(searching.endpoint_of, "--serial"), searching.lines(serial))
         controllers = mistakes.collect(partial(searching.endpoint_of, "--controller"), controller or ())
-        streams = mistakes.collect(
-            partial(searching.endpoint_of, "--stream"), () if stream is None else (stream,)
-        )
-        assistants = mistakes.collect(
-            partial(searching.endpoint_of, "--assistant"), () if assistant is None else (assistant,)
-        )
-        assistant_streams = mistakes.collect(
-            partial(searching.endpoint_of, "--assistant-stream"),
-            () if assistant_stream is None else (assistant_stream,),
+        given = {"--stream": stream, "--assistant": assistant, "--assistant-stream": assistant_stream}
+        streams, assistants, assistant_streams = (
+            mistakes.collect(partial(searching.endpoint_of, option), () if text is None else (text,))
+            for option, text in given.items()
         )
         mistakes.collect(partial(searching.require_another, "--assistant", controllers), assistants)
         mistakes.collect(partial(searching.require_another, "--assistant-stream", streams), assistant_streams)
