@@ -109,7 +109,6 @@ class DeviceFaults:
 
     @property
     def now(self) -> dict[str, str]:
-        """Current faults by device role."""
         return {role: _cause_of(observed) for role, observed in devices_in_fault(self._workcell.devices)}
 
     @property
@@ -166,7 +165,6 @@ class DeviceFaults:
 
     @property
     def acknowledgements(self) -> int:
-        """Number of acknowledgements so far."""
         return len(self._acknowledged)
 
     def as_of_now(self, problem: RonnaError, before: int) -> RonnaError:

@@ -175,7 +175,6 @@ class Engine:
 
     @property
     def record_is_deleted(self) -> bool:
-        """Whether the run's journal was deleted."""
         return self._journal.deletion is not None
 
     @property
@@ -206,7 +205,6 @@ class Engine:
     # While a step runs
 
     def context(self, key: StepKey) -> StepContext:
-        """Build a step's view of the case."""
         return StepContext(
             key=key,
             reads=self.order.spec(key).reads,
@@ -388,11 +386,7 @@ class Engine:
         more |= {name: hashes for name, hashes in files.items() if hashes}
         more |= self._before_result()
         self._write(
-            Entry.RESULT,
-            step=str(key),
-            record=stored.record.identifier,
-            sha256=stored.record.sha256,
-            **more,
+            Entry.RESULT, step=str(key), record=stored.record.identifier, sha256=stored.record.sha256, **more
         )
         self.course.accept(key, stored)
         self._publish_superseded(key, gone)

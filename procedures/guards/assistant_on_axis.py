@@ -11,7 +11,6 @@ from collections import deque
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 from scipy.special import chdtri
 
@@ -20,10 +19,9 @@ from procedures.room.estimate import INSTRUMENT_IN_GUIDE, Displacement
 from procedures.room.sighting import Rest, Sighting, Tracked, expect_frame
 from procedures.workcell import Workcell
 from procedures.workcell.assistant import Assistant
+from ronna_hw.arrays import Array
 from ronna_hw.devices.readings import TrackerFrame, Validity
 from ronna_hw.frames import Frame, Transform
-
-Array = NDArray[np.float64]
 
 # By as much the shaft of an instrument bends between clamp and bore before it presses on the guide (U). It
 # must leave room for what a look over the guide cannot tell, up to 0.4 mm.
@@ -60,7 +58,6 @@ class BesideBore:
         return not self.is_within and self.chi_square > float(chdtri(2, WATCH_FALSE_ALARM))
 
     def __str__(self) -> str:
-        """Describe it to the operator."""
         return (
             f"seen {self.seen_mm:.2f} mm beside the bore, known to {self.uncertain_mm:.2f} mm "
             f"(together at most {LARGEST_OFF_MM:g} mm)"

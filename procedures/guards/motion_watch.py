@@ -27,7 +27,6 @@ from procedures.guards.watch_thread import BASE_MOVED, LATE, MOVED, PUSHED, UNSE
 from procedures.workcell import MountedTool, Workcell
 from procedures.workcell.arm_history import MotionKind
 from procedures.workcell.tracker_move import TrackerMove
-from ronna_hw.clock import Clock
 from ronna_hw.config import WatchPatient
 from ronna_hw.devices.errors import MotionInterrupted, WrongState
 from ronna_hw.devices.lifecycle import Lifecycle
@@ -42,7 +41,6 @@ class MotionWatch:
     """Patient watch of a run. `find` and `void` write to the journal; `tell` informs the operator at once."""
 
     workcell: Workcell
-    clock: Clock
     memory: CaseMemory
     when: WatchPatient
     find: Callable[[str], None]
@@ -75,17 +73,9 @@ class MotionWatch:
             clamp = None if room.clamp_mm is None else HeadFrames(room.clamp_mm)
             self._tracker = room.tracker
             self._head = PatientFrames(HeadFrames(room.spheres_mm), clamp)
-        thread = WatchThread(
-            self.workcell,
-            self.clock,
-            motion,
-            room,
-            self._head,
-            what,
-            self.tell,
-            guide=self.memory.find(GuideAtRest),
-        )
-        room.head_sight.begin_motion(self.clock.now_s())
+        guide = self.memory.find(GuideAtRest)
+        thread = WatchThread(self.workcell, motion, room, self._head, what, self.tell, guide=guide)
+        room.head_sight.begin_motion(self.workcell.clock.now_s())
         try:
             thread.begin()  # waits for a frame: may be interrupted as well
             yield
@@ -121,7 +111,7 @@ class MotionWatch:
                 self.memory.drop(RoomWatch)  # the same move must not stop the way out
                 raise moved
             if seen.guide is not None and seen.guide.is_worked_through:
-                seen.guide.look(self.workcell, self.clock, seen.room)
+                seen.guide.look(self.workcell, seen.room)
         elif seen.disturbed:
             limit, got = seen.limit or None, seen.got or None
             raise InsertionDisturbed(f"{seen.disturbed} during {what}", limit=limit, got=got)
@@ -148,7 +138,7 @@ class MotionWatch:
         found: RonnaError | None
         try:
             with self.beside():
-                look = room.compare(read_watched(room, self.workcell, self.clock), self.clock.now_s())
+                look = room.compare(read_watched(room, self.workcell), self.workcell.clock.now_s())
         except RonnaError as problem:
             found = problem
         else:

@@ -6,7 +6,6 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from procedures.calibration.errors import PlatformMoved
 from procedures.guards.errors import (
@@ -30,10 +29,9 @@ from procedures.registration.rigid_fit import as_transform, fit_rigid
 from procedures.room.motion import Moved, RoomMotion
 from procedures.room.sighting import Sighting, Tracked
 from procedures.workcell.tracker_move import STILL
+from ronna_hw.arrays import Array
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.text import format_against_limit, format_count
-
-Array = NDArray[np.float64]
 
 # Safety against a cart that was rolled (U).
 GROSS_LIMIT_MM = 10.0  # of the frame on the arm, in any pose: a rolled cart, and no hand on the guide

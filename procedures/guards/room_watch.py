@@ -8,7 +8,6 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from procedures.engine.setting import CaseMemory
 from procedures.guards.errors import BaseShifted, InsertionDisturbed, PatientUnseen, RoomMoved, RoomUndecided
@@ -40,13 +39,12 @@ from procedures.workcell.arm_history import stands_at
 from procedures.workcell.patient_frame import seen_after
 from procedures.workcell.tracker_look import read_frames_at_rest
 from procedures.workcell.tracker_move import STILL, UNPUSHED, TrackerMove
-from ronna_hw.clock import Clock
+from ronna_hw.arrays import Array
 from ronna_hw.devices.readings import TrackerFrame
 from ronna_hw.errors import RonnaError
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.vectors import JointVector, Vector3
 
-Array = NDArray[np.float64]
 Refusal = RoomMoved | InsertionDisturbed | RoomUndecided | PatientUnseen
 FlangePose = Callable[[JointVector, Sequence[int] | None], Transform]  # ROBOT <- FLANGE
 
@@ -81,7 +79,6 @@ class RoomLook:
 
     @property
     def reading(self) -> RoomReading:
-        """Reading that was held against the looks before."""
         return self.judged.reading
 
     @property
@@ -410,23 +407,18 @@ class RoomWatch:
 
 
 def read_watched(
-    room: RoomWatch,
-    workcell: Workcell,
-    clock: Clock,
-    count: int = FRAMES,
-    sides: ArrivedSides = AS_KNOWN,
+    room: RoomWatch, workcell: Workcell, count: int = FRAMES, sides: ArrivedSides = AS_KNOWN
 ) -> RoomReading:
     """Read the room with the arm at rest; carefully, if a short reading shows that something has moved."""
-    reading = room.read(workcell, read_frames_at_rest(workcell.tracker, clock, count=count)[0], sides)
+    reading = room.read(workcell, read_frames_at_rest(workcell, count=count)[0], sides)
     if reading.is_careful or room.judge(reading).motion is None:
         return reading
-    return room.read(workcell, read_frames_at_rest(workcell.tracker, clock, count=CAREFUL_FRAMES)[0], sides)
+    return room.read(workcell, read_frames_at_rest(workcell, count=CAREFUL_FRAMES)[0], sides)
 
 
 def check_now(
     room: RoomWatch,
     workcell: Workcell,
-    clock: Clock,
     memory: CaseMemory,
     void: Callable[[RonnaError], None],
     count: int = FRAMES,
@@ -436,10 +428,10 @@ def check_now(
 
     An arm at home that is not in its place is looked at once more after a moment: a hand may have touched it.
     """
-    look = room.compare(read_watched(room, workcell, clock, count, sides), clock.now_s())
+    look = room.compare(read_watched(room, workcell, count, sides), workcell.clock.now_s())
     if isinstance(touched := look.moved, BaseShifted) and look.reading.settled_home and touched.cart:
-        clock.sleep(TOUCHED_S)
-        look = room.compare(read_watched(room, workcell, clock, CAREFUL_FRAMES, sides), clock.now_s())
+        workcell.clock.sleep(TOUCHED_S)
+        look = room.compare(read_watched(room, workcell, CAREFUL_FRAMES, sides), workcell.clock.now_s())
         if look.moved is None:
             found = f"for a moment {touched.what}; it is back in its place: somebody has touched the arm"
             look = replace(look, findings=(*look.findings, found))

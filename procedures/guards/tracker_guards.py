@@ -18,7 +18,6 @@ from procedures.guards.head_sight import MOST_UNSEEN_S
 from procedures.guards.room_watch import RoomWatch, check_now
 from procedures.operator.question import Topic
 from procedures.workcell import Workcell
-from ronna_hw.clock import Clock
 from ronna_hw.devices import OpticalTracker
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import Validity
@@ -144,7 +143,6 @@ class HeadInSight:
     """
 
     workcell: Workcell
-    clock: Clock
     memory: CaseMemory
     void: Callable[[RonnaError], None]
     find: Callable[[str], None] = lambda _text: None
@@ -160,12 +158,12 @@ class HeadInSight:
     def unmet(self) -> str | None:
         """Describe why the head has been unseen for too long. Raises as `RoomLook.require`."""
         room = self.memory.find(RoomWatch)
-        if room is None or not room.head_sight.is_overdue(self.clock.now_s()):
+        if room is None or not room.head_sight.is_overdue(self.workcell.clock.now_s()):
             return None
-        look = check_now(room, self.workcell, self.clock, self.memory, self.void)
+        look = check_now(room, self.workcell, self.memory, self.void)
         for finding in look.findings:
             self.find(finding)
-        now_s = self.clock.now_s()
+        now_s = self.workcell.clock.now_s()
         if not room.head_sight.is_overdue(now_s):
             return None
         why = ARM_IN_THE_WAY if room.head_sight.is_hidden_by_arm else CLEAR_THE_LINE

@@ -62,7 +62,7 @@ def describe_planned_motions(case: Case, key: StepKey, setting: CaseSetting) -> 
         return lines if workcell.master.place.is_home else ("the arm is not home; from home it would", *lines)
     if key.name == KnownBases.kind:
         return BOTH_ARMS
-    if key.name == ReachedTarget.kind and workcell.assistants:
+    if key.name == ReachedTarget.kind and len(workcell.arms) > 1:
         return _describe_assistance(key.trajectory)
     paths = stored.result
     if key.name == Relocalization.kind:
@@ -125,7 +125,6 @@ def _sphere_below(paths: CheckedPaths, key: StepKey, workcell: Workcell) -> int 
 
 
 def _describe_assistance(trajectory: str | None) -> tuple[str, ...]:
-    """Describe the motions of the assistant at a target."""
     return (
         "the turn of the holder about the bore, and the way there, are chosen when the guide is in its place",
         f"{MOVE} of the assistant from home to over the guide at {trajectory}",

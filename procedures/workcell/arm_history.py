@@ -165,7 +165,6 @@ class ArmPlace:
 
     @property
     def is_home(self) -> bool:
-        """Whether the arm is at home."""
         return self.place_kind is PlaceKind.HOME
 
     @property

@@ -17,11 +17,7 @@ from typing import NoReturn, TypeVar
 
 from procedures.workcell.errors import INSTRUMENT_IN_GUIDE, OTHER_ARM_MOVING, BothArmsHalted, OtherArmUnknown
 from procedures.workcell.placed_arms import PlacedArms, RolePair
-from ronna_hw.arm.clearance.arm_pair import (
-    APART_MM,
-    SampledPath,
-    require_apart,
-)
+from ronna_hw.arm.clearance.arm_pair import APART_MM, SampledPath, require_apart
 from ronna_hw.arm.clearance.bodies import Surroundings
 from ronna_hw.arm.clearance.live_pair import LivePair
 from ronna_hw.arm.errors import ForceLimitExceeded
@@ -101,7 +97,6 @@ class Arms:
         return self._open[role]
 
     def items(self) -> Iterator[tuple[str, RobotArm]]:
-        """Return each role with its arm."""
         return ((role, self._open[role]) for role in self.roles)
 
     def surround(self, role: str, surroundings: Surroundings) -> None:

@@ -18,17 +18,11 @@ from procedures.journal.journal import Entry
 from procedures.journal.results import FramedPose
 from procedures.operator.question import Topic
 from procedures.strategies.strategy import ONE_SIDE, Sides, approach_joints
-from procedures.workcell.arm_history import (
-    ArmLog,
-    HeldInstrument,
-    InsertionAxis,
-    MotionKind,
-)
+from procedures.workcell.arm_history import ArmLog, HeldInstrument, InsertionAxis, MotionKind
 from procedures.workcell.arms import Arms
 from procedures.workcell.errors import GUIDE_HELD_AT_ENTRY, INSTRUMENT_IN_GUIDE, OtherArmUnknown
 from procedures.workcell.motions import PlannedMotion, joints_after
 from procedures.workcell.supervised_arm import SupervisedArm
-from procedures.workcell.tools import CarriedTool
 from ronna_hw.arm.clearance.bodies import ARMS_OWN_RADII, Bodies, Capsule, Part, Surroundings
 from ronna_hw.arm.clearance.sweep import sweep
 from ronna_hw.arm.pose import Pose
@@ -113,12 +107,10 @@ class Assistant(SupervisedArm):
 
     @property
     def carries(self) -> str:
-        """Name of the load, as questions name it."""
         return "the holder"
 
     @property
     def frame(self) -> str:
-        """Name that the tracker has for the frame on the holder."""
         return self.holder.frame
 
     @property
@@ -288,11 +280,7 @@ class Assistant(SupervisedArm):
         The journal has it before anybody is asked to put it in.
         """
         self._log.write(
-            Entry.HELD,
-            trajectory=held.trajectory,
-            held=True,
-            tip_mm=held.tip_mm,
-            at_bore=list(held.at_bore),
+            Entry.HELD, trajectory=held.trajectory, held=True, tip_mm=held.tip_mm, at_bore=list(held.at_bore)
         )
         self._take_into_account()
 
@@ -337,17 +325,8 @@ class Assistant(SupervisedArm):
         return self.supervised.carry_out(self.settle_motion(joints_rad, arriving))
 
     def settle_motion(self, joints_rad: JointVector, arriving: Sides = ONE_SIDE) -> PlannedMotion:
-        """Return the motion that `settle` would make."""
         before = JointMove(approach_joints(joints_rad, arriving or ONE_SIDE))
         return self.joint_motion(MotionKind.SETTLE, before, JointMove(joints_rad))
-
-    def go(self, joints_rad: JointVector) -> ArmReading:
-        """Move straight to joint angles, on the way to others."""
-        return self.supervised.carry_out(self.go_motion(joints_rad))
-
-    def go_motion(self, joints_rad: JointVector) -> PlannedMotion:
-        """Return the motion that `go` would make."""
-        return self.joint_motion(MotionKind.GO, JointMove(joints_rad))
 
     def insert_motion(
         self, axis: InsertionAxis, near_rad: JointVector | None = None, guided: GuidedStretch | None = None
@@ -404,13 +383,8 @@ class Assistant(SupervisedArm):
         self.supervised.confirm(Topic.RETREAT, subject, [motion], motion.trajectory)
         self.withdraw(guided)
 
-    def leave(self) -> None:
-        """Return home; the holder is empty by then."""
-        self.return_home()
-
     @property
     def way_home(self) -> tuple[str, ...]:
-        """Motions of `leave`, in words."""
         return ("the assistant goes home",) if self.place.is_out else ()
 
     @property
@@ -463,11 +437,12 @@ class Assistant(SupervisedArm):
         self, axis: InsertionAxis, travel_mm: float, speed_mm_s: float, near_rad: JointVector | None = None
     ) -> LineMove:
         """Return the line to a place of the clamp on an axis, `travel_mm` from its start."""
-        clamp, flange_from_clamp = _as_any_arm(axis.pose_at(travel_mm)), self.flange_from_clamp
-        carried = CarriedTool(self.calibrated, flange_from_clamp)
-        commanded = carried.commanded(clamp, lambda: near_rad or self.joints_rad(), axis.arriving)
+        clamp = _as_any_arm(axis.pose_at(travel_mm))
+        commanded = self.calibrated.pose_to_command(
+            clamp, self.flange_from_clamp, lambda: near_rad or self.joints_rad(), axis.arriving
+        )
         share = min(1.0, speed_mm_s / self._arm.limits().line_speed_mm_s)
-        return LineMove(commanded, flange_from_clamp, share)
+        return LineMove(commanded, self.flange_from_clamp, share)
 
     def _along(self, what: MotionKind, axis: InsertionAxis, *legs: LineMove) -> PlannedMotion:
         end = axis.held if what is MotionKind.INSERT else axis.start

@@ -53,13 +53,9 @@ class PreviewingArm(Protocol):
     """Arm, or simulated plan of one, that can preview motions."""
 
     @property
-    def kinematics(self) -> Kinematics:
-        """Kinematics of the arm."""
-        ...
+    def kinematics(self) -> Kinematics: ...
 
-    def preview(self, motion: Motion, *, start_rad: JointVector) -> PathPreview:
-        """Preview a motion that starts at the given joints."""
-        ...
+    def preview(self, motion: Motion, *, start_rad: JointVector) -> PathPreview: ...
 
 
 @dataclass(frozen=True)
@@ -72,7 +68,6 @@ class MotionFacts:
     detour: str = ""  # such as `via home`
 
     def __str__(self) -> str:
-        """Return a one-line description for the operator."""
         moves = f"{self.what} moves {_format_nonzero(self.travel_mm)} mm{self.by}, {self.turn()}"
         return "; ".join((f"{moves}, {self.duration()} at {self.speed()}", *self.clearances()))
 
@@ -82,16 +77,13 @@ class MotionFacts:
         return self.detour and f" {self.detour}"
 
     def turn(self) -> str:
-        """Describe the largest turn of a joint."""
         turns_rad = [high - low for one in self.previews for low, high in one.joint_ranges_rad]
         return f"joints turn up to {_format_nonzero(math.degrees(max(turns_rad)))} deg"
 
     def speed(self) -> str:
-        """Describe the largest speed of a body."""
         return f"up to {_format_nonzero(max(one.largest_speed_mm_s for one in self.previews))} mm/s"
 
     def duration(self) -> str:
-        """Describe the duration."""
         return f"in {sum(one.duration_s for one in self.previews):.1f} s"
 
     def clearances(self) -> list[str]:

@@ -52,12 +52,10 @@ class PlacedArms:
         self._bases[role], self._uncertain_mm[role] = base, uncertain_mm
 
     def is_placed(self, role: str) -> bool:
-        """Return whether the base of an arm is known."""
         return role in self._bases
 
     @property
     def are_all_placed(self) -> bool:
-        """Whether the bases of all arms are known."""
         return all(map(self.is_placed, self.roles))
 
     def require_all_placed(self) -> None:
@@ -70,7 +68,6 @@ class PlacedArms:
                 )
 
     def others(self, role: str) -> list[str]:
-        """Return the roles of the other arms."""
         return [one for one in self.roles if one != role]
 
     def allow_contact(

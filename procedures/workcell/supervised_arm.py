@@ -210,9 +210,9 @@ class SupervisedArm(ABC):
         The question names a `doubt`. Raises PRO-002, and as a motion along the axis.
         """
 
-    @abstractmethod
     def leave(self) -> None:
         """Go home from wherever it is, with no instrument in the guide. Raises PRO-002."""
+        self.return_home()
 
     @property
     @abstractmethod
@@ -223,14 +223,19 @@ class SupervisedArm(ABC):
         """Return a motion by joint moves, with what the arm carries."""
         return PlannedMotion(what, self.carries, legs[-1].target_rad, legs)
 
+    def go_motion(self, joints_rad: JointVector) -> PlannedMotion:
+        return self.joint_motion(MotionKind.GO, JointMove(joints_rad))
+
+    def go(self, joints_rad: JointVector) -> ArmReading:
+        """Move to joint angles, by the planned detour if the direct path is not clear. Raises ARM-007."""
+        return self.supervised.carry_out_with_detour(self.go_motion(joints_rad))
+
     def home_motion(self) -> PlannedMotion:
-        """Return the motion that `go_home` would make."""
         home_rad = self.home_rad
         before = JointMove(approach_joints(home_rad, ONE_SIDE))
         return self.joint_motion(MotionKind.HOME, before, JointMove(home_rad))
 
     def return_motion(self) -> PlannedMotion:
-        """Return the motion that `return_home` would make."""
         home = self.home_motion()
         trail = reversed(self.history.trail)
         back = tuple(self.joint_motion(MotionKind.BACK, JointMove(joints_rad)) for joints_rad in trail)

@@ -14,12 +14,7 @@ from procedures.journal.errors import JournalNotWritable
 from procedures.journal.journal import Entry, Journal
 from procedures.planning.tool_records import ToolRecords
 from procedures.room.sighting import Sighting
-from procedures.workcell.arm_history import (
-    ArmHistory,
-    ArmLog,
-    HeldInstrument,
-    describe_instrument,
-)
+from procedures.workcell.arm_history import ArmHistory, ArmLog, HeldInstrument, describe_instrument
 from procedures.workcell.arms import Arms, Halt
 from procedures.workcell.assistant import Assistant
 from procedures.workcell.device_views import DeviceView
@@ -72,7 +67,7 @@ class Workcell:
         self.calibrations = theatre.calibrations if calibrations is None else calibrations
         self.tools = ToolRecords.of(theatre.file, calibrating=calibrating)
         self.patient_frame = theatre.file.procedure.patient_frame  # the tracker's name for it, if any
-        self._theatre = theatre
+        self._theatre, self.clock = theatre, theatre.clock
         logs = {role: ArmLog(journal, theatre.clock, history) for role, history in histories.items()}
         self._log = logs[MASTER]
         self.motion = make_arms(
@@ -98,7 +93,6 @@ class Workcell:
 
     @property
     def tracker(self) -> OpticalTracker:
-        """Optical tracker."""
         return self._theatre.tracker
 
     @property
@@ -223,7 +217,7 @@ class Workcell:
 
     def look(self) -> Look:
         """Take a stereo pair and measure the sphere in it. Raises STE-012 without a fresh, complete pair."""
-        seen = look(self.stereo, self.calibrations.stereo_head, self._theatre.clock)
+        seen = look(self.stereo, self.calibrations.stereo_head, self.clock)
         self.on_look(seen)
         return seen
 

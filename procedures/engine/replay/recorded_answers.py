@@ -214,13 +214,6 @@ def read_answers(run: Path) -> RecordedAnswers:
     return RecordedAnswers(opening, run / READINGS_FOLDER / PIXELS_FILE, sections)
 
 
-class TimedValue(NamedTuple):
-    """Value of a successful answer, with its theatre time."""
-
-    theatre_time_s: float
-    value: object
-
-
 class RecordedReading(NamedTuple):
     """Successful answer on the tape. `load` parses its value and raises PRO-024 if it is damaged."""
 
@@ -241,12 +234,6 @@ def iterate_readings(run: Path) -> Iterator[RecordedReading]:
         kind = ANSWERS[line.call]
         load = partial(answers.value_of, line.device, line.call, line.answer, kind)
         yield RecordedReading(line.section, line.device, line.call, line.theatre_time_s, kind, load)
-
-
-def read_in_order(run: Path) -> Iterator[tuple[int, str, str, TimedValue]]:
-    """Yield section, device, call and value of all successful answers in order. Raises PRO-024."""
-    for one in iterate_readings(run):
-        yield one.section, one.device, one.call, TimedValue(one.theatre_time_s, one.load())
 
 
 def describe_torn_end(run: Path) -> str:

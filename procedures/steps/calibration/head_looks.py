@@ -28,12 +28,12 @@ from procedures.steps.calibration.ball_place import (
     SPARE,
     BallPlace,
     bring_over_ball,
+    measuring_step,
     return_home_if_clear,
+    start_around_ball,
 )
 from procedures.steps.clinical.set_up import CheckedSetUp
-from procedures.steps.conditions import needs_tool
-from procedures.workcell import MountedTool
-from procedures.workcell.ball_watcher import BallWatcher, build_ball_surroundings
+from procedures.workcell.ball_watcher import BallWatcher
 from procedures.workcell.stereo_look import Look, pair_picture
 from ronna_hw.calibration import Numbers3, StereoHeadCalibration
 
@@ -85,19 +85,8 @@ def _keep_look(context: StepContext, seen: Look) -> Outcome[BallMeasurement]:
     )
 
 
-def look_step(*, over_ball: bool) -> StepSpec[BallMeasurement]:
-    """Build the step that takes one look, with or without motion."""
-    if not over_ball:
-        return StepSpec(BallMeasurement, "Look", Phase.OPERATION, run_in_place)
-    return StepSpec(
-        BallMeasurement,
-        "Measure the ball",
-        Phase.OPERATION,
-        run_over_ball,
-        reads=(CheckedSetUp, BallPlace),
-        moves=True,
-        preconditions=needs_tool(MountedTool.STEREO_HEAD),
-    )
+LOOK_IN_PLACE = StepSpec(BallMeasurement, "Look", Phase.OPERATION, run_in_place)
+LOOK_OVER_BALL = measuring_step(BallMeasurement, "Measure the ball", run_over_ball, BallPlace)
 
 
 class ObservedBall(StepResult, kind="ball_observation"):
@@ -149,15 +138,8 @@ def _observe_ball(context: StepContext, poses: int, visits: int) -> Outcome[Obse
 
 def observation_step(poses: int, visits: int) -> StepSpec[ObservedBall]:
     """Build the step with `poses` calibration poses and `visits` to each check orientation."""
-    return StepSpec(
-        ObservedBall,
-        "Measure the ball",
-        Phase.OPERATION,
-        partial(_observe_ball, poses=poses, visits=visits),
-        reads=(CheckedSetUp, BallPlace),
-        moves=True,
-        preconditions=needs_tool(MountedTool.STEREO_HEAD),
-    )
+    run = partial(_observe_ball, poses=poses, visits=visits)
+    return measuring_step(ObservedBall, "Measure the ball", run, BallPlace)
 
 
 def check_look(
@@ -211,10 +193,7 @@ def _visit_baseline(context: StepContext, baseline: Baseline, visits: int) -> Ou
         for orientation in baseline.orientations
     ]
     watcher = BallWatcher(workcell, baseline.ball_mm)
-    tool = workcell.master.flange_from(MountedTool.STEREO_HEAD)
-    workcell.master.surround(build_ball_surroundings(context.setting.surroundings, tool, watcher.ball_mm))
-    workcell.start(cameras=True)
-    workcell.sensors.read_whole()
+    start_around_ball(context, watcher.ball_mm)
     seen = []
     for visit in range(visits):
         for number, one in enumerate(first):
@@ -247,12 +226,5 @@ def _require_same_cameras(in_use: StereoHeadCalibration, baseline: StereoHeadCal
 
 def visit_step(baseline: Baseline, visits: int) -> StepSpec[VisitedBaseline]:
     """Build the step that visits the poses of a baseline."""
-    return StepSpec(
-        VisitedBaseline,
-        "Measure the ball again",
-        Phase.OPERATION,
-        partial(_visit_baseline, baseline=baseline, visits=visits),
-        reads=(CheckedSetUp,),
-        moves=True,
-        preconditions=needs_tool(MountedTool.STEREO_HEAD),
-    )
+    run = partial(_visit_baseline, baseline=baseline, visits=visits)
+    return measuring_step(VisitedBaseline, "Measure the ball again", run)

@@ -8,22 +8,14 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from procedures.calibration.arm_check import require_record
-from procedures.calibration.arm_model import (
-    ArmLooks,
-    ArmModel,
-    Flanks,
-    SphereLook,
-    arrays_of,
-    choose_poses,
-)
+from procedures.calibration.arm_model import ArmLooks, ArmModel, Flanks, SphereLook, arrays_of, choose_poses
 from procedures.calibration.errors import NO_BALL, POSES_OUT_OF_REACH
 from procedures.calibration.pose_set import PlannedLook, order_by_orientation, plan_centred_looks
 from procedures.engine.context import StepContext
-from procedures.engine.order import Outcome, Phase, StepSpec
+from procedures.engine.order import Outcome, StepSpec
 from procedures.journal.results import StepResult
 from procedures.operator.question import Topic
 from procedures.relocalization.errors import SphereNotInView
@@ -31,15 +23,17 @@ from procedures.steps.calibration.ball_place import (
     BALL_PICTURE,
     BallPlace,
     find_isolated,
+    measuring_step,
     reachable_joints,
     return_home_if_clear,
+    start_around_ball,
 )
 from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.set_up import CheckedSetUp
-from procedures.steps.conditions import needs_tool
-from procedures.workcell import MountedTool, Workcell
-from procedures.workcell.ball_watcher import BallWatcher, build_ball_surroundings
+from procedures.workcell import Workcell
+from procedures.workcell.ball_watcher import BallWatcher
 from procedures.workcell.stereo_look import pair_picture
+from ronna_hw.arrays import Array
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.errors import LimitError
 from ronna_hw.frames import Frame
@@ -121,9 +115,7 @@ def _plan_looks(
     wanted = informative_count + validation_count
     each = max(CANDIDATES, math.ceil(CHOICE * wanted / len(places)))
     reached = [
-        _PlannedSphereLook(
-            look, _build_placeholder(number, joints, flanks_of(order, len(joints)), validation=False)
-        )
+        _PlannedSphereLook(look, _expect_look(number, joints, order))
         for number, place in enumerate(places)
         for order, look in enumerate(plan_centred_looks(place.reference, place.ball_mm, each))
         if (joints := reachable_joints(workcell, look)) is not None
@@ -154,12 +146,7 @@ def _look_at_sphere(
 ) -> list[SphereLook]:
     workcell = context.workcell
     watcher = BallWatcher(workcell, np.array(place.ball_mm))
-    tool = workcell.master.flange_from(MountedTool.STEREO_HEAD)
-    workcell.master.surround(
-        build_ball_surroundings(context.setting.surroundings, tool, watcher.ball_mm, place.others_mm)
-    )
-    workcell.start(cameras=True)
-    workcell.sensors.read_whole()
+    start_around_ball(context, watcher.ball_mm, place.others_mm)
     try:
         context.keep_picture(BALL_PICTURE, pair_picture(watcher.find(place.first_look)))
     except (LimitError, SphereNotInView) as error:
@@ -193,15 +180,8 @@ def _look_at_sphere(
 
 def looks_step(count: int, validation: int) -> StepSpec[ObservedSpheres]:
     """Build the step, with `count` looks for the fit and `validation` looks to validate it."""
-    return StepSpec(
-        ObservedSpheres,
-        "Measure the spheres",
-        Phase.OPERATION,
-        partial(_measure_spheres, count=count, validation=validation),
-        reads=(CheckedSetUp, GlobalLocalization),
-        moves=True,
-        preconditions=needs_tool(MountedTool.STEREO_HEAD),
-    )
+    run = partial(_measure_spheres, count=count, validation=validation)
+    return measuring_step(ObservedSpheres, "Measure the spheres", run, GlobalLocalization)
 
 
 def flanks_of(number: int, axes: int) -> Flanks:
@@ -210,9 +190,7 @@ def flanks_of(number: int, axes: int) -> Flanks:
     return tuple(1 if pattern >> axis & 1 else -1 for axis in range(axes))
 
 
-def _select_places(
-    points_mm: NDArray[np.float64], workcell: Workcell, remarks: list[str]
-) -> tuple[BallPlace, ...]:
+def _select_places(points_mm: Array, workcell: Workcell, remarks: list[str]) -> tuple[BallPlace, ...]:
     """Return the isolated spheres within reach, the nearest to the head first. Raises CAL-009."""
     isolated_spheres = find_isolated(points_mm)
     if not isolated_spheres:
@@ -234,14 +212,12 @@ def _describe_place(place: BallPlace) -> str:
     return f"the sphere at {x:.0f} {y:.0f} {z:.0f} mm"
 
 
-def _build_placeholder(
-    sphere: int, joints_rad: JointVector, flanks: Flanks, *, validation: bool
-) -> SphereLook:
+def _expect_look(sphere: int, joints_rad: JointVector, order: int) -> SphereLook:
     return SphereLook(
         sphere=sphere,
         joints_rad=joints_rad,
-        flanks=flanks,
+        flanks=flanks_of(order, len(joints_rad)),
         point_mm=(0.0, 0.0, 0.0),
         covariance_mm2=NOT_KNOWN,
-        validation=validation,
+        validation=False,
     )

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 from scipy.spatial.transform import RigidTransform
 
@@ -35,19 +34,19 @@ from procedures.engine.order import Outcome, Phase, StepSpec
 from procedures.engine.questions import IN_DIVOT
 from procedures.journal.results import StepResult
 from procedures.operator.question import Task, Topic
-from procedures.steps.calibration.ball_place import SPARE, BallPlace, bring_over_ball
+from procedures.steps.calibration.ball_place import SPARE, BallPlace, bring_over_ball, measuring_step
 from procedures.steps.clinical.set_up import CheckedSetUp
 from procedures.steps.clinical.tool_mounting import exchange_tool
-from procedures.steps.conditions import needs_exchangeable_tool, needs_tool
+from procedures.steps.conditions import needs_exchangeable_tool
 from procedures.strategies.strategy import ONE_SIDE
 from procedures.workcell import MountedTool
 from procedures.workcell.ball_watcher import BallWatcher, build_free_surroundings, build_stand
+from ronna_hw.arrays import Array
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.wire.room_tasks import DIALS, OnStand
 
 TILT_RAD = float(np.radians(25.0))
 TURN_RAD = float(np.radians(40.0))
-Array = NDArray[np.float64]
 HOVER_MM = 40.0  # back along the guide, before and after the divot
 READS = tuple(f"{axis} in mm, along the axes of the robot" for axis in "xyz")
 NEAR_MM = 0.3  # a reading below it needs no other: dials a degree askew then show 0.005 mm too much
@@ -144,15 +143,8 @@ def stand_place_step() -> StepSpec[BallPlace]:
 
 def stand_step(count: int) -> StepSpec[ObservedStand]:
     """Build the step that measures the stand's ball in `count` orientations."""
-    return StepSpec(
-        ObservedStand,
-        "Measure the stand's ball",
-        Phase.OPERATION,
-        partial(_measure_stand, count=count),
-        reads=(CheckedSetUp, BallPlace),
-        moves=True,
-        preconditions=needs_tool(MountedTool.STEREO_HEAD),
-    )
+    run = partial(_measure_stand, count=count)
+    return measuring_step(ObservedStand, "Measure the stand's ball", run, BallPlace)
 
 
 class TipReadings(StepResult, kind="tip_readings"):
@@ -252,10 +244,9 @@ class _Reading:
     def _pose(self, over: BallLook, away_mm: float) -> Transform:
         """Return the pose ROBOT <- TOOL of the guide with its tip `away_mm` short of the measured ball."""
         workcell = self.context.workcell
-        head, guide = (
-            workcell.master.flange_from(MountedTool.STEREO_HEAD),
-            workcell.master.flange_from(MountedTool.GUIDE),
-        )
+        tools = (MountedTool.STEREO_HEAD, MountedTool.GUIDE)
+        head, guide = map(workcell.master.flange_from, tools)
+
         flange = over.robot_from_flange.transform(Frame.ROBOT, Frame.FLANGE)
         ball = (flange @ head).apply(over.ball_mm)
         tip = head.apply(self._tip_mm(guide, head))  # flange frame

@@ -15,7 +15,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from procedures.calibration.arm_sources import ArmPoses, arm_sources
 from procedures.engine.context import StepContext
@@ -39,11 +38,10 @@ from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.relocalization import arriving
 from procedures.steps.clinical.results import Prediction
 from procedures.strategies.trajectory import refine_target_pose
+from ronna_hw.arrays import Array
 from ronna_hw.calibrated_arm.error_budget import ErrorSizes, backlash_mm2
 from ronna_hw.frames import Transform
 from ronna_hw.vectors import JointVector
-
-Array = NDArray[np.float64]
 
 REPEATABILITY_MM = 0.03  # per axis: robot at rest, and the servo's tolerance
 # The arm's error varies slowly with its joints: neighbouring points share it, distant ones do not, so they
@@ -99,12 +97,7 @@ def find_moved_spheres(
 
 
 def find_undetected_sphere(
-    fit: Registration,
-    target_mm: Array,
-    gate: FreGate,
-    measured_mm2: Array,
-    arm_mm: float,
-    shared_mm: Array,
+    fit: Registration, target_mm: Array, gate: FreGate, measured_mm2: Array, arm_mm: float, shared_mm: Array
 ) -> UnnoticedPoint:
     """Find the sphere whose displacement could move the target furthest while still passing the `gate`.
 

@@ -98,9 +98,7 @@ def run(context: StepContext) -> Outcome[PositionedGuide]:
             context.progress(0.5, f"moving along {trajectory}")
             reached = workcell.master.insert(insertion)
         look = look_at_target(context)
-    rest = measure_guide_at_rest(
-        workcell, context.setting.clock, trajectory, look.reading.tracker_frames, context.find
-    )
+    rest = measure_guide_at_rest(workcell, trajectory, look.reading.tracker_frames, context.find)
     context.setting.memory.keep(rest)
     return Outcome(
         PositionedGuide(tool_pose=FramedPose.of(insertion.held), joints_rad=reached.joints_rad),

@@ -14,7 +14,6 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from procedures.engine.context import StepContext
 from procedures.engine.order import Outcome, Phase, Scope, StepSpec
@@ -34,11 +33,10 @@ from procedures.strategies.strategy import ONE_SIDE
 from procedures.workcell import MountedTool
 from procedures.workcell.centring import CentredSphere, Centring
 from procedures.workcell.stereo_look import pair_picture
+from ronna_hw.arrays import Array
 from ronna_hw.calibrated_arm.error_budget import ErrorSizes
 from ronna_hw.errors import RonnaError, is_error
 from ronna_hw.text import format_against_limit
-
-Array = NDArray[np.float64]
 
 SMALL_STEPS = "the small steps over each sphere, or in search of one that is not seen"
 # Safety against a sphere taken for another. Source: chi distribution of three axes.

@@ -8,16 +8,9 @@ from contextlib import suppress
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
-from procedures.calibration.base_to_base import (
-    LEAST_BALL_LOOKS,
-    BallFit,
-    BallLooks,
-    BaseToBase,
-    refine_bases,
-)
+from procedures.calibration.base_to_base import LEAST_BALL_LOOKS, BallFit, BallLooks, BaseToBase, refine_bases
 from procedures.calibration.errors import POSES_OUT_OF_REACH, DegeneratePoses
 from procedures.calibration.pose_set import plan_poses_about
 from procedures.steps.clinical.two_arms.base_postures import (
@@ -31,11 +24,10 @@ from procedures.steps.clinical.two_arms.base_postures import (
 )
 from procedures.steps.clinical.two_arms.base_visits import ArmVisits, PlannedGuide, list_possible, stated_arms
 from procedures.strategies.strategy import ONE_SIDE
+from ronna_hw.arrays import Array
 from ronna_hw.errors import LimitError
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.vectors import JointVector
-
-Array = NDArray[np.float64]
 
 BALL_ABOVE_GUIDE_MM = 10.0  # higher, both arms would be in other postures than with the instrument
 LEAST_POSTURES = 8  # 16 looks: the instrument is then 0.07 mm off the bore, 2-D, after twelve looks 0.09

@@ -7,7 +7,6 @@ both arms go home, where the tracker sees whether a platform has moved since.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from procedures.calibration.base_to_base import bases_by_frames
 from procedures.calibration.errors import PlatformMoved
@@ -34,6 +33,7 @@ from procedures.steps.clinical.two_arms.frame_looks import (
 )
 from procedures.steps.conditions import REMOUNTED, needs_tool
 from procedures.workcell import MountedTool
+from ronna_hw.arrays import Array
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.text import format_against_limit
 from ronna_hw.vectors import vector3
@@ -132,7 +132,7 @@ def bring_arms_home(visits: ArmVisits) -> None:
             arm.return_home()
 
 
-def _pose(target: Frame, source: Frame, matrix: NDArray[np.float64]) -> FramedPose:
+def _pose(target: Frame, source: Frame, matrix: Array) -> FramedPose:
     return FramedPose.of(Transform.from_matrix(target, source, matrix))
 
 

@@ -11,7 +11,6 @@ from itertools import islice
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from procedures.calibration.arm_errors import StatedArm
 from procedures.engine.context import StepContext
@@ -32,6 +31,7 @@ from procedures.workcell.assistant import Assistant
 from procedures.workcell.supervised_arm import SupervisedArm
 from ronna_hw.arm.clearance.bodies import Surroundings
 from ronna_hw.arm.errors import NotClear
+from ronna_hw.arrays import Array
 from ronna_hw.calibrated_arm.error_budget import ErrorSizes
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import TrackerFrame
@@ -39,8 +39,6 @@ from ronna_hw.devices.sensors import measuring_volume_mm
 from ronna_hw.errors import LimitError
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.vectors import JointVector
-
-Array = NDArray[np.float64]
 
 
 class PlannedGuide(NamedTuple):
@@ -64,7 +62,6 @@ class ArmVisits:
 
     @property
     def cell(self) -> Workcell:
-        """Workcell of the case."""
         return self.context.workcell
 
     @property

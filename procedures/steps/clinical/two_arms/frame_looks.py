@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterable
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from procedures.calibration.base_to_base import LEAST_FRAME_LOOKS
 from procedures.calibration.errors import POSES_OUT_OF_REACH
@@ -27,12 +26,11 @@ from procedures.strategies.strategy import ONE_SIDE
 from procedures.workcell import Workcell
 from procedures.workcell.supervised_arm import SupervisedArm
 from procedures.workcell.tracker_look import mean_pose, robot_from_marker
+from ronna_hw.arrays import Array
 from ronna_hw.devices.readings import TrackerFrame
 from ronna_hw.devices.sensors import measuring_volume_mm
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.vectors import JointVector
-
-Array = NDArray[np.float64]
 
 # Three sigma of the frame's turn on its flange (half a degree) over 0.7 m from home, and of its place (1 mm).
 FIRST_GUESS_MM = 20.0

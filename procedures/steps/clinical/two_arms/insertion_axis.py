@@ -37,6 +37,7 @@ from procedures.workcell.assistant import Assistant
 from ronna_hw.devices.sensors import VolumeSections, measuring_volume_mm
 from ronna_hw.errors import LimitError
 from ronna_hw.frames import Transform
+from ronna_hw.roles import ASSISTANT
 from ronna_hw.tool_record import GuideBore
 from ronna_hw.vectors import JointVector
 
@@ -223,7 +224,8 @@ def _hides_head(context: StepContext, one: _Candidate) -> bool:
     assert workcell.master.surroundings is not None
     expected = ExpectedSight(context, room_watch(context), workcell.master.surroundings)
     here_rad = workcell.master.joints_rad()
-    return any(expected.hidden_at(here_rad, at_rad) for at_rad in (one.start_rad, one.held_rad))
+    others = ({ASSISTANT: at_rad} for at_rad in (one.start_rad, one.held_rad))
+    return any(expected.hidden_at(here_rad, others_rad) for others_rad in others)
 
 
 def _count_alike(reasons: Sequence[str]) -> str:
