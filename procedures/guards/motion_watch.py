@@ -11,14 +11,7 @@ from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, field
 
 from procedures.engine.setting import CaseMemory
-from procedures.guards.errors import (
-    BaseShifted,
-    InsertionDisturbed,
-    PatientMoved,
-    PatientUnseen,
-    RoomMoved,
-    RoomUndecided,
-)
+from procedures.guards import errors
 from procedures.guards.guide_displacement import PUSHED_MM, GuideAtRest
 from procedures.guards.head_frames import PATIENT_LIMIT_MM, HeadFrames, PatientFrames
 from procedures.guards.room_motion import GROSS_LIMIT_MM
@@ -94,7 +87,7 @@ class MotionWatch:
         seen = thread.end()
         self._conclude(seen, what)
         if seen.is_overdue and motion == MotionKind.INSERT:
-            raise PatientUnseen(f"{UNSEEN}: {what} had ended before the arm could be stopped")
+            raise errors.PatientUnseen(f"{UNSEEN}: {what} had ended before the arm could be stopped")
 
     @property
     def _is_wanted(self) -> bool:
@@ -105,7 +98,7 @@ class MotionWatch:
     def _conclude(self, seen: WatchThread, what: str) -> None:
         if seen.has_moved:
             moved = self._identify_cause(seen, what)
-            if isinstance(moved, RoomMoved):
+            if isinstance(moved, errors.RoomMoved):
                 self.void(moved)  # first: the watch goes on until this is written
             if moved is not None:
                 self.memory.drop(RoomWatch)  # the same move must not stop the way out
@@ -114,7 +107,7 @@ class MotionWatch:
                 seen.guide.look(self.workcell, seen.room)
         elif seen.disturbed:
             limit, got = seen.limit or None, seen.got or None
-            raise InsertionDisturbed(f"{seen.disturbed} during {what}", limit=limit, got=got)
+            raise errors.InsertionDisturbed(f"{seen.disturbed} during {what}", limit=limit, got=got)
         elif seen.pushed_mm > PUSHED_MM:
             self.find(f"{PUSHED} by up to {seen.pushed_mm:.2f} mm during {what}")
         if seen.problem:
@@ -128,7 +121,7 @@ class MotionWatch:
 
     def _identify_cause(
         self, seen: WatchThread, what: str
-    ) -> RoomMoved | RoomUndecided | InsertionDisturbed | None:
+    ) -> errors.RoomMoved | errors.RoomUndecided | errors.InsertionDisturbed | None:
         """Determine what has moved from a further reading at rest that includes the frame on the arm.
 
         None if only the tracker was moved, and could be followed.
@@ -147,15 +140,15 @@ class MotionWatch:
                 for finding in look.findings:
                     self.find(f"during {what}: {finding}")
                 return None
-        if isinstance(found, RoomMoved | RoomUndecided | InsertionDisturbed):
+        if isinstance(found, errors.RoomMoved | errors.RoomUndecided | errors.InsertionDisturbed):
             found.happened_during(what)
             return found
         if found is not None:
             self.find(f"no further reading after {what}: {found.summary}")
         if seen.moved_mm is None:
-            shifted = BaseShifted(
+            shifted = errors.BaseShifted(
                 f"{BASE_MOVED} during {what}", limit=f"{GROSS_LIMIT_MM:g} mm", got=f"{seen.base_mm:.1f} mm"
             )
             shifted.frame_off_mm = seen.base_mm
             return shifted
-        return PatientMoved.from_shift(f"{MOVED} during {what}", seen.moved_mm, PATIENT_LIMIT_MM)
+        return errors.PatientMoved.from_shift(f"{MOVED} during {what}", seen.moved_mm, PATIENT_LIMIT_MM)

@@ -10,16 +10,9 @@ from functools import partial
 import numpy as np
 
 from procedures.engine.setting import CaseMemory
+from procedures.guards import room_motion
 from procedures.guards.errors import BaseShifted, InsertionDisturbed, PatientUnseen, RoomMoved, RoomUndecided
 from procedures.guards.head_sight import HeadSight
-from procedures.guards.room_motion import (
-    GROSS_LIMIT_MM,
-    Expected,
-    HeadSeen,
-    find_unseen,
-    name_motion,
-    push_of_tracker,
-)
 from procedures.guards.room_reading import (
     AS_KNOWN,
     CAREFUL_FRAMES,
@@ -249,15 +242,15 @@ class RoomWatch:
         """Hold a reading against all looks before, and count it among them if nothing has moved."""
         judged, findings = self.follow_tracker(self.judge(reading))
         reading, rows, motion, expected = judged.reading, judged.rows, judged.motion, self.expected(judged)
-        head = HeadSeen.of(expected)
+        head = room_motion.HeadSeen.of(expected)
         base_mm = None if expected.arm_way_mm is None else float(np.linalg.norm(expected.arm_way_mm))
         by_frame = head is not None and head.by_frame
         moved: Refusal | None = None
         if motion is not None:
             at_head = self.head_sight.is_approached or reading.on_axis
-            moved = name_motion(motion, expected, reading, approached=at_head)
+            moved = room_motion.name_motion(motion, expected, reading, approached=at_head)
         if moved is None:
-            moved = find_unseen(expected, reading)
+            moved = room_motion.find_unseen(expected, reading)
         if moved is None and len(rows.residual):
             findings += self._tell_by_frame(hidden=by_frame)
             self._count(judged.look, rows)
@@ -291,9 +284,11 @@ class RoomWatch:
         if Body.BASE not in rows.blocks:
             return None
         way_mm = self._arm_way_mm(rows)
-        if (moved_mm := float(np.linalg.norm(way_mm))) < GROSS_LIMIT_MM:
+        if (moved_mm := float(np.linalg.norm(way_mm))) < room_motion.GROSS_LIMIT_MM:
             return None
-        return RoomMotion(Moved.BASE, len(self.estimate.looks), moved_mm**2, GROSS_LIMIT_MM**2, way_mm)
+        return RoomMotion(
+            Moved.BASE, len(self.estimate.looks), moved_mm**2, room_motion.GROSS_LIMIT_MM**2, way_mm
+        )
 
     def with_look(self, look: Sighting, estimate: RoomEstimate | None = None) -> RoomEstimate:
         """Return the estimate, by default the present one, with a look that is only imagined."""
@@ -307,10 +302,10 @@ class RoomWatch:
         """Return by how much these bodies displace a point (3,), robot frame, as a look alone shows it."""
         return self.estimate.displacement_by(self._rows(look), point_mm, bodies)
 
-    def expected(self, judged: JudgedReading) -> Expected:
+    def expected(self, judged: JudgedReading) -> room_motion.Expected:
         """Return where everything is expected in a reading."""
         mount = self.estimate.model.arms[Tracked.ARM].flange_from_marker
-        return Expected(
+        return room_motion.Expected(
             judged.look,
             self.spheres_mm,
             self.clamp_mm,
@@ -344,7 +339,7 @@ class RoomWatch:
         motion, reading = judged.motion, judged.reading
         if motion is None or motion.moved is not Moved.TRACKER or not reading.is_careful:
             return judged, ()
-        push = push_of_tracker(self.expected(judged))
+        push = room_motion.push_of_tracker(self.expected(judged))
         self.tracker = self.tracker.then(STILL if push is None else push)
         self.tracker_moved(self.tracker)
         if push is None:
@@ -359,7 +354,7 @@ class RoomWatch:
         )
 
     def _unpushed(self, judged: JudgedReading) -> Rows | None:
-        push = push_of_tracker(self.expected(judged))
+        push = room_motion.push_of_tracker(self.expected(judged))
         if push is None:
             return None
         unpushed = judged.reading.moved_by(push.inverse(), self.robot_from_tracker)
@@ -403,7 +398,7 @@ class RoomWatch:
         length_mm = math.hypot(*way_mm)
         share = float(gone_mm @ way_mm) / length_mm**2 if length_mm > 0.0 else 0.0
         off_mm = math.hypot(*(gone_mm - min(1.0, max(0.0, share)) * way_mm))
-        return off_mm if off_mm > GROSS_LIMIT_MM + length_mm else None
+        return off_mm if off_mm > room_motion.GROSS_LIMIT_MM + length_mm else None
 
 
 def read_watched(

@@ -316,7 +316,8 @@ def _key_of(record: Record) -> StepKey:
 def _move_out(engine: Engine) -> bool:
     """Request instrument removal, retreat and bring the arm home; return whether anything moved."""
     workcell = engine.setting.workcell
-    if any(arm.place.is_out for arm in workcell.assistants):
+    *reaching_in, _ = workcell.outermost_first
+    if any(arm.place.is_out for arm in reaching_in):
         engine.retreat_home()  # first whatever may hold an instrument in the guide
         return True
     engine.questions.request_instrument_removal()

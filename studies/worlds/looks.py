@@ -58,6 +58,9 @@ class MovedBody(StrEnum):
     GUIDE = "guide"  # by a hand
 
 
+CARTS = {ArmRole.MASTER: MovedBody.CART, ArmRole.ASSISTANT: MovedBody.ASSISTANT_CART}
+
+
 @dataclass(frozen=True)
 class HiddenMove:
     """A twist of one or more bodies: what the looks resolve of it, and what the target feels.
@@ -108,11 +111,7 @@ class Looks:
     @property
     def _sighted(self) -> tuple[MovedBody, ...]:
         """The bodies that the tracker sees at home."""
-        return (
-            MovedBody.HEAD,
-            MovedBody.CART,
-            *((MovedBody.ASSISTANT_CART,) if self.scene.assistant else ()),
-        )
+        return (MovedBody.HEAD, *(CARTS[role] for role in self.scene.arms))
 
     def centre_mm(self, body: MovedBody) -> Array:
         """Return the point (3,) about which a fault script turns a body, robot frame."""

@@ -19,15 +19,7 @@ from procedures.engine.order import Outcome, StepSpec
 from procedures.journal.results import StepResult
 from procedures.operator.question import Topic
 from procedures.relocalization.errors import SphereNotInView
-from procedures.steps.calibration.ball_place import (
-    BALL_PICTURE,
-    BallPlace,
-    find_isolated,
-    measuring_step,
-    reachable_joints,
-    return_home_if_clear,
-    start_around_ball,
-)
+from procedures.steps.calibration import ball_place
 from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.set_up import CheckedSetUp
 from procedures.workcell import Workcell
@@ -93,7 +85,7 @@ def _measure_spheres(context: StepContext, count: int, validation: int) -> Outco
         seen += _look_at_sphere(
             context, places[number], own_looks, len(seen) / len(plan), remarks, count + validation
         )
-    remarks += return_home_if_clear(context)
+    remarks += ball_place.return_home_if_clear(context)
     observed = ArmLooks(
         created=context.setting.began,
         arm=workcell.master.arm.kinematics.name,
@@ -108,7 +100,7 @@ def _measure_spheres(context: StepContext, count: int, validation: int) -> Outco
 
 
 def _plan_looks(
-    model: ArmModel, places: Sequence[BallPlace], workcell: Workcell, count: int, validation: int
+    model: ArmModel, places: Sequence[ball_place.BallPlace], workcell: Workcell, count: int, validation: int
 ) -> tuple[_PlannedSphereLook, ...]:
     """Choose the most informative looks for the fit and evenly spread looks for validation."""
     informative_count, validation_count = round(SPARE * count), math.ceil(SPARE * validation)
@@ -118,7 +110,7 @@ def _plan_looks(
         _PlannedSphereLook(look, _expect_look(number, joints, order))
         for number, place in enumerate(places)
         for order, look in enumerate(plan_centred_looks(place.reference, place.ball_mm, each))
-        if (joints := reachable_joints(workcell, look)) is not None
+        if (joints := ball_place.reachable_joints(workcell, look)) is not None
     ]
     if len(reached) < wanted:
         raise POSES_OUT_OF_REACH(
@@ -138,7 +130,7 @@ def _plan_looks(
 
 def _look_at_sphere(
     context: StepContext,
-    place: BallPlace,
+    place: ball_place.BallPlace,
     plan: Sequence[_PlannedSphereLook],
     done: float,
     remarks: list[str],
@@ -146,9 +138,9 @@ def _look_at_sphere(
 ) -> list[SphereLook]:
     workcell = context.workcell
     watcher = BallWatcher(workcell, np.array(place.ball_mm))
-    start_around_ball(context, watcher.ball_mm, place.others_mm)
+    ball_place.start_around_ball(context, watcher.ball_mm, place.others_mm)
     try:
-        context.keep_picture(BALL_PICTURE, pair_picture(watcher.find(place.first_look)))
+        context.keep_picture(ball_place.BALL_PICTURE, pair_picture(watcher.find(place.first_look)))
     except (LimitError, SphereNotInView) as error:
         if workcell.master.arm.observe().state is not Lifecycle.ACTIVE:
             raise  # tripped, not refused before it began
@@ -181,7 +173,7 @@ def _look_at_sphere(
 def looks_step(count: int, validation: int) -> StepSpec[ObservedSpheres]:
     """Build the step, with `count` looks for the fit and `validation` looks to validate it."""
     run = partial(_measure_spheres, count=count, validation=validation)
-    return measuring_step(ObservedSpheres, "Measure the spheres", run, GlobalLocalization)
+    return ball_place.measuring_step(ObservedSpheres, "Measure the spheres", run, GlobalLocalization)
 
 
 def flanks_of(number: int, axes: int) -> Flanks:
@@ -190,15 +182,19 @@ def flanks_of(number: int, axes: int) -> Flanks:
     return tuple(1 if pattern >> axis & 1 else -1 for axis in range(axes))
 
 
-def _select_places(points_mm: Array, workcell: Workcell, remarks: list[str]) -> tuple[BallPlace, ...]:
+def _select_places(
+    points_mm: Array, workcell: Workcell, remarks: list[str]
+) -> tuple[ball_place.BallPlace, ...]:
     """Return the isolated spheres within reach, the nearest to the head first. Raises CAL-009."""
-    isolated_spheres = find_isolated(points_mm)
+    isolated_spheres = ball_place.find_isolated(points_mm)
     if not isolated_spheres:
         raise NO_BALL("the tracker sees no isolated sphere", got=f"{len(points_mm)} stray spheres")
     head_mm = workcell.master.tool_pose().translation_mm
     near = sorted(isolated_spheres, key=lambda number: float(np.linalg.norm(points_mm[number] - head_mm)))
-    places = [BallPlace.among(points_mm, number) for number in near]
-    reached = [place for place in places if reachable_joints(workcell, place.first_look) is not None]
+    places = [ball_place.BallPlace.among(points_mm, number) for number in near]
+    reached = [
+        place for place in places if ball_place.reachable_joints(workcell, place.first_look) is not None
+    ]
     remarks += [
         f"{_describe_place(one)} was left out: it is out of reach" for one in places if one not in reached
     ]
@@ -207,7 +203,7 @@ def _select_places(points_mm: Array, workcell: Workcell, remarks: list[str]) -> 
     return tuple(reached[:MOST_SPHERES])
 
 
-def _describe_place(place: BallPlace) -> str:
+def _describe_place(place: ball_place.BallPlace) -> str:
     x, y, z = place.ball_mm
     return f"the sphere at {x:.0f} {y:.0f} {z:.0f} mm"
 

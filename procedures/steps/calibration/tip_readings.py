@@ -12,23 +12,9 @@ import numpy as np
 from pydantic import Field
 from scipy.spatial.transform import RigidTransform
 
+from procedures.calibration import pose_set, tip_calibration
 from procedures.calibration.errors import NO_BALL, POSES_OUT_OF_REACH, TOO_FEW_POSES
 from procedures.calibration.head_model import pose_record
-from procedures.calibration.pose_set import (
-    PlannedLook,
-    choose_held_out,
-    order_by_orientation,
-    plan_poses_about,
-)
-from procedures.calibration.tip_calibration import (
-    DIALS_TRAVEL_MM,
-    BallLook,
-    DivotReading,
-    TipLooks,
-    pairs_of,
-    require_plausible,
-    tips_of,
-)
 from procedures.engine.context import StepContext
 from procedures.engine.order import Outcome, Phase, StepSpec
 from procedures.engine.questions import IN_DIVOT
@@ -56,7 +42,7 @@ MOST_TRIES = 3  # at one orientation: the second is near, unless something gives
 class ObservedStand(StepResult, kind="stand_ball"):
     """Stereo head looks at the stand's ball."""
 
-    looks: tuple[BallLook, ...] = Field(description="One for each orientation.")
+    looks: tuple[tip_calibration.BallLook, ...] = Field(description="One for each orientation.")
     remarks: tuple[str, ...] = Field(description="Warnings for the operator.")
 
 
@@ -80,7 +66,7 @@ def _measure_stand(context: StepContext, count: int) -> Outcome[ObservedStand]:
         if_missing="Seat the ball on the stand, or correct its position: --ball X Y Z, or stand_mm in "
         "[procedure].",
     )
-    looks: list[BallLook] = []
+    looks: list[tip_calibration.BallLook] = []
     for planned in plan:
         if len(looks) == count:
             break
@@ -92,7 +78,7 @@ def _measure_stand(context: StepContext, count: int) -> Outcome[ObservedStand]:
         joints = workcell.master.joints_rad()
         x, y, z = seen.point.position_mm.tolist()
         looks.append(
-            BallLook(
+            tip_calibration.BallLook(
                 joints_rad=joints,
                 robot_from_flange=pose_record(workcell.master.flange_pose(joints)),
                 ball_mm=(x, y, z),
@@ -110,9 +96,11 @@ def _measure_stand(context: StepContext, count: int) -> Outcome[ObservedStand]:
     return Outcome(ObservedStand(looks=tuple(looks), remarks=remarks), f"{len(looks)} measurements")
 
 
-def _looks_at_stand(place: BallPlace, watcher: BallWatcher, count: int) -> list[PlannedLook]:
+def _looks_at_stand(place: BallPlace, watcher: BallWatcher, count: int) -> list[pose_set.PlannedLook]:
     wanted = round(SPARE * count)
-    looks = plan_poses_about(place.reference, place.ball_mm, wanted, tilt_rad=TILT_RAD, turn_rad=TURN_RAD)
+    looks = pose_set.plan_poses_about(
+        place.reference, place.ball_mm, wanted, tilt_rad=TILT_RAD, turn_rad=TURN_RAD
+    )
     reached = [look for look in looks if watcher.reaches(look.pose)]
     if len(reached) < count:
         raise POSES_OUT_OF_REACH(
@@ -122,7 +110,7 @@ def _looks_at_stand(place: BallPlace, watcher: BallWatcher, count: int) -> list[
             action="Put the stand nearer to the middle of the workspace, with free space around it.",
         )
     # The first ones are spread evenly; a chain of neighbours through all would leave out one side.
-    return [*order_by_orientation(reached[:count]), *reached[count:]]
+    return [*pose_set.order_by_orientation(reached[:count]), *reached[count:]]
 
 
 def _read_stand_position(context: StepContext) -> Outcome[BallPlace]:
@@ -150,7 +138,7 @@ def stand_step(count: int) -> StepSpec[ObservedStand]:
 class TipReadings(StepResult, kind="tip_readings"):
     """Readings used to calibrate the guide tip."""
 
-    observed: TipLooks = Field(description="Contents of `tip-looks.json`.")
+    observed: tip_calibration.TipLooks = Field(description="Contents of `tip-looks.json`.")
 
 
 def _read_divot(context: StepContext, validation: int) -> Outcome[TipReadings]:
@@ -180,10 +168,10 @@ def _read_divot(context: StepContext, validation: int) -> Outcome[TipReadings]:
     return Outcome(TipReadings(observed=reading.observed), f"{len(reading.observed.readings)} readings")
 
 
-def _prepare_looks(context: StepContext, stand: ObservedStand, validation: int) -> TipLooks:
+def _prepare_looks(context: StepContext, stand: ObservedStand, validation: int) -> tip_calibration.TipLooks:
     workcell = context.workcell
     calibrations = workcell.calibrations
-    return TipLooks(
+    return tip_calibration.TipLooks(
         created=context.setting.began,
         arm=workcell.master.arm.kinematics.name,
         stereo_head=calibrations.stereo_head,
@@ -191,7 +179,7 @@ def _prepare_looks(context: StepContext, stand: ObservedStand, validation: int) 
         arm_record=calibrations.arm,
         looks=stand.looks,
         readings=(),
-        validation=choose_held_out(len(stand.looks), validation),
+        validation=pose_set.choose_held_out(len(stand.looks), validation),
     )
 
 
@@ -200,7 +188,7 @@ class _Reading:
     """Divot readings so far; they improve the aim at the next orientation."""
 
     context: StepContext
-    observed: TipLooks
+    observed: tip_calibration.TipLooks
 
     def take(self, look: int) -> None:
         """Take the reading of one orientation; repeat it if the tip was far from the divot."""
@@ -211,7 +199,7 @@ class _Reading:
             if max(map(abs, reading.dials_mm)) <= NEAR_MM:
                 return
 
-    def _read(self, look: int) -> DivotReading:
+    def _read(self, look: int) -> tip_calibration.DivotReading:
         workcell = self.context.workcell
         over = self.observed.looks[look]
         there, back = (self._pose(over, away_mm) for away_mm in (0.0, HOVER_MM))
@@ -226,22 +214,22 @@ class _Reading:
                 f"at orientation {look + 1} of {len(self.observed.looks)} raise the divot to the tip and "
                 "read the three dials",
                 reads=READS,
-                plausible_mm=(-DIALS_TRAVEL_MM, DIALS_TRAVEL_MM),
+                plausible_mm=(-tip_calibration.DIALS_TRAVEL_MM, tip_calibration.DIALS_TRAVEL_MM),
             )
         )
         dials_mm = (x_mm, y_mm, z_mm)
-        require_plausible(dials_mm)
+        tip_calibration.require_plausible(dials_mm)
         joints = workcell.master.joints_rad()
         self.context.request_instrument_removal()
         workcell.master.settle(hover_rad, ONE_SIDE)
-        return DivotReading(
+        return tip_calibration.DivotReading(
             look=look,
             joints_rad=joints,
             robot_from_flange=pose_record(workcell.master.flange_pose(joints)),
             dials_mm=dials_mm,
         )
 
-    def _pose(self, over: BallLook, away_mm: float) -> Transform:
+    def _pose(self, over: tip_calibration.BallLook, away_mm: float) -> Transform:
         """Return the pose ROBOT <- TOOL of the guide with its tip `away_mm` short of the measured ball."""
         workcell = self.context.workcell
         tools = (MountedTool.STEREO_HEAD, MountedTool.GUIDE)
@@ -259,7 +247,11 @@ class _Reading:
         """Return the tip in the head's tool frame, from the readings so far or else from the record."""
         if not self.observed.readings:
             return (head.inverse() @ guide).translation_mm
-        return np.asarray(tips_of(pairs_of(self.observed, self.observed.readings)).mean(axis=0))
+        return np.asarray(
+            tip_calibration.tips_of(tip_calibration.pairs_of(self.observed, self.observed.readings)).mean(
+                axis=0
+            )
+        )
 
 
 def readings_step(validation: int) -> StepSpec[TipReadings]:

@@ -17,13 +17,7 @@ from procedures.engine.context import StepContext
 from procedures.engine.order import Outcome, Phase, StepSpec
 from procedures.journal.results import FramedPose, StepResult, Values
 from procedures.operator.question import join_answers
-from procedures.planning.free_angle import (
-    TurnedPaths,
-    advice,
-    choose_free_angles,
-    find_alternatives,
-    find_unreached,
-)
+from procedures.planning import free_angle
 from procedures.planning.guide import place_guides
 from procedures.planning.line_of_sight import StereoSight
 from procedures.planning.motions import PreviewedMotion, preview_motions
@@ -263,7 +257,7 @@ def _describe_closest(motions: Sequence[PreviewedMotion]) -> str:
     return f", smallest clearance {min(distances):.0f} mm" if distances else ""
 
 
-def _describe_turns(turned: TurnedPaths) -> str:
+def _describe_turns(turned: free_angle.TurnedPaths) -> str:
     turns = [
         f"{name} turned by {math.degrees(turn):+.0f} deg" for name, turn in turned.turns_rad.items() if turn
     ]
@@ -323,7 +317,7 @@ class PathSearch:
     replaced: dict[str, Strategy] = field(default_factory=dict)
     _tried: dict[str, set[str]] = field(default_factory=lambda: defaultdict(set))
 
-    def find_paths(self, trajectories: Sequence[Trajectory]) -> TurnedPaths:
+    def find_paths(self, trajectories: Sequence[Trajectory]) -> free_angle.TurnedPaths:
         """Find paths of all trajectories not left out. Raises PLAN-007 for one that stays out of reach."""
         self.setting = choose_best_strategies(self.setting, trajectories, self.centres_mm, self.sight)
         while True:
@@ -331,15 +325,17 @@ class PathSearch:
             setting = self.setting
             if self.replaced:
                 setting = replace(setting, strategy=StrategyByTrajectory(setting.strategy, self.replaced))
-            turned = choose_free_angles(setting, remain, self.centres_mm, self.sight)
+            turned = free_angle.choose_free_angles(setting, remain, self.centres_mm, self.sight)
             if turned.check.passed:
                 return turned
             self._decide(turned.check, remain)
 
     def _decide(self, check: PathCheck, trajectories: Sequence[Trajectory]) -> None:
-        reasons = find_unreached(check, trajectories)
+        reasons = free_angle.find_unreached(check, trajectories)
         reaching_strategies = {
-            name: find_alternatives(self.setting, one, self.centres_mm, self.sight, self._tried[name])
+            name: free_angle.find_alternatives(
+                self.setting, one, self.centres_mm, self.sight, self._tried[name]
+            )
             for one in trajectories
             if (name := one.identifier) in reasons
         }
@@ -360,7 +356,7 @@ class PathSearch:
         offered = reaching_strategies[name] if self.setting.strategy.localizes_per_trajectory else ()
         answers = (*(strategy_answer(one.name) for one in offered), *((LEAVE_OUT,) if others else ()), HOLD)
         if answers == (HOLD,):
-            check.require(advice(reaching_strategies))
+            check.require(free_angle.advice(reaching_strategies))
         current = self.replaced.get(name, self.setting.strategy)
         reach_text = (
             f"; {join_answers([one.name for one in reaching_strategies[name]])} would reach it"
@@ -383,7 +379,7 @@ class PathSearch:
             self.left_out[name] = reason
             self.replaced.pop(name, None)
         else:
-            check.require(advice(reaching_strategies))
+            check.require(free_angle.advice(reaching_strategies))
 
 
 STEP = StepSpec(
