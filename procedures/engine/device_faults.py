@@ -29,12 +29,6 @@ EARLIER = "a message from before this connection"
 _log = logger(part="engine")
 
 
-def devices_in_fault(devices: Mapping[str, DeviceView]) -> Iterator[tuple[str, LastKnown[object]]]:
-    """Yield the role and last known state of each device in fault."""
-    observed = ((role, device.observe()) for role, device in devices.items())
-    return ((role, known) for role, known in observed if known.state is Lifecycle.FAULT)
-
-
 def describe_fault(role: str, observed: LastKnown[object]) -> str:
     """Describe a faulted device's current state, with advice.
 
@@ -109,23 +103,21 @@ class DeviceFaults:
 
     @property
     def now(self) -> dict[str, str]:
-        return {role: _cause_of(observed) for role, observed in devices_in_fault(self._workcell.devices)}
+        return self._describe_each(lambda _role, observed: _cause_of(observed))
 
     @property
     def descriptions(self) -> dict[str, str]:
         """Descriptions of current faults, with advice, by device role."""
-        return {
-            role: describe_fault(role, observed)
-            for role, observed in devices_in_fault(self._workcell.devices)
-        }
+        return self._describe_each(describe_fault)
 
     @property
     def summaries(self) -> dict[str, str]:
         """Descriptions of current faults, without advice, by device role."""
-        return {
-            role: summarize_fault(role, observed)
-            for role, observed in devices_in_fault(self._workcell.devices)
-        }
+        return self._describe_each(summarize_fault)
+
+    def _describe_each(self, describe: Callable[[str, LastKnown[object]], str]) -> dict[str, str]:
+        observed = {role: device.observe() for role, device in self._workcell.devices.items()}
+        return {role: describe(role, one) for role, one in observed.items() if one.state is Lifecycle.FAULT}
 
     def require_arm_moves(self) -> None:
         """Raise PRO-001 with a fault description if an arm is in fault: of two, neither moves then."""

@@ -202,8 +202,6 @@ class Engine:
             if key == last or (last is not None and self.course.is_settled(last)):
                 return
 
-    # While a step runs
-
     def context(self, key: StepKey) -> StepContext:
         return StepContext(
             key=key,
@@ -247,8 +245,6 @@ class Engine:
         self.faults.doubt_tool(found)
         if self.running and self.case.valid_results != standing:
             raise TOOL_UNCHECKED(TOUCHED, got=found)
-
-    # Between steps
 
     def retreat_home(self) -> None:
         """Leave the head and park: have the instrument removed, withdraw the guide along its axis, go home.

@@ -247,7 +247,7 @@ class RoomWatch:
         by_frame = head is not None and head.by_frame
         moved: Refusal | None = None
         if motion is not None:
-            at_head = self.head_sight.is_approached or reading.on_axis
+            at_head = self.head_sight.under_way or reading.on_axis
             moved = room_motion.name_motion(motion, expected, reading, approached=at_head)
         if moved is None:
             moved = room_motion.find_unseen(expected, reading)
@@ -273,10 +273,9 @@ class RoomWatch:
     @property
     def _points_here_mm(self) -> Mapping[str, Array]:
         """Targets that count now: with the guide at one of them, that one."""
-        approach = self.head_sight.approach
-        if approach is None or not approach.under_way:
+        if not self.head_sight.under_way:
             return self.points_mm
-        at = approach.trajectory
+        at = self.head_sight.trajectory
         return {name: point for name, point in self.points_mm.items() if name == at} or self.points_mm
 
     def _find_gross(self, rows: Rows) -> RoomMotion | None:

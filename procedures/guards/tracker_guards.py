@@ -88,7 +88,7 @@ class TrackerLink:
         """Whether the tracker is needed now. The way out does not need it."""
         if self.tracker.state is Lifecycle.CONFIGURED:
             room = self.memory.find(RoomWatch)
-            return room is not None and room.head_sight.is_approached
+            return room is not None and room.head_sight.under_way
         return self.tracker.state is Lifecycle.ACTIVE
 
     def _look(self) -> None:
@@ -137,10 +137,7 @@ class LineOfSight:
 
 @dataclass
 class HeadInSight:
-    """Guard for the line of sight to the head. Checks the room on timeout.
-
-    `void` ends a localization, `find` records a finding.
-    """
+    """Guard for the line of sight to the head. Checks the room on timeout."""
 
     workcell: Workcell
     memory: CaseMemory

@@ -99,7 +99,7 @@ class Assistant(SupervisedArm):
                 expected="calibration.arm, calibration.assistant_arm, calibration.assistant_holder",
                 action="Add them to the theatre file, or omit --dual.",
             )
-        super().__init__(ASSISTANT, log, arms, calibrations.arms, ASSISTANT)
+        super().__init__(ASSISTANT, log, arms, calibrations.arms, ASSISTANT, holder.frame)
         self.holder: HolderCalibration = holder
         self._insertion_force_N = insertion_force_N
         self._around: tuple[Surroundings, JointVector | None] | None = None  # robot frame
@@ -108,10 +108,6 @@ class Assistant(SupervisedArm):
     @property
     def carries(self) -> str:
         return "the holder"
-
-    @property
-    def frame(self) -> str:
-        return self.holder.frame
 
     @property
     def base(self) -> Transform:
@@ -123,10 +119,7 @@ class Assistant(SupervisedArm):
         return self.history.base
 
     def place_base(self, robot_from_base: Transform, uncertain_mm: float = 0.0) -> None:
-        """Take the base as known: from now on either arm may move, watched with the other.
-
-        `uncertain_mm` is by how much the arm may be elsewhere.
-        """
+        """Take the base as known: from now on either arm may move, watched with the other."""
         is_first = not self._arms.placed.is_placed(ASSISTANT)
         self.record_base(robot_from_base, uncertain_mm)
         self._arms.place(ASSISTANT, _as_pose(robot_from_base), uncertain_mm)
@@ -318,8 +311,6 @@ class Assistant(SupervisedArm):
         middle, tip = (vector3(clamp.apply((0.0, 0.0, z))) for z in (0.0, tip_mm))
         return (*bodies, Part(INSTRUMENT, Capsule(middle, tip, INSTRUMENT_MM), True))
 
-    # Motion
-
     def settle(self, joints_rad: JointVector, arriving: Sides = ONE_SIDE) -> ArmReading:
         """Move to joint angles, each joint arriving from its given side."""
         return self.supervised.carry_out(self.settle_motion(joints_rad, arriving))
@@ -358,24 +349,13 @@ class Assistant(SupervisedArm):
         """Lead the instrument straight back out of the guide. Raises PRO-014 on no axis."""
         return self.supervised.carry_out(self.withdraw_motion(guided))
 
-    def note_inserted(self, inserted: Inserted) -> None:
-        """Keep the end of a stretch, with the largest force of the insertion so far."""
-        before = self.inserted
-        peaks_N = [
-            one.peak_force_N for one in (before, inserted) if one is not None and one.peak_force_N is not None
-        ]
-        self.inserted = replace(inserted, peak_force_N=max(peaks_N, default=None))
-
     @property
     def leads_instrument(self) -> bool:
         """Whether the assistant is on an axis, with an instrument in the guide."""
         return self.place.is_on_axis
 
     def lead_out(self, doubt: str = "", guided: GuidedStretch | None = None) -> None:
-        """Withdraw the instrument once the operator, told of a `doubt`, has confirmed it.
-
-        Raises PRO-002 and as `withdraw`.
-        """
+        """Withdraw the instrument once the operator, told of a `doubt`, has confirmed it."""
         motion = self.withdraw_motion(guided)
         subject = f"the assistant leads the instrument straight out of {motion.trajectory}"
         if doubt:
@@ -400,7 +380,9 @@ class Assistant(SupervisedArm):
         limit_N = self.insertion_limit_N
         if limit_N is not None and (insertion := self.force_limited(leg, motion, limit_N)):
             inserted = self._arms.insert(ASSISTANT, insertion)
-            self.note_inserted(inserted)
+            ends = [one for one in (self.inserted, inserted) if one is not None]  # of stretches so far
+            peaks_N = [one.peak_force_N for one in ends if one.peak_force_N is not None]
+            self.inserted = replace(inserted, peak_force_N=max(peaks_N, default=None))
             return inserted.reading
         return self._arms.move(ASSISTANT, leg, with_instrument=True)
 

@@ -22,7 +22,6 @@ from ronna_hw.arm.pose import Pose
 from ronna_hw.arrays import Array
 from ronna_hw.calibration import PoseRecord
 from ronna_hw.collision_config import BodyFrame, CollisionConfig, ToolBody
-from ronna_hw.errors import LimitError
 from ronna_hw.frames import Transform
 from ronna_hw.vectors import JointVector, Vector3, vector3
 
@@ -93,14 +92,6 @@ class BallWatcher:
                 taken.append(seen)
                 progress(len(taken))
         return taken
-
-    def reaches(self, pose: Transform) -> bool:
-        """Return whether the arm can reach a tool pose in its home branch."""
-        try:
-            self.workcell.master.joints_at(pose, self.workcell.master.home_rad)
-        except LimitError:
-            return False
-        return True
 
     def why_rejected(self) -> str:
         """Summarize why looks were rejected, most frequent reason first."""

@@ -35,14 +35,11 @@ class Master(SupervisedArm):
         self, log: ArmLog, arms: Arms, calibrations: Calibrations, others: Iterable[SupervisedArm]
     ) -> None:
         """Supervise the master beside `others`, which may be on the axis of its guide."""
-        super().__init__(MASTER, log, arms, calibrations.arms, "arm")
+        super().__init__(MASTER, log, arms, calibrations.arms, "arm", calibrations.tracker_frame.tool)
         self._others = others
-        self._frame = calibrations.tracker_frame.tool
         self.mount = ToolMount(self.read_tool_number, calibrations)
         self.instrument = Instrument(log)
         self.surroundings: Surroundings | None = None  # as last declared to the arm
-
-    # Mounted tool
 
     @property
     def tool(self) -> MountedTool:
@@ -70,10 +67,6 @@ class Master(SupervisedArm):
     def carries(self) -> str:
         return f"the {self.tool}"
 
-    @property
-    def frame(self) -> str:
-        return self._frame
-
     def tool_pose(self, joints_rad: JointVector | None = None, arrived: Sides = None) -> Transform:
         """Return the mounted tool's pose at joint angles, by default the measured ones; see `Sides`."""
         return self.flange_pose(joints_rad or self.joints_rad(), arrived) @ self.flange_from_tool
@@ -81,8 +74,6 @@ class Master(SupervisedArm):
     def joints_at(self, pose: Transform, near: JointVector, arriving: Sides = None) -> JointVector:
         """Return the joints for a tool pose, in the branch of `near`. Raises ARM-001 to ARM-003."""
         return self.calibrated.compensate(pose @ self.flange_from_tool.inverse(), near, arriving).joints_rad
-
-    # Surroundings
 
     def surround(self, surroundings: Surroundings, near_rad: JointVector | None = None) -> None:
         """Set the arm's tool and surroundings. Clearance is exact near `near_rad`, by default home."""
@@ -101,8 +92,6 @@ class Master(SupervisedArm):
     def _declare(self, surroundings: Surroundings) -> None:
         self.surroundings = surroundings
         self._arms.surround(MASTER, surroundings)
-
-    # Motion
 
     def go_motion(self, joints_rad: JointVector) -> PlannedMotion:
         """Return the motion that `go` would make, via home if the direct path is not clear."""

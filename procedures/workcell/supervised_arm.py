@@ -19,7 +19,7 @@ from procedures.workcell.supervised_motion import SupervisedMotion
 from procedures.workcell.tools import calibrated_arm
 from ronna_hw.calibrated_arm.arm import CalibratedArm
 from ronna_hw.calibration import ArmCalibration
-from ronna_hw.devices import Device, JointMove, Motion, RobotArm
+from ronna_hw.devices import JointMove, Motion, RobotArm
 from ronna_hw.devices.axis_loads import LOAD_CYCLES, AxisLoads, TellsLoads
 from ronna_hw.devices.lifecycle import RUNNING, Lifecycle
 from ronna_hw.devices.readings import ArmReading, LinkStatistics
@@ -28,16 +28,16 @@ from ronna_hw.vectors import JointVector
 
 
 class SupervisedArm(ABC):
-    """One arm among those of the theatre, with its history in the journal.
-
-    `name` is that of messages and devices.
-    """
+    """One arm of the theatre, with its history in the journal; `name` is that of messages and devices."""
 
     def __init__(
-        self, role: str, log: ArmLog, arms: Arms, records: Mapping[str, ArmCalibration], name: str
+        self, role: str, log: ArmLog, arms: Arms, records: Mapping[str, ArmCalibration], name: str, frame: str
     ) -> None:
-        """Supervise the arm of a role; `records` are the calibrations of all arms, by role."""
-        self.role, self.name, self._log, self._arms = role, name, log, arms
+        """Supervise the arm of a role; `records` are the calibrations of all arms, by role.
+
+        `frame` is the name that the tracker has for the frame on the arm.
+        """
+        self.role, self.name, self.frame, self._log, self._arms = role, name, frame, log, arms
         self._calibrated = partial(calibrated_arm, records=records, role=role)
         self._computed = self._calibrated(self._arm.kinematics)
         self.supervised = SupervisedMotion(name, role, log, arms, self._require_allowed, self._drive_leg)
@@ -46,11 +46,6 @@ class SupervisedArm(ABC):
     @abstractmethod
     def carries(self) -> str:
         """Name of the load, as questions name it."""
-
-    @property
-    @abstractmethod
-    def frame(self) -> str:
-        """Name that the tracker has for the frame on the arm."""
 
     @abstractmethod
     def _require_allowed(self, motion: PlannedMotion) -> None:
@@ -93,8 +88,6 @@ class SupervisedArm(ABC):
     def flange_pose(self, joints_rad: JointVector, arrived: Sides = None) -> Transform:
         """Return the flange in the arm's base, by its calibration if there is one; see `Sides`."""
         return self.calibrated.flange_pose(joints_rad, arrived)
-
-    # Place and home
 
     @property
     def history(self) -> ArmHistory:
@@ -179,10 +172,6 @@ class SupervisedArm(ABC):
             self._arm.stop()
             self.supervised.note_hold()
 
-    def drives(self, device: Device) -> bool:
-        """Return whether this is the arm that the device moves."""
-        return device is self._arm
-
     def expect_jogging(self) -> None:
         """Allow for somebody having jogged the arm: it has to settle anew, and to be confirmed anew."""
         self.supervised.ended = None
@@ -195,8 +184,6 @@ class SupervisedArm(ABC):
     @abstractmethod
     def shift_room(self, by: Transform, on_cart: Collection[str]) -> None:
         """Follow the room as it moves against a moved cart of the master, which carries bodies by name."""
-
-    # Way home
 
     @property
     def leads_instrument(self) -> bool:

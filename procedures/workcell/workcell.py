@@ -124,8 +124,6 @@ class Workcell:
             )
         return device
 
-    # Arms
-
     @property
     def assistant(self) -> Assistant:
         """The arm that inserts the instrument. Raises DUAL-003 in a case without one."""
@@ -195,8 +193,6 @@ class Workcell:
         if self.motion.halted is not None:
             self.motion.acknowledge(by)
 
-    # Looks
-
     def tracker_move(self, localization: str) -> TrackerMove:
         """Return how the tracker was moved since this localization, as far as it was followed."""
         known = self._log.history.tracker
@@ -221,8 +217,6 @@ class Workcell:
         self.on_look(seen)
         return seen
 
-    # Start and stop
-
     def start(self, *, cameras: bool = False) -> None:
         """Start the correction streams and, if requested, the cameras. Raises PRO-002, TOOL-001."""
         arms = tuple(arm for _, arm in self.motion.items())
@@ -246,12 +240,10 @@ class Workcell:
 
     def recover(self, role: str, by: str) -> None:
         """Recover a faulted device without motion. After an arm fault, the tool must be checked again."""
-        device = self._devices[role]
-        device.recover(by)
-        for arm in self.arms.values():
-            if arm.drives(device):
-                arm.expect_jogging()
-                arm.doubt_tool()
+        self._devices[role].recover(by)
+        if (arm := self.arm_of_device(role)) is not None:
+            arm.expect_jogging()
+            arm.doubt_tool()
 
     def rest(self) -> None:
         """Stop the arms' correction streams and the cameras, for a tool change or a parked arm."""

@@ -140,10 +140,7 @@ class RecordedAnswers:
             self.is_peeking = False
 
     def look(self, device: str, name: str) -> object:
-        """Return the next recorded value of a property, repeating the last one indefinitely.
-
-        Raises PRO-024.
-        """
+        """Return the next recorded value of a property; the last one repeats. Raises PRO-024."""
         waiting = self._section.get((device, name))
         if not waiting:
             raise NotRecorded(f"the run did not read {device}.{name} in this step")

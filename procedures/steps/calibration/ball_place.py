@@ -116,8 +116,8 @@ def bring_over_ball(
     ball_mm = np.array(place.ball_mm)
     watcher = BallWatcher(workcell, ball_mm)
     plan = plan_calibration_looks(place.reference, ball_mm, round(SPARE * poses)) if poses else ()
-    reached = sum(watcher.reaches(look.pose) for look in plan)
-    if not watcher.reaches(place.first_look.pose) or reached < poses:
+    reached = sum(reachable_joints(workcell, look) is not None for look in plan)
+    if reachable_joints(workcell, place.first_look) is None or reached < poses:
         raise POSES_OUT_OF_REACH(
             "the poses around the ball are out of the arm's reach",
             expected=f"{poses} poses",

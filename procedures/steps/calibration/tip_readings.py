@@ -20,13 +20,19 @@ from procedures.engine.order import Outcome, Phase, StepSpec
 from procedures.engine.questions import IN_DIVOT
 from procedures.journal.results import StepResult
 from procedures.operator.question import Task, Topic
-from procedures.steps.calibration.ball_place import SPARE, BallPlace, bring_over_ball, measuring_step
+from procedures.steps.calibration.ball_place import (
+    SPARE,
+    BallPlace,
+    bring_over_ball,
+    measuring_step,
+    reachable_joints,
+)
 from procedures.steps.clinical.set_up import CheckedSetUp
 from procedures.steps.clinical.tool_mounting import exchange_tool
 from procedures.steps.conditions import needs_exchangeable_tool
 from procedures.strategies.strategy import ONE_SIDE
-from procedures.workcell import MountedTool
-from procedures.workcell.ball_watcher import BallWatcher, build_free_surroundings, build_stand
+from procedures.workcell import MountedTool, Workcell
+from procedures.workcell.ball_watcher import build_free_surroundings, build_stand
 from ronna_hw.arrays import Array
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.wire.room_tasks import DIALS, OnStand
@@ -50,7 +56,7 @@ def _measure_stand(context: StepContext, count: int) -> Outcome[ObservedStand]:
     """Measure the stand's ball. Raises CAL-010 or CAL-002 for too few looks, PRO-002, STE-009 without it."""
     context.result(CheckedSetUp)
     place, workcell = context.result(BallPlace), context.workcell
-    plan = _looks_at_stand(place, BallWatcher(workcell, np.array(place.ball_mm)), count)
+    plan = _looks_at_stand(place, workcell, count)
     context.setting.room.prepare_stand(OnStand.BALL)
     context.confirm(
         Topic.CALIBRATION,
@@ -96,12 +102,12 @@ def _measure_stand(context: StepContext, count: int) -> Outcome[ObservedStand]:
     return Outcome(ObservedStand(looks=tuple(looks), remarks=remarks), f"{len(looks)} measurements")
 
 
-def _looks_at_stand(place: BallPlace, watcher: BallWatcher, count: int) -> list[pose_set.PlannedLook]:
+def _looks_at_stand(place: BallPlace, workcell: Workcell, count: int) -> list[pose_set.PlannedLook]:
     wanted = round(SPARE * count)
     looks = pose_set.plan_poses_about(
         place.reference, place.ball_mm, wanted, tilt_rad=TILT_RAD, turn_rad=TURN_RAD
     )
-    reached = [look for look in looks if watcher.reaches(look.pose)]
+    reached = [look for look in looks if reachable_joints(workcell, look) is not None]
     if len(reached) < count:
         raise POSES_OUT_OF_REACH(
             "too few poses around the stand are reachable",

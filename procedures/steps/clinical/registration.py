@@ -28,7 +28,6 @@ from procedures.registration.error_theory import DEFAULT_CONFIDENCE, FreGate
 from procedures.registration.points import FEWEST_PAIRS
 from procedures.registration.target_prediction import (
     IndependentErrors,
-    UnnoticedPoint,
     check_residuals,
     predict_target_error,
 )
@@ -100,11 +99,6 @@ class _Pairs:
     def gate(self, arm_mm: float) -> FreGate:
         return error_budget.residual_gate(
             self.image_mm, self.physical_mm, self.measured_mm2, arm_mm, self.tool_mm
-        )
-
-    def find_undetected(self, fit: Registration, target_mm: Array, arm_mm: float) -> UnnoticedPoint:
-        return error_budget.find_undetected_sphere(
-            fit, target_mm, self.gate(arm_mm), self.measured_mm2, arm_mm, self.tool_mm
         )
 
 
@@ -309,7 +303,10 @@ def predict_tip_error(
         *(IndependentErrors(name, nothing, part) for name, part in unnoticed.items()),
     )
     residual = check_residuals(fit.residuals_mm, fit.physical_mm - fit.residuals_mm, sources)
-    worst = pairs.find_undetected(fit, tip_mm, arm_error_mm(context.setting.settings, calibrations.arm))
+    arm_mm = arm_error_mm(context.setting.settings, calibrations.arm)
+    worst = error_budget.find_undetected_sphere(
+        fit, tip_mm, pairs.gate(arm_mm), pairs.measured_mm2, arm_mm, pairs.tool_mm
+    )
     predicted = predict_target_error(
         fit.physical_mm,
         tip_mm,

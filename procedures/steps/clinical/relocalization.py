@@ -58,9 +58,8 @@ def _localize_spheres(context: StepContext, paths: CheckedPaths) -> Outcome[Relo
     workcell.master.mount.check(MountedTool.STEREO_HEAD)
     surround_stereo_head(context, planned[len(planned) // 2].joints_rad)
     occasion = "before the spheres are localized again"
-    if workcell.master.place.is_home or not context.stands(
-        Relocalization
-    ):  # what moves from here on shows at home
+    # What moves from here on shows at home.
+    if workcell.master.place.is_home or not context.stands(Relocalization):
         check_room(context, occasion)
         workcell.start(cameras=True)
         workcell.master.return_home()

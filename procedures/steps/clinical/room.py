@@ -17,7 +17,6 @@ import numpy as np
 from procedures.calibration.errors import PlatformMoved
 from procedures.engine.context import StepContext
 from procedures.guards.errors import BaseShifted, PatientMoved, PatientUnseen
-from procedures.guards.head_sight import Approach
 from procedures.guards.room_reading import AS_KNOWN, CAREFUL_FRAMES, FRAMES, ON_ARM, ArrivedSides
 from procedures.guards.room_watch import RoomLook, RoomWatch, check_now
 from procedures.registration.movement import LEAST_POINTS
@@ -124,7 +123,7 @@ def build_expected_sight(context: StepContext, surroundings: Surroundings) -> Ex
     """Build the expected view of the localized spheres, and pass it to the room watch."""
     watch = room_watch(context)
     expected = ExpectedSight(context, watch, surroundings)
-    watch.head_sight.approach = Approach(expected.hidden_now, context.key.trajectory)
+    watch.head_sight.expect_approach(expected.hidden_now, context.key.trajectory)
     return expected
 
 
@@ -132,15 +131,14 @@ def build_expected_sight(context: StepContext, surroundings: Surroundings) -> Ex
 def require_head_in_view(context: StepContext) -> Iterator[None]:
     """During the block, limit how long the head may be out of view before the case is suspended."""
     watch = context.setting.memory.find(RoomWatch)
-    approach = None if watch is None else watch.head_sight.approach
-    if approach is None:
+    if watch is None or watch.head_sight.hides_head is None:
         yield
         return
-    approach.under_way = True
+    watch.head_sight.under_way = True
     try:
         yield
     finally:
-        approach.under_way = False
+        watch.head_sight.under_way = False
 
 
 def room_watch(context: StepContext) -> RoomWatch:
