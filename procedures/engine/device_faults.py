@@ -11,7 +11,6 @@ from procedures.engine.case import StepKey
 from procedures.engine.case_progress import CaseProgress
 from procedures.journal.errors import StepRefused
 from procedures.journal.journal import Entry, Journal
-from ronna_hw.clock import Clock
 from ronna_hw.devices.capabilities import MESSAGES
 from ronna_hw.devices.errors import WrongState
 from ronna_hw.devices.lifecycle import LastKnown, Lifecycle, require_person
@@ -90,7 +89,6 @@ class DeviceFaults:
         course: CaseProgress,
         workcell: Workcell,
         journal: Journal,
-        clock: Clock,
         on_doubt: Callable[[], None] = lambda: None,
     ) -> None:
         """Set up fault handling; `on_doubt` is called when a result is put in doubt."""
@@ -98,7 +96,6 @@ class DeviceFaults:
         self._course = course
         self._workcell = workcell
         self._journal = journal
-        self._clock = clock
         self._acknowledged: list[tuple[str, str]] = []  # code of each fault, and by whom
 
     @property
@@ -137,7 +134,9 @@ class DeviceFaults:
             # First: the device is recovered even if this cannot be written.
             self._acknowledged.append((fault.partition(": ")[0], by))
             self._doubt_after(role, fault)
-            self._journal.write(Entry.ACKNOWLEDGED, self._clock.now_s(), device=role, fault=fault, by=by)
+            self._journal.write(
+                Entry.ACKNOWLEDGED, self._workcell.clock.now_s(), device=role, fault=fault, by=by
+            )
             _log.info("fault acknowledged", device=role)
             done[role] = fault
         workcell.release_halt(by)
@@ -179,7 +178,7 @@ class DeviceFaults:
         The journal has this before the fault can end, so that no restart loses it.
         """
         for role, fault in self.now.items():
-            since = f" (theatre time {self._clock.now_s():.0f} s)"
+            since = f" (theatre time {self._workcell.clock.now_s():.0f} s)"
             self._doubt_after(role, f"{fault}{self._why_stopped(role)}{since}")
 
     def _why_stopped(self, role: str) -> str:
@@ -203,7 +202,9 @@ class DeviceFaults:
     def _doubt(self, fault: str, steps: Sequence[StepKey]) -> None:
         case = self._course.case
         if keys := [key for key in steps if case.trusts(key)]:
-            self._journal.write(Entry.DOUBTED, self._clock.now_s(), steps=list(map(str, keys)), fault=fault)
+            self._journal.write(
+                Entry.DOUBTED, self._workcell.clock.now_s(), steps=list(map(str, keys)), fault=fault
+            )
             for key in keys:
                 case.doubt(key, fault)
             self._on_doubt()

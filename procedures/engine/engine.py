@@ -67,7 +67,7 @@ class Engine:
         self.machine = ProcedureMachine(order, recovering=recovering)
         self.questions = Questions(setting, journal, self.events)
         self.checkpoint = Checkpoint(self.ask, self._resting, setting.clock)
-        self.faults = DeviceFaults(self.course, setting.workcell, journal, setting.clock, self._recheck_tool)
+        self.faults = DeviceFaults(self.course, setting.workcell, journal, self._recheck_tool)
         self._journal = journal
         self._redact = order.without_names
         self._on_ending = on_ending

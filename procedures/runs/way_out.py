@@ -69,15 +69,15 @@ def _surround_assistant(engine: Engine, arm: Assistant) -> None:
     surround_at_guide(at_target, arm.joints_rad(), registration.robot_from_ct)
 
 
-def _surround_off_axis(engine: Engine, arm: Assistant) -> None:
+def _surround_off_axis(engine: Engine, assistant: Assistant) -> None:
     """Set the bodies around an assistant on no axis: the head as first found, or as last found of old."""
     workcell, case = engine.setting.workcell, engine.case
     standing = case.find(Correspondence, None)
     former = [record for record in case.records if record.kind == Correspondence.kind]
     if standing is None and not former:
-        if arm.place.is_out:
+        if assistant.place.is_out:
             raise RECOVERY_REFUSED(
-                f"the {arm.name} is not home, and no result gives the position of the head",
+                f"the {assistant.name} is not home, and no result gives the position of the head",
                 action="Jog it home with its controller's pendant, then resume again.",
             )
         return
@@ -85,7 +85,7 @@ def _surround_off_axis(engine: Engine, arm: Assistant) -> None:
     over = next(key for key in engine.order.sequence if key.name == Relocalization.kind)
     head = workcell.master.flange_from(MountedTool.STEREO_HEAD)
     scene = planning_scene_of(engine.context(over))
-    arm.surround(scene.with_stereo_head(found.robot_from_ct.transform, head, None))
+    assistant.surround(scene.with_stereo_head(found.robot_from_ct.transform, head, None))
 
 
 def _surround_guide_or_head(engine: Engine, keys: Sequence[StepKey]) -> None:

@@ -6,9 +6,8 @@ The operator confirms exactly what the arm then drives.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 from procedures.journal.journal import JournalValue
 from procedures.operator.question import ReadBack
@@ -49,13 +48,7 @@ class PlannedMotion:
         return {"what": self.what, "to": list(self.to), "trajectory": self.trajectory, **axis}
 
 
-class PreviewingArm(Protocol):
-    """Arm, or simulated plan of one, that can preview motions."""
-
-    @property
-    def kinematics(self) -> Kinematics: ...
-
-    def preview(self, motion: Motion, *, start_rad: JointVector) -> PathPreview: ...
+Preview = Callable[[Motion, JointVector], PathPreview]  # of a motion from these joints
 
 
 @dataclass(frozen=True)
@@ -165,34 +158,34 @@ def describe_motions(
 def motion_facts(arm: RobotArm, motions: Sequence[PlannedMotion]) -> list[MotionFacts]:
     """Return the facts of consecutive motions from the current position. Raises as `RobotArm.preview`."""
     here = arm.read_state()
-    return collect_facts(here.commanded_rad or here.joints_rad, arm, motions)  # as `preview` by default
+    at_rad = here.commanded_rad or here.joints_rad  # as `preview` by default
+    return collect_facts(at_rad, arm.kinematics, lambda leg, rad: arm.preview(leg, start_rad=rad), motions)
 
 
 def collect_facts(
-    at_rad: JointVector, arm: PreviewingArm, motions: Sequence[PlannedMotion]
+    at_rad: JointVector, kinematics: Kinematics, preview: Preview, motions: Sequence[PlannedMotion]
 ) -> list[MotionFacts]:
     """Return the facts of consecutive motions that start at the joints `at_rad`."""
+
+    def facts_of(
+        motion: PlannedMotion, legs: Sequence[Motion], from_rad: JointVector, detour: str = ""
+    ) -> tuple[MotionFacts, JointVector]:
+        travel_mm, previews = 0.0, []
+        for leg in legs:
+            previews.append(preview(leg, from_rad))
+            travel_mm += _travel_mm(kinematics, leg, from_rad)
+            from_rad = joints_after(kinematics, leg, from_rad)
+        return MotionFacts(motion.mover, travel_mm, tuple(previews), detour), from_rad
+
     facts: list[MotionFacts] = []
     for motion in motions:
-        own_facts, end_rad = _facts(arm, motion, motion.legs, at_rad)
+        own_facts, end_rad = facts_of(motion, motion.legs, at_rad)
         if motion.replacement and not own_facts.previews[0].clear:
             legs = [leg for one in motion.replacement for leg in one.legs]
-            own_facts, end_rad = _facts(arm, motion, legs, at_rad, motion.detour)
+            own_facts, end_rad = facts_of(motion, legs, at_rad, motion.detour)
         facts.append(own_facts)
         at_rad = end_rad
     return facts
-
-
-def _facts(
-    arm: PreviewingArm, motion: PlannedMotion, legs: Sequence[Motion], at_rad: JointVector, detour: str = ""
-) -> tuple[MotionFacts, JointVector]:
-    """Return the facts of one motion, and the joints at its end."""
-    travel_mm, previews = 0.0, []
-    for leg in legs:
-        previews.append(arm.preview(leg, start_rad=at_rad))
-        travel_mm += _travel_mm(arm.kinematics, leg, at_rad)
-        at_rad = joints_after(arm.kinematics, leg, at_rad)
-    return MotionFacts(motion.mover, travel_mm, tuple(previews), detour), at_rad
 
 
 def joints_after(kinematics: Kinematics, leg: Motion, start_rad: JointVector) -> JointVector:
