@@ -10,6 +10,7 @@ theatre. They are estimates: before the arm moves near anything real, measure an
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from enum import StrEnum
 from typing import Annotated, Self
 
@@ -212,12 +213,19 @@ class CollisionConfig(Strict):
             obstacles.append(
                 Obstacle(f"{FIDUCIAL} {number}", _build_post(centre, robot_from_head.position_mm))
             )
+        return self.surround(tool, flange_from_tool, obstacles, corridor)
+
+    def surround(
+        self,
+        tool: Sequence[ToolBody],
+        flange_from_tool: Pose,
+        obstacles: Sequence[Obstacle],
+        corridor: Corridor | None = None,
+    ) -> Surroundings:
+        """Surround an arm and its tool with obstacles, at the margins and in the speed zone of this cell."""
         zone = self.zone
         return Surroundings(
-            tool=tuple(
-                Part(tool_body.name, tool_body.capsule.moved(flange_from_tool), tool_body.enters_head)
-                for tool_body in tool
-            ),
+            tool=tuple(Part(one.name, one.capsule.moved(flange_from_tool), one.enters_head) for one in tool),
             obstacles=tuple(obstacles),
             radii=self.arm.measured,
             margin_mm=self.margin_mm,

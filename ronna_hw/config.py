@@ -242,6 +242,10 @@ class DeviceConfig(Strict):
         }
 
 
+# Records that the arm in each role needs where there are several.
+ARM_RECORDS = {MASTER: ("arm",), ASSISTANT: ("assistant_arm", "assistant_holder")}
+
+
 class Calibrations(Strict):
     """Calibration records used by the procedure."""
 
@@ -273,14 +277,20 @@ class Calibrations(Strict):
         return {role: record for role, record in found.items() if record is not None}
 
     @property
+    def holders(self) -> dict[str, HolderCalibration]:
+        """Calibration records of the holders, by the role of the arm that carries each."""
+        found = {ASSISTANT: self.assistant_holder}
+        return {role: record for role, record in found.items() if record is not None}
+
+    @property
     def frames(self) -> dict[str, str]:
         """Tracker's tools on the arms, by the key that names each."""
-        found = {"calibration.tracker_frame.tool": self.tracker_frame.tool}
-        return found if self.assistant_holder is None else found | {HOLDER_FRAME: self.assistant_holder.frame}
+        on_holders = ((HOLDER_FRAME, holder.frame) for holder in self.holders.values())
+        return {"calibration.tracker_frame.tool": self.tracker_frame.tool} | dict(on_holders)
 
     def of_arms(self, roles: Collection[str]) -> Calibrations:
         """Return the records that a case with arms in these roles uses; those of other arms may be old."""
-        unused = () if ASSISTANT in roles else ("assistant_arm", "assistant_holder")
+        unused = [name for role, names in ARM_RECORDS.items() if role not in roles for name in names]
         return self.model_copy(update=dict.fromkeys(unused))
 
     @property

@@ -16,7 +16,7 @@ from procedures.cli.theatre_history import theatre_history
 from ronna_hw.command_line.options import with_option_records
 from ronna_hw.command_line.terminal import JsonOption, command_group, run
 from ronna_hw.host.process import resume_garbage_collection, suspend_garbage_collection
-from ronna_hw.roles import ONE_ARM, TWO_ARMS
+from ronna_hw.roles import roles_of
 
 app = command_group(
     "ronna-procedure",
@@ -58,7 +58,7 @@ def steps_command(
     from procedures.steps.catalogue import clinical_steps, list_questions
     from ronna_hw.command_line.terminal import print_json, print_table
 
-    steps = clinical_steps(roles=TWO_ARMS if dual else ONE_ARM)
+    steps = clinical_steps(roles=roles_of(dual=dual))
     if as_json:
         rows = []
         for step in steps:

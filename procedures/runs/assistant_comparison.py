@@ -68,13 +68,13 @@ def _compare_assistant(
 
 def look_with_instrument_in_guide(engine: Engine) -> str:
     """Look whether a cart was displaced before the assistant is sent home; as `look_before_retreat`."""
-    return look_before_retreat(engine.setting.workcell, engine.setting.clock, _watch_with_bases(engine))
+    return look_before_retreat(engine.setting.workcell, _watch_with_bases(engine))
 
 
 def _compare_with_frame(engine: Engine, trajectory: str, comparison: Comparison) -> None:
     """Refuse the way out if the tracker sees the assistant beside it; where it sees too little, warn."""
     try:
-        found = require_seen_on_axis(engine.setting.workcell, engine.setting.clock, _watch_with_bases(engine))
+        found = require_seen_on_axis(engine.setting.workcell, _watch_with_bases(engine))
     except InsertionDisturbed as displaced:
         comparison.differences.append(str(displaced))
     except NotCompared as unknown:

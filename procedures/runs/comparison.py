@@ -337,7 +337,7 @@ def compare_room(engine: Engine, comparison: Comparison) -> bool:
         context.latest(KnownBases),
         find_followed(context, None),
     )
-    look = watch.compare(read_watched(watch, workcell, engine.setting.clock, CAREFUL_FRAMES))
+    look = watch.compare(read_watched(watch, workcell, CAREFUL_FRAMES))
     if look.head_mm is None and not isinstance(look.moved, errors.BaseShifted | PlatformMoved):
         return False
     try:

@@ -216,7 +216,7 @@ def add_guards(engine: Engine, file: Path, theatre: TheatreFile, *, only_leaving
     workcell = setting.workcell
     workcell.on_stop_failed = lambda failure: engine.events.publish(Advisory(text=failure))
     folder = engine.case.folder
-    guards.extend(case_guards(workcell, folder, setting.clock, engine.find, engine.doubt_tool))
+    guards.extend(case_guards(workcell, folder, engine.find, engine.doubt_tool))
     if not only_leaving:
         guards.append(
             UnchangedRecords(
@@ -233,9 +233,7 @@ def add_guards(engine: Engine, file: Path, theatre: TheatreFile, *, only_leaving
         guards.append(inputs)
         engine.recorders.append(inputs)
     void = partial(void_moved, engine.context(StepKey(GlobalLocalization.kind)))
-    guards.append(
-        GuideDisplacement(workcell, setting.clock, setting.memory)
-    )  # before the head: it names the cause
+    guards.append(GuideDisplacement(workcell, setting.memory))  # before the head: it names the cause
     guards.append(sight_guard(engine, void))
     guards.append(link)  # last: it also judges the replies to the guards before it
     engine.checkpoint.watching = patient_watch(engine, void).watching

@@ -286,8 +286,8 @@ def _describe_remaining_steps(engine: Engine) -> str:
 
 def _move_out(engine: Engine) -> bool:
     """Request instrument removal, retreat and bring the arm home; return whether anything moved."""
-    workcell, master = engine.setting.workcell, engine.setting.workcell.master
-    if any(arm.place.is_out for arm in workcell.assistants):
+    *reaching_in, master = engine.setting.workcell.outermost_first
+    if any(arm.place.is_out for arm in reaching_in):
         engine.retreat_home()  # first whatever may hold an instrument in the guide
         return True
     engine.questions.request_instrument_removal()

@@ -46,21 +46,21 @@ def surround(engine: Engine) -> None:
     Raises PRO-032 for an arm away from home if no result gives the position of the head.
     """
     _surround_master(engine)
-    for assistant in engine.setting.workcell.assistants:
-        if assistant.history.base is not None:
-            _surround_assistant(engine, assistant)
+    for arm in engine.setting.workcell.assistants:
+        if arm.history.base is not None:
+            _surround_assistant(engine, arm)
 
 
-def _surround_assistant(engine: Engine, assistant: Assistant) -> None:
+def _surround_assistant(engine: Engine, arm: Assistant) -> None:
     """Set the bodies around an assistant: those at the guide, if a guide is registered for its trajectory."""
     workcell = engine.setting.workcell
-    trajectory = assistant.place.trajectory or workcell.master.place.trajectory
+    trajectory = arm.place.trajectory or workcell.master.place.trajectory
     registration = _find_guide_registration(engine)
     if trajectory is None or registration is None:  # it shows its ball; or somebody has jogged it
-        _surround_off_axis(engine, assistant)
+        _surround_off_axis(engine, arm)
         return
     at_target = engine.context(StepKey(ReachedTarget.kind, trajectory))
-    surround_at_guide(at_target, assistant.joints_rad(), registration.robot_from_ct)
+    surround_at_guide(at_target, arm.joints_rad(), registration.robot_from_ct)
 
 
 def _surround_off_axis(engine: Engine, assistant: Assistant) -> None:
@@ -71,7 +71,7 @@ def _surround_off_axis(engine: Engine, assistant: Assistant) -> None:
     if standing is None and not former:
         if assistant.place.is_out:
             raise RECOVERY_REFUSED(
-                "the assistant is not home, and no result gives the position of the head",
+                f"the {assistant.name} is not home, and no result gives the position of the head",
                 action="Jog it home with its controller's pendant, then resume again.",
             )
         return

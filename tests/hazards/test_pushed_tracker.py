@@ -53,7 +53,7 @@ def tracker(cell: ClinicalCell) -> PushedTracker:
 def before_the_approach(cell: ClinicalCell) -> Engine:
     engine = watched(cell, localized_by_frame())
     setting = engine.setting
-    engine.checkpoint.guards.append(GuideDisplacement(setting.workcell, setting.clock, setting.memory))
+    engine.checkpoint.guards.append(GuideDisplacement(setting.workcell, setting.memory))
     return engine
 
 

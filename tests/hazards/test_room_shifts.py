@@ -209,7 +209,7 @@ def test_markers_of_the_mounted_guide_are_known_as_ends_of_lines_as_those_of_the
 ) -> None:
     for mounted, known in ((MountedTool.STEREO_HEAD, 1), (MountedTool.GUIDE, 2)):
         cell = ClinicalCell(tmp_path / mounted.name).carrying(mounted)
-        frames, _ = read_frames_at_rest(cell.workcell.tracker, cell.clock)
+        frames, _ = read_frames_at_rest(cell.workcell)
         reading = room_reading(
             cell.workcell, frames, Transform(Frame.ROBOT, Frame.TRACKER, RigidTransform.identity())
         )

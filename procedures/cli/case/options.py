@@ -19,7 +19,7 @@ from ronna_hw.arm.catalogue import ArmChoice
 from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.command_line.messages import tell
 from ronna_hw.command_line.viewers_address import BindOption, CertificateOption, KeyOption, viewers_address
-from ronna_hw.roles import ONE_ARM, TWO_ARMS
+from ronna_hw.roles import roles_of
 
 if TYPE_CHECKING:
     from procedures.runs.answers import Answers
@@ -247,7 +247,7 @@ class CaseOptions(TheatreOptions):
             case=self.case,
             plan=self.plan,
             keep_raw=self.keep_raw,
-            roles=TWO_ARMS if self.dual else ONE_ARM,
+            roles=roles_of(dual=self.dual),
         )
         return RunRequest(
             procedure=procedure,

@@ -238,7 +238,7 @@ def _check_records(
             found = run_check(camera_subject, serial, partial(check_serial, record, serial))
             yield replace(found, serials={camera_endpoint(theatre.devices[name], side): serial})
     role = name.removeprefix("robot.")
-    if isinstance(device, RobotArm) and role in TWO_ARMS:
+    if isinstance(device, RobotArm) and role in WHOSE_RECORD:
         kinematics, arm = device.kinematics, calibrations.arms.get(role)
 
         def check_arm() -> None:

@@ -8,6 +8,7 @@ from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -32,16 +33,18 @@ from ronna_hw.clock import HostClock
 from ronna_hw.command_line.errors import as_ronna_error
 from ronna_hw.command_line.options import log_failure
 from ronna_hw.command_line.terminal import Progress, print_json, print_table, say
-from ronna_hw.config import Calibrations, DeviceConfig, TheatreFile, read_theatre_file
+from ronna_hw.config import ARM_RECORDS, Calibrations, DeviceConfig, TheatreFile, read_theatre_file
 from ronna_hw.devices import OpticalTracker
 from ronna_hw.devices.probing import Diagnostic, EndpointProbe, PortProbe, endpoints_of, refusal
 from ronna_hw.endpoints import BadEndpoint, Endpoint, parse_endpoint
 from ronna_hw.errors import EXIT_NOT_FOUND, EXIT_REFUSED, RonnaError
 from ronna_hw.registry import endpoint_probes, load_probe, make_device
-from ronna_hw.roles import ASSISTANT
+from ronna_hw.roles import MASTER
 from ronna_hw.text import format_count
 
-ASSISTANT_RECORDS = ("calibration assistant_arm", "calibration assistant_holder")
+# Of arms beside the master, which only a case with several arms needs.
+OTHERS = [role for role in ARM_RECORDS if role != MASTER]
+RECORDS_OF_OTHERS = tuple(f"calibration {name}" for role in OTHERS for name in ARM_RECORDS[role])
 CASE, TWO_ARM_CASE = "case", "case with two arms"
 TRACKER = "tracker"  # table
 PROBLEM, NOTE, OK = "PROBLEM", "note", "ok"
@@ -63,20 +66,20 @@ class Verdict:
 def verdicts(
     case: Sequence[Diagnostic],
     devices: Mapping[str, Sequence[Diagnostic]],
-    two_arms: Sequence[Diagnostic] = (),
+    of_several: Sequence[Diagnostic] = (),
 ) -> Iterator[Verdict]:
     """Yield a verdict for each device table of the theatre file, then one for the case.
 
     With an assistant in the file, or its records, follows one for a case with both arms, which also needs
-    `two_arms`.
+    `of_several`.
     """
     for name, found in devices.items():
         yield _verdict(name, found)
     needed = [*case, *(one for name in theatre_checks.NEEDED for one in devices.get(name, ()))]
     yield _verdict(CASE, needed)
-    assistant = devices.get(f"robot.{ASSISTANT}")
-    if assistant is not None or not all(one.well for one in two_arms):
-        yield _verdict(TWO_ARM_CASE, [*needed, *(assistant or ()), *two_arms])
+    others = [devices[name] for name in (f"robot.{role}" for role in OTHERS) if name in devices]
+    if others or not all(one.well for one in of_several):
+        yield _verdict(TWO_ARM_CASE, [*needed, *chain.from_iterable(others), *of_several])
 
 
 def _verdict(of: str, found: Sequence[Diagnostic]) -> Verdict:
@@ -167,9 +170,9 @@ def examine(
             *history_diagnostics(config),
         )
         case = (*theatre_checks.use_diagnostics(config), *theatre_checks.case_diagnostics(file, config, out))
-        of_assistant = tuple(one for one in calibrations if one.subject in ASSISTANT_RECORDS)
-        calibrations = tuple(one for one in calibrations if one not in of_assistant)
-        two_arms = (*of_assistant, *theatre_checks.assistant_diagnostics(file))
+        of_others = tuple(one for one in calibrations if one.subject in RECORDS_OF_OTHERS)
+        calibrations = tuple(one for one in calibrations if one not in of_others)
+        two_arms = (*of_others, *theatre_checks.assistant_diagnostics(file))
         if any(one in endpoints_of(device) for device in file.devices.values() for one in parsed):
             require_free_theatre(config)
         if all(one.subject != theatre_checks.RUN for one in case):

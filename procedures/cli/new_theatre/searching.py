@@ -87,11 +87,11 @@ def endpoint_of(option: str, text: str) -> Endpoint:
         raise UsageMistake(f"{option}: {error.what}", expected=form, action=action) from error
 
 
-def require_another(option: str, of_master: Sequence[Endpoint], of_assistant: Endpoint) -> None:
-    """Raise CLI-001 if the assistant is given an address of the master."""
-    if of_assistant in of_master:
+def require_another(option: str, of_master: Sequence[Endpoint], address: Endpoint) -> None:
+    """Raise CLI-001 if another arm is given an address of the master."""
+    if address in of_master:
         raise UsageMistake(
-            f"{option} is {of_assistant}, which is given for the master as well",
+            f"{option} is {address}, which is given for the master as well",
             expected="addresses of its own for each arm",
         )
 

@@ -95,9 +95,9 @@ def home(folder: Path, *, accept: bool, answers: Path | None, as_json: bool) -> 
             resumption = Resumption(interrupted, accept, only_leaving=True)
             with open_run(request, interrupted.folder, observers, resumption) as engine:
                 moved = bring_home(engine, interrupted)
-                two_arms = len(engine.setting.workcell.arms) > 1
+                arms = len(engine.setting.workcell.arms)
         state = "home" if moved else "already home"
-        words = f"both arms are {state}" if two_arms else f"the arm {'is' if moved else 'was'} {state}"
+        words = f"both arms are {state}" if arms > 1 else f"the arm {'is' if moved else 'was'} {state}"
         _print_outcome(interrupted, words, moved=moved, as_json=as_json)
 
 

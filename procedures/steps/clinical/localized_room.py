@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from procedures.guards.room_watch import FlangePose, RoomWatch
 from procedures.room.estimate import RoomEstimate
@@ -19,12 +18,11 @@ from procedures.steps.clinical.results import KnownBases, RegisteredRobot
 from procedures.workcell import Workcell
 from procedures.workcell.tracker_look import flange_from_marker
 from ronna_hw.arm.catalogue import find_arm
+from ronna_hw.arrays import Array
 from ronna_hw.calibrated_arm.error_budget import ErrorSizes
 from ronna_hw.config import ProcedureSettings
 from ronna_hw.frames import Transform
 from ronna_hw.vectors import JointVector
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -48,12 +46,7 @@ class LocalizedRoom:
         """Expected place of the head."""
         return Places(self.spheres_mm, None if self.on_clamp is None else self.on_clamp.as_matrix())
 
-    def watch(
-        self,
-        localization: str,
-        arm: TrackedArm,
-        flange_pose: FlangePose,
-    ) -> RoomWatch:
+    def watch(self, localization: str, arm: TrackedArm, flange_pose: FlangePose) -> RoomWatch:
         """Begin the watch, with the localization as its first look."""
         to_robot = self.robot_from_tracker
         centre_mm = np.asarray(to_robot.apply(self.spheres_mm)).mean(axis=0)

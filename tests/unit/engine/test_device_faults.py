@@ -30,12 +30,14 @@ def doubts_after(halt: Halt | None) -> list[str]:
     known = LastKnown[object](Lifecycle.FAULT, Stopped("a stop was requested"), None)
     master = SimpleNamespace(role=MASTER)
     devices = {"arm": SimpleNamespace(observe=lambda: known)}
-    cell = SimpleNamespace(devices=devices, halt=halt, master=master, arm_of_device=lambda _name: master)
+    clock = SimpleNamespace(now_s=lambda: 12.0)
+    cell = SimpleNamespace(
+        devices=devices, halt=halt, master=master, clock=clock, arm_of_device=lambda _name: master
+    )
     faults = DeviceFaults(
         cast("Any", SimpleNamespace(order=order, case=case)),
         cast("Any", cell),
         cast("Any", SimpleNamespace(write=lambda _entry, _at_s, **more: lines.append(more["fault"]))),
-        cast("Any", SimpleNamespace(now_s=lambda: 12.0)),
     )
     faults.doubt_results()
     return lines

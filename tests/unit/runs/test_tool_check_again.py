@@ -235,7 +235,7 @@ def mounts(cell: ClinicalCell, topic: Topic, number: int) -> None:
 def test_a_guide_found_off_before_it_goes_to_the_head_is_checked_again(
     cell: ClinicalCell, guarded: Engine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(positioning, "require_unmoved", lambda *_: setattr(cell.arm, "mounted", 0))
+    monkeypatch.setattr(positioning.room, "require_unmoved", lambda *_: setattr(cell.arm, "mounted", 0))
     with raises(TOOL_UNCHECKED, match="no tool instead of the guide"):
         guarded.run_step(guarded.order.find(f"positioning:{FIRST}"))
     cell.arm.mounted = GUIDE

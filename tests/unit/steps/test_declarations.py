@@ -34,15 +34,7 @@ from procedures.operator.question import Topic
 from procedures.steps.calibration.ball_place import BallPlace
 from procedures.steps.calibration.frame_looks import ObservedFrame
 from procedures.steps.calibration.head_looks import BallMeasurement, ObservedBall, VisitedBaseline
-from procedures.steps.calibration.recipe import (
-    arm_looks,
-    frame_looks,
-    head_calibration,
-    head_check,
-    head_look,
-    look_in_place,
-    tip_readings,
-)
+from procedures.steps.calibration.recipe import Calibrated, Recipe, head_check, head_look, look_in_place
 from procedures.steps.calibration.sphere_looks import ObservedSpheres
 from procedures.steps.calibration.tip_readings import ObservedStand, TipReadings
 from procedures.steps.catalogue import clinical_steps, list_questions
@@ -58,17 +50,18 @@ from ronna_hw.records import read_record
 from ronna_hw.roles import ONE_ARM, TWO_ARMS
 
 BASELINE = Baseline.model_construct(looks=())
+BALL_MM = (700.0, 0.0, 300.0)
 PROCEDURES: dict[str, Steps] = {
     "case": clinical_steps(measure_targets=True, roles=TWO_ARMS),
-    "calibration": head_calibration(60, 3, None),
-    "calibration at a stated place": head_calibration(60, 3, (700.0, 0.0, 300.0)),
+    "calibration": Recipe(of=Calibrated.HEAD, looks=60, more=3).steps,
+    "calibration at a stated place": Recipe(of=Calibrated.HEAD, looks=60, more=3, ball_mm=BALL_MM).steps,
     "check": head_check(BASELINE, 3),
     "look": head_look(None),
     "look where it stands": look_in_place(),
-    "spheres": arm_looks(60, 10),
-    "reference frame": frame_looks(20, 4),
-    "tip": tip_readings(20, 4, None),
-    "tip at a stated place": tip_readings(20, 4, (700.0, 0.0, 300.0)),
+    "spheres": Recipe(of=Calibrated.ARM, looks=60, more=10).steps,
+    "reference frame": Recipe(of=Calibrated.FRAME, looks=20, more=4).steps,
+    "tip": Recipe(of=Calibrated.TIP, looks=20, more=4).steps,
+    "tip at a stated place": Recipe(of=Calibrated.TIP, looks=20, more=4, ball_mm=BALL_MM).steps,
 }
 STEPS = {step.result: step for steps in PROCEDURES.values() for step in steps}
 RESULTS = list_step_results()

@@ -83,9 +83,8 @@ def test_nobody_is_asked_about_a_motion_that_is_not_clear(
         "preview",
         lambda motion, **start: replace(previews(motion, **start), refused=near if around else None),
     )
-    monkeypatch.setattr(
-        cell.workcell.master.supervised, "_look_around", lambda: around.append("the other arm")
-    )
+    monkeypatch.setattr(cell.workcell.motion, "look_around", around.append)
+
     with pytest.raises(
         NotClear, match="hand of the master would come too close to the forearm of the assist"
     ):

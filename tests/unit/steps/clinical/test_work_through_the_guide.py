@@ -46,7 +46,7 @@ def before_the_entry(cell: ClinicalCell) -> Engine:
     """An engine whose guide is held before the first entry."""
     engine = before_positioning(cell)
     setting = engine.setting
-    engine.checkpoint.guards.append(GuideDisplacement(setting.workcell, setting.clock, setting.memory))
+    engine.checkpoint.guards.append(GuideDisplacement(setting.workcell, setting.memory))
     engine.run_to(engine.order.find(f"positioning:{FIRST}"))
     cell.operator.asked.clear()
     return engine

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from procedures.workcell.arm_load import as_standstill
+from procedures.steps.clinical.guide_load import as_standstill
 from ronna_hw.arm.load_model import KR6, UR5E, LoadModel
 from ronna_hw.devices.axis_loads import AxisLoads
 from ronna_hw.devices.readings import Stamp, Validity
