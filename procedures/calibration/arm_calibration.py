@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from datetime import timedelta
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from scipy.special import chdtri
 
@@ -29,13 +28,12 @@ from procedures.calibration.pose_set import (
 )
 from ronna_hw.arm.catalogue import find_arm
 from ronna_hw.arm.pose import Pose
+from ronna_hw.arrays import Array, Mask
 from ronna_hw.calibrated_arm.deviations import ArmDeviations
 from ronna_hw.calibration import ArmCalibration, StereoHeadCalibration, ToolTipCalibration
 from ronna_hw.errors import LimitError
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.text import format_against_limit, format_distinct
-
-Array = NDArray[np.float64]
 
 LEAST_LOOKS = 60  # with fewer, validation shows errors beyond those of a calibrated arm
 ROUNDS = 6  # of fit, estimate of the random error, and outlier rejection: they converge within four
@@ -129,7 +127,7 @@ class ArmFit:
     covariance: Array
     scatter_mm: float
     residuals_mm: Array
-    used: NDArray[np.bool_]
+    used: Mask
 
     @property
     def deviations(self) -> ArmDeviations:
@@ -204,7 +202,7 @@ def _step(
     values: Array,
     slopes: Array,
     whitening: Array,
-    used: NDArray[np.bool_],
+    used: Mask,
 ) -> tuple[Array, Array]:
     """Take one Gauss-Newton step; return the covariance and the new parameters."""
     rows = (whitening @ slopes)[used].reshape(-1, len(values))
@@ -215,7 +213,7 @@ def _step(
     return covariance, values - covariance @ (rows.T @ misses + prior * values)
 
 
-def _estimate_scatter(residuals: Array, explained: Array, stereo: Array, used: NDArray[np.bool_]) -> float:
+def _estimate_scatter(residuals: Array, explained: Array, stereo: Array, used: Mask) -> float:
     """Estimate the arm's random error per axis in mm, from the residuals in excess of image noise.
 
     `explained` (m, 3, 3) is the covariance of the fit at the measurements, by which it has shrunk the

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import block_diag, null_space
 from scipy.special import chdtri
 
@@ -17,14 +16,13 @@ from procedures.calibration.pose_set import require_count
 from procedures.registration.target_prediction import SharedErrors
 from ronna_hw.arm.catalogue import find_arm
 from ronna_hw.arm.kinematics import Chain
+from ronna_hw.arrays import Array
 from ronna_hw.calibrated_arm.deviations import ArmDeviations, flange_poses
 from ronna_hw.calibrated_arm.error_budget import ErrorSizes
 from ronna_hw.calibration import ArmCalibration
 from ronna_hw.config import ProcedureSettings
 from ronna_hw.frames import Frame
 from ronna_hw.text import format_distinct
-
-Array = NDArray[np.float64]
 
 FALSE_ALARM = 0.001  # one check in a thousand of an unchanged arm
 

@@ -20,6 +20,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from procedures.calibration.observations import Measurements
 from ronna_hw.arm.kinematics import Kinematics
+from ronna_hw.arrays import Array, Mask
 from ronna_hw.calibrated_arm.deviations import ArmDeviations, flange_poses, flange_rotations, gravity_levers
 from ronna_hw.calibrated_arm.error_budget import (
     BACKLASH_RAD,
@@ -41,8 +42,6 @@ from ronna_hw.calibration import (
 )
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.vectors import JointVector
-
-Array = NDArray[np.float64]
 
 LOOKS_FILE = "looks.json"
 Side = Literal[-1, 1]
@@ -101,7 +100,7 @@ class LookArrays:
         """Number of spheres."""
         return int(self.sphere.max()) + 1
 
-    def only(self, rows: NDArray[np.bool_]) -> LookArrays:
+    def only(self, rows: Mask) -> LookArrays:
         """Select measurements; the sphere numbers are unchanged."""
         return LookArrays(*(getattr(self, field.name)[rows] for field in fields(self)))
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform
 from scipy.special import chdtri
 
@@ -23,9 +23,8 @@ from procedures.calibration.errors import BASES_DISAGREE, DegeneratePoses, DoesN
 from procedures.calibration.hand_eye import PosePairs, apply_change, solve
 from procedures.calibration.pose_set import require_consistent, require_count, require_spread
 from procedures.strategies.strategy import ONE_SIDE
+from ronna_hw.arrays import Array, Mask
 from ronna_hw.text import format_against_limit
-
-Array = NDArray[np.float64]
 
 LEAST_FRAME_LOOKS = 8  # 20 leave the bases no better: the tracker is a smooth 0.25 mm off in the region
 LEAST_BALL_LOOKS = 12
@@ -143,7 +142,7 @@ class BallFit:
     flange_from_ball_mm: Array
     scatter_mm: float
     misses_mm: Array
-    used: NDArray[np.bool_]
+    used: Mask
     region_mm: Array
     error_mm: float
 
@@ -254,7 +253,7 @@ def require_agreement(coarse: BaseToBase, fit: BallFit) -> None:
         )
 
 
-def _require_fit(scatter_mm: float, used: NDArray[np.bool_]) -> None:
+def _require_fit(scatter_mm: float, used: Mask) -> None:
     if scatter_mm > LARGEST_SCATTER_MM:
         raise DoesNotFit(
             "no pose of the assistant's base explains the looks at its ball",

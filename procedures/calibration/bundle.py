@@ -20,19 +20,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from procedures.calibration.errors import DoesNotFit
 from procedures.calibration.head_model import CAMERA_PARAMETERS, Cameras, cameras_of, intersect_rays
 from procedures.calibration.observations import Observation
 from procedures.calibration.pose_set import require_consistent, require_count, require_spread
 from ronna_hw.arm.kinematics import Chain
+from ronna_hw.arrays import Array, Mask
 from ronna_hw.calibrated_arm.error_budget import UNCALIBRATED_MM, error_columns
 from ronna_hw.calibration import StereoHeadCalibration
 from ronna_hw.robust_scale import robust_sigma
 from ronna_hw.text import format_against_limit
-
-Array = NDArray[np.float64]
 
 LEAST_POSES = 60
 BALL = 3
@@ -73,7 +71,7 @@ class BundleFit:
     image_sigma_px: float
     residuals_px: Array
     shifts_mm: Array
-    used: NDArray[np.bool_]
+    used: Mask
 
 
 @dataclass(frozen=True)
@@ -146,7 +144,7 @@ class _Estimate:
     residuals: Array
     shifts: Array
     gaps: Array
-    used: NDArray[np.bool_]
+    used: Mask
 
 
 def _adjust(looks: _Looks, cameras: Cameras, values: Array, arm_error: float) -> _Estimate:
@@ -231,7 +229,7 @@ def _whitening(looks: _Looks, start: Cameras, values: Array, arm_error: float, i
 class _Cost:
     """Cost vector: whitened residuals of the views in use, and priors for cameras and arm."""
 
-    def __init__(self, looks: _Looks, start: Cameras, whitening: Array, used: NDArray[np.bool_]) -> None:
+    def __init__(self, looks: _Looks, start: Cameras, whitening: Array, used: Mask) -> None:
         self._looks, self._start, self._whitening, self._used = looks, start, whitening, used
 
     def __call__(self, values: Array) -> Array:
@@ -280,7 +278,7 @@ def _split_residuals(
     return shifts, np.einsum("ni,ni->n", null, residuals) / sigma
 
 
-def _error_sizes(shifts: Array, gaps: Array, used: NDArray[np.bool_]) -> tuple[float, float]:
+def _error_sizes(shifts: Array, gaps: Array, used: Mask) -> tuple[float, float]:
     """Estimate robustly the arm's error per axis in mm, and the image error relative to its covariance."""
     count = int(used.sum())
     freedom = np.sqrt(max(0.3, 1.0 - HEAD / (4.0 * count)))
@@ -289,7 +287,7 @@ def _error_sizes(shifts: Array, gaps: Array, used: NDArray[np.bool_]) -> tuple[f
     return max(arm, LEAST_ARM_ERROR_MM), max(image, 1.0)
 
 
-def _require_fit(used: NDArray[np.bool_], gaps: Array, looks: _Looks) -> None:
+def _require_fit(used: Mask, gaps: Array, looks: _Looks) -> None:
     gap_px = float(np.median(np.abs(gaps))) * float(np.sqrt(looks.covariances_px2[:, 0, 0].mean()))
     if gap_px > GAP_LIMIT_PX:
         raise DoesNotFit(
@@ -306,7 +304,7 @@ def _normal_matrix(
     values: Array,
     arm_error: float,
     image_scale: float,
-    used: NDArray[np.bool_],
+    used: Mask,
 ) -> Array:
     """Return the information matrix of all parameters, ignoring robust weights."""
     cost = _Cost(looks, start, _whitening(looks, start, values, arm_error, image_scale), used)

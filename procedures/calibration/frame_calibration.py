@@ -16,7 +16,6 @@ from itertools import combinations
 from typing import Annotated, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 from scipy.special import chdtri
 
@@ -33,6 +32,7 @@ from procedures.calibration.pose_set import (
     require_count,
     rms_mm,
 )
+from ronna_hw.arrays import Array
 from ronna_hw.calibrated_arm.error_budget import LINK_TRANSLATION_MM
 from ronna_hw.calibration import (
     ArmCalibration,
@@ -45,8 +45,6 @@ from ronna_hw.calibration import (
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.text import format_against_limit, format_distinct
 from ronna_hw.vectors import JointVector
-
-Array = NDArray[np.float64]
 
 LOOKS_FILE = "frame-looks.json"
 

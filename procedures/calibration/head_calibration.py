@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from datetime import datetime, timedelta
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from procedures.calibration.bundle import BALL, DERIVATIVE_STEP, BundleFit, fit_bundle
@@ -28,10 +27,9 @@ from procedures.calibration.head_model import (
 from procedures.calibration.observations import ObservationSet, identifier_suffix
 from procedures.calibration.pose_set import rms_mm
 from ronna_hw.arm.catalogue import find_arm
+from ronna_hw.arrays import Array
 from ronna_hw.calibration import StereoHeadCalibration, ToolTipCalibration
 from ronna_hw.frames import Frame, Transform
-
-Array = NDArray[np.float64]
 
 LIFE = timedelta(days=30)
 MADE_BY = "ronna-stereo calibrate"

@@ -10,14 +10,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from procedures.relocalization.triangulation import distort
+from ronna_hw.arrays import Array
 from ronna_hw.calibration import CameraCalibration, PoseRecord, StereoHeadCalibration
 from ronna_hw.frames import Frame, Transform
-
-Array = NDArray[np.float64]
 
 CAMERA_PARAMETERS = 10  # rotation 3, translation 3, focal length, principal point 2, k1
 UNDISTORT_STEPS = 12  # each gains about three digits with lenses of this kind

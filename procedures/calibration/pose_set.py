@@ -11,14 +11,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from procedures.calibration.errors import TOO_FEW_POSES, DegeneratePoses, DoesNotFit
+from ronna_hw.arrays import Array, Mask
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.text import format_against_limit
-
-Array = NDArray[np.float64]
 
 TILT_RAD = float(np.radians(25.0))  # at most, in all directions: a spread of 50 degrees
 TURN_RAD = float(np.radians(45.0))  # about the tool axis, either way
@@ -182,7 +181,7 @@ def require_count(count: int, least: int, what: str, action: str | None = None) 
         raise TOO_FEW_POSES(what, expected=f"at least {least}", got=str(count), action=action)
 
 
-def require_spread(rotations: NDArray[np.float64], what: str, action: str | None = None) -> None:
+def require_spread(rotations: Array, what: str, action: str | None = None) -> None:
     """Raise CAL-003 with the message `what` if rotations (n, 3, 3) hardly vary about some axis."""
     if (spread := orientation_spread(rotations)) < math.sin(math.radians(LEAST_SPREAD_DEG)):
         raise DegeneratePoses(
@@ -193,7 +192,7 @@ def require_spread(rotations: NDArray[np.float64], what: str, action: str | None
         )
 
 
-def require_consistent(used: NDArray[np.bool_], most_outliers: float, what: str) -> None:
+def require_consistent(used: Mask, most_outliers: float, what: str) -> None:
     """Raise CAL-004 if `what` has more than this fraction of outliers; `used` marks the inliers."""
     if (outliers := float(np.mean(~used))) > most_outliers:
         raise DoesNotFit(
@@ -203,7 +202,7 @@ def require_consistent(used: NDArray[np.bool_], most_outliers: float, what: str)
         )
 
 
-def orientation_spread(rotations: NDArray[np.float64]) -> float:
+def orientation_spread(rotations: Array) -> float:
     """Return the rms variation of rotations (n, 3, 3) in the least varied direction; 0 for a single axis."""
     deviations = rotations - rotations.mean(axis=0)
     scatter = np.einsum("nki,nkj->ij", deviations, deviations) / len(rotations)

@@ -21,18 +21,16 @@ from datetime import datetime
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 from scipy.special import chdtri
 
 from procedures.calibration.errors import CHECK_UNCERTAIN, HEAD_MOVED, NotTheBaseline
 from procedures.calibration.head_model import cameras_of, intersect_rays
 from procedures.calibration.observations import Observation
+from ronna_hw.arrays import Array
 from ronna_hw.calibration import StereoHeadCalibration, Strict
 from ronna_hw.frames import Frame
 from ronna_hw.text import format_against_limit, format_distinct
-
-Array = NDArray[np.float64]
 
 BASELINE_FILE = "baseline.json"
 LEAST_ORIENTATIONS = 8

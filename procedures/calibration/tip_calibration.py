@@ -20,7 +20,6 @@ from datetime import timedelta
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 from scipy.spatial.transform import RigidTransform, Rotation
 from scipy.special import fdtri
@@ -36,6 +35,7 @@ from procedures.calibration.head_calibration import LIFE, new_identifier
 from procedures.calibration.head_model import pose_record
 from procedures.calibration.observations import Measurements
 from procedures.calibration.pose_set import require_count, require_spread, rms_mm
+from ronna_hw.arrays import Array
 from ronna_hw.calibration import (
     ArmCalibration,
     Dated,
@@ -48,8 +48,6 @@ from ronna_hw.calibration import (
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.text import format_against_limit, format_distinct
 from ronna_hw.vectors import JointVector
-
-Array = NDArray[np.float64]
 
 LOOKS_FILE = "tip-looks.json"
 

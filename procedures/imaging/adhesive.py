@@ -13,15 +13,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
 from procedures.imaging.errors import ADHESIVE_COUNT_WRONG
 from procedures.imaging.volume import AIR_HU, Volume
 from ronna_hw.adhesive_marker import INNER_RADIUS_MM, OUTER_RADIUS_MM, THICKNESS_MM
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from ronna_hw.arrays import Array, Mask
 
 COARSE_MM = 1.0
 BODY_HU = -450.0  # half-way between air and soft matter

@@ -1,7 +1,7 @@
 """Doubts about whether a fitted sphere is a marker, based on its shape, neighbours and size.
 
 A fitted sphere rests on the part of a surface that fits; an egg, a rod with a round end or a cap also have
-such a part. Here every ray counts. Rays into metal carry no information. Rays that end in something denser
+such a part. Here every ray counts. Mask into metal carry no information. Mask that end in something denser
 than the surroundings must cross an edge at the sphere's radius, as under skin or a bandage; a post is too
 narrow to matter. All other rays must leave the sphere where it ends.
 
@@ -35,9 +35,8 @@ from procedures.imaging.sphere_centre.radial_edge import (
     ray_directions,
 )
 from procedures.imaging.volume import Region
+from ronna_hw.arrays import Array, Mask
 
-Array = NDArray[np.float64]
-Rays = NDArray[np.bool_]
 Span = tuple[float, float]
 
 # radii as multiples of the fitted one
@@ -193,7 +192,7 @@ def _level_shifts_hu(profiles: Array, shares: Array, edge: RadialEdge) -> Array:
     return np.asarray(np.clip(0.5 * (near + far - edge.inside_hu - edge.outside_hu), -most_hu, most_hu))
 
 
-def _first_fall(profiles: Array, shares: Array, levels_hu: Array) -> tuple[Array, Rays]:
+def _first_fall(profiles: Array, shares: Array, levels_hu: Array) -> tuple[Array, Mask]:
     """Return the radius, in sphere radii, at which each ray first falls below its level, and whether it does.
 
     The edge of a ray that is below its level throughout is at the core.
@@ -214,7 +213,7 @@ def _levels_hu(profiles: Array, shares: Array, *spans: Span) -> list[Array]:
     return [profiles[:, (shares > low) & (shares < high)].mean(axis=1) for low, high in spans]
 
 
-def _median_around(values: Array, informative: Rays) -> Array:
+def _median_around(values: Array, informative: Mask) -> Array:
     """Return the median over each ray's neighbours, (rays,); infinite if half of them are uninformative."""
     return np.asarray(np.median(np.where(informative, values, np.inf)[_neighbours()], axis=1))
 
@@ -226,7 +225,7 @@ def _neighbours() -> NDArray[np.intp]:
     return np.argpartition(-(directions @ directions.T), NEIGHBOURS, axis=1)[:, :NEIGHBOURS]
 
 
-def _mark_adjacent_rays(directions: Array, rays: Rays) -> Rays:
+def _mark_adjacent_rays(directions: Array, rays: Mask) -> Mask:
     """Mark the rays adjacent to `rays`."""
     if not rays.any():
         return np.zeros(len(directions), dtype=bool)
@@ -267,7 +266,7 @@ def assess_neighbours(
     return doubts
 
 
-def assess_sizes(radii_mm: Array, clear: NDArray[np.bool_]) -> list[MarkerDoubt]:
+def assess_sizes(radii_mm: Array, clear: Mask) -> list[MarkerDoubt]:
     """List a doubt for each radius (n,), from its deviation from the median radius of clear spheres."""
     if clear.sum() < FEWEST_ALIKE:
         return [MarkerDoubt("", 0.0)] * len(radii_mm)

@@ -6,7 +6,6 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from procedures.imaging.doubts import OVERLAP, assess_shape
 from procedures.imaging.markers import (
@@ -35,8 +34,7 @@ from procedures.imaging.sphere_centre.radial_edge import (
 )
 from procedures.imaging.sphere_centre.streaked_ball import fit_streaked_ball
 from procedures.imaging.volume import Region, Volume, cut_region
-
-Array = NDArray[np.float64]
+from ronna_hw.arrays import Array
 
 NOT_POLYMER = "shows no surface of a polymer sphere"
 OVERLAPS = "overlaps a marker, as two spheres cannot"

@@ -34,8 +34,7 @@ from procedures.imaging.markers import Candidate, Localization, MarkerDoubt
 from procedures.imaging.scan_deformation import combine_spheres
 from procedures.imaging.volume import Volume, VoxelGeometry
 from ronna_hw.arguments import require_numbers, show
-
-Array = NDArray[np.float64]
+from ronna_hw.arrays import Array
 
 VOXELS_PER_RADIUS = 5.75  # a 1 mm grid for the usual 11.5 mm sphere
 CLIP_HU = (-1000.0, 300.0)  # air to dense polymer

@@ -15,7 +15,7 @@ from itertools import product
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from procedures.imaging.errors import PickRefused, PicksUnreadable
 from procedures.imaging.examination import Sphere, as_candidate, as_marker, examine_place, judge_shape
@@ -31,10 +31,9 @@ from procedures.imaging.markers import Candidate, Localization
 from procedures.imaging.scan_deformation import combine_spheres
 from procedures.imaging.volume import Volume, VoxelGeometry, cube_around
 from ronna_hw.arguments import require_path
+from ronna_hw.arrays import Array
 from ronna_hw.bounded_input import InputRefused, parse_json, read_bounded
 from ronna_hw.plausible import FARTHEST_MM
-
-Array = NDArray[np.float64]
 
 LARGEST_FILE_BYTES = 1_000_000  # a 3D Slicer point list takes a kilobyte per point
 COLUMNS = ("L_mm", "P_mm", "S_mm")  # as `--write FILE.csv` names them

@@ -7,13 +7,11 @@ from collections.abc import Iterable, Sequence
 from textwrap import fill
 
 import numpy as np
-from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from procedures.imaging.markers import Candidate, Localization, Marker
 from procedures.imaging.volume import Volume, VoxelGeometry, cut_region
-
-Array = NDArray[np.float64]
+from ronna_hw.arrays import Array
 
 HALF_WIDTH_MM = 14.0
 STEP_MM = 0.25  # of the interpolated image

@@ -15,16 +15,14 @@ from collections.abc import Sequence
 from math import pi, sqrt
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from procedures.imaging.errors import ScanDeformed
 from procedures.imaging.markers import ScanDeformation
 from procedures.imaging.sphere_centre.ball_model import TERMS, Stretch, stretch_matrix
 from procedures.imaging.volume import VoxelGeometry
+from ronna_hw.arrays import Array
 from ronna_hw.text import format_distinct
-
-Array = NDArray[np.float64]
 
 # Standard deviations of the deviation from a ball beyond the covariance of its fit, per unit of length, from
 # phantoms of all protocols, kernels and slices. `FIT`: of one sphere, from hardening and streaks.

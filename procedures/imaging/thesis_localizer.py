@@ -23,8 +23,8 @@ from procedures.imaging.errors import LOCALIZATION_MISUSED
 from procedures.imaging.localization import DIAMETER_MM, check_request, require_count, superior_first_key
 from procedures.imaging.markers import Candidate, Localization, Marker
 from procedures.imaging.volume import Volume
+from ronna_hw.arrays import Array, Mask
 
-Array = NDArray[np.float64]
 Box = tuple[slice, slice, slice]  # voxels (slices, rows, columns)
 
 BODY_HU = -500  # anything above is not air
@@ -307,7 +307,7 @@ def fit_sphere(axial: Cluster, sagittal: Cluster) -> tuple[Array, float, float]:
     """Fit a sphere to the circles: centre (3,) in grid mm, radius in mm, share of circle points on it."""
     points = np.concatenate([_circle_points(cluster) for cluster in (axial, sagittal)])
 
-    def mark_on_sphere(sample: Array) -> NDArray[np.bool_]:
+    def mark_on_sphere(sample: Array) -> Mask:
         centre, radius = _fit_algebraic_sphere(sample)
         return np.asarray(np.abs(np.linalg.norm(points - centre, axis=1) - radius) < ON_SPHERE_MM)
 
@@ -321,7 +321,7 @@ def fit_sphere(axial: Cluster, sagittal: Cluster) -> tuple[Array, float, float]:
 def _fit_line(points: Array) -> tuple[Array, Array]:
     """Fit a line; return a point on it and its unit direction."""
 
-    def mark_on_line(sample: Array) -> NDArray[np.bool_]:
+    def mark_on_line(sample: Array) -> Mask:
         direction = sample[1] - sample[0]
         direction = direction / np.linalg.norm(direction)
         offsets = points - sample[0]
@@ -334,9 +334,7 @@ def _fit_line(points: Array) -> tuple[Array, Array]:
     return middle, axes[0]
 
 
-def _find_consensus(
-    points: Array, count: int, mark_agreeing: Callable[[Array], NDArray[np.bool_]]
-) -> NDArray[np.bool_]:
+def _find_consensus(points: Array, count: int, mark_agreeing: Callable[[Array], Mask]) -> Mask:
     """Find the largest set of points (n,) consistent with a random sample of `count` points (RANSAC)."""
     random = np.random.default_rng(SEED)
     best = np.zeros(len(points), dtype=bool)

@@ -15,8 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import map_coordinates, spline_filter
 
 from procedures.imaging.errors import VOLUME_MALFORMED
-
-Array = NDArray[np.float64]
+from ronna_hw.arrays import Array
 
 AXES_TOLERANCE = 1e-6  # on the scalar products of the axes
 

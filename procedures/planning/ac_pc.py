@@ -10,9 +10,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from procedures.planning.errors import AcPcUnfit
+from ronna_hw.arrays import Array
 
 # Adult commissures are 19 to 32 mm apart, centre to centre (unconfirmed). The limits leave room for children
 # and wide ventricles; they catch clicks on one commissure twice or on another structure, and metres.
@@ -21,7 +21,6 @@ LEAST_OFF_LINE_MM = 10.0  # a click 0.5 mm to the side then turns the frame by 3
 # Between x and the right side of the scan: no head is scanned as oblique as this.
 LARGEST_TURN_DEG = 45.0
 ANTERIOR, RIGHT = np.array([0.0, -1.0, 0.0]), np.array([-1.0, 0.0, 0.0])  # LPS
-Array = NDArray[np.float64]
 BEGIN_ANEW = "AC stays set; if it is wrong, remove the points and click AC first"
 
 

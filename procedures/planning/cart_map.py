@@ -17,12 +17,12 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
 from procedures.planning.cart_place import CartCase, CartMove, PlaceSolution, PlaceVerdict
 from procedures.planning.errors import NO_PLACE
 from procedures.planning.proposed_place import TURNED_SHARE
+from ronna_hw.arrays import Mask
 from ronna_hw.host.worker_processes import collect_results, start_workers
 
 Node = tuple[int, int]
@@ -48,7 +48,7 @@ class PlaceMap:
 
     half: int  # finest squares from the centre to the edge
     verdicts: dict[Node, PlaceVerdict]
-    allowed: NDArray[np.bool_]
+    allowed: Mask
     turn_rad: float = 0.0
 
     @property

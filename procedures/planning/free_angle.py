@@ -20,7 +20,7 @@ from itertools import chain
 from typing import Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from procedures.planning.line_of_sight import StereoSight
 from procedures.planning.motions import check_fixed_places
@@ -32,6 +32,7 @@ from procedures.strategies.catalogue import CANDIDATES, BestOfEach, find_strateg
 from procedures.strategies.strategy import OUTWARDS_RAD, STEP_RAD, Strategy, intermediate_turns_rad
 from procedures.strategies.trajectory import Trajectory
 from ronna_hw.arm.kinematics import Branch, Kinematics
+from ronna_hw.arrays import Array
 from ronna_hw.errors import LimitError
 
 # Safety against a wrist near its singularity. Source: simulated cases.
@@ -39,7 +40,6 @@ LEAST_BEND_RAD = math.radians(15.0)  # at 5 deg a target error of 0.69 mm was ob
 # Safety against a wrist that turns far between localization and target (U).
 MOST_TURN_CHANGE_RAD = math.radians(45.0)  # between a localization and the target
 
-Array = NDArray[np.float64]
 LEVER_MM = 270.0  # from the tool's axis to the far side of the hand that carries the default mount
 MOST_GAIN_MM = LEVER_MM * STEP_RAD / 2.0  # of clearance, by a turn of half a step
 BY_ACCURACY = ("improved", "ocs", "jdms", "nos")  # on an uncalibrated arm

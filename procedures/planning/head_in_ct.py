@@ -13,18 +13,17 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from pydantic import Field
 
 from procedures.planning.errors import NO_HEAD_IN_CT, NotIntoHead, StandoffInsideSkin
 from procedures.planning.plan_model import PlannedTrajectory
 from procedures.strategies.trajectory import Trajectory
+from ronna_hw.arrays import Array, Mask
 from ronna_hw.calibration import Numbers3, Strict
 
 if TYPE_CHECKING:
     from procedures.imaging.volume import Volume
-
-Array = NDArray[np.float64]
 
 AIR_BELOW_HU = -300.0  # fat is about -100, foam of a headrest about -930, air -1000
 GRID_MM = 4.0  # a head is large: this resolution is enough
@@ -217,7 +216,7 @@ def _steps(first_mm: float, last_mm: float) -> Array:
     return np.linspace(first_mm, last_mm, max(2, round((last_mm - first_mm) / SAMPLING_MM) + 1))
 
 
-def _first_run_mm(steps_mm: Array, mask: NDArray[np.bool_], length_mm: float) -> float | None:
+def _first_run_mm(steps_mm: Array, mask: Mask, length_mm: float) -> float | None:
     """Return the start in mm of the first run of at least this length, or None."""
     run = round(length_mm / SAMPLING_MM)
     return next((float(steps_mm[k]) for k in range(len(mask) - run + 1) if mask[k : k + run].all()), None)

@@ -22,14 +22,13 @@ from procedures.planning.errors import NO_MARKER_SITES, NO_TEMPLATE
 from procedures.planning.head_in_ct import AIR_BELOW_HU, HeadEllipsoid, sample_hu
 from procedures.registration.error_theory import tre_principal_axes_mm
 from procedures.strategies.trajectory import Trajectory, split_along
+from ronna_hw.arrays import Array, Mask
 from ronna_hw.calibration import Numbers3, Strict
 from ronna_hw.marker_template import MarkerTemplate, TemplateMarker
 from ronna_hw.records import write_atomically
 
 if TYPE_CHECKING:
     from procedures.imaging.volume import Volume
-
-Array = NDArray[np.float64]
 
 CAP_AXIS = (0.0, -1.0, 1.0)  # LPS, from forehead to vertex: excludes pillow and face
 CAP_HALF_ANGLE_RAD = np.radians(50.0)
@@ -234,7 +233,7 @@ def _exchange_markers(centres: Array, targets: Array, chosen: NDArray[np.int64])
     return chosen
 
 
-def mark_allowed(points: Array) -> NDArray[np.bool_]:
+def mark_allowed(points: Array) -> Mask:
     """Flag the sets (s, n, 3) with enough spacing and, for few markers, distinct distances."""
     first, second = np.array(list(combinations(range(points.shape[1]), 2))).T
     distances = np.sort(np.linalg.norm(points[:, first] - points[:, second], axis=2), axis=1)

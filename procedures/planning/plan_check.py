@@ -8,7 +8,7 @@ from itertools import combinations, product
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from procedures.planning.errors import (
     MARKERS_ADHESIVE,
@@ -31,6 +31,7 @@ from procedures.planning.structures import StructureDistance, check_structures, 
 from procedures.registration import MatchStatus, match
 from procedures.registration.errors import LayoutNotFound
 from procedures.registration.template import find_layout
+from ronna_hw.arrays import Array
 from ronna_hw.errors import RonnaError
 from ronna_hw.marker_template import IMPLANTED_SIGMA_MM
 from ronna_hw.text import format_against_limit
@@ -49,7 +50,6 @@ if TYPE_CHECKING:
 LEAST_SIDE_DIFFERENCE_MM = 6.0  # in a triangle of fiducials: below it three points are often ambiguous
 CT_SIGMA_MM = 0.10  # per axis: the localizer's error on a poor series, with margin
 ROOM_SIGMA_MM = 0.56  # per axis: the coarsest tracker used in the correspondence study
-Array = NDArray[np.float64]
 CheckResult = tuple[list[RonnaError], list[str]]  # findings, warnings
 WITHIN_ROUNDING_MM = 0.5  # resolution of the path check between two samples
 FEWEST_THAT_TELL_A_MOVE = 4  # with three, a moved one cannot be identified
@@ -406,7 +406,7 @@ def shows_template(template_mm: ArrayLike, fiducials_mm: ArrayLike) -> bool:
     return found.status is MatchStatus.UNIQUE
 
 
-def warn_of_ambiguity(fiducials_mm: NDArray[np.float64]) -> list[str]:
+def warn_of_ambiguity(fiducials_mm: Array) -> list[str]:
     """Return warnings about an ambiguous layout of fiducials (n, 3), in mm."""
     if len(fiducials_mm) == 3:
         smallest = least_side_difference_mm(fiducials_mm)

@@ -9,7 +9,7 @@ from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from procedures.imaging.errors import PicksUnreadable
 from procedures.imaging.picks import parse_points
@@ -23,12 +23,11 @@ from procedures.planning.plan_model import (
     is_in_metres,
     span,
 )
+from ronna_hw.arrays import Array
 from ronna_hw.errors import RonnaError
 
 if TYPE_CHECKING:
     from procedures.imaging.volume import Volume, VoxelGeometry
-
-Array = NDArray[np.float64]
 
 LEAST_MARGIN_MM = 0.4  # half the thickness of the thinnest depth electrode
 DECIMALS = 1  # of a coordinate, mm: finer than any structure is drawn

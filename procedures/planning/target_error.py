@@ -11,7 +11,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from procedures.calibration.arm_sources import ArmPoses, arm_sources, ct_errors
 from procedures.imaging.markers import ScanDeformation
@@ -36,11 +36,10 @@ from procedures.registration.target_prediction import (
 from procedures.strategies.catalogue import CANDIDATES, BestOfEach
 from procedures.strategies.strategy import arrival_signs, rest_sides
 from procedures.strategies.trajectory import Trajectory
+from ronna_hw.arrays import Array
 
 if TYPE_CHECKING:
     from procedures.planning.theatre_arm import TheatreArm
-
-Array = NDArray[np.float64]
 
 SCAN = "scan as a whole"
 SEATING = "seating of the spheres"

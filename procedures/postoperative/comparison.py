@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 from scipy.optimize import linear_sum_assignment
 
@@ -29,9 +28,8 @@ from procedures.postoperative.errors import (
 from procedures.postoperative.instrument import USUAL_ROD, find_rods
 from procedures.postoperative.planned_line import SEARCH_MM, PlannedLine
 from procedures.strategies.trajectory import split_along
+from ronna_hw.arrays import Array
 from ronna_hw.calibration import Numbers3, Strict
-
-Array = NDArray[np.float64]
 
 ONE_INSTRUMENT_MM = 1.5  # axes closer than this are one instrument; electrodes are wider
 SUBSTITUTE_PENALTY_MM = (

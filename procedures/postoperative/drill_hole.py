@@ -6,7 +6,6 @@ A blurred cylinder is fitted where bone was lost. A hole has an entry and a dire
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.optimize import least_squares
 from scipy.spatial.transform import RigidTransform
@@ -30,9 +29,8 @@ from procedures.postoperative.planned_line import (
     sample_along,
     select_voxels,
 )
+from ronna_hw.arrays import Array
 from ronna_hw.robust_scale import robust_sigma
-
-Array = NDArray[np.float64]
 
 LOST_HU = 300.0  # by which it is darker than the bone before
 MOST_PIECES = 3  # of lost bone examined per trajectory

@@ -33,9 +33,9 @@ from procedures.postoperative.planned_line import (
     sample_along,
     select_voxels,
 )
+from ronna_hw.arrays import Array, Mask
 from ronna_hw.robust_scale import cauchy_weights, robust_sigma
 
-Array = NDArray[np.float64]
 Numbers = NDArray[np.int64]
 
 HARMONICS = 8  # of the angle about the rod: up to so many bright rays
@@ -277,7 +277,7 @@ def zero_streaks(slices: Slices, rod: RodAxis) -> Streaks:
     return Streaks(np.zeros(len(slices.voxels)), empty, rod, slices, (), empty, empty, empty)
 
 
-def read_streaks(slices: Slices, rod: RodAxis, rest_hu: Array, usable: NDArray[np.bool_]) -> Streaks:
+def read_streaks(slices: Slices, rod: RodAxis, rest_hu: Array, usable: Mask) -> Streaks:
     """Estimate the streak pattern from usable shaft voxels (n,), given HU with rod and tissue subtracted."""
     steep = float(rod.outwards @ slices.normal)
     if abs(steep) < LEAST_STEEP * float(np.linalg.norm(rod.outwards)):

@@ -6,12 +6,10 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from procedures.imaging.volume import Volume
-
-Array = NDArray[np.float64]
+from ronna_hw.arrays import Array, Mask
 
 STEP_MM = 0.5  # of the coarse pass
 SEARCH_MM = 10.0  # across the trajectory: nothing farther off is taken for the instrument
@@ -165,7 +163,7 @@ class ExpectedFit:
         return tuple(sentences)
 
 
-def mark_at_bound(found: Array, low: Array, high: Array) -> NDArray[np.bool_]:
+def mark_at_bound(found: Array, low: Array, high: Array) -> Mask:
     """Flag the fitted parameters (n,) that reached a bound."""
     close = AT_BOUND * (high - low)
     return np.asarray((found - low < close) | (high - found < close))

@@ -6,7 +6,6 @@ import io
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 from scipy.spatial.transform import RigidTransform
 
@@ -14,10 +13,9 @@ from procedures.imaging.volume import Volume
 from procedures.planning.plan_model import Plan
 from procedures.postoperative.comparison import FoundTrajectory, PostoperativeComparison
 from procedures.postoperative.planned_line import PlannedLine
+from ronna_hw.arrays import Array
 from ronna_hw.calibration import Numbers4, Strict
 from ronna_hw.text import format_against_limit
-
-Array = NDArray[np.float64]
 
 STEP_MM = 0.25
 HALF_WIDTH_MM = 15.0

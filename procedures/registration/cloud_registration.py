@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import RigidTransform
 
@@ -27,9 +27,8 @@ from procedures.registration.errors import (
 )
 from procedures.registration.points import FEWEST_PAIRS, validate_points, validate_transform
 from procedures.registration.rigid_fit import as_transform, fit_rigid
+from ronna_hw.arrays import Array
 from ronna_hw.frames import Transform
-
-Array = NDArray[np.float64]
 
 LINE_RATIO = 1e-3  # of the first two standard deviations; below it the cloud is a line
 DISTINCT_AXES = 1.05  # ratio of successive standard deviations; below it an axis has no defined direction

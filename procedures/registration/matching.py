@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from procedures.registration.correspondence import Hypothesis, Match, MatchStatus, PosePrior, Prior
@@ -31,8 +31,7 @@ from procedures.registration.pairings import (
 )
 from procedures.registration.points import FEWEST_PAIRS, validate_points
 from ronna_hw.arguments import REAL_KINDS, show
-
-Array = NDArray[np.float64]
+from ronna_hw.arrays import Array
 
 # Wide, because 8 fiducials have 28 distances, and one wrongly excluded splits the set into two that
 # contradict each other. Five sigmas lose 2 runs of 1,000 when the length of an error is normal rather than
@@ -48,8 +47,8 @@ def match(
     image_mm: ArrayLike,
     physical_mm: ArrayLike,
     *,
-    sigma_image_mm: float | Sequence[float] | NDArray[np.float64],
-    sigma_physical_mm: float | Sequence[float] | NDArray[np.float64],
+    sigma_image_mm: float | Sequence[float] | Array,
+    sigma_physical_mm: float | Sequence[float] | Array,
     expected: int | None = None,
     prior: PosePrior | Rotation | None = None,
 ) -> Match:

@@ -8,7 +8,7 @@ from enum import StrEnum
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from procedures.registration.error_theory import (
@@ -32,9 +32,8 @@ from procedures.registration.points import (
     validate_targets,
 )
 from procedures.registration.rigid_fit import fit_rigid, fit_weighted
+from ronna_hw.arrays import Array
 from ronna_hw.frames import Frame, Transform
-
-Array = NDArray[np.float64]
 
 COLLINEAR_REFUSED = 1e-3  # second over first singular value of the cross-covariance
 COLLINEAR_WARNED = 0.05

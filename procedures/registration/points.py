@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform
 
 from procedures.registration.errors import (
@@ -14,9 +14,8 @@ from procedures.registration.errors import (
     BadParameter,
 )
 from ronna_hw.arguments import require_numbers
+from ronna_hw.arrays import Array
 from ronna_hw.frames import Transform, is_rotation
-
-Array = NDArray[np.float64]
 
 COORDINATE_LIMIT_MM = 1e6  # one kilometre: no theatre is larger, and squares are far from overflow
 NEAREST_SPHERES_MM = 2.0  # two 11.5 mm spheres cannot be closer; a repeated detection is

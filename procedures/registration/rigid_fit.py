@@ -14,12 +14,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from procedures.registration.errors import NOT_CONVERGED
-
-Array = NDArray[np.float64]
+from ronna_hw.arrays import Array, Mask
 
 MOST_STEPS = 50  # ordinary data converge in five to eight
 MOST_HALVINGS = 30  # a step halved this often is zero
@@ -38,7 +36,7 @@ class RigidFit:
     rotation: Array
     translation_mm: Array
     spread_mm2: Array
-    mirrored: NDArray[np.bool_]
+    mirrored: Mask
 
 
 def fit_rigid(image_mm: Array, physical_mm: Array) -> RigidFit:

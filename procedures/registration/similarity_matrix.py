@@ -30,8 +30,8 @@ from procedures.registration.pairings import gate
 from procedures.registration.points import FEWEST_PAIRS
 from procedures.registration.rigid_fit import fit_rigid, residuals
 from procedures.registration.thesis_settings import REFUSED_SHARE
+from ronna_hw.arrays import Array
 
-Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 

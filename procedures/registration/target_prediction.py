@@ -25,7 +25,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.linalg import block_diag
 
 from procedures.registration.error_theory import (
@@ -36,8 +36,7 @@ from procedures.registration.error_theory import (
     error_limit_mm,
 )
 from procedures.registration.rigid_fit import pose_jacobian
-
-Array = NDArray[np.float64]
+from ronna_hw.arrays import Array, Mask
 
 AXES = 3
 
@@ -127,9 +126,7 @@ class TargetPrediction:
         covariance = self.covariance_mm2 + (self.widening**2 - 1.0) * tested
         return float(error_limit_mm(covariance, confidence))
 
-    def mark_contained(
-        self, errors_mm: ArrayLike, confidence: float = DEFAULT_CONFIDENCE
-    ) -> NDArray[np.bool_]:
+    def mark_contained(self, errors_mm: ArrayLike, confidence: float = DEFAULT_CONFIDENCE) -> Mask:
         """Mark the errors (..., 3) inside the ellipsoid of this probability."""
         errors = np.asarray(errors_mm, dtype=float)
         weighted = np.linalg.solve(self.covariance_mm2, errors.reshape(-1, AXES).T).T.reshape(errors.shape)

@@ -19,9 +19,9 @@ from procedures.registration.errors import LayoutNotFound
 from procedures.registration.matching import MOST_POINTS, match, validate_prior, weigh_evidence
 from procedures.registration.pairings import as_hypothesis, evaluate
 from procedures.registration.points import require_enough, validate_points
+from ronna_hw.arrays import Array
 
-Array = NDArray[np.float64]
-Sigma = float | Sequence[float] | NDArray[np.float64]
+Sigma = float | Sequence[float] | Array
 
 TEMPLATE_SIGMA_MM = 0.05  # per axis: accuracy to which such a frame is made and measured
 
@@ -156,6 +156,6 @@ def find_layout(layout_mm: ArrayLike, spheres_mm: ArrayLike) -> FoundLayout:
     )
 
 
-def _width_mm(points_mm: NDArray[np.float64]) -> float:
+def _width_mm(points_mm: Array) -> float:
     """Return the largest distance between two points, which reveals a wrong unit."""
     return float(pdist(points_mm).max(initial=0.0))

@@ -19,10 +19,9 @@ from scipy.spatial.transform import RigidTransform
 from procedures.registration.errors import BAD_POINTS
 from procedures.registration.point_registration import Registration
 from procedures.registration.points import validate_points, validate_transform
+from ronna_hw.arrays import Array
 from ronna_hw.calibration import Strict
 from ronna_hw.frames import Transform
-
-Array = NDArray[np.float64]
 
 
 class MeasuringInstrument(StrEnum):

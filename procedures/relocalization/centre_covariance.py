@@ -22,8 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from procedures.relocalization.ellipse import EllipseFit
-
-Array = NDArray[np.float64]
+from ronna_hw.arrays import Array
 
 BLOCKS = 15  # of the rim, 24 degrees each: longer than a grain, shorter than a shift of the centre
 FITTED = 5  # parameters of an ellipse: so much of the block sums is lost in the fit

@@ -14,14 +14,12 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from procedures.relocalization.centre_covariance import RimLight, centre_covariance, clipped_shift_px
 from procedures.relocalization.circle_search import Circle, GreyImage
 from procedures.relocalization.ellipse import Ellipse, EllipseFit, circle_as_ellipse, fit_ellipse
-
-Array = NDArray[np.float64]
+from ronna_hw.arrays import Array, Mask
 
 BLUR_FLOOR_PX = 0.5  # linear interpolation between pixels alone blurs about this much
 STEP_ITERATIONS = 3  # with ten, a centre changes by less than 0.005 px
@@ -140,8 +138,8 @@ def judge_outline(
     fit: EllipseFit,
     edges: RimEdges,
     clipped: Array,
-    bright: NDArray[np.bool_],
-    rim: NDArray[np.bool_],
+    bright: Mask,
+    rim: Mask,
 ) -> SphereImage | None:
     """Assess the outline. `rim` flags the rays that support it, `bright` also their neighbours."""
     step, noise, blur = (
@@ -197,9 +195,7 @@ def judge_outline(
     )
 
 
-def _mark_dimmed(
-    image: GreyImage, ellipse: Ellipse, rays: int, blur_px: float, least_grey: float
-) -> NDArray[np.bool_]:
+def _mark_dimmed(image: GreyImage, ellipse: Ellipse, rays: int, blur_px: float, least_grey: float) -> Mask:
     """Mark the rays (n,) with an edge on the ellipse itself, even where the reflective film is dim."""
     span_px = DIM_SPAN_BLURS * blur_px + DIM_SPAN_PX
     falls = steepest_falls(sample_profiles(image, ellipse, rays, span_px))
@@ -213,9 +209,7 @@ def _clipped_share(image: GreyImage, profiles: Profiles, blur_px: float) -> Arra
     return np.asarray((profiles.grey[:, profiles.offset_px < -blur_px] >= full).mean(axis=1))
 
 
-def _bright_share(
-    image: GreyImage, ellipse: Ellipse, level_grey: float, directions: NDArray[np.bool_]
-) -> float:
+def _bright_share(image: GreyImage, ellipse: Ellipse, level_grey: float, directions: Mask) -> float:
     """Return the fraction of the interior brighter than a level, in the marked of all directions (rays,)."""
     radius = np.sqrt(np.linspace(*FILLED_AREA, FILLED_RINGS))[:, None]  # equal area per sample
     marked = directions[np.arange(FILLED_RAYS) * len(directions) // FILLED_RAYS]
@@ -229,14 +223,14 @@ def _bright_share(
     return float(np.mean(image[y[in_image], x[in_image]] > level_grey))
 
 
-def _mark_strong(edges: RimEdges) -> NDArray[np.bool_]:
+def _mark_strong(edges: RimEdges) -> Mask:
     if not edges.found.any():
         return edges.found
     typical = float(np.median(edges.step_grey[edges.found]))
     return np.asarray(edges.step_grey > STEP_SHARE * typical)
 
 
-def _mark_plausible(edges: RimEdges) -> NDArray[np.bool_]:
+def _mark_plausible(edges: RimEdges) -> Mask:
     strong = edges.found & _mark_strong(edges)
     if not strong.any():
         return strong
@@ -245,7 +239,7 @@ def _mark_plausible(edges: RimEdges) -> NDArray[np.bool_]:
     return np.asarray(strong & usual & (edges.misfit_grey < MISFIT_SHARE * edges.step_grey))
 
 
-def _mark_on_rim(fit: EllipseFit, points: NDArray[np.float64]) -> NDArray[np.bool_]:
+def _mark_on_rim(fit: EllipseFit, points: Array) -> Mask:
     limit = min(max(OFF_RIM_SIGMAS * fit.sigma_px, OFF_RIM_PX), OFF_RIM_LIMIT_PX)
     return np.asarray(np.abs(fit.ellipse.distance_px(points)) < limit)
 
@@ -264,7 +258,7 @@ class Profiles:
     base_px: Array  # (rays,): distance from the centre to offset 0
     offset_px: Array  # (samples,)
     grey: Array
-    inside: NDArray[np.bool_]
+    inside: Mask
 
 
 @dataclass(frozen=True)
@@ -276,7 +270,7 @@ class RimEdges:
     step_grey: Array
     blur_px: Array
     misfit_grey: Array
-    found: NDArray[np.bool_]
+    found: Mask
 
 
 def sample_profiles(image: GreyImage, ellipse: Ellipse, rays: int, half_width_px: float) -> Profiles:

@@ -12,13 +12,12 @@ from dataclasses import dataclass, field, replace
 from typing import Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from procedures.relocalization.errors import BAD_MEASUREMENT, SERVO_DIVERGES, SERVO_EXHAUSTED, SphereNotInView
 from ronna_hw.arm.catalogue import find_arm
+from ronna_hw.arrays import Array
 from ronna_hw.frames import FRAME_MISMATCH, Frame, Transform
-
-Array = NDArray[np.float64]
 
 KR6_SCATTER_MM = find_arm("kr6_r900_sixx").repeatability_mm
 RINGS = 3

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from statistics import median
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from procedures.relocalization.errors import (
     BAD_MEASUREMENT,
@@ -23,11 +23,10 @@ from procedures.relocalization.errors import (
 )
 from procedures.relocalization.outline import SphereImage
 from ronna_hw.arguments import WrongArgument, show
+from ronna_hw.arrays import Array
 from ronna_hw.calibration import CameraCalibration, StereoHeadCalibration
 from ronna_hw.frames import Frame
 from ronna_hw.text import format_against_limit, format_distinct
-
-Array = NDArray[np.float64]
 
 UNDISTORT_ITERATIONS = 20
 UNDISTORT_END = 1e-14  # normalised units, 1e-10 px

@@ -10,7 +10,6 @@ import math
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
 from procedures.imaging.dicom.slice_headers import SliceHeader
 from procedures.imaging.errors import (
@@ -23,9 +22,8 @@ from procedures.imaging.errors import (
     SPACING_UNEVEN,
 )
 from procedures.imaging.volume import VoxelGeometry
+from ronna_hw.arrays import Array
 from ronna_hw.text import format_against_limit
-
-Array = NDArray[np.float64]
 
 GAPS_NAMED = 3  # in one message
 MIN_SLICES = 3  # fewer cannot show that the spacing is even

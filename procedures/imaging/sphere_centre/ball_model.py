@@ -26,9 +26,8 @@ from scipy.spatial import cKDTree
 from scipy.special import erfc
 
 from procedures.imaging.volume import Region
+from ronna_hw.arrays import Array, Mask
 from ronna_hw.robust_scale import CAUCHY, cauchy_weights, robust_sigma
-
-Array = NDArray[np.float64]
 
 # order of the parameters: the centre (slice, row, column), then these, then the background coefficients
 OUT, IN, SZ, SXY, RADIUS = 3, 4, 5, 6, 7
@@ -251,9 +250,7 @@ class BallVoxels:
     covered: bool = False  # much of the surface borders on something else, whose traces may be anywhere
 
     @classmethod
-    def of(
-        cls, region: Region, usable: NDArray[np.bool_], radius_mm: float, *, covered: bool = False
-    ) -> Self:
+    def of(cls, region: Region, usable: Mask, radius_mm: float, *, covered: bool = False) -> Self:
         """Collect a region's usable voxels around a ball of about this radius."""
         voxel_index = np.argwhere(usable)
         points_mm = (voxel_index + region.start) * region.spacing_mm
@@ -315,7 +312,7 @@ class BallVoxels:
         """Return the distance (n,) of each voxel from the ball's surface, positive outside."""
         return np.asarray(np.linalg.norm(self.points_mm - unknowns[:3], axis=1) - unknowns[RADIUS])
 
-    def stretch(self, unknowns: Array, clear: NDArray[np.bool_]) -> Stretch:
+    def stretch(self, unknowns: Array, clear: Mask) -> Stretch:
         """Estimate a fitted ball's stretch from the voxels (n,) marked as clear of other objects."""
         places = self.points_mm[clear]
         modelled, derivatives = intensities(places, unknowns, self.background[clear])
@@ -350,7 +347,7 @@ def _clip_blur(unknowns: Array) -> Array:
 
 def select_ball_voxels(
     region: Region, centre_mm: Array, radius_mm: float, hidden_directions: Array | None
-) -> tuple[NDArray[np.bool_], float]:
+) -> tuple[Mask, float]:
     """Mark the voxels around a ball that are clear of metal and of hidden directions (n, 3).
 
     Also returns the part of the ball's surface that is too close to metal.
@@ -376,21 +373,21 @@ def guess_ball(
     return np.array([*centre_mm, outside_hu, inside_hu, slab_mm, START_BLUR_MM, radius_mm])
 
 
-def _mark_far_from_metal(region: Region) -> NDArray[np.bool_]:
+def _mark_far_from_metal(region: Region) -> Mask:
     metal = region.values > METAL_HU  # NaN compares false
     if not metal.any():
         return np.ones(metal.shape, dtype=bool)
     return np.asarray(distance_transform_edt(~metal, sampling=region.spacing_mm) > METAL_REACH_MM)
 
 
-def mark_metal_slices(region: Region) -> NDArray[np.bool_]:
+def mark_metal_slices(region: Region) -> Mask:
     """Mark the slices (n,) at or next to metal, which may hold its streaks."""
     metal = np.asarray((region.values > STREAKING_HU).any(axis=(1, 2)))
     reach = max(1, round(SLICE_REACH_MM / float(region.spacing_mm[0])))
     return np.asarray(binary_dilation(metal, iterations=reach)) if metal.any() else metal
 
 
-def mark_directions(offsets_mm: Array, directions: Array, considered: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def mark_directions(offsets_mm: Array, directions: Array, considered: Mask) -> Mask:
     """Mark the `considered` voxels, offset (n, 3) from the centre, that lie in one of these directions."""
     found = np.zeros(len(considered), dtype=bool)
     if len(directions) == 0:

@@ -14,7 +14,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from procedures.imaging.sphere_centre.ball_model import (
     BALL,
@@ -41,8 +40,7 @@ from procedures.imaging.sphere_centre.correlated_noise import (
 from procedures.imaging.sphere_centre.streak_prior import BENT, StreakPrior
 from procedures.imaging.sphere_centre.whitened_stretch import measure_stretch
 from procedures.imaging.volume import Region
-
-Array = NDArray[np.float64]
+from ronna_hw.arrays import Array
 
 HIDDEN_DEGREES = (5,)  # even terms do not move the centre of a ball
 

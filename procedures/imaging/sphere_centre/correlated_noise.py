@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 from scipy import fft
 
 from procedures.imaging.sphere_centre.ball_model import products
+from ronna_hw.arrays import Array, Mask
 
-Array = NDArray[np.float64]
 Spectrum = NDArray[np.complex128]
 
 SAME_SPACE = 1e-10  # columns with a smaller remainder are in the space of the others
@@ -180,7 +180,7 @@ class WhitenedStep:
         derivatives: Array,
         spectra: Spectrum,
         growth: float,
-        smooth: NDArray[np.bool_],
+        smooth: Mask,
     ) -> Self:
         """Set up the equations from weighted derivatives (n, m) at a robust fit, without shrinkage.
 

@@ -39,8 +39,7 @@ from procedures.imaging.sphere_centre.ball_model import (
 )
 from procedures.imaging.sphere_centre.radial_edge import RadialEdge, ray_directions
 from procedures.imaging.volume import Region
-
-Array = NDArray[np.float64]
+from ronna_hw.arrays import Array, Mask
 
 # chosen on straight bands with standard deviations of 1.2 to 3 mm across `plain`: anything shorter follows
 # the edge, which doubled the error; a ball's edge is 0.5 mm wide
@@ -290,7 +289,7 @@ class SliceField:
             waves, scales, slices, heights_mm, terms, tuple(noisy.evaluate(*place) for place in places)
         )
 
-    def noise_modes(self, clear: NDArray[np.bool_]) -> tuple[NoiseModes, ...]:
+    def noise_modes(self, clear: Mask) -> tuple[NoiseModes, ...]:
         """Combine noise-band waves into modes that are orthonormal over a slice's clear voxels (n,)."""
         modes = []
         for number, (one, waves) in enumerate(zip(self.slices, self.noise_terms, strict=True)):
@@ -330,7 +329,7 @@ def _is_evident(
     points_mm: Array,
     unknowns: Array,
     unseen: Array,
-    known: NDArray[np.bool_],
+    known: Mask,
     remaining_hu: Array,
     streaks_hu: Array,
     noise_hu: float,
@@ -356,7 +355,7 @@ def _floor_hu(region: Region) -> float | None:
 
 
 def _impute_censored(
-    values: Array, expected: Array, censored: NDArray[np.bool_], floor_hu: float | None, noise_hu: float
+    values: Array, expected: Array, censored: Mask, floor_hu: float | None, noise_hu: float
 ) -> tuple[Array, Array]:
     """Return values and weights (n,) that turn least squares into censored regression (Fisher scoring)."""
     working, known = values.copy(), np.ones(len(values))

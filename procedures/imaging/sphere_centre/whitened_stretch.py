@@ -8,7 +8,6 @@ spectrum, streaks by the prior of the ball's own fit.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from procedures.imaging.sphere_centre.ball_model import (
     RADIUS,
@@ -20,8 +19,7 @@ from procedures.imaging.sphere_centre.ball_model import (
 )
 from procedures.imaging.sphere_centre.correlated_noise import CorrelatedNoise, WhitenedStep
 from procedures.imaging.sphere_centre.streak_prior import StreakPrior
-
-Array = NDArray[np.float64]
+from ronna_hw.arrays import Array
 
 HIDDEN_DEGREES = (4,)  # of streaks: odd terms do not stretch a ball
 
