@@ -98,23 +98,13 @@ def _measure_pick(
     try:
         return _measure_at(volume, number, pick_mm, radius_mm, known)
     except PickRefused as refused:
-        if _shows_sphere(volume, number, LPS_FROM_RAS * pick_mm, radius_mm):
-            raise _with_hint(refused, IN_RAS) from refused
-        if _shows_sphere(volume, number, 1e3 * pick_mm, radius_mm):
-            raise _with_hint(refused, IN_METRES) from refused
+        for other_mm, hint in ((LPS_FROM_RAS * pick_mm, IN_RAS), (1e3 * pick_mm, IN_METRES)):
+            try:
+                _measure_at(volume, number, other_mm, radius_mm, [])
+            except PickRefused:
+                continue
+            raise refused.reworded(refused.what, expected=refused.expected, action=hint) from refused
         raise
-
-
-def _with_hint(refused: PickRefused, action: str) -> PickRefused:
-    return PickRefused(refused.what, expected=refused.expected, action=action)
-
-
-def _shows_sphere(volume: Volume, number: int, pick_mm: Array, radius_mm: float) -> bool:
-    try:
-        _measure_at(volume, number, pick_mm, radius_mm, [])
-    except PickRefused:
-        return False
-    return True
 
 
 def _measure_at(volume: Volume, number: int, pick_mm: Array, radius_mm: float, known: list[Sphere]) -> Sphere:

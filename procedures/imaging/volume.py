@@ -16,6 +16,7 @@ from scipy.ndimage import map_coordinates, spline_filter
 
 from procedures.imaging.errors import VOLUME_MALFORMED
 from ronna_hw.arrays import Array
+from ronna_hw.vectors import vector3
 
 AXES_TOLERANCE = 1e-6  # on the scalar products of the axes
 
@@ -118,8 +119,7 @@ class Volume:
 
     def patient_mm(self, grid_mm: ArrayLike) -> tuple[float, float, float]:
         """Return the patient position (LPS) of a grid position (3,) mm."""
-        x, y, z = self.geometry.grid_mm_to_patient_mm(grid_mm).tolist()
-        return x, y, z
+        return vector3(self.geometry.grid_mm_to_patient_mm(grid_mm))
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,6 +13,7 @@ import numpy as np
 
 from procedures.planning.errors import AcPcUnfit
 from ronna_hw.arrays import Array
+from ronna_hw.vectors import vector3
 
 # Adult commissures are 19 to 32 mm apart, centre to centre (unconfirmed). The limits leave room for children
 # and wide ventricles; they catch clicks on one commissure twice or on another structure, and metres.
@@ -66,13 +67,11 @@ class AcPcFrame:
 
     def from_lps_mm(self, place_mm: Sequence[float]) -> tuple[float, float, float]:
         """Convert a point from LPS to x, y, z of the frame."""
-        x, y, z = (self.axes @ (np.asarray(place_mm, dtype=float) - self.middle_mm)).tolist()
-        return x, y, z
+        return vector3(self.axes @ (np.asarray(place_mm, dtype=float) - self.middle_mm))
 
     def to_lps_mm(self, place_mm: Sequence[float]) -> tuple[float, float, float]:
         """Convert a point from x, y, z of the frame to LPS."""
-        left, back, up = (self.middle_mm + np.asarray(place_mm, dtype=float) @ self.axes).tolist()
-        return left, back, up
+        return vector3(self.middle_mm + np.asarray(place_mm, dtype=float) @ self.axes)
 
 
 def require_commissures(ac_mm: Sequence[float], pc_mm: Sequence[float]) -> None:

@@ -19,13 +19,14 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from procedures.planning.errors import NO_MARKER_SITES, NO_TEMPLATE
-from procedures.planning.head_in_ct import AIR_BELOW_HU, HeadEllipsoid, sample_hu
+from procedures.planning.head_in_ct import AIR_BELOW_HU, HeadEllipsoid, ring_around, sample_hu
 from procedures.registration.error_theory import tre_principal_axes_mm
 from procedures.strategies.trajectory import Trajectory, split_along
 from ronna_hw.arrays import Array, Mask
 from ronna_hw.calibration import Numbers3, Strict
 from ronna_hw.marker_template import MarkerTemplate, TemplateMarker
 from ronna_hw.records import write_atomically
+from ronna_hw.vectors import vector3
 
 if TYPE_CHECKING:
     from procedures.imaging.volume import Volume
@@ -37,7 +38,7 @@ APART_MM = 38.0  # between two markers, so that the stereo head sees one at a ti
 SITES, TEMPLATE_DRAWS = 600, 60_000
 SKIN_STEP_MM = 0.5
 SKIN_MM = (25.0, -40.0)  # range searched for skin: outside the ellipsoid, inside it
-AROUND, RING_MM = 8, 14.0  # points around a site: a sphere, post or bolt covers few of them
+RING_MM = 14.0  # from a site to the points around it: a sphere, post or bolt covers few of them
 FREE_SKIN_MM = 4.0  # a site is no higher and no lower than these
 SKIN_THICK_MM = 4.0  # anything thinner is a sheet or a cable
 FEWEST, MOST = 3, 8
@@ -281,10 +282,7 @@ def _cap_directions(random: np.random.Generator) -> Array:
 
 def _skin_offset_mm(volume: Volume, start_mm: Array, outward: Array) -> float:
     """Return the outward distance from a point to the skin in mm, or NaN if it is missing or covered."""
-    side = np.cross(outward, np.eye(3)[np.abs(outward).argmin()])
-    side /= np.linalg.norm(side)
-    turns = np.arange(AROUND) * 2.0 * np.pi / AROUND
-    ring = np.outer(np.cos(turns), side) + np.outer(np.sin(turns), np.cross(outward, side))
+    ring, _ = ring_around(outward)
     here = _first_solid_mm(volume, start_mm, outward)
     around = np.median([_first_solid_mm(volume, start_mm + RING_MM * one, outward) for one in ring])
     return here if abs(here - around) < FREE_SKIN_MM else float("nan")
@@ -309,5 +307,4 @@ def write_template(path: Path, template: MarkerTemplate) -> None:
 
 
 def _round_vector(vector: Array, decimals: int = 3) -> Numbers3:
-    x, y, z = (round(float(value), decimals) for value in vector)
-    return x, y, z
+    return vector3(round(float(value), decimals) for value in vector)

@@ -30,14 +30,12 @@ from procedures.postoperative.planned_line import SEARCH_MM, PlannedLine
 from procedures.strategies.trajectory import split_along
 from ronna_hw.arrays import Array
 from ronna_hw.calibration import Numbers3, Strict
+from ronna_hw.vectors import vector3
 
 ONE_INSTRUMENT_MM = 1.5  # axes closer than this are one instrument; electrodes are wider
-SUBSTITUTE_PENALTY_MM = (
-    10.0 * SEARCH_MM
-)  # a hole counts only if no instrument is left, a failed fit only after both
+# A hole counts only if no instrument is left, a failed fit only after both.
+SUBSTITUTE_PENALTY_MM = 10.0 * SEARCH_MM
 NOTHING_MM = 1e6  # and none only if nothing is left
-
-Point = tuple[float, float, float]
 
 
 class FoundKind(StrEnum):
@@ -177,9 +175,9 @@ def _compare_trajectory(
         kind=found.kind,
         planned_entry_mm=planned.entry_mm,
         planned_target_mm=planned.target_mm,
-        entry_mm=_to_point(entry),
-        axis_at_target_mm=_to_point(at_target),
-        tip_mm=_to_point(point_mm) if has_tip else None,
+        entry_mm=vector3(entry),
+        axis_at_target_mm=vector3(at_target),
+        tip_mm=vector3(point_mm) if has_tip else None,
         entry_error_mm=float(np.linalg.norm(entry - line.entry_mm)),
         target_error_mm=float(np.linalg.norm(off)) if has_tip else None,
         lateral_mm=lateral_mm,
@@ -187,11 +185,6 @@ def _compare_trajectory(
         angle_deg=float(np.degrees(angle_rad)),
         doubts=found.doubts,
     )
-
-
-def _to_point(values: Array) -> Point:
-    x, y, z = (float(value) for value in values)
-    return x, y, z
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,6 +10,7 @@ from scipy.spatial.transform import RigidTransform
 
 from procedures.imaging.volume import Volume
 from ronna_hw.arrays import Array, Mask
+from ronna_hw.frames import perpendicular_axes
 
 STEP_MM = 0.5  # of the coarse pass
 SEARCH_MM = 10.0  # across the trajectory: nothing farther off is taken for the instrument
@@ -38,11 +39,7 @@ class PlannedLine:
     @cached_property
     def axes(self) -> Array:
         """Unit vectors as columns: one along the trajectory, two across it."""
-        along = self.inwards
-        helper = np.eye(3)[int(np.argmin(np.abs(along)))]
-        across = np.cross(along, helper)
-        across /= np.linalg.norm(across)
-        return np.column_stack([along, across, np.cross(along, across)])
+        return np.column_stack([self.inwards, *perpendicular_axes(self.inwards)])
 
     def apply_pose(self, pose: RigidTransform) -> PlannedLine:
         """Return the line moved by a pose."""
