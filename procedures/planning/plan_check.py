@@ -30,7 +30,7 @@ from procedures.planning.plan_model import FiducialKind, Plan
 from procedures.planning.structures import StructureDistance, check_structures, measure_distances
 from procedures.registration import MatchStatus, match
 from procedures.registration.errors import LayoutNotFound
-from procedures.registration.template import find_layout
+from procedures.registration.template import find_layout, match_template
 from ronna_hw.arrays import Array
 from ronna_hw.errors import RonnaError
 from ronna_hw.marker_template import IMPLANTED_SIGMA_MM
@@ -396,13 +396,7 @@ def least_side_difference_mm(triangle_mm: ArrayLike) -> float:
 
 def shows_template(template_mm: ArrayLike, fiducials_mm: ArrayLike) -> bool:
     """Return whether fiducials (n, 3) contain a template (k, 3) in exactly one way, both in mm."""
-    found = match(
-        template_mm,
-        fiducials_mm,
-        sigma_image_mm=IMPLANTED_SIGMA_MM,
-        sigma_physical_mm=CT_SIGMA_MM,
-        expected=len(np.asarray(template_mm)),
-    )
+    found = match_template(template_mm, fiducials_mm, IMPLANTED_SIGMA_MM, CT_SIGMA_MM)
     return found.status is MatchStatus.UNIQUE
 
 

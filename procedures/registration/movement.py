@@ -92,8 +92,7 @@ def measure_shift(recorded_mm: ArrayLike, seen_mm: ArrayLike) -> PointShift | No
         return None
     rows, columns = (list(side) for side in zip(*pairs, strict=True))
     fit = fit_rigid(recorded[rows], seen[columns])
-    displacements = recorded[rows] @ fit.rotation.T + fit.translation_mm - recorded[rows]
-    return PointShift.of(displacements)
+    return PointShift.of(recorded[rows] @ fit.rotation.T + fit.translation_mm - recorded[rows])
 
 
 def lone_displacement_mm(recorded_mm: ArrayLike, seen_mm: ArrayLike, limit_mm: float) -> float | None:

@@ -263,14 +263,6 @@ def evaluate(
     ]
 
 
-def leave_one_out(masks: Sequence[int]) -> list[int]:
-    """List all distinct pairings that result from dropping one pair.
-
-    Dropping only the worst pair would leave swapped pairs behind.
-    """
-    return list(dict.fromkeys(mask & ~(1 << node) for mask in masks for node in bits(mask)))
-
-
 def as_hypothesis(one: PairingCandidate, physical_count: int) -> Hypothesis:
     """Convert a candidate to a hypothesis with index pairs, transform and score."""
     pairs = np.stack(np.divmod(np.array(bits(one.nodes), dtype=np.intp), physical_count), axis=1)

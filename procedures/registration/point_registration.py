@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from contextlib import suppress
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import cached_property
@@ -137,10 +138,8 @@ class Registration:
         if fle_mm is not None:
             return fre_gate(self.fre_mm, fle_mm, self.pairs, confidence)
         if self.chi_square is None:
-            raise BadParameter(
-                "the gate needs a known FLE or covariances",
-                action="Give fle_mm, or register with covariance_mm2.",
-            )
+            action = "Give fle_mm, or register with covariance_mm2."
+            raise BadParameter("the gate needs a known FLE or covariances", action=action)
         limit = chi_square_limit(degrees_of_freedom(self.pairs), confidence)
         return FreGate(self.fre_mm, self.chi_square, limit, confidence)
 
@@ -238,18 +237,13 @@ def _fit(image: Array, physical: Array, covariance: Array | None) -> tuple[Array
 
 def _leave_one_out(image: Array, physical: Array, covariance: Array | None) -> tuple[float | None, ...]:
     """Return the distance of each measured position from where the other pairs predict it, mm."""
-    distances: list[float | None] = []
-    for index in range(len(image)):
+    distances: list[float | None] = [None] * len(image)
+    for index in range(len(image)) if len(image) > FEWEST_PAIRS else ():
         keep = np.arange(len(image)) != index
-        if np.count_nonzero(keep) < FEWEST_PAIRS:
-            distances.append(None)
-            continue
-        try:
+        with suppress(CollinearPoints):
             rotation, translation, _ = _fit(
                 image[keep], physical[keep], None if covariance is None else covariance[keep]
             )
-        except CollinearPoints:
-            distances.append(None)
-            continue
-        distances.append(float(np.linalg.norm(physical[index] - rotation @ image[index] - translation)))
+            apart = physical[index] - rotation @ image[index] - translation
+            distances[index] = float(np.linalg.norm(apart))
     return tuple(distances)

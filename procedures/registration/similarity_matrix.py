@@ -51,10 +51,7 @@ class SimilarityPairs:
 
 
 def match_many_by_similarity(
-    image_mm: Array,
-    physical_mm: Array,
-    tolerance_mm: Array,
-    counting: Counting = Counting.ONE_TO_ONE,
+    image_mm: Array, physical_mm: Array, tolerance_mm: Array, counting: Counting = Counting.ONE_TO_ONE
 ) -> tuple[SimilarityPairs, ...]:
     """Pair image points (b, n, 3) with physical points (b, m, 3), in mm, by the rule of the thesis.
 
@@ -114,9 +111,8 @@ def similarity(within_image_mm: Array, within_physical_mm: Array, tolerance_mm: 
     batch, rows, length = image.shape
     columns, width = physical.shape[1:]
     at_image = np.arange(batch * rows).reshape(batch, rows, 1) * length + np.zeros(columns, dtype=np.intp)
-    at_physical = np.arange(batch * columns).reshape(batch, 1, columns) * width + np.zeros(
-        (rows, 1), dtype=np.intp
-    )
+    at_physical = np.arange(batch * columns).reshape(batch, 1, columns) * width
+    at_physical = at_physical + np.zeros((rows, 1), dtype=np.intp)
     tolerance = tolerance_mm[:, None, None]
     end_image, end_physical = at_image + length - 1, at_physical + width - 1
     found = np.zeros((batch, rows, columns), dtype=np.intp)
@@ -263,5 +259,5 @@ def validate_many(
         rest = residuals(fit_rigid(image, physical), image, physical)
         too_large = np.square(rest).sum(axis=(1, 2)) > gate(size, refused_share) * variance_mm2
         for number in np.array(numbers)[too_large].tolist():
-            judged[number] = SimilarityPairs(MatchStatus.INCONSISTENT, np.empty((0, 2), dtype=np.intp))
+            judged[number] = SimilarityPairs(MatchStatus.INCONSISTENT, _no_pairs())
     return tuple(judged)

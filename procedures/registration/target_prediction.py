@@ -58,11 +58,6 @@ class SharedErrors:
     at_spheres_mm: Array  # (n, 3, k)
     at_target_mm: Array  # (3, k)
 
-    @property
-    def acts_at_spheres(self) -> bool:
-        """Whether it displaces a sphere, so that residuals may show it."""
-        return bool(self.at_spheres_mm.any())
-
 
 @dataclass(frozen=True)
 class IndependentErrors:
@@ -71,11 +66,6 @@ class IndependentErrors:
     source: str
     at_spheres_mm2: Array  # (n, 3, 3) of a recorded sphere
     at_target_mm2: Array  # (3, 3) of the tool at the target
-
-    @property
-    def acts_at_spheres(self) -> bool:
-        """Whether it displaces a sphere, so that residuals may show it."""
-        return bool(self.at_spheres_mm2.any())
 
 
 @dataclass(frozen=True)
@@ -148,16 +138,20 @@ def predict_target_error(
     spheres, target = np.asarray(spheres_mm, dtype=float), np.asarray(target_mm, dtype=float)
     influence = influence_of_spheres(spheres, target, weights)
     parts: dict[str, Array] = {}
+    tested: set[str] = set()  # by the residual, as they displace a sphere
     for one in sources:
         if isinstance(one, SharedErrors):
-            shift = one.at_target_mm - np.einsum("nij,njk->ik", influence, one.at_spheres_mm)
+            at_spheres = one.at_spheres_mm
+            shift = one.at_target_mm - np.einsum("nij,njk->ik", influence, at_spheres)
             part = shift @ shift.T
         else:
-            turned = influence @ one.at_spheres_mm2 @ influence.transpose(0, 2, 1)
+            at_spheres = one.at_spheres_mm2
+            turned = influence @ at_spheres @ influence.transpose(0, 2, 1)
             part = one.at_target_mm2 + turned.sum(axis=0)
         parts[one.source] = parts.get(one.source, np.zeros((AXES, AXES))) + part
-    at_spheres = frozenset(one.source for one in sources if one.acts_at_spheres)
-    return TargetPrediction(parts, at_spheres, 1.0 if residual is None else residual.widening)
+        if at_spheres.any():
+            tested.add(one.source)
+    return TargetPrediction(parts, frozenset(tested), 1.0 if residual is None else residual.widening)
 
 
 def check_residuals(

@@ -14,11 +14,7 @@ from procedures.registration.matching import weigh_evidence
 from procedures.registration.pairings import LINE_RATIO, gate
 from procedures.registration.points import FEWEST_PAIRS, validate_points
 from procedures.registration.rigid_fit import as_transform, fit_rigid, residuals
-from procedures.registration.similarity_matrix import (
-    SimilarityPairs,
-    match_many_by_similarity,
-    validate_many,
-)
+from procedures.registration.similarity_matrix import SimilarityPairs, match_many_by_similarity, validate_many
 from procedures.registration.thesis_settings import check_thesis_settings
 
 
@@ -49,8 +45,7 @@ def match_as_thesis(
     (raw,) = match_many_by_similarity(*stacked, np.array([e_mm]))
     (found,) = validate_many(*stacked, [raw], variance_mm2, refused_share)
     if found.status is not MatchStatus.UNIQUE:
-        reason = _explain(raw, e_mm)
-        return Match.of(found.status, reason, None, counts, margin_nats=None)
+        return Match.of(found.status, _explain(raw, e_mm), None, counts, margin_nats=None)
     pairs = found.pairs[np.argsort(found.pairs[:, 0])]
     of_image, of_physical = image[pairs[:, 0]], physical[pairs[:, 1]]
     fit = fit_rigid(of_image, of_physical)
