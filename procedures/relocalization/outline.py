@@ -38,7 +38,7 @@ LEAST_RIM = 0.25  # with less it is no sphere at all
 RELIABLE_RIM = 0.625  # of the rim in view; a loss of 38 % must never pass
 CARRYING_RIM = 0.5  # of the rim must support the ellipse, not counting what a stain dims
 RELIABLE_AXIS_RATIO = (
-    0.99  # a sphere in the corner of the sensor has 0.996; below this, two objects share an outline
+    0.99  # a sphere in a corner of the sensor has 0.996; below, two objects share an outline
 )
 SPHERE_AXIS_RATIO = 0.75
 RELIABLE_SCATTER_PX = 0.6
@@ -134,12 +134,7 @@ def fit_outline(image: GreyImage, guess: Circle, factor: int) -> SphereImage | N
 
 
 def judge_outline(
-    image: GreyImage,
-    fit: EllipseFit,
-    edges: RimEdges,
-    clipped: Array,
-    bright: Mask,
-    rim: Mask,
+    image: GreyImage, fit: EllipseFit, edges: RimEdges, clipped: Array, bright: Mask, rim: Mask
 ) -> SphereImage | None:
     """Assess the outline. `rim` flags the rays that support it, `bright` also their neighbours."""
     step, noise, blur = (
@@ -162,6 +157,7 @@ def judge_outline(
         return None
     contrast_to_noise = step / max(noise, 1e-6)
     lacks_rim = rim_fraction < RELIABLE_RIM or supporting < CARRYING_RIM
+    clipped_px = np.linalg.norm(clipped_shift_px(fit, light))
     doubts = {
         ONE_SIDED: not is_filled or (lacks_rim and light.film_ratio > ONE_SIDED_RATIO),
         "too much of the rim is hidden": rim_fraction < RELIABLE_RIM,
@@ -169,25 +165,18 @@ def judge_outline(
         "the outline is not round": minor / major < RELIABLE_AXIS_RATIO,
         "the rim is too rough": fit.sigma_px > RELIABLE_SCATTER_PX,
         TOO_FAINT: contrast_to_noise < RELIABLE_CONTRAST_TO_NOISE,
-        SATURATED_SIDE_OF_RIM: float(np.linalg.norm(clipped_shift_px(fit, light)))
-        > RELIABLE_CLIPPED_SHIFT_PX,
+        SATURATED_SIDE_OF_RIM: clipped_px > RELIABLE_CLIPPED_SHIFT_PX,
     }
     doubt = next((words for words, applies in doubts.items() if applies), "")
-    quality = (
-        rim_fraction
-        / (1.0 + (fit.sigma_px / RELIABLE_SCATTER_PX) ** 2)
-        / (1.0 + (RELIABLE_CONTRAST_TO_NOISE / contrast_to_noise) ** 2)
-    )
-    covariance = centre_covariance(fit, light)
+    quality = rim_fraction / (1.0 + (fit.sigma_px / RELIABLE_SCATTER_PX) ** 2)
+    quality /= 1.0 + (RELIABLE_CONTRAST_TO_NOISE / contrast_to_noise) ** 2
+    (xx, xy), (yx, yy) = centre_covariance(fit, light).tolist()
     return SphereImage(
         centre_px=fit.ellipse.centre_px,
         axes_px=(major, minor),
         quality=min(1.0, max(0.0, quality)),
         status=SphereStatus.UNRELIABLE if doubt else SphereStatus.OK,
-        covariance_px2=(
-            (float(covariance[0, 0]), float(covariance[0, 1])),
-            (float(covariance[1, 0]), float(covariance[1, 1])),
-        ),
+        covariance_px2=((xx, xy), (yx, yy)),
         rim_fraction=rim_fraction,
         scatter_px=fit.sigma_px,
         blur_px=blur,
@@ -288,14 +277,8 @@ def sample_profiles(image: GreyImage, ellipse: Ellipse, rays: int, half_width_px
 
 def rim_points(ellipse: Ellipse, profiles: Profiles, offset_px: Array) -> Array:
     """Return the positions (rays, 2) of edges offset by `offset_px` from the bases of their rays."""
-    distance = profiles.base_px + offset_px
-    return np.stack(
-        [
-            ellipse.centre_px[0] + np.cos(profiles.angle_rad) * distance,
-            ellipse.centre_px[1] + np.sin(profiles.angle_rad) * distance,
-        ],
-        axis=1,
-    )
+    directions = np.stack([np.cos(profiles.angle_rad), np.sin(profiles.angle_rad)], axis=1)
+    return np.asarray(ellipse.centre_px + directions * (profiles.base_px + offset_px)[:, None])
 
 
 def steepest_falls(profiles: Profiles) -> RimEdges:
@@ -339,16 +322,9 @@ def fit_blurred_steps(profiles: Profiles, start: RimEdges, blur_px: float) -> Ri
         if iteration == STEP_ITERATIONS:
             break
         bell = INVERSE_ROOT_TWO_PI * np.exp(-0.5 * z * z) / width[:, None]
-        jacobian = np.stack(
-            [
-                np.ones_like(z),
-                cover,
-                outward_px * cover,
-                plateau * bell - slope[:, None] * cover,
-                plateau * bell * -z,
-            ],
-            axis=1,
-        )  # (rays, 5, samples)
+        by_edge, by_width = plateau * bell - slope[:, None] * cover, plateau * bell * -z
+        columns = [np.ones_like(z), cover, outward_px * cover, by_edge, by_width]
+        jacobian = np.stack(columns, axis=1)  # (rays, 5, samples)
         normal = jacobian @ jacobian.transpose(0, 2, 1)
         diagonal = np.einsum("nii->ni", normal)
         diagonal *= 1.0 + DAMPING
