@@ -72,9 +72,9 @@ def arm_sources(
     )
 
 
-def ct_errors(covariance_mm2: ArrayLike, source: str = "CT") -> IndependentErrors:
+def ct_errors(covariance_mm2: ArrayLike) -> IndependentErrors:
     """Return the spheres' CT errors as independent errors, (n, 3, 3) mm2 in the robot frame."""
-    return IndependentErrors(source, np.asarray(covariance_mm2, dtype=float), np.zeros((3, 3)))
+    return IndependentErrors("CT", np.asarray(covariance_mm2, dtype=float), np.zeros((3, 3)))
 
 
 def _sum_sag(joints_mm: Array) -> Array:

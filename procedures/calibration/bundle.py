@@ -22,9 +22,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from procedures.calibration.errors import DoesNotFit
-from procedures.calibration.head_model import CAMERA_PARAMETERS, Cameras, cameras_of, intersect_rays
+from procedures.calibration.head_model import (
+    CAMERA_PARAMETERS,
+    Cameras,
+    adjust_cameras,
+    cameras_of,
+    intersect_rays,
+)
 from procedures.calibration.observations import Observation
-from procedures.calibration.pose_set import require_consistent, require_count, require_spread
+from procedures.calibration.pose_set import require_consistent, require_count, require_scatter, require_spread
 from ronna_hw.arm.kinematics import Chain
 from ronna_hw.arrays import Array, Mask
 from ronna_hw.calibrated_arm.error_budget import UNCALIBRATED_MM, error_columns
@@ -87,10 +93,7 @@ class _Looks:
 
 
 def fit_bundle(
-    observations: Sequence[Observation],
-    start: StereoHeadCalibration,
-    *,
-    arm: Chain | None = None,
+    observations: Sequence[Observation], start: StereoHeadCalibration, *, arm: Chain | None = None
 ) -> BundleFit:
     """Adjust the head to the observations, starting within a few millimetres and degrees.
 
@@ -107,29 +110,24 @@ def fit_bundle(
     values[:BALL] = np.median(in_robot, axis=0)
     estimate = _adjust(looks, cameras, values, FIRST_ARM_ERROR_MM)
     arm_error = estimate.arm_error
-    if arm_error > ARM_ERROR_LIMIT_MM:
-        raise DoesNotFit(
-            "the ball seems to move between measurements",
-            limit=f"{ARM_ERROR_LIMIT_MM:g} mm per axis",
-            got=f"{format_against_limit(arm_error, ARM_ERROR_LIMIT_MM, 2)} mm",
-        )
+    require_scatter(arm_error, ARM_ERROR_LIMIT_MM, "the ball seems to move between measurements")
     if arm is not None and arm_error > REPEATABILITY_MM:
         columns = error_columns(arm, [one.joints_rad for one in observations], estimate.values[:BALL])
         looks = replace(looks, arm_columns_mm=columns * min(1.0, arm_error / UNCALIBRATED_MM))
         values = np.concatenate([estimate.values, np.zeros(columns.shape[2])])
         estimate = _adjust(looks, cameras, values, arm_error)
     _require_fit(estimate.used, estimate.gaps, looks)
-    normal = _normal_matrix(
-        looks, cameras, estimate.values, estimate.arm_error, estimate.image_scale, estimate.used
-    )
+    values = estimate.values
+    whitening = _whitening(looks, cameras, values, estimate.arm_error, estimate.image_scale)
+    slopes = _Cost(looks, cameras, whitening, estimate.used).slopes(values)  # without robust weights
+    outline_px = float(np.sqrt(np.mean(np.einsum("nii->ni", looks.covariances_px2))))
     return BundleFit(
-        cameras=_cameras(cameras, estimate.values),
-        ball_mm=estimate.values[:BALL].copy(),
-        covariance=np.asarray(np.linalg.inv(normal)[:HEAD, :HEAD], dtype=float),
+        cameras=_cameras(cameras, values),
+        ball_mm=values[:BALL].copy(),
+        covariance=np.asarray(np.linalg.inv(slopes.T @ slopes)[:HEAD, :HEAD], dtype=float),
         arm_error_mm=arm_error,
         arm_scatter_mm=estimate.arm_error,
-        image_sigma_px=estimate.image_scale
-        * float(np.sqrt(np.mean(np.einsum("nii->ni", looks.covariances_px2)))),
+        image_sigma_px=estimate.image_scale * outline_px,
         residuals_px=estimate.residuals,
         shifts_mm=estimate.shifts,
         used=estimate.used,
@@ -157,22 +155,13 @@ def _adjust(looks: _Looks, cameras: Cameras, values: Array, arm_error: float) ->
     for _ in range(ROUNDS):
         whitening = _whitening(looks, cameras, values, arm_error, image_scale)
         cost = _Cost(looks, cameras, whitening, used)
-        solution = least_squares(
-            cost,
-            values,
-            jac=cost.slopes,
-            x_scale="jac",
-            loss="huber",
-            f_scale=HUBER,
-            max_nfev=STEPS,
-        )
-        values = solution.x
+        options = {"x_scale": "jac", "loss": "huber", "f_scale": HUBER, "max_nfev": STEPS}
+        values = least_squares(cost, values, jac=cost.slopes, **options).x
         residuals = _residuals(looks, cameras, values)
         shifts, gaps = _split_residuals(looks, cameras, values, residuals, arm_error, image_scale)
         arm_error, image_scale = _error_sizes(shifts, gaps, used)
-        whitened = np.einsum(
-            "nij,nj->ni", _whitening(looks, cameras, values, arm_error, image_scale), residuals
-        )
+        whitening = _whitening(looks, cameras, values, arm_error, image_scale)
+        whitened = np.einsum("nij,nj->ni", whitening, residuals)
         used = np.sum(whitened**2, axis=1) < OUTLIER_CHI2
     return _Estimate(values, arm_error, image_scale, residuals, shifts, gaps, used)
 
@@ -194,8 +183,7 @@ def _arrays(observations: Sequence[Observation]) -> _Looks:
 
 
 def _cameras(start: Cameras, values: Array) -> Cameras:
-    middle = BALL + CAMERA_PARAMETERS
-    return start[0].with_increments(values[BALL:middle]), start[1].with_increments(values[middle:HEAD])
+    return adjust_cameras(start, values[BALL:HEAD])
 
 
 def _flange_points(looks: _Looks, values: Array) -> Array:
@@ -205,11 +193,12 @@ def _flange_points(looks: _Looks, values: Array) -> Array:
 
 def _residuals(looks: _Looks, start: Cameras, values: Array) -> Array:
     points = _flange_points(looks, values)
-    image_points = [
-        camera.image_points(points, looks.semi_minors_px[:, side])
-        for side, camera in enumerate(_cameras(start, values))
-    ]
-    return np.hstack([looks.centres_px[:, 0] - image_points[0], looks.centres_px[:, 1] - image_points[1]])
+    return np.hstack(
+        [
+            looks.centres_px[:, side] - camera.image_points(points, looks.semi_minors_px[:, side])
+            for side, camera in enumerate(_cameras(start, values))
+        ]
+    )
 
 
 def _ball_slopes(looks: _Looks, start: Cameras, values: Array) -> Array:
@@ -296,17 +285,3 @@ def _require_fit(used: Mask, gaps: Array, looks: _Looks) -> None:
             got=f"{format_against_limit(gap_px, GAP_LIMIT_PX, 1)} px",
         )
     require_consistent(used, MOST_OUTLIERS, "looks")
-
-
-def _normal_matrix(
-    looks: _Looks,
-    start: Cameras,
-    values: Array,
-    arm_error: float,
-    image_scale: float,
-    used: Mask,
-) -> Array:
-    """Return the information matrix of all parameters, ignoring robust weights."""
-    cost = _Cost(looks, start, _whitening(looks, start, values, arm_error, image_scale), used)
-    slopes = cost.slopes(values)
-    return np.asarray(slopes.T @ slopes)

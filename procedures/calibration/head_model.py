@@ -17,6 +17,7 @@ from procedures.relocalization.triangulation import distort
 from ronna_hw.arrays import Array
 from ronna_hw.calibration import CameraCalibration, PoseRecord, StereoHeadCalibration
 from ronna_hw.frames import Frame, Transform
+from ronna_hw.vectors import vector3
 
 CAMERA_PARAMETERS = 10  # rotation 3, translation 3, focal length, principal point 2, k1
 UNDISTORT_STEPS = 12  # each gains about three digits with lenses of this kind
@@ -47,8 +48,7 @@ class FlangeCamera:
     def with_increments(self, increments: Array) -> FlangeCamera:
         """Add increments to the camera's ten parameters."""
         turn = Rotation.from_rotvec(increments[:3]).as_matrix()
-        k1, *others = self.distortion
-        k2, p1, p2, k3 = others
+        k1, k2, p1, p2, k3 = self.distortion
         return FlangeCamera(
             turn @ self.rotation,
             self.translation_mm + increments[3:6],
@@ -113,6 +113,12 @@ def cameras_of(calibration: StereoHeadCalibration) -> Cameras:
     return FlangeCamera.from_record(calibration.left, tool), FlangeCamera.from_record(calibration.right, tool)
 
 
+def adjust_cameras(cameras: Cameras, increments: Array) -> Cameras:
+    """Add increments (20,) to the parameters of the left and of the right camera."""
+    left, right = np.split(increments, 2)
+    return cameras[0].with_increments(left), cameras[1].with_increments(right)
+
+
 def intersect_rays(cameras: Cameras, left_px: Array, right_px: Array) -> tuple[Array, Array]:
     """Return midpoints (n, 3) between lines of sight in the flange frame, and gaps (n,), mm.
 
@@ -131,6 +137,5 @@ def intersect_rays(cameras: Cameras, left_px: Array, right_px: Array) -> tuple[A
 
 def pose_record(pose: Transform) -> PoseRecord:
     """Convert a transform to a pose record."""
-    x, y, z = pose.translation_mm.tolist()
     qw, qx, qy, qz = pose.quaternion_wxyz.tolist()
-    return PoseRecord(translation_mm=(x, y, z), quaternion_wxyz=(qw, qx, qy, qz))
+    return PoseRecord(translation_mm=vector3(pose.translation_mm), quaternion_wxyz=(qw, qx, qy, qz))
