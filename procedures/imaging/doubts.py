@@ -226,7 +226,6 @@ def _neighbours() -> NDArray[np.intp]:
 
 
 def _mark_adjacent_rays(directions: Array, rays: Mask) -> Mask:
-    """Mark the rays adjacent to `rays`."""
     if not rays.any():
         return np.zeros(len(directions), dtype=bool)
     return np.asarray((directions @ directions[rays].T > RIM_COSINE).any(axis=1))

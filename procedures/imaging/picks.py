@@ -29,7 +29,7 @@ from procedures.imaging.localization import (
 )
 from procedures.imaging.markers import Candidate, Localization
 from procedures.imaging.scan_deformation import combine_spheres
-from procedures.imaging.volume import Volume, VoxelGeometry, cube_around
+from procedures.imaging.volume import Volume, cube_around
 from ronna_hw.arguments import require_path
 from ronna_hw.arrays import Array
 from ronna_hw.bounded_input import InputRefused, parse_json, read_bounded
@@ -110,10 +110,11 @@ def _measure_pick(
 def _measure_at(volume: Volume, number: int, pick_mm: Array, radius_mm: float, known: list[Sphere]) -> Sphere:
     geometry = volume.geometry
     place = f"pick {number} at ({', '.join(f'{value:g}' for value in pick_mm)}) mm"
-    index = geometry.to_index(pick_mm)
-    if (index < -0.5).any() or (index > np.array(geometry.shape) - 0.5).any():
-        raise PickRefused(f"{place} is outside the scanned volume", expected=_describe_extent(geometry))
-    grid_mm = index * geometry.spacing_mm
+    if not geometry.contains(pick_mm):
+        ends = zip("LPS", *geometry.ends_mm, strict=True)
+        extent = ", ".join(f"{axis} {low:.0f} to {high:.0f}" for axis, low, high in ends)
+        raise PickRefused(f"{place} is outside the scanned volume", expected=f"{extent} mm")
+    grid_mm = geometry.to_index(pick_mm) * geometry.spacing_mm
     refused: list[Candidate] = []
     for place_mm, contrast_hu in _list_starts(volume, grid_mm, radius_mm):
         outcome = examine_place(
@@ -127,14 +128,6 @@ def _measure_at(volume: Volume, number: int, pick_mm: Array, radius_mm: float, k
     if refused:
         reason = max(refused, key=lambda one: one.surface_share or 0.0).reason
     raise PickRefused(f"{place} {reason}")
-
-
-def _describe_extent(geometry: VoxelGeometry) -> str:
-    """Describe the scanned range along the patient axes."""
-    corners = np.array(list(product(*((-0.5, size - 0.5) for size in geometry.shape))))
-    places_mm = geometry.to_patient_mm(corners)
-    ends = zip("LPS", places_mm.min(axis=0), places_mm.max(axis=0), strict=True)
-    return ", ".join(f"{axis} {low:.0f} to {high:.0f}" for axis, low, high in ends) + " mm"
 
 
 def _list_starts(volume: Volume, grid_mm: Array, radius_mm: float) -> list[tuple[Array, float]]:

@@ -16,7 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Generator, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import chain
+from itertools import chain, product
 from typing import Self
 
 import numpy as np
@@ -223,15 +223,10 @@ class WristState:
         turns: dict[PoseKind, list[float]] = {PoseKind.FIDUCIAL: [], PoseKind.TARGET: []}
         for one in check.reached:
             turns[one.visit.name.kind].append(kinematics.wrist_turn_rad(one.at_rad))
-        changes = [
-            abs(target - sphere) for target in turns[PoseKind.TARGET] for sphere in turns[PoseKind.FIDUCIAL]
-        ]
-        bends = [
-            kinematics.wrist_bend_rad(joints)
-            for one in check.reached
-            for joints in (one.approach_rad, one.at_rad)
-        ]
-        return cls(min(bends), max(changes, default=0.0))
+        pairs = product(turns[PoseKind.TARGET], turns[PoseKind.FIDUCIAL])
+        joints = (each for one in check.reached for each in (one.approach_rad, one.at_rad))
+        least_bend_rad = min(map(kinematics.wrist_bend_rad, joints))
+        return cls(least_bend_rad, max((abs(target - sphere) for target, sphere in pairs), default=0.0))
 
     @property
     def is_good(self) -> bool:
@@ -255,7 +250,7 @@ def find_alternatives(
     known = {setting.strategy.name, *tried}
     if isinstance(setting.strategy, BestOfEach):
         known |= {one.name for one in CANDIDATES}
-    candidates = [find_strategy(name) for name in BY_ACCURACY if name not in known]
+    candidates = (find_strategy(name) for name in BY_ACCURACY if name not in known)
     return tuple(
         one
         for one in candidates
@@ -287,9 +282,8 @@ def advice(alternatives_by_trajectory: Mapping[str, Sequence[Strategy]]) -> str 
     ]
     if not reaching:
         return None
-    return (
-        f"Choose another --strategy, which would reach {', '.join(reaching)}; or move the cart or the head."
-    )
+    ways = ", ".join(reaching)
+    return f"Choose another --strategy, which would reach {ways}; or move the cart or the head."
 
 
 def _is_target_reachable(setting: ArmSetting, trajectory: Trajectory) -> bool:

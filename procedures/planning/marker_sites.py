@@ -101,10 +101,10 @@ def propose_markers(
     random = np.random.default_rng(seed)
     centres, posts = _find_free_sites(head, trajectories, volume, random)
     targets = np.array([one.target_mm for one in trajectories])
-    sets = (
-        random.integers(len(centres), size=(DRAWS, count)) if len(centres) else np.empty((0, count), np.int64)
-    )
-    sets = sets[mark_allowed(centres[sets])] if len(sets) else sets
+    sets = np.empty((0, count), np.int64)
+    if len(centres):
+        sets = random.integers(len(centres), size=(DRAWS, count))
+        sets = sets[mark_allowed(centres[sets])]
     if not len(sets):
         raise NO_MARKER_SITES(
             f"there is no room for {count} markers clear of the trajectories and of one another",
@@ -122,9 +122,7 @@ def propose_markers(
         marker_error_mm=marker_error_mm,
         targets=tuple(
             ExpectedError(
-                target=one.identifier,
-                expected_mm=float(error_mm),
-                usual_mm=marker_error_mm * float(middle),
+                target=one.identifier, expected_mm=float(error_mm), usual_mm=marker_error_mm * float(middle)
             )
             for one, error_mm, middle in zip(trajectories, expected, usual, strict=True)
         ),
@@ -147,9 +145,8 @@ def propose_further(
         raise NO_MARKER_SITES("there is no room for one more marker clear of the trajectories and the others")
     centres = centres[is_apart]
     targets = np.array([one.target_mm for one in trajectories])
-    sets = np.concatenate(
-        [np.broadcast_to(present_mm, (len(centres), *present_mm.shape)), centres[:, None]], axis=1
-    )
+    present = np.broadcast_to(present_mm, (len(centres), *present_mm.shape))
+    sets = np.concatenate([present, centres[:, None]], axis=1)
     extended_errors_mm = tre_principal_axes_mm(targets, sets, marker_error_mm)
     best = int(np.square(extended_errors_mm).sum(axis=1).argmin())
     present_errors_mm = tre_principal_axes_mm(targets, present_mm, marker_error_mm)
@@ -161,12 +158,7 @@ def propose_further(
 
 
 def propose_template(
-    head: HeadEllipsoid,
-    markers: int,
-    margin_mm: float,
-    *,
-    volume: Volume | None = None,
-    seed: int = 0,
+    head: HeadEllipsoid, markers: int, margin_mm: float, *, volume: Volume | None = None, seed: int = 0
 ) -> MarkerTemplate:
     """Propose positions for 3 or 4 spheres whose mutual distances differ by at least `margin_mm`.
 
@@ -273,11 +265,8 @@ def _cap_directions(random: np.random.Generator) -> Array:
     turn, sine = random.uniform(0.0, 2.0 * np.pi, SITES), np.sqrt(1.0 - cosine**2)
     axis = np.array(CAP_AXIS) / np.linalg.norm(CAP_AXIS)
     side = np.array([1.0, 0.0, 0.0])
-    return np.asarray(
-        np.outer(cosine, axis)
-        + np.outer(sine * np.cos(turn), side)
-        + np.outer(sine * np.sin(turn), np.cross(axis, side))
-    )
+    across = np.outer(sine * np.cos(turn), side)
+    return np.asarray(np.outer(cosine, axis) + across + np.outer(sine * np.sin(turn), np.cross(axis, side)))
 
 
 def _skin_offset_mm(volume: Volume, start_mm: Array, outward: Array) -> float:

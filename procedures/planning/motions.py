@@ -81,9 +81,8 @@ def find_unclear(
     for motion in plan_motions(setting, scene, check, trajectories):
         if motion.is_cleared:
             continue
-        breach = sweep_path(
-            setting.kinematics, motion.plan, motion.around, search_closest=not first_only
-        ).refused
+        arm, closest = setting.kinematics, not first_only
+        breach = sweep_path(arm, motion.plan, motion.around, search_closest=closest).refused
         if breach is not None:
             pose = motion.start if motion.end == HOME else motion.end
             short_mm = motion.around.margin_mm - breach.distance_mm
@@ -163,9 +162,8 @@ def plan_motions(
             yield from _plan_homing(setting, here, before)
             here = (HOME, setting.start_rad)
         if visit.name.kind is PoseKind.TARGET and kind is not visit.name.kind:
-            yield from (
-                replace(one, is_cleared=True) for one in _plan_gauge_motions(setting, scene)
-            )  # see `check_fixed_places`
+            # Cleared by `check_fixed_places`.
+            yield from (replace(one, is_cleared=True) for one in _plan_gauge_motions(setting, scene))
         kind = visit.name.kind
         yield from _plan_visit(setting, here, reached, around)
         here = (visit.name, reached.approach_rad)
@@ -234,10 +232,7 @@ def _describe_collision(
     record = tell(
         str(motion.start), str(motion.end), pair, f"with the plan's standoff_mm of {standoff_mm or 0.0:g}"
     )
-    words = tell(
-        motion.start.in_sentence(MARKER),
-        motion.end.in_sentence(MARKER),
-        (name_body(breach.first), name_body(breach.second)),
-        f"at a stand-off of {standoff_mm or 0.0:g} mm",
-    )
+    start, end = (one.in_sentence(MARKER) for one in (motion.start, motion.end))
+    bodies = name_body(breach.first), name_body(breach.second)
+    words = tell(start, end, bodies, f"at a stand-off of {standoff_mm or 0.0:g} mm")
     return f"{record} [ARM-007]", words

@@ -73,10 +73,10 @@ def _measure_distance(
     share = np.clip((points - start) @ along / float(along @ along), 0.0, 1.0)
     distances = np.linalg.norm(points - (start + share[:, None] * along), axis=1)
     nearest = int(distances.argmin())
-    x, y, z = points[nearest].tolist()
     unknown_mm = structure.within_mm + widest_gap_mm(structure.points_mm) / 2.0
     distance_mm = max(0.0, float(distances[nearest]) - unknown_mm)
-    return StructureDistance(structure.name, trajectory, distance_mm, structure.margin_mm, (x, y, z))
+    nearest_mm = structure.points_mm[nearest]
+    return StructureDistance(structure.name, trajectory, distance_mm, structure.margin_mm, nearest_mm)
 
 
 @lru_cache(maxsize=4 * MOST_STRUCTURES)
@@ -166,5 +166,4 @@ def check_structures(
 
 def _share_outside(points_mm: ArrayLike, geometry: VoxelGeometry) -> float:
     """Return the fraction of points (n, 3) outside the CT, up to the outer voxel faces."""
-    index = geometry.to_index(points_mm)
-    return float(np.any((index < -0.5) | (index > np.array(geometry.shape) - 0.5), axis=1).mean())
+    return float((~geometry.contains(points_mm)).mean())
