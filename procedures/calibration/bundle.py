@@ -20,19 +20,23 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from procedures.calibration.errors import DoesNotFit
-from procedures.calibration.head_model import CAMERA_PARAMETERS, Cameras, cameras_of, intersect_rays
+from procedures.calibration.head_model import (
+    CAMERA_PARAMETERS,
+    Cameras,
+    adjust_cameras,
+    cameras_of,
+    intersect_rays,
+)
 from procedures.calibration.observations import Observation
-from procedures.calibration.pose_set import require_consistent, require_count, require_spread
+from procedures.calibration.pose_set import require_consistent, require_count, require_scatter, require_spread
 from ronna_hw.arm.kinematics import Chain
+from ronna_hw.arrays import Array, Mask
 from ronna_hw.calibrated_arm.error_budget import UNCALIBRATED_MM, error_columns
 from ronna_hw.calibration import StereoHeadCalibration
 from ronna_hw.robust_scale import robust_sigma
 from ronna_hw.text import format_against_limit
-
-Array = NDArray[np.float64]
 
 LEAST_POSES = 60
 BALL = 3
@@ -73,7 +77,7 @@ class BundleFit:
     image_sigma_px: float
     residuals_px: Array
     shifts_mm: Array
-    used: NDArray[np.bool_]
+    used: Mask
 
 
 @dataclass(frozen=True)
@@ -89,10 +93,7 @@ class _Looks:
 
 
 def fit_bundle(
-    observations: Sequence[Observation],
-    start: StereoHeadCalibration,
-    *,
-    arm: Chain | None = None,
+    observations: Sequence[Observation], start: StereoHeadCalibration, *, arm: Chain | None = None
 ) -> BundleFit:
     """Adjust the head to the observations, starting within a few millimetres and degrees.
 
@@ -109,29 +110,24 @@ def fit_bundle(
     values[:BALL] = np.median(in_robot, axis=0)
     estimate = _adjust(looks, cameras, values, FIRST_ARM_ERROR_MM)
     arm_error = estimate.arm_error
-    if arm_error > ARM_ERROR_LIMIT_MM:
-        raise DoesNotFit(
-            "the ball seems to move between measurements",
-            limit=f"{ARM_ERROR_LIMIT_MM:g} mm per axis",
-            got=f"{format_against_limit(arm_error, ARM_ERROR_LIMIT_MM, 2)} mm",
-        )
+    require_scatter(arm_error, ARM_ERROR_LIMIT_MM, "the ball seems to move between measurements")
     if arm is not None and arm_error > REPEATABILITY_MM:
         columns = error_columns(arm, [one.joints_rad for one in observations], estimate.values[:BALL])
         looks = replace(looks, arm_columns_mm=columns * min(1.0, arm_error / UNCALIBRATED_MM))
         values = np.concatenate([estimate.values, np.zeros(columns.shape[2])])
         estimate = _adjust(looks, cameras, values, arm_error)
     _require_fit(estimate.used, estimate.gaps, looks)
-    normal = _normal_matrix(
-        looks, cameras, estimate.values, estimate.arm_error, estimate.image_scale, estimate.used
-    )
+    values = estimate.values
+    whitening = _whitening(looks, cameras, values, estimate.arm_error, estimate.image_scale)
+    slopes = _Cost(looks, cameras, whitening, estimate.used).slopes(values)  # without robust weights
+    outline_px = float(np.sqrt(np.mean(np.einsum("nii->ni", looks.covariances_px2))))
     return BundleFit(
-        cameras=_cameras(cameras, estimate.values),
-        ball_mm=estimate.values[:BALL].copy(),
-        covariance=np.asarray(np.linalg.inv(normal)[:HEAD, :HEAD], dtype=float),
+        cameras=_cameras(cameras, values),
+        ball_mm=values[:BALL].copy(),
+        covariance=np.asarray(np.linalg.inv(slopes.T @ slopes)[:HEAD, :HEAD], dtype=float),
         arm_error_mm=arm_error,
         arm_scatter_mm=estimate.arm_error,
-        image_sigma_px=estimate.image_scale
-        * float(np.sqrt(np.mean(np.einsum("nii->ni", looks.covariances_px2)))),
+        image_sigma_px=estimate.image_scale * outline_px,
         residuals_px=estimate.residuals,
         shifts_mm=estimate.shifts,
         used=estimate.used,
@@ -146,7 +142,7 @@ class _Estimate:
     residuals: Array
     shifts: Array
     gaps: Array
-    used: NDArray[np.bool_]
+    used: Mask
 
 
 def _adjust(looks: _Looks, cameras: Cameras, values: Array, arm_error: float) -> _Estimate:
@@ -159,22 +155,13 @@ def _adjust(looks: _Looks, cameras: Cameras, values: Array, arm_error: float) ->
     for _ in range(ROUNDS):
         whitening = _whitening(looks, cameras, values, arm_error, image_scale)
         cost = _Cost(looks, cameras, whitening, used)
-        solution = least_squares(
-            cost,
-            values,
-            jac=cost.slopes,
-            x_scale="jac",
-            loss="huber",
-            f_scale=HUBER,
-            max_nfev=STEPS,
-        )
-        values = solution.x
+        options = {"x_scale": "jac", "loss": "huber", "f_scale": HUBER, "max_nfev": STEPS}
+        values = least_squares(cost, values, jac=cost.slopes, **options).x
         residuals = _residuals(looks, cameras, values)
         shifts, gaps = _split_residuals(looks, cameras, values, residuals, arm_error, image_scale)
         arm_error, image_scale = _error_sizes(shifts, gaps, used)
-        whitened = np.einsum(
-            "nij,nj->ni", _whitening(looks, cameras, values, arm_error, image_scale), residuals
-        )
+        whitening = _whitening(looks, cameras, values, arm_error, image_scale)
+        whitened = np.einsum("nij,nj->ni", whitening, residuals)
         used = np.sum(whitened**2, axis=1) < OUTLIER_CHI2
     return _Estimate(values, arm_error, image_scale, residuals, shifts, gaps, used)
 
@@ -196,8 +183,7 @@ def _arrays(observations: Sequence[Observation]) -> _Looks:
 
 
 def _cameras(start: Cameras, values: Array) -> Cameras:
-    middle = BALL + CAMERA_PARAMETERS
-    return start[0].with_increments(values[BALL:middle]), start[1].with_increments(values[middle:HEAD])
+    return adjust_cameras(start, values[BALL:HEAD])
 
 
 def _flange_points(looks: _Looks, values: Array) -> Array:
@@ -207,11 +193,12 @@ def _flange_points(looks: _Looks, values: Array) -> Array:
 
 def _residuals(looks: _Looks, start: Cameras, values: Array) -> Array:
     points = _flange_points(looks, values)
-    image_points = [
-        camera.image_points(points, looks.semi_minors_px[:, side])
-        for side, camera in enumerate(_cameras(start, values))
-    ]
-    return np.hstack([looks.centres_px[:, 0] - image_points[0], looks.centres_px[:, 1] - image_points[1]])
+    return np.hstack(
+        [
+            looks.centres_px[:, side] - camera.image_points(points, looks.semi_minors_px[:, side])
+            for side, camera in enumerate(_cameras(start, values))
+        ]
+    )
 
 
 def _ball_slopes(looks: _Looks, start: Cameras, values: Array) -> Array:
@@ -231,7 +218,7 @@ def _whitening(looks: _Looks, start: Cameras, values: Array, arm_error: float, i
 class _Cost:
     """Cost vector: whitened residuals of the views in use, and priors for cameras and arm."""
 
-    def __init__(self, looks: _Looks, start: Cameras, whitening: Array, used: NDArray[np.bool_]) -> None:
+    def __init__(self, looks: _Looks, start: Cameras, whitening: Array, used: Mask) -> None:
         self._looks, self._start, self._whitening, self._used = looks, start, whitening, used
 
     def __call__(self, values: Array) -> Array:
@@ -280,7 +267,7 @@ def _split_residuals(
     return shifts, np.einsum("ni,ni->n", null, residuals) / sigma
 
 
-def _error_sizes(shifts: Array, gaps: Array, used: NDArray[np.bool_]) -> tuple[float, float]:
+def _error_sizes(shifts: Array, gaps: Array, used: Mask) -> tuple[float, float]:
     """Estimate robustly the arm's error per axis in mm, and the image error relative to its covariance."""
     count = int(used.sum())
     freedom = np.sqrt(max(0.3, 1.0 - HEAD / (4.0 * count)))
@@ -289,7 +276,7 @@ def _error_sizes(shifts: Array, gaps: Array, used: NDArray[np.bool_]) -> tuple[f
     return max(arm, LEAST_ARM_ERROR_MM), max(image, 1.0)
 
 
-def _require_fit(used: NDArray[np.bool_], gaps: Array, looks: _Looks) -> None:
+def _require_fit(used: Mask, gaps: Array, looks: _Looks) -> None:
     gap_px = float(np.median(np.abs(gaps))) * float(np.sqrt(looks.covariances_px2[:, 0, 0].mean()))
     if gap_px > GAP_LIMIT_PX:
         raise DoesNotFit(
@@ -298,17 +285,3 @@ def _require_fit(used: NDArray[np.bool_], gaps: Array, looks: _Looks) -> None:
             got=f"{format_against_limit(gap_px, GAP_LIMIT_PX, 1)} px",
         )
     require_consistent(used, MOST_OUTLIERS, "looks")
-
-
-def _normal_matrix(
-    looks: _Looks,
-    start: Cameras,
-    values: Array,
-    arm_error: float,
-    image_scale: float,
-    used: NDArray[np.bool_],
-) -> Array:
-    """Return the information matrix of all parameters, ignoring robust weights."""
-    cost = _Cost(looks, start, _whitening(looks, start, values, arm_error, image_scale), used)
-    slopes = cost.slopes(values)
-    return np.asarray(slopes.T @ slopes)

@@ -33,7 +33,3 @@ __all__ = [
     "search_pose",
     "triangulate",
 ]
-
-
-def __dir__() -> list[str]:
-    return list(__all__)

@@ -62,14 +62,10 @@ def strain_of(found: Localization) -> Array:
 
 def spheres(*strains: Array, sigma: float = SURE, geometry: VoxelGeometry = GEOMETRY) -> ScanDeformation:
     """The result of spheres measured with these strains, LPS, each with one sigma."""
-    measured = [
-        Stretch(
-            RADIUS_MM * geometry.axes.T @ one @ geometry.axes,
-            (RADIUS_MM * sigma) ** 2 * ALIKE,
-            BLUR_MM,
-        )
-        for one in strains
-    ]
+    rows, columns = [0, 1, 0, 0, 1], [0, 1, 1, 2, 2]
+    turned = [RADIUS_MM * geometry.axes.T @ one @ geometry.axes for one in strains]
+    terms = [one[rows, columns] * [1.0, 1.0, 2.0, 2.0, 2.0] for one in turned]
+    measured = [Stretch(one, (RADIUS_MM * sigma) ** 2 * ALIKE, BLUR_MM) for one in terms]
     found = combine_spheres(measured, RADIUS_MM, geometry)
     assert found is not None
     return found

@@ -53,6 +53,13 @@ SIDE = 0.49  # taps beside the middle one, as the phantom's scanner has them
 NOISE_HU = 20.0
 
 
+def edge_of(centre_mm: Array, inside_hu: float) -> RadialEdge:
+    nowhere = np.zeros(1, dtype=bool)
+    return RadialEdge(
+        centre_mm, RADIUS_MM, 1e-4 * np.eye(3), 1.0, 0.0, 0.0, inside_hu, -1000.0, 1.0, 0.0, nowhere
+    )
+
+
 def noise_hu(seed: int) -> Array:
     """Slow noise: white, smoothed within each slice."""
     white = np.random.default_rng(seed).standard_normal((SHAPE[0], SHAPE[1] + 2, SHAPE[2] + 2))
@@ -228,13 +235,9 @@ def test_bends_are_detected_above_the_noise_and_slopes_are_assumed_larger() -> N
 
 
 def test_an_estimate_that_adds_no_information_gets_no_weight() -> None:
-    round_ = Stretch(np.zeros((3, 3)), np.zeros((5, 5)), 0.45)
+    round_ = Stretch(np.zeros(5), np.zeros((5, 5)), 0.45)
     ball = BlurredBall(CENTRE_MM, 1e-6 * np.eye(3), RADIUS_MM, 0.0, 0.0, 1100.0, round_, round_)
-    nowhere = np.zeros(1, dtype=bool)
-    edge = RadialEdge(
-        CENTRE_MM + 0.02, RADIUS_MM, 1e-4 * np.eye(3), 1.0, 0.0, 0.0, 130.0, -1000.0, 1.0, 0.0, nowhere
-    )
-    combined = combine_estimates(edge, ball, SPACING_MM)
+    combined = combine_estimates(edge_of(CENTRE_MM + 0.02, 130.0), ball, SPACING_MM)
     towards_edge_mm = (combined.centre_mm - CENTRE_MM) @ np.ones(3) / np.sqrt(3.0)
     assert -1e-6 < towards_edge_mm < 1e-4  # nor is the ball's moved away from it
     assert combined.agreement_mm == pytest.approx(0.02 * np.sqrt(3.0))
@@ -253,13 +256,8 @@ def bare(make_scan: Callable[..., Any]) -> Array:
 
 
 def fitted(values: Array) -> BlurredBall:
-    rough = fit_rough_ball(
-        Region(values, np.zeros(3, dtype=np.int64), SPACING_MM),
-        STREAKED_CENTRE_MM + 0.1,
-        RADIUS_MM,
-        150.0,
-        -1000.0,
-    )
+    region = Region(values, np.zeros(3, dtype=np.int64), SPACING_MM)
+    rough = fit_rough_ball(region, edge_of(STREAKED_CENTRE_MM + 0.1, 150.0))
     assert rough is not None
     ball = rough.refined(np.zeros((0, 3)))
     assert ball is not None
