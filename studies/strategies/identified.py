@@ -11,7 +11,8 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,7 +34,7 @@ from studies.accuracy.random_arms import RandomArms, draw_numbered_arm, solve_jo
 from studies.accuracy.scene import AXES, FINE_CT_MM, Sizes, StudiedScene
 from studies.campaign import bounds
 from studies.campaign.plots import boxes
-from studies.campaign.study import Sums, Table, Unit, blocks
+from studies.campaign.study import Study, Sums, Table, Unit, blocks
 from studies.strategies.study import DEPTHS_MM, PLACES, TARGETS
 
 Array = NDArray[np.float64]
@@ -50,18 +51,16 @@ HIGHEST = 99.0  # per cent
 
 
 @dataclass(frozen=True)
-class IdentifiedStudy:
+class IdentifiedStudy(Study):
     """Study of `arms` random arms of set S, each identified first and then used at all positions."""
 
     arms: int = 100
     seed: int = 0
     name: str = "strategies-identified"
 
-    def settings(self) -> dict[str, object]:
-        return {**asdict(self), "places": PLACES, "targets": TARGETS, "looks": LOOKS, "ct_mm": FINE_CT_MM}
+    constants: ClassVar = {"places": PLACES, "targets": TARGETS, "looks": LOOKS, "ct_mm": FINE_CT_MM}
 
     def units(self) -> Sequence[Unit]:
-        """Split the arms into blocks."""
         return blocks(CELL, self.arms, BLOCK_ARMS)
 
     def run(self, unit: Unit) -> Sums:

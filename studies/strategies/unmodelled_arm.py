@@ -12,8 +12,9 @@ from __future__ import annotations
 import math
 from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,7 +40,7 @@ from studies.accuracy.postures import ARM, TOOL, Postures
 from studies.accuracy.random_arms import RandomArms, draw_numbered_arm
 from studies.accuracy.scene import AXES, FINE_CT_MM, Sizes, StudiedScene
 from studies.accuracy.unmodelled_effects import BUMPS, DisplacedArms, DrawnEffect, Effect
-from studies.campaign.study import Sums, Unit, blocks
+from studies.campaign.study import Study, Sums, Unit, blocks
 from studies.strategies import distorted_tracker
 from studies.strategies.identified import (
     EXPECTED,
@@ -71,7 +72,7 @@ RESIDUAL, GAUGE = "PRO-007", "TOOL-005"
 
 
 @dataclass(frozen=True)
-class UnmodelledArmStudy:
+class UnmodelledArmStudy(Study):
     """Study of `arms` random arms of set S with every effect, and of followed moves with a wrong tracker."""
 
     arms: int = 20
@@ -79,8 +80,7 @@ class UnmodelledArmStudy:
     effects: tuple[Effect, ...] = tuple(Effect)
     name: str = "strategies-wrong"
 
-    def settings(self) -> dict[str, object]:
-        return {**asdict(self), "places": list(PLACES), "targets": TARGETS, "ct_mm": FINE_CT_MM}
+    constants: ClassVar = {"places": list(PLACES), "targets": TARGETS, "ct_mm": FINE_CT_MM}
 
     def units(self) -> Sequence[Unit]:
         """List blocks of arms, then one unit of moves for each kind of tracker."""

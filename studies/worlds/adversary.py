@@ -84,12 +84,10 @@ class HiddenChange:
 
     @property
     def script(self) -> str:
-        """Complete fault script for the case."""
         return "".join(f"since step == {self.step} after {self.after_s:.3f} s: {one}\n" for one in self.lines)
 
     @property
     def words(self) -> str:
-        """The change and its moment, as text."""
         return f"{'+'.join(self.bodies)} at {self.step} + {self.after_s:.1f} s"
 
 
@@ -269,5 +267,4 @@ def format_lines(looks: Looks, body: MovedBody, displacement: Matrix, ending: st
 
 
 def draw_adversarial_world(seed: int, number: int) -> AdversarialWorld:
-    """Draw world `number` of a seed."""
     return Adversary(seed, number).draw()

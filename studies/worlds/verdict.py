@@ -91,6 +91,10 @@ class Judgement:
     error: str = ""
 
     @property
+    def words(self) -> str:
+        return self.verdict.value
+
+    @property
     def worst(self) -> JudgedTarget | None:
         return worst_of(self.targets)
 

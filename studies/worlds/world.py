@@ -45,17 +45,14 @@ class Change:
 
     @property
     def moment(self) -> str:
-        """Step and delay at which the change happens, as text."""
         return f"{self.step} + {self.after_s:.2f} s"
 
     @property
     def script(self) -> str:
-        """Complete fault script for the case."""
         return "".join(f"since step == {self.step} after {self.after_s:.3f} s: {one}\n" for one in self.lines)
 
     @property
     def words(self) -> str:
-        """Description of the change."""
         changed = "; ".join(one for one in self.lines if not one.startswith("tracker occlude"))
         return f"{changed}, {self.hidden}" if self.hidden else changed
 

@@ -67,7 +67,7 @@ def test_tables_and_plots_show_the_counts(monkeypatch: pytest.MonkeyPatch) -> No
             monkeypatch.setattr(study_module, "localize_by", lambda *_, p=points: found_at(p, 0.01))
             one |= study_module._count_localization(method, scan_of(CENTRES, [True] * 4))
         sums[f"{family}|good"] = one
-    together, single = tables(sums)
+    together, single, _ = tables(sums)
     assert [row[:2] for row in together.rows[::3]] == [
         ("without streaks on posts", "good"),
         ("with streaks on posts", "good"),
@@ -230,7 +230,7 @@ def test_one_real_phantom_volume_and_frame_set_give_the_expected_errors(tmp_path
     study = LocalizationStudy(1, 1, seed=3, families=("narrow",), protocols=("poor",))
     ledger = Ledger(tmp_path, study)
     run_study(study, ledger, workers=1)
-    together, _, frames = tables(add_up(ledger.results()))
+    together, _, frames, _ = tables(add_up(ledger.results()))
     ours = dict(zip(together.columns, together.rows[0], strict=True))
     assert (ours["found %"], ours["false"]) == (100.0, 0)
     assert ours["rms µm"] < 40.0
