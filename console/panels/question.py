@@ -14,7 +14,6 @@ NOT_KEPT = "Name and identifier were shown to the operator; no record keeps them
 
 
 def question_heading(question: Questioned) -> str:
-    """Show the subject of a question."""
     return tag("h2", text(question.subject), data_question=str(question.question))
 
 
@@ -33,7 +32,6 @@ def question_pictures(question: Questioned) -> str:
 
 
 def question_evidence(question: Questioned) -> str:
-    """Show the tables of evidence, folded."""
     return "".join(
         tag("details", tag("summary", text(one.title)) + evidence_table(one), class_="evidence")
         for one in question.evidence
