@@ -116,7 +116,6 @@ class Hub(ChangeNotifier):
         return replace(view, outcome=self.ending.word, ending=self.ending.sentence)
 
     def take_ending(self, ending: Ending) -> None:
-        """Note how the case ended, as its folder tells."""
         self.ending = ending
         self.notify()
 

@@ -65,7 +65,6 @@ class ApplicationErrorStudy(Study):
 
 
 def tables(sums: Mapping[str, Sums]) -> list[Table]:
-    """Tabulate our figures next to those of the paper."""
     rows: list[dict[str, Cell]] = []
     for (depth, markers, strategy, count), errors in _collect_errors(sums).items():
         published = PUBLISHED_MM[depth] if (markers, strategy, count) == COMPARED else None
@@ -99,7 +98,6 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
 
 
 def plots(sums: Mapping[str, Sums]) -> dict[str, bytes]:
-    """Plot a box for each depth, marker type and strategy."""
     groups = {
         f"{strategy} {markers} {count}, {depth}": errors.ravel()
         for (depth, markers, strategy, count), errors in _collect_errors(sums).items()

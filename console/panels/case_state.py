@@ -55,7 +55,6 @@ def clock(view: CaseView, beat: int) -> str:
 
 
 def seat_line(view: CaseView, *, is_mine: bool, may_operate: bool) -> str:
-    """Show who is in the operator's seat, and whether this page is operating or viewing."""
     holder = view.seat.holder if view.seat else ""
     if is_mine:
         words, kind = f"You are operating as {holder}", "ok"

@@ -64,7 +64,6 @@ class SeatPanel:
             self._release = button("Leave the seat", partial(give, {"kind": "release"}), "release")
 
     def show(self, view: CaseView, *, is_mine: bool, orders: bool) -> None:
-        """Show who is in the operator's seat."""
         self._line.set_content(seat_line(view, is_mine=is_mine, may_operate=self._may_operate))
         free = self._may_operate and orders and view.seat is None
         self._name.set_visibility(free)
@@ -176,7 +175,6 @@ class QuestionPanel:
         )
 
     def show(self, view: CaseView, *, is_mine: bool, has_seat: bool) -> None:
-        """Show the open question, if any."""
         question = view.question
         key = (
             None if question is None else (question.question, digest_of_question(question), is_mine, has_seat)
@@ -196,7 +194,6 @@ class QuestionPanel:
             self._time_limit.set_content(_time_limit(question, view))
 
     def _say(self, words: str) -> None:
-        """Show a refusal or advice beside the answers."""
         self._words = words
         if self._said is not None:
             self._said.set_content(tag("p", text(words), class_="warn", role="alert") if words else "")

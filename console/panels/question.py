@@ -39,7 +39,6 @@ def question_evidence(question: Questioned) -> str:
 
 
 def _render_decision(predicted: PredictedError) -> str:
-    """Show the predicted error against the plan's margin."""
     figures = (
         (f"{predicted.rms_mm:.2f} mm", f"predicted error at {predicted.target} (rms)"),
         (f"{predicted.margin_mm:g} mm", "the plan's margin"),

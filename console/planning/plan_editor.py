@@ -154,7 +154,6 @@ class PlanEditor(ChangeNotifier):
         return Draft.of(plan)
 
     def _restore_unsaved(self) -> None:
-        """Restore unsaved changes from the last session."""
         try:
             drawn = self._unsaved.restore(self._on_disk, self.draft)
         except UnsavedChanges as aside:

@@ -44,7 +44,6 @@ class ReachPanel:
             self._result = html()
 
     def show(self) -> None:
-        """Show the result for the current draft."""
         self._result.set_content(tell_reach(self._editor))
 
     async def _check(self) -> None:
@@ -60,7 +59,6 @@ class ReachPanel:
 
 
 def tell_reach(editor: PlanEditor) -> str:
-    """Tell the result of the reach check, or what it is waiting for."""
     judged, draft = editor.judged, editor.draft
     if editor.theatre is None:
         return tag("p", "Not checked yet.", class_="dim", data_reach="unchecked")

@@ -99,7 +99,6 @@ class SlicePanel:
         self._image.on("keydown", self._on_key, js_handler=KEYS_JS)
 
     def show(self, draft: Draft) -> None:
-        """Show the present view of the page."""
         page_view = self._page_view
         self._draft = draft
         way = draft.find_way(page_view.way)

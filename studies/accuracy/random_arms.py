@@ -89,7 +89,6 @@ class RandomArms:
         return len(self.tool_error_mm)
 
     def only(self, source: Source) -> RandomArms:
-        """Return the arms with errors from one source only."""
         no_turns = np.broadcast_to(np.eye(3), self.link_rotation.shape)
         return replace(
             self,

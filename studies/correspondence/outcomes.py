@@ -35,7 +35,6 @@ def outcome_of(found: Match | SimilarityPairs, right: Pairs) -> str:
 
 
 def verdict(pairs: NDArray[np.intp], right: Pairs) -> str:
-    """Return the outcome of a unique answer."""
     found_pairs = pair_set(pairs)
     if found_pairs == right:
         return SUCCESS

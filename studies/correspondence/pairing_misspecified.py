@@ -142,9 +142,9 @@ def draw_wrong_readings(
         case Assumption.TAILS:
             return draw(noise_of=draw_tails)
         case Assumption.ON_HEAD:
-            return draw(strays_of=partial(draw_strays_on_head, patient))
+            return draw(strays_of=partial(draw_strays_on_head, patient, False))
         case Assumption.CLUSTERED:
-            return draw(strays_of=partial(draw_cluster_on_head, patient))
+            return draw(strays_of=partial(draw_strays_on_head, patient, True))
         case Assumption.DISTORTED:
             return draw(distort=distort)
         case _:
@@ -165,24 +165,16 @@ def draw_tails(
 
 def draw_strays_on_head(
     patient: int,
+    are_clustered: bool,
     points: Array,
     outliers: int,
     to_frame: Callable[[Array], Array],
     random: np.random.Generator,
 ) -> Array:
-    """Draw outliers (runs, outliers, 3) from the part of the head that carries the sites."""
-    return to_frame(_draw_spots(patient, len(points), outliers, random))
-
-
-def draw_cluster_on_head(
-    patient: int,
-    points: Array,
-    outliers: int,
-    to_frame: Callable[[Array], Array],
-    random: np.random.Generator,
-) -> Array:
-    """Draw all outliers (runs, outliers, 3) of a set near one spot on the head."""
+    """Draw outliers (runs, outliers, 3) on the part of the head with the sites, or all near one spot."""
     runs = len(points)
+    if not are_clustered:
+        return to_frame(_draw_spots(patient, runs, outliers, random))
     spread = uniform_in_ball(runs * outliers, CLUSTER_MM, random).reshape(runs, outliers, 3)
     return to_frame(_draw_spots(patient, runs, 1, random) + spread)
 

@@ -59,7 +59,6 @@ class Place(NamedTuple):
     target: int
 
     def key(self, quantity: Quantity) -> str:
-        """Return the name of a figure here."""
         return SEPARATOR.join([*map(str, self), quantity])
 
 

@@ -141,7 +141,6 @@ class LowCostStudy(Study):
 
 
 def study_name(*, over_the_wire: bool) -> str:
-    """Return the name of the study, and of its folder."""
     return "low-cost-over-the-wire" if over_the_wire else "low-cost"
 
 

@@ -21,6 +21,7 @@ from studies.worlds.cases import (
     SCRIPT_FILE,
     CasesStudy,
     count_verdicts,
+    describe_case,
     find_run,
     keep_case,
     number_of,
@@ -167,16 +168,11 @@ def run_adversarial_world(world: AdversarialWorld, folder: Path, *, quiet: bool 
         found = JudgedCase(Silence.BROKEN, CaseEnding.BROKEN, (), True, (), str(error))
     mode = "--adversarial --quiet" if quiet else "--adversarial"
     content = {
-        "world": asdict(world),
-        "verdict": found.verdict.value,
+        **describe_case(world, found),
         "ending": found.ending.value,
         "changed": "nothing" if quiet else world.change.words,
         "worst": None if found.worst is None else asdict(found.worst),
-        "targets": [{**asdict(one), "verdict": one.verdict.value} for one in found.targets],
-        "happened": found.happened,
         "killed_at_line": killed_at,
-        "said": list(found.said),
-        "error": found.error,
         "script": script,
         "commands": list(commands),
         "repeat": f"ronna-campaign worlds {mode} --seed {world.seed} --only {world.number}",

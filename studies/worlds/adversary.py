@@ -226,7 +226,6 @@ class Adversary:
         return HiddenMove(one.bodies, sign * sigmas * one.twist_mm, sigmas, sigmas * one.effect_mm)
 
     def _draw_push(self, looks: Looks, ending: str) -> list[str]:
-        """Draw a push of the tracker in any direction."""
         shift_mm, turn = self._draws.standard_normal(3), self._draws.standard_normal(3)
         shift_mm *= self._between((0.0, PUSH_MM)) / np.linalg.norm(shift_mm)
         turn *= ARM_MM * math.radians(self._between((0.0, PUSH_DEG))) / np.linalg.norm(turn)

@@ -16,6 +16,10 @@ from ronna_hw.records import write_atomically
 from studies.campaign import bounds
 from studies.campaign.study import Cell, Study, Sums, Table, Unit
 from studies.errors import WORLD_NOT_RUN
+from studies.worlds.adversary import AdversarialWorld
+from studies.worlds.silence import JudgedCase
+from studies.worlds.verdict import Judgement
+from studies.worlds.world import DrawnWorld
 
 LIMIT_S = 900.0  # host time of a case, on a busy machine
 SCRIPT_FILE, CASE_FILE, RUN_FOLDER = "faults.txt", "case.json", "run"
@@ -84,6 +88,17 @@ def require_run(folder: Path, number: int, ended: CompletedProcess[str]) -> Path
     if (run := find_run(folder)) is None:
         raise WORLD_NOT_RUN(f"world {number} ended with exit code {ended.returncode}: {ended.stderr[-300:]}")
     return run
+
+
+def describe_case(world: DrawnWorld | AdversarialWorld, found: Judgement | JudgedCase) -> dict[str, Any]:
+    return {
+        "world": asdict(world),
+        "verdict": found.verdict.value,
+        "targets": [{**asdict(one), "verdict": one.verdict.value} for one in found.targets],
+        "happened": found.happened,
+        "said": list(found.said),
+        "error": found.error,
+    }
 
 
 def keep_case(folder: Path, content: Mapping[str, object], *, with_run: bool) -> None:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import ClassVar
 
 from ronna_hw.errors import EXIT_REFUSED, EXIT_SAFETY_STOP
 from ronna_hw.evidence.journal_reading import JOURNAL_FILE, read_chain_until_break
@@ -18,6 +18,7 @@ from studies.worlds.cases import (
     SCRIPT_FILE,
     CasesStudy,
     count_verdicts,
+    describe_case,
     keep_case,
     number_of,
     renew_folder,
@@ -76,7 +77,6 @@ class WorldsStudy(CasesStudy):
         return draw_world(self.seed, number, self.scene, quiet=self.quiet)
 
     def tables(self, sums: Mapping[str, Sums]) -> list[Table]:
-        """Tabulate the share of each verdict, and the worst cases."""
         judged = {number_of(key): one for key, one in sums.items()}
         happened = round(sum(one["happened"] for one in judged.values()))
         note = f"{len(judged)} cases, {happened} with a change that was reached."
@@ -159,19 +159,8 @@ def run_world(world: DrawnWorld, folder: Path) -> Judgement:
         done=printed.get("outcome") in FINISHED,
         error=read_error_text(printed) if ended.returncode in BY_THE_PROCEDURE else "",
     )
-    keep_case(folder, document(world, found), with_run=RANKS[found.verdict] >= KEPT)
+    keep_case(folder, describe_case(world, found), with_run=RANKS[found.verdict] >= KEPT)
     return found
-
-
-def document(world: DrawnWorld, found: Judgement) -> dict[str, Any]:
-    return {
-        "world": asdict(world),
-        "verdict": found.verdict.value,
-        "targets": [{**asdict(one), "verdict": one.verdict.value} for one in found.targets],
-        "happened": found.happened,
-        "said": list(found.said),
-        "error": found.error,
-    }
 
 
 def _badness(one: Sums) -> tuple[float, float]:

@@ -125,7 +125,6 @@ def _draw_change_lines(generator: np.random.Generator, what: ChangedObject) -> l
 
 
 def _draw_vector(generator: np.random.Generator, most: float) -> list[float]:
-    """Draw a vector of random direction and length."""
     normal_draw = generator.standard_normal(3)
     return [
         float(value) for value in normal_draw * (generator.uniform(0.0, most) / np.linalg.norm(normal_draw))
