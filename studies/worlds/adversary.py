@@ -89,12 +89,10 @@ class HiddenChange:
 
     @property
     def script(self) -> str:
-        """Complete fault script for the case."""
         return "".join(f"since step == {self.step} after {self.after_s:.3f} s: {one}\n" for one in self.lines)
 
     @property
     def words(self) -> str:
-        """The change and its moment, as text."""
         return f"{'+'.join(self.bodies)} at {self.step} + {self.after_s:.1f} s"
 
 
@@ -228,7 +226,6 @@ class Adversary:
         return HiddenMove(one.bodies, sign * sigmas * one.twist_mm, sigmas, sigmas * one.effect_mm)
 
     def _draw_push(self, looks: Looks, ending: str) -> list[str]:
-        """Draw a push of the tracker in any direction."""
         shift_mm, turn = self._draws.standard_normal(3), self._draws.standard_normal(3)
         shift_mm *= self._between((0.0, PUSH_MM)) / np.linalg.norm(shift_mm)
         turn *= ARM_MM * math.radians(self._between((0.0, PUSH_DEG))) / np.linalg.norm(turn)
@@ -269,5 +266,4 @@ def format_lines(looks: Looks, body: MovedBody, displacement: Matrix, ending: st
 
 
 def draw_adversarial_world(seed: int, number: int) -> AdversarialWorld:
-    """Draw world `number` of a seed."""
     return Adversary(seed, number).draw()

@@ -111,7 +111,6 @@ def tables() -> dict[str, str]:
 
 
 def _tabulate_roles(roles: Mapping[str, Role]) -> str:
-    """Tabulate the endpoints that a driver needs, all of them."""
     rows = [(f"`{name}`", f"`{role.example}`", role.purpose) for name, role in roles.items()]
     return (
         "## Endpoints\n\nTable `[robot.<name>.endpoints]`; all are required.\n\n"
@@ -144,7 +143,6 @@ class ListedError:
 
     @property
     def code(self) -> str:
-        """Its stable code."""
         return self.entry.code
 
     @property
