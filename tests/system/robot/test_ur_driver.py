@@ -22,10 +22,6 @@ from handmade_ur import HandmadeController
 from ur_clients import OUTPUTS, UrCell
 from waiting import eventually
 
-from conformance.case import HOST_TIME, MOTION
-from conformance.device_under_test import DeviceUnderTest
-from conformance.report import CaseOutcome, run_suite
-from conformance.robot import SUITE
 from drivers.universal_robots import UniversalRobotsArm
 from drivers.universal_robots.errors import (
     CONTROLLER_STOPPED,
@@ -263,15 +259,6 @@ def test_a_script_that_does_not_start_is_reported(room: Room) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(180)
-def test_the_arm_passes_the_robot_cases_unchanged(room: Room) -> None:
-    dut = DeviceUnderTest("robot.master", room.config, room.clock)
-    dut.offers |= {MOTION.name, HOST_TIME.name}
-    report = run_suite(SUITE, dut)
-    assert {r.number: r.reason for r in report.results if r.outcome is not CaseOutcome.PASS} == {}
-
-
-@pytest.mark.slow
 @pytest.mark.hazard(30)
 @pytest.mark.timeout(180)
 @pytest.mark.parametrize("victim", ["program", "real-time process"])
@@ -458,13 +445,3 @@ def test_the_arm_follows_a_hand_until_it_is_released(room: Room, arm: UniversalR
     assert guided.end is GuidanceEnd.RELEASED
     assert not guided.reading.moving
     assert arm.state is Lifecycle.ACTIVE
-
-
-@pytest.mark.hazard(53)
-def test_a_force_above_the_safety_limit_stops_the_arm_as_the_controller_does(
-    room: Room, arm: UniversalRobotsArm
-) -> None:
-    motion = Motion(arm)
-    room.inject("load axial 200 N")
-    assert is_error(motion.end(), CONTROLLER_STOPPED)
-    room.inject()

@@ -52,28 +52,12 @@ def test_a_missing_tool_keeps_its_status_and_frame() -> None:
     assert binary_reply(binary_body(frame, T, USUAL)) == reply
 
 
-@pytest.mark.parametrize("tracked", [valid(), missing()])
-def test_tool_information_adds_22_characters_or_11_bytes(tracked: TrackedTool) -> None:
-    frame = frame_with(1, tracked)
-    more = T | ReplyOption.TOOL_INFORMATION
-    assert len(text_reply(frame, more, USUAL)) == len(text_reply(frame, T, USUAL)) + 22
-    assert len(binary_body(frame, more, USUAL)) == len(binary_body(frame, T, USUAL)) + 11
-
-
 def test_marker_digits_are_in_the_order_of_the_profile() -> None:
     frame = frame_with(1, valid())
     text = text_reply(frame, ReplyOption.TOOL_INFORMATION, USUAL)
     assert text == "0101" + "10" + "3303" + "0" * 16 + "\n0000"
     body = binary_body(frame, ReplyOption.TOOL_INFORMATION, USUAL)
     assert body[3:14] == bytes([0x10, *[0] * 8, 0x30, 0x33])
-
-
-def test_a_tool_outside_the_volume_is_reported_only_on_request() -> None:
-    frame = frame_with(1, valid(PortStatus.OUT_OF_VOLUME))
-    assert "MISSING00000071" in text_reply(frame, T, USUAL)
-    assert "+10000" in text_reply(frame, T | ReplyOption.OUT_OF_VOLUME, USUAL)
-    assert binary_body(frame, T, USUAL)[2] == 0x02
-    assert binary_body(frame, T | ReplyOption.OUT_OF_VOLUME, USUAL)[2] == 0x01
 
 
 def test_all_strays_are_counted_but_those_outside_are_reported_only_on_request() -> None:

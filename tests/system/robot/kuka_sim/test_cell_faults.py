@@ -2,13 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import pytest
-from kuka_clients import Cell
 from shared_controller import SharedController, on_a1
-
-from ronna_hw.control_port import ask_control_port
 
 STOPS = [
     ("emergency stop for 0.2 s", {"EStop": "1", "Drives": "0", "Err": "1"}, {"EStop": "0"}),
@@ -57,17 +52,3 @@ def test_a_restarted_program_has_a_new_port_new_stamps_and_the_current_pose_as_i
     shared.rsi.answer()
     shared.rsi.cycles(20)
     assert shared.rsi.axes_deg[0] == reached_deg
-
-
-def test_both_channels_report_a_live_emergency_stop(
-    cell: Callable[..., Cell],
-) -> None:
-    here = cell()
-    eki, sdk = here.project(), here.sdk()
-    sdk.read()
-    eki.read()
-    ask_control_port(here.child.ready["control"], "fault", line="now: robot emergency stop")
-    eki.until(lambda state: state.get("EStop") == "1")
-    status = sdk.read().find("Status")  # its first since: this channel tells changes only
-    assert status is not None
-    assert status.get("EmergencyStop") == "1"
