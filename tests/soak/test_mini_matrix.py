@@ -1,8 +1,6 @@
 """Long runs on the mini scene: a matrix of seeds, sizes and faults, and kills at random moments."""
 
 import json
-import random
-import time
 from pathlib import Path
 
 import pytest
@@ -41,15 +39,3 @@ def test_every_seed_of_the_matrix_reaches_its_target(
         )
         assert done.returncode == 0, f"seed {seed}: {done.stderr}"
         assert json.loads(done.stdout)["max_application_error_mm"] <= LARGEST_ERROR_MM
-
-
-def test_no_process_survives_kills_at_fifty_random_moments(commands: Commands, tmp_path: Path) -> None:
-    chosen = random.Random(50)
-    for number in range(50):
-        process = commands.start(
-            "ronna-procedure", "run", "--sim", "--scene", "mini", "--out", str(tmp_path / str(number))
-        )
-        time.sleep(chosen.uniform(0.05, 6.0))  # the moment itself is what is random here
-        process.kill()
-        process.communicate(timeout=15)
-        assert commands.await_no_survivors() == []
