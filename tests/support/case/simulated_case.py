@@ -36,10 +36,13 @@ class SimulatedCase:
         line = ("run", "--sim", *words, *files, "--json")
         return self.commands.run("ronna-procedure", *line, timeout_s=LIMIT_S)
 
-    def step(self, *orders: str, words: tuple[str, ...], **files: str) -> subprocess.CompletedProcess[str]:
+    def step(
+        self, *orders: str, words: tuple[str, ...], faults: str = "", answers: str = ""
+    ) -> subprocess.CompletedProcess[str]:
         """Run `ronna-procedure step --sim WORDS` with these orders on its standard input."""
+        files = self.options(faults=faults, answers=answers)
         return subprocess.run(
-            self.commands.line("ronna-procedure", "step", "--sim", *words, *self.options(**files)),
+            self.commands.line("ronna-procedure", "step", "--sim", *words, *files),
             env=self.commands.environment,
             input="".join(f"{order}\n" for order in orders),
             capture_output=True,

@@ -102,10 +102,6 @@ def test_the_robot_frame_matches_the_one_in_the_simulated_scene() -> None:
     assert ROBOT_FRAME.part_number == scene.part_number
 
 
-def test_the_shipped_tools_are_unambiguous_alone_and_together() -> None:
-    assert find_alike({"M": ROBOT_FRAME, "x": X_FRAME}) == ()
-
-
 def test_the_x_frame_is_two_crossing_bars_with_distances_at_least_8_mm_apart() -> None:
     first, second, third, fourth = (np.array(marker) for marker in X_FRAME.markers_mm)
     crossing = np.zeros(3)
