@@ -67,14 +67,6 @@ def test_telegrams_from_the_configured_host_are_answered(controller: Any, make_a
     assert controller.replies
 
 
-def test_telegrams_of_another_type_are_reported_and_get_no_reply(controller: Any, make_arm: Any) -> None:
-    controller.root_type = "OTHER"
-    arm = configured(make_arm())
-    with raises(NO_TELEGRAM, match="were malformed or of another Type"):
-        arm.activate(timeout_s=1.0)
-    assert not controller.replies
-
-
 @pytest.mark.hazard(20)
 def test_a_12_ms_cycle_runs_when_driver_and_controller_agree_on_it(controller: Any, make_arm: Any) -> None:
     with raises(WRONG_CONTROLLER, match="cycle in ms is 4, not 12"):
