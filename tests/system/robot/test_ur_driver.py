@@ -34,7 +34,7 @@ from ronna_hw.clock import open_clock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices import Lifecycle
 from ronna_hw.devices.contact import GuidanceEnd, HandGuidance, Insertion, ToolLoad
-from ronna_hw.devices.robot import JointMove, StopKind
+from ronna_hw.devices.robot import JointMove
 from ronna_hw.endpoints import parse_endpoint
 from ronna_hw.errors import ErrorCode, RonnaError, is_error
 from ronna_hw.frames import Frame, Transform
@@ -135,22 +135,6 @@ class Motion:
         reading = arm.observe().reading
         assert reading is not None
         return reading.joints_rad[0]
-
-
-def test_an_arm_moves_holds_and_goes_on_from_there(arm: UniversalRobotsArm) -> None:
-    start = arm.read_state().commanded_rad
-    assert start is not None
-    reached = arm.move(JointMove(turned(start))).joints_rad
-    assert reached == pytest.approx(turned(start), abs=radians(0.001))
-    motion = Motion(arm)
-    arm.stop(StopKind.HOLD)
-    assert is_error(motion.end(), STREAM_ERRORS.stopped)
-    assert arm.state is Lifecycle.HOLD
-    arm.resume()
-    arm.move(JointMove(start))
-    statistics = arm.link_statistics()
-    assert statistics.cycles > 500
-    assert statistics.rejected_telegrams == 0
 
 
 @pytest.mark.parametrize(

@@ -6,19 +6,23 @@ cycles and not in the time of a busy machine.
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
+from contextlib import closing
 from itertools import pairwise
 from math import degrees
 from typing import Any
 
 import pytest
 from driven_arm import FAR, THERE, activated, largest_step, moving
-from waiting import eventually
+from waiting import HANG_LIMIT_S, eventually
 
+from drivers.kuka_rsi.eki.client import EkiClient
 from drivers.kuka_rsi.eki.telegrams import LONGEST_TELEGRAM
 from drivers.kuka_rsi.errors import BAD_EKI_TELEGRAM, CONTROLLER_STOPPED, STREAM_ERRORS
 from ronna_hw.arm_stream.records import Choice
 from ronna_hw.devices import Lifecycle
+from ronna_hw.devices.capabilities import Direction
 from ronna_hw.devices.errors import WrongState
 from ronna_hw.devices.robot import JointMove
 from ronna_hw.errors import RonnaError, is_error
@@ -157,3 +161,31 @@ def test_padding_and_text_between_eki_telegrams_are_skipped(controller: Any, pat
     eventually(lambda: patient_arm.connections.control.latest.tool == 7)
     patient_arm.move(JointMove(THERE))
     assert patient_arm.state is Lifecycle.ACTIVE
+
+
+STOOD_STILL_S = 30.0
+
+
+@pytest.mark.hazard(4)
+def test_what_came_while_the_reader_did_not_run_is_taken_late_and_no_silence(
+    controller: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now_s, runs, held = [100.0], threading.Event(), threading.Event()
+    monkeypatch.setattr("time.monotonic", lambda: now_s[0])
+    runs.set()
+
+    def hold(direction: Direction, _data: bytes) -> None:
+        if direction is Direction.RECEIVED and not runs.is_set():
+            held.set()
+            runs.wait(HANG_LIMIT_S)
+
+    with closing(EkiClient("127.0.0.1", controller.eki_port, HANG_LIMIT_S, hold)) as client:
+        client.request_state()
+        eventually(lambda: client.latest is not None)
+        runs.clear()
+        number = client.request_state()
+        assert held.wait(HANG_LIMIT_S)
+        now_s[0] += STOOD_STILL_S
+        assert client.silent_s == 0.0
+        threading.Timer(0.1, runs.set).start()
+        assert client.await_reply(number, 0.0) is not None
