@@ -14,8 +14,6 @@ from faulty_cameras import LIMIT_S, Cameras
 
 from drivers.basler_stereo import BaslerStereoPair
 from drivers.basler_stereo.errors import (
-    CABLES_SWAPPED,
-    WRONG_MODEL,
     WRONG_SERIAL,
     CameraLost,
     CommandRefused,
@@ -52,26 +50,6 @@ def test_identity_states_and_observation_follow_the_lifecycle(cameras: Cameras) 
     pair.close()
     assert pair.observe().state is Lifecycle.CLOSED
     assert pair.observe().reading is reading
-
-
-@pytest.mark.hazard(25)
-def test_swapped_cables_another_camera_and_another_model_are_distinguished(cameras: Cameras) -> None:
-    with raises(CABLES_SWAPPED, match="GEV-004"):
-        cameras.new_pair(left_serial=SERIALS[1], right_serial=SERIALS[0]).connect(LIMIT_S)
-    with raises(WRONG_SERIAL, match="GEV-003"):
-        cameras.new_pair(right_serial="21900009").connect(LIMIT_S)
-    with raises(WRONG_MODEL, match=r"GEV-002.*acA640-120gm"):
-        cameras.new_pair(expected_model="acA640-120gm").connect(LIMIT_S)
-
-
-@pytest.mark.hazard(34)
-def test_a_second_controller_is_refused_and_the_first_continues(cameras: Cameras) -> None:
-    pair, second = cameras.streaming(heartbeat_ms=500), cameras.new_pair()
-    second.connect(LIMIT_S)
-    with pytest.raises(ControlTaken, match="GEV-005"):
-        second.configure(LIMIT_S)
-    assert second.state is Lifecycle.CONNECTED
-    assert pair.grab_pair(LIMIT_S).validity is Validity.OK
 
 
 def test_after_a_failed_configure_neither_camera_is_controlled(cameras: Cameras) -> None:

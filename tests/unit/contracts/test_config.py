@@ -64,22 +64,6 @@ def test_a_plan_given_as_a_theatre_file_is_recognised() -> None:
         parse_theatre({"schema": 1, "trajectories": [], "implanted": 3}, "plan.toml")
 
 
-def test_all_mistakes_of_a_theatre_file_are_reported_at_once() -> None:
-    content = {
-        "schema": 1,
-        "theatre": "lab",
-        "colour": "green",
-        "clock": {"endpoint": "tcp://127.0.0.1:1"},
-        "tracker": {"driver": 5, "endpoint": "serial:///dev/x"},
-    }
-    with pytest.raises(BadTheatreFile, match="CFG-001") as refused:
-        parse_theatre(content)
-    message = str(refused.value)
-    assert "3 mistakes" in message
-    for part in ("colour", "clock.endpoint", "tracker.driver"):
-        assert part in message
-
-
 RECORD: dict[str, Any] = {
     "identifier": "tip",
     "made_by": "lab",
@@ -142,14 +126,6 @@ def test_relative_paths_of_a_device_are_resolved_from_its_theatre_file(
     assert tracker.folder == lab
     assert tracker.model_copy(update={"endpoint": "tcp://127.0.0.1:1"}).folder == lab
     assert DeviceConfig(driver="ndi_polaris", endpoint="host:").folder is None
-
-
-def test_a_misspelt_key_is_reported_with_a_suggestion() -> None:
-    record = {**RECORD, "stated_error": RECORD["stated_error_mm"], "flange_from_tool": POSE}
-    del record["stated_error_mm"]
-    with pytest.raises(BadTheatreFile) as refused:
-        parse_theatre({"schema": 1, "theatre": "a", "calibration": {"tool_tip": record}})
-    assert "tool_tip.stated_error: unknown key (did you mean 'stated_error_mm'?)" in str(refused.value)
 
 
 @pytest.mark.parametrize(
