@@ -1,4 +1,4 @@
-"""Whole cases with the patient's frame on the head clamp."""
+"""Whole cases with a frame: the x-shaped one, as a tool or as strays, and the patient's on the head clamp."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ import json
 import pytest
 from simulated_case import SimulatedCase
 
+from ronna_hw.x_frame import NAME
+from sim.world.scene.model import Scene
 from sim.world.scene.named_scenes import add_patient_frame, draw_scene
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
@@ -17,6 +19,25 @@ PUSHES = (
     "since step == tool_change: room shift tracker -20 4 9 mm\n"
 )
 MOVED_HEAD = "since step == at_target: room shift head 1 0.5 0 mm\n"
+
+
+def without_definition() -> Scene:
+    """The scene of a tracker without the frame's definition."""
+    scene = draw_scene("mini", seed=3, x_frame=True)
+    tools = tuple(one for one in scene.tracker.tools if one.name != NAME)
+    assert len(tools) == len(scene.tracker.tools) - 1
+    return scene.model_copy(update={"tracker": scene.tracker.model_copy(update={"tools": tools})})
+
+
+@pytest.mark.parametrize("as_tool", [True, False], ids=["as a tool", "as strays"])
+def test_a_case_with_the_x_shaped_frame_reaches_its_target(case: SimulatedCase, as_tool: bool) -> None:
+    named = ("--scene", "mini", "--seed", "3", "--fiducials", "xframe")
+    ran = case.run(*named) if as_tool else case.run(scene=without_definition())
+    assert ran.returncode == 0, ran.stderr
+    outcome = json.loads(ran.stdout)
+    assert outcome["ct"]["found"] == 4
+    assert outcome["registration"]["n"] == 4
+    assert outcome["max_application_error_mm"] < LIMIT_MM
 
 
 def run(case: SimulatedCase, faults: str) -> tuple[int, dict[str, object], str, list[str]]:
