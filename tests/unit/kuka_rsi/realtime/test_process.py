@@ -77,16 +77,20 @@ def test_a_running_link_imports_no_heavy_package(
     assert not HEAVY & {name.split(".")[0] for name in imported}
 
 
-THROUGH_THE_SESSION = 3_000
+SOAK = (pytest.mark.soak, pytest.mark.timeout(3600))
 OVER_THE_SOCKET = 2_000
 FRESH_EVERY = 200  # mutants over the socket: some of them end a session, as telegrams of another run
 GENEROUS_S = 30.0
 
 
-def test_mutants_in_a_session_cause_no_motion() -> None:
-    answered, refused = answer_mutants(THROUGH_THE_SESSION, seed=1)
-    assert answered > THROUGH_THE_SESSION / 100  # some are still telegrams
-    assert refused > THROUGH_THE_SESSION / 3
+@pytest.mark.parametrize(
+    ("count", "seed"),
+    [(3_000, 1), *(pytest.param(10_000, seed, marks=SOAK) for seed in range(300, 310))],
+)
+def test_mutants_in_a_session_cause_no_motion(count: int, seed: int) -> None:
+    answered, refused = answer_mutants(count, seed)
+    assert answered > count / 100  # some are still telegrams
+    assert refused > count / 3
 
 
 def test_mutants_over_the_socket_cause_no_crash_and_no_motion() -> None:
