@@ -44,12 +44,6 @@ def before(cell: ClinicalCell, **paths: object) -> tuple[StepResult, ...]:
     return (checked_paths(cell, **paths), *coarse(), checked_plan(), localized_fiducials())
 
 
-def test_every_sphere_is_measured_in_the_order_of_the_paths(cell: ClinicalCell) -> None:
-    done = relocalize(cell, fiducials=(2, 0, 3, 1)).result
-    assert done.fiducials == (2, 0, 3, 1)
-    np.testing.assert_allclose(done.points_mm, SPHERES_MM[[2, 0, 3, 1]], atol=1e-6)
-
-
 def test_the_offset_of_the_first_sphere_corrects_the_search_for_the_others(cell: ClinicalCell) -> None:
     done = relocalize(cell, robot_from_ct=shifted(ROBOT_FROM_CT, COARSE_OFF_MM)).result
     first, *others = done.residuals_mm
@@ -96,18 +90,14 @@ def test_from_the_second_sphere_on_the_head_is_where_the_stereo_head_has_seen_it
     np.testing.assert_allclose(seen_mm, [np.negative(COARSE_OFF_MM)] * len(seen_mm), atol=1e-3)
 
 
-def test_the_step_sends_the_surroundings_and_then_starts_the_stream_and_the_cameras(
-    cell: ClinicalCell,
-) -> None:
-    relocalize(cell)
-    assert cell.arm.calls[:2] == ["surround", "activate"]
-    assert cell.stereo.calls == ["activate"]
-
-
-def test_a_picture_of_every_sphere_is_kept(cell: ClinicalCell) -> None:
-    relocalize(cell)
+def test_every_sphere_is_measured_in_the_order_of_the_paths_with_a_picture(cell: ClinicalCell) -> None:
+    done = relocalize(cell, fiducials=(2, 0, 3, 1)).result
+    assert done.fiducials == (2, 0, 3, 1)
+    np.testing.assert_allclose(done.points_mm, SPHERES_MM[[2, 0, 3, 1]], atol=1e-6)
     kept = sorted(path.name for path in (cell.folder / "pictures").iterdir())
     assert kept == [f"stereo-{FIRST}-{number}.png" for number in (1, 2, 3, 4)]
+    assert cell.arm.calls[:2] == ["surround", "activate"]
+    assert cell.stereo.calls == ["activate"]
 
 
 @pytest.mark.hazard(11)
@@ -179,7 +169,11 @@ def test_a_missing_sphere_is_left_out_when_enough_remain_and_the_operator_agrees
     assert "3 spheres would remain" in question.value
     assert done.fiducials == (0, 2, 3)
     assert [one.fiducial for one in done.left_out] == [1]
+
     assert "no sphere in 36 image pairs" in done.left_out[0].reason
+    kinds = [line["what"] for line in read_journal(cell.folder / JOURNAL_FILE) if line["entry"] == "motion"]
+    searched = "".join(kind[0] for kind in kinds).index("s" * 37)  # where it should be, and around
+    assert kinds[searched + 37 :][:2] == ["line", "go"]  # the head backs off along its axis
 
 
 def refuse(cell: ClinicalCell, *numbers: int) -> None:
@@ -212,17 +206,6 @@ def test_a_search_in_which_the_arm_trips_ends_with_that(cell: ClinicalCell) -> N
     cell.arm.blocked = trips
     with pytest.raises(NotClear):
         relocalize(cell)
-
-
-def test_the_head_backs_off_along_its_axis_after_a_sphere_is_left_out(
-    cell: ClinicalCell, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("procedures.steps.clinical.relocalization.FEWEST_SPHERES", 3)
-    cell.workcell.spheres_mm[1] += (0.0, 0.0, 80.0)
-    relocalize(cell)
-    kinds = [line["what"] for line in read_journal(cell.folder / JOURNAL_FILE) if line["entry"] == "motion"]
-    searched = "".join(kind[0] for kind in kinds).index("s" * 37)  # where it should be, and around
-    assert kinds[searched + 37 :][:2] == ["line", "go"]
 
 
 @pytest.mark.branch("SPHERE_FAILED")
