@@ -93,13 +93,13 @@ def test_whoever_deleted_a_run_hears_where_its_arm_is_and_how_it_comes_home(tmp_
     assert describe_arm_without_record(ArmPlace(PlaceKind.HOME), own=False) == "the arm is at home"
 
 
-def test_the_warning_names_the_run_that_left_the_arm_away_and_the_home_command(tmp_path: Path) -> None:
+def test_the_warning_names_the_run_that_left_the_arm_away_also_after_one_that_moved_nothing(
+    tmp_path: Path,
+) -> None:
+    (tmp_path / "theatre.toml").touch()
+    assert warning(tmp_path) is None
     away = earlier(tmp_path, 1, "go")
     assert f"ronna-procedure home {away}" in str(warning(tmp_path))
-
-
-def test_a_run_that_moved_nothing_does_not_hide_the_one_that_left_the_arm_away(tmp_path: Path) -> None:
-    away = earlier(tmp_path, 1, "go")
     earlier(tmp_path, 2)
     for _ in range(2):
         assert away.name in str(warning(tmp_path))
@@ -166,11 +166,6 @@ def test_a_motion_from_home_that_was_cut_short_leaves_the_arm_away(
             journal.write(Entry.MOVED, 0.0, **end)
     journal.close()
     assert f"ronna-procedure home {run}" in str(warning(tmp_path))
-
-
-def test_a_run_that_brought_the_arm_home_gives_no_warning(tmp_path: Path) -> None:
-    earlier(tmp_path, 1, "go", "home")
-    assert warning(tmp_path) is None
 
 
 @pytest.mark.hazard(5)
@@ -301,11 +296,6 @@ def simulated_theatre(path: Path, identity: str) -> Path:
         'endpoints = { rsi = "udp://127.64.0.1:20000", eki_project = "tcp://127.0.0.1:54602" }\n'
     )
     return path
-
-
-def test_a_theatre_without_an_earlier_run_gives_no_warning(tmp_path: Path) -> None:
-    (tmp_path / "theatre.toml").touch()
-    assert warning(tmp_path) is None
 
 
 @pytest.mark.hazard(5)
