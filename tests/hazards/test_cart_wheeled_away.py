@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -51,8 +50,7 @@ def cart_leaves(cell: ClinicalCell) -> Callable[[], None]:
 
 
 @pytest.mark.branch("CART_MOVED")
-def test_a_cart_that_leaves_during_a_motion_stops_the_arm(tmp_path: Path) -> None:
-    cell = ClinicalCell(tmp_path)
+def test_a_cart_that_leaves_during_a_motion_stops_the_arm(cell: ClinicalCell) -> None:
     engine = watched(cell)
     on_the_way(cell, cart_leaves(cell))
     with pytest.raises(
@@ -64,8 +62,7 @@ def test_a_cart_that_leaves_during_a_motion_stops_the_arm(tmp_path: Path) -> Non
     assert engine.machine.state == "held"
 
 
-def test_head_and_spheres_are_expected_where_they_are_against_the_moved_cart(tmp_path: Path) -> None:
-    cell = ClinicalCell(tmp_path)
+def test_head_and_spheres_are_expected_where_they_are_against_the_moved_cart(cell: ClinicalCell) -> None:
     engine = watched(cell)
     positioned(engine)
     before = cell.workcell.master.surroundings
@@ -107,8 +104,8 @@ def test_a_plain_move_is_noticed_in_a_pose_that_was_never_seen_before(axis: int)
         assert isinstance(look.moved, BaseShifted) is (moved_mm > GROSS_LIMIT_MM)
 
 
-def test_a_sphere_lost_because_the_cart_left_is_no_reason_to_leave_it_out(tmp_path: Path) -> None:
-    cell = ClinicalCell(tmp_path).carrying(MountedTool.STEREO_HEAD)
+def test_a_sphere_lost_because_the_cart_left_is_no_reason_to_leave_it_out(cell: ClinicalCell) -> None:
+    cell.carrying(MountedTool.STEREO_HEAD)
     before = (checked_paths(cell), *coarse(), checked_plan(), localized_fiducials())
     engine = cell.begin(*before, relocalization.STEP)
     engine.run_to(engine.order.sequence[4])
@@ -125,8 +122,7 @@ def test_a_sphere_lost_because_the_cart_left_is_no_reason_to_leave_it_out(tmp_pa
     assert Topic.SPHERE not in [question.topic for question in cell.operator.asked]
 
 
-def test_with_an_instrument_inside_nobody_is_asked_and_nothing_moves(tmp_path: Path) -> None:
-    cell = ClinicalCell(tmp_path)
+def test_with_an_instrument_inside_nobody_is_asked_and_nothing_moves(cell: ClinicalCell) -> None:
     engine = watched(cell)
     engine.goes_on = MovedCart(engine).continues_by_consent
     positioned(engine)

@@ -97,8 +97,7 @@ def prepared(cell: ClinicalCell) -> Engine:
 
 @pytest.mark.hazard(4)
 @pytest.mark.parametrize(("step", "role"), CUTS)
-def test_a_link_cut_during_a_step_holds_the_case(tmp_path: Path, step: str, role: str) -> None:
-    cell = ClinicalCell(tmp_path)
+def test_a_link_cut_during_a_step_holds_the_case(cell: ClinicalCell, step: str, role: str) -> None:
     engine = prepared(cell)
     key = next(key for key in engine.order.sequence if key.name == step and key.trajectory in (None, FIRST))
     link = LinkCut(cell, role, str(key))

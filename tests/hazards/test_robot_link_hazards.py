@@ -7,7 +7,6 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -59,25 +58,6 @@ print("arrived", flush=True)
 
 def _away(joints_rad: Any, angle_rad: float = AWAY_RAD) -> Any:
     return tuple(angle + angle_rad for angle in joints_rad)
-
-
-@pytest.fixture
-def tapped_cell(robot_cell: Any) -> Iterator[Callable[..., tuple[Any, RsiTap]]]:
-    """Makes a robot cell with somebody on its wire."""
-    made: list[tuple[Any, RsiTap]] = []
-
-    def make(**tells: bool) -> tuple[Any, RsiTap]:
-        cell = robot_cell()
-        tap = RsiTap(cell.endpoints["rsi"], lambda: cell.world.arm().joints_rad, **tells)
-        made.append((cell, tap))
-        cell.endpoints["rsi"] = tap.endpoint
-        return cell, tap
-
-    yield make
-    for cell, tap in made:
-        for arm in cell.arms:
-            arm.close()
-        tap.close()
 
 
 def _largest_steps(tap: RsiTap) -> tuple[float, float]:

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import pytest
 from drawn_limits import LimitedDriver, drawn_options
-from rsi_tap import RsiTap
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from drivers.kuka_rsi.options import KukaOptions
@@ -129,11 +128,9 @@ def test_a_gauge_within_the_margin_is_refused_before_anything_moves() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
-def test_on_the_wire_the_arm_moves_as_previewed(robot_cell: Any, seed: int) -> None:
+def test_on_the_wire_the_arm_moves_as_previewed(tapped_cell: Any, seed: int) -> None:
     drawn = drawn_options(random.Random(seed)).model_dump(include=LIMITS, exclude_none=True)
-    cell = robot_cell()
-    tap = RsiTap(cell.endpoints["rsi"], lambda: cell.world.arm().joints_rad)
-    cell.endpoints["rsi"] = tap.endpoint
+    cell, tap = tapped_cell()
     arm = cell.active_arm(silence_limit_s=GENEROUS_S, heartbeat_limit_s=GENEROUS_S, **drawn)
     start = arm.read_state().commanded_rad
     up = arm.kinematics.flange_pose(start).displace((0.0, 0.0, 60.0))
@@ -144,6 +141,3 @@ def test_on_the_wire_the_arm_moves_as_previewed(robot_cell: Any, seed: int) -> N
         arm.move(motion)
         moving = sum(a != b for a, b in pairwise(tap.acting_deg[before:]))
         assert moving * arm.limits().cycle_s == pytest.approx(previewed.duration_s, rel=AGREE)
-    for each in cell.arms:
-        each.close()
-    tap.close()
