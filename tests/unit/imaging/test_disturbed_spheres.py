@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
 from localized_spheres import as_volume, matched, rms
 from numpy.typing import NDArray
+from painted_ct import Scan
 
 from procedures.imaging import Volume, errors, localize
 
 Array = NDArray[np.float64]
-Make = Callable[..., Any]  # builds a Scan
 RADIUS_MM = 5.75
 
 
@@ -21,9 +20,9 @@ RADIUS_MM = 5.75
     ("covering_hu", "open_mm"), [(40.0, 0.5), (-50.0, 0.5), (-50.0, -0.3), (-50.0, -1.0)]
 )
 def test_a_ball_half_covered_by_skin_or_bandage_is_found_and_flagged(
-    make_scan: Make, covering_hu: float, open_mm: float
+    covering_hu: float, open_mm: float
 ) -> None:
-    scan = make_scan(shape=(40, 80, 80))
+    scan = Scan(shape=(40, 80, 80))
     centre = np.array([20.3, 19.6, 20.1])
     scan.half_space(centre + np.array([0.0, open_mm, 0.0]), np.array([0.1, -1.0, 0.2]), covering_hu)
     scan.ball(centre)
@@ -33,8 +32,8 @@ def test_a_ball_half_covered_by_skin_or_bandage_is_found_and_flagged(
     assert marker.quality < 0.6
 
 
-def test_the_round_end_of_a_rod_is_not_taken_for_a_half_covered_ball(make_scan: Make) -> None:
-    scan = make_scan(shape=(40, 100, 80))
+def test_the_round_end_of_a_rod_is_not_taken_for_a_half_covered_ball() -> None:
+    scan = Scan(shape=(40, 100, 80))
     centre = np.array([20.0, 18.0, 20.0])
     scan.ball(centre)
     scan.rod(centre, np.array([0.0, 1.0, 0.0]), 28.0, RADIUS_MM, 150.0)
@@ -42,8 +41,8 @@ def test_the_round_end_of_a_rod_is_not_taken_for_a_half_covered_ball(make_scan: 
         localize(as_volume(scan))
 
 
-def test_a_ball_touching_metal_is_flagged_and_still_accurately_located(make_scan: Make) -> None:
-    scan = make_scan(shape=(40, 80, 80))
+def test_a_ball_touching_metal_is_flagged_and_still_accurately_located() -> None:
+    scan = Scan(shape=(40, 80, 80))
     centre = np.array([20.2, 19.7, 20.3])
     scan.rod(centre + np.array([0.0, RADIUS_MM, 0.0]), np.array([0.0, 1.0, 0.0]), 4.0, 9.0, 3000.0)
     scan.ball(centre)
@@ -52,8 +51,8 @@ def test_a_ball_touching_metal_is_flagged_and_still_accurately_located(make_scan
     assert np.linalg.norm(marker.centre_mm - centre) < 0.05
 
 
-def test_two_touching_balls_are_separated_and_flagged(make_scan: Make) -> None:
-    scan = make_scan(shape=(40, 80, 100))
+def test_two_touching_balls_are_separated_and_flagged() -> None:
+    scan = Scan(shape=(40, 80, 100))
     centres = np.array([[20.2, 19.7, 19.4], [20.2, 19.7, 31.0]])
     for centre in centres:
         scan.ball(centre)
@@ -63,8 +62,8 @@ def test_two_touching_balls_are_separated_and_flagged(make_scan: Make) -> None:
     assert all("near_another" in marker.flags for marker in result.markers)
 
 
-def test_overlapping_balls_are_rejected(make_scan: Make) -> None:
-    scan = make_scan(shape=(40, 80, 100))
+def test_overlapping_balls_are_rejected() -> None:
+    scan = Scan(shape=(40, 80, 100))
     scan.ball(np.array([20.0, 19.7, 22.0]))
     scan.ball(np.array([20.0, 19.7, 30.0]))
     with pytest.raises(errors.MarkerCountWrong, match="overlaps a marker"):
@@ -85,8 +84,8 @@ def with_band(scan: Any, centre: Array, hu: float, *angles_deg: float) -> Volume
 
 
 @pytest.mark.parametrize("hu", [350.0, -350.0], ids=["bright", "dark, cut off in air"])
-def test_a_streak_band_across_a_ball_does_not_pull_its_centre(make_scan: Make, hu: float) -> None:
-    scan = make_scan(shape=(40, 80, 80))
+def test_a_streak_band_across_a_ball_does_not_pull_its_centre(hu: float) -> None:
+    scan = Scan(shape=(40, 80, 80))
     centre = np.array([20.3, 19.6, 20.2])
     scan.marker(centre, np.array([0.0, 1.0, 0.0]), skin=False)
     (marker,) = localize(with_band(scan, centre, hu)).markers
@@ -97,10 +96,8 @@ def test_a_streak_band_across_a_ball_does_not_pull_its_centre(make_scan: Make, h
 
 
 @pytest.mark.parametrize("hu", [350.0, -350.0], ids=["bright", "dark, cut off in air"])
-def test_streaks_that_together_shift_a_ball_out_of_a_polymers_range_do_not_hide_it(
-    make_scan: Make, hu: float
-) -> None:
-    scan = make_scan(shape=(40, 80, 80))
+def test_streaks_that_together_shift_a_ball_out_of_a_polymers_range_do_not_hide_it(hu: float) -> None:
+    scan = Scan(shape=(40, 80, 80))
     centre = np.array([20.3, 19.6, 20.2])
     scan.marker(centre, np.array([0.0, 1.0, 0.0]), skin=False)
     (marker,) = localize(with_band(scan, centre, hu, 20.0, 80.0, 140.0)).markers
@@ -108,15 +105,15 @@ def test_streaks_that_together_shift_a_ball_out_of_a_polymers_range_do_not_hide_
     assert "streaked" in marker.flags
 
 
-def test_a_ball_that_is_denser_than_a_polymer_without_streaks_is_no_marker(make_scan: Make) -> None:
-    scan = make_scan(shape=(40, 80, 80))
+def test_a_ball_that_is_denser_than_a_polymer_without_streaks_is_no_marker() -> None:
+    scan = Scan(shape=(40, 80, 80))
     scan.ball(np.array([20.3, 19.6, 20.2]), hu=750.0)
     with pytest.raises(errors.MarkerCountWrong, match="shows no surface of a polymer sphere"):
         localize(as_volume(scan))
 
 
-def test_a_streak_band_does_not_turn_the_round_end_of_a_rod_into_a_marker(make_scan: Make) -> None:
-    scan = make_scan(shape=(40, 80, 80))
+def test_a_streak_band_does_not_turn_the_round_end_of_a_rod_into_a_marker() -> None:
+    scan = Scan(shape=(40, 80, 80))
     centre = np.array([20.3, 16.0, 20.2])
     scan.ball(centre)
     scan.rod(centre, np.array([0.0, 1.0, 0.0]), 14.0, RADIUS_MM, 150.0)
@@ -126,10 +123,8 @@ def test_a_streak_band_does_not_turn_the_round_end_of_a_rod_into_a_marker(make_s
 
 @pytest.mark.parametrize("way", [[1.0, 0.0, 0.0], [0.0, 0.3, 1.0], [0.6, 0.6, 0.5]], ids=str)
 @pytest.mark.parametrize("longer_mm", [0.7, pytest.param(1.2, marks=pytest.mark.slow)])
-def test_a_lone_capsule_a_little_longer_than_wide_is_doubtful(
-    make_scan: Make, way: list[float], longer_mm: float
-) -> None:
-    scan = make_scan(shape=(40, 80, 80))
+def test_a_lone_capsule_a_little_longer_than_wide_is_doubtful(way: list[float], longer_mm: float) -> None:
+    scan = Scan(shape=(40, 80, 80))
     for step_mm in np.linspace(-0.5, 0.5, 5) * longer_mm:
         scan.ball(np.array([20.3, 19.6, 20.2]) + step_mm * np.array(way) / np.linalg.norm(way))
     with pytest.raises(errors.MarkerCountWrong, match="longer in one direction than in another") as raised:
@@ -161,9 +156,9 @@ LOOK_ALIKES = {
 
 @pytest.mark.parametrize("look_alike", LOOK_ALIKES)
 def test_a_look_alike_of_a_sphere_is_reported_as_doubtful_with_its_reason_and_low_odds(
-    make_scan: Make, look_alike: str
+    look_alike: str,
 ) -> None:
-    scan, at = make_scan(shape=(40, 100, 170)), np.array([20.0, 16.0, 22.0])
+    scan, at = Scan(shape=(40, 100, 170)), np.array([20.0, 16.0, 22.0])
     balls, reason = LOOK_ALIKES[look_alike]
     for offset_mm, *different in balls:
         scan.ball(at + offset_mm, *different)
@@ -180,8 +175,8 @@ def test_a_look_alike_of_a_sphere_is_reported_as_doubtful_with_its_reason_and_lo
     assert next(one.odds for one in found.candidates if one.accepted) > 0.9
 
 
-def test_a_ball_unlike_the_others_in_the_scan_is_doubtful(make_scan: Make) -> None:
-    scan = make_scan(shape=(40, 80, 200))
+def test_a_ball_unlike_the_others_in_the_scan_is_doubtful() -> None:
+    scan = Scan(shape=(40, 80, 200))
     for place in (15.0, 40.0, 65.0):
         scan.ball(np.array([20.0, 20.0, place]))
     scan.ball(np.array([20.0, 20.0, 88.0]), 6.05)

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
-
 import numpy as np
 import pytest
 from fan_beam import Mounted, scan
 from localized_spheres import as_volume
+from painted_ct import Scan
 
 from procedures.imaging import Volume, localize
 from procedures.imaging.errors import MarkerCountWrong
@@ -55,9 +53,9 @@ def test_a_small_ball_is_found_beside_a_larger_one_on_the_same_metal() -> None:
 
 @pytest.mark.parametrize(("on_metal", "odds"), [(True, (0.2, 0.5)), (False, (-0.1, 0.1))])
 def test_a_ball_that_shows_too_little_is_doubtful_in_the_slices_of_metal_and_else_rejected(
-    make_scan: Callable[..., Any], on_metal: bool, odds: tuple[float, float]
+    on_metal: bool, odds: tuple[float, float]
 ) -> None:
-    ball, canvas = np.array([20.2, 19.7, 20.3]), make_scan()
+    ball, canvas = np.array([20.2, 19.7, 20.3]), Scan()
     canvas.half_space(ball - np.array(BELOW), np.array([0.1, -1.0, 0.2]), 150.0)
     canvas.ball(ball)
     if on_metal:

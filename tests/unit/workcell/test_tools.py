@@ -78,10 +78,12 @@ def test_one_arm_does_not_play_both_roles() -> None:
         require_two_arms(("KR 6 R900 sixx", "601234"), ("KR 6 R900 sixx", "601234"))
 
 
-def test_the_pose_sent_to_the_controller_is_corrected_by_the_calibration_of_the_arm() -> None:
+def test_the_pose_sent_to_the_controller_is_corrected_by_the_calibration_of_the_arm_if_it_has_one() -> None:
     kinematics, records = kr6_r900(SIXX), _records()
     flange_from_tool = records.stereo_head.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
-    carried = CarriedTool(calibrated_arm(kinematics, records.arms), flange_from_tool)
+    carried, plain = (
+        CarriedTool(calibrated_arm(kinematics, of), flange_from_tool) for of in (records.arms, {})
+    )
     wanted = carried.pose(kinematics.home_rad)
     joints = carried.joints_at(wanted, kinematics.home_rad)
     commanded = carried.commanded(wanted, lambda: kinematics.home_rad)
@@ -89,14 +91,7 @@ def test_the_pose_sent_to_the_controller_is_corrected_by_the_calibration_of_the_
     by_controller = kinematics.flange_pose(joints) @ flange_from_tool
     np.testing.assert_allclose(commanded.translation_mm, by_controller.translation_mm, atol=1e-4)
     assert np.linalg.norm(commanded.translation_mm - wanted.translation_mm) > 0.3
-
-
-def test_without_a_calibration_record_the_wanted_pose_itself_is_sent_to_the_controller() -> None:
-    kinematics, records = kr6_r900(SIXX), _records()
-    flange_from_tool = records.stereo_head.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
-    carried = CarriedTool(calibrated_arm(kinematics, {}), flange_from_tool)
-    wanted = carried.pose(kinematics.home_rad)
-    assert carried.commanded(wanted, lambda: kinematics.home_rad) is wanted
+    assert plain.commanded(wanted, lambda: kinematics.home_rad) is wanted
 
 
 def test_the_surroundings_are_exact_where_a_calibrated_arm_works(tmp_path: Path) -> None:
