@@ -40,14 +40,7 @@ CUTS = [
     for step in WORKING
     for role in ("arm", "stereo", "tracker")
 ]
-USES = (
-    "read_state",
-    "read_tool_identity",
-    "move",
-    "activate",
-    "set_areas",
-    "grab_pair",
-)
+USES = ("read_state", "read_tool_identity", "move", "activate", "set_areas", "grab_pair")
 NO_ANSWER = LinkTimeout("the link is dead")
 
 
@@ -89,9 +82,7 @@ def prepared(cell: ClinicalCell) -> Engine:
     cell.carrying(MountedTool.STEREO_HEAD)
     localizations = checked_paths(cell).localizations
     return cell.begin(
-        *up_to_correspondence(cell),
-        paths.model_copy(update={"localizations": localizations}),
-        *WORKING,
+        *up_to_correspondence(cell), paths.model_copy(update={"localizations": localizations}), *WORKING
     )
 
 

@@ -136,10 +136,7 @@ def test_the_arm_continues_without_a_jump_after_a_burst_of_lost_replies_at_full_
 @pytest.mark.hazard(18)
 @pytest.mark.parametrize(
     ("neighbours", "speed_fraction"),
-    [
-        pytest.param(1, WORKING_SPEED_FRACTION, marks=pytest.mark.slow),
-        (2, TWO_UNTOLD_SPEED_FRACTION),
-    ],
+    [pytest.param(1, WORKING_SPEED_FRACTION, marks=pytest.mark.slow), (2, TWO_UNTOLD_SPEED_FRACTION)],
 )
 def test_lost_replies_the_controller_never_reports_lead_to_one_longer_step_that_it_accepts(
     tapped_cell: Any, neighbours: int, speed_fraction: float

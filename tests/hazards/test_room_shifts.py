@@ -137,19 +137,19 @@ def test_a_single_displaced_sphere_is_not_reported_as_a_moved_head() -> None:
 
 
 @pytest.mark.hazard(12)
-def test_two_displaced_spheres_suffice_to_detect_a_moved_head() -> None:
-    watch, reading = at_home(np.array([0.0, 3.0, 0.0]))
-    two = replace(reading, groups=reading.groups[:2])
-    with pytest.raises(PatientMoved, match=r"the head has moved since it was localized, by [23]\.\d\d mm"):
-        watch.compare(two).require()
-
-
-@pytest.mark.hazard(12)
-def test_an_unknown_sphere_near_the_head_is_not_ignored_while_others_are_hidden() -> None:
-    watch, reading = at_home(np.array([0.0, 9.0, 0.0]))
-    one = replace(reading, groups=reading.groups[:1])
-    with pytest.raises(PatientUnseen, match=r"PRO-022.*1 sphere near the head"):
-        watch.compare(one).require()
+@pytest.mark.parametrize(
+    ("moved_mm", "seen", "noticed", "said"),
+    [
+        (3.0, 2, PatientMoved, r"the head has moved since it was localized, by [23]\.\d\d mm"),
+        (9.0, 1, PatientUnseen, "PRO-022.*1 sphere near the head"),
+    ],
+)
+def test_two_displaced_spheres_suffice_to_detect_a_moved_head_and_a_single_one_is_not_ignored(
+    moved_mm: float, seen: int, noticed: type[Exception], said: str
+) -> None:
+    watch, reading = at_home(np.array([0.0, moved_mm, 0.0]))
+    with pytest.raises(noticed, match=said):
+        watch.compare(replace(reading, groups=reading.groups[:seen])).require()
 
 
 def at_home(head_mm: Array = STILL) -> tuple[RoomWatch, RoomReading]:
