@@ -60,11 +60,7 @@ def strain_of(found: Localization) -> Array:
 def spheres(*strains: Array, sigma: float = SURE, geometry: VoxelGeometry = GEOMETRY) -> ScanDeformation:
     """The result of spheres measured with these strains, LPS, each with one sigma."""
     measured = [
-        Stretch(
-            RADIUS_MM * geometry.axes.T @ one @ geometry.axes,
-            (RADIUS_MM * sigma) ** 2 * ALIKE,
-            BLUR_MM,
-        )
+        Stretch(RADIUS_MM * geometry.axes.T @ one @ geometry.axes, (RADIUS_MM * sigma) ** 2 * ALIKE, BLUR_MM)
         for one in strains
     ]
     found = combine_spheres(measured, RADIUS_MM, geometry)

@@ -251,8 +251,3 @@ UNUSUAL = {
 @pytest.mark.parametrize("named", UNUSUAL)
 def test_an_unusual_orientation_or_order_of_slices_is_named(dicom_series: Write, named: str) -> None:
     assert any(named in warning for warning in read_series(dicom_series(HU, **UNUSUAL[named])).warnings)
-
-
-def test_an_axial_series_in_order_is_named_nothing(dicom_series: Write) -> None:
-    found = read_series(dicom_series(HU)).warnings
-    assert not [warning for warning in found if any(named in warning for named in UNUSUAL)]

@@ -56,42 +56,29 @@ def _beside_the_line_of_sight() -> np.ndarray:
     return np.vstack([FREE, SETTING.robot_from_ct.inverse().apply(blocker)])
 
 
-def test_well_spaced_spheres_are_all_seen() -> None:
-    looks = visits(DOWN, FREE)
-    assert SIGHT.unmet(looks, SETTING.robot_from_ct.apply(FREE)) == ()
-
-
-def test_a_sphere_in_the_line_of_sight_is_named_with_the_camera() -> None:
+def test_a_sphere_in_the_line_of_sight_is_named_with_the_camera_and_one_behind_the_rim_counts_as_much() -> (
+    None
+):
     spheres = _beside_the_line_of_sight()
-    looks = visits(DOWN, spheres)
-    found = SIGHT.unmet(looks, SETTING.robot_from_ct.apply(spheres))
-    reasons = {(str(one.pose), one.reason) for one in found}
-    assert ("T1/fiducial 0", "sphere 4 is in front of or behind it in the right camera") in reasons
-
-
-def test_a_neighbour_behind_the_rim_counts_as_much_as_one_in_front() -> None:
-    spheres = _beside_the_line_of_sight()
-    looks = visits(DOWN, spheres)
-    hidden = {str(one.pose) for one in SIGHT.unmet(looks, SETTING.robot_from_ct.apply(spheres))}
-    assert "T1/fiducial 3" in hidden
+    found = SIGHT.unmet(visits(DOWN, spheres), SETTING.robot_from_ct.apply(spheres))
+    reasons = {str(one.pose): one.reason for one in found}
+    assert reasons["T1/fiducial 0"] == "sphere 4 is in front of or behind it in the right camera"
+    assert "T1/fiducial 3" in reasons
 
 
 def test_the_planned_angle_is_kept_when_every_sphere_is_seen() -> None:
+    assert SIGHT.unmet(visits(DOWN, FREE), SETTING.robot_from_ct.apply(FREE)) == ()
     assert choose_free_angles(SETTING, (DOWN,), FREE, SIGHT).turns_rad == {"T1": 0.0}
 
 
-def test_the_head_is_turned_until_the_hidden_sphere_is_seen() -> None:
+def test_the_head_is_turned_about_the_planned_axis_until_the_hidden_sphere_is_seen() -> None:
     spheres = _beside_the_line_of_sight()
     turned = choose_free_angles(SETTING, (DOWN,), spheres, SIGHT)
     assert turned.check.passed
     assert turned.turns_rad["T1"] != 0.0
-    looks = visits(turned.axes.targeted[0], spheres)
-    assert SIGHT.unmet(looks, SETTING.robot_from_ct.apply(spheres)) == ()
-
-
-def test_turning_leaves_entry_target_and_axis_as_planned() -> None:
-    turned = choose_free_angles(SETTING, (DOWN,), _beside_the_line_of_sight(), SIGHT).axes.targeted[0]
-    assert (turned.entry_mm, turned.target_mm) == (DOWN.entry_mm, DOWN.target_mm)
+    along = turned.axes.targeted[0]
+    assert (along.entry_mm, along.target_mm) == (DOWN.entry_mm, DOWN.target_mm)
+    assert SIGHT.unmet(visits(along, spheres), SETTING.robot_from_ct.apply(spheres)) == ()
 
 
 def test_a_sphere_hidden_at_every_angle_is_reported_as_unmet() -> None:
@@ -104,14 +91,11 @@ def test_a_sphere_hidden_at_every_angle_is_reported_as_unmet() -> None:
     assert any("camera" in one.reason for one in check.unmet)
 
 
-def test_turns_are_tried_from_near_to_far_on_both_sides() -> None:
+def test_turns_are_tried_from_near_to_far_on_both_sides_and_each_once_between_the_steps() -> None:
     assert OUTWARDS_RAD[0] == 0.0
     assert np.all(np.diff(np.abs(OUTWARDS_RAD)) >= -1e-12)
     assert max(OUTWARDS_RAD) == pytest.approx(math.radians(90.0))
     assert min(OUTWARDS_RAD) == pytest.approx(math.radians(-90.0))
-
-
-def test_turns_between_the_steps_are_each_tried_once_within_the_range() -> None:
     between_deg = np.degrees(intermediate_turns_rad((math.radians(80.0), math.radians(90.0))))
     assert sorted(between_deg) == pytest.approx([75.0, 77.5, 82.5, 85.0, 87.5])
 

@@ -285,15 +285,15 @@ def test_the_warning_about_a_rectangle_names_interchangeable_fiducials():
     assert "1 for 2" in warning or "1 for 3" in warning or "1 for 4" in warning
 
 
-def test_one_sphere_out_of_the_plane_and_off_centre_removes_the_ambiguity():
-    assert (
-        warn_of_ambiguity(np.array([[0.0, 0, 0], [80, 0, 0], [80, 110, 0], [0, 110, 0], [30, 20, 60]])) == []
-    )
-
-
-@pytest.mark.parametrize("count", [0, 1, 2])
-def test_fewer_than_three_fiducials_give_no_layout_warning(count):
-    assert warn_of_ambiguity(np.eye(3)[:count] * 50.0) == []
+@pytest.mark.parametrize(
+    "points_mm",
+    [
+        [[0, 0, 0], [80, 0, 0], [80, 110, 0], [0, 110, 0], [30, 20, 60]],  # one out of the plane, off centre
+        *(np.eye(3)[:count] * 50.0 for count in (0, 1, 2)),
+    ],
+)
+def test_an_unambiguous_layout_and_fewer_than_three_fiducials_give_no_warning(points_mm):
+    assert warn_of_ambiguity(np.array(points_mm, dtype=float)) == []
 
 
 def test_a_plan_with_adhesive_markers_is_refused_with_their_number_and_what_a_case_needs(plan, make_volume):

@@ -16,12 +16,7 @@ from procedures.relocalization import (
     search_offsets_mm,
     search_pose,
 )
-from procedures.relocalization.errors import (
-    BAD_MEASUREMENT,
-    SERVO_DIVERGES,
-    SERVO_EXHAUSTED,
-    SphereNotInView,
-)
+from procedures.relocalization.errors import BAD_MEASUREMENT, SERVO_DIVERGES, SERVO_EXHAUSTED, SphereNotInView
 from ronna_hw.frames import FRAME_MISMATCH, Frame, Transform
 
 SPHERE_MM = np.array([612.0, -40.0, 310.0])
@@ -56,10 +51,7 @@ def run(settings, twist, repeatability_mm=0.0, start=None):
 
 
 @settings(max_examples=30)
-@given(
-    seed=st.integers(0, 10_000),
-    direction=st.tuples(st.floats(-1, 1), st.floats(-1, 1), st.floats(-1, 1)),
-)
+@given(seed=st.integers(0, 10_000), direction=st.tuples(st.floats(-1, 1), st.floats(-1, 1), st.floats(-1, 1)))
 def test_the_servo_converges_within_eight_steps_from_five_millimetres(seed, direction):
     length = np.linalg.norm(direction)
     start_mm = SPHERE_MM + (

@@ -25,12 +25,7 @@ from procedures.imaging.sphere_centre.ball_model import (
     products,
     stretch_matrix,
 )
-from procedures.imaging.sphere_centre.blurred_ball import (
-    EDGE,
-    BlurredBall,
-    fit_rough_ball,
-    fit_whitened,
-)
+from procedures.imaging.sphere_centre.blurred_ball import EDGE, BlurredBall, fit_rough_ball, fit_whitened
 from procedures.imaging.sphere_centre.correlated_noise import (
     WINDOW_MM,
     CorrelatedNoise,
