@@ -65,13 +65,11 @@ def test_the_record_makes_predicted_errors_smaller_without_any_setting(result: A
     assert sizes.tool_mm < 0.05
 
 
-def test_the_random_error_of_the_arm_is_estimated(identified: Identified) -> None:
+def test_random_error_and_backlash_are_estimated_from_looks_that_arrive_from_both_sides(
+    identified: Identified,
+) -> None:
     arm, _, result = identified
     assert result.fit.scatter_mm == pytest.approx(arm.scene.arm.repeatability_mm, rel=0.2)
-
-
-def test_backlash_is_estimated_from_looks_that_arrive_from_both_sides(identified: Identified) -> None:
-    arm, _, result = identified
     np.testing.assert_allclose(result.arm.backlash_rad, arm.scene.arm.backlash_rad, atol=1e-4)
 
 

@@ -155,10 +155,7 @@ def exact(model: LoadModel) -> LoadModel:
 
 @pytest.mark.parametrize(
     ("arm", "model"),
-    [
-        (kr6_r900("kr6_r900_sixx"), KR6),
-        (universal_robot("ur5e"), replace(UR5E, force_error_N=None)),
-    ],
+    [(kr6_r900("kr6_r900_sixx"), KR6), (universal_robot("ur5e"), replace(UR5E, force_error_N=None))],
 )
 def test_without_friction_the_force_is_that_of_the_currents(arm: Kinematics, model: LoadModel) -> None:
     """The force alone changes the signals, against a reference in the same posture."""

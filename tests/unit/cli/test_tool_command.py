@@ -315,10 +315,7 @@ def test_the_doctor_warns_of_an_error_that_no_uncalibrated_arm_has(theatre: Path
         (f"define guide --purpose needle_guide {DEGREES}", "needs `bore`"),
         (f"define Guide --purpose needle_guide {GUIDE} {DEGREES}", "Did you mean guide?"),
         ("define drill --purpose gripper --number 2", "drill has number 2, already used by guide"),
-        (
-            "define d --purpose gripper --gauge-deg -400 -75 99 0 66 180",
-            "A1 is -400 degrees; expected -170",
-        ),
+        ("define d --purpose gripper --gauge-deg -400 -75 99 0 66 180", "A1 is -400 degrees; expected -170"),
         (
             f"define d --purpose needle_guide {GUIDE} --gauge-deg -400 -75 99 0 66 nan",
             "has 1 mistake: tools.d.gauge.joints_deg 6: expected a finite number (found nan); besides, "
@@ -328,10 +325,7 @@ def test_the_doctor_warns_of_an_error_that_no_uncalibrated_arm_has(theatre: Path
             f"define guide --purpose drill --number 2 {DEGREES}",
             "is not that of a guide; expected needle_guide or drill_guide, got drill",
         ),
-        (
-            "define d --purpose gripper --centre-of-gravity-mm 0.11 0 0.03",
-            "has length 0.114: give milli",
-        ),
+        ("define d --purpose gripper --centre-of-gravity-mm 0.11 0 0.03", "has length 0.114: give milli"),
         (
             f"define d --purpose needle_guide {GUIDE} --gauge-deg -0.698 -1.309 1.728 0 1.152 3.1416",
             "joints_deg: are -0.698 -1.309 1.728 0 1.152 3.1416, all within 2 pi: give degrees, not radians",
@@ -359,11 +353,7 @@ def test_an_impossible_value_is_refused_with_its_name_value_and_range(
 
 @pytest.mark.parametrize(
     ("command", "code"),
-    [
-        ("define d --purpose needle_guide", 2),
-        ("define d --purpose drill --by 7", 3),
-        ("check", 2),
-    ],
+    [("define d --purpose needle_guide", 2), ("define d --purpose drill --by 7", 3), ("check", 2)],
 )
 def test_the_exit_codes_are_those_of_the_help(theatre: Path, command: str, code: int) -> None:
     name, *arguments = shlex.split(command)
@@ -380,14 +370,8 @@ def test_the_exit_codes_are_those_of_the_help(theatre: Path, command: str, code:
     ("lines", "text"),
     [
         ([ONE_READ] * 11, "dials.txt has 11 approaches; expected at least 12, in 3 mountings"),
-        (
-            [*[ONE_READ] * 11, "0.01 -0.02 400 0.04 -0.05"],
-            "dials.txt:12: Z is 400; expected -10.01 to 10.01",
-        ),
-        (
-            [*[ONE_READ] * 11, "0.01 -0.02 nan 0.04 -0.05"],
-            "dials.txt:12: Z is nan; expected -10.01 to 10.01",
-        ),
+        ([*[ONE_READ] * 11, "0.01 -0.02 400 0.04 -0.05"], "dials.txt:12: Z is 400; expected -10.01 to 10.01"),
+        ([*[ONE_READ] * 11, "0.01 -0.02 nan 0.04 -0.05"], "dials.txt:12: Z is nan; expected -10.01 to 10.01"),
         ([*[ONE_READ] * 11, "0.01 -0.02 0.3 0.04 -0.05"], "Z is 0.3; expected within 0.1 mm of the others"),
         (
             [ONE_READ.replace(".", ","), *[ONE_READ] * 11],

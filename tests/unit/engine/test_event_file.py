@@ -31,9 +31,7 @@ def ended(stream: EventStream, file: EventFile) -> None:
     file.join()
 
 
-def test_a_follower_that_looks_at_the_wrong_instant_keeps_no_events_from_the_file(
-    tmp_path: Path,
-) -> None:
+def test_a_follower_that_looks_at_the_wrong_instant_keeps_no_events_from_the_file(tmp_path: Path) -> None:
     path = tmp_path / EVENTS_FILE
     looking = os.open(path, os.O_RDWR | os.O_CREAT)
     fcntl.flock(looking, fcntl.LOCK_SH)

@@ -19,12 +19,7 @@ from procedures.journal.journal import JOURNAL_FILE, Entry, Journal
 from procedures.operator.errors import NotConfirmed
 from procedures.operator.question import Topic
 from procedures.runs import arm_notes
-from procedures.runs.arm_notes import (
-    NOT_KNOWN,
-    TheatreNote,
-    describe_arm_without_record,
-    find_former_run,
-)
+from procedures.runs.arm_notes import NOT_KNOWN, TheatreNote, describe_arm_without_record, find_former_run
 from procedures.runs.request import CaseProcedure, RunRequest
 from procedures.runs.request_file import write_request
 from procedures.runs.theatre_lock import hold_theatre

@@ -161,9 +161,7 @@ def test_a_localization_doubted_after_an_arm_fault_is_still_doubted_after_a_rest
     assert len(again.entries("doubted")) == 1
 
 
-def test_a_record_missing_from_the_journal_is_not_used_but_kept(
-    cell: RecordingCell,
-) -> None:
+def test_a_record_missing_from_the_journal_is_not_used_but_kept(cell: RecordingCell) -> None:
     order = plain_order("T1")
     cell.engine(order).run_to(order.find("image"))
     cell.case.store(order.find("localization:T1"), Image(), ())  # killed between record and journal

@@ -272,9 +272,7 @@ def test_a_stop_is_recorded_under_the_name_of_the_seat_only_if_it_came_from_ther
 
 
 @pytest.mark.hazard(32)
-def test_a_script_does_not_continue_a_case_that_a_person_stopped(
-    tmp_path: Path,
-) -> None:
+def test_a_script_does_not_continue_a_case_that_a_person_stopped(tmp_path: Path) -> None:
     stand = Stand(tmp_path)  # nobody is in the seat
     operator = OrderExecutor(stand.station, runs=True).operator(ScriptedOperator(), script_at_pause=True)
     pause = Question(Topic.PAUSE, "Paused", "here", ("continue", "abort"), number=1)
@@ -311,9 +309,7 @@ def test_a_stop_between_steps_is_not_withdrawn_by_a_line_of_a_script(stand: Stan
 
 
 @pytest.mark.hazard(32)
-def test_a_stopped_case_ends_with_its_console_and_is_not_continued_by_a_script(
-    tmp_path: Path,
-) -> None:
+def test_a_stopped_case_ends_with_its_console_and_is_not_continued_by_a_script(tmp_path: Path) -> None:
     stand = Stand(tmp_path)
     operator = OrderExecutor(stand.station, runs=True).operator(ScriptedOperator(), script_at_pause=True)
     stand.give("stop", BEN)

@@ -266,9 +266,7 @@ def test_an_abort_on_the_agreed_way_home_is_led_home_where_only_a_console_is_att
 
 
 @pytest.mark.branch("ABORTED")
-def test_an_abort_on_the_way_home_of_an_abort_at_the_console_ends_the_case(
-    cell: RecordingCell,
-) -> None:
+def test_an_abort_on_the_way_home_of_an_abort_at_the_console_ends_the_case(cell: RecordingCell) -> None:
     cell.operator.refusing = (Topic.PAUSE,)
     cell.operator.meanwhile = lambda question: (
         case.engine.checkpoint.pause() if question.topic is Topic.PARK else None

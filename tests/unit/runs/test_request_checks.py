@@ -114,20 +114,21 @@ def test_a_case_is_not_started_on_a_disk_without_room_for_it(
     assert str(tmp_path) in caught.value.what
 
 
-def test_a_built_in_scene_uses_the_requested_seed() -> None:
-    assert SceneChoice("mini", seed=7).scene_seed == 7
-
-
-@pytest.mark.parametrize(("name", "text"), [("scene.toml", "seed = 4\n"), ("scene.json", '{"seed": 4}')])
-def test_a_scene_file_brings_its_own_seed(tmp_path: Path, name: str, text: str) -> None:
+@pytest.mark.parametrize(
+    ("name", "text", "seed"),
+    [
+        ("scene.toml", "seed = 4\n", 4),
+        ("scene.json", '{"seed": 4}', 4),
+        ("scene.toml", "seed = ", 0),  # invalid
+        ("scene.toml", "seed = [1]\n", 0),
+    ],
+)
+def test_a_scene_file_brings_its_own_seed_and_a_built_in_scene_takes_the_requested_one(
+    tmp_path: Path, name: str, text: str, seed: int
+) -> None:
     (tmp_path / name).write_text(text, encoding="utf-8")
-    assert SceneChoice(str(tmp_path / name)).scene_seed == 4
-
-
-@pytest.mark.parametrize("text", ["seed = ", "seed = [1]\n"])
-def test_an_invalid_scene_file_gives_seed_zero(tmp_path: Path, text: str) -> None:
-    (tmp_path / "scene.toml").write_text(text, encoding="utf-8")
-    assert SceneChoice(str(tmp_path / "scene.toml")).scene_seed == 0
+    assert SceneChoice(str(tmp_path / name)).scene_seed == seed
+    assert SceneChoice("mini", seed=7).scene_seed == 7
 
 
 def test_theatre_and_patient_are_made_for_the_chosen_arm() -> None:

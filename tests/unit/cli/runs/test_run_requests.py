@@ -28,12 +28,7 @@ from procedures.runs.reopening import read_reopened_request
 from procedures.runs.request import CalibrationProcedure, CaseProcedure, RunRequest, SceneChoice
 from procedures.runs.request_file import REQUEST_FILE, read_request
 from procedures.steps.calibration.recipe import Calibrated, Recipe
-from ronna_hw.errors import (
-    EXIT_FAILED,
-    EXIT_RECOVERY_NEEDED,
-    EXIT_REFUSED,
-    EXIT_USAGE,
-)
+from ronna_hw.errors import EXIT_FAILED, EXIT_RECOVERY_NEEDED, EXIT_REFUSED, EXIT_USAGE
 
 
 def test_the_request_is_the_first_file_and_records_what_was_asked_for(tmp_path: Path) -> None:
@@ -181,10 +176,7 @@ def test_a_run_open_in_another_program_is_refused(tmp_path: Path, command: tuple
 @pytest.mark.hazard(42)
 @pytest.mark.parametrize(("lead", "options"), [(follow_case, {"as_json": False}), (step_through, {})])
 def test_a_command_that_drives_a_case_locks_its_run_before_opening_anything(
-    tmp_path: Path,
-    lead: Callable[..., None],
-    options: dict[str, bool],
-    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path, lead: Callable[..., None], options: dict[str, bool], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     refused: list[int] = []
 

@@ -16,9 +16,7 @@ from clinical_case import FIRST, ClinicalCell
 from coded_errors import raises
 from finished_runs import finished_run
 from left_operation import left_after, other_arm, other_calibration, other_frame
-from prepared_results import (
-    checked_plan,
-)
+from prepared_results import checked_plan
 from recording_cell import STEREO_HEAD
 
 from procedures.engine.engine import Engine

@@ -250,9 +250,7 @@ def moved(*spheres: int) -> Array:
 
 @pytest.mark.hazard(28)
 @pytest.mark.branch("BEYOND_MARGIN")
-def test_a_trajectory_beyond_the_margin_is_left_out_when_the_operator_agrees(
-    cell: ClinicalCell,
-) -> None:
+def test_a_trajectory_beyond_the_margin_is_left_out_when_the_operator_agrees(cell: ClinicalCell) -> None:
     done = registered(cell, margin_mm=0.05).result
     (question,) = cell.operator.asked  # the registration is not even offered
     assert question.name == f"margin:{FIRST}"

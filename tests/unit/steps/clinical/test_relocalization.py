@@ -102,9 +102,7 @@ def test_every_sphere_is_measured_in_the_order_of_the_paths_with_a_picture(cell:
 
 @pytest.mark.hazard(11)
 @pytest.mark.branch("WRONG_SPHERE")
-def test_a_sphere_off_its_tracker_position_is_refused_with_its_number_in_the_ct(
-    cell: ClinicalCell,
-) -> None:
+def test_a_sphere_off_its_tracker_position_is_refused_with_its_number_in_the_ct(cell: ClinicalCell) -> None:
     cell.workcell.spheres_mm[0] += (0.0, 0.0, 6.0)
     with pytest.raises(GateFailed, match=r"PRO-007: sphere 1 is not where the tracker saw it"):
         relocalize(cell, fiducials=(3, 2, 1, 0))
@@ -184,9 +182,7 @@ def refuse(cell: ClinicalCell, *numbers: int) -> None:
 
 @pytest.mark.hazard(27)
 @pytest.mark.branch("SPHERE_FAILED")
-def test_a_search_passes_over_poses_that_are_not_clear_and_still_names_the_sphere(
-    cell: ClinicalCell,
-) -> None:
+def test_a_search_passes_over_poses_that_are_not_clear_and_still_names_the_sphere(cell: ClinicalCell) -> None:
     cell.workcell.spheres_mm[1] += (0.0, 0.0, 80.0)
     refuse(cell, 30, 40)
     found = "sphere 2 was not found: no sphere in 34 image pairs, 2 poses not clear"

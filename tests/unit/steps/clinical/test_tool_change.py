@@ -111,9 +111,7 @@ def test_a_failed_exchange_is_repeated_without_moving_the_arm(cell: ClinicalCell
     assert len(cell.arm.motions) == moved
 
 
-def test_an_unconfirmed_exchange_resumes_with_the_guide_already_mounted(
-    cell: ClinicalCell,
-) -> None:
+def test_an_unconfirmed_exchange_resumes_with_the_guide_already_mounted(cell: ClinicalCell) -> None:
     cell.operator = RecordingOperator(Topic.TOOL_CHANGE)
     cell.carrying(MountedTool.STEREO_HEAD).workcell.start(cameras=True)
     engine = cell.begin(checked_set_up(cell), *coarse(), localized_fiducials(), checked_plan(), STEP)

@@ -134,9 +134,7 @@ def test_every_motion_that_is_driven_was_previewed_in_this_order_and_with_this_e
         assert to == pytest.approx(ends[motion.kind, motion.end], abs=0.02 if motion.kind == "move" else 1.0)
 
 
-def test_the_spheres_are_measured_and_registered_once_before_the_tool_is_changed(
-    once: ClinicalCell,
-) -> None:
+def test_the_spheres_are_measured_and_registered_once_before_the_tool_is_changed(once: ClinicalCell) -> None:
     done = [step for _, step in once.entries("result")]
     assert done[8:] == [
         *("path_check", "relocalization", "registration", "tool_change", "tool_check"),

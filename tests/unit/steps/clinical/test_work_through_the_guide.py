@@ -473,9 +473,7 @@ def test_a_stage_that_ends_with_the_guide_hidden_from_the_tracker_does_not_count
     ],
 )
 def test_a_guide_that_stays_pushed_ends_the_step_and_leaves_the_instrument_in_place(
-    cell: ClinicalCell,
-    pushed_mm: float,
-    ends: AbstractContextManager[object],
+    cell: ClinicalCell, pushed_mm: float, ends: AbstractContextManager[object]
 ) -> None:
     engine = before_the_entry(cell)
     cell.operator.refusing = (Topic.GUARD,)
