@@ -8,37 +8,23 @@ from typing import cast
 
 import numpy as np
 import pytest
+from half_sitting import CAMERA_MM, SIGHT, arm_setting
 
 from procedures.planning.free_angle import LEAST_BEND_RAD, WristState, choose_free_angles
 from procedures.planning.head_in_ct import HeadEllipsoid
-from procedures.planning.line_of_sight import StereoSight
 from procedures.planning.paths import check_paths
 from procedures.planning.pose_name import PoseKind
 from procedures.planning.scene import PlanningScene
 from procedures.planning.tracker_sight import TrackerSight
-from procedures.planning.visits import ArmSetting, Axes, Visit, list_visits
-from procedures.strategies.fixed_orientation import OrientationCorrection
+from procedures.planning.visits import Axes, Visit, list_visits
 from procedures.strategies.strategy import OUTWARDS_RAD, intermediate_turns_rad
 from procedures.strategies.trajectory import Trajectory
-from ronna_hw.arm.kr6_r900 import kr6_r900
-from ronna_hw.arm.motion.limits import working_limits
-from ronna_hw.arm.pose import radians6
 from ronna_hw.collision_config import CollisionConfig
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.vectors import JointVector
 
-HALF_ANGLE_RAD = math.radians(27.5)
-CAMERA_MM = 250.0 * np.array([0.0, math.sin(HALF_ANGLE_RAD), -math.cos(HALF_ANGLE_RAD)])
-SIGHT = StereoSight(left_mm=CAMERA_MM * (1.0, -1.0, 1.0), right_mm=CAMERA_MM)
 # CT axes as the robot's, seen from above: the trajectory points straight down.
-SETTING = ArmSetting(
-    kr6_r900("kr6_r900_sixx"),
-    Transform.of(Frame.ROBOT, Frame.CT, translation_mm=(650.0, 0.0, 300.0)),
-    Transform.of(Frame.FLANGE, Frame.TOOL, translation_mm=(220.0, 0.0, 60.0)),
-    OrientationCorrection(),
-    start_rad=radians6(0.0, -75.0, 99.0, 0.0, 66.0, 180.0),
-    limits=working_limits(kr6_r900("kr6_r900_sixx")),
-)
+SETTING = arm_setting(Transform.of(Frame.ROBOT, Frame.CT, translation_mm=(650.0, 0.0, 300.0)), scene=None)
 DOWN = Trajectory("T1", (0.0, 0.0, 40.0), (0.0, 0.0, 0.0))
 FREE = np.array([[60.0, 0.0, 50.0], [-50.0, 40.0, 60.0], [-40.0, -60.0, 40.0]])
 
