@@ -137,16 +137,6 @@ def fitted(cell: RecordingCell, *left_out: str, lasts: list[str] | None = None) 
     return cell.engine(plain_order("T1", "T2", "T3", fit=fit, back=back))
 
 
-def test_no_further_step_runs_for_a_trajectory_that_was_left_out(cell: RecordingCell) -> None:
-    engine = fitted(cell, "T2")
-    engine.run_to()
-    done = [step for _, step in cell.entries("result")]
-    assert "fit:T2" in done
-    assert not {"approach:T2", "held:T2", "back:T2"} & set(done)
-    assert done[-1] == "back:T3"
-    assert engine.machine.state == "finished"
-
-
 def test_an_order_up_to_a_step_ends_where_that_step_is_left_out(cell: RecordingCell) -> None:
     engine = fitted(cell, "T2")
     engine.run_to(engine.order.find("approach:T2"))

@@ -294,8 +294,7 @@ def simulated_theatre(path: Path, identity: str) -> Path:
 
 
 @pytest.mark.hazard(5)
-def test_the_arm_position_becomes_home_only_after_confirmation(tmp_path: Path) -> None:
-    cell = RecordingCell(tmp_path)
+def test_the_arm_position_becomes_home_only_after_confirmation(cell: RecordingCell) -> None:
     cell.operator.refusing = (Topic.RESUME,)
     engine = cell.engine(order_of([set_up.STEP], ()))
     engine.setting = replace(engine.setting, arm_not_home="run A left the arm away from its home")

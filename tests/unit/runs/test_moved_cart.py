@@ -194,18 +194,6 @@ def test_a_resumed_run_knows_its_finished_targets(tmp_path: Path) -> None:
     ]
 
 
-def test_another_plan_voids_finished_targets_as_well(tmp_path: Path) -> None:
-    cell = ClinicalCell(tmp_path)
-    engine = half_done(cell, f"out:{FIRST}")
-    engine.void(StepKey("plan"), INPUT_CHANGED("the plan was changed"))
-    assert not any(engine.case.stands(key) for key in engine.order.sequence)
-    assert engine.case.trajectories_finished_before_move == frozenset()
-
-
-def test_no_step_remains_once_all_targets_are_finished(tmp_path: Path) -> None:
-    assert half_done(ClinicalCell(tmp_path), f"out:{LAST}").upcoming is None
-
-
 def test_a_repeated_step_leaves_a_finished_target_valid_unless_the_step_belongs_to_it(tmp_path: Path) -> None:
     cell = ClinicalCell(tmp_path)
     engine = steps_of(cell)

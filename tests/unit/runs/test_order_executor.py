@@ -5,7 +5,6 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from pathlib import Path
 
 import pytest
 from coded_errors import raises
@@ -57,11 +56,6 @@ class Operated:
 
     def stands(self, name: str) -> bool:
         return self.engine.case.stands(self.engine.order.find(name))
-
-
-@pytest.fixture
-def cell(tmp_path: Path) -> RecordingCell:
-    return RecordingCell(tmp_path)
 
 
 @contextmanager

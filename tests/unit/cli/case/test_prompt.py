@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import sys
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 from plain_steps import only_home_remains, plain_order, plain_steps
@@ -22,11 +21,6 @@ from procedures.operator.question import Answer, Question, Topic
 from procedures.runs.lifecycle import run_to_end
 from procedures.runs.observers import RunObservers
 from ronna_hw.devices.lifecycle import LastKnown, Lifecycle
-
-
-@pytest.fixture
-def cell(tmp_path: Path) -> RecordingCell:
-    return RecordingCell(tmp_path)
 
 
 class Typed:
