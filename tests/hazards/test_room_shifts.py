@@ -269,10 +269,6 @@ def test_a_head_that_moves_during_the_relocalization_voids_it(cell: ClinicalCell
     assert not engine.case.stands(engine.order.find(f"relocalization:{FIRST}"))
 
 
-def shift(cell: ClinicalCell, by_mm: float) -> None:
-    cell.tracker.spheres_mm = np.add(SPHERES_MM, (0.0, by_mm, 0.0))
-
-
 def before_the_approach(cell: ClinicalCell) -> Engine:
     cell.carrying(MountedTool.GUIDE).settled()
     given = (*before(cell), registered_robot(), mounted_guide(), checked_tool())
@@ -342,7 +338,7 @@ def test_nothing_is_inserted_into_a_head_that_moved_during_the_approach(cell: Cl
     engine = before_the_approach(cell)
 
     def move_the_head(_start: object, _target: object) -> bool:
-        shift(cell, HEAD_MM)
+        cell.tracker.spheres_mm = np.add(SPHERES_MM, (0.0, HEAD_MM, 0.0))
         return False  # the way is clear
 
     cell.arm.blocked = move_the_head

@@ -65,10 +65,6 @@ def covered(cell: ClinicalCell) -> Callable[[], None]:
     return cover
 
 
-def topics(cell: ClinicalCell) -> list[Topic]:
-    return [question.topic for question in cell.operator.asked]
-
-
 def test_a_head_covered_during_a_motion_stops_the_arm_and_suspends_the_case(cell: ClinicalCell) -> None:
     engine = guarded(cell)
     answering(cell, "leave")
@@ -89,7 +85,7 @@ def test_the_operator_may_continue_without_sight_and_the_motion_is_confirmed_aga
     answering(cell, "continue")
     on_the_way(cell, covered(cell))
     positioned(engine)
-    asked = topics(cell)
+    asked = [question.topic for question in cell.operator.asked]
     assert Topic.PAUSE not in asked
     assert asked[asked.index(Topic.HEAD_UNSEEN) + 1] is Topic.FIRST_MOTION
 

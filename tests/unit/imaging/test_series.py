@@ -236,13 +236,9 @@ def test_patient_data_is_not_in_the_repr_of_the_volume(dicom_series: Write) -> N
     assert "secret" not in repr(read_series(dicom_series())).lower()
 
 
-def feet_first(data: Dataset, _number: int) -> None:
-    data.PatientPosition = "FFS"
-
-
 UNUSUAL = {
     "not axial": {"row_direction": (0.0, 1.0, 0.0), "column_direction": (0.0, 0.0, -1.0)},
-    "seen from the head": {"row_direction": (-1.0, 0.0, 0.0), "edit": feet_first},
+    "seen from the head": {"row_direction": (-1.0, 0.0, 0.0), "edit": every(setting(PatientPosition="FFS"))},
     "numbered against their normal": {"reverse": True},
 }
 

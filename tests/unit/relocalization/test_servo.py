@@ -27,16 +27,12 @@ def tool_pose(translation=(610.0, -43.0, 312.0), seed=3):
     return Transform.of(Frame.ROBOT, Frame.TOOL, translation_mm=translation, quaternion_wxyz=quaternion)
 
 
-def residual_seen(pose, twist):
-    """What a head with a turned mounting measures; the end of the servo does not depend on it."""
-    return twist.apply(pose.inverse().apply(SPHERE_MM))
-
-
 def run(settings, twist, repeatability_mm=0.0, start=None):
     generator = np.random.default_rng(5)
     pose, state = start or tool_pose(), ServoState(settings)
     while True:
-        residual = residual_seen(pose, twist)
+        # A head with a turned mounting; the end of the servo does not depend on it.
+        residual = twist.apply(pose.inverse().apply(SPHERE_MM))
         state = state.with_measurement(pose, residual)
         if state.converged:
             return state, pose, residual

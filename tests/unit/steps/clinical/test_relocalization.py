@@ -174,17 +174,12 @@ def test_a_missing_sphere_is_left_out_when_enough_remain_and_the_operator_agrees
     assert kinds[searched + 37 :][:2] == ["line", "go"]  # the head backs off along its axis
 
 
-def refuse(cell: ClinicalCell, *numbers: int) -> None:
-    """Refuse the joint moves with these numbers as not clear."""
-    moves = count(1)
-    cell.arm.blocked = lambda _start, _target: next(moves) in numbers
-
-
 @pytest.mark.hazard(27)
 @pytest.mark.branch("SPHERE_FAILED")
 def test_a_search_passes_over_poses_that_are_not_clear_and_still_names_the_sphere(cell: ClinicalCell) -> None:
     cell.workcell.spheres_mm[1] += (0.0, 0.0, 80.0)
-    refuse(cell, 30, 40)
+    moves = count(1)
+    cell.arm.blocked = lambda _start, _target: next(moves) in (30, 40)
     found = "sphere 2 was not found: no sphere in 34 image pairs, 2 poses not clear"
     with raises(SPHERE_NOT_FOUND, match=f"PRO-008: {found}"):
         relocalize(cell)
