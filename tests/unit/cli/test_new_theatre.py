@@ -268,18 +268,9 @@ def test_several_devices_without_a_choice_are_refused(cameras: Cameras, out: Pat
 
 def test_every_mistake_of_a_command_line_is_named_at_once(cameras: Cameras, out: Path) -> None:
     out.write_text("mine")
-    wrong: tuple[str, ...] = (
-        "--controller",
-        "192.168.10.300",
-        "--stream",
-        "59152",
-        "--clock",
-        "sun:",
-        "--interface",
-        "eth77",
-    )
+    wrong = ["--controller", "192.168.10.300", "--stream", "59152", "--clock", "sun:", "--interface", "eth77"]
     for option in ("stereo.exposure=1", "stereo.exposure_us=5s", "exposure_us=1"):
-        wrong += ("--option", option)
+        wrong += ["--option", option]
     code, _, errors = new_theatre(out, *wrong, serial="pts/2")
     (line,) = one_error(errors)
     assert code == EXIT_USAGE
