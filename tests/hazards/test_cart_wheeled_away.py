@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -53,8 +52,7 @@ def cart_leaves(cell: ClinicalCell) -> Callable[[], None]:
 
 
 @pytest.mark.branch("CART_MOVED")
-def test_a_cart_that_leaves_during_a_motion_stops_the_arm(tmp_path: Path) -> None:
-    cell = ClinicalCell(tmp_path)
+def test_a_cart_that_leaves_during_a_motion_stops_the_arm(cell: ClinicalCell) -> None:
     engine = watched(cell)
     on_the_way(cell, cart_leaves(cell))
     with pytest.raises(
@@ -66,8 +64,7 @@ def test_a_cart_that_leaves_during_a_motion_stops_the_arm(tmp_path: Path) -> Non
     assert engine.machine.state == "held"
 
 
-def test_head_and_spheres_are_expected_where_they_are_against_the_moved_cart(tmp_path: Path) -> None:
-    cell = ClinicalCell(tmp_path)
+def test_head_and_spheres_are_expected_where_they_are_against_the_moved_cart(cell: ClinicalCell) -> None:
     engine = watched(cell)
     positioned(engine)
     before = cell.workcell.master.surroundings
@@ -123,8 +120,8 @@ def test_a_tool_frame_that_is_not_measured_is_not_taken_for_a_moved_cart(
     assert watch.gross_limit_mm == pytest.approx(limit_mm, abs=0.1)
 
 
-def test_a_sphere_lost_because_the_cart_left_is_no_reason_to_leave_it_out(tmp_path: Path) -> None:
-    cell = ClinicalCell(tmp_path).carrying(MountedTool.STEREO_HEAD)
+def test_a_sphere_lost_because_the_cart_left_is_no_reason_to_leave_it_out(cell: ClinicalCell) -> None:
+    cell.carrying(MountedTool.STEREO_HEAD)
     before = (checked_paths(cell), *coarse(), checked_plan(), localized_fiducials())
     engine = cell.begin(*before, relocalization.STEP)
     engine.run_to(engine.order.sequence[4])
@@ -141,8 +138,7 @@ def test_a_sphere_lost_because_the_cart_left_is_no_reason_to_leave_it_out(tmp_pa
     assert Topic.SPHERE not in [question.topic for question in cell.operator.asked]
 
 
-def test_with_an_instrument_inside_nobody_is_asked_and_nothing_moves(tmp_path: Path) -> None:
-    cell = ClinicalCell(tmp_path)
+def test_with_an_instrument_inside_nobody_is_asked_and_nothing_moves(cell: ClinicalCell) -> None:
     engine = watched(cell)
     engine.goes_on = MovedCart(engine).continues_by_consent
     positioned(engine)

@@ -117,11 +117,7 @@ def examples(cell: ClinicalCell) -> list[StepResult]:
     pose, outline = correspondence().robot_from_ct, Outline.of(OUTLINE)
     flange = PoseRecord(translation_mm=pose.translation_mm, quaternion_wxyz=pose.quaternion_wxyz)
     look = Observation(
-        joints_rad=HOME_RAD,
-        robot_from_flange=flange,
-        left=outline,
-        right=outline,
-        orientation=3,
+        joints_rad=HOME_RAD, robot_from_flange=flange, left=outline, right=outline, orientation=3
     )
     head = cell.calibrations.stereo_head
     observed = ObservationSet(
@@ -137,11 +133,7 @@ def examples(cell: ClinicalCell) -> list[StepResult]:
         validation=True,
     )
     turned = FrameLook(
-        use=Use.RETURN,
-        joints_rad=HOME_RAD,
-        robot_from_flange=flange,
-        tracker_from_marker=flange,
-        frames=30,
+        use=Use.RETURN, joints_rad=HOME_RAD, robot_from_flange=flange, tracker_from_marker=flange, frames=30
     )
     ball = BallLook(joints_rad=HOME_RAD, robot_from_flange=flange, ball_mm=(0.1, 0.2, 1 / 3))
     divot = DivotReading(look=0, joints_rad=HOME_RAD, robot_from_flange=flange, dials_mm=(0.1, 0.0, 0.0))

@@ -78,10 +78,10 @@ def test_one_arm_does_not_play_both_roles() -> None:
         require_two_arms(("KR 6 R900 sixx", "601234"), ("KR 6 R900 sixx", "601234"))
 
 
-def test_the_pose_sent_to_the_controller_is_corrected_by_the_calibration_of_the_arm() -> None:
+def test_the_pose_sent_to_the_controller_is_corrected_by_the_calibration_of_the_arm_if_it_has_one() -> None:
     kinematics, records = kr6_r900(SIXX), _records()
     flange_from_tool = records.stereo_head.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
-    arm = calibrated_arm(kinematics, records.arms)
+    arm, plain = (calibrated_arm(kinematics, of) for of in (records.arms, {}))
     wanted = arm.flange_pose(kinematics.home_rad) @ flange_from_tool
     joints = arm.compensate(wanted @ flange_from_tool.inverse(), kinematics.home_rad).joints_rad
     commanded = arm.pose_to_command(wanted, flange_from_tool, lambda: kinematics.home_rad)
@@ -89,14 +89,8 @@ def test_the_pose_sent_to_the_controller_is_corrected_by_the_calibration_of_the_
     by_controller = kinematics.flange_pose(joints) @ flange_from_tool
     np.testing.assert_allclose(commanded.translation_mm, by_controller.translation_mm, atol=1e-4)
     assert np.linalg.norm(commanded.translation_mm - wanted.translation_mm) > 0.3
-
-
-def test_without_a_calibration_record_the_wanted_pose_itself_is_sent_to_the_controller() -> None:
-    kinematics, records = kr6_r900(SIXX), _records()
-    flange_from_tool = records.stereo_head.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
-    arm = calibrated_arm(kinematics, {})
-    wanted = arm.flange_pose(kinematics.home_rad) @ flange_from_tool
-    assert arm.pose_to_command(wanted, flange_from_tool, lambda: kinematics.home_rad) is wanted
+    wanted = plain.flange_pose(kinematics.home_rad) @ flange_from_tool
+    assert plain.pose_to_command(wanted, flange_from_tool, lambda: kinematics.home_rad) is wanted
 
 
 def test_the_surroundings_are_exact_where_a_calibrated_arm_works(tmp_path: Path) -> None:

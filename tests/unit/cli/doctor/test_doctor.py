@@ -259,9 +259,7 @@ def test_an_endpoint_that_no_probe_supports_is_refused() -> None:
         examine(None, ["udp://127.0.0.1:59152"])
 
 
-def test_an_endpoint_that_two_probes_support_needs_a_theatre_file(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_an_endpoint_that_two_probes_support_needs_a_theatre_file(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(doctor, "endpoint_probes", lambda: {"lines": LineProbe(), "scales": LineProbe()})
     with pytest.raises(BadEndpoint, match="lines and scales"):
         examine(None, ["tcp://127.0.0.1:1"])
@@ -355,9 +353,7 @@ def test_problems_come_first_with_a_command_and_what_is_fine_is_folded_unless_as
         assert said.endswith("case\tNOT READY\t\n")
 
 
-def test_a_line_that_was_asked_for_is_shown_even_if_it_is_well(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_a_line_that_was_asked_for_is_shown_even_if_it_is_well(capsys: pytest.CaptureFixture[str]) -> None:
     show(examine(None, ["tcp://127.0.0.1:1"]), as_json=False)
     assert "\nok line tcp://127.0.0.1:1: answered\n" in capsys.readouterr().out
 

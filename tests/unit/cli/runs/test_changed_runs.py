@@ -30,9 +30,7 @@ from procedures.runs.reopening import close_completed_run, prepare_folder
 from procedures.runs.request import CaseProcedure
 from procedures.runs.request_file import REQUEST_FILE
 from ronna_hw.devices.capabilities import Direction
-from ronna_hw.errors import (
-    EXIT_REFUSED,
-)
+from ronna_hw.errors import EXIT_REFUSED
 from ronna_hw.evidence import manifest
 from ronna_hw.evidence.inspection import inspect_run
 from ronna_hw.evidence.lost_journal_end import EVENTS_FILE

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from painted_ct import Scan
 
 from procedures.imaging.examination import combine_estimates
 from procedures.imaging.sphere_centre.ball_model import (
@@ -26,12 +25,7 @@ from procedures.imaging.sphere_centre.ball_model import (
     products,
     stretch_matrix,
 )
-from procedures.imaging.sphere_centre.blurred_ball import (
-    EDGE,
-    BlurredBall,
-    fit_rough_ball,
-    fit_whitened,
-)
+from procedures.imaging.sphere_centre.blurred_ball import EDGE, BlurredBall, fit_rough_ball, fit_whitened
 from procedures.imaging.sphere_centre.correlated_noise import (
     WINDOW_MM,
     CorrelatedNoise,
@@ -248,9 +242,9 @@ STREAKED_SHAPE = (29, 57, 57)
 
 
 @pytest.fixture(scope="module")
-def bare(make_scan: Callable[..., Any]) -> Array:
+def bare() -> Array:
     """A ball in noise, HU."""
-    scan = make_scan(shape=STREAKED_SHAPE, spacing_mm=tuple(SPACING_MM), noise_hu=NOISE_HU, seed=4)
+    scan = Scan(shape=STREAKED_SHAPE, spacing_mm=tuple(SPACING_MM), noise_hu=NOISE_HU, seed=4)
     scan.ball(STREAKED_CENTRE_MM)
     return np.asarray(scan.voxels(), dtype=float)
 

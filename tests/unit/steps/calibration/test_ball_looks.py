@@ -156,9 +156,14 @@ def test_one_acquisition_over_the_ball_measures_it_and_returns_home(cell: Clinic
     assert cell.arm.joints_rad == HOME_RAD
 
 
-def test_an_acquisition_in_place_moves_nothing_and_connects_only_the_cameras(cell: ClinicalCell) -> None:
-    seen = cell.run(LOOK_IN_PLACE).result
+def test_an_acquisition_in_place_moves_nothing_connects_only_the_cameras_and_keeps_its_images(
+    cell: ClinicalCell,
+) -> None:
+    engine = cell.begin(LOOK_IN_PLACE)
+    engine.run_to()
+    seen = cell.case.get(BallMeasurement).result
     assert seen == BallMeasurement(position_mm=None, left=None, right=None, reason="no sphere in view")
+    assert engine.setting.memory.find(Look) is not None
     assert cell.stereo.state is Lifecycle.ACTIVE
     assert cell.arm.state is cell.tracker.state is Lifecycle.DISCONNECTED
     assert cell.arm.motions == []
@@ -178,12 +183,6 @@ def test_a_calibration_of_other_cameras_is_refused(cell: ClinicalCell) -> None:
     with raises(WRONG_CAMERA, match="STE-010"):
         cell.run(LOOK_IN_PLACE)
     assert cell.stereo.calls == []
-
-
-def test_the_images_of_an_acquisition_are_kept_in_memory(cell: ClinicalCell) -> None:
-    engine = cell.begin(LOOK_IN_PLACE)
-    engine.run_to()
-    assert engine.setting.memory.find(Look) is not None
 
 
 def test_a_check_uses_the_joints_of_the_baseline_and_returns_home(

@@ -1,3 +1,5 @@
+"""What tests of several rooms share."""
+
 from pathlib import Path
 
 import pytest
