@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Self
 from procedures.engine.errors import CommandRefused
 from procedures.journal.errors import RunDeleted
 from procedures.operator.question import Task
-from procedures.runs.request import RunRequest
+from procedures.runs.request import CaseProcedure, RunRequest
 from ronna_hw.bounded_input import LARGEST_TOML_BYTES, read_bounded
 from ronna_hw.control_port import ControlPortSilent, ask_control_port
 from ronna_hw.errors import EXIT_DONE, EXIT_FAILED, EXIT_LINK_LOST, RonnaError
@@ -51,7 +51,7 @@ class SimulatedTheatre:
         arguments = ["--speed", request.speed, "--out", str(folder), "--run", folder.parent.name]
         if request.faults is not None and not continued:
             arguments += ["--faults", str(request.faults)]
-        if request.measures_targets:
+        if isinstance(request.procedure, CaseProcedure) and request.procedure.measure_targets:
             arguments.append("--target-balls")
         if ASSISTANT in request.roles:
             arguments += ["--dual", "--assistant-arm", request.choice.assistant_arm]
