@@ -10,7 +10,7 @@ from pathlib import Path
 from procedures.engine.engine import Engine
 from procedures.engine.events import Advisory
 from procedures.guards.motion_watch import MotionWatch
-from procedures.guards.tracker_guards import HeadInSight, LineOfSight
+from procedures.guards.tracker_guards import LineOfSight
 from procedures.journal.free_space import LEAST_FREE_BYTES, describe_shortage
 from procedures.operator.checkpoint import Guard
 from procedures.workcell import Workcell
@@ -53,12 +53,6 @@ def patient_watch(engine: Engine, void: Void) -> MotionWatch:
         void=void,
         beside=engine.checkpoint.beside,
     )
-
-
-def sight_guard(engine: Engine, void: Void) -> HeadInSight:
-    """Build the guard that limits the approach to an unseen head. `void` is as for `patient_watch`."""
-    setting = engine.setting
-    return HeadInSight(setting.workcell, setting.memory, void, engine.find)
 
 
 @dataclass

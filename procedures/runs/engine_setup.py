@@ -18,11 +18,11 @@ from procedures.engine.replay.recorded_answers import opening_line, section_foll
 from procedures.engine.setting import CaseSetting, now_to_second
 from procedures.guards import (
     GuideDisplacement,
+    HeadInSight,
     TrackerLink,
     UnchangedRecords,
     case_guards,
     patient_watch,
-    sight_guard,
 )
 from procedures.guards.errors import BaseShifted
 from procedures.journal.journal import JOURNAL_FILE, ONLY_LEAVING, Entry, Journal, JournalValue
@@ -234,7 +234,7 @@ def add_guards(engine: Engine, file: Path, theatre: TheatreFile, *, only_leaving
         engine.recorders.append(inputs)
     void = partial(void_moved, engine.context(StepKey(GlobalLocalization.kind)))
     guards.append(GuideDisplacement(workcell, setting.memory))  # before the head: it names the cause
-    guards.append(sight_guard(engine, void))
+    guards.append(HeadInSight(workcell, setting.memory, void, engine.find))
     guards.append(link)  # last: it also judges the replies to the guards before it
     engine.checkpoint.watching = patient_watch(engine, void).watching
 

@@ -337,17 +337,13 @@ class Assistant(SupervisedArm):
         return self.supervised.carry_out(self.insert_motion(axis, guided=guided))
 
     def withdraw_motion(self, guided: GuidedStretch | None = None) -> PlannedMotion:
-        """Return the motion that `withdraw` would make. Raises PRO-014 on no axis."""
+        """Return the motion of the instrument straight back out of the guide. Raises PRO-014 on no axis."""
         axis = self.place.axis
         if axis is None:
             raise GUIDE_HELD_AT_ENTRY("the assistant is on no axis", expected="the axis of a trajectory")
         legs = [] if guided is None else [self._line(axis, guided.end_mm, WITHDRAWAL_SPEED_MM_S)]
         last_mm_s = OFF_SKIN_SPEED_MM_S if guided else WITHDRAWAL_SPEED_MM_S
         return self._along(MotionKind.WITHDRAW, axis, *legs, self._line(axis, 0.0, last_mm_s))
-
-    def withdraw(self, guided: GuidedStretch | None = None) -> ArmReading:
-        """Lead the instrument straight back out of the guide. Raises PRO-014 on no axis."""
-        return self.supervised.carry_out(self.withdraw_motion(guided))
 
     @property
     def leads_instrument(self) -> bool:
@@ -361,7 +357,7 @@ class Assistant(SupervisedArm):
         if doubt:
             subject += f"; {doubt}"
         self.supervised.confirm(Topic.RETREAT, subject, [motion], motion.trajectory)
-        self.withdraw(guided)
+        self.supervised.carry_out(self.withdraw_motion(guided))
 
     @property
     def way_home(self) -> tuple[str, ...]:

@@ -14,7 +14,7 @@ from watched_case import findings, on_the_way, positioned, voiding, watched
 
 from procedures.engine.engine import Engine
 from procedures.engine.events import Advisory
-from procedures.guards import sight_guard
+from procedures.guards import HeadInSight
 from procedures.guards.errors import PatientMoved
 from procedures.operator.errors import GuardUnmet
 from procedures.operator.question import Answer, Question, Topic
@@ -36,7 +36,8 @@ def soon(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def guarded(cell: ClinicalCell) -> Engine:
     engine = watched(cell)
-    engine.checkpoint.guards.append(sight_guard(engine, voiding(engine)))
+    workcell, memory = engine.setting.workcell, engine.setting.memory
+    engine.checkpoint.guards.append(HeadInSight(workcell, memory, voiding(engine), engine.find))
     return engine
 
 

@@ -131,19 +131,11 @@ def bring_up_to_date(
     """Take the assistant in once its base is known, and expect a followed head at its new place."""
     if bases is not None and bases != watch.bases:
         take_in_assistant(watch, workcell, settings, bases)
-    watch.follow(*find_followed_places(followed))
-
-
-def find_followed_places(registration: RegisteredRobot | None) -> tuple[Array | None, Transform | None]:
-    """Return where a registration followed the spheres (n, 3), mm, and the frame on the clamp.
-
-    In the tracker frame of the localization; None for what it did not follow.
-    """
-    move = None if registration is None else registration.followed
-    if move is None:
-        return None, None
+    if followed is None or (move := followed.followed) is None:
+        watch.follow(None)
+        return
     on_clamp = None if move.tracker_from_patient is None else move.tracker_from_patient.transform
-    return np.asarray(move.spheres_tracker_mm, dtype=float), on_clamp
+    watch.follow(np.asarray(move.spheres_tracker_mm, dtype=float), on_clamp)
 
 
 def take_in_assistant(

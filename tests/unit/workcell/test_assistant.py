@@ -62,7 +62,7 @@ def assistant(cell: RecordingCell, arm: IdealArm, monkeypatch: pytest.MonkeyPatc
     )
     across = (0.5**0.5, 0.0, 0.5**0.5, 0.0)
     clamp = PoseRecord(translation_mm=(0.0, 0.0, 110.0), quaternion_wxyz=across)
-    holder = SimpleNamespace(flange_from_clamp=clamp, flange_from_ball_mm=BALL_MM)
+    holder = SimpleNamespace(frame="holder", flange_from_clamp=clamp, flange_from_ball_mm=BALL_MM)
     records = SimpleNamespace(arms=dict.fromkeys((MASTER, ASSISTANT)), assistant_holder=holder)
     log = ArmLog(cell.journal, CLOCK, ArmHistory(ASSISTANT))
     arms = Arms({MASTER: arm, ASSISTANT: arm}, (MASTER, ASSISTANT), CLOCK, lambda: "T1")
