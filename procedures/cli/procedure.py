@@ -13,12 +13,12 @@ from procedures.cli.case.options import CaseOptions, ConfigOption, ConsoleOption
 from procedures.cli.new_theatre.command import new_theatre
 from procedures.cli.runs.commands import add_commands
 from procedures.cli.theatre_history import theatre_history
+from ronna_hw.command_line import terminal
 from ronna_hw.command_line.options import with_option_records
-from ronna_hw.command_line.terminal import JsonOption, command_group, run
 from ronna_hw.host.process import resume_garbage_collection, suspend_garbage_collection
 from ronna_hw.roles import roles_of
 
-app = command_group(
+app = terminal.command_group(
     "ronna-procedure",
     "The procedure of a frameless stereotactic robot, from the CT to the needle tip. "
     "Research software, not a medical device.",
@@ -28,7 +28,7 @@ app = command_group(
 
 @app.command("run")
 @with_option_records
-def run_command(case: CaseOptions, console: ConsoleOptions, as_json: JsonOption = False) -> None:
+def run_command(case: CaseOptions, console: ConsoleOptions, as_json: terminal.JsonOption = False) -> None:
     """Run the whole case; ends with the errors at the targets and a report."""
     suspend_garbage_collection()  # until the engine is built
     try:
@@ -51,12 +51,11 @@ def step_command(case: CaseOptions, console: ConsoleOptions) -> None:
 @app.command("steps")
 def steps_command(
     dual: Annotated[bool, Option("--dual", help="Of a case with two arms.")] = False,
-    as_json: JsonOption = False,
+    as_json: terminal.JsonOption = False,
 ) -> None:
     """List the steps of the procedure, what each one needs and what it may ask."""
     from procedures.engine.order import Scope
     from procedures.steps.catalogue import clinical_steps, list_questions
-    from ronna_hw.command_line.terminal import print_json, print_table
 
     steps = clinical_steps(roles=roles_of(dual=dual))
     if as_json:
@@ -67,7 +66,7 @@ def steps_command(
             plain = {"name": step.name, "title": step.title, "needs": list(step.needs)}
             kind = {"per_trajectory": step.scope is not Scope.CASE, "moves": step.moves_an_arm}
             rows.append({**plain, **kind, "asks": asks})
-        print_json({"steps": rows})
+        terminal.print_json({"steps": rows})
         return
     headings = ("step", "what it does", "for each trajectory", "moves an arm", "needs", "asks")
     table = []
@@ -75,7 +74,7 @@ def steps_command(
         marks = ("" if step.scope is Scope.CASE else "yes", "yes" if step.moves_an_arm else "")
         topics = ", ".join(dict.fromkeys(one.topic for one in list_questions(step)))
         table.append((step.name, step.title, *marks, ", ".join(step.needs), topics))
-    print_table("Steps of the procedure", headings, table)
+    terminal.print_table("Steps of the procedure", headings, table)
 
 
 @app.command("graph")
@@ -101,7 +100,7 @@ def doctor_command(
     ] = None,
     out: Annotated[Path, Option(help="Folder for runs, whose disk is judged.")] = Path("runs"),
     everything: Annotated[bool, Option("--all", help="Also list the checks without a finding.")] = False,
-    as_json: JsonOption = False,
+    as_json: terminal.JsonOption = False,
 ) -> None:
     """Check this computer and, with --config, every device of a theatre file with its driver's own probe.
 
@@ -114,9 +113,8 @@ def doctor_command(
     of a theatre that is in use.
     """
     from procedures.cli.doctor.report import examine, show
-    from ronna_hw.command_line.terminal import progress_bar
 
-    with progress_bar("probing the devices") as progress:
+    with terminal.progress_bar("probing the devices") as progress:
         report = examine(config, endpoint or (), progress, out=out)
     show(report, as_json=as_json, everything=everything)
 
@@ -128,7 +126,7 @@ app.command("theatre-history")(theatre_history)
 
 
 def main() -> None:
-    run(app)
+    terminal.run(app)
 
 
 if __name__ == "__main__":

@@ -65,7 +65,7 @@ def recover(engine: Engine, previous: InterruptedRun) -> None:
     if stored is None:
         return
     _void_moved(engine, comparison)
-    way_out.surround(engine)
+    way_out.surround_arms(engine)
     moved = _move_out(engine)
     if (moved or not seen) and engine.upcoming is not None:
         engine.setting.workcell.rest()  # the tracker measures while the arm's stream is off
@@ -117,7 +117,7 @@ def bring_home(engine: Engine, previous: InterruptedRun) -> bool:
         _conclude(engine, comparison)
         return False
     _require_acceptance(engine, comparison, "bring the arm home", first)
-    way_out.surround(engine)
+    way_out.surround_arms(engine)
     engine.retreat_home()
     return True
 

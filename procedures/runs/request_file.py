@@ -22,7 +22,7 @@ from procedures.runs.request import (
     SceneChoice,
 )
 from ronna_hw.bounded_input import read_json_bytes
-from ronna_hw.evidence.manifest import REQUEST_FILE
+from ronna_hw.evidence.manifest import REQUEST_FILE, sha256_of
 from ronna_hw.mistakes import describe_mistakes
 from ronna_hw.records import write_atomically
 from ronna_hw.roles import ONE_ARM
@@ -159,7 +159,5 @@ def _answers(path: Path, content: dict[str, JsonValue]) -> Answers:
 
 def request_hash(folder: Path) -> dict[str, str]:
     """Return the hash of a run's request file for the first journal line."""
-    from ronna_hw.evidence.manifest import sha256_of
-
     path = folder / REQUEST_FILE
     return {"request_sha256": sha256_of(path)} if path.exists() else {}

@@ -40,7 +40,7 @@ AT_GAUGE_RAD = math.radians(0.5)  # an arm stopped on its way is farther off, or
 AT_START_MM = 1.0  # at the start of the approach it is away; the arm arrives there much more accurately
 
 
-def surround(engine: Engine) -> None:
+def surround_arms(engine: Engine) -> None:
     """Set the collision surroundings of every arm before any motion.
 
     Raises PRO-032 for an arm away from home if no result gives the position of the head.

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import shlex
+import shutil
+import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
@@ -10,6 +12,7 @@ from datetime import UTC, datetime
 from functools import partial
 from itertools import chain
 from pathlib import Path
+from textwrap import wrap
 from typing import Any
 
 from procedures.cli.doctor import theatre_checks
@@ -19,7 +22,6 @@ from procedures.cli.doctor.calibrations import (
     setting_diagnostics,
     tool_diagnostics,
 )
-from procedures.cli.doctor.findings_text import findings_text
 from procedures.cli.doctor.inspection import (
     STEREO,
     advise_on_serials,
@@ -32,7 +34,7 @@ from procedures.runs.theatre_lock import require_free_theatre
 from ronna_hw.clock import HostClock
 from ronna_hw.command_line.errors import as_ronna_error
 from ronna_hw.command_line.options import log_failure
-from ronna_hw.command_line.terminal import Progress, print_json, print_table, say
+from ronna_hw.command_line.terminal import Progress, on_terminal, print_json, print_table, say
 from ronna_hw.config import ARM_RECORDS, Calibrations, DeviceConfig, TheatreFile, read_theatre_file
 from ronna_hw.devices import OpticalTracker
 from ronna_hw.devices.probing import Diagnostic, EndpointProbe, PortProbe, endpoints_of, refusal
@@ -50,6 +52,7 @@ TRACKER = "tracker"  # table
 PROBLEM, NOTE, OK = "PROBLEM", "note", "ok"
 FRAMES = ": frames named in records"
 FINDING = ("subject", "well", "seen", "advice", "command")  # fields of the JSON
+INDENT = "   "
 SECTIONS = ("lines", "cameras")  # of the JSON, also when they are empty
 Examination = Callable[[Progress], Sequence[Diagnostic]]
 
@@ -246,7 +249,7 @@ def show_findings(report: Report, *, as_json: bool, everything: bool = False) ->
             | {"verdicts": [asdict(verdict) for verdict in report.verdicts]}
         )
         return
-    for line in findings_text(report.problems, report.notes, report.replies):
+    for line in _format_findings(report):
         say(line)
     if everything:
         rows = [(one.subject, report.grade(one), one.seen, one.advice) for one in report.diagnostics]
@@ -259,6 +262,51 @@ def show_findings(report: Report, *, as_json: bool, everything: bool = False) ->
             for one in report.verdicts
         ]
         print_table("Readiness", ("", "", "because"), readiness)
+
+
+def _format_findings(report: Report) -> Iterator[str]:
+    """Yield lines: a numbered list of problems, then notes, then what was asked for."""
+    if not report.problems:
+        yield "No problem found."
+    else:
+        yield f"{format_count(len(report.problems), 'problem')}:"
+        for number, one in enumerate(report.problems, start=1):
+            yield from _format_finding(f"{number}. ", one)
+    if report.notes:
+        yield ""
+        yield "Worth knowing:"
+        for one in report.notes:
+            yield from _format_finding("-  ", one)
+    if report.replies:
+        yield ""
+        for one in report.replies:
+            yield from _wrap(f"ok {one.subject}: {one.seen}", "")
+    yield ""
+
+
+def _format_finding(bullet: str, one: Diagnostic) -> Iterator[str]:
+    yield from _wrap(f"{one.subject}: {one.seen}", bullet)
+    if one.advice:
+        yield from _wrap(one.advice, INDENT)
+    if one.command:
+        yield f"{INDENT}{one.command}"  # on one line, whatever the width: it is copied
+
+
+def _wrap(text: str, first: str) -> Iterator[str]:
+    """Wrap at the terminal's width without splitting words; elsewhere yield one line."""
+    text = " ".join(text.split())
+    if not on_terminal(sys.stdout):
+        yield first + text
+        return
+    width = max(shutil.get_terminal_size().columns - 1, 2 * len(INDENT))
+    yield from wrap(
+        text,
+        width,
+        initial_indent=first,
+        subsequent_indent=INDENT,
+        break_long_words=False,
+        break_on_hyphens=False,
+    )
 
 
 def _reasons(verdict: Verdict, report: Report) -> Sequence[str]:

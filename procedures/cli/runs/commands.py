@@ -12,8 +12,8 @@ from typer import Argument, Option
 
 from procedures.cli.case.options import ConsoleOptions
 from ronna_hw.command_line.errors import UsageMistake
-from ronna_hw.command_line.options import with_option_records
-from ronna_hw.command_line.terminal import JsonOption
+from ronna_hw.command_line.options import require_output_folder, with_option_records
+from ronna_hw.command_line.terminal import JsonOption, print_json, tell
 from ronna_hw.text import escape_controls
 
 
@@ -165,7 +165,6 @@ def report_command(run_folder: RunArgument, out: FolderOption = None, as_json: J
     from procedures.reporting.run_reading import read_for_report
     from procedures.reporting.run_summary import read_two_arms
     from procedures.runs.finishing import rebuild_report
-    from ronna_hw.command_line.terminal import print_json
 
     path = rebuild_report(run_folder, out)
     if as_json:
@@ -184,8 +183,6 @@ def export_command(run_folder: RunArgument, out: FolderOption = None, as_json: J
     """
     from procedures.exchange.run_export import export_run
     from procedures.runs.simulated_theatre import find_truth
-    from ronna_hw.command_line.options import require_output_folder
-    from ronna_hw.command_line.terminal import print_json, tell
 
     folder = run_folder / "export"
     if out is not None and out.resolve() != folder.resolve():
@@ -252,7 +249,6 @@ def raw_command(
     it refuses a run that was changed after it ended.
     """
     from procedures.exchange.raw_readings import write_raw
-    from ronna_hw.command_line.terminal import print_json, tell
     from ronna_hw.evidence.inspection import inspect_run
 
     inspect_run(run_folder).require_unchanged()

@@ -23,7 +23,7 @@ from procedures.runs.lifecycle import open_run
 from procedures.runs.observers import RunObservers
 from procedures.runs.request import CalibrationProcedure, RunRequest
 from procedures.runs.request_checks import check_asking
-from procedures.runs.theatre_lock import read_former_run, require_free_theatre
+from procedures.runs.theatre_lock import hold_theatre, read_former_run, require_free_theatre
 from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.command_line.terminal import on_terminal, print_json, say, tell
 from ronna_hw.devices.lifecycle import Lifecycle, require_person
@@ -160,7 +160,6 @@ def acknowledge_theatre(file: Path, by: str | None, *, as_json: bool) -> None:
 
     Raises DEV-006, PRO-043, PRO-044, and the error of a driver that cannot be recovered yet.
     """
-    from procedures.runs.theatre_lock import hold_theatre
     from ronna_hw.theatre import Theatre
 
     by = _acknowledging_person(by)

@@ -52,7 +52,7 @@ from procedures.runs.engine_setup import MovedCart
 from procedures.runs.interrupted_run import read_interrupted_run
 from procedures.runs.observers import RunObservers
 from procedures.runs.request import CaseProcedure, RunRequest
-from procedures.runs.way_out import has_head_moved, surround
+from procedures.runs.way_out import has_head_moved, surround_arms
 from procedures.steps.branches import HOLD
 from procedures.steps.clinical import at_target, confirmation, path_check, positioning, retreat
 from procedures.steps.clinical.at_target import ReachedTarget
@@ -360,11 +360,11 @@ def test_an_arm_still_out_after_a_restart_can_be_brought_home(
     engine.accept()
     near_rad: list[JointVector | None] = []
     monkeypatch.setattr(again.workcell.master, "surround", lambda _, near=None: near_rad.append(near))
-    surround(engine)
+    surround_arms(engine)
     assert (
         near_rad == [again.workcell.master.joints_rad()] != [HOME_RAD]
     )  # exact where it stands, not at home
     monkeypatch.undo()
-    surround(engine)
+    surround_arms(engine)
     engine.retreat_home()
     assert engine.over
