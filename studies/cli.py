@@ -504,14 +504,9 @@ def _run(
     found = results.tables(sums)
     draw = plots or getattr(results, "plots", None)
     report = publish(folder, study.name, study.settings(), found, draw(sums) if draw else {})
-    if study_options.as_json:
-        terminal.print_json(
-            {"study": study.name, "report": str(report), "tables": [table.document() for table in found]}
-        )
-        return sums
-    for table in found:
-        _show(table)
-    terminal.tell(f"report: {report}")
+    _print_tables(found, {"study": study.name, "report": str(report)}, as_json=study_options.as_json)
+    if not study_options.as_json:
+        terminal.tell(f"report: {report}")
     return sums
 
 
@@ -546,12 +541,7 @@ def times(
     for run in runs:
         require_run(run)
         inspect_run(run, every_file=False).require_unchanged()
-    found = time_tables(runs)
-    if as_json:
-        terminal.print_json({"runs": len(runs), "tables": [table.document() for table in found]})
-        return
-    for table in found:
-        _show(table)
+    _print_tables(time_tables(runs), {"runs": len(runs)}, as_json=as_json)
 
 
 @app.command()
@@ -572,12 +562,15 @@ def notebook(
         terminal.tell(str(execute_notebook(path, out)))
 
 
-def _show(table: Table) -> None:
+def _print_tables(found: Sequence[Table], head: Mapping[str, object], *, as_json: bool) -> None:
     from studies.campaign.study import format_cell
 
-    terminal.print_table(
-        table.title, list(table.columns), [[format_cell(value) for value in row] for row in table.rows]
-    )
+    if as_json:
+        terminal.print_json({**head, "tables": [table.document() for table in found]})
+        return
+    for table in found:
+        rows = [[format_cell(value) for value in row] for row in table.rows]
+        terminal.print_table(table.title, list(table.columns), rows)
 
 
 def main() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
+from typing import Any
 
 from nicegui import ui
 
@@ -43,13 +44,13 @@ class TrajectoryPanel:
                     self._add_button("show", partial(self._go, end), f"crosshair to the {end}")
             with group("numbers", "Axis"):
                 ui.label("Axis").classes("rowname")
-                self._add_field("azimuth", "az. °", self._set_azimuth)
-                self._add_field("elevation", "el. °", self._set_elevation)
-                self._add_field("depth", "mm", self._set_depth)
+                self._add_field("azimuth", "az. °", lambda value: self._set_axis(azimuth_deg=value))
+                self._add_field("elevation", "el. °", lambda value: self._set_axis(elevation_deg=value))
+                self._add_field("depth", "mm", self._set_axis)
             with group("numbers", "Guide"):
                 ui.label("Guide").classes("rowname")
-                self._add_field("free angle", "angle °", self._set_free_angle)
-                self._add_field("margin", "margin mm", self._set_margin, 2)
+                self._add_field("free angle", "angle °", lambda value: self._set(free_angle_deg=value))
+                self._add_field("margin", "margin mm", lambda value: self._set(margin_mm=value), 2)
 
     def show(self) -> None:
         draft = self._editor.draft
@@ -125,27 +126,15 @@ class TrajectoryPanel:
 
         return set_value
 
-    def _set_axis(self, change: Callable[[Axis], Axis], depth_mm: float | None = None) -> None:
+    def _set_axis(self, depth_mm: float | None = None, **angles_deg: float) -> None:
         way = self._way
         if way.ends is None or way.target_mm is None or way.depth_mm is None:
             return
-        axis = change(Axis.of(*way.ends))
+        axis = replace(Axis.of(*way.ends), **angles_deg)
         self.place("entry", axis.entry_mm(way.target_mm, depth_mm or way.depth_mm))
 
-    def _set_azimuth(self, value: float) -> None:
-        self._set_axis(lambda axis: replace(axis, azimuth_deg=value))
-
-    def _set_elevation(self, value: float) -> None:
-        self._set_axis(lambda axis: replace(axis, elevation_deg=value))
-
-    def _set_depth(self, value: float) -> None:
-        self._set_axis(lambda axis: axis, value)
-
-    def _set_free_angle(self, value: float) -> None:
-        self._change(replace(self._way, free_angle_deg=value))
-
-    def _set_margin(self, value: float) -> None:
-        self._change(replace(self._way, margin_mm=value))
+    def _set(self, **values: Any) -> None:
+        self._change(replace(self._way, **values))
 
     def _add_field(
         self, name: str, label: str, set_value: Callable[[float], None], decimals: int = 1
