@@ -13,24 +13,18 @@ from math import radians
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from waiting import eventually
 
 from drivers.kuka_rsi import KukaRsiArm
 from drivers.kuka_rsi.errors import STREAM_ERRORS
-from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.clock import HostClock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices import Lifecycle
-from ronna_hw.devices.robot import JointMove, LineMove
-from ronna_hw.frames import Frame, Transform
+from ronna_hw.devices.robot import JointMove
 from ronna_hw.host.child_process import ChildProcess, command
 from ronna_hw.host.network import own_udp_endpoint
 from ronna_hw.vectors import JointVector
-
-MODEL = kr6_r900("kr6_r900_sixx")
-TOOL = Transform.of(Frame.FLANGE, Frame.TOOL, translation_mm=(0.0, 0.0, 150.0))
 
 LONGEST_LIFE_S = 1.5  # of a program after its arm has begun to move
 STILL_RAD = radians(0.002)
@@ -99,37 +93,6 @@ def _activated(arm: KukaRsiArm) -> KukaRsiArm:
 
 def _state(arm: KukaRsiArm) -> Lifecycle:
     return arm.state
-
-
-def test_a_whole_session_of_joint_and_linear_moves(make_arm: Callable[[], KukaRsiArm]) -> None:
-    arm = make_arm()
-    identity = arm.connect()
-    assert identity.model == "kr6_r900_sixx"
-    assert arm.read_tool_identity().number >= 0
-    arm.configure()
-    arm.activate()
-    start = arm.read_state().joints_rad
-    target = _moved(start, 5, 3, -4, 6, -5, 10)
-    reading = arm.move(JointMove(target))
-    # At rest the arm is exactly where it was told to be, to the last digit of the wire.
-    assert reading.joints_rad == pytest.approx(target, abs=radians(0.0002))
-    here = MODEL.flange_pose(target) @ TOOL
-    line_end = Transform.of(
-        Frame.ROBOT,
-        Frame.TOOL,
-        translation_mm=np.add(here.translation_mm, (-15.0, 10.0, -20.0)),
-        quaternion_wxyz=here.quaternion_wxyz,
-    )
-    reading = arm.move(LineMove(line_end, flange_from_tool=TOOL))
-    reached = MODEL.flange_pose(reading.joints_rad) @ TOOL
-    assert reached.translation_mm == pytest.approx(line_end.translation_mm, abs=0.005)
-    statistics = arm.link_statistics()
-    assert statistics.cycles > 100
-    assert statistics.rejected_telegrams == 0
-    arm.deactivate()
-    assert arm.read_state().joints_rad == pytest.approx(reading.joints_rad, abs=radians(0.001))
-    arm.activate()
-    arm.move(JointMove(_moved(reading.joints_rad, -1, 0, 0, 0, 0, 0)))
 
 
 @pytest.mark.hazard(30)
