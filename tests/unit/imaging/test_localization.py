@@ -135,17 +135,6 @@ def test_a_cylinder_a_large_ball_and_a_metal_ball_are_rejected_with_reasons() ->
     assert "no surface of a polymer sphere" in reasons
 
 
-def test_a_close_pair_is_separated_and_flagged() -> None:
-    scan = Scan(shape=(40, 80, 100))
-    centres = np.array([[20.2, 19.7, 17.4], [20.2, 19.7, 31.4]])
-    for centre in centres:
-        scan.marker(centre, np.array([0.0, 1.0, 0.0]), skin=False)
-    result = localize(as_volume(scan), expected=2)
-    error, _ = matched(result, centres)
-    assert rms(error) < 0.02
-    assert all("near_another" in marker.flags for marker in result.markers)
-
-
 def test_a_marker_over_skin_is_localized() -> None:
     scan = Scan(shape=(40, 100, 80))
     centre = np.array([20.3, 15.6, 20.1])
