@@ -33,3 +33,7 @@ __all__ = [
     "search_pose",
     "triangulate",
 ]
+
+
+def __dir__() -> list[str]:
+    return list(__all__)
