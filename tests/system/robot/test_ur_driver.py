@@ -7,15 +7,19 @@ from __future__ import annotations
 
 import os
 import signal
+import struct
+import subprocess
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from math import radians
+from typing import Any
 
 import pytest
 from coded_errors import raises
 from handmade_ur import HandmadeController
-from ur_clients import UrCell
+from ur_clients import OUTPUTS, UrCell
 from waiting import eventually
 
 from drivers.universal_robots import UniversalRobotsArm
@@ -52,6 +56,28 @@ FORCE_LIMIT_N = 15.0
 SKIN_MM = 0.5
 LIMIT_DEPTH_MM = 1.0 + SKIN_MM + FORCE_LIMIT_N / 40.0
 GUIDED_MM = 10.0
+
+MOVER = """
+import sys, threading
+from drivers.universal_robots import UniversalRobotsArm
+from ronna_hw.clock import HostClock
+from ronna_hw.config import DeviceConfig
+from ronna_hw.devices import JointMove
+
+endpoints = dict(zip(("rtde", "dashboard", "primary"), sys.argv[1:]))
+config = DeviceConfig(driver="universal_robots", endpoints=endpoints, options={"starve_limit_s": 0.1})
+arm = UniversalRobotsArm("robot.master", config, HostClock())
+arm.connect()
+arm.configure()
+arm.activate()
+start = arm.read_state().commanded_rad
+there = (start[0] + 1.0, *start[1:])
+threading.Thread(target=arm.move, args=(JointMove(there),), daemon=True).start()
+while not arm.read_state().joints_rad[0] > start[0] + 0.05:
+    pass
+print(arm.connections.open_link.process.pid, flush=True)
+sys.stdin.read()
+"""
 
 
 class Room:
@@ -214,6 +240,43 @@ def test_a_script_that_does_not_start_is_reported(room: Room) -> None:
         arm.activate(timeout_s=0.5)
     arm.close()
     deaf.close()
+
+
+@pytest.mark.slow
+@pytest.mark.hazard(30)
+@pytest.mark.timeout(180)
+@pytest.mark.parametrize("victim", ["program", "real-time process"])
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
+def test_an_arm_whose_program_or_link_is_killed_or_frozen_comes_to_rest_on_its_way(
+    victim: str, number: signal.Signals
+) -> None:
+    with ExitStack() as stack:
+        cell = UrCell(stack, number=1)
+        addresses = [cell.endpoints[role] for role in ROLES]
+        mover: Any = subprocess.Popen(
+            [sys.executable, "-c", MOVER, *addresses],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        link_pid = int(mover.stdout.readline())
+        watcher = cell.rtde()
+        watcher.ask("O", struct.pack(">d", 125.0) + OUTPUTS.encode())
+        watcher.ask("S")
+        os.kill(mover.pid if victim == "program" else link_pid, number)
+        eventually(_is_at_rest(watcher), 10.0)
+        assert 0.05 < watcher.state().target_rad[0] < 0.9
+        eventually(lambda: cell.dashboard("running") == "Program running: false", 10.0)
+        for pid in (mover.pid, link_pid):
+            try:
+                os.kill(pid, signal.SIGKILL)
+            except ProcessLookupError:
+                continue
+        mover.communicate()
+
+
+def _is_at_rest(watcher: Any) -> Callable[[], bool]:
+    return lambda: all(abs(speed) < 1e-6 for speed in watcher.state().speed_rad_s)
 
 
 @pytest.mark.slow

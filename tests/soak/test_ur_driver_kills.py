@@ -1,4 +1,4 @@
-"""Kills and freezes of the program or of its real-time process, at random moments of a motion.
+"""A hundred kills and freezes of the program or of its real-time process, at random moments of a motion.
 
 Times are the controller's, by its packages: a busy computer does not stretch them.
 """
@@ -25,8 +25,9 @@ from waiting import eventually
 from drivers.universal_robots.options import STOP_DECELERATION_RAD_S2
 from ronna_hw.wire.universal_robots import ScriptState
 
-pytestmark = pytest.mark.hazard(30)
+pytestmark = [pytest.mark.soak, pytest.mark.timeout(3600), pytest.mark.hazard(30)]
 
+KILLS = 25  # of each kind
 LONGEST_LIFE_S = 1.0  # host time from the first motion on
 STARVED_S = 0.024  # from the last set-point that the script used until it stops the arm by itself
 CYCLE_S = 0.002
@@ -175,26 +176,19 @@ def interrupt(
     return stopped.timestamp_s - now_s, ramp_s
 
 
-@pytest.mark.parametrize(
-    "kills",
-    [
-        pytest.param(2, marks=(pytest.mark.slow, pytest.mark.timeout(180))),
-        pytest.param(25, marks=(pytest.mark.soak, pytest.mark.timeout(3600))),
-    ],
-)
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP], ids=["killed", "frozen"])
 @pytest.mark.parametrize("victim", ["link", "program"])
 def test_an_arm_whose_program_or_link_ends_or_freezes_at_any_moment_comes_to_rest_and_stays(
-    cell: UrCell, watcher: Watcher, victim: str, number: signal.Signals, kills: int
+    cell: UrCell, watcher: Watcher, victim: str, number: signal.Signals
 ) -> None:
     chance = random.Random(f"{victim} {number}")
     limit_s = STARVED_S
     if victim == "program":
         limit_s = PATH_STOP_S + (HEARTBEAT_S if number == signal.SIGSTOP else 0.0)
     stops, ramps, tries = [], [], 0
-    while len(stops) < kills:
+    while len(stops) < KILLS:
         tries += 1
-        assert tries < 4 * kills, "the arm is hardly ever moving"
+        assert tries < 4 * KILLS, "the arm is hardly ever moving"
         found = interrupt(cell, watcher, chance, victim, number)
         if found is None:
             continue
@@ -202,5 +196,5 @@ def test_an_arm_whose_program_or_link_ends_or_freezes_at_any_moment_comes_to_res
         ramps.append(found[1])
         assert found[0] <= limit_s
         assert found[1] <= 4 * CYCLE_S, "longer than the script's own deceleration takes"
-    print(f"{victim} {number.name}: {kills} of {tries} tries, stop begun within {max(stops) * 1e3:.0f} ms, "
+    print(f"{victim} {number.name}: {KILLS} of {tries} tries, stop begun within {max(stops) * 1e3:.0f} ms, "
           f"at rest {max(ramps) * 1e3:.1f} ms after its ramp at most")  # fmt: skip
