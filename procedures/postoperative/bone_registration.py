@@ -122,9 +122,7 @@ def _build_level(volume: Volume, spacing_mm: float) -> _Level:
     for axis, (stride, voxel_mm) in enumerate(zip(strides, geometry.spacing_mm, strict=True)):
         if stride > 1:  # one axis at a time, subsampled at once: less to blur
             values = ndimage.gaussian_filter1d(values, 0.5 * spacing_mm / voxel_mm, axis=axis)
-            values = values[
-                tuple(slice(None, None, int(stride)) if k == axis else slice(None) for k in range(3))
-            ]
+            values = values[(slice(None),) * axis + (slice(None, None, int(stride)),)]
     thinned = VoxelGeometry(values.shape, geometry.origin_mm, geometry.axes, geometry.spacing_mm * strides)
     return _Level(values, thinned)
 

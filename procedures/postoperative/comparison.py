@@ -105,17 +105,14 @@ def compare_registered(
             expected=f"one along each of {len(chosen)}",
             got=f"found along {', '.join(found)}" if found else "none",
         )
-    if failures_by_name := {name: one.failures for name, one in found.items() if one.failures}:
+    if failed := [
+        f"{name} ({one.kind}: {'; '.join(one.failures)})" for name, one in found.items() if one.failures
+    ]:
         raise FIT_FAILED(
-            "no straight rod or round hole could be fitted to the object along "
-            + ", ".join(
-                f"{name} ({found[name].kind}: {'; '.join(problems)})"
-                for name, problems in failures_by_name.items()
-            )
+            f"no straight rod or round hole could be fitted to the object along {', '.join(failed)}"
         )
-    return PostoperativeComparison(
-        registration, tuple(_compare_trajectory(one, lines[one.id], found[one.id]) for one in chosen)
-    )
+    compared = (_compare_trajectory(one, lines[one.id], found[one.id]) for one in chosen)
+    return PostoperativeComparison(registration, tuple(compared))
 
 
 def require_series(plan: Plan, pre: Volume, post: Volume) -> None:
@@ -126,11 +123,8 @@ def require_series(plan: Plan, pre: Volume, post: Volume) -> None:
         return
     if plan.series_instance_uid == post.series_instance_uid:
         raise SERIES_SWAPPED("the plan was made on the second CT: the two are swapped")
-    raise WRONG_SERIES(
-        "the plan belongs to another CT series",
-        expected=plan.series_instance_uid,
-        got=pre.series_instance_uid,
-    )
+    words = "the plan belongs to another CT series"
+    raise WRONG_SERIES(words, expected=plan.series_instance_uid, got=pre.series_instance_uid)
 
 
 def _candidates(
@@ -139,7 +133,6 @@ def _candidates(
     """Find rods and holes near a planned trajectory, in planning CT coordinates."""
     pose = registration.post_from_pre
     back = pose.inv()
-
     kinds = (
         (FoundKind.INSTRUMENT, find_rods(pre, post, line, pose), USUAL_ROD),
         (FoundKind.DRILL_HOLE, find_holes(pre, post, line, pose), USUAL_HOLE),
@@ -149,7 +142,7 @@ def _candidates(
             kind,
             back.apply(one.point_mm),
             -back.rotation.apply(one.outwards),
-            usual.failures(one.quality),
+            one.quality.failures,
             usual.doubts(one.quality),
         )
         for kind, found, usual in kinds
@@ -162,14 +155,16 @@ def _compare_trajectory(
 ) -> FoundTrajectory:
     """Measure the deviation of an instrument or hole from its planned trajectory."""
     along, point_mm, inwards = line.inwards, found.point_mm, found.inwards
-    entry = point_mm + inwards * (float((line.entry_mm - point_mm) @ along) / float(inwards @ along))
-    at_target = point_mm
-    if found.kind is FoundKind.DRILL_HOLE:
-        at_target = point_mm + inwards * (float((line.target_mm - point_mm) @ along) / float(inwards @ along))
+    entry, at_target = (
+        point_mm + inwards * (float((place - point_mm) @ along) / float(inwards @ along))
+        for place in (line.entry_mm, line.target_mm)
+    )
+    has_tip = found.kind is FoundKind.INSTRUMENT
+    if has_tip:
+        at_target = point_mm
     off = at_target - line.target_mm
     lateral_mm, depth_mm = split_along(off, along)
     angle_rad = np.arctan2(np.linalg.norm(np.cross(inwards, along)), inwards @ along)
-    has_tip = found.kind is FoundKind.INSTRUMENT
     return FoundTrajectory(
         id=planned.id,
         kind=found.kind,

@@ -79,11 +79,9 @@ def _fit_hole(
     local, values = select_voxels(post, coarse, (-BEFORE_MM, BEFORE_MM), AROUND_MM)
     before = sample_bone_spline(pre, back.apply(coarse.to_patient_mm(local)))
     bone = before > BONE_HU
-    local, before = local[bone], before[bone]
-    after = np.clip(values[bone], SOFT_HU, COMPACT_HU)
-    scanned = np.isfinite(after)
-    is_whole = bool(scanned.all())
-    local, before, after = local[scanned], before[scanned], after[scanned]
+    scanned = bone & np.isfinite(values)
+    is_whole = bool(scanned[bone].all())
+    local, before, after = local[scanned], before[scanned], np.clip(values[scanned], SOFT_HU, COMPACT_HU)
 
     def residuals(unknown: Array) -> Array:
         u0, v0, du, dv, radius_mm, fluid, spread_mm = unknown
