@@ -253,10 +253,7 @@ class BallVoxels:
     def _find_minimum(self, start: Array, ball: Array) -> Array | None:
         background = self.background[:, : len(start) - BALL]
         settled = minimise(
-            lambda unknowns: intensities(self.points_mm, unknowns, background),
-            self.values,
-            start,
-            _clip_blur,
+            lambda unknowns: intensities(self.points_mm, unknowns, background), self.values, start, _clip_blur
         )
         if settled is None or np.linalg.norm(settled[:3] - ball[:3]) > self.farthest_mm:
             return None

@@ -25,10 +25,13 @@ from procedures.imaging.sphere_centre.ball_model import (
     SLOPE,
     SXY,
     SZ,
+    TERMS,
     BallVoxels,
     Stretch,
+    add_stretch_derivatives,
     guess_ball,
     mark_directions,
+    products,
     select_ball_voxels,
 )
 from procedures.imaging.sphere_centre.correlated_noise import (
@@ -39,11 +42,11 @@ from procedures.imaging.sphere_centre.correlated_noise import (
 )
 from procedures.imaging.sphere_centre.radial_edge import RadialEdge
 from procedures.imaging.sphere_centre.streak_prior import BENT, StreakPrior
-from procedures.imaging.sphere_centre.whitened_stretch import measure_stretch
 from procedures.imaging.volume import Region
 from ronna_hw.arrays import Array
 
-HIDDEN_DEGREES = (5,)  # even terms do not move the centre of a ball
+HIDDEN_DEGREES = (5,)  # of streaks: even terms do not move the centre of a ball ...
+STRETCH_HIDDEN_DEGREES = (4,)  # ... and odd ones do not stretch it
 
 EDGE = [0, 1, 2, IN, SZ, SXY, RADIUS]  # parameters of the ball's edge; the others are smooth where voxels end
 # Share of the variance: no frequency counts as less noisy than this, since no window measures and no model
@@ -177,3 +180,28 @@ def fit_whitened(voxels: BallVoxels, start: Array, *, most_streak_hu: float = np
     covariance_mm2 = step.covariance[:3, :3] + by_streaks + MIN_VARIANCE_MM2 * np.eye(3)
     stretch = measure_stretch(voxels, settled, noise, step, prior)
     return WhitenedBall(settled, covariance_mm2, prior.streak_hu, stretch)
+
+
+def measure_stretch(
+    voxels: BallVoxels, unknowns: Array, noise: CorrelatedNoise, step: WhitenedStep, streaks: StreakPrior
+) -> Stretch:
+    """Measure the stretch at the parameters (m,) that a whitened fit has settled on, in its last `step`.
+
+    Blur sets the width of an edge and stretch its place, so both blurs stay free beside the stretch, as do
+    the radius (a film moves the edge alike on all sides) and the background. Noise is weighted by its
+    measured spectrum, streaks by the prior of the ball's own fit.
+    """
+    derivatives, pull, weights = voxels.evaluate(unknowns)
+    derivatives *= weights[:, None]
+    derivatives = add_stretch_derivatives(voxels.points_mm, unknowns, derivatives)
+    filtered = noise.grid.values(noise.grid.spectra(derivatives[:, -TERMS:]) / noise.power)
+    instruments = np.column_stack((step.instruments, filtered))
+    response = voxels.growth(weights) * products(instruments, derivatives)
+    stiffness = np.append(step.stiffness, np.zeros(TERMS))
+    answer = np.asarray(np.linalg.pinv(response + np.diag(stiffness))[-TERMS:])
+    found = answer @ (instruments.T @ pull - stiffness * np.append(unknowns, np.zeros(TERMS)))
+    influence = np.asarray(instruments @ answer.T)
+    spectra = noise.grid.spectra(influence)
+    covariance = noise.grid.products(spectra, spectra, noise.power)
+    covariance += streaks.covariance_mm2(answer, influence, weights, voxels.places, STRETCH_HIDDEN_DEGREES)
+    return Stretch(found, covariance, float(unknowns[SZ]))

@@ -171,12 +171,7 @@ class WhitenedStep:
 
     @classmethod
     def from_fit(
-        cls,
-        noise: CorrelatedNoise,
-        derivatives: Array,
-        spectra: Spectrum,
-        growth: float,
-        smooth: Mask,
+        cls, noise: CorrelatedNoise, derivatives: Array, spectra: Spectrum, growth: float, smooth: Mask
     ) -> Self:
         """Set up the equations from weighted derivatives (n, m) at a robust fit, without shrinkage.
 

@@ -64,12 +64,7 @@ class StreakPrior:
         return shrinkage
 
     def covariance_mm2(
-        self,
-        answer: Array,
-        influence: Array,
-        weights: Array,
-        places: Array,
-        hidden_degrees: tuple[int, ...],
+        self, answer: Array, influence: Array, weights: Array, places: Array, hidden_degrees: tuple[int, ...]
     ) -> Array:
         """Return the covariance (k, k) of k parameters due to streaks, through shrunk and unmodelled terms.
 

@@ -8,7 +8,7 @@ import pytest
 from procedures.engine.methods import CaseMethods
 from procedures.registration.correspondence import Match, MatchStatus
 from procedures.registration.errors import BadParameter
-from procedures.registration.thesis_matching import match_as_thesis
+from procedures.registration.similarity_matrix import match_as_thesis
 from procedures.registration.thesis_settings import (
     E_RANGE_MM,
     REFUSED_SHARE,
