@@ -115,8 +115,11 @@ def cameras_of(calibration: StereoHeadCalibration) -> Cameras:
 
 def adjust_cameras(cameras: Cameras, increments: Array) -> Cameras:
     """Add increments (20,) to the parameters of the left and of the right camera."""
-    left, right = np.split(increments, 2)
-    return cameras[0].with_increments(left), cameras[1].with_increments(right)
+    left, right = cameras
+    return (
+        left.with_increments(increments[:CAMERA_PARAMETERS]),
+        right.with_increments(increments[CAMERA_PARAMETERS:]),
+    )
 
 
 def intersect_rays(cameras: Cameras, left_px: Array, right_px: Array) -> tuple[Array, Array]:

@@ -136,9 +136,8 @@ def _judge_region(
     place, is_crossed = _first_fall(profiles, shares, levels_hu)
     opens = informative & is_crossed
     covered = informative & ~is_crossed
-    border_hu = _median_around(
-        np.subtract(*_levels_hu(profiles, shares, STEP_INSIDE, STEP_OUTSIDE)), informative
-    )
+    fall_hu = np.subtract(*_levels_hu(profiles, shares, STEP_INSIDE, STEP_OUTSIDE))
+    border_hu = _median_around(fall_hu, informative)
     early_hu = 0.0
     if covered.sum() > NEIGHBOURS:  # more than a post
         middle, before = _levels_hu(profiles, shares, MIDDLE, BEFORE_SURFACE)
@@ -256,12 +255,12 @@ def assess_neighbours(
     row_members = _find_rows(offsets, distances, diameter_mm)
     doubts: list[tuple[MarkerDoubt, ...]] = []
     for number in range(len(centres_mm)):
-        found = []
-        if distances[number].min(initial=np.inf) < OVERLAP * diameter_mm:
-            found.append(MarkerDoubt("overlaps another body of its size", CERTAIN))
-        if number in row_members:
-            found.append(MarkerDoubt("is one of a row", CERTAIN))
-        doubts.append(tuple(found))
+        raised = {
+            "overlaps another body of its size": distances[number].min(initial=np.inf)
+            < OVERLAP * diameter_mm,
+            "is one of a row": number in row_members,
+        }
+        doubts.append(tuple(MarkerDoubt(words, CERTAIN) for words, is_raised in raised.items() if is_raised))
     return doubts
 
 

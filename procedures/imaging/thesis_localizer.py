@@ -99,9 +99,8 @@ def localize_as_thesis(
         )
         for pair in pair_clusters(axial, sagittal):
             centre_mm, marker, reason = _build_marker(volume, pair, fit, radius_mm)
-            if marker is not None and any(
-                np.linalg.norm(centre_mm - one) < diameter_mm for one in accepted_mm
-            ):
+            overlaps = any(np.linalg.norm(centre_mm - one) < diameter_mm for one in accepted_mm)
+            if marker is not None and overlaps:
                 marker, reason = None, "overlaps a marker that was already found"
             candidates.append(Candidate(volume.patient_mm(centre_mm), marker is not None, reason, 0.0))
             if marker is not None:
@@ -167,11 +166,9 @@ def find_regions(volume: Volume) -> list[Box]:
         extent_mm = [(part.stop - part.start) * step for part, step in zip(parts, step_mm, strict=True)]
         if sizes[number] < REGION_VOLUME_MM3 or max(extent_mm) > REGION_EXTENT_MM:
             continue
-        low = [part.start * k - a for part, k, a in zip(parts, skip, around, strict=True)]
-        high = [part.stop * k + a for part, k, a in zip(parts, skip, around, strict=True)]
         z, y, x = (
-            slice(max(int(a), 0), min(int(b), n))
-            for a, b, n in zip(low, high, volume.voxels.shape, strict=True)
+            slice(max(int(part.start * step - room), 0), min(int(part.stop * step + room), size))
+            for part, step, room, size in zip(parts, skip, around, volume.voxels.shape, strict=True)
         )
         boxes.append((z, y, x))
     return boxes

@@ -101,9 +101,8 @@ def _fit_coarse_line(line: PlannedLine, places: Array) -> PlannedLine:
 def _fit_rod(volume: Volume, coarse: PlannedLine) -> FittedAxis:
     """Fit a blurred rod to the voxels, starting from a coarse line that ends at the tip."""
     outside_mm = min(FITTED_LENGTH_MM, coarse.length_mm)
-    local, values = select_voxels(
-        volume, coarse, (coarse.length_mm - outside_mm, coarse.length_mm + BEYOND_TIP_MM), AROUND_MM
-    )
+    between_mm = coarse.length_mm - outside_mm, coarse.length_mm + BEYOND_TIP_MM
+    local, values = select_voxels(volume, coarse, between_mm, AROUND_MM)
     local[:, 0] -= coarse.length_mm  # from the coarse tip, inwards
     scanned = np.isfinite(values)
     is_whole = bool(scanned[local[:, 0] > 0.0].all())  # no tip is where only the scan ends

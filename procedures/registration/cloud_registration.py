@@ -20,12 +20,11 @@ from procedures.registration.correspondence import turn_rad
 from procedures.registration.errors import (
     NOT_CONVERGED,
     SYMMETRIC_CLOUD,
-    TOO_FEW_POINTS,
     UNSOUND_REGISTRATION,
     BadParameter,
     CollinearPoints,
 )
-from procedures.registration.points import FEWEST_PAIRS, validate_points, validate_transform
+from procedures.registration.points import FEWEST_PAIRS, require_enough, validate_points, validate_transform
 from procedures.registration.rigid_fit import as_transform, fit_rigid
 from ronna_hw.arrays import Array
 from ronna_hw.frames import Transform
@@ -159,8 +158,7 @@ def principal_axes(points: Array, name: str) -> Array:
 
 def _validate_cloud(points_mm: ArrayLike, name: str) -> Array:
     points = validate_points(points_mm, name)
-    if len(points) < FEWEST_PAIRS:
-        raise TOO_FEW_POINTS(f"{len(points)} {name} point(s) given", expected=f"at least {FEWEST_PAIRS}")
+    require_enough(points, f"{name} point(s)")
     spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
     if spread[1] <= LINE_RATIO * spread[0]:
         raise CollinearPoints(f"the {name} cloud is a line")

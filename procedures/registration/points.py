@@ -36,11 +36,8 @@ def validate_points(points_mm: ArrayLike, name: str) -> Array:
         raise BAD_POINTS(f"the {name} points are not finite in row(s) {rows}")
     farthest_mm = float(np.abs(values).max(initial=0.0))
     if farthest_mm > COORDINATE_LIMIT_MM:
-        raise BAD_POINTS(
-            f"the {name} points are farther away than any theatre is wide",
-            limit=f"{COORDINATE_LIMIT_MM:g} mm",
-            got=f"{farthest_mm:g} mm",
-        )
+        words = f"the {name} points are farther away than any theatre is wide"
+        raise BAD_POINTS(words, limit=f"{COORDINATE_LIMIT_MM:g} mm", got=f"{farthest_mm:g} mm")
     return values
 
 
@@ -101,9 +98,8 @@ def validate_pairs(image_mm: ArrayLike, physical_mm: ArrayLike) -> tuple[Array, 
 def require_enough(points: Array, name: str, action: str | None = None) -> None:
     """Raise REG-002 for fewer points than determine a rigid transform."""
     if len(points) < FEWEST_PAIRS:
-        raise TOO_FEW_POINTS(
-            f"{len(points)} {name} given", expected=f"at least {FEWEST_PAIRS}", action=action
-        )
+        words = f"{len(points)} {name} given"
+        raise TOO_FEW_POINTS(words, expected=f"at least {FEWEST_PAIRS}", action=action)
 
 
 def refuse_duplicates(points: Array, name: str) -> None:

@@ -210,11 +210,11 @@ def _refuse_shear(slices: tuple[SliceHeader, ...], positions_mm: Array, normal: 
     drift = sideways[-1] / along_mm[-1]
     size = float(np.linalg.norm(drift))
     if size > SHEAR_LIMIT and np.linalg.norm(sideways[-1]) > POSITION_TOLERANCE_MM:
+        limit_deg = math.degrees(SHEAR_LIMIT)
         raise GANTRY_TILTED(
             "the slices are not stacked along their normal",
-            limit=f"{np.degrees(SHEAR_LIMIT):.2f} degrees",
-            got=format_against_limit(math.degrees(np.arctan(size)), math.degrees(SHEAR_LIMIT), 2)
-            + " degrees",
+            limit=f"{limit_deg:.2f} degrees",
+            got=f"{format_against_limit(math.degrees(np.arctan(size)), limit_deg, 2)} degrees",
         )
     deviation_mm = np.linalg.norm(sideways - np.outer(along_mm, drift), axis=1)
     worst = int(np.argmax(deviation_mm))
