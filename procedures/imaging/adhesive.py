@@ -20,6 +20,7 @@ from procedures.imaging.volume import AIR_HU, Volume
 from ronna_hw.adhesive_marker import INNER_RADIUS_MM, OUTER_RADIUS_MM, THICKNESS_MM
 from ronna_hw.arrays import Array, Mask
 from ronna_hw.frames import perpendicular_axes
+from ronna_hw.robust_scale import robust_sigma
 from ronna_hw.vectors import vector3
 
 COARSE_MM = 1.0
@@ -211,7 +212,8 @@ def _fit_robustly(design: Array, measured_mm: Array) -> _RobustFit | None:
             return None
         solution, *_ = np.linalg.lstsq(design[kept], measured_mm[kept], rcond=None)
         rest = measured_mm - design @ solution
-        kept = np.isfinite(rest) & (np.abs(rest) <= OUTLIER * _robust_sd(rest[kept]))
+        sd_mm = max(robust_sigma(rest[kept] - np.median(rest[kept])), 0.5 * STEP_MM)
+        kept = np.isfinite(rest) & (np.abs(rest) <= OUTLIER * sd_mm)
     return _RobustFit(
         np.asarray(solution, dtype=float),
         float(np.mean(rest[kept] ** 2)),
@@ -238,10 +240,6 @@ def _fit_rim(
     independent = min(1.0, 2.0 * np.pi * abs(radius_mm) / ANGLES / CORRELATED_MM)
     per_axis = 0.5 * float(fit.inverse_normal[0, 0] + fit.inverse_normal[1, 1])
     return _Rim(fit.solution[:2], radius_mm, fit.scatter_mm2 / independent * per_axis)
-
-
-def _robust_sd(rest: Array) -> float:
-    return max(1.4826 * float(np.median(np.abs(rest - np.median(rest)))), 0.5 * STEP_MM)
 
 
 def _first_edges(volume: Volume, starts: Array, along: Array, distances: Array, *, rising: bool) -> Array:

@@ -88,7 +88,8 @@ def combine_spheres(
     measured = [one for one in stretches if one is not None]
     if not measured:
         return None
-    turned = _terms_in_patient(geometry)
+    units = [geometry.covariance_to_patient(stretch_matrix(one)) for one in np.eye(TERMS)]
+    turned = np.array([one[SYMMETRIC][TRACELESS] for one in units]).T  # terms to LL, PP, LP, LS and PS
     found = np.array([one.coefficients_mm for one in measured]) / radius_mm
     weights = np.linalg.inv(
         np.array([one.covariance_mm2 for one in measured]) / radius_mm**2 + FIT**2 * ALIKE
@@ -112,12 +113,6 @@ def combine_spheres(
         chi_square=float(mean @ np.linalg.solve(covariance, mean)),
         limit=float(chdtri(TERMS, FALSE_ALARMS)),
     )
-
-
-def _terms_in_patient(geometry: VoxelGeometry) -> Array:
-    """Return the matrix (5, 5) from the terms of a stretch along the grid to LL, PP, LP, LS and PS."""
-    columns = [geometry.covariance_to_patient(stretch_matrix(one)) for one in np.eye(TERMS)]
-    return np.array([one[SYMMETRIC][TRACELESS] for one in columns]).T
 
 
 def open_strains(measured: ScanDeformation | None) -> Array:

@@ -191,13 +191,10 @@ def _plan_visit(
         yield Motion(HOME, name, onwards, around)
     onto = AXIAL_SPEED_FRACTION if reached.visit.name.kind is PoseKind.TARGET else 1.0
     yield Motion(name, name, reached.line, around, speed_fraction=onto)
-    yield Motion(name, name, _reverse(setting, reached.line), around, is_cleared=True, is_retrace=True)
-
-
-def _reverse(setting: ArmSetting, line: MotionPlan) -> MotionPlan:
-    """Reverse a line, keeping its poses and speed limits."""
-    start_pose = setting.kinematics.forward(line.start_rad)
-    return replace(line, start_rad=line.target_rad, target_rad=line.start_rad, target=start_pose)
+    begin_rad, end_rad = reached.line.start_rad, reached.line.target_rad
+    start_pose = kinematics.forward(begin_rad)
+    back = replace(reached.line, start_rad=end_rad, target_rad=begin_rad, target=start_pose)
+    yield Motion(name, name, back, around, is_cleared=True, is_retrace=True)
 
 
 def _plan_homing(

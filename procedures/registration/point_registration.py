@@ -96,7 +96,16 @@ class Registration:
         None if the others do not determine a transform. Raises REG-006 if their fit does not converge. Costs
         as many fits as there are pairs, when it is first read.
         """
-        return _leave_one_out(self.image_mm, self.physical_mm, self.covariance_mm2)
+        image, physical, covariance = self.image_mm, self.physical_mm, self.covariance_mm2
+        distances: list[float | None] = [None] * self.pairs
+        for index in range(self.pairs) if self.pairs > FEWEST_PAIRS else ():
+            keep = np.arange(self.pairs) != index
+            kept = None if covariance is None else covariance[keep]
+            with suppress(CollinearPoints):
+                rotation, translation, _ = _fit(image[keep], physical[keep], kept)
+                apart = physical[index] - rotation @ image[index] - translation
+                distances[index] = float(np.linalg.norm(apart))
+        return tuple(distances)
 
     @property
     def fle_mm(self) -> float:
@@ -233,17 +242,3 @@ def _fit(image: Array, physical: Array, covariance: Array | None) -> tuple[Array
     if covariance is not None:
         rotation, translation = fit_weighted(image, physical, covariance, rotation, translation)
     return rotation, translation, tuple(caveats)
-
-
-def _leave_one_out(image: Array, physical: Array, covariance: Array | None) -> tuple[float | None, ...]:
-    """Return the distance of each measured position from where the other pairs predict it, mm."""
-    distances: list[float | None] = [None] * len(image)
-    for index in range(len(image)) if len(image) > FEWEST_PAIRS else ():
-        keep = np.arange(len(image)) != index
-        with suppress(CollinearPoints):
-            rotation, translation, _ = _fit(
-                image[keep], physical[keep], None if covariance is None else covariance[keep]
-            )
-            apart = physical[index] - rotation @ image[index] - translation
-            distances[index] = float(np.linalg.norm(apart))
-    return tuple(distances)
