@@ -71,7 +71,6 @@ class ArmLooks(Measurements):
 
     RECORDS: ClassVar = {"stereo_head": "stereo_head", "tool_tip": "tool_tip"}
 
-    schema_version: Literal[1] = Field(default=1, alias="schema", description="Version of the file format.")
     arm: ArmName = Field(description="Name of the arm's kinematic model.")
     arm_serial: str = Field(default="", description="Its serial number, if its controller reports one.")
     serials: tuple[str, str] = Field(description="Serial numbers of the left and the right camera.")

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from datetime import timedelta
 from enum import StrEnum
 from itertools import combinations
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, ClassVar
 
 import numpy as np
 from pydantic import Field
@@ -82,7 +82,6 @@ class FrameLooks(Measurements):
 
     RECORDS: ClassVar = {"stereo_head": "stereo_head", "tracker_frame": "start", "arm": "arm_record"}
 
-    schema_version: Literal[1] = Field(default=1, alias="schema", description="Version of the file format.")
     arm: str = Field(description="Name of the arm's kinematic model.")
     stereo_head: StereoHeadCalibration = Field(description="The record of the head on the same mount.")
     start: TrackerFrameCalibration = Field(description="The record in use, or the drawing.")

@@ -38,6 +38,7 @@ class Measurements(Strict):
     RECORDS: ClassVar[Mapping[str, str]]  # names in the theatre file -> fields with the records in use
 
     created: datetime = Field(description="When it was measured.")
+    schema_version: Literal[1] = Field(default=1, alias="schema", description="Version of the file format.")
 
     @property
     def records(self) -> Mapping[str, Dated | None]:
@@ -146,7 +147,6 @@ class ObservationSet(Measurements):
 
     RECORDS: ClassVar = {"stereo_head": "start", "tool_tip": "tool_tip"}
 
-    schema_version: Literal[1] = Field(default=1, alias="schema", description="Version of the file format.")
     serials: tuple[str, str] = Field(description="Serial numbers of the left and the right camera.")
     arm_variant: str = Field(description="Name of the arm's kinematic model.")
     start: StereoHeadCalibration = Field(description="The record in use at the time.")

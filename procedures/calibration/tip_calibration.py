@@ -17,7 +17,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import timedelta
-from typing import ClassVar, Literal
+from typing import ClassVar
 
 import numpy as np
 from pydantic import Field
@@ -90,7 +90,6 @@ class TipLooks(Measurements):
 
     RECORDS: ClassVar = {"stereo_head": "stereo_head", "tool_tip": "start", "arm": "arm_record"}
 
-    schema_version: Literal[1] = Field(default=1, alias="schema", description="Version of the file format.")
     arm: str = Field(description="Name of the arm's kinematic model.")
     stereo_head: StereoHeadCalibration = Field(description="The record of the head in use.")
     start: ToolTipCalibration = Field(description="The record of the tip in use, or the drawing.")
