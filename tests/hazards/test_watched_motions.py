@@ -107,7 +107,7 @@ def test_a_moved_cart_that_no_second_look_confirms_is_named_and_leaves_the_way_h
 
     on_the_way(cell, wheel_away)
     monkeypatch.setattr(motion_watch, "read_watched", silent)
-    with pytest.raises(BaseShifted, match=r"has moved during.*limit 10 mm"):
+    with pytest.raises(BaseShifted, match=r"has moved during.*limit 18\.4 mm"):
         positioned(engine)
     assert engine.setting.memory.find(RoomWatch) is None
     engine.retreat_home()
