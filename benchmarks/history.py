@@ -61,7 +61,6 @@ class Point:
         return self.value / earlier.value - 1.0
 
     def is_loss(self, change: float | None) -> bool:
-        """Return whether a change of this figure is a loss of 10 % or more."""
         if change is None or self.more_is_better is None:
             return False
         return round(-change if self.more_is_better else change, DIGITS) >= LOSS

@@ -15,16 +15,8 @@ from benchmarks.figures import Figure, compare_samples, measure_cpu_s
 from procedures.planning.plan_check import LEAST_SIDE_DIFFERENCE_MM, least_side_difference_mm
 from procedures.registration import MatchStatus, match, register
 from studies.campaign.study import add_up
-from studies.correspondence.study import (
-    FALSE,
-    LOST,
-    PART,
-    SUCCESS,
-    CorrespondenceStudy,
-    StudiedMatching,
-    pair_points,
-    verdict,
-)
+from studies.correspondence.outcomes import FALSE, LOST, PART, SUCCESS, outcome_of, pair_set
+from studies.correspondence.study import CorrespondenceStudy, StudiedMatching, pair_points
 from studies.heads import IMAGE_SIGMA_MM, PHYSICAL_SIGMA_MM, NoiseReading, draw_readings, sites_mm
 from studies.registration import ISOTROPIC, RegistrationStudy, tables
 
@@ -211,8 +203,7 @@ def _measure_sides_apart(count: int) -> list[Figure]:
                 continue
             runs += 1
             found = pair_points(triangle, seen.physical_mm[0], noise)
-            right = frozenset((i, j) for i, j in seen.pairs[0].tolist())
-            failed += verdict(found.status, found.pairs, right) != SUCCESS
+            failed += outcome_of(found, pair_set(seen.pairs[0])) != SUCCESS
         what = f"not found, 3 markers, sides {LEAST_SIDE_DIFFERENCE_MM:g} mm apart, {noise.value}"
         figure = Figure(what, MATCH, 100.0 * failed / runs, "%", more={"runs": runs})
         figures.append(figure.at_most(SIDES_APART_PERCENT))

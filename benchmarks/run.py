@@ -69,7 +69,6 @@ app = typer.Typer(add_completion=False, rich_markup_mode=None)
 
 
 def require_measurements(names: Sequence[str]) -> None:
-    """Raise typer.BadParameter for a name that is no measurement."""
     if unknown := [name for name in names if name not in MEASUREMENTS]:
         raise typer.BadParameter(
             f"unknown measurement {', '.join(unknown)}; expected one of {', '.join(MEASUREMENTS)}"

@@ -140,7 +140,6 @@ class Suite(CaseList):
         return Suite(self.kind, self.driver, motions=self.motions, cases=cases)
 
     def list_moving_cases(self) -> list[str]:
-        """List the numbers of the cases that move the device."""
         return [case.number for case in self.cases if MOTION in case.needs]
 
     def only(self, prefixes: Sequence[str]) -> Suite:

@@ -115,7 +115,6 @@ def _print_report(report: Report) -> None:
 
 
 def main() -> None:
-    """Run the console script."""
     run(app)
 
 

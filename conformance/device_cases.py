@@ -62,7 +62,6 @@ def check_early_calls(dut: DeviceUnderTest, disconnected: Sequence[str], connect
 
 
 def check_closing(device: Device, limit_s: float) -> None:
-    """Check that closing finishes in time, is final, and may be repeated."""
     with ends_within(limit_s):
         device.close()
     check(device.state is Lifecycle.CLOSED, "state closed", device.state)
@@ -100,7 +99,6 @@ def check_connect_nowhere(dut: DeviceUnderTest, limit_s: float) -> None:
 
 
 def check_unknown_option(dut: DeviceUnderTest) -> None:
-    """Check that the constructor refuses an unknown option."""
     options = {**dut.config.options, "no_such_option": 1}
     refused(lambda: dut.make(options=options), ConfigurationError, "an unknown option")
 

@@ -71,7 +71,6 @@ class DisturbedLine(LineThread):
 
     @property
     def endpoint(self) -> str:
-        """Endpoint to which the driver connects."""
         return f"tcp://127.0.0.1:{self._server.getsockname()[1]}"
 
     def flip_next(self) -> None:

@@ -44,7 +44,6 @@ class Report:
     confirmed_by: str = ""  # the person who stood by while the device was moved
 
     def count(self, outcome: CaseOutcome) -> int:
-        """Count the cases with this outcome."""
         return sum(result.outcome is outcome for result in self.results)
 
     @property

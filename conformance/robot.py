@@ -73,18 +73,15 @@ def turn_last_axis(joints_rad: JointVector, by_rad: float) -> JointVector:
 
 
 def active_arm(dut: DeviceUnderTest) -> tuple[Any, JointVector]:
-    """Return the shared arm in state ACTIVE, with its commanded joint angles."""
     arm = dut.at(Lifecycle.ACTIVE)
     return arm, arm.read_state().commanded_rad
 
 
 def axis_distance_rad(a: JointVector, b: JointVector) -> float:
-    """Return the largest difference over all axes, rad."""
     return max(abs(x - y) for x, y in zip(a, b, strict=True))
 
 
 def check_standstill(reading: ArmReading, joints_rad: JointVector) -> None:
-    """Raise Nonconformity unless the arm has stayed at these joint angles."""
     moved = axis_distance_rad(reading.joints_rad, joints_rad)
     check(moved < STANDS_STILL_RAD, "an arm at standstill", f"{degrees(moved):.5f} deg")
 

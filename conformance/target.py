@@ -80,7 +80,6 @@ class HasConformanceOptions(Protocol):
 
 
 def load_suite(kind: str) -> Suite:
-    """Load the generic suite for a kind of device: tracker, robot or stereo."""
     suite: Suite = importlib.import_module(f"conformance.{kind}").SUITE
     return suite
 

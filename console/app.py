@@ -40,6 +40,7 @@ from ronna_hw.errors import RonnaError
 
 LONGEST_LINE = 1 << 22  # bytes; a question with its tables takes some thousand, an image some 100,000
 PAIR, IDENTITY = b'{"pair":"', b'{"identity":'
+ASKED = {"question", "topic", "subject", "value", "answers", "read_back", "reads"}  # of a question, as state
 AFTER_CLOSED_S = 2.0  # host time for which pages show the end of a case
 AFTER_LOST_S = 60.0  # host time for which the last state of a case that broke off stays visible
 Work = Callable[[], Coroutine[Any, Any, None]]
@@ -194,8 +195,6 @@ def _handle_line(hub: Hub, line: bytes) -> None:
 
 
 def add_order_routes(app: Any, hub: Hub) -> None:
-    """Add the `/state` and `/orders` routes to a Starlette application."""
-
     async def state(_request: Request) -> JSONResponse:
         return JSONResponse(_state_document(hub))
 
@@ -227,18 +226,8 @@ def _state_document(hub: Hub) -> dict[str, Any]:
         "upcoming": view.upcoming,
         "steps": {row.step: row.state for row in view.steps},
         "seat": view.seat.holder if view.seat else "",
-        "question": None
-        if question is None
-        else {
-            "question": question.question,
-            "topic": question.topic,
-            "subject": question.subject,
-            "value": question.value,
-            "answers": question.answers,
-            "read_back": question.read_back,
-            "reads": question.reads,
-            "shown": digest_of_question(question),
-        },
+        "question": question
+        and {**question.model_dump(include=ASKED), "shown": digest_of_question(question)},
         "frozen": hub.frozen,
         "outcome": view.outcome,
     }

@@ -19,11 +19,9 @@ class ChangeNotifier:
         return event
 
     def unsubscribe(self, event: asyncio.Event) -> None:
-        """Remove a subscriber's event."""
         self._waiting.discard(event)
 
     def notify(self) -> None:
-        """Wake all subscribers."""
         for event in self._waiting:
             event.set()
 

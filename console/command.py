@@ -39,7 +39,6 @@ def review(
 
 
 def main() -> None:
-    """Entry point of the console script."""
     run(app)
 
 

@@ -114,7 +114,6 @@ class Sessions:
         return self._pages[role].allows(self.now_s())
 
     def find(self, cookie: str | None) -> Session | None:
-        """Return the session with this cookie, or None if there is none."""
         return None if cookie is None else self._sessions.get(cookie)
 
 
@@ -271,7 +270,6 @@ def _read_headers(scope: Scope) -> dict[str, str]:
 
 
 def _head_bytes(scope: Scope) -> int:
-    """Return the size in bytes of request line and headers, without separators."""
     line = len(scope.get("raw_path") or b"") + len(scope["query_string"])
     return line + sum(len(name) + len(value) for name, value in scope["headers"])
 

@@ -57,7 +57,6 @@ class Hub(ChangeNotifier):
     # State
 
     def take(self, event: Event) -> None:
-        """Apply an event to the view."""
         match event.what:
             case Pose(arm=device) | DeviceAge(device=device):
                 self._seen_s[device] = self._now_s()
@@ -117,12 +116,10 @@ class Hub(ChangeNotifier):
         return replace(view, outcome=self.ending.word, ending=self.ending.sentence)
 
     def take_ending(self, ending: Ending) -> None:
-        """Note how the case ended, as its folder tells."""
         self.ending = ending
         self.notify()
 
     def note_heartbeat(self) -> None:
-        """Record that the engine is alive."""
         self._heard_s = self._now_s()
 
     @property
@@ -161,7 +158,6 @@ class Hub(ChangeNotifier):
         return ""
 
     def end(self) -> None:
-        """Note that the engine has ended."""
         self.has_ended = True
         for reply in self._replies.values():
             if not reply.done():
@@ -174,7 +170,6 @@ class Hub(ChangeNotifier):
         self.notify()
 
     def take_pair(self, picture: bytes) -> None:
-        """Store the stereo head's latest images."""
         self.pair, self._paired_s = picture, self._now_s()
         self.pairs += 1
         self.notify()
@@ -193,7 +188,6 @@ class Hub(ChangeNotifier):
         self.note_heartbeat()
 
     def reply(self, reply: OrderReply) -> None:
-        """Handle the engine's reply to an order."""
         waiting = self._replies.pop(reply.nonce, None)
         if waiting is not None and not waiting.done():
             waiting.set_result(reply.refused)
@@ -229,5 +223,4 @@ class Hub(ChangeNotifier):
 
 
 def new_nonce() -> str:
-    """Create a nonce for an order."""
     return secrets.token_urlsafe(12)

@@ -156,7 +156,6 @@ class Connection(H11Protocol):
         super().on_response_complete()
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Cancel all timers."""
         self._stop_waiting()
         super().connection_lost(exc)
 

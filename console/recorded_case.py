@@ -20,7 +20,6 @@ class RecordedCase:
         self.is_over = False  # the writer is gone
 
     def extend(self, events: Iterable[Event]) -> None:
-        """Append events."""
         for event in events:
             self._events.append(event)
             self.latest = fold(self.latest, event)

@@ -1,7 +1,4 @@
-"""Calibration records of the theatre file: values, stated error, date and expiry.
-
-Plain numbers. Poses are a translation (mm) and a scalar-first quaternion.
-"""
+"""Calibration records of the theatre file: plain numbers, poses as mm and scalar-first quaternion."""
 
 from __future__ import annotations
 
@@ -196,10 +193,7 @@ class Dated(Strict):
         return self
 
     def check_valid_at(self, moment: datetime) -> None:
-        """Raise CAL-001 if the record has expired at `moment` or is dated after it.
-
-        With a clock that was set back, an expired record would appear valid.
-        """
+        """Raise CAL-001 if expired at `moment` or dated later: with a clock set back, none would expire."""
         if moment < self.created - CLOCKS_AGREE:
             raise CalibrationExpired(
                 f"{self.what} {self.identifier} is dated {_as_text(self.created)}, which is in the future",
@@ -292,8 +286,7 @@ class HolderCalibration(DatedRecord):
         """Refuse a clamp whose z leads the wrong way: with the tip at the head, its frame would face that."""
         tip, faces = (pose.z_axis for pose in (self.flange_from_clamp, self.flange_from_frame))
         cosine = sum(one * other for one, other in zip(tip, faces, strict=True))
-        apart_deg = math.degrees(math.acos(min(1.0, max(-1.0, cosine))))
-        if apart_deg < LEAST_TIP_FROM_FACE_DEG:
+        if (apart_deg := math.degrees(math.acos(min(1.0, max(-1.0, cosine))))) < LEAST_TIP_FROM_FACE_DEG:
             raise ValueError(
                 f"z of flange_from_clamp is {apart_deg:.0f} degrees from that of flange_from_frame, expected "
                 f"at least {LEAST_TIP_FROM_FACE_DEG:g}: the first leads to the instrument's tip, the other "
@@ -384,10 +377,7 @@ class ArmCalibration(DatedRecord):
 
     @model_validator(mode="after")
     def _leaves_plausible_errors(self) -> Self:
-        """Check the shape and row magnitudes of `remaining`.
-
-        A triangle cannot be asymmetric or indefinite.
-        """
+        """Check shape and row magnitudes of `remaining`: a triangle cannot be asymmetric or indefinite."""
         if self.remaining is None:
             return self
         joints = len(self.joint_offset_rad)

@@ -45,23 +45,18 @@ class Clock(Protocol):
     @property
     def paced(self) -> bool:
         """Whether theatre time follows the host clock, so that host durations are meaningful."""
-        ...
 
     def now_s(self) -> float:
         """Current theatre time, seconds."""
-        ...
 
     def sleep(self, duration_s: float) -> None:
         """Sleep for `duration_s` of theatre time."""
-        ...
 
     def let_pass(self, duration_s: float) -> None:
         """Let theatre time pass by `duration_s` at most, until `hold_back`, without waiting for it."""
-        ...
 
     def hold_back(self) -> None:
         """Let theatre time pass no further unless somebody waits for it."""
-        ...
 
 
 class HostClock:
@@ -230,10 +225,8 @@ class SharedClock:
         while (now_ns := self.now_ns()) < moment_ns:
             wanted_ns = min(moment_ns, now_ns + WISH_NS)
             # Without the lock: the time only grows, and so does the latest time wanted.
-            if (
-                WANTED_NS.read(self._memory) < min(moment_ns, now_ns + WISH_NS // 2)
-                or not self.is_streaming()
-            ):
+            is_unasked = WANTED_NS.read(self._memory) < min(moment_ns, now_ns + WISH_NS // 2)
+            if is_unasked or not self.is_streaming():
                 with self._lock:
                     if self.now_ns() >= moment_ns:
                         return
@@ -355,9 +348,8 @@ class SharedClock:
             self._keep_step()
             other = STREAMS[turn]
             rests = other.resting.read(memory) == FOR_TIME_TO_PASS
-            if self._streams(other) and not (
-                rests and other.time_ns.read(memory) >= self._stream.time_ns.read(memory)
-            ):
+            is_level = other.time_ns.read(memory) >= self._stream.time_ns.read(memory)
+            if self._streams(other) and not (rests and is_level):
                 return True
             TURN.write(memory, self._device)  # the other has ended, has fallen silent or rests
         return False
@@ -390,8 +382,7 @@ class SharedClock:
 
     def must_wait_for_reader(self, duration_ns: int) -> bool:
         """Whether the next cycle would reach a measurement that no reader is waiting for yet."""
-        due_ns = UNREAD_NS.read(self._memory)
-        if due_ns == 0 or self._paced or self.has_waiters():
+        if (due_ns := UNREAD_NS.read(self._memory)) == 0 or self._paced or self.has_waiters():
             return False
         return self._cycle_start_ns() + duration_ns >= due_ns
 

@@ -10,6 +10,7 @@ theatre. They are estimates: before the arm moves near anything real, measure an
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from enum import StrEnum
 from typing import Annotated, Self
 
@@ -82,10 +83,7 @@ class RoomBody(BodyConfig):
 
 
 class ArmThickness(Strict):
-    """Conservative capsule radii of the arm's bodies; those left out are the arm's own.
-
-    They hold for the master, and for an assistant of the same model.
-    """
+    """Conservative radii of the arm's bodies, by default its own; also of an assistant of the same model."""
 
     column_mm: Millimetres | None = Field(
         default=None, description="Radius from the base to the second joint."
@@ -204,10 +202,7 @@ class CollisionConfig(Strict):
         fiducials_mm: tuple[Numbers3, ...] = (),
         corridor: Corridor | None = None,
     ) -> Surroundings:
-        """Build the surroundings in the frames used by the arm.
-
-        `fiducials_mm` are in $ROBROOT, as localized so far.
-        """
+        """Build the surroundings in the arm's frames; `fiducials_mm` are in $ROBROOT, as localized so far."""
         head = covering_ellipsoid(head_semi_axes_mm, robot_from_head)
         obstacles = [Obstacle(HEAD, capsule, True) for capsule in head]
         for body in self.bodies:
@@ -218,12 +213,19 @@ class CollisionConfig(Strict):
             obstacles.append(
                 Obstacle(f"{FIDUCIAL} {number}", _build_post(centre, robot_from_head.position_mm))
             )
+        return self.surround(tool, flange_from_tool, obstacles, corridor)
+
+    def surround(
+        self,
+        tool: Sequence[ToolBody],
+        flange_from_tool: Pose,
+        obstacles: Sequence[Obstacle],
+        corridor: Corridor | None = None,
+    ) -> Surroundings:
+        """Surround an arm and its tool with obstacles, at the margins and in the speed zone of this cell."""
         zone = self.zone
         return Surroundings(
-            tool=tuple(
-                Part(tool_body.name, tool_body.capsule.moved(flange_from_tool), tool_body.enters_head)
-                for tool_body in tool
-            ),
+            tool=tuple(Part(one.name, one.capsule.moved(flange_from_tool), one.enters_head) for one in tool),
             obstacles=tuple(obstacles),
             radii=self.arm.measured,
             margin_mm=self.margin_mm,

@@ -1,7 +1,4 @@
-"""Theatre file: devices with their endpoints, and calibrations.
-
-Strict TOML: unknown keys are errors, and all mistakes are reported at once.
-"""
+"""Theatre file of devices and calibrations, in strict TOML; all mistakes are reported at once."""
 
 from __future__ import annotations
 
@@ -47,10 +44,7 @@ from ronna_hw.tool_record import GuideBore, TipInHead, ToolRecord
 
 
 def require_expiry(theatre: TheatreFile) -> None:
-    """Raise ValueError unless records of a real theatre expire within a year.
-
-    In a simulated theatre nothing is knocked or worn.
-    """
+    """Raise ValueError unless records expire within a year; in a simulated theatre nothing is worn."""
     calibrations = {} if theatre.calibration is None else theatre.calibration.records
     records: dict[str, Dated] = {f"calibration.{name}": one for name, one in calibrations.items()}
     records |= {f"tools.{name}": one for name, one in theatre.tools.items()}
@@ -61,21 +55,16 @@ def require_expiry(theatre: TheatreFile) -> None:
         )
 
 
-def require_own_patient_frame(theatre: TheatreFile) -> None:
-    """Raise ValueError if the patient's frame is also named as one on an arm, which moves with the arm."""
-    frame = theatre.procedure.patient_frame
-    if shared := [key for key, tool in _frames_on_arms(theatre).items() if tool == frame]:
+def require_own_frames(theatre: TheatreFile) -> None:
+    """Raise ValueError if the patient's frame is also one on an arm, or the holder's one on the master."""
+    on_arms, frame = _frames_on_arms(theatre), theatre.procedure.patient_frame
+    if shared := [key for key, tool in on_arms.items() if tool == frame]:
         raise ValueError(
             f"[procedure] patient_frame: {frame} is also {' and '.join(shared)}, a frame on the arm: "
             "name the frame on the head clamp, a tool of its own"
         )
-
-
-def require_own_holder_frame(theatre: TheatreFile) -> None:
-    """Raise ValueError if the frame on the assistant's holder is also named as one on the master."""
-    on_master = _frames_on_arms(theatre)
-    frame = on_master.pop(HOLDER_FRAME, None)
-    if shared := [key for key, tool in on_master.items() if tool == frame]:
+    frame = on_arms.pop(HOLDER_FRAME, None)
+    if shared := [key for key, tool in on_arms.items() if tool == frame]:
         raise ValueError(
             f"[calibration.assistant_holder] frame: {frame} is also {' and '.join(shared)}, a frame on the "
             "master: name the frame on the holder, a tool of its own"
@@ -126,9 +115,7 @@ def require_outside_hand(theatre: TheatreFile) -> None:
 
 def closest_to_flange_mm(flange_from_tool: PoseRecord, bore: GuideBore | None = None) -> float:
     """Return the distance in mm from the flange centre to a tip, or to a guide's axis up to its upper end."""
-    w, x, y, z = flange_from_tool.quaternion_wxyz
-    axis = (2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y))
-    tip_mm = flange_from_tool.translation_mm
+    axis, tip_mm = flange_from_tool.z_axis, flange_from_tool.translation_mm
     length_mm = 0.0 if bore is None else bore.reach_mm + bore.length_mm
     up_mm = sum(coordinate * along for coordinate, along in zip(tip_mm, axis, strict=True))
     up_mm = min(max(up_mm, 0.0), length_mm)
@@ -255,6 +242,10 @@ class DeviceConfig(Strict):
         }
 
 
+# Records that the arm in each role needs where there are several.
+ARM_RECORDS = {MASTER: ("arm",), ASSISTANT: ("assistant_arm", "assistant_holder")}
+
+
 class Calibrations(Strict):
     """Calibration records used by the procedure."""
 
@@ -286,14 +277,20 @@ class Calibrations(Strict):
         return {role: record for role, record in found.items() if record is not None}
 
     @property
+    def holders(self) -> dict[str, HolderCalibration]:
+        """Calibration records of the holders, by the role of the arm that carries each."""
+        found = {ASSISTANT: self.assistant_holder}
+        return {role: record for role, record in found.items() if record is not None}
+
+    @property
     def frames(self) -> dict[str, str]:
         """Tracker's tools on the arms, by the key that names each."""
-        found = {"calibration.tracker_frame.tool": self.tracker_frame.tool}
-        return found if self.assistant_holder is None else found | {HOLDER_FRAME: self.assistant_holder.frame}
+        on_holders = ((HOLDER_FRAME, holder.frame) for holder in self.holders.values())
+        return {"calibration.tracker_frame.tool": self.tracker_frame.tool} | dict(on_holders)
 
     def of_arms(self, roles: Collection[str]) -> Calibrations:
         """Return the records that a case with arms in these roles uses; those of other arms may be old."""
-        unused = () if ASSISTANT in roles else ("assistant_arm", "assistant_holder")
+        unused = [name for role, names in ARM_RECORDS.items() if role not in roles for name in names]
         return self.model_copy(update=dict.fromkeys(unused))
 
     @property
@@ -360,12 +357,10 @@ class ProcedureSettings(Strict):
         "The default is unconfirmed: bone under a drill takes 5 to 20 N.",
     )
     coarse_fine_limit_mm: Annotated[float, Field(gt=0, le=LARGEST_COARSE_FINE_MM), Length] = Field(
-        default=3.0,
-        description="Largest difference between stereo head and tracker for the same sphere.",
+        default=3.0, description="Largest difference between stereo head and tracker for the same sphere."
     )
     stand_mm: Annotated[Numbers3, farther_than(NEAREST_PLACE_MM)] | None = Field(
-        default=None,
-        description="Position of the calibration stand's ball, within 10 mm, robot frame.",
+        default=None, description="Position of the calibration stand's ball, within 10 mm, robot frame."
     )
     watch_patient: Annotated[WatchPatient, Field(strict=False)] = Field(
         default=WatchPatient.INSTRUMENT,
@@ -441,8 +436,7 @@ class TheatreFile(Strict):
     def _records_are_plausible(self) -> Self:
         require_expiry(self)
         require_outside_hand(self)
-        require_own_patient_frame(self)
-        require_own_holder_frame(self)
+        require_own_frames(self)
         require_separate_arms(self)
         return self
 

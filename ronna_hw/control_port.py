@@ -88,9 +88,8 @@ class ControlPortClient:
         found = ControlAddress.parse(address)
         self._endpoint = str(found.endpoint)
         try:
-            self._socket = socket.create_connection(
-                (found.endpoint.host, found.endpoint.port), ANSWER_LIMIT_S
-            )
+            place = (found.endpoint.host, found.endpoint.port)
+            self._socket = socket.create_connection(place, ANSWER_LIMIT_S)
         except OSError as error:
             raise self._silence_error(error) from error
         try:
@@ -138,12 +137,10 @@ class ControlPortClient:
         deadline_s = time.monotonic() + ANSWER_LIMIT_S
         line = bytearray()
         while b"\n" not in line and len(line) < LONGEST_LINE:
-            remaining_s = deadline_s - time.monotonic()
-            if remaining_s <= 0:
+            if (remaining_s := deadline_s - time.monotonic()) <= 0:
                 raise TimeoutError("timed out")
             self._socket.settimeout(remaining_s)
-            part = self._socket.recv(LONGEST_LINE - len(line))
-            if not part:
+            if not (part := self._socket.recv(LONGEST_LINE - len(line))):
                 break
             line += part
         self._socket.settimeout(ANSWER_LIMIT_S)

@@ -54,6 +54,13 @@ UNKNOWN_FRAME = ErrorCode(
 )
 
 
+def perpendicular_axes(direction: Array) -> tuple[Array, Array]:
+    """Return two unit vectors perpendicular to a unit vector (3,) and to each other, right-handed with it."""
+    across = np.cross(direction, np.eye(3)[np.abs(direction).argmin()])
+    across /= np.linalg.norm(across)
+    return across, np.cross(direction, across)
+
+
 def build_rigid(translation_mm: Array, rotation: Rotation) -> RigidTransform:
     """Build a rotation followed by a translation (3,) mm.
 

@@ -85,12 +85,8 @@ class RunTable(np.recarray[Any, np.dtype[np.void]]):
     def of(cls, columns: tuple[RunColumn, ...], rows: Iterable[Sequence[object]]) -> RunTable:
         """Build a table from its rows, with one value per column."""
         listed = [tuple(row) for row in rows]
-        table: RunTable = np.array(
-            listed,
-            dtype=[
-                (one.name, _find_type(one, listed, number), one.size) for number, one in enumerate(columns)
-            ],
-        ).view(cls)
+        types = [(one.name, _find_type(one, listed, number), one.size) for number, one in enumerate(columns)]
+        table: RunTable = np.array(listed, dtype=types).view(cls)
         table.columns = columns
         return table
 
@@ -101,9 +97,8 @@ class RunTable(np.recarray[Any, np.dtype[np.void]]):
     def __getitem__(self, key: Any) -> Any:
         """Return a column by name, or rows. Raises ARG-001 for a name that is no column."""
         if isinstance(key, str) and key not in (self.dtype.names or ()):
-            raise WrongArgument(
-                self._describe_missing(key), action='Rows by name: table[table.name == "T1"].'
-            )
+            what = self._describe_missing(key)
+            raise WrongArgument(what, action='Rows by name: table[table.name == "T1"].')
         return super().__getitem__(key)
 
     def _describe_missing(self, name: str) -> str:
@@ -153,12 +148,10 @@ class LoadedRun(Protocol):
     @property
     def name(self) -> str:
         """Name of the run."""
-        ...
 
     @property
     def outcome(self) -> str:
         """Ending of the run, such as done, missed, in doubt, not sealed or failed; or that it is running."""
-        ...
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -167,61 +160,49 @@ class LoadedRun(Protocol):
         That no seal confirms them is noted too, and readings missing in a table once it is read. What is
         noted for a finished run is also a RunWarning.
         """
-        ...
 
     @property
     def targets(self) -> RunTable:
         """Trajectories of the plan: planned and reached positions, predicted error, error against truth."""
-        ...
 
     @property
     def spheres(self) -> RunTable:
         """Spheres found in the CT."""
-        ...
 
     @property
     def localized(self) -> RunTable:
         """Spheres localized by the stereo head in the robot frame, by trajectory."""
-        ...
 
     @property
     def registrations(self) -> RunTable:
         """Registrations of the CT to the robot."""
-        ...
 
     @property
     def budget(self) -> RunTable:
         """Error budget of each target's prediction: one row per source of error."""
-        ...
 
     @property
     def strays(self) -> RunTable:
         """Stray markers in each new frame of the tracker, with an identity over the frames."""
-        ...
 
     @property
     def looks(self) -> RunTable:
         """Image pairs of the stereo head."""
-        ...
 
     @property
     def pictures(self) -> Sequence[StereoPictures]:
         """Images of each row of `looks`, read when they are asked for."""
-        ...
 
     @property
     def motions(self) -> RunTable:
         """Motions of the arms."""
-        ...
 
     @property
     def events(self) -> RunTable:
         """Events of the run, as a console shows them. Raises PRO-018 if a line of their file is damaged."""
-        ...
 
     def robot_from_ct(self, target: str) -> Transform:
         """Return the registration used for a target. Raises EXC-005 if it has none."""
-        ...
 
 
 class RunReader(Protocol):

@@ -1,7 +1,4 @@
-"""Log output: lines on a stream, or a rotated, size-limited `log.jsonl` in a run folder.
-
-Messages from library loggers take the same path, without their values.
-"""
+"""Log output: lines on a stream, or a rotated `log.jsonl`; of libraries' messages without values."""
 
 from __future__ import annotations
 
@@ -128,10 +125,7 @@ def _event_first(_log: object, _method: str, event: MutableMapping[str, Any]) ->
 
 
 def _redact_library(_log: object, _method: str, event: MutableMapping[str, Any]) -> dict[str, Any]:
-    """Redact a log line from a library.
-
-    Warnings keep their location; libraries that read patient files keep no text.
-    """
+    """Redact a library's line: warnings keep their place, libraries that read patient files no text."""
     record: logging.LogRecord = event["_record"]
     text = str(event["event"])
     if record.name == "py.warnings":

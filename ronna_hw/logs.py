@@ -96,10 +96,7 @@ def _channel_name(name: str) -> str:
 
 
 def set_level(level: str, name: str = "") -> None:
-    """Set the lowest level to log (`debug`, `info`, `warning`, `error`), for one logger or all.
-
-    Raises ValueError for any other word.
-    """
+    """Set the lowest level to log, a word of `LEVELS`, for one logger or all; raises ValueError."""
     if level not in LEVELS:
         raise ValueError(f"expected a level ({', '.join(LEVELS)}), got {level!r}")
     logging.getLogger(_channel_name(f"{ALL}.{name}") if name else ALL).setLevel(LEVELS[level])

@@ -1,7 +1,4 @@
-"""Template of three or four markers on a head, identified by their distances.
-
-The surgeon's jig is made from it; plan and simulated scene use the same file.
-"""
+"""Template of three or four markers on a head, told apart by distances: of jig, plan and scene."""
 
 from __future__ import annotations
 

@@ -87,9 +87,8 @@ def _find_model(annotation: Any) -> Any:
     """Find the model in a field annotation: plain, optional, or as the values of a table or list."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return annotation
-    return next(
-        (found for argument in get_args(annotation) if (found := _find_model(argument)) is not None), None
-    )
+    found = map(_find_model, get_args(annotation))
+    return next((model for model in found if model is not None), None)
 
 
 def suggest_alike(key: str, known: Sequence[str]) -> str:
@@ -112,11 +111,10 @@ def describe_mistake(item: ErrorDetails) -> str:
         case "model_type":
             return "expected a table"
         case "too_long" | "too_short" if "actual_length" in context:
-            at_most = context.get("max_length")
-            expected = (
-                f"{context['min_length']} or more" if at_most is None else f"{at_most}: a decimal comma?"
-            )
-            return f"{context['actual_length']} values, expected {expected}"
+            values = f"{context['actual_length']} values, expected"
+            if (at_most := context.get("max_length")) is None:
+                return f"{values} {context['min_length']} or more"
+            return f"{values} {at_most}: a decimal comma?"
         case "string_pattern_mismatch" if context.get("pattern") == NAME_PATTERN:
             return "expected letters, digits, _ . or -, a letter or a digit first"
         case "datetime_type" | "datetime_parsing" | "datetime_from_date_parsing":
@@ -127,11 +125,8 @@ def describe_mistake(item: ErrorDetails) -> str:
         message_text = message_text.replace(prefix, "expected", 1)
     if item["type"] == "string_type" and isinstance(item["input"], int | float):
         return "expected text: put it in quotes"
-    return (
-        f"{message_text} without quotes"
-        if item["type"] in UNQUOTED and _is_only_quoted(item["input"])
-        else message_text
-    )
+    is_to_unquote = item["type"] in UNQUOTED and _is_only_quoted(item["input"])
+    return f"{message_text} without quotes" if is_to_unquote else message_text
 
 
 def _is_only_quoted(value: object) -> bool:

@@ -82,10 +82,8 @@ def redact_value(key: str, value: Any) -> Any:
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         value = {field.name: getattr(value, field.name) for field in dataclasses.fields(value)}
     if isinstance(value, Mapping):
-        kept = {
-            str(inner): redact_value(str(inner), item)
-            for inner, item in islice(value.items(), ELEMENTS_LIMIT)
-        }
+        items = islice(value.items(), ELEMENTS_LIMIT)
+        kept = {str(inner): redact_value(str(inner), item) for inner, item in items}
         return kept | {"...": _describe_rest(value)} if len(value) > ELEMENTS_LIMIT else kept
     if isinstance(value, Sequence | set | frozenset) and not isinstance(value, str | bytes):
         first = [redact_value(key, item) for item in islice(value, ELEMENTS_LIMIT)]

@@ -92,7 +92,6 @@ def load_finders() -> dict[str, Finder]:
 
 
 def _load_probes() -> list[tuple[str, Any]]:
-    """Load every installed probe with the name of its driver."""
     return sorted((point.name, load_entry_point(point)) for point in entry_points(group=PROBE_GROUP))
 
 

@@ -10,3 +10,9 @@ ASSISTANT = "assistant"  # carries the instrument
 
 ONE_ARM = (MASTER,)
 TWO_ARMS = (MASTER, ASSISTANT)  # the master first, wherever arms are listed
+CASES = (ONE_ARM, TWO_ARMS)  # what a case may have
+
+
+def roles_of(*, dual: bool) -> tuple[str, ...]:
+    """Return the roles of a case with one arm or, on request, with two."""
+    return TWO_ARMS if dual else ONE_ARM

@@ -23,10 +23,7 @@ _PINNED = re.compile(r"^(?P<name>[A-Za-z0-9._-]+)==(?P<version>[^\s;\\]+)", re.M
 
 @dataclass(frozen=True)
 class Software:
-    """Software that computed a result.
-
-    `commit` and `lock_sha256` are None if it does not run from a checkout.
-    """
+    """Software that computed a result; `commit` and `lock_sha256` are None outside a checkout."""
 
     version: str
     commit: str | None  # with "-dirty" if files differ from it
@@ -42,9 +39,7 @@ class Software:
         if self.lock_sha256 is None:
             return f"{PACKAGE} {self.version}{commit}, packages not locked"
         lock = f"lock {self.lock_sha256[:SHORT_HASH]}"
-        return f"{PACKAGE} {self.version}{commit}, {lock}" + "".join(
-            f"; {difference}" for difference in self.otherwise
-        )
+        return "; ".join((f"{PACKAGE} {self.version}{commit}, {lock}", *self.otherwise))
 
 
 def identify_software(checkout: Path = CHECKOUT) -> Software:

@@ -33,17 +33,13 @@ def printable_lines(text: str) -> str:
 
 def escape_controls(text: str) -> str:
     """Replace whitespace with spaces, and other unprintable characters with backslash escapes."""
-    if text.isprintable():
-        return text
-    return "".join(map(_escape_character, text))
+    return text if text.isprintable() else "".join(map(_escape_character, text))
 
 
 def _escape_character(letter: str) -> str:
     if letter.isprintable():
         return letter
-    if letter.isspace():
-        return " "
-    return letter.encode("unicode_escape").decode("ascii")
+    return " " if letter.isspace() else letter.encode("unicode_escape").decode("ascii")
 
 
 def _shorten(text: str, most: int) -> str:
@@ -95,10 +91,7 @@ _NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)", re.ASCII)
 
 
 def parse_typed_number(typed: str, unit: str = "") -> float:
-    """Parse a finite number with a decimal point or comma; raises ValueError quoting the text.
-
-    The `unit` may follow it, with or without a space; another unit may not.
-    """
+    """Parse a number with point or comma, and perhaps its `unit`; raises ValueError quoting the text."""
     words = strip_unit(typed, unit).replace("\N{MINUS SIGN}", "-")
     number = float(words.replace(",", ".")) if _NUMBER.fullmatch(words) else math.nan
     if not math.isfinite(number):

@@ -51,10 +51,7 @@ def open_theatre(path: str | os.PathLike[str], timeout_s: float = 10.0) -> Itera
 
 
 class Theatre:
-    """Devices of one theatre file. Each is created on first access; `connect` creates all.
-
-    As a context manager it closes everything on leaving.
-    """
+    """Devices of one theatre file, created on first access or by `connect`, closed on leaving a block."""
 
     def __init__(self, file: TheatreFile, clock: Clock, make: DriverOfTable = make_device) -> None:
         """Create the theatre without opening anything; `make` creates the driver objects."""
@@ -139,10 +136,7 @@ class Theatre:
                 device.configure(timeout_s)
 
     def stop(self) -> list[str]:
-        """Stop all arms simultaneously, as far as their links allow; never raises.
-
-        Returns what went wrong, for each arm that may not be at rest.
-        """
+        """Stop all arms at once, as far as links allow; returns what failed, by arm. Never raises."""
         failures: list[str] = []
         moving = [  # also one that is being started; in HOLD an earlier stop may still be under way
             threading.Thread(target=_stop_arm, args=(device, failures))
@@ -162,9 +156,7 @@ class Theatre:
         """
         with defer_interruption():
             self.stop()
-            for device in sorted(
-                self._devices.values(), key=lambda candidate: not isinstance(candidate, RobotArm)
-            ):
+            for device in sorted(self._devices.values(), key=lambda one: not isinstance(one, RobotArm)):
                 try:
                     device.close()
                 except Exception as error:  # the others must be closed nevertheless
@@ -248,17 +240,12 @@ def required_interface(table: str) -> Callable[..., Device]:
 
 
 def require_interface(table: str, driver: str, device: object, interface: Callable[..., D]) -> D:
-    """Return a table's device as `interface`, a runtime-checkable protocol or a class.
-
-    Raises DEV-008 naming what the driver lacks.
-    """
+    """Return a table's device as `interface`, protocol or class; raises DEV-008 with what it lacks."""
     if not isinstance(device, cast("type", interface)):
-        missing_names = [
-            member for member in dir(interface) if member[0] != "_" and not hasattr(device, member)
-        ]
+        missing = [name for name in dir(interface) if name[0] != "_" and not hasattr(device, name)]
         raise WRONG_KIND(
             f"{table}: driver {driver} does not provide {interface.__name__}",
-            got=f"it lacks {', '.join(missing_names)}" if missing_names else None,
+            got=f"it lacks {', '.join(missing)}" if missing else None,
         )
     return cast("D", device)
 

@@ -37,10 +37,7 @@ MIXED_THEATRE = ErrorCode(
 
 
 def is_on_this_computer(endpoint: Endpoint) -> bool | None:
-    """Return whether an address is local to this computer, or None if it cannot be determined.
-
-    Links and names count as what they lead to.
-    """
+    """Return whether an address, or what it leads to, is on this computer; None if that is unknown."""
     if endpoint.scheme == "shm":
         return True
     endpoint = endpoint.resolve_names()
@@ -83,8 +80,7 @@ def _sort_by_kind(theatre: Addresses) -> tuple[list[str], list[str]]:
     real: list[str] = []
     for name, addresses in theatre.addresses.items():
         for address in addresses:
-            here = is_on_this_computer(parse_endpoint(address))
-            if here is not None:
+            if (here := is_on_this_computer(parse_endpoint(address))) is not None:
                 (simulated if here else real).append(f"{name} at {address}")
     clock = theatre.clock_address
     if parse_endpoint(clock).scheme == "shm":

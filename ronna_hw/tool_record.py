@@ -12,15 +12,7 @@ from typing import Annotated, ClassVar, Self
 
 from pydantic import Field, field_validator, model_validator
 
-from ronna_hw.calibration import (
-    STEREO_HEAD_NUMBER,
-    Dated,
-    MountPose,
-    Numbers3,
-    Numbers4,
-    PoseRecord,
-    Strict,
-)
+from ronna_hw.calibration import STEREO_HEAD_NUMBER, Dated, MountPose, Numbers3, Numbers4, PoseRecord, Strict
 from ronna_hw.collision_config import ToolBody
 from ronna_hw.plausible import (
     FARTHEST_ON_TOOL_MM,

@@ -48,10 +48,8 @@ class FrameRod(NamedTuple):
 
 def bodies() -> tuple[FrameRod, ...]:
     """Return the two bars and the foot, the latter down to the skin."""
-    bars = (
-        FrameRod(f"bar {number} of the frame", _bar_end(start_sphere), _bar_end(end_sphere), BAR_RADIUS_MM)
-        for number, (start_sphere, end_sphere) in enumerate(BARS, start=1)
-    )
+    ends = ((_bar_end(first), _bar_end(second)) for first, second in BARS)
+    bars = (FrameRod(f"bar {k} of the frame", *pair, BAR_RADIUS_MM) for k, pair in enumerate(ends, start=1))
     foot = FrameRod("foot of the frame", (0.0, 0.0, -BAR_BELOW_MM), (0.0, 0.0, -STANDOFF_MM), FOOT_RADIUS_MM)
     return (*bars, foot)
 

@@ -11,14 +11,10 @@ from collections.abc import Iterable
 from dataclasses import dataclass, fields, replace
 from difflib import get_close_matches
 from enum import IntEnum
-from typing import TYPE_CHECKING, Any, Literal, TypeVar, get_args, get_origin, get_type_hints
+from typing import Any, ClassVar, Literal, Self, get_args, get_origin, get_type_hints
 
 from ronna_hw.errors import AnyCode, ConfigurationError
 
-if TYPE_CHECKING:
-    from _typeshed import DataclassInstance
-
-Parameters = TypeVar("Parameters", bound="DataclassInstance")
 TRUE_WORDS, FALSE_WORDS = ("true", "yes", "on", "1"), ("false", "no", "off", "0")
 
 
@@ -29,23 +25,38 @@ class MaximumValue:
     value: float
 
 
-def apply_assignments(
-    defaults: Parameters, assignments: Iterable[str], refusal: AnyCode[ConfigurationError]
-) -> Parameters:
-    """Apply `NAME=VALUE` assignments; raises `refusal` for an unknown name or invalid value."""
-    values: dict[str, Any] = {}
-    kinds = _list_kinds(type(defaults))
-    for assignment in assignments:
-        name, _, text = assignment.partition("=")
-        if name not in kinds:
-            alike = " or ".join(get_close_matches(name, kinds)) or f"one of {len(kinds)} names"
-            raise refusal(f"unknown parameter {name!r}", expected=alike)
-        kind, _, *most = kinds[name]
-        value, expected = _parse_value(kind, text, getattr(defaults, name), most)
-        if value is None:
-            raise refusal(f"{name} cannot be {text!r}", expected=expected)
-        values[name] = value
-    return replace(defaults, **values)
+@dataclass(frozen=True)
+class NamedParameters:
+    """Parameters of a device, in the fields of a frozen dataclass; `refusal` is raised for a mistake."""
+
+    refusal: ClassVar[AnyCode[ConfigurationError]]
+
+    @classmethod
+    def parse(cls, assignments: Iterable[str]) -> Self:
+        """Apply `NAME=VALUE` assignments to the defaults; raises `refusal` for an unknown name or value."""
+        values: dict[str, Any] = {}
+        kinds = _list_kinds(cls)
+        for assignment in assignments:
+            name, _, text = assignment.partition("=")
+            if name not in kinds:
+                alike = " or ".join(get_close_matches(name, kinds)) or f"one of {len(kinds)} names"
+                raise cls.refusal(f"unknown parameter {name!r}", expected=alike)
+            kind, _, *most = kinds[name]
+            value, expected = _parse_value(kind, text, getattr(cls, name), most)
+            if value is None:
+                raise cls.refusal(f"{name} cannot be {text!r}", expected=expected)
+            values[name] = value
+        return cls(**values)
+
+
+class ControllerOfArm(NamedParameters):
+    """Parameters of an arm's controller, which states a serial number."""
+
+    serial_number: int
+
+    def of_arm(self, number: int) -> Self:
+        """Return those of the arm with this number in a theatre: no two have one serial number."""
+        return replace(self, **{"serial_number": self.serial_number + number})
 
 
 def rows(parameters: type) -> list[tuple[str, str, str]]:

@@ -8,7 +8,9 @@ guide is held outside the head.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
+from itertools import product
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +19,7 @@ from studies.accuracy.phantom import Markers, draw_phantom
 from studies.accuracy.scene import StudiedScene
 from studies.campaign import bounds
 from studies.campaign.plots import boxes
-from studies.campaign.study import Cell, Sums, Table, Unit, blocks
+from studies.campaign.study import Cell, Study, Sums, Table, Unit, blocks_of_each
 from studies.guide_direction import DEPTHS_MM, PUBLISHED_MM, RESTS_MM, TARGETS, WHOLE_HEAD, run_guided
 from studies.guide_direction import tables as guide_tables
 
@@ -34,28 +36,20 @@ QUARTILES = (25.0, 75.0)
 
 
 @dataclass(frozen=True)
-class ApplicationErrorStudy:
+class ApplicationErrorStudy(Study):
     """Application error study with `arms` random arms, each at all positions."""
 
     arms: int = 200
     seed: int = 0
     name: str = "application-error"
 
-    def settings(self) -> dict[str, object]:
-        return {**asdict(self), "places": list(PLACES), "targets": TARGETS}
+    constants: ClassVar = {"places": list(PLACES), "targets": TARGETS}
 
     def units(self) -> Sequence[Unit]:
-        """List the units for every rest of the tool, depth, marker type and position."""
         few = min(self.arms, MOST_ARMS_OF_GUIDES)
         return [
-            unit
-            for rest in (TIP_AT_TARGET, *RESTS_MM)
-            for depth in DEPTHS_MM
-            for kind in Markers
-            for place in PLACES
-            for unit in blocks(
-                f"{rest}|{depth}|{kind}|{place}", self.arms if rest == TIP_AT_TARGET else few, BLOCK_ARMS
-            )
+            *blocks_of_each(product((TIP_AT_TARGET,), DEPTHS_MM, Markers, PLACES), self.arms, BLOCK_ARMS),
+            *blocks_of_each(product(RESTS_MM, DEPTHS_MM, Markers, PLACES), few, BLOCK_ARMS),
         ]
 
     def run(self, unit: Unit) -> Sums:
@@ -71,7 +65,6 @@ class ApplicationErrorStudy:
 
 
 def tables(sums: Mapping[str, Sums]) -> list[Table]:
-    """Tabulate our figures next to those of the paper."""
     rows: list[dict[str, Cell]] = []
     for (depth, markers, strategy, count), errors in _collect_errors(sums).items():
         published = PUBLISHED_MM[depth] if (markers, strategy, count) == COMPARED else None
@@ -105,7 +98,6 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
 
 
 def plots(sums: Mapping[str, Sums]) -> dict[str, bytes]:
-    """Plot a box for each depth, marker type and strategy."""
     groups = {
         f"{strategy} {markers} {count}, {depth}": errors.ravel()
         for (depth, markers, strategy, count), errors in _collect_errors(sums).items()

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Protocol
 
 import typer
 
@@ -62,8 +63,13 @@ OwnOption = Annotated[
 
 MOST_CASES_AT_ONCE = 2  # each starts five processes in real time
 THESIS_RUNS = 10_000  # per patient and cell
-Tables = Callable[[Mapping[str, "Sums"]], "list[Table]"]
 Plots = Callable[[Mapping[str, "Sums"]], dict[str, bytes]]
+
+
+class Results(Protocol):
+    """A module or object that tabulates the sums of a study; it may also have `plots`."""
+
+    def tables(self, sums: Mapping[str, Sums], /) -> list[Table]: ...
 
 
 @app.command()
@@ -128,7 +134,8 @@ def correspondence(
 
     The thesis method is run both without and with validation of its pairs against the stated errors.
     """
-    from studies.correspondence import tables as correspondence_tables
+    from studies.correspondence import pairing_misspecified, tables
+    from studies.correspondence import template as template_study
     from studies.correspondence.study import OF_THE_THESIS, USUAL_TOLERANCES_MM, CorrespondenceStudy
     from studies.plugin_trial import select_methods
 
@@ -139,38 +146,27 @@ def correspondence(
             "--method, --e and --refuse cannot be combined with --sweep, --xframe, --template or --wrong, "
             "which have their own"
         )
+    seed = study_options.seed
     if xframe:
         _run_clinical(runs, study_options)
         return
     runs = runs or THESIS_RUNS
     if template:
-        from studies.correspondence import template as template_study
-
-        _run(
-            template_study.TemplateStudy(runs, study_options.seed), template_study.tables, None, study_options
+        _run(template_study.TemplateStudy(runs, seed), template_study, study_options)
+    elif wrong:
+        wrongly = pairing_misspecified.MisspecifiedPairingStudy(runs, seed)
+        _run(wrongly, pairing_misspecified, study_options)
+    elif sweep:
+        swept = CorrespondenceStudy(
+            runs, seed, OF_THE_THESIS, THESIS_TOLERANCES_MM, name="correspondence-sweep"
         )
-        return
-    if wrong:
-        from studies.correspondence import pairing_misspecified as misspecified
-
-        _run(
-            misspecified.MisspecifiedPairingStudy(runs, study_options.seed),
-            misspecified.tables,
-            None,
-            study_options,
-        )
-        return
-    chosen, own = select_methods(methods or (), terminal.tell)
-    values_mm = tuple(sorted(set(tolerances_mm))) if tolerances_mm else USUAL_TOLERANCES_MM
-    study = CorrespondenceStudy(
-        runs, study_options.seed, chosen, values_mm, own=own, refused_share=refused_share or REFUSED_SHARE
-    )
-    if sweep:
-        study = CorrespondenceStudy(
-            runs, study_options.seed, OF_THE_THESIS, THESIS_TOLERANCES_MM, name="correspondence-sweep"
-        )
-    plots = correspondence_tables.plots if sweep else correspondence_tables.bars_beside_thesis
-    _run(study, correspondence_tables.tables, plots, study_options)
+        _run(swept, tables, study_options, tables.plot_figure_13)
+    else:
+        chosen, own = select_methods(methods or (), terminal.tell)
+        values_mm = tuple(sorted(set(tolerances_mm))) if tolerances_mm else USUAL_TOLERANCES_MM
+        refused = refused_share or REFUSED_SHARE
+        study = CorrespondenceStudy(runs, seed, chosen, values_mm, own=own, refused_share=refused)
+        _run(study, tables, study_options)
 
 
 def _run_clinical(readings: int | None, study_options: StudyOptions) -> None:
@@ -182,12 +178,8 @@ def _run_clinical(readings: int | None, study_options: StudyOptions) -> None:
         readings_mm = clinical.load_or_take_readings(
             folder, readings or clinical.THESIS_READINGS, study_options.seed, progress
         )
-    _run(
-        clinical.ClinicalStudy(readings_mm, study_options.seed),
-        clinical.tables,
-        clinical.plots,
-        replace(study_options, out=folder),
-    )
+    study = clinical.ClinicalStudy(readings_mm, study_options.seed)
+    _run(study, clinical, replace(study_options, out=folder))
 
 
 @app.command()
@@ -199,10 +191,10 @@ def registration(
     study_options: StudyOptions,
 ) -> None:
     """Rigid registration: how well its error formulas hold, and what weighting gains."""
-    from studies.registration import RegistrationStudy, plots, tables
+    from studies import registration as registrations
 
     own = _try_plugins("REGISTRATION", methods)
-    _run(RegistrationStudy(runs, study_options.seed, own=own), tables, plots, study_options)
+    _run(registrations.RegistrationStudy(runs, study_options.seed, own=own), registrations, study_options)
 
 
 @app.command()
@@ -245,8 +237,8 @@ def localization(
     study_options: StudyOptions,
 ) -> None:
     """Spheres in phantom CTs: error, detection and calibration of the predicted error, against the thesis."""
+    from studies.localization import metal_study, tables, thesis_protocol
     from studies.localization.study import JUDGING, TUNING, LocalizationStudy
-    from studies.localization.tables import plots, tables_and_goals
 
     if thesis + tuning + frames + metal + bool(families) > 1:
         raise UsageMistake(
@@ -262,32 +254,22 @@ def localization(
                 f"--family: there is no evaluation family {family!r}", expected=", ".join(JUDGING)
             )
     own = _try_plugins("LOCALIZER", methods)
+    seed = study_options.seed
     if thesis:
-        from studies.localization import thesis_protocol
-
-        _run(
-            thesis_protocol.ThesisLocalizationStudy(study_options.seed),
-            thesis_protocol.tables,
-            None,
-            study_options,
-        )
+        _run(thesis_protocol.ThesisLocalizationStudy(seed), thesis_protocol, study_options)
         return
     if metal:
-        from studies.localization import metal_study
-
-        _run(metal_study.MetalStudy(volumes, study_options.seed), metal_study.tables, None, study_options)
+        _run(metal_study.MetalStudy(volumes, seed), metal_study, study_options)
         return
-    study = LocalizationStudy(volumes, sets, study_options.seed, own=own)
+    study = LocalizationStudy(volumes, sets, seed, own=own)
     if tuning:
-        study = LocalizationStudy(
-            volumes, sets, study_options.seed, TUNING, name="localization-tuning", own=own
-        )
+        study = replace(study, families=TUNING, name="localization-tuning")
     if frames:
-        study = LocalizationStudy(0, sets, study_options.seed, (), name="localization-frames", own=own)
+        study = replace(study, volumes=0, families=(), name="localization-frames")
     if families:
         only = tuple(dict.fromkeys(families))
-        study = LocalizationStudy(volumes, 0, study_options.seed, only, name="localization-families", own=own)
-    _run(study, tables_and_goals, plots, study_options)
+        study = replace(study, sets=0, families=only, name="localization-families")
+    _run(study, tables, study_options)
 
 
 @app.command()
@@ -330,39 +312,29 @@ def strategies(
         raise UsageMistake(f"{' and '.join(given)} are separate studies: give one of them")
     if given and methods:
         raise UsageMistake(f"--method cannot be combined with {given[0]}, which has its own strategies")
+    seed = study_options.seed
     if wrong:
-        from studies.strategies import unmodelled_arm, unmodelled_arm_tables
+        from studies.strategies import unmodelled_arm_tables
+        from studies.strategies.unmodelled_arm import UnmodelledArmStudy
 
-        _run(
-            unmodelled_arm.UnmodelledArmStudy(arms, study_options.seed),
-            unmodelled_arm_tables.tables,
-            None,
-            study_options,
-        )
-        return
-    if one_experiment:
+        _run(UnmodelledArmStudy(arms, seed), unmodelled_arm_tables, study_options)
+    elif one_experiment:
         from studies.strategies import experiment_tables
         from studies.strategies.one_experiment import MOST_ARMS, OneExperimentStudy
 
-        fitted = OneExperimentStudy(min(arms, MOST_ARMS), study_options.seed)
-        _run(fitted, experiment_tables.tables, None, study_options)
-        return
-    if identified:
+        _run(OneExperimentStudy(min(arms, MOST_ARMS), seed), experiment_tables, study_options)
+    elif identified:
         from studies.strategies import identified as identified_arms
 
-        _run(
-            identified_arms.IdentifiedStudy(arms, study_options.seed),
-            identified_arms.tables,
-            identified_arms.plots,
-            study_options,
-        )
-        return
-    from studies.strategies.study import StrategiesStudy
-    from studies.strategies.tables import plots, tables
+        _run(identified_arms.IdentifiedStudy(arms, seed), identified_arms, study_options)
+    else:
+        from studies.strategies import tables
+        from studies.strategies.study import StrategiesStudy
 
-    own = _try_plugins("STRATEGY", methods)
-    trials = StrategiesStudy(arms, study_options.seed, "strategies-own" if own else "strategies", own)
-    _run(trials, tables, plots, study_options)
+        own = _try_plugins("STRATEGY", methods)
+        _run(
+            StrategiesStudy(arms, seed, "strategies-own" if own else "strategies", own), tables, study_options
+        )
 
 
 @app.command(name="application-error")
@@ -375,9 +347,9 @@ def application_error(
     study_options: StudyOptions,
 ) -> None:
     """Error at superficial and deep targets on random arms, against RONNA G3."""
-    from studies.application_error import ApplicationErrorStudy, plots, tables
+    from studies import application_error as errors
 
-    _run(ApplicationErrorStudy(arms, study_options.seed), tables, plots, study_options)
+    _run(errors.ApplicationErrorStudy(arms, study_options.seed), errors, study_options)
 
 
 @app.command()
@@ -409,60 +381,38 @@ def worlds(
     once, or a finding where nothing changed; with --adversarial an error beyond twice its stated rms without
     a word, or with --quiet a case refused or in doubt.
     """
-    if adversarial:
-        if scene is not None:
-            raise UsageMistake("--scene: --adversarial draws two mini scenes for each default one")
-        _run_adversarial(cases, only, study_options, quiet=quiet)
-        return
-    scene = scene or "mini"
-    from studies.worlds.study import WorldsStudy, document, run_world
-    from studies.worlds.world import SCENES
+    from studies.worlds.adversarial import AdversarialStudy
+    from studies.worlds.cases import CASE_FILE
+    from studies.worlds.study import WorldsStudy
+    from studies.worlds.world import MINI, SCENES
 
+    if adversarial and scene is not None:
+        raise UsageMistake("--scene: --adversarial draws two mini scenes for each default one")
+    scene = scene or MINI
     if scene not in SCENES:
         raise UsageMistake(f"--scene: worlds are drawn for no scene {scene!r}", expected=" or ".join(SCENES))
-    name = "worlds-quiet" if quiet else "worlds"
-    study = WorldsStudy(
-        cases, study_options.seed, study_options.out or Path("campaigns") / name, scene, quiet
-    )
-    if only is not None:
-        world = study.world(only)
-        if world.change is not None:
-            terminal.tell(world.change.script.rstrip())
-        place = study.folder / f"only-{only}"
-        found = run_world(world, place)
-        terminal.print_json(document(world, found))
-        terminal.tell(f"{found.verdict}: {place}")
-        return
-    sums = _run(study, study.tables, None, _few_workers(study_options))
-    _require_goals(study.list_missed_goals(sums))
-
-
-def _run_adversarial(cases: int, only: int | None, study_options: StudyOptions, *, quiet: bool) -> None:
-    import json
-
-    from studies.worlds.adversarial import AdversarialStudy
-    from studies.worlds.study import CASE_FILE
-
-    study = AdversarialStudy(cases, study_options.seed, Path(), quiet)
+    seed, place = study_options.seed, Path()
+    study: WorldsStudy | AdversarialStudy = WorldsStudy(cases, seed, place, scene, quiet)
+    if adversarial:
+        study = AdversarialStudy(cases, seed, place, quiet)
     study = replace(study, folder=study_options.out or Path("campaigns") / study.name)
     if only is not None:
+        if isinstance(study, WorldsStudy) and (change := study.world(only).change) is not None:
+            terminal.tell(change.script.rstrip())
         place = study.folder / f"only-{only}"
         found = study.run_world(only, place)
         terminal.print_json(json.loads((place / CASE_FILE).read_text(encoding="utf-8")))
-        terminal.tell(f"{found.verdict}, {found.ending}: {place}")
+        terminal.tell(f"{found.words}: {place}")
         return
-    sums = _run(study, study.tables, None, _few_workers(study_options))
-    _require_goals(study.list_missed_goals(sums))
+    workers = min(study_options.workers or MOST_CASES_AT_ONCE, MOST_CASES_AT_ONCE)
+    sums = _run(study, study, replace(study_options, workers=workers))
+    _require_nothing_missed("missed", study.list_missed_goals(sums))
 
 
-def _few_workers(study_options: StudyOptions) -> StudyOptions:
-    """Limit the cases that run at once."""
-    return replace(study_options, workers=min(study_options.workers or 2, MOST_CASES_AT_ONCE))
-
-
-def _require_goals(missed: Sequence[str]) -> None:
+def _require_nothing_missed(said: str, missed: Sequence[str]) -> None:
+    """End with exit code 1 if a study has missed anything."""
     if missed:
-        terminal.tell(f"missed: {'; '.join(missed)}")
+        terminal.tell(f"{said}: {'; '.join(missed)}")
         raise typer.Exit(EXIT_FAILED)
 
 
@@ -496,9 +446,9 @@ def low_cost(
 
     The thesis prints no figures of that paper: relations are judged. Exit code 1: one does not hold.
     """
-    from studies.low_cost import tables as low_cost_tables
     from studies.low_cost.preparation import load_or_prepare
     from studies.low_cost.study import LowCostStudy, study_name
+    from studies.low_cost.tables import list_missed_relations
 
     folder = study_options.out or Path("campaigns") / study_name(over_the_wire=over_the_wire)
     require_output_folder(folder)
@@ -507,15 +457,8 @@ def low_cost(
             folder, study_options.seed, scans, frames, coarse=coarse, progress=progress
         )
     study = LowCostStudy(arms, targets, study_options.seed, frames, prepared, over_the_wire)
-    sums = _run(
-        study,
-        lambda found: low_cost_tables.tables(prepared, found),
-        low_cost_tables.plots,
-        replace(study_options, out=folder),
-    )
-    if missed := low_cost_tables.list_missed_relations(sums):
-        terminal.tell(f"does not hold: {'; '.join(missed)}")
-        raise typer.Exit(EXIT_FAILED)
+    sums = _run(study, study, replace(study_options, out=folder))
+    _require_nothing_missed("does not hold", list_missed_relations(sums))
 
 
 def _try_plugins(kind: str, names: list[str] | None) -> tuple[PluginMethod, ...]:
@@ -528,8 +471,9 @@ def _try_plugins(kind: str, names: list[str] | None) -> tuple[PluginMethod, ...]
 
 
 def _run(
-    study: Study, tables: Tables, plots: Plots | None, study_options: StudyOptions
+    study: Study, results: Results, study_options: StudyOptions, plots: Plots | None = None
 ) -> Mapping[str, Sums]:
+    """Run a study, publish its results and return its sums; its plots are those of `results` by default."""
     from studies.campaign.folder import Ledger, publish
     from studies.campaign.study import add_up
     from studies.campaign.workers import run_study
@@ -557,16 +501,12 @@ def _run(
         terminal.tell(f"{units} kept in {folder}; the same command continues")
         raise
     sums = add_up(ledger.results())
-    found = tables(sums)
-    report = publish(folder, study.name, study.settings(), found, {} if plots is None else plots(sums))
-    if study_options.as_json:
-        terminal.print_json(
-            {"study": study.name, "report": str(report), "tables": [table.document() for table in found]}
-        )
-        return sums
-    for table in found:
-        _show(table)
-    terminal.tell(f"report: {report}")
+    found = results.tables(sums)
+    draw = plots or getattr(results, "plots", None)
+    report = publish(folder, study.name, study.settings(), found, draw(sums) if draw else {})
+    _print_tables(found, {"study": study.name, "report": str(report)}, as_json=study_options.as_json)
+    if not study_options.as_json:
+        terminal.tell(f"report: {report}")
     return sums
 
 
@@ -601,12 +541,7 @@ def times(
     for run in runs:
         require_run(run)
         inspect_run(run, every_file=False).require_unchanged()
-    found = time_tables(runs)
-    if as_json:
-        terminal.print_json({"runs": len(runs), "tables": [table.document() for table in found]})
-        return
-    for table in found:
-        _show(table)
+    _print_tables(time_tables(runs), {"runs": len(runs)}, as_json=as_json)
 
 
 @app.command()
@@ -627,12 +562,15 @@ def notebook(
         terminal.tell(str(execute_notebook(path, out)))
 
 
-def _show(table: Table) -> None:
+def _print_tables(found: Sequence[Table], head: Mapping[str, object], *, as_json: bool) -> None:
     from studies.campaign.study import format_cell
 
-    terminal.print_table(
-        table.title, list(table.columns), [[format_cell(value) for value in row] for row in table.rows]
-    )
+    if as_json:
+        terminal.print_json({**head, "tables": [table.document() for table in found]})
+        return
+    for table in found:
+        rows = [[format_cell(value) for value in row] for row in table.rows]
+        terminal.print_table(table.title, list(table.columns), rows)
 
 
 def main() -> None:

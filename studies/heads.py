@@ -78,7 +78,6 @@ def draw_strays(
 
 
 def per_axis_mm(sigma_mm: float, reading: NoiseReading) -> float:
-    """Convert a standard deviation to one per axis."""
     return sigma_mm if reading is NoiseReading.PER_AXIS else sigma_mm / float(np.sqrt(3.0))
 
 

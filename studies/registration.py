@@ -9,7 +9,8 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +20,7 @@ from procedures.registration.error_theory import fle_of_one_space_mm, fre_gate, 
 from procedures.registration.point_registration import register
 from studies.campaign import bounds
 from studies.campaign.plots import Point, curves
-from studies.campaign.study import Cell, Sums, Table, Unit, blocks, generator, omit_empty_own
+from studies.campaign.study import Cell, Study, Sums, Table, Unit, as_sums, blocks, generator
 from studies.heads import PATIENTS, draw_pose, sites_mm
 from studies.plugins.answers import PluginRegistration
 from studies.plugins.method import PluginMethod
@@ -40,7 +41,7 @@ PLAIN, WEIGHTED, OWN = "tre", "weighted", "own "
 
 
 @dataclass(frozen=True)
-class RegistrationStudy:
+class RegistrationStudy(Study):
     """Registration study with `runs` per number of fiducials and kind of error."""
 
     runs: int
@@ -49,11 +50,9 @@ class RegistrationStudy:
     name: str = "registration"
     own: tuple[PluginMethod, ...] = ()
 
-    def settings(self) -> dict[str, object]:
-        return {**omit_empty_own(asdict(self)), "sums": SUMS}
+    constants: ClassVar = {"sums": SUMS}
 
     def units(self) -> Sequence[Unit]:
-        """List the units in the order kind of error, fiducials."""
         conditions = [f"{ISOTROPIC}|{count}" for count in self.fiducials] + [f"{DEPTH}|5", f"{NOISY}|5"]
         return [unit for condition in conditions for unit in blocks(condition, self.runs, BLOCK_RUNS)]
 
@@ -71,7 +70,7 @@ class RegistrationStudy:
             residuals_mm.append(one.pop("fre"))
             sums.update(one)
         one_space2 = unit.runs * fle_of_one_space_mm(residuals_mm, int(count)) ** 2
-        return {key: float(value) for key, value in sums.items()} | {"one_space2": one_space2}
+        return as_sums(sums) | {"one_space2": one_space2}
 
 
 def _register_once(
@@ -165,9 +164,6 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
                     "TRE / predicted": weighted.value / predicted_mm,
                 }
             )
-    own = (
-        [_tabulate_own(sums)] if any(key.startswith(OWN) for total in sums.values() for key in total) else []
-    )
     return [
         Table.of(
             "Formulas of the rigid fit",
@@ -178,7 +174,7 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
             "spread of its squares.",
         ),
         Table.of("What weighting by covariances gains", gains, "Five fiducials."),
-        *own,
+        *([_tabulate_own(sums)] if any(map(_list_own, sums.values())) else ()),
     ]
 
 
@@ -187,10 +183,7 @@ def _tabulate_own(sums: Mapping[str, Sums]) -> Table:
     for condition, total in sums.items():
         kind, count = condition.split("|")
         methods = {PLAIN: "ours, equal weights", WEIGHTED: "ours, weighted"}
-        methods |= {
-            key[:-1]: key[len(OWN) : -1] for key in total if key.startswith(OWN) and key.endswith("2")
-        }
-        for who, name in methods.items():
+        for who, name in (methods | _list_own(total)).items():
             if f"{who}2" in total:
                 error = _rms_mm(total, who)
                 rows.append((kind, int(count), name, int(total["runs"]), error.value, error.text))
@@ -200,6 +193,11 @@ def _tabulate_own(sums: Mapping[str, Sums]) -> Table:
         rows,
         "The same points and covariances for all.",
     )
+
+
+def _list_own(total: Sums) -> dict[str, str]:
+    """Return the names of the user methods by the start of their keys."""
+    return {key[:-1]: key[len(OWN) : -1] for key in total if key.startswith(OWN) and key.endswith("2")}
 
 
 def _rms_mm(total: Sums, who: str) -> bounds.Bounded:
@@ -215,8 +213,7 @@ def plots(sums: Mapping[str, Sums]) -> dict[str, bytes]:
             continue
         lines["simulated"].append((int(count), _rms_mm(total, PLAIN)))
         lines["eq. 39"].append((int(count), float(np.sqrt(total["predicted2"] / total["runs"]))))
-        for key in total:
-            if key.startswith(OWN) and key.endswith("2"):
-                lines.setdefault(key[len(OWN) : -1], []).append((int(count), _rms_mm(total, key[:-1])))
+        for who, name in _list_own(total).items():
+            lines.setdefault(name, []).append((int(count), _rms_mm(total, who)))
     title = f"Target error, FLE {FLE_MM} mm"
     return {"target-error.png": curves(title, "fiducials", "rms error at the target, mm", lines)}

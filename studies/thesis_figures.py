@@ -6,7 +6,6 @@ reading for figure 11 is one of the pairing study's.
 
 from __future__ import annotations
 
-import io
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,7 +16,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from procedures.registration.cloud_registration import closest_point_steps, principal_axes
 from procedures.registration.correspondence import MatchStatus
 from procedures.registration.similarity_matrix import SimilarityPairs, SimilarityStep, similarity_steps
-from studies.campaign.plots import DOTS_PER_INCH
+from studies.campaign.plots import encode_png
 from studies.heads import HALF_AXES_MM, NoiseReading, draw_readings, sites_mm
 
 Array = NDArray[np.float64]
@@ -100,7 +99,7 @@ def _draw_axes(surfaces: Surfaces) -> bytes:
         _label_view(axes, view)
     all_axes[0].legend(fontsize=8)
     all_axes[0].set_title("Two clouds and their principal axes", fontsize=9)
-    return _png(figure)
+    return encode_png(figure)
 
 
 def _draw_steps(surfaces: Surfaces) -> bytes:
@@ -114,7 +113,7 @@ def _draw_steps(surfaces: Surfaces) -> bytes:
             axes.plot(*points[:, (0, 2)].T, ".", markersize=2, color=f"C{colour}")
         axes.set_title(f"step {number}: {residual_mm:.2f} mm", fontsize=9)
         _label_view(axes, (0, 2))
-    return _png(figure)
+    return encode_png(figure)
 
 
 def _draw_residuals(surfaces: Surfaces) -> bytes:
@@ -125,7 +124,7 @@ def _draw_residuals(surfaces: Surfaces) -> bytes:
     axes.set_ylabel("rms distance to the nearest point, mm")
     axes.set_title("Iterative closest points, from the principal axes", fontsize=9)
     axes.grid(alpha=0.3)
-    return _png(figure)
+    return encode_png(figure)
 
 
 def _draw_matrices(steps: tuple[SimilarityStep, ...], found: SimilarityPairs) -> bytes:
@@ -140,7 +139,7 @@ def _draw_matrices(steps: tuple[SimilarityStep, ...], found: SimilarityPairs) ->
         axes.set_title(f"iteration {number}", fontsize=9)
     pairs = ", ".join(f"{i + 1}-{chr(65 + j)}" for i, j in found.pairs.tolist())
     figure.suptitle(f"Similarity matrix, e = {MATRIX_E_MM:g} mm: {pairs}", fontsize=9)
-    return _png(figure)
+    return encode_png(figure)
 
 
 def _open_figure(rows: int, columns: int) -> tuple[Any, list[Any]]:
@@ -156,9 +155,3 @@ def _label_view(axes: Any, view: tuple[int, int]) -> None:
     axes.set_aspect("equal")
     axes.set_xlabel(f"{'xyz'[view[0]]}, mm")
     axes.set_ylabel(f"{'xyz'[view[1]]}, mm")
-
-
-def _png(figure: Any) -> bytes:
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=DOTS_PER_INCH)
-    return buffer.getvalue()

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from benchmarks.figures import Figure
-from benchmarks.mount.tracker_frame_calibration import FLANKS, FrameCell
+from benchmarks.mount.tracker_frame_calibration import FLANKS, FrameCell, list_error_figures
 from benchmarks.stereo_head.head_looks import TrueHead
 from procedures.calibration.head_model import cameras_of, intersect_rays, pose_record
 from procedures.calibration.pose_set import (
@@ -162,18 +162,9 @@ def measure(smallest: bool = False) -> list[Figure]:
 
 def _make_figures(calibrated: bool, seeds: int) -> list[Figure]:
     rows = np.array([_compute_errors(seed, calibrated) for seed in range(seeds)])
-    arm = "calibrated arm" if calibrated else "uncalibrated arm"
-    figures = []
-    for column, what in enumerate(("relative to the head's measurement", "relative to the true tool centre")):
-        errors = rows[:, column]
-        rms = float(np.sqrt(np.mean(errors**2)))
-        figures.append(
-            Figure(f"tool tip, {arm}: largest error, {what}", WHO, float(errors.max()), "mm").at_most(GOAL_MM)
-        )
-        figures.append(Figure(f"tool tip, {arm}: rms error, {what}", WHO, rms, "mm"))
-    ratio = float(np.sqrt(np.mean((rows[:, 0] / rows[:, 2]) ** 2)))
-    figures.append(Figure(f"tool tip, {arm}: made over stated error", WHO, ratio, ""))
-    return figures
+    columns = [(f"relative to the {what}", "mm") for what in ("head's measurement", "true tool centre")]
+    named = f"tool tip, {'calibrated arm' if calibrated else 'uncalibrated arm'}"
+    return list_error_figures(named, WHO, rows, columns, (GOAL_MM, GOAL_MM), made=0)
 
 
 def _compute_errors(seed: int, calibrated: bool) -> tuple[float, float, float]:

@@ -9,6 +9,7 @@ from a shift of the frame, and it cancels in every use of the record with the ar
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Self
@@ -90,7 +91,6 @@ class FrameCell:
 
     @property
     def true_frame(self) -> Array:
-        """True pose FLANGE <- MARKER (4, 4)."""
         mount = self.scene.mount
         return matrix_of(mount.flange_from_tool_true) @ matrix_of(mount.tool_from_marker_true)
 
@@ -178,20 +178,33 @@ def measure(smallest: bool = False) -> list[Figure]:
 
 def _make_figures(calibrated: bool, seeds: int) -> list[Figure]:
     rows = np.array([_compute_errors(seed, calibrated) for seed in range(seeds)])
-    arm = "calibrated arm" if calibrated else "uncalibrated arm"
+    columns = [(what, unit) for what in ("as on this arm", "as designed") for unit in ("mm", "°")]
+    named = f"tracker frame, {'calibrated arm' if calibrated else 'uncalibrated arm'}"
+    return list_error_figures(named, WHO, rows, columns, (GOAL_MM, GOAL_DEG), made=2)
+
+
+def list_error_figures(
+    named: str,
+    who: str,
+    rows: Array,
+    columns: Sequence[tuple[str, str]],
+    goals: Sequence[float],
+    *,
+    made: int,
+) -> list[Figure]:
+    """List the errors by column of the rows, with what they are relative to and their unit.
+
+    Goals apply to the largest errors of the first columns. Behind the errors stands the stated one, to which
+    that of the column `made` is compared.
+    """
     figures = []
-    for column, (what, unit) in enumerate(
-        (truth, unit) for truth in ("as on this arm", "as designed") for unit in ("mm", "°")
-    ):
-        errors = rows[:, column]
-        rms = float(np.sqrt(np.mean(errors**2)))
-        figure = Figure(f"tracker frame, {arm}: largest error, {what}", WHO, float(errors.max()), unit)
-        figures.append(figure.at_most(GOAL_MM if unit == "mm" else GOAL_DEG) if column < 2 else figure)
-        figures.append(Figure(f"tracker frame, {arm}: rms error, {what}", WHO, rms, unit))
-    made, stated = rows[:, 2], rows[:, 4]
-    ratio = float(np.sqrt(np.mean((made / stated) ** 2)))
-    figures.append(Figure(f"tracker frame, {arm}: made over stated error", WHO, ratio, ""))
-    return figures
+    for number, (what, unit) in enumerate(columns):
+        largest = Figure(f"{named}: largest error, {what}", who, float(rows[:, number].max()), unit)
+        figures.append(largest.at_most(goals[number]) if number < len(goals) else largest)
+        rms = float(np.sqrt(np.mean(rows[:, number] ** 2)))
+        figures.append(Figure(f"{named}: rms error, {what}", who, rms, unit))
+    ratio = float(np.sqrt(np.mean((rows[:, made] / rows[:, len(columns)]) ** 2)))
+    return [*figures, Figure(f"{named}: made over stated error", who, ratio, "")]
 
 
 def _compute_errors(seed: int, calibrated: bool) -> tuple[float, float, float, float, float]:
@@ -206,6 +219,5 @@ def _compute_errors(seed: int, calibrated: bool) -> tuple[float, float, float, f
 
 
 def pose_difference(one: Array, other: Array) -> tuple[float, float]:
-    """Return the distance (mm) and angle (deg) between two poses."""
     turn = Rotation.from_matrix(one[:3, :3].T @ other[:3, :3]).magnitude()
     return float(np.linalg.norm(one[:3, 3] - other[:3, 3])), float(np.degrees(turn))

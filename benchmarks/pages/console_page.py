@@ -51,7 +51,6 @@ new MutationObserver(() => {
 
 
 def measure(smallest: bool = False) -> list[Figure]:
-    """Measure server CPU share and event delay by number of open pages."""
     tabs_open, duration_s = (SMALLEST_TABS, SMALLEST_S) if smallest else (TABS, MEASURED_S)
     figures = []
     with tempfile.TemporaryDirectory() as place:

@@ -63,7 +63,6 @@ class _NullTape(_NullObject):
 
 
 def main(kept: str, speed: str, seed: str, folder: str) -> None:
-    """Run the case to completion and report its cost."""
     if kept == "bare":
         keep_nothing()
     request = RunRequest(

@@ -19,7 +19,6 @@ RECIPE, NO_SET_POINT = 1, 0
 
 
 def main() -> None:
-    """Connect to a controller and answer each of its packages with one that has no effect."""
     end_with_parent(lambda: os._exit(0))
     controller = parse_endpoint(sys.argv[1])
     buffer = bytearray(OUTPUT.size)

@@ -23,7 +23,6 @@ REPLY = bytes.fromhex(
 
 
 def main() -> None:
-    """Answer commands until terminated."""
     end_with_parent(lambda: os._exit(0))
     if sys.argv[1] == "serial-pty":
         near, far = os.openpty()

@@ -11,7 +11,6 @@ SIZE_PX = (1088, 2048)
 
 
 def main() -> None:
-    """Decode images until terminated."""
     import cv2
     import numpy as np
 

@@ -17,7 +17,6 @@ from tests.support.devices.camera_stream import stream_pairs  # noqa: E402
 
 
 def main(job: dict[str, object]) -> None:
-    """Receive the frames and print the results."""
     outcome = stream_pairs(job["addresses"], job["pairs"], job["packet_bytes"])  # type: ignore[arg-type]
     summary = {
         "seconds": outcome.seconds,

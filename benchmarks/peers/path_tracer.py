@@ -101,7 +101,6 @@ def draw_cloth_texture(random: np.random.Generator) -> np.ndarray:
 
 
 def draw_grain(random: np.random.Generator) -> np.ndarray:
-    """Draw beads and clouds of the film."""
     beads = draw_noise(random, lambda cycles: np.exp(-0.5 * (cycles / (0.12 * TEXELS)) ** 2))
     clouds = draw_noise(random, lambda cycles: np.exp(-0.5 * (cycles / (0.01 * TEXELS)) ** 2))
     return np.asarray(np.clip(1.0 + GRAIN * beads + CLOUDS * clouds, 0.3, 2.0))
@@ -137,7 +136,6 @@ def write_cloth(random: np.random.Generator, ball: np.ndarray, path: Path) -> No
 
 
 def as_bitmap(values: np.ndarray) -> dict[str, Any]:
-    """Return a texture of grey values."""
     bitmap = mi.Bitmap(np.repeat(values[..., None], 3, axis=-1).astype(np.float32))
     return {"type": "bitmap", "bitmap": bitmap, "raw": True}
 
@@ -145,7 +143,6 @@ def as_bitmap(values: np.ndarray) -> dict[str, Any]:
 def lamps(
     part: str, ring_mm: float, ball: np.ndarray, where: dict[str, tuple[float, float]]
 ) -> dict[str, Any]:
-    """Return the emitters of one part."""
     if part == "ring":
         return {
             f"lamp{number}": {
@@ -251,7 +248,6 @@ def true_outline(ball: np.ndarray, focal_px: float, size: int) -> np.ndarray:
 
 
 def main() -> None:
-    """Render the views into the folder."""
     parser = argparse.ArgumentParser()
     parser.add_argument("folder", type=Path)
     parser.add_argument("--views", type=int, default=24)

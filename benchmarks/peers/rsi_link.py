@@ -11,8 +11,7 @@ import os
 import sys
 import threading
 
-from drivers.kuka_rsi.connections import link_settings
-from drivers.kuka_rsi.link import start_link
+from drivers.kuka_rsi.connections import link_settings, start_link
 from drivers.kuka_rsi.options import KukaOptions
 from ronna_hw.arm.kr6_r900 import Kr6R900, kr6_r900
 from ronna_hw.arm.motion.limits import MotionLimits, working_limits

@@ -14,7 +14,6 @@ LONGEST = 65535
 
 
 def main() -> None:
-    """Connect to a controller and send back whatever it sends."""
     end_with_parent(lambda: os._exit(0))
     controller = parse_endpoint(sys.argv[1])
     with socket.create_connection((controller.host, controller.port)) as link:

@@ -12,7 +12,6 @@ LONGEST = 65535
 
 
 def main() -> None:
-    """Echo every datagram to its sender."""
     end_with_parent(lambda: os._exit(0))
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
         link.bind(("127.0.0.1", 0))

@@ -5,11 +5,11 @@ from __future__ import annotations
 import re
 import socket
 import sys
-import time
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Self
 
+from benchmarks.robot.turnaround import REPLY_LIMIT_S, Turnarounds
 from drivers.kuka_rsi import KukaRsiArm
 from ronna_hw.clock import open_clock
 from ronna_hw.config import DeviceConfig
@@ -66,7 +66,6 @@ class RobotCell:
 START_DEG = (0.0, -90.0, 90.0, 0.0, 60.0, 0.0)
 FIRST_IPOC = 1_000_000
 CYCLE_MS = 4
-REPLY_LIMIT_S = 0.2
 LONGEST = 8192
 CORRECTIONS = re.compile(
     rb'A1="([^"]+)" A2="([^"]+)" A3="([^"]+)" A4="([^"]+)" A5="([^"]+)" A6="([^"]+)"\s*/>.*<IPOC>(\d+)</IPOC>'
@@ -84,19 +83,17 @@ def bare_telegram() -> bytes:
     return (TELEGRAM % (*START_DEG, FIRST_IPOC)).encode("ascii")
 
 
-class ControllerProbe:
+class ControllerProbe(Turnarounds):
     """Stand-in for a controller, connected to a `udp://` endpoint on this machine."""
 
     def __init__(self, endpoint: str) -> None:
+        super().__init__()
         self._link = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         client = parse_endpoint(endpoint)
         self._link.connect((client.host, client.port))
         self._link.settimeout(REPLY_LIMIT_S)
         self._ipoc = FIRST_IPOC
         self._axes_deg = START_DEG
-        self._numbers = (0.0,) * 6
-        self.turnarounds_s: list[float] = []
-        self.unanswered = 0
         self.moved_deg = 0.0  # travel of A1 so far: shows that a moving client really moves
 
     def exchange(self, telegram: bytes) -> bytes:
@@ -104,45 +101,12 @@ class ControllerProbe:
         self._link.send(telegram)
         return self._link.recv(LONGEST)
 
-    def block(self, count: int, pace_s: float) -> list[float]:
-        """Send `count` telegrams `pace_s` apart on an absolute schedule. Return the turnarounds in s."""
-        found: list[float] = []
-        due_s = time.perf_counter()
-        for _ in range(count):
-            due_s = max(due_s + pace_s, time.perf_counter())
-            telegram = self._next_telegram()
-            pause_s = due_s - time.perf_counter()
-            if pause_s > 0.0:
-                time.sleep(pause_s)
-            began_s = time.perf_counter()
-            self._link.send(telegram)
-            reply = self._matching_reply()
-            if reply is None:
-                self.unanswered += 1
-                continue
-            found.append(time.perf_counter() - began_s)
-            self._follow(reply)
-        self.turnarounds_s += found
-        return found
-
-    def share(self, share: float) -> float:
-        """Return the quantile `share` (0..1) of all turnarounds, in seconds."""
-        return sorted(self.turnarounds_s)[int(share * len(self.turnarounds_s))]
-
-    def close(self) -> None:
-        self._link.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
-    def _next_telegram(self) -> bytes:
+    def next_message(self) -> bytes:
         self._ipoc += CYCLE_MS
         return (TELEGRAM % (*self._axes_deg, self._ipoc)).encode("ascii")
 
-    def _matching_reply(self) -> bytes | None:
+    def ask(self, message: bytes) -> bytes | None:
+        self._link.send(message)
         mark = b"<IPOC>%d</IPOC>" % self._ipoc
         while True:
             try:
@@ -152,9 +116,9 @@ class ControllerProbe:
             if mark in reply:
                 return reply
 
-    def _follow(self, reply: bytes) -> None:
+    def follow(self, reply: bytes) -> None:
         if reply.startswith(b"<Rob"):
-            return  # an echo commands nothing
+            return  # an echo
         found = CORRECTIONS.search(reply)
         if found is None:
             return
@@ -163,3 +127,6 @@ class ControllerProbe:
         )
         self.moved_deg += abs(a - self._axes_deg[0])
         self._axes_deg = (a, b, c, d, e, f)
+
+    def close(self) -> None:
+        self._link.close()

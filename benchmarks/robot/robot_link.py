@@ -9,7 +9,7 @@ in the same minutes.
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import partial
@@ -19,6 +19,7 @@ from statistics import median
 
 from benchmarks.figures import Figure, compare_samples, family_cpu_s, process_cpu_s, run_contest
 from benchmarks.robot.robot_cell import ControllerProbe, RobotCell, bare_telegram, peer
+from benchmarks.robot.turnaround import MEDIAN_ABOVE_ECHO_GOAL_US, compare_with_echo
 from ronna_hw.arm_stream.records import RecordedCycle
 from ronna_hw.devices.robot import JointMove
 from ronna_hw.vectors import JointVector
@@ -30,9 +31,7 @@ SWING_RAD = 0.6
 BARE_EXCHANGES = 1000
 FAST_S, CYCLE_S = 0.001, 0.004
 LOCK_STEP_GOAL, LOCK_STEP_GOAL_HZ = 0.40, 20_000.0  # of the bare exchange; the latter without load
-MEDIAN_ABOVE_ECHO_GOAL_US = 15.0
 FAST_ABOVE_ECHO_GOAL_US = 8.0  # at 1 ms, while the program is idle
-P99_OVER_ECHO_GOAL = 3.0
 ECHO, LINK_AT_REST, LINK_MOVING, RSIPI = "bare UDP echo", "driver at rest", "driver moving", "RSIPI"
 BUSY_PARENT = "driver moving, its program busy"
 UNREHEARSED = "driver moving, without rehearsal"
@@ -162,36 +161,20 @@ def _measure_turnaround(
         per_telegram = {name: [cpu_s[name] / sent[name]] for name in peers}
         share = {name: [cpu_s[name] / (sent[name] * pace_s)] for name in peers}
         figures = [_with_tail(figure, probes[figure.who]) for figure in figures]
+        judged = [who for who in contestants if who not in (RSIPI, UNREHEARSED)]
+        goals_us = dict.fromkeys(
+            judged, FAST_ABOVE_ECHO_GOAL_US if pace_s == FAST_S else MEDIAN_ABOVE_ECHO_GOAL_US
+        )
+        goals_us |= dict.fromkeys({BUSY_PARENT} & {*judged}, MEDIAN_ABOVE_ECHO_GOAL_US)
         return [
             *figures,
-            *_compare_with_echo(measure, pace_s, probes),
+            *compare_with_echo(measure, probes, ECHO, goals_us, cycle_s=CYCLE_S),
             *compare_samples(f"CPU per telegram, {measure}", "µs", per_telegram, ECHO, scale=1e6),
             *(
                 Figure(f"share of one processor, {measure}", who, of[0] * 100.0, "%")
                 for who, of in share.items()
             ),
         ]
-
-
-def _compare_with_echo(measure: str, pace_s: float, probes: dict[str, ControllerProbe]) -> Iterator[Figure]:
-    """Yield each contestant's median and tail over all telegrams, missed cycles and lost replies."""
-    echo = probes[ECHO]
-    echo_median_s, echo_p99_s = echo.share(0.5), echo.share(0.99)
-    for who, probe in probes.items():
-        above_s, p99_s = probe.share(0.5) - echo_median_s, probe.share(0.99)
-        ours = who not in (ECHO, RSIPI, UNREHEARSED)
-        if who != ECHO:
-            above = Figure(f"median above echo, {measure}", who, above_s * 1e6, "µs")
-            is_fast = pace_s == FAST_S and who != BUSY_PARENT
-            most_us = FAST_ABOVE_ECHO_GOAL_US if is_fast else MEDIAN_ABOVE_ECHO_GOAL_US
-            yield above.at_most(most_us) if ours else above
-        ratio, base = (None, "") if who == ECHO else (p99_s / echo_p99_s, ECHO)
-        tail = Figure(f"99th percentile, {measure}", who, p99_s * 1e6, "µs", ratio, base)
-        yield tail.ratio_at_most(P99_OVER_ECHO_GOAL) if ours else tail
-        missed_cycles = sum(turnaround > CYCLE_S for turnaround in probe.turnarounds_s)
-        yield Figure(f"longer than a cycle of 4 ms, {measure}", who, float(missed_cycles), "")
-        lost = Figure(f"replies lost, {measure}", who, float(probe.unanswered), "")
-        yield lost.at_most(0.0) if ours else lost
 
 
 def _with_tail(figure: Figure, probe: ControllerProbe) -> Figure:

@@ -13,6 +13,7 @@ from contextlib import ExitStack
 from typing import Self
 
 from benchmarks.robot.robot_cell import SILENCE_LIMIT_S
+from benchmarks.robot.turnaround import REPLY_LIMIT_S, Turnarounds
 from drivers.universal_robots import UniversalRobotsArm
 from drivers.universal_robots.realtime.packages import (
     ACTUAL,
@@ -54,7 +55,6 @@ from sim.world.world import World
 
 HOME_RAD: JointVector = (0.0, -1.5, -1.5, -1.5, 1.5, -1.5)
 ROLES = ("rtde", "dashboard", "primary")
-REPLY_LIMIT_S = 0.2
 CYCLE_S = 0.002
 FIRST_RECIPE = 1
 FULL_SPEED = 1.0
@@ -92,11 +92,12 @@ def resting_values() -> list[float]:
     return values
 
 
-class ControllerStandIn:
+class ControllerStandIn(Turnarounds):
     """Listens for one client, which gets the packages of a controller and of our script at a given pace."""
 
     def __init__(self, reply_limit_s: float = REPLY_LIMIT_S, cycle_s: float = CYCLE_S) -> None:
         """Listen; a reply that takes longer than `reply_limit_s` is lost."""
+        super().__init__()
         self._reply_limit_s = reply_limit_s
         self._cycle_s = cycle_s
         self._server = socket.create_server(("127.0.0.1", 0))
@@ -104,53 +105,29 @@ class ControllerStandIn:
         self._link: socket.socket | None = None
         self._goal = HOME_RAD
         self._values = resting_values()
-        self.turnarounds_s: list[float] = []
-        self.unanswered = 0
         self.moved_rad = 0.0  # travel of the base so far: shows that a moving client really moves
 
-    def block(self, count: int) -> list[float]:
-        """Send `count` packages, a cycle apart on an absolute schedule. Return the turnarounds in s."""
-        link = self._connected()
-        found: list[float] = []
-        due_s = time.perf_counter()
-        for _ in range(count):
-            due_s = max(due_s + self._cycle_s, time.perf_counter())
-            package = self.next_package()
-            pause_s = due_s - time.perf_counter()
-            if pause_s > 0.0:
-                time.sleep(pause_s)
-            began_s = time.perf_counter()
-            link.send(package)
-            try:
-                reply = link.recv(LONGEST)
-            except TimeoutError:
-                self.unanswered += 1
-                continue
-            found.append(time.perf_counter() - began_s)
-            self.follow(reply)
-        self.turnarounds_s += found
-        return found
+    def block(self, count: int, pace_s: float) -> list[float]:
+        self._connected()  # before any time is taken
+        return super().block(count, pace_s)
 
     def exchange(self) -> None:
-        """Send a package, wait for the reply and take it."""
         link = self._connected()
-        link.send(self.next_package())
+        link.send(self.next_message())
         self.follow(link.recv(LONGEST))
 
-    def share(self, share: float) -> float:
-        """Return the quantile `share` (0..1) of all turnarounds, in seconds."""
-        return sorted(self.turnarounds_s)[int(share * len(self.turnarounds_s))]
+    def ask(self, message: bytes) -> bytes | None:
+        link = self._connected()
+        link.send(message)
+        try:
+            return link.recv(LONGEST)
+        except TimeoutError:
+            return None
 
     def close(self) -> None:
         if self._link is not None:
             self._link.close()
         self._server.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def _connected(self) -> socket.socket:
         if self._link is None:
@@ -163,16 +140,14 @@ class ControllerStandIn:
             self._link.settimeout(self._reply_limit_s)
         return self._link
 
-    def next_package(self) -> bytes:
-        """Return the package of the next cycle."""
+    def next_message(self) -> bytes:
         values = self._values
         values[TIMESTAMP] += self._cycle_s
         return OUTPUT.pack(*values)
 
     def follow(self, reply: bytes) -> None:
-        """Take a set-point, as our script does."""
         if len(reply) != INPUT.size:
-            return  # an echo commands nothing
+            return  # an echo
         inputs, values = INPUT.unpack(reply), self._values
         values[RUN] = inputs[_RUN]
         if inputs[_SEQUENCE]:
@@ -286,7 +261,6 @@ class UrCell:
         self._ending.callback(self.arm.close)
 
     def start(self) -> None:
-        """Begin to stream."""
         self.arm.connect()
         self.arm.configure()
         self.arm.activate()

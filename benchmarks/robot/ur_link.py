@@ -18,6 +18,7 @@ from statistics import median
 from benchmarks.figures import Contestant, Figure, compare_samples, process_cpu_s, run_contest
 from benchmarks.robot.robot_cell import peer
 from benchmarks.robot.robot_link import rate_in_motion
+from benchmarks.robot.turnaround import MEDIAN_ABOVE_ECHO_GOAL_US, compare_with_echo
 from benchmarks.robot.ur_cell import CYCLE_S, ControllerStandIn, UrCell
 from ronna_hw.arm.pose import Pose
 from ronna_hw.devices.robot import JointMove, LineMove
@@ -28,8 +29,6 @@ SWING_RAD = 0.6
 LINE_MM = 100.0
 BARE_EXCHANGES = 1000
 LOCK_STEP_GOAL_HZ = 5_000.0
-MEDIAN_ABOVE_ECHO_GOAL_US = 15.0
-P99_OVER_ECHO_GOAL = 3.0
 RTDE_SHARE_GOAL = 0.5
 ECHO, BARE_RTDE, AT_REST, MOVING, UNREHEARSED = (
     "bare TCP echo",
@@ -156,27 +155,15 @@ def _measure_turnaround(
             stack.enter_context(peer(program, controllers[who].endpoint, *more))
 
         def block(who: str) -> float:
-            return median(controllers[who].block(packages))
+            return median(controllers[who].block(packages, cycle_s))
 
         samples = run_contest({who: partial(block, who) for who in contestants}, rounds)
         figures = [
             replace(figure, more=_tail(controllers[figure.who]))
             for figure in compare_samples(name, "µs", samples, ECHO, scale=1e6)
         ]
-        echo = controllers[ECHO]
-        for who, controller in controllers.items():
-            is_judged = who in (AT_REST, MOVING)
-            if who != ECHO:
-                above_us = (controller.share(0.5) - echo.share(0.5)) * 1e6
-                above = Figure(f"median above echo, {name}", who, above_us, "µs")
-                figures.append(above.at_most(MEDIAN_ABOVE_ECHO_GOAL_US) if is_judged else above)
-            ratio = None if who == ECHO else controller.share(0.99) / echo.share(0.99)
-            p99_us = controller.share(0.99) * 1e6
-            tail = Figure(f"99th percentile, {name}", who, p99_us, "µs", ratio, "" if ratio is None else ECHO)
-            figures.append(tail.ratio_at_most(P99_OVER_ECHO_GOAL) if is_judged else tail)
-            lost = Figure(f"replies lost, {name}", who, float(controller.unanswered), "")
-            figures.append(lost.at_most(0.0) if is_judged else lost)
-        return figures
+        goals_us = dict.fromkeys((AT_REST, MOVING), MEDIAN_ABOVE_ECHO_GOAL_US)
+        return [*figures, *compare_with_echo(name, controllers, ECHO, goals_us)]
 
 
 def _tail(controller: ControllerStandIn) -> dict[str, float]:

@@ -214,7 +214,6 @@ class Spheres:
 
 
 def measure(smallest: bool = False) -> list[Figure]:
-    """Measure bare reading, checked reading, and localization by every method on each scan."""
     figures: list[Figure] = []
     ours: dict[Case, Spheres] = {}
     for case in SMALLEST if smallest else CASES:

@@ -61,7 +61,6 @@ SMALLEST = Size(1, 1, 2, 2, 1, 1, 1, 1, 1)
 
 
 def measure(smallest: bool = False) -> list[Figure]:
-    """Measure cost per image and pair, campaign errors, deceptive images, and the servo loop."""
     studio, size = Studio(), SMALLEST if smallest else Size()
     return [
         *_measure_cost(studio, size),

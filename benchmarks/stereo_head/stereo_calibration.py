@@ -39,7 +39,6 @@ FALSE_ALARMS_PERCENT = 2.0
 
 
 def measure(smallest: bool = False) -> list[Figure]:
-    """Measure the tool centre error with an ideal and an uncalibrated arm, and the self-check."""
     if smallest:
         return [*_measure_tool_centre(heads=1, arms=1), *_measure_check(checks=1)]
     return [*_measure_tool_centre(HEADS, ARMS), *_measure_check(CHECKS)]

@@ -117,7 +117,6 @@ class Studio:
             yield Pair(views[0], views[1], place, second)
 
     def calibration(self) -> StereoHeadCalibration:
-        """Return an error-free calibration."""
         now = datetime.now(UTC)
         identity = PoseRecord(translation_mm=(0.0, 0.0, 0.0), quaternion_wxyz=(1.0, 0.0, 0.0, 0.0))
         left, right = (

@@ -92,12 +92,10 @@ class Outcome:
 
     @property
     def rms_px(self) -> float:
-        """Error per axis."""
         return float(np.sqrt(np.mean(np.square(self.errors_px)))) if self.errors_px else float("nan")
 
     @property
     def stated_px(self) -> float:
-        """Stated error per axis."""
         return float(np.sqrt(np.mean(self.variances_px2))) if self.errors_px else float("nan")
 
     @property
@@ -118,7 +116,6 @@ def kept_views(path: Path = KEPT) -> Iterator[TracedView]:
 
 
 def traced_views(folder: Path) -> Iterator[TracedView]:
-    """Yield the views that the path tracer wrote."""
     for path in sorted(folder.glob("*.npz")):
         with np.load(path) as traced:
             ring, top, side = (traced[part].astype(float) for part in PARTS)
@@ -161,7 +158,6 @@ def _read_out(grey: Array, bits: int, random: np.random.Generator) -> Picture:
 
 
 def measure_views(views: list[TracedView], light: Light, exposures: int = EXPOSURES) -> Outcome:
-    """Measure every view in one light."""
     outcome = Outcome()
     for number, view in enumerate(views):
         for exposure in range(exposures):
@@ -188,7 +184,6 @@ def _measure(picture: Picture, view: TracedView, outcome: Outcome) -> None:
 
 
 def main() -> None:
-    """Print the table."""
     views = list(traced_views(Path(sys.argv[1])) if len(sys.argv) > 1 else kept_views())
     print(f"{'light':30} {'given':>5} {'rms px':>7} {'stated':>7} {'chi2':>5}  refused")
     for light in LIGHTS:

@@ -92,18 +92,15 @@ class GigeLink:
         return answer.payload[4:]
 
     def read_registers(self, *addresses: int) -> list[int]:
-        """Read several registers in one command."""
         answer = self.exchange(GvcpCommand.READREG, struct.pack(f">{len(addresses)}I", *addresses))
         self.expect(answer, GevStatus.SUCCESS, f"reading {len(addresses)} register(s)")
         check(len(answer.payload) == 4 * len(addresses), f"{len(addresses)} values", len(answer.payload))
         return list(struct.unpack(f">{len(addresses)}I", answer.payload))
 
     def write(self, address: int, value: int) -> int:
-        """Write a register and return the status."""
         return self.exchange(GvcpCommand.WRITEREG, struct.pack(">II", address, value)).status
 
     def write_memory(self, address: int, data: bytes) -> int:
-        """Write bytes to memory and return the status."""
         return self.exchange(GvcpCommand.WRITEMEM, struct.pack(">I", address) + data).status
 
     def repeat_last(self) -> bool:
@@ -119,7 +116,6 @@ class GigeLink:
 
     @property
     def local_address(self) -> str:
-        """Local address on the route to the camera."""
         return str(self._socket.getsockname()[0])
 
     @staticmethod
@@ -195,7 +191,6 @@ class GigeFeatures:
 
     @cached_property
     def nodes(self) -> dict[str, Element]:
-        """Description nodes by name."""
         return {
             name: node
             for node in self.description.iter()
@@ -203,7 +198,6 @@ class GigeFeatures:
         }
 
     def has(self, name: str) -> bool:
-        """Return whether the description has a node of this name."""
         return name in self.nodes
 
     @read_as("an entry with an integer value")
@@ -216,7 +210,6 @@ class GigeFeatures:
 
     @read_as("a register of a number")
     def get(self, name: str) -> int | float:
-        """Read a feature."""
         register = self._find_register(name)
         data = self._link.memory(self._register_address(register), self._register_length(register))
         if _kind(register) == "FloatReg":
@@ -224,7 +217,6 @@ class GigeFeatures:
         return int.from_bytes(data, "big")
 
     def whole(self, name: str) -> int:
-        """Read a feature as an integer."""
         return int(self.get(name))
 
     @read_as("an integer limit")

@@ -63,18 +63,15 @@ class GigeStream:
         self.close()
 
     def latch_ticks(self) -> int:
-        """Read the camera's current tick count."""
         self.link.write(Bootstrap.TIMESTAMP_CONTROL, TIMESTAMP_LATCH)
         high, low = self.link.read_registers(Bootstrap.TIMESTAMP_HIGH, Bootstrap.TIMESTAMP_LOW)
         return high << 32 | low
 
     @property
     def port(self) -> int:
-        """UDP port that receives the stream."""
         return int(self._socket.getsockname()[1])
 
     def close(self) -> None:
-        """Close the receiving socket."""
         self._socket.close()
 
     def open_channel(self, destination: str | None = None) -> None:
@@ -102,7 +99,6 @@ class GigeStream:
             features.set(name, value)
 
     def trigger(self) -> None:
-        """Trigger one frame."""
         self.features.execute("TriggerSoftware")
 
     def packet(self, limit_s: float = FRAME_LIMIT_S) -> Packet | None:
@@ -145,7 +141,6 @@ class GigeStream:
         return found
 
     def request_resend(self, block_id: int, first: int, last: int) -> None:
-        """Request a resend of packets `first`..`last` of a block."""
         self.link.send(GvcpCommand.PACKETRESEND, struct.pack(">HHII", 0, block_id, first, last))
 
 
@@ -157,7 +152,6 @@ def require_leader(frame: list[Packet]) -> SeenLeader:
 
 @read_as("a whole leader")
 def decode_leader(packet: Packet) -> SeenLeader:
-    """Decode a leader packet."""
     _, payload_type, ticks, pixel_format, width, height, x, y, _, _ = struct.unpack_from(
         ">HHQIIIIIHH", packet.content
     )
@@ -181,6 +175,5 @@ def controlled_stream(link: GigeLink) -> Iterator[GigeStream]:
 
 
 def start_acquisition(stream: GigeStream) -> GigeStream:
-    """Start the acquisition and return the same stream."""
     stream.features.execute("AcquisitionStart")
     return stream

@@ -43,17 +43,14 @@ class EkiLine:
         self.close()
 
     def close(self) -> None:
-        """Close the connection."""
         self._socket.close()
 
     def reconnect(self) -> None:
-        """Close the connection and connect again."""
         self._socket.close()
         self._received = b""
         self._socket = self._connect()
 
     def send(self, data: bytes) -> None:
-        """Send raw bytes."""
         self._socket.sendall(data)
 
     def command(self, name: str, **attributes: object) -> str:
@@ -69,7 +66,6 @@ class EkiLine:
         return int(self.answer("Ack", self.command(name, **attributes)).get("Code", "-1"))
 
     def state(self) -> ElementTree.Element:
-        """Query the controller state."""
         return self.answer("State", self.command("STATUS"))
 
     def answer(self, tag: str, identifier: str) -> ElementTree.Element:
@@ -107,7 +103,6 @@ class EkiLine:
         return False
 
     def _next_element(self) -> bytes | None:
-        """Take the next complete element from the receive buffer."""
         match = _ELEMENT.search(self._received)
         if match is None:
             return None
@@ -158,7 +153,6 @@ class Telegram:
     @property
     @read_as("an integer D")
     def late(self) -> int:
-        """Delay counter D."""
         match = _DELAY.search(self.raw)
         if match is None:
             raise NotShown("the controller sends no Delay")
@@ -167,7 +161,6 @@ class Telegram:
 
     @read_as("an element with numbers")
     def values(self, tag: str) -> dict[str, float]:
-        """Read the attributes of an element as numbers."""
         found = parse_xml(self.raw, MOST_BYTES).find(tag)
         if found is None:
             raise NotShown(f"the controller sends no {tag}")
@@ -190,11 +183,9 @@ class RsiLine:
     def answer(
         self, telegram: Telegram, corrections: Mapping[str, float] = HOLD, *, stop: bool = False
     ) -> None:
-        """Send a valid reply to a telegram."""
         self.send(telegram, self.reply(telegram.ipoc, corrections, stop=stop))
 
     def send(self, telegram: Telegram, reply: bytes) -> None:
-        """Send bytes to the sender of a telegram."""
         self.socket.sendto(reply, telegram.sender)
 
     def reply(
@@ -221,7 +212,6 @@ class RsiLine:
         return f'<Sen Type="{sentype}">{body}<IPOC>{ipoc}</IPOC></Sen>'.encode()
 
     def run_cycles(self, count: int, corrections: Mapping[str, float] = HOLD) -> list[Telegram]:
-        """Answer the next `count` telegrams and return them."""
         telegrams = []
         for _ in range(count):
             telegrams.append(self.next())

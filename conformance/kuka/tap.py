@@ -45,23 +45,19 @@ class RsiTap(LineThread):
         self._traffic = Traffic()
 
     def take_traffic(self) -> Traffic:
-        """Return the traffic since the last call."""
         with self._lock:
             passed, self._traffic = self._traffic, Traffic()
         return passed
 
     @property
     def replies(self) -> int:
-        """Number of replies since the last `take_traffic`."""
         return len(self._traffic.replies)
 
     @property
     def held_count(self) -> int:
-        """Number of telegrams held back."""
         return len(self._held)
 
     def hold(self) -> None:
-        """Hold back the controller's telegrams."""
         self._holding = True
 
     def release(self) -> None:
@@ -74,7 +70,6 @@ class RsiTap(LineThread):
                 self._inside.sendto(telegram, self._driver)
 
     def discard(self) -> None:
-        """Drop the held telegrams and resume forwarding."""
         with self._lock:
             self._held.clear()
             self._holding = False

@@ -63,7 +63,6 @@ class SerialLine:
 
     @property
     def baud(self) -> int:
-        """Baud rate of the host's port."""
         return int(self._port.baudrate)
 
     @baud.setter
@@ -135,12 +134,10 @@ class PolarisLink:
         return heard
 
     def expect_okay(self, command: str | bytes) -> None:
-        """Send a command and require the reply OKAY."""
         reply = self.ask(command)
         check(reply == REPLY_OKAY, f"OKAY to {command!r}", reply)
 
     def refused(self, command: str | bytes, *codes: int) -> None:
-        """Send a command and require one of these error replies."""
         wanted = [f"ERROR{code:02X}" for code in codes]
         reply = self.ask(command)
         check(reply in wanted, f"{' or '.join(wanted)} to {command!r}", reply)
@@ -155,7 +152,6 @@ class PolarisLink:
         return handle
 
     def write(self, handle: str, definition: bytes) -> None:
-        """Write a tool definition to a port handle."""
         for address in range(0, len(definition), PVWR_BLOCK_BYTES):
             block = definition[address : address + PVWR_BLOCK_BYTES].ljust(PVWR_BLOCK_BYTES, b"\0")
             self.expect_okay(f"PVWR:{handle}{address:04X}{block.hex().upper()}")
@@ -173,7 +169,6 @@ class PolarisLink:
         return [text[at : at + 2] for at in range(2, len(text), 5)]
 
     def clean_up(self) -> None:
-        """Stop tracking and free every port handle."""
         self.read_rest()
         self.ask("TSTOP:")  # refused if not tracking
         for handle in self.handles():
@@ -220,7 +215,6 @@ class PolarisLink:
 
 
 def is_error(text: str) -> bool:
-    """Return whether a reply is ERRORhh."""
     return _ERROR.fullmatch(text) is not None
 
 
@@ -270,7 +264,6 @@ class HandleReport:
 
     @property
     def outside(self) -> bool:
-        """Whether the unit reports the tool outside its measuring volume."""
         return bool(self.port_status & PortStatus.OUT_OF_VOLUME)
 
 
@@ -291,7 +284,6 @@ class BxReply:
 
     @property
     def frame(self) -> int:
-        """Latest frame number of any handle."""
         return max((handle.frame for handle in self.handles), default=0)
 
 

@@ -81,7 +81,6 @@ def reading_command(tap: PolarisTap) -> str:
 
 @contextlib.contextmanager
 def tapped_tracker(dut: DeviceUnderTest, **options: Any) -> Iterator[tuple[PolarisTap, Any]]:
-    """Yield a tap and a tracking driver connected through it."""
     with polaris_tap(dut) as tap:
         tracker = dut.make(endpoint=tap.endpoint, options={**dut.config.options, **options})
         dut.bring_to(Lifecycle.ACTIVE, tracker).read_frame(PATIENT_S)

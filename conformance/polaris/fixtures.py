@@ -49,7 +49,6 @@ class ReportsBaud(Protocol):
 
 
 def definition(dut: DeviceUnderTest) -> bytes:
-    """Return the driver's first tool definition."""
     tracker = dut.make()
     assert isinstance(tracker, ReportsDefinitions), "the case needs a tool definition"
     return next(iter(tracker.definition_blocks.values()))
@@ -65,7 +64,6 @@ def unit_with_tool(dut: DeviceUnderTest) -> Iterator[PolarisLink]:
 
 
 def read_frame(unit: PolarisLink, options: int = 0x0001) -> BxReply:
-    """Read a frame with BX."""
     return read_body(unit.ask_binary(f"BX:{options:04X}"), options)
 
 
@@ -105,7 +103,6 @@ def shift_origin(block: bytes, shift_mm: Vector3 = (0.0, 0.0, 0.0)) -> bytes:
 
 
 def reverse_normals(block: bytes) -> bytes:
-    """Reverse all marker normals of a tool, so that no marker faces the unit."""
     changed = bytearray(block)
     count = block[layout.MARKER_COUNT_OFFSET]
     for slot in range(count):
@@ -176,7 +173,6 @@ class StatedVolume:
 
     @property
     def depths_mm(self) -> tuple[float, float]:
-        """Depths z of the far and the near face, mm."""
         return self.numbers[0] / 100, self.numbers[2] / 100
 
     @property

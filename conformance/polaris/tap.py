@@ -40,7 +40,6 @@ class PolarisTap(DisturbedLine):
         self.change(name, lambda _reply: with_crc(text))
 
     def count(self, beginning: str) -> int:
-        """Count the logged commands that start with `beginning`."""
         return sum(command.startswith(beginning) for command in self.commands)
 
     def _note_command(self, data: bytes) -> None:
@@ -78,18 +77,15 @@ def polaris_tap(dut: DeviceUnderTest) -> PolarisTap:
 
 
 def body_of(reply: bytes) -> bytes:
-    """Return the body of a complete binary reply."""
     return reply[BX_HEADER_BYTES:-BX_CRC_BYTES]
 
 
 def with_body(body: bytes) -> bytes:
-    """Build a binary reply with this body and valid CRCs."""
     header = _BX_START + _u16.pack(len(body))
     return header + _u16.pack(crc16(header)) + body + _u16.pack(crc16(body))
 
 
 def with_system_status(reply: bytes, status: int) -> bytes:
-    """Replace the system status of a binary or text reply."""
     if reply.startswith(_BX_START):
         return with_body(body_of(reply)[:-2] + _u16.pack(status))
     return with_crc(reply[: -1 - ASCII_CRC_DIGITS - 4].decode() + f"{status:04X}")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from itertools import groupby
 
-from console.panels.html import table_of, tag, text
+from console.panels.html import head_row, table_of, tag, text
 from procedures.engine.case_view import CaseView, DeviceRow, Rate, StepRow
 
 OPENING, HARDWARE = "OPENING", "HARDWARE: A REAL ROBOT MOVES"
@@ -33,7 +33,6 @@ def banner(view: CaseView) -> str:
 
 
 def case_line(view: CaseView) -> str:
-    """Show the run with its theatre and strategy."""
     run = tag("b", text(view.run or "no run yet"))
     strategy = view.strategy and f"strategy {view.strategy}"
     more = ", ".join(part for part in (view.theatre, strategy, view.methods) if part)
@@ -56,7 +55,6 @@ def clock(view: CaseView, beat: int) -> str:
 
 
 def seat_line(view: CaseView, *, is_mine: bool, may_operate: bool) -> str:
-    """Show who is in the operator's seat, and whether this page is operating or viewing."""
     holder = view.seat.holder if view.seat else ""
     if is_mine:
         words, kind = f"You are operating as {holder}", "ok"
@@ -128,7 +126,6 @@ def chart(view: CaseView) -> str:
 
 
 def chart_key(view: CaseView) -> object:
-    """Return a key that changes with the chart."""
     return (
         view.steps,
         view.running,
@@ -176,23 +173,19 @@ def _render_place(row: StepRow) -> str:
 
 
 def devices(view: CaseView) -> str:
-    """Show one row per device."""
     if not view.devices:
         return tag("p", "No device connected yet.", class_="dim")
-    head = tag("tr", "".join(tag("th", item, scope="col") for item in HEAD))
     body = "".join(_render_row(name, row) for name, row in view.devices.items())
-    return _render_link(view) + table_of(head, body)
+    return _render_link(view) + table_of(head_row(*HEAD), body)
 
 
 def devices_key(view: CaseView) -> object:
-    """Return a key that changes with the table."""
     return tuple(
         (name, row.seen, _format_age(row), row.rate) for name, row in view.devices.items()
     ), view.link
 
 
 def mode(view: CaseView) -> str:
-    """Show the controller's operating mode in the page head."""
     if not view.mode:
         return tag("div", '<b>-</b><div class="dim">controller</div>', class_="mode")
     return tag("div", f'<b>{text(view.mode)}</b><div class="dim">controller</div>', class_="mode")

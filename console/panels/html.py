@@ -10,7 +10,6 @@ from ronna_hw.text import printable
 
 
 def text(words: object) -> str:
-    """Escape plain text for a page."""
     return escape(printable(str(words)))
 
 
@@ -25,18 +24,18 @@ def tag(name: str, content: str, **attributes: str) -> str:
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[str]], caption: str = "") -> str:
-    """Build a table of plain text."""
-    columns = tag("tr", "".join(tag("th", text(heading), scope="col") for heading in head))
     body = "".join(tag("tr", "".join(tag("td", text(cell)) for cell in row)) for row in rows)
-    return table_of(columns, body, caption)
+    return table_of(head_row(*head), body, caption)
+
+
+def head_row(*headings: str) -> str:
+    return tag("tr", "".join(tag("th", text(heading), scope="col") for heading in headings))
 
 
 def table_of(head: str, body: str, caption: str = "") -> str:
-    """Build a table from header and body rows in HTML."""
     title = tag("caption", text(caption)) if caption else ""
     return tag("div", tag("table", f"{title}<thead>{head}</thead><tbody>{body}</tbody>"), class_="wide")
 
 
 def evidence_table(evidence: Evidence) -> str:
-    """Build a table of evidence for a question."""
     return table(evidence.head, evidence.rows, evidence.title)

@@ -17,6 +17,7 @@ from typing import Any
 from nicegui import ui
 
 from console.panels.case_state import seat_line
+from console.panels.elements import button, html
 from console.panels.html import tag, text
 from console.panels.question import question_evidence, question_heading, question_pictures, question_words
 from procedures.engine.case_view import CaseView
@@ -55,15 +56,14 @@ class SeatPanel:
         self._give = give
         self._may_operate = may_operate
         with ui.element("div").classes("seatbox"):
-            self._line = ui.html("", sanitize=False)
+            self._line = html()
             # not cut to the longest name: a name that is too long is refused like any other
             self._name = ui.input("Your name").props("dense outlined autocomplete=off").classes("name")
             self._name.on("keydown.enter", self._claim_seat)
-            self._claim = _button("Take the seat", self._claim_seat, "claim")
-            self._release = _button("Leave the seat", partial(give, {"kind": "release"}), "release")
+            self._claim = button("Take the seat", self._claim_seat, "claim")
+            self._release = button("Leave the seat", partial(give, {"kind": "release"}), "release")
 
     def show(self, view: CaseView, *, is_mine: bool, orders: bool) -> None:
-        """Show who is in the operator's seat."""
         self._line.set_content(seat_line(view, is_mine=is_mine, may_operate=self._may_operate))
         free = self._may_operate and orders and view.seat is None
         self._name.set_visibility(free)
@@ -85,8 +85,8 @@ class OrderPanel:
                 ui.select([], label="up to").props("dense outlined options-dense").classes("upto")
             )
             self._run_place = ui.element("div").style("display: contents")
-            self._pause = _button("Pause", partial(give, {"kind": "pause"}), "pause")
-            self._acknowledge = _button(
+            self._pause = button("Pause", partial(give, {"kind": "pause"}), "pause")
+            self._acknowledge = button(
                 "Acknowledge faults", partial(give, {"kind": "acknowledge"}), "acknowledge"
             )
             self._abort = HeldButton("Abort (hold)", partial(give, {"kind": "abort"}), tell).button
@@ -108,11 +108,11 @@ class OrderPanel:
 
         self._next_place.clear()
         with self._next_place:
-            self._next = _button(f"Next: {upcoming}" if upcoming else "Next", order_next, "next", "go")
+            self._next = button(f"Next: {upcoming}" if upcoming else "Next", order_next, "next", "go")
         self._run_place.clear()
         with self._run_place:
-            self._run_to = _button("Run to", order_run_to, "run_to")
-            self._resume = _button("Run on", order_resume, "resume")
+            self._run_to = button("Run to", order_run_to, "run_to")
+            self._resume = button("Run on", order_resume, "resume")
 
     def show(self, view: CaseView, *, is_mine: bool) -> None:
         """Enable the valid orders. Each order quotes the state in which its button was shown."""
@@ -124,7 +124,7 @@ class OrderPanel:
         quoted = view.upcoming if state is WAITING and is_mine else ""
         if quoted != self._quoted:
             self._build(quoted)
-        for button, order in (
+        for shown, order in (
             (self._next, Next),
             (self._run_to, RunTo),
             (self._resume, Resume),
@@ -134,7 +134,7 @@ class OrderPanel:
         ):
             is_repeated = order is Pause and state is PAUSED  # would only pause anew after the answer
             is_accepted = state in RULE_OF[order].from_console and not is_repeated
-            button.set_enabled(is_mine and is_accepted and not has_ended)
+            shown.set_enabled(is_mine and is_accepted and not has_ended)
         self._acknowledge.set_visibility(any(row.seen.fault for row in view.devices.values()))
         options = [row.step for row in view.steps if row.state != "done"]
         if options != self._last_step.options:
@@ -156,10 +156,7 @@ def add_stop_button(give: Give) -> None:
         ui.button("Stop motion", on_click=stop, color=None).classes("stop").props(
             "no-caps unelevated data-do=stop"
         ).tooltip(NOT_EMERGENCY)
-        ui.html(
-            '<div class="stopnote">not an emergency stop: for that, press the red button</div>',
-            sanitize=False,
-        )
+        html('<div class="stopnote">not an emergency stop: for that, press the red button</div>')
 
 
 class QuestionPanel:
@@ -178,7 +175,6 @@ class QuestionPanel:
         )
 
     def show(self, view: CaseView, *, is_mine: bool, has_seat: bool) -> None:
-        """Show the open question, if any."""
         question = view.question
         key = (
             None if question is None else (question.question, digest_of_question(question), is_mine, has_seat)
@@ -198,32 +194,28 @@ class QuestionPanel:
             self._time_limit.set_content(_time_limit(question, view))
 
     def _say(self, words: str) -> None:
-        """Show a refusal or advice beside the answers."""
         self._words = words
         if self._said is not None:
             self._said.set_content(tag("p", text(words), class_="warn", role="alert") if words else "")
 
     def _build(self, question: Questioned, view: CaseView, *, is_mine: bool) -> None:
         digest = digest_of_question(question)
-        ui.html(question_heading(question), sanitize=False)
+        html(question_heading(question))
         with ui.element("div").classes("asked"):
-            ui.html(question_words(question), sanitize=False)
+            html(question_words(question))
             if question.pictures:
-                ui.html(question_pictures(question), sanitize=False).classes("cutbox")
+                html(question_pictures(question)).classes("cutbox")
         if question.evidence:
-            ui.html(question_evidence(question), sanitize=False)
+            html(question_evidence(question))
         with ui.element("div").classes("answerbar"):
             self._build_answers(question, view, digest, is_mine=is_mine)
 
     def _build_answers(self, question: Questioned, view: CaseView, digest: str, *, is_mine: bool) -> None:
         """Add what is typed and the buttons, which stay in view below the question."""
-        self._time_limit = ui.html("", sanitize=False)
+        self._time_limit = html()
         if not is_mine:
             who = f"{view.seat.holder} answers" if view.seat else "the operator's seat is empty"
-            ui.html(
-                tag("p", text(f"Answers: {', '.join(question.answers)}; {who}."), class_="dim"),
-                sanitize=False,
-            )
+            html(tag("p", text(f"Answers: {', '.join(question.answers)}; {who}."), class_="dim"))
             return
         read_back_field = None
         if question.read_back is not None:
@@ -231,12 +223,12 @@ class QuestionPanel:
         reading_fields = [
             _typed_field(f"Type {what}", "maxlength=20 inputmode=decimal") for what in question.reads
         ]
-        self._said = ui.html("", sanitize=False)
+        self._said = html()
         with ui.element("div").classes("answers"):
             for answer in question.answers:
                 self._answer_button(question, answer, digest, read_back_field, reading_fields)
         signed = f"Your answer signs exactly what is shown here: {digest[:DIGEST_SHOWN]} in the journal."
-        ui.html(tag("p", signed, class_="digest dim"), sanitize=False)
+        html(tag("p", signed, class_="digest dim"))
 
     def _answer_button(
         self,
@@ -269,10 +261,10 @@ class QuestionPanel:
 
         # The last answer, also given by silence, changes nothing, unless it ends the case.
         if question.deliberate and (answer == ABORT or answer != question.answers[-1]):
-            button = HeldButton(f"{answer} (hold)", act, self._say).button
+            answering = HeldButton(f"{answer} (hold)", act, self._say).button
         else:
-            button = ui.button(answer, on_click=act, color=None).props("no-caps unelevated")
-        button.classes("go" if is_go_ahead else "plain").props(f'data-answer="{answer}"')
+            answering = ui.button(answer, on_click=act, color=None).props("no-caps unelevated")
+        answering.classes("go" if is_go_ahead else "plain").props(f'data-answer="{answer}"')
 
 
 class HeldButton:
@@ -343,12 +335,7 @@ def _time_limit(question: Questioned, view: CaseView) -> str:
 
 def _typed_field(what: str, props: str) -> ui.input:
     """Add a field below its label, which wraps where one inside would be cut."""
-    ui.html(tag("p", text(what), class_="label"), sanitize=False)
+    html(tag("p", text(what), class_="label"))
     field = ui.input().classes("typed").props(f"dense outlined autocomplete=off {props}")
     field.props["aria-label"] = what
     return field
-
-
-def _button(label: str, work: Callable[[], Awaitable[None]], name: str, kind: str = "plain") -> ui.button:
-    button = ui.button(label, on_click=work, color=None).classes(kind)
-    return button.props(f"no-caps unelevated data-do={name}")

@@ -14,7 +14,6 @@ NOT_KEPT = "Name and identifier were shown to the operator; no record keeps them
 
 
 def question_heading(question: Questioned) -> str:
-    """Show the subject of a question."""
     return tag("h2", text(question.subject), data_question=str(question.question))
 
 
@@ -33,7 +32,6 @@ def question_pictures(question: Questioned) -> str:
 
 
 def question_evidence(question: Questioned) -> str:
-    """Show the tables of evidence, folded."""
     return "".join(
         tag("details", tag("summary", text(one.title)) + evidence_table(one), class_="evidence")
         for one in question.evidence
@@ -41,7 +39,6 @@ def question_evidence(question: Questioned) -> str:
 
 
 def _render_decision(predicted: PredictedError) -> str:
-    """Show the predicted error against the plan's margin."""
     figures = (
         (f"{predicted.rms_mm:.2f} mm", f"predicted error at {predicted.target} (rms)"),
         (f"{predicted.margin_mm:g} mm", "the plan's margin"),

@@ -7,7 +7,7 @@ from pathlib import Path, PurePath
 
 from console.errors import UNRELIABLE_RUN
 from console.hub import Hub
-from console.panels.html import evidence_table, tag, text
+from console.panels.html import evidence_table, head_row, tag, text
 from procedures.engine.case_view import FAULT, FINDING, REFUSED, CaseView, Notice
 from procedures.imaging.trajectory_cuts import PLAN_PICTURE
 from procedures.reporting.case_figures import CaseFigures
@@ -46,9 +46,7 @@ def accuracy(view: CaseView, figures: CaseFigures | None) -> str:
         )
         for item in predictions
     )
-    head = tag(
-        "tr", "".join(tag("th", item, scope="col") for item in ("target", "mm rms", "limit mm", "margin mm"))
-    )
+    head = head_row("target", "mm rms", "limit mm", "margin mm")
     total = tag(
         "table",
         f"<caption>Predicted error at the targets</caption><thead>{head}</thead><tbody>{rows}</tbody>",
@@ -65,7 +63,6 @@ def accuracy_key(view: CaseView) -> object:
 
 
 def live_pair(hub: Hub) -> str:
-    """Show the latest image pair with the detected outlines."""
     if not hub.pair:
         return ""
     age_s = hub.pair_age_s
@@ -77,7 +74,6 @@ def live_pair(hub: Hub) -> str:
 
 
 def live_key(hub: Hub) -> object:
-    """Return a key that changes with the live pair."""
     age_s = hub.pair_age_s
     return hub.pairs, int(age_s) if age_s > LIVE_OLD_S else 0
 
@@ -119,7 +115,6 @@ def _render_cut(way: str, name: str, *, is_open: bool) -> str:
 
 
 def course(figures: CaseFigures | None) -> str:
-    """Show the timeline as it appears in the report."""
     if figures is None or not figures.course:
         return tag("p", "Shown for the latest state only.", class_="dim")
     return tag("div", figures.course, class_="paper")

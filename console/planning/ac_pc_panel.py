@@ -8,9 +8,10 @@ from functools import partial
 
 from nicegui import ui
 
-from console.panels.html import table_of, tag, text
+from console.panels.elements import card, group, html, small_button
+from console.panels.html import head_row, table_of, tag, text
 from console.planning.draft import LANDMARKS, Draft
-from console.planning.fields import NumberField, small_button
+from console.planning.fields import NumberField
 from console.planning.plan_editor import PlanEditor
 from console.planning.slices import PageView
 from procedures.strategies.trajectory import Point
@@ -21,12 +22,7 @@ CLICK_NEXT = (
     "Now a point of the midline far above them, such as on the falx.",
 )
 AXES = ("x", "y", "z")
-HEAD = tag(
-    "tr",
-    "".join(
-        tag("th", text(name), scope="col") for name in ("mm", "L", "P", "S", "x right", "y front", "z up")
-    ),
-)
+HEAD = head_row("mm", "L", "P", "S", "x right", "y front", "z up")
 NO_FRAME = "No AC-PC frame yet: choose “AC–PC” above the pictures, then click three points."
 
 
@@ -38,12 +34,11 @@ class AcPcPanel:
     ) -> None:
         self._editor, self._page_view, self._go, self._may_edit = editor, page_view, go, may_edit
         self._shown: object = None
-        with ui.element("section").classes("card acpc").props('aria-label="Coordinates"'):
-            ui.html("<h2>Coordinates</h2>", sanitize=False)
-            self._table = ui.html("", sanitize=False)
-            self._frame = ui.html("", sanitize=False)
-            self._points = ui.element("div").classes("views").props('role=group aria-label="AC-PC points"')
-            with ui.element("div").classes("numbers").props('role=group aria-label="Go to AC-PC"') as fields:
+        with card("acpc", "Coordinates"):
+            self._table = html()
+            self._frame = html()
+            self._points = group("views", "AC-PC points")
+            with group("numbers", "Go to AC-PC") as fields:
                 ui.label("Go to").classes("rowname")
                 self.fields = [
                     NumberField(axis, f"AC-PC {axis}", partial(self._go_along, number))
@@ -52,7 +47,6 @@ class AcPcPanel:
             self._typed = fields
 
     def show(self) -> None:
-        """Show the coordinates of the current draft and crosshair."""
         draft = self._editor.draft
         frame = draft.ac_pc
         self._table.set_content(render_coordinates(draft, self._page_view.way, self._page_view.place_mm))
@@ -87,7 +81,7 @@ class AcPcPanel:
 
 def render_coordinates(draft: Draft, chosen: str, crosshair_mm: Point) -> str:
     """Build the table of crosshair, entry and target in both frames."""
-    way = next((item for item in draft.ways if item.identifier == chosen), None)
+    way = draft.find_way(chosen)
     places = [("crosshair", crosshair_mm)]
     if way is not None:
         places += [

@@ -115,15 +115,15 @@ class Draft:
             AcPcFrame.from_points(*draft.landmarks)
         return draft
 
+    def find_way(self, identifier: str) -> DraftTrajectory | None:
+        return next((item for item in self.ways if item.identifier == identifier), None)
+
     def way(self, identifier: str) -> DraftTrajectory:
-        """Return the trajectory with that name; raises KeyError."""
-        for item in self.ways:
-            if item.identifier == identifier:
-                return item
-        raise KeyError(identifier)
+        if (way := self.find_way(identifier)) is None:
+            raise KeyError(identifier)
+        return way
 
     def with_way(self, identifier: str, way: DraftTrajectory) -> Draft:
-        """Replace a trajectory."""
         return replace(self, ways=tuple(way if item.identifier == identifier else item for item in self.ways))
 
     def with_new_way(self) -> tuple[Draft, str]:
@@ -138,7 +138,6 @@ class Draft:
         return replace(self, ways=remaining or (DraftTrajectory("T1"),))
 
     def structure(self, name: str) -> Structure | None:
-        """Return the structure with that name, or None if there is none."""
         return next((item for item in self.structures if item.name == name), None)
 
     def with_structure(self, structure: Structure) -> Draft:
@@ -151,7 +150,6 @@ class Draft:
         )
 
     def without_structure(self, name: str) -> Draft:
-        """Remove a structure."""
         return replace(self, structures=tuple(item for item in self.structures if item.name != name))
 
     def content(self, series_instance_uid: str) -> dict[str, Any]:
@@ -210,13 +208,11 @@ class DraftHistory:
         self.now = draft
 
     def undo(self) -> None:
-        """Undo the last change."""
         if self._past:
             self._future.append(self.now)
             self.now = self._past.pop()
 
     def redo(self) -> None:
-        """Redo the last undone change."""
         if self._future:
             self._past.append(self.now)
             self.now = self._future.pop()
@@ -229,12 +225,10 @@ class DraftHistory:
 
     @property
     def can_undo(self) -> bool:
-        """Whether there is a change to undo."""
         return bool(self._past)
 
     @property
     def can_redo(self) -> bool:
-        """Whether there is a change to redo."""
         return bool(self._future)
 
 
@@ -251,7 +245,6 @@ class Axis:
 
     @classmethod
     def of(cls, entry_mm: Sequence[float], target_mm: Sequence[float]) -> Axis:
-        """Compute the axis of a trajectory."""
         remaining, back, up = (e - t for e, t in zip(entry_mm, target_mm, strict=True))
         return cls(
             math.degrees(math.atan2(back, remaining)),

@@ -39,7 +39,6 @@ class NumberField:
             self._show_mistake("")
 
     def enable(self, enabled: bool) -> None:
-        """Enable or disable input."""
         self._field.set_enabled(enabled)
 
     def _commit(self) -> None:
@@ -66,9 +65,3 @@ class NumberField:
         self._field.props(remove="error error-message")
         if mistake:
             self._field.props("error").props(f'error-message="{mistake.replace(chr(34), chr(39))}"')
-
-
-def small_button(words: str, act: Callable[[], object], name: str) -> ui.button:
-    """Add a small button to a row of a panel. Screen readers announce it as `name`."""
-    button = ui.button(words, on_click=act, color=None).classes("plain small")
-    return button.props(f'no-caps unelevated aria-label="{name}"')

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
 from nicegui import ui
 
+from console.panels.elements import card, group, html, small_button
 from console.planning.plan_editor import PlanEditor
 from console.planning.slice_panel import AVOIDED, CHOSEN, CROSS, OTHER, SPHERE
 from console.planning.slices import SIZE_PX, PageView
@@ -45,11 +47,11 @@ class HeadScene:
         self._structure_clouds: list[Any] = []
         self._structures_key: object = None
         self._placed: object = None
-        self.section = ui.element("section").classes("card slice scenebox").props('aria-label="The head"')
+        self.section = card("slice scenebox", "The head", heading=False)
         with self.section:
             with ui.element("div").classes("slicehead"):
-                ui.html("<h2>3-D head</h2>", sanitize=False)
-                self._views = ui.element("div").classes("views").props('role=group aria-label="Views"')
+                html("<h2>3-D head</h2>")
+                self._views = group("views", "Views")
             stage = ui.element("div").classes("stagebox")
             stage.on(
                 "click", lambda: enlarge(PlanView.HEAD) if page_view.large is not PlanView.HEAD else None
@@ -72,14 +74,11 @@ class HeadScene:
                 self._cross = [DrawnRod(self._scene, 0.5, CROSS) for _ in range(3)]
         with self._views:
             for name in (*VIEWS, "along"):
-                ui.button(name, on_click=lambda name=name: self._move_camera(name), color=None).classes(
-                    "plain small"
-                ).props("no-caps unelevated")
+                small_button(name, partial(self._move_camera, name))
         self.show()
         self._move_camera("front")
 
     def show(self) -> None:
-        """Show the current draft, once the scene is built."""
         if self._scene is None:
             return
         editor, draft = self._editor, self._editor.draft
@@ -145,9 +144,7 @@ class HeadScene:
         middle = self._page_view.focus_mm
         direction = VIEWS.get(name, VIEWS["front"])
         if name == "along":
-            way = next(
-                (mark for mark in self._editor.draft.ways if mark.identifier == self._page_view.way), None
-            )
+            way = self._editor.draft.find_way(self._page_view.way)
             if way is None or way.ends is None or not way.depth_mm:
                 return
             entry, middle = way.ends

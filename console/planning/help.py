@@ -30,7 +30,6 @@ LIMITS = (
 
 
 def help_html() -> str:
-    """Build the help."""
     return "".join(
         tag("h3", title) + tag("ul", "".join(tag("li", text(line)) for line in lines), class_="findings")
         for title, lines in (("How to work", WAY), ("What this planner does not do", LIMITS))

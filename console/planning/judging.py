@@ -161,7 +161,6 @@ def _to_expected_error(predicted: TargetPrediction, *, with_arm: bool) -> Expect
 
 
 def _describe_reach(check: PlanCheck) -> tuple[str, ...]:
-    """Describe the results of a passed arm check."""
     if check.paths is None:
         return ()
     lines = [f"all {len(check.paths.reached)} poses are reached in one posture of the arm"]
@@ -203,7 +202,6 @@ def verdict(judged: Judgement, draft: Draft) -> str:
 
 
 def expected(judged: Judgement, draft: Draft) -> str:
-    """Show the expected error and the margin at each target."""
     if not judged.expected:
         words = "Needs three markers and a complete trajectory." if not judged.complete else "Not available."
         return tag("p", words, class_="dim")

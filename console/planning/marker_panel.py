@@ -10,9 +10,10 @@ from functools import partial
 import numpy as np
 from nicegui import ui
 
+from console.panels.elements import button, card, group, html, small_button
 from console.panels.html import table, tag, text
 from console.planning.draft import Draft
-from console.planning.fields import NumberField, small_button
+from console.planning.fields import NumberField
 from console.planning.plan_editor import PlanEditor
 from procedures.imaging import Candidate, Marker
 from procedures.planning.head_in_ct import fit_head
@@ -43,13 +44,10 @@ class MarkerPanel:
     ) -> None:
         self._editor, self._go, self._pick, self._may_edit = editor, go, pick, may_edit
         self._shown: object = None
-        with ui.element("section").classes("card markers").props('aria-label="Markers"'):
-            ui.html("<h2>Markers</h2>", sanitize=False)
-            self._words = ui.html("", sanitize=False)
+        with card("markers", "Markers"):
+            self._words = html()
             self._list = ui.element("div").classes("rows")
-            with (
-                ui.element("div").classes("numbers wideones").props('role=group aria-label="On the patient"')
-            ):
+            with group("numbers wideones", "On the patient"):
                 self._implanted = NumberField("spheres implanted", "implanted", self._set_implanted, 0)
                 self._standoff = NumberField("guide stand-off, mm", "stand-off", self._set_standoff)
                 self._length = NumberField("instrument length, mm", "instrument length", self._set_length)
@@ -65,7 +63,6 @@ class MarkerPanel:
                 item.enable(may_edit)
 
     def show(self) -> None:
-        """Show the current draft."""
         editor, draft = self._editor, self._editor.draft
         self._implanted.show(draft.implanted)
         self._standoff.show(draft.standoff_mm)
@@ -82,7 +79,7 @@ class MarkerPanel:
     def _build(self, markers: Iterable[Marker], candidates: Iterable[Candidate]) -> None:
         for number, marker in enumerate(markers, start=1):
             details = ", ".join([f"σ {marker.sigma_mm:.3f} mm", *marker.flags])
-            with ui.element("div").classes("sphere").props(f'role=group aria-label="sphere {number}"'):
+            with group("sphere", f"sphere {number}"):
                 self._add_place(f"{number}", marker.centre_mm, details)
                 if self._may_edit:
                     small_button("reject", partial(self._editor.reject_marker, number), f"reject {number}")
@@ -99,9 +96,7 @@ class MarkerPanel:
     def _add_place(self, name: str, centre_mm: Point, details: str) -> None:
         place = ", ".join(f"{value:.1f}" for value in centre_mm)
         small_button(name, lambda: self._go(centre_mm), f"crosshair to {name}")
-        ui.html(
-            tag("span", text(place), class_="num") + tag("div", text(details), class_="dim"), sanitize=False
-        )
+        html(tag("span", text(place), class_="num") + tag("div", text(details), class_="dim"))
 
     def _set_implanted(self, value: float) -> None:
         self._editor.change(replace(self._editor.draft, implanted=int(value)))
@@ -123,23 +118,16 @@ class ProposalPanel:
 
     def __init__(self, editor: PlanEditor, go: Callable[[Point], None]) -> None:
         self._editor, self._go = editor, go
-        with ui.element("section").classes("card proposal").props('aria-label="Proposed marker sites"'):
-            ui.html("<h2>Proposed marker sites</h2>", sanitize=False)
+        with card("proposal", "Proposed marker sites"):
             with ui.element("div").classes("numbers"):
                 self._count = ui.select(list(COUNTS), value=USUAL_COUNT)
                 self._count.props('dense outlined options-dense aria-label="number of markers"')
                 self._buttons = (
-                    self._button("Propose", self._propose_set, "propose"),
-                    self._button("One more", self._propose_one_more, "further"),
+                    button("Propose", partial(self._propose, self._propose_set), "propose"),
+                    button("One more", partial(self._propose, self._propose_one_more), "further"),
                 )
-            self._words = ui.html("", sanitize=False)
+            self._words = html()
             self._sites = ui.element("div").classes("views")
-
-    def _button(
-        self, words: str, work: Callable[[Draft, list[Trajectory], int], SiteProposal], name: str
-    ) -> ui.button:
-        button = ui.button(words, on_click=partial(self._propose, work), color=None)
-        return button.classes("plain").props(f"no-caps unelevated data-do={name}")
 
     async def _propose(self, work: Callable[[Draft, list[Trajectory], int], SiteProposal]) -> None:
         draft, count = self._editor.draft, int(self._count.value or USUAL_COUNT)
@@ -160,8 +148,8 @@ class ProposalPanel:
             self._enable(enabled=True)
 
     def _enable(self, *, enabled: bool) -> None:
-        for button in self._buttons:
-            button.set_enabled(enabled)
+        for item in self._buttons:
+            item.set_enabled(enabled)
 
     def _propose_set(self, _draft: Draft, ways: list[Trajectory], count: int) -> SiteProposal:
         volume = self._editor.volume

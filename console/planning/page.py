@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import Callable
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from nicegui import ui
 
 from console.changes import await_change
 from console.guard import SESSION, Session, SessionRole
+from console.panels.elements import button, card, group, html
 from console.panels.html import tag, text
 from console.planning.ac_pc_panel import CLICK_NEXT, AcPcPanel
 from console.planning.head_scene import HeadScene
@@ -80,13 +82,13 @@ class PlannerPage:
         """Create the panels and start updating them."""
         editor, page_view = self._editor, self._page_view
         with ui.element("header").classes("head"):
-            ui.html(tag("div", "PLANNER: NOTHING MOVES", class_="banner opening"), sanitize=False)
-            self._case = ui.html("", sanitize=False)
-            self._clock = ui.html("", sanitize=False)
+            html(tag("div", "PLANNER: NOTHING MOVES", class_="banner opening"))
+            self._case = html()
+            self._clock = html()
             self._file_buttons()
-        ui.html('<div id="lost" role="alert" hidden></div>', sanitize=False)
-        self._notice = ui.html("", sanitize=False).classes("words")
-        self._words = ui.html("", sanitize=False).classes("words")
+        html('<div id="lost" role="alert" hidden></div>')
+        self._notice = html().classes("words")
+        self._words = html().classes("words")
         with ui.element("main").classes("places planner"):
             self._picture_bar()
             with ui.element("div").classes("middle"):
@@ -134,11 +136,11 @@ class PlannerPage:
         client.on_delete(forget_page)
 
     def _file_buttons(self) -> None:
-        self._undo = self._button("Undo", self._editor.undo, "undo")
-        self._redo = self._button("Redo", self._editor.redo, "redo")
+        self._undo = button("Undo", self._editor.undo, "undo")
+        self._redo = button("Redo", self._editor.redo, "redo")
         self._author = ui.input("Your name").classes("name")
         self._author.props("dense outlined autocomplete=off")
-        self._save = self._button("Save", self._save_plan, "save").classes("go", remove="plain")
+        self._save = button("Save", self._save_plan, "save").classes("go", remove="plain")
         self._add_help()
         for item in (self._undo, self._redo, self._author, self._save):
             item.set_visibility(self._may_edit)
@@ -148,10 +150,10 @@ class PlannerPage:
 
         def toggle() -> None:
             shown.set_visibility(not shown.visible)
-            button.props(f"aria-expanded={'true' if shown.visible else 'false'}")
+            opener.props(f"aria-expanded={'true' if shown.visible else 'false'}")
 
-        button = self._button("Help", toggle, "help").props("aria-expanded=false")
-        shown = ui.html(help_html(), sanitize=False).classes("card help")
+        opener = button("Help", toggle, "help").props("aria-expanded=false")
+        shown = html(help_html()).classes("card help")
         shown.props('role=region aria-label="Help"').set_visibility(False)
 
     def _picture_bar(self) -> None:
@@ -165,25 +167,20 @@ class PlannerPage:
             self._large = self._choices("Large", names, self._page_view.large.value)
             self._large.on_value_change(lambda event: self._enlarge(PlanView(event.value)))
             with ui.element("div").classes("views"):
-                self._button("−", lambda: self._magnify(-1), "smaller").props('aria-label="smaller"')
-                self._button("+", lambda: self._magnify(1), "larger").props('aria-label="larger"')
+                button("−", lambda: self._magnify(-1), "smaller").props('aria-label="smaller"')
+                button("+", lambda: self._magnify(1), "larger").props('aria-label="larger"')
             self._hint = ui.label("").classes("hint")
             self._crosshair_label = ui.label("").classes("num")
 
     def _choices(self, name: str, words: dict[str, str], chosen: str) -> ui.toggle:
-        with ui.element("div").classes("choice").props(f'role=group aria-label="{name}"'):
+        with group("choice", name):
             ui.label(name)
             choices = ui.toggle(words, value=chosen).props(f'no-caps unelevated aria-label="{name}"')
         return choices.props("toggle-color=chosen toggle-text-color=chosen")  # the library's own is too pale
 
     def _section(self, title: str, name: str) -> ui.html:
-        with ui.element("section").classes(f"card {name}").props(f'aria-label="{title}"'):
-            ui.html(f"<h2>{title}</h2>", sanitize=False)
-            return ui.html("", sanitize=False).classes("body")
-
-    def _button(self, words: str, act: Callable[[], Any], name: str) -> ui.button:
-        button = ui.button(words, on_click=act, color=None).classes("plain")
-        return button.props(f"no-caps unelevated data-do={name}")
+        with card(name, title):
+            return html().classes("body")
 
     # User actions
 
@@ -203,12 +200,8 @@ class PlannerPage:
         self._show_view()
 
     def _add_landmark(self, place_mm: Point) -> None:
-        try:
+        with self._problems_shown(AcPcUnfit):
             self._editor.change(self._editor.draft.with_landmark(place_mm))
-        except AcPcUnfit as unfit:
-            self._show_problem(unfit)
-        else:
-            self._show_problem(None)
             if self._editor.draft.ac_pc is not None:
                 self._mode.set_value(LOOK)
 
@@ -229,16 +222,12 @@ class PlannerPage:
             self._ways.place(ENTRY if key == "e" else TARGET, self._page_view.place_mm)
 
     async def _pick(self, place_mm: Point) -> None:
-        try:
+        with self._problems_shown():
             await self._editor.add_marker(place_mm)
-        except RonnaError as refusal:
-            self._show_problem(refusal)
-        else:
-            self._show_problem(None)
 
     async def _save_plan(self) -> None:
         fields = (*self._ways.fields.values(), *self._structures.margins.values(), *self._markers.fields)
-        try:
+        with self._problems_shown():
             for item in fields:
                 if item.is_wrong:
                     raise PlanMistakes(
@@ -246,10 +235,6 @@ class PlannerPage:
                         action="Correct its field or empty it, then save again.",
                     )
             await self._editor.save(str(self._author.value or ""))
-        except RonnaError as refusal:
-            self._show_problem(refusal)
-        else:
-            self._show_problem(None)
 
     def _go_to(self, place_mm: Point) -> None:
         self._page_view.go_to(place_mm)
@@ -301,6 +286,16 @@ class PlannerPage:
         if len(ends) == 2:
             return f"Distance {math.dist(*ends):.1f} mm"
         return "Click the other end." if ends else "Click one end."
+
+    @contextmanager
+    def _problems_shown(self, kind: type[RonnaError] = RonnaError) -> Iterator[None]:
+        """Show an error of the block, or that there is none any more."""
+        try:
+            yield
+        except kind as problem:
+            self._show_problem(problem)
+        else:
+            self._show_problem(None)
 
     def _show_problem(self, problem: RonnaError | None) -> None:
         self._words.set_content("" if problem is None else _problem_html(problem))

@@ -114,7 +114,6 @@ class PlanEditor(ChangeNotifier):
         return None
 
     def hu_at(self, place_mm: Point) -> str:
-        """Describe the CT value at a position."""
         hu = sample_hu(self.volume, [place_mm])
         return f"{hu[0]:.0f} HU" if len(hu) else "outside the scan"
 
@@ -155,7 +154,6 @@ class PlanEditor(ChangeNotifier):
         return Draft.of(plan)
 
     def _restore_unsaved(self) -> None:
-        """Restore unsaved changes from the last session."""
         try:
             drawn = self._unsaved.restore(self._on_disk, self.draft)
         except UnsavedChanges as aside:
@@ -185,7 +183,6 @@ class PlanEditor(ChangeNotifier):
 
     @property
     def is_saved(self) -> bool:
-        """Whether the file contains the current draft."""
         return self._saved is not None and self._saved.content("") == self.draft.content("")
 
     async def save(self, author: str) -> None:
@@ -238,7 +235,6 @@ class PlanEditor(ChangeNotifier):
 
     @property
     def draft(self) -> Draft:
-        """The current draft."""
         return self.history.now
 
     def change(self, draft: Draft, *, continues: bool = False) -> None:

@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 from nicegui import ui
 
+from console.panels.elements import button, html
 from console.panels.html import tag, text
 from console.planning.draft import Draft, DraftTrajectory
 from console.planning.judging import Judgement, mark_outdated
@@ -31,20 +32,18 @@ class ReachPanel:
     ) -> None:
         self._editor, self._show_problem, self._may_edit = editor, show_problem, may_edit
         with ui.element("section").classes("card reach").props('aria-label="Reach"'):
-            ui.html("<h2>Reach of the arm</h2>", sanitize=False)
+            html("<h2>Reach of the arm</h2>")
             names = list(editor.choice.list_files()) if editor.choice is not None else []
             if may_edit and names:
                 with ui.element("div").classes("numbers"):
                     self._file = ui.select(names, value=editor.theatre_name or names[0], label="Theatre")
                     self._file.props("dense outlined options-dense data-field=theatre").classes("theatre")
-                    self._button = ui.button("Check reach", on_click=self._check, color=None)
-                    self._button.classes("plain").props("no-caps unelevated data-do=reach")
+                    self._button = button("Check reach", self._check, "reach")
             elif may_edit:
-                ui.html(tag("p", NO_FILES, class_="dim"), sanitize=False)
-            self._result = ui.html("", sanitize=False)
+                html(tag("p", NO_FILES, class_="dim"))
+            self._result = html()
 
     def show(self) -> None:
-        """Show the result for the current draft."""
         self._result.set_content(tell_reach(self._editor))
 
     async def _check(self) -> None:
@@ -60,7 +59,6 @@ class ReachPanel:
 
 
 def tell_reach(editor: PlanEditor) -> str:
-    """Tell the result of the reach check, or what it is waiting for."""
     judged, draft = editor.judged, editor.draft
     if editor.theatre is None:
         return tag("p", "Not checked yet.", class_="dim", data_reach="unchecked")

@@ -42,25 +42,20 @@ def open_planner(request: Annotated[str, typer.Argument(help="What to open, as J
     from procedures.imaging import read_identity, read_series
     from procedures.imaging.picks import LARGEST_FILE_BYTES
 
-    parsed_request = PlannerRequest.model_validate_json(request)
+    asked = PlannerRequest.model_validate_json(request)
     choice = TheatreChoice(
-        folder=parsed_request.folder,
-        plan=parsed_request.plan,
-        given=parsed_request.config,
-        strategy=parsed_request.strategy,
-        robot_from_ct=parsed_request.robot_from_ct,
-        home_deg=parsed_request.home_deg,
+        asked.folder, asked.plan, asked.config, asked.strategy, asked.robot_from_ct, asked.home_deg
     )
     with terminal.progress_bar("reading the CT series") as advance:
-        volume = read_series(parsed_request.series, progress=advance)
+        volume = read_series(asked.series, progress=advance)
     loaded = choice.load_given(volume.series_instance_uid)
-    editor = PlanEditor(volume, parsed_request.plan, choice, read_identity(parsed_request.series))
+    editor = PlanEditor(volume, asked.plan, choice, read_identity(asked.series))
     if loaded is not None:
         editor.adopt_theatre(*loaded)
     try:
         serve_pages(
             lambda application: add_planner(application, editor),
-            parsed_request.port,
+            asked.port,
             editor.work,
             tell_address,
             largest_body_bytes=LARGEST_FILE_BYTES + FORM_BYTES,

@@ -11,6 +11,7 @@ import numpy as np
 from nicegui import ui
 from numpy.typing import NDArray
 
+from console.panels.elements import card, html
 from console.panels.html import tag, text
 from console.planning.draft import LANDMARKS, Draft, DraftTrajectory
 from console.planning.slices import SIZE_PX, Cut, PageView, Plane
@@ -80,10 +81,10 @@ class SlicePanel:
         self._has_begun = False
         self._shown: tuple[str, str] = ("", "")
         title, aside = TITLES[plane]
-        self.section = ui.element("section").classes("card slice").props(f'aria-label="{title}{aside}"')
+        self.section = card("slice", f"{title}{aside}", heading=False)
         with self.section:
             with ui.element("div").classes("slicehead"):
-                ui.html(f"<h2>{title}{tag('span', aside, class_='aside')}</h2>", sanitize=False)
+                html(f"<h2>{title}{tag('span', aside, class_='aside')}</h2>")
                 self._where = ui.label("").classes("num dim")
             self._image = (
                 ui.interactive_image(
@@ -98,10 +99,9 @@ class SlicePanel:
         self._image.on("keydown", self._on_key, js_handler=KEYS_JS)
 
     def show(self, draft: Draft) -> None:
-        """Show the present view of the page."""
         page_view = self._page_view
         self._draft = draft
-        way = next((item for item in draft.ways if item.identifier == page_view.way), None)
+        way = draft.find_way(page_view.way)
         self._cut = cut = page_view.cut(self._plane, way)
         if cut is None:
             shown = "", ""
@@ -171,7 +171,7 @@ class SlicePanel:
             self._drag(STROKE, cut.to_patient_mm(x, y), True)
             self._has_begun = True
         elif kind == "mousedown" and args.get("button") == 0:
-            way = next((item for item in draft.ways if item.identifier == self._page_view.way), None)
+            way = draft.find_way(self._page_view.way)
             self._dragged_end = find_grasped_end(cut, way, x, y) if way is not None else ""
             self._has_begun = False
             if not self._dragged_end:

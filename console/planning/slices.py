@@ -87,7 +87,6 @@ class Cut:
 
 
 def as_point(place: ArrayLike) -> Point:
-    """Convert an array to a tuple of three floats."""
     x, y, z = (float(value) for value in np.asarray(place))
     return x, y, z
 

@@ -12,9 +12,10 @@ import numpy as np
 from nicegui import ui
 from pydantic import ValidationError
 
-from console.panels.html import table_of, tag, text
+from console.panels.elements import group, html, small_button
+from console.panels.html import head_row, table_of, tag, text
 from console.planning.draft import Draft
-from console.planning.fields import NumberField, small_button
+from console.planning.fields import NumberField
 from console.planning.judging import mark_outdated
 from console.planning.plan_editor import PlanEditor
 from console.planning.slices import PageView
@@ -46,22 +47,17 @@ class StructurePanel:
         *,
         may_edit: bool,
     ) -> None:
-        self._editor, self._page_view, self._go, self._show_problem, self._may_edit = (
-            editor,
-            page_view,
-            go,
-            show_problem,
-            may_edit,
-        )
+        self._editor, self._page_view, self._may_edit = editor, page_view, may_edit
+        self._go, self._show_problem = go, show_problem
         self._last_mm: Point | None = None
         self._names: tuple[str, ...] | None = None
         self.margins: dict[str, NumberField] = {}
         with ui.element("section").classes("card structures").props('aria-label="Structures"'):
-            ui.html("<h2>Structures to avoid</h2>", sanitize=False)
+            html("<h2>Structures to avoid</h2>")
             if may_edit:
                 self._build_tools()
             self._list = ui.element("div").classes("rows")
-            self._distances = ui.html("", sanitize=False)
+            self._distances = html()
 
     def _build_tools(self) -> None:
         with ui.element("div").classes("numbers"):
@@ -83,7 +79,6 @@ class StructurePanel:
         )
 
     def show(self) -> None:
-        """Show the current draft and the known distances."""
         judged, structures = self._editor.judged, self._editor.draft.structures
         names = tuple(item.name for item in structures)
         if names != self._names:
@@ -103,7 +98,7 @@ class StructurePanel:
         return " ".join(str(self._name.value or "").split())
 
     def _build(self, name: str) -> None:
-        with ui.element("div").classes("sphere").props(f'role=group aria-label="structure {name}"'):
+        with group("sphere", f"structure {name}"):
             small_button(name, partial(self._look_at, name), f"crosshair to {name}")
             self.margins[name] = NumberField("margin mm", f"margin of {name}", partial(self._set, name))
             self.margins[name].enable(self._may_edit)
@@ -163,8 +158,7 @@ def _distance_table(structures: Iterable[Structure], distances: Iterable[Structu
     )
     if not rows or not ways:
         return ""
-    head = "".join(tag("th", text(words), scope="col") for words in ("distance, mm", *ways))
-    return table_of(tag("tr", head), rows)
+    return table_of(head_row("distance, mm", *ways), rows)
 
 
 def _distance_cell(distance: StructureDistance | None) -> str:
@@ -207,7 +201,6 @@ def import_structure(
 
 
 def set_margin(draft: Draft, name: str, margin_mm: float) -> Draft:
-    """Set the margin of a structure. Raises PLAN-002."""
     known = draft.structure(name)
     if known is None:
         return draft

@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
+from typing import Any
 
 from nicegui import ui
 
+from console.panels.elements import card, group, small_button
 from console.planning.draft import Axis, DraftTrajectory
-from console.planning.fields import NumberField, small_button
+from console.planning.fields import NumberField
 from console.planning.plan_editor import PlanEditor
 from console.planning.slices import PageView
 from procedures.strategies.trajectory import Point
@@ -23,19 +25,14 @@ class TrajectoryPanel:
     def __init__(
         self, editor: PlanEditor, page_view: PageView, on_view_change: Callable[[], None], *, may_edit: bool
     ) -> None:
-        self._editor, self._page_view, self._on_view_change, self._may_edit = (
-            editor,
-            page_view,
-            on_view_change,
-            may_edit,
-        )
+        self._editor, self._page_view, self._may_edit = editor, page_view, may_edit
+        self._on_view_change = on_view_change
         self._names: tuple[tuple[str, ...], str] = ((), "")
         self.fields: dict[str, NumberField] = {}
-        with ui.element("section").classes("card ways").props('aria-label="Trajectories"'):
-            ui.html("<h2>Trajectories</h2>", sanitize=False)
-            self._tabs = ui.element("div").classes("views").props('role=group aria-label="Trajectories"')
+        with card("ways", "Trajectories"):
+            self._tabs = group("views", "Trajectories")
             for end, title in ENDS:
-                with ui.element("div").classes("numbers").props(f'role=group aria-label="{title}"'):
+                with group("numbers", title):
                     ui.label(title).classes("rowname")
                     for axis, letter in enumerate("LPS"):
                         self._add_field(f"{end} {letter}", letter, self._set_end(end, axis))
@@ -45,18 +42,17 @@ class TrajectoryPanel:
                             f"{title} here", partial(self._set_at_crosshair, end), f"{end} at the crosshair"
                         )
                     self._add_button("show", partial(self._go, end), f"crosshair to the {end}")
-            with ui.element("div").classes("numbers").props('role=group aria-label="Axis"'):
+            with group("numbers", "Axis"):
                 ui.label("Axis").classes("rowname")
-                self._add_field("azimuth", "az. °", self._set_azimuth)
-                self._add_field("elevation", "el. °", self._set_elevation)
-                self._add_field("depth", "mm", self._set_depth)
-            with ui.element("div").classes("numbers").props('role=group aria-label="Guide"'):
+                self._add_field("azimuth", "az. °", lambda value: self._set_axis(azimuth_deg=value))
+                self._add_field("elevation", "el. °", lambda value: self._set_axis(elevation_deg=value))
+                self._add_field("depth", "mm", self._set_axis)
+            with group("numbers", "Guide"):
                 ui.label("Guide").classes("rowname")
-                self._add_field("free angle", "angle °", self._set_free_angle)
-                self._add_field("margin", "margin mm", self._set_margin, 2)
+                self._add_field("free angle", "angle °", lambda value: self._set(free_angle_deg=value))
+                self._add_field("margin", "margin mm", lambda value: self._set(margin_mm=value), 2)
 
     def show(self) -> None:
-        """Show the current draft."""
         draft = self._editor.draft
         names = tuple(item.identifier for item in draft.ways)
         if self._page_view.way not in names:
@@ -76,7 +72,6 @@ class TrajectoryPanel:
         self.fields["margin"].show(way.margin_mm)
 
     def place(self, end: str, place_mm: Point, *, continues: bool = False) -> None:
-        """Move an endpoint of the current trajectory."""
         way = self._way
         way = replace(way, entry_mm=place_mm) if end == "entry" else replace(way, target_mm=place_mm)
         self._change(way, continues=continues)
@@ -131,27 +126,15 @@ class TrajectoryPanel:
 
         return set_value
 
-    def _set_axis(self, change: Callable[[Axis], Axis], depth_mm: float | None = None) -> None:
+    def _set_axis(self, depth_mm: float | None = None, **angles_deg: float) -> None:
         way = self._way
         if way.ends is None or way.target_mm is None or way.depth_mm is None:
             return
-        axis = change(Axis.of(*way.ends))
+        axis = replace(Axis.of(*way.ends), **angles_deg)
         self.place("entry", axis.entry_mm(way.target_mm, depth_mm or way.depth_mm))
 
-    def _set_azimuth(self, value: float) -> None:
-        self._set_axis(lambda axis: replace(axis, azimuth_deg=value))
-
-    def _set_elevation(self, value: float) -> None:
-        self._set_axis(lambda axis: replace(axis, elevation_deg=value))
-
-    def _set_depth(self, value: float) -> None:
-        self._set_axis(lambda axis: axis, value)
-
-    def _set_free_angle(self, value: float) -> None:
-        self._change(replace(self._way, free_angle_deg=value))
-
-    def _set_margin(self, value: float) -> None:
-        self._change(replace(self._way, margin_mm=value))
+    def _set(self, **values: Any) -> None:
+        self._change(replace(self._way, **values))
 
     def _add_field(
         self, name: str, label: str, set_value: Callable[[float], None], decimals: int = 1

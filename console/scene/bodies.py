@@ -132,7 +132,6 @@ class DrawnCapsule:
         return placing_calls(self.group, start, rotation_along(start, end))
 
     def delete(self) -> None:
-        """Delete the capsule from the scene."""
         self.group.delete()
 
 

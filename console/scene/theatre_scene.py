@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 from nicegui import ui
 
+from console.panels.elements import card, group, html, small_button
 from console.panels.html import tag, text
 from console.scene.bodies import (
     METRES,
@@ -57,20 +59,19 @@ class ScenePanel:
 
     def __init__(self, *, low: bool) -> None:
         self._figures: CaseFigures | None = None
-        with ui.element("section").classes("card scenebox").props('aria-label="The theatre"'):
+        with card("scenebox", "The theatre", heading=False):
             with ui.element("div").classes("sceneline"):
-                self._views = ui.element("div").classes("views").props('role=group aria-label="Views"')
+                self._views = group("views", "Views")
                 self._size = ui.select(MAGNIFICATIONS, value=1, on_change=self._magnify)
                 self._size.props('dense outlined options-dense aria-label="Differences between instruments"')
-            self._age = ui.html("", sanitize=False)
+            self._age = html()
             self._scene = TheatreScene(low=low)
             key = "".join(tag("span", f'<i style="background:{colour}"></i>{words}') for words, colour in KEY)
-            ui.html(tag("div", key, class_="key"), sanitize=False)
+            html(tag("div", key, class_="key"))
         self._names: list[str] | None = None
         self._scene.look_at("robot", None)
 
     def show(self, view: CaseView, figures: CaseFigures | None, heads: int) -> None:
-        """Show the case at one moment."""
         self._figures = figures
         names = [path.name for path in figures.trajectories] if figures else []
         if names != self._names:
@@ -82,17 +83,12 @@ class ScenePanel:
     def _build_views(self, names: list[str]) -> None:
         self._views.clear()
         with self._views:
-            for view_name, words in (
-                ("robot", "robot"),
-                ("head", "head"),
-                ("tracker", "tracker"),
-                *((name, f"along {name}") for name in names),
-            ):
-                ui.button(
-                    words,
-                    on_click=lambda view_name=view_name: self._scene.look_at(view_name, self._figures),
-                    color=None,
-                ).classes("plain small").props("no-caps unelevated")
+            places = ("robot", "head", "tracker")
+            for name, words in (*zip(places, places, strict=True), *((one, f"along {one}") for one in names)):
+                small_button(words, partial(self._look_at, name))
+
+    def _look_at(self, name: str) -> None:
+        self._scene.look_at(name, self._figures)
 
     def _clearance_html(self) -> str:
         closest = self._scene.closest
@@ -154,7 +150,6 @@ class TheatreScene:
         self.closest: Closest | None = None
 
     def show(self, view: CaseView, figures: CaseFigures | None, heads: int) -> None:
-        """Show the case at one moment. `heads` counts rebuilds of the head's surface."""
         with self.scene:
             if view.bodies is not self._bodies and view.bodies is not None:
                 self._build_bodies(view.bodies, view.pose.pose if view.pose else None)

@@ -24,6 +24,7 @@ from console.panels.case_state import (
     devices_key,
     mode,
 )
+from console.panels.elements import card, html
 from console.panels.html import tag, text
 from console.panels.orders import OrderPanel, QuestionPanel, SeatPanel, add_stop_button
 from console.panels.results import (
@@ -110,19 +111,19 @@ class CasePage:
                     lambda view: (view.run, view.theatre, view.strategy, view.methods, view.outcome),
                 )
                 self._add(mode, lambda view: view.mode)
-                self._clock = ui.html("", sanitize=False)
+                self._clock = html()
                 self._seat = SeatPanel(self._give_order, may_operate=may_operate)
-        self._frozen = ui.html("", sanitize=False).classes("frozenbox")
-        ui.html('<div id="lost" role="alert" hidden></div>', sanitize=False)
+        self._frozen = html().classes("frozenbox")
+        html('<div id="lost" role="alert" hidden></div>')
         if self._hub.review is not None:
             self._add(lambda _view: problems(self._shown_figures), self._update_figures).classes("words")
-        self._words = ui.html("", sanitize=False).classes("words")
+        self._words = html().classes("words")
         self._moment = None if self._hub.review is None else MomentPanel(self._hub.review, self._hub.notify)
         self._orders: OrderPanel | None = None
         with ui.element("main").classes("places case-places"):
             with ui.element("div").classes("ask"):
                 self._question = QuestionPanel(self._get_reply, self._show_message)
-                self._advice = ui.html("", sanitize=False)
+                self._advice = html()
             with ui.element("div").classes("left"):
                 if may_operate:
                     self._orders = OrderPanel(self._give_order, self._show_message)
@@ -171,7 +172,7 @@ class CasePage:
         client.on_delete(forget_page)
 
     def _add(self, render: Callable[[CaseView], str], key: Callable[[CaseView], object]) -> ui.html:
-        place = ui.html("", sanitize=False)
+        place = html()
         self._panels.append((place, render, key, [object()]))
         return place
 
@@ -183,8 +184,7 @@ class CasePage:
         name: str,
         live: Callable[[], str] | None = None,
     ) -> None:
-        with ui.element("section").classes(f"card {name}").props(f'aria-label="{title}"'):
-            ui.html(f"<h2>{title}</h2>", sanitize=False)
+        with card(name, title):
             if live is not None and self._hub.review is None:
                 self._add(lambda _view: live(), lambda _view: live_key(self._hub))
             self._add(render, key).classes("body")

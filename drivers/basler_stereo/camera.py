@@ -92,10 +92,7 @@ class Camera:
         return self._receiver.counters if self._receiver else None
 
     def connect(self, deadline_s: float) -> CameraIdentity:
-        """Connect and identify the camera without taking control; raises GEV-001, GEV-008.
-
-        If no camera replies, the message names those found by broadcast discovery.
-        """
+        """Connect and identify the camera, without control; raises GEV-001 (naming those found), GEV-008."""
         try:
             self._control = CameraControl(self._address, on_bytes=self._recorder.on_bytes)
         except OSError as error:
@@ -123,7 +120,8 @@ class Camera:
             self.area = known_state.full_area(self._features)
             known_state.set_area(self._features, self.area)
             self._choose_packet_size(deadline_s)
-            self.tick_frequency_hz = self._read_tick_frequency(deadline_s)
+            frequency = Bootstrap.TICK_FREQUENCY_HIGH, Bootstrap.TICK_FREQUENCY_LOW
+            self.tick_frequency_hz = self._read_both(*frequency, deadline_s)
         except BaseException:  # including interruptions: a camera that stays controlled refuses everyone else
             with contextlib.suppress(RonnaError, OSError):
                 self.release(deadline_s)
@@ -150,7 +148,7 @@ class Camera:
         """Open the stream and start the acquisition; block ids restart."""
         self._set_deadline(deadline_s)
         payload = known_state.payload_bytes(self.features, self.area, self._options.pixel_format_code)
-        self.trigger_command = self._make_trigger_command(self._options)
+        self.trigger_command = self._make_trigger_command()
         assert self._receiver_process is not None, "the lifecycle allows this only while controlled"
         self._next_block = None
         with open_stream_socket(self.control.local_address, self._options.receive_buffer_bytes) as stream:
@@ -183,11 +181,9 @@ class Camera:
             before_s = clock.now_s()
             self.control.write_register(Bootstrap.TIMESTAMP_CONTROL, gev.TIMESTAMP_LATCH, deadline_s)
             after_s = clock.now_s()
-            high = self.control.read_register(Bootstrap.TIMESTAMP_HIGH, deadline_s)
-            low = self.control.read_register(Bootstrap.TIMESTAMP_LOW, deadline_s)
+            ticks = self._read_both(Bootstrap.TIMESTAMP_HIGH, Bootstrap.TIMESTAMP_LOW, deadline_s)
         except CommandRefused:
             return None
-        ticks = high << 32 | low
         if not ticks:
             return None  # the register exists but has no effect
         half_s = (after_s - before_s) / 2.0
@@ -204,10 +200,7 @@ class Camera:
         self.receiver.expect(self._next_block or gev.BLOCK_ID_FIRST, patience_s)
 
     def take(self, deadline_s: float, give_up: Callable[[], bool] = lambda: False) -> ReceivedImage | None:
-        """Return the frame of the last trigger, or None at the deadline or when `give_up()` is true.
-
-        Late frames of earlier triggers are discarded.
-        """
+        """Return the last trigger's frame, discarding late ones; None at the deadline or by `give_up()`."""
         while (frame := self.receiver.take(deadline_s, give_up)) is not None:
             self._recorder.note_frame(frame, self.receiver.counters)
             if self._next_block is None or frame.block_id == self._next_block:
@@ -251,8 +244,7 @@ class Camera:
     def _set_heartbeat_timeout(self, deadline_s: float) -> None:
         wanted_ms = self._options.heartbeat_ms
         self.control.write_register(Bootstrap.HEARTBEAT_TIMEOUT_MS, wanted_ms, deadline_s)
-        set_ms = self.control.read_register(Bootstrap.HEARTBEAT_TIMEOUT_MS, deadline_s)
-        if set_ms != wanted_ms:
+        if (set_ms := self.control.read_register(Bootstrap.HEARTBEAT_TIMEOUT_MS, deadline_s)) != wanted_ms:
             self.notices.append(f"{self.side}: heartbeat time-out {set_ms} ms instead of {wanted_ms} ms")
         timeout_ms = min(wanted_ms, set_ms or wanted_ms)
         assert self._receiver_process is not None, "set by configure"
@@ -263,8 +255,7 @@ class Camera:
 
     def _choose_packet_size(self, deadline_s: float) -> None:
         self.control.write_register(Bootstrap.SCPD, self._options.inter_packet_delay_ticks, deadline_s)
-        stream = open_stream_socket(self.control.local_address, self._options.receive_buffer_bytes)
-        with stream:
+        with open_stream_socket(self.control.local_address, self._options.receive_buffer_bytes) as stream:
             self._packet_bytes, proven = choose_packet_bytes(
                 self.control, stream, self._options.packet_bytes, deadline_s
             )
@@ -273,12 +264,12 @@ class Camera:
                 f"{self.side}: no test packets from the camera; using {self._packet_bytes} bytes"
             )
 
-    def _read_tick_frequency(self, deadline_s: float) -> int:
-        high = self.control.read_register(Bootstrap.TICK_FREQUENCY_HIGH, deadline_s)
-        low = self.control.read_register(Bootstrap.TICK_FREQUENCY_LOW, deadline_s)
-        return high << 32 | low
+    def _read_both(self, high: Bootstrap, low: Bootstrap, deadline_s: float) -> int:
+        upper_half = self.control.read_register(high, deadline_s)
+        return upper_half << 32 | self.control.read_register(low, deadline_s)
 
-    def _make_trigger_command(self, options: BaslerOptions) -> Command | None:
+    def _make_trigger_command(self) -> Command | None:
+        options = self._options
         if options.trigger == "software":
             address, value = self.features.command_write("TriggerSoftware")
             return register_write(address, int.from_bytes(value, "big"))

@@ -50,7 +50,7 @@ class ControllingHost:
     taken: bool
     address: str = ""
     port: int = 0
-    process: PortUser | None = None  # if it runs on this computer and is visible to us
+    holder: PortUser | None = None  # if it runs on this computer and is visible to us
     here: bool = False  # the address is this computer's
 
 
@@ -91,22 +91,16 @@ def _check_stages(control: CameraControl, endpoint: Endpoint) -> CameraState:
 def _read_controller(control: CameraControl) -> ControllingHost:
     if _try_read_register(control, Bootstrap.CCP) == gev.CCP_OPEN:
         return ControllingHost(taken=False)
-    reports_application = (
-        _try_read_register(control, Bootstrap.GVCP_CAPABILITY) or 0
-    ) & GvcpCapability.CCP_APPLICATION
-    port = _try_read_register(control, Bootstrap.PRIMARY_APPLICATION_PORT) if reports_application else None
-    address = (
-        _try_read_register(control, Bootstrap.PRIMARY_APPLICATION_ADDRESS) if reports_application else None
-    )
+    capability = _try_read_register(control, Bootstrap.GVCP_CAPABILITY) or 0
+    if not capability & GvcpCapability.CCP_APPLICATION:
+        return ControllingHost(taken=True)
+    port = _try_read_register(control, Bootstrap.PRIMARY_APPLICATION_PORT)
+    address = _try_read_register(control, Bootstrap.PRIMARY_APPLICATION_ADDRESS)
     if not port or not address:
         return ControllingHost(taken=True)  # under exclusive access even reading is refused
     owner = socket.inet_ntoa(address.to_bytes(4, "big"))
-    own_interfaces = [
-        each for each in interfaces() if each.address == owner or (each.loopback and each.reaches(owner))
-    ]
-    return ControllingHost(
-        True, owner, port, find_udp_port_user(owner, port) if own_interfaces else None, bool(own_interfaces)
-    )
+    here = any(each.address == owner or (each.loopback and each.reaches(owner)) for each in interfaces())
+    return ControllingHost(True, owner, port, find_udp_port_user(owner, port) if here else None, here)
 
 
 def _find_largest_packet(control: CameraControl) -> int | None:
@@ -161,7 +155,7 @@ def camera_diagnostic(
         "access": camera.response.value,
         "interface": asdict(camera.interface) if camera.interface else None,
         "camera": _identity_document(camera.identity) if camera.identity else None,
-        "control": _control_document(camera.controller) if camera.controller else None,
+        "control": asdict(camera.controller) if camera.controller else None,
         "packet_bytes": camera.packet_bytes,
         "seen": seen,
         "cause": advice,
@@ -215,16 +209,6 @@ def _identity_document(identity: CameraIdentity) -> dict[str, str]:
     }
 
 
-def _control_document(controller: ControllingHost) -> dict[str, Any]:
-    return {
-        "taken": controller.taken,
-        "address": controller.address,
-        "port": controller.port,
-        "holder": asdict(controller.process) if controller.process else None,
-        "here": controller.here,
-    }
-
-
 def _observations(
     camera: CameraState, identity: CameraIdentity, controller: ControllingHost
 ) -> Iterator[str]:
@@ -237,15 +221,15 @@ def _observations(
 
 
 def _controller_name(controller: ControllingHost) -> str:
-    if controller.process is not None:
-        return str(controller.process)
+    if controller.holder is not None:
+        return str(controller.holder)
     if controller.port:
         return f"{controller.address}:{controller.port}"
     return "an application not identified by the camera"
 
 
 def _release_advice(controller: ControllingHost) -> str:
-    if controller.process is not None:
+    if controller.holder is not None:
         return f"{LEAVE_A_CASE_ALONE} Otherwise stop it, then wait for the camera's heartbeat time-out."
     if controller.here:
         return "That program has ended, or belongs to another user: wait for the heartbeat time-out, or ask."
@@ -286,8 +270,7 @@ def _diagnose_no_reply(camera: CameraState, found: Sequence[CameraIdentity]) -> 
 
 
 def _other_replies(camera: CameraState, found: Sequence[CameraIdentity]) -> str:
-    others = [each for each in found if each.address != camera.endpoint.host]
-    if not others:
+    if not (others := [each for each in found if each.address != camera.endpoint.host]):
         return ""
     listed = ", ".join(map(_describe_camera, others[:LISTED_CAMERAS]))
     more = f" and {len(others) - LISTED_CAMERAS} more" if len(others) > LISTED_CAMERAS else ""

@@ -50,10 +50,7 @@ class CameraControl:
         monotonic: Callable[[], float] = time.monotonic,
         on_bytes: Callable[[Direction, bytes], None] = lambda _direction, _data: None,
     ) -> None:
-        """Open the channel; `on_bytes` receives every datagram.
-
-        Raises OSError without a route to the address.
-        """
+        """Open the channel; `on_bytes` receives every datagram. Raises OSError without a route."""
         self._passed = on_bytes
         # also used by the receiver process, which sends resend requests and keep-alives through it
         self.link = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -65,7 +62,6 @@ class CameraControl:
         self.address = address
         self._monotonic = monotonic
         self._lock = threading.RLock()
-        self._id_lock = threading.Lock()
         self._request_id = 0
         self.port_closed = False  # the address is reachable, but nothing listens on its GVCP port
 
@@ -100,12 +96,8 @@ class CameraControl:
         while len(data) < count:
             start = address + len(data)
             piece = min(gev.READMEM_LIMIT, -(-(count - len(data)) // 4) * 4)
-            payload = self.ask(
-                GvcpCommand.READMEM,
-                gvcp.read_memory_command(start, piece),
-                deadline_s,
-                f"reading memory at 0x{start:X}",
-            )
+            what = f"reading memory at 0x{start:X}"
+            payload = self.ask(GvcpCommand.READMEM, gvcp.read_memory_command(start, piece), deadline_s, what)
             data += gvcp.memory_data(payload, start, piece)
         return bytes(data[:count])
 
@@ -122,8 +114,8 @@ class CameraControl:
             return self._finish(command, request_id, datagram, deadline_s, what)
 
     def _prepare(self, command: GvcpCommand, payload: bytes) -> tuple[int, bytes]:
-        request_id = self._next_id()
-        return request_id, gvcp.encode(command, request_id, payload)
+        self._request_id = self._request_id % LAST_OWN_ID + gev.REQUEST_ID_FIRST
+        return self._request_id, gvcp.encode(command, self._request_id, payload)
 
     def _finish(
         self, command: GvcpCommand, request_id: int, datagram: bytes, deadline_s: float, what: str
@@ -135,10 +127,8 @@ class CameraControl:
         limit_s = min(deadline_s, started_s + COMMAND_LIMIT_S)
         patience_s = FIRST_TRY_S
         while True:
-            acknowledge = self._receive(
-                command, request_id, min(limit_s, self._monotonic() + patience_s), deadline_s
-            )
-            if acknowledge is not None:
+            until_s = min(limit_s, self._monotonic() + patience_s)
+            if (acknowledge := self._receive(command, request_id, until_s, deadline_s)) is not None:
                 return gvcp.require_success(acknowledge, f"{self.address}: {what}")
             if self._monotonic() >= limit_s:
                 raise NoReply(f"{self.address}: no reply", expected=what, limit=f"{COMMAND_LIMIT_S} s")
@@ -151,8 +141,7 @@ class CameraControl:
         """Receive the acknowledge with this request id, or return None at `until_s`."""
         while True:
             # also after the deadline: data that arrived while the host stalled was in time
-            remaining_s = until_s - self._monotonic()
-            if remaining_s < -COMMAND_LIMIT_S:
+            if (remaining_s := until_s - self._monotonic()) < -COMMAND_LIMIT_S:
                 return None  # only unrelated datagrams
             self.link.settimeout(max(LAST_READ_S, remaining_s))
             try:
@@ -164,8 +153,7 @@ class CameraControl:
                 time.sleep(max(0.0, min(REFUSED_PAUSE_S, until_s - self._monotonic())))
                 return None
             self._passed(Direction.RECEIVED, datagram)
-            acknowledge = gvcp.decode(datagram)
-            if acknowledge is None or acknowledge.request_id != request_id:
+            if (acknowledge := gvcp.decode(datagram)) is None or acknowledge.request_id != request_id:
                 continue  # a late acknowledge of an earlier command
             if acknowledge.command == GvcpCommand.PENDING_ACK:
                 wait_s = gvcp.pending_ms(acknowledge.payload) / 1000.0
@@ -179,11 +167,6 @@ class CameraControl:
         with contextlib.suppress(OSError):
             self.link.send(datagram)
             self._passed(Direction.SENT, datagram)
-
-    def _next_id(self) -> int:
-        with self._id_lock:
-            self._request_id = self._request_id % LAST_OWN_ID + gev.REQUEST_ID_FIRST
-            return self._request_id
 
 
 def register_write(address: int, value: int) -> Command:
@@ -233,14 +216,11 @@ def take_control(control: CameraControl, camera_name: str, deadline_s: float) ->
 
 def _describe_taken(control: CameraControl, camera_name: str, refusal: str) -> ControlTaken:
     """Build the error for a controlled camera; on this computer it names the programs that talk to it."""
-    users = find_udp_clients(control.peer_address, gev.GVCP_PORT)
-    if not users:
-        return ControlTaken(f"{camera_name} is controlled by another application", got=refusal)
-    return ControlTaken(
-        f"{camera_name} is controlled by another application",
-        got=f"{refusal}; in use by {' and '.join(map(str, users))}",
-        action=f"{LEAVE_A_CASE_ALONE} Otherwise end it.",
-    )
+    what = f"{camera_name} is controlled by another application"
+    if not (users := find_udp_clients(control.peer_address, gev.GVCP_PORT)):
+        return ControlTaken(what, got=refusal)
+    got = f"{refusal}; in use by {' and '.join(map(str, users))}"
+    return ControlTaken(what, got=got, action=f"{LEAVE_A_CASE_ALONE} Otherwise end it.")
 
 
 def require_control(control: CameraControl, deadline_s: float) -> None:

@@ -33,10 +33,8 @@ WRONG_SERIAL = ErrorCode(
     "GEV-003",
     ConnectError,
     "The camera is not the one calibrated for this side.",
-    (
-        "Check which camera is mounted and its serial number in the options; after replacing a camera, "
-        "calibrate the head and edit the file."
-    ),
+    "Check which camera is mounted and its serial number in the options; after replacing a camera, "
+    "calibrate the head and edit the file.",
 )
 
 

@@ -73,10 +73,7 @@ def _read_text(memory: bytes, register: Bootstrap) -> str:
 
 
 def discover_cameras(interface: Interface, limit_s: float = REPLY_LIMIT_S) -> tuple[CameraIdentity, ...]:
-    """Find all GigE Vision devices that reply on one network interface, without taking control.
-
-    A device also replies if its address belongs to another subnet.
-    """
+    """Find all GigE Vision devices that reply on one network interface, also those of another subnet."""
     found: dict[tuple[str, str], CameraIdentity] = {}
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as broadcast_socket, contextlib.suppress(OSError):
         broadcast_socket.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
@@ -113,12 +110,6 @@ def _decode_reply(datagram: bytes, sender: tuple[str, int]) -> CameraIdentity:
     ):
         raise MalformedReply(f"{sender[0]}: not a reply to discovery", wire=datagram[:16])
     # a camera of another subnet also replies: its own address is in the reply
-    address_bytes = acknowledge.payload[
-        Bootstrap.CURRENT_ADDRESS : Bootstrap.CURRENT_ADDRESS + gev.REGISTER_BYTES
-    ]
-    camera_address = (
-        socket.inet_ntoa(address_bytes)
-        if any(address_bytes) and len(address_bytes) == gev.REGISTER_BYTES
-        else sender[0]
-    )
-    return decode_identity(acknowledge.payload, camera_address)
+    own = acknowledge.payload[Bootstrap.CURRENT_ADDRESS :][: gev.REGISTER_BYTES]
+    is_stated = any(own) and len(own) == gev.REGISTER_BYTES
+    return decode_identity(acknowledge.payload, socket.inet_ntoa(own) if is_stated else sender[0])

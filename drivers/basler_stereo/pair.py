@@ -8,13 +8,7 @@ from collections.abc import Callable
 from typing import Any, TypeVar
 
 from drivers.basler_stereo.camera import Camera, LinkRecorder
-from drivers.basler_stereo.errors import (
-    CameraLost,
-    CommandRefused,
-    ControlLost,
-    NoReply,
-    ReceiverEnded,
-)
+from drivers.basler_stereo.errors import CameraLost, CommandRefused, ControlLost, NoReply, ReceiverEnded
 from drivers.basler_stereo.identity import CameraIdentity
 from drivers.basler_stereo.options import BaslerOptions, read_options
 from drivers.basler_stereo.pair_device import PairDevice, check_pair

@@ -136,10 +136,7 @@ class PairDevice(ABC, Generic[C]):
         self._guard.enter(Lifecycle.CONFIGURED, **facts)
 
     def set_areas(self, left: AreaOfInterest, right: AreaOfInterest, timeout_s: float = 5.0) -> None:
-        """Set both readout areas; GEV-011 leaves both cameras unchanged.
-
-        A running stream is stopped and restarted; its block ids restart.
-        """
+        """Set both readout areas, restarting a running stream; GEV-011 leaves both cameras unchanged."""
         self._guard.require("set_areas", {Lifecycle.CONFIGURED, Lifecycle.ACTIVE})
         if (left, right) == self.areas:
             return
@@ -170,8 +167,7 @@ class PairDevice(ABC, Generic[C]):
         deadline_s = time.monotonic() + timeout_s
         self._release_all()
         cameras, identities = self._open_cameras(deadline_s)
-        found = (identities[0].serial, identities[1].serial)
-        if found != before:
+        if (found := (identities[0].serial, identities[1].serial)) != before:
             self._close_all(cameras)
             raise WRONG_SERIAL(
                 "different cameras than before", expected="+".join(before), got="+".join(found)
@@ -185,10 +181,7 @@ class PairDevice(ABC, Generic[C]):
         self._guard.enter(Lifecycle.CONFIGURED)
 
     def close(self) -> None:
-        """Stop the streams, release control and close the connections.
-
-        Takes three seconds at most with unresponsive cameras; never raises.
-        """
+        """Stop streams, release control and close, in three seconds without replies; never raises."""
         if self._guard.state is not Lifecycle.CLOSED:
             self._release_all()
             self._guard.enter(Lifecycle.CLOSED)

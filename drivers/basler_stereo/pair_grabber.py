@@ -29,10 +29,7 @@ Frames = tuple[ReceivedImage | None, ReceivedImage | None]
 
 
 class PairGrabber:
-    """Stream control and frame pairing for two cameras; deadlines are host monotonic time.
-
-    Use from one thread at a time.
-    """
+    """Stream control and frame pairing for two cameras, in one thread; deadlines are host monotonic time."""
 
     def __init__(
         self, cameras: tuple[Camera, Camera], serials: tuple[str, str], clock: Clock, options: BaslerOptions
@@ -85,10 +82,7 @@ class PairGrabber:
         return self._grab(sequence, deadline_s)
 
     def await_replies(self, deadline_s: float) -> None:
-        """Wait until both cameras reply again.
-
-        The heartbeat decides whether one is lost: raises GEV-014, GEV-015; GEV-007 at the deadline.
-        """
+        """Wait until both cameras reply again; raises GEV-014, GEV-015, or GEV-007 at the deadline."""
         for camera in self._cameras:
             while True:
                 if camera.lost is not None:
@@ -148,16 +142,12 @@ class PairGrabber:
             return any(camera.lost is not None for camera in self._cameras)
 
         left, right = self._cameras
-        first = left.take(deadline_s, is_any_lost)
-        if first is not None:
+        if (first := left.take(deadline_s, is_any_lost)) is not None:
             deadline_s = min(deadline_s, time.monotonic() + PARTNER_LIMIT_S)
         return first, right.take(deadline_s, is_any_lost)
 
     def _raise_for_missing(self, frames: Frames) -> None:
-        """Raise the error that explains a missing frame.
-
-        GEV-007, GEV-014 or GEV-015 for its camera, GEV-013 for both.
-        """
+        """Raise GEV-007, GEV-014 or GEV-015 for a camera without a frame, GEV-013 if neither has one."""
         for camera, frame in zip(self._cameras, frames, strict=True):
             if frame is not None:
                 continue
@@ -171,31 +161,20 @@ class PairGrabber:
         """Build the error for a trigger that produced no image, with the probable reason."""
         expected = "an image from either camera"
         if self._options.trigger == "line1":
-            return TriggerMissed(
-                "no pulse arrived on the trigger line", expected=expected, action=NO_PULSE_ADVICE
-            )
+            what = "no pulse arrived on the trigger line"
+            return TriggerMissed(what, expected=expected, action=NO_PULSE_ADVICE)
+        what, got, action = "no image after a trigger", "no packets", TriggerMissed.action
         if any(camera.receiver.has_begun for camera in self._cameras):
-            return TriggerMissed(
-                "no complete image after a trigger", expected=expected, got="some of its packets"
-            )
-        if any(camera.receiver.counters.refusals for camera in self._cameras):
-            refusal_text = "'no image' from both cameras"
-            return TriggerMissed(
-                "no image after a trigger", expected=expected, got=refusal_text, action=BUSY_ADVICE
-            )
-        return TriggerMissed("no image after a trigger", expected=expected, got="no packets")
+            what, got = "no complete image after a trigger", "some of its packets"
+        elif any(camera.receiver.counters.refusals for camera in self._cameras):
+            got, action = "'no image' from both cameras", BUSY_ADVICE
+        return TriggerMissed(what, expected=expected, got=got, action=action)
 
     def _make_reading(self, frames: Frames, sequence: int, triggered_s: float) -> StereoReading:
         match, moments_s = self._match(frames, triggered_s)
         left, right = (
             camera_image(
-                frame,
-                serial,
-                camera.area,
-                self._options.pixel_format_code,
-                sequence,
-                triggered_s,
-                moment_s,
+                frame, serial, camera.area, self._options.pixel_format_code, sequence, triggered_s, moment_s
             )
             if frame is not None
             else None

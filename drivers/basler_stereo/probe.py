@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import permutations
-from typing import Any
 
 from drivers.basler_stereo.camera_check import (
     ExpectedCamera,
@@ -19,13 +18,13 @@ from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.probing import (
     Diagnostic,
     Inspection,
-    Option,
     Progress,
     Proposal,
     Search,
     connect_and_identify,
     describe_options,
     inspect_nothing,
+    reporting,
 )
 from ronna_hw.endpoints import Endpoint, parse_endpoint
 from ronna_hw.host.network import find_interface
@@ -59,14 +58,10 @@ class BaslerProbe:
         return self._diagnose_cameras([ExpectedCamera(endpoint) for endpoint in endpoints], progress)
 
     def find(self, search: Search, progress: Progress) -> Sequence[Proposal]:
-        """Propose pairs of cameras of the same model; pairs named left and right take precedence.
-
-        Each network is queried with one broadcast; no camera is controlled.
-        """
+        """Propose pairs of one model, those named left and right first, by one broadcast per network."""
         cameras: dict[str, CameraIdentity] = {}  # by address
-        for number, network in enumerate(search.interfaces, start=1):
+        for network in reporting(search.interfaces, progress):
             cameras |= {each.address: each for each in discover_cameras(network)}
-            progress(number / len(search.interfaces))
         pairs = [
             (camera_a, camera_b)
             for camera_a, camera_b in permutations(cameras.values(), 2)
@@ -77,7 +72,8 @@ class BaslerProbe:
 
     def example(self, search: Search) -> Proposal:
         chosen = dict(zip(("left_serial", "right_serial"), EXAMPLE_SERIALS, strict=True))
-        return Proposal(DRIVER, "", _endpoints(EXAMPLE_ADDRESSES), _options(chosen), (SIDES_REMARK,))
+        options = describe_options(BaslerOptions, chosen)
+        return Proposal(DRIVER, "", _endpoints(EXAMPLE_ADDRESSES), options, (SIDES_REMARK,))
 
     def _diagnose_cameras(
         self, cameras: Sequence[ExpectedCamera], progress: Progress
@@ -91,9 +87,8 @@ class BaslerProbe:
         diagnostics = [
             discovery_diagnostic(network, replied) for network, replied in networks.items() if replied
         ]
-        for number, camera in enumerate(cameras, start=1):
+        for camera in reporting(cameras, progress):
             diagnostics.append(camera_diagnostic(check_camera(camera.endpoint), found, camera))
-            progress(number / len(cameras))
         return diagnostics
 
 
@@ -124,14 +119,10 @@ def _make_proposal(left: CameraIdentity, right: CameraIdentity, *, named: bool) 
         DRIVER,
         f"{left.vendor} {left.model} {left.serial} (left) and {right.serial} (right)",
         _endpoints((left.address, right.address)),
-        _options(chosen),
+        describe_options(BaslerOptions, chosen),
         (NAMED_REMARK if named else SIDES_REMARK,),
     )
 
 
 def _endpoints(addresses: tuple[str, str]) -> dict[str, str]:
     return {side: f"gev://{address}" for side, address in zip(SIDES, addresses, strict=True)}
-
-
-def _options(chosen: dict[str, Any]) -> tuple[Option, ...]:
-    return describe_options(BaslerOptions, chosen)

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+import errno
+import os
 import time
 from collections.abc import Mapping
 
 from drivers.kuka_rsi.eki.client import EkiClient
 from drivers.kuka_rsi.eki.telegrams import ControllerState, require_matching_setup, require_ready
-from drivers.kuka_rsi.errors import COMMAND_REFUSED, NO_TELEGRAM, STREAM_ERRORS, UNVERIFIED_CONTROLLER
+from drivers.kuka_rsi.errors import NO_TELEGRAM, STREAM_ERRORS, UNVERIFIED_CONTROLLER
 from drivers.kuka_rsi.fault_errors import RsiFaults
-from drivers.kuka_rsi.link import start_link
 from drivers.kuka_rsi.options import ROLES, KukaOptions
 from drivers.kuka_rsi.realtime.settings import AXIS_NAMES, LinkSettings
 from ronna_hw.arm.catalogue import KUKA
 from ronna_hw.arm.motion.limits import MotionLimits
+from ronna_hw.arm_stream.client import START_TIMEOUT_S, LinkClient, StartRefused, TrafficHandler
 from ronna_hw.arm_stream.connections import SHORTEST_TRY_S, StreamConnections, remaining_s
 from ronna_hw.arm_stream.errors import CommandRefused
 from ronna_hw.arm_stream.records import OpenStream, StreamPhase
@@ -22,7 +24,13 @@ from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.lifecycle import Identity
 from ronna_hw.endpoints import Endpoint
 from ronna_hw.wire.kuka_context import RsiContext
-from ronna_hw.wire.kuka_eki import AckCode, CommandName, Correction, OperationMode, Reference, RsiState
+from ronna_hw.wire.kuka_eki import CommandName, Correction, OperationMode, Reference, RsiState
+
+PROCESS = "drivers.kuka_rsi.realtime.process"
+ADDRESS_ADVICE = (
+    "Give endpoint rsi, and the Ethernet file, the address that this computer has in the subnet of the "
+    "controller's RSI interface; check that the cable is connected and the interface is up."
+)
 
 
 class Connections(StreamConnections[ControllerState, EkiClient]):
@@ -64,16 +72,12 @@ class Connections(StreamConnections[ControllerState, EkiClient]):
         require_ready(state, drives=False, modes=modes)
         if not state.drives:
             if state.mode is OperationMode.EXT:
-                answer = eki.command(CommandName.DRIVES, remaining_s(deadline), On=1)
-                if answer.code is not AckCode.OK:
-                    # A change since the state was read is more informative than the refusal.
-                    require_ready(
-                        eki.status(max(remaining_s(deadline), SHORTEST_TRY_S)), drives=False, modes=modes
-                    )
-                    raise COMMAND_REFUSED(
-                        f"the controller refused {CommandName.DRIVES}",
-                        got=f"{answer.code.name} {answer.text}".strip(),
-                    )
+                try:
+                    eki.require(CommandName.DRIVES, remaining_s(deadline), On=1)
+                except CommandRefused:  # a change since the state was read is more informative
+                    state = eki.status(max(remaining_s(deadline), SHORTEST_TRY_S))
+                    require_ready(state, drives=False, modes=modes)
+                    raise
             eki.await_state(lambda s: s.drives, remaining_s(deadline))
             state = eki.status(max(remaining_s(deadline), SHORTEST_TRY_S))
         require_ready(state, drives=True, modes=modes)
@@ -86,17 +90,14 @@ class Connections(StreamConnections[ControllerState, EkiClient]):
         else:
             # Whether or not the controller accepts it: in T1 an operator starts the program on the pendant.
             eki.command(CommandName.RSI_START, remaining_s(deadline), **parameters)
-        if (
-            link.wait(lambda s: s.phase not in (StreamPhase.ARMED, StreamPhase.IDLE), remaining_s(deadline))
-            is None
-        ):
+        before_stream = (StreamPhase.ARMED, StreamPhase.IDLE)
+        if link.wait(lambda s: s.phase not in before_stream, remaining_s(deadline)) is None:
             raise faults.start_error(link.state, state.axes_deg, timeout_s)
         if eki.await_state(lambda s: s.rsi is RsiState.MOVECORR, remaining_s(deadline)) is None:
             raise NO_TELEGRAM(
                 f"{faults.name}: the RSI program does not reach RSI_MOVECORR", limit=f"{timeout_s:g} s"
             )
-        fault = faults.error(link.state, mode)
-        if fault is not None:
+        if (fault := faults.error(link.state, mode)) is not None:
             raise fault
         require_ready(eki.status(max(remaining_s(deadline), SHORTEST_TRY_S)), drives=True, modes=(mode,))
         return mode
@@ -157,6 +158,25 @@ class Connections(StreamConnections[ControllerState, EkiClient]):
         model, serial = state.variant or "unknown", state.serial or ""
         # EKI does not carry the software version of the controller.
         return Identity(KUKA, model, serial, firmware="", details=details)
+
+
+def start_link(
+    settings: LinkSettings,
+    timeout_s: float = START_TIMEOUT_S,
+    on_traffic: TrafficHandler | None = None,
+    clock: Clock | None = None,
+) -> LinkClient:
+    """Start the real-time process, which listens on the RSI port; raises RSI-001."""
+    try:
+        return LinkClient(settings, PROCESS, STREAM_ERRORS, timeout_s, on_traffic, clock)
+    except StartRefused as refusal:
+        known = os.strerror(refusal.errno) if refusal.errno > 0 else "no such address"
+        reason = f"cannot listen on udp://{settings.host}:{settings.port}: {known}"
+        if refusal.errno <= 0 or refusal.errno == errno.EADDRNOTAVAIL:
+            raise STREAM_ERRORS.not_started(
+                reason, expected="an address of this computer", action=ADDRESS_ADVICE
+            ) from None
+        raise STREAM_ERRORS.not_started(reason) from None
 
 
 def link_settings(rsi: Endpoint, context: RsiContext, options: KukaOptions) -> LinkSettings:

@@ -123,41 +123,33 @@ BAD_EKI_TELEGRAM = ErrorCode(
     "EKI-004",
     MalformedMessage,
     "Bytes received from the controller are not a valid EKI telegram.",
-    (
-        f"Look at the controller's message window, then {ACKNOWLEDGE}. If it repeats, load the EKI file of "
-        "this driver on the controller."
-    ),
+    f"Look at the controller's message window, then {ACKNOWLEDGE}. If it repeats, load the EKI file of "
+    "this driver on the controller.",
 )
 
 WRONG_CONTROLLER = ErrorCode(
     "EKI-005",
     ConnectError,
     "The controller's RSI context, cycle, corrections or arm differ from the driver's configuration.",
-    (
-        "Load the files of drivers/kuka_rsi/controller on the controller, or correct the options variant, "
-        "cycle_ms and context."
-    ),
+    "Load the files of drivers/kuka_rsi/controller on the controller, or correct the options variant, "
+    "cycle_ms and context.",
 )
 
 UNVERIFIED_CONTROLLER = ErrorCode(
     "EKI-006",
     ConnectError,
     "The controller does not report which RSI context it runs.",
-    (
-        "Load the EKI program of this driver, which reports it; or set option accept_unverified and confirm "
-        "the start (a case prompts for it; otherwise activate_unverified(confirmed_by)): a micro-move then "
-        "verifies it."
-    ),
+    "Load the EKI program of this driver, which reports it; or set option accept_unverified and confirm "
+    "the start (a case prompts for it; otherwise activate_unverified(confirmed_by)): a micro-move then "
+    "verifies it.",
 )
 
 CONTROLLER_NOT_READY = ErrorCode(
     "EKI-007",
     RefusedError,
     "Operating mode, drives, emergency stop, guard or an active message prevent motion.",
-    (
-        "Release the emergency stop, close the guard, select EXT (a case asks before a start in T1; in "
-        f"Python: allow_t1); then {ACKNOWLEDGE}."
-    ),
+    "Release the emergency stop, close the guard, select EXT (a case asks before a start in T1; in "
+    f"Python: allow_t1); then {ACKNOWLEDGE}.",
 )
 
 COMMAND_REFUSED = ErrorCode(

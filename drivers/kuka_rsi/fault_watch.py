@@ -49,8 +49,7 @@ class FaultWatch(StreamWatch[ControllerState]):
     def check_until_certain(self) -> None:
         """Latch any fault as `check` does, but wait for the controller's cause of a following error."""
         self.check()
-        inquiry = self._inquiry
-        if inquiry is not None:
+        if (inquiry := self._inquiry) is not None:
             with contextlib.suppress(RonnaError):  # with a broken channel the following error is latched
                 inquiry.eki.await_reply(inquiry.number, max(0.0, inquiry.until_s - time.monotonic()))
             self.check()
@@ -58,8 +57,7 @@ class FaultWatch(StreamWatch[ControllerState]):
     def on_state(self, state: ControllerState) -> None:
         """Check a requested or unsolicited controller state; called on the EKI reader thread."""
         self.check()
-        stop_error = self._controller_stop_error(state)
-        if stop_error is not None:
+        if (stop_error := self._controller_stop_error(state)) is not None:
             self._stop_for(stop_error)
 
     def on_loss(self, failure: RonnaError) -> None:
@@ -69,8 +67,7 @@ class FaultWatch(StreamWatch[ControllerState]):
         self._stop_for(failure)
 
     def _controller_stop_error(self, state: ControllerState) -> RonnaError | None:
-        causes = unmet_conditions(state, drives=True, modes=(self.mode,))
-        if not causes:
+        if not (causes := unmet_conditions(state, drives=True, modes=(self.mode,))):
             return None
         link = self._connections.open_link
         if state.error and link is not None and (count := link.state.foreign):

@@ -102,14 +102,10 @@ class MicroMove:
             self._refuse(f"{AXIS_NAMES[axis]} was stopped: {state.fault.name} {state.result.name}", 0.0)
 
     def _require_small(self, state: LinkState, start: JointVector, axis: int) -> None:
-        for axis_number, (measured_angle, start_angle) in enumerate(
-            zip(state.measured_rad, start, strict=True)
-        ):
-            allowed_rad = STRAY_RAD + (LARGEST_ANGLE_RAD if axis_number == axis else 0.0)
-            if abs(measured_angle - start_angle) > allowed_rad:
-                motion_text = (
-                    f"{AXIS_NAMES[axis_number]} moved by {degrees(measured_angle - start_angle):.4f} deg"
-                )
+        for number, (measured_rad, start_rad) in enumerate(zip(state.measured_rad, start, strict=True)):
+            allowed_rad = STRAY_RAD + (LARGEST_ANGLE_RAD if number == axis else 0.0)
+            if abs(moved_rad := measured_rad - start_rad) > allowed_rad:
+                motion_text = f"{AXIS_NAMES[number]} moved by {degrees(moved_rad):.4f} deg"
                 self._refuse(f"{motion_text} while {AXIS_NAMES[axis]} was commanded", allowed_rad)
 
     def _refuse(self, what: str, limit_rad: float) -> NoReturn:
@@ -135,5 +131,4 @@ def micro_angle(kinematics: Kinematics, joints_rad: JointVector, axis: int) -> f
 
 
 def _with_axis_moved(joints_rad: JointVector, axis: int, angle_rad: float) -> JointVector:
-    A1, A2, A3, A4, A5, A6 = (a + angle_rad * (k == axis) for k, a in enumerate(joints_rad))
-    return (A1, A2, A3, A4, A5, A6)
+    return tuple(a + angle_rad * (k == axis) for k, a in enumerate(joints_rad))

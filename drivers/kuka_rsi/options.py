@@ -91,8 +91,7 @@ def find_objections(context: RsiContext) -> Iterator[str]:
         )
     elif any(not holdon[w.indx] for w in axes):
         yield "corrections have HOLDON 0: a lost reply would jump back to the start pose"
-    unwired = sorted({*AXIS_NAMES} - {w.input for w in axes})
-    if unwired:
+    if unwired := sorted({*AXIS_NAMES} - {w.input for w in axes}):
         yield f"AXISCORR is not wired for {' '.join(unwired)}"
     if any(w.object == "POSCORR" for w in context.wiring):
         yield "POSCORR is wired as well: two corrections would add up"

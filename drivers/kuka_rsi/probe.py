@@ -30,6 +30,7 @@ from ronna_hw.devices.probing import (
     describe_options,
     endpoints_of,
     inspect_nothing,
+    reporting,
 )
 from ronna_hw.endpoints import Endpoint
 from ronna_hw.errors import RonnaError
@@ -65,11 +66,10 @@ class KukaProbe:
         """
         known = search.controllers or tuple(find_listening(search.interfaces, PROJECT_PORT))
         found = []
-        for number, controller in enumerate(known, start=1):
+        for controller in reporting(known, progress):
             proposal = _make_proposal(controller, stream_address(search))
             if search.controllers or not proposal.absent:  # on a network, other machines also listen
                 found.append(proposal)
-            progress(number / len(known))
         return found
 
     def example(self, search: Search) -> Proposal:
@@ -96,20 +96,14 @@ def _describe_refusal(endpoint: Endpoint, error: OSError) -> tuple[str, str]:
     if error.errno == errno.EADDRINUSE:
         if user := find_udp_port_user(endpoint.host, endpoint.port):
             return f"in use by {user}", f"{LEAVE_A_CASE_ALONE} Otherwise stop it."
-        return (
-            "in use by a program not visible to this user",
-            f"Find it with: sudo ss -ulnp 'sport = {endpoint.port}'",
-        )
+        advice = f"Find it with: sudo ss -ulnp 'sport = {endpoint.port}'"
+        return "in use by a program not visible to this user", advice
     if error.errno == errno.EADDRNOTAVAIL:
-        return (
-            f"{endpoint.host} is not an address of this computer",
-            "Give the network card towards the controller the address in the Ethernet file (IP_NUMBER).",
-        )
+        advice = "Give the network card towards the controller the address in the Ethernet file (IP_NUMBER)."
+        return f"{endpoint.host} is not an address of this computer", advice
     if error.errno == errno.EACCES:
-        return (
-            "permission denied",
-            "Ports below 1024 are reserved: choose another, here and in the Ethernet file.",
-        )
+        advice = "Ports below 1024 are reserved: choose another, here and in the Ethernet file."
+        return "permission denied", advice
     return error.strerror or str(error), "Give an IPv4 address of this computer."
 
 

@@ -9,7 +9,10 @@ from ronna_hw.devices.capabilities import EMERGENCY_STOP, MESSAGES, Fact
 from ronna_hw.wire.kuka_eki import OperationMode, RsiState
 
 MODES = (OperationMode.EXT, OperationMode.T1)  # modes in which a case can begin; T1 with someone at the arm
-MEANINGS = {29002: "RSITimeout: replies came late, were lost or had a wrong Type, and the controller stopped"}
+MEANINGS = {
+    29002: "KSS29002 is not acknowledged (RSITimeout: replies came late, were lost or had a wrong Type, and "
+    "the controller stopped)"
+}
 MODE_ADVICE = "Set the mode selector to EXT, or to T1 for motions with a person at the pendant."
 
 
@@ -21,9 +24,9 @@ def controller_facts(state: ControllerState) -> Iterator[Fact]:
         "Release the emergency stop.",
     )  # fmt: skip
     yield Fact("guard", "open" if state.guard_open else "closed", not state.guard_open, "Close the guard.")
+    known = MEANINGS.get(state.error, f"number {state.error} is not acknowledged")
     yield Fact(
-        MESSAGES, _message_text(state.error) if state.error else "none to acknowledge",
-        not state.error,
+        MESSAGES, known if state.error else "none to acknowledge", not state.error,
         "Remove its cause; acknowledge it at the pendant or with ronna-procedure acknowledge.",
     )  # fmt: skip
     yield Fact("drives", "on" if state.drives else "off; switched on when the case begins")
@@ -45,13 +48,6 @@ def _brakes_fact(state: ControllerState) -> Fact:
         advice = "Stop the program at the pendant, and have the brakes and their cable tested."
         return Fact("brakes", f"closed while the arm moves: {' '.join(closed_axes)}", False, advice)
     return Fact("brakes", f"closed: {' '.join(closed_axes)}" if closed_axes else "open")
-
-
-def _message_text(number: int) -> str:
-    meaning = MEANINGS.get(number)
-    return (
-        f"KSS{number} is not acknowledged ({meaning})" if meaning else f"number {number} is not acknowledged"
-    )
 
 
 def readiness_facts(state: ControllerState, *, verified: bool) -> Iterator[Fact]:

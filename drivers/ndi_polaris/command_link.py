@@ -91,12 +91,7 @@ class CommandLink:
         self._limits_s = {**self._limits_s, **limits_s}
 
     def ask(
-        self,
-        name: str,
-        argument: str = "",
-        *,
-        reply_bytes: int = ORDINARY_REPLY_BYTES,
-        retry: bool = True,
+        self, name: str, argument: str = "", *, reply_bytes: int = ORDINARY_REPLY_BYTES, retry: bool = True
     ) -> str:
         """Send a command and return the text of its reply, including OKAY and WARNINGhh.
 
@@ -125,10 +120,7 @@ class CommandLink:
         return count * ndi.BITS_PER_BYTE_ON_LINE / baud if baud else 0.0
 
     def drain(self, quiet_s: float = QUIET_S, until_s: float = math.inf) -> bytes:
-        """Discard input until the line has been quiet for `quiet_s`; returns the last bytes discarded.
-
-        Raises NDI-006 when the line never falls silent.
-        """
+        """Discard input until quiet for `quiet_s`; returns its last bytes. Raises NDI-006 if it never is."""
         discarded, count = b"", 0
         while data := self.transport.read(quiet_s):
             discarded = (discarded + data)[-LONGEST_REPLY_BYTES:]
@@ -163,15 +155,7 @@ class CommandLink:
                 break
         self._raise_silence()
 
-    def _exchange(
-        self,
-        name: str,
-        argument: str,
-        reply_bytes: int,
-        *,
-        retry: bool,
-        binary: bool,
-    ) -> Reply:
+    def _exchange(self, name: str, argument: str, reply_bytes: int, *, retry: bool, binary: bool) -> Reply:
         try:
             return self._exchange_once(name, argument, reply_bytes, binary)
         except (ProtocolError, NoReply, UnitError) as problem:
@@ -201,12 +185,8 @@ class CommandLink:
             self._settled = False
             if self._silent_since_s is None:
                 self._silent_since_s = started_s
-            raise NoReply(
-                f"no reply to {name}",
-                limit=f"{until_s - started_s:.3f} s",
-                wire=rest,
-                expected="a reply with CRC",
-            )
+            limit = f"{until_s - started_s:.3f} s"
+            raise NoReply(f"no reply to {name}", limit=limit, wire=rest, expected="a reply with CRC")
         self.waited_s = max(0.0, self.monotonic() - started_s - self._transfer_s(len(command) + len(reply)))
         self._silent_since_s = None
         if rest:  # one reply per command: anything more is a duplicate or a late one
@@ -237,8 +217,7 @@ class CommandLink:
                 return decode_ascii(split[0]), split[1]
             if len(buffer) > LONGEST_REPLY_BYTES:
                 raise MalformedReply("a reply has no end", limit=f"{LONGEST_REPLY_BYTES} bytes", wire=buffer)
-            remaining_s = until_s - self.monotonic()
-            if remaining_s <= 0:
+            if (remaining_s := until_s - self.monotonic()) <= 0:
                 return None, buffer
             data = self.transport.read(min(remaining_s, STALL_S) if buffer else remaining_s)
             if not data and buffer and remaining_s > STALL_S:
@@ -268,11 +247,9 @@ class CommandLink:
                 raise UnitRestarted("the unit sent RESET", wire=heard)
             if not heard.endswith(b"\r"):
                 continue
-            text = trailing_text(heard[:-1])
-            if text is not None and text.endswith(mark):
+            if (text := trailing_text(heard[:-1])) is not None and text.endswith(mark):
                 return _Echo.HEARD
-            error = unit_error(text or "", "ECHO")
-            if error is not None and not self.transport.read(QUIET_S):
+            if unit_error(text or "", "ECHO") is not None and not self.transport.read(QUIET_S):
                 return _Echo.REFUSED
         if heard:
             self._silent_since_s = None
@@ -284,11 +261,10 @@ class CommandLink:
         since_s = self._silent_since_s
         silent_s = self.monotonic() - since_s if since_s is not None else 0.0
         limit_s = max(self._limits_s.get(name, 0.0) for name in ("BX", "TX", "ECHO"))
+        limit, got = f"{limit_s:.1f} s", f"{silent_s:.1f} s"
         if silent_s >= limit_s:
-            raise LinkLost("the unit is silent", limit=f"{limit_s:.1f} s", got=f"{silent_s:.1f} s")
-        raise NoReply(
-            "the link has not resynchronised yet", limit=f"{limit_s:.1f} s", got=f"{silent_s:.1f} s"
-        )
+            raise LinkLost("the unit is silent", limit=limit, got=got)
+        raise NoReply("the link has not resynchronised yet", limit=limit, got=got)
 
 
 @lru_cache(maxsize=CACHED_COMMANDS)
@@ -348,10 +324,7 @@ def _header_crc(header: bytes) -> int:
 
 
 def split_binary(buffer: bytes) -> tuple[bytes, bytes] | None:
-    """Split off the first binary reply as (body, rest), or return None if incomplete.
-
-    Raises NDI-005 for a wrong CRC of header or body, NDI-006 for a wrong start sequence.
-    """
+    """Split a binary reply as (body, rest), None if incomplete. Raises NDI-005 (CRC), NDI-006 (start)."""
     if len(buffer) < ndi.BX_HEADER_BYTES:
         return None
     total_bytes = binary_reply_bytes(buffer)
@@ -359,12 +332,9 @@ def split_binary(buffer: bytes) -> tuple[bytes, bytes] | None:
         return None
     body = buffer[ndi.BX_HEADER_BYTES : total_bytes - ndi.BX_CRC_BYTES]
     (crc,) = _CRC.unpack_from(buffer, total_bytes - ndi.BX_CRC_BYTES)
-    if crc != ndi.crc16(body):
-        raise BadReplyCrc(
-            "wrong CRC in the body of a binary reply",
-            expected=f"{ndi.crc16(body):04X}",
-            wire=buffer[:total_bytes],
-        )
+    if crc != (right := ndi.crc16(body)):
+        what = "wrong CRC in the body of a binary reply"
+        raise BadReplyCrc(what, expected=f"{right:04X}", wire=buffer[:total_bytes])
     return body, buffer[total_bytes:]
 
 
@@ -376,8 +346,7 @@ def unit_error(text: str, command: str = "") -> UnitError | None:
 
 def warning_meaning(text: str) -> str | None:
     """Return the meaning of a WARNING reply, or None; a warning does not prevent execution."""
-    match = _WARNING.fullmatch(text)
-    if not match:
+    if not (match := _WARNING.fullmatch(text)):
         return None
     if match[1] is None:
         return "a warning without a code (older firmware)"

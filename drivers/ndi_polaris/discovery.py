@@ -38,10 +38,7 @@ RATE_SETTLING_S = 0.1  # after OKAY to COMM, as other clients wait for the unit 
 
 
 def find_unit(link: CommandLink) -> None:
-    """Find the unit's baud rate and switch the line to it.
-
-    Raises NDI-002 without any reply, NDI-003 when the device is not a Polaris unit.
-    """
+    """Find the unit's baud rate and use it; raises NDI-002 without a reply, NDI-003 for another device."""
     transport = link.transport
     heard = bytearray()
     tried = []
@@ -56,7 +53,7 @@ def find_unit(link: CommandLink) -> None:
         tried.append(f"{baud} baud" if transport.baud is not None else "the connection")
         inquiry = inquire(link)
         heard += inquiry.heard
-        if inquiry.is_answered:
+        if inquiry.reply is not None:
             return
     if transport.baud is not None and link.monotonic() < link.deadline_s:
         transport.set_baud(ndi.DEFAULT_BAUD)
@@ -66,7 +63,7 @@ def find_unit(link: CommandLink) -> None:
             return
         inquiry = inquire(link)
         heard += inquiry.heard
-        if inquiry.is_answered:
+        if inquiry.reply is not None:
             return
     if heard:
         raise NotAPolaris("bytes without a valid CRC", wire=bytes(heard))
@@ -139,10 +136,10 @@ def _switch_rate(
         pass  # the reply was lost: only a try shows whether the unit has switched
     pause(RATE_SETTLING_S)
     link.transport.set_baud(baud)
-    if inquire(link).is_answered:
+    if inquire(link).reply is not None:
         return True
     link.transport.set_baud(current)
-    if not inquire(link).is_answered:
+    if inquire(link).reply is None:
         raise LinkLost(f"no reply at {baud} baud nor at {current}")
     return False
 
@@ -153,21 +150,14 @@ class Inquiry(NamedTuple):
     heard: bytes
     reply: str | None = None
 
-    @property
-    def is_answered(self) -> bool:
-        return self.reply is not None
-
 
 def inquire(link: CommandLink) -> Inquiry:
-    """Send a command without side effects, repeated if the reply is garbled.
-
-    Raises NDI-003 when the line never falls silent, NDI-008 when it is lost.
-    """
+    """Send a harmless command, repeated if garbled; raises NDI-003 on endless noise, NDI-008 when lost."""
     heard = b""
     for _ in range(TRIES):
         inquiry = _inquire_once(link)
         heard = inquiry.heard or heard
-        if inquiry.is_answered or not inquiry.heard:
+        if inquiry.reply is not None or not inquiry.heard:
             return Inquiry(heard, inquiry.reply)
     return Inquiry(heard)
 

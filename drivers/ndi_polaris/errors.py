@@ -1,7 +1,4 @@
-"""Tracker errors NDI-001 to NDI-037; NDI-03x are the unit's ERRORhh replies.
-
-`error_for(hh)` maps each vendor code to its type; `vendor_code` keeps the number.
-"""
+"""Tracker errors NDI-001 to NDI-037; `error_for(hh)` maps the vendor code of ERRORhh to its NDI-03x."""
 
 from __future__ import annotations
 
@@ -223,17 +220,7 @@ class UnitFault(UnitError):
 
 
 _BY_VENDOR_CODE: dict[int, type[UnitError]] = {
-    vendor_code: kind
-    for kind in (
-        CommandRejected,
-        CommandGarbled,
-        WrongMode,
-        NotInitialised,
-        HandleRefused,
-        ToolRefused,
-        NotOffered,
-    )
-    for vendor_code in kind.vendor_codes
+    vendor_code: kind for kind in UnitError.__subclasses__() for vendor_code in kind.vendor_codes
 }
 
 

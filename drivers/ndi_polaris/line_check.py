@@ -195,26 +195,19 @@ def _diagnose(line: LineState, *, of_tracker: bool) -> Finding:
     if (answered_attempt := line.answered_attempt) is not None:
         return _diagnose_reply(answered_attempt)
     if any(attempt.outcome is LineOutcome.LOST for attempt in line.attempts):
-        return (
-            False,
-            "lost during the inquiry",
-            "Was the adapter unplugged, or the program at the other end stopped?",
-        )
-    noisy_attempts = [attempt for attempt in line.attempts if attempt.heard]
-    if not noisy_attempts:
+        advice = "Was the adapter unplugged, or the program at the other end stopped?"
+        return False, "lost during the inquiry", advice
+    if not (noisy_attempts := [attempt for attempt in line.attempts if attempt.heard]):
         return _diagnose_silence(line)
     if any(attempt.outcome is LineOutcome.ECHO for attempt in noisy_attempts):
-        return (
-            False,
-            f"echoes our commands {_rate_text(noisy_attempts[0])}",
-            "A loop-back plug, or a terminal with its echo on: there is no unit.",
-        )
+        advice = "A loop-back plug, or a terminal with its echo on: there is no unit."
+        return False, f"echoes our commands {_rate_text(noisy_attempts[0])}", advice
     if line.endpoint.scheme == "tcp" and EKI_STATE in noisy_attempts[-1].heard:
-        return (
-            not of_tracker,
-            f"a robot controller that sends its state over EKI{', not a tracker' if of_tracker else ''}",
-            "To check it, enter it as eki_project of [robot.master] and run ronna-procedure doctor --config.",
+        seen = f"a robot controller that sends its state over EKI{', not a tracker' if of_tracker else ''}"
+        advice = (
+            "To check it, enter it as eki_project of [robot.master] and run ronna-procedure doctor --config."
         )
+        return not of_tracker, seen, advice
     seen = "; ".join(
         f"garbage {_rate_text(attempt)}: bytes {attempt.heard.hex(' ')}" for attempt in noisy_attempts[-2:]
     )
@@ -239,24 +232,15 @@ def _diagnose_refusal(line: LineState) -> Finding:
         return False, f"permission denied: {endpoint.path}", advise_on_permission(endpoint.path)
     if line.users:
         users = " and ".join(str(user) for user in line.users)
-        return (
-            False,
-            f"held by another program: {users}",
-            f"{LEAVE_A_CASE_ALONE} Otherwise stop it, or use another port.",
-        )
+        advice = f"{LEAVE_A_CASE_ALONE} Otherwise stop it, or use another port."
+        return False, f"held by another program: {users}", advice
     if line.opening is LineOpening.HELD:
-        return (
-            False,
-            "held by another program, not visible to this user",
-            f"Find it with: sudo fuser -v {endpoint.path}",
-        )
+        advice = f"Find it with: sudo fuser -v {endpoint.path}"
+        return False, "held by another program, not visible to this user", advice
     if line.opening is LineOpening.CLOSED:
-        return (
-            False,
-            "the connection is closed as soon as it is used",
-            "The unit may be serving another client: stop that one. Otherwise another program is "
-            "listening there.",
-        )
+        unit_serves_another = "The unit may be serving another client: stop that one."
+        advice = f"{unit_serves_another} Otherwise another program is listening there."
+        return False, "the connection is closed as soon as it is used", advice
     assert line.refusal is not None
     return False, line.refusal.reason, line.refusal.advice
 
@@ -266,27 +250,22 @@ def _diagnose_reply(attempt: Attempt) -> Finding:
     seen = f"answered{rate}: {attempt.reply} (last bytes {attempt.heard.hex(' ')})"
     if attempt.baud in (None, DEFAULT_BAUD):
         return True, seen, ""
-    return (
-        True,
-        seen,
+    advice = (
         f"An earlier program left it at this rate. Our driver finds it there; others need {DEFAULT_BAUD}: "
-        "power-cycle the unit for them.",
+        "power-cycle the unit for them."
     )
+    return True, seen, advice
 
 
 def _diagnose_silence(line: LineState) -> Finding:
     if line.endpoint.scheme == "tcp":
-        return (
-            False,
-            "accepts the connection and sends nothing",
-            "Another program is listening there, or the unit serves another client: check address and port.",
+        advice = (
+            "Another program is listening there, or the unit serves another client: check address and port."
         )
+        return False, "accepts the connection and sends nothing", advice
     tried = [attempt.baud for attempt in line.attempts if attempt.outcome is not LineOutcome.REFUSED]
-    return (
-        False,
-        f"silent at {', '.join(map(str, tried))} baud",
-        "Is the unit powered, is its cable plugged in, and is this its port? At power-up it sends RESET.",
-    )
+    advice = "Is the unit powered, is its cable plugged in, and is this its port? At power-up it sends RESET."
+    return False, f"silent at {', '.join(map(str, tried))} baud", advice
 
 
 def _rate_text(attempt: Attempt) -> str:

@@ -75,16 +75,13 @@ def parse_volumes(text: str) -> tuple[MeasuringVolume, ...]:
 
 
 def _parse_volume(record: str) -> MeasuringVolume:
-    fields = [
-        record[1 + k * ndi.SFLIST_DIMENSION_CHARACTERS : 1 + (k + 1) * ndi.SFLIST_DIMENSION_CHARACTERS]
-        for k in range(ndi.SFLIST_DIMENSIONS)
-    ]
+    width = ndi.SFLIST_DIMENSION_CHARACTERS
+    fields = [record[at : at + width] for at in range(1, 1 + width * ndi.SFLIST_DIMENSIONS, width)]
     if not all(_DIMENSION.fullmatch(field) for field in fields):
         raise MalformedReply("unknown form of a volume in SFLIST", wire=record.encode("ascii", "replace"))
-    d1, d2, d3, d4, d5, d6, d7, d8, d9, d10 = (int(field) / ndi.SFLIST_DIMENSION_SCALE for field in fields)
-    return MeasuringVolume(
-        record[0], d1, d2, d3, d4, d5, d6 / SLOPE_PER, d7 / SLOPE_PER, d8 / SLOPE_PER, d9, d10
-    )
+    numbers = [int(field) / ndi.SFLIST_DIMENSION_SCALE for field in fields]
+    slopes = (number / SLOPE_PER for number in numbers[5:8])
+    return MeasuringVolume(record[0], *numbers[:5], *slopes, *numbers[8:])
 
 
 _PYRAMID = _parse_volume("5-240000-153200-095000+057200+039800+056946+024303+029773+999999+999999")

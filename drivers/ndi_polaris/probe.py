@@ -23,6 +23,7 @@ from ronna_hw.devices.probing import (
     describe_options,
     endpoints_of,
     inspect_nothing,
+    reporting,
 )
 from ronna_hw.endpoints import Endpoint
 from ronna_hw.errors import RonnaError
@@ -56,18 +57,14 @@ class PolarisProbe:
         return _diagnose_lines(endpoints, progress, of_tracker=False)
 
     def find(self, search: Search, progress: Progress) -> Sequence[Proposal]:
-        """Propose every line with a responding unit, and report missing lines.
-
-        A unit is identified as a procedure would identify it.
-        """
+        """Propose every line with a unit, identified as a procedure would, and report missing lines."""
         found = []
-        for number, line in enumerate(search.lines, start=1):
+        for line in reporting(search.lines, progress):
             state = check_line(line)
             if state.answered_attempt is not None:
                 found.append(_make_proposal(line))
             elif state.opening is LineOpening.MISSING:
                 found.append(_missing_proposal(line))
-            progress(number / len(search.lines))
         return found
 
     def example(self, search: Search) -> Proposal:
@@ -80,11 +77,10 @@ probe = PolarisProbe()
 def _diagnose_lines(
     endpoints: Sequence[Endpoint], progress: Progress, *, of_tracker: bool
 ) -> list[Diagnostic]:
-    diagnostics: list[Diagnostic] = []
-    for endpoint in endpoints:
-        diagnostics.append(line_diagnostic(check_line(endpoint), of_tracker=of_tracker))
-        progress(len(diagnostics) / len(endpoints))
-    return diagnostics
+    return [
+        line_diagnostic(check_line(endpoint), of_tracker=of_tracker)
+        for endpoint in reporting(endpoints, progress)
+    ]
 
 
 def _make_proposal(line: Endpoint) -> Proposal:

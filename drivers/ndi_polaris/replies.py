@@ -63,10 +63,7 @@ class TrackingReply(NamedTuple):
 
 
 def decode_bx(body: bytes, *, strays: bool = True) -> TrackingReply:
-    """Decode a BX reply body with checked CRC; `strays` states whether option 1000 was requested.
-
-    Raises NDI-006 when the body does not match the options.
-    """
+    """Decode a BX body whose CRC was checked; `strays`: option 1000 was requested. Raises NDI-006."""
     try:
         return _decode_bx_body(body, strays)
     except (struct.error, IndexError) as error:
@@ -103,8 +100,7 @@ def _decode_bx_body(body: bytes, with_strays: bool) -> TrackingReply:
 
 
 def _unpack_bx_strays(body: bytes, offset: int) -> tuple[tuple[Vector3, ...], tuple[bool, ...] | None, int]:
-    count = body[offset]
-    if count > ndi.MAXIMUM_STRAYS:
+    if (count := body[offset]) > ndi.MAXIMUM_STRAYS:
         raise MalformedReply(f"BX announces {count} strays", limit=str(ndi.MAXIMUM_STRAYS), wire=body)
     bits = int.from_bytes(body[offset + 1 : offset + 1 + (count + 7) // 8], "little")
     outside = tuple(bool(bits >> k & 1) for k in range(count)) if bits else (False,) * count
@@ -119,10 +115,7 @@ def _unpack_bx_strays(body: bytes, offset: int) -> tuple[tuple[Vector3, ...], tu
 
 
 def decode_tx(text: str, *, strays: bool = True) -> TrackingReply:
-    """Decode a TX reply text with checked CRC; `strays` states whether option 1000 was requested.
-
-    Raises NDI-006 when the text does not match the options.
-    """
+    """Decode a TX text whose CRC was checked; `strays`: option 1000 was requested. Raises NDI-006."""
     count = _parse_hex2(text[:2], "number of handles", text)
     *records, tail = text[2:].split(ndi.LF)
     if len(records) != count:
@@ -141,20 +134,11 @@ def decode_tx(text: str, *, strays: bool = True) -> TrackingReply:
 def _parse_tx_handle(record: str, text: str) -> HandleReport:
     number, content = _parse_hex2(record[:2], "handle", text), record[2:]
     if match := _VALID.fullmatch(content):
-        q0, qx, qy, qz, tx, ty, tz, fit = (int(value) for value in match.groups()[:8])
-        return HandleReport(
-            number,
-            (
-                q0 / ndi.TX_QUATERNION_SCALE,
-                qx / ndi.TX_QUATERNION_SCALE,
-                qy / ndi.TX_QUATERNION_SCALE,
-                qz / ndi.TX_QUATERNION_SCALE,
-            ),
-            (tx / ndi.TX_POSITION_SCALE, ty / ndi.TX_POSITION_SCALE, tz / ndi.TX_POSITION_SCALE),
-            fit / ndi.TX_ERROR_SCALE,
-            int(match[9], 16),
-            int(match[10], 16),
-        )
+        sent = [int(value) for value in match.groups()[:8]]
+        w, x, y, z = (value / ndi.TX_QUATERNION_SCALE for value in sent[:4])
+        tx, ty, tz = (value / ndi.TX_POSITION_SCALE for value in sent[4:7])
+        fit_error_mm, port_status, frame = sent[7] / ndi.TX_ERROR_SCALE, int(match[9], 16), int(match[10], 16)
+        return HandleReport(number, (w, x, y, z), (tx, ty, tz), fit_error_mm, port_status, frame)
     if match := _MISSING.fullmatch(content):
         return HandleReport(number, port_status=int(match[1], 16), frame=int(match[2], 16))
     if _ABSENT.fullmatch(content):
@@ -163,8 +147,7 @@ def _parse_tx_handle(record: str, text: str) -> HandleReport:
 
 
 def _parse_tx_strays(block: str, text: str) -> tuple[tuple[Vector3, ...], tuple[bool, ...] | None]:
-    count = _parse_hex2(block[:2], "number of strays", text)
-    if count > ndi.MAXIMUM_STRAYS:
+    if (count := _parse_hex2(block[:2], "number of strays", text)) > ndi.MAXIMUM_STRAYS:
         raise _malformed_error(f"TX announces {count} strays", text)
     digits = (count + 3) // 4
     bits, rest = block[2 : 2 + digits], block[2 + digits :]
@@ -184,8 +167,7 @@ def _parse_tx_strays(block: str, text: str) -> tuple[tuple[Vector3, ...], tuple[
 
 
 def _parse_tx_position(record: str, text: str) -> Vector3:
-    match = _STRAY.fullmatch(record)
-    if not match:
+    if not (match := _STRAY.fullmatch(record)):
         raise _malformed_error("unknown form of a stray position in TX", text)
     x, y, z = (int(value) / ndi.TX_POSITION_SCALE for value in match.groups())
     return x, y, z
@@ -203,8 +185,7 @@ def _malformed_error(what: str, text: str) -> MalformedReply:
 
 def frame_number(reply: TrackingReply) -> int:
     """Return a reply's frame number; raises NDI-006 if no handle has one."""
-    numbers = [report.frame for report in reply.handles if report.frame is not None]
-    if not numbers:
+    if not (numbers := [report.frame for report in reply.handles if report.frame is not None]):
         raise MalformedReply("no handle of the reply carries a frame number")
     return max(numbers)
 

@@ -31,8 +31,7 @@ RomArgument = Annotated[
     Path, typer.Argument(metavar="ROM", help="A .rom, or the name of one shipped with the driver.")
 ]
 ToleranceOption = Annotated[
-    float | None,
-    typer.Option("--tolerance-mm", min=0.0, help="Distances closer than this are too similar."),
+    float | None, typer.Option("--tolerance-mm", min=0.0, help="Distances closer than this are too similar.")
 ]
 
 
@@ -112,30 +111,17 @@ def show(
     content["segments_mm"] = ", ".join(f"{length:.2f}" for length in segments)
     content["sha256"] = definition_hash(tool)
     terminal.print_table(rom.name, ("property", "value"), list(content.items()))
-    terminal.print_table(
-        "Markers",
-        ("marker", "x mm", "y mm", "z mm", "normal", "face"),
-        [
-            (
-                number,
-                *(f"{value:.3f}" for value in marker),
-                " ".join(f"{value:.3f}" for value in normal),
-                face,
-            )
-            for number, (marker, normal, face) in enumerate(
-                zip(tool.markers_mm, tool.normals, tool.faces, strict=True), start=1
-            )
-        ],
-    )
+    markers = zip(tool.markers_mm, tool.normals, tool.faces, strict=True)
+    rows = [
+        (number, *(f"{value:.3f}" for value in marker), " ".join(f"{value:.3f}" for value in normal), face)
+        for number, (marker, normal, face) in enumerate(markers, start=1)
+    ]
+    terminal.print_table("Markers", ("marker", "x mm", "y mm", "z mm", "normal", "face"), rows)
     return EXIT_DONE
 
 
 @app.command()
-def compare(
-    first: RomArgument,
-    second: RomArgument,
-    as_json: terminal.JsonOption = False,
-) -> int:
+def compare(first: RomArgument, second: RomArgument, as_json: terminal.JsonOption = False) -> int:
     """Show the differences between two definitions.
 
     Field by field; marker positions by their distance in mm, unexplained bytes in hex.

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from datetime import date
+from functools import partial
 from pathlib import Path
 
 from drivers.ndi_polaris.tool_definition import ToolDefinition, encode_definition, make_planar_tool
@@ -19,26 +20,13 @@ ROBOT_FRAME_MARKERS_MM = ((0.0, 0.0, 0.0), (45.0, 60.0, 0.0), (-30.0, 85.0, 0.0)
 
 def build_shipped_definitions() -> dict[str, ToolDefinition]:
     """Build the shipped definitions, keyed by file name; markers in mm, in the tool frame."""
-    robot_frame = make_planar_tool(
-        "RONNA-M", ROBOT_FRAME_MARKERS_MM, manufacturer=MANUFACTURER, made_on=date(2025, 1, 6)
-    )
-    fiducials = make_planar_tool(
-        x_frame.PART_NUMBER,
-        x_frame.SPHERE_CENTRES_MM,
-        x_frame.OUTWARD,
-        manufacturer=MANUFACTURER,
-        made_on=date(2025, 1, 7),
-    )
-    on_clamp = make_planar_tool(
-        patient_frame.PART_NUMBER,
-        patient_frame.MARKERS_MM,
-        manufacturer=MANUFACTURER,
-        made_on=date(2025, 1, 8),
-    )
+    make = partial(make_planar_tool, manufacturer=MANUFACTURER)
+    on_skull = (x_frame.PART_NUMBER, x_frame.SPHERE_CENTRES_MM, x_frame.OUTWARD)
+    on_clamp = (patient_frame.PART_NUMBER, patient_frame.MARKERS_MM)
     return {
-        "robot_frame.rom": robot_frame,
-        f"{x_frame.NAME}.rom": fiducials,
-        f"{patient_frame.NAME}.rom": on_clamp,
+        "robot_frame.rom": make("RONNA-M", ROBOT_FRAME_MARKERS_MM, made_on=date(2025, 1, 6)),
+        f"{x_frame.NAME}.rom": make(*on_skull, made_on=date(2025, 1, 7)),
+        f"{patient_frame.NAME}.rom": make(*on_clamp, made_on=date(2025, 1, 8)),
     }
 
 

@@ -58,13 +58,10 @@ def _find_marker_differences(name: str, mine: tuple[Any, ...], theirs: tuple[Any
     found = []
     if len(mine) != len(theirs):
         found.append(Difference(f"number of {name}", str(len(mine)), str(len(theirs))))
-    for index in range(max(len(mine), len(theirs))):
-        a = mine[index] if index < len(mine) else None
-        b = theirs[index] if index < len(theirs) else None
-        if a == b:
-            continue
-        moved = math.dist(a, b) if name == "markers_mm" and a is not None and b is not None else None
-        found.append(Difference(f"{name}[{index + 1}]", _format_value(a), _format_value(b), moved))
+    for number, (a, b) in enumerate(itertools.zip_longest(mine, theirs), start=1):
+        if a != b:
+            moved = math.dist(a, b) if name == "markers_mm" and a is not None and b is not None else None
+            found.append(Difference(f"{name}[{number}]", _format_value(a), _format_value(b), moved))
     return found
 
 
@@ -76,20 +73,17 @@ def _find_unexplained_differences(mine: bytes, theirs: bytes, named: list[Differ
         if property_.name in named_fields:
             for offset, size in property_.spans:
                 explained.update(range(offset, offset + size))
+
+    def is_unexplained(at: int) -> bool:
+        return mine[at] != theirs[at] and at not in explained
+
     found = []
-    start = None
-    for position in range(layout.ROM_BYTES + 1):
-        is_different = (
-            position < layout.ROM_BYTES and mine[position] != theirs[position] and position not in explained
-        )
-        if is_different and start is None:
-            start = position
-        elif not is_different and start is not None:
-            span_text = f"byte {start}" if position == start + 1 else f"bytes {start} to {position - 1}"
-            found.append(
-                Difference(span_text, mine[start:position].hex(" "), theirs[start:position].hex(" "))
-            )
-            start = None
+    for differs, run in itertools.groupby(range(layout.ROM_BYTES), is_unexplained):
+        if differs:
+            first, *others = run
+            span = slice(first, first + 1 + len(others))
+            span_text = f"bytes {first} to {others[-1]}" if others else f"byte {first}"
+            found.append(Difference(span_text, mine[span].hex(" "), theirs[span].hex(" ")))
     return found
 
 
@@ -102,10 +96,7 @@ def _format_value(value: Any) -> str:
 
 
 def largest_segment_difference_mm(first: ToolDefinition, second: ToolDefinition) -> float | None:
-    """Return the largest difference in segment length, mm, independent of the tools' origins.
-
-    Segments are paired in order of length. None for unequal numbers of markers.
-    """
+    """Return the largest difference of segment lengths in order, mm; None for unequal numbers of markers."""
     if len(first.markers_mm) != len(second.markers_mm):
         return None
     pairs = zip(segment_lengths_mm(first.markers_mm), segment_lengths_mm(second.markers_mm), strict=True)
@@ -163,15 +154,13 @@ def _with_file(name: str, files: Mapping[str, str]) -> str:
     return f"{name} ({files[name]})" if name in files else name
 
 
-def shares_triangle(
-    first: ToolDefinition, second: ToolDefinition, tolerance_mm: float = TRIANGLE_TOLERANCE_MM
-) -> bool:
+def shares_triangle(first: ToolDefinition, second: ToolDefinition) -> bool:
     """Return whether any three markers of one tool are congruent with three of the other."""
     triangles = [
         segment_lengths_mm(corners) for corners in itertools.combinations(second.markers_mm, TRIANGLE_CORNERS)
     ]
     return any(
-        all(abs(a - b) < tolerance_mm for a, b in zip(lengths, other, strict=True))
+        all(abs(a - b) < TRIANGLE_TOLERANCE_MM for a, b in zip(lengths, other, strict=True))
         for corners in itertools.combinations(first.markers_mm, TRIANGLE_CORNERS)
         for lengths in [segment_lengths_mm(corners)]
         for other in triangles

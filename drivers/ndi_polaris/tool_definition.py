@@ -112,8 +112,7 @@ def decode_definition(block: bytes, name: str = "definition") -> ToolDefinition:
         raise BAD_TOOL_FILE(
             f"{name} has a wrong checksum", expected=f"{checksum(block):04X}", got=f"{claimed:04X}"
         )
-    count = block[layout.MARKER_COUNT_OFFSET]
-    if count > layout.ROM_MARKERS:
+    if (count := block[layout.MARKER_COUNT_OFFSET]) > layout.ROM_MARKERS:
         raise BAD_TOOL_FILE(f"{name} has {count} markers", limit=str(layout.ROM_MARKERS))
     origin = bytes(block[: layout.ROM_BYTES])
     values = {property_.name: property_.read(origin) for property_ in FIELDS}
@@ -123,10 +122,7 @@ def decode_definition(block: bytes, name: str = "definition") -> ToolDefinition:
 
 
 def encode_definition(tool: ToolDefinition) -> bytes:
-    """Encode a definition as 752 .rom bytes; raises NDI-011 if it is invalid.
-
-    An unchanged definition yields exactly the bytes that were read.
-    """
+    """Encode 752 .rom bytes, of an unchanged definition exactly those that were read; raises NDI-011."""
     _check_definition(tool)
     block = bytearray(tool.origin)
     for property_ in FIELDS:
@@ -219,15 +215,23 @@ def _write_vectors(block: bytearray, offset: int, vectors: tuple[Vector3, ...]) 
         _F3.pack_into(block, offset + index * _F3.size, *vector)
 
 
+def _vectors_field(name: str, offset: int, most: int, count: Callable[[bytes], int]) -> ByteField:
+    return ByteField(
+        name,
+        ((offset, most * _F3.size),),
+        lambda block: _read_vectors(block, offset, count(block)),
+        lambda block, value: _write_vectors(block, offset, value),
+    )
+
+
 def _read_count(block: bytes | bytearray) -> int:
     return block[layout.MARKER_COUNT_OFFSET]
 
 
 def _write_markers(block: bytearray, markers_mm: tuple[Vector3, ...]) -> None:
     count = len(markers_mm)
-    if count != _read_count(
-        block
-    ):  # slots come into use or become free: clear the remains of a previous marker
+    if count != _read_count(block):
+        # Slots come into use or become free: clear the remains of a previous marker.
         block[layout.MARKER_COUNT_OFFSET] = count
         for offset in (layout.MARKER_POSITIONS_OFFSET, layout.MARKER_NORMALS_OFFSET):
             block[offset : offset + _MARKER_VECTORS_BYTES] = bytes(_MARKER_VECTORS_BYTES)
@@ -247,9 +251,8 @@ def _write_faces(block: bytearray, faces: tuple[int, ...]) -> None:
     block[layout.MARKER_FACES_OFFSET : layout.MARKER_FACES_OFFSET + len(faces)] = bytes(faces)
 
 
-def _read_face_normals(block: bytes) -> tuple[Vector3, ...]:
-    count = min(layout.ROM_FACES, max(_read_faces(block), default=0))
-    return _read_vectors(block, layout.FACE_NORMALS_OFFSET, count)
+def _count_faces(block: bytes) -> int:
+    return min(layout.ROM_FACES, max(_read_faces(block), default=0))
 
 
 def _read_bits(block: bytes, bits: Bits) -> int:
@@ -290,19 +293,9 @@ FIELDS: tuple[ByteField, ...] = (
         lambda block: _read_vectors(block, layout.MARKER_POSITIONS_OFFSET, _read_count(block)),
         _write_markers,
     ),
-    ByteField(
-        "normals",
-        ((layout.MARKER_NORMALS_OFFSET, _MARKER_VECTORS_BYTES),),
-        lambda block: _read_vectors(block, layout.MARKER_NORMALS_OFFSET, _read_count(block)),
-        lambda block, value: _write_vectors(block, layout.MARKER_NORMALS_OFFSET, value),
-    ),
+    _vectors_field("normals", layout.MARKER_NORMALS_OFFSET, layout.ROM_MARKERS, _read_count),
     ByteField("faces", ((layout.MARKER_FACES_OFFSET, layout.ROM_MARKERS),), _read_faces, _write_faces),
-    ByteField(
-        "face_normals",
-        ((layout.FACE_NORMALS_OFFSET, layout.ROM_FACES * _F3.size),),
-        _read_face_normals,
-        lambda block, value: _write_vectors(block, layout.FACE_NORMALS_OFFSET, value),
-    ),
+    _vectors_field("face_normals", layout.FACE_NORMALS_OFFSET, layout.ROM_FACES, _count_faces),
     _text_field("part_number", layout.PART_NUMBER_OFFSET, layout.PART_NUMBER_BYTES),
     _text_field("manufacturer", layout.MANUFACTURER_OFFSET, layout.MANUFACTURER_BYTES),
     _number_field("main_type", "<B", layout.MAIN_TYPE_OFFSET),

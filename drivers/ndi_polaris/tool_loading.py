@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -46,9 +47,7 @@ class LoadedTool:
 
 
 def load_tools(
-    link: CommandLink,
-    tools: Iterable[tuple[ToolOption, ToolDefinition]],
-    note: Callable[[str], None],
+    link: CommandLink, tools: Iterable[tuple[ToolOption, ToolDefinition]], note: Callable[[str], None]
 ) -> tuple[LoadedTool, ...]:
     """Free all port handles, then load, initialise and enable each tool; `note` receives warnings.
 
@@ -64,9 +63,7 @@ def load_tools(
 
 
 def _load_all(
-    link: CommandLink,
-    tools: tuple[tuple[ToolOption, ToolDefinition], ...],
-    note: Callable[[str], None],
+    link: CommandLink, tools: tuple[tuple[ToolOption, ToolDefinition], ...], note: Callable[[str], None]
 ) -> tuple[LoadedTool, ...]:
     for handle in list_handles(link, HandleQuery.ALL):  # ours or an earlier client's
         free_handle(link, handle)
@@ -146,10 +143,8 @@ def request_handle(link: CommandLink, argument: str) -> int:
 
 def free_handle(link: CommandLink, handle: int) -> None:
     """Free a port handle; a handle that is already free is not an error."""
-    try:
+    with suppress(HandleRefused):
         link.ask("PHF", f"{handle:02X}")
-    except HandleRefused:
-        return
 
 
 def list_handles(link: CommandLink, query: HandleQuery) -> dict[int, PortStatus]:

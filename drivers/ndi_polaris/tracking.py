@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import combinations
 from statistics import median
@@ -30,6 +31,7 @@ JUMP_S = 1.0  # a reply this early means that another client has reset the count
 FRAME_OPTIONS = ReplyOption.TRANSFORMS | ReplyOption.OUT_OF_VOLUME | ReplyOption.STRAY_PASSIVE
 BYTES_PER_HANDLE = 80  # of TX, the longer form
 BYTES_PER_STRAY = 21
+LONGEST_WITHOUT_TOOLS_BYTES = ndi.BX_HEADER_BYTES + ndi.BX_CRC_BYTES + ndi.MAXIMUM_STRAYS * BYTES_PER_STRAY
 REPLIES_KEPT = 10  # of which the times are reported
 _OPTIONS_TEXT = f"{FRAME_OPTIONS.value:04X}"
 
@@ -63,12 +65,7 @@ class Tracking:
         self._clock = clock
         self._frames_per_measurement = round(ndi.FRAME_RATE_HZ / rate_hz)
         self._binary = options.reply != "TX"
-        self._longest_reply_bytes = (
-            ndi.BX_HEADER_BYTES
-            + ndi.BX_CRC_BYTES
-            + len(tools) * BYTES_PER_HANDLE
-            + ndi.MAXIMUM_STRAYS * BYTES_PER_STRAY
-        )
+        self._longest_reply_bytes = LONGEST_WITHOUT_TOOLS_BYTES + len(tools) * BYTES_PER_HANDLE
         self.replies_s: tuple[float, ...] = ()
         self._reset()
 
@@ -94,14 +91,11 @@ class Tracking:
         reply, count = self._request_newest()
         self.statistics.disturbed += self._link.statistics.retries - retries
         arrived_s = self._clock.now_s()
-        self.replies_s = (
-            *self.replies_s[1 - REPLIES_KEPT :],
-            min(self._link.waited_s, arrived_s - requested_s),
-        )
-        if reply.system_status & ALARMING_STATUS:
-            problem = find_alarm(reply.system_status, self._link)
-            if problem is not None:
-                raise problem
+        reply_s = min(self._link.waited_s, arrived_s - requested_s)
+        self.replies_s = (*self.replies_s[1 - REPLIES_KEPT :], reply_s)
+        alarming = reply.system_status & ALARMING_STATUS
+        if alarming and (problem := find_alarm(reply.system_status, self._link)) is not None:
+            raise problem
         repeated = count == self._last_count
         if repeated:
             self.statistics.repeated += 1
@@ -134,9 +128,8 @@ class Tracking:
         try:
             if self._binary:
                 try:
-                    return decode_bx(
-                        self._link.ask_binary("BX", _OPTIONS_TEXT, reply_bytes=self._longest_reply_bytes)
-                    )
+                    body = self._link.ask_binary("BX", _OPTIONS_TEXT, reply_bytes=self._longest_reply_bytes)
+                    return decode_bx(body)
                 except UnitError as error:
                     if self._options.reply == "BX" or isinstance(error, WrongMode | HandleRefused):
                         raise
@@ -148,10 +141,8 @@ class Tracking:
 
 def stop_tracking(link: CommandLink) -> None:
     """Stop tracking; a unit that is not tracking is not an error."""
-    try:
+    with suppress(WrongMode):  # it had stopped on its own, or the reply to the first try was lost
         link.ask("TSTOP")
-    except WrongMode:  # it had stopped on its own, or the reply to the first try was lost
-        return
 
 
 class FrameClock:
@@ -178,12 +169,10 @@ class FrameClock:
         """Add a reply to the fit and return the fitted theatre time of its frame."""
         if self._origin_s is not None and arrived_s < self._origin_s + count * self.period_s - JUMP_S:
             self._reset()
-        window = count // WINDOW_FRAMES
-        if window != self._window:
+        if (window := count // WINDOW_FRAMES) != self._window:
             self._window = window
             self._end_window()
-        origin_s = arrived_s - count * self.period_s
-        if origin_s < self._earliest_origin_s:
+        if (origin_s := arrived_s - count * self.period_s) < self._earliest_origin_s:
             self._earliest, self._earliest_origin_s = (count, arrived_s), origin_s
         if self._origin_s is None or origin_s < self._origin_s:
             self._origin_s = origin_s
@@ -202,10 +191,7 @@ class FrameClock:
 
 
 def unwrap_frame_number(number: int, last: int | None) -> int:
-    """Unwrap a frame number to the count nearest `last` that is congruent to `number`.
-
-    A result below `last` is an older frame.
-    """
+    """Return the count nearest `last` that is congruent to a frame number; one below `last` is older."""
     if last is None:
         return number
     half = FRAME_NUMBERS // 2

@@ -48,26 +48,18 @@ class Transport(Protocol):
 
     def write(self, data: bytes) -> None:
         """Send all bytes; raises NDI-008 if the connection is lost."""
-        ...
 
     def read(self, timeout_s: float) -> bytes:
-        """Return received bytes, waiting up to `timeout_s` for the first; empty on time-out.
-
-        Raises NDI-008 when the peer is gone.
-        """
-        ...
+        """Return bytes, waiting up to `timeout_s` for the first; empty on time-out. Raises NDI-008."""
 
     def set_baud(self, baud: int) -> None:
         """Switch the host's port to another baud rate."""
-        ...
 
     def send_break(self) -> None:
         """Send a break, which resets the unit, if the transport supports it."""
-        ...
 
     def close(self) -> None:
         """Close the transport; never raises."""
-        ...
 
 
 def open_transport(endpoint: Endpoint, timeout_s: float) -> Transport:
@@ -116,8 +108,7 @@ class _Descriptor:
         writable.register(self._descriptor, select.POLLOUT)
         until_s = time.monotonic() + WRITE_LIMIT_S
         while data:
-            remaining_s = until_s - time.monotonic()
-            if remaining_s <= 0 or not writable.poll(remaining_s * 1000):
+            if (remaining_s := until_s - time.monotonic()) <= 0 or not writable.poll(remaining_s * 1000):
                 raise LinkLost(f"{self._endpoint} does not accept data", limit=f"{WRITE_LIMIT_S} s")
             try:
                 data = data[os.write(self._descriptor, data) :]
@@ -229,8 +220,7 @@ def _error_number(error: Exception) -> int | None:
 
 
 def _error_reason(error: Exception) -> str:
-    number = _error_number(error)
-    if number is None:
+    if (number := _error_number(error)) is None:
         return str(getattr(error, "strerror", None) or error)
     return _REASONS.get(number) or os.strerror(number).lower()
 
@@ -252,8 +242,7 @@ class RecordedTransport:
         self._sink.on_bytes(self._link, Direction.SENT, data)
 
     def read(self, timeout_s: float) -> bytes:
-        data = self._transport.read(timeout_s)
-        if data:
+        if data := self._transport.read(timeout_s):
             self._sink.on_bytes(self._link, Direction.RECEIVED, data)
         return data
 

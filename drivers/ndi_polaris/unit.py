@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import math
+from contextlib import suppress
 
 from drivers.ndi_polaris.command_link import CommandLink
 from drivers.ndi_polaris.errors import (
@@ -100,16 +100,12 @@ def _ask_or_empty(link: CommandLink, name: str, argument: str) -> str:
 
 def refuse_pending_alerts(link: CommandLink) -> None:
     """Raise NDI-020 or NDI-021 for a fault or bump that predates this connection."""
-    value = read_parameter_or(link, ndi.PARAMETER_ALERTS, "0")
-    alerts = Alert(parse_whole_number(value) or 0)
+    alerts = Alert(parse_whole_number(read_parameter_or(link, ndi.PARAMETER_ALERTS, "0")) or 0)
+    got = _describe_status(SystemStatus(0), alerts)
     if alerts & FAILURE_ALERTS:
-        raise HardwareFailure(
-            "the unit reports a hardware fault", got=_describe_status(SystemStatus(0), alerts)
-        )
+        raise HardwareFailure("the unit reports a hardware fault", got=got)
     if Alert.BUMP in alerts or read_parameter_or(link, ndi.PARAMETER_BUMPED, "0") == "1":
-        raise SensorBumped(
-            "the unit was bumped before this connection", got=_describe_status(SystemStatus(0), alerts)
-        )
+        raise SensorBumped("the unit was bumped before this connection", got=got)
 
 
 def find_alarm(bits: int, link: CommandLink) -> DeviceError | None:
@@ -119,22 +115,20 @@ def find_alarm(bits: int, link: CommandLink) -> DeviceError | None:
     """
     status = SystemStatus(bits)
     alerts = read_new_alerts(link) if SystemStatus.DIAGNOSTICS_PENDING in status else Alert(0)
+    got = _describe_status(status, alerts)
     if SystemStatus.HARDWARE_FAILURE in status or alerts & FAILURE_ALERTS:
-        return HardwareFailure("the unit reports a hardware fault", got=_describe_status(status, alerts))
+        return HardwareFailure("the unit reports a hardware fault", got=got)
     if Alert.BUMP in alerts:
-        return SensorBumped("the unit was bumped", got=_describe_status(status, alerts))
+        return SensorBumped("the unit was bumped", got=got)
     if SystemStatus.TEMPERATURE in status or alerts & TEMPERATURE_ALERTS:
-        return TemperatureHold(
-            "the unit withholds poses: temperature out of range", got=_describe_status(status, alerts)
-        )
+        return TemperatureHold("the unit withholds poses: temperature out of range", got=got)
     return None
 
 
 def read_new_alerts(link: CommandLink) -> Alert:
     """Read new alerts, which also clears the pending bit."""
     value = read_parameter(link, ndi.PARAMETER_NEW_ALERTS)
-    alerts = parse_whole_number(value)
-    if alerts is None:
+    if (alerts := parse_whole_number(value)) is None:
         raise MalformedReply("unknown format of the alerts", got=value)
     return Alert(alerts)
 
@@ -170,9 +164,9 @@ def read_time_limits(link: CommandLink) -> dict[str, float]:
     for line in text.split(ndi.LF):
         parameter, _, value = line.partition("=")
         _, found, command = parameter.rpartition(ndi.PARAMETER_TIMEOUT_PREFIX)
-        limit_s = _parse_seconds(value)
-        if found and command in ndi.COMMAND_TIMEOUT_S and 0.0 < limit_s <= LONGEST_BELIEVED_S:
-            limits_s[command] = limit_s
+        with suppress(ValueError):  # a value that is no number
+            if found and command in ndi.COMMAND_TIMEOUT_S and 0.0 < float(value) <= LONGEST_BELIEVED_S:
+                limits_s[command] = float(value)
     return limits_s
 
 
@@ -203,10 +197,3 @@ def read_parameter_or(link: CommandLink, name: str, missing: str) -> str:
 def _describe_status(status: SystemStatus, alerts: Alert) -> str:
     text = f"system status {status.value:04X}"
     return f"{text}, alerts {alerts.name or hex(alerts.value)}" if alerts else text
-
-
-def _parse_seconds(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        return math.nan

@@ -67,14 +67,12 @@ class UniversalRobotsArm(HandGuidedArm[ControllerState]):
 
         Refused in remote control's absence (URD-006), and for a load that the arm cannot carry (URD-041).
         """
-        self._watch.raise_new()
-        self._guard.require("set_tool_load", READABLE)
+        self._require("set_tool_load", READABLE)
         return self.connections.set_load(load, timeout_s)
 
     def read_tool_load(self, timeout_s: float = 2.0) -> ToolLoad:
         """Read the load that the controller presently assumes."""
-        self._watch.raise_new()
-        self._guard.require("read_tool_load", READABLE)
+        self._require("read_tool_load", READABLE)
         return self.connections.read_load(timeout_s)
 
     def _start_stream(self, timeout_s: float) -> None:
@@ -92,10 +90,7 @@ class UniversalRobotsArm(HandGuidedArm[ControllerState]):
 
     def _name_loads(self, loads: AxisLoads, means: LoadMeans) -> AxisLoads:
         return replace(
-            loads,
-            current_A=means.currents,
-            expected_current_A=means.expected_currents,
-            force_N=means.force,
+            loads, current_A=means.currents, expected_current_A=means.expected_currents, force_N=means.force
         )
 
     def _controller_facts(self, state: ControllerState) -> Iterable[Fact]:

@@ -12,6 +12,7 @@ import secrets
 import socket
 import time
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from dataclasses import replace
 
 from drivers.universal_robots.controller.script import render_script, render_secondary
@@ -96,13 +97,11 @@ class Connections(StreamConnections[ControllerState, PrimaryClient]):
 
     def registers_taken(self, timeout_s: float) -> str:
         """Return who has the registers of our script, with the code of the error; empty if nobody has."""
-        rtde = RtdeSetup(self._rtde.host, self._rtde.port, timeout_s)
         try:
-            rtde.set_up_inputs()
+            with self._open_rtde(timeout_s) as rtde:  # frees them when it is closed
+                rtde.set_up_inputs()
         except RegistersInUse as error:
             return f"{error.code} {error.summary}"
-        finally:
-            rtde.close()  # frees them
         return ""
 
     def start_link(self, timeout_s: float) -> None:
@@ -143,10 +142,10 @@ class Connections(StreamConnections[ControllerState, PrimaryClient]):
         self.power.switch_on()
         deadline = time.monotonic() + timeout_s
         link = self.link
-        mode = self._operating_mode(self.dashboard.safety_mode(ASK_LIMIT_S))
-        run = 1 + secrets.randbits(30)
-        is_reduced = mode is OperatingMode.REDUCED_SPEED
+        is_reduced = self.dashboard.safety_mode(ASK_LIMIT_S) is SafetyMode.REDUCED
         safety = SafetyMode.REDUCED if is_reduced else SafetyMode.NORMAL
+        mode = OperatingMode.REDUCED_SPEED if is_reduced else OperatingMode.AUTOMATIC
+        run = 1 + secrets.randbits(30)
         self._hand_over(run, safety, remaining_s(deadline))
         number = link.command(OpenStream(limits(mode)))
         opened = link.wait(
@@ -165,8 +164,7 @@ class Connections(StreamConnections[ControllerState, PrimaryClient]):
         )
         if started is None or started.phase is StreamPhase.ARMED:
             raise self._start_error("the script does not start", timeout_s)
-        fault = self.faults.error(link.state, mode)
-        if fault is not None:
+        if (fault := self.faults.error(link.state, mode)) is not None:
             raise fault
         if load:
             self._require_load(max(remaining_s(deadline), ASK_LIMIT_S))
@@ -182,13 +180,8 @@ class Connections(StreamConnections[ControllerState, PrimaryClient]):
 
     def read_load(self, timeout_s: float, accept: Callable[[ToolLoad], bool] = lambda _: True) -> ToolLoad:
         """Read the load that the controller assumes, until it is as wanted or the time is over."""
-        rtde = RtdeSetup(self._rtde.host, self._rtde.port, timeout_s)
-        try:
-            with passing(self.clock, timeout_s):
-                values = rtde.read_outputs(LOAD_FIELDS, lambda values: accept(to_load(values)))
-        finally:
-            rtde.close()
-        return to_load(values)
+        with self._open_rtde(timeout_s) as rtde, passing(self.clock, timeout_s):
+            return to_load(rtde.read_outputs(LOAD_FIELDS, lambda values: accept(to_load(values))))
 
     def _require_load(self, timeout_s: float) -> ToolLoad:
         wanted, mass_kg = self._load, self._options.payload_kg
@@ -216,10 +209,7 @@ class Connections(StreamConnections[ControllerState, PrimaryClient]):
                 anew.ask(DashboardOrder.STOP, timeout_s)
 
     def acknowledge(self, person: str, deadline: float) -> None:
-        """End any program and release what a person has to release; moves nothing.
-
-        Raises URD-006, URD-007, URD-009 or URD-010 for what remains.
-        """
+        """Do what `PowerAndSafety.acknowledge` does; raises URD-006, URD-007, URD-009 or URD-010."""
         self.power.acknowledge(person, deadline)
 
     def close_control(self) -> None:
@@ -270,8 +260,7 @@ class Connections(StreamConnections[ControllerState, PrimaryClient]):
             primary.await_state(remaining_s(deadline))
         identity = identity_of(options, serial, version, info)
         require_same(self._name, self._identity, identity)
-        calibration = require_calibration(self._name, options, info)
-        if calibration is not None:
+        if (calibration := require_calibration(self._name, options, info)) is not None:
             nominal = universal_robot(options.model).dimensions
             self.faults = replace(self.faults, arm=CalibratedUniversalRobot(nominal, calibration))
             self._calibration = (
@@ -285,14 +274,11 @@ class Connections(StreamConnections[ControllerState, PrimaryClient]):
 
     def _read_version(self, timeout_s: float) -> Version:
         """Read the controller's version by RTDE, and check that it has the fields of our stream."""
-        rtde = RtdeSetup(self._rtde.host, self._rtde.port, timeout_s)
-        try:
+        with self._open_rtde(timeout_s) as rtde:
             version = rtde.read_version()
             require_version(self._name, self._options, version)
             rtde.set_up_outputs(1.0)
             return version
-        finally:
-            rtde.close()
 
     def _require_ready(self) -> None:
         """Raise what prevents a start before anything is switched on or sent."""
@@ -303,21 +289,20 @@ class Connections(StreamConnections[ControllerState, PrimaryClient]):
         self.power.require_safe()
         if dashboard.is_program_running(ASK_LIMIT_S):
             raise ANOTHER_PROGRAM_RUNS(f"{name}: the controller is running another program")
-        reported = self.reported
-        if reported is not None and not reported.mode.speed_fraction > 0.0:
+        if (reported := self.reported) is not None and not reported.mode.speed_fraction > 0.0:
             raise SPEED_AT_ZERO(f"{name}: the speed slider is at {reported.mode.speed_fraction:.0%}")
 
     def _hand_over(self, run: int, safety: SafetyMode, timeout_s: float) -> None:
         """Open a new RTDE connection with our recipes, and give it to the real-time process."""
-        rtde = RtdeSetup(self._rtde.host, self._rtde.port, timeout_s)
-        try:
+        with self._open_rtde(timeout_s) as rtde:  # when it is closed, the process has its own descriptor
             outputs = rtde.set_up_outputs(round(1.0 / self._options.cycle_s))
             inputs = rtde.set_up_inputs()
             if self._channel is None:
                 raise STREAM_ERRORS.not_started(f"{self._name}: no real-time process is running")
             Handover(outputs, inputs, run, safety).give(self._channel, rtde.socket)
-        finally:
-            rtde.close()  # the process has its own descriptor
+
+    def _open_rtde(self, timeout_s: float) -> AbstractContextManager[RtdeSetup]:
+        return contextlib.closing(RtdeSetup(self._rtde.host, self._rtde.port, timeout_s))
 
     def _start_error(self, what: str, timeout_s: float) -> RonnaError:
         """Build the error for a stream that does not start, with what the controller says about it."""
@@ -338,6 +323,3 @@ class Connections(StreamConnections[ControllerState, PrimaryClient]):
             limit=f"{timeout_s:g} s",
             got=word.text,
         )
-
-    def _operating_mode(self, safety: SafetyMode) -> OperatingMode:
-        return OperatingMode.REDUCED_SPEED if safety is SafetyMode.REDUCED else OperatingMode.AUTOMATIC

@@ -92,10 +92,8 @@ FACTORY_CALIBRATION_DIFFERS = ErrorCode(
     "URD-005",
     ConnectError,
     "The controller's factory calibration is not the one that this theatre was measured with.",
-    (
-        "Check that this is the arm of this theatre. If it has been exchanged or calibrated anew, repeat the "
-        "calibrations of the theatre, then correct option calibration."
-    ),
+    "Check that this is the arm of this theatre. If it has been exchanged or calibrated anew, repeat the "
+    "calibrations of the theatre, then correct option calibration.",
 )
 
 LOCAL_MODE = ErrorCode(
@@ -166,10 +164,8 @@ SCRIPT_NOT_STARTED = ErrorCode(
     "URD-018",
     DeviceError,
     "The controller did not start our script, or the script ended at once.",
-    (
-        "Read the pendant's log page. If it has no message, the script did not arrive: check that endpoint "
-        "primary is of this controller, and that Settings > Security allows the primary client interface."
-    ),
+    "Read the pendant's log page. If it has no message, the script did not arrive: check that endpoint "
+    "primary is of this controller, and that Settings > Security allows the primary client interface.",
 )
 
 LINK_BROKEN = ErrorCode(
@@ -197,10 +193,8 @@ SCRIPT_STOPPED = ErrorCode(
     "URD-037",
     LinkTimeout,
     "Our script stopped the arm by itself: no set-point came in time, or one was too far away.",
-    (
-        "Find what delayed the set-points: a busy computer (option starve_limit_s can allow more; start a "
-        f"rehearsal with --lock-step), or the network. Then {ACKNOWLEDGE}."
-    ),
+    "Find what delayed the set-points: a busy computer (option starve_limit_s can allow more; start a "
+    f"rehearsal with --lock-step), or the network. Then {ACKNOWLEDGE}.",
 )
 
 CONTROLLER_RESTARTED = ErrorCode(
@@ -235,8 +229,6 @@ CONTROLLER_EXCHANGED = ErrorCode(
     "URD-042",
     ConnectError,
     "At a recovery another arm, software or factory calibration is found than was connected.",
-    (
-        "Check which arm answers at the endpoints. Plans and calibrations hold for the first one only: end "
-        "this run, and connect anew."
-    ),
+    "Check which arm answers at the endpoints. Plans and calibrations hold for the first one only: end "
+    "this run, and connect anew.",
 )

@@ -55,8 +55,7 @@ class UrFaults(StreamFaults):
     def _controller_error(self, prefix: str, state: LinkState) -> RonnaError:
         """Build the error for a stop that the controller reports in its packages."""
         word = ControllerWord.from_number(state.controller_word)
-        cause = word.cause
-        if cause == Cause.PROGRAM and word.robot_mode != RobotMode.RUNNING:
+        if (cause := word.cause) == Cause.PROGRAM and word.robot_mode != RobotMode.RUNNING:
             cause = Cause.ROBOT_MODE  # it came later: power going off stops the program first
         elif cause == Cause.PROGRAM and word.safety_mode not in NORMAL_MODES:
             cause = Cause.SAFETY

@@ -33,9 +33,7 @@ STARVE_LIMIT_S = 0.02  # without a new set-point, until the script stops the arm
 LEAST_STARVED_CYCLES = 3  # one late set-point is no loss of the link
 # Safety against a set-point that is a jump, and a stop that takes long (U).
 LARGEST_STEP_SHARE = 0.5  # of a joint's full speed, between two set-points
-STOP_DECELERATION_RAD_S2 = (
-    8.0  # of stopj: twice the vendor's default, to rest within 50 ms at working speed (U)
-)
+STOP_DECELERATION_RAD_S2 = 8.0  # of stopj: twice the vendor's default, to rest in 50 ms at working speed (U)
 
 FORCE_FILTER_S = 0.02  # a few cycles of CB3: halves the noise of its estimate
 # Safety against a tool whose mass the controller does not know.

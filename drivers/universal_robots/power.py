@@ -7,9 +7,9 @@ import time
 from collections.abc import Callable
 
 from drivers.universal_robots.dashboard import DashboardClient, is_accepted
-from drivers.universal_robots.errors import LOCAL_MODE, NOT_POWERED, PROTECTIVELY_STOPPED
+from drivers.universal_robots.errors import LOCAL_MODE, NOT_POWERED, PROTECTIVELY_STOPPED, SAFETY_STOPPED
 from drivers.universal_robots.generations import GENERATIONS
-from drivers.universal_robots.safety import NORMAL_MODES, RESTART_MODES, safety_refusal
+from drivers.universal_robots.safety import NORMAL_MODES, RESTART_MODES, SAFETY_REFUSALS, safety_text
 from ronna_hw.arm_stream.connections import remaining_s
 from ronna_hw.arm_stream.errors import MalformedMessage, NoAnswer
 from ronna_hw.clock import Clock, passing
@@ -38,18 +38,14 @@ class PowerAndSafety:
         return self._dashboard().is_remote(timeout_s) if has_one else None
 
     def acknowledge(self, person: str, deadline: float) -> None:
-        """End any program and release what a person has to release; moves nothing.
-
-        Raises URD-006, URD-007, URD-009 or URD-010 for what remains.
-        """
+        """End any program and release stops; moves nothing. Raises URD-006, URD-007, URD-009 or URD-010."""
         dashboard = self._dashboard()
         self.require_remote()
         dashboard.require(DashboardOrder.STOP, ASK_LIMIT_S)
         if self._goes_off:
             self.await_condition(lambda: dashboard.robot_mode(ASK_LIMIT_S) is RobotMode.POWER_OFF, deadline)
             self._goes_off = False  # a person has looked, even if it has been switched on again meanwhile
-        safety = dashboard.safety_mode(ASK_LIMIT_S)
-        if safety is SafetyMode.PROTECTIVE_STOP:
+        if (safety := dashboard.safety_mode(ASK_LIMIT_S)) is SafetyMode.PROTECTIVE_STOP:
             self._unlock(person, deadline)
         elif safety in RESTART_MODES:
             dashboard.ask(DashboardOrder.CLOSE_SAFETY_POPUP, ASK_LIMIT_S)
@@ -94,9 +90,8 @@ class PowerAndSafety:
 
     def require_safe(self) -> None:
         """Raise what the safety state reports, unless it permits motion."""
-        refusal = safety_refusal(self._name, self._dashboard().safety_mode(ASK_LIMIT_S))
-        if refusal is not None:
-            raise refusal
+        if (mode := self._dashboard().safety_mode(ASK_LIMIT_S)) not in NORMAL_MODES:
+            raise SAFETY_REFUSALS.get(mode, SAFETY_STOPPED)(f"{self._name}: {safety_text(mode)}")
 
     def await_condition(self, holds: Callable[[], bool], deadline: float) -> bool:
         """Poll until a condition holds or a host time; returns whether it holds."""
@@ -119,7 +114,8 @@ class PowerAndSafety:
         """Release a protective stop in the name of a person, as soon as the controller permits it."""
         dashboard = self._dashboard()
         with contextlib.suppress(NoAnswer, MalformedMessage):  # an entry in the log is no condition
-            dashboard.ask(Query.ADD_TO_LOG, ASK_LIMIT_S, f"protective stop released by {_ascii(person)}")
+            name = person.encode("ascii", "replace").decode()
+            dashboard.ask(Query.ADD_TO_LOG, ASK_LIMIT_S, f"protective stop released by {name}")
         dashboard.ask(DashboardOrder.CLOSE_SAFETY_POPUP, ASK_LIMIT_S)
         while True:
             answer = dashboard.ask(DashboardOrder.UNLOCK_PROTECTIVE_STOP, ASK_LIMIT_S)
@@ -133,7 +129,3 @@ class PowerAndSafety:
         """Wait, and let theatre time pass: the controller may need it."""
         with passing(self._clock, PASSING_SHARE * host_s):
             time.sleep(host_s)
-
-
-def _ascii(name: str) -> str:
-    return name.encode("ascii", "replace").decode()

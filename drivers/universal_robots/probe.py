@@ -28,6 +28,7 @@ from ronna_hw.devices.probing import (
     connect_and_identify,
     describe_options,
     inspect_nothing,
+    reporting,
 )
 from ronna_hw.endpoints import Endpoint, parse_endpoint
 from ronna_hw.errors import RonnaError
@@ -61,22 +62,17 @@ class UrProbe:
 
     def probe_endpoints(self, endpoints: Sequence[Endpoint], progress: Progress) -> Sequence[Diagnostic]:
         """Say which service of a controller answers at each endpoint; nothing is commanded."""
-        found = []
-        for number, endpoint in enumerate(endpoints, start=1):
-            found.append(identify_service(endpoint))
-            progress(number / len(endpoints))
-        return found
+        return [identify_service(endpoint) for endpoint in reporting(endpoints, progress)]
 
     def find(self, search: Search, progress: Progress) -> Sequence[Proposal]:
         """Propose every controller at the given addresses, at any port, or else on local networks."""
         given = [controller.host for controller in search.controllers]
         hosts = given or [one.host for one in find_listening(search.interfaces, PORTS["dashboard"])]
         found = []
-        for number, host in enumerate(hosts, start=1):
+        for host in reporting(hosts, progress):
             proposal = _make_proposal(host)
             if given or not proposal.absent:  # on a network, other machines also listen
                 found.append(proposal)
-            progress(number / len(hosts))
         return found
 
     def example(self, search: Search) -> Proposal:

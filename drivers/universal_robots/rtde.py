@@ -13,15 +13,8 @@ from drivers.universal_robots.errors import BAD_BYTES, STREAM_ERRORS, WRONG_VERS
 from drivers.universal_robots.realtime.packages import HEADER, INPUT_FIELDS, OUTPUT_FIELDS
 from ronna_hw.arm_stream.control_channel import describe, open_connection
 from ronna_hw.arm_stream.errors import ControllerLost, MalformedMessage, NoAnswer
-from ronna_hw.wire.universal_robots import (
-    IN_USE,
-    INPUTS,
-    NO_RECIPE,
-    NOT_FOUND,
-    OUTPUTS,
-    RTDE_HEADER_BYTES,
-    PackageType,
-)
+from ronna_hw.wire import universal_robots as wire
+from ronna_hw.wire.universal_robots import PackageType
 
 PROTOCOL_VERSION = 2
 LONGEST_PACKAGE_BYTES = 4096
@@ -80,8 +73,8 @@ class RtdeSetup:
         reply = self._ask(PackageType.SETUP_OUTPUTS, _FREQUENCY.pack(frequency_hz) + names)
         recipe, types = self._split(reply, len(fields))
         for name, kind in zip(fields, types, strict=True):
-            self._require_type(name, kind, OUTPUTS[name].name)
-        if recipe == NO_RECIPE:
+            self._require_type(name, kind, wire.OUTPUTS[name].name)
+        if recipe == wire.NO_RECIPE:
             raise WRONG_VERSION(f"{self.where} gives no recipe for {frequency_hz:g} packages a second")
         return recipe
 
@@ -89,15 +82,15 @@ class RtdeSetup:
         """Claim our input registers and return the recipe; raises URD-012 if another client has them."""
         reply = self._ask(PackageType.SETUP_INPUTS, ",".join(INPUT_FIELDS).encode())
         recipe, types = self._split(reply, len(INPUT_FIELDS))
-        taken = [name for name, kind in zip(INPUT_FIELDS, types, strict=True) if kind == IN_USE]
+        taken = [name for name, kind in zip(INPUT_FIELDS, types, strict=True) if kind == wire.IN_USE]
         if taken:
             raise RegistersInUse(
                 f"{self.where}: another client, or a fieldbus, owns {len(taken)} of our registers",
                 got=", ".join(taken[:3]) + (" ..." if len(taken) > 3 else ""),
             )
         for name, kind in zip(INPUT_FIELDS, types, strict=True):
-            self._require_type(name, kind, INPUTS[name].name)
-        if recipe == NO_RECIPE:
+            self._require_type(name, kind, wire.INPUTS[name].name)
+        if recipe == wire.NO_RECIPE:
             raise WRONG_VERSION(f"{self.where} gives no recipe for our set-points")
         return recipe
 
@@ -107,7 +100,7 @@ class RtdeSetup:
         """Return the first values that are accepted, or the last ones before the time limit."""
         recipe = self.set_up_outputs(READ_HZ, fields)
         self._ask(PackageType.START)
-        layout = struct.Struct(">B" + "".join(OUTPUTS[name].codes for name in fields))
+        layout = struct.Struct(">B" + "".join(wire.OUTPUTS[name].codes for name in fields))
         values: tuple[float, ...] | None = None
         while values is None or time.monotonic() < self._deadline:
             try:
@@ -129,7 +122,7 @@ class RtdeSetup:
         return reply[0], types
 
     def _require_type(self, name: str, kind: str, expected: str) -> None:
-        if kind == NOT_FOUND:
+        if kind == wire.NOT_FOUND:
             raise WRONG_VERSION(f"{self.where} has no field {name}")
         if kind != expected:
             raise BAD_BYTES(f"{self.where}: field {name} has another type", expected=expected, got=kind)
@@ -142,7 +135,7 @@ class RtdeSetup:
                     break
                 self._read_package()
             self.socket.settimeout(max(0.0, self._deadline - time.monotonic()))
-            self.socket.sendall(HEADER.pack(RTDE_HEADER_BYTES + len(payload), kind) + payload)
+            self.socket.sendall(HEADER.pack(wire.RTDE_HEADER_BYTES + len(payload), kind) + payload)
         except OSError as error:
             raise STREAM_ERRORS.lost(f"{self.where}: {describe(error)}") from error
         return self._await_package(kind, kind.name)
@@ -168,10 +161,10 @@ class RtdeSetup:
 
     def _read_package(self) -> tuple[int, bytes]:
         """Return kind and payload of the next package, and leave all that follows it to be read."""
-        size, kind = HEADER.unpack(self._receive(RTDE_HEADER_BYTES))
-        if not RTDE_HEADER_BYTES <= size <= LONGEST_PACKAGE_BYTES:
+        size, kind = HEADER.unpack(self._receive(wire.RTDE_HEADER_BYTES))
+        if not wire.RTDE_HEADER_BYTES <= size <= LONGEST_PACKAGE_BYTES:
             raise BAD_BYTES(f"{self.where} sends a package of {size} bytes, which none has")
-        return kind, self._receive(size - RTDE_HEADER_BYTES)
+        return kind, self._receive(size - wire.RTDE_HEADER_BYTES)
 
     def _receive(self, count: int) -> bytes:
         received = b""

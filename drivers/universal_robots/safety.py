@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from drivers.universal_robots.errors import EMERGENCY_STOPPED, PROTECTIVELY_STOPPED, SAFETY_STOPPED
+from drivers.universal_robots.errors import EMERGENCY_STOPPED, PROTECTIVELY_STOPPED
 from ronna_hw.devices.capabilities import EMERGENCY_STOP
-from ronna_hw.errors import RefusedError
 from ronna_hw.wire.universal_robots import SafetyMode
 
 NORMAL_MODES = (SafetyMode.NORMAL, SafetyMode.REDUCED)
 EMERGENCY_MODES = (SafetyMode.SYSTEM_EMERGENCY_STOP, SafetyMode.ROBOT_EMERGENCY_STOP)
 # Left only by a restart of the safety system, after which the arm is switched off.
 RESTART_MODES = (SafetyMode.VIOLATION, SafetyMode.FAULT)
+SAFETY_REFUSALS = {  # errors of a start in these modes; in others than normal ones SAFETY_STOPPED
+    **dict.fromkeys(EMERGENCY_MODES, EMERGENCY_STOPPED),
+    SafetyMode.PROTECTIVE_STOP: PROTECTIVELY_STOPPED,
+}
 
 _WORDS = {
     SafetyMode.REDUCED: "reduced mode",
@@ -32,15 +35,3 @@ def safety_text(mode: int) -> str:
         return _WORDS.get(SafetyMode(mode), SafetyMode(mode).name.lower())
     except ValueError:
         return f"safety mode {mode}"
-
-
-def safety_refusal(name: str, mode: SafetyMode) -> RefusedError | None:
-    """Return why an arm must not start in a safety mode, or None."""
-    if mode in NORMAL_MODES:
-        return None
-    what = f"{name}: {safety_text(mode)}"
-    if mode in EMERGENCY_MODES:
-        return EMERGENCY_STOPPED(what)
-    if mode is SafetyMode.PROTECTIVE_STOP:
-        return PROTECTIVELY_STOPPED(what)
-    return SAFETY_STOPPED(what)

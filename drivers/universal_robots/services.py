@@ -16,16 +16,7 @@ from ronna_hw.config import BadTheatreFile
 from ronna_hw.devices.probing import CONNECT_LIMIT_S, Diagnostic, explain_unreachable
 from ronna_hw.endpoints import Endpoint
 from ronna_hw.errors import RonnaError
-from ronna_hw.wire.universal_robots import (
-    DASHBOARD_PORT,
-    PRIMARY_PORT,
-    READ_ONLY_PRIMARY_PORT,
-    READ_ONLY_REALTIME_PORT,
-    READ_ONLY_SECONDARY_PORT,
-    REALTIME_PORT,
-    RTDE_PORT,
-    SECONDARY_PORT,
-)
+from ronna_hw.wire import universal_robots as wire
 from ronna_hw.wire.universal_robots_services import Query
 
 SECTION = "controllers"
@@ -71,22 +62,21 @@ def _ask_rtde(endpoint: Endpoint) -> str:
 
 
 SERVICES = {  # by their ports, which the controller has fixed
-    DASHBOARD_PORT: Service("dashboard", "dashboard", _ask_dashboard),
-    PRIMARY_PORT: Service("primary interface", "primary", _read_primary),
-    SECONDARY_PORT: Service("secondary interface", "", _read_size),
-    REALTIME_PORT: Service("real-time interface", "", _read_size),
-    RTDE_PORT: Service("RTDE server", "rtde", _ask_rtde),
-    READ_ONLY_PRIMARY_PORT: Service("read-only primary interface", "", _read_size),
-    READ_ONLY_SECONDARY_PORT: Service("read-only secondary interface", "", _read_size),
-    READ_ONLY_REALTIME_PORT: Service("read-only real-time interface", "", _read_size),
+    wire.DASHBOARD_PORT: Service("dashboard", "dashboard", _ask_dashboard),
+    wire.PRIMARY_PORT: Service("primary interface", "primary", _read_primary),
+    wire.SECONDARY_PORT: Service("secondary interface", "", _read_size),
+    wire.REALTIME_PORT: Service("real-time interface", "", _read_size),
+    wire.RTDE_PORT: Service("RTDE server", "rtde", _ask_rtde),
+    wire.READ_ONLY_PRIMARY_PORT: Service("read-only primary interface", "", _read_size),
+    wire.READ_ONLY_SECONDARY_PORT: Service("read-only secondary interface", "", _read_size),
+    wire.READ_ONLY_REALTIME_PORT: Service("read-only real-time interface", "", _read_size),
 }
 
 
 def require_own_services(device: str, addresses: Mapping[str, Endpoint]) -> None:
     """Raise CFG-001 for an endpoint at the fixed port of another service, or services of two controllers."""
     for role, address in addresses.items():
-        service = SERVICES.get(address.port)
-        if service is not None and service.role != role:
+        if (service := SERVICES.get(address.port)) is not None and service.role != role:
             own = next(port for port, one in SERVICES.items() if one.role == role)
             raise BadTheatreFile(
                 f"[{device}.endpoints] {role}: port {address.port} is that of the {service.name}",

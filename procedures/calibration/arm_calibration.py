@@ -8,15 +8,15 @@ the fit. Held-out measurements validate the result; the records of arm, head and
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import timedelta
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from scipy.special import chdtri
 
-from procedures.calibration.arm_model import BACKLASH, ArmLooks, ArmModel, LookArrays, arrays_of
+from procedures.calibration.arm_model import BACKLASH, ArmLooks, ArmModel, LookArrays, arrays_of, propagate
 from procedures.calibration.errors import UNOBSERVABLE, DoesNotFit
 from procedures.calibration.head_calibration import LIFE, move_tip, new_identifier
 from procedures.calibration.head_model import pose_record
@@ -24,18 +24,18 @@ from procedures.calibration.pose_set import (
     plan_centred_looks,
     require_consistent,
     require_count,
+    require_scatter,
     require_spread,
     rms_mm,
 )
 from ronna_hw.arm.catalogue import find_arm
 from ronna_hw.arm.pose import Pose
+from ronna_hw.arrays import Array, Mask
 from ronna_hw.calibrated_arm.deviations import ArmDeviations
 from ronna_hw.calibration import ArmCalibration, StereoHeadCalibration, ToolTipCalibration
 from ronna_hw.errors import LimitError
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.text import format_against_limit, format_distinct
-
-Array = NDArray[np.float64]
 
 LEAST_LOOKS = 60  # with fewer, validation shows errors beyond those of a calibrated arm
 ROUNDS = 6  # of fit, estimate of the random error, and outlier rejection: they converge within four
@@ -129,7 +129,7 @@ class ArmFit:
     covariance: Array
     scatter_mm: float
     residuals_mm: Array
-    used: NDArray[np.bool_]
+    used: Mask
 
     @property
     def deviations(self) -> ArmDeviations:
@@ -163,7 +163,7 @@ def identify(model: ArmModel, looks: LookArrays) -> ArmFit:
     require_count(count, LEAST_LOOKS, "too few measurements to calibrate an arm")
     rotations = model.rotations(looks)
     require_spread(rotations, "the orientations of the measurements hardly vary")
-    stereo = rotations @ looks.covariances_mm2 @ rotations.transpose(0, 2, 1)
+    stereo = propagate(rotations, looks.covariances_mm2)
     values = _initial_values(model, looks)
     scatter, used = FIRST_SCATTER_MM, np.ones(count, dtype=bool)
     for _ in range(ROUNDS):
@@ -171,15 +171,10 @@ def identify(model: ArmModel, looks: LookArrays) -> ArmFit:
         slopes = model.slopes(values, looks)
         covariance, values = _step(model, looks, values, slopes, whitening, used)
         residuals = model.misses(values, looks)
-        scatter = _estimate_scatter(residuals, slopes @ covariance @ slopes.transpose(0, 2, 1), stereo, used)
+        scatter = _estimate_scatter(residuals, propagate(slopes, covariance), stereo, used)
         whitened = np.einsum("mij,mj->mi", whitening_of(stereo, scatter), residuals)
         used = np.sum(whitened**2, axis=1) < OUTLIER_CHI2
-    if scatter > LARGEST_SCATTER_MM:
-        raise DoesNotFit(
-            "spheres seem to move between measurements",
-            limit=f"{LARGEST_SCATTER_MM:g} mm per axis",
-            got=f"{format_against_limit(scatter, LARGEST_SCATTER_MM, 2)} mm",
-        )
+    require_scatter(scatter, LARGEST_SCATTER_MM, "spheres seem to move between measurements")
     require_consistent(used, MOST_OUTLIERS, "looks")
     return ArmFit(model, values, covariance, scatter, residuals, used)
 
@@ -199,12 +194,7 @@ def _initial_values(model: ArmModel, looks: LookArrays) -> Array:
 
 
 def _step(
-    model: ArmModel,
-    looks: LookArrays,
-    values: Array,
-    slopes: Array,
-    whitening: Array,
-    used: NDArray[np.bool_],
+    model: ArmModel, looks: LookArrays, values: Array, slopes: Array, whitening: Array, used: Mask
 ) -> tuple[Array, Array]:
     """Take one Gauss-Newton step; return the covariance and the new parameters."""
     rows = (whitening @ slopes)[used].reshape(-1, len(values))
@@ -215,7 +205,7 @@ def _step(
     return covariance, values - covariance @ (rows.T @ misses + prior * values)
 
 
-def _estimate_scatter(residuals: Array, explained: Array, stereo: Array, used: NDArray[np.bool_]) -> float:
+def _estimate_scatter(residuals: Array, explained: Array, stereo: Array, used: Mask) -> float:
     """Estimate the arm's random error per axis in mm, from the residuals in excess of image noise.
 
     `explained` (m, 3, 3) is the covariance of the fit at the measurements, by which it has shrunk the
@@ -247,10 +237,8 @@ def validate(fit: ArmFit, looks: LookArrays) -> ArmValidation:
     _require_both_sides(fit)
     model, rotations = fit.model, fit.model.rotations(looks)
     misses, slopes = model.misses(fit.values, looks), model.slopes(fit.values, looks)
-    fit_mm2 = slopes @ fit.covariance @ slopes.transpose(0, 2, 1)
-    random_mm2 = rotations @ looks.covariances_mm2 @ rotations.transpose(
-        0, 2, 1
-    ) + fit.scatter_mm**2 * np.eye(3)
+    fit_mm2 = propagate(slopes, fit.covariance)
+    random_mm2 = propagate(rotations, looks.covariances_mm2) + fit.scatter_mm**2 * np.eye(3)
     model_mm, around_mm = _size_mm(fit_mm2), _around_spheres_mm(fit, looks)
     if around_mm > LARGEST_ERROR_MM:
         worst = np.argsort(fit.learnt)[::-1][:3]
@@ -304,19 +292,13 @@ def _around_spheres_mm(fit: ArmFit, looks: LookArrays) -> float:
     """
     model, near = fit.model, looks.joints_rad[0]
     reference = Rotation.from_matrix(model.rotations(looks)).mean()
-    spheres_mm = fit.values[model.size :].reshape(-1, 3)
-    poses = [
-        (number, look.pose @ fit.flange_from_tool.inverse())
-        for number, place in enumerate(spheres_mm)
-        for look in plan_centred_looks(reference, place, LOOKS_AROUND)
-    ]
     branch, joints, spheres = model.kinematics.branch_of(near), [], []
-    for number, pose in poses:
-        try:
-            joints.append(model.kinematics.solve_branch(Pose.from_transform(pose), branch, near))
-        except LimitError:
-            continue
-        spheres.append(number)
+    for number, place in enumerate(fit.values[model.size :].reshape(-1, 3)):
+        for look in plan_centred_looks(reference, place, LOOKS_AROUND):
+            flange = Pose.from_transform(look.pose @ fit.flange_from_tool.inverse())
+            with suppress(LimitError):
+                joints.append(model.kinematics.solve_branch(flange, branch, near))
+                spheres.append(number)
     if not joints:
         return float("inf")
     count = len(joints)
@@ -327,8 +309,7 @@ def _around_spheres_mm(fit: ArmFit, looks: LookArrays) -> float:
         covariances_mm2=np.zeros((count, 3, 3)),
         sphere=np.array(spheres, dtype=np.intp),
     )
-    slopes = model.slopes(fit.values, around)
-    return _size_mm(slopes @ fit.covariance @ slopes.transpose(0, 2, 1))
+    return _size_mm(propagate(model.slopes(fit.values, around), fit.covariance))
 
 
 def _nominal_error_mm(fit: ArmFit, looks: LookArrays) -> float:

@@ -5,26 +5,24 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import block_diag, null_space
 from scipy.special import chdtri
 
 from procedures.calibration.arm_calibration import LEAST_VALIDATION, MODEL_SHARE
-from procedures.calibration.arm_model import ArmLooks, LookArrays, arrays_of
+from procedures.calibration.arm_model import ArmLooks, LookArrays, arrays_of, propagate
 from procedures.calibration.arm_sources import ArmPoses, arm_sources
 from procedures.calibration.errors import ARM_CHANGED, NO_ARM_RECORD
 from procedures.calibration.pose_set import require_count
 from procedures.registration.target_prediction import SharedErrors
 from ronna_hw.arm.catalogue import find_arm
 from ronna_hw.arm.kinematics import Chain
+from ronna_hw.arrays import Array
 from ronna_hw.calibrated_arm.deviations import ArmDeviations, flange_poses
 from ronna_hw.calibrated_arm.error_budget import ErrorSizes
 from ronna_hw.calibration import ArmCalibration
 from ronna_hw.config import ProcedureSettings
 from ronna_hw.frames import Frame
 from ronna_hw.text import format_distinct
-
-Array = NDArray[np.float64]
 
 FALSE_ALARM = 0.001  # one check in a thousand of an unchanged arm
 
@@ -77,9 +75,7 @@ def check_arm(observed: ArmLooks) -> ArmCheck:
     tool = observed.stereo_head.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
     measured_mm = np.einsum("mij,mj->mi", flange[:, :3, :3], tool.apply(looks.points_mm)) + flange[:, :3, 3]
     orientations = flange[:, :3, :3] @ tool.rotation_matrix
-    random_mm2 = orientations @ looks.covariances_mm2 @ orientations.transpose(
-        0, 2, 1
-    ) + record.scatter_mm**2 * np.eye(3)
+    random_mm2 = propagate(orientations, looks.covariances_mm2) + record.scatter_mm**2 * np.eye(3)
     shared_mm = _record_displacements_mm(record, kinematics.chain, looks, measured_mm).reshape(3 * count, -1)
     # The part of the measurements beyond each sphere's mean does not depend on the spheres' positions.
     at_sphere = looks.sphere == np.arange(spheres)[:, None]

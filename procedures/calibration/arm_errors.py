@@ -9,16 +9,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from procedures.strategies.strategy import Sides
 from ronna_hw.arm.kinematics import Chain
+from ronna_hw.arrays import Array
 from ronna_hw.calibrated_arm.error_budget import ErrorSizes, unit_errors
 from ronna_hw.frames import Transform, build_rigid
 from ronna_hw.vectors import JointVector
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

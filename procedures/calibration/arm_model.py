@@ -8,10 +8,10 @@ arm, so that a covariance of 1 means that nothing was learnt. Spheres are in mil
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from procedures.calibration.observations import Measurements
 from ronna_hw.arm.kinematics import Kinematics
+from ronna_hw.arrays import Array, Mask
 from ronna_hw.calibrated_arm.deviations import ArmDeviations, flange_poses, flange_rotations, gravity_levers
 from ronna_hw.calibrated_arm.error_budget import (
     BACKLASH_RAD,
@@ -33,7 +34,6 @@ from ronna_hw.calibrated_arm.error_budget import (
 from ronna_hw.calibration import (
     ArmCalibration,
     ArmName,
-    Dated,
     Numbers3,
     StereoHeadCalibration,
     Strict,
@@ -41,8 +41,6 @@ from ronna_hw.calibration import (
 )
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.vectors import JointVector
-
-Array = NDArray[np.float64]
 
 LOOKS_FILE = "looks.json"
 Side = Literal[-1, 1]
@@ -71,7 +69,8 @@ class SphereLook(Strict):
 class ArmLooks(Measurements):
     """All measurements for one arm calibration, and the records in use."""
 
-    schema_version: Literal[1] = Field(default=1, alias="schema", description="Version of the file format.")
+    RECORDS: ClassVar = {"stereo_head": "stereo_head", "tool_tip": "tool_tip"}
+
     arm: ArmName = Field(description="Name of the arm's kinematic model.")
     arm_serial: str = Field(default="", description="Its serial number, if its controller reports one.")
     serials: tuple[str, str] = Field(description="Serial numbers of the left and the right camera.")
@@ -79,11 +78,6 @@ class ArmLooks(Measurements):
     tool_tip: ToolTipCalibration | None = Field(default=None, description="The tip record in use.")
     arm_record: ArmCalibration | None = Field(default=None, description="The record of the arm in use.")
     looks: tuple[SphereLook, ...] = Field(description="The measurements.")
-
-    @property
-    def records(self) -> Mapping[str, Dated | None]:
-        """Calibration records in use."""
-        return {"stereo_head": self.stereo_head, "tool_tip": self.tool_tip}
 
 
 @dataclass(frozen=True)
@@ -101,7 +95,7 @@ class LookArrays:
         """Number of spheres."""
         return int(self.sphere.max()) + 1
 
-    def only(self, rows: NDArray[np.bool_]) -> LookArrays:
+    def only(self, rows: Mask) -> LookArrays:
         """Select measurements; the sphere numbers are unchanged."""
         return LookArrays(*(getattr(self, field.name)[rows] for field in fields(self)))
 
@@ -239,13 +233,16 @@ class ArmModel:
         return np.asarray(flange @ self.flange_from_tool.rotation_matrix)
 
 
-def choose_poses(model: ArmModel, candidates: LookArrays, count: int) -> NDArray[np.intp]:
-    """Choose up to `count` of the most informative poses for an arm by greedy D-optimal design.
+def propagate(slopes: Array, covariance: Array) -> Array:
+    """Return the covariances (m, 3, 3) of measurements that depend on values by these slopes (m, 3, k)."""
+    return np.asarray(slopes @ covariance @ slopes.transpose(0, 2, 1))
 
-    Returns their indices.
+
+def choose_poses(model: ArmModel, candidates: LookArrays, count: int) -> NDArray[np.intp]:
+    """Return the indices of up to `count` of the most informative poses, by greedy D-optimal design.
 
     The next pose is the one that adds most to the present information, initially the prior of an uncalibrated
-    arm. Returns fewer indices if there are not enough candidates.
+    arm.
     """
     values = np.zeros(model.size + 3 * candidates.spheres)
     slopes = model.slopes(values, candidates) / LOOK_SIGMA_MM
@@ -255,7 +252,7 @@ def choose_poses(model: ArmModel, candidates: LookArrays, count: int) -> NDArray
     available = np.ones(len(slopes), dtype=bool)
     chosen = []
     for _ in range(min(count, len(slopes))):
-        spread = slopes @ covariance @ slopes.transpose(0, 2, 1)
+        spread = propagate(slopes, covariance)
         gain = np.linalg.det(np.eye(3) + spread)
         best = int(np.argmax(np.where(available, gain, 0.0)))
         available[best] = False

@@ -5,10 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from procedures.registration.target_prediction import IndependentErrors, SharedErrors
 from ronna_hw.arm.kinematics import Chain
+from ronna_hw.arrays import Array
 from ronna_hw.calibrated_arm.deviations import FLANK_SHARE, flange_rotations
 from ronna_hw.calibrated_arm.error_budget import (
     BACKLASH_RAD,
@@ -18,8 +19,6 @@ from ronna_hw.calibrated_arm.error_budget import (
     by_deviation,
     displacements,
 )
-
-Array = NDArray[np.float64]
 
 REPEATABILITY_MM = 0.015  # per axis, at rest
 SERVO_MM = 0.03  # 3-D rms of the servo's residual
@@ -73,9 +72,9 @@ def arm_sources(
     )
 
 
-def ct_errors(covariance_mm2: ArrayLike, source: str = "CT") -> IndependentErrors:
+def ct_errors(covariance_mm2: ArrayLike) -> IndependentErrors:
     """Return the spheres' CT errors as independent errors, (n, 3, 3) mm2 in the robot frame."""
-    return IndependentErrors(source, np.asarray(covariance_mm2, dtype=float), np.zeros((3, 3)))
+    return IndependentErrors("CT", np.asarray(covariance_mm2, dtype=float), np.zeros((3, 3)))
 
 
 def _sum_sag(joints_mm: Array) -> Array:

@@ -14,18 +14,17 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform
 from scipy.special import chdtri
 
 from procedures.calibration.arm_errors import FoundArm, StatedArm
-from procedures.calibration.errors import BASES_DISAGREE, DegeneratePoses, DoesNotFit
+from procedures.calibration.errors import BASES_DISAGREE, DegeneratePoses
 from procedures.calibration.hand_eye import PosePairs, apply_change, solve
-from procedures.calibration.pose_set import require_consistent, require_count, require_spread
+from procedures.calibration.pose_set import require_consistent, require_count, require_scatter, require_spread
 from procedures.strategies.strategy import ONE_SIDE
+from ronna_hw.arrays import Array, Mask
 from ronna_hw.text import format_against_limit
-
-Array = NDArray[np.float64]
 
 LEAST_FRAME_LOOKS = 8  # 20 leave the bases no better: the tracker is a smooth 0.25 mm off in the region
 LEAST_BALL_LOOKS = 12
@@ -36,7 +35,7 @@ OUTLIER_CHI2 = float(chdtri(3, 0.001))
 MOST_OUTLIERS = 0.1
 LARGEST_ERROR_MM = 0.1  # standard, of where both tools meet
 LARGEST_ERROR_RAD = float(np.radians(0.1))  # standard, of the bases: beyond, the postures differ too little
-# The smooth error of the tracker is not equal over the region: share of its stated 0.25 mm that remains.
+# The smooth error of the tracker is not equal for both frames: per axis, what remains of its stated 0.25 mm.
 REGION_BIAS_MM = 0.08
 AGREE_CHI2 = float(chdtri(3, 0.001))
 BASES, BALL = slice(0, 6), slice(6, 9)  # of the unknowns; errors of master and assistant follow
@@ -73,16 +72,12 @@ class BasesByFrames(NamedTuple):
 
 
 def bases_by_frames(
-    master: PosePairs,
-    assistant: PosePairs,
-    arms_error_mm: tuple[float, float],
-    bias_mm: float = REGION_BIAS_MM,
+    master: PosePairs, assistant: PosePairs, arms_error_mm: tuple[float, float]
 ) -> BasesByFrames:
     """Combine what the tracker saw of both frames. Raises CAL-002 to CAL-004, CAL-015.
 
     `arms_error_mm` are the stated 3-D errors of both arms' records: errors of the last links cannot be told
-    from those of the frames. `bias_mm`, per axis, is the share of the tracker's smooth error that differs
-    between the two.
+    from those of the frames.
     """
     first, second = (solve(one, least_looks=LEAST_FRAME_LOOKS) for one in (master, assistant))
     z_master, z_assistant = first.robot_from_tracker, second.robot_from_tracker
@@ -96,7 +91,7 @@ def bases_by_frames(
     both = np.zeros((12, 12))
     both[:6, :6], both[6:, 6:] = first.covariance[6:, 6:], second.covariance[6:, 6:]
     covariance = slope @ both @ slope.T
-    covariance[3:, 3:] += np.eye(3) * (bias_mm**2 + sum(error**2 for error in arms_error_mm) / 3.0)
+    covariance[3:, 3:] += np.eye(3) * (REGION_BIAS_MM**2 + sum(error**2 for error in arms_error_mm) / 3.0)
     return BasesByFrames(
         BaseToBase(bases, covariance), z_master, first.flange_from_marker, second.flange_from_marker
     )
@@ -143,7 +138,7 @@ class BallFit:
     flange_from_ball_mm: Array
     scatter_mm: float
     misses_mm: Array
-    used: NDArray[np.bool_]
+    used: Mask
     region_mm: Array
     error_mm: float
 
@@ -203,7 +198,13 @@ def refine_bases(
         weighed_mm, freedom = scatter_mm, 3 * int(used.sum()) - float(np.vdot(information, covariance))
         scatter_mm = max(float(np.sqrt(np.sum(misses[used] ** 2) / freedom)), LEAST_SCATTER_MM)
         used = np.sum(misses**2, axis=1) < OUTLIER_CHI2 * scatter_mm**2
-    _require_fit(scatter_mm, used)
+    require_scatter(
+        scatter_mm,
+        LARGEST_SCATTER_MM,
+        "no pose of the assistant's base explains the looks at its ball",
+        "Check that ball, stereo head and both carts are rigid and both arms calibrated.",
+    )
+    require_consistent(used, MOST_OUTLIERS, "looks at the ball")
     fit = BallFit(
         bases=BaseToBase(bases, np.asarray(covariance[BASES, BASES], dtype=np.float64)),
         master=FoundArm(master, tuple(found[of_master].tolist())),
@@ -252,17 +253,6 @@ def require_agreement(coarse: BaseToBase, fit: BallFit) -> None:
             limit=f"{limit_mm:.2f} mm",
             got=f"{format_against_limit(float(np.linalg.norm(apart)), limit_mm, 2)} mm",
         )
-
-
-def _require_fit(scatter_mm: float, used: NDArray[np.bool_]) -> None:
-    if scatter_mm > LARGEST_SCATTER_MM:
-        raise DoesNotFit(
-            "no pose of the assistant's base explains the looks at its ball",
-            limit=f"{LARGEST_SCATTER_MM:g} mm per axis",
-            got=f"{format_against_limit(scatter_mm, LARGEST_SCATTER_MM, 2)} mm",
-            action="Check that ball, stereo head and both carts are rigid and both arms calibrated.",
-        )
-    require_consistent(used, MOST_OUTLIERS, "looks at the ball")
 
 
 def _ball_misses(looks: BallLooks, bases: Array, ball: Array) -> Array:

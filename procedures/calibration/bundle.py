@@ -18,21 +18,26 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from procedures.calibration.errors import DoesNotFit
-from procedures.calibration.head_model import CAMERA_PARAMETERS, Cameras, cameras_of, intersect_rays
+from procedures.calibration.head_model import (
+    CAMERA_PARAMETERS,
+    Cameras,
+    adjust_cameras,
+    cameras_of,
+    intersect_rays,
+)
 from procedures.calibration.observations import Observation
-from procedures.calibration.pose_set import require_consistent, require_count, require_spread
+from procedures.calibration.pose_set import require_consistent, require_count, require_scatter, require_spread
 from ronna_hw.arm.kinematics import Chain
+from ronna_hw.arrays import Array, Mask
 from ronna_hw.calibrated_arm.error_budget import UNCALIBRATED_MM, error_columns
 from ronna_hw.calibration import StereoHeadCalibration
 from ronna_hw.robust_scale import robust_sigma
 from ronna_hw.text import format_against_limit
-
-Array = NDArray[np.float64]
 
 LEAST_POSES = 60
 BALL = 3
@@ -73,13 +78,14 @@ class BundleFit:
     image_sigma_px: float
     residuals_px: Array
     shifts_mm: Array
-    used: NDArray[np.bool_]
+    used: Mask
 
 
 @dataclass(frozen=True)
 class _Looks:
-    """Observations as arrays."""
+    """Observations as arrays, and what the cameras should see by the parameters."""
 
+    start: Cameras
     rotations: Array  # (n, 3, 3) robot <- flange
     translations_mm: Array  # (n, 3)
     centres_px: Array  # (n, 2 cameras, 2)
@@ -87,12 +93,53 @@ class _Looks:
     covariances_px2: Array  # (n, 4, 4)
     arm_columns_mm: Array  # (n, 3, k) effects of the k geometric errors of the arm; k = 0: none estimated
 
+    @classmethod
+    def of(cls, observations: Sequence[Observation], start: Cameras) -> Self:
+        poses = [observation.flange_pose for observation in observations]
+        covariances = np.zeros((len(observations), 4, 4))
+        for number, one in enumerate(observations):
+            covariances[number, :2, :2] = one.left.covariance_px2
+            covariances[number, 2:, 2:] = one.right.covariance_px2
+        return cls(
+            start,
+            np.array([pose.rotation_matrix for pose in poses]),
+            np.array([pose.translation_mm for pose in poses]),
+            np.array([[one.left.centre_px, one.right.centre_px] for one in observations]),
+            np.array([[one.left.axes_px[1], one.right.axes_px[1]] for one in observations]),
+            covariances,
+            np.zeros((len(observations), 3, 0)),
+        )
+
+    def cameras(self, values: Array) -> Cameras:
+        return adjust_cameras(self.start, values[BALL:HEAD])
+
+    def _flange_points(self, values: Array) -> Array:
+        from_flange = values[:BALL] - self.translations_mm - self.arm_columns_mm @ values[HEAD:]
+        return np.asarray(np.einsum("nji,nj->ni", self.rotations, from_flange))
+
+    def residuals(self, values: Array) -> Array:
+        points = self._flange_points(values)
+        left, right = (
+            self.centres_px[:, side] - camera.image_points(points, self.semi_minors_px[:, side])
+            for side, camera in enumerate(self.cameras(values))
+        )
+        return np.hstack([left, right])
+
+    def ball_slopes(self, values: Array) -> Array:
+        """Return the derivative (n, 4, 3) of the pixels with respect to the ball position, robot frame."""
+        points = self._flange_points(values)
+        slopes = np.concatenate([camera.slopes(points) for camera in self.cameras(values)], axis=1)
+        return np.asarray(np.einsum("nij,nkj->nik", slopes, self.rotations))
+
+    def whitening(self, values: Array, arm_error: float, image_scale: float) -> Array:
+        """Return matrices (n, 4, 4) that whiten the residuals of each view."""
+        slopes = self.ball_slopes(values)
+        total = image_scale**2 * self.covariances_px2 + arm_error**2 * slopes @ slopes.transpose(0, 2, 1)
+        return np.asarray(np.linalg.inv(np.linalg.cholesky(total)))
+
 
 def fit_bundle(
-    observations: Sequence[Observation],
-    start: StereoHeadCalibration,
-    *,
-    arm: Chain | None = None,
+    observations: Sequence[Observation], start: StereoHeadCalibration, *, arm: Chain | None = None
 ) -> BundleFit:
     """Adjust the head to the observations, starting within a few millimetres and degrees.
 
@@ -100,38 +147,32 @@ def fit_bundle(
     with too few views, CAL-003 when their orientations do not vary enough, CAL-004 when nothing fits.
     """
     require_count(len(observations), LEAST_POSES, "too few poses show the ball")
-    looks = _arrays(observations)
+    looks = _Looks.of(observations, cameras_of(start))
     require_spread(looks.rotations, "the orientations of the poses hardly vary")
-    cameras = cameras_of(start)
-    points, _ = intersect_rays(cameras, looks.centres_px[:, 0], looks.centres_px[:, 1])
+    points, _ = intersect_rays(looks.start, looks.centres_px[:, 0], looks.centres_px[:, 1])
     in_robot = np.einsum("nij,nj->ni", looks.rotations, points) + looks.translations_mm
     values = np.zeros(HEAD)
     values[:BALL] = np.median(in_robot, axis=0)
-    estimate = _adjust(looks, cameras, values, FIRST_ARM_ERROR_MM)
+    estimate = _adjust(looks, values, FIRST_ARM_ERROR_MM)
     arm_error = estimate.arm_error
-    if arm_error > ARM_ERROR_LIMIT_MM:
-        raise DoesNotFit(
-            "the ball seems to move between measurements",
-            limit=f"{ARM_ERROR_LIMIT_MM:g} mm per axis",
-            got=f"{format_against_limit(arm_error, ARM_ERROR_LIMIT_MM, 2)} mm",
-        )
+    require_scatter(arm_error, ARM_ERROR_LIMIT_MM, "the ball seems to move between measurements")
     if arm is not None and arm_error > REPEATABILITY_MM:
         columns = error_columns(arm, [one.joints_rad for one in observations], estimate.values[:BALL])
         looks = replace(looks, arm_columns_mm=columns * min(1.0, arm_error / UNCALIBRATED_MM))
         values = np.concatenate([estimate.values, np.zeros(columns.shape[2])])
-        estimate = _adjust(looks, cameras, values, arm_error)
+        estimate = _adjust(looks, values, arm_error)
     _require_fit(estimate.used, estimate.gaps, looks)
-    normal = _normal_matrix(
-        looks, cameras, estimate.values, estimate.arm_error, estimate.image_scale, estimate.used
-    )
+    values = estimate.values
+    whitening = looks.whitening(values, estimate.arm_error, estimate.image_scale)
+    slopes = _Cost(looks, whitening, estimate.used).slopes(values)  # without robust weights
+    outline_px = float(np.sqrt(np.mean(np.einsum("nii->ni", looks.covariances_px2))))
     return BundleFit(
-        cameras=_cameras(cameras, estimate.values),
-        ball_mm=estimate.values[:BALL].copy(),
-        covariance=np.asarray(np.linalg.inv(normal)[:HEAD, :HEAD], dtype=float),
+        cameras=looks.cameras(values),
+        ball_mm=values[:BALL].copy(),
+        covariance=np.asarray(np.linalg.inv(slopes.T @ slopes)[:HEAD, :HEAD], dtype=float),
         arm_error_mm=arm_error,
         arm_scatter_mm=estimate.arm_error,
-        image_sigma_px=estimate.image_scale
-        * float(np.sqrt(np.mean(np.einsum("nii->ni", looks.covariances_px2)))),
+        image_sigma_px=estimate.image_scale * outline_px,
         residuals_px=estimate.residuals,
         shifts_mm=estimate.shifts,
         used=estimate.used,
@@ -146,10 +187,10 @@ class _Estimate:
     residuals: Array
     shifts: Array
     gaps: Array
-    used: NDArray[np.bool_]
+    used: Mask
 
 
-def _adjust(looks: _Looks, cameras: Cameras, values: Array, arm_error: float) -> _Estimate:
+def _adjust(looks: _Looks, values: Array, arm_error: float) -> _Estimate:
     """Alternate between adjusting all values and estimating the error sizes, excluding outlying views."""
     from scipy.optimize import least_squares  # imported late: a case measures with a calibrated head
 
@@ -157,85 +198,26 @@ def _adjust(looks: _Looks, cameras: Cameras, values: Array, arm_error: float) ->
     used = np.ones(len(looks.rotations), dtype=bool)
     residuals = shifts = gaps = np.empty(0)
     for _ in range(ROUNDS):
-        whitening = _whitening(looks, cameras, values, arm_error, image_scale)
-        cost = _Cost(looks, cameras, whitening, used)
-        solution = least_squares(
-            cost,
-            values,
-            jac=cost.slopes,
-            x_scale="jac",
-            loss="huber",
-            f_scale=HUBER,
-            max_nfev=STEPS,
-        )
-        values = solution.x
-        residuals = _residuals(looks, cameras, values)
-        shifts, gaps = _split_residuals(looks, cameras, values, residuals, arm_error, image_scale)
+        cost = _Cost(looks, looks.whitening(values, arm_error, image_scale), used)
+        options = {"x_scale": "jac", "loss": "huber", "f_scale": HUBER, "max_nfev": STEPS}
+        values = least_squares(cost, values, jac=cost.slopes, **options).x
+        residuals = looks.residuals(values)
+        shifts, gaps = _split_residuals(looks, values, residuals, arm_error, image_scale)
         arm_error, image_scale = _error_sizes(shifts, gaps, used)
-        whitened = np.einsum(
-            "nij,nj->ni", _whitening(looks, cameras, values, arm_error, image_scale), residuals
-        )
+        whitening = looks.whitening(values, arm_error, image_scale)
+        whitened = np.einsum("nij,nj->ni", whitening, residuals)
         used = np.sum(whitened**2, axis=1) < OUTLIER_CHI2
     return _Estimate(values, arm_error, image_scale, residuals, shifts, gaps, used)
-
-
-def _arrays(observations: Sequence[Observation]) -> _Looks:
-    poses = [observation.flange_pose for observation in observations]
-    covariances = np.zeros((len(observations), 4, 4))
-    for number, one in enumerate(observations):
-        covariances[number, :2, :2] = one.left.covariance_px2
-        covariances[number, 2:, 2:] = one.right.covariance_px2
-    return _Looks(
-        np.array([pose.rotation_matrix for pose in poses]),
-        np.array([pose.translation_mm for pose in poses]),
-        np.array([[one.left.centre_px, one.right.centre_px] for one in observations]),
-        np.array([[one.left.axes_px[1], one.right.axes_px[1]] for one in observations]),
-        covariances,
-        np.zeros((len(observations), 3, 0)),
-    )
-
-
-def _cameras(start: Cameras, values: Array) -> Cameras:
-    middle = BALL + CAMERA_PARAMETERS
-    return start[0].with_increments(values[BALL:middle]), start[1].with_increments(values[middle:HEAD])
-
-
-def _flange_points(looks: _Looks, values: Array) -> Array:
-    from_flange = values[:BALL] - looks.translations_mm - looks.arm_columns_mm @ values[HEAD:]
-    return np.asarray(np.einsum("nji,nj->ni", looks.rotations, from_flange))
-
-
-def _residuals(looks: _Looks, start: Cameras, values: Array) -> Array:
-    points = _flange_points(looks, values)
-    image_points = [
-        camera.image_points(points, looks.semi_minors_px[:, side])
-        for side, camera in enumerate(_cameras(start, values))
-    ]
-    return np.hstack([looks.centres_px[:, 0] - image_points[0], looks.centres_px[:, 1] - image_points[1]])
-
-
-def _ball_slopes(looks: _Looks, start: Cameras, values: Array) -> Array:
-    """Return the derivative (n, 4, 3) of the pixels with respect to the ball position, robot frame."""
-    points = _flange_points(looks, values)
-    slopes = np.concatenate([camera.slopes(points) for camera in _cameras(start, values)], axis=1)
-    return np.asarray(np.einsum("nij,nkj->nik", slopes, looks.rotations))
-
-
-def _whitening(looks: _Looks, start: Cameras, values: Array, arm_error: float, image_scale: float) -> Array:
-    """Return matrices (n, 4, 4) that whiten the residuals of each view."""
-    slopes = _ball_slopes(looks, start, values)
-    total = image_scale**2 * looks.covariances_px2 + arm_error**2 * slopes @ slopes.transpose(0, 2, 1)
-    return np.asarray(np.linalg.inv(np.linalg.cholesky(total)))
 
 
 class _Cost:
     """Cost vector: whitened residuals of the views in use, and priors for cameras and arm."""
 
-    def __init__(self, looks: _Looks, start: Cameras, whitening: Array, used: NDArray[np.bool_]) -> None:
-        self._looks, self._start, self._whitening, self._used = looks, start, whitening, used
+    def __init__(self, looks: _Looks, whitening: Array, used: Mask) -> None:
+        self._looks, self._whitening, self._used = looks, whitening, used
 
     def __call__(self, values: Array) -> Array:
-        residuals = _residuals(self._looks, self._start, values)[self._used]
+        residuals = self._looks.residuals(values)[self._used]
         whitened = np.einsum("nij,nj->ni", self._whitening[self._used], residuals)
         return np.concatenate([whitened.ravel(), _prior(values)])
 
@@ -249,7 +231,7 @@ class _Cost:
             slopes[:, column] = (self(values + step) - here) / DERIVATIVE_STEP
         errors = len(values) - HEAD
         if errors:
-            by_errors = _ball_slopes(self._looks, self._start, values) @ self._looks.arm_columns_mm
+            by_errors = self._looks.ball_slopes(values) @ self._looks.arm_columns_mm
             whitened = (self._whitening @ by_errors)[self._used]
             slopes[: -len(_prior(values)), HEAD:] = whitened.reshape(-1, errors)
             slopes[-errors:, HEAD:] = np.eye(errors)
@@ -263,13 +245,13 @@ def _prior(values: Array) -> Array:
 
 
 def _split_residuals(
-    looks: _Looks, start: Cameras, values: Array, residuals: Array, arm_error: float, image_scale: float
+    looks: _Looks, values: Array, residuals: Array, arm_error: float, image_scale: float
 ) -> tuple[Array, Array]:
     """Split residuals into shifts of the arm (n, 3) mm and the part that no shift explains (n,), in sigmas.
 
     Four pixel coordinates and three unknowns leave one contradiction per view: the gap between the two rays.
     """
-    slopes = _ball_slopes(looks, start, values)
+    slopes = looks.ball_slopes(values)
     weights = np.linalg.inv(image_scale**2 * looks.covariances_px2)
     normal = slopes.transpose(0, 2, 1) @ weights @ slopes + np.eye(3) / arm_error**2
     pull = slopes.transpose(0, 2, 1) @ weights @ residuals[:, :, None]
@@ -280,7 +262,7 @@ def _split_residuals(
     return shifts, np.einsum("ni,ni->n", null, residuals) / sigma
 
 
-def _error_sizes(shifts: Array, gaps: Array, used: NDArray[np.bool_]) -> tuple[float, float]:
+def _error_sizes(shifts: Array, gaps: Array, used: Mask) -> tuple[float, float]:
     """Estimate robustly the arm's error per axis in mm, and the image error relative to its covariance."""
     count = int(used.sum())
     freedom = np.sqrt(max(0.3, 1.0 - HEAD / (4.0 * count)))
@@ -289,7 +271,7 @@ def _error_sizes(shifts: Array, gaps: Array, used: NDArray[np.bool_]) -> tuple[f
     return max(arm, LEAST_ARM_ERROR_MM), max(image, 1.0)
 
 
-def _require_fit(used: NDArray[np.bool_], gaps: Array, looks: _Looks) -> None:
+def _require_fit(used: Mask, gaps: Array, looks: _Looks) -> None:
     gap_px = float(np.median(np.abs(gaps))) * float(np.sqrt(looks.covariances_px2[:, 0, 0].mean()))
     if gap_px > GAP_LIMIT_PX:
         raise DoesNotFit(
@@ -298,17 +280,3 @@ def _require_fit(used: NDArray[np.bool_], gaps: Array, looks: _Looks) -> None:
             got=f"{format_against_limit(gap_px, GAP_LIMIT_PX, 1)} px",
         )
     require_consistent(used, MOST_OUTLIERS, "looks")
-
-
-def _normal_matrix(
-    looks: _Looks,
-    start: Cameras,
-    values: Array,
-    arm_error: float,
-    image_scale: float,
-    used: NDArray[np.bool_],
-) -> Array:
-    """Return the information matrix of all parameters, ignoring robust weights."""
-    cost = _Cost(looks, start, _whitening(looks, start, values, arm_error, image_scale), used)
-    slopes = cost.slopes(values)
-    return np.asarray(slopes.T @ slopes)

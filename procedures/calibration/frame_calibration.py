@@ -8,23 +8,23 @@ the flange.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import timedelta
 from enum import StrEnum
 from itertools import combinations
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 from scipy.special import chdtri
 
+from procedures.calibration.arm_model import propagate
 from procedures.calibration.errors import FAR_FROM_RECORD, TOO_FEW_POSES, TRACKER_MOVED, DoesNotFit
 from procedures.calibration.hand_eye import HandEye, PosePairs, misses_of, slopes_of, solve
 from procedures.calibration.head_calibration import LIFE, new_identifier
 from procedures.calibration.head_model import pose_record
-from procedures.calibration.observations import Measurements
+from procedures.calibration.observations import FlangePose, Measurements
 from procedures.calibration.pose_set import (
     PlannedLook,
     choose_held_out,
@@ -33,10 +33,10 @@ from procedures.calibration.pose_set import (
     require_count,
     rms_mm,
 )
+from ronna_hw.arrays import Array
 from ronna_hw.calibrated_arm.error_budget import LINK_TRANSLATION_MM
 from ronna_hw.calibration import (
     ArmCalibration,
-    Dated,
     PoseRecord,
     StereoHeadCalibration,
     Strict,
@@ -45,8 +45,6 @@ from ronna_hw.calibration import (
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.text import format_against_limit, format_distinct
 from ronna_hw.vectors import JointVector
-
-Array = NDArray[np.float64]
 
 LOOKS_FILE = "frame-looks.json"
 
@@ -74,9 +72,7 @@ class FrameLook(Strict):
 
     use: Annotated[Use, Field(strict=False)] = Field(description="Purpose of the measurement.")
     joints_rad: JointVector = Field(description="Measured joints, from the base outwards.")
-    robot_from_flange: PoseRecord = Field(
-        description="Pose robot <- flange, from the arm's record or nominal."
-    )
+    robot_from_flange: FlangePose
     tracker_from_marker: PoseRecord = Field(description="Mean pose tracker <- reference frame.")
     frames: Annotated[int, Field(ge=1)] = Field(description="Measurements that show the frame.")
 
@@ -84,17 +80,13 @@ class FrameLook(Strict):
 class FrameLooks(Measurements):
     """All measurements for one frame calibration, and the records in use."""
 
-    schema_version: Literal[1] = Field(default=1, alias="schema", description="Version of the file format.")
+    RECORDS: ClassVar = {"stereo_head": "stereo_head", "tracker_frame": "start", "arm": "arm_record"}
+
     arm: str = Field(description="Name of the arm's kinematic model.")
     stereo_head: StereoHeadCalibration = Field(description="The record of the head on the same mount.")
     start: TrackerFrameCalibration = Field(description="The record in use, or the drawing.")
     arm_record: ArmCalibration | None = Field(default=None, description="The record of the arm in use.")
     looks: tuple[FrameLook, ...] = Field(description="The measurements, in order.")
-
-    @property
-    def records(self) -> Mapping[str, Dated | None]:
-        """Calibration records in use."""
-        return {"stereo_head": self.stereo_head, "tracker_frame": self.start, "arm": self.arm_record}
 
 
 def assign_uses(count: int, validation: int) -> tuple[Use, ...]:
@@ -145,9 +137,8 @@ def calibrate_frame(observed: FrameLooks, *, life: timedelta = LIFE) -> FrameRes
     misses, predicted = _validate(fit, validation_pairs)
     head = observed.stereo_head.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
     marker_pose = head.inverse() @ Transform.from_matrix(Frame.FLANGE, Frame.MARKER, fit.flange_from_marker)
-    change_mm, change_rad = _change(
-        observed.start.tool_from_marker.transform(Frame.TOOL, Frame.MARKER), marker_pose
-    )
+    before = observed.start.tool_from_marker.transform(Frame.TOOL, Frame.MARKER)
+    change_mm, change_rad = _change(before, marker_pose)
     arm_error_mm = arm_share_mm(observed.arm_record)
     return FrameResult(
         fit=fit,
@@ -206,7 +197,7 @@ def _validate(fit: HandEye, validation_pairs: PosePairs) -> tuple[Array, tuple[f
     misses = misses_of(validation_pairs, fit.flange_from_marker, fit.robot_from_tracker)
     slopes = slopes_of(validation_pairs, fit.flange_from_marker, fit.robot_from_tracker)
     random = np.diag([fit.scatter_mm**2] * 3 + [fit.scatter_rad**2] * 3)
-    covariances = slopes @ fit.covariance @ slopes.transpose(0, 2, 1) + random
+    covariances = propagate(slopes, fit.covariance) + random
     statistic = float(np.einsum("mi,mi->", misses, np.linalg.solve(covariances, misses[..., None])[..., 0]))
     limit = float(chdtri(6 * validation_pairs.count, ACCEPTED)) * (1.0 + MODEL_SHARE)
     if statistic > limit:

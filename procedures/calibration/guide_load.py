@@ -13,15 +13,14 @@ from dataclasses import dataclass
 from math import sqrt
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from ronna_hw.arm.kinematics import Chain, Kinematics
 from ronna_hw.arm.load_model import LoadModel
+from ronna_hw.arrays import Array
 from ronna_hw.vectors import JointVector, Vector3
-
-Array = NDArray[np.float64]
 
 FALSE_ALARM_RATE = 1e-4  # share of unloaded standstills that count as loaded
 GRAVITY_M_S2 = 9.81

@@ -12,15 +12,13 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 from scipy.special import chdtri
 
 from procedures.calibration.errors import FRAME_NOT_CARRIED, DoesNotFit
 from procedures.calibration.pose_set import require_consistent, require_count, require_spread
+from ronna_hw.arrays import Array, Mask
 from ronna_hw.text import format_against_limit
-
-Array = NDArray[np.float64]
 
 LEAST_LOOKS = 15
 TURNS_AGREE_RAD = float(np.radians(0.5))  # from one measurement to the next, of flange and frame
@@ -50,7 +48,7 @@ class HandEye:
     scatter_rad: float
     misses_mm: Array
     misses_rad: Array
-    used: NDArray[np.bool_]
+    used: Mask
 
     @property
     def error_mm(self) -> float:
@@ -131,7 +129,7 @@ def _require_solvable(pairs: PosePairs, least_looks: int) -> None:
     require_spread(flange, "the poses rotate the frame about nearly parallel axes, or hardly at all", action)
 
 
-def _require_fit(scatter: tuple[float, float], largest: tuple[float, float], used: NDArray[np.bool_]) -> None:
+def _require_fit(scatter: tuple[float, float], largest: tuple[float, float], used: Mask) -> None:
     """Require scatters in mm and rad within the largest ones."""
     if scatter[0] > largest[0] or scatter[1] > largest[1]:
         scatter_deg, largest_deg = np.degrees(scatter[1]), np.degrees(largest[1])

@@ -14,13 +14,13 @@ from dataclasses import dataclass
 from datetime import datetime, timedelta
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from procedures.calibration.bundle import BALL, DERIVATIVE_STEP, BundleFit, fit_bundle
 from procedures.calibration.head_model import (
     CAMERA_PARAMETERS,
     Cameras,
+    adjust_cameras,
     cameras_of,
     intersect_rays,
     pose_record,
@@ -28,10 +28,9 @@ from procedures.calibration.head_model import (
 from procedures.calibration.observations import ObservationSet, identifier_suffix
 from procedures.calibration.pose_set import rms_mm
 from ronna_hw.arm.catalogue import find_arm
+from ronna_hw.arrays import Array
 from ronna_hw.calibration import StereoHeadCalibration, ToolTipCalibration
 from ronna_hw.frames import Frame, Transform
-
-Array = NDArray[np.float64]
 
 LIFE = timedelta(days=30)
 MADE_BY = "ronna-stereo calibrate"
@@ -79,11 +78,8 @@ def calibrate_head(
     Without `arm_geometry` all errors of the arm are treated as random.
     """
     before = observed.start
-    fit = fit_bundle(
-        observed.observations,
-        before,
-        arm=find_arm(observed.arm_variant).kinematics.chain if arm_geometry else None,
-    )
+    arm = find_arm(observed.arm_variant).kinematics.chain if arm_geometry else None
+    fit = fit_bundle(observed.observations, before, arm=arm)
     flange_from_tool, misfit = _fit_tool_frame(before, fit.cameras)
     left, right = fit.cameras
     head = StereoHeadCalibration(
@@ -154,11 +150,8 @@ def _fit_tool_frame(before: StereoHeadCalibration, cameras: Cameras) -> tuple[Tr
     tool, flange = _anchor_points(), _triangulate_anchors(before, cameras)
     middle_tool, middle_flange = tool.mean(axis=0), flange.mean(axis=0)
     rotation, _ = Rotation.align_vectors(flange - middle_flange, tool - middle_tool)
-    pose = Transform(
-        Frame.FLANGE,
-        Frame.TOOL,
-        RigidTransform.from_components(middle_flange - rotation.apply(middle_tool), rotation),
-    )
+    rigid = RigidTransform.from_components(middle_flange - rotation.apply(middle_tool), rotation)
+    pose = Transform(Frame.FLANGE, Frame.TOOL, rigid)
     return pose, rms_mm(pose.apply(tool) - flange)
 
 
@@ -174,18 +167,9 @@ def _point_error_mm(before: StereoHeadCalibration, fit: BundleFit) -> float:
 
 def _covariance(fit: BundleFit, evaluate: Callable[[Cameras], Array]) -> Array:
     """Return the covariance (n, n) of n values computed from the cameras."""
-    middle = CAMERA_PARAMETERS
     slopes = []
-    for step in DERIVATIVE_STEP * np.eye(2 * middle):
-        ends = [
-            evaluate(
-                (
-                    fit.cameras[0].with_increments(sign * step[:middle]),
-                    fit.cameras[1].with_increments(sign * step[middle:]),
-                )
-            )
-            for sign in (1.0, -1.0)
-        ]
-        slopes.append((ends[0] - ends[1]) / (2.0 * DERIVATIVE_STEP))
+    for step in DERIVATIVE_STEP * np.eye(2 * CAMERA_PARAMETERS):
+        ahead, behind = (evaluate(adjust_cameras(fit.cameras, sign * step)) for sign in (1.0, -1.0))
+        slopes.append((ahead - behind) / (2.0 * DERIVATIVE_STEP))
     by_value = np.transpose(slopes)
     return np.asarray(by_value @ fit.covariance[BALL:, BALL:] @ by_value.T)

@@ -10,14 +10,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from procedures.relocalization.triangulation import distort
+from ronna_hw.arrays import Array
 from ronna_hw.calibration import CameraCalibration, PoseRecord, StereoHeadCalibration
 from ronna_hw.frames import Frame, Transform
-
-Array = NDArray[np.float64]
+from ronna_hw.vectors import vector3
 
 CAMERA_PARAMETERS = 10  # rotation 3, translation 3, focal length, principal point 2, k1
 UNDISTORT_STEPS = 12  # each gains about three digits with lenses of this kind
@@ -48,8 +48,7 @@ class FlangeCamera:
     def with_increments(self, increments: Array) -> FlangeCamera:
         """Add increments to the camera's ten parameters."""
         turn = Rotation.from_rotvec(increments[:3]).as_matrix()
-        k1, *others = self.distortion
-        k2, p1, p2, k3 = others
+        k1, k2, p1, p2, k3 = self.distortion
         return FlangeCamera(
             turn @ self.rotation,
             self.translation_mm + increments[3:6],
@@ -114,6 +113,15 @@ def cameras_of(calibration: StereoHeadCalibration) -> Cameras:
     return FlangeCamera.from_record(calibration.left, tool), FlangeCamera.from_record(calibration.right, tool)
 
 
+def adjust_cameras(cameras: Cameras, increments: Array) -> Cameras:
+    """Add increments (20,) to the parameters of the left and of the right camera."""
+    left, right = cameras
+    return (
+        left.with_increments(increments[:CAMERA_PARAMETERS]),
+        right.with_increments(increments[CAMERA_PARAMETERS:]),
+    )
+
+
 def intersect_rays(cameras: Cameras, left_px: Array, right_px: Array) -> tuple[Array, Array]:
     """Return midpoints (n, 3) between lines of sight in the flange frame, and gaps (n,), mm.
 
@@ -132,6 +140,5 @@ def intersect_rays(cameras: Cameras, left_px: Array, right_px: Array) -> tuple[A
 
 def pose_record(pose: Transform) -> PoseRecord:
     """Convert a transform to a pose record."""
-    x, y, z = pose.translation_mm.tolist()
     qw, qx, qy, qz = pose.quaternion_wxyz.tolist()
-    return PoseRecord(translation_mm=(x, y, z), quaternion_wxyz=(qw, qx, qy, qz))
+    return PoseRecord(translation_mm=vector3(pose.translation_mm), quaternion_wxyz=(qw, qx, qy, qz))

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import math
-from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from datetime import datetime
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self, TypeVar
+from typing import Annotated, Any, ClassVar, Literal, Self, TypeVar
 
 from pydantic import Field, ValidationError
 
@@ -27,18 +26,24 @@ NOT_MEASURED = {"created", "expires", "made_by"}
 OBSERVATIONS_FILE = "observations.json"
 Positive = Annotated[float, Field(gt=0)]
 Pixels = tuple[float, float]
+FlangePose = Annotated[
+    PoseRecord, Field(description="Pose robot <- flange, from the arm's record or nominal.")
+]
 S = TypeVar("S", bound=Strict)
 
 
-class Measurements(Strict, ABC):
+class Measurements(Strict):
     """Base class of a calibration's stored measurements."""
 
+    RECORDS: ClassVar[Mapping[str, str]]  # names in the theatre file -> fields with the records in use
+
     created: datetime = Field(description="When it was measured.")
+    schema_version: Literal[1] = Field(default=1, alias="schema", description="Version of the file format.")
 
     @property
-    @abstractmethod
     def records(self) -> Mapping[str, Dated | None]:
         """Calibration records in use, by their names in the theatre file; None for a missing record."""
+        return {name: getattr(self, field) for name, field in self.RECORDS.items()}
 
 
 def require_same_theatre(
@@ -140,17 +145,13 @@ class Observation(Strict):
 class ObservationSet(Measurements):
     """All views for one head calibration, and the records it started from."""
 
-    schema_version: Literal[1] = Field(default=1, alias="schema", description="Version of the file format.")
+    RECORDS: ClassVar = {"stereo_head": "start", "tool_tip": "tool_tip"}
+
     serials: tuple[str, str] = Field(description="Serial numbers of the left and the right camera.")
     arm_variant: str = Field(description="Name of the arm's kinematic model.")
     start: StereoHeadCalibration = Field(description="The record in use at the time.")
     tool_tip: ToolTipCalibration | None = Field(default=None, description="The tip record in use.")
     observations: tuple[Observation, ...] = Field(description="The views.")
-
-    @property
-    def records(self) -> Mapping[str, Dated | None]:
-        """Calibration records in use."""
-        return {"stereo_head": self.start, "tool_tip": self.tool_tip}
 
 
 def read_strict(kind: type[S], path: Path) -> S:

@@ -11,14 +11,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from procedures.calibration.errors import TOO_FEW_POSES, DegeneratePoses, DoesNotFit
+from ronna_hw.arrays import Array, Mask
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.text import format_against_limit
-
-Array = NDArray[np.float64]
+from ronna_hw.vectors import vector3
 
 TILT_RAD = float(np.radians(25.0))  # at most, in all directions: a spread of 50 degrees
 TURN_RAD = float(np.radians(45.0))  # about the tool axis, either way
@@ -54,11 +54,9 @@ def plan_calibration_looks(reference: Rotation, ball_mm: ArrayLike, count: int) 
     """Plan views of a ball (3,) in the robot frame, spread around the orientation `reference`."""
     share = (0.5 + np.outer(np.arange(count), _STEPS)) % 1.0
     looks = []
-    for tilt, azimuth, turn, *field in share:
-        orientation = _tilt_and_turn(
-            reference, TILT_RAD * float(np.sqrt(tilt)), 2.0 * np.pi * azimuth, TURN_RAD * (2.0 * turn - 1.0)
-        )
-        offset = np.array(FIELD_MM) * (2.0 * np.array(field) - 1.0)
+    for one in share:
+        offset = np.array(FIELD_MM) * (2.0 * one[3:] - 1.0)
+        orientation = _spread_orientation(reference, one, TILT_RAD, TURN_RAD)
         looks.append(_build_look(orientation, np.asarray(ball_mm, dtype=float), offset))
     return tuple(order_by_orientation(looks))
 
@@ -93,17 +91,7 @@ def plan_poses_about(
     share = (0.5 + np.outer(first + np.arange(count), _STEPS[:3])) % 1.0
     point, offset = np.asarray(point_mm, dtype=float), np.asarray(offset_mm, dtype=float)
     return tuple(
-        _build_look(
-            _tilt_and_turn(
-                reference,
-                tilt_rad * float(np.sqrt(tilt)),
-                2.0 * np.pi * azimuth,
-                turn_rad * (2.0 * turn - 1.0),
-            ),
-            point,
-            offset,
-        )
-        for tilt, azimuth, turn in share
+        _build_look(_spread_orientation(reference, one, tilt_rad, turn_rad), point, offset) for one in share
     )
 
 
@@ -128,9 +116,8 @@ def order_by_orientation(looks: Sequence[PlannedLook]) -> list[PlannedLook]:
     if not looks:
         return []
     rotations = np.array([look.pose.rotation_matrix for look in looks])
-    similarity = np.einsum(
-        "nij,mij->nm", rotations, rotations
-    )  # trace of the relative rotation: larger is nearer
+    # The trace of the relative rotation: larger is nearer.
+    similarity = np.einsum("nij,mij->nm", rotations, rotations)
     order, unvisited = [0], set(range(1, len(looks)))
     while unvisited:
         nearest = max(unvisited, key=lambda number: float(similarity[order[-1], number]))
@@ -149,6 +136,13 @@ def move_look(look: PlannedLook, ball_mm: ArrayLike) -> PlannedLook:
     )
 
 
+def _spread_orientation(reference: Rotation, share: Array, tilt_rad: float, turn_rad: float) -> Rotation:
+    """Return an orientation within the largest tilt and turn, by shares of tilt, azimuth and turn."""
+    tilt, azimuth, turn = share[:3]
+    tilted_rad = tilt_rad * float(np.sqrt(tilt))
+    return _tilt_and_turn(reference, tilted_rad, 2.0 * np.pi * azimuth, turn_rad * (2.0 * turn - 1.0))
+
+
 def _tilt_and_turn(reference: Rotation, tilt_rad: float, azimuth_rad: float, turn_rad: float) -> Rotation:
     tilt = Rotation.from_rotvec(tilt_rad * np.array([np.cos(azimuth_rad), np.sin(azimuth_rad), 0.0]))
     return reference * tilt * Rotation.from_rotvec([0.0, 0.0, turn_rad])
@@ -157,13 +151,8 @@ def _tilt_and_turn(reference: Rotation, tilt_rad: float, azimuth_rad: float, tur
 def _build_look(
     orientation: Rotation, ball_mm: Array, offset_mm: Array, number: int | None = None
 ) -> PlannedLook:
-    pose = Transform(
-        Frame.ROBOT,
-        Frame.TOOL,
-        RigidTransform.from_components(ball_mm - orientation.apply(offset_mm), orientation),
-    )
-    x, y, z = offset_mm.tolist()
-    return PlannedLook(pose, (x, y, z), number)
+    rigid = RigidTransform.from_components(ball_mm - orientation.apply(offset_mm), orientation)
+    return PlannedLook(Transform(Frame.ROBOT, Frame.TOOL, rigid), vector3(offset_mm), number)
 
 
 def choose_held_out(count: int, validation: int) -> tuple[int, ...]:
@@ -182,7 +171,7 @@ def require_count(count: int, least: int, what: str, action: str | None = None) 
         raise TOO_FEW_POSES(what, expected=f"at least {least}", got=str(count), action=action)
 
 
-def require_spread(rotations: NDArray[np.float64], what: str, action: str | None = None) -> None:
+def require_spread(rotations: Array, what: str, action: str | None = None) -> None:
     """Raise CAL-003 with the message `what` if rotations (n, 3, 3) hardly vary about some axis."""
     if (spread := orientation_spread(rotations)) < math.sin(math.radians(LEAST_SPREAD_DEG)):
         raise DegeneratePoses(
@@ -193,7 +182,16 @@ def require_spread(rotations: NDArray[np.float64], what: str, action: str | None
         )
 
 
-def require_consistent(used: NDArray[np.bool_], most_outliers: float, what: str) -> None:
+def require_scatter(
+    scatter_mm: float, largest_mm: float, what: str, action: str | None = None, *, decimals: int = 2
+) -> None:
+    """Raise CAL-004 with the message `what` if the scatter per axis is larger than anything sound leaves."""
+    if scatter_mm > largest_mm:
+        got = f"{format_against_limit(scatter_mm, largest_mm, decimals)} mm"
+        raise DoesNotFit(what, limit=f"{largest_mm:g} mm per axis", got=got, action=action)
+
+
+def require_consistent(used: Mask, most_outliers: float, what: str) -> None:
     """Raise CAL-004 if `what` has more than this fraction of outliers; `used` marks the inliers."""
     if (outliers := float(np.mean(~used))) > most_outliers:
         raise DoesNotFit(
@@ -203,7 +201,7 @@ def require_consistent(used: NDArray[np.bool_], most_outliers: float, what: str)
         )
 
 
-def orientation_spread(rotations: NDArray[np.float64]) -> float:
+def orientation_spread(rotations: Array) -> float:
     """Return the rms variation of rotations (n, 3, 3) in the least varied direction; 0 for a single axis."""
     deviations = rotations - rotations.mean(axis=0)
     scatter = np.einsum("nki,nkj->ij", deviations, deviations) / len(rotations)

@@ -21,18 +21,17 @@ from datetime import datetime
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 from scipy.special import chdtri
 
 from procedures.calibration.errors import CHECK_UNCERTAIN, HEAD_MOVED, NotTheBaseline
 from procedures.calibration.head_model import cameras_of, intersect_rays
 from procedures.calibration.observations import Observation
+from ronna_hw.arrays import Array
 from ronna_hw.calibration import StereoHeadCalibration, Strict
 from ronna_hw.frames import Frame
 from ronna_hw.text import format_against_limit, format_distinct
-
-Array = NDArray[np.float64]
+from ronna_hw.vectors import vector3
 
 BASELINE_FILE = "baseline.json"
 LEAST_ORIENTATIONS = 8
@@ -159,9 +158,8 @@ def compare_with_baseline(looks: Sequence[Observation], baseline: Baseline) -> C
     arm = (then.arm_variance_mm2 * then.freedom + now.arm_variance_mm2 * now.freedom) / freedom
     arm = max(arm, ARM_FLOOR_MM**2)
     weights = 1.0 / (arm * (1.0 / then.visits + 1.0 / now.visits))
-    design = np.concatenate(
-        [now.rotations.transpose(0, 2, 1), np.tile(np.eye(3), (len(numbers), 1, 1))], axis=2
-    )
+    still = np.tile(np.eye(3), (len(numbers), 1, 1))
+    design = np.concatenate([now.rotations.transpose(0, 2, 1), still], axis=2)
     normal = np.einsum("n,nij,nik->jk", weights, design, design)
     covariance = np.linalg.inv(normal)
     solution = covariance @ np.einsum("n,nij,ni->j", weights, design, now.points_mm - then.points_mm)
@@ -176,7 +174,6 @@ def compare_with_baseline(looks: Sequence[Observation], baseline: Baseline) -> C
     share = float(np.sum(1.0 / then.visits + 1.0 / now.visits)) / len(numbers) ** 2
     gap_variance = 0.5 * (then.gap_variance_mm2 + now.gap_variance_mm2) * share + GAP_FLOOR_MM**2
     size_variance = 0.5 * (then.size_variance + now.size_variance) * share + SIZE_FLOOR**2
-    x, y, z = solution[:3].tolist()
     return CheckResult(
         shift=Sign(
             "shift of the ball",
@@ -186,27 +183,18 @@ def compare_with_baseline(looks: Sequence[Observation], baseline: Baseline) -> C
             float(shift @ np.linalg.solve(shift_covariance, shift)),
             float(chdtri(3, FALSE_ALARM)),
         ),
-        gap=_scalar_sign(
-            "gap of the lines of sight", "mm", float(np.mean(now.gaps_mm - then.gaps_mm)), gap_variance
-        ),
-        size=_scalar_sign(
-            "size of the ball", "of its size", float(np.mean(now.sizes - then.sizes)), size_variance
-        ),
-        ball_moved_mm=(x, y, z),
+        gap=_scalar_sign("gap of the lines of sight", "mm", now.gaps_mm - then.gaps_mm, gap_variance),
+        size=_scalar_sign("size of the ball", "of its size", now.sizes - then.sizes, size_variance),
+        ball_moved_mm=vector3(solution[:3]),
         repeatability_mm=float(np.sqrt(arm)),
         looks=len(looks),
     )
 
 
-def _scalar_sign(name: str, unit: str, value: float, variance: float) -> Sign:
-    return Sign(
-        name,
-        unit,
-        (value,),
-        (float(np.sqrt(variance)),),
-        value * value / variance,
-        float(chdtri(1, FALSE_ALARM)),
-    )
+def _scalar_sign(name: str, unit: str, changes: Array, variance: float) -> Sign:
+    value = float(np.mean(changes))
+    sigma, limit = float(np.sqrt(variance)), float(chdtri(1, FALSE_ALARM))
+    return Sign(name, unit, (value,), (sigma,), value * value / variance, limit)
 
 
 def _require_same_poses(looks: Sequence[Observation], baseline: Baseline) -> None:

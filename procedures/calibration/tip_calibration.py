@@ -14,13 +14,12 @@ validate the result.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import timedelta
-from typing import Literal
+from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 from scipy.spatial.transform import RigidTransform, Rotation
 from scipy.special import fdtri
@@ -34,11 +33,11 @@ from procedures.calibration.errors import (
 )
 from procedures.calibration.head_calibration import LIFE, new_identifier
 from procedures.calibration.head_model import pose_record
-from procedures.calibration.observations import Measurements
-from procedures.calibration.pose_set import require_count, require_spread, rms_mm
+from procedures.calibration.observations import FlangePose, Measurements
+from procedures.calibration.pose_set import require_count, require_scatter, require_spread, rms_mm
+from ronna_hw.arrays import Array
 from ronna_hw.calibration import (
     ArmCalibration,
-    Dated,
     Numbers3,
     PoseRecord,
     StereoHeadCalibration,
@@ -48,8 +47,6 @@ from ronna_hw.calibration import (
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.text import format_against_limit, format_distinct
 from ronna_hw.vectors import JointVector
-
-Array = NDArray[np.float64]
 
 LOOKS_FILE = "tip-looks.json"
 
@@ -75,9 +72,7 @@ class BallLook(Strict):
     """The stereo head's view of the ball in one orientation."""
 
     joints_rad: JointVector = Field(description="Measured joints, from the base outwards.")
-    robot_from_flange: PoseRecord = Field(
-        description="Pose robot <- flange, from the arm's record or nominal."
-    )
+    robot_from_flange: FlangePose
     ball_mm: Numbers3 = Field(description="The ball in the tool frame of the head's record.")
 
 
@@ -86,16 +81,15 @@ class DivotReading(Strict):
 
     look: int = Field(ge=0, description="Number of that measurement.")
     joints_rad: JointVector = Field(description="Measured joints, from the base outwards.")
-    robot_from_flange: PoseRecord = Field(
-        description="Pose robot <- flange, from the arm's record or nominal."
-    )
+    robot_from_flange: FlangePose
     dials_mm: Numbers3 = Field(description="Offset of the divot from the ball's centre, robot axes.")
 
 
 class TipLooks(Measurements):
     """All views and readings for one tip calibration, and the records in use."""
 
-    schema_version: Literal[1] = Field(default=1, alias="schema", description="Version of the file format.")
+    RECORDS: ClassVar = {"stereo_head": "stereo_head", "tool_tip": "start", "arm": "arm_record"}
+
     arm: str = Field(description="Name of the arm's kinematic model.")
     stereo_head: StereoHeadCalibration = Field(description="The record of the head in use.")
     start: ToolTipCalibration = Field(description="The record of the tip in use, or the drawing.")
@@ -103,11 +97,6 @@ class TipLooks(Measurements):
     looks: tuple[BallLook, ...] = Field(description="The measurements of the ball, in order.")
     readings: tuple[DivotReading, ...] = Field(description="The readings, at most one for each measurement.")
     validation: tuple[int, ...] = Field(description="Numbers of the measurements held out for validation.")
-
-    @property
-    def records(self) -> Mapping[str, Dated | None]:
-        """Calibration records in use."""
-        return {"stereo_head": self.stereo_head, "tool_tip": self.start, "arm": self.arm_record}
 
 
 @dataclass(frozen=True)
@@ -126,9 +115,8 @@ def calibrate_tip(observed: TipLooks, *, life: timedelta = LIFE) -> TipResult:
     _require_plausible(observed)
     held_out = set(observed.validation)
     fit = fit_tip(pairs_of(observed, [one for one in observed.readings if one.look not in held_out]))
-    misses, predicted_mm = _validate(
-        fit, pairs_of(observed, [one for one in observed.readings if one.look in held_out])
-    )
+    kept = [one for one in observed.readings if one.look in held_out]
+    misses, predicted_mm = _validate(fit, pairs_of(observed, kept))
     head = observed.stereo_head.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
     before = observed.start.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
     change_mm = float(np.linalg.norm(head.apply(fit.tip_mm) - before.translation_mm))
@@ -139,11 +127,7 @@ def calibrate_tip(observed: TipLooks, *, life: timedelta = LIFE) -> TipResult:
             got=f"{format_against_limit(change_mm, FAR_MM, 1)} mm",
         )
     # A divot shows where the tip is, not where the guide points: direction and its error are kept.
-    found = Transform(
-        Frame.FLANGE,
-        Frame.TOOL,
-        RigidTransform.from_components(head.apply(fit.tip_mm), before.rigid.rotation),
-    )
+    rigid = RigidTransform.from_components(head.apply(fit.tip_mm), before.rigid.rotation)
     gap_mm = max(fit.hidden_gap_mm, np.sqrt(3.0) * STAND_MM)
     stated_mm = float(np.sqrt(np.trace(fit.covariance_mm2) + gap_mm**2))
     return TipResult(
@@ -158,7 +142,7 @@ def calibrate_tip(observed: TipLooks, *, life: timedelta = LIFE) -> TipResult:
             made_by=MADE_BY,
             stated_error_mm=stated_mm,
             tool_number=observed.start.tool_number,
-            flange_from_tool=pose_record(found),
+            flange_from_tool=pose_record(Transform(Frame.FLANGE, Frame.TOOL, rigid)),
             stated_direction_error_rad=observed.start.stated_direction_error_rad,
         ),
     )
@@ -230,26 +214,21 @@ def fit_tip(pairs: TipPairs) -> TipFit:
     tips = tips_of(pairs)
     tip = tips.mean(axis=0)
     misses = tips - tip
-    scatter = max(
-        float(np.sqrt(np.sum(misses**2) / (3 * (pairs.count - 1)))),
-        LEAST_SCATTER_MM,
+    scatter = max(float(np.sqrt(np.sum(misses**2) / (3 * (pairs.count - 1)))), LEAST_SCATTER_MM)
+    require_scatter(
+        scatter,
+        LARGEST_SCATTER_MM,
+        "the readings do not agree on one tip position",
+        "Check that stand, guide and dials are rigid and that x, y and z are not mixed up; then repeat.",
     )
-    if scatter > LARGEST_SCATTER_MM:
-        raise DoesNotFit(
-            "the readings do not agree on one tip position",
-            limit=f"{LARGEST_SCATTER_MM:g} mm per axis",
-            got=f"{format_against_limit(scatter, LARGEST_SCATTER_MM, 2)} mm",
-            action="Check that stand, guide and dials are rigid and that x, y and z are not "
-            "mixed up; then repeat.",
-        )
     gap, gap_error, pivot_scatter = _fit_gap(pairs)
-    if pivot_scatter > LARGEST_PIVOT_SCATTER_MM:
-        raise DoesNotFit(
-            "pivoting cannot show whether the divot is where the ball was: the readings scatter too much",
-            limit=f"{LARGEST_PIVOT_SCATTER_MM:g} mm per axis",
-            got=f"{format_against_limit(pivot_scatter, LARGEST_PIVOT_SCATTER_MM, 3)} mm",
-            action="Check that stand, guide and dials are rigid; then repeat.",
-        )
+    require_scatter(
+        pivot_scatter,
+        LARGEST_PIVOT_SCATTER_MM,
+        "pivoting cannot show whether the divot is where the ball was: the readings scatter too much",
+        "Check that stand, guide and dials are rigid; then repeat.",
+        decimals=3,
+    )
     if GAP_SIGMAS * gap_error > MOST_OPEN_MM:
         raise DoesNotFit(
             "pivoting cannot show whether the divot is where the ball was: too few "

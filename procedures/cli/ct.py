@@ -10,7 +10,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
+from typer import Argument, Option
 
 from procedures.cli.postoperative import postoperative
 from ronna_hw.command_line import terminal
@@ -26,12 +26,14 @@ READING_SHARE = 0.4  # of the progress bar
 PAGE_ENDING = ".html"
 PICTURED_CANDIDATES = 12  # when the count is wrong: as many as a person will look at
 SeriesArgument = Annotated[
-    Path, typer.Argument(metavar="SERIES_DIR", help="Folder with the DICOM files of one CT series.")
+    Path, Argument(metavar="SERIES_DIR", help="Folder with the DICOM files of one CT series.")
 ]
 DiameterOption = Annotated[
-    float, typer.Option("--diameter-mm", min=2.0, max=50.0, help="Diameter of the marker spheres in mm.")
+    float, Option("--diameter-mm", min=2.0, max=50.0, help="Diameter of the marker spheres in mm.")
 ]
-app = typer.Typer(name="ronna-ct", no_args_is_help=True, add_completion=False, rich_markup_mode=None)
+app = terminal.command_group(
+    "ronna-ct", "Localize marker spheres in a CT series, and check the postoperative CT."
+)
 
 
 class LocalizationMethod(StrEnum):
@@ -40,11 +42,6 @@ class LocalizationMethod(StrEnum):
     COMBINED = "combined"
     THESIS_LINE = "thesis-line"
     THESIS_SPHERE = "thesis-sphere"
-
-
-@app.callback()
-def ct() -> None:
-    """Localize marker spheres in a CT series, and check the postoperative CT."""
 
 
 app.command()(postoperative)
@@ -56,19 +53,15 @@ def localize(
     diameter_mm: DiameterOption = 11.5,
     expected: Annotated[
         int | None,
-        typer.Option(
-            "--expected", metavar="N", min=1, help="Fail unless exactly this many markers are found."
-        ),
+        Option("--expected", metavar="N", min=1, help="Fail unless exactly this many markers are found."),
     ] = None,
     method: Annotated[
         LocalizationMethod,
-        typer.Option(
-            "--method", help="combined is ours; the other two are the thesis methods, for comparison."
-        ),
+        Option("--method", help="combined is ours; the other two are the thesis methods, for comparison."),
     ] = LocalizationMethod.COMBINED,
     layout: Annotated[
         str | None,
-        typer.Option(
+        Option(
             "--layout",
             metavar="xframe|FILE",
             help="Keep only this layout, in its order, or fail: the x-shaped frame, or points as for --pick.",
@@ -76,19 +69,18 @@ def localize(
     ] = None,
     pick: Annotated[
         Path | None,
-        typer.Option(
+        Option(
             "--pick",
             metavar="FILE",
             help="Search only near these rough points (LPS, mm): CSV, JSON list or Slicer .mrk.json.",
         ),
     ] = None,
     show_candidates: Annotated[
-        bool,
-        typer.Option("--candidates", help="Also list every candidate and why it was accepted or rejected."),
+        bool, Option("--candidates", help="Also list every candidate and why it was accepted or rejected.")
     ] = False,
     pictures: Annotated[
         Path | None,
-        typer.Option(
+        Option(
             "--pictures",
             metavar="DIR",
             help="Write a picture of each marker to this folder; of the candidates when the count is wrong.",
@@ -96,7 +88,7 @@ def localize(
     ] = None,
     write: Annotated[
         list[Path] | None,
-        typer.Option(
+        Option(
             "--write",
             metavar="FILE",
             help="Write the spheres: .dcm (Spatial Fiducials), .json, .mrk.json, .csv.",
@@ -104,7 +96,7 @@ def localize(
     ] = None,
     identity: Annotated[
         bool,
-        typer.Option(
+        Option(
             "--identity",
             help="Include the patient's identity in the output and in .dcm files; left out by default.",
         ),
@@ -217,7 +209,7 @@ def adhesive(
     series_dir: SeriesArgument,
     expected: Annotated[
         int | None,
-        typer.Option("--expected", metavar="N", min=1, help="Fail unless exactly this many rings are found."),
+        Option("--expected", metavar="N", min=1, help="Fail unless exactly this many rings are found."),
     ] = None,
     as_json: terminal.JsonOption = False,
 ) -> None:
@@ -234,43 +226,26 @@ def adhesive(
         volume = read_series(series_dir, progress=advance)
     rings = localize_adhesives(volume, expected)
     if as_json:
-        terminal.print_json(
-            {
-                "rings": [
-                    {
-                        "centre_mm": list(one.centre_mm),
-                        "normal": list(one.normal),
-                        "sigma_mm": one.sigma_mm,
-                        "covariance_mm2": one.covariance_mm2.tolist(),
-                        "outer_radius_mm": one.outer_radius_mm,
-                        "inner_radius_mm": one.inner_radius_mm,
-                    }
-                    for one in rings
-                ],
-                "series_instance_uid": volume.series_instance_uid,
-            }
-        )
+        documents = []
+        for one in rings:
+            place = {"centre_mm": list(one.centre_mm), "normal": list(one.normal), "sigma_mm": one.sigma_mm}
+            radii = {"outer_radius_mm": one.outer_radius_mm, "inner_radius_mm": one.inner_radius_mm}
+            documents.append({**place, "covariance_mm2": one.covariance_mm2.tolist(), **radii})
+        terminal.print_json({"rings": documents, "series_instance_uid": volume.series_instance_uid})
         return
-    terminal.print_table(
-        f"{format_count(len(rings), 'adhesive ring')}, LPS in mm",
-        ["#", "L mm", "P mm", "S mm", "sigma mm", "outer mm", "inner mm"],
-        [
-            [
-                str(number),
-                *(f"{value:.3f}" for value in (*one.centre_mm, one.sigma_mm)),
-                f"{one.outer_radius_mm:.2f}",
-                f"{one.inner_radius_mm:.2f}",
-            ]
-            for number, one in enumerate(rings, start=1)
-        ],
-    )
+    rows = []
+    for number, one in enumerate(rings, start=1):
+        lengths = (f"{value:.3f}" for value in (*one.centre_mm, one.sigma_mm))
+        rows.append([number, *lengths, f"{one.outer_radius_mm:.2f}", f"{one.inner_radius_mm:.2f}"])
+    headings = ["#", "L mm", "P mm", "S mm", "sigma mm", "outer mm", "inner mm"]
+    terminal.print_table(f"{format_count(len(rings), 'adhesive ring')}, LPS in mm", headings, rows)
 
 
 @app.command()
 def view(
     series_dir: SeriesArgument,
     out: Annotated[
-        Path, typer.Option("--out", metavar="FILE", help="The page to write; open it in a browser.")
+        Path, Option("--out", metavar="FILE", help="The page to write; open it in a browser.")
     ] = Path("ct.html"),
     diameter_mm: DiameterOption = 11.5,
 ) -> None:
@@ -345,12 +320,9 @@ def _print_markers(result: Localization) -> None:
     for number, marker in enumerate(result.markers, start=1):
         lengths_mm = (*marker.centre_mm, marker.sigma_mm, marker.agreement_mm)
         sizes = (f"{marker.radius_mm:.2f}", f"{marker.quality:.2f}")
-        rows.append([str(number), *(f"{value:.3f}" for value in lengths_mm), *sizes, " ".join(marker.flags)])
-    terminal.print_table(
-        f"{format_count(len(rows), 'marker')}, LPS in mm",
-        ["#", "L mm", "P mm", "S mm", "sigma mm", "agree mm", "radius mm", "quality", "flags"],
-        rows,
-    )
+        rows.append([number, *(f"{value:.3f}" for value in lengths_mm), *sizes, " ".join(marker.flags)])
+    headings = ["#", "L mm", "P mm", "S mm", "sigma mm", "agree mm", "radius mm", "quality", "flags"]
+    terminal.print_table(f"{format_count(len(rows), 'marker')}, LPS in mm", headings, rows)
 
 
 def _print_candidates(candidates: Sequence[Candidate]) -> None:
@@ -360,11 +332,8 @@ def _print_candidates(candidates: Sequence[Candidate]) -> None:
         radius = "" if one.radius_mm is None else f"{one.radius_mm:.2f}"
         odds = f"{one.odds:.2f}"
         rows.append([*(f"{value:z.1f}" for value in one.centre_mm), share, radius, odds, one.reason])
-    terminal.print_table(
-        f"{format_count(len(rows), 'candidate')}, LPS in mm",
-        ["L mm", "P mm", "S mm", "surface", "radius mm", "odds", "outcome"],
-        rows,
-    )
+    headings = ["L mm", "P mm", "S mm", "surface", "radius mm", "odds", "outcome"]
+    terminal.print_table(f"{format_count(len(rows), 'candidate')}, LPS in mm", headings, rows)
 
 
 def _write_pictures(folder: Path, name: str, pictures: Sequence[bytes]) -> None:

@@ -10,16 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from procedures.cli.planning_inputs import (
-    KUKA_ORDER,
-    HomeOption,
-    PlanArgument,
-    PlannedSeriesOption,
-    SixNumbers,
-    load_theatre_arm,
-    read_assumed_pose,
-    read_ct,
-)
+from procedures.cli import planning_inputs
 from procedures.strategies.names import DEFAULT_STRATEGY, STRATEGY_NAMES
 from ronna_hw.command_line import terminal
 from ronna_hw.command_line.errors import UsageMistake
@@ -34,16 +25,17 @@ CHOSEN_BY_PLACE = "best"
 
 
 def place(
-    plan_file: PlanArgument,
-    series_dir: PlannedSeriesOption,
+    plan_file: planning_inputs.PlanArgument,
+    series_dir: planning_inputs.PlannedSeriesOption,
     config: Annotated[
         Path, typer.Option("--config", metavar="FILE", help="Theatre file: its arm and surroundings.")
     ],
     robot_from_ct: Annotated[
-        SixNumbers | None,
+        planning_inputs.SixNumbers | None,
         typer.Option(
             metavar="X Y Z A B C",
-            help=f"Pose of the CT frame in $ROBROOT with the cart where it is assumed: {KUKA_ORDER}.",
+            help="Pose of the CT frame in $ROBROOT with the cart where it is assumed: "
+            f"{planning_inputs.KUKA_ORDER}.",
         ),
     ] = None,
     robot_from_ct_of: Annotated[
@@ -55,7 +47,7 @@ def place(
         ),
     ] = None,
     robot_from_tracker: Annotated[
-        SixNumbers | None,
+        planning_inputs.SixNumbers | None,
         typer.Option(
             metavar="X Y Z A B C",
             help="Likewise for the tracker: past the arm at home it must see the markers and its frame.",
@@ -77,7 +69,7 @@ def place(
             metavar="DEG", min=-180.0, max=180.0, help="Rotation of the cart, counter-clockwise from above."
         ),
     ] = 0.0,
-    home: HomeOption = None,
+    home: planning_inputs.HomeOption = None,
     out: Annotated[
         Path | None,
         typer.Option("--out", metavar="DIR", help="Write place.json and the picture place.svg into DIR."),
@@ -114,11 +106,11 @@ def place(
     plan = read_plan(plan_file)
     require_spheres(plan)
     if robot_from_ct_of is not None:
-        robot_from_ct = read_assumed_pose(robot_from_ct_of, plan)
+        robot_from_ct = planning_inputs.read_assumed_pose(robot_from_ct_of, plan)
     assert robot_from_ct is not None
-    theatre = load_theatre_arm(config, robot_from_ct, home, strategy)
+    theatre = planning_inputs.load_theatre_arm(config, robot_from_ct, home, strategy)
     assert theatre is not None
-    volume, fiducials_mm, _ = read_ct(series_dir, True)
+    volume, fiducials_mm, _ = planning_inputs.read_ct(series_dir, True)
     check_plan(
         plan,
         volume,
@@ -156,7 +148,7 @@ def place(
     _print_proposal(proposal)
 
 
-def _tracker_pose(numbers: SixNumbers) -> Transform:
+def _tracker_pose(numbers: planning_inputs.SixNumbers) -> Transform:
     from ronna_hw.arm.pose import Pose
     from ronna_hw.frames import Frame, Transform
 
@@ -186,16 +178,7 @@ def _print_proposal(proposal: PlaceProposal) -> None:
     if not proposal.assumed.serves:
         at_assumed = f"the assumed position does not work: {proposal.assumed.pose}: {proposal.assumed.reason}"
     terminal.tell(f"{at_assumed}; {places.allowed.mean():.0%} of the map works")
-    terminal.print_table(
-        "push the cart from the assumed position by",
-        ["x mm", "y mm", "turned deg", "tolerance mm", "or half that, turned by deg"],
-        [
-            [
-                f"{best.x_mm:+.0f}",
-                f"{best.y_mm:+.0f}",
-                f"{math.degrees(best.turn_rad):+g}",
-                f"{proposal.free_mm:.0f}",
-                f"-{proposal.turns_deg[0]:g} to +{proposal.turns_deg[1]:g}",
-            ]
-        ],
-    )
+    headings = ["x mm", "y mm", "turned deg", "tolerance mm", "or half that, turned by deg"]
+    push = [f"{best.x_mm:+.0f}", f"{best.y_mm:+.0f}", f"{math.degrees(best.turn_rad):+g}"]
+    free = [f"{proposal.free_mm:.0f}", f"-{proposal.turns_deg[0]:g} to +{proposal.turns_deg[1]:g}"]
+    terminal.print_table("push the cart from the assumed position by", headings, [push + free])

@@ -34,8 +34,7 @@ def postoperative(
         typer.Option("--out", metavar="DIR", help="Also write JSON, DICOM objects and pictures into DIR."),
     ] = None,
     run: Annotated[
-        Path | None,
-        typer.Option("--run", metavar="RUN", help="Add the result to the report of this run."),
+        Path | None, typer.Option("--run", metavar="RUN", help="Add the result to the report of this run.")
     ] = None,
     as_json: terminal.JsonOption = False,
 ) -> None:
@@ -139,19 +138,11 @@ def _print_check(found: PostoperativeCheck) -> None:
     def format_mm(value: float | None) -> str:
         return "-" if value is None else f"{value:.2f}"
 
-    terminal.print_table(
-        f"skulls agree to {found.bone_agreement:.3f} over {found.bone_overlap:.0%} of the bone",
-        ["trajectory", "found", "entry mm", "target mm", "across mm", "depth mm", "angle deg"],
-        [
-            [
-                one.id,
-                one.kind.value,
-                format_mm(one.entry_error_mm),
-                format_mm(one.target_error_mm),
-                format_mm(one.lateral_mm),
-                "-" if one.depth_error_mm is None else f"{one.depth_error_mm:+.2f}",
-                format_mm(one.angle_deg),
-            ]
-            for one in found.trajectories
-        ],
-    )
+    headings = ["trajectory", "found", "entry mm", "target mm", "across mm", "depth mm", "angle deg"]
+    rows = []
+    for one in found.trajectories:
+        errors = map(format_mm, (one.entry_error_mm, one.target_error_mm, one.lateral_mm))
+        depth = "-" if one.depth_error_mm is None else f"{one.depth_error_mm:+.2f}"
+        rows.append([one.id, one.kind.value, *errors, depth, format_mm(one.angle_deg)])
+    title = f"skulls agree to {found.bone_agreement:.3f} over {found.bone_overlap:.0%} of the bone"
+    terminal.print_table(title, headings, rows)

@@ -6,32 +6,29 @@ import sys
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Option
 
 from procedures.cli.calibrating.mount import app as calibrate_app
 from procedures.cli.case.options import CaseOptions, ConfigOption, ConsoleOptions
 from procedures.cli.new_theatre.command import new_theatre
 from procedures.cli.runs.commands import add_commands
 from procedures.cli.theatre_history import theatre_history
+from ronna_hw.command_line import terminal
 from ronna_hw.command_line.options import with_option_records
-from ronna_hw.command_line.terminal import JsonOption, run
 from ronna_hw.host.process import resume_garbage_collection, suspend_garbage_collection
-from ronna_hw.roles import ONE_ARM, TWO_ARMS
+from ronna_hw.roles import roles_of
 
-app = typer.Typer(
-    name="ronna-procedure",
-    help="The procedure of a frameless stereotactic robot, from the CT to the needle tip. "
+app = terminal.command_group(
+    "ronna-procedure",
+    "The procedure of a frameless stereotactic robot, from the CT to the needle tip. "
     "Research software, not a medical device.",
-    epilog="Example: ronna-procedure run --sim",
-    no_args_is_help=True,
-    add_completion=False,
-    rich_markup_mode=None,
+    example="ronna-procedure run --sim",
 )
 
 
 @app.command("run")
 @with_option_records
-def run_command(case: CaseOptions, console: ConsoleOptions, as_json: JsonOption = False) -> None:
+def run_command(case: CaseOptions, console: ConsoleOptions, as_json: terminal.JsonOption = False) -> None:
     """Run the whole case; ends with the errors at the targets and a report."""
     suspend_garbage_collection()  # until the engine is built
     try:
@@ -53,47 +50,31 @@ def step_command(case: CaseOptions, console: ConsoleOptions) -> None:
 
 @app.command("steps")
 def steps_command(
-    dual: Annotated[bool, typer.Option("--dual", help="Of a case with two arms.")] = False,
-    as_json: JsonOption = False,
+    dual: Annotated[bool, Option("--dual", help="Of a case with two arms.")] = False,
+    as_json: terminal.JsonOption = False,
 ) -> None:
     """List the steps of the procedure, what each one needs and what it may ask."""
     from procedures.engine.order import Scope
     from procedures.steps.catalogue import clinical_steps, list_questions
-    from ronna_hw.command_line.terminal import print_json, print_table
 
-    steps = clinical_steps(roles=TWO_ARMS if dual else ONE_ARM)
+    steps = clinical_steps(roles=roles_of(dual=dual))
     if as_json:
-        rows = [
-            {
-                "name": step.name,
-                "title": step.title,
-                "needs": list(step.needs),
-                "per_trajectory": step.scope is not Scope.CASE,
-                "moves": step.moves_an_arm,
-                "asks": [
-                    {"topic": one.topic, "answers": list(one.answers), "if": one.condition}
-                    for one in list_questions(step)
-                ],
-            }
-            for step in steps
-        ]
-        print_json({"steps": rows})
+        rows = []
+        for step in steps:
+            asked = list_questions(step)
+            asks = [{"topic": one.topic, "answers": list(one.answers), "if": one.condition} for one in asked]
+            plain = {"name": step.name, "title": step.title, "needs": list(step.needs)}
+            kind = {"per_trajectory": step.scope is not Scope.CASE, "moves": step.moves_an_arm}
+            rows.append({**plain, **kind, "asks": asks})
+        terminal.print_json({"steps": rows})
         return
-    print_table(
-        "Steps of the procedure",
-        ("step", "what it does", "for each trajectory", "moves an arm", "needs", "asks"),
-        [
-            (
-                step.name,
-                step.title,
-                "" if step.scope is Scope.CASE else "yes",
-                "yes" if step.moves_an_arm else "",
-                ", ".join(step.needs),
-                ", ".join(dict.fromkeys(one.topic for one in list_questions(step))),
-            )
-            for step in steps
-        ],
-    )
+    headings = ("step", "what it does", "for each trajectory", "moves an arm", "needs", "asks")
+    table = []
+    for step in steps:
+        marks = ("" if step.scope is Scope.CASE else "yes", "yes" if step.moves_an_arm else "")
+        topics = ", ".join(dict.fromkeys(one.topic for one in list_questions(step)))
+        table.append((step.name, step.title, *marks, ", ".join(step.needs), topics))
+    terminal.print_table("Steps of the procedure", headings, table)
 
 
 @app.command("graph")
@@ -110,18 +91,16 @@ def doctor_command(
     config: ConfigOption = None,
     endpoint: Annotated[
         list[str] | None,
-        typer.Option(
+        Option(
             "--endpoint",
             help="A tracker's line, a controller's EKI server or Universal Robots service, or a camera to "
             "check: serial:///dev/..., tcp://host:port or gev://host. Servers that do not speak first are "
             "sent a tracker's inquiry, at 30004 one of RTDE.",
         ),
     ] = None,
-    out: Annotated[Path, typer.Option(help="Folder for runs, whose disk is judged.")] = Path("runs"),
-    everything: Annotated[
-        bool, typer.Option("--all", help="Also list the checks without a finding.")
-    ] = False,
-    as_json: JsonOption = False,
+    out: Annotated[Path, Option(help="Folder for runs, whose disk is judged.")] = Path("runs"),
+    everything: Annotated[bool, Option("--all", help="Also list the checks without a finding.")] = False,
+    as_json: terminal.JsonOption = False,
 ) -> None:
     """Check this computer and, with --config, every device of a theatre file with its driver's own probe.
 
@@ -134,9 +113,8 @@ def doctor_command(
     of a theatre that is in use.
     """
     from procedures.cli.doctor.report import examine, show
-    from ronna_hw.command_line.terminal import progress_bar
 
-    with progress_bar("probing the devices") as progress:
+    with terminal.progress_bar("probing the devices") as progress:
         report = examine(config, endpoint or (), progress, out=out)
     show(report, as_json=as_json, everything=everything)
 
@@ -148,7 +126,7 @@ app.command("theatre-history")(theatre_history)
 
 
 def main() -> None:
-    run(app)
+    terminal.run(app)
 
 
 if __name__ == "__main__":

@@ -5,22 +5,19 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Argument, Option
 
 from ronna_hw.command_line import terminal
 from ronna_hw.command_line.errors import UsageMistake
 
 
 def theatre_history(
-    theatre: Annotated[Path, typer.Argument(metavar="THEATRE", help="The theatre file.")],
-    run: Annotated[
-        Path | None, typer.Option(metavar="RUN", help="Say with which state this run was made.")
-    ] = None,
+    theatre: Annotated[Path, Argument(metavar="THEATRE", help="The theatre file.")],
+    run: Annotated[Path | None, Option(metavar="RUN", help="Say with which state this run was made.")] = None,
     restore: Annotated[
-        int | None,
-        typer.Option(metavar="NUMBER", min=0, help="Put this state back in force, as another update."),
+        int | None, Option(metavar="NUMBER", min=0, help="Put this state back in force, as another update.")
     ] = None,
-    by: Annotated[str | None, typer.Option(metavar="NAME", help="Who restores it.")] = None,
+    by: Annotated[str | None, Option(metavar="NAME", help="Who restores it.")] = None,
     as_json: terminal.JsonOption = False,
 ) -> None:
     """List the states of a theatre file that was updated by calibrations and ronna-tool, oldest first.
@@ -62,24 +59,15 @@ def theatre_history(
     made_with = None if run is None else _read_hash(run)
     run_state = None if made_with is None else find_state(states, made_with)
     if as_json:
-        rows = [
-            {
-                "number": one.number,
-                "sha256": one.sha256,
-                "update": None
-                if one.update is None
-                else one.update.model_dump(exclude={"former", "text", "previous"}),
-            }
-            for one in states
-        ]
+        rows = []
+        for one in states:
+            update = one.update and one.update.model_dump(exclude={"former", "text", "previous"})
+            rows.append({"number": one.number, "sha256": one.sha256, "update": update})
         of_run = {} if run is None else {"run_state": run_state}
         terminal.print_json({"states": rows, "cut_off_lines": list(cut_off), **of_run})
         return
-    terminal.print_table(
-        f"States of {theatre}; the last is in force",
-        ("state", "SHA-256", "since"),
-        [(one.number, one.sha256[:12], describe_state(one)) for one in states],
-    )
+    table = [(one.number, one.sha256[:12], describe_state(one)) for one in states]
+    terminal.print_table(f"States of {theatre}; the last is in force", ("state", "SHA-256", "since"), table)
     if run is not None:
         state = f"state {run_state}" if run_state is not None else "a state that this history does not know"
         terminal.say(f"{run.name} was made with {state}")

@@ -51,7 +51,6 @@ class Stored(Generic[R]):
 
     @cached_property
     def file_sha256(self) -> str:
-        """Hash of the record's file."""
         return file_sha256(self.record)
 
 
@@ -132,7 +131,6 @@ class Case:
         self._standing = {kept: one for kept, one in self._standing.items() if one.record not in gone}
 
     def stands(self, key: StepKey) -> bool:
-        """Whether a step has a valid result."""
         return key in self._standing
 
     def record_of(self, key: StepKey) -> str | None:

@@ -16,8 +16,6 @@ class CaseProgress:
         self.case = case
         self.latest = latest
 
-    # What comes next
-
     def left_out(self, key: StepKey) -> str | None:
         """Return the reason why a step's trajectory was left out earlier, or None."""
         return self.order.exclusions_at(key, self.case.left_out).get(key.trajectory or "")
@@ -106,8 +104,6 @@ class CaseProgress:
             return "next"
         return "superseded" if self.case.was_superseded(key) else ""
 
-    # What stands
-
     @property
     def finished(self) -> tuple[str, ...]:
         """Trajectories whose work at the target is done."""
@@ -143,10 +139,7 @@ class CaseProgress:
         self.case.void(key, self._lasting_trajectories(key))
 
     def _lasting_trajectories(self, key: StepKey) -> tuple[str, ...]:
-        """Return the finished trajectories; only a new CT or plan invalidates their results.
-
-        Another CT or plan does.
-        """
+        """Return the finished trajectories; only a new CT or plan invalidates their results."""
         return () if self.order.spec(key).phase is Phase.PREOPERATIVE else self.finished
 
     def _other_lasting_trajectories(self, key: StepKey) -> tuple[str, ...]:

@@ -9,30 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from procedures.engine.events import (
-    Advisory,
-    Answered,
-    Bodies,
-    CaseState,
-    DeviceAge,
-    DeviceState,
-    Event,
-    EventContent,
-    Fault,
-    JournalLine,
-    LinkHealth,
-    MeasuringVolume,
-    Order,
-    OrderedStep,
-    Pose,
-    Progress,
-    Questioned,
-    Refusal,
-    Seat,
-    SignalsLost,
-    StepState,
-    Waiting,
-)
+from procedures.engine import events
 from procedures.journal.journal import Entry
 
 RATE_OVER_S = 1.0  # theatre time
@@ -76,7 +53,7 @@ class Rate:
 class DeviceRow:
     """A device as last reported."""
 
-    seen: DeviceState
+    seen: events.DeviceState
     age_s: float | None = None  # of its latest reading, theatre time
     validity: str = ""  # of that reading
     rate: Rate | None = None  # of its readings
@@ -86,7 +63,7 @@ class DeviceRow:
 class ReportedPose:
     """Pose of an arm, and the theatre time of its report."""
 
-    pose: Pose
+    pose: events.Pose
     reported_s: float
 
 
@@ -124,16 +101,16 @@ class CaseView:
     latest_step: str = ""  # the step that began or ended last
     share: float = 0.0  # of that step
     doing: str = ""
-    waiting: Waiting | None = None
-    question: Questioned | None = None
+    waiting: events.Waiting | None = None
+    question: events.Questioned | None = None
     asked_at: str = ""  # host time
-    seat: Seat | None = None
+    seat: events.Seat | None = None
     devices: dict[str, DeviceRow] = field(default_factory=dict)
-    link: LinkHealth | None = None
+    link: events.LinkHealth | None = None
     link_said_s: float = 0.0  # when that was reported, theatre time
     link_rate: Rate | None = None  # of its cycles
-    bodies: Bodies | None = None
-    volume: MeasuringVolume | None = None
+    bodies: events.Bodies | None = None
+    volume: events.MeasuringVolume | None = None
     pose: ReportedPose | None = None
     notices: tuple[Notice, ...] = ()
     journal: tuple[dict[str, Any], ...] = ()  # latest lines
@@ -162,7 +139,7 @@ class CaseView:
         return next((row.step for row in self.steps if row.state != "done" and row.step != self.running), "")
 
 
-def fold(view: CaseView, event: Event) -> CaseView:
+def fold(view: CaseView, event: events.Event) -> CaseView:
     """Return the view after one more event."""
     changed = replace(
         view,
@@ -179,57 +156,57 @@ def fold(view: CaseView, event: Event) -> CaseView:
     return changed
 
 
-def _changes(view: CaseView, what: EventContent) -> dict[str, Any]:
+def _changes(view: CaseView, what: events.EventContent) -> dict[str, Any]:
     match what:
-        case CaseState(state=state, reason=reason):
+        case events.CaseState(state=state, reason=reason):
             return {"state": state, "reason": reason}
-        case StepState() as step:
+        case events.StepState() as step:
             return _step_changes(view, step)
-        case Progress(step=step, share=share, text=text):
+        case events.Progress(step=step, share=share, text=text):
             return {"share": share, "doing": text} if step == view.running else {}
-        case Questioned():
+        case events.Questioned():
             return {"question": what, "asked_at": view.host_time}
-        case Answered(question=number):
+        case events.Answered(question=number):
             is_other_open = view.question is not None and view.question.question != number
             return {} if is_other_open else {"question": None}
-        case Seat():
+        case events.Seat():
             return {"seat": what if what.holder else None}
-        case Order(steps=steps):
+        case events.Order(steps=steps):
             done_count = sum(item.record is not None for item in steps)
             return {"steps": tuple(map(_to_row, steps)), "results": view.results + done_count}
-        case Waiting():
+        case events.Waiting():
             return {"waiting": what}
-        case Bodies():
+        case events.Bodies():
             return {"bodies": what}
-        case MeasuringVolume():
+        case events.MeasuringVolume():
             return {"volume": what}
-        case LinkHealth():
+        case events.LinkHealth():
             now_s = view.theatre_time_s
             return {
                 "link": what,
                 "link_said_s": now_s,
                 "link_rate": _update_rate(view.link_rate, what.cycles, now_s),
             }
-        case Pose() if view.bodies is not None and what.arm != view.bodies.arm:
+        case events.Pose() if view.bodies is not None and what.arm != view.bodies.arm:
             return {}  # the scene shows the arm with the guide alone
-        case Pose():
+        case events.Pose():
             return {"pose": ReportedPose(what, view.theatre_time_s)}
-        case DeviceState(device=device) | DeviceAge(device=device):
+        case events.DeviceState(device=device) | events.DeviceAge(device=device):
             return _device_changes(view, device, what)
-        case JournalLine(line=line):
+        case events.JournalLine(line=line):
             return _journal_changes(view, line)
-        case SignalsLost(count=count):
+        case events.SignalsLost(count=count):
             return {"lost_signals": count}  # of the file alone; the view has the latest of each
-        case Fault() | Refusal() | Advisory():
+        case events.Fault() | events.Refusal() | events.Advisory():
             return {"notices": (*view.notices, _make_notice(view, what))[-NOTICES_KEPT:]}
 
 
-def _to_row(item: OrderedStep) -> StepRow:
+def _to_row(item: events.OrderedStep) -> StepRow:
     state = "" if item.record is None else "done"
     return StepRow(item.step, item.title, item.phase, item.moves, state, record=item.record)
 
 
-def _step_changes(view: CaseView, step: StepState) -> dict[str, Any]:
+def _step_changes(view: CaseView, step: events.StepState) -> dict[str, Any]:
     if step.state == "superseded":
         rows = tuple(
             replace(row, state="superseded", summary=step.summary or row.summary)
@@ -266,9 +243,11 @@ def _mark_notices(
     )
 
 
-def _device_changes(view: CaseView, device: str, what: DeviceState | DeviceAge) -> dict[str, Any]:
+def _device_changes(
+    view: CaseView, device: str, what: events.DeviceState | events.DeviceAge
+) -> dict[str, Any]:
     known = view.devices.get(device)
-    if isinstance(what, DeviceState):
+    if isinstance(what, events.DeviceState):
         if known is None and len(view.devices) == MOST_DEVICES:
             return {}
         row = replace(known, seen=what) if known else DeviceRow(what)
@@ -285,15 +264,15 @@ def _update_rate(before: Rate | None, count: int, now_s: float) -> Rate:
     return before.at(count, now_s) if before else Rate(count, now_s)
 
 
-def _make_notice(view: CaseView, what: Fault | Refusal | Advisory) -> Notice:
+def _make_notice(view: CaseView, what: events.Fault | events.Refusal | events.Advisory) -> Notice:
     match what:
-        case Fault(code=code, what=text, advice=advice):
+        case events.Fault(code=code, what=text, advice=advice):
             text = text.removesuffix(advice).rstrip()
             text = text.removeprefix(f"{code}: ")
             return Notice(FAULT, view.theatre_time_s, text, advice, code, step=view.running or view.upcoming)
-        case Refusal(step=step, unmet=unmet):
+        case events.Refusal(step=step, unmet=unmet):
             return Notice(REFUSED, view.theatre_time_s, "; ".join(unmet), step=step)
-        case Advisory(text=text):
+        case events.Advisory(text=text):
             return Notice(FINDING, view.theatre_time_s, text)
 
 

@@ -82,7 +82,6 @@ class StepContext:
 
     @property
     def done_before(self) -> bool:
-        """Whether this step has a valid result."""
         return self._case.stands(self.key)
 
     def doubt(self, model: type[R]) -> str | None:

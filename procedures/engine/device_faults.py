@@ -11,7 +11,6 @@ from procedures.engine.case import StepKey
 from procedures.engine.case_progress import CaseProgress
 from procedures.journal.errors import StepRefused
 from procedures.journal.journal import Entry, Journal
-from ronna_hw.clock import Clock
 from ronna_hw.devices.capabilities import MESSAGES
 from ronna_hw.devices.errors import WrongState
 from ronna_hw.devices.lifecycle import LastKnown, Lifecycle, require_person
@@ -27,12 +26,6 @@ ACKNOWLEDGE = "acknowledge the fault by name: acknowledge YOUR-NAME"
 UNKNOWN = "a fault of unknown cause"
 EARLIER = "a message from before this connection"
 _log = logger(part="engine")
-
-
-def devices_in_fault(devices: Mapping[str, DeviceView]) -> Iterator[tuple[str, LastKnown[object]]]:
-    """Yield the role and last known state of each device in fault."""
-    observed = ((role, device.observe()) for role, device in devices.items())
-    return ((role, known) for role, known in observed if known.state is Lifecycle.FAULT)
 
 
 def describe_fault(role: str, observed: LastKnown[object]) -> str:
@@ -96,7 +89,6 @@ class DeviceFaults:
         course: CaseProgress,
         workcell: Workcell,
         journal: Journal,
-        clock: Clock,
         on_doubt: Callable[[], None] = lambda: None,
     ) -> None:
         """Set up fault handling; `on_doubt` is called when a result is put in doubt."""
@@ -104,29 +96,25 @@ class DeviceFaults:
         self._course = course
         self._workcell = workcell
         self._journal = journal
-        self._clock = clock
         self._acknowledged: list[tuple[str, str]] = []  # code of each fault, and by whom
 
     @property
     def now(self) -> dict[str, str]:
-        """Current faults by device role."""
-        return {role: _cause_of(observed) for role, observed in devices_in_fault(self._workcell.devices)}
+        return self._describe_each(lambda _role, observed: _cause_of(observed))
 
     @property
     def descriptions(self) -> dict[str, str]:
         """Descriptions of current faults, with advice, by device role."""
-        return {
-            role: describe_fault(role, observed)
-            for role, observed in devices_in_fault(self._workcell.devices)
-        }
+        return self._describe_each(describe_fault)
 
     @property
     def summaries(self) -> dict[str, str]:
         """Descriptions of current faults, without advice, by device role."""
-        return {
-            role: summarize_fault(role, observed)
-            for role, observed in devices_in_fault(self._workcell.devices)
-        }
+        return self._describe_each(summarize_fault)
+
+    def _describe_each(self, describe: Callable[[str, LastKnown[object]], str]) -> dict[str, str]:
+        observed = {role: device.observe() for role, device in self._workcell.devices.items()}
+        return {role: describe(role, one) for role, one in observed.items() if one.state is Lifecycle.FAULT}
 
     def require_arm_moves(self) -> None:
         """Raise PRO-001 with a fault description if an arm is in fault: of two, neither moves then."""
@@ -146,7 +134,9 @@ class DeviceFaults:
             # First: the device is recovered even if this cannot be written.
             self._acknowledged.append((fault.partition(": ")[0], by))
             self._doubt_after(role, fault)
-            self._journal.write(Entry.ACKNOWLEDGED, self._clock.now_s(), device=role, fault=fault, by=by)
+            self._journal.write(
+                Entry.ACKNOWLEDGED, self._workcell.clock.now_s(), device=role, fault=fault, by=by
+            )
             _log.info("fault acknowledged", device=role)
             done[role] = fault
         workcell.release_halt(by)
@@ -166,7 +156,6 @@ class DeviceFaults:
 
     @property
     def acknowledgements(self) -> int:
-        """Number of acknowledgements so far."""
         return len(self._acknowledged)
 
     def as_of_now(self, problem: RonnaError, before: int) -> RonnaError:
@@ -189,7 +178,7 @@ class DeviceFaults:
         The journal has this before the fault can end, so that no restart loses it.
         """
         for role, fault in self.now.items():
-            since = f" (theatre time {self._clock.now_s():.0f} s)"
+            since = f" (theatre time {self._workcell.clock.now_s():.0f} s)"
             self._doubt_after(role, f"{fault}{self._why_stopped(role)}{since}")
 
     def _why_stopped(self, role: str) -> str:
@@ -213,7 +202,9 @@ class DeviceFaults:
     def _doubt(self, fault: str, steps: Sequence[StepKey]) -> None:
         case = self._course.case
         if keys := [key for key in steps if case.trusts(key)]:
-            self._journal.write(Entry.DOUBTED, self._clock.now_s(), steps=list(map(str, keys)), fault=fault)
+            self._journal.write(
+                Entry.DOUBTED, self._workcell.clock.now_s(), steps=list(map(str, keys)), fault=fault
+            )
             for key in keys:
                 case.doubt(key, fault)
             self._on_doubt()

@@ -9,28 +9,13 @@ from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
-from procedures.engine.events import Bodies as BodiesEvent
-from procedures.engine.events import (
-    Body,
-    CameraView,
-    DeviceAge,
-    DeviceFact,
-    DeviceState,
-    EventStream,
-    Fault,
-    LinkHealth,
-    MeasuringVolume,
-    Order,
-    OrderedStep,
-    Pose,
-    Waiting,
-)
+from procedures.engine.events import EventStream, event_types
 from procedures.workcell.device_views import DeviceView
 from procedures.workcell.tools import MountedTool
 from ronna_hw.arm.clearance.bodies import Bodies, Surroundings
 from ronna_hw.arm.clearance.live_watch import PlacedBodies
 from ronna_hw.arm.kinematics import COLUMN_NAME
-from ronna_hw.calibration import CameraCalibration, StereoHeadCalibration
+from ronna_hw.calibration import StereoHeadCalibration
 from ronna_hw.devices.readings import ArmReading, StampedReading
 from ronna_hw.devices.sensors import VolumeSections, measuring_volume_mm
 from ronna_hw.errors import RonnaError
@@ -53,9 +38,9 @@ def publish_order(engine: Engine) -> None:
     """Publish the case's steps in order."""
     specs = [(key, engine.order.spec(key)) for key in engine.order.sequence]
     engine.events.publish(
-        Order(
+        event_types.Order(
             steps=tuple(
-                OrderedStep(
+                event_types.OrderedStep(
                     step=str(key),
                     title=spec.title,
                     phase=str(spec.phase),
@@ -77,7 +62,7 @@ def publish_waiting(engine: Engine) -> None:
         arm = engine.setting.workcell.master.name
         fault = engine.faults.descriptions.get(arm) if name == HOME else None
         unmet = () if fault is None else (fault,)
-    engine.events.publish(Waiting(upcoming=name, unmet=unmet))
+    engine.events.publish(event_types.Waiting(upcoming=name, unmet=unmet))
 
 
 def upcoming_name(engine: Engine) -> str | None:
@@ -87,21 +72,20 @@ def upcoming_name(engine: Engine) -> str | None:
     return HOME if engine.course.over and not engine.over else None
 
 
-def camera_views(head: StereoHeadCalibration) -> tuple[CameraView, ...]:
+def camera_views(head: StereoHeadCalibration) -> tuple[event_types.CameraView, ...]:
     """Return each camera's centre and image corners in the tool frame (mm), ignoring distortion."""
-    return (_camera_view("left", head.left), _camera_view("right", head.right))
-
-
-def _camera_view(name: str, camera: CameraCalibration) -> CameraView:
-    tool_from_camera = camera.camera_from_tool.transform(Frame.CAMERA_LEFT, Frame.TOOL).inverse()
-    centre = tool_from_camera.translation_mm
-    depth_mm = BEYOND * float(np.linalg.norm(centre))
-    columns, rows = camera.sensor_px
-    pixels = np.array([(0, 0), (columns, 0), (columns, rows), (0, rows)], dtype=float)
-    slopes = (pixels - camera.principal_point_px) / camera.focal_px
-    corners = tool_from_camera.apply(depth_mm * np.column_stack([slopes, np.ones(len(slopes))]))
-    points = np.vstack([centre, corners]).round(DECIMALS)
-    return CameraView(name=name, points_mm=tuple(points.ravel().tolist()))
+    views = []
+    for name, camera in (("left", head.left), ("right", head.right)):
+        tool_from_camera = camera.camera_from_tool.transform(Frame.CAMERA_LEFT, Frame.TOOL).inverse()
+        centre = tool_from_camera.translation_mm
+        depth_mm = BEYOND * float(np.linalg.norm(centre))
+        columns, rows = camera.sensor_px
+        pixels = np.array([(0, 0), (columns, 0), (columns, rows), (0, rows)], dtype=float)
+        slopes = (pixels - camera.principal_point_px) / camera.focal_px
+        corners = tool_from_camera.apply(depth_mm * np.column_stack([slopes, np.ones(len(slopes))]))
+        points = np.vstack([centre, corners]).round(DECIMALS)
+        views.append(event_types.CameraView(name=name, points_mm=tuple(points.ravel().tolist())))
+    return tuple(views)
 
 
 class BodyView:
@@ -114,9 +98,9 @@ class BodyView:
         self._published: Bodies | None = None
         self._looks = 0
         self._streamed = False  # at the last look
-        self._cameras: tuple[CameraView, ...] = ()
+        self._cameras: tuple[event_types.CameraView, ...] = ()
 
-    def at(self, pose: Pose) -> Pose:
+    def at(self, pose: event_types.Pose) -> event_types.Pose:
         """Add the positions of the moving bodies to a pose, and that of a tool with cameras.
 
         A pose of another arm stays as it is: these are the bodies of the arm with the guide.
@@ -169,7 +153,7 @@ class BodyView:
         except RonnaError:  # its connection has just ended
             return
         events.publish(
-            LinkHealth(
+            event_types.LinkHealth(
                 cycles=link.cycles,
                 late=link.late_cycles,
                 lost=link.lost_cycles,
@@ -180,15 +164,15 @@ class BodyView:
         )
 
 
-def _as_event(arm: str, bodies: Bodies) -> BodiesEvent:
+def _as_event(arm: str, bodies: Bodies) -> event_types.Bodies:
     names = (COLUMN_NAME, *(one.name for one in bodies.surroundings.obstacles))
     heads = (False, *(one.is_head for one in bodies.surroundings.obstacles))
     moving = zip(bodies.moving_names, bodies.moving_radii_mm, strict=True)
-    return BodiesEvent(
+    return event_types.Bodies(
         arm=arm,
-        moving=tuple(Body(name=name, radius_mm=radius_mm) for name, radius_mm in moving),
+        moving=tuple(event_types.Body(name=name, radius_mm=radius_mm) for name, radius_mm in moving),
         fixed=tuple(
-            Body(
+            event_types.Body(
                 name=name,
                 radius_mm=capsule.radius_mm,
                 ends_mm=_round_points(capsule.start_mm, capsule.end_mm),
@@ -229,7 +213,7 @@ class DeviceWatch:
         self._events = events
         self._now_s = now_s
         self._period_s = period_s
-        self._states: dict[str, DeviceState] = {}
+        self._states: dict[str, event_types.DeviceState] = {}
         self._volumes: dict[str, VolumeSections] = {}  # as published
         self._last_problem = ""  # the latest failure to look
         self._ending = threading.Event()
@@ -239,11 +223,14 @@ class DeviceWatch:
         """Observe every device once and publish the changes."""
         for role, device in self._devices.items():
             seen = device.observe()
-            state = DeviceState(
+            state = event_types.DeviceState(
                 device=role,
                 state=str(seen.state),
                 fault=None if seen.fault is None else str(seen.fault),
-                says=tuple(DeviceFact(name=one.name, found=one.found, ready=one.ready) for one in seen.says),
+                says=tuple(
+                    event_types.DeviceFact(name=one.name, found=one.found, ready=one.ready)
+                    for one in seen.says
+                ),
                 notices=device.notices,
             )
             if self._states.get(role) != state:
@@ -256,11 +243,11 @@ class DeviceWatch:
             age_s = max(0.0, self._now_s() - reading.stamp.theatre_time_s)
             count = None if isinstance(reading, ArmReading) else reading.stamp.sequence  # its link has cycles
             self._events.publish(
-                DeviceAge(device=role, age_s=age_s, validity=reading.validity, readings=count)
+                event_types.DeviceAge(device=role, age_s=age_s, validity=reading.validity, readings=count)
             )
             if isinstance(seen.reading, ArmReading):
                 joints_rad = seen.reading.joints_rad
-                pose = Pose(arm=role, joints_rad=joints_rad, age_s=age_s)
+                pose = event_types.Pose(arm=role, joints_rad=joints_rad, age_s=age_s)
                 self._events.publish(pose if self._bodies is None else self._bodies.at(pose))
         if self._bodies is not None:
             self._bodies.publish(self._events, last=last)
@@ -269,7 +256,7 @@ class DeviceWatch:
         sections_mm = measuring_volume_mm(device)
         if sections_mm != self._volumes.get(role, ()):
             self._volumes[role] = sections_mm
-            self._events.publish(MeasuringVolume(device=role, sections_mm=sections_mm))
+            self._events.publish(event_types.MeasuringVolume(device=role, sections_mm=sections_mm))
 
     def __enter__(self) -> Self:
         self._thread.start()
@@ -296,7 +283,7 @@ class DeviceWatch:
                 self._events.publish(_fault_event(problem))
 
 
-def _fault_event(problem: Exception) -> Fault:
+def _fault_event(problem: Exception) -> event_types.Fault:
     if isinstance(problem, RonnaError):
-        return Fault(code=problem.code, what=str(problem), advice=problem.advice)
-    return Fault(code=type(problem).__name__, what=f"the devices cannot be observed: {problem}")
+        return event_types.Fault(code=problem.code, what=str(problem), advice=problem.advice)
+    return event_types.Fault(code=type(problem).__name__, what=f"the devices cannot be observed: {problem}")

@@ -67,7 +67,7 @@ class Engine:
         self.machine = ProcedureMachine(order, recovering=recovering)
         self.questions = Questions(setting, journal, self.events)
         self.checkpoint = Checkpoint(self.ask, self._resting, setting.clock)
-        self.faults = DeviceFaults(self.course, setting.workcell, journal, setting.clock, self._recheck_tool)
+        self.faults = DeviceFaults(self.course, setting.workcell, journal, self._recheck_tool)
         self._journal = journal
         self._redact = order.without_names
         self._on_ending = on_ending
@@ -175,7 +175,6 @@ class Engine:
 
     @property
     def record_is_deleted(self) -> bool:
-        """Whether the run's journal was deleted."""
         return self._journal.deletion is not None
 
     @property
@@ -203,10 +202,7 @@ class Engine:
             if key == last or (last is not None and self.course.is_settled(last)):
                 return
 
-    # While a step runs
-
     def context(self, key: StepKey) -> StepContext:
-        """Build a step's view of the case."""
         return StepContext(
             key=key,
             reads=self.order.spec(key).reads,
@@ -249,8 +245,6 @@ class Engine:
         self.faults.doubt_tool(found)
         if self.running and self.case.valid_results != standing:
             raise TOOL_UNCHECKED(TOUCHED, got=found)
-
-    # Between steps
 
     def retreat_home(self) -> None:
         """Leave the head and park: have the instrument removed, withdraw the guide along its axis, go home.
@@ -388,11 +382,7 @@ class Engine:
         more |= {name: hashes for name, hashes in files.items() if hashes}
         more |= self._before_result()
         self._write(
-            Entry.RESULT,
-            step=str(key),
-            record=stored.record.identifier,
-            sha256=stored.record.sha256,
-            **more,
+            Entry.RESULT, step=str(key), record=stored.record.identifier, sha256=stored.record.sha256, **more
         )
         self.course.accept(key, stored)
         self._publish_superseded(key, gone)

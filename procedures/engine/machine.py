@@ -6,25 +6,15 @@ callback. The engine decides whether a step may begin before it asks for the tra
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from itertools import groupby, pairwise
-from typing import Protocol, cast
 
 from transitions.extensions import HierarchicalMachine
 from transitions.extensions.nesting import NestedState
 
 from procedures.engine.order import CaseOrder, Phase, Scope, Steps, StepSpec, order_of
-from procedures.engine.states import (
-    ABORTED,
-    BETWEEN,
-    ENDS,
-    FINISHED,
-    HELD,
-    IDLE,
-    RECOVERY,
-    RESTS,
-)
+from procedures.engine.states import ABORTED, BETWEEN, ENDS, FINISHED, HELD, IDLE, RECOVERY, RESTS
 from procedures.journal.results import StepResult
 
 SEPARATOR = "."  # between phase and step; the library's own underscore occurs in names of steps
@@ -38,16 +28,11 @@ class _Machine(HierarchicalMachine):
     state_cls = _StepState
 
 
-class _Triggered(Protocol):
-    """Methods that `transitions` adds at run time, declared for the type checker."""
-
-    def trigger(self, event: str) -> bool: ...
-
-
 class ProcedureMachine:
     """State machine of a procedure. The state changes only through its methods."""
 
     state: str  # phase and step, or what is between steps
+    trigger: Callable[[str], bool]  # added by `transitions`, as `state` is
 
     def __init__(self, order: CaseOrder, *, recovering: bool = False) -> None:
         nested = [
@@ -64,20 +49,19 @@ class ProcedureMachine:
 
     @property
     def ended(self) -> bool:
-        """Whether the case has ended."""
         return self.state in ENDS
 
     def begin(self, step: str) -> None:
         """Enter a step's state."""
-        self._trigger_event(f"begin_{step}")
+        self.trigger(f"begin_{step}")
 
     def accept(self) -> None:
         """Leave recovery: the operator accepted the findings after a restart."""
-        self._trigger_event("case_accept")
+        self.trigger("case_accept")
 
     def hold(self) -> None:
         """Hold the case after a step failed or was abandoned."""
-        self._trigger_event("case_hold")
+        self.trigger("case_hold")
 
     @contextmanager
     def resting(self, state: str) -> Iterator[None]:
@@ -90,22 +74,19 @@ class ProcedureMachine:
         if before == RECOVERY or self.ended:
             yield
             return
-        self._trigger_event(f"rest_{state}")
+        self.trigger(f"rest_{state}")
         try:
             yield
         finally:
-            self._trigger_event(f"back_to_{before}")
+            self.trigger(f"back_to_{before}")
 
     def finish(self) -> None:
         """End the case after its last step, with every result valid."""
-        self._trigger_event("case_finish")
+        self.trigger("case_finish")
 
     def abort(self) -> None:
         """End the case because the operator aborted it."""
-        self._trigger_event("case_abort")
-
-    def _trigger_event(self, event: str) -> None:
-        cast("_Triggered", self).trigger(event)
+        self.trigger("case_abort")
 
 
 def _transitions(order: CaseOrder) -> Iterator[tuple[str, Sequence[str], str]]:

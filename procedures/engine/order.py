@@ -55,7 +55,7 @@ class StepSpec(Generic[R_co]):
     mounted tool: after a restart, a fault of the arm, or another number at the controller's inputs someone
     may have had that tool in their hands, so the step is run again before the tool is used. `relates_arms`
     says that it measures two arms against each other: a fault of either puts it in doubt. `moves` says that
-    it moves the arm from where it is, `assistant_moves` that the assistant moves while the arm stays.
+    it moves the arm from where it is, `others_move` that other arms move while it stays.
     `preconditions` are checked besides, and say in plain words what is unmet. `asks` are the questions of its
     course, in order; those of its branches are in their table: see `list_questions`.
     """
@@ -67,7 +67,7 @@ class StepSpec(Generic[R_co]):
     scope: Scope = Scope.CASE
     reads: tuple[type[StepResult], ...] = ()
     moves: bool = False
-    assistant_moves: bool = False
+    others_move: bool = False
     continues: bool = False
     finishes: bool = False
     rechecks: bool = False
@@ -83,7 +83,7 @@ class StepSpec(Generic[R_co]):
     @property
     def moves_an_arm(self) -> bool:
         """Whether anything moves in the step."""
-        return self.moves or self.assistant_moves
+        return self.moves or self.others_move
 
     @property
     def needs(self) -> tuple[str, ...]:
@@ -103,7 +103,6 @@ class CaseOrder:
     sequence: tuple[StepKey, ...]
 
     def spec(self, key: StepKey) -> StepSpec[StepResult]:
-        """Return a step's declaration."""
         return next(step for step in self.steps if step.name == key.name)
 
     def find(self, name: str) -> StepKey:

@@ -137,50 +137,45 @@ class Questions:
             return
         trajectory = None if place in (IN_GAUGE, IN_DIVOT) else place
         is_in_doubt = workcell.master.place.assumed
-        look = (
-            f"look whether one is there; if so, {removal_words(place)}"
-            if is_in_doubt
-            else removal_words(place)
-        )
-        self.perform_task(Task(OUT, look, trajectory))
+        look = "look whether one is there; if so, " if is_in_doubt else ""
+        self.perform_task(Task(OUT, f"{look}{removal_words(place)}", trajectory))
+
         from_holder = "" if held is None else ", and out of the assistant's holder"
         asked = f"Is the {_instrument_name(place)} out of {place} and out of the guide{from_holder}?"
         if place == IN_DIVOT:
             asked = f"Is {place} lowered, and are hands clear of it and of the guide?"
         doubt = "the journal does not say whether one went in; " if is_in_doubt else ""
-        question = Question(
-            Topic.INSTRUMENT_OUT,
+        self._require_out(
             asked,
-            f"{doubt}nothing moves while it is inside; afterwards the arm may move: stand clear before you "
-            "answer",
-            (IS_OUT, INSIDE),
+            f"{doubt}nothing moves while it is inside; afterwards the arm may move",
             trajectory,
-            timeout_s=None,
-        )
-        if self.ask(question).word != IS_OUT:
-            raise NotConfirmed(
+            NotConfirmed(
                 f"an instrument is still in {place}: nothing moves",
                 action=f"By hand, {removal_words(place)}; then repeat the step or send the arm home.",
-            )
+            ),
+        )
         instrument.record_removal()
         workcell.release_instrument()
 
     def _empty_holder(self, trajectory: str) -> None:
         self.perform_task(Task(EMPTY, EMPTYING, trajectory))
-        question = Question(
-            Topic.INSTRUMENT_OUT,
+        self._require_out(
             "Is the assistant's holder empty?",
-            "an instrument may be in it; afterwards the assistant may move: stand clear before you answer",
-            (IS_OUT, INSIDE),
+            "an instrument may be in it; afterwards the assistant may move",
             trajectory,
-            timeout_s=None,
-        )
-        if self.ask(question).word != IS_OUT:
-            raise NotConfirmed(
+            NotConfirmed(
                 "an instrument is still in the assistant's holder",
                 action=f"By hand, {EMPTYING}; then repeat the step or send the arms home.",
-            )
+            ),
+        )
         self._setting.workcell.release_instrument()
+
+    def _require_out(self, asked: str, value: str, trajectory: str | None, refusal: NotConfirmed) -> None:
+        value = f"{value}: stand clear before you answer"
+        answers = (IS_OUT, INSIDE)
+        question = Question(Topic.INSTRUMENT_OUT, asked, value, answers, trajectory, timeout_s=None)
+        if self.ask(question).word != IS_OUT:
+            raise refusal
 
 
 def removal_words(place: str) -> str:

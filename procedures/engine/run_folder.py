@@ -59,7 +59,6 @@ class RunFolder:
 
     @property
     def valid_records(self) -> tuple[Record, ...]:
-        """Valid records, in order."""
         return tuple(record for record in self.records if record.identifier not in self.superseded)
 
     @property

@@ -37,7 +37,6 @@ class CaseMemory:
         return cast("T | None", self._kept.get(kind))
 
     def drop(self, kind: type[object]) -> None:
-        """Drop the object of a type."""
         self._kept.pop(kind, None)
 
     def clear(self) -> None:

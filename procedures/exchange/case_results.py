@@ -3,34 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TypeVar
 
 from procedures.engine.case import Stored
 from procedures.engine.run_folder import RunFolder, targets_in_doubt
+from procedures.exchange import trajectory_lines
 from procedures.exchange.allowed_fields import label_of
 from procedures.exchange.errors import NOTHING_TO_EXPORT
 from procedures.exchange.export_tables import CT_FROM_ROBOT, CtIdentity, format_table
-from procedures.exchange.trajectory_lines import (
-    Deviation,
-    TrajectoryLine,
-    deviation,
-    found_line,
-    planned_line,
-    reached_line,
-)
 from procedures.journal.results import StepResult
+from procedures.planning.plan_model import PlannedTrajectory
 from procedures.postoperative.comparison import FoundTrajectory
+from procedures.reporting import run_reading
 from procedures.reporting.ending import Ending, ending_of
 from procedures.reporting.files import load_check
 from procedures.reporting.outcome import TargetTruth, Truth
-from procedures.reporting.run_reading import (
-    RunReading,
-    UsedRegistration,
-    find_used_registrations,
-    find_used_strategies,
-)
 from procedures.steps.clinical.at_target import ReachedTarget
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.ct_import import ImportedCt
@@ -43,7 +32,6 @@ from procedures.steps.clinical.target_measurement import MeasuredTarget
 
 R = TypeVar("R", bound=StepResult)
 FindTruth = Callable[[Path], Truth | None]
-UNKNOWN = Deviation(None, None, None)
 LEAVE_OUT: tuple[type[StepResult], ...] = (Correspondence, CheckedPaths, Relocalization, RegisteredRobot)
 
 
@@ -56,28 +44,29 @@ class CaseResults:
     ct: CtIdentity
     spheres: Stored[LocalizedFiducials] | None
     plan: CheckedPlan | None
-    registrations: tuple[UsedRegistration, ...]
-    reached: Mapping[str, TrajectoryLine | None]  # None: the work was finished on an earlier visit
+    registrations: tuple[run_reading.UsedRegistration, ...]
+    reached: Mapping[
+        str, trajectory_lines.TrajectoryLine | None
+    ]  # None: the work was finished on an earlier visit
     found: Mapping[str, FoundTrajectory]
     truth: Mapping[str, TargetTruth]
     labels: Mapping[str, str]
     unreadable: str = ""  # why the check after the operation is missing
 
     @property
-    def lines(self) -> list[TrajectoryLine]:
+    def lines(self) -> list[trajectory_lines.TrajectoryLine]:
         """All lines, trajectory by trajectory."""
         if self.plan is None:
             return []
-        return [
-            line
-            for one in self.plan.plan.trajectories
-            for line in (
-                planned_line(self.labels[one.id], one),
-                self.reached.get(one.id),
-                found_line(self.labels[one.id], self.found[one.id]) if one.id in self.found else None,
-            )
-            if line is not None
-        ]
+        lines = []
+        for one in self.plan.plan.trajectories:
+            label = self.labels[one.id]
+            lines.append(trajectory_lines.planned_line(label, one))
+            if (reached := self.reached.get(one.id)) is not None:
+                lines.append(reached)
+            if one.id in self.found:
+                lines.append(trajectory_lines.found_line(label, self.found[one.id]))
+        return lines
 
     @property
     def simulated(self) -> bool:
@@ -120,31 +109,25 @@ class CaseResults:
         if self.plan is None:
             return format_table("errors.csv", ())
         doubts, left_out = targets_in_doubt(self.run.journal), self._left_out()
-        strategies = find_used_strategies(self.run.made(CheckedPaths))
-        predictions = {one.target: one for used in self.registrations for one in used.predictions}
+        strategies = run_reading.find_used_strategies(self.run.made(CheckedPaths))
+        predicted = {
+            one.target: describe_prediction(one) for used in self.registrations for one in used.predictions
+        }
         stereo_mm = {
             one.record.trajectory: one.result.error_mm for one in self.run.valid_results(MeasuredTarget)
         }
         rows = []
         for one in self.plan.plan.trajectories:
-            line, found, truth = self.reached.get(one.id), self.found.get(one.id), self.truth.get(one.id)
-            state = "reached" if one.id in self.reached else "not reached"
-            rows.append(
-                {
-                    "trajectory": self.labels[one.id],
-                    "state": "left out" if one.id in left_out and one.id not in self.reached else state,
-                    "in_doubt": int(one.id in doubts),
-                    "depth_mm": one.depth_mm,
-                    "margin_mm": one.margin_mm,
-                    "strategy": strategies.get(one.id),
-                    **_predicted(predictions.get(one.id)),
-                    **_columns("nominal", UNKNOWN if line is None else deviation(line, one)),
-                    "stereo_error_mm": stereo_mm.get(one.id),
-                    **_columns("found", _of_found(found)),
-                    **_columns("simulated", _of_truth(truth)),
-                    **self.ct.describe(CT_FROM_ROBOT),
-                }
-            )
+            name, state = one.id, "reached" if one.id in self.reached else "not reached"
+            if name in left_out and name not in self.reached:
+                state = "left out"
+            row: dict[str, object] = {"trajectory": self.labels[name], "state": state}
+            row |= {"in_doubt": int(name in doubts), "strategy": strategies.get(name)}
+            row |= {"depth_mm": one.depth_mm, "margin_mm": one.margin_mm, **predicted.get(name, {})}
+            row |= _columns("nominal", self.reached.get(name), one)
+            row |= {"stereo_error_mm": stereo_mm.get(name), **_columns("found", self.found.get(name), one)}
+            row |= _columns("simulated", self.truth.get(name), one)
+            rows.append(row | self.ct.describe(CT_FROM_ROBOT))
         return format_table("errors.csv", rows)
 
     def _left_out(self) -> set[str]:
@@ -156,7 +139,7 @@ class CaseResults:
         }
 
 
-def read_results(reading: RunReading, find_truth: FindTruth) -> CaseResults:
+def read_results(reading: run_reading.RunReading, find_truth: FindTruth) -> CaseResults:
     """Read what a run has for an export.
 
     `find_truth` asks the simulated theatre of a run without a stored truth. Raises EXC-003 for a run without
@@ -172,7 +155,9 @@ def read_results(reading: RunReading, find_truth: FindTruth) -> CaseResults:
         )
     ct = imported[-1].result
     plan = _last(run, CheckedPlan)
-    registrations = find_used_registrations(run.made(RegisteredRobot), run.records, run.superseded)
+    registrations = run_reading.find_used_registrations(
+        run.made(RegisteredRobot), run.records, run.superseded
+    )
     planned = [] if plan is None else [one.id for one in plan.plan.trajectories]
     names = dict.fromkeys([*planned, *(name for one in registrations for name in one.targets)])
     labels = {name: label_of(name, number) for number, name in enumerate(names, 1)}
@@ -197,21 +182,21 @@ def read_results(reading: RunReading, find_truth: FindTruth) -> CaseResults:
 def reached_lines(
     run: RunFolder,
     plan: CheckedPlan | None,
-    registrations: Sequence[UsedRegistration],
+    registrations: Sequence[run_reading.UsedRegistration],
     labels: Mapping[str, str],
-) -> dict[str, TrajectoryLine | None]:
+) -> dict[str, trajectory_lines.TrajectoryLine | None]:
     """Return the line of each reached trajectory; None where the work was finished on an earlier visit."""
     set_up = _last(run, CheckedSetUp)
     tool = None if plan is None or set_up is None else set_up.tools.get(plan.plan.tool)
     poses = {name: one.result.robot_from_ct.transform for one in registrations for name in one.targets}
-    lines: dict[str, TrajectoryLine | None] = {}
+    lines: dict[str, trajectory_lines.TrajectoryLine | None] = {}
     for one in run.valid_results(ReachedTarget):
         name, pose, stop = one.record.trajectory, one.result.tool_pose, one.result.depth_stop
         if plan is None or name is None or name not in labels:
             continue
         lines[name] = None
         if pose is not None and tool is not None and tool.bore is not None and name in poses:
-            lines[name] = reached_line(
+            lines[name] = trajectory_lines.reached_line(
                 labels[name], plan.trajectory(name), pose.transform, poses[name], stop, tool.bore
             )
     return lines
@@ -222,9 +207,8 @@ def _last(run: RunFolder, model: type[R]) -> R | None:
     return found[-1].result if found else None
 
 
-def _predicted(prediction: Prediction | None) -> dict[str, float | None]:
-    if prediction is None:
-        return {}
+def describe_prediction(prediction: Prediction) -> dict[str, float]:
+    """Return the exported fields of a predicted error."""
     return {
         "predicted_tre_mm": prediction.rms_mm,
         "predicted_tre_limit_mm": prediction.limit_mm,
@@ -232,21 +216,19 @@ def _predicted(prediction: Prediction | None) -> dict[str, float | None]:
     }
 
 
-def _columns(source: str, error: Deviation) -> dict[str, float | None]:
-    return {
-        f"{source}_error_mm": error.error_mm,
-        f"{source}_lateral_mm": error.lateral_mm,
-        f"{source}_axial_mm": error.axial_mm,
-    }
-
-
-def _of_found(found: FoundTrajectory | None) -> Deviation:
-    if found is None:
-        return UNKNOWN
-    return Deviation(found.target_error_mm, found.lateral_mm, found.depth_error_mm)
-
-
-def _of_truth(truth: TargetTruth | None) -> Deviation:
-    if truth is None:
-        return UNKNOWN
-    return Deviation(truth.application_error_mm, truth.lateral_mm, truth.axial_mm)
+def _columns(
+    source: str,
+    tip: trajectory_lines.TrajectoryLine | FoundTrajectory | TargetTruth | None,
+    planned: PlannedTrajectory,
+) -> dict[str, float | None]:
+    """Return the deviation of a tip from its planned target as columns; none without a tip."""
+    match tip:
+        case trajectory_lines.TrajectoryLine():
+            error = trajectory_lines.deviation(tip, planned)
+        case FoundTrajectory():
+            error = trajectory_lines.Deviation(tip.target_error_mm, tip.lateral_mm, tip.depth_error_mm)
+        case TargetTruth():
+            error = trajectory_lines.Deviation(tip.application_error_mm, tip.lateral_mm, tip.axial_mm)
+        case None:
+            return {}
+    return {f"{source}_{name}": value for name, value in asdict(error).items()}

@@ -36,6 +36,7 @@ from ronna_hw.records import canonical_json, write_atomically
 
 MAKER = "ronna-hw"
 NO_MEDICAL_DEVICE = "research software, not a medical device"
+CODE = ("CodeValue", "CodingSchemeDesignator", "CodeMeaning")
 FIDUCIAL_ALIGNMENT = ("125022", "DCM", "Fiducial Alignment")
 CONTENT_ALIGNMENT = ("125024", "DCM", "Image Content-based Alignment")
 REGISTRATION_FILE = "postoperative-registration.dcm"
@@ -71,9 +72,7 @@ def sphere_fiducials(markers: Sequence[Marker], origin: Origin) -> Dataset:
 
 def _spatial_fiducials(points: list[Dataset], origin: Origin, label: str, description: str) -> Dataset:
     made = new_object(origin, SpatialFiducialsStorage, "FID", label, description)
-    group = Dataset()
-    group.FrameOfReferenceUID = origin.frame_of_reference_uid
-    group.FiducialSequence = points
+    group = _item(FrameOfReferenceUID=origin.frame_of_reference_uid, FiducialSequence=points)
     made.FiducialSetSequence = [group]
     return made
 
@@ -82,13 +81,14 @@ def _point(
     name: str, place_mm: Sequence[float], origin: Origin, description: str, uncertainty_mm: float = 0.0
 ) -> Dataset:
     """Build the fiducial item for a point in LPS mm. A 3-D rms uncertainty of 0 is omitted."""
-    item = Dataset()
-    item.FiducialIdentifier = name
-    item.FiducialDescription = description
-    item.FiducialUID = fiducial_uid(origin, name)
-    item.ShapeType = "POINT"
-    item.NumberOfContourPoints = 1
-    item.ContourData = decimals(place_mm)
+    item = _item(
+        FiducialIdentifier=name,
+        FiducialDescription=description,
+        FiducialUID=fiducial_uid(origin, name),
+        ShapeType="POINT",
+        NumberOfContourPoints=1,
+        ContourData=decimals(place_mm),
+    )
     if uncertainty_mm > 0.0:
         item.ContourUncertaintyRadius = uncertainty_mm
     return item
@@ -100,7 +100,6 @@ def spatial_registration(
     *,
     spheres: Origin | None = None,
     placing: str = "",
-    label: str = "CT_TO_ROBOT",
     description: str = "",
     fiducial_uids: Sequence[str] = (),
 ) -> Dataset:
@@ -114,10 +113,10 @@ def spatial_registration(
     spheres = spheres or origin
     robot_uid = uid(spheres, "robot frame", placing)
     items = [
-        _item(robot_uid, np.eye(4)),
-        _item(origin.frame_of_reference_uid, robot_from_ct.as_matrix()),
+        _frame_item(robot_uid, np.eye(4)),
+        _frame_item(origin.frame_of_reference_uid, robot_from_ct.as_matrix()),
     ]
-    made = _registration(origin, robot_uid, items, label, description)
+    made = _registration(origin, robot_uid, items, "CT_TO_ROBOT", description)
     if fiducial_uids:
         made.RegistrationSequence[1].UsedFiducialsSequence = [
             _used_fiducial_item(one, spheres) for one in fiducial_uids
@@ -135,8 +134,8 @@ def frames_registration(
 ) -> Dataset:
     """Build the Spatial Registration object for the pose (4, 4) mm of a second CT in the origin's frame."""
     items = [
-        _item(origin.frame_of_reference_uid, np.eye(4), CONTENT_ALIGNMENT),
-        _item(second_frame_uid, first_from_second, CONTENT_ALIGNMENT),
+        _frame_item(origin.frame_of_reference_uid, np.eye(4), CONTENT_ALIGNMENT),
+        _frame_item(second_frame_uid, first_from_second, CONTENT_ALIGNMENT),
     ]
     return _registration(origin, origin.frame_of_reference_uid, items, label, description)
 
@@ -151,29 +150,34 @@ def _registration(
     return made
 
 
-def _item(
+def _item(**attributes: object) -> Dataset:
+    """Build an item of a sequence from its attributes, by the standard's keywords."""
+    item = Dataset()
+    for keyword, value in attributes.items():
+        setattr(item, keyword, value)
+    return item
+
+
+def _frame_item(
     frame_of_reference_uid: str,
     matrix: NDArray[np.float64],
     alignment: tuple[str, str, str] = FIDUCIAL_ALIGNMENT,
 ) -> Dataset:
-    step = Dataset()
-    step.FrameOfReferenceTransformationMatrixType = "RIGID"
-    step.FrameOfReferenceTransformationMatrix = decimals(matrix.ravel().tolist())
-    transform = Dataset()
-    transform.RegistrationTypeCodeSequence = [code_item(*alignment)]
-    transform.MatrixSequence = [step]
-    item = Dataset()
-    item.FrameOfReferenceUID = frame_of_reference_uid
-    item.MatrixRegistrationSequence = [transform]
-    return item
+    step = _item(
+        FrameOfReferenceTransformationMatrixType="RIGID",
+        FrameOfReferenceTransformationMatrix=decimals(matrix.ravel().tolist()),
+    )
+    code = _item(**dict(zip(CODE, alignment, strict=True)))
+    transform = _item(RegistrationTypeCodeSequence=[code], MatrixSequence=[step])
+    return _item(FrameOfReferenceUID=frame_of_reference_uid, MatrixRegistrationSequence=[transform])
 
 
 def _used_fiducial_item(fiducial_uid: str, origin: Origin) -> Dataset:
-    item = Dataset()
-    item.ReferencedSOPClassUID = SpatialFiducialsStorage
-    item.ReferencedSOPInstanceUID = instance_uid(origin, "FID")
-    item.FiducialUID = fiducial_uid
-    return item
+    return _item(
+        ReferencedSOPClassUID=SpatialFiducialsStorage,
+        ReferencedSOPInstanceUID=instance_uid(origin, "FID"),
+        FiducialUID=fiducial_uid,
+    )
 
 
 def write_postoperative(check: PostoperativeCheck, frames: tuple[str, str], folder: Path) -> tuple[Path, ...]:
@@ -258,15 +262,6 @@ def instance_uid(origin: Origin, modality: str) -> UID:
 def uid(origin: Origin, *what: str) -> UID:
     """Return a UID derived from the origin and the strings in `what`."""
     return generate_uid(entropy_srcs=[MAKER, origin.series_instance_uid, origin.key, *what])
-
-
-def code_item(value: str, scheme: str, meaning: str) -> Dataset:
-    """Build an item of a code sequence."""
-    item = Dataset()
-    item.CodeValue = value
-    item.CodingSchemeDesignator = scheme
-    item.CodeMeaning = meaning
-    return item
 
 
 def decimals(values: Sequence[float]) -> list[str]:

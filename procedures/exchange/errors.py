@@ -11,14 +11,7 @@ UNKNOWN_FORM = ErrorCode(
     "Use a name that ends in .dcm, .json, .mrk.json or .csv.",
 )
 
-
-NOT_WRITABLE = ErrorCode(
-    "EXC-002",
-    DataError,
-    "An exported file cannot be written.",
-    "Give another folder.",
-)
-
+NOT_WRITABLE = ErrorCode("EXC-002", DataError, "An exported file cannot be written.", "Give another folder.")
 
 NOTHING_TO_EXPORT = ErrorCode(
     "EXC-003",
@@ -27,14 +20,12 @@ NOTHING_TO_EXPORT = ErrorCode(
     "Give a case, such as runs/<run id>; figures of a calibration are in its report and result.json.",
 )
 
-
 FIELD_NOT_ALLOWED = ErrorCode(
     "EXC-004",
     DataError,
     "An object for export has an attribute that is not on the allow-list.",
     "This is a fault of the program: nothing of that object was written.",
 )
-
 
 NO_REGISTRATION = ErrorCode(
     "EXC-005",

@@ -57,8 +57,3 @@ def format_schema(name: str) -> str:
         null = NOT_KNOWN if one.kind == "double" else ""
         writer.writerow((one.name, one.kind, null, one.unit, one.meaning))
     return text.getvalue()
-
-
-def schema_name(table: str) -> str:
-    """Return the file name of a table's schema, as Slicer looks for it."""
-    return table.removesuffix(".csv") + ".schema.csv"

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, TextIO
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, Field
 
 from procedures.engine.errors import NotRecorded
 from procedures.engine.replay.recorded_answers import BEGINS, RecordedReading, iterate_readings
@@ -99,7 +99,8 @@ def write_raw(run: Path | str, out: Path | str, most_bytes: int = MOST_RAW_BYTES
         (partial_folder / PICTURES_FOLDER).mkdir(parents=True)
         lines = len(read_chain_until_break(run / JOURNAL_FILE)[0].lines)
         whole = _write_all(run, partial_folder, most_bytes)
-        write_extent(partial_folder, RawExtent(journal_lines=lines, whole=whole))
+        extent = RawExtent(journal_lines=lines, whole=whole).model_dump_json(by_alias=True)
+        (partial_folder / EXTENT_FILE).write_text(f"{extent}\n", encoding="utf-8")
         os.replace(partial_folder, out)
     except OSError as error:
         raise NOT_WRITABLE(f"cannot write into {out}: {error.strerror}") from error
@@ -108,21 +109,14 @@ def write_raw(run: Path | str, out: Path | str, most_bytes: int = MOST_RAW_BYTES
     return out, whole
 
 
-class RawExtent(BaseModel):
+class RawExtent(BaseModel, frozen=True, extra="forbid", strict=True):
     """Fields of `extent.json`."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 
     schema_version: Literal[1] = Field(default=1, alias="schema")
     journal_lines: int = Field(
         ge=0, description="Length of the journal then: readings of later steps are missing."
     )
     whole: bool = Field(description="Whether everything up to there fitted.")
-
-
-def write_extent(folder: Path, extent: RawExtent) -> None:
-    """Write the extent into a folder of raw readings. Raises OSError."""
-    (folder / EXTENT_FILE).write_text(f"{extent.model_dump_json(by_alias=True)}\n", encoding="utf-8")
 
 
 def missing_in_raw(run: Path, lines: tuple[Line, ...]) -> str | None:
@@ -194,32 +188,18 @@ def _write_picture(path: Path, image: CameraImage) -> int:
 
 
 def _picture_row(path: Path, side: str, image: CameraImage, reading: RawReading) -> Sequence[Value]:
-    return (
-        f"{PICTURES_FOLDER}/{path.name}",
-        reading.step,
-        reading.theatre_time_s,
-        side,
-        image.serial,
-        image.validity.value,
-        image.area.offset_x,
-        image.area.offset_y,
-        image.missing_packets,
-    )
+    taken = (f"{PICTURES_FOLDER}/{path.name}", reading.step, reading.theatre_time_s, side, image.serial)
+    area = (image.area.offset_x, image.area.offset_y)
+    return (*taken, image.validity.value, *area, image.missing_packets)
 
 
 def _frame_rows(number: int, frame: TrackerFrame, reading: RawReading) -> list[Sequence[Value]]:
     """Build one row for each tool and stray marker, or a single row for an empty frame."""
     head = (number, reading.step, reading.theatre_time_s, frame.stamp.device_clock)
-    nothing = (None,) * 3
-    rows: list[Sequence[Value]] = [
-        (
-            *(*head, "tool", one.tool, one.validity.value),
-            *(one.position_mm or nothing),
-            *(one.rotation or (None,) * 4),
-            one.fit_error_mm,
-        )
-        for one in frame.tools
-    ]
+    rows: list[Sequence[Value]] = []
+    for one in frame.tools:
+        pose = (*(one.position_mm or (None,) * 3), *(one.rotation or (None,) * 4))
+        rows.append((*head, "tool", one.tool, one.validity.value, *pose, one.fit_error_mm))
     rows += [
         (*head, "stray", number, one.validity.value, *one.position_mm, *(None,) * 5)
         for number, one in enumerate(frame.strays, 1)

@@ -108,12 +108,8 @@ def recorded_tables(run: Path) -> RecordedTables:
                 frames.append((step, value))
             elif isinstance(value, StereoReading):
                 stamp = value.stamp
-                looks.append(
-                    (
-                        *(len(looks), step, stamp.theatre_time_s, stamp.device_clock, value.validity.value),
-                        *(_offset_px(value.left), _offset_px(value.right)),
-                    )
-                )
+                taken = (len(looks), step, stamp.theatre_time_s, stamp.device_clock, value.validity.value)
+                looks.append((*taken, _offset_px(value.left), _offset_px(value.right)))
                 loaders.append(one.load)
         gaps += filter(None, [describe_torn_end(run)])
     except (NotRecorded, InputRefused) as error:
@@ -125,17 +121,12 @@ def recorded_tables(run: Path) -> RecordedTables:
 
 def _strays(frames: Sequence[tuple[str, TrackerFrame]]) -> RunTable:
     identities = identify_strays([[stray.position_mm for stray in frame.strays] for _, frame in frames])
-    return RunTable.of(
-        STRAYS,
-        (
-            (
-                *(number, step, frame.stamp.theatre_time_s, frame.stamp.device_clock, identity),
-                *(stray.position_mm, stray.validity.value),
-            )
-            for number, (step, frame) in enumerate(frames)
-            for identity, stray in zip(identities[number].tolist(), frame.strays, strict=True)
-        ),
-    )
+    rows: list[tuple[object, ...]] = []
+    for number, (step, frame) in enumerate(frames):
+        read = (number, step, frame.stamp.theatre_time_s, frame.stamp.device_clock)
+        for identity, stray in zip(identities[number].tolist(), frame.strays, strict=True):
+            rows.append((*read, identity, stray.position_mm, stray.validity.value))
+    return RunTable.of(STRAYS, rows)
 
 
 def _offset_px(image: CameraImage | None) -> tuple[int, int]:

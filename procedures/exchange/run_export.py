@@ -16,34 +16,9 @@ from pathlib import Path
 from pydicom.dataset import Dataset
 
 from procedures.engine.case import Stored, ancestor_of_kind
-from procedures.exchange.allowed_fields import (
-    FILES,
-    FOUND,
-    PLANNED,
-    REACHED,
-    REGISTRATION_FIELDS,
-    SPHERE_FIELDS,
-    name_spheres,
-    pick_allowed,
-    require_allowed,
-)
-from procedures.exchange.case_results import CaseResults, FindTruth, read_results
-from procedures.exchange.dicom_objects import (
-    Origin,
-    encode,
-    fiducial_uid,
-    spatial_registration,
-    sphere_fiducials,
-)
+from procedures.exchange import allowed_fields, dicom_objects, export_tables
+from procedures.exchange.case_results import CaseResults, FindTruth, describe_prediction, read_results
 from procedures.exchange.errors import NOT_WRITABLE
-from procedures.exchange.export_tables import (
-    IN_CT,
-    ROBOT_FROM_CT,
-    CtIdentity,
-    format_schema,
-    format_table,
-    schema_name,
-)
 from procedures.exchange.sphere_files import document, slicer_markups, table
 from procedures.exchange.trajectory_lines import format_lines, tabulate_lines
 from procedures.reporting.run_reading import RunReading, UsedRegistration
@@ -74,7 +49,10 @@ def export_run(run: Path, out: Path, find_truth: FindTruth = lambda _run: None) 
     results = read_results(RunReading.of(inspect_run(run).require_whole()), find_truth)
     fits = _label_registrations(results)
     texts = {**_case_texts(results), **_registration_texts(fits, results.ct)}
-    objects = {name: encode(require_allowed(made)) for name, made in _dicom_objects(results, fits).items()}
+    objects = {
+        name: dicom_objects.encode(allowed_fields.require_allowed(made))
+        for name, made in _dicom_objects(results, fits).items()
+    }
     absent = results.absent()
     contents = {name: text.encode() for name, text in texts.items()} | objects
     contents = {INDEX: _index(results, contents, absent).encode(), **contents}
@@ -91,7 +69,7 @@ def export_run(run: Path, out: Path, find_truth: FindTruth = lambda _run: None) 
 def _refuse_others(out: Path, own: set[str]) -> None:
     """Raise EXC-002 if a folder holds files of another export, which would seem to belong to this one."""
     names = {file.name for file in out.glob("*")} - own
-    others = sorted(name for name in names if any(fnmatch(name, known) for known in FILES))
+    others = sorted(name for name in names if any(fnmatch(name, known) for known in allowed_fields.FILES))
     if others:
         raise NOT_WRITABLE(
             f"{out} holds files that are not of this export",
@@ -105,62 +83,56 @@ def _case_texts(results: CaseResults) -> dict[str, str]:
     ct, lines, tables = results.ct, results.lines, dict[str, str]()
     texts = {
         f"{kind}.mrk.json": format_lines(lines, ct, kind)
-        for kind in (PLANNED, REACHED, FOUND)
+        for kind in (allowed_fields.PLANNED, allowed_fields.REACHED, allowed_fields.FOUND)
         if any(one.kind == kind for one in lines)
     }
     if results.plan is not None:
         tables = {"lines.csv": tabulate_lines(lines, ct), "errors.csv": results.tabulate_errors()}
     if results.spheres is not None:
         markers = results.spheres.result.markers
-        plain = [pick_allowed(one.model_dump(mode="json"), SPHERE_FIELDS) for one in markers]
+        plain = [
+            allowed_fields.pick_allowed(one.model_dump(mode="json"), allowed_fields.SPHERE_FIELDS)
+            for one in markers
+        ]
         texts |= {"spheres.mrk.json": slicer_markups(markers, ct), "spheres.json": document(plain, ct)}
         tables["spheres.csv"] = table(markers, ct)
     return texts | _with_schemas(tables)
 
 
-def _registration_texts(fits: Fits, ct: CtIdentity) -> dict[str, str]:
+def _registration_texts(fits: Fits, ct: export_tables.CtIdentity) -> dict[str, str]:
     if not fits:
         return {}
-    rows = [
-        {
-            "trajectory": predicted.target,
-            **pick_allowed(fit.result.model_dump(mode="json"), REGISTRATION_FIELDS),
-            "predicted_tre_mm": predicted.rms_mm,
-            "predicted_tre_limit_mm": predicted.limit_mm,
-            "confidence": predicted.confidence,
-            "record": fit.record.sha256,
-        }
-        for fit in fits.values()
-        for predicted in fit.result.predictions
-    ]
-    content = {**ct.describe(ROBOT_FROM_CT), "registrations": rows}
+    rows = []
+    for fit in fits.values():
+        plain = fit.result.model_dump(mode="json")
+        shared = allowed_fields.pick_allowed(plain, allowed_fields.REGISTRATION_FIELDS)
+        for one in fit.result.predictions:
+            row = {"trajectory": one.target, **shared, **describe_prediction(one)}
+            rows.append({**row, "record": fit.record.sha256})
+    content = {**ct.describe(export_tables.ROBOT_FROM_CT), "registrations": rows}
     text = json.dumps(content, indent=1, allow_nan=False) + "\n"
     return {"registrations.json": text, **_with_schemas({"registrations.csv": _registration_table(fits, ct)})}
 
 
-def _registration_table(fits: Fits, ct: CtIdentity) -> str:
+def _registration_table(fits: Fits, ct: export_tables.CtIdentity) -> str:
     """Format a CSV with one row per target: the matrix row by row, then the error."""
     elements = [f"m{row}{column}" for row in range(1, 4) for column in range(1, 5)]
     rows = []
     for fit in fits.values():
         matrix = fit.result.robot_from_ct.transform.as_matrix()[:3].ravel().tolist()
-        shared = {**dict(zip(elements, matrix, strict=True)), **ct.describe(ROBOT_FROM_CT)}
+        shared = {**dict(zip(elements, matrix, strict=True)), **ct.describe(export_tables.ROBOT_FROM_CT)}
         shared |= {"pairs": fit.result.pairs, "fre_mm": fit.result.fre_mm}
         rows += [
-            {
-                "trajectory": one.target,
-                **shared,
-                "predicted_tre_mm": one.rms_mm,
-                "predicted_tre_limit_mm": one.limit_mm,
-                "confidence": one.confidence,
-            }
-            for one in fit.result.predictions
+            {"trajectory": one.target, **shared, **describe_prediction(one)} for one in fit.result.predictions
         ]
-    return format_table("registrations.csv", rows)
+    return export_tables.format_table("registrations.csv", rows)
 
 
 def _with_schemas(tables: Mapping[str, str]) -> dict[str, str]:
-    return {**tables, **{schema_name(name): format_schema(name) for name in tables}}
+    return {
+        **tables,
+        **{name.removesuffix(".csv") + ".schema.csv": export_tables.format_schema(name) for name in tables},
+    }
 
 
 def _dicom_objects(results: CaseResults, fits: Fits) -> dict[str, Dataset]:
@@ -169,22 +141,23 @@ def _dicom_objects(results: CaseResults, fits: Fits) -> dict[str, Dataset]:
         return {}
     spheres = results.spheres.result.markers
     origin = _origin(results, results.spheres.record)
-    objects = {"spheres.dcm": sphere_fiducials(spheres, origin)}
+    objects = {"spheres.dcm": dicom_objects.sphere_fiducials(spheres, origin)}
+    uids = [dicom_objects.fiducial_uid(origin, name) for name in allowed_fields.name_spheres(spheres)]
     for label, fit in fits.items():
-        objects[f"registration-{label}.dcm"] = spatial_registration(
+        objects[f"registration-{label}.dcm"] = dicom_objects.spatial_registration(
             fit.result.robot_from_ct.transform,
             _origin(results, fit.record),
             spheres=origin,
             placing=_placing(fit.record, results),
             description=f"trajectory {label}",
-            fiducial_uids=[fiducial_uid(origin, name) for name in name_spheres(spheres)],
+            fiducial_uids=uids,
         )
     return objects
 
 
-def _origin(results: CaseResults, record: Record) -> Origin:
+def _origin(results: CaseResults, record: Record) -> dicom_objects.Origin:
     ct, made = results.ct, datetime.fromisoformat(record.created)
-    return Origin(ct.series, ct.frame_of_reference, made, record.sha256)
+    return dicom_objects.Origin(ct.series, ct.frame_of_reference, made, record.sha256)
 
 
 def _label_registrations(results: CaseResults) -> dict[str, Stored[RegisteredRobot]]:
@@ -215,15 +188,11 @@ def _index(results: CaseResults, contents: Mapping[str, bytes], absent: Mapping[
     """Format the index: frame, unit and UIDs, what each file holds with its hash, and what is absent."""
     ending = results.ending
     meanings = {
-        name: next(meaning for known, meaning in FILES.items() if fnmatch(name, known)) for name in contents
+        name: next(meaning for known, meaning in allowed_fields.FILES.items() if fnmatch(name, known))
+        for name in contents
     }
-    content = {
-        **results.ct.describe(IN_CT),
-        "simulated": results.simulated,
-        "ending": ending.word,
-        "code": ending.code,
-        "files": meanings,
-        "sha256": {name: hashlib.sha256(content).hexdigest() for name, content in contents.items()},
-        "absent": dict(absent),
-    }
+    hashes = {name: hashlib.sha256(content).hexdigest() for name, content in contents.items()}
+    ended = {"simulated": results.simulated, "ending": ending.word, "code": ending.code}
+    files = {"files": meanings, "sha256": hashes, "absent": dict(absent)}
+    content = {**results.ct.describe(export_tables.IN_CT), **ended, **files}
     return json.dumps(content, indent=1, allow_nan=False) + "\n"

@@ -128,12 +128,8 @@ EVENTS = (
 def targets_table(reading: RunReading, truth: Truth) -> RunTable:
     """Return one row per planned trajectory. Raises REC-001, REC-003."""
     run = reading.run
-    for model in (
-        CheckedPaths,
-        MeasuredTarget,
-        RegisteredRobot,
-    ):  # a report leaves out what is unreadable: raise instead
-        run.made(model)
+    for model in (CheckedPaths, MeasuredTarget, RegisteredRobot):
+        run.made(model)  # raises for an unreadable record, which a report leaves out
     plans, registrations = run.valid_results(CheckedPlan), reading.registrations
     plan = plans[-1].result if plans else None
     trajectories = () if plan is None else plan.plan.trajectories
@@ -148,34 +144,28 @@ def targets_table(reading: RunReading, truth: Truth) -> RunTable:
         if registration is not None:
             robot_from_ct = registration.result.robot_from_ct.transform
             target_mm, tip_mm = robot_from_ct.apply(planned.target_mm), robot_from_ct.apply(tip_ct_mm)
-        predicted = None if row is None else row.predicted
-        rows.append(
-            (
-                *(planned.id, planned.depth_mm, planned.margin_mm, strategies.get(planned.id, "")),
-                *(_number(getattr(predicted, name, None)) for name in ("rms_mm", "limit_mm", "confidence")),
-                *(
-                    _number(getattr(row, name, None))
-                    for name in ("error_mm", "lateral_mm", "axial_mm", "measured_mm")
-                ),
-                *(planned.entry_mm, planned.target_mm, target_mm, tip_mm, tip_ct_mm),
-            )
-        )
+        plain = (planned.id, planned.depth_mm, planned.margin_mm, strategies.get(planned.id, ""))
+        prediction = _numbers(None if row is None else row.predicted, "rms_mm", "limit_mm", "confidence")
+        errors = _numbers(row, "error_mm", "lateral_mm", "axial_mm", "measured_mm")
+        points = (planned.entry_mm, planned.target_mm, target_mm, tip_mm, tip_ct_mm)
+        rows.append((*plain, *prediction, *errors, *points))
     return RunTable.of(TARGETS, rows)
+
+
+def _numbers(source: object, *names: str) -> tuple[float, ...]:
+    """Return numbers of a source; NaN for what it does not know, or without a source."""
+    found = (getattr(source, name, None) for name in names)
+    return tuple(math.nan if value is None else value for value in found)
 
 
 def spheres_table(run: RunFolder) -> RunTable:
     """Return one row per sphere found in the CT. Raises REC-001, REC-003."""
     found = run.valid_results(LocalizedFiducials)
-    return RunTable.of(
-        SPHERES,
-        (
-            (
-                *(sphere_name(number), one.centre_mm, one.covariance_mm2, one.radius_mm),
-                *(one.quality, one.agreement_mm, one.odds),
-            )
-            for number, one in enumerate(found[-1].result.markers if found else ())
-        ),
-    )
+    rows = []
+    for number, one in enumerate(found[-1].result.markers if found else ()):
+        fit = (one.radius_mm, one.quality, one.agreement_mm, one.odds)
+        rows.append((sphere_name(number), one.centre_mm, one.covariance_mm2, *fit))
+    return RunTable.of(SPHERES, rows)
 
 
 def sphere_name(index: int) -> str:
@@ -192,15 +182,10 @@ def localized_table(run: RunFolder) -> RunTable:
         step = ":".join(filter(None, (record.kind, record.trajectory)))
         standing = record.identifier not in run.superseded
         for index, fiducial in enumerate(one.fiducials):
-            rows.append(
-                (
-                    *(step, standing, sphere_name(fiducial), one.points_robot_mm[index]),
-                    one.covariances_mm2[index],
-                    totals_mm2.get((record.identifier, fiducial), UNKNOWN_COVARIANCE),
-                    *(one.residuals_mm[index][-1], one.ray_gaps_mm[index]),
-                    *(one.looks[index], one.joints_rad[index]),
-                )
-            )
+            total_mm2 = totals_mm2.get((record.identifier, fiducial), UNKNOWN_COVARIANCE)
+            place = (one.points_robot_mm[index], one.covariances_mm2[index], total_mm2)
+            servo = (one.residuals_mm[index][-1], one.ray_gaps_mm[index], one.looks[index])
+            rows.append((step, standing, sphere_name(fiducial), *place, *servo, one.joints_rad[index]))
     return RunTable.of(_with_axes(LOCALIZED, len(rows[0][-1]) if rows else AXES), rows)
 
 
@@ -220,36 +205,24 @@ def _find_total_covariances_mm2(run: RunFolder) -> dict[tuple[str, int], Any]:
 
 def registrations_table(run: RunFolder) -> RunTable:
     """Return one row per registration made. Raises REC-001, REC-003."""
-    return RunTable.of(
-        REGISTRATIONS,
-        (
-            (
-                stored.record.identifier,
-                " ".join(predicted.target for predicted in stored.result.predictions),
-                stored.record.identifier not in run.superseded,
-                *(stored.result.pairs, stored.result.fre_mm),
-                stored.result.robot_from_ct.translation_mm,
-                stored.result.robot_from_ct.quaternion_wxyz,
-            )
-            for stored in run.made(RegisteredRobot)
-        ),
-    )
+    rows = []
+    for stored in run.made(RegisteredRobot):
+        name, one, pose = stored.record.identifier, stored.result, stored.result.robot_from_ct
+        targets = " ".join(predicted.target for predicted in one.predictions)
+        fit = (one.pairs, one.fre_mm, pose.translation_mm, pose.quaternion_wxyz)
+        rows.append((name, targets, name not in run.superseded, *fit))
+    return RunTable.of(REGISTRATIONS, rows)
 
 
 def budget_table(run: RunFolder) -> RunTable:
     """Return one row per target, registration and source of its predicted error. Raises REC-001, REC-003."""
-    return RunTable.of(
-        BUDGET,
-        (
-            (
-                *(predicted.target, stored.record.identifier),
-                *(stored.record.identifier not in run.superseded, share.source, share.rms_mm),
-            )
-            for stored in run.made(RegisteredRobot)
-            for predicted in stored.result.predictions
-            for share in predicted.budget
-        ),
-    )
+    rows = []
+    for stored in run.made(RegisteredRobot):
+        name = stored.record.identifier
+        for predicted in stored.result.predictions:
+            origin = (predicted.target, name, name not in run.superseded)
+            rows += [(*origin, share.source, share.rms_mm) for share in predicted.budget]
+    return RunTable.of(BUDGET, rows)
 
 
 def find_registration(reading: RunReading, target: str) -> UsedRegistration | None:
@@ -272,34 +245,15 @@ def motions_table(journal: Sequence[Line]) -> RunTable:
         elif line["entry"] == Entry.MOTION:
             goal: Any = line["to"]
             in_joints = len(goal) != len(NOWHERE)
-            rows.append(
-                [
-                    *(
-                        line["number"],
-                        line.get("arm", ""),
-                        step,
-                        line["what"],
-                        theatre_time_s(line),
-                        math.nan,
-                    ),
-                    *(
-                        (*goal, *unknown[len(goal) :]) if in_joints else unknown,
-                        NOWHERE if in_joints else tuple(goal),
-                    ),
-                    *(unknown, ""),
-                ]
-            )
+            goal_rad = (*goal, *unknown[len(goal) :]) if in_joints else unknown
+            begun = [line["number"], line.get("arm", ""), step, line["what"], theatre_time_s(line), math.nan]
+            rows.append([*begun, goal_rad, NOWHERE if in_joints else tuple(goal), unknown, ""])
         elif line["entry"] == Entry.MOVED:
             joints: Any = line.get("joints_rad", unknown)
-            begun = next(
-                (row for row in reversed(rows) if row[:2] == [line["number"], line.get("arm", "")]), None
-            )
-            if begun is not None:
-                begun[5], begun[8], begun[9] = (
-                    theatre_time_s(line),
-                    (*joints, *unknown[len(joints) :]),
-                    line.get("error", ""),
-                )
+            motion = [line["number"], line.get("arm", "")]
+            if (moved_row := next((row for row in reversed(rows) if row[:2] == motion), None)) is not None:
+                moved_row[5], moved_row[9] = theatre_time_s(line), line.get("error", "")
+                moved_row[8] = (*joints, *unknown[len(joints) :])
     return RunTable.of(_with_axes(MOTIONS, axes), rows)
 
 
@@ -311,18 +265,9 @@ def _with_axes(columns: tuple[RunColumn, ...], axes: int) -> tuple[RunColumn, ..
 def events_table(folder: Path) -> RunTable:
     """Return one row per event so far. Raises CLI-005 for a run without events, PRO-018 for damaged ones."""
     events = next(FollowedRun(folder).batches(whole=True))
-    return RunTable.of(
-        EVENTS,
-        (
-            (
-                *(one.number, one.theatre_time_s, np.datetime64(one.host_time.replace(tzinfo=None), "ms")),
-                *(one.what.kind, getattr(one.what, "step", "")),
-                one.what.model_dump_json(exclude={"kind"}),
-            )
-            for one in events
-        ),
-    )
-
-
-def _number(value: float | None) -> float:
-    return math.nan if value is None else value
+    rows = []
+    for one in events:
+        host_time = np.datetime64(one.host_time.replace(tzinfo=None), "ms")
+        content = (one.what.kind, getattr(one.what, "step", ""), one.what.model_dump_json(exclude={"kind"}))
+        rows.append((one.number, one.theatre_time_s, host_time, *content))
+    return RunTable.of(EVENTS, rows)

@@ -15,6 +15,7 @@ MARKUPS_SCHEMA = (
     "https://raw.githubusercontent.com/slicer/slicer/master/Modules/Loadable/Markups/Resources/Schema/"
     "markups-schema-v1.0.3.json#"
 )
+DEFINED_POINT = {"selected": True, "locked": True, "visibility": True, "positionStatus": "defined"}
 YELLOW: Colour = (1.0, 0.8, 0.2)
 
 
@@ -27,6 +28,10 @@ def build_markup(
     measurements: Sequence[Mapping[str, Any]] = (),
 ) -> dict[str, Any]:
     """Build a locked markup from its points: label to position and description."""
+    control_points = []
+    for number, (label, (position, description)) in enumerate(points.items(), 1):
+        named = {"id": str(number), "label": label, "description": description}
+        control_points.append({**named, "position": [float(value) for value in position], **DEFINED_POINT})
     return {
         "type": kind,
         "name": name,
@@ -34,19 +39,7 @@ def build_markup(
         "coordinateUnits": MILLIMETRE,
         "locked": True,
         "fixedNumberOfControlPoints": True,
-        "controlPoints": [
-            {
-                "id": str(number),
-                "label": label,
-                "description": description,
-                "position": [float(value) for value in position],
-                "selected": True,
-                "locked": True,
-                "visibility": True,
-                "positionStatus": "defined",
-            }
-            for number, (label, (position, description)) in enumerate(points.items(), 1)
-        ],
+        "controlPoints": control_points,
         "measurements": list(measurements),
         "display": {
             "visibility": True,

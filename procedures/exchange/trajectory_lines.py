@@ -100,20 +100,12 @@ def format_lines(lines: Iterable[TrajectoryLine], ct: CtIdentity, kind: str) -> 
 
 def tabulate_lines(lines: Iterable[TrajectoryLine], ct: CtIdentity) -> str:
     """Format all lines as a CSV."""
-    return format_table(
-        "lines.csv",
-        (
-            {
-                "trajectory": one.label,
-                "line": one.kind,
-                **_columns("entry", one.entry_mm),
-                **_columns("end", one.end_mm),
-                "length_mm": one.length_mm,
-                **ct.describe(DIRECTIONS[one.kind]),
-            }
-            for one in lines
-        ),
-    )
+    rows: list[dict[str, object]] = []
+    for one in lines:
+        points = {**_columns("entry", one.entry_mm), **_columns("end", one.end_mm)}
+        line = {"trajectory": one.label, "line": one.kind, **points, "length_mm": one.length_mm}
+        rows.append({**line, **ct.describe(DIRECTIONS[one.kind])})
+    return format_table("lines.csv", rows)
 
 
 def _markup(line: TrajectoryLine) -> dict[str, object]:

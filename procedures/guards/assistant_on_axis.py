@@ -11,7 +11,6 @@ from collections import deque
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 from scipy.special import chdtri
 
@@ -21,10 +20,9 @@ from procedures.room.estimate import INSTRUMENT_IN_GUIDE, Displacement
 from procedures.room.sighting import Rest, Sighting, Tracked, expect_frame
 from procedures.workcell import Workcell
 from procedures.workcell.assistant import Assistant
+from ronna_hw.arrays import Array
 from ronna_hw.devices.readings import TrackerFrame, Validity
 from ronna_hw.frames import Frame, Transform
-
-Array = NDArray[np.float64]
 
 # By as much the shaft of an instrument bends between clamp and bore before it presses on the guide (U). It
 # must leave room for what a look over the guide cannot tell, up to 0.4 mm.
@@ -58,7 +56,6 @@ class BesideBore:
         return not self.is_within and self.chi_square > float(chdtri(2, WATCH_FALSE_ALARM))
 
     def __str__(self) -> str:
-        """Describe it to the operator."""
         return (
             f"seen {self.seen_mm:.2f} mm beside the bore, known to {self.uncertain_mm:.2f} mm: within "
             f"{self.largest_mm:.2f} mm (at most {LARGEST_OFF_MM:g} mm)"
@@ -102,10 +99,7 @@ class AssistantOnAxis:
         self._guide = self.workcell.master.tool_pose()
 
     def add_frame(self, frame: TrackerFrame) -> None:
-        """Add a tracker frame, as from where the tracker was localized.
-
-        `now` is by the latest `READINGS` of them.
-        """
+        """Add a tracker frame, as from where the tracker was localized; `now` is by the latest of them."""
         assistant, by_arm = self.assistant, self.watch.frame_by_arm(Tracked.ASSISTANT)
         known, reading = assistant.arm.observe().reading, frame.tool(assistant.holder.frame)
         if reading.validity is not Validity.OK or known is None or by_arm is None:

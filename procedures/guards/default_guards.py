@@ -10,12 +10,11 @@ from pathlib import Path
 from procedures.engine.engine import Engine
 from procedures.engine.events import Advisory
 from procedures.guards.motion_watch import MotionWatch
-from procedures.guards.tracker_guards import HeadInSight, LineOfSight
+from procedures.guards.tracker_guards import LineOfSight
 from procedures.journal.free_space import LEAST_FREE_BYTES, describe_shortage
 from procedures.operator.checkpoint import Guard
 from procedures.workcell import Workcell
 from procedures.workcell.supervised_arm import SupervisedArm
-from ronna_hw.clock import Clock
 from ronna_hw.config import TheatreFile, read_theatre_file
 from ronna_hw.devices.lifecycle import RUNNING
 from ronna_hw.devices.readings import LinkStatistics, Validity
@@ -30,23 +29,15 @@ Stamp = tuple[int, int, int]  # inode, bytes, time of the last change
 
 
 def case_guards(
-    workcell: Workcell,
-    folder: Path,
-    clock: Clock,
-    find: Callable[[str], None],
-    doubt_tool: Callable[[str], None],
+    workcell: Workcell, folder: Path, find: Callable[[str], None], doubt_tool: Callable[[str], None]
 ) -> tuple[Guard, ...]:
-    """Build the guards that are active from the first step to the last.
-
-    `find` records a finding for the operator; `doubt_tool` is told when another tool is reported than the
-    checked one.
-    """
+    """Build the guards that are active from the first step to the last."""
     return (
         DiskSpace(folder),
         WallClock(find),
         *map(ArmLink, workcell.arms.values()),
         ToolStillMounted(workcell, doubt_tool),
-        LineOfSight(workcell.tracker, workcell.calibrations.tracker_frame.tool, clock.now_s),
+        LineOfSight(workcell.tracker, workcell.calibrations.tracker_frame.tool, workcell.clock.now_s),
     )
 
 
@@ -55,7 +46,6 @@ def patient_watch(engine: Engine, void: Void) -> MotionWatch:
     setting = engine.setting
     return MotionWatch(
         setting.workcell,
-        setting.clock,
         setting.memory,
         setting.settings.watch_patient,
         find=engine.find,
@@ -63,12 +53,6 @@ def patient_watch(engine: Engine, void: Void) -> MotionWatch:
         void=void,
         beside=engine.checkpoint.beside,
     )
-
-
-def sight_guard(engine: Engine, void: Void) -> HeadInSight:
-    """Build the guard that limits the approach to an unseen head. `void` is as for `patient_watch`."""
-    setting = engine.setting
-    return HeadInSight(setting.workcell, setting.clock, setting.memory, void, engine.find)
 
 
 @dataclass
@@ -81,7 +65,6 @@ class ArmLink:
 
     @property
     def name(self) -> str:
-        """Name of the condition."""
         whose = "" if self.monitored.role == MASTER else f" of the {self.monitored.name}"
         return f"robot link{whose}"
 
@@ -126,7 +109,6 @@ class DiskSpace:
     name: str = "disk space"
 
     def unmet(self) -> str | None:
-        """Describe a lack of free space."""
         return describe_shortage(self.folder, self.least_bytes)
 
 

@@ -18,17 +18,15 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from procedures.engine.setting import CaseMemory
 from procedures.guards.room_watch import RoomWatch
 from procedures.workcell import Workcell
 from procedures.workcell.tracker_look import mean_pose, read_frames_at_rest, robot_from_marker
-from ronna_hw.clock import Clock
+from ronna_hw.arrays import Array
 from ronna_hw.devices.readings import TrackerFrame, Validity
 from ronna_hw.frames import Frame, Transform
-
-Array = NDArray[np.float64]
 
 # Safety against a guide that is pushed aside (U).
 PUSHED_MM = 0.2  # at the guide: ten newtons on the arm that is assumed make 0.13 mm
@@ -150,16 +148,16 @@ class GuideAtRest:
         if np.isfinite(now_mm).any():
             self._compare(now_mm)
 
-    def look(self, workcell: Workcell, clock: Clock, room: RoomWatch | None) -> None:
+    def look(self, workcell: Workcell, room: RoomWatch | None) -> None:
         """Measure the displacement now. Raises the tracker's errors.
 
         `room` is the watch of the case. A push of the tracker alone that it shows is followed.
         """
         known = bool(self.known)
         for count in (FRAMES_AT_FIRST, FRAMES):
-            frames = read_frames_at_rest(workcell.tracker, clock, count=count)[0] if known else []
+            frames = read_frames_at_rest(workcell, count=count)[0] if known else []
             self._measure(workcell, frames, room)
-            self.looked_s = clock.now_s()
+            self.looked_s = workcell.clock.now_s()
             if self.now_mm <= PUSHED_MM or not known:
                 return
         if room is None:
@@ -193,7 +191,6 @@ class GuideDisplacement:
     """Guard for guide displacement while someone works through the guide."""
 
     workcell: Workcell
-    clock: Clock
     memory: CaseMemory
     name: str = "guide"
 
@@ -202,8 +199,8 @@ class GuideDisplacement:
         rest = self.memory.find(GuideAtRest)
         if rest is None or not rest.is_worked_through:
             return None
-        if self.clock.now_s() - rest.looked_s >= BETWEEN_LOOKS_S:
-            rest.look(self.workcell, self.clock, self.memory.find(RoomWatch))
+        if self.workcell.clock.now_s() - rest.looked_s >= BETWEEN_LOOKS_S:
+            rest.look(self.workcell, self.memory.find(RoomWatch))
         if rest.now_mm <= PUSHED_MM:
             return None
         return (
@@ -216,7 +213,6 @@ class GuideDisplacement:
 
 def measure_guide_at_rest(
     workcell: Workcell,
-    clock: Clock,
     trajectory: str,
     frames: Sequence[TrackerFrame] | None = None,
     find: Callable[[str], None] = lambda _text: None,
@@ -231,10 +227,11 @@ def measure_guide_at_rest(
     by_arm = robot_from_marker(workcell, workcell.master.joints_rad())
     end_in_frame_mm = by_arm.inverse().apply(tool.apply([0.0, 0.0, -workcell.tools.guide.bore.reach_mm]))
     if frames is None:
-        frames, _ = read_frames_at_rest(workcell.tracker, clock, count=FRAMES)
+        frames, _ = read_frames_at_rest(workcell, count=FRAMES)
     seen_mm = _measure_frame(workcell, list(frames), None, end_in_frame_mm, on_guide)
+    now_s = workcell.clock.now_s()
     return GuideAtRest(
-        trajectory, tool.translation_mm, end_in_frame_mm, seen_mm, on_guide, looked_s=clock.now_s(), find=find
+        trajectory, tool.translation_mm, end_in_frame_mm, seen_mm, on_guide, looked_s=now_s, find=find
     )
 
 

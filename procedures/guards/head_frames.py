@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from procedures.guards.room_reading import LINE_MM
 from procedures.registration.movement import LEAST_POINTS, NEAR_MM, measure_shift
+from ronna_hw.arrays import Array
 from ronna_hw.devices.readings import TrackerFrame, Validity
 
-Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 # Flags points (m, 3) that may be ghosts of known spheres (n, 3) and other markers, tracker frame.
 GhostFinder = Callable[[Array, Array], Flags]

@@ -12,51 +12,42 @@ MOST_UNSEEN_S = 10.0
 
 
 @dataclass
-class Approach:
-    """Guide approach to the head, along this trajectory if any.
+class HeadSight:
+    """When the head was last seen in its place (theatre time), and the approach for which that counts.
 
-    `excused_s` is when the operator last continued without line of sight. The time without
-    sight is bounded only while it is under way: nothing holds up the way out.
+    `hides_head` tells whether the arm of an approach hides the head, None without one. Without sight, the
+    time is bounded only while the approach, along `trajectory` if any, is `under_way`: nothing holds up the
+    way out. `excused_s` is when the operator last continued without line of sight.
     """
 
-    arm_hides_head: Callable[[], bool]
+    seen_s: float = 0.0
+    hides_head: Callable[[], bool] | None = None
     trajectory: str | None = None
     under_way: bool = False
     excused_s: float = -math.inf
 
-
-@dataclass
-class HeadSight:
-    """When the head was last seen in its place (theatre time), and the approach for which that counts."""
-
-    seen_s: float = 0.0
-    approach: Approach | None = None
+    def expect_approach(self, hides_head: Callable[[], bool], trajectory: str | None = None) -> None:
+        """Expect a guide that approaches the head, with nothing excused so far."""
+        self.hides_head, self.trajectory = hides_head, trajectory
+        self.under_way, self.excused_s = False, -math.inf
 
     def unseen_s(self, now_s: float) -> float:
         """Return the theatre time since the head was seen or the operator continued without sight."""
-        excused_s = -math.inf if self.approach is None else self.approach.excused_s
-        return now_s - max(self.seen_s, excused_s)
+        return now_s - max(self.seen_s, self.excused_s)
 
     def excuse(self) -> None:
         """Continue without line of sight. The unseen time restarts with the next motion or wait."""
-        if self.approach is not None:
-            self.approach.excused_s = math.inf
+        self.excused_s = math.inf
 
     def begin_motion(self, now_s: float) -> None:
         """Record the start of a motion or wait."""
-        if self.approach is not None:
-            self.approach.excused_s = min(self.approach.excused_s, now_s)
+        self.excused_s = min(self.excused_s, now_s)
 
     def is_overdue(self, now_s: float) -> bool:
         """Return whether a guide is approaching a head that has been unseen for too long."""
-        return self.is_approached and self.unseen_s(now_s) > MOST_UNSEEN_S
-
-    @property
-    def is_approached(self) -> bool:
-        """Whether a guide is approaching the head or is in position in front of it."""
-        return self.approach is not None and self.approach.under_way
+        return self.under_way and self.unseen_s(now_s) > MOST_UNSEEN_S
 
     @property
     def is_hidden_by_arm(self) -> bool:
         """Whether the arm's present pose is expected to hide the head from the tracker."""
-        return self.approach is not None and self.approach.arm_hides_head()
+        return self.hides_head is not None and self.hides_head()

@@ -11,23 +11,14 @@ from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, field
 
 from procedures.engine.setting import CaseMemory
-from procedures.guards.errors import (
-    BaseShifted,
-    InsertionDisturbed,
-    PatientMoved,
-    PatientUnseen,
-    RoomMoved,
-    RoomUndecided,
-)
+from procedures.guards import errors
 from procedures.guards.guide_displacement import PUSHED_MM, GuideAtRest
 from procedures.guards.head_frames import PATIENT_LIMIT_MM, HeadFrames, PatientFrames
-from procedures.guards.room_motion import GROSS_LIMIT_MM
 from procedures.guards.room_watch import RoomWatch, read_watched
 from procedures.guards.watch_thread import BASE_MOVED, LATE, MOVED, PUSHED, UNSEEN, WatchThread
 from procedures.workcell import MountedTool, Workcell
 from procedures.workcell.arm_history import MotionKind
 from procedures.workcell.tracker_move import TrackerMove
-from ronna_hw.clock import Clock
 from ronna_hw.config import WatchPatient
 from ronna_hw.devices.errors import MotionInterrupted, WrongState
 from ronna_hw.devices.lifecycle import Lifecycle
@@ -42,7 +33,6 @@ class MotionWatch:
     """Patient watch of a run. `find` and `void` write to the journal; `tell` informs the operator at once."""
 
     workcell: Workcell
-    clock: Clock
     memory: CaseMemory
     when: WatchPatient
     find: Callable[[str], None]
@@ -75,17 +65,9 @@ class MotionWatch:
             clamp = None if room.clamp_mm is None else HeadFrames(room.clamp_mm)
             self._tracker = room.tracker
             self._head = PatientFrames(HeadFrames(room.spheres_mm), clamp)
-        thread = WatchThread(
-            self.workcell,
-            self.clock,
-            motion,
-            room,
-            self._head,
-            what,
-            self.tell,
-            guide=self.memory.find(GuideAtRest),
-        )
-        room.head_sight.begin_motion(self.clock.now_s())
+        guide = self.memory.find(GuideAtRest)
+        thread = WatchThread(self.workcell, motion, room, self._head, what, self.tell, guide=guide)
+        room.head_sight.begin_motion(self.workcell.clock.now_s())
         try:
             thread.begin()  # waits for a frame: may be interrupted as well
             yield
@@ -104,7 +86,7 @@ class MotionWatch:
         seen = thread.end()
         self._conclude(seen, what)
         if seen.is_overdue and motion == MotionKind.INSERT:
-            raise PatientUnseen(f"{UNSEEN}: {what} had ended before the arm could be stopped")
+            raise errors.PatientUnseen(f"{UNSEEN}: {what} had ended before the arm could be stopped")
 
     @property
     def _is_wanted(self) -> bool:
@@ -115,16 +97,16 @@ class MotionWatch:
     def _conclude(self, seen: WatchThread, what: str) -> None:
         if seen.has_moved:
             moved = self._identify_cause(seen, what)
-            if isinstance(moved, RoomMoved):
+            if isinstance(moved, errors.RoomMoved):
                 self.void(moved)  # first: the watch goes on until this is written
             if moved is not None:
                 self.memory.drop(RoomWatch)  # the same move must not stop the way out
                 raise moved
             if seen.guide is not None and seen.guide.is_worked_through:
-                seen.guide.look(self.workcell, self.clock, seen.room)
+                seen.guide.look(self.workcell, seen.room)
         elif seen.disturbed:
             limit, got = seen.limit or None, seen.got or None
-            raise InsertionDisturbed(f"{seen.disturbed} during {what}", limit=limit, got=got)
+            raise errors.InsertionDisturbed(f"{seen.disturbed} during {what}", limit=limit, got=got)
         elif seen.pushed_mm > PUSHED_MM:
             self.find(f"{PUSHED} by up to {seen.pushed_mm:.2f} mm during {what}")
         if seen.problem:
@@ -138,7 +120,7 @@ class MotionWatch:
 
     def _identify_cause(
         self, seen: WatchThread, what: str
-    ) -> RoomMoved | RoomUndecided | InsertionDisturbed | None:
+    ) -> errors.RoomMoved | errors.RoomUndecided | errors.InsertionDisturbed | None:
         """Determine what has moved from a further reading at rest that includes the frame on the arm.
 
         None if only the tracker was moved, and could be followed.
@@ -148,7 +130,7 @@ class MotionWatch:
         found: RonnaError | None
         try:
             with self.beside():
-                look = room.compare(read_watched(room, self.workcell, self.clock), self.clock.now_s())
+                look = room.compare(read_watched(room, self.workcell), self.workcell.clock.now_s())
         except RonnaError as problem:
             found = problem
         else:
@@ -157,15 +139,17 @@ class MotionWatch:
                 for finding in look.findings:
                     self.find(f"during {what}: {finding}")
                 return None
-        if isinstance(found, RoomMoved | RoomUndecided | InsertionDisturbed):
+        if isinstance(found, errors.RoomMoved | errors.RoomUndecided | errors.InsertionDisturbed):
             found.happened_during(what)
             return found
         if found is not None:
             self.find(f"no further reading after {what}: {found.summary}")
         if seen.moved_mm is None:
-            shifted = BaseShifted(
-                f"{BASE_MOVED} during {what}", limit=f"{GROSS_LIMIT_MM:g} mm", got=f"{seen.base_mm:.1f} mm"
+            shifted = errors.BaseShifted(
+                f"{BASE_MOVED} during {what}",
+                limit=f"{room.gross_limit_mm:.1f} mm",
+                got=f"{seen.base_mm:.1f} mm",
             )
             shifted.frame_off_mm = seen.base_mm
             return shifted
-        return PatientMoved.from_shift(f"{MOVED} during {what}", seen.moved_mm, PATIENT_LIMIT_MM)
+        return errors.PatientMoved.from_shift(f"{MOVED} during {what}", seen.moved_mm, PATIENT_LIMIT_MM)

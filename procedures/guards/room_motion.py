@@ -6,18 +6,9 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from procedures.calibration.errors import PlatformMoved
-from procedures.guards.errors import (
-    BaseShifted,
-    FrameSlipped,
-    InsertionDisturbed,
-    PatientMoved,
-    PatientUnseen,
-    RoomMoved,
-    RoomUndecided,
-)
+from procedures.guards import errors
 from procedures.guards.head_frames import PATIENT_LIMIT_MM
 from procedures.guards.room_reading import RoomReading, find_ghosts
 from procedures.registration.movement import (
@@ -30,10 +21,9 @@ from procedures.registration.rigid_fit import as_transform, fit_rigid
 from procedures.room.motion import Moved, RoomMotion
 from procedures.room.sighting import Sighting, Tracked
 from procedures.workcell.tracker_move import STILL
+from ronna_hw.arrays import Array
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.text import format_against_limit, format_count
-
-Array = NDArray[np.float64]
 
 # Safety against a cart that was rolled (U).
 GROSS_LIMIT_MM = 10.0  # of the frame on the arm, in any pose: a rolled cart, and no hand on the guide
@@ -107,19 +97,19 @@ def push_of_tracker(expected: Expected) -> Transform | None:
 
 def name_motion(
     motion: RoomMotion, expected: Expected, reading: RoomReading, *, approached: bool = False
-) -> RoomMoved | RoomUndecided | InsertionDisturbed:
+) -> errors.RoomMoved | errors.RoomUndecided | errors.InsertionDisturbed:
     """Return the error for a motion that a reading shows; `approached`: with the guide at the head."""
     limit, got = f"{motion.limit_mm:.2f} mm", format_against_limit(motion.moved_mm, motion.limit_mm, 2)
     way = describe_way(motion.way_mm)
     where = "" if motion.at is None else f", at {motion.at}"
     match motion.moved:
         case Moved.ASSISTANT if reading.instrument_led:
-            return InsertionDisturbed(
+            return errors.InsertionDisturbed(
                 f"the tracker sees the assistant beside its axis, by {way}, with the instrument in the "
                 "guide: a cart was displaced, or a frame",
                 limit=limit,
                 got=f"{got} mm",
-                action=InsertionDisturbed.by_hand,
+                action=errors.InsertionDisturbed.by_hand,
             )
         case Moved.ASSISTANT:
             moved = PlatformMoved(
@@ -135,7 +125,7 @@ def name_motion(
             several = (
                 ", or two of head, cart and tracker" if motion.moved is Moved.SEVERAL else ", or the cart"
             )
-            return RoomUndecided(
+            return errors.RoomUndecided(
                 f"the frame on the arm is not where the arm has it, by {way}{where}: the guide is pushed or "
                 f"held{several} {'were' if motion.moved is Moved.SEVERAL else 'was'} moved",
                 limit=limit,
@@ -145,13 +135,13 @@ def name_motion(
         case Moved.BASE | Moved.TRACKER | Moved.SEVERAL:
             return _base_shifted(motion, expected, reading, f"{way}{where}", limit, f"{got} mm")
         case Moved.CLAMP_FRAME:
-            return FrameSlipped(
+            return errors.FrameSlipped(
                 "the patient's frame has moved on the head clamp since the localization, against the spheres",
                 limit=limit,
                 got=f"{got} mm",
             )
         case Moved.HEAD_OR_TRACKER if expected.clamp_mm is not None and not _is_home(reading):
-            return RoomUndecided(
+            return errors.RoomUndecided(
                 "the tracker, or the head with its clamp, was moved: the frame on the arm tells which of "
                 "them only in a pose in which it was seen before, such as home",
                 limit=limit,
@@ -168,7 +158,7 @@ def _is_home(reading: RoomReading) -> bool:
 
 def _base_shifted(
     motion: RoomMotion, expected: Expected, reading: RoomReading, way: str, limit: str, got: str
-) -> BaseShifted:
+) -> errors.BaseShifted:
     cart = motion.moved is not Moved.TRACKER
     if not cart:  # what it sees moves against it
         way = describe_way(-motion.way_mm)
@@ -181,7 +171,7 @@ def _base_shifted(
         what = "the cart of the robot was moved or turned, or somebody leans on arm or guide,"
     if cart and HeadSeen.of(expected) is None:  # nothing tells it from a pushed tracker
         what = what.replace("the cart of the robot was", "the cart of the robot, or the tracker, was")
-    shifted = BaseShifted(f"{what} by {way}", limit=limit, got=got)
+    shifted = errors.BaseShifted(f"{what} by {way}", limit=limit, got=got)
     shifted.cart = cart
     if cart and motion.moved_mm >= GROSS_LIMIT_MM / 2.0:
         shifted.room_moved = _room_moved(expected, reading)
@@ -198,7 +188,9 @@ def _room_moved(expected: Expected, reading: RoomReading) -> Transform | None:
     return by_frame @ push @ expected.robot_from_tracker.inverse()
 
 
-def _patient_moved(motion: RoomMotion, expected: Expected, reading: RoomReading, way: str) -> PatientMoved:
+def _patient_moved(
+    motion: RoomMotion, expected: Expected, reading: RoomReading, way: str
+) -> errors.PatientMoved:
     head = HeadSeen.of(expected)
     tracker = motion.moved is Moved.HEAD_OR_TRACKER
     moved_mm = motion.moved_mm if head is None else max(head.shift.rms_mm, motion.limit_mm)
@@ -226,10 +218,10 @@ def _patient_moved(motion: RoomMotion, expected: Expected, reading: RoomReading,
         what += f", by {way}{seen}"
     # The limit on the mean way, as one on the rms of the points.
     limit_mm = motion.noticed_share * max(moved_mm, motion.moved_mm)
-    return PatientMoved.from_shift(what, moved_mm, round(limit_mm, 2))
+    return errors.PatientMoved.from_shift(what, moved_mm, round(limit_mm, 2))
 
 
-def find_unseen(expected: Expected, reading: RoomReading) -> PatientUnseen | None:
+def find_unseen(expected: Expected, reading: RoomReading) -> errors.PatientUnseen | None:
     """Return the error for points near the head at no known position, which may be displaced spheres.
 
     Only where fewer than three known spheres are seen. Ghosts do not count.
@@ -243,7 +235,7 @@ def find_unseen(expected: Expected, reading: RoomReading) -> PatientUnseen | Non
     unknown_count = int(((apart >= NEAR_MM) & (apart < NEAR_HEAD_MM) & ~ghosts).sum())
     if not unknown_count:
         return None
-    return PatientUnseen(
+    return errors.PatientUnseen(
         f"the tracker sees {format_count(unknown_count, 'sphere')} near the head at no known position",
         expected="at least three known spheres in place",
     )

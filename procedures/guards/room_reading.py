@@ -30,19 +30,14 @@ from procedures.room.sighting import (
 )
 from procedures.workcell import Workcell
 from procedures.workcell.patient_frame import seen_after
-from procedures.workcell.tracker_look import (
-    find_frame_name,
-    list_poses,
-    mean_pose,
-    robot_from_marker,
-)
+from procedures.workcell.tracker_look import find_frame_name, list_poses, mean_pose, robot_from_marker
+from ronna_hw.arrays import Array
 from ronna_hw.devices.readings import TrackerFrame
 from ronna_hw.devices.strays import LEAST_SHARE, StrayGroup, average_strays
 from ronna_hw.errors import RonnaError
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.roles import ASSISTANT, MASTER
 
-Array = NDArray[np.float64]
 ArrivedSides = Mapping[Tracked, Sequence[int] | None]  # from which the joints of an arm have arrived
 AS_KNOWN: ArrivedSides = MappingProxyType({})
 ON_ARM: Mapping[str, Tracked] = MappingProxyType(

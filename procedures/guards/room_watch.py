@@ -8,19 +8,12 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
+from scipy.special import chdtri
 
 from procedures.engine.setting import CaseMemory
+from procedures.guards import room_motion
 from procedures.guards.errors import BaseShifted, InsertionDisturbed, PatientUnseen, RoomMoved, RoomUndecided
 from procedures.guards.head_sight import HeadSight
-from procedures.guards.room_motion import (
-    GROSS_LIMIT_MM,
-    Expected,
-    HeadSeen,
-    find_unseen,
-    name_motion,
-    push_of_tracker,
-)
 from procedures.guards.room_reading import (
     AS_KNOWN,
     CAREFUL_FRAMES,
@@ -30,7 +23,7 @@ from procedures.guards.room_reading import (
     room_reading,
 )
 from procedures.planning.tracker_sight import SENSORS_MM, TrackerSight
-from procedures.room.estimate import GUIDE_AT_HEAD, Displacement, RoomEstimate
+from procedures.room.estimate import AXES, FALSE_ALARM, GUIDE_AT_HEAD, Displacement, RoomEstimate
 from procedures.room.model import Body, Places, Rows, TrackedArm
 from procedures.room.motion import Moved, RoomMotion, find_hidden_motion, find_motion
 from procedures.room.sighting import Sighting, Tracked, expect_frame, expect_spheres
@@ -40,13 +33,12 @@ from procedures.workcell.arm_history import stands_at
 from procedures.workcell.patient_frame import seen_after
 from procedures.workcell.tracker_look import read_frames_at_rest
 from procedures.workcell.tracker_move import STILL, UNPUSHED, TrackerMove
-from ronna_hw.clock import Clock
+from ronna_hw.arrays import Array
 from ronna_hw.devices.readings import TrackerFrame
 from ronna_hw.errors import RonnaError
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.vectors import JointVector, Vector3
 
-Array = NDArray[np.float64]
 Refusal = RoomMoved | InsertionDisturbed | RoomUndecided | PatientUnseen
 FlangePose = Callable[[JointVector, Sequence[int] | None], Transform]  # ROBOT <- FLANGE
 
@@ -81,7 +73,6 @@ class RoomLook:
 
     @property
     def reading(self) -> RoomReading:
-        """Reading that was held against the looks before."""
         return self.judged.reading
 
     @property
@@ -139,6 +130,16 @@ class RoomWatch:
             if rest is not None and rest.sides == ONE_SIDE and stands_at(rest.joints_rad, home_rad)
         )
         return max(at_home, default=0)
+
+    @property
+    def gross_limit_mm(self) -> float:
+        """Way of the frame on the arm, in any pose, that a rolled cart alone explains.
+
+        An error of the tool frame goes unseen where the tracker was localized, and displaces the frame by up
+        to twice as much once the flange has turned.
+        """
+        tool_mm = self.estimate.model.arms[Tracked.ARM].sizes.tool_mm
+        return max(room_motion.GROSS_LIMIT_MM, 2.0 * tool_mm * math.sqrt(float(chdtri(AXES, FALSE_ALARM))))
 
     @property
     def spheres_mm(self) -> Array:
@@ -252,15 +253,15 @@ class RoomWatch:
         """Hold a reading against all looks before, and count it among them if nothing has moved."""
         judged, findings = self.follow_tracker(self.judge(reading))
         reading, rows, motion, expected = judged.reading, judged.rows, judged.motion, self.expected(judged)
-        head = HeadSeen.of(expected)
+        head = room_motion.HeadSeen.of(expected)
         base_mm = None if expected.arm_way_mm is None else float(np.linalg.norm(expected.arm_way_mm))
         by_frame = head is not None and head.by_frame
         moved: Refusal | None = None
         if motion is not None:
-            at_head = self.head_sight.is_approached or reading.on_axis
-            moved = name_motion(motion, expected, reading, approached=at_head)
+            at_head = self.head_sight.under_way or reading.on_axis
+            moved = room_motion.name_motion(motion, expected, reading, approached=at_head)
         if moved is None:
-            moved = find_unseen(expected, reading)
+            moved = room_motion.find_unseen(expected, reading)
         if moved is None and len(rows.residual):
             findings += self._tell_by_frame(hidden=by_frame)
             self._count(judged.look, rows)
@@ -283,20 +284,19 @@ class RoomWatch:
     @property
     def _points_here_mm(self) -> Mapping[str, Array]:
         """Targets that count now: with the guide at one of them, that one."""
-        approach = self.head_sight.approach
-        if approach is None or not approach.under_way:
+        if not self.head_sight.under_way:
             return self.points_mm
-        at = approach.trajectory
+        at = self.head_sight.trajectory
         return {name: point for name, point in self.points_mm.items() if name == at} or self.points_mm
 
     def _find_gross(self, rows: Rows) -> RoomMotion | None:
         """Return a motion of the base that is plain although the arm was never seen in this pose."""
         if Body.BASE not in rows.blocks:
             return None
-        way_mm = self._arm_way_mm(rows)
-        if (moved_mm := float(np.linalg.norm(way_mm))) < GROSS_LIMIT_MM:
+        way_mm, limit_mm = self._arm_way_mm(rows), self.gross_limit_mm
+        if (moved_mm := float(np.linalg.norm(way_mm))) < limit_mm:
             return None
-        return RoomMotion(Moved.BASE, len(self.estimate.looks), moved_mm**2, GROSS_LIMIT_MM**2, way_mm)
+        return RoomMotion(Moved.BASE, len(self.estimate.looks), moved_mm**2, limit_mm**2, way_mm)
 
     def with_look(self, look: Sighting, estimate: RoomEstimate | None = None) -> RoomEstimate:
         """Return the estimate, by default the present one, with a look that is only imagined."""
@@ -310,10 +310,10 @@ class RoomWatch:
         """Return by how much these bodies displace a point (3,), robot frame, as a look alone shows it."""
         return self.estimate.displacement_by(self._rows(look), point_mm, bodies)
 
-    def expected(self, judged: JudgedReading) -> Expected:
+    def expected(self, judged: JudgedReading) -> room_motion.Expected:
         """Return where everything is expected in a reading."""
         mount = self.estimate.model.arms[Tracked.ARM].flange_from_marker
-        return Expected(
+        return room_motion.Expected(
             judged.look,
             self.spheres_mm,
             self.clamp_mm,
@@ -347,7 +347,7 @@ class RoomWatch:
         motion, reading = judged.motion, judged.reading
         if motion is None or motion.moved is not Moved.TRACKER or not reading.is_careful:
             return judged, ()
-        push = push_of_tracker(self.expected(judged))
+        push = room_motion.push_of_tracker(self.expected(judged))
         self.tracker = self.tracker.then(STILL if push is None else push)
         self.tracker_moved(self.tracker)
         if push is None:
@@ -362,7 +362,7 @@ class RoomWatch:
         )
 
     def _unpushed(self, judged: JudgedReading) -> Rows | None:
-        push = push_of_tracker(self.expected(judged))
+        push = room_motion.push_of_tracker(self.expected(judged))
         if push is None:
             return None
         unpushed = judged.reading.moved_by(push.inverse(), self.robot_from_tracker)
@@ -406,27 +406,22 @@ class RoomWatch:
         length_mm = math.hypot(*way_mm)
         share = float(gone_mm @ way_mm) / length_mm**2 if length_mm > 0.0 else 0.0
         off_mm = math.hypot(*(gone_mm - min(1.0, max(0.0, share)) * way_mm))
-        return off_mm if off_mm > GROSS_LIMIT_MM + length_mm else None
+        return off_mm if off_mm > self.gross_limit_mm + length_mm else None
 
 
 def read_watched(
-    room: RoomWatch,
-    workcell: Workcell,
-    clock: Clock,
-    count: int = FRAMES,
-    sides: ArrivedSides = AS_KNOWN,
+    room: RoomWatch, workcell: Workcell, count: int = FRAMES, sides: ArrivedSides = AS_KNOWN
 ) -> RoomReading:
     """Read the room with the arm at rest; carefully, if a short reading shows that something has moved."""
-    reading = room.read(workcell, read_frames_at_rest(workcell.tracker, clock, count=count)[0], sides)
+    reading = room.read(workcell, read_frames_at_rest(workcell, count=count)[0], sides)
     if reading.is_careful or room.judge(reading).motion is None:
         return reading
-    return room.read(workcell, read_frames_at_rest(workcell.tracker, clock, count=CAREFUL_FRAMES)[0], sides)
+    return room.read(workcell, read_frames_at_rest(workcell, count=CAREFUL_FRAMES)[0], sides)
 
 
 def check_now(
     room: RoomWatch,
     workcell: Workcell,
-    clock: Clock,
     memory: CaseMemory,
     void: Callable[[RonnaError], None],
     count: int = FRAMES,
@@ -436,10 +431,10 @@ def check_now(
 
     An arm at home that is not in its place is looked at once more after a moment: a hand may have touched it.
     """
-    look = room.compare(read_watched(room, workcell, clock, count, sides), clock.now_s())
+    look = room.compare(read_watched(room, workcell, count, sides), workcell.clock.now_s())
     if isinstance(touched := look.moved, BaseShifted) and look.reading.settled_home and touched.cart:
-        clock.sleep(TOUCHED_S)
-        look = room.compare(read_watched(room, workcell, clock, CAREFUL_FRAMES, sides), clock.now_s())
+        workcell.clock.sleep(TOUCHED_S)
+        look = room.compare(read_watched(room, workcell, CAREFUL_FRAMES, sides), workcell.clock.now_s())
         if look.moved is None:
             found = f"for a moment {touched.what}; it is back in its place: somebody has touched the arm"
             look = replace(look, findings=(*look.findings, found))

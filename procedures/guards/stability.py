@@ -143,7 +143,6 @@ class SeenUnchanged(Values):
         return self.moved_mm is not None and self.moved_mm < self.noticeable_mm and not self.differs
 
     def __str__(self) -> str:
-        """Describe the finding to the operator."""
         if self.moved_mm is None:
             return f"{self.subject} not seen"
         if self.differs:

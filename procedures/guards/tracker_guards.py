@@ -18,7 +18,6 @@ from procedures.guards.head_sight import MOST_UNSEEN_S
 from procedures.guards.room_watch import RoomWatch, check_now
 from procedures.operator.question import Topic
 from procedures.workcell import Workcell
-from ronna_hw.clock import Clock
 from ronna_hw.devices import OpticalTracker
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import Validity
@@ -89,7 +88,7 @@ class TrackerLink:
         """Whether the tracker is needed now. The way out does not need it."""
         if self.tracker.state is Lifecycle.CONFIGURED:
             room = self.memory.find(RoomWatch)
-            return room is not None and room.head_sight.is_approached
+            return room is not None and room.head_sight.under_way
         return self.tracker.state is Lifecycle.ACTIVE
 
     def _look(self) -> None:
@@ -138,13 +137,9 @@ class LineOfSight:
 
 @dataclass
 class HeadInSight:
-    """Guard for the line of sight to the head. Checks the room on timeout.
-
-    `void` ends a localization, `find` records a finding.
-    """
+    """Guard for the line of sight to the head. Checks the room on timeout."""
 
     workcell: Workcell
-    clock: Clock
     memory: CaseMemory
     void: Callable[[RonnaError], None]
     find: Callable[[str], None] = lambda _text: None
@@ -160,12 +155,12 @@ class HeadInSight:
     def unmet(self) -> str | None:
         """Describe why the head has been unseen for too long. Raises as `RoomLook.require`."""
         room = self.memory.find(RoomWatch)
-        if room is None or not room.head_sight.is_overdue(self.clock.now_s()):
+        if room is None or not room.head_sight.is_overdue(self.workcell.clock.now_s()):
             return None
-        look = check_now(room, self.workcell, self.clock, self.memory, self.void)
+        look = check_now(room, self.workcell, self.memory, self.void)
         for finding in look.findings:
             self.find(finding)
-        now_s = self.clock.now_s()
+        now_s = self.workcell.clock.now_s()
         if not room.head_sight.is_overdue(now_s):
             return None
         why = ARM_IN_THE_WAY if room.head_sight.is_hidden_by_arm else CLEAR_THE_LINE

@@ -15,7 +15,7 @@ from functools import partial
 
 from procedures.guards.assistant_on_axis import LARGEST_OFF_MM, AssistantOnAxis
 from procedures.guards.guide_displacement import PUSHED_MM, GuideAtRest
-from procedures.guards.head_frames import PATIENT_LIMIT_MM, Array, Flags, PatientFrames
+from procedures.guards.head_frames import PATIENT_LIMIT_MM, Flags, PatientFrames
 from procedures.guards.room_reading import find_ghosts
 from procedures.guards.room_watch import RoomWatch
 from procedures.guards.tracker_guards import late_s
@@ -23,7 +23,7 @@ from procedures.workcell import Workcell
 from procedures.workcell.arm_history import MotionKind
 from procedures.workcell.patient_frame import posed_markers
 from procedures.workcell.tracker_look import FRAME_S, add_frame_spheres, flange_from_marker, markers_in_frame
-from ronna_hw.clock import Clock
+from ronna_hw.arrays import Array
 from ronna_hw.devices.lifecycle import RUNNING, Lifecycle
 from ronna_hw.devices.readings import TrackerFrame, Validity
 from ronna_hw.errors import LinkTimeout, ProtocolError, RonnaError, summary_of
@@ -50,7 +50,6 @@ class WatchThread:
     """Thread that reads tracker frames. `unseen_s` is the theatre time since the head was last seen."""
 
     workcell: Workcell
-    clock: Clock
     motion: str | None  # its kind
     room: RoomWatch
     head: PatientFrames
@@ -79,6 +78,7 @@ class WatchThread:
     _flange_from_frame_mm: Vector3 | None = None
 
     def __post_init__(self) -> None:
+        self.clock = self.workcell.clock
         self._seen_s = self.clock.now_s()
         if self._leads_instrument:
             self.leading = [
@@ -89,7 +89,6 @@ class WatchThread:
 
     @property
     def arm_moves(self) -> bool:
-        """Whether an arm moves meanwhile."""
         return self.motion is not None
 
     @property
@@ -102,7 +101,6 @@ class WatchThread:
 
     @property
     def has_moved(self) -> bool:
-        """Whether head, cart or tracker have moved."""
         return self.moved_mm is not None or self.base_mm is not None
 
     def begin(self) -> None:

@@ -34,15 +34,7 @@ __all__ = [
     "read_series",
 ]
 
-_MODULES = (
-    "markers",
-    "volume",
-    "dicom.slice_headers",
-    "series",
-    "picks",
-    "localization",
-    "thesis_localizer",
-)
+_MODULES = ("markers", "volume", "dicom.slice_headers", "series", "picks", "localization", "thesis_localizer")
 
 
 def __getattr__(name: str) -> Any:

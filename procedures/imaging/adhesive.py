@@ -13,15 +13,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
 from procedures.imaging.errors import ADHESIVE_COUNT_WRONG
 from procedures.imaging.volume import AIR_HU, Volume
 from ronna_hw.adhesive_marker import INNER_RADIUS_MM, OUTER_RADIUS_MM, THICKNESS_MM
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from ronna_hw.arrays import Array, Mask
+from ronna_hw.frames import perpendicular_axes
+from ronna_hw.robust_scale import robust_sigma
+from ronna_hw.vectors import vector3
 
 COARSE_MM = 1.0
 BODY_HU = -450.0  # half-way between air and soft matter
@@ -144,26 +144,25 @@ def _measure_ring(volume: Volume, centre: Array, normal: Array) -> AdhesiveRing 
 def _measure_once(volume: Volume, centre: Array, normal: Array) -> AdhesiveRing | None:
     """Measure top and rims on rays from an approximate centre and normal."""
     angles = 2.0 * np.pi * np.arange(ANGLES) / ANGLES
-    across, along = _plane_axes(normal)
+    across, along = perpendicular_axes(normal)
     rays = np.outer(np.cos(angles), across) + np.outer(np.sin(angles), along)
     top = _fit_top(volume, centre, rays, normal, angles)
     if top is None:
         return None
-    normal = normal - top.slope[0] * across - top.slope[1] * along
+    at_axis, slope_across, slope_along, *_ = top.coefficients
+    normal = normal - slope_across * across - slope_along * along
     normal = normal / np.linalg.norm(normal)
-    heights = top.height_at(MIDDLE_MM, angles) - BELOW_TOP_MM
+    heights = _top_design(np.full_like(angles, MIDDLE_MM), angles) @ top.coefficients - BELOW_TOP_MM
     outer = _fit_rim(volume, centre, rays, normal, heights, OUTWARDS_MM)
     inner = _fit_rim(volume, centre, rays, normal, heights, INWARDS_MM)
     if outer is None or inner is None:
         return None
     information = 1.0 / outer.variance + 1.0 / inner.variance
     shift = (outer.centre / outer.variance + inner.centre / inner.variance) / information
-    centre = centre + shift[0] * across + shift[1] * along + (top.at_axis - 0.5 * THICKNESS_MM) * normal
+    centre = centre + shift[0] * across + shift[1] * along + (at_axis - 0.5 * THICKNESS_MM) * normal
     in_plane, upright = 1.0 / information + LEAST_SIGMA_MM**2, top.variance + LEAST_SIGMA_MM**2
     covariance = in_plane * np.eye(3) + (upright - in_plane) * np.outer(normal, normal)
-    x, y, z = centre.tolist()
-    nx, ny, nz = normal.tolist()
-    return AdhesiveRing((x, y, z), (nx, ny, nz), outer.radius, inner.radius, covariance)
+    return AdhesiveRing(vector3(centre), vector3(normal), outer.radius, inner.radius, covariance)
 
 
 @dataclass(frozen=True)
@@ -182,17 +181,6 @@ class _Top:
     coefficients: Array
     variance: float
 
-    @property
-    def at_axis(self) -> float:
-        return float(self.coefficients[0])
-
-    @property
-    def slope(self) -> Array:
-        return self.coefficients[1:3]
-
-    def height_at(self, radius_mm: float, angles: Array) -> Array:
-        return np.asarray(_top_design(np.full_like(angles, radius_mm), angles) @ self.coefficients)
-
 
 @dataclass(frozen=True)
 class _Rim:
@@ -208,15 +196,11 @@ def _fit_top(volume: Volume, centre: Array, rays: Array, normal: Array, angles: 
     radii, turns = np.repeat(RADII_MM, ANGLES), np.tile(angles, len(RADII_MM))
     starts = centre + radii[:, None] * np.tile(rays, (len(RADII_MM), 1))
     heights = _first_edges(volume, starts, np.broadcast_to(normal, starts.shape), HEIGHTS_MM, rising=True)
-    ray_mm2 = 2.0 * np.pi * MIDDLE_MM / ANGLES * RADIUS_STEP_MM
-    return _robust_top(_top_design(radii, turns), heights, ray_mm2)
-
-
-def _robust_top(design: Array, heights: Array, area_mm2: float) -> _Top | None:
-    fit = _fit_robustly(design, heights)
+    fit = _fit_robustly(_top_design(radii, turns), heights)
     if fit is None:
         return None
-    independent = min(1.0, area_mm2 / CORRELATED_MM**2)
+    ray_mm2 = 2.0 * np.pi * MIDDLE_MM / ANGLES * RADIUS_STEP_MM
+    independent = min(1.0, ray_mm2 / CORRELATED_MM**2)
     return _Top(fit.solution, fit.scatter_mm2 / independent * float(fit.inverse_normal[0, 0]))
 
 
@@ -228,7 +212,8 @@ def _fit_robustly(design: Array, measured_mm: Array) -> _RobustFit | None:
             return None
         solution, *_ = np.linalg.lstsq(design[kept], measured_mm[kept], rcond=None)
         rest = measured_mm - design @ solution
-        kept = np.isfinite(rest) & (np.abs(rest) <= OUTLIER * _robust_sd(rest[kept]))
+        sd_mm = max(robust_sigma(rest[kept] - np.median(rest[kept])), 0.5 * STEP_MM)
+        kept = np.isfinite(rest) & (np.abs(rest) <= OUTLIER * sd_mm)
     return _RobustFit(
         np.asarray(solution, dtype=float),
         float(np.mean(rest[kept] ** 2)),
@@ -257,10 +242,6 @@ def _fit_rim(
     return _Rim(fit.solution[:2], radius_mm, fit.scatter_mm2 / independent * per_axis)
 
 
-def _robust_sd(rest: Array) -> float:
-    return max(1.4826 * float(np.median(np.abs(rest - np.median(rest)))), 0.5 * STEP_MM)
-
-
 def _first_edges(volume: Volume, starts: Array, along: Array, distances: Array, *, rising: bool) -> Array:
     """Return the distance of each ray's first crossing of half the step from air, NaN without one.
 
@@ -276,11 +257,3 @@ def _first_edges(volume: Volume, starts: Array, along: Array, distances: Array, 
     share = (level - before) / np.where(after == before, 1.0, after - before)
     edges = distances[first] + share * (distances[first + 1] - distances[first])
     return np.where(crosses.any(axis=1), edges, np.nan)
-
-
-def _plane_axes(normal: Array) -> tuple[Array, Array]:
-    """Return two unit vectors perpendicular to a normal and to each other."""
-    aside = np.eye(3)[np.abs(normal).argmin()]
-    across = np.cross(normal, aside)
-    across /= np.linalg.norm(across)
-    return across, np.cross(normal, across)

@@ -111,15 +111,9 @@ def view_volume(volume: Volume) -> ViewVolume:
         share = (mean_hu - DARKEST_HU) / (BRIGHTEST_HU - DARKEST_HU)
         grey[number] = np.round(LEVELS * np.clip(share, 0.0, 1.0))
     by = np.array(factor)
-    return ViewVolume(
-        grey,
-        VoxelGeometry(
-            (slices, rows, columns),
-            geometry.to_patient_mm((by - 1) / 2),  # centre of the first block
-            geometry.axes,
-            geometry.spacing_mm * by,
-        ),
-    )
+    first_mm = geometry.to_patient_mm((by - 1) / 2)  # centre of the first block
+    reduced = VoxelGeometry((slices, rows, columns), first_mm, geometry.axes, geometry.spacing_mm * by)
+    return ViewVolume(grey, reduced)
 
 
 def tile_slices(view: ViewVolume) -> tuple[bytes, int]:

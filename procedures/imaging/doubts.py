@@ -1,7 +1,7 @@
 """Doubts about whether a fitted sphere is a marker, based on its shape, neighbours and size.
 
 A fitted sphere rests on the part of a surface that fits; an egg, a rod with a round end or a cap also have
-such a part. Here every ray counts. Rays into metal carry no information. Rays that end in something denser
+such a part. Here every ray counts. Mask into metal carry no information. Mask that end in something denser
 than the surroundings must cross an edge at the sphere's radius, as under skin or a bandage; a post is too
 narrow to matter. All other rays must leave the sphere where it ends.
 
@@ -35,9 +35,8 @@ from procedures.imaging.sphere_centre.radial_edge import (
     ray_directions,
 )
 from procedures.imaging.volume import Region
+from ronna_hw.arrays import Array, Mask
 
-Array = NDArray[np.float64]
-Rays = NDArray[np.bool_]
 Span = tuple[float, float]
 
 # radii as multiples of the fitted one
@@ -137,9 +136,8 @@ def _judge_region(
     place, is_crossed = _first_fall(profiles, shares, levels_hu)
     opens = informative & is_crossed
     covered = informative & ~is_crossed
-    border_hu = _median_around(
-        np.subtract(*_levels_hu(profiles, shares, STEP_INSIDE, STEP_OUTSIDE)), informative
-    )
+    fall_hu = np.subtract(*_levels_hu(profiles, shares, STEP_INSIDE, STEP_OUTSIDE))
+    border_hu = _median_around(fall_hu, informative)
     early_hu = 0.0
     if covered.sum() > NEIGHBOURS:  # more than a post
         middle, before = _levels_hu(profiles, shares, MIDDLE, BEFORE_SURFACE)
@@ -193,7 +191,7 @@ def _level_shifts_hu(profiles: Array, shares: Array, edge: RadialEdge) -> Array:
     return np.asarray(np.clip(0.5 * (near + far - edge.inside_hu - edge.outside_hu), -most_hu, most_hu))
 
 
-def _first_fall(profiles: Array, shares: Array, levels_hu: Array) -> tuple[Array, Rays]:
+def _first_fall(profiles: Array, shares: Array, levels_hu: Array) -> tuple[Array, Mask]:
     """Return the radius, in sphere radii, at which each ray first falls below its level, and whether it does.
 
     The edge of a ray that is below its level throughout is at the core.
@@ -214,7 +212,7 @@ def _levels_hu(profiles: Array, shares: Array, *spans: Span) -> list[Array]:
     return [profiles[:, (shares > low) & (shares < high)].mean(axis=1) for low, high in spans]
 
 
-def _median_around(values: Array, informative: Rays) -> Array:
+def _median_around(values: Array, informative: Mask) -> Array:
     """Return the median over each ray's neighbours, (rays,); infinite if half of them are uninformative."""
     return np.asarray(np.median(np.where(informative, values, np.inf)[_neighbours()], axis=1))
 
@@ -226,8 +224,7 @@ def _neighbours() -> NDArray[np.intp]:
     return np.argpartition(-(directions @ directions.T), NEIGHBOURS, axis=1)[:, :NEIGHBOURS]
 
 
-def _mark_adjacent_rays(directions: Array, rays: Rays) -> Rays:
-    """Mark the rays adjacent to `rays`."""
+def _mark_adjacent_rays(directions: Array, rays: Mask) -> Mask:
     if not rays.any():
         return np.zeros(len(directions), dtype=bool)
     return np.asarray((directions @ directions[rays].T > RIM_COSINE).any(axis=1))
@@ -258,16 +255,16 @@ def assess_neighbours(
     row_members = _find_rows(offsets, distances, diameter_mm)
     doubts: list[tuple[MarkerDoubt, ...]] = []
     for number in range(len(centres_mm)):
-        found = []
-        if distances[number].min(initial=np.inf) < OVERLAP * diameter_mm:
-            found.append(MarkerDoubt("overlaps another body of its size", CERTAIN))
-        if number in row_members:
-            found.append(MarkerDoubt("is one of a row", CERTAIN))
-        doubts.append(tuple(found))
+        raised = {
+            "overlaps another body of its size": distances[number].min(initial=np.inf)
+            < OVERLAP * diameter_mm,
+            "is one of a row": number in row_members,
+        }
+        doubts.append(tuple(MarkerDoubt(words, CERTAIN) for words, is_raised in raised.items() if is_raised))
     return doubts
 
 
-def assess_sizes(radii_mm: Array, clear: NDArray[np.bool_]) -> list[MarkerDoubt]:
+def assess_sizes(radii_mm: Array, clear: Mask) -> list[MarkerDoubt]:
     """List a doubt for each radius (n,), from its deviation from the median radius of clear spheres."""
     if clear.sum() < FEWEST_ALIKE:
         return [MarkerDoubt("", 0.0)] * len(radii_mm)

@@ -6,7 +6,6 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from procedures.imaging.doubts import OVERLAP, assess_shape
 from procedures.imaging.markers import (
@@ -35,8 +34,7 @@ from procedures.imaging.sphere_centre.radial_edge import (
 )
 from procedures.imaging.sphere_centre.streaked_ball import fit_streaked_ball
 from procedures.imaging.volume import Region, Volume, cut_region
-
-Array = NDArray[np.float64]
+from ronna_hw.arrays import Array
 
 NOT_POLYMER = "shows no surface of a polymer sphere"
 OVERLAPS = "overlaps a marker, as two spheres cannot"
@@ -150,17 +148,15 @@ def examine_place(
     shows_little = edge.surface_share < min_surface_share and not _is_half_covered(edge)
     is_shadowed = edge.surface_share > SHADOWED_SURFACE_SHARE and mark_metal_slices(region).any()
     if shows_little and not is_shadowed:
-        seen = f"{edge.surface_share:.0%} of a sphere's surface"
-        is_cut = edge.cut_share > CUT_FLAG
-        return reject(
-            edge, f"is cut off by the field of view, shows {seen}" if is_cut else f"shows only {seen}"
-        )
+        shows = "is cut off by the field of view, shows" if edge.cut_share > CUT_FLAG else "shows only"
+        return reject(edge, f"{shows} {edge.surface_share:.0%} of a sphere's surface")
     if abs(edge.radius_mm - radius_mm) > RADIUS_TOLERANCE * radius_mm:
         return reject(edge, f"has radius {edge.radius_mm:.2f} mm instead of {radius_mm:.2f}")
     distances_mm = [float(np.linalg.norm(edge.centre_mm - other.centre_mm)) for other in known]
-    if min(distances_mm, default=np.inf) < radius_mm:
+    nearest_mm = min(distances_mm, default=np.inf)
+    if nearest_mm < radius_mm:
         return reject(edge, "is a marker that was already found")
-    if min(distances_mm, default=np.inf) < OVERLAP * 2.0 * radius_mm:
+    if nearest_mm < OVERLAP * 2.0 * radius_mm:
         return reject(edge, OVERLAPS)
     region = cut_region(volume, edge.centre_mm, REGION_REACH * radius_mm)
     refined = fit_radial_edge(region, edge.centre_mm, radius_mm, refine=True) or edge
@@ -175,8 +171,7 @@ def examine_place(
         return replace(sphere, contrast_hu=contrast_hu)
     sphere = measure_ball(region, refined, radius_mm)
     if sphere is None:
-        reason = "fits no blurred sphere" if is_polymer(refined) else NOT_POLYMER
-        return reject(refined, reason)
+        return reject(refined, "fits no blurred sphere" if is_polymer(refined) else NOT_POLYMER)
     return replace(sphere, contrast_hu=contrast_hu)
 
 
@@ -225,19 +220,16 @@ def as_marker(
 
     `overlaps` are rejected candidates that overlap a marker.
     """
-    geometry = volume.geometry
-    disagreement = sphere.agreement_mm / AGREEMENT_MM
     centre_mm = volume.patient_mm(sphere.centre_mm)
     apart_mm = [float(np.linalg.norm(np.subtract(centre_mm, other.centre_mm))) for other in overlaps]
+    is_overlapped = min(apart_mm, default=np.inf) < 2.0 * radius_mm
     return Marker(
         centre_mm=centre_mm,
-        covariance_mm2=geometry.covariance_to_patient(sphere.covariance_mm2).tolist(),
+        covariance_mm2=volume.geometry.covariance_to_patient(sphere.covariance_mm2).tolist(),
         radius_mm=sphere.radius_mm,
-        quality=sphere.edge.surface_share / (1.0 + disagreement**2),
+        quality=sphere.edge.surface_share / (1.0 + (sphere.agreement_mm / AGREEMENT_MM) ** 2),
         agreement_mm=sphere.agreement_mm,
-        flags=_list_flags(
-            sphere, others, radius_mm, is_overlapped=min(apart_mm, default=np.inf) < 2.0 * radius_mm
-        ),
+        flags=_list_flags(sphere, others, radius_mm, is_overlapped=is_overlapped),
         odds=sphere.odds,
     )
 
@@ -285,23 +277,14 @@ def measure_ball(region: Region, edge: RadialEdge, nominal_radius_mm: float) -> 
         return under_streaks if under_streaks is not None and under_streaks.is_evident else None
     hidden = edge.surface_share < SURFACE_FLAG and edge.unscanned_share < UNSCANNED_FLAG
     unseen = ray_directions()[~edge.seen]
-    rough = fit_rough_ball(
-        region,
-        edge.centre_mm,
-        edge.radius_mm,
-        edge.inside_hu,
-        edge.outside_hu,
-        hidden_directions=unseen if hidden else None,
-    )
+    rough = fit_rough_ball(region, edge, hidden_directions=unseen if hidden else None)
     if rough is None:
         return measure_under_streaks(region, edge, nominal_radius_mm)
     if hidden:
         ball = rough.refined(unseen)
-        return (
-            None
-            if ball is None
-            else replace(combine_estimates(edge, ball, region.spacing_mm), stretch=None, deformation=None)
-        )
+        if ball is None:
+            return None
+        return replace(combine_estimates(edge, ball, region.spacing_mm), stretch=None, deformation=None)
     under_streaks = None
     if rough.background_unevenness > STREAKED_AT_SIGHT or mark_metal_slices(region).any():
         under_streaks = measure_under_streaks(region, edge, nominal_radius_mm)

@@ -34,8 +34,7 @@ from procedures.imaging.markers import Candidate, Localization, MarkerDoubt
 from procedures.imaging.scan_deformation import combine_spheres
 from procedures.imaging.volume import Volume, VoxelGeometry
 from ronna_hw.arguments import require_numbers, show
-
-Array = NDArray[np.float64]
+from ronna_hw.arrays import Array
 
 VOXELS_PER_RADIUS = 5.75  # a 1 mm grid for the usual 11.5 mm sphere
 CLIP_HU = (-1000.0, 300.0)  # air to dense polymer
@@ -153,11 +152,8 @@ def _resample(volume: Volume, step_mm: float) -> tuple[NDArray[np.float32], Arra
         )
     planes -= CLIP_HU[0]
     if counts[0] != slices:
-        flat = planes.reshape(slices, -1)
-        resized = (
-            _average_slices(flat, counts[0]) if counts[0] < slices else _interpolate_slices(flat, counts[0])
-        )
-        planes = resized.reshape(counts)
+        resize = _average_slices if counts[0] < slices else _interpolate_slices
+        planes = resize(planes.reshape(slices, -1), counts[0]).reshape(counts)
     return planes, volume.extent_mm / counts
 
 
@@ -207,15 +203,11 @@ def judge_spheres(
     centres_mm = np.array([one.centre_mm for one in found])
     overlapping = [one.centre_mm for one in refused if one.reason == OVERLAPS]
     others_mm = geometry.to_index(np.array(overlapping).reshape(-1, 3)) * geometry.spacing_mm
-    neighbour_doubts_found = assess_neighbours(centres_mm, others_mm, diameter_mm)
-    judged = [
-        sphere.with_doubts(doubts) for sphere, doubts in zip(found, neighbour_doubts_found, strict=True)
-    ]
-    sizes = assess_sizes(
-        np.array([one.radius_mm for one in judged]),
-        np.array([one.accepted for one in judged]),
-    )
-    return [sphere.with_doubts((doubt,)) for sphere, doubt in zip(judged, sizes, strict=True)]
+    by_neighbours = assess_neighbours(centres_mm, others_mm, diameter_mm)
+    judged = [one.with_doubts(doubts) for one, doubts in zip(found, by_neighbours, strict=True)]
+    radii_mm = np.array([one.radius_mm for one in judged])
+    by_size = assess_sizes(radii_mm, np.array([one.accepted for one in judged]))
+    return [one.with_doubts((doubt,)) for one, doubt in zip(judged, by_size, strict=True)]
 
 
 def _keep_clear(judged: Sequence[Sphere], expected: int) -> list[Sphere]:

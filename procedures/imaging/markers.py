@@ -7,16 +7,15 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
+from ronna_hw.arrays import Array
 from ronna_hw.calibration import Numbers3
 
 STEEPNESS = 4.0  # at twice a limit the odds are 1 to 16
 EVEN = 0.5
 WORTH_TELLING = 0.5  # of a limit
 
-Array = NDArray[np.float64]
 Numbers5 = tuple[float, float, float, float, float]
 
 ESTIMATORS_DISAGREE = "estimators_disagree"  # the two centres are more than 0.06 mm apart

@@ -15,7 +15,7 @@ from itertools import product
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from procedures.imaging.errors import PickRefused, PicksUnreadable
 from procedures.imaging.examination import Sphere, as_candidate, as_marker, examine_place, judge_shape
@@ -29,12 +29,11 @@ from procedures.imaging.localization import (
 )
 from procedures.imaging.markers import Candidate, Localization
 from procedures.imaging.scan_deformation import combine_spheres
-from procedures.imaging.volume import Volume, VoxelGeometry, cube_around
+from procedures.imaging.volume import Volume, cube_around
 from ronna_hw.arguments import require_path
+from ronna_hw.arrays import Array
 from ronna_hw.bounded_input import InputRefused, parse_json, read_bounded
 from ronna_hw.plausible import FARTHEST_MM
-
-Array = NDArray[np.float64]
 
 LARGEST_FILE_BYTES = 1_000_000  # a 3D Slicer point list takes a kilobyte per point
 COLUMNS = ("L_mm", "P_mm", "S_mm")  # as `--write FILE.csv` names them
@@ -99,32 +98,23 @@ def _measure_pick(
     try:
         return _measure_at(volume, number, pick_mm, radius_mm, known)
     except PickRefused as refused:
-        if _shows_sphere(volume, number, LPS_FROM_RAS * pick_mm, radius_mm):
-            raise _with_hint(refused, IN_RAS) from refused
-        if _shows_sphere(volume, number, 1e3 * pick_mm, radius_mm):
-            raise _with_hint(refused, IN_METRES) from refused
+        for other_mm, hint in ((LPS_FROM_RAS * pick_mm, IN_RAS), (1e3 * pick_mm, IN_METRES)):
+            try:
+                _measure_at(volume, number, other_mm, radius_mm, [])
+            except PickRefused:
+                continue
+            raise refused.reworded(refused.what, expected=refused.expected, action=hint) from refused
         raise
-
-
-def _with_hint(refused: PickRefused, action: str) -> PickRefused:
-    return PickRefused(refused.what, expected=refused.expected, action=action)
-
-
-def _shows_sphere(volume: Volume, number: int, pick_mm: Array, radius_mm: float) -> bool:
-    try:
-        _measure_at(volume, number, pick_mm, radius_mm, [])
-    except PickRefused:
-        return False
-    return True
 
 
 def _measure_at(volume: Volume, number: int, pick_mm: Array, radius_mm: float, known: list[Sphere]) -> Sphere:
     geometry = volume.geometry
     place = f"pick {number} at ({', '.join(f'{value:g}' for value in pick_mm)}) mm"
-    index = geometry.to_index(pick_mm)
-    if (index < -0.5).any() or (index > np.array(geometry.shape) - 0.5).any():
-        raise PickRefused(f"{place} is outside the scanned volume", expected=_describe_extent(geometry))
-    grid_mm = index * geometry.spacing_mm
+    if not geometry.contains(pick_mm):
+        ends = zip("LPS", *geometry.ends_mm, strict=True)
+        extent = ", ".join(f"{axis} {low:.0f} to {high:.0f}" for axis, low, high in ends)
+        raise PickRefused(f"{place} is outside the scanned volume", expected=f"{extent} mm")
+    grid_mm = geometry.to_index(pick_mm) * geometry.spacing_mm
     refused: list[Candidate] = []
     for place_mm, contrast_hu in _list_starts(volume, grid_mm, radius_mm):
         outcome = examine_place(
@@ -138,14 +128,6 @@ def _measure_at(volume: Volume, number: int, pick_mm: Array, radius_mm: float, k
     if refused:
         reason = max(refused, key=lambda one: one.surface_share or 0.0).reason
     raise PickRefused(f"{place} {reason}")
-
-
-def _describe_extent(geometry: VoxelGeometry) -> str:
-    """Describe the scanned range along the patient axes."""
-    corners = np.array(list(product(*((-0.5, size - 0.5) for size in geometry.shape))))
-    places_mm = geometry.to_patient_mm(corners)
-    ends = zip("LPS", places_mm.min(axis=0), places_mm.max(axis=0), strict=True)
-    return ", ".join(f"{axis} {low:.0f} to {high:.0f}" for axis, low, high in ends) + " mm"
 
 
 def _list_starts(volume: Volume, grid_mm: Array, radius_mm: float) -> list[tuple[Array, float]]:

@@ -7,13 +7,11 @@ from collections.abc import Iterable, Sequence
 from textwrap import fill
 
 import numpy as np
-from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from procedures.imaging.markers import Candidate, Localization, Marker
 from procedures.imaging.volume import Volume, VoxelGeometry, cut_region
-
-Array = NDArray[np.float64]
+from ronna_hw.arrays import Array
 
 HALF_WIDTH_MM = 14.0
 STEP_MM = 0.25  # of the interpolated image
@@ -103,14 +101,12 @@ class _Sheet:
                 draw.text((left + place_px, bottom + 20), text, "black", tick_font, "mm")
                 draw.text((left - 8, height_px), text, "black", tick_font, "rm")
             draw.text((middle[0], top - 18), _plane_name(geometry, through), "black", plane_font, "mm")
-            draw.text((left, bottom + 46), _OPPOSITE[sides[across]], "black", plane_font, "mm")
-            draw.text((middle[0], bottom + 46), "mm", "black", plane_font, "mm")
-            draw.text((right, bottom + 46), sides[across], "black", plane_font, "mm")
+            for x, text in ((left, _OPPOSITE[sides[across]]), (middle[0], "mm"), (right, sides[across])):
+                draw.text((x, bottom + 46), text, "black", plane_font, "mm")
             # the index increases downwards in every image; the slice axis is drawn upwards, head on top
             above = sides[down] if down == 0 else _OPPOSITE[sides[down]]
-            draw.text((left - 48, top), above, "black", plane_font, "mm")
-            draw.text((left - 48, middle[1]), "mm", "black", plane_font, "mm")
-            draw.text((left - 48, bottom), _OPPOSITE[above], "black", plane_font, "mm")
+            for y, text in ((top, above), (middle[1], "mm"), (bottom, _OPPOSITE[above])):
+                draw.text((left - 48, y), text, "black", plane_font, "mm")
 
     def draw(self, middle_mm: Array, radius_mm: float | None, heading: str) -> bytes:
         """Draw a PNG of the planes through a position (LPS), with a ring if a radius is known."""

@@ -15,16 +15,14 @@ from collections.abc import Sequence
 from math import pi, sqrt
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from procedures.imaging.errors import ScanDeformed
 from procedures.imaging.markers import ScanDeformation
 from procedures.imaging.sphere_centre.ball_model import TERMS, Stretch, stretch_matrix
 from procedures.imaging.volume import VoxelGeometry
+from ronna_hw.arrays import Array
 from ronna_hw.text import format_distinct
-
-Array = NDArray[np.float64]
 
 # Standard deviations of the deviation from a ball beyond the covariance of its fit, per unit of length, from
 # phantoms of all protocols, kernels and slices. `FIT`: of one sphere, from hardening and streaks.
@@ -48,8 +46,18 @@ TILT_RAD = 0.5 * pi / 180.0
 ALIKE = np.diag([1.5, 1.5, 3.0, 3.0, 3.0])
 ALIKE[:2, :2] -= 0.5
 
-SYMMETRIC = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))  # LL, PP, SS, LP, LS, PS
+SYMMETRIC = [0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]  # rows and columns of LL, PP, SS, LP, LS, PS
 TRACELESS = [0, 1, 3, 4, 5]  # of these, that tell the rest
+SCANNER_ERRORS = np.array(  # a row for each: its components, with the table along S
+    [
+        [PIXEL_SIZE, PIXEL_SIZE, 0.0, 0.0, 0.0, 0.0],
+        [0.5 * PIXEL_SIZE, -0.5 * PIXEL_SIZE, 0.0, 0.0, 0.0, 0.0],
+        [0.0, 0.0, 0.0, 0.5 * PIXEL_SIZE, 0.0, 0.0],
+        [0.0, 0.0, TABLE_FEED, 0.0, 0.0, 0.0],
+        [0.0, 0.0, 0.0, 0.0, 0.5 * TILT_RAD, 0.0],
+        [0.0, 0.0, 0.0, 0.0, 0.0, 0.5 * TILT_RAD],
+    ]
+)
 
 
 def require_undeformed(found: ScanDeformation | None) -> None:
@@ -80,7 +88,8 @@ def combine_spheres(
     measured = [one for one in stretches if one is not None]
     if not measured:
         return None
-    turned = _terms_in_patient(geometry)
+    units = [geometry.covariance_to_patient(stretch_matrix(one)) for one in np.eye(TERMS)]
+    turned = np.array([one[SYMMETRIC][TRACELESS] for one in units]).T  # terms to LL, PP, LP, LS and PS
     found = np.array([one.coefficients_mm for one in measured]) / radius_mm
     weights = np.linalg.inv(
         np.array([one.covariance_mm2 for one in measured]) / radius_mm**2 + FIT**2 * ALIKE
@@ -106,51 +115,25 @@ def combine_spheres(
     )
 
 
-def _terms_in_patient(geometry: VoxelGeometry) -> Array:
-    """Return the matrix (5, 5) from the terms of a stretch along the grid to LL, PP, LP, LS and PS."""
-    columns = [geometry.covariance_to_patient(stretch_matrix(one)) for one in np.eye(TERMS)]
-    return np.array([_components(one)[TRACELESS] for one in columns]).T
-
-
-def _components(strain: Array) -> Array:
-    return np.array([strain[place] for place in SYMMETRIC])
-
-
 def open_strains(measured: ScanDeformation | None) -> Array:
     """Return six strains (6, 3, 3), LPS, of one standard deviation each: what a scan may still be off by.
 
     They combine the usual errors of a scanner with what the spheres have shown.
     """
-    errors = np.array([_components(one) for one in _scanner_errors()]).T
+    errors = SCANNER_ERRORS.T
     covariance = errors @ errors.T
     if measured is not None:
-        shown = np.eye(len(SYMMETRIC))
+        shown = np.eye(6)
         shown[:3, :3] -= 1.0 / 3.0  # a scale shows in no shape
         shown = shown[TRACELESS]
         gain = np.linalg.solve(
             shown @ covariance @ shown.T + np.array(measured.covariance), shown @ covariance
         ).T
-        mean = gain @ _components(np.array(measured.strain))[TRACELESS]
+        mean = gain @ np.array(measured.strain)[SYMMETRIC][TRACELESS]
         covariance = covariance - gain @ shown @ covariance + np.outer(mean, mean)
     values, vectors = np.linalg.eigh(0.5 * (covariance + covariance.T))
-    return np.array([_as_matrix(one) for one in (vectors * np.sqrt(np.maximum(values, 0.0))).T])
-
-
-def _scanner_errors() -> tuple[Array, ...]:
-    """Return the strains (3, 3), LPS, by the usual errors of a scanner; the table runs along S."""
-    pixel, slant = 0.5 * PIXEL_SIZE, 0.5 * TILT_RAD
-    return (
-        PIXEL_SIZE * np.diag([1.0, 1.0, 0.0]),
-        pixel * np.diag([1.0, -1.0, 0.0]),
-        pixel * _as_matrix(np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0])),
-        TABLE_FEED * np.diag([0.0, 0.0, 1.0]),
-        slant * _as_matrix(np.array([0.0, 0.0, 0.0, 0.0, 1.0, 0.0])),
-        slant * _as_matrix(np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1.0])),
-    )
-
-
-def _as_matrix(components: Array) -> Array:
-    strain = np.empty((3, 3))
-    for (row, column), value in zip(SYMMETRIC, components.tolist(), strict=True):
-        strain[row, column] = strain[column, row] = value
-    return strain
+    components = (vectors * np.sqrt(np.maximum(values, 0.0))).T
+    strains = np.empty((len(components), 3, 3))
+    for rows, columns in (SYMMETRIC, SYMMETRIC[::-1]):
+        strains[:, rows, columns] = components
+    return strains

@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 
 from procedures.imaging.errors import PatientMoved
 from procedures.imaging.volume import VoxelGeometry
+from ronna_hw.arrays import Array
 from ronna_hw.text import format_against_limit
 
-Array = NDArray[np.float64]
 Plane = NDArray[np.float32]
 
 BODY_HU = (-700, 300)  # from air to dense tissue: skin counts, metal and its streaks hardly more

@@ -40,9 +40,8 @@ if TYPE_CHECKING:
 HU_LIMITS = (-32768, 32767)
 
 UNSIGNED, SIGNED = 0, 1  # PS3.3 C.7.6.3.1, Pixel Representation
-_LITTLE_ENDIAN_UNCOMPRESSED = frozenset(
-    {"1.2.840.10008.1.2", "1.2.840.10008.1.2.1", "1.2.840.10008.1.2.1.99"}  # the last is deflated as a whole
-)
+# The last is deflated as a whole.
+_LITTLE_ENDIAN_UNCOMPRESSED = ("1.2.840.10008.1.2", "1.2.840.10008.1.2.1", "1.2.840.10008.1.2.1.99")
 
 HEADER_SHARE = 0.4  # of the reading time
 AIR_BELOW_HU = -500  # every head is surrounded by air
@@ -101,9 +100,8 @@ def read_pixels(target: NDArray[np.int16], header: SliceHeader, decoder: FrameDe
     for keyword, defect in (("SamplesPerPixel", "has colour"), ("NumberOfFrames", "has several frames")):
         if (count := _read_integer(header, data, keyword, 1)) != 1:
             raise PIXELS_UNUSABLE(f"{name} {defect}", expected=f"{keyword} of 1", got=str(count))
-    if (
-        photometry := read_attribute_text(header.path, data, "PhotometricInterpretation") or "MONOCHROME2"
-    ) != "MONOCHROME2":
+    photometry = read_attribute_text(header.path, data, "PhotometricInterpretation")
+    if photometry not in ("", "MONOCHROME2"):
         raise PIXELS_UNUSABLE(f"{name} has photometric interpretation {photometry}")
     if "FloatPixelData" in data or "DoubleFloatPixelData" in data:
         raise PIXELS_UNUSABLE(f"{name} has floating-point pixels", expected="integers")
@@ -135,13 +133,10 @@ def _decode_16_bit(
         raise FILE_DAMAGED(f"{name} is truncated", expected=f"{needed} bytes of pixels", got=got)
     if len(pixels) > needed:
         raise FILE_DAMAGED(
-            f"{name} has more pixels than its header says",
-            expected=f"{needed} bytes",
-            got=f"{len(pixels)}",
+            f"{name} has more pixels than its header says", expected=f"{needed} bytes", got=f"{len(pixels)}"
         )
-    stored = np.frombuffer(
-        pixels, dtype="<i2" if representation == SIGNED else "<u2", count=needed // 2
-    ).reshape(shape)
+    kind = "<i2" if representation == SIGNED else "<u2"
+    stored = np.frombuffer(pixels, kind, needed // 2).reshape(shape)
     bits = _read_integer(header, data, "BitsStored", 16)
     high = _read_integer(header, data, "HighBit", bits - 1)
     if not 1 <= bits <= high + 1 <= 16:
@@ -190,10 +185,8 @@ def _decode_with_library(
         if not _can_decode(syntax):
             raise COMPRESSION_UNKNOWN(f"{name} is compressed with {syntax.name}") from problem
         sound = isinstance(problem, NotDecoded) and problem.from_outside
-        raise FILE_DAMAGED(
-            f"{name}: its pixel data cannot be decoded ({problem})",
-            action=MAY_BE_SOUND if sound else None,
-        ) from problem
+        words = f"{name}: its pixel data cannot be decoded ({problem})"
+        raise FILE_DAMAGED(words, action=MAY_BE_SOUND if sound else None) from problem
     if stored.shape != shape or stored.dtype.kind not in "iu":
         raise PIXELS_UNUSABLE(f"{name} decodes to shape {stored.shape} of {stored.dtype}")
     return stored

@@ -23,8 +23,8 @@ from procedures.imaging.errors import LOCALIZATION_MISUSED
 from procedures.imaging.localization import DIAMETER_MM, check_request, require_count, superior_first_key
 from procedures.imaging.markers import Candidate, Localization, Marker
 from procedures.imaging.volume import Volume
+from ronna_hw.arrays import Array, Mask
 
-Array = NDArray[np.float64]
 Box = tuple[slice, slice, slice]  # voxels (slices, rows, columns)
 
 BODY_HU = -500  # anything above is not air
@@ -99,9 +99,8 @@ def localize_as_thesis(
         )
         for pair in pair_clusters(axial, sagittal):
             centre_mm, marker, reason = _build_marker(volume, pair, fit, radius_mm)
-            if marker is not None and any(
-                np.linalg.norm(centre_mm - one) < diameter_mm for one in accepted_mm
-            ):
+            overlaps = any(np.linalg.norm(centre_mm - one) < diameter_mm for one in accepted_mm)
+            if marker is not None and overlaps:
                 marker, reason = None, "overlaps a marker that was already found"
             candidates.append(Candidate(volume.patient_mm(centre_mm), marker is not None, reason, 0.0))
             if marker is not None:
@@ -167,11 +166,9 @@ def find_regions(volume: Volume) -> list[Box]:
         extent_mm = [(part.stop - part.start) * step for part, step in zip(parts, step_mm, strict=True)]
         if sizes[number] < REGION_VOLUME_MM3 or max(extent_mm) > REGION_EXTENT_MM:
             continue
-        low = [part.start * k - a for part, k, a in zip(parts, skip, around, strict=True)]
-        high = [part.stop * k + a for part, k, a in zip(parts, skip, around, strict=True)]
         z, y, x = (
-            slice(max(int(a), 0), min(int(b), n))
-            for a, b, n in zip(low, high, volume.voxels.shape, strict=True)
+            slice(max(int(part.start * step - room), 0), min(int(part.stop * step + room), size))
+            for part, step, room, size in zip(parts, skip, around, volume.voxels.shape, strict=True)
         )
         boxes.append((z, y, x))
     return boxes
@@ -307,7 +304,7 @@ def fit_sphere(axial: Cluster, sagittal: Cluster) -> tuple[Array, float, float]:
     """Fit a sphere to the circles: centre (3,) in grid mm, radius in mm, share of circle points on it."""
     points = np.concatenate([_circle_points(cluster) for cluster in (axial, sagittal)])
 
-    def mark_on_sphere(sample: Array) -> NDArray[np.bool_]:
+    def mark_on_sphere(sample: Array) -> Mask:
         centre, radius = _fit_algebraic_sphere(sample)
         return np.asarray(np.abs(np.linalg.norm(points - centre, axis=1) - radius) < ON_SPHERE_MM)
 
@@ -321,7 +318,7 @@ def fit_sphere(axial: Cluster, sagittal: Cluster) -> tuple[Array, float, float]:
 def _fit_line(points: Array) -> tuple[Array, Array]:
     """Fit a line; return a point on it and its unit direction."""
 
-    def mark_on_line(sample: Array) -> NDArray[np.bool_]:
+    def mark_on_line(sample: Array) -> Mask:
         direction = sample[1] - sample[0]
         direction = direction / np.linalg.norm(direction)
         offsets = points - sample[0]
@@ -334,9 +331,7 @@ def _fit_line(points: Array) -> tuple[Array, Array]:
     return middle, axes[0]
 
 
-def _find_consensus(
-    points: Array, count: int, mark_agreeing: Callable[[Array], NDArray[np.bool_]]
-) -> NDArray[np.bool_]:
+def _find_consensus(points: Array, count: int, mark_agreeing: Callable[[Array], Mask]) -> Mask:
     """Find the largest set of points (n,) consistent with a random sample of `count` points (RANSAC)."""
     random = np.random.default_rng(SEED)
     best = np.zeros(len(points), dtype=bool)

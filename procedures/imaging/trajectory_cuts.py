@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from procedures.imaging.volume import Volume
+from ronna_hw.arrays import Array
 
-Array = NDArray[np.float64]
 Picture = NDArray[np.uint8]
 
 PLAN_PICTURE = "plan-"  # prefix of the file names, followed by the trajectory

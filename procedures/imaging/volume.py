@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -15,8 +16,8 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import map_coordinates, spline_filter
 
 from procedures.imaging.errors import VOLUME_MALFORMED
-
-Array = NDArray[np.float64]
+from ronna_hw.arrays import Array, Mask
+from ronna_hw.vectors import vector3
 
 AXES_TOLERANCE = 1e-6  # on the scalar products of the axes
 
@@ -60,6 +61,17 @@ class VoxelGeometry:
         """Return the fractional voxel indices (..., 3) of patient positions (..., 3) mm."""
         offsets = np.asarray(points_mm, dtype=float) - self.origin_mm
         return np.asarray(offsets @ self.axes / self.spacing_mm)
+
+    def contains(self, points_mm: ArrayLike) -> Mask:
+        """Return whether patient positions (..., 3) mm are within the outer voxel faces."""
+        index = self.to_index(points_mm)
+        return np.asarray(((index >= -0.5) & (index <= np.array(self.shape) - 0.5)).all(axis=-1))
+
+    @property
+    def ends_mm(self) -> tuple[Array, Array]:
+        """Least and largest L, P, S (3,) of the outer voxel faces, if tilted of the box around them."""
+        corners = self.to_patient_mm(list(product(*((-0.5, size - 0.5) for size in self.shape))))
+        return corners.min(axis=0), corners.max(axis=0)
 
     def grid_mm_to_patient_mm(self, points_mm: ArrayLike) -> Array:
         """Return the patient positions (..., 3) mm of grid positions (..., 3), index times spacing."""
@@ -119,8 +131,7 @@ class Volume:
 
     def patient_mm(self, grid_mm: ArrayLike) -> tuple[float, float, float]:
         """Return the patient position (LPS) of a grid position (3,) mm."""
-        x, y, z = self.geometry.grid_mm_to_patient_mm(grid_mm).tolist()
-        return x, y, z
+        return vector3(self.geometry.grid_mm_to_patient_mm(grid_mm))
 
 
 @dataclass(frozen=True, eq=False)

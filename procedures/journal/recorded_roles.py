@@ -6,15 +6,15 @@ from typing import Annotated
 
 from pydantic import AliasChoices, BeforeValidator, Field
 
-from ronna_hw.roles import ONE_ARM, TWO_ARMS
+from ronna_hw.roles import CASES, TWO_ARMS, roles_of
 
 
 def _read_roles(told: object) -> object:
     """Return roles as told; older files only say whether there is an assistant."""
     if isinstance(told, bool):
-        return TWO_ARMS if told else ONE_ARM
+        return roles_of(dual=told)
     roles = tuple(told) if isinstance(told, list) else told
-    if roles not in (ONE_ARM, TWO_ARMS):
+    if roles not in CASES:
         raise ValueError(f"expected the roles of one arm or of two: {', '.join(TWO_ARMS)}")
     return roles
 

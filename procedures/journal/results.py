@@ -69,8 +69,5 @@ class FramedPose(Values):
     def transform(self) -> Transform:
         """The pose as a checked transform."""
         return Transform.of(
-            self.target,
-            self.source,
-            translation_mm=self.translation_mm,
-            quaternion_wxyz=self.quaternion_wxyz,
+            self.target, self.source, translation_mm=self.translation_mm, quaternion_wxyz=self.quaternion_wxyz
         )

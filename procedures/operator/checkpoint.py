@@ -8,7 +8,7 @@ ended.
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from typing import Protocol, runtime_checkable
 
@@ -73,10 +73,9 @@ class Checkpoint:
         ask: Callable[[Question], str],
         rest: Callable[[str, str], AbstractContextManager[None]],
         clock: Clock,
-        guards: Sequence[Guard] = (),
     ) -> None:
         """Set up the checkpoint. The context `rest(state, reason)` is active while the case rests."""
-        self.guards = list(guards)
+        self.guards: list[Guard] = []
         self.beside: Callable[[], AbstractContextManager[None]] = nullcontext  # held while guards look
         # Held, with what is done and the kind of motion, also while an instrument is at its target (None).
         self.watching: Callable[[str, str | None], AbstractContextManager[None]] = lambda _what, _motion: (

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Protocol
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, Field
 
 from procedures.operator.margin import MarginVerdict, judge_error
 from ronna_hw.text import strip_unit
@@ -63,44 +63,27 @@ class Topic(StrEnum):
 
 
 DELIBERATE = frozenset(
-    {
-        Topic.RESUME,
-        Topic.FIRST_MOTION,
-        Topic.REGISTRATION,
-        Topic.REGISTRATION_KEPT,
-        Topic.TOOL_CHECK,
-        Topic.APPROACH,
-        Topic.WORK_BEGUN,
-        Topic.AT_TARGET,
-        Topic.INSTRUMENT_OUT,
-        Topic.RETREAT,
-        Topic.PARK,
-        Topic.CALIBRATION,
-        Topic.PAUSE,
-        Topic.HEAD_UNSEEN,
-        Topic.MOVE_FOLLOWED,
-        Topic.CART_MOVED,
+    (
+        *(Topic.RESUME, Topic.FIRST_MOTION, Topic.REGISTRATION, Topic.REGISTRATION_KEPT, Topic.TOOL_CHECK),
+        *(Topic.APPROACH, Topic.WORK_BEGUN, Topic.AT_TARGET, Topic.INSTRUMENT_OUT, Topic.RETREAT, Topic.PARK),
+        *(Topic.CALIBRATION, Topic.PAUSE, Topic.HEAD_UNSEEN, Topic.MOVE_FOLLOWED, Topic.CART_MOVED),
         Topic.UNVERIFIED,
-    }
+    )
 )
 # Topics that no file answers on real devices, including manual work on the patient.
 FOR_A_PERSON = DELIBERATE | {Topic.DEPTH_STOP, Topic.SKIN, Topic.DRILL, Topic.DURA}
 
 
-class Evidence(BaseModel):
+class Evidence(BaseModel, frozen=True, extra="forbid", allow_inf_nan=False):
     """Table of evidence for a question, as displayed text with units."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     title: str
     head: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
 
 
-class PredictedError(BaseModel):
+class PredictedError(BaseModel, frozen=True, extra="forbid", allow_inf_nan=False):
     """Predicted error at a target, against the margin that the plan allows there."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     target: str
     rms_mm: float
@@ -123,23 +106,19 @@ class PredictedError(BaseModel):
         return f"{within} the margin; {self.confidence:.0%} of such errors stay within {limit}"
 
 
-class Picture(BaseModel):
+class Picture(BaseModel, frozen=True, extra="forbid"):
     """Picture shown with a question: its name among the run's pictures, and its SHA-256."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     name: str
     sha256: str
     trajectory: str = ""  # whose cuts it shows
 
 
-class Identity(BaseModel):
+class Identity(BaseModel, frozen=True, extra="forbid"):
     """Identity of the patient, shown with a question and stored nowhere.
 
     Its digest is salted, because a record that has the digest must not confirm a guessed identity.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     rows: tuple[tuple[str, str], ...] = Field(repr=False)  # name and value
     salt: str = Field(default_factory=lambda: secrets.token_hex(16), repr=False)
@@ -176,10 +155,6 @@ class ReadBack:
     def fits(self, typed: str) -> bool:
         """Return whether the typed text matches the value, ignoring case and surrounding whitespace."""
         return strip_unit(typed, self.unit).casefold() == self.value.strip().casefold()
-
-
-def _record_nothing() -> None:
-    """Do nothing, as the default for `misread`."""
 
 
 @dataclass(frozen=True)
@@ -219,7 +194,7 @@ class Question:
     trajectory: str | None = None
     timeout_s: float | None = 300.0
     read_back: ReadBack | None = None
-    misread: Callable[[], None] = field(default=_record_nothing, compare=False, repr=False)
+    misread: Callable[[], None] = field(default=lambda: None, compare=False, repr=False)
     number: int = 0
     evidence: tuple[Evidence, ...] = ()
     predicted: tuple[PredictedError, ...] = ()  # first what is decided on

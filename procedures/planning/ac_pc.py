@@ -10,9 +10,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from procedures.planning.errors import AcPcUnfit
+from ronna_hw.arrays import Array
+from ronna_hw.vectors import vector3
 
 # Adult commissures are 19 to 32 mm apart, centre to centre (unconfirmed). The limits leave room for children
 # and wide ventricles; they catch clicks on one commissure twice or on another structure, and metres.
@@ -21,7 +22,6 @@ LEAST_OFF_LINE_MM = 10.0  # a click 0.5 mm to the side then turns the frame by 3
 # Between x and the right side of the scan: no head is scanned as oblique as this.
 LARGEST_TURN_DEG = 45.0
 ANTERIOR, RIGHT = np.array([0.0, -1.0, 0.0]), np.array([-1.0, 0.0, 0.0])  # LPS
-Array = NDArray[np.float64]
 BEGIN_ANEW = "AC stays set; if it is wrong, remove the points and click AC first"
 
 
@@ -67,13 +67,11 @@ class AcPcFrame:
 
     def from_lps_mm(self, place_mm: Sequence[float]) -> tuple[float, float, float]:
         """Convert a point from LPS to x, y, z of the frame."""
-        x, y, z = (self.axes @ (np.asarray(place_mm, dtype=float) - self.middle_mm)).tolist()
-        return x, y, z
+        return vector3(self.axes @ (np.asarray(place_mm, dtype=float) - self.middle_mm))
 
     def to_lps_mm(self, place_mm: Sequence[float]) -> tuple[float, float, float]:
         """Convert a point from x, y, z of the frame to LPS."""
-        left, back, up = (self.middle_mm + np.asarray(place_mm, dtype=float) @ self.axes).tolist()
-        return left, back, up
+        return vector3(self.middle_mm + np.asarray(place_mm, dtype=float) @ self.axes)
 
 
 def require_commissures(ac_mm: Sequence[float], pc_mm: Sequence[float]) -> None:

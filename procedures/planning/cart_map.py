@@ -14,15 +14,16 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
 from procedures.planning.cart_place import CartCase, CartMove, PlaceSolution, PlaceVerdict
 from procedures.planning.errors import NO_PLACE
 from procedures.planning.proposed_place import TURNED_SHARE
+from ronna_hw.arrays import Mask
 from ronna_hw.host.worker_processes import collect_results, start_workers
 
 Node = tuple[int, int]
@@ -48,7 +49,7 @@ class PlaceMap:
 
     half: int  # finest squares from the centre to the edge
     verdicts: dict[Node, PlaceVerdict]
-    allowed: NDArray[np.bool_]
+    allowed: Mask
     turn_rad: float = 0.0
 
     @property
@@ -70,10 +71,8 @@ class PlaceMap:
         room = ndimage.distance_transform_edt(np.pad(self.allowed, 1))[1:-1, 1:-1]
         centres = (np.indices(room.shape) - self.half + 0.5) * FINEST_MM
         distance = np.hypot(*centres)
-        largest_room = room.max()
-        place = np.unravel_index(
-            np.argmin(np.where(room >= largest_room - 0.5, distance, np.inf)), room.shape
-        )
+        nearest = np.argmin(np.where(room >= room.max() - 0.5, distance, np.inf))
+        place = np.unravel_index(nearest, room.shape)
         free_mm = (float(room[place]) - HALF_DIAGONAL) * FINEST_MM
         return CartMove(float(centres[0][place]), float(centres[1][place]), self.turn_rad), free_mm
 
@@ -89,10 +88,8 @@ class _Search:
         self, nodes: Sequence[Node], known: Callable[[Node], tuple[PlaceSolution, ...]], search: bool
     ) -> None:
         unjudged = [node for node in dict.fromkeys(nodes) if node not in self.verdicts]
-        requests = [
-            (CartMove(i * FINEST_MM, j * FINEST_MM, self.turn_rad), known((i, j)), search)
-            for i, j in unjudged
-        ]
+        moves = (CartMove(i * FINEST_MM, j * FINEST_MM, self.turn_rad) for i, j in unjudged)
+        requests = [(move, known(node), search) for move, node in zip(moves, unjudged, strict=True)]
         self.verdicts.update(zip(unjudged, self.judge(requests), strict=True))
 
     def find_known(self, nodes: Sequence[Node]) -> tuple[PlaceSolution, ...]:
@@ -169,7 +166,7 @@ def open_judge(case: CartCase, workers: int | None = None) -> Iterator[Judge]:
     """
     count = workers or len(os.sched_getaffinity(0))
     if count == 1:
-        yield lambda requests: _judge(case, requests)
+        yield partial(_judge, case)
         return
     with start_workers(count) as pool:
 
@@ -243,16 +240,11 @@ def propose_place(places: PlaceMap, judge: Judge) -> PlaceProposal:
     free_deg = {-1.0: 0.0, 1.0: 0.0}  # by direction of rotation
     free_sides = list(free_deg)
     for turn in TURNS_DEG:
-        moves = [
-            _shift_place(best, free_mm * TURNED_SHARE, way, side * turn)
-            for side in free_sides
-            for way in SIDES
-        ]
-        serves_each = [one.serves for one in judge([(move, (verdict.found,), True) for move in moves])]
-        serving_by_side = [
-            serves_each[first : first + len(SIDES)] for first in range(0, len(serves_each), len(SIDES))
-        ]
-        free_sides = [side for side, each in zip(free_sides, serving_by_side, strict=True) if all(each)]
+        turns = [(side, way) for side in free_sides for way in SIDES]
+        moves = [_shift_place(best, free_mm * TURNED_SHARE, way, side * turn) for side, way in turns]
+        judged = judge([(move, (verdict.found,), True) for move in moves])
+        refused = {side for (side, _), one in zip(turns, judged, strict=True) if not one.serves}
+        free_sides = [side for side in free_sides if side not in refused]
         free_deg |= dict.fromkeys(free_sides, turn)
     return PlaceProposal(best, free_mm, (free_deg[-1.0], free_deg[1.0]), places)
 

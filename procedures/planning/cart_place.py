@@ -116,12 +116,10 @@ class CartCase:
     def _serves(self, setting: ArmSetting, found: PlaceSolution) -> bool:
         axes = Axes.of(setting, self.trajectories, self.fiducials_mm).turned(dict(found.turns_rad))
         spheres = setting.robot_from_ct.apply(np.array(self.fiducials_mm))
+        visits: list[Visit] = []
         try:
-            visits = [
-                one
-                for axis in axes.localized
-                for one in list_localizations(setting, axis, self.fiducials_mm, found.branch)
-            ]
+            for axis in axes.localized:
+                visits += list_localizations(setting, axis, self.fiducials_mm, found.branch)
         except LimitError:
             return False
         if self.sight.unmet(visits, spheres):
@@ -140,10 +138,9 @@ class CartCase:
             except LimitError:
                 return None  # left to the search
             for turn in turns:
+                turned = axes.only(axis.identifier).turned({axis.identifier: turn})
                 try:
-                    self._require_solutions(
-                        setting, axes.only(axis.identifier).turned({axis.identifier: turn})
-                    )
+                    self._require_solutions(setting, turned)
                     break
                 except LimitError as error:
                     last_error = error
@@ -178,9 +175,8 @@ class CartCase:
         stereo = setting.flange_from_stereo or setting.flange_from_tool
         if self.stereo_from_marker is not None:
             marker = setting.kinematics.flange_pose(setting.start_rad) @ stereo @ self.stereo_from_marker
-            if unseen := explain_hidden_frame(
-                tracker, marker, setting.kinematics, setting.start_rad, self.volume_mm
-            ):
+            arm = setting.kinematics, setting.start_rad
+            if unseen := explain_hidden_frame(tracker, marker, *arm, self.volume_mm):
                 return unseen
         around = scene.with_stereo_head(setting.robot_from_ct, stereo)
         seen = TrackerSight(tracker, spheres).seen(setting.kinematics, around, setting.start_rad)
@@ -196,5 +192,6 @@ def _depends_on_branch(setting: ArmSetting) -> bool:
 def _to_verdict(check: PathCheck, turns_rad: dict[str, float]) -> PlaceVerdict:
     if check.passed and check.branch is not None:
         return PlaceVerdict(PlaceSolution(check.branch, tuple(sorted(turns_rad.items()))))
-    first = check.unmet[0] if check.unmet else None
-    return PlaceVerdict(None, str(first.pose) if first else "", first.reason if first else "no branch works")
+    for first in check.unmet:
+        return PlaceVerdict(None, str(first.pose), first.reason)
+    return PlaceVerdict(None, "", "no branch works")

@@ -16,11 +16,11 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Generator, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import chain
+from itertools import chain, product
 from typing import Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from procedures.planning.line_of_sight import StereoSight
 from procedures.planning.motions import check_fixed_places
@@ -32,6 +32,7 @@ from procedures.strategies.catalogue import CANDIDATES, BestOfEach, find_strateg
 from procedures.strategies.strategy import OUTWARDS_RAD, STEP_RAD, Strategy, intermediate_turns_rad
 from procedures.strategies.trajectory import Trajectory
 from ronna_hw.arm.kinematics import Branch, Kinematics
+from ronna_hw.arrays import Array
 from ronna_hw.errors import LimitError
 
 # Safety against a wrist near its singularity. Source: simulated cases.
@@ -39,7 +40,6 @@ LEAST_BEND_RAD = math.radians(15.0)  # at 5 deg a target error of 0.69 mm was ob
 # Safety against a wrist that turns far between localization and target (U).
 MOST_TURN_CHANGE_RAD = math.radians(45.0)  # between a localization and the target
 
-Array = NDArray[np.float64]
 LEVER_MM = 270.0  # from the tool's axis to the far side of the hand that carries the default mount
 MOST_GAIN_MM = LEVER_MM * STEP_RAD / 2.0  # of clearance, by a turn of half a step
 BY_ACCURACY = ("improved", "ocs", "jdms", "nos")  # on an uncalibrated arm
@@ -223,15 +223,10 @@ class WristState:
         turns: dict[PoseKind, list[float]] = {PoseKind.FIDUCIAL: [], PoseKind.TARGET: []}
         for one in check.reached:
             turns[one.visit.name.kind].append(kinematics.wrist_turn_rad(one.at_rad))
-        changes = [
-            abs(target - sphere) for target in turns[PoseKind.TARGET] for sphere in turns[PoseKind.FIDUCIAL]
-        ]
-        bends = [
-            kinematics.wrist_bend_rad(joints)
-            for one in check.reached
-            for joints in (one.approach_rad, one.at_rad)
-        ]
-        return cls(min(bends), max(changes, default=0.0))
+        pairs = product(turns[PoseKind.TARGET], turns[PoseKind.FIDUCIAL])
+        joints = (each for one in check.reached for each in (one.approach_rad, one.at_rad))
+        least_bend_rad = min(map(kinematics.wrist_bend_rad, joints))
+        return cls(least_bend_rad, max((abs(target - sphere) for target, sphere in pairs), default=0.0))
 
     @property
     def is_good(self) -> bool:
@@ -255,7 +250,7 @@ def find_alternatives(
     known = {setting.strategy.name, *tried}
     if isinstance(setting.strategy, BestOfEach):
         known |= {one.name for one in CANDIDATES}
-    candidates = [find_strategy(name) for name in BY_ACCURACY if name not in known]
+    candidates = (find_strategy(name) for name in BY_ACCURACY if name not in known)
     return tuple(
         one
         for one in candidates
@@ -287,9 +282,8 @@ def advice(alternatives_by_trajectory: Mapping[str, Sequence[Strategy]]) -> str 
     ]
     if not reaching:
         return None
-    return (
-        f"Choose another --strategy, which would reach {', '.join(reaching)}; or move the cart or the head."
-    )
+    ways = ", ".join(reaching)
+    return f"Choose another --strategy, which would reach {ways}; or move the cart or the head."
 
 
 def _is_target_reachable(setting: ArmSetting, trajectory: Trajectory) -> bool:

@@ -17,13 +17,12 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from procedures.planning.plan_model import Plan, PlannedTrajectory
 from procedures.strategies.trajectory import Trajectory
+from ronna_hw.arrays import Array
 from ronna_hw.tool_record import GuideBore
 
-Array = NDArray[np.float64]
 INSTRUMENT, DIRECTION = "instrument", "guide direction"
 SET_BY_HAND_MM = 0.03  # accuracy of setting a depth stop by hand, one standard deviation
 

@@ -10,21 +10,22 @@ the path inside is air.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from pydantic import Field
 
 from procedures.planning.errors import NO_HEAD_IN_CT, NotIntoHead, StandoffInsideSkin
 from procedures.planning.plan_model import PlannedTrajectory
 from procedures.strategies.trajectory import Trajectory
+from ronna_hw.arrays import Array, Mask
 from ronna_hw.calibration import Numbers3, Strict
+from ronna_hw.frames import perpendicular_axes
+from ronna_hw.vectors import vector3
 
 if TYPE_CHECKING:
     from procedures.imaging.volume import Volume
-
-Array = NDArray[np.float64]
 
 AIR_BELOW_HU = -300.0  # fat is about -100, foam of a headrest about -930, air -1000
 GRID_MM = 4.0  # a head is large: this resolution is enough
@@ -44,7 +45,7 @@ BONE_HU = 300.0  # brain and skin stay below 100, the outer face of the skull ha
 BONE_OUTSIDE_MM, BONE_INSIDE_MM = 40.0, 40.0
 STEP_MM = 0.25
 RINGS_MM = (2.0, 4.0)  # about the trajectory: the width of a burr hole
-AROUND = 8
+AROUND = 8  # points of a ring
 LEAST_RAYS = 9  # of 17 that must meet bone
 SAME_BONE_MM = 15.0  # along the trajectory, from where the central ray meets bone: farther is another bone
 
@@ -91,9 +92,7 @@ def fit_head(volume: Volume) -> HeadEllipsoid:
     points = volume.geometry.to_patient_mm(np.argwhere(largest) * strides)
     centre, semi = least_ellipsoid(points)
     # plus the grid step, and what opening rounds off
-    return HeadEllipsoid(
-        centre_mm=_to_numbers3(centre), semi_axes_mm=_to_numbers3(semi + float(spacing_mm.max()))
-    )
+    return HeadEllipsoid(centre_mm=vector3(centre), semi_axes_mm=vector3(semi + float(spacing_mm.max())))
 
 
 def least_ellipsoid(points_mm: Array) -> tuple[Array, Array]:
@@ -128,11 +127,6 @@ def least_ellipsoid(points_mm: Array) -> tuple[Array, Array]:
     # scaled to contain all points exactly
     overshoot = float(np.linalg.norm((unit - centre) / semi, axis=1).max())
     return middle + half * centre, half * semi * overshoot
-
-
-def _to_numbers3(values: Any) -> Numbers3:
-    x, y, z = (float(value) for value in values)
-    return (x, y, z)
 
 
 def check_entry_path(volume: Volume, trajectory: PlannedTrajectory) -> tuple[NotIntoHead | None, str]:
@@ -217,7 +211,7 @@ def _steps(first_mm: float, last_mm: float) -> Array:
     return np.linspace(first_mm, last_mm, max(2, round((last_mm - first_mm) / SAMPLING_MM) + 1))
 
 
-def _first_run_mm(steps_mm: Array, mask: NDArray[np.bool_], length_mm: float) -> float | None:
+def _first_run_mm(steps_mm: Array, mask: Mask, length_mm: float) -> float | None:
     """Return the start in mm of the first run of at least this length, or None."""
     run = round(length_mm / SAMPLING_MM)
     return next((float(steps_mm[k]) for k in range(len(mask) - run + 1) if mask[k : k + run].all()), None)
@@ -232,11 +226,7 @@ def _ball_offsets() -> Array:
 def skull_angle_rad(volume: Volume, trajectory: Trajectory) -> float | None:
     """Return a trajectory's angle to the skull surface, pi/2 if perpendicular, or None without bone."""
     axis = np.asarray(trajectory.axis_ct, dtype=float)
-    side = np.cross(axis, np.eye(3)[int(np.abs(axis).argmin())])
-    side /= np.linalg.norm(side)
-    other = np.cross(axis, side)
-    turns = np.arange(AROUND) * 2.0 * np.pi / AROUND
-    ring = np.outer(np.cos(turns), side) + np.outer(np.sin(turns), other)
+    ring, across_axes = ring_around(axis)
     offsets = np.concatenate([np.zeros((1, 3)), *(radius * ring for radius in RINGS_MM)])
     steps = np.arange(-BONE_OUTSIDE_MM, min(BONE_INSIDE_MM, trajectory.depth_mm), STEP_MM)
     starts = np.asarray(trajectory.entry_mm) + offsets
@@ -246,10 +236,17 @@ def skull_angle_rad(volume: Volume, trajectory: Trajectory) -> float | None:
     is_same_bone = np.abs(bone_mm - bone_mm[0]) < SAME_BONE_MM
     if is_same_bone.sum() < LEAST_RAYS:
         return None
-    across = offsets[is_same_bone] @ np.stack([side, other], axis=1)
+    across = offsets[is_same_bone] @ np.stack(across_axes, axis=1)
     design = np.column_stack([across, np.ones(is_same_bone.sum())])
     slope = np.linalg.lstsq(design, bone_mm[is_same_bone], rcond=None)[0][:2]
     return float(np.pi / 2.0 - np.arctan(np.linalg.norm(slope)))
+
+
+def ring_around(axis: Array) -> tuple[Array, tuple[Array, Array]]:
+    """Return a ring of unit vectors (AROUND, 3) about an axis, and the two axes across that span it."""
+    side, other = perpendicular_axes(axis)
+    turns = np.arange(AROUND) * 2.0 * np.pi / AROUND
+    return np.outer(np.cos(turns), side) + np.outer(np.sin(turns), other), (side, other)
 
 
 def _first_bone_mm(volume: Volume, places_mm: Array, steps_mm: Array) -> float:

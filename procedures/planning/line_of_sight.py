@@ -11,14 +11,13 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from procedures.planning.pose_name import MARKER, SPHERE
 from procedures.planning.visits import Unmet, Visit
+from ronna_hw.arrays import Array
 from ronna_hw.calibration import CameraCalibration, StereoHeadCalibration
 from ronna_hw.frames import Frame
-
-Array = NDArray[np.float64]
 
 SPHERE_RADIUS_MM = 5.75
 CLEARANCE_MM = 3.0  # around each sphere, for the error of the coarse positions

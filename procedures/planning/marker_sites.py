@@ -19,17 +19,17 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from procedures.planning.errors import NO_MARKER_SITES, NO_TEMPLATE
-from procedures.planning.head_in_ct import AIR_BELOW_HU, HeadEllipsoid, sample_hu
+from procedures.planning.head_in_ct import AIR_BELOW_HU, HeadEllipsoid, ring_around, sample_hu
 from procedures.registration.error_theory import tre_principal_axes_mm
 from procedures.strategies.trajectory import Trajectory, split_along
+from ronna_hw.arrays import Array, Mask
 from ronna_hw.calibration import Numbers3, Strict
 from ronna_hw.marker_template import MarkerTemplate, TemplateMarker
 from ronna_hw.records import write_atomically
+from ronna_hw.vectors import vector3
 
 if TYPE_CHECKING:
     from procedures.imaging.volume import Volume
-
-Array = NDArray[np.float64]
 
 CAP_AXIS = (0.0, -1.0, 1.0)  # LPS, from forehead to vertex: excludes pillow and face
 CAP_HALF_ANGLE_RAD = np.radians(50.0)
@@ -38,7 +38,7 @@ APART_MM = 38.0  # between two markers, so that the stereo head sees one at a ti
 SITES, TEMPLATE_DRAWS = 600, 60_000
 SKIN_STEP_MM = 0.5
 SKIN_MM = (25.0, -40.0)  # range searched for skin: outside the ellipsoid, inside it
-AROUND, RING_MM = 8, 14.0  # points around a site: a sphere, post or bolt covers few of them
+RING_MM = 14.0  # from a site to the points around it: a sphere, post or bolt covers few of them
 FREE_SKIN_MM = 4.0  # a site is no higher and no lower than these
 SKIN_THICK_MM = 4.0  # anything thinner is a sheet or a cable
 FEWEST, MOST = 3, 8
@@ -101,10 +101,10 @@ def propose_markers(
     random = np.random.default_rng(seed)
     centres, posts = _find_free_sites(head, trajectories, volume, random)
     targets = np.array([one.target_mm for one in trajectories])
-    sets = (
-        random.integers(len(centres), size=(DRAWS, count)) if len(centres) else np.empty((0, count), np.int64)
-    )
-    sets = sets[mark_allowed(centres[sets])] if len(sets) else sets
+    sets = np.empty((0, count), np.int64)
+    if len(centres):
+        sets = random.integers(len(centres), size=(DRAWS, count))
+        sets = sets[mark_allowed(centres[sets])]
     if not len(sets):
         raise NO_MARKER_SITES(
             f"there is no room for {count} markers clear of the trajectories and of one another",
@@ -122,9 +122,7 @@ def propose_markers(
         marker_error_mm=marker_error_mm,
         targets=tuple(
             ExpectedError(
-                target=one.identifier,
-                expected_mm=float(error_mm),
-                usual_mm=marker_error_mm * float(middle),
+                target=one.identifier, expected_mm=float(error_mm), usual_mm=marker_error_mm * float(middle)
             )
             for one, error_mm, middle in zip(trajectories, expected, usual, strict=True)
         ),
@@ -147,9 +145,8 @@ def propose_further(
         raise NO_MARKER_SITES("there is no room for one more marker clear of the trajectories and the others")
     centres = centres[is_apart]
     targets = np.array([one.target_mm for one in trajectories])
-    sets = np.concatenate(
-        [np.broadcast_to(present_mm, (len(centres), *present_mm.shape)), centres[:, None]], axis=1
-    )
+    present = np.broadcast_to(present_mm, (len(centres), *present_mm.shape))
+    sets = np.concatenate([present, centres[:, None]], axis=1)
     extended_errors_mm = tre_principal_axes_mm(targets, sets, marker_error_mm)
     best = int(np.square(extended_errors_mm).sum(axis=1).argmin())
     present_errors_mm = tre_principal_axes_mm(targets, present_mm, marker_error_mm)
@@ -161,12 +158,7 @@ def propose_further(
 
 
 def propose_template(
-    head: HeadEllipsoid,
-    markers: int,
-    margin_mm: float,
-    *,
-    volume: Volume | None = None,
-    seed: int = 0,
+    head: HeadEllipsoid, markers: int, margin_mm: float, *, volume: Volume | None = None, seed: int = 0
 ) -> MarkerTemplate:
     """Propose positions for 3 or 4 spheres whose mutual distances differ by at least `margin_mm`.
 
@@ -234,7 +226,7 @@ def _exchange_markers(centres: Array, targets: Array, chosen: NDArray[np.int64])
     return chosen
 
 
-def mark_allowed(points: Array) -> NDArray[np.bool_]:
+def mark_allowed(points: Array) -> Mask:
     """Flag the sets (s, n, 3) with enough spacing and, for few markers, distinct distances."""
     first, second = np.array(list(combinations(range(points.shape[1]), 2))).T
     distances = np.sort(np.linalg.norm(points[:, first] - points[:, second], axis=2), axis=1)
@@ -273,19 +265,13 @@ def _cap_directions(random: np.random.Generator) -> Array:
     turn, sine = random.uniform(0.0, 2.0 * np.pi, SITES), np.sqrt(1.0 - cosine**2)
     axis = np.array(CAP_AXIS) / np.linalg.norm(CAP_AXIS)
     side = np.array([1.0, 0.0, 0.0])
-    return np.asarray(
-        np.outer(cosine, axis)
-        + np.outer(sine * np.cos(turn), side)
-        + np.outer(sine * np.sin(turn), np.cross(axis, side))
-    )
+    across = np.outer(sine * np.cos(turn), side)
+    return np.asarray(np.outer(cosine, axis) + across + np.outer(sine * np.sin(turn), np.cross(axis, side)))
 
 
 def _skin_offset_mm(volume: Volume, start_mm: Array, outward: Array) -> float:
     """Return the outward distance from a point to the skin in mm, or NaN if it is missing or covered."""
-    side = np.cross(outward, np.eye(3)[np.abs(outward).argmin()])
-    side /= np.linalg.norm(side)
-    turns = np.arange(AROUND) * 2.0 * np.pi / AROUND
-    ring = np.outer(np.cos(turns), side) + np.outer(np.sin(turns), np.cross(outward, side))
+    ring, _ = ring_around(outward)
     here = _first_solid_mm(volume, start_mm, outward)
     around = np.median([_first_solid_mm(volume, start_mm + RING_MM * one, outward) for one in ring])
     return here if abs(here - around) < FREE_SKIN_MM else float("nan")
@@ -310,5 +296,4 @@ def write_template(path: Path, template: MarkerTemplate) -> None:
 
 
 def _round_vector(vector: Array, decimals: int = 3) -> Numbers3:
-    x, y, z = (round(float(value), decimals) for value in vector)
-    return x, y, z
+    return vector3(round(float(value), decimals) for value in vector)

@@ -81,9 +81,8 @@ def find_unclear(
     for motion in plan_motions(setting, scene, check, trajectories):
         if motion.is_cleared:
             continue
-        breach = sweep_path(
-            setting.kinematics, motion.plan, motion.around, search_closest=not first_only
-        ).refused
+        arm, closest = setting.kinematics, not first_only
+        breach = sweep_path(arm, motion.plan, motion.around, search_closest=closest).refused
         if breach is not None:
             pose = motion.start if motion.end == HOME else motion.end
             short_mm = motion.around.margin_mm - breach.distance_mm
@@ -163,9 +162,8 @@ def plan_motions(
             yield from _plan_homing(setting, here, before)
             here = (HOME, setting.start_rad)
         if visit.name.kind is PoseKind.TARGET and kind is not visit.name.kind:
-            yield from (
-                replace(one, is_cleared=True) for one in _plan_gauge_motions(setting, scene)
-            )  # see `check_fixed_places`
+            # Cleared by `check_fixed_places`.
+            yield from (replace(one, is_cleared=True) for one in _plan_gauge_motions(setting, scene))
         kind = visit.name.kind
         yield from _plan_visit(setting, here, reached, around)
         here = (visit.name, reached.approach_rad)
@@ -193,13 +191,10 @@ def _plan_visit(
         yield Motion(HOME, name, onwards, around)
     onto = AXIAL_SPEED_FRACTION if reached.visit.name.kind is PoseKind.TARGET else 1.0
     yield Motion(name, name, reached.line, around, speed_fraction=onto)
-    yield Motion(name, name, _reverse(setting, reached.line), around, is_cleared=True, is_retrace=True)
-
-
-def _reverse(setting: ArmSetting, line: MotionPlan) -> MotionPlan:
-    """Reverse a line, keeping its poses and speed limits."""
-    start_pose = setting.kinematics.forward(line.start_rad)
-    return replace(line, start_rad=line.target_rad, target_rad=line.start_rad, target=start_pose)
+    begin_rad, end_rad = reached.line.start_rad, reached.line.target_rad
+    start_pose = kinematics.forward(begin_rad)
+    back = replace(reached.line, start_rad=end_rad, target_rad=begin_rad, target=start_pose)
+    yield Motion(name, name, back, around, is_cleared=True, is_retrace=True)
 
 
 def _plan_homing(
@@ -234,10 +229,7 @@ def _describe_collision(
     record = tell(
         str(motion.start), str(motion.end), pair, f"with the plan's standoff_mm of {standoff_mm or 0.0:g}"
     )
-    words = tell(
-        motion.start.in_sentence(MARKER),
-        motion.end.in_sentence(MARKER),
-        (name_body(breach.first), name_body(breach.second)),
-        f"at a stand-off of {standoff_mm or 0.0:g} mm",
-    )
+    start, end = (one.in_sentence(MARKER) for one in (motion.start, motion.end))
+    bodies = name_body(breach.first), name_body(breach.second)
+    words = tell(start, end, bodies, f"at a stand-off of {standoff_mm or 0.0:g} mm")
     return f"{record} [ARM-007]", words

@@ -32,7 +32,7 @@ from ronna_hw.arm.motion.planning import plan_joint_move, plan_line
 from ronna_hw.arm.pose import Pose
 from ronna_hw.errors import LimitError
 from ronna_hw.frames import Transform
-from ronna_hw.vectors import JointVector
+from ronna_hw.vectors import JointVector, vector3
 
 
 def check_paths(
@@ -70,12 +70,7 @@ def order_branches(setting: ArmSetting, axes: Axes, fiducials_mm: ArrayLike) -> 
 
 
 def check_branch(
-    setting: ArmSetting,
-    axes: Axes,
-    fiducials_mm: ArrayLike,
-    branch: Branch,
-    *,
-    first_only: bool = False,
+    setting: ArmSetting, axes: Axes, fiducials_mm: ArrayLike, branch: Branch, *, first_only: bool = False
 ) -> PathCheck:
     """Solve for the joints at every pose in this branch, in order, and list the failures.
 
@@ -160,11 +155,12 @@ def solve_visit(
     within the arm's limits, or leaves no room for the joints to stand back before they settle there.
     """
     limits = replace(limits, range_margin_rad=limits.range_margin_rad + APPROACH_RAD)
-    back = flange_from_tool.inverse()
-    begin = kinematics.solve_branch(Pose.from_transform(visit.approach @ back), branch, near_rad)
+    approach, pose = (
+        Pose.from_transform(one @ flange_from_tool.inverse()) for one in (visit.approach, visit.pose)
+    )
+    begin = kinematics.solve_branch(approach, branch, near_rad)
     plan_joint_move(kinematics, near_rad, begin, limits)  # raises beyond the margin of the joint ranges
-    x, y, z = flange_from_tool.translation_mm.tolist()
-    line = plan_line(kinematics, begin, Pose.from_transform(visit.pose @ back), limits, (x, y, z))
+    line = plan_line(kinematics, begin, pose, limits, vector3(flange_from_tool.translation_mm))
     return Reached(visit, begin, line)
 
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations, product
+from itertools import combinations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from procedures.planning.errors import (
     MARKERS_ADHESIVE,
@@ -30,7 +30,8 @@ from procedures.planning.plan_model import FiducialKind, Plan
 from procedures.planning.structures import StructureDistance, check_structures, measure_distances
 from procedures.registration import MatchStatus, match
 from procedures.registration.errors import LayoutNotFound
-from procedures.registration.template import find_layout
+from procedures.registration.template import find_layout, match_template
+from ronna_hw.arrays import Array
 from ronna_hw.errors import RonnaError
 from ronna_hw.marker_template import IMPLANTED_SIGMA_MM
 from ronna_hw.text import format_against_limit
@@ -49,7 +50,6 @@ if TYPE_CHECKING:
 LEAST_SIDE_DIFFERENCE_MM = 6.0  # in a triangle of fiducials: below it three points are often ambiguous
 CT_SIGMA_MM = 0.10  # per axis: the localizer's error on a poor series, with margin
 ROOM_SIGMA_MM = 0.56  # per axis: the coarsest tracker used in the correspondence study
-Array = NDArray[np.float64]
 CheckResult = tuple[list[RonnaError], list[str]]  # findings, warnings
 WITHIN_ROUNDING_MM = 0.5  # resolution of the path check between two samples
 FEWEST_THAT_TELL_A_MOVE = 4  # with three, a moved one cannot be identified
@@ -66,8 +66,7 @@ class PlanCheck:
 
     If an arm was given and reaches everything, `motions` are those of the whole procedure, `turns_rad` has
     each trajectory's turn about its axis, and `paths` the joints; otherwise `unmet` names what it does not
-    reach. `distances` are from every trajectory to
-    every structure; `head` tells the sides of trajectories.
+    reach. `distances` are from every trajectory to every structure; `head` tells the sides of trajectories.
     """
 
     plan: Plan
@@ -244,22 +243,16 @@ def _check_fiducials(plan: Plan, points_mm: Array) -> CheckResult:
         if plan.template_mm is None or shows_template(plan.template_mm, points_mm):
             return [], warn_of_ambiguity(points_mm)
         return [NOT_THE_TEMPLATE("the fiducials in the CT do not match the plan's template")], []
-    wrong = WrongMarkerCount(
-        "the CT shows a different number of fiducials",
-        expected=str(plan.implanted),
-        got=str(len(points_mm)),
-    )
-    return [wrong], []
+    words = "the CT shows a different number of fiducials"
+    return [WrongMarkerCount(words, expected=str(plan.implanted), got=str(len(points_mm)))], []
 
 
 def _check_frame(points_mm: Array) -> CheckResult:
     try:
         others = find_layout(SPHERE_CENTRES_MM, points_mm).others
     except LayoutNotFound as missing:
-        wrong = NOT_THE_FRAME(
-            "the CT does not show the x-shaped frame", expected=missing.expected, got=missing.got
-        )
-        return [wrong], []
+        words = "the CT does not show the x-shaped frame"
+        return [NOT_THE_FRAME(words, expected=missing.expected, got=missing.got)], []
     shown = ", ".join(str(one + 1) for one in others)
     return [], [f"spheres that do not belong to the x-shaped frame are ignored: {shown}"] if others else []
 
@@ -280,7 +273,7 @@ def _check_arm(
         find_unreached,
     )
     from procedures.planning.motions import preview_motions
-    from procedures.planning.paths import check_paths
+    from procedures.planning.paths import check_axes
     from procedures.planning.target_error import choose_best_strategies
     from procedures.planning.visits import Axes
 
@@ -288,22 +281,18 @@ def _check_arm(
     if sight is None:
         axes = Axes.of(arm, trajectories, fiducials)
         own = dict.fromkeys((one.identifier for one in axes.distinct), 0.0)
-        turned = TurnedPaths(check_paths(arm, trajectories, fiducials), axes, own)
+        turned = TurnedPaths(check_axes(arm, axes, fiducials), axes, own)
     else:
         arm = choose_best_strategies(arm, trajectories, fiducials, sight)
         turned = choose_free_angles(arm, trajectories, fiducials, sight)
     if not turned.check.passed:
-        alternatives_by_trajectory: dict[str, tuple[Strategy, ...]] = {}
+        alternatives: dict[str, tuple[Strategy, ...]] = {}
         if sight is not None and len(fiducials):
-            unreached_reasons = find_unreached(turned.check, trajectories)
-            alternatives_by_trajectory = {
-                one.identifier: find_alternatives(arm, one, fiducials, sight)
-                for one in trajectories
-                if one.identifier in unreached_reasons
-            }
-        action_text = advice(alternatives_by_trajectory)
-        unmet = turned.check.unmet
-        findings = (NotReachable(f"{one.pose}: {one.reason}", action=action_text) for one in unmet)
+            unreached = find_unreached(turned.check, trajectories)
+            failed = [one for one in trajectories if one.identifier in unreached]
+            alternatives = {one.identifier: find_alternatives(arm, one, fiducials, sight) for one in failed}
+        action, unmet = advice(alternatives), turned.check.unmet
+        findings = (NotReachable(f"{one.pose}: {one.reason}", action=action) for one in unmet)
         return replace(check, findings=tuple(findings), unmet=unmet)
     motions: tuple[PreviewedMotion, ...] = ()
     if arm.scene is not None:
@@ -317,21 +306,19 @@ def _warn_close_at_start(motions: Sequence[PreviewedMotion]) -> list[str]:
     for one in motions:
         closest = one.preview.closest
         if closest is not None and closest.distance_mm < one.motion.around.margin_mm - WITHIN_ROUNDING_MM:
-            pair = (closest.first, closest.second)
-            warnings_by_pair.setdefault(
-                pair,
+            words = (
                 f"the {closest.first} is {closest.distance_mm:.1f} mm from the {closest.second} at "
-                f"{one.motion.start} already: change the position of the head or home",
+                f"{one.motion.start} already: change the position of the head or home"
             )
+            warnings_by_pair.setdefault((closest.first, closest.second), words)
     return list(warnings_by_pair.values())
 
 
 def _first_difference(plan: Plan, volume: Volume) -> str:
     """Say where two series UIDs of equal length differ by a digit or two, as mistyped ones do."""
     planned, found = plan.series_instance_uid, volume.series_instance_uid
-    places = [
-        number for number, (one, other) in enumerate(zip(planned, found, strict=False), 1) if one != other
-    ]
+    pairs = enumerate(zip(planned, found, strict=False), start=1)
+    places = [number for number, (one, other) in pairs if one != other]
     if len(planned) != len(found) or len(places) > MOST_MISTYPED:
         return ""
     return f", whose UID differs in character {' and '.join(map(str, places))} only: mistyped?"
@@ -340,11 +327,8 @@ def _first_difference(plan: Plan, volume: Volume) -> str:
 def _check_tool(plan: Plan) -> list[RonnaError]:
     if plan.tool in KNOWN_TOOLS:
         return []
-    return [
-        UnknownTool(
-            "`tool` of the plan is unknown", expected=" or ".join(map(repr, KNOWN_TOOLS)), got=repr(plan.tool)
-        )
-    ]
+    known = " or ".join(map(repr, KNOWN_TOOLS))
+    return [UnknownTool("`tool` of the plan is unknown", expected=known, got=repr(plan.tool))]
 
 
 def _check_instrument(plan: Plan, bore: GuideBore) -> list[RonnaError]:
@@ -361,30 +345,18 @@ def _check_instrument(plan: Plan, bore: GuideBore) -> list[RonnaError]:
 
 def _find_points_outside(plan: Plan, volume: Volume) -> list[RonnaError]:
     """Find entries and targets outside the CT, up to the outer voxel faces."""
-    found: list[RonnaError] = []
-    last = np.array(volume.geometry.shape) - 0.5
-    for one in plan.trajectories:
-        for name, point in (("entry", one.entry_mm), ("target", one.target_mm)):
-            index = volume.geometry.to_index(point)
-            if np.any(index < -0.5) or np.any(index > last):
-                coordinates = ", ".join(f"{value:.1f}" for value in point)
-                found.append(
-                    OUTSIDE_FIELD(
-                        f"the {name} of trajectory {one.id} at ({coordinates}) mm is outside the CT",
-                        expected=_describe_extent(volume),
-                    )
-                )
-    return found
-
-
-def _describe_extent(volume: Volume) -> str:
-    """Describe the CT's extent in LPS; that of a tilted one is of the box around it."""
-    ends = [(-0.5, size - 0.5) for size in volume.geometry.shape]
-    corners = volume.geometry.to_patient_mm(list(product(*ends)))
-    low, high = corners.min(axis=0), corners.max(axis=0)
-    return (
-        "; ".join(f"{axis} {a:.1f} to {b:.1f}" for axis, a, b in zip("LPS", low, high, strict=True)) + " mm"
-    )
+    ends = zip("LPS", *volume.geometry.ends_mm, strict=True)
+    extent = "; ".join(f"{axis} {low:.1f} to {high:.1f}" for axis, low, high in ends)
+    return [
+        OUTSIDE_FIELD(
+            f"the {name} of trajectory {one.id} at ({', '.join(f'{value:.1f}' for value in point)}) mm is "
+            "outside the CT",
+            expected=f"{extent} mm",
+        )
+        for one in plan.trajectories
+        for name, point in (("entry", one.entry_mm), ("target", one.target_mm))
+        if not volume.geometry.contains(point)
+    ]
 
 
 def least_side_difference_mm(triangle_mm: ArrayLike) -> float:
@@ -396,17 +368,11 @@ def least_side_difference_mm(triangle_mm: ArrayLike) -> float:
 
 def shows_template(template_mm: ArrayLike, fiducials_mm: ArrayLike) -> bool:
     """Return whether fiducials (n, 3) contain a template (k, 3) in exactly one way, both in mm."""
-    found = match(
-        template_mm,
-        fiducials_mm,
-        sigma_image_mm=IMPLANTED_SIGMA_MM,
-        sigma_physical_mm=CT_SIGMA_MM,
-        expected=len(np.asarray(template_mm)),
-    )
+    found = match_template(template_mm, fiducials_mm, IMPLANTED_SIGMA_MM, CT_SIGMA_MM)
     return found.status is MatchStatus.UNIQUE
 
 
-def warn_of_ambiguity(fiducials_mm: NDArray[np.float64]) -> list[str]:
+def warn_of_ambiguity(fiducials_mm: Array) -> list[str]:
     """Return warnings about an ambiguous layout of fiducials (n, 3), in mm."""
     if len(fiducials_mm) == 3:
         smallest = least_side_difference_mm(fiducials_mm)

@@ -223,10 +223,8 @@ def find_structure_unit_mistakes(structure: Structure) -> list[PlanMistakes]:
 def seal_plan(plan: Plan, author: str, volume: Volume) -> Plan:
     """Return the sealed plan. Raises pydantic's ValidationError for an invalid author."""
     open_seal = Seal(author=author, ct_sha256=ct_digest(volume), plan_sha256=UNSEALED)
-    unsealed = plan.model_copy(update={"seal": open_seal})
-    return unsealed.model_copy(
-        update={"seal": open_seal.model_copy(update={"plan_sha256": _plan_digest(unsealed)})}
-    )
+    digest = _plan_digest(plan.model_copy(update={"seal": open_seal}))
+    return plan.model_copy(update={"seal": open_seal.model_copy(update={"plan_sha256": digest})})
 
 
 def describe_seal(plan: Plan) -> str:
@@ -276,9 +274,8 @@ def ct_digest(volume: Volume) -> str:
 def _plan_digest(plan: Plan) -> str:
     assert plan.seal is not None
     without_digest = plan.model_copy(update={"seal": plan.seal.model_copy(update={"plan_sha256": UNSEALED})})
-    return hashlib.sha256(
-        canonical_json(without_digest.model_dump(mode="json", by_alias=True, exclude_none=True))
-    ).hexdigest()
+    content = without_digest.model_dump(mode="json", by_alias=True, exclude_none=True)
+    return hashlib.sha256(canonical_json(content)).hexdigest()
 
 
 def compose_plan(

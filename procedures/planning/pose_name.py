@@ -63,6 +63,6 @@ class PoseName:
 HOME, GAUGE = PoseName(PoseKind.HOME), PoseName(PoseKind.GAUGE)
 
 
-def name_body(body: str, fiducial: str = MARKER) -> str:
+def name_body(body: str) -> str:
     """Name a body of the clearance check for people: its fiducials are counted from 1 already."""
-    return body.replace(FIDUCIAL_BODY, fiducial)
+    return body.replace(FIDUCIAL_BODY, MARKER)

@@ -14,6 +14,7 @@ from ronna_hw.arm.clearance.bodies import Capsule, Corridor, Obstacle, Surroundi
 from ronna_hw.arm.pose import Pose
 from ronna_hw.collision_config import CollisionConfig, ToolBody
 from ronna_hw.frames import Transform
+from ronna_hw.vectors import vector3
 from ronna_hw.x_frame import SPHERE_CENTRES_MM, bodies
 
 Points = tuple[tuple[float, float, float], ...]
@@ -78,6 +79,6 @@ def build_frame_bodies(fiducials: FiducialKind, spheres_ct_mm: ArrayLike) -> tup
     place = find_layout(SPHERE_CENTRES_MM, spheres_ct_mm).scan_from_layout
     found = []
     for one in bodies():
-        (ax, ay, az), (bx, by, bz) = place.apply([one.start_mm, one.end_mm]).tolist()
-        found.append(Obstacle(one.name, Capsule((ax, ay, az), (bx, by, bz), one.radius_mm + COARSE_MM)))
+        start_mm, end_mm = map(vector3, place.apply([one.start_mm, one.end_mm]))
+        found.append(Obstacle(one.name, Capsule(start_mm, end_mm, one.radius_mm + COARSE_MM)))
     return tuple(found)

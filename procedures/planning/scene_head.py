@@ -57,12 +57,8 @@ def _read_head(path: Path, plan: Plan | None) -> _Head:
         raise HEAD_UNREADABLE(f"cannot read {path}: {error.strerror}") from error
     except ValidationError as error:
         raise HEAD_UNREADABLE(f"{path.name}, [head]: " + "; ".join(describe_mistakes(error))) from error
-    scene_targets = {one.target_ct_mm for one in found.targets}
-    if (
-        plan is not None
-        and scene_targets
-        and scene_targets.isdisjoint(one.target_mm for one in plan.trajectories)
-    ):
+    targets = {one.target_ct_mm for one in found.targets}
+    if plan is not None and targets and targets.isdisjoint(one.target_mm for one in plan.trajectories):
         raise WRONG_SERIES(
             f"{path.name} has none of the plan's targets: it is the scene of another head",
             action="Give the scene that the plan was made with, or the CT it was planned on (--ct).",

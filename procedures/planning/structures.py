@@ -9,7 +9,7 @@ from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from procedures.imaging.errors import PicksUnreadable
 from procedures.imaging.picks import parse_points
@@ -23,12 +23,11 @@ from procedures.planning.plan_model import (
     is_in_metres,
     span,
 )
+from ronna_hw.arrays import Array
 from ronna_hw.errors import RonnaError
 
 if TYPE_CHECKING:
     from procedures.imaging.volume import Volume, VoxelGeometry
-
-Array = NDArray[np.float64]
 
 LEAST_MARGIN_MM = 0.4  # half the thickness of the thinnest depth electrode
 DECIMALS = 1  # of a coordinate, mm: finer than any structure is drawn
@@ -74,10 +73,10 @@ def _measure_distance(
     share = np.clip((points - start) @ along / float(along @ along), 0.0, 1.0)
     distances = np.linalg.norm(points - (start + share[:, None] * along), axis=1)
     nearest = int(distances.argmin())
-    x, y, z = points[nearest].tolist()
     unknown_mm = structure.within_mm + widest_gap_mm(structure.points_mm) / 2.0
     distance_mm = max(0.0, float(distances[nearest]) - unknown_mm)
-    return StructureDistance(structure.name, trajectory, distance_mm, structure.margin_mm, (x, y, z))
+    nearest_mm = structure.points_mm[nearest]
+    return StructureDistance(structure.name, trajectory, distance_mm, structure.margin_mm, nearest_mm)
 
 
 @lru_cache(maxsize=4 * MOST_STRUCTURES)
@@ -167,5 +166,4 @@ def check_structures(
 
 def _share_outside(points_mm: ArrayLike, geometry: VoxelGeometry) -> float:
     """Return the fraction of points (n, 3) outside the CT, up to the outer voxel faces."""
-    index = geometry.to_index(points_mm)
-    return float(np.any((index < -0.5) | (index > np.array(geometry.shape) - 0.5), axis=1).mean())
+    return float((~geometry.contains(points_mm)).mean())

@@ -11,7 +11,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from procedures.calibration.arm_sources import ArmPoses, arm_sources, ct_errors
 from procedures.imaging.markers import ScanDeformation
@@ -25,7 +25,7 @@ from procedures.planning.guide import (
 )
 from procedures.planning.line_of_sight import StereoSight
 from procedures.planning.plan_model import Plan, PlannedTrajectory
-from procedures.planning.pose_name import PoseKind
+from procedures.planning.pose_name import PoseKind, PoseName
 from procedures.planning.visits import ArmSetting, PathCheck, Reached
 from procedures.registration.target_prediction import (
     IndependentErrors,
@@ -36,11 +36,10 @@ from procedures.registration.target_prediction import (
 from procedures.strategies.catalogue import CANDIDATES, BestOfEach
 from procedures.strategies.strategy import arrival_signs, rest_sides
 from procedures.strategies.trajectory import Trajectory
+from ronna_hw.arrays import Array
 
 if TYPE_CHECKING:
     from procedures.planning.theatre_arm import TheatreArm
-
-Array = NDArray[np.float64]
 
 SCAN = "scan as a whole"
 SEATING = "seating of the spheres"
@@ -112,11 +111,7 @@ def predict_with_arm(
 
 def select_poses(setting: ArmSetting, check: PathCheck, identifier: str) -> tuple[list[Reached], Reached]:
     """Select a target and its localizations from a passed check."""
-    target = next(
-        one
-        for one in check.reached
-        if one.visit.name.kind is PoseKind.TARGET and one.visit.name.trajectory == identifier
-    )
+    target = check.at(PoseName(PoseKind.TARGET, identifier))
     all_localizations = [one for one in check.reached if one.visit.name.kind is PoseKind.FIDUCIAL]
     own = [one for one in all_localizations if one.visit.name.trajectory == identifier]
     return own if setting.strategy.localizes_per_trajectory else all_localizations, target

@@ -9,16 +9,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ronna_hw.arm.clearance.bodies import Bodies, Surroundings
 from ronna_hw.arm.clearance.sweep import moving_ends, segment_distances
 from ronna_hw.arm.kinematics import ArmBodies
+from ronna_hw.arrays import Array, Mask
 from ronna_hw.devices.sensors import VolumeSections
 from ronna_hw.frames import Transform
 from ronna_hw.vectors import JointVector
-
-Array = NDArray[np.float64]
 
 # The two sensors, tracker frame, mm: half a metre apart about the origin, along y. A sphere is measured only
 # if both see it. An estimate: manufacturers publish the outer size of their units, 0.6 m.
@@ -33,7 +31,7 @@ class TrackerSight:
     robot_from_tracker: Transform
     spheres_mm: Array
 
-    def seen(self, arm: ArmBodies, surroundings: Surroundings, joints_rad: JointVector) -> NDArray[np.bool_]:
+    def seen(self, arm: ArmBodies, surroundings: Surroundings, joints_rad: JointVector) -> Mask:
         """Flag the spheres (n,) visible to both sensors past the arm and its tool, ignoring static bodies.
 
         The head hid none of them when they were localized, nor do clamp and table.
@@ -46,7 +44,7 @@ class TrackerSight:
         eyes = np.broadcast_to(eyes.T[:, None, :, None], shape)
         spheres = np.broadcast_to(spheres.T[:, None, None, :], shape)
         radii = np.array(bodies.moving_radii_mm)[:, None, None]
-        hidden: NDArray[np.bool_] = np.asarray(segment_distances(starts, stops, eyes, spheres) < radii)
+        hidden: Mask = np.asarray(segment_distances(starts, stops, eyes, spheres) < radii)
         return np.asarray(~hidden.any(axis=(0, 1)))
 
 

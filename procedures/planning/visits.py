@@ -123,10 +123,10 @@ class ArmSetting:
 
     `robot_from_ct` is the coarse transform, `flange_from_tool` the guide, `flange_from_stereo` the stereo
     head's tool centre point (the same by design; None uses the guide's). `limits` are those that the arm
-    states for its operating mode. With a `scene`, every motion must
-    also be clear of everything in it. `sizes` are those of the arm's remaining errors. `gauge_rad` is where
-    the guide is checked after mounting; None leaves that out. With `sights` of a tracker on
-    the head, targets that leave one of them open past the guide are preferred.
+    states for its operating mode. With a `scene`, every motion must also be clear of everything in it.
+    `sizes` are those of the arm's remaining errors. `gauge_rad` is where the guide is checked after mounting;
+    None leaves that out. With `sights` of a tracker on the head, targets that leave one of them open past the
+    guide are preferred.
     """
 
     kinematics: Kinematics
@@ -207,10 +207,10 @@ def list_visits(
 
     Raises the strategy's errors when it finds no poses in this branch.
     """
-    localizations = [
-        visit for axis in axes.localized for visit in list_localizations(setting, axis, fiducials_mm, branch)
-    ]
-    return (*localizations, *(build_target_visit(setting, trajectory) for trajectory in axes.targeted))
+    visits: list[Visit] = []
+    for axis in axes.localized:
+        visits += list_localizations(setting, axis, fiducials_mm, branch)
+    return (*visits, *(build_target_visit(setting, trajectory) for trajectory in axes.targeted))
 
 
 def list_localizations(

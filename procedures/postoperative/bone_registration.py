@@ -17,9 +17,8 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from procedures.imaging.volume import Volume, VoxelGeometry
 from procedures.postoperative.errors import HEADS_DIFFER, NO_BONE
+from ronna_hw.arrays import Array, Mask
 from ronna_hw.robust_scale import cauchy_weights, robust_sigma
-
-Array = NDArray[np.float64]
 
 SOFT_HU, COMPACT_HU = 0.0, 1500.0  # below: soft tissue or air; above: compact bone or metal
 BONE_HU = 400.0
@@ -56,7 +55,7 @@ class _Level:
     values: NDArray[np.float32]  # (slices, rows, columns)
     geometry: VoxelGeometry
 
-    def interpolate(self, points_mm: Array) -> tuple[Array, NDArray[np.bool_]]:
+    def interpolate(self, points_mm: Array) -> tuple[Array, Mask]:
         """Interpolate at patient positions (n, 3) by cubic splines, and flag positions inside the scan."""
         indices = self.geometry.to_index(points_mm).T
         last = np.array(self.geometry.shape)[:, None] - 1.0
@@ -123,9 +122,7 @@ def _build_level(volume: Volume, spacing_mm: float) -> _Level:
     for axis, (stride, voxel_mm) in enumerate(zip(strides, geometry.spacing_mm, strict=True)):
         if stride > 1:  # one axis at a time, subsampled at once: less to blur
             values = ndimage.gaussian_filter1d(values, 0.5 * spacing_mm / voxel_mm, axis=axis)
-            values = values[
-                tuple(slice(None, None, int(stride)) if k == axis else slice(None) for k in range(3))
-            ]
+            values = values[(slice(None),) * axis + (slice(None, None, int(stride)),)]
     thinned = VoxelGeometry(values.shape, geometry.origin_mm, geometry.axes, geometry.spacing_mm * strides)
     return _Level(values, thinned)
 
@@ -172,7 +169,7 @@ def _refine_pose(points: Array, values: Array, target: _Level, start: RigidTrans
     return RigidTransform.from_components(centre - rotation.apply(middle), rotation)
 
 
-def _sample(target: _Level, points_mm: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
+def _sample(target: _Level, points_mm: Array) -> tuple[Array, Array, Mask]:
     """Sample gradients (n, 3) in HU per mm and values (n,), and mark the positions inside the scan."""
     there, inside = target.interpolate(points_mm)
     half_mm = 0.25 * float(target.geometry.spacing_mm.min())

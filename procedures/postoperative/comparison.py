@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 from scipy.optimize import linear_sum_assignment
 
@@ -29,17 +28,14 @@ from procedures.postoperative.errors import (
 from procedures.postoperative.instrument import USUAL_ROD, find_rods
 from procedures.postoperative.planned_line import SEARCH_MM, PlannedLine
 from procedures.strategies.trajectory import split_along
+from ronna_hw.arrays import Array
 from ronna_hw.calibration import Numbers3, Strict
-
-Array = NDArray[np.float64]
+from ronna_hw.vectors import vector3
 
 ONE_INSTRUMENT_MM = 1.5  # axes closer than this are one instrument; electrodes are wider
-SUBSTITUTE_PENALTY_MM = (
-    10.0 * SEARCH_MM
-)  # a hole counts only if no instrument is left, a failed fit only after both
+# A hole counts only if no instrument is left, a failed fit only after both.
+SUBSTITUTE_PENALTY_MM = 10.0 * SEARCH_MM
 NOTHING_MM = 1e6  # and none only if nothing is left
-
-Point = tuple[float, float, float]
 
 
 class FoundKind(StrEnum):
@@ -109,17 +105,14 @@ def compare_registered(
             expected=f"one along each of {len(chosen)}",
             got=f"found along {', '.join(found)}" if found else "none",
         )
-    if failures_by_name := {name: one.failures for name, one in found.items() if one.failures}:
+    if failed := [
+        f"{name} ({one.kind}: {'; '.join(one.failures)})" for name, one in found.items() if one.failures
+    ]:
         raise FIT_FAILED(
-            "no straight rod or round hole could be fitted to the object along "
-            + ", ".join(
-                f"{name} ({found[name].kind}: {'; '.join(problems)})"
-                for name, problems in failures_by_name.items()
-            )
+            f"no straight rod or round hole could be fitted to the object along {', '.join(failed)}"
         )
-    return PostoperativeComparison(
-        registration, tuple(_compare_trajectory(one, lines[one.id], found[one.id]) for one in chosen)
-    )
+    compared = (_compare_trajectory(one, lines[one.id], found[one.id]) for one in chosen)
+    return PostoperativeComparison(registration, tuple(compared))
 
 
 def require_series(plan: Plan, pre: Volume, post: Volume) -> None:
@@ -130,11 +123,8 @@ def require_series(plan: Plan, pre: Volume, post: Volume) -> None:
         return
     if plan.series_instance_uid == post.series_instance_uid:
         raise SERIES_SWAPPED("the plan was made on the second CT: the two are swapped")
-    raise WRONG_SERIES(
-        "the plan belongs to another CT series",
-        expected=plan.series_instance_uid,
-        got=pre.series_instance_uid,
-    )
+    words = "the plan belongs to another CT series"
+    raise WRONG_SERIES(words, expected=plan.series_instance_uid, got=pre.series_instance_uid)
 
 
 def _candidates(
@@ -143,7 +133,6 @@ def _candidates(
     """Find rods and holes near a planned trajectory, in planning CT coordinates."""
     pose = registration.post_from_pre
     back = pose.inv()
-
     kinds = (
         (FoundKind.INSTRUMENT, find_rods(pre, post, line, pose), USUAL_ROD),
         (FoundKind.DRILL_HOLE, find_holes(pre, post, line, pose), USUAL_HOLE),
@@ -153,7 +142,7 @@ def _candidates(
             kind,
             back.apply(one.point_mm),
             -back.rotation.apply(one.outwards),
-            usual.failures(one.quality),
+            one.quality.failures,
             usual.doubts(one.quality),
         )
         for kind, found, usual in kinds
@@ -166,22 +155,24 @@ def _compare_trajectory(
 ) -> FoundTrajectory:
     """Measure the deviation of an instrument or hole from its planned trajectory."""
     along, point_mm, inwards = line.inwards, found.point_mm, found.inwards
-    entry = point_mm + inwards * (float((line.entry_mm - point_mm) @ along) / float(inwards @ along))
-    at_target = point_mm
-    if found.kind is FoundKind.DRILL_HOLE:
-        at_target = point_mm + inwards * (float((line.target_mm - point_mm) @ along) / float(inwards @ along))
+    entry, at_target = (
+        point_mm + inwards * (float((place - point_mm) @ along) / float(inwards @ along))
+        for place in (line.entry_mm, line.target_mm)
+    )
+    has_tip = found.kind is FoundKind.INSTRUMENT
+    if has_tip:
+        at_target = point_mm
     off = at_target - line.target_mm
     lateral_mm, depth_mm = split_along(off, along)
     angle_rad = np.arctan2(np.linalg.norm(np.cross(inwards, along)), inwards @ along)
-    has_tip = found.kind is FoundKind.INSTRUMENT
     return FoundTrajectory(
         id=planned.id,
         kind=found.kind,
         planned_entry_mm=planned.entry_mm,
         planned_target_mm=planned.target_mm,
-        entry_mm=_to_point(entry),
-        axis_at_target_mm=_to_point(at_target),
-        tip_mm=_to_point(point_mm) if has_tip else None,
+        entry_mm=vector3(entry),
+        axis_at_target_mm=vector3(at_target),
+        tip_mm=vector3(point_mm) if has_tip else None,
         entry_error_mm=float(np.linalg.norm(entry - line.entry_mm)),
         target_error_mm=float(np.linalg.norm(off)) if has_tip else None,
         lateral_mm=lateral_mm,
@@ -189,11 +180,6 @@ def _compare_trajectory(
         angle_deg=float(np.degrees(angle_rad)),
         doubts=found.doubts,
     )
-
-
-def _to_point(values: Array) -> Point:
-    x, y, z = (float(value) for value in values)
-    return x, y, z
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,7 +6,6 @@ A blurred cylinder is fitted where bone was lost. A hole has an entry and a dire
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.optimize import least_squares
 from scipy.spatial.transform import RigidTransform
@@ -30,9 +29,8 @@ from procedures.postoperative.planned_line import (
     sample_along,
     select_voxels,
 )
+from ronna_hw.arrays import Array
 from ronna_hw.robust_scale import robust_sigma
-
-Array = NDArray[np.float64]
 
 LOST_HU = 300.0  # by which it is darker than the bone before
 MOST_PIECES = 3  # of lost bone examined per trajectory
@@ -81,11 +79,9 @@ def _fit_hole(
     local, values = select_voxels(post, coarse, (-BEFORE_MM, BEFORE_MM), AROUND_MM)
     before = sample_bone_spline(pre, back.apply(coarse.to_patient_mm(local)))
     bone = before > BONE_HU
-    local, before = local[bone], before[bone]
-    after = np.clip(values[bone], SOFT_HU, COMPACT_HU)
-    scanned = np.isfinite(after)
-    is_whole = bool(scanned.all())
-    local, before, after = local[scanned], before[scanned], after[scanned]
+    scanned = bone & np.isfinite(values)
+    is_whole = bool(scanned[bone].all())
+    local, before, after = local[scanned], before[scanned], np.clip(values[scanned], SOFT_HU, COMPACT_HU)
 
     def residuals(unknown: Array) -> Array:
         u0, v0, du, dv, radius_mm, fluid, spread_mm = unknown

@@ -33,9 +33,9 @@ from procedures.postoperative.planned_line import (
     sample_along,
     select_voxels,
 )
+from ronna_hw.arrays import Array, Mask
 from ronna_hw.robust_scale import cauchy_weights, robust_sigma
 
-Array = NDArray[np.float64]
 Numbers = NDArray[np.int64]
 
 HARMONICS = 8  # of the angle about the rod: up to so many bright rays
@@ -101,9 +101,8 @@ def _fit_coarse_line(line: PlannedLine, places: Array) -> PlannedLine:
 def _fit_rod(volume: Volume, coarse: PlannedLine) -> FittedAxis:
     """Fit a blurred rod to the voxels, starting from a coarse line that ends at the tip."""
     outside_mm = min(FITTED_LENGTH_MM, coarse.length_mm)
-    local, values = select_voxels(
-        volume, coarse, (coarse.length_mm - outside_mm, coarse.length_mm + BEYOND_TIP_MM), AROUND_MM
-    )
+    between_mm = coarse.length_mm - outside_mm, coarse.length_mm + BEYOND_TIP_MM
+    local, values = select_voxels(volume, coarse, between_mm, AROUND_MM)
     local[:, 0] -= coarse.length_mm  # from the coarse tip, inwards
     scanned = np.isfinite(values)
     is_whole = bool(scanned[local[:, 0] > 0.0].all())  # no tip is where only the scan ends
@@ -277,7 +276,7 @@ def zero_streaks(slices: Slices, rod: RodAxis) -> Streaks:
     return Streaks(np.zeros(len(slices.voxels)), empty, rod, slices, (), empty, empty, empty)
 
 
-def read_streaks(slices: Slices, rod: RodAxis, rest_hu: Array, usable: NDArray[np.bool_]) -> Streaks:
+def read_streaks(slices: Slices, rod: RodAxis, rest_hu: Array, usable: Mask) -> Streaks:
     """Estimate the streak pattern from usable shaft voxels (n,), given HU with rod and tissue subtracted."""
     steep = float(rod.outwards @ slices.normal)
     if abs(steep) < LEAST_STEEP * float(np.linalg.norm(rod.outwards)):

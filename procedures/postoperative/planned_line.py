@@ -6,12 +6,11 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from procedures.imaging.volume import Volume
-
-Array = NDArray[np.float64]
+from ronna_hw.arrays import Array, Mask
+from ronna_hw.frames import perpendicular_axes
 
 STEP_MM = 0.5  # of the coarse pass
 SEARCH_MM = 10.0  # across the trajectory: nothing farther off is taken for the instrument
@@ -40,11 +39,7 @@ class PlannedLine:
     @cached_property
     def axes(self) -> Array:
         """Unit vectors as columns: one along the trajectory, two across it."""
-        along = self.inwards
-        helper = np.eye(3)[int(np.argmin(np.abs(along)))]
-        across = np.cross(along, helper)
-        across /= np.linalg.norm(across)
-        return np.column_stack([along, across, np.cross(along, across)])
+        return np.column_stack([self.inwards, *perpendicular_axes(self.inwards)])
 
     def apply_pose(self, pose: RigidTransform) -> PlannedLine:
         """Return the line moved by a pose."""
@@ -86,21 +81,14 @@ def select_voxels(
     The grid continues beyond the scan, with NaN.
     """
     geometry = volume.geometry
-    ends = geometry.to_index(
-        line.to_patient_mm(np.array([[between_mm[0], 0.0, 0.0], [between_mm[1], 0.0, 0.0]]))
-    )
+    ends = geometry.to_index(line.to_patient_mm(np.array([[one, 0.0, 0.0] for one in between_mm])))
     room = radius_mm / geometry.spacing_mm + 1.0
     low = np.floor(ends.min(axis=0) - room).astype(int)
     high = np.ceil(ends.max(axis=0) + room).astype(int) + 1
-    index = np.stack(
-        np.meshgrid(*(np.arange(a, b) for a, b in zip(low, high, strict=True)), indexing="ij"), axis=-1
-    ).reshape(-1, 3)
+    index = np.indices(high - low).reshape(3, -1).T + low
     local = line.to_local_mm(geometry.to_patient_mm(index))
-    near = (
-        (local[:, 0] >= between_mm[0])
-        & (local[:, 0] <= between_mm[1])
-        & (np.hypot(local[:, 1], local[:, 2]) <= radius_mm)
-    )
+    near = (local[:, 0] >= between_mm[0]) & (local[:, 0] <= between_mm[1])
+    near &= np.hypot(local[:, 1], local[:, 2]) <= radius_mm
     index = index[near]
     inside = np.all((index >= 0) & (index < np.array(geometry.shape)), axis=1)
     values = np.full(len(index), np.nan)
@@ -110,16 +98,23 @@ def select_voxels(
 
 @dataclass(frozen=True)
 class FitQuality:
-    """Quality of a fit. `whole` if the scan covers the region needed, `inside` if no bound was reached.
-
-    Residual in HU, radius in mm.
-    """
+    """Quality of a fit. `whole` if the scan covers the region needed, `inside` if no bound was reached."""
 
     whole: bool
     ended: bool
     inside: bool
     residual_hu: float
     radius_mm: float
+
+    @property
+    def failures(self) -> tuple[str, ...]:
+        """Reasons why the fit gives no position and direction."""
+        expected = {
+            "the CT ends there": self.whole,
+            "the fit did not converge": self.ended,
+            "position, direction or radius ended at a limit of the fit": self.inside,
+        }
+        return tuple(words for words, holds in expected.items() if not holds)
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,34 +133,20 @@ class ExpectedFit:
     residual_hu: float
     radius_mm: tuple[float, float]
 
-    def failures(self, quality: FitQuality) -> tuple[str, ...]:
-        """List the reasons why a fit gives no position and direction."""
-        sentences = []
-        if not quality.whole:
-            sentences.append("the CT ends there")
-        if not quality.ended:
-            sentences.append("the fit did not converge")
-        if not quality.inside:
-            sentences.append("position, direction or radius ended at a limit of the fit")
-        return tuple(sentences)
-
     def doubts(self, quality: FitQuality) -> tuple[str, ...]:
         """List the reasons why a fitted position and direction may be wrong."""
         sentences = []
         if quality.residual_hu > self.residual_hu:
-            sentences.append(
-                f"the residual of the fit is {quality.residual_hu:.0f} HU, normally up to "
-                f"{self.residual_hu:g} HU"
-            )
+            usual = f"normally up to {self.residual_hu:g} HU"
+            sentences.append(f"the residual of the fit is {quality.residual_hu:.0f} HU, {usual}")
         low_mm, high_mm = self.radius_mm
         if not low_mm <= quality.radius_mm <= high_mm:
-            sentences.append(
-                f"its radius of {quality.radius_mm:.2f} mm is not within {low_mm:g} to {high_mm:g} mm"
-            )
+            usual = f"{low_mm:g} to {high_mm:g} mm"
+            sentences.append(f"its radius of {quality.radius_mm:.2f} mm is not within {usual}")
         return tuple(sentences)
 
 
-def mark_at_bound(found: Array, low: Array, high: Array) -> NDArray[np.bool_]:
+def mark_at_bound(found: Array, low: Array, high: Array) -> Mask:
     """Flag the fitted parameters (n,) that reached a bound."""
     close = AT_BOUND * (high - low)
     return np.asarray((found - low < close) | (high - found < close))

@@ -6,7 +6,6 @@ import io
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 from scipy.spatial.transform import RigidTransform
 
@@ -14,10 +13,9 @@ from procedures.imaging.volume import Volume
 from procedures.planning.plan_model import Plan
 from procedures.postoperative.comparison import FoundTrajectory, PostoperativeComparison
 from procedures.postoperative.planned_line import PlannedLine
+from ronna_hw.arrays import Array
 from ronna_hw.calibration import Numbers4, Strict
 from ronna_hw.text import format_against_limit
-
-Array = NDArray[np.float64]
 
 STEP_MM = 0.25
 HALF_WIDTH_MM = 15.0
@@ -90,13 +88,8 @@ def draw_trajectory(post: Volume, found: FoundTrajectory, post_from_pre: RigidTr
     canvas = FigureCanvasAgg(figure)
     axes = figure.add_axes((0.18, 0.08, 0.8, 0.85))
     extent = (side[0], side[-1], along[-1], along[0])
-    axes.imshow(
-        values.reshape(len(along), len(side)),
-        cmap="gray",
-        vmin=WINDOW_HU[0],
-        vmax=WINDOW_HU[1],
-        extent=extent,
-    )
+    low_hu, high_hu = WINDOW_HU
+    axes.imshow(values.reshape(len(along), len(side)), cmap="gray", vmin=low_hu, vmax=high_hu, extent=extent)
     axes.plot([0.0, 0.0], [0.0, line.length_mm], color=PLANNED_COLOUR, linewidth=1.0, label="planned")
     axes.plot(local @ across, local[:, 0], color=FOUND_COLOUR, linewidth=1.0, linestyle="--", label="found")
     axes.set_xlabel("across mm", fontsize=7)

@@ -14,18 +14,9 @@ if TYPE_CHECKING:
     from procedures.registration.cloud_registration import CloudFit, register_clouds
     from procedures.registration.correspondence import Hypothesis, Match, MatchStatus, Prior
     from procedures.registration.matching import match
-    from procedures.registration.point_registration import (
-        Caveat,
-        Registration,
-        TargetError,
-        register,
-    )
+    from procedures.registration.point_registration import Caveat, Registration, TargetError, register
     from procedures.registration.template import FoundLayout, find_layout, match_by_template
-    from procedures.registration.verification import (
-        RoomPoint,
-        TwoWayTable,
-        verify_two_way,
-    )
+    from procedures.registration.verification import RoomPoint, TwoWayTable, verify_two_way
 
 __all__ = [
     "Caveat",

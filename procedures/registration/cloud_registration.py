@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import RigidTransform
 
@@ -20,16 +20,14 @@ from procedures.registration.correspondence import turn_rad
 from procedures.registration.errors import (
     NOT_CONVERGED,
     SYMMETRIC_CLOUD,
-    TOO_FEW_POINTS,
     UNSOUND_REGISTRATION,
     BadParameter,
     CollinearPoints,
 )
-from procedures.registration.points import FEWEST_PAIRS, validate_points, validate_transform
+from procedures.registration.points import FEWEST_PAIRS, require_enough, validate_points, validate_transform
 from procedures.registration.rigid_fit import as_transform, fit_rigid
+from ronna_hw.arrays import Array
 from ronna_hw.frames import Transform
-
-Array = NDArray[np.float64]
 
 LINE_RATIO = 1e-3  # of the first two standard deviations; below it the cloud is a line
 DISTINCT_AXES = 1.05  # ratio of successive standard deviations; below it an axis has no defined direction
@@ -77,69 +75,45 @@ def register_clouds(
     tree = cKDTree(physical)
     if start is not None:
         matrix = np.asarray(validate_transform(start, "start").as_matrix())
-        return _as_fit(_iterate_closest_points(image, physical, tree, matrix, overlap))
-    fits = [
-        _iterate_closest_points(image, physical, tree, one, overlap) for one in _align_axes(image, physical)
-    ]
+        return _iterate_closest_points(image, physical, tree, matrix, overlap)
+    fits, reflected = (
+        [_iterate_closest_points(cloud, physical, tree, one, overlap) for one in _align_axes(cloud, physical)]
+        for cloud in (image, image @ np.diag([-1.0, 1.0, 1.0]))
+    )
     best = min(fits, key=lambda fit: fit.residual_mm)
-    mirror = np.diag([-1.0, 1.0, 1.0, 1.0])
-    mirrored = image @ mirror[:3, :3]
-    reflected = [
-        _iterate_closest_points(mirrored, physical, tree, one, overlap)
-        for one in _align_axes(mirrored, physical)
-    ]
     nearest_mm = min(fit.residual_mm for fit in reflected)
     if best.residual_mm > CLEARLY_BETTER * nearest_mm + ROUNDING_MM:
-        raise UNSOUND_REGISTRATION(
-            "the clouds fit better as a mirror image",
-            got=f"{nearest_mm:.3g} mm, else {best.residual_mm:.3g} mm",
-        )
+        got = f"{nearest_mm:.3g} mm, else {best.residual_mm:.3g} mm"
+        raise UNSOUND_REGISTRATION("the clouds fit better as a mirror image", got=got)
     for fit in fits:
-        differs = turn_rad(best.matrix[:3, :3], fit.matrix[:3, :3]) > SAME_TURN_RAD
+        turns = (np.asarray(one.transform.as_matrix())[:3, :3] for one in (best, fit))
+        differs = turn_rad(*turns) > SAME_TURN_RAD
         if differs and fit.residual_mm < CLEARLY_BETTER * best.residual_mm + ROUNDING_MM:
-            raise SYMMETRIC_CLOUD(
-                "two orientations fit equally well",
-                got=f"{best.residual_mm:.3g} and {fit.residual_mm:.3g} mm",
-            )
-    return _as_fit(best)
+            got = f"{best.residual_mm:.3g} and {fit.residual_mm:.3g} mm"
+            raise SYMMETRIC_CLOUD("two orientations fit equally well", got=got)
+    return best
 
 
-@dataclass(frozen=True)
-class _Fit:
-    matrix: Array
-    residual_mm: float
-    steps: int
-
-
-def _as_fit(fit: _Fit) -> CloudFit:
-    return CloudFit(as_transform(fit.matrix[:3, :3], fit.matrix[:3, 3]), fit.residual_mm, fit.steps)
-
-
-def closest_point_steps(
-    image_mm: ArrayLike, physical_mm: ArrayLike, start: RigidTransform | None = None
-) -> Iterator[tuple[Array, float]]:
+def closest_point_steps(image_mm: ArrayLike, physical_mm: ArrayLike) -> Iterator[tuple[Array, float]]:
     """Yield transform (4, 4) physical <- image and rms residual, mm, of every iteration until it settles.
 
-    Without `start`, from the orientation of the principal axes that ends best. Raises as `register_clouds`,
-    without judging whether other orientations fit as well.
+    From the orientation of the principal axes that ends best. Raises as `register_clouds`, without judging
+    whether other orientations fit as well.
     """
     image, physical = _validate_cloud(image_mm, "image"), _validate_cloud(physical_mm, "physical")
     tree = cKDTree(physical)
-    if start is not None:
-        yield from _steps(image, physical, tree, np.asarray(start.as_matrix()), len(image))
-        return
     runs = [list(_steps(image, physical, tree, one, len(image))) for one in _align_axes(image, physical)]
     yield from min(runs, key=lambda steps: steps[-1][1])
 
 
 def _iterate_closest_points(
     image: Array, physical: Array, tree: cKDTree, start: Array, overlap: float
-) -> _Fit:
+) -> CloudFit:
     """Alternate between pairing nearest points and fitting until the residual stops decreasing."""
     number, matrix, residual_mm = 0, start, np.inf
     for step in _steps(image, physical, tree, start, round(overlap * len(image))):
         number, (matrix, residual_mm) = number + 1, step
-    return _Fit(matrix, residual_mm, number)
+    return CloudFit(as_transform(matrix[:3, :3], matrix[:3, 3]), residual_mm, number)
 
 
 def _steps(
@@ -184,8 +158,7 @@ def principal_axes(points: Array, name: str) -> Array:
 
 def _validate_cloud(points_mm: ArrayLike, name: str) -> Array:
     points = validate_points(points_mm, name)
-    if len(points) < FEWEST_PAIRS:
-        raise TOO_FEW_POINTS(f"{len(points)} {name} point(s) given", expected=f"at least {FEWEST_PAIRS}")
+    require_enough(points, f"{name} point(s)")
     spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
     if spread[1] <= LINE_RATIO * spread[0]:
         raise CollinearPoints(f"the {name} cloud is a line")

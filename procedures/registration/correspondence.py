@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from procedures.registration.errors import NO_UNIQUE_MATCH, BadParameter
-
-Array = NDArray[np.float64]
+from ronna_hw.arrays import Array
 
 DEFAULT_PRIOR_TOLERANCE_RAD = math.radians(60.0)  # enough to distinguish supine, prone and lateral
 

@@ -12,16 +12,15 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.special import chdtri, fdtri
 
 from procedures.registration.errors import RESIDUAL_TOO_LARGE, TOO_FEW_POINTS, BadParameter
 from procedures.registration.points import FEWEST_PAIRS
 from procedures.registration.rigid_fit import pose_jacobian
 from ronna_hw.arguments import show
+from ronna_hw.arrays import Array
 from ronna_hw.text import format_distinct
-
-Array = NDArray[np.float64]
 
 POSE_UNKNOWNS = 6
 DEFAULT_CONFIDENCE = 0.95

@@ -12,10 +12,10 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from procedures.registration.correspondence import Hypothesis, Match, MatchStatus, PosePrior, Prior
+from procedures.registration.correspondence import Match, MatchStatus, PosePrior, Prior
 from procedures.registration.errors import BAD_POINTS, BadParameter
 from procedures.registration.pairings import (
     CLIQUE_SLACK,
@@ -27,12 +27,10 @@ from procedures.registration.pairings import (
     consistency_graph,
     evaluate,
     gate,
-    leave_one_out,
 )
 from procedures.registration.points import FEWEST_PAIRS, validate_points
 from ronna_hw.arguments import REAL_KINDS, show
-
-Array = NDArray[np.float64]
+from ronna_hw.arrays import Array
 
 # Wide, because 8 fiducials have 28 distances, and one wrongly excluded splits the set into two that
 # contradict each other. Five sigmas lose 2 runs of 1,000 when the length of an error is normal rather than
@@ -48,8 +46,8 @@ def match(
     image_mm: ArrayLike,
     physical_mm: ArrayLike,
     *,
-    sigma_image_mm: float | Sequence[float] | NDArray[np.float64],
-    sigma_physical_mm: float | Sequence[float] | NDArray[np.float64],
+    sigma_image_mm: float | Sequence[float] | Array,
+    sigma_physical_mm: float | Sequence[float] | Array,
     expected: int | None = None,
     prior: PosePrior | Rotation | None = None,
 ) -> Match:
@@ -153,17 +151,14 @@ class CorrespondenceSearch:
                 return self._explain([best], True)  # some chance pairing is always allowed
             smallest_seen = max(FEWEST_PAIRS, search.largest - slack)
             unseen_nats = self.evidence.most_nats(smallest_seen - 1)
-            if ranked and (
-                smallest_seen == FEWEST_PAIRS or ranked[0].score_nats - UNIQUE_MARGIN_NATS > unseen_nats
-            ):
+            is_all_seen = smallest_seen == FEWEST_PAIRS
+            if ranked and (is_all_seen or ranked[0].score_nats - UNIQUE_MARGIN_NATS > unseen_nats):
                 return self._judge(ranked, failed)
-            if smallest_seen == FEWEST_PAIRS:
+            if is_all_seen:
                 break
         if not nearest:
-            return self.answer_without_pairs(
-                MatchStatus.INCONSISTENT,
-                f"no three points have matching distances within {tolerance_mm:.1f} mm",
-            )
+            reason = f"no three points have matching distances within {tolerance_mm:.1f} mm"
+            return self.answer_without_pairs(MatchStatus.INCONSISTENT, reason)
         return self._explain(nearest, is_outside_prior)
 
     def answer_too_few(self, counts: str) -> Match:
@@ -199,7 +194,8 @@ class CorrespondenceSearch:
                 if over_full or (is_doubtful and drops[one.nodes] < tries):
                     to_reduce.append(one.nodes)
             for parent in to_reduce if size > FEWEST_PAIRS else ():
-                for child in leave_one_out([parent]):
+                for node in bits(parent):  # dropping only the worst pair would leave swapped pairs behind
+                    child = parent & ~(1 << node)
                     masks_by_size.setdefault(size - 1, []).append(child)
                     drops[child] = max(drops.get(child, 0), drops[parent] + 1)
         return passing, failed
@@ -232,20 +228,11 @@ class CorrespondenceSearch:
         if self.expected is not None:
             # One pair too many is left to the leave-one-out subsets: one of them must clearly win.
             over_full = max(ranked, key=lambda one: one.size)
-            if over_full.size > self.expected + 1:
-                return self.answer_without_pairs(
-                    MatchStatus.INCONSISTENT,
-                    f"{over_full.size} pairs agree, {self.expected} expected",
-                    over_full,
-                )
             ranked = [one for one in ranked if one.size <= self.expected]
-            if not ranked or ranked[0].size < self.expected:
-                found = ranked[0] if ranked else over_full
-                return self.answer_without_pairs(
-                    MatchStatus.INCONSISTENT,
-                    f"{found.size} pairs agree, {self.expected} expected",
-                    found,
-                )
+            found = over_full if not ranked or over_full.size > self.expected + 1 else ranked[0]
+            if found.size != self.expected:
+                reason = f"{found.size} pairs agree, {self.expected} expected"
+                return self.answer_without_pairs(MatchStatus.INCONSISTENT, reason, found)
         best = ranked[0]
         rivals = [one for one in ranked[1:] if one.nodes & ~best.nodes]
         if not rivals:
@@ -276,9 +263,8 @@ class CorrespondenceSearch:
         excluded = [one for one in nearest if is_outside_prior and self._objection(one)]
         miss = max(excluded or nearest, key=lambda one: (one.size, one.score_nats))
         if is_outside_prior:
-            reason = (
-                f"the points agree only in an orientation that the prior excludes: {self._objection(miss)}"
-            )
+            objection = self._objection(miss)
+            reason = f"the points agree only in an orientation that the prior excludes: {objection}"
         elif any(one.passed_mirrored for one in nearest if one.size == miss.size):
             reason = _mirror_reason(miss)
         elif miss.on_a_line:
@@ -294,28 +280,21 @@ class CorrespondenceSearch:
         self, status: MatchStatus, reason: str, miss: PairingCandidate | None = None
     ) -> Match:
         """Return a result without pairs."""
-        counts = len(self.image), len(self.physical)
-        return Match.of(status, reason, None, counts, runner_up=self._to_hypothesis(miss))
+        return self._build_match(status, reason, None, miss, 0.0)
 
     def _build_match(
         self,
         status: MatchStatus,
         reason: str,
-        best: PairingCandidate,
+        best: PairingCandidate | None,
         rival: PairingCandidate | None,
         margin: float,
     ) -> Match:
-        return Match.of(
-            status,
-            reason,
-            self._to_hypothesis(best),
-            (len(self.image), len(self.physical)),
-            runner_up=self._to_hypothesis(rival),
-            margin_nats=margin,
+        paired, runner_up = (
+            None if one is None else as_hypothesis(one, len(self.physical)) for one in (best, rival)
         )
-
-    def _to_hypothesis(self, one: PairingCandidate | None) -> Hypothesis | None:
-        return None if one is None else as_hypothesis(one, len(self.physical))
+        counts = len(self.image), len(self.physical)
+        return Match.of(status, reason, paired, counts, runner_up=runner_up, margin_nats=margin)
 
 
 def _mirror_reason(one: PairingCandidate) -> str:

@@ -6,17 +6,16 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from procedures.registration.correspondence import MatchStatus
 from procedures.registration.error_theory import FreGate
 from procedures.registration.matching import match
 from procedures.registration.point_registration import Registration, register
 from procedures.registration.rigid_fit import fit_rigid
+from ronna_hw.arrays import Array
 
 GATE_CONFIDENCE = 0.999  # of the chi-square gate: one false alarm in a thousand moves
-
-Array = NDArray[np.float64]
 
 LEAST_POINTS = 3
 NEAR_MM = 8.0  # a point this close to a recorded one is that point: spheres are 20 mm and more apart
@@ -93,8 +92,7 @@ def measure_shift(recorded_mm: ArrayLike, seen_mm: ArrayLike) -> PointShift | No
         return None
     rows, columns = (list(side) for side in zip(*pairs, strict=True))
     fit = fit_rigid(recorded[rows], seen[columns])
-    displacements = recorded[rows] @ fit.rotation.T + fit.translation_mm - recorded[rows]
-    return PointShift.of(displacements)
+    return PointShift.of(recorded[rows] @ fit.rotation.T + fit.translation_mm - recorded[rows])
 
 
 def lone_displacement_mm(recorded_mm: ArrayLike, seen_mm: ArrayLike, limit_mm: float) -> float | None:

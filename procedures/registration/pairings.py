@@ -18,13 +18,11 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from procedures.registration.correspondence import Hypothesis
 from procedures.registration.rigid_fit import as_transform, fit_rigid, reflection_sum_mm2, residuals
-
-Array = NDArray[np.float64]
+from ronna_hw.arrays import Array, Mask
 
 CLIQUE_SLACK = 2  # cliques up to two pairs smaller than the largest still compete
 MOST_BRANCHES = 20_000  # tens of milliseconds; if it takes more, the noise is too large for the spacing
@@ -39,7 +37,7 @@ WIDEST_HEAD_MM = 260.0  # between two spheres: a head 220 mm long, plus a base a
 LINE_RATIO = 1e-3  # second over first singular value; below it a set is a line and fixes no rotation
 
 
-def consistency_graph(image_mm: Array, physical_mm: Array, tolerance_mm: float) -> NDArray[np.bool_]:
+def consistency_graph(image_mm: Array, physical_mm: Array, tolerance_mm: float) -> Mask:
     """Build the adjacency matrix (n*m, n*m); node i*m + j pairs image point i with physical point j."""
     within_image = np.linalg.norm(image_mm[:, None] - image_mm[None], axis=-1)
     within_physical = np.linalg.norm(physical_mm[:, None] - physical_mm[None], axis=-1)
@@ -98,7 +96,7 @@ class CliqueSearch:
     `exhausted` is true when the search was cut off, so cliques may be missing.
     """
 
-    adjacency: NDArray[np.bool_]
+    adjacency: Mask
     fewest: int
     slack: int = CLIQUE_SLACK
     exhausted: bool = False
@@ -168,7 +166,7 @@ def bits(mask: int) -> list[int]:
     return positions
 
 
-def bit_rows(adjacency: NDArray[np.bool_]) -> list[int]:
+def bit_rows(adjacency: Mask) -> list[int]:
     """Pack each row of an adjacency matrix into an integer, column k in bit k."""
     packed = np.packbits(adjacency, axis=1, bitorder="little")
     return [int.from_bytes(row.tobytes(), "little") for row in packed]
@@ -263,14 +261,6 @@ def evaluate(
         )
         for row, mask in enumerate(masks)
     ]
-
-
-def leave_one_out(masks: Sequence[int]) -> list[int]:
-    """List all distinct pairings that result from dropping one pair.
-
-    Dropping only the worst pair would leave swapped pairs behind.
-    """
-    return list(dict.fromkeys(mask & ~(1 << node) for mask in masks for node in bits(mask)))
 
 
 def as_hypothesis(one: PairingCandidate, physical_count: int) -> Hypothesis:

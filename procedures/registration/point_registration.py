@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
+from contextlib import suppress
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from procedures.registration.error_theory import (
@@ -32,9 +33,8 @@ from procedures.registration.points import (
     validate_targets,
 )
 from procedures.registration.rigid_fit import fit_rigid, fit_weighted
+from ronna_hw.arrays import Array
 from ronna_hw.frames import Frame, Transform
-
-Array = NDArray[np.float64]
 
 COLLINEAR_REFUSED = 1e-3  # second over first singular value of the cross-covariance
 COLLINEAR_WARNED = 0.05
@@ -96,7 +96,16 @@ class Registration:
         None if the others do not determine a transform. Raises REG-006 if their fit does not converge. Costs
         as many fits as there are pairs, when it is first read.
         """
-        return _leave_one_out(self.image_mm, self.physical_mm, self.covariance_mm2)
+        image, physical, covariance = self.image_mm, self.physical_mm, self.covariance_mm2
+        distances: list[float | None] = [None] * self.pairs
+        for index in range(self.pairs) if self.pairs > FEWEST_PAIRS else ():
+            keep = np.arange(self.pairs) != index
+            kept = None if covariance is None else covariance[keep]
+            with suppress(CollinearPoints):
+                rotation, translation, _ = _fit(image[keep], physical[keep], kept)
+                apart = physical[index] - rotation @ image[index] - translation
+                distances[index] = float(np.linalg.norm(apart))
+        return tuple(distances)
 
     @property
     def fle_mm(self) -> float:
@@ -138,10 +147,8 @@ class Registration:
         if fle_mm is not None:
             return fre_gate(self.fre_mm, fle_mm, self.pairs, confidence)
         if self.chi_square is None:
-            raise BadParameter(
-                "the gate needs a known FLE or covariances",
-                action="Give fle_mm, or register with covariance_mm2.",
-            )
+            action = "Give fle_mm, or register with covariance_mm2."
+            raise BadParameter("the gate needs a known FLE or covariances", action=action)
         limit = chi_square_limit(degrees_of_freedom(self.pairs), confidence)
         return FreGate(self.fre_mm, self.chi_square, limit, confidence)
 
@@ -235,22 +242,3 @@ def _fit(image: Array, physical: Array, covariance: Array | None) -> tuple[Array
     if covariance is not None:
         rotation, translation = fit_weighted(image, physical, covariance, rotation, translation)
     return rotation, translation, tuple(caveats)
-
-
-def _leave_one_out(image: Array, physical: Array, covariance: Array | None) -> tuple[float | None, ...]:
-    """Return the distance of each measured position from where the other pairs predict it, mm."""
-    distances: list[float | None] = []
-    for index in range(len(image)):
-        keep = np.arange(len(image)) != index
-        if np.count_nonzero(keep) < FEWEST_PAIRS:
-            distances.append(None)
-            continue
-        try:
-            rotation, translation, _ = _fit(
-                image[keep], physical[keep], None if covariance is None else covariance[keep]
-            )
-        except CollinearPoints:
-            distances.append(None)
-            continue
-        distances.append(float(np.linalg.norm(physical[index] - rotation @ image[index] - translation)))
-    return tuple(distances)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform
 
 from procedures.registration.errors import (
@@ -14,9 +14,8 @@ from procedures.registration.errors import (
     BadParameter,
 )
 from ronna_hw.arguments import require_numbers
+from ronna_hw.arrays import Array
 from ronna_hw.frames import Transform, is_rotation
-
-Array = NDArray[np.float64]
 
 COORDINATE_LIMIT_MM = 1e6  # one kilometre: no theatre is larger, and squares are far from overflow
 NEAREST_SPHERES_MM = 2.0  # two 11.5 mm spheres cannot be closer; a repeated detection is
@@ -37,11 +36,8 @@ def validate_points(points_mm: ArrayLike, name: str) -> Array:
         raise BAD_POINTS(f"the {name} points are not finite in row(s) {rows}")
     farthest_mm = float(np.abs(values).max(initial=0.0))
     if farthest_mm > COORDINATE_LIMIT_MM:
-        raise BAD_POINTS(
-            f"the {name} points are farther away than any theatre is wide",
-            limit=f"{COORDINATE_LIMIT_MM:g} mm",
-            got=f"{farthest_mm:g} mm",
-        )
+        words = f"the {name} points are farther away than any theatre is wide"
+        raise BAD_POINTS(words, limit=f"{COORDINATE_LIMIT_MM:g} mm", got=f"{farthest_mm:g} mm")
     return values
 
 
@@ -102,9 +98,8 @@ def validate_pairs(image_mm: ArrayLike, physical_mm: ArrayLike) -> tuple[Array, 
 def require_enough(points: Array, name: str, action: str | None = None) -> None:
     """Raise REG-002 for fewer points than determine a rigid transform."""
     if len(points) < FEWEST_PAIRS:
-        raise TOO_FEW_POINTS(
-            f"{len(points)} {name} given", expected=f"at least {FEWEST_PAIRS}", action=action
-        )
+        words = f"{len(points)} {name} given"
+        raise TOO_FEW_POINTS(words, expected=f"at least {FEWEST_PAIRS}", action=action)
 
 
 def refuse_duplicates(points: Array, name: str) -> None:

@@ -14,12 +14,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from procedures.registration.errors import NOT_CONVERGED
-
-Array = NDArray[np.float64]
+from ronna_hw.arrays import Array, Mask
 
 MOST_STEPS = 50  # ordinary data converge in five to eight
 MOST_HALVINGS = 30  # a step halved this often is zero
@@ -38,7 +36,7 @@ class RigidFit:
     rotation: Array
     translation_mm: Array
     spread_mm2: Array
-    mirrored: NDArray[np.bool_]
+    mirrored: Mask
 
 
 def fit_rigid(image_mm: Array, physical_mm: Array) -> RigidFit:
@@ -86,19 +84,13 @@ def pose_jacobian(points_mm: Array, centre_mm: Array) -> Array:
 
     The first three columns are per radian about x, y, z of the physical frame, the last three per mm.
     """
-    arm = points_mm - centre_mm
-    zero = np.zeros(arm.shape[:-1])
-    x, y, z = arm[..., 0], arm[..., 1], arm[..., 2]
-    turning = np.stack(
-        [
-            np.stack([zero, z, -y], axis=-1),
-            np.stack([-z, zero, x], axis=-1),
-            np.stack([y, -x, zero], axis=-1),
-        ],
-        axis=-2,
-    )
-    shifting = np.broadcast_to(np.eye(3), turning.shape)
-    return np.concatenate([turning, shifting], axis=-1)
+    x, y, z = np.moveaxis(points_mm - centre_mm, -1, 0)
+    jacobian = np.zeros((*x.shape, 3, 6))
+    jacobian[..., 0, 1], jacobian[..., 0, 2] = z, -y
+    jacobian[..., 1, 0], jacobian[..., 1, 2] = -z, x
+    jacobian[..., 2, 0], jacobian[..., 2, 1] = y, -x
+    jacobian[..., 3:] = np.eye(3)
+    return jacobian
 
 
 def fit_weighted(

@@ -13,10 +13,9 @@ from dataclasses import dataclass, replace
 from itertools import permutations, product
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
-Array = NDArray[np.float64]
+from ronna_hw.arrays import Array
 
 UP = np.array([0.0, 0.0, 1.0])  # in the room
 SUPERIOR = np.array([0.0, 0.0, 1.0])

@@ -23,15 +23,16 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from procedures.registration.correspondence import MatchStatus
-from procedures.registration.pairings import gate
-from procedures.registration.points import FEWEST_PAIRS
-from procedures.registration.rigid_fit import fit_rigid, residuals
-from procedures.registration.thesis_settings import REFUSED_SHARE
+from procedures.registration.correspondence import Hypothesis, Match, MatchStatus, PosePrior
+from procedures.registration.matching import weigh_evidence
+from procedures.registration.pairings import LINE_RATIO, gate
+from procedures.registration.points import FEWEST_PAIRS, validate_points
+from procedures.registration.rigid_fit import as_transform, fit_rigid, residuals
+from procedures.registration.thesis_settings import REFUSED_SHARE, check_thesis_settings
+from ronna_hw.arrays import Array
 
-Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 
@@ -51,10 +52,7 @@ class SimilarityPairs:
 
 
 def match_many_by_similarity(
-    image_mm: Array,
-    physical_mm: Array,
-    tolerance_mm: Array,
-    counting: Counting = Counting.ONE_TO_ONE,
+    image_mm: Array, physical_mm: Array, tolerance_mm: Array, counting: Counting = Counting.ONE_TO_ONE
 ) -> tuple[SimilarityPairs, ...]:
     """Pair image points (b, n, 3) with physical points (b, m, 3), in mm, by the rule of the thesis.
 
@@ -114,9 +112,8 @@ def similarity(within_image_mm: Array, within_physical_mm: Array, tolerance_mm: 
     batch, rows, length = image.shape
     columns, width = physical.shape[1:]
     at_image = np.arange(batch * rows).reshape(batch, rows, 1) * length + np.zeros(columns, dtype=np.intp)
-    at_physical = np.arange(batch * columns).reshape(batch, 1, columns) * width + np.zeros(
-        (rows, 1), dtype=np.intp
-    )
+    at_physical = np.arange(batch * columns).reshape(batch, 1, columns) * width
+    at_physical = at_physical + np.zeros((rows, 1), dtype=np.intp)
     tolerance = tolerance_mm[:, None, None]
     end_image, end_physical = at_image + length - 1, at_physical + width - 1
     found = np.zeros((batch, rows, columns), dtype=np.intp)
@@ -263,5 +260,68 @@ def validate_many(
         rest = residuals(fit_rigid(image, physical), image, physical)
         too_large = np.square(rest).sum(axis=(1, 2)) > gate(size, refused_share) * variance_mm2
         for number in np.array(numbers)[too_large].tolist():
-            judged[number] = SimilarityPairs(MatchStatus.INCONSISTENT, np.empty((0, 2), dtype=np.intp))
+            judged[number] = SimilarityPairs(MatchStatus.INCONSISTENT, _no_pairs())
     return tuple(judged)
+
+
+def match_as_thesis(
+    image_mm: ArrayLike,
+    physical_mm: ArrayLike,
+    *,
+    e_mm: float,
+    sigma_image_mm: float,
+    sigma_physical_mm: float,
+    refused_share: float,
+    expected: int | None = None,
+    prior: PosePrior | None = None,
+) -> Match:
+    """Pair image points (n, 3) with physical points (m, 3), in mm, in the form of `match`.
+
+    The method counts matching distances. It weighs no rival pairing, so it states no odds: `margin_nats` and
+    the score are None. It knows neither the number of markers nor the patient's position: with those its
+    pairing can only be refused. Raises REG-001 and REG-007.
+    """
+    image, physical = validate_points(image_mm, "image"), validate_points(physical_mm, "physical")
+    variance_mm2 = weigh_evidence(sigma_image_mm, sigma_physical_mm).variance_mm2
+    check_thesis_settings(e_mm, refused_share)
+    counts = len(image), len(physical)
+    fewest = expected or FEWEST_PAIRS
+    if min(counts) < fewest:
+        sizes = f"{counts[0]} image and {counts[1]} physical points, {fewest} needed"
+        return Match.of(MatchStatus.TOO_FEW, sizes, None, counts, margin_nats=None)
+    stacked = image[None], physical[None]
+    (raw,) = match_many_by_similarity(*stacked, np.array([e_mm]))
+    (found,) = validate_many(*stacked, [raw], variance_mm2, refused_share)
+    if found.status is not MatchStatus.UNIQUE:
+        return Match.of(found.status, _explain(raw, e_mm), None, counts, margin_nats=None)
+    pairs = found.pairs[np.argsort(found.pairs[:, 0])]
+    of_image, of_physical = image[pairs[:, 0]], physical[pairs[:, 1]]
+    fit = fit_rigid(of_image, of_physical)
+    objection = ""
+    if expected is not None and len(pairs) != expected:
+        objection = f"{len(pairs)} pairs agree, {expected} expected"
+    elif fit.spread_mm2[1] <= LINE_RATIO * fit.spread_mm2[0]:
+        objection = f"the {len(pairs)} agreeing points are collinear and do not determine the rotation"
+    elif prior is not None and (why := prior.objection(fit.rotation, fit.translation_mm, of_physical)):
+        objection = f"the points agree only in an orientation that the prior excludes: {why}"
+    hypothesis = Hypothesis(
+        pairs,
+        as_transform(fit.rotation, fit.translation_mm),
+        float(np.square(residuals(fit, of_image, of_physical)).sum()) / variance_mm2,
+        gate(len(pairs), refused_share),
+        None,
+    )
+    if objection:
+        return Match.of(
+            MatchStatus.INCONSISTENT, objection, None, counts, runner_up=hypothesis, margin_nats=None
+        )
+    reason = f"{len(pairs)} pairs agree within e = {e_mm:g} mm"
+    return Match.of(MatchStatus.UNIQUE, reason, hypothesis, counts, margin_nats=None)
+
+
+def _explain(raw: SimilarityPairs, e_mm: float) -> str:
+    if raw.status is MatchStatus.UNIQUE:
+        return f"{len(raw.pairs)} pairs agree within e = {e_mm:g} mm, but with residuals beyond the noise"
+    if raw.status is MatchStatus.AMBIGUOUS:
+        return f"within e = {e_mm:g} mm some spheres have more than one partner"
+    return f"no three points have matching distances within e = {e_mm:g} mm"

@@ -25,7 +25,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.linalg import block_diag
 
 from procedures.registration.error_theory import (
@@ -36,8 +36,7 @@ from procedures.registration.error_theory import (
     error_limit_mm,
 )
 from procedures.registration.rigid_fit import pose_jacobian
-
-Array = NDArray[np.float64]
+from ronna_hw.arrays import Array, Mask
 
 AXES = 3
 
@@ -59,11 +58,6 @@ class SharedErrors:
     at_spheres_mm: Array  # (n, 3, k)
     at_target_mm: Array  # (3, k)
 
-    @property
-    def acts_at_spheres(self) -> bool:
-        """Whether it displaces a sphere, so that residuals may show it."""
-        return bool(self.at_spheres_mm.any())
-
 
 @dataclass(frozen=True)
 class IndependentErrors:
@@ -72,11 +66,6 @@ class IndependentErrors:
     source: str
     at_spheres_mm2: Array  # (n, 3, 3) of a recorded sphere
     at_target_mm2: Array  # (3, 3) of the tool at the target
-
-    @property
-    def acts_at_spheres(self) -> bool:
-        """Whether it displaces a sphere, so that residuals may show it."""
-        return bool(self.at_spheres_mm2.any())
 
 
 @dataclass(frozen=True)
@@ -127,9 +116,7 @@ class TargetPrediction:
         covariance = self.covariance_mm2 + (self.widening**2 - 1.0) * tested
         return float(error_limit_mm(covariance, confidence))
 
-    def mark_contained(
-        self, errors_mm: ArrayLike, confidence: float = DEFAULT_CONFIDENCE
-    ) -> NDArray[np.bool_]:
+    def mark_contained(self, errors_mm: ArrayLike, confidence: float = DEFAULT_CONFIDENCE) -> Mask:
         """Mark the errors (..., 3) inside the ellipsoid of this probability."""
         errors = np.asarray(errors_mm, dtype=float)
         weighted = np.linalg.solve(self.covariance_mm2, errors.reshape(-1, AXES).T).T.reshape(errors.shape)
@@ -151,16 +138,20 @@ def predict_target_error(
     spheres, target = np.asarray(spheres_mm, dtype=float), np.asarray(target_mm, dtype=float)
     influence = influence_of_spheres(spheres, target, weights)
     parts: dict[str, Array] = {}
+    tested: set[str] = set()  # by the residual, as they displace a sphere
     for one in sources:
         if isinstance(one, SharedErrors):
-            shift = one.at_target_mm - np.einsum("nij,njk->ik", influence, one.at_spheres_mm)
+            at_spheres = one.at_spheres_mm
+            shift = one.at_target_mm - np.einsum("nij,njk->ik", influence, at_spheres)
             part = shift @ shift.T
         else:
-            turned = influence @ one.at_spheres_mm2 @ influence.transpose(0, 2, 1)
+            at_spheres = one.at_spheres_mm2
+            turned = influence @ at_spheres @ influence.transpose(0, 2, 1)
             part = one.at_target_mm2 + turned.sum(axis=0)
         parts[one.source] = parts.get(one.source, np.zeros((AXES, AXES))) + part
-    at_spheres = frozenset(one.source for one in sources if one.acts_at_spheres)
-    return TargetPrediction(parts, at_spheres, 1.0 if residual is None else residual.widening)
+        if at_spheres.any():
+            tested.add(one.source)
+    return TargetPrediction(parts, frozenset(tested), 1.0 if residual is None else residual.widening)
 
 
 def check_residuals(

@@ -19,9 +19,9 @@ from procedures.registration.errors import LayoutNotFound
 from procedures.registration.matching import MOST_POINTS, match, validate_prior, weigh_evidence
 from procedures.registration.pairings import as_hypothesis, evaluate
 from procedures.registration.points import require_enough, validate_points
+from ronna_hw.arrays import Array
 
-Array = NDArray[np.float64]
-Sigma = float | Sequence[float] | NDArray[np.float64]
+Sigma = float | Sequence[float] | Array
 
 TEMPLATE_SIGMA_MM = 0.05  # per axis: accuracy to which such a frame is made and measured
 
@@ -65,11 +65,11 @@ def match_by_template(
     require_enough(template, "point(s) of a template", FEW)
     image, physical = validate_points(image_mm, "image"), validate_points(physical_mm, "physical")
     image_prior = validate_prior(prior)
-    ct_match = _match_template(template, image, sigma_template_mm, sigma_image_mm, None)
+    ct_match = match_template(template, image, sigma_template_mm, sigma_image_mm)
     if ct_match.transform is None or ct_match.status is not MatchStatus.UNIQUE:
         return _answer_failure(ct_match, "image", image, physical)
     template_prior = image_prior and _TemplatePrior(image_prior, ct_match.transform)
-    room_match = _match_template(template, physical, sigma_template_mm, sigma_physical_mm, template_prior)
+    room_match = match_template(template, physical, sigma_template_mm, sigma_physical_mm, template_prior)
     if room_match.status is not MatchStatus.UNIQUE:
         return _answer_failure(room_match, "physical", image, physical)
     in_image, in_physical = ct_match.pairs[:, 1], room_match.pairs[:, 1]
@@ -90,15 +90,20 @@ def match_by_template(
     )
 
 
-def _match_template(
-    template: Array, points: Array, sigma_template_mm: float, sigma_mm: Sigma, prior: PosePrior | None
+def match_template(
+    template: ArrayLike,
+    points: ArrayLike,
+    sigma_template_mm: float,
+    sigma_mm: Sigma,
+    prior: PosePrior | None = None,
 ) -> Match:
+    """Match a template (k, 3) to points (n, 3) among which all of it is expected, both in mm."""
     return match(
         template,
         points,
         sigma_image_mm=sigma_template_mm,
         sigma_physical_mm=sigma_mm,
-        expected=len(template),
+        expected=len(np.asarray(template)),
         prior=prior,
     )
 
@@ -133,13 +138,7 @@ def find_layout(layout_mm: ArrayLike, spheres_mm: ArrayLike) -> FoundLayout:
             got=str(len(spheres)),
             action=TOO_MANY,
         )
-    found = match(
-        layout,
-        spheres,
-        sigma_image_mm=TEMPLATE_SIGMA_MM,
-        sigma_physical_mm=SCAN_SIGMA_MM,
-        expected=len(layout),
-    )
+    found = match_template(layout, spheres, TEMPLATE_SIGMA_MM, SCAN_SIGMA_MM)
     if found.transform is None or found.status is not MatchStatus.UNIQUE:
         is_ambiguous = found.status is MatchStatus.AMBIGUOUS
         raise LayoutNotFound(
@@ -151,11 +150,10 @@ def find_layout(layout_mm: ArrayLike, spheres_mm: ArrayLike) -> FoundLayout:
         )
     order = found.pairs[np.argsort(found.pairs[:, 0]), 1]
     residuals_mm = np.linalg.norm(found.transform.apply(layout) - spheres[order], axis=1)
-    return FoundLayout(
-        order, found.transform, float(np.sqrt(np.mean(np.square(residuals_mm)))), found.unmatched_physical
-    )
+    rms_mm = float(np.sqrt(np.mean(np.square(residuals_mm))))
+    return FoundLayout(order, found.transform, rms_mm, found.unmatched_physical)
 
 
-def _width_mm(points_mm: NDArray[np.float64]) -> float:
+def _width_mm(points_mm: Array) -> float:
     """Return the largest distance between two points, which reveals a wrong unit."""
     return float(pdist(points_mm).max(initial=0.0))

@@ -19,10 +19,9 @@ from scipy.spatial.transform import RigidTransform
 from procedures.registration.errors import BAD_POINTS
 from procedures.registration.point_registration import Registration
 from procedures.registration.points import validate_points, validate_transform
+from ronna_hw.arrays import Array
 from ronna_hw.calibration import Strict
 from ronna_hw.frames import Transform
-
-Array = NDArray[np.float64]
 
 
 class MeasuringInstrument(StrEnum):
@@ -140,9 +139,8 @@ def _build_ct_rows(
     measured = {point.fiducial: row for row, point in enumerate(stereo)} if fine is not None else {}
     rows = []
     for fiducial in range(len(image)):
-        reading = tracker_of.get(fiducial)
+        reading, row = tracker_of.get(fiducial), measured.get(fiducial)
         distances = np.linalg.norm(tracker - mapped[fiducial], axis=1)
-        row = measured.get(fiducial)
         rows.append(
             CtToRoomRow(
                 fiducial=fiducial,
@@ -170,11 +168,10 @@ def _build_room_row(
     back = np.asarray(room_from_ct.inv().apply(position), dtype=float)
     distances = np.linalg.norm(image - back, axis=1)
     nearest = int(distances.argmin())
-    reference = nearest if fiducial is None else fiducial
     return RoomToCtRow(
         instrument=instrument,
         index=index,
         fiducial=fiducial,
         nearest_fiducial=nearest,
-        distance_mm=float(distances[reference]),
+        distance_mm=float(distances[nearest if fiducial is None else fiducial]),
     )

@@ -22,8 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from procedures.relocalization.ellipse import EllipseFit
-
-Array = NDArray[np.float64]
+from ronna_hw.arrays import Array
 
 BLOCKS = 15  # of the rim, 24 degrees each: longer than a grain, shorter than a shift of the centre
 FITTED = 5  # parameters of an ellipse: so much of the block sums is lost in the fit
@@ -96,9 +95,8 @@ def centre_covariance(fit: EllipseFit, light: RimLight) -> Array:
     shifts = [*_rim_shifts_px(fit, light), clipped_shift_px(fit, light)]
     hidden = sum((np.outer(shift, shift) for shift in shifts), np.zeros((2, 2)))
     unseen_px = UNEVEN_SHIFT_BLURS * light.blur_px * _uneven_light(light) * float(np.mean(light.clipped))
-    return np.asarray(
-        _ratio_of_shared(fit, light) * fit.centre_covariance_px2 + hidden + unseen_px**2 * np.eye(2)
-    )
+    shared = _ratio_of_shared(fit, light) * fit.centre_covariance_px2
+    return np.asarray(shared + hidden + unseen_px**2 * np.eye(2))
 
 
 def clipped_shift_px(fit: EllipseFit, light: RimLight) -> Array:

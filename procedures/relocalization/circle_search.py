@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from procedures.relocalization.ellipse import circumcentre_offsets
+from ronna_hw.arrays import Array, Mask
 
 GreyImage = NDArray[np.uint8] | NDArray[np.uint16]
 
@@ -30,8 +31,6 @@ GRADIENT_FLOOR = 24.0  # Sobel units of an image stretched to 0..255: a step of 
 WEAK_SHARE = 0.5  # Canny's lower threshold relative to the upper
 # Local contrast enhancement (CLAHE): OpenCV's usual tiles, and a limit that leaves flat areas flat
 CONTRAST_LIMIT, CONTRAST_TILES = 2.0, (8, 8)
-
-Array = NDArray[np.float64]
 
 SEED = 20250711
 TRIPLES = 4000
@@ -88,8 +87,8 @@ def find_circles(edges: EdgePoints, smallest_px: float, largest_px: float) -> li
 class EdgePoints:
     """Edge pixels of a reduced image: positions x, y (n, 2) and unit gradients (n, 2), towards bright."""
 
-    position_px: NDArray[np.float64]
-    direction: NDArray[np.float64]
+    position_px: Array
+    direction: Array
 
 
 def halve_image(image: GreyImage, times: int) -> GreyImage:
@@ -215,7 +214,7 @@ def _refine(edges: EdgePoints, centre: Array, radius: float) -> Circle | None:
     return Circle((float(centre[0]), float(centre[1])), radius, coverage)
 
 
-def _mark_same(centres: Array, radii: Array, circle: Circle) -> NDArray[np.bool_]:
+def _mark_same(centres: Array, radii: Array, circle: Circle) -> Mask:
     """Mark the circles (k,) that coincide with `circle`."""
     apart = np.hypot(centres[:, 0] - circle.centre_px[0], centres[:, 1] - circle.centre_px[1])
     limit = 0.25 * np.minimum(radii, circle.radius_px)

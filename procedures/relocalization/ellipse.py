@@ -10,11 +10,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ronna_hw.arrays import Array, Mask
 from ronna_hw.robust_scale import robust_sigma
-
-Array = NDArray[np.float64]
 
 START_ITERATIONS = 3
 CIRCLES = 80  # each through three points: with half of the rim wrong, ten of them are right
@@ -130,7 +128,7 @@ def _residuals(parameters: Array, points_px: Array) -> tuple[Array, Array]:
     return (length - 1.0) / steepness, jacobian / steepness[:, None]
 
 
-def _mark_agreeing(points_px: Array) -> NDArray[np.bool_]:
+def _mark_agreeing(points_px: Array) -> Mask:
     """Flag the points near the three-point circle with the largest consensus."""
     triples = np.random.default_rng(SEED).integers(0, len(points_px), (CIRCLES, 3))
     a, b, c = (points_px[triples[:, corner]] for corner in range(3))

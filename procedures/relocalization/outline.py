@@ -14,14 +14,12 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from procedures.relocalization.centre_covariance import RimLight, centre_covariance, clipped_shift_px
 from procedures.relocalization.circle_search import Circle, GreyImage
 from procedures.relocalization.ellipse import Ellipse, EllipseFit, circle_as_ellipse, fit_ellipse
-
-Array = NDArray[np.float64]
+from ronna_hw.arrays import Array, Mask
 
 BLUR_FLOOR_PX = 0.5  # linear interpolation between pixels alone blurs about this much
 STEP_ITERATIONS = 3  # with ten, a centre changes by less than 0.005 px
@@ -40,7 +38,7 @@ LEAST_RIM = 0.25  # with less it is no sphere at all
 RELIABLE_RIM = 0.625  # of the rim in view; a loss of 38 % must never pass
 CARRYING_RIM = 0.5  # of the rim must support the ellipse, not counting what a stain dims
 RELIABLE_AXIS_RATIO = (
-    0.99  # a sphere in the corner of the sensor has 0.996; below this, two objects share an outline
+    0.99  # a sphere in a corner of the sensor has 0.996; below, two objects share an outline
 )
 SPHERE_AXIS_RATIO = 0.75
 RELIABLE_SCATTER_PX = 0.6
@@ -136,12 +134,7 @@ def fit_outline(image: GreyImage, guess: Circle, factor: int) -> SphereImage | N
 
 
 def judge_outline(
-    image: GreyImage,
-    fit: EllipseFit,
-    edges: RimEdges,
-    clipped: Array,
-    bright: NDArray[np.bool_],
-    rim: NDArray[np.bool_],
+    image: GreyImage, fit: EllipseFit, edges: RimEdges, clipped: Array, bright: Mask, rim: Mask
 ) -> SphereImage | None:
     """Assess the outline. `rim` flags the rays that support it, `bright` also their neighbours."""
     step, noise, blur = (
@@ -164,6 +157,7 @@ def judge_outline(
         return None
     contrast_to_noise = step / max(noise, 1e-6)
     lacks_rim = rim_fraction < RELIABLE_RIM or supporting < CARRYING_RIM
+    clipped_px = np.linalg.norm(clipped_shift_px(fit, light))
     doubts = {
         ONE_SIDED: not is_filled or (lacks_rim and light.film_ratio > ONE_SIDED_RATIO),
         "too much of the rim is hidden": rim_fraction < RELIABLE_RIM,
@@ -171,25 +165,18 @@ def judge_outline(
         "the outline is not round": minor / major < RELIABLE_AXIS_RATIO,
         "the rim is too rough": fit.sigma_px > RELIABLE_SCATTER_PX,
         TOO_FAINT: contrast_to_noise < RELIABLE_CONTRAST_TO_NOISE,
-        SATURATED_SIDE_OF_RIM: float(np.linalg.norm(clipped_shift_px(fit, light)))
-        > RELIABLE_CLIPPED_SHIFT_PX,
+        SATURATED_SIDE_OF_RIM: clipped_px > RELIABLE_CLIPPED_SHIFT_PX,
     }
     doubt = next((words for words, applies in doubts.items() if applies), "")
-    quality = (
-        rim_fraction
-        / (1.0 + (fit.sigma_px / RELIABLE_SCATTER_PX) ** 2)
-        / (1.0 + (RELIABLE_CONTRAST_TO_NOISE / contrast_to_noise) ** 2)
-    )
-    covariance = centre_covariance(fit, light)
+    quality = rim_fraction / (1.0 + (fit.sigma_px / RELIABLE_SCATTER_PX) ** 2)
+    quality /= 1.0 + (RELIABLE_CONTRAST_TO_NOISE / contrast_to_noise) ** 2
+    (xx, xy), (yx, yy) = centre_covariance(fit, light).tolist()
     return SphereImage(
         centre_px=fit.ellipse.centre_px,
         axes_px=(major, minor),
         quality=min(1.0, max(0.0, quality)),
         status=SphereStatus.UNRELIABLE if doubt else SphereStatus.OK,
-        covariance_px2=(
-            (float(covariance[0, 0]), float(covariance[0, 1])),
-            (float(covariance[1, 0]), float(covariance[1, 1])),
-        ),
+        covariance_px2=((xx, xy), (yx, yy)),
         rim_fraction=rim_fraction,
         scatter_px=fit.sigma_px,
         blur_px=blur,
@@ -197,9 +184,7 @@ def judge_outline(
     )
 
 
-def _mark_dimmed(
-    image: GreyImage, ellipse: Ellipse, rays: int, blur_px: float, least_grey: float
-) -> NDArray[np.bool_]:
+def _mark_dimmed(image: GreyImage, ellipse: Ellipse, rays: int, blur_px: float, least_grey: float) -> Mask:
     """Mark the rays (n,) with an edge on the ellipse itself, even where the reflective film is dim."""
     span_px = DIM_SPAN_BLURS * blur_px + DIM_SPAN_PX
     falls = steepest_falls(sample_profiles(image, ellipse, rays, span_px))
@@ -213,9 +198,7 @@ def _clipped_share(image: GreyImage, profiles: Profiles, blur_px: float) -> Arra
     return np.asarray((profiles.grey[:, profiles.offset_px < -blur_px] >= full).mean(axis=1))
 
 
-def _bright_share(
-    image: GreyImage, ellipse: Ellipse, level_grey: float, directions: NDArray[np.bool_]
-) -> float:
+def _bright_share(image: GreyImage, ellipse: Ellipse, level_grey: float, directions: Mask) -> float:
     """Return the fraction of the interior brighter than a level, in the marked of all directions (rays,)."""
     radius = np.sqrt(np.linspace(*FILLED_AREA, FILLED_RINGS))[:, None]  # equal area per sample
     marked = directions[np.arange(FILLED_RAYS) * len(directions) // FILLED_RAYS]
@@ -229,14 +212,14 @@ def _bright_share(
     return float(np.mean(image[y[in_image], x[in_image]] > level_grey))
 
 
-def _mark_strong(edges: RimEdges) -> NDArray[np.bool_]:
+def _mark_strong(edges: RimEdges) -> Mask:
     if not edges.found.any():
         return edges.found
     typical = float(np.median(edges.step_grey[edges.found]))
     return np.asarray(edges.step_grey > STEP_SHARE * typical)
 
 
-def _mark_plausible(edges: RimEdges) -> NDArray[np.bool_]:
+def _mark_plausible(edges: RimEdges) -> Mask:
     strong = edges.found & _mark_strong(edges)
     if not strong.any():
         return strong
@@ -245,7 +228,7 @@ def _mark_plausible(edges: RimEdges) -> NDArray[np.bool_]:
     return np.asarray(strong & usual & (edges.misfit_grey < MISFIT_SHARE * edges.step_grey))
 
 
-def _mark_on_rim(fit: EllipseFit, points: NDArray[np.float64]) -> NDArray[np.bool_]:
+def _mark_on_rim(fit: EllipseFit, points: Array) -> Mask:
     limit = min(max(OFF_RIM_SIGMAS * fit.sigma_px, OFF_RIM_PX), OFF_RIM_LIMIT_PX)
     return np.asarray(np.abs(fit.ellipse.distance_px(points)) < limit)
 
@@ -264,7 +247,7 @@ class Profiles:
     base_px: Array  # (rays,): distance from the centre to offset 0
     offset_px: Array  # (samples,)
     grey: Array
-    inside: NDArray[np.bool_]
+    inside: Mask
 
 
 @dataclass(frozen=True)
@@ -276,7 +259,7 @@ class RimEdges:
     step_grey: Array
     blur_px: Array
     misfit_grey: Array
-    found: NDArray[np.bool_]
+    found: Mask
 
 
 def sample_profiles(image: GreyImage, ellipse: Ellipse, rays: int, half_width_px: float) -> Profiles:
@@ -294,14 +277,8 @@ def sample_profiles(image: GreyImage, ellipse: Ellipse, rays: int, half_width_px
 
 def rim_points(ellipse: Ellipse, profiles: Profiles, offset_px: Array) -> Array:
     """Return the positions (rays, 2) of edges offset by `offset_px` from the bases of their rays."""
-    distance = profiles.base_px + offset_px
-    return np.stack(
-        [
-            ellipse.centre_px[0] + np.cos(profiles.angle_rad) * distance,
-            ellipse.centre_px[1] + np.sin(profiles.angle_rad) * distance,
-        ],
-        axis=1,
-    )
+    directions = np.stack([np.cos(profiles.angle_rad), np.sin(profiles.angle_rad)], axis=1)
+    return np.asarray(ellipse.centre_px + directions * (profiles.base_px + offset_px)[:, None])
 
 
 def steepest_falls(profiles: Profiles) -> RimEdges:
@@ -345,16 +322,9 @@ def fit_blurred_steps(profiles: Profiles, start: RimEdges, blur_px: float) -> Ri
         if iteration == STEP_ITERATIONS:
             break
         bell = INVERSE_ROOT_TWO_PI * np.exp(-0.5 * z * z) / width[:, None]
-        jacobian = np.stack(
-            [
-                np.ones_like(z),
-                cover,
-                outward_px * cover,
-                plateau * bell - slope[:, None] * cover,
-                plateau * bell * -z,
-            ],
-            axis=1,
-        )  # (rays, 5, samples)
+        by_edge, by_width = plateau * bell - slope[:, None] * cover, plateau * bell * -z
+        columns = [np.ones_like(z), cover, outward_px * cover, by_edge, by_width]
+        jacobian = np.stack(columns, axis=1)  # (rays, 5, samples)
         normal = jacobian @ jacobian.transpose(0, 2, 1)
         diagonal = np.einsum("nii->ni", normal)
         diagonal *= 1.0 + DAMPING

@@ -8,17 +8,17 @@ it after each measurement.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from procedures.relocalization.errors import BAD_MEASUREMENT, SERVO_DIVERGES, SERVO_EXHAUSTED, SphereNotInView
 from ronna_hw.arm.catalogue import find_arm
+from ronna_hw.arrays import Array
 from ronna_hw.frames import FRAME_MISMATCH, Frame, Transform
-
-Array = NDArray[np.float64]
+from ronna_hw.vectors import Vector3, vector3
 
 KR6_SCATTER_MM = find_arm("kr6_r900_sixx").repeatability_mm
 RINGS = 3
@@ -63,8 +63,8 @@ class ServoState:
     """Measurements so far, oldest first: residuals in mm, and implied sphere positions in robot mm."""
 
     settings: ServoSettings = ServoSettings()
-    residuals_mm: tuple[float, ...] = field(default=())
-    points_mm: tuple[tuple[float, float, float], ...] = field(default=())
+    residuals_mm: tuple[float, ...] = ()
+    points_mm: tuple[Vector3, ...] = ()
 
     @property
     def converged(self) -> bool:
@@ -83,9 +83,9 @@ class ServoState:
         """
         residual = _validate_residual(residual_mm)
         length = float(np.linalg.norm(residual))
-        x, y, z = recorded_point(tool_pose, residual).tolist()
+        point_mm = vector3(recorded_point(tool_pose, residual))
         state = replace(
-            self, residuals_mm=(*self.residuals_mm, length), points_mm=(*self.points_mm, (x, y, z))
+            self, residuals_mm=(*self.residuals_mm, length), points_mm=(*self.points_mm, point_mm)
         )
         if state.converged:
             return state
@@ -113,12 +113,7 @@ class ServoState:
         length = float(np.linalg.norm(step))
         if length > self.settings.step_limit_mm:
             step *= self.settings.step_limit_mm / length
-        return Transform.of(
-            tool_pose.target,
-            tool_pose.source,
-            translation_mm=tool_pose.translation_mm + step,
-            quaternion_wxyz=tool_pose.quaternion_wxyz,
-        )
+        return _move_to(tool_pose, tool_pose.translation_mm + step)
 
     def _require_trend(self) -> None:
         span = self.settings.trend_steps
@@ -160,8 +155,7 @@ def search_offsets_mm() -> Array:
     The first pose itself is left out. Each ring starts where the previous one ended, so the head moves in a
     spiral.
     """
-    offsets = []
-    first = 0.0
+    offsets, first = [], 0.0
     for ring in range(1, RINGS + 1):
         ring_poses = LOOKS_PER_RING * ring
         angles = first + np.arange(ring_poses) * (2.0 * np.pi / ring_poses)
@@ -178,9 +172,10 @@ def search_pose(start: Transform, look_number: int) -> Transform:
         raise SphereNotInView(
             f"no sphere in {len(offsets)} image pairs", limit=f"{SEARCH_RADIUS_MM:g} mm around the pose"
         )
+    return _move_to(start, start.apply(offsets[look_number]))
+
+
+def _move_to(pose: Transform, place_mm: Array) -> Transform:
     return Transform.of(
-        start.target,
-        start.source,
-        translation_mm=start.apply(offsets[look_number]),
-        quaternion_wxyz=start.quaternion_wxyz,
+        pose.target, pose.source, translation_mm=place_mm, quaternion_wxyz=pose.quaternion_wxyz
     )

@@ -14,7 +14,6 @@ from itertools import product
 from typing import NoReturn
 
 import numpy as np
-from numpy.typing import NDArray
 
 from procedures.relocalization.circle_search import (
     Circle,
@@ -59,10 +58,7 @@ RADIUS_TOLERANCE = 0.25  # of the radius in the image at the tool centre point: 
 
 
 def measure_sphere(
-    image: NDArray[np.uint8] | NDArray[np.uint16],
-    *,
-    radius_range_px: tuple[float, float] | None = None,
-    enhance_contrast: bool = False,
+    image: GreyImage, *, radius_range_px: tuple[float, float] | None = None, enhance_contrast: bool = False
 ) -> SphereImage:
     """Measure the bright sphere with the most visible rim in a 2-D uint8 or uint16 (12-bit) image.
 
@@ -94,19 +90,14 @@ def measure_sphere(
 
 
 def measure_spheres(
-    image: NDArray[np.uint8] | NDArray[np.uint16],
-    *,
-    radius_range_px: tuple[float, float] | None = None,
+    image: GreyImage, *, radius_range_px: tuple[float, float] | None = None
 ) -> tuple[SphereImage, ...]:
     """Measure every disc that may be a sphere, most visible rim first."""
     return tuple(sphere for sphere in _iterate_spheres(image, radius_range_px) if sphere is not None)
 
 
 def _iterate_spheres(
-    image: NDArray[np.uint8] | NDArray[np.uint16],
-    radius_range_px: tuple[float, float] | None,
-    *,
-    enhance_contrast: bool = False,
+    image: GreyImage, radius_range_px: tuple[float, float] | None, *, enhance_contrast: bool = False
 ) -> Iterator[SphereImage | None]:
     """Yield a measurement of each round shape, lazily, or None for shapes that are not discs."""
     grey = _validate_image(image)
@@ -128,15 +119,13 @@ def _iterate_spheres(
         )
     halvings = max(0, math.ceil(0.5 * math.log2(grey.size / REDUCED_PIXELS)))
     factor, reduced = 2**halvings, halve_image(grey, halvings)
-    dark, bright = (
-        float(value) for value in np.percentile(reduced[::2, ::2], (DARK_PERCENTILE, BRIGHT_PERCENTILE))
-    )
+    dark, bright = np.percentile(reduced[::2, ::2], (DARK_PERCENTILE, BRIGHT_PERCENTILE)).tolist()
     full_range = 255.0 if grey.dtype == np.uint8 else float(TWELVE_BIT_LIMIT)
     if bright - dark < CONTRAST_FLOOR * full_range:
         _refuse_uniform(dark, bright, full_range)
     low, high = radius_range_px or (SMALLEST_RADIUS_PX * factor, 0.75 * max(grey.shape))
-    guesses = find_circles(find_edges(reduced, dark, bright), 0.95 * low / factor, 1.05 * high / factor)
-    for guess in guesses:  # most visible rim first
+    edges = find_edges(reduced, dark, bright)
+    for guess in find_circles(edges, 0.95 * low / factor, 1.05 * high / factor):  # most visible rim first
         sphere = fit_outline(grey, _enlarge_circle(guess, factor), factor)
         in_range = sphere is not None and low <= math.sqrt(math.prod(sphere.axes_px)) <= high
         yield sphere if in_range else None
@@ -216,20 +205,20 @@ def locate_sphere(
     """
     require_calibration(calibration)
     images = (left, right)
-    ranges = tuple(
-        radius_range_px(camera, sphere_diameter_mm) for camera in (calibration.left, calibration.right)
-    )
-    first = _measure_outlines(images, ranges)
-    if SphereStatus.UNRELIABLE in (first[0].status, first[1].status):
-        return SphereSighting(first[0], first[1], None)
+    cameras = calibration.left, calibration.right
+    ranges = tuple(radius_range_px(camera, sphere_diameter_mm) for camera in cameras)
+    shapes = _measure_outlines(images, ranges)
+    if any(one.status is SphereStatus.UNRELIABLE for one in shapes):
+        return SphereSighting(*shapes, None)
     try:
-        point = triangulate(first[0], first[1], calibration, sphere_diameter_mm=sphere_diameter_mm)
+        return SphereSighting(
+            *shapes, triangulate(*shapes, calibration, sphere_diameter_mm=sphere_diameter_mm)
+        )
     except (RaysDoNotMeet, WrongSize):
         sighting = _find_agreeing(images, ranges, calibration, sphere_diameter_mm)
         if sighting is None:
             raise
         return sighting
-    return SphereSighting(first[0], first[1], point)
 
 
 def radius_range_px(camera: CameraCalibration, sphere_diameter_mm: float) -> tuple[float, float]:
@@ -241,7 +230,7 @@ def radius_range_px(camera: CameraCalibration, sphere_diameter_mm: float) -> tup
 
 def _measure_outlines(
     images: tuple[AreaImage, AreaImage], ranges: tuple[tuple[float, float], ...]
-) -> list[SphereImage]:
+) -> tuple[SphereImage, SphereImage]:
     """Measure the best outline in each image, in full-sensor pixels."""
     found: list[SphereImage] = []
     problems: dict[str, DataError] = {}
@@ -254,7 +243,8 @@ def _measure_outlines(
             found.append(outline.with_offset(image.offset_x_px, image.offset_y_px))
     if problems:
         raise _combine_errors(problems)
-    return found
+    left, right = found
+    return left, right
 
 
 def _combine_errors(problems: dict[str, DataError]) -> DataError:
@@ -274,11 +264,14 @@ def _find_agreeing(
     sphere_diameter_mm: float,
 ) -> SphereSighting | None:
     """Find the reliable outlines with the smallest ray gap, or return None if none agree."""
-    found: list[list[SphereImage]] = []
-    for image, limits in zip(images, ranges, strict=True):
-        shapes = measure_spheres(image.pixels, radius_range_px=limits)
-        reliable = [shape for shape in shapes if shape.status is SphereStatus.OK]
-        found.append([shape.with_offset(image.offset_x_px, image.offset_y_px) for shape in reliable])
+    found = [
+        [
+            shape.with_offset(image.offset_x_px, image.offset_y_px)
+            for shape in measure_spheres(image.pixels, radius_range_px=limits)
+            if shape.status is SphereStatus.OK
+        ]
+        for image, limits in zip(images, ranges, strict=True)
+    ]
     sightings: list[tuple[float, SphereSighting]] = []
     for left, right in product(*found):
         try:

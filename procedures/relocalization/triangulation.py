@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from statistics import median
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from procedures.relocalization.errors import (
     BAD_MEASUREMENT,
@@ -23,11 +23,10 @@ from procedures.relocalization.errors import (
 )
 from procedures.relocalization.outline import SphereImage
 from ronna_hw.arguments import WrongArgument, show
+from ronna_hw.arrays import Array
 from ronna_hw.calibration import CameraCalibration, StereoHeadCalibration
 from ronna_hw.frames import Frame
 from ronna_hw.text import format_against_limit, format_distinct
-
-Array = NDArray[np.float64]
 
 UNDISTORT_ITERATIONS = 20
 UNDISTORT_END = 1e-14  # normalised units, 1e-10 px
@@ -68,9 +67,8 @@ class CameraModel:
         The derivative neglects distortion: it only weights a least-squares step.
         """
         x, y, z = self.rotation @ np.asarray(point_mm, dtype=float) + self.translation_mm
-        pixel = self._focal * distort(np.array([x / z, y / z]), self._distortion) + self._principal
         slope = np.array([[1.0 / z, 0.0, -x / z**2], [0.0, 1.0 / z, -y / z**2]])
-        return pixel, (self._focal[:, None] * slope) @ self.rotation
+        return self.to_pixel(np.array([x / z, y / z])), (self._focal[:, None] * slope) @ self.rotation
 
     def centre_of(self, sphere: SphereImage) -> Array:
         """Return normalized coordinates (2,) of the sphere's true centre, corrected for distortion and bias.
@@ -123,13 +121,9 @@ def distort(ideal: Array, coefficients: tuple[float, float, float, float, float]
     x, y = ideal[..., 0], ideal[..., 1]
     square = x * x + y * y
     radial = 1.0 + square * (k1 + square * (k2 + square * k3))
-    return np.stack(
-        [
-            x * radial + 2.0 * p1 * x * y + p2 * (square + 2.0 * x * x),
-            y * radial + p1 * (square + 2.0 * y * y) + 2.0 * p2 * x * y,
-        ],
-        axis=-1,
-    )
+    distorted_x = x * radial + 2.0 * p1 * x * y + p2 * (square + 2.0 * x * x)
+    distorted_y = y * radial + p1 * (square + 2.0 * y * y) + 2.0 * p2 * x * y
+    return np.stack([distorted_x, distorted_y], axis=-1)
 
 
 @dataclass(frozen=True)
@@ -217,11 +211,8 @@ def check_serial(calibration: CameraCalibration, serial: str) -> None:
 def require_calibration(given: object) -> None:
     """Raise ARG-001 for anything else than the calibration of a stereo head."""
     if not isinstance(given, StereoHeadCalibration):
-        raise WrongArgument(
-            "the calibration is none of a stereo head",
-            expected="a StereoHeadCalibration",
-            got=show(given),
-        )
+        words = "the calibration is none of a stereo head"
+        raise WrongArgument(words, expected="a StereoHeadCalibration", got=show(given))
 
 
 def _check_outlines(outlines: tuple[SphereImage, SphereImage]) -> None:
@@ -317,8 +308,5 @@ def check_head(
     limit_mm = max(LEAST_GAP_LIMIT_MM, LARGEST_GAP_OVER_STATED * stated_error_mm)
     if gap_mm > limit_mm:
         gap, limit = format_distinct(gap_mm, limit_mm, 2)
-        raise HEAD_TURNED(
-            "a camera of the stereo head has moved: the lines of sight do not meet",
-            limit=f"{limit} mm",
-            got=f"{gap} mm",
-        )
+        words = "a camera of the stereo head has moved: the lines of sight do not meet"
+        raise HEAD_TURNED(words, limit=f"{limit} mm", got=f"{gap} mm")

@@ -5,10 +5,8 @@ Everything that tells an ending asks here, so that all say the same.
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -23,14 +21,12 @@ from procedures.steps.clinical.at_target import ReachedTarget
 from ronna_hw.devices.capabilities import EMERGENCY_STOP
 from ronna_hw.evidence.inspection import inspect_run
 from ronna_hw.evidence.manifest import KEPT_TRUTH, TRUTH_FIELD
-from ronna_hw.host.port_users import PortUser, find_lock_holder
+from ronna_hw.host.port_users import find_folder_holder
 from ronna_hw.text import format_count
 
 ARM = "arm"  # role of the device that an emergency stop stops
-GO_ON = (
-    "Put right what is named, then ronna-procedure resume RUN goes on from there; ronna-procedure home RUN "
-    "only brings the arm home."
-)
+RESUME = "ronna-procedure resume RUN goes on from there; ronna-procedure home RUN only brings the arm home."
+GO_ON = f"Put right what is named, then {RESUME}"
 UNKNOWN_ERROR, UNSEALED = "error not determined", "not sealed"
 RUNNING, CLOSING = "running", "closing"  # in a program that has the run open
 SEALED_WITHIN_S, AGAIN_S = 30.0, 0.2  # host time; a report and a seal take a second or two
@@ -59,10 +55,7 @@ ADVICE = {  # by the word of an ending, for a case
     ),
     "not begun": "Nothing has moved. Put right what is named, then start again.",
     **dict.fromkeys(("failed", "refused", "aborted"), GO_ON),
-    **dict.fromkeys(
-        ("interrupted", "left"),
-        "ronna-procedure resume RUN goes on from there; ronna-procedure home RUN only brings the arm home.",
-    ),
+    **dict.fromkeys(("interrupted", "left"), RESUME),
 }
 ENDS_A_STEP = (*ENDS_OF_A_STEP, Entry.REFUSED)
 
@@ -94,9 +87,10 @@ def ending_of(reading: RunReading, error: RunError | None = None, *, is_writer: 
     of its simulated theatre is lost. What is in doubt stays so.
     """
     ending = replace(
-        _by_journal(reading.run.journal, error), instrument_held_for=_instrument_held_for(reading.run.journal)
+        _by_journal(reading.run.journal, error),
+        instrument_held_for=_trajectory_of(reading.run.journal, Entry.HELD, "held"),
     )
-    holder = None if is_writer else find_run_holder(reading.folder)
+    holder = None if is_writer else find_folder_holder(reading.folder)
     if ending.word == "killed" and holder is not None:
         return Ending(RUNNING, f"{holder} has it open.", is_open=True)
     if ending.word not in DONE:
@@ -142,17 +136,6 @@ def _has_true_error(reading: RunReading) -> bool:
     )
 
 
-def find_run_holder(folder: Path) -> PortUser | None:
-    """Return the program that has a run folder locked, or None."""
-    with suppress(OSError):
-        file = os.open(folder, os.O_RDONLY | os.O_CLOEXEC)
-        try:
-            return find_lock_holder(file)
-        finally:
-            os.close(file)
-    return None
-
-
 def _by_journal(journal: Sequence[Line], error: RunError | None) -> Ending:
     opened = next((line for line in journal if line["entry"] == Entry.OPENED), None)
     lines = reversed(journal)
@@ -164,21 +147,16 @@ def _by_journal(journal: Sequence[Line], error: RunError | None) -> Ending:
     if closed is None:
         where = _describe_place(journal)
         sentence = f"The program ended{where} without closing the run, or is still running."
-        return Ending("killed", sentence, instrument_in=_instrument_in(journal))
+        return Ending("killed", sentence, instrument_in=_trajectory_of(journal, Entry.INSTRUMENT, "inside"))
     inside = closed.get("instrument_in")
     word, sentence, code = _describe_closed_run(journal, closed, last, error)
     return Ending(word, sentence, code, inside if isinstance(inside, str) else None)
 
 
-def _instrument_held_for(journal: Sequence[Line]) -> str | None:
-    last = next((line for line in reversed(journal) if line["entry"] == Entry.HELD), None)
-    return str(last["trajectory"]) if last is not None and last["held"] else None
-
-
-def _instrument_in(journal: Sequence[Line]) -> str | None:
-    """Return the trajectory that an instrument was last in by the journal, if it was not taken out."""
-    last = next((line for line in reversed(journal) if line["entry"] == Entry.INSTRUMENT), None)
-    return str(last["trajectory"]) if last is not None and last["inside"] else None
+def _trajectory_of(journal: Sequence[Line], entry: Entry, field: str) -> str | None:
+    """Return the trajectory of the last line about an instrument, unless `field` says it was taken out."""
+    last = next((line for line in reversed(journal) if line["entry"] == entry), None)
+    return str(last["trajectory"]) if last is not None and last[field] else None
 
 
 def advise(ending: Ending, *, is_case: bool) -> str:
@@ -214,11 +192,8 @@ def _describe_closed_run(
         _, sentence, code = _describe_closed_run(journal, {**closed, "outcome": "failed"}, last, error)
         return "left", f"{sentence.rstrip('.')}. {_describe_leaving(journal, 'then')}.", code
     if outcome == "left":
-        return (
-            "left",
-            f"{_describe_leaving(journal, f'after {step}' if step else 'before its first step')}.",
-            "",
-        )
+        when = f"after {step}" if step else "before its first step"
+        return "left", f"{_describe_leaving(journal, when)}.", ""
     if outcome == "interrupted":
         return "interrupted", f"It was interrupted{during}.", ""
     if last is not None and last["entry"] == Entry.INTERRUPTED:

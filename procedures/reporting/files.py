@@ -6,16 +6,13 @@ import base64
 import csv
 import io
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
 
 from procedures.journal.journal import Entry
 from procedures.postoperative.summary import PostoperativeCheck
-from procedures.reporting.calibration_figures import LookResidual
-from procedures.reporting.pictures import LinkBin
 from procedures.reporting.run_reading import RunReading
-from procedures.reporting.run_statistics import Span
 from procedures.reporting.tables import MotionRow, TargetRow
 from ronna_hw.bounded_input import InputRefused, read_bounded, read_json_bytes
 from ronna_hw.evidence.manifest import PICTURES_FOLDER, read_hashes
@@ -42,48 +39,33 @@ class ReportFiles:
         self.written.append(name)
         return path
 
-    def targets(self, rows: Sequence[TargetRow]) -> None:
-        """Write error, prediction and error budget for each target, with one column per source."""
-        sources = list(dict.fromkeys(share.source for row in rows for share in row.predicted.budget))
-        lines: list[dict[str, object]] = []
-        for row in rows:
-            shares = {share.source: share.rms_mm for share in row.predicted.budget}
-            lines.append(
-                {
-                    "target": row.target,
-                    "depth_mm": row.depth_mm,
-                    "predicted_rms_mm": row.predicted.rms_mm,
-                    "predicted_limit_mm": row.predicted.limit_mm,
-                    "confidence": row.predicted.confidence,
-                    "error_mm": row.error_mm,
-                    "lateral_mm": row.lateral_mm,
-                    "axial_mm": row.axial_mm,
-                    **{f"{source.replace(' ', '_')}_rms_mm": shares.get(source) for source in sources},
-                }
-            )
-        self.text("targets.csv", _csv(lines))
+    def drawing(self, name: str, svg: str, rows: Sequence[Mapping[str, object]]) -> None:
+        """Write a drawing, and its data as a table of the same name."""
+        self.text(f"{name}.svg", svg)
+        self.text(f"{name}.csv", _csv(rows))
 
-    def looks(self, looks_px: Sequence[LookResidual]) -> None:
-        """Write the rms residual of each view of a calibration."""
-        rows = [{"look": number} | one._asdict() for number, one in enumerate(looks_px, start=1)]
-        self.text("looks.csv", _csv(rows))
 
-    def timeline(self, spans: Sequence[Span]) -> None:
-        """Write the theatre times of every step, motion and pause."""
-        self.text("timeline.csv", _csv(list(map(asdict, spans))))
+def target_columns(rows: Sequence[TargetRow]) -> list[dict[str, object]]:
+    """Return error, prediction and error budget of each target, with one column per source."""
+    sources = list(dict.fromkeys(share.source for row in rows for share in row.predicted.budget))
+    lines: list[dict[str, object]] = []
+    for row in rows:
+        shares = {share.source: share.rms_mm for share in row.predicted.budget}
+        line: dict[str, object] = {"target": row.target, "depth_mm": row.depth_mm}
+        line |= {f"predicted_{name}": getattr(row.predicted, name) for name in ("rms_mm", "limit_mm")}
+        line["confidence"] = row.predicted.confidence
+        line |= {"error_mm": row.error_mm, "lateral_mm": row.lateral_mm, "axial_mm": row.axial_mm}
+        lines.append(line | {f"{one.replace(' ', '_')}_rms_mm": shares.get(one) for one in sources})
+    return lines
 
-    def clearance(self, trajectory: str, motions: Sequence[MotionRow]) -> None:
-        """Write the clearance of each checked motion from the head and from other bodies."""
-        rows = [
-            {"start": one.start, "end": one.end, "kind": one.kind, "head_mm": one.head_mm}
-            | {name: getattr(one.closest, name, None) for name in ("first", "second", "distance_mm", "at")}
-            for one in motions
-        ]
-        self.text(f"clearance-{trajectory}.csv", _csv(rows))
 
-    def link(self, bins: Sequence[LinkBin]) -> None:
-        """Write both histograms of the robot link."""
-        self.text("robot_link.csv", _csv([one._asdict() for one in bins]))
+def clearance_columns(motions: Sequence[MotionRow]) -> list[dict[str, object]]:
+    """Return the clearance of each checked motion from the head and from other bodies."""
+    return [
+        {"start": one.start, "end": one.end, "kind": one.kind, "head_mm": one.head_mm}
+        | {name: getattr(one.closest, name, None) for name in ("first", "second", "distance_mm", "at")}
+        for one in motions
+    ]
 
 
 def _csv(rows: Sequence[Mapping[str, object]]) -> str:

@@ -27,8 +27,7 @@ def store_truth(run: Path, truth: Truth) -> Path:
 
 def load_truth(run: Path) -> Truth | None:
     """Load the result that this program has stored and seals next, or None if missing or unreadable."""
-    content = _read(run)
-    return None if content is None else _parse(content)
+    return _parse(_read(run))
 
 
 def load_sealed_truth(run: Path) -> Truth | None:
@@ -59,8 +58,8 @@ def _read(run: Path) -> bytes | None:
         return None
 
 
-def _parse(content: bytes) -> Truth | None:
+def _parse(content: bytes | None) -> Truth | None:
     try:
-        return Truth.model_validate_json(content)
+        return None if content is None else Truth.model_validate_json(content)
     except ValueError:
         return None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, SerializerFunctionWrapHandler, model_serializer
+from pydantic import BaseModel, Field, SerializerFunctionWrapHandler, model_serializer
 
 from procedures.engine.methods import Localizer, Matcher
 from procedures.journal.results import Values
@@ -19,10 +19,8 @@ class CtOutcome(Values):
     rms_error_mm: float | None
 
 
-class TargetTruth(BaseModel):
+class TargetTruth(BaseModel, frozen=True, extra="ignore", allow_inf_nan=False):
     """True position of the tip at one target, according to the theatre's verifier."""
-
-    model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
 
     id: str
     application_error_mm: float
@@ -30,10 +28,8 @@ class TargetTruth(BaseModel):
     axial_mm: float | None = Field(default=None, description="Component along it.")
 
 
-class Truth(BaseModel):
+class Truth(BaseModel, frozen=True, extra="ignore", allow_inf_nan=False):
     """Result of the simulated theatre's verifier for a run; empty with real devices."""
-
-    model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
 
     ct: CtOutcome | None = None
     targets: tuple[TargetTruth, ...] = ()

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from procedures.engine.run_folder import targets_in_doubt
 from procedures.imaging.trajectory_cuts import PLAN_PICTURE
-from procedures.reporting.ending import advise, ending_of, find_run_holder
+from procedures.reporting.ending import advise, ending_of
 from procedures.reporting.files import Picture, PostoperativeResult, load_pictures
 from procedures.reporting.outcome import RunError, Truth
 from procedures.reporting.run_events import moves
@@ -25,6 +25,7 @@ from procedures.reporting.sections.targets import Targets, read_targets
 from procedures.reporting.sections.verdict import VerdictSection, describe_exclusions, read_assistant_work
 from procedures.reporting.tables import TargetTable, target_rows
 from ronna_hw.evidence.unsealed import describe_unsealed_files
+from ronna_hw.host.port_users import find_folder_holder
 
 
 @dataclass(frozen=True)
@@ -57,7 +58,7 @@ def read_page(
     run, journal = reading.folder, reading.run.journal
     opening = RunOpening.of(reading.run.opened)
     table = TargetTable(target_rows(reading, truth or Truth()))
-    holder = find_run_holder(run)
+    holder = find_folder_holder(run)
     ending = ending_of(reading, error, is_writer=holder is not None and holder.pid == os.getpid())
     plan = read_plan(reading)
     return Page(

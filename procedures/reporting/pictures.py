@@ -198,15 +198,11 @@ def timeline_figure(spans: Sequence[Span]) -> str:
         for kind, inset in (("step", 0.0), ("motion", 2.0), ("rest", 2.0)):
             for span in row_spans:
                 if span.kind == kind:
-                    canvas.rectangle(
-                        MARGIN + (span.begin_s - begin_s) * scale,
-                        top + 16 + inset,
-                        max((span.end_s - span.begin_s) * scale, LEAST_WIDTH),
-                        SPAN_BAR - 2 * inset,
-                        _colour(span),
-                        title=f"{span.name}: {seconds(span.begin_s)} to {seconds(span.end_s)} s, "
-                        f"{span.ended}",
-                    )
+                    x, y = MARGIN + (span.begin_s - begin_s) * scale, top + 16 + inset
+                    width = max((span.end_s - span.begin_s) * scale, LEAST_WIDTH)
+                    period = f"{seconds(span.begin_s)} to {seconds(span.end_s)} s"
+                    title = f"{span.name}: {period}, {span.ended}"
+                    canvas.rectangle(x, y, width, SPAN_BAR - 2 * inset, _colour(span), title=title)
     return canvas.svg
 
 
@@ -283,14 +279,9 @@ def looks_figure(looks_px: Sequence[LookResidual]) -> str:
     canvas.text(LEFT, 11, "rms of each measurement, px; red: left out")
     for number, (value_px, used) in enumerate(looks_px):
         height = min(value_px, highest_px) * up
-        canvas.rectangle(
-            LEFT + number * across,
-            TOP + LOOKS_HEIGHT - height,
-            across * (1 - GAP),
-            height,
-            USED if used else LEFT_OUT,
-            title=f"measurement {number + 1}: {value_px:.2f} px",
-        )
+        x, y, colour = LEFT + number * across, TOP + LOOKS_HEIGHT - height, USED if used else LEFT_OUT
+        title = f"measurement {number + 1}: {value_px:.2f} px"
+        canvas.rectangle(x, y, across * (1 - GAP), height, colour, title=title)
     canvas.text(LEFT, TOP + LOOKS_HEIGHT + 14, "1", anchor="start")
     canvas.text(WIDTH, TOP + LOOKS_HEIGHT + 14, str(len(looks_px)), anchor="end")
     return canvas.svg

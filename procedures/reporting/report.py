@@ -7,6 +7,7 @@ from its verifier and is passed in.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import asdict
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -16,8 +17,10 @@ from procedures.reporting.files import (
     REPORT_FOLDER,
     PostoperativeResult,
     ReportFiles,
+    clearance_columns,
     load_check,
     store_check,
+    target_columns,
 )
 from procedures.reporting.kept_truth import store_truth
 from procedures.reporting.outcome import RunError, Truth
@@ -73,20 +76,17 @@ def _write_drawings(files: ReportFiles, page: Page) -> None:
     if page.plan is not None:
         motions = {row.name: row.motions for row in page.plan.rows}
         for name, svg in page.plan.clearances:
-            files.text(f"clearance-{name}.svg", svg)
-            files.clearance(name, motions[name])
+            files.drawing(f"clearance-{name}", svg, clearance_columns(motions[name]))
     if page.targets is not None:
-        files.text("targets.svg", page.targets.picture)
-        files.targets(page.targets.table.rows)
+        files.drawing("targets", page.targets.picture, target_columns(page.targets.table.rows))
     if page.course.spans:
-        files.text("timeline.svg", page.course.timeline_picture)
-        files.timeline(page.course.spans)
+        files.drawing("timeline", page.course.timeline_picture, list(map(asdict, page.course.spans)))
     if page.devices.link_bins:
-        files.text("robot_link.svg", page.devices.link_picture)
-        files.link(page.devices.link_bins)
+        bins = [one._asdict() for one in page.devices.link_bins]
+        files.drawing("robot_link", page.devices.link_picture, bins)
     if page.calibration.looks:
-        files.text("looks.svg", page.calibration.looks_picture)
-        files.looks(page.calibration.looks)
+        looks = [{"look": number} | one._asdict() for number, one in enumerate(page.calibration.looks, 1)]
+        files.drawing("looks", page.calibration.looks_picture, looks)
 
 
 def _without_controls(value: Any) -> Any:

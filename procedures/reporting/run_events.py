@@ -13,7 +13,7 @@ from procedures.journal.journal import Entry, JournalValue, Line, theatre_time_s
 from procedures.reporting.numbers import NOT_KNOWN
 from procedures.workcell.arm_history import MotionKind
 from ronna_hw.evidence.lost_journal_end import LOST
-from ronna_hw.roles import ASSISTANT
+from ronna_hw.roles import MASTER
 from ronna_hw.text import format_count
 
 ADVICE = re.compile(r"\. (?=[A-Z])")  # follows the first sentence of an error
@@ -54,15 +54,11 @@ class AskedQuestion:
 
 def questions(journal: Sequence[Line]) -> tuple[AskedQuestion, ...]:
     """Return every question with its answer, in order."""
-    return tuple(
-        AskedQuestion(
-            clock_time(line),
-            theatre_time_s(line),
-            *(str(line.get(key, "")) for key in ("topic", "subject", "value", "answer")),
-        )
-        for line in journal
-        if line["entry"] == Entry.CONFIRMATION
-    )
+    asked = []
+    for line in (line for line in journal if line["entry"] == Entry.CONFIRMATION):
+        texts = (str(line.get(key, "")) for key in ("topic", "subject", "value", "answer"))
+        asked.append(AskedQuestion(clock_time(line), theatre_time_s(line), *texts))
+    return tuple(asked)
 
 
 def notable_events(journal: Sequence[Line]) -> tuple[RunEvent, ...]:
@@ -102,11 +98,12 @@ def advisories(journal: Sequence[Line]) -> tuple[RunEvent, ...]:
 
 
 def begun_insertions(journal: Sequence[Line]) -> tuple[str, ...]:
-    """List the trajectories at which the assistant began to lead an instrument in, in order."""
+    """List the trajectories at which an arm began to lead an instrument into the master's guide, in order."""
     begun = (
         str(line.get("trajectory"))
         for line in journal
-        if (line["entry"], line.get("arm"), line.get("what")) == (Entry.MOTION, ASSISTANT, MotionKind.INSERT)
+        if (line["entry"], line.get("what")) == (Entry.MOTION, MotionKind.INSERT)
+        and line.get("arm", MASTER) != MASTER
     )
     return tuple(dict.fromkeys(begun))
 

@@ -59,9 +59,7 @@ class RunReading:
         """Build the reading of an inspected run, without its log."""
         folder = found.folder
         return cls(
-            run_of(found),
-            is_sealed=find_valid_seal(folder) is not None,
-            truth=load_sealed_truth(folder),
+            run_of(found), is_sealed=find_valid_seal(folder) is not None, truth=load_sealed_truth(folder)
         )
 
     def sealed_with(self, truth: Truth | None) -> RunReading:

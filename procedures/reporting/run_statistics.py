@@ -136,16 +136,11 @@ def times_taken(journal: Sequence[Line]) -> tuple[TimeTaken, ...]:
         elif line["entry"] == Entry.WORK:
             add(HANDS, str(line.get("task", "")), _elapsed_s(line, "began_s"), None)
     kinds = (PHASE, STEP, QUESTION, HANDS)
-    return tuple(
-        TimeTaken(
-            kind,
-            name,
-            len(each),
-            sum(theatre_s for theatre_s, _ in each),
-            sum(host_s or 0.0 for _, host_s in each) if kind in (PHASE, STEP) else None,
-        )
-        for (kind, name), each in sorted(found.items(), key=lambda item: kinds.index(item[0][0]))
-    )
+    times = []
+    for (kind, name), each in sorted(found.items(), key=lambda item: kinds.index(item[0][0])):
+        host_s = sum(host_s or 0.0 for _, host_s in each) if kind in (PHASE, STEP) else None
+        times.append(TimeTaken(kind, name, len(each), sum(theatre_s for theatre_s, _ in each), host_s))
+    return tuple(times)
 
 
 def _elapsed_s(line: Line, key: str) -> float:
@@ -181,15 +176,12 @@ def link_counters(log: Sequence[Mapping[str, Any]]) -> tuple[DeviceCounters, ...
             of_device.connection.clear()
         elif line.get("before") == ACTIVE:
             of_device.add(line)
-    return tuple(
-        DeviceCounters(
-            device,
-            format_count(one.times, "time"),
-            ", ".join(f"{name} {count}" for name, count in one.sums.items()),
-        )
-        for device, one in totals.items()
-        if one.sums
-    )
+    counters = []
+    for device, one in totals.items():
+        counts = ", ".join(f"{name} {count}" for name, count in one.sums.items())
+        if counts:
+            counters.append(DeviceCounters(device, format_count(one.times, "time"), counts))
+    return tuple(counters)
 
 
 @dataclass

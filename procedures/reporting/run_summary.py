@@ -133,9 +133,7 @@ def read_two_arms(reading: RunReading) -> TwoArms:
     """Read what a case with two arms has; for one arm the fields are empty."""
     known = reading.find(KnownBases)
     return TwoArms(
-        bases=None
-        if known is None
-        else BasesFigures(**{name: getattr(known, name) for name in BasesFigures.model_fields}),
+        bases=None if known is None else BasesFigures.model_validate(known, from_attributes=True),
         insertions={
             str(one.record.trajectory): one.result.assisted
             for one in reading.valid_results(ReachedTarget)

@@ -107,21 +107,14 @@ def target_rows(reading: RunReading, truth: Truth) -> tuple[TargetRow, ...]:
     measured_mm = {
         one.record.trajectory: one.result.error_mm for one in reading.valid_results(MeasuredTarget)
     }
-    return tuple(
-        TargetRow(
-            one.target,
-            depth_mm.get(one.target),
-            one,
-            None if (true := truths.get(one.target)) is None else true.application_error_mm,
-            None if true is None else true.lateral_mm,
-            None if true is None else true.axial_mm,
-            measured_mm.get(one.target),
-            margin_mm.get(one.target),
-            strategies.get(one.target),
-        )
-        for used in reading.registrations
-        for one in used.predictions
-    )
+    rows = []
+    for one in (one for used in reading.registrations for one in used.predictions):
+        name, true = one.target, truths.get(one.target)
+        error_mm = None if true is None else true.application_error_mm
+        lateral_mm, axial_mm = (None, None) if true is None else (true.lateral_mm, true.axial_mm)
+        others = (measured_mm.get(name), margin_mm.get(name), strategies.get(name))
+        rows.append(TargetRow(name, depth_mm.get(name), one, error_mm, lateral_mm, axial_mm, *others))
+    return tuple(rows)
 
 
 @dataclass(frozen=True)

@@ -13,14 +13,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.linalg import solve_triangular
 from scipy.special import chdtri
 
 from procedures.registration.rigid_fit import pose_jacobian
 from procedures.room.model import HEAD, MOTIONS, POSE, Body, RoomModel, Rows, covariance_between
-
-Array = NDArray[np.float64]
+from ronna_hw.arrays import Array
 
 # Safety against a moved head, cart or tracker (U).
 FALSE_ALARM = 1e-4  # share of looks at an undisturbed room that raise an alarm, for each question asked

@@ -19,17 +19,15 @@ from enum import IntEnum
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
 from procedures.registration.rigid_fit import pose_jacobian
 from procedures.room.sighting import Rest, SeenFrame, SeenSpheres, Sighting, Tracked, marker_pull
 from ronna_hw.arm.kinematics import Chain
+from ronna_hw.arrays import Array
 from ronna_hw.calibrated_arm.deviations import FLANK_SHARE
 from ronna_hw.calibrated_arm.error_budget import BACKLASH_RAD, ErrorSizes, displacements, unit_errors
-
-Array = NDArray[np.float64]
 
 # Smooth error of the tracker, per axis of its frame, and the way over which it changes: a unit of 0.25 mm
 # volumetric accuracy whose error varies over metres. (U)
@@ -77,13 +75,12 @@ class Arrival:
 
 
 @dataclass(frozen=True)
-class Rows:
-    """Linearized observation equations of one look: residual (r,) and its noise covariance (r, r).
+class BodyRows:
+    """Linearized observation equations of one body: residual (r,) and its noise covariance (r, r).
 
     `shared` (r, k) are the effects of one standard deviation of each constant, `moved` (r, 24) those of each
     body's motion: a rotation vector (rad) about the room's centre, then a shift (mm), robot frame. `pull`
-    (r, 3 m) is the effect of the tracker's smooth error at `markers_mm` (m, 3), along its axes. `blocks` are
-    the rows of each body that is seen, `arrivals` those of the arms.
+    (r, 3 m) is the effect of the tracker's smooth error at `markers_mm` (m, 3), along its axes.
     """
 
     residual: Array
@@ -92,6 +89,12 @@ class Rows:
     moved: Array
     pull: Array
     markers_mm: Array
+
+
+@dataclass(frozen=True)
+class Rows(BodyRows):
+    """Equations of one look: `blocks` are the rows of each body seen, `arrivals` those of the arms."""
+
     blocks: Mapping[Body, slice]
     arrivals: Mapping[Body, Arrival]
     tracker: int
@@ -194,7 +197,7 @@ class RoomModel:
             look.head,
         )
 
-    def _arm(self, name: Tracked, rest: Rest, seen: SeenFrame, flange: Array) -> tuple[_Part, Array]:
+    def _arm(self, name: Tracked, rest: Rest, seen: SeenFrame, flange: Array) -> tuple[BodyRows, Array]:
         arm, body = self.arms[name], BASES[name]
         marker = flange @ arm.flange_from_marker
         part = self._frame(seen, marker, body)
@@ -206,7 +209,7 @@ class RoomModel:
         shared[:, begin : begin + arm.constants] = np.hstack([errors, on_mount, base])
         return replace(part, shared=shared), arrival
 
-    def _frame(self, seen: SeenFrame, expected: Array, body: Body) -> _Part:
+    def _frame(self, seen: SeenFrame, expected: Array, body: Body) -> BodyRows:
         """Return the rows of a frame expected at a pose (4, 4), robot frame, with its own place unknown."""
         turn, shift = self.robot_from_tracker[:3, :3], self.robot_from_tracker[:3, 3]
         rotated = Rotation.from_matrix(turn @ seen.rotation @ expected[:3, :3].T).as_rotvec()
@@ -218,9 +221,9 @@ class RoomModel:
         pull = both @ np.hstack([*marker_pull(seen.markers_mm - seen.place_mm)])
         own = np.diag([UNKNOWN_MM] * 3 + [UNKNOWN_RAD] * 3)
         shared = np.hstack([np.zeros((POSE, self._constants - POSE)), own])
-        return _Part(residual, both @ seen.covariance @ both.T, shared, moved, pull, seen.markers_mm)
+        return BodyRows(residual, both @ seen.covariance @ both.T, shared, moved, pull, seen.markers_mm)
 
-    def _spheres(self, seen: SeenSpheres, expected_mm: Array) -> _Part:
+    def _spheres(self, seen: SeenSpheres, expected_mm: Array) -> BodyRows:
         turn, shift = self.robot_from_tracker[:3, :3], self.robot_from_tracker[:3, 3]
         numbers, count = list(seen.numbers), len(seen.numbers)
         expected = expected_mm[numbers].reshape(-1, 3)
@@ -231,7 +234,7 @@ class RoomModel:
         moved = np.zeros((count, 3, MOTIONS))
         moved[..., _columns(Body.SPHERES)] = pose_jacobian(expected @ turn.T + shift, self.centre_mm)
         noise = turn @ seen.covariances_mm2 @ turn.T
-        return _Part(
+        return BodyRows(
             ((seen.places_mm - expected) @ turn.T).reshape(-1),
             block_diag(*noise) if count else np.empty((0, 0)),
             shared.reshape(3 * count, self._constants),
@@ -250,18 +253,6 @@ class RoomModel:
     def _constants(self) -> int:
         """Number of constants: of the arms, the spheres, the frame on the clamp."""
         return sum(arm.constants for arm in self.arms.values()) + 3 * self.spheres + POSE
-
-
-@dataclass(frozen=True)
-class _Part:
-    """Rows of one body; fields as in `Rows`."""
-
-    residual: Array
-    noise: Array
-    shared: Array
-    moved: Array
-    pull: Array
-    markers_mm: Array
 
 
 def covariance_between(one: Rows, others: Sequence[Rows]) -> Array:

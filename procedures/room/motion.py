@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from procedures.room.estimate import (
@@ -21,13 +20,11 @@ from procedures.room.estimate import (
     GUIDE_AT_HEAD,
     INSTRUMENT_IN_GUIDE,
     MOVING,
-    Displacement,
     RoomEstimate,
 )
 from procedures.room.model import BASES, Body, Rows
 from procedures.room.sighting import Tracked
-
-Array = NDArray[np.float64]
+from ronna_hw.arrays import Array
 
 # A hypothesis stands unless it is wrong with more than this confidence. The better one is named if it is this
 # much more likely, in chi-square; else both are.
@@ -59,6 +56,8 @@ TURNING = {
     Moved.HEAD_OR_TRACKER: {"head": 1.0},
 }
 WAYS = {**TURNING, Moved.TRACKER: {"tracker": -1.0}}  # as the tracker sees what it has moved against
+# What displaces that which an arm carries from where it belongs: guide at the head, instrument in the guide.
+CARRIED = {Tracked.ARM: GUIDE_AT_HEAD, Tracked.ASSISTANT: INSTRUMENT_IN_GUIDE}
 
 
 @dataclass(frozen=True)
@@ -78,7 +77,6 @@ class RoomMotion:
 
     @property
     def moved_mm(self) -> float:
-        """Length of the way."""
         return float(np.linalg.norm(self.way_mm))
 
     @property
@@ -188,21 +186,12 @@ def find_hidden_motion(
         found.append(_seen_at_points(motion, estimate, points_mm))
     for name, point_mm in points_mm.items():
         limit = _limit(AXES, share)
-        for largest in _list_displacements(estimate, point_mm, first, limit):
-            moved = _name(estimate, largest.since)
-            found.append(RoomMotion(moved, largest.since, largest.chi_square, limit, largest.way_mm, name))
+        for arm in estimate.model.arms:
+            largest = estimate.largest(point_mm, first, CARRIED[arm])
+            if largest is not None and largest.chi_square > limit:
+                moved, since = _name(estimate, largest.since), largest.since
+                found.append(RoomMotion(moved, since, largest.chi_square, limit, largest.way_mm, name))
     return max(found, key=lambda one: one.chi_square / one.limit, default=None)
-
-
-def _list_displacements(
-    estimate: RoomEstimate, point_mm: Array, first: int, limit: float
-) -> list[Displacement]:
-    """List the displacements of guide and instrument at a point whose chi-square exceeds the limit."""
-    questions = [GUIDE_AT_HEAD]
-    if Tracked.ASSISTANT in estimate.model.arms:
-        questions.append(INSTRUMENT_IN_GUIDE)
-    largest = (estimate.largest(point_mm, first, bodies) for bodies in questions)
-    return [one for one in largest if one is not None and one.chi_square > limit]
 
 
 def _name(estimate: RoomEstimate, since: int) -> Moved:

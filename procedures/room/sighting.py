@@ -7,18 +7,17 @@ localization. It is plain data: the journal keeps it, and a resumed case restore
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from enum import StrEnum
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from procedures.registration.rigid_fit import pose_jacobian
+from ronna_hw.arrays import Array
 from ronna_hw.vectors import JointVector, joint_vector
-
-Array = NDArray[np.float64]
 
 # One marker in one frame, per axis of the tracker, across and along its line of sight. (U)
 # Safety against a moved head or cart within the tracker's own error.
@@ -56,6 +55,9 @@ class SeenFrame:
         matrix = np.eye(4)
         matrix[:3, :3], matrix[:3, 3] = self.rotation, self.place_mm
         return matrix
+
+
+FRAME_SHAPES = {"place_mm": (3,), "rotation": (3, 3), "covariance": (6, 6), "markers_mm": (-1, 3)}
 
 
 @dataclass(frozen=True)
@@ -97,14 +99,7 @@ class Sighting:
     def as_plain(self) -> dict[str, Any]:
         """Return plain values for the journal."""
         return {
-            "arms": {
-                name.value: {
-                    "joints_rad": list(arm.joints_rad),
-                    "sides": None if arm.sides is None else list(arm.sides),
-                    "motions": arm.motions,
-                }
-                for name, arm in self.arms.items()
-            },
+            "arms": {name.value: asdict(arm) for name, arm in self.arms.items()},
             "spheres": [
                 {"number": number, "place_mm": place, "covariance_mm2": covariance}
                 for number, place, covariance in zip(
@@ -115,12 +110,7 @@ class Sighting:
                 )
             ],
             "frames": {
-                name.value: {
-                    "place_mm": seen.place_mm.tolist(),
-                    "rotation": seen.rotation.tolist(),
-                    "covariance": seen.covariance.tolist(),
-                    "markers_mm": seen.markers_mm.tolist(),
-                }
+                name.value: {part: getattr(seen, part).tolist() for part in FRAME_SHAPES}
                 for name, seen in self.frames.items()
             },
             "tracker": self.tracker,
@@ -147,10 +137,7 @@ class Sighting:
             ),
             {
                 Tracked(name): SeenFrame(
-                    _array(one["place_mm"], (3,)),
-                    _array(one["rotation"], (3, 3)),
-                    _array(one["covariance"], (6, 6)),
-                    _array(one["markers_mm"], (-1, 3)),
+                    **{part: _array(one[part], FRAME_SHAPES[part]) for part in FRAME_SHAPES}
                 )
                 for name, one in plain["frames"].items()
             },

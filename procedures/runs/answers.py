@@ -13,11 +13,11 @@ answers what no slip may decide: motions, validity of results, pauses, read-back
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence, Set
 from pathlib import Path
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ValidationError
 
 from procedures.engine.errors import ANSWERS_UNFIT
 from procedures.operator.question import FOR_A_PERSON, Answer, Operator, Question, Topic, join_answers
@@ -26,13 +26,12 @@ from ronna_hw.config import read_theatre_file
 from ronna_hw.mistakes import describe_mistakes
 from ronna_hw.theatre_kind import is_simulated
 
+Rule = tuple[Operator | None, Set[Topic], bool]  # who answers which topics, and whether they are there
 OTHER_FILES = {"trajectories": "a plan", "theatre": "a theatre file"}  # by a key that only they have
 
 
-class Answers(BaseModel):
+class Answers(BaseModel, frozen=True, extra="forbid", strict=True):
     """Contents of an answers file. Each key is a topic or `topic:trajectory`, such as `approach:T1`."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 
     default: Literal["first", "silence"] | None = None
     answers: dict[str, str] = {}
@@ -73,9 +72,8 @@ def read_answers(path: Path, config: Path | None = None) -> Answers:
         raise ANSWERS_UNFIT(f"{path}: {'; '.join(describe_mistakes(error, Answers))}") from error
     if mistakes := [mistake for key, word in read.answers.items() if (mistake := _find_mistake(key, word))]:
         raise ANSWERS_UNFIT(f"{path}: {'; '.join(mistakes)}")
-    if (
-        personal := [key for key in read.answers if key.partition(":")[0] in FOR_A_PERSON]
-    ) and not is_rehearsal(config):
+    personal = [key for key in read.answers if key.partition(":")[0] in FOR_A_PERSON]
+    if personal and not is_rehearsal(config):
         raise ANSWERS_UNFIT(
             f"{path}: on real devices only a person answers {', '.join(personal)}",
             action="Remove these lines; the questions are asked at the terminal or the console.",
@@ -84,9 +82,7 @@ def read_answers(path: Path, config: Path | None = None) -> Answers:
 
 
 def _find_mistake(key: str, word: str) -> str | None:
-    from procedures.steps.catalogue import (
-        ANSWER_WORDS,  # all steps, which a script without a file does not need
-    )
+    from procedures.steps.catalogue import ANSWER_WORDS  # it has all steps: not for a script without a file
 
     name = key.partition(":")[0]
     if name not in set(Topic):
@@ -136,10 +132,11 @@ class SilentOperator:
 
 
 class OperatorByTopic:
-    """Operator that delegates each topic to its own operator."""
+    """Operator that leaves each topic to the first rule that covers it."""
 
-    def __init__(self, operators: Mapping[Topic, Operator]) -> None:
-        self._operators = operators
+    def __init__(self, *rules: Rule) -> None:
+        present = [(one, topics) for one, topics, applies in rules if one is not None and applies]
+        self._operators = {topic: next(one for one, topics in present if topic in topics) for topic in Topic}
 
     def ask(self, question: Question) -> Answer:
         """Ask the operator responsible for the topic."""

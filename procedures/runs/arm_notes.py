@@ -9,22 +9,17 @@ from __future__ import annotations
 import os
 import shlex
 import stat
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from pydantic import BaseModel, ConfigDict, NonNegativeInt, ValidationError
+from pydantic import BaseModel, NonNegativeInt, ValidationError
 
 from procedures.engine.errors import InstrumentLeftInside
 from procedures.journal.journal import JOURNAL_FILE
 from procedures.runs.request_file import read_request
-from procedures.workcell.arm_history import (
-    ArmPlace,
-    arm_history,
-    describe_instrument,
-    fold_arms,
-)
+from procedures.workcell.arm_history import ArmPlace, arm_history, describe_instrument, fold_arms
 from ronna_hw.bounded_input import read_json_bytes
 from ronna_hw.config import read_theatre_file
 from ronna_hw.endpoints import parse_endpoint
@@ -43,10 +38,8 @@ NOT_KNOWN = (
 JOG = "jog it home with the controller's pendant"
 
 
-class TheatreNote(BaseModel):
+class TheatreNote(BaseModel, frozen=True, extra="forbid"):
     """Contents of an arm's note."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     run: Path | None = None  # the last that had the devices
     pid: int | None = None  # of its program, until it has written how it left the arm
@@ -251,11 +244,6 @@ def find_former_run(note: TheatreNote, run: Path | None) -> FormerRun:
     if inside is not None:
         message = f"{message}, and {inside}: take it out by hand"
     return FormerRun(last, f"{message}; {JOG}", inside)
-
-
-def find_telling(notes: Sequence[TheatreNote], run: Path | None) -> TheatreNote:
-    """Return the first note by which another run than `run` left an arm away from home, or the first."""
-    return next((note for note in notes if find_former_run(note, run) != FormerRun()), notes[0])
 
 
 def _describe_lost_run(last: Path, *, at_home: bool) -> str | None:

@@ -51,36 +51,36 @@ def _compare_assistant(
         except TipOffAxis as problem:
             comparison.add_difference("the assistant", f"on the axis of {axis.trajectory}", problem)
         else:
-            comparison.note(
+            comparison.notes.append(
                 f"assistant, by its joints: {travelled_mm:.0f} of the {axis.travel_mm:.0f} mm along the bore "
                 f"at {axis.trajectory} are gone"
             )
             _compare_with_frame(engine, axis.trajectory, comparison)
     if assistant.history.base is None and workcell.is_any_arm_out:
-        comparison.refuse(
+        comparison.differences.append(
             "an arm is away from its home, and the journal does not say where the assistant stands: jog both "
             "arms home with their pendants, one at a time"
         )
     was_home = fold_history(previous.chain, previous.lost, ASSISTANT).place.is_home
     if was_home and assistant.place.is_out:
-        comparison.warn("the assistant was at its home and is not any more: somebody has moved it")
+        comparison.warnings.append("the assistant was at its home and is not any more: somebody has moved it")
 
 
 def look_with_instrument_in_guide(engine: Engine) -> str:
     """Look whether a cart was displaced before the assistant is sent home; as `look_before_retreat`."""
-    return look_before_retreat(engine.setting.workcell, engine.setting.clock, _watch_with_bases(engine))
+    return look_before_retreat(engine.setting.workcell, _watch_with_bases(engine))
 
 
 def _compare_with_frame(engine: Engine, trajectory: str, comparison: Comparison) -> None:
     """Refuse the way out if the tracker sees the assistant beside it; where it sees too little, warn."""
     try:
-        found = require_seen_on_axis(engine.setting.workcell, engine.setting.clock, _watch_with_bases(engine))
+        found = require_seen_on_axis(engine.setting.workcell, _watch_with_bases(engine))
     except InsertionDisturbed as displaced:
-        comparison.refuse(str(displaced))
+        comparison.differences.append(str(displaced))
     except NotCompared as unknown:
-        comparison.warn(f"{unknown}: {LOOK_AT_CART}")
+        comparison.warnings.append(f"{unknown}: {LOOK_AT_CART}")
     else:
-        comparison.note(f"assistant, on the axis of {trajectory}: the instrument is {found}")
+        comparison.notes.append(f"assistant, on the axis of {trajectory}: the instrument is {found}")
 
 
 def _watch_with_bases(engine: Engine) -> RoomWatch | None:

@@ -29,17 +29,7 @@ from procedures.calibration.tip_calibration import LOOKS_FILE as TIP_LOOKS_FILE
 from procedures.calibration.tip_calibration import TipLooks, TipResult, calibrate_tip
 from procedures.engine.case import Case
 from procedures.engine.order import order_of
-from procedures.reporting.calibration_figures import (
-    ArmFigures,
-    FrameFigures,
-    HeadCheckFigures,
-    HeadFigures,
-    ParameterFigures,
-    RecordFigures,
-    SignFigures,
-    TipFigures,
-    write_figures,
-)
+from procedures.reporting import calibration_figures
 from procedures.runs.calibration_files import update_theatre, write_records
 from procedures.runs.interrupted_run import InterruptedRun
 from procedures.runs.reopening import close_completed_run
@@ -83,7 +73,7 @@ class CalibrationKind(Generic[Looks, Result]):
     observed_by: type[Any]
     compute: Callable[..., Result]
     records: tuple[str, ...]
-    figures: Callable[[Result], RecordFigures]
+    figures: Callable[[Result], calibration_figures.RecordFigures]
     remarked_by: type[Any] | None = None  # if not by the step that observed
     last_remark: str = ""
     in_use: Callable[[Calibrations], Calibrations] = lambda of_theatre: of_theatre
@@ -142,7 +132,7 @@ def write_calibration_files(
     """Write the result files of a calibration and, if requested, update the theatre file."""
     kind.keep(looks, result, folder)
     write_records(kind.records_of(result), folder)
-    write_figures(kind.figures(result), folder)
+    calibration_figures.write_figures(kind.figures(result), folder)
     if request.calibration.update and request.config is not None:
         signature = UpdateAuthor(f"calibration {kind.name}", source=str(folder.resolve()))
         update_theatre(request.config, kind.records_of(result), looks.created, signature)
@@ -201,10 +191,10 @@ def _dates(record: DatedRecord) -> dict[str, Any]:
     )
 
 
-def head_figures(result: HeadResult) -> HeadFigures:
+def head_figures(result: HeadResult) -> calibration_figures.HeadFigures:
     """Return the figures of a stereo head calibration."""
     fit, head = result.fit, result.stereo_head
-    return HeadFigures(
+    return calibration_figures.HeadFigures(
         **_dates(head),
         serials=(head.left.serial, head.right.serial),
         poses=len(fit.used),
@@ -226,16 +216,16 @@ def head_figures(result: HeadResult) -> HeadFigures:
     )
 
 
-def head_check_figures(result: CheckResult, baseline: Baseline) -> HeadCheckFigures:
+def head_check_figures(result: CheckResult, baseline: Baseline) -> calibration_figures.HeadCheckFigures:
     """Return the figures of a stereo head check."""
-    return HeadCheckFigures(
+    return calibration_figures.HeadCheckFigures(
         calibration=baseline.stereo_head.identifier,
         baseline_created=baseline.created.isoformat(),
         passed=result.passed,
         looks=result.looks,
         repeatability_mm=result.repeatability_mm,
         ball_moved_mm=result.ball_moved_mm,
-        signs=tuple(map(SignFigures.model_validate, result.signs)),
+        signs=tuple(map(calibration_figures.SignFigures.model_validate, result.signs)),
     )
 
 
@@ -253,10 +243,10 @@ STEREO_HEAD = CalibrationKind(
 )
 
 
-def arm_figures(result: ArmResult) -> ArmFigures:
+def arm_figures(result: ArmResult) -> calibration_figures.ArmFigures:
     """Return the figures of an arm calibration."""
     fit, held = result.fit, result.validation
-    return ArmFigures(
+    return calibration_figures.ArmFigures(
         **_dates(result.arm),
         arm=result.arm.arm,
         looks=len(fit.used),
@@ -269,7 +259,7 @@ def arm_figures(result: ArmResult) -> ArmFigures:
         scatter_mm=fit.scatter_mm,
         tool_shift_mm=result.tool_shift_mm,
         parameters={
-            name: ParameterFigures(value=value, standard_error=error)
+            name: calibration_figures.ParameterFigures(value=value, standard_error=error)
             for name, value, error in zip(fit.model.names, fit.values, fit.learnt, strict=False)
         },
     )
@@ -290,10 +280,10 @@ ARM = CalibrationKind(
 )
 
 
-def frame_figures(result: FrameResult) -> FrameFigures:
+def frame_figures(result: FrameResult) -> calibration_figures.FrameFigures:
     """Return the figures of a reference frame calibration."""
     fit, record = result.fit, result.tracker_frame
-    return FrameFigures(
+    return calibration_figures.FrameFigures(
         **_dates(record),
         frame=record.tool,
         poses=len(fit.used),
@@ -333,22 +323,21 @@ TRACKER_FRAME = CalibrationKind(
 )
 
 
-def tip_figures(result: TipResult) -> TipFigures:
+def tip_figures(result: TipResult) -> calibration_figures.TipFigures:
     """Return the figures of a tool tip calibration."""
     fit, record = result.fit, result.tool_tip
-    missed = [math.hypot(*miss) ** 2 for miss in result.misses_mm.tolist()]
-    return TipFigures(
+    return calibration_figures.TipFigures(
         **_dates(record),
         tool_number=record.tool_number,
         readings=len(fit.misses_mm),
-        validation_readings=len(missed),
+        validation_readings=len(result.misses_mm),
         tip_in_head_mm=fit.tip_mm.tolist(),
         flange_from_tool=record.flange_from_tool,
         error_mm=math.sqrt(float(fit.covariance_mm2.trace())),
         stated_error_mm=record.stated_error_mm,
         stated_direction_error_rad=record.stated_direction_error_rad,
         reading_scatter_mm=fit.scatter_mm,
-        validation_mm=math.sqrt(sum(missed) / len(missed)),
+        validation_mm=_rms(result.misses_mm.tolist()),
         predicted_mm=result.predicted_mm,
         gap_mm=fit.gap_mm.tolist(),
         gap_error_mm=fit.gap_error_mm,

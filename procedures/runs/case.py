@@ -43,20 +43,6 @@ def clinical_input(case: CaseProcedure, folder: Path, plan: LockedPlan | None = 
     )
 
 
-def order_of_case(case: CaseProcedure, folder: Path, held: LockedPlan | None = None) -> CaseOrder:
-    """Return the step order of a case from its strategy and its plan: the locked one, or else the file.
-
-    Raises the errors of reading the plan, and PLAN-030 if its markers are adhesive.
-    """
-    from procedures.planning.plan_check import require_spheres
-    from procedures.planning.plan_file import parse_plan_bytes, read_plan
-
-    file = case_folder(case, folder) / "plan.toml"
-    plan = read_plan(file) if held is None else parse_plan_bytes(held.content, file.name)
-    require_spheres(plan)
-    return _build_order(case, plan)
-
-
 def restore_order(case: CaseProcedure, interrupted: InterruptedRun) -> CaseOrder:
     """Return the step order of an interrupted run from the plan it checked, even if the file has changed.
 
@@ -87,10 +73,15 @@ def prepare_case(
     resumption: Resumption | None,
     held: contextlib.ExitStack,
 ) -> EngineInput:
-    """Prepare the engine input of a case, and keep its plan locked until `held` closes."""
+    """Prepare the engine input of a case, and keep its plan locked until `held` closes.
+
+    Raises the errors of reading the plan, and PLAN-030 if its markers are adhesive.
+    """
     from procedures.calibration.validity import options_of, require_valid
     from procedures.engine.errors import RECOVERY_REFUSED
     from procedures.engine.setting import now_to_second
+    from procedures.planning.plan_check import require_spheres
+    from procedures.planning.plan_file import parse_plan_bytes
     from procedures.planning.plan_lock import lock_plan
     from procedures.planning.tool_records import ToolRecords
     from procedures.runs.engine_setup import EngineInput
@@ -110,8 +101,9 @@ def prepare_case(
     if case.plan is not None and (resumption is None or resumption.interrupted.untouched):
         write_atomically(file, read_bounded(case.plan, LARGEST_TOML_BYTES))  # instead of the phantom's own
     try:
-        plan = held.enter_context(lock_plan(file))
-        order = order_of_case(case, folder, plan)
+        locked = held.enter_context(lock_plan(file))
+        plan = parse_plan_bytes(locked.content, file.name)
+        require_spheres(plan)
     except RonnaError as problem:
         if resumption is None or resumption.interrupted.untouched:
             raise
@@ -120,6 +112,7 @@ def prepare_case(
             expected="the plan that the run was opened with",
             got=problem.summary,
         ) from problem
+    order = _build_order(case, plan)
     if request.answers is not None:
         request.answers.check_trajectories(order.trajectories)
-    return EngineInput(order, clinical=clinical_input(case, folder, plan))
+    return EngineInput(order, clinical=clinical_input(case, folder, locked))

@@ -6,7 +6,7 @@ import time
 from collections.abc import Sequence
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, Any, cast
 
 from procedures.journal.journal import JOURNAL_FILE, Entry, Line, theatre_time_s
 from procedures.runs.case import clinical_input, restore_order
@@ -20,7 +20,7 @@ from ronna_hw.command_line.messages import tell
 from ronna_hw.evidence.journal_reading import read_chain
 
 if TYPE_CHECKING:
-    from procedures.engine.case import Case
+    from procedures.engine.case import Case, Stored
     from procedures.reporting.outcome import FinishedOutcome, FinishedRun, Truth, UnfinishedRun
     from procedures.runs.interrupted_run import InterruptedRun, Resumption
 
@@ -141,16 +141,10 @@ def build_finished_outcome(
     names = [name for name in trajectories if name not in left_out]
     used = registrations_of(case)
     registered = {name: next(one.result for one in used if name in one.targets) for name in names}
-    changed = case.find(MountedGuide, None)  # none after a move that came when every target was finished
-    links = [
-        *(() if changed is None else (changed.result.link,)),
-        *(one.result.link for name in names if (one := case.find(Retreated, name)) is not None),
-        *(
-            look.result.link
-            for name in names
-            if (look := case.find(ConfirmedTarget, name)) and look.result.link
-        ),
-    ]
+    # There is no tool change after a move that came when every target was finished.
+    streams: list[Stored[Any] | None] = [case.find(MountedGuide, None)]
+    streams += [case.find(model, name) for model in (Retreated, ConfirmedTarget) for name in names]
+    links = [one.result.link for one in streams if one is not None and one.result.link is not None]
     plan = case.get(CheckedPlan).result
     reading = read_for_report(case.folder, every_file=False).sealed_with(truth)
     rows = {row.target: row for row in target_rows(reading, truth)}

@@ -15,15 +15,7 @@ from pydantic import BaseModel
 from procedures.calibration.errors import PlatformMoved
 from procedures.calibration.validity import require_valid_record
 from procedures.engine.engine import Engine
-from procedures.guards.errors import (
-    BaseShifted,
-    FrameSlipped,
-    InsertionDisturbed,
-    PatientMoved,
-    PatientUnseen,
-    RoomMoved,
-    RoomUndecided,
-)
+from procedures.guards import errors
 from procedures.guards.room_reading import CAREFUL_FRAMES
 from procedures.guards.room_watch import read_watched
 from procedures.imaging.series import read_series
@@ -59,34 +51,18 @@ class Comparison:
     notes: list[str] = field(default_factory=list)
     unchanged: list[str] = field(default_factory=list)  # what is as recorded
     differences: list[str] = field(default_factory=list)
-    moved: RoomMoved | None = None  # meanwhile, in the room: what depends on it is done again
+    moved: errors.RoomMoved | None = None  # meanwhile, in the room: what depends on it is done again
 
     @property
     def findings(self) -> list[str]:
         """Findings for the journal, without the differences."""
         return [*self.warnings, *self.notes, *(f"{what}: as recorded" for what in self.unchanged)]
 
-    def add_unchanged(self, what: str) -> None:
-        """Add an item that matches its record."""
-        self.unchanged.append(what)
-
-    def note(self, text: str) -> None:
-        """Add a remark for the operator."""
-        self.notes.append(text)
-
-    def warn(self, text: str) -> None:
-        """Add a warning, displayed before all other findings."""
-        self.warnings.append(text)
-
     def add_difference(self, what: str, recorded: object, found: object) -> None:
         """Add an item that differs from its record."""
         self.differences.append(f"{what}: recorded {recorded}, found {found}")
 
-    def refuse(self, text: str) -> None:
-        """Add another reason why the run must not be resumed."""
-        self.differences.append(text)
-
-    def add_move(self, moved: RoomMoved) -> None:
+    def add_move(self, moved: errors.RoomMoved) -> None:
         """Add what has moved in the room, as a warning."""
         self.moved = moved
         self.warnings.insert(0, f"{moved.summary}: what depends on it is void, and done again")
@@ -94,18 +70,13 @@ class Comparison:
     def compare(self, what: str, recorded: BaseModel | None, found: BaseModel | None) -> None:
         """Compare an item with its record, and add it as unchanged or add the fields that differ."""
         if recorded == found:
-            self.add_unchanged(what)
+            self.unchanged.append(what)
         elif recorded is None or found is None:
-            self.add_difference(
-                what, "none" if recorded is None else "one", "none" if found is None else "one"
-            )
+            self.add_difference(what, *("none" if one is None else "one" for one in (recorded, found)))
         else:
             unlike = list(_find_differences(recorded, found))
-            self.add_difference(
-                what,
-                ", ".join(f"{name} {then}" for name, then, _ in unlike),
-                ", ".join(f"{name} {now}" for name, _, now in unlike),
-            )
+            then = ", ".join(f"{name} {then}" for name, then, _ in unlike)
+            self.add_difference(what, then, ", ".join(f"{name} {now}" for name, _, now in unlike))
 
     def format_lines(self, order: Sequence[str]) -> str:
         """Format the findings: warnings, the steps in `order`, notes and the number of unchanged items."""
@@ -151,7 +122,7 @@ def compare_devices(
         _compare_drivers(
             engine,
             recorded,
-            lambda what, then, now: comparison.warn(f"{what}: recorded {then}, found {now}"),
+            lambda what, then, now: comparison.warnings.append(f"{what}: recorded {then}, found {now}"),
         )
     else:
         _compare_theatre_file(engine, recorded, comparison)
@@ -163,27 +134,31 @@ def compare_devices(
         except RonnaError as problem:
             if workcell.arm_of_device(role) or not only_leaving:
                 raise
-            comparison.note(f"{role}: not needed on the way home ({problem.summary})")
+            comparison.notes.append(f"{role}: not needed on the way home ({problem.summary})")
             continue
         if (then := recorded.identities.get(role)) == found:
-            comparison.add_unchanged(f"{role} {found.model}")
+            comparison.unchanged.append(f"{role} {found.model}")
         elif only_leaving and not workcell.arm_of_device(role):
-            comparison.note(f"{role}: a different one; not needed on the way home: {_describe_device(found)}")
-        else:
-            comparison.add_difference(
-                role, _describe_device(then) if then else "none", _describe_device(found)
+            comparison.notes.append(
+                f"{role}: a different one; not needed on the way home: {_describe_device(found)}"
             )
+        else:
+            comparison.add_difference(role, _describe_device(then), _describe_device(found))
     if not only_leaving:
         _compare_cameras(engine, comparison)
     workcell.compare_places()  # it may have been jogged meanwhile
     _compare_tool(engine, comparison, exchange_begun=exchange_begun)
 
 
-def _describe_device(identity: DeviceIdentity) -> str:
+def _describe_device(identity: DeviceIdentity | None) -> str:
+    if identity is None:
+        return "none"
     return f"{identity.model} {identity.serial} with firmware {identity.firmware}"
 
 
-def _describe_record(record: DatedRecord) -> str:
+def _describe_record(record: DatedRecord | None) -> str:
+    if record is None:
+        return "none"
     digest = hashlib.sha256(canonical_json(record.model_dump(mode="json"))).hexdigest()
     return f"{record.identifier} of {record.created:%Y-%m-%d %H:%M:%S %Z} (SHA-256 begins {digest[:8]})"
 
@@ -191,32 +166,35 @@ def _describe_record(record: DatedRecord) -> str:
 def _compare_calibrations(
     engine: Engine, recorded: CheckedSetUp, comparison: Comparison, *, only_leaving: bool
 ) -> None:
-    now = engine.setting.workcell.calibrations
-    then = recorded.calibrations.records
-    for name in sorted(then.keys() - now.records.keys()):
-        if only_leaving and name not in FOR_MOTION:
-            comparison.note(f"calibration {name}: not needed on the way home, and there is none")
-            continue
-        comparison.add_difference(f"calibration {name}", _describe_record(then[name]), "none")
-    for name, record in now.records.items():
+    now, then = engine.setting.workcell.calibrations.records, recorded.calibrations.records
+    for name in (*sorted(then.keys() - now.keys()), *now):
+        record = now.get(name)
         if record != then.get(name) and only_leaving and name not in FOR_MOTION:
-            comparison.note(
-                f"calibration {name}: a different one; not needed on the way home: {_describe_record(record)}"
+            comparison.notes.append(
+                f"calibration {name}: not needed on the way home, and there is none"
+                if record is None
+                else f"calibration {name}: a different one; not needed on the way home: "
+                f"{_describe_record(record)}"
             )
-            continue
-        if record != then.get(name):
-            before = _describe_record(then[name]) if name in then else "none"
-            comparison.add_difference(f"calibration {name}", before, _describe_record(record))
-            continue
-        try:
-            require_valid_record(name, record, engine.setting.today(), engine.setting.starts)
-        except CalibrationExpired as problem:
-            if only_leaving:
-                comparison.note(f"calibration {record.identifier}: {problem.summary}")
-            else:
-                comparison.add_difference(f"calibration {record.identifier}", "a valid one", problem)
+        elif record is None or record != then.get(name):
+            before, after = _describe_record(then.get(name)), _describe_record(record)
+            comparison.add_difference(f"calibration {name}", before, after)
         else:
-            comparison.add_unchanged(f"calibration {record.identifier}")
+            _check_age(engine, name, record, comparison, only_leaving=only_leaving)
+
+
+def _check_age(
+    engine: Engine, name: str, record: DatedRecord, comparison: Comparison, *, only_leaving: bool
+) -> None:
+    try:
+        require_valid_record(name, record, engine.setting.today(), engine.setting.starts)
+    except CalibrationExpired as problem:
+        if only_leaving:
+            comparison.notes.append(f"calibration {record.identifier}: {problem.summary}")
+        else:
+            comparison.add_difference(f"calibration {record.identifier}", "a valid one", problem)
+    else:
+        comparison.unchanged.append(f"calibration {record.identifier}")
 
 
 def _compare_theatre_file(engine: Engine, recorded: CheckedSetUp, comparison: Comparison) -> None:
@@ -244,17 +222,14 @@ def _compare_drivers(
             continue  # a device that is gone is found among the identities
         if now.driver != then.driver:
             add_difference(f"driver of {name}", then.driver, now.driver)
-        changed = sorted(
-            option
-            for option in {*then.options, *now.options}
-            if then.options.get(option) != now.options.get(option)
-        )
+        names = sorted({*then.options, *now.options})
+        changed = [one for one in names if then.options.get(one) != now.options.get(one)]
         if changed:
-            add_difference(
-                f"options of {name}",
-                ", ".join(f"{option} {then.options.get(option, 'not stated')}" for option in changed),
-                ", ".join(f"{option} {now.options.get(option, 'not stated')}" for option in changed),
+            stated = (
+                ", ".join(f"{one} {settings.options.get(one, 'not stated')}" for one in changed)
+                for settings in (then, now)
             )
+            add_difference(f"options of {name}", *stated)
 
 
 def _compare_cameras(engine: Engine, comparison: Comparison) -> None:
@@ -272,12 +247,12 @@ def _compare_tool(engine: Engine, comparison: Comparison, *, exchange_begun: boo
     expected = MountedTool.GUIDE if changed else MountedTool.STEREO_HEAD
     found = workcell.master.mount.identify()
     if found is expected:
-        comparison.add_unchanged(f"the {found}")
+        comparison.unchanged.append(f"the {found}")
     elif exchange_begun and found is MountedTool.GUIDE and workcell.master.place.is_on_axis:
         # only a guide is sent onto an axis; its record was voided with the localization
-        comparison.warn("the arm carries the guide, and its record no longer holds")
+        comparison.warnings.append("the arm carries the guide, and its record no longer holds")
     elif exchange_begun and not workcell.master.place.is_on_axis:
-        comparison.warn(f"a tool exchange had begun: the arm carries the {found}")
+        comparison.warnings.append(f"a tool exchange had begun: the arm carries the {found}")
     else:
         comparison.add_difference("mounted tool", f"the {expected}", f"the {found}")
         return
@@ -308,7 +283,7 @@ def compare_inputs(engine: Engine, comparison: Comparison, plan_sha256: str | No
                     "CT series", then.series_instance_uid, f"a different one: {changed}"
                 )
             else:
-                comparison.add_unchanged("CT series")
+                comparison.unchanged.append("CT series")
                 if engine.case.find(CheckedPlan, None) is None:
                     engine.setting.memory.keep(volume)
     if checked := engine.case.find(CheckedPlan, None):
@@ -318,7 +293,7 @@ def compare_inputs(engine: Engine, comparison: Comparison, plan_sha256: str | No
             comparison.add_difference("plan", "the checked plan", problem)
         else:
             if plan == checked.result.plan:
-                comparison.add_unchanged("plan")
+                comparison.unchanged.append("plan")
                 note_same_content(engine, clinical.plan, checked.record)
             else:
                 comparison.add_difference("plan", "the checked plan", "a different one")
@@ -333,7 +308,7 @@ def compare_inputs(engine: Engine, comparison: Comparison, plan_sha256: str | No
             if changed:
                 comparison.add_difference("proposed position", locked.record.identifier, changed)
             elif locked.result.proposal is not None:
-                comparison.add_unchanged("proposed position")
+                comparison.unchanged.append("proposed position")
                 note_same_content(engine, clinical.place, locked.record)
 
 
@@ -345,7 +320,7 @@ def compare_room(engine: Engine, comparison: Comparison) -> bool:
     stored = engine.case.find(GlobalLocalization, None)
     if stored is None:
         what = "patient" if engine.setting.clinical is not None else "stand"
-        comparison.note(f"{what} and robot base: not recorded yet, nothing to compare")
+        comparison.notes.append(f"{what} and robot base: not recorded yet, nothing to compare")
         return True
     workcell, matched = engine.setting.workcell, engine.case.find(Correspondence, None)
     pairs = None if matched is None else matched.result.pairs
@@ -362,25 +337,26 @@ def compare_room(engine: Engine, comparison: Comparison) -> bool:
         context.latest(KnownBases),
         find_followed(context, None),
     )
-    look = watch.compare(read_watched(watch, workcell, engine.setting.clock, CAREFUL_FRAMES))
-    if look.head_mm is None and not isinstance(look.moved, BaseShifted | PlatformMoved):
+    look = watch.compare(read_watched(watch, workcell, CAREFUL_FRAMES))
+    if look.head_mm is None and not isinstance(look.moved, errors.BaseShifted | PlatformMoved):
         return False
     try:
         findings = look.require()
-    except RoomUndecided as undecided:
+    except errors.RoomUndecided as undecided:
         if not workcell.master.place.is_home:
-            comparison.warn(f"{undecided.summary}: compared again once the arm is home")
+            comparison.warnings.append(f"{undecided.summary}: compared again once the arm is home")
             return False
         comparison.add_difference("room", f"all within {undecided.limit}", undecided.what)
         return True
-    except PatientUnseen:
+    except errors.PatientUnseen:
         return False
-    except InsertionDisturbed:  # told with the axis on which the assistant stands
+    except errors.InsertionDisturbed:  # told with the axis on which the assistant stands
         return True
-    except (PatientMoved, BaseShifted, FrameSlipped, PlatformMoved) as moved:
+    except (errors.PatientMoved, errors.BaseShifted, errors.FrameSlipped, PlatformMoved) as moved:
+        # The step registration asks whether to follow it.
         follows = workcell.master.tool is MountedTool.GUIDE and not context.stands(RegisteredRobot)
-        if isinstance(moved, PatientMoved) and follows:  # the step registration asks whether to follow it
-            comparison.note(f"patient: {moved.what}; no registration is valid")
+        if isinstance(moved, errors.PatientMoved) and follows:
+            comparison.notes.append(f"patient: {moved.what}; no registration is valid")
         elif workcell.is_any_arm_out:
             comparison.add_difference("room", f"all within {moved.limit}", moved.what)
         else:
@@ -389,16 +365,13 @@ def compare_room(engine: Engine, comparison: Comparison) -> bool:
     if look.reading.frame_mm is None and workcell.master.place.is_home:
         comparison.add_difference("robot base", "the frame on the arm in view", "the tracker does not see it")
         return True
-    comparison.note(
+    comparison.notes.append(
         f"patient: the frame on the clamp within {look.head_mm:.2f} mm of its recorded position"
         if look.by_frame
         else f"patient: spheres within {look.head_mm:.2f} mm of their recorded positions"
     )
-    if look.base_mm is None:
-        comparison.note("robot base: the tracker does not see the frame on the arm")
-    else:
-        comparison.note(
-            f"robot base: the frame on the arm within {look.base_mm:.2f} mm of where it is expected"
-        )
-    comparison.notes += findings
+    base = "the tracker does not see the frame on the arm"
+    if look.base_mm is not None:
+        base = f"the frame on the arm within {look.base_mm:.2f} mm of where it is expected"
+    comparison.notes += [f"robot base: {base}", *findings]
     return True

@@ -27,7 +27,6 @@ from ronna_hw.host.child_process import ChildProcess, command
 
 if TYPE_CHECKING:
     from procedures.engine.engine import Engine
-    from procedures.workcell import Workcell
     from procedures.workcell.stereo_look import Look
     from ronna_hw.command_line.viewers_address import ViewersAddress
 
@@ -42,6 +41,14 @@ LOOPBACK = "127.0.0.1"
 REQUIRED_MODULES = ("nicegui", "skimage")  # of the extra `console`
 
 
+@dataclass(frozen=True)
+class ConsoleRequest:
+    """Console options: loopback port (0 for any free one) and an optional address for remote viewers."""
+
+    port: int = 0
+    viewers: ViewersAddress | None = None
+
+
 class ConsoleLink:
     """Link between one run and one console. Its threads never block the engine."""
 
@@ -49,11 +56,10 @@ class ConsoleLink:
         self,
         folder: Path,
         station: OperatorStation,
-        port: int,
+        console: ConsoleRequest,
         say: Callable[[str], None] = tell,
-        viewers: ViewersAddress | None = None,
     ) -> None:
-        """Start the console without waiting for it. Port 0 selects any free port, announced by `say`."""
+        """Start the console without waiting for it; `say` announces its address."""
         self._station = station
         self._say = say
         self._ending = False
@@ -62,8 +68,8 @@ class ConsoleLink:
         self._socket, child_socket = socket.socketpair()
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, struct.pack("ll", int(STALLED_S), 0))
         with child_socket:
-            arguments = ["--feed", str(child_socket.fileno()), "--port", str(port)]
-            if viewers is not None:
+            arguments = ["--feed", str(child_socket.fileno()), "--port", str(console.port)]
+            if (viewers := console.viewers) is not None:
                 files = (str(viewers.certificate.resolve()), str(viewers.key.resolve()))
                 arguments += ["--viewers", viewers.address, *files]
             arguments.append(str(folder.resolve()))
@@ -76,6 +82,8 @@ class ConsoleLink:
         self._answered = threading.Event()
         self._followed = threading.Event()
         self._over = threading.Event()
+        self._newest: Look | None = None
+        self._look_arrived = threading.Event()
         self._start(self._await_ready, "console ready")
         self._start(self._beat_until_followed, "console beats")
 
@@ -91,12 +99,11 @@ class ConsoleLink:
         """
         self._answered.wait(READY_S)
 
-    def show_looks(self, workcell: Workcell) -> None:
-        """Start sending the stereo head's pictures to the console."""
-
-        pictures = LivePictures(self._send, self._over)
-        workcell.on_look = pictures.look
-        self._start(pictures.send_all, "console pictures")
+    def show(self, engine: Engine) -> None:
+        """Start sending the events of an engine, and the stereo head's pictures."""
+        self.follow(engine.events)
+        engine.setting.workcell.on_look = self._keep_look
+        self._start(self._send_pictures, "console pictures")
 
     def close(self) -> None:
         """Stop the console once it has shown the end of the run. Never raises."""
@@ -161,6 +168,23 @@ class ConsoleLink:
             if all(event.what.signal for event in batch.events):
                 time.sleep(SIGNAL_PERIOD_S)
 
+    def _keep_look(self, seen: Look) -> None:
+        """Keep the latest stereo pair to be sent, so that taking a look is not delayed."""
+        self._newest = seen
+        self._look_arrived.set()
+
+    def _send_pictures(self) -> None:
+        from procedures.workcell.stereo_look import pair_picture
+
+        while not self._over.wait(PICTURE_PERIOD_S):
+            if not self._look_arrived.is_set():
+                continue
+            self._look_arrived.clear()
+            assert self._newest is not None
+            content = base64.b64encode(pair_picture(self._newest, HEIGHT_PX)).decode()
+            if not self._send(f'{{"pair":"{content}"}}'):
+                return
+
     def _send(self, text: str) -> bool:
         try:
             with self._writing:
@@ -185,47 +209,6 @@ def event_lines(event: Event) -> Iterator[str]:
     yield f'{{"event":{event.model_dump_json()}}}'
 
 
-class LivePictures:
-    """Background sender of the latest stereo pair, so that taking a look is not delayed."""
-
-    def __init__(self, send: Callable[[str], bool], ending: threading.Event) -> None:
-        """`send` transmits one line and returns whether it succeeded; `ending` stops the loop."""
-        self._send = send
-        self._ending = ending
-        self._newest: Look | None = None
-        self._arrived = threading.Event()
-
-    def look(self, seen: Look) -> None:
-        """Keep the latest stereo pair for the next transmission."""
-        self._newest = seen
-        self._arrived.set()
-
-    def send_all(self) -> None:
-        """Render and send the latest stereo pair periodically until `ending` is set."""
-        while not self._ending.wait(PICTURE_PERIOD_S):
-            if not self._arrived.is_set():
-                continue
-            self._arrived.clear()
-            if self._newest is not None and not self._send(picture_line(self._newest)):
-                return
-
-
-def picture_line(seen: Look) -> str:
-    """Encode a stereo pair as a JSON line for the console."""
-    from procedures.workcell.stereo_look import pair_picture
-
-    content = base64.b64encode(pair_picture(seen, HEIGHT_PX)).decode()
-    return f'{{"pair":"{content}"}}'
-
-
-@dataclass(frozen=True)
-class ConsoleRequest:
-    """Console options: loopback port (0 for any free one) and an optional address for remote viewers."""
-
-    port: int = 0
-    viewers: ViewersAddress | None = None
-
-
 def check_console() -> None:
     """Raise PRO-040 if the libraries of the console are not installed."""
     if missing := [name for name in REQUIRED_MODULES if importlib.util.find_spec(name) is None]:
@@ -246,18 +229,6 @@ def check_port(port: int) -> None:
 
 
 @contextlib.contextmanager
-def serve_console(
-    executor: OrderExecutor, folder: Path, console: ConsoleRequest, say: Callable[[str], None] = tell
-) -> Iterator[ConsoleLink]:
-    """Run a console for the duration of the block; `say` announces its address."""
-    link = ConsoleLink(folder, executor.station, console.port, say, console.viewers)
-    try:
-        yield link
-    finally:
-        link.close()
-
-
-@contextlib.contextmanager
 def with_console(
     observers: RunObservers, folder: Path, console: ConsoleRequest, *, waits: bool
 ) -> Iterator[RunObservers]:
@@ -266,13 +237,13 @@ def with_console(
     With `waits`, nothing is done until someone has taken the operator's seat.
     """
     executor = OrderExecutor(OperatorStation(waits=waits), runs=True)
-    with serve_console(executor, folder, console, observers.announce) as link:
+    link = ConsoleLink(folder, executor.station, console, observers.announce)
+    with contextlib.closing(link):
 
         def opened(engine: Engine) -> None:
             observers.opened(engine)
             executor.attach(engine)
-            link.follow(engine.events)
-            link.show_looks(engine.setting.workcell)
+            link.show(engine)
             link.await_ready()
 
         yield replace(observers, opened=opened, executor=executor)

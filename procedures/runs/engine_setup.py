@@ -18,14 +18,14 @@ from procedures.engine.replay.recorded_answers import opening_line, section_foll
 from procedures.engine.setting import CaseSetting, now_to_second
 from procedures.guards import (
     GuideDisplacement,
+    HeadInSight,
     TrackerLink,
     UnchangedRecords,
     case_guards,
     patient_watch,
-    sight_guard,
 )
 from procedures.guards.errors import BaseShifted
-from procedures.journal.journal import ONLY_LEAVING, Entry, Journal, JournalValue
+from procedures.journal.journal import JOURNAL_FILE, ONLY_LEAVING, Entry, Journal, JournalValue
 from procedures.operator.question import Operator, Room
 from procedures.runs.assistant_comparison import look_with_instrument_in_guide
 from procedures.runs.interrupted_run import InterruptedRun, Resumption
@@ -103,9 +103,8 @@ def build_engine(
 
     theatre = Theatre.from_file(file, make)
     prepared = prepare(theatre)
-    calibrations = (
-        prepared.calibrations or theatre.calibrations
-    )  # what is missing is known before the journal
+    # What is missing is known before the journal.
+    calibrations = prepared.calibrations or theatre.calibrations
     events = EventStream(theatre.clock.now_s)
     stack.callback(EventFile(folder, events).join)
     stack.callback(events.end)
@@ -127,7 +126,7 @@ def build_engine(
     previous = None if resumption is None else resumption.interrupted
     only_leaving = resumption is not None and resumption.only_leaving
     case = Case(folder) if previous is None else previous.restore_case(prepared.order)
-    if previous is None or not previous.has_journal:
+    if previous is None or not (folder / JOURNAL_FILE).exists():
         journal = Journal(folder, publish_line)
     else:
         journal = Journal.reopen_run(folder, previous.chain, publish_line)
@@ -217,7 +216,7 @@ def add_guards(engine: Engine, file: Path, theatre: TheatreFile, *, only_leaving
     workcell = setting.workcell
     workcell.on_stop_failed = lambda failure: engine.events.publish(Advisory(text=failure))
     folder = engine.case.folder
-    guards.extend(case_guards(workcell, folder, setting.clock, engine.find, engine.doubt_tool))
+    guards.extend(case_guards(workcell, folder, engine.find, engine.doubt_tool))
     if not only_leaving:
         guards.append(
             UnchangedRecords(
@@ -234,10 +233,8 @@ def add_guards(engine: Engine, file: Path, theatre: TheatreFile, *, only_leaving
         guards.append(inputs)
         engine.recorders.append(inputs)
     void = partial(void_moved, engine.context(StepKey(GlobalLocalization.kind)))
-    guards.append(
-        GuideDisplacement(workcell, setting.clock, setting.memory)
-    )  # before the head: it names the cause
-    guards.append(sight_guard(engine, void))
+    guards.append(GuideDisplacement(workcell, setting.memory))  # before the head: it names the cause
+    guards.append(HeadInSight(workcell, setting.memory, void, engine.find))
     guards.append(link)  # last: it also judges the replies to the guards before it
     engine.checkpoint.watching = patient_watch(engine, void).watching
 
@@ -259,11 +256,8 @@ class MovedCart:
         Raises the errors of the way home.
         """
         engine = self._engine
-        if (
-            not isinstance(problem, BaseShifted | PlatformMoved)
-            or self._moves == MOST_MOVES
-            or engine.machine.ended
-        ):
+        has_moved = isinstance(problem, BaseShifted | PlatformMoved)
+        if not has_moved or self._moves == MOST_MOVES or engine.machine.ended:
             return False
         if (inside := engine.instrument_in) is not None:
             engine.find(
@@ -279,10 +273,8 @@ class MovedCart:
         else:
             goes_on = f"lock it; the arm goes home, and {following} is next"
         stands = ", ".join(dict.fromkeys(stored.record.kind for stored in engine.case.valid_results))
-        value = (
-            f"nobody is in the arm's way home; these results remain valid: {stands}",
-            *work_begun_elsewhere(engine),
-        )
+        begun = work_begun_elsewhere(engine)
+        value = (f"nobody is in the arm's way home; these results remain valid: {stands}", *begun)
         question = CART_MOVED.question(f"{problem.summary}: {goes_on}", "; ".join(value))
         if engine.ask(question) != GO_ON:
             return False

@@ -22,19 +22,9 @@ from ronna_hw.command_line.errors import as_ronna_error
 from ronna_hw.command_line.messages import on_terminal, tell
 from ronna_hw.command_line.options import require_output_folder
 from ronna_hw.errors import RonnaError
+from ronna_hw.evidence import manifest
 from ronna_hw.evidence.inspection import inspect_run
 from ronna_hw.evidence.journal_reading import read_chain
-from ronna_hw.evidence.manifest import (
-    BESIDE,
-    RAW_FOLDER,
-    REPORT_FILE,
-    REQUEST_FILE,
-    Manifest,
-    is_sealed,
-    read_seal,
-    seal,
-    seal_report,
-)
 from ronna_hw.evidence.unsealed import describe_unconfirmed_files
 from ronna_hw.host.files import remove_folder, walk
 from ronna_hw.host.process import allow_interruption, defer_interruption
@@ -97,7 +87,7 @@ def complete_seal(interrupted: InterruptedRun) -> Iterator[InterruptedRun]:
     """After the block, write the missing report and seal of a finished run that was killed."""
     from procedures.runs.reopening import prepare_folder, rewrite_end
 
-    if is_sealed(interrupted.folder):
+    if manifest.is_sealed(interrupted.folder):
         yield interrupted
         return
     prepare_folder(interrupted)
@@ -113,7 +103,7 @@ def begin_report(folder: Path) -> None:
     """
     page = UNFINISHED.format(run=escape(folder.resolve().name), folder=escape(shlex.quote(str(folder))))
     with contextlib.suppress(OSError):
-        write_atomically(folder / REPORT_FILE, page.encode())
+        write_atomically(folder / manifest.REPORT_FILE, page.encode())
 
 
 def write_final_report(
@@ -170,14 +160,14 @@ def rebuild_report(run: Path, out: Path | None = None, *, after: PostoperativeRe
         )
         if out is not None:
             return write(out=out)
-        beside = run / BESIDE
+        beside = run / manifest.BESIDE
         try:
-            write(out=beside, seals=(run / JOURNAL_FILE).exists() and is_sealed(run))
+            write(out=beside, seals=(run / JOURNAL_FILE).exists() and manifest.is_sealed(run))
             with defer_interruption():
                 _take_over(beside, run)
         finally:
             remove_folder(beside)
-    return run / REPORT_FILE
+    return run / manifest.REPORT_FILE
 
 
 def as_run_error(problem: BaseException) -> RunError | None:
@@ -205,14 +195,14 @@ def seal_run(folder: Path, left: InterruptedRun | None = None, *, at_once: bool 
         chain = read_chain(folder / JOURNAL_FILE)
         if not chain.is_closed:
             return
-        manifest, changed = Manifest(chain.lines), set[str]()
+        hashed, changed = manifest.Manifest(chain.lines), set[str]()
         former: dict[str, str] = {}
         if left is not None and left.chain.last == chain.last:
-            if (found := read_seal(folder)) is None or not is_sealed(folder):
+            if (found := manifest.read_seal(folder)) is None or not manifest.is_sealed(folder):
                 return
             former, changed = found.files, {change.file for change in left.changes}
         kept = {name: sha256 for name, sha256 in former.items() if name in changed}
-        seal(folder, manifest.files, {*manifest.unvouched_files, *changed}, kept)
+        manifest.seal(folder, hashed.files, {*hashed.unvouched_files, *changed}, kept)
     except (RonnaError, OSError) as problem:
         tell(f"the run could not be sealed: {problem}")
 
@@ -231,13 +221,13 @@ def _keep_raw(folder: Path, *, at_once: bool) -> None:
     if at_once:
         tell(later)
         return
-    beside, kept = folder / f".{RAW_FOLDER}{PARTIAL}", folder / RAW_FOLDER
+    beside, kept = folder / f".{manifest.RAW_FOLDER}{PARTIAL}", folder / manifest.RAW_FOLDER
     try:
         from procedures.exchange.raw_readings import MOST_RAW_BYTES, write_raw
 
         _tidy(beside, kept)
         with allow_interruption():
-            fresh, whole = write_raw(folder, beside / RAW_FOLDER)
+            fresh, whole = write_raw(folder, beside / manifest.RAW_FOLDER)
         if kept.exists():  # the former ones go when these are whole
             kept.rename(beside / FORMER)
         fresh.rename(kept)
@@ -262,7 +252,7 @@ def _tidy(beside: Path, kept: Path) -> None:
 
 def tell_next_commands(folder: Path, problem: BaseException) -> None:
     """After an interruption or failure, report where the arm is and which commands continue the run."""
-    if not (folder / REQUEST_FILE).exists():
+    if not (folder / manifest.REQUEST_FILE).exists():
         return
     from procedures.workcell.arm_history import fold_arms
 
@@ -293,25 +283,25 @@ def _describe_theatre_restart(folder: Path) -> str:
 
 def _has_other_run_left_arm_away(folder: Path) -> bool:
     """Whether another run on the same theatre left the arm away from home."""
-    from procedures.runs.arm_notes import FormerRun, find_former_run
-    from procedures.runs.theatre_lock import read_last_note
+    from procedures.runs.arm_notes import FormerRun
+    from procedures.runs.theatre_lock import read_former_run
 
     with contextlib.suppress(RonnaError, OSError):
         request = read_request(folder)
         if (theatre := request.config) is not None:
-            return find_former_run(read_last_note(theatre, folder, request.roles), folder) != FormerRun()
+            return read_former_run(theatre, folder, request.roles) != FormerRun()
     return False
 
 
 def _take_over(source: Path, run: Path) -> None:
     """Move a new report into a run, unsealing only the report meanwhile in case of a kill."""
-    sealed = (run / JOURNAL_FILE).exists() and is_sealed(run)
+    sealed = (run / JOURNAL_FILE).exists() and manifest.is_sealed(run)
     if sealed:
-        seal_report(run, finished=False)
+        manifest.seal_report(run, finished=False)
     for path, *_ in sorted(walk(source)):
         place = run / path.relative_to(source)
         if path.is_file():
             place.parent.mkdir(exist_ok=True)
             path.replace(place)
     if sealed:
-        seal_report(run)
+        manifest.seal_report(run)

@@ -11,7 +11,7 @@ from procedures.engine.case import Case, StepKey, Stored
 from procedures.engine.case_progress import CaseProgress
 from procedures.engine.order import CaseOrder
 from procedures.engine.run_folder import RunFolder, parse_record, run_of, step_key
-from procedures.journal.journal import ENDS_OF_A_STEP, JOURNAL_FILE, Entry, JournalValue, Line
+from procedures.journal.journal import ENDS_OF_A_STEP, Entry, JournalValue, Line
 from procedures.workcell.arm_history import ArmHistory, fold_history, is_any_arm_out
 from ronna_hw.evidence.inspection import Problem, inspect_run
 from ronna_hw.evidence.journal_reading import JournalChain, JournalCorrupt
@@ -43,11 +43,6 @@ class InterruptedRun:
         """Folder of the run."""
         return self.run.path
 
-    @property
-    def has_journal(self) -> bool:
-        """Whether the journal file exists, even if it contains no complete line."""
-        return (self.folder / JOURNAL_FILE).exists()
-
     def as_plain(self) -> dict[str, JournalValue]:
         """Return the run's unfinished parts in the form that the continued journal records."""
         plain: dict[str, JournalValue] = {
@@ -55,10 +50,10 @@ class InterruptedRun:
             "torn_bytes": len(self.chain.torn),
             "orphans": list(self.orphans),
         }
-        files = {NOT_AS_LEFT: self.not_as_left, UNSEALED: self.unsealed}
-        return (
-            plain | {field: dict(named) for field, named in files.items() if named} | lost_as_plain(self.lost)
-        )
+        for name, files in ((NOT_AS_LEFT, self.not_as_left), (UNSEALED, self.unsealed)):
+            if files:
+                plain[name] = dict(files)
+        return plain | lost_as_plain(self.lost)
 
     @property
     def has_lost_lines(self) -> bool:

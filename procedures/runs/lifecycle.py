@@ -12,7 +12,7 @@ import os
 import shutil
 import signal
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -120,14 +120,19 @@ def open_engine(
     with contextlib.ExitStack() as stack:
         stack.enter_context(keep_log(folder, run=folder.name, seed=request.seed))
         operator = operator_selection(request, observers, resumption)
-        room: Room
-        simulated, not_home = None, None
+        simulated, not_home, staff = None, None, None
         if request.config is not None:
             file = request.config
-            not_home, room = _hold_configured_theatre(request, file, folder, observers, resumption, stack)
+            only_leaving = resumption is not None and resumption.only_leaving
+            not_home = _hold_theatre(file, folder, request.roles, stack, only_leaving=only_leaving)
+            if request.ask and (control := os.environ.get(VARIABLE)):  # not needed to acknowledge a fault
+                staff = SimulatedRoom(control)
         else:
-            simulated, room = _start_simulated(request, folder, observers, resumption, phantom, stack)
-            file = simulated.theatre.file
+            simulated = _start_simulated(request, folder, observers, resumption, phantom, stack)
+            file, staff = simulated.theatre.file, SimulatedRoom(simulated.theatre.control)
+            stack.push(staff.tell_missed_faults(observers.announce))
+        asks = resumption is None or resumption.asks
+        room = _choose_staff(request, staff, observers, asks=asks)
         from procedures.engine.display_feed import publish_order
         from procedures.runs.engine_setup import build_engine
 
@@ -154,8 +159,7 @@ def open_engine(
             with _build_device_watch(engine, fast=observers.executor is not None):
                 yield engine
             engine.require_record()
-            only_acknowledged = resumption is not None and not resumption.asks
-            outcome = "left" if only_acknowledged or not engine.over else "done"
+            outcome = "done" if asks and engine.over else "left"
         except BaseException as problem:  # also an interruption: nothing may cut the way to rest short
             ignore_further_signals()
             if isinstance(problem, KeyboardInterrupt):
@@ -168,41 +172,42 @@ def open_engine(
             if engine.record_is_deleted:
                 from procedures.runs.arm_notes import describe_arm_without_record
 
-                tell(
-                    describe_arm_without_record(
-                        engine.setting.workcell.master.place, own=simulated is not None
-                    )
-                )
+                place = engine.setting.workcell.master.place
+                tell(describe_arm_without_record(place, own=simulated is not None))
             with defer_interruption():
                 engine.close(outcome, ended_by)
 
 
-def _hold_configured_theatre(
-    request: RunRequest,
-    file: Path,
-    folder: Path,
-    observers: RunObservers,
-    resumption: Resumption | None,
-    stack: contextlib.ExitStack,
-) -> tuple[str | None, Room]:
-    """Lock a theatre file's devices; return a warning if the arm was left away from home, and the staff."""
+def _hold_theatre(
+    theatre: Path, run: Path, roles: Collection[str], stack: contextlib.ExitStack, *, only_leaving: bool
+) -> str | None:
+    """Lock a theatre file's devices; return a warning if an arm was left away from home."""
     from procedures.runs.arm_notes import find_former_run
     from procedures.runs.theatre_lock import hold_theatre
-    from ronna_hw.config import read_theatre_file
-    from ronna_hw.theatre_kind import is_simulated
 
-    only_leaving = resumption is not None and resumption.only_leaving
-    notes = stack.enter_context(hold_theatre(file, folder, request.roles, only_leaving=only_leaving))
-    left = (find_former_run(note, folder).not_home for note in notes)
-    not_home = "; ".join(dict.fromkeys(filter(None, left))) or None
-    if request.ask and (control := os.environ.get(VARIABLE)):  # it is not needed to acknowledge a fault
-        staff = SimulatedRoom(control)
-        if resumption is None or resumption.asks:
-            _tell_wristband(request, staff, observers)
-        room = observers.by_word(staff)
+    notes = stack.enter_context(hold_theatre(theatre, run, roles, only_leaving=only_leaving))
+    left = (find_former_run(note, run).not_home for note in notes)
+    return "; ".join(dict.fromkeys(filter(None, left))) or None
+
+
+def _choose_staff(
+    request: RunRequest, simulated: SimulatedRoom | None, observers: RunObservers, *, asks: bool
+) -> Room:
+    """Return the staff of a run: the `simulated` ones, moved by a person's words if --ask, or real ones."""
+    if simulated is not None and not request.ask:
+        return simulated
+    if simulated is not None:
+        if asks and isinstance(request.procedure, CaseProcedure):
+            # the person who is asked cannot see it
+            observers.announce(f"the simulated patient's wristband reads {simulated.read_wristband()}")
+        room = observers.by_word(simulated)
     else:
-        room = observers.staff(is_simulated(read_theatre_file(file)))
-    return not_home, room if observers.executor is None else observers.executor.staff(room)
+        from ronna_hw.config import read_theatre_file
+        from ronna_hw.theatre_kind import is_simulated
+
+        assert request.config is not None, "every other theatre has simulated staff"
+        room = observers.staff(is_simulated(read_theatre_file(request.config)))
+    return room if observers.executor is None else observers.executor.staff(room)
 
 
 def _start_simulated(
@@ -212,22 +217,18 @@ def _start_simulated(
     resumption: Resumption | None,
     phantom: Path | None,
     stack: contextlib.ExitStack,
-) -> tuple[SimulatedTheatre, Room]:
+) -> SimulatedTheatre:
     """Start a run's simulated theatre and patient in the run's folder.
 
     Raises PRO-033 if it would continue in another scene.
     """
     if resumption is not None:
         _require_same_scene(folder, resumption.interrupted)
-    simulated = stack.enter_context(
-        SimulatedTheatre(
-            request,
-            folder / "theatre",
-            phantom,
-            continued=resumption is not None and not resumption.interrupted.untouched,
-            on_controller_message=observers.announce,
-        )
+    continued = resumption is not None and not resumption.interrupted.untouched
+    theatre = SimulatedTheatre(
+        request, folder / "theatre", phantom, continued=continued, on_controller_message=observers.announce
     )
+    simulated = stack.enter_context(theatre)
     with defer_interruption():  # NumPy can be imported only once, also by the report of an interrupted run
         for module in ("procedures.steps.catalogue", "procedures.runs.engine_setup"):
             importlib.import_module(module)  # a second of imports, meanwhile
@@ -240,21 +241,8 @@ def _start_simulated(
         simulated.await_patient()
     observers.status("opening the theatre")
     simulated.await_theatre()
-    control = simulated.theatre.control
-    observers.announce(f"control port {control}")
-    staff = SimulatedRoom(control)
-    stack.push(staff.tell_missed_faults(observers.announce))
-    if not request.ask:
-        return simulated, staff
-    _tell_wristband(request, staff, observers)
-    room = observers.by_word(staff)
-    return simulated, room if observers.executor is None else observers.executor.staff(room)
-
-
-def _tell_wristband(request: RunRequest, staff: SimulatedRoom, observers: RunObservers) -> None:
-    """Say what the simulated patient's wristband reads, which the person who is asked cannot see."""
-    if isinstance(request.procedure, CaseProcedure):
-        observers.announce(f"the simulated patient's wristband reads {staff.read_wristband()}")
+    observers.announce(f"control port {simulated.theatre.control}")
+    return simulated
 
 
 def _require_same_scene(folder: Path, interrupted: InterruptedRun) -> None:

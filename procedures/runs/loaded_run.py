@@ -6,19 +6,9 @@ import warnings
 from functools import cached_property
 from pathlib import Path
 
+from procedures.exchange import run_tables
 from procedures.exchange.errors import NO_REGISTRATION
 from procedures.exchange.recorded_tables import RecordedPictures, RecordedTables, recorded_tables
-from procedures.exchange.run_tables import (
-    EVENTS,
-    budget_table,
-    events_table,
-    find_registration,
-    localized_table,
-    motions_table,
-    registrations_table,
-    spheres_table,
-    targets_table,
-)
 from procedures.reporting.ending import ending_of
 from procedures.reporting.outcome import Truth
 from procedures.reporting.run_reading import RunReading
@@ -75,33 +65,33 @@ class RunArrays:
 
     @cached_property
     def targets(self) -> RunTable:
-        return targets_table(self._reading, self._reading.truth or Truth())
+        return run_tables.targets_table(self._reading, self._reading.truth or Truth())
 
     @cached_property
     def spheres(self) -> RunTable:
-        return spheres_table(self._reading.run)
+        return run_tables.spheres_table(self._reading.run)
 
     @cached_property
     def localized(self) -> RunTable:
-        return localized_table(self._reading.run)
+        return run_tables.localized_table(self._reading.run)
 
     @cached_property
     def registrations(self) -> RunTable:
-        return registrations_table(self._reading.run)
+        return run_tables.registrations_table(self._reading.run)
 
     @cached_property
     def budget(self) -> RunTable:
-        return budget_table(self._reading.run)
+        return run_tables.budget_table(self._reading.run)
 
     @cached_property
     def motions(self) -> RunTable:
-        return motions_table(self._reading.run.journal)
+        return run_tables.motions_table(self._reading.run.journal)
 
     @cached_property
     def events(self) -> RunTable:
         if self._explain_unreadable(EVENTS_FILE):
-            return RunTable.of(EVENTS, ())
-        return events_table(self.path)
+            return RunTable.of(run_tables.EVENTS, ())
+        return run_tables.events_table(self.path)
 
     @cached_property
     def _recorded(self) -> RecordedTables:
@@ -134,7 +124,7 @@ class RunArrays:
 
     def robot_from_ct(self, target: str) -> Transform:
         """Return the registration used for a target. Raises EXC-005 if it has none."""
-        used = find_registration(self._reading, target)
+        used = run_tables.find_registration(self._reading, target)
         if used is None:
             raise NO_REGISTRATION(
                 f"{self.name} has no registration for a target {target!r}",

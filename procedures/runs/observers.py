@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterable, Set
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Protocol
 
@@ -43,7 +43,6 @@ ASKED_AT_CONSOLE = (
     "questions are asked at the console; manual work is done here, by the word that is asked for"
 )
 SEAT_AWAITED = "waiting until someone takes the operator's seat at the console"
-Rule = tuple[Operator | None, Set[Topic], bool]  # who answers which topics, and whether they are there
 
 
 class HeldPrompt(Protocol):
@@ -99,7 +98,6 @@ def operator_selection(
     console is in charge, its operator replaces all of them.
     """
     answers, person, prompt = request.answers, observers.person, observers.at_pause
-    configured = request.config is not None
     if request.ask:
         observers.announce(ASKED if observers.executor is None else ASKED_AT_CONSOLE)
     elif not request.has_person:
@@ -107,35 +105,26 @@ def operator_selection(
     at_terminal = on_terminal(sys.stdin) and on_terminal(sys.stderr)
     accepted = resumption is not None and resumption.accepted
     file_answers_all = answers is not None and is_rehearsal(request.config)
-    if (
-        isinstance(request.procedure, CaseProcedure)  # a measurement may ask nothing
-        and configured
-        and not (file_answers_all or at_terminal or observers.executor or prompt)
-        and (resumption is None or resumption.asks)
-    ):
-        tell(NOBODY_ANSWERS if answers is None else NO_PERSON)
-    elif (
-        resumption is not None
-        and resumption.asks
-        and not (accepted or answers or at_terminal or observers.executor or prompt)
-    ):
-        tell(NOBODY_ACCEPTS)
+    nobody_is_there = not (at_terminal or observers.executor or prompt)
+    if nobody_is_there and (resumption is None or resumption.asks):
+        is_case = isinstance(request.procedure, CaseProcedure)  # a measurement may ask nothing
+        if is_case and request.config is not None and not file_answers_all:
+            tell(NOBODY_ANSWERS if answers is None else NO_PERSON)
+        elif resumption is not None and not (accepted or answers):
+            tell(NOBODY_ACCEPTS)
     script, accepting = ScriptedOperator(), AcceptingOperator(observers.announce)
-    without_file = _apply_rules(
-        (
-            (prompt, {Topic.PAUSE}, True),
-            (accepting, {Topic.RESUME}, accepted),
-            (person, {Topic.RESUME}, resumption is not None),
-            (person, ALL_TOPICS, request.has_person),
-            (person, {Topic.PAUSE, Topic.REPEAT}, at_terminal),
-            (script, ALL_TOPICS, True),  # in a simulated theatre of its own
-        )
+    operator = without_file = OperatorByTopic(
+        (prompt, {Topic.PAUSE}, True),
+        (accepting, {Topic.RESUME}, accepted),
+        (person, {Topic.RESUME}, resumption is not None),
+        (person, ALL_TOPICS, request.has_person),
+        (person, {Topic.PAUSE, Topic.REPEAT}, at_terminal),
+        (script, ALL_TOPICS, True),  # in a simulated theatre of its own
     )
-    operator = without_file
     if answers is not None:
         by_file = AnsweringOperator(answers, without_file, None if file_answers_all else without_file)
         # `--accept` is the later word.
-        operator = _apply_rules(((accepting, {Topic.RESUME}, accepted), (by_file, ALL_TOPICS, True)))
+        operator = OperatorByTopic((accepting, {Topic.RESUME}, accepted), (by_file, ALL_TOPICS, True))
     if observers.executor is None:
         return operator
     person_present = on_terminal(sys.stdin) and (prompt is not None or on_terminal(sys.stderr))
@@ -148,11 +137,3 @@ def _describe_script(request: RunRequest, observers: RunObservers, resumption: R
     until = "" if observers.executor is None else " until somebody takes the operator's seat"
     hint = "; --ask asks you" if resumption is None else ""
     return f"a script answers the questions{by_file} and does the manual work{until}{hint}"
-
-
-def _apply_rules(rules: Iterable[Rule]) -> Operator:
-    """Return an operator that answers each topic by the first rule that covers it."""
-    present = [(operator, topics) for operator, topics, applies in rules if operator is not None and applies]
-    return OperatorByTopic(
-        {topic: next(one for one, topics in present if topic in topics) for topic in Topic}
-    )

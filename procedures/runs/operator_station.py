@@ -26,26 +26,7 @@ from procedures.operator.question import (
     Topic,
     tries_left,
 )
-from procedures.runs.orders import (
-    OPENING,
-    PAUSED,
-    RULE_OF,
-    WAITING,
-    Abort,
-    Acknowledge,
-    AnswerQuestion,
-    CaseActivity,
-    Claim,
-    Next,
-    Pause,
-    Release,
-    Renew,
-    Resume,
-    RunTo,
-    SentOrder,
-    Stop,
-    activity_of,
-)
+from procedures.runs import orders
 
 if TYPE_CHECKING:
     from procedures.engine.engine import Engine
@@ -102,14 +83,14 @@ class OperatorSeat:
 class PendingOrder:
     """Order to be carried out between steps, with the person who gave it."""
 
-    order: Next | RunTo | Resume | Abort | Acknowledge
+    order: orders.Next | orders.RunTo | orders.Resume | orders.Abort | orders.Acknowledge
     by: str
     times_vacated: int = 0  # how often the seat had become free when it was given
 
     @property
     def aborts(self) -> bool:
         """Whether the order ends the case."""
-        return isinstance(self.order, Abort)
+        return isinstance(self.order, orders.Abort)
 
 
 @dataclass
@@ -132,7 +113,7 @@ class OperatorStation:
         self._changed = threading.Condition()
         self._now_s = now_s
         self._seat = OperatorSeat(now_s)
-        self._waits = waits
+        self.waits = waits  # until someone takes the seat
         self._engine: Engine | None = None
         self._waiting_for: str | None = None  # the upcoming step, while the engine waits between steps
         self._pending: PendingOrder | None = None
@@ -162,7 +143,7 @@ class OperatorStation:
     def in_charge(self) -> bool:
         """Whether the console is alive and its seat has been taken, or must be."""
         with self._changed:
-            return not self._gone and (self._waits or self._seat.ever_taken)
+            return not self._gone and (self.waits or self._seat.ever_taken)
 
     @property
     def stopped(self) -> bool:
@@ -192,11 +173,6 @@ class OperatorStation:
         return self._awaits_seat or self._waiting_for is not None or self._question is not None
 
     @property
-    def waits(self) -> bool:
-        """Whether the engine must wait until someone takes the seat."""
-        return self._waits
-
-    @property
     def gone(self) -> bool:
         """Whether the console has ended."""
         with self._changed:
@@ -220,7 +196,7 @@ class OperatorStation:
 
     # The thread that reads orders
 
-    def take(self, sent: SentOrder) -> str:
+    def take(self, sent: orders.SentOrder) -> str:
         """Accept an order; return the reason for a refusal, or an empty string."""
         with self._changed:
             if sent.nonce in self._nonces:
@@ -228,48 +204,48 @@ class OperatorStation:
             self._nonces.append(sent.nonce)
             self._notice_lapse()
             late = sent.expires_s is not None and self._now_s() > sent.expires_s
-            if late and not isinstance(sent.order, Stop):
+            if late and not isinstance(sent.order, orders.Stop):
                 return "the order came too late"
             refused = self._find_refusal(sent) or self._follow(sent)
             self._changed.notify_all()
             return refused
 
     @property
-    def _state(self) -> CaseActivity:
+    def _state(self) -> orders.CaseActivity:
         if self._engine is None:
-            return CaseActivity.OPENING
+            return orders.CaseActivity.OPENING
         topic = None if self._question is None else self._question.question.topic
-        return activity_of(topic, is_waiting=self._waiting_for is not None)
+        return orders.activity_of(topic, is_waiting=self._waiting_for is not None)
 
-    def _find_refusal(self, sent: SentOrder) -> str:
+    def _find_refusal(self, sent: orders.SentOrder) -> str:
         """Return the reason for refusing an order in the current state, or an empty string."""
-        rule, state = RULE_OF[type(sent.order)], self._state
+        rule, state = orders.RULE_OF[type(sent.order)], self._state
         if rule.seat and not self._seat.is_held_by(sent.session):
             return "you are not in the operator's seat"
         if state not in rule.from_console:
-            if state is OPENING:
+            if state is orders.OPENING:
                 return "the theatre is not open yet"
-            if state is WAITING:
+            if state is orders.WAITING:
                 return "no step is running"
             return "the engine is not waiting for an order: a step is running, or a question is open"
         if sent.upcoming is not None and sent.upcoming != self._waiting_for:
             return f"out of date: the next step is now {self._waiting_for}"
         return ""
 
-    def _follow(self, sent: SentOrder) -> str:
+    def _follow(self, sent: orders.SentOrder) -> str:
         session, name, order = sent.session, self._seat.holder, sent.order
         match order:
-            case Claim():
+            case orders.Claim():
                 if refused := self._seat.claim(session, order.name.strip()):
                     return refused
                 self._tell_seat(session, order.name.strip())
-            case Renew():
+            case orders.Renew():
                 self._seat.renew(session)
-            case Release():
+            case orders.Release():
                 self._vacate("the operator left the seat")
-            case Stop():
+            case orders.Stop():
                 return self._stop(session)
-            case AnswerQuestion():
+            case orders.AnswerQuestion():
                 return self._answer(order, session)
             case _:
                 assert self._engine is not None, (
@@ -279,27 +255,30 @@ class OperatorStation:
         return ""
 
     def _steer(
-        self, order: Next | RunTo | Resume | Pause | Abort | Acknowledge, by: Signature, engine: Engine
+        self,
+        order: orders.Next | orders.RunTo | orders.Resume | orders.Pause | orders.Abort | orders.Acknowledge,
+        by: Signature,
+        engine: Engine,
     ) -> str:
         """Apply an order immediately, or store it until the engine waits between steps."""
         current, state = self._question, self._state
         match order:
-            case Pause():
+            case orders.Pause():
                 engine.checkpoint.pause(f"{by.by} asked for a pause")
                 return ""
-            case Abort() if state is PAUSED and current is not None and current.answer is None:
+            case orders.Abort() if state is orders.PAUSED and current is not None and current.answer is None:
                 self._settle(Answer(ABORT, signature=by))  # it quotes nothing
                 return ""
-            case Abort() if state is not WAITING:
+            case orders.Abort() if state is not orders.WAITING:
                 engine.checkpoint.abort()
                 if current is not None:
                     self._settle(Answer(current.question.silence))
-            case Acknowledge() if current is not None:
+            case orders.Acknowledge() if current is not None:
                 if current.answer is not None:
                     return "the pause is over"
                 current.acknowledged_by = by.by
                 return ""
-            case RunTo(step=step):
+            case orders.RunTo(step=step):
                 if step not in map(str, engine.order.sequence):
                     return f"there is no step {step!r}"
                 if refused := engine.course.why_not_up_to(engine.order.find(step)):
@@ -318,7 +297,7 @@ class OperatorStation:
         threading.Thread(target=engine.setting.workcell.stop, name="stop now").start()
         return ""
 
-    def _answer(self, order: AnswerQuestion, session: str) -> str:
+    def _answer(self, order: orders.AnswerQuestion, session: str) -> str:
         current = self._question
         if current is None or current.question.number != order.question or current.answer is not None:
             return "that question is no longer open"
@@ -374,20 +353,13 @@ class OperatorStation:
         """
         ends_s = None if question.timeout_s is None else self._now_s() + question.timeout_s
         with self._changed:
-            self._question = current = _OpenQuestion(
-                question, digest_of_question(as_shown(question, question.number))
-            )
+            shown = digest_of_question(as_shown(question, question.number))
+            self._question = current = _OpenQuestion(question, shown)
             try:
                 while current.answer is None and not self._gone:
-                    remaining_s = (
-                        LOOK_AGAIN_S if ends_s is None else min(LOOK_AGAIN_S, ends_s - self._now_s())
-                    )
-                    if remaining_s <= 0.0:
-                        return Answer(
-                            question.silence, silence_reason="" if self._seat.holder else EMPTY_SEAT
-                        )
-                    self._changed.wait(remaining_s)
-                    self._notice_lapse()
+                    if not self._wait_until(ends_s):
+                        reason = "" if self._seat.holder else EMPTY_SEAT
+                        return Answer(question.silence, silence_reason=reason)
                     while current.misread_noted < current.misread:
                         current.misread_noted += 1
                         question.misread()
@@ -402,11 +374,19 @@ class OperatorStation:
                 self._question = None
         return current.answer
 
+    def _wait_until(self, ends_s: float | None) -> bool:
+        """Wait a moment for a change, unless this host time has come; return whether it has not."""
+        remaining_s = LOOK_AGAIN_S if ends_s is None else min(LOOK_AGAIN_S, ends_s - self._now_s())
+        if remaining_s > 0.0:
+            self._changed.wait(remaining_s)
+            self._notice_lapse()
+        return remaining_s > 0.0
+
     def await_seat(self) -> None:
         """If the seat must be taken, wait until someone takes it or the console is gone."""
         with self._changed:
             try:
-                while self._waits and not self._seat.holder and not self._gone:
+                while self.waits and not self._seat.holder and not self._gone:
                     self._awaits_seat = True
                     self._changed.wait(LOOK_AGAIN_S)
                     self._notice_lapse()
@@ -420,13 +400,8 @@ class OperatorStation:
             self._waiting_for = upcoming
             try:
                 while self._pending is None and not self._gone:
-                    remaining_s = (
-                        LOOK_AGAIN_S if ends_s is None else min(LOOK_AGAIN_S, ends_s - self._now_s())
-                    )
-                    if remaining_s <= 0.0:
+                    if not self._wait_until(ends_s):
                         return None
-                    self._changed.wait(remaining_s)
-                    self._notice_lapse()
                 order, self._pending = self._pending, None
                 return order
             finally:

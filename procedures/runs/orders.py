@@ -254,10 +254,8 @@ ConsoleOrder = (
 )
 
 
-class SentOrder(BaseModel):
+class SentOrder(BaseModel, frozen=True, extra="forbid", strict=True):
     """An order as sent by a session. In JSON, its fields are flattened into this object."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 
     nonce: Nonce
     expires_s: Finite | None = Field(default=None, description="Monotonic host time; too late after it.")
@@ -303,10 +301,8 @@ def explain_invalid_order(order: dict[str, Any]) -> str:
     return "not a valid order"
 
 
-class OrderReply(BaseModel):
+class OrderReply(BaseModel, frozen=True, extra="forbid"):
     """Reply to an order."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     nonce: str
     refused: str = ""  # why; empty: it is being carried out

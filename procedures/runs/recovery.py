@@ -18,20 +18,13 @@ from procedures.engine.run_folder import step_key
 from procedures.journal.errors import StepRefused
 from procedures.journal.journal import Entry
 from procedures.operator.question import YES, Question, Topic
+from procedures.runs import way_out
 from procedures.runs.arm_notes import NOT_KNOWN
 from procedures.runs.assistant_comparison import compare_assistants
 from procedures.runs.comparison import Comparison, compare_devices, compare_inputs, compare_room
 from procedures.runs.interrupted_run import InterruptedRun
 from procedures.runs.request_file import read_request
 from procedures.runs.theatre_history import describe_updates_since, find_state, read_states
-from procedures.runs.way_out import (
-    MOVED_SINCE,
-    find_guide_axis,
-    has_head_moved,
-    is_guide_at_divot,
-    is_guide_in_gauge,
-    surround,
-)
 from procedures.steps.calibration.tip_readings import ObservedStand, TipReadings
 from procedures.steps.clinical.at_target import ReachedTarget
 from procedures.steps.clinical.results import Relocalization
@@ -41,7 +34,6 @@ from procedures.steps.clinical.tool_change import MountedGuide
 from procedures.steps.clinical.work_progress import STAGES, work_begun_elsewhere
 from ronna_hw.devices.capabilities import MESSAGES
 from ronna_hw.errors import RonnaError
-from ronna_hw.records import Record
 
 EXCHANGES = (MountedGuide.kind, TipReadings.kind)  # steps in which the guide is mounted
 RESTORE = "The arm is home. Restore the recorded state and resume again, or start a new run."
@@ -54,7 +46,7 @@ def recover(engine: Engine, previous: InterruptedRun) -> None:
 
     Raises PRO-032 for a difference, or if the operator does not accept, and errors of devices and motions.
     """
-    comparison = _begin_comparison(previous)
+    comparison = Comparison(warnings=list(previous.contradictions))
     compare_inputs(engine, comparison, previous.plan_sha256)
     _doubt_tool(engine, comparison)
     stored = engine.case.find(CheckedSetUp, None)
@@ -63,7 +55,7 @@ def recover(engine: Engine, previous: InterruptedRun) -> None:
         _restore_arm(engine, previous, stored.result, comparison)
         seen = bool(comparison.differences) or compare_room(engine, comparison)
         if not seen:
-            comparison.note(
+            comparison.notes.append(
                 "patient and robot base: not visible to the tracker; compared once the arm is home"
             )
     _doubt_work(engine, previous)  # after the arm's history is restored
@@ -73,7 +65,7 @@ def recover(engine: Engine, previous: InterruptedRun) -> None:
     if stored is None:
         return
     _void_moved(engine, comparison)
-    surround(engine)
+    way_out.surround_arms(engine)
     moved = _move_out(engine)
     if (moved or not seen) and engine.upcoming is not None:
         engine.setting.workcell.rest()  # the tracker measures while the arm's stream is off
@@ -85,17 +77,9 @@ def recover(engine: Engine, previous: InterruptedRun) -> None:
 
 
 def _void_moved(engine: Engine, comparison: Comparison) -> None:
-    """Void what depends on what has moved meanwhile, as a step does that sees it move."""
+    """Void what depends on anything that has moved meanwhile."""
     if comparison.moved is not None:
         void_moved(engine.context(engine.order.sequence[0]), comparison.moved)
-
-
-def _begin_comparison(previous: InterruptedRun) -> Comparison:
-    """Begin a comparison with what the folder has and its journal does not know."""
-    comparison = Comparison()
-    for contradiction in previous.contradictions:
-        comparison.warn(contradiction)
-    return comparison
 
 
 def _doubt_tool(engine: Engine, comparison: Comparison) -> None:
@@ -103,7 +87,7 @@ def _doubt_tool(engine: Engine, comparison: Comparison) -> None:
     for key in engine.order.checks_of_tool:
         engine.case.doubt(key, UNATTENDED)
     for key in engine.course.checks_in_doubt:
-        comparison.note(
+        comparison.notes.append(
             f"the mounted tool may have been touched meanwhile: {key} is repeated before it is used"
         )
 
@@ -124,16 +108,16 @@ def bring_home(engine: Engine, previous: InterruptedRun) -> bool:
     The run stays as it is. Only the arm is needed, and only conditions of the way home are compared. Raises
     PRO-001 if the devices were never set up, PRO-032 like `recover`, and the arm's errors.
     """
-    comparison = _begin_comparison(previous)
+    comparison = Comparison(warnings=list(previous.contradictions))
     _restore_arm(engine, previous, engine.case.get(CheckedSetUp).result, comparison, only_leaving=True)
-    comparison.note("patient and robot base: not compared, the arm only goes home")
+    comparison.notes.append("patient and robot base: not compared, the arm only goes home")
     for change in previous.changes:
-        comparison.warn(f"not as the run left it: {change}")
+        comparison.warnings.append(f"not as the run left it: {change}")
     if not (first := _list_first_moves(engine)):
         _conclude(engine, comparison)
         return False
     _require_acceptance(engine, comparison, "bring the arm home", first)
-    surround(engine)
+    way_out.surround_arms(engine)
     engine.retreat_home()
     return True
 
@@ -147,39 +131,36 @@ def _restore_arm(
     only_leaving: bool = False,
 ) -> None:
     """Restore the arm's history, compare every device, and infer from the guide's pose what may be inside."""
-    workcell = engine.setting.workcell
-    workcell.master.restore_history(previous.arm)
+    workcell, master = engine.setting.workcell, engine.setting.workcell.master
+    master.restore_history(previous.arm)
     for role, home_rad in set_up.homes_rad.items():
         workcell.arms[role].restore_home(home_rad)
-    inside = workcell.master.place.instrument_may_be_inside
-    if inside is not None and workcell.master.place.assumed:
-        comparison.warn(
+    if (inside := master.place.instrument_may_be_inside) is not None:
+        comparison.warnings.append(
             f"the journal does not rule out an instrument in {inside}: one is assumed to be inside"
+            if master.place.assumed
+            else f"an instrument is in {inside}, as the journal says"
         )
-    elif inside is not None:
-        comparison.warn(f"an instrument is in {inside}, as the journal says")
     begun = _has_exchange_begun(engine, previous)
     compare_devices(engine, set_up, comparison, exchange_begun=begun, only_leaving=only_leaving)
     if comparison.differences and (updates := _describe_theatre_updates(previous)) is not None:
-        comparison.refuse(updates)
+        comparison.differences.append(updates)
     _compare_last_to_move(engine, comparison)
     compare_assistants(engine, previous, comparison)
-    if not workcell.master.place.is_on_axis and (found := find_guide_axis(engine)) is not None:
+    if not master.place.is_on_axis and (found := way_out.find_guide_axis(engine)) is not None:
         axis, travel_mm = found
-        workcell.master.record_found_on_axis(
-            axis
-        )  # the lost lines may also have said that an instrument goes in
-        comparison.warn(
+        master.record_found_on_axis(axis)  # the lost lines may also have said that an instrument goes in
+        comparison.warnings.append(
             f"the guide is {travel_mm:.0f} mm along {axis.trajectory}: an instrument is assumed to be inside"
         )
-    elif workcell.master.instrument.inside is None and is_guide_in_gauge(engine):
-        workcell.master.instrument.record_assumed(IN_GAUGE)
-        comparison.warn("the guide is at the gauge: the mandrel is assumed to be inside")
-    elif workcell.master.instrument.inside is None and is_guide_at_divot(engine):
-        workcell.master.instrument.record_assumed(IN_DIVOT)
-        comparison.warn("the guide is at the divot, which is assumed to be raised")
-    if workcell.master.place.assumed and workcell.master.instrument.inside in engine.order.trajectories:
-        workcell.master.instrument.stages.record_doubt(str(workcell.master.instrument.inside))
+    elif master.instrument.inside is None and way_out.is_guide_in_gauge(engine):
+        master.instrument.record_assumed(IN_GAUGE)
+        comparison.warnings.append("the guide is at the gauge: the mandrel is assumed to be inside")
+    elif master.instrument.inside is None and way_out.is_guide_at_divot(engine):
+        master.instrument.record_assumed(IN_DIVOT)
+        comparison.warnings.append("the guide is at the divot, which is assumed to be raised")
+    if master.place.assumed and master.instrument.inside in engine.order.trajectories:
+        master.instrument.stages.record_doubt(str(master.instrument.inside))
 
 
 def _describe_theatre_updates(previous: InterruptedRun) -> str | None:
@@ -195,10 +176,8 @@ def _describe_theatre_updates(previous: InterruptedRun) -> str | None:
         return None
     if updates is None or number is None:
         return updates
-    command = (
-        f"ronna-procedure theatre-history {shlex.quote(str(config))} --restore {number} --by 'YOUR NAME'"
-    )
-    return f"{updates}; {command} puts the former records back"
+    options = f"{shlex.quote(str(config))} --restore {number} --by 'YOUR NAME'"
+    return f"{updates}; ronna-procedure theatre-history {options} puts the former records back"
 
 
 def _compare_last_to_move(engine: Engine, comparison: Comparison) -> None:
@@ -209,19 +188,19 @@ def _compare_last_to_move(engine: Engine, comparison: Comparison) -> None:
     if (not_home := engine.setting.arm_not_home) is None:
         return
     if engine.setting.workcell.master.place.is_home:
-        comparison.warn(f"{not_home}; it is at the home of this run now")
+        comparison.warnings.append(f"{not_home}; it is at the home of this run now")
     elif not_home == NOT_KNOWN:  # it may have been this very run: the operator decides
-        comparison.warn(not_home)
+        comparison.warnings.append(not_home)
     else:
-        comparison.refuse(not_home)
+        comparison.differences.append(not_home)
 
 
 def _require_acceptance(engine: Engine, comparison: Comparison, subject: str, order: Sequence[str]) -> None:
     """Ask the operator to accept the findings and the next actions. Raises PRO-032."""
     for begun in work_begun_elsewhere(engine):
-        comparison.warn(begun)
-    if has_head_moved(engine):
-        comparison.warn(MOVED_SINCE)
+        comparison.warnings.append(begun)
+    if way_out.has_head_moved(engine):
+        comparison.warnings.append(way_out.MOVED_SINCE)
     _conclude(engine, comparison)
     _require_ready(engine)
     question = Question(Topic.RESUME, subject, comparison.format_lines(order))
@@ -288,47 +267,34 @@ def _list_first_moves(engine: Engine) -> tuple[str, ...]:
         for arm in workcell.outermost_first
         if arm.leads_instrument
     ]
-    if (place := engine.instrument_in) is not None:
-        first.append(f"{'then' if first else 'first'}, by hand: {removal_words(place)}")
+    by_hand = [] if (place := engine.instrument_in) is None else [removal_words(place)]
     if (held := workcell.held_instrument) is not None:
-        first.append(
-            f"{'then' if first else 'first'}, by hand: take the instrument for {held.trajectory} out of the "
-            "assistant's holder"
-        )
+        by_hand.append(f"take the instrument for {held.trajectory} out of the assistant's holder")
+    for words in by_hand:
+        first.append(f"{'then' if first else 'first'}, by hand: {words}")
     return (*first, *(words for arm in workcell.outermost_first for words in arm.way_home))
 
 
 def _describe_remaining_steps(engine: Engine) -> str:
-    course, order = engine.course, engine.order
-    again = {_key_of(gone) for key in course.checks_in_doubt for gone in course.records_voided_by(key)}
-    steps = (
-        []
-        if course.over
-        else [str(key) for key in order.sequence if key in again or not course.is_settled(key)]
-    )
+    course = engine.course
+    gone = (record for key in course.checks_in_doubt for record in course.records_voided_by(key))
+    again = {StepKey(record.kind, record.trajectory) for record in gone}
+    keys = () if course.over else engine.order.sequence
+    steps = [str(key) for key in keys if key in again or not course.is_settled(key)]
     return f"remaining steps: {', '.join(steps) or 'none'}"
-
-
-def _key_of(record: Record) -> StepKey:
-    return StepKey(record.kind, record.trajectory)
 
 
 def _move_out(engine: Engine) -> bool:
     """Request instrument removal, retreat and bring the arm home; return whether anything moved."""
-    workcell = engine.setting.workcell
-    if any(arm.place.is_out for arm in workcell.assistants):
+    *reaching_in, master = engine.setting.workcell.outermost_first
+    if any(arm.place.is_out for arm in reaching_in):
         engine.retreat_home()  # first whatever may hold an instrument in the guide
         return True
     engine.questions.request_instrument_removal()
-    following = engine.upcoming
-    if (
-        workcell.master.place.is_on_axis
-        and following is not None
-        and engine.order.spec(following).moves
-        and not engine.why_refused(following)
-    ):
+    following = engine.upcoming if master.place.is_on_axis else None
+    if following is not None and engine.order.spec(following).moves and not engine.why_refused(following):
         engine.run_step(following)  # the work at the target is done: only the retreat itself remains
-    if workcell.master.place.is_home:
+    if master.place.is_home:
         return False
     engine.retreat_home()
     return True

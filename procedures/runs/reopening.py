@@ -17,7 +17,7 @@ from procedures.runs.folders import hold_run
 from procedures.runs.interrupted_run import InterruptedRun, read_interrupted_run
 from procedures.runs.request import RunRequest
 from procedures.runs.request_file import read_request
-from procedures.runs.theatre_lock import list_last_runs, require_free_theatre, require_ready_theatre
+from procedures.runs.theatre_lock import list_last_runs, require_ready_theatre
 from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.command_line.messages import tell
 from ronna_hw.errors import RonnaError
@@ -74,14 +74,8 @@ def hold_interrupted_run(folder: Path, *, only_leaving: bool = False) -> Iterato
         yield interrupted
 
 
-def require_free_devices(request: RunRequest) -> None:
-    """Raise PRO-043 while another program is using the configured devices of the run."""
-    if request.config is not None:
-        require_free_theatre(request.config, request.roles)
-
-
 def require_ready_devices(request: RunRequest, run: Path) -> None:
-    """Raise PRO-043 as above, or PRO-047 while the instrument of another run than `run` may be inside."""
+    """Raise PRO-043 while another program uses the configured devices, PRO-047 as for a new run."""
     if request.config is not None:
         require_ready_theatre(request.config, run, request.roles)
 

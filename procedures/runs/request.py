@@ -176,8 +176,3 @@ class RunRequest:
         """Procedure of a calibration. Asserts that the request is for a calibration."""
         assert isinstance(self.procedure, CalibrationProcedure), "this is not a calibration"
         return self.procedure
-
-    @property
-    def measures_targets(self) -> bool:
-        """Whether the phantom has a ball at each target, to be measured."""
-        return isinstance(self.procedure, CaseProcedure) and self.procedure.measure_targets

@@ -18,12 +18,11 @@ from procedures.runs.request import PATIENT_SCENES, CaseProcedure
 from ronna_hw.bounded_input import read_bounded
 from ronna_hw.command_line.errors import DISK_FULL, PATH_PROBLEM, UsageMistake
 from ronna_hw.command_line.messages import on_terminal
-from ronna_hw.config import TheatreFile, read_theatre_file
+from ronna_hw.config import ARM_RECORDS, TheatreFile, read_theatre_file
 from ronna_hw.control_port import VARIABLE, require_theatre
 from ronna_hw.devices.errors import NotInTheatre
 from ronna_hw.mistakes import suggest_keys
 from ronna_hw.phantom_identity import parse_patient_id
-from ronna_hw.roles import ASSISTANT, MASTER
 from ronna_hw.theatre_kind import is_simulated, require_one_kind
 
 if TYPE_CHECKING:
@@ -55,26 +54,22 @@ def check_theatre(request: RunRequest) -> None:
         theatre = read_theatre_file(request.config)
         if request.choice.calibrated:
             require_record(theatre.calibration.arm if theatre.calibration else None)
-        if ASSISTANT in request.roles:
+        if len(request.roles) > 1:
             require_two_arms(theatre)
 
 
 def require_two_arms(theatre: TheatreFile) -> None:
     """Raise DEV-007 unless a theatre file has both arms, with the records that two arms need."""
-    records = theatre.calibration
-    needed = {
-        f"robot.{MASTER}": MASTER in theatre.robot,
-        f"robot.{ASSISTANT}": ASSISTANT in theatre.robot,
-        "calibration.arm": records is not None and records.arm is not None,
-        "calibration.assistant_arm": records is not None and records.assistant_arm is not None,
-        "calibration.assistant_holder": records is not None and records.assistant_holder is not None,
-    }
-    if missing := [table for table, is_there in needed.items() if not is_there]:
-        roles = [role for role in (MASTER, ASSISTANT) if role not in theatre.robot]
-        unknown = [name for name in theatre.robot if roles and name not in (MASTER, ASSISTANT)]
+    records = {} if theatre.calibration is None else theatre.calibration.records
+    missing_roles = [role for role in ARM_RECORDS if role not in theatre.robot]
+    needed = [name for names in ARM_RECORDS.values() for name in names]
+    missing = [f"robot.{role}" for role in missing_roles]
+    missing += [f"calibration.{name}" for name in needed if name not in records]
+    if missing:
+        unknown = [name for name in theatre.robot if missing_roles and name not in ARM_RECORDS]
         raise NotInTheatre(
             f"theatre {theatre.theatre} cannot work with two arms: it has no {', '.join(missing)}"
-            + "".join(f"; robot.{name} is unknown{suggest_keys(name, roles)}" for name in unknown),
+            + "".join(f"; robot.{name} is unknown{suggest_keys(name, missing_roles)}" for name in unknown),
             action="Add or rename them, or omit --dual: docs/how-to/case/two-arms.md says how.",
         )
 

@@ -8,7 +8,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, JsonValue, ValidationError
+from pydantic import BaseModel, Field, JsonValue, ValidationError
 
 from procedures.engine.errors import BAD_REQUEST_FILE, OTHER_PROGRAM
 from procedures.engine.methods import CaseMethods
@@ -22,7 +22,7 @@ from procedures.runs.request import (
     SceneChoice,
 )
 from ronna_hw.bounded_input import read_json_bytes
-from ronna_hw.evidence.manifest import REQUEST_FILE
+from ronna_hw.evidence.manifest import REQUEST_FILE, sha256_of
 from ronna_hw.mistakes import describe_mistakes
 from ronna_hw.records import write_atomically
 from ronna_hw.roles import ONE_ARM
@@ -33,20 +33,16 @@ if TYPE_CHECKING:
 PROGRAM = "ronna-hw"
 
 
-class CalibrationFile(BaseModel):
+class CalibrationFile(BaseModel, frozen=True, extra="forbid"):
     """Calibration part of a request file."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     recipe: dict[str, JsonValue] = Field(description="What its steps are made from.")
     days: int = Field(ge=1, description="Validity of its records.")
     update: bool = Field(default=False, description="Whether its records go into the theatre file.")
 
 
-class RequestFile(BaseModel):
+class RequestFile(BaseModel, frozen=True, extra="forbid"):
     """Contents of `request.json`, with absolute paths."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     schema_version: Literal[1] = Field(default=1, alias="schema")
     program: str = Field(description="Version of the program that made the run.")
@@ -91,10 +87,14 @@ def write_request(request: RunRequest, folder: Path) -> None:
             os.close(directory)
 
 
+def _select(source: object, record: type[Any]) -> dict[str, Any]:
+    """Return the fields of a dataclass from an object that has them too."""
+    return {one.name: getattr(source, one.name) for one in fields(record)}
+
+
 def _theatre(request: RunRequest) -> dict[str, Any]:
     choice = request.choice
-    choice_fields = {one.name: getattr(choice, one.name) for one in fields(choice)}
-    return choice_fields | dict(
+    return _select(choice, SceneChoice) | dict(
         scene=str(Path(choice.scene).resolve()) if Path(choice.scene).suffix else choice.scene,
         records=tuple(folder.resolve() for folder in choice.records),
         speed=request.speed,
@@ -108,18 +108,11 @@ def _theatre(request: RunRequest) -> dict[str, Any]:
 def _procedure(request: RunRequest) -> dict[str, Any]:
     match request.procedure:
         case CaseProcedure() as case:
-            return dict(
-                strategy=case.strategy,
-                methods=case.methods,
-                measure_targets=case.measure_targets,
-                roles=case.roles,
-                keep_raw=case.keep_raw,
-                case=case.case and case.case.resolve(),
-                plan=case.plan and case.plan.resolve(),
+            return _select(case, CaseProcedure) | dict(
+                case=case.case and case.case.resolve(), plan=case.plan and case.plan.resolve()
             )
-        case CalibrationProcedure(recipe=recipe, days=days, update=update):
-            file = CalibrationFile(recipe=dict(recipe), days=days, update=update)
-            return {"calibration": file}
+        case CalibrationProcedure() as calibration:
+            return {"calibration": CalibrationFile(**_select(calibration, CalibrationProcedure))}
         case _:
             raise AssertionError("only cases and calibrations are resumed")
 
@@ -138,26 +131,16 @@ def read_request(folder: Path) -> RunRequest:
             f"{folder.name} was made by another version", expected=version(PROGRAM), got=content.program
         )
     procedure: CaseProcedure | CalibrationProcedure
-    if (calibration_file := content.calibration) is not None:
-        procedure = CalibrationProcedure(
-            recipe=calibration_file.recipe, days=calibration_file.days, update=calibration_file.update
-        )
+    if content.calibration is not None:
+        procedure = CalibrationProcedure(**_select(content.calibration, CalibrationProcedure))
     elif content.strategy is not None:
-        procedure = CaseProcedure(
-            strategy=content.strategy,
-            methods=content.methods,
-            measure_targets=content.measure_targets,
-            case=content.case,
-            plan=content.plan,
-            keep_raw=content.keep_raw,
-            roles=content.roles,
-        )
+        procedure = CaseProcedure(**_select(content, CaseProcedure))
     else:
         raise BAD_REQUEST_FILE(f"{path} names neither the strategy of a case nor a calibration")
     return RunRequest(
         procedure=procedure,
         config=content.config,
-        choice=SceneChoice(**{one.name: getattr(content, one.name) for one in fields(SceneChoice)}),
+        choice=SceneChoice(**_select(content, SceneChoice)),
         speed=content.speed,
         faults=content.faults,
         ask=content.ask,
@@ -176,7 +159,5 @@ def _answers(path: Path, content: dict[str, JsonValue]) -> Answers:
 
 def request_hash(folder: Path) -> dict[str, str]:
     """Return the hash of a run's request file for the first journal line."""
-    from ronna_hw.evidence.manifest import sha256_of
-
     path = folder / REQUEST_FILE
     return {"request_sha256": sha256_of(path)} if path.exists() else {}

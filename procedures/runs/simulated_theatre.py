@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Self
 from procedures.engine.errors import CommandRefused
 from procedures.journal.errors import RunDeleted
 from procedures.operator.question import Task
-from procedures.runs.request import RunRequest
+from procedures.runs.request import CaseProcedure, RunRequest
 from ronna_hw.bounded_input import LARGEST_TOML_BYTES, read_bounded
 from ronna_hw.control_port import ControlPortSilent, ask_control_port
 from ronna_hw.errors import EXIT_DONE, EXIT_FAILED, EXIT_LINK_LOST, RonnaError
@@ -48,27 +48,17 @@ class SimulatedTheatre:
         self._file = folder.parent / WITH_PORTS  # written anew when it is ready, with its ports
         is_resumed = continued and self._file.exists()
         self._former = read_bounded(self._file, LARGEST_TOML_BYTES) if is_resumed else None
-        scene = request.choice.theatre_arguments()
-        extra_options = (
-            ["--faults", str(request.faults)] if request.faults is not None and not continued else []
-        )
-        if request.measures_targets:
-            extra_options.append("--target-balls")
+        arguments = ["--speed", request.speed, "--out", str(folder), "--run", folder.parent.name]
+        if request.faults is not None and not continued:
+            arguments += ["--faults", str(request.faults)]
+        if isinstance(request.procedure, CaseProcedure) and request.procedure.measure_targets:
+            arguments.append("--target-balls")
         if ASSISTANT in request.roles:
-            extra_options += ["--dual", "--assistant-arm", request.choice.assistant_arm]
+            arguments += ["--dual", "--assistant-arm", request.choice.assistant_arm]
         if continued:
-            extra_options.append("--continue")
-        self.theatre = TheatreProcess(
-            *scene,
-            "--speed",
-            request.speed,
-            "--out",
-            str(folder),
-            "--run",
-            folder.parent.name,
-            *extra_options,
-            on_controller_message=on_controller_message,
-        )
+            arguments.append("--continue")
+        scene = request.choice.theatre_arguments()
+        self.theatre = TheatreProcess(*scene, *arguments, on_controller_message=on_controller_message)
         try:
             self._phantom = None if phantom is None else _start_phantom(request.choice.arguments(), phantom)
         except BaseException:  # such as no process left: nobody will leave this block
@@ -165,13 +155,8 @@ class SimulatedRoom:
 
     def work(self, task: Task) -> tuple[float, ...]:
         """Perform the task and return its readings."""
-        answer = ask_control_port(
-            self._control,
-            "work",
-            task=task.name,
-            trajectory=task.trajectory or "",
-            numbers=list(task.numbers),
-        )
+        what = {"task": task.name, "trajectory": task.trajectory or "", "numbers": list(task.numbers)}
+        answer = ask_control_port(self._control, "work", **what)
         return tuple(float(reading) for reading in answer.get("readings", ()))
 
     def read_wristband(self) -> str:
@@ -196,10 +181,7 @@ def ask_verifier(folder: Path) -> Truth:
     from procedures.reporting.outcome import Truth
 
     answer = run_command(
-        VERIFIER,
-        command("sim.cli", "verify", str(folder), "--json"),
-        VERIFY_TIMEOUT_S,
-        _import_report,
+        VERIFIER, command("sim.cli", "verify", str(folder), "--json"), VERIFY_TIMEOUT_S, _import_report
     )
     # A run that reached no target is a failure of that command, after its answer.
     if answer.returncode not in (EXIT_DONE, EXIT_FAILED) or not answer.stdout:

@@ -12,7 +12,7 @@ import os
 from dataclasses import dataclass
 from pathlib import Path
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ValidationError
 
 from procedures.engine.errors import HISTORY_CHANGED
 from ronna_hw.bounded_input import read_bounded
@@ -21,10 +21,8 @@ LARGEST_HISTORY_BYTES = 100_000_000  # thousands of updates
 BEGINNING = ""  # stands for the hash of the line before the first
 
 
-class Update(BaseModel):
+class Update(BaseModel, frozen=True, extra="forbid"):
     """Line of an update, written before the theatre file is replaced."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     time: str  # UTC
     by: str  # name given to the command, else the account
@@ -39,10 +37,8 @@ class Update(BaseModel):
     previous: str | None = None  # hash of the line before; None only before lines were chained
 
 
-class CarriedOut(BaseModel):
+class CarriedOut(BaseModel, frozen=True, extra="forbid"):
     """Line that follows an update's once the theatre file was replaced."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     carried_out: str  # UTC
     previous: str  # hash of the update's line

@@ -17,17 +17,10 @@ from pathlib import Path
 
 from procedures.engine.errors import TheatreInUse, TheatreNotNoted
 from procedures.journal.journal import JOURNAL_FILE
-from procedures.runs.arm_notes import (
-    ROLES,
-    TheatreNote,
-    find_former_run,
-    find_telling,
-    note_paths,
-    read_note,
-)
+from procedures.runs.arm_notes import ROLES, FormerRun, TheatreNote, find_former_run, note_paths, read_note
 from ronna_hw.errors import RonnaError
 from ronna_hw.evidence.journal_reading import read_chain
-from ronna_hw.host.port_users import PortUser, find_lock_holder
+from ronna_hw.host.port_users import PortUser, find_folder_holder, find_lock_holder
 
 NOTE = os.O_NOFOLLOW  # where everyone may write, a link may lead to any file of whoever opens it
 READABLE_BY_ALL = 0o444
@@ -161,9 +154,10 @@ def read_last_notes(theatre: Path, roles: Collection[str] = ROLES) -> tuple[Thea
     return tuple(read_note(path).with_outcome() for path in note_paths(theatre, roles))
 
 
-def read_last_note(theatre: Path, run: Path | None = None, roles: Collection[str] = ROLES) -> TheatreNote:
-    """Return the first of these notes by which another run than `run` left an arm, or the first of all."""
-    return find_telling(read_last_notes(theatre, roles), run)
+def read_former_run(theatre: Path, run: Path | None = None, roles: Collection[str] = ROLES) -> FormerRun:
+    """Return how another run than `run` left an arm of a theatre; empty if at home with nothing inside."""
+    found = (find_former_run(note, run) for note in read_last_notes(theatre, roles))
+    return next((one for one in found if one != FormerRun()), FormerRun())
 
 
 def find_unwritable_note(theatre: Path) -> Path | None:
@@ -210,14 +204,7 @@ def _find_user_of_own_run(theatre: Path) -> TheatreUser | None:
     run = theatre.resolve().parent.parent
     if not (run / JOURNAL_FILE).is_file():
         return None
-    try:
-        folder = os.open(run, os.O_RDONLY | os.O_CLOEXEC)
-    except OSError:
-        return None
-    try:
-        holder = find_lock_holder(folder)
-    finally:
-        os.close(folder)
+    holder = find_folder_holder(run)
     return None if holder is None else TheatreUser(run, holder)
 
 

@@ -8,7 +8,6 @@ of every registered trajectory, and the joints with those at the gauge.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 from procedures.engine.case import StepKey
@@ -23,11 +22,7 @@ from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.path_check import CheckedPaths
 from procedures.steps.clinical.positioning import PositionedGuide, insertion_for
 from procedures.steps.clinical.results import RegisteredRobot, Relocalization
-from procedures.steps.clinical.surroundings import (
-    planning_scene_of,
-    surround_guide,
-    surround_stereo_head,
-)
+from procedures.steps.clinical.surroundings import planning_scene_of, surround_guide, surround_stereo_head
 from procedures.steps.clinical.two_arms.insertion_axis import surround_at_guide
 from procedures.workcell import InsertionAxis, MountedTool
 from procedures.workcell.arm_history import stands_at
@@ -45,28 +40,27 @@ AT_GAUGE_RAD = math.radians(0.5)  # an arm stopped on its way is farther off, or
 AT_START_MM = 1.0  # at the start of the approach it is away; the arm arrives there much more accurately
 
 
-def surround(engine: Engine) -> None:
-    """Set the arm's collision surroundings before any motion; an unknown head requires the arm at home.
+def surround_arms(engine: Engine) -> None:
+    """Set the collision surroundings of every arm before any motion.
 
     Raises PRO-032 for an arm away from home if no result gives the position of the head.
     """
-    workcell = engine.setting.workcell
-    _surround_guide_or_head(engine, engine.order.sequence)
-    for assistant in workcell.assistants:
-        if assistant.history.base is not None:
-            _surround_assistant(engine, assistant)
+    _surround_master(engine)
+    for arm in engine.setting.workcell.assistants:
+        if arm.history.base is not None:
+            _surround_assistant(engine, arm)
 
 
-def _surround_assistant(engine: Engine, assistant: Assistant) -> None:
+def _surround_assistant(engine: Engine, arm: Assistant) -> None:
     """Set the bodies around an assistant: those at the guide, if a guide is registered for its trajectory."""
     workcell = engine.setting.workcell
-    trajectory = assistant.place.trajectory or workcell.master.place.trajectory
+    trajectory = arm.place.trajectory or workcell.master.place.trajectory
     registration = _find_guide_registration(engine)
     if trajectory is None or registration is None:  # it shows its ball; or somebody has jogged it
-        _surround_off_axis(engine, assistant)
+        _surround_off_axis(engine, arm)
         return
     at_target = engine.context(StepKey(ReachedTarget.kind, trajectory))
-    surround_at_guide(at_target, assistant.joints_rad(), registration.robot_from_ct)
+    surround_at_guide(at_target, arm.joints_rad(), registration.robot_from_ct)
 
 
 def _surround_off_axis(engine: Engine, assistant: Assistant) -> None:
@@ -77,7 +71,7 @@ def _surround_off_axis(engine: Engine, assistant: Assistant) -> None:
     if standing is None and not former:
         if assistant.place.is_out:
             raise RECOVERY_REFUSED(
-                "the assistant is not home, and no result gives the position of the head",
+                f"the {assistant.name} is not home, and no result gives the position of the head",
                 action="Jog it home with its controller's pendant, then resume again.",
             )
         return
@@ -88,22 +82,16 @@ def _surround_off_axis(engine: Engine, assistant: Assistant) -> None:
     assistant.surround(scene.with_stereo_head(found.robot_from_ct.transform, head, None))
 
 
-def _surround_guide_or_head(engine: Engine, keys: Sequence[StepKey]) -> None:
-    workcell = engine.setting.workcell
+def _surround_master(engine: Engine) -> None:
+    master = engine.setting.workcell.master
     if engine.setting.clinical is None:
-        surround_calibration(engine)
-    elif (
-        workcell.master.tool is MountedTool.STEREO_HEAD and engine.case.find(Correspondence, None) is not None
-    ):
-        over = next(key for key in keys if key.name == Relocalization.kind)
-        surround_stereo_head(engine.context(over), workcell.master.joints_rad())  # where the way out begins
-    elif (guide_registration := _find_guide_registration(engine)) is not None:
-        surround_guide(
-            engine.context(guide_registration.key),
-            guide_registration.robot_from_ct,
-            workcell.master.joints_rad(),
-        )
-    elif not workcell.master.place.is_home:
+        _surround_calibration(engine)
+    elif master.tool is MountedTool.STEREO_HEAD and engine.case.find(Correspondence, None) is not None:
+        over = next(key for key in engine.order.sequence if key.name == Relocalization.kind)
+        surround_stereo_head(engine.context(over), master.joints_rad())  # where the way out begins
+    elif (guide := _find_guide_registration(engine)) is not None:
+        surround_guide(engine.context(guide.key), guide.robot_from_ct, master.joints_rad())
+    elif not master.place.is_home:
         raise RECOVERY_REFUSED(
             "the arm is not home, and no result gives the position of the head",
             action="Jog the arm home with the controller's pendant, then resume again.",
@@ -112,20 +100,17 @@ def _surround_guide_or_head(engine: Engine, keys: Sequence[StepKey]) -> None:
 
 def has_head_moved(engine: Engine) -> bool:
     """Whether the guide was positioned by a registration that is no longer valid."""
-    return (
-        guide_registration := _find_guide_registration(engine)
-    ) is not None and not guide_registration.is_valid
+    guide = _find_guide_registration(engine)
+    return guide is not None and not guide.is_valid
 
 
 def find_guide_axis(engine: Engine) -> tuple[InsertionAxis, float] | None:
     """Return the insertion whose axis the guide is on and its travel in mm, or None."""
-    workcell, case = engine.setting.workcell, engine.case
-    if workcell.master.tool is not MountedTool.GUIDE:
-        return None
-    paths = case.find(CheckedPaths, None)
+    master, case = engine.setting.workcell.master, engine.case
+    paths = case.find(CheckedPaths, None) if master.tool is MountedTool.GUIDE else None
     if paths is None:
         return None
-    tool = workcell.master.tool_pose()
+    tool = master.tool_pose()
     for key in engine.order.sequence:
         registered = case.find(RegisteredRobot, key.trajectory)
         is_positioned_there = key.name == PositionedGuide.kind and key.trajectory in paths.result.targets
@@ -160,23 +145,24 @@ def is_guide_at_divot(engine: Engine) -> bool:
     return away_mm < HOVER_MM - TIP_KNOWN_MM
 
 
-def surround_calibration(engine: Engine) -> None:
-    """Set the collision surroundings from a calibration's results so far, before anything moves."""
-    workcell, surroundings = engine.setting.workcell, engine.setting.surroundings
-    tool = workcell.master.flange_from_tool
+def _surround_calibration(engine: Engine) -> None:
+    """Set the collision surroundings from a calibration's results so far."""
+    master, surroundings = engine.setting.workcell.master, engine.setting.surroundings
+    tool = master.flange_from_tool
     place, found = engine.case.find(BallPlace, None), engine.case.find(GlobalLocalization, None)
-    if workcell.master.tool is MountedTool.GUIDE:
+    if master.tool is MountedTool.GUIDE:
         stand = () if place is None else build_stand(place.result.ball_mm)
-        workcell.master.surround(build_free_surroundings(surroundings, tool, surroundings.guide, stand))
-    elif place is not None:
-        workcell.master.surround(
-            build_ball_surroundings(surroundings, tool, place.result.ball_mm, place.result.others_mm)
-        )
+        master.surround(build_free_surroundings(surroundings, tool, surroundings.guide, stand))
+        return
+    if place is not None:
+        ball_mm, others_mm = place.result.ball_mm, place.result.others_mm
     elif found is not None and len(found.result.points_mm):
-        ball_mm, *others_mm = found.result.points_mm
-        workcell.master.surround(build_ball_surroundings(surroundings, tool, ball_mm, others_mm))
+        ball_mm, *others = found.result.points_mm
+        others_mm = tuple(others)
     else:
-        workcell.master.surround(build_free_surroundings(surroundings, tool, surroundings.stereo_head))
+        master.surround(build_free_surroundings(surroundings, tool, surroundings.stereo_head))
+        return
+    master.surround(build_ball_surroundings(surroundings, tool, ball_mm, others_mm))
 
 
 @dataclass(frozen=True)
@@ -190,12 +176,14 @@ class _GuideRegistration:
 
 def _find_guide_registration(engine: Engine) -> _GuideRegistration | None:
     """Return the registration for the guide's trajectory: the valid one, or else the last superseded one."""
-    workcell, case = engine.setting.workcell, engine.case
-    if workcell.master.tool is not MountedTool.GUIDE:
+    master, case = engine.setting.workcell.master, engine.case
+    if master.tool is not MountedTool.GUIDE:
         return None
-    current_trajectory = workcell.master.place.trajectory
-    keys = [key for key in engine.order.sequence if key.name == PositionedGuide.kind]
-    keys = [key for key in keys if current_trajectory in (None, key.trajectory)]
+    keys = [
+        key
+        for key in engine.order.sequence
+        if key.name == PositionedGuide.kind and master.place.trajectory in (None, key.trajectory)
+    ]
     for key in keys:
         registered = case.find(RegisteredRobot, key.trajectory)
         if registered is not None and registered.record.identifier not in case.finished_before_move:

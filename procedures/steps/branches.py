@@ -51,17 +51,17 @@ class Branch:
     detected_by: str
     steps: tuple[str, ...]  # in which it can happen; none for any
     action: str
-    ending: BranchEnding
     errors: tuple[AnyCode[RonnaError], ...] = ()
-    topic: Topic | None = None
+    topic: Topic | None = None  # of the question, if the operator decides
     answers: tuple[str, ...] = ()
+    ending_unasked: BranchEnding = BranchEnding.HOLD
+
+    @property
+    def ending(self) -> BranchEnding:
+        return self.ending_unasked if self.topic is None else BranchEnding.ASK
 
     def question(
-        self,
-        subject: str,
-        value: str,
-        trajectory: str | None = None,
-        answers: tuple[str, ...] | None = None,
+        self, subject: str, value: str, trajectory: str | None = None, answers: tuple[str, ...] | None = None
     ) -> Question:
         """Build the branch's question, by default with all answers. Raises ValueError without a topic."""
         if self.topic is None:
@@ -84,7 +84,6 @@ SPHERE_COUNT = Branch(
     "number of spheres found against the plan",
     ("plan_check",),
     f"all candidates are shown; fewer are accepted only if {FEWEST_SPHERES} remain",
-    BranchEnding.ASK,
     (WrongMarkerCount,),
     Topic.SPHERE_COUNT,
     (GO_ON, HOLD),
@@ -94,14 +93,13 @@ CT_DISAGREEMENT = Branch(
     "distance between the two centres",
     ("fiducial_localization",),
     "the sphere is flagged and weighted less: its covariance grows by the difference",
-    BranchEnding.RECORDED,
+    ending_unasked=BranchEnding.RECORDED,
 )
 SIGHT_LOST = Branch(
     "the tracker loses sight of the reference frame",
     "frames that lack it, or are partial, disturbed or stale",
     ("global_localization",),
     "nothing moves; the step is repeated once the line of sight is clear",
-    BranchEnding.HOLD,
     (GateFailed,),
 )
 GUARD_UNMET = Branch(
@@ -109,7 +107,6 @@ GUARD_UNMET = Branch(
     "the guards at every checkpoint",
     (),
     "the case is suspended and waits; then the operator keeps waiting or leaves the step",
-    BranchEnding.ASK,
     (GuardUnmet,),
     Topic.GUARD,
     (WAIT, LEAVE),
@@ -120,7 +117,6 @@ HEAD_UNSEEN = Branch(
     ("positioning", "at_target"),
     "the arm stops and the case is suspended until the head is seen; or the operator continues without "
     "it for as long again, or leaves the step",
-    BranchEnding.ASK,
     (GuardUnmet,),
     Topic.HEAD_UNSEEN,
     (WAIT, CONTINUE, LEAVE),
@@ -130,7 +126,6 @@ AMBIGUOUS = Branch(
     "log-likelihood over the runner-up below ln 10,000",
     ("correspondence",),
     "both pairings are shown; neither is used",
-    BranchEnding.HOLD,
     (NO_UNIQUE_MATCH,),
 )
 MIRRORED_CT = Branch(
@@ -138,7 +133,6 @@ MIRRORED_CT = Branch(
     "the match of the mirrored spheres in view of the tracker; then a point of the head, touched and read",
     ("correspondence",),
     "the point is named with its expected and its read position; nothing is localized further",
-    BranchEnding.HOLD,
     (HeadElsewhere,),
 )
 UNMATCHED_SPHERE = Branch(
@@ -146,7 +140,6 @@ UNMATCHED_SPHERE = Branch(
     "ignoring the count, the CT matches in exactly one way, with fewer spheres than were implanted",
     ("correspondence",),
     f"it is named; the case continues with the others if {FEWEST_SPHERES} remain and the operator agrees",
-    BranchEnding.ASK,
     (NO_UNIQUE_MATCH,),
     Topic.UNMATCHED_SPHERE,
     (LEAVE_OUT, HOLD),
@@ -157,7 +150,6 @@ SPHERE_FAILED = Branch(
     "three search rings of 5 mm, other exposures, 15 servo steps",
     ("relocalization",),
     f"left out if {FEWEST_SPHERES} remain and the operator agrees; the head backs off along its axis",
-    BranchEnding.ASK,
     (SPHERE_NOT_FOUND, SERVO_DIVERGES, SERVO_EXHAUSTED, Saturated),
     Topic.SPHERE,
     (LEAVE_OUT, HOLD),
@@ -167,7 +159,6 @@ WRONG_SPHERE = Branch(
     "fine against coarse position, 3 mm",
     ("relocalization",),
     "wrong sphere, or the patient moved: localize with the tracker again",
-    BranchEnding.HOLD,
     (GateFailed,),
 )
 CART_MISPLACED = Branch(
@@ -176,7 +167,6 @@ CART_MISPLACED = Branch(
     ("cart_lock",),
     f"the correction is shown; the cart is placed again, {PLACINGS} times at most, or stays if the "
     "operator says so: the path check judges the actual position",
-    BranchEnding.ASK,
     (CART_OUT_OF_PLACE,),
     Topic.CART_PLACE,
     (AGAIN, AS_IT_STANDS, HOLD),
@@ -187,7 +177,6 @@ CART_UNLOCKED = Branch(
     "leans on the cart; 0.3 mm",
     ("cart_lock",),
     "nothing is localized and nothing moves; it is locked and leaned on again",
-    BranchEnding.HOLD,
     (CART_NOT_LOCKED,),
 )
 REFERENCE_MOVED = Branch(
@@ -198,7 +187,6 @@ REFERENCE_MOVED = Branch(
     "the arm stops; the localization is void: the arm goes home, the stereo head is mounted again and "
     "the tracker localizes again. After a small move with the guide mounted, only the registrations "
     "are void, and may follow the move",
-    BranchEnding.HOLD,
     (BaseShifted, PatientMoved, FrameSlipped),
 )
 REFERENCE_UNDECIDED = Branch(
@@ -208,7 +196,6 @@ REFERENCE_UNDECIDED = Branch(
     ("relocalization", "positioning", "retreat"),
     "the arm stops and nothing is void; from home, the next look follows a pushed tracker, or names the "
     "head that has moved",
-    BranchEnding.HOLD,
     (RoomUndecided,),
 )
 CART_MOVED = Branch(
@@ -219,7 +206,6 @@ CART_MOVED = Branch(
     "if the operator agrees, the arm goes home, the cart is locked again and the case continues from "
     "the global localization; CT, plan and finished targets remain valid. If all are finished, the arm "
     "goes home and the case ends. While an instrument is or may be inside, nobody is asked and nothing moves",
-    BranchEnding.ASK,
     (BaseShifted, PlatformMoved),
     Topic.CART_MOVED,
     (GO_ON, HOLD),
@@ -230,7 +216,6 @@ MOVE_FOLLOWED = Branch(
     ("registration",),
     "if the operator agrees, the registration follows the measured move and the prediction includes "
     "its error; otherwise the localization is void",
-    BranchEnding.ASK,
     (PatientMoved,),
     Topic.MOVE_FOLLOWED,
     (FOLLOW, HOLD),
@@ -240,7 +225,6 @@ MOVED_SPHERE = Branch(
     "chi-square gate, then leaving out one sphere at a time",
     ("registration",),
     "the sphere is named; registration without it if the operator agrees",
-    BranchEnding.ASK,
     (GateFailed,),
     Topic.MOVED_SPHERE,
     (LEAVE_OUT, HOLD),
@@ -250,7 +234,6 @@ FIT_DISAGREES = Branch(
     "chi-square gate, then leaving out one sphere at a time",
     ("registration",),
     "localize again",
-    BranchEnding.HOLD,
     (GateFailed,),
 )
 BEYOND_MARGIN = Branch(
@@ -258,7 +241,6 @@ BEYOND_MARGIN = Branch(
     "propagation of all errors to the target",
     ("registration",),
     "the trajectory is refused; the others continue without it if the operator agrees",
-    BranchEnding.ASK,
     (GateFailed,),
     Topic.MARGIN,
     (LEAVE_OUT, HOLD),
@@ -270,7 +252,6 @@ UNREACHABLE = Branch(
     ("path_check",),
     "a working free angle is used and reported; otherwise, if the operator agrees, another strategy "
     "that reaches it, or the others continue without it",
-    BranchEnding.ASK,
     (NotReachable,),
     Topic.UNREACHABLE,
     (*(strategy_answer(name) for name in BY_ACCURACY), LEAVE_OUT, HOLD),
@@ -280,7 +261,6 @@ NOT_CLEAR_NOW = Branch(
     "the same checks, right before the motion",
     ("positioning",),
     "nothing moves; the trajectory is named",
-    BranchEnding.HOLD,
     (NotReachable,),
 )
 ARM_FAULT = Branch(
@@ -289,14 +269,12 @@ ARM_FAULT = Branch(
     (),
     "safe stop; nothing starts until the fault is acknowledged. A mounted guide is checked at the "
     "gauge again before the next target",
-    BranchEnding.HOLD,
 )
 KEPT_REGISTRATION = Branch(
     "a registration is older than a fault of the arm",
     "acknowledged faults",
     ("positioning",),
     "it is kept only if the operator says so",
-    BranchEnding.ASK,
     (GateFailed,),
     Topic.REGISTRATION_KEPT,
     (YES, NO),
@@ -306,7 +284,6 @@ KEPT_BASES = Branch(
     "acknowledged faults",
     ("at_target",),
     "they are kept only if the operator says that no arm, tool or cart was touched",
-    BranchEnding.ASK,
     (GateFailed,),
     Topic.REGISTRATION_KEPT,
     (YES, NO),
@@ -316,7 +293,6 @@ WRONG_TOOL = Branch(
     "the controller's inputs",
     ("tool_change", "global_localization"),
     f"the tool is mounted and checked again, {MOUNTINGS} times at most; nothing moves",
-    BranchEnding.ASK,
     (WrongTool,),
     Topic.TOOL_CHANGE,
     (YES, NO),
@@ -327,7 +303,6 @@ TOOL_BESIDE_GAUGE = Branch(
     "dials of a gauge on the table, 0.05 mm and 0.1 deg from the tool's record",
     ("tool_check",),
     "it is mounted again and checked again, once, if the operator agrees; nothing moves towards the patient",
-    BranchEnding.ASK,
     (ToolBesideGauge,),
     Topic.TOOL_CHANGE,
     (YES, NO),
@@ -337,7 +312,6 @@ WRONG_STOP = Branch(
     "the reading of its scale against the computed value, 0.1 mm",
     ("at_target",),
     f"it is set and read again, {SETTINGS} times at most; no instrument is inserted",
-    BranchEnding.ASK,
     (DEPTH_STOP_WRONG,),
     Topic.DEPTH_STOP,
     (YES, NO),
@@ -349,7 +323,6 @@ WORK_BEGUN = Branch(
     ("at_target",),
     "the work done there is listed; the operator chooses the stage to continue from, "
     "possibly one already done",
-    BranchEnding.ASK,
     (NotConfirmed,),
     Topic.WORK_BEGUN,
     (FINISHED, *(stage_answer(task) for task in (INSERT, DURA, DRILL, SKIN)), HOLD),
@@ -361,7 +334,6 @@ GUIDE_PUSHED = Branch(
     ("at_target",),
     "reported immediately; the case is suspended until guide and arm are released, or the operator "
     "leaves the step",
-    BranchEnding.ASK,
     (GuardUnmet,),
     Topic.GUARD,
     (WAIT, LEAVE),
@@ -371,7 +343,6 @@ INSTRUMENT_INSIDE = Branch(
     "the journal, which records an insertion before it begins",
     ("tool_check", "at_target", "retreat", "confirmation"),
     "nothing moves until the operator has confirmed that it is out",
-    BranchEnding.ASK,
     (NotConfirmed,),
     Topic.INSTRUMENT_OUT,
     (IS_OUT, INSIDE),
@@ -381,8 +352,8 @@ ABORTED = Branch(
     "any checkpoint, any question of a pause",
     (),
     "the arm stops; it leaves along the tool axis, then goes home, when the operator says so",
-    BranchEnding.ABORT,
     (OperatorAborted,),
+    ending_unasked=BranchEnding.ABORT,
 )
 
 BRANCHES = tuple(row for row in tuple(globals().values()) if isinstance(row, Branch))  # in this order

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from procedures.engine.case import Case, StepKey
 from procedures.engine.setting import CaseSetting
@@ -30,14 +30,8 @@ from procedures.strategies.strategy import ONE_SIDE
 from procedures.workcell import MountedTool, Workcell
 from procedures.workcell.assistant import BORE_SPEED_MM_S
 from procedures.workcell.motions import collect_facts
-from ronna_hw.arm.clearance.bodies import Surroundings
-from ronna_hw.arm.kinematics import Kinematics
-from ronna_hw.arm.motion.limits import MotionLimits
-from ronna_hw.arm.path_preview import PathPreview
 from ronna_hw.arm.pose import radians6
-from ronna_hw.devices import Motion
 from ronna_hw.preview import preview_motion
-from ronna_hw.vectors import JointVector
 
 NO_PATHS = "no path is known in advance: each is planned past the other arm when that rests where it will be"
 BOTH_ARMS = (
@@ -62,7 +56,7 @@ def describe_planned_motions(case: Case, key: StepKey, setting: CaseSetting) -> 
         return lines if workcell.master.place.is_home else ("the arm is not home; from home it would", *lines)
     if key.name == KnownBases.kind:
         return BOTH_ARMS
-    if key.name == ReachedTarget.kind and workcell.assistants:
+    if key.name == ReachedTarget.kind and len(workcell.arms) > 1:
         return _describe_assistance(key.trajectory)
     paths = stored.result
     if key.name == Relocalization.kind:
@@ -80,18 +74,6 @@ def describe_planned_motions(case: Case, key: StepKey, setting: CaseSetting) -> 
     )
 
 
-@dataclass(frozen=True)
-class _PlannedArm:
-    """Planned arm carrying the guide, for previews."""
-
-    kinematics: Kinematics
-    limits: MotionLimits
-    around: Surroundings
-
-    def preview(self, motion: Motion, *, start_rad: JointVector) -> PathPreview:
-        return preview_motion(self.kinematics, start_rad, motion, self.around, self.limits)
-
-
 def _preview_over_gauge(case: Case, setting: CaseSetting) -> tuple[str, ...]:
     """Preview the gauge motions from home; the path check does not record them."""
     workcell = setting.workcell
@@ -102,9 +84,11 @@ def _preview_over_gauge(case: Case, setting: CaseSetting) -> tuple[str, ...]:
     around = scene.with_guide(robot_from_ct, workcell.master.flange_from(MountedTool.GUIDE), None)
     there = workcell.master.settle_motion(radians6(*workcell.tools.guide.gauge.joints_deg), ONE_SIDE)
     motions = (*[there] * APPROACHES, replace(workcell.master.return_motion(), replacement=()))
+    kinematics, limits = workcell.master.arm.kinematics, workcell.master.arm.limits()
     facts = collect_facts(
         workcell.master.home_rad,
-        _PlannedArm(workcell.master.arm.kinematics, workcell.master.arm.limits(), around),
+        kinematics,
+        lambda leg, start_rad: preview_motion(kinematics, start_rad, leg, around, limits),
         [replace(one, mover=f"the {MountedTool.GUIDE}") for one in motions],
     )
     names = ("home to the gauge", *["onto the gauge again"] * (APPROACHES - 1), "the gauge to home")
@@ -125,7 +109,6 @@ def _sphere_below(paths: CheckedPaths, key: StepKey, workcell: Workcell) -> int 
 
 
 def _describe_assistance(trajectory: str | None) -> tuple[str, ...]:
-    """Describe the motions of the assistant at a target."""
     return (
         "the turn of the holder about the bore, and the way there, are chosen when the guide is in its place",
         f"{MOVE} of the assistant from home to over the guide at {trajectory}",

@@ -39,7 +39,6 @@ class StrategyByTrajectory:
 
     @property
     def name(self) -> str:
-        """Name of the usual strategy."""
         return self.usual.name
 
     @property
@@ -48,7 +47,6 @@ class StrategyByTrajectory:
         return self.usual.controls_approach
 
     def strategy_for(self, trajectory: str) -> Strategy:
-        """Return the strategy of one trajectory."""
         return self.others.get(trajectory, self.usual)
 
     def localized_along(
@@ -64,13 +62,11 @@ class StrategyByTrajectory:
     def localization_poses(
         self, along: Trajectory, fiducials_mm: ArrayLike, robot_from_ct: Transform, arm: ArmInBranch
     ) -> tuple[Transform, ...]:
-        """Return the poses of the trajectory's own strategy."""
         return self.strategy_for(along.identifier).localization_poses(along, fiducials_mm, robot_from_ct, arm)
 
     def turns_rad(
         self, along: Trajectory, fiducials_mm: ArrayLike, robot_from_ct: Transform, arm: ArmInBranch
     ) -> Sequence[float]:
-        """Return the turns of the trajectory's own strategy, rad."""
         return self.strategy_for(along.identifier).turns_rad(along, fiducials_mm, robot_from_ct, arm)
 
 
@@ -87,7 +83,6 @@ class BestOfEach(StrategyByTrajectory):
 
     @property
     def name(self) -> str:
-        """Name on the command line."""
         return "best"
 
 

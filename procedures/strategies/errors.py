@@ -6,10 +6,7 @@ from procedures.strategies.names import STRATEGY_NAMES
 from ronna_hw.errors import ConfigurationError, DataError, ErrorCode, LimitError
 
 UNKNOWN_STRATEGY = ErrorCode(
-    "STR-002",
-    ConfigurationError,
-    "No strategy has this name.",
-    f"Use one of: {', '.join(STRATEGY_NAMES)}.",
+    "STR-002", ConfigurationError, "No strategy has this name.", f"Use one of: {', '.join(STRATEGY_NAMES)}."
 )
 
 

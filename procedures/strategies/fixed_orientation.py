@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from procedures.strategies.names import DEFAULT_STRATEGY
-from procedures.strategies.strategy import OUTWARDS_RAD, ArmInBranch
+from procedures.strategies.strategy import OUTWARDS_RAD, ArmInBranch, Strategy
 from procedures.strategies.trajectory import UP, Trajectory, poses_along, require_frames
 from ronna_hw.frames import Frame, Transform
 
@@ -29,18 +29,12 @@ LENGTH_MM = 100.0  # of the axis that represents the orientation; any length wil
 
 
 @dataclass(frozen=True)
-class OrientationCorrection:
+class OrientationCorrection(Strategy):
     """Orientation correction strategy: `ocs`, and `thesis-ocs`, which does not control the approach."""
 
     name: str = DEFAULT_STRATEGY
     controls_approach: bool = True
     localizes_per_trajectory: bool = True
-
-    def localized_along(
-        self, trajectories: Sequence[Trajectory], fiducials_mm: ArrayLike, robot_from_ct: Transform
-    ) -> tuple[Trajectory, ...]:
-        """Return the trajectories unchanged."""
-        return tuple(trajectories)
 
     def localization_poses(
         self, along: Trajectory, fiducials_mm: ArrayLike, robot_from_ct: Transform, arm: ArmInBranch

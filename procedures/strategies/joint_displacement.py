@@ -21,23 +21,21 @@ instrument's tip, beyond the end of the guide.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from procedures.strategies.errors import NoNearbyJoints
-from procedures.strategies.strategy import OUTWARDS_RAD, ArmInBranch
+from procedures.strategies.strategy import OUTWARDS_RAD, ArmInBranch, Strategy
 from procedures.strategies.trajectory import Trajectory, target_pose, tool_pose
 from ronna_hw.arm.kinematics import Kinematics
+from ronna_hw.arrays import Array
 from ronna_hw.calibrated_arm.error_budget import displacements
 from ronna_hw.errors import LimitError
 from ronna_hw.frames import Transform
 from ronna_hw.vectors import JointVector, joint_vector
-
-Array = NDArray[np.float64]
 
 CONVERGED_RAD = 1e-10  # change of a step; 0.1 nm at 1 m
 MOST_STEPS = 60  # 6 to 15 are usual; more means no convergence
@@ -87,18 +85,12 @@ def _tool_origin(kinematics: Kinematics, joints_rad: JointVector, tool_mm: Array
 
 
 @dataclass(frozen=True)
-class JointDisplacementMinimization:
+class JointDisplacementMinimization(Strategy):
     """Joint displacement minimization strategy, `jdms`."""
 
     name: str = "jdms"
     controls_approach: bool = True
     localizes_per_trajectory: bool = True
-
-    def localized_along(
-        self, trajectories: Sequence[Trajectory], fiducials_mm: ArrayLike, robot_from_ct: Transform
-    ) -> tuple[Trajectory, ...]:
-        """Return the trajectories unchanged."""
-        return tuple(trajectories)
 
     def localization_poses(
         self, along: Trajectory, fiducials_mm: ArrayLike, robot_from_ct: Transform, arm: ArmInBranch

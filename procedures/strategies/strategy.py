@@ -16,11 +16,12 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from procedures.strategies.trajectory import Trajectory, back_along_axis, require_frames
 from ronna_hw.arm.kinematics import Branch, Kinematics
 from ronna_hw.arm.pose import Pose
+from ronna_hw.arrays import Array
 from ronna_hw.calibrated_arm.error_budget import BACKLASH_RAD, UNCALIBRATED, ErrorSizes
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.vectors import JointVector, joint_vector
@@ -68,13 +69,14 @@ class ArmInBranch:
 
     def guide_joints(self, pose: Transform) -> JointVector:
         """Return the joints that bring the guide to a pose ROBOT <- TOOL. Raises ARM-001 to ARM-003."""
-        flange = Pose.from_transform(pose @ self.flange_from_guide.inverse())
-        return self.kinematics.solve_branch(flange, self.branch, self.near_rad)
+        return self._joints(pose @ self.flange_from_guide.inverse())
 
     def stereo_joints(self, pose: Transform) -> JointVector:
         """Return the joints that bring the stereo head to a pose ROBOT <- TOOL. Raises ARM-001 to ARM-003."""
-        flange = Pose.from_transform(pose @ self.flange_from_stereo.inverse())
-        return self.kinematics.solve_branch(flange, self.branch, self.near_rad)
+        return self._joints(pose @ self.flange_from_stereo.inverse())
+
+    def _joints(self, flange: Transform) -> JointVector:
+        return self.kinematics.solve_branch(Pose.from_transform(flange), self.branch, self.near_rad)
 
     def stereo_pose(self, joints_rad: JointVector) -> Transform:
         """Return the pose ROBOT <- TOOL of the stereo head at these joints."""
@@ -107,9 +109,9 @@ class Strategy(Protocol):
     ) -> tuple[Trajectory, ...]:
         """Return the axes for localizing all fiducials (n, 3) in CT mm, with one set of poses for each.
 
-        The trajectories themselves, or one axis that is independent of them.
+        The trajectories themselves, by default, or one axis that is independent of them.
         """
-        ...
+        return tuple(trajectories)
 
     def localization_poses(
         self, along: Trajectory, fiducials_mm: ArrayLike, robot_from_ct: Transform, arm: ArmInBranch
@@ -170,7 +172,7 @@ def rest_sides(
     return tuple(_rest_side(one, step_mm) for one in rates)
 
 
-def _rest_side(rates: NDArray[np.float64], step_mm: float) -> int:
+def _rest_side(rates: Array, step_mm: float) -> int:
     """Return the side of one joint, which turns by `rates` (n,) rad/mm on the parts of its line."""
     bend = (rates[-1] - rates[-2]) / step_mm  # rad/mm2
     at_end = rates[-1] + bend * step_mm / 2.0

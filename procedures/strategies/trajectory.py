@@ -12,14 +12,14 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from procedures.strategies.errors import BAD_TRAJECTORY
 from ronna_hw.arguments import require_numbers
+from ronna_hw.arrays import Array
 from ronna_hw.frames import FRAME_MISMATCH, Frame, Transform, build_rigid
 
-Array = NDArray[np.float64]
 Point = tuple[float, float, float]
 
 SHORTEST_MM = 1e-3  # below a micrometre the direction is rounding noise
@@ -189,5 +189,5 @@ def orientation_along(trajectory: Trajectory, robot_from_ct: Transform) -> Rotat
     return tool_orientation(_axis(trajectory, robot_from_ct), target, trajectory.free_angle_rad)
 
 
-def _axis(trajectory: Trajectory, robot_from_ct: Transform) -> NDArray[np.float64]:
+def _axis(trajectory: Trajectory, robot_from_ct: Transform) -> Array:
     return np.asarray(robot_from_ct.rotation_matrix @ trajectory.axis_ct)

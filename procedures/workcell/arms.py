@@ -17,11 +17,7 @@ from typing import NoReturn, TypeVar
 
 from procedures.workcell.errors import INSTRUMENT_IN_GUIDE, OTHER_ARM_MOVING, BothArmsHalted, OtherArmUnknown
 from procedures.workcell.placed_arms import PlacedArms, RolePair
-from ronna_hw.arm.clearance.arm_pair import (
-    APART_MM,
-    SampledPath,
-    require_apart,
-)
+from ronna_hw.arm.clearance.arm_pair import APART_MM, SampledPath, require_apart
 from ronna_hw.arm.clearance.bodies import Surroundings
 from ronna_hw.arm.clearance.live_pair import LivePair
 from ronna_hw.arm.errors import ForceLimitExceeded
@@ -79,10 +75,7 @@ class Arms:
         clock: Clock,
         instrument_inside: Callable[[], str | None] = lambda: None,
     ) -> None:
-        """Watch the arms of these roles, the master first: its base is the robot frame.
-
-        `instrument_inside` tells where an instrument is, or may be, in the guide.
-        """
+        """Watch the arms of these roles, the master first: its base is the robot frame."""
         self._open, self.roles = arms, tuple(roles)
         self.placed = PlacedArms(roles, lambda role: arms[role].kinematics)
         self._clock = clock
@@ -101,7 +94,6 @@ class Arms:
         return self._open[role]
 
     def items(self) -> Iterator[tuple[str, RobotArm]]:
-        """Return each role with its arm."""
         return ((role, self._open[role]) for role in self.roles)
 
     def surround(self, role: str, surroundings: Surroundings) -> None:

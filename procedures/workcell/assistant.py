@@ -18,17 +18,11 @@ from procedures.journal.journal import Entry
 from procedures.journal.results import FramedPose
 from procedures.operator.question import Topic
 from procedures.strategies.strategy import ONE_SIDE, Sides, approach_joints
-from procedures.workcell.arm_history import (
-    ArmLog,
-    HeldInstrument,
-    InsertionAxis,
-    MotionKind,
-)
+from procedures.workcell.arm_history import ArmLog, HeldInstrument, InsertionAxis, MotionKind
 from procedures.workcell.arms import Arms
 from procedures.workcell.errors import GUIDE_HELD_AT_ENTRY, INSTRUMENT_IN_GUIDE, OtherArmUnknown
 from procedures.workcell.motions import PlannedMotion, joints_after
 from procedures.workcell.supervised_arm import SupervisedArm
-from procedures.workcell.tools import CarriedTool
 from ronna_hw.arm.clearance.bodies import ARMS_OWN_RADII, Bodies, Capsule, Part, Surroundings
 from ronna_hw.arm.clearance.sweep import sweep
 from ronna_hw.arm.pose import Pose
@@ -105,7 +99,7 @@ class Assistant(SupervisedArm):
                 expected="calibration.arm, calibration.assistant_arm, calibration.assistant_holder",
                 action="Add them to the theatre file, or omit --dual.",
             )
-        super().__init__(ASSISTANT, log, arms, calibrations.arms, ASSISTANT)
+        super().__init__(ASSISTANT, log, arms, calibrations.arms, ASSISTANT, holder.frame)
         self.holder: HolderCalibration = holder
         self._insertion_force_N = insertion_force_N
         self._around: tuple[Surroundings, JointVector | None] | None = None  # robot frame
@@ -113,13 +107,7 @@ class Assistant(SupervisedArm):
 
     @property
     def carries(self) -> str:
-        """Name of the load, as questions name it."""
         return "the holder"
-
-    @property
-    def frame(self) -> str:
-        """Name that the tracker has for the frame on the holder."""
-        return self.holder.frame
 
     @property
     def base(self) -> Transform:
@@ -131,10 +119,7 @@ class Assistant(SupervisedArm):
         return self.history.base
 
     def place_base(self, robot_from_base: Transform, uncertain_mm: float = 0.0) -> None:
-        """Take the base as known: from now on either arm may move, watched with the other.
-
-        `uncertain_mm` is by how much the arm may be elsewhere.
-        """
+        """Take the base as known: from now on either arm may move, watched with the other."""
         is_first = not self._arms.placed.is_placed(ASSISTANT)
         self.record_base(robot_from_base, uncertain_mm)
         self._arms.place(ASSISTANT, _as_pose(robot_from_base), uncertain_mm)
@@ -288,11 +273,7 @@ class Assistant(SupervisedArm):
         The journal has it before anybody is asked to put it in.
         """
         self._log.write(
-            Entry.HELD,
-            trajectory=held.trajectory,
-            held=True,
-            tip_mm=held.tip_mm,
-            at_bore=list(held.at_bore),
+            Entry.HELD, trajectory=held.trajectory, held=True, tip_mm=held.tip_mm, at_bore=list(held.at_bore)
         )
         self._take_into_account()
 
@@ -330,24 +311,13 @@ class Assistant(SupervisedArm):
         middle, tip = (vector3(clamp.apply((0.0, 0.0, z))) for z in (0.0, tip_mm))
         return (*bodies, Part(INSTRUMENT, Capsule(middle, tip, INSTRUMENT_MM), True))
 
-    # Motion
-
     def settle(self, joints_rad: JointVector, arriving: Sides = ONE_SIDE) -> ArmReading:
         """Move to joint angles, each joint arriving from its given side."""
         return self.supervised.carry_out(self.settle_motion(joints_rad, arriving))
 
     def settle_motion(self, joints_rad: JointVector, arriving: Sides = ONE_SIDE) -> PlannedMotion:
-        """Return the motion that `settle` would make."""
         before = JointMove(approach_joints(joints_rad, arriving or ONE_SIDE))
         return self.joint_motion(MotionKind.SETTLE, before, JointMove(joints_rad))
-
-    def go(self, joints_rad: JointVector) -> ArmReading:
-        """Move straight to joint angles, on the way to others."""
-        return self.supervised.carry_out(self.go_motion(joints_rad))
-
-    def go_motion(self, joints_rad: JointVector) -> PlannedMotion:
-        """Return the motion that `go` would make."""
-        return self.joint_motion(MotionKind.GO, JointMove(joints_rad))
 
     def insert_motion(
         self, axis: InsertionAxis, near_rad: JointVector | None = None, guided: GuidedStretch | None = None
@@ -367,7 +337,7 @@ class Assistant(SupervisedArm):
         return self.supervised.carry_out(self.insert_motion(axis, guided=guided))
 
     def withdraw_motion(self, guided: GuidedStretch | None = None) -> PlannedMotion:
-        """Return the motion that `withdraw` would make. Raises PRO-014 on no axis."""
+        """Return the motion of the instrument straight back out of the guide. Raises PRO-014 on no axis."""
         axis = self.place.axis
         if axis is None:
             raise GUIDE_HELD_AT_ENTRY("the assistant is on no axis", expected="the axis of a trajectory")
@@ -375,42 +345,22 @@ class Assistant(SupervisedArm):
         last_mm_s = OFF_SKIN_SPEED_MM_S if guided else WITHDRAWAL_SPEED_MM_S
         return self._along(MotionKind.WITHDRAW, axis, *legs, self._line(axis, 0.0, last_mm_s))
 
-    def withdraw(self, guided: GuidedStretch | None = None) -> ArmReading:
-        """Lead the instrument straight back out of the guide. Raises PRO-014 on no axis."""
-        return self.supervised.carry_out(self.withdraw_motion(guided))
-
-    def note_inserted(self, inserted: Inserted) -> None:
-        """Keep the end of a stretch, with the largest force of the insertion so far."""
-        before = self.inserted
-        peaks_N = [
-            one.peak_force_N for one in (before, inserted) if one is not None and one.peak_force_N is not None
-        ]
-        self.inserted = replace(inserted, peak_force_N=max(peaks_N, default=None))
-
     @property
     def leads_instrument(self) -> bool:
         """Whether the assistant is on an axis, with an instrument in the guide."""
         return self.place.is_on_axis
 
     def lead_out(self, doubt: str = "", guided: GuidedStretch | None = None) -> None:
-        """Withdraw the instrument once the operator, told of a `doubt`, has confirmed it.
-
-        Raises PRO-002 and as `withdraw`.
-        """
+        """Withdraw the instrument once the operator, told of a `doubt`, has confirmed it."""
         motion = self.withdraw_motion(guided)
         subject = f"the assistant leads the instrument straight out of {motion.trajectory}"
         if doubt:
             subject += f"; {doubt}"
         self.supervised.confirm(Topic.RETREAT, subject, [motion], motion.trajectory)
-        self.withdraw(guided)
-
-    def leave(self) -> None:
-        """Return home; the holder is empty by then."""
-        self.return_home()
+        self.supervised.carry_out(self.withdraw_motion(guided))
 
     @property
     def way_home(self) -> tuple[str, ...]:
-        """Motions of `leave`, in words."""
         return ("the assistant goes home",) if self.place.is_out else ()
 
     @property
@@ -426,7 +376,9 @@ class Assistant(SupervisedArm):
         limit_N = self.insertion_limit_N
         if limit_N is not None and (insertion := self.force_limited(leg, motion, limit_N)):
             inserted = self._arms.insert(ASSISTANT, insertion)
-            self.note_inserted(inserted)
+            ends = [one for one in (self.inserted, inserted) if one is not None]  # of stretches so far
+            peaks_N = [one.peak_force_N for one in ends if one.peak_force_N is not None]
+            self.inserted = replace(inserted, peak_force_N=max(peaks_N, default=None))
             return inserted.reading
         return self._arms.move(ASSISTANT, leg, with_instrument=True)
 
@@ -463,11 +415,12 @@ class Assistant(SupervisedArm):
         self, axis: InsertionAxis, travel_mm: float, speed_mm_s: float, near_rad: JointVector | None = None
     ) -> LineMove:
         """Return the line to a place of the clamp on an axis, `travel_mm` from its start."""
-        clamp, flange_from_clamp = _as_any_arm(axis.pose_at(travel_mm)), self.flange_from_clamp
-        carried = CarriedTool(self.calibrated, flange_from_clamp)
-        commanded = carried.commanded(clamp, lambda: near_rad or self.joints_rad(), axis.arriving)
+        clamp = _as_any_arm(axis.pose_at(travel_mm))
+        commanded = self.calibrated.pose_to_command(
+            clamp, self.flange_from_clamp, lambda: near_rad or self.joints_rad(), axis.arriving
+        )
         share = min(1.0, speed_mm_s / self._arm.limits().line_speed_mm_s)
-        return LineMove(commanded, flange_from_clamp, share)
+        return LineMove(commanded, self.flange_from_clamp, share)
 
     def _along(self, what: MotionKind, axis: InsertionAxis, *legs: LineMove) -> PlannedMotion:
         end = axis.held if what is MotionKind.INSERT else axis.start

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from procedures.calibration import Observation, Outline
 from procedures.calibration.pose_set import PlannedLook, move_look
@@ -17,15 +17,13 @@ from procedures.strategies.strategy import ONE_SIDE
 from procedures.workcell.centring import refusal, search_poses
 from procedures.workcell.stereo_look import Look
 from procedures.workcell.workcell import Workcell
-from ronna_hw.arm.clearance.bodies import Capsule, Obstacle, Part, SpeedZone, Surroundings
+from ronna_hw.arm.clearance.bodies import Capsule, Obstacle, Surroundings
 from ronna_hw.arm.pose import Pose
+from ronna_hw.arrays import Array
 from ronna_hw.calibration import PoseRecord
 from ronna_hw.collision_config import BodyFrame, CollisionConfig, ToolBody
-from ronna_hw.errors import LimitError
 from ronna_hw.frames import Transform
-from ronna_hw.vectors import JointVector, Vector3
-
-Array = NDArray[np.float64]
+from ronna_hw.vectors import JointVector, Vector3, vector3
 
 STAND_RADIUS_MM = 90.0  # the ball's stand is modelled as a post as thick as a head
 STAND_BELOW_MM = 16.0  # from the ball's centre to the top of that post
@@ -95,14 +93,6 @@ class BallWatcher:
                 progress(len(taken))
         return taken
 
-    def reaches(self, pose: Transform) -> bool:
-        """Return whether the arm can reach a tool pose in its home branch."""
-        try:
-            self.workcell.master.joints_at(pose, self.workcell.master.home_rad)
-        except LimitError:
-            return False
-        return True
-
     def why_rejected(self) -> str:
         """Summarize why looks were rejected, most frequent reason first."""
         return ", ".join(f"{count} x {reason}" for reason, count in self.rejected.most_common(3))
@@ -130,11 +120,10 @@ class BallWatcher:
         assert seen.right is not None, "a measurement without outlines is rejected"
         joints = workcell.master.joints_rad()
         flange = workcell.master.arm.kinematics.forward(joints)
+        pose = PoseRecord(translation_mm=flange.position_mm, quaternion_wxyz=flange.quaternion())
         return Observation(
             joints_rad=joints,
-            robot_from_flange=PoseRecord(
-                translation_mm=flange.position_mm, quaternion_wxyz=flange.quaternion()
-            ),
+            robot_from_flange=pose,
             left=Outline.of(seen.left),
             right=Outline.of(seen.right),
             orientation=orientation,
@@ -151,19 +140,18 @@ def build_ball_surroundings(
     neighbours_mm: ArrayLike = (),
 ) -> Surroundings:
     """Build the stereo head's surroundings: the ball on its post, other balls (n, 3) mm, and the room."""
-    ball = _as_vector(ball_mm)
-    x, y, z = ball
+    x, y, z = ball = vector3(np.asarray(ball_mm))
     below = (x, y, z - STAND_BELOW_MM)
     obstacles = [*build_stand(ball), Obstacle("ball", Capsule(ball, below, NEIGHBOUR_RADIUS_MM))]
     for number, centre in enumerate(np.reshape(np.asarray(neighbours_mm, dtype=float), (-1, 3)), start=1):
-        place = _as_vector(centre)
+        place = vector3(centre)
         obstacles.append(Obstacle(f"other ball {number}", Capsule(place, place, NEIGHBOUR_RADIUS_MM)))
     return build_free_surroundings(surroundings, flange_from_tool, surroundings.stereo_head, obstacles)
 
 
 def build_stand(ball_mm: ArrayLike) -> tuple[Obstacle, ...]:
     """Build a ball's stand, excluding the ball."""
-    x, y, z = _as_vector(ball_mm)
+    x, y, z = vector3(np.asarray(ball_mm))
     top = z - STAND_BELOW_MM - STAND_RADIUS_MM
     body = Capsule((x, y, top), (x, y, top - STAND_LENGTH_MM), STAND_RADIUS_MM)
     return (Obstacle("ball's stand", body, True),)
@@ -176,20 +164,7 @@ def build_free_surroundings(
     obstacles: Sequence[Obstacle] = (),
 ) -> Surroundings:
     """Build the surroundings of a tool without a patient: the room and any further obstacles."""
-    flange = Pose.from_matrix(flange_from_tool.as_matrix().tolist())
     standing = (body for body in surroundings.bodies if body.frame is BodyFrame.ROBOT)
     room = [Obstacle(body.name, body.capsule) for body in standing]
-    zone = surroundings.zone
-    return Surroundings(
-        tool=tuple(Part(one.name, one.capsule.moved(flange), one.enters_head) for one in tool),
-        obstacles=(*obstacles, *room),
-        radii=surroundings.arm.measured,
-        margin_mm=surroundings.margin_mm,
-        live_margin_mm=surroundings.live_margin_mm,
-        zone=SpeedZone(zone.near_mm, zone.near_speed_mm_s, zone.far_mm, zone.far_speed_mm_s),
-    )
-
-
-def _as_vector(values: ArrayLike) -> Vector3:
-    x, y, z = np.asarray(values, dtype=float).tolist()
-    return (x, y, z)
+    flange = Pose.from_matrix(flange_from_tool.as_matrix().tolist())
+    return surroundings.surround(tool, flange, [*obstacles, *room])

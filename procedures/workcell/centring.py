@@ -8,9 +8,6 @@ from functools import partial
 from itertools import count
 from typing import TYPE_CHECKING
 
-import numpy as np
-from numpy.typing import NDArray
-
 from procedures.relocalization import ServoSettings, ServoState, recorded_point, search_pose
 from procedures.relocalization.errors import NoContrast, NotTrusted, Saturated, SphereNotInView
 from procedures.strategies.trajectory import back_along_axis
@@ -18,6 +15,7 @@ from procedures.workcell.device_views import ArmView
 from procedures.workcell.errors import SPHERE_NOT_FOUND
 from procedures.workcell.stereo_look import Look
 from ronna_hw.arm.catalogue import find_arm
+from ronna_hw.arrays import Array
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.errors import LimitError, RonnaError
 from ronna_hw.frames import Transform
@@ -26,7 +24,6 @@ from ronna_hw.vectors import JointVector
 if TYPE_CHECKING:
     from procedures.workcell.workcell import Workcell
 
-Array = NDArray[np.float64]
 SHORTER, LONGER = 0.25, 4.0  # shares of the configured exposure that are tried
 # From any side, steps smaller than the backlash end anywhere in it. The residual is recorded with the pose,
 # so a larger one costs nothing: backlash of 0.02 deg in every joint displaces the tool by up to 0.4 mm.

@@ -35,7 +35,6 @@ class ArmView:
 
     @property
     def state(self) -> Lifecycle:
-        """Lifecycle state of the arm."""
         return self._arm.state
 
     @property
@@ -44,17 +43,13 @@ class ArmView:
         return self._arm.notices
 
     def limits(self) -> MotionLimits:
-        """Return the motion limits of the current operating mode."""
         return self._arm.limits()
 
     def observe(self) -> LastKnown[ArmReading]:
-        """Return the last known state and reading."""
         return self._arm.observe()
 
     def connect(self, timeout_s: float = 10.0) -> Identity:
-        """Open the connection and check the identity."""
         return self._arm.connect(timeout_s)
 
     def configure(self, timeout_s: float = 10.0) -> None:
-        """Put the arm's controller into its verified configuration."""
         self._arm.configure(timeout_s)

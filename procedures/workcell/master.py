@@ -17,7 +17,7 @@ from procedures.workcell.arms import Arms
 from procedures.workcell.errors import GUIDE_HELD_AT_ENTRY, INSTRUMENT_IN_GUIDE
 from procedures.workcell.motions import PlannedMotion
 from procedures.workcell.supervised_arm import SupervisedArm
-from procedures.workcell.tools import CarriedTool, Instrument, MountedTool, ToolMount
+from procedures.workcell.tools import Instrument, MountedTool, ToolMount
 from ronna_hw.arm.clearance.bodies import Surroundings
 from ronna_hw.arm.pose import Pose
 from ronna_hw.config import Calibrations
@@ -35,14 +35,11 @@ class Master(SupervisedArm):
         self, log: ArmLog, arms: Arms, calibrations: Calibrations, others: Iterable[SupervisedArm]
     ) -> None:
         """Supervise the master beside `others`, which may be on the axis of its guide."""
-        super().__init__(MASTER, log, arms, calibrations.arms, "arm")
+        super().__init__(MASTER, log, arms, calibrations.arms, "arm", calibrations.tracker_frame.tool)
         self._others = others
-        self._frame = calibrations.tracker_frame.tool
         self.mount = ToolMount(self.read_tool_number, calibrations)
         self.instrument = Instrument(log)
         self.surroundings: Surroundings | None = None  # as last declared to the arm
-
-    # Mounted tool
 
     @property
     def tool(self) -> MountedTool:
@@ -64,32 +61,19 @@ class Master(SupervisedArm):
 
     @property
     def flange_from_tool(self) -> Transform:
-        """Transform FLANGE <- TOOL of the mounted tool."""
         return self.flange_from(self.tool)
 
     @property
     def carries(self) -> str:
-        """Name of the load, as questions name it."""
         return f"the {self.tool}"
-
-    @property
-    def frame(self) -> str:
-        """Name that the tracker has for the frame on the mount."""
-        return self._frame
 
     def tool_pose(self, joints_rad: JointVector | None = None, arrived: Sides = None) -> Transform:
         """Return the mounted tool's pose at joint angles, by default the measured ones; see `Sides`."""
-        return self._carried.pose(joints_rad or self.joints_rad(), arrived)
+        return self.flange_pose(joints_rad or self.joints_rad(), arrived) @ self.flange_from_tool
 
     def joints_at(self, pose: Transform, near: JointVector, arriving: Sides = None) -> JointVector:
         """Return the joints for a tool pose, in the branch of `near`. Raises ARM-001 to ARM-003."""
-        return self._carried.joints_at(pose, near, arriving)
-
-    @property
-    def _carried(self) -> CarriedTool:
-        return CarriedTool(self.calibrated, self.flange_from_tool)
-
-    # Surroundings
+        return self.calibrated.compensate(pose @ self.flange_from_tool.inverse(), near, arriving).joints_rad
 
     def surround(self, surroundings: Surroundings, near_rad: JointVector | None = None) -> None:
         """Set the arm's tool and surroundings. Clearance is exact near `near_rad`, by default home."""
@@ -109,16 +93,13 @@ class Master(SupervisedArm):
         self.surroundings = surroundings
         self._arms.surround(MASTER, surroundings)
 
-    # Motion
-
     def go_motion(self, joints_rad: JointVector) -> PlannedMotion:
-        """Return the motion that `go` would make."""
-        return self._via_home(self.joint_motion(MotionKind.GO, JointMove(joints_rad)))
+        """Return the motion that `go` would make, via home if the direct path is not clear."""
+        return self._via_home(super().go_motion(joints_rad))
 
     def settle_motion(
         self, joints_rad: JointVector, arriving: Sides, *, allow_detour: bool = False
     ) -> PlannedMotion:
-        """Return the motion that `settle` would make."""
         onto = JointMove(joints_rad)
         if arriving is None:
             return self.joint_motion(MotionKind.STEP, onto)
@@ -140,13 +121,8 @@ class Master(SupervisedArm):
         return self._line_motion(MotionKind.INSERT, insertion.held, line, insertion)
 
     def withdraw_motion(self, insertion: InsertionAxis) -> PlannedMotion:
-        """Return the motion that `withdraw` would make."""
         line = LineMove(self._commanded_pose(insertion.start, insertion.arriving), self.flange_from_tool)
         return self._line_motion(MotionKind.WITHDRAW, insertion.start, line, insertion)
-
-    def go(self, joints_rad: JointVector) -> ArmReading:
-        """Move to joint angles, via home if the direct path is not clear. Raises ARM-007 if neither is."""
-        return self.supervised.carry_out_with_detour(self.go_motion(joints_rad))
 
     def settle(self, joints_rad: JointVector, arriving: Sides, *, allow_detour: bool = False) -> ArmReading:
         """Move to joint angles, each joint arriving from its given side (+1 or -1) for equal backlash.
@@ -251,4 +227,6 @@ class Master(SupervisedArm):
     def _commanded_pose(
         self, pose: Transform, arriving: Sides, near_rad: JointVector | None = None
     ) -> Transform:
-        return self._carried.commanded(pose, lambda: near_rad or self.joints_rad(), arriving)
+        return self.calibrated.pose_to_command(
+            pose, self.flange_from_tool, lambda: near_rad or self.joints_rad(), arriving
+        )

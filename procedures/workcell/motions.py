@@ -6,9 +6,8 @@ The operator confirms exactly what the arm then drives.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 from procedures.journal.journal import JournalValue
 from procedures.operator.question import ReadBack
@@ -49,17 +48,7 @@ class PlannedMotion:
         return {"what": self.what, "to": list(self.to), "trajectory": self.trajectory, **axis}
 
 
-class PreviewingArm(Protocol):
-    """Arm, or simulated plan of one, that can preview motions."""
-
-    @property
-    def kinematics(self) -> Kinematics:
-        """Kinematics of the arm."""
-        ...
-
-    def preview(self, motion: Motion, *, start_rad: JointVector) -> PathPreview:
-        """Preview a motion that starts at the given joints."""
-        ...
+Preview = Callable[[Motion, JointVector], PathPreview]  # of a motion from these joints
 
 
 @dataclass(frozen=True)
@@ -72,7 +61,6 @@ class MotionFacts:
     detour: str = ""  # such as `via home`
 
     def __str__(self) -> str:
-        """Return a one-line description for the operator."""
         moves = f"{self.what} moves {_format_nonzero(self.travel_mm)} mm{self.by}, {self.turn()}"
         return "; ".join((f"{moves}, {self.duration()} at {self.speed()}", *self.clearances()))
 
@@ -82,16 +70,13 @@ class MotionFacts:
         return self.detour and f" {self.detour}"
 
     def turn(self) -> str:
-        """Describe the largest turn of a joint."""
         turns_rad = [high - low for one in self.previews for low, high in one.joint_ranges_rad]
         return f"joints turn up to {_format_nonzero(math.degrees(max(turns_rad)))} deg"
 
     def speed(self) -> str:
-        """Describe the largest speed of a body."""
         return f"up to {_format_nonzero(max(one.largest_speed_mm_s for one in self.previews))} mm/s"
 
     def duration(self) -> str:
-        """Describe the duration."""
         return f"in {sum(one.duration_s for one in self.previews):.1f} s"
 
     def clearances(self) -> list[str]:
@@ -173,34 +158,34 @@ def describe_motions(
 def motion_facts(arm: RobotArm, motions: Sequence[PlannedMotion]) -> list[MotionFacts]:
     """Return the facts of consecutive motions from the current position. Raises as `RobotArm.preview`."""
     here = arm.read_state()
-    return collect_facts(here.commanded_rad or here.joints_rad, arm, motions)  # as `preview` by default
+    at_rad = here.commanded_rad or here.joints_rad  # as `preview` by default
+    return collect_facts(at_rad, arm.kinematics, lambda leg, rad: arm.preview(leg, start_rad=rad), motions)
 
 
 def collect_facts(
-    at_rad: JointVector, arm: PreviewingArm, motions: Sequence[PlannedMotion]
+    at_rad: JointVector, kinematics: Kinematics, preview: Preview, motions: Sequence[PlannedMotion]
 ) -> list[MotionFacts]:
     """Return the facts of consecutive motions that start at the joints `at_rad`."""
+
+    def facts_of(
+        motion: PlannedMotion, legs: Sequence[Motion], from_rad: JointVector, detour: str = ""
+    ) -> tuple[MotionFacts, JointVector]:
+        travel_mm, previews = 0.0, []
+        for leg in legs:
+            previews.append(preview(leg, from_rad))
+            travel_mm += _travel_mm(kinematics, leg, from_rad)
+            from_rad = joints_after(kinematics, leg, from_rad)
+        return MotionFacts(motion.mover, travel_mm, tuple(previews), detour), from_rad
+
     facts: list[MotionFacts] = []
     for motion in motions:
-        own_facts, end_rad = _facts(arm, motion, motion.legs, at_rad)
+        own_facts, end_rad = facts_of(motion, motion.legs, at_rad)
         if motion.replacement and not own_facts.previews[0].clear:
             legs = [leg for one in motion.replacement for leg in one.legs]
-            own_facts, end_rad = _facts(arm, motion, legs, at_rad, motion.detour)
+            own_facts, end_rad = facts_of(motion, legs, at_rad, motion.detour)
         facts.append(own_facts)
         at_rad = end_rad
     return facts
-
-
-def _facts(
-    arm: PreviewingArm, motion: PlannedMotion, legs: Sequence[Motion], at_rad: JointVector, detour: str = ""
-) -> tuple[MotionFacts, JointVector]:
-    """Return the facts of one motion, and the joints at its end."""
-    travel_mm, previews = 0.0, []
-    for leg in legs:
-        previews.append(arm.preview(leg, start_rad=at_rad))
-        travel_mm += _travel_mm(arm.kinematics, leg, at_rad)
-        at_rad = joints_after(arm.kinematics, leg, at_rad)
-    return MotionFacts(motion.mover, travel_mm, tuple(previews), detour), at_rad
 
 
 def joints_after(kinematics: Kinematics, leg: Motion, start_rad: JointVector) -> JointVector:

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from procedures.journal.errors import GateFailed
 from procedures.workcell.tracker_look import average_pose, mean_pose
@@ -20,8 +20,6 @@ from procedures.workcell.workcell import Workcell
 from ronna_hw.devices.readings import ToolReading, TrackerFrame, Validity
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.text import format_against_limit
-
-Array = NDArray[np.float64]
 
 # Rms of the frame's markers from their mean place within a spell: by the tracker's noise 0.2 mm in one frame,
 # twice that in sunlight.

@@ -8,15 +8,7 @@ from itertools import combinations, product
 from typing import NamedTuple
 
 from procedures.workcell.errors import OtherArmUnknown
-from ronna_hw.arm.clearance.arm_pair import (
-    APART_MM,
-    NO_CLOSENESS,
-    PLANNED_APART_MM,
-    ArmPairWorld,
-    Closeness,
-    PlacedArm,
-    name_of,
-)
+from ronna_hw.arm.clearance import arm_pair
 from ronna_hw.arm.clearance.bodies import Bodies, Obstacle, Surroundings
 from ronna_hw.arm.clearance.live_pair import LivePair
 from ronna_hw.arm.kinematics import Kinematics
@@ -45,19 +37,17 @@ class PlacedArms:
         self._bases = {roles[0]: Pose()}
         self._uncertain_mm = dict.fromkeys(roles, 0.0)  # of the bases, at their arms
         self.around = dict.fromkeys(roles, Surroundings())  # as declared, without the other arms
-        self._closeness = dict.fromkeys(self.pairs, NO_CLOSENESS)
+        self._closeness = dict.fromkeys(self.pairs, arm_pair.NO_CLOSENESS)
 
     def place(self, role: str, base: Pose, uncertain_mm: float) -> None:
         """Take a base as known; by `uncertain_mm` the arm may be elsewhere."""
         self._bases[role], self._uncertain_mm[role] = base, uncertain_mm
 
     def is_placed(self, role: str) -> bool:
-        """Return whether the base of an arm is known."""
         return role in self._bases
 
     @property
     def are_all_placed(self) -> bool:
-        """Whether the bases of all arms are known."""
         return all(map(self.is_placed, self.roles))
 
     def require_all_placed(self) -> None:
@@ -70,7 +60,6 @@ class PlacedArms:
                 )
 
     def others(self, role: str) -> list[str]:
-        """Return the roles of the other arms."""
         return [one for one in self.roles if one != role]
 
     def allow_contact(
@@ -81,7 +70,7 @@ class PlacedArms:
         The rest of the other may come as close to these parts of the one as to a guide.
         """
         touching = frozenset(product(of_own, of_other))
-        self._closeness[RolePair(role, with_role)] = Closeness(touching, frozenset(of_own))
+        self._closeness[RolePair(role, with_role)] = arm_pair.Closeness(touching, frozenset(of_own))
 
     def surroundings_among(self, role: str, others_rad: Mapping[str, JointVector]) -> Surroundings:
         """Return the surroundings of an arm with others as obstacles, at rest at these joints."""
@@ -92,7 +81,7 @@ class PlacedArms:
             near = closeness.near if role == pair.second else ()
             obstacles += self.arm(other).as_obstacles(joints_rad, self._bases[role], grown_mm, near)
             touching = (one if role == pair.first else one[::-1] for one in closeness.contacts)
-            contacts += [(own, name_of(part, other)) for own, part in touching]
+            contacts += [(own, arm_pair.name_of(part, other)) for own, part in touching]
         around = around.thickened(self._uncertain_mm[role])
         return replace(
             around, owner=role, obstacles=(*around.obstacles, *obstacles), contacts=tuple(contacts)
@@ -108,19 +97,19 @@ class PlacedArms:
 
     def planned_apart_mm(self, pair: RolePair) -> float:
         """Return the distance to plan between two arms."""
-        return PLANNED_APART_MM + self.doubt_mm(pair)
+        return arm_pair.PLANNED_APART_MM + self.doubt_mm(pair)
 
     def doubt_mm(self, pair: RolePair) -> float:
         """Return by how much two arms may be elsewhere to each other."""
         return self._uncertain_mm[pair.first] + self._uncertain_mm[pair.second]
 
-    def arm(self, role: str) -> PlacedArm:
+    def arm(self, role: str) -> arm_pair.PlacedArm:
         """Return the bodies of an arm where it stands."""
-        return PlacedArm(role, Bodies(self._kinematics(role), self.around[role]), self._bases[role])
+        return arm_pair.PlacedArm(role, Bodies(self._kinematics(role), self.around[role]), self._bases[role])
 
-    def world(self, pair: RolePair) -> ArmPairWorld:
+    def world(self, pair: RolePair) -> arm_pair.ArmPairWorld:
         """Return the collision world of two arms, for paths."""
-        return ArmPairWorld(self.arm(pair.first), self.arm(pair.second), self._closeness[pair])
+        return arm_pair.ArmPairWorld(self.arm(pair.first), self.arm(pair.second), self._closeness[pair])
 
     def live(self) -> dict[RolePair, LivePair]:
         """Return the watched distances between the arms."""
@@ -132,5 +121,7 @@ class PlacedArms:
     def _grown_mm(self, role: str, pair: RolePair) -> float:
         """Return the thickening of the other arm that turns obstacle margins into those between two arms."""
         around = self.around[role]
-        grown_mm = max(APART_MM - around.live_margin_mm, PLANNED_APART_MM - around.margin_mm)
+        grown_mm = max(
+            arm_pair.APART_MM - around.live_margin_mm, arm_pair.PLANNED_APART_MM - around.margin_mm
+        )
         return grown_mm + self.doubt_mm(pair)

@@ -9,14 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from procedures.relocalization.errors import (
-    NoContrast,
-    NoSphere,
-    NotTrusted,
-    PairNotUsable,
-    RaysDoNotMeet,
-    WrongSize,
-)
+from procedures.relocalization import errors
 from procedures.relocalization.outline import SphereImage, SphereStatus
 from procedures.relocalization.sphere_measurement import AreaImage, locate_sphere
 from procedures.relocalization.triangulation import CameraModel, StereoPoint
@@ -27,7 +20,7 @@ from ronna_hw.devices.readings import AreaOfInterest, CameraImage, StereoReading
 from ronna_hw.errors import RonnaError
 
 # Errors that mean no sphere, or another object; everything else is a fault.
-NOT_SEEN = (NoContrast, NoSphere, RaysDoNotMeet, WrongSize)
+NOT_SEEN = (errors.NoContrast, errors.NoSphere, errors.RaysDoNotMeet, errors.WrongSize)
 FURTHER_TRIES = 2  # a lost image is an everyday matter on a network; three in a row are a fault
 # Safety against a picture from before the arm was there (U).
 CLOCK_ERROR_S = 0.1  # theatre time, between the clocks of cameras and theatre; the arm rests for longer
@@ -83,7 +76,7 @@ def look(stereo: StereoPair, calibration: StereoHeadCalibration, clock: Clock) -
         if reading.validity is Validity.OK:
             break
     if reading.validity is not Validity.OK or reading.left is None or reading.right is None:
-        raise PairNotUsable(
+        raise errors.PairNotUsable(
             "no usable pair of images",
             limit=f"{1 + FURTHER_TRIES} pairs in a row",
             got=f"the pair is {reading.validity}: {_describe_sides(reading)}",
@@ -96,7 +89,7 @@ def look(stereo: StereoPair, calibration: StereoHeadCalibration, clock: Clock) -
     problem = None
     if seen.point is None:
         rims = f"{seen.left.rim_fraction:.0%} left, {seen.right.rim_fraction:.0%} right"
-        problem = NotTrusted(seen.doubt, got=f"rim in view {rims}")
+        problem = errors.NotTrusted(seen.doubt, got=f"rim in view {rims}")
     return Look(reading, seen.left, seen.right, seen.point, problem)
 
 

@@ -12,7 +12,6 @@ from procedures.journal.journal import Entry
 from procedures.operator.question import Topic
 from procedures.strategies.strategy import ONE_SIDE, Sides, approach_joints
 from procedures.workcell.arm_history import ArmHistory, ArmLog, ArmPlace, MotionKind, PlaceKind, stands_at
-from procedures.workcell.arm_load import read_axis_loads
 from procedures.workcell.arms import Arms
 from procedures.workcell.device_views import ArmView
 from procedures.workcell.motions import PlannedMotion
@@ -20,8 +19,8 @@ from procedures.workcell.supervised_motion import SupervisedMotion
 from procedures.workcell.tools import calibrated_arm
 from ronna_hw.calibrated_arm.arm import CalibratedArm
 from ronna_hw.calibration import ArmCalibration
-from ronna_hw.devices import Device, JointMove, Motion, RobotArm
-from ronna_hw.devices.axis_loads import LOAD_CYCLES, AxisLoads
+from ronna_hw.devices import JointMove, Motion, RobotArm
+from ronna_hw.devices.axis_loads import LOAD_CYCLES, AxisLoads, TellsLoads
 from ronna_hw.devices.lifecycle import RUNNING, Lifecycle
 from ronna_hw.devices.readings import ArmReading, LinkStatistics
 from ronna_hw.frames import Transform
@@ -29,42 +28,24 @@ from ronna_hw.vectors import JointVector
 
 
 class SupervisedArm(ABC):
-    """One arm among those of the theatre, with its history in the journal.
-
-    `name` is that of messages and devices.
-    """
+    """One arm of the theatre, with its history in the journal; `name` is that of messages and devices."""
 
     def __init__(
-        self,
-        role: str,
-        log: ArmLog,
-        arms: Arms,
-        records: Mapping[str, ArmCalibration],
-        name: str,
+        self, role: str, log: ArmLog, arms: Arms, records: Mapping[str, ArmCalibration], name: str, frame: str
     ) -> None:
-        """Supervise the arm of a role; `records` are the calibrations of all arms, by role."""
-        self.role, self.name, self._log, self._arms = role, name, log, arms
+        """Supervise the arm of a role; `records` are the calibrations of all arms, by role.
+
+        `frame` is the name that the tracker has for the frame on the arm.
+        """
+        self.role, self.name, self.frame, self._log, self._arms = role, name, frame, log, arms
         self._calibrated = partial(calibrated_arm, records=records, role=role)
         self._computed = self._calibrated(self._arm.kinematics)
-        self.supervised = SupervisedMotion(
-            name,
-            log,
-            lambda: self._arm,
-            self._require_allowed,
-            self._drive_leg,
-            arms.release_held,
-            partial(arms.look_around, role),
-        )
+        self.supervised = SupervisedMotion(name, role, log, arms, self._require_allowed, self._drive_leg)
 
     @property
     @abstractmethod
     def carries(self) -> str:
         """Name of the load, as questions name it."""
-
-    @property
-    @abstractmethod
-    def frame(self) -> str:
-        """Name that the tracker has for the frame on the arm."""
 
     @abstractmethod
     def _require_allowed(self, motion: PlannedMotion) -> None:
@@ -107,8 +88,6 @@ class SupervisedArm(ABC):
     def flange_pose(self, joints_rad: JointVector, arrived: Sides = None) -> Transform:
         """Return the flange in the arm's base, by its calibration if there is one; see `Sides`."""
         return self.calibrated.flange_pose(joints_rad, arrived)
-
-    # Place and home
 
     @property
     def history(self) -> ArmHistory:
@@ -178,9 +157,10 @@ class SupervisedArm(ABC):
     def read_load(self, cycles: int = LOAD_CYCLES) -> AxisLoads | None:
         """Average the controller's signals of the load since the arm rests; None if its driver has none.
 
-        For an estimate see `arm_load.as_standstill`. Raises the arm's error if it does not rest.
+        Raises the arm's error if it does not rest.
         """
-        return read_axis_loads(self._arm, cycles, since_rest=True)
+        arm = self._arm
+        return arm.read_loads(cycles, since_rest=True) if isinstance(arm, TellsLoads) else None
 
     def start(self) -> None:
         """Start the arm's correction stream, if it is configured. Raises PRO-002."""
@@ -191,10 +171,6 @@ class SupervisedArm(ABC):
         if self._arm.state is Lifecycle.ACTIVE:
             self._arm.stop()
             self.supervised.note_hold()
-
-    def drives(self, device: Device) -> bool:
-        """Return whether this is the arm that the device moves."""
-        return device is self._arm
 
     def expect_jogging(self) -> None:
         """Allow for somebody having jogged the arm: it has to settle anew, and to be confirmed anew."""
@@ -209,8 +185,6 @@ class SupervisedArm(ABC):
     def shift_room(self, by: Transform, on_cart: Collection[str]) -> None:
         """Follow the room as it moves against a moved cart of the master, which carries bodies by name."""
 
-    # Way home
-
     @property
     def leads_instrument(self) -> bool:
         """Whether it may hold an instrument in the guide, which then only it can lead out."""
@@ -223,9 +197,9 @@ class SupervisedArm(ABC):
         The question names a `doubt`. Raises PRO-002, and as a motion along the axis.
         """
 
-    @abstractmethod
     def leave(self) -> None:
         """Go home from wherever it is, with no instrument in the guide. Raises PRO-002."""
+        self.return_home()
 
     @property
     @abstractmethod
@@ -236,14 +210,19 @@ class SupervisedArm(ABC):
         """Return a motion by joint moves, with what the arm carries."""
         return PlannedMotion(what, self.carries, legs[-1].target_rad, legs)
 
+    def go_motion(self, joints_rad: JointVector) -> PlannedMotion:
+        return self.joint_motion(MotionKind.GO, JointMove(joints_rad))
+
+    def go(self, joints_rad: JointVector) -> ArmReading:
+        """Move to joint angles, by the planned detour if the direct path is not clear. Raises ARM-007."""
+        return self.supervised.carry_out_with_detour(self.go_motion(joints_rad))
+
     def home_motion(self) -> PlannedMotion:
-        """Return the motion that `go_home` would make."""
         home_rad = self.home_rad
         before = JointMove(approach_joints(home_rad, ONE_SIDE))
         return self.joint_motion(MotionKind.HOME, before, JointMove(home_rad))
 
     def return_motion(self) -> PlannedMotion:
-        """Return the motion that `return_home` would make."""
         home = self.home_motion()
         trail = reversed(self.history.trail)
         back = tuple(self.joint_motion(MotionKind.BACK, JointMove(joints_rad)) for joints_rad in trail)

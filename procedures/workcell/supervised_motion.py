@@ -16,6 +16,7 @@ from procedures.operator.checkpoint import Checkpoint
 from procedures.operator.errors import NotConfirmed
 from procedures.operator.question import YES, Question, Topic
 from procedures.workcell.arm_history import ArmLog, MotionKind
+from procedures.workcell.arms import Arms
 from procedures.workcell.errors import BothArmsHalted
 from procedures.workcell.motions import AnnouncedMotions, PlannedMotion, describe_motions, motion_facts
 from ronna_hw.arm.errors import NotClear
@@ -54,31 +55,28 @@ class SupervisedMotion:
     def __init__(
         self,
         name: str,
+        role: str,
         log: ArmLog,
-        arm: Callable[[], RobotArm],
+        arms: Arms,
         require_allowed: Callable[[PlannedMotion], None],
         drive_leg: Callable[[Motion, PlannedMotion], ArmReading],
-        release_held: Callable[[str], bool],
-        look_around: Callable[[], None],
     ) -> None:
-        """Supervise `arm`, opened on first use; `require_allowed` raises if a motion must not be made now.
+        """Supervise the arm of a role; `name` is that of messages.
 
-        `name` is that of messages. `drive_leg` makes a leg of a motion. `release_held` ends a halt of arms
-        that were only held, and returns whether it did. `look_around` surrounds the arm with what may have
-        moved since, before its motions are previewed.
+        `require_allowed` raises if a motion must not be made now, `drive_leg` makes a leg of a motion.
         """
-        self._look_around = look_around
-        self._drive_leg = drive_leg
-        self._release_held = release_held
-        self._name, self._log = name, log
-        self._arm = arm
-        self._require_allowed = require_allowed
+        self._name, self._role, self._log, self._arms = name, role, log, arms
+        self._require_allowed, self._drive_leg = require_allowed, drive_leg
         self.ended: MotionKind | None = None
         self._checkpoint: Checkpoint | None = None
         self._ask: Callable[[Question], str] | None = None
         self._confirmed = False  # the first motion
         self._held = False  # the arm, by ourselves or when a motion was last asked about
         self._announced: AnnouncedMotions | None = None
+
+    @property
+    def _arm(self) -> RobotArm:
+        return self._arms[self._role]
 
     @contextlib.contextmanager
     def announce_step_motions(self, announced: AnnouncedMotions | None) -> Iterator[None]:
@@ -116,8 +114,8 @@ class SupervisedMotion:
         motions that would be refused: raises ARM-007 for those.
         """
         if motions:
-            self._look_around()
-        facts = motion_facts(self._arm(), motions) if motions else []
+            self._arms.look_around(self._role)
+        facts = motion_facts(self._arm, motions) if motions else []
         for fact in facts:
             fact.require_clear()
         question = Question(
@@ -127,7 +125,7 @@ class SupervisedMotion:
             trajectory=trajectory,
             read_back=facts[0].read_back if facts else None,
         )
-        self._held = self._arm().state is Lifecycle.HOLD
+        self._held = self._arm.state is Lifecycle.HOLD
         self._confirmed = self._require_yes(question) or self._confirmed
 
     def start(self) -> None:
@@ -136,7 +134,7 @@ class SupervisedMotion:
         A driver may require a confirmation before it starts its arm, and may then move it out and back. The
         operator is asked, and the start is journalled as a motion. Raises PRO-002 unless the answer is yes.
         """
-        arm = self._arm()
+        arm = self._arm
         if arm.state is not Lifecycle.CONFIGURED:
             return
         if isinstance(arm, ConfirmedStart) and (words := arm.to_confirm) is not None:
@@ -150,8 +148,8 @@ class SupervisedMotion:
         arm.activate()
 
     def _activate(self) -> ArmReading:
-        self._arm().activate()
-        return self._arm().read_state()
+        self._arm.activate()
+        return self._arm.read_state()
 
     def _require_yes(self, question: Question) -> bool:
         """Ask a question. Return False without an operator; raise PRO-002 unless the answer is yes."""
@@ -205,12 +203,12 @@ class SupervisedMotion:
                 if checkpoint.wanted:  # such as a stop while the question stood
                     self._confirmed = False
                 continue  # the question may have stood for minutes: ask the guards again
-            if not checkpoint.wanted and self._arm().state is Lifecycle.HOLD:
+            if not checkpoint.wanted and self._arm.state is Lifecycle.HOLD:
                 if not self._held:  # stopped from outside
                     self._confirmed = False
                     checkpoint.rest_after_stop(f"the arm, before {named},", REPLANNED)
                     continue
-                self._arm().resume()  # moves nothing
+                self._arm.resume()  # moves nothing
                 self._held = False
             if checkpoint.wanted:  # since the checkpoint
                 self._confirmed = False
@@ -220,14 +218,14 @@ class SupervisedMotion:
                 reached = self._drive_journalled(motion.as_intent(), drive)
             except (MotionInterrupted, WrongState) as error:
                 # A stop right before the motion, or between its legs, puts the arm into HOLD: it refuses.
-                if isinstance(error, WrongState) and self._arm().state is not Lifecycle.HOLD:
+                if isinstance(error, WrongState) and self._arm.state is not Lifecycle.HOLD:
                     raise
                 self._confirmed = False
                 checkpoint.rest_after_stop(named, REPLANNED)
                 continue
             except BothArmsHalted:
                 self._confirmed = False
-                if not self._release_held(OPERATOR):  # a fault, which a named person acknowledges
+                if not self._arms.release_held(OPERATOR):  # a fault, which a named person acknowledges
                     raise
                 checkpoint.rest_after_stop(named, REPLANNED)
                 continue
@@ -256,6 +254,6 @@ class SupervisedMotion:
     def _rests_at_home(self) -> bool | None:
         """Return whether a failed motion left the arm at home, or None if its joints cannot be read."""
         with contextlib.suppress(RonnaError):
-            if self._arm().state in RUNNING:
-                return self._log.is_home(self._arm().read_state().joints_rad)
+            if self._arm.state in RUNNING:
+                return self._log.is_home(self._arm.read_state().joints_rad)
         return None

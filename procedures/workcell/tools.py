@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from enum import StrEnum
 
 from procedures.calibration.validity import MADE_BY_HAND
 from procedures.journal.journal import Entry
-from procedures.strategies.strategy import Sides
 from procedures.workcell.arm_history import ArmLog, Stop
 from procedures.workcell.errors import INSTRUMENT_IN_GUIDE, SAME_ARM_TWICE, AnotherArm, WrongTool
 from ronna_hw.arm.catalogue import find_arm
@@ -21,7 +19,6 @@ from ronna_hw.config import Calibrations
 from ronna_hw.errors import RonnaError
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.roles import ASSISTANT, MASTER
-from ronna_hw.vectors import JointVector
 
 
 class MountedTool(StrEnum):
@@ -140,34 +137,6 @@ def require_two_arms(master: tuple[str, str], assistant: tuple[str, str]) -> Non
     model, serial = master
     if serial and master == assistant:
         raise SAME_ARM_TWICE("master and assistant are one arm", got=f"{model} {serial}, twice")
-
-
-@dataclass(frozen=True)
-class CarriedTool:
-    """Tool carried by an arm, for converting between poses ROBOT <- TOOL and joint angles."""
-
-    arm: CalibratedArm
-    flange_from_tool: Transform
-
-    def pose(self, joints_rad: JointVector, arrived: Sides = None) -> Transform:
-        """Return the tool's pose at joint angles. `arrived` is the arrival side of each joint, if known."""
-        return self.arm.flange_pose(joints_rad, arrived) @ self.flange_from_tool
-
-    def joints_at(self, pose: Transform, near: JointVector, arriving: Sides = None) -> JointVector:
-        """Return the joints for a tool pose, in the branch of `near`. Raises ARM-001 to ARM-003."""
-        return self.arm.compensate(pose @ self.flange_from_tool.inverse(), near, arriving).joints_rad
-
-    def commanded(
-        self, pose: Transform, here_rad: Callable[[], JointVector], arriving: Sides = None
-    ) -> Transform:
-        """Return the pose to command to the uncalibrated controller so that the tool reaches `pose`.
-
-        `here_rad` measures the joints, in whose branch the arm stays.
-        """
-        if self.arm.is_nominal:
-            return pose
-        flange = self.arm.compensate(pose @ self.flange_from_tool.inverse(), here_rad(), arriving).commanded
-        return flange.to_transform() @ self.flange_from_tool
 
 
 class WorkedStages:

@@ -10,12 +10,12 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from procedures.journal.errors import GateFailed
 from procedures.strategies.strategy import Sides
 from procedures.workcell.tools import MountedTool
 from procedures.workcell.workcell import Workcell
+from ronna_hw.arrays import Array
 from ronna_hw.clock import Clock
 from ronna_hw.devices import OpticalTracker
 from ronna_hw.devices.lifecycle import Lifecycle
@@ -24,8 +24,6 @@ from ronna_hw.errors import LinkTimeout, ProtocolError
 from ronna_hw.frames import FRAME_MISMATCH, Frame, Transform
 from ronna_hw.vectors import JointVector, Quaternion, Vector3
 from ronna_hw.x_frame import SPHERE_CENTRES_MM
-
-Array = NDArray[np.float64]
 
 ALIKE_MM = 0.05  # between a loaded definition and the frame: definitions have two decimals
 FRAMES = 60  # one second of a 60 Hz tracker
@@ -47,15 +45,13 @@ def flange_from_marker(workcell: Workcell) -> Transform:
 
 
 def read_frames_at_rest(
-    tracker: OpticalTracker,
-    clock: Clock,
-    progress: Callable[[float], None] = lambda _share: None,
-    count: int = FRAMES,
+    workcell: Workcell, progress: Callable[[float], None] = lambda _share: None, count: int = FRAMES
 ) -> tuple[list[TrackerFrame], int]:
     """Start tracking, read `count` distinct frames and stop tracking; see `read_fresh_frames`."""
+    tracker = workcell.tracker
     tracker.activate()
     try:
-        return read_fresh_frames(tracker, clock, progress, count)
+        return read_fresh_frames(tracker, workcell.clock, progress, count)
     finally:
         if tracker.state is not Lifecycle.FAULT:  # a fault ended the tracking, and must be reported
             tracker.deactivate()
@@ -110,22 +106,6 @@ def mean_pose(frames: list[TrackerFrame], tool: str, least: int) -> Transform | 
     """Return a tool's mean pose TRACKER <- MARKER, or None if seen in fewer than `least` frames."""
     seen_poses = list_poses(frames, tool)
     return _average_poses(seen_poses) if len(seen_poses) >= least else None
-
-
-class FrameHidden(Exception):
-    """Frame that is seen in too few tracker frames, by its name."""
-
-
-def see_both_arms(workcell: Workcell, frames: list[TrackerFrame]) -> tuple[Transform, Transform]:
-    """Return the mean poses TRACKER <- MARKER of the frames on master and assistant.
-
-    Raises `FrameHidden` for one that is in less than half of the frames.
-    """
-    names = workcell.calibrations.tracker_frame.tool, workcell.assistant.holder.frame
-    on_master, on_assistant = (mean_pose(frames, name, max(1, len(frames) // 2)) for name in names)
-    if on_master is None or on_assistant is None:
-        raise FrameHidden(names[0] if on_master is None else names[1])
-    return on_master, on_assistant
 
 
 def _explain_missing_frames(frames: list[TrackerFrame], tool: str) -> tuple[str, str]:

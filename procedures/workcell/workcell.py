@@ -14,12 +14,7 @@ from procedures.journal.errors import JournalNotWritable
 from procedures.journal.journal import Entry, Journal
 from procedures.planning.tool_records import ToolRecords
 from procedures.room.sighting import Sighting
-from procedures.workcell.arm_history import (
-    ArmHistory,
-    ArmLog,
-    HeldInstrument,
-    describe_instrument,
-)
+from procedures.workcell.arm_history import ArmHistory, ArmLog, HeldInstrument, describe_instrument
 from procedures.workcell.arms import Arms, Halt
 from procedures.workcell.assistant import Assistant
 from procedures.workcell.device_views import DeviceView
@@ -72,7 +67,7 @@ class Workcell:
         self.calibrations = theatre.calibrations if calibrations is None else calibrations
         self.tools = ToolRecords.of(theatre.file, calibrating=calibrating)
         self.patient_frame = theatre.file.procedure.patient_frame  # the tracker's name for it, if any
-        self._theatre = theatre
+        self._theatre, self.clock = theatre, theatre.clock
         logs = {role: ArmLog(journal, theatre.clock, history) for role, history in histories.items()}
         self._log = logs[MASTER]
         self.motion = make_arms(
@@ -98,7 +93,6 @@ class Workcell:
 
     @property
     def tracker(self) -> OpticalTracker:
-        """Optical tracker."""
         return self._theatre.tracker
 
     @property
@@ -129,8 +123,6 @@ class Workcell:
                 action="Declare it as [robot.NAME].",
             )
         return device
-
-    # Arms
 
     @property
     def assistant(self) -> Assistant:
@@ -201,8 +193,6 @@ class Workcell:
         if self.motion.halted is not None:
             self.motion.acknowledge(by)
 
-    # Looks
-
     def tracker_move(self, localization: str) -> TrackerMove:
         """Return how the tracker was moved since this localization, as far as it was followed."""
         known = self._log.history.tracker
@@ -223,11 +213,9 @@ class Workcell:
 
     def look(self) -> Look:
         """Take a stereo pair and measure the sphere in it. Raises STE-012 without a fresh, complete pair."""
-        seen = look(self.stereo, self.calibrations.stereo_head, self._theatre.clock)
+        seen = look(self.stereo, self.calibrations.stereo_head, self.clock)
         self.on_look(seen)
         return seen
-
-    # Start and stop
 
     def start(self, *, cameras: bool = False) -> None:
         """Start the correction streams and, if requested, the cameras. Raises PRO-002, TOOL-001."""
@@ -252,12 +240,10 @@ class Workcell:
 
     def recover(self, role: str, by: str) -> None:
         """Recover a faulted device without motion. After an arm fault, the tool must be checked again."""
-        device = self._devices[role]
-        device.recover(by)
-        for arm in self.arms.values():
-            if arm.drives(device):
-                arm.expect_jogging()
-                arm.doubt_tool()
+        self._devices[role].recover(by)
+        if (arm := self.arm_of_device(role)) is not None:
+            arm.expect_jogging()
+            arm.doubt_tool()
 
     def rest(self) -> None:
         """Stop the arms' correction streams and the cameras, for a tool change or a parked arm."""

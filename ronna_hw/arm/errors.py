@@ -103,10 +103,8 @@ LOADED_AT_START = ErrorCode(
     "ARM-014",
     RefusedError,
     "A force acts on the tool before a motion with a force limit, so that it cannot be tared.",
-    (
-        "Let go of the tool, check that it touches nothing and that mass and centre of gravity are set, "
-        "then wait a moment and start again."
-    ),
+    "Let go of the tool, check that it touches nothing and that mass and centre of gravity are set, "
+    "then wait a moment and start again.",
 )
 
 

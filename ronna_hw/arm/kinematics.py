@@ -1,7 +1,4 @@
-"""Vendor-neutral interface to an arm: its chain of joints, its bodies, and its kinematics.
-
-It assumes neither an axis order nor a spherical wrist.
-"""
+"""Vendor-neutral interface to an arm (chain, bodies, kinematics) of any axis order, with any wrist."""
 
 from __future__ import annotations
 
@@ -27,8 +24,7 @@ METRES_ADVICE = "Positions are in mm; were these metres?"
 
 def require_off_base(target: Pose) -> None:
     """Raise ARM-001 for a target at the centre of the base, where one in metres seems to be."""
-    distance_mm = hypot(*target.position_mm)
-    if distance_mm < NEAR_BASE_MM:
+    if (distance_mm := hypot(*target.position_mm)) < NEAR_BASE_MM:
         x, y, z = target.position_mm
         raise Unreachable(
             f"the target at x {x:g} mm, y {y:g} mm, z {z:g} mm is inside the base",
@@ -77,10 +73,7 @@ class Joint(NamedTuple):
 
 
 class Chain(NamedTuple):
-    """Nominal kinematic chain from the robot base to the flange.
-
-    `flange_rotation` rotates the frame of the last link into that of the flange.
-    """
+    """Nominal chain from base to flange; `flange_rotation` turns the last link's frame into the flange's."""
 
     base_mm: Vector3  # of the first joint
     joints: tuple[Joint, ...]
@@ -110,22 +103,18 @@ class ArmBodies(Protocol):
     @property
     def chain(self) -> Chain:
         """Nominal chain from base to flange."""
-        ...
 
     @property
     def links(self) -> tuple[Link, ...]:
         """Moving bodies, from the base outwards."""
-        ...
 
     @property
     def radii(self) -> ArmRadii:
         """Radii of the bodies, unless the theatre file gives its own."""
-        ...
 
     @property
     def column_height_mm(self) -> float:
         """Height of the axis of the first moving body above the base, mm; the fixed column ends below it."""
-        ...
 
     def link_segments(self, joints_rad: JointVector) -> tuple[list[Segment], Pose]:
         """Return the axes of all links in the robot base, and the pose of the flange.
@@ -133,11 +122,9 @@ class ArmBodies(Protocol):
         The live monitor's own closed form, called in the real-time loop; shares no formula with the sweeps
         that multiply out `chain`.
         """
-        ...
 
     def levers_mm(self, tool_points_mm: Sequence[Vector3]) -> JointVector:
         """Return upper bounds on the motion of any link or tool point, in mm per radian of each joint."""
-        ...
 
 
 Branch = NewType("Branch", int)
@@ -176,7 +163,6 @@ class JointRanges(Protocol):
     @property
     def axis_names(self) -> tuple[str, ...]:
         """Joint names for messages."""
-        ...
 
     @property
     def lower_rad(self) -> JointVector: ...
@@ -197,29 +183,23 @@ class Kinematics(JointRanges, ArmBodies, Protocol):
     @property
     def name(self) -> str:
         """Arm name, as used in calibration records."""
-        ...
 
     @property
     def home_rad(self) -> JointVector:
         """Home posture: clear of singularities, tool pointing down in front of the wrist."""
-        ...
 
     @property
     def branches(self) -> tuple[Branch, ...]:
         """All branches, most common first."""
-        ...
 
     def forward(self, joints_rad: JointVector) -> Pose:
         """Return the flange pose in the robot base, as plain floats."""
-        ...
 
     def flange_pose(self, joints_rad: JointVector) -> Transform:
         """Return the flange pose as a checked transform, ROBOT <- FLANGE."""
-        ...
 
     def jacobian(self, joints_rad: JointVector) -> NDArray[np.float64]:
         """Return the geometric Jacobian of the flange in the base, (6, n): mm and rad per rad."""
-        ...
 
     def solutions(self, pose: Pose) -> tuple[Solution, ...]:
         """Return all joint vectors within range that reach the flange pose, including whole turns.
@@ -227,27 +207,21 @@ class Kinematics(JointRanges, ArmBodies, Protocol):
         Raises ARM-001 when the pose is out of reach, ARM-002 when a joint is undefined in a branch within the
         ranges, ARM-003 when every branch leaves the ranges.
         """
-        ...
 
     def branch_of(self, joints_rad: JointVector) -> Branch:
         """Return the branch of a joint vector."""
-        ...
 
     def solve_branch(self, pose: Pose, branch: Branch, near: JointVector) -> JointVector:
         """Return the solution in a given branch, unwrapped to be nearest `near`. Real-time safe.
 
         Raises ARM-001, ARM-002 or ARM-003 like `solutions`, for this branch alone.
         """
-        ...
 
     def singular_measure(self, joints_rad: JointVector) -> SingularMeasure:
         """Return the distance of a posture from each kind of singularity."""
-        ...
 
     def wrist_bend_rad(self, joints_rad: JointVector) -> float:
         """Return the wrist's bend away from its singularity, as a non-negative angle."""
-        ...
 
     def wrist_turn_rad(self, joints_rad: JointVector) -> float:
         """Return the angle of the joint that rotates the bent wrist as a whole."""
-        ...

@@ -78,27 +78,16 @@ def monitor_limits(
 
 
 class Monitor:
-    """Monitor for a single stream of set-points.
-
-    `check` changes nothing; `sent` and the methods after it record what happened.
-    """
+    """Monitor of one stream: `check` changes nothing, `sent` and those after it record what happened."""
 
     def __init__(self, limits: MonitorLimits, start_rad: JointVector) -> None:
         self.limits = limits
         self._start = start_rad
         # What range and total correction both allow, narrower by rounding: beyond it each is compared.
-        self._lower_rad = [
-            max(low, start + least) - RANGE_ROUNDING_RAD / 2
-            for low, start, least in zip(
-                limits.lower_rad, start_rad, limits.correction_lower_rad, strict=True
-            )
-        ]
-        self._upper_rad = [
-            min(high, start + most) + RANGE_ROUNDING_RAD / 2
-            for high, start, most in zip(
-                limits.upper_rad, start_rad, limits.correction_upper_rad, strict=True
-            )
-        ]
+        lows = zip(limits.lower_rad, start_rad, limits.correction_lower_rad, strict=True)
+        self._lower_rad = [max(low, start + least) - RANGE_ROUNDING_RAD / 2 for low, start, least in lows]
+        highs = zip(limits.upper_rad, start_rad, limits.correction_upper_rad, strict=True)
+        self._upper_rad = [min(high, start + most) + RANGE_ROUNDING_RAD / 2 for high, start, most in highs]
         # Newest first: the arm starts at rest.
         self._last: History = (start_rad, start_rad, start_rad, start_rad)
         self._followed_rad = start_rad
@@ -147,8 +136,7 @@ class Monitor:
                 and -bent <= bend <= bent
                 and -twisted <= bend - before + previous - earlier <= twisted
             ):  # NaN fails here
-                found = self._find_axis_violation(joints_rad)
-                if found is not None:
+                if (found := self._find_axis_violation(joints_rad)) is not None:
                     return found
                 break
         return None if self._watch is None else self._watch.check(joints_rad)
@@ -160,12 +148,8 @@ class Monitor:
             angle = joints_rad[i]
             low, high = limits.lower_rad[i] - RANGE_ROUNDING_RAD, limits.upper_rad[i] + RANGE_ROUNDING_RAD
             if not low <= angle <= high:  # NaN fails here
-                return Violation(
-                    ViolationKind.RANGE,
-                    i + 1,
-                    angle,
-                    limits.lower_rad[i] if angle < low else limits.upper_rad[i],
-                )
+                limit = limits.lower_rad[i] if angle < low else limits.upper_rad[i]
+                return Violation(ViolationKind.RANGE, i + 1, angle, limit)
             total = angle - self._start[i]
             least, most = limits.correction_lower_rad[i], limits.correction_upper_rad[i]
             if not least - RANGE_ROUNDING_RAD <= total <= most + RANGE_ROUNDING_RAD:

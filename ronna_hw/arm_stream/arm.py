@@ -57,13 +57,6 @@ REPLY_LIMIT_S = 0.5  # host time: connections silent for longer are reopened in 
 LIVE_HEARTBEAT_S = 0.2  # largest age of the real-time process' last heartbeat for it to be worth contacting
 CLOSING_STOP_S = 1.0  # host time for the arm to come to rest in close()
 
-_STOP_ORDERS = {
-    StopKind.HOLD: StopOrder.HOLD,
-    StopKind.PROTECTIVE: StopOrder.PROTECTIVE,
-    StopKind.LINK: StopOrder.LINK,
-    StopKind.DRIVES_OFF: StopOrder.DRIVES_OFF,
-}
-
 
 class StreamedArm(ABC, Generic[S]):
     """Arm that its stream defines; a driver adds its connections, its start and its controller's words."""
@@ -86,8 +79,6 @@ class StreamedArm(ABC, Generic[S]):
         self._follower = MotionFollower(connections, watch, limits.cycle_s)
         self._readings = StreamReadings(connections, senses_force=self.senses_force)
         self._stated: tuple[S | None, tuple[Fact, ...]] = None, ()  # the last state, and its facts
-
-    # What a driver adds:
 
     @abstractmethod
     def _start_stream(self, timeout_s: float) -> None:
@@ -120,8 +111,6 @@ class StreamedArm(ABC, Generic[S]):
     @abstractmethod
     def _switch_drives_off(self, timeout_s: float) -> None:
         """Ask the controller to switch its drives off."""
-
-    # The same for all:
 
     @property
     def name(self) -> str:
@@ -161,8 +150,7 @@ class StreamedArm(ABC, Generic[S]):
 
     def observe(self) -> LastKnown[ArmReading]:
         streaming = self._guard.state in RUNNING  # unlike `state`, this does not check for new faults
-        reported = self.connections.reported
-        if reported is not self._stated[0]:
+        if (reported := self.connections.reported) is not self._stated[0]:
             self._stated = reported, () if reported is None else tuple(self._controller_facts(reported))
         reading, stopped = self._readings.newest(streaming=streaming)
         return self._guard.last_known(reading, self._stated[1], stopped=stopped)
@@ -211,8 +199,7 @@ class StreamedArm(ABC, Generic[S]):
         self._guard.require("recover", (Lifecycle.FAULT,))
         if not connections.is_answering(REPLY_LIMIT_S):
             self._find_controller(remaining_s(deadline), retry=True)
-        link = connections.open_link
-        if link is not None:
+        if (link := connections.open_link) is not None:
             if link.alive and link.stalled_s < LIVE_HEARTBEAT_S:
                 with contextlib.suppress(RonnaError):
                     connections.end_stream(time.monotonic() + 0.5 * remaining_s(deadline))
@@ -225,16 +212,14 @@ class StreamedArm(ABC, Generic[S]):
 
     def read_state(self, timeout_s: float = 1.0) -> ArmReading:
         """Read the measured joint angles, from a running stream or otherwise by the control channel."""
-        self._watch.raise_new()
-        self._guard.require("read_state", READABLE)
+        self._require("read_state", READABLE)
         if self._guard.state in RUNNING:
             return self._readings.from_stream(self.connections.link.state)
         return self._readings.from_controller(self._request_state(timeout_s))
 
     def read_tool_identity(self, timeout_s: float = 1.0) -> ToolIdentity:
         """Read the tool number from the controller's inputs; 0 means no tool."""
-        self._watch.raise_new()
-        self._guard.require("read_tool_identity", READABLE)
+        self._require("read_tool_identity", READABLE)
         number = self._tool_number(self._request_state(timeout_s))
         return ToolIdentity(self._readings.stamp(), number)
 
@@ -242,8 +227,7 @@ class StreamedArm(ABC, Generic[S]):
         self, cycles: int = LOAD_CYCLES, timeout_s: float = 2.0, *, since_rest: bool = False
     ) -> AxisLoads:
         """Average the load signals of cycles at rest; MISSING if the stream carries none."""
-        self._watch.raise_new()
-        self._guard.require("read_loads", RUNNING)
+        self._require("read_loads", RUNNING)
         deadline = time.monotonic() + timeout_s
         before = after = self.connections.link.state
         if not after.carries_loads:
@@ -295,12 +279,8 @@ class StreamedArm(ABC, Generic[S]):
             return
         connections = self.connections
         with contextlib.suppress(Exception):
-            link = connections.open_link
-            if (
-                link is not None
-                and link.alive
-                and link.state.phase in (StreamPhase.RUNNING, StreamPhase.FAULT)
-            ):
+            link, streaming = connections.open_link, (StreamPhase.RUNNING, StreamPhase.FAULT)
+            if link is not None and link.alive and link.state.phase in streaming:
                 link.stop(StopOrder.HOLD)
                 link.wait(lambda s: not s.moving, CLOSING_STOP_S)
                 self._follower.await_end(CLOSING_STOP_S)
@@ -312,24 +292,19 @@ class StreamedArm(ABC, Generic[S]):
     def link_statistics(self) -> LinkStatistics:
         """Return the link statistics since the last `activate`."""
         self._guard.require("link_statistics", (*READABLE, Lifecycle.FAULT))
-        link = self.connections.open_link
-        if link is None:
-            return link_statistics(NO_STATE, ())
-        return link_statistics(
-            link.state, link.mailbox.read_histogram(), link.mailbox.read_jitter_histogram()
-        )
+        if (link := self.connections.open_link) is None:
+            return link_statistics(NO_STATE, (), ())
+        return link_statistics(link.state, *link.mailbox.read_histograms())
 
     def move(self, motion: Motion, *, timeout_s: float = 60.0) -> ArmReading:
         return self._move("move", motion, timeout_s)
 
     def insert(self, insertion: Insertion, *, timeout_s: float = 120.0) -> Inserted:
-        limit_N = insertion.force_limit_N
-        if limit_N is not None and not self.senses_force:
+        if (limit_N := insertion.force_limit_N) is not None and not self.senses_force:
             raise FORCE_NOT_SENSED(
                 f"{self._name}: this arm does not sense the force on its tool", limit=f"{limit_N:g} N"
             )
-        self._watch.raise_new()
-        self._guard.require("insert", (Lifecycle.ACTIVE,))
+        self._require("insert", (Lifecycle.ACTIVE,))
         if limit_N is not None:
             self._await_tare()
         start_rad = self.connections.link.state.commanded_rad
@@ -343,10 +318,8 @@ class StreamedArm(ABC, Generic[S]):
 
     def preview(self, motion: Motion, *, start_rad: JointVector | None = None) -> PathPreview:
         if start_rad is None:
-            current_reading = self.read_state()
-            start_rad = (
-                current_reading.commanded_rad or current_reading.joints_rad
-            )  # nothing is commanded before the stream runs
+            reading = self.read_state()
+            start_rad = reading.commanded_rad or reading.joints_rad  # before the stream nothing is commanded
         return self._planner.preview(motion, start_rad, self.operating_mode)
 
     def stop(self, kind: StopKind = StopKind.HOLD, timeout_s: float = 5.0) -> None:
@@ -360,10 +333,9 @@ class StreamedArm(ABC, Generic[S]):
             return
         # First: from now on `_move` finds HOLD, or has read the number of an earlier stop and is refused.
         was_held = self._guard.exchange(Lifecycle.ACTIVE, Lifecycle.HOLD)
-        number = link.stop(_STOP_ORDERS[kind])
-        was_held = (
-            self._guard.exchange(Lifecycle.ACTIVE, Lifecycle.HOLD) or was_held
-        )  # a start that ended meanwhile
+        number = link.stop(StopOrder[kind.name])
+        # Once more, for a start that ended meanwhile.
+        was_held = self._guard.exchange(Lifecycle.ACTIVE, Lifecycle.HOLD) or was_held
         try:
             rest_state = self._follower.wait(
                 lambda s: (s.stop_number >= number and not s.moving) or s.phase is StreamPhase.IDLE, timeout_s
@@ -378,8 +350,7 @@ class StreamedArm(ABC, Generic[S]):
         self._watch.check_until_certain()
 
     def resume(self) -> None:
-        self._watch.raise_new()
-        self._guard.require("resume", RUNNING)
+        self._require("resume", RUNNING)
         self._guard.enter(Lifecycle.ACTIVE)
 
     def surround(self, surroundings: Surroundings) -> None:
@@ -388,9 +359,8 @@ class StreamedArm(ABC, Generic[S]):
     def _move(self, call: str, motion: Motion, timeout_s: float, force: ForceLimit = NO_LIMIT) -> ArmReading:
         self._watch.raise_new()
         open_link = self.connections.open_link
-        stop_count = (
-            0 if open_link is None else open_link.stop_number
-        )  # before the state is checked: see `stop`
+        # Before the state is checked: see `stop`.
+        stop_count = 0 if open_link is None else open_link.stop_number
         self._guard.require(call, (Lifecycle.ACTIVE,))
         link, mode = self.connections.link, self._stream_mode()
         planned = self._planner.plan(motion, link.state.commanded_rad, mode)
@@ -402,6 +372,11 @@ class StreamedArm(ABC, Generic[S]):
             self._guard.exchange(Lifecycle.ACTIVE, Lifecycle.HOLD)
             raise
         return self._readings.from_stream(state)
+
+    def _require(self, call: str, allowed: Iterable[Lifecycle]) -> None:
+        """Raise a fault that no call has raised yet, or DEV-001 unless the state is one of `allowed`."""
+        self._watch.raise_new()
+        self._guard.require(call, allowed)
 
     def _find_controller(self, timeout_s: float, *, retry: bool = False) -> Identity:
         identity = self.connections.find_controller(timeout_s, self._watch, retry=retry)

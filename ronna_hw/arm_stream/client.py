@@ -155,10 +155,7 @@ class LinkClient:
             return self.stop_number
 
     def wait(self, condition: Condition, timeout_s: float) -> LinkState | None:
-        """Wait for a state that meets a condition; returns None on time-out (host time).
-
-        Raises the driver's error when the process has ended.
-        """
+        """Wait (host time) for a state; returns None on time-out, raises `died` if the process has ended."""
         deadline = time.monotonic() + timeout_s
         lets_time_pass = False
         try:
@@ -169,8 +166,7 @@ class LinkClient:
                         return state
                     if not self.alive:
                         raise self.death_error()
-                    remaining_s = deadline - time.monotonic()
-                    if remaining_s <= 0.0:
+                    if (remaining_s := deadline - time.monotonic()) <= 0.0:
                         return None
                     lets_time_pass = True
                     self._clock.let_pass(PASSING_S)

@@ -32,8 +32,6 @@ class StreamConnections(ABC, Generic[S, C]):
         self.open_link: LinkClient | None = None
         self.recorder: ByteSink | None = None  # takes effect when a connection is opened
 
-    # What a driver adds:
-
     @abstractmethod
     def start_link(self, timeout_s: float) -> None:
         """Start the real-time process."""
@@ -61,8 +59,6 @@ class StreamConnections(ABC, Generic[S, C]):
     @abstractmethod
     def _end_program(self, timeout_s: float) -> None:
         """End the controller's program by command."""
-
-    # The same for all:
 
     @property
     def reported(self) -> S | None:
@@ -151,9 +147,8 @@ class StreamConnections(ABC, Generic[S, C]):
 
     def _traffic_of(self, interface: str) -> TrafficHandler | None:
         """Return what takes the traffic of the stream, or None without a recorder."""
-        return (
-            None if self.recorder is None else pass_traffic(self.recorder, f"{self.faults.name}.{interface}")
-        )
+        sink, name = self.recorder, f"{self.faults.name}.{interface}"
+        return None if sink is None else pass_traffic(sink, name)
 
 
 def remaining_s(deadline: float) -> float:

@@ -36,22 +36,18 @@ class ReportedState(Protocol):
     @property
     def received_s(self) -> float:
         """Host time of its arrival."""
-        ...
 
     @property
     def device_clock(self) -> int:
         """Time stamp by the controller, 0 without one."""
-        ...
 
     @property
     def joints_rad(self) -> JointVector:
         """Measured joint angles."""
-        ...
 
     @property
     def moving(self) -> bool:
         """Whether the arm moves."""
-        ...
 
 
 S = TypeVar("S", bound=ReportedState)
@@ -63,15 +59,12 @@ class Listener(Protocol[S_contra]):
 
     def on_state(self, state: S_contra) -> None:
         """Handle a state."""
-        ...
 
     def on_silence(self) -> None:
         """Handle another `QUIET_S` without data from the controller."""
-        ...
 
     def on_loss(self, failure: RonnaError) -> None:
         """Handle the loss of the connection; not called when we close it."""
-        ...
 
 
 class ControlChannel(ABC, Generic[S]):
@@ -152,8 +145,7 @@ class ControlChannel(ABC, Generic[S]):
         deadline = time.monotonic() + timeout_s
         with self._arrived:
             while True:
-                found = find()
-                if found is not None:
+                if (found := find()) is not None:
                     return found
                 if self.failure is not None:
                     raise self.failure
@@ -224,8 +216,7 @@ class ControlChannel(ABC, Generic[S]):
 
     def _handle(self, message: bytes) -> None:
         with self._arrived:
-            state = self._take(message)
-            if state is not None:
+            if (state := self._take(message)) is not None:
                 self.latest = state
             self._arrived.notify_all()
         if state is not None and self._listener is not None:

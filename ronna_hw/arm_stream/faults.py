@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from math import degrees
+from operator import attrgetter
 from typing import Any
 
 from ronna_hw.arm.clearance.bodies import Bodies, Surroundings
@@ -14,13 +15,7 @@ from ronna_hw.arm.kinematics import Kinematics
 from ronna_hw.arm_stream.errors import StreamErrors
 from ronna_hw.arm_stream.losses import DEGRADED_SPEED, UNUSABLE_SHARE, WINDOW_CYCLES
 from ronna_hw.arm_stream.options import StreamOptions
-from ronna_hw.arm_stream.records import (
-    NO_STATE,
-    NOTHING_AROUND,
-    LinkFault,
-    LinkState,
-    MotionResult,
-)
+from ronna_hw.arm_stream.records import NO_STATE, NOTHING_AROUND, LinkFault, LinkState, MotionResult
 from ronna_hw.errors import AnyCode, LimitError, LinkTimeout, RefusedError, RonnaError, StateError
 
 _REFUSALS = {
@@ -116,14 +111,9 @@ class StreamFaults:
 
     def losses_text(self, initial: LinkState, state: LinkState) -> str:
         """Describe the losses between two states, or return an empty text if there were none."""
-        cycles, late, lost = (
-            max(now - before, 0)
-            for now, before in (
-                (state.cycles, initial.cycles),
-                (state.late, initial.late),
-                (state.lost, initial.lost),
-            )
-        )
+        counts = attrgetter("cycles", "late", "lost")
+        changes = zip(counts(state), counts(initial), strict=True)
+        cycles, late, lost = (max(now - before, 0) for now, before in changes)
         if not late and not lost:
             return ""
         return (

@@ -35,8 +35,7 @@ class GuideLimits(NamedTuple):
 
     def velocity(self, force_N: Vector3) -> Vector3:
         """Return the velocity that a force asks for, mm/s."""
-        size = hypot(*force_N)
-        if size <= self.dead_band_N:
+        if (size := hypot(*force_N)) <= self.dead_band_N:
             return 0.0, 0.0, 0.0
         speed = min((size - self.dead_band_N) / self.damping_N_s_mm, self.speed_mm_s)
         x, y, z = force_N
@@ -140,8 +139,7 @@ class GuidedMotion:
         """Return the velocity that hand, speed and reach allow."""
         velocity = [self._speed * value for value in self._guide.velocity(self._force)]
         offset = [here - begin for here, begin in zip(self._state.position, self._origin, strict=True)]
-        away = hypot(*offset)
-        if away > 0.0:
+        if (away := hypot(*offset)) > 0.0:
             out = [value / away for value in offset]
             outwards = sum(v * u for v, u in zip(velocity, out, strict=True))
             permitted = max(self._guide.reach_mm - away, 0.0) / WALL_TIME_S

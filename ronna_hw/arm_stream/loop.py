@@ -14,13 +14,13 @@ from __future__ import annotations
 import os
 import time
 from abc import ABC, abstractmethod
+from operator import attrgetter
 from typing import Any
 
 from ronna_hw.arm_stream.mailbox import Mailbox
 from ronna_hw.arm_stream.pace import Line, PacedReceiver
 from ronna_hw.arm_stream.records import Command, Orders, RecordedCycle, StreamPhase, StreamSettings
 from ronna_hw.arm_stream.session import STREAMING_PHASES, StreamSession
-from ronna_hw.arm_stream.statistics import histogram_bin
 from ronna_hw.host.real_time import ProcessorAffinity
 
 # Without the parent and without a telegram for this long, there is no one left to answer.
@@ -35,6 +35,8 @@ LOOK_EACH_CYCLES = 32  # of lock-step, for the processor of the sender and for f
 # to rest. Lock-step takes less, on a busy computer too; taken for a pace, it would stay that slow.
 PACED_SHARE, LEAST_PACE_S = 0.2, 0.8e-3
 LOCK_STEP_GAPS = 2  # shorter ones in a row; a single one follows a telegram that was late
+# What a driver may wait for: it is woken by a change.
+_awaited = attrgetter("phase", "fault", "result", "settled", "command_number", "stop_number")
 
 
 class StreamLoop(ABC):
@@ -71,13 +73,11 @@ class StreamLoop(ABC):
         self._short_gaps = 0  # between two telegrams answered, in a row
         self._turnaround_us = 0.0  # until its reply was sent
         self._command_number = 0
-        self._published: tuple[object, ...] = ()
+        self._published: object = None
         self._ending_cycles = 0
         self._stop_sent = False  # in the last reply
         self._lock_step_cycles = 0  # without a pause
         self._cycles_since_fault = 0
-
-    # What a protocol adds:
 
     @abstractmethod
     def _step(self) -> None:
@@ -93,8 +93,6 @@ class StreamLoop(ABC):
     @abstractmethod
     def close(self) -> None:
         """Close what the loop has opened."""
-
-    # The same for all:
 
     def run(self) -> None:
         """Run until the parent has exited and the arm is at rest."""
@@ -131,8 +129,7 @@ class StreamLoop(ABC):
         session, mailbox = self.session, self._mailbox
         self._stop_sent = session.phase is StreamPhase.ENDING
         session.finish_cycle(self._new_command(orders.command_number))
-        mailbox.count_turnaround(histogram_bin(self._turnaround_us))
-        mailbox.count_jitter(histogram_bin(session.jitter_us))
+        mailbox.count(self._turnaround_us, session.jitter_us)
         self._cycles_since_fault = self._cycles_since_fault + 1 if session.fault else 0
         if self._cycles_since_fault <= RECORDED_AFTER_FAULT:
             mailbox.record(
@@ -162,8 +159,7 @@ class StreamLoop(ABC):
         self._look_aside()
         orders = self._mailbox.orders()
         self.session.monitor_silence(orders, time.monotonic_ns())
-        command = self._new_command(orders.command_number)
-        if command is not None:
+        if (command := self._new_command(orders.command_number)) is not None:
             self.session.execute_command(command)
         self._publish()
 
@@ -171,8 +167,7 @@ class StreamLoop(ABC):
         """Return the latest command if complete and not seen yet."""
         if number == self._command_number:
             return None
-        command = self._mailbox.read_command()
-        if command is None or command.number != number:
+        if (command := self._mailbox.read_command()) is None or command.number != number:
             return None
         self._command_number = number
         return command
@@ -182,15 +177,7 @@ class StreamLoop(ABC):
         state = self.session.state(real_time=real_time, locked=locked)
         self._mailbox.write_state(state)
         self._mailbox.write_alive(time.monotonic_ns())
-        published = (
-            state.phase,
-            state.fault,
-            state.result,
-            state.settled,
-            state.command_number,
-            state.stop_number,
-        )
-        if published != self._published:
+        if (published := _awaited(state)) != self._published:
             self._published = published
             os.eventfd_write(self._event_fd, 1)
 
@@ -203,7 +190,5 @@ class StreamLoop(ABC):
         if session.phase is StreamPhase.ENDING:
             self._ending_cycles += 1
         quiet_ns = QUIET_AFTER_STOP_NS if self._stop_sent else QUIET_BEFORE_STOP_NS
-        return (
-            self._ending_cycles > LONGEST_ENDING_CYCLES
-            or session.silent_for_ns(time.monotonic_ns()) > quiet_ns
-        )
+        is_quiet = session.silent_for_ns(time.monotonic_ns()) > quiet_ns
+        return is_quiet or self._ending_cycles > LONGEST_ENDING_CYCLES

@@ -29,7 +29,7 @@ from ronna_hw.arm_stream.records import (
     Request,
     StopOrder,
 )
-from ronna_hw.arm_stream.statistics import HISTOGRAM_BINS
+from ronna_hw.arm_stream.statistics import HISTOGRAM_BINS, histogram_bin
 from ronna_hw.host.row_codec import RowCodec, one_of
 from ronna_hw.host.shared_memory import ByteRing, MemoryMap
 
@@ -171,8 +171,7 @@ class Mailbox:
         """Read new surroundings; returns False while they are being written."""
         if number == self._surroundings_number:
             return True
-        line = _SURROUNDINGS.read(self._memory)
-        if line is None:
+        if (line := _SURROUNDINGS.read(self._memory)) is None:
             return False
         self._surroundings = Surroundings.from_json(line.decode())
         self._surroundings_number = number
@@ -186,11 +185,10 @@ class Mailbox:
     def write_alive(self, now_ns: int) -> None:
         _ALIVE_NS.write(self._memory, now_ns)
 
-    def count_turnaround(self, bin_number: int) -> None:
-        self._histogram[bin_number] += 1
-
-    def count_jitter(self, bin_number: int) -> None:
-        self._jitter[bin_number] += 1
+    def count(self, turnaround_us: float, jitter_us: float) -> None:
+        """Count the times of a cycle in their histograms."""
+        self._histogram[histogram_bin(turnaround_us)] += 1
+        self._jitter[histogram_bin(jitter_us)] += 1
 
     def clear_histograms(self) -> None:
         for k in range(HISTOGRAM_BINS):
@@ -214,8 +212,7 @@ class Mailbox:
     def read_state(self) -> LinkState:
         """Read the latest state; raises MailboxTorn if no consistent one can be read."""
         for _ in range(READ_TRIES):
-            state = _STATE.read(self._memory)
-            if state is not None:
+            if (state := _STATE.read(self._memory)) is not None:
                 return state
         raise MailboxTorn("the state row is never consistent")
 
@@ -223,11 +220,9 @@ class Mailbox:
         """Read the time of the real-time process' last heartbeat, host monotonic; 0 before the first."""
         return _ALIVE_NS.read(self._memory)
 
-    def read_histogram(self) -> tuple[int, ...]:
-        return tuple(self._histogram)
-
-    def read_jitter_histogram(self) -> tuple[int, ...]:
-        return tuple(self._jitter)
+    def read_histograms(self) -> tuple[tuple[int, ...], tuple[int, ...]]:
+        """Read the histograms of turnaround and jitter."""
+        return tuple(self._histogram), tuple(self._jitter)
 
     def read_records(self) -> tuple[RecordedCycle, ...]:
         """Return the flight recorder's cycles, oldest first; consistent only while recording is paused."""

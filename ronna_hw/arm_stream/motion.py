@@ -195,8 +195,7 @@ class MotionFollower(Generic[S]):
                     limit=f"{SETTLE_LIMIT_S:g} s",
                     got=self._faults.furthest_text(state),
                 )
-            waited_s = (state.cycles - start.cycles) * self._cycle_s
-            if waited_s > timeout_s:
+            if (state.cycles - start.cycles) * self._cycle_s > timeout_s:
                 link.stop(StopOrder.HOLD)
                 self.wait(lambda s: not s.moving, STOP_S)
                 self._watch.raise_any()

@@ -32,23 +32,18 @@ class Line(Protocol[R_co]):
     @property
     def is_connected(self) -> bool:
         """Whether only the stream's controller is received."""
-        ...
 
     def has_datagram(self) -> bool:
         """Return whether something is pending, without the cost of an exception."""
-        ...
 
     def sleep(self, limit_s: float) -> bool:
         """Sleep until something arrives; returns False on time-out."""
-        ...
 
     def receive(self) -> R_co:
         """Receive a telegram within `IDLE_POLL_S`; raises OSError on time-out."""
-        ...
 
     def processor(self) -> int:
         """Return the processor that received the last telegram, or -1 if unknown."""
-        ...
 
 
 def limit_receiving(link: socket.socket) -> None:

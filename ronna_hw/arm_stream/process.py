@@ -31,9 +31,8 @@ from ronna_hw.host.real_time import (
 
 EXIT_NOT_STARTED = 2
 S = TypeVar("S", bound=StreamSettings)
-OpenLoop = Callable[
-    [S, Mailbox, bool, bool], StreamLoop
-]  # and whether priority and locked memory are granted
+# The last two arguments: whether priority and locked memory are granted.
+OpenLoop = Callable[[S, Mailbox, bool, bool], StreamLoop]
 
 
 def run_process(settings_type: type[S], open_loop: OpenLoop[S]) -> int:

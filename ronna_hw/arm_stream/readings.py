@@ -43,10 +43,7 @@ class StreamReadings(Generic[S]):
         return self._newest
 
     def newest(self, *, streaming: bool) -> tuple[ArmReading | None, bool]:
-        """Return the latest reading, requested or unsolicited, and whether the stream has ended by a fault.
-
-        Never raises, in any thread.
-        """
+        """Return the latest reading and whether a fault has ended the stream; never raises, in any thread."""
         link, stopped = self._connections.open_link, False
         # Another thread may be closing the link or the clock: then the previous reading is the latest.
         with contextlib.suppress(RonnaError, OSError, ValueError, MailboxTorn):
@@ -57,12 +54,10 @@ class StreamReadings(Generic[S]):
                 age_s = host_s - state.received_ns / 1e9
                 stamp = Stamp(self._sequence, state.device_clock, now_s - age_s)
                 self._newest = self._make_stream_reading(state, stamp)
-            else:
-                reported = self._connections.reported
-                if reported is not None:
-                    age_s = host_s - reported.received_s
-                    stamp = Stamp(self._sequence, reported.device_clock, now_s - age_s)
-                    self._newest = _controller_reading(reported, stamp)
+            elif (reported := self._connections.reported) is not None:
+                age_s = host_s - reported.received_s
+                stamp = Stamp(self._sequence, reported.device_clock, now_s - age_s)
+                self._newest = _controller_reading(reported, stamp)
         return self._newest, stopped
 
     def _make_stream_reading(self, state: LinkState, stamp: Stamp) -> ArmReading:

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from math import radians
-from typing import Generic, NamedTuple, Protocol, TypeVar
+from typing import Generic, NamedTuple, TypeVar
 
 from ronna_hw.arm.clearance.live_watch import Violation
 from ronna_hw.arm.kinematics import Kinematics
@@ -62,20 +62,12 @@ M = TypeVar("M")  # a decoded telegram
 E = TypeVar("E")  # what is compared in the next one
 
 
-class Senders(Protocol):
-    """Counts of others that sent to the link."""
-
-    count: int
-    host: str
-    disagreeing: int
-
-
-class NoSenders:
-    """Counts of a connection, on which nobody else can send."""
+class Senders:
+    """Counts of others that sent to the link; to a connection nobody else can."""
 
     count = 0
-    host = ""
-    disagreeing = 0
+    host = ""  # of the last one
+    disagreeing = 0  # readable telegrams with other axes, before the controller's first
 
 
 class PreparedReply(NamedTuple, Generic[E]):
@@ -103,7 +95,7 @@ class StreamSession(ABC, Generic[M, E]):
         self.violation: Violation | None = None
         self.rejected = 0
         self.dropped = 0
-        self.senders: Senders = NoSenders()
+        self.senders = Senders()
         self.cycles = 0
         self.jitter_us = 0.0  # deviation of the last telegram from its expected arrival
         self.is_parent_gone = False
@@ -130,8 +122,6 @@ class StreamSession(ABC, Generic[M, E]):
             self._force = ForceWatch(cycle_s, settings.force_filter_s, settings.force_at_rest_N)
         self._is_force_exceeded = False  # in the last motion
         self._loads = LoadSums()
-
-    # What a protocol adds:
 
     @abstractmethod
     def _accept(self, telegram: M) -> bool:
@@ -192,8 +182,6 @@ class StreamSession(ABC, Generic[M, E]):
         """Return the fault to latch when no telegram has come for too long."""
         return LinkFault.SILENCE
 
-    # The same for all:
-
     @property
     def moving(self) -> bool:
         """Whether a motion is in progress."""
@@ -221,8 +209,7 @@ class StreamSession(ABC, Generic[M, E]):
         points = self._points
         if points is None or self.phase not in STREAMING_PHASES or not self._judge_link(telegram, points):
             return None
-        choice = self._choose(points, orders.stop_word)
-        if choice is None:
+        if (choice := self._choose(points, orders.stop_word)) is None:
             return None
         self.choice = choice
         return self._encode(points.at(choice))
@@ -252,8 +239,7 @@ class StreamSession(ABC, Generic[M, E]):
 
     def finish_cycle(self, command: Command | None) -> None:
         """Check the measured joint angles, accept a new command and prepare the next reply."""
-        points = self._points
-        if points is None:
+        if (points := self._points) is None:
             return
         self.cycles += 1
         due_ns = (self._missing + 1) * self._cycle_s * 1e9
@@ -263,8 +249,7 @@ class StreamSession(ABC, Generic[M, E]):
         self._measure()
         if self._force is not None:
             self._follow_force(points, self._force)
-        following_violation = points.monitor.check_measured(self._measured)
-        if following_violation is not None:
+        if (following_violation := points.monitor.check_measured(self._measured)) is not None:
             self._judge_measured(following_violation)
         points.commit(self.choice)
         self._follow_motion(points)
@@ -378,20 +363,14 @@ class StreamSession(ABC, Generic[M, E]):
     def _prepare_reply(self, points: SetPoints) -> None:
         """Prepare the complete next reply, if nothing but new information can change it."""
         self.ready = None
-        is_unsettled = (
-            points.violation is not None
-            or points.path_failed
-            or self.is_parent_gone
-            or self._losses.is_unusable
-        )
-        if is_unsettled or self.phase not in STREAMING_PHASES:
+        if points.violation is not None or points.path_failed or self._losses.is_unusable:
             return
-        expected = self._expect()
-        if expected is not None:
+        if self.is_parent_gone or self.phase not in STREAMING_PHASES:
+            return
+        if (expected := self._expect()) is not None:
             choice = Choice.STOP if self._stopping else Choice.GO
-            self.ready = PreparedReply(
-                expected, self._stop_word, choice, self._encode_next(points.at(choice))
-            )
+            reply = self._encode_next(points.at(choice))
+            self.ready = PreparedReply(expected, self._stop_word, choice, reply)
 
     def _choose_after_loss(self, points: SetPoints) -> Choice:
         """Choose the set-point that makes the arm wait because replies or telegrams were lost."""

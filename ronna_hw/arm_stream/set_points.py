@@ -108,8 +108,7 @@ class SetPoints:
     def prepare(self) -> None:
         """Compute and check the points for continuing and for stopping."""
         self._joint_stop = None
-        motion = self._motion
-        if motion is None:
+        if (motion := self._motion) is None:
             self.go_rad = self.stop_rad = self.last_rad
             return
         try:
@@ -120,10 +119,7 @@ class SetPoints:
             self.go_rad = self.stop_rad
             return
         go_violation = self.monitor.check(self.go_rad)
-        if self.stop_rad is self.go_rad:
-            stop_violation = go_violation
-        else:
-            stop_violation = self.monitor.check(self.stop_rad)
+        stop_violation = go_violation if self.stop_rad is self.go_rad else self.monitor.check(self.stop_rad)
         if go_violation is not None and self.violation is None:
             self.violation = go_violation
         if stop_violation is not None and not isinstance(motion, StopMotion):
@@ -146,10 +142,8 @@ class SetPoints:
         else:
             self._rest_here()
         if self._motion is not None and self._motion.is_finished:
-            self.was_stopped_early = (
-                not isinstance(self._motion, PathMotion) or self._motion.was_stopped_early
-            )
-            self._motion = None
+            ended, self._motion = self._motion, None
+            self.was_stopped_early = not isinstance(ended, PathMotion) or ended.was_stopped_early
 
     def abandon(self) -> None:
         """Abandon the motion after the arm has come to rest at the last point."""

@@ -21,8 +21,7 @@ def histogram_bin(turnaround_us: float) -> int:
 
 def percentile_us(counts: Sequence[int], share: float) -> float:
     """Return the interpolated percentile of a histogram, `share` in 0..1; 0 for an empty one."""
-    total = sum(counts)
-    if not total:
+    if not (total := sum(counts)):
         return 0.0
     wanted, seen = share * total, 0
     for k, count in enumerate(counts):
@@ -32,7 +31,7 @@ def percentile_us(counts: Sequence[int], share: float) -> float:
     return EDGES_US[-1]
 
 
-def link_statistics(state: LinkState, counts: Sequence[int], jitter: Sequence[int] = ()) -> LinkStatistics:
+def link_statistics(state: LinkState, counts: Sequence[int], jitter: Sequence[int]) -> LinkStatistics:
     """Convert a link state and its histograms to the statistics of the device interface."""
     return LinkStatistics(
         cycles=state.cycles,

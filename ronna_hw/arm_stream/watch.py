@@ -6,13 +6,15 @@ loss, stops the arm from here as soon as it arrives: the channel's reader calls,
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from math import degrees
 from typing import Any, Generic
 
+from ronna_hw.arm.kinematics import JointRanges
 from ronna_hw.arm_stream.client import LinkClient
 from ronna_hw.arm_stream.connections import StreamConnections
 from ronna_hw.arm_stream.control_channel import S
-from ronna_hw.arm_stream.flight_record import attach_flight_record
-from ronna_hw.arm_stream.records import LinkState, StopOrder
+from ronna_hw.arm_stream.records import LinkState, RecordedCycle, StopOrder
 from ronna_hw.devices.lifecycle import READABLE, RUNNING, Lifecycle, LifecycleGuard
 from ronna_hw.errors import RonnaError
 
@@ -41,8 +43,7 @@ class StreamWatch(Generic[S]):
             self._check_idle()
             return
         link, control = self._connections.link, self._connections.open_control
-        error = self._stream_error(link, link.state)
-        if error is not None:
+        if (error := self._stream_error(link, link.state)) is not None:
             self._latch_with_record(self._cause_of(error), link)
         elif control is not None and control.failure is not None:
             self._stop_for(self._cause_of(control.failure))
@@ -62,8 +63,7 @@ class StreamWatch(Generic[S]):
 
     def latch(self, error: RonnaError) -> None:
         """Latch an error that the caller is about to raise."""
-        link = self._connections.open_link
-        if link is not None and self._guard.state in RUNNING:
+        if (link := self._connections.open_link) is not None and self._guard.state in RUNNING:
             self._latch_with_record(error, link)
         self._guard.latch(error)
         self._raised_fault = self._guard.fault
@@ -71,16 +71,14 @@ class StreamWatch(Generic[S]):
     def raise_new(self) -> None:
         """Raise a latched fault that no call has raised yet."""
         self.check_until_certain()
-        fault = self._guard.fault
-        if fault is not None and fault is not self._raised_fault:
+        if (fault := self._guard.fault) is not None and fault is not self._raised_fault:
             self._raised_fault = fault
             raise fault
 
     def raise_any(self) -> None:
         """Raise a latched fault, if any."""
         self.check_until_certain()
-        fault = self._guard.fault
-        if fault is not None:
+        if (fault := self._guard.fault) is not None:
             self._raised_fault = fault
             raise fault
 
@@ -126,16 +124,39 @@ class StreamWatch(Generic[S]):
         return error
 
     def _stop_for(self, error: RonnaError) -> None:
-        link = self._connections.open_link
-        if link is None or self._guard.state not in RUNNING:
+        if (link := self._connections.open_link) is None or self._guard.state not in RUNNING:
             return
         self._latch_with_record(error, link)
         link.stop(StopOrder.PROTECTIVE)
 
     def _latch_with_record(self, error: RonnaError, link: LinkClient) -> None:
-        if self._guard.state is not Lifecycle.FAULT:
+        if self._guard.state is not Lifecycle.FAULT and (cycles := link.recorded_cycles()):
             faults = self._connections.faults
-            attach_flight_record(
-                error, faults.name, faults.arm, faults.errors.words.clock, link.recorded_cycles()
-            )
+            title = f"{faults.name}: the last {len(cycles)} cycles before {error}"
+            table = _flight_table(cycles, title, faults.arm, faults.errors.words.clock)
+            error.attachments[f"flight-record-{faults.name}.txt"] = table
         self._guard.latch(error)
+
+
+def _flight_table(cycles: Sequence[RecordedCycle], title: str, arm: JointRanges, clock_name: str) -> str:
+    """Format cycles as a table, oldest first; times in ms before the last cycle, angles in deg."""
+    angles = (f"{axis} {kind}" for kind in ("measured", "sent", "behind") for axis in arm.axis_names)
+    columns = ("cycle", clock_name, "ms", "turnaround us", "choice", *angles)
+    rows = [_flight_row(cycle, cycles[-1].received_ns) for cycle in cycles]
+    widths = [max(len(text) for text in column) for column in zip(columns, *rows, strict=True)]
+    lines = [title, ""]
+    for row in (columns, *rows):
+        lines.append("  ".join(text.rjust(width) for text, width in zip(row, widths, strict=True)))
+    return "\n".join(lines) + "\n"
+
+
+def _flight_row(cycle: RecordedCycle, last_ns: int) -> tuple[str, ...]:
+    behind = [s - m for s, m in zip(cycle.sent_rad, cycle.measured_rad, strict=True)]
+    return (
+        str(cycle.cycle),
+        str(cycle.device_clock),
+        f"{(cycle.received_ns - last_ns) / 1e6:.2f}",
+        f"{cycle.turnaround_us:.1f}",
+        cycle.choice.name.lower(),
+        *(f"{degrees(angle):.4f}" for angle in (*cycle.measured_rad, *cycle.sent_rad, *behind)),
+    )

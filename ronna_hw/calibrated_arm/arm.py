@@ -10,7 +10,7 @@ formula of `deviations` in plain floats, ten times faster than arrays of one row
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 from ronna_hw.arm.clearance.bodies import Surroundings
@@ -104,11 +104,6 @@ class CalibratedArm:
         self.nominal = nominal
         self._model = None if deviations is None else PostureModel(nominal.chain, deviations)
 
-    @property
-    def is_nominal(self) -> bool:
-        """Whether the arm has no known deviations."""
-        return self._model is None
-
     def forward(self, joints_rad: JointVector, flanks: Sequence[float] | None = None) -> Pose:
         """Return the flange pose in the robot base.
 
@@ -158,11 +153,26 @@ class CalibratedArm:
             got=f"{reached.distance_mm(wanted):.2g} mm",
         )
 
+    def pose_to_command(
+        self,
+        pose: Transform,
+        flange_from_tool: Transform,
+        here_rad: Callable[[], JointVector],
+        flanks: Sequence[float] | None = None,
+    ) -> Transform:
+        """Return the pose to command to the controller so that the tool reaches `pose`.
+
+        `here_rad` measures the joints, in whose branch the arm stays. Raises as `compensate`.
+        """
+        if self._model is None:
+            return pose
+        commanded = self.compensate(pose @ flange_from_tool.inverse(), here_rad(), flanks).commanded
+        return commanded.to_transform() @ flange_from_tool
+
 
 def _turn(vector_rad: Vector3) -> Pose:
     """Return a turn by a rotation vector, by Rodrigues' formula."""
-    angle_rad = math.hypot(*vector_rad)
-    if not angle_rad:
+    if not (angle_rad := math.hypot(*vector_rad)):
         return Pose()
     x, y, z = (component / angle_rad for component in vector_rad)
     sine, versine = math.sin(angle_rad), 2.0 * math.sin(angle_rad / 2.0) ** 2

@@ -75,10 +75,7 @@ SYSTEM_REFUSED = ErrorCode(
 
 
 OUT_OF_MEMORY = ErrorCode(
-    "CLI-008",
-    RonnaError,
-    "The computer ran out of memory.",
-    "Close other programs, or use a smaller series.",
+    "CLI-008", RonnaError, "The computer ran out of memory.", "Close other programs, or use a smaller series."
 )
 
 
@@ -114,9 +111,8 @@ def as_ronna_error(problem: BaseException) -> RonnaError:
         places = [str(name) for name in (problem.filename, problem.filename2) if name is not None]
         what = f"{' and '.join(places)}: {reason}" if places else reason
         if problem.errno == errno.ENAMETOOLONG:
-            return kind(
-                what, limit=f"{LONGEST_FILE_NAME} bytes for each name", action="Choose a shorter name."
-            )
+            limit = f"{LONGEST_FILE_NAME} bytes for each name"
+            return kind(what, limit=limit, action="Choose a shorter name.")
         return kind(what)
     return INTERNAL_FAULT(f"{type(problem).__name__}: {problem}")
 
@@ -140,8 +136,7 @@ def find_selected_command(command: Any, arguments: Sequence[str]) -> tuple[str, 
     """Return name and parameters of the command selected by the arguments."""
     names = [str(command.name)]
     for word in arguments:
-        inner = getattr(command, "commands", {}).get(word)
-        if inner is None:
+        if (inner := getattr(command, "commands", {}).get(word)) is None:
             break
         command = inner
         names.append(word)
@@ -159,23 +154,14 @@ def convert_usage_error(mistake: Exception, command: str, parameters: Sequence[A
     reason = _read_validation(mistake.__cause__)
     if parameter is not None and reason is not None:
         expected, got = reason
-        meaning = _describe_parameter(parameter, context)
-        return UsageMistake(
-            f"{format_parameter(parameter)} cannot be {got}",
-            expected=expected,
-            action=f"{meaning} {see}".lstrip(),
-        )
+        what = f"{format_parameter(parameter)} cannot be {got}"
+        return UsageMistake(what, expected=expected, action=_explain(parameter, context, see))
     if type(mistake).__name__ == "BadOptionUsage":  # too few values
         text = str(getattr(mistake, "message", "")).replace("Option ", "").replace("'", "").rstrip(".")
-        named = (
-            candidate for candidate in parameters if getattr(mistake, "option_name", "") in candidate.opts
-        )
-        meant = next(
-            (f"{candidate.metavar or candidate.opts[0]}: {candidate.help} " for candidate in named), ""
-        )
+        named = (one for one in parameters if getattr(mistake, "option_name", "") in one.opts)
+        meant = next((f"{one.metavar or one.opts[0]}: {one.help} " for one in named), "")
         return UsageMistake(text, action=f"{meant}{see}")
-    message = getattr(mistake, "message", "")
-    if not message:
+    if not (message := getattr(mistake, "message", "")):
         message = str(mistake.format_message() if hasattr(mistake, "format_message") else mistake)
     if found := _EXTRA.match(message):
         repeat = _advise_several_values(parameters)
@@ -188,15 +174,11 @@ def convert_usage_error(mistake: Exception, command: str, parameters: Sequence[A
             repeat = "A pattern such as * may stand for several files or folders: name one. "
         return UsageMistake(f"unexpected on this command line: {found[1]!r}", action=f"{repeat}{see}")
     if parameter is not None and type(mistake).__name__ == "MissingParameter":
-        return UsageMistake(
-            f"{format_parameter(parameter)} is missing",
-            action=f"{_describe_parameter(parameter, context)} {see}".lstrip(),
-        )
+        what = f"{format_parameter(parameter)} is missing"
+        return UsageMistake(what, action=_explain(parameter, context, see))
     if found := _UNREADABLE.search(message):
-        return UsageMistake(
-            f"{found[1]}: {_name_account(os.geteuid())} may not read it",
-            action=f"{_advise_rights(found[1])}. {see}",
-        )
+        what = f"{found[1]}: {_name_account(os.geteuid())} may not read it"
+        return UsageMistake(what, action=f"{_advise_rights(found[1])}. {see}")
     hint = getattr(mistake, "param_hint", None)
     text = f"{hint}: {message}" if hint else message
     return UsageMistake(text if text.endswith("...") else text.rstrip("."), action=see)
@@ -228,11 +210,8 @@ def _name_account(number: int) -> str:
 
 
 def _unknown_option(name: str, context: Any, help_of: str) -> UsageMistake:
-    known = (
-        []
-        if context is None
-        else [option for candidate in context.command.params for option in candidate.opts]
-    )
+    parameters = () if context is None else context.command.params
+    known = (option for one in parameters for option in one.opts)
     words = [option.removeprefix("--") for option in known if option.startswith("--")]
     close_matches = get_close_matches(name.removeprefix("--"), words, n=MOST_ALIKE)
     meant = f"Did you mean {' or '.join(f'--{word}' for word in close_matches)}? " if close_matches else ""
@@ -241,8 +220,7 @@ def _unknown_option(name: str, context: Any, help_of: str) -> UsageMistake:
 
 def _read_validation(cause: BaseException | None) -> tuple[str, str] | None:
     """Return the expected and actual values of a failed validation, or None for other errors."""
-    errors = getattr(cause, "errors", None)
-    if errors is None:
+    if (errors := getattr(cause, "errors", None)) is None:
         return None
     first: Mapping[str, Any] = errors()[0]
     limits: Mapping[str, Any] = first.get("ctx", {})
@@ -266,8 +244,9 @@ def format_parameter(parameter: Any) -> str:
     return str(parameter.get_error_hint()).replace("'", "").split(" (")[0]
 
 
-def _describe_parameter(parameter: Any, context: Any) -> str:
-    """Return the help of an option or argument, with its limits."""
+def _explain(parameter: Any, context: Any, see: str) -> str:
+    """Return the help of an option or argument, with its limits, and where to see more."""
     record = parameter.get_help_record(context)
     text = " ".join(str(record[1] if record else "").replace("[required]", "").split())
-    return text if not text or text.endswith((".", "]")) else f"{text}."
+    end = "" if not text or text.endswith((".", "]")) else "."
+    return f"{text}{end} {see}".lstrip()

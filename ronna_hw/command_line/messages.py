@@ -52,10 +52,7 @@ def say(line: str = "") -> None:
 
 
 def fail_with(error: RonnaError, advice: str | None = None) -> None:
-    """Print an error as `run` does, for commands that continue afterwards.
-
-    `advice` replaces the error's own if the caller knows better what to do.
-    """
+    """Print an error as `run` does, to go on afterwards; `advice` replaces its own if one knows better."""
     line = " ".join(str(error).split())
     if advice is not None:
         line = f"{line.removesuffix(error.advice).rstrip()} {advice}".rstrip()
@@ -115,8 +112,7 @@ def _column_widths(rows: Sequence[Sequence[str]], terminal_width: int) -> list[i
     by_column = list(zip(*rows, strict=True))
     widths = [max((len(word) for cell in cells for word in cell.split()), default=0) for cells in by_column]
     wanted = [max(len(line) for cell in cells for line in cell.split("\n")) for cells in by_column]
-    spare = terminal_width - 1 - FRAME_WIDTH * len(widths) - sum(widths)
-    if spare < 0:
+    if (spare := terminal_width - 1 - FRAME_WIDTH * len(widths) - sum(widths)) < 0:
         return None
     for _ in range(spare):  # to the column that needs it most
         lacking = [want - width for want, width in zip(wanted, widths, strict=True)]

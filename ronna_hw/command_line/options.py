@@ -115,10 +115,7 @@ def _tell_version(wanted: bool) -> None:
 
 
 def set_up_logging(verbose: bool) -> None:
-    """Show the log on standard error with `--verbose`; otherwise silence library warnings.
-
-    Python would print those among the messages of the command.
-    """
+    """Show the log on standard error with `--verbose`, else silence warnings, which Python would print."""
     if not verbose:
         logging.getLogger().addHandler(logging.NullHandler())
         warnings.simplefilter("ignore")
@@ -154,8 +151,7 @@ def set_log_levels_by_option(levels: Sequence[str] | None) -> None:
 
 def set_log_levels_from_environment() -> None:
     """Set log levels from the comma-separated RONNA_LOG; options are applied later and take precedence."""
-    given = os.environ.get(LEVELS_VARIABLE)
-    if given:
+    if given := os.environ.get(LEVELS_VARIABLE):
         set_log_levels(given.split(","))
 
 

@@ -51,6 +51,7 @@ from ronna_hw.host.process import ENDING_SIGNALS, limit_to_one_thread
 __all__ = [
     "JsonOption",
     "Progress",
+    "command_group",
     "command_logger",
     "exit_code_of",
     "fail_with",
@@ -70,6 +71,14 @@ JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object 
 _USAGE_ERROR: type[Exception] = typer.BadParameter.__bases__[0]
 # one of them: no arguments at all; its message is the help
 _NO_ARGUMENTS: type[Exception] = sys.modules[_USAGE_ERROR.__module__].NoArgsIsHelpError
+
+
+def command_group(name: str, help: str, *, example: str = "") -> typer.Typer:
+    """Return an application of several commands. Called without one, it shows its help."""
+    epilog = f"Example: {example}" if example else None
+    return typer.Typer(
+        name=name, help=help, epilog=epilog, no_args_is_help=True, add_completion=False, rich_markup_mode=None
+    )
 
 
 def run(app: typer.Typer) -> NoReturn:
@@ -145,11 +154,9 @@ def _command_of(app: typer.Typer, requested: str) -> Any:
         assert candidate.callback is not None
         return candidate.name or typer.main.get_command_name(candidate.callback.__name__)
 
-    chosen_command = next(
-        (candidate for candidate in app.registered_commands if name_of(candidate) == requested), None
-    )
+    chosen = (candidate for candidate in app.registered_commands if name_of(candidate) == requested)
     is_single = len(app.registered_commands) + len(app.registered_groups) == 1
-    return _build_command(app, None if is_single else chosen_command)
+    return _build_command(app, None if is_single else next(chosen, None))
 
 
 @cache

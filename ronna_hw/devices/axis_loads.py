@@ -45,4 +45,3 @@ class TellsLoads(Protocol):
         Moves nothing. A stream that carries no signal is MISSING at once. `timeout_s` is host time. Raises
         LinkTimeout if the arm does not rest for so many cycles, and the latched fault.
         """
-        ...

@@ -34,15 +34,12 @@ class ByteSink(Protocol):
 
     def on_bytes(self, link: str, direction: Direction, data: bytes) -> None:
         """Receive bytes as they are transferred."""
-        ...
 
     def on_earlier_bytes(self, link: str, all_passed: Sequence[PassedBytes]) -> None:
         """Receive, in order, the traffic that another process has recorded since the last query."""
-        ...
 
     def note(self, link: str, **facts: str | float) -> None:
         """Receive a link event other than traffic, such as a rate change, lost bytes or a streamed image."""
-        ...
 
 
 @runtime_checkable
@@ -51,7 +48,6 @@ class RecordsBytes(Protocol):
 
     def record_bytes(self, sink: ByteSink | None) -> None:
         """Forward every byte to `sink` from the next `connect` on; None disables forwarding."""
-        ...
 
 
 MESSAGES = "messages"  # the name of the fact that a person fulfils by acknowledging messages
@@ -86,4 +82,3 @@ class TellsReadiness(Protocol):
 
         Moves nothing and changes nothing. Raises the errors of reading from the device.
         """
-        ...

@@ -57,7 +57,6 @@ class InsertsInstruments(Protocol):
     @property
     def senses_force(self) -> bool:
         """Whether the arm estimates the force on its tool, so that a force limit can be watched."""
-        ...
 
     def insert(self, insertion: Insertion, *, timeout_s: float = 120.0) -> Inserted:
         """Insert, or withdraw, to rest at the target.
@@ -67,7 +66,6 @@ class InsertsInstruments(Protocol):
         force limit stopped it: the arm is then in HOLD where it stopped, and nothing withdraws by itself.
         Otherwise like `RobotArm.move`.
         """
-        ...
 
 
 @dataclass(frozen=True)
@@ -108,7 +106,6 @@ class FollowsHand(Protocol):
         Raises ARM-012 for limits that no person may be exposed to, ARM-014 if a force acts at the start,
         ARM-015 when the force limit stopped it (then in HOLD), and otherwise like `RobotArm.move`.
         """
-        ...
 
 
 @dataclass(frozen=True)
@@ -126,8 +123,6 @@ class CarriesLoad(Protocol):
 
     def set_tool_load(self, load: ToolLoad, timeout_s: float = 2.0) -> ToolLoad:
         """Set mass and tool centre point, and return them as read back; raises if they are not as set."""
-        ...
 
     def read_tool_load(self, timeout_s: float = 2.0) -> ToolLoad:
         """Read what the controller presently assumes. Allowed from CONNECTED."""
-        ...

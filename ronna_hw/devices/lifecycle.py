@@ -88,7 +88,6 @@ class Device(Protocol):
     @property
     def name(self) -> str:
         """Device name in the theatre file, such as `tracker` or `robot.master`."""
-        ...
 
     @property
     def wire_protocol(self) -> str:
@@ -96,22 +95,18 @@ class Device(Protocol):
 
         Empty if the conformance suite does not know it.
         """
-        ...
 
     @property
     def state(self) -> Lifecycle:
         """Current lifecycle state."""
-        ...
 
     @property
     def fault(self) -> RonnaError | None:
         """Error that latched FAULT, or None in any other state."""
-        ...
 
     @property
     def notices(self) -> tuple[str, ...]:
         """Non-error observations from `configure` of interest to the operator."""
-        ...
 
     def observe(self) -> LastKnown[object]:
         """State, fault and latest reading as last seen. Allowed in any state, including
@@ -119,44 +114,33 @@ class Device(Protocol):
 
         Passive: sends nothing to the device, latches nothing, never raises.
         """
-        ...
 
     def active(self, timeout_s: float = 10.0) -> AbstractContextManager[Self]:
-        """Activate the device for a `with` block, whatever its state, and deactivate it on exit.
-
-        `hold_active` implements this for every driver.
-        """
-        ...
+        """Activate the device for a `with` block, and deactivate it on exit, as `hold_active` does."""
 
     def connect(self, timeout_s: float = 10.0) -> Identity:
         """Open the connection and check identity and version.
 
         Raises ConnectError when nothing, or a different device, replies.
         """
-        ...
 
     def configure(self, timeout_s: float = 10.0) -> None:
         """Apply a known, verified configuration: CONNECTED -> CONFIGURED."""
-        ...
 
     def activate(self, timeout_s: float = 10.0) -> None:
         """Start measuring or streaming: CONFIGURED -> ACTIVE."""
-        ...
 
     def deactivate(self, timeout_s: float = 10.0) -> None:
         """Stop measuring or streaming: ACTIVE or HOLD -> CONFIGURED."""
-        ...
 
     def recover(self, acknowledged_by: str, timeout_s: float = 10.0) -> None:
         """Re-read and reconfigure the device after a fault: FAULT -> CONFIGURED. Call `activate` next.
 
         Moves nothing. Raises DEV-006 without a name.
         """
-        ...
 
     def close(self) -> None:
         """Close the connection in bounded time; a vanished peer raises no error."""
-        ...
 
 
 D = TypeVar("D", bound=Device)
@@ -253,10 +237,7 @@ class LifecycleGuard:
         return LastKnown(*self._now, reading, says, stopped)
 
     def require(self, call: str, allowed: Iterable[Lifecycle]) -> None:
-        """Raise DEV-001 unless the state is one of `allowed`.
-
-        After a latched fault the error quotes it, and has its exit code.
-        """
+        """Raise DEV-001, with a latched fault and its exit code, unless the state is one of `allowed`."""
         states = tuple(allowed)
         state, fault = self._now
         if state in states:

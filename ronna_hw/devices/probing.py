@@ -33,6 +33,7 @@ CONNECT_LIMIT_S = 3.0  # host time
 REACH_LIMIT_S = 1.0
 
 D = TypeVar("D", bound=Device)
+T = TypeVar("T")
 
 Progress = Callable[[float], None]  # called with the fraction done, 0 to 1
 
@@ -69,6 +70,13 @@ def fact_diagnostics(subject: str, device: TellsReadiness) -> Iterator[Diagnosti
         yield Diagnostic(f"{subject}{fact.name}", fact.ready, fact.found, "" if fact.ready else fact.advice)
 
 
+def reporting(items: Sequence[T], progress: Progress) -> Iterator[T]:
+    """Yield the items, and report the fraction of them that is done after each."""
+    for number, item in enumerate(items, start=1):
+        yield item
+        progress(number / len(items))
+
+
 Inspection = Callable[[Device, Identity], Iterable[Diagnostic]]  # further checks on a connected device
 
 
@@ -88,7 +96,6 @@ class Probe(Protocol):
         Talks only to the endpoints of `config`, in bounded time; nothing moves and no setting stays changed.
         The findings of `inspect` on the connected device are appended: a device accepts one client at a time.
         """
-        ...
 
 
 @runtime_checkable
@@ -98,11 +105,9 @@ class EndpointProbe(Probe, Protocol):
     @property
     def endpoint_schemes(self) -> frozenset[str]:
         """Endpoint schemes that the probe can check, such as `serial`."""
-        ...
 
     def probe_endpoints(self, endpoints: Sequence[Endpoint], progress: Progress) -> Sequence[Diagnostic]:
         """Identify the device at each endpoint without using the driver."""
-        ...
 
 
 @runtime_checkable
@@ -112,7 +117,6 @@ class PortProbe(EndpointProbe, Protocol):
     @property
     def endpoint_ports(self) -> frozenset[int]:
         """Ports of the endpoints that the probe can check."""
-        ...
 
 
 def connect_and_identify(
@@ -208,15 +212,10 @@ class Finder(Protocol):
     table: str
 
     def find(self, search: Search, progress: Progress) -> Sequence[Proposal]:
-        """Find all devices of this kind, and explain why any other given address failed.
-
-        Nothing moves and no setting is changed.
-        """
-        ...
+        """Find all devices of this kind, and say why a given address failed; nothing moves or changes."""
 
     def example(self, search: Search) -> Proposal:
         """Return an example table, with placeholder addresses, for a device that was not found."""
-        ...
 
 
 def describe_options(model: type[BaseModel], chosen: Mapping[str, Any]) -> tuple[Option, ...]:

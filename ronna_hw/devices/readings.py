@@ -50,12 +50,10 @@ class StampedReading(Protocol):
     @property
     def stamp(self) -> Stamp:
         """Time stamp of the reading."""
-        ...
 
     @property
     def validity(self) -> Validity:
         """Usability of the reading."""
-        ...
 
 
 _TO_SEE = {
@@ -92,8 +90,7 @@ class ToolReading:
             )
         if self.rotation is None or self.position_mm is None or self.validity is Validity.OUT_OF_VOLUME:
             raise NO_POSE(
-                f"tool {self.tool} has no pose: {self.validity.value}",
-                action=_TO_SEE.get(self.validity),
+                f"tool {self.tool} has no pose: {self.validity.value}", action=_TO_SEE.get(self.validity)
             )
         return Transform.of(target, source, translation_mm=self.position_mm, quaternion_wxyz=self.rotation)
 

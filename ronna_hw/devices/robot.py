@@ -71,14 +71,9 @@ class ConfirmedStart(Protocol):
 
         Passive: uses only the controller's last report; allowed in every state.
         """
-        ...
 
     def confirm_start(self, confirmed_by: str) -> None:
-        """Confirm the last `to_confirm`, permitting only the next `activate`.
-
-        Raises DEV-006 without a name. Moves nothing.
-        """
-        ...
+        """Confirm the last `to_confirm` for the next `activate` only; moves nothing. Raises DEV-006."""
 
 
 @runtime_checkable
@@ -87,12 +82,10 @@ class RobotArm(Device, Protocol):
 
     def observe(self) -> LastKnown[ArmReading]:
         """Same as `Device.observe`; the reading contains the axes last reported by the controller."""
-        ...
 
     @property
     def kinematics(self) -> Kinematics:
         """Nominal kinematics for lines, ranges and clearance; available in every state."""
-        ...
 
     @property
     def operating_mode(self) -> OperatingMode:
@@ -100,22 +93,18 @@ class RobotArm(Device, Protocol):
 
         Passive; allowed in every state.
         """
-        ...
 
     def limits(self, mode: OperatingMode | None = None) -> MotionLimits:
         """Return the motion limits of an operating mode (default: the current one); available in every state.
 
         Motions, previews and the monitor keep to exactly these.
         """
-        ...
 
     def read_state(self, timeout_s: float = 1.0) -> ArmReading:
         """Read the measured axes. Allowed from CONNECTED."""
-        ...
 
     def read_tool_identity(self, timeout_s: float = 1.0) -> ToolIdentity:
         """Read the number of the mounted tool from the controller's inputs. Allowed from CONNECTED."""
-        ...
 
     def move(self, motion: Motion, *, timeout_s: float = 60.0) -> ArmReading:
         """Carry out a motion to rest at its target and return the settled reading.
@@ -126,21 +115,18 @@ class RobotArm(Device, Protocol):
         StateError outside ACTIVE, MotionInterrupted when `stop` ended it, and the latched fault when link or
         monitor trips.
         """
-        ...
 
     def preview(self, motion: Motion, *, start_rad: JointVector | None = None) -> PathPreview:
         """Predict a motion from `start_rad`, by default the current position, without moving.
 
         Raises like `move` if there is no such path; one that is not clear is reported in `refused`.
         """
-        ...
 
     def surround(self, surroundings: Surroundings) -> None:
         """Declare the mounted tool and the surroundings of the arm for all later motions.
 
         Every motion is checked against them before it starts (ARM-007), and monitored while it runs.
         """
-        ...
 
     def stop(self, kind: StopKind = StopKind.HOLD, timeout_s: float = 5.0) -> None:
         """Stop the arm; may be called from a different thread than the motion.
@@ -148,12 +134,9 @@ class RobotArm(Device, Protocol):
         No motion begins while it is carried out: it raises StateError or MotionInterrupted. A start under way
         fails, or ends in HOLD.
         """
-        ...
 
     def resume(self) -> None:
         """Leave HOLD for ACTIVE without moving: an interrupted path is re-planned, never continued."""
-        ...
 
     def link_statistics(self) -> LinkStatistics:
         """Return the health of the link since the last `activate`."""
-        ...

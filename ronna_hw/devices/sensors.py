@@ -17,24 +17,18 @@ from ronna_hw.vectors import Vector3
 
 @runtime_checkable
 class OpticalTracker(Device, Protocol):
-    """Optical tracker.
-
-    `configure` loads and enables the tools of the theatre file; `activate` starts tracking.
-    """
+    """Optical tracker: `configure` loads and enables the tools of the theatre file, `activate` tracks."""
 
     @property
     def tools(self) -> tuple[str, ...]:
         """Names of the tools to load, in theatre file order."""
-        ...
 
     @property
     def markers_mm(self) -> Mapping[str, tuple[Vector3, ...]]:
         """Marker positions of each tool by name, in the tool's own frame."""
-        ...
 
     def observe(self) -> LastKnown[TrackerFrame]:
         """Same as `Device.observe`; the reading is the last frame."""
-        ...
 
     def read_frame(self, timeout_s: float = 1.0) -> TrackerFrame:
         """Request the next measurement. Allowed in ACTIVE.
@@ -42,7 +36,6 @@ class OpticalTracker(Device, Protocol):
         The frame counter of the device is in `stamp.device_clock`; a repeated number means that no new
         measurement was made. Raises LinkTimeout, ProtocolError or DeviceError.
         """
-        ...
 
 
 # Cross-sections of a measuring volume, near to far, in the tracker frame: z, half x, half y. Faces are flat
@@ -60,7 +53,6 @@ class BoundedTracker(Protocol):
 
         Before, and for a unit that does not report them, as published for its model; empty if unknown.
         """
-        ...
 
 
 def measuring_volume_mm(tracker: object) -> VolumeSections:
@@ -79,7 +71,6 @@ class TimedTracker(Protocol):
         Host time, or theatre time if that is less: neither a computer that stalls nor a theatre whose time
         runs ahead makes a reply late. From any thread; an earlier run of tracking counts as well.
         """
-        ...
 
 
 @runtime_checkable
@@ -92,27 +83,21 @@ class StereoPair(Device, Protocol):
     @property
     def serials(self) -> tuple[str, str]:
         """Serial numbers read from the cameras, left and right."""
-        ...
 
     def observe(self) -> LastKnown[StereoReading]:
         """Same as `Device.observe`; the reading is the last pair."""
-        ...
 
     def set_areas(self, left: AreaOfInterest, right: AreaOfInterest, timeout_s: float = 5.0) -> None:
         """Set the readout area of each sensor; a running stream is restarted."""
-        ...
 
     def set_exposure(self, exposure_us: float, gain_raw: int, timeout_s: float = 5.0) -> None:
         """Set exposure and gain of both cameras; raises LimitError if out of range."""
-        ...
 
     def scale_exposure(self, share: float, timeout_s: float = 5.0) -> None:
         """Scale both cameras' last configured or set exposure by `share`; 1.0 restores it."""
-        ...
 
     def grab_pair(self, timeout_s: float = 5.0) -> StereoReading:
         """Trigger both cameras once and return the resulting pair. Allowed in ACTIVE."""
-        ...
 
 
 ASK_AGAIN_S = 0.005  # host time; a tracker measures every 16 ms

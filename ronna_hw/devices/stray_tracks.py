@@ -93,10 +93,7 @@ def track_strays(
 def identify_strays(
     frames: Iterable[Sequence[Vector3]], *, gate_mm: float = GATE_MM
 ) -> tuple[NDArray[np.int64], ...]:
-    """Return the identity of each stray position (mm), frame by frame, or -1 where it cannot be told.
-
-    Raises DEV-005.
-    """
+    """Return the identity of each stray (mm) by frame, or -1 where it cannot be told. Raises DEV-005."""
     if not 0.0 < gate_mm < math.inf:
         raise BAD_STRAYS("the gate must be positive", got=f"{gate_mm} mm")
     spheres: list[_Sphere] = []
@@ -119,8 +116,7 @@ def identify_strays(
                 here.append(_Sphere(reading, None))
                 continue
             known = _NEW if column is None else spheres[column]
-            identity = known.identity
-            if identity is None:
+            if (identity := known.identity) is None:
                 identity, begun = begun, begun + 1
             identities[row] = identity
             here.append(_Sphere(reading, identity, known.count + 1))

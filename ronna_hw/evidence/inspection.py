@@ -133,10 +133,7 @@ class Inspection:
         return self._require(self.changes, action)
 
     def require_account(self) -> Inspection:
-        """Return the inspection, or raise PRO-033 if the journal, the request or a record changed.
-
-        Homing needs them.
-        """
+        """Return the inspection; raises PRO-033 if journal, request or records, needed to home, changed."""
         return self._require(tuple(problem for problem in self.changes if problem.is_account_file))
 
     def require_whole(self) -> Inspection:
@@ -262,8 +259,7 @@ def _find_mismatches(
     if run is not None and record.run != run:
         yield f"is of run {record.run}"
     for identifier, sha256 in record.parents.items():
-        parent = known.get(identifier)
-        if parent is None or parent.sha256 != sha256:
+        if (parent := known.get(identifier)) is None or parent.sha256 != sha256:
             yield f"its parent {identifier} is not an earlier record of this run"
         elif parent.series is not None and parent.series != record.series:
             yield f"is of another CT series than its parent {identifier}"
@@ -287,8 +283,7 @@ def _check_files(folder: Path, chain: JournalChain, manifest: Manifest) -> Itera
         yield from compare_files(folder, manifest.lasting_files)
         yield from _find_unrestored_files(folder, manifest, present)
         # A resumed run compares what is in them.
-        since = compare_files(folder, manifest.result_inputs, inputs=True)
-        for issue in since:
+        for issue in compare_files(folder, manifest.result_inputs, inputs=True):
             yield replace(issue, what=f"{issue.what} since results were made from it", unfinished=True)
         for name in present:
             if name.startswith(f"{RECORDS_FOLDER}/") and name not in manifest.records:
@@ -350,8 +345,7 @@ def _check_named_files(
 ) -> Iterator[Problem]:
     """Find problems with these files, by the journal's end or the seal, and with the sealed journal."""
     at_end = manifest.files if chain.is_closed else {}
-    seal = read_seal(folder)
-    if seal is None and os.path.lexists(folder / SEAL_FILE):
+    if (seal := read_seal(folder)) is None and os.path.lexists(folder / SEAL_FILE):
         yield Problem(SEAL_FILE, "changed")
     whole = seal is not None and (yield from _compare_with_seal(folder, chain, seal))
     for name in names:
@@ -374,8 +368,7 @@ def _compare_with_seal(folder: Path, chain: JournalChain, seal: RunSeal) -> Gene
     if hashlib.sha256(sealed).hexdigest() != seal.journal_sha256:
         yield Problem(JOURNAL_FILE, "not the journal that was sealed: lines were changed, added or removed")
         return False
-    later_lines = chain.lines[sealed.count(b"\n") :]
-    if later_lines and later_lines[0]["entry"] != Entry.RESTARTED:
+    if (later_lines := chain.lines[sealed.count(b"\n") :]) and later_lines[0]["entry"] != Entry.RESTARTED:
         yield Problem(JOURNAL_FILE, "continues after its seal, but the run was not resumed")
     return not after
 

@@ -23,10 +23,7 @@ NAMED = 3  # steps in a sentence
 
 
 def read_events(folder: Path) -> bytes:
-    """Read a run's event file; empty if that is impossible.
-
-    Of a run that goes on it must be read before the journal, which is ahead of it.
-    """
+    """Read a run's events, empty if impossible; before the journal of an open run, which is ahead."""
     with suppress(OSError, InputRefused):
         return read_bounded(folder / EVENTS_FILE, LARGEST_JSON_BYTES, follow_links=False)
     return b""
@@ -112,17 +109,14 @@ def _iterate_backwards(events: bytes) -> Iterator[Line]:
 def _says_work(line: Line) -> bool:
     """Return whether a line says something of the work, in the form in which a journal has it."""
     match line:
-        case {"entry": Entry.INSTRUMENT, "trajectory": str(), "inside": bool()}:
-            return True
-        case {"entry": Entry.HELD, "trajectory": str(), "held": bool()}:
-            return True
-        case {"entry": Entry.STAGE, "trajectory": str(), "task": str(), "done": bool()}:
-            return True
-        case {"entry": Entry.STAGE, "trajectory": str(), "task": str(), "interrupted": str()}:
-            return True
-        case {"entry": Entry.STAGE, "trajectory": str(), "stop": Mapping()}:
-            return True
-        case {"entry": Entry.STAGE, "trajectory": str(), "doubted": True}:
+        case (
+            {"entry": Entry.INSTRUMENT, "trajectory": str(), "inside": bool()}
+            | {"entry": Entry.HELD, "trajectory": str(), "held": bool()}
+            | {"entry": Entry.STAGE, "trajectory": str(), "task": str(), "done": bool()}
+            | {"entry": Entry.STAGE, "trajectory": str(), "task": str(), "interrupted": str()}
+            | {"entry": Entry.STAGE, "trajectory": str(), "stop": Mapping()}
+            | {"entry": Entry.STAGE, "trajectory": str(), "doubted": True}
+        ):
             return True
     return False
 
@@ -131,11 +125,9 @@ def _is_same(line: Line, journalled: Line) -> bool:
     return all(line.get(field) == journalled.get(field) for field in ("previous", "entry", "host_time"))
 
 
-def _name_steps(lost: Sequence[Line]) -> list[str]:
-    done = [printable(str(line.get("step"))) for line in lost if line["entry"] == Entry.RESULT]
-    if not done:
-        return []
-    return [f"{', '.join(done[:NAMED])}{' and more' if len(done) > NAMED else ''} done"]
+def _name_steps(lost: Sequence[Line]) -> Iterator[str]:
+    if done := [printable(str(line.get("step"))) for line in lost if line["entry"] == Entry.RESULT]:
+        yield f"{', '.join(done[:NAMED])}{' and more' if len(done) > NAMED else ''} done"
 
 
 def _name_work(lost: Sequence[Line]) -> Iterator[str]:

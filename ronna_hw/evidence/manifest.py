@@ -41,11 +41,8 @@ LATER_FOLDERS = ("report", RAW_FOLDER)
 BESIDE = f".report{PARTIAL}"  # where a new report is written
 THEATRE_FILES = ("theatre/*.toml", "theatre/*.rom")
 WITH_PORTS = "theatre/theatre.toml"  # written anew by each program that simulates the theatre
-APART = (
-    "export",
-    BESIDE,
-    f".{RAW_FOLDER}{PARTIAL}",
-)  # folders derived from the run at any time, and not part of it
+# Folders derived from the run at any time, and not part of it.
+APART = ("export", BESIDE, f".{RAW_FOLDER}{PARTIAL}")
 FIRST_FOLDERS = ("records", "pictures", "readings", "bytes", "theatre", "case", "case/ct")
 OWN_FOLDERS = frozenset((*FIRST_FOLDERS, *LATER_FOLDERS, "raw/pictures"))  # made empty at first
 LASTING = (REQUEST_FILE, f"{RECORDS_FOLDER}/", "case/")  # no longer changed once a run continues
@@ -144,12 +141,8 @@ class Manifest:
         Inputs of results are left out: resuming the run compares their content.
         """
         lasting_files = {name: sha256 for name, sha256 in self.files.items() if name.startswith(LASTING)}
-        apart = {WITH_PORTS, *self.result_inputs}
-        return {
-            name: sha256
-            for name, sha256 in (lasting_files | self.initial_inputs).items()
-            if name not in apart
-        }
+        apart, known = {WITH_PORTS, *self.result_inputs}, lasting_files | self.initial_inputs
+        return {name: sha256 for name, sha256 in known.items() if name not in apart}
 
     def find_exchanged_inputs(self) -> Iterator[tuple[str, str]]:
         """Find inputs of a closed run that changed between its standing results and its end."""
@@ -269,10 +262,7 @@ def hash_outside_files(folder: Path, inputs: Iterable[Path]) -> dict[str, str]:
 
 
 def hash_inputs(folder: Path, files: Iterable[Path]) -> dict[str, str]:
-    """Hash the readable input files of a run.
-
-    Files in the run's folder are named relative to it, others by their whole path.
-    """
+    """Hash a run's readable inputs, named relative to its folder, or elsewhere by their whole path."""
     own, hashes = folder.resolve(), {}
     for path in (file.resolve() for file in files):
         name = path.relative_to(own).as_posix() if own in path.parents else str(path)
@@ -317,15 +307,9 @@ class RunSeal(BaseModel):
 
 
 def seal(
-    folder: Path,
-    closed: Collection[str],
-    apart: Collection[str] = (),
-    kept: Mapping[str, str] | None = None,
+    folder: Path, closed: Collection[str], apart: Collection[str] = (), kept: Mapping[str, str] | None = None
 ) -> None:
-    """Seal every file that is neither in `closed` (the journal's last line) nor in `apart`.
-
-    Files in `kept` keep these hashes. Raises OSError.
-    """
+    """Seal files neither `closed` (in the journal's last line) nor `apart`, or as `kept`; raises OSError."""
     later = {
         name: sha256_of(path) for name, path in _own_files(folder) if name not in closed and name not in apart
     }

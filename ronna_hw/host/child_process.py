@@ -243,11 +243,9 @@ class ProcessorUse:
 
     def idle_s(self) -> float:
         """Return the host time in s since the process or a descendant last used the processor."""
-        now_s = time.monotonic()
-        if now_s >= self._next_s:
+        if (now_s := time.monotonic()) >= self._next_s:
             self._next_s = now_s + POLL_S
-            used_s = _processor_time_s(self._number)
-            if used_s != self._processor_time_s:
+            if (used_s := _processor_time_s(self._number)) != self._processor_time_s:
                 self._processor_time_s, self._changed_s = used_s, now_s
         return now_s - self._changed_s
 

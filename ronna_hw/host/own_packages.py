@@ -77,8 +77,7 @@ def explain_failed_import(module: str, error: Exception) -> ForeignPackage | Non
     """Explain a failed import of ours by replaced files, or return None if there are none."""
     from importlib.metadata import packages_distributions
 
-    replaced = find_replaced_files()
-    if not replaced:
+    if not (replaced := find_replaced_files()):
         return None
     more = f" and {len(replaced) - LISTED_FILES} more" if len(replaced) > LISTED_FILES else ""
     roots = {Path(one).parts[0] for one in replaced}

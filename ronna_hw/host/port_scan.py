@@ -36,8 +36,7 @@ def list_hosts(interface: Interface) -> list[str]:
 
 def describe_scan(interfaces: Sequence[Interface], what: str) -> str:
     """Describe a scan that did not find `what`; empty if no network was scanned."""
-    hosts = [host for each in interfaces for host in list_hosts(each)]
-    if not hosts:
+    if not (hosts := [host for each in interfaces for host in list_hosts(each)]):
         return ""
     tried = hosts[0] if len(hosts) == 1 else f"{len(hosts)} addresses, {hosts[0]} to {hosts[-1]}"
     return f"no {what} of {tried}"

@@ -1,7 +1,4 @@
-"""Processes using a serial port, network port or lock, as far as this user can see.
-
-Who may use a serial port is stated in the words of its mode, owner and group.
-"""
+"""Processes using a serial port, network port or lock, and who may use a port, as this user sees."""
 
 from __future__ import annotations
 
@@ -95,10 +92,7 @@ def find_udp_clients(address: str, port: int) -> tuple[PortUser, ...]:
 
 
 def find_lock_holder(file: int) -> PortUser | None:
-    """Find the process holding the `flock` on an open file, with its terminal, or return None if hidden.
-
-    psutil does not know locks.
-    """
+    """Find the holder of the `flock` on a file, with its terminal; None if hidden. psutil knows no locks."""
     inode = os.fstat(file).st_ino
     with contextlib.suppress(OSError, ValueError):
         for line in Path("/proc/locks").read_text().splitlines():
@@ -109,6 +103,17 @@ def find_lock_holder(file: int) -> PortUser | None:
                 with contextlib.suppress(psutil.Error):
                     terminal = psutil.Process(pid).terminal() or ""
                 return PortUser(pid, _describe_process(pid), terminal)
+    return None
+
+
+def find_folder_holder(folder: Path) -> PortUser | None:
+    """Return the program that has a folder locked, or None, also for one that this user may not open."""
+    with contextlib.suppress(OSError):
+        file = os.open(folder, os.O_RDONLY | os.O_CLOEXEC)
+        try:
+            return find_lock_holder(file)
+        finally:
+            os.close(file)
     return None
 
 
@@ -144,8 +149,7 @@ def _identify_user(pid: int) -> PortUser:
     with contextlib.suppress(psutil.Error):
         process = psutil.Process(pid)
         while process.cmdline()[1:3] == OF_OURS:
-            starter = process.parent()
-            if starter is None or not _is_python(starter.cmdline()):
+            if (starter := process.parent()) is None or not _is_python(starter.cmdline()):
                 break
             process = starter
             pid = process.pid

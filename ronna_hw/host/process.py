@@ -97,9 +97,6 @@ def defer_interruption() -> Iterator[None]:
 
     Python delivers signals to the main thread only; in any other thread nothing is deferred.
     """
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
     received: list[signal.Signals] = []
 
     def note(number: int, _frame: FrameType | None) -> None:
@@ -114,9 +111,6 @@ def defer_interruption() -> Iterator[None]:
 @contextmanager
 def allow_interruption() -> Iterator[None]:
     """Make termination signals raise KeyboardInterrupt in the block, even if ignored outside it."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
 
     def interrupt(_number: int, _frame: FrameType | None) -> None:
         raise KeyboardInterrupt
@@ -127,8 +121,9 @@ def allow_interruption() -> Iterator[None]:
 
 @contextmanager
 def _handle_signals(handler: Callable[[int, FrameType | None], None]) -> Iterator[None]:
-    """Route termination signals to `handler` within the block; main thread only."""
-    before = {number: signal.signal(number, handler) for number in ENDING_SIGNALS}
+    """Route termination signals to `handler` within the block; other threads than the main one get none."""
+    is_main = threading.current_thread() is threading.main_thread()
+    before = {number: signal.signal(number, handler) for number in ENDING_SIGNALS if is_main}
     try:
         yield
     finally:

@@ -9,20 +9,18 @@ from __future__ import annotations
 
 import struct
 import zlib
-from typing import Any, Generic, NamedTuple
+from typing import Any, Generic, NamedTuple, TypeVar
 
 from ronna_hw.host.row_codec import RowCodec, RowT
 
 ALIGNMENT_BYTES = 8
 _CHECKSUM = struct.Struct("<I")
 _LENGTH = struct.Struct("<I")
+PlaceT = TypeVar("PlaceT", bound="SharedRows[Any] | CheckedRow[Any] | CheckedBytes | Counters")
 
 
 class MemoryMap:
-    """Allocator for locations in a block that begins with its owner's mark.
-
-    `size_bytes` grows with every location.
-    """
+    """Allocator of locations in a block that begins with a mark; `size_bytes` grows with each."""
 
     def __init__(self, mark: bytes) -> None:
         self.mark = mark
@@ -42,31 +40,27 @@ class MemoryMap:
 
     def rows(self, row: type[RowT], count: int = 1) -> SharedRows[RowT]:
         """Allocate `count` plain rows."""
-        place = SharedRows(row, self.size_bytes, count)
-        self._take(place.size_bytes)
-        return place
+        return self._keep(SharedRows(row, self.size_bytes, count))
 
     def checked_row(self, row: type[RowT]) -> CheckedRow[RowT]:
         """Allocate a checksummed row."""
-        place = CheckedRow(row, self.size_bytes)
-        self._take(place.size_bytes)
-        return place
+        return self._keep(CheckedRow(row, self.size_bytes))
 
     def checked_bytes(self, capacity_bytes: int) -> CheckedBytes:
         """Allocate checksummed bytes of variable length."""
-        place = CheckedBytes(self.size_bytes, capacity_bytes)
-        self._take(place.size_bytes)
-        return place
+        return self._keep(CheckedBytes(self.size_bytes, capacity_bytes))
 
     def counters(self, count: int) -> Counters:
         """Allocate a row of unsigned 64-bit counters."""
-        place = Counters(self.size_bytes, count)
-        self._take(place.size_bytes)
-        return place
+        return self._keep(Counters(self.size_bytes, count))
 
     def plain_bytes(self, size_bytes: int) -> Bytes:
         """Allocate plain bytes."""
         return Bytes(self._take(size_bytes), size_bytes)
+
+    def _keep(self, place: PlaceT) -> PlaceT:
+        self._take(place.size_bytes)
+        return place
 
     def _take(self, size_bytes: int) -> int:
         offset = self.size_bytes

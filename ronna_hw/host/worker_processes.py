@@ -46,8 +46,7 @@ def collect_results(waiting: Sequence[Future[Result]]) -> Iterator[Result]:
 def _end_with_parent() -> None:
     """Make a worker exit when its parent is killed, instead of waiting forever for the next task."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal sends it to all; the parent ends its workers
-    parent = parent_process()
-    if parent is None:
+    if (parent := parent_process()) is None:
         return
 
     def watch() -> None:

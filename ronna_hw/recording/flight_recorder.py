@@ -86,9 +86,8 @@ class FlightRecorder:
         self._waiting = 0  # lines in the queue
         self._dropped: dict[str, int] = defaultdict(int)
         self._lock = threading.Lock()  # protects the counts of waiting and dropped lines
-        self._last_queries: dict[
-            str, tuple[int, float]
-        ] = {}  # by link: host and theatre time of the last query
+        # By link: host and theatre time of the last query.
+        self._last_queries: dict[str, tuple[int, float]] = {}
         self._last_s = 0.0
         self._files: dict[str, AlternatingFiles | None] = {}  # None: not writable
         self._ending = threading.Event()
@@ -257,15 +256,11 @@ class LinkLine:
 
 def list_links(folder: Path) -> tuple[str, ...]:
     """List the links with recorded bytes in a folder."""
-    names = {path.name.rsplit(".", 3)[0] for path in folder.glob("*.jsonl.gz")}
-    return tuple(sorted(names))
+    return tuple(sorted({path.name.rsplit(".", 3)[0] for path in folder.glob("*.jsonl.gz")}))
 
 
 def read_link(folder: Path, link: str) -> Iterator[LinkLine]:
-    """Read all recorded traffic of a link, oldest first.
-
-    Raises INP-001 for a file that is too large, packed or unpacked, and OSError.
-    """
+    """Read a link's traffic, oldest first; raises OSError, and INP-001 for a file that is too large."""
     files = [folder / name.format(link=link) for name in FILE_NAMES]
     parts = [_read_file(link, path) for path in files if path.exists()]
     started_parts = [(first, part) for part in parts if (first := next(part, None)) is not None]

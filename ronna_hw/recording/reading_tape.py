@@ -54,10 +54,7 @@ class RecordedCall(NamedTuple):
 
 
 class ReadingTape:
-    """Tape of one run.
-
-    `opening` is the first line: what a replay needs in addition to the answers.
-    """
+    """Tape of one run. `opening` is the first line: what a replay needs in addition to the answers."""
 
     def __init__(
         self,
@@ -193,9 +190,8 @@ class ReadingTape:
         else:
             line["answer"] = as_plain(answer.value, self._put_pixels)
         if answer.properties:
-            line["properties"] = {
-                name: as_plain(value, self._put_pixels) for name, value in answer.properties.items()
-            }
+            known = answer.properties.items()
+            line["properties"] = {name: as_plain(value, self._put_pixels) for name, value in known}
         self._write_line(line)
 
     def _put_pixels(self, pixels: Any) -> dict[str, Any]:
@@ -257,11 +253,7 @@ def _call_and_keep(self: _TapedDevice, name: str, call_device: Callable[[], Any]
     except RonnaError as error:
         tape.keep(device.name, name, device.observe().state, None, error)
         raise
-    kept_fields = PROPERTIES if name in IDENTIFYING_CALLS else ()
-    properties = {
-        property_name: getattr(device, property_name)
-        for property_name in kept_fields
-        if hasattr(device, property_name)
-    }
+    known = PROPERTIES if name in IDENTIFYING_CALLS else ()
+    properties = {one: getattr(device, one) for one in known if hasattr(device, one)}
     tape.keep(device.name, name, device.observe().state, value, properties=properties)
     return value

@@ -8,8 +8,6 @@ from __future__ import annotations
 
 from enum import IntEnum, IntFlag
 
-# --- GVCP, the control protocol -----------------------------------------------------------------------
-
 GVCP_PORT = 3956  # fixed by the standard, on the device's side
 GVCP_KEY = 0x42  # first byte of every command; other datagrams are ignored
 GVCP_HEADER_BYTES = 8
@@ -105,13 +103,11 @@ class GevStatus(IntEnum):
     ERROR = 0x8FFF
 
 
-# --- bootstrap registers: u32 unless a length in bytes is given ------------------------------------------
-
 DISCOVERY_BYTES = 248  # a discovery answer is the memory from 0 to here
 
 
 class Bootstrap(IntEnum):
-    """Bootstrap register addresses, common to all devices."""
+    """Bootstrap register addresses, common to all devices: u32, or of the length in `TEXT_BYTES`."""
 
     VERSION = 0x0000  # major << 16 | minor
     DEVICE_MODE = 0x0004
@@ -174,7 +170,7 @@ TEXT_BYTES: dict[Bootstrap, int] = {
     Bootstrap.FIRST_URL: 512,
     Bootstrap.SECOND_URL: 512,
 }
-"""Length of the text registers; shorter text is padded with zeros."""
+"""Length in bytes of the text registers; shorter text is padded with zeros."""
 
 DEVICE_MODE_BIG_ENDIAN = 0x8000_0000
 DEVICE_MODE_UTF8 = 0x0000_0001
@@ -214,8 +210,6 @@ class GvcpCapability(IntFlag):
     SERIAL_NUMBER = 1 << 30
     USER_DEFINED_NAME = 1 << 31
 
-
-# --- GVSP, the stream protocol -------------------------------------------------------------------------
 
 IP_UDP_HEADER_BYTES = 28
 GVSP_HEADER_BYTES = 8
@@ -264,8 +258,6 @@ class PixelFormat(IntEnum):
 
 PIXEL_FORMAT_BITS_SHIFT = 16
 PIXEL_FORMAT_BITS_MASK = 0xFF  # after the shift: bits per pixel
-
-# --- the camera of the stereo head ---------------------------------------------------------------------
 
 BASLER = "Basler"
 ACA2000_50GM_NIR = "acA2000-50gmNIR"

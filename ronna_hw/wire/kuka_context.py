@@ -179,15 +179,13 @@ class RsiContext(_Table):
         channels = [e.indx for e in self.receive if e.indx != INTERNAL]
         if len(set(channels)) != len(channels):
             raise ValueError("receive: each indx may be used once")
-        missing = sorted({w.indx for w in self.wiring} - set(channels))
-        if missing:
+        if missing := sorted({w.indx for w in self.wiring} - set(channels)):
             raise ValueError(f"wiring: indx {missing} is not received")
         inputs = [(w.object, w.input) for w in self.wiring]
         if len(set(inputs)) != len(inputs):
             raise ValueError("wiring: each object input may be fed once")
         sent = [e.indx for e in self.all_send if e.indx != INTERNAL]
-        unsent = sorted({f.indx for f in self.feedback} - set(sent))
-        if unsent:
+        if unsent := sorted({f.indx for f in self.feedback} - set(sent)):
             raise ValueError(f"feedback: indx {unsent} is not sent")
         for element in self.all_send:
             if (element.indx == INTERNAL) != element.tag.startswith("DEF_"):

@@ -20,8 +20,6 @@ class PolarisModel(StrEnum):
     VEGA = "vega"
 
 
-# --- framing ---------------------------------------------------------------------------------------------
-
 CR: Final = b"\r"
 LF: Final = "\n"  # separates records inside an ASCII reply
 ASCII_CRC_DIGITS: Final = 4  # upper-case hex, high byte first
@@ -69,8 +67,6 @@ def crc16(data: bytes, start: int = 0) -> int:
     return crc
 
 
-# --- line ------------------------------------------------------------------------------------------------
-
 DEFAULT_BAUD: Final = 9600  # 8N1 without handshake, at power-up and after a reset
 BITS_PER_BYTE_ON_LINE: Final = 10  # start bit, 8 data bits, stop bit
 
@@ -94,8 +90,6 @@ COMM_STOP_BITS: Final = MappingProxyType({"0": 1, "1": 2})
 COMM_HANDSHAKE: Final = MappingProxyType({"0": "off", "1": "rts/cts"})
 COMM_ARGUMENT_DIGITS: Final = 5  # baud, data, parity, stop, handshake
 COMM_DEFAULT_ARGUMENT: Final = "00000"
-
-# --- commands --------------------------------------------------------------------------------------------
 
 # Time limits of the unit itself, seconds, as read from `Info.Timeout.<name>` on a real unit.
 COMMAND_TIMEOUT_S: Final = MappingProxyType(
@@ -152,8 +146,6 @@ class ReplyOption(IntFlag):
 
 MAXIMUM_STRAYS: Final = 50
 
-# --- BX --------------------------------------------------------------------------------------------------
-
 BX_START: Final = 0xA5C4  # sent low byte first
 BX_HEADER_BYTES: Final = 6  # start, length of the body, CRC of both
 BX_CRC_BYTES: Final = 2  # after the body
@@ -167,8 +159,6 @@ class HandleStatus(IntEnum):
     DISABLED = 0x04
 
 
-# --- TX field widths -------------------------------------------------------------------------------------
-
 TX_QUATERNION_CHARACTERS: Final = 6  # sign, 5 digits
 TX_QUATERNION_SCALE: Final = 10_000
 TX_POSITION_CHARACTERS: Final = 7  # sign, 6 digits
@@ -178,8 +168,6 @@ TX_ERROR_SCALE: Final = 10_000  # per mm
 TX_PORT_STATUS_DIGITS: Final = 8
 TX_FRAME_DIGITS: Final = 8
 TX_SYSTEM_STATUS_DIGITS: Final = 4
-
-# --- status bits -----------------------------------------------------------------------------------------
 
 
 class PortStatus(IntFlag):
@@ -252,8 +240,6 @@ class Alert(IntFlag):
     TOO_COLD = 1 << 30
 
 
-# --- user parameters and features ------------------------------------------------------------------------
-
 PARAMETER_MODEL: Final = "Features.Hardware.Model"
 PARAMETER_SERIAL: Final = "Features.Hardware.Serial Number"
 PARAMETER_FIRMWARE: Final = "Features.Firmware.Version"
@@ -274,8 +260,6 @@ SFLIST_VOLUME_CHARACTERS: Final = 74
 SFLIST_DIMENSIONS: Final = 10  # D1..D10, each sign and 6 digits
 SFLIST_DIMENSION_CHARACTERS: Final = 7
 SFLIST_DIMENSION_SCALE: Final = 100  # per mm; slopes are per 1000
-
-# --- error and warning codes -----------------------------------------------------------------------------
 
 ERROR_MEANINGS: Final = MappingProxyType(
     {

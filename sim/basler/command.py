@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import ctypes
-from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from sim.world.background import IN_BACKGROUND, DetachOption, start_in_background
+from sim.world.background import start_in_background
+from sim.world.options import DetachOption, FaultsOption, WorldOption
 
 CAMERAS = 2
 FAULTS_OF = ("camera", "room")  # devices whose faults this simulator can have alone
@@ -24,9 +24,9 @@ def basler(
         typer.Option(help="IP address of the left, then of the right camera; a free pair by default."),
     ] = None,
     scene: Annotated[str, typer.Option(help="bench, default, mini, or a scene file.")] = "bench",
-    faults: Annotated[Path | None, typer.Option(help="Fault script, one fault per line.")] = None,
+    faults: FaultsOption = None,
     detach: DetachOption = False,
-    world: Annotated[str | None, typer.Option(hidden=True, help="Address of the parent theatre.")] = None,
+    world: WorldOption = None,
 ) -> None:
     """Simulate a pair of GigE Vision cameras, for any client, until terminated."""
     from ipaddress import IPv4Address
@@ -34,8 +34,7 @@ def basler(
     from sim.basler.server import CameraPair
     from sim.world.process import announce, end_with_parent, open_own_control_port, open_world
 
-    if detach and not IN_BACKGROUND:
-        start_in_background("basler")
+    if detach and start_in_background("basler"):
         return
     addresses = address or []
     if len(addresses) not in (0, CAMERAS):

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from copy import deepcopy
 
+from ronna_hw.clock import SharedClock
 from ronna_hw.wire.gige_vision import GevStatus
 from sim.basler.camera.acquisition import Acquisition
-from sim.basler.camera.photographer import FrameSource
+from sim.basler.camera.photographer import Photographer
 from sim.basler.control.bootstrap import Identity, add_bootstrap, add_message_channel
 from sim.basler.control.feature_table import add_features
 from sim.basler.control.port import Actions, GvcpPort, ReplayCache
@@ -15,7 +17,7 @@ from sim.basler.control.privilege import Privilege
 from sim.basler.control.registers import RegisterMap, RegisterRefusal
 from sim.basler.faults import NO_FAULTS, CameraFaults
 from sim.basler.message_channel import EventReporter, MessageChannel
-from sim.basler.settings import CameraSettings, TheatreClock, Ticks, TriggerMoments, UserSet
+from sim.basler.settings import CameraSettings, Ticks, TriggerMoments, UserSet
 from sim.basler.stream_channel import StreamChannel
 
 
@@ -28,8 +30,8 @@ class SimulatedCamera:
     def __init__(
         self,
         identity: Identity,
-        source: FrameSource,
-        clock: TheatreClock,
+        source: Photographer,
+        clock: SharedClock,
         moments: TriggerMoments,
         *,
         faults: CameraFaults = NO_FAULTS,
@@ -80,15 +82,10 @@ class SimulatedCamera:
         self.channel.shut()
         self.messages.shut()
 
-    @property
-    def acquiring(self) -> bool:
-        """Whether the acquisition is active."""
-        return self.acquisition.running
-
     def load_user_set(self) -> None:
         """Load the selected user set, or the power-on values if it was never saved."""
         selected, locked = self.settings.user_set_selector, self.settings.parameters_locked
-        settings = self._user_sets.get(selected, self._user_sets[UserSet.DEFAULT]).copy()
+        settings = deepcopy(self._user_sets.get(selected, self._user_sets[UserSet.DEFAULT]))
         settings.user_set_selector, settings.parameters_locked = selected, locked
         self.settings = settings
 
@@ -97,7 +94,7 @@ class SimulatedCamera:
         selected = self.settings.user_set_selector
         if selected == UserSet.DEFAULT:
             raise RegisterRefusal(GevStatus.WRITE_PROTECT)
-        self._user_sets[selected] = self.settings.copy()
+        self._user_sets[selected] = deepcopy(self.settings)
 
     def apply_faults(self) -> None:
         """Apply the momentary faults since the last call, and any seized control privilege."""

@@ -154,8 +154,6 @@ class CameraFaults:
         return dusted
 
     def _own_faults(self, kind: str) -> list[Fault]:
-        if self._board.empty:
-            return []
         active = self._board.active(f"camera_{kind}")
         return [fault for fault in active if fault.argument in (self._side, BOTH)]
 

@@ -9,20 +9,8 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from ronna_hw.wire.gige_vision import (
-    EVENT_ITEM,
-    EVENT_ITEM_BYTES,
-    GVCP_ACK_HEADER,
-    GVCP_COMMAND_HEADER,
-    GVCP_HEADER_BYTES,
-    GVCP_KEY,
-    GVCP_PAYLOAD_LIMIT,
-    IP_UDP_HEADER_BYTES,
-    REQUEST_ID_FIRST,
-    REQUEST_ID_LAST,
-    GvcpCommand,
-    GvcpFlag,
-)
+from ronna_hw.wire import gige_vision as gev
+from ronna_hw.wire.gige_vision import GvcpCommand, GvcpFlag
 from sim.basler.faults import NO_FAULTS, CameraFaults
 from sim.basler.settings import CameraSettings, EventKind, Ticks
 from sim.basler.stream_channel import UdpChannel
@@ -31,7 +19,7 @@ STREAM_CHANNEL = 0
 FRAME_NUMBER = ">I"  # additional field of ExposureEnd beyond the standard's
 DEFAULT_TIMEOUT_MS, DEFAULT_RETRIES = 200, 3  # at power-on; those of the family are unconfirmed
 EVENTS_KEPT = 32  # queued behind a pending message; more are lost
-EVENTS_PER_MESSAGE = GVCP_PAYLOAD_LIMIT // EVENT_ITEM_BYTES
+EVENTS_PER_MESSAGE = gev.GVCP_PAYLOAD_LIMIT // gev.EVENT_ITEM_BYTES
 DATAGRAM_BYTES = 2048
 
 
@@ -46,7 +34,7 @@ class CameraEvent:
 
     def encode_item(self) -> bytes:
         """Encode the event as a message item."""
-        head = struct.pack(EVENT_ITEM, 0, self.kind, STREAM_CHANNEL, self.block_id, self.stamp_ticks)
+        head = struct.pack(gev.EVENT_ITEM, 0, self.kind, STREAM_CHANNEL, self.block_id, self.stamp_ticks)
         return head + self.data
 
 
@@ -146,9 +134,9 @@ class MessageChannel(UdpChannel):
         self.port = 0
 
     def _handle_acknowledge(self, datagram: bytes) -> None:
-        if len(datagram) < GVCP_HEADER_BYTES:
+        if len(datagram) < gev.GVCP_HEADER_BYTES:
             return
-        _, code, _, request_id = struct.unpack_from(GVCP_ACK_HEADER, datagram)
+        _, code, _, request_id = struct.unpack_from(gev.GVCP_ACK_HEADER, datagram)
         with self._lock:
             pending = self._pending
             accepted_codes = (GvcpCommand.EVENT_ACK, GvcpCommand.EVENTDATA_ACK)
@@ -170,11 +158,13 @@ class MessageChannel(UdpChannel):
             self._send(together)
 
     def _send(self, events: list[CameraEvent]) -> None:
-        self._request_id = self._request_id % REQUEST_ID_LAST + REQUEST_ID_FIRST
+        self._request_id = self._request_id % gev.REQUEST_ID_LAST + gev.REQUEST_ID_FIRST
         command = GvcpCommand.EVENTDATA if events[0].data else GvcpCommand.EVENT
         payload = b"".join(event.encode_item() for event in events)
         flags = GvcpFlag.ACK_REQUIRED if self.timeout_ms else GvcpFlag(0)
-        head = struct.pack(GVCP_COMMAND_HEADER, GVCP_KEY, flags, command, len(payload), self._request_id)
+        head = struct.pack(
+            gev.GVCP_COMMAND_HEADER, gev.GVCP_KEY, flags, command, len(payload), self._request_id
+        )
         if self.timeout_ms:
             due_s = self._now_s() + self.timeout_ms / 1e3
             self._pending = _PendingMessage(self._request_id, head + payload, self.retries, due_s)
@@ -183,7 +173,7 @@ class MessageChannel(UdpChannel):
     def _transmit(self, datagram: bytes) -> None:
         receiver = self.receiver
         lost = self._faults.draw_message_loss() or not self._faults.passes(
-            len(datagram) + IP_UDP_HEADER_BYTES
+            len(datagram) + gev.IP_UDP_HEADER_BYTES
         )
         if receiver is not None and not lost:
             with contextlib.suppress(OSError):  # a receiver that is gone

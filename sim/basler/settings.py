@@ -2,22 +2,14 @@
 
 from __future__ import annotations
 
-import copy
 import threading
 import time
 from dataclasses import dataclass, field
 from enum import IntEnum
-from typing import Protocol
 
-from ronna_hw.wire.gige_vision import (
-    GAIN_RAW_MINIMUM,
-    PIXEL_FORMAT_BITS_MASK,
-    PIXEL_FORMAT_BITS_SHIFT,
-    SENSOR_HEIGHT_PX,
-    SENSOR_WIDTH_PX,
-    TICK_FREQUENCY_HZ,
-    PixelFormat,
-)
+from ronna_hw.clock import SharedClock
+from ronna_hw.wire import gige_vision as gev
+from ronna_hw.wire.gige_vision import PixelFormat
 from sim.basler.faults import NO_FAULTS, CameraFaults
 from sim.basler.optics.canvas import Area
 
@@ -26,9 +18,9 @@ DEFAULT_BLACK_LEVEL_RAW = 32
 DEFAULT_FRAME_RATE_HZ = 50.0
 
 FULL_FRAME_RATE_HZ = 50.0
-ROW_US = 1e6 / FULL_FRAME_RATE_HZ / SENSOR_HEIGHT_PX  # read-out of one row
+ROW_US = 1e6 / FULL_FRAME_RATE_HZ / gev.SENSOR_HEIGHT_PX  # read-out of one row
 LINK_BYTES_PER_S = 115e6  # image data on 1 Gbit/s: 50 frames/s of 8 bits, 26 of 12, 34 of 12 packed
-NS_PER_TICK = 1_000_000_000 // TICK_FREQUENCY_HZ
+NS_PER_TICK = 1_000_000_000 // gev.TICK_FREQUENCY_HZ
 # In lock-step two triggers within this host time belong together, and the theatre time between them is at
 # most that between two software triggers on a real network.
 SAME_PAIR_HOST_NS = 500_000_000
@@ -125,8 +117,8 @@ class FrameSettings:
 class CameraSettings:
     """User set contents and selectors, with the power-on values as defaults."""
 
-    width: int = SENSOR_WIDTH_PX
-    height: int = SENSOR_HEIGHT_PX
+    width: int = gev.SENSOR_WIDTH_PX
+    height: int = gev.SENSOR_HEIGHT_PX
     offset_x: int = 0
     offset_y: int = 0
     pixel_format: int = PixelFormat.MONO8
@@ -136,7 +128,7 @@ class CameraSettings:
     frame_rate_enabled: int = 0
     frame_rate_hz: float = DEFAULT_FRAME_RATE_HZ
     exposure_us: int = DEFAULT_EXPOSURE_US
-    gain_raw: int = GAIN_RAW_MINIMUM
+    gain_raw: int = gev.GAIN_RAW_MINIMUM
     black_level_raw: int = DEFAULT_BLACK_LEVEL_RAW
     trigger_selector: int = Trigger.FRAME_START
     triggers: tuple[TriggerSettings, TriggerSettings] = field(
@@ -168,25 +160,10 @@ class CameraSettings:
             RampImage(self.test_image),
         )
 
-    def copy(self) -> CameraSettings:
-        """Return an independent copy."""
-        return copy.deepcopy(self)
-
 
 def bits_per_pixel(pixel_format: PixelFormat) -> int:
     """Return the number of bits per pixel on the wire."""
-    return pixel_format >> PIXEL_FORMAT_BITS_SHIFT & PIXEL_FORMAT_BITS_MASK
-
-
-class TheatreClock(Protocol):
-    """The part of the theatre clock used by a camera."""
-
-    @property
-    def paced(self) -> bool: ...
-
-    def now_ns(self) -> int: ...
-
-    def wait_until_ns(self, moment_ns: int) -> None: ...
+    return pixel_format >> gev.PIXEL_FORMAT_BITS_SHIFT & gev.PIXEL_FORMAT_BITS_MASK
 
 
 def readout_us(frame: FrameSettings) -> float:
@@ -213,12 +190,11 @@ class TriggerMoments:
     triggered sequentially stays a pair and does not take twice the time.
     """
 
-    def __init__(self, clock: TheatreClock) -> None:
+    def __init__(self, clock: SharedClock) -> None:
         self._clock = clock
         self._lock = threading.Lock()
-        self._first: tuple[str, int, int] | None = (
-            None  # camera, host time, theatre time of the first trigger of a pair
-        )
+        # Camera, host time and theatre time of the first trigger of a pair.
+        self._first: tuple[str, int, int] | None = None
 
     def stamp_trigger(self, camera: str) -> int:
         """Return the theatre time in ns of the trigger now reaching this camera."""
@@ -238,7 +214,7 @@ class TriggerMoments:
 class Ticks:
     """Camera time stamp counter, driven by the theatre clock."""
 
-    def __init__(self, clock: TheatreClock, faults: CameraFaults = NO_FAULTS) -> None:
+    def __init__(self, clock: SharedClock, faults: CameraFaults = NO_FAULTS) -> None:
         self._clock = clock
         self._faults = faults
         self._zero_ns = 0
@@ -249,23 +225,20 @@ class Ticks:
 
     def stamp(self, moment_ns: int) -> int:
         """Return a frame's time stamp in ticks, unique even among frames at the same theatre time."""
-        self._last_stamp = max(self._ticks_at(moment_ns), self._last_stamp + 1)
+        self._last_stamp = max(self.count(moment_ns), self._last_stamp + 1)
         return self._last_stamp
-
-    def count(self, moment_ns: int) -> int:
-        """Return the tick count at a theatre time; for frame time stamps, use `stamp` instead."""
-        return self._ticks_at(moment_ns)
 
     def latch(self) -> None:
         """Latch the present count for reading."""
-        self.latched = self._ticks_at(self._clock.now_ns())
+        self.latched = self.count(self._clock.now_ns())
 
     def reset(self) -> None:
         """Reset the counter to zero."""
         self._zero_ns = self._clock.now_ns()
         self._last_stamp = 0
 
-    def _ticks_at(self, moment_ns: int) -> int:
+    def count(self, moment_ns: int) -> int:
+        """Return the tick count at a theatre time; for frame time stamps, use `stamp` instead."""
         if self._faults.happened("reset_clock"):
             self.reset()
         drift_ppm = self._faults.drift_ppm()

@@ -75,7 +75,8 @@ class Block:
         if packet_id == LEADER_PACKET_ID:
             return header(status, self.block_id, GvspFormat.LEADER, packet_id), self._encode_leader()
         if packet_id == self.trailer_id:
-            return header(status, self.block_id, GvspFormat.TRAILER, packet_id), self._encode_trailer()
+            trailer = struct.pack(GVSP_TRAILER, 0, PayloadType.IMAGE, self._frame.settings.area.height)
+            return header(status, self.block_id, GvspFormat.TRAILER, packet_id), trailer
         start = (packet_id - 1) * self._share
         content = self._image[start : start + self._share]
         return header(status, self.block_id, GvspFormat.PAYLOAD, packet_id), content
@@ -87,9 +88,6 @@ class Block:
         return struct.pack(
             GVSP_LEADER, 0, PayloadType.IMAGE, self._frame.stamp_ticks, settings.pixel_format, *geometry, 0, 0
         )
-
-    def _encode_trailer(self) -> bytes:
-        return struct.pack(GVSP_TRAILER, 0, PayloadType.IMAGE, self._frame.settings.area.height)
 
 
 def header(status: GevStatus, block_id: int, kind: GvspFormat, packet_id: int) -> bytes:
@@ -184,7 +182,7 @@ class StreamChannel(UdpChannel):
                 # after a stall, the backlog is not sent faster than the link would carry it
                 due_s = max(due_s, now_s - LONGEST_CREDIT_S) + burst * pause_s
             if packet_id not in lost:
-                self._send_packet(block, packet_id, GevStatus.SUCCESS, receiver)
+                self._transmit(block.packet(packet_id), receiver)
 
     def repeat(self, block_id: int, first_packet: int, last_packet: int) -> None:
         """Resend packets, or report the first as unavailable."""
@@ -197,7 +195,7 @@ class StreamChannel(UdpChannel):
             self._transmit([content], receiver)
             return
         for packet_id in range(first_packet, min(last_packet, block.trailer_id) + 1):
-            self._send_packet(block, packet_id, GevStatus.PACKET_RESEND, receiver)
+            self._transmit(block.packet(packet_id, GevStatus.PACKET_RESEND), receiver)
 
     def fire_test_packet(self, size: int) -> None:
         """Send one datagram of `size` bytes including IP and UDP headers, if the path carries it."""
@@ -218,11 +216,6 @@ class StreamChannel(UdpChannel):
             wrong_area = Area(area.x + WRONG_AREA_PX, area.y, area.width, area.height)
             frame = replace(frame, settings=replace(frame.settings, area=wrong_area))
         return frame
-
-    def _send_packet(
-        self, block: Block, packet_id: int, status: GevStatus, receiver: tuple[str, int]
-    ) -> None:
-        self._transmit(block.packet(packet_id, status), receiver)
 
     def _transmit(self, parts: Collection[bytes | memoryview], receiver: tuple[str, int]) -> None:
         if not self._faults.passes(sum(len(part) for part in parts) + IP_UDP_HEADER_BYTES):

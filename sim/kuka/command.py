@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from sim.world.background import IN_BACKGROUND, DetachOption, start_in_background
-from sim.world.options import ArmRole
+from sim.world import options
+from sim.world.background import start_in_background
+from sim.world.options import ArmRole, CycleMs
 
 if TYPE_CHECKING:
     from ronna_hw.wire.kuka_context import RsiContext
@@ -24,13 +25,6 @@ class Corrections(StrEnum):
 
     ABSOLUTE = "absolute"
     RELATIVE = "relative"
-
-
-class CycleMs(StrEnum):
-    """Sensor cycle: #IPO_FAST or #IPO."""
-
-    FAST = "4"
-    SLOW = "12"
 
 
 def kuka(
@@ -59,18 +53,13 @@ def kuka(
     autostart: Annotated[
         bool, typer.Option("--autostart", help="Stream and accept corrections without EKI.")
     ] = False,
-    parameter: Annotated[
-        list[str] | None,
-        typer.Option("--set", metavar="NAME=VALUE", help="Choose an unconfirmed behaviour; repeatable."),
-    ] = None,
-    list_parameters: Annotated[
-        bool, typer.Option("--list-parameters", help="List the parameters that --set accepts, and exit.")
-    ] = False,
-    scene: Annotated[str, typer.Option(help="default, mini, bench, or a scene file.")] = "default",
-    faults: Annotated[Path | None, typer.Option(help="Fault script, one fault per line.")] = None,
-    detach: DetachOption = False,
-    world: Annotated[str | None, typer.Option(hidden=True, help="Address of the parent theatre.")] = None,
-    role: Annotated[ArmRole, typer.Option(hidden=True, help="Role of the arm in that theatre.")] = MASTER,
+    parameter: options.SetOption = None,
+    list_parameters: options.ListParametersOption = False,
+    scene: options.SceneOption = "default",
+    faults: options.FaultsOption = None,
+    detach: options.DetachOption = False,
+    world: options.WorldOption = None,
+    role: options.RoleOption = MASTER,
 ) -> None:
     """Simulate a KUKA controller and its arm, for any client, until terminated.
 
@@ -80,7 +69,7 @@ def kuka(
     from ronna_hw.endpoints import parse_endpoint
     from sim.kuka.autostart import Autostart
     from sim.kuka.controller import Controller
-    from sim.kuka.controller_parameters import SUBMIT_CYCLE_S, ControllerParameters, parse_parameters
+    from sim.kuka.controller_parameters import SUBMIT_CYCLE_S, ControllerParameters
     from sim.kuka.cycle_loop import CycleLoop
     from sim.kuka.eki.server import EkiServer
     from sim.kuka.manipulator import Manipulator
@@ -94,10 +83,9 @@ def kuka(
         for name, value, meaning in rows(ControllerParameters):
             typer.echo(f"{name}={value}  {meaning}")
         return
-    if detach and not IN_BACKGROUND:
-        start_in_background("kuka")
+    if detach and start_in_background("kuka"):
         return
-    parameters = parse_parameters(parameter or ()).of_arm(role.number)
+    parameters = ControllerParameters.parse(parameter or ()).of_arm(role.number)
     context = _read_context(rsi_config, rsi_context, corrections, cycle_ms, parameters.longest_file_name)
     ethernet = context.ethernet
     TelegramWriter(context.all_send, ethernet.precision, (0.0,) * 6, (0.0,) * 6)  # rejects a bad layout
@@ -112,7 +100,7 @@ def kuka(
     arm = Manipulator(
         room.scene.arm_of(role), arm_seed(room.scene.seed, role), room.publish_arm, parameters, last_state
     )
-    tool = room.mounted_tool if role is ArmRole.MASTER else _no_tool
+    tool = room.mounted_tool if role is MASTER else (lambda: 0)
     controller = Controller(context, arm, tool, parameters)
     # In lock-step theatre time stands still while the submit interpreter loops: there it answers at once.
     project_server = EkiServer(project_address, SUBMIT_CYCLE_S if room.clock.paced else 0.0)
@@ -129,10 +117,6 @@ def kuka(
         **_describe_link(context, inferred=rsi_config is not None and rsi_context is None),
     )
     cycle_loop.run()
-
-
-def _no_tool() -> int:
-    return 0
 
 
 def _read_context(

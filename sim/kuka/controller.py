@@ -335,7 +335,6 @@ class Controller:
             self._fail(PendantMessage(self.parameters.T1_speed_message, text, drives_off=True))
 
     def _fail(self, message: PendantMessage) -> None:
-        """End the program with a message."""
         self._display(message)
         self.arm.drives.brake()
         self._abort_motion(message.text)

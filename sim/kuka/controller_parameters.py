@@ -6,22 +6,23 @@ chooses one.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass, replace
-from typing import Annotated, Literal, Self
+from dataclasses import dataclass
+from typing import Annotated, Literal
 
 from ronna_hw.arm.motion.limits import REDUCED_SPEED_MM_S
 from ronna_hw.wire.kuka_eki import FIRST_REQUEST_LIMIT_MS
 from sim.kuka.errors import UNKNOWN_PARAMETER
-from sim.named_parameters import MaximumValue, apply_assignments
+from sim.named_parameters import ControllerOfArm, MaximumValue
 
 
 @dataclass(frozen=True)
-class ControllerParameters:
+class ControllerParameters(ControllerOfArm):
     """Controller behaviour on which public sources are silent or disagree, in degrees, seconds and cycles.
 
     A number with default 0 may be 0; every other number is positive.
     """
+
+    refusal = UNKNOWN_PARAMETER
 
     # drives
     dead_time_cycles: Annotated[
@@ -155,15 +156,6 @@ class ControllerParameters:
     enabling_switch_message: Annotated[int, "Number of the message: enabling switch released."] = 26
     collision_message: Annotated[int, "Number of the message: collision."] = 117
     T1_speed_message: Annotated[int, "Number of the message: too fast for T1."] = 421
-
-    def of_arm(self, number: int) -> Self:
-        """Return those of the arm with this number in a theatre: no two have one serial number."""
-        return replace(self, serial_number=self.serial_number + number)
-
-
-def parse_parameters(assignments: Iterable[str]) -> ControllerParameters:
-    """Apply `NAME=VALUE` to the default parameters; raises KRC-003 for an unknown name or invalid value."""
-    return apply_assignments(ControllerParameters(), assignments, UNKNOWN_PARAMETER)
 
 
 IPO_FAST_S = 0.004  # cycle of #IPO_FAST, used by the drives until a program sets another

@@ -8,11 +8,13 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
-from math import copysign, exp
+from math import exp
 
 from sim.kuka.controller_parameters import IPO_FAST_S, ControllerParameters
 from sim.kuka.pendant import COMMAND_ACCELERATION, PendantMessage, end_switch, near_singularity, too_fast
+from sim.world.gears import Gears
 from sim.world.nominal_arm import AXES, RobotDescription
+from sim.world.world import ArmState
 
 STICKS_AGAIN_SHARE = 0.5  # share of the breakaway below which a lagging axis sticks again; a fast one slides
 
@@ -21,36 +23,29 @@ SHORTEST_WINDOW_CYCLES = 3
 TURNING_AXES = (3, 5)  # A4 and A6 turn fast when the wrist is nearly straight
 
 
-class Drives:
-    """Six axes with dead time, lag, exact settling, braking and a motion counter."""
+class Drives(Gears):
+    """Six axes with dead time, lag, exact settling and braking."""
 
     def __init__(
-        self, arm: RobotDescription, start_deg: Sequence[float], parameters: ControllerParameters
+        self,
+        arm: RobotDescription,
+        start_deg: Sequence[float],
+        parameters: ControllerParameters,
+        last: ArmState | None = None,
     ) -> None:
+        super().__init__(start_deg, parameters.reversal_deg, last)
         self._parameters = parameters
         self._acceleration_deg_s2 = [joint.acceleration_deg_s2 for joint in arm.joints]
         self.axes_deg: list[float] = list(start_deg)
         self.command_deg: list[float] = self.axes_deg
-        self.flanks: list[float] = [0.0] * AXES  # position of each joint in its backlash, -1 to 1
-        self.motion_number = 0
-        self.moved_s = 0.0  # time in motion so far
         self.at_rest = True
         self._speed_deg_s: list[float] = [0.0] * AXES
-        self._directions: list[float] = [0.0] * AXES
-        self._extremes_deg: list[float] = list(start_deg)
-        self._in_motion = False
         self._braking = False
         self._braking_share = parameters.path_stop_share
         self._slipping: dict[int, bool] = {}  # axes that stick, and whether they are slipping
         self._cycle_s = 0.0
         self._pending: deque[list[float]] = deque()
         self.start_cycles(IPO_FAST_S)
-
-    def restore(self, flanks: Sequence[float], motion_number: int, moved_s: float) -> None:
-        """Restore an arm's last state: gear flanks at rest, motion number and time in motion."""
-        self._directions = [copysign(1.0, flank) if flank else 0.0 for flank in flanks]
-        self.flanks = list(self._directions)
-        self.motion_number, self.moved_s = motion_number, moved_s
 
     def start_cycles(self, cycle_s: float, filter_s: float = 0.0) -> None:
         """Prepare for a command every `cycle_s`, starting at rest, optionally behind a controller filter."""
@@ -68,7 +63,8 @@ class Drives:
             if has_reply:
                 self._in_motion = False
         else:
-            self._count_motion(command_deg)
+            step_deg = self._parameters.motion_speed_deg_s * self._cycle_s
+            self._turn(command_deg, self.command_deg, step_deg)
         self._pending.append(command_deg)
         follow_deg = self._pending.popleft()
         wanted_deg = follow_deg if self._filter_share == 1.0 else self._filter(follow_deg)
@@ -76,10 +72,7 @@ class Drives:
         axes = [y + share * (u - y) for u, y in zip(wanted_deg, before, strict=True)]
         if self._slipping:
             self._hold_sticking(axes, before, wanted_deg)
-        self.flanks = [
-            flank + share * (direction - flank)
-            for direction, flank in zip(self._directions, self.flanks, strict=True)
-        ]
+        self._approach_flanks(share)
         self.command_deg = command_deg
         if follow_deg is command_deg and self._has_arrived(axes, command_deg):
             # The pose at rest is exact: it depends on the command and the flanks, not on the time taken.
@@ -126,7 +119,7 @@ class Drives:
             self._braking = self._in_motion = False
             self.command_deg = self._filtered_deg = self.axes_deg
             self.flanks = list(self._directions)
-            self._extremes_deg = list(axes)
+            self._extremes = list(axes)
             self._pending = deque([axes] * self._parameters.dead_time_cycles)
             self.at_rest = True
 
@@ -163,25 +156,6 @@ class Drives:
         if not held:
             return command_deg
         return [axes_deg[axis] if axis in held else angle for axis, angle in enumerate(command_deg)]
-
-    def _count_motion(self, command_deg: list[float]) -> None:
-        reversal, fastest = self._parameters.reversal_deg, 0.0
-        extremes, directions = self._extremes_deg, self._directions
-        for axis, (new, old) in enumerate(zip(command_deg, self.command_deg, strict=True)):
-            step = new - old if new > old else old - new
-            if step > fastest:
-                fastest = step
-            travelled = new - extremes[axis]
-            direction = directions[axis]
-            if direction * travelled > 0.0:
-                extremes[axis] = new
-            elif travelled > reversal or travelled < -reversal:
-                directions[axis] = 1.0 if travelled > 0.0 else -1.0
-                extremes[axis] = new
-        moving = fastest > self._parameters.motion_speed_deg_s * self._cycle_s
-        if moving and not self._in_motion:
-            self.motion_number += 1
-        self._in_motion = moving
 
 
 class Supervision:

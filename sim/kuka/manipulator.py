@@ -7,18 +7,16 @@ from itertools import pairwise
 from math import degrees, dist, radians
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sim.kuka.controller_parameters import ControllerParameters
 from sim.kuka.drives import Drives
 from sim.kuka.motion import pose_on_line
 from sim.world.nominal_arm import axes_of_posture, description, frame_of, pose_of_frame
-from sim.world.rigid import inverse
+from sim.world.rigid import Matrix, inverse
 from sim.world.scene.model import ArmTruth
 from sim.world.true_arm import JointChain, TrueArm, rotation_vector
 from sim.world.world import ArmState
 
-Matrix = NDArray[np.float64]
 IDENTITY = np.eye(4)
 WAYPOINTS = 40  # checked before a straight path is accepted
 
@@ -39,9 +37,7 @@ class Manipulator:
         start_deg = (
             truth.home_deg if resume_from is None else [degrees(angle) for angle in resume_from.joints_rad]
         )
-        self.drives = Drives(self.description, start_deg, parameters)
-        if resume_from is not None:
-            self.drives.restore(resume_from.flanks, resume_from.motion_number, resume_from.moved_s)
+        self.drives = Drives(self.description, start_deg, parameters, resume_from)
         self._nominal = JointChain(self.description)
         self._true = TrueArm(truth, seed)
         self._publish = publish
@@ -172,12 +168,5 @@ class Manipulator:
         if drives.at_rest and self._published == (id(drives.axes_deg), True):
             return
         encoders = [radians(angle) for angle in drives.axes_deg]
-        if drives.at_rest:
-            pose = self._true.at_rest(encoders, drives.flanks, drives.motion_number, drives.moved_s)
-        else:
-            pose = self._true.moving(encoders, drives.flanks, drives.moved_s)
-        A1, A2, A3, A4, A5, A6 = encoders
-        F1, F2, F3, F4, F5, F6 = drives.flanks
-        joints, flanks = (A1, A2, A3, A4, A5, A6), (F1, F2, F3, F4, F5, F6)
-        self._publish(ArmState(joints, pose, drives.motion_number, drives.at_rest, flanks, drives.moved_s))
+        self._publish(drives.state(self._true, encoders, at_rest=drives.at_rest))
         self._published = (id(drives.axes_deg), drives.at_rest)

@@ -11,16 +11,15 @@ from math import inf
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ronna_hw.wire.kuka_eki import AckCode
 from sim.kuka.controller_parameters import ControllerParameters
 from sim.kuka.pendant import PendantMessage, end_switch, near_singularity, too_fast
 from sim.world.nominal_arm import RobotDescription
-from sim.world.rigid import rotation_from_vector
+from sim.world.rigid import Matrix, rotation_from_vector
+from sim.world.trapezoid import Trapezoid
 from sim.world.true_arm import rotation_vector
 
-Matrix = NDArray[np.float64]
 Inverse = Callable[[Matrix, Sequence[float]], list[float] | None]
 
 
@@ -53,19 +52,9 @@ class EkiMotion:
 
 def path_parameters(speed_1_s: float, acceleration_1_s2: float, cycle_s: float) -> Iterator[float]:
     """Yield the path parameter of a trapezoidal speed profile once per cycle, ending at 1."""
-    speed = min(speed_1_s, acceleration_1_s2**0.5)  # the path may be too short to reach the speed
-    ramp_s = speed / acceleration_1_s2
-    cruise_s = 1.0 / speed - ramp_s
-    total_s = 2.0 * ramp_s + cruise_s
-    for number in range(1, max(1, round(total_s / cycle_s))):
-        time_s = number * cycle_s
-        remaining_s = total_s - time_s
-        if time_s < ramp_s:
-            yield acceleration_1_s2 * time_s**2 / 2.0
-        elif remaining_s > ramp_s:
-            yield speed * (time_s - ramp_s / 2.0)
-        else:
-            yield 1.0 - acceleration_1_s2 * max(0.0, remaining_s) ** 2 / 2.0
+    profile = Trapezoid(1.0, speed_1_s, acceleration_1_s2)
+    for number in range(1, max(1, round(profile.duration_s / cycle_s))):
+        yield profile.share(number * cycle_s)
     yield 1.0
 
 

@@ -15,7 +15,7 @@ from ronna_hw.command_line.options import require_folder
 from ronna_hw.command_line.terminal import JsonOption, print_json, progress_bar
 from ronna_hw.errors import EXIT_INTERRUPTED
 from ronna_hw.text import escape_controls, format_count
-from sim.world.options import Carrier, InstrumentKind
+from sim.world.options import Carrier, InstrumentKind, MarkersOption, SceneOption, TargetsOption
 
 if TYPE_CHECKING:
     from sim.phantom.scan import Scan
@@ -42,10 +42,10 @@ def _scanner_option(about: str, *names: str, **limits: Any) -> Any:
 
 def phantom(
     out: Annotated[Path, typer.Option(help="New or empty folder for ct/, plan.toml and truth.json.")],
-    scene: Annotated[str, typer.Option(help="default, mini, bench, or a scene file.")] = DEFAULT_SCENE,
+    scene: SceneOption = DEFAULT_SCENE,
     seed: Annotated[int, typer.Option(min=0, help="Seed of a built-in scene.")] = 0,
-    markers: Annotated[int | None, typer.Option(min=3, max=8, help="Spheres on the head.")] = None,
-    targets: Annotated[int | None, typer.Option(min=1, max=10, help="Trajectories of the plan.")] = None,
+    markers: MarkersOption = None,
+    targets: TargetsOption = None,
     family: Annotated[
         str | None, typer.Option(help="Generate head and surroundings of this family instead of a scene.")
     ] = None,
@@ -239,7 +239,6 @@ def _scan_adhesives(
 def _write_postoperative(
     run: Path, instrument: InstrumentKind, out: Path, seed: int, protocol: str | None, as_json: bool
 ) -> None:
-    """Write the postoperative CT of a run's head."""
     from sim.phantom.case import write_postoperative
     from sim.phantom.families.family_scan import protocol_named
     from sim.phantom.postoperative_scan import draw_scan, instruments_of

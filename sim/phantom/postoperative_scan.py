@@ -9,7 +9,6 @@ from math import radians
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sim.errors import NOTHING_TO_VERIFY
 from sim.phantom.head.anatomy import (
@@ -43,8 +42,6 @@ from sim.world.rigid import (
 from sim.world.scene.model import CtProtocol, Head, Scene, read_scene
 from sim.world.truth import SCENE_FILE, THEATRE_FOLDER, read_samples
 
-Array = NDArray[np.float64]
-
 ABOVE_SKIN_MM = 25.0  # length of an instrument outside the head
 FLUID_HU = 15.0  # in a drilled hole: blood and cerebrospinal fluid
 BELOW_SKULL_MM = 1.5  # overshoot of a drill beyond the inner table
@@ -77,8 +74,8 @@ class ImagedInstrument:
         if self.kind is not InstrumentKind.DRILL_HOLE:
             return Rod(METAL_HU, self.tip_mm, self.outwards, skin_mm + ABOVE_SKIN_MM, RADII_MM[self.kind])
         deep_mm = TO_BRAIN_MM + BELOW_SKULL_MM
-        x, y, z = np.add(self.tip_mm, (skin_mm - deep_mm) * np.array(self.outwards)).tolist()
-        return Rod(FLUID_HU, (x, y, z), self.outwards, deep_mm, RADII_MM[self.kind])
+        start = as_point(np.add(self.tip_mm, (skin_mm - deep_mm) * np.array(self.outwards)))
+        return Rod(FLUID_HU, start, self.outwards, deep_mm, RADII_MM[self.kind])
 
 
 def instruments_of(run: Path, kind: InstrumentKind) -> tuple[Scene, tuple[ImagedInstrument, ...]]:
@@ -124,7 +121,8 @@ class PostoperativeScan:
         x, y = grid.x_mm.astype(np.float32), grid.y_mm.astype(np.float32)
         image = np.full((grid.rows, grid.columns), AIR_HU, dtype=np.float32)
         self._paint_head(image, x, y, z_mm)
-        axes, edge_mm = (x, y, np.array([z_mm], dtype=np.float32)), self._edge_mm
+        axes = (x, y, np.array([z_mm], dtype=np.float32))
+        edge_mm = RAMP_WIDTH * edge_sigma_mm(grid.pixel_mm, grid.slice_mm)
         for shape in self.bodies:
             paint(image[None], axes, shape, edge_mm)
         for rod in self.rods:
@@ -139,10 +137,6 @@ class PostoperativeScan:
         generator = noise(self.seed, "postoperative ct", number)
         image += slice_noise(generator, image.shape, grid.pixel_mm, self.protocol.noise_HU)
         return image
-
-    @property
-    def _edge_mm(self) -> float:
-        return RAMP_WIDTH * edge_sigma_mm(self.grid.pixel_mm, self.grid.slice_mm)
 
     def _paint_head(self, image: Values, x: Values, y: Values, z_mm: float) -> None:
         low, high = self.head.bounds(SKIN_MARGIN_MM)
@@ -172,7 +166,9 @@ def draw_scan(
         pose=pose,
         head=PosedLayers(HeadLayers(head.centre_ct_mm, head.semi_axes_mm, edge_mm), pose),
         bodies=tuple(
-            PosedShape(shape, pose) for shape in (*anatomy.surroundings, *screws) if shape not in beside
+            PosedShape(shape.hu, shape, pose)
+            for shape in (*anatomy.surroundings, *screws)
+            if shape not in beside
         ),
         fillings=tuple(
             Ball(one.hu, as_point(apply(pose.scan_from_head, one.centre)), one.radius)
@@ -207,16 +203,11 @@ class HeadPose:
 
 
 @dataclass(frozen=True, eq=False)
-class PosedShape:
+class PosedShape(Shape):
     """A body of the head in the new scan."""
 
     shape: Shape
     pose: HeadPose
-
-    @property
-    def hu(self) -> float:
-        """Intensity in HU."""
-        return self.shape.hu
 
     def bounds(self) -> Bounds:
         """Return a box around the rotated bounding box, cached for all slices."""

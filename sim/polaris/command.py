@@ -8,7 +8,8 @@ from typing import Annotated
 import typer
 
 from ronna_hw.wire.polaris import PolarisModel
-from sim.world.background import IN_BACKGROUND, DetachOption, start_in_background
+from sim.world.background import start_in_background
+from sim.world.options import DetachOption, FaultsOption, ListParametersOption, SetOption, WorldOption
 
 SERIAL_PTY, ANY_PORT = "serial-pty", "tcp://127.0.0.1:0"
 FAULT_DEVICES = ("tracker", "room")  # whose faults a tracker started alone can have
@@ -30,16 +31,11 @@ def polaris(
         list[Path] | None,
         typer.Option(metavar="FILE", help="Tool definition of a wired tool to plug in; repeatable."),
     ] = None,
-    setting: Annotated[
-        list[str] | None,
-        typer.Option("--set", metavar="NAME=VALUE", help="Choose an unconfirmed behaviour; repeatable."),
-    ] = None,
-    list_parameters: Annotated[
-        bool, typer.Option("--list-parameters", help="List the parameters that --set accepts, and exit.")
-    ] = False,
-    faults: Annotated[Path | None, typer.Option(help="Fault script, one fault per line.")] = None,
+    setting: SetOption = None,
+    list_parameters: ListParametersOption = False,
+    faults: FaultsOption = None,
     detach: DetachOption = False,
-    world: Annotated[str | None, typer.Option(hidden=True, help="World of a running theatre.")] = None,
+    world: WorldOption = None,
 ) -> None:
     """Simulate an NDI Polaris Spectra, Vicra or Vega, for any client, until terminated."""
     from ronna_hw.endpoints import parse_endpoint
@@ -48,7 +44,7 @@ def polaris(
     from sim.polaris.line.pseudo_terminal import PseudoTerminal
     from sim.polaris.line.server import EndSignal, Server, listen
     from sim.polaris.tracker_unit import SimulatedUnit
-    from sim.polaris.unit.behaviour import UnitBehaviour, parse_behaviour
+    from sim.polaris.unit.behaviour import UnitBehaviour
     from sim.polaris.unit.model import UNIT_MODELS
     from sim.polaris.unit.ports import plug_in
     from sim.world.process import announce, end_with_parent, open_own_control_port, open_world
@@ -57,10 +53,9 @@ def polaris(
         for name, value, meaning in rows(UnitBehaviour):
             typer.echo(f"{name}={value}  {meaning}")
         return
-    if detach and not IN_BACKGROUND:
-        start_in_background("polaris")
+    if detach and start_in_background("polaris"):
         return
-    behaviour = parse_behaviour(setting or [])
+    behaviour = UnitBehaviour.parse(setting or [])
     if scene == "bench" and profile is PolarisModel.VICRA:
         scene = "bench-near"  # the usual bench is outside the Vicra's volume
     room = open_world(world, scene, faults, FAULT_DEVICES)

@@ -93,7 +93,6 @@ class UnitFaults:
             raise CommandRefusal(code)
 
     def _change_plugs(self) -> None:
-        """Plug and unplug wired tools as scripted."""
         unit = self._unit
         plugged = {int(fault.argument) for fault in self._board.active("plug")}
         pulled = {int(fault.argument) for fault in self._board.active("unplug")}

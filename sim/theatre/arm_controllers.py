@@ -10,9 +10,8 @@ from ronna_hw.host.network import own_address, own_udp_endpoint
 from ronna_hw.wire.kuka_context import OWN_CONTEXT
 from sim.errors import BAD_DEVICE_PARAMETER
 from sim.kuka.controller_parameters import ControllerParameters as KukaParameters
-from sim.kuka.controller_parameters import parse_parameters as parse_kuka_parameters
+from sim.named_parameters import ControllerOfArm
 from sim.universal_robots.controller_parameters import ControllerParameters as UrParameters
-from sim.universal_robots.controller_parameters import parse_parameters as parse_ur_parameters
 from sim.universal_robots.factory_calibration import calibrate
 from sim.universal_robots.model import MODELS
 from sim.universal_robots.stated_chain import StatedChain, stated_chain
@@ -38,7 +37,7 @@ class ArmController:
     roles: tuple[str, ...]
     model_option: str
     addresses: Callable[[str, int], tuple[str, ...]]  # options of the command, by the arm's name and number
-    parse_parameters: Callable[[tuple[str, ...]], KukaParameters | UrParameters]
+    parameters: type[ControllerOfArm]
     files: tuple[str, ...] = ()  # options of the command: what is set up at the controller
     # Chain that the controller states of a true arm, by its seed and parameters; None: the model's.
     state_chain: Callable[[ArmTruth, int, tuple[str, ...]], StatedChain | None] = lambda truth, seed, _: None
@@ -52,7 +51,7 @@ class ArmController:
 
     def serial(self, role: ArmRole, parameters: tuple[str, ...]) -> str:
         """Return the serial number that the controller of an arm in this role reports."""
-        return str(self.parse_parameters(parameters).of_arm(role.number).serial_number)
+        return str(self.parameters.parse(parameters).of_arm(role.number).serial_number)
 
     def device_entry(
         self, variant: str, endpoints: Mapping[str, str], silence_limit_s: float, cycle_ms: int | None
@@ -69,7 +68,7 @@ class ArmController:
 
 def _state_measured_chain(truth: ArmTruth, seed: int, parameters: tuple[str, ...]) -> StatedChain:
     """Return the chain that the factory has measured."""
-    kind = parse_ur_parameters(parameters).factory_calibration
+    kind = UrParameters.parse(parameters).factory_calibration
     measured = calibrate(MODELS[truth.variant], truth, seed, kind)
     return stated_chain(measured, universal_robots_arm.DESCRIPTIONS[truth.variant])
 
@@ -81,7 +80,7 @@ KUKA = ArmController(
     model_option="variant",
     addresses=lambda _, number: ("--rsi", own_udp_endpoint(number), "--eki", FREE, "--eki-project", FREE),
     files=("--rsi-context", str(OWN_CONTEXT)),
-    parse_parameters=parse_kuka_parameters,
+    parameters=KukaParameters,
     cycles_ms=(4, 12),
 )
 # Its ports are fixed, so each arm of each theatre has an address of its own.
@@ -91,7 +90,7 @@ UNIVERSAL_ROBOTS = ArmController(
     roles=("rtde", "dashboard", "primary"),
     model_option="model",
     addresses=lambda variant, number: ("--address", own_address(number), "--model", variant),
-    parse_parameters=parse_ur_parameters,
+    parameters=UrParameters,
     state_chain=_state_measured_chain,
     speed_fraction=UR_SPEED_FRACTION,
 )

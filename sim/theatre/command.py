@@ -16,32 +16,23 @@ from ronna_hw.command_line.terminal import JsonOption, print_json, print_table, 
 from ronna_hw.control_port import VARIABLE, ask_control_port
 from ronna_hw.wire.polaris import PolarisModel
 from ronna_hw.wire.room_tasks import OnStand
-from sim.world.background import IN_BACKGROUND, DetachOption, start_in_background
-from sim.world.options import Carrier
+from sim.world import options
+from sim.world.background import start_in_background
+from sim.world.options import Carrier, CycleMs
 
 if TYPE_CHECKING:
     import threading
 
     from sim.theatre.launch import LaunchedTheatre
 
-CONTROL = VARIABLE  # on the command line every user here could read the token
-ControlOption = Annotated[
-    str, typer.Option(envvar=CONTROL, help="Control port, from the READY line or ronna-sim env.")
-]
-SceneOption = Annotated[str, typer.Option(help="default, mini, bench, or a scene file.")]
-MarkersOption = Annotated[int | None, typer.Option(min=3, max=8, help="Spheres on the head.")]
-TargetsOption = Annotated[int | None, typer.Option(min=1, max=10, help="Trajectories of the plan.")]
+# By the environment: on the command line every user here could read the token.
+_CONTROL_OPTION = typer.Option(envvar=VARIABLE, help="Control port, from the READY line or ronna-sim env.")
+ControlOption = Annotated[str, _CONTROL_OPTION]
+ControlIfGiven = Annotated[str | None, _CONTROL_OPTION]
 ArmOption = Annotated[ArmChoice, typer.Option(case_sensitive=False, help="Arm of a named scene.")]
 FiducialsOption = Annotated[
     Carrier, typer.Option(help="Fixation of the spheres: screws, or the x-shaped frame.")
 ]
-
-
-class CycleMs(StrEnum):
-    """Sensor cycle of the robot controller (#IPO_FAST or #IPO)."""
-
-    FAST = "4"
-    SLOW = "12"
 
 
 class Wheeled(StrEnum):
@@ -60,10 +51,10 @@ class Speed(StrEnum):
 def theatre(
     context: typer.Context,
     out: Annotated[Path, typer.Option(help="Folder for theatre.toml and its files.")] = Path("theatre"),
-    scene: SceneOption = "default",
+    scene: options.SceneOption = "default",
     seed: Annotated[int, typer.Option(min=0, help="Seed of everything drawn at random.")] = 0,
-    markers: MarkersOption = None,
-    targets: TargetsOption = None,
+    markers: options.MarkersOption = None,
+    targets: options.TargetsOption = None,
     fiducials: FiducialsOption = Carrier.FREE,
     arm: ArmOption = ArmChoice.KR6,
     calibrated: Annotated[
@@ -101,7 +92,7 @@ def theatre(
     cycle_ms: Annotated[
         CycleMs | None, typer.Option(help="Sensor cycle of the robot in ms [default: the context's].")
     ] = None,
-    faults: Annotated[Path | None, typer.Option(help="Fault script, one fault per line.")] = None,
+    faults: options.FaultsOption = None,
     continued: Annotated[
         bool,
         typer.Option(
@@ -118,7 +109,7 @@ def theatre(
         ),
     ] = None,
     run: Annotated[str, typer.Option(hidden=True, help="Run that it belongs to, and is listed as.")] = "",
-    detach: DetachOption = False,
+    detach: options.DetachOption = False,
 ) -> None:
     """Simulate a whole theatre and write its theatre.toml, until terminated."""
     import threading
@@ -135,8 +126,7 @@ def theatre(
         raise UsageMistake("--assistant-arm requires --dual")
     require_folder(out)
     _require_plain_name(out)
-    if detach and not IN_BACKGROUND:
-        start_in_background("theatre")
+    if detach and start_in_background("theatre"):
         return
     saved_scene = out / SCENE_FILE  # a scene file may have been changed since
     if continued:
@@ -299,9 +289,7 @@ def move(
     anyway: Annotated[
         bool, typer.Option("--anyway", help="Move it even with an instrument in the guide.")
     ] = False,
-    control: Annotated[
-        str | None, typer.Option(envvar=CONTROL, help="Control port, from the READY line or ronna-sim env.")
-    ] = None,
+    control: ControlIfGiven = None,
 ) -> None:
     """Wheel the cart of an arm to another place in a running theatre, as the staff would."""
     from sim.world.carts import CartDisplacement
@@ -354,9 +342,7 @@ def fault(
             "a whole line of a fault script."
         ),
     ] = None,
-    control: Annotated[
-        str | None, typer.Option(envvar=CONTROL, help="Control port, from the READY line or ronna-sim env.")
-    ] = None,
+    control: ControlIfGiven = None,
     clear: Annotated[bool, typer.Option("--clear", help="End this fault; without one, all.")] = False,
 ) -> None:
     """Inject a fault into a running theatre or simulator, or clear it; without one, list all faults."""
@@ -410,10 +396,10 @@ def verify(
 
 
 def scene(
-    scene: SceneOption = "default",
+    scene: options.SceneOption = "default",
     seed: Annotated[int, typer.Option(min=0, help="Seed of a named scene.")] = 0,
-    markers: MarkersOption = None,
-    targets: TargetsOption = None,
+    markers: options.MarkersOption = None,
+    targets: options.TargetsOption = None,
     fiducials: FiducialsOption = Carrier.FREE,
     arm: ArmOption = ArmChoice.KR6,
     template: Annotated[

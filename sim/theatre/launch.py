@@ -12,22 +12,16 @@ from pathlib import Path
 from typing import Any
 from uuid import uuid4
 
-from ronna_hw.bounded_input import read_toml
+from ronna_hw.bounded_input import InputRefused, read_toml
 from ronna_hw.host.child_process import IDLE_TIMEOUT_S, READY_TIMEOUT_S, ChildProcess, command
 from ronna_hw.host.process import describe_exit
 from ronna_hw.records import write_atomically
 from sim.errors import BAD_CALIBRATION_FILE, BAD_DEVICE_PARAMETER, BAD_SAVED_WORLD
 from sim.kuka.pendant import PENDANT_PREFIX
-from sim.polaris.unit.behaviour import parse_behaviour
+from sim.polaris.unit.behaviour import UnitBehaviour
 from sim.polaris.unit.tool_definition import write_definition
 from sim.theatre.arm_controllers import CONTROLLERS, device_name
-from sim.theatre.theatre_file import (
-    NO_RECORDS,
-    identity_of,
-    read_calibration_time,
-    theatre_content,
-    write_theatre_file,
-)
+from sim.theatre.theatre_file import NO_RECORDS, theatre_content, write_theatre_file
 from sim.world.control_port import ControlledRoom, ControlPort
 from sim.world.options import OTHER_ARMS, ArmRole
 from sim.world.saved_world import SavedWorld, save_world
@@ -192,17 +186,17 @@ class LaunchedTheatre:
 
 def _read_origin(theatre_file: Path) -> tuple[str, datetime]:
     """Read identity and calibration time of the theatre to continue; raises SIM-012."""
-    identity, calibrated = identity_of(theatre_file), read_calibration_time(theatre_file)
-    if identity is None or calibrated is None:
+    try:
+        content = read_toml(theatre_file, InputRefused)
+        return content["identity"], content["calibration"]["stereo_head"]["created"]
+    except (OSError, ValueError, KeyError):
         raise BAD_SAVED_WORLD(
             f"{theatre_file} does not say which theatre it was",
             expected="its identity and the time of its calibration records",
-        )
-    return identity, calibrated
+        ) from None
 
 
 def _pass_on_pendant(line: str) -> None:
-    """Forward messages from the robot's pendant."""
     if line.startswith(PENDANT_PREFIX):
         sys.stderr.write(f"{line}\n")
         sys.stderr.flush()
@@ -245,8 +239,8 @@ def parameters_by_device(settings: Sequence[str], scene: Scene) -> dict[str, tup
         name = names[device]
         found[name] = (*found.get(name, ()), assignment)
     for role, arm in arms.items():
-        CONTROLLERS[arm.variant].parse_parameters(found.get(device_name(scene, role), ()))
-    parse_behaviour(found.get(POLARIS, ()))
+        CONTROLLERS[arm.variant].parameters.parse(found.get(device_name(scene, role), ()))
+    UnitBehaviour.parse(found.get(POLARIS, ()))
     return found
 
 

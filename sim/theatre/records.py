@@ -7,19 +7,17 @@ from math import cos, sin
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ronna_hw.calibration import PoseRecord
 from ronna_hw.tool_record import GAUGE_APPROACHES, GAUGE_MOUNTINGS, TipInHead
 from sim.universal_robots.stated_chain import StatedChain, deviations_from
 from sim.world.descriptions import DESCRIPTIONS
 from sim.world.noise import noise
-from sim.world.rigid import inverse, matrix_from, matrix_of, pose_of, rotation_from_vector
+from sim.world.rigid import Array, inverse, matrix_from, matrix_of, pose_of, rotation_from_vector
 from sim.world.scene.model import ArmResidual, ArmTruth, Mount, Scene
 from sim.world.scene.parts import CENTRE_OF_GRAVITY_MM, STEREO_HEAD_KG
 from sim.world.scene.parts import GUIDE_FRAME_NAME as GUIDE_FRAME
 
-Array = NDArray[np.float64]
 # 3-D error of one point among others with such a record: residuals through the chain, on 200 random arms.
 STATED_ERROR_MM = 0.10
 # Effect of such an arm on the points of one head, all approached alike, per axis: its links and offsets

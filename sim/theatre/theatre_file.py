@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from ronna_hw.bounded_input import InputRefused, read_bounded, read_toml
+from ronna_hw.bounded_input import read_bounded
 from ronna_hw.patient_frame import PART_NUMBER as PATIENT_FRAME_PART_NUMBER
 from ronna_hw.plausible import FINEST_ON_ARM_MM
 from ronna_hw.records import write_atomically
@@ -129,7 +129,6 @@ def _tool_entry(name: str, rom: Path) -> dict[str, str]:
 
 
 def _patient_frame(scene: Scene) -> str:
-    """Return the tracker's name for the frame on the head clamp."""
     return next(tool.name for tool in scene.tracker.tools if tool.part_number == PATIENT_FRAME_PART_NUMBER)
 
 
@@ -138,25 +137,6 @@ def write_theatre_file(content: dict[str, Any], path: Path) -> None:
     import tomli_w
 
     write_atomically(path, tomli_w.dumps(content).encode())
-
-
-def identity_of(theatre_file: Path) -> str | None:
-    """Return the identity stored in a theatre file, or None if it cannot be read."""
-    try:
-        identity: str = read_toml(theatre_file, InputRefused)["identity"]
-    except (OSError, ValueError, KeyError):
-        return None
-    return identity
-
-
-def read_calibration_time(theatre_file: Path) -> datetime | None:
-    """Return the calibration time stored in a theatre file, or None if it cannot be read."""
-    try:
-        content = read_toml(theatre_file, InputRefused)
-        made: datetime = content["calibration"]["stereo_head"]["created"]
-    except (OSError, ValueError, KeyError):
-        return None
-    return made
 
 
 def _make_calibrations(scene: Scene, created: datetime, parameters: tuple[str, ...]) -> dict[str, Any]:
@@ -223,7 +203,7 @@ def _make_calibrations(scene: Scene, created: datetime, parameters: tuple[str, .
             tool_from_marker=_pose_document(marker),
         ),
         **_arm_record(scene, record, parameters),
-        **_assistant_records(scene, record),
+        **_holder_records(scene, record),
     }
 
 
@@ -244,48 +224,52 @@ def _record_header(scene: Scene, name: str, created: datetime) -> dict[str, Any]
 def _arm_record(
     scene: Scene, record: Callable[..., dict[str, Any]], parameters: tuple[str, ...]
 ) -> dict[str, Any]:
-    residual, arm = scene.calibration_error.arm, scene.arm
-    if residual is None:
+    if scene.calibration_error.arm is None:
         return {}
-    stated = CONTROLLERS[arm.variant].state_chain(arm, arm_seed(scene.seed, ArmRole.MASTER), parameters)
-    values = arm_values(arm, residual, noise(scene.seed, "arm calibration", 1), stated)
-    scatter_mm = max(arm.repeatability_mm, LEAST_SCATTER_MM)
-    values |= {"arm_error_mm": CALIBRATED_ARM_ERROR_MM, "tool_error_mm": _credible_mm(residual.tool_mm)}
+    values = _arm_values(scene, ArmRole.MASTER, noise(scene.seed, "arm calibration", 1), parameters)
+    return {"arm": record("arm", STATED_ERROR_MM, **values)}
+
+
+def _arm_values(
+    scene: Scene, role: ArmRole, draws: np.random.Generator, parameters: tuple[str, ...] = ()
+) -> dict[str, Any]:
+    """Return what the calibration record of an arm says about it."""
+    residual, arm = scene.calibration_error.arm, scene.arm_of(role)
+    assert residual is not None
+    controller = CONTROLLERS[arm.variant]
+    stated = controller.state_chain(arm, arm_seed(scene.seed, role), parameters)
+    values = {
+        "arm": arm.variant,
+        "scatter_mm": max(arm.repeatability_mm, LEAST_SCATTER_MM),
+        **arm_values(arm, residual, draws, stated),
+        "arm_error_mm": CALIBRATED_ARM_ERROR_MM,
+        "tool_error_mm": _credible_mm(residual.tool_mm),
+    }
     if len(scene.arms) > 1:  # they may be of one model: their records must not be exchanged
-        values["serial"] = CONTROLLERS[arm.variant].serial(ArmRole.MASTER, parameters)
-    return {"arm": record("arm", STATED_ERROR_MM, arm=arm.variant, scatter_mm=scatter_mm, **values)}
+        values["serial"] = controller.serial(role, parameters)
+    return values
 
 
-def _assistant_records(scene: Scene, record: Callable[..., dict[str, Any]]) -> dict[str, Any]:
-    """Return the records of the assistant: its arm, and its holder with the frame and the ball as drawn."""
-    residual, assistant = scene.calibration_error.arm, scene.assistant
-    if residual is None or assistant is None:
-        return {}
-    arm = assistant.arm
-    draws = noise(scene.seed, "assistant calibration", 0)
-    stated = CONTROLLERS[arm.variant].state_chain(arm, arm_seed(scene.seed, ArmRole.ASSISTANT), ())
-    values = arm_values(arm, residual, draws, stated)
-    scatter_mm = max(arm.repeatability_mm, LEAST_SCATTER_MM)
-    values |= {"arm_error_mm": CALIBRATED_ARM_ERROR_MM, "tool_error_mm": _credible_mm(residual.tool_mm)}
-    values["serial"] = CONTROLLERS[arm.variant].serial(ArmRole.ASSISTANT, ())
-    twist = matrix_from(
-        draws.normal(0.0, HOLDER_MM, 3), rotation_from_vector(draws.normal(0.0, HOLDER_RAD, 3))
-    )
-    ball_mm = np.array(assistant.flange_from_ball_mm) + draws.normal(0.0, HOLDER_MM, 3)
-    return {
-        "assistant_arm": record(
-            "assistant-arm", STATED_ERROR_MM, arm=arm.variant, scatter_mm=scatter_mm, **values
-        ),
-        "assistant_holder": record(
-            "assistant-holder",
+def _holder_records(scene: Scene, record: Callable[..., dict[str, Any]]) -> dict[str, Any]:
+    """Return the records of an arm that holds an instrument: itself, and its holder with frame and ball."""
+    records: dict[str, Any] = {}
+    for role, truth in scene.holders.items() if scene.calibration_error.arm else ():
+        draws = noise(scene.seed, f"{role} calibration", 0)
+        records[f"{role}_arm"] = record(f"{role}-arm", STATED_ERROR_MM, **_arm_values(scene, role, draws))
+        twist = matrix_from(
+            draws.normal(0.0, HOLDER_MM, 3), rotation_from_vector(draws.normal(0.0, HOLDER_RAD, 3))
+        )
+        ball_mm = np.array(truth.flange_from_ball_mm) + draws.normal(0.0, HOLDER_MM, 3)
+        records[f"{role}_holder"] = record(
+            f"{role}-holder",
             3**0.5 * HOLDER_MM,
             stated_direction_error_rad=2**0.5 * HOLDER_RAD,
-            flange_from_clamp=_pose_document(matrix_of(assistant.flange_from_clamp) @ twist),
+            flange_from_clamp=_pose_document(matrix_of(truth.flange_from_clamp) @ twist),
             flange_from_ball_mm=[float(value) for value in ball_mm],
             flange_from_frame=_pose_document(matrix_from(FRAME_MM, FRAME_TURN)),
             frame=ASSISTANT_FRAME_NAME,
-        ),
-    }
+        )
+    return records
 
 
 def _camera_record(

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated, Literal
 
 import typer
 
 from ronna_hw.arm.catalogue import ArmChoice
-from sim.world.background import IN_BACKGROUND, DetachOption, start_in_background
+from sim.world import options
+from sim.world.background import start_in_background
 from sim.world.options import ArmRole
 
 FAULTS_OF = ("ur",)  # devices whose faults this simulator can have alone
@@ -30,18 +30,13 @@ def ur(
             "--lock-step", help="While our script streams, a cycle begins once the client has answered."
         ),
     ] = False,
-    parameter: Annotated[
-        list[str] | None,
-        typer.Option("--set", metavar="NAME=VALUE", help="Choose an unconfirmed behaviour; repeatable."),
-    ] = None,
-    list_parameters: Annotated[
-        bool, typer.Option("--list-parameters", help="List the parameters that --set accepts, and exit.")
-    ] = False,
-    scene: Annotated[str, typer.Option(help="default, mini, bench, or a scene file.")] = "default",
-    faults: Annotated[Path | None, typer.Option(help="Fault script, one fault per line.")] = None,
-    detach: DetachOption = False,
-    world: Annotated[str | None, typer.Option(hidden=True, help="Address of the parent theatre.")] = None,
-    role: Annotated[ArmRole, typer.Option(hidden=True, help="Role of the arm in that theatre.")] = MASTER,
+    parameter: options.SetOption = None,
+    list_parameters: options.ListParametersOption = False,
+    scene: options.SceneOption = "default",
+    faults: options.FaultsOption = None,
+    detach: options.DetachOption = False,
+    world: options.WorldOption = None,
+    role: options.RoleOption = MASTER,
 ) -> None:
     """Simulate a Universal Robots controller and its arm, for any client, until terminated.
 
@@ -53,7 +48,7 @@ def ur(
     from sim.named_parameters import rows
     from sim.universal_robots.arm_in_world import ArmInWorld, require_arm
     from sim.universal_robots.controller import Controller
-    from sim.universal_robots.controller_parameters import ControllerParameters, parse_parameters
+    from sim.universal_robots.controller_parameters import ControllerParameters
     from sim.universal_robots.cycle_loop import CycleLoop
     from sim.universal_robots.factory_calibration import calibrate
     from sim.universal_robots.kinematics import frame_of_matrix_mm
@@ -67,10 +62,9 @@ def ur(
         for name, value, meaning in rows(ControllerParameters):
             typer.echo(f"{name}={value}  {meaning}")
         return
-    if detach and not IN_BACKGROUND:
-        start_in_background("ur")
+    if detach and start_in_background("ur"):
         return
-    parameters = parse_parameters(parameter or ()).of_arm(role.number)
+    parameters = ControllerParameters.parse(parameter or ()).of_arm(role.number)
     place = require_loopback(address)
     room = open_world(world, scene, faults, FAULTS_OF, paced=not lock_step, arm=ArmChoice(model), role=role)
     described, truth = MODELS[model], room.scene.arm_of(role)
@@ -81,12 +75,11 @@ def ur(
     kinematics = calibrate(described, truth, seed, parameters.factory_calibration)
     controller = Controller(described, parameters, kinematics, start_rad, seed)
     controller.loads.on_tool = SimulatedLoad(room)
-    held = room.scene.assistant
-    if role is not MASTER and held is not None:
+    if (held := room.scene.holders.get(role)) is not None:
         controller.loads.instrument = frame_of_matrix_mm(matrix_of(held.flange_from_clamp))
     drives = controller.robot.drives
     arm = ArmInWorld(truth, seed, room.publish_arm, drives, parameters, described.cycle_s, last)
-    tool = room.mounted_tool if role is MASTER else _no_tool
+    tool = room.mounted_tool if role is MASTER else (lambda: 0)
     cycle_loop = CycleLoop(controller, arm, tool, room, place, alone=world is None)
     control = open_own_control_port(world, room, FAULTS_OF)
     end_with_parent(cycle_loop.end)
@@ -101,23 +94,15 @@ def ur(
     cycle_loop.run()
 
 
-def _no_tool() -> int:
-    return 0
-
-
 def require_loopback(address: str) -> str:
     """Return an address of this computer alone; raises URC-002 for any other."""
-    from ipaddress import IPv4Address
-
     from ronna_hw.wire.universal_robots import RTDE_PORT
     from sim.universal_robots.connections import find_free
     from sim.universal_robots.errors import BAD_ADDRESS
+    from sim.universal_robots.programs.outgoing import is_this_computer
 
-    try:
-        if IPv4Address(address).is_loopback:
-            return address
-    except ValueError:
-        pass
+    if is_this_computer(address):
+        return address
     raise BAD_ADDRESS(
         f"a controller cannot be simulated at {address!r}",
         expected="an address in 127.0.0.0/8",

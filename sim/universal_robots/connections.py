@@ -7,9 +7,9 @@ import errno
 import select
 import socket
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from ipaddress import IPv4Address
-from typing import Protocol
 
 from ronna_hw.command_line.terminal import tell
 from ronna_hw.host.port_users import find_tcp_listener
@@ -64,14 +64,15 @@ class Poll:
         self._epoll.close()
 
 
-class Handler(Protocol):
+class Handler(ABC):
     """Program behind a connection."""
 
+    @abstractmethod
     def receive(self, data: bytes) -> bytes:
         """Take bytes from the client and return the answer, perhaps empty; raises HangUp."""
 
-    def closed(self) -> None:
-        """Called when the connection has been closed."""
+    def closed(self) -> None:  # noqa: B027 - most programs end by themselves
+        """Take note that the connection has been closed."""
 
 
 class HangUp(Exception):

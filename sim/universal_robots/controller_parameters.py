@@ -6,20 +6,21 @@ chooses one.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass, replace
-from typing import Annotated, Literal, Self
+from dataclasses import dataclass
+from typing import Annotated, Literal
 
-from sim.named_parameters import MaximumValue, apply_assignments
+from sim.named_parameters import ControllerOfArm, MaximumValue
 from sim.universal_robots.errors import UNKNOWN_PARAMETER
 
 
 @dataclass(frozen=True)
-class ControllerParameters:
+class ControllerParameters(ControllerOfArm):
     """Controller behaviour on which public sources are silent or disagree, in radians and seconds.
 
     A number with default 0 may be 0; every other number is positive.
     """
+
+    refusal = UNKNOWN_PARAMETER
 
     # at the start
     start: Annotated[
@@ -137,12 +138,3 @@ class ControllerParameters:
     state_period_s: Annotated[float, "Period of the robot state on the primary interface."] = 0.1
     script_start_s: Annotated[float, "From the end of a script's text to its first cycle; 0: at once."] = 0.0
     longest_script_bytes: Annotated[int, "Text without end beyond which a connection is closed."] = 1_000_000
-
-    def of_arm(self, number: int) -> Self:
-        """Return those of the arm with this number in a theatre: no two have one serial number."""
-        return replace(self, serial_number=self.serial_number + number)
-
-
-def parse_parameters(assignments: Iterable[str]) -> ControllerParameters:
-    """Apply `NAME=VALUE` to the default parameters; raises URC-001 for an unknown name or invalid value."""
-    return apply_assignments(ControllerParameters(), assignments, UNKNOWN_PARAMETER)

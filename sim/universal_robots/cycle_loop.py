@@ -62,11 +62,11 @@ class CycleLoop:
         controller.watched = lambda: self.rtde.watched_writes
         self.clients = ClientInterfaces(controller, address, self._poll)
         self.dashboard = Dashboard(controller, address, self._poll)
-        log = FaultLog(self._fault_time)
+        log = FaultLog(lambda: (self._clock.now_s(), f"cycle {self._cycle_number()}"))
         board = FaultBoard(world, "ur", self._cycle_number)
         self._faults = ControllerFaults(board, controller, self.rtde, self.clients, self.dashboard, log)
         self._alarm = self._clock.open_alarm()
-        self._poll.register(self._alarm, self._ring)
+        self._poll.register(self._alarm, lambda: self._clock.silence(self._alarm))
         self._cycle_s = controller.model.cycle_s
         self._cycle_ns = round(self._cycle_s * 1e9)
         self._lock_step = not self._clock.paced
@@ -109,11 +109,7 @@ class CycleLoop:
             self._poll.close()
 
     def _cycle_number(self) -> int:
-        """Return the number of the next cycle."""
         return self._controller.cycles + 1
-
-    def _fault_time(self) -> tuple[float, str]:
-        return self._clock.now_s(), f"cycle {self._cycle_number()}"
 
     def _run_cycle(self) -> None:
         self._faults.poll()
@@ -216,9 +212,6 @@ class CycleLoop:
         """Whether the arm's cycles show nothing new, and nothing counts them."""
         awaits_nothing = not (self._silent or self._faults.frozen or self._controller.modes.is_in_transition)
         return awaits_nothing and self._unchanged >= UNCHANGED_CYCLES
-
-    def _ring(self) -> None:
-        self._clock.silence(self._alarm)
 
     def _advance(self, *, streams: bool) -> None:
         """Advance theatre time by a cycle while the arm moves or streams; otherwise others may."""

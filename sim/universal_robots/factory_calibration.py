@@ -14,16 +14,14 @@ from collections.abc import Iterable
 from typing import Final, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sim.universal_robots.kinematics import TrueKinematics
 from sim.universal_robots.model import ALPHA_RAD, JOINTS, Model, Vector6
 from sim.world.noise import noise
-from sim.world.rigid import rotation_from_vector
+from sim.world.rigid import Matrix, rotation_from_vector
 from sim.world.scene.model import ArmTruth
 from sim.world.true_arm import ROTATION_WEIGHT_MM, TrueArm
 
-Matrix = NDArray[np.float64]
 FactoryCalibration = Literal["linearised", "exact", "none"]
 
 KEY: Final = "factory calibration"  # noise key

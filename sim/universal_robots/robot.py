@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import Any, Final
 
 from ronna_hw.wire.universal_robots import TOOL_INPUTS
+from sim.universal_robots import variables
 from sim.universal_robots.controller_parameters import ControllerParameters
 from sim.universal_robots.drives import Drives
 from sim.universal_robots.kinematics import (
@@ -18,20 +19,8 @@ from sim.universal_robots.kinematics import (
     pose_of_frame,
 )
 from sim.universal_robots.model import HOME_RAD, JOINTS, Model
-from sim.universal_robots.variables import (
-    DIGITAL_INPUTS,
-    INITIAL_VALUES,
-    INPUT_DOUBLES,
-    INPUT_INTS,
-    OUTPUT_DOUBLES,
-    OUTPUT_INTS,
-    PAYLOAD,
-    PLACES,
-    SPEED_SCALING,
-    TARGET_SPEED_FRACTION,
-)
 
-_TCP_OFFSET, _COG = PLACES["tcp_offset"], PLACES["payload_cog"]
+_TCP_OFFSET, _COG = variables.PLACES["tcp_offset"], variables.PLACES["payload_cog"]
 LARGEST: Final = 1e6  # kg, m or rad of a load, far beyond any: currents by it still fit in a package
 
 
@@ -50,8 +39,8 @@ class Robot:
         self.kinematics = kinematics
         self.cycle_s = model.cycle_s
         self.drives = Drives(start_rad, model.cycle_s, parameters)
-        self.values: list[Any] = list(INITIAL_VALUES)
-        self.values[SPEED_SCALING] = self.values[TARGET_SPEED_FRACTION] = 1.0
+        self.values: list[Any] = list(variables.INITIAL_VALUES)
+        self.values[variables.SPEED_SCALING] = self.values[variables.TARGET_SPEED_FRACTION] = 1.0
         self.tcp = IDENTITY
         self.keeps_load = False  # fault: a new payload or tool centre point has no effect
         self.stop_request = ""  # a program asks for a protective stop, for this reason
@@ -60,32 +49,34 @@ class Robot:
 
     def input_int(self, number: int) -> int:
         """Return an integer input register."""
-        value: int = self.values[INPUT_INTS + number]
+        value: int = self.values[variables.INPUT_INTS + number]
         return value
 
     def input_doubles(self, first: int, count: int = JOINTS) -> list[float]:
         """Return consecutive double input registers."""
-        return self.values[INPUT_DOUBLES + first : INPUT_DOUBLES + first + count]
+        return self.values[variables.INPUT_DOUBLES + first : variables.INPUT_DOUBLES + first + count]
 
     def write_int(self, number: int, value: int) -> None:
         """Write an integer output register."""
-        self.values[OUTPUT_INTS + number] = value
+        self.values[variables.OUTPUT_INTS + number] = value
 
     def write_doubles(self, first: int, values: Sequence[float]) -> None:
         """Write consecutive double output registers."""
-        self.values[OUTPUT_DOUBLES + first : OUTPUT_DOUBLES + first + len(values)] = values
+        self.values[variables.OUTPUT_DOUBLES + first : variables.OUTPUT_DOUBLES + first + len(values)] = (
+            values
+        )
 
     # -- speed, tool, payload
 
     @property
     def speed_fraction(self) -> float:
         """Fraction by which the speed slider slows motions."""
-        fraction: float = self.values[TARGET_SPEED_FRACTION]
+        fraction: float = self.values[variables.TARGET_SPEED_FRACTION]
         return fraction
 
     def set_speed_fraction(self, fraction: float) -> None:
         """Set the speed slider, 0 to 1."""
-        self.values[TARGET_SPEED_FRACTION] = max(0.0, min(1.0, fraction))
+        self.values[variables.TARGET_SPEED_FRACTION] = max(0.0, min(1.0, fraction))
 
     def set_tcp(self, pose: Sequence[float]) -> None:
         """Set the tool centre point in the flange frame, x y z (m) rx ry rz (rad); raises ValueError."""
@@ -100,15 +91,15 @@ class Robot:
         _require_bearable(mass_kg, *(centre_m or ()))
         if self.keeps_load:
             return
-        self.values[PAYLOAD] = mass_kg
+        self.values[variables.PAYLOAD] = mass_kg
         if centre_m is not None:
             self.values[_COG] = centre_m
 
     def set_mounted_tool(self, number: int) -> None:
         """Set what the tool changer states."""
         mask = (1 << len(TOOL_INPUTS)) - 1
-        inputs = self.values[DIGITAL_INPUTS] & ~(mask << TOOL_INPUTS.start)
-        self.values[DIGITAL_INPUTS] = inputs | (number & mask) << TOOL_INPUTS.start
+        inputs = self.values[variables.DIGITAL_INPUTS] & ~(mask << TOOL_INPUTS.start)
+        self.values[variables.DIGITAL_INPUTS] = inputs | (number & mask) << TOOL_INPUTS.start
 
     # -- kinematics
 

@@ -9,14 +9,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sim.universal_robots.kinematics import TrueKinematics
 from sim.universal_robots.model import ZEROS
 from sim.world.nominal_arm import RobotDescription
-from sim.world.rigid import rotation_from_vector
+from sim.world.rigid import Array, rotation_from_vector, twice_sine_axis
 
-Array = NDArray[np.float64]
 MM_PER_M = 1000.0
 
 
@@ -95,12 +93,6 @@ def _smallest_rotation(one: Array, other: Array) -> Array:
 
 def _small_vector(rotation: Array) -> Array:
     """Return the rotation vector of a small rotation, with all digits."""
-    twice_sine = np.array(
-        [
-            rotation[2, 1] - rotation[1, 2],
-            rotation[0, 2] - rotation[2, 0],
-            rotation[1, 0] - rotation[0, 1],
-        ]
-    )
+    twice_sine = twice_sine_axis(rotation)
     sine = float(np.linalg.norm(twice_sine)) / 2.0
     return twice_sine / 2.0 * (np.arcsin(sine) / sine if sine > 0.0 else 1.0)

@@ -10,7 +10,6 @@ import os
 import signal
 import sys
 import time
-from typing import Annotated
 
 import typer
 
@@ -20,9 +19,6 @@ from ronna_hw.host.process import PARENT
 from sim.errors import NOT_RUNNING
 from sim.world.running import LOG, RunningSimulator, find_running, register_folder
 
-DetachOption = Annotated[
-    bool, typer.Option("--detach", help="Run in the background: return once ready; ronna-sim stop ends it.")
-]
 STOP_LIMIT_S = 5.0  # a theatre saves its world and ends its devices within 3 s
 POLL_S = 0.02
 _MARK = "RONNA_SIM_BACKGROUND"  # in the environment of the process that is to run in the background
@@ -35,11 +31,14 @@ class DaemonState:
     done = False
 
 
-def start_in_background(device: str) -> None:
+def start_in_background(device: str) -> bool:
     """Start this very command in the background; print its READY line and how to stop it.
 
-    If it fails to start, its message and exit code become those of this command.
+    If it fails to start, its message and exit code become those of this command. Return False if this process
+    is the one in the background.
     """
+    if IN_BACKGROUND:
+        return False
     os.environ[_MARK] = "1"
     child = ChildProcess(f"ronna-sim {device}", command("sim.cli", *sys.argv[1:]), timeout_s=None)
     try:
@@ -60,6 +59,7 @@ def start_in_background(device: str) -> None:
     tell(f"{running.name} runs in the background (pid {running.pid}); its messages go to {running.log}")
     tell(f'its variables: eval "$(ronna-sim env {running.argument})"')
     tell(f"to stop it: ronna-sim stop {running.argument}")
+    return True
 
 
 def hand_over() -> None:

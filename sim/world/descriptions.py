@@ -6,7 +6,8 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 from sim.world import nominal_arm, universal_robots_arm
-from sim.world.nominal_arm import Matrix, RobotDescription
+from sim.world.nominal_arm import RobotDescription
+from sim.world.rigid import Matrix
 
 DESCRIPTIONS: dict[str, RobotDescription] = {
     **nominal_arm.DESCRIPTIONS,

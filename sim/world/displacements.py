@@ -11,7 +11,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sim.world.carts import cart_pose
 from sim.world.faults import Fault, FaultBoard
@@ -33,6 +32,7 @@ from sim.world.faults.room import (
 from sim.world.noise import noise
 from sim.world.options import ArmRole
 from sim.world.rigid import (
+    Array,
     Matrix,
     Point,
     apply,
@@ -47,7 +47,6 @@ from sim.world.scene.model import Fiducial, Scene
 from sim.world.slow_faults import come_to
 from sim.world.world import World
 
-Array = NDArray[np.float64]
 STILL: Point = (0.0, 0.0, 0.0)
 IDENTITY = np.eye(4)
 SECONDS_PER_MINUTE = 60.0
@@ -95,16 +94,12 @@ class ShiftedRoom:
         head = world.scene.head
         self._head_centre_mm = apply(matrix_of(head.robot_from_ct), head.centre_ct_mm)
         self._tracker_mm = np.array(world.scene.tracker.robot_from_tracker.translation_mm)
-        assistant = world.scene.assistant
-        self._assistant_base = IDENTITY if assistant is None else matrix_of(assistant.robot_from_base)
+        holders = world.scene.holders
+        self._bases = {role: matrix_of(one.robot_from_base) for role, one in holders.items()}
 
-    def robot_from_assistant(self, room: RoomShift) -> Matrix:
-        """Return ROBOT <- base of the assistant (4, 4) with a displacement of the room."""
-        return rigid_move(room.assistant_rad, room.assistant_mm) @ self._assistant_base
-
-    def _assistant_move(self, in_base: Matrix) -> Matrix:
-        """Return a move of the assistant's cart, given in its base, as one in the robot frame."""
-        return self._assistant_base @ in_base @ inverse(self._assistant_base)
+    def robot_from_base(self, role: ArmRole, room: RoomShift) -> Matrix:
+        """Return ROBOT <- base of an arm beside the master (4, 4) with a displacement of the room."""
+        return rigid_move(room.assistant_rad, room.assistant_mm) @ self._bases[role]
 
     def now(self) -> RoomShift:
         """Return the current displacements, or the object `NOTHING_MOVED` if there are no faults."""
@@ -119,9 +114,8 @@ class ShiftedRoom:
         push_N = _add_up([[float(each) for each in push.arguments] for push in pushes])
         knocked = matrix_from(cart_mm, rotation_from_vector(np.radians(_sum_arguments(turns, CART))))
         moves = [one for one in self._board.acting_since() if one[0].kind is MOVE]
-        wheeled = cart_pose(moves, now_s, ArmRole.MASTER)
         # Relative to a moved cart, all else moves back.
-        from_cart = inverse(knocked @ wheeled)
+        from_cart = inverse(knocked @ cart_pose(moves, now_s, ArmRole.MASTER))
         back = from_cart[:3, :3]
 
         def displaced(body: str, centre_mm: Matrix) -> Matrix:
@@ -130,9 +124,9 @@ class ShiftedRoom:
 
         head = displaced(HEAD, self._head_centre_mm)
         tracker = displaced(TRACKER, self._tracker_mm)
-        assistant = displaced(ASSISTANT_CART, self._assistant_base[:3, 3]) @ self._assistant_move(
-            cart_pose(moves, now_s, ArmRole.ASSISTANT)
-        )
+        base = self._bases.get(ArmRole.ASSISTANT, IDENTITY)
+        wheeled = base @ cart_pose(moves, now_s, ArmRole.ASSISTANT) @ inverse(base)
+        assistant = displaced(ASSISTANT_CART, base[:3, 3]) @ wheeled
         guide_mm = np.divide(push_N, self._stiffness_N_mm) + _sum_arguments(shifts, GUIDE)
         return RoomShift(
             head_mm=as_point(head[:3, 3]),
@@ -203,5 +197,4 @@ def _sum_arguments(faults: tuple[Fault, ...], what: str) -> Point:
 
 
 def _add_up(ways: Sequence[Sequence[float]]) -> Point:
-    x, y, z = (sum(column) for column in zip(*ways, strict=True)) if ways else STILL
-    return (x, y, z)
+    return as_point(sum(column) for column in zip(*ways, strict=True)) if ways else STILL

@@ -10,7 +10,6 @@ from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
 from sim.world.descriptions import DESCRIPTIONS
 from sim.world.noise import noise
@@ -19,7 +18,6 @@ from sim.world.rigid import Point
 from sim.world.scene.model import LinkError
 from sim.world.true_arm import build_model
 
-Array = NDArray[np.float64]
 GRAVITY_M_S2 = 9.81
 MM = 1000.0
 STICTION = "stiction"  # noise key

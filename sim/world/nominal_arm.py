@@ -13,16 +13,14 @@ from math import acos, atan2, cos, degrees, hypot, pi, radians, sin
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sim.errors import BAD_SCENE
-from sim.world.rigid import rotation_from_vector
+from sim.world.rigid import Matrix, rotation_from_vector
 
 AXES = 6
 ORIGIN = (0.0, 0.0, 0.0)
 FLANGE_PITCH_DEG = 90.0  # the flange frame is the last link turned about its y: z points out of the flange
 
-Matrix = NDArray[np.float64]
 
 GIMBAL_LIMIT = 1e-9  # cosine of B below which only A - C or A + C is defined
 OVERHEAD, ABOVE_STRETCH, WRIST_NOT_POSITIVE = 1, 2, 4  # bits of the status

@@ -1,9 +1,20 @@
-"""Command choices, importable without heavy dependencies."""
+"""Choices and shared options of the commands, importable without heavy dependencies."""
 
 from __future__ import annotations
 
 from enum import StrEnum
 from functools import cached_property
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+class CycleMs(StrEnum):
+    """Sensor cycle of a KUKA controller: #IPO_FAST or #IPO."""
+
+    FAST = "4"
+    SLOW = "12"
 
 
 class InstrumentKind(StrEnum):
@@ -34,3 +45,20 @@ class ArmRole(StrEnum):
 
 
 OTHER_ARMS = tuple(role for role in ArmRole if role is not ArmRole.MASTER)
+
+DetachOption = Annotated[
+    bool, typer.Option("--detach", help="Run in the background: return once ready; ronna-sim stop ends it.")
+]
+FaultsOption = Annotated[Path | None, typer.Option(help="Fault script, one fault per line.")]
+ListParametersOption = Annotated[
+    bool, typer.Option("--list-parameters", help="List the parameters that --set accepts, and exit.")
+]
+MarkersOption = Annotated[int | None, typer.Option(min=3, max=8, help="Spheres on the head.")]
+RoleOption = Annotated[ArmRole, typer.Option(hidden=True, help="Role of the arm in that theatre.")]
+SceneOption = Annotated[str, typer.Option(help="default, mini, bench, or a scene file.")]
+SetOption = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="NAME=VALUE", help="Choose an unconfirmed behaviour; repeatable."),
+]
+TargetsOption = Annotated[int | None, typer.Option(min=1, max=10, help="Trajectories of the plan.")]
+WorldOption = Annotated[str | None, typer.Option(hidden=True, help="Address of the parent theatre.")]

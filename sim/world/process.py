@@ -165,7 +165,7 @@ def load_scene(
     if target_balls:
         head = drawn.head.model_copy(update={"target_balls": True})
         drawn = drawn.model_copy(update={"head": head})
-    if dual and drawn.assistant is None:
+    if dual and not drawn.holders:
         # Two arms often hide a sphere of three; the frame on the clamp is then watched in their place.
         drawn = add_assistant(add_patient_frame(drawn), assistant_arm)
     error = drawn.calibration_error

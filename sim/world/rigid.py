@@ -13,7 +13,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from ronna_hw.calibration import PoseRecord
 
-Matrix = NDArray[np.float64]
+Array = NDArray[np.float64]
+Matrix = Array
+Vector = Array
+Vectors = Array  # (n, 3)
 Point = tuple[float, float, float]
 
 
@@ -87,8 +90,7 @@ def inverse(matrix: Matrix) -> Matrix:
 
 def apply(matrix: Matrix, points_mm: ArrayLike) -> Matrix:
     """Transform points (3,) or (n, 3)."""
-    mapped: Matrix = np.asarray(points_mm, dtype=float) @ matrix[:3, :3].T + matrix[:3, 3]
-    return mapped
+    return np.asarray(points_mm, dtype=float) @ matrix[:3, :3].T + matrix[:3, 3]
 
 
 def rotation_from_vector(rotation_vector_rad: ArrayLike) -> Matrix:
@@ -123,3 +125,14 @@ def vector_from_rotation(rotation: ArrayLike) -> Matrix:
         return np.zeros(3)
     vector: Matrix = np.array(axis) * (2.0 * np.arctan2(half_sine, w) / half_sine)
     return vector
+
+
+def twice_sine_axis(rotation: Matrix) -> Matrix:
+    """Return the axis of a rotation matrix, (3,), multiplied by twice the sine of the angle."""
+    return np.array(
+        [
+            rotation[2, 1] - rotation[1, 2],
+            rotation[0, 2] - rotation[2, 0],
+            rotation[1, 0] - rotation[0, 1],
+        ]
+    )

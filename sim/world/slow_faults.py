@@ -38,7 +38,6 @@ def _share(duration_s: float, onset_s: float, now_s: float) -> float:
 
 
 def _scale(amounts: Iterable[str], share: float) -> tuple[str, ...]:
-    """Scale the numbers of a fault; its names stay."""
     return tuple(
         f"{share * float(one):.{DIGITS}f}" if one.lstrip("+-")[:1].isdigit() else one for one in amounts
     )

@@ -40,7 +40,7 @@ from sim.world.displacements import ShiftedRoom, rigid_move
 from sim.world.faults import FaultBoard, begin_now
 from sim.world.faults.room import CART, DEVICE, UNLOCKED, WRONG_STOP, tool_numbers
 from sim.world.noise import noise
-from sim.world.rigid import Matrix, apply, inverse, matrix_of, rotation_from_vector
+from sim.world.rigid import Matrix, apply, as_point, inverse, matrix_of, rotation_from_vector
 from sim.world.truth import (
     TrueGuide,
     append_sample,
@@ -217,8 +217,7 @@ def read_dials(world: World) -> tuple[float, float, float]:
         )
     generator = noise(world.scene.seed, "dials", world.arm().motion_number)
     read = away + generator.normal(0.0, stand.reading_mm, 3)
-    x, y, z = (round(value / stand.scale_mm) * stand.scale_mm for value in read.tolist())
-    return (x, y, z)
+    return as_point(round(value / stand.scale_mm) * stand.scale_mm for value in read.tolist())
 
 
 def _check_task(task: str, trajectory: str, numbers: Sequence[float], known: Iterable[str]) -> None:

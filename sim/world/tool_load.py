@@ -32,12 +32,10 @@ class SimulatedLoad:
         if not self._has_tool:
             return 0.0
         mass_kg = self._masses_kg.get(self._world.mounted_tool(), 0.0)
-        if not self._board.empty:
-            mass_kg += sum(float(fault.argument) for fault in self._board.active(WRONG_LOAD.name))
-        return mass_kg
+        return mass_kg + sum(float(fault.argument) for fault in self._board.active(WRONG_LOAD.name))
 
     def push_N(self) -> Point:
         """Return the force of a hand on the tool in the base, the object `STILL` without one."""
-        if not self._has_tool or self._board.empty or not self._board.active(PUSH.name):
+        if not self._has_tool or not self._board.active(PUSH.name):
             return STILL
         return self._room.now().push_N

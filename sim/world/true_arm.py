@@ -15,16 +15,14 @@ from typing import TypeVar
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
 from sim.world.descriptions import DESCRIPTIONS
 from sim.world.noise import noise
 from sim.world.nominal_arm import AXES, RobotDescription
 from sim.world.options import ArmRole
-from sim.world.rigid import rotation_from_vector
+from sim.world.rigid import Matrix, rotation_from_vector
 from sim.world.scene.model import ArmTruth, LinkError
 
-Matrix = NDArray[np.float64]
 Real = TypeVar("Real", float, Matrix)
 
 ROTATION_WEIGHT_MM = 300.0  # a radian of orientation counts as this distance: about half the reach

@@ -10,7 +10,6 @@ from math import radians
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from ronna_hw.bounded_input import read_json_lines
@@ -18,23 +17,11 @@ from ronna_hw.calibration import Numbers3, Strict
 from ronna_hw.mistakes import describe_mistakes
 from sim.errors import BAD_TRUTH, STAND_NOT_READY
 from sim.world.displacements import STILL, ShiftedRoom, rigid_move, yielding_flange
-from sim.world.faults import Fault, FaultBoard, FaultKind
-from sim.world.faults.room import (
-    BAD_SEAT,
-    BENT_INSTRUMENT,
-    BENT_TIP,
-    DEVICE,
-    LOOSE_INSTRUMENT,
-    WRONG_INSTRUMENT,
-    WRONG_LOAD,
-    WRONG_MANDREL,
-)
+from sim.world.faults import FaultBoard
+from sim.world.faults import room as room_faults
 from sim.world.noise import noise
-from sim.world.options import ArmRole
-from sim.world.rigid import Matrix, as_point, inverse, matrix_from, matrix_of, rotation_from_vector
+from sim.world.rigid import Matrix, Vector, as_point, inverse, matrix_from, matrix_of, rotation_from_vector
 from sim.world.world import World
-
-Vector = NDArray[np.float64]
 
 SLIDES_MM = 2.0  # way of the assistant's clamp along the instrument, against a friction
 BINDS_MM = 1.0  # beside the axis of the bore at one of its ends: beyond it a held instrument bends
@@ -75,13 +62,17 @@ def sample_instrument(world: World, guide: TrueGuide, target: str, stop_mm: floa
     `target` is a name of the caller's; `draw` distinguishes insertions there, each elsewhere within the
     bore's play.
     """
+    return _sample_tip(world, guide, target, guide.instrument_tip_mm(stop_mm, target, draw))
+
+
+def _sample_tip(world: World, guide: TrueGuide, target: str, tip_mm: Vector) -> TipSample:
     room = ShiftedRoom(world).now()
     return TipSample(
         target=target,
         theatre_time_s=world.clock.now_s(),
         mounted_tool=world.mounted_tool(),
         arm_at_rest=world.arm().at_rest,
-        tip_mm=as_point(guide.instrument_tip_mm(stop_mm, target, draw)),
+        tip_mm=as_point(tip_mm),
         axis=as_point(guide.tip_frame()[:3, 2]),
         head_shift_mm=room.head_mm,
         head_turn_rad=room.head_rad,
@@ -96,12 +87,16 @@ def sample_seated_instrument(
     The bore decides where it is, within its play on the side to which the assistant holds it. Its clamp
     slides once the depth stop rests on the guide. Raises SIM-015 where it would bind or not slide.
     """
-    assistant, bore = world.scene.assistant, world.scene.mount.guide
-    if assistant is None or not world.has_arm(ArmRole.ASSISTANT):
+    room, bore = ShiftedRoom(world), world.scene.mount.guide
+    now = room.now()
+    clamps = [
+        room.robot_from_base(role, now) @ world.arm(role).robot_from_flange @ matrix_of(one.flange_from_clamp)
+        for role, one in world.scene.holders.items()
+        if world.has_arm(role)
+    ]
+    if not clamps:
         raise STAND_NOT_READY("there is no assistant that holds an instrument")
-    room = ShiftedRoom(world)
-    flange = world.arm(ArmRole.ASSISTANT).robot_from_flange
-    clamp = room.robot_from_assistant(room.now()) @ flange @ matrix_of(assistant.flange_from_clamp)
+    (clamp,) = clamps
     in_guide = inverse(guide.tip_frame()) @ clamp @ _loosened(world)
     upper_z, lower_z = -bore.bore_mm - bore.reach_mm, -bore.reach_mm
     gap_mm = float(upper_z - in_guide[2, 3])
@@ -122,26 +117,15 @@ def sample_seated_instrument(
     upper, lower = (
         end * min(1.0, bore.play_mm / 2.0 / max(float(np.linalg.norm(end)), 1e-9)) for end in ends
     )
-    now = room.now()
-    sample = TipSample(
-        target=target,
-        theatre_time_s=world.clock.now_s(),
-        mounted_tool=world.mounted_tool(),
-        arm_at_rest=world.arm().at_rest,
-        tip_mm=as_point(guide.tip_between_mm(stop_mm - gap_mm, upper, lower)),
-        axis=as_point(guide.tip_frame()[:3, 2]),
-        head_shift_mm=now.head_mm,
-        head_turn_rad=now.head_rad,
-        held_off_mm=off_mm,
-        held_off_rad=math.acos(min(1.0, float(in_guide[2, 2]))),
-    )
-    return sample, gap_mm
+    sample = _sample_tip(world, guide, target, guide.tip_between_mm(stop_mm - gap_mm, upper, lower))
+    held_off = {"held_off_mm": off_mm, "held_off_rad": math.acos(min(1.0, float(in_guide[2, 2])))}
+    return sample.model_copy(update=held_off), gap_mm
 
 
 def _loosened(world: World) -> Matrix:
     """Return clamp <- instrument's own clamp frame (4, 4) as a loose clamp leaves it."""
     pose = np.eye(4)
-    for fault in FaultBoard(world, DEVICE).active(LOOSE_INSTRUMENT.name):
+    for fault in FaultBoard(world, room_faults.DEVICE).active(room_faults.LOOSE_INSTRUMENT.name):
         *shift_mm, tilt_deg = map(float, fault.arguments)
         pose = pose @ matrix_from(shift_mm, rotation_from_vector((radians(tilt_deg), 0.0, 0.0)))
     return pose
@@ -199,7 +183,7 @@ class TrueGuide:
     def __init__(self, world: World) -> None:
         self._world = world
         self._scene = world.scene
-        self._board = FaultBoard(world, DEVICE)
+        self._board = FaultBoard(world, room_faults.DEVICE)
         self._room = ShiftedRoom(world)
         mount = self._scene.mount
         self._flange_from_marker = matrix_of(mount.flange_from_tool_true) @ matrix_of(
@@ -221,14 +205,14 @@ class TrueGuide:
         room = self._room.now()
         pose = yielding_flange(flange, self._flange_from_marker, room).copy()
         pose[2, 3] -= self._scene.arm.sag_mm_kg * sum(
-            float(one.argument) for one in self._active_faults(WRONG_LOAD)
+            float(one.argument) for one in self._board.active(room_faults.WRONG_LOAD.name)
         )
         moved = rigid_move(room.seat_rad, room.seat_mm)
         return pose @ self._tip_at_calibration @ moved @ self._seat_pose()
 
     def mandrel(self) -> Matrix:
         """Return the pose of the end of the mandrel in use."""
-        longer_mm = sum(float(one.argument) for one in self._active_faults(WRONG_MANDREL))
+        longer_mm = sum(float(one.argument) for one in self._board.active(room_faults.WRONG_MANDREL.name))
         return self.tip_frame() @ matrix_from((0.0, 0.0, longer_mm), np.eye(3))
 
     def instrument_tip_mm(self, stop_mm: float, target: str, draw: int) -> Vector:
@@ -240,10 +224,10 @@ class TrueGuide:
     def tip_between_mm(self, stop_mm: float, upper: Vector, lower: Vector) -> Vector:
         """Return the tip (3,) of an instrument at these places (2,) in both ends of the bore."""
         guide = self._scene.mount.guide
-        longer_mm = sum(float(one.argument) for one in self._active_faults(WRONG_INSTRUMENT))
+        longer_mm = sum(float(one.argument) for one in self._board.active(room_faults.WRONG_INSTRUMENT.name))
         beyond_mm = stop_mm + longer_mm - guide.bore_mm
         offset_mm = lower + (lower - upper) * beyond_mm / guide.bore_mm
-        for fault in self._active_faults(BENT_INSTRUMENT):
+        for fault in self._board.active(room_faults.BENT_INSTRUMENT.name):
             offset_mm += [float(number) for number in fault.arguments]
         point = np.array([*offset_mm, beyond_mm - guide.reach_mm, 1.0])
         return np.asarray((self.tip_frame() @ point)[:3])
@@ -255,7 +239,7 @@ class TrueGuide:
             self._seat_offset_mm = (again, drawn_mm)
         seat_offset_mm = self._seat_offset_mm[1].copy()
         tilt_rad = 0.0
-        for fault in self._active_faults(BAD_SEAT):
+        for fault in self._board.active(room_faults.BAD_SEAT.name):
             seat_offset_mm[2] -= float(fault.argument)
             tilt_rad += radians(float(fault.arguments[1]))
         return matrix_from(seat_offset_mm, rotation_from_vector((tilt_rad, 0.0, 0.0)))
@@ -264,28 +248,22 @@ class TrueGuide:
         """Return the guide's bend, about the upper end of the bore."""
         guide = self._scene.mount.guide
         away = np.array(guide.bent_mm)
-        for fault in self._active_faults(BENT_TIP):
+        for fault in self._board.active(room_faults.BENT_TIP.name):
             away += [float(number) for number in fault.arguments]
         height_mm = guide.bore_mm + guide.reach_mm
         tilt = (-away[1] / height_mm, away[0] / height_mm, 0.0)
         whole = rotation_from_vector(np.add(tilt, (*np.radians(guide.tilt_deg), 0.0)))
         pivot, back = (matrix_from((0.0, 0.0, z), np.eye(3)) for z in (-height_mm, height_mm))
-        bent: Matrix = pivot @ matrix_from((0.0, 0.0, away[2]), whole) @ back
-        return bent
-
-    def _active_faults(self, kind: FaultKind) -> tuple[Fault, ...]:
-        return () if self._board.empty else self._board.active(kind.name)
+        return pivot @ matrix_from((0.0, 0.0, away[2]), whole) @ back
 
 
 def tip_at_calibration(world: World) -> Matrix:
     """Return FLANGE <- tip (4, 4) at the time of the calibration records."""
     mount = world.scene.mount
-    pose: Matrix = matrix_of(mount.flange_from_tool_true) @ matrix_of(mount.tool_from_tip_true)
-    return pose
+    return matrix_of(mount.flange_from_tool_true) @ matrix_of(mount.tool_from_tip_true)
 
 
 def _draw_in_disc(generator: np.random.Generator, radius_mm: float) -> tuple[Vector, Vector]:
-    """Draw two points (2,) in a disc."""
     radii = radius_mm * np.sqrt(generator.uniform(size=2))
     angles = generator.uniform(0.0, 2.0 * np.pi, 2)
     one, other = (

@@ -10,8 +10,8 @@ from math import acos, asin, atan2, cos, degrees, hypot, pi, sin
 
 import numpy as np
 
-from sim.world.nominal_arm import ORIGIN, Corner, Matrix, NominalJoint, RobotDescription
-from sim.world.rigid import as_point, rotation_from_vector, vector_from_rotation
+from sim.world.nominal_arm import ORIGIN, Corner, NominalJoint, RobotDescription
+from sim.world.rigid import Matrix, as_point, rotation_from_vector, vector_from_rotation
 
 NAMES = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
 RANGE_DEG = 360.0

@@ -63,7 +63,6 @@ class RandomArms:
 
     @classmethod
     def draw(cls, seed: int, numbers: Iterable[int]) -> Self:
-        """Draw the arms with the given numbers."""
         return cls.of([draw_numbered_arm(seed, number) for number in numbers])
 
     @classmethod
@@ -90,7 +89,6 @@ class RandomArms:
         return len(self.tool_error_mm)
 
     def only(self, source: Source) -> RandomArms:
-        """Return the arms with errors from one source only."""
         no_turns = np.broadcast_to(np.eye(3), self.link_rotation.shape)
         return replace(
             self,
@@ -270,7 +268,6 @@ def multiply(matrix: Array, point: Components) -> Components:
 
 
 def translate(point: Components, offset: ArrayLike) -> Components:
-    """Add vectors (..., 3) to points, with broadcasting."""
     vector = np.asarray(offset, dtype=float)
     x, y, z = (part + vector[..., axis] for axis, part in enumerate(point))
     return x, y, z

@@ -252,7 +252,6 @@ class StudiedScene:
         return [*arm_sources(ARM.chain, at_spheres, at_target, sizes), ct_errors(ct)]
 
     def chance(self, arms: Sequence[int], *, scan_again: bool = False) -> Chance:
-        """Return the random draws for the numbered arms."""
         shape = self.targets, len(self.phantom.spheres_mm)
         return Chance.draw(self.seed, self.markers, arms, self.number, shape, scan_again=scan_again)
 

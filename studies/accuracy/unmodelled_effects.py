@@ -65,7 +65,6 @@ class DisplacedArms(RandomArms):
         return cls(**vars(arms) | {"shift_rad": shift_rad, "shift_mm": shift_mm})
 
     def tool_points_mm(self, joints_rad: Array, flanks: Array) -> Array:
-        """Return true tool positions (a, p, 3) in mm, robot frame, without the repeatability error."""
         return super().tool_points_mm(joints_rad + self.shift_rad, flanks) + self.shift_mm
 
 
@@ -82,7 +81,6 @@ class DrawnEffect:
 
     @classmethod
     def draw(cls, effect: Effect, seed: int, number: int) -> Self:
-        """Draw the effect of an arm by its number."""
         random = np.random.default_rng(np.random.SeedSequence([seed, EFFECT_KEY, number]))
         orders = len(GEAR_ORDERS)
         return cls(

@@ -72,7 +72,6 @@ class Ledger:
             self._read(head)
 
     def add(self, unit: Unit, sums: Sums) -> None:
-        """Record a finished unit."""
         self.finished[unit.key] = sums
         self._append({"unit": unit.key, "sums": sums, "sha256": _hash(unit.key, sums)})
 

@@ -32,7 +32,7 @@ def curves(
     """Plot labelled curves with their bounds as bands, over optional labelled ranges of the x axis."""
     figure, axes = _make_figure(title, x_label, y_label)
     _draw_curves(axes, lines, bands or {})
-    return _png(figure)
+    return encode_png(figure)
 
 
 def curve_panels(title: str, x_label: str, panels: Mapping[str, Mapping[str, Curve]]) -> bytes:
@@ -46,7 +46,7 @@ def curve_panels(title: str, x_label: str, panels: Mapping[str, Mapping[str, Cur
         axes.set_ylabel(y_label)
         _draw_curves(axes, lines, {})
     every[-1].set_xlabel(x_label)
-    return _png(figure)
+    return encode_png(figure)
 
 
 def _draw_curves(axes: Any, lines: Mapping[str, Curve], bands: Mapping[str, tuple[float, float]]) -> None:
@@ -116,7 +116,7 @@ def bars(
     if logarithmic:
         axes.set_yscale("log")
     figure.legend(fontsize=8, loc="outside right upper")  # outside the axes, so that it never covers a bar
-    return _png(figure)
+    return encode_png(figure)
 
 
 def boxes(title: str, y_label: str, groups: Mapping[str, ArrayLike], *, x_label: str = "") -> bytes:
@@ -133,7 +133,7 @@ def boxes(title: str, y_label: str, groups: Mapping[str, ArrayLike], *, x_label:
     for label in axes.get_xticklabels():
         label.set_horizontalalignment("right")
     axes.grid(alpha=0.3)
-    return _png(figure)
+    return encode_png(figure)
 
 
 def _list_bounded(points: Curve) -> list[Bounded]:
@@ -164,7 +164,7 @@ def _make_figure(
     return figure, axes
 
 
-def _png(figure: Any) -> bytes:
+def encode_png(figure: Any) -> bytes:
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=DOTS_PER_INCH)
     return buffer.getvalue()

@@ -8,10 +8,11 @@ from __future__ import annotations
 import csv
 import io
 import zlib
+from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Protocol, Self
+from dataclasses import asdict, dataclass
+from typing import ClassVar, Self
 
 import numpy as np
 
@@ -32,30 +33,29 @@ class Unit:
         return f"{self.condition} #{self.block}"
 
 
-class Study(Protocol):
+@dataclass(frozen=True)
+class Study(ABC):
     """A picklable study, whose `run` depends only on its fields and its argument."""
 
+    constants: ClassVar[Mapping[str, object]] = {}  # of the code, that are shown with the results
+
     @property
+    @abstractmethod
     def name(self) -> str:
         """Name of the command that runs the study."""
-        ...
 
     def settings(self) -> dict[str, object]:
-        """Return everything that affects the results, as plain data."""
-        ...
+        """Return everything that affects the results, as plain data; user methods only if there are any."""
+        fields = {name: value for name, value in asdict(self).items() if name != "own" or value}
+        return {**fields, **self.constants}
 
+    @abstractmethod
     def units(self) -> Sequence[Unit]:
         """Return all units in a fixed order, independent of the workers."""
-        ...
 
+    @abstractmethod
     def run(self, unit: Unit) -> Sums:
         """Run one unit and return its sums."""
-        ...
-
-
-def omit_empty_own(settings: dict[str, object]) -> dict[str, object]:
-    """Return the settings, omitting the entry for user methods if it is empty."""
-    return {key: value for key, value in settings.items() if key != "own" or value}
 
 
 def generator(seed: int, unit: Unit) -> np.random.Generator:
@@ -69,6 +69,22 @@ def blocks(condition: str, runs: int, block_runs: int) -> list[Unit]:
     whole, rest = divmod(runs, block_runs)
     sizes = [block_runs] * whole + ([rest] if rest else [])
     return [Unit(condition, number, size) for number, size in enumerate(sizes)]
+
+
+def blocks_of_each(keys: Iterable[Iterable[object]], runs: int, block_runs: int) -> list[Unit]:
+    """Split the runs of every condition, whose key is joined with bars."""
+    return [unit for key in keys for unit in blocks("|".join(map(str, key)), runs, block_runs)]
+
+
+def as_sums(counts: Mapping[str, float]) -> Sums:
+    return {key: float(value) for key, value in counts.items()}
+
+
+def pool(every: Iterable[Mapping[str, float]]) -> Sums:
+    total: Counter[str] = Counter()
+    for sums in every:
+        total.update(sums)
+    return dict(total)
 
 
 def add_up(finished: Iterable[tuple[Unit, Mapping[str, float]]]) -> dict[str, Sums]:
@@ -99,7 +115,6 @@ class Table:
         return cls(title, list(listed[0]) if listed else (), [tuple(row.values()) for row in listed], note)
 
     def markdown(self) -> str:
-        """Return the table as Markdown."""
         lines = [f"## {self.title}", "", *((self.lead, "") if self.lead else ())]
         lines += [f"| {' | '.join(self.columns)} |", "|" + "---|" * len(self.columns)]
         lines += [f"| {' | '.join(format_cell(value) for value in row)} |" for row in self.rows]
@@ -114,13 +129,33 @@ class Table:
         return text.getvalue()
 
     def document(self) -> dict[str, object]:
-        """Return the table as plain data."""
         return {
             "title": self.title,
             "columns": list(self.columns),
             "rows": [list(row) for row in self.rows],
             "note": self.note,
         }
+
+
+GOALS = ("figure", "value", "goal", "met")  # columns of a table of goals
+
+
+def judge(figure: str, value: Cell, goal: str, met: bool) -> Sequence[Cell]:
+    """Return the row of a figure in a table of goals."""
+    return figure, value, goal, yes_or_no(met)
+
+
+def judge_at_most(figure: str, value: float, most: float) -> Sequence[Cell]:
+    return judge(figure, value, f"at most {most:g}", value <= most)
+
+
+def judge_at_least(figure: str, value: float, least: float) -> Sequence[Cell]:
+    return judge(figure, value, f"at least {least:g}", value >= least)
+
+
+def judge_within(figure: str, value: float, range_: tuple[float, float]) -> Sequence[Cell]:
+    low, high = range_
+    return judge(figure, value, f"{low:g} to {high:g}", low <= value <= high)
 
 
 def yes_or_no(met: bool) -> str:

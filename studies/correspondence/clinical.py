@@ -35,16 +35,9 @@ from ronna_hw.records import write_atomically
 from ronna_hw.registry import make_device
 from studies.campaign import bounds
 from studies.campaign.plots import curves
-from studies.campaign.study import Cell, Sums, Table, Unit, generator
-from studies.correspondence.study import (
-    LOST,
-    SUCCESS,
-    Pairs,
-    StudiedMatching,
-    outcome_key,
-    pair_points,
-    verdict,
-)
+from studies.campaign.study import Cell, Study, Sums, Table, Unit, as_sums, generator
+from studies.correspondence.outcomes import LOST, SUCCESS, Pairs, outcome_key, outcome_of
+from studies.correspondence.study import StudiedMatching, pair_points
 from studies.errors import LEDGER_UNREADABLE, OTHER_STUDY, TRACKER_NOT_SIMULATED
 from studies.heads import NoiseReading, variance_from_thesis_mm2
 from studies.localization.phantom_scans import phantom_scan
@@ -87,7 +80,7 @@ LIMIT_S = 60.0  # host time, as a safeguard
 
 
 @dataclass(frozen=True, eq=False)
-class ClinicalStudy:
+class ClinicalStudy(Study):
     """Pairing of all readings (n, 4, 3), mm, with every scan, one unit per scan."""
 
     readings_mm: Array
@@ -104,7 +97,6 @@ class ClinicalStudy:
         }
 
     def units(self) -> Sequence[Unit]:
-        """Return one unit per scan, in order."""
         return [Unit(scan.condition, 0, len(self.readings_mm)) for scan in SCANS]
 
     def run(self, unit: Unit) -> Sums:
@@ -119,7 +111,7 @@ class ClinicalStudy:
         sums = self._count_our_outcomes(image[Localizer.OURS], random) + self._count_thesis_outcomes(
             image[Localizer.THESIS_SPHERE], random
         )
-        return {key: float(value) for key, value in sums.items()}
+        return as_sums(sums)
 
     def _count_our_outcomes(self, image_mm: Array | None, random: np.random.Generator) -> Counter[str]:
         if image_mm is None:
@@ -128,7 +120,7 @@ class ClinicalStudy:
         sums: Counter[str] = Counter()
         for seen_mm, right in zip(physical_mm, rights, strict=True):
             one = pair_points(image_mm, seen_mm, NOISE, expected=len(image_mm))
-            sums[outcome_key(StudiedMatching.COUNT, None, verdict(one.status, one.pairs, right))] += 1
+            sums[outcome_key(StudiedMatching.COUNT, None, outcome_of(one, right))] += 1
         return sums
 
     def _count_thesis_outcomes(self, image_mm: Array | None, random: np.random.Generator) -> Counter[str]:
@@ -145,11 +137,10 @@ class ClinicalStudy:
                 found = match_many_by_similarity(image, physical_mm, np.full(many, tolerance_mm), counting)
                 valid = validate_many(image, physical_mm, found, variance_from_thesis_mm2(NOISE))
                 for right, one in zip(rights, valid, strict=True):
-                    sums[outcome_key(method, tolerance_mm, verdict(one.status, one.pairs, right))] += 1
+                    sums[outcome_key(method, tolerance_mm, outcome_of(one, right))] += 1
         return sums
 
     def _shuffle_readings(self, random: np.random.Generator) -> tuple[Array, list[Pairs]]:
-        """Shuffle the spheres of each reading, and return the readings with their correct pairs."""
         many, spheres = self.readings_mm.shape[:2]
         order = random.permuted(np.tile(np.arange(spheres), (many, 1)), axis=1)
         seen = np.take_along_axis(self.readings_mm, order[:, :, None], axis=1)

@@ -8,39 +8,53 @@ count; the pairing by distances alone is shown beside it.
 from __future__ import annotations
 
 import math
-from collections import Counter, defaultdict
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from enum import StrEnum
 from functools import partial
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
 
 from procedures.registration.matching import match
 from studies.campaign import bounds
-from studies.campaign.study import Cell, Sums, Table, Unit, blocks, generator, yes_or_no
+from studies.campaign.study import (
+    Cell,
+    Study,
+    Sums,
+    Table,
+    Unit,
+    as_sums,
+    blocks_of_each,
+    generator,
+    yes_or_no,
+)
+from studies.correspondence.outcomes import (
+    FALSE,
+    PART,
+    UNSUCCESSFUL,
+    Outcomes,
+    count_outcomes,
+    outcome_key,
+    outcome_of,
+    pair_set,
+)
 from studies.correspondence.study import (
     BLOCK_RUNS,
-    FALSE,
     FIDUCIALS,
-    LOST,
     OUTLIERS,
-    PART,
     StudiedMatching,
-    outcome_key,
-    verdict,
+    stated_sigmas_mm,
 )
 from studies.heads import (
     HALF_AXES_MM,
-    IMAGE_SIGMA_MM,
     LOWEST_SITE,
     PATIENTS,
-    PHYSICAL_SIGMA_MM,
     NoiseReading,
     Readings,
     draw_readings,
-    per_axis_mm,
     sites_mm,
     uniform_in_ball,
 )
@@ -75,7 +89,7 @@ WRONG_SIGMAS = (Assumption.HALF, Assumption.TWICE, Assumption.OTHER_READING)
 
 
 @dataclass(frozen=True)
-class MisspecifiedPairingStudy:
+class MisspecifiedPairingStudy(Study):
     """Study with `runs` per patient and cell of every assumption, both noise models."""
 
     runs: int
@@ -84,22 +98,9 @@ class MisspecifiedPairingStudy:
     fiducials: tuple[int, ...] = FIDUCIALS
     name: str = "correspondence-wrong"
 
-    def settings(self) -> dict[str, object]:
-        return asdict(self)
-
     def units(self) -> Sequence[Unit]:
-        """List the units in the order assumption, noise model, patient, fiducials, outliers."""
-        return [
-            unit
-            for assumption in self.assumptions
-            for noise in NoiseReading
-            for patient in PATIENTS
-            for count in self.fiducials
-            for outliers in OUTLIERS
-            for unit in blocks(
-                f"{assumption.value}|{noise.value}|{patient}|{count}|{outliers}", self.runs, BLOCK_RUNS
-            )
-        ]
+        cells = product(self.assumptions, NoiseReading, PATIENTS, self.fiducials, OUTLIERS)
+        return blocks_of_each(cells, self.runs, BLOCK_RUNS)
 
     def run(self, unit: Unit) -> Sums:
         """Count the outcomes with and without the planned count, keyed as in the thesis' protocol."""
@@ -109,19 +110,14 @@ class MisspecifiedPairingStudy:
         seen = draw_wrong_readings(
             assumption, int(patient), int(count), int(outliers), noise, unit.runs, random
         )
-        factor = told_factor(assumption, noise)
-        sigmas = {
-            "sigma_image_mm": factor * per_axis_mm(IMAGE_SIGMA_MM, noise),
-            "sigma_physical_mm": factor * per_axis_mm(PHYSICAL_SIGMA_MM, noise),
-        }
+        sigmas_mm = stated_sigmas_mm(noise, told_factor(assumption, noise))
         sums: Counter[str] = Counter()
-        for image, physical, pairs in zip(seen.image_mm, seen.physical_mm, seen.pairs.tolist(), strict=True):
-            right = frozenset((i, j) for i, j in pairs)
+        for image, physical, pairs in zip(seen.image_mm, seen.physical_mm, seen.pairs, strict=True):
             for method in METHODS:
                 expected = int(count) if method is StudiedMatching.COUNT else None
-                found = match(image, physical, **sigmas, expected=expected)
-                sums[outcome_key(method, None, verdict(found.status, found.pairs, right))] += 1
-        return {key: float(value) for key, value in sums.items()}
+                found = match(image, physical, **sigmas_mm, expected=expected)
+                sums[outcome_key(method, None, outcome_of(found, pair_set(pairs)))] += 1
+        return as_sums(sums)
 
 
 def told_factor(assumption: Assumption, noise: NoiseReading) -> float:
@@ -146,9 +142,9 @@ def draw_wrong_readings(
         case Assumption.TAILS:
             return draw(noise_of=draw_tails)
         case Assumption.ON_HEAD:
-            return draw(strays_of=partial(draw_strays_on_head, patient))
+            return draw(strays_of=partial(draw_strays_on_head, patient, False))
         case Assumption.CLUSTERED:
-            return draw(strays_of=partial(draw_cluster_on_head, patient))
+            return draw(strays_of=partial(draw_strays_on_head, patient, True))
         case Assumption.DISTORTED:
             return draw(distort=distort)
         case _:
@@ -169,24 +165,16 @@ def draw_tails(
 
 def draw_strays_on_head(
     patient: int,
+    are_clustered: bool,
     points: Array,
     outliers: int,
     to_frame: Callable[[Array], Array],
     random: np.random.Generator,
 ) -> Array:
-    """Draw outliers (runs, outliers, 3) from the part of the head that carries the sites."""
-    return to_frame(_draw_spots(patient, len(points), outliers, random))
-
-
-def draw_cluster_on_head(
-    patient: int,
-    points: Array,
-    outliers: int,
-    to_frame: Callable[[Array], Array],
-    random: np.random.Generator,
-) -> Array:
-    """Draw all outliers (runs, outliers, 3) of a set near one spot on the head."""
+    """Draw outliers (runs, outliers, 3) on the part of the head with the sites, or all near one spot."""
     runs = len(points)
+    if not are_clustered:
+        return to_frame(_draw_spots(patient, runs, outliers, random))
     spread = uniform_in_ball(runs * outliers, CLUSTER_MM, random).reshape(runs, outliers, 3)
     return to_frame(_draw_spots(patient, runs, 1, random) + spread)
 
@@ -220,24 +208,23 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
 
 
 def _pool_fiducials(sums: Mapping[str, Sums]) -> Table:
-    counted: dict[tuple[str, str, StudiedMatching], Counter[str]] = defaultdict(Counter)
-    for condition, content in sums.items():
+    def series_of(condition: str, key: str) -> tuple[str, str, str] | None:
         assumption, noise, _, count, _ = condition.split("|")
-        for method in METHODS if int(count) in POOLED else ():
-            counted[assumption, noise, method].update(_outcomes(content, method))
+        return (assumption, noise, key.rstrip("|")) if int(count) in POOLED else None
+
     rows: list[dict[str, Cell]] = []
-    for (assumption, noise, method), outcomes in counted.items():
-        runs, false = outcomes.total(), outcomes[FALSE]
+    for (assumption, noise, method), one in count_outcomes(sums, series_of).items():
+        false = one.percent(FALSE)
         rows.append(
             {
                 "wrong": assumption,
                 "noise": noise,
-                "method": method.value,
-                "runs": runs,
-                **bounds.cells("unsuccessful %", bounds.percent(outcomes[LOST] + outcomes[PART], runs)),
-                "of these a part %": 100.0 * outcomes[PART] / runs,
-                **bounds.cells("false %", bounds.percent(false, runs)),
-                f"false at most {GOAL_FALSE} %": yes_or_no(100.0 * false / runs <= GOAL_FALSE),
+                "method": method,
+                "runs": one.runs,
+                **bounds.cells("unsuccessful %", one.percent(*UNSUCCESSFUL)),
+                "of these a part %": one.percent(PART).value,
+                **bounds.cells("false %", false),
+                f"false at most {GOAL_FALSE} %": yes_or_no(false.value <= GOAL_FALSE),
             }
         )
     return Table.of(
@@ -249,15 +236,15 @@ def _pool_fiducials(sums: Mapping[str, Sums]) -> Table:
 
 
 def _tabulate_cells(sums: Mapping[str, Sums], method: StudiedMatching) -> Table:
-    counted: dict[tuple[str, str, int], dict[int, Counter[str]]] = defaultdict(lambda: defaultdict(Counter))
-    for condition, content in sums.items():
-        assumption, noise, _, count, outliers = condition.split("|")
-        counted[assumption, noise, int(count)][int(outliers)].update(_outcomes(content, method))
+    def series_of(condition: str, key: str) -> tuple[str, str, int] | None:
+        assumption, noise, _, count, _ = condition.split("|")
+        return (assumption, noise, int(count)) if key.rstrip("|") == method else None
+
     columns = ("wrong", "noise", "fiducials", "runs a cell", *(f"{one} outliers" for one in OUTLIERS))
     rows: list[list[Cell]] = []
-    for (assumption, noise, fiducials), cells in counted.items():
+    for series, cells in count_outcomes(sums, series_of).items():
         runs = next(iter(cells.values())).total()
-        rows.append([assumption, noise, fiducials, runs, *(_format_cell(cells[one]) for one in OUTLIERS)])
+        rows.append([*series, runs, *(_format_cell(cells, one) for one in OUTLIERS)])
     return Table(
         f"Unsuccessful / false in per cent, {method}",
         columns,
@@ -266,17 +253,8 @@ def _tabulate_cells(sums: Mapping[str, Sums], method: StudiedMatching) -> Table:
     )
 
 
-def _outcomes(content: Mapping[str, float], method: StudiedMatching) -> Counter[str]:
-    """Select a method's outcomes from the sums of a condition."""
-    found: Counter[str] = Counter()
-    for key, number in content.items():
-        name, _, outcome = key.split("|")
-        if name == method:
-            found[outcome] += round(number)
-    return found
-
-
-def _format_cell(outcomes: Counter[str]) -> str:
-    runs = outcomes.total()
-    unsuccessful, false = outcomes[LOST] + outcomes[PART], outcomes[FALSE]
-    return f"{100.0 * unsuccessful / runs:.3g} / {100.0 * false / runs:.3g}" if runs else ""
+def _format_cell(cells: Outcomes, outliers: int) -> str:
+    if outliers not in cells:
+        return ""
+    cell = Outcomes({outliers: cells[outliers]})
+    return f"{cell.percent(*UNSUCCESSFUL).value:.3g} / {cell.percent(FALSE).value:.3g}"

@@ -2,17 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from typing import NamedTuple
 
 from studies.campaign import bounds
-from studies.campaign.bounds import Bounded, percent
 from studies.campaign.plots import Point, bars, curve_panels
 from studies.campaign.study import Cell, Sums, Table
-from studies.correspondence.study import FALSE, LOST, PART, StudiedMatching, condition_of
+from studies.correspondence.outcomes import (
+    FALSE,
+    LOST,
+    PART,
+    SUCCESS,
+    UNSUCCESSFUL,
+    Outcomes,
+    Range,
+    count_outcomes,
+)
+from studies.correspondence.study import StudiedMatching, condition_of
 from studies.heads import NoiseReading
 
-Range = tuple[float, float]
 # Unsuccessful and false, per cent, over patients and 0 to 4 outliers: F. Suligoj, thesis, Zagreb 2018, 5.3.1.
 THESIS_UNSUCCESSFUL: dict[int, Range] = {3: (7.98, 15.53), 4: (3.86, 5.03)} | dict.fromkeys(
     range(5, 9), (0.0, 0.81)
@@ -24,43 +32,32 @@ GOAL_UNSUCCESSFUL, GOAL_FALSE = 0.05, 0.01  # per cent, for our methods; a parti
 
 def tables(sums: Mapping[str, Sums]) -> list[Table]:
     """Tabulate each noise model, 5 to 8 fiducials pooled, and the values of e that reproduce the thesis."""
-    found = outcome_shares(sums)
-    made = [
+    found = outcomes_by_series(sums)
+    columns = (
+        *("method", "e mm", "fiducials", "runs"),
+        *("unsuccessful %", bounds.column("unsuccessful"), "over 0 to 4 outliers", "thesis %"),
+        *("false %", bounds.column("false"), "over 0 to 4 outliers", "thesis %"),
+        "a part %",
+    )
+    note = (
+        "Pooled over 3 heads. Only part of the true pairs counts as unsuccessful, as in the thesis; our "
+        "goals count it as false. The thesis' heads are not published, and it does not state its noise "
+        f"model. {bounds.NOTE}"
+    )
+    by_noise = [
         Table(
             f"Correspondence, noise {noise}",
-            (
-                "method",
-                "e mm",
-                "fiducials",
-                "runs",
-                "unsuccessful %",
-                bounds.column("unsuccessful"),
-                "over 0 to 4 outliers",
-                "thesis %",
-                "false %",
-                bounds.column("false"),
-                "over 0 to 4 outliers",
-                "thesis %",
-                "a part %",
-            ),
+            columns,
             [_make_row(series, one) for series, one in found.items() if series.noise is noise],
-            (
-                "Pooled over 3 heads. Only part of the true pairs counts as unsuccessful, as in the "
-                "thesis; our goals count it as false. The thesis' heads are not published, and it does not "
-                "state its noise model. "
-            )
-            + bounds.NOTE,
+            note,
         )
         for noise in dict.fromkeys(series.noise for series in found)
     ]
-    of_the_thesis = (
-        [_tabulate_reproducing_tolerances(found)] if any(series.tolerance for series in found) else []
-    )
-    return [*made, _pool_fiducials(found), *of_the_thesis]
+    of_the_thesis = [_tabulate_reproducing_tolerances(found)] if any(one.tolerance for one in found) else []
+    return [*by_noise, _pool_fiducials(found), *of_the_thesis]
 
 
-@dataclass(frozen=True)
-class Series:
+class Series(NamedTuple):
     """Key of a result series: noise model, method, e as text (empty for ours), number of fiducials."""
 
     noise: NoiseReading
@@ -70,85 +67,36 @@ class Series:
 
     @property
     def tolerance_mm(self) -> float | None:
-        """The method's parameter e in mm, or None for our methods."""
         return float(self.tolerance) if self.tolerance else None
 
 
-@dataclass(frozen=True)
-class Shares:
-    """Percentages of the runs: overall, and as a range over the numbers of outliers.
+def outcomes_by_series(sums: Mapping[str, Sums]) -> dict[Series, Outcomes]:
+    """Count the outcomes of each series, pooled over patients."""
 
-    `unsuccessful` and `false` as in the thesis: a subset of the true pairs is unsuccessful.
-    """
+    def series_of(condition: str, key: str) -> Series:
+        noise, _, fiducials, _ = condition_of(condition)
+        method, _, tolerance = key.partition("|")
+        return Series(noise, method, tolerance, fiducials)
 
-    runs: int
-    unsuccessful: float
-    unsuccessful_range: Range
-    false: float
-    false_range: Range
-    part: float
-
-    @property
-    def lost(self) -> float:
-        """Percentage of runs without any answer."""
-        return self.unsuccessful - self.part
-
-    def bound_share(self, share: float) -> Bounded:
-        """Add confidence bounds to a percentage of the runs."""
-        return percent(share / 100.0 * self.runs, self.runs)
+    return dict(sorted(count_outcomes(sums, series_of).items(), key=lambda item: item[0][1:]))
 
 
-def outcome_shares(sums: Mapping[str, Sums]) -> dict[Series, Shares]:
-    """Return the outcome percentages of each series, pooled over patients."""
-    counted: dict[Series, dict[int, dict[str, float]]] = {}
-    for condition, content in sums.items():
-        noise, _, fiducials, outliers = condition_of(condition)
-        for key, number in content.items():
-            method, tolerance, outcome = key.split("|")
-            conditions = counted.setdefault(Series(noise, method, tolerance, fiducials), {})
-            into = conditions.setdefault(outliers, {})
-            into[outcome] = into.get(outcome, 0.0) + number
-    ordered = sorted(counted.items(), key=lambda item: (item[0].method, item[0].tolerance, item[0].fiducials))
-    return {series: _compute_shares(list(conditions.values())) for series, conditions in ordered}
-
-
-def _compute_shares(conditions: list[dict[str, float]]) -> Shares:
-    def share(outcomes: Iterable[str], of: Iterable[Mapping[str, float]]) -> float:
-        of, outcomes = list(of), set(outcomes)
-        runs = sum(sum(condition.values()) for condition in of)
-        return (
-            100.0
-            * sum(n for condition in of for outcome, n in condition.items() if outcome in outcomes)
-            / runs
-        )
-
-    unsuccessful = [share((LOST, PART), [condition]) for condition in conditions]
-    false = [share((FALSE,), [condition]) for condition in conditions]
-    return Shares(
-        int(sum(sum(condition.values()) for condition in conditions)),
-        share((LOST, PART), conditions),
-        (min(unsuccessful), max(unsuccessful)),
-        share((FALSE,), conditions),
-        (min(false), max(false)),
-        share((PART,), conditions),
-    )
-
-
-def _make_row(series: Series, one: Shares) -> list[Cell]:
+def _make_row(series: Series, one: Outcomes) -> list[Cell]:
+    unsuccessful, false = one.percent(*UNSUCCESSFUL), one.percent(FALSE)
     return [
         series.method,
         series.tolerance_mm,
         series.fiducials,
         one.runs,
-        one.unsuccessful,
-        one.bound_share(one.unsuccessful).text,
-        _format_range(one.unsuccessful_range),
+        unsuccessful.value,
+        unsuccessful.text,
+        _format_range(one.range_percent(*UNSUCCESSFUL)),
         _format_range(THESIS_UNSUCCESSFUL[series.fiducials]),
-        one.false,
-        one.bound_share(one.false).text,
-        _format_range(one.false_range),
+        false.value,
+        false.text,
+        _format_range(one.range_percent(FALSE)),
         _format_range(THESIS_FALSE[series.fiducials]),
-        one.part,
+        one.percent(PART).value,
     ]
 
 
@@ -156,18 +104,14 @@ def _format_range(ends: Range) -> str:
     return f"{ends[0]:.3g}-{ends[1]:.3g}"
 
 
-def _pool_fiducials(found: Mapping[Series, Shares]) -> Table:
+def _pool_fiducials(found: Mapping[Series, Outcomes]) -> Table:
     """Tabulate counts pooled over 5 to 8 fiducials, since single cells are too small to judge."""
     rows: list[dict[str, Cell]] = []
-    for noise, method, tolerance in dict.fromkeys((one.noise, one.method, one.tolerance) for one in found):
-        cells = [found.get(Series(noise, method, tolerance, fiducials)) for fiducials in POOLED]
-        whole = [cell for cell in cells if cell is not None]
-        if not (runs := sum(cell.runs for cell in whole)):
+    for noise, method, tolerance in dict.fromkeys(one[:3] for one in found):
+        cells = [found.get(Series(noise, method, tolerance, fiducials), Outcomes()) for fiducials in POOLED]
+        if not (runs := sum(cell.runs for cell in cells)):
             continue
-        lost, part, false = (
-            round(sum(getattr(cell, what) * cell.runs for cell in whole) / 100.0)
-            for what in ("lost", "part", "false")
-        )
+        lost, part, false = (sum(cell.count(what) for cell in cells) for what in (LOST, PART, FALSE))
         rows.append(
             {
                 "noise": noise.value,
@@ -177,9 +121,9 @@ def _pool_fiducials(found: Mapping[Series, Shares]) -> Table:
                 "lost": lost,
                 "a part": part,
                 "false": false,
-                **bounds.cells("unsuccessful %", percent(lost + part, runs)),
-                **bounds.cells("false %", percent(false, runs)),
-                **bounds.cells("false or a part %", percent(false + part, runs)),
+                **bounds.cells("unsuccessful %", bounds.percent(lost + part, runs)),
+                **bounds.cells("false %", bounds.percent(false, runs)),
+                **bounds.cells("false or a part %", bounds.percent(false + part, runs)),
             }
         )
     return Table.of(
@@ -191,27 +135,24 @@ def _pool_fiducials(found: Mapping[Series, Shares]) -> Table:
     )
 
 
-def _tabulate_reproducing_tolerances(found: Mapping[Series, Shares]) -> Table:
+def _tabulate_reproducing_tolerances(found: Mapping[Series, Outcomes]) -> Table:
     """Tabulate the values of e for which the thesis' method reproduces the thesis' figures."""
     rows: list[list[Cell]] = []
-    for noise, method in dict.fromkeys((one.noise, one.method) for one in found if one.tolerance):
-        of_method = {
-            series: one for series, one in found.items() if (series.noise, series.method) == (noise, method)
-        }
+    for noise, method in dict.fromkeys(one[:2] for one in found if one.tolerance):
+        of_method = {series: one for series, one in found.items() if series[:2] == (noise, method)}
         tried = sorted({float(series.tolerance) for series in of_method})
         for group in ((3,), (4,), tuple(POOLED)):
             members = [(series, one) for series, one in of_method.items() if series.fiducials in group]
-            if not members:
-                continue
-            rows.append(
-                [
-                    noise.value,
-                    method,
-                    f"{group[0]}" if len(group) == 1 else f"{group[0]} to {group[-1]}",
-                    _format_tolerance_spans(members, tried, _is_unsuccessful_within),
-                    _format_tolerance_spans(members, tried, _is_false_within),
-                ]
-            )
+            if members:
+                rows.append(
+                    [
+                        noise.value,
+                        method,
+                        f"{group[0]}" if len(group) == 1 else f"{group[0]} to {group[-1]}",
+                        _format_tolerance_spans(members, tried, _is_unsuccessful_within),
+                        _format_tolerance_spans(members, tried, _is_false_within),
+                    ]
+                )
     return Table(
         "The values of e at which the thesis' figures come out",
         ("noise", "method", "fiducials", "unsuccessful within, e mm", "false at most, e mm"),
@@ -223,80 +164,68 @@ def _tabulate_reproducing_tolerances(found: Mapping[Series, Shares]) -> Table:
 
 
 def _format_tolerance_spans(
-    members: list[tuple[Series, Shares]], tried: list[float], holds: Callable[[Series, Shares], bool]
+    members: list[tuple[Series, Outcomes]], tried: list[float], holds: Callable[[Series, Outcomes], bool]
 ) -> str:
     """Format the values of e at which all members satisfy `holds`, merging neighbours into ranges."""
-    good = [all(holds(series, one) for series, one in members if float(series.tolerance) == e) for e in tried]
     spans: list[list[float]] = []
-    for number, (e, one) in enumerate(zip(tried, good, strict=True)):
-        if one and number and good[number - 1]:
-            spans[-1].append(e)
-        elif one:
-            spans.append([e])
+    was_good = False
+    for e in tried:
+        is_good = all(holds(series, one) for series, one in members if float(series.tolerance) == e)
+        if is_good:
+            spans = [*spans[:-1], [*spans[-1], e]] if was_good else [*spans, [e]]
+        was_good = is_good
     return (
-        ", ".join(f"{span[0]:g}-{span[-1]:g}" if len(span) > 1 else f"{span[0]:g}" for span in spans)
-        or "none"
+        ", ".join("-".join(f"{end:g}" for end in dict.fromkeys((one[0], one[-1]))) for one in spans) or "none"
     )
 
 
-def _is_unsuccessful_within(series: Series, one: Shares) -> bool:
+def _is_unsuccessful_within(series: Series, one: Outcomes) -> bool:
     least, most = THESIS_UNSUCCESSFUL[series.fiducials]
-    return least <= one.unsuccessful_range[0] and one.unsuccessful_range[1] <= most
+    low, high = one.range_percent(*UNSUCCESSFUL)
+    return least <= low and high <= most
 
 
-def _is_false_within(series: Series, one: Shares) -> bool:
-    return one.false_range[1] <= THESIS_FALSE[series.fiducials][1]
+def _is_false_within(series: Series, one: Outcomes) -> bool:
+    return one.range_percent(FALSE)[1] <= THESIS_FALSE[series.fiducials][1]
 
 
-def plots(sums: Mapping[str, Sums]) -> dict[str, bytes]:
+def plot_figure_13(sums: Mapping[str, Sums]) -> dict[str, bytes]:
     """Plot success and false pairings of the thesis' validated method against e, as its figure 13.
 
     One picture per noise model.
     """
-    found = outcome_shares(sums)
+    found = outcomes_by_series(sums)
     pictures = {}
     for noise in dict.fromkeys(series.noise for series in found):
-        success: dict[str, list[Point]] = {}
-        false: dict[str, list[Point]] = {}
+        panels: dict[str, dict[str, list[Point]]] = {"success, %": {}, "false, %": {}}
         for series, one in found.items():
             e_mm = series.tolerance_mm
-            if (
-                series.noise is noise
-                and series.method == StudiedMatching.VALIDATED.value
-                and e_mm is not None
-            ):
-                who = f"{series.fiducials} fiducials"
-                share = one.bound_share(100.0 - one.unsuccessful - one.false)
-                success.setdefault(who, []).append((e_mm, share))
-                false.setdefault(who, []).append((e_mm, one.bound_share(one.false)))
+            if series[:2] == (noise, StudiedMatching.VALIDATED) and e_mm is not None:
+                for lines, outcome in zip(panels.values(), (SUCCESS, FALSE), strict=True):
+                    of_fiducials = lines.setdefault(f"{series.fiducials} fiducials", [])
+                    of_fiducials.append((e_mm, one.percent(outcome)))
         pictures[f"figure-13-{noise.value.replace(' ', '-')}.png"] = curve_panels(
-            f"Thesis' method, validated, noise {noise}, 0 to 4 outliers",
-            "e, mm",
-            {"success, %": success, "false, %": false},
+            f"Thesis' method, validated, noise {noise}, 0 to 4 outliers", "e, mm", panels
         )
     return pictures
 
 
-def bars_beside_thesis(sums: Mapping[str, Sums]) -> dict[str, bytes]:
-    """Plot unsuccessful and false runs by fiducials and method, one plot per noise model."""
-    found = outcome_shares(sums)
+def plots(sums: Mapping[str, Sums]) -> dict[str, bytes]:
+    """Plot unsuccessful and false runs by fiducials and method, beside the thesis, per noise model."""
+    found = outcomes_by_series(sums)
     pictures = {}
     for noise in dict.fromkeys(series.noise for series in found):
-        groups: dict[str, dict[str, float | bounds.Bounded]] = {}
+        groups: dict[int, dict[str, float | bounds.Bounded]] = {}
         for series, one in found.items():
             if series.noise is noise:
                 who = f"{series.method}, e {series.tolerance} mm" if series.tolerance else series.method
-                groups.setdefault(str(series.fiducials), {})[who] = one.bound_share(
-                    one.unsuccessful + one.false
-                )
+                groups.setdefault(series.fiducials, {})[who] = one.percent(*UNSUCCESSFUL, FALSE)
         for number, group in groups.items():
-            group["the thesis reports, at most"] = THESIS_UNSUCCESSFUL[int(number)][1]
-        ordered = dict(sorted(groups.items()))
-        name = f"unsuccessful-{noise.value.replace(' ', '-')}.png"
-        pictures[name] = bars(
+            group["the thesis reports, at most"] = THESIS_UNSUCCESSFUL[number][1]
+        pictures[f"unsuccessful-{noise.value.replace(' ', '-')}.png"] = bars(
             f"By number of fiducials, noise {noise}",
             "unsuccessful or false, %",
-            ordered,
+            {str(number): groups[number] for number in sorted(groups)},
             logarithmic=True,
             x_label="fiducials",
         )

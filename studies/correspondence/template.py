@@ -8,8 +8,10 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import cache
+from itertools import product
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,30 +23,28 @@ from procedures.registration.correspondence import Match, Prior
 from procedures.registration.template import match_by_template
 from ronna_hw.marker_template import IMPLANTED_SIGMA_MM
 from studies.campaign import bounds
-from studies.campaign.study import Cell, Sums, Table, Unit, blocks, generator, yes_or_no
+from studies.campaign.study import (
+    Cell,
+    Study,
+    Sums,
+    Table,
+    Unit,
+    as_sums,
+    blocks_of_each,
+    generator,
+    yes_or_no,
+)
+from studies.correspondence.outcomes import FALSE, UNSUCCESSFUL, count_outcomes, outcome_of, pair_set
 from studies.correspondence.study import (
     BLOCK_RUNS,
-    FALSE,
-    LOST,
     OUTLIERS,
-    PART,
     PRIOR_DISTURBED_RAD,
-    condition_key,
     condition_of,
     pair_points,
-    verdict,
+    stated_sigmas_mm,
 )
 from studies.correspondence.tables import GOAL_FALSE, GOAL_UNSUCCESSFUL, THESIS_FALSE, THESIS_UNSUCCESSFUL
-from studies.heads import (
-    HALF_AXES_MM,
-    IMAGE_SIGMA_MM,
-    PATIENTS,
-    PHYSICAL_SIGMA_MM,
-    NoiseReading,
-    draw_readings,
-    per_axis_mm,
-    uniform_in_ball,
-)
+from studies.heads import HALF_AXES_MM, PATIENTS, NoiseReading, draw_readings, uniform_in_ball
 
 Array = NDArray[np.float64]
 
@@ -55,7 +55,7 @@ PLAIN, COUNTED, TEMPLATE, ORIENTED = "distances", "+ planned count", "template",
 
 
 @dataclass(frozen=True)
-class TemplateStudy:
+class TemplateStudy(Study):
     """Template study with `runs` per noise model, head, number of markers and number of outliers."""
 
     runs: int
@@ -63,19 +63,10 @@ class TemplateStudy:
     margin_mm: float = MARGIN_MM
     name: str = "correspondence-template"
 
-    def settings(self) -> dict[str, object]:
-        return {**asdict(self), "implanted_mm": IMPLANTED_MM}
+    constants: ClassVar = {"implanted_mm": IMPLANTED_MM}
 
     def units(self) -> Sequence[Unit]:
-        """List the units in the order noise model, patient, markers, outliers."""
-        return [
-            unit
-            for noise in NoiseReading
-            for patient in PATIENTS
-            for count in MARKERS
-            for outliers in OUTLIERS
-            for unit in blocks(condition_key(noise, patient, count, outliers), self.runs, BLOCK_RUNS)
-        ]
+        return blocks_of_each(product(NoiseReading, PATIENTS, MARKERS, OUTLIERS), self.runs, BLOCK_RUNS)
 
     def run(self, unit: Unit) -> Sums:
         """Count the outcomes of every method, keyed `method|outcome`."""
@@ -85,13 +76,12 @@ class TemplateStudy:
         seen = draw_readings(template_mm, count, outliers, noise, unit.runs, random, IMPLANTED_MM)
         tilts = Rotation.from_rotvec(uniform_in_ball(unit.runs, PRIOR_DISTURBED_RAD, random))
         sums: Counter[str] = Counter()
-        for run, (pairs, prior) in enumerate(zip(seen.pairs.tolist(), tilts * seen.rotations, strict=True)):
-            right = frozenset((i, j) for i, j in pairs)
+        for run, (pairs, prior) in enumerate(zip(seen.pairs, tilts * seen.rotations, strict=True)):
             for method, found in _solve_by_each(
                 template_mm, seen.image_mm[run], seen.physical_mm[run], noise, Prior(prior)
             ).items():
-                sums[f"{method}|{verdict(found.status, found.pairs, right)}"] += 1
-        return {key: float(value) for key, value in sums.items()}
+                sums[f"{method}|{outcome_of(found, pair_set(pairs))}"] += 1
+        return as_sums(sums)
 
 
 @cache
@@ -109,8 +99,7 @@ def _solve_by_each(
             template_mm,
             image_mm,
             physical_mm,
-            sigma_image_mm=per_axis_mm(IMAGE_SIGMA_MM, noise),
-            sigma_physical_mm=per_axis_mm(PHYSICAL_SIGMA_MM, noise),
+            **stated_sigmas_mm(noise),
             sigma_template_mm=IMPLANTED_SIGMA_MM,
             prior=known,
         )
@@ -125,32 +114,29 @@ def _solve_by_each(
 
 def tables(sums: Mapping[str, Sums]) -> list[Table]:
     """Tabulate each noise model, method and number of markers next to five to eight markers."""
-    counted: dict[tuple[NoiseReading, int, str], dict[int, Counter[str]]] = {}
-    for condition, content in sums.items():
-        noise, _, markers, outliers = condition_of(condition)
-        for key, number in content.items():
-            method, _, outcome = key.partition("|")
-            of_method = counted.setdefault((noise, markers, method), {})
-            of_method.setdefault(outliers, Counter())[outcome] += round(number)
+
+    def series_of(condition: str, method: str) -> tuple[NoiseReading, int, str]:
+        noise, _, markers, _ = condition_of(condition)
+        return noise, markers, method
+
     rows: list[dict[str, Cell]] = []
-    for (noise, markers, method), conditions in counted.items():
-        lost = {outliers: _share_percent(one, LOST, PART) for outliers, one in conditions.items()}
-        pooled = sum(conditions.values(), Counter())
-        false = _share_percent(pooled, FALSE)
+    for (noise, markers, method), one in count_outcomes(sums, series_of).items():
+        unsuccessful, false = one.percent(*UNSUCCESSFUL), one.percent(FALSE)
+        low, high = one.range_percent(*UNSUCCESSFUL)
         rows.append(
             {
                 "noise": noise.value,
                 "markers": markers,
                 "method": method,
-                "runs": pooled.total(),
-                **bounds.cells("unsuccessful %", bounds.percent(pooled[LOST] + pooled[PART], pooled.total())),
-                "over 0 to 4 outliers": f"{min(lost.values()):.3g}-{max(lost.values()):.3g}",
-                **bounds.cells("false %", bounds.percent(pooled[FALSE], pooled.total())),
+                "runs": one.runs,
+                **bounds.cells("unsuccessful %", unsuccessful),
+                "over 0 to 4 outliers": f"{low:.3g}-{high:.3g}",
+                **bounds.cells("false %", false),
                 "as 5 to 8 in the thesis": yes_or_no(
-                    max(lost.values()) <= THESIS_UNSUCCESSFUL[5][1] and false <= THESIS_FALSE[5][1]
+                    high <= THESIS_UNSUCCESSFUL[5][1] and false.value <= THESIS_FALSE[5][1]
                 ),
                 "as 5 to 8 here": yes_or_no(
-                    _share_percent(pooled, LOST, PART) <= GOAL_UNSUCCESSFUL and false <= GOAL_FALSE
+                    unsuccessful.value <= GOAL_UNSUCCESSFUL and false.value <= GOAL_FALSE
                 ),
             }
         )
@@ -164,7 +150,3 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
             f"% false. {bounds.NOTE}",
         )
     ]
-
-
-def _share_percent(outcomes: Counter[str], *which: str) -> float:
-    return 100.0 * sum(outcomes[one] for one in which) / outcomes.total()

@@ -9,7 +9,7 @@ from __future__ import annotations
 import tempfile
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from math import sqrt
 from pathlib import Path
 
@@ -19,7 +19,22 @@ from numpy.typing import NDArray
 from procedures.imaging import Volume, localize, read_series
 from procedures.imaging.errors import MarkerCountWrong
 from procedures.imaging.markers import Candidate, Marker
-from studies.campaign.study import Cell, Sums, Table, Unit, blocks, generator, yes_or_no
+from studies.campaign.study import (
+    GOALS,
+    Cell,
+    Study,
+    Sums,
+    Table,
+    Unit,
+    as_sums,
+    blocks_of_each,
+    generator,
+    judge,
+    judge_at_least,
+    judge_at_most,
+    judge_within,
+    pool,
+)
 from studies.localization.phantom_scans import scan_phantom
 from studies.localization.study import CHI2_AT_TAIL, SAME_SPHERE_MM, SEED_BOUND
 
@@ -35,19 +50,15 @@ LEAST_SPHERES = 300
 
 
 @dataclass(frozen=True)
-class MetalStudy:
+class MetalStudy(Study):
     """Localization of spheres on metal, by number of volumes per protocol."""
 
     volumes: int
     seed: int = 0
     name: str = "localization-metal"
 
-    def settings(self) -> dict[str, object]:
-        return asdict(self)
-
     def units(self) -> Sequence[Unit]:
-        """Return one unit per volume."""
-        return [unit for protocol in PROTOCOLS for unit in blocks(protocol, self.volumes, 1)]
+        return blocks_of_each(([protocol] for protocol in PROTOCOLS), self.volumes, 1)
 
     def run(self, unit: Unit) -> Sums:
         """Return the counts and sums of squares (mm2) of one volume."""
@@ -98,15 +109,12 @@ def count_spheres(
         sums[f"{kind}|error2"] += float(error @ error)
         sums[f"{kind}|chi2"] += chi2
         sums[f"{kind}|tail"] += chi2 > CHI2_AT_TAIL
-    return {key: float(value) for key, value in sums.items()}
+    return as_sums(sums)
 
 
 def tables(sums: Mapping[str, Sums]) -> list[Table]:
     """Tabulate the results by protocol and together, and compare them with the goals."""
-    together: dict[str, float] = defaultdict(float)
-    for one in sums.values():
-        for key, value in one.items():
-            together[key] += value
+    together = pool(sums.values())
     rows = [
         _make_row(protocol, kind, total)
         for protocol, total in [*sums.items(), ("all", together)]
@@ -120,7 +128,7 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
             "are 3-D. chi² / 3n is 1 when the stated covariances are right. A doubtful sphere is listed "
             "with its picture and odds; a missed one is not listed.",
         ),
-        Table("Goals", ("figure", "value", "goal", "met"), _judge(together)),
+        Table("Goals", GOALS, _judge(together)),
     ]
 
 
@@ -146,19 +154,16 @@ def _judge(total: Mapping[str, float]) -> list[Sequence[Cell]]:
         for what in ("spheres", "missed", "doubtful", "found", "chi2")
     )
     false = total.get("false", 0.0)
-    rows: list[Sequence[Cell]] = [
-        ("spheres", int(spheres), f"at least {LEAST_SPHERES}", yes_or_no(spheres >= LEAST_SPHERES)),
-        ("missed: not even listed", int(missed), "0", yes_or_no(missed == 0)),
-        ("doubtful: listed, not counted", int(doubtful), "0", yes_or_no(doubtful == 0)),
-        ("false", int(false), "0", yes_or_no(false == 0)),
+    rows = [
+        judge_at_least("spheres", int(spheres), LEAST_SPHERES),
+        judge("missed: not even listed", int(missed), "0", missed == 0),
+        judge("doubtful: listed, not counted", int(doubtful), "0", doubtful == 0),
+        judge("false", int(false), "0", false == 0),
     ]
     for kind, most_um in RMS_UM.items():
         if count := total.get(f"{kind}|found", 0.0):
             rms_um = 1e3 * sqrt(total[f"{kind}|error2"] / count)
-            rows.append(
-                (f"rms µm, {kind} streaks", rms_um, f"at most {most_um:g}", yes_or_no(rms_um <= most_um))
-            )
+            rows.append(judge_at_most(f"rms µm, {kind} streaks", rms_um, most_um))
     if found:
-        (low, high), per_degree = CHI2, chi2 / (3.0 * found)
-        rows.append(("chi² / 3n", per_degree, f"{low:g} to {high:g}", yes_or_no(low <= per_degree <= high)))
+        rows.append(judge_within("chi² / 3n", chi2 / (3.0 * found), CHI2))
     return rows

@@ -64,12 +64,20 @@ def scan_phantom(
     """Generate a scan in the folder and return its series path and ground truth. Raises STU-006."""
     arguments = ["--family", family, "--protocol", protocol, "--fiducials", fiducials]
     arguments += [] if markers is None else ["--markers", str(markers)]
-    words = command("sim.cli", "phantom", "--out", str(folder), "--seed", str(seed), "--json", *arguments)
+    announcement = run_phantom(
+        f"{family}, {protocol}, seed {seed}", "--out", str(folder), "--seed", str(seed), *arguments
+    )
+    return Path(announcement["series"]), json.loads(Path(announcement["truth"]).read_text(encoding="utf-8"))
+
+
+def run_phantom(what: str, *arguments: str) -> dict[str, str]:
+    """Run `ronna-sim phantom` for a scan and return what it announces. Raises STU-006."""
+    words = command("sim.cli", "phantom", "--json", *arguments)
     done = run_command("ronna-sim phantom", words, PHANTOM_LIMIT_S)
     if done.returncode != 0:
-        raise PHANTOM_FAILED(f"{family}, {protocol}, seed {seed}", got=" ".join(done.stderr.split()))
-    announcement = json.loads(done.stdout)
-    return Path(announcement["series"]), json.loads(Path(announcement["truth"]).read_text(encoding="utf-8"))
+        raise PHANTOM_FAILED(what, got=" ".join(done.stderr.split()))
+    announcement: dict[str, str] = json.loads(done.stdout)
+    return announcement
 
 
 def bound_mm(truth: dict[str, Any]) -> float:

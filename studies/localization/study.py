@@ -9,9 +9,11 @@ from __future__ import annotations
 
 from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from contextlib import suppress
+from dataclasses import dataclass
 from enum import StrEnum
-from itertools import combinations
+from itertools import combinations, product
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +23,7 @@ from procedures.imaging.errors import MarkerCountWrong, PickRefused
 from procedures.imaging.markers import ESTIMATORS_DISAGREE, Marker
 from procedures.registration.point_registration import register
 from ronna_hw.x_frame import SPHERE_CENTRES_MM
-from studies.campaign.study import Sums, Unit, blocks, generator, omit_empty_own
+from studies.campaign.study import Study, Sums, Unit, as_sums, blocks, blocks_of_each, generator
 from studies.errors import NOT_FOR_JUDGING
 from studies.localization.phantom_scans import PhantomScan, phantom_scan
 from studies.plugins.answers import PluginLocalizer
@@ -66,7 +68,7 @@ AUTOMATIC = (StudiedLocalization.OURS, StudiedLocalization.THESIS_LINE, StudiedL
 
 
 @dataclass(frozen=True)
-class LocalizationStudy:
+class LocalizationStudy(Study):
     """Localization study by number of volumes per family and protocol, and of five-scan frame sets."""
 
     volumes: int
@@ -77,13 +79,11 @@ class LocalizationStudy:
     name: str = "localization"
     own: tuple[PluginMethod, ...] = ()
 
-    def settings(self) -> dict[str, object]:
-        return {**omit_empty_own(asdict(self)), "sums": SUMS}
+    constants: ClassVar = {"sums": SUMS}
 
     def units(self) -> Sequence[Unit]:
-        """Return one unit per volume, then one per set of frame scans."""
-        conditions = [f"{family}|{protocol}" for protocol in self.protocols for family in self.families]
-        volumes = [unit for condition in conditions for unit in blocks(condition, self.volumes, 1)]
+        conditions = ((family, protocol) for protocol, family in product(self.protocols, self.families))
+        volumes = blocks_of_each(conditions, self.volumes, 1)
         return [*volumes, *blocks(f"{FRAMES}|{FRAME_PROTOCOL}", self.sets, 1)]
 
     def run(self, unit: Unit) -> Sums:
@@ -103,7 +103,7 @@ class LocalizationStudy:
                     sums.update(_count_localization(method, scan))
                 for localizer in own:
                     sums.update(_count_outcomes(localizer.name, localizer(scan.volume), (), scan))
-        return {key: float(value) for key, value in sums.items()}
+        return as_sums(sums)
 
 
 def localize_by(method: StudiedLocalization, volume: Volume) -> Localization | None:
@@ -116,16 +116,14 @@ def localize_by(method: StudiedLocalization, volume: Volume) -> Localization | N
         return None
 
 
-def _count_localization(method: StudiedLocalization, scan: PhantomScan) -> dict[str, float]:
+def _count_localization(method: StudiedLocalization, scan: PhantomScan) -> Sums:
     result = localize_by(method, scan.volume)
     return _count_outcomes(
         method, None if result is None else result.centres_mm, result.markers if result else (), scan
     )
 
 
-def _count_outcomes(
-    who: str, found_mm: Array | None, markers: Sequence[Marker], scan: PhantomScan
-) -> dict[str, float]:
+def _count_outcomes(who: str, found_mm: Array | None, markers: Sequence[Marker], scan: PhantomScan) -> Sums:
     """Count hits, misses and errors in a volume. Covariances are judged only if `markers` are given.
 
     Spheres cut by the field of view count neither as missed nor as false.
@@ -158,35 +156,33 @@ def _count_outcomes(
         if length_mm > LARGE_ERROR_MM:
             sums["large"] += 1
             sums["large flagged"] += ESTIMATORS_DISAGREE in marker.flags
-    return {f"{who}|{key}": float(value) for key, value in sums.items()}
+    return as_sums({f"{who}|{key}": value for key, value in sums.items()})
 
 
-def _localize_frame_set(random: np.random.Generator, own: Sequence[PluginLocalizer] = ()) -> dict[str, float]:
+def _localize_frame_set(random: np.random.Generator, own: Sequence[PluginLocalizer]) -> Sums:
     """Localize five scans of the frame. Return each method's FREs to the frame and between scans."""
-    points: dict[str, list[Array]] = {}
+    points: dict[str, list[Array]] = defaultdict(list)
     for family in FRAME_FAMILIES:
         seed = int(random.integers(SEED_BOUND))
         with phantom_scan(family, FRAME_PROTOCOL, seed, "xframe") as scan:
+            found: dict[str, Array | None] = {}
             for method in AUTOMATIC:
                 result = localize_by(method, scan.volume)
-                ordered = None if result is None else _match_in_order(result.centres_mm, scan.centres_mm)
-                if ordered is not None:
-                    points.setdefault(method.value, []).append(ordered)
-            for localizer in own:
-                ordered = _match_in_order(localizer(scan.volume), scan.centres_mm)
-                if ordered is not None:
-                    points.setdefault(localizer.name, []).append(ordered)
+                found[method.value] = None if result is None else result.centres_mm
+            found |= {localizer.name: localizer(scan.volume) for localizer in own}
             picks: list[Array] = []
             for number, fle_mm in enumerate(OPERATORS_FLE_MM, start=1):
                 picks.append(scan.centres_mm + random.normal(size=(4, 3)) * fle_mm / np.sqrt(3.0))
-                points.setdefault(f"{StudiedLocalization.PERSON} {number}", []).append(picks[-1])
-            ordered = _refine_picks(scan, picks[0])
-            if ordered is not None:
-                points.setdefault(StudiedLocalization.REFINED.value, []).append(ordered)
+                points[f"{StudiedLocalization.PERSON} {number}"].append(picks[-1])
+            found[StudiedLocalization.REFINED.value] = _refine_picks(scan, picks[0])
+            for who, found_mm in found.items():
+                ordered = None if found_mm is None else _match_in_order(found_mm, scan.centres_mm)
+                if ordered is not None:
+                    points[who].append(ordered)
     return fle_sums(points)
 
 
-def fle_sums(points: Mapping[str, Sequence[Array]]) -> dict[str, float]:
+def fle_sums(points: Mapping[str, Sequence[Array]]) -> Sums:
     """Sum the squared FREs (mm2) of all scans (4, 3), to the frame's coordinates and to each other."""
     frame = np.array(SPHERE_CENTRES_MM)
     sums: dict[str, float] = defaultdict(float, sets=1.0)
@@ -197,15 +193,13 @@ def fle_sums(points: Mapping[str, Sequence[Array]]) -> dict[str, float]:
         for one, other in combinations(scans, 2):
             sums[f"{who}|pair fre2"] += register(one, other).fre_mm ** 2
             sums[f"{who}|pair runs"] += 1
-    return {key: float(value) for key, value in sums.items()}
+    return as_sums(sums)
 
 
 def _refine_picks(scan: PhantomScan, picks_mm: Array) -> Array | None:
-    try:
-        result = localize_picks(scan.volume, picks_mm)
-    except PickRefused:
-        return None
-    return _match_in_order(result.centres_mm, scan.centres_mm)
+    with suppress(PickRefused):
+        return localize_picks(scan.volume, picks_mm).centres_mm
+    return None
 
 
 def _match_in_order(found_mm: Array, centres_mm: Array) -> Array | None:

@@ -2,14 +2,23 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from math import sqrt
 
 from procedures.registration.error_theory import fle_from_fre_mm, fle_of_one_space_mm
 from studies.campaign import bounds
 from studies.campaign.plots import bars
-from studies.campaign.study import Cell, Sums, Table, yes_or_no
+from studies.campaign.study import (
+    GOALS,
+    Cell,
+    Sums,
+    Table,
+    judge,
+    judge_at_least,
+    judge_at_most,
+    judge_within,
+    pool,
+)
 from studies.localization.study import (
     AUTOMATIC,
     BIN_MM,
@@ -38,21 +47,19 @@ LEAST_SPHERES, LEAST_OBJECTS, LEAST_VOLUMES = 500, 500, 100
 FLAGGED_PERCENT = 90.0  # of errors above 0.1 mm
 
 
-def tables_and_goals(sums: Mapping[str, Sums]) -> list[Table]:
-    """Return all tables of the study, ending with the goals if evaluation families were scanned."""
-    held = goals(sums)
-    return [*tables(sums), held] if held is not None else tables(sums)
-
-
 Condition = tuple[str, str]  # family and protocol
 
 
 def tables(sums: Mapping[str, Sums]) -> list[Table]:
-    """Tabulate pooled results, results by family, and the errors of the thesis' tables 2 and 3."""
+    """Tabulate pooled results, results by family, the errors of the thesis' tables 2 and 3, and the goals.
+
+    The goals are left out if no evaluation families were scanned.
+    """
     scans, frames = _split_scans(sums)
     of_frames = [_tabulate_fle(frames)] if frames else []
     if not scans:
         return of_frames
+    held = goals(sums)
     together: list[Mapping[str, Cell]] = []
     for protocol in _list_protocols(scans):
         for words, streaked in (("without", False), ("with", True)):
@@ -77,7 +84,7 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
             "Goals: 10 µm good, 20 poor; 35 and 50 with streaks; 40 under a bandage.",
         ),
     ]
-    return [*found, *of_frames]
+    return [*found, *of_frames, *(() if held is None else (held,))]
 
 
 def plots(sums: Mapping[str, Sums]) -> dict[str, bytes]:
@@ -124,7 +131,7 @@ def goals(sums: Mapping[str, Sums]) -> Table | None:
     rows.append(_judge_tail(everything, "all families"))
     return Table(
         "Goals",
-        ("figure", "value", "goal", "met"),
+        GOALS,
         [*rows, *_judge_detection(everything)],
         "chi² / 3n compares the errors with the stated covariances; 1 is consistent.",
     )
@@ -133,14 +140,14 @@ def goals(sums: Mapping[str, Sums]) -> Table | None:
 def _split_scans(sums: Mapping[str, Sums]) -> tuple[dict[Condition, Sums], Sums]:
     """Separate the sums of volumes, by condition, from the sums of all frame sets."""
     scans: dict[Condition, Sums] = {}
-    frames: Counter[str] = Counter()
+    frames: list[Sums] = []
     for condition, content in sums.items():
         family, protocol = condition.split("|")
         if family == FRAMES:
-            frames.update(content)
+            frames.append(content)
         else:
             scans[family, protocol] = content
-    return scans, dict(frames)
+    return scans, pool(frames)
 
 
 def _list_protocols(scans: Mapping[Condition, Sums]) -> list[str]:
@@ -154,12 +161,13 @@ def _pool_scans(
     protocol: str | None = None,
     streaked: bool | None = None,
 ) -> Sums:
-    total: Counter[str] = Counter()
-    for (of_family, of_protocol), content in scans.items():
-        is_selected = family in (None, of_family) and protocol in (None, of_protocol)
-        if is_selected and streaked in (None, of_family in STREAKED):
-            total.update(content)
-    return dict(total)
+    return pool(
+        content
+        for (of_family, of_protocol), content in scans.items()
+        if family in (None, of_family)
+        and protocol in (None, of_protocol)
+        and streaked in (None, of_family in STREAKED)
+    )
 
 
 def _make_fle_bars(total: Sums) -> dict[str, dict[str, float]]:
@@ -290,10 +298,10 @@ def _judge_accuracy(total: Sums, protocol: str, streaked: bool, found: float) ->
     rms_um = 1e3 * sqrt(sum_of_method(total, StudiedLocalization.OURS, "error2") / found)
     rows: list[Sequence[Cell]] = []
     if protocol in RMS_UM:
-        rows.append(_check_at_most(f"rms µm, {condition_text}", rms_um, RMS_UM[protocol][streaked]))
+        rows.append(judge_at_most(f"rms µm, {condition_text}", rms_um, RMS_UM[protocol][streaked]))
     share_um = percentile_um(total, StudiedLocalization.OURS, found)
     if streaked and share_um is not None and protocol in SHARE_95_UM:
-        rows.append(_check_at_most(f"95th percentile µm, {condition_text}", share_um, SHARE_95_UM[protocol]))
+        rows.append(judge_at_most(f"95th percentile µm, {condition_text}", share_um, SHARE_95_UM[protocol]))
     return rows
 
 
@@ -305,10 +313,10 @@ def _judge_single(total: Sums, family: str, protocol: str) -> list[Sequence[Cell
     rows: list[Sequence[Cell]] = []
     if family in COVERED:
         rms_um = 1e3 * sqrt(sum_of_method(total, StudiedLocalization.OURS, "error2") / found)
-        rows.append(_check_at_most(f"rms µm, {protocol}, {family}", rms_um, COVERED_RMS_UM))
+        rows.append(judge_at_most(f"rms µm, {protocol}, {family}", rms_um, COVERED_RMS_UM))
     largest_um = percentile_um(total, StudiedLocalization.OURS, found, 1.0)
     if largest_um is not None:
-        rows.append(_check_at_most(f"largest error µm, {protocol}, {family}", largest_um, LARGEST_UM))
+        rows.append(judge_at_most(f"largest error µm, {protocol}, {family}", largest_um, LARGEST_UM))
     return rows
 
 
@@ -317,12 +325,11 @@ def _judge_covariances(total: Sums, family: str) -> list[Sequence[Cell]]:
     found = sum_of_method(total, StudiedLocalization.OURS, "found")
     if not found:
         return []
-    (low, high), chi2 = CHI2, sum_of_method(total, StudiedLocalization.OURS, "chi2") / (3.0 * found)
+    chi2 = sum_of_method(total, StudiedLocalization.OURS, "chi2") / (3.0 * found)
     spheres = int(sum_of_method(total, StudiedLocalization.OURS, "spheres"))
-    enough = yes_or_no(spheres >= LEAST_OF_A_FAMILY)
     return [
-        (f"spheres, {family}", spheres, f"at least {LEAST_OF_A_FAMILY}", enough),
-        (f"chi² / 3n, {family}", chi2, f"{low:g} to {high:g}", yes_or_no(low <= chi2 <= high)),
+        judge_at_least(f"spheres, {family}", spheres, LEAST_OF_A_FAMILY),
+        judge_within(f"chi² / 3n, {family}", chi2, CHI2),
         _judge_tail(total, family),
     ]
 
@@ -332,7 +339,7 @@ def _judge_tail(total: Sums, condition_text: str) -> Sequence[Cell]:
 
     found, in_tail = (sum_of_method(total, StudiedLocalization.OURS, key) for key in ("found", "tail"))
     most = float(binom.ppf(1.0 - CHANCE, int(found), TAIL))
-    return _check_at_most(f"errors outside 99 %, {condition_text}", int(in_tail), most)
+    return judge_at_most(f"errors outside 99 %, {condition_text}", int(in_tail), most)
 
 
 def _judge_detection(total: Sums) -> list[Sequence[Cell]]:
@@ -340,19 +347,14 @@ def _judge_detection(total: Sums) -> list[Sequence[Cell]]:
         sum_of_method(total, StudiedLocalization.OURS, key) for key in ("spheres", "missed", "false", "large")
     )
     objects, volumes = total.get("objects", 0.0), total.get("volumes", 0.0)
-    rows: list[Sequence[Cell]] = [
-        ("spheres", int(spheres), f"at least {LEAST_SPHERES}", yes_or_no(spheres >= LEAST_SPHERES)),
-        ("other objects", int(objects), f"at least {LEAST_OBJECTS}", yes_or_no(objects >= LEAST_OBJECTS)),
-        ("volumes", int(volumes), f"at least {LEAST_VOLUMES}", yes_or_no(volumes >= LEAST_VOLUMES)),
-        ("missed", int(missed), "0", yes_or_no(missed == 0)),
-        ("false", int(false), "0", yes_or_no(false == 0)),
+    rows = [
+        judge_at_least("spheres", int(spheres), LEAST_SPHERES),
+        judge_at_least("other objects", int(objects), LEAST_OBJECTS),
+        judge_at_least("volumes", int(volumes), LEAST_VOLUMES),
+        judge("missed", int(missed), "0", missed == 0),
+        judge("false", int(false), "0", false == 0),
     ]
     if large:
         share = 100.0 * sum_of_method(total, StudiedLocalization.OURS, "large flagged") / large
-        goal = f"at least {FLAGGED_PERCENT:g}"
-        rows.append(("errors above 0.1 mm flagged, %", share, goal, yes_or_no(share >= FLAGGED_PERCENT)))
+        rows.append(judge_at_least("errors above 0.1 mm flagged, %", share, FLAGGED_PERCENT))
     return rows
-
-
-def _check_at_most(what: str, value: float, most: float) -> tuple[Cell, ...]:
-    return (what, value, f"at most {most:g}", yes_or_no(value <= most))

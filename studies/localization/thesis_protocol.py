@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from itertools import combinations
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +22,7 @@ from procedures.registration.rigid_fit import fit_rigid, residuals
 from procedures.registration.template import find_layout
 from ronna_hw.x_frame import CLOSE_SPHERE_CENTRES_MM
 from studies.campaign import bounds
-from studies.campaign.study import Cell, Sums, Table, Unit, generator, yes_or_no
+from studies.campaign.study import Cell, Study, Sums, Table, Unit, generator, yes_or_no
 from studies.localization.phantom_scans import PhantomScan, phantom_scan
 from studies.localization.study import AUTOMATIC, SAME_SPHERE_MM, SEED_BOUND, StudiedLocalization, localize_by
 from studies.localization.tables import IN_THE_THESIS
@@ -103,24 +104,21 @@ def localize_scan(scan: PhantomScan) -> dict[StudiedLocalization, LocalizedScan]
 
 
 @dataclass(frozen=True)
-class ThesisLocalizationStudy:
+class ThesisLocalizationStudy(Study):
     """Localization study by the thesis' protocol. Only the CPU times differ from run to run."""
 
     seed: int = 0
     name: str = "localization-thesis"
 
-    def settings(self) -> dict[str, object]:
-        return {
-            **asdict(self),
-            "scans": len(THESIS_SCANS),
-            "spheres": sum(scan.spheres for scan in THESIS_SCANS),
-            "protocol": PROTOCOL,
-            "largest_scale_error": LARGEST_SCALE_ERROR,
-            "scale_draws": SCALE_DRAWS,
-        }
+    constants: ClassVar = {
+        "scans": len(THESIS_SCANS),
+        "spheres": sum(scan.spheres for scan in THESIS_SCANS),
+        "protocol": PROTOCOL,
+        "largest_scale_error": LARGEST_SCALE_ERROR,
+        "scale_draws": SCALE_DRAWS,
+    }
 
     def units(self) -> Sequence[Unit]:
-        """Return one unit per scan, in order."""
         return [Unit(scan.condition, 0, 1) for scan in THESIS_SCANS]
 
     def run(self, unit: Unit) -> Sums:

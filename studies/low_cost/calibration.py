@@ -18,8 +18,8 @@ from ronna_hw.devices.sensors import OpticalTracker
 from ronna_hw.frames import Transform
 from ronna_hw.vectors import JointVector
 from studies.low_cost.arms import PositionedArm
+from studies.low_cost.devices import look
 from studies.low_cost.positioning import TipModel
-from studies.low_cost.sight import look
 from studies.low_cost.targets import REFERENCE
 
 Array = NDArray[np.float64]

@@ -59,25 +59,21 @@ class Place(NamedTuple):
     target: int
 
     def key(self, quantity: Quantity) -> str:
-        """Return the name of a figure here."""
         return SEPARATOR.join([*map(str, self), quantity])
 
 
-def read_key(key: str) -> tuple[Place, Quantity] | None:
-    """Return the place and quantity of a name; None for the name of a figure that is not at a target."""
-    parts = key.split(SEPARATOR)
-    if len(parts) != len(Place._fields) + 1:
+def find_place(key: str, quantity: Quantity) -> Place | None:
+    """Return the place at which a name is that of this figure; None for any other figure."""
+    *place, last = key.split(SEPARATOR)
+    if last != quantity or len(place) != len(Place._fields):
         return None
-    method, dimensions, orientation, target, quantity = parts
-    place = Place(CalibrationMethod(method), DimensionSource(dimensions), int(orientation), int(target))
-    return place, Quantity(quantity)
+    method, dimensions, orientation, target = place
+    return Place(CalibrationMethod(method), DimensionSource(dimensions), int(orientation), int(target))
 
 
 def absolute_key(dimensions: DimensionSource, extent: Extent) -> str:
-    """Return the name of the absolute error of an arm alone."""
     return SEPARATOR.join(("absolute", dimensions, extent))
 
 
 def fit_key(dimensions: DimensionSource, fit: Fit) -> str:
-    """Return the name of a figure of the calibration."""
     return SEPARATOR.join(("calibration", dimensions, fit))

@@ -36,7 +36,6 @@ class TrueError:
     angle_rad: float
 
     def sums(self, place: Place) -> Sums:
-        """Return both as named figures."""
         return {
             place.key(Quantity.ERROR_MM): self.distance_mm,
             place.key(Quantity.ANGLE_DEG): float(np.degrees(self.angle_rad)),
@@ -52,7 +51,6 @@ class Judge:
         self._flange_from_tip = matrix_of(scene.mount.flange_from_tool_true)
 
     def error(self, target: StudiedTarget) -> TrueError:
-        """Return the error of the tip at a target."""
         tip = self._world.arm().robot_from_flange @ self._flange_from_tip
         wanted = self._robot_from_ct @ target.ct_from_tool.as_matrix()
         turned = Rotation.from_matrix(wanted[:3, :3].T @ tip[:3, :3]).magnitude()
@@ -112,7 +110,6 @@ def distance_errors_mm(found_mm: Array, true_mm: Array) -> Array:
 
 
 def named_pose(place_mm: Array, rotation: Rotation) -> Transform:
-    """Return a pose ROBOT <- TOOL."""
     return Transform.of(
         Frame.ROBOT, Frame.TOOL, translation_mm=place_mm, quaternion_wxyz=rotation.as_quat(scalar_first=True)
     )

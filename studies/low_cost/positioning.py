@@ -21,7 +21,7 @@ from ronna_hw.frames import Frame, Transform
 from ronna_hw.vectors import JointVector
 from studies.errors import PHANTOM_OUT_OF_REACH
 from studies.low_cost.arms import PositionedArm
-from studies.low_cost.sight import StudiedSight, require_look
+from studies.low_cost.devices import StudiedSight, require_look
 
 SETTLED_MM, SETTLED_RAD = 0.1, math.radians(0.1)
 MOST_ROUNDS = 5

@@ -6,7 +6,6 @@ frame at the same time, so that the CT is registered to that frame and the phant
 
 from __future__ import annotations
 
-import json
 import math
 import tempfile
 from collections.abc import Callable
@@ -28,17 +27,16 @@ from ronna_hw.calibration import Numbers3, PoseRecord, Strict
 from ronna_hw.devices.sensors import OpticalTracker, new_frames
 from ronna_hw.devices.strays import average_strays
 from ronna_hw.frames import Frame, Transform
-from ronna_hw.host.child_process import command, run_command
 from ronna_hw.records import write_atomically
 from sim.world.noise import noise
 from sim.world.rigid import pose_of
 from sim.world.scene.model import CtProtocol, Scene
 from sim.world.scene.named_scenes import MINI_CT
-from studies.errors import LEDGER_UNREADABLE, OTHER_STUDY, PHANTOM_FAILED, TRACKER_NOT_SIMULATED
+from studies.errors import LEDGER_UNREADABLE, OTHER_STUDY, TRACKER_NOT_SIMULATED
+from studies.localization.phantom_scans import run_phantom
 from studies.low_cost.calibration import fit_pivot
-from studies.low_cost.devices import FRAME_LIMIT_S, PHANTOM_FRAME, Hand, open_room
+from studies.low_cost.devices import FRAME_LIMIT_S, PHANTOM_FRAME, Hand, open_room, require_look
 from studies.low_cost.room import draw_room, drawn_marker_in_tip, phantom_centre_mm
-from studies.low_cost.sight import require_look
 from studies.low_cost.targets import REFERENCE
 
 Array = NDArray[np.float64]
@@ -47,15 +45,12 @@ FILE = "preparation.json"
 SCANNER_KEY = "low-cost scanner"  # of random numbers
 # Of the table feed: half of what quality control usually allows, 1 mm over the field of a head (250 mm).
 LARGEST_FEED_ERROR = 1.0 / 500.0
-SCAN_LIMIT_S = 300.0  # host time, as a safeguard
 PIVOTS = 40
 PIVOT_TILT_RAD, PIVOT_TURN_RAD = math.radians(30.0), math.radians(40.0)
 DIVOT_FROM_CENTRE_MM = (120.0, 40.0, 40.0)
 REGISTRATION_FRAMES = 100  # 5 s
-SPHERE_SIGMA_MM = (
-    0.1,
-    0.3,
-)  # of a sphere in the CT, and of its mean in the tracker, per axis, for the pairing
+# Per axis, for the pairing: of a sphere in the CT, and of its mean in the tracker.
+SPHERE_SIGMA_MM = (0.1, 0.3)
 
 
 class Preparation(Strict):
@@ -79,7 +74,6 @@ class Preparation(Strict):
 
     @property
     def registration(self) -> Transform:
-        """Pose PATIENT <- CT."""
         return self.patient_from_ct.transform(Frame.PATIENT, Frame.CT)
 
 
@@ -171,22 +165,11 @@ def _scan(scene: Scene, number: int, protocol: CtProtocol) -> Array:
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "scene.json"
         write_atomically(file, drawn.model_dump_json(by_alias=True).encode())
-        out = Path(folder) / "scan"
-        words = command(
-            "sim.cli",
-            "phantom",
-            "--scene",
-            str(file),
-            "--out",
-            str(out),
-            "--json",
-            "--table-scale",
-            f"{feed:.6f}",
+        out = str(Path(folder) / "scan")
+        scanned = run_phantom(
+            f"scan {number}", "--scene", str(file), "--out", out, "--table-scale", f"{feed:.6f}"
         )
-        done = run_command("ronna-sim phantom", words, SCAN_LIMIT_S)
-        if done.returncode != 0:
-            raise PHANTOM_FAILED(f"scan {number}", got=" ".join(done.stderr.split()))
-        return localize(read_series(Path(json.loads(done.stdout)["series"]))).centres_mm
+        return localize(read_series(Path(scanned["series"]))).centres_mm
 
 
 def _read_spheres(tracker: OpticalTracker) -> Array:

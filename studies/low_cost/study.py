@@ -21,10 +21,11 @@ from ronna_hw.frames import Frame, Transform
 from sim.world.rigid import matrix_of
 from sim.world.scene.model import ArmTruth, Scene
 from sim.world.world import World
-from studies.campaign.study import Sums, Unit
+from studies.campaign.study import Study, Sums, Table, Unit
+from studies.low_cost import tables
 from studies.low_cost.arms import InstantArm, PositionedArm, drive_arm, factory_kinematics
 from studies.low_cost.calibration import FrameCalibration, calibrate, take_looks
-from studies.low_cost.devices import open_room
+from studies.low_cost.devices import open_room, require_look
 from studies.low_cost.figures import (
     NOMINAL_ERROR_KEY,
     REPEATABILITY_KEY,
@@ -41,7 +42,6 @@ from studies.low_cost.judge import Judge, measure_accuracy_mm, measure_repeatabi
 from studies.low_cost.positioning import BelievedPositioning, TipModel, TipPositioner
 from studies.low_cost.preparation import Preparation
 from studies.low_cost.room import MODEL, PHANTOM_MM, TIP_IN_FLANGE_MM, draw_room, draw_ur5, nominal_error_mm
-from studies.low_cost.sight import require_look
 from studies.low_cost.targets import ORIENTATIONS_RAD, REFERENCE, StudiedTarget, draw_targets, oriented
 
 Array = NDArray[np.float64]
@@ -56,7 +56,7 @@ ACCURACY_KEY = 9283  # of the random numbers
 
 
 @dataclass(frozen=True)
-class LowCostStudy:
+class LowCostStudy(Study):
     """Study of `arms` UR5 in one room, each at `targets` points in three orientations."""
 
     arms: int
@@ -83,7 +83,6 @@ class LowCostStudy:
         }
 
     def units(self) -> Sequence[Unit]:
-        """List one unit per arm."""
         return [Unit(f"arm {number}", 0, 1) for number in range(self.arms)]
 
     def run(self, unit: Unit) -> Sums:
@@ -122,6 +121,12 @@ class LowCostStudy:
                 sums[closed.key(Quantity.SETTLED)] = float(reached.residual.is_settled)
         return sums
 
+    def tables(self, sums: Mapping[str, Sums]) -> list[Table]:
+        return tables.tables(self.preparation, sums)
+
+    def plots(self, sums: Mapping[str, Sums]) -> dict[str, bytes]:
+        return tables.plots(sums)
+
     @contextmanager
     def _open_arm(
         self, world: World, truth: ArmTruth, number: int
@@ -136,7 +141,6 @@ class LowCostStudy:
 
 
 def study_name(*, over_the_wire: bool) -> str:
-    """Return the name of the study, and of its folder."""
     return "low-cost-over-the-wire" if over_the_wire else "low-cost"
 
 

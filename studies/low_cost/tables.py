@@ -21,11 +21,10 @@ from studies.low_cost.figures import (
     DimensionSource,
     Extent,
     Fit,
-    Place,
     Quantity,
     absolute_key,
+    find_place,
     fit_key,
-    read_key,
 )
 from studies.low_cost.judge import distance_errors_mm
 from studies.low_cost.positioning import MOST_ROUNDS, SETTLED_MM
@@ -64,13 +63,8 @@ class Arm:
         """Return a quantity at all targets, (orientations, targets)."""
         found: dict[int, list[float]] = {}
         for key, value in self.sums.items():
-            match read_key(key):
-                case Place(at_method, dimensions, orientation, _), at_quantity if (
-                    at_method,
-                    dimensions,
-                    at_quantity,
-                ) == (method, model, quantity):
-                    found.setdefault(orientation, []).append(value)
+            if (place := find_place(key, quantity)) and (place.method, place.dimensions) == (method, model):
+                found.setdefault(place.orientation, []).append(value)
         return np.array([found[orientation] for orientation in sorted(found)])
 
     def __getitem__(self, name: str) -> float:
@@ -78,7 +72,6 @@ class Arm:
 
 
 def collect_arms(sums: Mapping[str, Sums]) -> list[Arm]:
-    """Return the finished arms in order."""
     return [Arm(int(condition.split()[1]), content) for condition, content in sums.items()]
 
 
@@ -171,7 +164,6 @@ def _fit_rise_mm(errors_mm: Array, means_mm: Array) -> float:
 
 
 def list_missed_relations(sums: Mapping[str, Sums]) -> list[str]:
-    """Describe the relations that do not hold."""
     return [str(row[0]) for row in tabulate_relations(collect_arms(sums)).rows if row[3] == yes_or_no(False)]
 
 
@@ -298,7 +290,7 @@ def plots(sums: Mapping[str, Sums]) -> dict[str, bytes]:
     lines = {
         f"method {name}": [
             (
-                arm[absolute_key(DimensionSource.NOMINAL, Extent.MEAN)],
+                arm[own_error],
                 float(arm.at_targets(method, model, Quantity.ERROR_MM).mean()),
             )
             for arm in arms

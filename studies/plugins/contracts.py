@@ -30,7 +30,6 @@ class MethodKind(StrEnum):
 
     @property
     def group(self) -> str:
-        """Name of the entry point group for this kind."""
         plural = "strategies" if self is MethodKind.STRATEGY else f"{self}s"
         return f"ronna_hw.{plural}"
 

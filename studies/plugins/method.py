@@ -86,7 +86,6 @@ def signature_of(kind: MethodKind) -> str:
 
 
 def is_in_site_packages(file: Path) -> bool:
-    """Return whether a file belongs to an installed package."""
     return not {*INSTALLED}.isdisjoint(file.parts)
 
 

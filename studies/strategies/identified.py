@@ -11,7 +11,8 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,7 +34,7 @@ from studies.accuracy.random_arms import RandomArms, draw_numbered_arm, solve_jo
 from studies.accuracy.scene import AXES, FINE_CT_MM, Sizes, StudiedScene
 from studies.campaign import bounds
 from studies.campaign.plots import boxes
-from studies.campaign.study import Sums, Table, Unit, blocks
+from studies.campaign.study import Study, Sums, Table, Unit, blocks
 from studies.strategies.study import DEPTHS_MM, PLACES, TARGETS
 
 Array = NDArray[np.float64]
@@ -50,18 +51,16 @@ HIGHEST = 99.0  # per cent
 
 
 @dataclass(frozen=True)
-class IdentifiedStudy:
+class IdentifiedStudy(Study):
     """Study of `arms` random arms of set S, each identified first and then used at all positions."""
 
     arms: int = 100
     seed: int = 0
     name: str = "strategies-identified"
 
-    def settings(self) -> dict[str, object]:
-        return {**asdict(self), "places": PLACES, "targets": TARGETS, "looks": LOOKS, "ct_mm": FINE_CT_MM}
+    constants: ClassVar = {"places": PLACES, "targets": TARGETS, "looks": LOOKS, "ct_mm": FINE_CT_MM}
 
     def units(self) -> Sequence[Unit]:
-        """Split the arms into blocks."""
         return blocks(CELL, self.arms, BLOCK_ARMS)
 
     def run(self, unit: Unit) -> Sums:
@@ -93,9 +92,8 @@ class IdentifiedStudy:
             for scene in scenes:
                 for strategy in STRATEGIES:
                     poses = planned[scene.number, strategy]
-                    errors = compute_identified_errors_mm(
-                        arm, believed, poses, scene, [number], Sizes(FINE_CT_MM)
-                    )
+                    case = IdentifiedCase(arm, believed, poses, scene, [number])
+                    errors = case.errors_mm(Sizes(FINE_CT_MM))
                     predictions = scene.predictions(poses, remaining, FINE_CT_MM)
                     for (target, count), length in np.ndenumerate(np.linalg.norm(errors, axis=-1)):
                         series = f"{strategy}|{scene.counts[count]}"
@@ -172,7 +170,6 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
 
 
 def plots(sums: Mapping[str, Sums]) -> dict[str, bytes]:
-    """Plot a box for each strategy and number of spheres."""
     groups = {
         f"{strategy} {count}": each.ravel() for (strategy, count), each in _collect_errors(sums).items()
     }
@@ -278,76 +275,52 @@ class BelievedArm:
         return places, turned @ self.flange_from_tool.rotation_matrix
 
 
-def compute_identified_errors_mm(
-    arm: RandomArms,
-    believed: BelievedArm,
-    planned: Postures,
-    scene: StudiedScene,
-    numbers: Sequence[int],
-    sizes: Sizes,
-) -> Array:
-    """Return one arm's error vectors (t, c, 3) in mm, like `StudiedScene.errors_mm` for many arms."""
-    image, recorded = record_spheres_mm(arm, believed, planned, scene, numbers, sizes)
-    return np.stack(
-        [
-            reach_targets_mm(
-                arm, believed, planned, scene, numbers, fit_rigid(image[None, :count], recorded[:, :count])
-            )
-            for count in scene.counts
-        ],
-        axis=1,
-    )
+@dataclass(frozen=True)
+class IdentifiedCase:
+    """Localizations and targets of one arm by a controller that believes in its identified model."""
 
+    arm: RandomArms
+    believed: BelievedArm
+    planned: Postures
+    scene: StudiedScene
+    numbers: Sequence[int]  # of the arm, for its random numbers
 
-def record_spheres_mm(
-    arm: RandomArms,
-    believed: BelievedArm,
-    planned: Postures,
-    scene: StudiedScene,
-    numbers: Sequence[int],
-    sizes: Sizes,
-) -> tuple[Array, Array]:
-    """Return one arm's spheres as imaged (n, 3) and as recorded in each set (s, n, 3), mm."""
-    chance, sets = scene.chance(numbers), planned.sets
-    spheres = scene.robot_from_ct.apply(scene.phantom.spheres_mm)
-    _, seen = solve_joints(
-        planned.localizations,
-        lambda joints: believed.tool(joints, planned.arrival),
-        lambda joints, _: (
-            np.tile(spheres, (sets, 1)) - arm.tool_points_mm(joints[None], planned.arrival[None])[0]
-        ),
-        planned.localizations.joints_rad.shape,
-    )
-    recorded = seen.reshape(sets, len(spheres), AXES)
-    recorded = recorded + sizes.servo_mm / np.sqrt(AXES) * chance.servo[0, :sets]
-    recorded = recorded + arm.repeatability_mm * chance.rest[0, :sets]
-    return scene.phantom.spheres_mm + sizes.ct_mm / np.sqrt(AXES) * chance.ct[0], recorded
+    def errors_mm(self, sizes: Sizes) -> Array:
+        """Return the error vectors (t, c, 3) in mm, like `StudiedScene.errors_mm` for many arms."""
+        image, recorded = self.record_spheres_mm(sizes)
+        fits = [fit_rigid(image[None, :count], recorded[:, :count]) for count in self.scene.counts]
+        return np.stack([self.reach_targets_mm(fit) for fit in fits], axis=1)
 
+    def record_spheres_mm(self, sizes: Sizes) -> tuple[Array, Array]:
+        """Return the spheres as imaged (n, 3) and as recorded in each set (s, n, 3), mm."""
+        planned, scene = self.planned, self.scene
+        chance, sets = scene.chance(self.numbers), planned.sets
+        spheres = scene.robot_from_ct.apply(scene.phantom.spheres_mm)
+        _, seen = solve_joints(
+            planned.localizations,
+            lambda joints: self.believed.tool(joints, planned.arrival),
+            lambda joints, _: (
+                np.tile(spheres, (sets, 1)) - self.arm.tool_points_mm(joints[None], planned.arrival[None])[0]
+            ),
+            planned.localizations.joints_rad.shape,
+        )
+        recorded = seen.reshape(sets, len(spheres), AXES)
+        recorded = recorded + sizes.servo_mm / np.sqrt(AXES) * chance.servo[0, :sets]
+        recorded = recorded + self.arm.repeatability_mm * chance.rest[0, :sets]
+        return scene.phantom.spheres_mm + sizes.ct_mm / np.sqrt(AXES) * chance.ct[0], recorded
 
-def reach_targets_mm(
-    arm: RandomArms,
-    believed: BelievedArm,
-    planned: Postures,
-    scene: StudiedScene,
-    numbers: Sequence[int],
-    fit: RigidFit,
-) -> Array:
-    """Return one arm's error vectors (t, 3) in mm at the targets, by the registration of each set."""
-    targets_ct = np.array([one.target_mm for one in scene.phantom.trajectories])
-    serving = [planned.set_of(target) for target in range(len(targets_ct))]
-    places = np.einsum("tij,tj->ti", fit.rotation[serving], targets_ct) + fit.translation_mm[serving]
-    joints = _solve_target_joints(believed, planned, places)
-    tips = arm.tool_points_mm(joints[None], planned.target_arrival[None])[0]
-    tips = tips + arm.repeatability_mm * scene.chance(numbers).target_rest[0]
-    return np.asarray(tips - scene.robot_from_ct.apply(targets_ct))
-
-
-def _solve_target_joints(believed: BelievedArm, planned: Postures, places_mm: Array) -> Array:
-    """Return the joints (t, 6) that the controller commands for these tool positions."""
-    joints, _ = solve_joints(
-        planned.targets,
-        lambda joints: believed.tool(joints, planned.target_arrival),
-        lambda _, at: places_mm - at,
-        planned.targets.joints_rad.shape,
-    )
-    return joints
+    def reach_targets_mm(self, fit: RigidFit) -> Array:
+        """Return the error vectors (t, 3) in mm at the targets, by the registration of each set."""
+        planned, scene = self.planned, self.scene
+        targets_ct = np.array([one.target_mm for one in scene.phantom.trajectories])
+        serving = [planned.set_of(target) for target in range(len(targets_ct))]
+        places = np.einsum("tij,tj->ti", fit.rotation[serving], targets_ct) + fit.translation_mm[serving]
+        joints, _ = solve_joints(
+            planned.targets,
+            lambda joints: self.believed.tool(joints, planned.target_arrival),
+            lambda _, at: places - at,
+            planned.targets.joints_rad.shape,
+        )
+        tips = self.arm.tool_points_mm(joints[None], planned.target_arrival[None])[0]
+        tips = tips + self.arm.repeatability_mm * scene.chance(self.numbers).target_rest[0]
+        return np.asarray(tips - scene.robot_from_ct.apply(targets_ct))

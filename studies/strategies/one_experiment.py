@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +25,7 @@ from studies.accuracy.phantom import FREE_SPHERES, Markers, Tilts, draw_phantom,
 from studies.accuracy.postures import Postures
 from studies.accuracy.random_arms import RandomArms, Source
 from studies.accuracy.scene import AXES, CT_FLE_MM, DIGITS, Chance, Sizes, StudiedScene
-from studies.campaign.study import Sums, Unit, blocks
+from studies.campaign.study import Study, Sums, Unit, blocks
 from studies.strategies.study import DEPTHS_MM, PLACES, TARGETS
 from studies.thesis_tables import TABLE_4, StrategyRow
 
@@ -63,24 +64,19 @@ STATISTICS: Mapping[str, Callable[[Array], float]] = {
 
 
 @dataclass(frozen=True)
-class OneExperimentStudy:
+class OneExperimentStudy(Study):
     """Study of `arms` random arms, each conditioned on table 4."""
 
     arms: int = MOST_ARMS
     seed: int = 0
     name: str = "strategies-one-experiment"
 
-    def settings(self) -> dict[str, object]:
-        return {
-            **asdict(self),
-            "places": PLACES,
-            "targets": TARGETS,
-            "tilts": asdict(TILTS),
-            "turn_share": TURN_SHARE,
-        }
+    constants: ClassVar = {
+        **{"places": PLACES, "targets": TARGETS},
+        **{"tilts": asdict(TILTS), "turn_share": TURN_SHARE},
+    }
 
     def units(self) -> Sequence[Unit]:
-        """Split the arms into blocks."""
         return blocks("arms", self.arms, BLOCK_ARMS)
 
     def run(self, unit: Unit) -> Sums:

@@ -9,15 +9,16 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from itertools import product
+from typing import ClassVar
 
 import numpy as np
 
 from studies.accuracy.phantom import ALIKE, USUAL_TILTS, Markers, draw_phantom
 from studies.accuracy.random_arms import RandomArms, Source
 from studies.accuracy.scene import DIGITS, SCENARIOS, SET_S, Scenario, Sizes, StudiedScene
-from studies.campaign.study import Sums, Unit, blocks, omit_empty_own
+from studies.campaign.study import Study, Sums, Unit, blocks_of_each
 from studies.plugins.method import PluginMethod
 from studies.plugins.strategy import PluginStrategy
 
@@ -42,7 +43,7 @@ READ_AGAIN = ("nos", "thesis-ocs")  # strategies run under the other interpretat
 
 
 @dataclass(frozen=True)
-class StrategiesStudy:
+class StrategiesStudy(Study):
     """Study of `arms` random arms at all positions, with our strategies, the thesis' and the user's."""
 
     arms: int = 200
@@ -50,32 +51,19 @@ class StrategiesStudy:
     name: str = "strategies"
     own: tuple[PluginMethod, ...] = ()
 
-    def settings(self) -> dict[str, object]:
-        return {
-            **omit_empty_own(asdict(self)),
-            "places": PLACES,
-            "targets": TARGETS,
-            "depths_mm": list(DEPTHS_MM),
-        }
+    constants: ClassVar = {"places": PLACES, "targets": TARGETS, "depths_mm": list(DEPTHS_MM)}
 
     def units(self) -> Sequence[Unit]:
-        """List the units for every part of the study, marker type and position."""
-        few = min(self.arms, MOST_ARMS_OF_SOURCES)
-        parts = [(TRIALS, self.arms), (SOURCES, few), (PREDICTION, ARMS_OF_PREDICTION)]
-        if self.own:
-            parts = parts[:1]
-        conditions = [
-            (f"{part}|{markers}|{number}", arms)
-            for part, arms in parts
-            for markers in Markers
-            for number in range(1, PLACES + 1)
-        ]
-        if self.own:
-            return [unit for condition, arms in conditions for unit in blocks(condition, arms, BLOCK_ARMS)]
+        places, few = range(1, PLACES + 1), min(self.arms, MOST_ARMS_OF_SOURCES)
         many = min(self.arms, MOST_ARMS_OF_OTHERS)
-        conditions += [(f"{SCENARIO}|{Markers.FREE}|{k}", many) for k in range(1, PLACES + 1)]
-        conditions += [(f"{one}|{Markers.FREE}|{k}", many) for one in READINGS for k in range(1, PLACES + 1)]
-        return [unit for condition, arms in conditions for unit in blocks(condition, arms, BLOCK_ARMS)]
+        parts = [(product((TRIALS,), Markers, places), self.arms)]
+        if not self.own:
+            parts += [
+                (product((SOURCES,), Markers, places), few),
+                (product((PREDICTION,), Markers, places), ARMS_OF_PREDICTION),
+                (product((SCENARIO, *READINGS), (Markers.FREE,), places), many),
+            ]
+        return [unit for keys, arms in parts for unit in blocks_of_each(keys, arms, BLOCK_ARMS)]
 
     def run(self, unit: Unit) -> Sums:
         """Run one part of the study. Returns single errors in mm, or sums, with keys specific to the part."""

@@ -12,8 +12,9 @@ from __future__ import annotations
 import math
 from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,15 +40,14 @@ from studies.accuracy.postures import ARM, TOOL, Postures
 from studies.accuracy.random_arms import RandomArms, draw_numbered_arm
 from studies.accuracy.scene import AXES, FINE_CT_MM, Sizes, StudiedScene
 from studies.accuracy.unmodelled_effects import BUMPS, DisplacedArms, DrawnEffect, Effect
-from studies.campaign.study import Sums, Unit, blocks
+from studies.campaign.study import Study, Sums, Unit, blocks
 from studies.strategies import distorted_tracker
 from studies.strategies.identified import (
     EXPECTED,
     BelievedArm,
+    IdentifiedCase,
     measure_looks,
     plan_arm_looks,
-    reach_targets_mm,
-    record_spheres_mm,
 )
 from studies.strategies.study import DEPTHS_MM, TARGETS
 
@@ -71,7 +71,7 @@ RESIDUAL, GAUGE = "PRO-007", "TOOL-005"
 
 
 @dataclass(frozen=True)
-class UnmodelledArmStudy:
+class UnmodelledArmStudy(Study):
     """Study of `arms` random arms of set S with every effect, and of followed moves with a wrong tracker."""
 
     arms: int = 20
@@ -79,8 +79,7 @@ class UnmodelledArmStudy:
     effects: tuple[Effect, ...] = tuple(Effect)
     name: str = "strategies-wrong"
 
-    def settings(self) -> dict[str, object]:
-        return {**asdict(self), "places": list(PLACES), "targets": TARGETS, "ct_mm": FINE_CT_MM}
+    constants: ClassVar = {"places": list(PLACES), "targets": TARGETS, "ct_mm": FINE_CT_MM}
 
     def units(self) -> Sequence[Unit]:
         """List blocks of arms, then one unit of moves for each kind of tracker."""
@@ -109,7 +108,6 @@ class _Judged:
     listed: dict[tuple[int, int, int], Sources] = field(default_factory=dict)
 
     def sources(self, scene: StudiedScene, planned: Postures, target: int, count: int) -> Sources:
-        """List the error sources at a target registered by the first `count` spheres."""
         key = (scene.number, id(planned), target)  # the postures live as long as the bench
         if key not in self.listed:
             everything = len(scene.phantom.spheres_mm)
@@ -161,7 +159,6 @@ class _Bench:
         return cls(seed, scenes, planned, looks, held_out, spheres_mm, nominal)
 
     def try_arm(self, number: int, effects: Sequence[Effect]) -> Counter[str]:
-        """Run all trials of an arm with each effect."""
         sums: Counter[str] = Counter()
         known: dict[Effect, _Judged | RonnaError] = {}
         for effect in effects:
@@ -218,11 +215,13 @@ class _Bench:
         """Localize, register and reach all targets once; sums by number of spheres."""
         case = self._place_case(number, effect, scene, planned)
         sizes = Sizes(FINE_CT_MM)
-        image, recorded = record_spheres_mm(case.at_spheres, judged.believed, planned, scene, [number], sizes)
+        looked = IdentifiedCase(case.at_spheres, judged.believed, planned, scene, [number])
+        reached = replace(looked, arm=case.at_targets)
+        image, recorded = looked.record_spheres_mm(sizes)
         sums: dict[str, float] = defaultdict(float)
         for count in scene.counts:
             fit = fit_rigid(image[None, :count], recorded[:, :count])
-            errors = reach_targets_mm(case.at_targets, judged.believed, planned, scene, [number], fit)
+            errors = reached.reach_targets_mm(fit)
             passes = [
                 _passes_gate(image[:count], recorded[nth, :count], planned, nth, judged, sizes)
                 for nth in range(planned.sets)
@@ -291,7 +290,6 @@ class _Bench:
 def _passes_gate(
     image: Array, recorded: Array, planned: Postures, nth: int, judged: _Judged, sizes: Sizes
 ) -> bool:
-    """Judge a registration by the residual gate of a case."""
     count, spheres = len(image), len(planned.localizations) // planned.sets
     measured = np.eye(AXES) * (sizes.ct_mm**2 + sizes.servo_mm**2) / AXES
     turned = planned.localizations.rotations[nth * spheres : nth * spheres + count]

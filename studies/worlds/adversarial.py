@@ -2,26 +2,35 @@
 
 from __future__ import annotations
 
-import json
-import shutil
 import subprocess
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import ClassVar
 
 from ronna_hw.errors import RonnaError
 from ronna_hw.evidence.journal_reading import JOURNAL_FILE, read_chain_until_break, theatre_time_s
 from ronna_hw.host.child_process import await_end, command, run_command
 from ronna_hw.host.process import shield_children
 from ronna_hw.records import write_atomically
-from studies.campaign import bounds
 from studies.campaign.study import Cell, Sums, Table, Unit
-from studies.errors import WORLD_NOT_RUN
 from studies.worlds.adversary import RELOCALIZATION, AdversarialWorld, draw_adversarial_world
+from studies.worlds.cases import (
+    LIMIT_S,
+    RUN_FOLDER,
+    SCRIPT_FILE,
+    CasesStudy,
+    count_verdicts,
+    describe_case,
+    find_run,
+    keep_case,
+    number_of,
+    renew_folder,
+    require_run,
+    shorten,
+)
 from studies.worlds.finished_case import LIMIT, RMS, parse_output, read_predictions, read_true_errors_mm
 from studies.worlds.silence import RANKS, CaseEnding, JudgedCase, Silence, judge_case
-from studies.worlds.study import CASE_FILE, LIMIT_S, RUN_FOLDER, SCRIPT_FILE
 from studies.worlds.verdict import find_change_time_s
 
 KEPT = RANKS[Silence.BEYOND]  # runs with this verdict or a worse one are kept
@@ -32,31 +41,21 @@ MOST_BEYOND = 0.05  # share of the targets of undisturbed cases that chance puts
 
 
 @dataclass(frozen=True)
-class AdversarialStudy:
-    """Worlds 0 to `cases` - 1 of a seed, each run in its own subfolder of `folder`.
+class AdversarialStudy(CasesStudy):
+    """Worlds with a change that the looks hardly show.
 
     `quiet` are the same worlds in which nothing changes, kills included.
     """
 
-    cases: int
-    seed: int
-    folder: Path
     quiet: bool = False
+    verdicts: ClassVar = Silence
 
     @property
     def name(self) -> str:
         return "worlds-adversarial-quiet" if self.quiet else "worlds-adversarial"
 
-    def settings(self) -> dict[str, object]:
-        return {"cases": self.cases, "seed": self.seed, "quiet": self.quiet}
-
-    def units(self) -> Sequence[Unit]:
-        """Return one unit per world."""
-        return [Unit(f"world {number}", 0, 1) for number in range(self.cases)]
-
     def run(self, unit: Unit) -> Sums:
-        """Run and judge one world. Its folder contains more than the returned sums."""
-        number = int(unit.condition.split()[1])
+        number = number_of(unit.condition)
         found = self.run_world(number, self.place(number))
         beyond = [one.error_mm > one.limit_mm for one in found.targets]
         return {
@@ -69,33 +68,21 @@ class AdversarialStudy:
         }
 
     def run_world(self, number: int, folder: Path) -> JudgedCase:
-        """Run and judge one world in a new folder."""
         return run_adversarial_world(draw_adversarial_world(self.seed, number), folder, quiet=self.quiet)
-
-    def place(self, number: int) -> Path:
-        return self.folder / "cases" / f"{number:04d}"
 
     def tables(self, sums: Mapping[str, Sums]) -> list[Table]:
         """Tabulate verdicts, endings by moved body, and the worst cases with the commands to repeat them."""
-        judged = {int(key.split()[1]): one for key, one in sums.items()}
-        return [self._tabulate_verdicts(judged), self._tabulate_bodies(judged), self._tabulate_cases(judged)]
-
-    def _tabulate_verdicts(self, judged: Mapping[int, Sums]) -> Table:
-        counts = _count_verdicts(judged.values())
-        rows: list[list[Cell]] = []
-        for verdict in Silence:
-            share = bounds.percent(counts[verdict], len(judged))
-            rows.append([verdict.value, counts[verdict], share.value, share.text])
-        noticed = _count_noticed(judged.values())
-        share = bounds.percent(noticed, len(judged))
-        rows.append(["refused or in doubt", noticed, share.value, share.text])
-        targets, beyond = (round(sum(one[name] for one in judged.values())) for name in ("targets", "beyond"))
-        happened = round(sum(one["happened"] for one in judged.values()))
+        judged = {number_of(key): one for key, one in sums.items()}
+        targets, beyond, happened = (
+            round(sum(one[name] for one in judged.values())) for name in ("targets", "beyond", "happened")
+        )
         note = (
             f"{len(judged)} cases, {happened} that came as far as their change; {targets} targets reached, "
-            f"{beyond} beyond their 95 % limit, told or not. {bounds.NOTE}"
+            f"{beyond} beyond their 95 % limit, told or not."
         )
-        return Table("Verdicts", ("verdict", "cases", "%", bounds.column("%")), rows, note)
+        noticed = ("refused or in doubt", _count_noticed(judged.values()))
+        verdicts = self.tabulate_verdicts(judged.values(), note, noticed)
+        return [verdicts, self._tabulate_bodies(judged), self._tabulate_cases(judged)]
 
     def _tabulate_bodies(self, judged: Mapping[int, Sums]) -> Table:
         by_bodies: dict[str, list[Sums]] = {}
@@ -105,16 +92,9 @@ class AdversarialStudy:
         rows: list[list[Cell]] = []
         for bodies, cases in sorted(by_bodies.items()):
             endings = [ENDINGS[round(one["ending"])] for one in cases]
-            counts = _count_verdicts(cases)
-            rows.append(
-                [
-                    bodies,
-                    len(cases),
-                    *(endings.count(one) for one in ENDINGS),
-                    counts[Silence.BEYOND],
-                    counts[Silence.SILENT],
-                ]
-            )
+            counts = count_verdicts(Silence, cases)
+            ended = (endings.count(one) for one in ENDINGS)
+            rows.append([bodies, len(cases), *ended, counts[Silence.BEYOND], counts[Silence.SILENT]])
         columns = ("moved", "cases", *(one.value for one in ENDINGS), "beyond", "silent")
         return Table("By what is moved", columns, rows, "How the cases ended, and how many without a word.")
 
@@ -131,7 +111,7 @@ class AdversarialStudy:
         return Table("Worst cases", columns, rows, note)
 
     def _make_row(self, number: int) -> list[Cell]:
-        case: dict[str, Any] = json.loads((self.place(number) / CASE_FILE).read_text())
+        case = self.read_case(number)
         change, worst = case["world"]["change"], case["worst"]
         said = "; ".join(dict.fromkeys(filter(None, [*case["said"], case["error"]])))
         figures = [None] * 4
@@ -141,15 +121,14 @@ class AdversarialStudy:
             *(number, case["verdict"], case["ending"]),
             case["changed"] + ("" if case["happened"] else " (not reached)"),
             *(change["sigmas"], change["effect_mm"], *figures),
-            said if len(said) <= LONGEST_SAID else f"{said[:LONGEST_SAID]}...",
+            shorten(said, LONGEST_SAID),
             case["repeat"],
             "<br>".join(case["script"].splitlines()),
             "<br>".join(case["commands"]),
         ]
 
     def list_missed_goals(self, sums: Mapping[str, Sums]) -> list[str]:
-        """Describe the goals missed by these cases."""
-        counts, missed = _count_verdicts(sums.values()), []
+        counts, missed = count_verdicts(Silence, sums.values()), []
         if counts[Silence.SILENT]:
             missed.append(f"{counts[Silence.SILENT]} cases beyond twice their stated rms without a word")
         if counts[Silence.BROKEN]:
@@ -162,23 +141,12 @@ class AdversarialStudy:
         return missed
 
 
-@dataclass(frozen=True)
-class _EndedCase:
-    """What a command left: its end, its run, the last journal line before a kill, and all commands."""
-
-    ended: subprocess.CompletedProcess[str]
-    run: Path
-    killed_at: int | None
-    commands: tuple[str, ...]
-
-
 def run_adversarial_world(world: AdversarialWorld, folder: Path, *, quiet: bool = False) -> JudgedCase:
     """Run a world's case in a new folder and judge it; one that cannot be judged is broken.
 
     The folder keeps the fault script and the judgement, and the run where the verdict is bad.
     """
-    shutil.rmtree(folder, ignore_errors=True)
-    folder.mkdir(parents=True)
+    renew_folder(folder)
     script = "" if quiet else world.change.script
     write_atomically(folder / SCRIPT_FILE, script.encode())
     arguments = [*world.arguments, *(() if quiet else ("--faults", str(folder / SCRIPT_FILE)))]
@@ -186,65 +154,49 @@ def run_adversarial_world(world: AdversarialWorld, folder: Path, *, quiet: bool 
     killed_at: int | None = None
     commands: tuple[str, ...] = (f"ronna-procedure run {' '.join(arguments)}",)
     try:
-        case = _run_case(world, arguments, folder)
-        killed_at, commands = case.killed_at, case.commands
-        found = _judge(world, case, quiet=quiet)
+        ended, run, killed_at, commands = _run_case(world, arguments, folder)
+        found = judge_case(
+            read_chain_until_break(run / JOURNAL_FILE)[0].lines,
+            parse_output(ended.stdout),
+            ended.returncode,
+            read_true_errors_mm(run),
+            (read_predictions(run, RMS), read_predictions(run, LIMIT)),
+            trajectories=[f"T{number + 1}" for number in range(world.targets)],
+            change=(RELOCALIZATION, 0.0) if quiet else (world.change.step, world.change.after_s),
+        )
     except RonnaError as error:
         found = JudgedCase(Silence.BROKEN, CaseEnding.BROKEN, (), True, (), str(error))
     mode = "--adversarial --quiet" if quiet else "--adversarial"
     content = {
-        "world": asdict(world),
-        "verdict": found.verdict.value,
+        **describe_case(world, found),
         "ending": found.ending.value,
         "changed": "nothing" if quiet else world.change.words,
         "worst": None if found.worst is None else asdict(found.worst),
-        "targets": [{**asdict(one), "verdict": one.verdict.value} for one in found.targets],
-        "happened": found.happened,
         "killed_at_line": killed_at,
-        "said": list(found.said),
-        "error": found.error,
         "script": script,
         "commands": list(commands),
         "repeat": f"ronna-campaign worlds {mode} --seed {world.seed} --only {world.number}",
     }
-    write_atomically(folder / CASE_FILE, json.dumps(content, indent=1).encode())
-    if RANKS[found.verdict] < KEPT:
-        shutil.rmtree(folder / RUN_FOLDER, ignore_errors=True)
+    keep_case(folder, content, with_run=RANKS[found.verdict] >= KEPT)
     return found
 
 
-def _run_case(world: AdversarialWorld, arguments: Sequence[str], folder: Path) -> _EndedCase:
-    """Run a case, and resume it if it was killed. Raises STU-015 if no run was written, PRC-001."""
+def _run_case(
+    world: AdversarialWorld, arguments: Sequence[str], folder: Path
+) -> tuple[subprocess.CompletedProcess[str], Path, int | None, tuple[str, ...]]:
+    """Run a case, and resume it if it was killed. Raises STU-015 if no run was written, PRC-001.
+
+    Returns its end, its run, the last journal line before a kill, and all commands.
+    """
     ended, killed_at = _run_until_killed(world, arguments, folder)
     commands = [f"ronna-procedure run {' '.join(arguments)}"]
-    run = _find_run(folder)
-    if run is None:
-        raise WORLD_NOT_RUN(
-            f"world {world.number} ended with exit code {ended.returncode}: {ended.stderr[-300:]}"
-        )
+    run = require_run(folder, world.number, ended)
     if killed_at is not None:
         resume = ("resume", str(run), "--accept", "--json")
         commands.append(f"(killed after line {killed_at} of its journal) ronna-procedure {' '.join(resume)}")
-        ended = run_command(
-            f"ronna-procedure resume of world {world.number}",
-            command("procedures.cli.procedure", *resume),
-            LIMIT_S,
-        )
-    return _EndedCase(ended, run, killed_at, tuple(commands))
-
-
-def _judge(world: AdversarialWorld, case: _EndedCase, *, quiet: bool) -> JudgedCase:
-    """Judge a case by its journal and the truth; raises STU-015."""
-    run = case.run
-    return judge_case(
-        read_chain_until_break(run / JOURNAL_FILE)[0].lines,
-        parse_output(case.ended.stdout),
-        case.ended.returncode,
-        read_true_errors_mm(run),
-        (read_predictions(run, RMS), read_predictions(run, LIMIT)),
-        trajectories=[f"T{number + 1}" for number in range(world.targets)],
-        change=(RELOCALIZATION, 0.0) if quiet else (world.change.step, world.change.after_s),
-    )
+        name = f"ronna-procedure resume of world {world.number}"
+        ended = run_command(name, command("procedures.cli.procedure", *resume), LIMIT_S)
+    return ended, run, killed_at, tuple(commands)
 
 
 def _run_until_killed(
@@ -277,7 +229,7 @@ def _kill_once_due(
     """Return what kills the program once its journal has come so far beyond the change."""
 
     def look() -> None:
-        run = _find_run(folder)
+        run = find_run(folder)
         if killed or run is None:
             return
         lines = read_chain_until_break(run / JOURNAL_FILE)[0].lines
@@ -289,15 +241,5 @@ def _kill_once_due(
     return look
 
 
-def _find_run(folder: Path) -> Path | None:
-    return next((one.parent for one in sorted(folder.glob(f"{RUN_FOLDER}/*/{JOURNAL_FILE}"))), None)
-
-
-def _count_verdicts(judged: Any) -> dict[Silence, int]:
-    verdicts = list(Silence)
-    found = [verdicts[round(one["verdict"])] for one in judged]
-    return {verdict: found.count(verdict) for verdict in Silence}
-
-
-def _count_noticed(judged: Any) -> int:
+def _count_noticed(judged: Iterable[Sums]) -> int:
     return sum(ENDINGS[round(one["ending"])] in (CaseEnding.REFUSED, CaseEnding.IN_DOUBT) for one in judged)

@@ -51,6 +51,11 @@ STEPS_S = {
 }
 AT_TARGET_DUAL_S = 50.0
 OF_ALL = (TOOL_CHANGE, TOOL_CHECK)
+STEPS_OF = {  # in which these bodies move; one for each time that it is to be drawn
+    MovedBody.GUIDE: (POSITIONING, AT_TARGET),
+    MovedBody.SEAT: (TOOL_CHECK, POSITIONING, AT_TARGET, RETREAT),
+    MovedBody.ASSISTANT_CART: (TOOL_CHECK, POSITIONING, AT_TARGET, AT_TARGET),
+}
 SINGLE = ((MovedBody.HEAD,), (MovedBody.CART,), (MovedBody.SEAT,), (MovedBody.GUIDE,), (MovedBody.TRACKER,))
 PAIRS = (
     (MovedBody.HEAD, MovedBody.CART),
@@ -84,12 +89,10 @@ class HiddenChange:
 
     @property
     def script(self) -> str:
-        """Complete fault script for the case."""
         return "".join(f"since step == {self.step} after {self.after_s:.3f} s: {one}\n" for one in self.lines)
 
     @property
     def words(self) -> str:
-        """The change and its moment, as text."""
         return f"{'+'.join(self.bodies)} at {self.step} + {self.after_s:.1f} s"
 
 
@@ -144,9 +147,9 @@ class Adversary:
         markers = X_FRAME_MARKERS if on_frame else markers
         targets = int(self._draws.integers(1, MOST_TARGETS[scene] + 1))
         arm, assistant_arm = self._pick(tuple(ArmChoice)), self._pick(tuple(ArmChoice))
-        dual = self._happens(DUAL_SHARE)
+        several = self._happens(DUAL_SHARE)
         calibrated = self._happens(CALIBRATED_SHARE)
-        strategy = self._pick(CALIBRATED_STRATEGIES if calibrated or dual else STRATEGIES)
+        strategy = self._pick(CALIBRATED_STRATEGIES if calibrated or several else STRATEGIES)
         truth = load_scene(
             scene,
             seed=scene_seed,
@@ -154,7 +157,7 @@ class Adversary:
             targets=targets,
             fiducials=Carrier.XFRAME if on_frame else Carrier.FREE,
             arm=arm,
-            dual=dual,
+            dual=several,
             assistant_arm=assistant_arm,
         )
         change = self._draw_change(truth, once=strategy == "nos")
@@ -169,25 +172,25 @@ class Adversary:
             targets,
             strategy,
             arm,
-            assistant_arm if dual else None,
+            assistant_arm if several else None,
             calibrated,
             change,
             killed_after_s,
         )
 
     def _draw_change(self, scene: Scene, *, once: bool) -> HiddenChange:
-        dual = scene.assistant is not None
+        several = len(scene.arms) > 1
         targets = scene.head.targets
         number = int(self._draws.integers(len(targets)))
         looks = Looks(scene, number)
-        bodies = self._pick_bodies(looks, [*SINGLE, *PAIRS, *(OF_DUAL if dual else ())])
+        bodies = self._pick_bodies(looks, [*SINGLE, *PAIRS, *(OF_DUAL if several else ())])
         kind, at = self._pick_step(bodies), number
         if kind == RETREAT:  # felt at the next target; there is none after the last
             kind, at = (RETREAT, number - 1) if number else (AT_TARGET, number)
         target = targets[at].identifier
         shared = kind in OF_ALL or (once and kind == RELOCALIZATION)
         step = kind if shared else f"{kind}:{target}"
-        takes_s = AT_TARGET_DUAL_S if dual and kind == AT_TARGET else STEPS_S[kind]
+        takes_s = AT_TARGET_DUAL_S if several and kind == AT_TARGET else STEPS_S[kind]
         after_s = round(self._between((0.0, takes_s)), 3)
         move = self._draw_move(looks, bodies)
         ending = self._draw_ending(bodies)
@@ -208,13 +211,8 @@ class Adversary:
 
     def _pick_step(self, bodies: tuple[MovedBody, ...]) -> str:
         """Pick the step of a change: of the guide once it is mounted, by a hand once it is at the head."""
-        if bodies == (MovedBody.GUIDE,):
-            return self._pick((POSITIONING, AT_TARGET))
-        if bodies == (MovedBody.SEAT,):
-            return self._pick((TOOL_CHECK, POSITIONING, AT_TARGET, RETREAT))
-        if MovedBody.ASSISTANT_CART in bodies:
-            return self._pick((TOOL_CHECK, POSITIONING, AT_TARGET, AT_TARGET))
-        return self._pick(tuple(STEPS_S))
+        own = (STEPS_OF[body] for body in bodies if body in STEPS_OF)
+        return self._pick(next(own, tuple(STEPS_S)))
 
     def _draw_move(self, looks: Looks, bodies: tuple[MovedBody, ...]) -> HiddenMove:
         """Draw a direction and a size within the limits; a tracker alone has no move that is felt."""
@@ -228,7 +226,6 @@ class Adversary:
         return HiddenMove(one.bodies, sign * sigmas * one.twist_mm, sigmas, sigmas * one.effect_mm)
 
     def _draw_push(self, looks: Looks, ending: str) -> list[str]:
-        """Draw a push of the tracker in any direction."""
         shift_mm, turn = self._draws.standard_normal(3), self._draws.standard_normal(3)
         shift_mm *= self._between((0.0, PUSH_MM)) / np.linalg.norm(shift_mm)
         turn *= ARM_MM * math.radians(self._between((0.0, PUSH_DEG))) / np.linalg.norm(turn)
@@ -269,5 +266,4 @@ def format_lines(looks: Looks, body: MovedBody, displacement: Matrix, ending: st
 
 
 def draw_adversarial_world(seed: int, number: int) -> AdversarialWorld:
-    """Draw world `number` of a seed."""
     return Adversary(seed, number).draw()

@@ -58,6 +58,9 @@ class MovedBody(StrEnum):
     GUIDE = "guide"  # by a hand
 
 
+CARTS = {ArmRole.MASTER: MovedBody.CART, ArmRole.ASSISTANT: MovedBody.ASSISTANT_CART}
+
+
 @dataclass(frozen=True)
 class HiddenMove:
     """A twist of one or more bodies: what the looks resolve of it, and what the target feels.
@@ -108,11 +111,7 @@ class Looks:
     @property
     def _sighted(self) -> tuple[MovedBody, ...]:
         """The bodies that the tracker sees at home."""
-        return (
-            MovedBody.HEAD,
-            MovedBody.CART,
-            *((MovedBody.ASSISTANT_CART,) if self.scene.assistant else ()),
-        )
+        return (MovedBody.HEAD, *(CARTS[role] for role in self.scene.arms))
 
     def centre_mm(self, body: MovedBody) -> Array:
         """Return the point (3,) about which a fault script turns a body, robot frame."""
@@ -156,16 +155,18 @@ class Looks:
 
         The cart of an assistant moves the instrument against the bore instead, on average of its two ends.
         """
-        if body is MovedBody.TRACKER:
-            return np.zeros((3, TWIST))
-        if body is MovedBody.ASSISTANT_CART:
-            bore, axis = self.scene.mount.guide, self.tip[:3, 2]
-            middle_mm = self.tip[:3, 3] - (bore.reach_mm + bore.bore_mm / 2.0) * axis
-            across = np.eye(3) - np.outer(axis, axis)
-            found: Array = across @ self._jacobian(middle_mm[None], body)
-            return found
-        sign = -1.0 if body is MovedBody.HEAD else 1.0
-        return sign * self._jacobian(self.target_mm[None], body)
+        match body:
+            case MovedBody.TRACKER:
+                return np.zeros((3, TWIST))
+            case MovedBody.ASSISTANT_CART:
+                bore, axis = self.scene.mount.guide, self.tip[:3, 2]
+                middle_mm = self.tip[:3, 3] - (bore.reach_mm + bore.bore_mm / 2.0) * axis
+                across = np.eye(3) - np.outer(axis, axis)
+                return np.asarray(across @ self._jacobian(middle_mm[None], body))
+            case MovedBody.HEAD:
+                return -self._jacobian(self.target_mm[None], body)
+            case _:
+                return self._jacobian(self.target_mm[None], body)
 
     def displacement(self, body: MovedBody, twist_mm: Array) -> Matrix:
         """Return a body's twist as a displacement (4, 4) in the robot frame."""
@@ -216,12 +217,14 @@ class Looks:
 
     def _repeatability_mm(self, body: MovedBody) -> float | None:
         """Return the repeatability of the arm on which these points are, or None for the head."""
-        if body is MovedBody.HEAD:
-            return None
-        if body is MovedBody.ASSISTANT_CART:
-            assert self.scene.assistant is not None
-            return self.scene.assistant.arm.repeatability_mm
-        return self.scene.arm.repeatability_mm
+        match body:
+            case MovedBody.HEAD:
+                return None
+            case MovedBody.ASSISTANT_CART:
+                assert self.scene.assistant is not None
+                return self.scene.assistant.arm.repeatability_mm
+            case _:
+                return self.scene.arm.repeatability_mm
 
     def _gauge_information(self) -> Array:
         """Return what the dials of the gauge show of the seat: the mandrel's end, and two axes higher up."""

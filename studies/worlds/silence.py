@@ -94,6 +94,10 @@ class JudgedCase:
     error: str
 
     @property
+    def words(self) -> str:
+        return f"{self.verdict}, {self.ending}"
+
+    @property
     def worst(self) -> UnderstoodTarget | None:
         """The target with the worst verdict, of equals that with the largest error to its rms."""
         return max(

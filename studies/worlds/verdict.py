@@ -91,6 +91,10 @@ class Judgement:
     error: str = ""
 
     @property
+    def words(self) -> str:
+        return self.verdict.value
+
+    @property
     def worst(self) -> JudgedTarget | None:
         return worst_of(self.targets)
 
@@ -176,7 +180,6 @@ def _collect_warnings(
 
 
 def _is_usual(line: Line) -> bool:
-    """Return whether a warning is one of honest cases."""
     words = _format_warning(line)
     is_finding = line["entry"] == Entry.FINDING and "targets" not in line
     return bool((is_finding and USUAL.search(words)) or RESTART.search(words))

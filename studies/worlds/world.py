@@ -45,17 +45,14 @@ class Change:
 
     @property
     def moment(self) -> str:
-        """Step and delay at which the change happens, as text."""
         return f"{self.step} + {self.after_s:.2f} s"
 
     @property
     def script(self) -> str:
-        """Complete fault script for the case."""
         return "".join(f"since step == {self.step} after {self.after_s:.3f} s: {one}\n" for one in self.lines)
 
     @property
     def words(self) -> str:
-        """Description of the change."""
         changed = "; ".join(one for one in self.lines if not one.startswith("tracker occlude"))
         return f"{changed}, {self.hidden}" if self.hidden else changed
 
@@ -128,7 +125,6 @@ def _draw_change_lines(generator: np.random.Generator, what: ChangedObject) -> l
 
 
 def _draw_vector(generator: np.random.Generator, most: float) -> list[float]:
-    """Draw a vector of random direction and length."""
     normal_draw = generator.standard_normal(3)
     return [
         float(value) for value in normal_draw * (generator.uniform(0.0, most) / np.linalg.norm(normal_draw))

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from clinical_case import ClinicalCell
 from numpy.typing import NDArray
+from rsi_tap import RsiTap
 
 from drivers.kuka_rsi import KukaRsiArm
 from ronna_hw.clock import open_clock
@@ -74,3 +77,27 @@ def robot_cell() -> Iterator[Callable[..., RobotCell]]:
     yield make
     for cell in cells:
         cell.close()
+
+
+@pytest.fixture
+def tapped_cell(robot_cell: Any) -> Iterator[Callable[..., tuple[Any, RsiTap]]]:
+    """Makes a robot cell with somebody on its wire."""
+    made: list[tuple[Any, RsiTap]] = []
+
+    def make(**tells: bool) -> tuple[Any, RsiTap]:
+        cell = robot_cell()
+        tap = RsiTap(cell.endpoints["rsi"], lambda: cell.world.arm().joints_rad, **tells)
+        made.append((cell, tap))
+        cell.endpoints["rsi"] = tap.endpoint
+        return cell, tap
+
+    yield make
+    for cell, tap in made:
+        for arm in cell.arms:
+            arm.close()
+        tap.close()
+
+
+@pytest.fixture
+def cell(tmp_path: Path) -> ClinicalCell:
+    return ClinicalCell(tmp_path / "run")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -16,6 +16,7 @@ from watched_case import findings, on_the_way, positioned, watched
 from procedures.guards.errors import BaseShifted
 from procedures.guards.room_motion import GROSS_LIMIT_MM
 from procedures.operator.question import Topic
+from procedures.room.sighting import Tracked
 from procedures.runs.engine_setup import MovedCart
 from procedures.steps.clinical import relocalization
 from procedures.workcell import MountedTool
@@ -51,8 +52,7 @@ def cart_leaves(cell: ClinicalCell) -> Callable[[], None]:
 
 
 @pytest.mark.branch("CART_MOVED")
-def test_a_cart_that_leaves_during_a_motion_stops_the_arm(tmp_path: Path) -> None:
-    cell = ClinicalCell(tmp_path)
+def test_a_cart_that_leaves_during_a_motion_stops_the_arm(cell: ClinicalCell) -> None:
     engine = watched(cell)
     on_the_way(cell, cart_leaves(cell))
     with pytest.raises(
@@ -64,8 +64,7 @@ def test_a_cart_that_leaves_during_a_motion_stops_the_arm(tmp_path: Path) -> Non
     assert engine.machine.state == "held"
 
 
-def test_head_and_spheres_are_expected_where_they_are_against_the_moved_cart(tmp_path: Path) -> None:
-    cell = ClinicalCell(tmp_path)
+def test_head_and_spheres_are_expected_where_they_are_against_the_moved_cart(cell: ClinicalCell) -> None:
     engine = watched(cell)
     positioned(engine)
     before = cell.workcell.master.surroundings
@@ -91,24 +90,38 @@ def test_no_frame_within_reach_of_the_arms_report_is_taken_for_a_moved_cart() ->
         seen_mm = vector3(watch.robot_from_tracker.inverse().apply(place_mm))
         return watch.frame_off_arm_mm(seen_mm, here, end_mm)
 
-    assert off_mm((0.0, GROSS_LIMIT_MM - 0.1, 0.0), here) is None
-    assert off_mm((0.0, GROSS_LIMIT_MM + 0.1, 0.0), here) == pytest.approx(GROSS_LIMIT_MM + 0.1)
+    limit_mm = watch.gross_limit_mm
+    assert off_mm((0.0, limit_mm - 0.1, 0.0), here) is None
+    assert off_mm((0.0, limit_mm + 0.1, 0.0), here) == pytest.approx(limit_mm + 0.1)
     assert off_mm((50.0, 0.0, 0.0), way) is None
     assert off_mm((200.0, 0.0, 0.0), way) is None  # reported one frame late
-    assert off_mm((220.0, 0.0, 0.0), way) == pytest.approx(120.0)
+    assert off_mm((230.0, 0.0, 0.0), way) == pytest.approx(130.0)
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
 def test_a_plain_move_is_noticed_in_a_pose_that_was_never_seen_before(axis: int) -> None:
     case = TrackedCase(3)
-    for moved_mm in (0.0, 12.0):
+    for share in (0.0, 1.2):
         watch = case.begin()
-        look = watch.compare(case.reading(watch, case.visits[0].at, cart_mm=moved_mm * np.eye(3)[axis]))
-        assert isinstance(look.moved, BaseShifted) is (moved_mm > GROSS_LIMIT_MM)
+        cart_mm = share * watch.gross_limit_mm * np.eye(3)[axis]
+        look = watch.compare(case.reading(watch, case.visits[0].at, cart_mm=cart_mm))
+        assert isinstance(look.moved, BaseShifted) is (share > 1.0)
 
 
-def test_a_sphere_lost_because_the_cart_left_is_no_reason_to_leave_it_out(tmp_path: Path) -> None:
-    cell = ClinicalCell(tmp_path).carrying(MountedTool.STEREO_HEAD)
+@pytest.mark.parametrize(("tool_mm", "limit_mm"), [(0.1, GROSS_LIMIT_MM), (2.0, 18.4)])
+def test_a_tool_frame_that_is_not_measured_is_not_taken_for_a_moved_cart(
+    tool_mm: float, limit_mm: float
+) -> None:
+    watch = TrackedCase(3).begin()
+    arms = watch.estimate.model.arms
+    sizes = replace(arms[Tracked.ARM].sizes, tool_mm=tool_mm)
+    known = replace(watch.estimate.model, arms={Tracked.ARM: replace(arms[Tracked.ARM], sizes=sizes)})
+    watch.estimate = replace(watch.estimate, model=known)
+    assert watch.gross_limit_mm == pytest.approx(limit_mm, abs=0.1)
+
+
+def test_a_sphere_lost_because_the_cart_left_is_no_reason_to_leave_it_out(cell: ClinicalCell) -> None:
+    cell.carrying(MountedTool.STEREO_HEAD)
     before = (checked_paths(cell), *coarse(), checked_plan(), localized_fiducials())
     engine = cell.begin(*before, relocalization.STEP)
     engine.run_to(engine.order.sequence[4])
@@ -125,8 +138,7 @@ def test_a_sphere_lost_because_the_cart_left_is_no_reason_to_leave_it_out(tmp_pa
     assert Topic.SPHERE not in [question.topic for question in cell.operator.asked]
 
 
-def test_with_an_instrument_inside_nobody_is_asked_and_nothing_moves(tmp_path: Path) -> None:
-    cell = ClinicalCell(tmp_path)
+def test_with_an_instrument_inside_nobody_is_asked_and_nothing_moves(cell: ClinicalCell) -> None:
     engine = watched(cell)
     engine.goes_on = MovedCart(engine).continues_by_consent
     positioned(engine)

@@ -29,10 +29,7 @@ def commands() -> Iterator[Commands]:
 @pytest.mark.hazard(29)
 @pytest.mark.parametrize("jumps_s", [(HOUR_S, 0.0), (-HOUR_S, HOUR_S), (20 * YEAR_S, -20 * YEAR_S)])
 def test_clock_jumps_leave_the_results_of_a_case_unchanged_and_are_reported(
-    commands: Commands,
-    tmp_path: Path,
-    tmp_path_factory: pytest.TempPathFactory,
-    jumps_s: tuple[float, float],
+    commands: Commands, tmp_path: Path, tmp_path_factory: pytest.TempPathFactory, jumps_s: tuple[float, float]
 ) -> None:
     undisturbed = undisturbed_mini(tmp_path_factory)
     clock = JumpingClock(commands, tmp_path / "clock")

@@ -128,12 +128,29 @@ def test_answers_of_several_words_are_shown_in_quotes_and_may_be_typed_with_them
 
 
 @pytest.mark.hazard(36)
-def test_a_typed_yes_counts_as_yes_and_the_value_was_shown(
-    keyboard: int, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("typed", "timeout_s", "read_back", "answer", "shown"),
+    [
+        ([b"yes\n"], 5.0, None, "yes", VALUE),
+        ([b"yes\n", b" 62\n"], 5.0, READ_BACK, "yes", VALUE),
+        ([b"yes\n"] * 50, 5.0, READ_BACK, "no", "3 wrong values count as 'no'.\n"),
+        ([b"yes\n"], 0.1, READ_BACK, "no", VALUE),
+        ([b"yes\x04"], 0.05, None, "no", VALUE),
+    ],
+    ids=["yes", "yes and distance", "yes to everything", "no distance in time", "no end of line in time"],
+)
+def test_a_motion_is_confirmed_by_a_yes_and_its_distance_in_time_once_the_value_was_shown(
+    keyboard: int,
+    monkeypatch: pytest.MonkeyPatch,
+    typed: list[bytes],
+    timeout_s: float,
+    read_back: ReadBack | None,
+    answer: str,
+    shown: str,
 ) -> None:
-    monkeypatch.setattr("sys.stderr", screen := Screen(keyboard, b"yes\n"))
-    assert ask() == "yes"
-    assert VALUE in screen.getvalue()
+    monkeypatch.setattr("sys.stderr", screen := Screen(keyboard, *typed))
+    assert ask(timeout_s, read_back) == answer
+    assert shown in screen.getvalue()
 
 
 @pytest.mark.hazard(36)
@@ -150,29 +167,6 @@ def test_nothing_is_confirmed_without_a_terminal(monkeypatch: pytest.MonkeyPatch
     with os.fdopen(reader, "r") as stream:
         monkeypatch.setattr("sys.stdin", stream)
         assert ask() == "no"
-
-
-@pytest.mark.hazard(36)
-def test_a_motion_is_confirmed_by_a_yes_and_its_distance(
-    keyboard: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("sys.stderr", Screen(keyboard, b"yes\n", b" 62\n"))
-    assert ask(read_back=READ_BACK) == "yes"
-
-
-@pytest.mark.hazard(36)
-def test_typing_yes_to_everything_confirms_no_motion(keyboard: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sys.stderr", screen := Screen(keyboard, *[b"yes\n"] * 50))
-    assert ask(5.0, READ_BACK) == "no"
-    assert screen.getvalue().endswith("3 wrong values count as 'no'.\n")
-
-
-@pytest.mark.hazard(36)
-def test_a_read_back_that_is_not_typed_in_time_confirms_nothing(
-    keyboard: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("sys.stderr", Screen(keyboard, b"yes\n"))
-    assert ask(0.1, READ_BACK) == "no"
 
 
 @pytest.mark.hazard(36)
@@ -292,14 +286,6 @@ def test_an_answer_whose_end_is_typed_after_the_arm_has_stopped_does_not_count(
     question = Question(Topic.REGISTRATION, "accept the registration", VALUE, timeout_s=5.0)
     assert TerminalOperator(alarms=alarms).ask(question).word == "no"
     assert "the arm is in fault (EKI-010)" in screen.getvalue()
-
-
-@pytest.mark.hazard(36)
-def test_the_time_limit_runs_on_while_an_answer_has_no_end(
-    keyboard: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("sys.stderr", Screen(keyboard, b"yes\x04"))
-    assert ask(timeout_s=0.05) == "no"
 
 
 @pytest.mark.hazard(36)

@@ -40,14 +40,7 @@ CUTS = [
     for step in WORKING
     for role in ("arm", "stereo", "tracker")
 ]
-USES = (
-    "read_state",
-    "read_tool_identity",
-    "move",
-    "activate",
-    "set_areas",
-    "grab_pair",
-)
+USES = ("read_state", "read_tool_identity", "move", "activate", "set_areas", "grab_pair")
 NO_ANSWER = LinkTimeout("the link is dead")
 
 
@@ -89,16 +82,13 @@ def prepared(cell: ClinicalCell) -> Engine:
     cell.carrying(MountedTool.STEREO_HEAD)
     localizations = checked_paths(cell).localizations
     return cell.begin(
-        *up_to_correspondence(cell),
-        paths.model_copy(update={"localizations": localizations}),
-        *WORKING,
+        *up_to_correspondence(cell), paths.model_copy(update={"localizations": localizations}), *WORKING
     )
 
 
 @pytest.mark.hazard(4)
 @pytest.mark.parametrize(("step", "role"), CUTS)
-def test_a_link_cut_during_a_step_holds_the_case(tmp_path: Path, step: str, role: str) -> None:
-    cell = ClinicalCell(tmp_path)
+def test_a_link_cut_during_a_step_holds_the_case(cell: ClinicalCell, step: str, role: str) -> None:
     engine = prepared(cell)
     key = next(key for key in engine.order.sequence if key.name == step and key.trajectory in (None, FIRST))
     link = LinkCut(cell, role, str(key))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -22,11 +21,6 @@ from sim.world.scene.named_scenes import draw_scene
 
 STRETCH = 0.015
 NOTICED_MM = 0.1  # of the residual: the noise of the re-localization is as large
-
-
-@pytest.fixture
-def cell(tmp_path: Path) -> ClinicalCell:
-    return ClinicalCell(tmp_path)
 
 
 @pytest.mark.hazard(8)

@@ -44,16 +44,12 @@ def check(cell: ClinicalCell) -> None:
 
 
 @pytest.mark.hazard(24)
-def test_a_body_in_the_way_is_named_and_the_case_refused_before_anything_moves(tmp_path: Path) -> None:
-    cell = ClinicalCell(tmp_path)
+def test_only_a_body_in_the_way_is_named_and_the_case_refused_before_anything_moves(tmp_path: Path) -> None:
+    cell = ClinicalCell(tmp_path / "in the way")
     with_body(cell, "place of the staff", away_mm=0.0)
     with pytest.raises(RonnaError, match="place of the staff"):
         check(cell)
     assert cell.arm.motions == []
-
-
-@pytest.mark.hazard(24)
-def test_a_body_far_from_the_path_does_not_refuse_the_case(tmp_path: Path) -> None:
-    cell = ClinicalCell(tmp_path)
+    cell = ClinicalCell(tmp_path / "far from the path")
     with_body(cell, "clamp", away_mm=900.0)
     check(cell)

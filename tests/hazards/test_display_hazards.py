@@ -3,19 +3,11 @@
 from __future__ import annotations
 
 import re
-from pathlib import Path
 
 import pytest
-from prepared_results import registered_robot
-from report_figures import figures_in, figures_of_records
-from report_text import report_text
 
 from procedures.cli.case.display import show_outcome
-from procedures.engine.case import Case, StepKey
-from procedures.journal.journal import Entry, Journal
-from procedures.reporting.outcome import FinishedRun, RegistrationOutcome, TargetOutcome, TargetTruth, Truth
-from procedures.reporting.report import write_report
-from procedures.steps.clinical.results import Prediction
+from procedures.reporting.outcome import FinishedRun, RegistrationOutcome, TargetOutcome
 from ronna_hw.command_line import messages
 
 EXTREMES_MM = (0.0004, 0.0006, 9.9996, 12345.6789, 99999.9994)
@@ -65,28 +57,6 @@ def test_a_needle_farther_from_its_target_than_the_plan_accepts_is_no_success(
     shown = capsys.readouterr()
     assert ended.value.code == 3
     assert ('"T2":9.9996' in shown.out.replace(" ", "")) if as_json else ("10.00 mm from T2" in shown.out)
-
-
-@pytest.mark.hazard(6)
-def test_every_number_of_the_report_is_complete(tmp_path: Path) -> None:
-    case, journal = Case(tmp_path), Journal(tmp_path)
-    predicted = tuple(
-        Prediction(target=f"T{k}", rms_mm=value, limit_mm=value, confidence=0.95, formula="")
-        for k, value in enumerate(EXTREMES_MM)
-    )
-    stored = case.store(
-        StepKey("registration"), registered_robot().model_copy(update={"predictions": predicted}), ()
-    )
-    names = {"record": stored.record.identifier, "sha256": stored.record.sha256}
-    journal.write(Entry.RESULT, 0.0, step="registration", **names)
-    journal.close()
-    errors = tuple(TargetTruth(id=f"T{k}", application_error_mm=value) for k, value in enumerate(EXTREMES_MM))
-    report = write_report(tmp_path, truth=Truth(targets=errors))
-    text = report_text(report)
-    for k, shown in enumerate(SHOWN):
-        assert f"<tr><td>T{k}</td><td>{shown}</td><td>–</td><td>{shown}</td><td>{shown}</td>" in text
-    assert '<span class="big">22471.136 mm</span>' in text
-    assert figures_in(report) == figures_of_records(tmp_path)
 
 
 @pytest.mark.hazard(6)

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from coded_errors import raises
+from finished_runs import recorded_run
 from localized_spheres import localized_marker
 from painted_ct import write_series
 from prepared_results import checked_plan, registered_robot
@@ -17,19 +18,16 @@ from pydicom import dcmread
 from recording_cell import RecordingCell
 from spoiled_slices import every, setting
 
-from procedures.engine.case import Case, StepKey
+from procedures.engine.case import StepKey
 from procedures.engine.order import order_of
 from procedures.exchange import allowed_fields
 from procedures.exchange.allowed_fields import require_allowed
 from procedures.exchange.dicom_objects import name_patient
 from procedures.exchange.errors import FIELD_NOT_ALLOWED
 from procedures.exchange.run_export import export_run
-from procedures.journal.journal import Entry, Journal
-from procedures.journal.results import StepResult
 from procedures.steps.clinical import ct_import
 from procedures.steps.clinical.ct_import import ImportedCt
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
-from ronna_hw.evidence.manifest import hash_files_at_closing, seal
 
 SOWN = ("Sown^Patient", "SOWN-ID", "19610203", "Sown Hospital", "Sown^Physician", "Sown Station", "SownLeft")
 WORDS = (
@@ -54,38 +52,24 @@ def run(tmp_path: Path) -> Path:
     marker = localized_marker((1.0, 2.0, 3.0), np.eye(3) * 1e-4, agreement_mm=0.01)
     imported = imported_from_a_sown_series(tmp_path / "import")
     spheres = LocalizedFiducials(
-        series_instance_uid=imported.series_instance_uid,
-        diameter_mm=11.5,
-        markers=(marker,),
-        doubtful=(),
+        series_instance_uid=imported.series_instance_uid, diameter_mm=11.5, markers=(marker,), doubtful=()
     )
     done = registered_robot()
     (first, *_) = done.predictions
     fit = done.model_copy(
         update={"predictions": (first.model_copy(update={"target": NAMED_AFTER_THE_PATIENT}),)}
     )
-    folder = tmp_path / "run"
-    case, journal = Case(folder), Journal(folder)
     checked = checked_plan()
     (planned, *_) = checked.plan.trajectories
     named = planned.model_copy(update={"id": NAMED_AFTER_THE_PATIENT})
     plan = checked.plan.model_copy(update={"trajectories": (named,)})
-    results: tuple[tuple[StepKey, StepResult], ...] = (
+    return recorded_run(
+        tmp_path / "run",
         (StepKey("ct_import"), imported),
         (StepKey("fiducial_localization"), spheres),
         (StepKey("plan_check"), checked.model_copy(update={"plan": plan})),
         (StepKey("registration", NAMED_AFTER_THE_PATIENT), fit),
     )
-    for key, result in results:
-        record = case.store(key, result, ()).record
-        journal.write(
-            Entry.RESULT, 0.0, step=str(key), record=record.identifier, sha256=record.sha256, supersedes=[]
-        )
-    files = hash_files_at_closing(folder)
-    journal.write(Entry.CLOSED, 0.0, outcome="done", files=files)
-    journal.close()
-    seal(folder, files)
-    return folder
 
 
 @pytest.mark.hazard(35)

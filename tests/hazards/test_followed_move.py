@@ -83,8 +83,9 @@ def voided(cell: ClinicalCell) -> list[str]:
     return [step for _, step in cell.entries("voided")]
 
 
-def test_only_the_registrations_are_voided_and_no_approach_starts_before_they_follow(tmp_path: Path) -> None:
-    cell = ClinicalCell(tmp_path)
+def test_only_the_registrations_are_voided_and_no_approach_starts_before_they_follow(
+    cell: ClinicalCell,
+) -> None:
     engine = seen_to_move(cell)
     assert voided(cell) == [NAME, f"registration:{LAST}"]
     assert str(engine.upcoming) == NAME
@@ -94,9 +95,8 @@ def test_only_the_registrations_are_voided_and_no_approach_starts_before_they_fo
 
 @pytest.mark.parametrize("way_mm", [(1.0, -2.0, 0.5), (10.0, 0.0, 0.0)], ids=["followed or not", "void"])
 def test_the_named_command_localizes_again_whether_or_not_the_localization_still_stands(
-    tmp_path: Path, way_mm: tuple[float, float, float]
+    cell: ClinicalCell, way_mm: tuple[float, float, float]
 ) -> None:
-    cell = ClinicalCell(tmp_path)
     engine = seen_to_move(cell, moved_mm(way_mm))
     localization = engine.order.find("global_localization")
     before = engine.case.record_of(localization)
@@ -106,8 +106,9 @@ def test_the_named_command_localizes_again_whether_or_not_the_localization_still
     assert engine.case.record_of(localization) not in (None, before)
 
 
-def test_with_consent_the_registration_follows_the_head_and_states_the_added_error(tmp_path: Path) -> None:
-    cell = ClinicalCell(tmp_path)
+def test_with_consent_the_registration_follows_the_head_and_states_the_added_error(
+    cell: ClinicalCell,
+) -> None:
     engine = under_the_guide(cell)
     before = cell.case.get(RegisteredRobot, FIRST)
     cell.tracker.spheres_mm = SMALL_MM
@@ -132,9 +133,8 @@ def test_with_consent_the_registration_follows_the_head_and_states_the_added_err
 
 @pytest.mark.parametrize("about_the_axis", [True, False])
 def test_the_guide_turns_with_the_head_except_about_its_axis_and_that_is_in_the_predicted_error(
-    about_the_axis: bool, tmp_path: Path
+    about_the_axis: bool, cell: ClinicalCell
 ) -> None:
-    cell = ClinicalCell(tmp_path)
     engine = under_the_guide(cell)
     pose = cell.case.get(CheckedPaths).result.targets[FIRST].tool_pose.transform.rotation_matrix
     before = cell.case.get(RegisteredRobot, FIRST).result.prediction(FIRST)
@@ -169,8 +169,7 @@ def test_the_guide_goes_to_where_the_head_is_now_and_a_second_move_is_detected(t
         run(engine, f"positioning:{FIRST}")
 
 
-def test_without_consent_the_localization_is_voided(tmp_path: Path) -> None:
-    cell = ClinicalCell(tmp_path)
+def test_without_consent_the_localization_is_voided(cell: ClinicalCell) -> None:
     engine = seen_to_move(cell)
     cell.operator.refusing = (Topic.MOVE_FOLLOWED,)
     with pytest.raises(PatientMoved, match="the registration was not updated"):
@@ -178,8 +177,7 @@ def test_without_consent_the_localization_is_voided(tmp_path: Path) -> None:
     assert voided(cell)[-1] == "global_localization"
 
 
-def test_a_large_move_voids_the_localization_at_once(tmp_path: Path) -> None:
-    cell = ClinicalCell(tmp_path)
+def test_a_large_move_voids_the_localization_at_once(cell: ClinicalCell) -> None:
     seen_to_move(cell, moved_mm((6.0, 0.0, 0.0)))
     assert voided(cell) == ["global_localization"]
 
@@ -194,9 +192,11 @@ def test_a_large_move_voids_the_localization_at_once(tmp_path: Path) -> None:
     ],
 )
 def test_no_other_kind_of_move_is_offered_for_following(
-    spheres_mm: Array, frame_shift_mm: tuple[float, float, float], refused: type[Exception], tmp_path: Path
+    spheres_mm: Array,
+    frame_shift_mm: tuple[float, float, float],
+    refused: type[Exception],
+    cell: ClinicalCell,
 ) -> None:
-    cell = ClinicalCell(tmp_path)
     engine = seen_to_move(cell)
     cell.tracker.spheres_mm, cell.tracker.frame_shift_mm = spheres_mm, frame_shift_mm
     with raises(refused):
@@ -205,8 +205,9 @@ def test_no_other_kind_of_move_is_offered_for_following(
     assert not engine.case.stands(engine.order.find(NAME))
 
 
-def test_a_cart_that_moved_with_the_head_is_told_by_the_way_of_the_frame_on_the_arm(tmp_path: Path) -> None:
-    cell = ClinicalCell(tmp_path)
+def test_a_cart_that_moved_with_the_head_is_told_by_the_way_of_the_frame_on_the_arm(
+    cell: ClinicalCell,
+) -> None:
     engine = seen_to_move(cell)
     cell.tracker.spheres_mm, cell.tracker.frame_shift_mm = SMALL_MM, (0.5, 0.0, 0.0)
     with pytest.raises(
@@ -215,8 +216,7 @@ def test_a_cart_that_moved_with_the_head_is_told_by_the_way_of_the_frame_on_the_
         run(engine, NAME)
 
 
-def test_the_move_is_measured_only_with_the_arm_at_home(tmp_path: Path) -> None:
-    cell = ClinicalCell(tmp_path)
+def test_the_move_is_measured_only_with_the_arm_at_home(cell: ClinicalCell) -> None:
     engine = seen_to_move(cell)
     A1, *others = cell.arm.joints_rad
     cell.arm.joints_rad = (A1 + 0.2, *others)
@@ -224,8 +224,7 @@ def test_the_move_is_measured_only_with_the_arm_at_home(tmp_path: Path) -> None:
         run(engine, NAME)
 
 
-def test_a_head_that_moved_back_needs_no_consent(tmp_path: Path) -> None:
-    cell = ClinicalCell(tmp_path)
+def test_a_head_that_moved_back_needs_no_consent(cell: ClinicalCell) -> None:
     engine = seen_to_move(cell)
     cell.tracker.spheres_mm = SPHERES_MM
     run(engine, NAME)
@@ -234,13 +233,12 @@ def test_a_head_that_moved_back_needs_no_consent(tmp_path: Path) -> None:
 
 
 def test_a_step_that_watches_the_head_where_a_registration_followed_it_descends_from_that(
-    tmp_path: Path,
+    cell: ClinicalCell,
 ) -> None:
     def looks(context: StepContext) -> Outcome[CheckedTool]:
         check_room(context, "here")
         return Outcome(checked_tool())
 
-    cell = ClinicalCell(tmp_path)
     cell.carrying(MountedTool.STEREO_HEAD)
     before = (*coarse(), checked_plan(), localized_fiducials(), relocalization(), checked_paths(cell))
     looking = replace(done_later(checked_tool(), *ROOM_READS), run=looks)

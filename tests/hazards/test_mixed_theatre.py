@@ -54,15 +54,17 @@ def test_a_simulated_device_behind_a_link_or_a_name_is_still_a_simulated_one(tmp
 
 
 @pytest.mark.hazard(31)
-def test_real_devices_on_the_clock_of_a_simulated_theatre_are_refused() -> None:
-    with raises(MIXED_THEATRE, match="the clock at shm:"):
-        require_one_kind(theatre(THEATRE_CLOCK, **REAL))
-
-
-@pytest.mark.hazard(31)
-def test_simulated_devices_without_a_banner_are_refused() -> None:
-    with raises(MIXED_THEATRE, match="no banner"):
-        require_one_kind(theatre(HOST_CLOCK).model_copy(update={"banner": ""}))
+@pytest.mark.parametrize(
+    ("mixed", "said"),
+    [
+        (theatre(THEATRE_CLOCK, **REAL), "the clock at shm:"),
+        (theatre(HOST_CLOCK).model_copy(update={"banner": ""}), "no banner"),
+    ],
+    ids=["real devices on a simulated clock", "simulated ones without a banner"],
+)
+def test_a_theatre_that_is_simulated_in_part_is_refused(mixed: TheatreFile, said: str) -> None:
+    with raises(MIXED_THEATRE, match=said):
+        require_one_kind(mixed)
 
 
 @pytest.mark.parametrize(

@@ -53,7 +53,7 @@ def tracker(cell: ClinicalCell) -> PushedTracker:
 def before_the_approach(cell: ClinicalCell) -> Engine:
     engine = watched(cell, localized_by_frame())
     setting = engine.setting
-    engine.checkpoint.guards.append(GuideDisplacement(setting.workcell, setting.clock, setting.memory))
+    engine.checkpoint.guards.append(GuideDisplacement(setting.workcell, setting.memory))
     return engine
 
 
@@ -213,7 +213,9 @@ def test_a_followed_push_is_known_after_a_restart_with_the_arm_anywhere(
     assert tracker.move is not None
     known = history.tracker[1]
     assert known.move.translation_mm == pytest.approx(tracker.move.translation_mm, abs=1e-6)
+
     assert known.pushes == 1
+    assert cell.workcell.tracker_move("another") is UNPUSHED
     restarted(cell, engine)
     seen, comparison = compared(engine)
     assert seen
@@ -269,10 +271,3 @@ def test_what_the_head_is_compared_by_is_said(cell: ClinicalCell, tracker: Pushe
     seen, comparison = compared(engine)
     assert seen
     assert "patient: the frame on the clamp within 0.00 mm of its recorded position" in comparison.findings
-
-
-def test_another_localization_begins_unpushed(cell: ClinicalCell, tracker: PushedTracker) -> None:
-    engine = before_the_approach(cell)
-    tracker.push(PUSH_MM)
-    positioned(engine)
-    assert cell.workcell.tracker_move("another") is UNPUSHED

@@ -7,7 +7,6 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -59,25 +58,6 @@ print("arrived", flush=True)
 
 def _away(joints_rad: Any, angle_rad: float = AWAY_RAD) -> Any:
     return tuple(angle + angle_rad for angle in joints_rad)
-
-
-@pytest.fixture
-def tapped_cell(robot_cell: Any) -> Iterator[Callable[..., tuple[Any, RsiTap]]]:
-    """Makes a robot cell with somebody on its wire."""
-    made: list[tuple[Any, RsiTap]] = []
-
-    def make(**tells: bool) -> tuple[Any, RsiTap]:
-        cell = robot_cell()
-        tap = RsiTap(cell.endpoints["rsi"], lambda: cell.world.arm().joints_rad, **tells)
-        made.append((cell, tap))
-        cell.endpoints["rsi"] = tap.endpoint
-        return cell, tap
-
-    yield make
-    for cell, tap in made:
-        for arm in cell.arms:
-            arm.close()
-        tap.close()
 
 
 def _largest_steps(tap: RsiTap) -> tuple[float, float]:
@@ -156,10 +136,7 @@ def test_the_arm_continues_without_a_jump_after_a_burst_of_lost_replies_at_full_
 @pytest.mark.hazard(18)
 @pytest.mark.parametrize(
     ("neighbours", "speed_fraction"),
-    [
-        pytest.param(1, WORKING_SPEED_FRACTION, marks=pytest.mark.slow),
-        (2, TWO_UNTOLD_SPEED_FRACTION),
-    ],
+    [pytest.param(1, WORKING_SPEED_FRACTION, marks=pytest.mark.slow), (2, TWO_UNTOLD_SPEED_FRACTION)],
 )
 def test_lost_replies_the_controller_never_reports_lead_to_one_longer_step_that_it_accepts(
     tapped_cell: Any, neighbours: int, speed_fraction: float

@@ -6,7 +6,6 @@ so that nothing here depends on the pace of the machine.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from contextlib import suppress
 from typing import Any, NamedTuple
 
@@ -84,20 +83,6 @@ class Witness:
         return float((np.abs(steps) / FULL_STEP_DEG).max())
 
 
-@pytest.fixture
-def tapped_arm(robot_cell: Any) -> Iterator[tuple[Any, RsiTap, Any]]:
-    """A world in lock-step with somebody on the wire, and an active arm."""
-    cell = robot_cell()
-    tap = RsiTap(cell.endpoints["rsi"], lambda: cell.world.arm().joints_rad, late=False)
-    cell.endpoints["rsi"] = tap.endpoint
-    try:
-        yield cell, tap, cell.active_arm(silence_limit_s=HANG_S, heartbeat_limit_s=HANG_S)
-    finally:
-        for arm in cell.arms:
-            arm.close()
-        tap.close()
-
-
 @pytest.mark.hazard(4)
 @pytest.mark.parametrize(
     "case",
@@ -107,9 +92,10 @@ def tapped_arm(robot_cell: Any) -> Iterator[tuple[Any, RsiTap, Any]]:
     ],
 )
 def test_the_first_telegram_after_the_report_is_answered_by_a_stop_and_the_arm_rests_in_time(
-    tapped_arm: tuple[Any, RsiTap, Any], case: Case
+    tapped_cell: Any, case: Case
 ) -> None:
-    cell, tap, arm = tapped_arm
+    cell, tap = tapped_cell(late=False)
+    arm = cell.active_arm(silence_limit_s=HANG_S, heartbeat_limit_s=HANG_S)
     start = arm.read_state().joints_rad
     witness = Witness(cell, tap, arm, case)
     with pytest.raises(RonnaError) as caught:

@@ -27,6 +27,7 @@ from procedures.engine.engine import Engine
 from procedures.guards.errors import BaseShifted, PatientMoved, PatientUnseen
 from procedures.guards.room_motion import NEAR_HEAD_MM
 from procedures.guards.room_reading import CAREFUL_FRAMES, RoomReading, find_ghosts, room_reading
+from procedures.guards.room_watch import RoomWatch
 from procedures.journal.results import StepResult
 from procedures.registration.movement import NEAR_MM
 from procedures.steps.clinical import positioning, relocalization
@@ -109,9 +110,7 @@ def test_a_moved_tracker_is_a_finding_of_a_careful_look_because_arm_and_head_agr
 
 @pytest.mark.hazard(12)
 def test_a_hidden_frame_and_too_few_spheres_are_not_compared_and_never_in_place() -> None:
-    case = TrackedCase(3)
-    watch = case.begin()
-    reading = case.reading(watch, case.home_rad)
+    watch, reading = at_home()
     looked = watch.compare(replace(reading, frame_mm=None, groups=reading.groups[:2], frames={}), now_s=1.0)
     assert (looked.head_mm, looked.base_mm, looked.moved) == (None, None, None)
     assert not looked.in_place
@@ -120,9 +119,7 @@ def test_a_hidden_frame_and_too_few_spheres_are_not_compared_and_never_in_place(
 
 @pytest.mark.hazard(12)
 def test_a_head_turned_about_the_middle_of_its_spheres_has_moved() -> None:
-    case = TrackedCase(3)
-    watch = case.begin()
-    reading = case.reading(watch, case.home_rad)
+    watch, reading = at_home()
     middle = reading.spheres_mm.mean(axis=0)
     turn = Rotation.from_rotvec([0.0, 0.0, 1.0], degrees=True)
     turned = seeing(reading, middle + turn.apply(reading.spheres_mm - middle))
@@ -132,9 +129,7 @@ def test_a_head_turned_about_the_middle_of_its_spheres_has_moved() -> None:
 
 @pytest.mark.hazard(12)
 def test_a_single_displaced_sphere_is_not_reported_as_a_moved_head() -> None:
-    case = TrackedCase(3)
-    watch = case.begin()
-    reading = case.reading(watch, case.home_rad)
+    watch, reading = at_home()
     one_mm = reading.spheres_mm
     one_mm[1] += (1.2, -0.9, 0.0)
     with pytest.raises(PatientMoved, match=r"one sphere has moved by 1\.[45] mm.*the other 4 have not"):
@@ -142,23 +137,26 @@ def test_a_single_displaced_sphere_is_not_reported_as_a_moved_head() -> None:
 
 
 @pytest.mark.hazard(12)
-def test_two_displaced_spheres_suffice_to_detect_a_moved_head() -> None:
-    case = TrackedCase(3)
-    watch = case.begin()
-    reading = case.reading(watch, case.home_rad, np.array([0.0, 3.0, 0.0]))
-    two = replace(reading, groups=reading.groups[:2])
-    with pytest.raises(PatientMoved, match=r"the head has moved since it was localized, by [23]\.\d\d mm"):
-        watch.compare(two).require()
+@pytest.mark.parametrize(
+    ("moved_mm", "seen", "noticed", "said"),
+    [
+        (3.0, 2, PatientMoved, r"the head has moved since it was localized, by [23]\.\d\d mm"),
+        (9.0, 1, PatientUnseen, "PRO-022.*1 sphere near the head"),
+    ],
+)
+def test_two_displaced_spheres_suffice_to_detect_a_moved_head_and_a_single_one_is_not_ignored(
+    moved_mm: float, seen: int, noticed: type[Exception], said: str
+) -> None:
+    watch, reading = at_home(np.array([0.0, moved_mm, 0.0]))
+    with pytest.raises(noticed, match=said):
+        watch.compare(replace(reading, groups=reading.groups[:seen])).require()
 
 
-@pytest.mark.hazard(12)
-def test_an_unknown_sphere_near_the_head_is_not_ignored_while_others_are_hidden() -> None:
+def at_home(head_mm: Array = STILL) -> tuple[RoomWatch, RoomReading]:
+    """A watch that has just begun, and a look with the arm at home at a head that was moved by this."""
     case = TrackedCase(3)
     watch = case.begin()
-    reading = case.reading(watch, case.home_rad, np.array([0.0, 9.0, 0.0]))
-    one = replace(reading, groups=reading.groups[:1])
-    with pytest.raises(PatientUnseen, match=r"PRO-022.*1 sphere near the head"):
-        watch.compare(one).require()
+    return watch, case.reading(watch, case.home_rad, head_mm)
 
 
 def seeing(reading: RoomReading, spheres_mm: Array) -> RoomReading:
@@ -182,18 +180,15 @@ def with_crossings(reading: RoomReading, spheres_mm: Array) -> RoomReading:
 
 @pytest.mark.hazard(12)
 def test_an_intersection_of_lines_to_known_markers_is_not_taken_for_a_sphere_of_a_moved_head() -> None:
-    case = TrackedCase(3)
-    watch = case.begin()
-    reading = with_crossings(case.reading(watch, case.home_rad), watch.spheres_mm)
+    watch, reading = at_home()
+    reading = with_crossings(reading, watch.spheres_mm)
     looked = watch.compare(reading)
     assert (looked.head_mm, looked.moved, looked.findings) == (None, None, ())
 
 
 @pytest.mark.hazard(12)
 def test_an_intersection_of_lines_to_two_markers_on_the_arm_is_not_taken_for_a_sphere_either() -> None:
-    case = TrackedCase(3)
-    watch = case.begin()
-    reading = case.reading(watch, case.home_rad)
+    watch, reading = at_home()
     crossing = watch.spheres_mm.mean(axis=0)
     markers = [eye + 0.86 * (crossing - eye) for eye in EYES_MM]
     crossed = replace(
@@ -209,7 +204,7 @@ def test_markers_of_the_mounted_guide_are_known_as_ends_of_lines_as_those_of_the
 ) -> None:
     for mounted, known in ((MountedTool.STEREO_HEAD, 1), (MountedTool.GUIDE, 2)):
         cell = ClinicalCell(tmp_path / mounted.name).carrying(mounted)
-        frames, _ = read_frames_at_rest(cell.workcell.tracker, cell.clock)
+        frames, _ = read_frames_at_rest(cell.workcell)
         reading = room_reading(
             cell.workcell, frames, Transform(Frame.ROBOT, Frame.TRACKER, RigidTransform.identity())
         )
@@ -240,9 +235,9 @@ def before(cell: ClinicalCell) -> tuple[StepResult, ...]:
     ],
 )
 def test_nothing_moves_after_a_shift_and_the_localization_is_superseded(
-    tmp_path: Path, moved: str, noticed: type[Exception]
+    cell: ClinicalCell, moved: str, noticed: type[Exception]
 ) -> None:
-    cell = ClinicalCell(tmp_path).carrying(MountedTool.STEREO_HEAD)
+    cell.carrying(MountedTool.STEREO_HEAD)
     engine = cell.begin(*before(cell), relocalization.STEP)
     engine.run_to(engine.order.sequence[4])
     now = np.add(SPHERES_MM, (0.5, 0.0, 0.0)) if moved == "spheres_mm" else (0.0, 1.7, 0.0)
@@ -260,8 +255,8 @@ def test_nothing_moves_after_a_shift_and_the_localization_is_superseded(
 
 
 @pytest.mark.hazard(12)
-def test_a_head_that_moves_during_the_relocalization_voids_it(tmp_path: Path) -> None:
-    cell = ClinicalCell(tmp_path).carrying(MountedTool.STEREO_HEAD)
+def test_a_head_that_moves_during_the_relocalization_voids_it(cell: ClinicalCell) -> None:
+    cell.carrying(MountedTool.STEREO_HEAD)
     engine = cell.begin(*before(cell), relocalization.STEP)
 
     def move_the_head(_start: object, _target: object) -> bool:
@@ -274,10 +269,6 @@ def test_a_head_that_moves_during_the_relocalization_voids_it(tmp_path: Path) ->
     assert not engine.case.stands(engine.order.find(f"relocalization:{FIRST}"))
 
 
-def shift(cell: ClinicalCell, by_mm: float) -> None:
-    cell.tracker.spheres_mm = np.add(SPHERES_MM, (0.0, by_mm, 0.0))
-
-
 def before_the_approach(cell: ClinicalCell) -> Engine:
     cell.carrying(MountedTool.GUIDE).settled()
     given = (*before(cell), registered_robot(), mounted_guide(), checked_tool())
@@ -288,32 +279,28 @@ def before_the_approach(cell: ClinicalCell) -> Engine:
     return engine
 
 
-@pytest.mark.hazard(12)
-def test_a_head_that_moved_before_the_approach_is_not_approached(tmp_path: Path) -> None:
-    cell = ClinicalCell(tmp_path)
+@pytest.mark.parametrize(
+    ("name", "hidden", "shown", "said"),
+    [
+        pytest.param("spheres_mm", SPHERES_MM[:0], SPHERES_MM, "", marks=pytest.mark.hazard(12)),
+        pytest.param("spheres_mm", SPHERES_MM[:2], SPHERES_MM, "", marks=pytest.mark.hazard(12)),
+        pytest.param("hidden", True, False, "the cart may have moved", marks=pytest.mark.hazard(13)),
+    ],
+)
+def test_no_head_is_approached_while_the_tracker_does_not_see_it_or_the_frame_on_the_arm(
+    cell: ClinicalCell, name: str, hidden: object, shown: object, said: str
+) -> None:
     engine = before_the_approach(cell)
-    shift(cell, HEAD_MM)
-    with pytest.raises(PatientMoved):
+    setattr(cell.tracker, name, hidden)
+    with pytest.raises(PatientUnseen, match=f"PRO-022.*{said}"):
         engine.run_to()
     assert cell.arm.motions == []
-
-
-@pytest.mark.hazard(12)
-@pytest.mark.parametrize("seen", [0, 2])
-def test_a_head_that_the_tracker_does_not_see_is_not_approached(tmp_path: Path, seen: int) -> None:
-    cell = ClinicalCell(tmp_path)
-    engine = before_the_approach(cell)
-    cell.tracker.spheres_mm = SPHERES_MM[:seen]
-    with pytest.raises(PatientUnseen, match="PRO-022"):
-        engine.run_to()
-    assert cell.arm.motions == []
-    cell.tracker.spheres_mm = SPHERES_MM
+    setattr(cell.tracker, name, shown)
     engine.run_step(engine.order.find(f"positioning:{FIRST}"))
 
 
 @pytest.mark.hazard(12)
-def test_a_jogged_arm_goes_home_and_no_further_while_the_head_is_hidden(tmp_path: Path) -> None:
-    cell = ClinicalCell(tmp_path)
+def test_a_jogged_arm_goes_home_and_no_further_while_the_head_is_hidden(cell: ClinicalCell) -> None:
     engine = before_the_approach(cell)
     A1, *others = cell.arm.joints_rad
     cell.arm.joints_rad = (A1 + 0.1, *others)
@@ -322,18 +309,6 @@ def test_a_jogged_arm_goes_home_and_no_further_while_the_head_is_hidden(tmp_path
         engine.run_to()
     assert [kind for kind, _ in cell.arm.motions] == ["joints", "joints"]  # home
     assert cell.workcell.master.place.is_home
-
-
-@pytest.mark.hazard(13)
-def test_no_head_is_approached_while_the_frame_on_the_arm_is_hidden(tmp_path: Path) -> None:
-    cell = ClinicalCell(tmp_path)
-    engine = before_the_approach(cell)
-    cell.tracker.hidden = True
-    with pytest.raises(PatientUnseen, match=r"PRO-022.*the cart may have moved"):
-        engine.run_to()
-    assert cell.arm.motions == []
-    cell.tracker.hidden = False
-    engine.run_step(engine.order.find(f"positioning:{FIRST}"))
 
 
 @pytest.mark.hazard(12)
@@ -349,9 +324,8 @@ def test_no_head_is_approached_while_the_frame_on_the_arm_is_hidden(tmp_path: Pa
     ],
 )
 def test_a_head_or_cart_that_moved_by_little_is_noticed_before_the_approach(
-    tmp_path: Path, moved: Callable[[SeeingTracker], None], noticed: type[Exception]
+    cell: ClinicalCell, moved: Callable[[SeeingTracker], None], noticed: type[Exception]
 ) -> None:
-    cell = ClinicalCell(tmp_path)
     engine = before_the_approach(cell)
     moved(cell.tracker)
     with raises(noticed):
@@ -360,12 +334,11 @@ def test_a_head_or_cart_that_moved_by_little_is_noticed_before_the_approach(
 
 
 @pytest.mark.hazard(12)
-def test_nothing_is_inserted_into_a_head_that_moved_during_the_approach(tmp_path: Path) -> None:
-    cell = ClinicalCell(tmp_path)
+def test_nothing_is_inserted_into_a_head_that_moved_during_the_approach(cell: ClinicalCell) -> None:
     engine = before_the_approach(cell)
 
     def move_the_head(_start: object, _target: object) -> bool:
-        shift(cell, HEAD_MM)
+        cell.tracker.spheres_mm = np.add(SPHERES_MM, (0.0, HEAD_MM, 0.0))
         return False  # the way is clear
 
     cell.arm.blocked = move_the_head

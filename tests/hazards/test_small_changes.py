@@ -163,9 +163,10 @@ def trials(count: int, *, quiet: bool) -> list[list[tuple[float, bool]]]:
     return results
 
 
-@pytest.mark.parametrize(
-    "count", [pytest.param(40, id="40"), pytest.param(500, id="500", marks=pytest.mark.slow)]
-)
+COUNTS = [40, pytest.param(500, marks=pytest.mark.slow)]
+
+
+@pytest.mark.parametrize("count", COUNTS)
 @pytest.mark.hazard(3)
 @pytest.mark.hazard(12)
 @pytest.mark.hazard(13)
@@ -177,9 +178,7 @@ def test_no_target_is_silently_off_by_more_than_predicted_after_a_random_change(
     assert max(silent, default=0.0) <= 2.0
 
 
-@pytest.mark.parametrize(
-    "count", [pytest.param(40, id="40"), pytest.param(500, id="500", marks=pytest.mark.slow)]
-)
+@pytest.mark.parametrize("count", COUNTS)
 @pytest.mark.hazard(12)
 @pytest.mark.hazard(13)
 def test_a_quiet_case_has_no_finding(count: int) -> None:

@@ -4,81 +4,39 @@ from __future__ import annotations
 
 import math
 import random
-from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
-import numpy as np
 import pytest
 from drawn_limits import LimitedDriver, drawn_options
-from rsi_tap import RsiTap
-from scipy.spatial.transform import RigidTransform, Rotation
+from half_sitting import FIDUCIALS, SIGHT, TRAJECTORIES, arm_setting, reclined_ct
+from strategy_arms import KR6
 
 from drivers.kuka_rsi.options import KukaOptions
 from procedures.planning.errors import NotReachable
 from procedures.planning.free_angle import choose_free_angles
-from procedures.planning.head_in_ct import HeadEllipsoid
-from procedures.planning.line_of_sight import StereoSight
 from procedures.planning.motions import preview_motions
 from procedures.planning.paths import check_paths
 from procedures.planning.pose_name import GAUGE
-from procedures.planning.scene import PlanningScene
-from procedures.planning.visits import ArmSetting
-from procedures.strategies.catalogue import find_strategy
-from procedures.strategies.trajectory import Trajectory
-from ronna_hw.arm.kr6_r900 import kr6_r900
-from ronna_hw.arm.motion.limits import MotionLimits
 from ronna_hw.arm.pose import radians6
-from ronna_hw.collision_config import CollisionConfig
 from ronna_hw.devices import JointMove, LineMove
 from ronna_hw.devices.robot import OperatingMode
-from ronna_hw.frames import Frame, Transform
-from ronna_hw.vectors import JointVector, Vector3
 
 pytestmark = pytest.mark.hazard(51)
 
-ARM = kr6_r900("kr6_r900_sixx")
 HOME = radians6(0.0, -75.0, 99.0, 0.0, 66.0, 170.0)
-HEAD = HeadEllipsoid(centre_mm=(3.2, -41.7, 812.4), semi_axes_mm=(78.0, 98.0, 93.0))
-FIDUCIALS = ((-20.0, -110.0, 880.0), (64.0, -75.0, 880.0), (5.0, -60.0, 915.0))
-TRAJECTORIES = tuple(
-    one.with_rest(55.0 - one.depth_mm)
-    for one in (
-        Trajectory("T1", (10.0, -112.0, 872.0), (5.0, -70.0, 838.0)),
-        Trajectory("T2", (30.0, -100.0, 880.0), (18.0, -62.0, 845.0)),
-    )
-)
-CAMERA_MM = 250.0 * np.array([0.0, math.sin(math.radians(27.5)), -math.cos(math.radians(27.5))])
-SIGHT = StereoSight(left_mm=CAMERA_MM * (1.0, -1.0, 1.0), right_mm=CAMERA_MM)
-SUPERIOR = np.array([-0.5, 0.0, math.sqrt(0.75)])  # half sitting, the face up
-LEFT = np.array([0.0, 1.0, 0.0])
-AXES = Rotation.from_matrix(np.column_stack([LEFT, np.cross(SUPERIOR, LEFT), SUPERIOR]))
-HEAD_MM = (760.0, 0.0, 200.0)
 DRIVEN_OF_EACH = 3  # motions cycle by cycle; all others are planned and checked for clearance
 AGREE = 0.02
 LIMITS = {"speed_fraction", "range_margin_deg", "line_speed_mm_s"}
 GENEROUS_S = 60.0
 
 
-def _setting(limits: MotionLimits, start_rad: JointVector = HOME, head_mm: Vector3 = HEAD_MM) -> ArmSetting:
-    origin_mm = head_mm - AXES.apply(HEAD.centre_mm)
-    return ArmSetting(
-        kinematics=ARM,
-        robot_from_ct=Transform(Frame.ROBOT, Frame.CT, RigidTransform.from_components(origin_mm, AXES)),
-        flange_from_tool=Transform.of(Frame.FLANGE, Frame.TOOL, translation_mm=(220.0, 0.0, 60.0)),
-        strategy=find_strategy("ocs"),
-        start_rad=start_rad,
-        limits=limits,
-        scene=PlanningScene(CollisionConfig(), HEAD, FIDUCIALS),
-    )
-
-
 def _case_is_carried_out(seed: int) -> bool:
     """One set of limits: whether the path check accepts the procedure; the driver then does all of it."""
     rng = random.Random(seed)
-    driver = LimitedDriver(ARM, drawn_options(rng), rng.choice(list(OperatingMode)))
+    driver = LimitedDriver(KR6, drawn_options(rng), rng.choice(list(OperatingMode)))
     head_mm = (rng.uniform(450.0, 900.0), rng.uniform(-450.0, 450.0), rng.uniform(0.0, 450.0))
-    setting = _setting(driver.limits, head_mm=head_mm)
+    setting = arm_setting(reclined_ct(middle_mm=head_mm), limits=driver.limits, start_rad=HOME)
     assert setting.scene is not None
     check = check_paths(setting, TRAJECTORIES, FIDUCIALS)
     if not check.passed:
@@ -108,9 +66,11 @@ def test_two_hundred_drawn_limits_are_refused_at_the_path_check_or_carried_out_a
 
 
 def test_a_margin_that_leaves_no_way_to_the_head_is_refused_with_pose_value_limit_and_action() -> None:
-    limits = LimitedDriver(ARM, KukaOptions(range_margin_deg=30.0), OperatingMode.AUTOMATIC).limits
-    near_the_end = (*HOME[:4], ARM.upper_rad[4] - math.radians(20.0), HOME[5])
-    check = choose_free_angles(_setting(limits, near_the_end), TRAJECTORIES, FIDUCIALS, SIGHT).check
+    limits = LimitedDriver(KR6, KukaOptions(range_margin_deg=30.0), OperatingMode.AUTOMATIC).limits
+    near_the_end = (*HOME[:4], KR6.upper_rad[4] - math.radians(20.0), HOME[5])
+    check = choose_free_angles(
+        arm_setting(limits=limits, start_rad=near_the_end), TRAJECTORIES, FIDUCIALS, SIGHT
+    ).check
     with pytest.raises(NotReachable, match="home: A5 would leave its range") as caught:
         check.require()
     assert "limit -90.0 to 90.0 deg with the margin of 30, got 100.000 deg [ARM-003]" in str(caught.value)
@@ -119,9 +79,9 @@ def test_a_margin_that_leaves_no_way_to_the_head_is_refused_with_pose_value_limi
 
 
 def test_a_gauge_within_the_margin_is_refused_before_anything_moves() -> None:
-    limits = LimitedDriver(ARM, KukaOptions(range_margin_deg=30.0), OperatingMode.AUTOMATIC).limits
-    gauge_rad = (*HOME[:4], ARM.upper_rad[4] - math.radians(20.0), HOME[5])
-    setting = replace(_setting(limits), gauge_rad=gauge_rad)
+    limits = LimitedDriver(KR6, KukaOptions(range_margin_deg=30.0), OperatingMode.AUTOMATIC).limits
+    gauge_rad = (*HOME[:4], KR6.upper_rad[4] - math.radians(20.0), HOME[5])
+    setting = arm_setting(limits=limits, start_rad=HOME, gauge_rad=gauge_rad)
     check = choose_free_angles(setting, TRAJECTORIES, FIDUCIALS, SIGHT).check
     assert [one.pose for one in check.unmet] == [GAUGE]
     assert "ARM-003" in check.unmet[0].reason
@@ -129,11 +89,9 @@ def test_a_gauge_within_the_margin_is_refused_before_anything_moves() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
-def test_on_the_wire_the_arm_moves_as_previewed(robot_cell: Any, seed: int) -> None:
+def test_on_the_wire_the_arm_moves_as_previewed(tapped_cell: Any, seed: int) -> None:
     drawn = drawn_options(random.Random(seed)).model_dump(include=LIMITS, exclude_none=True)
-    cell = robot_cell()
-    tap = RsiTap(cell.endpoints["rsi"], lambda: cell.world.arm().joints_rad)
-    cell.endpoints["rsi"] = tap.endpoint
+    cell, tap = tapped_cell()
     arm = cell.active_arm(silence_limit_s=GENEROUS_S, heartbeat_limit_s=GENEROUS_S, **drawn)
     start = arm.read_state().commanded_rad
     up = arm.kinematics.flange_pose(start).displace((0.0, 0.0, 60.0))
@@ -144,6 +102,3 @@ def test_on_the_wire_the_arm_moves_as_previewed(robot_cell: Any, seed: int) -> N
         arm.move(motion)
         moving = sum(a != b for a, b in pairwise(tap.acting_deg[before:]))
         assert moving * arm.limits().cycle_s == pytest.approx(previewed.duration_s, rel=AGREE)
-    for each in cell.arms:
-        each.close()
-    tap.close()

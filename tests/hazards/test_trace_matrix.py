@@ -96,12 +96,7 @@ def test_marks_are_found_on_functions_classes_modules_and_parameters(tmp_path: P
 
 
 @pytest.mark.parametrize(
-    "text",
-    [
-        "status = 'nearly'",
-        "status = 'covered'\nremains = 'something'",
-        "status = 'partly'",
-    ],
+    "text", ["status = 'nearly'", "status = 'covered'\nremains = 'something'", "status = 'partly'"]
 )
 def test_a_contradictory_table_is_refused(tmp_path: Path, text: str) -> None:
     path = tmp_path / "hazards.toml"

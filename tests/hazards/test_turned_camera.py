@@ -33,8 +33,8 @@ STATED_MM = 0.02  # error of the theatre's stereo head records
 
 
 @pytest.mark.hazard(26)
-def test_positions_from_a_head_with_a_turned_camera_are_refused(tmp_path: Path) -> None:
-    cell = ClinicalCell(tmp_path).carrying(MountedTool.STEREO_HEAD)
+def test_positions_from_a_head_with_a_turned_camera_are_refused(cell: ClinicalCell) -> None:
+    cell.carrying(MountedTool.STEREO_HEAD)
     cell.workcell.radii_mm = (RADIUS_MM * 1.0024, RADIUS_MM * 1.0042)  # 0.2 degrees
     before = (checked_paths(cell), *coarse(), checked_plan(), fiducials())
     with raises(HEAD_TURNED, match=r"STE-014.*larger in one.*ronna-stereo check") as refused:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,7 +14,7 @@ from watched_case import findings, on_the_way, positioned, voiding, watched
 
 from procedures.engine.engine import Engine
 from procedures.engine.events import Advisory
-from procedures.guards import sight_guard
+from procedures.guards import HeadInSight
 from procedures.guards.errors import PatientMoved
 from procedures.operator.errors import GuardUnmet
 from procedures.operator.question import Answer, Question, Topic
@@ -37,7 +36,8 @@ def soon(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def guarded(cell: ClinicalCell) -> Engine:
     engine = watched(cell)
-    engine.checkpoint.guards.append(sight_guard(engine, voiding(engine)))
+    workcell, memory = engine.setting.workcell, engine.setting.memory
+    engine.checkpoint.guards.append(HeadInSight(workcell, memory, voiding(engine), engine.find))
     return engine
 
 
@@ -66,12 +66,7 @@ def covered(cell: ClinicalCell) -> Callable[[], None]:
     return cover
 
 
-def topics(cell: ClinicalCell) -> list[Topic]:
-    return [question.topic for question in cell.operator.asked]
-
-
-def test_a_head_covered_during_a_motion_stops_the_arm_and_suspends_the_case(tmp_path: Path) -> None:
-    cell = ClinicalCell(tmp_path)
+def test_a_head_covered_during_a_motion_stops_the_arm_and_suspends_the_case(cell: ClinicalCell) -> None:
     engine = guarded(cell)
     answering(cell, "leave")
     on_the_way(cell, covered(cell))
@@ -84,19 +79,19 @@ def test_a_head_covered_during_a_motion_stops_the_arm_and_suspends_the_case(tmp_
     assert cell.workcell.master.place.is_home
 
 
-def test_the_operator_may_continue_without_sight_and_the_motion_is_confirmed_again(tmp_path: Path) -> None:
-    cell = ClinicalCell(tmp_path)
+def test_the_operator_may_continue_without_sight_and_the_motion_is_confirmed_again(
+    cell: ClinicalCell,
+) -> None:
     engine = guarded(cell)
     answering(cell, "continue")
     on_the_way(cell, covered(cell))
     positioned(engine)
-    asked = topics(cell)
+    asked = [question.topic for question in cell.operator.asked]
     assert Topic.PAUSE not in asked
     assert asked[asked.index(Topic.HEAD_UNSEEN) + 1] is Topic.FIRST_MOTION
 
 
-def test_a_long_pending_question_does_not_stop_the_motion_that_follows(tmp_path: Path) -> None:
-    cell = ClinicalCell(tmp_path)
+def test_a_long_pending_question_does_not_stop_the_motion_that_follows(cell: ClinicalCell) -> None:
     engine = guarded(cell)
 
     def show() -> None:
@@ -116,8 +111,7 @@ def test_a_long_pending_question_does_not_stop_the_motion_that_follows(tmp_path:
     assert cell.arm.stops == 1  # for the covered head
 
 
-def test_a_head_that_moved_while_covered_is_detected_when_it_is_visible_again(tmp_path: Path) -> None:
-    cell = ClinicalCell(tmp_path)
+def test_a_head_that_moved_while_covered_is_detected_when_it_is_visible_again(cell: ClinicalCell) -> None:
     engine = guarded(cell)
 
     def show() -> None:
@@ -131,8 +125,7 @@ def test_a_head_that_moved_while_covered_is_detected_when_it_is_visible_again(tm
     assert cell.entries("voided") == [("voided", "registration")]  # which may follow
 
 
-def test_work_at_an_unwatched_target_needs_consent(tmp_path: Path) -> None:
-    cell = ClinicalCell(tmp_path)
+def test_work_at_an_unwatched_target_needs_consent(cell: ClinicalCell) -> None:
     engine = guarded(cell)
     positioned(engine)
     answer = cell.operator.ask
@@ -154,8 +147,7 @@ def test_work_at_an_unwatched_target_needs_consent(tmp_path: Path) -> None:
     assert engine.instrument_in == FIRST
 
 
-def test_the_unseen_time_also_counts_when_the_tracker_fails_during_a_motion(tmp_path: Path) -> None:
-    cell = ClinicalCell(tmp_path)
+def test_the_unseen_time_also_counts_when_the_tracker_fails_during_a_motion(cell: ClinicalCell) -> None:
     engine = guarded(cell)
     answering(cell, "leave")
     read = cell.tracker.read_frame
@@ -175,10 +167,9 @@ def test_the_unseen_time_also_counts_when_the_tracker_fails_during_a_motion(tmp_
 
 
 def test_a_tracker_that_repeats_its_last_frame_does_not_see_the_head(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    cell: ClinicalCell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("procedures.guards.watch_thread.REPEATING_S", UNSEEN_S / 2)
-    cell = ClinicalCell(tmp_path)
     engine = guarded(cell)
     answering(cell, "leave")
     reader = engine.events.subscribe()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -61,9 +60,8 @@ def head_moves(cell: ClinicalCell) -> Callable[[], None]:
 @pytest.mark.branch("REFERENCE_MOVED")
 @pytest.mark.parametrize(("jogged_rad", "motion"), [(0.0, "go"), (0.1, "home")])  # first of all it goes home
 def test_a_head_that_moves_during_a_motion_stops_the_arm_and_voids_the_registration(
-    tmp_path: Path, jogged_rad: float, motion: str
+    cell: ClinicalCell, jogged_rad: float, motion: str
 ) -> None:
-    cell = ClinicalCell(tmp_path)
     engine = watched(cell)
     A1, *others = cell.arm.joints_rad
     cell.arm.joints_rad = (A1 + jogged_rad, *others)
@@ -81,10 +79,9 @@ def test_a_head_that_moves_during_a_motion_stops_the_arm_and_voids_the_registrat
 
 
 def test_a_shift_in_the_first_frame_stops_the_arm_before_the_motion_begins(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    cell: ClinicalCell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(head_frames, "AVERAGED", 1)
-    cell = ClinicalCell(tmp_path)
     engine = watched(cell)
     positioned(engine)
     cell.arm.state, before = Lifecycle.ACTIVE, cell.arm.stops
@@ -96,9 +93,8 @@ def test_a_shift_in_the_first_frame_stops_the_arm_before_the_motion_begins(
 
 @pytest.mark.hazard(13)
 def test_a_moved_cart_that_no_second_look_confirms_is_named_and_leaves_the_way_home_open(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    cell: ClinicalCell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    cell = ClinicalCell(tmp_path / "run")
     engine = watched(cell)
 
     def wheel_away() -> None:
@@ -111,7 +107,7 @@ def test_a_moved_cart_that_no_second_look_confirms_is_named_and_leaves_the_way_h
 
     on_the_way(cell, wheel_away)
     monkeypatch.setattr(motion_watch, "read_watched", silent)
-    with pytest.raises(BaseShifted, match=r"has moved during.*limit 10 mm"):
+    with pytest.raises(BaseShifted, match=r"has moved during.*limit 18\.4 mm"):
         positioned(engine)
     assert engine.setting.memory.find(RoomWatch) is None
     engine.retreat_home()
@@ -119,9 +115,8 @@ def test_a_moved_cart_that_no_second_look_confirms_is_named_and_leaves_the_way_h
 
 
 def test_an_interruption_while_the_first_frame_is_awaited_ends_the_watch(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    cell: ClinicalCell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    cell = ClinicalCell(tmp_path)
     engine = watched(cell)
 
     def interrupted(looking: watch_thread.WatchThread) -> None:
@@ -135,8 +130,7 @@ def test_an_interruption_while_the_first_frame_is_awaited_ends_the_watch(
     assert cell.arm.motions == []
 
 
-def test_the_stop_is_ordered_again_while_the_arm_may_still_move(tmp_path: Path) -> None:
-    cell = ClinicalCell(tmp_path)
+def test_the_stop_is_ordered_again_while_the_arm_may_still_move(cell: ClinicalCell) -> None:
     engine = watched(cell)
 
     def unheard(*_kind: object) -> None:  # it does not bring the arm into HOLD
@@ -154,9 +148,8 @@ def test_the_stop_is_ordered_again_while_the_arm_may_still_move(tmp_path: Path) 
 
 
 def test_a_tracker_moved_as_the_way_in_begins_is_followed_and_distinguished_from_a_moved_head(
-    tmp_path: Path,
+    cell: ClinicalCell,
 ) -> None:
-    cell = ClinicalCell(tmp_path)
     engine = watched(cell)
     move, way_mm = cell.arm.move_line, (0.0, 2.0, 0.0)
 
@@ -175,8 +168,7 @@ def test_a_tracker_moved_as_the_way_in_begins_is_followed_and_distinguished_from
     assert cell.entries("voided") == []
 
 
-def test_a_head_that_moves_while_the_surgeon_works_is_reported_at_once(tmp_path: Path) -> None:
-    cell = ClinicalCell(tmp_path)
+def test_a_head_that_moves_while_the_surgeon_works_is_reported_at_once(cell: ClinicalCell) -> None:
     engine = watched(cell)
     positioned(engine)
     reader, answer = engine.events.subscribe(), cell.operator.ask
@@ -199,9 +191,8 @@ def test_a_head_that_moves_while_the_surgeon_works_is_reported_at_once(tmp_path:
 
 
 def test_a_head_that_moved_is_still_watched_when_that_could_not_be_journalled(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    cell: ClinicalCell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    cell = ClinicalCell(tmp_path)
     engine = watched(cell)
     positioned(engine)
     write = cell.journal.write
@@ -230,8 +221,7 @@ def test_a_head_that_moved_is_still_watched_when_that_could_not_be_journalled(
     assert cell.entries("voided") != []
 
 
-def test_work_begins_only_with_a_watch_on_the_head(tmp_path: Path) -> None:
-    cell = ClinicalCell(tmp_path)
+def test_work_begins_only_with_a_watch_on_the_head(cell: ClinicalCell) -> None:
     engine = watched(cell)
     positioned(engine)
     engine.setting.memory.drop(RoomWatch)
@@ -241,9 +231,8 @@ def test_work_begins_only_with_a_watch_on_the_head(tmp_path: Path) -> None:
     assert cell.operator.asked[-1].topic is not Topic.SKIN
 
 
-def test_a_head_out_of_sight_is_a_finding(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_head_out_of_sight_is_a_finding(cell: ClinicalCell, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(motion_watch, "LONGEST_UNSEEN_S", 0.05)
-    cell = ClinicalCell(tmp_path)
     engine = watched(cell)
 
     def hide() -> None:
@@ -258,9 +247,8 @@ def test_a_head_out_of_sight_is_a_finding(tmp_path: Path, monkeypatch: pytest.Mo
 
 @pytest.mark.parametrize("problem", [DeviceError("it is too hot"), ValueError("nobody expected that")])
 def test_a_watch_that_fails_during_a_motion_stops_nothing_and_is_a_finding(
-    tmp_path: Path, problem: Exception
+    cell: ClinicalCell, problem: Exception
 ) -> None:
-    cell = ClinicalCell(tmp_path)
     engine = watched(cell)
     read, reader = cell.tracker.read_frame, engine.events.subscribe()
 
@@ -282,8 +270,7 @@ def test_a_watch_that_fails_during_a_motion_stops_nothing_and_is_a_finding(
     assert any("the head was not watched" in text for text in findings(cell))
 
 
-def test_a_motion_that_the_tracker_cannot_watch_is_a_finding(tmp_path: Path) -> None:
-    cell = ClinicalCell(tmp_path)
+def test_a_motion_that_the_tracker_cannot_watch_is_a_finding(cell: ClinicalCell) -> None:
     engine = watched(cell)
     positioned(engine)
     cell.tracker.state = Lifecycle.FAULT
@@ -293,8 +280,7 @@ def test_a_motion_that_the_tracker_cannot_watch_is_a_finding(tmp_path: Path) -> 
 
 
 @pytest.mark.hazard(64)
-def test_a_guide_that_is_pushed_stops_the_assistant_on_its_way_through_it(tmp_path: Path) -> None:
-    cell = ClinicalCell(tmp_path)
+def test_a_guide_that_is_pushed_stops_the_assistant_on_its_way_through_it(cell: ClinicalCell) -> None:
     engine = watched(cell)
     positioned(engine)
     unseen_mm = np.full((3, 3), np.nan)
@@ -315,8 +301,9 @@ def test_a_guide_that_is_pushed_stops_the_assistant_on_its_way_through_it(tmp_pa
         pass
 
 
-def test_a_tracker_that_replies_late_during_a_motion_stops_nothing_and_is_a_finding(tmp_path: Path) -> None:
-    cell = ClinicalCell(tmp_path)
+def test_a_tracker_that_replies_late_during_a_motion_stops_nothing_and_is_a_finding(
+    cell: ClinicalCell,
+) -> None:
     engine = watched(cell)
     reader = engine.events.subscribe()
 
@@ -335,8 +322,9 @@ def test_a_tracker_that_replies_late_during_a_motion_stops_nothing_and_is_a_find
 
 
 @pytest.mark.parametrize(("when", "watches"), [(WatchPatient.NEVER, False), (WatchPatient.INSTRUMENT, True)])
-def test_watching_the_patient_can_be_switched_off(tmp_path: Path, when: WatchPatient, watches: bool) -> None:
-    cell = ClinicalCell(tmp_path)
+def test_watching_the_patient_can_be_switched_off(
+    cell: ClinicalCell, when: WatchPatient, watches: bool
+) -> None:
     engine = watched(cell)
     watch = patient_watch(engine, voiding(engine))
     watch.when = when
@@ -348,9 +336,9 @@ def test_watching_the_patient_can_be_switched_off(tmp_path: Path, when: WatchPat
 
 
 def test_at_home_the_stereo_head_is_mounted_again_and_the_case_starts_with_the_tracker(
-    tmp_path: Path,
+    cell: ClinicalCell,
 ) -> None:
-    cell = ClinicalCell(tmp_path).carrying(MountedTool.GUIDE)
+    cell.carrying(MountedTool.GUIDE)
     engine = cell.begin(checked_set_up(cell), global_localization.STEP)
     engine.run_to(engine.order.sequence[0])
     home = cell.arm.joints_rad

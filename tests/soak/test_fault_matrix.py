@@ -12,11 +12,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import tomli_w
+from simulated_case import SimulatedCase
 from single_faults import DONE, SCENES, Cell, cells, noticed_by_device, stops
 from user_commands import Commands
 
-from procedures.journal.journal import JOURNAL_FILE, Entry, Line, read_journal
+from procedures.journal.journal import Entry, Line
 from procedures.workcell.arms import HALTED
 from ronna_hw.log_output import LOG_FILE
 from sim.world.scene.named_scenes import draw_scene
@@ -25,7 +25,6 @@ pytestmark = [pytest.mark.soak, pytest.mark.timeout(400)]
 
 SEED = 3
 LARGEST_ERROR_MM = 1.5
-WITHIN_S = 300.0  # host time for a whole case, on a busy computer; with a cart moved at each stage five times
 CODE = re.compile(r"[A-Z]+-\d{3}")
 QUOTING = {"PRO-001", "DEV-001"}  # a step, or a call in it, that came after the fault and is refused for it
 IN_DOUBT = "in doubt"
@@ -34,13 +33,15 @@ AT_REST = (Entry.RESTED, Entry.FAILED, Entry.REFUSED)
 
 @pytest.mark.parametrize("cell", cells(), ids=lambda cell: cell.name)
 def test_a_case_with_a_fault_ends_as_promised(commands: Commands, tmp_path: Path, cell: Cell) -> None:
-    ended = commands.run(
-        "ronna-procedure", "run", "--sim", *options(cell, tmp_path), "--json", timeout_s=WITHIN_S
-    )
+    case, row = SimulatedCase(commands, tmp_path), cell.row
+    words, scene = ("--scene", "mini", "--seed", str(SEED), "--markers", str(row.markers)), None
+    if row.scene:
+        words, scene = (), SCENES[row.scene](draw_scene("mini", seed=SEED, markers=row.markers))
+    answers = row.answers and f"[answers]\n{row.answers}"
+    ended = case.run(*words, *row.arms, scene=scene, faults=cell.line, answers=answers)
     outcome = json.loads(ended.stdout)
-    run = tmp_path / "runs" / outcome["run"]
-    journal = list(read_journal(run / JOURNAL_FILE))
-    assert list(broken_promises(cell, outcome, journal, halted_s(run))) == [], ended.stderr
+    promised = broken_promises(cell, outcome, case.journal, halted_s(case.run_folder))
+    assert list(promised) == [], ended.stderr
 
 
 def halted_s(run: Path) -> float | None:
@@ -51,26 +52,6 @@ def halted_s(run: Path) -> float | None:
     """
     lines = map(json.loads, (run / LOG_FILE).read_text().splitlines())
     return next((line["theatre_time_s"] for line in lines if line.get("event") == HALTED), None)
-
-
-def options(cell: Cell, folder: Path) -> list[str]:
-    """Of the command that runs the case."""
-    row = cell.row
-    words = ["--scene", "mini", "--seed", str(SEED), "--markers", str(row.markers), *row.arms]
-    if row.scene:
-        changed = SCENES[row.scene](draw_scene("mini", seed=SEED, markers=row.markers))
-        content = changed.model_dump(mode="json", by_alias=True, exclude_none=True)
-        words = ["--scene", written(folder / "scene.toml", tomli_w.dumps(content)), *row.arms]
-    if cell.line:
-        words += ["--faults", written(folder / "faults.txt", cell.line + "\n")]
-    if row.answers:
-        words += ["--answers", written(folder / "answers.toml", f"[answers]\n{row.answers}\n")]
-    return [*words, "--out", str(folder / "runs")]
-
-
-def written(path: Path, text: str) -> str:
-    path.write_text(text)
-    return str(path)
 
 
 def broken_promises(

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import tomli_w
+from simulated_case import write_scene
 from user_commands import Commands
 
 from procedures.strategies.catalogue import STRATEGIES
@@ -28,14 +28,12 @@ MEAN_MM = {"nos": 0.25, "thesis-ocs": 0.25}
 MARGIN_MM = 5.0  # in the plan: of an uncalibrated arm in the neutral orientation more than 2 mm is predicted
 
 
-def scene_file(folder: Path, seed: int) -> Path:
+def scene_file(folder: Path, seed: int) -> str:
     """The default scene with a margin that the neutral orientation meets too."""
     scene = draw_scene("default", seed=seed)
     targets = tuple(one.model_copy(update={"margin_mm": MARGIN_MM}) for one in scene.head.targets)
     changed = scene.model_copy(update={"head": scene.head.model_copy(update={"targets": targets})})
-    path = folder / f"scene-{seed}.toml"
-    path.write_text(tomli_w.dumps(changed.model_dump(mode="json", by_alias=True, exclude_none=True)))
-    return path
+    return write_scene(changed, folder / f"scene-{seed}.toml")
 
 
 def errors_of_every_seed(commands: Commands, folder: Path, calibrated: bool, *case: str) -> list[float]:
@@ -43,7 +41,7 @@ def errors_of_every_seed(commands: Commands, folder: Path, calibrated: bool, *ca
     errors_mm = []
     for seed in SEEDS:
         own = "nos" in case and not calibrated
-        scene = ["--scene", str(scene_file(folder, seed))] if own else ["--seed", str(seed)]
+        scene = ["--scene", scene_file(folder, seed)] if own else ["--seed", str(seed)]
         words = ["--sim", *scene, *case, "--out", str(folder / "runs"), "--json"]
         words += ["--calibrated"] * calibrated
         done = commands.run("ronna-procedure", "run", *words, timeout_s=CASE_LIMIT_S)

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 from faulty_cameras import Cameras
+from simulated_case import SimulatedCase
 from user_commands import Commands
 
 from ronna_hw.host.child_process import ChildProcess, command
@@ -15,6 +17,12 @@ from ronna_hw.host.child_process import ChildProcess, command
 def shared_commands() -> Commands:
     """Commands for results that several tests look at."""
     return Commands()
+
+
+@pytest.fixture
+def case(commands: Commands, tmp_path: Path) -> SimulatedCase:
+    """A simulated case of this test."""
+    return SimulatedCase(commands, tmp_path)
 
 
 @pytest.fixture(scope="session")

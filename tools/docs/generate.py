@@ -113,7 +113,6 @@ def tables() -> dict[str, str]:
 
 
 def _tabulate_roles(roles: Mapping[str, Role]) -> str:
-    """Tabulate the endpoints that a driver needs, all of them."""
     rows = [(f"`{name}`", f"`{role.example}`", role.purpose) for name, role in roles.items()]
     return (
         "## Endpoints\n\nTable `[robot.<name>.endpoints]`; all are required.\n\n"
@@ -146,7 +145,6 @@ class ListedError:
 
     @property
     def code(self) -> str:
-        """Its stable code."""
         return self.entry.code
 
     @property
@@ -230,10 +228,12 @@ def _name_places(error: ListedError, raised: Mapping[str, tuple[set[str], str]])
     Those of two drivers may have the same name: only modules that import this one count, and its own.
     """
     own = f"{error.module.replace('.', '/')}.py"
+    package, _, module = error.module.rpartition(".")
+    imported = re.compile(rf"from {error.module} import|from {package} import (\([^)]*|[^\n(]*)\b{module}\b")
     places = [
         f"`{name}`"
         for name, (errors, text) in raised.items()
-        if error.name in errors and (name == own or f"from {error.module} import" in text)
+        if error.name in errors and (name == own or imported.search(text))
     ]
     if error.name.startswith("STREAM_ERRORS."):
         places.append("`ronna_hw/arm_stream`")

@@ -51,7 +51,6 @@ class BoundTest:
 
     @property
     def statement(self) -> str:
-        """The test's name as a sentence."""
         return self.name.removeprefix("test_").replace("_", " ")
 
 

@@ -32,7 +32,6 @@ def read_rows(path: Path, key: str, row: type[RowT]) -> list[RowT]:
 
 
 def table(headings: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    """Format rows as a Markdown table."""
     lines = [headings, ["---"] * len(headings), *rows]
     return "".join(f"| {' | '.join(map(str, cells))} |\n" for cells in lines)
 
@@ -54,7 +53,6 @@ class Disturbance:
 
 
 def read_disturbances() -> list[Disturbance]:
-    """Read the disturbances from the data file."""
     return read_rows(REFERENCE / "link-disturbances.toml", "disturbance", Disturbance)
 
 
@@ -115,7 +113,6 @@ class Question:
 
 
 def read_questions() -> list[Question]:
-    """Read the questions from the data file."""
     return read_rows(REFERENCE / "robot-open-questions.toml", "question", Question)
 
 
@@ -130,7 +127,6 @@ def robot_parameters() -> str:
 
 
 def parameter_table(rows: Iterable[tuple[str, object, str]]) -> str:
-    """Tabulate simulator parameters for unconfirmed behaviour."""
     return table(
         ("parameter", "best estimate", "meaning"),
         [(f"`{name}`", value, meaning) for name, value, meaning in rows],

@@ -46,7 +46,6 @@ def read_safety_figures(root: Path = ROOT) -> list[SafetyFigure]:
 
 
 def safety_table() -> str:
-    """Tabulate all safety figures."""
     figures = read_safety_figures()
     unconfirmed = sum(figure.source == UNCONFIRMED for figure in figures)
     rows = [

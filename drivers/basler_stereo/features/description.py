@@ -1,7 +1,4 @@
-"""GenICam description of a camera: download, strict XML parsing, register decoding.
-
-`feature_map` interprets the nodes.
-"""
+"""GenICam description of a camera: download, strict parsing, registers; `feature_map` interprets nodes."""
 
 from __future__ import annotations
 
@@ -59,10 +56,7 @@ class Node:
 
 
 def fetch_description(control: CameraControl, deadline_s: float) -> bytes:
-    """Download the XML description stored on the camera.
-
-    Raises GEV-009 if there is none, GEV-006 to GEV-008 if it cannot be read.
-    """
+    """Download the XML description stored on the camera; raises GEV-009 without one, GEV-006 to GEV-008."""
     for register in (Bootstrap.FIRST_URL, Bootstrap.SECOND_URL):
         block = control.read_memory(register, gev.TEXT_BYTES[register], deadline_s)
         url = block.split(b"\0", 1)[0].decode("ascii", errors="replace").strip()
@@ -120,15 +114,13 @@ def _iterate_nodes(group: ElementTree.Element) -> Iterator[Node]:
 
 def _struct_entries(shared: ElementTree.Element) -> Iterator[Node]:
     """Yield the entries of a shared register, which inherit the fields that they lack."""
-    entries = [
-        child for child in shared if _local_name(child.tag) == "StructEntry" and "Name" in child.attrib
-    ]
     common = tuple(_parse_field(child) for child in shared if _local_name(child.tag) != "StructEntry")
     if len(common) > MOST_SHARED_FIELDS:
         raise BAD_DESCRIPTION("a shared register has too many fields", limit=str(MOST_SHARED_FIELDS))
-    for entry in entries:
-        node = _parse_node(entry)
-        yield Node("MaskedIntReg", node.name, node.fields + common)
+    for child in shared:
+        if _local_name(child.tag) == "StructEntry" and "Name" in child.attrib:
+            node = _parse_node(child)
+            yield Node("MaskedIntReg", node.name, node.fields + common)
 
 
 def _parse_node(element: ElementTree.Element) -> Node:

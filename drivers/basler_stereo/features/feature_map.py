@@ -96,13 +96,9 @@ class FeatureMap:
         self._budget = COST_LIMIT
         return self._read(name, 0)
 
-    def whole(self, name: str) -> int:
-        """Read a feature as an integer."""
-        return int(self.number(name))
-
     def choice(self, name: str) -> str:
         """Read an enumeration and return its entry name."""
-        value = self.whole(name)
+        value = int(self.number(name))
         for entry, number in self._find_node(name).entries.items():
             if number == value:
                 return entry
@@ -131,11 +127,9 @@ class FeatureMap:
         if node.kind != "Command":
             raise MISSING_FEATURE(f"{name} is not a command", got=node.kind)
         value = self._read_field_number(node, "CommandValue", 0)
-        target = node.text("pValue")
-        register = self._final_register(target or "", 0)
-        return self._register_address(register, 0), self._encode_value(
-            register, 1 if value is None else value
-        )
+        register = self._final_register(node.text("pValue") or "", 0)
+        data = self._encode_value(register, 1 if value is None else value)
+        return self._register_address(register, 0), data
 
     def limits(self, name: str) -> Limits:
         """Return a feature's current limits; any not stated come from the nodes below it."""
@@ -172,8 +166,7 @@ class FeatureMap:
             return float(value) if node.kind == "Float" else value
         if name in self._local_values:
             return self._local_values[name]
-        own = node.text("Value")
-        if own is None:
+        if (own := node.text("Value")) is None:
             raise BAD_DESCRIPTION(f"{name} ({node.kind}) has no value")
         return parse_real_number(own, name) if node.kind == "Float" else parse_whole_number(own, name)
 
@@ -249,8 +242,7 @@ class FeatureMap:
                 values[name] = self._read(field.text.split(".")[0], depth + 1)
             elif field.tag in ("Constant", "Expression"):
                 values[name] = self._evaluate_formula(field.text, values, node)
-        formula = node.text(tag)
-        if formula is None:
+        if (formula := node.text(tag)) is None:
             raise BAD_DESCRIPTION(f"{node.name} has no {tag}")
         return self._evaluate_formula(formula, values, node)
 

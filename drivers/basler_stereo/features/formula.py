@@ -157,8 +157,7 @@ def _evaluate_operation(node: Tree[Token], values: Mapping[str, Number], whole: 
             raise BAD_DESCRIPTION(f"formula uses the unknown name {parts[0]}")
         return values[str(parts[0])]
     if kind == "call":
-        function = _FUNCTIONS.get(str(parts[0]).upper())
-        if function is None:
+        if (function := _FUNCTIONS.get(str(parts[0]).upper())) is None:
             raise BAD_DESCRIPTION(f"formula uses the unknown function {parts[0]}")
         return function(_evaluate(parts[1], values, whole, depth))
     if kind == "choose":

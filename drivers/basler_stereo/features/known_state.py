@@ -40,8 +40,6 @@ class Features(Protocol):
 
     def number(self, name: str) -> Number: ...
 
-    def whole(self, name: str) -> int: ...
-
     def entries(self, name: str) -> Iterable[str]: ...
 
     def limits(self, name: str) -> Limits: ...
@@ -60,10 +58,7 @@ def read_temperature_C(features: Features) -> float | None:
 
 
 def apply_known_state(features: Features, options: BaslerOptions, camera: str) -> None:
-    """Apply all settings except the area; `camera` is the name used in messages.
-
-    Raises GEV-010 for missing features, GEV-011 for impossible values.
-    """
+    """Apply all settings but the area; `camera` is its name in messages. Raises GEV-010, GEV-011."""
     if features.has("AcquisitionStop"):  # a library may hide it while nothing is running
         features.execute("AcquisitionStop")
     lock_transport(features, False)  # an earlier client may have left it locked
@@ -122,16 +117,12 @@ def set_exposure(features: Features, exposure_us: float, gain_raw: int | None, c
 
 def full_area(features: Features) -> AreaOfInterest:
     """Return the full sensor area."""
-    width = features.whole(_find_feature(features, SENSOR_WIDTH_NAMES))
-    height = features.whole(_find_feature(features, SENSOR_HEIGHT_NAMES))
-    return AreaOfInterest(0, 0, width, height)
+    size = (_find_feature(features, names) for names in (SENSOR_WIDTH_NAMES, SENSOR_HEIGHT_NAMES))
+    return AreaOfInterest(0, 0, *(int(features.number(name)) for name in size))
 
 
 def set_area(features: Features, area: AreaOfInterest) -> None:
-    """Set the sensor area to read out; raises GEV-011 with the limits.
-
-    The offsets go to zero first: the camera rejects a size that does not fit at its current offset.
-    """
+    """Set the sensor area, offsets to zero first, as they limit the size; raises GEV-011 with the limits."""
     sensor = full_area(features)
     if area == read_area(features):
         return
@@ -150,13 +141,14 @@ def set_area(features: Features, area: AreaOfInterest) -> None:
 
 def read_area(features: Features) -> AreaOfInterest:
     """Read the current readout area."""
-    return AreaOfInterest(*(features.whole(name) for name in ("OffsetX", "OffsetY", "Width", "Height")))
+    names = ("OffsetX", "OffsetY", "Width", "Height")
+    return AreaOfInterest(*(int(features.number(name)) for name in names))
 
 
 def payload_bytes(features: Features, area: AreaOfInterest, pixel_format: int) -> int:
     """Return the image size in bytes; raises GEV-009 if the camera reports another payload size."""
     expected = image_bytes(area, pixel_format)
-    if features.has("PayloadSize") and (reported_bytes := features.whole("PayloadSize")) != expected:
+    if features.has("PayloadSize") and (reported_bytes := int(features.number("PayloadSize"))) != expected:
         raise BAD_DESCRIPTION(
             "payload size does not match the area", expected=str(expected), got=str(reported_bytes)
         )
@@ -170,15 +162,9 @@ def image_bytes(area: AreaOfInterest, pixel_format: int) -> int:
 
 
 def _require_area(features: Features, area: AreaOfInterest, sensor: AreaOfInterest) -> None:
-    is_inside = (
-        area.width > 0
-        and area.height > 0
-        and area.offset_x >= 0
-        and area.offset_y >= 0
-        and area.offset_x + area.width <= sensor.width
-        and area.offset_y + area.height <= sensor.height
-    )
-    if not is_inside:
+    fits_across = 0 <= area.offset_x < area.offset_x + area.width <= sensor.width
+    fits_down = 0 <= area.offset_y < area.offset_y + area.height <= sensor.height
+    if not (fits_across and fits_down):
         raise OUT_OF_RANGE("the area exceeds the sensor", limit=_format_area(sensor), got=_format_area(area))
     for name, value in (
         ("Width", area.width),

@@ -120,7 +120,7 @@ class PylonCamera:
         self.area = known_state.full_area(features)
         known_state.set_area(features, self.area)
         if features.has("GevTimestampTickFrequency"):
-            self.tick_frequency_hz = features.whole("GevTimestampTickFrequency")
+            self.tick_frequency_hz = int(features.number("GevTimestampTickFrequency"))
 
     @property
     def features(self) -> PylonFeatures:
@@ -202,10 +202,6 @@ class PylonFeatures:
         """Read a numeric feature."""
         value: Number = self._find_node(name).GetValue()
         return value
-
-    def whole(self, name: str) -> int:
-        """Read a feature as an integer."""
-        return int(self._find_node(name).GetValue())
 
     def entries(self, name: str) -> tuple[str, ...]:
         """Return the available entry names of an enumeration."""

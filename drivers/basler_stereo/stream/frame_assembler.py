@@ -24,15 +24,10 @@ OPEN_BLOCKS = 15  # at full rate the next images begin before the last packets o
 PACKETS_PER_ROUND = 64  # requested at a time: a larger burst could overrun the socket again
 Claim = Callable[[], tuple[int, bytearray | memoryview]]
 """Memory for the next frame, of the payload's size, and its number."""
-_PACKET_HEADER = struct.Struct(gev.GVSP_HEADER)
 _LEADER = struct.Struct(gev.GVSP_LEADER)
 _UNPACK_HEADER = struct.Struct(gev.GVSP_HEADER).unpack_from
 _UNAVAILABLE = frozenset(
-    {
-        GevStatus.PACKET_UNAVAILABLE,
-        GevStatus.PACKET_REMOVED,
-        GevStatus.PACKET_AND_PREVIOUS_REMOVED,
-    }
+    {GevStatus.PACKET_UNAVAILABLE, GevStatus.PACKET_REMOVED, GevStatus.PACKET_AND_PREVIOUS_REMOVED}
 )
 
 
@@ -68,7 +63,7 @@ def decode_header(packet: memoryview) -> PacketHeader | None:
     """Decode a packet header, or return None unless it is a standard stream packet."""
     if len(packet) < gev.GVSP_HEADER_BYTES:
         return None
-    status, block_id, word = _PACKET_HEADER.unpack_from(packet)
+    status, block_id, word = _UNPACK_HEADER(packet)
     kind = word >> gev.GVSP_FORMAT_SHIFT & gev.GVSP_FORMAT_MASK
     if word & gev.GVSP_EXTENDED_ID_BIT or block_id == 0:
         return None
@@ -130,10 +125,7 @@ class _Block:
 
 
 class FrameAssembler:
-    """Frame assembler for one stream with known payload and packet size.
-
-    Frames are stored in the memory from `claim`, by default newly allocated.
-    """
+    """Frame assembler for one stream of known sizes, with memory from `claim`, by default its own."""
 
     def __init__(self, payload_bytes: int, packet_bytes: int, claim: Claim | None = None) -> None:
         self._payload_bytes = payload_bytes
@@ -225,13 +217,9 @@ class FrameAssembler:
         return bool(block.requested) and all(block.received[packet_id] for packet_id in block.requested)
 
     def _open_block(self, block_id: int) -> _Block:
-        block = self._open.get(block_id)
-        if block is None:
+        if (block := self._open.get(block_id)) is None:
             block = _Block(
-                block_id,
-                *self._claim(),
-                bytearray(self._trailer_id + 1),
-                remaining=self._trailer_id + 1,
+                block_id, *self._claim(), bytearray(self._trailer_id + 1), remaining=self._trailer_id + 1
             )
             self._open[block_id] = block
         return block
@@ -271,20 +259,17 @@ class FrameAssembler:
             # until the trailer arrives, "unavailable" may mean "not yet"
             if block.received[self._trailer_id]:
                 block.unavailable.add(packet_id)
-            return
-        if block.received[packet_id]:
+        elif block.received[packet_id]:
             self.counters.duplicates += 1
-            return
-        if not self._store(block, header, content):
+        elif self._store(block, header, content):
+            block.received[packet_id] = 1
+            block.remaining -= 1
+        else:
             self.counters.ignored += 1
-            return
-        block.received[packet_id] = 1
-        block.remaining -= 1
 
     def _store(self, block: _Block, header: PacketHeader, content: memoryview) -> bool:
         """Store a packet's content; returns False if its kind or length does not match its id."""
-        packet_id = header.packet_id
-        if packet_id == gev.LEADER_PACKET_ID:
+        if (packet_id := header.packet_id) == gev.LEADER_PACKET_ID:
             block.leader = decode_leader(content) if header.kind == GvspFormat.LEADER else None
             return block.leader is not None
         if packet_id == self._trailer_id:

@@ -146,16 +146,12 @@ class StreamReceiver:
         self._process.give_order(ExpectBlock(self._number, block_id, patience_s))
 
     def take(self, deadline_s: float, give_up: Callable[[], bool] = lambda: False) -> ReceivedImage | None:
-        """Return the oldest pending frame, or None at the deadline (host monotonic time).
-
-        Also None as soon as `give_up()`. Raises GEV-017.
-        """
+        """Return the oldest frame; None at the deadline (host time) or by `give_up()`. Raises GEV-017."""
         while True:
             remaining_s = deadline_s - time.monotonic()
             # an available frame is taken even after the deadline
             if select.select([self._notes], [], [], max(0.0, min(remaining_s, POLL_S)))[0]:
-                frame = self._slots.fetch(self._next_note())
-                if frame is not None:
+                if (frame := self._slots.fetch(self._next_note())) is not None:
                     return frame
             elif remaining_s <= 0 or give_up():
                 return None

@@ -14,7 +14,7 @@ import os
 import socket
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields
-from typing import Annotated, NamedTuple
+from typing import Annotated, NamedTuple, get_args
 
 from drivers.basler_stereo.stream.frame_assembler import Leader, ReceivedImage, StreamCounters
 from ronna_hw.host.row_codec import RowCodec
@@ -73,9 +73,7 @@ class EndKeepAlive:
 Order = OpenImageStream | CloseImageStream | ExpectBlock | KeepAlive | EndKeepAlive
 
 
-_KINDS: dict[str, type[Order]] = {
-    kind.__name__: kind for kind in (OpenImageStream, CloseImageStream, ExpectBlock, KeepAlive, EndKeepAlive)
-}
+_KINDS: dict[str, type[Order]] = {kind.__name__: kind for kind in get_args(Order)}
 
 
 def send_order(channel: socket.socket, order: Order, descriptors: Sequence[int] = ()) -> None:
@@ -137,15 +135,9 @@ class FrameSlots:
 
     def note(self, frame: ReceivedImage) -> bytes:
         """Encode the note that announces a finished frame."""
-        return _NOTE.pack(
-            _FrameNote(
-                frame.slot,
-                self._use_counts[frame.slot],
-                frame.block_id,
-                frame.missing_packets,
-                frame.leader,
-            )
-        )
+        use_count = self._use_counts[frame.slot]
+        note = _FrameNote(frame.slot, use_count, frame.block_id, frame.missing_packets, frame.leader)
+        return _NOTE.pack(note)
 
     def fetch(self, note: bytes) -> ReceivedImage | None:
         """Copy a frame from its slot, or return None if a newer frame has overwritten it."""

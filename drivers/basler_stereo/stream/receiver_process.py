@@ -81,8 +81,7 @@ class _Stream:
                 if sender != self._camera_address:
                     self._assembler.counters.foreign += 1
                     continue
-                frame = accept(view[:size], now_s)
-                if frame is not None:
+                if (frame := accept(view[:size], now_s)) is not None:
                     self._announce(frame)
             return True
         self._slots.write_counters(self._assembler.counters)
@@ -157,8 +156,7 @@ class ReceiverLoop:
         while True:
             has_more = False
             for descriptor, _ in self._poll.poll(self._poll_limit_s() * 1e3):
-                stream = self._by_descriptor.get(descriptor)
-                if stream is not None:
+                if (stream := self._by_descriptor.get(descriptor)) is not None:
                     has_more |= stream.receive(buffer, view)
                 elif descriptor == self._orders.fileno() and not self._take_order():
                     return
@@ -174,20 +172,16 @@ class ReceiverLoop:
     def _poll_limit_s(self) -> float:
         if any(stream.is_waiting for stream in self._streams.values()):
             return FRAME_WAIT_S
-        now_s = time.monotonic()
-        return max(
-            0.0, min([IDLE_WAIT_S, *(keep_alive.due_s - now_s for keep_alive in self._keep_alives.values())])
-        )
+        waits_s = [keep_alive.due_s - time.monotonic() for keep_alive in self._keep_alives.values()]
+        return max(0.0, min([IDLE_WAIT_S, *waits_s]))
 
     def _take_order(self) -> bool:
-        try:
+        received = None
+        with contextlib.suppress(OSError):
             received = receive_order(self._orders)
-        except OSError:
-            return False
-        if received is None:
-            return False
-        self._execute(*received)
-        return True
+        if received is not None:
+            self._execute(*received)
+        return received is not None
 
     def _execute(self, order: Order, descriptors: list[int]) -> None:
         match order:

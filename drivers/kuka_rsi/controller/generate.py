@@ -43,8 +43,7 @@ def render(context: RsiContext) -> dict[str, str]:
     template refers to something undefined.
     """
     used = {wire.object for wire in context.wiring} | {wire.object for wire in context.feedback}
-    unknown = sorted(used - set(OBJECT_IDS))
-    if unknown:
+    if unknown := sorted(used - set(OBJECT_IDS)):
         raise CONTEXT_INVALID(
             f"the controller's files have no {', '.join(unknown)}",
             expected="wiring and feedback of AXISCORR and STOP only",

@@ -55,12 +55,8 @@ class EkiClient(ControlChannel[ControllerState]):
 
     def status(self, timeout_s: float) -> ControllerState:
         """Request the controller state; raises EKI-003 on time-out, EKI-002 or EKI-004 on a broken link."""
-        state = self.await_reply(self.request_state(), timeout_s)
-        if state is None:
-            raise STREAM_ERRORS.no_answer(
-                f"{self.where} does not answer {CommandName.STATUS}", limit=f"{timeout_s:g} s"
-            )
-        return state
+        reply = self.await_reply(self.request_state(), timeout_s)
+        return self._answered(CommandName.STATUS, reply, timeout_s)
 
     def request_state(self) -> int:
         """Request the state without waiting and return the request's number; raises EKI-002."""
@@ -77,10 +73,7 @@ class EkiClient(ControlChannel[ControllerState]):
     def command(self, name: CommandName, timeout_s: float, **values: object) -> Ack:
         """Send a command and wait for its answer, of any code. Raises EKI-003, EKI-002 or EKI-004."""
         number = self._send(name, values)
-        ack = self._wait_for(lambda: self._acks.get(number), timeout_s)
-        if ack is None:
-            raise STREAM_ERRORS.no_answer(f"{self.where} does not answer {name}", limit=f"{timeout_s:g} s")
-        return ack
+        return self._answered(name, self._wait_for(lambda: self._acks.get(number), timeout_s), timeout_s)
 
     def require(self, name: CommandName, timeout_s: float, **values: object) -> None:
         """Send a command as `command` does; raises EKI-008 unless it is acknowledged with OK."""
@@ -91,10 +84,7 @@ class EkiClient(ControlChannel[ControllerState]):
     def await_state(
         self, condition: Callable[[ControllerState], bool], timeout_s: float
     ) -> ControllerState | None:
-        """Wait for a state that meets a condition; returns None on time-out.
-
-        States arrive unsolicited; one is nevertheless requested now and then.
-        """
+        """Wait for a state that meets a condition, requesting one now and then; None on time-out."""
 
         def find_matching() -> ControllerState | None:
             latest = self.latest
@@ -102,11 +92,15 @@ class EkiClient(ControlChannel[ControllerState]):
 
         deadline = time.monotonic() + timeout_s
         while (remaining_s := deadline - time.monotonic()) > 0.0:
-            found = self._wait_for(find_matching, min(remaining_s, REQUEST_PERIOD_S))
-            if found is not None:
+            if (found := self._wait_for(find_matching, min(remaining_s, REQUEST_PERIOD_S))) is not None:
                 return found
             self._send(CommandName.STATUS, {})
         return find_matching()
+
+    def _answered(self, name: CommandName, answer: T | None, timeout_s: float) -> T:
+        if answer is None:
+            raise STREAM_ERRORS.no_answer(f"{self.where} does not answer {name}", limit=f"{timeout_s:g} s")
+        return answer
 
     def _send(self, name: CommandName, values: dict[str, object]) -> int:
         with self._arrived:
@@ -156,10 +150,7 @@ def _store(store: dict[int, T], number: int, value: T) -> None:
 
 
 class ControllerCommands:
-    """Controller commands for tool, base and override; excludes motion and the RSI stream.
-
-    Each raises EKI-003 without an answer and EKI-008 when refused.
-    """
+    """Commands for tool, base and override; each raises EKI-003 without an answer, EKI-008 when refused."""
 
     def __init__(self, guard: LifecycleGuard, eki: Callable[[], EkiClient]) -> None:
         """Create the commands; `eki` returns the open connection or raises EKI-001."""
@@ -181,11 +172,9 @@ class ControllerCommands:
         timeout_s: float = DEFAULT_TIMEOUT_S,
     ) -> None:
         """Set a tool frame (number 1..16) with its load; at rest only."""
-        CX, CY, CZ = centre_of_mass_mm
         frame = _frame_attributes(tool_in_flange)
-        self._send_command(
-            CommandName.SET_TOOL, timeout_s, No=number, **frame, M=mass_kg, CX=CX, CY=CY, CZ=CZ
-        )
+        centre = dict(zip(("CX", "CY", "CZ"), centre_of_mass_mm, strict=True))
+        self._send_command(CommandName.SET_TOOL, timeout_s, No=number, **frame, M=mass_kg, **centre)
 
     def set_base(self, number: int, base_in_world: Pose, timeout_s: float = DEFAULT_TIMEOUT_S) -> None:
         """Set a base frame (number 1..32); at rest only."""
@@ -201,6 +190,4 @@ class ControllerCommands:
 
 
 def _frame_attributes(pose: Pose) -> dict[str, object]:
-    X, Y, Z, A, B, C = pose.to_kuka()
-    values = {"X": X, "Y": Y, "Z": Z, "A": A, "B": B, "C": C}
-    return {name: f"{value:.6f}" for name, value in values.items()}
+    return {name: f"{value:.6f}" for name, value in zip("XYZABC", pose.to_kuka(), strict=True)}

@@ -64,7 +64,7 @@ class TelegramScanner:
                 if inner[:1] == b"/":
                     continue  # the end of something whose beginning was lost
                 self._root_start, self._depth = start, 0
-            elif _tag_name(inner) in ROOTS:
+            elif (name := _NAME.match(inner)) and name[0] in ROOTS:
                 self._refuse_truncated()
             if inner[:1] == b"/":
                 self._depth -= 1
@@ -82,8 +82,7 @@ class TelegramScanner:
     def _next_tag(self) -> tuple[int, int] | None:
         """Find the next complete tag, respecting quotes; returns the positions of "<" and ">"."""
         buffer = self._buffer
-        start = buffer.find(b"<", self._scanned)
-        if start < 0:
+        if (start := buffer.find(b"<", self._scanned)) < 0:
             if self._root_start < 0:
                 buffer.clear()
             self._scanned = len(buffer)
@@ -93,8 +92,7 @@ class TelegramScanner:
             start = 0
         quote = b""
         for mark in _MARK.finditer(buffer, start + 1):
-            found = mark[0]
-            if found == b"<":
+            if (found := mark[0]) == b"<":
                 self._refuse_truncated()  # no tag contains one, not even in quotes
             if quote:
                 quote = b"" if found == quote else quote
@@ -108,12 +106,6 @@ class TelegramScanner:
 
     def _refuse_truncated(self) -> NoReturn:
         raise BAD_EKI_TELEGRAM("a telegram is truncated", expected="its end", wire=bytes(self._buffer))
-
-
-def _tag_name(tag: bytes) -> bytes:
-    """Return the name of an opening tag, or an empty text for a closing tag."""
-    found = _NAME.match(tag)
-    return found[0] if found else b""
 
 
 def parse_telegram(telegram: bytes) -> ElementTree.Element:
@@ -162,7 +154,6 @@ def read_state(element: ElementTree.Element, received_s: float) -> ControllerSta
     holdon, cycle = get(StateAttribute.HOLDON), get(StateAttribute.CYCLE)
     serial, brakes = get(StateAttribute.SERIAL), get(StateAttribute.BRAKES)
     try:
-        A1, A2, A3, A4, A5, A6 = (_parse_number(axis.attrib[name]) for name in AXIS_ATTRIBUTES)
         return ControllerState(
             received_s=received_s,
             mode=OperationMode(element.attrib[StateAttribute.MODE]),
@@ -173,7 +164,7 @@ def read_state(element: ElementTree.Element, received_s: float) -> ControllerSta
             error=int(element.attrib[StateAttribute.ERROR]),
             rsi=RsiState(int(element.attrib[StateAttribute.RSI])),
             tool=int(element.attrib[StateAttribute.TOOL]),
-            axes_deg=(A1, A2, A3, A4, A5, A6),
+            axes_deg=tuple(_parse_number(axis.attrib[name]) for name in AXIS_ATTRIBUTES),
             reference=get(StateAttribute.REFERENCE),
             holdon=None if holdon is None else bool(int(holdon)),
             cycle_ms=None if cycle is None else int(cycle),
@@ -183,9 +174,8 @@ def read_state(element: ElementTree.Element, received_s: float) -> ControllerSta
             open_brakes=None if not brakes else int(brakes),
         )
     except (KeyError, ValueError) as error:
-        raise BAD_EKI_TELEGRAM(
-            f"a State that cannot be read: {error}", wire=ElementTree.tostring(element)
-        ) from error
+        what = f"a State that cannot be read: {error}"
+        raise BAD_EKI_TELEGRAM(what, wire=ElementTree.tostring(element)) from error
 
 
 def require_matching_setup(state: ControllerState, context: RsiContext, variant: str) -> tuple[str, ...]:
@@ -215,8 +205,7 @@ def require_ready(
     state: ControllerState, *, drives: bool, modes: tuple[OperationMode, ...] = (OperationMode.EXT,)
 ) -> None:
     """Raise EKI-007 listing every obstacle to motion; with `drives`, the drives must already be on."""
-    unmet = unmet_conditions(state, drives=drives, modes=modes)
-    if unmet:
+    if unmet := unmet_conditions(state, drives=drives, modes=modes):
         raise CONTROLLER_NOT_READY("the controller is not ready: " + "; ".join(unmet))
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from math import degrees
 
 from ronna_hw.arm_stream.losses import LossCount
+from ronna_hw.arm_stream.session import Senders
 from ronna_hw.vectors import JointVector
 
 IPOC_WRAP = 2**32
@@ -34,8 +35,7 @@ class Losses(LossCount):
         if self._last_ipoc is None:
             self._last_ipoc, self._last_delay, self.reported_late = ipoc, max(delay, 0), delay
             return 0
-        step = ipoc - self._last_ipoc
-        if step < -IPOC_WRAP // 2:
+        if (step := ipoc - self._last_ipoc) < -IPOC_WRAP // 2:
             step += IPOC_WRAP
         if -STALE_CYCLES * self._cycle_ms <= step <= 0:
             self._stale += 1
@@ -52,15 +52,12 @@ class Losses(LossCount):
         return missing
 
 
-class SenderCheck:
+class SenderCheck(Senders):
     """Foreign senders since a stream was opened, counted for error messages."""
 
     def __init__(self, expected_rad: JointVector | None = None) -> None:
         """Expect these joint angles in the first telegram; with None, any are accepted."""
         self._expected_rad = expected_rad
-        self.count = 0
-        self.host = ""  # of the last one
-        self.disagreeing = 0  # readable telegrams with other axes, before the controller's first
         self.foreign_sent_last = False  # a stranger sent after the controller's last telegram
 
     def count_foreign(self, host: str) -> None:

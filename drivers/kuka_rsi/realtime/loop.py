@@ -1,7 +1,4 @@
-"""Exchange of RSI telegrams: receive, answer with the prepared reply or a new one.
-
-Telegrams from anyone but the stream's controller are counted and otherwise ignored.
-"""
+"""Exchange of RSI telegrams: receive and answer those of the stream's controller, count all others."""
 
 from __future__ import annotations
 
@@ -53,8 +50,7 @@ class LinkLoop(StreamLoop):
         self._peer: Address | None = None
 
     def _step(self) -> None:
-        received = self._receive()
-        if received is None:
+        if (received := self._receive()) is None:
             self._check_orders()
         else:
             self._serve(*received)
@@ -110,8 +106,7 @@ class LinkLoop(StreamLoop):
     def _look_aside(self) -> None:
         """Count foreign senders."""
         for _ in range(FOREIGN_AT_ONCE):
-            address = self._sockets.foreign_sender()
-            if address is None:
+            if (address := self._sockets.foreign_sender()) is None:
                 return
             if address != self._peer:  # the controller's own may still be queued from before the stream
                 self.session.senders.count_foreign(address[0])
@@ -151,8 +146,7 @@ class LinkLoop(StreamLoop):
                 self._leave_unanswered(data)
                 return
             self._begin_stream(address)
-        reply = session.answer(telegram, orders, self._received_ns)
-        if reply is None:
+        if (reply := session.answer(telegram, orders, self._received_ns)) is None:
             self._leave_unanswered(data)
             return
         self._send(reply, address)

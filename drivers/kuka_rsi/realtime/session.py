@@ -88,8 +88,7 @@ class RsiSession(StreamSession[Telegram, DelayAndIpoc]):
 
     def _judge_link(self, telegram: Telegram, points: SetPoints) -> bool:
         ipoc = int(telegram.ipoc)
-        missing = self._losses.count(ipoc, telegram.delay)
-        if missing == -1:
+        if (missing := self._losses.count(ipoc, telegram.delay)) == -1:
             return False
         self.device_clock = ipoc
         self._missing = missing or 0

@@ -8,6 +8,7 @@ prepared before the telegram arrives.
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from math import isfinite
 from operator import itemgetter
 from typing import NamedTuple
@@ -103,8 +104,7 @@ class TelegramReader:
             if not attributes:
                 pattern.append(rb">[^<]{0,80}+</" + re.escape(name.encode()) + b">")
                 continue
-            captured = {"AIPos": _DECIMAL, "Delay": _INTEGER}.get(name)
-            if captured is None:
+            if (captured := {"AIPos": _DECIMAL, "Delay": _INTEGER}.get(name)) is None:
                 pattern.append(_UNREAD + b"/>")
                 continue
             for attribute in attributes:
@@ -115,16 +115,14 @@ class TelegramReader:
         pattern.append(b"" if "DEF_Delay" in send_tags else b"(?P<D>)")
         pattern.append(b"" if currents in pattern else currents)
         pattern.append(b"<IPOC>(?P<IPOC>\\d{1,%d}+)</IPOC></Rob>" % MOST_DIGITS)
-        has_axes = "DEF_AIPos" in send_tags
-        self._match = re.compile(b"".join(pattern)).match if has_axes else _match_nothing
-
-    def match(self, data: bytes) -> Found | None:
-        """Match a telegram in the usual layout, or return None if it needs the strict parser."""
-        return self._match(data)
+        if "DEF_AIPos" not in send_tags:
+            pattern = [rb"(?!)"]  # nothing matches
+        # Matches a telegram in the usual layout; returns None if it needs the strict parser.
+        self.match: Callable[[bytes], Found | None] = re.compile(b"".join(pattern)).match
 
     def read(self, data: bytes) -> Telegram:
         """Decode a telegram in any layout; raises RSI-014 if it is invalid."""
-        found = self._match(data)
+        found = self.match(data)
         return read_strictly(data) if found is None else extract_telegram(found)
 
 
@@ -139,10 +137,6 @@ def read_currents(attributes: bytes) -> JointVector | None:
     """Return the motor currents in percent from the attributes of MACur, None unless all are there."""
     found = _READ_CURRENTS(attributes)
     return None if found is None else joint_vector(map(float, found.groups()))
-
-
-def _match_nothing(_data: bytes) -> None:
-    return None
 
 
 def read_strictly(data: bytes) -> Telegram:
@@ -182,13 +176,12 @@ def read_strictly(data: bytes) -> Telegram:
     parser.EndElementHandler = end
     parser.CharacterDataHandler = text.append
     parser.StartDoctypeDeclHandler = refuse
-    end_of_root = data.rfind(b"</Rob>")
-    if end_of_root < 0 or len(data) > LONGEST_TELEGRAM:
+    if (end_of_root := data.rfind(b"</Rob>")) < 0 or len(data) > LONGEST_TELEGRAM:
         raise BAD_TELEGRAM("incomplete telegram", expected="<Rob>...</Rob>", wire=data)
     try:
         parser.Parse(data[: end_of_root + len(b"</Rob>")], True)  # bytes after the root are tolerated
-        A1, A2, A3, A4, A5, A6 = (float(values["AIPos", axis]) for axis in AXIS_NAMES)
-        if not all(isfinite(angle) for angle in (A1, A2, A3, A4, A5, A6)):
+        axes_deg = tuple(float(values["AIPos", axis]) for axis in AXIS_NAMES)
+        if not all(map(isfinite, axes_deg)):
             raise BAD_TELEGRAM("an axis value is not finite", wire=data)
         delay = int(float(values["Delay", "D"])) if ("Delay", "D") in values else -1
         ipoc = values["IPOC", ""]
@@ -199,7 +192,7 @@ def read_strictly(data: bytes) -> Telegram:
     except (expat.ExpatError, LookupError, ValueError, OverflowError) as error:  # an encoding: LookupError
         raise BAD_TELEGRAM(f"malformed telegram: {error}", wire=data) from error
     currents = "".join(f' {a}="{values[CURRENTS, a]}"' for a in AXIS_NAMES if (CURRENTS, a) in values)
-    return Telegram((A1, A2, A3, A4, A5, A6), delay, ipoc.encode(), currents.encode())
+    return Telegram(axes_deg, delay, ipoc.encode(), currents.encode())
 
 
 class ReplyWriter:

@@ -94,8 +94,7 @@ class PrimaryClient(ControlChannel[ControllerState]):
         self._transmit(script.encode("ascii"))
 
     def _await(self, find: Callable[[], T | None], what: str, timeout_s: float) -> T:
-        found = self._wait_for(find, timeout_s)
-        if found is None:
+        if (found := self._wait_for(find, timeout_s)) is None:
             raise STREAM_ERRORS.no_answer(f"{self.where} does not send {what}", limit=f"{timeout_s:g} s")
         return found
 

@@ -1,7 +1,4 @@
-"""Packages of the primary client interface, as far as this driver needs them.
-
-What follows the fields known here is skipped: newer controllers send longer parts.
-"""
+"""Packages of the primary interface; of the longer parts of newer controllers the rest is skipped."""
 
 from __future__ import annotations
 
@@ -100,8 +97,7 @@ def iterate_parts(payload: bytes) -> Iterator[Part]:
         size, kind = PART_HEADER.unpack_from(payload, offset)
         if not PART_HEADER.size <= size <= len(payload) - offset:
             raise BAD_BYTES(f"a part of the robot state has {size} bytes", wire=payload[offset:])
-        part = _read_part(kind, payload[offset + PART_HEADER.size : offset + size])
-        if part is not None:
+        if (part := _read_part(kind, payload[offset + PART_HEADER.size : offset + size])) is not None:
             yield part
         offset += size
 

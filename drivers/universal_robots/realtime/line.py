@@ -68,8 +68,7 @@ class RtdeLine:
 
     def receive(self) -> bytes:
         """Receive the next package; raises OSError on time-out or when the connection is broken."""
-        line = self._socket
-        if line is None or self.broken:
+        if (line := self._socket) is None or self.broken:
             time.sleep(IDLE_POLL_S)
             raise BlockingIOError
         while True:

@@ -91,8 +91,7 @@ class LinkLoop(StreamLoop):
         session = self.session
         if session.has_line and session.phase is StreamPhase.IDLE:
             self._disconnect()
-        data = self._receive()
-        if data is not None:
+        if (data := self._receive()) is not None:
             self._serve(data)
             return
         if self._rtde.broken and not self._broken_off:
@@ -137,20 +136,18 @@ class LinkLoop(StreamLoop):
             self._leave_unanswered(data)
             return
         orders = self._mailbox.orders()
-        reply = session.answer(OUTPUT.unpack_from(data), orders, self._received_ns)
-        if reply is None:
+        if (reply := session.answer(OUTPUT.unpack_from(data), orders, self._received_ns)) is None:
             self._leave_unanswered(data)
             return
         self._send(reply)
-        if session.awaits_start:
+        if session.phase is StreamPhase.ARMED:  # the script has not used a set-point yet
             self._check_orders()
             return
         self._finish_cycle(data, session.device_clock, orders)
 
     def _rehearse(self) -> None:
         """Run the code path from package to reply without effect, to keep the caches warm."""
-        data = self._last_data
-        if data:
+        if data := self._last_data:
             self._rehearsal.exchange(data)
             self.session.match(data, self._mailbox.stop_word())
 
@@ -171,8 +168,7 @@ class LinkLoop(StreamLoop):
     def _connect(self) -> None:
         """Take over the connection given for this stream, and start its packages."""
         self._disconnect()
-        given = take_connection(self._channel)
-        if given is None:
+        if (given := take_connection(self._channel)) is None:
             return
         handover, connection = given
         self._mailbox.clear_histograms()

@@ -6,25 +6,8 @@ import struct
 from enum import IntEnum
 from typing import Final, NamedTuple
 
-from ronna_hw.wire.universal_robots import (
-    INPUTS,
-    ORDER_INPUT,
-    OUTPUTS,
-    RTDE_HEADER,
-    RTDE_HEADER_BYTES,
-    RUN_INPUT,
-    RUN_OUTPUT,
-    SEQUENCE_INPUT,
-    SEQUENCE_OUTPUT,
-    SET_POINT_INPUTS,
-    STATE_OUTPUT,
-    PackageType,
-    RobotMode,
-    RuntimeState,
-    SafetyMode,
-    ScriptOrder,
-    ScriptState,
-)
+from ronna_hw.wire import universal_robots as wire
+from ronna_hw.wire.universal_robots import PackageType, ScriptOrder
 
 OUTPUT_FIELDS: Final = (
     "timestamp",
@@ -35,21 +18,22 @@ OUTPUT_FIELDS: Final = (
     "robot_mode",
     "safety_mode",
     "runtime_state",
-    SEQUENCE_OUTPUT,
-    STATE_OUTPUT,
-    RUN_OUTPUT,
+    wire.SEQUENCE_OUTPUT,
+    wire.STATE_OUTPUT,
+    wire.RUN_OUTPUT,
     "actual_TCP_force",
     "actual_current",
     "target_current",
 )
-INPUT_FIELDS: Final = (SEQUENCE_INPUT, ORDER_INPUT, RUN_INPUT, *SET_POINT_INPUTS)
+INPUT_FIELDS: Final = (wire.SEQUENCE_INPUT, wire.ORDER_INPUT, wire.RUN_INPUT, *wire.SET_POINT_INPUTS)
 
-HEADER: Final = struct.Struct(RTDE_HEADER)
+HEADER: Final = struct.Struct(wire.RTDE_HEADER)
 RECIPE: Final = "B"
-OUTPUT: Final = struct.Struct(RTDE_HEADER + RECIPE + "".join(OUTPUTS[name].codes for name in OUTPUT_FIELDS))
-INPUT: Final = struct.Struct(RTDE_HEADER + RECIPE + "".join(INPUTS[name].codes for name in INPUT_FIELDS))
-HEAD: Final = struct.Struct(RTDE_HEADER + RECIPE)  # what each data package begins with
-START_REQUEST: Final = HEADER.pack(RTDE_HEADER_BYTES, PackageType.START)
+HEAD: Final = struct.Struct(wire.RTDE_HEADER + RECIPE)  # what each data package begins with
+OUTPUT_CODES = [wire.OUTPUTS[name].codes for name in OUTPUT_FIELDS]
+OUTPUT: Final = struct.Struct("".join([HEAD.format, *OUTPUT_CODES]))
+INPUT: Final = struct.Struct("".join([HEAD.format, *(wire.INPUTS[name].codes for name in INPUT_FIELDS)]))
+START_REQUEST: Final = HEADER.pack(wire.RTDE_HEADER_BYTES, PackageType.START)
 
 # Places of the values in an unpacked output package.
 TYPE, RECIPE_ID, TIMESTAMP = 1, 2, 3
@@ -61,15 +45,11 @@ CURRENTS, EXPECTED_CURRENTS = slice(30, 36), slice(36, 42)  # A
 STATUS = slice(SPEED_SCALING, RUN + 1)  # everything that must be as expected to send a prepared reply
 
 # The same in the bytes, to be compared before anything else is decoded.
-_STATUS_FIELDS = slice(OUTPUT_FIELDS.index("speed_scaling"), OUTPUT_FIELDS.index(RUN_OUTPUT) + 1)
-STATUS_OFFSET: Final = HEAD.size + struct.calcsize(
-    ">" + "".join(OUTPUTS[name].codes for name in OUTPUT_FIELDS[: _STATUS_FIELDS.start])
-)
-STATUS_BYTES: Final = struct.Struct(
-    ">" + "".join(OUTPUTS[name].codes for name in OUTPUT_FIELDS[_STATUS_FIELDS])
-)
+_STATUS_FIELDS = slice(OUTPUT_FIELDS.index("speed_scaling"), OUTPUT_FIELDS.index(wire.RUN_OUTPUT) + 1)
+STATUS_OFFSET: Final = HEAD.size + struct.calcsize(">" + "".join(OUTPUT_CODES[: _STATUS_FIELDS.start]))
+STATUS_BYTES: Final = struct.Struct(">" + "".join(OUTPUT_CODES[_STATUS_FIELDS]))
 TIMESTAMP_OFFSET: Final = HEAD.size
-TIMESTAMP_BYTES: Final = struct.Struct(">" + OUTPUTS[OUTPUT_FIELDS[0]].codes)
+TIMESTAMP_BYTES: Final = struct.Struct(">" + OUTPUT_CODES[0])
 
 Output = tuple[float, ...]  # an unpacked output package
 
@@ -112,10 +92,10 @@ class ControllerWord(NamedTuple):
     def text(self) -> str:
         """The values in words."""
         return (
-            f"robot mode {_name(RobotMode, self.robot_mode)}, "
-            f"safety mode {_name(SafetyMode, self.safety_mode)}, "
-            f"program {_name(RuntimeState, self.runtime_state)}, "
-            f"script {_name(ScriptState, self.script_state)}"
+            f"robot mode {_name(wire.RobotMode, self.robot_mode)}, "
+            f"safety mode {_name(wire.SafetyMode, self.safety_mode)}, "
+            f"program {_name(wire.RuntimeState, self.runtime_state)}, "
+            f"script {_name(wire.ScriptState, self.script_state)}"
         )
 
 

@@ -94,18 +94,12 @@ class RtdeSession(StreamSession[Output, NextPackage]):
         self._recipe, self._run, self.has_line = recipe, run, True
         self._safety_mode = safety_mode
 
-    @property
-    def awaits_start(self) -> bool:
-        """Whether a stream is open and its script has not used a set-point yet."""
-        return self.phase is StreamPhase.ARMED
-
     def match(self, data: bytes, stop_word: int) -> PreparedReply[NextPackage] | None:
         """Return the prepared reply unless the package has something new, or a stop is ordered.
 
         The package is one of our recipe, of exactly its size.
         """
-        ready = self.ready
-        if ready is None or stop_word != ready.stop_word:
+        if (ready := self.ready) is None or stop_word != ready.stop_word:
             return None
         status, earliest_s, latest_s = ready.expected
         if not data.startswith(status, STATUS_OFFSET):
@@ -129,8 +123,7 @@ class RtdeSession(StreamSession[Output, NextPackage]):
         self._values = values
         self._before_s, self._timestamp_s = self._timestamp_s, timestamp_s
         self.device_clock = round(timestamp_s * 1e6)
-        status = values[STATUS]
-        if status != self._status:
+        if (status := values[STATUS]) != self._status:
             self._status = status
             scaling, fraction = values[SPEED_SCALING], values[SPEED_FRACTION]
             share = scaling * fraction if 0.0 <= scaling <= 1.0 and 0.0 <= fraction <= 1.0 else 0.0
@@ -185,8 +178,7 @@ class RtdeSession(StreamSession[Output, NextPackage]):
 
     def _is_stopped(self, values: Output) -> bool:
         """Return whether the controller has ended the stream, and latch that unless we asked for it."""
-        cause = self._find_cause(values)
-        if cause is Cause.NONE:
+        if (cause := self._find_cause(values)) is Cause.NONE:
             return False
         if self.phase is StreamPhase.ENDING:
             if self.is_parent_gone:

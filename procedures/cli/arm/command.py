@@ -16,27 +16,19 @@ from ronna_hw.command_line.options import with_option_records
 if TYPE_CHECKING:
     from procedures.engine.case import Case
 
-app = typer.Typer(
-    name="ronna-arm",
-    help="The arm: calibrate its geometry with stationary spheres, check that the calibration still holds, "
+app = terminal.command_group(
+    "ronna-arm",
+    "The arm: calibrate its geometry with stationary spheres, check that the calibration still holds, "
     "lead it by hand.",
-    epilog="Example: ronna-arm calibrate --sim --scene mini",
-    no_args_is_help=True,
-    add_completion=False,
-    rich_markup_mode=None,
+    example="ronna-arm calibrate --sim --scene mini",
 )
-
-
-@app.callback()
-def arm() -> None:
-    """The arm: calibrate its geometry with stationary spheres, check that the calibration still holds."""
 
 
 @app.command("calibrate")
 @with_option_records
 def calibrate_arm(
     context: typer.Context,
-    command_options: CalibrationOptions,
+    options: CalibrationOptions,
     looks: Annotated[int, typer.Option(min=60, max=300, help="Measurements for the identification.")] = 90,
     validation: Annotated[
         int, typer.Option(min=12, max=100, help="Further measurements, held out for validation.")
@@ -48,18 +40,13 @@ def calibrate_arm(
     measurements do not yield a calibration, 2 usage, 3 refused, 4 device not found, 5 link lost, 6 safety
     stop, 7 not confirmed, 130 interrupted.
     """
-    theatre = command_options.source(context)
-    from procedures.cli.calibrating.calibration import calibrate
-    from procedures.runs.calibrations import ARM
-    from procedures.steps.calibration.recipe import Calibrated, Recipe
-
-    calibrate(ARM, Recipe(of=Calibrated.ARM, looks=looks, more=validation), command_options, theatre)
+    options.calibrate(context, "arm", looks, validation)
 
 
 @app.command()
 @with_option_records
 def check(
-    command_options: MeasuringOptions,
+    options: MeasuringOptions,
     looks: Annotated[int, typer.Option(min=12, max=100, help="Measurements for the check.")] = 24,
 ) -> None:
     """Measure spheres from a few poses: does the arm still match its calibration record?
@@ -84,13 +71,11 @@ def check(
         rows = [[one.name, one.value, one.verdict] for one in figures.table()]
         terminal.print_table(f"check of calibration {figures.calibration}", ["", "value", ""], rows)
 
-    theatre = replace(command_options, calibrated=True).theatre()
+    theatre = replace(options, calibrated=True).theatre()
     recipe = Recipe(of=Calibrated.ARM, looks=0, more=looks)
     measurement = Measurement(steps=recipe.steps, title="Check of the arm", recipe=recipe)
     request = replace(theatre, procedure=measurement)
-    check_calibration(
-        request, command_options.out, ARM.activity, judge, show, as_json=command_options.as_json
-    )
+    check_calibration(request, options.out, ARM.activity, judge, show, as_json=options.as_json)
 
 
 @app.command()

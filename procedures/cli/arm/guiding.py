@@ -22,7 +22,6 @@ from ronna_hw.arm.clearance.bodies import Surroundings
 from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.command_line.messages import on_terminal, say, tell
 from ronna_hw.devices.contact import HandGuidance
-from ronna_hw.roles import ASSISTANT
 from ronna_hw.theatre import Theatre
 
 HELD_S = 0.7  # host time: a key that is held repeats after half a second, then thirty times a second
@@ -65,10 +64,8 @@ def guide(config: Path, name: str, guidance: HandGuidance) -> None:
         )
     with Theatre.from_file(config) as theatre, hold_theatre(config, None, (name,)):
         theatre.require(f"robot.{name}")
-        holder = None if theatre.file.calibration is None else theatre.file.calibration.assistant_holder
-        around = Surroundings()
-        if name == ASSISTANT and holder is not None:
-            around = Surroundings(tool=holder_bodies(holder))
+        holders = {} if theatre.file.calibration is None else theatre.file.calibration.holders
+        around = Surroundings(tool=holder_bodies(holders[name]) if name in holders else ())
         tell(
             f"{name}: hold the space bar and push the tool; q ends. At most {guidance.speed_mm_s:g} mm/s, "
             f"{guidance.reach_mm:g} mm from where each push began, {guidance.force_limit_N:g} N. Starting "

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
@@ -32,7 +31,7 @@ from procedures.runs.interrupted_run import InterruptedRun, Resumption
 from procedures.runs.lifecycle import run_steps
 from procedures.runs.observers import RunObservers
 from procedures.runs.reopening import prepare_folder, require_ready_devices
-from procedures.runs.request import CalibrationProcedure, RunRequest
+from procedures.runs.request import RunRequest
 from procedures.runs.request_checks import check_asking
 from procedures.runs.theatre_lock import require_free_theatre
 from procedures.steps.calibration.recipe import Recipe
@@ -40,7 +39,6 @@ from ronna_hw.command_line import terminal
 from ronna_hw.command_line.messages import ProgressBar
 
 if TYPE_CHECKING:
-    from procedures.cli.calibrating.options import CalibrationOptions
     from procedures.engine.case import Case
     from procedures.engine.engine import Engine
 
@@ -51,36 +49,28 @@ NOT_COMPARED = (
 )
 
 
-def calibrate(
-    kind: CalibrationKind[Looks, Result],
-    recipe: Recipe,
-    command_options: CalibrationOptions,
-    theatre: RunRequest,
-) -> None:
-    """Run a calibration from new or recorded looks, write its files and show the figures.
+def calibrate(request: RunRequest, recorded: Path | None, out: Path, *, as_json: bool) -> None:
+    """Run a calibration from new looks or those in `recorded`, write its files and show the figures.
 
     Raises CAL-002 to CAL-020, PRO-033.
     """
-    procedure = CalibrationProcedure(
-        recipe=recipe.model_dump(mode="json"), days=command_options.days, update=command_options.update
-    )
-    request = replace(theatre, procedure=procedure)
-    if command_options.recorded is not None:
-        if command_options.update and theatre.config is not None:
-            require_free_theatre(theatre.config)  # a run would find its records changed
-        recorded = kind.read_looks(command_options.recorded)
-        result = compute_calibration(kind, request, recorded)
-        folder = new_run_folder(None, command_options.out, kind.name)
-        kind.write_looks(recorded, folder)
-        write_calibration_files(kind, request, recorded, result, folder)
+    kind = KINDS[Recipe.read(request.calibration.recipe).of]
+    updated = request.config if request.calibration.update else None
+    if recorded is not None:
+        if updated is not None:
+            require_free_theatre(updated)  # a run would find its records changed
+        looks = kind.read_looks(recorded)
+        result = compute_calibration(kind, request, looks)
+        folder = new_run_folder(None, out, kind.name)
+        kind.write_looks(looks, folder)
+        write_calibration_files(kind, request, looks, result, folder)
         if request.config is None:
             terminal.tell(NOT_COMPARED)
     else:
-        folder = new_run_folder(request, command_options.out, kind.name)
+        folder = new_run_folder(request, out, kind.name)
         with hold_run(folder), finalize_run(folder, with_truth=False):
             _measure(kind, request, folder)
-    updated = theatre.config if command_options.update else None
-    show(read_finished_figures(folder), folder, updated=updated, as_json=command_options.as_json)
+    show(read_finished_figures(folder), folder, updated=updated, as_json=as_json)
 
 
 def resume_calibration(
@@ -192,7 +182,7 @@ def bar_observers(bar: ProgressBar) -> RunObservers:
                     case _:
                         pass
 
-        EventFollower(engine.events, advance).start()
+        EventFollower(engine.events, advance)
 
     @contextmanager
     def asking() -> Iterator[WritePrompt]:

@@ -6,29 +6,22 @@ from typing import Annotated
 
 import typer
 
-from procedures.cli.calibrating.options import CalibrationOptions, require_finite_ball
+from procedures.cli.calibrating.options import CalibrationOptions
 from ronna_hw.command_line.options import with_option_records
+from ronna_hw.command_line.terminal import command_group
 
-app = typer.Typer(
-    name="calibrate",
-    help="Calibrate the mounted tools.",
-    epilog="Example: ronna-procedure calibrate tracker-frame --sim --scene mini",
-    no_args_is_help=True,
-    add_completion=False,
-    rich_markup_mode=None,
+app = command_group(
+    "calibrate",
+    "Calibrate the mounted tools.",
+    example="ronna-procedure calibrate tracker-frame --sim --scene mini",
 )
-
-
-@app.callback()
-def mount() -> None:
-    """Calibrate the mounted tools."""
 
 
 @app.command("tracker-frame")
 @with_option_records
 def tracker_frame(
     context: typer.Context,
-    command_options: CalibrationOptions,
+    options: CalibrationOptions,
     looks: Annotated[int, typer.Option(min=15, max=100, help="Poses for the calibration.")] = 30,
     validation: Annotated[
         int, typer.Option(min=5, max=50, help="Further poses, held out for validation.")
@@ -39,21 +32,14 @@ def tracker_frame(
     Nothing moves before a confirmation. Exit codes: 0 done, 1 the measurements do not yield a calibration, 2
     usage, 3 refused, 4 device not found, 5 link lost, 6 safety stop, 7 not confirmed, 130 interrupted.
     """
-    theatre = command_options.source(context)
-    from procedures.cli.calibrating.calibration import calibrate
-    from procedures.runs.calibrations import TRACKER_FRAME
-    from procedures.steps.calibration.recipe import Calibrated, Recipe
-
-    calibrate(
-        TRACKER_FRAME, Recipe(of=Calibrated.FRAME, looks=looks, more=validation), command_options, theatre
-    )
+    options.calibrate(context, "tracker frame", looks, validation)
 
 
 @app.command("tool-tip")
 @with_option_records
 def tool_tip(
     context: typer.Context,
-    command_options: CalibrationOptions,
+    options: CalibrationOptions,
     ball: Annotated[
         tuple[float, float, float] | None,
         typer.Option(
@@ -71,11 +57,4 @@ def tool_tip(
 
     Nothing moves before a confirmation. Exit codes as in `tracker-frame`.
     """
-    require_finite_ball(ball)
-    theatre = command_options.source(context)
-    from procedures.cli.calibrating.calibration import calibrate
-    from procedures.runs.calibrations import TOOL_TIP
-    from procedures.steps.calibration.recipe import Calibrated, Recipe
-
-    recipe = Recipe(of=Calibrated.TIP, looks=readings, more=validation, ball_mm=ball)
-    calibrate(TOOL_TIP, recipe, command_options, theatre)
+    options.calibrate(context, "tool tip", readings, validation, ball)

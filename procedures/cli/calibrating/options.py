@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Set
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from procedures.cli.case.options import TheatreOptions
-from procedures.runs.request import RunRequest
+from procedures.runs.request import CalibrationProcedure, RunRequest
 from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.command_line.terminal import JsonOption
 
@@ -44,6 +44,20 @@ class CalibrationOptions(MeasuringOptions):
             "--update", help="Put the new records into the theatre file --config; it keeps a history."
         ),
     ] = False
+
+    def calibrate(
+        self, context: typer.Context, of: str, looks: int, more: int, ball_mm: Numbers3 | None = None
+    ) -> None:
+        """Calibrate from new or recorded measurements; the arguments are those of a `Recipe`."""
+        require_finite_ball(ball_mm)
+        theatre = self.source(context)
+        from procedures.cli.calibrating.calibration import calibrate
+        from procedures.steps.calibration.recipe import Calibrated, Recipe
+
+        recipe = Recipe(of=Calibrated(of), looks=looks, more=more, ball_mm=ball_mm).model_dump(mode="json")
+        procedure = CalibrationProcedure(recipe=recipe, days=self.days, update=self.update)
+        request = replace(theatre, procedure=procedure)
+        calibrate(request, self.recorded, self.out, as_json=self.as_json)
 
     def source(self, context: typer.Context) -> RunRequest:
         """Return the run request for a theatre to measure in, or for recomputing from recorded measurements.

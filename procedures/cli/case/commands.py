@@ -8,25 +8,7 @@ from typing import TYPE_CHECKING
 from procedures.journal.errors import StepRefused
 from procedures.operator.errors import NotConfirmed, OperatorAborted
 from procedures.operator.question import YES, Question, Topic
-from procedures.runs.orders import (
-    COMMANDS,
-    Abort,
-    Acknowledge,
-    DryRun,
-    Help,
-    Home,
-    ListSteps,
-    Next,
-    Order,
-    Pause,
-    Quit,
-    Repeat,
-    Resume,
-    Run,
-    RunTo,
-    Stop,
-    Why,
-)
+from procedures.runs import orders
 from ronna_hw.command_line.errors import UsageMistake
 
 if TYPE_CHECKING:
@@ -34,69 +16,70 @@ if TYPE_CHECKING:
     from procedures.engine.engine import Engine
 
 Say = Callable[[str], None]
-AT_END = (ListSteps, Why, DryRun, Help, Quit)  # orders that still count when the case has ended
+# Orders that still count when the case has ended.
+AT_END = (orders.ListSteps, orders.Why, orders.DryRun, orders.Help, orders.Quit)
 
 
-def read_command(engine: Engine, command: str, argument: str) -> Order:
+def read_command(engine: Engine, command: str, argument: str) -> orders.Order:
     """Return the order for a command in `COMMANDS`. Raises PRO-005 for an unknown step."""
     if command == "run" and argument.startswith("to "):
         command, argument = "to", argument.removeprefix("to ").strip()
-    order = COMMANDS[command].order
-    if "step" not in order.model_fields or (not argument and order in (Why, DryRun)):
+    order = orders.COMMANDS[command].order
+    if "step" not in order.model_fields or (not argument and order in (orders.Why, orders.DryRun)):
         return order()
     return order.model_validate({"step": str(engine.order.find(argument))})
 
 
-def carry_out(engine: Engine, order: Order, say: Say, by: str = "") -> None:
+def carry_out(engine: Engine, order: orders.Order, say: Say, by: str = "") -> None:
     """Carry out an order typed at a prompt by the person `by`. Raises the errors of steps."""
     find = engine.order.find
     match order:
-        case ListSteps():
+        case orders.ListSteps():
             _list_steps(engine, say)
-        case Next():
+        case orders.Next():
             if engine.upcoming is None:
                 say(_describe_nothing_upcoming(engine))
             else:
                 engine.run_step(engine.upcoming)
-        case Run(step=step) if not engine.case.stands(find(step)):
+        case orders.Run(step=step) if not engine.case.stands(find(step)):
             engine.run_step(find(step))
-        case Run(step=step) | Repeat(step=step):
+        case orders.Run(step=step) | orders.Repeat(step=step):
             _repeat(engine, find(step), say)
-        case RunTo(step=step):
+        case orders.RunTo(step=step):
             if refused := engine.course.why_not_up_to(find(step)):
                 say(refused + (_repetition(engine, find(step)) if engine.case.stands(find(step)) else ""))
             else:
                 engine.run_to(find(step))
-        case Why(step=step):
+        case orders.Why(step=step):
             key = engine.upcoming if step is None else find(step)
             if key is None:
                 say(_describe_nothing_upcoming(engine))
             else:
                 _explain(engine, key, say)
-        case DryRun(step=step):
+        case orders.DryRun(step=step):
             _dry_run(engine, _find_step_or_next(engine, step), say)
-        case Pause() if engine.machine.ended:
+        case orders.Pause() if engine.machine.ended:
             say(f"nothing to pause: {_describe_nothing_upcoming(engine)}")
-        case Pause():
+        case orders.Pause():
             engine.checkpoint.pause()
             before = "the arm moves" if engine.upcoming is None else "the next step"
             say(f"the case will pause before {before}; while a step runs, Ctrl-C pauses it")
-        case Stop():
+        case orders.Stop():
             say("no step is running and the arm is at rest; quit leaves the case")
-        case Resume():
+        case orders.Resume():
             _resume(engine, say)
-        case Home():
+        case orders.Home():
             engine.retreat_home()
             say("both arms are parked" if len(engine.setting.workcell.arms) > 1 else "the arm is parked")
-        case Acknowledge():
+        case orders.Acknowledge():
             _acknowledge(engine, by, say)
-        case Abort():
+        case orders.Abort():
             if not engine.machine.ended:
                 engine.leave_head()
             engine.abort()
             raise OperatorAborted("the operator ended the procedure")
-        case Help():
-            for name, rule in COMMANDS.items():
+        case orders.Help():
+            for name, rule in orders.COMMANDS.items():
                 if engine.machine.ended and rule.order not in AT_END:
                     continue
                 say(f"{f'{name} {rule.argument}'.strip():<22} {rule.does}")

@@ -166,7 +166,6 @@ def observe_run(*, quiet: bool) -> Iterator[RunObservers]:
 def _follow(engine: Engine, show: Show, stack: contextlib.ExitStack) -> EventFollower:
     follower = EventFollower(engine.events, show)
     stack.callback(follower.join)
-    follower.start()
     return follower
 
 
@@ -200,20 +199,13 @@ def _show_table(outcome: FinishedRun) -> None:
 
     mean_mm, largest_mm = outcome.mean_application_error_mm, outcome.max_application_error_mm
     known = mean_mm is not None
-    print_table(
-        f"Run {outcome.run}: "
-        + ("error of the needle tip against truth" if known else "predicted error of the needle tip"),
-        ("target", "depth mm", "predicted mm", "error mm"),
-        [
-            (
-                target.id,
-                f"{target.depth_mm:.1f}",
-                f"{target.predicted_tre_mm:.3f}",
-                "-" if target.application_error_mm is None else f"{target.application_error_mm:.3f}",
-            )
-            for target in outcome.targets
-        ],
-    )
+    rows = []
+    for target in outcome.targets:
+        error_mm = target.application_error_mm
+        error = "-" if error_mm is None else f"{error_mm:.3f}"
+        rows.append((target.id, f"{target.depth_mm:.1f}", f"{target.predicted_tre_mm:.3f}", error))
+    title = "error of the needle tip against truth" if known else "predicted error of the needle tip"
+    print_table(f"Run {outcome.run}: {title}", ("target", "depth mm", "predicted mm", "error mm"), rows)
     strategies = describe_strategies(outcome.strategy, {one.id: one.strategy for one in outcome.targets})
     if strategies != outcome.strategy:
         say(f"strategy {strategies}")
@@ -263,7 +255,11 @@ def follow(
             finalize_run(folder, left, with_truth=False, name_report=False) as final,  # the outcome names it
             observe_run(quiet=as_json) as shown,
         ):
-            outcome = run(at_last.enter_context(_add_console(shown, folder, console, waits=waits)))
+            if console is not None:
+                from procedures.runs.console_link import with_console
+
+                shown = at_last.enter_context(with_console(shown, folder, console, waits=waits))
+            outcome = run(shown)
     except BaseException as problem:  # also an interruption: a script gets its JSON object whatever happens
         if as_json:
             unfinished_outcome = build_unfinished_outcome(request, folder, problem)
@@ -271,14 +267,3 @@ def follow(
             print_json(unfinished_outcome.model_copy(update={"report": report}).model_dump(mode="json"))
         raise
     show_outcome(outcome.model_copy(update={"report": final.report and str(final.report)}), as_json=as_json)
-
-
-def _add_console(
-    observers: RunObservers, folder: Path, console: ConsoleRequest | None, *, waits: bool
-) -> contextlib.AbstractContextManager[RunObservers]:
-    """Add the requested console, if any."""
-    if console is None:
-        return contextlib.nullcontext(observers)
-    from procedures.runs.console_link import with_console
-
-    return with_console(observers, folder, console, waits=waits)

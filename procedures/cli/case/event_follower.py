@@ -16,13 +16,11 @@ class EventFollower:
     """Follows an event stream in its own thread. Calls to `show` never overlap."""
 
     def __init__(self, events: EventStream, show: Show) -> None:
+        """Start following."""
         self._reader = events.subscribe()
         self._show = show
         self._showing = threading.RLock()
         self._thread = threading.Thread(target=self._follow, name="event follower", daemon=True)
-
-    def start(self) -> None:
-        """Start following the stream."""
         self._thread.start()
 
     @contextlib.contextmanager

@@ -13,13 +13,7 @@ from rich.live import Live
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.text import Text
 
-from procedures.cli.case.case_lines import (
-    STARTING,
-    describe_activity,
-    entry_of,
-    join_voided,
-    status_lines,
-)
+from procedures.cli.case import case_lines
 from procedures.engine.case_view import CaseView, fold
 from procedures.engine.events import Event
 from ronna_hw.text import printable
@@ -39,7 +33,7 @@ class LiveDisplay:
             BarColumn(bar_width=24),
             TimeElapsedColumn(),
         )
-        self._status = STARTING
+        self._status = case_lines.STARTING
         self._task = self._bar.add_task(self._status, total=1.0)
         self._live = self._picture()
 
@@ -50,7 +44,7 @@ class LiveDisplay:
     def __rich__(self) -> Group:
         lines = [
             Text(f"  {printable(text)}", style, no_wrap=True, overflow="ellipsis")
-            for style, text in status_lines(self.view)
+            for style, text in case_lines.status_lines(self.view)
         ]
         return Group(self._bar, *lines)
 
@@ -67,13 +61,13 @@ class LiveDisplay:
         """Update the display with these events."""
         for event in events:
             self.view = fold(self.view, event)
-        for event in join_voided(events):
-            if (entry := entry_of(event, errors=self._errors)) is not None:
+        for event in case_lines.join_voided(events):
+            if (entry := case_lines.entry_of(event, errors=self._errors)) is not None:
                 self._console.print(Text.assemble((entry.mark, entry.style), f" {printable(entry.text)}"))
         self._bar.update(
             self._task,
             completed=0.0 if self.view.awaits_order else self.view.share,
-            description=printable(describe_activity(self.view)) or self._status,
+            description=printable(case_lines.describe_activity(self.view)) or self._status,
         )
 
     @contextlib.contextmanager

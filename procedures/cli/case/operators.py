@@ -11,6 +11,7 @@ import termios
 import time
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass, field
 from functools import partial
 from typing import TYPE_CHECKING, Protocol
 
@@ -141,6 +142,7 @@ def plain_prompt() -> AbstractContextManager[WritePrompt]:
     return nullcontext(write_prompt)
 
 
+@dataclass
 class TerminalOperator:
     """Operator who answers at the terminal; without a terminal, questions go unanswered.
 
@@ -148,10 +150,9 @@ class TerminalOperator:
     and nothing typed before counts.
     """
 
-    def __init__(self, asking: Asking = plain_prompt, alarms: Alarms | None = None) -> None:
-        self._asking = asking
-        self._alarms = Alarms() if alarms is None else alarms
-        self._knows_rule = False
+    asking: Asking = plain_prompt
+    alarms: Alarms = field(default_factory=Alarms)
+    _knows_rule: bool = field(default=False, init=False)
 
     def ask(self, question: Question) -> Answer:
         """Show a question and wait until one of its answers is typed in full, repeating after other input.
@@ -163,15 +164,15 @@ class TerminalOperator:
             return silence
         deadline_s = None if question.timeout_s is None else time.monotonic() + question.timeout_s
         read_back = question.read_back
-        with self._asking() as write_below:
+        with self.asking() as write_below:
             if not self._knows_rule:
                 say_line(RULE)
                 self._knows_rule = True
             described = _describe_question(question)
             sys.stderr.write(described)
             write = partial(write_below, question=described)
-            self._alarms.begin()
-            while typed := read_typed(write, join_answers(question.answers), deadline_s, self._alarms):
+            self.alarms.begin()
+            while typed := read_typed(write, join_answers(question.answers), deadline_s, self.alarms):
                 if (word := pick_answer(typed, question.answers)) is None:
                     if pick_answer(typed, (HELP,)) is not None:
                         _explain(question)
@@ -200,7 +201,7 @@ class TerminalOperator:
         """
         others = question.answers[1:]
         misread = 0
-        while typed := read_typed(write, read_back.what, deadline_s, self._alarms):
+        while typed := read_typed(write, read_back.what, deadline_s, self.alarms):
             if read_back.fits(typed):
                 return Answer(question.answers[0], typed)
             if (word := pick_answer(typed, others)) is not None:
@@ -262,10 +263,7 @@ def _describe_question(question: Question) -> str:
         *(f"  {printable(f'{name}: {said}')}" for name, said in identity),
         *(f"  {bullet}{statement}" for statement in statements),
         *(f"  {predicted.sentence}" for predicted in question.predicted[:1]),
-        *(
-            f"  picture: {PICTURES_FOLDER}/{picture.name} in the run's folder"
-            for picture in question.pictures
-        ),
+        *(f"  picture: {PICTURES_FOLDER}/{one.name} in the run's folder" for one in question.pictures),
     ]
     text = "\n".join(lines) + "\n"
     bold = [question.read_back.shown] if question.read_back else []

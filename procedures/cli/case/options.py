@@ -8,7 +8,7 @@ from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
+from typer import Option
 
 from procedures.cli.planning_inputs import STRATEGY_HELP
 from procedures.engine.methods import CaseMethods, Localizer, Matcher
@@ -19,7 +19,7 @@ from ronna_hw.arm.catalogue import ArmChoice
 from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.command_line.messages import tell
 from ronna_hw.command_line.viewers_address import BindOption, CertificateOption, KeyOption, viewers_address
-from ronna_hw.roles import ONE_ARM, TWO_ARMS
+from ronna_hw.roles import roles_of
 
 if TYPE_CHECKING:
     from procedures.runs.answers import Answers
@@ -28,9 +28,7 @@ if TYPE_CHECKING:
 DRAWN = ("seed", "markers", "targets", "fiducials", "arm")  # which a scene file holds
 SIMULATED = (*DRAWN, "assistant_arm", "scene", "first_day", "calibration", "speed", "faults")
 
-ConfigOption = Annotated[
-    Path | None, typer.Option(metavar="FILE", help="Theatre file with the endpoints to use.")
-]
+ConfigOption = Annotated[Path | None, Option(metavar="FILE", help="Theatre file with the endpoints to use.")]
 
 
 class FiducialChoice(StrEnum):
@@ -51,45 +49,39 @@ class SpeedChoice(StrEnum):
 class TheatreOptions:
     """Options for choosing a theatre, simulated or configured, and a scripted operator."""
 
-    sim: Annotated[bool, typer.Option("--sim", help="Start a simulated theatre for this run.")] = False
+    sim: Annotated[bool, Option("--sim", help="Start a simulated theatre for this run.")] = False
     config: ConfigOption = None
-    scene: Annotated[str, typer.Option(help="default, mini, or a scene file; with --sim.")] = "default"
-    seed: Annotated[
-        int, typer.Option(min=0, max=LARGEST_SEED, help="Seed of everything drawn at random.")
-    ] = 0
-    arm: Annotated[ArmChoice, typer.Option(case_sensitive=False, help="Arm of the simulated theatre.")] = (
+    scene: Annotated[str, Option(help="default, mini, or a scene file; with --sim.")] = "default"
+    seed: Annotated[int, Option(min=0, max=LARGEST_SEED, help="Seed of everything drawn at random.")] = 0
+    arm: Annotated[ArmChoice, Option(case_sensitive=False, help="Arm of the simulated theatre.")] = (
         ArmChoice.KR6
     )
     calibrated: Annotated[
         bool,
-        typer.Option(
+        Option(
             "--calibrated", help="With a calibrated arm: --sim brings its record, --config must name one."
         ),
     ] = False
     first_day: Annotated[
-        bool,
-        typer.Option(
-            "--first-day",
-            help="With --sim: frame and guide are as drawn, without valid records.",
-        ),
+        bool, Option("--first-day", help="With --sim: frame and guide are as drawn, without valid records.")
     ] = False
     calibration: Annotated[
         list[Path] | None,
-        typer.Option(
+        Option(
             metavar="FOLDER",
             help="With --sim: records from a calibration, instead of the theatre's own; repeatable.",
         ),
     ] = None
     ask: Annotated[
         bool,
-        typer.Option(
+        Option(
             "--ask",
             help="In a simulated theatre: ask every question of a real case at this terminal, where manual "
             "work is done by a word, such as mount 2. Without it --sim is answered by a script.",
         ),
     ] = False
     answers: Annotated[
-        Path | None, typer.Option(help="TOML file that answers the questions: a scripted operator.")
+        Path | None, Option(help="TOML file that answers the questions: a scripted operator.")
     ] = None
 
     @property
@@ -159,38 +151,29 @@ class TheatreOptions:
 class CaseOptions(TheatreOptions):
     """Case options shared by the `run` and `step` commands."""
 
-    case: Annotated[Path | None, typer.Option(help="Folder with ct/ and plan.toml, with --config.")] = None
+    case: Annotated[Path | None, Option(help="Folder with ct/ and plan.toml, with --config.")] = None
     plan: Annotated[
-        Path | None,
-        typer.Option(help="With --sim: follow this plan on the simulated patient, not its own."),
+        Path | None, Option(help="With --sim: follow this plan on the simulated patient, not its own.")
     ] = None
     markers: Annotated[
-        int | None, typer.Option(min=3, max=8, help="Spheres on the head, instead of the scene's.")
+        int | None, Option(min=3, max=8, help="Spheres on the head, instead of the scene's.")
     ] = None
     targets: Annotated[
-        int | None, typer.Option(min=1, max=10, help="Number of trajectories (default: the scene's).")
+        int | None, Option(min=1, max=10, help="Number of trajectories (default: the scene's).")
     ] = None
     fiducials: Annotated[
-        FiducialChoice, typer.Option(help="Fixation of the spheres: screws, or the x-shaped frame.")
+        FiducialChoice, Option(help="Fixation of the spheres: screws, or the x-shaped frame.")
     ] = FiducialChoice.FREE
-    strategy: Annotated[
-        str,
-        typer.Option(
-            metavar="|".join(STRATEGY_NAMES),
-            help=STRATEGY_HELP,
-        ),
-    ] = DEFAULT_STRATEGY
+    strategy: Annotated[str, Option(metavar="|".join(STRATEGY_NAMES), help=STRATEGY_HELP)] = DEFAULT_STRATEGY
     localizer: Annotated[
-        Localizer,
-        typer.Option(help="Finds the spheres in the CT; a thesis localizer is not for clinical use."),
+        Localizer, Option(help="Finds the spheres in the CT; a thesis localizer is not for clinical use.")
     ] = Localizer.OURS
     matcher: Annotated[
-        Matcher,
-        typer.Option(help="Pairs the spheres of CT and room; the thesis matcher is not for clinical use."),
+        Matcher, Option(help="Pairs the spheres of CT and room; the thesis matcher is not for clinical use.")
     ] = Matcher.OURS
     matcher_e_mm: Annotated[
         float | None,
-        typer.Option(
+        Option(
             "--matcher-e-mm",
             min=E_RANGE_MM[0],
             max=E_RANGE_MM[1],
@@ -200,7 +183,7 @@ class CaseOptions(TheatreOptions):
     ] = None
     matcher_refused_share: Annotated[
         float | None,
-        typer.Option(
+        Option(
             "--matcher-refused-share",
             min=REFUSED_SHARE_RANGE[0],
             max=REFUSED_SHARE_RANGE[1],
@@ -210,32 +193,30 @@ class CaseOptions(TheatreOptions):
     ] = None
     measure_targets: Annotated[
         bool,
-        typer.Option(
-            "--measure-targets", help="On a phantom: measure a ball at each target, before the guide."
-        ),
+        Option("--measure-targets", help="On a phantom: measure a ball at each target, before the guide."),
     ] = False
-    speed: Annotated[SpeedChoice, typer.Option(help="max: as fast as the devices go; 1: real time.")] = (
+    speed: Annotated[SpeedChoice, Option(help="max: as fast as the devices go; 1: real time.")] = (
         SpeedChoice.MAX
     )
     dual: Annotated[
         bool,
-        typer.Option(
+        Option(
             "--dual",
             help="With two calibrated arms: an assistant inserts the instrument through the master's guide. "
             "--config must name [robot.assistant] and the records of both.",
         ),
     ] = False
     assistant_arm: Annotated[
-        ArmChoice, typer.Option(case_sensitive=False, help="With --sim --dual: the model of the assistant.")
+        ArmChoice, Option(case_sensitive=False, help="With --sim --dual: the model of the assistant.")
     ] = ArmChoice.KR6
-    faults: Annotated[Path | None, typer.Option(help="Fault script for the simulated theatre.")] = None
+    faults: Annotated[Path | None, Option(help="Fault script for the simulated theatre.")] = None
     keep_raw: Annotated[
         bool,
-        typer.Option(
+        Option(
             "--keep-raw", help="Pictures, tracker frames and arm states as files in RUN/raw, at most 2 GB."
         ),
     ] = False
-    out: Annotated[Path, typer.Option(help="Folder for runs; each run makes one subfolder.")] = Path("runs")
+    out: Annotated[Path, Option(help="Folder for runs; each run makes one subfolder.")] = Path("runs")
 
     @property
     def choice(self) -> SceneChoice:
@@ -266,7 +247,7 @@ class CaseOptions(TheatreOptions):
             case=self.case,
             plan=self.plan,
             keep_raw=self.keep_raw,
-            roles=TWO_ARMS if self.dual else ONE_ARM,
+            roles=roles_of(dual=self.dual),
         )
         return RunRequest(
             procedure=procedure,
@@ -301,11 +282,10 @@ class ConsoleOptions:
     """Options for the browser console, including access from other computers."""
 
     console: Annotated[
-        bool,
-        typer.Option("--console", help="Serve a page on this computer that shows and operates the case."),
+        bool, Option("--console", help="Serve a page on this computer that shows and operates the case.")
     ] = False
     console_port: Annotated[
-        int, typer.Option(min=0, max=65535, help="Port of the page of --console; 0: any free one.")
+        int, Option(min=0, max=65535, help="Port of the page of --console; 0: any free one.")
     ] = 0
     bind: BindOption = None
     certificate: CertificateOption = None

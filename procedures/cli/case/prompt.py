@@ -101,7 +101,9 @@ class Prompt:
                 self._say(f"{name} takes no argument; nothing was done")
             elif order is Quit:
                 if (left := engine.setting.workcell.instrument_description) is None:
-                    self._print_resume_hint(engine)
+                    if not engine.machine.ended:
+                        run = shlex.quote(str(engine.case.folder))
+                        self._say(f"the case is left as it is; to continue: ronna-procedure resume {run}")
                     return False
                 self._say(f"{left}: home asks whether it is out, then parks")
             elif self._resumes and (order is Resume or (order is Next and engine.upcoming is None)):
@@ -124,11 +126,9 @@ class Prompt:
                 self._say(f"{name} takes no argument; nothing was done")
             elif name in ENDING_PAUSE:
                 return Answer(ENDING_PAUSE[name])
-            elif self._engine is not None and name in AT_PAUSE:
+            elif (engine := self._engine) is not None and name in AT_PAUSE:
                 try:
-                    carry_out(
-                        self._engine, read_command(self._engine, name, argument), self._say, by=argument
-                    )
+                    carry_out(engine, read_command(engine, name, argument), self._say, by=argument)
                 except RonnaError as mistake:
                     fail_with(mistake)
             elif name in COMMANDS:
@@ -186,11 +186,6 @@ class Prompt:
         if self._resumes:
             return "resume continues, next does one step"
         return continue_hint(engine, f"next runs {engine.upcoming}")
-
-    def _print_resume_hint(self, engine: Engine) -> None:
-        if not engine.machine.ended:
-            run = shlex.quote(str(engine.case.folder))
-            self._say(f"the case is left as it is; to continue: ronna-procedure resume {run}")
 
     def _read_command(self, engine: Engine) -> str | None:
         if self._meanwhile is None:

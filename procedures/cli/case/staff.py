@@ -9,7 +9,7 @@ import os
 import sys
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from procedures.cli.case.operators import (
@@ -45,50 +45,48 @@ NO_CONTROL = (
 Readings = tuple[float, ...]
 
 
+@dataclass
 class TerminalRoom:
-    """Room staff, represented by the person at the terminal."""
+    """Room staff, represented by the person at the terminal.
 
-    def __init__(
-        self,
-        asking: Asking = plain_prompt,
-        *,
-        simulated: bool = False,
-        alarms: Alarms | None = None,
-    ) -> None:
-        """Set up the prompts; in a `simulated` theatre they show the command that does the work."""
-        self._asking = asking
-        self._alarms = Alarms() if alarms is None else alarms
-        self._simulated = simulated
-        self._explains = not os.environ.get(VARIABLE)  # once, where the command finds the room
+    In a `simulated` theatre the prompts show the command that does the work.
+    """
+
+    asking: Asking = plain_prompt
+    simulated: bool = field(default=False, kw_only=True)
+    alarms: Alarms = field(default_factory=Alarms, kw_only=True)
+    _explains: bool = field(  # once, where the command finds the room
+        default_factory=lambda: not os.environ.get(VARIABLE), init=False
+    )
 
     def announce(self, step: str) -> None:
         """Do nothing: progress is already visible."""
 
     def change_tool(self, number: int, description: str) -> None:
         """Ask for a tool to be mounted; the step confirms and records it."""
-        with self._asking():
+        with self.asking():
             say_line(f"Mount {description} (tool {number}).")
             self._hint(f"{MOUNT} {number}")
 
     def prepare_stand(self, holds: str) -> None:
         """Ask for an object to be put on the calibration stand; the step confirms it."""
-        with self._asking():
+        with self.asking():
             say_line(f"Put the {holds} on the calibration stand.")
             self._hint(f"{STAND} {holds}")
 
     def work(self, task: Task) -> Readings:
         """Ask for a task to be done and return the typed readings; empty without a terminal."""
-        with self._asking() as write:
+        with self.asking() as write:
             say_line(_as_order(task))
             numbers = "".join(f" {number:g}" for number in task.numbers)
             trajectory = f" --trajectory {task.trajectory}" if task.trajectory else ""
             self._hint(f"work {task.name}{numbers}{trajectory}")
-            self._alarms.begin()
-            return read_values(write, task, self._alarms) if task.reads and sys.stdin.isatty() else ()
+            self.alarms.begin()
+            return read_values(write, task, self.alarms) if task.reads and sys.stdin.isatty() else ()
 
     def _hint(self, command: str) -> None:
         """Show the command that does the work in a simulated room."""
-        if self._simulated:
+        if self.simulated:
             say_line(f"In the simulated room: ronna-sim {command}")
             if self._explains:
                 say_line(NO_CONTROL)
@@ -110,18 +108,17 @@ class _Due:
     variant: str = ""  # how else it may be said
 
 
+@dataclass
 class WordedRoom:
-    """Room staff of a rehearsal, who act on a typed word."""
+    """Room staff of a rehearsal, who act on a typed word; `staff` do the work in the simulated room."""
 
-    def __init__(self, staff: Room, asking: Asking = plain_prompt, alarms: Alarms | None = None) -> None:
-        """`staff` do the work in the simulated room."""
-        self._staff = staff
-        self._asking = asking
-        self._alarms = Alarms() if alarms is None else alarms
+    staff: Room
+    asking: Asking = plain_prompt
+    alarms: Alarms = field(default_factory=Alarms)
 
     def announce(self, step: str) -> None:
         """Tell the staff which step is running."""
-        self._staff.announce(step)
+        self.staff.announce(step)
 
     def change_tool(self, number: int, description: str) -> None:
         """Have a tool mounted by `mount NUMBER`: the one that is due, or another by mistake."""
@@ -130,13 +127,13 @@ class WordedRoom:
             if len(arguments) != 1 or not arguments[0].isdecimal():
                 raise ValueError(f"{MOUNT} needs the number of a tool, such as {MOUNT} {number}")
             mounted = int(arguments[0])
-            self._staff.change_tool(mounted, description if mounted == number else "")
+            self.staff.change_tool(mounted, description if mounted == number else "")
             return (f"tool {mounted} is mounted" if mounted else "no tool is mounted"), ()
 
         due = _Due(
             f"{MOUNT} {number}", f"mounts {description}", mount, f"{MOUNT} NUMBER mounts another tool, 0 none"
         )
-        with self._asking() as write:
+        with self.asking() as write:
             say_line(f"Mount {description} (tool {number}).")
             self._have_done(write, due)
 
@@ -148,7 +145,7 @@ class WordedRoom:
                 typed = printable(" ".join(arguments))
                 put_what = f"{typed!r} does not go on the stand" if typed else "nothing was named"
                 raise ValueError(f"{put_what}: type {' or '.join(f'{STAND} {one}' for one in STAND_HOLDS)}")
-            self._staff.prepare_stand(there)
+            self.staff.prepare_stand(there)
             return f"on the stand: {there}", ()
 
         due = _Due(
@@ -157,7 +154,7 @@ class WordedRoom:
             put,
             f"{STAND} {join_answers(STAND_HOLDS)} puts that there",
         )
-        with self._asking() as write:
+        with self.asking() as write:
             say_line(f"Put the {holds} on the calibration stand.")
             self._have_done(write, due)
 
@@ -171,12 +168,12 @@ class WordedRoom:
         def carry_out(arguments: Sequence[str]) -> tuple[str, Readings]:
             numbers = _numbers(task, arguments)
             place = f" at {task.trajectory}" if task.trajectory else ""
-            readings = self._staff.work(Task(task.name, task.subject, task.trajectory, numbers))
+            readings = self.staff.work(Task(task.name, task.subject, task.trajectory, numbers))
             return f"{task.name}{place}", readings
 
         variant = f"{task.name} NUMBER sets another length in mm" if task.name in SETTABLE else ""
         due = _Due(task.name, f"has it done: {task.subject}", carry_out, variant)
-        with self._asking() as write:
+        with self.asking() as write:
             say_line(_as_order(task))
             shown = self._have_done(write, due)
             if shown is None and task.name == OUT:
@@ -190,13 +187,13 @@ class WordedRoom:
                 say_line(f"You read off {what}: {' '.join(f'{value:g}' for value in shown)}")
             if not task.reads or shown is None:
                 return ()
-            return read_values(write, task, self._alarms)
+            return read_values(write, task, self.alarms)
 
     def _have_done(self, write: WritePrompt, due: _Due) -> Readings | None:
         """Wait for the word and have it done; return what the scales show, or None if nobody does it."""
-        self._alarms.begin()
+        self.alarms.begin()
         choices = (due.word, NOBODY)
-        while typed := read_typed(write, join_answers(choices), None, self._alarms):
+        while typed := read_typed(write, join_answers(choices), None, self.alarms):
             first, *arguments = typed.strip("'").split() or ("",)
             word = first.casefold()
             if pick_answer(typed, (NOBODY,)) is not None:

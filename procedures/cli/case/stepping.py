@@ -75,12 +75,12 @@ def step_through(request: RunRequest, out: Path, console: ConsoleRequest | None 
         )
         with contextlib.ExitStack() as stack:
             if executor is not None and console is not None:
-                from procedures.runs.console_link import serve_console
+                from procedures.runs.console_link import ConsoleLink
 
-                link = stack.enter_context(serve_console(executor, folder, console))
+                link = ConsoleLink(folder, executor.station, console)
+                stack.enter_context(contextlib.closing(link))
             engine = stack.enter_context(open_run(request, folder, observers))
             followers.append(EventFollower(engine.events, partial(write_lines, say)))
-            followers[0].start()
             if piped is not None:
                 piped.attach(engine)
             say(f"run {folder.name}; {' | '.join(COMMANDS)}")
@@ -89,8 +89,7 @@ def step_through(request: RunRequest, out: Path, console: ConsoleRequest | None 
                     prompt.follow(engine)
                 else:
                     executor.attach(engine)
-                    link.follow(engine.events)
-                    link.show_looks(engine.setting.workcell)
+                    link.show(engine)
                     prompt.follow(engine)
                     if prompt.input_ended:
                         executor.run_to_end(engine)

@@ -5,34 +5,27 @@ from __future__ import annotations
 import math
 import shlex
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 from pathlib import Path
+from typing import Any
 
+from procedures.calibration import validity
 from procedures.calibration.errors import ArmOlderThanHead, OfAnotherTheatre
-from procedures.calibration.validity import (
-    MADE_BY_COMMAND,
-    MADE_BY_HAND,
-    as_sentence,
-    options_of,
-    require_consistent_arm,
-)
 from procedures.planning.tool_records import GUIDE, RENEW, ToolRecords
-from procedures.runs.edited_records import edited_records
-from ronna_hw.calibrated_arm.error_budget import (
-    LINK_TRANSLATION_MM,
-    UNCALIBRATED_MM,
-    ErrorSizes,
-    arm_error_mm,
-)
+from procedures.runs.theatre_history import TheatreState, describe_state, read_states
+from ronna_hw.bounded_input import parse_toml_bytes
+from ronna_hw.calibrated_arm import error_budget
 from ronna_hw.calibration import CalibrationExpired
 from ronna_hw.command_line.errors import as_ronna_error
-from ronna_hw.config import Calibrations, TheatreFile
+from ronna_hw.config import BadTheatreFile, Calibrations, TheatreFile
 from ronna_hw.devices.probing import Diagnostic, refusal
 from ronna_hw.errors import RonnaError
 from ronna_hw.tool_record import GAUGE_APPROACHES, ToolRecord
 
 EXPIRY_NOTICE = timedelta(days=3)  # before its expiry a record is mentioned
+RECORD_TABLES = ("calibration", "tools")
+ADDED_BY_HAND = "tools"  # fields such as `bodies`, which no command writes, may be added to a record
 
 
 def calibration_diagnostics(theatre: TheatreFile, path: Path, now: datetime) -> Iterator[Diagnostic]:
@@ -46,39 +39,30 @@ def calibration_diagnostics(theatre: TheatreFile, path: Path, now: datetime) -> 
         yield Diagnostic("calibrations", not needed, "none in the theatre file", advice)
         return
     records = theatre.calibration.records
-    for name in (one for one in (*MADE_BY_COMMAND, *MADE_BY_HAND) if one in records):
+    for name in (one for one in (*validity.MADE_BY_COMMAND, *validity.MADE_BY_HAND) if one in records):
         record = records[name]
-        subject, by_hand = f"calibration {name}", MADE_BY_HAND.get(name)
-        command = "" if by_hand else f"{MADE_BY_COMMAND[name]} {options_of(path)}"
-        renewal = f"{as_sentence(by_hand)}." if by_hand else "Calibrate again."
+        subject, by_hand = f"calibration {name}", validity.MADE_BY_HAND.get(name)
+        command = "" if by_hand else f"{validity.MADE_BY_COMMAND[name]} {validity.options_of(path)}"
+        renewal = f"{validity.as_sentence(by_hand)}." if by_hand else "Calibrate again."
         if name == "tool_tip" and theatre.tools:
             renewal += f" Afterwards: {RENEW}"
         try:
             record.check_valid_at(now)
         except CalibrationExpired as error:
+            expired = refusal(subject, error)
             is_in_future = record.created > now  # a clock is wrong, not a record
-            yield Diagnostic(
-                subject,
-                False,
-                f"{error.code} {error.summary}",
-                error.advice if is_in_future else renewal,
-                command="" if is_in_future else command,
-            )
+            yield expired if is_in_future else replace(expired, advice=renewal, command=command)
             continue
         if name == "arm":
             try:
-                require_consistent_arm(theatre.calibration, options_of(path))
+                validity.require_consistent_arm(theatre.calibration, validity.options_of(path))
             except (ArmOlderThanHead, OfAnotherTheatre) as error:
                 yield replace(refusal(subject, error), command=command)
                 continue
+        text = f"{record.identifier}, valid until {record.expires:%Y-%m-%d %H:%M %Z}"
+        valid = Diagnostic(subject, True, text)
         expires_soon = record.expires - now < EXPIRY_NOTICE
-        yield Diagnostic(
-            subject,
-            True,
-            f"{record.identifier}, valid until {record.expires:%Y-%m-%d %H:%M %Z}",
-            renewal if expires_soon else "",
-            command=command if expires_soon else "",
-        )
+        yield replace(valid, advice=renewal, command=command) if expires_soon else valid
 
 
 def history_diagnostics(path: Path) -> Iterator[Diagnostic]:
@@ -100,16 +84,59 @@ def history_diagnostics(path: Path) -> Iterator[Diagnostic]:
         )
 
 
+@dataclass(frozen=True)
+class EditedRecord:
+    """A record whose values are not those of the update, or first state, that its identifier came with."""
+
+    place: str  # such as `calibration.tool_tip`
+    identifier: str
+    fields: tuple[str, ...]
+    since: str  # what led to the state with its values
+
+
+def edited_records(theatre: Path) -> tuple[EditedRecord, ...]:
+    """Compare the records of a theatre file with its history. Raises PRO-046, OSError."""
+    known: dict[str, tuple[TheatreState, dict[str, Any]]] = {}
+    above: dict[str, dict[str, Any]] = {}
+    for state in read_states(theatre):
+        now = dict(_records(state))
+        for place, record in now.items():
+            is_signed = state.update is not None and above.get(place) != record
+            if is_signed or place not in known or known[place][1]["identifier"] != record["identifier"]:
+                known[place] = state, record
+        above = now
+    return tuple(
+        EditedRecord(place, record["identifier"], fields, describe_state(known[place][0]))
+        for place, record in above.items()
+        if (fields := tuple(_changed_fields(place, known[place][1], record)))
+    )
+
+
+def _records(state: TheatreState) -> Iterator[tuple[str, dict[str, Any]]]:
+    content = parse_toml_bytes(state.text.encode(), f"state {state.number}", BadTheatreFile)
+    for table in RECORD_TABLES:
+        for name, record in content.get(table, {}).items():
+            if isinstance(record, dict) and "identifier" in record:
+                yield f"{table}.{name}", record
+
+
+def _changed_fields(place: str, then: dict[str, Any], now: dict[str, Any]) -> Iterator[str]:
+    for field in sorted(then.keys() | now.keys()):
+        is_added = field not in then and place.startswith(f"{ADDED_BY_HAND}.")
+        if then.get(field) != now.get(field) and not is_added:
+            yield field
+
+
 def setting_diagnostics(theatre: TheatreFile) -> Iterator[Diagnostic]:
     """Report the arm and tool frame errors assumed in predictions, and why they exceed those configured."""
     if theatre.calibration is None:
         return
     settings, arm = theatre.procedure, theatre.calibration.arm
-    sizes, used_mm = ErrorSizes.stated(settings, arm), arm_error_mm(settings, arm)
+    sizes, used_mm = error_budget.ErrorSizes.stated(settings, arm), error_budget.arm_error_mm(settings, arm)
     advice = (
-        f"The best arms without [calibration.arm] are off by {UNCALIBRATED_MM:g} mm per axis, their tool "
-        f"frames by {LINK_TRANSLATION_MM:g} mm: errors are predicted with that, not with less in "
-        "[procedure]. Calibrate the arm."
+        f"The best arms without [calibration.arm] are off by {error_budget.UNCALIBRATED_MM:g} mm per axis, "
+        f"their tool frames by {error_budget.LINK_TRANSLATION_MM:g} mm: errors are predicted with that, not "
+        "with less in [procedure]. Calibrate the arm."
     )
     is_too_optimistic = used_mm > settings.arm_error_mm or sizes.tool_mm > settings.tool_error_mm
     description = f"{used_mm:.2g} mm per axis, of the tool frame {sizes.tool_mm:.2g} mm"

@@ -15,14 +15,8 @@ from procedures.cli.doctor.pictures import pair_diagnostics
 from procedures.cli.doctor.theatre_checks import TOOL, run_check
 from procedures.planning.tool_records import ToolRecords, check_patient_frame
 from procedures.relocalization.triangulation import check_serial
+from procedures.workcell import tools
 from procedures.workcell.stereo_look import FURTHER_TRIES
-from procedures.workcell.tools import (
-    MountedTool,
-    ToolMount,
-    calibrated_arm,
-    require_this_arm,
-    require_two_arms,
-)
 from ronna_hw.calibration import StereoHeadCalibration
 from ronna_hw.config import Calibrations, DeviceConfig, TheatreFile
 from ronna_hw.devices import OpticalTracker, RobotArm, StereoPair
@@ -41,6 +35,7 @@ STEREO = "stereo"  # table of the cameras
 ARM_RECORD = "calibration of the arm"
 ARE_TWO = "arms of master and assistant"
 TURN_FRAME = "Clear the line of sight between the tracker and the head clamp; turn the frame or the tracker."
+TURN_CART = "Clear the line of sight between the tracker and the arm; turn the cart or the tracker."
 FRAMES_LOOKED_AT = 30  # half a second of tracking
 PAIRS_LOOKED_AT = 50  # a hundred pictures
 LEAST_SPHERES = 3  # for a registration
@@ -115,14 +110,8 @@ def _elsewhere(
     if len(set(serials)) < len(serials):
         return ""
     configured, endpoint = _configured(side, device, head), camera_endpoint(device, side)
-    return next(
-        (
-            parse_endpoint(at).host
-            for at, serial in replied.items()
-            if serial == configured and at != endpoint
-        ),
-        "",
-    )
+    places = (at for at, serial in replied.items() if serial == configured and at != endpoint)
+    return next((parse_endpoint(at).host for at in places), "")
 
 
 def _verdict(
@@ -249,25 +238,24 @@ def _check_records(
             found = run_check(camera_subject, serial, partial(check_serial, record, serial))
             yield replace(found, serials={camera_endpoint(theatre.devices[name], side): serial})
     role = name.removeprefix("robot.")
-    if isinstance(device, RobotArm) and role in TWO_ARMS:
+    if isinstance(device, RobotArm) and role in WHOSE_RECORD:
         kinematics, arm = device.kinematics, calibrations.arms.get(role)
 
         def check_arm() -> None:
-            calibrated_arm(kinematics, calibrations.arms, role)
-            require_this_arm(calibrations.arms, serial, role)
+            tools.calibrated_arm(kinematics, calibrations.arms, role)
+            tools.require_this_arm(calibrations.arms, serial, role)
 
         seen = f"{kinematics.name} {serial}".rstrip()
         if arm is None:
             seen = f"none: {seen} is taken as nominal"
-        arm_check = replace(
-            run_check(f"{subject}{ARM_RECORD}", seen, check_arm), serials={kinematics.name: serial}
-        )
+        found = run_check(f"{subject}{ARM_RECORD}", seen, check_arm)
+        arm_check = replace(found, serials={kinematics.name: serial})
         is_unverified = arm is not None and not (arm.serial and serial)
         yield replace(arm_check, advice=WHOSE_RECORD[role]) if is_unverified and arm_check.well else arm_check
         if role != MASTER:
             return
-        mount = ToolMount(lambda: device.read_tool_identity().number, calibrations)
-        mounted = MountedTool.STEREO_HEAD
+        mount = tools.ToolMount(lambda: device.read_tool_identity().number, calibrations)
+        mounted = tools.MountedTool.STEREO_HEAD
         yield run_check(f"{subject}{TOOL}", str(mounted), partial(mount.check, mounted))
 
 
@@ -281,16 +269,16 @@ def two_arm_diagnostics(found: Mapping[str, Sequence[Diagnostic]]) -> Iterator[D
         for identity in one.serials.items()
     ]
     for one, other in combinations([(model, serial or "") for model, serial in arms], 2):
-        yield run_check(ARE_TWO, "two", partial(require_two_arms, one, other))
+        yield run_check(ARE_TWO, "two", partial(tools.require_two_arms, one, other))
 
 
 def frame_diagnostics(
     subject: str, tracker: OpticalTracker, calibrations: Calibrations, theatre: TheatreFile
 ) -> Iterator[Diagnostic]:
     """Check every frame that the theatre file names against the tracker's tools; needs no connection."""
-    tools, patient_frame = ", ".join(tracker.tools), theatre.procedure.patient_frame
+    named, patient_frame = ", ".join(tracker.tools), theatre.procedure.patient_frame
     check_frames = partial(ToolRecords.of(theatre).check_frames, calibrations, tracker.tools)
-    yield run_check(f"{subject}frames named in records", tools, check_frames)
+    yield run_check(f"{subject}frames named in records", named, check_frames)
     if patient_frame is not None:
         check_patient = partial(check_patient_frame, patient_frame, calibrations, tracker.markers_mm)
         yield run_check(f"{subject}frame of the patient", patient_frame, check_patient)
@@ -310,20 +298,11 @@ def _check_visibility(subject: str, tracker: OpticalTracker, theatre: TheatreFil
         seen = sum(frame.tool(tool).validity is Validity.OK for frame in frames)
         on_clamp = tool == theatre.procedure.patient_frame
         needed = on_clamp or (calibrations is not None and tool == calibrations.tracker_frame.tool)
-        yield Diagnostic(
-            f"{subject}visibility of {tool}",
-            seen > len(frames) // 2 or not needed,
-            f"in {seen} of {len(frames)} frames",
-            ""
-            if seen == len(frames) or tool in mounted_later
-            else TURN_FRAME
-            if on_clamp
-            else "Clear the line of sight between the tracker and the arm; turn the cart or the tracker.",
-        )
+        is_well, advice = seen > len(frames) // 2 or not needed, ""
+        if seen < len(frames) and tool not in mounted_later:
+            advice = TURN_FRAME if on_clamp else TURN_CART
+        text = f"in {seen} of {len(frames)} frames"
+        yield Diagnostic(f"{subject}visibility of {tool}", is_well, text, advice)
     spheres = sorted(len(frame.strays) for frame in frames)[len(frames) // 2]
-    yield Diagnostic(
-        f"{subject}spheres in view",
-        True,
-        f"{spheres}",
-        "" if spheres >= LEAST_SPHERES else f"A case needs at least {LEAST_SPHERES} on the head.",
-    )
+    advice = "" if spheres >= LEAST_SPHERES else f"A case needs at least {LEAST_SPHERES} on the head."
+    yield Diagnostic(f"{subject}spheres in view", True, f"{spheres}", advice)

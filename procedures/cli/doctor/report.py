@@ -3,21 +3,25 @@
 from __future__ import annotations
 
 import shlex
+import shutil
+import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from functools import partial
+from itertools import chain
 from pathlib import Path
+from textwrap import wrap
 from typing import Any
 
+from procedures.cli.doctor import theatre_checks
 from procedures.cli.doctor.calibrations import (
     calibration_diagnostics,
     history_diagnostics,
     setting_diagnostics,
     tool_diagnostics,
 )
-from procedures.cli.doctor.findings_text import findings_text
 from procedures.cli.doctor.inspection import (
     STEREO,
     advise_on_serials,
@@ -25,38 +29,30 @@ from procedures.cli.doctor.inspection import (
     inspection,
     two_arm_diagnostics,
 )
-from procedures.cli.doctor.theatre_checks import (
-    CLOCK,
-    INSTRUMENT,
-    NEEDED,
-    RUN,
-    RUNS,
-    advise_on_unfinished_run,
-    assistant_diagnostics,
-    case_diagnostics,
-    computer_diagnostics,
-    use_diagnostics,
-)
 from procedures.runs.arm_notes import list_noted_theatres
 from procedures.runs.theatre_lock import require_free_theatre
 from ronna_hw.clock import HostClock
 from ronna_hw.command_line.errors import as_ronna_error
 from ronna_hw.command_line.options import log_failure
-from ronna_hw.command_line.terminal import Progress, print_json, print_table, say
-from ronna_hw.config import Calibrations, DeviceConfig, TheatreFile, read_theatre_file
+from ronna_hw.command_line.terminal import Progress, on_terminal, print_json, print_table, say
+from ronna_hw.config import ARM_RECORDS, Calibrations, DeviceConfig, TheatreFile, read_theatre_file
 from ronna_hw.devices import OpticalTracker
 from ronna_hw.devices.probing import Diagnostic, EndpointProbe, PortProbe, endpoints_of, refusal
 from ronna_hw.endpoints import BadEndpoint, Endpoint, parse_endpoint
 from ronna_hw.errors import EXIT_NOT_FOUND, EXIT_REFUSED, RonnaError
 from ronna_hw.registry import endpoint_probes, load_probe, make_device
-from ronna_hw.roles import ASSISTANT
+from ronna_hw.roles import MASTER
 from ronna_hw.text import format_count
 
-ASSISTANT_RECORDS = ("calibration assistant_arm", "calibration assistant_holder")
+# Of arms beside the master, which only a case with several arms needs.
+OTHERS = [role for role in ARM_RECORDS if role != MASTER]
+RECORDS_OF_OTHERS = tuple(f"calibration {name}" for role in OTHERS for name in ARM_RECORDS[role])
 CASE, TWO_ARM_CASE = "case", "case with two arms"
 TRACKER = "tracker"  # table
 PROBLEM, NOTE, OK = "PROBLEM", "note", "ok"
 FRAMES = ": frames named in records"
+FINDING = ("subject", "well", "seen", "advice", "command")  # fields of the JSON
+INDENT = "   "
 SECTIONS = ("lines", "cameras")  # of the JSON, also when they are empty
 Examination = Callable[[Progress], Sequence[Diagnostic]]
 
@@ -73,20 +69,20 @@ class Verdict:
 def verdicts(
     case: Sequence[Diagnostic],
     devices: Mapping[str, Sequence[Diagnostic]],
-    two_arms: Sequence[Diagnostic] = (),
+    of_several: Sequence[Diagnostic] = (),
 ) -> Iterator[Verdict]:
     """Yield a verdict for each device table of the theatre file, then one for the case.
 
     With an assistant in the file, or its records, follows one for a case with both arms, which also needs
-    `two_arms`.
+    `of_several`.
     """
     for name, found in devices.items():
         yield _verdict(name, found)
-    needed = [*case, *(one for name in NEEDED for one in devices.get(name, ()))]
+    needed = [*case, *(one for name in theatre_checks.NEEDED for one in devices.get(name, ()))]
     yield _verdict(CASE, needed)
-    assistant = devices.get(f"robot.{ASSISTANT}")
-    if assistant is not None or not all(one.well for one in two_arms):
-        yield _verdict(TWO_ARM_CASE, [*needed, *(assistant or ()), *two_arms])
+    others = [devices[name] for name in (f"robot.{role}" for role in OTHERS) if name in devices]
+    if others or not all(one.well for one in of_several):
+        yield _verdict(TWO_ARM_CASE, [*needed, *chain.from_iterable(others), *of_several])
 
 
 def _verdict(of: str, found: Sequence[Diagnostic]) -> Verdict:
@@ -112,7 +108,7 @@ class Report:
     def diagnostics(self) -> tuple[Diagnostic, ...]:
         """All diagnostics in display order; an instrument left in the head comes first."""
         everything = self.computer + self.case + self.calibrations + self.devices
-        return tuple(sorted(everything, key=lambda one: one.subject != INSTRUMENT))
+        return tuple(sorted(everything, key=lambda one: one.subject != theatre_checks.INSTRUMENT))
 
     @property
     def problems(self) -> tuple[Diagnostic, ...]:
@@ -154,7 +150,7 @@ def examine(
     endpoints: Sequence[str] = (),
     progress: Progress = lambda share: None,
     *,
-    out: Path = RUNS,
+    out: Path = theatre_checks.RUNS,
 ) -> Report:
     """Check this computer, each endpoint and every device in a theatre file, for runs in `out`.
 
@@ -176,13 +172,13 @@ def examine(
             *setting_diagnostics(file),
             *history_diagnostics(config),
         )
-        case = (*use_diagnostics(config), *case_diagnostics(file, config, out))
-        of_assistant = tuple(one for one in calibrations if one.subject in ASSISTANT_RECORDS)
-        calibrations = tuple(one for one in calibrations if one not in of_assistant)
-        two_arms = (*of_assistant, *assistant_diagnostics(file))
+        case = (*theatre_checks.use_diagnostics(config), *theatre_checks.case_diagnostics(file, config, out))
+        of_others = tuple(one for one in calibrations if one.subject in RECORDS_OF_OTHERS)
+        calibrations = tuple(one for one in calibrations if one not in of_others)
+        two_arms = (*of_others, *theatre_checks.assistant_diagnostics(file))
         if any(one in endpoints_of(device) for device in file.devices.values() for one in parsed):
             require_free_theatre(config)
-        if all(one.subject != RUN for one in case):
+        if all(one.subject != theatre_checks.RUN for one in case):
             devices = list(file.devices)
             for name, device in file.devices.items():
                 examinations[name] = partial(_probe, name, device, file)
@@ -190,7 +186,7 @@ def examine(
         for theatre in list_noted_theatres():  # a run holds its devices before it has connected them
             if _names_any(theatre, parsed):
                 require_free_theatre(theatre)
-    computer = tuple(computer_diagnostics())
+    computer = tuple(theatre_checks.computer_diagnostics())
     found: dict[str, Sequence[Diagnostic]] = {}
     for number, (name, examination) in enumerate(examinations.items()):
 
@@ -199,12 +195,15 @@ def examine(
 
         found[name] = examination(advance)
         if config is not None and name in devices:
-            found[name] = advise_on_unfinished_run(config, found[name])
+            found[name] = theatre_checks.advise_on_unfinished_run(config, found[name])
         advance(1.0)
     of_devices = {name: found[name] for name in devices}
     two_arms = (*two_arms, *two_arm_diagnostics(of_devices))
     case_verdicts = () if config is None else tuple(verdicts(case + calibrations, of_devices, two_arms))
-    advised = partial(_with_commands, config=config)
+
+    def advised(diagnostics: Iterable[Diagnostic]) -> tuple[Diagnostic, ...]:
+        return tuple(_with_command(one, config) for one in diagnostics)
+
     return Report(
         advised(computer),
         advised(one for each in found.values() for one in each),
@@ -212,10 +211,6 @@ def examine(
         advised(case + two_arms),
         case_verdicts,
     )
-
-
-def _with_commands(found: Iterable[Diagnostic], config: Path | None) -> tuple[Diagnostic, ...]:
-    return tuple(_with_command(one, config) for one in found)
 
 
 def _with_command(one: Diagnostic, config: Path | None) -> Diagnostic:
@@ -237,7 +232,7 @@ def show(report: Report, *, as_json: bool, everything: bool = False) -> None:
     clock cannot be read; it is 3 if only something else prevents a case.
     """
     show_findings(report, as_json=as_json, everything=everything)
-    in_use = tuple(one for one in report.case if one.subject in (RUN, CLOCK))
+    in_use = tuple(one for one in report.case if one.subject in (theatre_checks.RUN, theatre_checks.CLOCK))
     if not all(diagnostic.well for diagnostic in in_use + report.calibrations + report.devices):
         raise SystemExit(EXIT_NOT_FOUND)
     if not all(verdict.ready for verdict in report.verdicts if verdict.of in (CASE, TWO_ARM_CASE)):
@@ -249,40 +244,69 @@ def show_findings(report: Report, *, as_json: bool, everything: bool = False) ->
     if as_json:
         sections = dict.fromkeys((*SECTIONS, *(f.section for f in report.devices if f.section)))
         print_json(
-            {
-                "findings": [
-                    {
-                        "subject": f.subject,
-                        "well": f.well,
-                        "seen": f.seen,
-                        "advice": f.advice,
-                        "command": f.command,
-                    }
-                    for f in report.diagnostics
-                ]
-            }
+            {"findings": [{name: getattr(one, name) for name in FINDING} for one in report.diagnostics]}
             | {name: report.section(name) for name in sections}
             | {"verdicts": [asdict(verdict) for verdict in report.verdicts]}
         )
         return
-    for line in findings_text(report):
+    for line in _format_findings(report):
         say(line)
     if everything:
         rows = [(one.subject, report.grade(one), one.seen, one.advice) for one in report.diagnostics]
         print_table("All checks", ("checked", "", "found", "what to do"), rows)
-    elif folded := sum(one.well and report.grade(one) == OK for one in report.diagnostics) - len(
-        report.replies
-    ):
+    elif folded := sum(report.grade(one) == OK for one in report.diagnostics) - len(report.replies):
         say(f"{format_count(folded, 'check')} without a finding; --all lists them")
     if report.verdicts:
-        print_table(
-            "Readiness",
-            ("", "", "because"),
-            [
-                (one.of, "ready" if one.ready else "NOT READY", "; ".join(_reasons(one, report)))
-                for one in report.verdicts
-            ],
-        )
+        readiness = [
+            (one.of, "ready" if one.ready else "NOT READY", "; ".join(_reasons(one, report)))
+            for one in report.verdicts
+        ]
+        print_table("Readiness", ("", "", "because"), readiness)
+
+
+def _format_findings(report: Report) -> Iterator[str]:
+    """Yield lines: a numbered list of problems, then notes, then what was asked for."""
+    if not report.problems:
+        yield "No problem found."
+    else:
+        yield f"{format_count(len(report.problems), 'problem')}:"
+        for number, one in enumerate(report.problems, start=1):
+            yield from _format_finding(f"{number}. ", one)
+    if report.notes:
+        yield ""
+        yield "Worth knowing:"
+        for one in report.notes:
+            yield from _format_finding("-  ", one)
+    if report.replies:
+        yield ""
+        for one in report.replies:
+            yield from _wrap(f"ok {one.subject}: {one.seen}", "")
+    yield ""
+
+
+def _format_finding(bullet: str, one: Diagnostic) -> Iterator[str]:
+    yield from _wrap(f"{one.subject}: {one.seen}", bullet)
+    if one.advice:
+        yield from _wrap(one.advice, INDENT)
+    if one.command:
+        yield f"{INDENT}{one.command}"  # on one line, whatever the width: it is copied
+
+
+def _wrap(text: str, first: str) -> Iterator[str]:
+    """Wrap at the terminal's width without splitting words; elsewhere yield one line."""
+    text = " ".join(text.split())
+    if not on_terminal(sys.stdout):
+        yield first + text
+        return
+    width = max(shutil.get_terminal_size().columns - 1, 2 * len(INDENT))
+    yield from wrap(
+        text,
+        width,
+        initial_indent=first,
+        subsequent_indent=INDENT,
+        break_long_words=False,
+        break_on_hyphens=False,
+    )
 
 
 def _reasons(verdict: Verdict, report: Report) -> Sequence[str]:

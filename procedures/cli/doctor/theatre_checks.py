@@ -11,19 +11,18 @@ from dataclasses import replace
 from pathlib import Path
 
 from procedures.journal.free_space import describe_shortage
-from procedures.runs.arm_notes import find_former_run
 from procedures.runs.reopening import resumable_run
 from procedures.runs.request_checks import require_two_arms
-from procedures.runs.theatre_lock import find_theatre_user, find_unwritable_note, read_last_note
+from procedures.runs.theatre_lock import find_theatre_user, find_unwritable_note, read_former_run
 from ronna_hw.bounded_input import LARGEST_TOML_BYTES, read_bounded
 from ronna_hw.clock import SharedClock, open_clock
-from ronna_hw.config import TheatreFile
+from ronna_hw.config import ARM_RECORDS, TheatreFile
 from ronna_hw.devices.capabilities import MESSAGES
 from ronna_hw.devices.probing import Diagnostic, refusal
 from ronna_hw.errors import RonnaError
 from ronna_hw.host.files import require_open_files
 from ronna_hw.mistakes import suggest_keys
-from ronna_hw.roles import ASSISTANT, MASTER
+from ronna_hw.roles import MASTER
 from ronna_hw.theatre_kind import is_simulated, require_one_kind
 
 CASE_OPEN_FILES = 96  # as a case requires
@@ -55,24 +54,20 @@ def case_diagnostics(theatre: TheatreFile, config: Path, out: Path) -> Iterator[
     folder = next(path for path in (resolved, *resolved.parents) if path.exists())  # a run makes the others
     shortage = describe_shortage(folder)
     found = f"{folder}: {shortage or 'enough for a case'}"
-    if shortage is None:
-        yield Diagnostic("disk", True, found)
-    else:
-        yield Diagnostic(
-            "disk", False, found, "Free some space.", command=f"df -h {shlex.quote(str(folder))}"
-        )
+    advice, command = ("Free some space.", f"df -h {shlex.quote(str(folder))}") if shortage else ("", "")
+    yield Diagnostic("disk", not shortage, found, advice, command=command)
 
 
 def assistant_diagnostics(theatre: TheatreFile) -> Iterator[Diagnostic]:
     """Check the records that two arms need, and name the arms in roles that no procedure has."""
-    records = theatre.calibration
-    is_meant = records is not None and (records.assistant_arm or records.assistant_holder) is not None
-    if ASSISTANT in theatre.robot or is_meant:
+    records = {} if theatre.calibration is None else theatre.calibration.records
+    with_records = (role for role, names in ARM_RECORDS.items() if not records.keys().isdisjoint(names))
+    named = {*theatre.robot, *with_records}
+    if named & ARM_RECORDS.keys() - {MASTER}:
         yield run_check("records of two arms", "complete", lambda: require_two_arms(theatre))
-    roles = (MASTER, ASSISTANT)
     for name in theatre.robot:
-        if name not in roles:
-            advice = f"Name the table by the role of its arm{suggest_keys(name, roles)}."
+        if name not in ARM_RECORDS:
+            advice = f"Name the table by the role of its arm{suggest_keys(name, tuple(ARM_RECORDS))}."
             yield Diagnostic(f"table robot.{name}", True, "no procedure uses this arm", advice)
 
 
@@ -110,7 +105,7 @@ def use_diagnostics(theatre: Path) -> Iterator[Diagnostic]:
         seen = f"{user.seen}: its devices were not checked"
         yield Diagnostic(RUN, False, seen, user.advice("check again"))
         return
-    former = find_former_run(read_last_note(theatre), None)
+    former = read_former_run(theatre)
     if (refused := former.refusal) is not None:
         yield Diagnostic(INSTRUMENT, False, refused.what, refused.advice, command=former.home or "")
     if former.not_home is not None:
@@ -124,7 +119,7 @@ def use_diagnostics(theatre: Path) -> Iterator[Diagnostic]:
 
 def advise_on_unfinished_run(theatre: Path, found: Sequence[Diagnostic]) -> list[Diagnostic]:
     """Adapt the advice in device diagnostics to the theatre and its unfinished run."""
-    run, inside = resumable_run(theatre), find_former_run(read_last_note(theatre), None).inside
+    run, inside = resumable_run(theatre), read_former_run(theatre).inside
     advised = list(found)
     for place, one in enumerate(found):
         if one.well:

@@ -18,6 +18,7 @@ from ronna_hw.devices.lifecycle import LONGEST_NAME
 
 if TYPE_CHECKING:
     from procedures.cli.new_theatre.searching import DeviceTable
+    from ronna_hw.endpoints import Endpoint
 
 NO_CARD = "none"
 REHEARSAL = "REHEARSAL: EVERY DEVICE IS ON THIS COMPUTER"  # where only simulators can be
@@ -103,21 +104,19 @@ def new_theatre(
         mistakes.collect(require_new, (out,))
         mistakes.collect(_require_short, () if name is None else (name,))
         cards = mistakes.collect(lambda name: searching.find_interfaces([name]), interface or ())
-        lines = mistakes.collect(partial(searching.endpoint_of, "--serial"), searching.lines(serial))
-        controllers = mistakes.collect(partial(searching.endpoint_of, "--controller"), controller or ())
-        streams = mistakes.collect(
-            partial(searching.endpoint_of, "--stream"), () if stream is None else (stream,)
-        )
-        assistants = mistakes.collect(
-            partial(searching.endpoint_of, "--assistant"), () if assistant is None else (assistant,)
-        )
-        assistant_streams = mistakes.collect(
-            partial(searching.endpoint_of, "--assistant-stream"),
-            () if assistant_stream is None else (assistant_stream,),
-        )
+
+        def endpoints(option: str, *given: str | None) -> tuple[Endpoint, ...]:
+            texts = [one for one in given if one is not None]
+            return mistakes.collect(partial(searching.endpoint_of, option), texts)
+
+        lines = endpoints("--serial", *searching.lines(serial))
+        controllers = endpoints("--controller", *(controller or ()))
+        streams = endpoints("--stream", stream)
+        assistants = endpoints("--assistant", assistant)
+        assistant_streams = endpoints("--assistant-stream", assistant_stream)
         mistakes.collect(partial(searching.require_another, "--assistant", controllers), assistants)
         mistakes.collect(partial(searching.require_another, "--assistant-stream", streams), assistant_streams)
-        mistakes.collect(partial(searching.endpoint_of, "--clock"), (clock,))
+        endpoints("--clock", clock)
         examples = searching.example_tables(finders, Search())
         if assistants:
             examples += searching.as_assistant(examples)

@@ -87,11 +87,11 @@ def endpoint_of(option: str, text: str) -> Endpoint:
         raise UsageMistake(f"{option}: {error.what}", expected=form, action=action) from error
 
 
-def require_another(option: str, of_master: Sequence[Endpoint], of_assistant: Endpoint) -> None:
-    """Raise CLI-001 if the assistant is given an address of the master."""
-    if of_assistant in of_master:
+def require_another(option: str, of_master: Sequence[Endpoint], address: Endpoint) -> None:
+    """Raise CLI-001 if another arm is given an address of the master."""
+    if address in of_master:
         raise UsageMistake(
-            f"{option} is {of_assistant}, which is given for the master as well",
+            f"{option} is {address}, which is given for the master as well",
             expected="addresses of its own for each arm",
         )
 
@@ -247,6 +247,5 @@ def _choose_proposal(table: str, proposals: Sequence[Proposal], choose: Choose) 
 def _list_cameras(pairs: Sequence[Proposal]) -> list[str]:
     """List each camera of these pairs once, by address."""
     cameras = {_camera_identity(pair, side) for pair in pairs for side in ("left", "right")}
-    return [
-        f"camera {serial} at {address}" for serial, address in sorted(cameras, key=lambda camera: camera[1])
-    ]
+    by_address = sorted(cameras, key=lambda camera: camera[1])
+    return [f"camera {serial} at {address}" for serial, address in by_address]

@@ -10,6 +10,7 @@ from pathlib import Path
 from textwrap import wrap
 from typing import Any
 
+import tomli_w
 from pydantic import BaseModel, ValidationError
 
 from procedures.calibration.validity import MADE_BY_COMMAND
@@ -55,7 +56,7 @@ def theatre_text(
     rest = {table: copied[table] for table in COPIED if table in copied}
     if "calibration" not in rest:
         lines += ["", *_missing_record_lines()]
-    return "\n".join(lines) + "\n" + ("\n" + _toml(rest) if rest else "")
+    return "\n".join(lines) + "\n" + ("\n" + tomli_w.dumps(rest) if rest else "")
 
 
 def _device_lines(found: DeviceTable) -> Iterator[str]:
@@ -126,13 +127,7 @@ def _line(key: str, value: Any) -> str:
         return f"{key} = [{', '.join(_line('', one).removeprefix(EMPTY_KEY) for one in value)}]"
     if isinstance(value, Enum):
         value = value.value
-    return _toml({key: str(value) if isinstance(value, Path) else value}).strip()
-
-
-def _toml(content: Mapping[str, Any]) -> str:
-    import tomli_w
-
-    return tomli_w.dumps(content)
+    return tomli_w.dumps({key: str(value) if isinstance(value, Path) else value}).strip()
 
 
 class _Definition(BaseModel, extra="allow", strict=True):

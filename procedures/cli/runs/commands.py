@@ -8,11 +8,12 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from typer import Argument, Option
 
 from procedures.cli.case.options import ConsoleOptions
 from ronna_hw.command_line.errors import UsageMistake
-from ronna_hw.command_line.options import with_option_records
-from ronna_hw.command_line.terminal import JsonOption
+from ronna_hw.command_line.options import require_output_folder, with_option_records
+from ronna_hw.command_line.terminal import JsonOption, print_json, tell
 from ronna_hw.text import escape_controls
 
 
@@ -34,16 +35,16 @@ def _refuse_asking(given: bool) -> None:
 
 
 RunArgument = Annotated[
-    Path, typer.Argument(metavar="RUN", help="Folder of a run, however it ended.", callback=_run_folder)
+    Path, Argument(metavar="RUN", help="Folder of a run, however it ended.", callback=_run_folder)
 ]
 FolderOption = Annotated[
-    Path | None, typer.Option("--out", metavar="DIR", help="Output folder; by default inside the run's.")
+    Path | None, Option("--out", metavar="DIR", help="Output folder; by default inside the run's.")
 ]
 
 AcceptOption = Annotated[
-    bool, typer.Option("--accept", help="Accept the findings without asking; in a simulated theatre only.")
+    bool, Option("--accept", help="Accept the findings without asking; in a simulated theatre only.")
 ]
-AnswersOption = Annotated[Path | None, typer.Option(help="TOML file that answers the questions of the case.")]
+AnswersOption = Annotated[Path | None, Option(help="TOML file that answers the questions of the case.")]
 
 
 @with_option_records
@@ -54,7 +55,7 @@ def resume_command(
     *,
     _ask: Annotated[
         bool,
-        typer.Option(
+        Option(
             "--ask",
             help="Refused: a run has it from its start.",
             hidden=True,
@@ -95,13 +96,11 @@ def home_command(
 
 
 def acknowledge_command(
-    run_folder: Annotated[Path | None, typer.Argument(metavar="[RUN]", help="Folder of a run.")] = None,
-    config: Annotated[
-        Path | None, typer.Option(metavar="THEATRE", help="Theatre file, without a run.")
-    ] = None,
+    run_folder: Annotated[Path | None, Argument(metavar="[RUN]", help="Folder of a run.")] = None,
+    config: Annotated[Path | None, Option(metavar="THEATRE", help="Theatre file, without a run.")] = None,
     by: Annotated[
         str | None,
-        typer.Option(metavar="NAME", help="Name of the person acknowledging; prompted for at a terminal."),
+        Option(metavar="NAME", help="Name of the person acknowledging; prompted for at a terminal."),
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -132,8 +131,7 @@ def verify_command(run_folder: RunArgument, as_json: JsonOption = False) -> None
 
 
 def lineage_command(
-    run_folder: RunArgument,
-    mermaid: Annotated[bool, typer.Option("--mermaid", help="As a Mermaid chart.")] = False,
+    run_folder: RunArgument, mermaid: Annotated[bool, Option("--mermaid", help="As a Mermaid chart.")] = False
 ) -> None:
     """Draw the results of a run and what each was made from; superseded ones are marked."""
     from procedures.cli.runs.showing import draw_lineage
@@ -142,7 +140,7 @@ def lineage_command(
 
 
 def list_command(
-    folder: Annotated[Path, typer.Argument(metavar="[DIR]", help="Folder of runs.")] = Path("runs"),
+    folder: Annotated[Path, Argument(metavar="[DIR]", help="Folder of runs.")] = Path("runs"),
     as_json: JsonOption = False,
 ) -> None:
     """List the runs of a folder and how each ended."""
@@ -167,7 +165,6 @@ def report_command(run_folder: RunArgument, out: FolderOption = None, as_json: J
     from procedures.reporting.run_reading import read_for_report
     from procedures.reporting.run_summary import read_two_arms
     from procedures.runs.finishing import rebuild_report
-    from ronna_hw.command_line.terminal import print_json
 
     path = rebuild_report(run_folder, out)
     if as_json:
@@ -186,8 +183,6 @@ def export_command(run_folder: RunArgument, out: FolderOption = None, as_json: J
     """
     from procedures.exchange.run_export import export_run
     from procedures.runs.simulated_theatre import find_truth
-    from ronna_hw.command_line.options import require_output_folder
-    from ronna_hw.command_line.terminal import print_json, tell
 
     folder = run_folder / "export"
     if out is not None and out.resolve() != folder.resolve():
@@ -206,7 +201,7 @@ def export_command(run_folder: RunArgument, out: FolderOption = None, as_json: J
 
 def watch_command(
     run_folder: RunArgument,
-    as_json: Annotated[bool, typer.Option("--json", help="One event per line, as JSON.")] = False,
+    as_json: Annotated[bool, Option("--json", help="One event per line, as JSON.")] = False,
 ) -> None:
     """Follow a run from another terminal: its present state, then what happens, until it ends.
 
@@ -217,10 +212,7 @@ def watch_command(
     watch(run_folder, as_json=as_json)
 
 
-def replay_command(
-    run_folder: RunArgument,
-    as_json: JsonOption = False,
-) -> None:
+def replay_command(run_folder: RunArgument, as_json: JsonOption = False) -> None:
     """Recompute every result of a run from its recorded readings and compare. Touches no device.
 
     Exit codes: 0 everything is equal, 1 a record differs or cannot be recomputed.
@@ -232,10 +224,10 @@ def replay_command(
 
 def bytes_command(
     run_folder: RunArgument,
-    link: Annotated[str | None, typer.Option(help="A link, or a device for all its links.")] = None,
-    from_s: Annotated[float | None, typer.Option("--from", help="Theatre time to start at, s.")] = None,
-    to_s: Annotated[float | None, typer.Option("--to", help="Theatre time to end at, s.")] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="One JSON object per line.")] = False,
+    link: Annotated[str | None, Option(help="A link, or a device for all its links.")] = None,
+    from_s: Annotated[float | None, Option("--from", help="Theatre time to start at, s.")] = None,
+    to_s: Annotated[float | None, Option("--to", help="Theatre time to end at, s.")] = None,
+    as_json: Annotated[bool, Option("--json", help="One JSON object per line.")] = False,
 ) -> None:
     """Print the traffic on a run's links: time, direction, bytes in hex and as text.
 
@@ -248,7 +240,7 @@ def bytes_command(
 
 def raw_command(
     run_folder: RunArgument,
-    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="New output folder.")],
+    out: Annotated[Path, Option("--out", metavar="DIR", help="New output folder.")],
     as_json: JsonOption = False,
 ) -> None:
     """Write the device readings of a run as files: pictures as PNG, tracker frames and arm states as CSV.
@@ -257,7 +249,6 @@ def raw_command(
     it refuses a run that was changed after it ended.
     """
     from procedures.exchange.raw_readings import write_raw
-    from ronna_hw.command_line.terminal import print_json, tell
     from ronna_hw.evidence.inspection import inspect_run
 
     inspect_run(run_folder).require_unchanged()

@@ -44,28 +44,17 @@ MARKS = {Direction.SENT: "O", Direction.RECEIVED: "I"}  # outbound and inbound, 
 
 
 def verify(folder: Path, *, as_json: bool) -> None:
-    """Print changed, missing and added files. Exits with 3 if there are any.
-
-    Exits with 9 if there are none, but files lay unsealed after a kill: a change then would not show.
-    """
+    """Print changed, missing and added files, and those that nothing vouches for."""
     found = inspect_run(folder)
     problems, missing = found.problems, missing_in_raw(folder, found.chain.lines)
     not_vouched_for = list(describe_unsealed_files(found.chain.lines))
     unchecked = list_unchecked_folders(folder)
     file_count = sum(1 for _ in iterate_files(folder))
     if as_json:
-        print_json(
-            {
-                "run": folder.resolve().name,
-                "whole": not problems,
-                "files": file_count,
-                "problems": [asdict(one) for one in problems],
-                "not_vouched_for": not_vouched_for,
-                "not_checked": unchecked,
-                "out_of_reach": found.out_of_reach,
-                "raw_missing": missing,
-            }
-        )
+        whole = {"run": folder.resolve().name, "whole": not problems, "files": file_count}
+        doubts = {"problems": [asdict(one) for one in problems], "not_vouched_for": not_vouched_for}
+        unknown = {"not_checked": unchecked, "out_of_reach": found.out_of_reach, "raw_missing": missing}
+        print_json({**whole, **doubts, **unknown})
     else:
         for problem in problems:
             say(str(problem))
@@ -104,14 +93,8 @@ def replay_run(run_folder: Path, *, as_json: bool) -> None:
     methods = answers.opening.methods.describe()
     if as_json:
         totals = {str(verdict).replace(" ", "_"): counts[verdict] for verdict in ReplayVerdict}
-        print_json(
-            {
-                "run": run_folder.name,
-                "methods": methods,
-                **totals,
-                "records": [asdict(result) for result in results],
-            }
-        )
+        records = [asdict(result) for result in results]
+        print_json({"run": run_folder.name, "methods": methods, **totals, "records": records})
     else:
         rows = [(one.record, one.verdict, "; ".join(one.why)) for one in results]
         if methods:
@@ -156,13 +139,9 @@ def _default_to_recorded_set_up(run: RunFolder, replay_input: ReplayInput) -> Re
     recorded = next((record for record in run.records if record.kind == CheckedSetUp.kind), None)
     if recorded is None:
         return replay_input
-    recorded_set_up = parse_record(recorded, CheckedSetUp)
-    tables = {
-        "calibration": recorded_set_up.calibrations,
-        "tools": recorded_set_up.tools,
-        "flange": recorded_set_up.flange,
-    }
-    tables |= {"cell": recorded_set_up.cell, "procedure": recorded_set_up.settings}
+    found = parse_record(recorded, CheckedSetUp)
+    tables = {"calibration": found.calibrations, "tools": found.tools, "flange": found.flange}
+    tables |= {"cell": found.cell, "procedure": found.settings}
     return replace(replay_input, theatre=replay_input.theatre.model_copy(update=tables))
 
 

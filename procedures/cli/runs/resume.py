@@ -14,23 +14,16 @@ import typer
 from procedures.cli.case.display import follow, observe_run, show_outcome
 from procedures.engine.device_faults import recover_faults
 from procedures.engine.errors import FAULT_OF_RUN, RECOVERY_REFUSED
-from procedures.runs.arm_notes import FormerRun, find_former_run
+from procedures.runs import reopening
+from procedures.runs.arm_notes import FormerRun
 from procedures.runs.case_outcome import finish_case, outcome_as_recorded, with_report
 from procedures.runs.finishing import complete_seal, finalize_run
 from procedures.runs.interrupted_run import InterruptedRun, Resumption
 from procedures.runs.lifecycle import open_run
 from procedures.runs.observers import RunObservers
-from procedures.runs.reopening import (
-    hold_interrupted_run,
-    prepare_folder,
-    read_reopened_request,
-    require_free_devices,
-    require_ready_devices,
-    resumable_run,
-)
 from procedures.runs.request import CalibrationProcedure, RunRequest
 from procedures.runs.request_checks import check_asking
-from procedures.runs.theatre_lock import read_last_note
+from procedures.runs.theatre_lock import hold_theatre, read_former_run, require_free_theatre
 from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.command_line.terminal import on_terminal, print_json, say, tell
 from ronna_hw.devices.lifecycle import Lifecycle, require_person
@@ -42,20 +35,15 @@ if TYPE_CHECKING:
 
 
 def resume(
-    folder: Path,
-    *,
-    accept: bool,
-    answers: Path | None,
-    as_json: bool,
-    console: ConsoleRequest | None = None,
+    folder: Path, *, accept: bool, answers: Path | None, as_json: bool, console: ConsoleRequest | None = None
 ) -> None:
     """Resume and finish a run; if already finished, just show its outcome.
 
     With a console, nothing is read until someone is in its seat, unless a script accepts. Raises PRO-030 to
     PRO-034, PRO-043, PRO-003 if nothing can be written, and the errors of devices and steps.
     """
-    request = read_reopened_request(folder, accept=accept, answers=answers, reuse_answers=True)
-    with hold_interrupted_run(folder) as interrupted:
+    request = reopening.read_reopened_request(folder, accept=accept, answers=answers, reuse_answers=True)
+    with reopening.hold_interrupted_run(folder) as interrupted:
         if isinstance(request.procedure, CalibrationProcedure):
             if console is not None:
                 raise UsageMistake(
@@ -71,8 +59,8 @@ def resume(
             show_outcome(with_report(outcome, interrupted.folder), as_json=as_json)
         else:
             check_asking(request)
-            require_ready_devices(request, interrupted.folder)
-            prepare_folder(interrupted)
+            reopening.require_ready_devices(request, interrupted.folder)
+            reopening.prepare_folder(interrupted)
             finish = partial(finish_case, request, interrupted, accepted=accept)
             follow(
                 request,
@@ -90,8 +78,8 @@ def home(folder: Path, *, accept: bool, answers: Path | None, as_json: bool) -> 
 
     Raises the errors of `resume`; the run is unchanged and can be resumed.
     """
-    request = read_reopened_request(folder, accept=accept, answers=answers)
-    with hold_interrupted_run(folder, only_leaving=True) as interrupted:
+    request = reopening.read_reopened_request(folder, accept=accept, answers=answers)
+    with reopening.hold_interrupted_run(folder, only_leaving=True) as interrupted:
         if (nothing := interrupted.why_home_needs_no_device) is not None:
             _require_last_run(interrupted, request)
             _print_outcome(
@@ -99,17 +87,17 @@ def home(folder: Path, *, accept: bool, answers: Path | None, as_json: bool) -> 
             )
             return
         check_asking(request)
-        require_ready_devices(request, interrupted.folder)
-        prepare_folder(interrupted)
+        reopening.require_ready_devices(request, interrupted.folder)
+        reopening.prepare_folder(interrupted)
         with finalize_run(interrupted.folder, interrupted), observe_run(quiet=as_json) as observers:
             from procedures.runs.recovery import bring_home
 
             resumption = Resumption(interrupted, accept, only_leaving=True)
             with open_run(request, interrupted.folder, observers, resumption) as engine:
                 moved = bring_home(engine, interrupted)
-                two_arms = len(engine.setting.workcell.arms) > 1
+                arms = len(engine.setting.workcell.arms)
         state = "home" if moved else "already home"
-        words = f"both arms are {state}" if two_arms else f"the arm {'is' if moved else 'was'} {state}"
+        words = f"both arms are {state}" if arms > 1 else f"the arm {'is' if moved else 'was'} {state}"
         _print_outcome(interrupted, words, moved=moved, as_json=as_json)
 
 
@@ -117,12 +105,10 @@ def _require_last_run(interrupted: InterruptedRun, request: RunRequest) -> None:
     """Raise PRO-032 or PRO-047 if another run must bring the arm home first, PRO-043 while it is active."""
     if request.config is None:
         return
-    former = find_former_run(
-        read_last_note(request.config, interrupted.folder, request.roles), interrupted.folder
-    )
+    former = read_former_run(request.config, interrupted.folder, request.roles)
     if former == FormerRun():
         return
-    require_ready_devices(request, interrupted.folder)
+    reopening.require_ready_devices(request, interrupted.folder)
     raise RECOVERY_REFUSED(former.not_home or "", action="Nothing was moved.")
 
 
@@ -141,8 +127,8 @@ def acknowledge_run(folder: Path, by: str | None, *, as_json: bool) -> None:
 
     Raises the errors of `home` and of `acknowledge_theatre`.
     """
-    request = read_reopened_request(folder)
-    with hold_interrupted_run(folder, only_leaving=True) as interrupted:
+    request = reopening.read_reopened_request(folder)
+    with reopening.hold_interrupted_run(folder, only_leaving=True) as interrupted:
         by = _acknowledging_person(by)
         path = interrupted.folder
         if interrupted.parked:
@@ -154,10 +140,10 @@ def acknowledge_run(folder: Path, by: str | None, *, as_json: bool) -> None:
                 )
             _print_faults({}, {}, by, as_json=as_json, nothing=words, run=path.name)
             return
-        require_free_devices(request)
         if request.config is not None:
+            require_free_theatre(request.config, request.roles)
             _require_own_fault(request.config, path)
-        prepare_folder(interrupted)
+        reopening.prepare_folder(interrupted)
         resumption = Resumption(interrupted, False, only_leaving=True, asks=False)
         with finalize_run(path, interrupted), open_run(request, path, RunObservers(), resumption) as engine:
             _recover_all(
@@ -174,7 +160,6 @@ def acknowledge_theatre(file: Path, by: str | None, *, as_json: bool) -> None:
 
     Raises DEV-006, PRO-043, PRO-044, and the error of a driver that cannot be recovered yet.
     """
-    from procedures.runs.theatre_lock import hold_theatre, require_free_theatre
     from ronna_hw.theatre import Theatre
 
     by = _acknowledging_person(by)
@@ -196,7 +181,7 @@ def _require_own_fault(theatre: Path, run: Path | None) -> None:
 
     Only that run's journal can put its earlier localizations in doubt.
     """
-    if (last := resumable_run(theatre, run)) is not None:
+    if (last := reopening.resumable_run(theatre, run)) is not None:
         raise FAULT_OF_RUN(
             f"run {last.name} on this theatre is unfinished: after a fault it must ask which results are "
             "still valid",

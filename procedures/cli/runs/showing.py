@@ -21,10 +21,7 @@ from ronna_hw.text import format_count, printable
 
 
 def list_runs(folder: Path, *, as_json: bool) -> None:
-    """Print the runs in a folder, oldest first.
-
-    Only the sources of the rows are compared; an error from a changed file is omitted.
-    """
+    """Print the runs in a folder, oldest first. Only the sources of the rows are compared."""
     rows = [summarize_run(read_for_report(run, every_file=False)) for run in find_runs(folder)]
     if as_json:
         print_json({"runs": [row.model_dump(mode="json") for row in rows]})
@@ -34,21 +31,12 @@ def list_runs(folder: Path, *, as_json: bool) -> None:
         for holder in find_folders_of_runs(folder):
             say(f"{holder} holds runs: ronna-procedure list {shlex.quote(str(holder))}")
         return
-    print_table(
-        f"Runs in {folder}",
-        ("run", "began", "strategy", "ended", "steps", "largest error mm"),
-        [
-            (
-                printable(row.run),
-                str(row.began or "")[:16],
-                row.strategies,
-                row.ended,
-                str(len(row.done)),
-                _largest_error(row),
-            )
-            for row in rows
-        ],
-    )
+    headings = ("run", "began", "strategy", "ended", "steps", "largest error mm")
+    table = []
+    for row in rows:
+        began, error = str(row.began or "")[:16], _largest_error(row)
+        table.append((printable(row.run), began, row.strategies, row.ended, len(row.done), error))
+    print_table(f"Runs in {folder}", headings, table)
     for row in rows:
         for problem in row.problems:
             say(f"{printable(row.run)} is not reliable: {problem}")
@@ -117,10 +105,7 @@ def _largest_error(row: RunSummary) -> str:
 
 
 def watch(run: Path, *, as_json: bool) -> None:
-    """Show a run's current state, then each event until it ends, then its ending. Raises CLI-005, PRO-018.
-
-    For a run that is over, files that are not as it left them are named first.
-    """
+    """Show a run's current state, then each event until it ends, then its ending. Raises CLI-005, PRO-018."""
     followed = FollowedRun(run)
     if followed.over:
         for change in inspect_run(run).changes:

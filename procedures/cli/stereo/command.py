@@ -15,19 +15,18 @@ from ronna_hw.command_line.options import with_option_records
 
 if TYPE_CHECKING:
     from procedures.engine.case import Case
-    from procedures.reporting.calibration_figures import HeadCheckFigures
+    from procedures.relocalization import SphereImage
+    from procedures.reporting.calibration_figures import BallFigures, HeadCheckFigures
+    from procedures.workcell.stereo_look import Look
     from ronna_hw.config import Calibrations
 
 Triple = tuple[float, float, float]
 LARGE_PICTURE_PX = 544  # half the sensor's rows
 
-app = typer.Typer(
-    name="ronna-stereo",
-    help="The stereo head: calibrate it, check its calibration, measure a ball.",
-    epilog="Example: ronna-stereo calibrate --sim --scene mini",
-    no_args_is_help=True,
-    add_completion=False,
-    rich_markup_mode=None,
+app = terminal.command_group(
+    "ronna-stereo",
+    "The stereo head: calibrate it, check its calibration, measure a ball.",
+    example="ronna-stereo calibrate --sim --scene mini",
 )
 
 BallOption = Annotated[
@@ -39,16 +38,11 @@ BallOption = Annotated[
 ]
 
 
-@app.callback()
-def stereo() -> None:
-    """The stereo head: calibrate it, check its calibration, measure a ball."""
-
-
 @app.command("calibrate")
 @with_option_records
 def calibrate_head(
     context: typer.Context,
-    command_options: CalibrationOptions,
+    options: CalibrationOptions,
     ball: BallOption = None,
     poses: Annotated[
         int, typer.Option(min=60, max=400, help="Poses to measure from, besides those of the check.")
@@ -60,14 +54,7 @@ def calibrate_head(
     The arm moves after a confirmation. Exit codes: 0 done, 1 the observations do not yield a calibration,
     2 usage, 3 refused, 4 device not found, 5 link lost, 6 safety stop, 7 not confirmed, 130 interrupted.
     """
-    require_finite_ball(ball)
-    theatre = command_options.source(context)
-    from procedures.cli.calibrating.calibration import calibrate
-    from procedures.runs.calibrations import STEREO_HEAD
-    from procedures.steps.calibration.recipe import Calibrated, Recipe
-
-    recipe = Recipe(of=Calibrated.HEAD, looks=poses, more=visits, ball_mm=ball)
-    calibrate(STEREO_HEAD, recipe, command_options, theatre)
+    options.calibrate(context, "stereo head", poses, visits, ball)
 
 
 @app.command()
@@ -76,7 +63,7 @@ def check(
     baseline: Annotated[
         Path, typer.Option(metavar="FOLDER", help="Folder that `calibrate` wrote, or its baseline.json.")
     ],
-    command_options: MeasuringOptions,
+    options: MeasuringOptions,
     visits: Annotated[int, typer.Option(min=2, max=20, help="Visits of each orientation.")] = 3,
 ) -> None:
     """Measure the ball again from the eight orientations of the calibration: has a camera or mount moved?
@@ -85,7 +72,7 @@ def check(
     baseline's calibration. Exit codes: 0 the head is unchanged, 3 it has changed or its
     calibration must not be used, 1 the ball is not in view, others as in `calibrate`.
     """
-    theatre = command_options.theatre()
+    theatre = options.theatre()
     from procedures.calibration import Baseline, compare_with_baseline
     from procedures.calibration.errors import NotTheBaseline
     from procedures.calibration.observations import read_strict
@@ -100,14 +87,13 @@ def check(
     recorded = read_strict(Baseline, file)
     recorded.require_complete()
     from procedures.cli.calibrating.calibration import check_calibration
-    from procedures.cli.stereo.display import print_check
     from procedures.runs.calibrations import head_check_figures
     from procedures.runs.request import Measurement
     from procedures.steps.calibration.head_looks import VisitedBaseline
     from procedures.steps.calibration.recipe import head_check
 
     def in_use(theatre_records: Calibrations) -> Calibrations:
-        if command_options.sim and not command_options.calibration:
+        if options.sim and not options.calibration:
             return theatre_records.model_copy(update={"stereo_head": recorded.stereo_head})
         return theatre_records
 
@@ -119,15 +105,13 @@ def check(
     measurement = Measurement(steps=steps, title="Check of the stereo head", in_use=in_use)
     request = replace(theatre, procedure=measurement)
     activity = "measuring the ball"
-    check_calibration(
-        request, command_options.out, activity, judge, print_check, as_json=command_options.as_json
-    )
+    check_calibration(request, options.out, activity, judge, _print_check, as_json=options.as_json)
 
 
 @app.command()
 @with_option_records
 def measure(
-    command_options: MeasuringOptions,
+    options: MeasuringOptions,
     find: Annotated[
         bool, typer.Option("--find", help="First move the head over the ball; always with --sim.")
     ] = False,
@@ -142,7 +126,7 @@ def measure(
     Without --find and --ball nothing moves. Exit codes: 0 measured, 1 no ball in view, others as in
     `calibrate`.
     """
-    theatre = command_options.theatre()
+    theatre = options.theatre()
     from procedures.cli.calibrating.calibration import run_with_bar
     from procedures.runs.finishing import finalize_run
     from procedures.runs.folders import new_run_folder
@@ -150,14 +134,11 @@ def measure(
     from procedures.steps.calibration.recipe import head_look, look_in_place
     from procedures.workcell.stereo_look import Look
 
-    steps = (
-        head_look(require_finite_ball(ball))
-        if find or command_options.sim or ball is not None
-        else look_in_place()
-    )
+    moves = find or options.sim or ball is not None
+    steps = head_look(require_finite_ball(ball)) if moves else look_in_place()
     measurement = Measurement(steps=steps, title="A measurement of the stereo head")
     request = replace(theatre, procedure=measurement)
-    folder = new_run_folder(request, command_options.out, "measure")
+    folder = new_run_folder(request, options.out, "measure")
     with finalize_run(folder, with_truth=False):
         engine = run_with_bar(request, folder, "measuring with the stereo head")
         measured_look = engine.setting.memory.find(Look)
@@ -167,10 +148,66 @@ def measure(
             from ronna_hw.records import write_atomically
 
             write_atomically(picture, pair_picture(measured_look, height_px=LARGE_PICTURE_PX))
-        from procedures.cli.stereo.display import show_look
         from procedures.reporting.calibration_figures import write_figures
 
-        write_figures(show_look(measured_look, as_json=command_options.as_json), folder)
+        write_figures(show_look(measured_look, as_json=options.as_json), folder)
+
+
+def _print_check(figures: HeadCheckFigures) -> None:
+    """Print the results of the three tests in a check."""
+    rows = []
+    for sign in figures.signs:
+        change, sigma = (" ".join(f"{value:.5f}" for value in each) for each in (sign.value, sign.sigma))
+        test = [f"{sign.name}, {sign.unit}", change, sigma, f"{sign.statistic:.1f}", f"{sign.limit:.1f}"]
+        rows.append([*test, "CHANGED" if sign.sounds else "unchanged"])
+    headings = ["test", "change", "standard error", "chi-square", "limit", ""]
+    repeatability = f"arm repeatability {1000 * figures.repeatability_mm:.0f} um per axis"
+    terminal.print_table(f"{figures.looks} measurements; {repeatability}", headings, rows)
+
+
+def show_look(view: Look, *, as_json: bool) -> BallFigures:
+    """Print the ball in both images and in the tool frame; return the figures.
+
+    Raises the look's error if it has no point.
+    """
+    from procedures.relocalization.errors import NoSphere, NotTrusted
+    from procedures.reporting.calibration_figures import BallFigures, OutlineFigures
+
+    point = view.point
+    if view.left is None or view.right is None:
+        raise view.problem or NoSphere("no ball was measured in this image pair")
+    if not as_json:
+        _print_outlines({"left": view.left, "right": view.right})
+    if point is None:
+        raise view.problem or NotTrusted("no ball was measured in this image pair")
+    figures = BallFigures(
+        position_mm=point.position_mm.tolist(),
+        covariance_mm2=point.covariance_mm2.tolist(),
+        ray_gap_mm=point.ray_gap_mm,
+        radius_mm=point.radius_mm,
+        left=OutlineFigures.model_validate(view.left),
+        right=OutlineFigures.model_validate(view.right),
+    )
+    if as_json:
+        terminal.print_json(figures.as_json())
+        return figures
+    headings = ["x y z mm", "standard error um", "ray gap um", "radius mm"]
+    position = " ".join(f"{value:.4f}" for value in point.position_mm)
+    sigma = " ".join(f"{1000 * value**0.5:.1f}" for value in point.covariance_mm2.diagonal())
+    row = [position, sigma, f"{1000 * point.ray_gap_mm:.1f}", f"{point.radius_mm:.3f}"]
+    terminal.print_table("the ball in the tool frame", headings, [row])
+    return figures
+
+
+def _print_outlines(sides: dict[str, SphereImage]) -> None:
+    rows = []
+    for side, one in sides.items():
+        centre = f"{one.centre_px[0]:.3f} {one.centre_px[1]:.3f}"
+        axes = f"{one.axes_px[0]:.2f} {one.axes_px[1]:.2f}"
+        rim = [f"{one.rim_fraction:.0%}", f"{one.scatter_px:.3f}", f"{one.blur_px:.1f}", f"{one.quality:.2f}"]
+        rows.append([side, centre, axes, *rim, str(one.status)])
+    headings = ["camera", "centre px", "semi-axes px", "rim", "scatter px", "blur px", "quality", ""]
+    terminal.print_table("the ball in both images", headings, rows)
 
 
 def main() -> None:

@@ -6,64 +6,53 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Annotated, Any
 
-import typer
+from typer import Argument, Option
 
 from ronna_hw.command_line import terminal
 from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.tool_record import ToolPurpose
 
-app = typer.Typer(
-    name="ronna-tool",
-    help="The tools of an arm: define, check and list their records.",
-    epilog="Example: ronna-tool list --config theatre.toml",
-    no_args_is_help=True,
-    add_completion=False,
-    rich_markup_mode=None,
+app = terminal.command_group(
+    "ronna-tool",
+    "The tools of an arm: define, check and list their records.",
+    example="ronna-tool list --config theatre.toml",
 )
-ConfigOption = Annotated[Path, typer.Option(metavar="FILE", help="The theatre file.")]
-DaysOption = Annotated[int, typer.Option(min=1, max=366, help="Validity of the record.")]
+ConfigOption = Annotated[Path, Option(metavar="FILE", help="The theatre file.")]
+DaysOption = Annotated[int, Option(min=1, max=366, help="Validity of the record.")]
 SixDegrees = tuple[float, float, float, float, float, float]
-GaugeFile = typer.Option(
+GaugeFile = Option(
     metavar="FILE",
     help="The gauge's dials as read with this tool: X Y Z UPPER_X UPPER_Y, one line for each approach.",
 )
 
 
-@app.callback()
-def tool() -> None:
-    """The tools of an arm: define, check and list their records."""
-
-
 @app.command()
 def define(
-    name: Annotated[str, typer.Argument(help="Its name in the theatre file; the procedure uses `guide`.")],
+    name: Annotated[str, Argument(help="Its name in the theatre file; the procedure uses `guide`.")],
     config: ConfigOption,
-    purpose: Annotated[ToolPurpose, typer.Option(help="What the tool is for.")],
-    number: Annotated[
-        int, typer.Option(min=1, max=16, help="Tool number reported by the controller's inputs.")
-    ],
-    mass_kg: Annotated[float, typer.Option(help="Mass of everything below the tool changer.")],
+    purpose: Annotated[ToolPurpose, Option(help="What the tool is for.")],
+    number: Annotated[int, Option(min=1, max=16, help="Tool number reported by the controller's inputs.")],
+    mass_kg: Annotated[float, Option(help="Mass of everything below the tool changer.")],
     centre_of_gravity_mm: Annotated[
-        tuple[float, float, float],
-        typer.Option(metavar="X Y Z", help="Centre of gravity in the flange frame."),
+        tuple[float, float, float], Option(metavar="X Y Z", help="Centre of gravity in the flange frame.")
     ],
-    by: Annotated[str, typer.Option(metavar="NAME", help="Who measured it.")],
+    by: Annotated[str, Option(metavar="NAME", help="Who measured it.")],
     flange: Annotated[
-        str | None, typer.Option(help="Flange or tool changer it was measured on [default: the file's].")
+        str | None, Option(help="Flange or tool changer it was measured on [default: the file's].")
     ] = None,
     reach_mm: Annotated[
-        float | None, typer.Option(help="Of a guide: distance from its lower end to its mandrel's.")
+        float | None, Option(help="Of a guide: distance from its lower end to its mandrel's.")
     ] = None,
-    bore_mm: Annotated[float | None, typer.Option(help="Of a guide: length of its bore.")] = None,
+    bore_mm: Annotated[float | None, Option(help="Of a guide: length of its bore.")] = None,
     play_mm: Annotated[
-        float | None, typer.Option(help="Of a guide: bore diameter minus instrument diameter.")
+        float | None, Option(help="Of a guide: bore diameter minus instrument diameter.")
     ] = None,
     gauge_deg: Annotated[
         SixDegrees | None,
-        typer.Option(metavar="A1 ... A6", help="Of a guide: axis angles with the mandrel in the gauge."),
+        Option(metavar="A1 ... A6", help="Of a guide: axis angles with the mandrel in the gauge."),
     ] = None,
     gauge_base_mm: Annotated[
-        float, typer.Option(help="Distance between the two heights of the gauge's dials.")
+        float, Option(help="Distance between the two heights of the gauge's dials.")
     ] = 60.0,
     gauge_mm: Annotated[Path | None, GaugeFile] = None,
     days: DaysOption = 180,
@@ -78,21 +67,11 @@ def define(
 
     signed = _identity_fields(name, by, days)
     guide = {"reach_mm": reach_mm, "length_mm": bore_mm, "play_mm": play_mm}
-    record, dropped = record_of(
-        config,
-        {
-            **signed,
-            "purpose": purpose.value,
-            "number": number,
-            "flange": flange,
-            "mass_kg": mass_kg,
-            "centre_of_gravity_mm": list(centre_of_gravity_mm),
-            "bore": {key: value for key, value in guide.items() if value is not None},
-            "gauge": {} if gauge_deg is None else {"joints_deg": list(gauge_deg), "base_mm": gauge_base_mm},
-        },
-        name,
-        gauge_mm,
-    )
+    bore = {key: value for key, value in guide.items() if value is not None}
+    gauge = {} if gauge_deg is None else {"joints_deg": list(gauge_deg), "base_mm": gauge_base_mm}
+    weight = {"mass_kg": mass_kg, "centre_of_gravity_mm": list(centre_of_gravity_mm)}
+    given = {**signed, "purpose": purpose.value, "number": number, "flange": flange, **weight}
+    record, dropped = record_of(config, {**given, "bore": bore, "gauge": gauge}, name, gauge_mm)
     if dropped:
         terminal.tell(
             f"the former record of {name} had {', '.join(dropped)}, which the new one has not: "
@@ -103,10 +82,10 @@ def define(
 
 @app.command()
 def renew(
-    name: Annotated[str, typer.Argument(help="Its name in the theatre file.")],
+    name: Annotated[str, Argument(help="Its name in the theatre file.")],
     config: ConfigOption,
     gauge_mm: Annotated[Path, GaugeFile],
-    by: Annotated[str, typer.Option(metavar="NAME", help="Who read them.")],
+    by: Annotated[str, Option(metavar="NAME", help="Who read them.")],
     days: DaysOption = 180,
     as_json: terminal.JsonOption = False,
 ) -> None:
@@ -146,14 +125,8 @@ def _update(config: Path, name: str, record: dict[str, Any], command: str, *, as
     replaced = None if former is None else former.identifier
     update_tables(config, {"tools": {name: record}}, UpdateAuthor(command, by=record["made_by"]))
     if as_json:
-        terminal.print_json(
-            {
-                "name": name,
-                "identifier": record["identifier"],
-                "replaced": replaced,
-                "theatre_file": str(config),
-            }
-        )
+        written = {"name": name, "identifier": record["identifier"], "replaced": replaced}
+        terminal.print_json({**written, "theatre_file": str(config)})
     else:
         place = f"{config}" if replaced is None else f"{config} instead of {replaced}"
         terminal.say(f"{record['identifier']} is now in {place}; until {record['expires']:%Y-%m-%d}")
@@ -190,11 +163,8 @@ def list_tools(config: ConfigOption, as_json: terminal.JsonOption = False) -> No
     if as_json:
         terminal.print_json({"flange": theatre.flange, "tools": rows})
         return
-    terminal.print_table(
-        f"tools on {theatre.flange or 'an unnamed flange'}",
-        list(rows[0]) if rows else ["name"],
-        [[str(value) for value in row.values()] for row in rows],
-    )
+    title, headings = f"tools on {theatre.flange or 'an unnamed flange'}", list(rows[0]) if rows else ["name"]
+    terminal.print_table(title, headings, [list(row.values()) for row in rows])
 
 
 def main() -> None:

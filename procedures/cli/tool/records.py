@@ -16,13 +16,7 @@ from procedures.planning.tool_records import GUIDE, ToolRecords
 from ronna_hw.bounded_input import read_bounded, read_toml
 from ronna_hw.clock import HostClock
 from ronna_hw.command_line.errors import UsageMistake
-from ronna_hw.config import (
-    BadTheatreFile,
-    Calibrations,
-    TheatreFile,
-    parse_theatre,
-    read_theatre_file,
-)
+from ronna_hw.config import BadTheatreFile, Calibrations, TheatreFile, parse_theatre, read_theatre_file
 from ronna_hw.devices.robot import RobotArm
 from ronna_hw.registry import make_device
 from ronna_hw.roles import MASTER
@@ -203,13 +197,7 @@ def renew_record(
 
 
 def row_of(name: str, record: ToolRecord, flange: str, now: datetime) -> dict[str, Any]:
-    return {
-        "name": name,
-        "identifier": record.identifier,
-        "purpose": record.purpose.value,
-        "number": record.number,
-        "mass_kg": record.mass_kg,
-        "tip": record.tip or "",
-        "expires": f"{record.expires:%Y-%m-%d}",
-        "valid": record.created <= now <= record.expires and record.flange == flange,
-    }
+    is_valid = record.created <= now <= record.expires and record.flange == flange
+    named = {"name": name, "identifier": record.identifier, "purpose": record.purpose.value}
+    tool = {"number": record.number, "mass_kg": record.mass_kg, "tip": record.tip or ""}
+    return {**named, **tool, "expires": f"{record.expires:%Y-%m-%d}", "valid": is_valid}

@@ -27,20 +27,11 @@ from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.errors import DeviceError, ErrorCode, RonnaError, find_code
 from ronna_hw.host.files import open_regular
 from ronna_hw.mistakes import describe_mistakes
-from ronna_hw.recording.reading_coding import (
-    ANSWERS,
-    LARGEST_BYTES,
-    PROPERTIES,
-    RECORDED_PROPERTIES,
-    RENAMED,
-    GetPixels,
-    as_recorded,
-    unpack_pixels,
-)
+from ronna_hw.recording import reading_coding
 from ronna_hw.recording.reading_tape import PIXELS_FILE, READINGS_FILE, READINGS_FOLDER, ReadingTape
 from ronna_hw.roles import ONE_ARM
 
-Count = Annotated[int, Field(gt=0, le=LARGEST_BYTES)]
+Count = Annotated[int, Field(gt=0, le=reading_coding.LARGEST_BYTES)]
 BEGINS = (Entry.INTENT, Entry.HOME)
 
 
@@ -95,7 +86,7 @@ class _AnswerLine(_Strict):
 
     section: int
     device: str
-    call: Annotated[str, AfterValidator(lambda call: RENAMED.get(call, call))]
+    call: Annotated[str, AfterValidator(lambda call: reading_coding.RENAMED.get(call, call))]
     state: Annotated[Lifecycle, Field(strict=False)]
     theatre_time_s: FiniteFloat
     answer: object = None
@@ -149,15 +140,12 @@ class RecordedAnswers:
             self.is_peeking = False
 
     def look(self, device: str, name: str) -> object:
-        """Return the next recorded value of a property, repeating the last one indefinitely.
-
-        Raises PRO-024.
-        """
+        """Return the next recorded value of a property; the last one repeats. Raises PRO-024."""
         waiting = self._section.get((device, name))
         if not waiting:
             raise NotRecorded(f"the run did not read {device}.{name} in this step")
         line = waiting.popleft() if len(waiting) > 1 else waiting[0]
-        return self.value_of(device, name, line.answer, RECORDED_PROPERTIES[name])
+        return self.value_of(device, name, line.answer, reading_coding.RECORDED_PROPERTIES[name])
 
     def next(self, device: str, call: str, kind: object) -> RecordedAnswer:
         """Return the next recorded answer to a call, parsed as `kind`. Raises PRO-024."""
@@ -171,7 +159,7 @@ class RecordedAnswers:
         value = self.value_of(device, call, line.answer, kind)
         try:
             properties = {
-                name: _parse_value(PROPERTIES[name], part, self._get_pixels)
+                name: _parse_value(reading_coding.PROPERTIES[name], part, self._get_pixels)
                 for name, part in line.properties.items()
             }
         except NotRecorded:
@@ -194,7 +182,7 @@ class RecordedAnswers:
         try:
             with open_regular(self._pixels) as file:
                 file.seek(place.at)
-                return unpack_pixels(file.read(place.count), place.shape, place.type)
+                return reading_coding.unpack_pixels(file.read(place.count), place.shape, place.type)
         except (OSError, ValueError) as error:
             why = error.summary if isinstance(error, InputRefused) else str(error)
             raise NotRecorded(f"the pixels at byte {place.at} of {PIXELS_FILE} are damaged: {why}") from error
@@ -214,13 +202,6 @@ def read_answers(run: Path) -> RecordedAnswers:
     return RecordedAnswers(opening, run / READINGS_FOLDER / PIXELS_FILE, sections)
 
 
-class TimedValue(NamedTuple):
-    """Value of a successful answer, with its theatre time."""
-
-    theatre_time_s: float
-    value: object
-
-
 class RecordedReading(NamedTuple):
     """Successful answer on the tape. `load` parses its value and raises PRO-024 if it is damaged."""
 
@@ -236,17 +217,15 @@ def iterate_readings(run: Path) -> Iterator[RecordedReading]:
     """Yield all successful answers in order, without loading their pixels. Raises PRO-024."""
     answers = read_answers(run)
     for line in _read_lines(run / READINGS_FOLDER):
-        if isinstance(line, Opening) or ANSWERS.get(line.call) is None or line.error is not None:
+        if (
+            isinstance(line, Opening)
+            or reading_coding.ANSWERS.get(line.call) is None
+            or line.error is not None
+        ):
             continue
-        kind = ANSWERS[line.call]
+        kind = reading_coding.ANSWERS[line.call]
         load = partial(answers.value_of, line.device, line.call, line.answer, kind)
         yield RecordedReading(line.section, line.device, line.call, line.theatre_time_s, kind, load)
-
-
-def read_in_order(run: Path) -> Iterator[tuple[int, str, str, TimedValue]]:
-    """Yield section, device, call and value of all successful answers in order. Raises PRO-024."""
-    for one in iterate_readings(run):
-        yield one.section, one.device, one.call, TimedValue(one.theatre_time_s, one.load())
 
 
 def describe_torn_end(run: Path) -> str:
@@ -293,8 +272,8 @@ def _read_lines(folder: Path) -> Iterator[Opening | _AnswerLine]:
             raise NotRecorded(f"line {number} of {READINGS_FILE} is damaged: {why}") from error
 
 
-def _parse_value(kind: object, plain: object, get: GetPixels) -> object:
-    return None if kind is None else as_recorded(kind, plain, get)
+def _parse_value(kind: object, plain: object, get: reading_coding.GetPixels) -> object:
+    return None if kind is None else reading_coding.as_recorded(kind, plain, get)
 
 
 def section_follower(tape: ReadingTape) -> Callable[[bytes], None]:

@@ -16,6 +16,9 @@ from typing import TYPE_CHECKING, Any
 from procedures.imaging.errors import ATTRIBUTE_MISSING, FILE_DAMAGED
 from ronna_hw.bounded_input import InputRefused, inflate, read_bounded
 
+if TYPE_CHECKING:
+    from pydicom.dataset import Dataset, FileDataset
+
 MOST_READS = 50_000  # two to four per element; a slice has hundreds, with private sequences thousands
 LONGEST_VALUE = 65_536  # of an attribute other than pixels; none in use exceeds a hundred bytes
 DEFLATED = b"1.2.840.10008.1.2.1.99"  # everything after the meta header is deflated (PS3.5 A.5)
@@ -108,10 +111,6 @@ class BoundedStream(io.BytesIO):
         return super().read(size)
 
 
-if TYPE_CHECKING:
-    from pydicom.dataset import Dataset, FileDataset
-
-
 def read_value(path: Path, header: Dataset, keyword: str) -> Any:
     """Decode one attribute. pydicom decodes lazily, so a bad value fails only here. Raises CT-012."""
     try:
@@ -144,9 +143,9 @@ def read_numbers(path: Path, header: FileDataset, keyword: str, count: int) -> t
 
 
 def read_optional_number(path: Path, header: FileDataset, keyword: str) -> float | None:
-    return (
-        None if read_value(path, header, keyword) in (None, "") else read_numbers(path, header, keyword, 1)[0]
-    )
+    if read_value(path, header, keyword) in (None, ""):
+        return None
+    return read_numbers(path, header, keyword, 1)[0]
 
 
 def read_attribute_text(path: Path, header: Dataset, keyword: str) -> str:

@@ -36,9 +36,7 @@ def main(arguments: list[str]) -> int:
             signal.setitimer(signal.ITIMER_PROF, SLICE_S)
             try:
                 header, pixels = decode(json.loads(line))
-            except (
-                Exception
-            ) as problem:  # decoders raise anything on foreign bytes; the message is the answer
+            except Exception as problem:  # decoders raise anything on foreign bytes: the answer says what
                 _answer(answers, {"problem": (str(problem) or repr(problem))[:500]})
             else:
                 _answer(answers, header, pixels)

@@ -28,9 +28,7 @@ from ronna_hw.bounded_input import InputRefused
 from ronna_hw.host.process import describe_exit, shield_children
 
 PROCESS = "procedures.imaging.dicom.decoder_process"
-LIMIT_S = (
-    30.0  # host time for one slice, the first with the imports; its processor time has a limit of its own
-)
+LIMIT_S = 30.0  # host time for one slice, the first with the imports; processor time has its own limit
 END_LIMIT_S = 1.0  # for a decoder that has stopped answering
 HEADER_BYTES = 128  # the first line of an answer and little more: the pixels are read where they remain
 PIPE_BYTES = 1 << 20  # what Linux grants by default: a slice in one piece
@@ -89,11 +87,11 @@ class FrameDecoder:
     def receive(self) -> NDArray[Any]:
         """Return a slice's stored values, of a JPEG-LS frame as little-endian bytes. Raises NotDecoded."""
         try:
-            header = json.loads(self._read_line(self._deadline_s))
+            header = json.loads(self._read_line())
             if "problem" in header:
                 raise NotDecoded(header["problem"])
             kind, shape = np.dtype(header["type"]), tuple(header["shape"])
-            pixels = self._read_bytes(kind.itemsize * math.prod(shape), self._deadline_s)
+            pixels = self._read_bytes(kind.itemsize * math.prod(shape))
         except (OSError, EOFError, ValueError) as problem:
             raise self._give_up() from problem
         return np.frombuffer(pixels, kind).reshape(shape)
@@ -122,9 +120,7 @@ class FrameDecoder:
         code = self._process.returncode
         self.close()
         ending = "no answer" if code is None else describe_exit(code)
-        return NotDecoded(
-            f"its decoder gave up: {ending}", from_outside=code is None or code == -signal.SIGKILL
-        )
+        return NotDecoded(f"its decoder gave up: {ending}", from_outside=code in (None, -signal.SIGKILL))
 
     def _ensure_started(self) -> subprocess.Popen[bytes]:
         if self._process is None:
@@ -151,30 +147,31 @@ class FrameDecoder:
                     fcntl.fcntl(pipe, fcntl.F_SETPIPE_SZ, PIPE_BYTES)
         return self._process
 
-    def _read_line(self, deadline_s: float) -> bytes:
+    def _read_line(self) -> bytes:
         while b"\n" not in self._buffer:
-            self._read(deadline_s)
+            self._wait()
+            chunk = os.read(self._answers, HEADER_BYTES)
+            if not chunk:
+                raise EOFError
+            self._buffer += chunk
         line, _, self._buffer = self._buffer.partition(b"\n")
         return bytes(line)
 
-    def _read_bytes(self, count: int, deadline_s: float) -> bytearray:
+    def _read_bytes(self, count: int) -> bytearray:
         taken, self._buffer = self._buffer, bytearray()
         place = len(taken)
         taken += bytes(count - place)
         rest = memoryview(taken)
         while place < count:
-            self._wait(deadline_s)
-            place += _require_bytes(os.readv(self._answers, [rest[place:]]))
+            self._wait()
+            got = os.readv(self._answers, [rest[place:]])
+            if not got:
+                raise EOFError
+            place += got
         return taken
 
-    def _read(self, deadline_s: float) -> None:
-        self._wait(deadline_s)
-        chunk = os.read(self._answers, HEADER_BYTES)
-        _require_bytes(len(chunk))
-        self._buffer += chunk
-
-    def _wait(self, deadline_s: float) -> None:
-        if not select.select([self._answers], [], [], max(0.0, deadline_s - time.monotonic()))[0]:
+    def _wait(self) -> None:
+        if not select.select([self._answers], [], [], max(0.0, self._deadline_s - time.monotonic()))[0]:
             raise TimeoutError
 
     def close(self) -> None:
@@ -188,12 +185,6 @@ class FrameDecoder:
         self._process.wait()
         os.close(self._answers)
         self._process = None
-
-
-def _require_bytes(count: int) -> int:
-    if not count:
-        raise EOFError
-    return count
 
 
 def check_frame(syntax: str, frame: bytes, shape: tuple[int, ...], pixel_bytes: int) -> None:

@@ -49,9 +49,7 @@ _ENHANCED_CT_STORAGES = frozenset({"1.2.840.10008.5.1.4.1.1.2.1", "1.2.840.10008
 _STANDARD_ROOT = "1.2.840"  # SOP classes of the standard; private ones begin otherwise
 _PRIVATE_DOTS = 5  # with fewer, the identifier itself is truncated
 
-_SCOUT_WORDS = frozenset(
-    {"LOCALIZER", "SCOUT", "TOPOGRAM"}
-)  # the first is from the standard (PS3.3 C.8.2.1.1.1)
+_SCOUT_WORDS = frozenset({"LOCALIZER", "SCOUT", "TOPOGRAM"})  # the first is that of PS3.3 C.8.2.1.1.1
 _DERIVED = "DERIVED"
 _LOSSY = "01"
 _HOUNSFIELD = frozenset({"", "HU"})
@@ -252,11 +250,9 @@ def _parse_slice_header(path: Path, header: FileDataset) -> SliceHeader:
     if not 1 <= min(rows, columns) <= max(rows, columns) <= LARGEST_SIDE:
         raise ATTRIBUTE_MISSING(f"{path.name} has {rows} x {columns} pixels", limit=f"1 to {LARGEST_SIDE}")
     position_mm = read_numbers(path, header, "ImagePositionPatient", 3)
-    if max(map(abs, position_mm)) > FARTHEST_MM:
-        raise ATTRIBUTE_MISSING(
-            f"{path.name} is {max(map(abs, position_mm)):g} mm away from the origin",
-            limit=f"{FARTHEST_MM:g} mm",
-        )
+    if (farthest_mm := max(map(abs, position_mm))) > FARTHEST_MM:
+        words = f"{path.name} is {farthest_mm:g} mm away from the origin"
+        raise ATTRIBUTE_MISSING(words, limit=f"{FARTHEST_MM:g} mm")
     slope, intercept = _read_rescale(path, header)
     thickness = read_optional_number(path, header, "SliceThickness")
     return SliceHeader(

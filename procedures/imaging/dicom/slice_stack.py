@@ -10,7 +10,6 @@ import math
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
 from procedures.imaging.dicom.slice_headers import SliceHeader
 from procedures.imaging.errors import (
@@ -23,9 +22,8 @@ from procedures.imaging.errors import (
     SPACING_UNEVEN,
 )
 from procedures.imaging.volume import VoxelGeometry
+from ronna_hw.arrays import Array
 from ronna_hw.text import format_against_limit
-
-Array = NDArray[np.float64]
 
 GAPS_NAMED = 3  # in one message
 MIN_SLICES = 3  # fewer cannot show that the spacing is even
@@ -212,11 +210,11 @@ def _refuse_shear(slices: tuple[SliceHeader, ...], positions_mm: Array, normal: 
     drift = sideways[-1] / along_mm[-1]
     size = float(np.linalg.norm(drift))
     if size > SHEAR_LIMIT and np.linalg.norm(sideways[-1]) > POSITION_TOLERANCE_MM:
+        limit_deg = math.degrees(SHEAR_LIMIT)
         raise GANTRY_TILTED(
             "the slices are not stacked along their normal",
-            limit=f"{np.degrees(SHEAR_LIMIT):.2f} degrees",
-            got=format_against_limit(math.degrees(np.arctan(size)), math.degrees(SHEAR_LIMIT), 2)
-            + " degrees",
+            limit=f"{limit_deg:.2f} degrees",
+            got=f"{format_against_limit(math.degrees(np.arctan(size)), limit_deg, 2)} degrees",
         )
     deviation_mm = np.linalg.norm(sideways - np.outer(along_mm, drift), axis=1)
     worst = int(np.argmax(deviation_mm))

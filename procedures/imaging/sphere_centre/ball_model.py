@@ -25,10 +25,10 @@ from scipy.ndimage import binary_dilation, distance_transform_edt
 from scipy.spatial import cKDTree
 from scipy.special import erfc
 
+from procedures.imaging.sphere_centre.radial_edge import RadialEdge
 from procedures.imaging.volume import Region
+from ronna_hw.arrays import Array, Mask
 from ronna_hw.robust_scale import CAUCHY, cauchy_weights, robust_sigma
-
-Array = NDArray[np.float64]
 
 # order of the parameters: the centre (slice, row, column), then these, then the background coefficients
 OUT, IN, SZ, SXY, RADIUS = 3, 4, 5, 6, 7
@@ -109,26 +109,15 @@ def intensities(points_mm: Array, unknowns: Array, background: Array) -> tuple[A
 
 @dataclass(frozen=True, eq=False)
 class Stretch:
-    """Deviation of a surface from a ball along unit direction n: n' terms n, in mm.
+    """Deviation of a surface from a ball, as the sum of `stretch_terms` along slice, row and column.
 
-    `terms_mm` (3, 3) along slice, row and column; `covariance_mm2` (5, 5) that of the `coefficients_mm`.
-    `slice_blur_mm` is the fitted blur along the slices.
+    `coefficients_mm` (5,) are those of the terms, with their covariance (5, 5); `slice_blur_mm` is the fitted
+    blur along the slices.
     """
 
-    terms_mm: Array
+    coefficients_mm: Array
     covariance_mm2: Array
     slice_blur_mm: float
-
-    @classmethod
-    def from_terms(cls, found: Array, covariance: Array, slice_blur_mm: float) -> Self:
-        """Build a stretch from its five terms and their covariance."""
-        return cls(stretch_matrix(found), np.asarray(covariance), slice_blur_mm)
-
-    @property
-    def coefficients_mm(self) -> Array:
-        """The five terms (5,) of `stretch_terms`."""
-        (a, c, d), (_, b, e), _ = self.terms_mm.tolist()
-        return np.array([a, b, 2.0 * c, 2.0 * d, 2.0 * e])
 
     @property
     def deviation_mm(self) -> float:
@@ -138,7 +127,7 @@ class Stretch:
     @property
     def difference_mm(self) -> float:
         """Longest minus shortest semi-axis."""
-        return float(np.ptp(np.linalg.eigvalsh(self.terms_mm)))
+        return float(np.ptp(np.linalg.eigvalsh(stretch_matrix(self.coefficients_mm))))
 
 
 def add_stretch_derivatives(points_mm: Array, unknowns: Array, derivatives: Array) -> Array:
@@ -210,21 +199,6 @@ def flat_weights(residuals: Array, noise: float) -> Array:
     return np.asarray(1.0 / (1.0 + (residuals / (FLAT_TO * noise)) ** 4))
 
 
-def cauchy_growth(weights: Array) -> float:
-    """Return the mean derivative of w·r with respect to r for Cauchy weights, relative to the mean weight."""
-    return _growth(2.0 * weights**2 - weights, weights)
-
-
-def flat_growth(weights: Array) -> float:
-    """Return the mean derivative of w·r with respect to r for flat weights, relative to the mean weight."""
-    return _growth(4.0 * weights**2 - 3.0 * weights, weights)
-
-
-def _growth(by_residual: Array, weights: Array) -> float:
-    """Average the derivatives (n,) of w·r, subject to a minimum, and divide by the mean weight."""
-    return max(float(np.mean(by_residual)), MIN_GROWTH) / float(np.mean(weights))
-
-
 def products(one: Array, other: Array) -> Array:
     """Compute `one`ᵀ `other` for (n, k) and (n, m) arrays in blocks of rows."""
     total = np.zeros((one.shape[1], other.shape[1]))
@@ -251,9 +225,7 @@ class BallVoxels:
     covered: bool = False  # much of the surface borders on something else, whose traces may be anywhere
 
     @classmethod
-    def of(
-        cls, region: Region, usable: NDArray[np.bool_], radius_mm: float, *, covered: bool = False
-    ) -> Self:
+    def of(cls, region: Region, usable: Mask, radius_mm: float, *, covered: bool = False) -> Self:
         """Collect a region's usable voxels around a ball of about this radius."""
         voxel_index = np.argwhere(usable)
         points_mm = (voxel_index + region.start) * region.spacing_mm
@@ -281,10 +253,7 @@ class BallVoxels:
     def _find_minimum(self, start: Array, ball: Array) -> Array | None:
         background = self.background[:, : len(start) - BALL]
         settled = minimise(
-            lambda unknowns: intensities(self.points_mm, unknowns, background),
-            self.values,
-            start,
-            _clip_blur,
+            lambda unknowns: intensities(self.points_mm, unknowns, background), self.values, start, _clip_blur
         )
         if settled is None or np.linalg.norm(settled[:3] - ball[:3]) > self.farthest_mm:
             return None
@@ -302,20 +271,14 @@ class BallVoxels:
         clear = ~np.isfinite(distance)
         if clear.sum() < MIN_VOXELS:
             return self
-        return replace(
-            self,
-            voxel_index=self.voxel_index[clear],
-            points_mm=self.points_mm[clear],
-            values=self.values[clear],
-            places=self.places[clear],
-            background=self.background[clear],
-        )
+        by_voxel = ("voxel_index", "points_mm", "values", "places", "background")
+        return replace(self, **{name: getattr(self, name)[clear] for name in by_voxel})
 
     def distance_outside_mm(self, unknowns: Array) -> Array:
         """Return the distance (n,) of each voxel from the ball's surface, positive outside."""
         return np.asarray(np.linalg.norm(self.points_mm - unknowns[:3], axis=1) - unknowns[RADIUS])
 
-    def stretch(self, unknowns: Array, clear: NDArray[np.bool_]) -> Stretch:
+    def stretch(self, unknowns: Array, clear: Mask) -> Stretch:
         """Estimate a fitted ball's stretch from the voxels (n,) marked as clear of other objects."""
         places = self.points_mm[clear]
         modelled, derivatives = intensities(places, unknowns, self.background[clear])
@@ -329,7 +292,7 @@ class BallVoxels:
             remaining = residuals - derivatives @ step
             weights = flat_weights(remaining, scale(remaining))
         covariance = CORRELATED * scale(remaining) ** 2 * np.asarray(answer)
-        return Stretch.from_terms(step[-TERMS:], covariance[-TERMS:, -TERMS:], float(unknowns[SZ]))
+        return Stretch(step[-TERMS:], covariance[-TERMS:, -TERMS:], float(unknowns[SZ]))
 
     def evaluate(self, unknowns: Array) -> tuple[Array, Array, Array]:
         """Return derivatives (n, m), weighted residuals w·r (n,) and weights (n,) at these parameters."""
@@ -339,8 +302,9 @@ class BallVoxels:
         return derivatives, weights * residuals, weights
 
     def growth(self, weights: Array) -> float:
-        """Return the mean derivative of w·r with respect to r, relative to the mean weight."""
-        return (cauchy_growth if self.covered else flat_growth)(weights)
+        """Return the mean derivative of w·r by r, relative to the mean weight; it never vanishes."""
+        by_residual = 2.0 * weights**2 - weights if self.covered else 4.0 * weights**2 - 3.0 * weights
+        return max(float(np.mean(by_residual)), MIN_GROWTH) / float(np.mean(weights))
 
 
 def _clip_blur(unknowns: Array) -> Array:
@@ -350,7 +314,7 @@ def _clip_blur(unknowns: Array) -> Array:
 
 def select_ball_voxels(
     region: Region, centre_mm: Array, radius_mm: float, hidden_directions: Array | None
-) -> tuple[NDArray[np.bool_], float]:
+) -> tuple[Mask, float]:
     """Mark the voxels around a ball that are clear of metal and of hidden directions (n, 3).
 
     Also returns the part of the ball's surface that is too close to metal.
@@ -368,29 +332,28 @@ def select_ball_voxels(
     return usable, metal_share
 
 
-def guess_ball(
-    region: Region, centre_mm: Array, radius_mm: float, inside_hu: float, outside_hu: float
-) -> Array:
+def guess_ball(region: Region, edge: RadialEdge) -> Array:
     """Return start values for a ball's eight parameters, derived from its surface."""
     slab_mm = float(np.hypot(START_BLUR_MM, region.spacing_mm[0] / np.sqrt(12.0)))
-    return np.array([*centre_mm, outside_hu, inside_hu, slab_mm, START_BLUR_MM, radius_mm])
+    levels_hu = edge.outside_hu, edge.inside_hu
+    return np.array([*edge.centre_mm, *levels_hu, slab_mm, START_BLUR_MM, edge.radius_mm])
 
 
-def _mark_far_from_metal(region: Region) -> NDArray[np.bool_]:
+def _mark_far_from_metal(region: Region) -> Mask:
     metal = region.values > METAL_HU  # NaN compares false
     if not metal.any():
         return np.ones(metal.shape, dtype=bool)
     return np.asarray(distance_transform_edt(~metal, sampling=region.spacing_mm) > METAL_REACH_MM)
 
 
-def mark_metal_slices(region: Region) -> NDArray[np.bool_]:
+def mark_metal_slices(region: Region) -> Mask:
     """Mark the slices (n,) at or next to metal, which may hold its streaks."""
     metal = np.asarray((region.values > STREAKING_HU).any(axis=(1, 2)))
     reach = max(1, round(SLICE_REACH_MM / float(region.spacing_mm[0])))
     return np.asarray(binary_dilation(metal, iterations=reach)) if metal.any() else metal
 
 
-def mark_directions(offsets_mm: Array, directions: Array, considered: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def mark_directions(offsets_mm: Array, directions: Array, considered: Mask) -> Mask:
     """Mark the `considered` voxels, offset (n, 3) from the centre, that lie in one of these directions."""
     found = np.zeros(len(considered), dtype=bool)
     if len(directions) == 0:

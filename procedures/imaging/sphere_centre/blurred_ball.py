@@ -11,10 +11,9 @@ streaks of unknown shape count as additional white noise.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from procedures.imaging.sphere_centre.ball_model import (
     BALL,
@@ -26,10 +25,13 @@ from procedures.imaging.sphere_centre.ball_model import (
     SLOPE,
     SXY,
     SZ,
+    TERMS,
     BallVoxels,
     Stretch,
+    add_stretch_derivatives,
     guess_ball,
     mark_directions,
+    products,
     select_ball_voxels,
 )
 from procedures.imaging.sphere_centre.correlated_noise import (
@@ -38,13 +40,13 @@ from procedures.imaging.sphere_centre.correlated_noise import (
     VoxelGrid,
     WhitenedStep,
 )
+from procedures.imaging.sphere_centre.radial_edge import RadialEdge
 from procedures.imaging.sphere_centre.streak_prior import BENT, StreakPrior
-from procedures.imaging.sphere_centre.whitened_stretch import measure_stretch
 from procedures.imaging.volume import Region
+from ronna_hw.arrays import Array
 
-Array = NDArray[np.float64]
-
-HIDDEN_DEGREES = (5,)  # even terms do not move the centre of a ball
+HIDDEN_DEGREES = (5,)  # of streaks: even terms do not move the centre of a ball ...
+STRETCH_HIDDEN_DEGREES = (4,)  # ... and odd ones do not stretch it
 
 EDGE = [0, 1, 2, IN, SZ, SXY, RADIUS]  # parameters of the ball's edge; the others are smooth where voxels end
 # Share of the variance: no frequency counts as less noisy than this, since no window measures and no model
@@ -72,26 +74,19 @@ class BlurredBall:
 
 
 def fit_rough_ball(
-    region: Region,
-    start_mm: Array,
-    radius_mm: float,
-    inside_hu: float,
-    outside_hu: float,
-    *,
-    hidden_directions: Array | None = None,
+    region: Region, edge: RadialEdge, *, hidden_directions: Array | None = None
 ) -> RoughBall | None:
-    """Fit a ball from a centre accurate to 0.3 mm; return None if the fit fails or has too few voxels.
+    """Fit a ball from its edge, accurate to 0.3 mm; return None if the fit fails or has too few voxels.
 
     In `hidden_directions` (n, 3) from the centre, the surface borders on something other than the outside;
     voxels near and beyond the surface there are excluded.
     """
-    usable, metal_share = select_ball_voxels(region, start_mm, radius_mm, hidden_directions)
+    usable, metal_share = select_ball_voxels(region, edge.centre_mm, edge.radius_mm, hidden_directions)
     if usable.sum() < MIN_VOXELS:
         return None
     covered = hidden_directions is not None and len(hidden_directions) > 0
-    start = guess_ball(region, start_mm, radius_mm, inside_hu, outside_hu)
-    voxels = BallVoxels.of(region, usable, radius_mm, covered=covered)
-    settled = voxels.fit_robustly(start)
+    voxels = BallVoxels.of(region, usable, edge.radius_mm, covered=covered)
+    settled = voxels.fit_robustly(guess_ball(region, edge))
     return None if settled is None else RoughBall(voxels, settled, metal_share)
 
 
@@ -114,17 +109,12 @@ class RoughBall:
         return float(np.linalg.norm(self.unknowns[BALL:])) / self.contrast_hu
 
     def refined(self, hidden_directions: Array, *, most_streaks: float = np.inf) -> BlurredBall | None:
-        """Refine the fit; return None if it fails or if streaks exceed `most_streaks`.
-
-        `most_streaks` is relative to the contrast.
+        """Refine the fit; return None if it fails or if streaks exceed `most_streaks`, of the contrast.
 
         `hidden_directions` (n, 3) are directions without information about the shape.
         """
-        fitted = fit_whitened(
-            self.voxels.without_outliers(self.unknowns),
-            self.unknowns,
-            most_streak_hu=most_streaks * self.contrast_hu,
-        )
+        voxels, most_hu = self.voxels.without_outliers(self.unknowns), most_streaks * self.contrast_hu
+        fitted = fit_whitened(voxels, self.unknowns, most_streak_hu=most_hu)
         if fitted is None:
             return None
         unknowns = fitted.unknowns
@@ -175,21 +165,43 @@ def fit_whitened(voxels: BallVoxels, start: Array, *, most_streak_hu: float = np
     if prior.streak_hu > most_streak_hu:
         return None
     if prior.bent_hu2 > 0.0:
-        noise = noise.with_white_noise(STREAK_POWER * prior.bent_hu2)
+        noise = replace(noise, power=noise.power + STREAK_POWER * prior.bent_hu2)
         step = WhitenedStep.from_fit(noise, derivatives, spectra, growth, smooth)
-    step = step.with_stiffness(prior.stiffness(len(start)))
+    step = replace(step, stiffness=prior.stiffness(len(start)))
     settled = step.settle(settled, compute_pull)
     if settled is None:
         return None
     prior = prior.with_slopes(settled[SLOPE], step.covariance[SLOPE, SLOPE])
-    step = step.with_stiffness(prior.stiffness(len(start)))
+    step = replace(step, stiffness=prior.stiffness(len(start)))
     settled = step.settle(settled, compute_pull)
     if settled is None:
         return None
-    streak_covariance_mm2 = prior.covariance_mm2(
-        step.answer[:3], step.influence, weights, voxels.places, HIDDEN_DEGREES
-    )
-    covariance_mm2 = step.covariance[:3, :3] + streak_covariance_mm2 + MIN_VARIANCE_MM2 * np.eye(3)
-    return WhitenedBall(
-        settled, covariance_mm2, prior.streak_hu, measure_stretch(voxels, settled, noise, step, prior)
-    )
+    by_streaks = prior.covariance_mm2(step.answer[:3], step.influence, weights, voxels.places, HIDDEN_DEGREES)
+    covariance_mm2 = step.covariance[:3, :3] + by_streaks + MIN_VARIANCE_MM2 * np.eye(3)
+    stretch = measure_stretch(voxels, settled, noise, step, prior)
+    return WhitenedBall(settled, covariance_mm2, prior.streak_hu, stretch)
+
+
+def measure_stretch(
+    voxels: BallVoxels, unknowns: Array, noise: CorrelatedNoise, step: WhitenedStep, streaks: StreakPrior
+) -> Stretch:
+    """Measure the stretch at the parameters (m,) that a whitened fit has settled on, in its last `step`.
+
+    Blur sets the width of an edge and stretch its place, so both blurs stay free beside the stretch, as do
+    the radius (a film moves the edge alike on all sides) and the background. Noise is weighted by its
+    measured spectrum, streaks by the prior of the ball's own fit.
+    """
+    derivatives, pull, weights = voxels.evaluate(unknowns)
+    derivatives *= weights[:, None]
+    derivatives = add_stretch_derivatives(voxels.points_mm, unknowns, derivatives)
+    filtered = noise.grid.values(noise.grid.spectra(derivatives[:, -TERMS:]) / noise.power)
+    instruments = np.column_stack((step.instruments, filtered))
+    response = voxels.growth(weights) * products(instruments, derivatives)
+    stiffness = np.append(step.stiffness, np.zeros(TERMS))
+    answer = np.asarray(np.linalg.pinv(response + np.diag(stiffness))[-TERMS:])
+    found = answer @ (instruments.T @ pull - stiffness * np.append(unknowns, np.zeros(TERMS)))
+    influence = np.asarray(instruments @ answer.T)
+    spectra = noise.grid.spectra(influence)
+    covariance = noise.grid.products(spectra, spectra, noise.power)
+    covariance += streaks.covariance_mm2(answer, influence, weights, voxels.places, STRETCH_HIDDEN_DEGREES)
+    return Stretch(found, covariance, float(unknowns[SZ]))

@@ -13,7 +13,7 @@ Econometrics 92 (1999)); the noise absorbed by the fit is added back, as in rest
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Self
 
@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 from scipy import fft
 
 from procedures.imaging.sphere_centre.ball_model import products
+from ronna_hw.arrays import Array, Mask
 
-Array = NDArray[np.float64]
 Spectrum = NDArray[np.complex128]
 
 SAME_SPACE = 1e-10  # columns with a smaller remainder are in the space of the others
@@ -136,10 +136,6 @@ class CorrelatedNoise:
             power = np.maximum(fft.rfftn(_symmetrize(sums) * scale).real, least_hu2)
         return cls(grid, power)
 
-    def with_white_noise(self, power_hu2: float) -> CorrelatedNoise:
-        """Add white noise of this power."""
-        return replace(self, power=self.power + power_hu2)
-
     @property
     def slow_power(self) -> float:
         """Power of noise correlated over many voxels."""
@@ -175,12 +171,7 @@ class WhitenedStep:
 
     @classmethod
     def from_fit(
-        cls,
-        noise: CorrelatedNoise,
-        derivatives: Array,
-        spectra: Spectrum,
-        growth: float,
-        smooth: NDArray[np.bool_],
+        cls, noise: CorrelatedNoise, derivatives: Array, spectra: Spectrum, growth: float, smooth: Mask
     ) -> Self:
         """Set up the equations from weighted derivatives (n, m) at a robust fit, without shrinkage.
 
@@ -197,10 +188,6 @@ class WhitenedStep:
             noise.grid.products(filtered, filtered, noise.power),
             np.zeros(len(smooth)),
         )
-
-    def with_stiffness(self, stiffness: Array) -> WhitenedStep:
-        """Shrink the parameters towards 0 with this stiffness (m,)."""
-        return replace(self, stiffness=stiffness)
 
     @cached_property
     def answer(self) -> Array:

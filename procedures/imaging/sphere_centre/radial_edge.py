@@ -12,12 +12,10 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from procedures.imaging.volume import Region
+from ronna_hw.arrays import Array, Mask
 from ronna_hw.robust_scale import cauchy_weights, robust_sigma
-
-Array = NDArray[np.float64]
 
 RAYS = 400
 SCAN_FROM, SCAN_TO = 0.52, 1.57  # of the nominal radius: 3 to 9 mm for the usual sphere
@@ -63,7 +61,7 @@ class RadialEdge:
     outside_hu: float
     coherence: float
     covered_step_hu: float
-    seen: NDArray[np.bool_]
+    seen: Mask
 
 
 @cache
@@ -172,14 +170,14 @@ def _measure_covered_step(rays: Array, radii_mm: Array, radius_mm: float) -> flo
     return float(np.median(inner_hu.mean(axis=1) - outer_hu.mean(axis=1)))
 
 
-def _level_by_direction(middle_hu: Array, directions: Array, usable: NDArray[np.bool_]) -> Array:
+def _level_by_direction(middle_hu: Array, directions: Array, usable: Mask) -> Array:
     """Fit each ray's midpoint level: a constant plus the slope that streaks add across the sphere."""
     design = np.column_stack([np.ones(len(directions)), directions])
     solution, *_ = np.linalg.lstsq(design[usable], middle_hu[usable], rcond=None)
     return np.asarray(design @ solution)
 
 
-def _find_crossings(rays: Array, radii_mm: Array, level_hu: Array) -> tuple[Array, NDArray[np.bool_]]:
+def _find_crossings(rays: Array, radii_mm: Array, level_hu: Array) -> tuple[Array, Mask]:
     """Return the first radius at which each ray falls through its level, and whether it does."""
     level_hu = level_hu[:, None]
     falls = (rays[:, :-1] >= level_hu) & (rays[:, 1:] < level_hu)

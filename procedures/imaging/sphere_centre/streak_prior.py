@@ -12,11 +12,9 @@ from math import comb
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from procedures.imaging.sphere_centre.ball_model import FITTED_DEGREES, SLOPE, polynomial, products
-
-Array = NDArray[np.float64]
+from ronna_hw.arrays import Array
 
 HIDDEN_SHARE = 1.2  # of the bend terms' size; from tuning families and synthetic bands and lobes on `plain`
 LEAST_SLOPE = 2.0  # of the bend terms' size: streaks fade with distance, and slope more than they bend
@@ -66,12 +64,7 @@ class StreakPrior:
         return shrinkage
 
     def covariance_mm2(
-        self,
-        answer: Array,
-        influence: Array,
-        weights: Array,
-        places: Array,
-        hidden_degrees: tuple[int, ...],
+        self, answer: Array, influence: Array, weights: Array, places: Array, hidden_degrees: tuple[int, ...]
     ) -> Array:
         """Return the covariance (k, k) of k parameters due to streaks, through shrunk and unmodelled terms.
 

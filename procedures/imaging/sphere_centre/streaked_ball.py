@@ -39,8 +39,7 @@ from procedures.imaging.sphere_centre.ball_model import (
 )
 from procedures.imaging.sphere_centre.radial_edge import RadialEdge, ray_directions
 from procedures.imaging.volume import Region
-
-Array = NDArray[np.float64]
+from ronna_hw.arrays import Array, Mask
 
 # chosen on straight bands with standard deviations of 1.2 to 3 mm across `plain`: anything shorter follows
 # the edge, which doubled the error; a ball's edge is 0.5 mm wide
@@ -94,14 +93,13 @@ def fit_streaked_ball(region: Region, edge: RadialEdge) -> StreakedBall | None:
 
     Directions in which the edge is not on that sphere are excluded.
     """
-    usable, metal_share = select_ball_voxels(
-        region, edge.centre_mm, edge.radius_mm, ray_directions()[~edge.seen]
-    )
+    unseen = ray_directions()[~edge.seen]
+    usable, metal_share = select_ball_voxels(region, edge.centre_mm, edge.radius_mm, unseen)
     if usable.sum() < MIN_VOXELS:
         return None
     points_mm = (np.argwhere(usable) + region.start) * region.spacing_mm
     values = region.values[usable]
-    start = guess_ball(region, edge.centre_mm, edge.radius_mm, edge.inside_hu, edge.outside_hu)
+    start = guess_ball(region, edge)
     floor_hu = _floor_hu(region)
     censored = np.zeros(len(values), dtype=bool) if floor_hu is None else values <= floor_hu
     field = SliceField.from_points(points_mm, float(np.ptp(points_mm[:, 1:], axis=0).max()) / 2.0)
@@ -114,15 +112,13 @@ def fit_streaked_ball(region: Region, edge: RadialEdge) -> StreakedBall | None:
     for number in range(STEPS):
         modelled, derivatives = intensities(points_mm, unknowns, no_background)
         working, known = _impute_censored(values, modelled + streaks, censored, floor_hu, white_hu)
-        result = _solve(
-            field, weights * known, working - modelled, derivatives, field_hu2, NOISE_FACTOR * noise_hu2
-        )
+        counted = weights * known
+        result = _solve(field, counted, working - modelled, derivatives, field_hu2, NOISE_FACTOR * noise_hu2)
         if result is None:
             return None
         solved = result
         streaks, field_hu2 = solved.field, solved.field_hu2
         remaining = working - modelled - streaks
-        counted = weights * known
         white_hu2 = float(counted @ remaining**2) / max(float(counted.sum()) - solved.degrees, 1.0)
         white_hu = max(float(np.sqrt(white_hu2)), LEAST_NOISE_HU)
         noise_hu2 = np.full(len(field.slices), white_hu**2)
@@ -156,19 +152,12 @@ def fit_streaked_ball(region: Region, edge: RadialEdge) -> StreakedBall | None:
         [scale(remaining[one][known[one] > 0.99]) for one in field.slices if len(one) > QUIET_VOXELS],
         default=white_hu,
     )
+    rest_hu, noise_hu = working - modelled, min(quiet_hu, white_hu)
     is_evident = any(
-        _is_evident(
-            points_mm,
-            unknowns,
-            ray_directions()[~edge.seen],
-            one,
-            working - modelled,
-            streaks,
-            min(quiet_hu, white_hu),
-        )
+        _is_evident(points_mm, unknowns, unseen, one, rest_hu, streaks, noise_hu)
         for one in (known > 0.99, (known > 0.99) & near_metal & ~odd)
     )
-    given = weights * known, working - modelled
+    given = weights * known, rest_hu
     stretch_result = _solve(field, *given, stretched, field_hu2, STRETCH_FACTOR * NOISE_FACTOR * noise_hu2)
     by_noise, by_all = (
         _solve(field, *given, derivatives, one, noise_hu2)
@@ -186,10 +175,8 @@ def fit_streaked_ball(region: Region, edge: RadialEdge) -> StreakedBall | None:
             region, field.fill_region(region, solved.coefficients), floor_hu, float(unknowns[OUT])
         ),
         is_evident=is_evident,
-        stretch=Stretch.from_terms(
-            stretch_result.step[-TERMS:],
-            stretch_result.covariance[-TERMS:, -TERMS:],
-            float(unknowns[SZ]),
+        stretch=Stretch(
+            stretch_result.step[-TERMS:], stretch_result.covariance[-TERMS:, -TERMS:], float(unknowns[SZ])
         ),
     )
 
@@ -286,11 +273,10 @@ class SliceField:
         slices = tuple(np.flatnonzero(points_mm[:, 0] == height) for height in heights_mm)
         places = [(points_mm[one, 1], points_mm[one, 2]) for one in slices]
         terms = tuple(waves.evaluate(*place) * scales for place in places)
-        return cls(
-            waves, scales, slices, heights_mm, terms, tuple(noisy.evaluate(*place) for place in places)
-        )
+        noise_terms = tuple(noisy.evaluate(*place) for place in places)
+        return cls(waves, scales, slices, heights_mm, terms, noise_terms)
 
-    def noise_modes(self, clear: NDArray[np.bool_]) -> tuple[NoiseModes, ...]:
+    def noise_modes(self, clear: Mask) -> tuple[NoiseModes, ...]:
         """Combine noise-band waves into modes that are orthonormal over a slice's clear voxels (n,)."""
         modes = []
         for number, (one, waves) in enumerate(zip(self.slices, self.noise_terms, strict=True)):
@@ -299,9 +285,8 @@ class SliceField:
                 continue
             values, vectors = np.linalg.eigh(waves[seen].T @ waves[seen])
             kept = values > CLEAR_SHARE * values[-1]
-            modes.append(
-                NoiseModes(number, one[seen], waves[seen] @ (vectors[:, kept] / np.sqrt(values[kept])))
-            )
+            patterns = waves[seen] @ (vectors[:, kept] / np.sqrt(values[kept]))
+            modes.append(NoiseModes(number, one[seen], patterns))
         return tuple(modes)
 
     def fill_region(self, region: Region, coefficients: tuple[Array, ...]) -> Array:
@@ -330,7 +315,7 @@ def _is_evident(
     points_mm: Array,
     unknowns: Array,
     unseen: Array,
-    known: NDArray[np.bool_],
+    known: Mask,
     remaining_hu: Array,
     streaks_hu: Array,
     noise_hu: float,
@@ -356,7 +341,7 @@ def _floor_hu(region: Region) -> float | None:
 
 
 def _impute_censored(
-    values: Array, expected: Array, censored: NDArray[np.bool_], floor_hu: float | None, noise_hu: float
+    values: Array, expected: Array, censored: Mask, floor_hu: float | None, noise_hu: float
 ) -> tuple[Array, Array]:
     """Return values and weights (n,) that turn least squares into censored regression (Fisher scoring)."""
     working, known = values.copy(), np.ones(len(values))
@@ -388,11 +373,8 @@ def _solve(
     slices = zip(field.slices, field.terms, field_hu2.tolist(), noise_hu2.tolist(), strict=True)
     for number, (one, terms, size_hu2, noisy_hu2) in enumerate(slices):
         root = np.sqrt(weights[one])
-        weighted, remaining, weighted_derivatives = (
-            terms * root[:, None],
-            residuals[one] * root,
-            derivatives[one] * root[:, None],
-        )
+        weighted, weighted_derivatives = terms * root[:, None], derivatives[one] * root[:, None]
+        remaining = residuals[one] * root
         count = weighted.shape[1]
         spread = np.linalg.inv(weighted.T @ weighted / noisy_hu2 + np.eye(count) / size_hu2)
         whitened = (
@@ -414,14 +396,8 @@ def _solve(
         return None
     if not np.isfinite(covariance).all():
         return None
-    return _StepResult(
-        covariance @ pull,
-        covariance,
-        tuple(found),
-        streaks,
-        np.clip(sizes_hu2, low**2, high**2),
-        degrees,
-    )
+    sizes_hu2 = np.clip(sizes_hu2, low**2, high**2)
+    return _StepResult(covariance @ pull, covariance, tuple(found), streaks, sizes_hu2, degrees)
 
 
 def _remove_streaks(region: Region, streaks: Array, floor_hu: float | None, outside_hu: float) -> Region:

@@ -4,25 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from procedures.reporting import run_events, run_statistics
 from procedures.reporting.pictures import timeline_figure
-from procedures.reporting.run_events import (
-    AskedQuestion,
-    RunEvent,
-    advisories,
-    notable_events,
-    questions,
-)
 from procedures.reporting.run_reading import RunReading
-from procedures.reporting.run_statistics import (
-    ALGORITHM_PROCESSOR,
-    ALGORITHM_S,
-    LOCALIZATION,
-    OPERATOR_S,
-    Span,
-    TimeTaken,
-    timeline,
-    times_taken,
-)
 from procedures.steps.calibration.head_looks import BallMeasurement, ObservedBall
 from procedures.steps.clinical.ct_import import ImportedCt
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
@@ -36,9 +20,9 @@ class MarkerSearchTime:
 
     host_s: float
     processor: str
-    operator_s: float = OPERATOR_S
-    algorithm_s: float = ALGORITHM_S
-    algorithm_processor: str = ALGORITHM_PROCESSOR
+    operator_s: float = run_statistics.OPERATOR_S
+    algorithm_s: float = run_statistics.ALGORITHM_S
+    algorithm_processor: str = run_statistics.ALGORITHM_PROCESSOR
 
 
 @dataclass(frozen=True)
@@ -46,12 +30,12 @@ class Course:
     """Findings, incidents, questions and times of a run."""
 
     findings: tuple[str, ...]
-    announced: tuple[RunEvent, ...]
-    events: tuple[RunEvent, ...]
-    questions: tuple[AskedQuestion, ...]
-    spans: tuple[Span, ...]
+    announced: tuple[run_events.RunEvent, ...]
+    events: tuple[run_events.RunEvent, ...]
+    questions: tuple[run_events.AskedQuestion, ...]
+    spans: tuple[run_statistics.Span, ...]
     timeline_picture: str  # SVG; empty without spans
-    times: tuple[TimeTaken, ...]
+    times: tuple[run_statistics.TimeTaken, ...]
     processor: str
 
     @property
@@ -60,22 +44,22 @@ class Course:
         return tuple(
             MarkerSearchTime(one.host_s, self.processor or "a processor that was not recorded")
             for one in self.times
-            if one.name == LOCALIZATION and one.host_s is not None
+            if one.name == run_statistics.LOCALIZATION and one.host_s is not None
         )
 
 
 def read_course(reading: RunReading, processor: str) -> Course:
     """Read the section."""
     journal = reading.run.journal
-    spans = timeline(journal)
+    spans = run_statistics.timeline(journal)
     return Course(
         findings=_find_findings(reading),
-        announced=advisories(journal),
-        events=notable_events(journal),
-        questions=questions(journal),
+        announced=run_events.advisories(journal),
+        events=run_events.notable_events(journal),
+        questions=run_events.questions(journal),
         spans=spans,
         timeline_picture=timeline_figure(spans) if spans else "",
-        times=times_taken(journal),
+        times=run_statistics.times_taken(journal),
         processor=processor,
     )
 

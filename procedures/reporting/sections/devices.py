@@ -72,10 +72,6 @@ def _read_links(reading: RunReading) -> tuple[StreamHealth, ...]:
     heads = (StreamHealth("stereo head", one.result.link) for one in reading.valid_results(MountedGuide))
     ends: list[Retreated | ConfirmedTarget] = [one.result for one in reading.valid_results(Retreated)]
     ends += [one.result for one in reading.valid_results(ConfirmedTarget)]
-    guides = (StreamHealth("guide", one.link) for one in ends if one.link is not None)
-    holders = (
-        StreamHealth("holder of the assistant", one.assistant_link)
-        for one in ends
-        if one.assistant_link is not None
-    )
-    return (*heads, *guides, *holders)
+    links = [("guide", one.link) for one in ends]
+    links += [("holder of the assistant", one.assistant_link) for one in ends]
+    return (*heads, *(StreamHealth(name, link) for name, link in links if link is not None))

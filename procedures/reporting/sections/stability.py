@@ -5,14 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from procedures.guards import stability
 from procedures.guards.assistant_on_axis import LARGEST_OFF_MM
-from procedures.guards.stability import (
-    WATCHED_SUBJECTS,
-    SeenUnchanged,
-    Subject,
-    WatchedSubject,
-    last_seen_s,
-)
 from procedures.reporting.run_reading import RunReading
 from procedures.steps.clinical.results import ConfirmedTarget, KnownBases
 
@@ -20,9 +14,9 @@ from procedures.steps.clinical.results import ConfirmedTarget, KnownBases
 class StabilityRow(NamedTuple):
     """Watched subject, when it was last seen, and how it was seen after each target."""
 
-    subject: WatchedSubject
+    subject: stability.WatchedSubject
     last_seen_s: float | None  # theatre time
-    seen: tuple[SeenUnchanged | None, ...]
+    seen: tuple[stability.SeenUnchanged | None, ...]
 
 
 @dataclass(frozen=True)
@@ -47,23 +41,17 @@ def read_stability(reading: RunReading) -> Stability | None:
         return None
     results = {one.record.identifier: one.result for one in confirmed}
 
-    def confirms(record: str, subject: Subject) -> bool:
+    def confirms(record: str, subject: stability.Subject) -> bool:
         return record in results and results[record].confirms(subject)
 
-    last_s = last_seen_s(reading.run.journal, confirms)
+    last_s = stability.last_seen_s(reading.run.journal, confirms)
+    rows = []
+    for watched in stability.WATCHED_SUBJECTS:
+        looks = (one.seen for one in results.values())
+        seen = tuple(next((one for one in look if one.subject == watched.subject), None) for look in looks)
+        rows.append(StabilityRow(watched, last_s.get(watched.subject), seen))
     return Stability(
         targets=tuple(str(one.record.trajectory) for one in confirmed),
-        rows=tuple(
-            StabilityRow(
-                watched,
-                last_s.get(watched.subject),
-                tuple(_find_seen(one, watched.subject) for one in results.values()),
-            )
-            for watched in WATCHED_SUBJECTS
-        ),
+        rows=tuple(rows),
         has_assistant=reading.find(KnownBases) is not None,
     )
-
-
-def _find_seen(confirmed: ConfirmedTarget, subject: Subject) -> SeenUnchanged | None:
-    return next((one for one in confirmed.seen if one.subject == subject), None)

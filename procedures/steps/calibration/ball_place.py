@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Self
+from collections.abc import Callable
+from typing import Self, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike
 from pydantic import Field
 from scipy.spatial.transform import Rotation
 
@@ -18,17 +19,20 @@ from procedures.operator.question import Topic
 from procedures.relocalization.errors import SphereNotInView
 from procedures.relocalization.servo import SEARCH_RADIUS_MM
 from procedures.steps.clinical.global_localization import GlobalLocalization
+from procedures.steps.clinical.set_up import CheckedSetUp
+from procedures.steps.conditions import needs_tool
 from procedures.strategies.trajectory import tool_orientation
 from procedures.workcell import MountedTool, Workcell
 from procedures.workcell.ball_watcher import BallWatcher, build_ball_surroundings
 from procedures.workcell.stereo_look import pair_picture
 from ronna_hw.arm.errors import NotClear
+from ronna_hw.arrays import Array
 from ronna_hw.calibration import Numbers3
 from ronna_hw.errors import LimitError
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.vectors import JointVector
 
-Array = NDArray[np.float64]
+R = TypeVar("R", bound=StepResult)
 
 DOWN = np.array([0.0, 0.0, -1.0])
 ISOLATION_MM = 30.0  # of a ball's nearest neighbour: nearer, both are in view
@@ -89,12 +93,9 @@ def place_step(stated_mm: Numbers3 | None) -> StepSpec[BallPlace]:
 
 def find_isolated(points_mm: Array) -> list[int]:
     """Return the indices of the balls (n, 3) that are far enough from every other ball."""
-    return [number for number in range(len(points_mm)) if _nearest_mm(points_mm, number) >= ISOLATION_MM]
-
-
-def _nearest_mm(points: Array, number: int) -> float:
-    others = np.delete(points, number, axis=0)
-    return float(np.linalg.norm(others - points[number], axis=1).min()) if len(others) else np.inf
+    apart_mm = np.linalg.norm(points_mm[:, None] - points_mm[None], axis=2)
+    np.fill_diagonal(apart_mm, np.inf)
+    return [number for number, others_mm in enumerate(apart_mm) if others_mm.min() >= ISOLATION_MM]
 
 
 def bring_over_ball(
@@ -115,8 +116,8 @@ def bring_over_ball(
     ball_mm = np.array(place.ball_mm)
     watcher = BallWatcher(workcell, ball_mm)
     plan = plan_calibration_looks(place.reference, ball_mm, round(SPARE * poses)) if poses else ()
-    reached = sum(watcher.reaches(look.pose) for look in plan)
-    if not watcher.reaches(place.first_look.pose) or reached < poses:
+    reached = sum(reachable_joints(workcell, look) is not None for look in plan)
+    if reachable_joints(workcell, place.first_look) is None or reached < poses:
         raise POSES_OUT_OF_REACH(
             "the poses around the ball are out of the arm's reach",
             expected=f"{poses} poses",
@@ -128,12 +129,7 @@ def bring_over_ball(
         f"The arm will move around the ball: {purpose}. Nobody and nothing else may be within its reach",
         f"ball at {x:.0f} {y:.0f} {z:.0f} mm in $ROBROOT",
     )
-    tool = workcell.master.flange_from(MountedTool.STEREO_HEAD)
-    workcell.master.surround(
-        build_ball_surroundings(context.setting.surroundings, tool, ball_mm, place.others_mm)
-    )
-    workcell.start(cameras=True)
-    workcell.sensors.read_whole()
+    start_around_ball(context, ball_mm, place.others_mm)
     try:
         seen = watcher.find(place.first_look)
     except SphereNotInView as error:
@@ -144,6 +140,30 @@ def bring_over_ball(
         ) from error
     context.keep_picture(BALL_PICTURE, pair_picture(seen))
     return watcher
+
+
+def start_around_ball(context: StepContext, ball_mm: ArrayLike, others_mm: ArrayLike = ()) -> None:
+    """Surround the stereo head with the ball and others (n, 3), robot frame; start arm and cameras."""
+    workcell = context.workcell
+    tool = workcell.master.flange_from(MountedTool.STEREO_HEAD)
+    workcell.master.surround(build_ball_surroundings(context.setting.surroundings, tool, ball_mm, others_mm))
+    workcell.start(cameras=True)
+    workcell.sensors.read_whole()
+
+
+def measuring_step(
+    result: type[R], title: str, run: Callable[[StepContext], Outcome[R]], *reads: type[StepResult]
+) -> StepSpec[R]:
+    """Build a step that moves the stereo head to measure; it reads the set-up and these results."""
+    return StepSpec(
+        result,
+        title,
+        Phase.OPERATION,
+        run,
+        reads=(CheckedSetUp, *reads),
+        moves=True,
+        preconditions=needs_tool(MountedTool.STEREO_HEAD),
+    )
 
 
 def return_home_if_clear(context: StepContext) -> list[str]:

@@ -22,13 +22,12 @@ from procedures.calibration.frame_calibration import (
 from procedures.calibration.hand_eye import LEAST_LOOKS
 from procedures.calibration.head_model import pose_record
 from procedures.engine.context import StepContext
-from procedures.engine.order import Outcome, Phase, StepSpec
+from procedures.engine.order import Outcome, StepSpec
 from procedures.journal.errors import GateFailed
 from procedures.journal.results import StepResult
 from procedures.operator.question import Topic
-from procedures.steps.calibration.ball_place import reachable_joints
+from procedures.steps.calibration.ball_place import measuring_step, reachable_joints
 from procedures.steps.clinical.set_up import CheckedSetUp
-from procedures.steps.conditions import needs_tool
 from procedures.strategies.strategy import ONE_SIDE
 from procedures.workcell import MountedTool, Workcell
 from procedures.workcell.ball_watcher import build_free_surroundings
@@ -145,7 +144,7 @@ class _FrameRotation:
             self.rejected[error.code] += 1
             return
         tool = workcell.calibrations.tracker_frame.tool
-        frames, _ = read_frames_at_rest(workcell.tracker, self.context.setting.clock)
+        frames, _ = read_frames_at_rest(workcell)
         try:
             seen = average_pose(frames, tool)
         except GateFailed as error:
@@ -167,12 +166,5 @@ class _FrameRotation:
 
 def rotation_step(count: int, validation: int) -> StepSpec[ObservedFrame]:
     """Build the rotation step with `count` looks for the fit and `validation` looks for validation."""
-    return StepSpec(
-        ObservedFrame,
-        "Rotate the reference frame in view of the tracker",
-        Phase.OPERATION,
-        partial(_turn_frame, count=count, validation=validation),
-        reads=(CheckedSetUp,),
-        moves=True,
-        preconditions=needs_tool(MountedTool.STEREO_HEAD),
-    )
+    run = partial(_turn_frame, count=count, validation=validation)
+    return measuring_step(ObservedFrame, "Rotate the reference frame in view of the tracker", run)

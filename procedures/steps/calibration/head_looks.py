@@ -23,17 +23,9 @@ from procedures.journal.results import StepResult
 from procedures.operator.question import Topic
 from procedures.relocalization.errors import NoSphere
 from procedures.relocalization.triangulation import check_serial
-from procedures.steps.calibration.ball_place import (
-    BALL_PICTURE,
-    SPARE,
-    BallPlace,
-    bring_over_ball,
-    return_home_if_clear,
-)
+from procedures.steps.calibration import ball_place
 from procedures.steps.clinical.set_up import CheckedSetUp
-from procedures.steps.conditions import needs_tool
-from procedures.workcell import MountedTool
-from procedures.workcell.ball_watcher import BallWatcher, build_ball_surroundings
+from procedures.workcell.ball_watcher import BallWatcher
 from procedures.workcell.stereo_look import Look, pair_picture
 from ronna_hw.calibration import Numbers3, StereoHeadCalibration
 
@@ -64,7 +56,7 @@ def run_in_place(context: StepContext) -> Outcome[BallMeasurement]:
 def run_over_ball(context: StepContext) -> Outcome[BallMeasurement]:
     """Take a look from above the ball, and return home."""
     context.result(CheckedSetUp)
-    bring_over_ball(context, context.result(BallPlace), "one measurement", 0)
+    ball_place.bring_over_ball(context, context.result(ball_place.BallPlace), "one measurement", 0)
     seen = context.workcell.look()
     context.workcell.master.go_home()
     return _keep_look(context, seen)
@@ -72,7 +64,7 @@ def run_over_ball(context: StepContext) -> Outcome[BallMeasurement]:
 
 def _keep_look(context: StepContext, seen: Look) -> Outcome[BallMeasurement]:
     context.setting.memory.keep(seen)  # for a display of the pictures
-    context.keep_picture(BALL_PICTURE, pair_picture(seen))
+    context.keep_picture(ball_place.BALL_PICTURE, pair_picture(seen))
     point = seen.point
     return Outcome(
         BallMeasurement(
@@ -85,19 +77,10 @@ def _keep_look(context: StepContext, seen: Look) -> Outcome[BallMeasurement]:
     )
 
 
-def look_step(*, over_ball: bool) -> StepSpec[BallMeasurement]:
-    """Build the step that takes one look, with or without motion."""
-    if not over_ball:
-        return StepSpec(BallMeasurement, "Look", Phase.OPERATION, run_in_place)
-    return StepSpec(
-        BallMeasurement,
-        "Measure the ball",
-        Phase.OPERATION,
-        run_over_ball,
-        reads=(CheckedSetUp, BallPlace),
-        moves=True,
-        preconditions=needs_tool(MountedTool.STEREO_HEAD),
-    )
+LOOK_IN_PLACE = StepSpec(BallMeasurement, "Look", Phase.OPERATION, run_in_place)
+LOOK_OVER_BALL = ball_place.measuring_step(
+    BallMeasurement, "Measure the ball", run_over_ball, ball_place.BallPlace
+)
 
 
 class ObservedBall(StepResult, kind="ball_observation"):
@@ -110,11 +93,11 @@ class ObservedBall(StepResult, kind="ball_observation"):
 def _observe_ball(context: StepContext, poses: int, visits: int) -> Outcome[ObservedBall]:
     """Measure the ball. Raises PRO-002, STE-009 if it is not found, CAL-010 or CAL-002 for too few looks."""
     context.result(CheckedSetUp)
-    place, workcell = context.result(BallPlace), context.workcell
+    place, workcell = context.result(ball_place.BallPlace), context.workcell
     total = poses + visits * CHECK_ORIENTATIONS
     purpose = f"{total} measurements from {poses + CHECK_ORIENTATIONS} poses"
-    watcher = bring_over_ball(context, place, purpose, poses)
-    plan = plan_calibration_looks(place.reference, watcher.ball_mm, round(SPARE * poses))
+    watcher = ball_place.bring_over_ball(context, place, purpose, poses)
+    plan = plan_calibration_looks(place.reference, watcher.ball_mm, round(ball_place.SPARE * poses))
     seen = watcher.observe_all(
         plan, poses, lambda count: context.progress(count / total, "measuring the ball")
     )
@@ -125,7 +108,7 @@ def _observe_ball(context: StepContext, poses: int, visits: int) -> Outcome[Obse
                 seen.append(one)
             done = poses + CHECK_ORIENTATIONS * visit + number
             context.progress(done / total, "measuring the ball")
-    remarks = return_home_if_clear(context)
+    remarks = ball_place.return_home_if_clear(context)
     if watcher.rejected:
         remarks.append(f"{watcher.rejected.total()} measurements without a ball: {watcher.why_rejected()}")
     checked = len({one.orientation for one in seen} - {None})
@@ -149,15 +132,8 @@ def _observe_ball(context: StepContext, poses: int, visits: int) -> Outcome[Obse
 
 def observation_step(poses: int, visits: int) -> StepSpec[ObservedBall]:
     """Build the step with `poses` calibration poses and `visits` to each check orientation."""
-    return StepSpec(
-        ObservedBall,
-        "Measure the ball",
-        Phase.OPERATION,
-        partial(_observe_ball, poses=poses, visits=visits),
-        reads=(CheckedSetUp, BallPlace),
-        moves=True,
-        preconditions=needs_tool(MountedTool.STEREO_HEAD),
-    )
+    run = partial(_observe_ball, poses=poses, visits=visits)
+    return ball_place.measuring_step(ObservedBall, "Measure the ball", run, ball_place.BallPlace)
 
 
 def check_look(
@@ -211,10 +187,7 @@ def _visit_baseline(context: StepContext, baseline: Baseline, visits: int) -> Ou
         for orientation in baseline.orientations
     ]
     watcher = BallWatcher(workcell, baseline.ball_mm)
-    tool = workcell.master.flange_from(MountedTool.STEREO_HEAD)
-    workcell.master.surround(build_ball_surroundings(context.setting.surroundings, tool, watcher.ball_mm))
-    workcell.start(cameras=True)
-    workcell.sensors.read_whole()
+    ball_place.start_around_ball(context, watcher.ball_mm)
     seen = []
     for visit in range(visits):
         for number, one in enumerate(first):
@@ -225,7 +198,7 @@ def _visit_baseline(context: StepContext, baseline: Baseline, visits: int) -> Ou
             context.progress(done / (visits * len(first)), "measuring the ball")
     workcell.master.go_home()
     if watcher.last is not None:
-        context.keep_picture(BALL_PICTURE, pair_picture(watcher.last))
+        context.keep_picture(ball_place.BALL_PICTURE, pair_picture(watcher.last))
     if not seen:
         raise NoSphere("the ball is not in view from any orientation", got=watcher.why_rejected())
     return Outcome(
@@ -247,12 +220,5 @@ def _require_same_cameras(in_use: StereoHeadCalibration, baseline: StereoHeadCal
 
 def visit_step(baseline: Baseline, visits: int) -> StepSpec[VisitedBaseline]:
     """Build the step that visits the poses of a baseline."""
-    return StepSpec(
-        VisitedBaseline,
-        "Measure the ball again",
-        Phase.OPERATION,
-        partial(_visit_baseline, baseline=baseline, visits=visits),
-        reads=(CheckedSetUp,),
-        moves=True,
-        preconditions=needs_tool(MountedTool.STEREO_HEAD),
-    )
+    run = partial(_visit_baseline, baseline=baseline, visits=visits)
+    return ball_place.measuring_step(VisitedBaseline, "Measure the ball again", run)

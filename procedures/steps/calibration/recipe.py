@@ -11,7 +11,12 @@ from procedures.engine.errors import NotRecorded
 from procedures.engine.order import Steps
 from procedures.steps.calibration.ball_place import place_step
 from procedures.steps.calibration.frame_looks import rotation_step
-from procedures.steps.calibration.head_looks import look_step, observation_step, visit_step
+from procedures.steps.calibration.head_looks import (
+    LOOK_IN_PLACE,
+    LOOK_OVER_BALL,
+    observation_step,
+    visit_step,
+)
 from procedures.steps.calibration.sphere_looks import looks_step
 from procedures.steps.calibration.tip_readings import readings_step, stand_place_step, stand_step
 from procedures.steps.clinical import global_localization, set_up
@@ -22,11 +27,6 @@ from ronna_hw.mistakes import describe_mistakes
 MOST_LOOKS = 1000  # no command takes half of it
 
 
-def head_calibration(poses: int, visits: int, ball_mm: Numbers3 | None) -> Steps:
-    """Return the steps of a stereo head calibration: set-up, ball location, looks from all sides."""
-    return (*_steps_to_ball(ball_mm), observation_step(poses, visits))
-
-
 def head_check(baseline: Baseline, visits: int) -> Steps:
     """Return the steps of a stereo head check: set-up, looks from the baseline's poses."""
     return (set_up.STEP, visit_step(baseline, visits))
@@ -34,28 +34,12 @@ def head_check(baseline: Baseline, visits: int) -> Steps:
 
 def head_look(ball_mm: Numbers3 | None) -> Steps:
     """Return the steps of a single measurement: set-up, ball location, one look."""
-    return (*_steps_to_ball(ball_mm), look_step(over_ball=True))
+    return (*_steps_to_ball(ball_mm), LOOK_OVER_BALL)
 
 
 def look_in_place() -> Steps:
     """Return the single step that takes a look without motion."""
-    return (look_step(over_ball=False),)
-
-
-def arm_looks(count: int, validation: int) -> Steps:
-    """Return the steps of an arm calibration: set-up, sphere location, looks from all sides."""
-    return (set_up.STEP, global_localization.STEP, looks_step(count, validation))
-
-
-def frame_looks(count: int, validation: int) -> Steps:
-    """Return the steps of a frame calibration: set-up, rotation in view of the tracker."""
-    return (set_up.STEP, rotation_step(count, validation))
-
-
-def tip_readings(count: int, validation: int, ball_mm: Numbers3 | None) -> Steps:
-    """Return the steps of a tip calibration: set-up, ball location, looks at the ball, divot readings."""
-    place = place_step(ball_mm) if ball_mm is not None else stand_place_step()
-    return (set_up.STEP, place, stand_step(count + validation), readings_step(validation))
+    return (LOOK_IN_PLACE,)
 
 
 def _steps_to_ball(ball_mm: Numbers3 | None) -> Steps:
@@ -86,16 +70,16 @@ class Recipe(Strict):
 
     @property
     def steps(self) -> Steps:
-        """Steps of the calibration in order."""
         match self.of:
             case Calibrated.HEAD:
-                return head_calibration(self.looks, self.more, self.ball_mm)
+                return (*_steps_to_ball(self.ball_mm), observation_step(self.looks, self.more))
             case Calibrated.ARM:
-                return arm_looks(self.looks, self.more)
+                return (set_up.STEP, global_localization.STEP, looks_step(self.looks, self.more))
             case Calibrated.FRAME:
-                return frame_looks(self.looks, self.more)
+                return (set_up.STEP, rotation_step(self.looks, self.more))
             case Calibrated.TIP:
-                return tip_readings(self.looks, self.more, self.ball_mm)
+                place = stand_place_step() if self.ball_mm is None else place_step(self.ball_mm)
+                return (set_up.STEP, place, stand_step(self.looks + self.more), readings_step(self.more))
 
     @property
     def starts(self) -> frozenset[str]:

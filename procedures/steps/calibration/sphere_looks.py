@@ -8,38 +8,24 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from procedures.calibration.arm_check import require_record
-from procedures.calibration.arm_model import (
-    ArmLooks,
-    ArmModel,
-    Flanks,
-    SphereLook,
-    arrays_of,
-    choose_poses,
-)
+from procedures.calibration.arm_model import ArmLooks, ArmModel, Flanks, SphereLook, arrays_of, choose_poses
 from procedures.calibration.errors import NO_BALL, POSES_OUT_OF_REACH
 from procedures.calibration.pose_set import PlannedLook, order_by_orientation, plan_centred_looks
 from procedures.engine.context import StepContext
-from procedures.engine.order import Outcome, Phase, StepSpec
+from procedures.engine.order import Outcome, StepSpec
 from procedures.journal.results import StepResult
 from procedures.operator.question import Topic
 from procedures.relocalization.errors import SphereNotInView
-from procedures.steps.calibration.ball_place import (
-    BALL_PICTURE,
-    BallPlace,
-    find_isolated,
-    reachable_joints,
-    return_home_if_clear,
-)
+from procedures.steps.calibration import ball_place
 from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.set_up import CheckedSetUp
-from procedures.steps.conditions import needs_tool
-from procedures.workcell import MountedTool, Workcell
-from procedures.workcell.ball_watcher import BallWatcher, build_ball_surroundings
+from procedures.workcell import Workcell
+from procedures.workcell.ball_watcher import BallWatcher
 from procedures.workcell.stereo_look import pair_picture
+from ronna_hw.arrays import Array
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.errors import LimitError
 from ronna_hw.frames import Frame
@@ -99,7 +85,7 @@ def _measure_spheres(context: StepContext, count: int, validation: int) -> Outco
         seen += _look_at_sphere(
             context, places[number], own_looks, len(seen) / len(plan), remarks, count + validation
         )
-    remarks += return_home_if_clear(context)
+    remarks += ball_place.return_home_if_clear(context)
     observed = ArmLooks(
         created=context.setting.began,
         arm=workcell.master.arm.kinematics.name,
@@ -114,19 +100,17 @@ def _measure_spheres(context: StepContext, count: int, validation: int) -> Outco
 
 
 def _plan_looks(
-    model: ArmModel, places: Sequence[BallPlace], workcell: Workcell, count: int, validation: int
+    model: ArmModel, places: Sequence[ball_place.BallPlace], workcell: Workcell, count: int, validation: int
 ) -> tuple[_PlannedSphereLook, ...]:
     """Choose the most informative looks for the fit and evenly spread looks for validation."""
     informative_count, validation_count = round(SPARE * count), math.ceil(SPARE * validation)
     wanted = informative_count + validation_count
     each = max(CANDIDATES, math.ceil(CHOICE * wanted / len(places)))
     reached = [
-        _PlannedSphereLook(
-            look, _build_placeholder(number, joints, flanks_of(order, len(joints)), validation=False)
-        )
+        _PlannedSphereLook(look, _expect_look(number, joints, order))
         for number, place in enumerate(places)
         for order, look in enumerate(plan_centred_looks(place.reference, place.ball_mm, each))
-        if (joints := reachable_joints(workcell, look)) is not None
+        if (joints := ball_place.reachable_joints(workcell, look)) is not None
     ]
     if len(reached) < wanted:
         raise POSES_OUT_OF_REACH(
@@ -146,7 +130,7 @@ def _plan_looks(
 
 def _look_at_sphere(
     context: StepContext,
-    place: BallPlace,
+    place: ball_place.BallPlace,
     plan: Sequence[_PlannedSphereLook],
     done: float,
     remarks: list[str],
@@ -154,14 +138,9 @@ def _look_at_sphere(
 ) -> list[SphereLook]:
     workcell = context.workcell
     watcher = BallWatcher(workcell, np.array(place.ball_mm))
-    tool = workcell.master.flange_from(MountedTool.STEREO_HEAD)
-    workcell.master.surround(
-        build_ball_surroundings(context.setting.surroundings, tool, watcher.ball_mm, place.others_mm)
-    )
-    workcell.start(cameras=True)
-    workcell.sensors.read_whole()
+    ball_place.start_around_ball(context, watcher.ball_mm, place.others_mm)
     try:
-        context.keep_picture(BALL_PICTURE, pair_picture(watcher.find(place.first_look)))
+        context.keep_picture(ball_place.BALL_PICTURE, pair_picture(watcher.find(place.first_look)))
     except (LimitError, SphereNotInView) as error:
         if workcell.master.arm.observe().state is not Lifecycle.ACTIVE:
             raise  # tripped, not refused before it began
@@ -193,15 +172,8 @@ def _look_at_sphere(
 
 def looks_step(count: int, validation: int) -> StepSpec[ObservedSpheres]:
     """Build the step, with `count` looks for the fit and `validation` looks to validate it."""
-    return StepSpec(
-        ObservedSpheres,
-        "Measure the spheres",
-        Phase.OPERATION,
-        partial(_measure_spheres, count=count, validation=validation),
-        reads=(CheckedSetUp, GlobalLocalization),
-        moves=True,
-        preconditions=needs_tool(MountedTool.STEREO_HEAD),
-    )
+    run = partial(_measure_spheres, count=count, validation=validation)
+    return ball_place.measuring_step(ObservedSpheres, "Measure the spheres", run, GlobalLocalization)
 
 
 def flanks_of(number: int, axes: int) -> Flanks:
@@ -211,16 +183,18 @@ def flanks_of(number: int, axes: int) -> Flanks:
 
 
 def _select_places(
-    points_mm: NDArray[np.float64], workcell: Workcell, remarks: list[str]
-) -> tuple[BallPlace, ...]:
+    points_mm: Array, workcell: Workcell, remarks: list[str]
+) -> tuple[ball_place.BallPlace, ...]:
     """Return the isolated spheres within reach, the nearest to the head first. Raises CAL-009."""
-    isolated_spheres = find_isolated(points_mm)
+    isolated_spheres = ball_place.find_isolated(points_mm)
     if not isolated_spheres:
         raise NO_BALL("the tracker sees no isolated sphere", got=f"{len(points_mm)} stray spheres")
     head_mm = workcell.master.tool_pose().translation_mm
     near = sorted(isolated_spheres, key=lambda number: float(np.linalg.norm(points_mm[number] - head_mm)))
-    places = [BallPlace.among(points_mm, number) for number in near]
-    reached = [place for place in places if reachable_joints(workcell, place.first_look) is not None]
+    places = [ball_place.BallPlace.among(points_mm, number) for number in near]
+    reached = [
+        place for place in places if ball_place.reachable_joints(workcell, place.first_look) is not None
+    ]
     remarks += [
         f"{_describe_place(one)} was left out: it is out of reach" for one in places if one not in reached
     ]
@@ -229,19 +203,17 @@ def _select_places(
     return tuple(reached[:MOST_SPHERES])
 
 
-def _describe_place(place: BallPlace) -> str:
+def _describe_place(place: ball_place.BallPlace) -> str:
     x, y, z = place.ball_mm
     return f"the sphere at {x:.0f} {y:.0f} {z:.0f} mm"
 
 
-def _build_placeholder(
-    sphere: int, joints_rad: JointVector, flanks: Flanks, *, validation: bool
-) -> SphereLook:
+def _expect_look(sphere: int, joints_rad: JointVector, order: int) -> SphereLook:
     return SphereLook(
         sphere=sphere,
         joints_rad=joints_rad,
-        flanks=flanks,
+        flanks=flanks_of(order, len(joints_rad)),
         point_mm=(0.0, 0.0, 0.0),
         covariance_mm2=NOT_KNOWN,
-        validation=validation,
+        validation=False,
     )

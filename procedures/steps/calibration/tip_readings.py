@@ -9,45 +9,36 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 from scipy.spatial.transform import RigidTransform
 
+from procedures.calibration import pose_set, tip_calibration
 from procedures.calibration.errors import NO_BALL, POSES_OUT_OF_REACH, TOO_FEW_POSES
 from procedures.calibration.head_model import pose_record
-from procedures.calibration.pose_set import (
-    PlannedLook,
-    choose_held_out,
-    order_by_orientation,
-    plan_poses_about,
-)
-from procedures.calibration.tip_calibration import (
-    DIALS_TRAVEL_MM,
-    BallLook,
-    DivotReading,
-    TipLooks,
-    pairs_of,
-    require_plausible,
-    tips_of,
-)
 from procedures.engine.context import StepContext
 from procedures.engine.order import Outcome, Phase, StepSpec
 from procedures.engine.questions import IN_DIVOT
 from procedures.journal.results import StepResult
 from procedures.operator.question import Task, Topic
-from procedures.steps.calibration.ball_place import SPARE, BallPlace, bring_over_ball
+from procedures.steps.calibration.ball_place import (
+    SPARE,
+    BallPlace,
+    bring_over_ball,
+    measuring_step,
+    reachable_joints,
+)
 from procedures.steps.clinical.set_up import CheckedSetUp
 from procedures.steps.clinical.tool_mounting import exchange_tool
-from procedures.steps.conditions import needs_exchangeable_tool, needs_tool
+from procedures.steps.conditions import needs_exchangeable_tool
 from procedures.strategies.strategy import ONE_SIDE
-from procedures.workcell import MountedTool
-from procedures.workcell.ball_watcher import BallWatcher, build_free_surroundings, build_stand
+from procedures.workcell import MountedTool, Workcell
+from procedures.workcell.ball_watcher import build_free_surroundings, build_stand
+from ronna_hw.arrays import Array
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.wire.room_tasks import DIALS, OnStand
 
 TILT_RAD = float(np.radians(25.0))
 TURN_RAD = float(np.radians(40.0))
-Array = NDArray[np.float64]
 HOVER_MM = 40.0  # back along the guide, before and after the divot
 READS = tuple(f"{axis} in mm, along the axes of the robot" for axis in "xyz")
 NEAR_MM = 0.3  # a reading below it needs no other: dials a degree askew then show 0.005 mm too much
@@ -57,7 +48,7 @@ MOST_TRIES = 3  # at one orientation: the second is near, unless something gives
 class ObservedStand(StepResult, kind="stand_ball"):
     """Stereo head looks at the stand's ball."""
 
-    looks: tuple[BallLook, ...] = Field(description="One for each orientation.")
+    looks: tuple[tip_calibration.BallLook, ...] = Field(description="One for each orientation.")
     remarks: tuple[str, ...] = Field(description="Warnings for the operator.")
 
 
@@ -65,7 +56,7 @@ def _measure_stand(context: StepContext, count: int) -> Outcome[ObservedStand]:
     """Measure the stand's ball. Raises CAL-010 or CAL-002 for too few looks, PRO-002, STE-009 without it."""
     context.result(CheckedSetUp)
     place, workcell = context.result(BallPlace), context.workcell
-    plan = _looks_at_stand(place, BallWatcher(workcell, np.array(place.ball_mm)), count)
+    plan = _looks_at_stand(place, workcell, count)
     context.setting.room.prepare_stand(OnStand.BALL)
     context.confirm(
         Topic.CALIBRATION,
@@ -81,7 +72,7 @@ def _measure_stand(context: StepContext, count: int) -> Outcome[ObservedStand]:
         if_missing="Seat the ball on the stand, or correct its position: --ball X Y Z, or stand_mm in "
         "[procedure].",
     )
-    looks: list[BallLook] = []
+    looks: list[tip_calibration.BallLook] = []
     for planned in plan:
         if len(looks) == count:
             break
@@ -93,7 +84,7 @@ def _measure_stand(context: StepContext, count: int) -> Outcome[ObservedStand]:
         joints = workcell.master.joints_rad()
         x, y, z = seen.point.position_mm.tolist()
         looks.append(
-            BallLook(
+            tip_calibration.BallLook(
                 joints_rad=joints,
                 robot_from_flange=pose_record(workcell.master.flange_pose(joints)),
                 ball_mm=(x, y, z),
@@ -111,10 +102,12 @@ def _measure_stand(context: StepContext, count: int) -> Outcome[ObservedStand]:
     return Outcome(ObservedStand(looks=tuple(looks), remarks=remarks), f"{len(looks)} measurements")
 
 
-def _looks_at_stand(place: BallPlace, watcher: BallWatcher, count: int) -> list[PlannedLook]:
+def _looks_at_stand(place: BallPlace, workcell: Workcell, count: int) -> list[pose_set.PlannedLook]:
     wanted = round(SPARE * count)
-    looks = plan_poses_about(place.reference, place.ball_mm, wanted, tilt_rad=TILT_RAD, turn_rad=TURN_RAD)
-    reached = [look for look in looks if watcher.reaches(look.pose)]
+    looks = pose_set.plan_poses_about(
+        place.reference, place.ball_mm, wanted, tilt_rad=TILT_RAD, turn_rad=TURN_RAD
+    )
+    reached = [look for look in looks if reachable_joints(workcell, look) is not None]
     if len(reached) < count:
         raise POSES_OUT_OF_REACH(
             "too few poses around the stand are reachable",
@@ -123,7 +116,7 @@ def _looks_at_stand(place: BallPlace, watcher: BallWatcher, count: int) -> list[
             action="Put the stand nearer to the middle of the workspace, with free space around it.",
         )
     # The first ones are spread evenly; a chain of neighbours through all would leave out one side.
-    return [*order_by_orientation(reached[:count]), *reached[count:]]
+    return [*pose_set.order_by_orientation(reached[:count]), *reached[count:]]
 
 
 def _read_stand_position(context: StepContext) -> Outcome[BallPlace]:
@@ -144,21 +137,14 @@ def stand_place_step() -> StepSpec[BallPlace]:
 
 def stand_step(count: int) -> StepSpec[ObservedStand]:
     """Build the step that measures the stand's ball in `count` orientations."""
-    return StepSpec(
-        ObservedStand,
-        "Measure the stand's ball",
-        Phase.OPERATION,
-        partial(_measure_stand, count=count),
-        reads=(CheckedSetUp, BallPlace),
-        moves=True,
-        preconditions=needs_tool(MountedTool.STEREO_HEAD),
-    )
+    run = partial(_measure_stand, count=count)
+    return measuring_step(ObservedStand, "Measure the stand's ball", run, BallPlace)
 
 
 class TipReadings(StepResult, kind="tip_readings"):
     """Readings used to calibrate the guide tip."""
 
-    observed: TipLooks = Field(description="Contents of `tip-looks.json`.")
+    observed: tip_calibration.TipLooks = Field(description="Contents of `tip-looks.json`.")
 
 
 def _read_divot(context: StepContext, validation: int) -> Outcome[TipReadings]:
@@ -188,10 +174,10 @@ def _read_divot(context: StepContext, validation: int) -> Outcome[TipReadings]:
     return Outcome(TipReadings(observed=reading.observed), f"{len(reading.observed.readings)} readings")
 
 
-def _prepare_looks(context: StepContext, stand: ObservedStand, validation: int) -> TipLooks:
+def _prepare_looks(context: StepContext, stand: ObservedStand, validation: int) -> tip_calibration.TipLooks:
     workcell = context.workcell
     calibrations = workcell.calibrations
-    return TipLooks(
+    return tip_calibration.TipLooks(
         created=context.setting.began,
         arm=workcell.master.arm.kinematics.name,
         stereo_head=calibrations.stereo_head,
@@ -199,7 +185,7 @@ def _prepare_looks(context: StepContext, stand: ObservedStand, validation: int) 
         arm_record=calibrations.arm,
         looks=stand.looks,
         readings=(),
-        validation=choose_held_out(len(stand.looks), validation),
+        validation=pose_set.choose_held_out(len(stand.looks), validation),
     )
 
 
@@ -208,7 +194,7 @@ class _Reading:
     """Divot readings so far; they improve the aim at the next orientation."""
 
     context: StepContext
-    observed: TipLooks
+    observed: tip_calibration.TipLooks
 
     def take(self, look: int) -> None:
         """Take the reading of one orientation; repeat it if the tip was far from the divot."""
@@ -219,7 +205,7 @@ class _Reading:
             if max(map(abs, reading.dials_mm)) <= NEAR_MM:
                 return
 
-    def _read(self, look: int) -> DivotReading:
+    def _read(self, look: int) -> tip_calibration.DivotReading:
         workcell = self.context.workcell
         over = self.observed.looks[look]
         there, back = (self._pose(over, away_mm) for away_mm in (0.0, HOVER_MM))
@@ -234,28 +220,27 @@ class _Reading:
                 f"at orientation {look + 1} of {len(self.observed.looks)} raise the divot to the tip and "
                 "read the three dials",
                 reads=READS,
-                plausible_mm=(-DIALS_TRAVEL_MM, DIALS_TRAVEL_MM),
+                plausible_mm=(-tip_calibration.DIALS_TRAVEL_MM, tip_calibration.DIALS_TRAVEL_MM),
             )
         )
         dials_mm = (x_mm, y_mm, z_mm)
-        require_plausible(dials_mm)
+        tip_calibration.require_plausible(dials_mm)
         joints = workcell.master.joints_rad()
         self.context.request_instrument_removal()
         workcell.master.settle(hover_rad, ONE_SIDE)
-        return DivotReading(
+        return tip_calibration.DivotReading(
             look=look,
             joints_rad=joints,
             robot_from_flange=pose_record(workcell.master.flange_pose(joints)),
             dials_mm=dials_mm,
         )
 
-    def _pose(self, over: BallLook, away_mm: float) -> Transform:
+    def _pose(self, over: tip_calibration.BallLook, away_mm: float) -> Transform:
         """Return the pose ROBOT <- TOOL of the guide with its tip `away_mm` short of the measured ball."""
         workcell = self.context.workcell
-        head, guide = (
-            workcell.master.flange_from(MountedTool.STEREO_HEAD),
-            workcell.master.flange_from(MountedTool.GUIDE),
-        )
+        tools = (MountedTool.STEREO_HEAD, MountedTool.GUIDE)
+        head, guide = map(workcell.master.flange_from, tools)
+
         flange = over.robot_from_flange.transform(Frame.ROBOT, Frame.FLANGE)
         ball = (flange @ head).apply(over.ball_mm)
         tip = head.apply(self._tip_mm(guide, head))  # flange frame
@@ -268,7 +253,11 @@ class _Reading:
         """Return the tip in the head's tool frame, from the readings so far or else from the record."""
         if not self.observed.readings:
             return (head.inverse() @ guide).translation_mm
-        return np.asarray(tips_of(pairs_of(self.observed, self.observed.readings)).mean(axis=0))
+        return np.asarray(
+            tip_calibration.tips_of(tip_calibration.pairs_of(self.observed, self.observed.readings)).mean(
+                axis=0
+            )
+        )
 
 
 def readings_step(validation: int) -> StepSpec[TipReadings]:

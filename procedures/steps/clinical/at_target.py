@@ -6,9 +6,10 @@ assistant may lead it in and out meanwhile. Its tip is at the target when its de
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from pydantic import Field
@@ -53,6 +54,7 @@ STAYS = "Nothing moves. Repeat the step, or remove the instrument and send the a
 UNSEEN = "the tracker sees no frame on the arm or the guide; only the joints show a push on the guide"
 DONE = "done"  # the one word that ends a stage
 DWELL_S = 0.5  # of theatre time, before the reading
+Insert = Callable[[StepContext, DepthStop], AssistedInsertion]
 
 
 class ReachedTarget(StepResult, kind="at_target", version=4):
@@ -84,8 +86,11 @@ class ReachedTarget(StepResult, kind="at_target", version=4):
     )
 
 
-def run(context: StepContext) -> Outcome[ReachedTarget]:
-    """Check the arm's position, then guide depth stop setting, work stages and instrument removal."""
+def run(context: StepContext, insert: Insert | None = None) -> Outcome[ReachedTarget]:
+    """Check the arm's position, then guide depth stop setting, work stages and instrument removal.
+
+    The instrument goes in by hand unless `insert` has an arm insert it.
+    """
     workcell, trajectory = context.workcell, context.trajectory
     commanded = context.result(PositionedGuide).tool_pose.transform
     context.setting.clock.sleep(DWELL_S)
@@ -109,7 +114,7 @@ def run(context: StepContext) -> Outcome[ReachedTarget]:
         for stage in STAGES:
             if stage.task not in work_so_far.done:
                 with _record_interruption(context, stage):
-                    _do_stage(context, stage, work_so_far)
+                    _do_stage(context, stage, work_so_far, insert)
                     _look_at_guide(context, stage, rest, work_so_far)
                     share = (STAGES.index(stage) + 1) / (len(STAGES) + 1)
                     context.progress(share, f"{stage.done_statement} at {trajectory}")
@@ -163,19 +168,20 @@ def _build_unwatched_outcome(work_so_far: WorkProgress) -> Outcome[ReachedTarget
     )
 
 
-def _do_stage(context: StepContext, stage: WorkStage, work_so_far: WorkProgress) -> None:
+def _do_stage(
+    context: StepContext, stage: WorkStage, work_so_far: WorkProgress, insert: Insert | None
+) -> None:
     """Have one stage done and confirmed. Raises PRO-002 unless it is confirmed, and TOOL-007."""
     trajectory, stop, stages = context.trajectory, work_so_far.stop, context.workcell.master.instrument.stages
     before = f"; earlier: {describe_work(stages, trajectory)}" if stages.tasks_at(trajectory) else ""
     if stage is STAGES[-1]:
         work_so_far.rely_on_stop(context)
     stages.record_begin(trajectory, stage.task)
-    by_hand = stage is not STAGES[-1] or not context.workcell.assistants
+    by_arm = insert if stage is STAGES[-1] else None
     is_led = any(arm.leads_instrument for arm in context.workcell.arms.values())
-    led_in = is_led and work_so_far.assisted and context.doubt(KnownBases) is None
-    if not by_hand and not led_in:
+    if by_arm and not (is_led and work_so_far.assisted and context.doubt(KnownBases) is None):
         work_so_far.assisted = None
-        work_so_far.assisted = insert_with_assistant(context, stop)
+        work_so_far.assisted = by_arm(context, stop)
     question = Question(
         stage.topic,
         f"at {trajectory}: {stage.done_statement}",
@@ -186,7 +192,7 @@ def _do_stage(context: StepContext, stage: WorkStage, work_so_far: WorkProgress)
         timeout_s=None,
     )
     with context.watching(f"the hold at {trajectory}"):
-        if by_hand:
+        if not by_arm:
             context.perform_task(Task(stage.task, f"{stage.instruction} at {trajectory}", trajectory))
         answer = context.choose(question)
         if answer == DONE:  # done, whatever the watch has seen meanwhile
@@ -223,7 +229,7 @@ def _look_at_guide(
 
 
 def _look(context: StepContext, rest: GuideAtRest) -> None:
-    rest.look(context.workcell, context.setting.clock, context.setting.memory.find(RoomWatch))
+    rest.look(context.workcell, context.setting.memory.find(RoomWatch))
 
 
 def _check_room_again(context: StepContext) -> None:
@@ -243,9 +249,7 @@ def _watch_guide(context: StepContext) -> Iterator[GuideAtRest]:
     memory = context.setting.memory
     rest = memory.find(GuideAtRest)
     if rest is None or rest.trajectory != context.trajectory:
-        rest = measure_guide_at_rest(
-            context.workcell, context.setting.clock, context.trajectory, find=context.find
-        )
+        rest = measure_guide_at_rest(context.workcell, context.trajectory, find=context.find)
         memory.keep(rest)
     if not rest.known:
         context.find(f"at {context.trajectory}: {UNSEEN}")
@@ -275,7 +279,8 @@ STEP = StepSpec(
 )
 WITH_ASSISTANT = replace(
     STEP,
-    assistant_moves=True,
+    run=partial(run, insert=insert_with_assistant),
+    others_move=True,
     asks=(
         Topic.DEPTH_STOP,
         *(stage.topic for stage in STAGES[:-1]),

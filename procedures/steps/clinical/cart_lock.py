@@ -9,7 +9,6 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from procedures.engine.context import StepContext
@@ -31,11 +30,10 @@ from procedures.steps.clinical.set_up import CheckedSetUp
 from procedures.steps.conditions import needs_arm_home
 from procedures.steps.errors import CART_NOT_LOCKED, CART_OUT_OF_PLACE
 from procedures.workcell.tracker_look import average_pose, read_frames_at_rest, robot_from_marker
+from ronna_hw.arrays import Array
 from ronna_hw.calibration import Numbers3
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.wire.room_tasks import CART_LOCK, CART_PLACE, CART_PUSH
-
-Array = NDArray[np.float64]
 
 # Of the frame on the arm against the spheres, between two looks from one pose. The noise is 0.1 mm; a free
 # wheel gives way by centimetres.
@@ -97,7 +95,7 @@ def run(context: StepContext) -> Outcome[LockedCart]:
             break
     context.perform_task(Task(CART_PUSH, f"lean on {carts} from each side, then stand clear"))
     _confirm(context, f"someone leaned on {carts}", "from each side, and everyone stands clear")
-    frames, _ = read_frames_at_rest(context.workcell.tracker, context.setting.clock)
+    frames, _ = read_frames_at_rest(context.workcell)
     second = room_reading(context.workcell, frames, robot_from_tracker)
     try:
         moved_mm, spheres = displacement_against_head(robot_from_tracker, first, second)
@@ -138,11 +136,7 @@ def _read_proposal(context: StepContext) -> PlaceFile | None:
 
 def _take_first_look(context: StepContext) -> tuple[Transform, RoomReading]:
     workcell = context.workcell
-    frames, _ = read_frames_at_rest(
-        workcell.tracker,
-        context.setting.clock,
-        lambda share: context.progress(share, "locating the cart"),
-    )
+    frames, _ = read_frames_at_rest(workcell, lambda share: context.progress(share, "locating the cart"))
     seen = average_pose(frames, workcell.calibrations.tracker_frame.tool)
     robot_from_tracker = robot_from_marker(workcell, workcell.master.joints_rad()) @ seen.inverse()
     return robot_from_tracker, room_reading(workcell, frames, robot_from_tracker)

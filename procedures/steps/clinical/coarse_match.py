@@ -7,7 +7,6 @@ the patient lies, what the tracker can see) refuses its pairing where it would r
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from procedures.engine.methods import CaseMethods, Matcher
@@ -16,15 +15,14 @@ from procedures.planning.tracker_sight import SENSORS_MM
 from procedures.registration import match, match_by_template
 from procedures.registration.correspondence import Match, MatchStatus, PosePrior
 from procedures.registration.room_prior import MIRROR, HeadSight, RoomPrior
+from procedures.registration.similarity_matrix import match_as_thesis
 from procedures.registration.template import TEMPLATE_SIGMA_MM
-from procedures.registration.thesis_matching import match_as_thesis
 from procedures.steps.clinical.plan_check import CheckedPlan
+from ronna_hw.arrays import Array
 from ronna_hw.config import ProcedureSettings
 from ronna_hw.frames import Transform
 from ronna_hw.marker_template import IMPLANTED_SIGMA_MM
 from ronna_hw.x_frame import SPHERE_CENTRES_MM
-
-Array = NDArray[np.float64]
 
 SIGMA_CT_MM = 0.10  # per axis: the localizer's error on a poor series, with reserve; the thesis' have 0.097
 SIGMA_TRACKER_MM = 0.35  # per axis: 0.25 mm rms of the volume, twice, for spheres and frame

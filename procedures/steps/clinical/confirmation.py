@@ -72,7 +72,7 @@ def _check_guide(context: StepContext, targets_remain: bool) -> SeenUnchanged:
 def _check_room(context: StepContext, watch: RoomWatch, targets_remain: bool) -> RoomLook:
     """Check head and base by the tracker. If targets remain, a move voids the results that depend on it."""
     setting, occasion = context.setting, f"after {context.trajectory}"
-    reading = read_watched(watch, setting.workcell, setting.clock, CAREFUL_FRAMES)
+    reading = read_watched(watch, setting.workcell, CAREFUL_FRAMES)
     look = watch.compare(reading, setting.clock.now_s())
     if isinstance(look.moved, RoomMoved) and targets_remain:
         void_moved(context, look.moved)
@@ -117,10 +117,6 @@ def _compare_at_target(
     return found[0], found[1]
 
 
-def _needs_guide_at_home(context: StepContext) -> tuple[str, ...]:
-    return (*needs_tool(MountedTool.GUIDE)(context), *needs_arm_home(context))
-
-
 STEP = StepSpec(
     ConfirmedTarget,
     "Look again at head, cart and guide",
@@ -130,5 +126,5 @@ STEP = StepSpec(
     scope=Scope.TRAJECTORY,
     reads=(ReachedTarget, Retreated, MountedGuide, *ROOM_READS, *READS),
     moves=True,
-    preconditions=_needs_guide_at_home,
+    preconditions=lambda context: (*needs_tool(MountedTool.GUIDE)(context), *needs_arm_home(context)),
 )

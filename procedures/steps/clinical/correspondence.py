@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import isinf
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from pydantic import Field
 from scipy.spatial.transform import RigidTransform
 
@@ -29,11 +29,10 @@ from procedures.steps.clinical.localized_room import build_watch
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.results import LeftOutSphere
 from procedures.steps.conditions import needs_guide_unmounted
+from ronna_hw.arrays import Array
 from ronna_hw.calibration import Numbers3
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.wire.room_tasks import TOUCH
-
-Array = NDArray[np.float64]
 
 FARTHEST_MM = 3000.0  # of a head from the arm's base
 READ_AGAIN = (
@@ -164,10 +163,7 @@ def _touch_if_mirrored(
             action=None if mirrored_ct else READ_AGAIN,
         )
     return TouchedLandmark(
-        landmark=landmark.name,
-        touched_mm=(x_mm, y_mm, z_mm),
-        off_mm=off_mm,
-        mirrored_mm=landmark.apart_mm,
+        landmark=landmark.name, touched_mm=(x_mm, y_mm, z_mm), off_mm=off_mm, mirrored_mm=landmark.apart_mm
     )
 
 
@@ -175,7 +171,7 @@ def _require_base_in_place(context: StepContext, room: GlobalLocalization) -> No
     """Raise PRO-019 if a point was touched elsewhere because the cart or the tracker was moved meanwhile."""
     name = context.identifier(GlobalLocalization)
     watch = build_watch(context.workcell, context.setting.settings, name, room, None)
-    seen = read_watched(watch, context.workcell, context.setting.clock)
+    seen = read_watched(watch, context.workcell)
     moved = watch.compare(seen).moved
     if isinstance(moved, BaseShifted):
         context.void(LockedCart if moved.cart and context.stands(LockedCart) else GlobalLocalization, moved)
@@ -199,8 +195,7 @@ def _match_fewer_if_agreed(
     nearest_mm = np.linalg.norm(physical[None] - places[:, None], axis=2).min(axis=1)
     left_out = tuple(
         LeftOutSphere(
-            fiducial=one,
-            reason=f"the tracker sees nothing within {nearest_mm[one]:.1f} mm of its position",
+            fiducial=one, reason=f"the tracker sees nothing within {nearest_mm[one]:.1f} mm of its position"
         )
         for one in rest.unmatched_image
     )

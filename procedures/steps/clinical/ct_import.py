@@ -56,7 +56,6 @@ class ImportedCt(StepResult, kind="ct_import"):
         )
 
     def names_series(self) -> str:
-        """Return the series instance UID."""
         return self.series_instance_uid
 
     def differences(self, volume: Volume) -> str:

@@ -15,35 +15,26 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from procedures.calibration.arm_sources import ArmPoses, arm_sources
 from procedures.engine.context import StepContext
 from procedures.operator.question import Evidence
 from procedures.planning.guide import place_guide
 from procedures.planning.plan_model import PlannedTrajectory
-from procedures.registration import TwoWayTable, register
+from procedures.registration import TwoWayTable, register, target_prediction
 from procedures.registration.error_theory import FreGate, chi_square_limit, degrees_of_freedom
 from procedures.registration.errors import CollinearPoints
 from procedures.registration.point_registration import Registration
 from procedures.registration.points import FEWEST_PAIRS
-from procedures.registration.target_prediction import (
-    IndependentErrors,
-    SharedErrors,
-    UnnoticedPoint,
-    chi_square_of_shared,
-    find_unnoticed_point,
-)
 from procedures.steps.clinical.path_check import CheckedPaths
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.relocalization import arriving
 from procedures.steps.clinical.results import Prediction
 from procedures.strategies.trajectory import refine_target_pose
+from ronna_hw.arrays import Array
 from ronna_hw.calibrated_arm.error_budget import ErrorSizes, backlash_mm2
 from ronna_hw.frames import Transform
 from ronna_hw.vectors import JointVector
-
-Array = NDArray[np.float64]
 
 REPEATABILITY_MM = 0.03  # per axis: robot at rest, and the servo's tolerance
 # The arm's error varies slowly with its joints: neighbouring points share it, distant ones do not, so they
@@ -75,7 +66,7 @@ def residual_gate(
     if float(np.ptp(shared_mm, axis=0).max()) < ALIKE_MM:  # the pose takes all of it
         return fit.gate(confidence=GATE_CONFIDENCE)
     mapped = np.asarray(fit.transform.apply(fit.image_mm), dtype=float)
-    chi_square = chi_square_of_shared(fit.residuals_mm, mapped, allowed, shared_mm)
+    chi_square = target_prediction.chi_square_of_shared(fit.residuals_mm, mapped, allowed, shared_mm)
     limit = chi_square_limit(degrees_of_freedom(fit.pairs), GATE_CONFIDENCE)
     return FreGate(fit.fre_mm, chi_square, limit, GATE_CONFIDENCE)
 
@@ -99,18 +90,13 @@ def find_moved_spheres(
 
 
 def find_undetected_sphere(
-    fit: Registration,
-    target_mm: Array,
-    gate: FreGate,
-    measured_mm2: Array,
-    arm_mm: float,
-    shared_mm: Array,
-) -> UnnoticedPoint:
+    fit: Registration, target_mm: Array, gate: FreGate, measured_mm2: Array, arm_mm: float, shared_mm: Array
+) -> target_prediction.UnnoticedPoint:
     """Find the sphere whose displacement could move the target furthest while still passing the `gate`.
 
     `fit` is the registration used, `target_mm` (3,) is in its physical frame; the rest as in `residual_gate`.
     """
-    return find_unnoticed_point(
+    return target_prediction.find_unnoticed_point(
         np.asarray(fit.transform.apply(fit.image_mm), dtype=float),
         target_mm,
         _allowed_covariance_mm2(measured_mm2, arm_mm),
@@ -143,14 +129,16 @@ class HeldGuide:
     head_rotation: Array
     sides: tuple[int, ...] | None
 
-    def turn_with_head(self, source: SharedErrors) -> SharedErrors:
+    def turn_with_head(self, source: target_prediction.SharedErrors) -> target_prediction.SharedErrors:
         """Rotate a source's errors at the target, which are the head's own, with the head."""
         return replace(source, at_target_mm=self.head_rotation @ source.at_target_mm)
 
-    def turn_errors_back(self, source: SharedErrors | IndependentErrors) -> SharedErrors | IndependentErrors:
+    def turn_errors_back(
+        self, source: target_prediction.SharedErrors | target_prediction.IndependentErrors
+    ) -> target_prediction.SharedErrors | target_prediction.IndependentErrors:
         """Rotate a source's errors at the target back into the head's orientation at the localization."""
         back = self.head_rotation.T
-        if isinstance(source, SharedErrors):
+        if isinstance(source, target_prediction.SharedErrors):
             return replace(source, at_target_mm=back @ source.at_target_mm)
         return replace(source, at_target_mm2=back @ source.at_target_mm2 @ back.T)
 
@@ -173,7 +161,7 @@ def predict_held_guide(
 
 def arm_errors(
     context: StepContext, fiducials: Sequence[int], spheres_mm: Array, target: str, held: HeldGuide
-) -> tuple[SharedErrors | IndependentErrors, ...]:
+) -> tuple[target_prediction.SharedErrors | target_prediction.IndependentErrors, ...]:
     """Return the arm's errors at the planned sphere localizations (n, 3) mm, robot frame, and at a target."""
     paths = context.result(CheckedPaths)
     joints_rad = _planned_joints_rad(context, fiducials)

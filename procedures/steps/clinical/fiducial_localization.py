@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from procedures.engine.context import StepContext
@@ -18,6 +17,7 @@ from procedures.imaging.volume import Volume
 from procedures.journal.results import StepResult, Values
 from procedures.steps.clinical.ct_import import ImportedCt, volume_of
 from procedures.steps.conditions import needs_guide_unmounted
+from ronna_hw.arrays import Array
 from ronna_hw.calibration import Numbers3
 
 PICTURED_DOUBTFUL = 6  # the likeliest; more would hide the markers in the report
@@ -45,7 +45,7 @@ class LocalizedFiducials(StepResult, kind="fiducial_localization", version=2):
     localizer: Localizer = Field(Localizer.OURS, description="Method that found them.")
 
     @property
-    def centres_mm(self) -> NDArray[np.float64]:
+    def centres_mm(self) -> Array:
         """Centres (n, 3), LPS mm."""
         return np.array([marker.centre_mm for marker in self.markers], dtype=float).reshape(-1, 3)
 

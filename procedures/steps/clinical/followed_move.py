@@ -10,7 +10,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from procedures.engine.context import StepContext
 from procedures.guards.errors import BaseShifted, PatientMoved, PatientUnseen
@@ -30,8 +30,6 @@ from procedures.workcell.tracker_look import FRAMES, read_frames_at_rest
 from ronna_hw.devices.strays import average_strays
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.text import format_distinct
-
-Array = NDArray[np.float64]
 
 # Limits of a followed move, with `MOST_FOLLOWED_MM`: paths and angles were chosen for the head as it lay, and
 # a clamp that let it go further is not trusted to hold it now.
@@ -85,7 +83,7 @@ def _measure_move(context: StepContext) -> MeasuredMove | None:
     settings, name = context.setting.settings, context.identifier(GlobalLocalization)
     watch = build_watch(workcell, settings, name, localized, pairs)
     context.progress(0.0, "measuring whether the head has moved")
-    frames, _ = read_frames_at_rest(workcell.tracker, context.setting.clock)
+    frames, _ = read_frames_at_rest(workcell)
     judged, pushed = watch.follow_tracker(watch.judge(watch.read(workcell, frames)))
     reading, motion, expected = judged.reading, judged.motion, watch.expected(judged)
     for finding in pushed:

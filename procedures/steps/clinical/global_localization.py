@@ -11,7 +11,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from procedures.engine.context import StepContext
@@ -28,10 +27,11 @@ from procedures.steps.conditions import needs_tool
 from procedures.workcell import MountedTool
 from procedures.workcell.patient_frame import hold_to_patient_frame
 from procedures.workcell.tracker_look import average_pose, read_frames_at_rest, robot_from_marker
+from ronna_hw.arrays import Array
 from ronna_hw.calibration import Numbers3
 from ronna_hw.devices.strays import StrayAverage, average_strays
 from ronna_hw.text import format_against_limit
-from ronna_hw.vectors import JointVector
+from ronna_hw.vectors import JointVector, vector3
 
 # Safety against spheres that move while they are localized (U).
 SPREAD_LIMIT_MM = 1.0  # rms of one sphere over the frames; more means that something moved
@@ -57,7 +57,7 @@ class GlobalLocalization(StepResult, kind="global_localization"):
     )
 
     @property
-    def points_mm(self) -> NDArray[np.float64]:
+    def points_mm(self) -> Array:
         """Spheres (n, 3), robot frame, mm."""
         return np.asarray(self.points_robot_mm, dtype=float).reshape(-1, 3)
 
@@ -69,11 +69,7 @@ def run(context: StepContext) -> Outcome[GlobalLocalization]:
     workcell = context.workcell
     if workcell.master.tool is MountedTool.GUIDE:  # earlier localizations are void
         exchange_tool(context, MountedTool.STEREO_HEAD)
-    frames, lost = read_frames_at_rest(
-        workcell.tracker,
-        context.setting.clock,
-        lambda share: context.progress(share, "reading the tracker"),
-    )
+    frames, lost = read_frames_at_rest(workcell, lambda share: context.progress(share, "reading the tracker"))
     on_arm, patient = workcell.calibrations.tracker_frame.tool, None
     if (name := workcell.patient_frame) is not None:
         frames, patient = hold_to_patient_frame(frames, name, workcell.tracker.markers_mm[name], on_arm)
@@ -88,8 +84,8 @@ def run(context: StepContext) -> Outcome[GlobalLocalization]:
     return Outcome(
         GlobalLocalization(
             frames=len(frames),
-            points_robot_mm=_rows(robot_from_tracker.apply(points) if len(points) else points),
-            points_tracker_mm=_rows(points),
+            points_robot_mm=tuple(map(vector3, robot_from_tracker.apply(points) if len(points) else points)),
+            points_tracker_mm=tuple(map(vector3, points)),
             spread_mm=tuple(float(group.spread_mm) for group in groups),
             counts=tuple(int(group.count) for group in groups),
             outliers=tuple(int(group.outliers) for group in groups),
@@ -103,10 +99,6 @@ def run(context: StepContext) -> Outcome[GlobalLocalization]:
         + (f", relative to {name}" if patient is not None else "")
         + (f", {lost} readings lost on the line" if lost else ""),
     )
-
-
-def _rows(points_mm: NDArray[np.float64]) -> tuple[Numbers3, ...]:
-    return tuple((float(x), float(y), float(z)) for x, y, z in points_mm)
 
 
 def _check_count(seen: int, least: int) -> None:

@@ -7,15 +7,15 @@ and the only one where the tracker does not see the frame on the arm.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-
 from procedures.calibration.guide_load import LoadEstimate, Standstill, estimate_load
 from procedures.engine.context import StepContext
 from procedures.guards.errors import RoomUndecided
 from procedures.workcell import MountedTool, Workcell
-from procedures.workcell.arm_load import as_standstill
 from ronna_hw.arm.catalogue import find_arm
-from ronna_hw.vectors import vector3
+from ronna_hw.arm.load_model import LoadModel
+from ronna_hw.devices.axis_loads import AxisLoads
+from ronna_hw.devices.readings import Validity
+from ronna_hw.vectors import joint_vector, vector3
 
 CYCLES = 25  # averaged: a tenth of a second of a KR C4; friction of the gears decides, not noise
 LET_GO = (
@@ -24,11 +24,8 @@ LET_GO = (
 )
 
 
-@dataclass
-class UnloadedStops:
+class UnloadedStops(list[Standstill]):
     """Stops of the arm at which nobody leaned on it, with the signals of its load."""
-
-    stops: list[Standstill] = field(default_factory=list)
 
 
 def note_unloaded(context: StepContext) -> None:
@@ -36,9 +33,7 @@ def note_unloaded(context: StepContext) -> None:
     if (stop := _read(context.workcell)) is None:
         return
     memory = context.setting.memory
-    known = memory.find(UnloadedStops) or UnloadedStops()
-    known.stops.append(stop)
-    memory.keep(known)
+    memory.keep(UnloadedStops([*(memory.find(UnloadedStops) or ()), stop]))
 
 
 def require_unloaded(context: StepContext) -> LoadEstimate | None:
@@ -50,7 +45,7 @@ def require_unloaded(context: StepContext) -> LoadEstimate | None:
         return None
     bore = workcell.tools.guide.bore
     end_mm = workcell.master.flange_from(MountedTool.GUIDE).apply((0.0, 0.0, -bore.reach_mm))
-    load = estimate_load(arm, model, known.stops, now, vector3(end_mm))
+    load = estimate_load(arm, model, known, now, vector3(end_mm))
     if load.is_loaded:
         x, y, z = load.force_N.tolist()
         raise RoomUndecided(
@@ -64,10 +59,20 @@ def require_unloaded(context: StepContext) -> LoadEstimate | None:
 
 
 def _read(workcell: Workcell) -> Standstill | None:
-    if not workcell.master.streaming:
+    master = workcell.master
+    if not master.streaming:
         return None
-    return as_standstill(
-        workcell.master.read_load(CYCLES),
-        find_arm(workcell.master.arm.kinematics.name).load,
-        str(workcell.master.tool),
-    )
+    model = find_arm(master.arm.kinematics.name).load
+    return as_standstill(master.read_load(CYCLES), model, str(master.tool))
+
+
+def as_standstill(loads: AxisLoads | None, model: LoadModel | None, tool: str) -> Standstill | None:
+    """Return what the estimate needs, or None without fresh signals or assumptions on this model of arm."""
+    if loads is None or model is None or loads.validity is not Validity.OK:
+        return None
+    signal = loads.current_percent or loads.current_A
+    if signal is not None and model.subtracts_gravity:
+        if (expected := loads.expected_current_A) is None:
+            return None
+        signal = joint_vector(x - y for x, y in zip(signal, expected, strict=True))
+    return None if signal is None else Standstill(loads.joints_rad, signal, loads.cycles, tool, loads.force_N)

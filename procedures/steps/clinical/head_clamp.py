@@ -48,7 +48,7 @@ def run(context: StepContext) -> Outcome[ClampedHead]:
         f"patient position {table_orientation}; {checked.implanted} spheres are on the screws: is that so?"
     )
     context.confirm(Topic.HEAD_CLAMPED, subject, value)
-    frames, _ = read_frames_at_rest(context.workcell.tracker, context.setting.clock, count=FRAMES)
+    frames, _ = read_frames_at_rest(context.workcell, count=FRAMES)
     require_in_view(context.workcell, frames)
     seen = len(average_strays(frames).groups)
     if seen < LEAST_POINTS:

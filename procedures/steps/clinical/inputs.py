@@ -83,10 +83,7 @@ class UnchangedInputs:
 
 
 def note_same_content(engine: Engine, path: Path, record: Record) -> None:
-    """Record that a plan or position was rewritten unchanged, so that the existing result stays valid.
-
-    Raises PRO-003.
-    """
+    """Record that a plan or position was rewritten unchanged: its result stays valid. Raises PRO-003."""
     folder = engine.case.folder
     then = Manifest(read_chain(folder / JOURNAL_FILE).lines).result_inputs
     now: dict[str, JournalValue] = dict(hash_inputs(folder, [path]))

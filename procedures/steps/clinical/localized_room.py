@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from procedures.guards.room_watch import FlangePose, RoomWatch
 from procedures.room.estimate import RoomEstimate
@@ -19,12 +18,11 @@ from procedures.steps.clinical.results import KnownBases, RegisteredRobot
 from procedures.workcell import Workcell
 from procedures.workcell.tracker_look import flange_from_marker
 from ronna_hw.arm.catalogue import find_arm
+from ronna_hw.arrays import Array
 from ronna_hw.calibrated_arm.error_budget import ErrorSizes
 from ronna_hw.config import ProcedureSettings
 from ronna_hw.frames import Transform
 from ronna_hw.vectors import JointVector
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -48,12 +46,7 @@ class LocalizedRoom:
         """Expected place of the head."""
         return Places(self.spheres_mm, None if self.on_clamp is None else self.on_clamp.as_matrix())
 
-    def watch(
-        self,
-        localization: str,
-        arm: TrackedArm,
-        flange_pose: FlangePose,
-    ) -> RoomWatch:
+    def watch(self, localization: str, arm: TrackedArm, flange_pose: FlangePose) -> RoomWatch:
         """Begin the watch, with the localization as its first look."""
         to_robot = self.robot_from_tracker
         centre_mm = np.asarray(to_robot.apply(self.spheres_mm)).mean(axis=0)
@@ -138,19 +131,11 @@ def bring_up_to_date(
     """Take the assistant in once its base is known, and expect a followed head at its new place."""
     if bases is not None and bases != watch.bases:
         take_in_assistant(watch, workcell, settings, bases)
-    watch.follow(*find_followed_places(followed))
-
-
-def find_followed_places(registration: RegisteredRobot | None) -> tuple[Array | None, Transform | None]:
-    """Return where a registration followed the spheres (n, 3), mm, and the frame on the clamp.
-
-    In the tracker frame of the localization; None for what it did not follow.
-    """
-    move = None if registration is None else registration.followed
-    if move is None:
-        return None, None
+    if followed is None or (move := followed.followed) is None:
+        watch.follow(None)
+        return
     on_clamp = None if move.tracker_from_patient is None else move.tracker_from_patient.transform
-    return np.asarray(move.spheres_tracker_mm, dtype=float), on_clamp
+    watch.follow(np.asarray(move.spheres_tracker_mm, dtype=float), on_clamp)
 
 
 def take_in_assistant(

@@ -6,25 +6,18 @@ A trajectory that cannot be served is put to the operator: nothing is replaced o
 from __future__ import annotations
 
 import math
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Annotated
 
-import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, PlainSerializer, PlainValidator
 
 from procedures.engine.context import StepContext
 from procedures.engine.order import Outcome, Phase, StepSpec
 from procedures.journal.results import FramedPose, StepResult, Values
 from procedures.operator.question import join_answers
-from procedures.planning.free_angle import (
-    TurnedPaths,
-    advice,
-    choose_free_angles,
-    find_alternatives,
-    find_unreached,
-)
+from procedures.planning import free_angle
 from procedures.planning.guide import place_guides
 from procedures.planning.line_of_sight import StereoSight
 from procedures.planning.motions import PreviewedMotion, preview_motions
@@ -47,11 +40,10 @@ from procedures.workcell.motions import AnnouncedMotions
 from ronna_hw.arm.clearance.sweep import ClosestPair
 from ronna_hw.arm.kinematics import Branch
 from ronna_hw.arm.pose import radians6
+from ronna_hw.arrays import Array
 from ronna_hw.calibrated_arm.error_budget import ErrorSizes
 from ronna_hw.roles import MASTER
 from ronna_hw.vectors import JointVector
-
-Array = NDArray[np.float64]
 
 
 def _read_pose(value: object) -> PoseName:
@@ -73,7 +65,6 @@ class ClosestApproach(Values):
 
     @classmethod
     def of(cls, closest: ClosestPair) -> ClosestApproach:
-        """Convert a closest pair from the clearance check."""
         return cls(
             first=closest.first, second=closest.second, distance_mm=closest.distance_mm, at=closest.fraction
         )
@@ -96,7 +87,6 @@ class MotionPreview(Values):
 
     @classmethod
     def of(cls, motion: PreviewedMotion) -> MotionPreview:
-        """Convert a motion preview from the planner."""
         preview = motion.preview
         return cls(
             start=motion.motion.start,
@@ -190,7 +180,6 @@ class CheckedPaths(StepResult, kind="path_check"):
         return self.left_out
 
     def strategy_of(self, trajectory: str) -> str:
-        """Return the name of a trajectory's strategy."""
         return self.replaced.get(trajectory, self.chosen.get(trajectory, self.strategy))
 
     def localizations_for(self, trajectory: str | None) -> tuple[LocalizationPose, ...]:
@@ -227,14 +216,11 @@ def run(context: StepContext) -> Outcome[CheckedPaths]:
         scene=scene,
         sizes=sizes,
         gauge_rad=radians6(*workcell.tools.guide.gauge.joints_deg),
-        sights=room_watch(context).sights if workcell.assistants else (),  # to watch its insertion
+        sights=room_watch(context).sights if len(workcell.arms) > 1 else (),  # to watch an insertion
     )
     context.progress(0.0, "checking every path")
     search = PathSearch(
-        context,
-        setting,
-        localization.centres_mm[matched],
-        StereoSight.of(workcell.calibrations.stereo_head),
+        context, setting, localization.centres_mm[matched], StereoSight.of(workcell.calibrations.stereo_head)
     )
     held = place_guides(plan.plan, workcell.tools.guide.bore)
     turned = search.find_paths([one for one in held if one.identifier in context.remaining])
@@ -271,7 +257,7 @@ def _describe_closest(motions: Sequence[PreviewedMotion]) -> str:
     return f", smallest clearance {min(distances):.0f} mm" if distances else ""
 
 
-def _describe_turns(turned: TurnedPaths) -> str:
+def _describe_turns(turned: free_angle.TurnedPaths) -> str:
     turns = [
         f"{name} turned by {math.degrees(turn):+.0f} deg" for name, turn in turned.turns_rad.items() if turn
     ]
@@ -329,27 +315,29 @@ class PathSearch:
     sight: StereoSight
     left_out: dict[str, str] = field(default_factory=dict)
     replaced: dict[str, Strategy] = field(default_factory=dict)
-    _tried: dict[str, set[str]] = field(default_factory=dict)
+    _tried: dict[str, set[str]] = field(default_factory=lambda: defaultdict(set))
 
-    def find_paths(self, trajectories: Sequence[Trajectory]) -> TurnedPaths:
+    def find_paths(self, trajectories: Sequence[Trajectory]) -> free_angle.TurnedPaths:
         """Find paths of all trajectories not left out. Raises PLAN-007 for one that stays out of reach."""
         self.setting = choose_best_strategies(self.setting, trajectories, self.centres_mm, self.sight)
         while True:
             remain = [one for one in trajectories if one.identifier not in self.left_out]
-            turned = choose_free_angles(self._setting(), remain, self.centres_mm, self.sight)
+            setting = self.setting
+            if self.replaced:
+                setting = replace(setting, strategy=StrategyByTrajectory(setting.strategy, self.replaced))
+            turned = free_angle.choose_free_angles(setting, remain, self.centres_mm, self.sight)
             if turned.check.passed:
                 return turned
             self._decide(turned.check, remain)
 
-    def _setting(self) -> ArmSetting:
-        if not self.replaced:
-            return self.setting
-        return replace(self.setting, strategy=StrategyByTrajectory(self.setting.strategy, self.replaced))
-
     def _decide(self, check: PathCheck, trajectories: Sequence[Trajectory]) -> None:
-        reasons = find_unreached(check, trajectories)
+        reasons = free_angle.find_unreached(check, trajectories)
         reaching_strategies = {
-            one.identifier: self._alternatives(one) for one in trajectories if one.identifier in reasons
+            name: free_angle.find_alternatives(
+                self.setting, one, self.centres_mm, self.sight, self._tried[name]
+            )
+            for one in trajectories
+            if (name := one.identifier) in reasons
         }
         others = [one.identifier for one in trajectories if one.identifier not in reasons]
         for name, reason in reasons.items():
@@ -368,7 +356,7 @@ class PathSearch:
         offered = reaching_strategies[name] if self.setting.strategy.localizes_per_trajectory else ()
         answers = (*(strategy_answer(one.name) for one in offered), *((LEAVE_OUT,) if others else ()), HOLD)
         if answers == (HOLD,):
-            check.require(advice(reaching_strategies))
+            check.require(free_angle.advice(reaching_strategies))
         current = self.replaced.get(name, self.setting.strategy)
         reach_text = (
             f"; {join_answers([one.name for one in reaching_strategies[name]])} would reach it"
@@ -385,17 +373,13 @@ class PathSearch:
         answer = self.context.choose(question)
         agreed = [one for one in offered if answer == strategy_answer(one.name)]
         if agreed:
-            self._tried.setdefault(name, set()).add(agreed[0].name)
+            self._tried[name].add(agreed[0].name)
             self.replaced[name] = agreed[0]
         elif answer == LEAVE_OUT:
             self.left_out[name] = reason
             self.replaced.pop(name, None)
         else:
-            check.require(advice(reaching_strategies))
-
-    def _alternatives(self, trajectory: Trajectory) -> tuple[Strategy, ...]:
-        tried = self._tried.get(trajectory.identifier, set())
-        return find_alternatives(self.setting, trajectory, self.centres_mm, self.sight, tried)
+            check.require(free_angle.advice(reaching_strategies))
 
 
 STEP = StepSpec(

@@ -25,10 +25,7 @@ from procedures.planning.plan_lock import lock_plan
 from procedures.planning.plan_model import Plan, PlannedTrajectory
 from procedures.steps.branches import FEWEST_SPHERES, GO_ON, SPHERE_COUNT
 from procedures.steps.clinical.ct_import import ImportedCt, volume_of
-from procedures.steps.clinical.fiducial_localization import (
-    DoubtfulSphere,
-    LocalizedFiducials,
-)
+from procedures.steps.clinical.fiducial_localization import DoubtfulSphere, LocalizedFiducials
 from procedures.steps.conditions import needs_guide_unmounted
 
 SHORT_HASH = 8  # hex digits: enough to tell two series apart at a glance
@@ -76,12 +73,7 @@ def run(context: StepContext) -> Outcome[CheckedPlan]:
     context.note_inputs(context.clinical.plan)
     context.setting.memory.drop(Volume)  # the largest input is not needed after this
     return Outcome(
-        CheckedPlan(
-            plan=plan,
-            implanted=spheres,
-            head=head,
-            warnings=tuple(check.warnings),
-        ),
+        CheckedPlan(plan=plan, implanted=spheres, head=head, warnings=tuple(check.warnings)),
         summary="; ".join((summary, f"plan {describe_seal(plan)}", *check.warnings)),
     )
 

@@ -16,16 +16,10 @@ from procedures.operator.question import YES, Topic
 from procedures.planning.errors import NotReachable
 from procedures.planning.guide import place_guide
 from procedures.steps.branches import KEPT_REGISTRATION
+from procedures.steps.clinical import room
 from procedures.steps.clinical.path_check import CheckedPaths
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.results import RegisteredRobot
-from procedures.steps.clinical.room import (
-    ROOM_READS,
-    build_expected_sight,
-    check_room,
-    require_head_in_view,
-    require_unmoved,
-)
 from procedures.steps.clinical.surroundings import READS, surround_guide
 from procedures.steps.clinical.tool_change import MountedGuide
 from procedures.steps.clinical.tool_check import CheckedTool
@@ -65,7 +59,7 @@ def run(context: StepContext) -> Outcome[PositionedGuide]:
     insertion = insertion_for(context, robot_from_ct)
     standoff_mm = context.result(CheckedPlan).plan.standoff_mm
     planned = paths.targets[trajectory]
-    expected = build_expected_sight(context, surround_guide(context, robot_from_ct, planned.joints_rad))
+    expected = room.build_expected_sight(context, surround_guide(context, robot_from_ct, planned.joints_rad))
     with name_refusals(trajectory):
         approach_rad = workcell.master.joints_at(insertion.start, planned.approach_rad, insertion.arriving)
     is_hidden = expected.hidden_at(approach_rad) or expected.hidden_at(planned.joints_rad)
@@ -85,22 +79,20 @@ def run(context: StepContext) -> Outcome[PositionedGuide]:
         )
     workcell.master.mount.check(MountedTool.GUIDE)  # a question may stand for minutes
     if via_home:
-        check_room(context, f"before {trajectory}")
+        room.check_room(context, f"before {trajectory}")
         workcell.start()
         workcell.master.return_home()
-    require_unmoved(context, f"before {trajectory}")
+    room.require_unmoved(context, f"before {trajectory}")
     workcell.start()
-    with require_head_in_view(context):
+    with room.require_head_in_view(context):
         context.progress(0.0, f"moving over {trajectory}")
         with name_refusals(trajectory, workcell):
             workcell.master.go(approach_rad)
-            check_room(context, f"over {trajectory}")
+            room.check_room(context, f"over {trajectory}")
             context.progress(0.5, f"moving along {trajectory}")
             reached = workcell.master.insert(insertion)
         look = look_at_target(context)
-    rest = measure_guide_at_rest(
-        workcell, context.setting.clock, trajectory, look.reading.tracker_frames, context.find
-    )
+    rest = measure_guide_at_rest(workcell, trajectory, look.reading.tracker_frames, context.find)
     context.setting.memory.keep(rest)
     return Outcome(
         PositionedGuide(tool_pose=FramedPose.of(insertion.held), joints_rad=reached.joints_rad),
@@ -116,7 +108,7 @@ def _require_guide_in_seat(context: StepContext) -> None:
     try:
         require_seen_in_place(context, frame, must_see=False)
     except ToolSeenElsewhere:
-        check_room(context, f"before {context.trajectory}")
+        room.check_room(context, f"before {context.trajectory}")
         raise
 
 
@@ -179,7 +171,7 @@ STEP = StepSpec(
     run,
     asks=(Topic.APPROACH,),
     scope=Scope.TRAJECTORY,
-    reads=(RegisteredRobot, MountedGuide, CheckedTool, CheckedPaths, *ROOM_READS, *READS),
+    reads=(RegisteredRobot, MountedGuide, CheckedTool, CheckedPaths, *room.ROOM_READS, *READS),
     moves=True,
     preconditions=needs_tool(MountedTool.GUIDE),
 )

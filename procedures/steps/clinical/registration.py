@@ -8,7 +8,6 @@ from __future__ import annotations
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from procedures.engine.context import StepContext
 from procedures.engine.order import Outcome, Phase, Scope, StepSpec
@@ -29,24 +28,12 @@ from procedures.registration.error_theory import DEFAULT_CONFIDENCE, FreGate
 from procedures.registration.points import FEWEST_PAIRS
 from procedures.registration.target_prediction import (
     IndependentErrors,
-    UnnoticedPoint,
     check_residuals,
     predict_target_error,
 )
 from procedures.steps.branches import BEYOND_MARGIN, LEAVE_OUT, MOVED_SPHERE
+from procedures.steps.clinical import error_budget
 from procedures.steps.clinical.correspondence import Correspondence
-from procedures.steps.clinical.error_budget import (
-    arm_covariance_mm2,
-    arm_errors,
-    budget_table,
-    find_moved_spheres,
-    find_undetected_sphere,
-    predict_held_guide,
-    residual_gate,
-    sphere_displacements_mm,
-    two_way_table,
-    unknown_sides_mm2,
-)
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
 from procedures.steps.clinical.followed_move import MeasuredMove, followed_move
 from procedures.steps.clinical.global_localization import GlobalLocalization
@@ -62,11 +49,10 @@ from procedures.steps.clinical.results import (
 )
 from procedures.steps.clinical.unnoticed import expect_unnoticed
 from procedures.workcell import MountedTool
+from ronna_hw.arrays import Array
 from ronna_hw.calibrated_arm.error_budget import arm_error_mm
 from ronna_hw.frames import Frame
 from ronna_hw.text import format_against_limit, format_distinct
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -101,8 +87,8 @@ class _Pairs:
                 np.eye(3) * context.setting.settings.seating_error_mm**2, (len(fiducials), 1, 1)
             ),
             stereo_mm2=np.array(fine.covariances_mm2),
-            sides_mm2=unknown_sides_mm2(context, fiducials, fine.points_mm),
-            tool_mm=sphere_displacements_mm(context, fine.fiducials),
+            sides_mm2=error_budget.unknown_sides_mm2(context, fiducials, fine.points_mm),
+            tool_mm=error_budget.sphere_displacements_mm(context, fine.fiducials),
         )
 
     def without(self, place: int) -> _Pairs:
@@ -111,11 +97,8 @@ class _Pairs:
         return _Pairs(tuple(self.fiducials[row] for row in kept), *arrays)
 
     def gate(self, arm_mm: float) -> FreGate:
-        return residual_gate(self.image_mm, self.physical_mm, self.measured_mm2, arm_mm, self.tool_mm)
-
-    def find_undetected(self, fit: Registration, target_mm: Array, arm_mm: float) -> UnnoticedPoint:
-        return find_undetected_sphere(
-            fit, target_mm, self.gate(arm_mm), self.measured_mm2, arm_mm, self.tool_mm
+        return error_budget.residual_gate(
+            self.image_mm, self.physical_mm, self.measured_mm2, arm_mm, self.tool_mm
         )
 
 
@@ -130,7 +113,7 @@ def run(context: StepContext) -> Outcome[RegisteredRobot]:
     fit = register(
         pairs.image_mm,
         pairs.physical_mm,
-        covariance_mm2=pairs.measured_mm2 + arm_covariance_mm2(arm_mm),
+        covariance_mm2=pairs.measured_mm2 + error_budget.arm_covariance_mm2(arm_mm),
     )
     fit.require_rotation()  # the residuals were judged before, with the errors that points share
     trajectories = [plan.trajectory(name) for name in context.served_trajectories]
@@ -158,7 +141,7 @@ def run(context: StepContext) -> Outcome[RegisteredRobot]:
             + f"; not included: {predicted.excluded}"
             + "".join(f"; {said}" for said in (predicted.assumed, methods) if said),
             trajectory=predicted.target,
-            evidence=(budget_table(predicted), two_way_table(two_way)),
+            evidence=(error_budget.budget_table(predicted), error_budget.two_way_table(two_way)),
             predicted=against,
             pictures=_picture_of(context, predicted.target),
         )
@@ -195,7 +178,9 @@ def _select_agreeing_pairs(
     gate = pairs.gate(arm_mm)
     if gate.passed:
         return pairs, ()
-    moved = find_moved_spheres(pairs.image_mm, pairs.physical_mm, pairs.measured_mm2, arm_mm, pairs.tool_mm)
+    moved = error_budget.find_moved_spheres(
+        pairs.image_mm, pairs.physical_mm, pairs.measured_mm2, arm_mm, pairs.tool_mm
+    )
     names = " and ".join(context.served_trajectories)
     fre, limit = format_distinct(gate.fre_mm, gate.limit_mm, 3)
     refusal = GateFailed(
@@ -285,7 +270,7 @@ def predict_tip_error(
     tip_mm = np.asarray(fit.transform.apply(np.asarray(planned.target_mm, dtype=float)), dtype=float)
     moved = None if move is None else move.record.robot_from_robot.transform
     robot_from_ct = fit.between(Frame.ROBOT, Frame.CT)
-    held = predict_held_guide(context, planned, robot_from_ct, moved)
+    held = error_budget.predict_held_guide(context, planned, robot_from_ct, moved)
     plan, bore = context.result(CheckedPlan).plan, context.workcell.tools.guide.bore
     calibrations = context.workcell.calibrations
     at_target_mm = {
@@ -309,7 +294,7 @@ def predict_tip_error(
         ),
         IndependentErrors("seating of the spheres", pairs.seating_mm2, np.zeros((3, 3))),
         IndependentErrors("stereo measurement", pairs.stereo_mm2, np.zeros((3, 3))),
-        *arm_errors(context, pairs.fiducials, fit.physical_mm, target, held),
+        *error_budget.arm_errors(context, pairs.fiducials, fit.physical_mm, target, held),
         IndependentErrors(INSTRUMENT, nothing, instrument_covariance_mm2(plan, planned, bore, turn)),
         IndependentErrors(
             DIRECTION, nothing, direction_covariance_mm2(plan, planned, bore, stated_rad, turn)
@@ -318,7 +303,10 @@ def predict_tip_error(
         *(IndependentErrors(name, nothing, part) for name, part in unnoticed.items()),
     )
     residual = check_residuals(fit.residuals_mm, fit.physical_mm - fit.residuals_mm, sources)
-    worst = pairs.find_undetected(fit, tip_mm, arm_error_mm(context.setting.settings, calibrations.arm))
+    arm_mm = arm_error_mm(context.setting.settings, calibrations.arm)
+    worst = error_budget.find_undetected_sphere(
+        fit, tip_mm, pairs.gate(arm_mm), pairs.measured_mm2, arm_mm, pairs.tool_mm
+    )
     predicted = predict_target_error(
         fit.physical_mm,
         tip_mm,

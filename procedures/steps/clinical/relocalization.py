@@ -14,7 +14,6 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from procedures.engine.context import StepContext
 from procedures.engine.order import Outcome, Phase, Scope, StepSpec
@@ -34,11 +33,10 @@ from procedures.strategies.strategy import ONE_SIDE
 from procedures.workcell import MountedTool
 from procedures.workcell.centring import CentredSphere, Centring
 from procedures.workcell.stereo_look import pair_picture
+from ronna_hw.arrays import Array
 from ronna_hw.calibrated_arm.error_budget import ErrorSizes
 from ronna_hw.errors import RonnaError, is_error
 from ronna_hw.text import format_against_limit
-
-Array = NDArray[np.float64]
 
 SMALL_STEPS = "the small steps over each sphere, or in search of one that is not seen"
 # Safety against a sphere taken for another. Source: chi distribution of three axes.
@@ -60,9 +58,8 @@ def _localize_spheres(context: StepContext, paths: CheckedPaths) -> Outcome[Relo
     workcell.master.mount.check(MountedTool.STEREO_HEAD)
     surround_stereo_head(context, planned[len(planned) // 2].joints_rad)
     occasion = "before the spheres are localized again"
-    if workcell.master.place.is_home or not context.stands(
-        Relocalization
-    ):  # what moves from here on shows at home
+    # What moves from here on shows at home.
+    if workcell.master.place.is_home or not context.stands(Relocalization):
         check_room(context, occasion)
         workcell.start(cameras=True)
         workcell.master.return_home()

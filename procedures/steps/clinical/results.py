@@ -11,7 +11,6 @@ from dataclasses import asdict
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, NonNegativeFloat, NonNegativeInt, model_validator
 
 from procedures.calibration.base_to_base import meeting_error_mm
@@ -21,10 +20,9 @@ from procedures.journal.results import FramedPose, Matrix3, StepResult, Values
 from procedures.operator.question import PredictedError
 from procedures.registration import TwoWayTable
 from procedures.workcell.supervised_arm import SupervisedArm
+from ronna_hw.arrays import Array
 from ronna_hw.calibration import Numbers3
 from ronna_hw.vectors import JointVector
-
-Array = NDArray[np.float64]
 
 # Rms at the spheres that remains after a rigid fit, as measured in docs/reference/scanner-faults.md.
 NOT_PREDICTED = (
@@ -101,7 +99,6 @@ class Prediction(Values):
     )
 
     def against(self, margin_mm: float) -> PredictedError:
-        """Set the prediction against the margin of the plan."""
         return PredictedError(
             margin_mm=margin_mm, **self.model_dump(include=set(PredictedError.model_fields))
         )
@@ -163,7 +160,6 @@ class RegisteredRobot(StepResult, kind="registration"):
 
     @property
     def trajectories(self) -> frozenset[str]:
-        """Trajectories that use the registration."""
         return frozenset(one.target for one in self.predictions)
 
     def prediction(self, target: str) -> Prediction:

@@ -6,22 +6,20 @@ targets that nobody has confirmed since are in doubt.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
+from types import MappingProxyType
 
 import numpy as np
-from numpy.typing import NDArray
 
 from procedures.calibration.errors import PlatformMoved
 from procedures.engine.context import StepContext
 from procedures.guards.errors import BaseShifted, PatientMoved, PatientUnseen
-from procedures.guards.head_sight import Approach
-from procedures.guards.room_reading import AS_KNOWN, CAREFUL_FRAMES, FRAMES, ArrivedSides
+from procedures.guards.room_reading import AS_KNOWN, CAREFUL_FRAMES, FRAMES, ON_ARM, ArrivedSides
 from procedures.guards.room_watch import RoomLook, RoomWatch, check_now
 from procedures.registration.movement import LEAST_POINTS
-from procedures.room.sighting import Tracked
 from procedures.steps.clinical.cart_lock import LockedCart
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.global_localization import GlobalLocalization
@@ -31,12 +29,11 @@ from procedures.steps.clinical.results import ConfirmedTarget, KnownBases, Regis
 from procedures.workcell import MountedTool
 from procedures.workcell.tracker_look import read_frames_at_rest
 from ronna_hw.arm.clearance.bodies import Surroundings
+from ronna_hw.arrays import Array
 from ronna_hw.collision_config import BodyFrame
 from ronna_hw.devices.readings import TrackerFrame
 from ronna_hw.errors import RonnaError
 from ronna_hw.vectors import JointVector
-
-Array = NDArray[np.float64]
 
 # Safety against a registration that follows too large a move (U).
 MOST_FOLLOWED_MM = 5.0  # rms over the spheres, of a move that a registration may follow
@@ -58,9 +55,7 @@ def check_room(
     registrations that may follow it, and everything computed from them.
     """
     setting, void = context.setting, partial(void_moved, context)
-    look = check_now(
-        room_watch(context), setting.workcell, setting.clock, setting.memory, void, frames, sides
-    )
+    look = check_now(room_watch(context), setting.workcell, setting.memory, void, frames, sides)
     for finding in look.findings:
         context.find(f"{occasion}: {finding}")
     return look
@@ -84,11 +79,12 @@ def require_unmoved(context: StepContext, occasion: str) -> None:
             f"{occasion}, the tracker does not see the frame on the arm: the cart may have moved",
             expected="the frame on the arm in view, with the arm home",
         )
-    if context.workcell.assistants and Tracked.ASSISTANT not in look.reading.frames:
-        raise PatientUnseen(
-            f"{occasion}, the tracker does not see the frame on the assistant: its cart may have moved",
-            expected="the frame on the assistant in view, with both arms home",
-        )
+    for arm in context.workcell.assistants:
+        if ON_ARM[arm.role] not in look.reading.frames:
+            raise PatientUnseen(
+                f"{occasion}, the tracker does not see the frame on the {arm.name}: its cart may have moved",
+                expected=f"the frame on the {arm.name} in view, with both arms home",
+            )
 
 
 @dataclass(frozen=True)
@@ -99,23 +95,21 @@ class ExpectedSight:
     watch: RoomWatch
     surroundings: Surroundings
 
-    def hidden_at(self, joints_rad: JointVector, assistant_rad: JointVector | None = None) -> bool:
+    def hidden_at(
+        self, joints_rad: JointVector, others_rad: Mapping[str, JointVector] = MappingProxyType({})
+    ) -> bool:
         """Whether too few spheres, and markers on the clamp, are visible with the arm at these joints.
 
-        An assistant is where it is, or at `assistant_rad`.
+        The other arms are where they are, or at `others_rad` by role.
         """
         workcell = self.context.workcell
-        arm, known = workcell.master.arm.kinematics, [one for one in workcell.assistants if one.history.base]
+        known = [one for one in workcell.assistants if one.history.base]
         for sight in self.watch.sights:
-            seen = sight.seen(arm, self.surroundings, joints_rad)
-            for assistant in known:
-                from_base = replace(
-                    sight, robot_from_tracker=assistant.base.inverse() @ sight.robot_from_tracker
-                )
-                there_rad = assistant_rad or assistant.joints_rad()
-                seen &= from_base.seen(
-                    assistant.arm.kinematics, Surroundings(tool=assistant.tool()), there_rad
-                )
+            seen = sight.seen(workcell.master.arm.kinematics, self.surroundings, joints_rad)
+            for other in known:
+                from_base = replace(sight, robot_from_tracker=other.base.inverse() @ sight.robot_from_tracker)
+                there_rad = others_rad.get(other.role) or other.joints_rad()
+                seen &= from_base.seen(other.arm.kinematics, Surroundings(tool=other.tool()), there_rad)
             if int(seen.sum()) >= LEAST_POINTS:
                 return False
         return True
@@ -129,7 +123,7 @@ def build_expected_sight(context: StepContext, surroundings: Surroundings) -> Ex
     """Build the expected view of the localized spheres, and pass it to the room watch."""
     watch = room_watch(context)
     expected = ExpectedSight(context, watch, surroundings)
-    watch.head_sight.approach = Approach(expected.hidden_now, context.key.trajectory)
+    watch.head_sight.expect_approach(expected.hidden_now, context.key.trajectory)
     return expected
 
 
@@ -137,15 +131,14 @@ def build_expected_sight(context: StepContext, surroundings: Surroundings) -> Ex
 def require_head_in_view(context: StepContext) -> Iterator[None]:
     """During the block, limit how long the head may be out of view before the case is suspended."""
     watch = context.setting.memory.find(RoomWatch)
-    approach = None if watch is None else watch.head_sight.approach
-    if approach is None:
+    if watch is None or watch.head_sight.hides_head is None:
         yield
         return
-    approach.under_way = True
+    watch.head_sight.under_way = True
     try:
         yield
     finally:
-        approach.under_way = False
+        watch.head_sight.under_way = False
 
 
 def room_watch(context: StepContext) -> RoomWatch:
@@ -170,7 +163,7 @@ def room_watch(context: StepContext) -> RoomWatch:
 def read_localized(context: StepContext, count: int = CAREFUL_FRAMES) -> list[TrackerFrame]:
     """Read tracker frames at rest, as the tracker would have seen them from where it was localized."""
     room = room_watch(context)
-    read, _ = read_frames_at_rest(context.workcell.tracker, context.setting.clock, count=count)
+    read, _ = read_frames_at_rest(context.workcell, count=count)
     return [room.as_localized(one) for one in read]
 
 

@@ -37,12 +37,7 @@ class DeviceIdentity(Values):
     @classmethod
     def from_identity(cls, identity: Identity) -> DeviceIdentity:
         """Convert the identity reported by a driver."""
-        return cls(
-            vendor=identity.vendor,
-            model=identity.model,
-            serial=identity.serial,
-            firmware=identity.firmware,
-        )
+        return cls.model_validate(identity, from_attributes=True)
 
 
 class DriverSettings(Values):

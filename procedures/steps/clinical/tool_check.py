@@ -135,7 +135,6 @@ class GuideOnGauge:
 
     @property
     def off_mm(self) -> float:
-        """Magnitude of the offset (mm)."""
         return math.hypot(*self.offset_mm)
 
     @property

@@ -64,7 +64,7 @@ def require_seen_in_place(context: StepContext, frame: ToolFrame, *, must_see: b
     workcell = context.workcell
     reference = workcell.calibrations.tracker_frame
     workcell.rest()  # the tracker measures while the arm's stream is off
-    frames, _ = read_frames_at_rest(workcell.tracker, context.setting.clock, count=FRAMES)
+    frames, _ = read_frames_at_rest(workcell, count=FRAMES)
     is_on_mount = mean_pose(frames, reference.tool, LEAST_FRAMES)
     on_tool = mean_pose(frames, frame.tool, LEAST_FRAMES)
     if is_on_mount is None or on_tool is None:

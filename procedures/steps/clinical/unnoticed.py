@@ -11,7 +11,6 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from procedures.calibration.guide_load import LoadEstimate
 from procedures.engine.context import StepContext
@@ -27,10 +26,9 @@ from procedures.steps.clinical.results import RegisteredRobot
 from procedures.steps.clinical.room import check_room, room_watch
 from procedures.strategies.strategy import ONE_SIDE
 from procedures.workcell.tracker_look import robot_from_marker
+from ronna_hw.arrays import Array
 from ronna_hw.devices.sensors import measuring_volume_mm
 from ronna_hw.vectors import JointVector
-
-Array = NDArray[np.float64]
 
 # Safety against a move that no look shows (U).
 MOST_LOOKS = 4  # of a second each; more of them show little more

@@ -218,8 +218,7 @@ def set_depth_stop(context: StepContext) -> DepthStop:
     )
     for setting in range(1, SETTINGS + 1):
         (read_mm,) = context.perform_task(task)
-        wrong = abs(read_mm - computed_mm) > STOP_LIMIT_MM
-        if not wrong:
+        if abs(read_mm - computed_mm) <= STOP_LIMIT_MM:
             break
         problem = DEPTH_STOP_WRONG(
             f"the depth stop for {context.trajectory} is set wrong",

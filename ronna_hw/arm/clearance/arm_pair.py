@@ -104,17 +104,12 @@ class PlacedArm:
         All of that arm may come as close to the bodies `near`, by name, as to a guide.
         """
         to_other, closer_mm = seen_from.inverse(), APART_MM - APART_AT_GUIDE_MM
-        return tuple(
-            Obstacle(
-                name_of(name, self.name),
-                Capsule(
-                    vector3(start), vector3(end), radius + grown_mm - (closer_mm if name in near else 0.0)
-                ).moved(to_other),
-            )
-            for name, radius, (start, end) in zip(
-                self.names, self.radii_mm, self.axes(np.array([joints_rad]))[0], strict=True
-            )
-        )
+        axes, obstacles = self.axes(np.array([joints_rad]))[0], []
+        for name, radius, (start, end) in zip(self.names, self.radii_mm, axes, strict=True):
+            radius_mm = radius + grown_mm - (closer_mm if name in near else 0.0)
+            capsule = Capsule(vector3(start), vector3(end), radius_mm).moved(to_other)
+            obstacles.append(Obstacle(name_of(name, self.name), capsule))
+        return tuple(obstacles)
 
 
 def name_of(body: str, arm: str) -> str:
@@ -142,11 +137,8 @@ class ArmPairWorld:
 
     def distance(self, first_rad: JointVector | Array, second_rad: JointVector | Array) -> ArmDistance:
         """Return the distance between the arms in a pair of postures."""
-        first, second = (
-            arm.axes(np.asarray(joints))[0]
-            for arm, joints in ((self.first, first_rad), (self.second, second_rad))
-        )
-        return self.distance_of(first, second)
+        first, second = self.first.axes(np.asarray(first_rad)), self.second.axes(np.asarray(second_rad))
+        return self.distance_of(first[0], second[0])
 
     def distance_of(self, first_axes_mm: Array, second_axes_mm: Array) -> ArmDistance:
         """Return the distance between arms whose bodies have these axes (bodies, 2, 3)."""
@@ -168,8 +160,7 @@ class ArmPairWorld:
         for body, ((start, end), radius) in enumerate(zip(axes_mm, arm.radii_mm, strict=True)):
             along = end - start
             length = float(np.linalg.norm(along))
-            shape = self._shapes.get((number, body))
-            if shape is None:
+            if (shape := self._shapes.get((number, body))) is None:
                 solid = coal.Capsule(radius, length) if length > POINT_MM else coal.Sphere(radius)
                 shape = self._shapes[number, body] = coal.CollisionObject(solid)
             shape.setTransform(coal.Transform3s(_turn_towards(along, length), (start + end) / 2.0))
@@ -246,16 +237,10 @@ def find_approach(
         middle = [(low + high) // 2 for low, high in block]
         found = world.distance_of(first.axes_mm[middle[0]], second.axes_mm[middle[1]])
         reach_mm = [
-            float(
-                max(
-                    path.travel_mm[high] - path.travel_mm[at],
-                    path.travel_mm[at] - path.travel_mm[low],
-                )
-            )
+            float(max(path.travel_mm[high] - path.travel_mm[at], path.travel_mm[at] - path.travel_mm[low]))
             for path, at, (low, high) in zip((first, second), middle, block, strict=True)
         ]
-        at_least_mm = found.distance_mm - sum(reach_mm)
-        if at_least_mm >= margin_mm:
+        if (at_least_mm := found.distance_mm - sum(reach_mm)) >= margin_mm:
             continue
         divisible = [number for number, (low, high) in enumerate(block) if high - low > 1]
         if found.distance_mm < margin_mm or not divisible:
@@ -272,8 +257,7 @@ def require_apart(
     margin_mm: float = PLANNED_APART_MM,
 ) -> None:
     """Raise ARM-011 unless all pairs of postures of two paths are farther apart than the margin."""
-    found = find_approach(world, first, second, apart_s, margin_mm)
-    if found is not None:
+    if (found := find_approach(world, first, second, apart_s, margin_mm)) is not None:
         raise ARMS_TOO_CLOSE(
             f"the {found.first} of the {first.arm.name} would come too close to the {found.second} of the "
             f"{second.arm.name}",

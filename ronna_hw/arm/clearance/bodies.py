@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 
 from ronna_hw.arm.kinematics import COLUMN_NAME, PARTS, ArmBodies, ArmPart
 from ronna_hw.arm.pose import Pose
-from ronna_hw.vectors import Vector3
+from ronna_hw.vectors import Vector3, vector3
 
 POINT_MM2 = 1e-12  # a segment shorter than a nanometre is a point
 
@@ -92,10 +92,7 @@ DEEPER_THAN_TARGET_MM = 3.0  # the corridor extends this far beyond the target, 
 
 
 class Part(NamedTuple):
-    """Tool collision body, rigidly attached to the flange.
-
-    `enters_head`: it may enter the head along a corridor.
-    """
+    """Tool collision body, fixed to the flange; with `enters_head` it may enter the head in a corridor."""
 
     name: str
     capsule: Capsule
@@ -225,7 +222,7 @@ class Surroundings:
             zone=None if zone is None else SpeedZone(*zone),
             corridor=None
             if corridor is None
-            else Corridor(_vector3(corridor[0]), _vector3(corridor[1]), corridor[2]),
+            else Corridor(vector3(corridor[0]), vector3(corridor[1]), corridor[2]),
             owner=str(values["owner"]),
             contacts=tuple((str(moving), str(other)) for moving, other in values["contacts"]),
         )
@@ -233,12 +230,7 @@ class Surroundings:
 
 def _capsule(values: Any) -> Capsule:
     start, end, radius = values
-    return Capsule(_vector3(start), _vector3(end), float(radius))
-
-
-def _vector3(values: Any) -> Vector3:
-    x, y, z = values
-    return (float(x), float(y), float(z))
+    return Capsule(vector3(start), vector3(end), float(radius))
 
 
 class Pair(NamedTuple):
@@ -277,10 +269,7 @@ class Bodies:
     @cached_property
     def moving_names(self) -> tuple[str, ...]:
         """Names of the moving bodies."""
-        return (
-            *(link.name for link in self.arm.links),
-            *(part.name for part in self.surroundings.tool),
-        )
+        return (*(link.name for link in self.arm.links), *(part.name for part in self.surroundings.tool))
 
     @cached_property
     def moving_radii_mm(self) -> tuple[float, ...]:
@@ -293,10 +282,7 @@ class Bodies:
 
     @cached_property
     def fixed(self) -> tuple[Capsule, ...]:
-        """Fixed bodies: the column, then the obstacles.
-
-        The column ends slightly below the first moving body.
-        """
+        """Fixed bodies: the column, which ends slightly below the first moving body, and the obstacles."""
         radius_mm = self.surroundings.radii.of(ArmPart.COLUMN, self.arm)
         top_mm = max(self.arm.column_height_mm - radius_mm, 0.0)
         column = Capsule((0.0, 0.0, 0.0), (0.0, 0.0, top_mm), radius_mm)

@@ -22,8 +22,7 @@ class LivePair:
     def __init__(self, first: PlacedArm, second: PlacedArm, closeness: Closeness = NO_CLOSENESS) -> None:
         self._first, self._second = first, second
         self.closeness = closeness
-        to_first = first.base.inverse()
-        self._to_first = to_first.compose(second.base)
+        self._to_first = first.base.inverse().compose(second.base)
         self._measured: tuple[JointVector, JointVector, float] | None = None  # postures and distance
 
     def find_near(

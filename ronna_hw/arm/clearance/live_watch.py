@@ -84,10 +84,7 @@ LEAVING_MM = 0.5  # a body that starts too close may stay or move away; planning
 
 
 class PlacedBodies:
-    """Axes of all moving bodies in the robot base at given joint angles, ordered as `Bodies.moving_names`.
-
-    Each is computed when it is first asked for.
-    """
+    """Axes of all moving bodies in the robot base, as `Bodies.moving_names`, each computed when asked for."""
 
     def __init__(self, bodies: Bodies, joints_rad: JointVector) -> None:
         self._bodies = bodies
@@ -103,8 +100,7 @@ class PlacedBodies:
         if self._flange is None:
             links, self._flange = self._bodies.arm.link_segments(self._joints)
             self._axes = [*links, *(None for _ in self._bodies.surroundings.tool)]
-        axis = self._axes[number]
-        if axis is None:
+        if (axis := self._axes[number]) is None:
             part = self._bodies.surroundings.tool[number - len(self._axes)]
             axis = (self._flange.apply(part.capsule.start_mm), self._flange.apply(part.capsule.end_mm))
             self._axes[number] = axis
@@ -164,10 +160,7 @@ class _Group:
             self._find_earliest()
 
     def take_due(self, moved_mm: float) -> list[int]:
-        """Pop the pairs that become due for measurement within this motion.
-
-        Each must be given to `clear_until` again.
-        """
+        """Pop the pairs due within this motion; each must be given to `clear_until` again."""
         taken = []
         while self.due_mm < self.odometer_mm + moved_mm:
             taken.append(heappop(self._queue)[1])
@@ -192,17 +185,10 @@ class _Trial(NamedTuple):
 
 
 class LiveWatch:
-    """Clearance and speed monitor for a stream of set-points.
-
-    `check` does not count a set-point as sent; `sent` does.
-    """
+    """Clearance and speed monitor for set-points: `check` does not count one as sent, `sent` does."""
 
     def __init__(
-        self,
-        bodies: Bodies,
-        cycle_s: float,
-        joints_rad: JointVector,
-        body_speed_mm_s: float = inf,
+        self, bodies: Bodies, cycle_s: float, joints_rad: JointVector, body_speed_mm_s: float = inf
     ) -> None:
         """Start at rest at `joints_rad`. Bodies that start too close together may only move apart.
 
@@ -279,10 +265,7 @@ class LiveWatch:
         self._trials.clear()
 
     def _bound_motions_mm(self, from_rad: JointVector, to_rad: JointVector) -> list[float]:
-        """Return upper bounds on any point's motion between two joint vectors, mm.
-
-        Item i counts joints from i outwards.
-        """
+        """Return upper bounds on any point's motion, mm; item i counts joints from i outwards."""
         motion_mm, motions = 0.0, [0.0] * (len(self._levers) + 1)
         for number in reversed(range(len(self._levers))):
             motion_mm += self._levers[number] * abs(to_rad[number] - from_rad[number])
@@ -303,8 +286,7 @@ class LiveWatch:
     def _measure(self, joints_rad: JointVector, moved_mm: float) -> None:
         """Keep this step and its exact motion as the reference for bounding later steps."""
         step = tuple(new - old for new, old in zip(joints_rad, self._joints, strict=True))
-        square = sum(angle * angle for angle in step)
-        if square > SMALLEST_STEP_RAD**2:
+        if (square := sum(angle * angle for angle in step)) > SMALLEST_STEP_RAD**2:
             size = sum(abs(angle) for angle in step)
             bound = sum(lever * abs(angle) for lever, angle in zip(self._levers, step, strict=True))
             self._measured = _MeasuredStep(self._joints, step, square, size, bound, moved_mm)
@@ -316,8 +298,7 @@ class LiveWatch:
             if group.odometer_mm + moved <= group.due_mm:
                 continue
             for number in group.take_due(moved):
-                room_mm = self._room_left_mm(number, group, trial)
-                if room_mm <= 0.0:
+                if (room_mm := self._room_left_mm(number, group, trial)) <= 0.0:
                     gap, floor = self._gap(number, trial.placed), self._floors[number]
                     if gap < floor and found is None:
                         found = Violation(ViolationKind.CLEARANCE, number, gap, floor)
@@ -336,8 +317,7 @@ class LiveWatch:
         return before.rooms_mm[number] - between[group.first]
 
     def _find_speed_violation(self, placed: PlacedBodies, moved: float) -> Violation | None:
-        speed = moved / self._cycle_s
-        if speed > self._body_speed_mm_s * SPEED_MARGIN:
+        if (speed := moved / self._cycle_s) > self._body_speed_mm_s * SPEED_MARGIN:
             motions = self._motions_mm(placed)
             fastest = motions.index(max(motions))
             return Violation(ViolationKind.BODY_SPEED, fastest, speed, self._body_speed_mm_s)

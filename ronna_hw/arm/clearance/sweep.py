@@ -89,8 +89,7 @@ class SweptPath:
 
     def require(self, what: str = "the path") -> None:
         """Raise ARM-007 with the pair, the distance and the position if the path is not clear."""
-        offender = self.refused
-        if offender is None:
+        if (offender := self.refused) is None:
             return
         raise NotClear(
             f"on {what} the {offender.first} would come too close to the {offender.second}, "
@@ -188,8 +187,7 @@ def _find_open_intervals(bodies: Bodies, found: SweepSamples, floors: Array) -> 
 
 
 def _end_motions_mm(swept: SweepSamples) -> Array:
-    steps = np.linalg.norm(np.diff(swept.ends_mm, axis=0), axis=3)
-    return np.asarray(steps.max(axis=2))
+    return np.asarray(np.linalg.norm(np.diff(swept.ends_mm, axis=0), axis=3).max(axis=2))
 
 
 def _sample_joints(path: JointPath | LinePath, start_rad: JointVector, fractions: Array) -> Array:
@@ -223,8 +221,7 @@ def sweep(bodies: Bodies, joints_rad: ArrayLike) -> SweepSamples:
     to_head = np.full(len(joints), np.inf)
     if head.any():
         to_head = np.maximum(gaps[:, head].min(axis=1), 0.0)
-    corridor = bodies.surroundings.corridor
-    if corridor is not None:
+    if (corridor := bodies.surroundings.corridor) is not None:
         for column, pair in enumerate(pairs):
             if pair.enters_head and pair.is_head:
                 inside = [corridor.holds(tuple(start), tuple(end)) for start, end in ends[:, pair.moving]]

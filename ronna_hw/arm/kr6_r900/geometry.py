@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 from ronna_hw.arm.kinematics import ArmRadii
@@ -58,38 +58,27 @@ class Kr6Dimensions:
 
 # Geometry and ranges: public robot descriptions of both arms. Accelerations: planner limits published for the
 # sixx; none are published for the -2, which is no weaker, so the same are used.
-_LOWER = radians6(-170, -190, -120, -185, -120, -350)
-_UPPER = radians6(170, 45, 156, 185, 120, 350)
-_ACCELERATION: JointVector = (21.67, 6.89, 31.42, 133.1, 135.6, 268.4)
+_SIXX = Kr6Dimensions(
+    name=SIXX,
+    base_height_mm=400.0,
+    shoulder_offset_mm=25.0,
+    upper_arm_mm=455.0,
+    elbow_offset_mm=35.0,
+    forearm_mm=420.0,
+    flange_mm=80.0,
+    lower_rad=radians6(-170, -190, -120, -185, -120, -350),
+    upper_rad=radians6(170, 45, 156, 185, 120, 350),
+    full_speed_rad_s=radians6(360, 300, 360, 381, 388, 615),
+    acceleration_rad_s2=(21.67, 6.89, 31.42, 133.1, 135.6, 268.4),
+)
+_R900_2 = replace(
+    _SIXX,
+    name=R900_2,
+    elbow_offset_mm=25.0,
+    flange_mm=90.0,
+    full_speed_rad_s=radians6(360, 300, 360, 450, 450, 540),
+)
+DIMENSIONS = {SIXX: _SIXX, R900_2: _R900_2}
 
 # Our own conservative estimates (U).
 RADII = ArmRadii(column_mm=150.0, upper_arm_mm=85.0, forearm_mm=70.0, wrist_mm=45.0, hand_mm=45.0)
-
-DIMENSIONS = {
-    SIXX: Kr6Dimensions(
-        name=SIXX,
-        base_height_mm=400.0,
-        shoulder_offset_mm=25.0,
-        upper_arm_mm=455.0,
-        elbow_offset_mm=35.0,
-        forearm_mm=420.0,
-        flange_mm=80.0,
-        lower_rad=_LOWER,
-        upper_rad=_UPPER,
-        full_speed_rad_s=radians6(360, 300, 360, 381, 388, 615),
-        acceleration_rad_s2=_ACCELERATION,
-    ),
-    R900_2: Kr6Dimensions(
-        name=R900_2,
-        base_height_mm=400.0,
-        shoulder_offset_mm=25.0,
-        upper_arm_mm=455.0,
-        elbow_offset_mm=25.0,
-        forearm_mm=420.0,
-        flange_mm=90.0,
-        lower_rad=_LOWER,
-        upper_rad=_UPPER,
-        full_speed_rad_s=radians6(360, 300, 360, 450, 450, 540),
-        acceleration_rad_s2=_ACCELERATION,
-    ),
-}

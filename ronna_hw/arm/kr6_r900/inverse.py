@@ -65,8 +65,7 @@ def solutions(arm: Kr6Dimensions, pose: Pose) -> tuple[Solution, ...]:
             continue
         reached = True
         for elbow in (True, False):
-            first = _into_range(arm, _bend(arm, shoulder, elbow))
-            if first is None:
+            if (first := _into_range(arm, _bend(arm, shoulder, elbow))) is None:
                 continue
             try:
                 for flipped in (False, True):
@@ -85,17 +84,13 @@ def solutions(arm: Kr6Dimensions, pose: Pose) -> tuple[Solution, ...]:
 
 
 def solve_branch(arm: Kr6Dimensions, pose: Pose, branch: Branch, near: JointVector) -> JointVector:
-    """Return the solution in `branch`, unwrapped to be nearest `near`, for path following.
-
-    Raises ARM-001, ARM-002 or ARM-003 like `solutions`, for this branch alone.
-    """
+    """Return the solution in `branch`, unwrapped to be nearest `near`; raises ARM-001 to ARM-003."""
     try:
         shoulder = _shoulder(arm, pose, bool(branch & OVERHEAD))
     except Unreachable:
         raise _unreachable(arm, pose) from None
     bent = _bend(arm, shoulder, bool(branch & ELBOW))
-    first = _into_range(arm, bent)
-    if first is None:
+    if (first := _into_range(arm, bent)) is None:
         raise _out_of_range(arm, bent)
     A4, A5, A6 = _wrist(pose, first, bool(branch & FLIPPED))
     A4 = _nearest_turn(A4, near[3], arm.lower_rad[3], arm.upper_rad[3])
@@ -115,8 +110,7 @@ class _Shoulder(NamedTuple):
 def _shoulder(arm: Kr6Dimensions, pose: Pose, overhead: bool) -> _Shoulder:
     (px, py, pz), r, hand = pose.position_mm, pose.rotation, arm.flange_mm
     x, y, z = px - hand * r[2], py - hand * r[5], pz - hand * r[8]
-    radius = hypot(x, y)
-    if radius < SINGULAR_AXIS_MM:
+    if (radius := hypot(x, y)) < SINGULAR_AXIS_MM:
         raise Singular("the wrist centre is on the axis of A1", limit=f"{SINGULAR_AXIS_MM} mm")
     if overhead:
         A1 = atan2(y, -x)
@@ -128,8 +122,7 @@ def _shoulder(arm: Kr6Dimensions, pose: Pose, overhead: bool) -> _Shoulder:
     upper, lower = arm.upper_arm_mm, arm.elbow_to_wrist_mm
     square = ahead * ahead + below * below
     cosine = (square - upper * upper - lower * lower) / (2.0 * upper * lower)
-    excess = abs(cosine) - 1.0
-    if excess > STRETCH_COSINE:
+    if (excess := abs(cosine) - 1.0) > STRETCH_COSINE:
         raise Unreachable("the wrist centre is out of reach")
     if excess > -STRETCH_COSINE:
         raise Singular("the elbow is stretched or folded flat", limit="a bend of 1e-6 rad")
@@ -139,11 +132,7 @@ def _shoulder(arm: Kr6Dimensions, pose: Pose, overhead: bool) -> _Shoulder:
 
 def _bend(arm: Kr6Dimensions, shoulder: _Shoulder, elbow: bool) -> tuple[float, float, float]:
     if elbow:
-        return (
-            shoulder.A1,
-            shoulder.elevation - shoulder.inner,
-            arm.stretched_A3_rad + shoulder.bend,
-        )
+        return (shoulder.A1, shoulder.elevation - shoulder.inner, arm.stretched_A3_rad + shoulder.bend)
     return (shoulder.A1, shoulder.elevation + shoulder.inner, arm.stretched_A3_rad - shoulder.bend)
 
 
@@ -174,8 +163,7 @@ def _wrist(pose: Pose, first: tuple[float, float, float], flipped: bool) -> tupl
     zz = s23 * ahead + c23 * r[8]
     xx = c23 * (c1 * r[0] - s1 * r[3]) - s23 * r[6]
     yx = c23 * (c1 * r[1] - s1 * r[4]) - s23 * r[7]
-    sine = hypot(zy, zz)
-    if sine < SINGULAR_A5_RAD:
+    if (sine := hypot(zy, zz)) < SINGULAR_A5_RAD:
         raise Singular("A4 and A6 are aligned", limit=f"A5 {SINGULAR_A5_RAD} rad", got=f"{sine:.2e} rad")
     if flipped:
         return (atan2(zy, zz), -atan2(sine, zx), atan2(yx, xx))

@@ -1,7 +1,4 @@
-"""Closed-form `Kinematics` of the KR 6 R900.
-
-The positions of the bodies are written out for the real-time loop.
-"""
+"""Closed-form `Kinematics` of the KR 6 R900; places of bodies are written out for the real-time loop."""
 
 from __future__ import annotations
 

@@ -31,10 +31,7 @@ ANY_SPEED_MM_S = 1e6  # faster than any arm, and a number that a record can hold
 
 @dataclass(frozen=True)
 class MotionLimits:
-    """Motion limits in one operating mode: for joints, straight lines and moving bodies.
-
-    Planning, previews, the real-time loop and its monitor use the same record.
-    """
+    """Motion limits in one operating mode, the same record for planning, previews, loop and monitor."""
 
     speed_rad_s: JointVector
     acceleration_rad_s2: JointVector
@@ -51,24 +48,17 @@ class MotionLimits:
     def ranges(
         self, arm: JointRanges, start_rad: Sequence[float] | None = None
     ) -> tuple[JointVector, JointVector]:
-        """Return the lowest and highest permitted joint angles (rad): the axis ranges less the margin.
-
-        An axis that starts closer to an end may stay there or move away.
-        """
+        """Return the permitted ranges (rad), less the margin unless an axis starts closer to its end."""
         margin = self.range_margin_rad
         lower = joint_vector(low + margin for low in arm.lower_rad)
         upper = joint_vector(high - margin for high in arm.upper_rad)
         if start_rad is None:
             return lower, upper
+        lows = zip(arm.lower_rad, lower, start_rad, strict=True)
+        highs = zip(arm.upper_rad, upper, start_rad, strict=True)
         return (
-            joint_vector(
-                max(low, min(least, start_angle))
-                for low, least, start_angle in zip(arm.lower_rad, lower, start_rad, strict=True)
-            ),
-            joint_vector(
-                min(high, max(most, start_angle))
-                for high, most, start_angle in zip(arm.upper_rad, upper, start_rad, strict=True)
-            ),
+            joint_vector(max(low, min(least, start)) for low, least, start in lows),
+            joint_vector(min(high, max(most, start)) for high, most, start in highs),
         )
 
     def slowed(self, fraction: float) -> MotionLimits:
@@ -88,12 +78,10 @@ class MotionLimits:
 
     def with_reduced_speed(self, arm: JointRanges) -> MotionLimits:
         """Limit speeds to reduced speed and a tenth of full axis speed, with a person near the arm."""
+        speeds = zip(self.speed_rad_s, arm.full_speed_rad_s, strict=True)
         return replace(
             self,
-            speed_rad_s=joint_vector(
-                min(speed, REDUCED_SPEED_FRACTION * full)
-                for speed, full in zip(self.speed_rad_s, arm.full_speed_rad_s, strict=True)
-            ),
+            speed_rad_s=joint_vector(min(speed, REDUCED_SPEED_FRACTION * full) for speed, full in speeds),
             line_speed_mm_s=min(self.line_speed_mm_s, REDUCED_SPEED_MM_S),
             body_speed_mm_s=min(self.body_speed_mm_s, REDUCED_SPEED_MM_S),
         )

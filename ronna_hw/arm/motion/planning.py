@@ -34,7 +34,6 @@ class Path(Protocol):
 
     def joints(self, s: float, near: JointVector) -> JointVector:
         """Return the joint angles at `s` (0..1), unwrapped to be nearest `near`."""
-        ...
 
 
 class JointPath:
@@ -198,10 +197,7 @@ def _on_the_way(kinematics: Kinematics, target: Pose, share: float, error: Unrea
 
 
 def require_in_range(arm: JointRanges, joints_rad: JointVector, limits: MotionLimits | None = None) -> None:
-    """Raise ARM-003 naming the first axis out of range, or ARM-006 for a non-numeric value.
-
-    With `limits`, a motion from anywhere may end there: their margin is kept too.
-    """
+    """Raise ARM-003 for the first axis out of range, `limits`' margin included, ARM-006 for no number."""
     if limits is None:
         _require_within(arm, (arm.lower_rad, arm.upper_rad), joints_rad)
     else:
@@ -249,8 +245,7 @@ def _line_limits(line: LinePath, limits: MotionLimits) -> PathLimits:
     acceleration = min(limits.line_acceleration_mm_s2 / length, limits.rotation_rad_s2 / angle)
     # From rest to rest over s = 0..1 no more than sqrt(acceleration) is reached. On a line of nanometres the
     # velocity itself would turn the rounding of the joint angles into apparent jerk.
-    reached = min(velocity, sqrt(acceleration))
-    return PathLimits(reached, acceleration, acceleration / limits.ramp_s)
+    return PathLimits(min(velocity, sqrt(acceleration)), acceleration, acceleration / limits.ramp_s)
 
 
 def _limit_for_joints(

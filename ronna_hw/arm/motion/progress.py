@@ -78,10 +78,7 @@ class MotionProfiler:
         self._bounds_of: dict[InputParameter, Bounds] = {}  # bounds last given to each request
 
     def move(self, start: AxisState, target: Values, bounds: Bounds) -> MotionProfile:
-        """Move all axes from any state to rest at `target`, arriving simultaneously. Raises ARM-006.
-
-        The profile may overshoot start and target if it starts in motion.
-        """
+        """Move to rest at `target`, all axes at once; from motion it may overshoot. Raises ARM-006."""
         self._check(target)
         self._move.target_position = list(target)
         return self._calculate(self._move, start, bounds)
@@ -153,11 +150,10 @@ class _Leg(NamedTuple):
 
     def sample(self, time_s: float) -> AxisState:
         """Return the state at a time; a braking leg continues at its reduced speed."""
+        is_over = time_s >= self.profile.duration_s
         if self.leads_to_end:
-            return (
-                AxisState.resting([1.0]) if time_s >= self.profile.duration_s else self.profile.sample(time_s)
-            )
-        if not self.velocity and time_s >= self.profile.duration_s:
+            return AxisState.resting([1.0]) if is_over else self.profile.sample(time_s)
+        if is_over and not self.velocity:
             return AxisState.resting(self.profile.sample(time_s).position)
         return AxisState(*self.profile.raw.at_time(time_s))
 
@@ -166,10 +162,7 @@ class PathProgress:
     """Path-parameter values for each cycle, each paired with the first value of a stop."""
 
     def __init__(self, limits: PathLimits, steps: tuple[SpeedStep, ...], cycle_s: float) -> None:
-        """Start at rest at 0; `steps` are the sections with reduced speed.
-
-        Raises ARM-006 if the limits permit no profile.
-        """
+        """Start at rest at 0; `steps` are sections of reduced speed. Raises ARM-006 without a profile."""
         self._limits = limits
         self._steps = steps or (SpeedStep(0.0, limits.velocity),)
         self._cycle_s = cycle_s
@@ -237,10 +230,7 @@ class PathProgress:
         return StopPrediction(max(duration_s - elapsed_s, 0.0), profile.sample(duration_s).position[0])
 
     def limit_speed(self, fraction: float) -> None:
-        """Continue at `fraction` of the planned speed, braking smoothly; at 0, to rest until it rises again.
-
-        No effect during a stop.
-        """
+        """Continue at `fraction` of the planned speed, braking smoothly, at 0 to rest; not in a stop."""
         if not self.is_stopping and not self.is_finished:
             self._fraction = fraction
             self._next = self._next_halt = None
@@ -268,8 +258,7 @@ class PathProgress:
             if velocity != leg.velocity or (has_braked and velocity):
                 leg, time_s = self._choose_leg(velocity)
             go = leg.sample(time_s)
-            missed = self._find_missed_step(go, velocity)
-            if missed is None:
+            if (missed := self._find_missed_step(go, velocity)) is None:
                 self._next = (go, leg, time_s)
                 return go
             self._ceiling, velocity = missed, missed.velocity * self._fraction
@@ -293,19 +282,15 @@ class PathProgress:
         here = self.state.position[0]
         for step in self._steps:
             slow = step.velocity * self._fraction
-            if (
-                step.start <= here
-                or slow >= velocity
-                or (found is not None and step.velocity >= found.velocity)
-            ):
+            if step.start <= here or slow >= velocity:
                 continue
-            if not self._can_reach_speed(go, slow, step.start):
+            is_slowest = found is None or step.velocity < found.velocity
+            if is_slowest and not self._can_reach_speed(go, slow, step.start):
                 found = step
         return found
 
     def _can_reach_speed(self, go: AxisState, slow: float, start: float) -> bool:
-        peak = _peak_speed(go, self._limits.jerk)
-        if peak <= slow:
+        if (peak := _peak_speed(go, self._limits.jerk)) <= slow:
             return True
         (s,), (v,), (a,) = go
         ahead = 2.0 * v * self._cycle_s  # the decision is made once per cycle

@@ -103,10 +103,7 @@ class PathMotion:
         self._along.limit_speed(fraction)
 
     def restart_from_rest(self, *, one_back: bool = False) -> None:
-        """Continue from rest at the last point, after a stop outside this motion.
-
-        With `one_back` it is at rest at the point before the last one.
-        """
+        """Continue from rest at the last point, or with `one_back` at the one before, after another stop."""
         self._next = None
         self._along.restart_from_rest(one_back=one_back)
 
@@ -210,16 +207,14 @@ def plan_halt(start: AxisState, limits: MotionLimits) -> StopProfile | None:
     None if the arm has no direction, its curvature alone uses up the limits, or a joint would first become
     too fast. Motions within the limits never cause this.
     """
-    speed = hypot(*start.velocity)
-    if not speed > RESTING_RAD_S:
+    if not (speed := hypot(*start.velocity)) > RESTING_RAD_S:
         return None
     direction = [v / speed for v in start.velocity]
     tangential = sum(a * u for a, u in zip(start.acceleration, direction, strict=True))
     bend = [
         (a - tangential * u) / (speed * speed) for a, u in zip(start.acceleration, direction, strict=True)
     ]
-    bounds = _braking_bounds(direction, bend, speed, limits)
-    if bounds is None:
+    if (bounds := _braking_bounds(direction, bend, speed, limits)) is None:
         return None
     peak = speed + max(tangential, 0.0) ** 2 / (2.0 * bounds.jerk[0])
     fastest = max(abs(u) * peak / most for u, most in zip(direction, limits.speed_rad_s, strict=True))
@@ -240,8 +235,7 @@ def _braking_bounds(
     )
     found: tuple[float, float, float] | None = None
     for share in BRAKING_SHARES:
-        deceleration = share * most
-        if deceleration <= 0.0:
+        if (deceleration := share * most) <= 0.0:
             break
         length = speed * speed / deceleration
         jerk = min(

@@ -98,13 +98,8 @@ class CalibratedUniversalRobot(UniversalRobot):
             frame = zero[link.joint]
             origin = self.chain.base_mm if link.joint == 0 else frame.position_mm
             back, parallel = frame.inverse(), Pose(origin)
-            ends.append(
-                (
-                    link.joint,
-                    back.apply(parallel.apply(link.start_mm)),
-                    back.apply(parallel.apply(link.end_mm)),
-                )
-            )
+            start, end = (back.apply(parallel.apply(point)) for point in (link.start_mm, link.end_mm))
+            ends.append((link.joint, start, end))
         return ends
 
 

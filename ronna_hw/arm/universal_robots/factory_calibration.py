@@ -24,7 +24,7 @@ from math import atan2, cos, isfinite, sin
 from ronna_hw.arm.errors import CALIBRATION_OF_ANOTHER_ARM
 from ronna_hw.arm.pose import Pose
 from ronna_hw.arm.universal_robots.geometry import ALPHA_RAD, Dimensions
-from ronna_hw.vectors import JointVector, Vector3, joint_vector
+from ronna_hw.vectors import JointVector, joint_vector
 
 ZEROS: JointVector = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
@@ -101,11 +101,7 @@ def _denavit_hartenberg(theta: float, d_mm: float, a_mm: float, alpha: float) ->
 
 def _screw_towards(here: Pose, nominal: Pose) -> Pose:
     """Return the screw along z of `here` that brings its origin and x axis closest to those of `nominal`."""
-    gap: Vector3 = (
-        nominal.position_mm[0] - here.position_mm[0],
-        nominal.position_mm[1] - here.position_mm[1],
-        nominal.position_mm[2] - here.position_mm[2],
-    )
+    gap = [there - mine for there, mine in zip(nominal.position_mm, here.position_mm, strict=True)]
     r, wanted = here.rotation, nominal.rotation
     shift_mm = gap[0] * r[2] + gap[1] * r[5] + gap[2] * r[8]
     along_x = wanted[0] * r[0] + wanted[3] * r[3] + wanted[6] * r[6]

@@ -45,10 +45,8 @@ def ahead_mm(arm: Dimensions, joints_rad: JointVector) -> float:
 
 def branch_of(arm: Dimensions, joints_rad: JointVector) -> Branch:
     """Return the branch of a joint vector."""
-    behind = ahead_mm(arm, joints_rad) < 0.0
-    return Branch(
-        BEHIND * behind + BENT_BACK * (sin(joints_rad[2]) < 0.0) + TURNED * (sin(joints_rad[4]) < 0.0)
-    )
+    behind, bent_back = ahead_mm(arm, joints_rad) < 0.0, sin(joints_rad[2]) < 0.0
+    return Branch(BEHIND * behind + BENT_BACK * bent_back + TURNED * (sin(joints_rad[4]) < 0.0))
 
 
 def closed_form(arm: Dimensions, pose: Pose, branch: Branch, guess: bool = False) -> JointVector:
@@ -74,8 +72,7 @@ def closed_form(arm: Dimensions, pose: Pose, branch: Branch, guess: bool = False
 
     # Components along n of the flange's axes: x is c6 s5, y is -s6 s5, z is c5.
     xn, yn, c5 = r[0] * s1 - r[3] * c1, r[1] * s1 - r[4] * c1, r[2] * s1 - r[5] * c1
-    s5 = hypot(xn, yn)
-    if s5 < SINGULAR_SINE:
+    if (s5 := hypot(xn, yn)) < SINGULAR_SINE:
         raise Singular(
             "wrist 1 and wrist 3 are in line", limit=f"wrist 2 {SINGULAR_SINE} rad", got=f"{s5:.2e} rad"
         )

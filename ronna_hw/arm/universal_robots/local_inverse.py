@@ -57,8 +57,7 @@ class LocalInverse:
 
         None if it is too far away, of another branch, out of the joint ranges or close to a singular posture.
         """
-        start = self._start
-        if start is None or start[0] != near:
+        if (start := self._start) is None or start[0] != near:
             start = self._start = (near, self._linearise(near))
         here = start[1]
         if not self._is_regular(here, branch):
@@ -74,8 +73,7 @@ class LocalInverse:
             here = self._linearise(q)
             error = _error(pose, here)
         for _ in range(NEWTON_LIMIT):
-            step = self._solve_linear(here, error)
-            if step is None:
+            if (step := self._solve_linear(here, error)) is None:
                 return None
             q = _sum(q, step)
             if max(*step, -min(step)) < LAST_STEP_RAD:

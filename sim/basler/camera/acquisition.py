@@ -8,14 +8,14 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from sim.basler.camera.photographer import FrameSource
+from ronna_hw.clock import SharedClock
+from sim.basler.camera.photographer import Photographer
 from sim.basler.faults import NO_FAULTS, CameraFaults
 from sim.basler.settings import (
     AcquisitionMode,
     CameraSettings,
     EventKind,
     FrameSettings,
-    TheatreClock,
     Ticks,
     Trigger,
     TriggerMoments,
@@ -53,9 +53,9 @@ class Acquisition:
         self,
         name: str,
         settings: Callable[[], CameraSettings],
-        source: FrameSource,
+        source: Photographer,
         channel: StreamChannel,
-        clock: TheatreClock,
+        clock: SharedClock,
         ticks: Ticks,
         moments: TriggerMoments,
         report: Callable[[EventKind, int, int], None],

@@ -19,6 +19,7 @@ from sim.basler.camera.features import (
     choice,
     command,
     constant,
+    in_category,
     setting,
     single_choice,
     trigger_setting,
@@ -34,15 +35,14 @@ from sim.basler.settings import (
 )
 
 PIXEL_SIZES = {"Bpp8": 8, "Bpp12": 12, "Bpp16": 16}
-IMAGE = "ImageFormat"
-IMAGE_FEATURES: tuple[Feature, ...] = (
-    constant("SensorWidth", IMAGE, "Width of the sensor.", SENSOR_WIDTH_PX, unit="px"),
-    constant("SensorHeight", IMAGE, "Height of the sensor.", SENSOR_HEIGHT_PX, unit="px"),
-    constant("WidthMax", IMAGE, "Largest width.", SENSOR_WIDTH_PX, unit="px"),
-    constant("HeightMax", IMAGE, "Largest height.", SENSOR_HEIGHT_PX, unit="px"),
+IMAGE_FEATURES = in_category(
+    "ImageFormat",
+    constant("SensorWidth", "Width of the sensor.", SENSOR_WIDTH_PX, unit="px"),
+    constant("SensorHeight", "Height of the sensor.", SENSOR_HEIGHT_PX, unit="px"),
+    constant("WidthMax", "Largest width.", SENSOR_WIDTH_PX, unit="px"),
+    constant("HeightMax", "Largest height.", SENSOR_HEIGHT_PX, unit="px"),
     setting(
         "Width",
-        IMAGE,
         "Width of the area of interest.",
         "width",
         limits=(STEP_X, lambda camera: SENSOR_WIDTH_PX - camera.settings.offset_x),
@@ -52,7 +52,6 @@ IMAGE_FEATURES: tuple[Feature, ...] = (
     ),
     setting(
         "Height",
-        IMAGE,
         "Height of the area of interest.",
         "height",
         limits=(1, lambda camera: SENSOR_HEIGHT_PX - camera.settings.offset_y),
@@ -61,7 +60,6 @@ IMAGE_FEATURES: tuple[Feature, ...] = (
     ),
     setting(
         "OffsetX",
-        IMAGE,
         "Column of the area's left edge; may change during an acquisition.",
         "offset_x",
         limits=(0, lambda camera: SENSOR_WIDTH_PX - camera.settings.width),
@@ -70,7 +68,6 @@ IMAGE_FEATURES: tuple[Feature, ...] = (
     ),
     setting(
         "OffsetY",
-        IMAGE,
         "Row of the area's upper edge; may change during an acquisition.",
         "offset_y",
         limits=(0, lambda camera: SENSOR_HEIGHT_PX - camera.settings.height),
@@ -78,7 +75,6 @@ IMAGE_FEATURES: tuple[Feature, ...] = (
     ),
     choice(
         "PixelFormat",
-        IMAGE,
         "Format of the pixels on the wire.",
         "pixel_format",
         entries={
@@ -90,7 +86,6 @@ IMAGE_FEATURES: tuple[Feature, ...] = (
     ),
     Feature(
         "PixelSize",
-        IMAGE,
         "Bits of a pixel on the wire.",
         Kind.ENUMERATION,
         read=lambda camera: bits_per_pixel(PixelFormat(camera.settings.pixel_format)),
@@ -98,7 +93,6 @@ IMAGE_FEATURES: tuple[Feature, ...] = (
     ),
     choice(
         "TestImageSelector",
-        IMAGE,
         "A ramp instead of the sensor's image.",
         "test_image",
         entries={"Off": RampImage.OFF, "Testimage1": RampImage.FIXED, "Testimage2": RampImage.MOVING},
@@ -116,54 +110,42 @@ FRAME_TRIGGER_WAIT, ACQUISITION_ACTIVE = 0, 1
 def _status(camera: FeatureState) -> int:
     if camera.settings.status_selector == FRAME_TRIGGER_WAIT:
         return int(camera.acquisition.awaits_trigger)
-    return int(camera.acquiring)
+    return int(camera.acquisition.running)
 
 
 CONTROL = "AcquisitionTrigger"
-ACQUISITION_FEATURES: tuple[Feature, ...] = (
+ACQUISITION_FEATURES = in_category(
+    CONTROL,
     choice(
         "AcquisitionMode",
-        CONTROL,
         "Acquisition mode.",
         "acquisition_mode",
         entries={"SingleFrame": AcquisitionMode.SINGLE_FRAME, "Continuous": AcquisitionMode.CONTINUOUS},
         locked=True,
     ),
     command(
-        "AcquisitionStart",
-        CONTROL,
-        "Start the acquisition of frames.",
-        lambda camera: camera.acquisition.start(),
+        "AcquisitionStart", "Start the acquisition of frames.", lambda camera: camera.acquisition.start()
     ),
-    command(
-        "AcquisitionStop",
-        CONTROL,
-        "Stop the acquisition of frames.",
-        lambda camera: camera.acquisition.stop(),
-    ),
+    command("AcquisitionStop", "Stop the acquisition of frames.", lambda camera: camera.acquisition.stop()),
     command(
         "AcquisitionAbort",
-        CONTROL,
         "Stop the acquisition of frames at once.",
         lambda camera: camera.acquisition.stop(),
     ),
     setting(
         "AcquisitionFrameCount",
-        CONTROL,
         "Frames that one AcquisitionStart trigger permits.",
         "acquisition_frame_count",
         limits=(1, MOST_FRAMES_PER_ACQUISITION),
     ),
     setting(
         "AcquisitionFrameRateEnable",
-        CONTROL,
         "Limit the rate of the free-running camera.",
         "frame_rate_enabled",
         kind=Kind.BOOLEAN,
     ),
     setting(
         "AcquisitionFrameRateAbs",
-        CONTROL,
         "Requested rate of the free-running camera.",
         "frame_rate_hz",
         kind=Kind.FLOAT,
@@ -172,7 +154,6 @@ ACQUISITION_FEATURES: tuple[Feature, ...] = (
     ),
     Feature(
         "ResultingFrameRateAbs",
-        CONTROL,
         "Rate allowed by exposure, read-out, link and requested rate.",
         Kind.FLOAT,
         read=lambda camera: 1e6 / free_running_period_us(camera.settings),
@@ -180,16 +161,14 @@ ACQUISITION_FEATURES: tuple[Feature, ...] = (
     ),
     choice(
         "AcquisitionStatusSelector",
-        CONTROL,
         "Status shown by AcquisitionStatus.",
         "status_selector",
         entries={"FrameTriggerWait": FRAME_TRIGGER_WAIT, "AcquisitionActive": ACQUISITION_ACTIVE},
         selects=("AcquisitionStatus",),
     ),
-    Feature("AcquisitionStatus", CONTROL, "The selected status.", Kind.BOOLEAN, read=_status),
+    Feature("AcquisitionStatus", "The selected status.", Kind.BOOLEAN, read=_status),
     choice(
         "TriggerSelector",
-        CONTROL,
         "Trigger to which the following features apply.",
         "trigger_selector",
         entries={"AcquisitionStart": Trigger.ACQUISITION_START, "FrameStart": Trigger.FRAME_START},
@@ -225,14 +204,10 @@ ACQUISITION_FEATURES: tuple[Feature, ...] = (
         unit="us",
     ),
     command(
-        "TriggerSoftware",
-        CONTROL,
-        "Fire the selected trigger.",
-        lambda camera: camera.acquisition.software_trigger(),
+        "TriggerSoftware", "Fire the selected trigger.", lambda camera: camera.acquisition.software_trigger()
     ),
     Feature(
         "OvertriggerCount",
-        CONTROL,
         "Frame triggers missed since AcquisitionStart because the camera was busy.",
         read=lambda camera: camera.acquisition.missed_triggers,
         visibility="Guru",
@@ -248,14 +223,13 @@ def _set_exposure(camera: FeatureState, value: float) -> None:
 
 
 EXPOSURE_LIMITS_US = (EXPOSURE_MINIMUM_US, EXPOSURE_MAXIMUM_US)
-ANALOG = "AnalogControls"
 INSIDE_C = 45.0  # a camera warmed up on its mount; constant here
-EXPOSURE_FEATURES: tuple[Feature, ...] = (
-    single_choice("ExposureMode", CONTROL, "Exposure mode.", "Timed"),
-    single_choice("ExposureAuto", CONTROL, "Automatic exposure.", "Off"),
+EXPOSURE_FEATURES = in_category(
+    CONTROL,
+    single_choice("ExposureMode", "Exposure mode.", "Timed"),
+    single_choice("ExposureAuto", "Automatic exposure.", "Off"),
     Feature(
         "ExposureTimeAbs",
-        CONTROL,
         "Exposure time.",
         Kind.FLOAT,
         read=lambda camera: camera.settings.exposure_us,
@@ -263,38 +237,29 @@ EXPOSURE_FEATURES: tuple[Feature, ...] = (
         unit="us",
         limits=EXPOSURE_LIMITS_US,
     ),
-    setting(
-        "ExposureTimeRaw", CONTROL, "Exposure time in time bases.", "exposure_us", limits=EXPOSURE_LIMITS_US
-    ),
-    constant("ExposureTimeBaseAbs", CONTROL, "Step of the exposure time.", 1.0, kind=Kind.FLOAT, unit="us"),
+    setting("ExposureTimeRaw", "Exposure time in time bases.", "exposure_us", limits=EXPOSURE_LIMITS_US),
+    constant("ExposureTimeBaseAbs", "Step of the exposure time.", 1.0, kind=Kind.FLOAT, unit="us"),
     Feature(
         "ReadoutTimeAbs",
-        CONTROL,
         "Read-out time of the current area.",
         Kind.FLOAT,
         read=lambda camera: readout_us(camera.settings.frame()),
         unit="us",
     ),
-    constant("TemperatureAbs", ANALOG, "Inside the camera.", INSIDE_C, kind=Kind.FLOAT, unit="C"),
-    single_choice("GainAuto", ANALOG, "Automatic gain.", "Off"),
-    single_choice("GainSelector", ANALOG, "Signal to which the gain applies.", "All", selects=("GainRaw",)),
+)
+ANALOG_FEATURES = in_category(
+    "AnalogControls",
+    constant("TemperatureAbs", "Inside the camera.", INSIDE_C, kind=Kind.FLOAT, unit="C"),
+    single_choice("GainAuto", "Automatic gain.", "Off"),
+    single_choice("GainSelector", "Signal to which the gain applies.", "All", selects=("GainRaw",)),
     setting(
-        "GainRaw",
-        ANALOG,
-        "Gain; 20 log10(value / 32) dB.",
-        "gain_raw",
-        limits=(GAIN_RAW_MINIMUM, GAIN_RAW_MAXIMUM),
+        "GainRaw", "Gain; 20 log10(value / 32) dB.", "gain_raw", limits=(GAIN_RAW_MINIMUM, GAIN_RAW_MAXIMUM)
     ),
     single_choice(
-        "BlackLevelSelector",
-        ANALOG,
-        "Signal to which the black level applies.",
-        "All",
-        selects=("BlackLevelRaw",),
+        "BlackLevelSelector", "Signal to which the black level applies.", "All", selects=("BlackLevelRaw",)
     ),
     setting(
         "BlackLevelRaw",
-        ANALOG,
         "Value of a dark pixel, on a 10-bit scale.",
         "black_level_raw",
         limits=(0, BLACK_LEVEL_RAW_MAXIMUM),

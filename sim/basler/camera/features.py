@@ -7,7 +7,7 @@ exists. Numbers are 32-bit integers or 32-bit floats.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from typing import Any, Protocol
 
@@ -29,9 +29,6 @@ class FeatureState(Protocol):
 
     @property
     def channel(self) -> StreamChannel: ...
-
-    @property
-    def acquiring(self) -> bool: ...
 
     def load_user_set(self) -> None: ...
 
@@ -62,7 +59,6 @@ class Feature:
     """
 
     name: str
-    category: str
     about: str
     kind: Kind = Kind.INTEGER
     read: Getter | None = None
@@ -74,6 +70,7 @@ class Feature:
     locked: bool = False
     selects: tuple[str, ...] = ()
     visibility: str = "Beginner"
+    category: str = ""
 
     def accepts(self, camera: FeatureState, value: Number) -> bool:
         """Return whether a value may be written."""
@@ -94,11 +91,15 @@ def resolve_limit(limit: Limit, camera: FeatureState) -> Number:
     return limit(camera) if callable(limit) else limit
 
 
-def setting(name: str, category: str, about: str, attribute: str, **more: Any) -> Feature:
+def in_category(category: str, *features: Feature) -> tuple[Feature, ...]:
+    """Return features as those of a category."""
+    return tuple(replace(feature, category=category) for feature in features)
+
+
+def setting(name: str, about: str, attribute: str, **more: Any) -> Feature:
     """Define a feature backed by an attribute of the frame settings."""
     return Feature(
         name,
-        category,
         about,
         read=lambda camera: getattr(camera.settings, attribute),
         write=lambda camera, value: setattr(camera.settings, attribute, value),
@@ -106,16 +107,15 @@ def setting(name: str, category: str, about: str, attribute: str, **more: Any) -
     )
 
 
-def choice(name: str, category: str, about: str, attribute: str, **more: Any) -> Feature:
+def choice(name: str, about: str, attribute: str, **more: Any) -> Feature:
     """Define an enumeration backed by an attribute of the frame settings."""
-    return setting(name, category, about, attribute, kind=Kind.ENUMERATION, **more)
+    return setting(name, about, attribute, kind=Kind.ENUMERATION, **more)
 
 
 def trigger_setting(name: str, about: str, attribute: str, kind: Kind, **more: Any) -> Feature:
     """Define a feature backed by an attribute of the selected trigger."""
     return Feature(
         name,
-        "AcquisitionTrigger",
         about,
         kind,
         read=lambda camera: getattr(camera.settings.selected_trigger, attribute),
@@ -124,25 +124,21 @@ def trigger_setting(name: str, about: str, attribute: str, kind: Kind, **more: A
     )
 
 
-def constant(name: str, category: str, about: str, value: float, **more: Any) -> Feature:
+def constant(name: str, about: str, value: float, **more: Any) -> Feature:
     """Define a constant feature."""
-    return Feature(name, category, about, read=lambda _camera: value, **more)
+    return Feature(name, about, read=lambda _camera: value, **more)
 
 
-def single_choice(name: str, category: str, about: str, entry: str, **more: Any) -> Feature:
+def single_choice(name: str, about: str, entry: str, **more: Any) -> Feature:
     """Define an enumeration of the camera family that this camera restricts to a single entry."""
-    return constant(
-        name,
-        category,
-        about,
-        0,
-        kind=Kind.ENUMERATION,
-        entries={entry: 0},
-        write=lambda _camera, _value: None,
-        **more,
-    )
+    entries = {entry: 0}
+    return constant(name, about, 0, kind=Kind.ENUMERATION, entries=entries, write=ignore, **more)
 
 
-def command(name: str, category: str, about: str, do: Callable[[FeatureState], None], **more: Any) -> Feature:
+def ignore(_camera: FeatureState, _value: Number) -> None:
+    """Take a value that changes nothing."""
+
+
+def command(name: str, about: str, do: Callable[[FeatureState], None], **more: Any) -> Feature:
     """Define a command."""
-    return Feature(name, category, about, Kind.COMMAND, write=lambda camera, _value: do(camera), **more)
+    return Feature(name, about, Kind.COMMAND, write=lambda camera, _value: do(camera), **more)

@@ -9,7 +9,7 @@ import time
 import traceback
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
-from typing import NoReturn, Protocol
+from typing import NoReturn
 
 import numpy as np
 
@@ -30,22 +30,6 @@ DRAWING_LIMIT_S = 2.0  # for one image (20 ms) on a busy computer, then the proc
 TRIGGERED_LANE, RING_LANE = 0, 1  # streams of noise
 
 
-class FrameSource(Protocol):
-    """Image source for an acquisition."""
-
-    def place(self) -> bytes | None:
-        """Return the camera's position for comparison, or None if unknown; thread-safe."""
-        ...
-
-    def triggered(self, frame: FrameSettings, number: int) -> bytes:
-        """Take the image of trigger `number` since AcquisitionStart."""
-        ...
-
-    def running(self, frame: FrameSettings, number: int) -> tuple[FrameSettings, bytes]:
-        """Return a free-running frame, possibly taken with slightly older settings."""
-        ...
-
-
 class Photographer:
     """Takes the images of one simulated camera.
 
@@ -64,13 +48,16 @@ class Photographer:
         self._ring = ImageRing(self)
 
     def place(self) -> bytes | None:
+        """Return the camera's position for comparison, or None if unknown; thread-safe."""
         pose = self._view.pose()
         return None if pose is None else pose.tobytes()
 
     def triggered(self, frame: FrameSettings, number: int) -> bytes:
+        """Take the image of trigger `number` since AcquisitionStart."""
         return self.draw(frame, self._view.pose(), number, TRIGGERED_LANE)
 
     def running(self, frame: FrameSettings, number: int) -> tuple[FrameSettings, bytes]:
+        """Return a free-running frame, possibly taken with slightly older settings."""
         if frame.test_image is not RampImage.OFF:
             return frame, self.draw(frame, None, number, RING_LANE)
         return self._ring.image(frame, number)
@@ -96,15 +83,10 @@ class Photographer:
 
     def dependencies(self, frame: FrameSettings) -> tuple[object, Pose | None]:
         """Return everything the image depends on, in comparable form, and the pose of the head."""
-        pose = self._view.pose()
-        position = None if pose is None else pose.tobytes()
-        assistant = self._view.assistant_flange()
-        in_view = (
-            self._view.head_mounted,
-            self._view.stand_has_ball,
-            None if assistant is None else assistant.tobytes(),
-        )
-        return (frame, position, in_view, self._disturbances.now(), self._faults.light_faults()), pose
+        pose, flanges = self._view.pose(), self._view.holder_flanges().values()
+        places = (None if pose is None else pose.tobytes(), *(one.tobytes() for one in flanges))
+        in_view = (self._view.head_mounted, self._view.stand_has_ball)
+        return (frame, places, in_view, self._disturbances.now(), self._faults.light_faults()), pose
 
 
 class PhotographerApart(Photographer):

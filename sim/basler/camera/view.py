@@ -46,7 +46,6 @@ class View:
         self._centres_mm = apply(self._robot_from_ct, [each.centre_ct_mm for each in self._fiducials])
         self._stand_mm = np.array(world.scene.stand.ball_mm)
         self._stand_number = 1 + max((each.number for each in self._fiducials), default=0)
-        self._assistant = world.scene.assistant
         self._room = ShiftedRoom(world)
 
     def pose(self) -> Pose | None:
@@ -59,11 +58,11 @@ class View:
         """Whether the stereo head is mounted."""
         return self._world.mounted_tool() == self._world.scene.mount.tool_number_stereo
 
-    def assistant_flange(self) -> Pose | None:
-        """Return the assistant's true flange (4, 4) in its base, or None without one."""
-        if self._assistant is None or not self._world.has_arm(ArmRole.ASSISTANT):
-            return None
-        return self._world.arm(ArmRole.ASSISTANT).robot_from_flange
+    def holder_flanges(self) -> dict[ArmRole, Pose]:
+        """Return the true flange (4, 4), in its base, of each arm that holds a ball."""
+        world = self._world
+        roles = (role for role in world.scene.holders if world.has_arm(role))
+        return {role: world.arm(role).robot_from_flange for role in roles}
 
     @property
     def stand_has_ball(self) -> bool:
@@ -95,11 +94,12 @@ class View:
             centre = apply(camera_from_robot, self._stand_mm)
             upright = camera_from_robot[:3, :3] @ _rotation_along_post((0.0, 0.0, 1.0))
             seen.append(DrawnSphere(centre, SPHERE_RADIUS_MM, upright, self._stand_number))
-        if self._assistant is not None and (base := self.assistant_flange()) is not None:
-            pose = camera_from_robot @ self._room.robot_from_assistant(room) @ base
-            centre = apply(pose, self._assistant.flange_from_ball_mm)
+        for number, (role, flange) in enumerate(self.holder_flanges().items(), self._stand_number + 1):
+            holder = self._world.scene.holders[role]
+            pose = camera_from_robot @ self._room.robot_from_base(role, room) @ flange
+            centre = apply(pose, holder.flange_from_ball_mm)
             along = pose[:3, :3] @ _rotation_along_post((0.0, 0.0, 1.0))  # the post, from the flange
-            seen.append(DrawnSphere(centre, self._assistant.ball_radius_mm, along, self._stand_number + 1))
+            seen.append(DrawnSphere(centre, holder.ball_radius_mm, along, number))
         return tuple(one for one in seen if 0.0 < one.centre_mm[2] < FURTHEST_MM)
 
     def _twist_pose(self, angle_rad: float) -> Pose:

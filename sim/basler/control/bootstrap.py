@@ -7,26 +7,8 @@ import struct
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from ronna_hw.wire.gige_vision import (
-    ACA2000_50GM_NIR,
-    BASLER,
-    DEVICE_MODE_BIG_ENDIAN,
-    DEVICE_MODE_UTF8,
-    GVCP_CONFIGURATION_EXTENDED_STATUS,
-    MCP_PORT_MASK,
-    SCP_PORT_MASK,
-    SCPS_DO_NOT_FRAGMENT,
-    SCPS_FIRE_TEST,
-    SCPS_SIZE_MASK,
-    TEXT_BYTES,
-    TICK_FREQUENCY_HZ,
-    TIMESTAMP_LATCH,
-    TIMESTAMP_RESET,
-    URL_LOCAL,
-    Bootstrap,
-    GevStatus,
-    GvcpCapability,
-)
+from ronna_hw.wire import gige_vision as gev
+from ronna_hw.wire.gige_vision import Bootstrap, GevStatus, GvcpCapability
 from sim.basler.control.privilege import Privilege
 from sim.basler.control.registers import Memory, RegisterMap, RegisterRefusal, RegisterWord
 from sim.basler.control.xml import camera_xml
@@ -105,15 +87,15 @@ def add_bootstrap(
 
 def _add_identity(registers: RegisterMap, identity: Identity) -> None:
     texts = {
-        Bootstrap.MANUFACTURER_NAME: BASLER,
-        Bootstrap.MODEL_NAME: ACA2000_50GM_NIR,
+        Bootstrap.MANUFACTURER_NAME: gev.BASLER,
+        Bootstrap.MODEL_NAME: gev.ACA2000_50GM_NIR,
         Bootstrap.DEVICE_VERSION: DEVICE_VERSION,
         Bootstrap.MANUFACTURER_INFO: "none",
         Bootstrap.SERIAL_NUMBER: identity.serial,
     }
     numbers = {
         Bootstrap.VERSION: VERSION,
-        Bootstrap.DEVICE_MODE: DEVICE_MODE_BIG_ENDIAN | DEVICE_MODE_UTF8,
+        Bootstrap.DEVICE_MODE: gev.DEVICE_MODE_BIG_ENDIAN | gev.DEVICE_MODE_UTF8,
         Bootstrap.MAC_HIGH: int.from_bytes(identity.mac[:2], "big"),
         Bootstrap.MAC_LOW: int.from_bytes(identity.mac[2:], "big"),
         Bootstrap.IP_CONFIGURATION_SUPPORTED: IP_CONFIGURATION_SUPPORTED,
@@ -126,7 +108,7 @@ def _add_identity(registers: RegisterMap, identity: Identity) -> None:
     for address, number in numbers.items():
         struct.pack_into(">I", content, address, number)
     for address, text in texts.items():
-        value = text.encode()[: TEXT_BYTES[address] - 1]
+        value = text.encode()[: gev.TEXT_BYTES[address] - 1]
         content[address : address + len(value)] = value
     fixed = bytes(content)
     registers.add_memory(Memory(0, len(fixed), lambda: fixed))
@@ -138,16 +120,16 @@ def _add_identity(registers: RegisterMap, identity: Identity) -> None:
         return identity.user_name.encode()
 
     address = Bootstrap.USER_DEFINED_NAME
-    registers.add_memory(Memory(address, TEXT_BYTES[address], name, rename))
+    registers.add_memory(Memory(address, gev.TEXT_BYTES[address], name, rename))
 
 
 def _add_description(registers: RegisterMap) -> None:
     xml = camera_xml()
     padded = -(-len(xml) // 4) * 4
     registers.add_memory(Memory(XML_ADDRESS, padded, lambda: xml))
-    url = f"{URL_LOCAL}{XML_NAME};{XML_ADDRESS:x};{len(xml):x}".encode()
-    registers.add_memory(Memory(Bootstrap.FIRST_URL, TEXT_BYTES[Bootstrap.FIRST_URL], lambda: url))
-    registers.add_memory(Memory(Bootstrap.SECOND_URL, TEXT_BYTES[Bootstrap.SECOND_URL], lambda: b""))
+    url = f"{gev.URL_LOCAL}{XML_NAME};{XML_ADDRESS:x};{len(xml):x}".encode()
+    registers.add_memory(Memory(Bootstrap.FIRST_URL, gev.TEXT_BYTES[Bootstrap.FIRST_URL], lambda: url))
+    registers.add_memory(Memory(Bootstrap.SECOND_URL, gev.TEXT_BYTES[Bootstrap.SECOND_URL], lambda: b""))
 
 
 def _add_control(registers: RegisterMap, privilege: Privilege) -> None:
@@ -173,21 +155,21 @@ def _add_control(registers: RegisterMap, privilege: Privilege) -> None:
 
     registers.add(Bootstrap.PRIMARY_APPLICATION_PORT, RegisterWord(lambda: owner()[1]))
     registers.add(Bootstrap.PRIMARY_APPLICATION_ADDRESS, RegisterWord(lambda: _address_number(owner()[0])))
-    registers.add(Bootstrap.GVCP_CONFIGURATION, _stored_word(allowed=GVCP_CONFIGURATION_EXTENDED_STATUS))
+    registers.add(Bootstrap.GVCP_CONFIGURATION, _stored_word(allowed=gev.GVCP_CONFIGURATION_EXTENDED_STATUS))
 
 
 def _add_stream(registers: RegisterMap, channel: StreamChannel, acquiring: Callable[[], bool]) -> None:
     def set_port(value: int) -> None:
-        if value & SCP_PORT_MASK:
-            channel.port = value & SCP_PORT_MASK
+        if value & gev.SCP_PORT_MASK:
+            channel.port = value & gev.SCP_PORT_MASK
         else:
             channel.shut()
 
     def size() -> int:
-        return channel.packet_size | (SCPS_DO_NOT_FRAGMENT if channel.do_not_fragment else 0)
+        return channel.packet_size | (gev.SCPS_DO_NOT_FRAGMENT if channel.do_not_fragment else 0)
 
     def set_size(value: int) -> None:
-        requested_size = value & SCPS_SIZE_MASK
+        requested_size = value & gev.SCPS_SIZE_MASK
         valid_size = (
             SMALLEST_PACKET_SIZE <= requested_size <= LARGEST_PACKET_SIZE
             and requested_size % PACKET_SIZE_STEP == 0
@@ -197,8 +179,8 @@ def _add_stream(registers: RegisterMap, channel: StreamChannel, acquiring: Calla
         if acquiring() and requested_size != channel.packet_size:
             raise RegisterRefusal(GevStatus.BUSY)
         channel.packet_size = requested_size
-        channel.do_not_fragment = bool(value & SCPS_DO_NOT_FRAGMENT)
-        if value & SCPS_FIRE_TEST:
+        channel.do_not_fragment = bool(value & gev.SCPS_DO_NOT_FRAGMENT)
+        if value & gev.SCPS_FIRE_TEST:
             channel.fire_test_packet(requested_size)
 
     registers.add(Bootstrap.SCP, RegisterWord(lambda: channel.port, set_port))
@@ -214,13 +196,13 @@ def _add_stream(registers: RegisterMap, channel: StreamChannel, acquiring: Calla
 
 def _add_time(registers: RegisterMap, ticks: Ticks) -> None:
     def control(value: int) -> None:
-        if value & TIMESTAMP_RESET:
+        if value & gev.TIMESTAMP_RESET:
             ticks.reset()
-        if value & TIMESTAMP_LATCH:
+        if value & gev.TIMESTAMP_LATCH:
             ticks.latch()
 
-    registers.add(Bootstrap.TICK_FREQUENCY_HIGH, _constant_word(TICK_FREQUENCY_HZ >> 32))
-    registers.add(Bootstrap.TICK_FREQUENCY_LOW, _constant_word(TICK_FREQUENCY_HZ & 0xFFFFFFFF))
+    registers.add(Bootstrap.TICK_FREQUENCY_HIGH, _constant_word(gev.TICK_FREQUENCY_HZ >> 32))
+    registers.add(Bootstrap.TICK_FREQUENCY_LOW, _constant_word(gev.TICK_FREQUENCY_HZ & 0xFFFFFFFF))
     registers.add(Bootstrap.TIMESTAMP_CONTROL, RegisterWord(lambda: 0, control))
     registers.add(Bootstrap.TIMESTAMP_HIGH, RegisterWord(lambda: ticks.latched >> 32))
     registers.add(Bootstrap.TIMESTAMP_LOW, RegisterWord(lambda: ticks.latched & 0xFFFFFFFF))
@@ -262,7 +244,7 @@ def add_message_channel(registers: RegisterMap, channel: MessageChannel) -> None
     """Add the message channel registers: port, destination, time-out, retries and source port."""
 
     def set_port(value: int) -> None:
-        channel.port = value & MCP_PORT_MASK
+        channel.port = value & gev.MCP_PORT_MASK
 
     registers.add(Bootstrap.MCP, RegisterWord(lambda: channel.port, set_port))
     registers.add(Bootstrap.MCDA, _destination_word(channel))

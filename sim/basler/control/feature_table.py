@@ -10,7 +10,12 @@ import math
 import struct
 
 from ronna_hw.wire.gige_vision import GevStatus
-from sim.basler.camera.capture_features import ACQUISITION_FEATURES, EXPOSURE_FEATURES, IMAGE_FEATURES
+from sim.basler.camera.capture_features import (
+    ACQUISITION_FEATURES,
+    ANALOG_FEATURES,
+    EXPOSURE_FEATURES,
+    IMAGE_FEATURES,
+)
 from sim.basler.camera.features import (
     Feature,
     FeatureState,
@@ -20,6 +25,7 @@ from sim.basler.camera.features import (
     choice,
     command,
     constant,
+    in_category,
     resolve_limit,
     setting,
 )
@@ -32,22 +38,18 @@ def _set_packet_size(camera: FeatureState, value: int) -> None:
     camera.channel.packet_size = value
 
 
-TRANSPORT = "TransportLayer"
-ACTION = "ActionControl"
-SETS = "UserSets"
-TRANSPORT_FEATURES: tuple[Feature, ...] = (
+TRANSPORT_FEATURES = in_category(
+    "TransportLayer",
     Feature(
         "PayloadSize",
-        TRANSPORT,
         "Image data of one frame.",
         read=lambda camera: camera.settings.frame().payload_bytes,
         unit="B",
     ),
-    constant("GevVersionMajor", TRANSPORT, "Version of the standard.", 1, visibility="Expert"),
-    constant("GevVersionMinor", TRANSPORT, "Version of the standard.", 2, visibility="Expert"),
+    constant("GevVersionMajor", "Version of the standard.", 1, visibility="Expert"),
+    constant("GevVersionMinor", "Version of the standard.", 2, visibility="Expert"),
     Feature(
         "GevSCPSPacketSize",
-        TRANSPORT,
         "Size of a stream packet with its IP and UDP headers.",
         read=lambda camera: camera.channel.packet_size,
         write=_set_packet_size,
@@ -58,26 +60,29 @@ TRANSPORT_FEATURES: tuple[Feature, ...] = (
     ),
     setting(
         "TLParamsLocked",
-        TRANSPORT,
         "1 while the client grabs: the format is locked.",
         "parameters_locked",
         limits=(0, 1),
         visibility="Invisible",
     ),
-    setting("ActionDeviceKey", ACTION, "Device key of accepted action commands.", "action_device_key"),
+)
+ACTION_FEATURES = in_category(
+    "ActionControl",
+    setting("ActionDeviceKey", "Device key of accepted action commands.", "action_device_key"),
     setting(
         "ActionSelector",
-        ACTION,
         "Action to which the following features apply.",
         "action_selector",
         limits=(1, 1),
         selects=("ActionGroupKey", "ActionGroupMask"),
     ),
-    setting("ActionGroupKey", ACTION, "Group of the selected action.", "action_group_key"),
-    setting("ActionGroupMask", ACTION, "Mask of the group.", "action_group_mask"),
+    setting("ActionGroupKey", "Group of the selected action.", "action_group_key"),
+    setting("ActionGroupMask", "Mask of the group.", "action_group_mask"),
+)
+USER_SET_FEATURES = in_category(
+    "UserSets",
     choice(
         "UserSetSelector",
-        SETS,
         "User set to load or save.",
         "user_set_selector",
         entries={
@@ -88,24 +93,16 @@ TRANSPORT_FEATURES: tuple[Feature, ...] = (
         },
         selects=("UserSetLoad", "UserSetSave"),
     ),
-    command(
-        "UserSetLoad", SETS, "Load the selected user set.", lambda camera: camera.load_user_set(), locked=True
-    ),
+    command("UserSetLoad", "Load the selected user set.", lambda camera: camera.load_user_set(), locked=True),
     command(
         "UserSetSave",
-        SETS,
         "Save the current settings as the selected user set; Default is read-only.",
         lambda camera: camera.save_user_set(),
     ),
 )
 
 
-EVENTS = "EventsGeneration"
 OFF, ON = 0, 1
-
-
-def _is_notified(camera: FeatureState) -> int:
-    return int(camera.settings.event_selector in camera.settings.events_notified)
 
 
 def _set_notified(camera: FeatureState, value: int) -> None:
@@ -114,10 +111,10 @@ def _set_notified(camera: FeatureState, value: int) -> None:
     settings.events_notified = other_events | {settings.event_selector} if value == ON else other_events
 
 
-EVENT_FEATURES: tuple[Feature, ...] = (
+EVENT_FEATURES = in_category(
+    "EventsGeneration",
     choice(
         "EventSelector",
-        EVENTS,
         "Event to which EventNotification applies.",
         "event_selector",
         entries={kind.feature_name: int(kind) for kind in EventKind},
@@ -125,17 +122,23 @@ EVENT_FEATURES: tuple[Feature, ...] = (
     ),
     Feature(
         "EventNotification",
-        EVENTS,
         "Report the selected event on the message channel.",
         Kind.ENUMERATION,
-        read=_is_notified,
+        read=lambda camera: int(camera.settings.event_selector in camera.settings.events_notified),
         write=_set_notified,
         entries={"Off": OFF, "On": ON},
     ),
 )
 
 FEATURES: tuple[Feature, ...] = (
-    IMAGE_FEATURES + ACQUISITION_FEATURES + EXPOSURE_FEATURES + TRANSPORT_FEATURES + EVENT_FEATURES
+    *IMAGE_FEATURES,
+    *ACQUISITION_FEATURES,
+    *EXPOSURE_FEATURES,
+    *ANALOG_FEATURES,
+    *TRANSPORT_FEATURES,
+    *ACTION_FEATURES,
+    *USER_SET_FEATURES,
+    *EVENT_FEATURES,
 )
 
 
@@ -170,7 +173,7 @@ def _value_register(feature: Feature, camera: FeatureState) -> RegisterWord:
 
     def write(word: int) -> None:
         assert feature.write is not None
-        if feature.locked and camera.acquiring:
+        if feature.locked and camera.acquisition.running:
             raise RegisterRefusal(GevStatus.BUSY)
         value = _decode(feature, word)
         if not feature.accepts(camera, value):

@@ -7,33 +7,8 @@ from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from ronna_hw.wire.gige_vision import (
-    ACTION_COMMAND,
-    DISCOVERY_BYTES,
-    FORCEIP_ADDRESS_OFFSET,
-    FORCEIP_BYTES,
-    FORCEIP_MAC_OFFSET,
-    GVCP_ACK_HEADER,
-    GVCP_COMMAND_HEADER,
-    GVCP_HEADER_BYTES,
-    GVCP_KEY,
-    GVCP_PAYLOAD_LIMIT,
-    GVSP_PACKET_ID_MASK,
-    PACKETRESEND_COMMAND,
-    PACKETRESEND_EXTENDED,
-    READMEM_ACK_HEAD,
-    READMEM_COMMAND,
-    READMEM_LIMIT,
-    READREG_ACK_ITEM,
-    READREG_ITEM,
-    WRITE_ACK,
-    WRITEMEM_HEAD,
-    WRITEREG_ITEM,
-    Bootstrap,
-    GevStatus,
-    GvcpCommand,
-    GvcpFlag,
-)
+from ronna_hw.wire import gige_vision as gev
+from ronna_hw.wire.gige_vision import Bootstrap, GevStatus, GvcpCommand, GvcpFlag
 from sim.basler.control.privilege import Peer, Privilege
 from sim.basler.control.registers import RegisterMap, RegisterRefusal
 
@@ -92,11 +67,11 @@ class GvcpPort:
 
     def answer(self, datagram: bytes, peer: Peer) -> bytes | None:
         """Execute the command in a datagram and return the answer, or None if none is due."""
-        if len(datagram) < GVCP_HEADER_BYTES or datagram[0] != GVCP_KEY:
+        if len(datagram) < gev.GVCP_HEADER_BYTES or datagram[0] != gev.GVCP_KEY:
             return None
-        _, flags, command, length, request_id = struct.unpack_from(GVCP_COMMAND_HEADER, datagram)
-        payload = datagram[GVCP_HEADER_BYTES:]
-        if request_id == 0 or len(payload) != length or length > GVCP_PAYLOAD_LIMIT:
+        _, flags, command, length, request_id = struct.unpack_from(gev.GVCP_COMMAND_HEADER, datagram)
+        payload = datagram[gev.GVCP_HEADER_BYTES :]
+        if request_id == 0 or len(payload) != length or length > gev.GVCP_PAYLOAD_LIMIT:
             return None
         if self._refreshes_heartbeat():
             self._privilege.refresh_heartbeat(peer)
@@ -122,53 +97,53 @@ class GvcpPort:
             status = refusal.status
             # A write command's answer also states how far it got.
             writes = command in (GvcpCommand.WRITEREG, GvcpCommand.WRITEMEM)
-            content = struct.pack(WRITE_ACK, 0, refusal.written) if writes else b""
+            content = struct.pack(gev.WRITE_ACK, 0, refusal.written) if writes else b""
         except struct.error:
             content, status = b"", GevStatus.INVALID_HEADER
         return _acknowledge(command + 1, status, content, request_id)
 
     def _discovery(self, _payload: bytes, _peer: Peer, _flags: int) -> bytes:
-        return self._registers.read(0, DISCOVERY_BYTES)
+        return self._registers.read(0, gev.DISCOVERY_BYTES)
 
     def _force_ip(self, payload: bytes, _peer: Peer, _flags: int) -> bytes:
         """Execute FORCEIP, accepting only the present address, to which the camera's socket is bound."""
-        if len(payload) != FORCEIP_BYTES:
+        if len(payload) != gev.FORCEIP_BYTES:
             raise RegisterRefusal(GevStatus.INVALID_HEADER)
-        if payload[FORCEIP_MAC_OFFSET : FORCEIP_MAC_OFFSET + MAC_BYTES] != self._mac:
+        if payload[gev.FORCEIP_MAC_OFFSET : gev.FORCEIP_MAC_OFFSET + MAC_BYTES] != self._mac:
             raise CommandIgnored
         if self._privilege.owner is not None:
             raise RegisterRefusal(GevStatus.ACCESS_DENIED)
-        requested_address = payload[FORCEIP_ADDRESS_OFFSET : FORCEIP_ADDRESS_OFFSET + ADDRESS_BYTES]
+        requested_address = payload[gev.FORCEIP_ADDRESS_OFFSET : gev.FORCEIP_ADDRESS_OFFSET + ADDRESS_BYTES]
         if requested_address not in (self._address, bytes(ADDRESS_BYTES)):
             raise RegisterRefusal(GevStatus.LOCAL_PROBLEM)
         return b""
 
     def _read_registers(self, payload: bytes, peer: Peer, _flags: int) -> bytes:
         self._check_readable(peer)
-        addresses = [address for (address,) in _unpack_items(READREG_ITEM, payload)]
+        addresses = [address for (address,) in _unpack_items(gev.READREG_ITEM, payload)]
         return b"".join(
-            struct.pack(READREG_ACK_ITEM, self._registers.read_word(address)) for address in addresses
+            struct.pack(gev.READREG_ACK_ITEM, self._registers.read_word(address)) for address in addresses
         )
 
     def _write_registers(self, payload: bytes, peer: Peer, _flags: int) -> bytes:
-        pairs = _unpack_items(WRITEREG_ITEM, payload)
+        pairs = _unpack_items(gev.WRITEREG_ITEM, payload)
         for index, (address, value) in enumerate(pairs):
             try:
                 self._write_word(address, value, peer)
             except RegisterRefusal as refusal:
                 raise RegisterRefusal(refusal.status, index) from refusal
-        return struct.pack(WRITE_ACK, 0, len(pairs))
+        return struct.pack(gev.WRITE_ACK, 0, len(pairs))
 
     def _read_memory(self, payload: bytes, peer: Peer, _flags: int) -> bytes:
         self._check_readable(peer)
-        address, _, count = struct.unpack(READMEM_COMMAND, payload)
-        if not 0 < count <= READMEM_LIMIT:
+        address, _, count = struct.unpack(gev.READMEM_COMMAND, payload)
+        if not 0 < count <= gev.READMEM_LIMIT:
             raise RegisterRefusal(GevStatus.INVALID_PARAMETER)
-        return struct.pack(READMEM_ACK_HEAD, address) + self._registers.read(address, count)
+        return struct.pack(gev.READMEM_ACK_HEAD, address) + self._registers.read(address, count)
 
     def _write_memory(self, payload: bytes, peer: Peer, _flags: int) -> bytes:
-        (address,) = struct.unpack_from(WRITEMEM_HEAD, payload)
-        data = payload[struct.calcsize(WRITEMEM_HEAD) :]
+        (address,) = struct.unpack_from(gev.WRITEMEM_HEAD, payload)
+        data = payload[struct.calcsize(gev.WRITEMEM_HEAD) :]
         if not data:
             raise RegisterRefusal(GevStatus.INVALID_PARAMETER)
         if address == Bootstrap.CCP and len(data) == ADDRESS_BYTES:
@@ -177,7 +152,7 @@ class GvcpPort:
             raise RegisterRefusal(GevStatus.ACCESS_DENIED)
         else:
             self._registers.write(address, data)
-        return struct.pack(WRITE_ACK, 0, len(data))
+        return struct.pack(gev.WRITE_ACK, 0, len(data))
 
     def _packet_resend(self, payload: bytes, peer: Peer, flags: int) -> bytes:
         # The stream's receiver requests from a port of its own, so only the address must be the owner's.
@@ -185,15 +160,15 @@ class GvcpPort:
         if owner is None or owner[0] != peer[0]:
             raise CommandIgnored
         if flags & GvcpFlag.EXTENDED_ID:
-            _, _, first, last, block_id = struct.unpack(PACKETRESEND_EXTENDED, payload)
+            _, _, first, last, block_id = struct.unpack(gev.PACKETRESEND_EXTENDED, payload)
         else:
-            _, block_id, first, last = struct.unpack(PACKETRESEND_COMMAND, payload)
-            first, last = first & GVSP_PACKET_ID_MASK, last & GVSP_PACKET_ID_MASK
+            _, block_id, first, last = struct.unpack(gev.PACKETRESEND_COMMAND, payload)
+            first, last = first & gev.GVSP_PACKET_ID_MASK, last & gev.GVSP_PACKET_ID_MASK
         self._actions.resend(block_id, first, last)
         raise CommandIgnored
 
     def _action(self, payload: bytes, _peer: Peer, flags: int) -> bytes:
-        keys = struct.unpack_from(ACTION_COMMAND, payload)
+        keys = struct.unpack_from(gev.ACTION_COMMAND, payload)
         if flags & GvcpFlag.SCHEDULED:
             raise RegisterRefusal(GevStatus.NO_REFERENCE_TIME)  # no clock is shared with the application
         if self._privilege.owner is None or not self._actions.act(*keys):
@@ -256,4 +231,4 @@ def _unpack_items(layout: str, payload: bytes) -> list[tuple[int, ...]]:
 
 
 def _acknowledge(code: int, status: GevStatus, content: bytes, request_id: int) -> bytes:
-    return struct.pack(GVCP_ACK_HEADER, status, code, len(content), request_id) + content
+    return struct.pack(gev.GVCP_ACK_HEADER, status, code, len(content), request_id) + content

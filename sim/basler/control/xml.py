@@ -9,16 +9,8 @@ from dataclasses import dataclass
 from functools import cache
 from xml.etree import ElementTree
 
-from ronna_hw.wire.gige_vision import (
-    ACA2000_50GM_NIR,
-    BASLER,
-    EVENT_ITEM_BYTES,
-    REGISTER_BYTES,
-    TEXT_BYTES,
-    TIMESTAMP_LATCH,
-    TIMESTAMP_RESET,
-    Bootstrap,
-)
+from ronna_hw.wire import gige_vision as gev
+from ronna_hw.wire.gige_vision import Bootstrap
 from sim.basler.camera.features import Feature, Kind
 from sim.basler.control.feature_table import FEATURES, MAXIMUM_OFFSET, MINIMUM_OFFSET, STEP_OFFSET, address_of
 from sim.basler.settings import EventKind
@@ -54,7 +46,7 @@ def _event_data() -> Iterator[EventData]:
     for kind in EventKind:
         yield EventData(kind, "StreamChannelIndex", 4, 2, "Stream channel of the event.")
         if kind is EventKind.EXPOSURE_END:
-            yield EventData(kind, "FrameID", EVENT_ITEM_BYTES, 4, "Block ID of the exposed frame.")
+            yield EventData(kind, "FrameID", gev.EVENT_ITEM_BYTES, 4, "Block ID of the exposed frame.")
         yield EventData(kind, "Timestamp", 8, 8, "Time of the event, ticks.")
 
 
@@ -70,17 +62,7 @@ def add_event_data(root: ElementTree.Element) -> None:
         node = _add_node(root, "Integer", data.name)
         _add_child(node, "ToolTip", data.about)
         _add_child(node, "pValue", f"{data.name}Register")
-        register = _add_node(root, "IntReg", f"{data.name}Register")
-        for tag, text in (
-            ("Address", f"0x{data.offset:X}"),
-            ("Length", str(data.length)),
-            ("AccessMode", "RO"),
-            ("pPort", data.port),
-            ("Cachable", "NoCache"),
-            ("Sign", "Unsigned"),
-            ("Endianess", "BigEndian"),
-        ):
-            _add_child(register, tag, text)
+        _add_integer_register(root, f"{data.name}Register", data.offset, "RO", data.length, port=data.port)
     for kind in EventKind:
         port = _add_node(root, "Port", f"{kind.feature_name}EventPort")
         _add_child(port, "EventID", f"{kind:x}")
@@ -111,18 +93,17 @@ class StandardFeature:
     address: Bootstrap
     about: str
     access: str = "RO"
-    size: int = REGISTER_BYTES
+    size: int = gev.REGISTER_BYTES
     command: int | None = None
 
 
 def _text_feature(name: str, address: Bootstrap, about: str, access: str = "RO") -> StandardFeature:
-    return StandardFeature(
-        name, "DeviceInformation", "StringReg", address, about, access, TEXT_BYTES[address]
-    )
+    size = gev.TEXT_BYTES[address]
+    return StandardFeature(name, "DeviceInformation", "StringReg", address, about, access, size)
 
 
 def _integer_feature(
-    name: str, address: Bootstrap, about: str, access: str = "RW", size: int = REGISTER_BYTES
+    name: str, address: Bootstrap, about: str, access: str = "RW", size: int = gev.REGISTER_BYTES
 ) -> StandardFeature:
     return StandardFeature(name, "TransportLayer", "Integer", address, about, access, size)
 
@@ -147,8 +128,8 @@ STANDARD_FEATURES = (
     _integer_feature(
         "GevTimestampTickFrequency", Bootstrap.TICK_FREQUENCY_HIGH, "Ticks per second.", "RO", 8
     ),
-    _time_command("GevTimestampControlLatch", "Latch the current time stamp.", TIMESTAMP_LATCH),
-    _time_command("GevTimestampControlReset", "Reset the time stamp to zero.", TIMESTAMP_RESET),
+    _time_command("GevTimestampControlLatch", "Latch the current time stamp.", gev.TIMESTAMP_LATCH),
+    _time_command("GevTimestampControlReset", "Reset the time stamp to zero.", gev.TIMESTAMP_RESET),
     _integer_feature(
         "GevTimestampValue", Bootstrap.TIMESTAMP_HIGH, "The latched time stamp, ticks.", "RO", 8
     ),
@@ -171,8 +152,8 @@ def camera_xml() -> bytes:
             "xmlns": NAMESPACE,
             "xmlns:xsi": "http://www.w3.org/2001/XMLSchema-instance",
             "xsi:schemaLocation": SCHEMA,
-            "ModelName": ACA2000_50GM_NIR,
-            "VendorName": BASLER,
+            "ModelName": gev.ACA2000_50GM_NIR,
+            "VendorName": gev.BASLER,
             "ToolTip": "Monochrome near-infrared camera",
             "StandardNameSpace": "GEV",
             "SchemaMajorVersion": "1",
@@ -181,7 +162,7 @@ def camera_xml() -> bytes:
             "MajorVersion": "1",
             "MinorVersion": "0",
             "SubMinorVersion": "0",
-            "ProductGuid": str(uuid.uuid5(uuid.NAMESPACE_URL, f"{NAMESPACE}/{ACA2000_50GM_NIR}")),
+            "ProductGuid": str(uuid.uuid5(uuid.NAMESPACE_URL, f"{NAMESPACE}/{gev.ACA2000_50GM_NIR}")),
             "VersionGuid": VERSION_PLACE,
         },
     )
@@ -252,14 +233,8 @@ def _add_feature(root: ElementTree.Element, feature: Feature) -> None:
     for selected in feature.selects:
         _add_child(node, "pSelected", selected)
     access = "WO" if feature.read is None else ("RO" if feature.write is None else "RW")
-    _add_number_register(
-        root,
-        register,
-        feature,
-        address,
-        access,
-        [one.name for one in FEATURES if feature.name in one.selects],
-    )
+    invalidators = [one.name for one in FEATURES if feature.name in one.selects]
+    _add_number_register(root, register, feature, address, access, invalidators)
 
 
 def _add_limits(root: ElementTree.Element, node: ElementTree.Element, feature: Feature, address: int) -> None:
@@ -275,19 +250,14 @@ def _add_limits(root: ElementTree.Element, node: ElementTree.Element, feature: F
 
 
 def _add_number_register(
-    root: ElementTree.Element,
-    name: str,
-    feature: Feature,
-    address: int,
-    access: str,
-    invalidators: Sequence[str],
+    root: ElementTree.Element, name: str, feature: Feature, address: int, access: str, more: Sequence[str]
 ) -> None:
     if feature.kind is Kind.FLOAT:
         node = _add_node(root, "FloatReg", name)
-        _locate(node, address, access, REGISTER_BYTES, invalidators)
+        _locate(node, address, access, gev.REGISTER_BYTES, more)
         _add_child(node, "Endianess", "BigEndian")
         return
-    _add_integer_register(root, name, address, access, REGISTER_BYTES, invalidators)
+    _add_integer_register(root, name, address, access, gev.REGISTER_BYTES, more)
 
 
 def _add_integer_register(
@@ -297,20 +267,26 @@ def _add_integer_register(
     access: str,
     size: int,
     invalidators: Sequence[str] = (),
+    port: str = PORT,
 ) -> None:
     node = _add_node(root, "IntReg", name)
-    _locate(node, address, access, size, invalidators)
+    _locate(node, address, access, size, invalidators, port)
     _add_child(node, "Sign", "Unsigned")
     _add_child(node, "Endianess", "BigEndian")
 
 
 def _locate(
-    node: ElementTree.Element, address: int, access: str, size: int, invalidators: Sequence[str] = ()
+    node: ElementTree.Element,
+    address: int,
+    access: str,
+    size: int,
+    invalidators: Sequence[str] = (),
+    port: str = PORT,
 ) -> None:
     _add_child(node, "Address", f"0x{address:X}")
     _add_child(node, "Length", str(size))
     _add_child(node, "AccessMode", access)
-    _add_child(node, "pPort", PORT)
+    _add_child(node, "pPort", port)
     # Limits, status and payload size change on their own: a client must always read them.
     _add_child(node, "Cachable", "NoCache")
     for invalidator in invalidators:

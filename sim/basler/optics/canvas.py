@@ -14,9 +14,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ronna_hw.wire.gige_vision import PIXEL_PITCH_UM
+from sim.world.rigid import Array
 from sim.world.scene.model import CameraTruth
-
-Array = NDArray[np.float64]
 
 F_NUMBER = 8.0  # macro work: stopped down for depth of field
 # Diffraction at f/8, magnification 0.25 and 850 nm (0.42 * wavelength * effective f-number), in pixels.
@@ -161,8 +160,7 @@ class Dot:
 
     def sum_rows(self, rows: slice, out: Image | None = None) -> Image:
         """Return the dot products of some rows, in `out` if given."""
-        total: Image = np.add(self.rows[rows], self.columns, out=out)
-        return total
+        return np.add(self.rows[rows], self.columns, out=out)
 
 
 class Rays:
@@ -262,8 +260,7 @@ def _box_filter(patch: Image, width: int, axis: int) -> Image:
     first = np.zeros_like(sums[:1] if axis == 0 else sums[:, :1])
     sums = np.concatenate([first, sums], axis=axis)
     ends = sums[width:] - sums[:-width] if axis == 0 else sums[:, width:] - sums[:, :-width]
-    mean: Image = (ends / width).astype(np.float32)
-    return mean
+    return (ends / width).astype(np.float32)
 
 
 def _extend_edge(patch: Image, spread: int, axis: int) -> Image:

@@ -102,5 +102,4 @@ class Grain:
             total ^= cube
         total >>= 12
         total &= TABLE_SIZE - 1
-        grain: Image = self._table.take(total)
-        return grain
+        return self._table.take(total)

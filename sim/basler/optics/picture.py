@@ -9,7 +9,6 @@ from math import cos, pi, sin
 from statistics import NormalDist
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sim.basler.optics.canvas import (
     LARGEST_SIGMA_PX,
@@ -26,9 +25,8 @@ from sim.basler.optics.film import Film, Grain, Stain
 from sim.basler.optics.sensor import BACKGROUND_ELECTRONS_PER_US, FILM_ELECTRONS_PER_US, Lighting
 from sim.basler.optics.sphere import BodyImage, DrawnSphere, draw_sphere, draw_stalk, stalk_outline_mm
 from sim.world.displacements import NOTHING_MOVED, RoomShift
+from sim.world.rigid import Array
 from sim.world.scene.model import CameraTruth
-
-Array = NDArray[np.float64]
 
 GLARE_ELECTRONS_PER_US = 4 * FILM_ELECTRONS_PER_US  # saturates at usual exposures
 GLARE_SOFTNESS = 0.04  # standard deviation of its edge, relative to its radius

@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 
 from sim.basler.optics.canvas import Area, Dot, Image, Lens, PixelCanvas, Rays, bounds_of, row_bands
 from sim.basler.optics.film import Film
+from sim.world.rigid import Vector
 
-Vector = NDArray[np.float64]
 Values = NDArray[np.floating[Any]]
 
 LIMB_DARKENING = 0.25  # less light from the limb than from the centre

@@ -7,22 +7,8 @@ from collections.abc import Callable, Mapping
 from math import inf
 from xml.etree import ElementTree
 
-from ronna_hw.wire.kuka_eki import (
-    ACK,
-    AXIS,
-    AXIS_ATTRIBUTES,
-    CMD,
-    POS,
-    POS_ATTRIBUTES,
-    STATE,
-    STATE_PERIOD_MS,
-    AckCode,
-    CommandName,
-    Correction,
-    Reference,
-    StateAttribute,
-    StopRequest,
-)
+from ronna_hw.wire import kuka_eki as wire
+from ronna_hw.wire.kuka_eki import AckCode, CommandName, Correction, Reference, StateAttribute, StopRequest
 from sim.kuka.autostart import Autostart
 from sim.kuka.controller import Controller
 from sim.kuka.eki.moves import EkiMoves, escape, flag, frame, integer
@@ -82,7 +68,7 @@ class ProjectChannel:
 
     def request(self, element: ElementTree.Element) -> None:
         """Answer a command and ignore anything else."""
-        if element.tag != CMD:
+        if element.tag != wire.CMD:
             return
         self._idle_until_s = inf
         identifier, name = element.get("Id", UNSOLICITED), element.get("Name", "")
@@ -109,8 +95,8 @@ class ProjectChannel:
 
     def _acknowledge(self, identifier: str, name: str, answer: Acknowledgement) -> None:
         self._server.send(
-            f'<{ACK} Id="{self._escape(identifier)}" Cmd="{self._escape(name)}" Code="{answer.code.value}"'
-            f' Text="{self._escape(answer.text)}"></{ACK}>'
+            f'<{wire.ACK} Id="{self._escape(identifier)}" Cmd="{self._escape(name)}"'
+            f' Code="{answer.code.value}" Text="{self._escape(answer.text)}"></{wire.ACK}>'
         )
 
     def tick(self, now_s: float) -> float:
@@ -122,7 +108,7 @@ class ProjectChannel:
         facts = self._collect_facts()
         if facts != self._sent or now_s >= self._next_state_s:
             self._sent = facts
-            self._next_state_s = now_s + STATE_PERIOD_MS / 1000.0
+            self._next_state_s = now_s + wire.STATE_PERIOD_MS / 1000.0
             self._server.send(self._compose_state(UNSOLICITED))
         return self._next_state_s
 
@@ -158,13 +144,17 @@ class ProjectChannel:
         head = " ".join(f'{name}="{value}"' for name, value in zip(StateAttribute, values, strict=True))
         arm = self._controller.arm
         axes = " ".join(
-            f'{name}="{angle:.4f}"' for name, angle in zip(AXIS_ATTRIBUTES, arm.reported_deg, strict=True)
+            f'{name}="{angle:.4f}"'
+            for name, angle in zip(wire.AXIS_ATTRIBUTES, arm.reported_deg, strict=True)
         )
         status, turn = status_and_turn(arm.description, arm.reported_deg)
         status ^= self._controller.parameters.inverted_status
         places = (*(f"{value:.4f}" for value in arm.reported_frame), str(status), str(turn))
-        position = " ".join(f'{name}="{value}"' for name, value in zip(POS_ATTRIBUTES, places, strict=True))
-        return f"<{STATE} {head}><{AXIS} {axes}></{AXIS}><{POS} {position}></{POS}></{STATE}>"
+        position = " ".join(
+            f'{name}="{value}"' for name, value in zip(wire.POS_ATTRIBUTES, places, strict=True)
+        )
+        parts = f"<{wire.AXIS} {axes}></{wire.AXIS}><{wire.POS} {position}></{wire.POS}>"
+        return f"<{wire.STATE} {head}>{parts}</{wire.STATE}>"
 
     def _escape(self, content: str) -> str:
         return escape(content, self._controller.parameters.longest_text)
@@ -191,7 +181,6 @@ class ProjectChannel:
 
 
 def _parse_number(arguments: Mapping[str, str], last: int) -> int:
-    """Parse a tool or base number."""
     number = integer(arguments, "No")
     if not 1 <= number <= last:
         raise ValueError(f"No is 1 to {last}")

@@ -8,7 +8,6 @@ from math import degrees
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ronna_hw.wire.kuka_context import (
     AXISCORR_DEFAULT_LIMIT_DEG,
@@ -26,9 +25,7 @@ from ronna_hw.wire.kuka_context import (
 from sim.kuka.pendant import PendantMessage, near_singularity, out_of_range
 from sim.kuka.rsi.telegrams import AXIS, FRAME
 from sim.world.nominal_arm import AXES, RobotDescription, pose_of_frame
-from sim.world.rigid import rotation_from_vector
-
-Matrix = NDArray[np.float64]
+from sim.world.rigid import Matrix, rotation_from_vector, twice_sine_axis
 
 # Stat of AXISCORR: bit n for axis n at a limit; of POSCORR: bits 1 to 3 for X, Y, Z, bit 4 for the rotation.
 ACTIVE_BIT = 1
@@ -182,25 +179,14 @@ class PositionCorrector:
         angle_deg = degrees(_angle(turn))
         if angle_deg <= self._limits.max_rotation_deg:
             return turn
-        vector = _axis(turn)
+        vector = twice_sine_axis(turn)
         unit = vector / np.linalg.norm(vector)
         return rotation_from_vector(unit * np.radians(self._limits.max_rotation_deg))
 
 
 def _angle(rotation: Matrix) -> float:
     """Return the angle of a rotation matrix in rad, accurate even near zero."""
-    return float(np.arctan2(np.linalg.norm(_axis(rotation)), np.trace(rotation) - 1.0))
-
-
-def _axis(rotation: Matrix) -> Matrix:
-    """Return the axis of a rotation matrix, (3,), multiplied by twice the sine of the angle."""
-    return np.array(
-        [
-            rotation[2, 1] - rotation[1, 2],
-            rotation[0, 2] - rotation[2, 0],
-            rotation[1, 0] - rotation[0, 1],
-        ]
-    )
+    return float(np.arctan2(np.linalg.norm(twice_sine_axis(rotation)), np.trace(rotation) - 1.0))
 
 
 class EthernetOutputs:

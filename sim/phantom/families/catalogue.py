@@ -6,7 +6,7 @@ of covariances are stated for the families for JUDGING, which are never used whi
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from math import cos, pi, sin
 
@@ -94,7 +94,6 @@ class Family:
     """A scan family, from whose ranges each scan draws its values uniformly."""
 
     name: str
-    purpose: Purpose
     shows: str
     half_width_mm: Range = (72.0, 78.0)  # semi-axes of the head
     half_depth_mm: Range = (90.0, 98.0)
@@ -117,172 +116,138 @@ class Family:
     bases: MetalBases | None = None
     bare: bool = False  # spheres have neither film nor post
     edge: bool = False  # the field of view ends next to one sphere and cuts another
+    purpose: Purpose = Purpose.TUNING
 
 
-def _define_look_alike_family(
-    name: str, purpose: Purpose, shows: str, look_alikes: tuple[Draw, ...]
-) -> Family:
-    return Family(
-        name, purpose, shows, headrest=Headrest.NONE, cable=False, look_alikes=look_alikes, markers=5
-    )
+def _look_alikes(name: str, shows: str, look_alikes: tuple[Draw, ...]) -> Family:
+    return Family(name, shows, headrest=Headrest.NONE, cable=False, look_alikes=look_alikes, markers=5)
 
 
-FAMILIES: dict[str, Family] = {
-    family.name: family
-    for family in (
-        Family(
-            "plain", Purpose.TUNING, "an ordinary head in a head holder, with dental fillings and a cable"
+def _for_purpose(purpose: Purpose, *families: Family) -> dict[str, Family]:
+    return {family.name: replace(family, purpose=purpose) for family in families}
+
+
+TUNING = _for_purpose(
+    Purpose.TUNING,
+    Family("plain", "an ordinary head in a head holder, with dental fillings and a cable"),
+    Family(
+        "posts",
+        "two-lobed streaks around every metal post",
+        post_streaks=PostStreaks((250.0, 250.0), (2.0, 2.0), (2,)),
+    ),
+    Family(
+        "bands",
+        "one or two straight bright or dark bands across every sphere",
+        bands=MarkerBands((1, 2), (150.0, 450.0), (1.2, 3.0), (1.0, 3.0), (-6.0, 6.0), (-5.0, 5.0)),
+    ),
+    Family(
+        "dressing",
+        "a moist bandage that covers spheres up to the middle",
+        bandage_mm=(6.0, 14.0),
+        bandage_hu=(20.0, 60.0),
+    ),
+    Family(
+        "screws",
+        "metal screws and their artefacts from the physics of the scan, other metal beside them",
+        standoff_mm=(9.0, 16.0),
+        bases=MetalBases(
+            (POST_METAL_HU, METAL_HU), (1.2, 2.0), (1.2, 2.0), 0.4, (9.0, 15.0), ("standard", "sharp")
         ),
-        Family(
-            "posts",
-            Purpose.TUNING,
-            "two-lobed streaks around every metal post",
-            post_streaks=PostStreaks((250.0, 250.0), (2.0, 2.0), (2,)),
+        cable=False,
+    ),
+    _look_alikes("rounded", "capsules, rods with round ends and ellipsoids", ROUNDED),
+    _look_alikes("caps", "domes on the skin, mushroom shapes, barrels, buttons", CAPS),
+    _look_alikes("joined", "beads in rows and balls on thick rods", JOINED),
+    _look_alikes("sizes", "balls half a millimetre smaller than markers", SIZES),
+)
+JUDGING = _for_purpose(
+    Purpose.JUDGING,
+    Family(
+        "narrow",
+        "a small, long head on a cushion, many dental fillings",
+        half_width_mm=(60.0, 66.0),
+        half_depth_mm=(84.0, 92.0),
+        half_height_mm=(76.0, 84.0),
+        fillings=(6, 12),
+        headrest=Headrest.CUSHION,
+        cable=False,
+    ),
+    Family(
+        "broad",
+        "a large round head without headrest, with bolts of depth electrodes",
+        half_width_mm=(80.0, 86.0),
+        half_depth_mm=(94.0, 102.0),
+        half_height_mm=(92.0, 98.0),
+        headrest=Headrest.NONE,
+        bolts=6,
+    ),
+    Family(
+        "clamp",
+        "a head clamp with three steel pins and their streaks",
+        headrest=Headrest.NONE,
+        pins=3,
+        cable=False,
+    ),
+    Family("electrodes", "cup electrodes with leads between the markers", electrodes=10),
+    Family("bandage", "a dry bandage around the head", bandage_mm=(3.0, 10.0), headrest=Headrest.CUSHION),
+    Family(
+        "soaked",
+        "a wet bandage that covers spheres up to the middle",
+        bandage_mm=(7.0, 15.0),
+        bandage_hu=(-30.0, 40.0),
+        headrest=Headrest.CUSHION,
+        cable=False,
+    ),
+    Family(
+        "crowded",
+        "pairs of spheres 14 mm apart, balls of 16 mm and cylinders of 12 mm of the same polymer",
+        pairs=2,
+        distractors=4,
+    ),
+    Family("edge", "the field of view ends next to one sphere and cuts another", edge=True),
+    Family(
+        "streaks",
+        "three- to five-lobed streaks around every metal post",
+        post_streaks=PostStreaks((200.0, 250.0), (2.0, 2.5), (3, 4, 5)),
+        fillings=(6, 12),
+    ),
+    Family(
+        "rays",
+        "three to six bright and dark rays from the foot of every post, in adjacent slices",
+        bands=MarkerBands(
+            (3, 6), (200.0, 500.0), (0.8, 2.5), (1.5, 4.0), (-2.0, 2.0), (3.0, 9.0), from_metal=True
         ),
-        Family(
-            "bands",
-            Purpose.TUNING,
-            "one or two straight bright or dark bands across every sphere",
-            bands=MarkerBands((1, 2), (150.0, 450.0), (1.2, 3.0), (1.0, 3.0), (-6.0, 6.0), (-5.0, 5.0)),
+        fillings=(6, 12),
+    ),
+    Family(
+        "metal",
+        "titanium and steel screws, amalgam and screws beside them, and their artefacts from the physics",
+        half_width_mm=(70.0, 80.0),
+        standoff_mm=(9.0, 18.0),
+        bases=MetalBases(
+            (POST_METAL_HU, POST_METAL_HU, METAL_HU),
+            (1.2, 2.0),
+            (1.2, 2.0),
+            0.5,
+            (8.5, 16.0),
+            ("standard", "smooth", "sharp"),
         ),
-        Family(
-            "dressing",
-            Purpose.TUNING,
-            "a moist bandage that covers spheres up to the middle",
-            bandage_mm=(6.0, 14.0),
-            bandage_hu=(20.0, 60.0),
-        ),
-        Family(
-            "screws",
-            Purpose.TUNING,
-            "metal screws and their artefacts from the physics of the scan, other metal beside them",
-            standoff_mm=(9.0, 16.0),
-            bases=MetalBases(
-                (POST_METAL_HU, METAL_HU), (1.2, 2.0), (1.2, 2.0), 0.4, (9.0, 15.0), ("standard", "sharp")
-            ),
-            cable=False,
-        ),
-        _define_look_alike_family(
-            "rounded", Purpose.TUNING, "capsules, rods with round ends and ellipsoids", ROUNDED
-        ),
-        _define_look_alike_family(
-            "caps", Purpose.TUNING, "domes on the skin, mushroom shapes, barrels, buttons", CAPS
-        ),
-        _define_look_alike_family("joined", Purpose.TUNING, "beads in rows and balls on thick rods", JOINED),
-        _define_look_alike_family(
-            "sizes", Purpose.TUNING, "balls half a millimetre smaller than markers", SIZES
-        ),
-        Family(
-            "narrow",
-            Purpose.JUDGING,
-            "a small, long head on a cushion, many dental fillings",
-            half_width_mm=(60.0, 66.0),
-            half_depth_mm=(84.0, 92.0),
-            half_height_mm=(76.0, 84.0),
-            fillings=(6, 12),
-            headrest=Headrest.CUSHION,
-            cable=False,
-        ),
-        Family(
-            "broad",
-            Purpose.JUDGING,
-            "a large round head without headrest, with bolts of depth electrodes",
-            half_width_mm=(80.0, 86.0),
-            half_depth_mm=(94.0, 102.0),
-            half_height_mm=(92.0, 98.0),
-            headrest=Headrest.NONE,
-            bolts=6,
-        ),
-        Family(
-            "clamp",
-            Purpose.JUDGING,
-            "a head clamp with three steel pins and their streaks",
-            headrest=Headrest.NONE,
-            pins=3,
-            cable=False,
-        ),
-        Family("electrodes", Purpose.JUDGING, "cup electrodes with leads between the markers", electrodes=10),
-        Family(
-            "bandage",
-            Purpose.JUDGING,
-            "a dry bandage around the head",
-            bandage_mm=(3.0, 10.0),
-            headrest=Headrest.CUSHION,
-        ),
-        Family(
-            "soaked",
-            Purpose.JUDGING,
-            "a wet bandage that covers spheres up to the middle",
-            bandage_mm=(7.0, 15.0),
-            bandage_hu=(-30.0, 40.0),
-            headrest=Headrest.CUSHION,
-            cable=False,
-        ),
-        Family(
-            "crowded",
-            Purpose.JUDGING,
-            "pairs of spheres 14 mm apart, balls of 16 mm and cylinders of 12 mm of the same polymer",
-            pairs=2,
-            distractors=4,
-        ),
-        Family(
-            "edge", Purpose.JUDGING, "the field of view ends next to one sphere and cuts another", edge=True
-        ),
-        Family(
-            "streaks",
-            Purpose.JUDGING,
-            "three- to five-lobed streaks around every metal post",
-            post_streaks=PostStreaks((200.0, 250.0), (2.0, 2.5), (3, 4, 5)),
-            fillings=(6, 12),
-        ),
-        Family(
-            "rays",
-            Purpose.JUDGING,
-            "three to six bright and dark rays from the foot of every post, in adjacent slices",
-            bands=MarkerBands(
-                (3, 6), (200.0, 500.0), (0.8, 2.5), (1.5, 4.0), (-2.0, 2.0), (3.0, 9.0), from_metal=True
-            ),
-            fillings=(6, 12),
-        ),
-        Family(
-            "metal",
-            Purpose.JUDGING,
-            "titanium and steel screws, amalgam and screws beside them, and their artefacts from the physics",
-            half_width_mm=(70.0, 80.0),
-            standoff_mm=(9.0, 18.0),
-            bases=MetalBases(
-                (POST_METAL_HU, POST_METAL_HU, METAL_HU),
-                (1.2, 2.0),
-                (1.2, 2.0),
-                0.5,
-                (8.5, 16.0),
-                ("standard", "smooth", "sharp"),
-            ),
-            headrest=Headrest.CUSHION,
-            cable=False,
-        ),
-        Family(
-            "bare",
-            Purpose.JUDGING,
-            "spheres without film and post, which do not exist: the error due to noise alone",
-            headrest=Headrest.NONE,
-            cable=False,
-            bare=True,
-        ),
-        _define_look_alike_family(
-            "ends", Purpose.JUDGING, "elbows, tapered and plain rods with round ends", ENDS
-        ),
-        _define_look_alike_family(
-            "plates", Purpose.JUDGING, "domes on plates and over metal discs, merged balls", PLATES
-        ),
-        _define_look_alike_family(
-            "hollow", Purpose.JUDGING, "hollow balls, balls of other sizes, gel with bubbles, rings", HOLLOW
-        ),
-        _define_look_alike_family(
-            "fittings", Purpose.JUDGING, "artificial teeth, balls with a metal core, balls on a pin", FITTINGS
-        ),
-    )
-}
+        headrest=Headrest.CUSHION,
+        cable=False,
+    ),
+    Family(
+        "bare",
+        "spheres without film and post, which do not exist: the error due to noise alone",
+        headrest=Headrest.NONE,
+        cable=False,
+        bare=True,
+    ),
+    _look_alikes("ends", "elbows, tapered and plain rods with round ends", ENDS),
+    _look_alikes("plates", "domes on plates and over metal discs, merged balls", PLATES),
+    _look_alikes("hollow", "hollow balls, balls of other sizes, gel with bubbles, rings", HOLLOW),
+    _look_alikes("fittings", "artificial teeth, balls with a metal core, balls on a pin", FITTINGS),
+)
+FAMILIES = TUNING | JUDGING
 
 
 def draw_bands(

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from math import pi, radians
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sim.errors import BAD_SCENE, SEE_PHANTOM
 from sim.phantom.families.catalogue import (
@@ -53,13 +53,11 @@ from sim.phantom.scan import Scan
 from sim.phantom.scanner.faults import NO_FAULTS, ScannerFaults
 from sim.phantom.scanner.grid import CtGrid, grid_ending_at_spheres, place_grid
 from sim.world.noise import noise
-from sim.world.rigid import as_rounded_point
+from sim.world.rigid import Vector, as_rounded_point
 from sim.world.scene.head import CAP_AXIS_CT, CENTRE_CT_MM, draw_direction
 from sim.world.scene.model import CtProtocol, Fiducial, Head, Scene
 from sim.world.scene.named_scenes import draw_scene
 from sim.world.scene.parts import Target
-
-Vector = NDArray[np.float64]
 
 LARGEST_MARKERS = 8
 CAP_HALF_ANGLE_RAD = radians(60.0)
@@ -87,22 +85,23 @@ def family_scan(
         raise BAD_SCENE(f"the x-shaped frame has {SPHERES} spheres: {SPHERES} to {LARGEST_MARKERS} markers")
     family, generator = FAMILIES[name], noise(seed, f"family {name}", 0)
     count = markers or (SPHERES if fiducials in FRAMES else family.markers)
-    head, sphere_centres = _draw_head(family, seed, count, fiducials, generator)
+    drawing = _Drawing(family, generator)
+    head, sphere_centres = drawing.draw_head(seed, count, fiducials)
     scene = _build_scene(family, protocol, seed, head, fiducials)
     covering_mm = 0.0 if family.bandage_mm is None else float(generator.uniform(*family.bandage_mm))
-    around, distractors = _draw_obstacles(family, head, sphere_centres, covering_mm, generator)
+    around, distractors = drawing.draw_obstacles(head, sphere_centres, covering_mm)
     grid, marks = place_grid(head, scene.ct), _compute_burial_shares(head, covering_mm)
-    objects = _draw_look_alikes(family, head, grid, sphere_centres, generator)
+    objects = drawing.draw_look_alikes(head, grid, sphere_centres)
     if family.bare:
         built = tuple(bare_marker(fiducial, generator) for fiducial in head.fiducials)
     elif family.bases is not None:
-        built, beside = _draw_metal(family.bases, head, generator)
+        built, beside = drawing.draw_metal(head, family.bases)
         around += beside
     elif fiducials in FRAMES:
         built = frame_markers(head, generator)
     else:
         built = tuple(marker_on_post(fiducial, head, generator) for fiducial in head.fiducials)
-    anatomy = _draw_anatomy(family, head, built, around, fiducials, generator)
+    anatomy = drawing.draw_anatomy(head, built, around, fiducials)
     if objects:
         bodies = tuple(shape for one in objects for shape in one.shapes)
         places = tuple(place for one in objects for place in one.places)
@@ -127,24 +126,6 @@ def family_scan(
     return Scan(scene, grid, anatomy, fiducials, truth, marks, faults)
 
 
-def _draw_metal(
-    kind: MetalBases, head: Head, generator: np.random.Generator
-) -> tuple[tuple[SkinMarker, ...], Obstacles]:
-    """Draw the markers of a head on metal screws, and the metal beside them."""
-    markers, around = [], Obstacles()
-    for fiducial in head.fiducials:
-        radius_mm, flange_mm, sphere_hu = (
-            float(generator.uniform(*one)) for one in (kind.radius_mm, kind.flange_mm, SPHERE_HU)
-        )
-        post_hu = float(generator.choice(kind.hu))
-        markers.append(marker_on_metal(fiducial, head, post_hu, radius_mm, flange_mm, sphere_hu))
-        if generator.uniform() < kind.beside:
-            apart_mm = float(generator.uniform(*kind.beside_mm))
-            hu = float(generator.choice(kind.hu))
-            around += obstacles.metal_beside(fiducial, head, apart_mm, hu, generator)
-    return tuple(markers), around
-
-
 def protocol_named(name: str) -> CtProtocol:
     """Return a protocol by name; raises SIM-001 for an unknown name."""
     if name not in PROTOCOLS:
@@ -158,89 +139,11 @@ def _build_scene(family: Family, protocol: str, seed: int, head: Head, fiducials
     return room.model_copy(update={"name": "-".join(words), "head": head, "ct": protocol_named(protocol)})
 
 
-def _draw_head(
-    family: Family, seed: int, count: int, fiducials: str, generator: np.random.Generator
-) -> tuple[Head, Vector]:
-    """Draw a head with markers, and return it with the marker centres (n, 3)."""
-    sizes = (family.half_width_mm, family.half_depth_mm, family.half_height_mm)
-    width, depth, height = (float(generator.uniform(*size)) for size in sizes)
-    along = np.array(CAP_AXIS_CT) / np.linalg.norm(CAP_AXIS_CT)
-    bare = draw_scene("default", seed=seed).head.model_copy(
-        update={"centre_ct_mm": CENTRE_CT_MM, "semi_axes_mm": (width, depth, height)}
-    )
-    entry, normal = skin_point(bare, along)
-    target = Target(
-        identifier="T1",
-        entry_ct_mm=as_rounded_point(entry),
-        target_ct_mm=as_rounded_point(entry - TARGET_DEPTH_MM * normal),
-    )
-    found = (
-        _draw_frame_and_more(family, bare, fiducials, count, generator)
-        if fiducials in FRAMES
-        else _draw_free_fiducials(family, bare, count, generator)
-    )
-    head = bare.model_copy(update={"fiducials": found, "targets": (target,)})
-    return head, np.array([fiducial.centre_ct_mm for fiducial in found])
-
-
-def _draw_free_fiducials(
-    family: Family, head: Head, count: int, generator: np.random.Generator
-) -> tuple[Fiducial, ...]:
-    least = max(2 * family.pairs, 1)
-    if not least <= count <= LARGEST_MARKERS:
-        raise BAD_SCENE(f"a head of this family carries {least} to {LARGEST_MARKERS} markers")
-    alone = count - family.pairs
-    centres: list[Vector] = []
-    posts: list[Vector] = []
-    for _ in range(ATTEMPTS):
-        skin, normal = skin_point(head, _draw_cap_direction(generator))
-        centre = skin + normal * generator.uniform(*family.standoff_mm)
-        room = CLEARANCE_MM + (PAIR_DISTANCE_MM if family.pairs else 0.0)
-        if _is_clear_of_cable(centre, head) and all(
-            np.linalg.norm(centre - other) > room for other in centres
-        ):
-            centres.append(centre)
-            posts.append(normal)
-        if len(centres) == alone:
-            break
-    else:
-        raise BAD_SCENE(f"{count} markers do not fit on the head")
-    for number in range(family.pairs):
-        side = np.cross(posts[number], generator.standard_normal(3))
-        centres.append(centres[number] + PAIR_DISTANCE_MM * side / np.linalg.norm(side))
-        posts.append(posts[number])
+def _number_fiducials(places: Iterable[tuple[Vector, Vector]], first: int) -> tuple[Fiducial, ...]:
     return tuple(
-        Fiducial(number=k + 1, centre_ct_mm=as_rounded_point(centre), post_ct=as_rounded_point(post))
-        for k, (centre, post) in enumerate(zip(centres, posts, strict=True))
+        Fiducial(number=number, centre_ct_mm=as_rounded_point(centre), post_ct=as_rounded_point(post))
+        for number, (centre, post) in enumerate(places, first)
     )
-
-
-def _draw_frame_and_more(
-    family: Family, head: Head, frame: str, count: int, generator: np.random.Generator
-) -> tuple[Fiducial, ...]:
-    """Place the frame's spheres, plus any additional spheres next to the frame."""
-    found = list(frame_fiducials(head, frame, generator))
-    centres = [np.array(one.centre_ct_mm) for one in found]
-    bars = [(centres[0], centres[2]), (centres[1], centres[3])]
-    for _ in range(ATTEMPTS):
-        if len(found) == count:
-            return tuple(found)
-        skin, normal = skin_point(head, _draw_cap_direction(generator, BESIDE_FRAME_RAD))
-        centre = skin + normal * generator.uniform(*family.standoff_mm)
-        if (
-            _is_clear_of_cable(centre, head)
-            and all(np.linalg.norm(centre - other) > CLEARANCE_MM for other in centres)
-            and all(_distance_to_segment_mm(centre, *bar) > CLEARANCE_MM for bar in bars)
-        ):
-            centres.append(centre)
-            found.append(
-                Fiducial(
-                    number=len(found) + 1,
-                    centre_ct_mm=as_rounded_point(centre),
-                    post_ct=as_rounded_point(normal),
-                )
-            )
-    raise BAD_SCENE(f"{count - SPHERES} markers do not fit next to the frame")
 
 
 def _distance_to_segment_mm(point: Vector, start: Vector, end: Vector) -> float:
@@ -260,106 +163,6 @@ def _is_clear_of_cable(centre: Vector, head: Head) -> bool:
     return bool(np.linalg.norm(centre[:2] - cable) > CABLE_ROOM_MM)
 
 
-def _draw_obstacles(
-    family: Family, head: Head, sphere_centres: Vector, covering_mm: float, generator: np.random.Generator
-) -> tuple[Obstacles, list[tuple[float, float, float]]]:
-    """Draw the objects around the head, and return them with the distractor centres."""
-    around = Obstacles()
-    if covering_mm > 0.0:
-        around += obstacles.bandage(head, covering_mm, float(generator.uniform(*family.bandage_hu)))
-    if family.headrest is Headrest.CUSHION:
-        around += obstacles.cushion(head)
-    if family.pins:
-        around += obstacles.clamp(head, family.pins, generator)
-    occupied_points = [skin_point(head, centre - head.centre_ct_mm)[0] for centre in sphere_centres]
-    for number in range(family.electrodes + family.bolts):
-        fixed = obstacles.electrode if number < family.electrodes else obstacles.bolt
-        for _ in range(ATTEMPTS):
-            direction = _find_free_direction(head, occupied_points, SHORT_CLEARANCE_MM, 0.0, generator)
-            if _is_clear_of_spheres(fixed(head, direction), sphere_centres):
-                break
-        around += fixed(head, direction)
-        occupied_points.append(skin_point(head, direction)[0])
-    occupied_points = list(sphere_centres)
-    distractors = []
-    for number in range(2 * family.distractors):
-        # far enough for the longest cylinder
-        direction = _find_free_direction(
-            head, occupied_points, 1.4 * CLEARANCE_MM, 25.0, generator, cap_rad=pi / 2
-        )
-        shape, middle = obstacles.distractor(head, direction, bool(number % 2), generator)
-        around += Obstacles((shape,))
-        distractors.append(middle)
-        occupied_points.append(np.array(middle))
-    return around, distractors
-
-
-def _draw_look_alikes(
-    family: Family, head: Head, grid: CtGrid, sphere_centres: Vector, generator: np.random.Generator
-) -> list[LookAlike]:
-    """Draw look-alikes within the field of view, clear of the markers and each other."""
-    first = np.array(grid.origin_mm) + LOOK_ALIKE_MARGIN_MM
-    last = np.array([grid.x_mm[-1], grid.y_mm[-1], grid.z_mm[-1]]) - LOOK_ALIKE_MARGIN_MM
-    occupied_points = list(sphere_centres)
-    drawn = []
-    for draw in family.look_alikes * LOOK_ALIKES_OF_A_KIND:
-        for _ in range(ATTEMPTS):
-            direction = _find_free_direction(
-                head, occupied_points, LOOK_ALIKE_ROOM_MM, LOOK_ALIKE_HEIGHT_MM, generator, cap_rad=pi / 2
-            )
-            skin, normal = skin_point(head, direction)
-            drawn_one = draw(PlacedOn(skin, normal, generator))
-            if all((first < place).all() and (place < last).all() for place in drawn_one.places):
-                break
-        else:
-            raise BAD_SCENE("the objects of this family do not fit in the CT's field of view")
-        drawn.append(drawn_one)
-        occupied_points.append(skin + LOOK_ALIKE_HEIGHT_MM * normal)
-    return drawn
-
-
-def _draw_anatomy(
-    family: Family,
-    head: Head,
-    markers: tuple[SkinMarker, ...],
-    around: Obstacles,
-    fiducials: str,
-    generator: np.random.Generator,
-) -> Anatomy:
-    low, high = family.fillings
-    teeth, fillings = jaw_teeth(head, generator, int(generator.integers(low, high + 1)))
-    inside = (*ventricles(head), *sinuses(head), *teeth, *fillings)
-    cable = side_cable(head) if family.cable else ()
-    frame = frame_shapes(head, fiducials, generator) if fiducials in FRAMES else ()
-    return Anatomy(
-        headrest=trough(head) if family.headrest is Headrest.TROUGH else (),
-        surroundings=(*cable, *inside, *around.shapes, *frame),
-        markers=markers,
-        fillings=fillings,
-        streaks=around.streaks + _draw_post_streaks(family, markers, generator),
-        bands=draw_bands(family.bands, markers, generator),
-    )
-
-
-def _draw_post_streaks(
-    family: Family, markers: tuple[SkinMarker, ...], generator: np.random.Generator
-) -> tuple[Streak, ...]:
-    kind = family.post_streaks
-    if kind is None:
-        return ()
-    return tuple(
-        Streak(
-            shift_point(marker.fiducial.centre_ct_mm, marker.fiducial.post_ct, -STREAK_BELOW_MM),
-            float(generator.uniform(*kind.hu)),
-            float(generator.uniform(*kind.fall_mm)),
-            int(generator.choice(kind.lobes)),
-            float(generator.uniform(0.0, 2.0 * pi)),
-            STREAK_HEIGHT_MM,
-        )
-        for marker in markers
-    )
-
-
 def _compute_burial_shares(head: Head, covering_mm: float) -> dict[int, dict[str, float]]:
     """Return the buried fraction of each sphere's height under a bandage."""
     if covering_mm <= 0.0:
@@ -374,22 +177,203 @@ def _compute_burial_shares(head: Head, covering_mm: float) -> dict[int, dict[str
     return marks
 
 
-def _draw_cap_direction(generator: np.random.Generator, half_angle_rad: float = CAP_HALF_ANGLE_RAD) -> Vector:
-    return draw_direction(generator, np.array(CAP_AXIS_CT), half_angle_rad)
+class _Drawing:
+    """Draws the parts of a family's scan; what is drawn depends on the order of the calls."""
 
+    def __init__(self, family: Family, generator: np.random.Generator) -> None:
+        self.family, self.random = family, generator
 
-def _find_free_direction(
-    head: Head,
-    occupied_points: list[Vector],
-    clearance_mm: float,
-    standoff_mm: float,
-    generator: np.random.Generator,
-    cap_rad: float = CAP_HALF_ANGLE_RAD,
-) -> Vector:
-    for _ in range(ATTEMPTS):
-        direction = _draw_cap_direction(generator, cap_rad)
-        skin, normal = skin_point(head, direction)
-        place = skin + standoff_mm * normal
-        if all(np.linalg.norm(place - other) > clearance_mm for other in occupied_points):
-            return direction
-    raise BAD_SCENE("no room left on the head")
+    def draw_metal(self, head: Head, kind: MetalBases) -> tuple[tuple[SkinMarker, ...], Obstacles]:
+        """Draw the markers of a head on metal screws, and the metal beside them."""
+        markers, around = [], Obstacles()
+        for fiducial in head.fiducials:
+            radius_mm, flange_mm, sphere_hu = (
+                float(self.random.uniform(*one)) for one in (kind.radius_mm, kind.flange_mm, SPHERE_HU)
+            )
+            post_hu = float(self.random.choice(kind.hu))
+            markers.append(marker_on_metal(fiducial, head, post_hu, radius_mm, flange_mm, sphere_hu))
+            if self.random.uniform() < kind.beside:
+                apart_mm = float(self.random.uniform(*kind.beside_mm))
+                hu = float(self.random.choice(kind.hu))
+                around += obstacles.metal_beside(fiducial, head, apart_mm, hu, self.random)
+        return tuple(markers), around
+
+    def draw_head(self, seed: int, count: int, fiducials: str) -> tuple[Head, Vector]:
+        """Draw a head with markers, and return it with the marker centres (n, 3)."""
+        sizes = (self.family.half_width_mm, self.family.half_depth_mm, self.family.half_height_mm)
+        width, depth, height = (float(self.random.uniform(*size)) for size in sizes)
+        along = np.array(CAP_AXIS_CT) / np.linalg.norm(CAP_AXIS_CT)
+        bare = draw_scene("default", seed=seed).head.model_copy(
+            update={"centre_ct_mm": CENTRE_CT_MM, "semi_axes_mm": (width, depth, height)}
+        )
+        entry, normal = skin_point(bare, along)
+        target = Target(
+            identifier="T1",
+            entry_ct_mm=as_rounded_point(entry),
+            target_ct_mm=as_rounded_point(entry - TARGET_DEPTH_MM * normal),
+        )
+        found = (
+            self._draw_frame_and_more(bare, fiducials, count)
+            if fiducials in FRAMES
+            else self._draw_free_fiducials(bare, count)
+        )
+        head = bare.model_copy(update={"fiducials": found, "targets": (target,)})
+        return head, np.array([fiducial.centre_ct_mm for fiducial in found])
+
+    def _draw_free_fiducials(self, head: Head, count: int) -> tuple[Fiducial, ...]:
+        pairs = self.family.pairs
+        least = max(2 * pairs, 1)
+        if not least <= count <= LARGEST_MARKERS:
+            raise BAD_SCENE(f"a head of this family carries {least} to {LARGEST_MARKERS} markers")
+        room_mm = CLEARANCE_MM + (PAIR_DISTANCE_MM if pairs else 0.0)
+        places = self._draw_places(head, count - pairs, room_mm, CAP_HALF_ANGLE_RAD)
+        if places is None:
+            raise BAD_SCENE(f"{count} markers do not fit on the head")
+        for centre, post in places[:pairs]:
+            side = np.cross(post, self.random.standard_normal(3))
+            places.append((centre + PAIR_DISTANCE_MM * side / np.linalg.norm(side), post))
+        return _number_fiducials(places, 1)
+
+    def _draw_frame_and_more(self, head: Head, frame: str, count: int) -> tuple[Fiducial, ...]:
+        """Place the frame's spheres, plus any additional spheres next to the frame."""
+        found = frame_fiducials(head, frame, self.random)
+        centres = [np.array(one.centre_ct_mm) for one in found]
+        bars = ((centres[0], centres[2]), (centres[1], centres[3]))
+        places = self._draw_places(head, count - SPHERES, CLEARANCE_MM, BESIDE_FRAME_RAD, centres, bars)
+        if places is None:
+            raise BAD_SCENE(f"{count - SPHERES} markers do not fit next to the frame")
+        return (*found, *_number_fiducials(places, SPHERES + 1))
+
+    def _draw_places(
+        self,
+        head: Head,
+        count: int,
+        room_mm: float,
+        half_angle_rad: float,
+        others: Sequence[Vector] = (),
+        bars: Iterable[tuple[Vector, Vector]] = (),
+    ) -> list[tuple[Vector, Vector]] | None:
+        """Draw centres with posts, clear of cable, bars and each other; return None if they do not fit."""
+        places: list[tuple[Vector, Vector]] = []
+        centres = list(others)
+        for _ in range(ATTEMPTS):
+            if len(places) == count:
+                return places
+            skin, normal = skin_point(head, self._draw_cap_direction(half_angle_rad))
+            centre = skin + normal * self.random.uniform(*self.family.standoff_mm)
+            if (
+                _is_clear_of_cable(centre, head)
+                and all(np.linalg.norm(centre - other) > room_mm for other in centres)
+                and all(_distance_to_segment_mm(centre, *bar) > CLEARANCE_MM for bar in bars)
+            ):
+                centres.append(centre)
+                places.append((centre, normal))
+        return None
+
+    def draw_obstacles(
+        self, head: Head, sphere_centres: Vector, covering_mm: float
+    ) -> tuple[Obstacles, list[tuple[float, float, float]]]:
+        """Draw the objects around the head, and return them with the distractor centres."""
+        around = Obstacles()
+        if covering_mm > 0.0:
+            around += obstacles.bandage(
+                head, covering_mm, float(self.random.uniform(*self.family.bandage_hu))
+            )
+        if self.family.headrest is Headrest.CUSHION:
+            around += obstacles.cushion(head)
+        if self.family.pins:
+            around += obstacles.clamp(head, self.family.pins, self.random)
+        occupied_points = [skin_point(head, centre - head.centre_ct_mm)[0] for centre in sphere_centres]
+        for number in range(self.family.electrodes + self.family.bolts):
+            fixed = obstacles.electrode if number < self.family.electrodes else obstacles.bolt
+            for _ in range(ATTEMPTS):
+                direction = self._find_free_direction(head, occupied_points, SHORT_CLEARANCE_MM, 0.0)
+                if _is_clear_of_spheres(fixed(head, direction), sphere_centres):
+                    break
+            around += fixed(head, direction)
+            occupied_points.append(skin_point(head, direction)[0])
+        occupied_points = list(sphere_centres)
+        distractors = []
+        for number in range(2 * self.family.distractors):
+            # far enough for the longest cylinder
+            direction = self._find_free_direction(
+                head, occupied_points, 1.4 * CLEARANCE_MM, 25.0, cap_rad=pi / 2
+            )
+            shape, middle = obstacles.distractor(head, direction, bool(number % 2), self.random)
+            around += Obstacles((shape,))
+            distractors.append(middle)
+            occupied_points.append(np.array(middle))
+        return around, distractors
+
+    def draw_look_alikes(self, head: Head, grid: CtGrid, sphere_centres: Vector) -> list[LookAlike]:
+        """Draw look-alikes within the field of view, clear of the markers and each other."""
+        first = np.array(grid.origin_mm) + LOOK_ALIKE_MARGIN_MM
+        last = np.array([grid.x_mm[-1], grid.y_mm[-1], grid.z_mm[-1]]) - LOOK_ALIKE_MARGIN_MM
+        occupied_points = list(sphere_centres)
+        drawn = []
+        for draw in self.family.look_alikes * LOOK_ALIKES_OF_A_KIND:
+            for _ in range(ATTEMPTS):
+                direction = self._find_free_direction(
+                    head, occupied_points, LOOK_ALIKE_ROOM_MM, LOOK_ALIKE_HEIGHT_MM, cap_rad=pi / 2
+                )
+                skin, normal = skin_point(head, direction)
+                drawn_one = draw(PlacedOn(skin, normal, self.random))
+                if all((first < place).all() and (place < last).all() for place in drawn_one.places):
+                    break
+            else:
+                raise BAD_SCENE("the objects of this family do not fit in the CT's field of view")
+            drawn.append(drawn_one)
+            occupied_points.append(skin + LOOK_ALIKE_HEIGHT_MM * normal)
+        return drawn
+
+    def draw_anatomy(
+        self, head: Head, markers: tuple[SkinMarker, ...], around: Obstacles, fiducials: str
+    ) -> Anatomy:
+        low, high = self.family.fillings
+        teeth, fillings = jaw_teeth(head, self.random, int(self.random.integers(low, high + 1)))
+        inside = (*ventricles(head), *sinuses(head), *teeth, *fillings)
+        cable = side_cable(head) if self.family.cable else ()
+        frame = frame_shapes(head, fiducials, self.random) if fiducials in FRAMES else ()
+        return Anatomy(
+            headrest=trough(head) if self.family.headrest is Headrest.TROUGH else (),
+            surroundings=(*cable, *inside, *around.shapes, *frame),
+            markers=markers,
+            fillings=fillings,
+            streaks=around.streaks + self._draw_post_streaks(markers),
+            bands=draw_bands(self.family.bands, markers, self.random),
+        )
+
+    def _draw_post_streaks(self, markers: tuple[SkinMarker, ...]) -> tuple[Streak, ...]:
+        kind = self.family.post_streaks
+        if kind is None:
+            return ()
+        return tuple(
+            Streak(
+                shift_point(marker.fiducial.centre_ct_mm, marker.fiducial.post_ct, -STREAK_BELOW_MM),
+                float(self.random.uniform(*kind.hu)),
+                float(self.random.uniform(*kind.fall_mm)),
+                int(self.random.choice(kind.lobes)),
+                float(self.random.uniform(0.0, 2.0 * pi)),
+                STREAK_HEIGHT_MM,
+            )
+            for marker in markers
+        )
+
+    def _draw_cap_direction(self, half_angle_rad: float = CAP_HALF_ANGLE_RAD) -> Vector:
+        return draw_direction(self.random, np.array(CAP_AXIS_CT), half_angle_rad)
+
+    def _find_free_direction(
+        self,
+        head: Head,
+        occupied_points: list[Vector],
+        clearance_mm: float,
+        standoff_mm: float,
+        cap_rad: float = CAP_HALF_ANGLE_RAD,
+    ) -> Vector:
+        for _ in range(ATTEMPTS):
+            direction = self._draw_cap_direction(cap_rad)
+            skin, normal = skin_point(head, direction)
+            place = skin + standoff_mm * normal
+            if all(np.linalg.norm(place - other) > clearance_mm for other in occupied_points):
+                return direction
+        raise BAD_SCENE("no room left on the head")

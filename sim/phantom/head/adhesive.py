@@ -16,10 +16,9 @@ RING_HU = (60.0, 130.0)  # hydrogel in a foam ring: near soft tissue (unconfirme
 
 
 @dataclass(frozen=True)
-class SkinRing:
+class SkinRing(Shape):
     """A ring of constant thickness on an ellipsoid's surface, around `axis` through its `centre`."""
 
-    hu: float
     centre: Point
     axis: Point
     head_centre: Point
@@ -39,8 +38,7 @@ class SkinRing:
         thick = np.minimum(above, np.float32(THICKNESS_MM) - above)
         wide = np.minimum(across - np.float32(INNER_RADIUS_MM), np.float32(OUTER_RADIUS_MM) - across)
         # The axis passes through the far side of the head too; there is no ring there.
-        depth: Values = np.where(height > -OUTER_RADIUS_MM, np.minimum(thick, wide), np.float32(-1e3))
-        return depth
+        return np.where(height > -OUTER_RADIUS_MM, np.minimum(thick, wide), np.float32(-1e3))
 
 
 def skin_rings(scene: Scene) -> tuple[Shape, ...]:

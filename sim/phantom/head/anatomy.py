@@ -12,7 +12,7 @@ from sim.errors import BAD_SCENE
 from sim.phantom.head.painting import Band, Streak
 from sim.phantom.head.shapes import Ball, Cable, Ellipsoid, Rod, Shape, Trough, Values, ellipsoid_depth
 from sim.world.noise import noise
-from sim.world.rigid import Point
+from sim.world.rigid import Point, as_point
 from sim.world.scene.model import Fiducial, Head, Scene
 
 AIR_HU = -1000.0
@@ -290,18 +290,15 @@ def jaw_teeth(
 
 def point_at_share(head: Head, relative: Point) -> Point:
     """Return the CT point at the given fractions of the head's semi-axes from its centre."""
-    x, y, z = (
+    return as_point(
         centre + axis * part
         for centre, axis, part in zip(head.centre_ct_mm, head.semi_axes_mm, relative, strict=True)
     )
-    return x, y, z
 
 
 def shift_point(point: Point, along: Point, distance: float) -> Point:
-    x, y, z = (value + distance * part for value, part in zip(point, along, strict=True))
-    return x, y, z
+    return as_point(value + distance * part for value, part in zip(point, along, strict=True))
 
 
 def scale_vector(vector: Point, factor: float) -> Point:
-    x, y, z = (factor * value for value in vector)
-    return x, y, z
+    return as_point(factor * value for value in vector)

@@ -10,13 +10,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sim.phantom.head.anatomy import AIR_HU, METAL_HU
 from sim.phantom.head.shapes import Ball, Barrel, Dome, Egg, HeadCapsule, Ring, Rod, Shape
-from sim.world.rigid import Point, as_rounded_point
-
-Vector = NDArray[np.float64]
+from sim.world.rigid import Point, Vector, as_rounded_point
 
 RADIUS_MM = 5.75  # of the usual marker, which look-alikes resemble
 POLYMER_HU = (80.0, 200.0)

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from math import pi, radians
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ronna_hw.x_frame import (
     BAR_BELOW_MM,
@@ -30,11 +29,9 @@ from sim.phantom.head.anatomy import (
 )
 from sim.phantom.head.painting import Streak
 from sim.phantom.head.shapes import Ball, EllipsoidShell, Rod, Shape, Slab
-from sim.world.rigid import Point, as_point, rotation_towards
+from sim.world.rigid import Point, Vector, as_point, rotation_towards
 from sim.world.scene.head import CAP_AXIS_CT, skin_at
 from sim.world.scene.model import Fiducial, Head
-
-Vector = NDArray[np.float64]
 
 BOARD_MM, CUSHION_MM, CUSHION_GAP_MM = 8.0, 40.0, 2.0
 CUSHION_HALF_WIDTH_MM = 100.0

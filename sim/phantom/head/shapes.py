@@ -6,10 +6,10 @@ LPS mm; x, y and z may be any arrays that broadcast together.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import hypot, inf
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,28 +20,25 @@ Values = NDArray[np.float32]
 Bounds = tuple[Point, Point]  # lowest and highest x, y, z
 
 
-class Shape(Protocol):
+@dataclass(frozen=True)
+class Shape(ABC):
     """A body with uniform intensity."""
 
-    @property
-    def hu(self) -> float:
-        """Intensity in HU."""
-        ...
+    hu: float
 
+    @abstractmethod
     def bounds(self) -> Bounds:
         """Return a bounding box."""
-        ...
 
+    @abstractmethod
     def depth(self, x: Values, y: Values, z: Values) -> Values:
         """Return the signed depth in mm."""
-        ...
 
 
 @dataclass(frozen=True)
-class Ball:
+class Ball(Shape):
     """A sphere."""
 
-    hu: float
     centre: Point
     radius: float
 
@@ -55,10 +52,9 @@ class Ball:
 
 
 @dataclass(frozen=True)
-class Ellipsoid:
+class Ellipsoid(Shape):
     """An ellipsoid aligned with x, y and z."""
 
-    hu: float
     centre: Point
     semi_axes: Point
 
@@ -70,10 +66,9 @@ class Ellipsoid:
 
 
 @dataclass(frozen=True)
-class EllipsoidShell:
+class EllipsoidShell(Shape):
     """An ellipsoidal shell of the given `thickness`."""
 
-    hu: float
     centre: Point
     semi_axes: Point
     thickness: float
@@ -89,10 +84,9 @@ class EllipsoidShell:
 
 
 @dataclass(frozen=True)
-class Rod:
+class Rod(Shape):
     """A flat-ended cylinder, from `start` along the unit vector `along`."""
 
-    hu: float
     start: Point
     along: Point
     length: float
@@ -114,10 +108,9 @@ class Rod:
 
 
 @dataclass(frozen=True)
-class Trough:
+class Trough(Shape):
     """Arc of an infinite tube along z, behind the head and bounded by `half_arc_cosine`."""
 
-    hu: float
     centre: Point
     inner: float
     outer: float
@@ -137,10 +130,9 @@ class Trough:
 
 
 @dataclass(frozen=True)
-class Slab:
+class Slab(Shape):
     """An infinite bar along z, with corners `low` and `high` in x and y."""
 
-    hu: float
     low: tuple[float, float]
     high: tuple[float, float]
 
@@ -155,10 +147,9 @@ class Slab:
 
 
 @dataclass(frozen=True)
-class Cable:
+class Cable(Shape):
     """A cable meandering along z, its centre swinging by `swing` at the given wavelength."""
 
-    hu: float
     centre: Point
     radius: float
     swing: tuple[float, float]
@@ -210,10 +201,9 @@ def _around_line(start: Sequence[float], end: Sequence[float], radius: float) ->
 
 
 @dataclass(frozen=True)
-class HeadCapsule:
+class HeadCapsule(Shape):
     """A round-ended rod: all points within `radius` of the segment from `start` to `end`."""
 
-    hu: float
     start: Point
     end: Point
     radius: float
@@ -234,10 +224,9 @@ class HeadCapsule:
 
 
 @dataclass(frozen=True)
-class Egg:
+class Egg(Shape):
     """An ellipsoid with semi-axes along the rows of `axes`, and a first-order depth near its surface."""
 
-    hu: float
     centre: Point
     semi_axes: Point
     axes: tuple[Point, Point, Point]
@@ -260,10 +249,9 @@ class Egg:
 
 
 @dataclass(frozen=True)
-class Barrel:
+class Barrel(Shape):
     """A cylinder around `centre` with edges rounded to the radius `edge`."""
 
-    hu: float
     centre: Point
     along: Point
     length: float
@@ -284,10 +272,9 @@ class Barrel:
 
 
 @dataclass(frozen=True)
-class Dome:
+class Dome(Shape):
     """Part of a ball beyond a plane `height` mm above its centre along `outward`."""
 
-    hu: float
     centre: Point
     outward: Point
     radius: float
@@ -304,10 +291,9 @@ class Dome:
 
 
 @dataclass(frozen=True)
-class Ring:
+class Ring(Shape):
     """A torus around an axis, with major radius `radius` and minor radius `tube`."""
 
-    hu: float
     centre: Point
     axis: Point
     radius: float

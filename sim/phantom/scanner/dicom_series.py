@@ -189,7 +189,6 @@ def _encode_elements(data: Dataset) -> dict[int, bytes]:
 
 
 def _encode_meta(instance: UID, is_compressed: bool) -> bytes:
-    """Encode the file meta information for one slice."""
     from pydicom.dataset import FileMetaDataset
     from pydicom.filebase import DicomBytesIO
     from pydicom.filewriter import write_file_meta_info

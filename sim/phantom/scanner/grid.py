@@ -8,12 +8,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sim.errors import BAD_SCENE
+from sim.world.rigid import Vector
 from sim.world.scene.model import CtProtocol, Head
-
-Vector = NDArray[np.float64]
 
 MARKER_ROOM_MM = 14.0  # around a sphere's centre: the sphere, its blur, and air for contrast
 TARGET_ROOM_MM = 3.0
@@ -121,8 +119,7 @@ def grid_ending_at_spheres(
 
 
 def _positions(first_mm: float, spacing_mm: float, count: int) -> Vector:
-    positions: Vector = first_mm + spacing_mm * np.arange(count, dtype=np.float64)
-    return positions
+    return first_mm + spacing_mm * np.arange(count, dtype=np.float64)
 
 
 def _format_dimensions(values: Vector) -> str:

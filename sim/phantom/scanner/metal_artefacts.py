@@ -24,8 +24,7 @@ from sim.phantom.head.shapes import Ball, Rod, Shape, Values
 from sim.phantom.scanner.faults import Kernel
 from sim.phantom.scanner.fine_painting import part_between
 from sim.phantom.scanner.grid import CtGrid
-
-Array = NDArray[np.float64]
+from sim.world.rigid import Array
 
 MM_PER_CM = 10.0
 HU_PER_WATER = 1000.0

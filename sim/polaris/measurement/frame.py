@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 from itertools import accumulate
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ronna_hw.patient_frame import PART_NUMBER as PATIENT_FRAME_PART_NUMBER
 from ronna_hw.wire.polaris import MAXIMUM_STRAYS, PortStatus, SystemStatus
@@ -32,11 +31,11 @@ from sim.polaris.unit.ports import Port
 from sim.world.displacements import ShiftedRoom
 from sim.world.faults import FaultBoard
 from sim.world.noise import ReusedNoise
-from sim.world.options import ArmRole
+from sim.world.options import OTHER_ARMS
+from sim.world.rigid import Vectors
 from sim.world.world import ArmState, World
 
 SUNLIGHT_NOISE = 2.0  # factor on the noise under ambient infrared light; an estimate without a source
-Vectors = NDArray[np.float64]
 
 DEVICE = "tracker"
 # Independent noise within one frame.
@@ -226,8 +225,8 @@ class MarkerVisibility:
     def now(self, ports: tuple[Port, ...], disturbance: Disturbance) -> VisibleMarkers:
         """Return the markers currently visible with the given ports enabled."""
         arm, mounted = self._scene.arm(), self._scene.mounted_tool()
-        assistant = self._scene.arm(ArmRole.ASSISTANT)
-        flanges = (None if one is None else one.robot_from_flange.tobytes() for one in (arm, assistant))
+        arms = (arm, *map(self._scene.arm, OTHER_ARMS))
+        flanges = (None if one is None else one.robot_from_flange.tobytes() for one in arms)
         key = (*flanges, mounted, disturbance)
         if self._kept is None or key != self._key:
             self._kept = self._compute(ports, disturbance, arm, mounted)

@@ -17,20 +17,17 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sim.world.descriptions import DESCRIPTIONS
 from sim.world.options import ArmRole
-from sim.world.rigid import Matrix, apply, inverse, matrix_of
+from sim.world.rigid import Matrix, Vector, Vectors, apply, inverse, matrix_of
 from sim.world.scene.model import Head, Mount, Scene
 from sim.world.world import ArmState
 
-Vectors = NDArray[np.float64]
 Flags = NDArray[np.bool_]
-Vector = NDArray[np.float64]
 Limb = tuple[Vector, Vector, float]  # two ends (3,) and a radius
 
 MOUNT_RADIUS_MM = 12.0
@@ -55,14 +52,6 @@ def visible(
     return seen
 
 
-class OpaqueBody(Protocol):
-    """An opaque body."""
-
-    def hides(self, eyes_mm: Vectors, points_mm: Vectors, past_mount: Flags | None = None) -> Flags:
-        """Return flags (m, n) for whether the body hides each point (n, 3) from each eye (m, 3)."""
-        ...
-
-
 def head_ellipsoid(head: Head, tracker_from_robot: Matrix) -> OpaqueEllipsoid:
     """Return the scene's head as an ellipsoid in the tracker frame."""
     ct_from_tracker = inverse(tracker_from_robot @ matrix_of(head.robot_from_ct))
@@ -78,6 +67,7 @@ class OpaqueEllipsoid:
     unit_from_tracker: Matrix
 
     def hides(self, eyes_mm: Vectors, points_mm: Vectors, _past_mount: Flags | None = None) -> Flags:
+        """Return flags (m, n) for whether the head hides each point (n, 3) from each eye (m, 3)."""
         eyes = apply(self.unit_from_tracker, eyes_mm)[:, None]
         points = apply(self.unit_from_tracker, points_mm)
         ways = points - eyes
@@ -142,8 +132,10 @@ class Capsules:
         a = _squares(along)
         offsets = points_mm[:, None] - self.starts_mm
         shares = _share((offsets * along).sum(axis=-1) / np.where(a > 0.0, a, 1.0))
-        held: Flags = np.sqrt(_squares(offsets - shares[..., None] * along)) < self.radii_mm
-        return held
+        return np.sqrt(_squares(offsets - shares[..., None] * along)) < self.radii_mm
+
+
+OpaqueBody = OpaqueEllipsoid | Capsules
 
 
 def _squares(vectors: Vectors) -> Vectors:
@@ -154,8 +146,7 @@ def _squares(vectors: Vectors) -> Vectors:
 
 def _share(values: Vectors) -> Vectors:
     """Clamp values to 0..1, faster than `numpy.clip`."""
-    limited: Vectors = np.minimum(np.maximum(values, 0.0), 1.0)
-    return limited
+    return np.minimum(np.maximum(values, 0.0), 1.0)
 
 
 class ArmBody:

@@ -17,9 +17,8 @@ from numpy.typing import NDArray
 
 from sim.polaris.unit.model import UnitVolume
 from sim.world.noise import noise
+from sim.world.rigid import Vectors
 from sim.world.scene.model import TrackerTruth
-
-Vectors = NDArray[np.float64]
 
 WAVES = 8
 WAVELENGTH_MM = (1500.0, 3000.0)  # longer than any tool: neighbouring markers share their bias
@@ -50,8 +49,7 @@ class Sight:
 
     def measured(self, standard_normal: Vectors) -> Vectors:
         """Return one measurement (n, 3), given standard normal deviates (n, 3)."""
-        points: Vectors = self.mean_mm + self.sigma_mm * standard_normal
-        return points
+        return self.mean_mm + self.sigma_mm * standard_normal
 
 
 class Optics:
@@ -132,8 +130,7 @@ def reflections(places_mm: Vectors, generator: np.random.Generator) -> Vectors:
     """Return the reflections (m, 3) seen in one frame."""
     shines = generator.random(len(places_mm)) < REFLECTION_PRESENCE
     wandered = places_mm + generator.normal(0.0, REFLECTION_SPREAD_MM, places_mm.shape)
-    found: Vectors = wandered[shines]
-    return found
+    return wandered[shines]
 
 
 def _draw_places(seed: int, what: str, count: int, volume: UnitVolume) -> Vectors:
@@ -177,12 +174,10 @@ class BiasField:
     def error_at(self, points_mm: Vectors) -> Vectors:
         """Return the error (n, 3) at the given points (n, 3)."""
         waves = np.sin(points_mm @ self._waves.T + self._phases) @ self._amplitudes_mm
-        field: Vectors = waves * self._depths(points_mm)[:, None] ** self._power
-        return field
+        return waves * self._depths(points_mm)[:, None] ** self._power
 
     def _depths(self, points_mm: Vectors) -> Vectors:
-        depths: Vectors = np.abs(points_mm[:, 2]) / self._middle_mm
-        return depths
+        return np.abs(points_mm[:, 2]) / self._middle_mm
 
 
 @cache

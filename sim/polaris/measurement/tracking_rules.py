@@ -12,14 +12,11 @@ from math import atan2, cos, degrees, radians, sqrt
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ronna_hw.wire.polaris import MarkerState, PortStatus, ToolInformation
 from sim.polaris.unit.ports import ALL_FACES
 from sim.polaris.unit.tool_definition import ToolDefinition
-from sim.world.rigid import quaternion_from_rotation
-
-Vectors = NDArray[np.float64]
+from sim.world.rigid import Vectors, quaternion_from_rotation
 
 LEAST_TO_FIT = 3
 HYSTERESIS_DEG = 2.0  # by which another face must be turned more directly to the sensor

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from math import radians
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ronna_hw.patient_frame import PART_NUMBER as PATIENT_FRAME_PART_NUMBER
 from ronna_hw.x_frame import NAME as X_FRAME_NAME
@@ -23,8 +22,8 @@ from sim.world.displacements import (
 )
 from sim.world.faults import Fault, FaultBoard
 from sim.world.options import ArmRole
-from sim.world.rigid import Matrix, apply, inverse, matrix_of, rotation_from_vector
-from sim.world.scene.model import AssistantTruth, TrackerTool
+from sim.world.rigid import Matrix, Vectors, apply, inverse, matrix_of, rotation_from_vector
+from sim.world.scene.model import TrackerTool
 from sim.world.scene.parts import (
     ASSISTANT_FRAME_PART_NUMBER,
     GUIDE_FRAME_MARKERS_MM,
@@ -35,7 +34,6 @@ from sim.world.truth import TrueGuide
 from sim.world.world import ArmState, World
 
 Vector = tuple[float, float, float]
-Vectors = NDArray[np.float64]
 NO_TOOL = 0
 
 
@@ -60,8 +58,8 @@ class TrueScene:
         )
         self._places = tuple(matrix_of(place) for place in scene.tracker.places)
         self._tools = {tool.part_number: tool for tool in scene.tracker.tools}
+        self._markers_mm = {name: np.array(tool.markers_mm) for name, tool in self._tools.items()}
         self.frame_on_mount: TrackerTool = scene.tracker.tools[0]
-        self._frame_markers_mm: Vectors = np.array(self.frame_on_mount.markers_mm)
         self.strays_mm: Vectors = np.array(scene.tracker.strays_mm, dtype=float).reshape(-1, 3)
         fiducials = spheres_in_theatre(scene) if scene.tracker.fiducials_visible else ()
         self.fiducial_numbers = tuple(fiducial.number for fiducial in fiducials)
@@ -75,8 +73,8 @@ class TrueScene:
         )
         self.fiducials_mm: Vectors = self.fiducials_at(NOTHING_MOVED)
         self._arm_body = ArmBody(scene)
-        self._assistant = scene.assistant
-        self._assistant_body = None if scene.assistant is None else ArmBody(scene, ArmRole.ASSISTANT)
+        self._holders = scene.holders
+        self._holder_bodies = {role: ArmBody(scene, role) for role in scene.holders}
         self._room = ShiftedRoom(world)
         on_guide = scene.mount.guide.tip_from_frame
         self._tip_from_frame = None if on_guide is None else matrix_of(on_guide)
@@ -106,13 +104,14 @@ class TrueScene:
         """Return the opaque bodies: the head at its scene position, and the arm."""
         head = self._head if self.fiducial_numbers else ()
         tracker_from_robot = self._tracker_from(room)
-        bodies = (
-            head if arm is None else (*head, self._arm_body.capsules(arm, mounted_tool, tracker_from_robot))
-        )
-        if self._assistant_body is None or (second := self.arm(ArmRole.ASSISTANT)) is None:
-            return bodies
-        base = tracker_from_robot @ self._room.robot_from_assistant(room)
-        return (*bodies, self._assistant_body.capsules(second, NO_TOOL, base))
+        bodies = [*head]
+        if arm is not None:
+            bodies.append(self._arm_body.capsules(arm, mounted_tool, tracker_from_robot))
+        for role, body in self._holder_bodies.items():
+            if (holder := self.arm(role)) is not None:
+                base = tracker_from_robot @ self._room.robot_from_base(role, room)
+                bodies.append(body.capsules(holder, NO_TOOL, base))
+        return tuple(bodies)
 
     def is_mount_frame(self, definition: ToolDefinition) -> bool:
         """Return whether the definition is the reference frame M and an arm is present to carry it."""
@@ -130,8 +129,8 @@ class TrueScene:
             return self.frame(arm, disturbance)
         if definition.part_number == GUIDE_FRAME_PART_NUMBER and self._tip_from_frame is not None:
             return self._frame_on_guide(self._tip_from_frame, arm, disturbance)
-        if definition.part_number == ASSISTANT_FRAME_PART_NUMBER and self._assistant is not None:
-            return self._frame_on_assistant(self._assistant, disturbance)
+        if definition.part_number == ASSISTANT_FRAME_PART_NUMBER and self._holders:
+            return self._frame_on_holder(ArmRole.ASSISTANT, disturbance)
         if self.is_head_frame(definition):
             return self._frame_on_head(disturbance)
         if definition.part_number == PATIENT_FRAME_PART_NUMBER:
@@ -140,10 +139,10 @@ class TrueScene:
                 return on_clamp
         if place is None or place >= len(self._places):
             return None
-        tool = self._tools.get(definition.part_number)
-        markers = definition.markers_mm if tool is None else np.array(tool.markers_mm)
-        names = frozenset({definition.part_number} if tool is None else {tool.name, tool.part_number})
-        return _disturb(names, self._places[place], markers, disturbance)
+        if definition.part_number in self._tools:
+            return self._place_tool(definition.part_number, self._places[place], disturbance)
+        names = frozenset({definition.part_number})
+        return _disturb(names, self._places[place], definition.markers_mm, disturbance)
 
     def is_head_frame(self, definition: ToolDefinition) -> bool:
         """Return whether the definition is the x-shaped frame and its spheres are on the head."""
@@ -166,11 +165,9 @@ class TrueScene:
 
     def frame(self, arm: ArmState, disturbance: Disturbance) -> TrueTool:
         """Return the reference frame M on the mount, even if no host has loaded it."""
-        tool = self.frame_on_mount
         flange = yielding_flange(arm.robot_from_flange, self._flange_from_marker, disturbance.room)
         pose = self._tracker_from(disturbance.room) @ flange @ self._flange_from_marker
-        names = frozenset({tool.name, tool.part_number})
-        return _disturb(names, pose, self._frame_markers_mm, disturbance)
+        return self._place_tool(self.frame_on_mount.part_number, pose, disturbance)
 
     def frame_on_clamp(self, disturbance: Disturbance) -> TrueTool | None:
         """Return the patient's frame, even if no host has loaded it, or None without one.
@@ -179,10 +176,9 @@ class TrueScene:
         """
         if self._robot_from_patient_frame is None:
             return None
-        tool, room = self._tools[PATIENT_FRAME_PART_NUMBER], disturbance.room
+        room = disturbance.room
         pose = self._tracker_from(room) @ rigid_move(room.head_rad, room.head_mm)
-        names = frozenset({tool.name, tool.part_number})
-        return _disturb(names, pose @ self._robot_from_patient_frame, np.array(tool.markers_mm), disturbance)
+        return self._place_tool(PATIENT_FRAME_PART_NUMBER, pose @ self._robot_from_patient_frame, disturbance)
 
     def _frame_on_guide(
         self, tip_from_frame: Matrix, arm: ArmState | None, disturbance: Disturbance
@@ -194,15 +190,17 @@ class TrueScene:
         names = frozenset({GUIDE_FRAME_NAME, GUIDE_FRAME_PART_NUMBER})
         return _disturb(names, pose @ tip_from_frame, np.array(GUIDE_FRAME_MARKERS_MM), disturbance)
 
-    def _frame_on_assistant(self, assistant: AssistantTruth, disturbance: Disturbance) -> TrueTool | None:
-        arm, room = self.arm(ArmRole.ASSISTANT), disturbance.room
+    def _frame_on_holder(self, role: ArmRole, disturbance: Disturbance) -> TrueTool | None:
+        arm, room = self.arm(role), disturbance.room
         if arm is None:
             return None
-        base = self._tracker_from(room) @ self._room.robot_from_assistant(room)
-        pose = base @ arm.robot_from_flange @ matrix_of(assistant.flange_from_frame)
-        tool = self._tools[ASSISTANT_FRAME_PART_NUMBER]
-        names = frozenset({tool.name, tool.part_number})
-        return _disturb(names, pose, np.array(tool.markers_mm), disturbance)
+        base = self._tracker_from(room) @ self._room.robot_from_base(role, room)
+        pose = base @ arm.robot_from_flange @ matrix_of(self._holders[role].flange_from_frame)
+        return self._place_tool(ASSISTANT_FRAME_PART_NUMBER, pose, disturbance)
+
+    def _place_tool(self, part_number: str, pose: Matrix, disturbance: Disturbance) -> TrueTool:
+        names = frozenset({self._tools[part_number].name, part_number})
+        return _disturb(names, pose, self._markers_mm[part_number], disturbance)
 
     def _tracker_from(self, room: RoomShift) -> Matrix:
         """Return TRACKER <- ROBOT (4, 4), with the tracker displaced by the room's faults."""
@@ -212,7 +210,6 @@ class TrueScene:
 
 
 def _disturb(names: frozenset[str], pose: Vectors, markers_mm: Vectors, disturbance: Disturbance) -> TrueTool:
-    """Apply the faults that affect a tool."""
     for name, push_mm in disturbance.bent:
         if name in names:
             outwards = markers_mm[-1] - markers_mm.mean(axis=0)

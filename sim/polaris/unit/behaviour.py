@@ -6,18 +6,19 @@ selects one.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
-from sim.named_parameters import apply_assignments
+from sim.named_parameters import NamedParameters
 from sim.polaris.errors import BAD_UNIT_PARAMETER
 from sim.polaris.unit.refusal import NdiErrorCode
 
 
 @dataclass(frozen=True, kw_only=True)
-class UnitBehaviour:
+class UnitBehaviour(NamedParameters):
     """Unit behaviour on which public sources are silent or disagree."""
+
+    refusal = BAD_UNIT_PARAMETER
 
     # line
     enforces_line: Annotated[
@@ -164,8 +165,3 @@ class UnitBehaviour:
     ] = 0
     user_memory_bytes: Annotated[int, "Size of the user area of a wired tool's memory."] = 1024
     line_separation_mm: Annotated[float, "Line separation reported by 3D for every marker."] = 0.05
-
-
-def parse_behaviour(assignments: Iterable[str]) -> UnitBehaviour:
-    """Apply `NAME=VALUE` assignments to the defaults; raises PSU-001."""
-    return apply_assignments(UnitBehaviour(), assignments, BAD_UNIT_PARAMETER)

@@ -12,11 +12,11 @@ from functools import cached_property
 from itertools import combinations, pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ronna_hw.wire import polaris_rom as rom
 from sim.polaris.unit.behaviour import UnitBehaviour
 from sim.polaris.unit.refusal import WarningCode
+from sim.world.rigid import Vectors
 from sim.world.scene.model import TrackerTool
 
 MAXIMUM_ANGLE_DEG = 90
@@ -39,7 +39,6 @@ _f32 = struct.Struct("<f")
 _positions = struct.Struct("<60f")
 _spreads = struct.Struct("<3f")
 
-Vectors = NDArray[np.float64]
 
 WAVELENGTH_BITS = 0x07  # in the marker type
 

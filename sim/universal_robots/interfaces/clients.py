@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
+import re
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 from ronna_hw.logs import logger
 from ronna_hw.wire.universal_robots import PRIMARY_PORT, REALTIME_PORT, SECONDARY_PORT
-from sim.universal_robots.connections import ClientConnection, HangUp, Poll, ServiceListener
+from sim.universal_robots.connections import ClientConnection, Handler, HangUp, Poll, ServiceListener
 from sim.universal_robots.controller import Controller
-from sim.universal_robots.interfaces.scripts import ScriptText
 from sim.universal_robots.interfaces.state_packages import StatePackages
 from sim.universal_robots.programs.recognition import name_of, recognise
 from sim.universal_robots.programs.statements import UnknownStatement, require_known, run_at_once
@@ -17,6 +17,9 @@ from sim.universal_robots.programs.statements import UnknownStatement, require_k
 MOST_SCRIPTS = 50  # received at once: each that is refused keeps the cycles for 0.1 ms
 LOCAL_MODE_CODE = 210  # a script while in local mode
 LOCAL_MODE_TEXT = "Cannot run script: the robot is not in remote control mode"
+_STRING_OR_COMMENT = re.compile(r'"[^"\n]*"|#.*')
+_BLOCK = re.compile(r"\b(def|sec|thread|if|while|for|end)\b")
+_BEGINS = re.compile(r"\s*(def|sec)\b")
 
 
 class ClientInterfaces:
@@ -28,10 +31,21 @@ class ClientInterfaces:
         self._period = max(1, round(controller.parameters.state_period_s / controller.model.cycle_s))
         self._due_cycle, self._due_s = 0, 0.0  # of the next state; the latter in host time
         self._waiting: list[tuple[int, str]] = []  # scripts, with the cycles until they start
-        self.primary = ServiceListener(address, PRIMARY_PORT, poll, self._connect)
-        self.secondary = ServiceListener(address, SECONDARY_PORT, poll, self._connect_secondary)
-        self.realtime = ServiceListener(address, REALTIME_PORT, poll, self._connect_realtime)
-        news, packages = controller.news, self._packages
+        news, packages, modes = controller.news, self._packages, controller.modes
+
+        def listen(port: int, *first: Callable[[], bytes]) -> ServiceListener:
+            def connect(connection: ClientConnection) -> ScriptHandler:
+                for message in first:
+                    connection.send(message())
+                return ScriptHandler(controller.parameters.longest_script_bytes, self.take)
+
+            return ServiceListener(address, port, poll, connect)
+
+        self.primary = listen(
+            PRIMARY_PORT, packages.version, lambda: packages.safety_mode(modes.safety_mode), packages.state
+        )
+        self.secondary = listen(SECONDARY_PORT, packages.version, packages.state)
+        self.realtime = listen(REALTIME_PORT)
         news.program.append(lambda what, name: self._tell(packages.key(f"PROGRAM_XXX_{what}", name)))
         news.safety.append(lambda mode: self._tell(packages.safety_mode(mode)))
         news.failure.append(lambda text, line: self._tell(packages.runtime_exception(text, line)))
@@ -41,24 +55,6 @@ class ClientInterfaces:
     def listeners(self) -> tuple[ServiceListener, ...]:
         """All ports."""
         return self.primary, self.secondary, self.realtime
-
-    def _connect(self, connection: ClientConnection) -> ScriptHandler:
-        packages = self._packages
-        connection.send(packages.version())
-        connection.send(packages.safety_mode(self._controller.modes.safety_mode))
-        connection.send(packages.state())
-        return self._handler()
-
-    def _connect_secondary(self, connection: ClientConnection) -> ScriptHandler:
-        connection.send(self._packages.version())
-        connection.send(self._packages.state())
-        return self._handler()
-
-    def _connect_realtime(self, _connection: ClientConnection) -> ScriptHandler:
-        return self._handler()
-
-    def _handler(self) -> ScriptHandler:
-        return ScriptHandler(self._controller.parameters.longest_script_bytes, self.take)
 
     def _tell(self, message: bytes) -> None:
         """Send a message; secondary clients get none but the version."""
@@ -143,7 +139,7 @@ class ClientInterfaces:
         self._controller.news.tell_failure(str(unknown), unknown.line)
 
 
-class ScriptHandler:
+class ScriptHandler(Handler):
     """Takes the scripts of one client."""
 
     def __init__(self, longest_bytes: int, take: Callable[[str], None]) -> None:
@@ -161,8 +157,42 @@ class ScriptHandler:
             raise HangUp from None
         return b""
 
-    def closed(self) -> None:
-        """A closed connection stops nothing."""
+
+class ScriptText:
+    """Splits the text that a client sends into programs, and lines that stand alone."""
+
+    def __init__(self, longest_bytes: int) -> None:
+        self._longest_bytes = longest_bytes
+        self._rest = b""
+        self._lines: list[str] = []
+        self._depth = 0
+        self._size = 0
+
+    def feed(self, data: bytes) -> Iterator[str]:
+        """Yield what is complete; raises ValueError for a text without end."""
+        *lines, self._rest = (self._rest + data).split(b"\n")
+        for line in lines:
+            if line.strip():
+                yield from self._add(line.decode("utf-8", "replace").rstrip("\r"))
+        if self._size + len(self._rest) > self._longest_bytes:
+            raise ValueError("a script without end")
+
+    def _add(self, line: str) -> Iterator[str]:
+        code = _STRING_OR_COMMENT.sub("", line)
+        if not self._lines:
+            if not code.strip():  # a comment
+                return
+            if not _BEGINS.match(code):
+                yield line.strip()
+                return
+        self._lines.append(line)
+        self._size += len(line) + 1
+        for word in _BLOCK.findall(code):
+            self._depth += -1 if word == "end" else 1
+        if self._depth <= 0:
+            text = "\n".join(self._lines)
+            self._lines, self._depth, self._size = [], 0, 0
+            yield text
 
 
 COMMANDS: dict[str, Callable[[Controller], object]] = {

@@ -5,23 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Final
 
+from ronna_hw.wire import universal_robots_services as wire
 from ronna_hw.wire.universal_robots import DASHBOARD_PORT, RuntimeState
-from ronna_hw.wire.universal_robots_services import (
-    ACCEPTED,
-    ARM_TYPE,
-    BANNER,
-    ROBOT_MODE_HEAD,
-    RUNNING_HEAD,
-    SAFETY_MODE_HEAD,
-    DashboardOrder,
-    Query,
-)
-from sim.universal_robots.connections import ClientConnection, HangUp, Poll, ServiceListener
+from ronna_hw.wire.universal_robots_services import DashboardOrder, Query
+from sim.universal_robots.connections import ClientConnection, Handler, HangUp, Poll, ServiceListener
 from sim.universal_robots.controller import Controller
 from sim.universal_robots.interfaces.state_packages import BUILD_DATE
 from sim.universal_robots.programs.program import UrProgram
-from sim.universal_robots.programs.program_request import requested_program
-from sim.universal_robots.programs.recognition import endless
+from sim.universal_robots.programs.recognition import endless, requested_program
 
 LONGEST_LINE = 1000
 PROGRAM_FOLDER = "/programs/"
@@ -47,49 +38,45 @@ class Dashboard:
     def __init__(self, controller: Controller, address: str, poll: Poll) -> None:
         self._controller = controller
         self.silent = False  # fault: nothing is answered
+        orders: dict[DashboardOrder, Callable[[], object]] = {
+            DashboardOrder.POWER_ON: controller.modes.power_on,
+            DashboardOrder.POWER_OFF: controller.power_off,
+            DashboardOrder.BRAKE_RELEASE: controller.modes.release_brakes,
+            DashboardOrder.CLOSE_SAFETY_POPUP: lambda: None,
+            DashboardOrder.RESTART_SAFETY: controller.modes.restart_safety,
+            DashboardOrder.STOP: controller.stop,
+        }
         self._commands: dict[str, Callable[[str], str]] = {
-            Query.ROBOT_MODE: lambda _: f"{ROBOT_MODE_HEAD} {controller.modes.robot_mode.name}",
-            Query.SAFETY_MODE: lambda _: f"{SAFETY_MODE_HEAD} {controller.modes.safety_mode.name}",
+            Query.ROBOT_MODE: lambda _: f"{wire.ROBOT_MODE_HEAD} {controller.modes.robot_mode.name}",
+            Query.SAFETY_MODE: lambda _: f"{wire.SAFETY_MODE_HEAD} {controller.modes.safety_mode.name}",
             "safetystatus": lambda _: f"Safetystatus: {controller.modes.safety_mode.name}",
             "polyscopeversion": lambda _: f"URSoftware {controller.model.version_text} ({BUILD_DATE[:11]})",
             "version": lambda _: controller.model.version_text,
             Query.SERIAL_NUMBER: lambda _: str(controller.parameters.serial_number),
-            Query.ROBOT_MODEL: lambda _: ARM_TYPE,
+            Query.ROBOT_MODEL: lambda _: wire.ARM_TYPE,
             Query.REMOTE_CONTROL: lambda _: str(not controller.modes.local).lower(),
-            Query.RUNNING: lambda _: f"{RUNNING_HEAD} {str(self._is_playing).lower()}",
+            Query.RUNNING: lambda _: (
+                f"{wire.RUNNING_HEAD} {str(STATES[controller.runtime_state] == 'PLAYING').lower()}"
+            ),
             "programstate": lambda _: f"{STATES[controller.runtime_state]} {controller.loaded or 'null'}",
             "get loaded program": self._get_loaded,
-            DashboardOrder.POWER_ON: self._power_on,
-            DashboardOrder.POWER_OFF: self._power_off,
-            DashboardOrder.BRAKE_RELEASE: self._release_brakes,
+            **{order: _accepting(order, do) for order, do in orders.items()},
             DashboardOrder.UNLOCK_PROTECTIVE_STOP: self._unlock,
-            DashboardOrder.CLOSE_SAFETY_POPUP: lambda _: ACCEPTED[DashboardOrder.CLOSE_SAFETY_POPUP],
             "close popup": lambda _: "closing popup",
             "popup": self._popup,
-            DashboardOrder.RESTART_SAFETY: self._restart_safety,
             "play": self._play,
             "pause": self._pause,
-            DashboardOrder.STOP: self._stop,
             "load": self._load,
             "isprogramsaved": lambda _: f"true {controller.loaded}" if controller.loaded else "false",
             "get operational mode": lambda _: "NONE",
-            Query.ADD_TO_LOG.lower(): self._add_to_log,
+            Query.ADD_TO_LOG.lower(): lambda _: "Added log message",
             "savelog": lambda _: "Log saved to disk",
         }
         self._most_words = max(len(name.split()) for name in self._commands)
-        self._listener = ServiceListener(address, DASHBOARD_PORT, poll, self._connect)
-
-    @property
-    def listener(self) -> ServiceListener:
-        """The port."""
-        return self._listener
-
-    @property
-    def _is_playing(self) -> bool:
-        return STATES[self._controller.runtime_state] == "PLAYING"
+        self.listener = ServiceListener(address, DASHBOARD_PORT, poll, self._connect)
 
     def _connect(self, connection: ClientConnection) -> LineHandler:
-        connection.send(f"{BANNER}\n".encode())
+        connection.send(f"{wire.BANNER}\n".encode())
         return LineHandler(self)
 
     def answer(self, line: str) -> str:
@@ -105,29 +92,9 @@ class Dashboard:
                 return command(line.strip()[len(name) :].strip())
         return f"could not understand: '{line.strip()}'"
 
-    # -- power and safety
-
-    def _power_on(self, _: str) -> str:
-        self._controller.modes.power_on()
-        return ACCEPTED[DashboardOrder.POWER_ON]
-
-    def _power_off(self, _: str) -> str:
-        self._controller.power_off()
-        return ACCEPTED[DashboardOrder.POWER_OFF]
-
-    def _release_brakes(self, _: str) -> str:
-        self._controller.modes.release_brakes()
-        return ACCEPTED[DashboardOrder.BRAKE_RELEASE]
-
     def _unlock(self, _: str) -> str:
         is_released = self._controller.unlock_protective_stop()
-        return ACCEPTED[DashboardOrder.UNLOCK_PROTECTIVE_STOP] if is_released else TOO_EARLY
-
-    def _restart_safety(self, _: str) -> str:
-        self._controller.modes.restart_safety()
-        return ACCEPTED[DashboardOrder.RESTART_SAFETY]
-
-    # -- programs
+        return wire.ACCEPTED[DashboardOrder.UNLOCK_PROTECTIVE_STOP] if is_released else TOO_EARLY
 
     def _get_loaded(self, _: str) -> str:
         loaded = self._controller.loaded
@@ -159,16 +126,17 @@ class Dashboard:
     def _pause(self, _: str) -> str:
         return "Pausing program" if self._controller.pause() else "Failed to execute: pause"
 
-    def _stop(self, _: str) -> str:
-        self._controller.stop()
-        return ACCEPTED[DashboardOrder.STOP]
-
     def _popup(self, text: str) -> str:
         self._controller.popup = text
         return "showing popup"
 
-    def _add_to_log(self, _: str) -> str:
-        return "Added log message"
+
+def _accepting(order: DashboardOrder, do: Callable[[], object]) -> Callable[[str], str]:
+    def carry_out(_: str) -> str:
+        do()
+        return wire.ACCEPTED[order]
+
+    return carry_out
 
 
 QUERIES: Final = frozenset(
@@ -185,7 +153,7 @@ QUERIES: Final = frozenset(
 )
 
 
-class LineHandler:
+class LineHandler(Handler):
     """Splits the bytes of one client into lines."""
 
     def __init__(self, dashboard: Dashboard) -> None:
@@ -207,6 +175,3 @@ class LineHandler:
         if self._dashboard.silent:
             return b""
         return "".join(answers).encode()
-
-    def closed(self) -> None:
-        """A closed connection changes nothing."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from itertools import chain
 from struct import Struct, pack
 from typing import Final
@@ -194,52 +195,32 @@ class StatePackages:
         controller = self._controller
         values, modes = controller.robot.values, controller.modes
 
-        def field(name: str) -> list[float]:
-            found: list[float] = values[PLACES[name]]
-            return found
+        def fields(names: str) -> Iterator[float]:
+            return chain.from_iterable(values[PLACES[name]] for name in names.split())
 
         numbers = [
-            *field("timestamp"),
-            *field("target_q"),
-            *field("target_qd"),
-            *field("target_qdd"),
-            *field("target_current"),
-            *field("target_moment"),
-            *field("actual_q"),
-            *field("actual_qd"),
-            *field("actual_current"),
-            *field("joint_control_output"),
-            *field("actual_TCP_pose"),
-            *field("actual_TCP_speed"),
-            *field("actual_TCP_force"),
-            *field("target_TCP_pose"),
-            *field("target_TCP_speed"),
-            *field("actual_digital_input_bits"),
-            *field("joint_temperatures"),
-            *field("actual_execution_time"),
+            *fields(
+                "timestamp target_q target_qd target_qdd target_current target_moment actual_q actual_qd"
+            ),
+            *fields("actual_current joint_control_output actual_TCP_pose actual_TCP_speed actual_TCP_force"),
+            *fields("target_TCP_pose target_TCP_speed actual_digital_input_bits joint_temperatures"),
+            *fields("actual_execution_time"),
             0.0,
             modes.robot_mode.value,
-            *field("joint_mode"),
+            *fields("joint_mode"),
             modes.safety_mode.value,
             *_UNUSED,
-            *field("actual_tool_accelerometer"),
+            *fields("actual_tool_accelerometer"),
             *_UNUSED,
-            *field("speed_scaling"),
-            *field("actual_momentum"),
-            0.0,
-            0.0,
-            *field("actual_main_voltage"),
-            *field("actual_robot_voltage"),
-            *field("actual_robot_current"),
-            *field("actual_joint_voltage"),
-            *field("actual_digital_output_bits"),
+            *fields("speed_scaling actual_momentum"),
+            *(0.0,) * 2,
+            *fields("actual_main_voltage actual_robot_voltage actual_robot_current actual_joint_voltage"),
+            *fields("actual_digital_output_bits"),
             controller.runtime_state.value,
             *_UNUSED,  # place and velocity of the elbow
             modes.safety_mode.value,
             *(0.0,) * 3,
-            *field("payload"),
-            *field("payload_cog"),
-            *field("payload_inertia"),
+            *fields("payload payload_cog payload_inertia"),
         ]
         doubles = controller.model.realtime_doubles
         return self._realtime_size + self._realtime.pack(*numbers[:doubles])

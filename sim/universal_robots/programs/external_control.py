@@ -18,7 +18,7 @@ from sim.universal_robots.kinematics import frame_of_pose
 from sim.universal_robots.model import JOINTS
 from sim.universal_robots.programs.external_trajectory import ReceivedTrajectory
 from sim.universal_robots.programs.motions import speedj, speedl, stopj
-from sim.universal_robots.programs.outgoing import Outgoing, is_this_computer
+from sim.universal_robots.programs.outgoing import Outgoing
 from sim.universal_robots.programs.program import UrProgram
 from sim.universal_robots.robot import Robot
 
@@ -168,8 +168,7 @@ class ExternalControl:
     def _dial(self, name: str) -> Iterator[None]:
         host, port = self._settings.endpoints[name]
         link = self._links[name]
-        if is_this_computer(host):
-            yield from link.dial(host, port, self._robot.cycle_s)
+        yield from link.dial(host, port, self._robot.cycle_s)
         if not link.is_open:
             # A popup blocks the program until somebody continues it.
             self._program.failure = f"{name}: no connection to {host}:{port}"

@@ -3,39 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from math import hypot, sqrt
+from math import hypot
 
 import numpy as np
 
 from sim.universal_robots.kinematics import compose, frame_of_pose, inverted, rotation_vector
 from sim.universal_robots.model import FULL_SPEED_RAD_S, JOINTS, LARGEST_ACCELERATION_RAD_S2
 from sim.universal_robots.robot import Robot
+from sim.world.trapezoid import Trapezoid
 
 SMALLEST_PATH = 1e-9  # rad or m below which there is nothing to do
 LEAST_SPEED, LEAST_ACCELERATION = 1e-3, 1e-2  # of a motion that is asked for without
 TURN_PER_LENGTH = 1.0  # rad: a turn counts like as many metres on a path
 SINGULAR_DAMPING = 1e-6
-
-
-class Trapezoid:
-    """Path length over time, with a trapezoidal speed profile."""
-
-    def __init__(self, length: float, speed: float, acceleration: float) -> None:
-        self._length, self._acceleration = length, acceleration
-        self._speed = min(speed, sqrt(length * acceleration))
-        self._ramp_s = self._speed / acceleration
-        self.duration_s = 2.0 * self._ramp_s + (length / self._speed - self._ramp_s)
-
-    def share(self, time_s: float) -> float:
-        """Return the fraction of the path that is behind after that time."""
-        remaining_s = self.duration_s - time_s
-        if remaining_s <= 0.0:
-            return 1.0
-        if time_s < self._ramp_s:
-            return self._acceleration * time_s**2 / 2.0 / self._length
-        if remaining_s > self._ramp_s:
-            return self._speed * (time_s - self._ramp_s / 2.0) / self._length
-        return 1.0 - self._acceleration * remaining_s**2 / 2.0 / self._length
 
 
 def _shares(robot: Robot, profile: Trapezoid) -> Iterator[float]:

@@ -32,7 +32,7 @@ class Outgoing:
 
     def dial(self, host: str, port: int, cycle_s: float) -> Iterator[None]:
         """Try several times to connect; `is_open` says whether one attempt succeeded."""
-        for _ in range(DIAL_ATTEMPTS):
+        for _ in range(DIAL_ATTEMPTS if is_this_computer(host) else 0):
             client = _begin_to_connect(host, port)
             try:
                 for _ in range(round(DIAL_PAUSE_S / cycle_s)):

@@ -6,7 +6,7 @@ differs with the version of controller and client, is not interpreted.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import Final
 
 from sim.universal_robots.kinematics import compose, frame_of_pose, inverted, pose_of_frame
@@ -26,6 +26,7 @@ COUNTER_LIMIT = 128
 _TORQUES = PLACES["target_moment"]
 
 Handler = Callable[["RegisterLoop"], Iterator[None] | None]
+Approach = Callable[[Robot, Sequence[float], float], None]  # of a speed, by a cycle
 
 
 class RegisterLoop:
@@ -141,10 +142,6 @@ def register_loop(robot: Robot, program: UrProgram, first_register: int) -> Iter
 # -- motions
 
 
-def _move_joints(loop: RegisterLoop) -> Iterator[None] | None:
-    return loop.move(movej(loop.robot, loop.doubles(0), loop.double(6), loop.double(7)))
-
-
 def _move_joints_to_pose(loop: RegisterLoop) -> Iterator[None] | None:
     joints = _inverse(loop, loop.robot.drives.target)
     if joints is None:
@@ -153,17 +150,9 @@ def _move_joints_to_pose(loop: RegisterLoop) -> Iterator[None] | None:
     return loop.move(movej(loop.robot, joints, loop.double(6), loop.double(7)))
 
 
-def _move_line(loop: RegisterLoop) -> Iterator[None] | None:
-    return loop.move(movel(loop.robot, loop.doubles(0), loop.double(6), loop.double(7)))
-
-
 def _move_line_to_joints(loop: RegisterLoop) -> Iterator[None] | None:
     pose = loop.robot.tool_pose(loop.doubles(0))
     return loop.move(movel(loop.robot, pose, loop.double(6), loop.double(7)))
-
-
-def _servo(loop: RegisterLoop) -> None:
-    _servo_to(loop, loop.doubles(0))
 
 
 def _servo_line(loop: RegisterLoop) -> None:
@@ -185,29 +174,15 @@ def _servo_thread(loop: RegisterLoop) -> Iterator[None]:
         yield
 
 
-def _speed_joints(loop: RegisterLoop) -> None:
-    _speed(loop, _speed_joints_thread)
-
-
-def _speed_line(loop: RegisterLoop) -> None:
-    _speed(loop, _speed_line_thread)
-
-
-def _speed(loop: RegisterLoop, thread: Callable[[RegisterLoop], Iterator[None]]) -> None:
+def _speed(loop: RegisterLoop, approach: Approach) -> None:
     loop.speeds, loop.speed_acceleration = loop.doubles(0), loop.double(6)
     if loop.beside is None:
-        loop.beside = thread(loop)
+        loop.beside = _speed_thread(loop, approach)
 
 
-def _speed_joints_thread(loop: RegisterLoop) -> Iterator[None]:
+def _speed_thread(loop: RegisterLoop, approach: Approach) -> Iterator[None]:
     while True:
-        speedj(loop.robot, loop.speeds, loop.speed_acceleration)
-        yield
-
-
-def _speed_line_thread(loop: RegisterLoop) -> Iterator[None]:
-    while True:
-        speedl(loop.robot, loop.speeds, loop.speed_acceleration)
+        approach(loop.robot, loop.speeds, loop.speed_acceleration)
         yield
 
 
@@ -249,20 +224,6 @@ def _inverse(loop: RegisterLoop, near_rad: list[float]) -> list[float] | None:
     return loop.robot.joints_at(frame_of_pose(loop.doubles(0)), near_rad)
 
 
-def _inverse_near(loop: RegisterLoop) -> None:
-    joints = _inverse(loop, loop.doubles(6))
-    loop.answer(joints or [0.0] * JOINTS)
-
-
-def _inverse_default(loop: RegisterLoop) -> None:
-    joints = _inverse(loop, loop.robot.drives.actual)
-    loop.answer(joints or [0.0] * JOINTS)
-
-
-def _forward(loop: RegisterLoop) -> None:
-    loop.answer(loop.robot.tool_pose(loop.robot.drives.actual))
-
-
 def _forward_of(loop: RegisterLoop) -> None:
     flange = loop.robot.kinematics.flange(loop.doubles(0))
     loop.answer(pose_of_frame(compose(flange, frame_of_pose(loop.doubles(6)))))
@@ -270,10 +231,6 @@ def _forward_of(loop: RegisterLoop) -> None:
 
 def _pose_trans(loop: RegisterLoop) -> None:
     loop.answer(pose_of_frame(compose(frame_of_pose(loop.doubles(0)), frame_of_pose(loop.doubles(6)))))
-
-
-def _tcp(loop: RegisterLoop) -> None:
-    loop.answer(pose_of_frame(loop.robot.tcp))
 
 
 def _flange(loop: RegisterLoop) -> None:
@@ -286,13 +243,13 @@ def _within_limits(joints_rad: list[float] | None) -> bool:
 
 
 HANDLERS: Final[dict[int, Handler]] = {
-    1: _move_joints,
+    1: lambda loop: loop.move(movej(loop.robot, loop.doubles(0), loop.double(6), loop.double(7))),
     2: _move_joints_to_pose,
-    3: _move_line,
+    3: lambda loop: loop.move(movel(loop.robot, loop.doubles(0), loop.double(6), loop.double(7))),
     4: _move_line_to_joints,
-    9: _speed_joints,
-    10: _speed_line,
-    11: _servo,
+    9: lambda loop: _speed(loop, speedj),
+    10: lambda loop: _speed(loop, speedl),
+    11: lambda loop: _servo_to(loop, loop.doubles(0)),
     15: _end_thread,
     16: _end_thread,
     17: _set_payload,
@@ -300,7 +257,7 @@ HANDLERS: Final[dict[int, Handler]] = {
     26: lambda loop: loop.answer([loop.robot.cycle_s]),
     27: lambda loop: loop.answer(loop.robot.drives.actual),
     29: lambda loop: loop.robot.set_tcp(loop.doubles(0)),
-    30: _inverse_near,
+    30: lambda loop: loop.answer(_inverse(loop, loop.doubles(6)) or [0.0] * JOINTS),
     31: _protective_stop,
     33: _stop,
     34: _stop,
@@ -309,10 +266,10 @@ HANDLERS: Final[dict[int, Handler]] = {
     37: lambda loop: loop.answer_flag(_within_limits(loop.doubles(0))),
     38: lambda loop: loop.answer(loop.robot.values[_TORQUES]),
     39: _pose_trans,
-    40: _tcp,
-    43: _forward,
+    40: lambda loop: loop.answer(pose_of_frame(loop.robot.tcp)),
+    43: lambda loop: loop.answer(loop.robot.tool_pose(loop.robot.drives.actual)),
     44: _forward_of,
-    46: _inverse_default,
+    46: lambda loop: loop.answer(_inverse(loop, loop.robot.drives.actual) or [0.0] * JOINTS),
     47: lambda loop: loop.answer_flag(loop.robot.drives.at_rest),
     58: _flange,
     60: lambda loop: loop.answer_flag(_inverse(loop, loop.robot.drives.actual) is not None),

@@ -8,20 +8,10 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from math import isfinite
-from typing import Final
+from typing import Any, Final
 
-from ronna_hw.wire.universal_robots import (
-    ORDER_INPUT,
-    RUN_INPUT,
-    RUN_OUTPUT,
-    SEQUENCE_INPUT,
-    SEQUENCE_OUTPUT,
-    SET_POINT_INPUTS,
-    STATE_OUTPUT,
-    ScriptOrder,
-    ScriptSettings,
-    ScriptState,
-)
+from ronna_hw.wire import universal_robots as wire
+from ronna_hw.wire.universal_robots import ScriptOrder, ScriptSettings, ScriptState
 from sim.universal_robots.programs.motions import stopj
 from sim.universal_robots.programs.program import UrProgram
 from sim.universal_robots.programs.statements import run_at_once
@@ -32,9 +22,9 @@ _SETTING = re.compile(
     r"^[^\S\n]*+(?:global\s+|local\s+)?([A-Z0-9_a-z]++)\s*+=\s*+([-+0-9.eE]++)[^\S\n]*+(?:#.*)?$",
     re.MULTILINE,
 )
-_SEQUENCE, _ORDER, _RUN = index(SEQUENCE_INPUT), index(ORDER_INPUT), index(RUN_INPUT)
-_SET_POINT: Final = slice(index(SET_POINT_INPUTS[0]), index(SET_POINT_INPUTS[-1]) + 1)
-_USED, _STATE, _RUN_ECHO = map(index, (SEQUENCE_OUTPUT, STATE_OUTPUT, RUN_OUTPUT))
+_SEQUENCE, _ORDER, _RUN = index(wire.SEQUENCE_INPUT), index(wire.ORDER_INPUT), index(wire.RUN_INPUT)
+_SET_POINT: Final = slice(index(wire.SET_POINT_INPUTS[0]), index(wire.SET_POINT_INPUTS[-1]) + 1)
+_USED, _STATE, _RUN_ECHO = map(index, (wire.SEQUENCE_OUTPUT, wire.STATE_OUTPUT, wire.RUN_OUTPUT))
 NO_SET_POINT: Final = 0
 LOAD_CALLS: Final = ("set_payload(", "set_tcp(")  # carried out at the start
 _RANGES: Final = {"LOOKAHEAD_S": (0.03, 0.2), "GAIN": (100.0, 2000.0)}  # of servoj
@@ -56,14 +46,8 @@ def read_settings(text: str) -> ScriptSettings | str:
     for name, value in numbers.items():
         if not (isfinite(value) and value > 0.0):
             return f"{name} is {value:g}"
-    return ScriptSettings(
-        CYCLE_S=numbers["CYCLE_S"],
-        STARVED_CYCLES=int(numbers["STARVED_CYCLES"]),
-        LARGEST_STEP_RAD=numbers["LARGEST_STEP_RAD"],
-        STOP_DECELERATION_RAD_S2=numbers["STOP_DECELERATION_RAD_S2"],
-        LOOKAHEAD_S=numbers["LOOKAHEAD_S"],
-        GAIN=numbers["GAIN"],
-    )
+    whole: dict[str, Any] = {"STARVED_CYCLES": int(numbers["STARVED_CYCLES"])}
+    return ScriptSettings(**numbers | whole)
 
 
 def stream_program(name: str, text: str) -> UrProgram:
@@ -98,7 +82,7 @@ def _stream(robot: Robot, program: UrProgram, settings: ScriptSettings) -> Itera
         sequence = values[_SEQUENCE]
         if sequence != used:
             wanted = values[_SET_POINT]
-            if max(map(_distance, wanted, goal)) > largest:
+            if max(abs(a - b) for a, b in zip(wanted, goal, strict=True)) > largest:
                 state = ScriptState.TOO_FAR
                 break
             state = ScriptState.STREAMING
@@ -118,7 +102,3 @@ def _stream(robot: Robot, program: UrProgram, settings: ScriptSettings) -> Itera
     program.awaits_client = False
     values[_STATE] = state.value
     yield from stopj(robot, settings.STOP_DECELERATION_RAD_S2)
-
-
-def _distance(a: float, b: float) -> float:
-    return abs(a - b)

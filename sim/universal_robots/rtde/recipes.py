@@ -34,13 +34,9 @@ class OutputRecipe:
         head = ">HBB" if with_number else RTDE_HEADER
         self._layout = Struct(head + codes)
         places = indices(names)
-        pick = itemgetter(*places) if len(places) > 1 else _single(places[0])
+        pick = itemgetter(*places) if len(places) > 1 else lambda values: (values[places[0]],)
         start = (self._layout.size, PackageType.DATA.value, *((number,) if with_number else ()))
         self.pack = _packer(self._layout.pack, start, pick)
-
-
-def _single(place: int) -> Callable[[Sequence[Any]], tuple[Any, ...]]:
-    return lambda values: (values[place],)
 
 
 def _packer(

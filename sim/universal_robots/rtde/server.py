@@ -8,7 +8,7 @@ from random import Random
 from typing import Any
 
 from ronna_hw.wire.universal_robots import CLIENT_REGISTERS, RTDE_PORT
-from sim.universal_robots.connections import ClientConnection, HangUp, Poll, ServiceListener
+from sim.universal_robots.connections import ClientConnection, Handler, HangUp, Poll, ServiceListener
 from sim.universal_robots.controller import POSES
 from sim.universal_robots.loads import FORCE, TORQUES
 from sim.universal_robots.model import Model
@@ -172,7 +172,7 @@ class RtdeServer:
         return session.sent_cycle == self._cycle
 
 
-class ClientHandler:
+class ClientHandler(Handler):
     """Connects a session with its socket."""
 
     def __init__(self, server: RtdeServer, connection: ClientConnection, session: Session) -> None:

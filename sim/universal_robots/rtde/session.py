@@ -6,24 +6,13 @@ from collections.abc import Iterable
 from struct import Struct, error, pack
 from typing import Protocol
 
-from ronna_hw.wire.universal_robots import (
-    IN_USE,
-    INPUTS,
-    LONGEST_NAME_LIST_BYTES,
-    MOST_RECIPES,
-    NO_RECIPE,
-    NOT_FOUND,
-    OUTPUTS,
-    RTDE_HEADER,
-    RTDE_HEADER_BYTES,
-    MessageLevel,
-    PackageType,
-)
+from ronna_hw.wire import universal_robots as wire
+from ronna_hw.wire.universal_robots import MessageLevel, PackageType
 from sim.universal_robots.controller_parameters import ControllerParameters
 from sim.universal_robots.model import Model
 from sim.universal_robots.rtde.recipes import InputRecipe, OutputRecipe, field_list, type_names
 
-HEADER = Struct(RTDE_HEADER)
+HEADER = Struct(wire.RTDE_HEADER)
 SOURCE = "RTDE"
 DATA = PackageType.DATA.value
 
@@ -73,13 +62,13 @@ class Session:
         if self.unread:
             data = self.unread + data
         start, end = 0, len(data)
-        while end - start >= RTDE_HEADER_BYTES:
+        while end - start >= wire.RTDE_HEADER_BYTES:
             size, kind = HEADER.unpack_from(data, start)
-            if size < RTDE_HEADER_BYTES:
+            if size < wire.RTDE_HEADER_BYTES:
                 raise BadPackage(f"a package of {size} bytes")
             if end - start < size:
                 break
-            payload = data[start + RTDE_HEADER_BYTES : start + size]
+            payload = data[start + wire.RTDE_HEADER_BYTES : start + size]
             start += size
             if kind == DATA:
                 self._store(payload)
@@ -88,7 +77,7 @@ class Session:
         self.unread = data[start:] if start < end else b""
 
     def _store(self, payload: bytes) -> None:
-        number = payload[0] if payload else NO_RECIPE
+        number = payload[0] if payload else wire.NO_RECIPE
         if not 1 <= number <= len(self.inputs):
             self._complain(f"input recipe {number} does not exist")
             return
@@ -136,9 +125,9 @@ class Session:
             payload = payload[8:]
             rate = asked_hz if 1.0 <= asked_hz <= rate else rate
         names = self._list(payload)
-        known = {name: kind for name, kind in OUTPUTS.items() if self._server.exists(name)}
+        known = {name: kind for name, kind in wire.OUTPUTS.items() if self._server.exists(name)}
         types = type_names(names, known)
-        valid = bool(names) and NOT_FOUND not in types
+        valid = bool(names) and wire.NOT_FOUND not in types
         self.output, self.started = None, False
         if valid:
             divider = int(self._server.model.rate_hz / rate)
@@ -149,21 +138,21 @@ class Session:
 
     def _set_up_inputs(self, payload: bytes) -> bytes:
         names = self._list(payload)
-        known = {name: kind for name, kind in INPUTS.items() if self._server.exists(name)}
+        known = {name: kind for name, kind in wire.INPUTS.items() if self._server.exists(name)}
         types = type_names(names, known)
         types = [
-            IN_USE if kind != NOT_FOUND and self._server.is_taken(name, self) else kind
+            wire.IN_USE if kind != wire.NOT_FOUND and self._server.is_taken(name, self) else kind
             for name, kind in zip(names, types, strict=True)
         ]
-        number = NO_RECIPE
-        if names and not {NOT_FOUND, IN_USE} & set(types) and len(self.inputs) < MOST_RECIPES:
+        number = wire.NO_RECIPE
+        if names and not {wire.NOT_FOUND, wire.IN_USE} & set(types) and len(self.inputs) < wire.MOST_RECIPES:
             self.inputs.append(InputRecipe(names))
             self._server.take(names, self)
             number = len(self.inputs)
         return bytes([number]) + ",".join(types).encode()
 
     def _list(self, payload: bytes) -> list[str]:
-        if len(payload) > LONGEST_NAME_LIST_BYTES:
+        if len(payload) > wire.LONGEST_NAME_LIST_BYTES:
             raise BadPackage(f"a list of names of {len(payload)} bytes")
         return field_list(payload)
 
@@ -174,7 +163,7 @@ class Session:
             raise BadPackage(f"a package of {len(payload)} bytes is too short") from None
 
     def _reply(self, kind: int, payload: bytes) -> None:
-        self.answers.append(HEADER.pack(RTDE_HEADER_BYTES + len(payload), kind) + payload)
+        self.answers.append(HEADER.pack(wire.RTDE_HEADER_BYTES + len(payload), kind) + payload)
 
     def _complain(self, text: str) -> None:
         self.message(text, MessageLevel.WARNING)

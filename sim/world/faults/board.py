@@ -44,6 +44,8 @@ class FaultBoard:
 
     def acting_since(self) -> tuple[tuple[Fault, float], ...]:
         """Return the active lasting faults with the theatre time of each onset."""
+        if self.empty:
+            return ()
         now_s = self._world.clock.now_s()
         return tuple(
             (fault, onset_s)
@@ -56,6 +58,8 @@ class FaultBoard:
 
         A fault bound to a step happens once each time the step is entered.
         """
+        if self.empty:
+            return ()
         now_s = self._world.clock.now_s()
         due = []
         for fault, onset_s in self._list_onsets(now_s):
@@ -66,10 +70,6 @@ class FaultBoard:
         return tuple(due)
 
     def _list_onsets(self, now_s: float) -> Iterator[tuple[Fault, float]]:
-        """Yield each fault and the theatre time of its onset."""
-        self._refresh()
-        if not self._faults:
-            return
         step, started_ns = self._world.step()
 
         def cycle_began_s(cycle: int) -> float:

@@ -7,7 +7,6 @@ from collections.abc import Iterator
 from sim.world.faults.fault import (
     WHOLE_PERCENT,
     Arguments,
-    Both,
     FaultKinds,
     OneOf,
     check_at_most,
@@ -43,7 +42,8 @@ SIGHT_FAULTS = (
         "stain",
         "stain marker INT NUMBER %",
         "Spots of blood cover that share of a fiducial's film.",
-        Both(fiducial_number, check_at_most(MOST_STAINED_PERCENT, "%", argument=1)),
+        fiducial_number,
+        check_at_most(MOST_STAINED_PERCENT, "%", argument=1),
     ),
     SIGHT.declare_lasting(
         "glare",
@@ -55,7 +55,8 @@ SIGHT_FAULTS = (
         "occluder",
         "occlude NAME NUMBER %",
         "A straight edge hides that share of the sphere's rim from the left or right camera.",
-        Both(_side, check_at_most(WHOLE_PERCENT, "%", argument=1)),
+        _side,
+        check_at_most(WHOLE_PERCENT, "%", argument=1),
     ),
     TWIST,
     SIGHT.declare_lasting(

@@ -49,14 +49,16 @@ class Fault:
         return self.arguments[0] if self.arguments else ""
 
     @property
+    def device_phrase(self) -> str:
+        """The fault of its device, whichever the arm."""
+        words = iter(self.arguments)
+        phrase = (next(words) if word in TERMINALS else word for word in self.kind.phrase.split())
+        return " ".join((self.kind.device, *phrase))
+
+    @property
     def phrase(self) -> str:
         """The fault as written in a script, without its start and duration."""
-        words = iter(self.arguments)
-        whose = () if self.role is ArmRole.MASTER else (self.role.value,)
-        return " ".join(
-            next(words) if word in TERMINALS else word
-            for word in (*whose, self.kind.device, *self.kind.phrase.split())
-        )
+        return self.device_phrase if self.role is ArmRole.MASTER else f"{self.role} {self.device_phrase}"
 
     @property
     def effect(self) -> str:
@@ -98,7 +100,7 @@ class FaultKind:
 
     `phrase` is the text between the device's name and `for`: words verbatim, arguments as terminals of the
     grammar (`occlude marker INT`, `drop NUMBER %`). A lasting fault acts for its duration, or until cleared
-    without one; a momentary fault happens once and has none. `check` yields mistakes in the arguments for a
+    without one; a momentary fault happens once and has none. `checks` yield mistakes in the arguments for a
     scene: "expected X, got Y".
     """
 
@@ -107,7 +109,7 @@ class FaultKind:
     phrase: str
     meaning: str  # one sentence for the reference page
     momentary: bool
-    check: Check
+    checks: tuple[Check, ...]
 
     @cached_property
     def usage(self) -> str:
@@ -117,8 +119,7 @@ class FaultKind:
     @property
     def choices(self) -> Sequence[str]:
         """Words allowed as the first argument, empty if unrestricted or dependent on the scene."""
-        check = self.check.first if isinstance(self.check, Both) else self.check
-        return check.known if isinstance(check, OneOf) else ()
+        return next((check.known for check in self.checks if isinstance(check, OneOf)), ())
 
     @property
     def example(self) -> str:
@@ -128,39 +129,38 @@ class FaultKind:
         return f"at 12.5 s: {phrase}" + ("" if self.momentary else " for 2 s")
 
 
-def accept_any(_arguments: Arguments, _scene: Scene) -> Iterator[str]:
-    """Accept any argument."""
-    yield from ()
-
-
 class FaultKinds:
-    """Declares the fault kinds of one device.
+    """Declares the fault kinds of one device, and lists them as `declared`.
 
     `prefix` distinguishes their names from those of other devices; `first` checks every first argument.
     """
 
     def __init__(self, device: str, prefix: str = "", first: Check | None = None) -> None:
+        self.declared: list[FaultKind] = []
         self._device = device
         self._prefix = prefix
-        self._first = first
+        self._first = () if first is None else (first,)
 
-    def declare_lasting(self, name: str, phrase: str, meaning: str, check: Check = accept_any) -> FaultKind:
+    def declare_lasting(self, name: str, phrase: str, meaning: str, *checks: Check) -> FaultKind:
         """Declare a kind of fault that lasts for a duration."""
-        return self._declare(name, phrase, meaning, check, momentary=False)
+        return self._declare(name, phrase, meaning, checks, momentary=False)
 
-    def declare_momentary(self, name: str, phrase: str, meaning: str, check: Check = accept_any) -> FaultKind:
+    def declare_momentary(self, name: str, phrase: str, meaning: str, *checks: Check) -> FaultKind:
         """Declare a kind of fault that occurs once."""
-        return self._declare(name, phrase, meaning, check, momentary=True)
+        return self._declare(name, phrase, meaning, checks, momentary=True)
 
     def share(self, name: str, phrase: str, meaning: str) -> FaultKind:
         """Declare a lasting fault with a percentage, which follows the first argument if that is checked."""
-        percent = check_at_most(WHOLE_PERCENT, "%", argument=0 if self._first is None else 1)
+        percent = check_at_most(WHOLE_PERCENT, "%", argument=len(self._first))
         return self.declare_lasting(name, phrase, meaning, percent)
 
-    def _declare(self, name: str, phrase: str, meaning: str, check: Check, *, momentary: bool) -> FaultKind:
-        if self._first is not None:
-            check = self._first if check is accept_any else Both(self._first, check)
-        return FaultKind(self._prefix + name, self._device, phrase, meaning, momentary, check)
+    def _declare(
+        self, name: str, phrase: str, meaning: str, checks: tuple[Check, ...], *, momentary: bool
+    ) -> FaultKind:
+        checks = (*self._first, *checks)
+        kind = FaultKind(self._prefix + name, self._device, phrase, meaning, momentary, checks)
+        self.declared.append(kind)
+        return kind
 
 
 @dataclass(frozen=True)
@@ -182,18 +182,6 @@ def check_at_most(largest: float, unit: str, *, argument: int = 0) -> Check:
             yield f"expected at most {largest:g} {unit}, got {arguments[argument]}"
 
     return check
-
-
-@dataclass(frozen=True)
-class Both:
-    """Apply two checks."""
-
-    first: Check
-    second: Check
-
-    def __call__(self, arguments: Arguments, scene: Scene) -> Iterator[str]:
-        yield from self.first(arguments, scene)
-        yield from self.second(arguments, scene)
 
 
 def unless_known(what: str, known: Sequence[str], got: str) -> Iterator[str]:

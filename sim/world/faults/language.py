@@ -254,7 +254,8 @@ def _list_mistakes(fault: Fault, scene: Scene, devices: Sequence[str]) -> Iterat
         own = f"{fault.role} {device}" if is_of_other else device
         make = f"the {fault.role} here is a {MAKES[device]}, its faults begin with {own!r}"
         yield f"expected a fault of the {device}, got {fault.phrase!r}: {make}"
-    yield from fault.kind.check(fault.arguments, scene)
+    for check in fault.kind.checks:
+        yield from check(fault.arguments, scene)
 
 
 class Mistake(NamedTuple):
@@ -318,7 +319,6 @@ def _describe_unexpected(error: UnexpectedInput, line: str, number: int, *, advi
 
 
 def _is_valid_line(line: str) -> bool:
-    """Return whether the parser accepts a line."""
     from lark.exceptions import UnexpectedInput
 
     try:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable
 
-from sim.world.faults.fault import TERMINALS, Fault
+from sim.world.faults.fault import Fault
 
 
 class FaultLog:
@@ -21,11 +21,11 @@ class FaultLog:
         now = {(fault.line, fault.at_s): fault for fault in acting}
         for key, fault in now.items():
             if key not in self._acting:
-                self._write(f"{_describe_fault(fault)} begins")
+                self._write(f"{fault.device_phrase} begins")
         for key, fault in self._acting.items():
             if key not in now:
                 hits = self._hits.pop(fault.kind.name, 0)
-                self._write(f"{_describe_fault(fault)} ends" + (f" after {hits} telegrams" if hits else ""))
+                self._write(f"{fault.device_phrase} ends" + (f" after {hits} telegrams" if hits else ""))
         self._acting = now
 
     def hit(self, kind: str) -> None:
@@ -34,16 +34,9 @@ class FaultLog:
 
     def happened(self, fault: Fault) -> None:
         """Log a momentary fault."""
-        self._write(_describe_fault(fault))
+        self._write(fault.device_phrase)
 
     def _write(self, what: str) -> None:
         time_s, cycle = self._moment()
         sys.stderr.write(f"fault at {time_s:.3f} s, {cycle}: {what}\n")
         sys.stderr.flush()
-
-
-def _describe_fault(fault: Fault) -> str:
-    words, arguments = [], iter(fault.arguments)
-    for word in fault.kind.phrase.split():
-        words.append(next(arguments) if word in TERMINALS else word)
-    return " ".join([fault.kind.device, *words])

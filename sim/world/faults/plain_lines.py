@@ -54,7 +54,6 @@ def read_plain_line(line: str, number: int, kinds: Sequence[FaultKind]) -> Fault
 
 
 def _arguments(kind: FaultKind, words: Sequence[str]) -> tuple[str, ...] | None:
-    """Return the arguments of these words if they are a fault of this kind."""
     expected = kind.phrase.split()
     if words[:1] != [kind.device] or len(expected) != len(words) - 1:
         return None

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
-from sim.world.faults.fault import Arguments, Both, FaultKinds, OneOf, fiducial_number, unless_known
+from sim.world.faults.fault import Arguments, FaultKinds, OneOf, fiducial_number, unless_known
 from sim.world.scene.model import Scene
 
 DEVICE = "room"
@@ -45,12 +45,12 @@ def _check_cart(arguments: Arguments, scene: Scene) -> Iterator[str]:
 
 
 def _check_present(arguments: Arguments, scene: Scene) -> Iterator[str]:
-    if arguments[0] == ASSISTANT_CART and scene.assistant is None:
+    if arguments[0] == ASSISTANT_CART and not scene.holders:
         yield f"expected a scene with two arms, got {scene.name}: there is no {ASSISTANT_CART}"
 
 
 def _check_clamp(_arguments: Arguments, scene: Scene) -> Iterator[str]:
-    if scene.assistant is None:
+    if not scene.holders:
         yield f"expected a scene with two arms, got {scene.name}: there is no clamp"
 
 
@@ -60,13 +60,14 @@ SHIFT = declare_lasting(
     "A body is moved along the robot's x, y and z: the head, the robot's cart, the assistant's cart "
     f"({ASSISTANT_CART}), the tracker, or by a hand the mounted guide; or the guide in its seat, along the "
     "axes of its calibrated tip.",
-    Both(OneOf("to move the", BODIES), _check_present),
+    OneOf("to move the", BODIES),
+    _check_present,
 )
 SHIFT_OVER = declare_lasting(
     "shift_over",
     f"{SHIFT.phrase} over NUMBER s",
     "The same body creeps there evenly in that time, and stays.",
-    SHIFT.check,
+    *SHIFT.checks,
 )
 MOVE = declare_lasting(
     "move",
@@ -106,13 +107,14 @@ TURN = declare_lasting(
     "guide in its seat about its calibrated tip; or a hand turns the mounted guide about the tracked frame "
     "on the mount: the frame stays in its place, the guide's end does not, the encoders see nothing. The "
     "numbers are a rotation vector along the axes of a shift.",
-    Both(OneOf("to turn the", BODIES), _check_present),
+    OneOf("to turn the", BODIES),
+    _check_present,
 )
 TURN_OVER = declare_lasting(
     "turn_over",
     f"{TURN.phrase} over NUMBER s",
     "The same body turns there evenly in that time, and stays.",
-    TURN.check,
+    *TURN.checks,
 )
 SLOWLY = {SHIFT_OVER: SHIFT, TURN_OVER: TURN, PUSH_OVER: PUSH}
 """Kinds that grow evenly over the time of their last argument, and what they come to."""
@@ -165,23 +167,4 @@ WRONG_LOAD = declare_lasting(
 )
 MISSED_TASK = {WRONG_TOOL.name: "no tool was mounted", WRONG_STOP.name: "no depth stop was set"}
 """Faults that act only while the staff do a task, and why one had no effect."""
-ROOM_FAULTS = (
-    SHIFT,
-    SHIFT_OVER,
-    MOVE,
-    UNLOCKED,
-    LOOSEN,
-    PUSH,
-    PUSH_OVER,
-    TURN,
-    TURN_OVER,
-    WRONG_STOP,
-    BENT_TIP,
-    WRONG_TOOL,
-    WRONG_MANDREL,
-    BAD_SEAT,
-    BENT_INSTRUMENT,
-    WRONG_INSTRUMENT,
-    LOOSE_INSTRUMENT,
-    WRONG_LOAD,
-)
+ROOM_FAULTS = tuple(ROOM.declared)

@@ -43,7 +43,9 @@ def _check_tool_marker(arguments: Arguments, scene: Scene) -> Iterator[str]:
 
 def check_tool_is_there(fault: Fault, scene: Scene, loaded: Sequence[str]) -> Iterator[str]:
     """Check that the fault's tool is in the scene or loaded by a client."""
-    if fault.kind.check in (_check_tool, _check_tool_marker) and not _tools(fault.argument, scene):
+    if {_check_tool, _check_tool_marker}.intersection(fault.kind.checks) and not _tools(
+        fault.argument, scene
+    ):
         known = [*(tool.name for tool in scene.tracker.tools), *loaded]
         yield from unless_known("tool", list(dict.fromkeys(known)), fault.argument)
 

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from math import cos, radians, sin
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ronna_hw.adhesive_marker import THICKNESS_MM
 from ronna_hw.marker_template import MarkerTemplate
@@ -19,6 +18,7 @@ from ronna_hw.x_frame import BAR_BELOW_MM, BAR_RADIUS_MM, SPHERE_CENTRES_MM, STA
 from sim.errors import BAD_SCENE
 from sim.world.rigid import (
     Point,
+    Vector,
     apply,
     as_rounded_point,
     matrix_from,
@@ -30,8 +30,6 @@ from sim.world.scene.arm_design import KR6, ArmDesign
 from sim.world.scene.model import Adhesive, Fiducial, Head
 from sim.world.scene.parts import Target
 from sim.world.scene.plan_feasibility import PlanFeasibility
-
-Vector = NDArray[np.float64]
 
 SEMI_AXES_MM = (75.0, 95.0, 90.0)  # left-right, front-back, foot-head
 CENTRE_CT_MM = (3.2, -41.7, 812.4)  # off the origin, so that a swapped axis shows

@@ -442,7 +442,7 @@ class Scene(Strict):
     @model_validator(mode="after")
     def _assistant_frame_is_a_tool(self) -> Self:
         known = any(tool.part_number == ASSISTANT_FRAME_PART_NUMBER for tool in self.tracker.tools[1:])
-        if self.assistant is not None and not known:
+        if self.holders and not known:
             raise ValueError(
                 f"assistant needs a tool with part number {ASSISTANT_FRAME_PART_NUMBER} in tracker.tools, "
                 "after the frame on the mount"
@@ -450,10 +450,15 @@ class Scene(Strict):
         return self
 
     @property
+    def holders(self) -> Mapping[ArmRole, AssistantTruth]:
+        """Arms beside the master by role; each holds an instrument."""
+        found = {ArmRole.ASSISTANT: self.assistant}
+        return {role: one for role, one in found.items() if one is not None}
+
+    @property
     def arms(self) -> Mapping[ArmRole, ArmTruth]:
         """True arms by role, the master first."""
-        others = {} if self.assistant is None else {ArmRole.ASSISTANT: self.assistant.arm}
-        return {ArmRole.MASTER: self.arm, **others}
+        return {ArmRole.MASTER: self.arm, **{role: one.arm for role, one in self.holders.items()}}
 
     def arm_of(self, role: ArmRole) -> ArmTruth:
         """Return the true arm in a role; raises SIM-001 for one that is not there."""

@@ -10,19 +10,9 @@ from typing import Annotated, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
+from ronna_hw import plausible
 from ronna_hw.calibration import Numbers3, PoseRecord, Strict
-from ronna_hw.plausible import (
-    FARTHEST_ON_TOOL_MM,
-    LEAST_DEPTH_MM,
-    LONGEST_NAME,
-    MOST_DEPTH_MM,
-    NAME_PATTERN,
-    SHORTEST_MM,
-    FreeAngle,
-    Margin,
-    TrajectoryName,
-    farther_than,
-)
+from ronna_hw.plausible import FreeAngle, Margin, TrajectoryName
 from ronna_hw.wire.gige_vision import TEXT_BYTES, Bootstrap
 from ronna_hw.wire.polaris_rom import PART_NUMBER_BYTES, ROM_MARKERS, ROM_MINIMUM_MARKERS
 
@@ -35,7 +25,9 @@ Serial = Annotated[
     str, Field(min_length=1, max_length=TEXT_BYTES[Bootstrap.SERIAL_NUMBER] - 1, pattern=r"^[!-~]+$")
 ]
 # The theatre writes the definition into a file of this name, and fault scripts name the tool by it.
-ToolName = Annotated[str, Field(min_length=1, max_length=LONGEST_NAME, pattern=NAME_PATTERN)]
+ToolName = Annotated[
+    str, Field(min_length=1, max_length=plausible.LONGEST_NAME, pattern=plausible.NAME_PATTERN)
+]
 # A definition holds ASCII: a longer number would be truncated, and the tool not found by it.
 PartNumber = Annotated[str, Field(min_length=1, max_length=PART_NUMBER_BYTES, pattern=r"^[ -~]+$")]
 
@@ -55,7 +47,7 @@ def _require_unit(direction: Numbers3) -> Numbers3:
     return direction
 
 
-OnTool = Annotated[Numbers3, farther_than(SHORTEST_MM, FARTHEST_ON_TOOL_MM)]
+OnTool = Annotated[Numbers3, plausible.farther_than(plausible.SHORTEST_MM, plausible.FARTHEST_ON_TOOL_MM)]
 MarkerCentres = Annotated[tuple[OnTool, ...], AfterValidator(_require_marker_count)]
 Facing = Annotated[Numbers3, AfterValidator(_require_unit)]
 
@@ -71,10 +63,10 @@ class Target(Strict):
 
     @model_validator(mode="after")
     def _has_a_depth(self) -> Self:
-        if not LEAST_DEPTH_MM <= self.depth_mm <= MOST_DEPTH_MM:
+        if not plausible.LEAST_DEPTH_MM <= self.depth_mm <= plausible.MOST_DEPTH_MM:
             raise ValueError(
                 f"entry_ct_mm and target_ct_mm are {self.depth_mm:.3g} mm apart, "
-                f"expected {LEAST_DEPTH_MM:g} to {MOST_DEPTH_MM:g} mm"
+                f"expected {plausible.LEAST_DEPTH_MM:g} to {plausible.MOST_DEPTH_MM:g} mm"
             )
         return self
 

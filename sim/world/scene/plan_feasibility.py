@@ -12,14 +12,11 @@ from collections.abc import Iterator, Sequence
 from math import pi, radians
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sim.world.descriptions import DESCRIPTIONS, INVERSES
-from sim.world.rigid import inverse, matrix_from
+from sim.world.rigid import Vector, inverse, matrix_from
 from sim.world.scene.as_built import CAMERAS_IN_TOOL_MM, TOOL_IN_FLANGE_MM
 from sim.world.scene.parts import Guide
-
-Vector = NDArray[np.float64]
 
 APPROACH_MM = 60.0  # distance of the tool outside sphere or skin
 STANDOFF_MM = 30.0  # distance of the guide from the entry, in the plan of a phantom

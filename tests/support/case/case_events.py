@@ -3,15 +3,10 @@
 from __future__ import annotations
 
 from datetime import UTC, datetime
+from typing import Any
 
 from procedures.engine.case_view import CaseView, fold
-from procedures.engine.events import (
-    Event,
-    EventContent,
-    Order,
-    OrderedStep,
-    Questioned,
-)
+from procedures.engine.events import Event, EventContent, Order, OrderedStep, Questioned
 
 MOMENT = datetime(2026, 1, 1, tzinfo=UTC)
 NAMES = ("image", "localization:T1", "fit:T1")
@@ -20,10 +15,15 @@ ORDER = Order(
 )
 
 
-def question(number: int) -> Questioned:
-    return Questioned(
-        question=number, topic="park", subject="park", value="12 mm", answers=("yes", "no"), timeout_s=None
-    )
+def question(number: int = 1, **of: Any) -> Questioned:
+    plain = {
+        "topic": "park",
+        "subject": "park",
+        "value": "12 mm",
+        "answers": ("yes", "no"),
+        "timeout_s": None,
+    }
+    return Questioned.model_validate({"question": number, **plain, **of})
 
 
 def events_of(happenings: list[EventContent]) -> list[Event]:

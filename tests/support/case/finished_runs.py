@@ -7,6 +7,7 @@ from pathlib import Path
 from plain_steps import Image, plain_order
 from recording_cell import RecordingCell
 
+from procedures.engine.case import Case, StepKey
 from procedures.engine.context import StepContext
 from procedures.engine.order import Outcome
 from procedures.engine.run_folder import close_run
@@ -15,7 +16,7 @@ from procedures.journal.results import StepResult
 from procedures.runs.finishing import seal_run
 from procedures.runs.interrupted_run import read_interrupted_run
 from ronna_hw.evidence.inspection import inspect_run
-from ronna_hw.evidence.manifest import LOG_FILES, WORLD_FILE, Manifest, seal
+from ronna_hw.evidence.manifest import LOG_FILES, WORLD_FILE, Manifest, hash_files_at_closing, seal
 
 REQUEST_HASH = "44136fa355b3678a1146ad16f7e8649e94fb4fc21fe77e8310c060f61caaff8a"  # of {}
 
@@ -42,6 +43,27 @@ def finished_run(folder: Path) -> Path:
         (folder / name).write_text(f"{name}, written after the end\n")
     sealed(folder)
     return folder
+
+
+def recorded_run(
+    run: Path, *results: tuple[StepKey, StepResult], opened: dict[str, str] | None = None
+) -> Path:
+    """A run folder with these results, in this order, each in place of a former one of its step."""
+    run.mkdir(exist_ok=True)
+    case, journal = Case(run), Journal(run)
+    if opened is not None:
+        journal.write(Entry.OPENED, 0.0, run=run.name, **opened)
+    for key, result in results:
+        stored = case.store(key, result, ())
+        gone = [one.identifier for one in case.records_superseded_by(key)]
+        names = {"record": stored.record.identifier, "sha256": stored.record.sha256}
+        journal.write(Entry.RESULT, 0.0, step=str(key), supersedes=gone, **names)
+        case.accept(key, stored)
+    files = hash_files_at_closing(run)
+    journal.write(Entry.CLOSED, 0.0, outcome="done", files=files)
+    journal.close()
+    seal(run, files)
+    return run
 
 
 def sealed(folder: Path) -> None:

@@ -9,6 +9,7 @@ import numpy as np
 
 from console.planning.plan_editor import PlanEditor
 from procedures.imaging.volume import Volume, VoxelGeometry
+from ronna_hw.errors import RonnaError
 
 SERIES = "1.2.826.0.1.3680043.8.498.7"
 ENTRY, TARGET = (10.0, -50.0, 60.0), (5.0, -20.0, 20.0)
@@ -41,3 +42,7 @@ def reopened(editor: PlanEditor) -> PlanEditor:
     """By the next planner."""
     editor.close()
     return PlanEditor(scan(), editor.file, None)
+
+
+def code_of(error: RonnaError | None) -> str:
+    return error.code if error else ""

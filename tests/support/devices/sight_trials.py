@@ -17,7 +17,6 @@ from room_trials import STILL, TrackedCase
 
 from procedures.guards.errors import BaseShifted, PatientMoved, PatientUnseen, RoomUndecided
 from procedures.guards.head_frames import PATIENT_LIMIT_MM, HeadFrames
-from procedures.guards.head_sight import Approach
 from procedures.guards.room_reading import FRAMES
 from procedures.guards.watch_thread import SKIPPED_FRAMES
 from procedures.planning.tracker_sight import TrackerSight
@@ -156,7 +155,8 @@ class CoveredApproach:
         self._rest(home)
         if not self._head_seen:
             return How.HELD
-        watch.head_sight.approach = Approach(lambda: False, under_way=True)
+        watch.head_sight.expect_approach(lambda: False)
+        watch.head_sight.under_way = True
         for start, end, frames in ((home, self._over, GO_FRAMES), (self._over, self._at, INSERT_FRAMES)):
             if self._move(start, end, frames) or self._rest(end):
                 return How.SUSPENDED
@@ -167,7 +167,7 @@ class CoveredApproach:
             if watch.head_sight.is_overdue(self._now_s):
                 return How.SUSPENDED
         self._covered[:] = False  # at the latest when the guide is out hands and drapes go
-        watch.head_sight.approach = None
+        watch.head_sight.under_way = False
         self._move(self._at, self._over, INSERT_FRAMES)
         self._rest(self._over)
         return How.PASSED
@@ -203,7 +203,7 @@ class CoveredApproach:
     def _move(self, start: JointVector, end: JointVector, frames: int) -> bool:
         """A motion, or a wait, watched; whether it was stopped because the head is overdue."""
         due = self._has_shifted and self._frame - self._shift > FRAMES
-        if due and self._watch.head_sight.approach is not None and start != end:
+        if due and self._watch.head_sight.under_way and start != end:
             self._begun += 1
             self._unseen_s = self._watch.head_sight.unseen_s(self._now_s)
         places = list(self._places(start, end))

@@ -26,7 +26,7 @@ from conformance.polaris.client import read_body
 from drivers.basler_stereo.readings import decode_pixels
 from procedures.engine.errors import NotRecorded
 from procedures.engine.order import order_of
-from procedures.engine.replay.recorded_answers import read_answers, read_in_order
+from procedures.engine.replay.recorded_answers import iterate_readings, read_answers
 from procedures.exchange.raw_readings import missing_in_raw
 from procedures.imaging.dicom.frame_decoder import FrameDecoder
 from procedures.imaging.dicom.slice_headers import read_headers
@@ -244,7 +244,8 @@ def _replayed(run: Path) -> None:
                         answers.look(device, call)
                     elif call in ANSWERS:
                         answers.next(device, call, ANSWERS[call])
-    list(read_in_order(run))
+    for one in iterate_readings(run):
+        one.load()
 
 
 def _placed(proposal: ProposedPlace) -> None:

@@ -4,22 +4,20 @@ from __future__ import annotations
 
 import json
 import re
-import subprocess
-from pathlib import Path
 
 import pytest
 from pydicom import dcmread
 from report_figures import figures_in, figures_of_records
-from user_commands import Commands
+from simulated_case import SimulatedCase
 
 from procedures.exchange.run_export import export_run
-from procedures.journal.journal import JOURNAL_FILE, Line, read_journal
+from procedures.journal.journal import Line
 from procedures.steps.branches import GO_ON
 from ronna_hw.control_port import ask_control_port
 from ronna_hw.errors import EXIT_REFUSED
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(500)]
-MINI = ("--sim", "--scene", "mini", "--seed", "3", "--targets", "2")
+MINI = ("--scene", "mini", "--seed", "3", "--targets", "2")
 CONTROL = re.compile(r"control port (\S+)")
 ROLLS = "room unlocked cart 4 -3 0 mm per min"
 MOVES = "room shift cart 1.5 2 0 mm"
@@ -28,46 +26,26 @@ LARGEST_ERROR_MM = 0.6
 KEPT = {"ct_import", "fiducial_localization", "plan_check", "set_up", "head_clamp"}
 
 
-def run(commands: Commands, folder: Path, faults: str) -> subprocess.CompletedProcess[str]:
-    script = folder / "faults.txt"
-    script.write_text(f"{faults}\n")
-    options = ("--faults", str(script), "--out", str(folder / "runs"), "--json")
-    return commands.run("ronna-procedure", "run", *MINI, *options, timeout_s=400)
-
-
-def journal(folder: Path) -> list[Line]:
-    (run_folder,) = (folder / "runs").iterdir()
-    return list(read_journal(run_folder / JOURNAL_FILE))
-
-
 def done(lines: list[Line]) -> list[str]:
     return [line["step"] for line in lines if line["entry"] == "result"]
 
 
 @pytest.mark.hazard(49)
 @pytest.mark.branch("CART_UNLOCKED")
-def test_a_case_with_an_unlocked_cart_ends_before_anything_is_localized(
-    commands: Commands, tmp_path: Path
-) -> None:
-    ran = run(commands, tmp_path, f"at 0 s: {ROLLS}")
+def test_a_case_with_an_unlocked_cart_ends_before_anything_is_localized(case: SimulatedCase) -> None:
+    ran = case.run(*MINI, faults=f"at 0 s: {ROLLS}")
     assert ran.returncode == EXIT_REFUSED
     assert "PRO-041" in ran.stderr
-    assert set(done(journal(tmp_path))) == KEPT
+    assert set(done(case.journal)) == KEPT
 
 
 @pytest.mark.hazard(49)
 @pytest.mark.branch("CART_UNLOCKED")
-def test_opened_brakes_are_detected_and_once_they_are_closed_the_step_succeeds(
-    commands: Commands, tmp_path: Path
-) -> None:
-    stepping = commands.start(
-        "ronna-procedure", "step", *MINI, "--out", str(tmp_path / "runs"), stdin=subprocess.PIPE
-    )
+def test_opened_brakes_are_detected_and_once_they_are_closed_the_step_succeeds(case: SimulatedCase) -> None:
+    stepping = case.start_stepping("to head_clamp", words=MINI)
     assert stepping.stdin is not None
     assert stepping.stdout is not None
     assert stepping.stderr is not None
-    stepping.stdin.write("to head_clamp\n")
-    stepping.stdin.flush()
     control = next(found for line in stepping.stderr if (found := CONTROL.search(line)))[1]
     assert any(line.startswith("done head_clamp") for line in stepping.stdout)
     ask_control_port(control, "fault", line=ROLLS)
@@ -76,7 +54,7 @@ def test_opened_brakes_are_detected_and_once_they_are_closed_the_step_succeeds(
     assert any("PRO-041" in line for line in stepping.stderr)
     ask_control_port(control, "clear_faults")
     stepping.communicate("run cart_lock\nquit\n", timeout=100)
-    assert done(journal(tmp_path))[-1] == "cart_lock"
+    assert done(case.journal)[-1] == "cart_lock"
 
 
 @pytest.mark.hazard(50)
@@ -90,18 +68,18 @@ def test_opened_brakes_are_detected_and_once_they_are_closed_the_step_succeeds(
     ],
 )
 def test_after_a_cart_move_the_case_continues_from_the_lock_and_reaches_its_targets(
-    commands: Commands, tmp_path: Path, step: str, again: int, resumed: bool
+    case: SimulatedCase, step: str, again: int, resumed: bool
 ) -> None:
-    ran = run(commands, tmp_path, f"since step == {step}: {MOVES}")
+    ran = case.run(*MINI, faults=f"since step == {step}: {MOVES}")
     if resumed:
         assert ran.returncode == EXIT_REFUSED, ran.stderr
-        (left,) = (tmp_path / "runs").iterdir()
-        ran = commands.run("ronna-procedure", "resume", str(left), "--accept", "--json", timeout_s=400)
+        again_line = ("resume", str(case.run_folder), "--accept", "--json")
+        ran = case.commands.run("ronna-procedure", *again_line, timeout_s=400)
     assert ran.returncode == 0, ran.stderr
     outcome = json.loads(ran.stdout)
     assert [target["id"] for target in outcome["targets"]] == ["T1", "T2"]
     assert outcome["max_application_error_mm"] <= LARGEST_ERROR_MM
-    lines = journal(tmp_path)
+    lines = case.journal
     asked = [line for line in lines if line.get("topic") == "cart_moved"]
     assert [line["answer"] for line in asked] == [GO_ON] * (again and not resumed)
     steps = done(lines)
@@ -117,9 +95,9 @@ def test_after_a_cart_move_the_case_continues_from_the_lock_and_reaches_its_targ
         gone = {one for earlier in before if earlier["entry"] == "voided" for one in earlier["supersedes"]}
         kept = [one for one in stood if one[3:] in KEPT or (finished and one.endswith("-T1")) or one in gone]
         assert line["supersedes"] == [one for one in stood if one not in kept]
-    (run_folder,) = (tmp_path / "runs").iterdir()
-    assert figures_in(run_folder / "report.html") == figures_of_records(run_folder)
-    registrations = [one for one in export_run(run_folder, tmp_path / "out").files if one.match("reg*.dcm")]
+    run = case.run_folder
+    assert figures_in(run / "report.html") == figures_of_records(run)
+    registrations = [one for one in export_run(run, case.folder / "out").files if one.match("reg*.dcm")]
     frames = {dcmread(one).FrameOfReferenceUID for one in registrations}
     assert len(frames) == (2 if step == "at_target:T2" else 1)  # before and after a move: two
 
@@ -133,25 +111,25 @@ def test_after_a_cart_move_the_case_continues_from_the_lock_and_reaches_its_targ
     ids=["during a motion", "in a look"],
 )
 def test_after_a_cart_was_wheeled_away_the_case_registers_again_and_reaches_its_targets(
-    commands: Commands, tmp_path: Path, moment: str
+    case: SimulatedCase, moment: str
 ) -> None:
-    ran = run(commands, tmp_path, f"since step == {moment}: {WHEELED}")
+    ran = case.run(*MINI, faults=f"since step == {moment}: {WHEELED}")
     assert ran.returncode == 0, ran.stderr
     outcome = json.loads(ran.stdout)
     assert [target["id"] for target in outcome["targets"]] == ["T1", "T2"]
     assert outcome["max_application_error_mm"] <= LARGEST_ERROR_MM
-    failed = [line for line in journal(tmp_path) if line["entry"] == "failed"]
+    failed = [line for line in case.journal if line["entry"] == "failed"]
     assert [(line["step"], line["code"]) for line in failed] == [(moment.split()[0], "PRO-019")]
 
 
 @pytest.mark.hazard(13)
 def test_a_cart_wheeled_away_with_an_instrument_inside_leaves_the_arm_where_it_is(
-    commands: Commands, tmp_path: Path
+    case: SimulatedCase,
 ) -> None:
-    ran = run(commands, tmp_path, f"since step == at_target:T2 after 2.2 s: {WHEELED}")
+    ran = case.run(*MINI, faults=f"since step == at_target:T2 after 2.2 s: {WHEELED}")
     assert ran.returncode == EXIT_REFUSED
     assert "PRO-019" in ran.stderr
-    lines = journal(tmp_path)
+    lines = case.journal
     inside = [number for number, line in enumerate(lines) if line.get("inside")][-1]
     assert "motion" not in {line["entry"] for line in lines[inside:]}
     assert "cart_moved" not in {line.get("topic") for line in lines}
@@ -160,17 +138,11 @@ def test_a_cart_wheeled_away_with_an_instrument_inside_leaves_the_arm_where_it_i
 
 @pytest.mark.hazard(50)
 @pytest.mark.branch("CART_MOVED")
-def test_without_consent_the_case_stops_and_the_cart_is_not_locked_again(
-    commands: Commands, tmp_path: Path
-) -> None:
-    answers = tmp_path / "answers.toml"
-    answers.write_text('default = "first"\n[answers]\ncart_moved = "hold"\n')
-    script = tmp_path / "faults.txt"
-    script.write_text(f"since step == relocalization:T2: {MOVES}\n")
-    options = ("--faults", str(script), "--answers", str(answers), "--out", str(tmp_path / "runs"))
-    ran = commands.run("ronna-procedure", "run", *MINI, *options, timeout_s=400)
+def test_without_consent_the_case_stops_and_the_cart_is_not_locked_again(case: SimulatedCase) -> None:
+    held = 'default = "first"\n[answers]\ncart_moved = "hold"'
+    ran = case.run(*MINI, faults=f"since step == relocalization:T2: {MOVES}", answers=held)
     assert ran.returncode == EXIT_REFUSED
     assert "PRO-019" in ran.stderr
-    lines = journal(tmp_path)
+    lines = case.journal
     assert [line["entry"] for line in lines].count("voided") == 1
     assert done(lines).count("cart_lock") == 1

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import json
 import re
-import subprocess
-from pathlib import Path
 from typing import Any
 
 import pytest
-from user_commands import Commands
+from simulated_case import SimulatedCase
 
 from procedures.guards.errors import BaseShifted
-from procedures.journal.journal import JOURNAL_FILE, Entry, Line, read_journal
+from procedures.journal.journal import Entry, Line
 from procedures.steps.errors import ToolBesideGauge
 from ronna_hw.errors import EXIT_REFUSED
 
@@ -20,18 +18,6 @@ pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
 MINI = ("--scene", "mini")
 SPHERES = range(1, 6)  # of the default scene
 LARGEST_ERROR_MM = 0.6  # of these seeds; 0.61 and 0.76 where the cart had crept unnoticed
-
-
-def run(commands: Commands, folder: Path, faults: str, *case: str) -> subprocess.CompletedProcess[str]:
-    script = folder / "faults.txt"
-    script.write_text(faults)
-    options = ("--faults", str(script), "--out", str(folder / "runs"), "--json")
-    return commands.run("ronna-procedure", "run", "--sim", *case, *options, timeout_s=500)
-
-
-def journal(folder: Path) -> list[Line]:
-    (run_folder,) = (folder / "runs").iterdir()
-    return list(read_journal(run_folder / JOURNAL_FILE))
 
 
 def in_doubt(lines: list[Line]) -> list[tuple[list[str], str]]:
@@ -56,12 +42,12 @@ def led_to(lines: list[Line]) -> list[Any]:
     ids=["hidden in the last hold", "hidden until the arm is home", "hidden from then on"],
 )
 def test_a_head_that_moves_while_hidden_at_the_last_target_is_a_finding_on_it(
-    commands: Commands, tmp_path: Path, hidden: tuple[str, ...], said: str
+    case: SimulatedCase, hidden: tuple[str, ...], said: str
 ) -> None:
     covered = "".join(f"{begins}: tracker occlude marker {one}\n" for begins in hidden for one in SPHERES)
     shifted = "since step == at_target:T1: room shift head 1.8 2.4 0 mm\n"
-    ran = run(commands, tmp_path, covered + shifted, "--seed", "3", "--targets", "1")
-    lines = journal(tmp_path)
+    ran = case.run("--seed", "3", "--targets", "1", faults=covered + shifted)
+    lines = case.journal
     ((targets, text),) = in_doubt(lines)
     assert targets == ["T1"]
     assert said in text
@@ -70,7 +56,7 @@ def test_a_head_that_moves_while_hidden_at_the_last_target_is_a_finding_on_it(
 
 @pytest.mark.hazard(13)
 @pytest.mark.parametrize(
-    ("case", "shift"),
+    ("scene", "shift"),
     [
         (("--seed", "3", "--targets", "1"), "0.39 0.52 0"),  # 0.65 mm
         ((*MINI, "--seed", "7"), "0.486 0.648 0"),  # 0.81 mm
@@ -78,10 +64,10 @@ def test_a_head_that_moves_while_hidden_at_the_last_target_is_a_finding_on_it(
     ids=["default", "mini"],
 )
 def test_a_cart_that_crept_is_noticed_before_the_guide_is_led_to_the_head(
-    commands: Commands, tmp_path: Path, case: tuple[str, ...], shift: str
+    case: SimulatedCase, scene: tuple[str, ...], shift: str
 ) -> None:
-    ran = run(commands, tmp_path, f"since step == tool_change: room shift cart {shift} mm\n", *case)
-    lines = journal(tmp_path)
+    ran = case.run(*scene, faults=f"since step == tool_change: room shift cart {shift} mm")
+    lines = case.journal
     failed = next(line for line in lines if line["entry"] == Entry.FAILED)
     assert failed["code"] == BaseShifted.code
     assert led_to(lines[: lines.index(failed)]) == []
@@ -91,12 +77,10 @@ def test_a_cart_that_crept_is_noticed_before_the_guide_is_led_to_the_head(
 
 @pytest.mark.hazard(3)
 @pytest.mark.hazard(47)
-def test_a_guide_bent_at_the_first_target_is_not_led_to_the_second(
-    commands: Commands, tmp_path: Path
-) -> None:
-    bent = "since step == positioning:T1: room bent tip 1 0 0 mm\n"
-    ran = run(commands, tmp_path, bent, *MINI, "--seed", "3", "--targets", "2")
-    lines = journal(tmp_path)
+def test_a_guide_bent_at_the_first_target_is_not_led_to_the_second(case: SimulatedCase) -> None:
+    bent = "since step == positioning:T1: room bent tip 1 0 0 mm"
+    ran = case.run(*MINI, "--seed", "3", "--targets", "2", faults=bent)
+    lines = case.journal
     ((targets, text),) = in_doubt(lines)
     assert targets == ["T1"]
     assert re.search(r"the guide is (0\.9|1\.0)\d mm", text)

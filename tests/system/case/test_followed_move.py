@@ -1,14 +1,11 @@
 """The head moves under the guide, the registration follows, and the whole case reaches its target."""
 
 import json
-import subprocess
-from pathlib import Path
 
 import pytest
 from report_figures import figures_in, figures_of_records
-from user_commands import Commands
+from simulated_case import SimulatedCase
 
-from procedures.journal.journal import JOURNAL_FILE, read_journal
 from ronna_hw.records import read_record
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(400)]
@@ -20,27 +17,14 @@ LARGEST_ERROR_MM = 0.6  # what the followed registration predicts holds 95 %, an
 
 @pytest.mark.hazard(12)
 @pytest.mark.branch("MOVE_FOLLOWED")
-def test_the_guide_reaches_its_target_in_a_head_that_moved_and_the_run_replays(
-    commands: Commands, tmp_path: Path
-) -> None:
-    faults, answers = tmp_path / "faults.txt", tmp_path / "answers.toml"
+def test_the_guide_reaches_its_target_in_a_head_that_moved_and_the_run_replays(case: SimulatedCase) -> None:
     # A fault lasts as long as its step.
     steps = ("positioning", "registration", "at_target", "retreat", "confirmation")
-    faults.write_text("".join(f"when step == {step}: room shift head 0.9 -1.2 0.8 mm\n" for step in steps))
-    answers.write_text('default = "first"\n')
-    options = ("--faults", str(faults), "--answers", str(answers), "--out", str(tmp_path / "runs"))
-    done = subprocess.run(
-        commands.line("ronna-procedure", "step", "--sim", *CASE, *options),
-        env=commands.environment,
-        input="to positioning:T1\nto confirmation:T1\nquit\n",
-        capture_output=True,
-        text=True,
-        timeout=300,
-        check=False,
-    )
+    faults = "".join(f"when step == {step}: room shift head 0.9 -1.2 0.8 mm\n" for step in steps)
+    orders = ("to positioning:T1", "to confirmation:T1", "quit")
+    done = case.step(*orders, words=CASE, faults=faults, answers='default = "first"')
     assert "PRO-020" in done.stderr
-    (run,) = (tmp_path / "runs").iterdir()
-    lines = list(read_journal(run / JOURNAL_FILE))
+    run, lines = case.run_folder, case.journal
     (asked,) = [line for line in lines if line.get("topic") == "move_followed:T1"]
     assert asked["answer"] == "follow"
     former, followed = [line for line in lines if line.get("step") == "registration:T1" and "record" in line]
@@ -52,5 +36,5 @@ def test_the_guide_reaches_its_target_in_a_head_that_moved_and_the_run_replays(
     assert target["application_error_mm"] <= LARGEST_ERROR_MM
     assert "It follows a head movement of" in (run / "report.html").read_text()
     assert figures_in(run / "report.html") == figures_of_records(run)
-    replayed = commands.run("ronna-procedure", "replay", str(run), timeout_s=300)
+    replayed = case.commands.run("ronna-procedure", "replay", str(run), timeout_s=300)
     assert replayed.returncode == 0, replayed.stdout

@@ -1,7 +1,6 @@
 """Whatever ends the command early: the arm stops, the run is closed, nothing is left behind."""
 
 import os
-import random
 import signal
 import time
 from pathlib import Path
@@ -9,28 +8,12 @@ from pathlib import Path
 import pytest
 from run_folders import assert_nothing_half_written, await_motion_in
 from user_commands import Commands, one_error
-from waiting import HANG_LIMIT_S
 
 from ronna_hw.errors import EXIT_LINK_LOST
 
 CASE = ("run", "--sim", "--scene", "mini", "--seed", "5")
 MOVING_STEP = "relocalization:T1"
 WITHOUT_PROCESSOR_S = 8.0  # a program of idle priority, on two cores with a load of eight
-
-
-@pytest.mark.slow
-@pytest.mark.timeout(240)
-def test_interrupts_at_twenty_random_moments_leave_nothing_behind(commands: Commands, tmp_path: Path) -> None:
-    chosen = random.Random(20)
-    for number in range(20):
-        out = tmp_path / f"runs{number}"
-        process = commands.start("ronna-procedure", *CASE, "--out", str(out))
-        time.sleep(chosen.uniform(0.05, 6.0))  # the moment itself is what is random here
-        process.send_signal(signal.SIGINT)
-        _, stderr = process.communicate(timeout=HANG_LIMIT_S)
-        assert process.returncode in (0, 130), stderr
-        assert commands.await_no_survivors() == []
-        assert_nothing_half_written(out)
 
 
 def _process_of(commands: Commands, words: str) -> int:

@@ -4,17 +4,15 @@ Whole cases on the mini scene, by keys of the scene and by a fault.
 """
 
 import json
-from pathlib import Path
 from typing import Any
 
 import pytest
-import tomli_w
-from user_commands import Commands
+from simulated_case import SimulatedCase
 
 from procedures.guards.errors import PatientMoved
-from procedures.journal.journal import JOURNAL_FILE, read_journal
 from procedures.registration.errors import NO_UNIQUE_MATCH
 from ronna_hw.errors import EXIT_REFUSED
+from sim.world.scene.model import Scene
 from sim.world.scene.named_scenes import draw_scene
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(400), pytest.mark.hazard(11)]
@@ -23,22 +21,19 @@ ELSEWHERE_MM = (1.0, -1.0, 0.5)
 Changes = dict[int, dict[str, Any]]
 
 
-def scene_file(folder: Path, markers: int, changes: Changes) -> Path:
+def changed_scene(markers: int, changes: Changes) -> Scene:
     """The mini scene with other keys of some spheres, by number."""
     scene = draw_scene("mini", seed=3, markers=markers, targets=1)
     changed = tuple(one.model_copy(update=changes.get(one.number, {})) for one in scene.head.fiducials)
-    scene = scene.model_copy(update={"head": scene.head.model_copy(update={"fiducials": changed})})
-    path = folder / "scene.toml"
-    path.write_text(tomli_w.dumps(scene.model_dump(mode="json", by_alias=True, exclude_none=True)))
-    return path
+    return scene.model_copy(update={"head": scene.head.model_copy(update={"fiducials": changed})})
 
 
-def run(commands: Commands, folder: Path, *case: object) -> tuple[int, dict[str, Any], dict[str, str], str]:
+def run(
+    case: SimulatedCase, *words: str, scene: Scene | None = None, faults: str = "", answers: str = ""
+) -> tuple[int, dict[str, Any], dict[str, str], str]:
     """Exit code, outcome, the answers by topic, and what was said."""
-    line = ("run", "--sim", *map(str, case), "--json", "--out", str(folder / "runs"))
-    ran = commands.run("ronna-procedure", *line, timeout_s=300)
-    (made,) = (folder / "runs").iterdir()
-    asked = {one["topic"]: one["answer"] for one in read_journal(made / JOURNAL_FILE) if "topic" in one}
+    ran = case.run(*words, scene=scene, faults=faults, answers=answers)
+    asked = {str(one["topic"]): str(one["answer"]) for one in case.journal if "topic" in one}
     return ran.returncode, json.loads(ran.stdout), asked, ran.stderr
 
 
@@ -56,54 +51,48 @@ FOUND: dict[str, tuple[int, Changes, str]] = {
 
 @pytest.mark.parametrize("what", FOUND)
 def test_the_case_completes_without_the_faulty_sphere_as_the_operator_agrees(
-    commands: Commands, tmp_path: Path, what: str
+    case: SimulatedCase, what: str
 ) -> None:
     markers, changes, topic = FOUND[what]
-    code, outcome, asked, _ = run(commands, tmp_path, "--scene", scene_file(tmp_path, markers, changes))
+    code, outcome, asked, _ = run(case, scene=changed_scene(markers, changes))
     assert (code, outcome["registration"]["n"]) == (0, 4)
     assert asked[topic] == "leave it out"
     assert outcome["max_application_error_mm"] <= LARGEST_ERROR_MM
 
 
-def loosened(folder: Path, at_s: int) -> tuple[object, ...]:
-    """A case in which the screw of one sphere gives way at that time."""
-    faults = folder / "faults.txt"
-    faults.write_text(f"at {at_s} s: room loosen marker 2 1.2 -0.9 0 mm\n")
-    return ("--scene", "mini", "--seed", 3, "--markers", 5, "--faults", faults)
+FIVE = ("--scene", "mini", "--seed", "3", "--markers", "5")
+LOOSENS = "room loosen marker 2 1.2 -0.9 0 mm"
 
 
 def test_a_screw_that_loosened_before_the_tracker_measured_is_found_by_the_fit(
-    commands: Commands, tmp_path: Path
+    case: SimulatedCase,
 ) -> None:
-    code, outcome, asked, _ = run(commands, tmp_path, *loosened(tmp_path, at_s=0))
+    code, outcome, asked, _ = run(case, *FIVE, faults=f"at 0 s: {LOOSENS}")
     assert (code, outcome["registration"]["n"]) == (0, 4)
     assert asked["moved_sphere:T1"] == "leave it out"
 
 
 def test_a_screw_that_loosens_later_is_named_before_a_registration_uses_it(
-    commands: Commands, tmp_path: Path
+    case: SimulatedCase,
 ) -> None:
-    code, _, asked, said = run(commands, tmp_path, *loosened(tmp_path, at_s=5))
+    code, _, asked, said = run(case, *FIVE, faults=f"at 5 s: {LOOSENS}")
     assert code == PatientMoved.exit_code
     assert f"{PatientMoved.code}: one sphere has moved by 1.5 mm" in said
     assert "the other 4 have not: its screw may be loose" in said
     assert "registration:T1" not in asked
 
 
-def test_without_consent_the_case_ends_before_the_arm_moves(commands: Commands, tmp_path: Path) -> None:
-    answers = tmp_path / "answers.toml"
-    answers.write_text('default = "first"\n[answers]\nunmatched_sphere = "hold"\n')
-    scene = scene_file(tmp_path, 5, {2: {"missing": True}})
-    code, _, asked, said = run(commands, tmp_path, "--scene", scene, "--answers", answers)
+def test_without_consent_the_case_ends_before_the_arm_moves(case: SimulatedCase) -> None:
+    held = 'default = "first"\n[answers]\nunmatched_sphere = "hold"'
+    code, _, asked, said = run(case, scene=changed_scene(5, {2: {"missing": True}}), answers=held)
     assert code == NO_UNIQUE_MATCH.exit_code
     assert NO_UNIQUE_MATCH.code in said
     assert asked["unmatched_sphere"] == "hold"
     assert "first_motion" not in asked
 
 
-def test_a_displaced_sphere_among_three_ends_the_case(commands: Commands, tmp_path: Path) -> None:
-    scene = scene_file(tmp_path, 3, {2: {"displaced_mm": (1.5, -1.0, 0.5)}})
-    code, _, asked, said = run(commands, tmp_path, "--scene", scene)
+def test_a_displaced_sphere_among_three_ends_the_case(case: SimulatedCase) -> None:
+    code, _, asked, said = run(case, scene=changed_scene(3, {2: {"displaced_mm": (1.5, -1.0, 0.5)}}))
     assert code == EXIT_REFUSED
     assert "PRO-007" in said
     assert "With three spheres it cannot be told which one has moved" in said

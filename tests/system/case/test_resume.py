@@ -48,9 +48,11 @@ def test_a_killed_and_resumed_case_reaches_its_target(
         (("--strategy", "nos", "--calibrated"), SETTLES),
         (("--strategy", "nos", "--calibrated"), GOES_IN),
         (("--measure-targets",), MEASURES),
+        (("--arm", "ur5e"), SETTLES),
+        (("--arm", "ur5e"), GOES_IN),
     ],
 )
-def test_a_case_with_one_shared_registration_or_a_measured_target_can_be_resumed_as_well(
+def test_a_case_of_another_kind_or_arm_can_be_resumed_as_well(
     commands: Commands, tmp_path: Path, options: tuple[str, ...], place: str
 ) -> None:
     killed = killed_at(commands, (*MINI_SEED_3, *options), tmp_path, place)
@@ -60,17 +62,6 @@ def test_a_case_with_one_shared_registration_or_a_measured_target_can_be_resumed
     measured = [name for name in (killed.folder / "records").iterdir() if "target_measurement" in name.name]
     assert bool(measured) == ("--measure-targets" in options)
     assert commands.run("ronna-procedure", "verify", str(killed.folder)).returncode == EXIT_UNCONFIRMED
-
-
-@pytest.mark.hazard(2)
-@pytest.mark.parametrize("place", [SETTLES, GOES_IN])
-def test_a_case_with_another_arm_can_be_resumed_as_well(
-    commands: Commands, tmp_path: Path, place: str
-) -> None:
-    killed = killed_at(commands, (*MINI_SEED_3, "--arm", "ur5e"), tmp_path, place)
-    outcome = reopen_run(commands, killed)
-    assert outcome["outcome"] == "done"
-    assert outcome["mean_application_error_mm"] == pytest.approx(0.0, abs=LARGEST_ERROR_MM)
 
 
 @pytest.mark.hazard(2)

@@ -1,4 +1,4 @@
-"""Twenty whole cases with five markers: all of them complete, and the tip is where it should be."""
+"""Cases of many seeds: all of them complete, and the tip is where it should be."""
 
 import json
 from concurrent.futures import ThreadPoolExecutor
@@ -16,12 +16,17 @@ DEEP_MEAN_MM = 0.45  # and 0.88
 LARGEST_MM = 1.5
 # 60 targets: of an honest 95 % limit some three are exceeded; seven or more come once in fifty campaigns.
 MOST_BEYOND_LIMIT = 0.12
+FAULTS = {
+    "none": "",
+    "sphere hidden at first": "at 0 s: tracker occlude marker 2 for 0.3 s\n",
+    "replies lost": "when step == relocalization: robot drop 5 % for 2 s\n",
+    "packets lost": "when step == relocalization: camera drop 1 % for 5 s\n",
+}
 
 
-def _run(commands: Commands, out: Path, seed: int) -> dict[str, Any]:
-    done = commands.run(
-        "ronna-procedure", "run", "--sim", "--seed", str(seed), "--out", str(out), "--json", timeout_s=120
-    )
+def _run(commands: Commands, out: Path, seed: int, *words: str) -> dict[str, Any]:
+    line = ("run", "--sim", "--seed", str(seed), *words, "--out", str(out), "--json")
+    done = commands.run("ronna-procedure", *line, timeout_s=120)
     assert done.returncode == 0, f"seed {seed}: {done.stderr}"
     outcome: dict[str, Any] = json.loads(done.stdout)
     return outcome
@@ -72,3 +77,17 @@ def test_the_same_seed_gives_the_same_results_on_the_default_scene(
     again = _run(commands, tmp_path, 3)
     for key in ("ct", "registration", "targets"):
         assert again[key] == outcomes[3][key]
+
+
+@pytest.mark.soak
+@pytest.mark.timeout(1800)
+@pytest.mark.parametrize("fault", FAULTS)
+@pytest.mark.parametrize("markers", [3, 4, 6, 8])
+def test_every_seed_of_the_matrix_reaches_its_target(
+    commands: Commands, tmp_path: Path, markers: int, fault: str
+) -> None:
+    (script := tmp_path / "faults.txt").write_text(FAULTS[fault])
+    for seed in range(8):
+        words = ("--scene", "mini", "--markers", str(markers), "--faults", str(script))
+        outcome = _run(commands, tmp_path / "runs", seed, *words)
+        assert outcome["max_application_error_mm"] <= LARGEST_MM

@@ -3,13 +3,13 @@
 import json
 import re
 import signal
-import subprocess
 import tomllib
 from pathlib import Path
 
 import pytest
 from run_folders import assert_nothing_half_written, await_motion_in, run_folder
 from shared_by_workers import made_once
+from simulated_case import SimulatedCase
 from user_commands import Commands, in_this_process
 from waiting import HANG_LIMIT_S
 
@@ -19,22 +19,7 @@ from procedures.runs.request_file import read_request
 from ronna_hw.errors import EXIT_DONE, EXIT_RECOVERY_NEEDED
 
 MOVING = "relocalization:T1"
-
-
-def _step(
-    commands: Commands, out: Path, *lines: str, options: tuple[str, ...] = ()
-) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        commands.line(
-            "ronna-procedure", "step", "--sim", "--scene", "mini", "--seed", "3", "--out", str(out), *options
-        ),
-        env=commands.environment,
-        input="\n".join(lines) + "\n",
-        capture_output=True,
-        text=True,
-        timeout=150,
-        check=False,
-    )
+MINI = ("--scene", "mini", "--seed", "3")
 
 
 @pytest.fixture(scope="module")
@@ -45,30 +30,19 @@ def stepped(shared_commands: Commands, tmp_path_factory: pytest.TempPathFactory)
     """
 
     def step(out: Path) -> str:
-        options = (
-            "--sim",
-            "--scene",
-            "mini",
-            "--seed",
-            "3",
-            "--calibrated",
-            "--measure-targets",
-            "--keep-raw",
+        stepping = SimulatedCase(shared_commands, out)
+        orders = ("list", "run to ct_import", "why positioning:T1", "run positioning:T1", f"to {MOVING}")
+        process = stepping.start_stepping(
+            *orders, words=(*MINI, "--calibrated", "--measure-targets", "--keep-raw")
         )
-        line = ("ronna-procedure", "step", *options, "--out", str(out))
-        process = shared_commands.start(*line, stdin=subprocess.PIPE)
-        assert process.stdin is not None
-        for order in ("list", "run to ct_import", "why positioning:T1", "run positioning:T1", f"to {MOVING}"):
-            process.stdin.write(f"{order}\n")
-        process.stdin.flush()
-        await_motion_in(out, MOVING)
+        await_motion_in(out / "runs", MOVING)
         process.kill()
         said = process.communicate(timeout=HANG_LIMIT_S)
         assert shared_commands.await_no_survivors() == []
         return json.dumps(said)
 
     out, said = made_once(tmp_path_factory, "stepped", step)
-    return (*json.loads(said), run_folder(out))
+    return (*json.loads(said), run_folder(out / "runs"))
 
 
 def test_steps_can_be_listed_run_and_refused_with_reasons(stepped: tuple[str, str, Path]) -> None:
@@ -94,31 +68,13 @@ def test_a_stepped_case_has_every_option_of_a_case(stepped: tuple[str, str, Path
 
 
 @pytest.mark.slow
-def test_an_unknown_step_is_reported_and_the_case_continues(commands: Commands, tmp_path: Path) -> None:
-    done = _step(commands, tmp_path, "run drilling", "to plan_check", "quit")
-    assert done.returncode == 0
-    assert "PRO-005" in done.stderr
-    assert "done plan_check (Check the plan): " in done.stdout
-
-
-@pytest.mark.slow
-def test_a_declined_approach_holds_the_case_which_can_then_be_aborted(
-    commands: Commands, tmp_path: Path
-) -> None:
-    answers = tmp_path / "answers.toml"
-    answers.write_text('[answers]\n"approach:T1" = "no"\n')
-    done = _step(
-        commands,
-        tmp_path / "runs",
-        "to positioning:T1",
-        "abort",
-        options=("--answers", str(answers)),
-    )
+def test_a_declined_approach_holds_the_case_which_can_then_be_aborted(case: SimulatedCase) -> None:
+    no = '[answers]\n"approach:T1" = "no"'
+    done = case.step("to positioning:T1", "abort", words=MINI, answers=no)
     assert done.returncode == 7, done.stderr
     assert "PRO-002" in done.stderr
     assert "the case is held" in done.stdout
-    run = next((tmp_path / "runs").iterdir())
-    followed = in_this_process(ronna_procedure, "watch", run, "--json")
+    followed = in_this_process(ronna_procedure, "watch", case.run_folder, "--json")
     assert followed.returncode == 0
     kinds = [json.loads(line)["what"] for line in followed.stdout.splitlines()]
     assert [what["state"] for what in kinds if what["kind"] == "case"] == ["aborted"]
@@ -127,15 +83,13 @@ def test_a_declined_approach_holds_the_case_which_can_then_be_aborted(
 @pytest.mark.slow
 @pytest.mark.hazard(2)
 def test_commands_that_end_with_an_instrument_inside_end_with_an_error_that_says_how_to_go_on(
-    commands: Commands, tmp_path: Path
+    case: SimulatedCase,
 ) -> None:
-    answers = tmp_path / "answers.toml"
-    answers.write_text('[answers]\n"skin:T1" = "hold"\n')
-    runs = tmp_path / "runs"
-    done = _step(commands, runs, "to at_target:T1", "quit", options=("--answers", str(answers)))
+    hold = '[answers]\n"skin:T1" = "hold"'
+    done = case.step("to at_target:T1", "quit", words=MINI, answers=hold)
     assert done.returncode == EXIT_RECOVERY_NEEDED, done.stderr
     assert "home asks whether it is out, then parks" in done.stdout
-    (run,) = runs.iterdir()
+    run = case.run_folder
     assert "PRO-055: the commands have ended, and an instrument is still in T1" in done.stderr
     assert f"ronna-procedure home {run} asks for the removal" in done.stderr
     *_, closed = read_journal(run / JOURNAL_FILE)
@@ -146,21 +100,16 @@ def test_commands_that_end_with_an_instrument_inside_end_with_an_error_that_says
 @pytest.mark.slow
 @pytest.mark.hazard(1)
 def test_a_plan_changed_during_a_case_stops_all_motion_and_voids_the_registration(
-    commands: Commands, tmp_path: Path
+    case: SimulatedCase,
 ) -> None:
-    options = ("--sim", "--scene", "mini", "--seed", "3", "--out", str(tmp_path))
-    process = commands.start("ronna-procedure", "step", *options, stdin=subprocess.PIPE)
-    assert process.stdin is not None
+    process = case.start_stepping("to registration:T1", words=MINI)
     assert process.stdout is not None
-    process.stdin.write("to registration:T1\n")
-    process.stdin.flush()
     assert any(line.startswith("done registration:T1") for line in process.stdout)
-    (run,) = tmp_path.iterdir()
-    plan = run / "case" / "plan.toml"
+    plan = case.run_folder / "case" / "plan.toml"
     plan.write_text(re.sub(r"(target_mm = \[\s*-?\d+\.)", r"\g<1>9", plan.read_text(), count=1))
     _, errors = process.communicate("next\nquit\n", timeout=60)
     assert "PRO-021" in errors
-    lines = list(read_journal(run / JOURNAL_FILE))
+    lines = case.journal
     (voided,) = [line for line in lines if line["entry"] == Entry.VOIDED]
     assert all(line["entry"] != Entry.MOTION for line in lines[lines.index(voided) :])
     assert any("registration-T1" in str(name) for name in voided["supersedes"])
@@ -169,20 +118,15 @@ def test_a_plan_changed_during_a_case_stops_all_motion_and_voids_the_registratio
 @pytest.mark.slow
 @pytest.mark.hazard(32)
 def test_a_script_stops_the_arm_during_a_step_and_decides_how_it_goes_on(
-    commands: Commands, tmp_path: Path
+    case: SimulatedCase,
 ) -> None:
-    options = ("--sim", "--scene", "mini", "--seed", "3", "--out", str(tmp_path))
-    process = commands.start("ronna-procedure", "step", *options, stdin=subprocess.PIPE)
-    assert process.stdin is not None
-    process.stdin.write("to relocalization:T1\n")
-    process.stdin.flush()
-    await_motion_in(tmp_path, "relocalization:T1")
+    process = case.start_stepping(f"to {MOVING}", words=MINI)
+    await_motion_in(case.folder / "runs", MOVING)
     said, errors = process.communicate("stop\nresume\nquit\n", timeout=100)
     assert process.returncode == 0, errors
     assert "Paused: a stop was ordered on the standard input; " in said
     assert "done relocalization:T1" in said
-    (run,) = tmp_path.iterdir()
-    lines = list(read_journal(run / JOURNAL_FILE))
+    lines = case.journal
     rested = next(number for number, line in enumerate(lines) if line["entry"] == Entry.RESTED)
     assert any(line["entry"] == Entry.MOTION for line in lines[:rested])
     assert any(line["entry"] == Entry.MOTION for line in lines[rested:])
@@ -190,18 +134,14 @@ def test_a_script_stops_the_arm_during_a_step_and_decides_how_it_goes_on(
 
 @pytest.mark.slow
 def test_a_signal_at_the_prompt_after_the_last_step_ends_a_finished_case(
-    commands: Commands, tmp_path: Path
+    case: SimulatedCase,
 ) -> None:
-    options = ("--sim", "--scene", "mini", "--seed", "3", "--out", str(tmp_path))
-    process = commands.start("ronna-procedure", "step", *options, stdin=subprocess.PIPE)
-    assert process.stdin is not None
+    process = case.start_stepping("to confirmation:T1", words=MINI)
     assert process.stdout is not None
-    process.stdin.write("to confirmation:T1\n")
-    process.stdin.flush()
     assert any(line.startswith("done confirmation:T1") for line in process.stdout)
     process.send_signal(signal.SIGTERM)
     said, errors = process.communicate(timeout=HANG_LIMIT_S)
     assert process.returncode == 0, errors
     assert "\nmean " in said  # of the errors at the targets, below their table
-    shown = in_this_process(ronna_procedure, "show", run_folder(tmp_path), "--json")
+    shown = in_this_process(ronna_procedure, "show", case.run_folder, "--json")
     assert json.loads(shown.stdout)["ended"] == "done"

@@ -35,16 +35,6 @@ def test_one_ctrl_c_pauses_and_only_the_listed_words_continue(terminal: Terminal
 
 
 @pytest.mark.slow
-def test_abort_at_the_pause_ends_with_its_own_exit_code(terminal: Terminal) -> None:
-    terminal.await_text(IMPORTED)
-    terminal.type(CTRL_C)
-    terminal.await_text("paused> ")
-    terminal.type("abort\n")
-    assert terminal.rest() == 7
-    assert "PRO-004" in terminal.text
-
-
-@pytest.mark.slow
 def test_a_failed_step_leaves_the_case_at_a_prompt_from_which_it_can_go_home(
     commands: Commands, tmp_path: Path
 ) -> None:

@@ -1,27 +1,24 @@
-"""Errors with hands, tools, screws and the cart: scripted and live, each with its promised outcome."""
+"""Errors with hands, tools, screws and the cart: each with its promised outcome."""
 
 from __future__ import annotations
 
 import json
-import re
-import subprocess
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pytest
+from simulated_case import SimulatedCase
 from user_commands import Commands
 
-from procedures.journal.journal import JOURNAL_FILE, Line, read_journal
+from procedures.journal.journal import Line
 from procedures.steps.clinical.tool_check import APPROACHES
 from ronna_hw.calibration import Numbers3
-from ronna_hw.control_port import ask_control_port
 from ronna_hw.errors import EXIT_REFUSED
 from sim.world.truth import THEATRE_FOLDER, read_samples
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
-MINI = ("--sim", "--scene", "mini", "--seed", "3")
-CONTROL = re.compile(r"control port (\S+)")
+MINI = ("--scene", "mini", "--seed", "3")
 
 
 @dataclass(frozen=True)
@@ -53,12 +50,6 @@ FAULTS = {
         "loosen marker 2 1.2 -0.9 0 mm", "relocalization", "PRO-020", options=("--markers", "5")
     ),
 }
-BEFORE = {
-    "relocalization": "path_check",
-    "tool_check": "tool_change",
-    "positioning": "tool_check",
-    "at_target": "positioning:T1",
-}
 
 
 def judge(promise: Promise, lines: list[Line], folder: Path, unpushed_mm: Numbers3) -> None:
@@ -89,64 +80,30 @@ def instrument_tip_mm(folder: Path) -> Numbers3:
 @pytest.fixture(scope="module")
 def unpushed_mm(tmp_path_factory: pytest.TempPathFactory) -> Numbers3:
     """Truth of the same case without a fault."""
-    runs = tmp_path_factory.mktemp("unpushed")
-    Commands().run("ronna-procedure", "run", *MINI, "--out", str(runs), timeout_s=200)
-    (folder,) = runs.iterdir()
-    return instrument_tip_mm(folder)
+    unpushed = SimulatedCase(Commands(), tmp_path_factory.mktemp("unpushed"))
+    unpushed.run(*MINI)
+    return instrument_tip_mm(unpushed.run_folder)
 
 
 @pytest.mark.hazard(45)
 @pytest.mark.hazard(46)
 @pytest.mark.hazard(47)
 @pytest.mark.parametrize("what", FAULTS)
-def test_a_scripted_fault_ends_as_promised(
-    commands: Commands, tmp_path: Path, unpushed_mm: Numbers3, what: str
-) -> None:
+def test_a_scripted_fault_ends_as_promised(case: SimulatedCase, unpushed_mm: Numbers3, what: str) -> None:
     promise = FAULTS[what]
-    faults = tmp_path / "faults.txt"
-    faults.write_text(f"since step == {promise.step}: room {promise.fault}\n")
-    options = (*promise.options, "--faults", str(faults), "--out", str(tmp_path / "runs"), "--json")
-    ran = commands.run("ronna-procedure", "run", *MINI, *options, timeout_s=200)
+    ran = case.run(*MINI, *promise.options, faults=f"since step == {promise.step}: room {promise.fault}")
     assert ran.returncode == (EXIT_REFUSED if promise.code and not promise.goes_on else 0), ran.stderr
-    (folder,) = (tmp_path / "runs").iterdir()
-    judge(promise, list(read_journal(folder / JOURNAL_FILE)), folder, unpushed_mm)
-
-
-@pytest.mark.hazard(46)
-@pytest.mark.parametrize("what", FAULTS)
-def test_a_live_fault_ends_as_promised(
-    commands: Commands, tmp_path: Path, unpushed_mm: Numbers3, what: str
-) -> None:
-    promise = FAULTS[what]
-    before = BEFORE[promise.step]
-    step = promise.step if promise.step == "tool_check" else f"{promise.step}:T1"
-    options = (*promise.options, "--out", str(tmp_path / "runs"))
-    stepping = commands.start("ronna-procedure", "step", *MINI, *options, stdin=subprocess.PIPE)
-    assert stepping.stdin is not None
-    assert stepping.stdout is not None
-    assert stepping.stderr is not None
-    stepping.stdin.write(f"to {before}\n")
-    stepping.stdin.flush()
-    control = next(found for line in stepping.stderr if (found := CONTROL.search(line)))
-    assert any(line.startswith(f"done {before}") for line in stepping.stdout)
-    ask_control_port(control[1], "fault", line=f"now: room {promise.fault}")
-    stepping.communicate(f"run {step}\nhome\nquit\n", timeout=100)
-    (folder,) = (tmp_path / "runs").iterdir()
-    judge(promise, list(read_journal(folder / JOURNAL_FILE)), folder, unpushed_mm)
+    judge(promise, case.journal, case.run_folder, unpushed_mm)
 
 
 @pytest.mark.hazard(47)
 @pytest.mark.parametrize(("seat", "code"), [("2 mm 0 deg", "TOOL-006"), ("0.1 mm 0 deg", "TOOL-005")])
 def test_the_tracker_measures_the_guide_before_it_goes_to_the_gauge(
-    commands: Commands, tmp_path: Path, seat: str, code: str
+    case: SimulatedCase, seat: str, code: str
 ) -> None:
-    faults = tmp_path / "faults.txt"
-    faults.write_text(f"when step == tool_check: room bad seat {seat}\n")
-    options = ("--faults", str(faults), "--out", str(tmp_path / "runs"))
-    ran = commands.run("ronna-procedure", "run", *MINI, *options, timeout_s=200)
+    ran = case.run(*MINI, faults=f"when step == tool_change: room bad seat {seat}")
     assert ran.returncode == EXIT_REFUSED
     assert code in ran.stderr
-    (folder,) = (tmp_path / "runs").iterdir()
-    works = [line["task"] for line in read_journal(folder / JOURNAL_FILE) if line["entry"] == "work"]
+    works = [line["task"] for line in case.journal if line["entry"] == "work"]
     twice_all = 2 * 2 * APPROACHES  # what differs is read as often again; it was mounted twice
     assert works.count("gauge") == (twice_all if code == "TOOL-005" else 0)

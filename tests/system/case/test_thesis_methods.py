@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
 
 import pytest
 from run_folders import records_of
-from user_commands import Commands, in_this_process
+from simulated_case import SimulatedCase
+from user_commands import in_this_process
 
 from procedures.cli.procedure import app
 from procedures.engine.methods import NOT_CLINICAL
@@ -20,16 +20,15 @@ LARGEST_MM = 1.0  # at the target; its CT is coarse
 
 
 def test_a_case_by_the_methods_of_the_thesis_is_recorded_reported_and_replayed_as_such(
-    commands: Commands, tmp_path: Path
+    case: SimulatedCase,
 ) -> None:
-    options = (*CASE, *METHODS, "--out", str(tmp_path / "runs"), "--json")
-    ran = commands.run("ronna-procedure", "run", "--sim", *options, timeout_s=200)
+    ran = case.run(*CASE, *METHODS)
     assert ran.returncode == 0, ran.stderr
     outcome = json.loads(ran.stdout)
     assert (outcome["localizer"], outcome["matcher"]) == ("thesis-sphere", "thesis")
     assert (outcome["ct"]["found"], outcome["registration"]["n"]) == (5, 5)
     assert 0.0 < outcome["max_application_error_mm"] <= LARGEST_MM
-    (run,) = (tmp_path / "runs").iterdir()
+    run = case.run_folder
     records = {one.kind: one.payload for one in records_of(run)}
     assert records["fiducial_localization"]["localizer"] == "thesis-sphere"
     assert (records["correspondence"]["matcher"], records["correspondence"]["e_mm"]) == ("thesis", 3.0)

@@ -1,20 +1,14 @@
 """Each bad input gives one clear message with its code and an action, and the documented exit code."""
 
-import json
 import resource
-import socket
 import subprocess
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from user_commands import Commands, in_this_process, one_error
-from waiting import HANG_LIMIT_S
 
 from procedures.cli.procedure import app as ronna_procedure
-from ronna_hw.errors import EXIT_FAILED, EXIT_NOT_FOUND, EXIT_USAGE
-from sim.cli import app as ronna_sim
-from sim.world.scene.named_scenes import draw_scene
+from ronna_hw.errors import EXIT_FAILED, EXIT_USAGE
 
 
 def _refused(done: subprocess.CompletedProcess[str], code: str, exit_code: int) -> str:
@@ -22,76 +16,6 @@ def _refused(done: subprocess.CompletedProcess[str], code: str, exit_code: int) 
     assert code in line
     assert done.returncode == exit_code, line
     return line
-
-
-@pytest.fixture
-def silent_port() -> Iterator[int]:
-    """A TCP port where somebody listens and never answers."""
-    with socket.socket() as listener:
-        listener.bind(("127.0.0.1", 0))
-        listener.listen()
-        yield listener.getsockname()[1]
-
-
-def _tracker_at(endpoint: str, folder: Path) -> Path:
-    path = folder / "theatre.toml"
-    path.write_text(
-        f'schema = 1\ntheatre = "lab"\n[tracker]\ndriver = "ndi_polaris"\nendpoint = "{endpoint}"\n'
-    )
-    return path
-
-
-def _doctor(theatre: Path) -> subprocess.CompletedProcess[str]:
-    return in_this_process(ronna_procedure, "doctor", "--config", theatre, "--json")
-
-
-def test_the_doctor_reports_an_endpoint_that_does_not_answer(silent_port: int, tmp_path: Path) -> None:
-    theatre = _tracker_at(f"tcp://127.0.0.1:{silent_port}", tmp_path)
-    done = _doctor(theatre)
-    assert done.returncode == EXIT_NOT_FOUND
-    finding = json.loads(done.stdout)["findings"][-1]
-    assert not finding["well"]
-    assert "NDI-" in finding["seen"]
-    assert finding["advice"]
-
-
-def test_the_doctor_reports_that_nothing_listens_at_an_endpoint(tmp_path: Path) -> None:
-    with socket.socket() as held:  # bound, so that nobody else gets it, and not listening
-        held.bind(("127.0.0.1", 0))
-        done = _doctor(_tracker_at(f"tcp://127.0.0.1:{held.getsockname()[1]}", tmp_path))
-    assert done.returncode == EXIT_NOT_FOUND
-    assert "Nothing listens" in json.loads(done.stdout)["findings"][-1]["advice"]
-
-
-def test_the_doctor_reports_a_device_of_the_wrong_kind(commands: Commands, tmp_path: Path) -> None:
-    robot = commands.start(
-        "ronna-sim", "kuka", "--eki", "tcp://127.0.0.1:0", "--eki-project", "tcp://127.0.0.1:0"
-    )
-    assert robot.stdout is not None
-    ready = json.loads(robot.stdout.readline().removeprefix("READY "))
-    try:
-        theatre = _tracker_at(ready["endpoints"]["eki_project"], tmp_path)
-        done = _doctor(theatre)
-    finally:
-        robot.terminate()
-        robot.communicate(timeout=HANG_LIMIT_S)
-    assert done.returncode == EXIT_NOT_FOUND
-    assert "NDI-" in json.loads(done.stdout)["findings"][-1]["seen"]
-
-
-def test_the_simulator_reports_a_port_in_use(silent_port: int) -> None:
-    done = in_this_process(ronna_sim, "polaris", "--endpoint", f"tcp://127.0.0.1:{silent_port}")
-    line = _refused(done, "SIM-004", EXIT_NOT_FOUND)
-    assert str(silent_port) in line
-
-
-def test_verify_reports_the_bad_line_of_a_truth_file(tmp_path: Path) -> None:
-    theatre = tmp_path / "theatre"
-    theatre.mkdir()
-    (theatre / "scene.json").write_text(draw_scene("mini").model_dump_json(by_alias=True))
-    (theatre / "truth.jsonl").write_text("nonsense\n")
-    done = in_this_process(ronna_sim, "verify", tmp_path)
-    assert "line 1" in _refused(done, "SIM-007", EXIT_FAILED)
 
 
 def test_a_read_only_output_folder_is_refused() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import subprocess
 import tomllib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -15,7 +16,7 @@ import tomli_w
 from scipy.spatial.transform import Rotation
 from shared_by_workers import made_once
 from turned_camera import with_turned_camera, write_scene
-from user_commands import Commands, one_error
+from user_commands import Commands, in_this_process, one_error
 
 from benchmarks.stereo_head.head_looks import ENDPOINTS, TrueHead, check_looks, observation_set, true_head
 from benchmarks.stereo_head.stereo_cell import with_ideal_arm
@@ -28,7 +29,6 @@ from procedures.cli.stereo.command import app
 from procedures.journal.journal import JOURNAL_FILE, Entry, read_journal
 from procedures.runs.theatre_history import history_path
 from ronna_hw.calibration import StereoHeadCalibration, ToolTipCalibration
-from ronna_hw.command_line.terminal import exit_code_of
 from ronna_hw.config import read_theatre_file
 from ronna_hw.control_port import ask_control_port
 from ronna_hw.evidence.inspection import inspect_run
@@ -45,36 +45,14 @@ TOOL_DOWN = Rotation.from_matrix(np.diag([1.0, -1.0, -1.0]))
 NEVER = datetime(9999, 1, 1, tzinfo=UTC)  # in measurements of former versions: a record to start from
 
 
-@dataclass(frozen=True)
-class Said:
-    """What a command left behind."""
-
-    code: int
-    out: str
-    errors: str
-
-    @property
-    def content(self) -> dict:
-        return json.loads(self.out)
-
-
 @pytest.fixture(autouse=True)
 def own_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """What a command leaves without `--out` is left here."""
     monkeypatch.chdir(tmp_path)
 
 
-@pytest.fixture
-def stereo(capsys: pytest.CaptureFixture[str]) -> Callable[..., Said]:
-    """Runs `ronna-stereo` in this process, which is what the console script does."""
-
-    def run(*arguments: str | Path) -> Said:
-        capsys.readouterr()
-        code = exit_code_of(app, [str(argument) for argument in arguments])
-        said = capsys.readouterr()
-        return Said(code, said.out, said.err)
-
-    return run
+def stereo(*arguments: object) -> subprocess.CompletedProcess[str]:
+    return in_this_process(app, *arguments)
 
 
 @pytest.fixture(scope="module")
@@ -117,7 +95,7 @@ def theatre_file(head: TrueHead, folder: Path) -> Path:
 
 
 def test_recorded_observations_give_records_a_baseline_and_a_theatre_file(
-    stereo: Callable[..., Said], head: TrueHead, tmp_path: Path
+    head: TrueHead, tmp_path: Path
 ) -> None:
     theatre = theatre_file(head, tmp_path)
     before = read_theatre_file(theatre).calibration
@@ -125,9 +103,10 @@ def test_recorded_observations_give_records_a_baseline_and_a_theatre_file(
     looks = recorded(head, tmp_path, tool_tip=before.tool_tip.model_copy(update={"expires": NEVER}))
     options = ("--out", tmp_path / "out", "--days", "7", "--config", theatre, "--update", "--json")
     said = stereo("calibrate", "--from", looks, *options)
-    assert said.code == 0, said.errors
-    folder = Path(said.content["folder"])
-    assert said.content["poses"] == 84
+    assert said.returncode == 0, said.stderr
+    printed = json.loads(said.stdout)
+    folder = Path(printed["folder"])
+    assert printed["poses"] == 84
     records = tomllib.loads((folder / "calibration.toml").read_text())["calibration"]
     assert (
         head.tool_centre_error_mm(StereoHeadCalibration.model_validate(_tuples(records["stereo_head"])))
@@ -136,7 +115,7 @@ def test_recorded_observations_give_records_a_baseline_and_a_theatre_file(
     assert (folder / "baseline.json").is_file()
     calibrations = read_theatre_file(theatre).calibration
     assert calibrations is not None
-    assert calibrations.stereo_head.identifier == said.content["calibration"]
+    assert calibrations.stereo_head.identifier == printed["calibration"]
     assert calibrations.stereo_head.expires - calibrations.stereo_head.created == timedelta(days=7)
     assert calibrations.tracker_frame == before.tracker_frame
     assert calibrations.tool_tip.expires == before.tool_tip.expires
@@ -145,7 +124,7 @@ def test_recorded_observations_give_records_a_baseline_and_a_theatre_file(
 
 @pytest.mark.slow
 def test_a_calibration_computed_again_may_shorten_its_life_in_the_theatre_file(
-    stereo: Callable[..., Said], head: TrueHead, tmp_path: Path
+    head: TrueHead, tmp_path: Path
 ) -> None:
     theatre = theatre_file(head, tmp_path)
     before = read_theatre_file(theatre).calibration
@@ -153,31 +132,29 @@ def test_a_calibration_computed_again_may_shorten_its_life_in_the_theatre_file(
     looks = recorded(head, tmp_path, tool_tip=before.tool_tip)
     for days in ("30", "7"):
         out = ("--out", tmp_path / days, "--days", days, "--config", theatre, "--update")
-        assert stereo("calibrate", "--from", looks, *out).code == 0
+        assert stereo("calibrate", "--from", looks, *out).returncode == 0
     calibrations = read_theatre_file(theatre).calibration
     assert calibrations is not None
     assert calibrations.stereo_head.expires - calibrations.stereo_head.created == timedelta(days=7)
 
 
-def test_an_incomplete_baseline_is_reported_and_not_written(
-    stereo: Callable[..., Said], head: TrueHead, tmp_path: Path
-) -> None:
+def test_an_incomplete_baseline_is_reported_and_not_written(head: TrueHead, tmp_path: Path) -> None:
     plan = [*plan_calibration_looks(TOOL_DOWN, BALL_MM, 60), *2 * check_looks(TOOL_DOWN, BALL_MM)[:5]]
     said = stereo("calibrate", "--from", recorded(head, tmp_path, plan), "--out", tmp_path / "out", "--json")
-    assert said.code == 0, said.errors
-    assert said.errors == (
+    assert said.returncode == 0, said.stderr
+    assert said.stderr == (
         "warning: ronna-stereo check cannot use this calibration: "
         f"the baseline has too few orientations; expected 8, got 5\n{NOT_COMPARED}\n"
     )
-    folder = said.content["folder"]
+    folder = json.loads(said.stdout)["folder"]
     assert not (Path(folder) / BASELINE_FILE).exists()
     check = stereo("check", "--config", theatre_file(head, tmp_path), "--baseline", folder)
-    assert one_error(check.errors)[0].startswith(f"CAL-008: {folder} has no {BASELINE_FILE}")
+    assert one_error(check.stderr)[0].startswith(f"CAL-008: {folder} has no {BASELINE_FILE}")
 
 
 @pytest.mark.parametrize("orientations", [5, 0])
 def test_a_check_with_an_incomplete_baseline_is_refused_before_anything_is_measured(
-    stereo: Callable[..., Said], head: TrueHead, tmp_path: Path, orientations: int
+    head: TrueHead, tmp_path: Path, orientations: int
 ) -> None:
     generator = np.random.default_rng(4)
     plan = 2 * check_looks(TOOL_DOWN, BALL_MM)[:orientations]
@@ -191,13 +168,13 @@ def test_a_check_with_an_incomplete_baseline_is_refused_before_anything_is_measu
     file.write_text(baseline.model_dump_json(by_alias=True))
     out = tmp_path / "out"
     said = stereo("check", "--config", theatre_file(head, tmp_path), "--baseline", file, "--out", out)
-    assert one_error(said.errors)[0].startswith("CAL-008: the baseline has too few orientations")
+    assert one_error(said.stderr)[0].startswith("CAL-008: the baseline has too few orientations")
     assert not out.exists()
 
 
 @pytest.mark.hazard(3)
 def test_observations_with_another_tip_are_refused_and_nothing_is_written(
-    stereo: Callable[..., Said], head: TrueHead, tmp_path: Path
+    head: TrueHead, tmp_path: Path
 ) -> None:
     theatre = theatre_file(head, tmp_path)
     before = read_theatre_file(theatre).calibration
@@ -205,8 +182,8 @@ def test_observations_with_another_tip_are_refused_and_nothing_is_written(
     other = before.tool_tip.model_copy(update={"identifier": "tool-tip-of-another-guide"})
     run = ("calibrate", "--from", recorded(head, tmp_path, tool_tip=other), "--out", tmp_path / "out")
     said = stereo(*run, "--config", theatre, "--update")
-    assert said.errors.startswith("CAL-020")
-    assert f"expected {before.tool_tip.identifier}, got tool-tip-of-another-guide" in said.errors
+    assert said.stderr.startswith("CAL-020")
+    assert f"expected {before.tool_tip.identifier}, got tool-tip-of-another-guide" in said.stderr
     assert not history_path(theatre).exists()
 
 
@@ -216,9 +193,7 @@ def _tuples(value):
     return tuple(_tuples(item) for item in value) if isinstance(value, list) else value
 
 
-def test_bad_recordings_are_refused_with_their_codes(
-    stereo: Callable[..., Said], head: TrueHead, tmp_path: Path
-) -> None:
+def test_bad_recordings_are_refused_with_their_codes(head: TrueHead, tmp_path: Path) -> None:
     few, one_way = tmp_path / "few", tmp_path / "one-way"
     for folder in (few, one_way):
         folder.mkdir()
@@ -226,20 +201,18 @@ def test_bad_recordings_are_refused_with_their_codes(
     recorded(head, one_way, of_one_orientation())
     for folder, code in ((few, "CAL-002"), (one_way, "CAL-003"), (tmp_path / "nowhere", "CAL-005")):
         said = stereo("calibrate", "--from", folder, "--out", tmp_path / "out")
-        assert said.code == 1
-        assert one_error(said.errors)[0].startswith(code)
-        assert said.out == ""
+        assert said.returncode == 1
+        assert one_error(said.stderr)[0].startswith(code)
+        assert said.stdout == ""
 
 
-def test_a_theatre_without_calibration_is_refused(
-    stereo: Callable[..., Said], head: TrueHead, tmp_path: Path
-) -> None:
+def test_a_theatre_without_calibration_is_refused(head: TrueHead, tmp_path: Path) -> None:
     content = theatre_content(head.scene, ENDPOINTS, "host:", {}, 1.0)
     del content["calibration"]
     (tmp_path / "theatre.toml").write_text(tomli_w.dumps(content))
     said = stereo("measure", "--config", tmp_path / "theatre.toml")
-    assert said.code == 2
-    assert one_error(said.errors)[0].startswith("DEV-007")
+    assert said.returncode == 2
+    assert one_error(said.stderr)[0].startswith("DEV-007")
     assert list(Path("calibrations").iterdir()) == []
 
 
@@ -284,7 +257,6 @@ UNMEASURABLE = [
 @pytest.mark.hazard(27)
 @pytest.mark.parametrize(("line", "shown"), UNMEASURABLE)
 def test_images_without_a_measurable_ball_are_refused_and_the_run_is_kept(
-    stereo: Callable[..., Said],
     theatre: Path,
     fault: Callable[[str], None],
     tmp_path: Path,
@@ -295,8 +267,8 @@ def test_images_without_a_measurable_ball_are_refused_and_the_run_is_kept(
         fault(line)
     picture = tmp_path / "pair.png"
     said = stereo("measure", "--config", theatre, "--picture", picture)
-    assert said.code == 1
-    assert one_error(said.errors)[0].startswith(shown)
+    assert said.returncode == 1
+    assert one_error(said.stderr)[0].startswith(shown)
     (run,) = Path("calibrations").iterdir()
     assert shown.partition(":")[0] in (run / REPORT_FILE).read_text()
     assert inspect_run(run).problems == ()
@@ -304,12 +276,10 @@ def test_images_without_a_measurable_ball_are_refused_and_the_run_is_kept(
         assert picture.read_bytes().startswith(b"\x89PNG")  # what was seen instead
 
 
-def test_without_a_terminal_nothing_is_confirmed_and_nothing_moves(
-    stereo: Callable[..., Said], theatre: Path, tmp_path: Path
-) -> None:
+def test_without_a_terminal_nothing_is_confirmed_and_nothing_moves(theatre: Path, tmp_path: Path) -> None:
     said = stereo("calibrate", "--config", theatre, "--ball", "720", "-10", "310", "--out", tmp_path)
-    assert said.code == 7
-    assert one_error(said.errors)[0].startswith("PRO-002")
+    assert said.returncode == 7
+    assert one_error(said.stderr)[0].startswith("PRO-002")
     (run,) = tmp_path.iterdir()
     assert "ball_observation failed. PRO-002" in (run / REPORT_FILE).read_text()
     assert [line for line in read_journal(run / JOURNAL_FILE) if line["entry"] == Entry.MOTION] == []

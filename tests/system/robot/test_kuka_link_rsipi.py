@@ -22,8 +22,8 @@ import pytest
 from fake_controller import FakeController
 
 from drivers.kuka_rsi import KukaRsiArm
+from drivers.kuka_rsi.connections import start_link
 from drivers.kuka_rsi.controller.generate import render
-from drivers.kuka_rsi.link import start_link
 from drivers.kuka_rsi.realtime.settings import AXIS_NAMES, LinkSettings
 from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.arm.motion.limits import working_limits

@@ -13,7 +13,7 @@ import pytest
 from drivers.kuka_rsi import KukaRsiArm
 from drivers.universal_robots import UniversalRobotsArm
 from procedures.calibration.guide_load import LoadEstimate, Standstill, estimate_load
-from procedures.workcell.arm_load import as_standstill, read_axis_loads
+from procedures.steps.clinical.guide_load import as_standstill
 from ronna_hw.arm.catalogue import ArmChoice, find_arm
 from ronna_hw.clock import open_clock
 from ronna_hw.config import DeviceConfig
@@ -85,7 +85,7 @@ class Room:
         return self.standstill()
 
     def standstill(self) -> Standstill:
-        found = as_standstill(read_axis_loads(self._arm), find_arm(self._arm.kinematics.name).load, "guide")
+        found = as_standstill(self._arm.read_loads(), find_arm(self._arm.kinematics.name).load, "guide")
         assert found is not None
         return found
 
@@ -125,7 +125,7 @@ def test_a_person_who_leans_on_the_guide_is_seen_and_one_who_lets_go_is_not(
 
 def test_each_reading_is_of_cycles_of_its_own() -> None:
     with active(ArmChoice.KR6, kuka_of) as (_, arm):
-        one, two = (read_axis_loads(arm, cycles=30) for _ in range(2))
+        one, two = (arm.read_loads(cycles=30) for _ in range(2))
         assert isinstance(one, AxisLoads)
         assert isinstance(two, AxisLoads)
         assert one.validity is two.validity is Validity.OK

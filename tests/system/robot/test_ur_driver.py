@@ -22,10 +22,6 @@ from handmade_ur import HandmadeController
 from ur_clients import OUTPUTS, UrCell
 from waiting import eventually
 
-from conformance.case import HOST_TIME, MOTION
-from conformance.device_under_test import DeviceUnderTest
-from conformance.report import CaseOutcome, run_suite
-from conformance.robot import SUITE
 from drivers.universal_robots import UniversalRobotsArm
 from drivers.universal_robots.errors import (
     CONTROLLER_STOPPED,
@@ -42,7 +38,7 @@ from ronna_hw.clock import open_clock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices import Lifecycle
 from ronna_hw.devices.contact import GuidanceEnd, HandGuidance, Insertion, ToolLoad
-from ronna_hw.devices.robot import JointMove, StopKind
+from ronna_hw.devices.robot import JointMove
 from ronna_hw.endpoints import parse_endpoint
 from ronna_hw.errors import ErrorCode, RonnaError, is_error
 from ronna_hw.frames import Frame, Transform
@@ -167,22 +163,6 @@ class Motion:
         return reading.joints_rad[0]
 
 
-def test_an_arm_moves_holds_and_goes_on_from_there(arm: UniversalRobotsArm) -> None:
-    start = arm.read_state().commanded_rad
-    assert start is not None
-    reached = arm.move(JointMove(turned(start))).joints_rad
-    assert reached == pytest.approx(turned(start), abs=radians(0.001))
-    motion = Motion(arm)
-    arm.stop(StopKind.HOLD)
-    assert is_error(motion.end(), STREAM_ERRORS.stopped)
-    assert arm.state is Lifecycle.HOLD
-    arm.resume()
-    arm.move(JointMove(start))
-    statistics = arm.link_statistics()
-    assert statistics.cycles > 500
-    assert statistics.rejected_telegrams == 0
-
-
 @pytest.mark.parametrize(
     ("fault", "error", "says"),
     [
@@ -260,15 +240,6 @@ def test_a_script_that_does_not_start_is_reported(room: Room) -> None:
         arm.activate(timeout_s=0.5)
     arm.close()
     deaf.close()
-
-
-@pytest.mark.slow
-@pytest.mark.timeout(180)
-def test_the_arm_passes_the_robot_cases_unchanged(room: Room) -> None:
-    dut = DeviceUnderTest("robot.master", room.config, room.clock)
-    dut.offers |= {MOTION.name, HOST_TIME.name}
-    report = run_suite(SUITE, dut)
-    assert {r.number: r.reason for r in report.results if r.outcome is not CaseOutcome.PASS} == {}
 
 
 @pytest.mark.slow
@@ -458,13 +429,3 @@ def test_the_arm_follows_a_hand_until_it_is_released(room: Room, arm: UniversalR
     assert guided.end is GuidanceEnd.RELEASED
     assert not guided.reading.moving
     assert arm.state is Lifecycle.ACTIVE
-
-
-@pytest.mark.hazard(53)
-def test_a_force_above_the_safety_limit_stops_the_arm_as_the_controller_does(
-    room: Room, arm: UniversalRobotsArm
-) -> None:
-    motion = Motion(arm)
-    room.inject("load axial 200 N")
-    assert is_error(motion.end(), CONTROLLER_STOPPED)
-    room.inject()

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 import re
-import signal
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import date
@@ -14,16 +11,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from waiting import STALL_OF_THE_COMPUTER_S
 
 from drivers.ndi_polaris import PolarisTracker
-from drivers.ndi_polaris.driver import CLOSE_LIMIT_S
-from drivers.ndi_polaris.errors import LinkLost, ToolRefused
 from drivers.ndi_polaris.tool_definition import encode_definition, make_planar_tool
 from ronna_hw.clock import HostClock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices import Lifecycle
-from ronna_hw.devices.errors import WrongState
 from ronna_hw.devices.readings import Validity
 from ronna_hw.host.child_process import ChildProcess, command
 from ronna_hw.registry import make_device
@@ -48,13 +41,6 @@ def started(endpoint: str) -> Iterator[ChildProcess]:
 @pytest.fixture(scope="module", params=ENDPOINTS, ids=["pty", "tcp"])
 def unit(request: pytest.FixtureRequest) -> Iterator[ChildProcess]:
     """A unit that the tests of this file share, one after another as its hosts."""
-    with started(request.param) as child:
-        yield child
-
-
-@pytest.fixture(params=ENDPOINTS, ids=["pty", "tcp"])
-def mortal_unit(request: pytest.FixtureRequest) -> Iterator[ChildProcess]:
-    """A unit that the test may end."""
     with started(request.param) as child:
         yield child
 
@@ -116,76 +102,4 @@ def test_two_tools_and_strays_are_read_with_either_reply(
         assert len(frame.strays) == 3
         places.append(frame.tool("pointer").position_mm)
     assert all(math.dist(place, places[0]) < 3.0 for place in places if place and places[0])
-    device.close()
-
-
-def test_the_frame_number_rises_at_sixty_per_second(unit: ChildProcess) -> None:
-    device = tracking(unit)
-    began_s = time.monotonic()
-    first = device.read_frame().stamp.device_clock
-    last = first
-    while last < first + 30:
-        last = device.read_frame().stamp.device_clock
-    assert time.monotonic() - began_s > 0.4  # thirty frames at sixty per second take half a second
-    assert device.statistics.repeated > 0
-    device.close()
-
-
-def test_a_unit_whose_client_vanished_can_be_used_again(unit: ChildProcess) -> None:
-    first = tracking(unit)
-    first.read_frame()
-    assert first._open_link is not None
-    first._open_link.transport.close()  # as if the process had been killed: tracking, fast, tools loaded
-    second = tracking(unit)
-    assert second.read_frame().tool("robot_frame").validity is Validity.OK
-    second.close()
-
-
-def test_a_unit_that_dies_is_detected_and_closing_is_bounded(mortal_unit: ChildProcess) -> None:
-    device = tracking(mortal_unit)
-    device.read_frame()
-    mortal_unit.process.kill()
-    mortal_unit.process.wait()
-    with pytest.raises(LinkLost):
-        device.read_frame()
-    assert device.state is Lifecycle.FAULT
-    with pytest.raises(WrongState):
-        device.read_frame()
-    began_s = time.monotonic()
-    device.close()
-    assert time.monotonic() - began_s < CLOSE_LIMIT_S + STALL_OF_THE_COMPUTER_S
-
-
-@pytest.mark.hazard(4)
-def test_closing_is_bounded_while_the_unit_does_not_answer(unit: ChildProcess) -> None:
-    device = tracking(unit)
-    device.read_frame()
-    unit.process.send_signal(signal.SIGSTOP)
-    try:
-        began_s = time.monotonic()
-        device.close()
-        assert time.monotonic() - began_s < CLOSE_LIMIT_S + STALL_OF_THE_COMPUTER_S
-        assert device.state is Lifecycle.CLOSED
-    finally:
-        unit.process.send_signal(signal.SIGCONT)
-
-
-def test_an_unusable_tool_definition_is_refused_with_its_code(unit: ChildProcess, tmp_path: Path) -> None:
-    (tmp_path / "odd.rom").write_bytes(
-        encode_definition(dataclasses.replace(POINTER, normals=((0.0, 0.0, 0.0),) * 4))
-    )
-    device = tracker_at(unit, tools=[{"name": "odd", "rom": str(tmp_path / "odd.rom")}])
-    device.connect()
-    with pytest.raises(ToolRefused) as caught:
-        device.configure()
-    assert caught.value.code == "NDI-035"
-    assert device.state is Lifecycle.CONNECTED
-    device.close()
-
-
-def test_strays_are_still_seen_without_tools(unit: ChildProcess) -> None:
-    device = tracking(unit, tools=[])
-    frame = device.read_frame()
-    assert frame.tools == ()
-    assert len(frame.strays) == 3
     device.close()

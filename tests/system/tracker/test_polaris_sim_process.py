@@ -10,7 +10,6 @@ import subprocess
 import termios
 import time
 from collections.abc import Callable, Iterator
-from pathlib import Path
 
 import pytest
 from parent_death import ends_with_its_parent
@@ -19,10 +18,7 @@ from waiting import HANG_LIMIT_S, STALL_OF_THE_COMPUTER_S
 
 from ronna_hw.control_port import ask_control_port
 from ronna_hw.host.child_process import STOP_TIMEOUT_S, ChildProcess, command
-from ronna_hw.wire.polaris import crc16
 from sim.cli import app
-from sim.polaris.unit.tool_definition import write_definition
-from sim.world.scene.named_scenes import robot_frame
 
 ANSWER_LIMIT_S = 5.0
 ENDPOINTS = ("serial-pty", pytest.param("tcp://127.0.0.1:0", marks=pytest.mark.slow))
@@ -134,16 +130,6 @@ def test_profile_and_behaviour_options_change_what_the_unit_reports(
     host.close()
 
 
-def test_wired_tools_are_plugged_in_at_the_start(start: Callable[..., ChildProcess], tmp_path: Path) -> None:
-    rom = tmp_path / "tool.rom"
-    rom.write_bytes(write_definition(robot_frame()))
-    host = Host(start("--wired", str(rom), "--wired", str(rom)).ready["endpoint"])
-    host.ask("INIT ")
-    assert host.ask("PHSR 02").startswith(b"0201001" + b"02001")
-    assert host.ask("PINIT 01").startswith(b"OKAY")
-    host.close()
-
-
 def test_an_impatient_third_party_client_gets_through_with_a_serial_break(
     start: Callable[..., ChildProcess],
 ) -> None:
@@ -167,53 +153,6 @@ def test_the_unconfirmed_behaviours_can_be_listed() -> None:
     assert done.returncode == 0
     assert "watch_dog=stop  Effect of the watchdog" in done.stdout
     assert done.stderr == ""
-
-
-def test_a_throttled_line_takes_the_time_of_its_baud_rate(start: Callable[..., ChildProcess]) -> None:
-    host = Host(start("--throttle").ready["endpoint"])
-
-    def seconds_for(line: str) -> tuple[float, float]:
-        began = time.monotonic()
-        answer = host.ask(line)
-        return time.monotonic() - began, (len(line) + 1 + len(answer)) * 10
-
-    host.ask("INIT ")
-    slow_s, bits = seconds_for("ECHO " + "x" * 100)
-    assert slow_s >= bits / 9600
-    began = time.monotonic()
-    host.ask("COMM 50000")
-    assert time.monotonic() - began >= 20 * 10 / 9600  # OKAY still goes out at the old rate
-    host.set_baud(115200)
-    quicker_s = min(seconds_for("ECHO " + "x" * 100)[0] for _ in range(5))
-    assert bits / 115200 <= quicker_s < slow_s
-    host.close()
-
-
-@pytest.mark.slow
-def test_two_units_of_one_scene_measure_the_same_bit_for_bit(start: Callable[..., ChildProcess]) -> None:
-    def record() -> dict[bytes, bytes]:
-        host = Host(start().ready["endpoint"])
-        host.ask("INIT ")
-        host.ask("PHRQ *********1****")
-        content = write_definition(robot_frame()).ljust(768, b"\0")
-        for address in range(0, 768, 64):
-            host.ask(f"PVWR 01{address:04X}{content[address : address + 64].hex()}")
-        assert host.ask("PINIT 01").startswith(b"OKAY")
-        assert host.ask("PENA 01D").startswith(b"OKAY")
-        host.ask("SET Param.Tracking.Illuminator Rate=2")
-        host.ask("TSTART 80")
-        answers = {}
-        request = b"TX:1801%04X" % crc16(b"TX:1801")
-        while len(answers) < 40:
-            answer = host.ask(request.decode())
-            answers[answer.split(b"\n")[0][-8:]] = answer
-        host.close()
-        return answers
-
-    first, second = record(), record()
-    common = first.keys() & second.keys()
-    assert len(common) >= 5
-    assert all(first[number] == second[number] for number in common)
 
 
 def test_ready_is_one_line_of_json_on_standard_output(start: Callable[..., ChildProcess]) -> None:

@@ -6,7 +6,6 @@ import os
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +15,6 @@ from tracker_strangers import NdicapiError, NdicapiHost, scikit_frames
 
 from ronna_hw.control_port import ask_control_port
 from ronna_hw.host.child_process import ChildProcess, command
-from ronna_hw.wire.polaris import FRAME_RATE_HZ, PortStatus, SystemStatus
 from sim.polaris.unit.tool_definition import write_definition
 from sim.world.process import load_scene
 from sim.world.scene.model import TrackerTool
@@ -52,7 +50,6 @@ TOOLS = (
     ),
 )
 FRAMES = 100
-BUMP_ALERT = 21
 BIAS_LIMIT_MM = 1.0  # four times the root mean square of the unit's bias field
 REPEATABILITY_LIMIT_MM = 0.5  # of a fitted tool: single markers repeat to 0.04 mm across and 0.14 mm in depth
 TX_STEP_MM, TX_STEP = 0.01, 1e-4  # what one digit of a TX reply is worth
@@ -176,79 +173,6 @@ def test_tools_and_strays_are_at_their_true_positions_in_text_and_binary_replies
                 assert np.linalg.norm(strays - truth, axis=-1).min(axis=1).max() < 2.0 * BIAS_LIMIT_MM
 
 
-def test_frames_count_at_sixty_per_second_at_any_illuminator_rate(
-    unit: dict[str, Any], roms: list[Path]
-) -> None:
-    with begun(unit["endpoint"]) as host:
-        handles = host.load(roms[0])
-        for rate, step in ((2, 1), (0, 3)):
-            assert host.command(f"SET:Param.Tracking.Illuminator Rate={rate}") == "OKAY"
-            assert host.command("TSTART:80") == "OKAY"
-            began_s = time.monotonic()
-            numbers = [frame["number"] for frame in host.track("BX:0801", handles, 30 // step)]
-            most = (time.monotonic() - began_s + 1.0) * FRAME_RATE_HZ  # and TSTART's own time
-            assert host.command("TSTOP:") == "OKAY"
-            steps = np.diff(numbers)
-            assert (steps > 0).all()
-            assert not (steps % step).any()
-            assert 30 - step <= numbers[-1] <= most
-
-
-def test_a_tool_hidden_during_tracking_is_missing_and_comes_back(
-    unit: dict[str, Any], roms: list[Path]
-) -> None:
-    with begun(unit["endpoint"]) as host:
-        handles = host.load(*roms[:2])
-        assert host.command("TSTART:80") == "OKAY"
-        for line in ("TX:1801", "BX:1801"):
-            host.begin("track", line=line, handles=handles, frames=50)
-            ask_control_port(
-                unit["control"], "fault", line=f"now: tracker occlude tool {TOOLS[1].part_number} for 0.2 s"
-            )
-            frames = host.answer()
-            hidden = [frame["tools"][1] == "MISSING" for frame in frames]
-            assert any(hidden)
-            assert not hidden[-1]
-            changes = sum(now != before for before, now in pairwise(hidden))
-            assert changes <= 2  # hidden once, and back once
-            for frame, missing in zip(frames, hidden, strict=True):
-                assert frame["tools"][0] != "MISSING"
-                assert frame["one_frame"]  # a tool that is missing still tells the frame
-                assert frame["status"] == [0x31, 0x31], missing
-
-
-def test_a_tool_outside_the_volume_is_reported_as_the_client_requested(
-    unit: dict[str, Any], roms: list[Path]
-) -> None:
-    out, found = PortStatus.OUT_OF_VOLUME.value, 0x31
-    with begun(unit["endpoint"]) as host, fault(unit, "tracker move tool robot_frame +0 +0 +700 mm"):
-        handles = host.load(*roms[:2])
-        assert host.command("TSTART:80") == "OKAY"
-        for kind in ("TX", "BX"):
-            (frame,) = host.track(f"{kind}:0001", handles, 1)
-            assert frame["tools"][0] == "MISSING"
-            assert frame["status"] == [found | out, found]
-            (frame,) = host.track(f"{kind}:1801", handles, 1)
-            assert frame["tools"][0][6] == pytest.approx(-800.0, abs=BIAS_LIMIT_MM)
-            assert frame["status"] == [found | out, found]
-
-
-def test_a_bumped_unit_gives_no_poses_until_its_alert_is_read(unit: dict[str, Any], roms: list[Path]) -> None:
-    with begun(unit["endpoint"]) as host:
-        handles = host.load(roms[0])
-        assert host.command("TSTART:80") == "OKAY"
-        with fault(unit, "tracker bump"):
-            for line in ("TX:1801", "BX:1801"):
-                (frame,) = host.track(line, handles, 1)
-                assert frame["system"] == SystemStatus.DIAGNOSTICS_PENDING
-                assert frame["tools"] == ["MISSING"]
-            assert host.command("GET:Info.Status.New Alerts") == f"Info.Status.New Alerts={1 << BUMP_ALERT}"
-            (frame,) = host.track("BX:1801", handles, 1)
-            assert frame["system"] == 0
-            assert frame["tools"] != ["MISSING"]
-        assert host.command("SET:Param.Bump Detector.Clear=1") == "OKAY"
-
-
 def test_line_noise_reaches_the_client_as_errors_and_tracking_continues(
     fresh_unit: dict[str, Any], roms: list[Path]
 ) -> None:
@@ -318,36 +242,6 @@ def test_the_unit_serves_the_next_client_after_one_was_killed(unit: dict[str, An
         assert second.command("TSTART:80") == "OKAY"
         assert len(second.track("BX:1801", handles, 5)) == 5
         assert second.command("TSTOP:") == "OKAY"
-
-
-@pytest.mark.parametrize("unit", [PTY], ids=["pty"], indirect=True)
-def test_the_line_changes_its_baud_rate_and_back(unit: dict[str, Any], roms: list[Path]) -> None:
-    with begun(unit["endpoint"]) as host:
-        handles = host.load(roms[0])
-        for rate in ("5", "A", "0"):  # 115200, 230400, 9600 baud
-            assert host.command(f"COMM:{rate}0000") == "OKAY"
-            assert host.command("TSTART:80") == "OKAY"
-            assert len(host.track("BX:1801", handles, 5)) == 5
-            assert host.command("TSTOP:") == "OKAY"
-
-
-@pytest.mark.parametrize("unit", [PTY], ids=["pty"], indirect=True)
-def test_a_break_resets_a_unit_on_a_fast_line(unit: dict[str, Any]) -> None:
-    with begun(unit["endpoint"]) as host:
-        assert host.command("COMM:50000") == "OKAY"
-        assert host.command("TSTART:80") == "OKAY"
-        assert host.ask("reset") == 0
-        with pytest.raises(NdicapiError, match="POLARIS 0x10"):  # as after power-up, at 9600 baud
-            host.command("PHSR:00")
-        assert host.command("INIT:") == "OKAY"
-
-
-@pytest.mark.parametrize("unit", [PTY], ids=["pty"], indirect=True)
-def test_a_client_that_leaves_the_line_fast_does_not_lock_out_the_next_one(unit: dict[str, Any]) -> None:
-    with begun(unit["endpoint"]) as careless:
-        assert careless.command("COMM:50000") == "OKAY"
-    with begun(unit["endpoint"]) as following:
-        assert "Polaris" in following.command("VER:0")
 
 
 def test_scikit_surgery_tracks_two_tools(

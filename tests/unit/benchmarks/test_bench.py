@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 import typer
+from smallest_benchmark import run_python
 
 from benchmarks import figures, history, run
 from benchmarks.robot import robot_link
@@ -115,13 +116,7 @@ def test_every_listed_measurement_exists() -> None:
 
 @pytest.mark.slow
 def test_one_measurement_prints_a_table_and_writes_its_figures(tmp_path: Path) -> None:
-    done = subprocess.run(
-        [sys.executable, "-P", str(RUN), "--only", "set-points", "--out", str(tmp_path)],
-        capture_output=True,
-        text=True,
-        timeout=50,
-    )
-    assert done.returncode == 0, done.stderr
+    done = run_python("-P", RUN, "--only", "set-points", "--out", tmp_path)
     assert "joint move" in done.stdout
     (file,) = tmp_path.glob("*.json")
     content = json.loads(file.read_text())
@@ -132,13 +127,7 @@ def test_one_measurement_prints_a_table_and_writes_its_figures(tmp_path: Path) -
 
 
 def test_an_unknown_measurement_is_refused_and_the_known_ones_are_listed(tmp_path: Path) -> None:
-    done = subprocess.run(
-        [sys.executable, "-P", str(RUN), "--only", "tea", "--out", str(tmp_path)],
-        capture_output=True,
-        text=True,
-        timeout=50,
-    )
-    assert done.returncode == 2
+    done = run_python("-P", RUN, "--only", "tea", "--out", tmp_path, exit_code=2)
     assert "robot-link" in done.stderr
     assert list(tmp_path.iterdir()) == []
 

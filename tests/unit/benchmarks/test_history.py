@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from dataclasses import asdict
 from pathlib import Path
 
 import pytest
+from smallest_benchmark import run_python
 
 from benchmarks.figures import Figure
 from benchmarks.history import Key, append_result, read_history
 
-ROOT = Path(__file__).resolve().parents[3]
 RATE = Figure("readings/s", "driver", 900.0, "1/s")
 
 
@@ -77,14 +75,7 @@ def test_between_machines_only_ratios_are_compared(tmp_path: Path) -> None:
 def test_the_results_are_printed_by_date_and_losses_at_the_end(tmp_path: Path) -> None:
     _append(tmp_path, 9, RATE)
     path = _append(tmp_path, 2, Figure("readings/s", "driver", 1000.0, "1/s"))
-    done = subprocess.run(
-        [sys.executable, "-m", "benchmarks.history", "--file", str(path), "--only", "tracker"],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        timeout=50,
-    )
-    assert done.returncode == 0, done.stderr
+    done = run_python("-m", "benchmarks.history", "--file", path, "--only", "tracker")
     title, earlier, later, _, summary, lost = done.stdout.strip().splitlines()
     assert title == "tracker: readings/s, driver"
     assert earlier.split() == ["2026-11-02", "c0ffee2", "1,000", "1/s"]
@@ -94,12 +85,5 @@ def test_the_results_are_printed_by_date_and_losses_at_the_end(tmp_path: Path) -
 
 
 def test_without_results_the_history_says_what_adds_one(tmp_path: Path) -> None:
-    done = subprocess.run(
-        [sys.executable, "-m", "benchmarks.history", "--file", str(tmp_path / "none.jsonl")],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        timeout=50,
-    )
-    assert done.returncode == 0, done.stderr
+    done = run_python("-m", "benchmarks.history", "--file", tmp_path / "none.jsonl")
     assert "make bench" in done.stdout

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 from marked_processes import list_marked, marked_environment
+from smallest_benchmark import run_python
 from waiting import eventually
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -38,15 +39,7 @@ with end_with_runner():
 
 def _run_alone(measurement: str, limit_s: float = 30.0) -> str:
     mark, environment = marked_environment()
-    done = subprocess.run(
-        [sys.executable, "-c", RUN_ALONE, measurement, str(limit_s)],
-        cwd=ROOT,
-        env=environment,
-        capture_output=True,
-        text=True,
-        timeout=50,
-    )
-    assert done.returncode == 0, done.stderr
+    done = run_python("-c", RUN_ALONE, measurement, str(limit_s), environment=environment)
     assert list_marked(mark) == []
     return done.stdout
 

@@ -65,13 +65,11 @@ def test_the_record_makes_predicted_errors_smaller_without_any_setting(result: A
     assert sizes.tool_mm < 0.05
 
 
-def test_the_random_error_of_the_arm_is_estimated(identified: Identified) -> None:
+def test_random_error_and_backlash_are_estimated_from_looks_that_arrive_from_both_sides(
+    identified: Identified,
+) -> None:
     arm, _, result = identified
     assert result.fit.scatter_mm == pytest.approx(arm.scene.arm.repeatability_mm, rel=0.2)
-
-
-def test_backlash_is_estimated_from_looks_that_arrive_from_both_sides(identified: Identified) -> None:
-    arm, _, result = identified
     np.testing.assert_allclose(result.arm.backlash_rad, arm.scene.arm.backlash_rad, atol=1e-4)
 
 
@@ -176,14 +174,11 @@ def test_a_check_without_a_record_names_the_command_that_makes_one() -> None:
         check_arm(LookingArm.of(3).looks(0, 12, SPHERES_MM))
 
 
-def test_too_few_looks_are_refused() -> None:
-    with raises(TOO_FEW_POSES, match="at least 60"):
-        calibrate_arm(LookingArm.of(3).looks(40, 24, SPHERES_MM))
-
-
-def test_no_look_at_all_is_too_few(identified: Identified) -> None:
+def test_too_few_looks_or_none_at_all_are_refused(identified: Identified) -> None:
     _, observed, result = identified
     nothing = observed.model_copy(update={"looks": (), "arm_record": result.arm})
+    with raises(TOO_FEW_POSES, match="at least 60"):
+        calibrate_arm(LookingArm.of(3).looks(40, 24, SPHERES_MM))
     with raises(TOO_FEW_POSES, match=r"to calibrate.*at least 60.*got 0"):
         calibrate_arm(nothing)
     with raises(TOO_FEW_POSES, match=r"to check.*at least 12.*got 0"):

@@ -64,7 +64,7 @@ def test_a_joint_whose_side_is_unknown_at_the_target_counts_with_its_whole_backl
     (unknown,) = (one for one in sources if one.source == "backlash" and isinstance(one, IndependentErrors))
     half_mm = 0.5 * BACKLASH_RAD * swings_mm()[:, 4]
     np.testing.assert_allclose(unknown.at_target_mm2, np.outer(half_mm, half_mm), rtol=1e-9)
-    assert not unknown.acts_at_spheres
+    assert not unknown.at_spheres_mm2.any()
 
 
 def settings(arm_error_mm: float, tool_error_mm: float) -> ProcedureSettings:

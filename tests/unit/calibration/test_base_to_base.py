@@ -22,13 +22,9 @@ def mean_miss_mm(misses_mm: np.ndarray) -> float:
     return float(np.linalg.norm(misses_mm.mean(axis=0)))
 
 
-def test_tracker_frames_leave_the_bases_half_a_millimetre_off_at_most() -> None:
-    arms, coarse, _ = two_arms(0, calibrated=True)
+def test_tracker_frames_leave_the_bases_half_a_millimetre_off_at_most_and_the_ball_a_tenth() -> None:
+    arms, coarse, fine = two_arms(0, calibrated=True)
     assert mean_miss_mm(arms.coarse_misses(coarse, 20)) <= BY_FRAMES_MM
-
-
-def test_the_ball_leaves_the_bases_a_tenth_of_a_millimetre_off_at_most() -> None:
-    arms, _, fine = two_arms(0, calibrated=True)
     assert mean_miss_mm(arms.fine_misses(fine, 20)) <= BY_BALL_MM
 
 

@@ -149,16 +149,9 @@ def test_a_load_that_friction_hides_leaves_no_alarm_and_a_covariance_that_allows
         assert np.all(3.0 * sizes_mm > 8.0 / KR6.stiffness_N_mm)
 
 
-def exact(model: LoadModel) -> LoadModel:
-    return replace(model, stiction_Nm=(1e-3,) * 6, noise=1e-6, torque_error_share=1e-6)
-
-
 @pytest.mark.parametrize(
     ("arm", "model"),
-    [
-        (kr6_r900("kr6_r900_sixx"), KR6),
-        (universal_robot("ur5e"), replace(UR5E, force_error_N=None)),
-    ],
+    [(kr6_r900("kr6_r900_sixx"), KR6), (universal_robot("ur5e"), replace(UR5E, force_error_N=None))],
 )
 def test_without_friction_the_force_is_that_of_the_currents(arm: Kinematics, model: LoadModel) -> None:
     """The force alone changes the signals, against a reference in the same posture."""
@@ -167,7 +160,8 @@ def test_without_friction_the_force_is_that_of_the_currents(arm: Kinematics, mod
     torques = -point_jacobian(arm, joints, GUIDE_MM).T @ force_N / 1000.0
     signal = joint_vector(torques / np.array(model.torque_per_signal_Nm))
     rest, now = (Standstill(joints, one, 100, "guide") for one in ((0.0,) * 6, signal))
-    found = estimate_load(arm, exact(model), [rest], now, GUIDE_MM)
+    exact = replace(model, stiction_Nm=(1e-3,) * 6, noise=1e-6, torque_error_share=1e-6)
+    found = estimate_load(arm, exact, [rest], now, GUIDE_MM)
     assert found.force_N == pytest.approx(force_N, abs=1e-3)
     assert found.is_loaded
 

@@ -72,21 +72,17 @@ def test_the_tip_is_found_relative_to_what_the_head_sees_whatever_the_arm(
     assert np.linalg.norm(result.fit.tip_mm - cell.seen_mm(true)) <= 4.0 * result.tool_tip.stated_error_mm
 
 
-def test_the_record_is_dated_and_keeps_the_direction_of_the_guide(observed: TipLooks) -> None:
-    record = calibrate_tip(observed, life=timedelta(days=3)).tool_tip
+def test_the_record_is_dated_keeps_the_direction_of_the_guide_and_places_the_tip_as_fitted(
+    observed: TipLooks,
+) -> None:
+    result = calibrate_tip(observed, life=timedelta(days=3))
+    record, start = result.tool_tip, observed.start
     assert (record.created, record.expires) == (observed.created, observed.created + timedelta(days=3))
-    assert record.tool_number == observed.start.tool_number
-    assert np.allclose(
-        record.flange_from_tool.quaternion_wxyz, observed.start.flange_from_tool.quaternion_wxyz
-    )
-    assert record.stated_direction_error_rad == observed.start.stated_direction_error_rad > 0.0
-
-
-def test_the_record_places_the_tip_where_the_fit_does(observed: TipLooks) -> None:
-    result = calibrate_tip(observed)
+    assert record.tool_number == start.tool_number
+    assert np.allclose(record.flange_from_tool.quaternion_wxyz, start.flange_from_tool.quaternion_wxyz)
+    assert record.stated_direction_error_rad == start.stated_direction_error_rad > 0.0
     head = observed.stereo_head.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
-    tip = result.tool_tip.flange_from_tool.translation_mm
-    assert np.allclose(head.inverse().apply(tip), result.fit.tip_mm)
+    assert np.allclose(head.inverse().apply(record.flange_from_tool.translation_mm), result.fit.tip_mm)
 
 
 def test_too_few_readings_are_refused(observed: TipLooks) -> None:

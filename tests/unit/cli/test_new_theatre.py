@@ -88,20 +88,24 @@ def new_theatre(out: Path, *more: object, serial: str = "/dev/ttyUSB7") -> tuple
     return done.returncode, done.stdout, done.stderr
 
 
-def test_the_file_contains_the_devices_that_were_found(cameras: Cameras, out: Path) -> None:
+def test_the_file_contains_the_devices_that_were_found_where_searched_and_describes_what_is_missing(
+    cameras: Cameras, out: Path
+) -> None:
     code, _, _ = new_theatre(out, "--name", "our lab")
-    file = read_theatre_file(out)
+    file, text = read_theatre_file(out), out.read_text()
     assert code == 0
     assert file.theatre == "our lab"
     assert file.tracker is not None
     assert file.tracker.endpoint == "serial:///dev/ttyUSB7"
     assert file.tracker.options == {"tools": ({"name": "frame", "rom": "frame.rom"},)}
     assert stereo_of(out) == {"left_serial": "11", "right_serial": "12"}
-
-
-def test_other_options_are_comments_with_their_meaning_and_default(cameras: Cameras, out: Path) -> None:
-    new_theatre(out)
-    assert "# Exposure of both cameras.\n# exposure_us = 2000.0\n" in out.read_text()
+    assert "# Exposure of both cameras.\n# exposure_us = 2000.0\n" in text
+    assert file.calibration is None
+    assert "# [calibration.tracker_frame]" in text
+    assert "ronna-procedure calibrate tool-tip" in text
+    (search,) = cameras.searches
+    assert [each.name for each in search.interfaces] == ["lo"]
+    assert [str(line) for line in search.lines] == ["serial:///dev/ttyUSB7"]
 
 
 def test_a_device_that_was_not_found_becomes_a_commented_example(cameras: Cameras, out: Path) -> None:
@@ -122,35 +126,30 @@ def test_a_device_that_was_not_found_becomes_a_commented_example(cameras: Camera
     assert read.stereo is not None
 
 
-def test_missing_records_are_described_key_by_key(cameras: Cameras, out: Path) -> None:
-    new_theatre(out)
-    text = out.read_text()
-    assert "# [calibration.tracker_frame]" in text
-    assert "ronna-procedure calibrate tool-tip" in text
-    assert read_theatre_file(out).calibration is None
-
-
-def test_only_the_given_serial_lines_and_interfaces_are_searched(cameras: Cameras, out: Path) -> None:
-    new_theatre(out)
-    (search,) = cameras.searches
-    assert [each.name for each in search.interfaces] == ["lo"]
-    assert [str(line) for line in search.lines] == ["serial:///dev/ttyUSB7"]
-
-
 def test_no_network_is_searched_without_an_interface(cameras: Cameras, out: Path) -> None:
     in_this_process(app, "new-theatre", "--no-check", "--serial", "/dev/ttyUSB7", "--out", out)
     assert cameras.searches[0].interfaces == ()
 
 
-def test_a_serial_number_selects_among_several_pairs(cameras: Cameras, out: Path) -> None:
-    cameras.pairs = (pair("11", "12"), pair("12", "11"), pair("11", "13"))
-    new_theatre(out, "--left", "12")
-    assert stereo_of(out)["right_serial"] == "11"
-
-
-def test_a_camera_can_also_be_selected_by_its_address(cameras: Cameras, out: Path) -> None:
-    new_theatre(out, "--right", "192.168.3.2")
-    assert stereo_of(out)["right_serial"] == "12"
+@pytest.mark.parametrize(
+    ("pairs", "option", "chosen"),
+    [
+        ((pair("11", "12"), pair("12", "11"), pair("11", "13")), ("--left", "12"), {"right_serial": "11"}),
+        ((pair("11", "12"),), ("--right", "192.168.3.2"), {"right_serial": "12"}),
+        ((pair("11", "12"),), ("--option", "stereo.exposure_us=1500.5"), {"exposure_us": 1500.5}),
+    ],
+    ids=["serial number", "address", "option"],
+)
+def test_a_serial_number_or_address_selects_a_pair_and_an_option_is_parsed_as_toml(
+    cameras: Cameras,
+    out: Path,
+    pairs: tuple[Proposal, ...],
+    option: tuple[str, str],
+    chosen: dict[str, object],
+) -> None:
+    cameras.pairs = pairs
+    new_theatre(out, *option)
+    assert chosen.items() <= stereo_of(out).items()
 
 
 def test_the_user_at_a_terminal_chooses_among_several_pairs(
@@ -160,11 +159,6 @@ def test_the_user_at_a_terminal_chooses_among_several_pairs(
     monkeypatch.setattr(command, "_choose", lambda _question, words: len(words) - 1)
     new_theatre(out)
     assert stereo_of(out)["left_serial"] == "12"
-
-
-def test_an_option_value_is_parsed_as_toml(cameras: Cameras, out: Path) -> None:
-    new_theatre(out, "--option", "stereo.exposure_us=1500.5")
-    assert stereo_of(out)["exposure_us"] == 1500.5
 
 
 def test_records_are_copied_from_another_file(cameras: Cameras, out: Path, tmp_path: Path) -> None:
@@ -272,28 +266,11 @@ def test_several_devices_without_a_choice_are_refused(cameras: Cameras, out: Pat
     assert not out.exists()
 
 
-def test_an_existing_file_is_not_overwritten(cameras: Cameras, out: Path) -> None:
-    out.write_text("mine")
-    code, _, errors = new_theatre(out)
-    assert code == EXIT_USAGE
-    assert "exists" in errors
-    assert out.read_text() == "mine"
-
-
 def test_every_mistake_of_a_command_line_is_named_at_once(cameras: Cameras, out: Path) -> None:
     out.write_text("mine")
-    wrong: tuple[str, ...] = (
-        "--controller",
-        "192.168.10.300",
-        "--stream",
-        "59152",
-        "--clock",
-        "sun:",
-        "--interface",
-        "eth77",
-    )
+    wrong = ["--controller", "192.168.10.300", "--stream", "59152", "--clock", "sun:", "--interface", "eth77"]
     for option in ("stereo.exposure=1", "stereo.exposure_us=5s", "exposure_us=1"):
-        wrong += ("--option", option)
+        wrong += ["--option", option]
     code, _, errors = new_theatre(out, *wrong, serial="pts/2")
     (line,) = one_error(errors)
     assert code == EXIT_USAGE
@@ -306,7 +283,9 @@ def test_every_mistake_of_a_command_line_is_named_at_once(cameras: Cameras, out:
     for number, named in enumerate(named_mistakes, start=1):
         _, numbered, rest = line.partition(f"({number}) ")
         assert numbered
+
         assert named in rest.partition("; (")[0]
+    assert out.read_text() == "mine"
     assert cameras.searches == []
 
 
@@ -329,21 +308,14 @@ def test_a_second_arm_is_the_one_at_the_address_given_for_it(
     cameras: Cameras, monkeypatch: pytest.MonkeyPatch, out: Path
 ) -> None:
     monkeypatch.setattr(registry, "load_finders", lambda: {"cameras": cameras, "arm": Arms()})
+    alone = out.with_name("alone.toml")
+    assert new_theatre(alone, "--controller", "10.0.0.1:1")[0] == 0
+    assert list(read_theatre_file(alone).robot) == ["master"]
     arms = "--controller", "10.0.0.1:1", "--assistant", "10.0.0.2:2"
     code, _, said = new_theatre(out, *arms, "--option", "robot.assistant.pace=0.2")
     robots = read_theatre_file(out).robot
     assert code == 0, said
-    assert {role: one.endpoint for role, one in robots.items()} == {
-        "master": "tcp://10.0.0.1:1",
-        "assistant": "tcp://10.0.0.2:2",
+    assert {role: (one.endpoint, one.options) for role, one in robots.items()} == {
+        "master": ("tcp://10.0.0.1:1", {}),
+        "assistant": ("tcp://10.0.0.2:2", {"pace": 0.2}),
     }
-    assert [one.options for one in robots.values()] == [{}, {"pace": 0.2}]
-
-
-def test_without_a_controller_for_it_there_is_no_second_arm(
-    cameras: Cameras, monkeypatch: pytest.MonkeyPatch, out: Path
-) -> None:
-    monkeypatch.setattr(registry, "load_finders", lambda: {"cameras": cameras, "arm": Arms()})
-    code, _, _ = new_theatre(out, "--controller", "10.0.0.1:1")
-    assert code == 0
-    assert list(read_theatre_file(out).robot) == ["master"]

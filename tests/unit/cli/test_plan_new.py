@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import pytest
 from user_commands import in_this_process
 
-from procedures.cli import plan
+from procedures.cli import planning_inputs
 from procedures.cli.plan import app
 
 SERIES = SimpleNamespace(series_instance_uid="1.2.3", patient_position="HFS")
@@ -18,7 +18,7 @@ SERIES = SimpleNamespace(series_instance_uid="1.2.3", patient_position="HFS")
 def series(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """Any folder is the CT of a head with three spheres."""
     spheres_mm = [(0.0, 0.0, 0.0), (80.0, 0.0, 0.0), (20.0, 110.0, 0.0)]
-    monkeypatch.setattr(plan, "read_ct", lambda *_, **__: (SERIES, spheres_mm, ()))
+    monkeypatch.setattr(planning_inputs, "read_ct", lambda *_, **__: (SERIES, spheres_mm, ()))
     monkeypatch.chdir(tmp_path)
 
 

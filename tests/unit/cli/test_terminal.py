@@ -417,9 +417,7 @@ def test_a_heading_too_wide_for_the_terminal_gives_tab_separated_lines(
 ESCAPES = "\x1b[2J\x1b]0;owned\x07 \u202egnp.exe\r\nforged line"
 
 
-def test_external_names_cannot_inject_escape_sequences_or_lines(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_external_names_cannot_inject_escape_sequences_or_lines(capsys: pytest.CaptureFixture[str]) -> None:
     terminal.fail_with(TooFar(f"no series in {ESCAPES}"))
     terminal.tell(f"patient: {ESCAPES}")
     terminal.print_table("title", ["name"], [[ESCAPES]])

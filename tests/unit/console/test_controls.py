@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import asyncio
-from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from nicegui import Client, ui
+from case_events import question
+from nicegui import context, ui
 from plan_editors import draw, scan
+from shown_page import on_a_page
 
 from console.guard import Session, SessionRole
 from console.panels.orders import ARMED_S, HeldButton, OrderPanel, QuestionPanel
@@ -18,41 +18,33 @@ from console.planning.fields import NumberField
 from console.planning.page import PlannerPage
 from console.planning.plan_editor import PlanEditor
 from procedures.engine.case_view import CaseView
-from procedures.engine.events import Questioned, Waiting
+from procedures.engine.events import Waiting
 from ronna_hw.text import parse_typed_number
 
 
+async def give(_order: dict[str, Any]) -> str:
+    return ""
+
+
 def test_the_next_button_is_replaced_when_the_upcoming_step_changes() -> None:
-    async def give(_order: dict[str, Any]) -> None:
-        pass
+    def do() -> None:
+        panel = OrderPanel(give, print)
+        panel.show(CaseView(waiting=Waiting(upcoming="image")), is_mine=True)
+        seen = panel._next
+        panel.show(CaseView(waiting=Waiting(upcoming="fit:T1")), is_mine=True)
+        assert (seen.is_deleted, panel._next.text) == (True, "Next: fit:T1")
 
-    async def clicks() -> tuple[bool, str]:
-        with Client(ui.page("/of-a-test"), request=None):
-            panel = OrderPanel(give, lambda _words: None)
-            panel.show(CaseView(waiting=Waiting(upcoming="image")), is_mine=True)
-            seen = panel._next
-            panel.show(CaseView(waiting=Waiting(upcoming="fit:T1")), is_mine=True)
-        return seen.is_deleted, panel._next.text
-
-    assert asyncio.run(clicks()) == (True, "Next: fit:T1")
+    on_a_page(do)
 
 
 @pytest.mark.parametrize(("topic", "possible"), [("pause", True), ("park", False)])
 def test_faults_can_be_acknowledged_at_a_pause(topic: str, possible: bool) -> None:
-    async def give(_order: dict[str, Any]) -> None:
-        pass
-
-    open_question = Questioned(
-        question=1, topic=topic, subject="", value="", answers=("yes", "no"), timeout_s=None
-    )
-
-    async def enabled() -> bool:
-        with Client(ui.page("/of-a-test"), request=None):
-            panel = OrderPanel(give, lambda _words: None)
-            panel.show(CaseView(question=open_question), is_mine=True)
+    def enabled() -> bool:
+        panel = OrderPanel(give, print)
+        panel.show(CaseView(question=question(topic=topic)), is_mine=True)
         return panel._acknowledge.enabled
 
-    assert asyncio.run(enabled()) is possible
+    assert on_a_page(enabled) is possible
 
 
 @pytest.mark.parametrize(
@@ -68,15 +60,14 @@ def test_a_hold_button_acts_only_after_the_browser_reports_a_hold_of_one_second(
         done.append(True)
 
     async def hold() -> None:
-        with Client(ui.page("/of-a-test"), request=None):
-            button = HeldButton("yes", act, said.append)
+        button = HeldButton("yes", act, said.append)
         button._down(SimpleNamespace(args={"timeStamp": 10.0}))
         await button._up(SimpleNamespace(args={"timeStamp": 5000.0}))  # it has only just appeared
         button._appeared_s -= ARMED_S
         button._down(SimpleNamespace(args={"timeStamp": 10.0}))
         await button._up(SimpleNamespace(args=up))
 
-    asyncio.run(hold())
+    on_a_page(hold)
     assert (len(done), len(said)) == (acted, 1 - acted)
 
 
@@ -90,27 +81,13 @@ def test_a_hold_button_acts_only_after_the_browser_reports_a_hold_of_one_second(
 def test_of_a_deliberate_question_all_but_a_harmless_last_answer_are_held(
     topic: str, answers: tuple[str, ...], shown: list[str]
 ) -> None:
-    async def give(_order: dict[str, Any]) -> str:
-        return ""
+    view = CaseView(question=question(topic=topic, answers=answers, deliberate=True))
 
-    asked = Questioned(
-        question=1,
-        topic=topic,
-        subject="",
-        value="",
-        answers=answers,
-        timeout_s=None,
-        deliberate=True,
-    )
+    def labels() -> list[str]:
+        QuestionPanel(give, print).show(view, is_mine=True, has_seat=True)
+        return [one.text for one in context.client.elements.values() if isinstance(one, ui.button)]
 
-    async def labels() -> list[str]:
-        with Client(ui.page("/of-a-test"), request=None) as client:
-            QuestionPanel(give, lambda _words: None).show(
-                CaseView(question=asked), is_mine=True, has_seat=True
-            )
-            return [one.text for one in client.elements.values() if isinstance(one, ui.button)]
-
-    assert asyncio.run(labels()) == shown
+    assert on_a_page(labels) == shown
 
 
 @pytest.mark.parametrize(
@@ -137,29 +114,19 @@ def typed(field: NumberField, words: str) -> str:
     return str(field._field.props.get("error-message", ""))
 
 
-def on_a_page(do: Callable[[], None]) -> None:
-    async def page() -> None:
-        with Client(ui.page("/of-a-test"), request=None):
-            do()
-
-    asyncio.run(page())
-
-
 @pytest.mark.parametrize("words", NONE)
 def test_a_field_says_with_an_example_that_its_text_is_not_a_number(words: str) -> None:
-    taken: list[float] = []
-
     def do() -> None:
+        taken: list[float] = []
         assert "such as -12.5" in typed(NumberField("depth", "depth", taken.append), words)
+        assert taken == []
 
     on_a_page(do)
-    assert taken == []
 
 
 def test_an_emptied_field_shows_its_number_again() -> None:
-    taken: list[float] = []
-
     def do() -> None:
+        taken: list[float] = []
         field = NumberField("length", "length", taken.append)
         field.show(190.0)
         assert typed(field, "") == ""
@@ -168,21 +135,20 @@ def test_an_emptied_field_shows_its_number_again() -> None:
         assert field.is_wrong
         assert typed(field, " ") == ""
         assert (field._field.value, field.is_wrong) == ("190.0", False)
+        assert taken == []
 
     on_a_page(do)
-    assert taken == []
 
 
 def test_a_fraction_of_a_sphere_is_refused() -> None:
-    taken: list[float] = []
-
     def do() -> None:
+        taken: list[float] = []
         field = NumberField("spheres", "spheres", taken.append, 0)
         assert typed(field, "4.5") == "expected a whole number, got 4.5"
         assert typed(field, "5") == ""
+        assert taken == [5.0]
 
     on_a_page(do)
-    assert taken == [5.0]
 
 
 def test_a_plan_is_not_saved_while_a_field_shows_something_else_than_its_value(tmp_path: Path) -> None:
@@ -190,19 +156,16 @@ def test_a_plan_is_not_saved_while_a_field_shows_something_else_than_its_value(t
     editor = PlanEditor(scan(), file, None)
     draw(editor)
 
-    async def saved() -> tuple[str, bool]:
-        with Client(ui.page("/of-a-test"), request=None):
-            page = PlannerPage(editor, Session(SessionRole.OPERATOR, "session-1"), low=True)
-            page.build()
-            page._author.set_value("Dr Test")
-            typed(page._ways.fields["target L"], "12o.5")
-            await page._save_plan()
-            refused, existed = str(page._words.content), file.exists()
-            typed(page._ways.fields["target L"], "")
-            await page._save_plan()
-        return refused, existed
+    async def do() -> None:
+        page = PlannerPage(editor, Session(SessionRole.OPERATOR, "session-1"), low=True)
+        page.build()
+        page._author.set_value("Dr Test")
+        typed(page._ways.fields["target L"], "12o.5")
+        await page._save_plan()
+        assert "PLAN-002: target L is not as it was typed" in str(page._words.content)
+        assert not file.exists()
+        typed(page._ways.fields["target L"], "")
+        await page._save_plan()
+        assert file.exists()
 
-    refused, existed = asyncio.run(saved())
-    assert "PLAN-002: target L is not as it was typed" in refused
-    assert not existed
-    assert file.exists()
+    on_a_page(do)

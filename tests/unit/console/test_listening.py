@@ -90,6 +90,10 @@ class Served:
             self.left.set()
 
 
+async def _head(reader: asyncio.StreamReader) -> bytes:
+    return await asyncio.wait_for(reader.readuntil(b"\r\n\r\n"), 10.0)
+
+
 async def _ended(reader: asyncio.StreamReader) -> bytes:
     """What was said until the server hung up, which it must."""
     said = b""
@@ -126,7 +130,7 @@ def test_a_complete_request_head_beyond_the_limit_is_refused() -> None:
     async def said() -> bytes:
         async with Served().serving() as console:
             reader, writer = await console.connected(console.request("/", f"x: {'a' * 60_000}\r\n"))
-            head = await asyncio.wait_for(reader.readuntil(b"\r\n"), 10.0)
+            head = await _head(reader)
             writer.transport.abort()
             return head
 
@@ -145,13 +149,15 @@ def test_a_socket_whose_head_is_refused_before_the_guard_is_disconnected() -> No
     assert asyncio.run(said()) == b""
 
 
-@pytest.mark.parametrize("half", [b"", b"GET / HT", b"GET / HTTP/1.1\r\nHost: a\r\n"])
-@pytest.mark.parametrize("answered", [b"", b"GET / HTTP/1.1\r\nHost: a\r\n\r\n"], ids=["first", "second"])
-def test_an_incomplete_request_is_disconnected_after_the_time_limit(
-    monkeypatch: pytest.MonkeyPatch, answered: bytes, half: bytes
-) -> None:
+@pytest.fixture
+def short_limit(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(listening, "REQUEST_LIMIT_S", 0.1)
 
+
+@pytest.mark.usefixtures("short_limit")
+@pytest.mark.parametrize("half", [b"", b"GET / HT", b"GET / HTTP/1.1\r\nHost: a\r\n"])
+@pytest.mark.parametrize("answered", [b"", b"GET / HTTP/1.1\r\nHost: a\r\n\r\n"], ids=["first", "second"])
+def test_an_incomplete_request_is_disconnected_after_the_time_limit(answered: bytes, half: bytes) -> None:
     async def said() -> bytes:
         async with Served().serving() as console:
             reader, writer = await console.connected(answered + half)
@@ -162,9 +168,8 @@ def test_an_incomplete_request_is_disconnected_after_the_time_limit(
     assert (b" 421 " in asyncio.run(said())) == bool(answered)
 
 
-def test_a_slowly_sent_request_gets_no_more_time_than_any_other(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(listening, "REQUEST_LIMIT_S", 0.1)
-
+@pytest.mark.usefixtures("short_limit")
+def test_a_slowly_sent_request_gets_no_more_time_than_any_other() -> None:
     async def drip() -> None:
         async with Served().serving() as console:
             reader, writer = await console.connected(b"GET / HTTP/1.1\r\n")
@@ -184,12 +189,12 @@ def test_connections_without_the_key_do_not_lock_out_the_operator(monkeypatch: p
     async def come() -> None:
         async with Served().serving() as console:
             operator = await console.connected(console.socket_opened())
-            assert b" 101 " in await asyncio.wait_for(operator[0].readuntil(b"\r\n\r\n"), 10.0)
+            assert b" 101 " in await _head(operator[0])
             strangers = [await console.connected(b"") for _ in range(12)]
             for reader, _ in strangers[:8]:
                 assert await _ended(reader) == b""
             another = await console.connected(console.entered())
-            assert b" 303 " in await asyncio.wait_for(another[0].readuntil(b"\r\n\r\n"), 10.0)
+            assert b" 303 " in await _head(another[0])
             assert await _pinged(*operator) == PONG
             for _, writer in (operator, another, *strangers):
                 writer.transport.abort()
@@ -207,7 +212,7 @@ def test_a_viewer_with_too_many_connections_gets_no_more_and_locks_out_no_operat
             viewer = console.sessions.viewer_token
             viewers = [await console.connected(console.socket_opened(viewer)) for _ in range(2)]
             for reader, _ in viewers:
-                assert b" 101 " in await asyncio.wait_for(reader.readuntil(b"\r\n\r\n"), 10.0)
+                assert b" 101 " in await _head(reader)
             for one_more, answer in (
                 (console.asked("/state", viewer), b" 503 "),
                 (console.socket_opened(viewer), b" 403 "),
@@ -216,7 +221,7 @@ def test_a_viewer_with_too_many_connections_gets_no_more_and_locks_out_no_operat
                 assert answer in (await _ended(reader)).partition(b"\r\n")[0]
                 writer.close()
             operator = await console.connected(console.socket_opened())
-            assert b" 101 " in await asyncio.wait_for(operator[0].readuntil(b"\r\n\r\n"), 10.0)
+            assert b" 101 " in await _head(operator[0])
             viewers[0][1].transport.abort()
             await asyncio.wait_for(_again(console, viewer), 10.0)
             for _, writer in (operator, *viewers):
@@ -245,13 +250,12 @@ def test_an_answer_that_is_not_read_is_given_up_after_its_time_limit(monkeypatch
     asyncio.run(stay())
 
 
-def test_an_answer_in_one_piece_is_left_to_a_slow_reader(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(listening, "REQUEST_LIMIT_S", 0.1)
-
+@pytest.mark.usefixtures("short_limit")
+def test_an_answer_in_one_piece_is_left_to_a_slow_reader() -> None:
     async def taken() -> int:
         async with Served().serving() as console:
             reader, writer = await console.connected(console.asked("/whole", console.sessions.viewer_token))
-            await asyncio.wait_for(reader.readuntil(b"\r\n\r\n"), 10.0)
+            await _head(reader)
             stranger = await console.connected(b"")
             await _ended(stranger[0])  # has come later, and its time is up
             answer = await asyncio.wait_for(reader.readexactly(SENT_BYTES), 60.0)
@@ -262,13 +266,12 @@ def test_an_answer_in_one_piece_is_left_to_a_slow_reader(monkeypatch: pytest.Mon
     assert asyncio.run(taken()) == SENT_BYTES
 
 
-def test_an_open_socket_outlasts_the_request_time_limit(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(listening, "REQUEST_LIMIT_S", 0.1)
-
+@pytest.mark.usefixtures("short_limit")
+def test_an_open_socket_outlasts_the_request_time_limit() -> None:
     async def stay() -> None:
         async with Served().serving() as console:
             operator = await console.connected(console.socket_opened())
-            assert b" 101 " in await asyncio.wait_for(operator[0].readuntil(b"\r\n\r\n"), 10.0)
+            assert b" 101 " in await _head(operator[0])
             stranger = await console.connected(b"")
             await _ended(stranger[0])  # has come later
             assert await _pinged(*operator) == PONG
@@ -308,7 +311,7 @@ def test_another_account_of_this_computer_is_refused_though_it_has_the_cookie(
             for sent in (console.entered(), console.socket_opened()):
                 reader, writer = await asyncio.open_connection(HOST, console.port, local_addr=(source, 0))
                 writer.write(sent)
-                found.append(await asyncio.wait_for(reader.readuntil(b"\r\n"), 10.0))
+                found.append(await _head(reader))
                 writer.transport.abort()
             return found
 
@@ -333,12 +336,15 @@ def test_the_account_of_a_connection_costs_the_same_however_many_there_are() -> 
         assert cost_s() < 5 * alone_s
 
 
-@pytest.mark.parametrize("diagnosed", [True, False], ids=["sock_diag", "without sock_diag"])
-def test_a_connection_whose_program_has_gone_belongs_to_no_account(
-    monkeypatch: pytest.MonkeyPatch, diagnosed: bool
-) -> None:
-    if not diagnosed:
+@pytest.fixture(params=["sock_diag", "without sock_diag"])
+def diagnosis(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """How the account of a connection is found."""
+    if request.param != "sock_diag":
         monkeypatch.setattr(network, "_diagnosed", lambda _local, _remote: None)
+
+
+@pytest.mark.usefixtures("diagnosis")
+def test_a_connection_whose_program_has_gone_belongs_to_no_account() -> None:
     with listen(HOST, 0) as bound:
         with socket.create_connection(bound.getsockname()) as client:
             assert find_account(client.getsockname(), bound.getsockname()) == os.geteuid()
@@ -349,12 +355,8 @@ def test_a_connection_whose_program_has_gone_belongs_to_no_account(
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root can act as another account")
-@pytest.mark.parametrize("diagnosed", [True, False], ids=["sock_diag", "without sock_diag"])
-def test_the_account_of_a_connection_is_the_one_that_made_it(
-    monkeypatch: pytest.MonkeyPatch, diagnosed: bool
-) -> None:
-    if not diagnosed:
-        monkeypatch.setattr(network, "_diagnosed", lambda _local, _remote: None)
+@pytest.mark.usefixtures("diagnosis")
+def test_the_account_of_a_connection_is_the_one_that_made_it() -> None:
     with listen(HOST, 0) as bound, contextlib.ExitStack() as stack:
         os.seteuid(NOBODY)
         try:

@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from case_events import question
 
 from console.panels.case_state import advice, banner, chart, devices, mode, seat_line
 from console.panels.question import question_evidence, question_heading, question_pictures, question_words
@@ -23,7 +24,7 @@ from console.panels.results import (
     problems,
 )
 from procedures.engine.case_view import CaseView, DeviceRow, Notice, StepRow
-from procedures.engine.events import DeviceFact, DeviceState, Questioned, Seat, Waiting
+from procedures.engine.events import DeviceFact, DeviceState, Seat, Waiting
 from procedures.operator.question import Evidence, Identity, Picture, PredictedError
 from procedures.reporting.case_figures import CaseFigures
 from ronna_hw.log_output import LOG_FILE
@@ -111,13 +112,10 @@ def test_external_text_is_escaped_in_every_panel() -> None:
     named = CaseFigures(cuts=(f"plan-{SCRIPT}.png",), pictures=(f"stereo-{SCRIPT}.png",))
     pictured = (pictures(named), cuts(view, named))
     lists = (notices(view), journal(view), log((SCRIPT,)))
-    asked = Questioned(
-        question=1,
+    asked = question(
         topic="patient",
         subject=SCRIPT,
         value=f"{SCRIPT}\n{SCRIPT}",
-        answers=("yes", "no"),
-        timeout_s=None,
         evidence=(Evidence(title=SCRIPT, head=(SCRIPT,), rows=((SCRIPT,),)),),
         pictures=(Picture(name=f"plan-{SCRIPT}.png", sha256=SCRIPT),),
         identity=Identity(rows=((SCRIPT, SCRIPT),)),
@@ -138,31 +136,14 @@ def test_external_text_is_escaped_in_every_panel() -> None:
 @pytest.mark.parametrize(("trajectory", "caption"), [("T1", "T1 in the CT"), ("", "T1-2 in the CT")])
 def test_the_cuts_of_a_repeated_check_are_named_after_their_trajectory(trajectory: str, caption: str) -> None:
     picture = Picture(name="plan-T1-2.png", sha256="0" * 64, trajectory=trajectory)
-    asked = Questioned(
-        question=1,
-        topic="registration:T1",
-        subject="",
-        value="",
-        answers=("yes", "no"),
-        timeout_s=None,
-        pictures=(picture,),
-    )
-    assert f">{caption}<" in question_pictures(asked)
+    assert f">{caption}<" in question_pictures(question(topic="registration:T1", pictures=(picture,)))
 
 
 def test_the_accuracy_panel_shows_the_registration_that_is_being_asked_about() -> None:
     def predicted(target: str, rms_mm: float) -> PredictedError:
         return PredictedError(target=target, rms_mm=rms_mm, limit_mm=0.83, confidence=0.95, margin_mm=2.0)
 
-    asked = Questioned(
-        question=1,
-        topic="registration:T1",
-        subject="accept the registration for T1",
-        value="predicted target error 0.46 mm rms",
-        answers=("yes", "no"),
-        timeout_s=None,
-        predicted=(predicted("T1", 0.46),),
-    )
+    asked = question(topic="registration:T1", predicted=(predicted("T1", 0.46),))
     before = CaseFigures(predictions=(predicted("T1", 0.51), predicted("T2", 0.62)))
     assert accuracy(CaseView(), None) == '<p class="dim">No registration yet.</p>'
     for words in ("0.46 mm", "predicted error at T1", "2 mm", "the plan&#x27;s margin", "within the margin"):

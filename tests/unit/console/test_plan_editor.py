@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 from coded_errors import raises
-from plan_editors import ENTRY, draw, reopened, save, scan
+from plan_editors import ENTRY, code_of, draw, reopened, save, scan
 
 from console.planning import plan_editor
 from console.planning.draft import Draft
@@ -62,14 +62,11 @@ def test_a_trajectory_without_its_target_is_not_saved(editor: PlanEditor, file: 
     assert editor.draft.way("T2").entry_mm == ENTRY
 
 
-def test_a_plan_of_another_ct_is_reported_and_never_overwritten(editor: PlanEditor, file: Path) -> None:
-    draw(editor)
-    save(editor)
+def test_a_plan_of_another_ct_is_reported_and_never_overwritten(saved: PlanEditor, file: Path) -> None:
     before = file.read_bytes()
-    editor.close()
+    saved.close()
     other = PlanEditor(scan("1.2.3.4"), file, None)
-    assert other.read_only is not None
-    assert other.read_only.code == "PLAN-003"
+    assert code_of(other.read_only) == "PLAN-003"
     draw(other)
     with pytest.raises(RonnaError, match="PLAN-003"):
         save(other)
@@ -79,20 +76,16 @@ def test_a_plan_of_another_ct_is_reported_and_never_overwritten(editor: PlanEdit
 def test_a_file_that_is_not_a_plan_is_reported_and_left_unchanged(file: Path) -> None:
     file.write_text("not = [toml")
     editor = PlanEditor(scan(), file, None)
-    assert editor.read_only is not None
-    assert editor.read_only.code == "PLAN-001"
+    assert code_of(editor.read_only) == "PLAN-001"
     assert file.read_text() == "not = [toml"
 
 
 def test_an_altered_plan_opens_with_a_warning_and_is_resealed_on_saving(
-    editor: PlanEditor, file: Path
+    saved: PlanEditor, file: Path
 ) -> None:
-    draw(editor)
-    save(editor)
     file.write_text(file.read_text().replace("30.0", "29.0", 1))
-    altered = reopened(editor)
-    assert altered.notice is not None
-    assert altered.notice.code == "PLAN-023"
+    altered = reopened(saved)
+    assert code_of(altered.notice) == "PLAN-023"
     assert altered.draft.standoff_mm == 29.0
     save(altered)
     assert altered.notice is None
@@ -100,50 +93,42 @@ def test_an_altered_plan_opens_with_a_warning_and_is_resealed_on_saving(
 
 
 def test_a_plan_changed_meanwhile_by_another_program_is_not_overwritten(
-    editor: PlanEditor, file: Path
+    saved: PlanEditor, file: Path
 ) -> None:
-    draw(editor)
-    save(editor)
     file.write_text("theirs")
-    draw(editor, standoff_mm=31.0)
+    draw(saved, standoff_mm=31.0)
     with raises(PLAN_NOT_SAVED, match=r"PLAN-025.*another program"):
-        save(editor)
+        save(saved)
     assert file.read_text() == "theirs"
-    assert editor.draft.standoff_mm == 31.0
+    assert saved.draft.standoff_mm == 31.0
 
 
-def test_a_plan_that_has_become_unreadable_is_not_overwritten(editor: PlanEditor, file: Path) -> None:
-    draw(editor)
-    save(editor)
+def test_a_plan_that_has_become_unreadable_is_not_overwritten(saved: PlanEditor, file: Path) -> None:
     file.unlink()
     file.mkdir()
     with raises(PLAN_NOT_SAVED, match=r"PLAN-025: cannot read .*is a directory"):
-        save(editor)
+        save(saved)
 
 
-def test_a_plan_is_read_only_while_a_case_runs_on_it(editor: PlanEditor, file: Path) -> None:
-    draw(editor)
-    save(editor)
-    before, draft = file.read_bytes(), editor.draft
+def test_a_plan_is_read_only_while_a_case_runs_on_it(saved: PlanEditor, file: Path) -> None:
+    before, draft = file.read_bytes(), saved.draft
     with lock_plan(file):
-        draw(editor, standoff_mm=31.0)
-        editor.undo()
-        assert editor.draft is draft
+        draw(saved, standoff_mm=31.0)
+        saved.undo()
+        assert saved.draft is draft
         with pytest.raises(PlanInUse, match="PLAN-026"):
-            save(editor)
+            save(saved)
     assert file.read_bytes() == before
-    draw(editor, standoff_mm=31.0)
-    save(editor)
+    draw(saved, standoff_mm=31.0)
+    save(saved)
     assert read_plan(file).standoff_mm == 31.0
 
 
 def test_a_case_that_starts_while_its_plan_is_being_saved_prevents_the_save(
-    editor: PlanEditor, file: Path, monkeypatch: pytest.MonkeyPatch
+    saved: PlanEditor, file: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    draw(editor)
-    save(editor)
     before = file.read_bytes()
-    draw(editor, standoff_mm=31.0)
+    draw(saved, standoff_mm=31.0)
     with ExitStack() as case:
 
         def meanwhile(*arguments: object) -> object:
@@ -152,10 +137,10 @@ def test_a_case_that_starts_while_its_plan_is_being_saved_prevents_the_save(
 
         monkeypatch.setattr(plan_editor, "seal_plan", meanwhile)
         with pytest.raises(PlanInUse, match="PLAN-026"):
-            save(editor)
+            save(saved)
         assert file.read_bytes() == before
     monkeypatch.undo()
-    save(editor)
+    save(saved)
     assert read_plan(file).standoff_mm == 31.0
 
 
@@ -174,8 +159,7 @@ def test_a_full_disk_loses_neither_the_draft_nor_the_plan(file: Path, full_disk:
     editor = PlanEditor(scan(), file, None)
     draw(editor)
     assert editor.store_draft() is None
-    assert editor.storage_problem is not None
-    assert editor.storage_problem.code == "PLAN-025"
+    assert code_of(editor.storage_problem) == "PLAN-025"
     with raises(PLAN_NOT_SAVED, match=r"PLAN-025.*No space left.*stays on this page"):
         save(editor)
     assert not file.exists()
@@ -188,36 +172,32 @@ def test_a_full_disk_loses_neither_the_draft_nor_the_plan(file: Path, full_disk:
 
 
 def test_a_plan_where_files_cannot_be_locked_is_not_saved_and_says_so(
-    editor: PlanEditor, file: Path, monkeypatch: pytest.MonkeyPatch
+    saved: PlanEditor, file: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    draw(editor)
-    save(editor)
     before = file.read_bytes()
-    draw(editor, standoff_mm=31.0)
+    draw(saved, standoff_mm=31.0)
 
     def unsupported(_file: int, _kind: int) -> None:
         raise OSError(errno.ENOLCK, "No locks available")
 
     monkeypatch.setattr("fcntl.flock", unsupported)
     with raises(PLAN_NOT_SAVED, match=r"PLAN-025: plan\.toml cannot be locked: No locks available"):
-        save(editor)
+        save(saved)
     assert file.read_bytes() == before
 
 
 def test_the_planner_does_not_take_its_own_save_for_a_running_case(
-    editor: PlanEditor, file: Path, monkeypatch: pytest.MonkeyPatch
+    saved: PlanEditor, file: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    draw(editor)
-    save(editor)
-    draw(editor, standoff_mm=31.0)
+    draw(saved, standoff_mm=31.0)
     seen = []
 
     def meanwhile(*arguments: Any) -> None:
-        seen.append(editor.read_only)
+        seen.append(saved.read_only)
         write_plan(*arguments)
 
     monkeypatch.setattr(plan_editor, "write_plan", meanwhile)
-    save(editor)
+    save(saved)
     assert seen == [None]
 
 
@@ -237,8 +217,7 @@ def test_a_ct_without_spheres_is_reported_while_the_head_is_still_shown(editor: 
         work.cancel()
 
     asyncio.run(searched())
-    assert editor.notice is not None
-    assert editor.notice.code == "CT-016"
+    assert code_of(editor.notice) == "CT-016"
     assert editor.head
 
 

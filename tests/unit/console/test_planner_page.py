@@ -12,9 +12,9 @@ from urllib.parse import parse_qs, urlsplit
 import numpy as np
 import pytest
 from coded_errors import raises
-from nicegui import Client, ui
 from plan_editors import ENTRY, SERIES, TARGET, draw, scan
 from recording_cell import mini_theatre_file
+from shown_page import on_a_page
 
 from console.guard import Session, SessionRole
 from console.planning.draft import Axis
@@ -34,12 +34,11 @@ def on_the_page(folder: Path, do: Callable[[PlannerPage], Awaitable[None]]) -> N
     draw(editor)
 
     async def page() -> None:
-        with Client(ui.page("/of-a-test"), request=None):
-            page = PlannerPage(editor, Session(SessionRole.OPERATOR, "session-1"), low=True)
-            page.build()
-            await do(page)
+        page = PlannerPage(editor, Session(SessionRole.OPERATOR, "session-1"), low=True)
+        page.build()
+        await do(page)
 
-    asyncio.run(page())
+    on_a_page(page)
 
 
 def enter(page: PlannerPage, name: str, words: str) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import reduce
+
 from case_events import MOMENT, NAMES, ORDER, events_of, question, view_after
 from hypothesis import given
 from hypothesis import strategies as st
@@ -51,12 +53,8 @@ def test_a_snapshot_plus_the_later_events_gives_the_later_snapshot(
 ) -> None:
     events = events_of(happenings)
     at = data.draw(st.integers(0, len(events)))
-    early = CaseView()
-    for event in events[:at]:
-        early = fold(early, event)
-    late = early
-    for event in events[at:]:
-        late = fold(late, event)
+    early = reduce(fold, events[:at], CaseView())
+    late = reduce(fold, events[at:], early)
     recorded = RecordedCase()
     recorded.extend(events)
     assert recorded.at(at) == early
@@ -78,28 +76,28 @@ def test_the_first_journal_line_names_the_theatre_and_the_last_the_outcome() -> 
     assert view_after(JournalLine(line={"entry": "opened", "banner": None})).banner == ""
 
 
+def view_at(*happenings: tuple[float, EventContent]) -> CaseView:
+    view = CaseView()
+    for number, (at_s, what) in enumerate(happenings, start=1):
+        view = fold(view, Event(number=number, host_time=MOMENT, theatre_time_s=at_s, what=what))
+    return view
+
+
 def test_the_health_of_the_robot_link_is_shown_with_its_age() -> None:
     health = LinkHealth(
         cycles=100, late=0, lost=0, rejected=0, turnaround_median_us=20.0, turnaround_p99_us=90.0
     )
-    said = Event(number=1, host_time=MOMENT, theatre_time_s=3.0, what=health)
     seen = DeviceState(device="arm", state="fault")
-    later = Event(number=2, host_time=MOMENT, theatre_time_s=45.0, what=seen)
-    view = fold(CaseView(), said)
-    assert "Robot link 42 s ago: 100 cycles, " in devices(fold(view, later))
+    assert "Robot link 42 s ago: 100 cycles, " in devices(view_at((3.0, health), (45.0, seen)))
     again = health.model_copy(update={"cycles": 1100})
-    moved = Event(number=3, host_time=MOMENT, theatre_time_s=53.0, what=again)
-    assert "1100 cycles at 20 Hz, " in devices(fold(fold(view, later), moved))
+    assert "1100 cycles at 20 Hz, " in devices(view_at((3.0, health), (45.0, seen), (53.0, again)))
 
 
 def test_the_rate_of_a_device_is_that_of_its_last_second_and_starts_again_with_it() -> None:
     def shown(*counts: tuple[float, int]) -> str:
         seen = DeviceState(device="tracker", state="active")
-        view = fold(CaseView(), Event(number=1, host_time=MOMENT, theatre_time_s=0.0, what=seen))
-        for number, (at_s, count) in enumerate(counts, start=2):
-            age = DeviceAge(device="tracker", age_s=0.0, readings=count)
-            view = fold(view, Event(number=number, host_time=MOMENT, theatre_time_s=at_s, what=age))
-        return devices(view)
+        ages = [(at_s, DeviceAge(device="tracker", age_s=0.0, readings=count)) for at_s, count in counts]
+        return devices(view_at((0.0, seen), *ages))
 
     assert "60 Hz" in shown((0.0, 1), (0.5, 20), (1.0, 61))
     assert "60 Hz" in shown((0.0, 1), (1.0, 61), (1.2, 61))
@@ -108,13 +106,8 @@ def test_the_rate_of_a_device_is_that_of_its_last_second_and_starts_again_with_i
 
 
 def test_a_journal_line_shows_its_time_and_what_it_is_about() -> None:
-    line = {
-        "entry": "stage",
-        "sequence": 121,
-        "host_time": "2026-11-21T10:21:05.246+00:00",
-        "trajectory": "T1",
-    }
-    view = view_after(JournalLine(line={**line, "task": "skin", "previous": "ab" * 32}))
+    line = {"sequence": 121, "host_time": "2026-11-21T10:21:05.246+00:00", "trajectory": "T1"}
+    view = view_after(JournalLine(line={"entry": "stage", **line, "task": "skin", "previous": "ab" * 32}))
     assert "<li>121 10:21:05 stage: T1, skin</li>" in journal(view)
 
 
@@ -126,9 +119,8 @@ def test_the_notice_of_a_failed_step_is_settled_once_the_step_is_done() -> None:
         StepState(step="check", state="begun"),
     )
     assert [one.settled for one in view_after(*failed).notices] == [False]
-    assert [one.settled for one in view_after(*failed, StepState(step="other", state="done")).notices] == [
-        False
-    ]
+    other = view_after(*failed, StepState(step="other", state="done"))
+    assert [one.settled for one in other.notices] == [False]
     passed = view_after(*failed, StepState(step="check", state="done"))
     assert [one.settled for one in passed.notices] == [True]
     assert "✓ settled TOOL-005" in notices(passed)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import math
 import struct
 from collections.abc import Callable
@@ -11,14 +10,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from nicegui import Client, ui
+from case_events import question
+from shown_page import on_a_page
 
 from console.scene.bodies import closest_pair, rotation_along
 from console.scene.head_surface import encode_stl, find_series_folder, head_surface
 from console.scene.sights import is_hidden, volume_edges
 from console.scene.theatre_scene import TheatreScene
 from procedures.engine.case_view import CaseView, ReportedPose
-from procedures.engine.events import Bodies, Body, MeasuringVolume, Pose, Questioned
+from procedures.engine.events import Bodies, Body, MeasuringVolume, Pose
 from procedures.imaging.volume import Volume, VoxelGeometry
 from procedures.reporting.case_figures import CaseFigures, TrajectoryFigure
 from ronna_hw.frames import Frame, Transform
@@ -126,11 +126,7 @@ OTHER_TOOL = NEAR.model_copy(update={"bodies_mm": (*NEAR.bodies_mm, *NEAR.bodies
 
 
 def in_a_scene(do: Callable[[TheatreScene], None]) -> None:
-    async def page() -> None:
-        with Client(ui.page("/of-a-test"), request=None):
-            do(TheatreScene(low=True))
-
-    asyncio.run(page())
+    on_a_page(lambda: do(TheatreScene(low=True)))
 
 
 def test_a_head_whose_place_is_no_longer_known_is_not_drawn_until_it_is_known_again() -> None:
@@ -172,9 +168,7 @@ def test_the_instrument_is_drawn_from_the_end_of_the_guide_to_the_planned_target
     pose = NEAR.model_copy(update={"bodies_mm": (*links, *tool)})
     path = TrajectoryFigure("T2", entry_mm=(0.0, 0.0, 150.0), target_mm=(0.0, 0.0, 100.0))
     there = CaseFigures(trajectories=(path,))
-    asked = Questioned(
-        question=1, topic="at_target:T2", subject="s", value="v", answers=("done", "hold"), timeout_s=None
-    )
+    asked = question(topic="at_target:T2")
 
     def do(scene: TheatreScene) -> None:
         view = CaseView(pose=ReportedPose(pose, 0.0), question=asked)

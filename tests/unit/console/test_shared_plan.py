@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from plan_editors import ENTRY, draw, save, scan
+from plan_editors import ENTRY, code_of, draw, save, scan
 
 from console.planning import plan_editor
 from console.planning.plan_editor import PlanEditor
@@ -18,21 +18,18 @@ from procedures.planning.plan_lock import lock_plan
 
 
 def test_unsaved_changes_are_restored_and_undo_returns_to_the_saved_plan(
-    editor: PlanEditor, file: Path
+    saved: PlanEditor, file: Path
 ) -> None:
-    draw(editor)
-    save(editor)
-    assert editor.store_draft() is None
-    draw(editor, standoff_mm=31.0)
-    half, name = editor.draft.with_new_way()
-    editor.change(half.with_way(name, replace(half.way(name), entry_mm=ENTRY)))
-    kept = editor.close()
+    assert saved.store_draft() is None
+    draw(saved, standoff_mm=31.0)
+    half, name = saved.draft.with_new_way()
+    saved.change(half.with_way(name, replace(half.way(name), entry_mm=ENTRY)))
+    kept = saved.close()
     assert kept is not None
 
     again = PlanEditor(scan(), file, None)
-    assert again.notice is not None
-    assert again.notice.code == "PLAN-029"
-    assert again.draft == editor.draft
+    assert code_of(again.notice) == "PLAN-029"
+    assert again.draft == saved.draft
     assert not again.is_saved
     again.undo()
     assert again.draft.standoff_mm == 30.0
@@ -40,40 +37,35 @@ def test_unsaved_changes_are_restored_and_undo_returns_to_the_saved_plan(
     assert not kept.exists()
 
 
-def test_an_undo_back_to_the_beginning_after_a_save_is_not_lost(editor: PlanEditor, file: Path) -> None:
-    draw(editor)
-    save(editor)
-    editor.close()
+def test_an_undo_back_to_the_beginning_after_a_save_is_not_lost(saved: PlanEditor, file: Path) -> None:
+    saved.close()
     second = PlanEditor(scan(), file, None)
     draw(second, standoff_mm=31.0)
     save(second)
     second.undo()
     assert second.close() is not None
     third = PlanEditor(scan(), file, None)
-    assert third.notice is not None
-    assert third.notice.code == "PLAN-029"
+    assert code_of(third.notice) == "PLAN-029"
     assert third.draft.standoff_mm == 30.0
 
 
 def test_a_second_planner_is_read_only_until_the_first_closes_and_then_continues_its_draft(
-    editor: PlanEditor, file: Path
+    saved: PlanEditor, file: Path
 ) -> None:
-    draw(editor)
-    save(editor)
-    draw(editor, standoff_mm=31.0)
+    draw(saved, standoff_mm=31.0)
     other = PlanEditor(scan(), file, None)
     assert other.draft.standoff_mm == 30.0
     assert f"another planner (process {os.getpid()} on " in str(other.read_only)
     draw(other, standoff_mm=35.0)
     assert other.draft.standoff_mm == 30.0
-    save(editor)
-    draw(editor, standoff_mm=32.0)
+    save(saved)
+    draw(saved, standoff_mm=32.0)
     assert other.store_draft() is None
     assert not other.begin_editing()
-    kept = editor.close()
+    kept = saved.close()
     assert kept is not None
     assert other.begin_editing()
-    assert other.draft == editor.draft
+    assert other.draft == saved.draft
     other.undo()
     assert other.draft.standoff_mm == 31.0
     other.close()
@@ -104,16 +96,14 @@ def test_a_read_only_planner_is_notified_when_the_plan_becomes_free(
 
 
 def test_a_plan_inside_a_run_opens_read_only_and_nothing_is_written_next_to_it(
-    editor: PlanEditor, tmp_path: Path
+    saved: PlanEditor, tmp_path: Path
 ) -> None:
-    draw(editor)
-    save(editor)
     case = tmp_path / "run" / "case"
     case.mkdir(parents=True)
     (tmp_path / "run" / "journal.jsonl").touch()
-    kept = editor.file.rename(case / "plan.toml")
+    kept = saved.file.rename(case / "plan.toml")
     looked = PlanEditor(scan(), kept, None)
-    assert looked.draft.ways == editor.draft.ways
+    assert looked.draft.ways == saved.draft.ways
     assert "run run, which must not change" in str(looked.read_only)
     draw(looked, standoff_mm=31.0)
     assert looked.close() is None
@@ -142,12 +132,10 @@ def test_unsaved_changes_to_a_plan_changed_meanwhile_are_set_aside_and_reported(
 
 
 def test_unsaved_changes_blocked_by_a_running_case_are_restored_when_it_has_ended(
-    editor: PlanEditor, file: Path
+    saved: PlanEditor, file: Path
 ) -> None:
-    draw(editor)
-    save(editor)
-    draw(editor, standoff_mm=31.0)
-    editor.close()
+    draw(saved, standoff_mm=31.0)
+    saved.close()
     with lock_plan(file):
         again = PlanEditor(scan(), file, None)
         assert again.draft.standoff_mm == 30.0
@@ -156,16 +144,14 @@ def test_unsaved_changes_blocked_by_a_running_case_are_restored_when_it_has_ende
     draw(again, standoff_mm=32.0)  # at once, before that is taken up
     assert again.begin_editing()
     assert again.draft.standoff_mm == 31.0
-    assert again.notice is not None
-    assert again.notice.code == "PLAN-029"
+    assert code_of(again.notice) == "PLAN-029"
 
 
 @pytest.mark.parametrize("content", [b"", b"{}", b"[1, 2", b'{"ways": 7}'])
 def test_damaged_unsaved_changes_are_set_aside(file: Path, content: bytes) -> None:
     file.with_name("plan.toml.unsaved").write_bytes(content)
     editor = PlanEditor(scan(), file, None)
-    assert editor.notice is not None
-    assert editor.notice.code == "PLAN-029"
+    assert code_of(editor.notice) == "PLAN-029"
     assert file.with_name("plan.toml.unsaved-1").read_bytes() == content
 
 
@@ -177,12 +163,10 @@ def test_a_pipe_in_place_of_a_plan_is_named_without_blocking_and_left_alone(file
 
 
 def test_a_plan_that_cannot_be_read_once_it_is_free_is_reported(
-    editor: PlanEditor, file: Path, monkeypatch: pytest.MonkeyPatch
+    saved: PlanEditor, file: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    draw(editor)
-    save(editor)
     other = PlanEditor(scan(), file, None)
-    editor.close()
+    saved.close()
 
     def unreadable(_path: Path) -> str:
         raise OSError(errno.EIO, "Input/output error")

@@ -44,6 +44,11 @@ def picture(plane: Plane, at_mm: np.ndarray) -> Cut:
     return Cut(at_mm, right, down, 0.4)
 
 
+def shown_grey(cut: Cut, window_hu: tuple[float, float]) -> np.ndarray:
+    picture = np.frombuffer(render_png(volume(), cut, window_hu), np.uint8)
+    return cv2.imdecode(picture, cv2.IMREAD_GRAYSCALE)
+
+
 @pytest.mark.parametrize("axes", [UPWARDS, TURNED])
 @pytest.mark.parametrize("plane", list(DIRECTIONS))
 def test_a_mark_appears_at_its_computed_picture_position(plane: Plane, axes: np.ndarray) -> None:
@@ -91,18 +96,14 @@ def test_every_pixel_agrees_with_scipy_interpolation(
 def test_unscanned_regions_are_grey_and_not_black_like_air() -> None:
     cut = picture(Plane.AXIAL, np.array([0.0, 0.0, 500.0]))
     assert (sample_cut_hu(volume(), cut) == UNSCANNED_HU).all()
-    shown = cv2.imdecode(
-        np.frombuffer(render_png(volume(), cut, (-100.0, 100.0)), np.uint8), cv2.IMREAD_GRAYSCALE
-    )
+    shown = shown_grey(cut, (-100.0, 100.0))
     assert shown.shape == (SIZE_PX, SIZE_PX)
     assert (shown == UNSCANNED_GREY).all()
 
 
 def test_the_window_is_black_at_its_lower_and_white_at_its_upper_limit() -> None:
     cut = picture(Plane.AXIAL, MARK_MM * (0.0, 0.0, 1.0))
-    shown = cv2.imdecode(
-        np.frombuffer(render_png(volume(), cut, (0.0, 500.0)), np.uint8), cv2.IMREAD_GRAYSCALE
-    )
+    shown = shown_grey(cut, (0.0, 500.0))
     hu = sample_cut_hu(volume(), cut)
     assert (shown[hu >= 500] == 255).all()
     middle = shown[(hu > 240) & (hu < 260)]

@@ -1,4 +1,4 @@
-"""A few mutants for every parser of external input; the full million is in tests/soak."""
+"""Mutants for every parser of external input: a few, and a million in a soak."""
 
 from __future__ import annotations
 
@@ -17,11 +17,14 @@ from sim.world.world import _FAULTS, _STAND, World
 Change = Callable[[tuple[bytes, ...]], bytes]
 
 FEW = 40
+MILLION = 1_000_000
+SHARES = 10  # of the million, each with a seed of its own, so that several workers take part
 TAKE_LONG = ("results of a run", "DICOM JPEG", "DICOM RLE", "DICOM JPEG 2000", "DICOM JPEG-LS")
 REFUSING = ("Polaris BX", "Polaris .rom", "EKI", "RSI", "RSI reply")  # most mutants are none of theirs
 MUTANTS = {  # of parsers that take some microseconds, and of some that take a tenth of a second
     **dict.fromkeys(TAKE_LONG, 12),
     **dict.fromkeys((*REFUSING, "GVCP", "GVSP", "conformance BX"), 1000),
+    **dict.fromkeys(("RTDE", "RTDE set-up", "UR dashboard", "UR primary"), 600),
     "Polaris text": 300,
 }
 
@@ -162,3 +165,14 @@ def test_a_parser_accepts_valid_input_and_reads_or_refuses_mutants(
         read = feed(parser, count, seed=1)
     if name in REFUSING:
         assert 0 < read < 0.6 * count
+
+
+@pytest.mark.soak
+@pytest.mark.timeout(3600)
+@pytest.mark.parametrize("seed", range(400, 400 + SHARES))
+@pytest.mark.parametrize("name", PARSER_NAMES)
+def test_a_million_mutants_cost_a_bounded_amount(
+    all_parsers: dict[str, Parser], name: str, seed: int
+) -> None:
+    with bounded_cost(limit_s=3600.0):  # each has its own limit
+        feed(all_parsers[name], MILLION // SHARES, seed)

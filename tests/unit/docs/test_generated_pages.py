@@ -3,12 +3,18 @@
 from __future__ import annotations
 
 import re
+import tomllib
+from collections.abc import Callable
 from pathlib import Path
 
 import generate
 import pytest
 from model_tables import model_tables
 from pydantic import BaseModel, Field
+from reference_tables import REFERENCE
+
+from procedures.planning.plan_file import read_plan
+from procedures.runs.answers import read_answers
 
 
 def test_the_generated_tables_are_up_to_date() -> None:
@@ -90,3 +96,40 @@ def test_decisions_are_numbered_consecutively_and_all_in_their_index() -> None:
     titled = [int(page.read_text("utf-8").removeprefix("# ").partition(".")[0]) for page in pages]
     assert listed == [(number, number) for number in range(1, len(pages) + 1)]
     assert titled == [number for number, _ in listed]
+
+
+PAGE = (ROOT / "docs/explanation/rooms.md").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    "package", ["ronna_hw", "conformance", "drivers", "sim", "procedures", "studies", "console"]
+)
+def test_every_subpackage_is_listed_once(package: str) -> None:
+    section = PAGE.partition(f"\n## `{package}`\n")[2].partition("\n## ")[0]
+    listed = re.findall(r"^\| `(\w+)` \|", section, re.MULTILINE)
+    there = sorted(one.parent.name for one in (ROOT / package).glob("*/__init__.py"))
+    assert sorted(listed) == there
+
+
+def test_what_the_console_may_import_is_all_that_its_contract_does_not_forbid() -> None:
+    contracts = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["tool"]["importlinter"][
+        "contracts"
+    ]
+    (console,) = (one for one in contracts if one.get("source_modules") == ["console"])
+    named = PAGE.partition("| `console` |")[2].partition("of `procedures` only ")[2].partition("\n")[0]
+    allowed = {f"procedures.{room}" for room in re.findall(r"`(\w+)`", named)}
+    rooms = {f"procedures.{one.parent.name}" for one in (ROOT / "procedures").glob("*/__init__.py")}
+    assert allowed == rooms - set(console["forbidden_modules"])
+
+
+@pytest.mark.parametrize(
+    ("page", "read"), [("plan-file.md", read_plan), ("answers.md", read_answers)], ids=["plan", "answers"]
+)
+def test_the_example_of_a_reference_page_is_accepted(
+    page: str, read: Callable[[Path], object], tmp_path: Path
+) -> None:
+    text = (REFERENCE / page).read_text(encoding="utf-8")
+    (example,) = (part.partition("\n```")[0] for part in text.split("```toml\n")[1:])
+    file = tmp_path / "example.toml"
+    file.write_text(example, encoding="utf-8")
+    read(file)

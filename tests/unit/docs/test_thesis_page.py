@@ -1,4 +1,4 @@
-"""Every row of `docs/reference/thesis.md` names modules that import, and commands and links that exist."""
+"""The pages on the thesis name what exists: modules, commands, links, and what Python answers."""
 
 from __future__ import annotations
 
@@ -7,11 +7,16 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import typer
+from documented import run_exercises
+from user_commands import Commands
 
 from procedures.journal.journal import JOURNAL_FILE
+from procedures.registration.correspondence import MatchStatus
 from ronna_hw.command_line.launch import COMMANDS
+from studies.thesis_figures import MATRIX_FIDUCIALS, draw_matrix_run, figures
 
 ROOT = Path(__file__).resolve().parents[3]
 PAGE = ROOT / "docs" / "reference" / "thesis.md"
@@ -112,3 +117,33 @@ def anchors_of(file: Path) -> set[str]:
     headings = re.findall(r"^#+ (.+)$", file.read_text(encoding="utf-8"), re.MULTILINE)
     plain = [re.sub(r"[`*]|\[([^\]]+)\]\([^)]+\)", r"\1", one).lower() for one in headings]
     return {re.sub(r"[^\w\- ]", "", one).replace(" ", "-") for one in plain}
+
+
+CHAPTER_2 = "docs/reference/thesis-chapter-2.md"
+PNG = b"\x89PNG"
+
+
+def test_the_page_shows_what_python_answers(commands: Commands, tmp_path: Path) -> None:
+    assert run_exercises(CHAPTER_2, commands, tmp_path) >= 20
+
+
+def test_the_matrix_of_figure_11_loses_a_point_in_every_iteration_until_the_pairs_stand_out() -> None:
+    steps, found = draw_matrix_run()
+    sizes = [len(step.rows) + len(step.columns) for step in steps]
+    assert np.diff(sizes).tolist() == [-1] * (len(sizes) - 1)
+    assert found.status is MatchStatus.UNIQUE
+    assert len(found.pairs) == MATRIX_FIDUCIALS
+    last = steps[-1]
+    for image, physical in found.pairs.tolist():
+        cell = last.matrix[last.rows.tolist().index(image), last.columns.tolist().index(physical)]
+        assert cell == MATRIX_FIDUCIALS - 1
+
+
+@pytest.mark.slow
+def test_every_figure_is_drawn() -> None:
+    assert {name.split("-")[1] for name, picture in figures().items() if picture.startswith(PNG)} == {
+        "4",
+        "5",
+        "6",
+        "11",
+    }

@@ -62,16 +62,14 @@ def test_the_bodies_of_one_arm_do_not_follow_the_joints_of_another() -> None:
     assert view.pose.pose == own
 
 
-def test_a_long_case_keeps_a_bounded_number_of_journal_lines() -> None:
+def test_a_long_case_of_many_devices_keeps_a_bounded_view() -> None:
     lines = [JournalLine(line={"entry": "motion", "sequence": number}) for number in range(2 * JOURNAL_KEPT)]
-    assert len(view_after(*lines).journal) == JOURNAL_KEPT
+    devices = [DeviceState(device=f"d{number}", state="active") for number in range(200)]
+    seen = view_after(*lines, *devices)
+    assert len(seen.journal) == JOURNAL_KEPT
+    assert list(seen.devices) == [f"d{number}" for number in range(MOST_DEVICES)]
 
 
 def test_a_fault_notice_shows_the_advice_only_once() -> None:
     view = view_after(Fault(code="RSI-010", what="RSI-010: it stopped. Look.", advice="Look."))
     assert (view.notices[0].what, view.notices[0].advice) == ("it stopped.", "Look.")
-
-
-def test_a_file_of_more_devices_than_any_theatre_has_does_not_fill_every_stored_view() -> None:
-    seen = view_after(*(DeviceState(device=f"d{number}", state="active") for number in range(200)))
-    assert list(seen.devices) == [f"d{number}" for number in range(MOST_DEVICES)]

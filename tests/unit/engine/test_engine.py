@@ -14,11 +14,14 @@ from procedures.engine.engine import Engine
 from procedures.engine.errors import WRONG_RESULT
 from procedures.engine.events import Questioned
 from procedures.engine.order import Outcome
+from procedures.engine.run_folder import close_run
+from procedures.engine.setting import ClinicalInput
 from procedures.journal.errors import JournalNotWritable, StepRefused
-from procedures.journal.journal import JOURNAL_FILE, Entry, JournalValue, read_journal
+from procedures.journal.journal import JOURNAL_FILE, Entry, Journal, JournalValue, read_journal
 from procedures.journal.results import StepResult
 from procedures.operator.errors import NotConfirmed
 from procedures.operator.question import Question, Topic
+from procedures.strategies.catalogue import find_strategy
 from ronna_hw.errors import LinkTimeout
 from ronna_hw.records import BadRecord, read_record
 
@@ -127,17 +130,23 @@ def test_a_refused_step_lists_its_unmet_conditions_and_is_journalled(cell: Recor
     assert cell.room.announced == []
 
 
-def test_a_failed_step_stops_the_arm_and_can_be_repeated(cell: RecordingCell) -> None:
-    def fail(_context: StepContext) -> Outcome[StepResult]:
+@pytest.mark.parametrize(
+    ("problem", "entry"),
+    [(LinkTimeout("the tracker is silent"), "failed"), (KeyboardInterrupt(), "interrupted")],
+)
+def test_a_step_that_fails_or_is_interrupted_stops_the_arm_and_if_failed_can_be_repeated(
+    cell: RecordingCell, problem: BaseException, entry: str
+) -> None:
+    def ends(_context: StepContext) -> Outcome[StepResult]:
         cell.arm.activate()
-        raise LinkTimeout("the tracker is silent")
+        raise problem
 
-    engine = cell.engine(plain_order(image=fail))
-    with pytest.raises(LinkTimeout):
+    engine = cell.engine(plain_order(image=ends))
+    with pytest.raises(type(problem)):
         run(engine, "image")
     assert cell.arm.stops == 1
-    assert cell.entries()[-1] == ("failed", "image")
-    assert engine.why_refused(engine.order.find("image")) == ()
+    assert cell.entries()[-1] == (entry, "image")
+    assert (engine.why_refused(engine.order.find("image")) == ()) is (entry == "failed")
 
 
 def test_files_attached_to_an_error_are_kept_in_the_run_folder(cell: RecordingCell) -> None:
@@ -167,17 +176,6 @@ def test_an_attachment_that_cannot_be_written_hides_neither_the_error_nor_the_ot
         run(cell.engine(plain_order(image=fail)), "image")
     last = list(read_journal(cell.folder / JOURNAL_FILE))[-1]
     assert (last["entry"], last["files"]) == ("failed", ["cycles.txt"])
-
-
-def test_an_interrupted_step_stops_the_arm_and_is_journalled(cell: RecordingCell) -> None:
-    def interrupt(_context: StepContext) -> Outcome[StepResult]:
-        cell.arm.activate()
-        raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        run(cell.engine(plain_order(image=interrupt)), "image")
-    assert cell.arm.stops == 1
-    assert cell.entries()[-1] == ("interrupted", "image")
 
 
 def test_a_rejected_confirmation_fails_the_step_and_is_recorded_with_value_and_answer(
@@ -352,3 +350,16 @@ def test_recordings_are_saved_before_the_result_is_journalled(cell: RecordingCel
     engine.run_step(engine.order.sequence[0])
     assert lines_then == ["intent"]
     assert list(read_journal(cell.journal.path))[-1]["beside"] == "kept"
+
+
+def test_ct_plan_and_proposed_place_outside_the_run_are_recorded_by_hash(tmp_path: Path) -> None:
+    case, run = tmp_path / "case", tmp_path / "run"
+    (case / "ct").mkdir(parents=True)
+    run.mkdir()
+    files = [case / "ct" / "1.dcm", case / "plan.toml", case / "place.json"]
+    for one in files:
+        one.write_text(one.name)
+    clinical = ClinicalInput(case / "ct", case / "plan.toml", find_strategy("ocs"))
+    close_run(run, Journal(run), 0.0, "done", clinical)
+    last = json.loads((run / JOURNAL_FILE).read_text().splitlines()[-1])
+    assert set(last["inputs"]) == {str(one) for one in files}

@@ -2,7 +2,8 @@
 
 import fcntl
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator
+from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -26,14 +27,21 @@ def written(folder: Path) -> list[Event]:
     return [Event.model_validate_json(line) for line in (folder / EVENTS_FILE).read_bytes().splitlines()]
 
 
+@contextmanager
+def recorded(folder: Path, **options: int) -> Iterator[EventStream]:
+    """A stream whose events are in the file of that folder at the end."""
+    stream = EventStream()
+    file = EventFile(folder, stream, **options)
+    yield stream
+    ended(stream, file)
+
+
 def ended(stream: EventStream, file: EventFile) -> None:
     stream.end()
     file.join()
 
 
-def test_a_follower_that_looks_at_the_wrong_instant_keeps_no_events_from_the_file(
-    tmp_path: Path,
-) -> None:
+def test_a_follower_that_looks_at_the_wrong_instant_keeps_no_events_from_the_file(tmp_path: Path) -> None:
     path = tmp_path / EVENTS_FILE
     looking = os.open(path, os.O_RDWR | os.O_CREAT)
     fcntl.flock(looking, fcntl.LOCK_SH)
@@ -53,13 +61,11 @@ def test_a_follower_that_looks_at_the_wrong_instant_keeps_no_events_from_the_fil
 
 
 def test_the_file_contains_every_fact_and_the_last_of_a_burst_of_poses(tmp_path: Path) -> None:
-    stream = EventStream()
-    file = EventFile(tmp_path, stream)
-    stream.publish(pose(-1.0))
-    for number in range(300):
-        stream.publish(CaseState(state=str(number)))
-        stream.publish(pose(float(number)))
-    ended(stream, file)
+    with recorded(tmp_path) as stream:
+        stream.publish(pose(-1.0))
+        for number in range(300):
+            stream.publish(CaseState(state=str(number)))
+            stream.publish(pose(float(number)))
     happened = [event.what for event in written(tmp_path)]
     assert [what.state for what in happened if isinstance(what, CaseState)] == [str(n) for n in range(300)]
     poses = [what for what in happened if isinstance(what, Pose)]
@@ -71,28 +77,22 @@ def test_the_file_contains_every_fact_and_the_last_of_a_burst_of_poses(tmp_path:
 
 
 def test_signals_are_limited_in_size_and_facts_are_not(tmp_path: Path) -> None:
-    stream = EventStream()
-    file = EventFile(tmp_path, stream, signals_bytes=0)
-    stream.publish(pose(0.0))
-    stream.publish(CaseState(state="idle"))
-    ended(stream, file)
+    with recorded(tmp_path, signals_bytes=0) as stream:
+        stream.publish(pose(0.0))
+        stream.publish(CaseState(state="idle"))
     assert [event.what for event in written(tmp_path)] == [CaseState(state="idle"), SignalsLost(count=1)]
 
 
 def test_an_unwritable_event_file_blocks_nothing(tmp_path: Path) -> None:
     (tmp_path / EVENTS_FILE).mkdir()
-    stream = EventStream()
-    file = EventFile(tmp_path, stream)
-    stream.publish(CaseState(state="idle"))
-    ended(stream, file)
+    with recorded(tmp_path) as stream:
+        stream.publish(CaseState(state="idle"))
 
 
 def test_a_line_torn_by_a_kill_is_cut_off_before_the_next_session_writes(tmp_path: Path) -> None:
     (tmp_path / EVENTS_FILE).write_bytes(b'{"version":1,"numb')
-    stream = EventStream()
-    file = EventFile(tmp_path, stream)
-    stream.publish(CaseState(state="recovery"))
-    ended(stream, file)
+    with recorded(tmp_path) as stream:
+        stream.publish(CaseState(state="recovery"))
     assert [event.what for event in written(tmp_path)] == [CaseState(state="recovery")]
 
 
@@ -110,7 +110,8 @@ def test_a_follower_gets_the_current_state_and_then_the_changes_until_the_run_en
     file = EventFile(tmp_path, stream)
     stream.publish(CaseState(state="idle"))
     stream.publish(CaseState(state="paused"))
-    _await_lines(tmp_path, 2)
+    while (tmp_path / EVENTS_FILE).read_bytes().count(b"\n") < 2:
+        os.sched_yield()
 
     def meanwhile(_wait_s: float) -> None:
         stream.publish(CaseState(state="finished"))
@@ -119,17 +120,10 @@ def test_a_follower_gets_the_current_state_and_then_the_changes_until_the_run_en
     assert followed(FollowedRun(tmp_path, meanwhile)) == [["paused"], ["finished"]]
 
 
-def _await_lines(folder: Path, count: int) -> None:
-    while (folder / EVENTS_FILE).read_bytes().count(b"\n") < count:
-        os.sched_yield()
-
-
 @pytest.mark.parametrize(("entry", "closed"), [("closed", True), ("motion", False)])
 def test_a_follower_knows_whether_the_run_was_closed(tmp_path: Path, entry: str, closed: bool) -> None:
-    stream = EventStream()
-    file = EventFile(tmp_path, stream)
-    stream.publish(JournalLine(line={"entry": entry}))
-    ended(stream, file)
+    with recorded(tmp_path) as stream:
+        stream.publish(JournalLine(line={"entry": entry}))
     run = FollowedRun(tmp_path)
     assert list(map(len, run.batches())) == [1]
     assert run.closed is closed
@@ -164,21 +158,15 @@ def test_a_line_that_is_not_an_event_of_this_version_is_refused_with_its_number(
 ) -> None:
     (tmp_path / EVENTS_FILE).write_bytes(line + b"\n")
     with raises(EVENTS_UNREADABLE, match="line 1"):
-        _all(FollowedRun(tmp_path))
-
-
-def _all(run: FollowedRun) -> list[Sequence[Event]]:
-    return list(run.batches())
+        list(FollowedRun(tmp_path).batches())
 
 
 def test_the_sessions_of_a_resumed_run_are_followed_one_after_the_other(tmp_path: Path) -> None:
     for states in (("idle", "held"), ("recovery", "finished")):
-        stream = EventStream()
-        file = EventFile(tmp_path, stream)
-        for state in states:
-            stream.publish(CaseState(state=state))
-            stream.publish(pose(0.0))
-        ended(stream, file)
+        with recorded(tmp_path) as stream:
+            for state in states:
+                stream.publish(CaseState(state=state))
+                stream.publish(pose(0.0))
     (course,) = FollowedRun(tmp_path).batches(whole=True)
     happened = [event.what for event in course]
     states_seen = [what.state for what in happened if isinstance(what, CaseState)]

@@ -1,4 +1,5 @@
 import pytest
+from case_events import question
 
 from procedures.engine.events import (
     Answered,
@@ -7,7 +8,6 @@ from procedures.engine.events import (
     Fault,
     JournalLine,
     Pose,
-    Questioned,
     Refusal,
     StepState,
 )
@@ -16,17 +16,6 @@ from procedures.engine.events.stream import LAST_LINES
 
 def pose(joint_rad: float, arm: str = "master") -> Pose:
     return Pose(arm=arm, joints_rad=(joint_rad,), age_s=0.0)
-
-
-def question(number: int) -> Questioned:
-    return Questioned(
-        question=number,
-        topic="pause",
-        subject="Paused",
-        value="here",
-        answers=("continue", "abort"),
-        timeout_s=None,
-    )
 
 
 def test_events_are_numbered_from_one_in_order() -> None:

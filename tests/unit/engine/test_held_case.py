@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from types import SimpleNamespace
-from typing import cast
+from typing import Any, cast
 
 import pytest
 from plain_steps import plain_order
 from recording_cell import GUIDE, HOME, RecordingCell, RecordingOperator, tool_pose
 
 from procedures.engine.context import StepContext
+from procedures.engine.device_faults import DeviceFaults
 from procedures.engine.engine import Engine
 from procedures.journal.errors import StepRefused
 from procedures.journal.journal import JOURNAL_FILE, read_journal
@@ -18,11 +19,13 @@ from procedures.operator.question import Topic
 from procedures.steps.conditions import needs_arm_home
 from procedures.workcell import InsertionAxis, MountedTool
 from procedures.workcell.arm_history import ArmPlace, HeldInstrument, PlaceKind
+from procedures.workcell.arms import Halt
 from ronna_hw.devices.capabilities import Fact
 from ronna_hw.devices.errors import PersonNotNamed, WrongState
 from ronna_hw.devices.lifecycle import LastKnown, Lifecycle
-from ronna_hw.errors import LinkTimeout
+from ronna_hw.errors import LimitError, LinkTimeout
 from ronna_hw.frames import Transform
+from ronna_hw.roles import ASSISTANT, MASTER
 from ronna_hw.wire.room_tasks import EMPTY
 
 
@@ -271,7 +274,7 @@ class HoldingAssistant(SimpleNamespace):
 
 @pytest.mark.hazard(63)
 def test_a_holder_that_may_hold_an_instrument_is_emptied_although_none_is_in_the_guide(
-    cell: RecordingCell, monkeypatch: pytest.MonkeyPatch
+    cell: RecordingCell,
 ) -> None:
     cell.operator = RecordingOperator(Topic.INSTRUMENT_OUT)
     engine, assistant = cell.engine(plain_order()), HoldingAssistant()
@@ -288,9 +291,7 @@ def test_a_holder_that_may_hold_an_instrument_is_emptied_although_none_is_in_the
 
 
 @pytest.mark.hazard(63)
-def test_what_is_taken_out_of_the_guide_is_taken_out_of_the_holder_too(
-    cell: RecordingCell, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_is_taken_out_of_the_guide_is_taken_out_of_the_holder_too(cell: RecordingCell) -> None:
     engine, assistant = cell.engine(plain_order()), HoldingAssistant()
     cell.workcell.master.instrument.record_insertion("T1")
     cell.add_assistant(assistant)
@@ -300,12 +301,52 @@ def test_what_is_taken_out_of_the_guide_is_taken_out_of_the_holder_too(
     assert cell.workcell.master.instrument.inside is None
 
 
-def test_staff_go_to_clamp_and_cart_with_every_arm_at_home(
-    cell: RecordingCell, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_staff_go_to_clamp_and_cart_with_every_arm_at_home(cell: RecordingCell) -> None:
     context = cast("StepContext", SimpleNamespace(workcell=cell.workcell))
     cell.workcell.master.set_home()
     assert needs_arm_home(context) == ()
     away = SimpleNamespace(name="assistant", place=ArmPlace(PlaceKind.AWAY))
     cell.add_assistant(away)
     assert needs_arm_home(context) == ("the assistant is not home: send it there first (home)",)
+
+
+FROZEN = "the assistant has gone to fault: its telegrams stopped"
+
+
+class Stopped(LimitError):
+    """A stop, for these tests."""
+
+    code = "TST-001"
+
+
+def doubts_after(halt: Halt | None) -> list[str]:
+    """Return what is said to have cast doubt on the bases after a fault of the arm."""
+    lines: list[str] = []
+    order = SimpleNamespace(localizations=(), checks_of_tool=(), relations_of_arms=("base_to_base",))
+    case = SimpleNamespace(trusts=lambda _key: True, doubt=lambda _key, _fault: None)
+    known = LastKnown[object](Lifecycle.FAULT, Stopped("a stop was requested"), None)
+    master = SimpleNamespace(role=MASTER)
+    devices = {"arm": SimpleNamespace(observe=lambda: known)}
+    clock = SimpleNamespace(now_s=lambda: 12.0)
+    cell = SimpleNamespace(
+        devices=devices, halt=halt, master=master, clock=clock, arm_of_device=lambda _name: master
+    )
+    faults = DeviceFaults(
+        cast("Any", SimpleNamespace(order=order, case=case)),
+        cast("Any", cell),
+        cast("Any", SimpleNamespace(write=lambda _entry, _at_s, **more: lines.append(more["fault"]))),
+    )
+    faults.doubt_results()
+    return lines
+
+
+@pytest.mark.parametrize(
+    ("halt", "says"),
+    [
+        (Halt(ASSISTANT, FROZEN, None), f"a stop was requested, since {FROZEN} (theatre time 12 s)"),
+        (Halt(MASTER, "the master has gone to fault", None), "a stop was requested (theatre time 12 s)"),
+        (None, "a stop was requested (theatre time 12 s)"),
+    ],
+)
+def test_a_doubt_names_the_arm_for_which_the_other_was_stopped(halt: Halt | None, says: str) -> None:
+    assert doubts_after(halt) == [f"TST-001: {says}"]

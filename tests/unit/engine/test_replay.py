@@ -18,7 +18,7 @@ from drivers.kuka_rsi.errors import STREAM_ERRORS
 from procedures.engine.context import StepContext
 from procedures.engine.errors import NotRecorded
 from procedures.engine.order import CaseOrder, Outcome
-from procedures.engine.replay.recorded_answers import read_answers, read_in_order, section_follower
+from procedures.engine.replay.recorded_answers import iterate_readings, read_answers, section_follower
 from procedures.engine.replay.recorded_people import KNOWN_MEMBERS, RecordedOperator
 from procedures.engine.replay.replay import ReplayedRecord, ReplayInput, ReplayVerdict, replay
 from procedures.engine.run_folder import run_of
@@ -454,7 +454,7 @@ def test_a_damaged_answer_is_refused(tmp_path: Path, change: dict[str, object]) 
     with (folder / READINGS_FILE).open("a") as file:
         file.write(json.dumps(line | change) + "\n")
     with bounded_cost(), pytest.raises(NotRecorded, match="damaged"):
-        list(read_in_order(tmp_path))
+        [one.load() for one in iterate_readings(tmp_path)]
 
 
 @pytest.mark.parametrize("opening", [5, {"series": 5}, {"began": "soon"}, {"calibration": []}], ids=repr)

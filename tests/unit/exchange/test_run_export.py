@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from clinical_case import FIRST, LAST, ROBOT_FROM_CT, ClinicalCell
 from coded_errors import raises
+from finished_runs import recorded_run
 from prepared_results import (
     SERIES,
     checked_plan,
@@ -26,13 +27,12 @@ from prepared_results import (
 from pydicom import dcmread
 from scipy.spatial.transform import Rotation
 
-from procedures.engine.case import Case, StepKey
+from procedures.engine.case import StepKey
 from procedures.exchange.allowed_fields import FILES
 from procedures.exchange.errors import NOT_WRITABLE, NOTHING_TO_EXPORT, UNKNOWN_FORM
 from procedures.exchange.run_export import export_run
 from procedures.exchange.sphere_files import check_names
-from procedures.journal.journal import Entry, Journal
-from procedures.journal.results import FramedPose, StepResult
+from procedures.journal.results import FramedPose
 from procedures.planning.guide import depth_stop_mm, place_guide
 from procedures.planning.plan_model import PlannedTrajectory
 from procedures.postoperative.comparison import FoundKind, FoundTrajectory
@@ -43,7 +43,7 @@ from procedures.steps.clinical.results import RegisteredRobot
 from procedures.steps.clinical.work_progress import DepthStop
 from procedures.strategies.trajectory import target_pose
 from ronna_hw.evidence.journal_reading import RUN_CHANGED
-from ronna_hw.evidence.manifest import RAW_FOLDER, hash_files_at_closing, seal
+from ronna_hw.evidence.manifest import RAW_FOLDER, seal
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.records import OTHER_VERSION
 
@@ -61,32 +61,13 @@ def fit(trajectory: str, x_mm: float) -> RegisteredRobot:
     return done.model_copy(update={"predictions": (done.prediction(trajectory),)})
 
 
-def record(run: Path, *results: tuple[StepKey, StepResult], opened: dict[str, str] | None = None) -> Path:
-    """A run folder with these results, in this order, each in place of a former one of its step."""
-    run.mkdir(exist_ok=True)
-    case, journal = Case(run), Journal(run)
-    if opened is not None:
-        journal.write(Entry.OPENED, 0.0, run=run.name, **opened)
-    for key, result in results:
-        stored = case.store(key, result, ())
-        gone = [one.identifier for one in case.records_superseded_by(key)]
-        names = {"record": stored.record.identifier, "sha256": stored.record.sha256}
-        journal.write(Entry.RESULT, 0.0, step=str(key), supersedes=gone, **names)
-        case.accept(key, stored)
-    files = hash_files_at_closing(run)
-    journal.write(Entry.CLOSED, 0.0, outcome="done", files=files)
-    journal.close()
-    seal(run, files)
-    return run
-
-
 IN_CT = ((StepKey("ct_import"), IMPORTED), (StepKey("fiducial_localization"), SPHERES))
 
 
 @pytest.fixture
 def finished(tmp_path: Path) -> Path:
     fits = (("T1", 1.0), ("T2", 2.0), ("T1", 3.0))
-    return record(
+    return recorded_run(
         tmp_path / "run", *IN_CT, *((StepKey("registration", name), fit(name, x)) for name, x in fits)
     )
 
@@ -138,13 +119,13 @@ def test_the_registrations_reference_the_exported_spheres(finished: Path) -> Non
 
 
 def test_a_run_without_a_ct_is_refused(tmp_path: Path) -> None:
-    run = record(tmp_path / "run", (StepKey("registration", "T1"), fit("T1", 1.0)))
+    run = recorded_run(tmp_path / "run", (StepKey("registration", "T1"), fit("T1", 1.0)))
     with raises(NOTHING_TO_EXPORT, match="EXC-003"):
         export_run(run, tmp_path / "export")
 
 
 def test_a_run_that_ended_early_is_exported_as_far_as_it_came(tmp_path: Path) -> None:
-    run = record(tmp_path / "run", *IN_CT, (StepKey("plan_check"), PLAN))
+    run = recorded_run(tmp_path / "run", *IN_CT, (StepKey("plan_check"), PLAN))
     exported = export_run(run, tmp_path / "export")
     index = json.loads((tmp_path / "export" / "export.json").read_text())
     assert {path.name for path in exported.files} == set(index["files"]) | {"export.json"}
@@ -188,7 +169,7 @@ def whole_run(folder: Path) -> Path:
             trajectories=(found_in_later_ct(planned),),
         ).model_dump_json(by_alias=True)
     )
-    return record(
+    return recorded_run(
         folder,
         *(*IN_CT, (StepKey("plan_check"), PLAN), (StepKey("set_up"), checked_set_up(cell))),
         (StepKey("registration"), registered_robot()),
@@ -320,21 +301,18 @@ def test_the_errors_are_kept_apart_by_where_they_come_from(exported: Path) -> No
 def test_a_real_theatre_has_no_true_error_even_if_its_folder_names_one(tmp_path: Path) -> None:
     (tmp_path / "run" / "report").mkdir(parents=True)
     (tmp_path / "run" / "report" / "truth.json").write_text(Truth(targets=(TRUE,)).model_dump_json())
-    run = record(tmp_path / "run", *IN_CT, (StepKey("plan_check"), PLAN))
+    run = recorded_run(tmp_path / "run", *IN_CT, (StepKey("plan_check"), PLAN))
     assert "true errors" in export_run(run, tmp_path / "out").absent
     assert {row["simulated_error_mm"] for row in rows_of(tmp_path / "out" / "errors.csv")} == {""}
 
 
-def test_a_changed_record_is_not_exported(finished: Path) -> None:
+@pytest.mark.parametrize("damage", ["changed", "missing"])
+def test_a_changed_or_missing_record_is_named_and_nothing_is_exported(finished: Path, damage: str) -> None:
     path = finished / "records" / "04-registration-T2.json"
     path.write_text(path.read_text().replace("0.95", "0.99"))
-    with raises(RUN_CHANGED, match=r"PRO-033: .*04-registration-T2"):
-        export_run(finished, finished / "export")
-
-
-def test_a_missing_record_is_named_and_nothing_is_exported(finished: Path) -> None:
-    (finished / "records" / "04-registration-T2.json").unlink()
-    with raises(RUN_CHANGED, match=r"PRO-033: .*04-registration-T2\.json: missing"):
+    if damage == "missing":
+        path.unlink()
+    with raises(RUN_CHANGED, match=rf"PRO-033: .*04-registration-T2\.json: {damage}"):
         export_run(finished, finished / "export")
     assert not (finished / "export").exists()
 

@@ -92,14 +92,12 @@ WITH_ARMS_MM = np.array(
 GHOST_MM = np.array([-8.18, -136.62, -1990.91])
 
 
-def marker_behind(ghost_mm: NDArray[np.float64], eye_mm: NDArray[np.float64]) -> NDArray[np.float64]:
-    return ghost_mm + 0.1 * (ghost_mm - eye_mm)
-
-
 @pytest.mark.hazard(12)
 @pytest.mark.hazard(14)
 def test_a_ghost_beside_a_hidden_sphere_does_not_make_a_moved_head_and_a_moved_sphere_does() -> None:
-    other_mm = marker_behind(GHOST_MM, np.array(SENSORS_MM[1]))[None]
+    other_mm = (GHOST_MM + 0.1 * (GHOST_MM - SENSORS_MM[1]))[
+        None
+    ]  # a marker behind it, from the second sensor
     found = {}
     for name, markers_mm in (("ghost", other_mm), ("moved", np.empty((0, 3)))):
         head = HeadFrames(WITH_ARMS_MM)

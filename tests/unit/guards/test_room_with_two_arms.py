@@ -143,19 +143,10 @@ class Led:
 
 
 @pytest.mark.hazard(64)
-def test_a_cart_that_moves_across_the_axis_is_noticed_on_the_way() -> None:
-    led = Led()
-    assert not led.see()
-    assert led.see(shifted(0.0, 1.2, 0.0))
-
-
-@pytest.mark.hazard(64)
-def test_a_cart_that_turns_about_its_frame_is_noticed_where_the_clamp_is() -> None:
-    led = Led()
-    assert led.see(turned_about(led.room.frame_mm, 2.0))
-
-
-def test_a_way_along_the_axis_and_hidden_frames_stop_nothing() -> None:
-    led = Led()
-    assert not led.see(shifted(0.0, 0.0, 3.0))
-    assert not Led().see(shifted(0.0, 2.0, 0.0), hidden=True)
+def test_a_cart_that_moves_across_the_axis_or_turns_is_noticed_on_the_way_and_nothing_else_is() -> None:
+    across, turned, along, hidden = Led(), Led(), Led(), Led()
+    assert not across.see()
+    assert across.see(shifted(0.0, 1.2, 0.0))
+    assert turned.see(turned_about(turned.room.frame_mm, 2.0))
+    assert not along.see(shifted(0.0, 0.0, 3.0))
+    assert not hidden.see(shifted(0.0, 2.0, 0.0), hidden=True)

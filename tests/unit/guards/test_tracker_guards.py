@@ -10,7 +10,7 @@ import pytest
 from room_trials import TrackedCase
 
 from procedures.engine.setting import CaseMemory
-from procedures.guards.head_sight import Approach
+from procedures.guards.head_sight import HeadSight
 from procedures.guards.tracker_guards import BETWEEN_LOOKS_S, JUDGED, TrackerLink
 from ronna_hw.devices import OpticalTracker
 from ronna_hw.devices.lifecycle import Lifecycle
@@ -56,11 +56,11 @@ class Bench:
         tracker = cast("OpticalTracker", self.tracker)
         self.guard = TrackerLink(tracker, self.memory, lambda: self.time_s)
 
-    def approach(self) -> Approach:
+    def approach(self) -> HeadSight:
         room = TrackedCase(0).begin()
-        room.head_sight.approach = Approach(lambda: False, under_way=True)
+        room.head_sight.under_way = True
         self.memory.keep(room)
-        return room.head_sight.approach
+        return room.head_sight
 
 
 @pytest.fixture

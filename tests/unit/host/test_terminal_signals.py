@@ -30,7 +30,7 @@ def hammer():
 AT_ITS_START = GROUP + "subprocess.Popen = Interrupted\n"
 LINK = """
 from dataclasses import replace
-from drivers.kuka_rsi.link import start_link
+from drivers.kuka_rsi.connections import start_link
 from rsi_stand import SETTINGS
 from ronna_hw.endpoints import parse_endpoint
 from ronna_hw.host.network import own_udp_endpoint

@@ -8,17 +8,12 @@ import numpy as np
 import pydicom
 import pytest
 from numpy.typing import NDArray
-from painted_ct import Scan, write_series
+from painted_ct import write_series
 
 
 @pytest.fixture(autouse=True)
 def misspelt_attributes_raise(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(pydicom.config, "INVALID_KEYWORD_BEHAVIOR", "RAISE")
-
-
-@pytest.fixture(scope="session")
-def make_scan() -> type[Scan]:
-    return Scan
 
 
 @pytest.fixture

@@ -5,13 +5,13 @@ from __future__ import annotations
 import base64
 import json
 import re
-from collections.abc import Callable
 from typing import Any
 
 import cv2
 import numpy as np
 import pytest
 from localized_spheres import as_volume
+from painted_ct import Scan
 
 from procedures.imaging import Candidate, Volume, VoxelGeometry, localize
 from procedures.imaging.ct_page import BRIGHTEST_HU, DARKEST_HU, LEVELS, ct_page, view_volume
@@ -43,8 +43,8 @@ def content_of(page: str) -> dict[str, Any]:
     return dict(json.loads(found))
 
 
-def test_the_page_contains_every_slice_and_the_markers_found(make_scan: Callable[..., Any]) -> None:
-    scan = make_scan(shape=(40, 80, 140))
+def test_the_page_contains_every_slice_and_the_markers_found() -> None:
+    scan = Scan(shape=(40, 80, 140))
     scan.ball(np.array([20.0, 20.0, 20.0]))
     volume = as_volume(scan)
     found = localize(volume)
@@ -71,7 +71,7 @@ def test_doubtful_and_rejected_candidates_are_apart_with_reasons_and_odds() -> N
     assert content["found"] == []
 
 
-def test_the_page_fetches_nothing_and_escapes_names(make_scan: Callable[..., Any]) -> None:
+def test_the_page_fetches_nothing_and_escapes_names() -> None:
     page = ct_page(ramp_volume(), "<b>x</b>", (), (), "</script><script>alert(1)")
     assert not re.search(r"(src|href)\s*=\s*[\"'](?!data:)|url\(|https?:|@import", page)
     assert "<b>x" not in page

@@ -52,10 +52,7 @@ def test_a_deflated_slice_cannot_expand_without_limit(dicom_series: Write) -> No
     packed += 3_000 * zeros + packer.flush()
     assert len(packed) < 4_000_000
     first(folder).write_bytes(content[:meta] + packed)
-    with (
-        bounded_cost(200 << 20),
-        raises(errors.FILE_DAMAGED, match=rf"{FIRST}.*expand beyond the limit"),
-    ):
+    with bounded_cost(200 << 20), raises(errors.FILE_DAMAGED, match=rf"{FIRST}.*expand beyond the limit"):
         read_series(folder)
 
 
@@ -128,10 +125,7 @@ def test_a_slice_with_too_many_elements_is_refused(dicom_series: Write) -> None:
     pixels = content.index(struct.pack("<HH", 0x7FE0, 0x0010))
     empty = b"".join(struct.pack("<HH2sH", 0x0009, number, b"LO", 0) for number in range(0x10, 0x8000))
     first(folder).write_bytes(content[:pixels] + 20 * empty + content[pixels:])
-    with (
-        bounded_cost(200 << 20, 2.0),
-        raises(errors.FILE_DAMAGED, match=rf"{FIRST}.*too many elements"),
-    ):
+    with bounded_cost(200 << 20, 2.0), raises(errors.FILE_DAMAGED, match=rf"{FIRST}.*too many elements"):
         read_series(folder)
 
 
@@ -263,9 +257,7 @@ DEADLY_JPEG_2000 = bytes.fromhex(
 )
 
 
-def test_a_frame_that_crashes_its_decoder_is_refused_and_the_program_survives(
-    dicom_series: Write,
-) -> None:
+def test_a_frame_that_crashes_its_decoder_is_refused_and_the_program_survives(dicom_series: Write) -> None:
     pytest.importorskip("gdcm", reason="proof not made: install the extra `compressed`")
 
     def compress(data: Dataset) -> None:

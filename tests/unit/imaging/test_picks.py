@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from coded_errors import raises
 from localized_spheres import as_volume
 from numpy.typing import NDArray
+from painted_ct import Scan
 
 from procedures.imaging import Volume, errors, localize, localize_picks, read_picks
 
@@ -21,9 +20,9 @@ CENTRES = np.array([[20.2, 19.7, 17.4], [21.1, 20.3, 44.6]])
 
 
 @pytest.fixture(scope="module")
-def volume(make_scan: Callable[..., Any]) -> Volume:
+def volume() -> Volume:
     """Two markers; the patient's axes are turned and shifted against the voxels'."""
-    scan = make_scan(shape=(40, 80, 120))
+    scan = Scan(shape=(40, 80, 120))
     for centre in CENTRES:
         scan.marker(centre, np.array([0.3, 1.0, 0.2]), skin=False)
     axes = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
@@ -68,8 +67,8 @@ def test_an_invalid_pick_is_refused_with_the_reason(
     assert caught.value.exit_code == 3
 
 
-def test_a_pick_on_something_doubtful_is_taken_and_its_doubts_are_told(make_scan: Callable[..., Any]) -> None:
-    scan = make_scan(shape=(40, 80, 80))
+def test_a_pick_on_something_doubtful_is_taken_and_its_doubts_are_told() -> None:
+    scan = Scan(shape=(40, 80, 80))
     middle = np.array([20.0, 20.0, 20.0])
     for step_mm in (-0.6, 0.0, 0.6):
         scan.ball(middle + np.array([0.0, 0.0, step_mm]))

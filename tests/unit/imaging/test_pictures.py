@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
-
 import cv2
 import numpy as np
 import pytest
 from localized_spheres import as_volume
+from painted_ct import Scan
 from PIL import ImageColor
 
 from procedures.imaging import Volume, VoxelGeometry, localize
@@ -24,15 +22,15 @@ from procedures.imaging.pictures import (
 )
 
 
-def volume_with_balls(make_scan: Callable[..., Any]) -> Volume:
-    scan = make_scan(shape=(40, 80, 140))
+def volume_with_balls() -> Volume:
+    scan = Scan(shape=(40, 80, 140))
     for column_mm in (20.0, 50.0):
         scan.ball(np.array([20.0, 20.0, column_mm]))
     return as_volume(scan)
 
 
-def test_every_marker_has_a_png_of_three_planes(make_scan: Callable[..., Any]) -> None:
-    volume = volume_with_balls(make_scan)
+def test_every_marker_has_a_png_of_three_planes() -> None:
+    volume = volume_with_balls()
     result = localize(volume, expected=2)
     pictures = draw_markers(volume, result)
     assert len(pictures) == 2
@@ -43,8 +41,8 @@ def test_every_marker_has_a_png_of_three_planes(make_scan: Callable[..., Any]) -
         assert pixels.std() > 30  # black air, bright balls
 
 
-def test_each_plane_is_centred_on_the_sphere(make_scan: Callable[..., Any]) -> None:
-    planes = _sample_planes(volume_with_balls(make_scan), np.array([20.0, 20.0, 20.0]))
+def test_each_plane_is_centred_on_the_sphere() -> None:
+    planes = _sample_planes(volume_with_balls(), np.array([20.0, 20.0, 20.0]))
     for plane in planes:
         bright = np.argwhere(plane > -400)
         step_mm = 2 * HALF_WIDTH_MM / (len(plane) - 1)
@@ -52,17 +50,17 @@ def test_each_plane_is_centred_on_the_sphere(make_scan: Callable[..., Any]) -> N
         np.testing.assert_allclose(len(bright) * step_mm**2, np.pi * 5.75**2, rtol=0.03)
 
 
-def test_unscanned_regions_are_not_shown_as_air(make_scan: Callable[..., Any]) -> None:
-    volume = volume_with_balls(make_scan)
+def test_unscanned_regions_are_not_shown_as_air() -> None:
+    volume = volume_with_balls()
     _, _, along_columns = _sample_planes(volume, np.array([20.0, 2.0, 20.0]))
     across = np.linspace(-HALF_WIDTH_MM, HALF_WIDTH_MM, len(along_columns))
     assert np.isnan(along_columns[:, across < -2.1]).all()
     assert np.isfinite(along_columns[:, across > -1.9]).all()
 
 
-def test_a_ring_shows_the_sphere_and_blue_what_was_not_scanned(make_scan: Callable[..., Any]) -> None:
+def test_a_ring_shows_the_sphere_and_blue_what_was_not_scanned() -> None:
     near_the_edge = np.array([20.0, 2.0, 20.0])
-    sheet = _Sheet(volume_with_balls(make_scan))
+    sheet = _Sheet(volume_with_balls())
 
     def colours(picture: bytes) -> set[tuple[int, ...]]:
         pixels = cv2.imdecode(np.frombuffer(picture, dtype=np.uint8), cv2.IMREAD_COLOR_RGB)

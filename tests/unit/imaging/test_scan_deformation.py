@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from math import tan
-from typing import Any
 
 import numpy as np
 import pytest
 from localized_spheres import as_volume
 from numpy.typing import NDArray
+from painted_ct import Scan
 from scipy.ndimage import shift
 
 from procedures.imaging import Localization, Volume, localize, localize_picks
@@ -38,11 +37,9 @@ BLUR_MM = 0.455  # of slices of 1 mm
 SURE, UNSURE = 5e-4, 5e-3  # of the radius
 
 
-def scan_with(
-    make_scan: Callable[..., Any], places: int, *, feed: float = 1.0, tilt_deg: float = 0.0
-) -> Volume:
+def scan_with(places: int, *, feed: float = 1.0, tilt_deg: float = 0.0) -> Volume:
     """Spheres scanned by a table that feeds this many times what is stated, in slices slipped by a tilt."""
-    scan = make_scan(shape=(40, 100, 100), spacing_mm=(feed, PIXEL_MM, PIXEL_MM))
+    scan = Scan(shape=(40, 100, 100), spacing_mm=(feed, PIXEL_MM, PIXEL_MM))
     for row_mm, column_mm in ((14.0, 14.0), (14.2, 35.9), (35.8, 14.3), (36.0, 36.1))[:places]:
         scan.ball(np.array([20.0, row_mm, column_mm]))
     volume: Volume = as_volume(scan, axes=AXIAL)
@@ -62,14 +59,10 @@ def strain_of(found: Localization) -> Array:
 
 def spheres(*strains: Array, sigma: float = SURE, geometry: VoxelGeometry = GEOMETRY) -> ScanDeformation:
     """The result of spheres measured with these strains, LPS, each with one sigma."""
-    measured = [
-        Stretch(
-            RADIUS_MM * geometry.axes.T @ one @ geometry.axes,
-            (RADIUS_MM * sigma) ** 2 * ALIKE,
-            BLUR_MM,
-        )
-        for one in strains
-    ]
+    rows, columns = [0, 1, 0, 0, 1], [0, 1, 1, 2, 2]
+    turned = [RADIUS_MM * geometry.axes.T @ one @ geometry.axes for one in strains]
+    terms = [one[rows, columns] * [1.0, 1.0, 2.0, 2.0, 2.0] for one in turned]
+    measured = [Stretch(one, (RADIUS_MM * sigma) ** 2 * ALIKE, BLUR_MM) for one in terms]
     found = combine_spheres(measured, RADIUS_MM, geometry)
     assert found is not None
     return found
@@ -80,22 +73,20 @@ def displacement(strains: Array, place: tuple[float, float, float]) -> float:
     return float(np.linalg.norm(strains @ np.array(place)))
 
 
-def test_a_scan_true_to_scale_passes(make_scan: Callable[..., Any]) -> None:
-    require_undeformed(localize(scan_with(make_scan, 4), expected=4).deformation)
+def test_a_scan_true_to_scale_passes() -> None:
+    require_undeformed(localize(scan_with(4), expected=4).deformation)
 
 
 @pytest.mark.parametrize("feed", [1.015, pytest.param(0.985, marks=pytest.mark.slow)])
-def test_three_spheres_show_a_feed_off_by_one_and_a_half_percent(
-    make_scan: Callable[..., Any], feed: float
-) -> None:
-    found = localize(scan_with(make_scan, 3, feed=feed), expected=3)
+def test_three_spheres_show_a_feed_off_by_one_and_a_half_percent(feed: float) -> None:
+    found = localize(scan_with(3, feed=feed), expected=3)
     np.testing.assert_allclose(strain_of(found), (1.0 / feed - 1.0) * ALONG_TABLE, atol=1.5e-3)
     with pytest.raises(ScanDeformed, match=r"CT-024: by the shape of 3 spheres .* limit 0\.[2-8]\d* %"):
         require_undeformed(found.deformation)
 
 
-def test_a_hidden_tilt_shows_as_the_shear_that_it_is(make_scan: Callable[..., Any]) -> None:
-    volume = scan_with(make_scan, 4, tilt_deg=0.6)
+def test_a_hidden_tilt_shows_as_the_shear_that_it_is() -> None:
+    volume = scan_with(4, tilt_deg=0.6)
     strain = strain_of(localize(volume, expected=4))
     assert strain[1, 2] == pytest.approx(0.5 * np.radians(0.6), rel=0.2)
     assert abs(strain[2, 2]) < 2e-3

@@ -87,19 +87,12 @@ def test_a_patient_who_lies_still_gives_no_warning(seed: int) -> None:
     assert check_motion(*head(0.0, slice_mm=2.0, seed=seed, noise_hu=50.0)) == ()
 
 
-def test_something_that_begins_between_two_slices_is_no_movement() -> None:
+def test_a_board_that_begins_between_two_slices_empty_and_thick_slices_give_no_motion_warning() -> None:
     voxels, geometry = head(0.0)
-    voxels[12:, 8:12, 20:100] = 300  # a board under the head
-    assert check_motion(voxels, geometry) == ()
-
-
-def test_thick_slices_give_no_motion_warning() -> None:
-    assert check_motion(*head(3.0, slice_mm=4.0)) == ()
-
-
-def test_empty_slices_give_no_motion_warning() -> None:
-    _, geometry = head(0.0)
     assert check_motion(np.full(SHAPE, -1000, dtype=np.int16), geometry) == ()
+    voxels[12:, 8:12, 20:100] = 300  # the board under the head
+    assert check_motion(voxels, geometry) == ()
+    assert check_motion(*head(3.0, slice_mm=4.0)) == ()
 
 
 def test_a_series_of_a_patient_who_moved_is_not_read(dicom_series: Callable[..., Path]) -> None:

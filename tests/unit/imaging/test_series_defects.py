@@ -16,11 +16,7 @@ from pydicom.dataelem import RawDataElement
 from pydicom.dataset import Dataset
 from pydicom.encaps import encapsulate
 from pydicom.tag import Tag
-from pydicom.uid import (
-    MPEG2MPML,
-    MRImageStorage,
-    RLELossless,
-)
+from pydicom.uid import MPEG2MPML, MRImageStorage, RLELossless
 from spoiled_slices import every, only, setting
 
 from procedures.imaging import Volume, VoxelGeometry, errors, read_series
@@ -77,11 +73,7 @@ EDITED = {
     ),
     "two frames": (only(1, setting(FrameOfReferenceUID="1.2.3.9")), errors.FramesMixed, "1.2.3.9"),
     "stated tilt": (every(setting(GantryDetectorTilt="12.5")), errors.GANTRY_TILTED, "12.5"),
-    "sheared stack": (
-        lambda data, at: moved(data, 0.05 * at),
-        errors.GANTRY_TILTED,
-        "stacked",
-    ),
+    "sheared stack": (lambda data, at: moved(data, 0.05 * at), errors.GANTRY_TILTED, "stacked"),
     "skewed orientation": (
         every(setting(ImageOrientationPatient=["1", "0", "0", "0.1", "0.995", "0"])),
         errors.ORIENTATION_UNUSABLE,
@@ -168,11 +160,7 @@ EDITED = {
         errors.PIXELS_UNUSABLE,
         "pixel representation 7",
     ),
-    "bits beyond the word": (
-        every(setting(BitsStored=12, HighBit=17)),
-        errors.PIXELS_UNUSABLE,
-        "bit 17",
-    ),
+    "bits beyond the word": (every(setting(BitsStored=12, HighBit=17)), errors.PIXELS_UNUSABLE, "bit 17"),
 }
 
 
@@ -322,10 +310,7 @@ def test_a_volume_built_by_hand_is_validated_too(spoiled: dict[str, object]) -> 
     assert isinstance(caught.value, ValueError)
 
 
-ENCODERS = {
-    "JPEG lossless": ("dcmcjpeg", "+e1"),
-    "JPEG-LS": ("dcmcjpls", "+el"),
-}
+ENCODERS = {"JPEG lossless": ("dcmcjpeg", "+e1"), "JPEG-LS": ("dcmcjpls", "+el")}
 
 
 @pytest.mark.parametrize("syntax", ENCODERS)

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from coded_errors import raises
 from localized_spheres import as_volume
+from painted_ct import Scan
 
 from procedures.imaging import ThesisFit, Volume, errors, localize_as_thesis, read_series
 from procedures.imaging.thesis_localizer import Circles, Cluster, cluster_circles, fit_lines, fit_sphere
@@ -20,9 +19,9 @@ CENTRES = np.array([[30.2, 19.7, 17.4], [31.1, 20.3, 50.6]])
 
 
 @pytest.fixture(scope="module")
-def volume(make_scan: Callable[..., Any]) -> Volume:
+def volume() -> Volume:
     """Two markers, a cylinder as thick as they, and a larger ball."""
-    scan = make_scan(shape=(60, 80, 200))
+    scan = Scan(shape=(60, 80, 200))
     for centre in CENTRES:
         scan.marker(centre, np.array([0.3, 1.0, 0.2]), skin=False)
     scan.rod(np.array([15.0, 20.0, 73.0]), np.array([1.0, 0.0, 0.0]), 40.0, 6.0, 150.0)
@@ -52,8 +51,8 @@ def test_the_covariance_is_the_error_reported_in_the_thesis(volume: Volume) -> N
     assert marker.sigma_mm == pytest.approx(0.1617)
 
 
-def test_an_empty_scan_and_impossible_requests_are_refused(make_scan: Callable[..., Any]) -> None:
-    empty = as_volume(make_scan())
+def test_an_empty_scan_and_impossible_requests_are_refused() -> None:
+    empty = as_volume(Scan())
     with pytest.raises(errors.MarkerCountWrong, match="no marker found"):
         localize_as_thesis(empty, ThesisFit.LINE)
     with raises(errors.LOCALIZATION_MISUSED):

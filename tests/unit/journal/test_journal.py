@@ -2,6 +2,7 @@ import errno
 import json
 import os
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -27,18 +28,18 @@ def test_entries_are_read_back_in_order(tmp_path: Path) -> None:
 
 @pytest.mark.hazard(39)
 @pytest.mark.hazard(1)
-def test_an_altered_line_breaks_the_chain(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda text: text.replace('"theatre_time_s":1.0', '"theatre_time_s":9.0'),
+        lambda text: text.splitlines(keepends=True)[1],
+    ],
+    ids=["altered", "missing"],
+)
+def test_an_altered_or_missing_line_breaks_the_chain(tmp_path: Path, damage: Callable[[str], str]) -> None:
     path = _written(tmp_path)
-    path.write_text(path.read_text().replace('"theatre_time_s":1.0', '"theatre_time_s":9.0'))
+    path.write_text(damage(path.read_text()))
     with pytest.raises(JournalCorrupt, match="PRO-011"):
-        list(read_journal(path))
-
-
-@pytest.mark.hazard(39)
-def test_a_missing_line_breaks_the_chain(tmp_path: Path) -> None:
-    path = _written(tmp_path)
-    path.write_text(path.read_text().splitlines(keepends=True)[1])
-    with pytest.raises(JournalCorrupt):
         list(read_journal(path))
 
 
@@ -69,10 +70,12 @@ def test_an_emptied_last_block_costs_no_result_that_other_lines_follow(
     assert chain.torn
 
 
-def test_a_journal_is_never_overwritten(tmp_path: Path) -> None:
+@pytest.mark.hazard(33)
+def test_a_journal_is_neither_overwritten_nor_opened_in_a_missing_folder(tmp_path: Path) -> None:
     _written(tmp_path)
-    with pytest.raises(JournalNotWritable, match="PRO-003"):
-        Journal(tmp_path)
+    for folder in (tmp_path, tmp_path / "missing"):
+        with pytest.raises(JournalNotWritable, match="PRO-003"):
+            Journal(folder)
 
 
 @pytest.mark.hazard(33)
@@ -212,12 +215,6 @@ def test_a_journal_whose_unflushed_line_cannot_be_removed_takes_no_more(
             journal.write(Entry.FAILED, 1.0)
         monkeypatch.undo()
     assert journal.path.read_bytes().count(b"\n") == 2  # the second is the line that stayed
-
-
-@pytest.mark.hazard(33)
-def test_a_journal_cannot_be_opened_in_a_missing_folder(tmp_path: Path) -> None:
-    with pytest.raises(JournalNotWritable, match="PRO-003"):
-        Journal(tmp_path / "missing")
 
 
 @pytest.mark.hazard(33)

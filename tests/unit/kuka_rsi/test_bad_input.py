@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import os
-import signal
 from typing import Any
 
 import pytest
 from coded_errors import raises
 from driven_arm import THERE, activated, configured
-from waiting import eventually
 
 from drivers.kuka_rsi.arm import KukaRsiArm
 from drivers.kuka_rsi.errors import (
@@ -17,7 +14,6 @@ from drivers.kuka_rsi.errors import (
     CONTEXT_UNUSABLE,
     NO_TELEGRAM,
     STREAM_ERRORS,
-    WRONG_CONTROLLER,
 )
 from ronna_hw.arm.errors import FORCE_NOT_SENSED
 from ronna_hw.arm.pose import Pose
@@ -28,7 +24,7 @@ from ronna_hw.devices.contact import Insertion
 from ronna_hw.devices.errors import WrongState
 from ronna_hw.devices.robot import JointMove
 from ronna_hw.frames import Frame, Transform
-from ronna_hw.wire.kuka_context import CONTEXT_INVALID, context_hash, load_context
+from ronna_hw.wire.kuka_context import CONTEXT_INVALID
 
 
 @pytest.mark.parametrize(
@@ -67,28 +63,6 @@ def test_telegrams_from_the_configured_host_are_answered(controller: Any, make_a
     assert controller.replies
 
 
-def test_telegrams_of_another_type_are_reported_and_get_no_reply(controller: Any, make_arm: Any) -> None:
-    controller.root_type = "OTHER"
-    arm = configured(make_arm())
-    with raises(NO_TELEGRAM, match="were malformed or of another Type"):
-        arm.activate(timeout_s=1.0)
-    assert not controller.replies
-
-
-@pytest.mark.hazard(20)
-def test_a_12_ms_cycle_runs_when_driver_and_controller_agree_on_it(controller: Any, make_arm: Any) -> None:
-    with raises(WRONG_CONTROLLER, match="cycle in ms is 4, not 12"):
-        make_arm(cycle_ms=12).connect()
-    context = load_context()
-    program = context.program.model_copy(update={"cycle_ms": 12})
-    controller.facts.update(Cycle="12", CtxHash=context_hash(context.model_copy(update={"program": program})))
-    controller.cycle_ms = 12
-    arm = activated(make_arm(cycle_ms=12))
-    reading = arm.move(JointMove(THERE))
-    assert reading.joints_rad == pytest.approx(THERE, abs=1e-5)
-    assert arm.link_statistics().lost_cycles == 0
-
-
 @pytest.mark.parametrize(
     "options",
     [
@@ -105,23 +79,6 @@ def test_a_second_client_of_the_controller_gets_no_answer(active_arm: Any, make_
     with raises(STREAM_ERRORS.not_found):
         make_arm().connect(timeout_s=0.5)
     active_arm.move(JointMove(THERE))  # the first one is not disturbed
-
-
-@pytest.mark.hazard(4)
-def test_a_stalled_real_time_process_is_latched_without_any_call(controller: Any, make_arm: Any) -> None:
-    arm = activated(make_arm(heartbeat_limit_s=0.5))
-    os.kill(arm.connections.link.process.pid, signal.SIGSTOP)
-
-    def latched() -> bool:
-        controller.tell()  # as it does every 0.1 s, whatever happens on the other link
-        return bool(arm.observe().state is Lifecycle.FAULT)
-
-    eventually(latched)
-    assert arm.fault.code == STREAM_ERRORS.stalled.code
-    with raises(STREAM_ERRORS.stalled):
-        arm.move(JointMove(THERE))
-    arm.recover("Ana")
-    arm.activate()
 
 
 # Everything that is no motion

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 from coded_errors import raises
-from watched_stream import MOVING, Control, Watched, watched_kuka
+from watched_stream import MOVING, Control, Watched, kuka_faults, watched_kuka
 
 from drivers.kuka_rsi.eki.telegrams import ControllerState
 from drivers.kuka_rsi.errors import CONTROLLER_STOPPED
 from drivers.kuka_rsi.fault_watch import CAUSE_S
 from ronna_hw.arm.clearance.live_watch import ViolationKind
-from ronna_hw.arm_stream.records import LinkFault, StopOrder, StreamPhase
+from ronna_hw.arm_stream.records import NO_STATE, LinkFault, StopOrder, StreamPhase
 from ronna_hw.wire.kuka_eki import OperationMode, RsiState
 
 A_LITTLE_S = 1e-3
@@ -139,3 +140,11 @@ def test_the_wait_for_the_cause_of_a_following_error_is_limited(monkeypatch: pyt
     now_s[0] += A_LITTLE_S
     arm.watch.check()
     assert arm.outcome[0] == "RSI-005"
+
+
+def test_the_silence_error_names_the_message_that_the_controller_shows() -> None:
+    faults, silent = kuka_faults(), replace(NO_STATE, fault=LinkFault.SILENCE)
+    told, untold = SimpleNamespace(error=29002), SimpleNamespace(error=0)
+    assert "message 29002" in str(faults.error(silent, "EXT", reported=told))
+    assert "the controller shows" not in str(faults.error(silent, "EXT", reported=untold))
+    assert "the controller shows" not in str(faults.error(silent, "EXT"))

@@ -160,13 +160,6 @@ def test_the_tool_definition_arrives_complete_and_zero_padded(make_tracker: Make
     assert not any(unit.memory[1][752:])
 
 
-def test_a_pinit_warning_counts_as_success_and_is_reported(make_tracker: Make, unit: Any) -> None:
-    usual = unit.usual("PINIT")
-    unit.override("PINIT", lambda argument: "WARNING05" if usual(argument) == "OKAY" else "ERROR13")
-    device = bring_up(make_tracker())
-    assert any("wavelength" in note for note in device.notices)
-
-
 def test_a_tool_with_similar_marker_distances_is_reported(make_tracker: Make, tmp_path: Path) -> None:
     corners = ((0.0, 0.0, 0.0), (50.0, 0.0, 0.0), (50.0, 60.0, 0.0), (0.0, 60.0, 0.0))
     rectangle = make_planar_tool("BOX", corners, manufacturer="TEST", made_on=date(2025, 1, 1))

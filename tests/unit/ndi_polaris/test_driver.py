@@ -13,35 +13,15 @@ from polaris_unit_in_process import StillClock, configured
 from drivers.ndi_polaris import PolarisTracker, errors
 from drivers.ndi_polaris.errors import NoReply
 from ronna_hw.config import DeviceConfig
-from ronna_hw.devices import LastKnown, OpticalTracker
+from ronna_hw.devices import LastKnown
 from ronna_hw.devices.capabilities import Fact
-from ronna_hw.devices.errors import PersonNotNamed, WrongState
+from ronna_hw.devices.errors import PersonNotNamed
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.endpoints import BadEndpoint, parse_endpoint
 from ronna_hw.errors import EXIT_LINK_LOST, EXIT_SAFETY_STOP
 from ronna_hw.wire.polaris import ERROR_MEANINGS
 
 Make = Callable[..., PolarisTracker]
-
-
-def test_the_driver_is_an_optical_tracker(make_tracker: Make) -> None:
-    assert isinstance(make_tracker(), OpticalTracker)
-
-
-def test_calls_out_of_order_are_refused(make_tracker: Make) -> None:
-    device = make_tracker()
-    for call in (device.configure, device.activate, device.deactivate, device.read_frame):
-        with pytest.raises(WrongState):
-            call()
-    device.connect()
-    with pytest.raises(WrongState):
-        device.connect()
-    device.configure()
-    device.activate()
-    with pytest.raises(WrongState):
-        device.activate()
-    with pytest.raises(WrongState):
-        device.recover("tester")
 
 
 def test_the_tracker_can_be_observed_in_every_state(make_tracker: Make) -> None:
@@ -70,15 +50,6 @@ def test_a_reply_that_had_to_be_requested_again_is_counted_where_the_tracker_is_
     assert tracker.observe().says == (Fact("disturbed replies", "1"),)
 
 
-def test_tracking_stops_and_restarts_at_frame_0(tracker: PolarisTracker) -> None:
-    for _ in range(3):
-        tracker.read_frame()
-    tracker.deactivate()
-    assert tracker.state is Lifecycle.CONFIGURED
-    tracker.activate()
-    assert tracker.read_frame().stamp.device_clock == 0
-
-
 def test_activate_can_be_repeated_after_a_lost_reply(make_tracker: Make, unit: Any) -> None:
     device = configured(make_tracker())
     lost = iter([True])
@@ -87,15 +58,6 @@ def test_activate_can_be_repeated_after_a_lost_reply(make_tracker: Make, unit: A
         device.activate()
     device.activate()
     assert device.read_frame().stamp.device_clock == 0
-
-
-def test_closing_restores_the_units_power_up_state(tracker: PolarisTracker, unit: Any) -> None:
-    tracker.close()
-    assert not unit.tracking
-    assert unit.handles == {}
-    assert unit.unit_baud == 9600
-    assert tracker.state is Lifecycle.CLOSED
-    tracker.close()
 
 
 def test_closing_a_dead_link_is_bounded_and_raises_nothing(tracker: PolarisTracker, unit: Any) -> None:

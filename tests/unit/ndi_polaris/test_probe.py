@@ -210,11 +210,6 @@ def test_a_missing_permission_is_reported_and_nothing_is_sent(
     assert end.heard == []
 
 
-def test_a_port_that_does_not_exist_is_reported() -> None:
-    diagnostic = line_diagnostic(check_line(Endpoint("serial", path="/dev/no-such-port")))
-    assert "does not exist" in diagnostic.seen
-
-
 # --- TCP ---------------------------------------------------------------------------------------------------
 
 

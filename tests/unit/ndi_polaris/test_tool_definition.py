@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import struct
 from datetime import date
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -25,7 +24,6 @@ from drivers.ndi_polaris.tool_definition import (
     decode_definition,
     encode_definition,
     make_planar_tool,
-    read_definition,
 )
 from sim.polaris.unit.tool_definition import parse_definition, write_definition
 from sim.world.scene.named_scenes import robot_frame
@@ -102,10 +100,6 @@ def test_the_robot_frame_matches_the_one_in_the_simulated_scene() -> None:
     assert ROBOT_FRAME.part_number == scene.part_number
 
 
-def test_the_shipped_tools_are_unambiguous_alone_and_together() -> None:
-    assert find_alike({"M": ROBOT_FRAME, "x": X_FRAME}) == ()
-
-
 def test_the_x_frame_is_two_crossing_bars_with_distances_at_least_8_mm_apart() -> None:
     first, second, third, fourth = (np.array(marker) for marker in X_FRAME.markers_mm)
     crossing = np.zeros(3)
@@ -170,11 +164,6 @@ def test_an_invalid_definition_is_refused_with_the_reason(block: bytes, words: s
     with raises(BAD_TOOL_FILE, match=words) as caught:
         decode_definition(bytes(block), "tool.rom")
     assert caught.value.code == "NDI-011"
-
-
-def test_a_missing_definition_is_refused(tmp_path: Path) -> None:
-    with raises(BAD_TOOL_FILE, match=r"cannot read gone\.rom"):
-        read_definition(tmp_path / "gone.rom")
 
 
 @pytest.mark.parametrize("part_number", ["x" * 21, "größer"])

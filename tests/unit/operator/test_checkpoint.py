@@ -1,11 +1,14 @@
+import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 
 import pytest
 
+import procedures
 from procedures.operator.checkpoint import Checkpoint
 from procedures.operator.errors import GuardUnmet, OperatorAborted
-from procedures.operator.question import Question, Topic
+from procedures.operator.question import DELIBERATE, Question, Topic
 
 
 class Disk:
@@ -163,3 +166,14 @@ def test_a_stopped_motion_is_asked_about_without_a_pause_request() -> None:
     rig = Rig()
     rig.checkpoint.rest_after_stop("the motion 'go'", "plans it anew")
     assert [one.value for one in rig.asked] == ["the motion 'go' was stopped; continuing plans it anew"]
+
+
+CONFIRMED_MOTION = re.compile(r"(?:supervised|self)\.confirm\(\s*Topic\.(\w+)")
+
+
+def test_every_answer_that_confirms_a_motion_or_lets_the_arm_continue_is_deliberate() -> None:
+    sources = Path(procedures.__file__).parent.rglob("*.py")
+    named = {name for source in sources for name in CONFIRMED_MOTION.findall(source.read_text())}
+    assert {"FIRST_MOTION", "TOOL_CHECK", "APPROACH", "RETREAT", "PARK"} <= named
+    lets_go_on = {Topic.INSTRUMENT_OUT, Topic.PAUSE, Topic.HEAD_UNSEEN}
+    assert ({Topic[name] for name in named} | lets_go_on) - DELIBERATE == set()

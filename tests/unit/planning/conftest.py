@@ -8,15 +8,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from half_sitting import arm_setting
 from painted_ct import SERIES_UID
 from plan_toml import PLAN, SECOND
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from procedures.imaging.volume import Volume, VoxelGeometry
 from procedures.planning.visits import ArmSetting
-from procedures.strategies.catalogue import find_strategy
-from ronna_hw.arm.kr6_r900 import SIXX, kr6_r900
-from ronna_hw.arm.motion.limits import working_limits
 from ronna_hw.arm.pose import radians6
 from ronna_hw.frames import Frame, Transform
 
@@ -72,14 +70,8 @@ def make_arm() -> Callable[..., ArmSetting]:
     def make(head_mm: tuple[float, float, float] = (640.0, 0.0, 250.0), **changes: Any) -> ArmSetting:
         # CT left towards robot y, CT anterior up, CT superior towards the robot.
         axes = Rotation.from_matrix([[0.0, 0.0, -1.0], [1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
-        fields = {
-            "kinematics": kr6_r900(SIXX),
-            "robot_from_ct": Transform(Frame.ROBOT, Frame.CT, RigidTransform.from_components(head_mm, axes)),
-            "flange_from_tool": Transform.of(Frame.FLANGE, Frame.TOOL, translation_mm=(220.0, 0.0, 60.0)),
-            "strategy": find_strategy("ocs"),
-            "start_rad": radians6(0.0, -90.0, 90.0, 0.0, 90.0, 0.0),
-            "limits": working_limits(kr6_r900(SIXX)),
-        }
-        return ArmSetting(**{**fields, **changes})
+        at = Transform(Frame.ROBOT, Frame.CT, RigidTransform.from_components(head_mm, axes))
+        fields = {"start_rad": radians6(0.0, -90.0, 90.0, 0.0, 90.0, 0.0), "scene": None, **changes}
+        return arm_setting(**{"robot_from_ct": at, **fields})
 
     return make

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from half_sitting import SIGHT, arm_setting, reclined_ct
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from benchmarks.place_map import agreement, cart_case
@@ -19,10 +20,7 @@ from procedures.planning.pose_name import GAUGE
 from procedures.planning.scene import PlanningScene
 from procedures.planning.tracker_sight import SENSORS_MM
 from procedures.planning.visits import ArmSetting, Axes, build_target_visit, list_localizations
-from procedures.strategies.catalogue import find_strategy
 from procedures.strategies.trajectory import Trajectory
-from ronna_hw.arm.kr6_r900 import kr6_r900
-from ronna_hw.arm.motion.limits import working_limits
 from ronna_hw.arm.pose import radians6
 from ronna_hw.collision_config import BodyFrame, CollisionConfig, RoomBody
 from ronna_hw.devices.sensors import VolumeSections
@@ -33,12 +31,7 @@ HEAD = HeadEllipsoid(centre_mm=(0.0, 0.0, 0.0), semi_axes_mm=(78.0, 98.0, 93.0))
 SPECTRA, VICRA = PUBLISHED_VOLUMES[PolarisModel.SPECTRA], PUBLISHED_VOLUMES[PolarisModel.VICRA]
 FIDUCIALS = ((-23.0, -68.0, 68.0), (61.0, -33.0, 68.0), (2.0, -18.0, 103.0))
 ALONG = Trajectory("T1", (7.0, -70.0, 60.0), (2.0, -28.0, 26.0)).with_rest(0.7)
-# Left towards robot y, the vertex up and towards the robot, the face up: as in a half sitting position.
-LEFT, SUPERIOR = np.array([0.0, 1.0, 0.0]), np.array([-0.5, 0.0, math.sqrt(0.75)])
-RECLINED = Rotation.from_matrix(np.column_stack([LEFT, np.cross(SUPERIOR, LEFT), SUPERIOR]))
 HERE, PLANNED = CartMove(0.0, 0.0), (("T1", 0.0),)
-CAMERA_MM = 250.0 * np.array([0.0, math.sin(math.radians(27.5)), -math.cos(math.radians(27.5))])
-SIGHT = StereoSight(left_mm=CAMERA_MM * (1.0, -1.0, 1.0), right_mm=CAMERA_MM)
 # The frame on the arm, which faces up at home, and a usual direction from there to the tracker.
 ON_ARM = Transform.of(
     Frame.TOOL, Frame.MARKER, translation_mm=(-150.0, 0.0, -140.0), quaternion_wxyz=(0.0, 1.0, 0.0, 0.0)
@@ -48,16 +41,7 @@ ABOVE = (500.0, 900.0, 1300.0)
 
 def _setting(*bodies: RoomBody) -> ArmSetting:
     cell = CollisionConfig(bodies=(*CollisionConfig().bodies, *bodies))
-    at = RigidTransform.from_components([760.0, 0.0, 200.0], RECLINED)
-    return ArmSetting(
-        kinematics=kr6_r900("kr6_r900_sixx"),
-        limits=working_limits(kr6_r900("kr6_r900_sixx")),
-        robot_from_ct=Transform(Frame.ROBOT, Frame.CT, at),
-        flange_from_tool=Transform.of(Frame.FLANGE, Frame.TOOL, translation_mm=(220.0, 0.0, 60.0)),
-        strategy=find_strategy("ocs"),
-        start_rad=radians6(0.0, -75.0, 99.0, 0.0, 66.0, 180.0),
-        scene=PlanningScene(cell, HEAD, FIDUCIALS),
-    )
+    return arm_setting(reclined_ct(HEAD.centre_mm), scene=PlanningScene(cell, HEAD, FIDUCIALS))
 
 
 def _case(setting: ArmSetting, sight: StereoSight = SIGHT, tracker: Transform | None = None) -> CartCase:

@@ -8,37 +8,23 @@ from typing import cast
 
 import numpy as np
 import pytest
+from half_sitting import CAMERA_MM, SIGHT, arm_setting
 
 from procedures.planning.free_angle import LEAST_BEND_RAD, WristState, choose_free_angles
 from procedures.planning.head_in_ct import HeadEllipsoid
-from procedures.planning.line_of_sight import StereoSight
 from procedures.planning.paths import check_paths
 from procedures.planning.pose_name import PoseKind
 from procedures.planning.scene import PlanningScene
 from procedures.planning.tracker_sight import TrackerSight
-from procedures.planning.visits import ArmSetting, Axes, Visit, list_visits
-from procedures.strategies.fixed_orientation import OrientationCorrection
+from procedures.planning.visits import Axes, Visit, list_visits
 from procedures.strategies.strategy import OUTWARDS_RAD, intermediate_turns_rad
 from procedures.strategies.trajectory import Trajectory
-from ronna_hw.arm.kr6_r900 import kr6_r900
-from ronna_hw.arm.motion.limits import working_limits
-from ronna_hw.arm.pose import radians6
 from ronna_hw.collision_config import CollisionConfig
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.vectors import JointVector
 
-HALF_ANGLE_RAD = math.radians(27.5)
-CAMERA_MM = 250.0 * np.array([0.0, math.sin(HALF_ANGLE_RAD), -math.cos(HALF_ANGLE_RAD)])
-SIGHT = StereoSight(left_mm=CAMERA_MM * (1.0, -1.0, 1.0), right_mm=CAMERA_MM)
 # CT axes as the robot's, seen from above: the trajectory points straight down.
-SETTING = ArmSetting(
-    kr6_r900("kr6_r900_sixx"),
-    Transform.of(Frame.ROBOT, Frame.CT, translation_mm=(650.0, 0.0, 300.0)),
-    Transform.of(Frame.FLANGE, Frame.TOOL, translation_mm=(220.0, 0.0, 60.0)),
-    OrientationCorrection(),
-    start_rad=radians6(0.0, -75.0, 99.0, 0.0, 66.0, 180.0),
-    limits=working_limits(kr6_r900("kr6_r900_sixx")),
-)
+SETTING = arm_setting(Transform.of(Frame.ROBOT, Frame.CT, translation_mm=(650.0, 0.0, 300.0)), scene=None)
 DOWN = Trajectory("T1", (0.0, 0.0, 40.0), (0.0, 0.0, 0.0))
 FREE = np.array([[60.0, 0.0, 50.0], [-50.0, 40.0, 60.0], [-40.0, -60.0, 40.0]])
 
@@ -56,42 +42,29 @@ def _beside_the_line_of_sight() -> np.ndarray:
     return np.vstack([FREE, SETTING.robot_from_ct.inverse().apply(blocker)])
 
 
-def test_well_spaced_spheres_are_all_seen() -> None:
-    looks = visits(DOWN, FREE)
-    assert SIGHT.unmet(looks, SETTING.robot_from_ct.apply(FREE)) == ()
-
-
-def test_a_sphere_in_the_line_of_sight_is_named_with_the_camera() -> None:
+def test_a_sphere_in_the_line_of_sight_is_named_with_the_camera_and_one_behind_the_rim_counts_as_much() -> (
+    None
+):
     spheres = _beside_the_line_of_sight()
-    looks = visits(DOWN, spheres)
-    found = SIGHT.unmet(looks, SETTING.robot_from_ct.apply(spheres))
-    reasons = {(str(one.pose), one.reason) for one in found}
-    assert ("T1/fiducial 0", "sphere 4 is in front of or behind it in the right camera") in reasons
-
-
-def test_a_neighbour_behind_the_rim_counts_as_much_as_one_in_front() -> None:
-    spheres = _beside_the_line_of_sight()
-    looks = visits(DOWN, spheres)
-    hidden = {str(one.pose) for one in SIGHT.unmet(looks, SETTING.robot_from_ct.apply(spheres))}
-    assert "T1/fiducial 3" in hidden
+    found = SIGHT.unmet(visits(DOWN, spheres), SETTING.robot_from_ct.apply(spheres))
+    reasons = {str(one.pose): one.reason for one in found}
+    assert reasons["T1/fiducial 0"] == "sphere 4 is in front of or behind it in the right camera"
+    assert "T1/fiducial 3" in reasons
 
 
 def test_the_planned_angle_is_kept_when_every_sphere_is_seen() -> None:
+    assert SIGHT.unmet(visits(DOWN, FREE), SETTING.robot_from_ct.apply(FREE)) == ()
     assert choose_free_angles(SETTING, (DOWN,), FREE, SIGHT).turns_rad == {"T1": 0.0}
 
 
-def test_the_head_is_turned_until_the_hidden_sphere_is_seen() -> None:
+def test_the_head_is_turned_about_the_planned_axis_until_the_hidden_sphere_is_seen() -> None:
     spheres = _beside_the_line_of_sight()
     turned = choose_free_angles(SETTING, (DOWN,), spheres, SIGHT)
     assert turned.check.passed
     assert turned.turns_rad["T1"] != 0.0
-    looks = visits(turned.axes.targeted[0], spheres)
-    assert SIGHT.unmet(looks, SETTING.robot_from_ct.apply(spheres)) == ()
-
-
-def test_turning_leaves_entry_target_and_axis_as_planned() -> None:
-    turned = choose_free_angles(SETTING, (DOWN,), _beside_the_line_of_sight(), SIGHT).axes.targeted[0]
-    assert (turned.entry_mm, turned.target_mm) == (DOWN.entry_mm, DOWN.target_mm)
+    along = turned.axes.targeted[0]
+    assert (along.entry_mm, along.target_mm) == (DOWN.entry_mm, DOWN.target_mm)
+    assert SIGHT.unmet(visits(along, spheres), SETTING.robot_from_ct.apply(spheres)) == ()
 
 
 def test_a_sphere_hidden_at_every_angle_is_reported_as_unmet() -> None:
@@ -104,14 +77,11 @@ def test_a_sphere_hidden_at_every_angle_is_reported_as_unmet() -> None:
     assert any("camera" in one.reason for one in check.unmet)
 
 
-def test_turns_are_tried_from_near_to_far_on_both_sides() -> None:
+def test_turns_are_tried_from_near_to_far_on_both_sides_and_each_once_between_the_steps() -> None:
     assert OUTWARDS_RAD[0] == 0.0
     assert np.all(np.diff(np.abs(OUTWARDS_RAD)) >= -1e-12)
     assert max(OUTWARDS_RAD) == pytest.approx(math.radians(90.0))
     assert min(OUTWARDS_RAD) == pytest.approx(math.radians(-90.0))
-
-
-def test_turns_between_the_steps_are_each_tried_once_within_the_range() -> None:
     between_deg = np.degrees(intermediate_turns_rad((math.radians(80.0), math.radians(90.0))))
     assert sorted(between_deg) == pytest.approx([75.0, 77.5, 82.5, 85.0, 87.5])
 

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 import pytest
+from half_sitting import FIDUCIALS, TRAJECTORIES, arm_setting, scene_with
 from scipy.spatial.transform import RigidTransform, Rotation
+from strategy_arms import HOME_RAD, KR6
 
 from procedures.planning.errors import NotReachable
 from procedures.planning.free_angle import choose_free_angles
@@ -19,58 +20,18 @@ from procedures.planning.motions import plan_motions, preview_motions
 from procedures.planning.paths import check_paths
 from procedures.planning.pose_name import HOME, PoseName
 from procedures.planning.scene import PlanningScene
-from procedures.planning.visits import ArmSetting
-from procedures.strategies.catalogue import find_strategy
 from procedures.strategies.trajectory import Trajectory
-from ronna_hw.arm.kr6_r900 import kr6_r900
-from ronna_hw.arm.motion.limits import working_limits
-from ronna_hw.arm.pose import radians6
 from ronna_hw.collision_config import BodyFrame, CollisionConfig, RoomBody
 from ronna_hw.frames import Frame, Transform
 
-CASE_HOME = radians6(0.0, -75.0, 99.0, 0.0, 66.0, 180.0)
-HEAD = HeadEllipsoid(centre_mm=(3.2, -41.7, 812.4), semi_axes_mm=(78.0, 98.0, 93.0))
-FIDUCIALS = ((-20.0, -110.0, 880.0), (64.0, -75.0, 880.0), (5.0, -60.0, 915.0))
-HELD_MM = 55.0  # beyond the entry the tip frame of a guide of 85 mm reach that is held 30 mm outside
-TRAJECTORIES = tuple(
-    one.with_rest(HELD_MM - one.depth_mm)
-    for one in (
-        Trajectory("T1", (10.0, -112.0, 872.0), (5.0, -70.0, 838.0)),
-        Trajectory("T2", (30.0, -100.0, 880.0), (18.0, -62.0, 845.0)),
-    )
-)
 
-
-# Left towards robot y, the vertex up and towards the robot, the face up: as in a half sitting position.
-RECLINE_RAD = math.radians(60.0)
-SUPERIOR = np.array([-math.cos(RECLINE_RAD), 0.0, math.sin(RECLINE_RAD)])
-LEFT = np.array([0.0, 1.0, 0.0])
-AXES = Rotation.from_matrix(np.column_stack([LEFT, np.cross(SUPERIOR, LEFT), SUPERIOR]))
-MIDDLE_MM = np.array([760.0, 0.0, 200.0])
-
-
-def _setting(cell: CollisionConfig | None = None) -> ArmSetting:
-    origin_mm = MIDDLE_MM - AXES.apply(HEAD.centre_mm)
-    arm = kr6_r900("kr6_r900_sixx")
-    return ArmSetting(
-        kinematics=arm,
-        limits=working_limits(arm),
-        robot_from_ct=Transform(Frame.ROBOT, Frame.CT, RigidTransform.from_components(origin_mm, AXES)),
-        flange_from_tool=Transform.of(Frame.FLANGE, Frame.TOOL, translation_mm=(220.0, 0.0, 60.0)),
-        strategy=find_strategy("ocs"),
-        start_rad=CASE_HOME,
-        scene=None if cell is None else PlanningScene(cell, HEAD, FIDUCIALS),
-    )
-
-
-def _with_body(name: str, place_mm: tuple[float, float, float], radius_mm: float) -> CollisionConfig:
-    """The default cell and a ball in the robot frame."""
-    ball = RoomBody(name=name, start_mm=place_mm, end_mm=place_mm, radius_mm=radius_mm, frame=BodyFrame.ROBOT)
-    return CollisionConfig(bodies=(*CollisionConfig().bodies, ball))
+def ball(name: str, place_mm: tuple[float, float, float], radius_mm: float) -> RoomBody:
+    """Of the robot's frame."""
+    return RoomBody(name=name, start_mm=place_mm, end_mm=place_mm, radius_mm=radius_mm, frame=BodyFrame.ROBOT)
 
 
 def test_the_motions_lead_from_home_through_all_visits_and_back_home() -> None:
-    setting = _setting(CollisionConfig())
+    setting = arm_setting()
     assert setting.scene is not None
     check = check_paths(setting, TRAJECTORIES, FIDUCIALS)
     assert check.passed, check.unmet
@@ -92,7 +53,7 @@ def test_the_motions_lead_from_home_through_all_visits_and_back_home() -> None:
 
 
 def test_every_motion_has_a_preview_that_can_be_recorded() -> None:
-    setting = _setting(CollisionConfig())
+    setting = arm_setting()
     assert setting.scene is not None
     check = check_paths(setting, TRAJECTORIES, FIDUCIALS)
     previews = preview_motions(setting, setting.scene, check, TRAJECTORIES)
@@ -107,9 +68,9 @@ def test_every_motion_has_a_preview_that_can_be_recorded() -> None:
 @pytest.mark.hazard(24)
 @pytest.mark.hazard(5)
 def test_a_clamp_in_the_way_is_named_with_the_pose_and_the_distance() -> None:
-    free = check_paths(_setting(CollisionConfig()), TRAJECTORIES, FIDUCIALS)
+    free = check_paths(arm_setting(), TRAJECTORIES, FIDUCIALS)
     x, y, z = free.at(PoseName.parse("T2/target")).visit.approach.apply([0.0, 0.0, -120.0]).tolist()
-    setting = _setting(_with_body("arm of the clamp", (x, y, z), 20.0))
+    setting = arm_setting(scene=scene_with(ball("arm of the clamp", (x, y, z), 20.0)))
     check = check_paths(setting, TRAJECTORIES, FIDUCIALS)
     assert not check.passed
     assert "T2/target" in {str(one.pose) for one in check.unmet}
@@ -123,7 +84,7 @@ def test_a_clamp_in_the_way_is_named_with_the_pose_and_the_distance() -> None:
 def test_a_guide_held_too_close_to_the_head_is_refused_with_the_stand_off_and_a_least_distance() -> None:
     first = TRAJECTORIES[0]
     close = first.with_rest(first.beyond_mm + 27.0, standoff_mm=3.0)
-    setting = _setting(CollisionConfig())
+    setting = arm_setting()
     check = check_paths(setting, (close,), FIDUCIALS)
     with pytest.raises(NotReachable) as caught:
         check.require()
@@ -139,11 +100,11 @@ def test_a_guide_held_too_close_to_the_head_is_refused_with_the_stand_off_and_a_
 
 @pytest.mark.hazard(24)
 def test_another_angle_about_the_axis_is_chosen_when_the_planned_one_is_not_clear() -> None:
-    free = _setting(CollisionConfig())
+    free = arm_setting()
     own = check_paths(free, TRAJECTORIES[:1], FIDUCIALS)
     # A drip stand where the mount would be, beside the tool.
     place = own.at(PoseName.parse("T1/target")).visit.pose.apply([-130.0, 0.0, -120.0]).tolist()
-    setting = _setting(_with_body("drip stand", (place[0], place[1], place[2]), 15.0))
+    setting = arm_setting(scene=scene_with(ball("drip stand", (place[0], place[1], place[2]), 15.0)))
     assert not check_paths(setting, TRAJECTORIES[:1], FIDUCIALS).passed
     far_aside = StereoSight(np.array([0.0, -115.0, -222.0]), np.array([0.0, 115.0, -222.0]))
     turned = choose_free_angles(setting, TRAJECTORIES[:1], FIDUCIALS, far_aside)
@@ -158,9 +119,8 @@ def test_an_angle_between_two_steps_of_the_search_is_found() -> None:
     at = RigidTransform.from_components([1090.49, -11.93, -549.57], turned_as)
     spheres = ((-34.17, -116.35, 877.74), (-50.1, -128.91, 833.95), (24.04, -149.5, 805.02))
     head = HeadEllipsoid(centre_mm=(3.14, -42.46, 812.43), semi_axes_mm=(79.3, 100.5, 94.32))
-    setting = replace(
-        _setting(),
-        robot_from_ct=Transform(Frame.ROBOT, Frame.CT, at),
+    setting = arm_setting(
+        Transform(Frame.ROBOT, Frame.CT, at),
         scene=PlanningScene(CollisionConfig(margin_mm=12.0), head, spheres),
     )
     trajectory = Trajectory("T1", (24.41, -89.05, 886.16), (8.69, -72.1, 846.59)).with_rest(9.18)
@@ -172,8 +132,8 @@ def test_an_angle_between_two_steps_of_the_search_is_found() -> None:
 
 def test_a_body_at_home_is_reported_under_a_planned_pose() -> None:
     """The search for angles drops the poses that are named; home is none of them."""
-    above = kr6_r900("kr6_r900_sixx").forward(CASE_HOME).apply((220.0, 60.0, 60.0))
-    setting = _setting(_with_body("lamp", above, 40.0))
+    above = KR6.forward(HOME_RAD).apply((220.0, 60.0, 60.0))
+    setting = arm_setting(scene=scene_with(ball("lamp", above, 40.0)))
     check = check_paths(setting, TRAJECTORIES[:1], FIDUCIALS[:1])
     assert not check.passed
     assert {str(one.pose) for one in check.unmet} <= {"T1/fiducial 0", "T1/target"}

@@ -57,16 +57,8 @@ def test_a_text_that_names_no_pose_is_refused(text: str) -> None:
 
 
 def test_every_localization_and_target_is_visited_in_order(make_arm):
-    assert [str(one.name) for one in visits(make_arm())] == [
-        "T1/fiducial 0",
-        "T1/fiducial 1",
-        "T1/fiducial 2",
-        "T2/fiducial 0",
-        "T2/fiducial 1",
-        "T2/fiducial 2",
-        "T1/target",
-        "T2/target",
-    ]
+    localized = [f"{name}/fiducial {number}" for name in ("T1", "T2") for number in range(3)]
+    assert [str(one.name) for one in visits(make_arm())] == [*localized, "T1/target", "T2/target"]
 
 
 def test_the_approach_begins_60_mm_before_the_tool_comes_to_rest(make_arm):

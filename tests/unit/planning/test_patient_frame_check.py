@@ -1,15 +1,18 @@
-"""The patient's frame must be a rigid body of its own among the tracker's tools."""
+"""The patient's frame and the one on the assistant's holder must each be a tracked tool of its own."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
 
 import pytest
 from clinical_case import ClinicalCell
 from coded_errors import raises
 
 from procedures.planning.errors import PATIENT_FRAME_UNFIT
-from procedures.planning.tool_records import check_patient_frame
+from procedures.planning.tool_records import ToolRecords, check_patient_frame
+from ronna_hw.config import HOLDER_FRAME, require_own_frames
 from ronna_hw.devices.errors import UnknownTool
 from ronna_hw.patient_frame import MARKERS_MM, NAME
 from ronna_hw.x_frame import SPHERE_CENTRES_MM
@@ -46,3 +49,19 @@ def test_a_frame_with_the_shape_of_another_is_refused(
 ) -> None:
     with raises(PATIENT_FRAME_UNFIT, match=rf"TOOL-008.*{whose}.*limit 2 mm.*got 0\.00 mm.*shipped one"):
         check_patient_frame(NAME, cell.calibrations, {**TOOLS, NAME: markers_mm})
+
+
+def with_holder(frame: str) -> Any:
+    return SimpleNamespace(frames={"calibration.tracker_frame.tool": "robot", HOLDER_FRAME: frame})
+
+
+def test_a_frame_that_is_none_of_the_trackers_tools_is_refused_with_their_names() -> None:
+    with pytest.raises(UnknownTool, match=r"\[calibration.assistant_holder\] names cart.*robot or helper"):
+        ToolRecords({}, "").check_frames(with_holder("cart"), ("robot", "helper"))
+
+
+def test_a_frame_on_the_master_is_not_that_on_the_holder() -> None:
+    procedure = SimpleNamespace(patient_frame=None)
+    theatre = cast("Any", SimpleNamespace(calibration=with_holder("robot"), tools={}, procedure=procedure))
+    with pytest.raises(ValueError, match=r"robot is also .*, a frame on the master"):
+        require_own_frames(theatre)

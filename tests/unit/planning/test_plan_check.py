@@ -8,6 +8,7 @@ import re
 import numpy as np
 import pytest
 from coded_errors import raises
+from half_sitting import SIGHT
 from scipy.spatial.transform import Rotation
 from strategy_arms import Stuck
 
@@ -24,9 +25,7 @@ from procedures.planning.errors import (
     PlanMistakes,
     StandoffInsideSkin,
     UnknownTool,
-    WrongMarkerCount,
 )
-from procedures.planning.line_of_sight import StereoSight
 from procedures.planning.plan_check import (
     check_plan,
     least_side_difference_mm,
@@ -35,12 +34,9 @@ from procedures.planning.plan_check import (
 )
 from procedures.planning.plan_file import read_plan
 from procedures.planning.plan_model import FiducialKind
-from ronna_hw.errors import EXIT_REFUSED
 from ronna_hw.tool_record import GuideBore
 from ronna_hw.x_frame import SPHERE_CENTRES_MM
 
-CAMERA_MM = np.array([0.0, 115.0, -222.0])
-SIGHT = StereoSight(left_mm=CAMERA_MM * (1.0, -1.0, 1.0), right_mm=CAMERA_MM)
 FOUR = [[60.0, -40.0, 60.0], [-50.0, -45.0, 55.0], [5.0, 40.0, 80.0], [-60.0, 20.0, 70.0]]
 
 
@@ -90,11 +86,6 @@ def test_a_series_without_a_patient_position_is_warned_about(plan, make_volume):
     assert "left and right" in result.warnings[0]
 
 
-def test_a_wrong_number_of_fiducials_is_refused(plan, make_volume):
-    with pytest.raises(WrongMarkerCount, match=r"PLAN-008.*expected 4.*3"):
-        check_plan(plan, make_volume(), fiducials_mm=FOUR[:3]).require()
-
-
 def test_fiducials_away_from_the_template_are_refused(plan, make_volume):
     four = np.asarray(FOUR, dtype=float)
     as_planned = plan.model_copy(update={"template_mm": tuple(map(tuple, four[::-1] + 7.0))})
@@ -121,21 +112,14 @@ def test_fiducials_with_a_symmetric_layout_are_warned_about(plan, make_volume):
     assert warnings == ("the fiducials look alike from another side: 2 for 4, 4 for 2 could be mistaken",)
 
 
-@pytest.mark.hazard(23)
-def test_an_unreachable_target_is_refused(plan, make_volume, make_arm):
-    with pytest.raises(NotReachable, match=r"PLAN-007.*T1/target.*ARM-001") as caught:
-        check_plan(plan, make_volume(), arm=make_arm((1400.0, 0.0, 250.0))).require()
-    assert caught.value.exit_code == EXIT_REFUSED
-
-
 def test_all_findings_come_in_one_error(plan, make_volume):
     volume = make_volume(series_instance_uid="1.2.3.4", patient_position="FFS")
     result = check_plan(plan, volume, fiducials_mm=FOUR[:3])
     assert [one.code for one in result.findings] == ["PLAN-003", "PLAN-009", "PLAN-008"]
     with pytest.raises(PlanMistakes) as caught:
         result.require()
-    for code in ("PLAN-003", "PLAN-009", "PLAN-008"):
-        assert code in str(caught.value)
+    for said in ("PLAN-003", "PLAN-009", r"PLAN-008.*expected 4.*3"):
+        assert re.search(said, str(caught.value))
 
 
 ENTRY, TARGET = "entry_mm = [10.0, -50.0, 60.0]", "target_mm = [5.0, -20.0, 20.0]"
@@ -285,15 +269,15 @@ def test_the_warning_about_a_rectangle_names_interchangeable_fiducials():
     assert "1 for 2" in warning or "1 for 3" in warning or "1 for 4" in warning
 
 
-def test_one_sphere_out_of_the_plane_and_off_centre_removes_the_ambiguity():
-    assert (
-        warn_of_ambiguity(np.array([[0.0, 0, 0], [80, 0, 0], [80, 110, 0], [0, 110, 0], [30, 20, 60]])) == []
-    )
-
-
-@pytest.mark.parametrize("count", [0, 1, 2])
-def test_fewer_than_three_fiducials_give_no_layout_warning(count):
-    assert warn_of_ambiguity(np.eye(3)[:count] * 50.0) == []
+@pytest.mark.parametrize(
+    "points_mm",
+    [
+        [[0, 0, 0], [80, 0, 0], [80, 110, 0], [0, 110, 0], [30, 20, 60]],  # one out of the plane, off centre
+        *(np.eye(3)[:count] * 50.0 for count in (0, 1, 2)),
+    ],
+)
+def test_an_unambiguous_layout_and_fewer_than_three_fiducials_give_no_warning(points_mm):
+    assert warn_of_ambiguity(np.array(points_mm, dtype=float)) == []
 
 
 def test_a_plan_with_adhesive_markers_is_refused_with_their_number_and_what_a_case_needs(plan, make_volume):

@@ -8,14 +8,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from half_sitting import SIGHT
 from numpy.typing import NDArray
 from prepared_results import deformation
 from scipy.spatial.transform import Rotation
+from strategy_arms import LEANING
 
 from procedures.calibration.arm_model import ArmModel
 from procedures.calibration.arm_sources import REPEATABILITY_MM
 from procedures.planning.free_angle import choose_free_angles
-from procedures.planning.line_of_sight import StereoSight
 from procedures.planning.target_error import (
     SCAN,
     USUAL_SEATING_MM,
@@ -81,10 +82,7 @@ def test_a_scan_left_open_adds_what_its_lever_makes_of_it_at_the_target() -> Non
 
 
 FIDUCIALS = np.array([[60.0, -70.0, 60.0], [-50.0, -75.0, 55.0], [5.0, -40.0, 100.0], [30.0, -90.0, 20.0]])
-CAMERA_MM = np.array([0.0, 115.0, -222.0])
-SIGHT = StereoSight(left_mm=CAMERA_MM * (1.0, -1.0, 1.0), right_mm=CAMERA_MM)
 DRAWS = 400  # their rms is known to 4 %
-LEANING = Trajectory("T1", (10.0, -80.0, 60.0), (5.0, -20.0, 20.0))
 
 
 @pytest.mark.parametrize(

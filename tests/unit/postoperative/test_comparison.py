@@ -296,9 +296,9 @@ def test_a_sound_fit_is_preferred_to_a_failed_one() -> None:
 def test_a_fit_is_judged_by_its_end_its_limits_its_residual_and_its_radius() -> None:
     usual = ExpectedFit(residual_hu=100.0, radius_mm=(0.5, 4.0))
     good = FitQuality(whole=True, ended=True, inside=True, residual_hu=60.0, radius_mm=1.5)
-    assert usual.failures(good) == usual.doubts(good) == ()
+    assert good.failures == usual.doubts(good) == ()
     bad = FitQuality(whole=False, ended=False, inside=False, residual_hu=130.0, radius_mm=4.5)
-    assert len(usual.failures(bad)) == 3
+    assert len(bad.failures) == 3
     left, radius = usual.doubts(bad)
     assert "130 HU" in left
     assert "4.50 mm" in radius

@@ -1,4 +1,4 @@
-"""Clouds without correspondences: registered from any pose, or refused where the shape leaves it open."""
+"""Clouds without correspondences are registered from any pose, or refused: by shape, gravity, body, sight."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from procedures.registration.errors import (
     BadParameter,
     CollinearPoints,
 )
+from procedures.registration.room_prior import MIRROR, MIRRORS, HeadSight, RoomPrior, choose_landmark
 
 
 def head(count: int, random: np.random.Generator) -> np.ndarray:
@@ -96,18 +97,89 @@ def test_two_points_a_line_or_a_repeated_point_fix_no_pose(random):
         register_clouds(np.tile(points[:1], (5, 1)), points)
 
 
-@pytest.mark.parametrize("overlap", [0.0, -1.0, 1.1, 0.1, float("nan")])
-def test_an_impossible_overlap_is_refused(overlap, random):
-    with pytest.raises(BadParameter, match="REG-007"):
-        register_clouds(head(10, random), head(10, random), overlap=overlap)
-
-
-def test_several_starts_are_refused(random):
-    with pytest.raises(BadParameter, match=r"REG-007.*the start.*2 transforms"):
-        register_clouds(head(10, random), head(10, random), start=RigidTransform.identity(2))
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        *(({"overlap": overlap}, "") for overlap in (0.0, -1.0, 1.1, 0.1, float("nan"))),
+        ({"start": RigidTransform.identity(2)}, r".*the start.*2 transforms"),
+    ],
+)
+def test_an_impossible_overlap_and_several_starts_are_refused(options, said, random):
+    with pytest.raises(BadParameter, match=f"REG-007{said}"):
+        register_clouds(head(10, random), head(10, random), **options)
 
 
 def test_a_registration_that_does_not_converge_is_reported(random, any_pose, monkeypatch):
     monkeypatch.setattr("procedures.registration.cloud_registration.MOST_STEPS", 1)
     with raises(NOT_CONVERGED, match="REG-006"):
         register_clouds(head(50, random), any_pose(random).apply(head(60, random)))
+
+
+ANTERIOR = np.array([0.0, -1.0, 0.0])
+MIDDLE_MM = np.array([800.0, 0.0, 200.0])
+SIGHT = HeadSight(np.zeros(3), np.array([75.0, 95.0, 90.0]), np.array([[800.0, 0.0, 2000.0]]))
+PRIOR = RoomPrior(ANTERIOR, (0.0, 60.0), 30.0, SIGHT)
+# Flat on the back, the vertex towards the arm: left is the arm's left, superior towards it.
+SUPINE = np.column_stack([[0.0, 1.0, 0.0], [0.0, 0.0, -1.0], [-1.0, 0.0, 0.0]])
+ON_TOP_MM = np.add(MIDDLE_MM, (0.0, 0.0, 111.0))
+
+
+def lying(axis: str, angle_deg: float) -> np.ndarray:
+    return np.asarray(Rotation.from_euler(axis, angle_deg, degrees=True).as_matrix() @ SUPINE)
+
+
+@pytest.mark.parametrize(
+    ("axis", "angles_deg", "reason"),
+    [
+        ("y", [-29.0, 0.0, 60.0, 89.0], ""),  # flat, or raised
+        ("y", [-50.0], "turned 50 deg beyond the planned patient position, limit 30 deg"),
+        ("y", [100.0], "turned 40 deg"),
+        ("y", [180.0], "turned 120 deg"),
+        ("x", [25.0, -25.0, 20.0], ""),  # to the side, or with a tilted table
+        ("x", [15.0 + 20.0], "turned 35 deg"),
+        ("z", [90.0], ""),
+        ("z", [180.0], "where the patient's body is"),
+    ],
+)
+def test_a_patient_lies_as_planned_within_the_tolerance_and_not_where_the_arm_stands(
+    axis: str, angles_deg: list[float], reason: str
+) -> None:
+    for angle_deg in angles_deg:
+        found = PRIOR.check_position(lying(axis, angle_deg), MIDDLE_MM)
+        assert reason in found
+        assert bool(found) is bool(reason)
+
+
+def test_the_tracker_sees_no_sphere_through_the_head() -> None:
+    assert PRIOR.objection(SUPINE, MIDDLE_MM, ON_TOP_MM[None]) == ""
+    below = MIDDLE_MM - (0.0, 0.0, 111.0)
+    assert "hide 1 of the spheres" in PRIOR.objection(SUPINE, MIDDLE_MM, np.array([ON_TOP_MM, below]))
+
+
+def test_every_mirror_is_a_reflection_of_the_axes() -> None:
+    for mirror in MIRRORS:
+        assert np.linalg.det(mirror) == pytest.approx(-1.0)
+        assert np.abs(mirror).sum(axis=0).tolist() == [1.0, 1.0, 1.0]
+
+
+def test_no_landmark_is_needed_without_a_mirror_image_that_fits() -> None:
+    matched = RigidTransform.from_components(MIDDLE_MM, Rotation.from_matrix(SUPINE))
+    assert choose_landmark(matched, [], PRIOR) is None
+    upside_down = Rotation.from_matrix(lying("x", 180.0) @ np.diag(-MIRROR))
+    assert (
+        choose_landmark(matched, [RigidTransform.from_components(MIDDLE_MM, upside_down)], PRIOR) is not None
+    )
+
+
+def test_the_landmark_is_where_the_head_of_the_mirror_image_is_farthest_away() -> None:
+    """Spheres in a plane beside the head: mirrored in it, the head lies on the other side of them."""
+    matched = RigidTransform.from_components(MIDDLE_MM, Rotation.from_matrix(SUPINE))
+    plane_mm, normal = np.add(MIDDLE_MM, (0.0, 80.0, 0.0)), np.array([0.0, 1.0, 0.0])
+    reflection = np.eye(3) - 2.0 * np.outer(normal, normal)
+    turned = reflection @ SUPINE @ np.diag(MIRROR)
+    moved_mm = reflection @ (MIDDLE_MM - plane_mm) + plane_mm
+    mirrored = RigidTransform.from_components(moved_mm, Rotation.from_matrix(turned))
+    landmark = choose_landmark(matched, [mirrored], PRIOR)
+    assert landmark is not None
+    assert landmark.name != "back of the head"  # which a patient on the back lies on
+    assert landmark.apart_mm == pytest.approx(160.0)

@@ -37,13 +37,9 @@ def simulated(request, random, fiducials):
     return points, squares, np.linalg.norm(error, axis=1)
 
 
-def test_fle_follows_from_fre_within_two_percent(simulated):
-    points, squares, _ = simulated
+def test_fle_follows_from_fre_and_predicts_the_target_error_within_two_percent(simulated):
+    points, squares, error = simulated
     assert fle_from_fre_mm(np.sqrt(squares.mean()), len(points)) == pytest.approx(FLE_MM, rel=0.02)
-
-
-def test_target_error_is_predicted_within_two_percent(simulated):
-    points, _, error = simulated
     predicted = tre_principal_axes_mm(TARGET, points, FLE_MM)[0]
     assert predicted == pytest.approx(np.sqrt(np.square(error).mean()), rel=0.02)
 

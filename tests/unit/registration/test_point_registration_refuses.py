@@ -32,6 +32,7 @@ from ronna_hw.frames import FRAME_MISMATCH, UNKNOWN_FRAME, Frame, Transform
 GOOD = np.array([[0, 0, 0], [80, 0, 0], [0, 90, 0], [10, 20, 70]], dtype=float)
 LINE = np.outer([0.0, 30.0, 70.0, 100.0], [1.0, 2.0, 3.0])
 UNIT = np.tile(np.eye(3), (4, 1, 1))
+NOT_REAL = (complex, object, bool, str)
 
 
 def with_value(row: int, value: float) -> np.ndarray:
@@ -48,27 +49,19 @@ TAKERS_OF_POINTS = {
 
 
 @pytest.mark.parametrize("taker", TAKERS_OF_POINTS)
-@pytest.mark.parametrize("bad", [np.full((4, 3), np.nan), np.zeros((4, 2)), np.zeros(6), [[1, 2], [3]], None])
-def test_malformed_points_raise_a_one_line_error(taker, bad):
+@pytest.mark.parametrize(
+    ("bad", "said"),
+    [
+        *((bad, "") for bad in (np.full((4, 3), np.nan), np.zeros((4, 2)), np.zeros(6), [[1, 2], [3]], None)),
+        *((GOOD.astype(kind), ".*not real numbers") for kind in NOT_REAL),
+    ],
+)
+def test_malformed_points_raise_a_one_line_error(taker, bad, said):
     for pair in ((bad, GOOD), (GOOD, bad)):
-        with raises(BAD_POINTS, match="REG-001") as caught:
+        with raises(BAD_POINTS, match=f"REG-001{said}") as caught:
             TAKERS_OF_POINTS[taker](*pair)
         assert isinstance(caught.value, ValueError)
         assert "\n" not in str(caught.value)
-
-
-@pytest.mark.parametrize("taker", TAKERS_OF_POINTS)
-@pytest.mark.parametrize("kind", [complex, object, bool, str])
-def test_points_that_are_not_real_numbers_are_refused_by_type(taker, kind):
-    for pair in ((GOOD.astype(kind), GOOD), (GOOD, GOOD.astype(kind))):
-        with raises(BAD_POINTS, match=r"REG-001.*not real numbers"):
-            TAKERS_OF_POINTS[taker](*pair)
-
-
-@pytest.mark.parametrize("kind", [complex, object, bool, str])
-def test_covariances_that_are_not_real_numbers_are_refused_by_type(kind):
-    with raises(BAD_COVARIANCE, match=r"REG-005.*not real numbers"):
-        register(GOOD, GOOD, covariance_mm2=UNIT.astype(kind))
 
 
 @pytest.mark.parametrize(
@@ -99,20 +92,21 @@ def test_bad_points_are_refused(image, physical, error):
 
 
 @pytest.mark.parametrize(
-    "covariance",
+    ("covariance", "said"),
     [
-        np.eye(3),
-        UNIT[:3],
-        UNIT * np.nan,
-        UNIT * 0.0,
-        -UNIT,
-        UNIT + np.triu(np.ones((3, 3)), 1),
-        UNIT * np.diag([1.0, 1.0, -0.5]),
-        "isotropic",
+        (np.eye(3), ""),
+        (UNIT[:3], ""),
+        (UNIT * np.nan, ""),
+        (UNIT * 0.0, ""),
+        (-UNIT, ""),
+        (UNIT + np.triu(np.ones((3, 3)), 1), ""),
+        (UNIT * np.diag([1.0, 1.0, -0.5]), ""),
+        ("isotropic", ""),
+        *((UNIT.astype(kind), ".*not real numbers") for kind in NOT_REAL),
     ],
 )
-def test_bad_covariances_are_refused(covariance):
-    with raises(BAD_COVARIANCE, match="REG-005") as caught:
+def test_bad_covariances_are_refused(covariance, said):
+    with raises(BAD_COVARIANCE, match=f"REG-005{said}") as caught:
         register(GOOD, GOOD, covariance_mm2=covariance)
     assert isinstance(caught.value, ValueError)
 

@@ -17,10 +17,6 @@ from procedures.registration.similarity_matrix import (
 from procedures.registration.thesis_settings import REFUSED_SHARE
 
 
-def pairs_of(found) -> set[tuple[int, int]]:
-    return {(int(i), int(j)) for i, j in found.pairs}
-
-
 def matched_one_to_one(a, b, tolerance_mm: float) -> int:
     """The largest one-to-one matching of two short lists, by trying all."""
     short, long = sorted((list(a), list(b)), key=len)
@@ -47,7 +43,7 @@ def test_a_head_with_outliers_is_paired(random, fiducials, reading):
     seen = reading(fiducials(6, random), 2, random)
     found = one(seen.image_mm, seen.physical_mm)
     assert found.status is MatchStatus.UNIQUE
-    assert pairs_of(found) == seen.pairs
+    assert set(map(tuple, found.pairs.tolist())) == seen.pairs
 
 
 def test_batched_readings_give_the_same_result_as_one_by_one(random, fiducials, reading):

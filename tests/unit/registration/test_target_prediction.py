@@ -26,17 +26,14 @@ TARGET = np.array([5.0, 10.0, -40.0])
 NOTHING = np.zeros((3, 3))
 
 
-def test_an_error_that_displaces_all_poses_alike_cancels() -> None:
-    shift = SharedErrors("tool frame", np.tile(2.0 * np.eye(3), (4, 1, 1)), 2.0 * np.eye(3))
-    assert predict_target_error(SPHERES, TARGET, [shift]).rms_mm == pytest.approx(0.0, abs=1e-12)
-
-
-def test_an_error_that_turns_all_poses_about_the_base_cancels_too() -> None:
+def test_an_error_that_displaces_all_poses_alike_or_turns_them_about_the_base_cancels() -> None:
     def turned(point: np.ndarray) -> np.ndarray:
         return np.cross([0.0, 0.0, 1e-3], point)[:, None]
 
+    shift = SharedErrors("tool frame", np.tile(2.0 * np.eye(3), (4, 1, 1)), 2.0 * np.eye(3))
     turn = SharedErrors("first joint", np.array([turned(one) for one in SPHERES]), turned(TARGET))
-    assert predict_target_error(SPHERES, TARGET, [turn]).rms_mm == pytest.approx(0.0, abs=1e-12)
+    for error in (shift, turn):
+        assert predict_target_error(SPHERES, TARGET, [error]).rms_mm == pytest.approx(0.0, abs=1e-12)
 
 
 @pytest.mark.parametrize("weighted", [False, True])
@@ -149,20 +146,15 @@ OWN = IndependentErrors("CT", COVARIANCE_MM2, NOTHING)
 INSTRUMENT = IndependentErrors("instrument", np.zeros((5, 3, 3)), np.eye(3))
 
 
-@pytest.mark.parametrize("chi_square", [0.0, 9.0, 16.9])
-def test_a_residual_that_the_sources_explain_never_narrows_or_widens_the_limit(chi_square: float) -> None:
+@pytest.mark.parametrize(("chi_square", "widening"), [(0.0, 1.0), (9.0, 1.0), (16.9, 1.0), (36.0, 2.0)])
+def test_only_a_residual_too_large_widens_the_limit_by_its_ratio_and_nothing_else(
+    chi_square: float, widening: float
+) -> None:
     stated = predict_target_error(POINTS_MM, TARGET_MM, [OWN])
     tested = predict_target_error(POINTS_MM, TARGET_MM, [OWN], residual=ResidualCheck(chi_square, 9))
-    assert tested.widening == 1.0
-    assert tested.limit_mm() == stated.limit_mm()
-
-
-def test_a_residual_too_large_widens_the_limit_by_its_ratio_and_nothing_else() -> None:
-    stated = predict_target_error(POINTS_MM, TARGET_MM, [OWN])
-    tested = predict_target_error(POINTS_MM, TARGET_MM, [OWN], residual=ResidualCheck(36.0, 9))
-    assert tested.limit_mm() == pytest.approx(2.0 * stated.limit_mm())
-    assert tested.rms_mm == stated.rms_mm
-    assert tested.budget_mm == stated.budget_mm
+    assert tested.widening == pytest.approx(widening)
+    assert tested.limit_mm() == pytest.approx(widening * stated.limit_mm())
+    assert (tested.rms_mm, tested.budget_mm) == (stated.rms_mm, stated.budget_mm)
 
 
 def test_what_displaces_the_target_alone_is_not_widened_since_no_residual_tests_it() -> None:

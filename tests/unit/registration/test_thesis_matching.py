@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 import pytest
 
 from procedures.engine.methods import CaseMethods
 from procedures.registration.correspondence import Match, MatchStatus
 from procedures.registration.errors import BadParameter
-from procedures.registration.thesis_matching import match_as_thesis
+from procedures.registration.similarity_matrix import match_as_thesis
 from procedures.registration.thesis_settings import (
     E_RANGE_MM,
     REFUSED_SHARE,
@@ -17,6 +19,7 @@ from procedures.registration.thesis_settings import (
 )
 
 SIGMAS = {"sigma_image_mm": 0.1, "sigma_physical_mm": 0.35}
+NAN, INF = float("nan"), float("inf")
 
 
 def paired(image, physical, **changes) -> Match:
@@ -34,13 +37,7 @@ def test_a_pairing_is_ordered_by_image_point_and_brings_its_transform(random, fi
     mapped = found.require_unique().apply(seen.image_mm[found.pairs[:, 0]])
     assert np.linalg.norm(mapped - seen.physical_mm[found.pairs[:, 1]], axis=1).max() < 3.0
     assert len(found.unmatched_image) == len(found.unmatched_physical) == 2
-
-
-def test_no_odds_are_stated(random, fiducials):
-    head = fiducials(5, random)
-    found = paired(head, head)
-    assert found.margin_nats is None
-    assert found.runner_up is None
+    assert (found.margin_nats, found.runner_up) == (None, None)  # no odds are stated
 
 
 @pytest.mark.parametrize(
@@ -71,23 +68,25 @@ def test_points_on_a_line_determine_no_rotation():
     assert "collinear" in found.reason
 
 
-@pytest.mark.parametrize("e_mm", [0.0, -1.0, 0.99, 6.01, float("nan"), float("inf")])
-def test_an_e_that_the_thesis_did_not_try_is_refused_by_matcher_and_case(random, fiducials, e_mm):
+@pytest.mark.parametrize(
+    ("setting", "said", "values"),
+    [
+        ("e_mm", r"REG-007: e .*; limit 1 to 6 mm, got {:g} mm\. Give ", [0.0, -1.0, 0.99, 6.01, NAN, INF]),
+        (
+            "refused_share",
+            r"share .*; limit 1e-06 to 0\.5, got {:g}\. Give ",
+            [0.0, 1e-7, 0.51, 1.0, 2.0, NAN],
+        ),
+    ],
+)
+def test_a_setting_that_the_thesis_did_not_try_is_refused_by_matcher_and_case(
+    random, fiducials, setting, said, values
+):
     head = fiducials(5, random)
-    for refused in (lambda: paired(head, head, e_mm=e_mm), lambda: CaseMethods(e_mm=e_mm)):
-        with pytest.raises(BadParameter, match=rf"REG-007: e .*; limit 1 to 6 mm, got {e_mm:g} mm\. Give "):
-            refused()
-
-
-@pytest.mark.parametrize("share", [0.0, 1e-7, 0.51, 1.0, 2.0, float("nan")])
-def test_a_refused_share_out_of_range_is_refused_by_matcher_and_case(random, fiducials, share):
-    head = fiducials(5, random)
-    for refused in (
-        lambda: paired(head, head, refused_share=share),
-        lambda: CaseMethods(refused_share=share),
-    ):
-        with pytest.raises(BadParameter, match=rf"share .*; limit 1e-06 to 0\.5, got {share:g}\. Give "):
-            refused()
+    for value in values:
+        for refused in (partial(paired, head, head), CaseMethods):
+            with pytest.raises(BadParameter, match=said.format(value)):
+                refused(**{setting: value})
 
 
 def test_the_ends_of_the_ranges_are_settings_of_a_case():

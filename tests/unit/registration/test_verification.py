@@ -41,19 +41,11 @@ def test_each_fiducial_carries_the_evidence_of_every_instrument(case):
     assert row.partner_is_nearest
 
 
-def test_a_missing_measurement_is_none(case):
+def test_a_missing_measurement_is_none_and_unmatched_points_are_named_on_either_side(case):
     table = case[2]
     assert table.ct_to_room[2].ct_disagreement_mm is None
     missing = table.ct_to_room[4]
-    assert (missing.tracker_index, missing.stereo_residual_mm, missing.partner_is_nearest) == (
-        None,
-        None,
-        None,
-    )
-
-
-def test_unmatched_points_are_named_on_either_side(case):
-    table = case[2]
+    assert (missing.tracker_index, missing.stereo_residual_mm, missing.partner_is_nearest) == (None,) * 3
     assert table.unmatched_ct == (4,)
     assert [(str(instrument), index) for instrument, index in table.unmatched_room] == [("tracker", 0)]
 
@@ -82,12 +74,7 @@ def test_nothing_to_compare_gives_an_empty_table(any_pose, random):
 
 
 @pytest.mark.parametrize(
-    "wrong",
-    [
-        {"pairs": [[0, 9]]},
-        {"pairs": [[-1, 0]]},
-        {"stereo": [RoomPoint(9, (0.0, 0.0, 0.0))]},
-    ],
+    "wrong", [{"pairs": [[0, 9]]}, {"pairs": [[-1, 0]]}, {"stereo": [RoomPoint(9, (0.0, 0.0, 0.0))]}]
 )
 def test_indices_of_absent_points_are_refused(wrong, random, fiducials, any_pose):
     image, room = fiducials(4, random), any_pose(random)

@@ -16,12 +16,7 @@ from procedures.relocalization import (
     search_offsets_mm,
     search_pose,
 )
-from procedures.relocalization.errors import (
-    BAD_MEASUREMENT,
-    SERVO_DIVERGES,
-    SERVO_EXHAUSTED,
-    SphereNotInView,
-)
+from procedures.relocalization.errors import BAD_MEASUREMENT, SERVO_DIVERGES, SERVO_EXHAUSTED, SphereNotInView
 from ronna_hw.frames import FRAME_MISMATCH, Frame, Transform
 
 SPHERE_MM = np.array([612.0, -40.0, 310.0])
@@ -32,16 +27,12 @@ def tool_pose(translation=(610.0, -43.0, 312.0), seed=3):
     return Transform.of(Frame.ROBOT, Frame.TOOL, translation_mm=translation, quaternion_wxyz=quaternion)
 
 
-def residual_seen(pose, twist):
-    """What a head with a turned mounting measures; the end of the servo does not depend on it."""
-    return twist.apply(pose.inverse().apply(SPHERE_MM))
-
-
 def run(settings, twist, repeatability_mm=0.0, start=None):
     generator = np.random.default_rng(5)
     pose, state = start or tool_pose(), ServoState(settings)
     while True:
-        residual = residual_seen(pose, twist)
+        # A head with a turned mounting; the end of the servo does not depend on it.
+        residual = twist.apply(pose.inverse().apply(SPHERE_MM))
         state = state.with_measurement(pose, residual)
         if state.converged:
             return state, pose, residual
@@ -56,10 +47,7 @@ def run(settings, twist, repeatability_mm=0.0, start=None):
 
 
 @settings(max_examples=30)
-@given(
-    seed=st.integers(0, 10_000),
-    direction=st.tuples(st.floats(-1, 1), st.floats(-1, 1), st.floats(-1, 1)),
-)
+@given(seed=st.integers(0, 10_000), direction=st.tuples(st.floats(-1, 1), st.floats(-1, 1), st.floats(-1, 1)))
 def test_the_servo_converges_within_eight_steps_from_five_millimetres(seed, direction):
     length = np.linalg.norm(direction)
     start_mm = SPHERE_MM + (

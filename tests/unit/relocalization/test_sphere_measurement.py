@@ -192,17 +192,18 @@ def test_an_input_that_is_not_a_grey_image_is_refused_in_one_line(image):
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize(("level", "said"), [(0, "completely dark"), (120, "no contrast")])
-def test_a_uniform_image_has_no_contrast(level, said):
-    with pytest.raises(NoContrast, match=f"STE-002.*{said}"):
-        measure_sphere(np.full((1088, 2048), level, np.uint8))
-
-
-@pytest.mark.parametrize(("level", "kind"), [(255, np.uint8), (4095, np.uint16)])
-def test_a_saturated_image_is_distinguished_from_a_dark_one(level, kind):
-    with pytest.raises(Saturated, match="STE-011: the image is saturated") as caught:
+@pytest.mark.parametrize(
+    ("level", "kind", "error", "said"),
+    [
+        (0, np.uint8, NoContrast, "STE-002.*completely dark"),
+        (120, np.uint8, NoContrast, "STE-002.*no contrast"),
+        (255, np.uint8, Saturated, "STE-011: the image is saturated.*exposure"),
+        (4095, np.uint16, Saturated, "STE-011: the image is saturated.*exposure"),
+    ],
+)
+def test_a_uniform_image_is_told_as_dark_even_or_saturated(level, kind, error, said):
+    with pytest.raises(error, match=said):
         measure_sphere(np.full((1088, 2048), level, kind))
-    assert "exposure" in caught.value.action
 
 
 @pytest.mark.hazard(27)

@@ -149,7 +149,7 @@ def test_the_accept_option_answers_for_the_findings_only_and_comes_before_a_file
 
 @pytest.mark.parametrize(("at_terminal", "answer"), [(True, "no"), (False, "yes")])
 def test_a_step_is_repeated_without_asking_only_when_nobody_is_at_the_terminal(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, at_terminal: bool, answer: str
+    monkeypatch: pytest.MonkeyPatch, at_terminal: bool, answer: str
 ) -> None:
     """Whoever sits at this terminal says nothing."""
     monkeypatch.setattr("procedures.runs.observers.on_terminal", lambda _stream: at_terminal)
@@ -170,31 +170,22 @@ def test_a_simulated_case_is_answered_by_a_script_and_says_so_unless_a_person_is
     assert line.startswith("every question of a real case is asked here" if ask else "a script answers")
 
 
-@pytest.mark.parametrize(("at_terminal", "said"), [(True, ""), (False, "nobody can answer")])
-def test_a_case_on_a_theatre_file_without_a_terminal_warns_that_nobody_can_answer(
+@pytest.mark.parametrize(
+    ("at_terminal", "asks", "said"),
+    [(True, True, ""), (False, True, "nobody can answer"), (False, False, "")],
+)
+def test_a_case_on_a_theatre_file_without_a_terminal_warns_that_nobody_can_answer_if_it_asks(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
     at_terminal: bool,
+    asks: bool,
     said: str,
 ) -> None:
     monkeypatch.setattr("procedures.runs.observers.on_terminal", lambda _stream: at_terminal)
-    operator_selection(
-        RunRequest(procedure=CaseProcedure(case=tmp_path), config=tmp_path / "theatre.toml"),
-        RunObservers(),
-        None,
-    )
-    error = capsys.readouterr().err
-    assert said in error if said else error == ""
-
-
-def test_acknowledging_does_not_warn_that_nobody_can_answer(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr("procedures.runs.observers.on_terminal", lambda _stream: False)
     request = RunRequest(procedure=CaseProcedure(case=tmp_path), config=tmp_path / "theatre.toml")
     left = cast(InterruptedRun, None)  # not looked at
-    operator_selection(
-        request, RunObservers(), Resumption(left, accepted=False, only_leaving=True, asks=False)
-    )
-    assert capsys.readouterr().err == ""
+    acknowledging = None if asks else Resumption(left, accepted=False, only_leaving=True, asks=False)
+    operator_selection(request, RunObservers(), acknowledging)
+    error = capsys.readouterr().err
+    assert said in error if said else error == ""

@@ -19,12 +19,7 @@ from procedures.journal.journal import JOURNAL_FILE, Entry, Journal
 from procedures.operator.errors import NotConfirmed
 from procedures.operator.question import Topic
 from procedures.runs import arm_notes
-from procedures.runs.arm_notes import (
-    NOT_KNOWN,
-    TheatreNote,
-    describe_arm_without_record,
-    find_former_run,
-)
+from procedures.runs.arm_notes import NOT_KNOWN, TheatreNote, describe_arm_without_record, find_former_run
 from procedures.runs.request import CaseProcedure, RunRequest
 from procedures.runs.request_file import write_request
 from procedures.runs.theatre_lock import hold_theatre
@@ -93,13 +88,13 @@ def test_whoever_deleted_a_run_hears_where_its_arm_is_and_how_it_comes_home(tmp_
     assert describe_arm_without_record(ArmPlace(PlaceKind.HOME), own=False) == "the arm is at home"
 
 
-def test_the_warning_names_the_run_that_left_the_arm_away_and_the_home_command(tmp_path: Path) -> None:
+def test_the_warning_names_the_run_that_left_the_arm_away_also_after_one_that_moved_nothing(
+    tmp_path: Path,
+) -> None:
+    (tmp_path / "theatre.toml").touch()
+    assert warning(tmp_path) is None
     away = earlier(tmp_path, 1, "go")
     assert f"ronna-procedure home {away}" in str(warning(tmp_path))
-
-
-def test_a_run_that_moved_nothing_does_not_hide_the_one_that_left_the_arm_away(tmp_path: Path) -> None:
-    away = earlier(tmp_path, 1, "go")
     earlier(tmp_path, 2)
     for _ in range(2):
         assert away.name in str(warning(tmp_path))
@@ -166,11 +161,6 @@ def test_a_motion_from_home_that_was_cut_short_leaves_the_arm_away(
             journal.write(Entry.MOVED, 0.0, **end)
     journal.close()
     assert f"ronna-procedure home {run}" in str(warning(tmp_path))
-
-
-def test_a_run_that_brought_the_arm_home_gives_no_warning(tmp_path: Path) -> None:
-    earlier(tmp_path, 1, "go", "home")
-    assert warning(tmp_path) is None
 
 
 @pytest.mark.hazard(5)
@@ -303,14 +293,8 @@ def simulated_theatre(path: Path, identity: str) -> Path:
     return path
 
 
-def test_a_theatre_without_an_earlier_run_gives_no_warning(tmp_path: Path) -> None:
-    (tmp_path / "theatre.toml").touch()
-    assert warning(tmp_path) is None
-
-
 @pytest.mark.hazard(5)
-def test_the_arm_position_becomes_home_only_after_confirmation(tmp_path: Path) -> None:
-    cell = RecordingCell(tmp_path)
+def test_the_arm_position_becomes_home_only_after_confirmation(cell: RecordingCell) -> None:
     cell.operator.refusing = (Topic.RESUME,)
     engine = cell.engine(order_of([set_up.STEP], ()))
     engine.setting = replace(engine.setting, arm_not_home="run A left the arm away from its home")

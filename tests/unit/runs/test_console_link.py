@@ -44,7 +44,9 @@ def test_a_console_receives_a_heartbeat_before_the_theatre_is_open(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(console_link, "ChildProcess", Listening)
-    console: Any = console_link.ConsoleLink(tmp_path, OperatorStation(waits=True), 0, lambda _words: None)
+    console: Any = console_link.ConsoleLink(
+        tmp_path, OperatorStation(waits=True), console_link.ConsoleRequest(), lambda _words: None
+    )
     try:
         heard = console._child.socket.recv(100)
     finally:
@@ -60,7 +62,9 @@ def test_a_console_hears_that_the_seat_is_free_while_the_engine_is_busy(
     station = OperatorStation(waits=True, now_s=lambda: now_s[0])
     engine = RecordingCell(tmp_path).engine(plain_order())  # neither asks nor waits
     station.attach(engine)
-    console: Any = console_link.ConsoleLink(tmp_path, station, 0, lambda _words: None)
+    console: Any = console_link.ConsoleLink(
+        tmp_path, station, console_link.ConsoleRequest(), lambda _words: None
+    )
     heard = bytearray()
 
     def is_heard(words: bytes) -> bool:
@@ -92,7 +96,9 @@ def test_a_case_waits_until_its_console_serves_or_has_failed(
             return {}
 
     monkeypatch.setattr(console_link, "ChildProcess", Slow)
-    console = console_link.ConsoleLink(tmp_path, OperatorStation(waits=True), 0, said.append)
+    console = console_link.ConsoleLink(
+        tmp_path, OperatorStation(waits=True), console_link.ConsoleRequest(), said.append
+    )
     try:
         with ThreadPoolExecutor(1) as beside:
             waiting = beside.submit(console.await_ready)

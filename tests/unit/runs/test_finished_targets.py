@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -53,7 +52,7 @@ from procedures.runs.engine_setup import MovedCart
 from procedures.runs.interrupted_run import read_interrupted_run
 from procedures.runs.observers import RunObservers
 from procedures.runs.request import CaseProcedure, RunRequest
-from procedures.runs.way_out import has_head_moved, surround
+from procedures.runs.way_out import has_head_moved, surround_arms
 from procedures.steps.branches import HOLD
 from procedures.steps.clinical import at_target, confirmation, path_check, positioning, retreat
 from procedures.steps.clinical.at_target import ReachedTarget
@@ -170,12 +169,23 @@ def test_a_changed_figure_of_one_registration_does_not_prevent_the_report(
     assert path.name in report
 
 
-def test_the_export_has_a_registration_for_each_target(tmp_path: Path) -> None:
+def test_each_target_is_exported_with_its_registration_in_a_frame_of_reference_of_its_own(
+    tmp_path: Path,
+) -> None:
     registered_twice(ClinicalCell(tmp_path / "run"))
     seal(tmp_path / "run", Manifest(read_chain(tmp_path / "run" / JOURNAL_FILE).lines).files)
-    names = {path.name for path in export_run(tmp_path / "run", tmp_path / "out").files}
-    assert {f"registration-{name}.dcm" for name in TRAJECTORIES} < names
-    table = (tmp_path / "out" / "registrations.csv").read_text().splitlines()
+    first, again = (
+        {one.name: one for one in export_run(tmp_path / "run", tmp_path / name).files}
+        for name in ("one", "two")
+    )
+    registrations = [f"registration-{name}.dcm" for name in TRAJECTORIES]
+    assert set(registrations) < set(first)
+    frames, others = (
+        [dcmread(files[name]).FrameOfReferenceUID for name in registrations] for files in (first, again)
+    )
+    assert len(set(frames)) == len(TRAJECTORIES)
+    assert frames == others
+    table = (tmp_path / "one" / "registrations.csv").read_text().splitlines()
     assert [line.partition(",")[0] for line in table] == ["trajectory", *TRAJECTORIES]
 
 
@@ -237,18 +247,6 @@ def event_of_last_line(run: Path) -> Event:
     event = Event(number=1, host_time=line["host_time"], theatre_time_s=1.0, what=JournalLine(line=line))
     (run / EVENTS_FILE).write_text(event.model_dump_json() + "\n")
     return event
-
-
-def test_the_robot_gets_another_frame_of_reference_after_the_move(tmp_path: Path) -> None:
-    registered_twice(ClinicalCell(tmp_path / "run"))
-    seal(tmp_path / "run", Manifest(read_chain(tmp_path / "run" / JOURNAL_FILE).lines).files)
-    first, again = (frames_of(export_run(tmp_path / "run", tmp_path / name).files) for name in ("one", "two"))
-    assert len(set(first)) == len(TRAJECTORIES)
-    assert first == again
-
-
-def frames_of(files: Iterable[Path]) -> list[str]:
-    return [dcmread(one).FrameOfReferenceUID for one in files if one.match("registration-*.dcm")]
 
 
 @dataclass
@@ -362,11 +360,11 @@ def test_an_arm_still_out_after_a_restart_can_be_brought_home(
     engine.accept()
     near_rad: list[JointVector | None] = []
     monkeypatch.setattr(again.workcell.master, "surround", lambda _, near=None: near_rad.append(near))
-    surround(engine)
+    surround_arms(engine)
     assert (
         near_rad == [again.workcell.master.joints_rad()] != [HOME_RAD]
     )  # exact where it stands, not at home
     monkeypatch.undo()
-    surround(engine)
+    surround_arms(engine)
     engine.retreat_home()
     assert engine.over

@@ -117,15 +117,11 @@ def test_a_failure_to_write_the_report_does_not_mask_the_original_error(
     assert f"To write it: ronna-procedure report {tmp_path}" in shown
 
 
-def test_the_path_of_a_report_is_printed_without_control_characters(tmp_path: Path) -> None:
+def test_the_report_of_a_run_killed_at_its_start_is_printed_by_its_path_without_control_characters(
+    tmp_path: Path,
+) -> None:
     run = tmp_path / "r\x1b[2Jx"
     run.mkdir()
     (run / "log.jsonl").touch()
     done = in_this_process(app, "report", run)
     assert (done.returncode, done.stdout) == (0, f"{tmp_path}/r\\x1b[2Jx/report.html\n")
-
-
-def test_the_report_command_works_on_a_run_killed_at_its_start(tmp_path: Path) -> None:
-    (tmp_path / "log.jsonl").touch()
-    done = in_this_process(app, "report", tmp_path)
-    assert (done.returncode, done.stdout) == (0, f"{tmp_path / 'report.html'}\n")

@@ -96,20 +96,14 @@ def guarded(tmp_path: Path) -> ClinicalCell:
 
 
 @pytest.mark.hazard(3)
-def test_a_guarded_case_does_not_move_with_another_tool(guarded: ClinicalCell) -> None:
-    guarded.arm.mounted = GUIDE
-    with pytest.raises(GuardUnmet, match=r"PRO-017.*tool"):
-        guarded.workcell.master.go(guarded.arm.joints_rad)
-    assert guarded.arm.motions == []
-
-
-@pytest.mark.hazard(3)
-def test_a_tool_exchanged_while_the_first_motion_is_confirmed_is_not_moved(guarded: ClinicalCell) -> None:
+@pytest.mark.parametrize("meanwhile", [False, True], ids=["before", "while the first motion is confirmed"])
+def test_a_guarded_case_does_not_move_with_another_tool(guarded: ClinicalCell, meanwhile: bool) -> None:
     def exchange(question: Question) -> None:
         if question.topic is Topic.FIRST_MOTION:
             guarded.arm.mounted = GUIDE
 
     guarded.operator.meanwhile = exchange
+    guarded.arm.mounted = guarded.arm.mounted if meanwhile else GUIDE
     with pytest.raises(GuardUnmet, match=r"PRO-017.*tool"):
         guarded.workcell.master.go(guarded.arm.joints_rad)
     assert guarded.arm.motions == []

@@ -2,24 +2,29 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from clinical_case import ClinicalCell, done_later
 from coded_errors import raises
 from plain_steps import Approach, Image, plain_order
+from prepared_results import checked_plan
 from recording_cell import RecordingCell
 from run_again import broken_off, opened_again
 
 from procedures.engine.case import StepKey
 from procedures.engine.engine import Engine
 from procedures.engine.errors import RUN_IN_USE
-from procedures.engine.order import Outcome
+from procedures.engine.order import Outcome, order_of
 from procedures.journal.errors import StepRefused
 from procedures.journal.journal import JOURNAL_FILE, TORN_FILE, Entry, Journal
 from procedures.journal.results import StepResult
+from procedures.runs.case import restore_order
 from procedures.runs.folders import hold_run
 from procedures.runs.interrupted_run import read_interrupted_run
+from procedures.runs.request import CaseProcedure
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.errors import LinkTimeout
 from ronna_hw.evidence.journal_reading import JournalCorrupt, read_chain
@@ -156,9 +161,7 @@ def test_a_localization_doubted_after_an_arm_fault_is_still_doubted_after_a_rest
     assert len(again.entries("doubted")) == 1
 
 
-def test_a_record_missing_from_the_journal_is_not_used_but_kept(
-    cell: RecordingCell,
-) -> None:
+def test_a_record_missing_from_the_journal_is_not_used_but_kept(cell: RecordingCell) -> None:
     order = plain_order("T1")
     cell.engine(order).run_to(order.find("image"))
     cell.case.store(order.find("localization:T1"), Image(), ())  # killed between record and journal
@@ -183,8 +186,37 @@ def test_the_step_that_had_started_is_known(cell: RecordingCell) -> None:
 
 
 @pytest.mark.hazard(42)
-def test_only_one_program_at_a_time_can_hold_a_run(tmp_path: Path) -> None:
-    with hold_run(tmp_path), raises(RUN_IN_USE, match="PRO-030"), hold_run(tmp_path):
+def test_a_run_is_held_by_one_program_which_is_named_to_others_with_no_advice_to_end_it(
+    tmp_path: Path,
+) -> None:
+    with (
+        hold_run(tmp_path),
+        raises(RUN_IN_USE, match=rf"PRO-030.*pid {os.getpid()}") as refused,
+        hold_run(tmp_path),
+    ):
         pass
+    assert "watch" in refused.value.advice
+    assert "end" not in refused.value.advice.lower().split()
     with hold_run(tmp_path):
         pass
+
+
+class Begun(StepResult, kind="begun"):
+    """What was done before there was a plan."""
+
+
+def test_the_order_comes_from_the_record_without_reading_a_plan_file(tmp_path: Path) -> None:
+    cell = ClinicalCell(tmp_path / "run")
+    cell.begin(checked_plan()).run_to()
+    broken_off(cell)
+    order = restore_order(CaseProcedure(case=tmp_path / "gone"), read_interrupted_run(cell.folder))
+    assert list(order.trajectories) == [trajectory.id for trajectory in checked_plan().plan.trajectories]
+    assert StepKey("retreat", order.trajectories[-1]) in order.sequence
+
+
+def test_an_order_without_a_checked_plan_has_no_steps_at_targets(tmp_path: Path) -> None:
+    cell = ClinicalCell(tmp_path / "run")
+    cell.engine(order_of([done_later(Begun())], ())).run_to()
+    broken_off(cell)
+    order = restore_order(CaseProcedure(case=tmp_path / "gone"), read_interrupted_run(cell.folder))
+    assert order.trajectories == ()

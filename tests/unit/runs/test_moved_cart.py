@@ -75,27 +75,20 @@ def test_a_move_voids_results_that_depend_on_the_place_and_the_case_continues_fr
     engine = localizing(cell)
     move_at(cell, step)
     engine.run_to()
-    assert moves_asked(cell) == moves
+
+    questions = [one for one in cell.operator.asked if one.topic is Topic.CART_MOVED]
+    assert len(questions) == moves
+    for question in questions:
+        assert "the cart of the robot was moved, or somebody leans on arm or guide: " in question.subject
+        assert "the frame on the arm by 2.00 mm" in question.subject
+        assert "cart_lock is next" in question.subject
+        assert ", ".join(KEPT) in question.value
+        assert question.deliberate
     assert cell.entries("voided") == [("voided", "cart_lock")] * moves
     done = [name for _, name in cell.entries("result")]
     assert all(done.count(name) == 1 for name in KEPT)
     assert done.count("cart_lock") == done.count("global_localization") == 1 + moves
     assert engine.upcoming is None
-
-
-def test_the_question_names_the_move_and_the_results_that_remain_valid(tmp_path: Path) -> None:
-    cell = ClinicalCell(tmp_path)
-    engine = localizing(cell)
-    move_at(cell, f"relocalization:{FIRST}")
-    engine.run_to()
-    (question,) = [one for one in cell.operator.asked if one.topic is Topic.CART_MOVED]
-    assert (
-        "the cart of the robot was moved, or somebody leans on arm or guide: the frame on the arm by 2.00 mm"
-        in question.subject
-    )
-    assert "cart_lock is next" in question.subject
-    assert ", ".join(KEPT) in question.value
-    assert question.deliberate
 
 
 def test_the_case_is_held_before_the_cart_lock_without_consent(tmp_path: Path) -> None:
@@ -199,18 +192,6 @@ def test_a_resumed_run_knows_its_finished_targets(tmp_path: Path) -> None:
         f"03-target-{FIRST}",
         f"04-out-{FIRST}",
     ]
-
-
-def test_another_plan_voids_finished_targets_as_well(tmp_path: Path) -> None:
-    cell = ClinicalCell(tmp_path)
-    engine = half_done(cell, f"out:{FIRST}")
-    engine.void(StepKey("plan"), INPUT_CHANGED("the plan was changed"))
-    assert not any(engine.case.stands(key) for key in engine.order.sequence)
-    assert engine.case.trajectories_finished_before_move == frozenset()
-
-
-def test_no_step_remains_once_all_targets_are_finished(tmp_path: Path) -> None:
-    assert half_done(ClinicalCell(tmp_path), f"out:{LAST}").upcoming is None
 
 
 def test_a_repeated_step_leaves_a_finished_target_valid_unless_the_step_belongs_to_it(tmp_path: Path) -> None:

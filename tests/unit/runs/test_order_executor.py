@@ -5,7 +5,6 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from pathlib import Path
 
 import pytest
 from coded_errors import raises
@@ -59,21 +58,21 @@ class Operated:
         return self.engine.case.stands(self.engine.order.find(name))
 
 
-@pytest.fixture
-def cell(tmp_path: Path) -> RecordingCell:
-    return RecordingCell(tmp_path)
-
-
 @contextmanager
-def running(operated: Operated) -> Iterator[Operated]:
+def running(operated: Operated, *, claimed: bool = True) -> Iterator[Operated]:
+    """Run the case, with Ana in the operator's seat unless it is not `claimed`."""
     operated.thread.start()
+    if claimed:
+        operated.await_waiting()
+        operated.give("claim", name="Ana")
     yield operated
     operated.executor.station.leave()
     operated.thread.join(20)
 
 
 def test_a_waiting_case_does_nothing_until_the_operators_seat_is_taken(cell: RecordingCell) -> None:
-    with running(Operated(cell.engine(plain_order()), runs=False)) as case:
+
+    with running(Operated(cell.engine(plain_order()), runs=False), claimed=False) as case:
         case.await_waiting()
         assert case.give("next", upcoming="image") == "you are not in the operator's seat"
         assert case.give("claim", name="Ana") == ""
@@ -89,8 +88,6 @@ def test_a_waiting_case_does_nothing_until_the_operators_seat_is_taken(cell: Rec
 
 def test_run_to_stops_after_its_step_and_resume_runs_to_the_end(cell: RecordingCell) -> None:
     with running(Operated(cell.engine(plain_order()))) as case:
-        case.await_waiting()
-        case.give("claim", name="Ana")
         assert case.give("run_to", upcoming="image", step="fit:T1") == ""
         eventually(lambda: case.stands("fit:T1"))
         case.await_waiting()
@@ -105,8 +102,6 @@ def test_run_to_stops_where_its_step_is_left_out(cell: RecordingCell) -> None:
         return Outcome(Fit(not_for=("T2",) if context.trajectory == "T2" else ()))
 
     with running(Operated(cell.engine(plain_order("T1", "T2", "T3", fit=leaves_out)))) as case:
-        case.await_waiting()
-        case.give("claim", name="Ana")
         assert case.give("run_to", upcoming="image", step="approach:T2") == ""
         eventually(lambda: case.stands("fit:T2"))
         case.await_waiting()
@@ -117,18 +112,6 @@ def test_a_simulated_case_runs_without_an_operator_in_the_seat(cell: RecordingCe
     case = Operated(cell.engine(plain_order()), waits=False)
     case.executor.run_to_end(case.engine)
     assert case.engine.machine.state == "finished"
-
-
-def test_a_case_whose_console_ends_does_nothing_until_the_operator_continues_without_it(
-    cell: RecordingCell,
-) -> None:
-    cell.operator.refusing = (Topic.PAUSE,)
-    case = Operated(cell.engine(plain_order()))
-    case.executor.station.leave()
-    case._run()
-    assert isinstance(case.ended_by[0], OperatorAborted)
-    assert not case.stands("image")
-    assert [question.topic for question in cell.operator.asked] == [Topic.PAUSE]
 
 
 class Dying(OperatorStation):
@@ -153,14 +136,16 @@ class Dying(OperatorStation):
             self.leave()
 
 
-@pytest.mark.parametrize("before", ["in_charge", "gone"])
-def test_a_case_pauses_before_its_next_step_whenever_its_console_ends(
+@pytest.mark.parametrize("before", ["", "in_charge", "gone"])
+def test_a_case_does_nothing_once_its_console_ends_until_the_operator_continues_without_it(
     cell: RecordingCell, before: str
 ) -> None:
     cell.operator.refusing = (Topic.PAUSE,)
     case = Operated(cell.engine(plain_order()))
     case.executor.station = Dying(before)
     case.executor.attach(case.engine)
+    if not before:
+        case.executor.station.leave()
     case._run()
     assert isinstance(case.ended_by[0], OperatorAborted)
     assert [question.topic for question in cell.operator.asked] == [Topic.PAUSE]
@@ -184,8 +169,6 @@ def test_orders_of_an_operator_who_left_the_seat_are_not_carried_out_for_the_nex
 
     case = Operated(cell.engine(plain_order(image=leaving)))
     with running(case):
-        case.await_waiting()
-        case.give("claim", name="Ana")
         case.give("resume", upcoming="image")
         eventually(lambda: case.stands("image"))
         case.await_waiting()
@@ -209,8 +192,6 @@ def test_a_failed_step_holds_the_case_until_the_operator_repeats_it(
     cell: RecordingCell, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with running(Operated(cell.engine(plain_order(image=failing(1))))) as case:
-        case.await_waiting()
-        case.give("claim", name="Ana")
         case.give("next", upcoming="image")
         eventually(lambda: case.engine.machine.state == "held")
         case.await_waiting()
@@ -221,8 +202,6 @@ def test_a_failed_step_holds_the_case_until_the_operator_repeats_it(
 
 def test_an_abort_between_steps_ends_the_case(cell: RecordingCell) -> None:
     with running(Operated(cell.engine(plain_order()))) as case:
-        case.await_waiting()
-        case.give("claim", name="Ana")
         assert case.give("abort") == ""
         eventually(lambda: len(case.ended_by) == 1)
     assert isinstance(case.ended_by[0], OperatorAborted)
@@ -273,8 +252,6 @@ def test_an_abort_on_the_agreed_way_home_is_led_home_where_only_a_console_is_att
     away(cell)
     case.engine.goes_on = agreed
     with running(case):
-        case.await_waiting()
-        case.give("claim", name="Ana")
         case.give("next", upcoming="image")
         eventually(lambda: len(case.ended_by) == 1)
     assert isinstance(case.ended_by[0], OperatorAborted)
@@ -283,9 +260,7 @@ def test_an_abort_on_the_agreed_way_home_is_led_home_where_only_a_console_is_att
 
 
 @pytest.mark.branch("ABORTED")
-def test_an_abort_on_the_way_home_of_an_abort_at_the_console_ends_the_case(
-    cell: RecordingCell,
-) -> None:
+def test_an_abort_on_the_way_home_of_an_abort_at_the_console_ends_the_case(cell: RecordingCell) -> None:
     cell.operator.refusing = (Topic.PAUSE,)
     cell.operator.meanwhile = lambda question: (
         case.engine.checkpoint.pause() if question.topic is Topic.PARK else None
@@ -293,8 +268,6 @@ def test_an_abort_on_the_way_home_of_an_abort_at_the_console_ends_the_case(
     case = Operated(cell.engine(plain_order()))
     away(cell)
     with running(case):
-        case.await_waiting()
-        case.give("claim", name="Ana")
         case.give("abort")
         eventually(lambda: len(case.ended_by) == 1)
     assert isinstance(case.ended_by[0], OperatorAborted)
@@ -323,8 +296,6 @@ def test_an_abort_ends_a_case_whose_guard_is_not_restored_before_it_nor_on_the_w
     away(cell)
     case.engine.checkpoint.guards.append(NeverRestored())
     with running(case):
-        case.await_waiting()
-        case.give("claim", name="Ana")
         case.give("abort")
         eventually(lambda: len(case.ended_by) == 1)
     assert isinstance(case.ended_by[0], OperatorAborted)
@@ -339,8 +310,6 @@ def test_the_operator_at_the_console_acknowledges_and_brings_home_when_every_ste
     case.engine.run_to()
     cell.arm.state = Lifecycle.FAULT
     with running(case):
-        case.await_waiting()
-        case.give("claim", name="Ana")
         assert case.give("next", upcoming="home") == ""
         eventually(lambda: case.give("acknowledge") == "")  # the arm in fault holds the case
         eventually(lambda: "recovered by Ana" in cell.arm.calls)
@@ -355,8 +324,6 @@ def test_a_fault_acknowledged_at_the_console_in_a_pause_has_its_step_begun_again
     cell.operator = case.executor.operator(cell.operator)  # type: ignore[assignment]
     case.engine.questions = Questions(cell.setting(), cell.journal, case.engine.events)
     with running(case):
-        case.await_waiting()
-        case.give("claim", name="Ana")
         case.engine.checkpoint.pause()
         assert case.give("next", upcoming="image") == ""
         eventually(lambda: case.executor.station.open_question is not None)

@@ -13,7 +13,7 @@ from pydicom.dataset import Dataset
 from procedures.journal import free_space
 from procedures.planning.errors import WRONG_SERIES
 from procedures.runs import request_checks
-from procedures.runs.request import SceneChoice
+from procedures.runs.request import CaseProcedure, RunRequest, SceneChoice
 from procedures.runs.request_checks import (
     check_fault_script,
     list_unreached_faults,
@@ -112,3 +112,30 @@ def test_a_case_is_not_started_on_a_disk_without_room_for_it(
     with raises(DISK_FULL) as caught:
         require_space(tmp_path / "runs" / "deep")
     assert str(tmp_path) in caught.value.what
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "seed"),
+    [
+        ("scene.toml", "seed = 4\n", 4),
+        ("scene.json", '{"seed": 4}', 4),
+        ("scene.toml", "seed = ", 0),  # invalid
+        ("scene.toml", "seed = [1]\n", 0),
+    ],
+)
+def test_a_scene_file_brings_its_own_seed_and_a_built_in_scene_takes_the_requested_one(
+    tmp_path: Path, name: str, text: str, seed: int
+) -> None:
+    (tmp_path / name).write_text(text, encoding="utf-8")
+    assert SceneChoice(str(tmp_path / name)).scene_seed == seed
+    assert SceneChoice("mini", seed=7).scene_seed == 7
+
+
+def test_theatre_and_patient_are_made_for_the_chosen_arm() -> None:
+    assert SceneChoice("mini", arm="ur5e").arguments()[-2:] == ["--arm", "ur5e"]
+    assert "--arm" not in SceneChoice("mini").arguments()
+
+
+def test_a_case_on_configured_endpoints_has_no_seed(tmp_path: Path) -> None:
+    assert RunRequest(procedure=CaseProcedure()).seed == 0
+    assert RunRequest(procedure=CaseProcedure(), config=tmp_path / "theatre.toml").seed is None

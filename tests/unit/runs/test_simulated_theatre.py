@@ -1,7 +1,9 @@
-"""A simulated theatre at the end of its run, and of a case that could not be started."""
+"""A simulated theatre starts before what the steps need is imported, and ends however its run does."""
 
 import errno
 import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -64,3 +66,24 @@ def test_a_fault_that_came_too_late_is_named_when_the_run_ends(
         ]
         * named
     )
+
+
+SCRIPT = """
+import sys
+from procedures.runs.simulated_theatre import SimulatedTheatre
+
+def started(*_arguments, **_options):
+    heavy = {"numpy", "scipy", "cv2", "pydicom", "matplotlib", "procedures.engine.engine"}
+    print(*heavy & set(sys.modules))
+    raise SystemExit(0)
+
+SimulatedTheatre.__init__ = started
+from procedures.cli.procedure import main
+main()
+"""
+
+
+def test_a_simulated_theatre_starts_before_anything_heavy_is_imported(tmp_path: Path) -> None:
+    command = [sys.executable, "-c", SCRIPT, "run", "--sim", "--out", str(tmp_path)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout.split()) == (0, []), done.stderr

@@ -13,7 +13,12 @@ import pytest
 from procedures.engine.errors import TheatreInUse, TheatreNotNoted
 from procedures.runs import arm_notes
 from procedures.runs.arm_notes import TheatreNote, read_note
-from procedures.runs.theatre_lock import find_theatre_user, hold_theatre, read_last_note, require_free_theatre
+from procedures.runs.theatre_lock import (
+    find_theatre_user,
+    hold_theatre,
+    read_last_notes,
+    require_free_theatre,
+)
 from ronna_hw.roles import MASTER
 
 NOBODY = 65534  # an account without rights
@@ -85,12 +90,12 @@ def test_from_a_damaged_note_nobody_knows_who_moved_the_arm_until_a_run_moves_it
 ) -> None:
     lock_file(theatre).write_bytes(content)
     for _ in range(2):
-        assert read_last_note(theatre).unreadable
+        assert read_last_notes(theatre)[0].unreadable
         with hold_theatre(theatre, None) as (before,):
             assert before.unreadable
     assert read_note(theatre.with_name("none")) == TheatreNote()
     lock_file(theatre).write_bytes(b"")  # made, and its program killed
-    assert not read_last_note(theatre).unreadable
+    assert not read_last_notes(theatre)[0].unreadable
 
 
 def _of_nobody(path: Path) -> None:
@@ -112,7 +117,7 @@ def test_a_note_that_another_account_can_have_written_is_not_believed(
     (note,) = arms_folder.iterdir()
     give(note)
     for _ in range(2):
-        assert read_last_note(theatre).unreadable
+        assert read_last_notes(theatre)[0].unreadable
     with hold_theatre(theatre, None) as (before,):
         assert before.unreadable
     assert not note.stat().st_mode & 0o002
@@ -124,10 +129,10 @@ def test_a_note_that_another_account_can_have_removed_is_not_known(tmp_path: Pat
     with hold_theatre(theatre, None):
         pass
     _of_nobody(arms_folder)
-    assert not read_last_note(theatre).unreadable  # it is there, and ours
+    assert not read_last_notes(theatre)[0].unreadable  # it is there, and ours
     (note,) = arms_folder.iterdir()
     note.unlink()
-    assert read_last_note(theatre).unreadable
+    assert read_last_notes(theatre)[0].unreadable
 
 
 @pytest.mark.hazard(5)
@@ -142,15 +147,15 @@ def test_a_note_is_believed_by_every_user_of_the_group_that_may_write_it(
         if os.geteuid() == 0:  # who owns everything that root made
             os.chown(path, NOBODY, -1)
     monkeypatch.setattr(arm_notes.os, "geteuid", lambda: NOBODY - 1)
-    assert not read_last_note(theatre).unreadable
+    assert not read_last_notes(theatre)[0].unreadable
     monkeypatch.setattr(arm_notes.os, "getegid", lambda: NOBODY)
     monkeypatch.setattr(arm_notes.os, "getgroups", list)
-    assert read_last_note(theatre).unreadable
+    assert read_last_notes(theatre)[0].unreadable
 
 
 def test_a_killed_run_with_a_name_that_no_folder_has_may_have_moved_the_arm(theatre: Path) -> None:
     lock_file(theatre).write_bytes(b'{"run": "a\\u0000b", "pid": 1}')
-    assert read_last_note(theatre).moved_before == Path("a\0b")
+    assert read_last_notes(theatre)[0].moved_before == Path("a\0b")
 
 
 @pytest.mark.hazard(5)

@@ -97,7 +97,10 @@ def steps_done(cell: ClinicalCell) -> list[str]:
 @pytest.mark.hazard(2)
 def test_the_guide_is_checked_again_after_a_restart_before_it_goes_to_the_head(cell: ClinicalCell) -> None:
     again, engine = restarted(cell, operation(cell), "tool_check")
+
     assert str(engine.upcoming) == "tool_check"
+    with pytest.raises(StepRefused, match="tool_check comes first"):
+        engine.run_step(engine.order.find(f"positioning:{FIRST}"))
     engine.run_to(engine.order.find(f"positioning:{FIRST}"))
     assert gauge_readings(again) == tool_check.APPROACHES
 
@@ -109,12 +112,6 @@ def test_a_guide_bent_while_the_program_was_down_does_not_go_to_the_head(cell: C
     with pytest.raises(ToolBesideGauge):
         engine.run_to()
     assert again.motions("insert") == []
-
-
-def test_positioning_is_refused_before_the_new_check(cell: ClinicalCell) -> None:
-    _, engine = restarted(cell, operation(cell), "tool_check")
-    with pytest.raises(StepRefused, match="tool_check comes first"):
-        engine.run_step(engine.order.find(f"positioning:{FIRST}"))
 
 
 def test_the_restart_question_announces_the_repeated_tool_check(cell: ClinicalCell) -> None:
@@ -235,7 +232,7 @@ def mounts(cell: ClinicalCell, topic: Topic, number: int) -> None:
 def test_a_guide_found_off_before_it_goes_to_the_head_is_checked_again(
     cell: ClinicalCell, guarded: Engine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(positioning, "require_unmoved", lambda *_: setattr(cell.arm, "mounted", 0))
+    monkeypatch.setattr(positioning.room, "require_unmoved", lambda *_: setattr(cell.arm, "mounted", 0))
     with raises(TOOL_UNCHECKED, match="no tool instead of the guide"):
         guarded.run_step(guarded.order.find(f"positioning:{FIRST}"))
     cell.arm.mounted = GUIDE

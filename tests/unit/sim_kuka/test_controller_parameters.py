@@ -8,17 +8,17 @@ import pytest
 from coded_errors import raises
 
 from sim.kuka.command import kuka
-from sim.kuka.controller_parameters import ControllerParameters, parse_parameters
+from sim.kuka.controller_parameters import ControllerParameters
 from sim.kuka.errors import UNKNOWN_PARAMETER
 
 
 def test_parameters_are_set_by_name() -> None:
-    changed = parse_parameters(["timeout_counting=total", "streams_after_stop=false", "lag_s=0.02"])
+    changed = ControllerParameters.parse(["timeout_counting=total", "streams_after_stop=false", "lag_s=0.02"])
     assert (changed.timeout_counting, changed.streams_after_stop, changed.lag_s) == ("total", False, 0.02)
-    assert parse_parameters(["dead_time_cycles=3"]).dead_time_cycles == 3
-    assert parse_parameters(["ipo_filter_s=0.02", "ipo_filter_s=0.03"]).ipo_filter_s == 0.03
-    assert parse_parameters(["delay_lag_cycles=0", "reply_window=1"]).reply_window == 1.0
-    assert parse_parameters(()) == ControllerParameters()
+    assert ControllerParameters.parse(["dead_time_cycles=3"]).dead_time_cycles == 3
+    assert ControllerParameters.parse(["ipo_filter_s=0.02", "ipo_filter_s=0.03"]).ipo_filter_s == 0.03
+    assert ControllerParameters.parse(["delay_lag_cycles=0", "reply_window=1"]).reply_window == 1.0
+    assert ControllerParameters.parse(()) == ControllerParameters()
 
 
 @pytest.mark.parametrize(
@@ -39,7 +39,7 @@ def test_parameters_are_set_by_name() -> None:
 )
 def test_an_invalid_parameter_is_refused_with_the_expected_values(assignment: str, said: str) -> None:
     with raises(UNKNOWN_PARAMETER, match=said) as caught:
-        parse_parameters([assignment])
+        ControllerParameters.parse([assignment])
     assert caught.value.code == "KRC-003"
 
 

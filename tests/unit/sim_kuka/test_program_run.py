@@ -11,29 +11,6 @@ from ronna_hw.wire.kuka_eki import ProState, RsiState
 from sim.kuka.controller_parameters import ControllerParameters
 
 
-def test_ipoc_advances_by_the_cycle_time_and_a_new_run_starts_at_another_value(make_bench: Make) -> None:
-    bench = make_bench()
-    run = bench.controller.run
-    first = run.ipoc
-    for n in range(1, 20):
-        bench.answer()
-        assert run.ipoc == first + 4 * n
-    bench.controller.cancel()
-    bench.controller.start()
-    assert bench.controller.run.ipoc != run.ipoc
-    assert bench.controller.run.ipoc % 4 == 0
-
-
-def test_corrections_move_the_arm_in_movecorr_and_show_in_aipos(bench: Any) -> None:
-    assert bench.controller.rsi_state is RsiState.ON
-    bench.enter_movecorr()
-    assert bench.controller.rsi_state is RsiState.MOVECORR
-    assert bench.controller.program_state is ProState.ACTIVE
-    bench.go(on_a1(10.0))
-    assert bench.A1_deg == 10.0
-    assert b'<AIPos A1="10.0000"' in bench.telegram()
-
-
 def test_the_arm_responds_after_the_dead_time_with_a_first_order_lag(bench: Any) -> None:
     bench.enter_movecorr()
     seen = []
@@ -95,27 +72,6 @@ def test_a_path_stop_brakes_the_arm_while_the_run_streams_and_path_fast_stops_sh
     assert 0.0 < ways["PathFast"] < ways["PathNormal"] == ways["Velocity"] < 2.0
 
 
-def test_a_restarted_run_uses_the_current_arm_position_as_its_base(bench: Any) -> None:
-    bench.enter_movecorr()
-    bench.go(on_a1(7.0))
-    bench.answer(on_a1(7.0), stop=1)
-    bench.controller.start()
-    assert b'A1="7.0000"' in bench.telegram()
-    bench.enter_movecorr()
-    assert bench.A1_deg == 7.0
-    bench.go(on_a1(-7.0))
-    assert bench.A1_deg == 0.0
-
-
-def test_a_lost_reply_freezes_the_arm_with_holdon_1(bench: Any) -> None:
-    bench.enter_movecorr()
-    bench.go(on_a1(5.0))
-    bench.miss(20)
-    assert bench.A1_deg == 5.0
-    assert bench.controller.run.late == 20
-    assert b'<Delay D="20"/>' in bench.telegram()
-
-
 def test_a_lost_reply_with_holdon_0_commands_a_jump_back_and_ends_in_a_fault(
     make_bench: Make, context_with: Make
 ) -> None:
@@ -160,27 +116,6 @@ def test_the_timeout_counts_late_replies_consecutively_or_in_total(
     if ends:
         assert bench.message_number == 29002
         assert bench.controller.drives_on
-
-
-def test_silence_ends_the_run_at_the_timeout_and_needs_acknowledgement(bench: Any) -> None:
-    bench.enter_movecorr()
-    bench.miss(99)
-    assert bench.controller.run is not None
-    bench.miss()
-    assert bench.controller.run is None
-    assert bench.controller.rsi_state is RsiState.FAULT
-    assert bench.controller.start().code == 1
-    assert bench.controller.acknowledge().code == 0
-    assert bench.controller.start().code == 0
-
-
-@pytest.mark.parametrize("stamp", [0, -4, 4, 1 << 40])
-def test_a_reply_for_another_cycle_is_rejected_and_counted(bench: Any, stamp: int) -> None:
-    run = bench.controller.run
-    ipoc = run.ipoc + stamp if stamp else run.ipoc
-    data = f'<Sen Type="KROSHU"><IPOC>{max(0, ipoc)}</IPOC></Sen>'.encode()
-    assert (run.read(data) is not None) is (stamp == 0)
-    assert run.rejected.count == (stamp != 0)
 
 
 @pytest.mark.parametrize(

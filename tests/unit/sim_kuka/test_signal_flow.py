@@ -15,19 +15,6 @@ A1_FULL_STEP_DEG = 360.0 * 0.004
 QUARTER_DEG = A1_FULL_STEP_DEG / 4
 
 
-def test_a_lost_reply_at_an_eighth_of_full_speed_causes_no_fault(bench: Any) -> None:
-    bench.enter_movecorr()
-    step = A1_FULL_STEP_DEG / 8
-    value = 0.0
-    for n in range(60):
-        value += step
-        if n % 10 == 9:
-            bench.miss()
-        else:
-            bench.answer(on_a1(value))
-    assert bench.controller.message is None
-
-
 def test_a_step_above_a_quarter_of_full_speed_stops_the_drives_and_moves_nothing(bench: Any) -> None:
     bench.enter_movecorr()
     bench.answer(on_a1(QUARTER_DEG + 0.001))

@@ -307,13 +307,6 @@ def test_a_file_name_that_is_too_long_is_refused(read_file: Make) -> None:
         read_file(ETHERNET_XML, longest_name=3)
 
 
-def test_a_missing_file_is_refused(tmp_path: Path) -> None:
-    from sim.kuka.rsi.ethernet_file import read_ethernet_file
-
-    with raises(ETHERNET_FILE_INVALID, match="No such file"):
-        read_ethernet_file(tmp_path / "none.xml", None, 255)
-
-
 FEW, MANY = 3000, 1_000_000
 AWAY = (
     b'<Sen Type="%s"><Stop>1</Stop><AK A1="0.100000" A2="-0.1" A3="0.1" A4="0.1" A5="0.1" A6="0.1"/>'

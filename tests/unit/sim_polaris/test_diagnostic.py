@@ -18,17 +18,6 @@ def diagnostic(bench: Bench, pointer: TrackerTool) -> Bench:
     return bench
 
 
-def test_diagnostic_mode_is_entered_from_setup_and_returns_to_it(diagnostic: Bench) -> None:
-    assert diagnostic.send("GET Info.Status.System Mode").endswith("=Diagnostic")
-    for line in ("DSTART ", "TSTART ", "TX 0001", "BX 0001", "TSTOP ", "PHSR 00", "PINIT 01"):
-        assert diagnostic.send(line) == "ERROR0C"
-    assert diagnostic.send("VER 0").startswith("Polaris")
-    assert diagnostic.send("SFLIST 02") == "9"
-    assert diagnostic.send("DSTOP ") == "OKAY"
-    assert diagnostic.send("DSTOP ") == "ERROR0C"
-    assert diagnostic.send("PHSR 04") == "0101031"
-
-
 @pytest.mark.parametrize("line", ["DSTOP ", "IRED 0100000001", "3D 015", "IRINIT ", "IRCHK 0001"])
 def test_diagnostic_commands_are_refused_outside_diagnostic_mode(
     make_bench: MakeBench, bench: Bench, line: str

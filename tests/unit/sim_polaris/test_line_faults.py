@@ -27,10 +27,6 @@ def conversation(bench: Bench, faults: LineFaults, line: bytes) -> bytes:
     return faults.to_host(heard, bench.interpreter.reply(heard))
 
 
-def test_a_good_line_changes_nothing(bench: Bench) -> None:
-    assert conversation(bench, LineFaults(bench.unit), b"INIT ") == OKAY
-
-
 def test_a_bit_error_in_a_command_with_crc_is_refused_and_has_no_effect(bench: Bench) -> None:
     faults = happen(bench, "garble commands 100 %")
     line = with_crc("TSTART:")  # CRC 5423 has no letters, so every bit error shows

@@ -14,7 +14,7 @@ from sim.named_parameters import rows
 from sim.polaris.errors import BAD_UNIT_PARAMETER
 from sim.polaris.handlers.frame_replies import binary_body, text_reply
 from sim.polaris.measurement.frame import MeasuredFrame, Stray
-from sim.polaris.unit.behaviour import UnitBehaviour, parse_behaviour
+from sim.polaris.unit.behaviour import UnitBehaviour
 from sim.polaris.unit.refusal import NdiErrorCode
 from sim.world.scene.model import TrackerTool
 
@@ -131,12 +131,12 @@ def test_every_parameter_has_a_meaning_and_can_be_set_by_its_name() -> None:
     listed = rows(UnitBehaviour)
     assert [name for name, _, _ in listed] == [entry.name for entry in fields(UnitBehaviour)]
     assert all(len(meaning) > len(name) for name, _, meaning in listed)
-    assert parse_behaviour([f"{name}={value}" for name, value, _ in listed]) == UnitBehaviour()
+    assert UnitBehaviour.parse([f"{name}={value}" for name, value, _ in listed]) == UnitBehaviour()
 
 
 def test_parameters_are_set_by_text() -> None:
     settings = ["enforces_line=no", "bad_definition=40", "watch_dog=reset", "reset_s=2.5"]
-    chosen = parse_behaviour(settings)
+    chosen = UnitBehaviour.parse(settings)
     assert not chosen.enforces_line
     assert chosen.bad_definition is NdiErrorCode.DEFINITION_CORRUPT
     assert (chosen.watch_dog, chosen.reset_s) == ("reset", 2.5)
@@ -155,5 +155,5 @@ def test_parameters_are_set_by_text() -> None:
 )
 def test_a_wrong_setting_is_refused_with_its_reason(setting: str, said: str) -> None:
     with raises(BAD_UNIT_PARAMETER, match=said) as refused:
-        parse_behaviour([setting])
+        UnitBehaviour.parse([setting])
     assert refused.value.code == "PSU-001"

@@ -13,23 +13,6 @@ BLOCK = "00" * 64
 ANY_PASSIVE = "PHRQ *********1****"
 
 
-def test_phsr_lists_the_right_handles_at_each_step(bench: Bench, pointer: TrackerTool) -> None:
-    def sets() -> list[str]:
-        return [bench.send(f"PHSR {option:02X}") for option in range(5)]
-
-    assert sets() == ["00"] * 5
-    bench.load(write_definition(pointer))
-    assert sets() == ["0101001", "00", "0101001", "00", "00"]
-    bench.send("PINIT 01")
-    assert sets() == ["0101011", "00", "00", "0101011", "00"]
-    bench.send("PENA 01D")
-    assert sets() == ["0101031", "00", "00", "00", "0101031"]
-    bench.send("PDIS 01")
-    assert sets() == ["0101011", "00", "00", "0101011", "00"]
-    bench.send("PHF 01")
-    assert sets() == ["00"] * 5
-
-
 def test_handles_are_distinct_and_a_freed_one_is_reused(bench: Bench) -> None:
     assert [bench.send(ANY_PASSIVE) for _ in range(3)] == ["01", "02", "03"]
     assert bench.send("PHF 02") == "OKAY"

@@ -211,18 +211,6 @@ def test_after_a_close_the_line_falls_back_or_keeps_its_rate_as_configured(
     assert second.ask("PHSR 00").startswith(b"00")  # nothing else was forgotten
 
 
-def test_a_break_resets_the_unit_from_any_rate(make_line: Callable[..., Line]) -> None:
-    host = make_line(break_deaf_s=0.0).host()
-    for command in ("INIT ", "COMM 50000"):
-        assert host.ask(command) == OKAY
-    host.set_line(termios.B9600)
-    assert host.hears_nothing("ECHO x")
-    host.send_break()
-    assert host.read() == RESET
-    assert host.ask("PHSR 00").startswith(b"ERROR10")
-    assert host.ask("INIT:E3A5") == OKAY
-
-
 def test_a_restarting_unit_ignores_commands_until_it_sends_reset(make_line: Callable[..., Line]) -> None:
     line = make_line(break_deaf_s=0.0, reset_s=1.0)
     host = line.host()

@@ -1,4 +1,4 @@
-"""TX and BX replies to the byte, for one tool, a missing tool and strays."""
+"""Replies to the byte, for one tool, a missing tool and strays; command lines out of a stream, and CRCs."""
 
 from __future__ import annotations
 
@@ -11,8 +11,9 @@ from sim.polaris.handlers.frame_replies import binary_body, text_reply
 from sim.polaris.measurement.frame import MeasuredFrame, Stray
 from sim.polaris.measurement.tracking_rules import ToolPose, TrackedTool
 from sim.polaris.unit.behaviour import UnitBehaviour
-from sim.polaris.unit.framing import ascii_reply, binary_reply
+from sim.polaris.unit.framing import LineBuffer, Overlong, ascii_reply, binary_reply, parse_request
 from sim.polaris.unit.ports import Port
+from sim.polaris.unit.refusal import CommandRefusal, NdiErrorCode
 
 T = ReplyOption.TRANSFORMS
 PORT = Port(0x01, initialised=True, enabled=True)
@@ -52,28 +53,12 @@ def test_a_missing_tool_keeps_its_status_and_frame() -> None:
     assert binary_reply(binary_body(frame, T, USUAL)) == reply
 
 
-@pytest.mark.parametrize("tracked", [valid(), missing()])
-def test_tool_information_adds_22_characters_or_11_bytes(tracked: TrackedTool) -> None:
-    frame = frame_with(1, tracked)
-    more = T | ReplyOption.TOOL_INFORMATION
-    assert len(text_reply(frame, more, USUAL)) == len(text_reply(frame, T, USUAL)) + 22
-    assert len(binary_body(frame, more, USUAL)) == len(binary_body(frame, T, USUAL)) + 11
-
-
 def test_marker_digits_are_in_the_order_of_the_profile() -> None:
     frame = frame_with(1, valid())
     text = text_reply(frame, ReplyOption.TOOL_INFORMATION, USUAL)
     assert text == "0101" + "10" + "3303" + "0" * 16 + "\n0000"
     body = binary_body(frame, ReplyOption.TOOL_INFORMATION, USUAL)
     assert body[3:14] == bytes([0x10, *[0] * 8, 0x30, 0x33])
-
-
-def test_a_tool_outside_the_volume_is_reported_only_on_request() -> None:
-    frame = frame_with(1, valid(PortStatus.OUT_OF_VOLUME))
-    assert "MISSING00000071" in text_reply(frame, T, USUAL)
-    assert "+10000" in text_reply(frame, T | ReplyOption.OUT_OF_VOLUME, USUAL)
-    assert binary_body(frame, T, USUAL)[2] == 0x02
-    assert binary_body(frame, T | ReplyOption.OUT_OF_VOLUME, USUAL)[2] == 0x01
 
 
 def test_all_strays_are_counted_but_those_outside_are_reported_only_on_request() -> None:
@@ -96,3 +81,73 @@ def test_out_of_volume_bits_take_as_many_digits_as_strays_need(
     option = ReplyOption.STRAY_PASSIVE
     assert len(text_reply(frame, option, USUAL)) == 2 + 2 + digits + 21 * count + 4
     assert len(binary_body(frame, option, USUAL)) == 1 + 1 + flag_bytes + 12 * count + 2
+
+
+LIMIT = 40
+
+
+@pytest.mark.parametrize(
+    ("line", "name", "argument"),
+    [
+        (b"INIT:E3A5", "INIT", ""),
+        (b"INIT ", "INIT", ""),
+        (b"INIT", "INIT", ""),
+        (b"TX:1801" + b"3D9A", "TX", "1801"),
+        (b"TX 1801", "TX", "1801"),
+        (b"PHSR:0020ff", "PHSR", "00"),
+        (b"SET Param.User.String0=a:b c", "SET", "Param.User.String0=a:b c"),
+        (b"\nTSTOP ", "TSTOP", ""),
+    ],
+)
+def test_all_three_forms_of_a_command_are_read(line: bytes, name: str, argument: str) -> None:
+    request = parse_request(line)
+    assert (request.name, request.argument) == (name, argument)
+
+
+@pytest.mark.parametrize(
+    ("line", "code"),
+    [
+        (b"INIT:E3A6", NdiErrorCode.WRONG_CRC),
+        (b"INIT:+3A5", NdiErrorCode.WRONG_CRC),
+        (b"INIT:E3", NdiErrorCode.TOO_SHORT),
+        (b"", NdiErrorCode.TOO_SHORT),
+        (Overlong(b"ECHO"), NdiErrorCode.TOO_LONG),
+    ],
+)
+def test_a_malformed_line_is_refused_with_its_own_code(line: bytes, code: NdiErrorCode) -> None:
+    with pytest.raises(CommandRefusal) as refused:
+        parse_request(line)
+    assert refused.value.code is code
+
+
+def test_an_answer_carries_its_crc_high_byte_first() -> None:
+    assert ascii_reply("OKAY") == b"OKAYA896\r"
+    assert ascii_reply("RESET") == b"RESETBE6F\r"
+    assert ascii_reply("ERROR01") == b"ERROR016BC2\r"
+
+
+def test_a_binary_answer_ends_with_its_crc() -> None:
+    body = bytes.fromhex("01 0102 31000000 2D010000 0000")
+    assert binary_reply(body) == bytes.fromhex("C4A5 0D00 2983") + body + bytes.fromhex("9E7D")
+
+
+def test_commands_may_arrive_byte_by_byte_or_several_at_once() -> None:
+    buffer = LineBuffer(LIMIT)
+    assert [buffer.feed(b"%c" % byte, 0.0) for byte in b"INIT \r"] == [[], [], [], [], [], [b"INIT "]]
+    assert buffer.feed(b"TSTOP \rVER 0\rTX", 0.1) == [b"TSTOP ", b"VER 0"]
+    assert buffer.feed(b" 0001\r", 0.2) == [b"TX 0001"]
+
+
+def test_a_half_sent_command_is_dropped_after_a_pause() -> None:
+    buffer = LineBuffer(LIMIT)
+    assert buffer.feed(b"PVWR 0100", 0.0) == []
+    assert buffer.feed(b"INIT \r", 5.0) == [b"INIT "]
+
+
+def test_an_overlong_line_is_cut_and_the_next_one_is_intact() -> None:
+    buffer = LineBuffer(LIMIT)
+    for _ in range(10):
+        assert buffer.feed(b"x" * 30, 0.0) == []
+    first, second = buffer.feed(b"xxx\rINIT \r", 0.0)
+    assert isinstance(first, Overlong)
+    assert second == b"INIT "

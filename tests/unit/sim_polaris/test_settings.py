@@ -60,15 +60,6 @@ def test_tracking_settings_cannot_be_changed_while_tracking(bench: Bench) -> Non
     assert bench.send("GET Param.User.String0") == "Param.User.String0=note"
 
 
-def test_volume_k_of_the_feature_list_starts_at_1_plus_74_k_as_plus_expects(bench: Bench) -> None:
-    reply = bench.send("SFLIST 03")
-    assert [reply[0], reply[1:75], reply[75:]] == [
-        "2",
-        "5-240000-153200-095000+057200+039800+056946+024303+029773+999999+99999924\n",
-        "5-300000-153200-095000+057200+039800+056946+024303+029773+999999+07350024\n",
-    ]
-
-
 SENSITIVITY = "Param.Tracking.Sensitivity"
 BUMP, MAIN_VOLTAGE = 1 << 21, 1 << 2
 

@@ -26,11 +26,6 @@ def test_identity_and_settings_can_be_read_before_init(make_bench: MakeBench, li
     assert not make_bench().send(line).startswith("ERROR")
 
 
-@pytest.mark.parametrize("line", TRACKING_ONLY)
-def test_frames_are_not_available_in_setup(bench: Bench, line: str) -> None:
-    assert bench.send(line) == "ERROR0C"
-
-
 @pytest.mark.parametrize("line", SETUP_ONLY)
 def test_setup_commands_are_refused_while_tracking(bench: Bench, line: str) -> None:
     bench.send("TSTART 80")
@@ -57,12 +52,6 @@ def test_reset_requires_init_and_restores_the_default_rate(bench: Bench) -> None
     assert bench.send("RESET 0") == "RESET"
     assert bench.interpreter.reply_line.baud == 9600
     assert bench.send("PHSR 00") == "ERROR10"
-
-
-def test_a_wrong_crc_is_reported_before_any_other_error_and_has_no_effect(bench: Bench) -> None:
-    assert bench.send("NONSENSE:0000") == "ERROR04"
-    assert bench.send("TSTART:0000") == "ERROR04"
-    assert bench.send("TX 0001") == "ERROR0C"
 
 
 def test_an_unknown_command_is_reported_before_the_mode(make_bench: MakeBench) -> None:

@@ -36,11 +36,6 @@ def judged(bench: Bench, content: bytes) -> str:
     return bench.send(f"PINIT {bench.load(content):02X}")
 
 
-def test_a_good_tool_raises_no_warning(bench: Bench, pointer: TrackerTool) -> None:
-    assert judged(bench, write_definition(pointer)) == "OKAY"
-    assert judged(bench, write_definition(robot_frame())) == "OKAY"
-
-
 def test_equal_segments_break_unique_geometry(bench: Bench) -> None:
     assert judged(bench, write_definition(tool(SQUARE))) == "WARNING02"
     assert bench.send("PHSR 03") == "0101011"  # a warning means that it was carried out

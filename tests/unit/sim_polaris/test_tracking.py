@@ -60,14 +60,6 @@ def with_arm(make_bench: MakeBench, scene: Scene, *tools: TrackerTool) -> Bench:
     return bench.ready().track(*tools)
 
 
-def at_depth(depth_mm: float) -> Scene:
-    """The bench with its first place moved along the axis of the tracker."""
-    scene = draw_scene("bench")
-    place = scene.tracker.places[0].model_copy(update={"translation_mm": (0.0, 0.0, -depth_mm)})
-    tracker = scene.tracker.model_copy(update={"places": (place,)})
-    return scene.model_copy(update={"tracker": tracker})
-
-
 def test_each_loaded_tool_of_the_bench_has_its_own_place(bench: Bench, pointer: TrackerTool) -> None:
     bench.track(pointer, robot_frame())
     answer = bench.send("TX 0801")
@@ -199,15 +191,6 @@ def test_a_lost_frame_is_not_sent_again_if_a_newer_one_is_due(bench: Bench, poin
     assert frame_number(bench.send("TX 0001")) > lost + 59
 
 
-def test_restarted_tracking_repeats_no_earlier_frame(bench: Bench, pointer: TrackerTool) -> None:
-    bench.track(pointer)
-    bench.send("TX 0001")
-    bench.send("TSTOP ")
-    bench.send("ECHO INSTEP")
-    bench.send("TSTART 80")
-    assert frame_number(bench.send("TX 0001")) == 1
-
-
 def test_a_tool_is_fitted_to_its_noisy_markers(bench: Bench, pointer: TrackerTool) -> None:
     bench.track(pointer)
     errors = []
@@ -300,15 +283,6 @@ def test_the_frame_on_the_guide_is_tracked_only_while_the_guide_is_mounted(make_
     assert position(bench.send("TX 0001"), 1) == pytest.approx(truth[:3, 3], abs=1.5)
 
 
-def test_the_spheres_of_an_untracked_reference_frame_are_strays_too(
-    make_bench: MakeBench, pointer: TrackerTool
-) -> None:
-    bench = with_arm(make_bench, draw_scene("mini", seed=4), pointer)
-    answer = bench.send("TX 1801")
-    assert answer.startswith("0101MISSING00000031")  # the pointer is not in this room
-    assert answer.split("\n")[1].startswith("07")
-
-
 def test_a_wrong_definition_of_the_reference_frame_does_not_fit(make_bench: MakeBench) -> None:
     bench = make_bench(draw_scene("mini", seed=4))
     put_arm(bench)
@@ -341,16 +315,3 @@ def test_occlusion_faults_hide_the_named_tool_or_marker_for_their_duration(
     assert seen[:29] == [usual] * 29
     assert seen[30:59] == [hidden] * 29
     assert seen[60:] == [usual] * 30
-
-
-def test_a_tool_behind_the_volume_is_missing_unless_requested(
-    make_bench: MakeBench, pointer: TrackerTool
-) -> None:
-    bench = make_bench(at_depth(2500.0)).ready().track(pointer)
-    assert bench.send("TX 0001").startswith("0101MISSING00000071")
-    assert position(bench.send("TX 0801"))[2] == pytest.approx(-2500.0, abs=2.0)
-    assert bench.send("TX 0803").split("\n")[0][-20:-16] == "5555"
-    bench.send("TSTOP ")
-    bench.send("VSEL 2")
-    bench.send("TSTART 80")
-    assert "00000031" in bench.send("TX 0001")

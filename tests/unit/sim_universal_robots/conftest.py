@@ -9,7 +9,7 @@ from ur_clients import own_address
 
 from sim.universal_robots.connections import Poll
 from sim.universal_robots.controller import Controller
-from sim.universal_robots.controller_parameters import parse_parameters
+from sim.universal_robots.controller_parameters import ControllerParameters
 from sim.universal_robots.model import MODELS
 from sim.universal_robots.rtde.server import RtdeServer
 
@@ -19,7 +19,7 @@ MakeController = Callable[..., Controller]
 @pytest.fixture
 def make() -> MakeController:
     def make_controller(*assignments: str, arm: str = "ur5e") -> Controller:
-        return Controller(MODELS[arm], parse_parameters(assignments))
+        return Controller(MODELS[arm], ControllerParameters.parse(assignments))
 
     return make_controller
 

@@ -12,9 +12,8 @@ from ur_clients import own_address, script
 from ronna_hw.wire.universal_robots import SafetyMode
 from sim.universal_robots.connections import Poll
 from sim.universal_robots.controller import Controller
-from sim.universal_robots.interfaces.clients import ClientInterfaces
+from sim.universal_robots.interfaces.clients import ClientInterfaces, ScriptText
 from sim.universal_robots.interfaces.dashboard import Dashboard
-from sim.universal_robots.interfaces.scripts import ScriptText
 from sim.universal_robots.interfaces.state_packages import StatePackages
 from sim.universal_robots.model import ALPHA_RAD
 from sim.universal_robots.programs.recognition import recognise

@@ -20,8 +20,7 @@ from sim.universal_robots.programs.external_trajectory import (
     cubic,
     quintic,
 )
-from sim.universal_robots.programs.program_request import FIRST_WAIT_S, QUIET_S, requested_program
-from sim.universal_robots.programs.recognition import recognise
+from sim.universal_robots.programs.recognition import FIRST_WAIT_S, QUIET_S, recognise, requested_program
 
 UNITS = 1_000_000
 LIMIT_S = 10.0

@@ -21,7 +21,7 @@ from ronna_hw.wire.universal_robots import DASHBOARD_PORT, SCRIPT_NAME
 from sim.universal_robots import connections
 from sim.universal_robots.connections import Handler, HangUp, Poll
 from sim.universal_robots.controller import Controller
-from sim.universal_robots.controller_parameters import parse_parameters
+from sim.universal_robots.controller_parameters import ControllerParameters
 from sim.universal_robots.interfaces.clients import ClientInterfaces, ScriptHandler
 from sim.universal_robots.interfaces.dashboard import Dashboard, LineHandler
 from sim.universal_robots.interfaces.state_packages import StatePackages
@@ -36,10 +36,6 @@ RENEWED_AFTER = 50  # streams
 FARTHEST_RAD = 7.0  # a joint stands beyond its limit by what it needs to stop
 PACKAGES_UNREAD = 10_000  # of a kilobyte: more than the system keeps for one who does not read
 LONGEST_SCRIPT_BYTES = 1_000_000
-COUNTS = pytest.mark.parametrize(
-    ("count", "seed"),
-    [(150, 1), pytest.param(100_000, 2, marks=(pytest.mark.soak, pytest.mark.timeout(3600)))],
-)
 
 
 class RtdeClient:
@@ -88,7 +84,7 @@ class Target:
     def renew(self) -> None:
         """Begin anew with a controller that may move."""
         self._opened.close()
-        self.controller = Controller(MODELS["ur5e"], parse_parameters(("power_on_s=0.01",)))
+        self.controller = Controller(MODELS["ur5e"], ControllerParameters.parse(("power_on_s=0.01",)))
         self.poll, address = Poll(), own_address()
         poll = self.poll
         self._opened.callback(poll.close)
@@ -125,49 +121,38 @@ def target() -> Iterator[Target]:
         yield Target(stack)
 
 
-def attack(
-    target: Target, seeds: tuple[bytes, ...], count: int, seed: int, connect: Callable[[], Handler]
-) -> None:
-    """Feed mutants to one client after the other; each renewed controller may move."""
-    handler = connect()
+def started(target: Target, script: bytes, recipe: bytes) -> RtdeClient:
+    """A client whose script runs and reads the registers of its recipe."""
+    target.controller.start(recognise(script.decode(), target.controller.model.cycle_s))
+    client = RtdeClient(target)
+    client.receive(recipe)
+    return client
+
+
+ATTACKS: dict[str, tuple[tuple[bytes, ...], Callable[[Target], Handler]]] = {
+    "packages of RTDE": (RTDE, RtdeClient),
+    "commands in registers": (COMMANDS, lambda target: started(target, SCRIPTS[4], RTDE[4])),
+    "set-points in registers": (SET_POINTS, lambda target: started(target, SCRIPTS[0], RTDE[3])),
+    "lines of the dashboard": (LINES, lambda target: LineHandler(target.dashboard)),
+    "scripts": (SCRIPTS, ScriptClient),
+}
+
+
+@pytest.mark.parametrize("attack", ATTACKS)
+@pytest.mark.parametrize(
+    ("count", "seed"),
+    [(150, 1), pytest.param(100_000, 2, marks=(pytest.mark.soak, pytest.mark.timeout(3600)))],
+)
+def test_mutants_break_nothing(target: Target, attack: str, count: int, seed: int) -> None:
+    """Each client goes on until it is hung up; each renewed controller may move."""
+    seeds, connect = ATTACKS[attack]
+    handler = connect(target)
     for number, stream in enumerate(mutants(seeds, count, seed)):
         if number % RENEWED_AFTER == 0 or not target.controller.modes.may_move:
             target.renew()
-            handler = connect()
+            handler = connect(target)
         if not target.feed(handler, stream):
-            handler = connect()
-
-
-@COUNTS
-def test_packages_of_rtde(target: Target, count: int, seed: int) -> None:
-    attack(target, RTDE, count, seed, lambda: RtdeClient(target))
-
-
-@COUNTS
-def test_commands_in_registers(target: Target, count: int, seed: int) -> None:
-    def connect() -> Handler:
-        target.controller.start(recognise(SCRIPTS[4].decode(), target.controller.model.cycle_s))
-        client = RtdeClient(target)
-        client.receive(RTDE[4])
-        return client
-
-    attack(target, COMMANDS, count, seed, connect)
-
-
-@COUNTS
-def test_set_points_in_registers(target: Target, count: int, seed: int) -> None:
-    def connect() -> Handler:
-        target.controller.start(recognise(SCRIPTS[0].decode(), target.controller.model.cycle_s))
-        client = RtdeClient(target)
-        client.receive(RTDE[3])
-        return client
-
-    attack(target, SET_POINTS, count, seed, connect)
-
-
-@COUNTS
-def test_lines_of_the_dashboard(target: Target, count: int, seed: int) -> None:
-    attack(target, LINES, count, seed, lambda: LineHandler(target.dashboard))
+            handler = connect(target)
 
 
 def _external(constant: str) -> str:
@@ -269,8 +254,3 @@ def test_of_a_client_that_never_read_nothing_is_kept_once_it_has_gone(target: Ta
         target.poll.serve(1.0)
     gc.collect()
     assert gone() is None
-
-
-@COUNTS
-def test_scripts(target: Target, count: int, seed: int) -> None:
-    attack(target, SCRIPTS, count, seed, lambda: ScriptClient(target))

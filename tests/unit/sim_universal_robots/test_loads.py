@@ -9,7 +9,7 @@ import pytest
 
 from ronna_hw.wire.universal_robots import SafetyMode
 from sim.universal_robots.controller import Controller
-from sim.universal_robots.controller_parameters import parse_parameters
+from sim.universal_robots.controller_parameters import ControllerParameters
 from sim.universal_robots.kinematics import LinkPose
 from sim.universal_robots.loads import TORQUE_PER_CURRENT_NM_A, resistance_n
 from sim.universal_robots.model import MODELS, TORQUES_NM
@@ -35,7 +35,7 @@ def currents_a(controller: Controller) -> list[float]:
 
 
 def make(*assignments: str, arm: str = "ur5e") -> Controller:
-    return Controller(MODELS[arm], parse_parameters(assignments), seed=3)
+    return Controller(MODELS[arm], ControllerParameters.parse(assignments), seed=3)
 
 
 def run(controller: Controller, cycles: int = SETTLED_CYCLES) -> None:
@@ -74,7 +74,7 @@ def test_a_mass_that_the_controller_was_not_told_appears_as_its_weight() -> None
 
 
 def test_gravity_turns_the_shoulder_of_a_stretched_arm_and_not_its_base() -> None:
-    controller = Controller(MODELS["ur5e"], parse_parameters(()), start_rad=(0.0,) * 6)
+    controller = Controller(MODELS["ur5e"], ControllerParameters.parse(()), start_rad=(0.0,) * 6)
     run(controller, 1)
     base, shoulder, *_ = torques_nm(controller)
     assert base == pytest.approx(0.0, abs=1e-9)
@@ -105,7 +105,7 @@ def test_a_force_that_comes_at_rest_shows_in_the_currents_by_what_exceeds_the_st
         run(controller, 2)
         steps = zip(before, currents_a(controller), TORQUE_PER_CURRENT_NM_A, strict=True)
         changes_nm.append([(b - a) * per_a for a, b, per_a in steps])
-    share = parse_parameters(()).stiction_share
+    share = ControllerParameters.parse(()).stiction_share
     for full, seen, most in zip(*changes_nm, TORQUES_NM, strict=True):
         assert abs(full) - abs(seen) <= 2.0 * share * most + 1e-3
     assert max(map(abs, changes_nm[0])) > max(map(abs, changes_nm[1])) > 5.0
@@ -117,7 +117,7 @@ def test_currents_of_an_arm_that_nobody_touches_are_the_expected_ones_within_fri
     for _ in range(500):
         controller.step()
         samples.append(currents_a(controller))
-    parameters = parse_parameters(())
+    parameters = ControllerParameters.parse(())
     expected = controller.robot.values[PLACES["target_current"]]
     for sampled, one, most, per_a in zip(
         zip(*samples, strict=True), expected, TORQUES_NM, TORQUE_PER_CURRENT_NM_A, strict=True
@@ -137,7 +137,7 @@ def test_a_force_above_the_safety_limit_is_a_protective_stop() -> None:
 
 
 def test_tissue_resists_as_skin_bone_and_brain() -> None:
-    parameters = parse_parameters(())
+    parameters = ControllerParameters.parse(())
     depths = (-1.0, 0.0, 4.0, 5.5, 8.0, 12.0)
     assert [resistance_n(depth, parameters) for depth in depths] == [0.0, 0.0, 2.0, 20.0, 20.0, 1.0]
 

@@ -13,7 +13,7 @@ from ur_clients import own_address
 from sim.errors import EndpointTaken
 from sim.universal_robots.command import require_loopback
 from sim.universal_robots.connections import Poll, ServiceListener
-from sim.universal_robots.controller_parameters import parse_parameters
+from sim.universal_robots.controller_parameters import ControllerParameters
 from sim.universal_robots.errors import BAD_ADDRESS, UNKNOWN_PARAMETER
 
 
@@ -38,5 +38,5 @@ def test_an_address_in_use_is_answered_with_the_next_free_one() -> None:
 @pytest.mark.parametrize("assignment", ["power_onn_s=1", "power_on_s=-1", "after_unlock=falls"])
 def test_an_unknown_parameter_or_value_is_refused(assignment: str) -> None:
     with raises(UNKNOWN_PARAMETER) as caught:
-        parse_parameters([assignment])
+        ControllerParameters.parse([assignment])
     assert caught.value.code == "URC-001"

@@ -56,15 +56,9 @@ def test_every_row_is_covered_by_a_test() -> None:
 
 
 @pytest.mark.parametrize("row", BRANCHES, ids=ROWS)
-def test_a_row_names_steps_of_a_case(row: Branch) -> None:
+def test_a_row_names_steps_of_a_case_and_a_question_only_if_it_asks_whose_silence_never_continues(
+    row: Branch,
+) -> None:
     assert set(row.steps) <= {step.name for step in CLINICAL_STEPS}
-
-
-@pytest.mark.parametrize("row", BRANCHES, ids=ROWS)
-def test_only_a_row_that_asks_has_a_question(row: Branch) -> None:
     assert (row.ending is BranchEnding.ASK) == isinstance(row.topic, Topic) == bool(row.answers)
-
-
-@pytest.mark.parametrize("row", BRANCHES, ids=ROWS)
-def test_silence_never_continues_the_case(row: Branch) -> None:
     assert not row.answers or row.answers[-1] != row.answers[0]

@@ -34,15 +34,7 @@ from procedures.operator.question import Topic
 from procedures.steps.calibration.ball_place import BallPlace
 from procedures.steps.calibration.frame_looks import ObservedFrame
 from procedures.steps.calibration.head_looks import BallMeasurement, ObservedBall, VisitedBaseline
-from procedures.steps.calibration.recipe import (
-    arm_looks,
-    frame_looks,
-    head_calibration,
-    head_check,
-    head_look,
-    look_in_place,
-    tip_readings,
-)
+from procedures.steps.calibration.recipe import Calibrated, Recipe, head_check, head_look, look_in_place
 from procedures.steps.calibration.sphere_looks import ObservedSpheres
 from procedures.steps.calibration.tip_readings import ObservedStand, TipReadings
 from procedures.steps.catalogue import clinical_steps, list_questions
@@ -58,17 +50,18 @@ from ronna_hw.records import read_record
 from ronna_hw.roles import ONE_ARM, TWO_ARMS
 
 BASELINE = Baseline.model_construct(looks=())
+BALL_MM = (700.0, 0.0, 300.0)
 PROCEDURES: dict[str, Steps] = {
     "case": clinical_steps(measure_targets=True, roles=TWO_ARMS),
-    "calibration": head_calibration(60, 3, None),
-    "calibration at a stated place": head_calibration(60, 3, (700.0, 0.0, 300.0)),
+    "calibration": Recipe(of=Calibrated.HEAD, looks=60, more=3).steps,
+    "calibration at a stated place": Recipe(of=Calibrated.HEAD, looks=60, more=3, ball_mm=BALL_MM).steps,
     "check": head_check(BASELINE, 3),
     "look": head_look(None),
     "look where it stands": look_in_place(),
-    "spheres": arm_looks(60, 10),
-    "reference frame": frame_looks(20, 4),
-    "tip": tip_readings(20, 4, None),
-    "tip at a stated place": tip_readings(20, 4, (700.0, 0.0, 300.0)),
+    "spheres": Recipe(of=Calibrated.ARM, looks=60, more=10).steps,
+    "reference frame": Recipe(of=Calibrated.FRAME, looks=20, more=4).steps,
+    "tip": Recipe(of=Calibrated.TIP, looks=20, more=4).steps,
+    "tip at a stated place": Recipe(of=Calibrated.TIP, looks=20, more=4, ball_mm=BALL_MM).steps,
 }
 STEPS = {step.result: step for steps in PROCEDURES.values() for step in steps}
 RESULTS = list_step_results()
@@ -124,11 +117,7 @@ def examples(cell: ClinicalCell) -> list[StepResult]:
     pose, outline = correspondence().robot_from_ct, Outline.of(OUTLINE)
     flange = PoseRecord(translation_mm=pose.translation_mm, quaternion_wxyz=pose.quaternion_wxyz)
     look = Observation(
-        joints_rad=HOME_RAD,
-        robot_from_flange=flange,
-        left=outline,
-        right=outline,
-        orientation=3,
+        joints_rad=HOME_RAD, robot_from_flange=flange, left=outline, right=outline, orientation=3
     )
     head = cell.calibrations.stereo_head
     observed = ObservationSet(
@@ -144,11 +133,7 @@ def examples(cell: ClinicalCell) -> list[StepResult]:
         validation=True,
     )
     turned = FrameLook(
-        use=Use.RETURN,
-        joints_rad=HOME_RAD,
-        robot_from_flange=flange,
-        tracker_from_marker=flange,
-        frames=30,
+        use=Use.RETURN, joints_rad=HOME_RAD, robot_from_flange=flange, tracker_from_marker=flange, frames=30
     )
     ball = BallLook(joints_rad=HOME_RAD, robot_from_flange=flange, ball_mm=(0.1, 0.2, 1 / 3))
     divot = DivotReading(look=0, joints_rad=HOME_RAD, robot_from_flange=flange, dials_mm=(0.1, 0.0, 0.0))

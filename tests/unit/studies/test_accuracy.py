@@ -30,8 +30,8 @@ from studies.strategies.identified import (
     EXPECTED,
     GOAL_MM,
     BelievedArm,
+    IdentifiedCase,
     IdentifiedStudy,
-    compute_identified_errors_mm,
     identify_arm,
 )
 from studies.strategies.study import OF_ARM, PLACES, PREDICTION, SCENARIO, TARGETS, StrategiesStudy
@@ -256,10 +256,8 @@ def test_an_identified_arm_meets_the_goal_with_nos_and_improved() -> None:
     believed = BelievedArm(fit.deviations, fit.flange_from_tool)
     arm, scene = RandomArms.draw(1, [0]), StudiedScene.of(1, SMALL, Markers.FREE, 1)
     for strategy in ("nos", "improved"):
-        errors = compute_identified_errors_mm(
-            arm, believed, scene.planned(strategy, EXPECTED), scene, [0], Sizes(FINE_CT_MM)
-        )
-        assert np.linalg.norm(errors, axis=-1).mean() < GOAL_MM
+        case = IdentifiedCase(arm, believed, scene.planned(strategy, EXPECTED), scene, [0])
+        assert np.linalg.norm(case.errors_mm(Sizes(FINE_CT_MM)), axis=-1).mean() < GOAL_MM
 
 
 @pytest.mark.slow

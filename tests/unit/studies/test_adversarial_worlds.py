@@ -153,6 +153,7 @@ JOURNAL = (
     {"entry": "closed", "theatre_time_s": 20.0},
 )
 FINDING = {"entry": "finding", "text": "T1: the guide was pushed", "theatre_time_s": 13.0}
+EARLIER = {**FINDING, "theatre_time_s": 10.4}  # than the change
 USUAL = {
     "entry": "finding",
     "text": "over T1, by the tracker: the instrument is seen 0.05 mm beside the bore, within 0.23 mm",
@@ -167,6 +168,7 @@ RESTART = {
 DIVERGED = {"outcome": "failed", "error": {"code": "STE-007", "what": "the residual has not decreased"}}
 MOVED_AT_T1 = {"outcome": "failed", "error": {"code": "PRO-032", "what": "the cart was moved, at T1"}}
 OUT_OF_REACH = {"outcome": "failed", "error": {"code": "PLAN-007", "what": "out of reach"}}
+BOUND = {"outcome": "failed", "error": {"code": "CTL-002", "what": "SIM-015: it binds"}}
 RMS_MM, LIMIT_MM = 0.3, 0.5
 
 
@@ -180,33 +182,16 @@ RMS_MM, LIMIT_MM = 0.3, 0.5
         (0.61, RESTART, {"outcome": "done"}, 0, (Silence.SILENT, CaseEnding.DONE)),
         (None, None, OUT_OF_REACH, EXIT_REFUSED, (Silence.NOT_POSSIBLE, CaseEnding.NOT_POSSIBLE)),
         (0.61, FINDING, {"outcome": "done"}, 0, (Silence.TOLD, CaseEnding.DONE)),
-        (
-            0.61,
-            {**FINDING, "theatre_time_s": 10.4},
-            {"outcome": "done"},
-            0,
-            (Silence.SILENT, CaseEnding.DONE),
-        ),
-        (
-            2.1,
-            None,
-            {"outcome": "missed"},
-            EXIT_REFUSED,
-            (Silence.SILENT, CaseEnding.DONE),
-        ),  # the truth refuses
+        (0.61, EARLIER, {"outcome": "done"}, 0, (Silence.SILENT, CaseEnding.DONE)),
+        # The truth refuses.
+        (2.1, None, {"outcome": "missed"}, EXIT_REFUSED, (Silence.SILENT, CaseEnding.DONE)),
         (0.1, None, {"outcome": "in doubt"}, 0, (Silence.TOLD, CaseEnding.IN_DOUBT)),
         (None, None, {"outcome": "failed"}, EXIT_REFUSED, (Silence.REFUSED, CaseEnding.REFUSED)),
         (0.7, None, {"outcome": "failed"}, EXIT_REFUSED, (Silence.SILENT, CaseEnding.REFUSED)),
         (0.7, None, MOVED_AT_T1, EXIT_REFUSED, (Silence.REFUSED, CaseEnding.REFUSED)),
         (None, None, DIVERGED, 1, (Silence.REFUSED, CaseEnding.REFUSED)),
         (None, None, {"outcome": "failed"}, 1, (Silence.BROKEN, CaseEnding.BROKEN)),
-        (
-            None,
-            None,
-            {"outcome": "failed", "error": {"code": "CTL-002", "what": "SIM-015: it binds"}},
-            EXIT_USAGE,
-            (Silence.SILENT, CaseEnding.BOUND),
-        ),
+        (None, None, BOUND, EXIT_USAGE, (Silence.SILENT, CaseEnding.BOUND)),
     ],
 )
 def test_a_case_is_silent_if_nothing_was_said_of_an_error_beyond_twice_the_stated_rms(

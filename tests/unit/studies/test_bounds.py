@@ -64,7 +64,7 @@ def test_bounds_change_the_plot_of_a_zero_count() -> None:
 
 def test_plots_label_their_bands_and_whiskers(monkeypatch: pytest.MonkeyPatch) -> None:
     drawn: list[Figure] = []
-    monkeypatch.setattr(plots, "_png", drawn.append)
+    monkeypatch.setattr(plots, "encode_png", drawn.append)
     said = bounds.percent(1, 10)
     curves("t", "x", "y", {"ours": [(1.0, said), (2.0, said)]})
     bars("t", "y", {"5": {"ours": said}}, x_label="x")

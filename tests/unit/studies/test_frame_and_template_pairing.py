@@ -15,7 +15,6 @@ from procedures.registration.similarity_matrix import Counting, match_many_by_si
 from studies.campaign.study import Unit
 from studies.correspondence import clinical, template
 from studies.correspondence.clinical import SCANS, THESIS_RANGES_MM, ClinicalStudy
-from studies.correspondence.study import condition_key
 from studies.correspondence.template import MARGIN_MM, TemplateStudy, sites_mm
 from studies.errors import LEDGER_UNREADABLE, OTHER_STUDY, TRACKER_NOT_SIMULATED
 from studies.heads import NoiseReading
@@ -124,7 +123,7 @@ def test_the_marker_distances_of_every_head_differ_by_the_margin() -> None:
 
 
 def test_four_markers_by_a_template_are_paired_among_four_outliers() -> None:
-    condition = condition_key(NoiseReading.PER_AXIS, 1, 4, 4)
+    condition = f"{NoiseReading.PER_AXIS}|1|4|4"
     sums = TemplateStudy(20, seed=3).run(Unit(condition, 0, 20))
     methods = ("distances", "+ planned count", "template", "template + orientation")
     assert sums == {f"{method}|success": 20.0 for method in methods}

@@ -24,7 +24,7 @@ from studies.campaign.study import Sums
 from studies.errors import LEDGER_UNREADABLE, OTHER_STUDY
 from studies.low_cost.arms import InstantArm, drive_arm, factory_kinematics
 from studies.low_cost.calibration import fit_pivot
-from studies.low_cost.devices import PHANTOM_FRAME, TOOL_FRAME, open_room
+from studies.low_cost.devices import PHANTOM_FRAME, TOOL_FRAME, open_room, require_look
 from studies.low_cost.figures import NOMINAL_ERROR_KEY, CalibrationMethod, DimensionSource, Place, Quantity
 from studies.low_cost.judge import Judge, distance_errors_mm, measure_repeatability_mm, named_pose
 from studies.low_cost.positioning import MOST_ROUNDS, SETTLED_MM, BelievedPositioning, TipModel, TipPositioner
@@ -37,7 +37,6 @@ from studies.low_cost.room import (
     draw_ur5,
     nominal_error_mm,
 )
-from studies.low_cost.sight import require_look
 from studies.low_cost.study import plan_targets
 from studies.low_cost.tables import LEAST_ARMS, collect_arms, list_missed_relations, tabulate_relations
 from studies.low_cost.targets import ORIENTATIONS_RAD, REFERENCE

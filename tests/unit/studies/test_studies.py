@@ -15,14 +15,15 @@ import pytest
 from bounded_cost import bounded_cost
 from coded_errors import raises
 
-from procedures.registration.correspondence import MatchStatus, Prior
+from procedures.registration.correspondence import Prior
 from studies.campaign import folder as study_folder
 from studies.campaign.folder import FILE, Ledger, code, publish
-from studies.campaign.study import Table, Unit, add_up, blocks, generator
+from studies.campaign.study import Study, Table, Unit, add_up, blocks, generator
 from studies.campaign.workers import run_study
 from studies.correspondence import study as study_module
-from studies.correspondence.study import CorrespondenceStudy, StudiedMatching, condition_key
-from studies.correspondence.tables import Series, bars_beside_thesis, outcome_shares, plots, tables
+from studies.correspondence.outcomes import FALSE, PART, UNSUCCESSFUL, outcome_key, verdict
+from studies.correspondence.study import CorrespondenceStudy, StudiedMatching
+from studies.correspondence.tables import Series, outcomes_by_series, plot_figure_13, plots, tables
 from studies.errors import EXTRA_MISSING, LEDGER_UNREADABLE, OTHER_STUDY, SCHEDULER_UNREACHABLE, UNIT_FAILED
 from studies.heads import NoiseReading, draw_noise, draw_readings, sites_mm
 from studies.registration import RegistrationStudy
@@ -33,20 +34,17 @@ NO_SETTINGS = '{"study": "correspondence", "fingerprint": "another", "settings":
 
 
 @dataclass(frozen=True)
-class Failing:
+class Failing(Study):
     """A study whose second unit fails while `broken` exists."""
 
-    broken: Path
+    broken: str
     name: str = "failing"
-
-    def settings(self) -> dict[str, object]:
-        return {}
 
     def units(self) -> list[Unit]:
         return blocks("cell", 3, 1)
 
     def run(self, unit: Unit) -> dict[str, float]:
-        if unit.block == 1 and self.broken.exists():
+        if unit.block == 1 and Path(self.broken).exists():
             raise ValueError("no luck")
         return {"runs": 1.0, "sum": float(generator(1, unit).normal())}
 
@@ -120,7 +118,7 @@ def test_an_invalid_scheduler_address_is_refused_before_dask_sees_it(address: st
 def test_a_failed_study_keeps_its_finished_units_and_resumes(tmp_path: Path) -> None:
     broken = tmp_path / "broken"
     broken.touch()
-    study = Failing(broken)
+    study = Failing(str(broken))
     with raises(UNIT_FAILED, match="STU-005: cell #1: no luck"):
         results(study, tmp_path / "out", workers=1)
     assert len(Ledger(tmp_path / "out", study).finished) == 1
@@ -208,16 +206,16 @@ def test_a_damaged_ledger_header_is_refused(tmp_path: Path, first: str) -> None:
 @pytest.mark.slow
 def test_ours_and_the_thesis_method_are_counted_on_the_same_runs(tmp_path: Path) -> None:
     sums = results(SMALL, tmp_path, workers=1)
-    found = outcome_shares(sums)
+    found = outcomes_by_series(sums)
     assert {series.method for series in found} == {one.value for one in StudiedMatching}
     assert {one.runs for one in found.values()} == {4 * 3 * 5}  # runs, patients, numbers of outliers
-    pictures = bars_beside_thesis(sums) | plots(sums)
+    pictures = plots(sums) | plot_figure_13(sums)
     assert sorted(pictures) == [
         f"{what}-{noise}.png" for what in ("figure-13", "unsuccessful") for noise in ("norm", "per-axis")
     ]
     assert all(png.startswith(b"\x89PNG") for png in pictures.values())
     five = found[Series(NoiseReading.PER_AXIS, StudiedMatching.CLIQUE.value, "", 5)]
-    assert (five.unsuccessful, five.false) == (0.0, 0.0)
+    assert five.count(*UNSUCCESSFUL, FALSE) == 0
     assert [table.title for table in tables(sums)] == [
         "Correspondence, noise per axis",
         "Correspondence, noise norm",
@@ -234,17 +232,18 @@ def test_a_partial_pairing_counts_as_unsuccessful_and_a_wrong_pair_as_false() ->
         ("false", [(0, 0), (1, 2), (2, 1), (3, 3)]),
         ("false", [(0, 2), (1, 0), (2, 1), (3, 3), (4, 4)]),
     ):
-        assert study_module.verdict(MatchStatus.UNIQUE, np.array(pairs), right) == outcome
-    key = study_module.outcome_key(StudiedMatching.VALIDATED, 2.5, "part")
-    lost = study_module.outcome_key(StudiedMatching.VALIDATED, 2.5, "success")
-    ((_, share),) = outcome_shares({condition_key(NoiseReading.NORM, 1, 5, 0): {key: 1.0, lost: 3.0}}).items()
-    assert (share.unsuccessful, share.false, share.part) == (25.0, 0.0, 25.0)
+        assert verdict(np.array(pairs), right) == outcome
+    key = outcome_key(StudiedMatching.VALIDATED, 2.5, "part")
+    lost = outcome_key(StudiedMatching.VALIDATED, 2.5, "success")
+    sums = {"norm|1|5|0": {key: 1.0, lost: 3.0}}
+    ((_, found),) = outcomes_by_series(sums).items()
+    assert [found.percent(*one).value for one in (UNSUCCESSFUL, (FALSE,), (PART,))] == [25.0, 0.0, 25.0]
 
 
 def test_the_values_of_e_that_reproduce_the_thesis_are_reported_as_ranges() -> None:
     sums = {
-        condition_key(NoiseReading.NORM, 1, 4, outliers): {
-            study_module.outcome_key(StudiedMatching.VALIDATED, e, outcome): number
+        f"norm|1|4|{outliers}": {
+            outcome_key(StudiedMatching.VALIDATED, e, outcome): number
             for e, lost in ((1.4, 46.0), (1.5, 40.0), (1.6, 30.0), (3.0, 45.0))
             for outcome, number in (("success", 1000.0 - lost), ("lost", lost))
         }
@@ -280,7 +279,7 @@ def test_readings_are_shuffled_pairs_in_one_pose() -> None:
 
 
 def test_the_numbers_of_a_cell_do_not_depend_on_the_other_cells() -> None:
-    unit = Unit(condition_key(NoiseReading.NORM, 2, 5, 1), 0, 4)
+    unit = Unit("norm|2|5|1", 0, 4)
     assert SMALL.run(unit) == CorrespondenceStudy(4, seed=5).run(unit)
 
 

@@ -14,13 +14,13 @@ from studies.accuracy.random_arms import RandomArms
 from studies.accuracy.unmodelled_effects import SHIFTS_MM, WARM_S, DisplacedArms, DrawnEffect, Effect
 from studies.campaign.study import add_up
 from studies.correspondence import pairing_misspecified as pairing
+from studies.correspondence.outcomes import FALSE, LOST
 from studies.correspondence.pairing_misspecified import (
     Assumption,
     MisspecifiedPairingStudy,
     draw_wrong_readings,
     told_factor,
 )
-from studies.correspondence.study import FALSE, LOST
 from studies.heads import HALF_AXES_MM, NoiseReading, draw_readings, sites_mm
 from studies.strategies import distorted_tracker, unmodelled_arm_tables
 from studies.strategies.distorted_tracker import Tracker, follow_moves

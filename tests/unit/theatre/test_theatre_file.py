@@ -26,7 +26,7 @@ from ronna_hw.errors import ConfigurationError
 from ronna_hw.roles import ASSISTANT
 from ronna_hw.wire.polaris import PolarisModel
 from sim.errors import BAD_CALIBRATION_FILE
-from sim.kuka.controller_parameters import parse_parameters
+from sim.kuka.controller_parameters import ControllerParameters
 from sim.theatre.launch import CALIBRATION_FILE, read_calibrations
 from sim.theatre.theatre_file import theatre_content, write_theatre_file
 from sim.world.options import ArmRole
@@ -221,7 +221,7 @@ def test_the_records_of_two_arms_name_the_serial_numbers_that_their_controllers_
     endpoints: dict[str, Any] = {**ENDPOINTS, "assistant": of_assistant}
     records = parse_theatre(theatre_content(scene, endpoints, "host:", {}, 2.0)).calibration
     assert records is not None
-    serials = [str(parse_parameters(()).of_arm(role.number).serial_number) for role in ArmRole]
+    serials = [str(ControllerParameters.parse(()).of_arm(role.number).serial_number) for role in ArmRole]
     assert [one and one.serial for one in (records.arm, records.assistant_arm)] == serials
     with pytest.raises(AnotherArm, match="CAL-013"):  # as if they were exchanged
         require_this_arm(records.arms, serials[0], ASSISTANT)

@@ -127,11 +127,6 @@ def test_a_record_that_no_run_writes_is_refused(run: Path, centre_mm: list[objec
         verify_run(run)
 
 
-def test_a_folder_without_a_theatre_cannot_be_verified(tmp_path: Path) -> None:
-    with raises(NOTHING_TO_VERIFY, match="no simulated theatre"):
-        verify_run(tmp_path)
-
-
 def test_a_run_without_spheres_or_targets_cannot_be_verified(run: Path) -> None:
     with raises(NOTHING_TO_VERIFY, match="located no sphere and reached no target"):
         verify_run(run)

@@ -207,15 +207,6 @@ def test_an_arm_that_does_not_follow_while_a_set_point_is_late_is_in_fault_once_
     assert stand.session.fault is LinkFault.MONITOR
 
 
-def test_hold_comes_to_rest_on_the_path_and_the_stream_continues() -> None:
-    stand = moving()
-    stand.stop(StopOrder.HOLD)
-    stand.run()
-    assert stand.session.result is MotionResult.STOPPED
-    assert stand.session.phase is StreamPhase.RUNNING
-    assert stand.cycle() is not None
-
-
 def test_a_link_stop_ceases_to_send_and_the_script_stops_the_arm() -> None:
     stand = moving()
     stand.stop(StopOrder.LINK)
@@ -248,17 +239,6 @@ def test_a_program_that_freezes_after_another_fault_leaves_an_ended_script_and_t
     stand.cycles(600)
     assert stand.script_state == 3
     assert stand.session.fault is LinkFault.PROTECTIVE
-
-
-def test_silence_beyond_the_limit_latches_a_fault() -> None:
-    stand = moving()
-    orders = (stand.beat, 0, stand.commands)
-    from ronna_hw.arm_stream.records import Orders
-
-    stand.session.monitor_silence(Orders(*orders), stand.now_ns + 240_000_000)
-    assert stand.session.fault is LinkFault.NONE
-    stand.session.monitor_silence(Orders(*orders), stand.now_ns + 260_000_000)
-    assert stand.session.fault is LinkFault.SILENCE
 
 
 @pytest.mark.parametrize("jump_s", [-1.0, 20.0])

@@ -185,10 +185,7 @@ def test_an_instrument_that_is_assumed_to_be_inside_is_not_out(cell: RecordingCe
     assert not cell.workcell.master.history.instrument_out
 
 
-MOTION_FROM_HOME = [
-    {"entry": Entry.PLACED, "at_home": True},
-    {"entry": Entry.MOTION, "what": "go"},
-]
+MOTION_FROM_HOME = [{"entry": Entry.PLACED, "at_home": True}, {"entry": Entry.MOTION, "what": "go"}]
 
 
 def test_a_motion_without_an_end_leaves_the_place_unknown_once_its_program_is_gone() -> None:

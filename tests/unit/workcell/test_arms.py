@@ -144,12 +144,6 @@ def test_a_third_arm_is_an_obstacle_and_is_watched_like_the_second(
     third.close()
 
 
-def test_one_arm_moves_while_the_other_rests(pair: Arms, master: WatchedArm) -> None:
-    goal = turned(master, 10.0)
-    assert pair.move(MASTER, goal).joints_rad == pytest.approx(goal.target_rad)
-    assert pair.halted is None
-
-
 def test_the_resting_arm_is_an_obstacle_of_the_other(
     pair: Arms, master: WatchedArm, assistant: WatchedArm
 ) -> None:
@@ -219,7 +213,7 @@ def test_only_the_named_parts_of_both_tools_may_come_close_to_each_other(
 
 @pytest.mark.hazard(58)
 def test_a_part_that_may_touch_the_instrument_keeps_its_distance_from_the_rest_of_the_other_arm(
-    pair: Arms, assistant: WatchedArm
+    pair: Arms,
 ) -> None:
     pair.surround(MASTER, Surroundings(tool=(reaching("tube", MASTER, HAND_MM),)))
     pair.surround(ASSISTANT, Surroundings(tool=(reaching("instrument", ASSISTANT, HAND_MM),)))
@@ -263,9 +257,7 @@ def test_an_arm_that_has_stopped_halts_the_other_before_its_controller_says_why(
 
 
 @pytest.mark.hazard(58)
-def test_arms_that_are_closer_than_a_doubt_about_the_base_allows_may_still_go_home(
-    pair: Arms, master: WatchedArm
-) -> None:
+def test_arms_that_are_closer_than_a_doubt_about_the_base_allows_may_still_go_home(pair: Arms) -> None:
     pair.place(ASSISTANT, ACROSS, 5000.0)
     *others, wrist_rad = HOME_RAD
     pair.move(MASTER, JointMove(joint_vector((*others, wrist_rad + radians(30.0)))))  # comes no closer
@@ -407,7 +399,7 @@ def test_an_arm_whose_state_is_not_known_keeps_the_other_at_rest(
 
 @pytest.mark.hazard(58)
 def test_both_arms_keep_as_much_more_distance_as_the_base_is_uncertain(
-    pair: Arms, master: WatchedArm, assistant: WatchedArm
+    pair: Arms, assistant: WatchedArm
 ) -> None:
     shares = [number / 200 for number in range(200)]
     way = [

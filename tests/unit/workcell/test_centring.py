@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,7 +11,7 @@ import pytest
 from coded_errors import raises
 
 from benchmarks.stereo_head.stereo_cell import StereoCell, calibrated_cell, servo_campaign, without_arm_errors
-from procedures.cli.stereo.display import show_look
+from procedures.cli.stereo.command import show_look
 from procedures.relocalization.errors import NotTrusted, PairNotUsable, Saturated
 from procedures.workcell.errors import SPHERE_NOT_FOUND
 from ronna_hw.devices.readings import StereoReading, Validity
@@ -132,10 +133,23 @@ def test_a_missing_sphere_is_refused_after_the_whole_search_pattern(cell: Stereo
 
 @pytest.mark.slow
 @pytest.mark.hazard(27)
-def test_black_images_are_refused_with_that_reason(cell: StereoCell) -> None:
+@pytest.mark.parametrize(
+    ("fault", "said"),
+    [
+        (lambda cell: cell.stereo.set_exposure(24, 36), "both cameras: the image is completely dark"),
+        (
+            lambda cell: cell.world.set_fault_script("now: camera occlude right 45 %"),
+            "right camera: too much of the rim is hidden",
+        ),
+    ],
+    ids=["black images", "hidden rim"],
+)
+def test_black_images_and_a_hidden_rim_are_refused_with_that_reason(
+    cell: StereoCell, fault: Callable[[StereoCell], None], said: str
+) -> None:
     start = start_of(cell, 2.0)
-    cell.stereo.set_exposure(24, 36)
-    with raises(SPHERE_NOT_FOUND, match=r"PRO-008.*both cameras: the image is completely dark"):
+    fault(cell)
+    with raises(SPHERE_NOT_FOUND, match=f"PRO-008.*{said}"):
         cell.centre(start)
 
 
@@ -211,15 +225,6 @@ def test_a_pair_out_of_step_once_is_acquired_again(cell: StereoCell) -> None:
 
     cell.stereo.grab_pair = grab_pair  # type: ignore[method-assign]
     assert cell.centre(start).residuals_mm[-1] <= END_MM
-
-
-@pytest.mark.slow
-@pytest.mark.hazard(27)
-def test_a_sphere_with_a_hidden_rim_is_refused(cell: StereoCell) -> None:
-    start = start_of(cell, 2.0)
-    cell.world.set_fault_script("now: camera occlude right 45 %")
-    with raises(SPHERE_NOT_FOUND, match=r"PRO-008.*right camera: too much of the rim is hidden"):
-        cell.centre(start)
 
 
 @pytest.mark.hazard(27)

@@ -53,9 +53,7 @@ def test_a_reading_at_rest_is_left_as_it_is() -> None:
 
 @pytest.mark.hazard(13)
 @pytest.mark.parametrize("before", [16, 30, 44])
-def test_a_push_during_the_reading_leaves_all_where_the_pushed_tracker_sees_it(
-    before: int,
-) -> None:
+def test_a_push_during_the_reading_leaves_all_where_the_pushed_tracker_sees_it(before: int) -> None:
     frames = [seen()] * before + [seen(PUSHED)] * (FRAMES - before)
     held, pose = hold_to_patient_frame(frames, NAME, MARKERS_MM, ARM)
     groups = average_strays(held).groups
@@ -74,24 +72,27 @@ def test_frames_in_the_midst_of_a_push_are_left_out() -> None:
     assert len(held) == 51  # one of those under way is where the tracker comes to rest
 
 
-def test_a_tracker_that_moves_until_the_end_is_refused() -> None:
-    late = [seen()] * 50 + [seen(PUSHED)] * 10
-    with pytest.raises(GateFailed, match=r"PRO-007: the tracker.*until the end.*got in the last 10.*Lock"):
-        hold_to_patient_frame(late, NAME, MARKERS_MM, ARM)
-
-
 @pytest.mark.hazard(12)
-def test_a_clamp_that_moves_against_the_arm_meanwhile_is_refused() -> None:
-    moved = [seen()] * 30 + [seen(PUSHED, arm_mm=(0.0, 1.5, 0.0))] * 30
-    with pytest.raises(
-        GateFailed, match=r"clamp and the arm moved against each other.*limit 1 mm, got 1\.50"
-    ):
-        hold_to_patient_frame(moved, NAME, MARKERS_MM, ARM)
-
-
-def test_a_hidden_frame_is_refused_by_name() -> None:
-    frames = [seen(hidden=True)] * 40 + [seen()] * 20
-    with pytest.raises(GateFailed, match=rf"PRO-007: the reference frame {NAME} is in 20 of 60 frames"):
+@pytest.mark.parametrize(
+    ("frames", "said"),
+    [
+        (
+            [seen()] * 50 + [seen(PUSHED)] * 10,
+            "PRO-007: the tracker.*until the end.*got in the last 10.*Lock",
+        ),
+        (
+            [seen()] * 30 + [seen(PUSHED, arm_mm=(0.0, 1.5, 0.0))] * 30,
+            r"clamp and the arm moved against each other.*limit 1 mm, got 1\.50",
+        ),
+        (
+            [seen(hidden=True)] * 40 + [seen()] * 20,
+            f"PRO-007: the reference frame {NAME} is in 20 of 60 frames",
+        ),
+    ],
+    ids=["a tracker that moves until the end", "a clamp that moves against the arm", "a hidden frame"],
+)
+def test_a_reading_that_cannot_be_held_to_the_frame_is_refused(frames: list[TrackerFrame], said: str) -> None:
+    with pytest.raises(GateFailed, match=said):
         hold_to_patient_frame(frames, NAME, MARKERS_MM, ARM)
 
 

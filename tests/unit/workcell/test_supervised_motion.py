@@ -83,9 +83,8 @@ def test_nobody_is_asked_about_a_motion_that_is_not_clear(
         "preview",
         lambda motion, **start: replace(previews(motion, **start), refused=near if around else None),
     )
-    monkeypatch.setattr(
-        cell.workcell.master.supervised, "_look_around", lambda: around.append("the other arm")
-    )
+    monkeypatch.setattr(cell.workcell.motion, "look_around", around.append)
+
     with pytest.raises(
         NotClear, match="hand of the master would come too close to the forearm of the assist"
     ):
@@ -225,16 +224,13 @@ def motion_lines(folder: Path) -> list[Line]:
 
 
 @pytest.mark.hazard(20)
-def test_an_arm_starts_after_the_operator_confirms_the_drivers_statement(tmp_path: Path) -> None:
+def test_an_arm_starts_after_the_operator_confirms_the_drivers_statement_and_is_led_nowhere(
+    tmp_path: Path,
+) -> None:
     cell = cell_with(tmp_path, RecordingOperator())
     cell.workcell.start()
     assert [(one.topic, one.value) for one in cell.operator.asked] == [(Topic.UNVERIFIED, WORDS)]
     assert cell.arm.calls == ["confirmed", "activate"]
-
-
-def test_a_confirmed_start_is_a_motion_in_the_journal_and_leads_the_arm_nowhere(tmp_path: Path) -> None:
-    cell = cell_with(tmp_path, RecordingOperator())
-    cell.workcell.start()
     lines = [(line["entry"], line["number"], line.get("what")) for line in motion_lines(tmp_path)]
     assert lines == [("motion", 1, "start"), ("moved", 1, None)]
     assert not cell.workcell.master.place.is_out

@@ -15,7 +15,7 @@ from coded_errors import raises
 from recording_cell import RecordingCell, theatre_of
 
 from procedures.workcell.errors import SAME_ARM_TWICE, AnotherArm
-from procedures.workcell.tools import CarriedTool, calibrated_arm, require_this_arm, require_two_arms
+from procedures.workcell.tools import calibrated_arm, require_this_arm, require_two_arms
 from ronna_hw.arm.clearance.bodies import Capsule, Obstacle, Surroundings
 from ronna_hw.arm.kr6_r900 import R900_2, SIXX, kr6_r900
 from ronna_hw.calibration import ArmCalibration
@@ -78,25 +78,19 @@ def test_one_arm_does_not_play_both_roles() -> None:
         require_two_arms(("KR 6 R900 sixx", "601234"), ("KR 6 R900 sixx", "601234"))
 
 
-def test_the_pose_sent_to_the_controller_is_corrected_by_the_calibration_of_the_arm() -> None:
+def test_the_pose_sent_to_the_controller_is_corrected_by_the_calibration_of_the_arm_if_it_has_one() -> None:
     kinematics, records = kr6_r900(SIXX), _records()
     flange_from_tool = records.stereo_head.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
-    carried = CarriedTool(calibrated_arm(kinematics, records.arms), flange_from_tool)
-    wanted = carried.pose(kinematics.home_rad)
-    joints = carried.joints_at(wanted, kinematics.home_rad)
-    commanded = carried.commanded(wanted, lambda: kinematics.home_rad)
+    arm, plain = (calibrated_arm(kinematics, of) for of in (records.arms, {}))
+    wanted = arm.flange_pose(kinematics.home_rad) @ flange_from_tool
+    joints = arm.compensate(wanted @ flange_from_tool.inverse(), kinematics.home_rad).joints_rad
+    commanded = arm.pose_to_command(wanted, flange_from_tool, lambda: kinematics.home_rad)
     np.testing.assert_allclose(joints, kinematics.home_rad, atol=1e-7)
     by_controller = kinematics.flange_pose(joints) @ flange_from_tool
     np.testing.assert_allclose(commanded.translation_mm, by_controller.translation_mm, atol=1e-4)
     assert np.linalg.norm(commanded.translation_mm - wanted.translation_mm) > 0.3
-
-
-def test_without_a_calibration_record_the_wanted_pose_itself_is_sent_to_the_controller() -> None:
-    kinematics, records = kr6_r900(SIXX), _records()
-    flange_from_tool = records.stereo_head.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
-    carried = CarriedTool(calibrated_arm(kinematics, {}), flange_from_tool)
-    wanted = carried.pose(kinematics.home_rad)
-    assert carried.commanded(wanted, lambda: kinematics.home_rad) is wanted
+    wanted = plain.flange_pose(kinematics.home_rad) @ flange_from_tool
+    assert plain.pose_to_command(wanted, flange_from_tool, lambda: kinematics.home_rad) is wanted
 
 
 def test_the_surroundings_are_exact_where_a_calibrated_arm_works(tmp_path: Path) -> None:

@@ -264,9 +264,7 @@ def test_a_retreat_with_the_tip_off_its_axis_is_refused(cell: RecordingCell) -> 
 
 
 @pytest.mark.hazard(24)
-def test_after_a_failed_approach_the_guide_is_still_known_to_be_on_its_axis(
-    cell: RecordingCell,
-) -> None:
+def test_after_a_failed_approach_the_guide_is_still_known_to_be_on_its_axis(cell: RecordingCell) -> None:
     with_guide(cell)
     cell.arm.failing = LinkTimeout("telegrams ceased")
     with pytest.raises(LinkTimeout):

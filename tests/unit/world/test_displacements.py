@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from sim.world.displacements import NOTHING_MOVED, RoomShift, ShiftedRoom, rigid_move, spheres_in_theatre
+from sim.world.options import ArmRole
 from sim.world.rigid import apply, inverse, matrix_of, rotation_from_vector, vector_from_rotation
 from sim.world.scene.assistant import add_assistant
 from sim.world.scene.model import SEATING_ERROR_MM, Scene
@@ -59,7 +60,7 @@ def test_the_assistant_s_cart_rolls_along_its_own_axes_and_nothing_else_moves() 
     world.set_fault_script("at 0 s: room move cart 2 10 0 0 mm 0 deg in 0 s")
     room = ShiftedRoom(world)
     base = matrix_of(world.scene.assistant.robot_from_base)
-    moved = room.robot_from_assistant(room.now())
+    moved = room.robot_from_base(ArmRole.ASSISTANT, room.now())
     assert moved[:3, 3] - base[:3, 3] == pytest.approx(10.0 * base[:3, 0])
     assert np.linalg.norm(room.now().head_mm) == 0.0
 
@@ -68,10 +69,12 @@ def test_the_master_s_cart_leaves_head_and_assistant_to_each_other() -> None:
     world = World.create(add_assistant(draw_scene("mini")), paced=False)
     head = matrix_of(world.scene.head.robot_from_ct)
     room = ShiftedRoom(world)
-    before = inverse(head) @ room.robot_from_assistant(room.now())
+    before = inverse(head) @ room.robot_from_base(ArmRole.ASSISTANT, room.now())
     world.set_fault_script("at 0 s: room move cart 1 10 -20 0 mm 5 deg in 0 s")
     now = room.now()
-    after = inverse(rigid_move(now.head_rad, now.head_mm) @ head) @ room.robot_from_assistant(now)
+    after = inverse(rigid_move(now.head_rad, now.head_mm) @ head) @ room.robot_from_base(
+        ArmRole.ASSISTANT, now
+    )
     assert after == pytest.approx(before, abs=1e-9)
     assert np.linalg.norm(now.head_mm) > 20.0
 
@@ -129,7 +132,7 @@ def test_a_tracker_turns_about_its_origin_and_an_assistant_s_cart_about_its_base
     turned = rigid_move(now.tracker_rad, now.tracker_mm) @ tracker
     assert turned[:3, 3] == pytest.approx(tracker[:3, 3])
     assert vector_from_rotation(turned[:3, :3] @ tracker[:3, :3].T) == pytest.approx((0, 0, math.radians(1)))
-    moved = room.robot_from_assistant(now)
+    moved = room.robot_from_base(ArmRole.ASSISTANT, now)
     assert moved[:3, 3] - base[:3, 3] == pytest.approx((0.0, 0.0, 2.0))
     assert vector_from_rotation(moved[:3, :3] @ base[:3, :3].T) == pytest.approx((0, math.radians(1), 0))
     assert (now.head_mm, now.head_rad) == ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))

@@ -10,9 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-import numpy as np
-from numpy.typing import NDArray
-
 from procedures.engine.context import StepContext
 from procedures.guards.assistant_on_axis import BETTER_FRAMES, LARGEST_OFF_MM, BesideBore, beside_bore
 from procedures.guards.errors import PatientUnseen
@@ -43,8 +40,6 @@ from ronna_hw.devices.contact import INSERTION_SPEED_MM_S
 from ronna_hw.text import format_against_limit
 from ronna_hw.vectors import joint_vector
 from ronna_hw.wire.room_tasks import HOLDER, SEATED
-
-Array = NDArray[np.float64]
 
 # Safety against an instrument that enters the bore askew (U).
 COAXIAL_MM, COAXIAL_RAD = 0.2, math.radians(0.2)
@@ -80,7 +75,7 @@ def insert_with_assistant(context: StepContext, stop: DepthStop) -> AssistedInse
     surround_at_guide(context, assistant.joints_rad(), registered_here(context))
     _present_holder(context, assistant, stop.read_mm)
     missed += _missed(context, "with the holder empty")
-    workcell.assistant.hold_instrument(HeldInstrument(trajectory, stop.read_mm, _parts_at_bore(context)))
+    assistant.hold_instrument(HeldInstrument(trajectory, stop.read_mm, _parts_at_bore(context)))
     load = (
         f"put the instrument for {trajectory} into the assistant's holder, its depth stop against the clamp, "
         "and close the clamp"
@@ -89,7 +84,7 @@ def insert_with_assistant(context: StepContext, stop: DepthStop) -> AssistedInse
     axis, start_rad, via_rad = find_axis(context, assistant, stop, known)
     workcell.start()
     depth_mm = stop.read_mm - stop.standoff_mm - workcell.tools.guide.bore.length_mm
-    limit_N = workcell.assistant.insertion_limit_N
+    limit_N = assistant.insertion_limit_N
     stopped_by = "this arm senses no force" if limit_N is None else f"{limit_N:g} N against it stop it"
     assistant.supervised.confirm(
         Topic.APPROACH,
@@ -106,7 +101,7 @@ def insert_with_assistant(context: StepContext, stop: DepthStop) -> AssistedInse
     for joints_rad in via_rad:
         assistant.go(joints_rad)
     assistant.settle(start_rad, axis.arriving)
-    off_axis = _require_coaxial(context, assistant, axis, known)
+    off_axis_mm, off_axis_rad = _require_coaxial(context, assistant, axis, known)
     seen = _require_seen_coaxial(context, axis, missed)
     workcell.master.instrument.record_insertion(trajectory)
     context.progress(0.75, f"the assistant leads the instrument into the guide at {trajectory}")
@@ -129,21 +124,21 @@ def insert_with_assistant(context: StepContext, stop: DepthStop) -> AssistedInse
             got=f"{gap_mm:.2f} mm",
             action="Nothing moves. Repeat the step: the assistant retreats once that is confirmed.",
         )
-    off_axis_mm, off_axis_rad = off_axis
+
     return AssistedInsertion(
         off_axis_mm=off_axis_mm,
         off_axis_rad=off_axis_rad,
         seen_apart_mm=None if seen is None else seen.seen_mm,
         seen_within_mm=None if seen is None else seen.uncertain_mm,
         peak_force_N=None if assistant.inserted is None else assistant.inserted.peak_force_N,
-        force_limit_N=workcell.assistant.insertion_limit_N,
+        force_limit_N=assistant.insertion_limit_N,
         gap_mm=max(0.0, gap_mm),
     )
 
 
 def _look_before_retreat(context: StepContext) -> str:
     """Look whether a cart was displaced; returns as `look_before_retreat`. Raises PRO-054."""
-    return look_before_retreat(context.workcell, context.setting.clock, room_watch(context))
+    return look_before_retreat(context.workcell, room_watch(context))
 
 
 def _present_holder(context: StepContext, assistant: Assistant, tip_mm: float) -> None:
@@ -152,7 +147,7 @@ def _present_holder(context: StepContext, assistant: Assistant, tip_mm: float) -
     steps = range(round(math.pi / LOADING_STEP_RAD) + 1)
     turns_rad = [side * step * LOADING_STEP_RAD for step in steps for side in (1, -1)]
     postures = [(*here_rad[:-1], here_rad[-1] + turn_rad) for turn_rad in turns_rad]
-    clear = (one for one in map(joint_vector, postures) if workcell.assistant.rests_clear(one, tip_mm))
+    clear = (one for one in map(joint_vector, postures) if assistant.rests_clear(one, tip_mm))
     loading_rad = next(clear, None)
     if loading_rad is None:
         raise NotReachable(
@@ -225,12 +220,13 @@ def _require_coaxial(
     bore = meeting.bore
     ends = [clamp.inverse().apply((0.0, 0.0, z)) for z in (-bore.reach_mm - bore.length_mm, -bore.reach_mm)]
     off_mm = max(math.hypot(end[0], end[1]) for end in ends)
-    _require_within(
-        (off_mm, turned_rad),
-        (COAXIAL_MM, COAXIAL_RAD),
-        f"the instrument is not coaxial with the guide at {context.trajectory}",
-        "The assistant stays where it is. Repeat the step, or send the arms home.",
-    )
+    if off_mm > COAXIAL_MM or turned_rad > COAXIAL_RAD:
+        raise GateFailed(
+            f"the instrument is not coaxial with the guide at {context.trajectory}",
+            limit=f"{COAXIAL_MM:g} mm, {math.degrees(COAXIAL_RAD):g} deg",
+            got=f"{format_against_limit(off_mm, COAXIAL_MM, 2)} mm, {math.degrees(turned_rad):.2f} deg",
+            action="The assistant stays where it is. Repeat the step, or send the arms home.",
+        )
     context.find(
         f"at {context.trajectory} the instrument is {off_mm:.2f} mm and {math.degrees(turned_rad):.2f} deg "
         "from the axis of the guide, by the joints of both arms"
@@ -245,7 +241,7 @@ def _look_at_assistant(
     try:
         return check_room(context, occasion, count, sides).judged
     except PatientUnseen:
-        frames, _ = read_frames_at_rest(context.workcell.tracker, context.setting.clock, count=count)
+        frames, _ = read_frames_at_rest(context.workcell, count=count)
         watch = room_watch(context)
         return watch.judge(watch.read(context.workcell, frames, sides))
 
@@ -296,7 +292,7 @@ def _require_guide_in_place(context: StepContext) -> None:
     """Raise PRO-007 unless the frame on the guide shows it where it was held, while its arm is hidden."""
     rest = context.setting.memory.find(GuideAtRest)
     if rest is not None:
-        rest.look(context.workcell, context.setting.clock, room_watch(context))
+        rest.look(context.workcell, room_watch(context))
     if rest is None or rest.is_unseen:
         raise GateFailed(
             f"over {context.trajectory} the tracker sees neither the frame on the arm with the guide nor the "
@@ -310,18 +306,6 @@ def _require_guide_in_place(context: StepContext) -> None:
             got=f"{format_against_limit(rest.now_mm, PUSHED_MM, 2)} mm",
             action="Nothing is led into the guide. Send the arms home and localize again.",
         )
-
-
-def _require_within(found: tuple[float, float], limit: tuple[float, float], what: str, action: str) -> None:
-    """Raise PRO-007 for a distance in mm or an angle in rad above its limit."""
-    if found[0] <= limit[0] and found[1] <= limit[1]:
-        return
-    raise GateFailed(
-        what,
-        limit=f"{limit[0]:g} mm, {math.degrees(limit[1]):g} deg",
-        got=f"{format_against_limit(found[0], limit[0], 2)} mm, {math.degrees(found[1]):.2f} deg",
-        action=action,
-    )
 
 
 def _parts_at_bore(context: StepContext) -> tuple[str, ...]:

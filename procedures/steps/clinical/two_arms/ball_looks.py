@@ -8,16 +8,9 @@ from contextlib import suppress
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
-from procedures.calibration.base_to_base import (
-    LEAST_BALL_LOOKS,
-    BallFit,
-    BallLooks,
-    BaseToBase,
-    refine_bases,
-)
+from procedures.calibration.base_to_base import LEAST_BALL_LOOKS, BallFit, BallLooks, BaseToBase, refine_bases
 from procedures.calibration.errors import POSES_OUT_OF_REACH, DegeneratePoses
 from procedures.calibration.pose_set import plan_poses_about
 from procedures.steps.clinical.two_arms.base_postures import (
@@ -31,11 +24,10 @@ from procedures.steps.clinical.two_arms.base_postures import (
 )
 from procedures.steps.clinical.two_arms.base_visits import ArmVisits, PlannedGuide, list_possible, stated_arms
 from procedures.strategies.strategy import ONE_SIDE
+from ronna_hw.arrays import Array
 from ronna_hw.errors import LimitError
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.vectors import JointVector
-
-Array = NDArray[np.float64]
 
 BALL_ABOVE_GUIDE_MM = 10.0  # higher, both arms would be in other postures than with the instrument
 LEAST_POSTURES = 8  # 16 looks: the instrument is then 0.07 mm off the bore, 2-D, after twelve looks 0.09
@@ -76,9 +68,9 @@ class BallWatch:
             return refine_bases(coarse, seen, ball_mm, assistant.ball_error_mm, *stated_arms(visits.context))
 
         plan = (partial(assistant.flange_joints, one, near, ONE_SIDE) for one in postures)
-        arm = visits.assistant_mover
-        for _ in visits.visit(list_possible(plan, reasons), POSTURES, arm, reasons):
-            flange, before = arm.flange(), len(looks)
+        possible = list_possible(plan, reasons)
+        for _ in visits.visit(possible, POSTURES, assistant, assistant.settle, reasons):
+            flange, before = assistant.flange_pose(assistant.joints_rad(), ONE_SIDE), len(looks)
             for pose, ball_in_head_mm in self._look_from_around(
                 (base @ flange).apply(ball_mm), held, reasons
             ):
@@ -135,8 +127,8 @@ class BallWatch:
 
         Ways past the assistant are tried first, those via home only if none of them is clear.
         """
-        cell, looks = self._visits.cell, 0
-        reference = cell.master.tool_pose(cell.master.home_rad).rigid.rotation
+        cell, master, looks = self._visits.cell, self._visits.cell.master, 0
+        reference = master.tool_pose(master.home_rad).rigid.rotation
         around = plan_poses_about(
             reference,
             ball_mm,
@@ -146,21 +138,19 @@ class BallWatch:
             turn_rad=HEAD_TURN_RAD,
         )
         for allow_detour in (False, True):
-            plan = (
-                partial(cell.master.joints_at, one.pose, cell.master.home_rad, ONE_SIDE) for one in around
-            )
-            settle = partial(cell.master.settle, arriving=ONE_SIDE, allow_detour=allow_detour)
-            arm = self._visits.master_mover(settle)
-            for _ in self._visits.visit(list_possible(plan, reasons), LOOKS_PER_POSTURE, arm, reasons):
+            plan = (partial(master.joints_at, one.pose, master.home_rad, ONE_SIDE) for one in around)
+            settle = partial(master.settle, arriving=ONE_SIDE, allow_detour=allow_detour)
+            possible = list_possible(plan, reasons)
+            for _ in self._visits.visit(possible, LOOKS_PER_POSTURE, master, settle, reasons):
                 seen = cell.look()
                 if seen.point is None:
                     self._unseen += 1
                     reasons.append(seen.reason)
                     continue
                 self._unseen = 0
-                yield cell.master.tool_pose(arrived=ONE_SIDE), np.asarray(seen.point.position_mm)
+                yield master.tool_pose(arrived=ONE_SIDE), np.asarray(seen.point.position_mm)
                 looks += 1
                 if looks == LOOKS_PER_POSTURE:
                     return
-            if looks or cell.master.place.is_home:
+            if looks or master.place.is_home:
                 return

@@ -7,16 +7,15 @@ from collections.abc import Sequence
 from functools import partial
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from procedures.calibration.pose_set import PlannedLook, plan_poses_about
 from procedures.workcell.assistant import Assistant
+from ronna_hw.arrays import Array
 from ronna_hw.errors import LimitError
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.vectors import JointVector
-
-Array = NDArray[np.float64]
 
 FRAME_LOOKS, SPARE = 8, 18  # planned poses for each wanted one: an arm hides its own frame in most of them
 MOST_FACING_RAD = math.radians(35.0)  # turn of the assistant's frame towards the tracker

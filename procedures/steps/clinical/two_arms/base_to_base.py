@@ -7,11 +7,8 @@ both arms go home, where the tracker sees whether a platform has moved since.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.spatial.transform import RigidTransform
 
-from procedures.calibration.arm_errors import FoundArm
-from procedures.calibration.base_to_base import BaseToBase, bases_by_frames
+from procedures.calibration.base_to_base import bases_by_frames
 from procedures.calibration.errors import PlatformMoved
 from procedures.engine.context import StepContext
 from procedures.engine.order import Outcome, Phase, StepSpec
@@ -27,21 +24,19 @@ from procedures.steps.clinical.room import ROOM_READS, check_room, room_watch
 from procedures.steps.clinical.surroundings import READS, surround_stereo_head
 from procedures.steps.clinical.two_arms.ball_looks import LOOKS_PER_POSTURE, BallWatch
 from procedures.steps.clinical.two_arms.base_postures import FRAME_LOOKS, POSTURES
-from procedures.steps.clinical.two_arms.base_visits import ArmVisits, between_bases, stated_arms
-from procedures.steps.clinical.two_arms.frame_looks import FIRST_GUESS_MM, BaseFrameLooks, see_both_home
+from procedures.steps.clinical.two_arms.base_visits import ArmVisits
+from procedures.steps.clinical.two_arms.frame_looks import (
+    FIRST_GUESS_MM,
+    guess_base,
+    look_at_frames,
+    see_both_home,
+)
 from procedures.steps.conditions import REMOUNTED, needs_tool
 from procedures.workcell import MountedTool
-from ronna_hw.calibration import Numbers3
+from ronna_hw.arrays import Array
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.text import format_against_limit
-
-Array = NDArray[np.float64]
-
-
-def found_arms(context: StepContext, known: KnownBases) -> tuple[FoundArm, FoundArm]:
-    """Return master and assistant with their errors as found with the bases."""
-    master, assistant = stated_arms(context)
-    return FoundArm(master, known.master_errors), FoundArm(assistant, known.assistant_errors)
+from ronna_hw.vectors import vector3
 
 
 def run(context: StepContext) -> Outcome[KnownBases]:
@@ -59,33 +54,33 @@ def run(context: StepContext) -> Outcome[KnownBases]:
     )
     visits = ArmVisits(context, assistant)
     bring_arms_home(visits)
-    frames, ball = BaseFrameLooks(visits), BallWatch(visits)
-    first_guess = frames.first_guess()
-    workcell.assistant.place_base(first_guess, FIRST_GUESS_MM)
+    ball = BallWatch(visits)
+    assistant.place_base(guess_base(visits), FIRST_GUESS_MM)
     surround_stereo_head(context, workcell.master.joints_rad())
     workcell.start(cameras=True)
-    workcell.assistant.surround(visits.around())
-    master_looks, assistant_looks = frames.look()
+    assistant.surround(visits.around())
+    master_looks, assistant_looks = look_at_frames(visits)
     records = workcell.calibrations
     assert records.arm is not None
     assert records.assistant_arm is not None
     errors_mm = (records.arm.stated_error_mm, records.assistant_arm.stated_error_mm)
     by_frames = bases_by_frames(master_looks, assistant_looks, errors_mm)
     coarse = by_frames.bases
-    workcell.assistant.place_base(_robot_from_base(coarse))
-    workcell.assistant.surround(visits.around())
+    assistant.place_base(Transform.from_matrix(Frame.ROBOT, Frame.ASSISTANT, coarse.robot_from_base))
+    assistant.surround(visits.around())
     fit = ball.look(coarse)
-    workcell.assistant.place_base(_robot_from_base(fit.bases))
-    workcell.assistant.surround(visits.around())
+    robot_from_base = Transform.from_matrix(Frame.ROBOT, Frame.ASSISTANT, fit.bases.robot_from_base)
+    assistant.place_base(robot_from_base)
+    assistant.surround(visits.around())
     see_both_home(workcell, visits.read(CAREFUL_FRAMES))
-    there_mm = _inverse(fit.bases.robot_from_base) @ np.array([*fit.region_mm, 1.0])
+    there_mm = np.linalg.inv(fit.bases.robot_from_base) @ np.array([*fit.region_mm, 1.0])
     apart_mm = float(np.linalg.norm((coarse.robot_from_base @ there_mm)[:3] - fit.region_mm))
     error_mm, by_frames_mm = fit.error_mm, coarse.error_mm(fit.region_mm)
     known = KnownBases(
-        robot_from_base=FramedPose.of(_robot_from_base(fit.bases)),
-        robot_from_tracker=FramedPose.of(_of_tracker(by_frames.robot_from_tracker)),
-        flange_from_master_frame=FramedPose.of(_on_flange(by_frames.flange_from_master_frame)),
-        flange_from_frame=FramedPose.of(_on_flange(by_frames.flange_from_frame)),
+        robot_from_base=FramedPose.of(robot_from_base),
+        robot_from_tracker=_pose(Frame.ROBOT, Frame.TRACKER, by_frames.robot_from_tracker),
+        flange_from_master_frame=_pose(Frame.FLANGE, Frame.MARKER, by_frames.flange_from_master_frame),
+        flange_from_frame=_pose(Frame.FLANGE, Frame.MARKER, by_frames.flange_from_frame),
         by_frames_mm=by_frames_mm,
         error_mm=error_mm,
         apart_mm=apart_mm,
@@ -96,7 +91,7 @@ def run(context: StepContext) -> Outcome[KnownBases]:
         master_errors=fit.master.errors,
         assistant_errors=fit.assistant.errors,
         assistant_rad=ball.held_rad,
-        region_mm=_numbers(fit.region_mm),
+        region_mm=vector3(fit.region_mm),
         first_look=first_look,
     )
     _require_stood(context, known)
@@ -137,25 +132,8 @@ def bring_arms_home(visits: ArmVisits) -> None:
             arm.return_home()
 
 
-def _robot_from_base(bases: BaseToBase) -> Transform:
-    return between_bases(bases.robot_from_base)
-
-
-def _on_flange(matrix: Array) -> Transform:
-    return Transform(Frame.FLANGE, Frame.MARKER, RigidTransform.from_matrix(matrix))
-
-
-def _of_tracker(matrix: Array) -> Transform:
-    return Transform(Frame.ROBOT, Frame.TRACKER, RigidTransform.from_matrix(matrix))
-
-
-def _inverse(matrix: Array) -> Array:
-    return np.asarray(np.linalg.inv(matrix))
-
-
-def _numbers(values: object) -> Numbers3:
-    x, y, z = np.asarray(values, dtype=float).tolist()
-    return (x, y, z)
+def _pose(target: Frame, source: Frame, matrix: Array) -> FramedPose:
+    return FramedPose.of(Transform.from_matrix(target, source, matrix))
 
 
 STEP = StepSpec(

@@ -11,15 +11,13 @@ from itertools import islice
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.spatial.transform import RigidTransform
 
 from procedures.calibration.arm_errors import StatedArm
 from procedures.engine.context import StepContext
 from procedures.guards.errors import PatientUnseen
+from procedures.guards.room_reading import ON_ARM
 from procedures.planning.guide import depth_stop_mm
 from procedures.planning.tracker_sight import explain_hidden_frame
-from procedures.room.sighting import Tracked
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.path_check import CheckedPaths
@@ -30,28 +28,17 @@ from procedures.steps.clinical.two_arms.base_postures import order_by_travel
 from procedures.strategies.strategy import ONE_SIDE
 from procedures.workcell import MountedTool, Workcell
 from procedures.workcell.assistant import Assistant
+from procedures.workcell.supervised_arm import SupervisedArm
 from ronna_hw.arm.clearance.bodies import Surroundings
 from ronna_hw.arm.errors import NotClear
+from ronna_hw.arrays import Array
 from ronna_hw.calibrated_arm.error_budget import ErrorSizes
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import TrackerFrame
 from ronna_hw.devices.sensors import measuring_volume_mm
 from ronna_hw.errors import LimitError
 from ronna_hw.frames import Frame, Transform
-from ronna_hw.roles import ASSISTANT, MASTER
 from ronna_hw.vectors import JointVector
-
-Array = NDArray[np.float64]
-
-
-class Mover(NamedTuple):
-    """One of the arms, as it is moved and read for a look."""
-
-    role: str
-    frame: Tracked
-    joints_rad: Callable[[], JointVector]
-    settle: Callable[[JointVector], object]
-    flange: Callable[[], Transform]
 
 
 class PlannedGuide(NamedTuple):
@@ -75,7 +62,6 @@ class ArmVisits:
 
     @property
     def cell(self) -> Workcell:
-        """Workcell of the case."""
         return self.context.workcell
 
     @property
@@ -88,29 +74,6 @@ class ArmVisits:
         """Pose ASSISTANT <- TRACKER."""
         tracker = self.context.result(GlobalLocalization).robot_from_tracker.transform
         return self.assistant.base.inverse() @ tracker
-
-    def master_mover(self, settle: Callable[[JointVector], object]) -> Mover:
-        """Return the master, which `settle` moves so that each joint arrives from one side."""
-        cell = self.cell
-        return Mover(
-            MASTER,
-            Tracked.ARM,
-            cell.master.joints_rad,
-            settle,
-            lambda: cell.master.flange_pose(cell.master.joints_rad(), ONE_SIDE),
-        )
-
-    @property
-    def assistant_mover(self) -> Mover:
-        """The assistant, each joint arriving from one side."""
-        one = self.assistant
-        return Mover(
-            ASSISTANT,
-            Tracked.ASSISTANT,
-            one.joints_rad,
-            one.settle,
-            lambda: one.flange_pose(one.joints_rad(), ONE_SIDE),
-        )
 
     def explain_hidden(self, joints_rad: JointVector) -> str:
         """Explain why the tracker does not see the assistant's frame at these joints, or return ''."""
@@ -138,13 +101,13 @@ class ArmVisits:
             guides.append(PlannedGuide(entry, top, top + stop_mm * outwards, outwards))
         return guides
 
-    def read(self, count: int, settled: Mover | None = None) -> list[TrackerFrame]:
+    def read(self, count: int, settled: SupervisedArm | None = None) -> list[TrackerFrame]:
         """Read frames of the tracker, both arms at rest, in that of the localization.
 
         One of them may have `settled` on one side. Each look counts in the estimate of the room. Raises as
         `check_room`, except for a head that the arms hide.
         """
-        sides = {} if settled is None else {settled.frame: ONE_SIDE}
+        sides = {} if settled is None else {ON_ARM[settled.role]: ONE_SIDE}
         try:
             look = check_room(self.context, "while the arms are measured against each other", count, sides)
         except PatientUnseen:
@@ -152,20 +115,25 @@ class ArmVisits:
         return list(look.reading.tracker_frames)
 
     def visit(
-        self, possible: Iterator[JointVector], at_once: int, arm: Mover, reasons: list[str]
+        self,
+        possible: Iterator[JointVector],
+        at_once: int,
+        arm: SupervisedArm,
+        settle: Callable[[JointVector], object],
+        reasons: list[str],
     ) -> Iterator[None]:
-        """Move to postures, `at_once` of them ordered for a short way; yield after each arrival.
+        """Have `arm` settle at postures, each joint from one side; yield after each arrival.
 
-        Leaves out those that are not clear, without a try if the other arm stands there. Raises what trips an
-        arm.
+        `at_once` of them are ordered for a short way. Leaves out those that are not clear, without a try if
+        the other arm stands there. Raises what trips an arm.
         """
         while batch := tuple(islice(possible, at_once)):
             for joints_rad in order_by_travel(arm.joints_rad(), batch):
-                if not self.cell.arms[arm.role].rests_apart(joints_rad):
+                if not arm.rests_apart(joints_rad):
                     reasons.append("too close to the other arm")
                     continue
                 try:
-                    arm.settle(joints_rad)
+                    settle(joints_rad)
                 except (LimitError, NotClear) as error:
                     if Lifecycle.FAULT in (self.cell.master.arm.state, self.assistant.arm.state):
                         raise
@@ -201,9 +169,3 @@ def stated_arms(context: StepContext) -> tuple[StatedArm, StatedArm]:
         for arm, record in arms
     )
     return master, assistant
-
-
-def between_bases(matrix: Array) -> Transform:
-    """Return ROBOT <- ASSISTANT."""
-    rigid = RigidTransform.from_matrix(np.asarray(matrix, dtype=float))
-    return Transform(Frame.ROBOT, Frame.ASSISTANT, rigid)

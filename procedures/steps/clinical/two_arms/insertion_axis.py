@@ -22,14 +22,8 @@ from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.results import KnownBases, RegisteredRobot
 from procedures.steps.clinical.room import ExpectedSight, room_watch
 from procedures.steps.clinical.surroundings import planning_scene_of
-from procedures.steps.clinical.two_arms.base_postures import (
-    TURN_STEP_RAD,
-    face_along,
-    travel_rad,
-    turns_about_axis,
-    wrist_branches,
-)
-from procedures.steps.clinical.two_arms.base_to_base import found_arms
+from procedures.steps.clinical.two_arms import base_postures
+from procedures.steps.clinical.two_arms.base_visits import stated_arms
 from procedures.steps.clinical.work_progress import DepthStop
 from procedures.strategies.strategy import LAST_STRETCH_MM, Sides
 from procedures.workcell import InsertionAxis, MountedTool, Workcell
@@ -37,6 +31,7 @@ from procedures.workcell.assistant import Assistant
 from ronna_hw.devices.sensors import VolumeSections, measuring_volume_mm
 from ronna_hw.errors import LimitError
 from ronna_hw.frames import Transform
+from ronna_hw.roles import ASSISTANT
 from ronna_hw.tool_record import GuideBore
 from ronna_hw.vectors import JointVector
 
@@ -73,7 +68,12 @@ class Meeting(NamedTuple):
     @classmethod
     def of(cls, context: StepContext, known: KnownBases) -> Meeting:
         """Return the arms of a case."""
-        return cls(*found_arms(context, known), context.workcell.tools.guide.bore)
+        master, assistant = stated_arms(context)
+        return cls(
+            FoundArm(master, known.master_errors),
+            FoundArm(assistant, known.assistant_errors),
+            context.workcell.tools.guide.bore,
+        )
 
     def guide(self, workcell: Workcell) -> Transform:
         """Return the pose of the guide, robot frame, corrected for its arm's identified errors."""
@@ -161,7 +161,7 @@ def _list_turns(context: StepContext, stop: DepthStop, meeting: Meeting) -> list
     top_mm = guide.apply((0.0, 0.0, -bore.reach_mm - bore.length_mm + PAST_CONTACT_MM))
     travel_mm = stop.read_mm + ABOVE_GUIDE_MM + PAST_CONTACT_MM
     axes = []
-    for turn in turns_about_axis(guide.rigid.rotation):
+    for turn in base_postures.turns_about_axis(guide.rigid.rotation):
         held = Transform(guide.target, guide.source, RigidTransform.from_components(top_mm, turn))
         axes.append(InsertionAxis(context.trajectory, held, travel_mm))
     return axes
@@ -179,12 +179,12 @@ def _list_reached(
     frame = known.flange_from_frame.transform
     to_base, onto_flange = assistant.base.inverse(), assistant.flange_from_clamp.inverse()
     inwards = (to_base @ axes[0].held).rotation_matrix[:, 2]
-    onwards = face_along(assistant.flange_from_clamp.rotation_matrix[:, 2], inwards)
+    onwards = base_postures.face_along(assistant.flange_from_clamp.rotation_matrix[:, 2], inwards)
     flanges = [to_base @ one.held @ onto_flange for one in axes]
     away_rad = [float((onwards.inv() * flange.rigid.rotation).magnitude()) for flange in flanges]
     kinematics = assistant.arm.kinematics
     found = []
-    for near in wrist_branches(assistant):
+    for near in base_postures.wrist_branches(assistant):
         other_wrist = kinematics.branch_of(near) != kinematics.branch_of(known.assistant_rad)
         for one, away in zip(axes, away_rad, strict=True):
             try:
@@ -199,8 +199,10 @@ def _list_reached(
                 continue
             marker = assistant.flange_pose(at_start) @ frame
             hidden = bool(explain_hidden_frame(tracker, marker, kinematics, at_start, volume_mm))
-            way_rad = travel_rad(assistant.home_rad, at_start) + travel_rad(at_start, at_end)
-            rank = (other_wrist, hidden, round(away / TURN_STEP_RAD), way_rad)
+            way_rad = base_postures.travel_rad(assistant.home_rad, at_start) + base_postures.travel_rad(
+                at_start, at_end
+            )
+            rank = (other_wrist, hidden, round(away / base_postures.TURN_STEP_RAD), way_rad)
             found.append(_Candidate(rank, replace(one, arriving=signs), at_start, at_end))
     return found
 
@@ -218,7 +220,8 @@ def _hides_head(context: StepContext, one: _Candidate) -> bool:
     assert workcell.master.surroundings is not None
     expected = ExpectedSight(context, room_watch(context), workcell.master.surroundings)
     here_rad = workcell.master.joints_rad()
-    return any(expected.hidden_at(here_rad, at_rad) for at_rad in (one.start_rad, one.held_rad))
+    others = ({ASSISTANT: at_rad} for at_rad in (one.start_rad, one.held_rad))
+    return any(expected.hidden_at(here_rad, others_rad) for others_rad in others)
 
 
 def _count_alike(reasons: Sequence[str]) -> str:

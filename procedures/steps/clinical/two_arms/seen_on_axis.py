@@ -14,7 +14,6 @@ from procedures.room.motion import Moved
 from procedures.room.sighting import Tracked
 from procedures.workcell import Workcell
 from procedures.workcell.tracker_look import read_frames_at_rest
-from ronna_hw.clock import Clock
 from ronna_hw.errors import RonnaError
 from ronna_hw.text import format_against_limit
 
@@ -28,16 +27,16 @@ class NotCompared(Exception):
     """The tracker, or the records, tell too little."""
 
 
-def look_before_retreat(workcell: Workcell, clock: Clock, watch: RoomWatch | None) -> str:
+def look_before_retreat(workcell: Workcell, watch: RoomWatch | None) -> str:
     """Return what staff must look at where the tracker shows too little, or ''. Raises PRO-054."""
     try:
-        require_seen_on_axis(workcell, clock, watch)
+        require_seen_on_axis(workcell, watch)
     except NotCompared as unknown:
         return f"{unknown}: {LOOK_AT_CART}"
     return ""
 
 
-def require_seen_on_axis(workcell: Workcell, clock: Clock, watch: RoomWatch | None) -> BesideBore:
+def require_seen_on_axis(workcell: Workcell, watch: RoomWatch | None) -> BesideBore:
     """Return how far the instrument may be beside the bore, by a look at both arms.
 
     Raises PRO-054 if the bore may be further off than the instrument gives way, or an arm is not where its
@@ -47,7 +46,7 @@ def require_seen_on_axis(workcell: Workcell, clock: Clock, watch: RoomWatch | No
         raise NotCompared("no record says where the assistant's frame was seen")
     for count in (CAREFUL_FRAMES, BETTER_FRAMES):
         try:
-            frames, _ = read_frames_at_rest(workcell.tracker, clock, count=count)
+            frames, _ = read_frames_at_rest(workcell, count=count)
             judged = watch.judge(watch.read(workcell, frames))
         except RonnaError as problem:
             raise NotCompared(

@@ -145,14 +145,6 @@ def test_the_controller_ends_within_two_seconds_of_a_signal_while_streaming(
     assert here.child.process.wait(STOP_TIMEOUT_S + STALL_OF_THE_COMPUTER_S) == 0
 
 
-def test_a_client_may_reconnect_at_once(cell: Callable[..., Cell]) -> None:
-    here = cell()
-    for _ in range(20):
-        eki = here.project()
-        assert eki.command("STATUS_PLEASE") == 2
-        eki.close()
-
-
 def test_a_motion_by_eki_is_answered_twice_and_takes_theatre_time(
     cell: Callable[..., Cell], lock_step_world: World
 ) -> None:

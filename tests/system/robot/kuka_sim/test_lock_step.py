@@ -9,7 +9,6 @@ import pytest
 from kuka_clients import LIMIT_S, Cell
 
 from sim.kuka.cycle_loop import REST_CYCLE_S
-from sim.world.scene.named_scenes import draw_scene
 from sim.world.world import World
 
 
@@ -66,25 +65,3 @@ def test_an_idle_world_rests_whatever_its_client_does_until_somebody_waits(
     while clock.is_streaming() and time.monotonic() < deadline:
         eki.state(RSI="0", Moving="0")
     assert not clock.is_streaming()
-
-
-@pytest.mark.slow
-def test_the_true_pose_after_a_motion_is_identical_bit_for_bit(cell: Callable[..., Cell]) -> None:
-    goal = (5.0, -4.0, 3.0, 2.0, 1.0, 8.0)
-    found = []
-    for idle in (3, 90):
-        world = World.create(draw_scene("mini", seed=5), paced=False)
-        here = cell(world=world)
-        eki, rsi = here.project(), here.rsi
-        here.start(eki)
-        world.clock.let_pass(1.0)
-        rsi.cycles(idle)
-        rsi.move(goal, cycles=400)
-        while not world.arm().at_rest:
-            rsi.cycles(5, goal)
-        found.append(world.arm())
-        here.child.stop()
-        world.clock.close()
-    assert found[0].motion_number == found[1].motion_number == 1
-    assert found[0].joints_rad == found[1].joints_rad
-    assert (found[0].robot_from_flange == found[1].robot_from_flange).all()

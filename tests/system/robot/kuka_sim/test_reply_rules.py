@@ -7,12 +7,10 @@ from collections.abc import Callable
 
 import pytest
 from kuka_clients import Cell, RsiClient
-from shared_controller import on_a1
 
 CYCLE_S = 0.012
 CYCLES = 20
 MOST_CYCLES = 80  # fewer than the controller takes for a lost client
-TURN_DEG = 0.05
 
 
 def streaming(cell: Callable[..., Cell], window: str) -> RsiClient:
@@ -50,18 +48,3 @@ def test_a_reply_within_its_share_of_the_cycle_is_not_late(cell: Callable[..., C
         if rsi.late < cycles_since(first, rsi):
             return
     pytest.fail(f"{rsi.late} of {cycles_since(first, rsi)} replies were late")
-
-
-@pytest.mark.parametrize(("second", "turns"), [("ignored", False), ("taken", True)])
-def test_the_first_or_the_second_of_two_replies_counts_as_configured(
-    cell: Callable[..., Cell], second: str, turns: bool
-) -> None:
-    rsi = cell("--autostart", "--cycle-ms", "12", "--set", f"second_reply={second}").rsi
-    rsi.receive()
-    base_deg, furthest_deg = rsi.axes_deg[0], 0.0
-    for _ in range(CYCLES):
-        rsi.answer()
-        rsi.answer(on_a1(TURN_DEG))
-        rsi.receive()
-        furthest_deg = max(furthest_deg, rsi.axes_deg[0] - base_deg)
-    assert (furthest_deg > TURN_DEG / 2) is turns

@@ -94,7 +94,7 @@ def features(memory):
 def test_an_integer_reads_and_writes_its_register_big_endian(features, memory):
     features.set_number("Width", 640)
     assert memory.read(0x10, 4).hex() == "00000280"
-    assert features.whole("Width") == 640
+    assert features.number("Width") == 640
 
 
 def test_little_endian_and_signed_registers_are_read_and_written(features, memory):

@@ -19,7 +19,6 @@ from procedures.calibration.errors import TOO_FEW_POSES, OfAnotherTheatre
 from procedures.cli.arm.command import app as arm
 from procedures.cli.calibrating.calibration import NOT_COMPARED, calibrate, show
 from procedures.cli.calibrating.mount import app as mount
-from procedures.cli.calibrating.options import CalibrationOptions
 from procedures.cli.stereo.command import app as stereo
 from procedures.engine.case import Case
 from procedures.reporting.calibration_figures import Figure, RecordFigures
@@ -95,9 +94,9 @@ def test_records_computed_without_a_theatre_file_are_said_to_be_compared_with_no
     looks = LookingArm.of(3).looks(1, 0, SPHERES_MM)
     ARM.write_looks(looks, tmp_path)
     theatre = tmp_path / "theatre.toml" if config else None
-    options = CalibrationOptions(config=theatre, out=tmp_path / "out", as_json=True, recorded=tmp_path)
-    recipe = Recipe(of=Calibrated.ARM, looks=60, more=12)
-    calibrate(ARM, recipe, options, RunRequest(config=theatre))
+    recipe = Recipe(of=Calibrated.ARM, looks=60, more=12).model_dump(mode="json")
+    request = RunRequest(procedure=CalibrationProcedure(recipe=recipe, days=30), config=theatre)
+    calibrate(request, tmp_path, tmp_path / "out", as_json=True)
     assert (NOT_COMPARED in capsys.readouterr().err) is not config
 
 

@@ -25,16 +25,7 @@ from procedures.cli.case.live_display import LiveDisplay
 from procedures.cli.runs.showing import line_of
 from procedures.engine.case_view import CaseView, fold
 from procedures.engine.context import StepContext
-from procedures.engine.events import (
-    Event,
-    EventStream,
-    Fault,
-    JournalLine,
-    Refusal,
-    Seat,
-    StepState,
-    Waiting,
-)
+from procedures.engine.events import Event, EventStream, Fault, JournalLine, Refusal, Seat, StepState, Waiting
 from procedures.engine.order import Outcome
 from procedures.journal.errors import GateFailed
 from procedures.journal.results import StepResult
@@ -116,9 +107,7 @@ def test_the_live_view_names_whom_a_case_waits_for_until_its_step_begins() -> No
     assert shown == [free, "waiting for an order of Ann; next is ct_import", free, "ct_import", "ct_import"]
 
 
-def test_a_failed_step_shows_only_its_code_where_errors_are_reported_separately(
-    events: list[Event],
-) -> None:
+def test_a_failed_step_shows_only_its_code_where_errors_are_reported_separately(events: list[Event]) -> None:
     said = [entry.text for event in events if (entry := entry_of(event, errors=False)) is not None]
     assert said == [f"Image (image): {GateFailed.code}"]
 
@@ -163,9 +152,7 @@ def test_brackets_in_what_a_case_is_doing_are_text() -> None:
     assert "reading [/a] and [red]b" in terminal.getvalue()
 
 
-def test_an_error_during_a_live_view_is_written_above_it(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_an_error_during_a_live_view_is_written_above_it(monkeypatch: pytest.MonkeyPatch) -> None:
     class Terminal(io.StringIO):
         def isatty(self) -> bool:
             return True

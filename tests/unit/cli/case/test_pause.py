@@ -39,15 +39,12 @@ def test_an_interrupt_before_there_is_an_engine_ends_the_command() -> None:
         Interrupts().interrupt()
 
 
-def test_the_first_interrupt_requests_a_pause_and_stops_nothing(attached: tuple[Interrupts, Any]) -> None:
+def test_the_first_interrupt_requests_a_pause_and_stops_nothing_and_the_third_ends_the_command(
+    attached: tuple[Interrupts, Any],
+) -> None:
     interrupts, engine = attached
     interrupts.interrupt()
     assert (engine.paused, engine.stops) == (["Ctrl-C"], 0)
-
-
-def test_the_third_interrupt_ends_the_command(attached: tuple[Interrupts, Any]) -> None:
-    interrupts, _ = attached
-    interrupts.interrupt()
     interrupts.interrupt()
     with pytest.raises(KeyboardInterrupt):
         interrupts.interrupt()

@@ -92,10 +92,9 @@ def test_stop_stops_the_arm_while_a_step_runs_and_the_script_says_how_it_goes_on
     assert ("rested", "") in cell.entries("rested")
 
 
-def test_stop_while_nothing_runs_is_said_to_stop_nothing(tmp_path: Path, pipe: Pipe) -> None:
+def test_stop_while_nothing_runs_is_said_to_stop_nothing(cell: RecordingCell, pipe: Pipe) -> None:
     said: list[str] = []
     operator = Script(said)
-    cell = RecordingCell(tmp_path)
     pipe.write("stop\nquit\n")
     operator.at(cell.engine(plain_order()))
     assert said[0].startswith("no step is running and the arm is at rest")

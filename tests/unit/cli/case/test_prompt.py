@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import sys
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 from plain_steps import only_home_remains, plain_order, plain_steps
@@ -22,11 +21,6 @@ from procedures.operator.question import Answer, Question, Topic
 from procedures.runs.lifecycle import run_to_end
 from procedures.runs.observers import RunObservers
 from ronna_hw.devices.lifecycle import LastKnown, Lifecycle
-
-
-@pytest.fixture
-def cell(tmp_path: Path) -> RecordingCell:
-    return RecordingCell(tmp_path)
 
 
 class Typed:
@@ -95,7 +89,9 @@ def test_resume_withdraws_a_pause_that_has_not_begun(
     engine = cell.engine(plain_order())
     typed = Typed(monkeypatch, "pause", "resume", "resume")
     typed.at(engine)
-    assert typed.said[1:] == [
+
+    assert typed.said == [
+        "the case will pause before the next step; while a step runs, Ctrl-C pauses it",
         "the pause is withdrawn; next or to continues",
         "nothing is paused; next or to continues",
     ]
@@ -122,7 +118,8 @@ def paused(cell: RecordingCell, monkeypatch: pytest.MonkeyPatch, *lines: str) ->
 
 
 def test_only_resume_ends_a_pause(cell: RecordingCell, monkeypatch: pytest.MonkeyPatch) -> None:
-    engine = paused(cell, monkeypatch, "yes", "", "next", "why", "resume")
+
+    engine = paused(cell, monkeypatch, "yes", "", "next", "why", "why nothing_like_it", "resume")
     assert engine.case.stands(engine.order.find("image"))
     assert not engine.case.stands(engine.order.find("localization:T1"))
 
@@ -153,13 +150,18 @@ def test_a_fault_acknowledged_in_a_pause_has_its_step_begun_again(
     assert engine.case.stands(engine.order.find("image"))
 
 
-def test_an_unknown_command_is_reported_with_a_suggestion(
+def test_an_unknown_command_is_reported_with_a_suggestion_and_a_synonym_is_not_executed(
     cell: RecordingCell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    typed = Typed(monkeypatch, "wy", "weiter")
+    typed = Typed(monkeypatch, "wy", "weiter", "exit", "continue", "", "  ")
     typed.at(cell.engine(plain_order()))
-    assert typed.said[0] == "there is no command 'wy'; did you mean why?"
-    assert typed.said[1] == "there is no command 'weiter'; help lists the commands"
+    assert typed.said == [
+        "there is no command 'wy'; did you mean why?",
+        "there is no command 'weiter'; help lists the commands",
+        "there is no command 'exit'; did you mean quit?",
+        "there is no command 'continue'; did you mean resume?",
+        *["nothing was typed; help lists the commands"] * 2,
+    ]
     said = Typed(monkeypatch, "weiter", "nexxt", "next", "abort")
     said.prompt.ask(Question(Topic.PAUSE, "Paused", "here", ("continue", "abort")))
     assert said.said[2].startswith("there is no command 'weiter'; ")
@@ -229,21 +231,6 @@ def test_quit_prints_how_to_resume(cell: RecordingCell, monkeypatch: pytest.Monk
     typed.at(engine)
     way_on = f"to continue: ronna-procedure resume {engine.case.folder}"
     assert typed.said == [f"the case is left as it is; {way_on}"]
-
-
-def test_an_empty_line_prints_only_a_short_hint(cell: RecordingCell, monkeypatch: pytest.MonkeyPatch) -> None:
-    typed = Typed(monkeypatch, "", "  ")
-    typed.at(cell.engine(plain_order()))
-    assert typed.said == ["nothing was typed; help lists the commands"] * 2
-
-
-@pytest.mark.parametrize(("word", "meant"), [("exit", "quit"), ("continue", "resume")])
-def test_a_synonym_is_not_executed_but_suggests_the_command_that_was_meant(
-    cell: RecordingCell, monkeypatch: pytest.MonkeyPatch, word: str, meant: str
-) -> None:
-    typed = Typed(monkeypatch, word)
-    typed.at(cell.engine(plain_order()))
-    assert typed.said == [f"there is no command {word!r}; did you mean {meant}?"]
 
 
 def test_a_command_counts_in_upper_case_and_manual_work_is_no_command(
@@ -386,13 +373,6 @@ def test_a_held_case_ends_when_its_arm_is_home_and_every_step_is_done(
     assert engine.machine.state == "finished"
 
 
-def test_a_failing_query_during_a_pause_does_not_end_the_pause(
-    cell: RecordingCell, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    engine = paused(cell, monkeypatch, "why nothing_like_it", "resume")
-    assert engine.case.stands(engine.order.find("image"))
-
-
 def test_resume_leaves_the_prompt_of_a_held_case_and_end_of_input_ends_the_case(
     cell: RecordingCell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -409,14 +389,6 @@ def test_why_reports_that_a_completed_step_has_a_valid_result(
     typed.at(engine)
     assert typed.said[-2] == "image is done and its result is valid; back image repeats it"
     assert "can start" in typed.said[-1]
-
-
-def test_pause_at_an_idle_prompt_says_that_the_case_pauses_before_the_next_step(
-    cell: RecordingCell, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    typed = Typed(monkeypatch, "pause")
-    typed.at(cell.engine(plain_order()))
-    assert typed.said == ["the case will pause before the next step; while a step runs, Ctrl-C pauses it"]
 
 
 def test_a_finished_case_offers_only_what_is_still_possible(

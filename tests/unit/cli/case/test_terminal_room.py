@@ -32,22 +32,15 @@ def _no_control(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("RONNA_CONTROL", raising=False)
 
 
-def test_a_control_port_in_the_environment_is_left_out_of_the_mount_command(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize("simulated", [True, False])
+def test_only_a_simulated_room_shows_a_mount_command_without_the_control_port_of_the_environment(
+    simulated: bool, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setenv("RONNA_CONTROL", "tcp://127.0.0.1:9?token=x")
-    TerminalRoom(simulated=True).change_tool(2, "the surgical guide")
-    assert capsys.readouterr().err.endswith("In the simulated room: ronna-sim mount 2\n")
-
-
-@pytest.mark.parametrize("simulated", [True, False])
-def test_only_a_simulated_room_shows_a_mount_command(
-    simulated: bool, capsys: pytest.CaptureFixture[str]
-) -> None:
     TerminalRoom(simulated=simulated).change_tool(2, "the surgical guide")
     said = capsys.readouterr().err
     assert said.startswith("Mount the surgical guide (tool 2).\n")
-    assert ("ronna-sim mount 2\n" in said) == simulated
+    assert said.endswith("In the simulated room: ronna-sim mount 2\n") == simulated
 
 
 def test_readings_are_typed_as_numbers_and_asked_again_otherwise(
@@ -64,17 +57,28 @@ def test_readings_are_typed_as_numbers_and_asked_again_otherwise(
 
 
 @pytest.mark.parametrize(
-    "line", ["0.12 -0.05 0.30", "0,12 -0,05 0,30", "0.12, -0.05, 0.30", "0.12 mm; -0.05mm; 0.30 mm"]
+    ("lines", "typed", "read"),
+    [
+        (
+            ["0.12 -0.05 0.30", "0,12 -0,05 0,30", "0.12, -0.05, 0.30", "0.12 mm; -0.05mm; 0.30 mm"],
+            ["yes"],
+            (0.12, -0.05, 0.3),
+        ),
+        (
+            ["0.1 0.2 0.3 0.4", "0.1 0.2 cm 0.3", "0.1 100 0.3", "0.1 0.2 nobody"],
+            ["1 2", "3", "YES"],
+            (1.0, 2.0, 3.0),
+        ),
+        (["1"], ["nobody"], ()),
+    ],
+    ids=["one line", "one wrong reading counts for none", "nobody"],
 )
-def test_several_readings_are_taken_from_one_line(line: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    typing(monkeypatch, line, "yes")
-    assert TerminalRoom().work(THREE_DIALS) == (0.12, -0.05, 0.30)
-
-
-@pytest.mark.parametrize("line", ["0.1 0.2 0.3 0.4", "0.1 0.2 cm 0.3", "0.1 100 0.3", "0.1 0.2 nobody"])
-def test_a_line_with_one_wrong_reading_counts_for_none(line: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    typing(monkeypatch, line, "1 2", "3", "YES")
-    assert TerminalRoom().work(THREE_DIALS) == (1.0, 2.0, 3.0)
+def test_several_readings_are_taken_from_one_line_or_several(
+    lines: list[str], typed: list[str], read: tuple[float, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for line in lines:
+        typing(monkeypatch, line, *typed)
+        assert TerminalRoom().work(THREE_DIALS) == read
 
 
 def test_names_of_readings_say_once_what_they_share() -> None:
@@ -84,12 +88,23 @@ def test_names_of_readings_say_once_what_they_share() -> None:
     assert readings.join_reads(("depth",)) == "depth"
 
 
-def test_an_implausible_reading_is_asked_again_at_once(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize(
+    ("typed", "read", "shown"),
+    [
+        ("100 0.1 0 0 yes", (0.1, 0.0, 0.0), "100 is implausible: expected -10 to 10;"),
+        ("1 2 3 again 1 2 4 yes", (1.0, 2.0, 4.0), "  x in mm: 1\n  y in mm: 2\n  z in mm: 3\n"),
+    ],
+)
+def test_an_implausible_reading_is_asked_again_at_once_and_all_can_be_typed_again_once_shown(
+    typed: str,
+    read: tuple[float, ...],
+    shown: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
-    typing(monkeypatch, "100", "0.1", "0", "0", "yes")
-    assert TerminalRoom().work(THREE_DIALS) == (0.1, 0.0, 0.0)
-    assert "100 is implausible: expected -10 to 10;" in capsys.readouterr().err
+    typing(monkeypatch, *typed.split())
+    assert TerminalRoom().work(THREE_DIALS) == read
+    assert shown in capsys.readouterr().err
 
 
 def test_a_depth_stop_read_in_centimetres_is_asked_again_without_costing_an_attempt(
@@ -117,19 +132,6 @@ def test_help_and_again_count_at_every_reading(
     assert "'again' discards what was typed and begins with x in mm" in said
     assert "yes if these are the readings" in said
     assert said.count("Ctrl-C twice ends the command") == 3
-
-
-def test_several_readings_are_shown_back_and_can_be_typed_again(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    typing(monkeypatch, "1", "2", "3", "again", "1", "2", "4", "yes")
-    assert TerminalRoom().work(THREE_DIALS) == (1.0, 2.0, 4.0)
-    assert "  x in mm: 1\n  y in mm: 2\n  z in mm: 3\n" in capsys.readouterr().err
-
-
-def test_answering_nobody_ends_the_reading_without_values(monkeypatch: pytest.MonkeyPatch) -> None:
-    typing(monkeypatch, "1", "nobody")
-    assert TerminalRoom().work(THREE_DIALS) == ()
 
 
 def test_the_user_is_asked_to_put_the_object_on_the_stand(capsys: pytest.CaptureFixture[str]) -> None:

@@ -14,7 +14,7 @@ import pytest
 
 from procedures.cli.doctor import report as doctor
 from procedures.cli.doctor.calibrations import calibration_diagnostics
-from procedures.cli.doctor.report import ASSISTANT_RECORDS, Report, Verdict, examine, show, verdicts
+from procedures.cli.doctor.report import RECORDS_OF_OTHERS, Report, Verdict, examine, show, verdicts
 from procedures.cli.doctor.theatre_checks import assistant_diagnostics
 from procedures.runs.request_checks import require_two_arms
 from ronna_hw.calibration import DatedRecord
@@ -213,7 +213,7 @@ def test_an_arm_in_a_role_that_no_procedure_has_is_named_with_the_role_that_was_
 
 def test_the_records_of_an_assistant_whose_table_is_misspelt_are_a_problem() -> None:
     theatre = with_arms("master", "asistant")
-    records = SimpleNamespace(arm=None, assistant_arm=object(), assistant_holder=None)
+    records = SimpleNamespace(records={"assistant_arm": object()})
     found, _ = assistant_diagnostics(theatre.model_copy(update={"calibration": records}))
     assert not found.well
     assert "robot.asistant is unknown (did you mean 'assistant'?)" in found.seen
@@ -230,9 +230,9 @@ def test_an_assistant_that_is_not_ready_leaves_only_a_case_with_one_arm() -> Non
 
 def test_records_of_the_assistant_are_a_problem_of_a_case_with_two_arms_only() -> None:
     assert {f"calibration {name}" for name in Calibrations.model_fields if "assistant" in name} == {
-        *ASSISTANT_RECORDS
+        *RECORDS_OF_OTHERS
     }
-    expired = Diagnostic(ASSISTANT_RECORDS[0], False, "expired")
+    expired = Diagnostic(RECORDS_OF_OTHERS[0], False, "expired")
     *_, alone, both = verdicts((), {"robot.master": (WELL,), "robot.assistant": (WELL,)}, (expired,))
     assert alone.ready
     assert not both.ready
@@ -259,9 +259,7 @@ def test_an_endpoint_that_no_probe_supports_is_refused() -> None:
         examine(None, ["udp://127.0.0.1:59152"])
 
 
-def test_an_endpoint_that_two_probes_support_needs_a_theatre_file(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_an_endpoint_that_two_probes_support_needs_a_theatre_file(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(doctor, "endpoint_probes", lambda: {"lines": LineProbe(), "scales": LineProbe()})
     with pytest.raises(BadEndpoint, match="lines and scales"):
         examine(None, ["tcp://127.0.0.1:1"])
@@ -355,9 +353,7 @@ def test_problems_come_first_with_a_command_and_what_is_fine_is_folded_unless_as
         assert said.endswith("case\tNOT READY\t\n")
 
 
-def test_a_line_that_was_asked_for_is_shown_even_if_it_is_well(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_a_line_that_was_asked_for_is_shown_even_if_it_is_well(capsys: pytest.CaptureFixture[str]) -> None:
     show(examine(None, ["tcp://127.0.0.1:1"]), as_json=False)
     assert "\nok line tcp://127.0.0.1:1: answered\n" in capsys.readouterr().out
 

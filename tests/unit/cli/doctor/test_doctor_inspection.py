@@ -1,4 +1,4 @@
-"""The doctor's verdicts on serial numbers: of the arm and its record, of the cameras that replied."""
+"""The doctor's verdicts on serial numbers, and on a device of a kind that it does not know."""
 
 from __future__ import annotations
 
@@ -7,11 +7,12 @@ from types import SimpleNamespace
 from typing import Any, cast
 
 import pytest
+from force_sensor import DECLARED, ScaledForceSensor, install
 from recording_cell import RecordingArm, RecordingCell, theatre_of
 
 from procedures.cli.doctor import inspection
 from procedures.cli.doctor.inspection import ARM_RECORD, OF_THIS_ARM, advise_on_serials, two_arm_diagnostics
-from procedures.cli.doctor.report import Report, verdicts
+from procedures.cli.doctor.report import Report, examine, verdicts
 from procedures.engine.order import order_of
 from procedures.steps.clinical import set_up
 from procedures.workcell.errors import AnotherArm
@@ -99,18 +100,15 @@ def test_a_silent_camera_is_not_found_and_the_serial_numbers_found_are_named() -
 
 
 @pytest.mark.hazard(26)
-@pytest.mark.parametrize("typed", ["4417", "4141", "411", "44111"])
-def test_a_typing_error_in_the_number_of_the_calibrated_camera_is_called_one(typed: str) -> None:
+@pytest.mark.parametrize("typed", ["4417", "4141", "411", "44111", "9911", "1144"])
+def test_only_a_typing_error_in_the_number_of_the_calibrated_camera_is_called_one(typed: str) -> None:
     said = _advised("4411", typed)
-    assert said.startswith(f'left_serial = "{typed}" is probably mistyped: camera 4411 replied')
-    assert "Correct it in the theatre file" in said
-
-
-@pytest.mark.parametrize("typed", ["9911", "1144"])
-def test_another_number_than_that_of_the_calibrated_camera_is_not_called_mistyped(typed: str) -> None:
-    said = _advised("4411", typed)
-    assert said.startswith(f'left_serial = "{typed}" was not found (serial numbers found: 4411, 4412)')
-    assert "mistyped" not in said
+    if typed in ("9911", "1144"):
+        assert said.startswith(f'left_serial = "{typed}" was not found (serial numbers found: 4411, 4412)')
+        assert "mistyped" not in said
+    else:
+        assert said.startswith(f'left_serial = "{typed}" is probably mistyped: camera 4411 replied')
+        assert "Correct it in the theatre file" in said
 
 
 @pytest.mark.hazard(26)
@@ -216,3 +214,28 @@ def test_the_doctor_says_that_one_arm_has_both_roles(assistant: str, well: bool)
     assert one.well is well
     assert ("DUAL-004" in one.seen) is not well
     assert not list(two_arm_diagnostics({"robot.master": found["robot.master"]}))
+
+
+@pytest.mark.parametrize("plugged_in", [True, False])
+def test_the_doctor_shows_a_device_of_an_unknown_kind(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, plugged_in: bool
+) -> None:
+    install(monkeypatch)
+    monkeypatch.setattr(ScaledForceSensor, "plugged_in", plugged_in)
+    path = tmp_path / "theatre.toml"
+    path.write_text(f'theatre = "lab"\n{DECLARED}')
+    (diagnostic,) = examine(path).devices
+    assert (diagnostic.subject, diagnostic.well) == ("device device.force", plugged_in)
+    assert ("F1 7 1.0" in diagnostic.seen) is plugged_in
+
+
+def test_a_driver_that_is_not_of_the_kind_of_its_table_is_a_problem_that_names_what_it_lacks(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    install(monkeypatch)
+    path = tmp_path / "theatre.toml"
+    path.write_text(f'theatre = "lab"\n{DECLARED.replace("device.force", "tracker")}')
+    report = examine(path)
+    (verdict,) = (one for one in report.verdicts if one.of == "tracker")
+    (cause,) = verdict.because
+    assert "DEV-008 tracker: driver force does not provide OpticalTracker: it lacks markers_mm" in cause

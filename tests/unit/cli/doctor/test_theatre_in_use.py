@@ -17,7 +17,8 @@ from user_commands import in_this_process
 
 from procedures.cli.arm.command import app as ronna_arm
 from procedures.cli.doctor import theatre_checks
-from procedures.cli.doctor.report import RUN, examine
+from procedures.cli.doctor.report import examine
+from procedures.cli.doctor.theatre_checks import RUN
 from procedures.cli.procedure import app as ronna_procedure
 from procedures.cli.stereo.command import app as ronna_stereo
 from procedures.journal.journal import Entry, Journal
@@ -65,9 +66,7 @@ def using(theatre: Path) -> Iterator[str]:
         yield f"PRO-043: {RUN_NAME} (pid {number}) is using this theatre"
 
 
-def test_the_doctor_queries_no_device_in_use_by_a_run_and_names_the_run(
-    tmp_path: Path,
-) -> None:
+def test_the_doctor_queries_no_device_in_use_by_a_run_and_names_the_run(tmp_path: Path) -> None:
     theatre, folder = theatre_in(tmp_path), tmp_path / "runs" / RUN_NAME
     with run_on(theatre, folder) as number:
         report = examine(theatre)
@@ -80,9 +79,7 @@ def test_the_doctor_queries_no_device_in_use_by_a_run_and_names_the_run(
 
 
 @pytest.mark.hazard(34)
-def test_an_endpoint_of_a_theatre_in_use_is_refused_and_no_device_queried(
-    tmp_path: Path,
-) -> None:
+def test_an_endpoint_of_a_theatre_in_use_is_refused_and_no_device_queried(tmp_path: Path) -> None:
     theatre = theatre_in(tmp_path)
     with socket.create_server(("127.0.0.1", 0)) as unit:
         endpoint = f"tcp://127.0.0.1:{unit.getsockname()[1]}"

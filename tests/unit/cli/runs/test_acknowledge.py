@@ -22,12 +22,7 @@ from procedures.runs.request_file import write_request
 from procedures.runs.theatre_lock import hold_theatre
 from ronna_hw.devices.errors import WrongState
 from ronna_hw.devices.lifecycle import LONGEST_NAME, Identity, Lifecycle
-from ronna_hw.errors import (
-    EXIT_LINK_LOST,
-    EXIT_REFUSED,
-    EXIT_USAGE,
-    LinkTimeout,
-)
+from ronna_hw.errors import EXIT_LINK_LOST, EXIT_REFUSED, EXIT_USAGE, LinkTimeout
 from ronna_hw.evidence.journal_reading import read_chain
 from ronna_hw.theatre import Theatre
 

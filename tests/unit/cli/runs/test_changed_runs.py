@@ -30,9 +30,8 @@ from procedures.runs.reopening import close_completed_run, prepare_folder
 from procedures.runs.request import CaseProcedure
 from procedures.runs.request_file import REQUEST_FILE
 from ronna_hw.devices.capabilities import Direction
-from ronna_hw.errors import (
-    EXIT_REFUSED,
-)
+from ronna_hw.errors import EXIT_REFUSED
+from ronna_hw.evidence import manifest
 from ronna_hw.evidence.inspection import inspect_run
 from ronna_hw.evidence.lost_journal_end import EVENTS_FILE
 from ronna_hw.evidence.manifest import RECORDS_FOLDER, SEAL_FILE
@@ -131,7 +130,7 @@ def test_a_full_disk_while_sealing_a_run_loses_nothing(
 def test_an_interrupted_report_does_not_leave_the_run_changed(
     run: Path, monkeypatch: pytest.MonkeyPatch, moment: str
 ) -> None:
-    where = written_report if moment == "write_report" else finishing
+    where = {"write_report": written_report, "seal_report": manifest}.get(moment, finishing)
     original = getattr(where, moment)
 
     def interrupted(*arguments: Any, **options: Any) -> None:

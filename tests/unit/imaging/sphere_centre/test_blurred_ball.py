@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from painted_ct import Scan
 
 from procedures.imaging.examination import combine_estimates
 from procedures.imaging.sphere_centre.ball_model import (
@@ -26,12 +25,7 @@ from procedures.imaging.sphere_centre.ball_model import (
     products,
     stretch_matrix,
 )
-from procedures.imaging.sphere_centre.blurred_ball import (
-    EDGE,
-    BlurredBall,
-    fit_rough_ball,
-    fit_whitened,
-)
+from procedures.imaging.sphere_centre.blurred_ball import EDGE, BlurredBall, fit_rough_ball, fit_whitened
 from procedures.imaging.sphere_centre.correlated_noise import (
     WINDOW_MM,
     CorrelatedNoise,
@@ -51,6 +45,13 @@ CENTRE_MM = np.array([9.1, 9.2, 8.9])
 RADIUS_MM = 5.75
 SIDE = 0.49  # taps beside the middle one, as the phantom's scanner has them
 NOISE_HU = 20.0
+
+
+def edge_of(centre_mm: Array, inside_hu: float) -> RadialEdge:
+    nowhere = np.zeros(1, dtype=bool)
+    return RadialEdge(
+        centre_mm, RADIUS_MM, 1e-4 * np.eye(3), 1.0, 0.0, 0.0, inside_hu, -1000.0, 1.0, 0.0, nowhere
+    )
 
 
 def noise_hu(seed: int) -> Array:
@@ -228,13 +229,9 @@ def test_bends_are_detected_above_the_noise_and_slopes_are_assumed_larger() -> N
 
 
 def test_an_estimate_that_adds_no_information_gets_no_weight() -> None:
-    round_ = Stretch(np.zeros((3, 3)), np.zeros((5, 5)), 0.45)
+    round_ = Stretch(np.zeros(5), np.zeros((5, 5)), 0.45)
     ball = BlurredBall(CENTRE_MM, 1e-6 * np.eye(3), RADIUS_MM, 0.0, 0.0, 1100.0, round_, round_)
-    nowhere = np.zeros(1, dtype=bool)
-    edge = RadialEdge(
-        CENTRE_MM + 0.02, RADIUS_MM, 1e-4 * np.eye(3), 1.0, 0.0, 0.0, 130.0, -1000.0, 1.0, 0.0, nowhere
-    )
-    combined = combine_estimates(edge, ball, SPACING_MM)
+    combined = combine_estimates(edge_of(CENTRE_MM + 0.02, 130.0), ball, SPACING_MM)
     towards_edge_mm = (combined.centre_mm - CENTRE_MM) @ np.ones(3) / np.sqrt(3.0)
     assert -1e-6 < towards_edge_mm < 1e-4  # nor is the ball's moved away from it
     assert combined.agreement_mm == pytest.approx(0.02 * np.sqrt(3.0))
@@ -245,21 +242,16 @@ STREAKED_SHAPE = (29, 57, 57)
 
 
 @pytest.fixture(scope="module")
-def bare(make_scan: Callable[..., Any]) -> Array:
+def bare() -> Array:
     """A ball in noise, HU."""
-    scan = make_scan(shape=STREAKED_SHAPE, spacing_mm=tuple(SPACING_MM), noise_hu=NOISE_HU, seed=4)
+    scan = Scan(shape=STREAKED_SHAPE, spacing_mm=tuple(SPACING_MM), noise_hu=NOISE_HU, seed=4)
     scan.ball(STREAKED_CENTRE_MM)
     return np.asarray(scan.voxels(), dtype=float)
 
 
 def fitted(values: Array) -> BlurredBall:
-    rough = fit_rough_ball(
-        Region(values, np.zeros(3, dtype=np.int64), SPACING_MM),
-        STREAKED_CENTRE_MM + 0.1,
-        RADIUS_MM,
-        150.0,
-        -1000.0,
-    )
+    region = Region(values, np.zeros(3, dtype=np.int64), SPACING_MM)
+    rough = fit_rough_ball(region, edge_of(STREAKED_CENTRE_MM + 0.1, 150.0))
     assert rough is not None
     ball = rough.refined(np.zeros((0, 3)))
     assert ball is not None

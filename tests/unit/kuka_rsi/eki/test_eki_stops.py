@@ -6,20 +6,22 @@ cycles and not in the time of a busy machine.
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
+from contextlib import closing
 from itertools import pairwise
 from math import degrees
 from typing import Any
 
 import pytest
 from driven_arm import FAR, THERE, activated, largest_step, moving
-from waiting import eventually
+from waiting import HANG_LIMIT_S, eventually
 
-from drivers.kuka_rsi.eki.telegrams import LONGEST_TELEGRAM
-from drivers.kuka_rsi.errors import BAD_EKI_TELEGRAM, CONTROLLER_STOPPED, STREAM_ERRORS
+from drivers.kuka_rsi.eki.client import EkiClient
+from drivers.kuka_rsi.errors import STREAM_ERRORS
 from ronna_hw.arm_stream.records import Choice
 from ronna_hw.devices import Lifecycle
-from ronna_hw.devices.errors import WrongState
+from ronna_hw.devices.capabilities import Direction
 from ronna_hw.devices.robot import JointMove
 from ronna_hw.errors import RonnaError, is_error
 
@@ -66,34 +68,6 @@ def _stopped_at_once(replies: list[tuple[int, Any, int]], before: int, choices: 
 
 
 @pytest.mark.hazard(4)
-@pytest.mark.parametrize(
-    ("change", "cause"),
-    [
-        ({"EStop": "1", "Drives": "0"}, "emergency stop is active"),
-        ({"Guard": "1"}, "the guard is open"),
-        ({"Mode": "T1"}, "operating mode is T1, not EXT"),
-        ({"Drives": "0"}, "drives are off"),
-        ({"Err": "1073"}, "message 1073"),
-    ],
-)
-def test_a_controller_fact_that_forbids_motion_stops_the_arm_and_is_named(
-    controller: Any, patient_arm: Any, change: dict[str, str], cause: str
-) -> None:
-    before = dict(controller.facts)
-    error = _stopped(patient_arm, controller, lambda c: c.tell(**change))
-    assert is_error(error, CONTROLLER_STOPPED)
-    assert cause in str(error)
-    rest = controller.replies[-1][1]
-    with pytest.raises(WrongState, match="EKI-010"):
-        patient_arm.move(JointMove(THERE))
-    controller.tell(**before)
-    patient_arm.recover("Ana")
-    patient_arm.activate()
-    # Recovery moved nothing, and what was interrupted is not continued.
-    assert degrees(patient_arm.read_state().joints_rad[0]) == pytest.approx(rest[0], abs=0.01)
-
-
-@pytest.mark.hazard(4)
 def test_a_cut_eki_channel_stops_the_arm_and_recovery_retries_until_it_reopens(
     controller: Any, patient_arm: Any
 ) -> None:
@@ -109,51 +83,37 @@ def test_a_cut_eki_channel_stops_the_arm_and_recovery_retries_until_it_reopens(
     patient_arm.move(JointMove(THERE))
 
 
-def _half(controller: Any, ends_with: bytes) -> bytes:
-    state: bytes = controller.state()
-    return state[: state.index(ends_with) + len(ends_with)]
-
-
-@pytest.mark.hazard(4)
-@pytest.mark.parametrize(
-    ("broken", "words"),
-    [
-        pytest.param(lambda c: _half(c, b'Mode="E'), "is truncated", id="half, within a value"),
-        pytest.param(
-            lambda c: _half(c, b"</Axis>"),
-            "is truncated",
-            id="half, between elements",
-            marks=pytest.mark.slow,
-        ),
-        pytest.param(
-            lambda c: b'<State Id="0">' + b"x" * 2 * LONGEST_TELEGRAM, "without end tag", id="without end"
-        ),
-        pytest.param(lambda c: b"\x01\x02<\xff\xfe&", "is truncated", id="noise", marks=pytest.mark.slow),
-        pytest.param(
-            lambda c: c.state().replace(b'Err="0"', b'Err="none"'),
-            "cannot be read",
-            id="no number",
-            marks=pytest.mark.slow,
-        ),
-    ],
-)
-def test_an_unreadable_eki_telegram_stops_the_arm(
-    controller: Any, patient_arm: Any, broken: Callable[[Any], bytes], words: str
-) -> None:
-    def send(controller: Any) -> None:
-        controller.send_raw(broken(controller))
-        controller.tell()  # it goes on as if nothing had been
-
-    error = _stopped(patient_arm, controller, send)
-    assert is_error(error, BAD_EKI_TELEGRAM)
-    assert words in str(error)
-    patient_arm.recover("Ana")
-    patient_arm.activate()
-
-
 def test_padding_and_text_between_eki_telegrams_are_skipped(controller: Any, patient_arm: Any) -> None:
     controller.send_raw(bytes(500) + b" ready\r\n")
     controller.tell(Tool="7")
     eventually(lambda: patient_arm.connections.control.latest.tool == 7)
     patient_arm.move(JointMove(THERE))
     assert patient_arm.state is Lifecycle.ACTIVE
+
+
+STOOD_STILL_S = 30.0
+
+
+@pytest.mark.hazard(4)
+def test_what_came_while_the_reader_did_not_run_is_taken_late_and_no_silence(
+    controller: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now_s, runs, held = [100.0], threading.Event(), threading.Event()
+    monkeypatch.setattr("time.monotonic", lambda: now_s[0])
+    runs.set()
+
+    def hold(direction: Direction, _data: bytes) -> None:
+        if direction is Direction.RECEIVED and not runs.is_set():
+            held.set()
+            runs.wait(HANG_LIMIT_S)
+
+    with closing(EkiClient("127.0.0.1", controller.eki_port, HANG_LIMIT_S, hold)) as client:
+        client.request_state()
+        eventually(lambda: client.latest is not None)
+        runs.clear()
+        number = client.request_state()
+        assert held.wait(HANG_LIMIT_S)
+        now_s[0] += STOOD_STILL_S
+        assert client.silent_s == 0.0
+        threading.Timer(0.1, runs.set).start()
+        assert client.await_reply(number, 0.0) is not None

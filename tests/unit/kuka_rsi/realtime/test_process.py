@@ -15,8 +15,7 @@ from rsi_loop import CYCLE_MS, FIRST_IPOC, START_DEG, InProcessLink, answer_muta
 from rsi_stand import LIMITS
 
 from drivers.kuka_rsi.arm import KukaRsiArm
-from drivers.kuka_rsi.connections import link_settings
-from drivers.kuka_rsi.link import start_link
+from drivers.kuka_rsi.connections import link_settings, start_link
 from drivers.kuka_rsi.options import KukaOptions
 from ronna_hw.arm_stream import loop as link_loop
 from ronna_hw.arm_stream.client import LinkClient
@@ -78,16 +77,20 @@ def test_a_running_link_imports_no_heavy_package(
     assert not HEAVY & {name.split(".")[0] for name in imported}
 
 
-THROUGH_THE_SESSION = 3_000
+SOAK = (pytest.mark.soak, pytest.mark.timeout(3600))
 OVER_THE_SOCKET = 2_000
 FRESH_EVERY = 200  # mutants over the socket: some of them end a session, as telegrams of another run
 GENEROUS_S = 30.0
 
 
-def test_mutants_in_a_session_cause_no_motion() -> None:
-    answered, refused = answer_mutants(THROUGH_THE_SESSION, seed=1)
-    assert answered > THROUGH_THE_SESSION / 100  # some are still telegrams
-    assert refused > THROUGH_THE_SESSION / 3
+@pytest.mark.parametrize(
+    ("count", "seed"),
+    [(3_000, 1), *(pytest.param(10_000, seed, marks=SOAK) for seed in range(300, 310))],
+)
+def test_mutants_in_a_session_cause_no_motion(count: int, seed: int) -> None:
+    answered, refused = answer_mutants(count, seed)
+    assert answered > count / 100  # some are still telegrams
+    assert refused > count / 3
 
 
 def test_mutants_over_the_socket_cause_no_crash_and_no_motion() -> None:

@@ -86,17 +86,6 @@ def test_the_process_keeps_the_margin_of_the_theatre_file(margin_deg: float) -> 
     assert stand.session.violation.limit == pytest.approx(radians(120.0 - margin_deg))
 
 
-def test_a_path_that_leaves_the_axis_range_is_stopped_at_its_limit() -> None:
-    beyond = radians6(0, -90, 90, 0, 125, 0)
-    stand = begun()
-    stand.give(Move(MotionPlan(START, beyond, PathLimits(0.3, 1.0, 10.0))))
-    stand.cycles(1500)
-    assert stand.session.fault is LinkFault.MONITOR
-    assert stand.violation_kind == "range"
-    assert stand.session.sent_rad[4] <= MODEL.upper_rad[4] + radians(2.0)
-    assert stand.smooth()
-
-
 def test_a_line_without_a_joint_solution_on_the_way_is_stopped() -> None:
     here = MODEL.forward(START)
     away = Pose((here.position_mm[0] + 900, here.position_mm[1], here.position_mm[2]), here.rotation)
@@ -169,14 +158,6 @@ def test_a_missing_heartbeat_stops_the_arm_and_ends_the_program() -> None:
     assert stand.session.fault is LinkFault.HEARTBEAT
     assert cycles == pytest.approx(SETTINGS.heartbeat_limit_s / CYCLE_S, abs=2)
     assert _ends_smoothly(stand)
-
-
-def test_an_irregular_heartbeat_within_the_limit_keeps_the_session() -> None:
-    stand = begun()
-    for k in range(1000):
-        stand.beats = k % 200 == 0
-        stand.cycle()
-    assert stand.session.fault is LinkFault.NONE
 
 
 @pytest.mark.hazard(30)

@@ -11,16 +11,12 @@ from rsi_stand import (
     FAR,
     LIMITS,
     MODEL,
-    SETTINGS,
     START,
-    START_DEG,
     RsiStand,
     begun,
     moving,
 )
 
-from drivers.kuka_rsi.realtime.session import RsiSession
-from drivers.kuka_rsi.realtime.telegram import Telegram
 from ronna_hw.arm.motion.planning import MotionPlan, plan_joint_move, plan_line
 from ronna_hw.arm.motion.progress import PathLimits
 from ronna_hw.arm.pose import Pose, radians6
@@ -30,16 +26,9 @@ from ronna_hw.arm_stream.records import (
     LinkFault,
     MotionResult,
     Move,
-    Orders,
     StopOrder,
     StreamPhase,
 )
-
-
-def test_no_telegram_is_answered_before_a_session_is_open() -> None:
-    session = RsiSession(SETTINGS)
-    assert session.answer(Telegram(START_DEG, 0, b"4"), Orders(1, 0, 0), 1) is None
-    assert session.phase is StreamPhase.IDLE
 
 
 def test_the_first_correction_is_zero_whatever_the_pose() -> None:
@@ -108,15 +97,6 @@ def test_a_stop_in_any_cycle_is_smooth_and_ends_at_rest(cycles: int, kind: StopO
     assert stand.session.violation is None
     expected = StreamPhase.RUNNING if kind is StopOrder.HOLD else StreamPhase.FAULT
     assert stand.session.phase is expected
-
-
-def test_a_stop_acts_on_the_reply_to_the_very_next_telegram() -> None:
-    one, other = moving(), moving()
-    other.stop(StopOrder.HOLD)
-    one.cycle()
-    other.cycle()
-    assert one.sent[:-1] == other.sent[:-1]
-    assert one.sent[-1] != other.sent[-1]
 
 
 def test_a_link_stop_ceases_replies_at_once() -> None:

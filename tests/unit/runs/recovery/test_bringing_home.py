@@ -73,20 +73,15 @@ def test_a_silent_tracker_and_an_expired_record_do_not_keep_the_arm_over_the_hea
     assert "it expired in the night" in asked.value
 
 
-def test_a_renewed_tracker_frame_record_does_not_keep_the_arm_over_the_head(
+def test_another_tracker_and_a_renewed_record_of_its_frame_do_not_keep_the_arm_over_the_head(
     cell: ClinicalCell,
 ) -> None:
     again, engine, left = left_after(cell, f"positioning:{FIRST}")
     other_frame(again)
+    again.tracker.name = "another tracker"
     assert bring_home(engine, left)
     (asked,) = (one for one in again.operator.asked if one.topic is Topic.RESUME)
     assert "calibration tracker_frame: a different one; not needed on the way home" in asked.value
-
-
-def test_another_tracker_does_not_keep_the_arm_over_the_head(cell: ClinicalCell) -> None:
-    again, engine, left = left_after(cell, f"positioning:{FIRST}")
-    again.tracker.name = "another tracker"
-    assert bring_home(engine, left)
 
 
 def test_changes_that_do_not_concern_the_way_home_are_shown_before_acceptance(cell: ClinicalCell) -> None:
@@ -97,10 +92,13 @@ def test_changes_that_do_not_concern_the_way_home_are_shown_before_acceptance(ce
 
 
 @pytest.mark.hazard(2)
-def test_a_guide_with_another_tip_is_not_withdrawn_along_the_axis(cell: ClinicalCell) -> None:
+@pytest.mark.parametrize(("swap", "named"), [(other_calibration, "tool_tip"), (other_arm, "arm")])
+def test_another_arm_or_a_guide_with_another_tip_is_not_withdrawn_along_the_axis(
+    cell: ClinicalCell, swap: Callable[[ClinicalCell], None], named: str
+) -> None:
     again, engine, left = left_after(cell, f"positioning:{FIRST}")
-    other_calibration(again)
-    with raises(RECOVERY_REFUSED, match="tool_tip"):
+    swap(again)
+    with raises(RECOVERY_REFUSED, match=named):
         bring_home(engine, left)
     assert again.arm.motions == []
 
@@ -142,12 +140,3 @@ def test_where_no_note_says_who_moved_the_arm_last_the_operator_decides(
     engine.setting = replace(engine.setting, arm_not_home=NOT_KNOWN)
     way(engine, left)
     assert NOT_KNOWN in again.operator.asked[0].value
-
-
-@pytest.mark.hazard(2)
-def test_another_arm_is_not_moved(cell: ClinicalCell) -> None:
-    again, engine, left = left_after(cell, f"positioning:{FIRST}")
-    other_arm(again)
-    with raises(RECOVERY_REFUSED, match="arm"):
-        bring_home(engine, left)
-    assert again.arm.motions == []

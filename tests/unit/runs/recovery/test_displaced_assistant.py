@@ -62,11 +62,11 @@ def test_a_displaced_assistant_is_refused_also_while_the_guides_arm_is_hidden(
 @pytest.mark.hazard(64)
 def test_a_guide_whose_cart_was_displaced_keeps_its_instrument(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(InsertionDisturbed, match="PRO-054"):
-        look_before_retreat(*_with_clock(watched(monkeypatch, master=shifted(0.0, 0.6, 0.0))))
+        look_before_retreat(*watched(monkeypatch, master=shifted(0.0, 0.6, 0.0)))
 
 
 def test_a_head_that_has_moved_does_not_hold_up_the_way_out(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert look_before_retreat(*_with_clock(watched(monkeypatch, head=shifted(0.0, 2.0, 0.0)))) == ""
+    assert look_before_retreat(*watched(monkeypatch, head=shifted(0.0, 2.0, 0.0))) == ""
 
 
 def test_an_assistant_on_its_axis_may_lead_the_instrument_out(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -86,14 +86,9 @@ def test_staff_look_at_an_assistant_that_the_tracker_cannot_compare(monkeypatch:
         raise LinkTimeout("no reply")
 
     monkeypatch.setattr(seen_on_axis, "read_frames_at_rest", unreadable)
-    silent = look_before_retreat(*_with_clock((workcell, watch)))
+    silent = look_before_retreat(workcell, watch)
     assert hidden.differences == without_bases.differences == []
     assert LOOK_AT_CART in hidden.warnings[0]
     assert LOOK_AT_CART in without_bases.warnings[0]
     assert "no reply" in silent
     assert LOOK_AT_CART in silent
-
-
-def _with_clock(watched: tuple[Any, Any]) -> tuple[Any, Any, Any]:
-    workcell, watch = watched
-    return workcell, cast("Any", None), watch

@@ -169,26 +169,16 @@ def test_a_guide_at_the_gauge_counts_as_holding_the_mandrel_until_confirmed_out(
 
 @pytest.mark.hazard(44)
 @pytest.mark.branch("INSTRUMENT_INSIDE")
-def test_a_resume_after_a_kill_during_the_insertion_asks_whether_the_instrument_is_out(
+@pytest.mark.branch("WORK_BEGUN")
+def test_after_a_kill_during_the_insertion_instrument_and_begun_work_are_asked_about(
     cell: ClinicalCell,
 ) -> None:
     again, engine, left = left_with_an_instrument_inside(cell, case_order(cell))
     recover(engine, left)
     topics = [one.topic for one in again.operator.asked]
-    assert topics[:3] == [Topic.RESUME, Topic.INSTRUMENT_OUT, Topic.FIRST_MOTION] or topics[1] is (
-        Topic.INSTRUMENT_OUT
-    )
+    assert topics[:2] == [Topic.RESUME, Topic.INSTRUMENT_OUT]
     assert again.workcell.master.place.is_home
     assert str(engine.upcoming) == f"positioning:{FIRST}"
-
-
-@pytest.mark.hazard(44)
-@pytest.mark.branch("WORK_BEGUN")
-def test_work_done_before_a_kill_is_asked_about_once_the_guide_is_back(
-    cell: ClinicalCell,
-) -> None:
-    again, engine, left = left_with_an_instrument_inside(cell, case_order(cell))
-    recover(engine, left)
     assert "work has begun at T1: the skin is open, the skull is drilled" in again.operator.asked[0].value
     engine.run_to()
     (asked,) = [one for one in again.operator.asked if one.topic is Topic.WORK_BEGUN]

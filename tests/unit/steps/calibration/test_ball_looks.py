@@ -26,11 +26,12 @@ from procedures.operator.question import Topic
 from procedures.relocalization.errors import WRONG_CAMERA, NoSphere, SphereNotInView
 from procedures.steps.calibration.ball_place import BallPlace
 from procedures.steps.calibration.head_looks import (
+    LOOK_IN_PLACE,
+    LOOK_OVER_BALL,
     BallMeasurement,
     ObservedBall,
     VisitedBaseline,
     check_look,
-    look_step,
     observation_step,
     raise_too_few,
     visit_step,
@@ -110,7 +111,7 @@ def test_a_blocked_way_home_is_remarked_on_and_the_observations_are_kept(cell: C
     assert observed(cell).remarks == ("the arm stays where it is: the way is not clear",)
 
 
-@pytest.mark.parametrize("step", [observation_step(LEAST_POSES, VISITS), look_step(over_ball=True)])
+@pytest.mark.parametrize("step", [observation_step(LEAST_POSES, VISITS), LOOK_OVER_BALL])
 def test_the_arm_does_not_move_over_the_ball_without_confirmation(
     cell: ClinicalCell, step: StepSpec[StepResult]
 ) -> None:
@@ -120,7 +121,7 @@ def test_the_arm_does_not_move_over_the_ball_without_confirmation(
     assert cell.arm.motions == cell.arm.calls == []
 
 
-@pytest.mark.parametrize("step", [observation_step(LEAST_POSES, VISITS), look_step(over_ball=True)])
+@pytest.mark.parametrize("step", [observation_step(LEAST_POSES, VISITS), LOOK_OVER_BALL])
 def test_a_ball_out_of_reach_is_refused_before_the_operator_is_asked(
     cell: ClinicalCell, step: StepSpec[StepResult]
 ) -> None:
@@ -130,7 +131,7 @@ def test_a_ball_out_of_reach_is_refused_before_the_operator_is_asked(
 
 
 @pytest.mark.hazard(37)
-@pytest.mark.parametrize("step", [observation_step(LEAST_POSES, VISITS), look_step(over_ball=True)])
+@pytest.mark.parametrize("step", [observation_step(LEAST_POSES, VISITS), LOOK_OVER_BALL])
 def test_the_ball_is_not_observed_with_a_tool_other_than_the_stereo_head(
     cell: ClinicalCell, step: StepSpec[StepResult]
 ) -> None:
@@ -139,7 +140,7 @@ def test_the_ball_is_not_observed_with_a_tool_other_than_the_stereo_head(
         cell.run(checked_set_up(cell), BallPlace(ball_mm=BALL_MM, others_mm=()), step)
 
 
-@pytest.mark.parametrize("step", [observation_step(LEAST_POSES, VISITS), look_step(over_ball=True)])
+@pytest.mark.parametrize("step", [observation_step(LEAST_POSES, VISITS), LOOK_OVER_BALL])
 def test_a_missing_ball_is_refused_with_its_position_and_the_option_that_states_it(
     cell: ClinicalCell, step: StepSpec[StepResult]
 ) -> None:
@@ -149,15 +150,20 @@ def test_a_missing_ball_is_refused_with_its_position_and_the_option_that_states_
 
 
 def test_one_acquisition_over_the_ball_measures_it_and_returns_home(cell: ClinicalCell) -> None:
-    seen = over_ball(cell, look_step(over_ball=True)).result
+    seen = over_ball(cell, LOOK_OVER_BALL).result
     assert seen.position_mm == pytest.approx((0.0, 0.0, 0.0), abs=1e-6)
     assert (seen.left is None, seen.reason) == (False, "")
     assert cell.arm.joints_rad == HOME_RAD
 
 
-def test_an_acquisition_in_place_moves_nothing_and_connects_only_the_cameras(cell: ClinicalCell) -> None:
-    seen = cell.run(look_step(over_ball=False)).result
+def test_an_acquisition_in_place_moves_nothing_connects_only_the_cameras_and_keeps_its_images(
+    cell: ClinicalCell,
+) -> None:
+    engine = cell.begin(LOOK_IN_PLACE)
+    engine.run_to()
+    seen = cell.case.get(BallMeasurement).result
     assert seen == BallMeasurement(position_mm=None, left=None, right=None, reason="no sphere in view")
+    assert engine.setting.memory.find(Look) is not None
     assert cell.stereo.state is Lifecycle.ACTIVE
     assert cell.arm.state is cell.tracker.state is Lifecycle.DISCONNECTED
     assert cell.arm.motions == []
@@ -167,7 +173,7 @@ def test_an_acquisition_in_place_moves_nothing_and_connects_only_the_cameras(cel
 def test_an_expired_calibration_is_refused_before_a_camera_is_connected(cell: ClinicalCell) -> None:
     with_head(cell, cell.calibrations.stereo_head.model_copy(update=EXPIRED))
     with pytest.raises(CalibrationExpired, match="CAL-001"):
-        cell.run(look_step(over_ball=False))
+        cell.run(LOOK_IN_PLACE)
     assert cell.stereo.state is Lifecycle.DISCONNECTED
 
 
@@ -175,14 +181,8 @@ def test_an_expired_calibration_is_refused_before_a_camera_is_connected(cell: Cl
 def test_a_calibration_of_other_cameras_is_refused(cell: ClinicalCell) -> None:
     cell.stereo.serials = ("1", "2")
     with raises(WRONG_CAMERA, match="STE-010"):
-        cell.run(look_step(over_ball=False))
+        cell.run(LOOK_IN_PLACE)
     assert cell.stereo.calls == []
-
-
-def test_the_images_of_an_acquisition_are_kept_in_memory(cell: ClinicalCell) -> None:
-    engine = cell.begin(look_step(over_ball=False))
-    engine.run_to()
-    assert engine.setting.memory.find(Look) is not None
 
 
 def test_a_check_uses_the_joints_of_the_baseline_and_returns_home(

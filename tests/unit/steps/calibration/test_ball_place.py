@@ -45,7 +45,7 @@ def test_a_stated_place_is_used_without_the_tracker(cell: ClinicalCell) -> None:
     assert stored.record.parents == {}
 
 
-def test_the_first_look_is_straight_down_on_the_ball(cell: ClinicalCell) -> None:
+def test_the_first_look_is_straight_down_on_the_ball() -> None:
     look = BallPlace(ball_mm=NEAR, others_mm=()).first_look.pose
     assert look.translation_mm == pytest.approx(NEAR)
     assert look.rotation_matrix[:, 2] == pytest.approx((0.0, 0.0, -1.0), abs=1e-12)

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import numpy as np
+import pytest
 from clinical_case import ClinicalCell
 from coded_errors import raises
 from prepared_results import checked_set_up, global_localization
@@ -30,11 +31,18 @@ def observed(cell: ClinicalCell, *spheres_mm: Numbers3, identifying: int = IDENT
     ).result
 
 
-def test_a_sphere_out_of_reach_is_named_and_the_others_are_measured(cell: ClinicalCell) -> None:
-    done = observed(cell, OUT_OF_REACH_MM, NEAR_MM, SECOND_MM)
+@pytest.mark.parametrize("others_mm", [(NEAR_MM,), (NEAR_MM, SECOND_MM)])
+def test_a_sphere_out_of_reach_is_named_and_the_others_or_a_single_one_are_enough(
+    cell: ClinicalCell, others_mm: tuple[Numbers3, ...]
+) -> None:
+    done = observed(cell, OUT_OF_REACH_MM, *others_mm)
     assert done.remarks == ("the sphere at 870 373 1063 mm was left out: it is out of reach",)
-    assert {one.sphere for one in done.observed.looks} == {0, 1}
+    looks = done.observed.looks
+    assert {one.sphere for one in looks} == {*range(len(others_mm))}
     assert done.observed.arm_serial == "1"  # the arm's, so that no other arm gets its record
+    judging = sum(one.validation for one in looks)
+    assert judging > JUDGING  # more are planned than the judgement needs
+    assert len(looks) - judging >= IDENTIFYING
 
 
 def test_without_a_sphere_within_reach_nothing_moves(cell: ClinicalCell) -> None:
@@ -55,16 +63,6 @@ def test_a_sphere_whose_way_is_not_clear_is_left_out(cell: ClinicalCell) -> None
     (remark,) = done.remarks
     assert "was left out: the way is not clear" in remark
     assert len({one.sphere for one in done.observed.looks}) == 1
-
-
-def test_more_measurements_are_planned_than_the_judgement_needs(cell: ClinicalCell) -> None:
-    done = observed(cell, NEAR_MM, SECOND_MM)
-    assert sum(one.validation for one in done.observed.looks) > JUDGING
-
-
-def test_one_sphere_is_enough(cell: ClinicalCell) -> None:
-    done = observed(cell, NEAR_MM)
-    assert sum(not one.validation for one in done.observed.looks) >= IDENTIFYING
 
 
 def test_a_sphere_without_a_planned_pose_is_named_and_the_arm_does_not_go_there(tmp_path: Path) -> None:

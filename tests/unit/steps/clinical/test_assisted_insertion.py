@@ -116,11 +116,7 @@ def test_a_repeated_step_leads_no_instrument_out_beside_the_bore(monkeypatch: py
 
     assistant = SimpleNamespace(place=SimpleNamespace(is_on_axis=True), lead_out=lead_out)
     workcell = SimpleNamespace(assistant=assistant, assistants=(assistant,), start=lambda: None)
-    fields = {
-        "workcell": workcell,
-        "trajectory": "T1",
-        "setting": SimpleNamespace(clock=None),
-    }
+    fields = {"workcell": workcell, "trajectory": "T1", "setting": SimpleNamespace(clock=None)}
     context = cast("StepContext", SimpleNamespace(**fields))
     monkeypatch.setattr(assisted_insertion, "room_watch", lambda _context: None)
     monkeypatch.setattr(assisted_insertion, "look_before_retreat", seen_beside)

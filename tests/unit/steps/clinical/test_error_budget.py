@@ -127,9 +127,7 @@ def test_the_tip_of_an_instrument_with_its_planned_stop_is_at_the_target() -> No
 
 
 @pytest.mark.parametrize("entry_z_mm", [30.0, 100.0, 130.0])
-def test_the_error_of_a_tilted_bore_matches_the_prediction(
-    entry_z_mm: float,
-) -> None:
+def test_the_error_of_a_tilted_bore_matches_the_prediction(entry_z_mm: float) -> None:
     """The record's frame is turned about the mandrel's end, and the arm holds that on the trajectory."""
     bore = bore_of(Guide(play_mm=0.0))
     planned = DEEP.model_copy(update={"entry_mm": (0.0, 0.0, entry_z_mm)})

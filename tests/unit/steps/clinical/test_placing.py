@@ -282,8 +282,7 @@ def test_a_head_higher_than_the_map_assumes_is_a_finding(cell: ClinicalCell) -> 
 
 
 @pytest.mark.parametrize(
-    ("content", "why"),
-    [("{", "Invalid JSON"), ("{}", "series_instance_uid"), (None, "made for another CT")],
+    ("content", "why"), [("{", "Invalid JSON"), ("{}", "series_instance_uid"), (None, "made for another CT")]
 )
 def test_an_unusable_place_file_is_refused(cell: ClinicalCell, content: str | None, why: str) -> None:
     propose(cell, series_instance_uid="1.2.3")

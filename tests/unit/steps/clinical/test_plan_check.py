@@ -19,7 +19,7 @@ from recording_cell import RecordingOperator
 from procedures.imaging.volume import Volume, VoxelGeometry
 from procedures.journal.errors import GateFailed
 from procedures.operator.question import Topic
-from procedures.planning.errors import WRONG_SERIES, NotIntoHead, PlanMistakes, WrongMarkerCount
+from procedures.planning.errors import WRONG_SERIES, PlanMistakes, WrongMarkerCount
 from procedures.planning.plan_file import describe_seal
 from procedures.planning.plan_model import Plan
 from procedures.steps.clinical.fiducial_localization import DoubtfulSphere
@@ -120,13 +120,6 @@ def test_too_few_spheres_are_refused_without_asking(cell: ClinicalCell) -> None:
     with pytest.raises(WrongMarkerCount):
         checked(cell, spheres_mm=CENTRES_CT_MM[:3])
     assert cell.operator.asked == []
-
-
-def test_a_trajectory_with_entry_and_target_swapped_is_refused(cell: ClinicalCell) -> None:
-    first, *others = plan().trajectories
-    exchanged = first.model_copy(update={"entry_mm": first.target_mm, "target_mm": first.entry_mm})
-    with pytest.raises(NotIntoHead, match=r"trajectory T1.*probably swapped"):
-        checked(cell, plan().model_copy(update={"trajectories": (exchanged, *others)}))
 
 
 def test_an_invalid_plan_is_refused_and_its_file_named(cell: ClinicalCell) -> None:

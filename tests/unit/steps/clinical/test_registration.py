@@ -58,7 +58,10 @@ def registered(
 
 def test_the_fit_uses_the_fine_measurements(cell: ClinicalCell) -> None:
     moved_mm = np.array([1.0, -2.0, 0.5])
-    done = registered(cell, SPHERES_MM + moved_mm).result
+
+    stored = registered(cell, SPHERES_MM + moved_mm)
+    done = stored.result
+    assert [one.target for one in done.predictions] == [stored.record.trajectory] == [FIRST]
     assert done.pairs == len(SPHERES_MM)
     assert done.fre_mm == pytest.approx(0.0, abs=1e-6)
     origin_mm = ROBOT_FROM_CT.translation_mm + moved_mm
@@ -74,20 +77,20 @@ def test_the_operator_accepts_the_predicted_error_and_not_the_residual(cell: Cli
         f"predicted target error {predicted.rms_mm:.2f} mm rms against a margin of {margin_mm:g} mm, "
         f"{predicted.limit_mm:.2f} mm at 95%; not included: {predicted.excluded}"
     )
+
+    assert "a patient who moved during the scan" in predicted.excluded
+    assert question.evidence[0].rows[-1] == (f"not included: {predicted.excluded}", "-")
     (shown,) = question.predicted
     assert (shown.target, shown.rms_mm, shown.margin_mm) == (FIRST, predicted.rms_mm, margin_mm)
     assert shown.sentence == f"within the margin; 95% of such errors stay within {predicted.limit_mm:.2f} mm"
 
 
-def test_guide_head_and_arm_errors_are_part_of_the_prediction_of_a_perfect_fit(cell: ClinicalCell) -> None:
-    predicted = registered(cell).result.prediction(FIRST)
-    records = cell.calibrations
-    least_mm = np.hypot(records.tool_tip.stated_error_mm, records.stereo_head.stated_error_mm)
-    assert predicted.rms_mm > least_mm
-    assert predicted.limit_mm > predicted.rms_mm
-
-
-def test_the_budget_names_every_source_and_adds_up_to_the_prediction(cell: ClinicalCell) -> None:
+@pytest.mark.hazard(12)
+@pytest.mark.hazard(13)
+@pytest.mark.hazard(3)
+def test_the_budget_names_every_source_also_what_no_look_would_notice_and_adds_up_to_the_prediction(
+    cell: ClinicalCell,
+) -> None:
     predicted = registered(cell).result.prediction(FIRST)
     shares_mm = {share.source: share.rms_mm for share in predicted.budget}
     assert list(shares_mm) == [
@@ -99,17 +102,14 @@ def test_the_budget_names_every_source_and_adds_up_to_the_prediction(cell: Clini
     ]
     assert shares_mm["tool frame"] == pytest.approx(0.0, abs=1e-9)  # held alike at spheres and target
     assert np.linalg.norm(list(shares_mm.values())) == pytest.approx(predicted.rms_mm)
+
     assert shares_mm["CT"] == pytest.approx(shares_mm["stereo measurement"])  # the cell gives both one sigma
-
-
-@pytest.mark.hazard(12)
-@pytest.mark.hazard(13)
-@pytest.mark.hazard(3)
-def test_the_prediction_contains_what_no_look_would_notice(cell: ClinicalCell) -> None:
-    shares_mm = {one.source: one.rms_mm for one in registered(cell).result.prediction(FIRST).budget}
     assert shares_mm[HEAD] > 0.0
     assert shares_mm[BASE] > 0.0
     assert shares_mm[GUIDE] == pytest.approx(GUIDE_NOTICEABLE_MM / math.sqrt(3.0))
+    records = cell.calibrations
+    least_mm = np.hypot(records.tool_tip.stated_error_mm, records.stereo_head.stated_error_mm)
+    assert predicted.limit_mm > predicted.rms_mm > least_mm  # although the fit is perfect
 
 
 @pytest.mark.hazard(12)
@@ -147,23 +147,14 @@ def test_spheres_that_disagree_by_more_than_stated_widen_the_limit_and_the_opera
     agreeing = registered(ClinicalCell(tmp_path_factory.mktemp("agreeing"))).result.prediction(FIRST)
     apart_mm = np.random.default_rng(0).normal(0.0, 0.15, SPHERES_MM.shape)  # the gate lets this pass
     predicted = registered(cell, SPHERES_MM + apart_mm).result.prediction(FIRST)
+
+    assert agreeing.widening == 1.0
     assert predicted.widening > 2.0
     assert predicted.limit_mm > 1.05 * agreeing.limit_mm
     assert predicted.rms_mm == pytest.approx(agreeing.rms_mm, rel=1e-3)
     assert np.linalg.norm([share.rms_mm for share in predicted.budget]) == pytest.approx(predicted.rms_mm)
     (question,) = cell.operator.asked
     assert f"widened: the spheres disagree {predicted.widening:.2f} times" in question.value
-
-
-def test_spheres_that_agree_do_not_widen_the_limit(cell: ClinicalCell) -> None:
-    assert registered(cell).result.prediction(FIRST).widening == 1.0
-
-
-def test_the_budget_says_what_it_does_not_contain(cell: ClinicalCell) -> None:
-    predicted = registered(cell).result.prediction(FIRST)
-    assert "a patient who moved during the scan" in predicted.excluded
-    (question,) = cell.operator.asked
-    assert question.evidence[0].rows[-1] == (f"not included: {predicted.excluded}", "-")
 
 
 def test_what_the_spheres_leave_open_of_the_scan_counts_by_its_lever_at_the_target(tmp_path: Path) -> None:
@@ -259,9 +250,7 @@ def moved(*spheres: int) -> Array:
 
 @pytest.mark.hazard(28)
 @pytest.mark.branch("BEYOND_MARGIN")
-def test_a_trajectory_beyond_the_margin_is_left_out_when_the_operator_agrees(
-    cell: ClinicalCell,
-) -> None:
+def test_a_trajectory_beyond_the_margin_is_left_out_when_the_operator_agrees(cell: ClinicalCell) -> None:
     done = registered(cell, margin_mm=0.05).result
     (question,) = cell.operator.asked  # the registration is not even offered
     assert question.name == f"margin:{FIRST}"
@@ -313,12 +302,6 @@ def test_a_disagreement_that_no_single_sphere_explains_is_refused_without_asking
     with pytest.raises(GateFailed, match=r"disagrees with its own error budget.*localize again"):
         registered(cell, places)
     assert cell.operator.asked == []
-
-
-def test_a_registration_is_valid_for_the_trajectory_it_was_localized_for(cell: ClinicalCell) -> None:
-    stored = registered(cell)
-    assert [one.target for one in stored.result.predictions] == [FIRST]
-    assert stored.record.trajectory == FIRST
 
 
 def test_a_single_localization_serves_all_trajectories_and_each_is_accepted(cell: ClinicalCell) -> None:

@@ -44,12 +44,6 @@ def before(cell: ClinicalCell, **paths: object) -> tuple[StepResult, ...]:
     return (checked_paths(cell, **paths), *coarse(), checked_plan(), localized_fiducials())
 
 
-def test_every_sphere_is_measured_in_the_order_of_the_paths(cell: ClinicalCell) -> None:
-    done = relocalize(cell, fiducials=(2, 0, 3, 1)).result
-    assert done.fiducials == (2, 0, 3, 1)
-    np.testing.assert_allclose(done.points_mm, SPHERES_MM[[2, 0, 3, 1]], atol=1e-6)
-
-
 def test_the_offset_of_the_first_sphere_corrects_the_search_for_the_others(cell: ClinicalCell) -> None:
     done = relocalize(cell, robot_from_ct=shifted(ROBOT_FROM_CT, COARSE_OFF_MM)).result
     first, *others = done.residuals_mm
@@ -96,25 +90,19 @@ def test_from_the_second_sphere_on_the_head_is_where_the_stereo_head_has_seen_it
     np.testing.assert_allclose(seen_mm, [np.negative(COARSE_OFF_MM)] * len(seen_mm), atol=1e-3)
 
 
-def test_the_step_sends_the_surroundings_and_then_starts_the_stream_and_the_cameras(
-    cell: ClinicalCell,
-) -> None:
-    relocalize(cell)
+def test_every_sphere_is_measured_in_the_order_of_the_paths_with_a_picture(cell: ClinicalCell) -> None:
+    done = relocalize(cell, fiducials=(2, 0, 3, 1)).result
+    assert done.fiducials == (2, 0, 3, 1)
+    np.testing.assert_allclose(done.points_mm, SPHERES_MM[[2, 0, 3, 1]], atol=1e-6)
+    kept = sorted(path.name for path in (cell.folder / "pictures").iterdir())
+    assert kept == [f"stereo-{FIRST}-{number}.png" for number in (1, 2, 3, 4)]
     assert cell.arm.calls[:2] == ["surround", "activate"]
     assert cell.stereo.calls == ["activate"]
 
 
-def test_a_picture_of_every_sphere_is_kept(cell: ClinicalCell) -> None:
-    relocalize(cell)
-    kept = sorted(path.name for path in (cell.folder / "pictures").iterdir())
-    assert kept == [f"stereo-{FIRST}-{number}.png" for number in (1, 2, 3, 4)]
-
-
 @pytest.mark.hazard(11)
 @pytest.mark.branch("WRONG_SPHERE")
-def test_a_sphere_off_its_tracker_position_is_refused_with_its_number_in_the_ct(
-    cell: ClinicalCell,
-) -> None:
+def test_a_sphere_off_its_tracker_position_is_refused_with_its_number_in_the_ct(cell: ClinicalCell) -> None:
     cell.workcell.spheres_mm[0] += (0.0, 0.0, 6.0)
     with pytest.raises(GateFailed, match=r"PRO-007: sphere 1 is not where the tracker saw it"):
         relocalize(cell, fiducials=(3, 2, 1, 0))
@@ -179,22 +167,19 @@ def test_a_missing_sphere_is_left_out_when_enough_remain_and_the_operator_agrees
     assert "3 spheres would remain" in question.value
     assert done.fiducials == (0, 2, 3)
     assert [one.fiducial for one in done.left_out] == [1]
+
     assert "no sphere in 36 image pairs" in done.left_out[0].reason
-
-
-def refuse(cell: ClinicalCell, *numbers: int) -> None:
-    """Refuse the joint moves with these numbers as not clear."""
-    moves = count(1)
-    cell.arm.blocked = lambda _start, _target: next(moves) in numbers
+    kinds = [line["what"] for line in read_journal(cell.folder / JOURNAL_FILE) if line["entry"] == "motion"]
+    searched = "".join(kind[0] for kind in kinds).index("s" * 37)  # where it should be, and around
+    assert kinds[searched + 37 :][:2] == ["line", "go"]  # the head backs off along its axis
 
 
 @pytest.mark.hazard(27)
 @pytest.mark.branch("SPHERE_FAILED")
-def test_a_search_passes_over_poses_that_are_not_clear_and_still_names_the_sphere(
-    cell: ClinicalCell,
-) -> None:
+def test_a_search_passes_over_poses_that_are_not_clear_and_still_names_the_sphere(cell: ClinicalCell) -> None:
     cell.workcell.spheres_mm[1] += (0.0, 0.0, 80.0)
-    refuse(cell, 30, 40)
+    moves = count(1)
+    cell.arm.blocked = lambda _start, _target: next(moves) in (30, 40)
     found = "sphere 2 was not found: no sphere in 34 image pairs, 2 poses not clear"
     with raises(SPHERE_NOT_FOUND, match=f"PRO-008: {found}"):
         relocalize(cell)
@@ -212,17 +197,6 @@ def test_a_search_in_which_the_arm_trips_ends_with_that(cell: ClinicalCell) -> N
     cell.arm.blocked = trips
     with pytest.raises(NotClear):
         relocalize(cell)
-
-
-def test_the_head_backs_off_along_its_axis_after_a_sphere_is_left_out(
-    cell: ClinicalCell, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("procedures.steps.clinical.relocalization.FEWEST_SPHERES", 3)
-    cell.workcell.spheres_mm[1] += (0.0, 0.0, 80.0)
-    relocalize(cell)
-    kinds = [line["what"] for line in read_journal(cell.folder / JOURNAL_FILE) if line["entry"] == "motion"]
-    searched = "".join(kind[0] for kind in kinds).index("s" * 37)  # where it should be, and around
-    assert kinds[searched + 37 :][:2] == ["line", "go"]
 
 
 @pytest.mark.branch("SPHERE_FAILED")

@@ -39,7 +39,7 @@ from procedures.steps.clinical.positioning import PositionedGuide
 from procedures.steps.clinical.retreat import Retreated
 from procedures.steps.errors import ToolSeenElsewhere
 from procedures.strategies.fixed_orientation import NeutralOrientation
-from procedures.strategies.strategy import ONE_SIDE, approach_joints
+from procedures.strategies.strategy import ONE_SIDE, Strategy, approach_joints
 from procedures.workcell import MountedTool
 from procedures.workcell.errors import WrongTool
 from ronna_hw.arm.errors import NotClear
@@ -85,15 +85,17 @@ def test_the_guide_stops_before_the_entry_after_moving_along_the_axis(
     assert (below, home) == SETTLED_HOME
     assert kind == "line"
     way_mm = math.dist(tool_pose(over, cell).translation_mm, tool_pose(held, cell).translation_mm)
+
     assert way_mm == pytest.approx(60.0)
-
-
-def test_the_axis_is_stored_in_the_workcell_and_the_journal(cell: ClinicalCell) -> None:
-    run(before_positioning(cell), f"positioning:{FIRST}")
-    assert cell.workcell.master.place.is_on_axis
-    assert cell.workcell.master.place.trajectory == FIRST
-    assert cell.case.get(PositionedGuide, FIRST).result.joints_rad == cell.arm.joints_rad
-    assert cell.motions("insert") == [FIRST]
+    place = cell.workcell.master.place
+    assert (place.is_on_axis, place.trajectory) == (True, trajectory)
+    assert cell.motions("insert") == [trajectory]
+    stored = cell.case.get(PositionedGuide, trajectory)
+    assert stored.result.joints_rad == cell.arm.joints_rad
+    assert {name.partition("-")[2] for name in stored.record.parents} == {
+        *("registration", "tool_change", "tool_check", "path_check", "plan_check", "fiducial_localization"),
+        *("global_localization", "correspondence"),  # checked with
+    }
 
 
 @pytest.mark.hazard(36)
@@ -115,22 +117,16 @@ def test_the_mounted_tool_is_read_again_before_the_arm_moves(cell: ClinicalCell)
     assert cell.arm.motions == []
 
 
-def test_the_guide_is_held_in_the_orientation_of_the_localization(cell: ClinicalCell) -> None:
-    turned = before_positioning(cell, turn_rad=0.3)
-    run(turned, f"positioning:{FIRST}")
-    held = cell.case.get(PositionedGuide, FIRST).result.tool_pose.transform
-    localized = checked_paths(cell, turn_rad=0.3).localizations[FIRST][0].tool_pose.transform
-    assert (held.rigid.rotation.inv() * localized.rigid.rotation).magnitude() < 1e-9
-
-
-def test_with_a_strategy_that_keeps_planned_targets_the_guide_is_turned_as_in_the_path_check(
-    cell: ClinicalCell,
+@pytest.mark.parametrize("strategy", [None, NeutralOrientation()], ids=["as localized", "as planned"])
+def test_the_guide_is_held_in_the_orientation_of_the_localization_or_of_the_path_check_by_strategy(
+    cell: ClinicalCell, strategy: Strategy | None
 ) -> None:
-    cell.strategy = NeutralOrientation()
+    cell.strategy = strategy or cell.strategy
     run(before_positioning(cell, turn_rad=0.3), f"positioning:{LAST}")
     held = cell.case.get(PositionedGuide, LAST).result.tool_pose.transform
-    checked = checked_paths(cell, turn_rad=0.3).targets[LAST].tool_pose.transform
-    assert (held.rigid.rotation.inv() * checked.rigid.rotation).magnitude() < 1e-9
+    paths = checked_paths(cell, turn_rad=0.3)
+    of = paths.targets[LAST] if strategy else paths.localizations[LAST][0]
+    assert (held.rigid.rotation.inv() * of.tool_pose.transform.rigid.rotation).magnitude() < 1e-9
 
 
 @pytest.mark.hazard(46)
@@ -256,16 +252,6 @@ def test_with_the_guide_before_an_entry_only_the_next_step_of_its_trajectory_may
     for name in (f"positioning:{LAST}", f"at_target:{LAST}", f"retreat:{FIRST}", f"positioning:{FIRST}"):
         with pytest.raises(StepRefused, match=f"only at_target:{FIRST} may"):
             run(engine, name)
-
-
-def test_the_parents_of_a_positioning_are_the_results_that_determined_it(cell: ClinicalCell) -> None:
-    run(before_positioning(cell), f"positioning:{FIRST}")
-    kinds = {name.partition("-")[2] for name in cell.case.get(PositionedGuide, FIRST).record.parents}
-    sent_by = {
-        *("registration", "tool_change", "tool_check", "path_check", "plan_check", "fiducial_localization")
-    }
-    checked_with = {"global_localization", "correspondence"}
-    assert kinds == sent_by | checked_with
 
 
 def test_an_offset_registration_offsets_the_guide_by_the_same_amount(cell: ClinicalCell) -> None:

@@ -123,9 +123,15 @@ def test_a_guide_that_is_not_mounted_again_is_refused_at_once(cell: ClinicalCell
 
 
 @pytest.mark.hazard(47)
-def test_a_check_without_gauge_readings_is_refused(cell: ClinicalCell) -> None:
-    with pytest.raises(NotConfirmed, match="PRO-002: no readings were given"):
-        check(cell)
+@pytest.mark.parametrize(
+    ("read_mm", "said"),
+    [((), "no readings were given"), ((math.nan, *(0.0,) * 4), "the readings are not finite numbers")],
+)
+def test_a_check_without_finite_gauge_readings_is_refused(
+    cell: ClinicalCell, read_mm: tuple[float, ...], said: str
+) -> None:
+    with pytest.raises(NotConfirmed, match=f"PRO-002: {said}"):
+        check(cell, *read_mm)
 
 
 @pytest.mark.hazard(44)
@@ -159,19 +165,24 @@ def test_the_arm_does_not_leave_the_gauge_before_the_mandrel_is_out(
 
 
 @pytest.mark.hazard(36)
-def test_the_arm_does_not_leave_the_gauge_without_confirmation(cell: ClinicalCell) -> None:
-    cell.operator = RecordingOperator(Topic.PARK)
-    with pytest.raises(
-        NotConfirmed, match=r"PRO-002: .*from the gauge: first: the guide moves .* mm; .* mm/s"
-    ):
+@pytest.mark.parametrize(
+    ("topic", "said", "motions"),
+    [
+        (Topic.TOOL_CHECK, "move the guide over to the gauge.*without a terminal needs", 0),
+        (
+            Topic.PARK,
+            "PRO-002: .*from the gauge: first: the guide moves .* mm; .* mm/s",
+            2 * APPROACHES,
+        ),  # none home
+    ],
+)
+def test_the_gauge_is_neither_approached_nor_left_without_confirmation(
+    cell: ClinicalCell, topic: Topic, said: str, motions: int
+) -> None:
+    cell.operator = RecordingOperator(topic)
+    with pytest.raises(NotConfirmed, match=said):
         check(cell, *(0.0,) * 5)
-    assert len(cell.arm.motions) == 2 * APPROACHES  # none of them home
-
-
-@pytest.mark.hazard(47)
-def test_readings_that_are_not_finite_are_refused(cell: ClinicalCell) -> None:
-    with pytest.raises(NotConfirmed, match="PRO-002: the readings are not finite numbers"):
-        check(cell, math.nan, 0.0, 0.0, 0.0, 0.0)
+    assert len(cell.arm.motions) == motions
 
 
 @pytest.mark.hazard(47)
@@ -193,14 +204,6 @@ def test_the_guide_is_not_positioned_without_the_tool_check(cell: ClinicalCell) 
     engine.run_to(engine.order.sequence[4])
     with pytest.raises(StepRefused, match=r"PRO-001: .*tool_check comes first"):
         engine.run_step(engine.order.find(f"positioning:{FIRST}"))
-
-
-@pytest.mark.hazard(36)
-def test_the_gauge_is_not_approached_without_confirmation(cell: ClinicalCell) -> None:
-    cell.operator = RecordingOperator(Topic.TOOL_CHECK)
-    with pytest.raises(NotConfirmed, match=r"move the guide over to the gauge.*without a terminal needs"):
-        check(cell, *(0.0,) * 5)
-    assert cell.arm.motions == []
 
 
 def records(cell: ClinicalCell, **changes: object) -> ToolRecords:

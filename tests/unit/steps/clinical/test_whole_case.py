@@ -134,14 +134,14 @@ def test_every_motion_that_is_driven_was_previewed_in_this_order_and_with_this_e
         assert to == pytest.approx(ends[motion.kind, motion.end], abs=0.02 if motion.kind == "move" else 1.0)
 
 
-def test_the_spheres_are_measured_and_registered_once_before_the_tool_is_changed(
-    once: ClinicalCell,
-) -> None:
+def test_the_spheres_are_measured_and_registered_once_before_the_tool_is_changed(once: ClinicalCell) -> None:
     done = [step for _, step in once.entries("result")]
     assert done[8:] == [
         *("path_check", "relocalization", "registration", "tool_change", "tool_check"),
         *(f"{name}:{one}" for one in TRAJECTORIES for name in AT_EACH_TARGET),
     ]
+    assert once.arm.joints_rad == HOME_RAD
+    assert once.arm.state is once.stereo.state is Lifecycle.CONFIGURED
 
 
 def test_the_one_registration_is_the_parent_of_every_positioning(once: ClinicalCell) -> None:
@@ -153,11 +153,6 @@ def test_the_one_registration_is_the_parent_of_every_positioning(once: ClinicalC
         held = place_guide(PLAN, PLAN.trajectory(name), once.workcell.tools.guide.bore)
         held_mm = ROBOT_FROM_CT.apply(held.rest_mm)
         assert positioned.result.tool_pose.translation_mm == pytest.approx(held_mm, abs=1e-3)
-
-
-def test_at_the_end_the_arm_is_parked_with_its_stream_ended(once: ClinicalCell) -> None:
-    assert once.arm.joints_rad == HOME_RAD
-    assert once.arm.state is once.stereo.state is Lifecycle.CONFIGURED
 
 
 @pytest.mark.hazard(23)

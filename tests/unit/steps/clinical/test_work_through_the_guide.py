@@ -46,7 +46,7 @@ def before_the_entry(cell: ClinicalCell) -> Engine:
     """An engine whose guide is held before the first entry."""
     engine = before_positioning(cell)
     setting = engine.setting
-    engine.checkpoint.guards.append(GuideDisplacement(setting.workcell, setting.clock, setting.memory))
+    engine.checkpoint.guards.append(GuideDisplacement(setting.workcell, setting.memory))
     engine.run_to(engine.order.find(f"positioning:{FIRST}"))
     cell.operator.asked.clear()
     return engine
@@ -92,23 +92,17 @@ def test_the_guide_is_looked_at_before_the_work_and_once_for_each_stage(
 
 
 @pytest.mark.hazard(45)
-def test_the_depth_stop_is_the_shown_sum_of_bore_stand_off_and_depth(cell: ClinicalCell) -> None:
-    work(before_the_entry(cell))
-    stop = cell.case.get(ReachedTarget, FIRST).result.depth_stop
-    depth_mm = plan().trajectory(FIRST).depth_mm
-    assert stop.computed_mm == pytest.approx(85.0 + 30.0 + depth_mm)
-    shown = f"bore 85.00 + stand-off 30.00 + depth {depth_mm:.2f} = {stop.computed_mm:.2f} mm"
-    assert shown in cell.operator.asked[0].value
-
-
-@pytest.mark.hazard(45)
 @pytest.mark.parametrize("off_mm", [0.08, -0.08])
-def test_a_depth_stop_reading_off_its_computed_value_is_part_of_the_error(
+def test_the_depth_stop_is_the_shown_sum_of_its_parts_and_its_deviation_is_part_of_the_error(
     cell: ClinicalCell, off_mm: float
 ) -> None:
     cell.room.stop_off_mm = off_mm
     work(before_the_entry(cell))
     reached = cell.case.get(ReachedTarget, FIRST).result
+    depth_mm, computed_mm = plan().trajectory(FIRST).depth_mm, reached.depth_stop.computed_mm
+    assert computed_mm == pytest.approx(85.0 + 30.0 + depth_mm)
+    shown = f"bore 85.00 + stand-off 30.00 + depth {depth_mm:.2f} = {computed_mm:.2f} mm"
+    assert shown in cell.operator.asked[0].value
     assert reached.too_deep_mm == pytest.approx(off_mm)
     assert reached.nominal_error_mm == pytest.approx(abs(off_mm), abs=1e-4)  # the arm is where it was sent
 
@@ -479,9 +473,7 @@ def test_a_stage_that_ends_with_the_guide_hidden_from_the_tracker_does_not_count
     ],
 )
 def test_a_guide_that_stays_pushed_ends_the_step_and_leaves_the_instrument_in_place(
-    cell: ClinicalCell,
-    pushed_mm: float,
-    ends: AbstractContextManager[object],
+    cell: ClinicalCell, pushed_mm: float, ends: AbstractContextManager[object]
 ) -> None:
     engine = before_the_entry(cell)
     cell.operator.refusing = (Topic.GUARD,)

@@ -44,11 +44,6 @@ def test_targets_lie_inside_the_head_and_entries_on_its_skin(seed: int) -> None:
         assert inside < 0.95
 
 
-def test_an_unknown_scene_is_refused_with_the_names_of_existing_ones() -> None:
-    with raises(BAD_SCENE, match="default, mini, bench"):
-        draw_scene("theatre royal")
-
-
 @pytest.mark.parametrize(("markers", "targets"), [(2, 1), (9, 1), (4, 0), (4, 11)])
 def test_impossible_numbers_of_markers_or_targets_are_refused(markers: int, targets: int) -> None:
     with raises(BAD_SCENE):

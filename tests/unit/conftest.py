@@ -1,0 +1,11 @@
+"""What tests of several rooms share."""
+
+from pathlib import Path
+
+import pytest
+from recording_cell import RecordingCell
+
+
+@pytest.fixture
+def cell(tmp_path: Path) -> RecordingCell:
+    return RecordingCell(tmp_path)
