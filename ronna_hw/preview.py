@@ -129,7 +129,10 @@ def _interval_speeds(path: SweptPath, states: Sequence[AxisState]) -> Array:
 
 
 def with_speed_steps(plan: MotionPlan, path: SweptPath, body_speed_mm_s: float) -> MotionPlan:
-    """Add speed steps to a plan so that no moving body exceeds its cap, or `body_speed_mm_s` anywhere."""
+    """Add speed steps to a plan so that no moving body exceeds its speed cap.
+
+    `body_speed_mm_s` is the limit of the operating mode, everywhere.
+    """
     allowed = np.minimum(allowed_speed(path, body_speed_mm_s), plan.limits.velocity)
     places = np.linspace(0.0, 1.0, MOST_STEPS + 1)
     begins, ends = path.fractions[:-1], path.fractions[1:]

@@ -135,7 +135,11 @@ class OperatorByTopic:
     """Operator that leaves each topic to the first rule that covers it."""
 
     def __init__(self, *rules: Rule) -> None:
+        """Leave each topic to a rule that applies; raises ValueError for one that none covers."""
         present = [(one, topics) for one, topics, applies in rules if one is not None and applies]
+        covered = frozenset(topic for _, topics in present for topic in topics)
+        if uncovered := [topic for topic in Topic if topic not in covered]:
+            raise ValueError(f"nobody answers {', '.join(uncovered)}")
         self._operators = {topic: next(one for one, topics in present if topic in topics) for topic in Topic}
 
     def ask(self, question: Question) -> Answer:

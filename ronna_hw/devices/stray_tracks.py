@@ -93,7 +93,10 @@ def track_strays(
 def identify_strays(
     frames: Iterable[Sequence[Vector3]], *, gate_mm: float = GATE_MM
 ) -> tuple[NDArray[np.int64], ...]:
-    """Return the identity of each stray (mm) by frame, or -1 where it cannot be told. Raises DEV-005."""
+    """Return the identity of each stray position (mm), frame by frame, or -1 where it cannot be told.
+
+    Raises DEV-005.
+    """
     if not 0.0 < gate_mm < math.inf:
         raise BAD_STRAYS("the gate must be positive", got=f"{gate_mm} mm")
     spheres: list[_Sphere] = []

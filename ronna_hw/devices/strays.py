@@ -74,7 +74,10 @@ def average_strays(frames: Iterable[TrackerFrame]) -> StrayAverage:
 
 
 def select_strays(frames: Iterable[TrackerFrame]) -> list[tuple[TrackerFrame, list[Vector3]]]:
-    """Return each measured frame, no repeats, with its strays in the volume, mm. Raises ARG-001."""
+    """Return each measured frame with its strays inside the measuring volume, mm. Repeats are left out.
+
+    Raises ARG-001 for anything else than frames.
+    """
     return [
         (frame, [one.position_mm for one in frame.strays if one.validity is Validity.OK])
         for frame in _require_frames(frames)

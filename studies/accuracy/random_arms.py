@@ -268,6 +268,7 @@ def multiply(matrix: Array, point: Components) -> Components:
 
 
 def translate(point: Components, offset: ArrayLike) -> Components:
+    """Add vectors (..., 3) to points, with broadcasting."""
     vector = np.asarray(offset, dtype=float)
     x, y, z = (part + vector[..., axis] for axis, part in enumerate(point))
     return x, y, z

@@ -65,6 +65,7 @@ class DisplacedArms(RandomArms):
         return cls(**vars(arms) | {"shift_rad": shift_rad, "shift_mm": shift_mm})
 
     def tool_points_mm(self, joints_rad: Array, flanks: Array) -> Array:
+        """Return true tool positions (a, p, 3) in mm, robot frame, without the repeatability error."""
         return super().tool_points_mm(joints_rad + self.shift_rad, flanks) + self.shift_mm
 
 

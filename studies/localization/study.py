@@ -82,6 +82,7 @@ class LocalizationStudy(Study):
     constants: ClassVar = {"sums": SUMS}
 
     def units(self) -> Sequence[Unit]:
+        """Return one unit per volume, then one per set of frame scans."""
         conditions = ((family, protocol) for protocol, family in product(self.protocols, self.families))
         volumes = blocks_of_each(conditions, self.volumes, 1)
         return [*volumes, *blocks(f"{FRAMES}|{FRAME_PROTOCOL}", self.sets, 1)]

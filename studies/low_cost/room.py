@@ -150,4 +150,5 @@ def nominal_error_mm(truth: ArmTruth) -> float:
 
 
 def phantom_centre_mm(scene: Scene) -> Array:
+    """Return the centre of the phantom in the robot frame."""
     return np.asarray(apply(matrix_of(scene.head.robot_from_ct), scene.head.centre_ct_mm))

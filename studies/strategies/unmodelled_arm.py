@@ -108,6 +108,7 @@ class _Judged:
     listed: dict[tuple[int, int, int], Sources] = field(default_factory=dict)
 
     def sources(self, scene: StudiedScene, planned: Postures, target: int, count: int) -> Sources:
+        """List the error sources at a target registered by the first `count` spheres."""
         key = (scene.number, id(planned), target)  # the postures live as long as the bench
         if key not in self.listed:
             everything = len(scene.phantom.spheres_mm)
