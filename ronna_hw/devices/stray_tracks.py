@@ -21,12 +21,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.distance import cdist
 
+from ronna_hw.arrays import Array
 from ronna_hw.devices.errors import BAD_STRAYS
 from ronna_hw.devices.readings import TrackerFrame
 from ronna_hw.devices.strays import GATE_MM, LEAST_SHARE, pair_nearest, require_positions, select_strays
 from ronna_hw.vectors import Vector3
-
-Array = NDArray[np.float64]
 
 KNOWN_AFTER = 3  # frames; a reflection that flickers is forgotten before
 # Missing spheres, with as many new ones, that show a moved scene; reflections may appear as others hide.

@@ -11,15 +11,13 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ronna_hw.arguments import WrongArgument, require_numbers
+from ronna_hw.arrays import Array
 from ronna_hw.devices.errors import BAD_STRAYS
 from ronna_hw.devices.readings import TrackerFrame, Validity
 from ronna_hw.robust_scale import robust_sigma
 from ronna_hw.vectors import Vector3
-
-Array = NDArray[np.float64]
 
 GROUP_RADIUS_MM = 4.0  # far above the tracker's noise, below the radius of a sphere: two never merge
 # Spheres of 11.5 mm that touch are 11.5 mm apart: at rest, a reading has a single sphere within this. At 60

@@ -13,13 +13,11 @@ from enum import StrEnum
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ronna_hw.arm.kinematics import Chain
+from ronna_hw.arrays import Array
 from ronna_hw.calibrated_arm.error_budget import JOINT_OFFSET_RAD, PER_JOINT, error_columns
 from studies.accuracy.random_arms import RandomArms
-
-Array = NDArray[np.float64]
 
 EFFECT_KEY = 11  # of the random numbers
 AXES = 6
