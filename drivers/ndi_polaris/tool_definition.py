@@ -97,7 +97,7 @@ def read_definition(path: Path) -> ToolDefinition:
     except InputRefused as error:
         raise BAD_TOOL_FILE(error.summary) from error
     except OSError as error:
-        raise BAD_TOOL_FILE(f"cannot read {path.name}: {error.strerror}") from error
+        raise BAD_TOOL_FILE(f"cannot read {path}: {error.strerror}") from error
     return decode_definition(block, path.name)
 
 
