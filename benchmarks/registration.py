@@ -7,20 +7,18 @@ from functools import partial
 from statistics import median
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from benchmarks.figures import Figure, compare_samples, measure_cpu_s
 from procedures.planning.plan_check import LEAST_SIDE_DIFFERENCE_MM, least_side_difference_mm
 from procedures.registration import MatchStatus, match, register
+from ronna_hw.arrays import Array
 from studies.campaign.study import add_up
 from studies.correspondence.outcomes import FALSE, LOST, PART, SUCCESS, outcome_of, pair_set
 from studies.correspondence.study import CorrespondenceStudy, StudiedMatching, pair_points
 from studies.heads import IMAGE_SIGMA_MM, PHYSICAL_SIGMA_MM, NoiseReading, draw_readings, sites_mm
 from studies.registration import ISOTROPIC, RegistrationStudy, tables
-
-Array = NDArray[np.float64]
 
 CASES = 60
 COMMON, STRANGERS = 8, 4  # 12 points on either side

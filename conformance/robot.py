@@ -78,10 +78,12 @@ def active_arm(dut: DeviceUnderTest) -> tuple[Any, JointVector]:
 
 
 def axis_distance_rad(a: JointVector, b: JointVector) -> float:
+    """Return the largest difference over all axes, rad."""
     return max(abs(x - y) for x, y in zip(a, b, strict=True))
 
 
 def check_standstill(reading: ArmReading, joints_rad: JointVector) -> None:
+    """Raise Nonconformity unless the arm has stayed at these joint angles."""
     moved = axis_distance_rad(reading.joints_rad, joints_rad)
     check(moved < STANDS_STILL_RAD, "an arm at standstill", f"{degrees(moved):.5f} deg")
 

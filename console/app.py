@@ -195,6 +195,8 @@ def _handle_line(hub: Hub, line: bytes) -> None:
 
 
 def add_order_routes(app: Any, hub: Hub) -> None:
+    """Add the `/state` and `/orders` routes to a Starlette application."""
+
     async def state(_request: Request) -> JSONResponse:
         return JSONResponse(_state_document(hub))
 

@@ -114,6 +114,7 @@ class Sessions:
         return self._pages[role].allows(self.now_s())
 
     def find(self, cookie: str | None) -> Session | None:
+        """Return the session with this cookie, or None if there is none."""
         return None if cookie is None else self._sessions.get(cookie)
 
 

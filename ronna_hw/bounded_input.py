@@ -98,12 +98,18 @@ def read_json_bytes(
     *,
     follow_links: bool = True,
 ) -> bytes:
-    """Read a JSON file for a model; `follow_links` as in `read_bounded`. Raises INP-001, OSError."""
+    """Read a JSON file as bytes for validation by a model; `follow_links` as in `read_bounded`.
+
+    Raises INP-001, OSError.
+    """
     return check_json(read_bounded(path, limit_bytes, follow_links=follow_links), limit_bytes, most_values)
 
 
 def read_json_lines(path: Path, limit_bytes: int = LARGEST_JSON_BYTES, *, follow_links: bool = True) -> bytes:
-    """Read JSON Lines, the last one perhaps truncated, as `read_bounded` does. Raises INP-001, OSError."""
+    """Read a JSON Lines file whose last line may be truncated; `follow_links` as in `read_bounded`.
+
+    Raises INP-001, OSError.
+    """
     return _check_count(read_bounded(path, limit_bytes, follow_links=follow_links), MOST_VALUES_OF_LINES)
 
 

@@ -193,7 +193,10 @@ class Dated(Strict):
         return self
 
     def check_valid_at(self, moment: datetime) -> None:
-        """Raise CAL-001 if expired at `moment` or dated later: with a clock set back, none would expire."""
+        """Raise CAL-001 if the record has expired at `moment` or is dated after it.
+
+        With a clock that was set back, an expired record would appear valid.
+        """
         if moment < self.created - CLOCKS_AGREE:
             raise CalibrationExpired(
                 f"{self.what} {self.identifier} is dated {_as_text(self.created)}, which is in the future",
@@ -377,7 +380,10 @@ class ArmCalibration(DatedRecord):
 
     @model_validator(mode="after")
     def _leaves_plausible_errors(self) -> Self:
-        """Check shape and row magnitudes of `remaining`: a triangle cannot be asymmetric or indefinite."""
+        """Check the shape and row magnitudes of `remaining`.
+
+        A triangle cannot be asymmetric or indefinite.
+        """
         if self.remaining is None:
             return self
         joints = len(self.joint_offset_rad)

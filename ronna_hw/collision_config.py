@@ -83,7 +83,10 @@ class RoomBody(BodyConfig):
 
 
 class ArmThickness(Strict):
-    """Conservative radii of the arm's bodies, by default its own; also of an assistant of the same model."""
+    """Conservative capsule radii of the arm's bodies; those left out are the arm's own.
+
+    They hold for the master, and for an assistant of the same model.
+    """
 
     column_mm: Millimetres | None = Field(
         default=None, description="Radius from the base to the second joint."
@@ -202,7 +205,10 @@ class CollisionConfig(Strict):
         fiducials_mm: tuple[Numbers3, ...] = (),
         corridor: Corridor | None = None,
     ) -> Surroundings:
-        """Build the surroundings in the arm's frames; `fiducials_mm` are in $ROBROOT, as localized so far."""
+        """Build the surroundings in the frames used by the arm.
+
+        `fiducials_mm` are in $ROBROOT, as localized so far.
+        """
         head = covering_ellipsoid(head_semi_axes_mm, robot_from_head)
         obstacles = [Obstacle(HEAD, capsule, True) for capsule in head]
         for body in self.bodies:

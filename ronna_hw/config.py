@@ -44,7 +44,10 @@ from ronna_hw.tool_record import GuideBore, TipInHead, ToolRecord
 
 
 def require_expiry(theatre: TheatreFile) -> None:
-    """Raise ValueError unless records expire within a year; in a simulated theatre nothing is worn."""
+    """Raise ValueError unless records of a real theatre expire within a year.
+
+    In a simulated theatre nothing is knocked or worn.
+    """
     calibrations = {} if theatre.calibration is None else theatre.calibration.records
     records: dict[str, Dated] = {f"calibration.{name}": one for name, one in calibrations.items()}
     records |= {f"tools.{name}": one for name, one in theatre.tools.items()}

@@ -78,7 +78,10 @@ class Endpoint:
 
 
 def parse_endpoint(text: str, *, listening: bool = False) -> Endpoint:
-    """Parse an endpoint; raises CFG-002. One to listen on may have port 0, which requests any free one."""
+    """Parse an endpoint; raises CFG-002 with the reason.
+
+    An address to listen on may have port 0, which requests any free one.
+    """
     if text == "host:":
         return Endpoint("host")
     try:

@@ -96,7 +96,10 @@ class RonnaError(Exception):
 
     @property
     def summary(self) -> str:
-        """The error with its values, such as `no reply; expected OKAY, got ERROR01`; no code or advice."""
+        """Description of the error with its values, such as `no reply; expected OKAY, got ERROR01`.
+
+        Without code and advice.
+        """
         values = [
             f"{label} {value}"
             for label, value in (("expected", self.expected), ("limit", self.limit), ("got", self.got))

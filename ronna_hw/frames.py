@@ -11,14 +11,12 @@ from enum import StrEnum
 from typing import Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from ronna_hw.arguments import WrongArgument, show
+from ronna_hw.arrays import Array
 from ronna_hw.errors import DataError, ErrorCode
-
-Array = NDArray[np.float64]
-
 
 ROUNDING = 1e-6  # tolerance for being a rotation up to rounding
 

@@ -125,7 +125,10 @@ def _event_first(_log: object, _method: str, event: MutableMapping[str, Any]) ->
 
 
 def _redact_library(_log: object, _method: str, event: MutableMapping[str, Any]) -> dict[str, Any]:
-    """Redact a library's line: warnings keep their place, libraries that read patient files no text."""
+    """Redact a log line from a library.
+
+    Warnings keep their location; libraries that read patient files keep no text.
+    """
     record: logging.LogRecord = event["_record"]
     text = str(event["event"])
     if record.name == "py.warnings":

@@ -96,7 +96,10 @@ def _channel_name(name: str) -> str:
 
 
 def set_level(level: str, name: str = "") -> None:
-    """Set the lowest level to log, a word of `LEVELS`, for one logger or all; raises ValueError."""
+    """Set the lowest level to log (`debug`, `info`, `warning`, `error`), for one logger or all.
+
+    Raises ValueError for any other word.
+    """
     if level not in LEVELS:
         raise ValueError(f"expected a level ({', '.join(LEVELS)}), got {level!r}")
     logging.getLogger(_channel_name(f"{ALL}.{name}") if name else ALL).setLevel(LEVELS[level])

@@ -11,7 +11,6 @@ from dataclasses import replace
 from math import isinf
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ronna_hw.arm.clearance.bodies import Surroundings
 from ronna_hw.arm.clearance.sweep import ARC_FACTOR, SweptPath, motion_mm, sweep_path
@@ -21,11 +20,11 @@ from ronna_hw.arm.motion.planning import MotionPlan, plan_joint_move, plan_line
 from ronna_hw.arm.motion.progress import MOST_STEPS, AxisState, SpeedStep, drive_states
 from ronna_hw.arm.path_preview import PathPreview
 from ronna_hw.arm.pose import Pose
+from ronna_hw.arrays import Array
 from ronna_hw.devices.robot import JointMove, Motion
 from ronna_hw.frames import FRAME_MISMATCH, Frame, Transform
 from ronna_hw.vectors import JointVector
 
-Array = NDArray[np.float64]
 SHARE_OF_CAP = 0.97  # share of a cap used by planning; the rest covers its sampling
 ALIKE = 0.95  # neighbouring speeds within this ratio are merged into one step
 
@@ -129,7 +128,10 @@ def _interval_speeds(path: SweptPath, states: Sequence[AxisState]) -> Array:
 
 
 def with_speed_steps(plan: MotionPlan, path: SweptPath, body_speed_mm_s: float) -> MotionPlan:
-    """Add speed steps to a plan so that no moving body exceeds its cap, or `body_speed_mm_s` anywhere."""
+    """Add speed steps to a plan so that no moving body exceeds its speed cap.
+
+    `body_speed_mm_s` is the limit of the operating mode, everywhere.
+    """
     allowed = np.minimum(allowed_speed(path, body_speed_mm_s), plan.limits.velocity)
     places = np.linspace(0.0, 1.0, MOST_STEPS + 1)
     begins, ends = path.fractions[:-1], path.fractions[1:]

@@ -48,7 +48,10 @@ OTHER_VERSION = ErrorCode(
 
 @dataclass(frozen=True)
 class Record:
-    """Result record of type `kind`; `parents`: hashes by identifier; `series`: DICOM UID of the case's CT."""
+    """Result record: `kind` is its type, `parents` maps parent identifiers to hashes.
+
+    `series` is the DICOM UID of the CT that the case is based on.
+    """
 
     identifier: str
     kind: str

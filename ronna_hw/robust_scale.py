@@ -10,7 +10,10 @@ CAUCHY = 2.385  # 95 % efficiency on normal noise
 
 
 def robust_sigma(residuals: NDArray[np.float64]) -> float:
-    """Estimate the standard deviation about zero by the median absolute value; half may be outliers."""
+    """Estimate the standard deviation of residuals about zero from their median absolute value.
+
+    Half of them may be outliers.
+    """
     return MAD_TO_SIGMA * float(np.median(np.abs(residuals)))
 
 

@@ -23,7 +23,10 @@ _PINNED = re.compile(r"^(?P<name>[A-Za-z0-9._-]+)==(?P<version>[^\s;\\]+)", re.M
 
 @dataclass(frozen=True)
 class Software:
-    """Software that computed a result; `commit` and `lock_sha256` are None outside a checkout."""
+    """Software that computed a result.
+
+    `commit` and `lock_sha256` are None if it does not run from a checkout.
+    """
 
     version: str
     commit: str | None  # with "-dirty" if files differ from it

@@ -91,7 +91,10 @@ _NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)", re.ASCII)
 
 
 def parse_typed_number(typed: str, unit: str = "") -> float:
-    """Parse a number with point or comma, and perhaps its `unit`; raises ValueError quoting the text."""
+    """Parse a finite number with a decimal point or comma; raises ValueError quoting the text.
+
+    The `unit` may follow it, with or without a space; another unit may not.
+    """
     words = strip_unit(typed, unit).replace("\N{MINUS SIGN}", "-")
     number = float(words.replace(",", ".")) if _NUMBER.fullmatch(words) else math.nan
     if not math.isfinite(number):

@@ -51,7 +51,10 @@ def open_theatre(path: str | os.PathLike[str], timeout_s: float = 10.0) -> Itera
 
 
 class Theatre:
-    """Devices of one theatre file, created on first access or by `connect`, closed on leaving a block."""
+    """Devices of one theatre file. Each is created on first access; `connect` creates all.
+
+    As a context manager it closes everything on leaving.
+    """
 
     def __init__(self, file: TheatreFile, clock: Clock, make: DriverOfTable = make_device) -> None:
         """Create the theatre without opening anything; `make` creates the driver objects."""
@@ -136,7 +139,10 @@ class Theatre:
                 device.configure(timeout_s)
 
     def stop(self) -> list[str]:
-        """Stop all arms at once, as far as links allow; returns what failed, by arm. Never raises."""
+        """Stop all arms simultaneously, as far as their links allow; never raises.
+
+        Returns what went wrong, for each arm that may not be at rest.
+        """
         failures: list[str] = []
         moving = [  # also one that is being started; in HOLD an earlier stop may still be under way
             threading.Thread(target=_stop_arm, args=(device, failures))
@@ -240,7 +246,10 @@ def required_interface(table: str) -> Callable[..., Device]:
 
 
 def require_interface(table: str, driver: str, device: object, interface: Callable[..., D]) -> D:
-    """Return a table's device as `interface`, protocol or class; raises DEV-008 with what it lacks."""
+    """Return a table's device as `interface`, a runtime-checkable protocol or a class.
+
+    Raises DEV-008 naming what the driver lacks.
+    """
     if not isinstance(device, cast("type", interface)):
         missing = [name for name in dir(interface) if name[0] != "_" and not hasattr(device, name)]
         raise WRONG_KIND(

@@ -37,7 +37,10 @@ MIXED_THEATRE = ErrorCode(
 
 
 def is_on_this_computer(endpoint: Endpoint) -> bool | None:
-    """Return whether an address, or what it leads to, is on this computer; None if that is unknown."""
+    """Return whether an address is local to this computer, or None if it cannot be determined.
+
+    Links and names count as what they lead to.
+    """
     if endpoint.scheme == "shm":
         return True
     endpoint = endpoint.resolve_names()

@@ -13,8 +13,8 @@ from itertools import product
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ronna_hw.arrays import Array
 from studies.accuracy.phantom import Markers, draw_phantom
 from studies.accuracy.scene import StudiedScene
 from studies.campaign import bounds
@@ -23,7 +23,6 @@ from studies.campaign.study import Cell, Study, Sums, Table, Unit, blocks_of_eac
 from studies.guide_direction import DEPTHS_MM, PUBLISHED_MM, RESTS_MM, TARGETS, WHOLE_HEAD, run_guided
 from studies.guide_direction import tables as guide_tables
 
-Array = NDArray[np.float64]
 Series = tuple[str, str, str, int]  # depth, markers, strategy, number of spheres
 
 STRATEGIES = ("thesis-ocs", "ocs")

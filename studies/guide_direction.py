@@ -13,14 +13,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ronna_hw.arrays import Array
 from studies.accuracy.phantom import Markers, draw_phantom
 from studies.accuracy.random_arms import RandomArms, Source
 from studies.accuracy.scene import Sizes, StudiedScene
 from studies.campaign.study import Cell, Sums, Table
-
-Array = NDArray[np.float64]
 
 STRATEGY = "thesis-ocs"
 TARGETS = 10

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
-Array = NDArray[np.float64]
+from ronna_hw.arrays import Array
 
 PATIENTS = (1, 2, 3)
 HALF_AXES_MM = {1: (72.0, 92.0, 66.0), 2: (76.0, 97.0, 71.0), 3: (80.0, 102.0, 76.0)}

@@ -8,10 +8,10 @@ from concurrent.futures.process import BrokenProcessPool
 from difflib import get_close_matches
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from procedures.imaging.volume import Volume, VoxelGeometry
+from ronna_hw.arrays import Array
 from ronna_hw.host.worker_processes import start_workers
 from studies.accuracy.phantom import Markers, draw_phantom, phantom_pose
 from studies.accuracy.postures import plan_postures
@@ -25,7 +25,6 @@ from studies.plugins.method import PluginMethod, find_plugin, list_installed_plu
 from studies.plugins.strategy import PluginStrategy
 from studies.strategies.study import DEPTHS_MM, TARGETS
 
-Array = NDArray[np.float64]
 TRIAL_SEED = 17
 PATIENT = 1
 FIDUCIALS, OUTLIERS = 4, 1

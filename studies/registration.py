@@ -13,19 +13,17 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from procedures.registration.error_theory import fle_of_one_space_mm, fre_gate, tre_principal_axes_mm
 from procedures.registration.point_registration import register
+from ronna_hw.arrays import Array
 from studies.campaign import bounds
 from studies.campaign.plots import Point, curves
 from studies.campaign.study import Cell, Study, Sums, Table, Unit, as_sums, blocks, generator
 from studies.heads import PATIENTS, draw_pose, sites_mm
 from studies.plugins.answers import PluginRegistration
 from studies.plugins.method import PluginMethod
-
-Array = NDArray[np.float64]
 
 BLOCK_RUNS = 500
 FLE_MM = 0.3  # 3-D rms, both spaces together

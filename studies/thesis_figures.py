@@ -10,16 +10,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from procedures.registration.cloud_registration import closest_point_steps, principal_axes
 from procedures.registration.correspondence import MatchStatus
 from procedures.registration.similarity_matrix import SimilarityPairs, SimilarityStep, similarity_steps
+from ronna_hw.arrays import Array
 from studies.campaign.plots import encode_png
 from studies.heads import HALF_AXES_MM, NoiseReading, draw_readings, sites_mm
-
-Array = NDArray[np.float64]
 
 POINTS = 600
 SURFACE_NOISE_MM = 0.5

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from benchmarks.figures import Figure
@@ -35,6 +34,7 @@ from procedures.calibration.tip_calibration import (
     tips_of,
 )
 from procedures.strategies.trajectory import tool_orientation
+from ronna_hw.arrays import Array
 from ronna_hw.errors import LimitError
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.vectors import JointVector
@@ -44,8 +44,6 @@ from sim.world.staff import read_dials
 from sim.world.true_arm import TrueArm
 from sim.world.truth import TrueGuide
 from sim.world.world import ArmState, World
-
-Array = NDArray[np.float64]
 
 TILT_RAD, TURN_RAD = math.radians(25.0), math.radians(40.0)
 SPARE = 1.5

@@ -15,7 +15,6 @@ from datetime import UTC, datetime
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from benchmarks.figures import Figure
@@ -32,6 +31,7 @@ from procedures.calibration.frame_calibration import (
 from procedures.calibration.hand_eye import solve
 from procedures.calibration.head_model import pose_record
 from ronna_hw.arm.kr6_r900 import kr6_r900
+from ronna_hw.arrays import Array
 from ronna_hw.calibrated_arm.arm import CalibratedArm
 from ronna_hw.calibrated_arm.deviations import ArmDeviations
 from ronna_hw.calibration import PoseRecord
@@ -50,8 +50,6 @@ from sim.world.scene.model import ArmResidual, Scene
 from sim.world.scene.named_scenes import draw_scene
 from sim.world.true_arm import TrueArm
 from sim.world.world import ArmState, World
-
-Array = NDArray[np.float64]
 
 FRAMES = 60
 FLANKS = (1.0,) * 6  # every joint arrives turning in the same direction

@@ -22,7 +22,6 @@ from pathlib import Path
 from typing import IO
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.scans.look_alikes import (
     CHI2_99,
@@ -36,9 +35,8 @@ from benchmarks.scans.look_alikes import (
 )
 from procedures.imaging import Localization, Marker, Volume, localize
 from procedures.imaging.errors import MarkerCountWrong
+from ronna_hw.arrays import Array
 from sim.phantom.families.catalogue import FAMILIES, PROTOCOLS
-
-Array = NDArray[np.float64]
 
 OTHER = """
 import json, sys

@@ -25,6 +25,7 @@ from scipy.special import erfc
 from benchmarks.figures import Figure, compare_samples, measure_cpu_s, measure_program
 from benchmarks.scans.scanner_faults import with_noise
 from procedures.imaging import Localization, ThesisFit, Volume, localize, localize_as_thesis, read_series
+from ronna_hw.arrays import Array
 from ronna_hw.host.child_process import command
 from sim.phantom.case import write_case
 from sim.phantom.families.family_scan import family_scan
@@ -32,7 +33,6 @@ from sim.phantom.head.painting import PLANE_SIGMA_MM, SLICE_SIGMA_MM
 from sim.phantom.scanner.faults import NO_FAULTS, ScannerFaults
 from studies.localization.phantom_scans import AIR_HU, bound_mm
 
-Array = NDArray[np.float64]
 Spectrum = NDArray[np.complex128]
 
 SIDE_MM = 26.0  # of the cube of air around the ball

@@ -16,18 +16,17 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from procedures.imaging import Candidate, Localization, Volume, VoxelGeometry, localize
 from procedures.imaging.errors import MarkerCountWrong
+from ronna_hw.arrays import Array
 from sim.phantom.families.catalogue import FAMILIES, PROTOCOLS, Purpose
 from sim.phantom.families.family_scan import family_scan
 from sim.phantom.scan import Planes, Scan
 from sim.phantom.scanner.dicom_series import INTERCEPT_HU, to_stored_values
 from sim.phantom.scanner.grid import CtGrid
 from sim.world.rigid import Point
-
-Array = NDArray[np.float64]
 
 MARGINS_MM = (16.0, 16.0, 16.0)  # around markers and objects, along L, P and S
 WHOLE_SLICES_MM, WHOLE_MM = (1e3, 1e3, 16.0), (1e3, 1e3, 1e3)

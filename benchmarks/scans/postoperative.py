@@ -29,8 +29,6 @@ from sim.world.rigid import rotation_from_vector
 from sim.world.scene.model import CtProtocol, Scene
 from sim.world.scene.named_scenes import MINI_CT, draw_scene
 
-Array = NDArray[np.float64]
-
 OFF_MM, OFF_RAD = 2.0, np.radians(3.0)
 PROTOCOLS = {"mini": MINI_CT, "good": CtProtocol()}
 GOAL_MM, GOAL_DEG = 0.2, 0.3

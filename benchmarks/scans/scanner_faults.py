@@ -17,7 +17,6 @@ from pathlib import Path
 
 import numpy as np
 import tomli_w
-from numpy.typing import NDArray
 
 from benchmarks.scans.look_alikes import SAME_SPHERE_MM, WHOLE_SLICES_MM, Painted, paint
 from procedures.imaging import Localization, localize, read_series
@@ -25,6 +24,7 @@ from procedures.imaging.errors import MarkerCountWrong, ScanDeformed
 from procedures.imaging.scan_deformation import require_undeformed
 from procedures.imaging.scan_faults import check_motion, estimate_jumps
 from procedures.registration.point_registration import register
+from ronna_hw.arrays import Array
 from ronna_hw.errors import RonnaError
 from sim.phantom.case import write_case
 from sim.phantom.families.catalogue import FAMILIES, PROTOCOLS
@@ -32,8 +32,6 @@ from sim.phantom.families.family_scan import family_scan
 from sim.phantom.scan import Scan, plain_scan
 from sim.phantom.scanner.faults import KERNELS, NO_FAULTS, ScannerFaults
 from sim.world.scene.named_scenes import draw_scene
-
-Array = NDArray[np.float64]
 
 FAMILY, PROTOCOL = "plain", "good"
 DATA = Path(__file__).parents[2] / "docs" / "reference" / "scanner-faults.toml"

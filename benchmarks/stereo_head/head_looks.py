@@ -13,7 +13,7 @@ from datetime import UTC, datetime
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from procedures.calibration.head_model import cameras_of, intersect_rays
@@ -21,6 +21,7 @@ from procedures.calibration.observations import Observation, ObservationSet, Out
 from procedures.calibration.pose_set import CHECK_ORIENTATIONS, PlannedLook, self_check_variants
 from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.arm.pose import Pose
+from ronna_hw.arrays import Array
 from ronna_hw.calibration import StereoHeadCalibration
 from ronna_hw.config import parse_theatre
 from ronna_hw.frames import Frame, Transform
@@ -30,8 +31,6 @@ from sim.world.rigid import inverse, matrix_from, matrix_of, pose_of, rotation_f
 from sim.world.scene.model import SPHERE_RADIUS_MM, CameraTruth, Scene
 from sim.world.scene.named_scenes import draw_scene
 from sim.world.true_arm import TrueArm
-
-Array = NDArray[np.float64]
 
 ENDPOINTS = {
     "polaris": "tcp://127.0.0.1:8765",

@@ -23,10 +23,10 @@ from procedures.relocalization import (
 )
 from procedures.relocalization.errors import NoContrast, NoSphere, RaysDoNotMeet, WrongSize
 from procedures.relocalization.triangulation import CameraModel
+from ronna_hw.arrays import Array
 from ronna_hw.frames import Frame
 from sim.basler.optics.sensor import BACKGROUND_ELECTRONS_PER_US, FILM_ELECTRONS_PER_US
 
-Array = NDArray[np.float64]
 GreyPicture = NDArray[np.uint8]
 
 # An edge that covers 20 % of a disc's width hides 0.295 of its rim.

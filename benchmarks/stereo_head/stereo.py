@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.figures import Figure, compare_samples, measure_cpu_s
 from benchmarks.stereo_head.sphere_campaign import (
@@ -27,8 +26,7 @@ from benchmarks.stereo_head.sphere_campaign import (
 from benchmarks.stereo_head.stereo_cell import servo_campaign, without_arm_errors
 from benchmarks.stereo_head.stereo_pictures import SERVO_MM, Case, Pair, Picture, Studio
 from procedures.relocalization import AreaImage, locate_sphere, measure_sphere
-
-Array = NDArray[np.float64]
+from ronna_hw.arrays import Array
 
 FULL_FRAME = Case("full frame", reach_mm=SERVO_MM, area_px=(2048, 1088))
 SERVO_AREA = Case("servo area", reach_mm=SERVO_MM, area_px=(1024, 1024))

@@ -12,7 +12,6 @@ from datetime import UTC, datetime
 from math import radians
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from benchmarks.figures import Figure
@@ -20,10 +19,9 @@ from benchmarks.stereo_head.head_looks import TrueHead, check_looks, observation
 from procedures.calibration import Baseline, Observation, calibrate_head, compare_with_baseline
 from procedures.calibration.errors import DoesNotFit
 from procedures.calibration.pose_set import plan_calibration_looks
+from ronna_hw.arrays import Array
 from ronna_hw.errors import LimitError
 from sim.world.rigid import rotation_towards
-
-Array = NDArray[np.float64]
 
 OURS, PLAIN = "ronna-stereo calibrate", "plain adjustment"
 HEADS, ARMS, CHECKS = 10, 12, 50

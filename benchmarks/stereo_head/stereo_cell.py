@@ -16,7 +16,6 @@ from typing import Any, cast
 from unittest.mock import patch
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.stereo_head.stereo_pictures import Studio
 from procedures.journal.journal import JOURNAL_FILE, Journal
@@ -32,6 +31,7 @@ from procedures.workcell.centring import CentredSphere, Centring
 from procedures.workcell.stereo_look import Look
 from ronna_hw.arm.kr6_r900 import Kr6R900, kr6_r900
 from ronna_hw.arm.pose import Pose
+from ronna_hw.arrays import Array
 from ronna_hw.calibration import STEREO_HEAD_NUMBER, StereoHeadCalibration
 from ronna_hw.clock import HostClock
 from ronna_hw.config import parse_theatre
@@ -57,8 +57,6 @@ from sim.world.scene.model import LinkError, Scene
 from sim.world.scene.named_scenes import draw_scene
 from sim.world.true_arm import TrueArm
 from sim.world.world import ArmState, World
-
-Array = NDArray[np.float64]
 
 EXPOSURE_US, GAIN_RAW = 2000, 100  # the driver's defaults
 STANDOFF_MM = 60.0

@@ -13,6 +13,7 @@ from datetime import UTC, datetime, timedelta
 import numpy as np
 from numpy.typing import NDArray
 
+from ronna_hw.arrays import Array
 from ronna_hw.calibration import CameraCalibration, PoseRecord, StereoHeadCalibration
 from ronna_hw.plausible import FINEST_MM
 from sim.basler.optics.canvas import Area, Lens
@@ -25,7 +26,6 @@ from sim.world.rigid import matrix_of, rotation_towards
 from sim.world.scene.model import CameraTruth, Scene
 from sim.world.scene.named_scenes import draw_scene
 
-Array = NDArray[np.float64]
 Picture = NDArray[np.uint8]
 
 EXPOSURE_US = 2000.0  # the driver's default

@@ -23,8 +23,8 @@ from numpy.typing import NDArray
 
 from procedures.relocalization import SphereStatus, measure_sphere
 from procedures.relocalization.errors import NoContrast, NoSphere
+from ronna_hw.arrays import Array
 
-Array = NDArray[np.float64]
 Picture = NDArray[np.uint8] | NDArray[np.uint16]
 
 KEPT = Path(__file__).parents[2] / "tests" / "unit" / "relocalization" / "traced_views.npz"

@@ -99,6 +99,7 @@ class GigeStream:
             features.set(name, value)
 
     def trigger(self) -> None:
+        """Trigger one frame."""
         self.features.execute("TriggerSoftware")
 
     def packet(self, limit_s: float = FRAME_LIMIT_S) -> Packet | None:
@@ -141,6 +142,7 @@ class GigeStream:
         return found
 
     def request_resend(self, block_id: int, first: int, last: int) -> None:
+        """Request a resend of packets `first`..`last` of a block."""
         self.link.send(GvcpCommand.PACKETRESEND, struct.pack(">HHII", 0, block_id, first, last))
 
 

@@ -212,6 +212,7 @@ class RsiLine:
         return f'<Sen Type="{sentype}">{body}<IPOC>{ipoc}</IPOC></Sen>'.encode()
 
     def run_cycles(self, count: int, corrections: Mapping[str, float] = HOLD) -> list[Telegram]:
+        """Answer the next `count` telegrams and return them."""
         telegrams = []
         for _ in range(count):
             telegrams.append(self.next())

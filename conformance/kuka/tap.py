@@ -51,6 +51,7 @@ class RsiTap(LineThread):
 
     @property
     def replies(self) -> int:
+        """Number of replies since the last `take_traffic`."""
         return len(self._traffic.replies)
 
     @property

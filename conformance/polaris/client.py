@@ -284,6 +284,7 @@ class BxReply:
 
     @property
     def frame(self) -> int:
+        """Latest frame number of any handle."""
         return max((handle.frame for handle in self.handles), default=0)
 
 

@@ -64,6 +64,7 @@ def unit_with_tool(dut: DeviceUnderTest) -> Iterator[PolarisLink]:
 
 
 def read_frame(unit: PolarisLink, options: int = 0x0001) -> BxReply:
+    """Read a frame with BX."""
     return read_body(unit.ask_binary(f"BX:{options:04X}"), options)
 
 
@@ -173,6 +174,7 @@ class StatedVolume:
 
     @property
     def depths_mm(self) -> tuple[float, float]:
+        """Depths z of the far and the near face, mm."""
         return self.numbers[0] / 100, self.numbers[2] / 100
 
     @property

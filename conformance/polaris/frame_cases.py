@@ -228,6 +228,7 @@ def diagnostic_mode(unit: PolarisLink) -> None:
 
 
 def frame_number(unit: PolarisLink) -> int:
+    """Read the frame number of the only loaded tool."""
     return read_frame(unit).frame
 
 

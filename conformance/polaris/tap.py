@@ -40,6 +40,7 @@ class PolarisTap(DisturbedLine):
         self.change(name, lambda _reply: with_crc(text))
 
     def count(self, beginning: str) -> int:
+        """Count the logged commands that start with `beginning`."""
         return sum(command.startswith(beginning) for command in self.commands)
 
     def _note_command(self, data: bytes) -> None:

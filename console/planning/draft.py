@@ -138,6 +138,7 @@ class Draft:
         return replace(self, ways=remaining or (DraftTrajectory("T1"),))
 
     def structure(self, name: str) -> Structure | None:
+        """Return the structure with that name, or None if there is none."""
         return next((item for item in self.structures if item.name == name), None)
 
     def with_structure(self, structure: Structure) -> Draft:

@@ -21,8 +21,8 @@ from console.planning.plan_editor import PlanEditor
 from console.planning.views import PlanView
 from procedures.imaging.volume import Volume, VoxelGeometry
 from procedures.strategies.trajectory import Point
+from ronna_hw.arrays import Array
 
-Array = NDArray[np.float64]
 SIZE_PX = 512  # of an image, which is square; a scanner's usual matrix
 UNSCANNED_HU = -32768  # no CT has this value
 UNSCANNED_GREY = 40  # unlike the black of air

@@ -201,6 +201,7 @@ def import_structure(
 
 
 def set_margin(draft: Draft, name: str, margin_mm: float) -> Draft:
+    """Set the margin of a structure. Raises PLAN-002."""
     known = draft.structure(name)
     if known is None:
         return draft

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from console.scene.bodies import METRES
 from procedures.imaging.series import read_series
 from procedures.imaging.volume import Volume
+from ronna_hw.arrays import Array
 from ronna_hw.bounded_input import parse_json, read_json_bytes
 
 GRID_MM = 3.0  # finer detail is not visible next to the arm
@@ -18,7 +19,6 @@ SMOOTHING_VOXELS = 0.8  # otherwise the blocks show as terraces
 SKIN_HU = -480.0  # halfway between air and skin
 STL_HEAD_BYTES = 80
 FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("unused", "<u2")])
-Array = NDArray[np.float64]
 
 
 def find_series_folder(run: Path) -> Path | None:

@@ -150,6 +150,7 @@ class TheatreScene:
         self.closest: Closest | None = None
 
     def show(self, view: CaseView, figures: CaseFigures | None, heads: int) -> None:
+        """Show the case at one moment. `heads` counts rebuilds of the head's surface."""
         with self.scene:
             if view.bodies is not self._bodies and view.bodies is not None:
                 self._build_bodies(view.bodies, view.pose.pose if view.pose else None)

@@ -92,7 +92,10 @@ class Camera:
         return self._receiver.counters if self._receiver else None
 
     def connect(self, deadline_s: float) -> CameraIdentity:
-        """Connect and identify the camera, without control; raises GEV-001 (naming those found), GEV-008."""
+        """Connect and identify the camera without taking control; raises GEV-001, GEV-008.
+
+        If no camera replies, the message names those found by broadcast discovery.
+        """
         try:
             self._control = CameraControl(self._address, on_bytes=self._recorder.on_bytes)
         except OSError as error:
@@ -200,7 +203,10 @@ class Camera:
         self.receiver.expect(self._next_block or gev.BLOCK_ID_FIRST, patience_s)
 
     def take(self, deadline_s: float, give_up: Callable[[], bool] = lambda: False) -> ReceivedImage | None:
-        """Return the last trigger's frame, discarding late ones; None at the deadline or by `give_up()`."""
+        """Return the frame of the last trigger, or None at the deadline or when `give_up()` is true.
+
+        Late frames of earlier triggers are discarded.
+        """
         while (frame := self.receiver.take(deadline_s, give_up)) is not None:
             self._recorder.note_frame(frame, self.receiver.counters)
             if self._next_block is None or frame.block_id == self._next_block:

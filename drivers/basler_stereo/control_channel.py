@@ -50,7 +50,10 @@ class CameraControl:
         monotonic: Callable[[], float] = time.monotonic,
         on_bytes: Callable[[Direction, bytes], None] = lambda _direction, _data: None,
     ) -> None:
-        """Open the channel; `on_bytes` receives every datagram. Raises OSError without a route."""
+        """Open the channel; `on_bytes` receives every datagram.
+
+        Raises OSError without a route to the address.
+        """
         self._passed = on_bytes
         # also used by the receiver process, which sends resend requests and keep-alives through it
         self.link = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)

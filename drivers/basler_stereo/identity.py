@@ -73,7 +73,10 @@ def _read_text(memory: bytes, register: Bootstrap) -> str:
 
 
 def discover_cameras(interface: Interface, limit_s: float = REPLY_LIMIT_S) -> tuple[CameraIdentity, ...]:
-    """Find all GigE Vision devices that reply on one network interface, also those of another subnet."""
+    """Find all GigE Vision devices that reply on one network interface, without taking control.
+
+    A device also replies if its address belongs to another subnet.
+    """
     found: dict[tuple[str, str], CameraIdentity] = {}
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as broadcast_socket, contextlib.suppress(OSError):
         broadcast_socket.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)

@@ -136,7 +136,10 @@ class PairDevice(ABC, Generic[C]):
         self._guard.enter(Lifecycle.CONFIGURED, **facts)
 
     def set_areas(self, left: AreaOfInterest, right: AreaOfInterest, timeout_s: float = 5.0) -> None:
-        """Set both readout areas, restarting a running stream; GEV-011 leaves both cameras unchanged."""
+        """Set both readout areas; GEV-011 leaves both cameras unchanged.
+
+        A running stream is stopped and restarted; its block ids restart.
+        """
         self._guard.require("set_areas", {Lifecycle.CONFIGURED, Lifecycle.ACTIVE})
         if (left, right) == self.areas:
             return
@@ -181,7 +184,10 @@ class PairDevice(ABC, Generic[C]):
         self._guard.enter(Lifecycle.CONFIGURED)
 
     def close(self) -> None:
-        """Stop streams, release control and close, in three seconds without replies; never raises."""
+        """Stop the streams, release control and close the connections.
+
+        Takes three seconds at most with unresponsive cameras; never raises.
+        """
         if self._guard.state is not Lifecycle.CLOSED:
             self._release_all()
             self._guard.enter(Lifecycle.CLOSED)

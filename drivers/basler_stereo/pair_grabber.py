@@ -29,7 +29,10 @@ Frames = tuple[ReceivedImage | None, ReceivedImage | None]
 
 
 class PairGrabber:
-    """Stream control and frame pairing for two cameras, in one thread; deadlines are host monotonic time."""
+    """Stream control and frame pairing for two cameras; deadlines are host monotonic time.
+
+    Use from one thread at a time.
+    """
 
     def __init__(
         self, cameras: tuple[Camera, Camera], serials: tuple[str, str], clock: Clock, options: BaslerOptions
@@ -82,7 +85,10 @@ class PairGrabber:
         return self._grab(sequence, deadline_s)
 
     def await_replies(self, deadline_s: float) -> None:
-        """Wait until both cameras reply again; raises GEV-014, GEV-015, or GEV-007 at the deadline."""
+        """Wait until both cameras reply again.
+
+        The heartbeat decides whether one is lost: raises GEV-014, GEV-015; GEV-007 at the deadline.
+        """
         for camera in self._cameras:
             while True:
                 if camera.lost is not None:
@@ -147,7 +153,10 @@ class PairGrabber:
         return first, right.take(deadline_s, is_any_lost)
 
     def _raise_for_missing(self, frames: Frames) -> None:
-        """Raise GEV-007, GEV-014 or GEV-015 for a camera without a frame, GEV-013 if neither has one."""
+        """Raise the error that explains a missing frame.
+
+        GEV-007, GEV-014 or GEV-015 for its camera, GEV-013 for both.
+        """
         for camera, frame in zip(self._cameras, frames, strict=True):
             if frame is not None:
                 continue

@@ -58,7 +58,10 @@ class BaslerProbe:
         return self._diagnose_cameras([ExpectedCamera(endpoint) for endpoint in endpoints], progress)
 
     def find(self, search: Search, progress: Progress) -> Sequence[Proposal]:
-        """Propose pairs of one model, those named left and right first, by one broadcast per network."""
+        """Propose pairs of cameras of the same model; pairs named left and right take precedence.
+
+        Each network is queried with one broadcast; no camera is controlled.
+        """
         cameras: dict[str, CameraIdentity] = {}  # by address
         for network in reporting(search.interfaces, progress):
             cameras |= {each.address: each for each in discover_cameras(network)}

@@ -63,7 +63,10 @@ def stereo_reading(
     theatre_time_s: float,
     match: Validity = Validity.OK,
 ) -> StereoReading:
-    """Combine both images, with the worst validity of left, right and `match` and the left one's clock."""
+    """Combine both images of a trigger; the validity is the worst of left, right and `match`.
+
+    Its device clock is the left camera's.
+    """
     stamped = left or right
     ticks = stamped.stamp.device_clock if stamped else 0
     validities = [side.validity if side else Validity.MISSING for side in (left, right)]

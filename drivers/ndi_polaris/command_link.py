@@ -120,7 +120,10 @@ class CommandLink:
         return count * ndi.BITS_PER_BYTE_ON_LINE / baud if baud else 0.0
 
     def drain(self, quiet_s: float = QUIET_S, until_s: float = math.inf) -> bytes:
-        """Discard input until quiet for `quiet_s`; returns its last bytes. Raises NDI-006 if it never is."""
+        """Discard input until the line has been quiet for `quiet_s`; returns the last bytes discarded.
+
+        Raises NDI-006 when the line never falls silent.
+        """
         discarded, count = b"", 0
         while data := self.transport.read(quiet_s):
             discarded = (discarded + data)[-LONGEST_REPLY_BYTES:]
@@ -324,7 +327,10 @@ def _header_crc(header: bytes) -> int:
 
 
 def split_binary(buffer: bytes) -> tuple[bytes, bytes] | None:
-    """Split a binary reply as (body, rest), None if incomplete. Raises NDI-005 (CRC), NDI-006 (start)."""
+    """Split off the first binary reply as (body, rest), or return None if incomplete.
+
+    Raises NDI-005 for a wrong CRC of header or body, NDI-006 for a wrong start sequence.
+    """
     if len(buffer) < ndi.BX_HEADER_BYTES:
         return None
     total_bytes = binary_reply_bytes(buffer)

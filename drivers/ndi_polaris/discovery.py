@@ -38,7 +38,10 @@ RATE_SETTLING_S = 0.1  # after OKAY to COMM, as other clients wait for the unit 
 
 
 def find_unit(link: CommandLink) -> None:
-    """Find the unit's baud rate and use it; raises NDI-002 without a reply, NDI-003 for another device."""
+    """Find the unit's baud rate and switch the line to it.
+
+    Raises NDI-002 without any reply, NDI-003 when the device is not a Polaris unit.
+    """
     transport = link.transport
     heard = bytearray()
     tried = []
@@ -152,7 +155,10 @@ class Inquiry(NamedTuple):
 
 
 def inquire(link: CommandLink) -> Inquiry:
-    """Send a harmless command, repeated if garbled; raises NDI-003 on endless noise, NDI-008 when lost."""
+    """Send a command without side effects, repeated if the reply is garbled.
+
+    Raises NDI-003 when the line never falls silent, NDI-008 when it is lost.
+    """
     heard = b""
     for _ in range(TRIES):
         inquiry = _inquire_once(link)

@@ -61,7 +61,10 @@ OpenTransport = Callable[[Endpoint, float], Transport]
 
 
 class PolarisTracker:
-    """Polaris tracker with synchronous calls; not thread-safe. Time limits are host seconds."""
+    """Polaris tracker with synchronous calls; not thread-safe.
+
+    Time limits are host seconds.
+    """
 
     wire_protocol = "ndi-polaris"  # which byte-level conformance cases apply
 
@@ -75,7 +78,10 @@ class PolarisTracker:
         monotonic: Callable[[], float] = time.monotonic,
         pause: Callable[[float], None] = time.sleep,
     ) -> None:
-        """Check options and definitions, opening nothing; raises NDI-010 to NDI-013, CFG-001 or CFG-002."""
+        """Check options and tool definitions without opening a connection.
+
+        Raises NDI-010 to NDI-013, and CFG-001 or CFG-002 for the endpoint.
+        """
         self._name = name
         self._clock = clock
         self._endpoint = config.address().require("serial", "tcp")
@@ -174,7 +180,10 @@ class PolarisTracker:
         self._sink = sink
 
     def connect(self, timeout_s: float = 10.0) -> Identity:
-        """Find, initialise and check the unit at any rate; raises NDI-001 to NDI-004, the link's errors."""
+        """Find the unit at any baud rate, initialise it and check its identity.
+
+        Raises NDI-001 to NDI-004 (no port, no reply, wrong device) and the errors of the link.
+        """
         self._guard.require("connect", {Lifecycle.DISCONNECTED})
         self._identity = self._open_unit(self._monotonic() + timeout_s)
         self._guard.enter(Lifecycle.CONNECTED, endpoint=str(self._endpoint), identity=self._identity)

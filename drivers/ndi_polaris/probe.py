@@ -57,7 +57,10 @@ class PolarisProbe:
         return _diagnose_lines(endpoints, progress, of_tracker=False)
 
     def find(self, search: Search, progress: Progress) -> Sequence[Proposal]:
-        """Propose every line with a unit, identified as a procedure would, and report missing lines."""
+        """Propose every line with a responding unit, and report missing lines.
+
+        A unit is identified as a procedure would identify it.
+        """
         found = []
         for line in reporting(search.lines, progress):
             state = check_line(line)

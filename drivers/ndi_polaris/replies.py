@@ -63,7 +63,10 @@ class TrackingReply(NamedTuple):
 
 
 def decode_bx(body: bytes, *, strays: bool = True) -> TrackingReply:
-    """Decode a BX body whose CRC was checked; `strays`: option 1000 was requested. Raises NDI-006."""
+    """Decode a BX reply body with checked CRC; `strays` states whether option 1000 was requested.
+
+    Raises NDI-006 when the body does not match the options.
+    """
     try:
         return _decode_bx_body(body, strays)
     except (struct.error, IndexError) as error:
@@ -115,7 +118,10 @@ def _unpack_bx_strays(body: bytes, offset: int) -> tuple[tuple[Vector3, ...], tu
 
 
 def decode_tx(text: str, *, strays: bool = True) -> TrackingReply:
-    """Decode a TX text whose CRC was checked; `strays`: option 1000 was requested. Raises NDI-006."""
+    """Decode a TX reply text with checked CRC; `strays` states whether option 1000 was requested.
+
+    Raises NDI-006 when the text does not match the options.
+    """
     count = _parse_hex2(text[:2], "number of handles", text)
     *records, tail = text[2:].split(ndi.LF)
     if len(records) != count:

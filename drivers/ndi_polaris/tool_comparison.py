@@ -96,7 +96,10 @@ def _format_value(value: Any) -> str:
 
 
 def largest_segment_difference_mm(first: ToolDefinition, second: ToolDefinition) -> float | None:
-    """Return the largest difference of segment lengths in order, mm; None for unequal numbers of markers."""
+    """Return the largest difference in segment length, mm, independent of the tools' origins.
+
+    Segments are paired in order of length. None for unequal numbers of markers.
+    """
     if len(first.markers_mm) != len(second.markers_mm):
         return None
     pairs = zip(segment_lengths_mm(first.markers_mm), segment_lengths_mm(second.markers_mm), strict=True)

@@ -97,7 +97,7 @@ def read_definition(path: Path) -> ToolDefinition:
     except InputRefused as error:
         raise BAD_TOOL_FILE(error.summary) from error
     except OSError as error:
-        raise BAD_TOOL_FILE(f"cannot read {path.name}: {error.strerror}") from error
+        raise BAD_TOOL_FILE(f"cannot read {path}: {error.strerror}") from error
     return decode_definition(block, path.name)
 
 
@@ -122,7 +122,10 @@ def decode_definition(block: bytes, name: str = "definition") -> ToolDefinition:
 
 
 def encode_definition(tool: ToolDefinition) -> bytes:
-    """Encode 752 .rom bytes, of an unchanged definition exactly those that were read; raises NDI-011."""
+    """Encode a definition as 752 .rom bytes; raises NDI-011 if it is invalid.
+
+    An unchanged definition yields exactly the bytes that were read.
+    """
     _check_definition(tool)
     block = bytearray(tool.origin)
     for property_ in FIELDS:

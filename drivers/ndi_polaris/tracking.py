@@ -191,7 +191,10 @@ class FrameClock:
 
 
 def unwrap_frame_number(number: int, last: int | None) -> int:
-    """Return the count nearest `last` that is congruent to a frame number; one below `last` is older."""
+    """Unwrap a frame number to the count nearest `last` that is congruent to `number`.
+
+    A result below `last` is an older frame.
+    """
     if last is None:
         return number
     half = FRAME_NUMBERS // 2

@@ -50,7 +50,10 @@ class Transport(Protocol):
         """Send all bytes; raises NDI-008 if the connection is lost."""
 
     def read(self, timeout_s: float) -> bytes:
-        """Return bytes, waiting up to `timeout_s` for the first; empty on time-out. Raises NDI-008."""
+        """Return received bytes, waiting up to `timeout_s` for the first; empty on time-out.
+
+        Raises NDI-008 when the peer is gone.
+        """
 
     def set_baud(self, baud: int) -> None:
         """Switch the host's port to another baud rate."""

@@ -209,7 +209,10 @@ class Connections(StreamConnections[ControllerState, PrimaryClient]):
                 anew.ask(DashboardOrder.STOP, timeout_s)
 
     def acknowledge(self, person: str, deadline: float) -> None:
-        """Do what `PowerAndSafety.acknowledge` does; raises URD-006, URD-007, URD-009 or URD-010."""
+        """End any program and release what a person has to release; moves nothing.
+
+        Raises URD-006, URD-007, URD-009 or URD-010 for what remains.
+        """
         self.power.acknowledge(person, deadline)
 
     def close_control(self) -> None:

@@ -38,7 +38,10 @@ class PowerAndSafety:
         return self._dashboard().is_remote(timeout_s) if has_one else None
 
     def acknowledge(self, person: str, deadline: float) -> None:
-        """End any program and release stops; moves nothing. Raises URD-006, URD-007, URD-009 or URD-010."""
+        """End any program and release what a person has to release; moves nothing.
+
+        Raises URD-006, URD-007, URD-009 or URD-010 for what remains.
+        """
         dashboard = self._dashboard()
         self.require_remote()
         dashboard.require(DashboardOrder.STOP, ASK_LIMIT_S)

@@ -49,7 +49,10 @@ def controller_facts(state: ControllerState) -> Iterator[Fact]:
 def readiness_facts(
     state: ControllerState, *, remote: bool | None, running: bool, registers: str
 ) -> Iterator[Fact]:
-    """Yield what `activate` checks. `remote`: None without that mode; `registers`: who has them, or empty."""
+    """Yield every condition that `activate` checks.
+
+    `remote` is None for a controller without that mode. `registers` says who has them; empty: nobody.
+    """
     if remote is not None:
         yield Fact(
             "control",

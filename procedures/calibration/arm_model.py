@@ -234,7 +234,7 @@ class ArmModel:
 
 
 def propagate(slopes: Array, covariance: Array) -> Array:
-    """Return the covariances (m, 3, 3) of measurements that depend on values by these slopes (m, 3, k)."""
+    """Return the covariances (m, n, n) of measurements that depend on values by these slopes (m, n, k)."""
     return np.asarray(slopes @ covariance @ slopes.transpose(0, 2, 1))
 
 

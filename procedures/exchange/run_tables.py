@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from procedures.engine.events.event_file import FollowedRun
 from procedures.engine.run_folder import RunFolder
@@ -29,7 +28,6 @@ from procedures.steps.clinical.results import RegisteredRobot, Relocalization
 from procedures.steps.clinical.target_measurement import MeasuredTarget
 from ronna_hw.loaded_run import RunColumn, RunTable
 
-Array = NDArray[np.float64]
 NOWHERE = (math.nan,) * 3
 AXES = 6  # of an arm of which no joints are known
 UNKNOWN_COVARIANCE = (NOWHERE,) * 3

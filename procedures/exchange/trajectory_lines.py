@@ -12,7 +12,6 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from procedures.exchange.allowed_fields import FOUND, PLANNED, REACHED
 from procedures.exchange.export_tables import CT_FROM_LATER_CT, CT_FROM_ROBOT, IN_CT, CtIdentity, format_table
@@ -22,10 +21,10 @@ from procedures.planning.plan_model import PlannedTrajectory
 from procedures.postoperative.comparison import FoundTrajectory
 from procedures.steps.clinical.work_progress import DepthStop
 from procedures.strategies.trajectory import split_along
+from ronna_hw.arrays import Array
 from ronna_hw.frames import Transform
 from ronna_hw.tool_record import GuideBore
 
-Array = NDArray[np.float64]
 DIRECTIONS = {PLANNED: IN_CT, REACHED: CT_FROM_ROBOT, FOUND: CT_FROM_LATER_CT}
 COLOURS: dict[str, Colour] = {PLANNED: (0.35, 0.77, 0.87), REACHED: (1.0, 0.62, 0.36), FOUND: (0.6, 0.9, 0.4)}
 ENDS = {PLANNED: "target", REACHED: "tip", FOUND: "tip"}

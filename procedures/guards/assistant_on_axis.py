@@ -99,7 +99,10 @@ class AssistantOnAxis:
         self._guide = self.workcell.master.tool_pose()
 
     def add_frame(self, frame: TrackerFrame) -> None:
-        """Add a tracker frame, as from where the tracker was localized; `now` is by the latest of them."""
+        """Add a tracker frame, as from where the tracker was localized.
+
+        `now` is by the latest `READINGS` of them.
+        """
         assistant, by_arm = self.assistant, self.watch.frame_by_arm(Tracked.ASSISTANT)
         known, reading = assistant.arm.observe().reading, frame.tool(assistant.holder.frame)
         if reading.validity is not Validity.OK or known is None or by_arm is None:

@@ -31,7 +31,11 @@ Stamp = tuple[int, int, int]  # inode, bytes, time of the last change
 def case_guards(
     workcell: Workcell, folder: Path, find: Callable[[str], None], doubt_tool: Callable[[str], None]
 ) -> tuple[Guard, ...]:
-    """Build the guards that are active from the first step to the last."""
+    """Build the guards that are active from the first step to the last.
+
+    `find` records a finding for the operator; `doubt_tool` is told when another tool is reported than the
+    checked one.
+    """
     return (
         DiskSpace(folder),
         WallClock(find),

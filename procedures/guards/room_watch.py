@@ -321,6 +321,7 @@ class RoomWatch:
             judged.reading.robot_from_flange @ Transform.from_matrix(Frame.FLANGE, Frame.MARKER, mount),
             self._arm_way_mm(judged.rows) if Body.BASE in judged.rows.blocks else None,
             self.sensors_mm,
+            self.gross_limit_mm,
         )
 
     def _arm_way_mm(self, rows: Rows) -> Array:

@@ -137,7 +137,10 @@ class LineOfSight:
 
 @dataclass
 class HeadInSight:
-    """Guard for the line of sight to the head. Checks the room on timeout."""
+    """Guard for the line of sight to the head. Checks the room on timeout.
+
+    `void` ends a localization, `find` records a finding.
+    """
 
     workcell: Workcell
     memory: CaseMemory

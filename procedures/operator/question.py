@@ -70,6 +70,13 @@ DELIBERATE = frozenset(
         Topic.UNVERIFIED,
     )
 )
+# Topics of the whole case: their questions name no trajectory.
+OF_THE_CASE = frozenset(
+    (
+        *(Topic.PATIENT, Topic.RESUME, Topic.HEAD_CLAMPED, Topic.CART_PLACE),
+        *(Topic.CART_LOCKED, Topic.SPHERE_COUNT, Topic.TOOL_CHANGE, Topic.PAUSE, Topic.GUARD),
+    )
+)
 # Topics that no file answers on real devices, including manual work on the patient.
 FOR_A_PERSON = DELIBERATE | {Topic.DEPTH_STOP, Topic.SKIN, Topic.DRILL, Topic.DURA}
 

@@ -93,7 +93,13 @@ class BodyRows:
 
 @dataclass(frozen=True)
 class Rows(BodyRows):
-    """Equations of one look: `blocks` are the rows of each body seen, `arrivals` those of the arms."""
+    """Linearized observation equations of one look: residual (r,) and its noise covariance (r, r).
+
+    `shared` (r, k) are the effects of one standard deviation of each constant, `moved` (r, 24) those of each
+    body's motion: a rotation vector (rad) about the room's centre, then a shift (mm), robot frame. `pull`
+    (r, 3 m) is the effect of the tracker's smooth error at `markers_mm` (m, 3), along its axes. `blocks` are
+    the rows of each body that is seen, `arrivals` those of the arms.
+    """
 
     blocks: Mapping[Body, slice]
     arrivals: Mapping[Body, Arrival]

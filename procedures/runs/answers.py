@@ -14,19 +14,29 @@ answers what no slip may decide: motions, validity of results, pauses, read-back
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence, Set
+from itertools import islice
 from pathlib import Path
 from typing import Literal
 
 from pydantic import BaseModel, ValidationError
 
 from procedures.engine.errors import ANSWERS_UNFIT
-from procedures.operator.question import FOR_A_PERSON, Answer, Operator, Question, Topic, join_answers
+from procedures.operator.question import (
+    FOR_A_PERSON,
+    OF_THE_CASE,
+    Answer,
+    Operator,
+    Question,
+    Topic,
+    join_answers,
+)
 from ronna_hw.bounded_input import read_toml
 from ronna_hw.config import read_theatre_file
 from ronna_hw.mistakes import describe_mistakes
 from ronna_hw.theatre_kind import is_simulated
 
 Rule = tuple[Operator | None, Set[Topic], bool]  # who answers which topics, and whether they are there
+MOST_MISTAKES = 20  # told at once
 OTHER_FILES = {"trajectories": "a plan", "theatre": "a theatre file"}  # by a key that only they have
 
 
@@ -70,7 +80,8 @@ def read_answers(path: Path, config: Path | None = None) -> Answers:
         read = Answers.model_validate(content)
     except ValidationError as error:
         raise ANSWERS_UNFIT(f"{path}: {'; '.join(describe_mistakes(error, Answers))}") from error
-    if mistakes := [mistake for key, word in read.answers.items() if (mistake := _find_mistake(key, word))]:
+    found = (_find_mistake(key, word) for key, word in read.answers.items())
+    if mistakes := list(islice(filter(None, found), MOST_MISTAKES)):
         raise ANSWERS_UNFIT(f"{path}: {'; '.join(mistakes)}")
     personal = [key for key in read.answers if key.partition(":")[0] in FOR_A_PERSON]
     if personal and not is_rehearsal(config):
@@ -87,6 +98,8 @@ def _find_mistake(key: str, word: str) -> str | None:
     name = key.partition(":")[0]
     if name not in set(Topic):
         return f"there is no topic {name!r}, only {', '.join(Topic)}"
+    if ":" in key and Topic(name) in OF_THE_CASE:
+        return f"{key}: the question is asked once for the case, not for a trajectory; write {name}"
     known = ANSWER_WORDS[Topic(name)]
     return None if word in known else f"{key} accepts {join_answers(known)}, got {word!r}"
 
@@ -135,7 +148,11 @@ class OperatorByTopic:
     """Operator that leaves each topic to the first rule that covers it."""
 
     def __init__(self, *rules: Rule) -> None:
+        """Leave each topic to a rule that applies; raises ValueError for one that none covers."""
         present = [(one, topics) for one, topics, applies in rules if one is not None and applies]
+        covered = frozenset(topic for _, topics in present for topic in topics)
+        if uncovered := [topic for topic in Topic if topic not in covered]:
+            raise ValueError(f"nobody answers {', '.join(uncovered)}")
         self._operators = {topic: next(one for one, topics in present if topic in topics) for topic in Topic}
 
     def ask(self, question: Question) -> Answer:

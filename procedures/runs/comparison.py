@@ -45,12 +45,12 @@ FOR_MOTION = ("arm", "stereo_head", "tool_tip", "assistant_arm", "assistant_hold
 
 @dataclass
 class Comparison:
-    """Findings of a comparison. Any difference prevents resuming, whatever the operator answers."""
+    """Findings of a comparison; append a finding to the list that says what follows from it."""
 
     warnings: list[str] = field(default_factory=list)  # potential harm: read first
     notes: list[str] = field(default_factory=list)
     unchanged: list[str] = field(default_factory=list)  # what is as recorded
-    differences: list[str] = field(default_factory=list)
+    differences: list[str] = field(default_factory=list)  # prevent resuming, whatever the operator answers
     moved: errors.RoomMoved | None = None  # meanwhile, in the room: what depends on it is done again
 
     @property

@@ -27,7 +27,7 @@ from procedures.guards import (
 from procedures.guards.errors import BaseShifted
 from procedures.journal.journal import JOURNAL_FILE, ONLY_LEAVING, Entry, Journal, JournalValue
 from procedures.operator.question import Operator, Room
-from procedures.runs.assistant_comparison import look_with_instrument_in_guide
+from procedures.runs.arm_comparison import look_with_instrument_in_guide
 from procedures.runs.interrupted_run import InterruptedRun, Resumption
 from procedures.steps.branches import CART_MOVED, GO_ON
 from procedures.steps.clinical.global_localization import GlobalLocalization

@@ -13,14 +13,14 @@ from collections.abc import Sequence
 from procedures.engine.case import StepKey
 from procedures.engine.engine import Engine
 from procedures.engine.errors import RECOVERY_REFUSED
-from procedures.engine.questions import IN_DIVOT, IN_GAUGE, removal_words
+from procedures.engine.questions import removal_words
 from procedures.engine.run_folder import step_key
 from procedures.journal.errors import StepRefused
 from procedures.journal.journal import Entry
 from procedures.operator.question import YES, Question, Topic
 from procedures.runs import way_out
+from procedures.runs.arm_comparison import compare_arms
 from procedures.runs.arm_notes import NOT_KNOWN
-from procedures.runs.assistant_comparison import compare_assistants
 from procedures.runs.comparison import Comparison, compare_devices, compare_inputs, compare_room
 from procedures.runs.interrupted_run import InterruptedRun
 from procedures.runs.request_file import read_request
@@ -130,7 +130,7 @@ def _restore_arm(
     *,
     only_leaving: bool = False,
 ) -> None:
-    """Restore the arm's history, compare every device, and infer from the guide's pose what may be inside."""
+    """Restore the arm's history, and compare every device and the place of each arm."""
     workcell, master = engine.setting.workcell, engine.setting.workcell.master
     master.restore_history(previous.arm)
     for role, home_rad in set_up.homes_rad.items():
@@ -146,21 +146,7 @@ def _restore_arm(
     if comparison.differences and (updates := _describe_theatre_updates(previous)) is not None:
         comparison.differences.append(updates)
     _compare_last_to_move(engine, comparison)
-    compare_assistants(engine, previous, comparison)
-    if not master.place.is_on_axis and (found := way_out.find_guide_axis(engine)) is not None:
-        axis, travel_mm = found
-        master.record_found_on_axis(axis)  # the lost lines may also have said that an instrument goes in
-        comparison.warnings.append(
-            f"the guide is {travel_mm:.0f} mm along {axis.trajectory}: an instrument is assumed to be inside"
-        )
-    elif master.instrument.inside is None and way_out.is_guide_in_gauge(engine):
-        master.instrument.record_assumed(IN_GAUGE)
-        comparison.warnings.append("the guide is at the gauge: the mandrel is assumed to be inside")
-    elif master.instrument.inside is None and way_out.is_guide_at_divot(engine):
-        master.instrument.record_assumed(IN_DIVOT)
-        comparison.warnings.append("the guide is at the divot, which is assumed to be raised")
-    if master.place.assumed and master.instrument.inside in engine.order.trajectories:
-        master.instrument.stages.record_doubt(str(master.instrument.inside))
+    compare_arms(engine, previous, comparison)
 
 
 def _describe_theatre_updates(previous: InterruptedRun) -> str | None:

@@ -81,9 +81,14 @@ MEASURING_TARGETS: Mapping[StepSpec[StepResult], Steps] = {
 
 
 def clinical_steps(*, measure_targets: bool = False, roles: Sequence[str] = ONE_ARM) -> Steps:
-    """Return the steps of a case with arms in these roles, on request with the measurement of targets."""
+    """Return the steps of a case with arms in these roles, on request with the measurement of targets.
+
+    Raises ValueError where two changes replace the same step.
+    """
     changes = [BY_ROLE.get(role, {}) for role in roles] + [MEASURING_TARGETS] * measure_targets
     replaced = {step: steps for change in changes for step, steps in change.items()}
+    if len(replaced) < sum(map(len, changes)):
+        raise ValueError(f"two of {', '.join(roles)} and the measurement of targets replace the same step")
     return tuple(one for step in CLINICAL_STEPS for one in replaced.get(step, (step,)))
 
 

@@ -67,6 +67,7 @@ class StrategyByTrajectory:
     def turns_rad(
         self, along: Trajectory, fiducials_mm: ArrayLike, robot_from_ct: Transform, arm: ArmInBranch
     ) -> Sequence[float]:
+        """Return the turns of the trajectory's own strategy, rad."""
         return self.strategy_for(along.identifier).turns_rad(along, fiducials_mm, robot_from_ct, arm)
 
 

@@ -381,7 +381,10 @@ def arm_history(lines: Iterable[Line], arm: str = MASTER) -> ArmHistory:
 
 
 def fold_history(chain: JournalChain, lost: Sequence[Line] = (), arm: str = MASTER) -> ArmHistory:
-    """Build an arm's history from the journal of an ended program and `lost` lines; see `arm_history`."""
+    """Build an arm's history from the journal of an ended program and the lines `lost` at its end.
+
+    Raises as `arm_history`.
+    """
     ending: dict[str, JournalValue] = {"entry": Entry.RESTARTED, "torn_bytes": len(chain.torn)}
     return _fold_line(arm_history(chain.lines, arm), ending | lost_as_plain(lost))
 

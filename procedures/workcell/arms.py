@@ -75,7 +75,10 @@ class Arms:
         clock: Clock,
         instrument_inside: Callable[[], str | None] = lambda: None,
     ) -> None:
-        """Watch the arms of these roles, the master first: its base is the robot frame."""
+        """Watch the arms of these roles, the master first: its base is the robot frame.
+
+        `instrument_inside` tells where an instrument is, or may be, in the guide.
+        """
         self._open, self.roles = arms, tuple(roles)
         self.placed = PlacedArms(roles, lambda role: arms[role].kinematics)
         self._clock = clock

@@ -119,7 +119,10 @@ class Assistant(SupervisedArm):
         return self.history.base
 
     def place_base(self, robot_from_base: Transform, uncertain_mm: float = 0.0) -> None:
-        """Take the base as known: from now on either arm may move, watched with the other."""
+        """Take the base as known: from now on either arm may move, watched with the other.
+
+        `uncertain_mm` is by how much the arm may be elsewhere.
+        """
         is_first = not self._arms.placed.is_placed(ASSISTANT)
         self.record_base(robot_from_base, uncertain_mm)
         self._arms.place(ASSISTANT, _as_pose(robot_from_base), uncertain_mm)
@@ -316,6 +319,7 @@ class Assistant(SupervisedArm):
         return self.supervised.carry_out(self.settle_motion(joints_rad, arriving))
 
     def settle_motion(self, joints_rad: JointVector, arriving: Sides = ONE_SIDE) -> PlannedMotion:
+        """Return the motion that `settle` would make."""
         before = JointMove(approach_joints(joints_rad, arriving or ONE_SIDE))
         return self.joint_motion(MotionKind.SETTLE, before, JointMove(joints_rad))
 

@@ -94,12 +94,13 @@ class Master(SupervisedArm):
         self._arms.surround(MASTER, surroundings)
 
     def go_motion(self, joints_rad: JointVector) -> PlannedMotion:
-        """Return the motion that `go` would make, via home if the direct path is not clear."""
+        """Return the motion that `go` would make."""
         return self._via_home(super().go_motion(joints_rad))
 
     def settle_motion(
         self, joints_rad: JointVector, arriving: Sides, *, allow_detour: bool = False
     ) -> PlannedMotion:
+        """Return the motion that `settle` would make."""
         onto = JointMove(joints_rad)
         if arriving is None:
             return self.joint_motion(MotionKind.STEP, onto)
@@ -121,6 +122,7 @@ class Master(SupervisedArm):
         return self._line_motion(MotionKind.INSERT, insertion.held, line, insertion)
 
     def withdraw_motion(self, insertion: InsertionAxis) -> PlannedMotion:
+        """Return the motion that `withdraw` would make."""
         line = LineMove(self._commanded_pose(insertion.start, insertion.arriving), self.flange_from_tool)
         return self._line_motion(MotionKind.WITHDRAW, insertion.start, line, insertion)
 

@@ -218,11 +218,13 @@ class SupervisedArm(ABC):
         return self.supervised.carry_out_with_detour(self.go_motion(joints_rad))
 
     def home_motion(self) -> PlannedMotion:
+        """Return the motion that `go_home` would make."""
         home_rad = self.home_rad
         before = JointMove(approach_joints(home_rad, ONE_SIDE))
         return self.joint_motion(MotionKind.HOME, before, JointMove(home_rad))
 
     def return_motion(self) -> PlannedMotion:
+        """Return the motion that `return_home` would make."""
         home = self.home_motion()
         trail = reversed(self.history.trail)
         back = tuple(self.joint_motion(MotionKind.BACK, JointMove(joints_rad)) for joints_rad in trail)

@@ -73,7 +73,10 @@ class Joint(NamedTuple):
 
 
 class Chain(NamedTuple):
-    """Nominal chain from base to flange; `flange_rotation` turns the last link's frame into the flange's."""
+    """Nominal kinematic chain from the robot base to the flange.
+
+    `flange_rotation` rotates the frame of the last link into that of the flange.
+    """
 
     base_mm: Vector3  # of the first joint
     joints: tuple[Joint, ...]

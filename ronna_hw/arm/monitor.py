@@ -78,7 +78,10 @@ def monitor_limits(
 
 
 class Monitor:
-    """Monitor of one stream: `check` changes nothing, `sent` and those after it record what happened."""
+    """Monitor for a single stream of set-points.
+
+    `check` changes nothing; `sent` and the methods after it record what happened.
+    """
 
     def __init__(self, limits: MonitorLimits, start_rad: JointVector) -> None:
         self.limits = limits

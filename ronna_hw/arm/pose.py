@@ -23,7 +23,10 @@ _GIMBAL_COSINE = 1e-9  # below this cos(B), only A minus or plus C is defined an
 
 
 class Pose(NamedTuple):
-    """Rigid motion: position in mm, row-major rotation matrix. By default, the flange in the robot base."""
+    """Rigid motion: position in mm and row-major rotation matrix.
+
+    By default, the flange in the robot base.
+    """
 
     position_mm: Vector3 = (0.0, 0.0, 0.0)
     rotation: Rotation9 = _IDENTITY
@@ -155,7 +158,10 @@ class Pose(NamedTuple):
         return cls.from_matrix(transform.as_matrix().tolist())
 
     def to_transform(self) -> Transform:
-        """Convert to the checked transform ROBOT <- FLANGE. Not in the real-time loop: it imports SciPy."""
+        """Convert to the checked transform ROBOT <- FLANGE.
+
+        Not for the real-time loop, as it imports SciPy.
+        """
         from ronna_hw.frames import Frame, Transform
 
         return Transform.of(

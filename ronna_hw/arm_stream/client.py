@@ -155,7 +155,10 @@ class LinkClient:
             return self.stop_number
 
     def wait(self, condition: Condition, timeout_s: float) -> LinkState | None:
-        """Wait (host time) for a state; returns None on time-out, raises `died` if the process has ended."""
+        """Wait for a state that meets a condition; returns None on time-out (host time).
+
+        Raises the driver's error when the process has ended.
+        """
         deadline = time.monotonic() + timeout_s
         lets_time_pass = False
         try:

@@ -43,7 +43,10 @@ class StreamReadings(Generic[S]):
         return self._newest
 
     def newest(self, *, streaming: bool) -> tuple[ArmReading | None, bool]:
-        """Return the latest reading and whether a fault has ended the stream; never raises, in any thread."""
+        """Return the latest reading, requested or unsolicited, and whether the stream has ended by a fault.
+
+        Never raises, in any thread.
+        """
         link, stopped = self._connections.open_link, False
         # Another thread may be closing the link or the clock: then the previous reading is the latest.
         with contextlib.suppress(RonnaError, OSError, ValueError, MailboxTorn):

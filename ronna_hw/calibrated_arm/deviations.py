@@ -15,12 +15,12 @@ from dataclasses import dataclass, fields
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from ronna_hw.arm.kinematics import Chain
+from ronna_hw.arrays import Array
 from ronna_hw.calibration import ArmCalibration
 
-Array = NDArray[np.float64]
 HARMONICS = (1, 2)  # per turn of a joint
 WRIST_JOINTS = 2  # the last ones, which carry no lever worth counting
 FLANK_SHARE = 0.5  # of the backlash, to either side

@@ -15,15 +15,14 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from ronna_hw.arm.kinematics import Chain
+from ronna_hw.arrays import Array
 from ronna_hw.calibrated_arm.deviations import FLANK_SHARE, flange_rotations, gravity_levers
 from ronna_hw.calibration import ArmCalibration
 from ronna_hw.config import ProcedureSettings
-
-Array = NDArray[np.float64]
 
 # One standard deviation each for an uncalibrated arm of this class: parameter set S of the error study, which
 # was chosen so that the means of table 4 of the thesis come out, and not measured.

@@ -52,7 +52,10 @@ def say(line: str = "") -> None:
 
 
 def fail_with(error: RonnaError, advice: str | None = None) -> None:
-    """Print an error as `run` does, to go on afterwards; `advice` replaces its own if one knows better."""
+    """Print an error as `run` does, for commands that continue afterwards.
+
+    `advice` replaces the error's own if the caller knows better what to do.
+    """
     line = " ".join(str(error).split())
     if advice is not None:
         line = f"{line.removesuffix(error.advice).rstrip()} {advice}".rstrip()

@@ -115,7 +115,10 @@ def _tell_version(wanted: bool) -> None:
 
 
 def set_up_logging(verbose: bool) -> None:
-    """Show the log on standard error with `--verbose`, else silence warnings, which Python would print."""
+    """Show the log on standard error with `--verbose`; otherwise silence library warnings.
+
+    Python would print those among the messages of the command.
+    """
     if not verbose:
         logging.getLogger().addHandler(logging.NullHandler())
         warnings.simplefilter("ignore")

@@ -116,7 +116,10 @@ class Device(Protocol):
         """
 
     def active(self, timeout_s: float = 10.0) -> AbstractContextManager[Self]:
-        """Activate the device for a `with` block, and deactivate it on exit, as `hold_active` does."""
+        """Activate the device for a `with` block, whatever its state, and deactivate it on exit.
+
+        `hold_active` implements this for every driver.
+        """
 
     def connect(self, timeout_s: float = 10.0) -> Identity:
         """Open the connection and check identity and version.
@@ -237,7 +240,10 @@ class LifecycleGuard:
         return LastKnown(*self._now, reading, says, stopped)
 
     def require(self, call: str, allowed: Iterable[Lifecycle]) -> None:
-        """Raise DEV-001, with a latched fault and its exit code, unless the state is one of `allowed`."""
+        """Raise DEV-001 unless the state is one of `allowed`.
+
+        After a latched fault the error quotes it, and has its exit code.
+        """
         states = tuple(allowed)
         state, fault = self._now
         if state in states:

@@ -212,7 +212,10 @@ class Finder(Protocol):
     table: str
 
     def find(self, search: Search, progress: Progress) -> Sequence[Proposal]:
-        """Find all devices of this kind, and say why a given address failed; nothing moves or changes."""
+        """Find all devices of this kind, and explain why any other given address failed.
+
+        Nothing moves and no setting is changed.
+        """
 
     def example(self, search: Search) -> Proposal:
         """Return an example table, with placeholder addresses, for a device that was not found."""

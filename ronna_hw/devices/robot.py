@@ -73,7 +73,10 @@ class ConfirmedStart(Protocol):
         """
 
     def confirm_start(self, confirmed_by: str) -> None:
-        """Confirm the last `to_confirm` for the next `activate` only; moves nothing. Raises DEV-006."""
+        """Confirm the last `to_confirm`, permitting only the next `activate`.
+
+        Raises DEV-006 without a name. Moves nothing.
+        """
 
 
 @runtime_checkable

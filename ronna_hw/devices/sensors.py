@@ -17,7 +17,10 @@ from ronna_hw.vectors import Vector3
 
 @runtime_checkable
 class OpticalTracker(Device, Protocol):
-    """Optical tracker: `configure` loads and enables the tools of the theatre file, `activate` tracks."""
+    """Optical tracker.
+
+    `configure` loads and enables the tools of the theatre file; `activate` starts tracking.
+    """
 
     @property
     def tools(self) -> tuple[str, ...]:

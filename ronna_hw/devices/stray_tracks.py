@@ -21,12 +21,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.distance import cdist
 
+from ronna_hw.arrays import Array
 from ronna_hw.devices.errors import BAD_STRAYS
 from ronna_hw.devices.readings import TrackerFrame
 from ronna_hw.devices.strays import GATE_MM, LEAST_SHARE, pair_nearest, require_positions, select_strays
 from ronna_hw.vectors import Vector3
-
-Array = NDArray[np.float64]
 
 KNOWN_AFTER = 3  # frames; a reflection that flickers is forgotten before
 # Missing spheres, with as many new ones, that show a moved scene; reflections may appear as others hide.
@@ -93,7 +92,10 @@ def track_strays(
 def identify_strays(
     frames: Iterable[Sequence[Vector3]], *, gate_mm: float = GATE_MM
 ) -> tuple[NDArray[np.int64], ...]:
-    """Return the identity of each stray (mm) by frame, or -1 where it cannot be told. Raises DEV-005."""
+    """Return the identity of each stray position (mm), frame by frame, or -1 where it cannot be told.
+
+    Raises DEV-005.
+    """
     if not 0.0 < gate_mm < math.inf:
         raise BAD_STRAYS("the gate must be positive", got=f"{gate_mm} mm")
     spheres: list[_Sphere] = []

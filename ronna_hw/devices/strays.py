@@ -11,15 +11,13 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ronna_hw.arguments import WrongArgument, require_numbers
+from ronna_hw.arrays import Array
 from ronna_hw.devices.errors import BAD_STRAYS
 from ronna_hw.devices.readings import TrackerFrame, Validity
 from ronna_hw.robust_scale import robust_sigma
 from ronna_hw.vectors import Vector3
-
-Array = NDArray[np.float64]
 
 GROUP_RADIUS_MM = 4.0  # far above the tracker's noise, below the radius of a sphere: two never merge
 # Spheres of 11.5 mm that touch are 11.5 mm apart: at rest, a reading has a single sphere within this. At 60
@@ -74,7 +72,10 @@ def average_strays(frames: Iterable[TrackerFrame]) -> StrayAverage:
 
 
 def select_strays(frames: Iterable[TrackerFrame]) -> list[tuple[TrackerFrame, list[Vector3]]]:
-    """Return each measured frame, no repeats, with its strays in the volume, mm. Raises ARG-001."""
+    """Return each measured frame with its strays inside the measuring volume, mm. Repeats are left out.
+
+    Raises ARG-001 for anything else than frames.
+    """
     return [
         (frame, [one.position_mm for one in frame.strays if one.validity is Validity.OK])
         for frame in _require_frames(frames)

@@ -133,7 +133,10 @@ class Inspection:
         return self._require(self.changes, action)
 
     def require_account(self) -> Inspection:
-        """Return the inspection; raises PRO-033 if journal, request or records, needed to home, changed."""
+        """Return the inspection, or raise PRO-033 if the journal, the request or a record changed.
+
+        Homing needs them.
+        """
         return self._require(tuple(problem for problem in self.changes if problem.is_account_file))
 
     def require_whole(self) -> Inspection:

@@ -23,7 +23,10 @@ NAMED = 3  # steps in a sentence
 
 
 def read_events(folder: Path) -> bytes:
-    """Read a run's events, empty if impossible; before the journal of an open run, which is ahead."""
+    """Read a run's event file; empty if that is impossible.
+
+    Of a run that goes on it must be read before the journal, which is ahead of it.
+    """
     with suppress(OSError, InputRefused):
         return read_bounded(folder / EVENTS_FILE, LARGEST_JSON_BYTES, follow_links=False)
     return b""

@@ -262,7 +262,10 @@ def hash_outside_files(folder: Path, inputs: Iterable[Path]) -> dict[str, str]:
 
 
 def hash_inputs(folder: Path, files: Iterable[Path]) -> dict[str, str]:
-    """Hash a run's readable inputs, named relative to its folder, or elsewhere by their whole path."""
+    """Hash the readable input files of a run.
+
+    Files in the run's folder are named relative to it, others by their whole path.
+    """
     own, hashes = folder.resolve(), {}
     for path in (file.resolve() for file in files):
         name = path.relative_to(own).as_posix() if own in path.parents else str(path)
@@ -309,7 +312,10 @@ class RunSeal(BaseModel):
 def seal(
     folder: Path, closed: Collection[str], apart: Collection[str] = (), kept: Mapping[str, str] | None = None
 ) -> None:
-    """Seal files neither `closed` (in the journal's last line) nor `apart`, or as `kept`; raises OSError."""
+    """Seal every file that is neither in `closed` (the journal's last line) nor in `apart`.
+
+    Files in `kept` keep these hashes. Raises OSError.
+    """
     later = {
         name: sha256_of(path) for name, path in _own_files(folder) if name not in closed and name not in apart
     }

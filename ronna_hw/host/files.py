@@ -21,7 +21,10 @@ NOT_REGULAR = (errno.EINVAL, "not a regular file")
 
 
 def open_regular(path: Path, *, follow_links: bool = False) -> BinaryIO:
-    """Open a file without blocking. Raises OSError, also for a pipe, a device or, by default, a link."""
+    """Open a file for reading without blocking. Raises OSError, including for a pipe or device.
+
+    A link raises OSError too, unless `follow_links`.
+    """
     follow = 0 if follow_links else os.O_NOFOLLOW
     try:
         file = os.open(path, os.O_RDONLY | follow | os.O_NONBLOCK | os.O_CLOEXEC)

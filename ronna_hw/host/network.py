@@ -73,7 +73,10 @@ def own_address(number: int = 0) -> str:
 
 
 def own_udp_endpoint(number: int = 0) -> str:
-    """Return a unique `udp://` endpoint, per `number`, for devices configured with a client's address."""
+    """Return a `udp://` endpoint unique among running processes and per `number`.
+
+    For a device that must be configured with its client's address.
+    """
     return f"udp://{own_address()}:{FIRST_PORT + number}"
 
 

@@ -92,7 +92,10 @@ def find_udp_clients(address: str, port: int) -> tuple[PortUser, ...]:
 
 
 def find_lock_holder(file: int) -> PortUser | None:
-    """Find the holder of the `flock` on a file, with its terminal; None if hidden. psutil knows no locks."""
+    """Find the process holding the `flock` on an open file, with its terminal, or return None if hidden.
+
+    psutil does not know locks.
+    """
     inode = os.fstat(file).st_ino
     with contextlib.suppress(OSError, ValueError):
         for line in Path("/proc/locks").read_text().splitlines():

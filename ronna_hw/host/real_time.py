@@ -29,7 +29,10 @@ def lock_memory() -> bool:
 
 
 def request_priority(priority: int) -> bool:
-    """Request this real-time priority (SCHED_FIFO), or nothing if 0; returns whether it was granted."""
+    """Request real-time priority (SCHED_FIFO) over all ordinary processes; returns whether granted.
+
+    Priority 0 requests nothing.
+    """
     if priority <= 0:
         return False
     try:
@@ -53,7 +56,10 @@ def stop_garbage_collection() -> None:
 
 
 def signal_on_parent_death() -> None:
-    """Request a signal when the thread that started us ends; its handler must check the parent process."""
+    """Request a signal for when the thread that started this process ends.
+
+    Its handler must check the parent process.
+    """
     with contextlib.suppress(OSError, AttributeError):
         ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_PDEATHSIG, PARENT_DEATH_SIGNAL, 0, 0, 0)
 

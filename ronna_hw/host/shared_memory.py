@@ -20,7 +20,10 @@ PlaceT = TypeVar("PlaceT", bound="SharedRows[Any] | CheckedRow[Any] | CheckedByt
 
 
 class MemoryMap:
-    """Allocator of locations in a block that begins with a mark; `size_bytes` grows with each."""
+    """Allocator for locations in a block that begins with its owner's mark.
+
+    `size_bytes` grows with every location.
+    """
 
     def __init__(self, mark: bytes) -> None:
         self.mark = mark

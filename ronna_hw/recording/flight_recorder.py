@@ -260,7 +260,10 @@ def list_links(folder: Path) -> tuple[str, ...]:
 
 
 def read_link(folder: Path, link: str) -> Iterator[LinkLine]:
-    """Read a link's traffic, oldest first; raises OSError, and INP-001 for a file that is too large."""
+    """Read all recorded traffic of a link, oldest first.
+
+    Raises INP-001 for a file that is too large, packed or unpacked, and OSError.
+    """
     files = [folder / name.format(link=link) for name in FILE_NAMES]
     parts = [_read_file(link, path) for path in files if path.exists()]
     started_parts = [(first, part) for part in parts if (first := next(part, None)) is not None]

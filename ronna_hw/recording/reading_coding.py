@@ -74,7 +74,10 @@ GetPixels = Callable[[dict[str, Any]], Any]
 
 
 def as_plain(value: Any, put: PutPixels) -> Any:
-    """Convert to plain JSON, pixels by references from `put`; raises ValueError or TypeError."""
+    """Convert a value to plain JSON form; `put` stores pixel arrays and returns a reference.
+
+    Raises ValueError or TypeError for values without such a form.
+    """
 
     def convert_other(part: Any) -> Any:
         if isinstance(part, np.ndarray):

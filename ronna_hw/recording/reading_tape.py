@@ -54,7 +54,10 @@ class RecordedCall(NamedTuple):
 
 
 class ReadingTape:
-    """Tape of one run. `opening` is the first line: what a replay needs in addition to the answers."""
+    """Tape of one run.
+
+    `opening` is the first line: what a replay needs in addition to the answers.
+    """
 
     def __init__(
         self,

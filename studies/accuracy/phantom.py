@@ -12,15 +12,13 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from procedures.strategies.trajectory import Trajectory
+from ronna_hw.arrays import Array
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.x_frame import SPHERE_CENTRES_MM
 from studies.heads import HALF_AXES_MM
-
-Array = NDArray[np.float64]
 
 PATIENT = 2  # of the correspondence study, whose head this is
 FREE_SPHERES = 5

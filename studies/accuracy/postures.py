@@ -8,7 +8,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from procedures.planning.free_angle import LEAST_BEND_RAD
@@ -17,6 +16,7 @@ from procedures.strategies.strategy import OUTWARDS_RAD, ArmInBranch, Strategy, 
 from procedures.strategies.trajectory import Trajectory, target_pose
 from ronna_hw.arm.kinematics import Kinematics
 from ronna_hw.arm.kr6_r900 import kr6_r900
+from ronna_hw.arrays import Array
 from ronna_hw.calibrated_arm.error_budget import UNCALIBRATED, ErrorSizes
 from ronna_hw.errors import LimitError
 from ronna_hw.frames import Frame, Transform
@@ -24,8 +24,6 @@ from sim.world.scene.as_built import TOOL_IN_FLANGE_MM
 from studies.accuracy.phantom import Phantom
 from studies.accuracy.random_arms import PlannedPoses
 from studies.errors import PHANTOM_OUT_OF_REACH
-
-Array = NDArray[np.float64]
 
 ARM: Kinematics = kr6_r900()
 TOOL_MM = np.array(TOOL_IN_FLANGE_MM)

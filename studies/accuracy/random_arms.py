@@ -14,11 +14,12 @@ from enum import StrEnum
 from typing import Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from ronna_hw.arm.catalogue import find_arm
 from ronna_hw.arm.kinematics import Chain, Joint, Kinematics
+from ronna_hw.arrays import Array
 from ronna_hw.calibrated_arm.deviations import FLANK_SHARE
 from sim.world.descriptions import DESCRIPTIONS
 from sim.world.nominal_arm import RobotDescription
@@ -27,7 +28,6 @@ from sim.world.scene.model import ArmTruth
 from sim.world.true_arm import sag_levers
 from studies.errors import POSE_NOT_SOLVED
 
-Array = NDArray[np.float64]
 Components = tuple[Array, Array, Array]
 ARMS_KEY = 4  # of the random numbers: arms are independent of everything else drawn from a seed
 SETTLED_MM = 1e-6  # far below any source of error
@@ -268,6 +268,7 @@ def multiply(matrix: Array, point: Components) -> Components:
 
 
 def translate(point: Components, offset: ArrayLike) -> Components:
+    """Add vectors (..., 3) to points, with broadcasting."""
     vector = np.asarray(offset, dtype=float)
     x, y, z = (part + vector[..., axis] for axis, part in enumerate(point))
     return x, y, z

@@ -14,7 +14,6 @@ from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from procedures.calibration.arm_sources import SERVO_MM, ArmPoses, arm_sources, ct_errors
@@ -27,6 +26,7 @@ from procedures.registration.target_prediction import (
 )
 from procedures.strategies.catalogue import CANDIDATES, find_strategy
 from procedures.strategies.strategy import Strategy
+from ronna_hw.arrays import Array
 from ronna_hw.calibrated_arm.error_budget import UNCALIBRATED, ErrorSizes
 from ronna_hw.frames import Transform
 from sim.world.scene.arm_design import KR6
@@ -43,7 +43,6 @@ CALIBRATED = ArmResidual()
 CALIBRATED_BACKLASH_RAD = float(np.radians(0.0015))
 FINE_CT_MM = 0.05  # 3-D rms
 ANY_APPROACH = "thesis-ocs"
-Array = NDArray[np.float64]
 DIGITS = 6  # of an error in mm
 BEST = "best"  # per target and number of spheres, the strategy with the smallest predicted error
 FROM = tuple(one.name for one in CANDIDATES)

@@ -13,13 +13,11 @@ from enum import StrEnum
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ronna_hw.arm.kinematics import Chain
+from ronna_hw.arrays import Array
 from ronna_hw.calibrated_arm.error_budget import JOINT_OFFSET_RAD, PER_JOINT, error_columns
 from studies.accuracy.random_arms import RandomArms
-
-Array = NDArray[np.float64]
 
 EFFECT_KEY = 11  # of the random numbers
 AXES = 6
@@ -65,6 +63,7 @@ class DisplacedArms(RandomArms):
         return cls(**vars(arms) | {"shift_rad": shift_rad, "shift_mm": shift_mm})
 
     def tool_points_mm(self, joints_rad: Array, flanks: Array) -> Array:
+        """Return true tool positions (a, p, 3) in mm, robot frame, without the repeatability error."""
         return super().tool_points_mm(joints_rad + self.shift_rad, flanks) + self.shift_mm
 
 

@@ -83,6 +83,7 @@ def mean(values: ArrayLike) -> Bounded:
 
 
 def mean_length(values: ArrayLike) -> Bounded:
+    """Return the mean of lengths, with the lower bound clipped at 0."""
     bound = mean(values)
     return bound if bound.low is None else replace(bound, low=max(0.0, bound.low))
 

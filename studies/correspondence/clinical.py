@@ -19,11 +19,11 @@ from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from procedures.registration.similarity_matrix import Counting, match_many_by_similarity, validate_many
 from procedures.registration.thesis_settings import THESIS_TOLERANCES_MM
+from ronna_hw.arrays import Array
 from ronna_hw.bounded_input import MOST_VALUES, parse_json, parse_toml, read_json_bytes
 from ronna_hw.clock import HostClock
 from ronna_hw.config import DeviceConfig
@@ -55,7 +55,6 @@ from studies.localization.thesis_protocol import (
     localize_scan,
 )
 
-Array = NDArray[np.float64]
 PHANTOM_SCANS = 5
 SCANS: tuple[ThesisScan, ...] = tuple(
     scan for scan in THESIS_SCANS if scan.kind == PATIENT or scan.number <= PHANTOM_SCANS

@@ -16,9 +16,9 @@ from functools import partial
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 
 from procedures.registration.matching import match
+from ronna_hw.arrays import Array
 from studies.campaign import bounds
 from studies.campaign.study import (
     Cell,
@@ -58,8 +58,6 @@ from studies.heads import (
     sites_mm,
     uniform_in_ball,
 )
-
-Array = NDArray[np.float64]
 
 TAIL_FREEDOM = 3.0  # of Student's distribution: the fewest whole degrees with a variance
 CLUSTER_MM = 30.0  # radius of the ball around one spot of the head that holds all strays of a set

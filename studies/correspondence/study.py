@@ -14,7 +14,6 @@ from functools import partial
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from procedures.registration.correspondence import (
@@ -27,6 +26,7 @@ from procedures.registration.correspondence import (
 from procedures.registration.matching import match
 from procedures.registration.similarity_matrix import match_many_by_similarity, validate_many
 from procedures.registration.thesis_settings import REFUSED_SHARE
+from ronna_hw.arrays import Array
 from studies.campaign.study import Study, Sums, Unit, as_sums, blocks_of_each, generator
 from studies.correspondence.outcomes import LOST, Pairs, outcome_key, outcome_of, pair_set, verdict
 from studies.heads import (
@@ -43,8 +43,6 @@ from studies.heads import (
 )
 from studies.plugins.answers import PluginPairing
 from studies.plugins.method import PluginMethod
-
-Array = NDArray[np.float64]
 
 FIDUCIALS = tuple(range(3, 9))
 OUTLIERS = tuple(range(5))

@@ -67,6 +67,7 @@ class Series(NamedTuple):
 
     @property
     def tolerance_mm(self) -> float | None:
+        """The method's parameter e in mm, or None for our methods."""
         return float(self.tolerance) if self.tolerance else None
 
 

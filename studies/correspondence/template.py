@@ -14,13 +14,13 @@ from itertools import product
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from procedures.planning.head_in_ct import HeadEllipsoid
 from procedures.planning.marker_sites import propose_template
 from procedures.registration.correspondence import Match, Prior
 from procedures.registration.template import match_by_template
+from ronna_hw.arrays import Array
 from ronna_hw.marker_template import IMPLANTED_SIGMA_MM
 from studies.campaign import bounds
 from studies.campaign.study import (
@@ -45,8 +45,6 @@ from studies.correspondence.study import (
 )
 from studies.correspondence.tables import GOAL_FALSE, GOAL_UNSUCCESSFUL, THESIS_FALSE, THESIS_UNSUCCESSFUL
 from studies.heads import HALF_AXES_MM, PATIENTS, NoiseReading, draw_readings, uniform_in_ball
-
-Array = NDArray[np.float64]
 
 MARKERS = (3, 4)
 MARGIN_MM = 10.0  # the command's default

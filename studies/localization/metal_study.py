@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from procedures.imaging import Volume, localize, read_series
 from procedures.imaging.errors import MarkerCountWrong
 from procedures.imaging.markers import Candidate, Marker
+from ronna_hw.arrays import Array
 from studies.campaign.study import (
     GOALS,
     Cell,
@@ -37,8 +38,6 @@ from studies.campaign.study import (
 )
 from studies.localization.phantom_scans import scan_phantom
 from studies.localization.study import CHI2_AT_TAIL, SAME_SPHERE_MM, SEED_BOUND
-
-Array = NDArray[np.float64]
 
 FAMILY = "metal"
 PROTOCOLS = ("fine", "good", "usual")  # 0.45 to 0.6 mm pixels, slices of 0.6 to 1.25 mm

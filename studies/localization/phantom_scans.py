@@ -15,10 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from procedures.imaging import Volume, read_series
+from ronna_hw.arrays import Array
 from ronna_hw.host.child_process import command, run_command
 from studies.errors import PHANTOM_FAILED
-
-Array = NDArray[np.float64]
 
 PHANTOM_LIMIT_S = 300.0  # host time, as a safeguard
 AIR_HU = -1000.0

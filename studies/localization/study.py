@@ -16,12 +16,12 @@ from itertools import combinations, product
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from procedures.imaging import Localization, ThesisFit, Volume, localize, localize_as_thesis, localize_picks
 from procedures.imaging.errors import MarkerCountWrong, PickRefused
 from procedures.imaging.markers import ESTIMATORS_DISAGREE, Marker
 from procedures.registration.point_registration import register
+from ronna_hw.arrays import Array
 from ronna_hw.x_frame import SPHERE_CENTRES_MM
 from studies.campaign.study import Study, Sums, Unit, as_sums, blocks, blocks_of_each, generator
 from studies.errors import NOT_FOR_JUDGING
@@ -30,7 +30,6 @@ from studies.plugins.answers import PluginLocalizer
 from studies.plugins.method import PluginMethod
 from studies.thesis_tables import OPERATORS, TABLE_3
 
-Array = NDArray[np.float64]
 BESIDE_OBJECTS = ("ends", "plates", "hollow", "fittings")  # that are not spheres
 COVERED = ("bandage", "soaked")
 STREAKED = ("streaks", "rays", "posts", "screws")  # families whose posts cause streaks
@@ -82,6 +81,7 @@ class LocalizationStudy(Study):
     constants: ClassVar = {"sums": SUMS}
 
     def units(self) -> Sequence[Unit]:
+        """Return one unit per volume, then one per set of frame scans."""
         conditions = ((family, protocol) for protocol, family in product(self.protocols, self.families))
         volumes = blocks_of_each(conditions, self.volumes, 1)
         return [*volumes, *blocks(f"{FRAMES}|{FRAME_PROTOCOL}", self.sets, 1)]

@@ -14,12 +14,12 @@ from itertools import combinations
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from procedures.registration.error_theory import fle_from_fre_mm, fle_of_one_space_mm
 from procedures.registration.errors import LayoutNotFound
 from procedures.registration.rigid_fit import fit_rigid, residuals
 from procedures.registration.template import find_layout
+from ronna_hw.arrays import Array
 from ronna_hw.x_frame import CLOSE_SPHERE_CENTRES_MM
 from studies.campaign import bounds
 from studies.campaign.study import Cell, Study, Sums, Table, Unit, generator, yes_or_no
@@ -28,7 +28,6 @@ from studies.localization.study import AUTOMATIC, SAME_SPHERE_MM, SEED_BOUND, St
 from studies.localization.tables import IN_THE_THESIS
 from studies.thesis_tables import AVERAGE_OPERATOR, HUMAN_OPERATORS, TABLE_2, TABLE_3
 
-Array = NDArray[np.float64]
 PHANTOM, PATIENT = "phantom", "patient"
 FRAME = "xframe-close"
 FRAME_MM: Array = np.array(CLOSE_SPHERE_CENTRES_MM)

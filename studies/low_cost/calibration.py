@@ -7,12 +7,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from procedures.calibration.frame_calibration import Use, assign_uses
 from procedures.calibration.hand_eye import HandEye, PosePairs, misses_of, solve
 from procedures.calibration.pose_set import order_by_orientation, plan_poses_about, rms_mm
 from ronna_hw.arm.kinematics import Kinematics
+from ronna_hw.arrays import Array
 from ronna_hw.devices.robot import JointMove
 from ronna_hw.devices.sensors import OpticalTracker
 from ronna_hw.frames import Transform
@@ -21,8 +22,6 @@ from studies.low_cost.arms import PositionedArm
 from studies.low_cost.devices import look
 from studies.low_cost.positioning import TipModel
 from studies.low_cost.targets import REFERENCE
-
-Array = NDArray[np.float64]
 
 FITTED, HELD_OUT = 32, 8
 # Of arms with nominal parameters, over all of the workspace, per axis.

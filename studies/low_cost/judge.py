@@ -6,11 +6,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from procedures.registration.rigid_fit import fit_rigid, residuals
 from ronna_hw.arm.kinematics import Kinematics
+from ronna_hw.arrays import Array
 from ronna_hw.devices.robot import JointMove
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.vectors import JointVector
@@ -22,8 +22,6 @@ from studies.low_cost.arms import PositionedArm
 from studies.low_cost.figures import DimensionSource, Place, Quantity
 from studies.low_cost.positioning import TipModel
 from studies.low_cost.targets import StudiedTarget
-
-Array = NDArray[np.float64]
 
 CYCLES = 30  # of ISO 9283, each through all poses in one order
 

@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, ValidationError
 from scipy.spatial.transform import RigidTransform
 
@@ -22,6 +21,7 @@ from procedures.imaging import localize, read_series
 from procedures.registration import match, register
 from procedures.workcell.patient_frame import as_patient
 from procedures.workcell.tracker_look import mean_pose
+from ronna_hw.arrays import Array
 from ronna_hw.bounded_input import read_json_bytes
 from ronna_hw.calibration import Numbers3, PoseRecord, Strict
 from ronna_hw.devices.sensors import OpticalTracker, new_frames
@@ -38,8 +38,6 @@ from studies.low_cost.calibration import fit_pivot
 from studies.low_cost.devices import FRAME_LIMIT_S, PHANTOM_FRAME, Hand, open_room, require_look
 from studies.low_cost.room import draw_room, drawn_marker_in_tip, phantom_centre_mm
 from studies.low_cost.targets import REFERENCE
-
-Array = NDArray[np.float64]
 
 FILE = "preparation.json"
 SCANNER_KEY = "low-cost scanner"  # of random numbers

@@ -9,9 +9,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ronna_hw.arm.catalogue import ArmChoice
+from ronna_hw.arrays import Array
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.wire.polaris import PolarisModel
 from sim.world.descriptions import DESCRIPTIONS
@@ -33,8 +33,6 @@ from sim.world.scene.model import ArmTruth, LinkError, Mount, Scene, TrackerTrut
 from sim.world.scene.named_scenes import add_patient_frame, draw_scene, robot_frame
 from sim.world.true_arm import JointChain, TrueArm
 from studies.low_cost.targets import REFERENCE
-
-Array = NDArray[np.float64]
 
 MODEL = ArmChoice.UR5.value
 SPHERES = 8
@@ -150,4 +148,5 @@ def nominal_error_mm(truth: ArmTruth) -> float:
 
 
 def phantom_centre_mm(scene: Scene) -> Array:
+    """Return the centre of the phantom in the robot frame."""
     return np.asarray(apply(matrix_of(scene.head.robot_from_ct), scene.head.centre_ct_mm))

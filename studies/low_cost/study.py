@@ -12,7 +12,6 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from ronna_hw.arm.kinematics import Kinematics
@@ -43,8 +42,6 @@ from studies.low_cost.positioning import BelievedPositioning, TipModel, TipPosit
 from studies.low_cost.preparation import Preparation
 from studies.low_cost.room import MODEL, PHANTOM_MM, TIP_IN_FLANGE_MM, draw_room, draw_ur5, nominal_error_mm
 from studies.low_cost.targets import ORIENTATIONS_RAD, REFERENCE, StudiedTarget, draw_targets, oriented
-
-Array = NDArray[np.float64]
 
 # Workspace that arm and tracker share, about a point above the phantom: the five poses of ISO 9283's cube,
 # which the looks of the calibration are taken about too, and more for the absolute error.

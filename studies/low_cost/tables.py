@@ -10,8 +10,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ronna_hw.arrays import Array
 from studies.campaign.plots import bars, boxes, curves
 from studies.campaign.study import Cell, Sums, Table, yes_or_no
 from studies.low_cost.figures import (
@@ -31,8 +31,6 @@ from studies.low_cost.positioning import MOST_ROUNDS, SETTLED_MM
 from studies.low_cost.preparation import Preparation
 from studies.low_cost.room import REPEATABILITY_MM, draw_room
 from studies.low_cost.targets import ORIENTATIONS_RAD
-
-Array = NDArray[np.float64]
 
 MOST_CLOSED_MM = 0.5  # goal for the mean error with feedback
 MOST_DEPENDENT = 0.1  # of it: how far an arm's mean may be from that of all

@@ -9,12 +9,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from ronna_hw.arrays import Array
 from ronna_hw.frames import Frame, Transform
-
-Array = NDArray[np.float64]
 
 REFERENCE = Rotation.from_matrix([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]])  # robot <- tool
 TILT_RAD = math.radians(15.0)

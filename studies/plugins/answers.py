@@ -19,11 +19,11 @@ from scipy.spatial.transform import RigidTransform
 
 from procedures.imaging.errors import MarkerCountWrong
 from procedures.imaging.volume import Volume
+from ronna_hw.arrays import Array
 from studies.errors import MethodAnswerWrong, MethodFailed
 from studies.plugins.method import PluginMethod
 
 GLOBAL_SEED = 0
-Array = NDArray[np.float64]
 REAL = "iuf"  # NumPy's kinds: whole numbers, with or without a sign, and floating point
 IN_WORDS = {"U": "text", "S": "bytes", "c": "complex numbers", "b": "truth values"}
 Pairs = NDArray[np.intp]

@@ -9,15 +9,14 @@ from __future__ import annotations
 from enum import StrEnum
 from typing import TYPE_CHECKING, Protocol
 
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform
+
+from ronna_hw.arrays import Array
 
 if TYPE_CHECKING:
     from procedures.imaging.volume import Volume
     from procedures.strategies.strategy import Strategy
-
-Array = NDArray[np.float64]
 
 
 class MethodKind(StrEnum):

@@ -12,21 +12,19 @@ from collections.abc import Mapping
 from enum import StrEnum
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from procedures.registration.movement import fit_rigid_move
 from procedures.steps.clinical.followed_move import MOST_FOLLOWED_RAD, STEADY_MM
 from procedures.steps.clinical.room import MOST_FOLLOWED_MM
 from procedures.workcell.tracker_look import FRAMES
+from ronna_hw.arrays import Array
 from studies.accuracy.phantom import Markers, draw_phantom
 from studies.campaign import bounds
 from studies.campaign.study import Sums, Table, yes_or_no
 from studies.correspondence.pairing_misspecified import DISTORTION_MM, WAVELENGTHS_MM, distort
 from studies.heads import draw_pose, uniform_in_ball
 from studies.strategies.study import DEPTHS_MM, TARGETS
-
-Array = NDArray[np.float64]
 
 RUNS = 400
 MOVES_KEY = 13  # of the random numbers

@@ -6,9 +6,9 @@ from collections import defaultdict
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import chi2
 
+from ronna_hw.arrays import Array
 from sim.world.scene.as_built import TOOL_ERROR_MM
 from studies.accuracy.scene import CT_FLE_MM
 from studies.campaign.study import Cell, Sums, Table
@@ -28,8 +28,6 @@ from studies.strategies.one_experiment import (
     key_of,
 )
 from studies.thesis_tables import TABLE_4
-
-Array = NDArray[np.float64]
 
 LOW_SHARE, HIGH_SHARE = 5.0, 95.0  # per cent of the arms
 LIKELY = 0.95

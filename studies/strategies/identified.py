@@ -23,6 +23,7 @@ from procedures.calibration.pose_set import plan_centred_looks
 from procedures.registration.rigid_fit import RigidFit, fit_rigid
 from procedures.steps.calibration.sphere_looks import CANDIDATES, flanks_of
 from ronna_hw.arm.pose import Pose
+from ronna_hw.arrays import Array
 from ronna_hw.calibrated_arm.deviations import ArmDeviations, flange_poses
 from ronna_hw.calibrated_arm.error_budget import ErrorSizes, IdentifiedArm
 from ronna_hw.errors import LimitError
@@ -37,7 +38,6 @@ from studies.campaign.plots import boxes
 from studies.campaign.study import Study, Sums, Table, Unit, blocks
 from studies.strategies.study import DEPTHS_MM, PLACES, TARGETS
 
-Array = NDArray[np.float64]
 LOOKS = 90  # the default of `ronna-arm calibrate`
 STEREO_MM = 0.005  # of a measurement, per axis
 LOOKS_KEY = 9  # of the random numbers

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
+from ronna_hw.arrays import Array
 from sim.world.scene.as_built import TOOL_ERROR_MM
 from studies.accuracy.phantom import FREE_SPHERES, Markers, Tilts, draw_phantom, phantom_pose
 from studies.accuracy.postures import Postures
@@ -29,7 +30,6 @@ from studies.campaign.study import Study, Sums, Unit, blocks
 from studies.strategies.study import DEPTHS_MM, PLACES, TARGETS
 from studies.thesis_tables import TABLE_4, StrategyRow
 
-Array = NDArray[np.float64]
 CellKey = tuple[str, int]  # strategy, number of spheres
 
 # The thesis states neither trajectories, neutral angles nor positions; only the turn between the neutral

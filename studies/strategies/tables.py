@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import wilcoxon
 
+from ronna_hw.arrays import Array
 from studies.accuracy.phantom import Markers, counts_of
 from studies.accuracy.random_arms import Source
 from studies.accuracy.scene import DIGITS, SCENARIOS
@@ -33,7 +34,6 @@ from studies.thesis_tables import TABLE_4, StrategyRow
 
 PAIRS = (("improved", "ocs"), ("improved", "jdms"), ("best", "ocs"), ("best", "improved"))
 PAIRED_SCENARIOS = ("set S", "tool and kinematics calibrated, fine CT")
-Array = NDArray[np.float64]
 Series = tuple[str, str, int]  # markers, strategy, number of spheres
 # OCS in the thesis does not control the approach, so its table is compared with that.
 OF_TABLE_4 = {"nos": "NOS", "thesis-ocs": "OCS", "jdms": "JDMS"}

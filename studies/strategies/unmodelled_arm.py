@@ -31,6 +31,7 @@ from procedures.registration.target_prediction import (
     predict_target_error,
 )
 from procedures.steps.clinical.error_budget import residual_gate
+from ronna_hw.arrays import Array
 from ronna_hw.calibrated_arm.deviations import ArmDeviations
 from ronna_hw.calibrated_arm.error_budget import UNCALIBRATED, UNCALIBRATED_MM, ErrorSizes, IdentifiedArm
 from ronna_hw.errors import RonnaError
@@ -53,7 +54,6 @@ from studies.strategies.study import DEPTHS_MM, TARGETS
 
 # Rms at a target of what no look of a case would show, without a room to look at: as whole cases state it.
 UNNOTICED_MM = {"head": 0.10, "cart and tracker": 0.20, "guide": GUIDE_NOTICEABLE_MM / math.sqrt(3.0)}
-Array = NDArray[np.float64]
 Sources = list[SharedErrors | IndependentErrors]
 
 STRATEGIES = ("nos", "ocs", "improved")
@@ -108,6 +108,7 @@ class _Judged:
     listed: dict[tuple[int, int, int], Sources] = field(default_factory=dict)
 
     def sources(self, scene: StudiedScene, planned: Postures, target: int, count: int) -> Sources:
+        """List the error sources at a target registered by the first `count` spheres."""
         key = (scene.number, id(planned), target)  # the postures live as long as the bench
         if key not in self.listed:
             everything = len(scene.phantom.spheres_mm)

@@ -266,4 +266,5 @@ def format_lines(looks: Looks, body: MovedBody, displacement: Matrix, ending: st
 
 
 def draw_adversarial_world(seed: int, number: int) -> AdversarialWorld:
+    """Draw world `number` of a seed."""
     return Adversary(seed, number).draw()

@@ -15,11 +15,11 @@ from enum import StrEnum
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import block_diag, eigh
 
 from procedures.strategies.trajectory import Trajectory, target_pose
 from ronna_hw import patient_frame
+from ronna_hw.arrays import Array
 from ronna_hw.frames import Frame
 from sim.polaris.measurement.optics import Optics
 from sim.polaris.unit.model import SPECTRA
@@ -34,8 +34,6 @@ from sim.world.scene.parts import (
 )
 from sim.world.scene.plan_feasibility import STANDOFF_MM
 from sim.world.true_arm import TrueArm, arm_seed
-
-Array = NDArray[np.float64]
 
 FRAMES = 60  # of the tracker, in the mean of one look
 HELD_FRAMES = 1  # while a hand holds the guide

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from clinical_case import CENTRES_CT_MM, FIRST, LAST, ROBOT_FROM_CT, SPHERES_MM, ClinicalCell, done_later
 from coded_errors import raises
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from prepared_results import (
     checked_paths,
     checked_plan,
@@ -36,10 +36,10 @@ from procedures.steps.clinical.results import RegisteredRobot
 from procedures.steps.clinical.room import ROOM_READS, check_room
 from procedures.steps.clinical.tool_check import CheckedTool
 from procedures.workcell import MountedTool
+from ronna_hw.arrays import Array
 
 pytestmark = [pytest.mark.hazard(12), pytest.mark.branch("MOVE_FOLLOWED")]
 
-Array = NDArray[np.float64]
 NAME = f"registration:{FIRST}"
 
 

@@ -17,6 +17,7 @@ from procedures.guards.guide_displacement import (
     PLACE_READINGS,
     PUSHED_MM,
 )
+from ronna_hw.arrays import Array
 
 SCENES, TRIALS_PER_TARGET = 30, 20
 FEW_SCENES = 10
@@ -24,7 +25,6 @@ READINGS = 9000  # ten minutes of work through the guide, of every fourth frame
 LOOKS = 4  # one after each stage
 PLACES, ENDS = (slice(0, 3), slice(6, 9)), slice(3, 6)
 pytestmark = pytest.mark.hazard(46)
-Array = NDArray[np.float64]
 
 
 def running_mean(values: Array, count: int) -> Array:

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from clinical_case import FIRST, SPHERES_MM, ClinicalCell, SeeingTracker
 from coded_errors import raises
-from numpy.typing import NDArray
 from prepared_results import (
     checked_paths,
     checked_plan,
@@ -34,11 +33,10 @@ from procedures.steps.clinical import positioning, relocalization
 from procedures.steps.clinical.room import require_unmoved
 from procedures.workcell import MountedTool
 from procedures.workcell.tracker_look import read_frames_at_rest
+from ronna_hw.arrays import Array
 from ronna_hw.frames import Frame, Transform
 from sim.polaris.measurement.optics import EYES_MM, phantoms
 from sim.world.rigid import matrix_from
-
-Array = NDArray[np.float64]
 
 SCENES = 50
 TRIALS_PER_SCENE = 20

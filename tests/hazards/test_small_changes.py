@@ -12,7 +12,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from room_trials import TrackedCase
 from scipy.spatial.transform import Rotation
 
@@ -22,10 +21,9 @@ from procedures.guards.stability import GUIDE_NOTICEABLE_MM
 from procedures.registration.error_theory import DEFAULT_CONFIDENCE, error_limit_mm
 from procedures.steps.clinical.tool_check import APPROACHES
 from procedures.strategies.strategy import ONE_SIDE
+from ronna_hw.arrays import Array
 from ronna_hw.vectors import JointVector
 from sim.world.rigid import apply, matrix_from
-
-Array = NDArray[np.float64]
 
 HONEST_MM = 0.19  # predicted rms without any change, default scene
 MOST_MM, MOST_DEG, MOST_BENT_MM = 3.0, 1.0, 1.5

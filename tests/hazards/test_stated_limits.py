@@ -13,7 +13,6 @@ from functools import partial
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from room_trials import IN_PLACE, TrackedCase, Visit
 from scipy.spatial.transform import Rotation
 
@@ -24,12 +23,12 @@ from procedures.registration.error_theory import error_limit_mm
 from procedures.room.estimate import GUIDE_AT_HEAD, MOTION_MM, MOTION_RAD, MOVING, POSE
 from procedures.steps.clinical.unnoticed import _base_unnoticed_mm2
 from procedures.strategies.strategy import ONE_SIDE
+from ronna_hw.arrays import Array
 from ronna_hw.vectors import JointVector
 from sim.world.rigid import apply, matrix_from
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(1800), pytest.mark.hazard(12), pytest.mark.hazard(13)]
 
-Array = NDArray[np.float64]
 
 SCENES, REPLAYS = 44, 16  # of each of three targets
 OTHER_MM = 0.19  # rms of what is not of the room, as a calibrated arm has it

@@ -110,6 +110,7 @@ def steps(journal: Path) -> list[tuple[float, str]]:
 
 
 def show(used: Sequence[Used], starts: Sequence[tuple[float, str]], wall_s: float) -> None:
+    """Print CPU seconds by step and process."""
     names = [BEFORE, *(name for _, name in starts)]
     cells: defaultdict[tuple[str, str], float] = defaultdict(float)
     for one in used:

@@ -56,7 +56,10 @@ class Node:
 
 
 def fetch_description(control: CameraControl, deadline_s: float) -> bytes:
-    """Download the XML description stored on the camera; raises GEV-009 without one, GEV-006 to GEV-008."""
+    """Download the XML description stored on the camera.
+
+    Raises GEV-009 if there is none, GEV-006 to GEV-008 if it cannot be read.
+    """
     for register in (Bootstrap.FIRST_URL, Bootstrap.SECOND_URL):
         block = control.read_memory(register, gev.TEXT_BYTES[register], deadline_s)
         url = block.split(b"\0", 1)[0].decode("ascii", errors="replace").strip()

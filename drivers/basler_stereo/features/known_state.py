@@ -58,7 +58,10 @@ def read_temperature_C(features: Features) -> float | None:
 
 
 def apply_known_state(features: Features, options: BaslerOptions, camera: str) -> None:
-    """Apply all settings but the area; `camera` is its name in messages. Raises GEV-010, GEV-011."""
+    """Apply all settings except the area; `camera` is the name used in messages.
+
+    Raises GEV-010 for missing features, GEV-011 for impossible values.
+    """
     if features.has("AcquisitionStop"):  # a library may hide it while nothing is running
         features.execute("AcquisitionStop")
     lock_transport(features, False)  # an earlier client may have left it locked
@@ -122,7 +125,10 @@ def full_area(features: Features) -> AreaOfInterest:
 
 
 def set_area(features: Features, area: AreaOfInterest) -> None:
-    """Set the sensor area, offsets to zero first, as they limit the size; raises GEV-011 with the limits."""
+    """Set the sensor area to read out; raises GEV-011 with the limits.
+
+    The offsets go to zero first: the camera rejects a size that does not fit at its current offset.
+    """
     sensor = full_area(features)
     if area == read_area(features):
         return

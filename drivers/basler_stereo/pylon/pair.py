@@ -35,7 +35,10 @@ class PylonOptions(BaslerOptions):
 
 
 class PylonStereoPair(PairDevice[PylonCamera]):
-    """Pair of pypylon cameras with synchronous calls; not thread-safe. Time limits are host seconds."""
+    """Pair of pypylon cameras with synchronous calls; not thread-safe.
+
+    Time limits are host seconds.
+    """
 
     wire_protocol = ""  # spoken by the vendor's library
 

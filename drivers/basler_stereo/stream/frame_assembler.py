@@ -125,7 +125,10 @@ class _Block:
 
 
 class FrameAssembler:
-    """Frame assembler for one stream of known sizes, with memory from `claim`, by default its own."""
+    """Frame assembler for one stream with known payload and packet size.
+
+    Frames are stored in the memory from `claim`, by default newly allocated.
+    """
 
     def __init__(self, payload_bytes: int, packet_bytes: int, claim: Claim | None = None) -> None:
         self._payload_bytes = payload_bytes

@@ -146,7 +146,10 @@ class StreamReceiver:
         self._process.give_order(ExpectBlock(self._number, block_id, patience_s))
 
     def take(self, deadline_s: float, give_up: Callable[[], bool] = lambda: False) -> ReceivedImage | None:
-        """Return the oldest frame; None at the deadline (host time) or by `give_up()`. Raises GEV-017."""
+        """Return the oldest pending frame, or None at the deadline (host monotonic time).
+
+        Also None as soon as `give_up()`. Raises GEV-017.
+        """
         while True:
             remaining_s = deadline_s - time.monotonic()
             # an available frame is taken even after the deadline

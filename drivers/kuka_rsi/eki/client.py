@@ -84,7 +84,10 @@ class EkiClient(ControlChannel[ControllerState]):
     def await_state(
         self, condition: Callable[[ControllerState], bool], timeout_s: float
     ) -> ControllerState | None:
-        """Wait for a state that meets a condition, requesting one now and then; None on time-out."""
+        """Wait for a state that meets a condition; returns None on time-out.
+
+        States arrive unsolicited; one is nevertheless requested now and then.
+        """
 
         def find_matching() -> ControllerState | None:
             latest = self.latest
@@ -150,7 +153,10 @@ def _store(store: dict[int, T], number: int, value: T) -> None:
 
 
 class ControllerCommands:
-    """Commands for tool, base and override; each raises EKI-003 without an answer, EKI-008 when refused."""
+    """Controller commands for tool, base and override; excludes motion and the RSI stream.
+
+    Each raises EKI-003 without an answer and EKI-008 when refused.
+    """
 
     def __init__(self, guard: LifecycleGuard, eki: Callable[[], EkiClient]) -> None:
         """Create the commands; `eki` returns the open connection or raises EKI-001."""

@@ -14,6 +14,7 @@ from procedures.runs.observers import SEAT_AWAITED
 
 LAST_ERRORS = 2
 STARTING = "starting"
+INTERRUPTED = ("!", "yellow")
 MARKS = {"done": ("✓", "green"), "superseded": ("~", "yellow")}
 FAILED = ("✗", "red")
 ABOUT = ("step", "what", "topic", "device", "text")  # fields of a journal line; the first it has is shown
@@ -57,6 +58,8 @@ def entry_of(event: Event, *, errors: bool = True) -> CaseEntry | None:
             return CaseEntry(*MARKS["superseded"], f"{record} {how}")
         case StepState(state="failed", summary=summary) as step if not errors:
             return CaseEntry(*FAILED, f"{_name_step(step)}: {_code_of(summary)}")
+        case StepState(state="interrupted") as step:
+            return CaseEntry(*INTERRUPTED, f"{_name_step(step)}: interrupted")
         case StepState(state=state, summary=summary) as step:
             return CaseEntry(*MARKS.get(state, FAILED), f"{_name_step(step)}: {summary}")
         case Advisory(text=text):

@@ -71,7 +71,7 @@ def resume_command(
     Nothing moves until devices, tool, calibrations, CT, plan, patient and robot base have been re-read,
     compared with the record and accepted. With --console, the operator in the seat accepts; --accept
     continues without one. A resumed run keeps the strategy, the localizer and the matcher of its start; one
-    begun with --ask asks again. Exit codes: 0 finished, 8 not resumed.
+    begun with --ask asks again. Exit codes: 0 finished, 3 the run was changed, 8 not resumed.
     """
     from procedures.cli.runs.resume import resume
 
@@ -215,7 +215,8 @@ def watch_command(
 def replay_command(run_folder: RunArgument, as_json: JsonOption = False) -> None:
     """Recompute every result of a run from its recorded readings and compare. Touches no device.
 
-    Exit codes: 0 everything is equal, 1 a record differs or cannot be recomputed.
+    Exit codes: 0 everything is equal, 1 a record differs or cannot be recomputed, 3 the run
+    was changed.
     """
     from procedures.cli.runs.evidence import replay_run
 

@@ -135,6 +135,7 @@ class GuideOnGauge:
 
     @property
     def off_mm(self) -> float:
+        """Magnitude of the offset (mm)."""
         return math.hypot(*self.offset_mm)
 
     @property

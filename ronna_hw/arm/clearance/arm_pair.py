@@ -17,7 +17,6 @@ from typing import NamedTuple
 
 import coal
 import numpy as np
-from numpy.typing import NDArray
 
 from ronna_hw.arm.clearance.bodies import Bodies, Capsule, Obstacle
 from ronna_hw.arm.clearance.sweep import moving_ends
@@ -26,9 +25,8 @@ from ronna_hw.arm.kinematics import COLUMN_NAME, Kinematics
 from ronna_hw.arm.motion.planning import MotionPlan
 from ronna_hw.arm.motion.progress import drive_states
 from ronna_hw.arm.pose import Pose
+from ronna_hw.arrays import Array
 from ronna_hw.vectors import JointVector, vector3
-
-Array = NDArray[np.float64]
 
 # Safety against two arms that meet (U).
 APART_MM = 30.0  # between the arms, at any moment

@@ -92,7 +92,10 @@ DEEPER_THAN_TARGET_MM = 3.0  # the corridor extends this far beyond the target, 
 
 
 class Part(NamedTuple):
-    """Tool collision body, fixed to the flange; with `enters_head` it may enter the head in a corridor."""
+    """Tool collision body, rigidly attached to the flange.
+
+    `enters_head`: it may enter the head along a corridor.
+    """
 
     name: str
     capsule: Capsule
@@ -282,7 +285,10 @@ class Bodies:
 
     @cached_property
     def fixed(self) -> tuple[Capsule, ...]:
-        """Fixed bodies: the column, which ends slightly below the first moving body, and the obstacles."""
+        """Fixed bodies: the column, then the obstacles.
+
+        The column ends slightly below the first moving body.
+        """
         radius_mm = self.surroundings.radii.of(ArmPart.COLUMN, self.arm)
         top_mm = max(self.arm.column_height_mm - radius_mm, 0.0)
         column = Capsule((0.0, 0.0, 0.0), (0.0, 0.0, top_mm), radius_mm)

@@ -84,7 +84,10 @@ LEAVING_MM = 0.5  # a body that starts too close may stay or move away; planning
 
 
 class PlacedBodies:
-    """Axes of all moving bodies in the robot base, as `Bodies.moving_names`, each computed when asked for."""
+    """Axes of all moving bodies in the robot base at given joint angles, ordered as `Bodies.moving_names`.
+
+    Each is computed when it is first asked for.
+    """
 
     def __init__(self, bodies: Bodies, joints_rad: JointVector) -> None:
         self._bodies = bodies
@@ -160,7 +163,10 @@ class _Group:
             self._find_earliest()
 
     def take_due(self, moved_mm: float) -> list[int]:
-        """Pop the pairs due within this motion; each must be given to `clear_until` again."""
+        """Pop the pairs that become due for measurement within this motion.
+
+        Each must be given to `clear_until` again.
+        """
         taken = []
         while self.due_mm < self.odometer_mm + moved_mm:
             taken.append(heappop(self._queue)[1])
@@ -185,7 +191,10 @@ class _Trial(NamedTuple):
 
 
 class LiveWatch:
-    """Clearance and speed monitor for set-points: `check` does not count one as sent, `sent` does."""
+    """Clearance and speed monitor for a stream of set-points.
+
+    `check` does not count a set-point as sent; `sent` does.
+    """
 
     def __init__(
         self, bodies: Bodies, cycle_s: float, joints_rad: JointVector, body_speed_mm_s: float = inf
@@ -265,7 +274,10 @@ class LiveWatch:
         self._trials.clear()
 
     def _bound_motions_mm(self, from_rad: JointVector, to_rad: JointVector) -> list[float]:
-        """Return upper bounds on any point's motion, mm; item i counts joints from i outwards."""
+        """Return upper bounds on any point's motion between two joint vectors, mm.
+
+        Item i counts joints from i outwards.
+        """
         motion_mm, motions = 0.0, [0.0] * (len(self._levers) + 1)
         for number in reversed(range(len(self._levers))):
             motion_mm += self._levers[number] * abs(to_rad[number] - from_rad[number])

@@ -21,9 +21,9 @@ from ronna_hw.arm.clearance.bodies import Bodies, Surroundings
 from ronna_hw.arm.errors import NotClear
 from ronna_hw.arm.kinematics import Kinematics
 from ronna_hw.arm.motion.planning import JointPath, LinePath, MotionPlan
+from ronna_hw.arrays import Array
 from ronna_hw.vectors import JointVector, Vector3, joint_vector
 
-Array = NDArray[np.float64]
 POINT_MM2 = 1e-12
 FIRST_SAMPLES = 9
 STEP_MM = 12.0  # initial motion between two samples

@@ -84,7 +84,10 @@ def solutions(arm: Kr6Dimensions, pose: Pose) -> tuple[Solution, ...]:
 
 
 def solve_branch(arm: Kr6Dimensions, pose: Pose, branch: Branch, near: JointVector) -> JointVector:
-    """Return the solution in `branch`, unwrapped to be nearest `near`; raises ARM-001 to ARM-003."""
+    """Return the solution in `branch`, unwrapped to be nearest `near`, for path following.
+
+    Raises ARM-001, ARM-002 or ARM-003 like `solutions`, for this branch alone.
+    """
     try:
         shoulder = _shoulder(arm, pose, bool(branch & OVERHEAD))
     except Unreachable:

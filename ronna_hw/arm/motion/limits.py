@@ -31,7 +31,10 @@ ANY_SPEED_MM_S = 1e6  # faster than any arm, and a number that a record can hold
 
 @dataclass(frozen=True)
 class MotionLimits:
-    """Motion limits in one operating mode, the same record for planning, previews, loop and monitor."""
+    """Motion limits in one operating mode: for joints, straight lines and moving bodies.
+
+    Planning, previews, the real-time loop and its monitor use the same record.
+    """
 
     speed_rad_s: JointVector
     acceleration_rad_s2: JointVector
@@ -48,7 +51,10 @@ class MotionLimits:
     def ranges(
         self, arm: JointRanges, start_rad: Sequence[float] | None = None
     ) -> tuple[JointVector, JointVector]:
-        """Return the permitted ranges (rad), less the margin unless an axis starts closer to its end."""
+        """Return the lowest and highest permitted joint angles (rad): the axis ranges less the margin.
+
+        An axis that starts closer to an end may stay there or move away.
+        """
         margin = self.range_margin_rad
         lower = joint_vector(low + margin for low in arm.lower_rad)
         upper = joint_vector(high - margin for high in arm.upper_rad)

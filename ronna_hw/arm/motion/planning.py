@@ -197,7 +197,10 @@ def _on_the_way(kinematics: Kinematics, target: Pose, share: float, error: Unrea
 
 
 def require_in_range(arm: JointRanges, joints_rad: JointVector, limits: MotionLimits | None = None) -> None:
-    """Raise ARM-003 for the first axis out of range, `limits`' margin included, ARM-006 for no number."""
+    """Raise ARM-003 naming the first axis out of range, or ARM-006 for a non-numeric value.
+
+    With `limits`, a motion from anywhere may end there: their margin is kept too.
+    """
     if limits is None:
         _require_within(arm, (arm.lower_rad, arm.upper_rad), joints_rad)
     else:

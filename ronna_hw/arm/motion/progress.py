@@ -78,7 +78,10 @@ class MotionProfiler:
         self._bounds_of: dict[InputParameter, Bounds] = {}  # bounds last given to each request
 
     def move(self, start: AxisState, target: Values, bounds: Bounds) -> MotionProfile:
-        """Move to rest at `target`, all axes at once; from motion it may overshoot. Raises ARM-006."""
+        """Move all axes from any state to rest at `target`, arriving simultaneously. Raises ARM-006.
+
+        The profile may overshoot start and target if it starts in motion.
+        """
         self._check(target)
         self._move.target_position = list(target)
         return self._calculate(self._move, start, bounds)
@@ -162,7 +165,10 @@ class PathProgress:
     """Path-parameter values for each cycle, each paired with the first value of a stop."""
 
     def __init__(self, limits: PathLimits, steps: tuple[SpeedStep, ...], cycle_s: float) -> None:
-        """Start at rest at 0; `steps` are sections of reduced speed. Raises ARM-006 without a profile."""
+        """Start at rest at 0; `steps` are the sections with reduced speed.
+
+        Raises ARM-006 if the limits permit no profile.
+        """
         self._limits = limits
         self._steps = steps or (SpeedStep(0.0, limits.velocity),)
         self._cycle_s = cycle_s
@@ -230,7 +236,10 @@ class PathProgress:
         return StopPrediction(max(duration_s - elapsed_s, 0.0), profile.sample(duration_s).position[0])
 
     def limit_speed(self, fraction: float) -> None:
-        """Continue at `fraction` of the planned speed, braking smoothly, at 0 to rest; not in a stop."""
+        """Continue at `fraction` of the planned speed, braking smoothly; at 0, to rest until it rises again.
+
+        No effect during a stop.
+        """
         if not self.is_stopping and not self.is_finished:
             self._fraction = fraction
             self._next = self._next_halt = None

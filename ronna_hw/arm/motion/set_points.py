@@ -103,7 +103,10 @@ class PathMotion:
         self._along.limit_speed(fraction)
 
     def restart_from_rest(self, *, one_back: bool = False) -> None:
-        """Continue from rest at the last point, or with `one_back` at the one before, after another stop."""
+        """Continue from rest at the last point, after a stop outside this motion.
+
+        With `one_back` it is at rest at the point before the last one.
+        """
         self._next = None
         self._along.restart_from_rest(one_back=one_back)
 

@@ -45,7 +45,10 @@ ORIGIN: Vector3 = (0.0, 0.0, 0.0)
 
 
 class UniversalRobot:
-    """Nominal kinematics of one model. Branches: side of the base axis, bend of elbow, flip of wrist."""
+    """Nominal kinematics of one model.
+
+    Branches combine the side of the base axis, the bend of the elbow and the flip of the wrist.
+    """
 
     axis_names = inverse.AXIS_NAMES
     home_rad = HOME_RAD
@@ -64,7 +67,10 @@ class UniversalRobot:
         self.column_height_mm = dimensions.d1_mm
 
     def forward(self, joints_rad: JointVector) -> Pose:
-        """Return the flange pose in the base, z outwards: the six DH transforms, multiplied out."""
+        """Return the flange pose in the base; z points out of the flange.
+
+        The product of the six DH transforms, multiplied out.
+        """
         arm = self.dimensions
         q1, q2, q3, q4, q5, q6 = joints_rad
         c1, s1 = cos(q1), sin(q1)

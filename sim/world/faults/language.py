@@ -239,6 +239,8 @@ def _list_mistakes(fault: Fault, scene: Scene, devices: Sequence[str]) -> Iterat
         return
     if math.inf in (fault.at_s, fault.after_s):
         yield "expected a time that comes, in s, got one beyond any number"
+    if any(map(_is_infinite, fault.arguments)):
+        yield f"expected numbers, got one beyond any number in {fault.phrase[:60]!r}"
     if fault.cycle is not None and fault.kind.device not in CYCLES_OF:
         yield f"expected a time: only the robot counts cycles, not the {fault.kind.device}"
     is_of_other = fault.role is not ArmRole.MASTER
@@ -256,6 +258,14 @@ def _list_mistakes(fault: Fault, scene: Scene, devices: Sequence[str]) -> Iterat
         yield f"expected a fault of the {device}, got {fault.phrase!r}: {make}"
     for check in fault.kind.checks:
         yield from check(fault.arguments, scene)
+
+
+def _is_infinite(argument: str) -> bool:
+    """Whether a number has so many digits that it is none."""
+    try:
+        return math.isinf(float(argument))
+    except ValueError:
+        return False
 
 
 class Mistake(NamedTuple):

@@ -54,6 +54,12 @@ def _check_clamp(_arguments: Arguments, scene: Scene) -> Iterator[str]:
         yield f"expected a scene with two arms, got {scene.name}: there is no clamp"
 
 
+def _check_time(arguments: Arguments, _scene: Scene) -> Iterator[str]:
+    """Refuse an even motion without a time."""
+    if not float(arguments[-1]) > 0.0:
+        yield f"expected a time longer than 0 s, got {arguments[-1]} s: without one the body jumps"
+
+
 SHIFT = declare_lasting(
     "shift",
     "shift NAME SIGNED SIGNED SIGNED mm",
@@ -68,6 +74,7 @@ SHIFT_OVER = declare_lasting(
     f"{SHIFT.phrase} over NUMBER s",
     "The same body creeps there evenly in that time, and stays.",
     *SHIFT.checks,
+    _check_time,
 )
 MOVE = declare_lasting(
     "move",
@@ -99,6 +106,7 @@ PUSH_OVER = declare_lasting(
     "push_over",
     f"{PUSH.phrase} over NUMBER s",
     "A hand leans on the mounted tool: the force grows evenly in that time, and stays.",
+    _check_time,
 )
 TURN = declare_lasting(
     "turn",
@@ -115,6 +123,7 @@ TURN_OVER = declare_lasting(
     f"{TURN.phrase} over NUMBER s",
     "The same body turns there evenly in that time, and stays.",
     *TURN.checks,
+    _check_time,
 )
 SLOWLY = {SHIFT_OVER: SHIFT, TURN_OVER: TURN, PUSH_OVER: PUSH}
 """Kinds that grow evenly over the time of their last argument, and what they come to."""

@@ -11,7 +11,6 @@ from functools import cache
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from procedures.calibration.arm_errors import StatedArm
@@ -20,6 +19,7 @@ from procedures.calibration.hand_eye import PosePairs
 from procedures.strategies.strategy import ONE_SIDE
 from ronna_hw.arm.catalogue import find_arm
 from ronna_hw.arm.pose import Pose
+from ronna_hw.arrays import Array
 from ronna_hw.calibrated_arm.arm import CalibratedArm
 from ronna_hw.calibrated_arm.deviations import ArmDeviations
 from ronna_hw.calibrated_arm.error_budget import UNCALIBRATED_MM, ErrorSizes
@@ -36,8 +36,6 @@ from sim.world.scene.assistant import add_assistant
 from sim.world.scene.model import ArmResidual, ArmTruth
 from sim.world.scene.named_scenes import draw_scene
 from sim.world.true_arm import TrueArm, arm_seed
-
-Array = NDArray[np.float64]
 
 REGION_MM = np.array((640.0, -260.0, 430.0))  # between the arms, above the patient's side
 SPREAD_MM = 60.0  # of the places in the region, either way along each axis

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field, replace
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 from recording_cell import GUIDE, STAMP, STEREO_HEAD, RecordingCell, RecordingTracker, theatre_of
 from scipy.spatial.transform import Rotation
 
@@ -25,6 +24,7 @@ from procedures.workcell import MountedTool, Workcell
 from procedures.workcell.arm_history import ArmHistory
 from procedures.workcell.stereo_look import Look
 from ronna_hw.arm.kinematics import Kinematics
+from ronna_hw.arrays import Array
 from ronna_hw.calibration import Numbers3, Numbers4, PoseRecord
 from ronna_hw.config import Calibrations, TheatreFile
 from ronna_hw.devices.lifecycle import Lifecycle
@@ -34,8 +34,6 @@ from ronna_hw.roles import MASTER
 from ronna_hw.vectors import JointVector
 from sim.world.scene.named_scenes import draw_scene
 from sim.world.scene.parts import GUIDE_FRAME_NAME as GUIDE_FRAME
-
-Array = NDArray[np.float64]
 
 SCENE = draw_scene("mini", seed=3, markers=4, targets=2)
 TRAJECTORIES = tuple(target.identifier for target in SCENE.head.targets)

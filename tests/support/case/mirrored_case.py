@@ -14,9 +14,6 @@ from pathlib import Path
 import numpy as np
 import pydicom
 import tomli_w
-from numpy.typing import NDArray
-
-Array = NDArray[np.float64]
 
 SWAPPED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 MIRRORS = {  # of the voxels, under unchanged headers

@@ -7,7 +7,6 @@ from types import SimpleNamespace
 from typing import Any, cast
 
 import numpy as np
-from numpy.typing import NDArray
 from prepared_results import checked_plan, localized_fiducials
 from scipy.spatial.transform import Rotation
 
@@ -22,14 +21,13 @@ from procedures.steps.clinical.correspondence import STEP, Correspondence
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
 from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.plan_check import CheckedPlan
+from ronna_hw.arrays import Array
 from ronna_hw.config import ProcedureSettings
 from ronna_hw.frames import Frame, Transform
 from sim.polaris.measurement.line_of_sight import head_ellipsoid, visible
 from sim.world.rigid import apply, inverse, matrix_from, matrix_of, pose_of
 from sim.world.scene.head import CAP_AXIS_CT, CENTRE_CT_MM, SEMI_AXES_MM, draw_direction, skin_at
 from sim.world.scene.named_scenes import draw_scene
-
-Array = NDArray[np.float64]
 
 CT_MM, TRACKER_MM = 0.05, 0.15  # per axis, of a sphere
 POINTER_MM = 2.0  # per axis: where a person sets a pointer on skin

@@ -19,7 +19,6 @@ from clinical_case import (
     ClinicalCell,
 )
 from localized_spheres import localized_marker
-from numpy.typing import NDArray
 from recording_cell import GUIDE, RecordingCell
 
 from procedures.engine.engine import Engine
@@ -47,13 +46,13 @@ from procedures.steps.clinical.tool_check import CheckedTool
 from procedures.strategies.strategy import ArmInBranch
 from procedures.strategies.trajectory import Trajectory, back_along_axis, target_pose
 from procedures.workcell import MountedTool
+from ronna_hw.arrays import Array
 from ronna_hw.config import ProcedureSettings
 from ronna_hw.devices.lifecycle import Identity
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.roles import MASTER
 from ronna_hw.vectors import JointVector
 
-Array = NDArray[np.float64]
 SERIES = "1.2.826.0.1.3680043.8.498.7"
 APPROACH_MM = ProcedureSettings().approach_mm
 ARRIVING = (1, -1, 1, -1, 1, -1)  # direction in which each joint arrives at a target

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from room_looks import room_reading_of, seen_frame
 
 from procedures.guards.room_reading import RoomReading
@@ -18,6 +18,7 @@ from procedures.steps.clinical.localized_room import LocalizedRoom
 from procedures.strategies.strategy import ONE_SIDE
 from ronna_hw.arm.catalogue import find_arm
 from ronna_hw.arm.kr6_r900 import SIXX, kr6_r900
+from ronna_hw.arrays import Array
 from ronna_hw.calibrated_arm.error_budget import ErrorSizes
 from ronna_hw.frames import Frame, Transform
 from sim.polaris.measurement.optics import Optics
@@ -26,8 +27,6 @@ from sim.polaris.unit.model import SPECTRA
 from sim.world.rigid import Matrix, apply, inverse, matrix_from, matrix_of, rotation_from_vector
 from sim.world.scene.model import Scene
 from sim.world.scene.named_scenes import MARKER_FROM_HEAD_MM, add_patient_frame, draw_scene
-
-Array = NDArray[np.float64]
 
 KR6 = kr6_r900(SIXX)
 HOME_RAD = KR6.home_rad

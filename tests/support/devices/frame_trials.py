@@ -5,17 +5,15 @@ from __future__ import annotations
 from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from procedures.guards.head_frames import PATIENT_LIMIT_MM, HeadFrames
 from procedures.guards.watch_thread import SKIPPED_FRAMES
+from ronna_hw.arrays import Array
 from ronna_hw.devices.readings import Stamp, StrayReading, TrackerFrame, Validity
 from sim.polaris.measurement.optics import Optics
 from sim.polaris.unit.model import SPECTRA
 from sim.world.rigid import apply, inverse, matrix_of
 from sim.world.scene.named_scenes import draw_scene
-
-Array = NDArray[np.float64]
 
 SCENES = 20
 MOTION_FRAMES = 180  # three seconds, as onto a target

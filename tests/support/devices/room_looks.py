@@ -5,15 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from procedures.guards.room_reading import RoomReading
 from procedures.room.sighting import MARKER_NOISE_MM, Rest, SeenFrame, Tracked, expect_frame
+from ronna_hw.arrays import Array
 from ronna_hw.devices.strays import StrayGroup
 from ronna_hw.frames import Transform
 from ronna_hw.vectors import JointVector
-
-Array = NDArray[np.float64]
 
 
 def room_reading_of(

@@ -12,7 +12,6 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from room_looks import room_reading_of, seen_frame
 
 from benchmarks.stereo_head.head_looks import ENDPOINTS
@@ -26,6 +25,7 @@ from procedures.strategies.trajectory import Trajectory, back_along_axis, target
 from ronna_hw.arm.catalogue import find_arm
 from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.arm.pose import Pose
+from ronna_hw.arrays import Array
 from ronna_hw.calibrated_arm.error_budget import ErrorSizes
 from ronna_hw.config import Calibrations, parse_theatre
 from ronna_hw.errors import RonnaError
@@ -39,8 +39,6 @@ from sim.world.rigid import apply, inverse, matrix_from, matrix_of
 from sim.world.scene.named_scenes import draw_scene
 from sim.world.scene.parts import GUIDE_FRAME_IN_TIP, GUIDE_FRAME_MARKERS_MM
 from sim.world.true_arm import TrueArm
-
-Array = NDArray[np.float64]
 
 APPROACH_MM = 60.0
 FLANKS = (1.0,) * 6

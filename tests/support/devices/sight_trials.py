@@ -31,7 +31,6 @@ from sim.polaris.measurement.optics import EYES_MM
 from sim.world.rigid import apply
 from sim.world.world import ArmState
 
-Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 FRAMES_S = 60.0

@@ -8,7 +8,6 @@ from types import SimpleNamespace
 from typing import Any, cast
 
 import numpy as np
-from numpy.typing import NDArray
 from room_looks import room_reading_of, seen_frame
 from scipy.spatial.transform import RigidTransform, Rotation
 
@@ -21,12 +20,11 @@ from procedures.steps.clinical.localized_room import LocalizedRoom
 from procedures.strategies.strategy import ONE_SIDE
 from procedures.workcell import Workcell
 from ronna_hw.arm.kr6_r900 import kr6_r900
+from ronna_hw.arrays import Array
 from ronna_hw.calibrated_arm.error_budget import ErrorSizes
 from ronna_hw.devices.readings import Validity
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.vectors import JointVector, joint_vector
-
-Array = NDArray[np.float64]
 
 KR6 = kr6_r900()
 HOME_RAD = joint_vector(map(math.radians, (0.0, -110.0, 120.0, 0.0, 60.0, 0.0)))

@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from procedures.imaging import Volume, VoxelGeometry
-
-Array = NDArray[np.float64]
+from ronna_hw.arrays import Array
 
 # NIST mass attenuation (cm2/g) at 50, 80 and 100 keV
 WATER = np.array([0.2269, 0.1837, 0.1707])

@@ -5,11 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from procedures.imaging import Localization, Marker, Volume, VoxelGeometry
-
-Array = NDArray[np.float64]
+from ronna_hw.arrays import Array
 
 
 def as_volume(scan: Any, origin_mm: ArrayLike = (0.0, 0.0, 0.0), axes: ArrayLike | None = None) -> Volume:

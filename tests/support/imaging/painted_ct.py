@@ -17,7 +17,7 @@ from pydicom.dataset import Dataset, FileMetaDataset
 from pydicom.uid import CTImageStorage, ExplicitVRLittleEndian
 from scipy.ndimage import gaussian_filter, gaussian_filter1d
 
-Array = NDArray[np.float64]
+from ronna_hw.arrays import Array
 
 AIR_HU = -1000.0
 POLYMER_HU = 150.0

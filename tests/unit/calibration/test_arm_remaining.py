@@ -8,20 +8,18 @@ import numpy as np
 import pytest
 import tomli_w
 from arm_looks import KINEMATICS, SPHERES_MM, LookingArm
-from numpy.typing import NDArray
 
 from procedures.calibration.arm_calibration import ArmResult, calibrate_arm
 from procedures.calibration.arm_sources import ArmPoses, arm_sources
 from procedures.registration.rigid_fit import fit_rigid
 from procedures.registration.target_prediction import TargetPrediction, predict_target_error
 from procedures.runs.calibrations import ARM
+from ronna_hw.arrays import Array
 from ronna_hw.bounded_input import parse_toml
 from ronna_hw.calibrated_arm.deviations import ArmDeviations, flange_poses, flange_rotations, gravity_levers
 from ronna_hw.calibrated_arm.error_budget import ErrorSizes, IdentifiedArm, by_deviation
 from ronna_hw.calibration import ArmCalibration
 from ronna_hw.config import ProcedureSettings
-
-Array = NDArray[np.float64]
 
 CHAIN = KINEMATICS.chain
 TURNS = np.array([[0.0, 0, 0], [0.1, -0.1, 0.2], [-0.2, 0.1, 0.1], [0.1, 0.2, -0.2], [-0.1, -0.1, 0.0]])

@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from procedures.calibration.guide_load import (
     FALSE_ALARM_RATE,
@@ -21,6 +20,7 @@ from ronna_hw.arm.kinematics import Kinematics
 from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.arm.load_model import KR6, UR5E, LoadModel
 from ronna_hw.arm.universal_robots import universal_robot
+from ronna_hw.arrays import Array
 from ronna_hw.vectors import JointVector, joint_vector, vector3
 from sim.kuka.controller_parameters import ControllerParameters as KukaParameters
 from sim.kuka.motor_currents import LARGEST_TORQUES_NM
@@ -31,7 +31,6 @@ from sim.universal_robots.model import MODELS, TORQUES_NM
 from sim.world.held_torques import BODIES, HeldTorques, Stiction
 from sim.world.scene.arm_design import DESIGNS
 
-Array = NDArray[np.float64]
 GUIDE_MM = (220.0, 0.0, 60.0)
 KUKA_STICTION, UR_STICTION = KukaParameters().stiction_share, UrParameters().stiction_share
 DRIVE_ERROR_SHARE = KukaParameters().current_error_share

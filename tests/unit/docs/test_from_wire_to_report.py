@@ -18,7 +18,6 @@ from typing import Any
 import numpy as np
 import pytest
 from clinical_case import CENTRES_CT_MM, FIRST, SCENE, SPHERES_MM, ClinicalCell
-from numpy.typing import NDArray
 from painted_ct import FRAME_UID, SERIES_UID, Scan, write_series
 from passing_clock import PassingClock
 from polaris_unit_in_process import UnitInProcess, tracker_on
@@ -48,6 +47,7 @@ from procedures.workcell import MountedTool
 from procedures.workcell.motions import PlannedMotion
 from procedures.workcell.supervised_motion import SupervisedMotion
 from procedures.workcell.tracker_look import FRAMES, robot_from_marker
+from ronna_hw.arrays import Array
 from ronna_hw.config import read_theatre_file
 from ronna_hw.devices.capabilities import Direction, PassedBytes
 from ronna_hw.devices.readings import ArmReading
@@ -63,8 +63,6 @@ LAYER = re.compile(rf"{ROOT}/(drivers|ronna_hw|procedures/\w+)/")
 BX_BEGINS = b"\xc4\xa5"
 # Of these links of the page nothing runs here: the unit is in this process, and an interface has no code.
 NOT_RUN = {"drivers/ndi_polaris/transport.py", "ronna_hw/devices/sensors.py"}
-
-Array = NDArray[np.float64]
 
 
 class UnitInRoom(UnitInProcess):

@@ -8,13 +8,12 @@ import numpy as np
 import pytest
 from fan_beam import Mounted, scan
 from localized_spheres import as_volume, matched, rms
-from numpy.typing import NDArray
 from painted_ct import Scan
 
 from procedures.imaging import Volume, errors, localize
 from procedures.imaging.errors import MarkerCountWrong
+from ronna_hw.arrays import Array
 
-Array = NDArray[np.float64]
 RADIUS_MM = 5.75
 
 

@@ -10,12 +10,10 @@ import numpy as np
 import pytest
 from coded_errors import raises
 from localized_spheres import as_volume, matched, rms
-from numpy.typing import NDArray
 from painted_ct import Scan
 
 from procedures.imaging import Volume, errors, localize, localize_picks, read_series
-
-Array = NDArray[np.float64]
+from ronna_hw.arrays import Array
 
 GOOD = {"spacing_mm": (1.0, 0.5, 0.5), "noise_hu": 20.0, "shape": (40, 80, 160)}
 POOR = {"spacing_mm": (2.0, 0.7, 0.7), "noise_hu": 50.0, "shape": (20, 58, 114)}

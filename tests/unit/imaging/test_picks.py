@@ -10,12 +10,11 @@ import numpy as np
 import pytest
 from coded_errors import raises
 from localized_spheres import as_volume
-from numpy.typing import NDArray
 from painted_ct import Scan
 
 from procedures.imaging import Volume, errors, localize, localize_picks, read_picks
+from ronna_hw.arrays import Array
 
-Array = NDArray[np.float64]
 CENTRES = np.array([[20.2, 19.7, 17.4], [21.1, 20.3, 44.6]])
 
 

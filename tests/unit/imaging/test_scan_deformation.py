@@ -8,7 +8,6 @@ from math import tan
 import numpy as np
 import pytest
 from localized_spheres import as_volume
-from numpy.typing import NDArray
 from painted_ct import Scan
 from scipy.ndimage import shift
 
@@ -25,8 +24,7 @@ from procedures.imaging.scan_deformation import (
 )
 from procedures.imaging.sphere_centre.ball_model import Stretch
 from procedures.imaging.volume import VoxelGeometry
-
-Array = NDArray[np.float64]
+from ronna_hw.arrays import Array
 
 RADIUS_MM, PIXEL_MM = 5.75, 0.5
 AXIAL = np.eye(3)[:, ::-1]  # slices along S

@@ -7,10 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
-Array = NDArray[np.float64]
+from ronna_hw.arrays import Array
 
 HEAD_HALF_AXES_MM = np.array([75.0, 95.0, 70.0])
 

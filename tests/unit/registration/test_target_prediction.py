@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.special import chdtr
 
 from procedures.registration import register
@@ -20,6 +19,7 @@ from procedures.registration.target_prediction import (
     influence_of_spheres,
     predict_target_error,
 )
+from ronna_hw.arrays import Array
 
 SPHERES = np.array([[80.0, 0, 0], [0, 90, 20], [-70, -10, 40], [10, -80, 0]])
 TARGET = np.array([5.0, 10.0, -40.0])
@@ -67,8 +67,6 @@ def test_the_region_contains_the_errors_of_many_registrations() -> None:
     assert predicted.mark_contained(errors).mean() == pytest.approx(0.95, abs=0.02)
     assert sum(share**2 for share in predicted.budget_mm.values()) == pytest.approx(predicted.rms_mm**2)
 
-
-Array = NDArray[np.float64]
 
 POINTS_MM = np.array([[60.0, 0, 10], [-50, 30, 0], [0, -60, 20], [20, 50, -40], [-30, -20, 50]])
 SIGMA_MM = 0.1

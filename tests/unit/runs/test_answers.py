@@ -47,6 +47,7 @@ def test_an_unlisted_question_is_answered_by_the_default_of_the_file(
     [
         ("[answers]\nlunch = 'yes'", "lunch"),
         ("[answers]\napproach = 'perhaps'", "perhaps"),
+        ("[answers]\n'patient:T1' = 'no'", "write patient"),
         ("[answers]\n'approach:T1' = 'Y'", "yes or no"),
         ("[answers]\napproach = true", "answers.approach"),
         ("default = 'second'", "default"),

@@ -7,6 +7,7 @@ import pytest
 from camera_views import FOCAL_PX, FULL, PRINCIPAL_PX, RADIUS_MM, aim_at_first_sphere, ball, bare_camera
 from numpy.typing import NDArray
 
+from ronna_hw.arrays import Array
 from sim.basler.camera.photographer import Photographer
 from sim.basler.camera.view import View, ViewDisturbances
 from sim.basler.optics.canvas import Area
@@ -21,8 +22,6 @@ from sim.world.rigid import matrix_of
 from sim.world.scene.model import CameraTruth
 from sim.world.scene.named_scenes import draw_scene
 from sim.world.world import World
-
-Array = NDArray[np.float64]
 
 
 def light(disturbance: PictureDisturbance, spheres: list[DrawnSphere] | None = None) -> Array:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.optimize import curve_fit
 from scipy.special import ndtr
 
+from ronna_hw.arrays import Array
 from sim.basler.optics.canvas import Area, Lens, blur
 from sim.basler.optics.film import CONTRAST, Film, Grain
 from sim.basler.optics.picture import LensOptics
@@ -19,8 +20,6 @@ from sim.basler.optics.sphere import DrawnSphere, draw_sphere
 from sim.world.noise import noise
 from sim.world.rigid import rotation_from_vector
 from sim.world.scene.named_scenes import draw_scene
-
-Array = NDArray[np.float64]
 
 PLAIN_FILM = Film(Grain(0, 1), RADIUS_MM)
 

@@ -15,6 +15,7 @@ from scipy.ndimage import map_coordinates
 
 from procedures.imaging import read_series
 from procedures.imaging.errors import GANTRY_TILTED
+from ronna_hw.arrays import Array
 from sim.errors import BAD_SCENE
 from sim.phantom.case import write_case
 from sim.phantom.head.anatomy import draw_anatomy
@@ -202,8 +203,6 @@ def test_impossible_scanner_faults_are_refused(faults: dict[str, Any]) -> None:
     with raises(BAD_SCENE):
         ScannerFaults(**faults)
 
-
-Array = NDArray[np.float64]
 
 GRID = CtGrid((-63.5, -63.5, 0.0), 1.0, 1.0, 128, 128, 24)
 HEIGHT = 12

@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from ronna_hw.arm.catalogue import ArmChoice
+from ronna_hw.arrays import Array
 from ronna_hw.errors import EXIT_REFUSED, EXIT_USAGE
 from sim.world.displacements import ShiftedRoom, rigid_move
 from sim.world.faults import check_faults, parse_faults
@@ -34,7 +34,6 @@ from studies.worlds.looks import FRAME_MM, Looks, MovedBody, find_hidden_moves
 from studies.worlds.silence import CaseEnding, Silence, judge_case
 from studies.worlds.world import MINI
 
-Array = NDArray[np.float64]
 CASES = 90
 
 

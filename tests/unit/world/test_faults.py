@@ -129,6 +129,8 @@ def test_every_wrong_line_is_reported() -> None:
     [
         ("at 3 s: robot drop 500 % for 1 s", "expected at most 100 %, got 500"),
         ("at 1e400 s: tracker cold", "expected a time that comes"),
+        (f"at 3 s: room shift head {'9' * 400} 0 0 mm", "expected numbers, got one beyond any number"),
+        ("at 3 s: room shift head 1 0 0 mm over 0 s", "expected a time longer than 0 s"),
     ],
 )
 def test_a_fault_outside_the_scene_is_refused(line: str, said: str) -> None:

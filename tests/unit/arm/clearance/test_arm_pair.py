@@ -12,7 +12,6 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from coded_errors import raises
-from numpy.typing import NDArray
 
 from ronna_hw.arm.catalogue import find_arm
 from ronna_hw.arm.clearance.arm_pair import (
@@ -30,6 +29,7 @@ from ronna_hw.arm.kinematics import Kinematics
 from ronna_hw.arm.motion.limits import working_limits
 from ronna_hw.arm.motion.planning import plan_joint_move
 from ronna_hw.arm.pose import Pose
+from ronna_hw.arrays import Array
 from ronna_hw.collision_config import CollisionConfig
 from ronna_hw.errors import LimitError
 from ronna_hw.vectors import JointVector, joint_vector
@@ -40,8 +40,6 @@ from sim.world.scene.assistant import add_assistant
 from sim.world.scene.model import ArmTruth
 from sim.world.scene.named_scenes import draw_scene
 from sim.world.true_arm import build_model
-
-Array = NDArray[np.float64]
 
 CYCLE_S = 0.02  # coarser than an arm's own: bounds hold between postures, and the truth is sampled
 LAG_S = 0.5

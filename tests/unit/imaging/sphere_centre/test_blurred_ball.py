@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from painted_ct import Scan
 
 from procedures.imaging.examination import combine_estimates
@@ -35,8 +34,7 @@ from procedures.imaging.sphere_centre.correlated_noise import (
 from procedures.imaging.sphere_centre.radial_edge import RadialEdge
 from procedures.imaging.sphere_centre.streak_prior import BENT, StreakPrior
 from procedures.imaging.volume import Region
-
-Array = NDArray[np.float64]
+from ronna_hw.arrays import Array
 
 Equations = tuple[WhitenedStep, Array, VoxelGrid]
 SPACING_MM = np.array([1.0, 0.5, 0.5])

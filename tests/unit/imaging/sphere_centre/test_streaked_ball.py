@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from procedures.imaging.sphere_centre.ball_model import IN, OUT, RADIUS, SXY, SZ, intensities
 from procedures.imaging.sphere_centre.radial_edge import RadialEdge, ray_directions
 from procedures.imaging.sphere_centre.streaked_ball import StreakedBall, fit_streaked_ball
 from procedures.imaging.volume import AIR_HU, Region
-
-Array = NDArray[np.float64]
+from ronna_hw.arrays import Array
 
 SPACING_MM = np.array([1.0, 0.5, 0.5])
 SHAPE = (25, 49, 49)

@@ -10,8 +10,8 @@ from two_arm_room import OVER_GUIDE_RAD, TwoArmRoom, shifted
 
 from procedures.guards.errors import InsertionDisturbed
 from procedures.journal.journal import Line
-from procedures.runs import assistant_comparison
-from procedures.runs.assistant_comparison import compare_assistants
+from procedures.runs import arm_comparison
+from procedures.runs.arm_comparison import compare_arms
 from procedures.runs.comparison import Comparison
 from procedures.steps.clinical.two_arms import seen_on_axis
 from procedures.steps.clinical.two_arms.seen_on_axis import LOOK_AT_CART, look_before_retreat
@@ -33,11 +33,12 @@ def compare_seen(monkeypatch: pytest.MonkeyPatch, watch: object = None, **seen: 
     workcell, known = watched(monkeypatch, **seen)
     workcell.assistant.require_on_axis = lambda: 120.0
     workcell.assistant.history = SimpleNamespace(base=object())
-    monkeypatch.setattr(assistant_comparison, "_watch_with_bases", lambda _engine: watch or known)
+    monkeypatch.setattr(arm_comparison, "_watch_with_bases", lambda _engine: watch or known)
+    monkeypatch.setattr(arm_comparison, "_compare_guide", lambda *_known: None)
     engine = SimpleNamespace(setting=SimpleNamespace(workcell=workcell, clock=None))
     left = SimpleNamespace(chain=SimpleNamespace(lines=LINES, torn=b""), lost=())
     comparison = Comparison()
-    compare_assistants(cast("Any", engine), cast("Any", left), comparison)
+    compare_arms(cast("Any", engine), cast("Any", left), comparison)
     return comparison
 
 

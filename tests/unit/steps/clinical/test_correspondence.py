@@ -16,7 +16,6 @@ from clinical_case import (
     SeeingTracker,
 )
 from coded_errors import raises
-from numpy.typing import NDArray
 from prepared_results import checked_plan, global_localization, localized_fiducials
 from recording_cell import RecordingOperator
 from scipy.spatial.transform import Rotation
@@ -34,12 +33,12 @@ from procedures.steps.clinical import correspondence
 from procedures.steps.clinical.coarse_match import SIGMA_CT_MM, coarse_match, room_prior
 from procedures.steps.clinical.correspondence import READ_AGAIN, STEP, Correspondence
 from procedures.steps.clinical.plan_check import CheckedPlan
+from ronna_hw.arrays import Array
 from ronna_hw.config import ProcedureSettings
 from ronna_hw.errors import EXIT_REFUSED
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.x_frame import SPHERE_CENTRES_MM
 
-Array = NDArray[np.float64]
 GHOST_MM = np.array([[400.0, 300.0, 200.0]])
 # On forehead and vertex: gravity allows each of its turns.
 FLAT_MM = np.array([[60.0, 0.0, 0.0], [0.0, 60.0, 0.0], [-60.0, 0.0, 0.0], [0.0, -60.0, 0.0]])

@@ -10,7 +10,6 @@ import pytest
 import tomli_w
 from clinical_case import CENTRES_CT_MM, SCENE, ClinicalCell
 from coded_errors import raises
-from numpy.typing import NDArray
 from painted_ct import SeriesEdit, write_series
 from prepared_results import SERIES, imported_ct, localized_fiducials, plan
 from pydicom.dataset import Dataset
@@ -24,8 +23,7 @@ from procedures.planning.plan_file import describe_seal
 from procedures.planning.plan_model import Plan
 from procedures.steps.clinical.fiducial_localization import DoubtfulSphere
 from procedures.steps.clinical.plan_check import STEP, CheckedPlan
-
-Array = NDArray[np.float64]
+from ronna_hw.arrays import Array
 
 STRANGER_MM = CENTRES_CT_MM.mean(axis=0) + np.array([0.0, 0.0, 40.0])
 SHAPE, VOXEL_MM = (56, 64, 52), 4.0

@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from clinical_case import FIRST, ROBOT_FROM_CT, SPHERES_MM, TRAJECTORIES, ClinicalCell
-from numpy.typing import NDArray
 from prepared_results import (
     CENTRES_CT_MM,
     checked_paths,
@@ -35,11 +34,9 @@ from procedures.steps.clinical.unnoticed import BASE, GUIDE, HEAD, expect_unnoti
 from procedures.strategies.catalogue import find_strategy
 from procedures.strategies.fixed_orientation import NeutralOrientation
 from procedures.workcell import MountedTool
+from ronna_hw.arrays import Array
 from ronna_hw.config import ProcedureSettings
 from sim.world.process import load_scene
-
-Array = NDArray[np.float64]
-
 
 FAR_MM = (0.0, 0.0, -300.0)
 SIDEWAYS_MM = 0.7  # the largest that the gate takes without the backlash of 0.25 mm is 0.6

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from clinical_case import FIRST, ROBOT_FROM_CT, SPHERES_MM, TRAJECTORIES, ClinicalCell
-from numpy.typing import NDArray
 from prepared_results import (
     checked_paths,
     checked_plan,
@@ -27,8 +26,7 @@ from procedures.steps.clinical.target_measurement import STEP, MeasuredTarget
 from procedures.strategies.catalogue import STRATEGIES
 from procedures.strategies.strategy import Strategy
 from procedures.workcell import MountedTool
-
-Array = NDArray[np.float64]
+from ronna_hw.arrays import Array
 
 BESIDE_MM = np.array([0.3, -0.2, 0.1])
 

@@ -1,14 +1,19 @@
-"""Comparison of the assistant with the journal and, in the guide, with its tracked frame."""
+"""Comparison of the arms' places with the journal and, in the guide, with the tracked frames.
+
+What the guide's pose tells is assumed where the journal's lost end may have said it.
+"""
 
 from __future__ import annotations
 
 from typing import TypeVar
 
 from procedures.engine.engine import Engine
+from procedures.engine.questions import IN_DIVOT, IN_GAUGE
 from procedures.engine.run_folder import parse_record
 from procedures.guards.errors import InsertionDisturbed
 from procedures.guards.room_watch import RoomWatch
 from procedures.journal.results import StepResult
+from procedures.runs import way_out
 from procedures.runs.comparison import Comparison
 from procedures.runs.interrupted_run import InterruptedRun
 from procedures.steps.clinical.correspondence import Correspondence
@@ -32,13 +37,33 @@ from ronna_hw.roles import ASSISTANT
 R = TypeVar("R", bound=StepResult)
 
 
-def compare_assistants(engine: Engine, previous: InterruptedRun, comparison: Comparison) -> None:
-    """Compare where each assistant is with the journal; refuse a way out that nobody can check.
+def compare_arms(engine: Engine, previous: InterruptedRun, comparison: Comparison) -> None:
+    """Compare where each arm is with the journal; refuse a way out that nobody can check.
 
-    Its devices are configured.
+    The devices are configured. An instrument that may be in the guide is assumed to be inside.
     """
     for assistant in engine.setting.workcell.assistants:
         _compare_assistant(engine, assistant, previous, comparison)
+    _compare_guide(engine, comparison)
+
+
+def _compare_guide(engine: Engine, comparison: Comparison) -> None:
+    """Infer from the guide's pose what may be inside."""
+    master = engine.setting.workcell.master
+    if not master.place.is_on_axis and (found := way_out.find_guide_axis(engine)) is not None:
+        axis, travel_mm = found
+        master.record_found_on_axis(axis)  # the lost lines may also have said that an instrument goes in
+        comparison.warnings.append(
+            f"the guide is {travel_mm:.0f} mm along {axis.trajectory}: an instrument is assumed to be inside"
+        )
+    elif master.instrument.inside is None and way_out.is_guide_in_gauge(engine):
+        master.instrument.record_assumed(IN_GAUGE)
+        comparison.warnings.append("the guide is at the gauge: the mandrel is assumed to be inside")
+    elif master.instrument.inside is None and way_out.is_guide_at_divot(engine):
+        master.instrument.record_assumed(IN_DIVOT)
+        comparison.warnings.append("the guide is at the divot, which is assumed to be raised")
+    if master.place.assumed and master.instrument.inside in engine.order.trajectories:
+        master.instrument.stages.record_doubt(str(master.instrument.inside))
 
 
 def _compare_assistant(
