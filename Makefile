@@ -82,7 +82,7 @@ lint: setup
 bench: setup
 	@$(BIN)/python -P benchmarks/run.py $(addprefix --only ,$(ONLY))
 
-# Against the figures of tools/budget/budget.toml, as `.ci/run` does; WHOLE=1 for all, WRITE="reason" to set them.
+# Against the figures of tools/budget/budget.toml; WHOLE=1 for all, WRITE="reason" to set them.
 budget: setup
 	@OPENBLAS_NUM_THREADS=1 $(BIN)/python tools/budget/budget.py $(if $(WHOLE),--whole) $(if $(WRITE),--because "$(WRITE)")
 

@@ -1,6 +1,6 @@
 """Budget of processor time, theatre time and bytes, which every change meets.
 
-    make budget                                        # what `.ci/run` checks
+    make budget                                        # the quick part
     make budget WHOLE=1                                # also the default case, the phantom and the tests
     make budget WRITE="a second look at each sphere"   # the figures measured are the budget from now on
 
