@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from budget import LARGEST, read_budget
-from reference_tables import table
+import tomllib
+
+from reference_tables import ROOT, table
+
+BUDGET = ROOT / "tools" / "budget" / "budget.toml"
 
 
 def time_table() -> str:
-    """Tabulate each figure's budget, and its earlier ones with the reasons for the change."""
+    """Tabulate each figure's budget, newest first, with the reason for each change."""
+    budget = tomllib.loads(BUDGET.read_text(encoding="utf-8"))
     rows = [
-        (name, f"{entry.value:g} {entry.unit}", entry.date, entry.because)
-        for name, entries in read_budget().items()
+        (name, f"{entry['value']:g} {entry['unit']}", entry["date"], entry["because"])
+        for name, entries in budget.items()
         for entry in reversed(entries)
     ]
-    headings = ("figure", "budget", "since", "because")
-    return f"A change fails beyond {LARGEST:g} of the newest row of each figure.\n\n{table(headings, rows)}"
+    return table(("figure", "budget", "since", "because"), rows)
