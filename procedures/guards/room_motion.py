@@ -26,7 +26,7 @@ from ronna_hw.frames import Frame, Transform
 from ronna_hw.text import format_against_limit, format_count
 
 # Safety against a cart that was rolled (U).
-GROSS_LIMIT_MM = 10.0  # of the frame on the arm, in any pose, at least: no hand on the guide moves it so far
+GROSS_LIMIT_MM = 10.0  # of the frame on the arm: no hand on guide or arm moves it so far
 # Safety against a sphere at a place where none is known (U).
 NEAR_HEAD_MM = 60.0  # from a known sphere: anything that reflects there is taken for a sphere of the head
 
@@ -65,8 +65,7 @@ class Expected:
 
     `spheres_mm` (n, 3) and `clamp_mm` (m, 3), None without a frame on the clamp; `marker` is the frame on the
     arm by the arm alone, ROBOT <- MARKER, and `arm_way_mm` (3,) how far it is seen from where earlier looks
-    have it, robot frame, None if not seen. `sensors_mm` (2, 3) are the tracker's own. By `gross_limit_mm` the
-    frame on the arm is off in any pose only if the cart was rolled.
+    have it, robot frame, None if not seen. `sensors_mm` (2, 3) are the tracker's own.
     """
 
     look: Sighting
@@ -76,7 +75,6 @@ class Expected:
     marker: Transform
     arm_way_mm: Array | None
     sensors_mm: Array
-    gross_limit_mm: float
 
 
 def push_of_tracker(expected: Expected) -> Transform | None:
@@ -123,7 +121,7 @@ def name_motion(
             x, y, z = motion.way_mm.tolist()
             moved.way_mm = (x, y, z)
             return moved
-        case Moved.BASE | Moved.SEVERAL if approached and motion.moved_mm < expected.gross_limit_mm:
+        case Moved.BASE | Moved.SEVERAL if approached and motion.moved_mm < GROSS_LIMIT_MM:
             several = (
                 ", or two of head, cart and tracker" if motion.moved is Moved.SEVERAL else ", or the cart"
             )
@@ -165,7 +163,7 @@ def _base_shifted(
     if not cart:  # what it sees moves against it
         way = describe_way(-motion.way_mm)
     what = "the cart of the robot was moved, the frame on the arm" if cart else "the tracker was moved"
-    if cart and motion.moved_mm < expected.gross_limit_mm:
+    if cart and motion.moved_mm < GROSS_LIMIT_MM:
         what = "the cart of the robot was moved, or somebody leans on arm or guide: the frame on the arm"
     if motion.moved is Moved.SEVERAL:
         what = "head and arm show that two of head, cart and tracker were moved, one of them"

@@ -133,10 +133,10 @@ class RoomWatch:
 
     @property
     def gross_limit_mm(self) -> float:
-        """Way of the frame on the arm, in any pose, that a rolled cart alone explains.
+        """Way of the frame on the arm that a rolled cart alone explains where it was never seen before.
 
-        An error of the tool frame goes unseen where the tracker was localized, and displaces the frame by up
-        to twice as much once the flange has turned.
+        At least `GROSS_LIMIT_MM`, which rules out a hand. An error of the tool frame goes unseen where the
+        tracker was localized, and displaces the frame by up to twice as much once the flange has turned.
         """
         tool_mm = self.estimate.model.arms[Tracked.ARM].sizes.tool_mm
         return max(room_motion.GROSS_LIMIT_MM, 2.0 * tool_mm * math.sqrt(float(chdtri(AXES, FALSE_ALARM))))
@@ -321,7 +321,6 @@ class RoomWatch:
             judged.reading.robot_from_flange @ Transform.from_matrix(Frame.FLANGE, Frame.MARKER, mount),
             self._arm_way_mm(judged.rows) if Body.BASE in judged.rows.blocks else None,
             self.sensors_mm,
-            self.gross_limit_mm,
         )
 
     def _arm_way_mm(self, rows: Rows) -> Array:
