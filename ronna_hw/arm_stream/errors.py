@@ -54,7 +54,7 @@ class MakeRow(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class StreamWords:
-    """What one make calls the parts of its stream, for error messages."""
+    """Words of one make for the parts of its stream, for error messages."""
 
     clock: str  # time stamp of a message
     message: str  # sent by the controller in every cycle

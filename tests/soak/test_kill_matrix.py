@@ -40,7 +40,7 @@ REST_LIMIT_S = 0.3  # that the theatre gives an arm on its way
 
 @dataclass(frozen=True)
 class Snapshot:
-    """What a program that was killed at a line had left, and which of its files it had open for writing."""
+    """Run of a program that was killed at a journal line, and the files it had open for writing."""
 
     folder: Path
 

@@ -1,4 +1,4 @@
-"""What the budget measures: programs, simulators, cases, packages."""
+"""Subjects of the budget: programs, simulators, cases, packages."""
 
 from __future__ import annotations
 

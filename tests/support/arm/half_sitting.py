@@ -45,7 +45,7 @@ def reclined_ct(centre_mm: ArrayLike = HEAD.centre_mm, middle_mm: ArrayLike = MI
 
 
 def scene_with(*bodies: RoomBody) -> PlanningScene:
-    """That head, its spheres, and a cell with these bodies more than usual."""
+    """Build the surroundings of the half-sitting head: its spheres, a usual cell, and these bodies."""
     return PlanningScene(CollisionConfig(bodies=(*CollisionConfig().bodies, *bodies)), HEAD, FIDUCIALS)
 
 

@@ -1,4 +1,4 @@
-"""What is done on a page of the console that no browser has opened."""
+"""A page of the console without a browser."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What comes next in a case, which results are valid, and which trajectories are left out."""
+"""A case knows its next step, its valid results, and the trajectories that are left out."""
 
 from collections.abc import Callable
 from dataclasses import replace

@@ -26,7 +26,7 @@ from ronna_hw.frames import Frame, Transform
 
 
 def ball(name: str, place_mm: tuple[float, float, float], radius_mm: float) -> RoomBody:
-    """Of the robot's frame."""
+    """Ball in the room, robot frame."""
     return RoomBody(name=name, start_mm=place_mm, end_mm=place_mm, radius_mm=radius_mm, frame=BodyFrame.ROBOT)
 
 

@@ -40,7 +40,7 @@ UNTRUSTED_PATHS = 0.4  # share of the interruptions that do not trust the path
 
 @dataclass
 class Driven:
-    """What became of one request: the points sent, or the code it was refused with."""
+    """Outcome of one request: the points sent, or the code it was refused with."""
 
     refused: str = ""
     sent: list[JointVector] = field(default_factory=list)
