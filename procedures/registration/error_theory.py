@@ -13,7 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.special import chdtri, fdtri
+from scipy.optimize import brentq
+from scipy.special import chdtrc, chdtri, fdtri
 
 from procedures.registration.errors import RESIDUAL_TOO_LARGE, TOO_FEW_POINTS, BadParameter
 from procedures.registration.points import FEWEST_PAIRS
@@ -180,6 +181,34 @@ def error_limit_mm(covariance_mm2: Array, confidence: float, freedom: int | None
     else:
         factor = fdtri(shape, freedom, confidence)
     return np.asarray(np.sqrt(total * factor))
+
+
+def rare_limit_mm(
+    usual_mm2: Array, rare_mm2: Array, probability: float, confidence: float = DEFAULT_CONFIDENCE
+) -> float:
+    """Return the radius in mm that contains the error vector, one part of which is there only rarely.
+
+    The covariance is `usual_mm2` (3, 3), and with this probability `usual_mm2 + rare_mm2`. Raises REG-007.
+    """
+    both_mm2 = usual_mm2 + rare_mm2
+    low_mm, high_mm = (float(error_limit_mm(one, confidence)) for one in (usual_mm2, both_mm2))
+    if high_mm <= low_mm:
+        return high_mm
+
+    def surplus(radius_mm: float) -> float:
+        beyond = _share_beyond(both_mm2, radius_mm), _share_beyond(usual_mm2, radius_mm)
+        return probability * beyond[0] + (1.0 - probability) * beyond[1] - (1.0 - confidence)
+
+    return float(brentq(surplus, low_mm, high_mm))
+
+
+def _share_beyond(covariance_mm2: Array, radius_mm: float) -> float:
+    """Return the probability of an error vector longer than a radius, as in `error_limit_mm`."""
+    total = float(np.trace(covariance_mm2))
+    if total <= 0.0:
+        return 0.0
+    shape = total**2 / float(np.sum(covariance_mm2**2))
+    return float(chdtrc(shape, shape * radius_mm**2 / total))
 
 
 def offset_limit_mm(offset_mm: Array, covariance_mm2: Array, confidence: float) -> float:

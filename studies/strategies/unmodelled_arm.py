@@ -236,7 +236,7 @@ class _Bench:
                     sums[f"{count}|{GAUGE}"] += 1
                 else:
                     predicted = _predict(scene, planned, target, count, judged, image, recorded[nth], fit)
-                    stated = TargetPrediction(predicted.by_source_mm2)
+                    stated = replace(predicted, widening=1.0)
                     sums[f"{count}|used"] += 1
                     sums[f"{count}|error"] += error_mm
                     sums[f"{count}|limit"] += predicted.limit_mm()
@@ -317,7 +317,7 @@ def _predict(
     residual = check_residuals(recorded[:count] - mapped, mapped, sources)
     nothing = np.zeros((count, AXES, AXES))
     unnoticed = [
-        IndependentErrors(name, nothing, np.eye(AXES) * rms_mm**2 / AXES)
+        IndependentErrors(name, nothing, np.eye(AXES) * rms_mm**2 / AXES, rare=True)
         for name, rms_mm in UNNOTICED_MM.items()
     ]
     return predict_target_error(spheres, target_mm, [*sources, *unnoticed], residual=residual)

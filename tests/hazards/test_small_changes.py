@@ -18,7 +18,8 @@ from scipy.spatial.transform import Rotation
 from procedures.guards.room_reading import CAREFUL_FRAMES
 from procedures.guards.room_watch import RoomLook, RoomWatch
 from procedures.guards.stability import GUIDE_NOTICEABLE_MM
-from procedures.registration.error_theory import DEFAULT_CONFIDENCE, error_limit_mm
+from procedures.registration.error_theory import rare_limit_mm
+from procedures.registration.target_prediction import RARE_SHARE
 from procedures.steps.clinical.tool_check import APPROACHES
 from procedures.strategies.strategy import ONE_SIDE
 from ronna_hw.arrays import Array
@@ -146,7 +147,7 @@ def limit_mm(watch: RoomWatch, target: str) -> float:
     base = watch.estimate.displacement(point_mm, last, {"base": 1.0}).covariance_mm2
     head = watch.estimate.displacement(point_mm, last - 1, {"head": -1.0}).covariance_mm2
     rest = (HONEST_MM**2 + GUIDE_NOTICEABLE_MM**2 / 3.0) / 3.0 * np.eye(3)
-    return float(error_limit_mm(rest + base + head, DEFAULT_CONFIDENCE))
+    return rare_limit_mm(rest, base + head, RARE_SHARE)
 
 
 def trials(count: int, *, quiet: bool) -> list[list[tuple[float, bool]]]:

@@ -300,7 +300,7 @@ def predict_tip_error(
             DIRECTION, nothing, direction_covariance_mm2(plan, planned, bore, stated_rad, turn)
         ),
         *(IndependentErrors(name, nothing, np.eye(3) * rms**2 / 3.0) for name, rms in at_target_mm.items()),
-        *(IndependentErrors(name, nothing, part) for name, part in unnoticed.items()),
+        *(IndependentErrors(name, nothing, part, rare=True) for name, part in unnoticed.items()),
     )
     residual = check_residuals(fit.residuals_mm, fit.physical_mm - fit.residuals_mm, sources)
     arm_mm = arm_error_mm(context.setting.settings, calibrations.arm)

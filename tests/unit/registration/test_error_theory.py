@@ -15,6 +15,7 @@ from procedures.registration.error_theory import (
     fre_limit_mm,
     offset_limit_mm,
     pose_covariance,
+    rare_limit_mm,
     target_covariance_mm2,
     tre_principal_axes_mm,
 )
@@ -49,6 +50,18 @@ def test_the_stated_limit_contains_the_stated_share_of_errors(simulated):
     pose = pose_covariance(points, np.tile(np.eye(3) * FLE_MM**2 / 3, (len(points), 1, 1)), weighted=False)
     limit = error_limit_mm(target_covariance_mm2(TARGET, points, pose), 0.95)[0]
     assert np.mean(error < limit) == pytest.approx(0.95, abs=0.01)
+
+
+@pytest.mark.parametrize("probability", [0.0, 0.1, 0.4, 1.0])
+def test_the_limit_with_a_rare_part_contains_the_stated_share(
+    random: np.random.Generator, probability: float
+) -> None:
+    usual_mm2, rare_mm2 = np.diag([0.02, 0.01, 0.01]), np.diag([0.2, 0.02, 0.05])
+    there = random.random(200_000) < probability
+    errors_mm = random.standard_normal((len(there), 3)) * np.sqrt(np.diag(usual_mm2))
+    errors_mm += there[:, None] * random.standard_normal((len(there), 3)) * np.sqrt(np.diag(rare_mm2))
+    limit_mm = rare_limit_mm(usual_mm2, rare_mm2, probability, 0.95)
+    assert np.mean(np.linalg.norm(errors_mm, axis=1) < limit_mm) == pytest.approx(0.95, abs=0.005)
 
 
 def test_the_gate_rejects_five_percent_of_sound_registrations(simulated):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.special import chdtr
@@ -162,6 +164,19 @@ def test_what_displaces_the_target_alone_is_not_widened_since_no_residual_tests_
     doubled = IndependentErrors("CT", 4.0 * COVARIANCE_MM2, NOTHING)
     wanted = predict_target_error(POINTS_MM, TARGET_MM, [doubled, INSTRUMENT])
     assert both.limit_mm() == pytest.approx(wanted.limit_mm())
+
+
+def test_a_rare_source_counts_whole_in_the_rms_and_in_the_limit_as_often_as_it_is_there() -> None:
+    at_target_mm2 = 4.0 * INSTRUMENT.at_target_mm2
+    always, rarely = (
+        predict_target_error(
+            POINTS_MM, TARGET_MM, [OWN, replace(INSTRUMENT, at_target_mm2=at_target_mm2, rare=rare)]
+        )
+        for rare in (False, True)
+    )
+    never = predict_target_error(POINTS_MM, TARGET_MM, [OWN])
+    assert (rarely.rms_mm, rarely.budget_mm) == (always.rms_mm, always.budget_mm)
+    assert never.limit_mm() < rarely.limit_mm() < always.limit_mm()
 
 
 @pytest.mark.slow
