@@ -12,8 +12,9 @@ from typing import Final
 
 from sim.kuka.controller_parameters import ControllerParameters
 from sim.kuka.drives import Drives
+from sim.world.descriptions import DESCRIPTIONS
 from sim.world.displacements import STILL
-from sim.world.held_torques import BODIES, HeldTorques, Stiction
+from sim.world.held_torques import HeldTorques, Stiction
 from sim.world.noise import TabledNoise, noise
 from sim.world.nominal_arm import AXES
 from sim.world.scene.parts import CENTRE_OF_GRAVITY_MM
@@ -38,7 +39,7 @@ class MotorCurrents:
     def __init__(self, world: World, drives: Drives, parameters: ControllerParameters) -> None:
         truth, seed = world.scene.arm_of(world.role), arm_seed(world.scene.seed, world.role)
         self._drives, self._load = drives, SimulatedLoad(world)
-        self._torques = HeldTorques(truth.variant, BODIES[truth.variant], truth.links)
+        self._torques = HeldTorques(truth.variant, DESCRIPTIONS[truth.variant].links, truth.links)
         self._stiction = Stiction([parameters.stiction_share * most for most in LARGEST_TORQUES_NM], seed)
         errors = noise(seed, DEVICE, 0).normal(0.0, parameters.current_error_share, AXES).tolist()
         self._percent_per_Nm = [

@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from ronna_hw.arm import catalogue
 from ronna_hw.host.network import own_address, own_udp_endpoint
 from ronna_hw.wire.kuka_context import OWN_CONTEXT
 from sim.errors import BAD_DEVICE_PARAMETER
@@ -15,7 +16,7 @@ from sim.universal_robots.controller_parameters import ControllerParameters as U
 from sim.universal_robots.factory_calibration import calibrate
 from sim.universal_robots.model import MODELS
 from sim.universal_robots.stated_chain import StatedChain, stated_chain
-from sim.world import nominal_arm, universal_robots_arm
+from sim.world.descriptions import DESCRIPTIONS
 from sim.world.options import ArmRole
 from sim.world.scene.model import ArmTruth, Scene
 
@@ -70,7 +71,7 @@ def _state_measured_chain(truth: ArmTruth, seed: int, parameters: tuple[str, ...
     """Return the chain that the factory has measured."""
     kind = UrParameters.parse(parameters).factory_calibration
     measured = calibrate(MODELS[truth.variant], truth, seed, kind)
-    return stated_chain(measured, universal_robots_arm.DESCRIPTIONS[truth.variant])
+    return stated_chain(measured, DESCRIPTIONS[truth.variant])
 
 
 KUKA = ArmController(
@@ -94,16 +95,18 @@ UNIVERSAL_ROBOTS = ArmController(
     state_chain=_state_measured_chain,
     speed_fraction=UR_SPEED_FRACTION,
 )
-CONTROLLERS: dict[str, ArmController] = {
-    **dict.fromkeys(nominal_arm.DESCRIPTIONS, KUKA),
-    **dict.fromkeys(universal_robots_arm.DESCRIPTIONS, UNIVERSAL_ROBOTS),
-}
+CONTROLLERS = {catalogue.KUKA: KUKA, catalogue.UNIVERSAL_ROBOTS: UNIVERSAL_ROBOTS}  # by make
+
+
+def controller_of(arm: ArmTruth) -> ArmController:
+    """Return the controller that an arm is sold with."""
+    return CONTROLLERS[DESCRIPTIONS[arm.variant].make.name]
 
 
 def check_cycle(scene: Scene, cycle_ms: int | None) -> None:
     """Raise SIM-010 for a cycle that the controller of an arm in the scene does not have."""
     for role, arm in scene.arms.items():
-        if cycle_ms is not None and cycle_ms not in CONTROLLERS[arm.variant].cycles_ms:
+        if cycle_ms is not None and cycle_ms not in controller_of(arm).cycles_ms:
             raise BAD_DEVICE_PARAMETER(
                 f"the {role} is a {arm.variant}, whose cycle cannot be chosen",
                 got=f"--cycle-ms {cycle_ms}",
@@ -113,4 +116,4 @@ def check_cycle(scene: Scene, cycle_ms: int | None) -> None:
 
 def device_name(scene: Scene, role: ArmRole) -> str:
     """Return the name of an arm in the READY line of a theatre: that of its controller, or `assistant`."""
-    return CONTROLLERS[scene.arm.variant].device if role is ArmRole.MASTER else role.value
+    return controller_of(scene.arm).device if role is ArmRole.MASTER else role.value

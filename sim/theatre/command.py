@@ -195,7 +195,7 @@ def _require_left_world(folder: Path) -> None:
 
 def _require_same_world(context: typer.Context, folder: Path) -> None:
     """Raise CLI-001 if an option contradicts the world being continued."""
-    from sim.world.scene.arm_design import arm_named
+    from sim.world.scene.arm_design import DESIGNS
     from sim.world.scene.model import read_scene
     from sim.world.scene.named_scenes import SCENES
     from sim.world.truth import SCENE_FILE
@@ -208,7 +208,7 @@ def _require_same_world(context: typer.Context, folder: Path) -> None:
         "seed": saved.seed,
         "markers": len(saved.head.fiducials),
         "targets": len(saved.head.targets),
-        "arm": arm_named(saved.arm.variant),
+        "arm": DESIGNS[saved.arm.variant].choice or saved.arm.variant,
     }
     for option, own in owns.items():
         given_value = context.params[option]

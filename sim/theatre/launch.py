@@ -20,7 +20,7 @@ from sim.errors import BAD_CALIBRATION_FILE, BAD_DEVICE_PARAMETER, BAD_SAVED_WOR
 from sim.kuka.pendant import PENDANT_PREFIX
 from sim.polaris.unit.behaviour import UnitBehaviour
 from sim.polaris.unit.tool_definition import write_definition
-from sim.theatre.arm_controllers import CONTROLLERS, device_name
+from sim.theatre.arm_controllers import controller_of, device_name
 from sim.theatre.theatre_file import NO_RECORDS, theatre_content, write_theatre_file
 from sim.world.control_port import ControlledRoom, ControlPort
 from sim.world.options import OTHER_ARMS, ArmRole
@@ -149,9 +149,9 @@ class LaunchedTheatre:
         scene = self.world.scene
 
         def robot(role: ArmRole) -> tuple[str, ...]:
-            variant = scene.arm_of(role).variant
-            controller = CONTROLLERS[variant]
-            return (controller.device, *world, *controller.arguments(variant, role, cycle_ms))
+            arm = scene.arm_of(role)
+            controller = controller_of(arm)
+            return (controller.device, *world, *controller.arguments(arm.variant, role, cycle_ms))
 
         commands: dict[str, tuple[str, ...]] = {
             "polaris": ("polaris", *world),
@@ -239,7 +239,7 @@ def parameters_by_device(settings: Sequence[str], scene: Scene) -> dict[str, tup
         name = names[device]
         found[name] = (*found.get(name, ()), assignment)
     for role, arm in arms.items():
-        CONTROLLERS[arm.variant].parameters.parse(found.get(device_name(scene, role), ()))
+        controller_of(arm).parameters.parse(found.get(device_name(scene, role), ()))
     UnitBehaviour.parse(found.get(POLARIS, ()))
     return found
 

@@ -20,7 +20,7 @@ from ronna_hw.plausible import FINEST_ON_ARM_MM
 from ronna_hw.records import write_atomically
 from ronna_hw.wire.polaris import PolarisModel
 from ronna_hw.wire.polaris_rom import ROM_FILE_LIMIT_BYTES
-from sim.theatre.arm_controllers import CONTROLLERS, device_name
+from sim.theatre.arm_controllers import controller_of, device_name
 from sim.theatre.records import (
     CALIBRATED_ARM_ERROR_MM,
     STATED_ERROR_MM,
@@ -88,7 +88,7 @@ def theatre_content(
             },
         },
         "robot": {
-            role.value: CONTROLLERS[scene.arm_of(role).variant].device_entry(
+            role.value: controller_of(scene.arm_of(role)).device_entry(
                 scene.arm_of(role).variant, endpoints[device], silence_limit_s, cycle_ms
             )
             for role in ArmRole
@@ -236,7 +236,7 @@ def _arm_values(
     """Return what the calibration record of an arm says about it."""
     residual, arm = scene.calibration_error.arm, scene.arm_of(role)
     assert residual is not None
-    controller = CONTROLLERS[arm.variant]
+    controller = controller_of(arm)
     stated = controller.state_chain(arm, arm_seed(scene.seed, role), parameters)
     values = {
         "arm": arm.variant,

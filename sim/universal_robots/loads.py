@@ -16,8 +16,9 @@ from sim.universal_robots.kinematics import IDENTITY, LinkPose, TrueKinematics, 
 from sim.universal_robots.model import JOINTS, TORQUES_NM, ZEROS, Model
 from sim.universal_robots.robot import Robot
 from sim.universal_robots.variables import PAYLOAD, PLACES
-from sim.world.held_torques import GRAVITY_M_S2, HeldTorques, LinkWeight, Stiction
+from sim.world.held_torques import GRAVITY_M_S2, HeldTorques, Stiction
 from sim.world.noise import TabledNoise
+from sim.world.nominal_arm import LinkWeight
 from sim.world.tool_load import SimulatedLoad
 
 MM: Final = 1000.0

@@ -1,20 +1,18 @@
 """Torques that a true arm holds at rest: the weight of links and tool, a hand on the tool, and stiction.
 
-Weights are estimates (U): nobody publishes those of a KR 6. The arm stands upright on its cart.
+The arm stands upright on its cart.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
 
 from sim.world.descriptions import DESCRIPTIONS
 from sim.world.noise import noise
-from sim.world.nominal_arm import AXES
-from sim.world.rigid import Point
+from sim.world.nominal_arm import AXES, LinkWeight
 from sim.world.scene.model import LinkError
 from sim.world.true_arm import build_model
 
@@ -22,32 +20,6 @@ GRAVITY_M_S2 = 9.81
 MM = 1000.0
 STICTION = "stiction"  # noise key
 NO_INERTIA = np.zeros((3, 3))
-
-
-class LinkWeight(NamedTuple):
-    """Weight of a link; its centre is given with the arm at zero, in the base."""
-
-    mass_kg: float
-    centre_mm: Point
-
-
-def _kr6(elbow_mm: float, flange_mm: float) -> tuple[LinkWeight, ...]:
-    """Return the links of a KR 6 R900, stretched out along x: 34 of its 52 kg, the base has the rest."""
-    level_mm = 400.0 + elbow_mm
-    return (
-        LinkWeight(12.0, (10.0, 0.0, 330.0)),
-        LinkWeight(9.0, (220.0, 0.0, 400.0)),
-        LinkWeight(8.0, (530.0, 0.0, 420.0)),
-        LinkWeight(3.5, (710.0, 0.0, level_mm)),
-        LinkWeight(1.5, (920.0, 0.0, level_mm)),
-        LinkWeight(0.15, (890.0 + flange_mm, 0.0, level_mm)),
-    )
-
-
-BODIES: dict[str, tuple[LinkWeight, ...]] = {
-    "kr6_r900_sixx": _kr6(35.0, 80.0),
-    "kr6_r900_2": _kr6(25.0, 90.0),
-}
 
 
 class HeldTorques:

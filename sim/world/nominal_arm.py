@@ -7,15 +7,16 @@ A6 rotate the flange about it. Status S and turn T of an E6POS select one of sev
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import acos, atan2, cos, degrees, hypot, pi, radians, sin
 from typing import NamedTuple
 
 import numpy as np
 
+from ronna_hw.arm.catalogue import KUKA
 from sim.errors import BAD_SCENE
-from sim.world.rigid import Matrix, rotation_from_vector
+from sim.world.rigid import Matrix, Point, rotation_from_vector
 
 AXES = 6
 ORIGIN = (0.0, 0.0, 0.0)
@@ -51,15 +52,39 @@ class Corner(NamedTuple):
     radius_mm: float
 
 
+class LinkWeight(NamedTuple):
+    """Weight of a link; its centre is given with the arm at zero, in the base."""
+
+    mass_kg: float
+    centre_mm: Point
+
+
+@dataclass(frozen=True)
+class ArmMake:
+    """What arms of one make share: its name, the word for its controller in fault scripts, their inverse.
+
+    `postures` are those of a procedure, the usual one first. `axes` gives the joint angles (rad, modulo whole
+    turns) for a flange pose (4, 4) in the robot's base in one of the postures, or None out of reach; the ends
+    of the joints' ranges are not checked.
+    """
+
+    name: str
+    in_faults: str
+    postures: tuple[int, ...]
+    axes: Callable[[RobotDescription, Matrix, int], Sequence[float] | None]
+
+
 @dataclass(frozen=True)
 class RobotDescription:
     """Machine data of an arm, with its controller name `variant` and the `model` its controller states.
 
     `flange_mm` and `flange_turn_rad` place the flange in the frame of the last joint; `upper_arm_mm` and
     `forearm_mm` are the lengths by which gravity bends shoulder and elbow. The last of `corners`, which make
-    the body that hides things from a tracker, is connected to the flange.
+    the body that hides things from a tracker, is connected to the flange. `links` are empty where the
+    controller has them.
     """
 
+    make: ArmMake
     variant: str
     model: str
     joints: tuple[NominalJoint, ...]
@@ -68,60 +93,12 @@ class RobotDescription:
     upper_arm_mm: float
     forearm_mm: float
     corners: tuple[Corner, ...]
+    links: tuple[LinkWeight, ...] = ()
 
     @property
     def stretched_A3_deg(self) -> float:
         """A3 angle in degrees that aligns the upper arm with the wrist root."""
         return degrees(atan2(self.joints[3].origin_mm[2], self.joints[4].origin_mm[0]))
-
-
-def description(variant: str) -> RobotDescription:
-    """Return the machine data of a variant. Raises BAD_SCENE for an arm that KUKA does not make."""
-    if variant not in DESCRIPTIONS:
-        raise BAD_SCENE(f"a KUKA controller moves {' or '.join(DESCRIPTIONS)}, not the scene's arm {variant}")
-    return DESCRIPTIONS[variant]
-
-
-# Planner accelerations in rad/s2, published for the sixx; the -2 has none, so it uses the same.
-_ACCELERATION = tuple(degrees(value) for value in (21.67, 6.89, 31.42, 133.1, 135.6, 268.4))
-
-
-def _build_joints(
-    elbow_mm: float, flange_mm: float, wrist_speeds_deg_s: tuple[float, float, float]
-) -> tuple[NominalJoint, ...]:
-    fourth, fifth, sixth = wrist_speeds_deg_s
-    a = _ACCELERATION
-    return (
-        NominalJoint("A1", (0.0, 0.0, 400.0), (0.0, 0.0, -1.0), -170.0, 170.0, 360.0, a[0]),
-        NominalJoint("A2", (25.0, 0.0, 0.0), (0.0, 1.0, 0.0), -190.0, 45.0, 300.0, a[1]),
-        NominalJoint("A3", (455.0, 0.0, 0.0), (0.0, 1.0, 0.0), -120.0, 156.0, 360.0, a[2]),
-        NominalJoint("A4", (0.0, 0.0, elbow_mm), (-1.0, 0.0, 0.0), -185.0, 185.0, fourth, a[3]),
-        NominalJoint("A5", (420.0, 0.0, 0.0), (0.0, 1.0, 0.0), -120.0, 120.0, fifth, a[4]),
-        NominalJoint("A6", (flange_mm, 0.0, 0.0), (-1.0, 0.0, 0.0), -350.0, 350.0, sixth, a[5]),
-    )
-
-
-def _describe(variant: str, model: str, joints: tuple[NominalJoint, ...]) -> RobotDescription:
-    return RobotDescription(
-        variant,
-        model,
-        joints,
-        flange_mm=ORIGIN,
-        flange_turn_rad=(0.0, radians(FLANGE_PITCH_DEG), 0.0),
-        upper_arm_mm=joints[2].origin_mm[0],
-        forearm_mm=joints[4].origin_mm[0],
-        corners=(Corner(1, ORIGIN, 90.0), Corner(2, ORIGIN, 55.0), Corner(4, ORIGIN, 45.0)),
-    )
-
-
-DESCRIPTIONS: dict[str, RobotDescription] = {
-    "kr6_r900_sixx": _describe(
-        "kr6_r900_sixx", "#KR6R900_C4SR_FLR", _build_joints(35.0, 80.0, (381.0, 388.0, 615.0))
-    ),
-    "kr6_r900_2": _describe(
-        "kr6_r900_2", "#KR6R900_2_C4SR_FLR", _build_joints(25.0, 90.0, (450.0, 450.0, 540.0))
-    ),
-}
 
 
 def frame_of(pose: Matrix) -> list[float]:
@@ -242,3 +219,77 @@ def _with_sign(angle_deg: float, negative: bool) -> float:
     if not negative and angle_deg < 0.0:
         return angle_deg + 360.0
     return angle_deg
+
+
+# Planner accelerations in rad/s2, published for the sixx; the -2 has none, so it uses the same.
+_ACCELERATION = tuple(degrees(value) for value in (21.67, 6.89, 31.42, 133.1, 135.6, 268.4))
+
+
+def _build_joints(
+    elbow_mm: float, flange_mm: float, wrist_speeds_deg_s: tuple[float, float, float]
+) -> tuple[NominalJoint, ...]:
+    fourth, fifth, sixth = wrist_speeds_deg_s
+    a = _ACCELERATION
+    return (
+        NominalJoint("A1", (0.0, 0.0, 400.0), (0.0, 0.0, -1.0), -170.0, 170.0, 360.0, a[0]),
+        NominalJoint("A2", (25.0, 0.0, 0.0), (0.0, 1.0, 0.0), -190.0, 45.0, 300.0, a[1]),
+        NominalJoint("A3", (455.0, 0.0, 0.0), (0.0, 1.0, 0.0), -120.0, 156.0, 360.0, a[2]),
+        NominalJoint("A4", (0.0, 0.0, elbow_mm), (-1.0, 0.0, 0.0), -185.0, 185.0, fourth, a[3]),
+        NominalJoint("A5", (420.0, 0.0, 0.0), (0.0, 1.0, 0.0), -120.0, 120.0, fifth, a[4]),
+        NominalJoint("A6", (flange_mm, 0.0, 0.0), (-1.0, 0.0, 0.0), -350.0, 350.0, sixth, a[5]),
+    )
+
+
+def _weigh(elbow_mm: float, flange_mm: float) -> tuple[LinkWeight, ...]:
+    """Return the links of a KR 6 R900, stretched out along x: 34 of its 52 kg, the base has the rest.
+
+    Weights are estimates (U): nobody publishes them.
+    """
+    level_mm = 400.0 + elbow_mm
+    return (
+        LinkWeight(12.0, (10.0, 0.0, 330.0)),
+        LinkWeight(9.0, (220.0, 0.0, 400.0)),
+        LinkWeight(8.0, (530.0, 0.0, 420.0)),
+        LinkWeight(3.5, (710.0, 0.0, level_mm)),
+        LinkWeight(1.5, (920.0, 0.0, level_mm)),
+        LinkWeight(0.15, (890.0 + flange_mm, 0.0, level_mm)),
+    )
+
+
+def _describe(
+    variant: str,
+    model: str,
+    elbow_mm: float,
+    flange_mm: float,
+    wrist_speeds_deg_s: tuple[float, float, float],
+) -> RobotDescription:
+    joints = _build_joints(elbow_mm, flange_mm, wrist_speeds_deg_s)
+    return RobotDescription(
+        _MAKE,
+        variant,
+        model,
+        joints,
+        flange_mm=ORIGIN,
+        flange_turn_rad=(0.0, radians(FLANGE_PITCH_DEG), 0.0),
+        upper_arm_mm=joints[2].origin_mm[0],
+        forearm_mm=joints[4].origin_mm[0],
+        corners=(Corner(1, ORIGIN, 90.0), Corner(2, ORIGIN, 55.0), Corner(4, ORIGIN, 45.0)),
+        links=_weigh(elbow_mm, flange_mm),
+    )
+
+
+_MAKE = ArmMake(KUKA, "robot", POSTURES, axes_of_status)
+DESCRIPTIONS = {
+    arm.variant: arm
+    for arm in (
+        _describe("kr6_r900_sixx", "#KR6R900_C4SR_FLR", 35.0, 80.0, (381.0, 388.0, 615.0)),
+        _describe("kr6_r900_2", "#KR6R900_2_C4SR_FLR", 25.0, 90.0, (450.0, 450.0, 540.0)),
+    )
+}
+
+
+def description(variant: str) -> RobotDescription:
+    """Return the machine data of a variant. Raises BAD_SCENE for an arm that KUKA does not make."""
+    if variant not in DESCRIPTIONS:
+        raise BAD_SCENE(f"a KUKA controller moves {' or '.join(DESCRIPTIONS)}, not the scene's arm {variant}")
+    return DESCRIPTIONS[variant]

@@ -10,7 +10,8 @@ from math import acos, asin, atan2, cos, degrees, hypot, pi, sin
 
 import numpy as np
 
-from sim.world.nominal_arm import ORIGIN, Corner, NominalJoint, RobotDescription
+from ronna_hw.arm.catalogue import UNIVERSAL_ROBOTS
+from sim.world.nominal_arm import ORIGIN, ArmMake, Corner, NominalJoint, RobotDescription
 from sim.world.rigid import Matrix, as_point, rotation_from_vector, vector_from_rotation
 
 NAMES = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
@@ -77,6 +78,7 @@ def _describe(
             )
         )
     return RobotDescription(
+        _MAKE,
         variant,
         model,
         tuple(joints),
@@ -93,12 +95,6 @@ def _describe(
             Corner(5, ORIGIN, WRIST_RADIUS_MM),
         ),
     )
-
-
-DESCRIPTIONS = {
-    "ur5": _describe("ur5", "UR5", UR5, 135.85, 16.5),
-    "ur5e": _describe("ur5e", "UR5e", UR5E, 138.0, 7.0),
-}
 
 
 def axes_of_branch(
@@ -135,3 +131,13 @@ def axes_of_branch(
     elbow = acos(cosine) if bool(branch & ELBOW_DOWN) != bool(branch & BEHIND) else -acos(cosine)
     lift = atan2(v_mm, u_mm) - atan2(fore_mm * sin(elbow), upper_mm + fore_mm * cos(elbow))
     return pan, lift, elbow, pitch - lift - elbow, bend, last
+
+
+_MAKE = ArmMake(UNIVERSAL_ROBOTS, "ur", POSTURES, axes_of_branch)
+DESCRIPTIONS = {
+    arm.variant: arm
+    for arm in (
+        _describe("ur5", "UR5", UR5, 135.85, 16.5),
+        _describe("ur5e", "UR5e", UR5E, 138.0, 7.0),
+    )
+}

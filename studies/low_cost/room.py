@@ -26,7 +26,7 @@ from sim.world.rigid import (
     rotation_from_vector,
     rotation_towards,
 )
-from sim.world.scene.arm_design import DESIGNS
+from sim.world.scene.arm_design import CHOSEN
 from sim.world.scene.as_built import draw_arm
 from sim.world.scene.head import CAP_AXIS_CT, CENTRE_CT_MM, LEFT_CT
 from sim.world.scene.model import ArmTruth, LinkError, Mount, Scene, TrackerTruth
@@ -112,7 +112,7 @@ def drawn_marker_in_tip() -> Transform:
 def draw_ur5(seed: int, number: int, arms: int) -> ArmTruth:
     """Draw a true UR5 by its number. Of `arms`, the first errs least and the last most."""
     random = np.random.default_rng(np.random.SeedSequence([seed, *ARM_KEY.encode(), number]))
-    drawn = draw_arm(random, DESIGNS[ArmChoice.UR5])
+    drawn = draw_arm(random, CHOSEN[ArmChoice.UR5])
     as_drawn = _scaled(drawn, 1.0)
     least, largest = NOMINAL_ERRORS_MM
     wanted_mm = np.geomspace(least, largest, arms)[number]

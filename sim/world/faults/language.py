@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from ronna_hw.bounded_input import InputRefused, read_bounded
 from sim.errors import BadFaultScript
-from sim.world import universal_robots_arm
+from sim.world.descriptions import DESCRIPTIONS, MAKES
 from sim.world.faults.camera import CAMERA_FAULTS
 from sim.world.faults.fault import TERMINALS, Fault, FaultKind, join_choices
 from sim.world.faults.plain_lines import read_plain_line
@@ -57,7 +57,6 @@ FAULT_KINDS: tuple[FaultKind, ...] = (
 )
 NOW, SINCE = "now", "since"
 OF_ASSISTANT = "of_assistant"  # rule of the grammar
-MAKES = {"robot": "KUKA", "ur": "UR"}
 CYCLES_OF = tuple(MAKES)  # devices whose cycles a script can name
 TRIGGERS = ("at", "when", SINCE, NOW)
 DEVICES = ("tracker", "robot", "camera", "room")  # of a theatre with KUKA arms
@@ -106,7 +105,7 @@ def devices_of(scene: Scene) -> tuple[str, ...]:
 
 
 def _controller_of(arm: ArmTruth) -> str:
-    return "ur" if arm.variant in universal_robots_arm.DESCRIPTIONS else "robot"
+    return DESCRIPTIONS[arm.variant].make.in_faults
 
 
 def parse_faults(text: str) -> tuple[Fault, ...]:
@@ -254,7 +253,7 @@ def _list_mistakes(fault: Fault, scene: Scene, devices: Sequence[str]) -> Iterat
         and (device := _controller_of(scene.arms[fault.role])) != fault.kind.device
     ):
         own = f"{fault.role} {device}" if is_of_other else device
-        make = f"the {fault.role} here is a {MAKES[device]}, its faults begin with {own!r}"
+        make = f"the {fault.role} here is made by {MAKES[device].name}, its faults begin with {own!r}"
         yield f"expected a fault of the {device}, got {fault.phrase!r}: {make}"
     for check in fault.kind.checks:
         yield from check(fault.arguments, scene)

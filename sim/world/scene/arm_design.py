@@ -31,6 +31,7 @@ class ArmDesign(NamedTuple):
     """Start of an arm, the place of the patient in front of it, and the sizes of its errors."""
 
     variant: str
+    choice: ArmChoice | None  # None: no scene is drawn with it
     home_deg: Numbers6  # flange down, stereo head forward: above the head, clear of every singularity
     head_mm: Point  # middle of the places of the head's centre, robot frame: clear of singularities
     errors: ErrorSizes
@@ -70,39 +71,29 @@ UR5_ERRORS = UR5E_ERRORS._replace(
     repeatability_mm=0.028,
 )
 
-_UR_HOME_DEG = (0.0, -90.0, -90.0, -90.0, 90.0, -90.0)  # elbow up, forearm level
-_UR_ASSISTANT_HOME_DEG = (77.0, -39.0, -119.0, -112.0, 90.0, 134.0)
 KR6 = ArmDesign(
     variant="kr6_r900_sixx",
+    choice=ArmChoice.KR6,
     home_deg=(0.0, -75.0, 99.0, 0.0, 66.0, 180.0),
     head_mm=(760.0, 0.0, 200.0),
     errors=SET_S,
     assistant_home_deg=(-32.0, -120.0, 145.0, 0.0, 65.0, 0.0),
 )
+_UR5E = ArmDesign(
+    variant="ur5e",
+    choice=ArmChoice.UR5E,
+    home_deg=(0.0, -90.0, -90.0, -90.0, 90.0, -90.0),  # elbow up, forearm level
+    head_mm=(710.0, -133.0, 70.0),
+    errors=UR5E_ERRORS,
+    assistant_home_deg=(77.0, -39.0, -119.0, -112.0, 90.0, 134.0),
+)
 DESIGNS = {
-    ArmChoice.KR6: KR6,
-    ArmChoice.UR5: ArmDesign(
-        variant="ur5",
-        home_deg=_UR_HOME_DEG,
-        head_mm=(700.0, -109.0, 30.0),
-        errors=UR5_ERRORS,
-        assistant_home_deg=_UR_ASSISTANT_HOME_DEG,
-    ),
-    ArmChoice.UR5E: ArmDesign(
-        variant="ur5e",
-        home_deg=_UR_HOME_DEG,
-        head_mm=(710.0, -133.0, 70.0),
-        errors=UR5E_ERRORS,
-        assistant_home_deg=_UR_ASSISTANT_HOME_DEG,
-    ),
+    design.variant: design
+    for design in (
+        KR6,
+        KR6._replace(variant="kr6_r900_2", choice=None),
+        _UR5E._replace(variant="ur5", choice=ArmChoice.UR5, head_mm=(700.0, -109.0, 30.0), errors=UR5_ERRORS),
+        _UR5E,
+    )
 }
-
-
-def arm_named(variant: str) -> str:
-    """Return the name under which an arm is chosen, or that of its model if none is."""
-    return next((str(name) for name, design in DESIGNS.items() if design.variant == variant), variant)
-
-
-def head_place_mm(variant: str) -> Point:
-    """Return the middle of the places of the head's centre in front of an arm, in its base."""
-    return next((one.head_mm for one in DESIGNS.values() if one.variant == variant), KR6.head_mm)
+CHOSEN = {design.choice: design for design in DESIGNS.values() if design.choice is not None}

@@ -16,7 +16,7 @@ from sim.errors import BAD_SCENE
 from sim.world.noise import noise
 from sim.world.options import ArmRole
 from sim.world.rigid import as_point, matrix_from, pose_of, rotation_from_vector, rotation_towards
-from sim.world.scene.arm_design import DESIGNS, head_place_mm
+from sim.world.scene.arm_design import CHOSEN, DESIGNS
 from sim.world.scene.as_built import draw_arm
 from sim.world.scene.model import AssistantTruth, Scene, TrackerTool
 from sim.world.scene.parts import (
@@ -49,8 +49,8 @@ def add_assistant(scene: Scene, arm: ArmChoice = ArmChoice.KR6) -> Scene:
     draws = noise(scene.seed, ArmRole.ASSISTANT.value, 1)
     on_floor = rotation_from_vector((*np.radians(draws.normal(0.0, FLOOR_DEG, 2)), 0.0))
     turned = rotation_from_vector((0.0, 0.0, radians(CART_TURN_DEG + draws.normal(0.0, PARKED_DEG))))
-    design = DESIGNS[arm]
-    x_mm, y_mm, z_mm = head_place_mm(scene.arm.variant)
+    design = CHOSEN[arm]
+    x_mm, y_mm, z_mm = DESIGNS[scene.arm.variant].head_mm
     beside_mm = (x_mm + CART_FROM_HEAD_MM[0], y_mm + CART_FROM_HEAD_MM[1], z_mm - design.head_mm[2])
     place_mm = np.array(beside_mm) + draws.normal(0.0, PARKED_MM, 3) * (1.0, 1.0, 0.2)
     frame_turn = rotation_from_vector(np.radians(draws.normal(0.0, BUILT_DEG, 3)))

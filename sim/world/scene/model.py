@@ -14,7 +14,6 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, ValidationError, model_validator
 
-from ronna_hw.arm.catalogue import KUKA, UNIVERSAL_ROBOTS
 from ronna_hw.arm.name_field import arm_of
 from ronna_hw.bounded_input import InputRefused, read_json_bytes, read_toml
 from ronna_hw.calibration import Numbers3, PoseRecord, Strict
@@ -25,6 +24,7 @@ from ronna_hw.text import format_count
 from ronna_hw.wire.polaris import PolarisModel
 from ronna_hw.x_frame import SPHERE_CENTRES_MM
 from sim.errors import BAD_SCENE
+from sim.world.descriptions import MAKES
 from sim.world.options import ArmRole
 from sim.world.scene.parts import (
     ASSISTANT_FRAME_PART_NUMBER,
@@ -41,7 +41,7 @@ from sim.world.scene.parts import (
 )
 
 Numbers6 = tuple[float, float, float, float, float, float]
-Variant = Annotated[str, arm_of(KUKA, UNIVERSAL_ROBOTS)]
+Variant = Annotated[str, arm_of(*(make.name for make in MAKES.values()))]
 Count = Annotated[int, Field(ge=1)]
 SlicePixels = Annotated[int, Field(ge=16, le=2048)]  # no scanner reconstructs more
 HeadAxis = Annotated[float, Field(gt=0, le=1000), Length]

@@ -19,7 +19,7 @@ from ronna_hw.x_frame import PART_NUMBER as X_FRAME_PART_NUMBER
 from sim.errors import BAD_SCENE
 from sim.world.noise import noise
 from sim.world.rigid import Point, apply, as_point, matrix_from, matrix_of, pose_of, rotation_towards
-from sim.world.scene.arm_design import DESIGNS
+from sim.world.scene.arm_design import CHOSEN
 from sim.world.scene.as_built import draw_arm, draw_cameras, draw_mount
 from sim.world.scene.head import draw_head
 from sim.world.scene.model import CtProtocol, Scene, Stand, TrackerTool, TrackerTruth
@@ -73,7 +73,7 @@ def draw_scene(
         raise BAD_SCENE(f"the x-shaped frame has {len(SPHERE_CENTRES_MM)} markers, not {markers}")
     mini = name == "mini"
     generator = np.random.Generator(np.random.Philox(key=seed))
-    design = DESIGNS[arm]
+    design = CHOSEN[arm]
     head = draw_head(
         generator,
         (3 if mini else 5) if markers is None else markers,

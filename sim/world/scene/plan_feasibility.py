@@ -13,7 +13,7 @@ from math import pi, radians
 
 import numpy as np
 
-from sim.world.descriptions import DESCRIPTIONS, INVERSES
+from sim.world.descriptions import DESCRIPTIONS
 from sim.world.rigid import Vector, inverse, matrix_from
 from sim.world.scene.as_built import CAMERAS_IN_TOOL_MM, TOOL_IN_FLANGE_MM
 from sim.world.scene.parts import Guide
@@ -30,7 +30,7 @@ class PlanFeasibility:
     """Checks whether trajectories are feasible for an arm that must also measure the spheres (n, 3)."""
 
     def __init__(self, spheres_mm: Vector, variant: str) -> None:
-        self._arm, self._inverse = DESCRIPTIONS[variant], INVERSES[variant]
+        self._arm = DESCRIPTIONS[variant]
         # Joints that turn more than a full circle reach every angle.
         self._limited = [
             (number, radians(joint.lower_deg) + MARGIN_RAD, radians(joint.upper_deg) - MARGIN_RAD)
@@ -45,7 +45,7 @@ class PlanFeasibility:
         """Return whether one posture reaches all trajectories, given as entry (3,) and target (3,)."""
         return any(
             all(self._is_trajectory_reachable(*ends, posture) for ends in trajectories)
-            for posture in self._inverse.postures
+            for posture in self._arm.make.postures
         )
 
     def _is_trajectory_reachable(self, entry_mm: Vector, target_mm: Vector, posture: int) -> bool:
@@ -86,7 +86,7 @@ class PlanFeasibility:
         return True
 
     def _is_within_ranges(self, flange: Vector, posture: int) -> bool:
-        axes = self._inverse.axes(self._arm, flange, posture)
+        axes = self._arm.make.axes(self._arm, flange, posture)
         if axes is None:
             return False
         for number, low, high in self._limited:

@@ -19,7 +19,7 @@ from ronna_hw.arm.errors import UnknownArm
 from ronna_hw.config import BadTheatreFile, parse_theatre
 from sim.theatre.theatre_file import theatre_content
 from sim.world.process import load_scene
-from sim.world.scene.arm_design import DESIGNS
+from sim.world.scene.arm_design import CHOSEN
 
 KNOWN = "kr6_r900_2, kr6_r900_sixx, ur5, ur5e"
 FOREIGN = PackagedArm().name
@@ -64,7 +64,7 @@ def test_a_package_may_describe_its_arm(monkeypatch: pytest.MonkeyPatch) -> None
 
 def test_each_arm_of_a_command_line_is_described_once_and_drawn_as_its_model() -> None:
     described = {arm.choice: arm.name for arm in catalogue.ARMS.values() if arm.choice}
-    assert described == {choice: design.variant for choice, design in DESIGNS.items()}
+    assert described == {choice: design.variant for choice, design in CHOSEN.items()}
     assert set(described) == set(catalogue.ArmChoice)
 
 

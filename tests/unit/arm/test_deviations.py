@@ -16,7 +16,7 @@ from ronna_hw.arm.kr6_r900 import SIXX, kr6_r900
 from ronna_hw.arm.pose import Pose
 from ronna_hw.calibrated_arm.arm import CalibratedArm
 from ronna_hw.calibrated_arm.deviations import ArmDeviations, flange_poses
-from sim.theatre.arm_controllers import CONTROLLERS
+from sim.theatre.arm_controllers import controller_of
 from sim.theatre.records import arm_values
 from sim.world.scene.as_built import draw_arm
 from sim.world.scene.model import ArmResidual, ArmTruth
@@ -68,7 +68,7 @@ def test_a_record_of_an_arm_whose_factory_measured_it_counts_no_deviation_twice(
     variant: str, kind: Literal["linearised", "exact", "none"]
 ) -> None:
     truth = draw_scene("mini", seed=3, arm=ArmChoice(variant)).arm.model_copy(update={"sag_rad": (0.0, 0.0)})
-    stated = CONTROLLERS[variant].state_chain(truth, 3, (f"factory_calibration={kind}",))
+    stated = controller_of(truth).state_chain(truth, 3, (f"factory_calibration={kind}",))
     values = arm_values(truth, EXACT, np.random.default_rng(0), stated)
     record = ArmDeviations(**{name: np.array(one) for name, one in values.items()})
     kinematics = stated_kinematics(truth, 3, kind)

@@ -28,8 +28,9 @@ from sim.universal_robots.controller_parameters import ControllerParameters as U
 from sim.universal_robots.loads import TORQUE_PER_CURRENT_NM_A as PER_CURRENT_NM_A
 from sim.universal_robots.loads import link_bodies
 from sim.universal_robots.model import MODELS, TORQUES_NM
-from sim.world.held_torques import BODIES, HeldTorques, Stiction
-from sim.world.scene.arm_design import DESIGNS
+from sim.world.descriptions import DESCRIPTIONS
+from sim.world.held_torques import HeldTorques, Stiction
+from sim.world.scene.arm_design import CHOSEN
 
 GUIDE_MM = (220.0, 0.0, 60.0)
 KUKA_STICTION, UR_STICTION = KukaParameters().stiction_share, UrParameters().stiction_share
@@ -45,12 +46,12 @@ class Trial:
 
     def __init__(self, seed: int, choice: ArmChoice = ArmChoice.KR6) -> None:
         self.generator = generator = np.random.default_rng(seed)
-        design = DESIGNS[choice]
+        design = CHOSEN[choice]
         self.is_kr6 = choice is ArmChoice.KR6
         self.arm: Kinematics = kr6_r900(design.variant) if self.is_kr6 else universal_robot(design.variant)
         self.model = KR6 if self.is_kr6 else UR5E
         self.home_rad = np.radians(design.home_deg) + generator.uniform(-0.3, 0.3, 6)
-        bodies = BODIES[design.variant] if self.is_kr6 else link_bodies(MODELS[design.variant])
+        bodies = DESCRIPTIONS[design.variant].links or link_bodies(MODELS[design.variant])
         self._weights = HeldTorques(design.variant, bodies)
         share, largest = (KUKA_STICTION, LARGEST_TORQUES_NM) if self.is_kr6 else (UR_STICTION, TORQUES_NM)
         self._gears = Stiction([share * most for most in largest], seed)

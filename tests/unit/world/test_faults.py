@@ -250,7 +250,7 @@ def test_a_fault_of_an_assistant_that_is_not_there_is_refused(line: str, said: s
             ArmChoice.KR6,
             "now: assistant ur local mode",
             "expected a fault of the robot, got 'assistant ur local mode': "
-            "the assistant here is a KUKA, its faults begin with 'assistant robot'. ",
+            "the assistant here is made by KUKA, its faults begin with 'assistant robot'. ",
             "assistant ",
         ),
         (
@@ -258,7 +258,7 @@ def test_a_fault_of_an_assistant_that_is_not_there_is_refused(line: str, said: s
             ArmChoice.KR6,
             "now: robot emergency stop",
             "expected a fault of the ur, got 'robot emergency stop': "
-            "the master here is a UR, its faults begin with 'ur'. ",
+            "the master here is made by Universal Robots, its faults begin with 'ur'. ",
             "",
         ),
     ],

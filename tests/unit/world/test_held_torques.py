@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sim.world.held_torques import BODIES, HeldTorques, Stiction
+from sim.world.descriptions import DESCRIPTIONS
+from sim.world.held_torques import HeldTorques, Stiction
 from sim.world.noise import TabledNoise
 
 LIMITS_NM = (10.0, 20.0, 10.0, 2.0, 2.0, 1.0)
@@ -13,7 +14,7 @@ STRETCHED_RAD = (0.0,) * 6
 
 
 def kr6() -> HeldTorques:
-    return HeldTorques("kr6_r900_sixx", BODIES["kr6_r900_sixx"])
+    return HeldTorques("kr6_r900_sixx", DESCRIPTIONS["kr6_r900_sixx"].links)
 
 
 def test_a_load_at_the_flange_of_the_stretched_arm_turns_shoulder_and_elbow_by_its_lever() -> None:

@@ -12,7 +12,7 @@ from ronna_hw.arm.universal_robots import UR5, UR5E, universal_robot
 from ronna_hw.vectors import joint_vector
 from sim.polaris.measurement.line_of_sight import ArmBody
 from sim.world.descriptions import DESCRIPTIONS
-from sim.world.scene.arm_design import DESIGNS
+from sim.world.scene.arm_design import CHOSEN
 from sim.world.scene.as_built import draw_arm
 from sim.world.scene.model import ArmTruth
 from sim.world.scene.named_scenes import draw_scene
@@ -48,7 +48,7 @@ def test_every_posture_is_among_its_poses_branches_and_each_leads_to_the_pose(mo
 
 @pytest.mark.parametrize("arm", [ArmChoice.UR5, ArmChoice.UR5E])
 def test_the_usual_posture_is_that_of_home(arm: ArmChoice) -> None:
-    home, described = np.radians(DESIGNS[arm].home_deg), DESCRIPTIONS[DESIGNS[arm].variant]
+    home, described = np.radians(CHOSEN[arm].home_deg), DESCRIPTIONS[CHOSEN[arm].variant]
     found = axes_of_branch(described, JointChain(described).flange(home).copy(), POSTURES[0])
     assert np.exp(1j * np.array(found)) == pytest.approx(np.exp(1j * home), abs=1e-9)
 
