@@ -35,7 +35,7 @@ from ronna_hw.devices.errors import NotInTheatre
 from ronna_hw.devices.readings import ArmReading
 from ronna_hw.errors import LimitError
 from ronna_hw.frames import Frame, Transform
-from ronna_hw.roles import ASSISTANT, MASTER, TWO_ARMS
+from ronna_hw.roles import MASTER
 from ronna_hw.vectors import JointVector, vector3
 
 POST_MM, CLAMP_MM, INSTRUMENT_MM = 12.0, 14.0, 2.5  # radii of the holder's bodies, as drawn
@@ -86,20 +86,25 @@ class Assistant(SupervisedArm):
     """The assistant of a workcell."""
 
     def __init__(
-        self, log: ArmLog, arms: Arms, calibrations: Calibrations, insertion_force_N: float | None
+        self,
+        role: str,
+        log: ArmLog,
+        arms: Arms,
+        calibrations: Calibrations,
+        insertion_force_N: float | None,
     ) -> None:
-        """Supervise the assistant; an insertion stops at `insertion_force_N`, if the arm senses it.
+        """Supervise the arm of this role; an insertion stops at `insertion_force_N`, if the arm senses it.
 
         Raises DEV-007 without records of the arm and its holder.
         """
         holder = calibrations.assistant_holder
-        if holder is None or not calibrations.arms.keys() >= {*TWO_ARMS}:
+        if holder is None or not calibrations.arms.keys() >= {MASTER, role}:
             raise NotInTheatre(
                 "two arms need the records of both, and of the assistant's holder",
                 expected="calibration.arm, calibration.assistant_arm, calibration.assistant_holder",
                 action="Add them to the theatre file, or omit --dual.",
             )
-        super().__init__(ASSISTANT, log, arms, calibrations.arms, ASSISTANT, holder.frame)
+        super().__init__(role, log, arms, calibrations.arms, role, holder.frame)
         self.holder: HolderCalibration = holder
         self._insertion_force_N = insertion_force_N
         self._around: tuple[Surroundings, JointVector | None] | None = None  # robot frame
@@ -123,13 +128,13 @@ class Assistant(SupervisedArm):
 
         `uncertain_mm` is by how much the arm may be elsewhere.
         """
-        is_first = not self._arms.placed.is_placed(ASSISTANT)
+        is_first = not self._arms.placed.is_placed(self.role)
         self.record_base(robot_from_base, uncertain_mm)
-        self._arms.place(ASSISTANT, _as_pose(robot_from_base), uncertain_mm)
+        self._arms.place(self.role, _as_pose(robot_from_base), uncertain_mm)
         if is_first:  # until its own surroundings are declared
             known = self._with_own_radii(self._arms.placed.around[MASTER])
             bare = replace(known, obstacles=(), corridor=None, zone=None, tool=self.tool())
-            self._arms.surround(ASSISTANT, bare)
+            self._arms.surround(self.role, bare)
         self._allow_contact()
 
     def restore_home(self, home_rad: JointVector) -> None:
@@ -145,7 +150,7 @@ class Assistant(SupervisedArm):
         """
         around = self._with_own_radii(around)
         self._around = around, near_rad
-        self._arms.surround(ASSISTANT, self.surroundings(around, near_rad))
+        self._arms.surround(self.role, self.surroundings(around, near_rad))
 
     def _with_own_radii(self, around: Surroundings) -> Surroundings:
         """Return surroundings for this arm: the radii measured on the master hold for one of its model."""
@@ -158,16 +163,16 @@ class Assistant(SupervisedArm):
         What surrounds the arm stands to it as before. A later program has the former place, and is told how
         far the arm may be from it.
         """
-        if not self._arms.placed.is_placed(ASSISTANT):
+        if not self._arms.placed.is_placed(self.role):
             return
         before, after = self.base, by @ self.base
         uncertain_mm = self.history.base_uncertain_mm
         self.record_base(before, uncertain_mm + math.dist(before.translation_mm, after.translation_mm))
-        self._arms.place(ASSISTANT, _as_pose(after), uncertain_mm + ONE_LOOK_MM)
+        self._arms.place(self.role, _as_pose(after), uncertain_mm + ONE_LOOK_MM)
 
     def doubt(self, seen_apart_mm: float) -> None:
         """Keep more distance between the arms: this one was seen elsewhere than its base has it."""
-        if self._arms.placed.is_placed(ASSISTANT):
+        if self._arms.placed.is_placed(self.role):
             self.place_base(self.base, self.history.base_uncertain_mm + TURNED_CART * seen_apart_mm)
 
     def follow(self, way_mm: ArrayLike) -> None:
@@ -297,7 +302,7 @@ class Assistant(SupervisedArm):
         """Let the instrument in the holder come close to the guide, and nothing without one."""
         held = self.history.held
         self._arms.placed.allow_contact(
-            MASTER, ASSISTANT, *((), ()) if held is None else (held.at_bore, AT_GUIDE)
+            MASTER, self.role, *((), ()) if held is None else (held.at_bore, AT_GUIDE)
         )
 
     def tool(self, tip_mm: float | None = None) -> tuple[Part, ...]:
@@ -374,17 +379,17 @@ class Assistant(SupervisedArm):
 
     def _drive_leg(self, leg: Motion, motion: PlannedMotion) -> ArmReading:
         if motion.axis is None:
-            return self._arms.move(ASSISTANT, leg)
+            return self._arms.move(self.role, leg)
         if self.has_passed(leg, motion):
             return self._arm.read_state()
         limit_N = self.insertion_limit_N
         if limit_N is not None and (insertion := self.force_limited(leg, motion, limit_N)):
-            inserted = self._arms.insert(ASSISTANT, insertion)
+            inserted = self._arms.insert(self.role, insertion)
             ends = [one for one in (self.inserted, inserted) if one is not None]  # of stretches so far
             peaks_N = [one.peak_force_N for one in ends if one.peak_force_N is not None]
             self.inserted = replace(inserted, peak_force_N=max(peaks_N, default=None))
             return inserted.reading
-        return self._arms.move(ASSISTANT, leg, with_instrument=True)
+        return self._arms.move(self.role, leg, with_instrument=True)
 
     def has_passed(self, leg: Motion, motion: PlannedMotion) -> bool:
         """Return whether the instrument is beyond a leg of its way, as when it was stopped on a later one.

@@ -75,7 +75,7 @@ class Workcell:
         )
         force_N = theatre.file.procedure.insertion_force_N
         self.assistants = tuple(
-            Assistant(log, self.motion, self.calibrations, force_N)
+            Assistant(role, log, self.motion, self.calibrations, force_N)
             for role, log in logs.items()
             if role != MASTER
         )

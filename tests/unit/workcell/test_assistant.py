@@ -66,7 +66,7 @@ def assistant(cell: RecordingCell, arm: IdealArm, monkeypatch: pytest.MonkeyPatc
     records = SimpleNamespace(arms=dict.fromkeys((MASTER, ASSISTANT)), assistant_holder=holder)
     log = ArmLog(cell.journal, CLOCK, ArmHistory(ASSISTANT))
     arms = Arms({MASTER: arm, ASSISTANT: arm}, (MASTER, ASSISTANT), CLOCK, lambda: "T1")
-    assistant = Assistant(log, arms, cast("Calibrations", records), None)
+    assistant = Assistant(ASSISTANT, log, arms, cast("Calibrations", records), None)
     assistant.record_base(Transform.of(Frame.ROBOT, Frame.ASSISTANT))
     held = assistant.clamp_pose(assistant.joints_rad())
     axis = assistant.axis_in_base(InsertionAxis("T1", held, TRAVEL_MM))
@@ -238,6 +238,8 @@ MOVED = Transform.of(Frame.ROBOT, Frame.ROBOT, translation_mm=(0.0, 40.0, 0.0))
 
 class StandIn:
     """Arm that records what it declares: of the master, its surroundings; of the assistant, its base."""
+
+    role = ASSISTANT
 
     def __init__(self) -> None:
         self.surroundings, self.base = AROUND, BASE
