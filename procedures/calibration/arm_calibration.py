@@ -16,7 +16,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from scipy.special import chdtri
 
-from procedures.calibration.arm_model import BACKLASH, ArmLooks, ArmModel, LookArrays, arrays_of, propagate
+from procedures.calibration.arm_model import BACKLASH, ArmLooks, ArmModel, LookArrays, arrays_of
 from procedures.calibration.errors import UNOBSERVABLE, DoesNotFit
 from procedures.calibration.head_calibration import LIFE, move_tip, new_identifier
 from procedures.calibration.head_model import pose_record
@@ -28,6 +28,7 @@ from procedures.calibration.pose_set import (
     require_spread,
     rms_mm,
 )
+from procedures.registration.error_theory import propagate
 from ronna_hw.arm.catalogue import find_arm
 from ronna_hw.arm.pose import Pose
 from ronna_hw.arrays import Array, Mask

@@ -9,10 +9,11 @@ from scipy.linalg import block_diag, null_space
 from scipy.special import chdtri
 
 from procedures.calibration.arm_calibration import LEAST_VALIDATION, MODEL_SHARE
-from procedures.calibration.arm_model import ArmLooks, LookArrays, arrays_of, propagate
+from procedures.calibration.arm_model import ArmLooks, LookArrays, arrays_of
 from procedures.calibration.arm_sources import ArmPoses, arm_sources
 from procedures.calibration.errors import ARM_CHANGED, NO_ARM_RECORD
 from procedures.calibration.pose_set import require_count
+from procedures.registration.error_theory import propagate
 from procedures.registration.target_prediction import SharedErrors
 from ronna_hw.arm.catalogue import find_arm
 from ronna_hw.arm.kinematics import Chain

@@ -19,6 +19,7 @@ from pydantic import Field
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from procedures.calibration.observations import Measurements
+from procedures.registration.error_theory import propagate
 from ronna_hw.arm.kinematics import Kinematics
 from ronna_hw.arrays import Array, Mask
 from ronna_hw.calibrated_arm.deviations import ArmDeviations, flange_poses, flange_rotations, gravity_levers
@@ -231,11 +232,6 @@ class ArmModel:
         """Return the nominal orientation (m, 3, 3) ROBOT <- TOOL of each measurement."""
         flange = flange_rotations(self.kinematics.chain, looks.joints_rad)
         return np.asarray(flange @ self.flange_from_tool.rotation_matrix)
-
-
-def propagate(slopes: Array, covariance: Array) -> Array:
-    """Return the covariances (m, n, n) of measurements that depend on values by these slopes (m, n, k)."""
-    return np.asarray(slopes @ covariance @ slopes.transpose(0, 2, 1))
 
 
 def choose_poses(model: ArmModel, candidates: LookArrays, count: int) -> NDArray[np.intp]:

@@ -19,7 +19,6 @@ import numpy as np
 from pydantic import Field
 from scipy.special import chdtri
 
-from procedures.calibration.arm_model import propagate
 from procedures.calibration.errors import FAR_FROM_RECORD, TOO_FEW_POSES, TRACKER_MOVED, DoesNotFit
 from procedures.calibration.hand_eye import HandEye, PosePairs, misses_of, slopes_of, solve
 from procedures.calibration.head_calibration import LIFE, new_identifier
@@ -33,6 +32,7 @@ from procedures.calibration.pose_set import (
     require_count,
     rms_mm,
 )
+from procedures.registration.error_theory import propagate
 from ronna_hw.arrays import Array
 from ronna_hw.calibrated_arm.error_budget import LINK_TRANSLATION_MM
 from ronna_hw.calibration import (

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from typer import Argument, Option
 
 from procedures.cli.postoperative import postoperative
+from procedures.imaging.localizers import LOCALIZERS, Localizer
 from ronna_hw.command_line import terminal
 from ronna_hw.command_line.errors import PATH_PROBLEM, UsageMistake
 from ronna_hw.command_line.options import require_folder_of, require_output_folder
@@ -35,14 +36,9 @@ app = terminal.command_group(
     "ronna-ct", "Localize marker spheres in a CT series, and check the postoperative CT."
 )
 
-
-class LocalizationMethod(StrEnum):
-    """Sphere localization method."""
-
-    COMBINED = "combined"
-    THESIS_LINE = "thesis-line"
-    THESIS_SPHERE = "thesis-sphere"
-
+# mypy wants its members in the code, but they are those of the table.
+LocalizationMethod = StrEnum("LocalizationMethod", {one.name: row.method for one, row in LOCALIZERS.items()})  # type: ignore[misc]
+COMBINED = LocalizationMethod(LOCALIZERS[Localizer.OURS].method)
 
 app.command()(postoperative)
 
@@ -58,7 +54,7 @@ def localize(
     method: Annotated[
         LocalizationMethod,
         Option("--method", help="combined is ours; the other two are the thesis methods, for comparison."),
-    ] = LocalizationMethod.COMBINED,
+    ] = COMBINED,
     layout: Annotated[
         str | None,
         Option(
@@ -119,7 +115,7 @@ def localize(
     require_folder_of(*(write or ()))
     if pictures is not None:
         require_output_folder(pictures)
-    if pick is not None and method is not LocalizationMethod.COMBINED:
+    if pick is not None and method is not COMBINED:
         raise UsageMistake("--pick works with the combined method only; omit --method")
     picks_mm = None if pick is None else imaging.read_picks(pick)
     layout_mm = None if layout is None else _read_layout_mm(layout)
@@ -130,11 +126,9 @@ def localize(
         log.info("series read", shape=volume.geometry.shape, spacing_mm=volume.geometry.spacing_mm.tolist())
         patient = imaging.read_identity(series_dir) if identity else None
         began_s = time.perf_counter()
-        localize_in = partial(imaging.localize, volume)
+        localize_in = partial(LOCALIZERS[Localizer[method.name]].load(), volume)
         if picks_mm is not None:
             localize_in = partial(imaging.localize_picks, volume, picks_mm)
-        elif method is not LocalizationMethod.COMBINED:
-            localize_in = partial(imaging.localize_as_thesis, volume, imaging.ThesisFit(method.value))
         try:
             result = localize_in(
                 diameter_mm=diameter_mm,

@@ -102,11 +102,12 @@ def _check_same_patient(pre_dir: Path, post_dir: Path) -> tuple[str, ...]:
 
 def _require_same_plan(run: Path, plan: Plan) -> None:
     """Raise POST-008 if the run followed another plan, or PRO-033 if its files were changed."""
-    from procedures.engine.run_folder import read_run
+    from procedures.engine.run_folder import results_of
     from procedures.postoperative.errors import RUN_OF_ANOTHER_PLAN
     from procedures.steps.clinical.plan_check import CheckedPlan
+    from ronna_hw.evidence.inspection import inspect_run
 
-    checked = read_run(run).valid_results(CheckedPlan)
+    checked = results_of(CheckedPlan, inspect_run(run).require_unchanged().valid_records)
     if not checked:
         raise RUN_OF_ANOTHER_PLAN("the run has no checked plan")
     if checked[-1].result.plan != plan:

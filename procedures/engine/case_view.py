@@ -93,7 +93,7 @@ class CaseView:
     theatre: str = ""
     banner: str | None = None  # None: not reported yet; empty: hardware
     strategy: str = ""
-    methods: str = ""  # localizer and matcher, unless both are ours
+    methods: str = ""  # localizer and matcher, unless both are for clinical use
     state: str = OPENING
     reason: str = ""
     steps: tuple[StepRow, ...] = ()

@@ -1,4 +1,4 @@
-"""Localizer and matcher of a case: ours, or those of the thesis, which are not for clinical use.
+"""Localizer and matcher of a case, with the mark of those that are not for clinical use.
 
 Free of numerics, since every command imports this at start-up.
 """
@@ -9,17 +9,10 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import ClassVar
 
+from procedures.imaging.localizers import LOCALIZERS, Localizer
 from procedures.registration.thesis_settings import E_MM, REFUSED_SHARE, check_thesis_settings
 
 NOT_CLINICAL = "not for clinical use"
-
-
-class Localizer(StrEnum):
-    """Localizer of the spheres in the CT."""
-
-    OURS = "ours"
-    THESIS_LINE = "thesis-line"
-    THESIS_SPHERE = "thesis-sphere"
 
 
 class Matcher(StrEnum):
@@ -27,6 +20,11 @@ class Matcher(StrEnum):
 
     OURS = "ours"
     THESIS = "thesis"
+
+    @property
+    def is_clinical(self) -> bool:
+        """Whether a patient may depend on it."""
+        return self is Matcher.OURS
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,8 +46,8 @@ class CaseMethods:
         check_thesis_settings(self.e_mm, self.refused_share)
 
     def describe(self) -> str:
-        """Name the methods with their mark, or return '' if both are ours."""
-        if self.localizer is Localizer.OURS and self.matcher is Matcher.OURS:
+        """Name the methods with their mark, or return '' if both are for clinical use."""
+        if LOCALIZERS[self.localizer].is_clinical and self.matcher.is_clinical:
             return ""
         matcher = str(self.matcher)
         if self.matcher is Matcher.THESIS:

@@ -1,22 +1,21 @@
-"""Run folders: verified reading, closing, and lineage charts."""
+"""Run folders: results from their records, closing, and lineage charts."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Iterable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol, TypeVar
 
 from pydantic import ValidationError
 
-from procedures.engine.case import StepKey, Stored, without_ancestors
+from procedures.engine.case import StepKey, Stored
 from procedures.engine.setting import ClinicalInput
 from procedures.journal.errors import JournalNotWritable
 from procedures.journal.journal import Entry, Journal, JournalValue, Line
 from procedures.journal.results import StepResult
 from ronna_hw.errors import RonnaError
-from ronna_hw.evidence.inspection import Inspection, inspect_run
+from ronna_hw.evidence.inspection import Inspection
 from ronna_hw.evidence.journal_reading import JOURNAL_FILE, read_chain
 from ronna_hw.evidence.manifest import (
     Manifest,
@@ -34,57 +33,6 @@ _log = logger(part="engine")
 SUPERSEDED = "superseded"
 
 
-@dataclass(frozen=True)
-class RunFolder:
-    """Contents of a run folder: journal, records in order, and identifiers of superseded records."""
-
-    path: Path
-    journal: tuple[Line, ...]
-    records: tuple[Record, ...]
-    superseded: frozenset[str]  # identifiers
-
-    @property
-    def opened(self) -> Line:
-        """First journal line: theatre, banner, strategy, seed. Empty if missing."""
-        return self.journal[0] if self.journal else {}
-
-    @property
-    def name(self) -> str:
-        """Original name of the run; its folder may have been renamed."""
-        return str(self.opened.get("run") or self.path.resolve().name)
-
-    def lines(self, entry: Entry) -> tuple[Line, ...]:
-        """Return the journal lines of one kind."""
-        return tuple(line for line in self.journal if line["entry"] == entry)
-
-    @property
-    def valid_records(self) -> tuple[Record, ...]:
-        return tuple(record for record in self.records if record.identifier not in self.superseded)
-
-    @property
-    def finished_before_move(self) -> frozenset[str]:
-        """Identifiers of valid results of trajectories finished before something moved."""
-        return without_ancestors(self.valid_records)
-
-    def valid_results(self, model: type[R]) -> tuple[Stored[R], ...]:
-        """Return the valid results of a step, in order. Raises REC-001, REC-003."""
-        return _results_of(model, self.valid_records)
-
-    def made(self, model: type[R]) -> tuple[Stored[R], ...]:
-        """Return all results of a step, in order. Raises REC-001, REC-003."""
-        return _results_of(model, self.records)
-
-
-def read_run(folder: Path) -> RunFolder:
-    """Read a run. Raises PRO-033 if its files were changed."""
-    return run_of(inspect_run(folder).require_unchanged())
-
-
-def run_of(found: Inspection) -> RunFolder:
-    """Build a run folder from its inspection."""
-    return RunFolder(found.folder, found.chain.lines, found.records, found.superseded)
-
-
 def parse_record(record: Record, model: type[R]) -> R:
     """Parse a record's payload. Raises REC-003 for a different version, REC-001 for invalid content."""
     if record.version != model.version:
@@ -98,6 +46,13 @@ def parse_record(record: Record, model: type[R]) -> R:
     except ValidationError as error:
         mistakes = "; ".join(describe_mistakes(error))
         raise BadRecord(f"{record.identifier} is not a {model.kind}: {mistakes}") from error
+
+
+def results_of(model: type[R], records: Iterable[Record]) -> tuple[Stored[R], ...]:
+    """Return the results of a step among records, in order. Raises REC-001, REC-003."""
+    return tuple(
+        Stored(record, parse_record(record, model)) for record in records if record.kind == model.kind
+    )
 
 
 def step_key(line: Line) -> StepKey:
@@ -116,12 +71,6 @@ def targets_in_doubt(journal: Iterable[Line]) -> dict[str, tuple[str, ...]]:
             for name in map(str, targets):
                 doubts[name] = (*doubts.get(name, ()), str(line.get("text")))
     return doubts
-
-
-def _results_of(model: type[R], records: Iterable[Record]) -> tuple[Stored[R], ...]:
-    return tuple(
-        Stored(record, parse_record(record, model)) for record in records if record.kind == model.kind
-    )
 
 
 class Recorder(Protocol):
@@ -167,7 +116,7 @@ def _evidence(folder: Path, clinical: ClinicalInput | None) -> dict[str, Journal
     return found | ({"inputs": outside_inputs} if outside_inputs else {})
 
 
-def lineage_text(run: RunFolder) -> str:
+def lineage_text(run: Inspection) -> str:
     """Return the lineage as text, with each result's parents indented below it.
 
     A result that was drawn before is only named again.
@@ -189,7 +138,7 @@ def lineage_text(run: RunFolder) -> str:
     return "\n".join(lines) + "\n"
 
 
-def lineage_mermaid(run: RunFolder) -> str:
+def lineage_mermaid(run: Inspection) -> str:
     """Return the lineage as a Mermaid flowchart with arrows from parents to children."""
     number = {record.identifier: place for place, record in enumerate(run.records)}
     lines = ["flowchart TD"]

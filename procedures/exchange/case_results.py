@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from procedures.engine.case import Stored
-from procedures.engine.run_folder import RunFolder, targets_in_doubt
+from procedures.engine.run_folder import results_of, targets_in_doubt
 from procedures.exchange import trajectory_lines
 from procedures.exchange.allowed_fields import label_of
 from procedures.exchange.errors import NOTHING_TO_EXPORT
@@ -29,6 +29,7 @@ from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.results import Prediction, RegisteredRobot, Relocalization
 from procedures.steps.clinical.set_up import CheckedSetUp
 from procedures.steps.clinical.target_measurement import MeasuredTarget
+from ronna_hw.evidence.inspection import Inspection
 
 R = TypeVar("R", bound=StepResult)
 FindTruth = Callable[[Path], Truth | None]
@@ -39,7 +40,7 @@ LEAVE_OUT: tuple[type[StepResult], ...] = (Correspondence, CheckedPaths, Relocal
 class CaseResults:
     """Results of a case, finished or not; trajectories are keyed by their name in the plan."""
 
-    run: RunFolder
+    run: Inspection
     ending: Ending
     ct: CtIdentity
     spheres: Stored[LocalizedFiducials] | None
@@ -109,12 +110,13 @@ class CaseResults:
         if self.plan is None:
             return format_table("errors.csv", ())
         doubts, left_out = targets_in_doubt(self.run.journal), self._left_out()
-        strategies = run_reading.find_used_strategies(self.run.made(CheckedPaths))
+        strategies = run_reading.find_used_strategies(results_of(CheckedPaths, self.run.records))
         predicted = {
             one.target: describe_prediction(one) for used in self.registrations for one in used.predictions
         }
         stereo_mm = {
-            one.record.trajectory: one.result.error_mm for one in self.run.valid_results(MeasuredTarget)
+            one.record.trajectory: one.result.error_mm
+            for one in results_of(MeasuredTarget, self.run.valid_records)
         }
         rows = []
         for one in self.plan.plan.trajectories:
@@ -134,7 +136,7 @@ class CaseResults:
         return {
             name
             for model in LEAVE_OUT
-            for one in self.run.valid_results(model)
+            for one in results_of(model, self.run.valid_records)
             for name in one.result.leaves_out()
         }
 
@@ -146,7 +148,7 @@ def read_results(reading: run_reading.RunReading, find_truth: FindTruth) -> Case
     a CT, REC-001, REC-003.
     """
     run = reading.run
-    imported = run.valid_results(ImportedCt)
+    imported = results_of(ImportedCt, run.valid_records)
     if not imported:
         raise NOTHING_TO_EXPORT(
             f"{run.name} has no CT: it is no case, or it ended before its CT was imported",
@@ -156,14 +158,14 @@ def read_results(reading: run_reading.RunReading, find_truth: FindTruth) -> Case
     ct = imported[-1].result
     plan = _last(run, CheckedPlan)
     registrations = run_reading.find_used_registrations(
-        run.made(RegisteredRobot), run.records, run.superseded
+        results_of(RegisteredRobot, run.records), run.records, run.superseded
     )
     planned = [] if plan is None else [one.id for one in plan.plan.trajectories]
     names = dict.fromkeys([*planned, *(name for one in registrations for name in one.targets)])
     labels = {name: label_of(name, number) for number, name in enumerate(names, 1)}
-    spheres = run.valid_results(LocalizedFiducials)
+    spheres = results_of(LocalizedFiducials, run.valid_records)
     after = load_check(reading)
-    truth = (reading.truth or find_truth(run.path)) if run.opened.get("banner") else None
+    truth = (reading.truth or find_truth(run.folder)) if run.opened.get("banner") else None
     return CaseResults(
         run=run,
         ending=ending_of(reading),
@@ -180,7 +182,7 @@ def read_results(reading: run_reading.RunReading, find_truth: FindTruth) -> Case
 
 
 def reached_lines(
-    run: RunFolder,
+    run: Inspection,
     plan: CheckedPlan | None,
     registrations: Sequence[run_reading.UsedRegistration],
     labels: Mapping[str, str],
@@ -190,7 +192,7 @@ def reached_lines(
     tool = None if plan is None or set_up is None else set_up.tools.get(plan.plan.tool)
     poses = {name: one.result.robot_from_ct.transform for one in registrations for name in one.targets}
     lines: dict[str, trajectory_lines.TrajectoryLine | None] = {}
-    for one in run.valid_results(ReachedTarget):
+    for one in results_of(ReachedTarget, run.valid_records):
         name, pose, stop = one.record.trajectory, one.result.tool_pose, one.result.depth_stop
         if plan is None or name is None or name not in labels:
             continue
@@ -202,8 +204,8 @@ def reached_lines(
     return lines
 
 
-def _last(run: RunFolder, model: type[R]) -> R | None:
-    found = run.valid_results(model)
+def _last(run: Inspection, model: type[R]) -> R | None:
+    found = results_of(model, run.valid_records)
     return found[-1].result if found else None
 
 

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from procedures.engine.events.event_file import FollowedRun
-from procedures.engine.run_folder import RunFolder
+from procedures.engine.run_folder import results_of
 from procedures.exchange.case_results import reached_lines
 from procedures.journal.journal import Entry, Line, theatre_time_s
 from procedures.reporting.outcome import Truth
@@ -26,6 +26,7 @@ from procedures.steps.clinical.path_check import CheckedPaths
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.results import RegisteredRobot, Relocalization
 from procedures.steps.clinical.target_measurement import MeasuredTarget
+from ronna_hw.evidence.inspection import Inspection
 from ronna_hw.loaded_run import RunColumn, RunTable
 
 NOWHERE = (math.nan,) * 3
@@ -127,8 +128,8 @@ def targets_table(reading: RunReading, truth: Truth) -> RunTable:
     """Return one row per planned trajectory. Raises REC-001, REC-003."""
     run = reading.run
     for model in (CheckedPaths, MeasuredTarget, RegisteredRobot):
-        run.made(model)  # raises for an unreadable record, which a report leaves out
-    plans, registrations = run.valid_results(CheckedPlan), reading.registrations
+        results_of(model, run.records)  # raises for an unreadable record, which a report leaves out
+    plans, registrations = results_of(CheckedPlan, run.valid_records), reading.registrations
     plan = plans[-1].result if plans else None
     trajectories = () if plan is None else plan.plan.trajectories
     known = {row.target: row for row in target_rows(reading, truth)}
@@ -156,9 +157,9 @@ def _numbers(source: object, *names: str) -> tuple[float, ...]:
     return tuple(math.nan if value is None else value for value in found)
 
 
-def spheres_table(run: RunFolder) -> RunTable:
+def spheres_table(run: Inspection) -> RunTable:
     """Return one row per sphere found in the CT. Raises REC-001, REC-003."""
-    found = run.valid_results(LocalizedFiducials)
+    found = results_of(LocalizedFiducials, run.valid_records)
     rows = []
     for number, one in enumerate(found[-1].result.markers if found else ()):
         fit = (one.radius_mm, one.quality, one.agreement_mm, one.odds)
@@ -171,11 +172,11 @@ def sphere_name(index: int) -> str:
     return f"M{index + 1}"
 
 
-def localized_table(run: RunFolder) -> RunTable:
+def localized_table(run: Inspection) -> RunTable:
     """Return one row per sphere and fine localization. Raises REC-001, REC-003."""
     rows = []
     totals_mm2 = _find_total_covariances_mm2(run)
-    for stored in run.made(Relocalization):
+    for stored in results_of(Relocalization, run.records):
         one, record = stored.result, stored.record
         step = ":".join(filter(None, (record.kind, record.trajectory)))
         standing = record.identifier not in run.superseded
@@ -187,11 +188,13 @@ def localized_table(run: RunFolder) -> RunTable:
     return RunTable.of(_with_axes(LOCALIZED, len(rows[0][-1]) if rows else AXES), rows)
 
 
-def _find_total_covariances_mm2(run: RunFolder) -> dict[tuple[str, int], Any]:
+def _find_total_covariances_mm2(run: Inspection) -> dict[tuple[str, int], Any]:
     """Map relocalization record and sphere to the covariance that its last registration was weighted with."""
     found: dict[tuple[str, int], Any] = {}
-    localizations = {stored.record.identifier: stored.result for stored in run.made(Relocalization)}
-    for stored in run.made(RegisteredRobot):
+    localizations = {
+        stored.record.identifier: stored.result for stored in results_of(Relocalization, run.records)
+    }
+    for stored in results_of(RegisteredRobot, run.records):
         left_out = {one.fiducial for one in stored.result.left_out_spheres}
         for identifier in localizations.keys() & stored.record.parents.keys():
             used = [one for one in localizations[identifier].fiducials if one not in left_out]
@@ -201,10 +204,10 @@ def _find_total_covariances_mm2(run: RunFolder) -> dict[tuple[str, int], Any]:
     return found
 
 
-def registrations_table(run: RunFolder) -> RunTable:
+def registrations_table(run: Inspection) -> RunTable:
     """Return one row per registration made. Raises REC-001, REC-003."""
     rows = []
-    for stored in run.made(RegisteredRobot):
+    for stored in results_of(RegisteredRobot, run.records):
         name, one, pose = stored.record.identifier, stored.result, stored.result.robot_from_ct
         targets = " ".join(predicted.target for predicted in one.predictions)
         fit = (one.pairs, one.fre_mm, pose.translation_mm, pose.quaternion_wxyz)
@@ -212,10 +215,10 @@ def registrations_table(run: RunFolder) -> RunTable:
     return RunTable.of(REGISTRATIONS, rows)
 
 
-def budget_table(run: RunFolder) -> RunTable:
+def budget_table(run: Inspection) -> RunTable:
     """Return one row per target, registration and source of its predicted error. Raises REC-001, REC-003."""
     rows = []
-    for stored in run.made(RegisteredRobot):
+    for stored in results_of(RegisteredRobot, run.records):
         name = stored.record.identifier
         for predicted in stored.result.predictions:
             origin = (predicted.target, name, name not in run.superseded)
@@ -225,7 +228,7 @@ def budget_table(run: RunFolder) -> RunTable:
 
 def find_registration(reading: RunReading, target: str) -> UsedRegistration | None:
     """Return the registration used for a target, or None. Raises REC-001, REC-003."""
-    reading.run.made(RegisteredRobot)
+    results_of(RegisteredRobot, reading.run.records)
     return next((one for one in reading.registrations if target in one.targets), None)
 
 

@@ -14,7 +14,8 @@ if TYPE_CHECKING:
     from procedures.imaging.markers import Candidate, Localization, Marker, likeliest_first
     from procedures.imaging.picks import localize_picks, read_picks
     from procedures.imaging.series import read_series
-    from procedures.imaging.thesis_localizer import ThesisFit, localize_as_thesis
+    from procedures.imaging.thesis_fit import ThesisFit
+    from procedures.imaging.thesis_localizer import localize_as_thesis
     from procedures.imaging.volume import Volume, VoxelGeometry
 
 __all__ = [

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from enum import StrEnum
 
 import cv2
 import numpy as np
@@ -22,6 +21,7 @@ from scipy import ndimage
 from procedures.imaging.errors import LOCALIZATION_MISUSED
 from procedures.imaging.localization import DIAMETER_MM, check_request, require_count, superior_first_key
 from procedures.imaging.markers import Candidate, Localization, Marker
+from procedures.imaging.thesis_fit import REPORTED_FLE_MM, ThesisFit
 from procedures.imaging.volume import Volume
 from ronna_hw.arrays import Array, Mask
 
@@ -60,13 +60,6 @@ SEED = 0
 
 RADIUS_TOLERANCE_MM = 1.0
 COVARIANCE_ASSUMED = "covariance_assumed"
-
-
-class ThesisFit(StrEnum):
-    """Centre fits of the thesis."""
-
-    LINE = "thesis-line"
-    SPHERE = "thesis-sphere"
 
 
 def localize_as_thesis(
@@ -359,6 +352,3 @@ def _fit_algebraic_sphere(points: Array) -> tuple[Array, float]:
     solved, *_ = np.linalg.lstsq(design, (offsets**2).sum(axis=1), rcond=None)
     centre = solved[:3]
     return centre + middle, float(np.sqrt(max(solved[3] + centre @ centre, 0.0)))
-
-
-REPORTED_FLE_MM = {ThesisFit.LINE: 0.1685, ThesisFit.SPHERE: 0.1617}  # thesis, table 2

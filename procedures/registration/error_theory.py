@@ -158,10 +158,14 @@ def pose_covariance(fiducials_mm: Array, covariance_mm2: Array, *, weighted: boo
     return np.asarray(bread @ (transposed @ covariance_mm2 @ jacobian).sum(axis=0) @ bread)
 
 
+def propagate(slopes: Array, covariance: Array) -> Array:
+    """Return the covariances (..., n, n) of quantities that depend on values by these slopes (..., n, k)."""
+    return np.asarray(slopes @ covariance @ np.swapaxes(slopes, -1, -2))
+
+
 def target_covariance_mm2(points_mm: Array, fiducials_mm: Array, pose: Array) -> Array:
     """Propagate the pose covariance to mapped targets (m, 3), giving (m, 3, 3)."""
-    jacobian = pose_jacobian(points_mm, fiducials_mm.mean(axis=0))
-    return np.asarray(jacobian @ pose @ np.swapaxes(jacobian, -1, -2))
+    return propagate(pose_jacobian(points_mm, fiducials_mm.mean(axis=0)), pose)
 
 
 def error_limit_mm(covariance_mm2: Array, confidence: float, freedom: int | None = None) -> Array:

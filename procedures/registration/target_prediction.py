@@ -33,6 +33,7 @@ from procedures.registration.error_theory import (
     FreGate,
     chi_square_limit,
     degrees_of_freedom,
+    propagate,
     rare_limit_mm,
 )
 from procedures.registration.rigid_fit import pose_jacobian
@@ -159,8 +160,7 @@ def predict_target_error(
             part = shift @ shift.T
         else:
             at_spheres = one.at_spheres_mm2
-            turned = influence @ at_spheres @ influence.transpose(0, 2, 1)
-            part = one.at_target_mm2 + turned.sum(axis=0)
+            part = one.at_target_mm2 + propagate(influence, at_spheres).sum(axis=0)
         parts[one.source] = parts.get(one.source, np.zeros((AXES, AXES))) + part
         if at_spheres.any():
             tested.add(one.source)

@@ -11,6 +11,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from procedures.engine.case import without_ancestors
 from procedures.imaging.trajectory_cuts import PLAN_PICTURE
 from procedures.journal.results import StepResult
 from procedures.operator.question import Evidence, PredictedError
@@ -101,7 +102,7 @@ def read_case_figures(folder: Path, *, every_file: bool = False) -> CaseFigures:
 
 def _currently_valid(reading: RunReading, model: type[R]) -> list[R]:
     """Return the valid results, without those of targets finished before something moved."""
-    past = reading.run.finished_before_move
+    past = without_ancestors(reading.run.valid_records)
     return [one.result for one in reading.valid_results(model) if one.record.identifier not in past]
 
 

@@ -6,7 +6,8 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, Field, SerializerFunctionWrapHandler, model_serializer
 
-from procedures.engine.methods import Localizer, Matcher
+from procedures.engine.methods import Matcher
+from procedures.imaging.localizers import Localizer
 from procedures.journal.results import Values
 
 

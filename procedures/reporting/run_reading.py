@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from procedures.engine.case import Case, Stored, parent_of_kind
-from procedures.engine.run_folder import RunFolder, parse_record, run_of
+from procedures.engine.run_folder import parse_record
 from procedures.journal.results import StepResult
 from procedures.reporting.kept_truth import load_sealed_truth
 from procedures.reporting.outcome import Truth
@@ -47,7 +47,7 @@ class RunReading:
     `truth` is what the seal confirms of the simulated theatre's verifier.
     """
 
-    run: RunFolder
+    run: Inspection
     log: tuple[Mapping[str, Any], ...] = ()  # lines of log.jsonl
     changes: tuple[str, ...] = ()
     problems: list[str] = field(default_factory=list)
@@ -58,9 +58,7 @@ class RunReading:
     def of(cls, found: Inspection) -> RunReading:
         """Build the reading of an inspected run, without its log."""
         folder = found.folder
-        return cls(
-            run_of(found), is_sealed=find_valid_seal(folder) is not None, truth=load_sealed_truth(folder)
-        )
+        return cls(found, is_sealed=find_valid_seal(folder) is not None, truth=load_sealed_truth(folder))
 
     def sealed_with(self, truth: Truth | None) -> RunReading:
         """Return the reading for the program that stores this truth and seals the run next."""
@@ -68,7 +66,7 @@ class RunReading:
 
     @property
     def folder(self) -> Path:
-        return self.run.path
+        return self.run.folder
 
     def valid_results(self, model: type[R]) -> tuple[Stored[R], ...]:
         """Return the valid and readable results of a step, in order."""

@@ -86,7 +86,7 @@ def _compare_assistant(
             "an arm is away from its home, and the journal does not say where the assistant stands: jog both "
             "arms home with their pendants, one at a time"
         )
-    was_home = fold_history(previous.chain, previous.lost, ASSISTANT).place.is_home
+    was_home = fold_history(previous.run.chain, previous.run.lost, ASSISTANT).place.is_home
     if was_home and assistant.place.is_out:
         comparison.warnings.append("the assistant was at its home and is not any more: somebody has moved it")
 

@@ -48,9 +48,10 @@ def restore_order(case: CaseProcedure, interrupted: InterruptedRun) -> CaseOrder
 
     Raises REC-001, REC-003.
     """
+    from procedures.engine.run_folder import results_of
     from procedures.steps.clinical.plan_check import CheckedPlan
 
-    checked = interrupted.run.made(CheckedPlan)
+    checked = results_of(CheckedPlan, interrupted.run.records)
     return _build_order(case, checked[-1].result.plan if checked else None)
 
 

@@ -129,7 +129,7 @@ def build_engine(
     if previous is None or not (folder / JOURNAL_FILE).exists():
         journal = Journal(folder, publish_line)
     else:
-        journal = Journal.reopen_run(folder, previous.chain, publish_line)
+        journal = Journal.reopen_run(folder, previous.run.chain, publish_line)
     flight_recorder = FlightRecorder(folder / BYTES_FOLDER, theatre.clock.now_s)
     stack.callback(flight_recorder.close)
     theatre.record_bytes(flight_recorder)
@@ -197,12 +197,12 @@ def _arm_histories(
     roles = ONE_ARM if clinical is None else clinical.roles
     if previous is None:
         return {role: ArmHistory(role) for role in roles}
-    return {role: fold_history(previous.chain, previous.lost, role) for role in roles}
+    return {role: fold_history(previous.run.chain, previous.run.lost, role) for role in roles}
 
 
 def theatre_inputs(folder: Path, previous: InterruptedRun | None) -> dict[str, JournalValue]:
     """Hash the theatre files in a run's folder, except files changed or added since the run last ended."""
-    known = () if previous is None else previous.not_as_left
+    known = () if previous is None else previous.run.not_as_left
     hashes = hash_inputs(folder, list_theatre_files(folder))
     return {name: sha256 for name, sha256 in hashes.items() if name not in known}
 

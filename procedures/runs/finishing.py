@@ -197,10 +197,10 @@ def seal_run(folder: Path, left: InterruptedRun | None = None, *, at_once: bool 
             return
         hashed, changed = manifest.Manifest(chain.lines), set[str]()
         former: dict[str, str] = {}
-        if left is not None and left.chain.last == chain.last:
+        if left is not None and left.run.chain.last == chain.last:
             if (found := manifest.read_seal(folder)) is None or not manifest.is_sealed(folder):
                 return
-            former, changed = found.files, {change.file for change in left.changes}
+            former, changed = found.files, {change.file for change in left.run.changes}
         kept = {name: sha256 for name, sha256 in former.items() if name in changed}
         manifest.seal(folder, hashed.files, {*hashed.unvouched_files, *changed}, kept)
     except (RonnaError, OSError) as problem:

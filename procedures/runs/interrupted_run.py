@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import dropwhile
 from pathlib import Path
 
 from procedures.engine.case import Case, StepKey, Stored
 from procedures.engine.case_progress import CaseProgress
 from procedures.engine.order import CaseOrder
-from procedures.engine.run_folder import RunFolder, parse_record, run_of, step_key
+from procedures.engine.run_folder import parse_record, step_key
 from procedures.journal.journal import ENDS_OF_A_STEP, Entry, JournalValue, Line
 from procedures.workcell.arm_history import ArmHistory, fold_history, is_any_arm_out
-from ronna_hw.evidence.inspection import Problem, inspect_run
-from ronna_hw.evidence.journal_reading import JournalChain, JournalCorrupt
+from ronna_hw.evidence.inspection import Inspection, inspect_run
+from ronna_hw.evidence.journal_reading import JournalCorrupt
 from ronna_hw.evidence.lost_journal_end import (
     LOST,
     describe_lost_end,
@@ -31,34 +31,30 @@ from ronna_hw.records import BadRecord, Record
 class InterruptedRun:
     """A run that has ended or was killed, read back from its folder to be resumed."""
 
-    run: RunFolder
-    chain: JournalChain
-    changes: tuple[Problem, ...] = ()  # of files on which the way home does not depend
-    not_as_left: Mapping[str, str | None] = field(default_factory=dict)  # hashes of those files
-    unsealed: Mapping[str, int | None] = field(default_factory=dict)  # unconfirmed files, with their length
-    lost: tuple[Line, ...] = ()  # at the end of the journal, as the event file has them
+    run: Inspection  # its changes are of files on which the way home does not depend
+    unsealed: Mapping[str, int | None]  # unconfirmed files, with their length
 
     @property
     def folder(self) -> Path:
         """Folder of the run."""
-        return self.run.path
+        return self.run.folder
 
     def as_plain(self) -> dict[str, JournalValue]:
         """Return the run's unfinished parts in the form that the continued journal records."""
         plain: dict[str, JournalValue] = {
             "begun": None if self.begun is None else str(self.begun),
-            "torn_bytes": len(self.chain.torn),
+            "torn_bytes": len(self.run.chain.torn),
             "orphans": list(self.orphans),
         }
-        for name, files in ((NOT_AS_LEFT, self.not_as_left), (UNSEALED, self.unsealed)):
+        for name, files in ((NOT_AS_LEFT, self.run.not_as_left), (UNSEALED, self.unsealed)):
             if files:
                 plain[name] = dict(files)
-        return plain | lost_as_plain(self.lost)
+        return plain | lost_as_plain(self.run.lost)
 
     @property
     def has_lost_lines(self) -> bool:
         """Whether lines at the end of the journal are torn or lost."""
-        return bool(self.chain.torn or self.lost)
+        return bool(self.run.chain.torn or self.run.lost)
 
     @property
     def ever_lost_lines(self) -> bool:
@@ -69,18 +65,20 @@ class InterruptedRun:
     @property
     def contradictions(self) -> tuple[str, ...]:
         """Lines lost at the end of the journal and records that it does not name, in sentences."""
-        lost = f"the journal {describe_lost_end(self.lost, len(self.chain.lines))}" if self.lost else ""
+        lost = (
+            f"the journal {describe_lost_end(self.run.lost, len(self.run.journal))}" if self.run.lost else ""
+        )
         return tuple(filter(None, (lost, describe_orphans(self.orphans) if self.orphans else "")))
 
     @property
     def arm(self) -> ArmHistory:
         """Arm and instrument history up to the run's end. Raises PRO-011 for lines of another version."""
-        return fold_history(self.chain, self.lost)
+        return fold_history(self.run.chain, self.run.lost)
 
     @property
     def is_any_arm_out(self) -> bool:
         """Whether an arm may be away from home. Raises PRO-011 for lines of another version."""
-        return is_any_arm_out(self.chain, self.lost)
+        return is_any_arm_out(self.run.chain, self.run.lost)
 
     @property
     def finished(self) -> bool:
@@ -191,9 +189,7 @@ def read_interrupted_run(folder: Path, *, only_leaving: bool = False) -> Interru
     """
     found = inspect_run(folder)
     found = found.require_account() if only_leaving else found.require_unchanged()
-    return InterruptedRun(
-        run_of(found), found.chain, found.changes, found.not_as_left, unsealed(found), found.lost
-    )
+    return InterruptedRun(found, unsealed(found))
 
 
 def _require_superseded(superseded: Sequence[Record], key: StepKey, line: Line) -> None:

@@ -247,7 +247,7 @@ def _start_simulated(
 
 def _require_same_scene(folder: Path, interrupted: InterruptedRun) -> None:
     """Raise PRO-033 if the scene file was changed since the run left its simulated theatre."""
-    for change in interrupted.changes:
+    for change in interrupted.run.changes:
         if change.file == SCENE_FILE:
             raise RUN_CHANGED(
                 f"the simulated theatre cannot continue in {folder / SCENE_FILE}",

@@ -111,7 +111,7 @@ def bring_home(engine: Engine, previous: InterruptedRun) -> bool:
     comparison = Comparison(warnings=list(previous.contradictions))
     _restore_arm(engine, previous, engine.case.get(CheckedSetUp).result, comparison, only_leaving=True)
     comparison.notes.append("patient and robot base: not compared, the arm only goes home")
-    for change in previous.changes:
+    for change in previous.run.changes:
         comparison.warnings.append(f"not as the run left it: {change}")
     if not (first := _list_first_moves(engine)):
         _conclude(engine, comparison)

@@ -67,7 +67,7 @@ def hold_interrupted_run(folder: Path, *, only_leaving: bool = False) -> Iterato
     folder = folder.resolve()
     with hold_run(folder):
         interrupted = read_interrupted_run(folder, only_leaving=only_leaving)
-        for change in interrupted.changes:
+        for change in interrupted.run.changes:
             tell(f"warning: not as the run left it: {change}")
         for contradiction in interrupted.contradictions:
             tell(f"warning: {contradiction}")
@@ -102,8 +102,8 @@ def prepare_folder(interrupted: InterruptedRun) -> None:
     _remove_half_written(folder)
     if drop_unsealed_truth(folder):
         tell(f"{KEPT_TRUTH} was removed: no seal confirms it")
-    if interrupted.chain.torn:
-        torn = len(interrupted.chain.torn)
+    if interrupted.run.chain.torn:
+        torn = len(interrupted.run.chain.torn)
         tell(f"the last line of the journal is truncated ({torn} bytes): it was set aside")
 
 
@@ -139,7 +139,7 @@ def close_completed_run(
     """Write the end of a run whose steps are all valid, without moving or querying any device."""
     moment_s = theatre_time_s(interrupted.run.journal[-1])
     folder = interrupted.folder
-    journal = Journal.reopen_run(folder, interrupted.chain)
+    journal = Journal.reopen_run(folder, interrupted.run.chain)
     journal.write(Entry.RESTARTED, moment_s, **interrupted.as_plain())
     close_run(folder, journal, moment_s, outcome, clinical, **more)
     return read_interrupted_run(folder)
@@ -148,7 +148,7 @@ def close_completed_run(
 def rewrite_end(interrupted: InterruptedRun) -> InterruptedRun:
     """Rewrite the end of a closed but unsealed run, listing its unconfirmed files."""
     last = interrupted.run.journal[-1]
-    journal = Journal.reopen_run(interrupted.folder, interrupted.chain)
+    journal = Journal.reopen_run(interrupted.folder, interrupted.run.chain)
     journal.write(Entry.RESTARTED, theatre_time_s(last), **interrupted.as_plain())
     said = {field: value for field, value in last.items() if field not in OF_EVERY_LINE}
     journal.write(Entry.CLOSED, theatre_time_s(last), **said)

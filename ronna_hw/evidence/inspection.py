@@ -104,6 +104,28 @@ class Inspection:
     lost: tuple[Line, ...] = ()  # at the end of the journal, as the event file has them
 
     @property
+    def journal(self) -> tuple[Line, ...]:
+        return self.chain.lines
+
+    @property
+    def opened(self) -> Line:
+        """First journal line: theatre, banner, strategy, seed. Empty if missing."""
+        return self.journal[0] if self.journal else {}
+
+    @property
+    def name(self) -> str:
+        """Original name of the run; its folder may have been renamed."""
+        return str(self.opened.get("run") or self.folder.resolve().name)
+
+    def lines(self, entry: Entry) -> tuple[Line, ...]:
+        """Return the journal lines of one kind."""
+        return tuple(line for line in self.journal if line["entry"] == entry)
+
+    @property
+    def valid_records(self) -> tuple[Record, ...]:
+        return tuple(record for record in self.records if record.identifier not in self.superseded)
+
+    @property
     def superseded(self) -> frozenset[str]:
         """Identifiers of superseded records."""
         return self.manifest.superseded

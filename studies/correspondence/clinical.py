@@ -21,6 +21,7 @@ from typing import Any, cast
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from procedures.imaging.localizers import LOCALIZERS, Localizer
 from procedures.registration.similarity_matrix import Counting, match_many_by_similarity, validate_many
 from procedures.registration.thesis_settings import THESIS_TOLERANCES_MM
 from ronna_hw.arrays import Array
@@ -42,7 +43,6 @@ from studies.errors import LEDGER_UNREADABLE, OTHER_STUDY, TRACKER_NOT_SIMULATED
 from studies.heads import NoiseReading, variance_from_thesis_mm2
 from studies.localization.phantom_scans import phantom_scan
 from studies.localization.study import SEED_BOUND
-from studies.localization.study import StudiedLocalization as Localizer
 from studies.localization.thesis_protocol import (
     FRAME,
     FRAME_MM,
@@ -107,9 +107,9 @@ class ClinicalStudy(Study):
             found = localize_scan(scan)
         (scale,) = draw_scale(random, 1)
         image = {method: one.frame_mm(scale) for method, one in found.items()}
-        sums = self._count_our_outcomes(image[Localizer.OURS], random) + self._count_thesis_outcomes(
-            image[Localizer.THESIS_SPHERE], random
-        )
+        sums = self._count_our_outcomes(
+            image[LOCALIZERS[Localizer.OURS].method], random
+        ) + self._count_thesis_outcomes(image[LOCALIZERS[Localizer.THESIS_SPHERE].method], random)
         return as_sums(sums)
 
     def _count_our_outcomes(self, image_mm: Array | None, random: np.random.Generator) -> Counter[str]:

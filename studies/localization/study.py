@@ -11,14 +11,14 @@ from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from enum import StrEnum
 from itertools import combinations, product
 from typing import ClassVar
 
 import numpy as np
 
-from procedures.imaging import Localization, ThesisFit, Volume, localize, localize_as_thesis, localize_picks
+from procedures.imaging import Localization, Volume, localize_picks
 from procedures.imaging.errors import MarkerCountWrong, PickRefused
+from procedures.imaging.localizers import LOCALIZERS, Localizer, LocalizerDescription
 from procedures.imaging.markers import ESTIMATORS_DISAGREE, Marker
 from procedures.registration.point_registration import register
 from ronna_hw.arrays import Array
@@ -51,19 +51,9 @@ BIN_MM = 0.001
 SEED_BOUND = 2**31
 OPERATORS_FLE_MM = tuple(TABLE_3[operator].printed_mm for operator in OPERATORS)
 SUMS = "squares, fourth powers and tails"  # older campaigns lack these sums, which the bounds need
-
-
-class StudiedLocalization(StrEnum):
-    """Localization methods."""
-
-    OURS = "combined"
-    THESIS_LINE = "thesis-line"
-    THESIS_SPHERE = "thesis-sphere"
-    PERSON = "person"
-    REFINED = "person's picks refined"
-
-
-AUTOMATIC = (StudiedLocalization.OURS, StudiedLocalization.THESIS_LINE, StudiedLocalization.THESIS_SPHERE)
+OURS = LOCALIZERS[Localizer.OURS].method
+AUTOMATIC = tuple(one.method for one in LOCALIZERS.values())
+PERSON, REFINED = "person", "person's picks refined"
 
 
 @dataclass(frozen=True)
@@ -99,28 +89,25 @@ class LocalizationStudy(Study):
                 if family in JUDGING and scan.purpose != "judging":
                     raise NOT_FOR_JUDGING(f"family {family} is for {scan.purpose}")
                 sums.update({"volumes": 1.0, "objects": scan.objects, "bound2": scan.bound_mm**2})
-                for method in AUTOMATIC:
-                    sums.update(_count_localization(method, scan))
+                for built_in in LOCALIZERS.values():
+                    sums.update(_count_localization(built_in, scan))
                 for localizer in own:
                     sums.update(_count_outcomes(localizer.name, localizer(scan.volume), (), scan))
         return as_sums(sums)
 
 
-def localize_by(method: StudiedLocalization, volume: Volume) -> Localization | None:
-    """Localize by a built-in method, or return None if the marker count is implausible."""
+def localize_by(localizer: LocalizerDescription, volume: Volume) -> Localization | None:
+    """Localize by a built-in localizer, or return None if the marker count is implausible."""
     try:
-        if method is StudiedLocalization.OURS:
-            return localize(volume)
-        return localize_as_thesis(volume, ThesisFit(method.value))
+        return localizer.load()(volume)
     except MarkerCountWrong:
         return None
 
 
-def _count_localization(method: StudiedLocalization, scan: PhantomScan) -> Sums:
-    result = localize_by(method, scan.volume)
-    return _count_outcomes(
-        method, None if result is None else result.centres_mm, result.markers if result else (), scan
-    )
+def _count_localization(localizer: LocalizerDescription, scan: PhantomScan) -> Sums:
+    result = localize_by(localizer, scan.volume)
+    found_mm, markers = (None, ()) if result is None else (result.centres_mm, result.markers)
+    return _count_outcomes(localizer.method, found_mm, markers, scan)
 
 
 def _count_outcomes(who: str, found_mm: Array | None, markers: Sequence[Marker], scan: PhantomScan) -> Sums:
@@ -166,15 +153,15 @@ def _localize_frame_set(random: np.random.Generator, own: Sequence[PluginLocaliz
         seed = int(random.integers(SEED_BOUND))
         with phantom_scan(family, FRAME_PROTOCOL, seed, "xframe") as scan:
             found: dict[str, Array | None] = {}
-            for method in AUTOMATIC:
-                result = localize_by(method, scan.volume)
-                found[method.value] = None if result is None else result.centres_mm
+            for built_in in LOCALIZERS.values():
+                result = localize_by(built_in, scan.volume)
+                found[built_in.method] = None if result is None else result.centres_mm
             found |= {localizer.name: localizer(scan.volume) for localizer in own}
             picks: list[Array] = []
             for number, fle_mm in enumerate(OPERATORS_FLE_MM, start=1):
                 picks.append(scan.centres_mm + random.normal(size=(4, 3)) * fle_mm / np.sqrt(3.0))
-                points[f"{StudiedLocalization.PERSON} {number}"].append(picks[-1])
-            found[StudiedLocalization.REFINED.value] = _refine_picks(scan, picks[0])
+                points[f"{PERSON} {number}"].append(picks[-1])
+            found[REFINED] = _refine_picks(scan, picks[0])
             for who, found_mm in found.items():
                 ordered = None if found_mm is None else _match_in_order(found_mm, scan.centres_mm)
                 if ordered is not None:

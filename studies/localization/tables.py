@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from math import sqrt
 
+from procedures.imaging.localizers import LOCALIZERS, Localizer
 from procedures.registration.error_theory import fle_from_fre_mm, fle_of_one_space_mm
 from studies.campaign import bounds
 from studies.campaign.plots import bars
@@ -25,16 +26,18 @@ from studies.localization.study import (
     COVERED,
     FRAMES,
     JUDGING,
+    OURS,
+    PERSON,
+    REFINED,
     STREAKED,
     TAIL,
-    StudiedLocalization,
 )
 from studies.thesis_tables import HUMAN_OPERATORS, LINE_FIT, OPERATORS, SPHERE_FIT, TABLE_2, TABLE_3
 
 SPHERES = 4  # of the frame
 IN_THE_THESIS: dict[str, str] = {
-    StudiedLocalization.THESIS_LINE: LINE_FIT,
-    StudiedLocalization.THESIS_SPHERE: SPHERE_FIT,
+    LOCALIZERS[Localizer.THESIS_LINE].method: LINE_FIT,
+    LOCALIZERS[Localizer.THESIS_SPHERE].method: SPHERE_FIT,
 }
 RMS_UM = {"good": (10.0, 35.0), "poor": (20.0, 50.0)}  # without and with streaks on posts
 COVERED_RMS_UM = 40.0  # half buried
@@ -120,7 +123,7 @@ def goals(sums: Mapping[str, Sums]) -> Table | None:
     for protocol in _list_protocols(scans):
         for streaked in (False, True):
             total = _pool_scans(scans, protocol=protocol, streaked=streaked)
-            if found := sum_of_method(total, StudiedLocalization.OURS, "found"):
+            if found := sum_of_method(total, OURS, "found"):
                 rows += _judge_accuracy(total, protocol, streaked, found)
         for (family, of_scan), total in scans.items():
             if of_scan == protocol:
@@ -224,7 +227,7 @@ def _rms_um(total: Sums, method: str) -> bounds.Bounded:
 def methods_of(total: Sums) -> list[str]:
     """Return the built-in methods in fixed order, followed by the user methods."""
     there = [key.partition("|")[0] for key in total if key.endswith("|spheres")]
-    known = [method.value for method in AUTOMATIC if method in there]
+    known = [method for method in AUTOMATIC if method in there]
     return [*known, *(one for one in there if one not in known)]
 
 
@@ -242,8 +245,7 @@ def percentile_um(total: Sums, method: str, found: float, share: float = 0.95) -
 
 def _describe_cut_spheres(total: Sums) -> str:
     cut, found, large, flagged = (
-        int(sum_of_method(total, StudiedLocalization.OURS, key))
-        for key in ("cut", "cut found", "large", "large flagged")
+        int(sum_of_method(total, OURS, key)) for key in ("cut", "cut found", "large", "large flagged")
     )
     return (
         f"Of {cut} further spheres cut by the field of view, ours finds {found}. Of {large} of our errors"
@@ -254,8 +256,8 @@ def _describe_cut_spheres(total: Sums) -> str:
 def _tabulate_fle(total: Sums) -> Table:
     """Tabulate FLE derived from FRE: by eq. 36 to the frame's coordinates, by eq. 38 between scans."""
     rows: list[dict[str, Cell]] = []
-    people = [f"{StudiedLocalization.PERSON} {number}" for number in range(1, len(OPERATORS) + 1)]
-    known = [*(method.value for method in AUTOMATIC), StudiedLocalization.REFINED.value, *people]
+    people = [f"{PERSON} {number}" for number in range(1, len(OPERATORS) + 1)]
+    known = [*AUTOMATIC, REFINED, *people]
     own = [
         who for key in total if key.endswith("|truth runs") and (who := key.partition("|")[0]) not in known
     ]
@@ -295,11 +297,11 @@ def sum_of_method(total: Sums, method: str, key: str) -> float:
 
 def _judge_accuracy(total: Sums, protocol: str, streaked: bool, found: float) -> list[Sequence[Cell]]:
     condition_text = f"{protocol}, {'with' if streaked else 'without'} streaks on posts"
-    rms_um = 1e3 * sqrt(sum_of_method(total, StudiedLocalization.OURS, "error2") / found)
+    rms_um = 1e3 * sqrt(sum_of_method(total, OURS, "error2") / found)
     rows: list[Sequence[Cell]] = []
     if protocol in RMS_UM:
         rows.append(judge_at_most(f"rms µm, {condition_text}", rms_um, RMS_UM[protocol][streaked]))
-    share_um = percentile_um(total, StudiedLocalization.OURS, found)
+    share_um = percentile_um(total, OURS, found)
     if streaked and share_um is not None and protocol in SHARE_95_UM:
         rows.append(judge_at_most(f"95th percentile µm, {condition_text}", share_um, SHARE_95_UM[protocol]))
     return rows
@@ -307,14 +309,14 @@ def _judge_accuracy(total: Sums, protocol: str, streaked: bool, found: float) ->
 
 def _judge_single(total: Sums, family: str, protocol: str) -> list[Sequence[Cell]]:
     """Judge a single family and protocol, since pooling could mask a bad one."""
-    found = sum_of_method(total, StudiedLocalization.OURS, "found")
+    found = sum_of_method(total, OURS, "found")
     if not found:
         return []
     rows: list[Sequence[Cell]] = []
     if family in COVERED:
-        rms_um = 1e3 * sqrt(sum_of_method(total, StudiedLocalization.OURS, "error2") / found)
+        rms_um = 1e3 * sqrt(sum_of_method(total, OURS, "error2") / found)
         rows.append(judge_at_most(f"rms µm, {protocol}, {family}", rms_um, COVERED_RMS_UM))
-    largest_um = percentile_um(total, StudiedLocalization.OURS, found, 1.0)
+    largest_um = percentile_um(total, OURS, found, 1.0)
     if largest_um is not None:
         rows.append(judge_at_most(f"largest error µm, {protocol}, {family}", largest_um, LARGEST_UM))
     return rows
@@ -322,11 +324,11 @@ def _judge_single(total: Sums, family: str, protocol: str) -> list[Sequence[Cell
 
 def _judge_covariances(total: Sums, family: str) -> list[Sequence[Cell]]:
     """Judge a family's stated covariances over all protocols, since one has too few spheres."""
-    found = sum_of_method(total, StudiedLocalization.OURS, "found")
+    found = sum_of_method(total, OURS, "found")
     if not found:
         return []
-    chi2 = sum_of_method(total, StudiedLocalization.OURS, "chi2") / (3.0 * found)
-    spheres = int(sum_of_method(total, StudiedLocalization.OURS, "spheres"))
+    chi2 = sum_of_method(total, OURS, "chi2") / (3.0 * found)
+    spheres = int(sum_of_method(total, OURS, "spheres"))
     return [
         judge_at_least(f"spheres, {family}", spheres, LEAST_OF_A_FAMILY),
         judge_within(f"chi² / 3n, {family}", chi2, CHI2),
@@ -337,14 +339,14 @@ def _judge_covariances(total: Sums, family: str) -> list[Sequence[Cell]]:
 def _judge_tail(total: Sums, condition_text: str) -> Sequence[Cell]:
     from scipy.stats import binom  # half a second
 
-    found, in_tail = (sum_of_method(total, StudiedLocalization.OURS, key) for key in ("found", "tail"))
+    found, in_tail = (sum_of_method(total, OURS, key) for key in ("found", "tail"))
     most = float(binom.ppf(1.0 - CHANCE, int(found), TAIL))
     return judge_at_most(f"errors outside 99 %, {condition_text}", int(in_tail), most)
 
 
 def _judge_detection(total: Sums) -> list[Sequence[Cell]]:
     spheres, missed, false, large = (
-        sum_of_method(total, StudiedLocalization.OURS, key) for key in ("spheres", "missed", "false", "large")
+        sum_of_method(total, OURS, key) for key in ("spheres", "missed", "false", "large")
     )
     objects, volumes = total.get("objects", 0.0), total.get("volumes", 0.0)
     rows = [
@@ -355,6 +357,6 @@ def _judge_detection(total: Sums) -> list[Sequence[Cell]]:
         judge("false", int(false), "0", false == 0),
     ]
     if large:
-        share = 100.0 * sum_of_method(total, StudiedLocalization.OURS, "large flagged") / large
+        share = 100.0 * sum_of_method(total, OURS, "large flagged") / large
         rows.append(judge_at_least("errors above 0.1 mm flagged, %", share, FLAGGED_PERCENT))
     return rows

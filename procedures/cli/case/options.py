@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Annotated
 from typer import Option
 
 from procedures.cli.planning_inputs import STRATEGY_HELP
-from procedures.engine.methods import CaseMethods, Localizer, Matcher
+from procedures.engine.methods import CaseMethods, Matcher
+from procedures.imaging.localizers import Localizer
 from procedures.registration.thesis_settings import E_MM, E_RANGE_MM, REFUSED_SHARE, REFUSED_SHARE_RANGE
 from procedures.runs.request import LARGEST_SEED, CaseProcedure, RunRequest, SceneChoice
 from procedures.strategies.names import DEFAULT_STRATEGY, STRATEGY_NAMES

@@ -17,7 +17,7 @@ from procedures.engine.errors import REPLAY_DIFFERS, NotRecorded
 from procedures.engine.order import order_of
 from procedures.engine.replay.recorded_answers import CalibrationOpening, RecordedAnswers, read_answers
 from procedures.engine.replay.replay import ReplayInput, ReplayVerdict, replay
-from procedures.engine.run_folder import RunFolder, parse_record, run_of
+from procedures.engine.run_folder import parse_record
 from procedures.engine.setting import ClinicalInput
 from procedures.exchange.raw_readings import WRITES_ALL, missing_in_raw
 from procedures.planning.plan_file import read_plan
@@ -30,7 +30,7 @@ from ronna_hw.command_line.terminal import print_json, print_table, progress_bar
 from ronna_hw.config import Calibrations, read_theatre_file
 from ronna_hw.devices.capabilities import Direction
 from ronna_hw.errors import EXIT_REFUSED, EXIT_UNCONFIRMED
-from ronna_hw.evidence.inspection import inspect_run
+from ronna_hw.evidence.inspection import Inspection, inspect_run
 from ronna_hw.evidence.manifest import iterate_files, list_unchecked_folders
 from ronna_hw.evidence.unsealed import describe_unsealed_files
 from ronna_hw.mistakes import describe_mistakes
@@ -84,7 +84,7 @@ def replay_run(run_folder: Path, *, as_json: bool) -> None:
     Raises PRO-024, and PRO-025 for records that are not confirmed.
     """
     # For edited readings a replay tells more: which results they change.
-    run = run_of(inspect_run(run_folder, every_file=False).require_unchanged())
+    run = inspect_run(run_folder, every_file=False).require_unchanged()
     answers = read_answers(run_folder)
     replay_input = _default_to_recorded_set_up(run, _replay_input(run_folder, answers))
     with progress_bar(f"recomputing {len(run.records)} results") as show:
@@ -135,7 +135,7 @@ def _replay_input(run_folder: Path, answers: RecordedAnswers) -> ReplayInput:
     return ReplayInput(order, clinical, read_theatre_file(resolve_path(opening.theatre_file)))
 
 
-def _default_to_recorded_set_up(run: RunFolder, replay_input: ReplayInput) -> ReplayInput:
+def _default_to_recorded_set_up(run: Inspection, replay_input: ReplayInput) -> ReplayInput:
     recorded = next((record for record in run.records if record.kind == CheckedSetUp.kind), None)
     if recorded is None:
         return replay_input

@@ -90,9 +90,9 @@ def show_run(folder: Path, *, as_json: bool) -> None:
 
 def draw_lineage(folder: Path, *, as_mermaid: bool) -> None:
     """Print results and their ancestors. Raises PRO-033 if files of the run have been changed."""
-    from procedures.engine.run_folder import lineage_mermaid, lineage_text, read_run
+    from procedures.engine.run_folder import lineage_mermaid, lineage_text
 
-    run = read_run(folder)
+    run = inspect_run(folder).require_unchanged()
     say((lineage_mermaid(run) if as_mermaid else lineage_text(run)).rstrip("\n"))
 
 

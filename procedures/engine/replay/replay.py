@@ -22,7 +22,7 @@ from procedures.engine.replay.recorded_people import (
     RecordedRoom,
     make_stand_in,
 )
-from procedures.engine.run_folder import RunFolder, step_key
+from procedures.engine.run_folder import step_key
 from procedures.engine.setting import CaseSetting, ClinicalInput
 from procedures.journal.errors import StepRefused
 from procedures.journal.journal import ENDS_OF_A_STEP, Entry, Journal, Line
@@ -34,6 +34,7 @@ from ronna_hw.clock import Clock
 from ronna_hw.config import Calibrations, DeviceConfig, TheatreFile
 from ronna_hw.devices.lifecycle import Device, Lifecycle
 from ronna_hw.errors import RonnaError
+from ronna_hw.evidence.inspection import Inspection
 from ronna_hw.records import Record
 from ronna_hw.registry import make_device
 from ronna_hw.roles import MASTER
@@ -126,7 +127,7 @@ class ReplayInput:
 
 
 def replay(
-    run: RunFolder,
+    run: Inspection,
     replay_input: ReplayInput,
     answers: RecordedAnswers,
     progress: ShowRecord = lambda _done, _of: None,
@@ -174,7 +175,7 @@ class _RecordedStops:
 
 class _Replay:
     def __init__(
-        self, run: RunFolder, replay_input: ReplayInput, answers: RecordedAnswers, folder: Path
+        self, run: Inspection, replay_input: ReplayInput, answers: RecordedAnswers, folder: Path
     ) -> None:
         def make(name: str, config: DeviceConfig, clock: Clock) -> Device:
             return make_stand_in(make_device(name, config, clock), answers)

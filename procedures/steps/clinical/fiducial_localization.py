@@ -6,14 +6,12 @@ import numpy as np
 from pydantic import Field
 
 from procedures.engine.context import StepContext
-from procedures.engine.methods import NOT_CLINICAL, Localizer
+from procedures.engine.methods import NOT_CLINICAL
 from procedures.engine.order import Outcome, Phase, StepSpec
-from procedures.imaging.localization import localize
-from procedures.imaging.markers import Localization, Marker, ScanDeformation
+from procedures.imaging.localizers import LOCALIZERS, Localizer
+from procedures.imaging.markers import Marker, ScanDeformation
 from procedures.imaging.pictures import draw_candidates, draw_markers
 from procedures.imaging.scan_deformation import require_undeformed
-from procedures.imaging.thesis_localizer import REPORTED_FLE_MM, ThesisFit, localize_as_thesis
-from procedures.imaging.volume import Volume
 from procedures.journal.results import StepResult, Values
 from procedures.steps.clinical.ct_import import ImportedCt, volume_of
 from procedures.steps.conditions import needs_guide_unmounted
@@ -57,9 +55,9 @@ class LocalizedFiducials(StepResult, kind="fiducial_localization", version=2):
     @property
     def assumed_error(self) -> str:
         """Say whose error stands for that of a localizer that states none; empty for one that does."""
-        if self.localizer is Localizer.OURS:
+        published_mm = LOCALIZERS[self.localizer].published_mm
+        if published_mm is None:
             return ""
-        published_mm = REPORTED_FLE_MM[ThesisFit(self.localizer)]
         return (
             f"{self.localizer} states no error: its share CT is the {published_mm:.3f} mm published for it, "
             "equal on all axes"
@@ -73,7 +71,8 @@ def run(context: StepContext) -> Outcome[LocalizedFiducials]:
     """
     volume = volume_of(context)
     localizer = context.clinical.methods.localizer
-    found = _localize(context, volume, localizer)
+    described = LOCALIZERS[localizer]
+    found = described.load()(volume, progress=lambda share: context.progress(share, "localizing the spheres"))
     require_undeformed(found.deformation)
     for number, picture in enumerate(draw_markers(volume, found), start=1):
         context.keep_picture(f"ct-{number}.png", picture)
@@ -94,17 +93,8 @@ def run(context: StepContext) -> Outcome[LocalizedFiducials]:
         ),
         summary=f"{len(found.markers)} spheres"
         + (f"; doubtful, not taken: {len(found.doubtful)}" if found.doubtful else "")
-        + ("" if localizer is Localizer.OURS else f"; by {localizer}: {NOT_CLINICAL}"),
+        + ("" if described.is_clinical else f"; by {localizer}: {NOT_CLINICAL}"),
     )
-
-
-def _localize(context: StepContext, volume: Volume, localizer: Localizer) -> Localization:
-    def show_progress(share: float) -> None:
-        context.progress(share, "localizing the spheres")
-
-    if localizer is Localizer.OURS:
-        return localize(volume, progress=show_progress)
-    return localize_as_thesis(volume, ThesisFit(localizer), progress=show_progress)
 
 
 STEP = StepSpec(

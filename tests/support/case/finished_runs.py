@@ -82,7 +82,7 @@ def changed_files(folder: Path) -> set[str]:
 def gone_home(run: Path) -> None:
     """What `home` leaves: the run taken up in spite of the changes, closed and sealed."""
     left = read_interrupted_run(run, only_leaving=True)
-    journal = Journal.reopen_run(run, left.chain)
+    journal = Journal.reopen_run(run, left.run.chain)
     journal.write(Entry.RESTARTED, 0.0, **left.as_plain())
     close_run(run, journal, 0.0, "left", None)
     seal_run(run)

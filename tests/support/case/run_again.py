@@ -40,7 +40,7 @@ def opened_again(cell: C, order: CaseOrder) -> tuple[C, Engine, InterruptedRun]:
     again = type(cell)(cell.folder, theatre=cell.theatre)
     again.journal.close()
     aside.replace(journal)
-    again.journal = Journal.reopen_run(cell.folder, left.chain)
+    again.journal = Journal.reopen_run(cell.folder, left.run.chain)
     again.case = left.restore_case(order)
     again.arm.joints_rad, again.arm.mounted = cell.arm.joints_rad, cell.arm.mounted
     again.workcell = again.make_workcell(history=left.arm)

@@ -17,13 +17,13 @@ from recording_cell import HOME, RecordingCell, RecordingOperator
 from procedures.engine.case import Case, StepKey
 from procedures.engine.context import StepContext
 from procedures.engine.order import Outcome, Scope, StepSpec, order_of
-from procedures.engine.run_folder import read_run
 from procedures.journal.errors import StepRefused
 from procedures.journal.results import StepResult
 from procedures.operator.errors import NotConfirmed
 from procedures.operator.question import Topic
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.errors import LinkTimeout
+from ronna_hw.evidence.inspection import inspect_run
 from ronna_hw.records import Record
 
 
@@ -166,7 +166,7 @@ class AnyOrder(RuleBasedStateMachine):
 
     @invariant()
     def the_journal_tells_the_same_as_the_engine(self) -> None:
-        run = read_run(self.cell.folder)
+        run = inspect_run(self.cell.folder).require_unchanged()
         said = {record.identifier for record in run.records} - run.superseded
         assert said == {stored.record.identifier for stored in self.cell.case.valid_results}
 

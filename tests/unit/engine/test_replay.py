@@ -21,7 +21,6 @@ from procedures.engine.order import CaseOrder, Outcome
 from procedures.engine.replay.recorded_answers import iterate_readings, read_answers, section_follower
 from procedures.engine.replay.recorded_people import KNOWN_MEMBERS, RecordedOperator
 from procedures.engine.replay.replay import ReplayedRecord, ReplayInput, ReplayVerdict, replay
-from procedures.engine.run_folder import run_of
 from procedures.engine.setting import ClinicalInput
 from procedures.journal.errors import GateFailed
 from procedures.journal.journal import Entry, Journal, read_journal
@@ -90,7 +89,7 @@ class Recorded:
         self.engine.close("left")
         clinical = ClinicalInput(self.cell.series, self.cell.plan, self.cell.strategy)
         given = ReplayInput(order or self.order, clinical, self.cell.theatre)
-        return list(replay(run_of(inspect_run(self.folder)), given, read_answers(self.folder)))
+        return list(replay(inspect_run(self.folder), given, read_answers(self.folder)))
 
     def edit(self, change: Callable[[dict[str, Any]], None]) -> None:
         """Change every recorded answer."""

@@ -91,7 +91,7 @@ def test_lines_that_only_the_event_file_still_has_are_named_until_the_run_is_res
     assert "records that the journal does not name" in reading.problems[1].lower()
     left = read_interrupted_run(killed)
     assert not left.untouched
-    again = Journal.reopen_run(killed, left.chain)  # by a program whose events were not written
+    again = Journal.reopen_run(killed, left.run.chain)  # by a program whose events were not written
     again.write(Entry.RESTARTED, 0.0, **left.as_plain())
     again.close()
     assert inspect_run(killed).lost == ()

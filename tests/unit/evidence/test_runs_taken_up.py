@@ -49,7 +49,7 @@ def with_edited_readings(run: Path) -> Path:
 def killed_on_its_way_home(run: Path) -> None:
     """What a `home` leaves that was killed before its end."""
     left = read_interrupted_run(run, only_leaving=True)
-    journal = Journal.reopen_run(run, left.chain)
+    journal = Journal.reopen_run(run, left.run.chain)
     journal.write(Entry.RESTARTED, 0.0, **left.as_plain())
     journal.close()
 

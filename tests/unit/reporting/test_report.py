@@ -30,10 +30,11 @@ from report_text import report_text
 from procedures.cli.runs.showing import show_run
 from procedures.engine.case import StepKey
 from procedures.engine.engine import Engine
-from procedures.engine.methods import CaseMethods, Localizer
+from procedures.engine.methods import CaseMethods
 from procedures.engine.order import Scope
 from procedures.exchange.run_export import export_run
 from procedures.guards.errors import BaseShifted, PatientMoved
+from procedures.imaging.localizers import Localizer
 from procedures.journal.journal import Entry, Line
 from procedures.postoperative.summary import PostoperativeCheck
 from procedures.reporting.files import LARGEST_PICTURE_BYTES, PostoperativeResult, store_check

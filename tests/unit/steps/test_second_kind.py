@@ -33,7 +33,6 @@ from procedures.engine.engine import Engine
 from procedures.engine.order import CaseOrder, order_of
 from procedures.engine.replay.recorded_answers import read_answers, section_follower
 from procedures.engine.replay.replay import ReplayedRecord, ReplayInput, ReplayVerdict, replay
-from procedures.engine.run_folder import run_of
 from procedures.engine.setting import ClinicalInput
 from procedures.journal.errors import StepRefused
 from procedures.journal.journal import Entry, Journal
@@ -91,7 +90,7 @@ class CaseWithSensor:
     def replayed(self) -> list[ReplayedRecord]:
         cell = self.cell
         given = ReplayInput(self.order, ClinicalInput(cell.series, cell.plan, cell.strategy), cell.theatre)
-        return list(replay(run_of(inspect_run(cell.folder)), given, read_answers(cell.folder)))
+        return list(replay(inspect_run(cell.folder), given, read_answers(cell.folder)))
 
 
 @pytest.fixture

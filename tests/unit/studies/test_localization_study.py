@@ -12,6 +12,7 @@ from coded_errors import raises
 from localized_spheres import localized_marker
 
 from procedures.imaging import Candidate, Localization, Volume, VoxelGeometry
+from procedures.imaging.localizers import LOCALIZERS, Localizer
 from sim.phantom.families.catalogue import FAMILIES, Purpose
 from studies.campaign.folder import Ledger
 from studies.campaign.study import Unit, add_up
@@ -20,7 +21,7 @@ from studies.errors import NOT_FOR_JUDGING, PHANTOM_FAILED, UNIT_FAILED
 from studies.localization import metal_study, phantom_scans
 from studies.localization import study as study_module
 from studies.localization.phantom_scans import PhantomScan, bound_mm, phantom_scan
-from studies.localization.study import AUTOMATIC, JUDGING, TUNING, LocalizationStudy, StudiedLocalization
+from studies.localization.study import JUDGING, OURS, REFINED, TUNING, LocalizationStudy
 from studies.localization.tables import goals, plots, tables
 
 CENTRES = np.array([[0.0, 0.0, 0.0], [40.0, 0.0, 0.0], [0.0, 50.0, 0.0], [0.0, 0.0, 60.0]])
@@ -43,10 +44,10 @@ def test_missed_false_cut_and_large_errors_are_counted_separately(monkeypatch: p
     twice_mm = [[0.0, 1.5, 0.0]]
     points = np.vstack([twice_mm, CENTRES[[0, 1, 3]] + errors, [[200.0, 0.0, 0.0]]])
     monkeypatch.setattr(
-        study_module, "localize", lambda volume: found_at(points, 0.01, ("estimators_disagree",))
+        study_module, "localize_by", lambda *_: found_at(points, 0.01, ("estimators_disagree",))
     )
     sums = study_module._count_localization(
-        StudiedLocalization.OURS, scan_of(CENTRES, [True, True, True, False])
+        LOCALIZERS[Localizer.OURS], scan_of(CENTRES, [True, True, True, False])
     )
     counted = {key.partition("|")[2]: value for key, value in sums.items()}
     expected = {"spheres": 3, "found": 2, "missed": 1, "false": 2, "cut": 1, "cut found": 1}
@@ -62,17 +63,17 @@ def test_tables_and_plots_show_the_counts(monkeypatch: pytest.MonkeyPatch) -> No
     sums: dict[str, dict[str, float]] = {}
     for family in ("narrow", "streaks"):
         one = {"volumes": 1.0, "bound2": 0.002**2}
-        for method in AUTOMATIC:
+        for localizer in LOCALIZERS.values():
             points = CENTRES + random.normal(size=(4, 3)) * 0.01
             monkeypatch.setattr(study_module, "localize_by", lambda *_, p=points: found_at(p, 0.01))
-            one |= study_module._count_localization(method, scan_of(CENTRES, [True] * 4))
+            one |= study_module._count_localization(localizer, scan_of(CENTRES, [True] * 4))
         sums[f"{family}|good"] = one
     together, single, _ = tables(sums)
-    assert [row[:2] for row in together.rows[::3]] == [
+    assert [row[:2] for row in together.rows[:: len(LOCALIZERS)]] == [
         ("without streaks on posts", "good"),
         ("with streaks on posts", "good"),
     ]
-    assert len(single.rows) == 2 * 3
+    assert len(single.rows) == 2 * len(LOCALIZERS)
     row = dict(zip(single.columns, single.rows[0], strict=True))
     assert (row["spheres"], row["found %"], row["false"]) == (4, 100.0, 0)
     assert row["rms µm"] == pytest.approx(10.0 * np.sqrt(3.0), rel=0.5)
@@ -241,10 +242,8 @@ def test_one_real_phantom_volume_and_frame_set_give_the_expected_errors(tmp_path
     assert (ours["found %"], ours["false"]) == (100.0, 0)
     assert ours["rms µm"] < 40.0
     by_who = {row[0]: row for row in frames.rows}
-    assert by_who[StudiedLocalization.OURS][2] < 0.1 < by_who["person 1"][2]
-    assert by_who[StudiedLocalization.REFINED][2] == pytest.approx(
-        by_who[StudiedLocalization.OURS][2], abs=0.01
-    )
+    assert by_who[OURS][2] < 0.1 < by_who["person 1"][2]
+    assert by_who[REFINED][2] == pytest.approx(by_who[OURS][2], abs=0.01)
 
 
 def test_a_failed_unit_names_its_phantom(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

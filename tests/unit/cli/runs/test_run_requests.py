@@ -19,7 +19,8 @@ from procedures.cli.case.stepping import step_through
 from procedures.cli.procedure import app
 from procedures.cli.runs.commands import COMMANDS
 from procedures.engine.errors import BAD_REQUEST_FILE, OTHER_PROGRAM
-from procedures.engine.methods import CaseMethods, Localizer, Matcher
+from procedures.engine.methods import CaseMethods, Matcher
+from procedures.imaging.localizers import Localizer
 from procedures.operator.errors import OperatorAborted
 from procedures.runs.answers import Answers
 from procedures.runs.case import clinical_input

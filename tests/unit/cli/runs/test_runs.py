@@ -17,9 +17,8 @@ from user_commands import in_this_process, one_error
 from procedures.cli.ct import app as ct_app
 from procedures.cli.procedure import app
 from procedures.cli.runs import resume as runs_resume
+from procedures.cli.runs import showing
 from procedures.cli.runs.showing import draw_lineage
-from procedures.engine import run_folder
-from procedures.engine.run_folder import RunFolder
 from procedures.journal.journal import ONLY_LEAVING, Entry
 from procedures.reporting.kept_truth import load_truth, store_truth
 from procedures.reporting.outcome import Truth
@@ -28,7 +27,9 @@ from procedures.runs.finishing import seal_run
 from procedures.runs.folders import hold_run, new_run_folder
 from procedures.runs.request import CaseProcedure, RunRequest
 from ronna_hw.command_line.errors import PATH_PROBLEM
-from ronna_hw.evidence.manifest import is_sealed
+from ronna_hw.evidence.inspection import Inspection
+from ronna_hw.evidence.journal_reading import JournalChain
+from ronna_hw.evidence.manifest import Manifest, is_sealed
 from ronna_hw.records import Record
 from studies.cli import app as campaign_app
 
@@ -78,7 +79,8 @@ def test_lineage_of_a_long_chain_of_strange_names_is_drawn_without_control_chara
         Record(name, "image", dict.fromkeys(parents, ""), {})
         for name, parents in zip(names, [[], *([one] for one in names)], strict=False)
     )
-    monkeypatch.setattr(run_folder, "read_run", lambda folder: RunFolder(folder, (), made, frozenset()))
+    found = Inspection(tmp_path, JournalChain(), Manifest(), made, ())
+    monkeypatch.setattr(showing, "inspect_run", lambda folder: found)
     for as_mermaid in (False, True):
         draw_lineage(tmp_path, as_mermaid=as_mermaid)
         drawn = capsys.readouterr().out

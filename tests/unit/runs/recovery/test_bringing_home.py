@@ -86,7 +86,8 @@ def test_another_tracker_and_a_renewed_record_of_its_frame_do_not_keep_the_arm_o
 
 def test_changes_that_do_not_concern_the_way_home_are_shown_before_acceptance(cell: ClinicalCell) -> None:
     again, engine, left = left_after(cell, f"positioning:{FIRST}")
-    changed = replace(left, changes=(Problem("notes.txt", "added: not part of the run"),))
+    added = Problem("notes.txt", "added: not part of the run")
+    changed = replace(left, run=replace(left.run, problems=(added,)))
     assert bring_home(engine, changed)
     assert "not as the run left it: notes.txt: added" in again.operator.asked[0].value
 

@@ -36,7 +36,7 @@ def compare_seen(monkeypatch: pytest.MonkeyPatch, watch: object = None, **seen: 
     monkeypatch.setattr(arm_comparison, "_watch_with_bases", lambda _engine: watch or known)
     monkeypatch.setattr(arm_comparison, "_compare_guide", lambda *_known: None)
     engine = SimpleNamespace(setting=SimpleNamespace(workcell=workcell, clock=None))
-    left = SimpleNamespace(chain=SimpleNamespace(lines=LINES, torn=b""), lost=())
+    left = SimpleNamespace(run=SimpleNamespace(chain=SimpleNamespace(lines=LINES, torn=b""), lost=()))
     comparison = Comparison()
     compare_arms(cast("Any", engine), cast("Any", left), comparison)
     return comparison

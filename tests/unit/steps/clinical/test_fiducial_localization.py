@@ -7,7 +7,8 @@ from painted_ct import Scan, write_series
 from prepared_results import localized_fiducials
 
 from procedures.engine.events import StepState
-from procedures.engine.methods import CaseMethods, Localizer
+from procedures.engine.methods import CaseMethods
+from procedures.imaging.localizers import Localizer
 from procedures.imaging.series import read_series
 from procedures.imaging.thesis_localizer import COVARIANCE_ASSUMED
 from procedures.journal.errors import GateFailed

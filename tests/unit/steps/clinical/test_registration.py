@@ -23,8 +23,9 @@ from prepared_results import (
 from recording_cell import RecordingOperator, theatre_of
 
 from procedures.engine.case import Stored
-from procedures.engine.methods import CaseMethods, Localizer, Matcher
+from procedures.engine.methods import CaseMethods, Matcher
 from procedures.guards.stability import GUIDE_NOTICEABLE_MM, Subject
+from procedures.imaging.localizers import Localizer
 from procedures.journal.errors import GateFailed
 from procedures.operator.errors import NotConfirmed
 from procedures.operator.question import Topic
