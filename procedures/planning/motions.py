@@ -1,6 +1,7 @@
 """Motions of the procedure with the mounted tool, previewed and checked for clearance.
 
-A move between two approach points that is not clear goes via home if that is clear.
+The stereo head goes from one sphere straight to the next. Where that is not clear, it backs off first, to
+where its approach began; a move between two such points that is not clear goes via home if that is clear.
 """
 
 from __future__ import annotations
@@ -147,6 +148,7 @@ def plan_motions(
     """Plan the motions from home through all visits and back home."""
     by_name = {one.identifier: one for one in trajectories}
     here: tuple[PoseName, JointVector] = (HOME, setting.start_rad)
+    over: Reached | None = None  # the sphere over which the arm rests
     kind: PoseKind | None = None
     around = Surroundings()
     stereo = setting.flange_from_stereo or setting.flange_from_tool
@@ -159,20 +161,48 @@ def plan_motions(
             before = around
             around = scene.with_guide(setting.robot_from_ct, setting.flange_from_tool, trajectory)
         if kind is not None and visit.name.kind is not kind:  # tools are exchanged at home
+            yield from _back_off(setting, over, before)
             yield from _plan_homing(setting, here, before)
-            here = (HOME, setting.start_rad)
+            here, over = (HOME, setting.start_rad), None
         if visit.name.kind is PoseKind.TARGET and kind is not visit.name.kind:
             # Cleared by `check_fixed_places`.
             yield from (replace(one, is_cleared=True) for one in _plan_gauge_motions(setting, scene))
         kind = visit.name.kind
-        yield from _plan_visit(setting, here, reached, around)
-        here = (visit.name, reached.approach_rad)
+        direct = None if over is None else _plan_direct(setting, over, reached, around)
+        if direct is not None:
+            yield direct
+        else:
+            yield from _back_off(setting, over, around)
+            yield from _plan_visit(setting, here, reached, around)
+        here, over = (visit.name, reached.approach_rad), reached
         if visit.name.kind is PoseKind.TARGET:  # and the guide on its gauge, before the next
+            yield from _back_off(setting, over, around)
             yield from _plan_homing(setting, here, around)
-            here = (HOME, setting.start_rad)
+            here, over = (HOME, setting.start_rad), None
             yield from (replace(one, is_cleared=True) for one in _plan_gauge_motions(setting, scene))
     if kind is PoseKind.FIDUCIAL:
+        yield from _back_off(setting, over, around)
         yield from _plan_homing(setting, here, around)
+
+
+def _plan_direct(
+    setting: ArmSetting, over: Reached, reached: Reached, around: Surroundings
+) -> Motion | None:
+    """Return the move from one sphere straight to the next, or None if it is not clear."""
+    plan = plan_joint_move(setting.kinematics, over.at_rad, reached.at_rad, setting.limits)
+    if sweep_path(setting.kinematics, plan, around, search_closest=False).refused is not None:
+        return None
+    return Motion(over.visit.name, reached.visit.name, plan, around, is_cleared=True)
+
+
+def _back_off(setting: ArmSetting, at: Reached | None, around: Surroundings) -> Iterator[Motion]:
+    """Retrace the line of a visit, if the arm rests at one."""
+    if at is None:
+        return
+    begin_rad, end_rad = at.line.start_rad, at.line.target_rad
+    start_pose = setting.kinematics.forward(begin_rad)
+    back = replace(at.line, start_rad=end_rad, target_rad=begin_rad, target=start_pose)
+    yield Motion(at.visit.name, at.visit.name, back, around, is_cleared=True, is_retrace=True)
 
 
 def _plan_visit(
@@ -191,10 +221,6 @@ def _plan_visit(
         yield Motion(HOME, name, onwards, around)
     onto = AXIAL_SPEED_FRACTION if reached.visit.name.kind is PoseKind.TARGET else 1.0
     yield Motion(name, name, reached.line, around, speed_fraction=onto)
-    begin_rad, end_rad = reached.line.start_rad, reached.line.target_rad
-    start_pose = kinematics.forward(begin_rad)
-    back = replace(reached.line, start_rad=end_rad, target_rad=begin_rad, target=start_pose)
-    yield Motion(name, name, back, around, is_cleared=True, is_retrace=True)
 
 
 def _plan_homing(
