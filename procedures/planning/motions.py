@@ -79,7 +79,7 @@ def find_unclear(
     """
     found: dict[PoseName, Unmet] = {}
     standoffs_mm = {PoseName(PoseKind.TARGET, one.identifier): one.standoff_mm for one in trajectories}
-    for motion in plan_motions(setting, scene, check, trajectories):
+    for motion in plan_motions(setting, scene, check, trajectories, every_line=True):
         if motion.is_cleared:
             continue
         arm, closest = setting.kinematics, not first_only
@@ -143,9 +143,17 @@ def _preview(setting: ArmSetting, motion: Motion) -> PreviewedMotion:
 
 
 def plan_motions(
-    setting: ArmSetting, scene: PlanningScene, check: PathCheck, trajectories: Sequence[Trajectory]
+    setting: ArmSetting,
+    scene: PlanningScene,
+    check: PathCheck,
+    trajectories: Sequence[Trajectory],
+    *,
+    every_line: bool = False,
 ) -> Iterator[Motion]:
-    """Plan the motions from home through all visits and back home."""
+    """Plan the motions from home through all visits and back home.
+
+    `every_line` adds the lines to spheres that are reached directly: the head may have to back off there.
+    """
     by_name = {one.identifier: one for one in trajectories}
     here: tuple[PoseName, JointVector] = (HOME, setting.start_rad)
     over: Reached | None = None  # the sphere over which the arm rests
@@ -171,6 +179,8 @@ def plan_motions(
         direct = None if over is None else _plan_direct(setting, over, reached, around)
         if direct is not None:
             yield direct
+            if every_line:
+                yield Motion(visit.name, visit.name, reached.line, around)
         else:
             yield from _back_off(setting, over, around)
             yield from _plan_visit(setting, here, reached, around)
@@ -185,9 +195,7 @@ def plan_motions(
         yield from _plan_homing(setting, here, around)
 
 
-def _plan_direct(
-    setting: ArmSetting, over: Reached, reached: Reached, around: Surroundings
-) -> Motion | None:
+def _plan_direct(setting: ArmSetting, over: Reached, reached: Reached, around: Surroundings) -> Motion | None:
     """Return the move from one sphere straight to the next, or None if it is not clear."""
     plan = plan_joint_move(setting.kinematics, over.at_rad, reached.at_rad, setting.limits)
     if sweep_path(setting.kinematics, plan, around, search_closest=False).refused is not None:

@@ -118,6 +118,7 @@ def _localize_spheres(context: StepContext, paths: CheckedPaths) -> Outcome[Relo
         try:
             _check_last(offsets_mm, [one.fiducial for one in spheres], context)
         except GateFailed:
+            centring.back_off()
             check_room(context, f"over sphere {item.fiducial + 1}")  # names a cart or head that has moved
             raise
     if over_sphere:
