@@ -1,7 +1,7 @@
 """Motions of the procedure with the mounted tool, previewed and checked for clearance.
 
-The stereo head goes from one sphere straight to the next. Where that is not clear, it backs off first, to
-where its approach began; a move between two such points that is not clear goes via home if that is clear.
+The stereo head goes straight over each sphere. Where that is not clear, it backs off from the last one and
+approaches along its axis; a move between two such points that is not clear goes via home if that is clear.
 """
 
 from __future__ import annotations
@@ -176,7 +176,12 @@ def plan_motions(
             # Cleared by `check_fixed_places`.
             yield from (replace(one, is_cleared=True) for one in _plan_gauge_motions(setting, scene))
         kind = visit.name.kind
-        direct = None if over is None else _plan_direct(setting, over, reached, around)
+        direct = None
+        if visit.name.kind is PoseKind.FIDUCIAL:
+            if over is not None and over.visit.name.trajectory != visit.name.trajectory:
+                yield from _back_off(setting, over, around)
+                over = None
+            direct = _plan_direct(setting, here if over is None else over.rest, reached, around)
         if direct is not None:
             yield direct
             if every_line:
@@ -195,12 +200,15 @@ def plan_motions(
         yield from _plan_homing(setting, here, around)
 
 
-def _plan_direct(setting: ArmSetting, over: Reached, reached: Reached, around: Surroundings) -> Motion | None:
-    """Return the move from one sphere straight to the next, or None if it is not clear."""
-    plan = plan_joint_move(setting.kinematics, over.at_rad, reached.at_rad, setting.limits)
+def _plan_direct(
+    setting: ArmSetting, here: tuple[PoseName, JointVector], reached: Reached, around: Surroundings
+) -> Motion | None:
+    """Return the move straight over a sphere, or None if it is not clear."""
+    start, joints_rad = here
+    plan = plan_joint_move(setting.kinematics, joints_rad, reached.at_rad, setting.limits)
     if sweep_path(setting.kinematics, plan, around, search_closest=False).refused is not None:
         return None
-    return Motion(over.visit.name, reached.visit.name, plan, around, is_cleared=True)
+    return Motion(start, reached.visit.name, plan, around, is_cleared=True)
 
 
 def _back_off(setting: ArmSetting, at: Reached | None, around: Surroundings) -> Iterator[Motion]:

@@ -1,4 +1,4 @@
-"""Centring of the tool on a sphere: straight from the last one or along the tool axis, look and servo."""
+"""Centring of the tool on a sphere: straight there or along the tool axis, look and servo."""
 
 from __future__ import annotations
 
@@ -64,8 +64,8 @@ class Centring:
     ) -> CentredSphere:
         """Centre the tool on the sphere expected at a pose ROBOT <- TOOL, and measure it.
 
-        With the arm over another sphere, `from_sphere`, it goes straight there if that is clear. Else the
-        approach along the tool axis begins at the joints `near`.
+        The arm goes straight there if that is clear. Else it backs off from another sphere, `from_sphere`,
+        and approaches along the tool axis from the joints `near`.
         Raises PRO-008 if it is not there, STE-011 if the images are saturated, STE-007 and STE-008 if the
         servo does not converge. The arm then rests at the pose of its last look, see `back_off`.
         """
@@ -81,10 +81,10 @@ class Centring:
 
     def _go_over(self, expected: Transform, near: JointVector, *, from_sphere: bool) -> None:
         master = self.workcell.master
+        onto_rad = master.joints_at(expected, near, self.arriving)
+        if refusal(partial(master.settle, onto_rad, self.arriving), master.arm) is None:
+            return
         if from_sphere:
-            onto_rad = master.joints_at(expected, near, self.arriving)
-            if refusal(partial(master.settle, onto_rad, self.arriving), master.arm) is None:
-                return
             self.back_off()
         master.go(master.joints_at(self._approach_pose(expected), near))
         master.line_to(expected)
