@@ -82,9 +82,10 @@ lint: setup
 bench: setup
 	@$(BIN)/python -P benchmarks/run.py $(addprefix --only ,$(ONLY))
 
-# Against the figures of tools/budget/budget.toml; WHOLE=1 for all, WRITE="reason" to set them.
+# Against the figures of tools/budget/budget.toml; WHOLE=1 for all, STEADY=1 for theatre time and bytes alone,
+# WRITE="reason" to set them.
 budget: setup
-	@OPENBLAS_NUM_THREADS=1 $(BIN)/python tools/budget/budget.py $(if $(WHOLE),--whole) $(if $(WRITE),--because "$(WRITE)")
+	@OPENBLAS_NUM_THREADS=1 $(BIN)/python tools/budget/budget.py $(if $(WHOLE),--whole) $(if $(STEADY),--steady) $(if $(WRITE),--because "$(WRITE)")
 
 bench-history: setup
 	@$(BIN)/python -m benchmarks.history $(addprefix --only ,$(ONLY))

@@ -224,7 +224,9 @@ class StereoCell:
     def centre(self, start: Start) -> CentredSphere:
         """Run the procedure's own servo loop on one sphere."""
         centring = Centring(self._workcell, (1,) * 6, self.scene.servo_area_px, STANDOFF_MM)
-        return centring.centre_on(start.fiducial, start.expected, start.near_rad)
+        found = centring.centre_on(start.fiducial, start.expected, start.near_rad)
+        centring.back_off()
+        return found
 
     def centre_on_truth(self, start: Start) -> CentredSphere:
         """Centre on a sphere using error-free measurements instead of images."""

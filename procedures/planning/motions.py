@@ -1,6 +1,7 @@
 """Motions of the procedure with the mounted tool, previewed and checked for clearance.
 
-A move between two approach points that is not clear goes via home if that is clear.
+The stereo head goes straight over each sphere. Where that is not clear, it backs off from the last one and
+approaches along its axis; a move between two such points that is not clear goes via home if that is clear.
 """
 
 from __future__ import annotations
@@ -78,7 +79,7 @@ def find_unclear(
     """
     found: dict[PoseName, Unmet] = {}
     standoffs_mm = {PoseName(PoseKind.TARGET, one.identifier): one.standoff_mm for one in trajectories}
-    for motion in plan_motions(setting, scene, check, trajectories):
+    for motion in plan_motions(setting, scene, check, trajectories, every_line=True):
         if motion.is_cleared:
             continue
         arm, closest = setting.kinematics, not first_only
@@ -142,11 +143,20 @@ def _preview(setting: ArmSetting, motion: Motion) -> PreviewedMotion:
 
 
 def plan_motions(
-    setting: ArmSetting, scene: PlanningScene, check: PathCheck, trajectories: Sequence[Trajectory]
+    setting: ArmSetting,
+    scene: PlanningScene,
+    check: PathCheck,
+    trajectories: Sequence[Trajectory],
+    *,
+    every_line: bool = False,
 ) -> Iterator[Motion]:
-    """Plan the motions from home through all visits and back home."""
+    """Plan the motions from home through all visits and back home.
+
+    `every_line` adds the lines to spheres that are reached directly: the head may have to back off there.
+    """
     by_name = {one.identifier: one for one in trajectories}
     here: tuple[PoseName, JointVector] = (HOME, setting.start_rad)
+    over: Reached | None = None  # the sphere over which the arm rests
     kind: PoseKind | None = None
     around = Surroundings()
     stereo = setting.flange_from_stereo or setting.flange_from_tool
@@ -159,20 +169,56 @@ def plan_motions(
             before = around
             around = scene.with_guide(setting.robot_from_ct, setting.flange_from_tool, trajectory)
         if kind is not None and visit.name.kind is not kind:  # tools are exchanged at home
+            yield from _back_off(setting, over, before)
             yield from _plan_homing(setting, here, before)
-            here = (HOME, setting.start_rad)
+            here, over = (HOME, setting.start_rad), None
         if visit.name.kind is PoseKind.TARGET and kind is not visit.name.kind:
             # Cleared by `check_fixed_places`.
             yield from (replace(one, is_cleared=True) for one in _plan_gauge_motions(setting, scene))
         kind = visit.name.kind
-        yield from _plan_visit(setting, here, reached, around)
-        here = (visit.name, reached.approach_rad)
+        direct = None
+        if visit.name.kind is PoseKind.FIDUCIAL:
+            if over is not None and over.visit.name.trajectory != visit.name.trajectory:
+                yield from _back_off(setting, over, around)
+                over = None
+            direct = _plan_direct(setting, here if over is None else over.rest, reached, around)
+        if direct is not None:
+            yield direct
+            if every_line:
+                yield Motion(visit.name, visit.name, reached.line, around)
+        else:
+            yield from _back_off(setting, over, around)
+            yield from _plan_visit(setting, here, reached, around)
+        here, over = (visit.name, reached.approach_rad), reached
         if visit.name.kind is PoseKind.TARGET:  # and the guide on its gauge, before the next
+            yield from _back_off(setting, over, around)
             yield from _plan_homing(setting, here, around)
-            here = (HOME, setting.start_rad)
+            here, over = (HOME, setting.start_rad), None
             yield from (replace(one, is_cleared=True) for one in _plan_gauge_motions(setting, scene))
     if kind is PoseKind.FIDUCIAL:
+        yield from _back_off(setting, over, around)
         yield from _plan_homing(setting, here, around)
+
+
+def _plan_direct(
+    setting: ArmSetting, here: tuple[PoseName, JointVector], reached: Reached, around: Surroundings
+) -> Motion | None:
+    """Return the move straight over a sphere, or None if it is not clear."""
+    start, joints_rad = here
+    plan = plan_joint_move(setting.kinematics, joints_rad, reached.at_rad, setting.limits)
+    if sweep_path(setting.kinematics, plan, around, search_closest=False).refused is not None:
+        return None
+    return Motion(start, reached.visit.name, plan, around, is_cleared=True)
+
+
+def _back_off(setting: ArmSetting, at: Reached | None, around: Surroundings) -> Iterator[Motion]:
+    """Retrace the line of a visit, if the arm rests at one."""
+    if at is None:
+        return
+    begin_rad, end_rad = at.line.start_rad, at.line.target_rad
+    start_pose = setting.kinematics.forward(begin_rad)
+    back = replace(at.line, start_rad=end_rad, target_rad=begin_rad, target=start_pose)
+    yield Motion(at.visit.name, at.visit.name, back, around, is_cleared=True, is_retrace=True)
 
 
 def _plan_visit(
@@ -191,10 +237,6 @@ def _plan_visit(
         yield Motion(HOME, name, onwards, around)
     onto = AXIAL_SPEED_FRACTION if reached.visit.name.kind is PoseKind.TARGET else 1.0
     yield Motion(name, name, reached.line, around, speed_fraction=onto)
-    begin_rad, end_rad = reached.line.start_rad, reached.line.target_rad
-    start_pose = kinematics.forward(begin_rad)
-    back = replace(reached.line, start_rad=end_rad, target_rad=begin_rad, target=start_pose)
-    yield Motion(name, name, back, around, is_cleared=True, is_retrace=True)
 
 
 def _plan_homing(

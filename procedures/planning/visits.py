@@ -61,6 +61,11 @@ class Reached:
         """Joint angles at the pose."""
         return self.line.target_rad
 
+    @property
+    def rest(self) -> tuple[PoseName, JointVector]:
+        """Name of the pose, and the joint angles there."""
+        return self.visit.name, self.at_rad
+
 
 @dataclass(frozen=True)
 class Unmet:

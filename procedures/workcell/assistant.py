@@ -325,7 +325,7 @@ class Assistant(SupervisedArm):
 
     def settle_motion(self, joints_rad: JointVector, arriving: Sides = ONE_SIDE) -> PlannedMotion:
         """Return the motion that `settle` would make."""
-        before = JointMove(approach_joints(joints_rad, arriving or ONE_SIDE))
+        before = JointMove(approach_joints(joints_rad, arriving or ONE_SIDE), settles=False)
         return self.joint_motion(MotionKind.SETTLE, before, JointMove(joints_rad))
 
     def insert_motion(

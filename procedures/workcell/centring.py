@@ -1,4 +1,4 @@
-"""Centring of the tool on a sphere: approach along the tool axis, look, servo, and back off."""
+"""Centring of the tool on a sphere: straight there or along the tool axis, look and servo."""
 
 from __future__ import annotations
 
@@ -59,14 +59,19 @@ class Centring:
     approach_mm: float
     on_centred: Callable[[int], None] = lambda _fiducial: None  # while the arm still rests there
 
-    def centre_on(self, fiducial: int, expected: Transform, near: JointVector) -> CentredSphere:
+    def centre_on(
+        self, fiducial: int, expected: Transform, near: JointVector, *, from_sphere: bool = False
+    ) -> CentredSphere:
         """Centre the tool on the sphere expected at a pose ROBOT <- TOOL, and measure it.
 
+        The arm goes straight there if that is clear. Else it backs off from another sphere, `from_sphere`,
+        and approaches along the tool axis from the joints `near`.
         Raises PRO-008 if it is not there, STE-011 if the images are saturated, STE-007 and STE-008 if the
         servo does not converge. The arm then rests at the pose of its last look, see `back_off`.
         """
         try:
-            return self._centre_on(fiducial, expected, near)
+            self._go_over(expected, near, from_sphere=from_sphere)
+            return self._centre_on(fiducial, expected)
         finally:
             self.workcell.sensors.expose(1.0)
 
@@ -74,11 +79,19 @@ class Centring:
         """Back off along the tool axis from the pose of the last look."""
         self.workcell.master.line_to(self._approach_pose(self.workcell.master.tool_pose()))
 
-    def _centre_on(self, fiducial: int, expected: Transform, near: JointVector) -> CentredSphere:
-        workcell = self.workcell
-        workcell.master.go(workcell.master.joints_at(self._approach_pose(expected), near))
-        workcell.master.line_to(expected)
+    def _go_over(self, expected: Transform, near: JointVector, *, from_sphere: bool) -> None:
+        master = self.workcell.master
+        onto_rad = master.joints_at(expected, near, self.arriving)
+        if refusal(partial(master.settle, onto_rad, self.arriving), master.arm) is None:
+            return
+        if from_sphere:
+            self.back_off()
+        master.go(master.joints_at(self._approach_pose(expected), near))
+        master.line_to(expected)
         self._settle(expected)
+
+    def _centre_on(self, fiducial: int, expected: Transform) -> CentredSphere:
+        workcell = self.workcell
         seen, looks = self._first_look(fiducial, expected)
         exact = ServoSettings.for_arm(find_arm(workcell.master.arm.kinematics.name).repeatability_mm)
         servo = ServoState(exact if self.arriving is not None else WITHIN_BACKLASH)
@@ -96,7 +109,6 @@ class Centring:
                 workcell.sensors.read_whole()
                 seen, looks = workcell.look(), looks + 1
         self.on_centred(fiducial)
-        workcell.master.line_to(self._approach_pose(pose))
         rotation = pose.rotation_matrix
         return CentredSphere(
             fiducial=fiducial,

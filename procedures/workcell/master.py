@@ -104,7 +104,7 @@ class Master(SupervisedArm):
         onto = JointMove(joints_rad)
         if arriving is None:
             return self.joint_motion(MotionKind.STEP, onto)
-        back = JointMove(approach_joints(joints_rad, arriving))
+        back = JointMove(approach_joints(joints_rad, arriving), settles=False)
         onto_from_side = self.joint_motion(MotionKind.SETTLE, back, onto)
         return self._via_home(onto_from_side) if allow_detour else onto_from_side
 

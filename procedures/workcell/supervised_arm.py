@@ -220,7 +220,7 @@ class SupervisedArm(ABC):
     def home_motion(self) -> PlannedMotion:
         """Return the motion that `go_home` would make."""
         home_rad = self.home_rad
-        before = JointMove(approach_joints(home_rad, ONE_SIDE))
+        before = JointMove(approach_joints(home_rad, ONE_SIDE), settles=False)
         return self.joint_motion(MotionKind.HOME, before, JointMove(home_rad))
 
     def return_motion(self) -> PlannedMotion:

@@ -102,7 +102,7 @@ def average_pose(frames: list[TrackerFrame], tool: str) -> Transform:
     return _average_poses(seen_poses)
 
 
-def mean_pose(frames: list[TrackerFrame], tool: str, least: int) -> Transform | None:
+def mean_pose(frames: Sequence[TrackerFrame], tool: str, least: int) -> Transform | None:
     """Return a tool's mean pose TRACKER <- MARKER, or None if seen in fewer than `least` frames."""
     seen_poses = list_poses(frames, tool)
     return _average_poses(seen_poses) if len(seen_poses) >= least else None
@@ -123,7 +123,7 @@ def _explain_missing_frames(frames: list[TrackerFrame], tool: str) -> tuple[str,
     return "", "Clear the line of sight between tracker and tool"
 
 
-def list_poses(frames: list[TrackerFrame], tool: str) -> list[tuple[Quaternion, Vector3]]:
+def list_poses(frames: Sequence[TrackerFrame], tool: str) -> list[tuple[Quaternion, Vector3]]:
     """List a tool's rotations and positions from the frames that show it."""
     readings = (frame.tool(tool) for frame in frames)
     return [

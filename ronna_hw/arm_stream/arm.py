@@ -48,7 +48,7 @@ from ronna_hw.devices.lifecycle import (
     require_person,
 )
 from ronna_hw.devices.readings import ArmReading, LinkStatistics, ToolIdentity, Validity
-from ronna_hw.devices.robot import Motion, OperatingMode, StopKind
+from ronna_hw.devices.robot import JointMove, Motion, OperatingMode, StopKind
 from ronna_hw.errors import RonnaError
 from ronna_hw.vectors import JointVector
 
@@ -367,7 +367,8 @@ class StreamedArm(ABC, Generic[S]):
         link.surround(self._planner.surroundings)
         clear_plan = self._planner.clear_plan(planned, mode)
         try:
-            state = self._follower.follow(clear_plan, stop_count, timeout_s, force)
+            settles = not isinstance(motion, JointMove) or motion.settles
+            state = self._follower.follow(clear_plan, stop_count, timeout_s, force, settles=settles)
         except ForceLimitExceeded:
             self._guard.exchange(Lifecycle.ACTIVE, Lifecycle.HOLD)
             raise

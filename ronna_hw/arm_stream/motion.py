@@ -89,9 +89,17 @@ class MotionFollower(Generic[S]):
         return self._connections.faults
 
     def follow(
-        self, plan: MotionPlan, stop_count: int, timeout_s: float, force: ForceLimit = NO_LIMIT
+        self,
+        plan: MotionPlan,
+        stop_count: int,
+        timeout_s: float,
+        force: ForceLimit = NO_LIMIT,
+        *,
+        settles: bool = True,
     ) -> LinkState:
         """Execute a plan and return the final state; more than `stop_count` stops prevent or stop it.
+
+        Unless it `settles`, it ends with its last set-point.
 
         Raises the driver's errors: stopped, also before it began; not finished, when it used up `timeout_s`
         of controller cycles or did not settle at the end of its path; refused; and the fault that ended it.
@@ -100,7 +108,7 @@ class MotionFollower(Generic[S]):
         if not self._motion_lock.acquire(blocking=False):
             raise self._faults.errors.refused(f"{self._faults.name}: another motion is running")
         try:
-            return self._execute(plan, stop_count, timeout_s, force)
+            return self._execute(Move(plan, force, settles), stop_count, timeout_s)
         finally:
             self._motion_lock.release()
 
@@ -162,9 +170,9 @@ class MotionFollower(Generic[S]):
                 self._watch.latch(error)
             raise
 
-    def _execute(self, plan: MotionPlan, stop_count: int, timeout_s: float, force: ForceLimit) -> LinkState:
+    def _execute(self, move: Move, stop_count: int, timeout_s: float) -> LinkState:
         link = self._connections.link
-        number = link.command(Move(plan, force), stop_count)
+        number = link.command(move, stop_count)
         start = link.state
         rested_cycles: int | None = None  # when the path was first seen to have ended
         faulted_cycles: int | None = None  # when a fault was first seen
@@ -202,7 +210,7 @@ class MotionFollower(Generic[S]):
                 raise self._faults.not_finished_error(start, link.state, timeout_s)
         self._watch.raise_any()
         if state.result is MotionResult.FORCE:
-            raise self._faults.force_error(state, force.limit_N)
+            raise self._faults.force_error(state, move.force.limit_N)
         if state.result is MotionResult.STOPPED:
             raise self._faults.errors.stopped(
                 f"{self._faults.name}: stopped before its end", got=self._faults.axes_text(state)

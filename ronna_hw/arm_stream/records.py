@@ -102,7 +102,7 @@ class MotionResult(IntEnum):
 
     NONE = 0
     RUNNING = 1
-    DONE = 2  # the path ended and the arm settled
+    DONE = 2  # the path ended and the arm settled, if it was to
     STOPPED = 3  # stopped on the way, and settled
     REFUSED_BUSY = 4
     REFUSED_START = 5  # planned from a different position
@@ -148,10 +148,11 @@ NO_LIMIT = ForceLimit()
 
 
 class Move(NamedTuple):
-    """Follow a planned path."""
+    """Follow a planned path to its end, and until the arm has settled there."""
 
     plan: MotionPlan
     force: ForceLimit = NO_LIMIT
+    settles: bool = True
 
 
 class GuideByHand(NamedTuple):

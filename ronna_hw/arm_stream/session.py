@@ -92,6 +92,7 @@ class StreamSession(ABC, Generic[M, E]):
         self.phase = StreamPhase.IDLE
         self.fault = LinkFault.NONE
         self.result = MotionResult.NONE
+        self._settles = True  # whether the motion under way ends with a settled arm
         self.violation: Violation | None = None
         self.rejected = 0
         self.dropped = 0
@@ -405,6 +406,7 @@ class StreamSession(ABC, Generic[M, E]):
         except RonnaError:
             return MotionResult.REFUSED_NUMBERS
         self._settled_cycles = 0
+        self._settles = not isinstance(motion, Move) or motion.settles
         return MotionResult.RUNNING
 
     def _follow_force(self, points: SetPoints, force: ForceWatch) -> None:
@@ -434,9 +436,11 @@ class StreamSession(ABC, Generic[M, E]):
         is_near = all(abs(x - y) <= self._tolerance_rad for x, y in zip(self._measured, last, strict=True))
         self._settled_cycles = self._settled_cycles + 1 if is_near else 0
         if self.result is MotionResult.RUNNING:
-            if points.was_stopped_early and (self._settled_cycles >= SETTLE_CYCLES or self.fault):
-                self.result = MotionResult.FORCE if self._is_force_exceeded else MotionResult.STOPPED
-            elif self._settled_cycles >= SETTLE_CYCLES:
+            has_settled = self._settled_cycles >= SETTLE_CYCLES
+            if points.was_stopped_early:
+                if has_settled or self.fault:
+                    self.result = MotionResult.FORCE if self._is_force_exceeded else MotionResult.STOPPED
+            elif has_settled or not self._settles:
                 self.result = MotionResult.DONE
             if self._force is not None and self.result is not MotionResult.RUNNING:
                 self._force.end()

@@ -22,12 +22,14 @@ if TYPE_CHECKING:
 class JointMove:
     """Synchronised motion of all joints, straight to `target_rad`.
 
-    `speed_fraction` is a fraction of the working speed of the driver, 0 < fraction <= 1. A motion is a value,
-    so that the motion previewed is the motion driven.
+    `speed_fraction` is a fraction of the working speed of the driver, 0 < fraction <= 1. One that need not
+    settle ends when its last set-point is sent, since another motion follows at once. A motion is a value, so
+    that the motion previewed is the motion driven.
     """
 
     target_rad: JointVector
     speed_fraction: float = 1.0
+    settles: bool = True
 
 
 @dataclass(frozen=True)

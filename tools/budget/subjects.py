@@ -39,11 +39,15 @@ class Measured:
 
 @dataclass(frozen=True)
 class Subject:
-    """What is run for one figure or several. A quick one is part of every check, others of a whole one."""
+    """What is run for one figure or several. A quick one is part of every check, others of a whole one.
+
+    A `steady` one has figures that are the same on any computer.
+    """
 
     name: str
     measure: Callable[[str], list[Measured]]
     quick: bool
+    steady: bool = False
 
 
 def measure_calibration_s() -> float:
@@ -57,11 +61,11 @@ def subjects() -> list[Subject]:
     return [
         Subject("ronna-procedure --help", _program("--help"), quick=True),
         *(Subject(f"ronna-sim {name}, start", _start_simulator(name), quick=True) for name in SIMULATORS),
-        Subject("mini case", _case(*mini), quick=True),
-        Subject("mini case, two arms", _case(*mini, *dual), quick=True),
-        Subject("packages", _installed, quick=True),
+        Subject("mini case", _case(*mini), quick=True, steady=True),
+        Subject("mini case, two arms", _case(*mini, *dual), quick=True, steady=True),
+        Subject("packages", _installed, quick=True, steady=True),
         Subject("phantom", _phantom, quick=False),
-        Subject("default case", _case(*default), quick=False),
+        Subject("default case", _case(*default), quick=False, steady=True),
         Subject("make test", _tests, quick=False),
     ]
 

@@ -26,7 +26,6 @@ from procedures.steps.clinical.tool_check import CheckedTool
 from procedures.steps.clinical.tool_mounting import require_seen_in_place
 from procedures.steps.clinical.unnoticed import look_at_target
 from procedures.steps.conditions import needs_tool
-from procedures.steps.errors import ToolSeenElsewhere
 from procedures.strategies.trajectory import refine_target_pose
 from procedures.workcell import InsertionAxis, MountedTool, Workcell
 from procedures.workcell.arm_history import stands_at
@@ -53,7 +52,6 @@ def run(context: StepContext) -> Outcome[PositionedGuide]:
     context.result(MountedGuide)
     context.result(CheckedTool)
     mounted = workcell.master.mount.check(MountedTool.GUIDE)
-    _require_guide_in_seat(context)
     robot_from_ct = _require_registration(context).robot_from_ct.transform
     paths = context.result(CheckedPaths)
     insertion = insertion_for(context, robot_from_ct)
@@ -82,7 +80,9 @@ def run(context: StepContext) -> Outcome[PositionedGuide]:
         room.check_room(context, f"before {trajectory}")
         workcell.start()
         workcell.master.return_home()
-    room.require_unmoved(context, f"before {trajectory}")
+    look = room.require_unmoved(context, f"before {trajectory}")
+    if (frame := workcell.tools.guide.record.frame) is not None:
+        require_seen_in_place(context, frame, look, must_see=False)
     workcell.start()
     with room.require_head_in_view(context):
         context.progress(0.0, f"moving over {trajectory}")
@@ -98,18 +98,6 @@ def run(context: StepContext) -> Outcome[PositionedGuide]:
         PositionedGuide(tool_pose=FramedPose.of(insertion.held), joints_rad=reached.joints_rad),
         summary=f"the guide is held {standoff_mm:.0f} mm in front of the entry",
     )
-
-
-def _require_guide_in_seat(context: StepContext) -> None:
-    """Raise TOOL-006 if the guide has moved on its mount, PRO-019 if the mount's frame or the cart has."""
-    frame = context.workcell.tools.guide.record.frame
-    if frame is None:
-        return
-    try:
-        require_seen_in_place(context, frame, must_see=False)
-    except ToolSeenElsewhere:
-        room.check_room(context, f"before {context.trajectory}")
-        raise
 
 
 def insertion_for(context: StepContext, robot_from_ct: Transform) -> InsertionAxis:

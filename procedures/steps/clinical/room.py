@@ -61,7 +61,7 @@ def check_room(
     return look
 
 
-def require_unmoved(context: StepContext, occasion: str) -> None:
+def require_unmoved(context: StepContext, occasion: str) -> RoomLook:
     """Require head and base unmoved, by a careful look with the arm home, before a guide goes to the head.
 
     Raises PRO-022 if head or base cannot be compared, and as `check_room`.
@@ -85,6 +85,7 @@ def require_unmoved(context: StepContext, occasion: str) -> None:
                 f"{occasion}, the tracker does not see the frame on the {arm.name}: its cart may have moved",
                 expected=f"the frame on the {arm.name} in view, with both arms home",
             )
+    return look
 
 
 @dataclass(frozen=True)

@@ -94,9 +94,9 @@ def _check_tool(context: StepContext) -> Outcome[CheckedTool]:
     context.result(MountedGuide)
     context.request_instrument_removal()  # of an earlier attempt
     workcell.master.mount.check(MountedTool.GUIDE)
-    check_room(context, "before the guide is checked", CAREFUL_FRAMES)
+    look = check_room(context, "before the guide is checked", CAREFUL_FRAMES)
     frame = workcell.tools.guide.record.frame
-    seen_off_mm = None if frame is None else require_seen_in_place(context, frame)
+    seen_off_mm = None if frame is None else require_seen_in_place(context, frame, look)
     found = read_on_gauge(context)
     if found.differs:
         workcell.rest()  # hands reseat it: nothing may move the arm meanwhile

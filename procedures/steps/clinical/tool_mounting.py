@@ -10,12 +10,13 @@ from __future__ import annotations
 import numpy as np
 
 from procedures.engine.context import StepContext
+from procedures.guards.room_watch import RoomLook
 from procedures.operator.question import YES, Topic
 from procedures.steps.branches import MOUNTINGS, WRONG_TOOL
 from procedures.steps.errors import ToolSeenElsewhere
 from procedures.workcell import MountedTool
 from procedures.workcell.errors import WrongTool
-from procedures.workcell.tracker_look import mean_pose, read_frames_at_rest
+from procedures.workcell.tracker_look import mean_pose
 from ronna_hw.calibration import STEREO_HEAD_NUMBER
 from ronna_hw.frames import Frame
 from ronna_hw.text import format_against_limit
@@ -23,8 +24,6 @@ from ronna_hw.tool_record import ToolFrame
 
 # Safety against a tool that is not the one it is taken for (U).
 SEEN_LIMIT_MM = 1.0  # of any sphere on the tool: above the tracker's error; the gauge finds the rest
-
-FRAMES, LEAST_FRAMES = 30, 15  # half a second, and how many of them must show both
 
 
 def exchange_tool(context: StepContext, tool: MountedTool) -> int:
@@ -56,23 +55,23 @@ def exchange_tool(context: StepContext, tool: MountedTool) -> int:
     raise AssertionError("the last mounting has returned or raised")
 
 
-def require_seen_in_place(context: StepContext, frame: ToolFrame, *, must_see: bool = True) -> float | None:
+def require_seen_in_place(
+    context: StepContext, frame: ToolFrame, look: RoomLook, *, must_see: bool = True
+) -> float | None:
     """Return the largest deviation (mm) of the tool's spheres from their recorded positions. Raises TOOL-006.
 
-    None if a frame is hidden and `must_see` is not set.
+    None if a frame is hidden in this look and `must_see` is not set.
     """
     workcell = context.workcell
-    reference = workcell.calibrations.tracker_frame
-    workcell.rest()  # the tracker measures while the arm's stream is off
-    frames, _ = read_frames_at_rest(workcell, count=FRAMES)
-    is_on_mount = mean_pose(frames, reference.tool, LEAST_FRAMES)
-    on_tool = mean_pose(frames, frame.tool, LEAST_FRAMES)
+    reference, frames = workcell.calibrations.tracker_frame, look.reading.tracker_frames
+    least = max(1, len(frames) // 2)
+    is_on_mount, on_tool = (mean_pose(frames, name, least) for name in (reference.tool, frame.tool))
     if is_on_mount is None or on_tool is None:
         if not must_see:
             return None
         unseen = reference.tool if is_on_mount is None else frame.tool
         raise ToolSeenElsewhere(
-            f"the tracker does not see {unseen}", expected=f"in at least {LEAST_FRAMES} of {FRAMES} frames"
+            f"the tracker does not see {unseen}", expected=f"in at least {least} of {len(frames)} frames"
         )
     seen_mm = (is_on_mount.inverse() @ on_tool).apply(workcell.tracker.markers_mm[frame.tool])
     recorded = frame.mount_from_frame.transform(Frame.MARKER, Frame.MARKER)

@@ -41,6 +41,12 @@ def test_the_median_counts_where_a_figure_is_out_of_its_budget(
     assert (verdict.exceeded, verdict.words) == (exceeded, words)
 
 
+def test_a_steady_check_leaves_out_processor_time() -> None:
+    both = [Measured(CASE, 99.0, CALIBRATIONS), Measured(f"{CASE}, theatre time", 5.0, "s")]
+    found = check([Subject(CASE, lambda _name: both, quick=True)], BUDGETED, lambda _name: None, steady=True)
+    assert [one.measured for one in found] == both[1:]
+
+
 def test_a_figure_without_a_budget_fails_nothing() -> None:
     (verdict,) = check([measured(iter([10.0]))], {}, lambda _name: None)
     assert not verdict.exceeded

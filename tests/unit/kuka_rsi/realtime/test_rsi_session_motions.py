@@ -62,6 +62,34 @@ def test_a_motion_ends_at_its_target_and_is_done_after_ten_settled_cycles() -> N
     assert cycles > 200
 
 
+def test_a_motion_that_need_not_settle_ends_with_its_last_set_point_and_the_next_one_follows_smoothly() -> (
+    None
+):
+    stand = begun()
+    stand.give(Move(plan_joint_move(MODEL, START, FAR, LIMITS), settles=False))
+    stand.cycle()
+    stand.run()
+    assert stand.session.result is MotionResult.DONE
+    at_the_end = len(stand.sent)
+    assert stand.sent[at_the_end - 2] != stand.sent[at_the_end - 1]
+    stand.give(Move(plan_joint_move(MODEL, FAR, START, LIMITS)))
+    stand.cycle()
+    stand.run()
+    assert stand.session.result is MotionResult.DONE
+    assert stand.session.sent_rad == START
+    assert stand.smooth()
+    assert stand.session.violation is None
+
+
+def test_a_motion_that_need_not_settle_is_stopped_like_any_other() -> None:
+    stand = begun()
+    stand.give(Move(plan_joint_move(MODEL, START, FAR, LIMITS), settles=False))
+    stand.cycles(60)
+    stand.stop(StopOrder.HOLD)
+    stand.run()
+    assert stand.session.result is MotionResult.STOPPED
+
+
 def test_a_motion_is_not_done_while_the_arm_is_off_target_by_more_than_the_tolerance() -> None:
     stand = moving(cycles=1, target=radians6(0.5, -90, 90, 0, 60, 0))
     for _ in range(300):
