@@ -12,6 +12,7 @@ from procedures.reporting.run_reading import RunReading
 from procedures.reporting.run_statistics import DeviceCounters, link_counters
 from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.plan_check import CheckedPlan
+from procedures.steps.clinical.positioning import PositionedGuide
 from procedures.steps.clinical.results import ConfirmedTarget, KnownBases, LinkHealth
 from procedures.steps.clinical.retreat import Retreated
 from procedures.steps.clinical.set_up import CheckedSetUp
@@ -68,10 +69,14 @@ def read_devices(reading: RunReading) -> Devices:
 
 
 def _read_links(reading: RunReading) -> tuple[StreamHealth, ...]:
-    """Return the health of each stream, those of the assistant last."""
-    heads = (StreamHealth("stereo head", one.result.link) for one in reading.valid_results(MountedGuide))
-    ends: list[Retreated | ConfirmedTarget] = [one.result for one in reading.valid_results(Retreated)]
+    """Return the health of each stream that a step ended, those of the assistant last."""
+    heads = [one.result for one in reading.valid_results(MountedGuide)]
+    ends: list[PositionedGuide | Retreated | ConfirmedTarget] = []
+    ends += [one.result for one in reading.valid_results(PositionedGuide)]
+    ends += [one.result for one in reading.valid_results(Retreated)]
     ends += [one.result for one in reading.valid_results(ConfirmedTarget)]
-    links = [("guide", one.link) for one in ends]
+    links: list[tuple[str, LinkHealth | None]] = [("stereo head", one.link) for one in heads]
+    links += [("guide", one.link) for one in ends]
+    links += [("holder of the assistant", one.assistant_link) for one in heads]
     links += [("holder of the assistant", one.assistant_link) for one in ends]
-    return (*heads, *(StreamHealth(name, link) for name, link in links if link is not None))
+    return tuple(StreamHealth(name, link) for name, link in links if link is not None)

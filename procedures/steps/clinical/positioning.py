@@ -19,7 +19,7 @@ from procedures.steps.branches import KEPT_REGISTRATION
 from procedures.steps.clinical import room
 from procedures.steps.clinical.path_check import CheckedPaths
 from procedures.steps.clinical.plan_check import CheckedPlan
-from procedures.steps.clinical.results import RegisteredRobot
+from procedures.steps.clinical.results import LinkHealth, RegisteredRobot, running_link_health
 from procedures.steps.clinical.surroundings import READS, surround_guide
 from procedures.steps.clinical.tool_change import MountedGuide
 from procedures.steps.clinical.tool_check import CheckedTool
@@ -45,6 +45,13 @@ class PositionedGuide(StepResult, kind="positioning"):
 
     tool_pose: FramedPose = Field(description="Pose robot <- tool in which the guide is held, as commanded.")
     joints_rad: JointVector = Field(description="Measured joints on arrival.")
+    link: LinkHealth | None = Field(
+        default=None,
+        description="Health of the robot link until the guide was seen in its seat; none if unused.",
+    )
+    assistant_link: LinkHealth | None = Field(
+        default=None, description="Health of the assistant's link until then; none without one."
+    )
 
 
 def run(context: StepContext) -> Outcome[PositionedGuide]:
@@ -53,7 +60,7 @@ def run(context: StepContext) -> Outcome[PositionedGuide]:
     context.result(MountedGuide)
     context.result(CheckedTool)
     mounted = workcell.master.mount.check(MountedTool.GUIDE)
-    _require_guide_in_seat(context)
+    link, assistant_link = _require_guide_in_seat(context)
     robot_from_ct = _require_registration(context).robot_from_ct.transform
     paths = context.result(CheckedPaths)
     insertion = insertion_for(context, robot_from_ct)
@@ -95,21 +102,31 @@ def run(context: StepContext) -> Outcome[PositionedGuide]:
     rest = measure_guide_at_rest(workcell, trajectory, look.reading.tracker_frames, context.find)
     context.setting.memory.keep(rest)
     return Outcome(
-        PositionedGuide(tool_pose=FramedPose.of(insertion.held), joints_rad=reached.joints_rad),
+        PositionedGuide(
+            tool_pose=FramedPose.of(insertion.held),
+            joints_rad=reached.joints_rad,
+            link=link,
+            assistant_link=assistant_link,
+        ),
         summary=f"the guide is held {standoff_mm:.0f} mm in front of the entry",
     )
 
 
-def _require_guide_in_seat(context: StepContext) -> None:
-    """Raise TOOL-006 if the guide has moved on its mount, PRO-019 if the mount's frame or the cart has."""
+def _require_guide_in_seat(context: StepContext) -> tuple[LinkHealth | None, LinkHealth | None]:
+    """Return the health of the links whose streams end for this look, None without a frame on the guide.
+
+    Raises TOOL-006 if the guide has moved on its mount, PRO-019 if the mount's frame or the cart has.
+    """
     frame = context.workcell.tools.guide.record.frame
     if frame is None:
-        return
+        return None, None
+    links = running_link_health(context)
     try:
         require_seen_in_place(context, frame, must_see=False)
     except ToolSeenElsewhere:
         room.check_room(context, f"before {context.trajectory}")
         raise
+    return links
 
 
 def insertion_for(context: StepContext, robot_from_ct: Transform) -> InsertionAxis:
