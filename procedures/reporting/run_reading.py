@@ -24,6 +24,7 @@ from procedures.steps.clinical.results import Prediction, RegisteredRobot
 from ronna_hw.bounded_input import InputRefused, parse_json, read_json_lines
 from ronna_hw.errors import RonnaError
 from ronna_hw.evidence.inspection import Inspection, inspect_run
+from ronna_hw.evidence.journal_reading import JournalChain, Line
 from ronna_hw.evidence.lost_journal_end import (
     describe_former_losses,
     describe_lost_end,
@@ -44,10 +45,13 @@ R = TypeVar("R", bound=StepResult)
 class RunReading:
     """Content of a run folder, later `changes` to it, and `problems` encountered in reading it.
 
-    `truth` is what the seal confirms of the simulated theatre's verifier.
+    `chain` is its journal as the file has it, `lost` are the lines lost at its end. `truth` is what the seal
+    confirms of the simulated theatre's verifier.
     """
 
     run: RunFolder
+    chain: JournalChain
+    lost: tuple[Line, ...] = ()
     log: tuple[Mapping[str, Any], ...] = ()  # lines of log.jsonl
     changes: tuple[str, ...] = ()
     problems: list[str] = field(default_factory=list)
@@ -59,7 +63,11 @@ class RunReading:
         """Build the reading of an inspected run, without its log."""
         folder = found.folder
         return cls(
-            run_of(found), is_sealed=find_valid_seal(folder) is not None, truth=load_sealed_truth(folder)
+            run_of(found),
+            found.chain,
+            found.lost,
+            is_sealed=find_valid_seal(folder) is not None,
+            truth=load_sealed_truth(folder),
         )
 
     def sealed_with(self, truth: Truth | None) -> RunReading:
