@@ -434,6 +434,22 @@ class TheatreFile(Strict):
         default=ProcedureSettings(), description="Assumptions and settings of the procedure."
     )
 
+    @model_validator(mode="before")
+    @classmethod
+    def _has_arms_by_role(cls, content: object) -> object:
+        """Name the table to write for an arm that stands outside [robot.NAME]."""
+        if not isinstance(content, dict):
+            return content
+        if roles := [role for role in ARM_RECORDS if role in content]:
+            raise ValueError(", ".join(f"[{role}] is an arm: write [robot.{role}]" for role in roles))
+        arms = content.get("robot")
+        if isinstance(arms, dict) and (keys := [key for key in arms if key in DeviceConfig.model_fields]):
+            raise ValueError(
+                f"[robot] has {', '.join(keys)}, which belong to one arm: write [robot.{MASTER}], and "
+                f"likewise [robot.{MASTER}.endpoints] and [robot.{MASTER}.options]"
+            )
+        return content
+
     @field_validator("tools")
     @classmethod
     def _have_unique_numbers(cls, tools: dict[str, ToolRecord]) -> dict[str, ToolRecord]:

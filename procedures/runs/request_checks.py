@@ -63,14 +63,18 @@ def require_two_arms(theatre: TheatreFile) -> None:
     records = {} if theatre.calibration is None else theatre.calibration.records
     missing_roles = [role for role in ARM_RECORDS if role not in theatre.robot]
     needed = [name for names in ARM_RECORDS.values() for name in names]
-    missing = [f"robot.{role}" for role in missing_roles]
-    missing += [f"calibration.{name}" for name in needed if name not in records]
+    missing = [f"[robot.{role}]" for role in missing_roles]
+    missing += [f"[calibration.{name}]" for name in needed if name not in records]
     if missing:
         unknown = [name for name in theatre.robot if missing_roles and name not in ARM_RECORDS]
+        write = "Add or rename them"
+        if len(unknown) == len(missing_roles) == 1:
+            write = f"Write [robot.{missing_roles[0]}] in place of [robot.{unknown[0]}]"
+            write += ", and add the others" if len(missing) > 1 else ""
         raise NotInTheatre(
             f"theatre {theatre.theatre} cannot work with two arms: it has no {', '.join(missing)}"
-            + "".join(f"; robot.{name} is unknown{suggest_keys(name, missing_roles)}" for name in unknown),
-            action="Add or rename them, or omit --dual: docs/how-to/case/two-arms.md says how.",
+            + "".join(f"; [robot.{name}] is unknown{suggest_keys(name, missing_roles)}" for name in unknown),
+            action=f"{write}, or omit --dual: docs/how-to/case/two-arms.md says how.",
         )
 
 

@@ -66,6 +66,24 @@ def test_both_roles_on_one_arm_are_refused(one: str, another: str) -> None:
         parse_theatre(theatre, "theatre.toml")
 
 
+ARM: dict[str, Any] = {"driver": "kuka_rsi", "endpoints": {"rsi": "udp://192.168.1.5:59152"}}
+
+
+@pytest.mark.parametrize(
+    ("tables", "said"),
+    [
+        ({"robot": ARM}, r"\[robot\] has driver, endpoints, .* write \[robot\.master\]"),
+        (
+            {"robot": {"master": ARM}, "assistant": ARM},
+            r"\[assistant\] is an arm: write \[robot\.assistant\]",
+        ),
+    ],
+)
+def test_an_arm_outside_its_table_is_named_with_the_table_to_write(tables: dict[str, Any], said: str) -> None:
+    with pytest.raises(BadTheatreFile, match=said):
+        parse_theatre({"schema": 1, "theatre": "lab", **tables}, "theatre.toml")
+
+
 def test_a_plan_given_as_a_theatre_file_is_recognised() -> None:
     with pytest.raises(BadTheatreFile, match=r"plan\.toml is a plan, not a theatre file"):
         parse_theatre({"schema": 1, "trajectories": [], "implanted": 3}, "plan.toml")
