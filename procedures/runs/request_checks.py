@@ -78,17 +78,27 @@ def require_two_arms(theatre: TheatreFile) -> None:
         )
 
 
-def check_asking(request: RunRequest) -> None:
+def check_asking(request: RunRequest, begun: Path | None = None) -> None:
     """Raise CLI-001 if a run with --ask has no terminal, or its theatre no staff who can be told by words.
 
+    `begun` is the folder of a run that had begun before, for which nobody types --ask again.
     CTL-001 to CTL-003 unless the control port is that of the theatre: its staff would work in another room.
     """
     if not request.ask:
         return
-    if not (on_terminal(sys.stdin) and on_terminal(sys.stderr)):
+    streams = {"standard input": sys.stdin, "standard error": sys.stderr}
+    if away := [name for name, stream in streams.items() if not on_terminal(stream)]:
+        got = f"{' and '.join(away)} {'are' if len(away) > 1 else 'is'} not a terminal"
+        if begun is not None:
+            raise UsageMistake(
+                f"{begun.name} was begun with --ask: a person is asked and answers at a terminal",
+                got=got,
+                action="Nothing was moved. Run the command at a terminal: a run begun with --ask always asks "
+                "again.",
+            )
         raise UsageMistake(
             "--ask needs a terminal, where a person is asked and answers",
-            got="standard input or standard error is not a terminal",
+            got=got,
             action="Run it at a terminal; --answers FILE answers without one, in a run begun without --ask.",
         )
     if request.config is None:
