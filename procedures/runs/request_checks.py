@@ -13,7 +13,7 @@ from collections.abc import Collection, Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from procedures.journal.free_space import describe_shortage
+from procedures.journal.free_space import NO_DISK, describe_shortage
 from procedures.runs.request import PATIENT_SCENES, CaseProcedure
 from ronna_hw.bounded_input import read_bounded
 from ronna_hw.command_line.errors import DISK_FULL, PATH_PROBLEM, UsageMistake
@@ -170,9 +170,11 @@ def require_space(out: Path) -> None:
     resolved = out.resolve()
     folder = next(path for path in (resolved, *resolved.parents) if path.exists())  # a run makes the others
     if shortage := describe_shortage(folder):
+        room = "" if shortage == NO_DISK else "Make room there, or "
+        choose = f"{room}choose another folder with --out."
         raise DISK_FULL(
             f"no case was started in {out}: {shortage}",
-            action="Nothing was written. Make room there, or choose another folder with --out.",
+            action=f"Nothing was written. {choose[0].upper()}{choose[1:]}",
         )
 
 
