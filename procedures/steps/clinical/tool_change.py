@@ -61,7 +61,7 @@ def _park(context: StepContext) -> None:
     surround_stereo_head(context, workcell.master.joints_rad())
     check_room(context, "before the arm parks")
     workcell.start()
-    workcell.master.park("park the arm for the tool exchange")
+    workcell.master.park("for the tool exchange")
     check_room(context, "with the arm parked for the tool exchange", CAREFUL_FRAMES)
 
 
