@@ -170,7 +170,8 @@ _PART = r"(?:[A-Za-z0-9_-]++|\"(?:[^\"\\\n]|\\.)*+\"|'[^'\n]*+')"
 _LONG_KEY = re.compile(rf"(?<![A-Za-z0-9_\-\\]){_PART}(?:[ \t]*+\.[ \t]*+{_PART}){{{DEEPEST_TOML}}}")
 
 LONGEST_SHOWN = 80  # characters of a line with a mistake
-_LINE_NUMBER = re.compile(r"\(at line (\d+), column \d+\)")
+_LINE_NUMBER = re.compile(r"\(at line (\d+), column (\d+)\)")
+_BEGINS_KEY = re.compile(r"\s*[\w\"'.-]+\s*=|\s*\[")
 _DECIMAL_COMMA = re.compile(r"=\s*[-+]?\d+,\d+\s*(#.*)?$")
 _WRITTEN_AS_DATE = re.compile(r"=\s*(\d{4}-\d{2}-\d{2})")
 _LIKE_A_DATE = re.compile(r"=\s*\d{1,2}[./]\d{1,2}[./]\d{4}")
@@ -193,22 +194,30 @@ def parse_toml_bytes(content: bytes, name: str, refusal: Callable[[str], RonnaEr
         raise refusal(f"{name} is refused: {error.summary}") from error
     except UnicodeDecodeError as error:
         line = content.count(b"\n", 0, error.start) + 1
-        quoted = content.splitlines()[line - 1].strip().decode(errors="replace")[:LONGEST_SHOWN]
+        line_began = content.rfind(b"\n", 0, error.start) + 1
+        shown = content[line_began:].split(b"\n")[0].decode(errors="replace")
+        column = len(content[line_began : error.start].decode(errors="replace")) + 1
         raise refusal(
             f"{name} is not TOML: it is not UTF-8 text (at line {line}, byte 0x{content[error.start]:02x}): "
-            f"{quoted}; save it as UTF-8"
+            f"`{_cut_line(shown, column)}`; save it as UTF-8"
         ) from error
     except ValueError as error:
         raise refusal(f"{name} is not TOML: {error}{_describe_line(error, content)}") from error
 
 
 def _describe_line(error: ValueError, content: bytes) -> str:
-    """Quote the line that failed to parse, with a hint if it resembles a date or a decimal."""
+    """Quote the line that failed to parse, with a hint if it resembles a date or a decimal.
+
+    What is still open at the end of the document began in the last line with a key, or after it.
+    """
+    lines = content.decode("utf-8-sig").split("\n")
     found = _LINE_NUMBER.search(str(error))
-    lines = content.decode("utf-8-sig").splitlines()
-    if found is None or not 0 < int(found[1]) <= len(lines):
-        return ""
-    line = lines[int(found[1]) - 1].strip()
+    if found is None:
+        opened = [number for number, line in enumerate(lines, 1) if _BEGINS_KEY.match(line)]
+        if not opened:
+            return ""
+        return f"; line {opened[-1]} is not ended: `{_cut_line(lines[opened[-1] - 1], 1)}`"
+    line = lines[int(found[1]) - 1]
     writing_advice = "; a date is written 2026-12-31" if _LIKE_A_DATE.search(line) else ""
     writing_advice = "; decimals have a point, not a comma" if _DECIMAL_COMMA.search(line) else writing_advice
     if (written := _WRITTEN_AS_DATE.search(line)) is not None:
@@ -216,7 +225,15 @@ def _describe_line(error: ValueError, content: bytes) -> str:
             date.fromisoformat(written[1])
         except ValueError as wrong:
             writing_advice = f"; {written[1]} is no date: {wrong}"
-    return f": {line[:LONGEST_SHOWN]}{writing_advice}"
+    return f": `{_cut_line(line, int(found[2]))}`{writing_advice}"
+
+
+def _cut_line(line: str, column: int) -> str:
+    """Cut a line to what can be shown, with its column (counted from 1) in it and dots where it was cut."""
+    begin = max(0, min(column - 1 - LONGEST_SHOWN // 2, len(line) - LONGEST_SHOWN))
+    end = begin + LONGEST_SHOWN
+    dots = ("... " if begin else "", " ..." if end < len(line) else "")
+    return f"{dots[0]}{line[begin:end].strip()}{dots[1]}"
 
 
 def parse_toml(text: str) -> dict[str, Any]:

@@ -87,15 +87,26 @@ def _frames_on_arms(theatre: TheatreFile) -> dict[str, str]:
 
 
 def require_separate_arms(theatre: TheatreFile) -> None:
-    """Raise ValueError if two arms share an address: then both roles would be played by one arm."""
-    owners: dict[Endpoint, str] = {}
+    """Raise ValueError if two arms share an address: then both roles would be played by one arm.
+
+    Host names are looked up only where another arm has the same port.
+    """
+    owners: dict[tuple[str, int], list[tuple[str, str]]] = {}  # by scheme and port
     for name, robot in theatre.robot.items():
         for text in (robot.endpoint, *robot.endpoints.values()):
-            if text is not None and (owner := owners.setdefault(parse_endpoint(text), name)) != name:
+            if text is None:
+                continue
+            endpoint = parse_endpoint(text)
+            others = owners.setdefault((endpoint.scheme, endpoint.port), [])
+            for owner, other in others:
+                if owner == name or not endpoint.is_same_as(parse_endpoint(other)):
+                    continue
+                shared = text if other == text else f"{text}, which is {other}"
                 raise ValueError(
-                    f"[robot.{name}] and [robot.{owner}] are the same arm: both have {text}; give each arm "
+                    f"[robot.{name}] and [robot.{owner}] are the same arm: both have {shared}; give each arm "
                     "its own addresses"
                 )
+            others.append((name, text))
 
 
 def require_outside_hand(theatre: TheatreFile) -> None:
@@ -422,6 +433,22 @@ class TheatreFile(Strict):
     procedure: ProcedureSettings = Field(
         default=ProcedureSettings(), description="Assumptions and settings of the procedure."
     )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _has_arms_by_role(cls, content: object) -> object:
+        """Name the table to write for an arm that stands outside [robot.NAME]."""
+        if not isinstance(content, dict):
+            return content
+        if roles := [role for role in ARM_RECORDS if role in content]:
+            raise ValueError(", ".join(f"[{role}] is an arm: write [robot.{role}]" for role in roles))
+        arms = content.get("robot")
+        if isinstance(arms, dict) and (keys := [key for key in arms if key in DeviceConfig.model_fields]):
+            raise ValueError(
+                f"[robot] has {', '.join(keys)}, which belong to one arm: write [robot.{MASTER}], and "
+                f"likewise [robot.{MASTER}.endpoints] and [robot.{MASTER}.options]"
+            )
+        return content
 
     @field_validator("tools")
     @classmethod

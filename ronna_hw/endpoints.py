@@ -66,6 +66,10 @@ class Endpoint:
             found = []
         return replace(self, host=min((str(entry[4][0]) for entry in found), default=name))
 
+    def is_same_as(self, other: Endpoint) -> bool:
+        """Return whether two endpoints are one, also under two names of the host."""
+        return self == other or self.resolve_names() == other.resolve_names()
+
     def require(self, *schemes: str) -> Endpoint:
         """Return the endpoint, or raise CFG-002 if its scheme is not one of `schemes`."""
         if self.scheme not in schemes:

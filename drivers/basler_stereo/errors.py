@@ -111,7 +111,10 @@ class TriggerMissed(LinkTimeout):
     """Both cameras acknowledged the trigger, but neither sent an image."""
 
     code = "GEV-013"
-    action = "Check that no firewall drops UDP from the cameras and that the exposure fits the time limit."
+    action = (
+        "Check that no firewall drops UDP from the cameras, that the exposure fits the time limit, and that "
+        "nothing else loads this computer."
+    )
 
 
 class CameraLost(LinkTimeout):

@@ -7,6 +7,7 @@ from pathlib import Path
 
 LEAST_FREE_BYTES = 200_000_000  # pictures, log and records of a long case are below a tenth of it
 MEGABYTE = 1_000_000
+NO_DISK = "no files can be written there"
 
 
 def describe_shortage(folder: Path, least_bytes: int = LEAST_FREE_BYTES) -> str | None:
@@ -18,7 +19,7 @@ def describe_shortage(folder: Path, least_bytes: int = LEAST_FREE_BYTES) -> str 
     except OSError as error:
         return f"the run folder {folder} cannot be read ({error.strerror}): mount it again"
     if not total:  # such as /proc
-        return "no files can be written there"
+        return NO_DISK
     if free >= least_bytes:
         return None
     return (

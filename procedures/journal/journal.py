@@ -22,6 +22,7 @@ from ronna_hw.evidence.journal_reading import (
     ENDS_OF_A_STEP,
     FIRST,
     JOURNAL_FILE,
+    ONLY_LEAVING,
     Entry,
     JournalChain,
     JournalValue,
@@ -51,7 +52,6 @@ BLOCK_BYTES = 4096  # what a power loss may tear or empty at the end of a file
 # A result, or where an instrument is, must not share a block with lines that follow it: spaces fill the rest.
 FILLING = (Entry.RESULT, Entry.INSTRUMENT, Entry.HELD)
 OF_EVERY_LINE = ("sequence", "previous", "entry", "host_time", "theatre_time_s")
-ONLY_LEAVING = "only_leaving"  # of a restart: to send the arm home or acknowledge a fault, and run no step
 ENDINGS = (Entry.FAILED, Entry.INTERRUPTED, Entry.CLOSED)
 
 

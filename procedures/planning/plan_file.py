@@ -50,6 +50,7 @@ if TYPE_CHECKING:
     from procedures.imaging.volume import Volume
 
 PLAN_FILE = "plan.toml"  # of the folder of a case, beside its `ct`
+GIVE_A_PLAN = "Give the path of a plan.toml that can be read."
 LEAST_GAP_MM = 1.0  # between skin and guide; 0 is a guide that touches it
 LEAST_TARGET_MARGIN_MM = 0.05  # a third of the smallest predicted error
 UNSEALED = "0" * 64  # replaces a plan's digest while that is computed
@@ -87,12 +88,12 @@ def read_plan(path: Path, *, sealed_only: bool = True) -> Plan:
         raise PLAN_UNREADABLE(
             f"{path} is a folder, not a plan",
             expected="a plan file",
-            action=f"Give the plan in it: {inside[0]}." if inside else None,
+            action=f"Give the plan in it: {inside[0]}." if inside else GIVE_A_PLAN,
         )
     try:
         content = read_toml(path, PLAN_UNREADABLE)
     except OSError as error:
-        raise PLAN_UNREADABLE(f"cannot read {path}: {error.strerror}") from error
+        raise PLAN_UNREADABLE(f"cannot read {path}: {error.strerror}", action=GIVE_A_PLAN) from error
     return parse_plan(content, path.name, sealed_only=sealed_only)
 
 
@@ -107,7 +108,7 @@ def parse_plan(content: dict[str, Any], name: str = "the plan", *, sealed_only: 
     Without `sealed_only`, a plan altered since it was sealed is still read, for viewing.
     """
     if "theatre" in content and "trajectories" not in content:
-        raise PLAN_UNREADABLE(f"{name} is a theatre file, not a plan", action="Give the path of a plan.toml.")
+        raise PLAN_UNREADABLE(f"{name} is a theatre file, not a plan", action=GIVE_A_PLAN)
     found: list[PlanError] = []
     plan: Plan | None = None
     try:

@@ -24,7 +24,13 @@ from procedures.registration.errors import (
     BadParameter,
     CollinearPoints,
 )
-from procedures.registration.points import FEWEST_PAIRS, require_enough, validate_points, validate_transform
+from procedures.registration.points import (
+    FEWEST_PAIRS,
+    refuse_other_units,
+    require_enough,
+    validate_points,
+    validate_transform,
+)
 from procedures.registration.rigid_fit import as_transform, fit_rigid
 from ronna_hw.arrays import Array
 from ronna_hw.frames import Transform
@@ -76,6 +82,7 @@ def register_clouds(
     if start is not None:
         matrix = np.asarray(validate_transform(start, "start").as_matrix())
         return _iterate_closest_points(image, physical, tree, matrix, overlap)
+    refuse_other_units(image, physical)
     fits, reflected = (
         [_iterate_closest_points(cloud, physical, tree, one, overlap) for one in _align_axes(cloud, physical)]
         for cloud in (image, image @ np.diag([-1.0, 1.0, 1.0]))

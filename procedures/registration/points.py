@@ -20,6 +20,7 @@ from ronna_hw.frames import Transform, is_rotation
 COORDINATE_LIMIT_MM = 1e6  # one kilometre: no theatre is larger, and squares are far from overflow
 NEAREST_SPHERES_MM = 2.0  # two 11.5 mm spheres cannot be closer; a repeated detection is
 SMALLEST_SPREAD_M = 0.01  # of markers: a set wider than this but no wider than two spheres may be in metres
+OTHER_UNITS = 300.0  # ratio of the widths of two sets of the same points; metres for millimetres make 1000
 FEWEST_PAIRS = 3  # a rigid transform has six unknowns; two points leave one undetermined
 SYMMETRY_TOLERANCE = 1e-9  # relative; covariances are products, symmetric up to rounding
 
@@ -85,14 +86,32 @@ def _is_rigid(matrix: Array) -> bool:
 
 
 def validate_pairs(image_mm: ArrayLike, physical_mm: ArrayLike) -> tuple[Array, Array]:
-    """Return two sets of equal length, with at least three distinct points. Raises REG-001, 002, 004."""
+    """Return two sets of equal length, with at least three distinct points, in the same units.
+
+    Raises REG-001, 002, 004.
+    """
     image, physical = validate_points(image_mm, "image"), validate_points(physical_mm, "physical")
     if len(image) != len(physical):
         raise BAD_POINTS(f"{len(image)} image points but {len(physical)} physical points")
     require_enough(image, "pair(s)")
     for name, points in (("image", image), ("physical", physical)):
         refuse_duplicates(points, name)
+    refuse_other_units(image, physical)
     return image, physical
+
+
+def refuse_other_units(image: Array, physical: Array) -> None:
+    """Raise REG-001 if one of two sets of the same points is so much wider that it has other units."""
+    sets = (("image", image), ("physical", physical))
+    widths_mm = {name: float(np.ptp(points, axis=0).max()) for name, points in sets}
+    (narrow, narrow_mm), (wide, wide_mm) = sorted(widths_mm.items(), key=lambda item: item[1])
+    if wide_mm > OTHER_UNITS * narrow_mm:
+        raise BAD_POINTS(
+            f"the {wide} points are {wide_mm / narrow_mm:.0f} times as far apart as the {narrow} points",
+            expected="the same points, in the same units",
+            got=f"{wide_mm:.4g} and {narrow_mm:.4g}",
+            action=f"Are the {narrow} points in metres? Give both in millimetres.",
+        )
 
 
 def require_enough(points: Array, name: str, action: str | None = None) -> None:

@@ -20,7 +20,7 @@ from procedures.reporting.tables import target_rows
 from procedures.steps.clinical.at_target import ReachedTarget
 from ronna_hw.devices.capabilities import EMERGENCY_STOP
 from ronna_hw.evidence.inspection import inspect_run
-from ronna_hw.evidence.manifest import KEPT_TRUTH, TRUTH_FIELD
+from ronna_hw.evidence.manifest import KEPT_TRUTH, REQUEST_FILE, TRUTH_FIELD
 from ronna_hw.host.port_users import find_folder_holder
 from ronna_hw.text import format_count
 
@@ -37,8 +37,8 @@ NOT_SEALED = (
 )
 ADVICE = {  # by the word of an ending, for a case
     "missed": (
-        "Do not work at a target that is beyond. Look below at what the prediction is made of and at what "
-        "stayed as it was, then register anew in a new run."
+        "Do not work at a target that is beyond. Look in the report at what the prediction is made of and at "
+        "what stayed as it was, then register anew in a new run."
     ),
     "in doubt": (
         "Do not rely on these targets until an image confirms them: ronna-ct postoperative compares one "
@@ -49,10 +49,8 @@ ADVICE = {  # by the word of an ending, for a case
         "what is lost."
     ),
     UNSEALED: "ronna-procedure verify RUN names what is missing; ronna-procedure resume RUN completes it.",
-    "killed": (
-        "ronna-procedure list says whether a program still holds the run. If none does: ronna-procedure "
-        "resume RUN goes on, ronna-procedure home RUN only brings the arm home."
-    ),
+    RUNNING: "ronna-procedure watch RUN follows it from another terminal.",
+    "killed": f"Unless a program on another computer still runs it: {RESUME}",
     "not begun": "Nothing has moved. Put right what is named, then start again.",
     **dict.fromkeys(("failed", "refused", "aborted"), GO_ON),
     **dict.fromkeys(("interrupted", "left"), RESUME),
@@ -159,10 +157,15 @@ def _trajectory_of(journal: Sequence[Line], entry: Entry, field: str) -> str | N
     return str(last["trajectory"]) if last is not None and last[field] else None
 
 
-def advise(ending: Ending, *, is_case: bool) -> str:
-    """Say what to do after an ending; empty after one that needs nothing."""
-    if is_case or ending.word in ("not begun", "done"):
-        return ADVICE.get(ending.word, "")
+def is_resumable(reading: RunReading) -> bool:
+    """Return whether a command may go on with a run: with a case, and with a calibration by its request."""
+    return not reading.run.opened.get("procedure") or (reading.folder / REQUEST_FILE).exists()
+
+
+def advise(ending: Ending, *, resumable: bool, run: str = "RUN") -> str:
+    """Say what to do after an ending, with commands on `run`; empty after one that needs nothing."""
+    if resumable or ending.word in ("not begun", "done"):
+        return ADVICE.get(ending.word, "").replace("RUN", run)
     code = f"docs/reference/error-codes.md says what to do about {ending.code}. " if ending.code else ""
     return f"{code}Put right what is named, then start the command again."
 

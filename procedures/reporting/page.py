@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from procedures.engine.run_folder import targets_in_doubt
 from procedures.imaging.trajectory_cuts import PLAN_PICTURE
-from procedures.reporting.ending import advise, ending_of
+from procedures.reporting.ending import advise, ending_of, is_resumable
 from procedures.reporting.files import Picture, PostoperativeResult, load_pictures
 from procedures.reporting.outcome import RunError, Truth
 from procedures.reporting.run_events import moves
@@ -65,7 +65,7 @@ def read_page(
         header=read_header(run.name, reading, opening, table, () if plan is None else plan.rows),
         verdict=VerdictSection(
             ending=ending,
-            advice=advise(ending, is_case=not opening.procedure),
+            advice=advise(ending, resumable=is_resumable(reading)),
             table=table,
             in_doubt=targets_in_doubt(journal),
             assistant=read_assistant_work(reading),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Mapping
 from typing import cast
 
@@ -10,13 +11,16 @@ from pydantic import Field, JsonValue
 from procedures.journal.journal import ONLY_LEAVING, Entry
 from procedures.journal.results import FramedPose, Values
 from procedures.operator.margin import MarginVerdict
-from procedures.reporting.ending import ending_of, resumes
+from procedures.reporting.ending import advise, ending_of, is_resumable, resumes
 from procedures.reporting.outcome import Truth
 from procedures.reporting.run_reading import RunReading, describe_strategies
 from procedures.reporting.tables import TargetRow, target_rows
 from procedures.steps.clinical.at_target import ReachedTarget
 from procedures.steps.clinical.results import AssistedInsertion, KnownBases
 from procedures.steps.clinical.work_progress import STAGES
+from procedures.workcell.arm_history import fold_arms
+from ronna_hw.evidence.journal_reading import JournalCorrupt
+from ronna_hw.text import escape_controls
 
 
 class BasesFigures(Values):
@@ -89,6 +93,8 @@ class RunSummary(Values):
     bases: BasesFigures | None
     insertions: dict[str, AssistedInsertion]
     problems: tuple[str, ...]
+    arms: dict[str, str] = Field(description="Where each arm is by the journal, unless the run goes on.")
+    advice: str = Field(description="What to do, with the commands; empty if nothing is left to do.")
 
     @property
     def strategies(self) -> str:
@@ -126,7 +132,21 @@ def summarize_run(reading: RunReading) -> RunSummary:
         bases=two_arms.bases,
         insertions=two_arms.insertions,
         problems=(*reading.changes, *reading.problems),
+        arms={} if ending.is_open else _describe_arms(reading),
+        advice=advise(
+            ending, resumable=is_resumable(reading), run=escape_controls(shlex.quote(str(reading.folder)))
+        ),
     )
+
+
+def _describe_arms(reading: RunReading) -> dict[str, str]:
+    """Describe where each arm of the journal is, by role; empty if another version wrote its lines."""
+    noted = {line.get("arm") for line in reading.run.journal}
+    try:
+        arms = fold_arms(reading.run.chain, reading.run.lost)
+    except JournalCorrupt:
+        return {}
+    return {one.arm: one.place.description for one in arms if one.arm in noted}
 
 
 def read_two_arms(reading: RunReading) -> TwoArms:

@@ -143,8 +143,15 @@ def build_finished_outcome(
     registered = {name: next(one.result for one in used if name in one.targets) for name in names}
     # There is no tool change after a move that came when every target was finished.
     streams: list[Stored[Any] | None] = [case.find(MountedGuide, None)]
-    streams += [case.find(model, name) for model in (Retreated, ConfirmedTarget) for name in names]
-    links = [one.result.link for one in streams if one is not None and one.result.link is not None]
+    ends = (Retreated, ConfirmedTarget)
+    streams += [case.find(model, name) for model in ends for name in names]
+    links = [
+        link
+        for one in streams
+        if one is not None
+        for link in (one.result.link, one.result.assistant_link)
+        if link is not None
+    ]
     plan = case.get(CheckedPlan).result
     reading = read_for_report(case.folder, every_file=False).sealed_with(truth)
     rows = {row.target: row for row in target_rows(reading, truth)}

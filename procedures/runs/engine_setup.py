@@ -255,29 +255,30 @@ class MovedCart:
 
         Raises the errors of the way home.
         """
-        engine = self._engine
+        engine, workcell = self._engine, self._engine.setting.workcell
         has_moved = isinstance(problem, BaseShifted | PlatformMoved)
         if not has_moved or self._moves == MOST_MOVES or engine.machine.ended:
             return False
         if (inside := engine.instrument_in) is not None:
             engine.find(
                 f"the case is held: {problem.summary}, while an instrument is or may be inside at {inside}. "
-                "Nothing moves: the surgeon judges the instrument first; then take it out, send the arm "
-                "home and continue from there",
+                "Nothing moves: the surgeon judges the instrument first; then take it out, send "
+                f"{workcell.arms_named} home and continue from there",
                 (inside,),
             )
             return False
         self._moves += 1
         if (following := engine.upcoming) is None:
-            goes_on = "lock it; the work at every target is done: the arm goes home and the case ends"
+            goes_on = f"lock it; the work at every target is done: {workcell.go_home} and the case ends"
         else:
-            goes_on = f"lock it; the arm goes home, and {following} is next"
+            goes_on = f"lock it; {workcell.go_home}, and {following} is next"
         stands = ", ".join(dict.fromkeys(stored.record.kind for stored in engine.case.valid_results))
         begun = work_begun_elsewhere(engine)
-        value = (f"nobody is in the arm's way home; these results remain valid: {stands}", *begun)
+        ways = "the arms' ways" if workcell.assistants else "the arm's way"
+        value = (f"nobody is in {ways} home; these results remain valid: {stands}", *begun)
         question = CART_MOVED.question(f"{problem.summary}: {goes_on}", "; ".join(value))
         if engine.ask(question) != GO_ON:
             return False
-        if following is None or not engine.setting.workcell.master.place.is_home:
+        if following is None or not workcell.master.place.is_home:
             engine.retreat_home()
         return True

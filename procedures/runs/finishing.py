@@ -264,8 +264,10 @@ def tell_next_commands(folder: Path, problem: BaseException) -> None:
             return
         if any(arm.place.is_out or (interrupted and arm.motions) for arm in arms):
             first = _describe_theatre_restart(folder) if isinstance(problem, ClockUnavailable) else ""
+            moved = [arm.arm for arm in arms if arm.motions]
+            where = "both arms are where they" if len(moved) > 1 else "the arm is where it"
             tell(
-                f"the arm is where it stopped; {first or 'continue with'} ronna-procedure home {run} or "
+                f"{where} stopped; {first or 'continue with'} ronna-procedure home {run} or "
                 f"ronna-procedure resume {run}"
             )
         elif interrupted:

@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from procedures.runs.interrupted_run import InterruptedRun, Resumption
     from ronna_hw.theatre import Theatre
 
-SIMULATED_DRIVERS = ("kuka_rsi", "ndi_polaris", "basler_stereo")
+SENSOR_DRIVERS = ("ndi_polaris", "basler_stereo")  # of every simulated theatre
 OPEN_FILES = 96  # a case was measured to have 41 open at once; the rest is room for plots and libraries
 
 
@@ -234,7 +234,10 @@ def _start_simulated(
             importlib.import_module(module)  # a second of imports, meanwhile
         if phantom is not None:
             importlib.import_module("pydicom")  # for the first step; meanwhile, it costs no time
-            for driver in SIMULATED_DRIVERS:
+            from ronna_hw.arm.catalogue import list_drivers
+
+            of_arms = (request.choice.arm, request.choice.assistant_arm)[: len(request.roles)]
+            for driver in (*list_drivers(of_arms), *SENSOR_DRIVERS):
                 load_driver(driver)
     if phantom is not None:
         observers.status("making the phantom CT")

@@ -56,7 +56,8 @@ def recover(engine: Engine, previous: InterruptedRun) -> None:
         seen = bool(comparison.differences) or compare_room(engine, comparison)
         if not seen:
             comparison.notes.append(
-                "patient and robot base: not visible to the tracker; compared once the arm is home"
+                "patient and robot base: not visible to the tracker; compared once "
+                f"{'both arms are' if engine.setting.workcell.assistants else 'the arm is'} home"
             )
     _doubt_work(engine, previous)  # after the arm's history is restored
     _require_acceptance(
@@ -110,13 +111,14 @@ def bring_home(engine: Engine, previous: InterruptedRun) -> bool:
     """
     comparison = Comparison(warnings=list(previous.contradictions))
     _restore_arm(engine, previous, engine.case.get(CheckedSetUp).result, comparison, only_leaving=True)
-    comparison.notes.append("patient and robot base: not compared, the arm only goes home")
+    workcell = engine.setting.workcell
+    comparison.notes.append(f"patient and robot base: not compared, {workcell.go_home} only")
     for change in previous.run.changes:
         comparison.warnings.append(f"not as the run left it: {change}")
     if not (first := _list_first_moves(engine)):
         _conclude(engine, comparison)
         return False
-    _require_acceptance(engine, comparison, "bring the arm home", first)
+    _require_acceptance(engine, comparison, f"bring {workcell.arms_named} home", first)
     way_out.surround_arms(engine)
     engine.retreat_home()
     return True
@@ -249,7 +251,7 @@ def _list_first_moves(engine: Engine) -> tuple[str, ...]:
     """Describe the actions that precede the first step."""
     workcell = engine.setting.workcell
     first = [
-        f"the {arm.name} leads the instrument straight out of {arm.place.trajectory}"
+        f"the {arm.called} leads the instrument straight out of {arm.place.trajectory}"
         for arm in workcell.outermost_first
         if arm.leads_instrument
     ]

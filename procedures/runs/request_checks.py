@@ -13,7 +13,7 @@ from collections.abc import Collection, Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from procedures.journal.free_space import describe_shortage
+from procedures.journal.free_space import NO_DISK, describe_shortage
 from procedures.runs.request import PATIENT_SCENES, CaseProcedure
 from ronna_hw.bounded_input import read_bounded
 from ronna_hw.command_line.errors import DISK_FULL, PATH_PROBLEM, UsageMistake
@@ -63,28 +63,42 @@ def require_two_arms(theatre: TheatreFile) -> None:
     records = {} if theatre.calibration is None else theatre.calibration.records
     missing_roles = [role for role in ARM_RECORDS if role not in theatre.robot]
     needed = [name for names in ARM_RECORDS.values() for name in names]
-    missing = [f"robot.{role}" for role in missing_roles]
-    missing += [f"calibration.{name}" for name in needed if name not in records]
+    missing = [f"[robot.{role}]" for role in missing_roles]
+    missing += [f"[calibration.{name}]" for name in needed if name not in records]
     if missing:
         unknown = [name for name in theatre.robot if missing_roles and name not in ARM_RECORDS]
+        write = "Add or rename them"
+        if len(unknown) == len(missing_roles) == 1:
+            write = f"Write [robot.{missing_roles[0]}] in place of [robot.{unknown[0]}]"
+            write += ", and add the others" if len(missing) > 1 else ""
         raise NotInTheatre(
             f"theatre {theatre.theatre} cannot work with two arms: it has no {', '.join(missing)}"
-            + "".join(f"; robot.{name} is unknown{suggest_keys(name, missing_roles)}" for name in unknown),
-            action="Add or rename them, or omit --dual: docs/how-to/case/two-arms.md says how.",
+            + "".join(f"; [robot.{name}] is unknown{suggest_keys(name, missing_roles)}" for name in unknown),
+            action=f"{write}, or omit --dual: docs/how-to/case/two-arms.md says how.",
         )
 
 
-def check_asking(request: RunRequest) -> None:
+def check_asking(request: RunRequest, begun: Path | None = None) -> None:
     """Raise CLI-001 if a run with --ask has no terminal, or its theatre no staff who can be told by words.
 
+    `begun` is the folder of a run that had begun before, for which nobody types --ask again.
     CTL-001 to CTL-003 unless the control port is that of the theatre: its staff would work in another room.
     """
     if not request.ask:
         return
-    if not (on_terminal(sys.stdin) and on_terminal(sys.stderr)):
+    streams = {"standard input": sys.stdin, "standard error": sys.stderr}
+    if away := [name for name, stream in streams.items() if not on_terminal(stream)]:
+        got = f"{' and '.join(away)} {'are' if len(away) > 1 else 'is'} not a terminal"
+        if begun is not None:
+            raise UsageMistake(
+                f"{begun.name} was begun with --ask: a person is asked and answers at a terminal",
+                got=got,
+                action="Nothing was moved. Run the command at a terminal: a run begun with --ask always asks "
+                "again.",
+            )
         raise UsageMistake(
             "--ask needs a terminal, where a person is asked and answers",
-            got="standard input or standard error is not a terminal",
+            got=got,
             action="Run it at a terminal; --answers FILE answers without one, in a run begun without --ask.",
         )
     if request.config is None:
@@ -156,9 +170,11 @@ def require_space(out: Path) -> None:
     resolved = out.resolve()
     folder = next(path for path in (resolved, *resolved.parents) if path.exists())  # a run makes the others
     if shortage := describe_shortage(folder):
+        room = "" if shortage == NO_DISK else "Make room there, or "
+        choose = f"{room}choose another folder with --out."
         raise DISK_FULL(
             f"no case was started in {out}: {shortage}",
-            action="Nothing was written. Make room there, or choose another folder with --out.",
+            action=f"Nothing was written. {choose[0].upper()}{choose[1:]}",
         )
 
 

@@ -183,6 +183,22 @@ class ArmPlace:
         return self.axis is not None
 
     @property
+    def description(self) -> str:
+        """Where the arm is as far as the journal knows, as what follows "the arm is"."""
+        match self.place_kind:
+            case PlaceKind.HOME:
+                return "at home"
+            case PlaceKind.ON_AXIS:
+                return f"on the axis of {self.trajectory}"
+            case PlaceKind.UNKNOWN if not self.moved:
+                return "where it was before: this run has not moved it"
+            case PlaceKind.UNKNOWN:
+                near = "" if self.trajectory is None else f", maybe on the axis of {self.trajectory}"
+                return f"at no known place{near}: its last motion or the end of the journal was cut short"
+            case _:
+                return str(self.place_kind)
+
+    @property
     def hold_reasons(self) -> tuple[str, ...]:
         """Reasons why only a retreat is possible; empty unless the guide is on an axis."""
         if self.trajectory is None:

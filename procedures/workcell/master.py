@@ -35,8 +35,9 @@ class Master(SupervisedArm):
         self, log: ArmLog, arms: Arms, calibrations: Calibrations, others: Iterable[SupervisedArm]
     ) -> None:
         """Supervise the master beside `others`, which may be on the axis of its guide."""
-        super().__init__(MASTER, log, arms, calibrations.arms, "arm", calibrations.tracker_frame.tool)
-        self._others = others
+        self._others = tuple(others)
+        frame, called = calibrations.tracker_frame.tool, MASTER if self._others else "arm"
+        super().__init__(MASTER, log, arms, calibrations.arms, "arm", frame, called)
         self.mount = ToolMount(self.read_tool_number, calibrations)
         self.instrument = Instrument(log)
         self.surroundings: Surroundings | None = None  # as last declared to the arm
@@ -170,7 +171,7 @@ class Master(SupervisedArm):
         """Motions of `leave`, in words; without a home, before set-up, there is none."""
         place = self.place
         retreat = place.trajectory and f"the guide retreats from {place.trajectory} along its axis"
-        park = self._log.home_rad and not place.is_home and "the arm goes home the way it came"
+        park = self._log.home_rad and not place.is_home and f"the {self.called} goes home the way it came"
         return tuple(words for words in (retreat, park) if words)
 
     def retreat(self, trajectory: str) -> None:

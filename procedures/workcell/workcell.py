@@ -132,6 +132,16 @@ class Workcell:
         raise OtherArmUnknown("there is no assistant in this case", action="Start the run with --dual.")
 
     @property
+    def arms_named(self) -> str:
+        """Name of all arms in sentences about what they do together."""
+        return "both arms" if self.assistants else "the arm"
+
+    @property
+    def go_home(self) -> str:
+        """Statement that all arms go home."""
+        return f"{self.arms_named} {'go' if self.assistants else 'goes'} home"
+
+    @property
     def outermost_first(self) -> tuple[SupervisedArm, ...]:
         """The arms in the order of a way out: whatever reaches into the guide leaves before the guide."""
         return (*self.assistants, self.master)

@@ -10,7 +10,7 @@ The class is called without arguments; the result is the arm's `ArmDescription`,
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
@@ -23,6 +23,7 @@ from ronna_hw.arm.universal_robots import UR5, UR5E, universal_robot
 
 GROUP = "ronna_hw.arms"
 KUKA, UNIVERSAL_ROBOTS = "KUKA", "Universal Robots"  # makes
+DRIVERS: Mapping[str, str] = {KUKA: "kuka_rsi", UNIVERSAL_ROBOTS: "universal_robots"}  # by make
 
 
 class ArmChoice(StrEnum):
@@ -90,6 +91,11 @@ ARMS: Mapping[str, ArmDescription] = {
         _UR5E,
     )
 }
+
+
+def list_drivers(choices: Collection[str]) -> tuple[str, ...]:
+    """Return the drivers of the arms that these words of a command line choose, each once."""
+    return tuple(dict.fromkeys(DRIVERS[arm.make] for arm in ARMS.values() if arm.choice in choices))
 
 
 def find_arm(name: str) -> ArmDescription:

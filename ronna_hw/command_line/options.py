@@ -214,9 +214,13 @@ def with_option_records(command: Callable[..., Returned]) -> Callable[..., Retur
 
 
 def require_folder(out: Path) -> None:
-    """Raise CLI-005 if `--out` is a file instead of a folder."""
-    if out.exists() and not out.is_dir():
-        raise PATH_PROBLEM(f"--out: {out} is a file", expected="a folder, which may be new")
+    """Raise CLI-005 if `--out` is a file instead of a folder, or a new folder that cannot be made."""
+    there = next(path for path in (out, *out.absolute().parents) if path.exists())
+    if not there.is_dir():
+        inside = "" if there == out else f", so {out} cannot be made"
+        raise PATH_PROBLEM(f"--out: {there} is a file{inside}", expected="a folder, which may be new")
+    if there != out and not os.statvfs(there).f_blocks:  # such as /proc
+        raise PATH_PROBLEM(f"--out: {out} cannot be made: {there} is on no disk", action="Name another.")
 
 
 def require_output_folder(out: Path) -> None:

@@ -13,7 +13,8 @@ which searches lines and networks and proposes entries of a theatre file.
 from __future__ import annotations
 
 import socket
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol, TypeVar, runtime_checkable
 
@@ -28,6 +29,7 @@ from ronna_hw.devices.sensors import StereoPair
 from ronna_hw.endpoints import Endpoint, parse_endpoint
 from ronna_hw.errors import ConnectError, RonnaError
 from ronna_hw.host.network import Interface
+from ronna_hw.host.processor import describe_load
 
 CONNECT_LIMIT_S = 3.0  # host time
 REACH_LIMIT_S = 1.0
@@ -239,6 +241,19 @@ PAIRS_OF_A_CASE = 200  # of five spheres for three trajectories, with some searc
 MOST_FAILED_PAIRS = 0.02  # in a case, expected: each ends it
 
 
+def _advise_on_lost_pairs(lost: Collection[Validity]) -> str:
+    """Advise on pairs that did not arrive complete: their packets were lost, or they came late."""
+    load = describe_load()
+    advice = [f"This computer has {load}: end what else runs on it, then look again."] if load else []
+    if not {Validity.PARTIAL, Validity.MISSING, Validity.CORRUPT}.isdisjoint(lost):
+        advice.append("Packets are lost: jumbo frames, cable, switch, receive buffer.")
+    if not {Validity.UNPAIRED, Validity.STALE}.isdisjoint(lost):
+        advice.append(
+            "Images come late, or by another trigger: a loaded computer or network, the trigger's cable."
+        )
+    return " ".join(advice)
+
+
 def picture_diagnostics(
     subject: str,
     stereo: StereoPair,
@@ -250,25 +265,27 @@ def picture_diagnostics(
 
     A case repeats a lost pair, up to `tries` times in all. `judge` reports on the last pair. Nothing moves.
     """
-    complete_pairs = 0
+    arrived: Counter[Validity] = Counter()
     last: StereoReading | None = None
     found: tuple[Diagnostic, ...] = ()
     try:
         with stereo.active():
             for _ in range(pairs):
                 last = stereo.grab_pair()
-                complete_pairs += int(last.validity is Validity.OK)
+                arrived[last.validity] += 1
             if isinstance(stereo, TellsReadiness):
                 found = tuple(fact_diagnostics(subject, stereo))  # about these images
     except RonnaError as error:
         yield refusal(f"{subject}pictures", error)
         return
+    complete_pairs = arrived.pop(Validity.OK, 0)
+    others = "".join(f", {count} {validity}" for validity, count in arrived.items())
     expected_failures = PAIRS_OF_A_CASE * (1.0 - complete_pairs / pairs) ** tries
     yield Diagnostic(
         f"{subject}pictures",
         expected_failures <= MOST_FAILED_PAIRS,
-        f"{complete_pairs} of {pairs} pairs arrived complete",
-        "" if complete_pairs == pairs else "Packets are lost: jumbo frames, cable, switch, receive buffer.",
+        f"{complete_pairs} of {pairs} pairs arrived complete{others}",
+        _advise_on_lost_pairs(arrived) if arrived else "",
     )
     yield from found
     if last is not None:

@@ -38,6 +38,8 @@ FIRST = "0" * 64  # hash named by the first line as that of its predecessor
 JournalValue = str | float | bool | None | Sequence["JournalValue"] | Mapping[str, "JournalValue"]
 Line = Mapping[str, JournalValue]  # one line, as read back
 
+ONLY_LEAVING = "only_leaving"  # of a restart: to send the arm home or acknowledge a fault, and run no step
+
 
 class Entry(StrEnum):
     """Kind of journal line."""

@@ -11,7 +11,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from ronna_hw.bounded_input import LARGEST_JSON_BYTES, InputRefused, parse_json, read_bounded
-from ronna_hw.evidence.journal_reading import Entry, JournalValue, Line
+from ronna_hw.evidence.journal_reading import ONLY_LEAVING, Entry, JournalValue, Line
 from ronna_hw.evidence.manifest import RECORDS_FOLDER
 from ronna_hw.text import format_count, printable
 
@@ -85,14 +85,22 @@ def describe_lost_end(lost: Sequence[Line], number: int) -> str:
     )
 
 
+def describe_restart(line: Line) -> str:
+    """Say for what another program took up a run, by its `restarted` line."""
+    if ONLY_LEAVING in line:
+        return "the run was taken up, only to go home or to acknowledge a fault,"
+    return "the run was resumed"
+
+
 def describe_former_losses(lines: Sequence[Line]) -> Iterator[str]:
-    """Describe, in sentences, the losses with which a run was resumed."""
+    """Describe, in sentences, the losses with which a run was taken up."""
     for number, line in enumerate(lines):
         match line.get(LOST):
             case {"lines": int(count)}:
                 yield (
-                    f"the journal had lost {format_count(count, 'line')} when the run was resumed after its "
-                    f"line {number}; what they say of the work was taken from {EVENTS_FILE}, the rest is lost"
+                    f"the journal had lost {format_count(count, 'line')} when {describe_restart(line)} after "
+                    f"its line {number}; what they say of the work was taken from {EVENTS_FILE}, the rest is "
+                    "lost"
                 )
 
 

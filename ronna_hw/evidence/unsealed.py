@@ -11,7 +11,7 @@ from pathlib import PurePosixPath
 
 from ronna_hw.evidence.inspection import Inspection
 from ronna_hw.evidence.journal_reading import Line
-from ronna_hw.evidence.lost_journal_end import describe_former_losses
+from ronna_hw.evidence.lost_journal_end import describe_former_losses, describe_restart
 from ronna_hw.evidence.manifest import (
     LOG_FILES,
     TRUTH_FILES,
@@ -69,8 +69,9 @@ def describe_unsealed_files(lines: tuple[Line, ...]) -> Iterator[str]:
         files = line.get(UNSEALED)
         if isinstance(files, Mapping) and files:
             yield (
-                f"not vouched for: {', '.join(_name_files(files))} had no seal when the run was resumed "
-                f"after line {number} of its journal; a change before that would not show"
+                f"not vouched for: {', '.join(_name_files(files))} had no seal when "
+                f"{describe_restart(line)} after line {number} of its journal; a change before that "
+                "would not show"
             )
 
 

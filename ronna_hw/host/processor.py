@@ -1,9 +1,12 @@
-"""Name of this computer's processor, which every time measured on it depends on."""
+"""Name and load of this computer's processor, which every time measured on it depends on."""
 
 from __future__ import annotations
 
+import os
 import platform
 from pathlib import Path
+
+from ronna_hw.text import format_count
 
 CPU_INFO = Path("/proc/cpuinfo")  # Linux only
 
@@ -16,3 +19,11 @@ def name_processor() -> str:
         lines = []
     names = (line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
     return next(names, "") or platform.machine()
+
+
+def describe_load() -> str:
+    """Describe the load of the last minute, or return '' unless it exceeds the number of processors."""
+    processors, running = len(os.sched_getaffinity(0)), os.getloadavg()[0]
+    if running <= processors:
+        return ""
+    return f"a load of {running:.1f} on {format_count(processors, 'processor')}"

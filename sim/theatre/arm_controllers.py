@@ -76,7 +76,7 @@ def _state_measured_chain(truth: ArmTruth, seed: int, parameters: tuple[str, ...
 
 KUKA = ArmController(
     device="kuka",
-    driver="kuka_rsi",
+    driver=catalogue.DRIVERS[catalogue.KUKA],
     roles=("rsi", "eki_project"),
     model_option="variant",
     addresses=lambda _, number: ("--rsi", own_udp_endpoint(number), "--eki", FREE, "--eki-project", FREE),
@@ -87,7 +87,7 @@ KUKA = ArmController(
 # Its ports are fixed, so each arm of each theatre has an address of its own.
 UNIVERSAL_ROBOTS = ArmController(
     device="ur",
-    driver="universal_robots",
+    driver=catalogue.DRIVERS[catalogue.UNIVERSAL_ROBOTS],
     roles=("rtde", "dashboard", "primary"),
     model_option="model",
     addresses=lambda variant, number: ("--address", own_address(number), "--model", variant),

@@ -89,7 +89,7 @@ def resume_calibration(
     else:
         complete = has_every_look(request, interrupted)
         if not complete:
-            check_asking(request)
+            check_asking(request, folder)
             require_ready_devices(request, folder)
         prepare_folder(interrupted)
         with finalize_run(folder, interrupted, with_truth=False):

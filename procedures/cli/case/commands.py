@@ -190,4 +190,8 @@ def _find_step_or_next(engine: Engine, step: str | None) -> StepKey:
 def _describe_nothing_upcoming(engine: Engine) -> str:
     if engine.machine.ended and not engine.over:
         return f"the case has ended: {engine.machine.state}"
-    return "the case is finished" if engine.over else "every step is done; home brings the arm home"
+    return (
+        "the case is finished"
+        if engine.over
+        else f"every step is done; home brings {engine.setting.workcell.arms_named} home"
+    )

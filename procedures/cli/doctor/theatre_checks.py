@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from procedures.journal.free_space import describe_shortage
+from procedures.journal.free_space import NO_DISK, describe_shortage
 from procedures.runs.reopening import resumable_run
 from procedures.runs.request_checks import require_two_arms
 from procedures.runs.theatre_lock import find_theatre_user, find_unwritable_note, read_former_run
@@ -55,6 +55,8 @@ def case_diagnostics(theatre: TheatreFile, config: Path, out: Path) -> Iterator[
     shortage = describe_shortage(folder)
     found = f"{folder}: {shortage or 'enough for a case'}"
     advice, command = ("Free some space.", f"df -h {shlex.quote(str(folder))}") if shortage else ("", "")
+    if shortage == NO_DISK:
+        advice, command = "Choose another folder with --out.", ""
     yield Diagnostic("disk", not shortage, found, advice, command=command)
 
 

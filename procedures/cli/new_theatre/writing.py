@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import json
+import re
+import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from difflib import get_close_matches
 from enum import Enum
 from pathlib import Path
 from textwrap import wrap
@@ -14,12 +17,13 @@ import tomli_w
 from pydantic import BaseModel, ValidationError
 
 from procedures.calibration.validity import MADE_BY_COMMAND
-from procedures.cli.new_theatre.searching import DeviceTable, Mistakes
+from procedures.cli.new_theatre.searching import ARM, DeviceTable, Mistakes
 from ronna_hw.bounded_input import parse_toml, read_toml
 from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.config import BadTheatreFile, Calibrations, parse_theatre
 from ronna_hw.devices.probing import ONLY, Option, Proposal
 from ronna_hw.mistakes import describe_mistakes
+from ronna_hw.roles import ASSISTANT
 from ronna_hw.text import format_count
 
 WIDTH = 110
@@ -36,6 +40,7 @@ NO_RECORDS = (
     "mount, created and expiring on the date of the drawing, then measure: "
 )
 EMPTY_KEY = '"" = '
+_WORD = re.compile(r"'([^']*)'")  # of the values that an option may have, as its model names them
 TOOLS = "tools"  # option of a tracker: definitions of the tools to see
 # Only in a simulated theatre may records last longer than a year: judged when the devices are known.
 ANY_KIND = {"clock": {"endpoint": "shm:///any"}}
@@ -209,14 +214,22 @@ def with_options(
         names = [(one.table, TABLE_NAMES.get(one.table)) for one in changed]
         numbers = [n for n, of_device in enumerate(names) if table in of_device]
         if not equals or not numbers:
-            tables = ", ".join(TABLE_NAMES.get(one.table, one.table) for one in found)
-            raise UsageMistake(f"--option {text!r}", expected=f"TABLE.KEY=VALUE, TABLE one of {tables}")
+            tables = list(dict.fromkeys(TABLE_NAMES.get(one.table, one.table) for one in found))
+            meant = f"{ARM}.{ASSISTANT}" == table and "With --assistant HOST there is a second arm."
+            raise UsageMistake(
+                f"--option {text!r}",
+                expected=f"TABLE.KEY=VALUE, TABLE one of {', '.join(tables)}",
+                action=meant
+                or _suggest_option(table, tables, after=f".{key}={value if equals else 'VALUE'}"),
+            )
         keys = {n: [option.key for option in changed[n].proposal.options] for n in numbers}
         number = next((n for n in numbers if key in keys[n]), None)
         if number is None:
             known = dict.fromkeys(one for n in numbers for one in keys[n])
             raise UsageMistake(
-                f"--option: {table} has no option {key!r}", expected=f"one of {', '.join(known)}"
+                f"--option: {table} has no option {key!r}",
+                expected=f"one of {', '.join(known)}",
+                action=_suggest_option(key, list(known), before=f"{table}.", after=f"={value}"),
             )
         applied = _apply_values(changed[number], {key: _parse_value(value)})
         _require_fitting(text, applied)
@@ -234,10 +247,20 @@ def _require_fitting(text: str, found: DeviceTable) -> None:
         try:
             model.model_validate_json(json.dumps(chosen, default=str))
         except ValidationError as error:
+            place, _, value = text.partition("=")
+            words = [_WORD.findall(str(one.get("ctx", {}).get("expected", ""))) for one in error.errors()]
+            known = [word for each in words for word in each]
             raise UsageMistake(
                 f"--option {text!r}: {'; '.join(describe_mistakes(error, model))}",
-                action="The reference lists the options of each driver and their values.",
+                action=_suggest_option(value.strip(" \"'"), known, before=f"{place}=")
+                or "The reference lists the options of each driver and their values.",
             ) from error
+
+
+def _suggest_option(typed: str, known: Sequence[str], *, before: str = "", after: str = "") -> str | None:
+    """Suggest an option with the known word that is most like the one typed, or None if none is."""
+    alike = get_close_matches(typed, known, n=1)
+    return f"Did you mean --option {shlex.quote(before + alike[0] + after)}?" if alike else None
 
 
 def _apply_values(found: DeviceTable, values: Mapping[str, Any]) -> DeviceTable:

@@ -150,7 +150,7 @@ def list_command(
 
 
 def show_command(run_folder: RunArgument, as_json: JsonOption = False) -> None:
-    """Show what a run did, how it ended, and the errors at its targets."""
+    """Show what a run did, how it ended, the errors at its targets, and what to do next."""
     from procedures.cli.runs.showing import show_run
 
     show_run(run_folder, as_json=as_json)

@@ -61,7 +61,7 @@ def verify(folder: Path, *, as_json: bool) -> None:
         if not problems:
             intact, since = "intact", ""
             if not_vouched_for:
-                intact, since = "intact as far as can be said", ", or as they lay when it was resumed"
+                intact, since = "intact as far as can be said", ", or as they lay when it was taken up again"
             say(f"{folder.resolve().name}: {intact}, {file_count} files are as the run left them{since}")
         for sentence in not_vouched_for:
             say(sentence)

@@ -58,7 +58,7 @@ def resume(
             tell(f"{interrupted.run.name} is finished: nothing remains to be done")
             show_outcome(with_report(outcome, interrupted.folder), as_json=as_json)
         else:
-            check_asking(request)
+            check_asking(request, interrupted.folder)
             reopening.require_ready_devices(request, interrupted.folder)
             reopening.prepare_folder(interrupted)
             finish = partial(finish_case, request, interrupted, accepted=accept)
@@ -86,7 +86,7 @@ def home(folder: Path, *, accept: bool, answers: Path | None, as_json: bool) -> 
                 interrupted, nothing, home=interrupted.parked or None, moved=False, as_json=as_json
             )
             return
-        check_asking(request)
+        check_asking(request, interrupted.folder)
         reopening.require_ready_devices(request, interrupted.folder)
         reopening.prepare_folder(interrupted)
         with finalize_run(interrupted.folder, interrupted), observe_run(quiet=as_json) as observers:

@@ -84,6 +84,10 @@ def show_run(folder: Path, *, as_json: bool) -> None:
         say(f"the assistant inserted at {name}, {one.off_axis_mm:.2f} mm off the axis of the guide")
     for problem in reading.problems:
         say(f"not reliable: {problem}")
+    if row.advice:
+        for role, place in row.arms.items():
+            say(f"by the journal, the {role if len(row.arms) > 1 else 'arm'} is {place}")
+        say(f"what to do: {row.advice}")
     if missing:
         say(f"{missing}; {WRITES_ALL}")
 

@@ -68,10 +68,12 @@ def read_devices(reading: RunReading) -> Devices:
 
 
 def _read_links(reading: RunReading) -> tuple[StreamHealth, ...]:
-    """Return the health of each stream, those of the assistant last."""
-    heads = (StreamHealth("stereo head", one.result.link) for one in reading.valid_results(MountedGuide))
+    """Return the health of each stream that a step ended, those of the assistant last."""
+    heads = [one.result for one in reading.valid_results(MountedGuide)]
     ends: list[Retreated | ConfirmedTarget] = [one.result for one in reading.valid_results(Retreated)]
     ends += [one.result for one in reading.valid_results(ConfirmedTarget)]
-    links = [("guide", one.link) for one in ends]
+    links: list[tuple[str, LinkHealth | None]] = [("stereo head", one.link) for one in heads]
+    links += [("guide", one.link) for one in ends]
+    links += [("holder of the assistant", one.assistant_link) for one in heads]
     links += [("holder of the assistant", one.assistant_link) for one in ends]
-    return (*heads, *(StreamHealth(name, link) for name, link in links if link is not None))
+    return tuple(StreamHealth(name, link) for name, link in links if link is not None)

@@ -17,7 +17,7 @@ from procedures.operator.question import Topic
 from procedures.steps.clinical.at_target import ReachedTarget
 from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.positioning import REFUSALS
-from procedures.steps.clinical.results import ConfirmedTarget, assistant_link_health, link_health
+from procedures.steps.clinical.results import ConfirmedTarget, running_link_health
 from procedures.steps.clinical.retreat import Retreated
 from procedures.steps.clinical.room import ROOM_READS, doubt, list_unconfirmed_targets, room_watch, void_moved
 from procedures.steps.clinical.surroundings import READS
@@ -37,8 +37,7 @@ def run(context: StepContext) -> Outcome[ConfirmedTarget]:
     context.workcell.master.mount.check(MountedTool.GUIDE)
     targets_remain = bool(set(context.remaining) - set(context.trajectories_done(ReachedTarget)))
     guide = _check_guide(context, targets_remain)
-    link = link_health(context, context.workcell.master) if context.workcell.master.streaming else None
-    other = assistant_link_health(context)
+    link, other = running_link_health(context)
     context.workcell.rest()  # it may have been the last target
     watch = room_watch(context)
     look = _check_room(context, watch, targets_remain)

@@ -204,6 +204,12 @@ def link_health(context: StepContext, arm: SupervisedArm) -> LinkHealth:
     return LinkHealth(lock_step=not context.setting.clock.paced, **fields)
 
 
+def running_link_health(context: StepContext) -> tuple[LinkHealth | None, LinkHealth | None]:
+    """Return the health of the links of master and assistant, None for a stream that is not running."""
+    master = context.workcell.master
+    return link_health(context, master) if master.streaming else None, assistant_link_health(context)
+
+
 def assistant_link_health(context: StepContext) -> LinkHealth | None:
     """Return the health of the assistant's link, or None without one, or before it streams."""
     streaming = (arm for arm in context.workcell.assistants if arm.streaming)

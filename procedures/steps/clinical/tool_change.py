@@ -9,7 +9,7 @@ from procedures.engine.order import Outcome, Phase, StepSpec
 from procedures.guards.room_reading import CAREFUL_FRAMES
 from procedures.journal.results import StepResult
 from procedures.operator.question import Topic
-from procedures.steps.clinical.results import LinkHealth, link_health
+from procedures.steps.clinical.results import LinkHealth, assistant_link_health, link_health
 from procedures.steps.clinical.room import ROOM_READS, check_room
 from procedures.steps.clinical.set_up import CheckedSetUp
 from procedures.steps.clinical.surroundings import READS, surround_stereo_head
@@ -24,6 +24,9 @@ class MountedGuide(StepResult, kind="tool_change"):
     tool_number: int = Field(description="As the controller's inputs report it.")
     calibration: str = Field(description="Name of the tip calibration in use.")
     link: LinkHealth = Field(description="Health of the robot link while the stereo head was mounted.")
+    assistant_link: LinkHealth | None = Field(
+        default=None, description="Health of the assistant's link meanwhile; none without one."
+    )
 
 
 def run(context: StepContext) -> Outcome[MountedGuide]:
@@ -36,7 +39,7 @@ def run(context: StepContext) -> Outcome[MountedGuide]:
         or not workcell.master.place.is_home
     ):
         _park(context)  # else an exchange was begun, and not ended
-    link = link_health(context, context.workcell.master)
+    link, other = link_health(context, workcell.master), assistant_link_health(context)
     mounted = exchange_tool(context, MountedTool.GUIDE)
     context.confirm(
         Topic.TOOL_TIP,
@@ -45,7 +48,9 @@ def run(context: StepContext) -> Outcome[MountedGuide]:
         f"stated error {calibration.stated_error_mm:.2f} mm",
     )
     return Outcome(
-        MountedGuide(tool_number=mounted, calibration=calibration.identifier, link=link),
+        MountedGuide(
+            tool_number=mounted, calibration=calibration.identifier, link=link, assistant_link=other
+        ),
         summary=f"the surgical guide is mounted (tool {mounted})",
     )
 
@@ -56,7 +61,7 @@ def _park(context: StepContext) -> None:
     surround_stereo_head(context, workcell.master.joints_rad())
     check_room(context, "before the arm parks")
     workcell.start()
-    workcell.master.park("park the arm for the tool exchange")
+    workcell.master.park("for the tool exchange")
     check_room(context, "with the arm parked for the tool exchange", CAREFUL_FRAMES)
 
 

@@ -186,7 +186,7 @@ def read_on_gauge(context: StepContext) -> GuideOnGauge:
         if number + 1 == APPROACHES and not found.differs:
             break
     workcell.start()  # the arm may have been recovered while hands were at the gauge
-    workcell.master.park("park the arm from the gauge")
+    workcell.master.park("from the gauge")
     require_recent(context, "the dials of the gauge", read_s)
     return found
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from sim.world.faults.fault import (
-    WHOLE_PERCENT,
     Arguments,
     FaultKinds,
     OneOf,
@@ -16,13 +15,12 @@ from sim.world.scene.model import Scene
 
 BOTH = "both"
 SMALLEST_PATH_BYTES = 68  # least packet size that a network must carry
-MOST_SPOTS = 500
 MOST_STAINED_PERCENT = 60.0  # spots overlap: more would take long and look alike
 
 SIGHT = FaultKinds("camera")
 PAIR = FaultKinds("camera", prefix="camera_")
 CAMERA = FaultKinds("camera", prefix="camera_", first=OneOf("camera", ("left", "right", BOTH)))
-declare_lasting, share, declare_momentary = CAMERA.declare_lasting, CAMERA.share, CAMERA.declare_momentary
+declare_lasting, declare_momentary = CAMERA.declare_lasting, CAMERA.declare_momentary
 _side = OneOf("camera", ("left", "right"))
 
 
@@ -56,7 +54,6 @@ SIGHT_FAULTS = (
         "occlude NAME NUMBER %",
         "A straight edge hides that share of the sphere's rim from the left or right camera.",
         _side,
-        check_at_most(WHOLE_PERCENT, "%", argument=1),
     ),
     TWIST,
     SIGHT.declare_lasting(
@@ -67,8 +64,8 @@ SIGHT_FAULTS = (
     ),
 )
 STREAM_FAULTS = (
-    PAIR.share("drop", "drop NUMBER %", "That share of the image packets is lost."),
-    share(
+    PAIR.declare_lasting("drop", "drop NUMBER %", "That share of the image packets is lost."),
+    declare_lasting(
         "lose", "lose NAME NUMBER %", "That share of one camera's image packets is lost (left, right, both)."
     ),
     declare_lasting("forget", "forget NAME", "Packets are not resent: a request is answered with 0x800C."),
@@ -78,7 +75,7 @@ STREAM_FAULTS = (
         "omit_frames", "omit frames NAME", "Every packet of every image is lost; they can be resent."
     ),
     declare_lasting("shuffle", "shuffle NAME", "The packets of an image arrive out of order."),
-    share("duplicate", "duplicate NAME NUMBER %", "That share of the image packets arrives twice."),
+    declare_lasting("duplicate", "duplicate NAME NUMBER %", "That share of the image packets arrives twice."),
     declare_lasting(
         "shift_area", "shift area NAME", "The leader reports an area 16 px off the configured one."
     ),
@@ -101,8 +98,10 @@ CONTROL_FAULTS = (
         "announce answers NAME INT ms",
         "Acknowledgements are delayed by that time, each announced immediately by a PENDING_ACK.",
     ),
-    share("lose_answers", "lose answers NAME NUMBER %", "That share of the acknowledgements is lost."),
-    share("lose_events", "lose events NAME NUMBER %", "That share of the event messages is lost."),
+    declare_lasting(
+        "lose_answers", "lose answers NAME NUMBER %", "That share of the acknowledgements is lost."
+    ),
+    declare_lasting("lose_events", "lose events NAME NUMBER %", "That share of the event messages is lost."),
     declare_momentary(
         "restart", "restart NAME", "The camera restarts: power-on settings, no application in control."
     ),
@@ -128,7 +127,6 @@ LENS_FAULTS = (
         "dust",
         "dust NAME INT spots",
         "That many dark spots on the sensor, at the same places in every image.",
-        check_at_most(MOST_SPOTS, "spots", argument=1),
     ),
 )
 CAMERA_FAULTS = (*SIGHT_FAULTS, *STREAM_FAULTS, *CONTROL_FAULTS, *TRIGGER_FAULTS, *LENS_FAULTS)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -13,7 +14,25 @@ from sim.world.scene.model import Scene
 Arguments = tuple[str, ...]
 Check = Callable[[Arguments, Scene], Iterable[str]]
 
-WHOLE_PERCENT = 100.0
+LARGEST: Mapping[str, float] = {  # of a number in a fault, by the unit written after it
+    "%": 100.0,
+    "mm": 2000.0,  # twice the reach of the arm: from there, nothing that was within reach still is
+    "mm per min": 2000.0,
+    "deg": 180.0,
+    "deg per min": 180.0,
+    "N": 1000.0,
+    "kg": 50.0,
+    "s": 100_000.0,  # longer than a day
+    "ms": 60_000.0,
+    "cycles": 1000.0,
+    "frames": 1000.0,
+    "px": 1000.0,
+    "spots": 500.0,
+    "bytes": 65_535.0,  # of a datagram
+    "ppm": 10_000.0,
+    "tools": 100.0,
+    "handles": 100.0,
+}
 
 # Arguments as terminals of the grammar, and as shown in usage and examples.
 USAGE = (("INT", "N"), ("NUMBER", "X"), ("SIGNED", "±X"))
@@ -26,6 +45,9 @@ EXAMPLE = (
 )
 EXAMPLE_NAME = "robot_frame"  # a tool
 TERMINALS = ("INT", "NUMBER", "SIGNED", "NAME")
+_TERMINAL = re.compile(rf"\b({'|'.join(TERMINALS)})\b")
+_UNITS = "|".join(sorted(LARGEST, key=len, reverse=True))
+_QUANTITY = re.compile(rf"\b(INT|NUMBER|SIGNED)((?: \1)*) ({_UNITS})(?= |$)")
 
 
 @dataclass(frozen=True)
@@ -116,6 +138,15 @@ class FaultKind:
         """Phrase with its arguments in readable form."""
         return _replace_words(f"{self.device} {self.phrase}", USAGE)
 
+    @cached_property
+    def units(self) -> Mapping[int, str]:
+        """Units by the place of an argument, of the numbers that have one."""
+        units: dict[int, str] = {}
+        for found in _QUANTITY.finditer(self.phrase):
+            first = len(_TERMINAL.findall(self.phrase[: found.start()]))
+            units |= dict.fromkeys(range(first, first + len(found[2].split()) + 1), found[3])
+        return units
+
     @property
     def choices(self) -> Sequence[str]:
         """Words allowed as the first argument, empty if unrestricted or dependent on the scene."""
@@ -148,11 +179,6 @@ class FaultKinds:
     def declare_momentary(self, name: str, phrase: str, meaning: str, *checks: Check) -> FaultKind:
         """Declare a kind of fault that occurs once."""
         return self._declare(name, phrase, meaning, checks, momentary=True)
-
-    def share(self, name: str, phrase: str, meaning: str) -> FaultKind:
-        """Declare a lasting fault with a percentage, which follows the first argument if that is checked."""
-        percent = check_at_most(WHOLE_PERCENT, "%", argument=len(self._first))
-        return self.declare_lasting(name, phrase, meaning, percent)
 
     def _declare(
         self, name: str, phrase: str, meaning: str, checks: tuple[Check, ...], *, momentary: bool

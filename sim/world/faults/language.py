@@ -28,7 +28,7 @@ from ronna_hw.bounded_input import InputRefused, read_bounded
 from sim.errors import BadFaultScript
 from sim.world.descriptions import DESCRIPTIONS, MAKES
 from sim.world.faults.camera import CAMERA_FAULTS
-from sim.world.faults.fault import TERMINALS, Fault, FaultKind, join_choices
+from sim.world.faults.fault import LARGEST, TERMINALS, Fault, FaultKind, join_choices
 from sim.world.faults.plain_lines import read_plain_line
 from sim.world.faults.robot import ROBOT_FAULTS
 from sim.world.faults.room import ROOM_FAULTS
@@ -236,10 +236,7 @@ def _list_mistakes(fault: Fault, scene: Scene, devices: Sequence[str]) -> Iterat
     if fault.kind.device not in devices:
         yield f"expected a fault of the {join_choices(devices)}, got {fault.phrase!r}: no other device here"
         return
-    if math.inf in (fault.at_s, fault.after_s):
-        yield "expected a time that comes, in s, got one beyond any number"
-    if any(map(_is_infinite, fault.arguments)):
-        yield f"expected numbers, got one beyond any number in {fault.phrase[:60]!r}"
+    yield from _list_excesses(fault)
     if fault.cycle is not None and fault.kind.device not in CYCLES_OF:
         yield f"expected a time: only the robot counts cycles, not the {fault.kind.device}"
     is_of_other = fault.role is not ArmRole.MASTER
@@ -259,12 +256,14 @@ def _list_mistakes(fault: Fault, scene: Scene, devices: Sequence[str]) -> Iterat
         yield from check(fault.arguments, scene)
 
 
-def _is_infinite(argument: str) -> bool:
-    """Whether a number has so many digits that it is none."""
-    try:
-        return math.isinf(float(argument))
-    except ValueError:
-        return False
+def _list_excesses(fault: Fault) -> Iterator[str]:
+    """Yield a mistake for each time and each number that is beyond what its unit allows."""
+    lasts_s = 0.0 if math.isinf(fault.duration_s) else fault.duration_s
+    quantities = [("s", one_s) for one_s in (fault.at_s or 0.0, fault.after_s, lasts_s)]
+    quantities += [(unit, float(fault.arguments[place])) for place, unit in fault.kind.units.items()]
+    for unit, quantity in quantities:
+        if abs(quantity) > LARGEST[unit]:
+            yield f"expected at most {LARGEST[unit]:g} {unit}, got {quantity:g}"
 
 
 class Mistake(NamedTuple):

@@ -18,34 +18,48 @@ TRIPS = (
     "singularity",
 )
 ROBOT = FaultKinds("robot")
-declare_lasting, share, declare_momentary = ROBOT.declare_lasting, ROBOT.share, ROBOT.declare_momentary
+declare_lasting, declare_momentary = ROBOT.declare_lasting, ROBOT.declare_momentary
 
 LINK_FAULTS = (
-    share("drop", "drop NUMBER %", "That share of the RSI replies never arrives."),
+    declare_lasting("drop", "drop NUMBER %", "That share of the RSI replies never arrives."),
     declare_lasting("delay_replies", "delay INT cycles", "Every RSI reply arrives that many cycles late."),
-    share("duplicate_replies", "duplicate NUMBER %", "That share of the RSI replies arrives twice."),
-    share(
+    declare_lasting(
+        "duplicate_replies", "duplicate NUMBER %", "That share of the RSI replies arrives twice."
+    ),
+    declare_lasting(
         "reorder_replies",
         "reorder NUMBER %",
         "That share of the RSI replies arrives after the following one.",
     ),
-    share("corrupt_replies", "corrupt replies NUMBER %", "That share of the RSI replies arrives corrupted."),
-    share("wrong_ipoc", "wrong ipoc NUMBER %", "That share of the RSI replies carries a wrong time stamp."),
-    share("future_ipoc", "future ipoc NUMBER %", "That share of the RSI replies carries a later time stamp."),
+    declare_lasting(
+        "corrupt_replies", "corrupt replies NUMBER %", "That share of the RSI replies arrives corrupted."
+    ),
+    declare_lasting(
+        "wrong_ipoc", "wrong ipoc NUMBER %", "That share of the RSI replies carries a wrong time stamp."
+    ),
+    declare_lasting(
+        "future_ipoc", "future ipoc NUMBER %", "That share of the RSI replies carries a later time stamp."
+    ),
     declare_lasting(
         "constant_ipoc", "constant ipoc", "All RSI replies carry the time stamp of the first one."
     ),
-    share("missing_ipoc", "missing ipoc NUMBER %", "That share of the RSI replies has no time stamp."),
-    share("wrong_type", "wrong type NUMBER %", "That share of the RSI replies has a wrong root Type."),
-    share(
+    declare_lasting(
+        "missing_ipoc", "missing ipoc NUMBER %", "That share of the RSI replies has no time stamp."
+    ),
+    declare_lasting(
+        "wrong_type", "wrong type NUMBER %", "That share of the RSI replies has a wrong root Type."
+    ),
+    declare_lasting(
         "bad_number",
         "bad number NUMBER %",
         "That share of the RSI replies has nan, inf or text in place of a number.",
     ),
-    share(
+    declare_lasting(
         "corrupt_telegrams", "corrupt telegrams NUMBER %", "That share of the telegrams is sent corrupted."
     ),
-    share("lose_telegrams", "lose telegrams NUMBER %", "That share of the telegrams is never sent."),
+    declare_lasting(
+        "lose_telegrams", "lose telegrams NUMBER %", "That share of the telegrams is never sent."
+    ),
     declare_lasting("network_cut", "network cut", "No packets pass on the RSI link in either direction."),
     declare_lasting(
         "foreign_sender", "foreign sender", "Another controller sends to the same port, from its own."

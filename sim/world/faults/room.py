@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
-from sim.world.faults.fault import Arguments, FaultKinds, OneOf, fiducial_number, unless_known
+from sim.world.faults.fault import LARGEST, Arguments, FaultKinds, OneOf, fiducial_number, unless_known
 from sim.world.scene.model import Scene
 
 DEVICE = "room"
@@ -18,8 +18,7 @@ ASSISTANT_CART = "assistant_cart"
 BODIES = (HEAD, CART, ASSISTANT_CART, TRACKER, GUIDE, SEAT)
 ROOM = FaultKinds(DEVICE)
 declare_lasting = ROOM.declare_lasting
-# Twice the reach of the arm: from there, no head that was within reach is still within it.
-LARGEST_MOVE_MM, LARGEST_TURN_DEG = 2000.0, 90.0
+LARGEST_MOVE_MM, LARGEST_TURN_DEG = LARGEST["mm"], 90.0
 
 
 def tool_numbers(scene: Scene) -> tuple[int, ...]:

@@ -21,7 +21,7 @@ SOCKETS = ("1", "2", "3")  # for wired tools
 # Bits of Info.Status.Alerts with a defined meaning.
 KNOWN_ALERTS = tuple(str(bit) for bit in (*range(9), *range(20, 27), 29, 30))
 TRACKER = FaultKinds("tracker")
-declare_lasting, share, declare_momentary = TRACKER.declare_lasting, TRACKER.share, TRACKER.declare_momentary
+declare_lasting, declare_momentary = TRACKER.declare_lasting, TRACKER.declare_momentary
 
 
 def _tools(name: str, scene: Scene) -> list[TrackerTool]:
@@ -152,14 +152,18 @@ UNIT_FAULTS = (
 )
 
 LINE_FAULTS = (
-    share(
+    declare_lasting(
         "garble_commands", "garble commands NUMBER %", "That share of the commands arrives with a bit error."
     ),
-    share("garble_replies", "garble replies NUMBER %", "That share of the replies arrives with a bit error."),
-    share("drop_bytes", "drop bytes NUMBER %", "That share of the replies loses a byte."),
-    share("double_bytes", "double bytes NUMBER %", "That share of the replies has a duplicated byte."),
-    share("cut_replies", "cut replies NUMBER %", "That share of the replies is truncated."),
-    share("lose_replies", "lose replies NUMBER %", "That share of the replies is never sent."),
+    declare_lasting(
+        "garble_replies", "garble replies NUMBER %", "That share of the replies arrives with a bit error."
+    ),
+    declare_lasting("drop_bytes", "drop bytes NUMBER %", "That share of the replies loses a byte."),
+    declare_lasting(
+        "double_bytes", "double bytes NUMBER %", "That share of the replies has a duplicated byte."
+    ),
+    declare_lasting("cut_replies", "cut replies NUMBER %", "That share of the replies is truncated."),
+    declare_lasting("lose_replies", "lose replies NUMBER %", "That share of the replies is never sent."),
     declare_lasting("late_replies", "delay replies NUMBER s", "Each reply is delayed by that much."),
 )
 

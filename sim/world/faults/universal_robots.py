@@ -2,28 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from sim.world.faults.fault import FaultKinds, check_at_most
 
-from sim.world.faults.fault import Arguments, FaultKinds, check_at_most
-from sim.world.scene.model import Scene
-
-LONGEST_DELAY_CYCLES = 1000.0
-
-LARGEST_FORCE_N = 1000.0
 FARTHEST_MM = 500.0
 
 UR = FaultKinds("ur", prefix="ur_")
-declare_lasting, share, declare_momentary = UR.declare_lasting, UR.share, UR.declare_momentary
+declare_lasting, declare_momentary = UR.declare_lasting, UR.declare_momentary
 
 LINK_FAULTS = (
-    share("skip", "skip NUMBER %", "That share of the RTDE packages is never sent."),
+    declare_lasting("skip", "skip NUMBER %", "That share of the RTDE packages is never sent."),
+    declare_lasting("late", "late INT cycles", "What RTDE clients send takes effect that many cycles late."),
     declare_lasting(
-        "late",
-        "late INT cycles",
-        "What RTDE clients send takes effect that many cycles late.",
-        check_at_most(LONGEST_DELAY_CYCLES, "cycles"),
+        "lose", "lose NUMBER %", "That share of the RTDE data packages of clients has no effect."
     ),
-    share("lose", "lose NUMBER %", "That share of the RTDE data packages of clients has no effect."),
     declare_lasting(
         "cable",
         "cable pulled",
@@ -59,7 +50,9 @@ CELL_FAULTS = (
     declare_lasting(
         "local", "local mode", "The pendant is in local mode: no scripts, and dashboard queries only."
     ),
-    share("speed_slider", "speed slider NUMBER %", "The speed slider stands there, and at its place after."),
+    declare_lasting(
+        "speed_slider", "speed slider NUMBER %", "The speed slider stands there, and at its place after."
+    ),
     declare_momentary("protective_stop", "protective stop", "The arm has touched something."),
     declare_momentary("violation", "violation", "A limit of the safety system was exceeded."),
     declare_momentary("fault", "fault", "The safety system has found a fault of its own."),
@@ -69,18 +62,11 @@ CELL_FAULTS = (
 )
 
 
-def _check_hand(arguments: Arguments, _scene: Scene) -> Iterator[str]:
-    for argument in arguments:
-        if abs(float(argument)) > LARGEST_FORCE_N:
-            yield f"expected forces of at most {LARGEST_FORCE_N:g} N, got {argument}"
-
-
 LOADS = (
     declare_lasting(
         "load",
         "load axial NUMBER N",
         "That force pushes the tool back along its axis.",
-        check_at_most(LARGEST_FORCE_N, "N"),
     ),
     declare_lasting(
         "tissue",
@@ -89,7 +75,7 @@ LOADS = (
         check_at_most(FARTHEST_MM, "mm"),
     ),
     declare_lasting(
-        "hand", "hand SIGNED SIGNED SIGNED N", "A hand pushes the tool, along x y z of the base.", _check_hand
+        "hand", "hand SIGNED SIGNED SIGNED N", "A hand pushes the tool, along x y z of the base."
     ),
     declare_lasting(
         "load_kept", "load kept", "A new payload or tool centre point has no effect on the controller."

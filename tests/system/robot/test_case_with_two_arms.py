@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import subprocess
 from collections.abc import Callable, Sequence
@@ -53,6 +54,13 @@ def test_the_assistant_inserts_the_instrument_both_arms_go_home_and_the_run_repl
         "withdraw",
         "home",
     ]
+    subjects = [str(line["subject"]) for line in journal_of(run) if line["entry"] == Entry.CONFIRMATION]
+    assert "park the master" in subjects
+    assert not [subject for subject in subjects if "the arm " in subject]
+    page = (run / "report.html").read_text()
+    for arm, carried in {MASTER: "guide|stereo head", ASSISTANT: "holder of the assistant"}.items():
+        listed = re.findall(rf'<td data-label="robot link">(?:{carried})</td>', page)
+        assert len(listed) == ended_streams(run, arm), arm
     again = subprocess.run(
         command("procedures.cli.procedure", "replay", str(run)),
         capture_output=True,
@@ -61,6 +69,15 @@ def test_the_assistant_inserts_the_instrument_both_arms_go_home_and_the_run_repl
         check=False,
     )
     assert again.returncode == 0, again.stderr
+
+
+def ended_streams(run: Path, arm: str) -> int:
+    """Count the streams of an arm that ended in a run, by its log."""
+    lines = map(json.loads, (run / "log.jsonl").read_text().splitlines())
+    return sum(
+        line.get("device") == f"robot.{arm}" and line["event"] == "configured" and "cycles" in line
+        for line in lines
+    )
 
 
 class Trouble(NamedTuple):

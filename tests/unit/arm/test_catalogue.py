@@ -13,8 +13,9 @@ from packaged_arm import PackagedArm
 from recording_cell import RecordingCell
 
 from procedures.workcell.tools import calibrated_arm
+from ronna_hw import registry
 from ronna_hw.arm import catalogue
-from ronna_hw.arm.catalogue import find_arm
+from ronna_hw.arm.catalogue import ArmChoice, find_arm, list_drivers
 from ronna_hw.arm.errors import UnknownArm
 from ronna_hw.config import BadTheatreFile, parse_theatre
 from sim.theatre.theatre_file import theatre_content
@@ -85,3 +86,8 @@ def test_a_driver_of_an_unknown_arm_is_refused_before_anything_is_connected(tmp_
     with pytest.raises(UnknownArm, match=f"ARM-009: {UNKNOWN}"):
         cell.make_workcell()
     assert cell.arm.state == "disconnected"
+
+
+def test_every_arm_of_a_command_line_has_a_registered_driver_of_its_make() -> None:
+    assert list_drivers(["ur5e", "kr6", "ur5"]) == ("kuka_rsi", "universal_robots")
+    assert set(list_drivers(tuple(ArmChoice))) <= set(registry.list_driver_names())

@@ -6,6 +6,7 @@ import io
 import tomllib
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Literal
 
 import pytest
 from pydantic import BaseModel
@@ -23,16 +24,18 @@ from ronna_hw.errors import EXIT_NOT_FOUND, EXIT_USAGE
 class Settings(BaseModel):
     """Of a pair of cameras."""
 
-    exposure_us: float
+    exposure_us: float = 2000.0
+    trigger: Literal["software", "action"] = "software"
 
 
 EXPOSURE = Option("exposure_us", 2000.0, False, "Exposure of both cameras.", Settings)
+TRIGGER = Option("trigger", "software", False, "What triggers both cameras.", Settings)
 
 
 def pair(left: str, right: str) -> Proposal:
     serials = (Option("left_serial", left, True, "Left."), Option("right_serial", right, True, "Right."))
     endpoints = {"left": "gev://192.168.3.1", "right": "gev://192.168.3.2"}
-    return Proposal("cameras", f"{left} and {right}", endpoints, (*serials, EXPOSURE))
+    return Proposal("cameras", f"{left} and {right}", endpoints, (*serials, EXPOSURE, TRIGGER))
 
 
 class Cameras:
@@ -229,7 +232,9 @@ def test_a_file_with_simulated_devices_gets_a_rehearsal_banner(cameras: Cameras,
         (("--left", "99"), "no camera 99 replied; expected one of 11 at 192.168.3.1"),
         (("--left", "12"), "--left: 12 is the camera named right (12)"),
         (("--left", "11", "--right", "192.168.3.1"), "camera 192.168.3.1 is given for both sides"),
-        (("--option", "stereo.exposure=1"), "no option 'exposure'"),
+        (("--option", "stereo.exposure=1"), "Did you mean --option stereo.exposure_us=1?"),
+        (("--option", "stero.exposure_us=1"), "Did you mean --option stereo.exposure_us=1?"),
+        (("--option", "stereo.trigger=softwar"), "Did you mean --option stereo.trigger=software?"),
         (("--option", "stereo.exposure_us=fast"), "exposure_us: expected a valid number"),
         (("--option", "exposure_us=1"), "TABLE.KEY=VALUE"),
         (("--name", "n" * 600), "--name has 600 characters; expected at most 60"),

@@ -16,6 +16,7 @@ from typing import Annotated
 
 import pytest
 import typer
+from coded_errors import raises
 
 from ronna_hw.command_line import messages, terminal
 from ronna_hw.command_line.errors import (
@@ -28,6 +29,7 @@ from ronna_hw.command_line.errors import (
     SYSTEM_REFUSED,
     UsageMistake,
 )
+from ronna_hw.command_line.options import require_folder
 from ronna_hw.errors import LimitError, RonnaError
 from ronna_hw.evidence.journal_reading import JOURNAL_FILE
 from ronna_hw.host.process import ENDING_SIGNALS
@@ -468,3 +470,18 @@ def test_an_unknown_access_setting_is_a_usage_error(
     monkeypatch.setenv("RONNA_ACCESS", "everybody")
     assert terminal.exit_code_of(app_that(lambda: None), []) == 2
     assert "CLI-001: RONNA_ACCESS is 'everybody'; expected owner or group" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("inside", "said"),
+    [
+        ("file/sub", "file is a file, so .*sub cannot be made"),
+        ("/proc/x", "/proc is on no disk. Name another"),
+    ],
+)
+def test_a_folder_that_cannot_be_made_is_refused_with_what_is_in_its_way(
+    tmp_path: Path, inside: str, said: str
+) -> None:
+    (tmp_path / "file").touch()
+    with raises(PATH_PROBLEM, match=f"--out: .*{said}"):
+        require_folder(tmp_path / inside)

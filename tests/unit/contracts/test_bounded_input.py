@@ -115,6 +115,20 @@ def test_a_date_that_no_calendar_has_is_named() -> None:
         parse_toml_bytes(b"expires = 2026-13-26\n", "lab.toml", BadTheatreFile)
 
 
+@pytest.mark.parametrize(
+    ("content", "shown"),
+    [
+        (b'a = 1\nb = "' + b"x" * 400 + b'" y\nc = 2\n', r'`\.\.\. x+" y`'),
+        (b"a = 1\nb = [1,\n2,\n", r"line 2 is not ended: `b = \[1,`"),
+        (b"a = 1\rb = c\n", "at line 1, .*: `a = 1 b = c`"),
+    ],
+    ids=["long line", "not ended", "carriage return"],
+)
+def test_a_line_that_is_not_toml_is_shown_where_it_is_wrong(content: bytes, shown: str) -> None:
+    with pytest.raises(BadTheatreFile, match=shown):
+        parse_toml_bytes(content, "lab.toml", BadTheatreFile)
+
+
 def test_an_unreadable_file_is_named() -> None:
     with pytest.raises(OSError, match="/proc/self/mem"):
         read_bounded(Path("/proc/self/mem"), 100)

@@ -45,18 +45,43 @@ def test_procedure_settings_survive_a_round_trip_through_the_theatre_file(
     assert read_theatre_file(path).procedure == settings
 
 
-def test_both_roles_on_one_arm_are_refused() -> None:
+@pytest.mark.parametrize(
+    ("one", "another"),
+    [
+        ("tcp://192.168.1.2:54602", "tcp://192.168.1.2:54602"),
+        ("tcp://127.0.0.1:54602", "tcp://localhost:54602"),
+    ],
+)
+def test_both_roles_on_one_arm_are_refused(one: str, another: str) -> None:
     def arm(rsi: str, eki: str) -> dict[str, Any]:
         return {"driver": "kuka_rsi", "endpoints": {"rsi": rsi, "eki_project": eki}}
 
-    master = arm("udp://192.168.1.5:59152", "tcp://192.168.1.2:54602")
+    master = arm("udp://192.168.1.5:59152", one)
     theatre = {"schema": 1, "theatre": "lab", "robot": {"master": master}}
     other = arm("udp://192.168.1.5:59153", "tcp://192.168.1.3:54602")
     theatre["robot"]["assistant"] = other
     assert list(parse_theatre(theatre, "theatre.toml").robot) == ["master", "assistant"]
-    other["endpoints"]["eki_project"] = "tcp://192.168.1.2:54602"
+    other["endpoints"]["eki_project"] = another
     with pytest.raises(BadTheatreFile, match=r"robot.assistant. and .robot.master. are the same arm"):
         parse_theatre(theatre, "theatre.toml")
+
+
+ARM: dict[str, Any] = {"driver": "kuka_rsi", "endpoints": {"rsi": "udp://192.168.1.5:59152"}}
+
+
+@pytest.mark.parametrize(
+    ("tables", "said"),
+    [
+        ({"robot": ARM}, r"\[robot\] has driver, endpoints, .* write \[robot\.master\]"),
+        (
+            {"robot": {"master": ARM}, "assistant": ARM},
+            r"\[assistant\] is an arm: write \[robot\.assistant\]",
+        ),
+    ],
+)
+def test_an_arm_outside_its_table_is_named_with_the_table_to_write(tables: dict[str, Any], said: str) -> None:
+    with pytest.raises(BadTheatreFile, match=said):
+        parse_theatre({"schema": 1, "theatre": "lab", **tables}, "theatre.toml")
 
 
 def test_a_plan_given_as_a_theatre_file_is_recognised() -> None:

@@ -13,7 +13,7 @@ from user_commands import in_this_process
 
 from procedures.cli.procedure import app as ronna_procedure
 from procedures.engine.run_folder import close_run
-from procedures.journal.journal import JOURNAL_FILE, Entry, Journal, read_journal
+from procedures.journal.journal import JOURNAL_FILE, ONLY_LEAVING, Entry, Journal, JournalValue, read_journal
 from procedures.runs.finishing import complete_seal
 from procedures.runs.interrupted_run import read_interrupted_run
 from ronna_hw.errors import EXIT_DONE, EXIT_REFUSED, EXIT_UNCONFIRMED
@@ -210,6 +210,16 @@ def test_the_sentence_about_what_lay_unsealed_counts_the_files_of_a_folder() -> 
     assert "log.jsonl (9 bytes), bytes (2 files), theatre/world.json (3 bytes) had no seal" in sentence
 
 
+@pytest.mark.parametrize(
+    ("line", "said"), [({}, "was resumed"), ({ONLY_LEAVING: True}, "was taken up, only to go home or to")]
+)
+def test_a_run_that_was_only_brought_home_is_not_called_resumed(
+    line: dict[str, JournalValue], said: str
+) -> None:
+    (sentence,) = describe_unsealed_files(({"entry": Entry.RESTARTED, UNSEALED: {"log.jsonl": 9}, **line},))
+    assert f"had no seal when the run {said}" in sentence
+
+
 def told_by_verify(run: Path) -> list[str]:
     verified = in_this_process(ronna_procedure, "verify", run, "--json")
     said = json.loads(verified.stdout)
@@ -220,5 +230,5 @@ def told_by_verify(run: Path) -> list[str]:
     first, *sentences = shown.stdout.splitlines()
     assert sentences == said["not_vouched_for"]
     assert ("intact as far as can be said" in first) == bool(sentences)
-    assert first.endswith("as they lay when it was resumed") == bool(sentences)
+    assert first.endswith("as they lay when it was taken up again") == bool(sentences)
     return list(said["not_vouched_for"])

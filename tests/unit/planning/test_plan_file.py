@@ -115,7 +115,7 @@ FIRST_TARGET = "target_mm = [5.0, -20.0, 20.0]"
         ),
         ('"T2"', '"T1"', DUPLICATE_TRAJECTORY, "PLAN-005.*'T1'"),
         ("standoff_mm = 30.0", "standoff_mm = 0.03", PlanMistakes, "0.03 mm is closer .* not metres"),
-        ("implanted = 4", "implanted = 4,0", PLAN_UNREADABLE, "4,0; decimals have a point, not a comma"),
+        ("implanted = 4", "implanted = 4,0", PLAN_UNREADABLE, "4,0`; decimals have a point, not a comma"),
     ],
 )
 def test_an_impossible_value_is_refused_with_its_code(old, new, error, said, plan_text, plan_path):

@@ -9,6 +9,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from procedures.registration import register_clouds
 from procedures.registration.errors import (
+    BAD_POINTS,
     NOT_CONVERGED,
     SYMMETRIC_CLOUD,
     TOO_FEW_POINTS,
@@ -107,6 +108,11 @@ def test_two_points_a_line_or_a_repeated_point_fix_no_pose(random):
 def test_an_impossible_overlap_and_several_starts_are_refused(options, said, random):
     with pytest.raises(BadParameter, match=f"REG-007{said}"):
         register_clouds(head(10, random), head(10, random), **options)
+
+
+def test_a_cloud_in_metres_is_refused_beside_one_in_millimetres(random, any_pose):
+    with raises(BAD_POINTS, match=r"Are the image points in metres\? Give both in millimetres\."):
+        register_clouds(head(50, random) / 1000.0, any_pose(random).apply(head(60, random)))
 
 
 def test_a_registration_that_does_not_converge_is_reported(random, any_pose, monkeypatch):

@@ -122,6 +122,11 @@ def test_a_weighted_fit_that_does_not_converge_is_reported(monkeypatch):
         fit_weighted(GOOD, GOOD @ np.diag([1.0, 1.1, 0.9]) + 5.0, UNIT, np.eye(3), np.zeros(3))
 
 
+def test_two_sets_in_different_units_are_refused_before_a_fit_of_them_does_not_converge():
+    with raises(BAD_POINTS, match=r"1000 times as far apart .* Are the physical points in metres\?"):
+        register(GOOD * 1000.0, GOOD, covariance_mm2=UNIT)
+
+
 @pytest.mark.parametrize(("image", "physical"), [(GOOD / 1000.0, GOOD), (GOOD, GOOD / 1000.0)])
 def test_the_refusal_of_very_small_points_asks_whether_they_are_metres(image, physical):
     with raises(DUPLICATE_POINTS, match=r"REG-004: .* are these metres\?"):

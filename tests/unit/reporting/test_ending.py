@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
@@ -16,7 +17,7 @@ from procedures.engine.context import StepContext
 from procedures.engine.engine import Engine
 from procedures.engine.order import Outcome
 from procedures.journal.errors import GateFailed, StepRefused
-from procedures.journal.journal import JOURNAL_FILE, ONLY_LEAVING, Entry
+from procedures.journal.journal import JOURNAL_FILE, ONLY_LEAVING, Entry, JournalValue
 from procedures.journal.results import StepResult
 from procedures.operator.errors import OperatorAborted
 from procedures.reporting.ending import Ending, advise, ending_of, resumes
@@ -24,6 +25,7 @@ from procedures.reporting.outcome import RunError
 from procedures.reporting.report import write_report
 from procedures.reporting.run_reading import read_for_report
 from procedures.runs.finishing import seal_run
+from ronna_hw.roles import MASTER
 
 
 def raising(problem: BaseException) -> Work:
@@ -184,7 +186,7 @@ def test_a_changed_record_is_named(registered: Path) -> None:
     assert f"<li>records/{changed.name}: " in text
 
 
-@pytest.mark.parametrize("is_case", [True, False])
+@pytest.mark.parametrize("resumable", [True, False])
 @pytest.mark.parametrize(
     "word",
     [
@@ -192,9 +194,9 @@ def test_a_changed_record_is_named(registered: Path) -> None:
         *("not sealed", "error not determined"),
     ],
 )
-def test_every_ending_but_the_good_one_says_what_to_do(word: str, is_case: bool) -> None:
-    assert advise(Ending(word, ""), is_case=is_case)
-    assert advise(Ending("done", ""), is_case=is_case) == ""
+def test_every_ending_but_the_good_one_says_what_to_do(word: str, resumable: bool) -> None:
+    assert advise(Ending(word, ""), resumable=resumable)
+    assert advise(Ending("done", ""), resumable=resumable) == ""
 
 
 @pytest.mark.parametrize(("is_out", "instrument_in"), [(False, "T1"), (True, None)])
@@ -211,6 +213,33 @@ def test_a_run_whose_program_was_killed_says_whether_an_instrument_was_inside(
         cell.engine(plain_order(fit=work)).run_to()
     ending = ending_of(read_for_report(cell.folder))
     assert (ending.word, ending.instrument_in) == ("killed", instrument_in)
+
+
+@pytest.mark.parametrize(
+    ("lines", "place"),
+    [
+        ((), "at home"),
+        (((Entry.MOTION, {"what": "go", "number": 1}),), "at no known place"),
+        (
+            (
+                (Entry.MOTION, {"what": "go", "number": 1}),
+                (Entry.MOVED, {"number": 1, "joints_rad": [0.0] * 6, "at_home": False}),
+            ),
+            "away from home",
+        ),
+    ],
+    ids=["at rest", "while it moved", "on the way"],
+)
+def test_a_killed_run_is_shown_with_the_place_of_its_arm_and_the_commands_that_go_on(
+    cell: ClinicalCell, lines: Sequence[tuple[Entry, dict[str, JournalValue]]], place: str
+) -> None:
+    cell.journal.write(Entry.PLACED, 1.0, arm=MASTER, joints_rad=[0.0] * 6, at_home=True)
+    for entry, values in lines:
+        cell.journal.write(entry, 2.0, arm=MASTER, **values)
+    shown = in_this_process(app, "show", cell.folder).stdout
+    assert f"by the journal, the arm is {place}" in shown
+    for command in ("resume", "home"):
+        assert f"ronna-procedure {command} {cell.folder}" in shown
 
 
 @pytest.mark.parametrize(

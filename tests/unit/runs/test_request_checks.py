@@ -60,7 +60,7 @@ def test_a_missing_script_is_refused(tmp_path: Path) -> None:
 def test_a_fault_whose_step_or_time_the_case_did_not_reach_is_named_at_its_end(tmp_path: Path) -> None:
     text = (
         "at 12.5 s: robot drop 5 %\n"
-        "at 999999 s: robot drop 5 %\n"
+        "at 99999 s: robot drop 5 %\n"
         "when step == at_target: robot drop 5 %\n"
         "when step == at_target:T1: robot drop 5 %\n"
         "since step == at_target:T9: room shift cart 0 2 0 mm\n"

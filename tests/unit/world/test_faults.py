@@ -16,6 +16,7 @@ from sim.world.faults import (
     parse_request,
     read_faults,
 )
+from sim.world.faults.fault import TERMINALS, FaultKind
 from sim.world.faults.plain_lines import read_plain_line
 from sim.world.options import ArmRole
 from sim.world.scene.assistant import add_assistant
@@ -128,14 +129,26 @@ def test_every_wrong_line_is_reported() -> None:
     ("line", "said"),
     [
         ("at 3 s: robot drop 500 % for 1 s", "expected at most 100 %, got 500"),
-        ("at 1e400 s: tracker cold", "expected a time that comes"),
-        (f"at 3 s: room shift head {'9' * 400} 0 0 mm", "expected numbers, got one beyond any number"),
+        ("at 1e400 s: tracker cold", "expected at most 100000 s, got inf"),
+        ("at 3 s: tracker cold for 1e12 s", "expected at most 100000 s, got 1e[+]12"),
+        (f"at 3 s: room shift head {'9' * 400} 0 0 mm", "expected at most 2000 mm, got inf"),
+        ("at 3 s: room shift head 0 -1000000 0 mm", "expected at most 2000 mm, got -1e[+]06"),
+        ("at 3 s: room bad seat 1 mm 100000 deg", "expected at most 180 deg, got 100000"),
+        ("at 3 s: room unlocked cart 0 0 9000 mm per min", "expected at most 2000 mm per min, got 9000"),
+        ("at 3 s: robot delay 5000 cycles", "expected at most 1000 cycles, got 5000"),
         ("at 3 s: room shift head 1 0 0 mm over 0 s", "expected a time longer than 0 s"),
     ],
 )
-def test_a_fault_outside_the_scene_is_refused(line: str, said: str) -> None:
+def test_a_fault_outside_the_scene_or_beyond_its_unit_is_refused(line: str, said: str) -> None:
     with pytest.raises(BadFaultScript, match=f"SIM-003: line 2: {said}"):
         check_faults(parse_faults("\n" + line), draw_scene("mini"))
+
+
+@pytest.mark.parametrize("kind", FAULT_KINDS, ids=lambda kind: kind.name)
+def test_every_number_of_a_fault_has_a_bound(kind: FaultKind) -> None:
+    arguments = [word for word in kind.phrase.split() if word in TERMINALS]
+    for place, word in enumerate(arguments):
+        assert word == "NAME" or place in kind.units or (word == "INT" and kind.checks), kind.usage
 
 
 def test_the_effect_of_a_fault_is_described_with_its_time_and_meaning() -> None:

@@ -207,7 +207,7 @@ def test_an_arm_in_a_role_that_no_procedure_has_is_named_with_the_role_that_was_
     (found,) = assistant_diagnostics(theatre)
     assert found.well
     assert "did you mean 'assistant'?" in found.advice
-    with pytest.raises(NotInTheatre, match=r"robot\.asistant is unknown \(did you mean 'assistant'\?\)"):
+    with pytest.raises(NotInTheatre, match=r"Write \[robot\.assistant\] in place of \[robot\.asistant\]"):
         require_two_arms(theatre)
 
 
@@ -216,7 +216,7 @@ def test_the_records_of_an_assistant_whose_table_is_misspelt_are_a_problem() -> 
     records = SimpleNamespace(records={"assistant_arm": object()})
     found, _ = assistant_diagnostics(theatre.model_copy(update={"calibration": records}))
     assert not found.well
-    assert "robot.asistant is unknown (did you mean 'assistant'?)" in found.seen
+    assert "[robot.asistant] is unknown (did you mean 'assistant'?)" in found.seen
 
 
 def test_an_assistant_that_is_not_ready_leaves_only_a_case_with_one_arm() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache
@@ -75,8 +76,8 @@ def test_of_cameras_without_a_sphere_in_view_the_doctor_says_that_they_were_not_
 class LosingPair:
     """A pair of which the first few come incomplete."""
 
-    def __init__(self, lost: int) -> None:
-        self._lost = lost
+    def __init__(self, lost: int, how: Validity = Validity.PARTIAL) -> None:
+        self._lost, self._how = lost, how
 
     @contextmanager
     def active(self) -> Iterator[None]:
@@ -84,7 +85,7 @@ class LosingPair:
 
     def grab_pair(self) -> StereoReading:
         self._lost -= 1
-        return StereoReading(STAMP, Validity.PARTIAL if self._lost >= 0 else Validity.OK, None, None)
+        return StereoReading(STAMP, self._how if self._lost >= 0 else Validity.OK, None, None)
 
 
 @pytest.mark.parametrize(("lost", "well"), [(0, True), (2, True), (3, False), (50, False)])
@@ -93,3 +94,16 @@ def test_as_many_pairs_may_be_lost_as_a_case_makes_up_for_by_taking_them_again(l
     (pictures,) = picture_diagnostics("stereo: ", pair, 50, 1 + FURTHER_TRIES, lambda _last: iter(()))
     assert pictures.well is well
     assert bool(pictures.advice) is (lost > 0)
+
+
+@pytest.mark.parametrize(("load", "named"), [(9.0, True), (0.1, False)])
+def test_pairs_that_come_late_name_the_load_of_the_computer_as_a_cause(
+    monkeypatch: pytest.MonkeyPatch, load: float, named: bool
+) -> None:
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _process: {0, 1})
+    monkeypatch.setattr(os, "getloadavg", lambda: (load, load, load))
+    pair = cast("Any", LosingPair(3, Validity.UNPAIRED))
+    (pictures,) = picture_diagnostics("stereo: ", pair, 50, 1, lambda _last: iter(()))
+    assert "47 of 50 pairs arrived complete, 3 unpaired" in pictures.seen
+    assert "Images come late" in pictures.advice
+    assert ("a load of 9.0 on 2 processors" in pictures.advice) is named

@@ -45,6 +45,16 @@ def test_the_request_is_the_first_file_and_records_what_was_asked_for(tmp_path: 
     assert read_request(folder) == asked
 
 
+def test_a_run_begun_with_ask_is_resumed_at_a_terminal_only(tmp_path: Path) -> None:
+    asked = RunRequest(procedure=CaseProcedure(), choice=SceneChoice("mini", 0, 0), ask=True)
+    folder = new_run_folder(asked, tmp_path)
+    refused = in_this_process(app, "resume", folder)
+    assert refused.returncode == EXIT_USAGE
+    (line,) = one_error(refused.stderr)
+    assert f"{folder.name} was begun with --ask" in line
+    assert "Nothing was moved. Run the command at a terminal" in line
+
+
 OF_THE_THESIS = CaseMethods(
     localizer=Localizer.THESIS_LINE, matcher=Matcher.THESIS, e_mm=3.5, refused_share=0.015
 )
