@@ -10,6 +10,7 @@ from pydantic import Field
 from procedures.engine.context import StepContext
 from procedures.engine.order import Outcome, Phase, Scope, StepSpec
 from procedures.guards.guide_displacement import measure_guide_at_rest
+from procedures.guards.room_watch import RoomLook
 from procedures.journal.errors import GateFailed
 from procedures.journal.results import FramedPose, StepResult
 from procedures.operator.question import YES, Topic
@@ -77,12 +78,10 @@ def run(context: StepContext) -> Outcome[PositionedGuide]:
         )
     workcell.master.mount.check(MountedTool.GUIDE)  # a question may stand for minutes
     if via_home:
-        room.check_room(context, f"before {trajectory}")
+        _require_guide_in_seat(context, room.check_room(context, f"before {trajectory}"))
         workcell.start()
         workcell.master.return_home()
-    look = room.require_unmoved(context, f"before {trajectory}")
-    if (frame := workcell.tools.guide.record.frame) is not None:
-        require_seen_in_place(context, frame, look, must_see=False)
+    _require_guide_in_seat(context, room.require_unmoved(context, f"before {trajectory}"))
     workcell.start()
     with room.require_head_in_view(context):
         context.progress(0.0, f"moving over {trajectory}")
@@ -98,6 +97,12 @@ def run(context: StepContext) -> Outcome[PositionedGuide]:
         PositionedGuide(tool_pose=FramedPose.of(insertion.held), joints_rad=reached.joints_rad),
         summary=f"the guide is held {standoff_mm:.0f} mm in front of the entry",
     )
+
+
+def _require_guide_in_seat(context: StepContext, look: RoomLook) -> None:
+    """Raise TOOL-006 if a look shows that the guide has moved on its mount since it was checked."""
+    if (frame := context.workcell.tools.guide.record.frame) is not None:
+        require_seen_in_place(context, frame, look, must_see=False)
 
 
 def insertion_for(context: StepContext, robot_from_ct: Transform) -> InsertionAxis:

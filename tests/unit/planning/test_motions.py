@@ -47,10 +47,10 @@ def test_the_motions_lead_from_home_through_all_visits_and_back_home() -> None:
     assert {part.name for part in motions[0].around.tool} != {part.name for part in motions[-1].around.tool}
     lines = [motion.plan for motion in motions if motion.kind == "line"]
     back = [motion.plan for motion in motions if motion.kind == "back"]
-    # From one sphere the head goes straight to the next: only the first has a line onto it, the last one off.
+    # The head goes straight over each sphere, and backs off along a line from the last one of a trajectory.
     at_targets = [one.line for one in check.reached if one.visit.name.kind is PoseKind.TARGET]
-    assert [one for one in lines if one in at_targets] == at_targets
-    assert len(lines) == len(back) < len(check.reached)
+    assert lines == at_targets
+    assert len(back) == 2 * len(at_targets) < len(check.reached)
     for again in back:
         (there,) = (one.line for one in check.reached if one.line.target_rad == again.start_rad)
         end_rad = again.path(setting.kinematics).joints(1.0, again.start_rad)

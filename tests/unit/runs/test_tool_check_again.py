@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 from clinical_case import FIRST, LAST, ClinicalCell, done_later, given
@@ -29,6 +30,7 @@ from procedures.engine.engine import Engine
 from procedures.engine.errors import TOOL_UNCHECKED
 from procedures.engine.order import CaseOrder, Scope, order_of
 from procedures.guards.default_guards import ToolStillMounted
+from procedures.guards.room_watch import RoomLook
 from procedures.journal.errors import StepRefused
 from procedures.operator import checkpoint
 from procedures.operator.question import Question, Topic
@@ -232,7 +234,14 @@ def mounts(cell: ClinicalCell, topic: Topic, number: int) -> None:
 def test_a_guide_found_off_before_it_goes_to_the_head_is_checked_again(
     cell: ClinicalCell, guarded: Engine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(positioning.room, "require_unmoved", lambda *_: setattr(cell.arm, "mounted", 0))
+    look_from_home = positioning.room.require_unmoved
+
+    def unmounted_after(*arguments: Any) -> RoomLook:
+        look = look_from_home(*arguments)
+        cell.arm.mounted = 0
+        return look
+
+    monkeypatch.setattr(positioning.room, "require_unmoved", unmounted_after)
     with raises(TOOL_UNCHECKED, match="no tool instead of the guide"):
         guarded.run_step(guarded.order.find(f"positioning:{FIRST}"))
     cell.arm.mounted = GUIDE

@@ -173,7 +173,7 @@ def test_a_missing_sphere_is_left_out_when_enough_remain_and_the_operator_agrees
     kinds = [line["what"] for line in read_journal(cell.folder / JOURNAL_FILE) if line["entry"] == "motion"]
     searched = re.search("s{37,}", "".join(kind[0] for kind in kinds))  # where it should be, and around
     assert searched
-    assert kinds[searched.end() :][:2] == ["line", "go"]  # the head backs off along its axis
+    assert kinds[searched.end() :][:2] == ["line", "settle"]  # the head backs off along its axis
 
 
 @pytest.mark.hazard(27)
