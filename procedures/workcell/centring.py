@@ -16,7 +16,7 @@ from procedures.workcell.errors import SPHERE_NOT_FOUND
 from procedures.workcell.stereo_look import Look
 from ronna_hw.arm.catalogue import find_arm
 from ronna_hw.arrays import Array
-from ronna_hw.devices.lifecycle import Lifecycle
+from ronna_hw.devices.lifecycle import RUNNING
 from ronna_hw.errors import LimitError, RonnaError
 from ronna_hw.frames import Transform
 from ronna_hw.vectors import JointVector
@@ -205,7 +205,7 @@ def refusal(move: Callable[[], object], arm: ArmView) -> LimitError | None:
     try:
         move()
     except LimitError as error:
-        if arm.state is not Lifecycle.ACTIVE:
+        if arm.state not in RUNNING:
             raise
         return error
     return None
