@@ -171,7 +171,7 @@ _LONG_KEY = re.compile(rf"(?<![A-Za-z0-9_\-\\]){_PART}(?:[ \t]*+\.[ \t]*+{_PART}
 
 LONGEST_SHOWN = 80  # characters of a line with a mistake
 _LINE_NUMBER = re.compile(r"\(at line (\d+), column (\d+)\)")
-_BEGINS_KEY = re.compile(r"\s*[\w\"'.-]+\s*=|\s*\[")
+_BEGINS_KEY = re.compile(r"\s*[\w\"'.-]+\s*=|\s*\[\[?[\w\"'. -]+\]\]?\s*(#.*)?$")
 _DECIMAL_COMMA = re.compile(r"=\s*[-+]?\d+,\d+\s*(#.*)?$")
 _WRITTEN_AS_DATE = re.compile(r"=\s*(\d{4}-\d{2}-\d{2})")
 _LIKE_A_DATE = re.compile(r"=\s*\d{1,2}[./]\d{1,2}[./]\d{4}")
@@ -216,7 +216,8 @@ def _describe_line(error: ValueError, content: bytes) -> str:
         opened = [number for number, line in enumerate(lines, 1) if _BEGINS_KEY.match(line)]
         if not opened:
             return ""
-        return f"; line {opened[-1]} is not ended: `{_cut_line(lines[opened[-1] - 1], 1)}`"
+        shown = _cut_line(lines[opened[-1] - 1], 1)
+        return f"; what is not ended began in line {opened[-1]} or after it: `{shown}`"
     line = lines[int(found[1]) - 1]
     writing_advice = "; a date is written 2026-12-31" if _LIKE_A_DATE.search(line) else ""
     writing_advice = "; decimals have a point, not a comma" if _DECIMAL_COMMA.search(line) else writing_advice

@@ -87,10 +87,7 @@ def _frames_on_arms(theatre: TheatreFile) -> dict[str, str]:
 
 
 def require_separate_arms(theatre: TheatreFile) -> None:
-    """Raise ValueError if two arms share an address: then both roles would be played by one arm.
-
-    Host names are looked up only where another arm has the same port.
-    """
+    """Raise ValueError if two arms share an address: then both roles would be played by one arm."""
     owners: dict[tuple[str, int], list[tuple[str, str]]] = {}  # by scheme and port
     for name, robot in theatre.robot.items():
         for text in (robot.endpoint, *robot.endpoints.values()):

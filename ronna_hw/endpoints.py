@@ -67,8 +67,14 @@ class Endpoint:
         return replace(self, host=min((str(entry[4][0]) for entry in found), default=name))
 
     def is_same_as(self, other: Endpoint) -> bool:
-        """Return whether two endpoints are one, also under two names of the host."""
-        return self == other or self.resolve_names() == other.resolve_names()
+        """Return whether two endpoints are one, also with `localhost` for its address.
+
+        Other names are not looked up: what a file says must not depend on the network.
+        """
+        return self._with_own_address() == other._with_own_address()
+
+    def _with_own_address(self) -> Endpoint:
+        return replace(self, host="127.0.0.1") if self.host == "localhost" else self
 
     def require(self, *schemes: str) -> Endpoint:
         """Return the endpoint, or raise CFG-002 if its scheme is not one of `schemes`."""

@@ -23,7 +23,7 @@ from ronna_hw.errors import LimitError
 from ronna_hw.preview import preview
 from ronna_hw.vectors import JointVector
 
-MOVE, LINE, BACK = "move", "line", "back"
+MOVE, LINE, BACK, RESERVE = "move", "line", "back", "reserve"
 AT_THE_END = 0.95  # of a line: 3 mm from where it ends
 
 
@@ -32,7 +32,8 @@ class Motion:
     """A motion of the procedure: a joint move between named positions, or a straight line at one of them.
 
     `plan` is at working speed; the arm drives it at `speed_fraction` of that. `is_cleared` says that another
-    sweep covers it: the one that chose it, or that of the line it retraces (`is_retrace`).
+    sweep covers it: the one that chose it, or that of the line it retraces (`is_retrace`). One in `reserve`
+    is driven only if the head has to back off from a sphere that it reached directly.
     """
 
     start: PoseName
@@ -41,13 +42,14 @@ class Motion:
     around: Surroundings
     is_cleared: bool = False
     is_retrace: bool = False
+    is_reserve: bool = False
     speed_fraction: float = 1.0
 
     @property
     def kind(self) -> str:
-        """Motion type: `move` (joints), `line`, or `back` (a retraced line)."""
-        if self.is_retrace:
-            return BACK
+        """Motion type: `move` (joints), `line`, `back` (a retraced line), or `reserve`."""
+        if self.is_retrace or self.is_reserve:
+            return BACK if self.is_retrace else RESERVE
         return MOVE if self.plan.target is None else LINE
 
 
@@ -79,7 +81,7 @@ def find_unclear(
     """
     found: dict[PoseName, Unmet] = {}
     standoffs_mm = {PoseName(PoseKind.TARGET, one.identifier): one.standoff_mm for one in trajectories}
-    for motion in plan_motions(setting, scene, check, trajectories, every_line=True):
+    for motion in plan_motions(setting, scene, check, trajectories):
         if motion.is_cleared:
             continue
         arm, closest = setting.kinematics, not first_only
@@ -147,13 +149,8 @@ def plan_motions(
     scene: PlanningScene,
     check: PathCheck,
     trajectories: Sequence[Trajectory],
-    *,
-    every_line: bool = False,
 ) -> Iterator[Motion]:
-    """Plan the motions from home through all visits and back home.
-
-    `every_line` adds the lines to spheres that are reached directly: the head may have to back off there.
-    """
+    """Plan the motions from home through all visits and back home, those in reserve where they may come."""
     by_name = {one.identifier: one for one in trajectories}
     here: tuple[PoseName, JointVector] = (HOME, setting.start_rad)
     over: Reached | None = None  # the sphere over which the arm rests
@@ -181,11 +178,10 @@ def plan_motions(
             if over is not None and over.visit.name.trajectory != visit.name.trajectory:
                 yield from _back_off(setting, over, around)
                 over = None
-            direct = _plan_direct(setting, here if over is None else over.rest, reached, around)
+            direct = _plan_direct(setting, here if over is None else over.standing_at, reached, around)
         if direct is not None:
             yield direct
-            if every_line:
-                yield Motion(visit.name, visit.name, reached.line, around)
+            yield Motion(visit.name, visit.name, reached.line, around, is_reserve=True)
         else:
             yield from _back_off(setting, over, around)
             yield from _plan_visit(setting, here, reached, around)

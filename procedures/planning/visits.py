@@ -62,7 +62,7 @@ class Reached:
         return self.line.target_rad
 
     @property
-    def rest(self) -> tuple[PoseName, JointVector]:
+    def standing_at(self) -> tuple[PoseName, JointVector]:
         """Name of the pose, and the joint angles there."""
         return self.visit.name, self.at_rad
 

@@ -25,6 +25,7 @@ from ronna_hw.text import format_distinct
 
 POSE_UNKNOWNS = 6
 DEFAULT_CONFIDENCE = 0.95
+NEGLIGIBLE = 1e-9  # share of a limit, below which rounding decides
 
 
 def degrees_of_freedom(pairs: int) -> int:
@@ -196,7 +197,7 @@ def rare_limit_mm(
     """
     both_mm2 = usual_mm2 + rare_mm2
     low_mm, high_mm = (float(error_limit_mm(one, confidence)) for one in (usual_mm2, both_mm2))
-    if high_mm <= low_mm:
+    if high_mm <= low_mm * (1.0 + NEGLIGIBLE):
         return high_mm
 
     def surplus(radius_mm: float) -> float:

@@ -164,7 +164,7 @@ def is_resumable(reading: RunReading) -> bool:
 
 def advise(ending: Ending, *, resumable: bool, run: str = "RUN") -> str:
     """Say what to do after an ending, with commands on `run`; empty after one that needs nothing."""
-    if resumable or ending.word in ("not begun", "done"):
+    if resumable or ending.word in ("not begun", "done", RUNNING, CLOSING):
         return ADVICE.get(ending.word, "").replace("RUN", run)
     code = f"docs/reference/error-codes.md says what to do about {ending.code}. " if ending.code else ""
     return f"{code}Put right what is named, then start the command again."

@@ -263,15 +263,15 @@ class MovedCart:
             engine.find(
                 f"the case is held: {problem.summary}, while an instrument is or may be inside at {inside}. "
                 "Nothing moves: the surgeon judges the instrument first; then take it out, send "
-                f"{workcell.arms_named} home and continue from there",
+                f"{workcell.arms_phrase} home and continue from there",
                 (inside,),
             )
             return False
         self._moves += 1
         if (following := engine.upcoming) is None:
-            goes_on = f"lock it; the work at every target is done: {workcell.go_home} and the case ends"
+            goes_on = f"lock it; the work at every target is done: {workcell.going_home} and the case ends"
         else:
-            goes_on = f"lock it; {workcell.go_home}, and {following} is next"
+            goes_on = f"lock it; {workcell.going_home}, and {following} is next"
         stands = ", ".join(dict.fromkeys(stored.record.kind for stored in engine.case.valid_results))
         begun = work_begun_elsewhere(engine)
         ways = "the arms' ways" if workcell.assistants else "the arm's way"

@@ -112,13 +112,13 @@ def bring_home(engine: Engine, previous: InterruptedRun) -> bool:
     comparison = Comparison(warnings=list(previous.contradictions))
     _restore_arm(engine, previous, engine.case.get(CheckedSetUp).result, comparison, only_leaving=True)
     workcell = engine.setting.workcell
-    comparison.notes.append(f"patient and robot base: not compared, {workcell.go_home} only")
+    comparison.notes.append(f"patient and robot base: not compared: {workcell.going_home}, no further")
     for change in previous.run.changes:
         comparison.warnings.append(f"not as the run left it: {change}")
     if not (first := _list_first_moves(engine)):
         _conclude(engine, comparison)
         return False
-    _require_acceptance(engine, comparison, f"bring {workcell.arms_named} home", first)
+    _require_acceptance(engine, comparison, f"bring {workcell.arms_phrase} home", first)
     way_out.surround_arms(engine)
     engine.retreat_home()
     return True
@@ -251,7 +251,7 @@ def _list_first_moves(engine: Engine) -> tuple[str, ...]:
     """Describe the actions that precede the first step."""
     workcell = engine.setting.workcell
     first = [
-        f"the {arm.called} leads the instrument straight out of {arm.place.trajectory}"
+        f"the {arm.spoken_name} leads the instrument straight out of {arm.place.trajectory}"
         for arm in workcell.outermost_first
         if arm.leads_instrument
     ]

@@ -38,8 +38,8 @@ ON_AXIS_RAD = math.radians(0.5)
 # Safety against an arm that is not where the journal has it (U).
 AT_PLACE_RAD = math.radians(0.1)  # far more than the arm's repeatability, far less than any motion
 # Places kept for the way back; without the first ones it could end where the way home is not clear. A
-# localized sphere adds six or seven, many more if it is searched for: 3 trajectories with 5 spheres each made
-# 92 between two visits of home, so 4 with 8 come near 200 without any search.
+# localized sphere adds three or more, many more if it is searched for: 4 trajectories with 8 spheres each
+# come near 200 where every sphere is approached along its axis.
 TRAIL = 2000
 Stages = Mapping[str, Mapping[str, bool]]  # trajectory -> task -> whether it was confirmed as done
 Stop = Mapping[str, JournalValue]  # setting of a depth stop
@@ -184,7 +184,7 @@ class ArmPlace:
 
     @property
     def description(self) -> str:
-        """Where the arm is as far as the journal knows, as what follows "the arm is"."""
+        """Place of the arm by the journal, to complete "the arm is"."""
         match self.place_kind:
             case PlaceKind.HOME:
                 return "at home"

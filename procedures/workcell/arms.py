@@ -146,7 +146,7 @@ class Arms:
         return True
 
     def move(self, role: str, motion: Motion, *, with_instrument: bool = False) -> ArmReading:
-        """Move one arm while the others rest, and return the settled reading.
+        """Move one arm while the others rest, and return the reading at the end.
 
         `with_instrument` allows an instrument in the guide, which this motion moves along its axis.
 

@@ -8,9 +8,13 @@ from functools import partial
 from itertools import count
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from procedures.relocalization import ServoSettings, ServoState, recorded_point, search_pose
 from procedures.relocalization.errors import NoContrast, NotTrusted, Saturated, SphereNotInView
 from procedures.strategies.trajectory import back_along_axis
+from procedures.workcell.arm_history import MotionKind
+from procedures.workcell.arms import STILL_RAD
 from procedures.workcell.device_views import ArmView
 from procedures.workcell.errors import SPHERE_NOT_FOUND
 from procedures.workcell.stereo_look import Look
@@ -59,18 +63,16 @@ class Centring:
     approach_mm: float
     on_centred: Callable[[int], None] = lambda _fiducial: None  # while the arm still rests there
 
-    def centre_on(
-        self, fiducial: int, expected: Transform, near: JointVector, *, from_sphere: bool = False
-    ) -> CentredSphere:
+    def centre_on(self, fiducial: int, expected: Transform, near: JointVector) -> CentredSphere:
         """Centre the tool on the sphere expected at a pose ROBOT <- TOOL, and measure it.
 
-        The arm goes straight there if that is clear. Else it backs off from another sphere, `from_sphere`,
-        and approaches along the tool axis from the joints `near`.
+        The arm goes straight there if that is clear. Else it backs off from another sphere, and approaches
+        along the tool axis from the joints `near`.
         Raises PRO-008 if it is not there, STE-011 if the images are saturated, STE-007 and STE-008 if the
         servo does not converge. The arm then rests at the pose of its last look, see `back_off`.
         """
         try:
-            self._go_over(expected, near, from_sphere=from_sphere)
+            self._go_over(expected, near)
             return self._centre_on(fiducial, expected)
         finally:
             self.workcell.sensors.expose(1.0)
@@ -79,12 +81,19 @@ class Centring:
         """Back off along the tool axis from the pose of the last look."""
         self.workcell.master.line_to(self._approach_pose(self.workcell.master.tool_pose()))
 
-    def _go_over(self, expected: Transform, near: JointVector, *, from_sphere: bool) -> None:
-        master = self.workcell.master
+    @property
+    def is_over_sphere(self) -> bool:
+        """Whether the last motion ended over a sphere, or where one was expected."""
+        return self.workcell.master.supervised.ended in (MotionKind.SETTLE, MotionKind.STEP)
+
+    def _go_over(self, expected: Transform, near: JointVector) -> None:
+        master, over_sphere = self.workcell.master, self.is_over_sphere
+        began_rad = master.joints_rad()
         onto_rad = master.joints_at(expected, near, self.arriving)
         if refusal(partial(master.settle, onto_rad, self.arriving), master.arm) is None:
             return
-        if from_sphere:
+        has_moved = not np.allclose(master.joints_rad(), began_rad, rtol=0.0, atol=STILL_RAD)
+        if over_sphere or has_moved:  # the last leg may be the one that was refused
             self.back_off()
         master.go(master.joints_at(self._approach_pose(expected), near))
         master.line_to(expected)
@@ -201,7 +210,7 @@ def search_poses(
 
 
 def refusal(move: Callable[[], object], arm: ArmView) -> LimitError | None:
-    """Make a motion; return the error if it was refused before the arm moved. Raises if the arm trips."""
+    """Make a motion; return the error if it, or its last leg, was refused. Raises if the arm trips."""
     try:
         move()
     except LimitError as error:

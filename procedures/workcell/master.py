@@ -36,8 +36,8 @@ class Master(SupervisedArm):
     ) -> None:
         """Supervise the master beside `others`, which may be on the axis of its guide."""
         self._others = tuple(others)
-        frame, called = calibrations.tracker_frame.tool, MASTER if self._others else "arm"
-        super().__init__(MASTER, log, arms, calibrations.arms, "arm", frame, called)
+        frame, spoken_name = calibrations.tracker_frame.tool, MASTER if self._others else "arm"
+        super().__init__(MASTER, log, arms, calibrations.arms, "arm", frame, spoken_name)
         self.mount = ToolMount(self.read_tool_number, calibrations)
         self.instrument = Instrument(log)
         self.surroundings: Surroundings | None = None  # as last declared to the arm
@@ -171,7 +171,8 @@ class Master(SupervisedArm):
         """Motions of `leave`, in words; without a home, before set-up, there is none."""
         place = self.place
         retreat = place.trajectory and f"the guide retreats from {place.trajectory} along its axis"
-        park = self._log.home_rad and not place.is_home and f"the {self.called} goes home the way it came"
+        away = self._log.home_rad and not place.is_home
+        park = away and f"the {self.spoken_name} goes home the way it came"
         return tuple(words for words in (retreat, park) if words)
 
     def retreat(self, trajectory: str) -> None:

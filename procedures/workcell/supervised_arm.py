@@ -30,7 +30,7 @@ from ronna_hw.vectors import JointVector
 class SupervisedArm(ABC):
     """One arm of the theatre, with its history in the journal.
 
-    `name` is that of its device, `called` what messages call it.
+    `name` is that of its device, `spoken_name` what messages call it.
     """
 
     def __init__(
@@ -41,18 +41,18 @@ class SupervisedArm(ABC):
         records: Mapping[str, ArmCalibration],
         name: str,
         frame: str,
-        called: str = "",
+        spoken_name: str = "",
     ) -> None:
         """Supervise the arm of a role; `records` are the calibrations of all arms, by role.
 
         `frame` is the name that the tracker has for the frame on the arm.
         """
         self.role, self.name, self.frame, self._log, self._arms = role, name, frame, log, arms
-        self.called = called or name
+        self.spoken_name = spoken_name or name
         self._calibrated = partial(calibrated_arm, records=records, role=role)
         self._computed = self._calibrated(self._arm.kinematics)
         self.supervised = SupervisedMotion(
-            self.called, role, log, arms, self._require_allowed, self._drive_leg
+            self.spoken_name, role, log, arms, self._require_allowed, self._drive_leg
         )
 
     @property
@@ -116,7 +116,7 @@ class SupervisedArm(ABC):
     def home_rad(self) -> JointVector:
         """Joint angles at set-up, rad. Raises PRO-001 before set-up."""
         if self._log.home_rad is None:
-            raise StepRefused(f"the {self.called} has no home position yet", action="Run set_up first.")
+            raise StepRefused(f"the {self.spoken_name} has no home position yet", action="Run set_up first.")
         return self._log.home_rad
 
     @property
@@ -245,7 +245,7 @@ class SupervisedArm(ABC):
 
     def park(self, occasion: str = "") -> ArmReading:
         """Return home once the operator has confirmed it, on an occasion. Raises PRO-002."""
-        subject = f"park the {self.called} {occasion}".rstrip()
+        subject = f"park the {self.spoken_name} {occasion}".rstrip()
         self.supervised.confirm(Topic.PARK, subject, [self.return_motion()])
         return self.return_home()
 

@@ -206,7 +206,7 @@ class SupervisedMotion:
             if not checkpoint.wanted and self._arm.state is Lifecycle.HOLD:
                 if not self._held:  # stopped from outside
                     self._confirmed = False
-                    checkpoint.rest_after_stop(f"the arm, before {named},", REPLANNED)
+                    checkpoint.rest_after_stop(f"the {self._name}, before {named},", REPLANNED)
                     continue
                 self._arm.resume()  # moves nothing
                 self._held = False

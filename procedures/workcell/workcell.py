@@ -132,14 +132,14 @@ class Workcell:
         raise OtherArmUnknown("there is no assistant in this case", action="Start the run with --dual.")
 
     @property
-    def arms_named(self) -> str:
+    def arms_phrase(self) -> str:
         """Name of all arms in sentences about what they do together."""
         return "both arms" if self.assistants else "the arm"
 
     @property
-    def go_home(self) -> str:
+    def going_home(self) -> str:
         """Statement that all arms go home."""
-        return f"{self.arms_named} {'go' if self.assistants else 'goes'} home"
+        return f"{self.arms_phrase} {'go' if self.assistants else 'goes'} home"
 
     @property
     def outermost_first(self) -> tuple[SupervisedArm, ...]:

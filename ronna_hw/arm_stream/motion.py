@@ -74,7 +74,7 @@ class MotionPlanner:
 
 
 class MotionFollower(Generic[S]):
-    """Executor that supervises one motion at a time until the arm has settled."""
+    """Executor that supervises one motion at a time, until the arm has settled if it is to."""
 
     def __init__(self, connections: StreamConnections[S, Any], watch: StreamWatch[S], cycle_s: float) -> None:
         self._connections = connections

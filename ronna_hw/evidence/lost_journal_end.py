@@ -86,7 +86,7 @@ def describe_lost_end(lost: Sequence[Line], number: int) -> str:
 
 
 def describe_restart(line: Line) -> str:
-    """Say for what another program took up a run, by its `restarted` line."""
+    """Describe why a run was reopened, by its `restarted` line."""
     if ONLY_LEAVING in line:
         return "the run was taken up, only to go home or to acknowledge a fault,"
     return "the run was resumed"

@@ -61,7 +61,7 @@ class LinkWeight(NamedTuple):
 
 @dataclass(frozen=True)
 class ArmMake:
-    """What arms of one make share: its name, the word for its controller in fault scripts, their inverse.
+    """Make of arms: its name, the word for its controller in fault scripts, and their inverse.
 
     `postures` are those of a procedure, the usual one first. `axes` gives the joint angles (rad, modulo whole
     turns) for a flange pose (4, 4) in the robot's base in one of the postures, or None out of reach; the ends

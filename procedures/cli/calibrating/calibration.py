@@ -150,7 +150,7 @@ def check_calibration(
 
     folder = new_run_folder(request, out, "check")
     try:
-        with finalize_run(folder, with_truth=False):
+        with hold_run(folder), finalize_run(folder, with_truth=False):
             run_with_bar(request, folder, activity, conclude)
     finally:
         for figures in checked_figures:

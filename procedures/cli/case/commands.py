@@ -193,5 +193,5 @@ def _describe_nothing_upcoming(engine: Engine) -> str:
     return (
         "the case is finished"
         if engine.over
-        else f"every step is done; home brings {engine.setting.workcell.arms_named} home"
+        else f"every step is done; home brings {engine.setting.workcell.arms_phrase} home"
     )

@@ -20,7 +20,7 @@ from procedures.operator.question import join_answers
 from procedures.planning import free_angle
 from procedures.planning.guide import place_guides
 from procedures.planning.line_of_sight import StereoSight
-from procedures.planning.motions import PreviewedMotion, preview_motions
+from procedures.planning.motions import RESERVE, PreviewedMotion, preview_motions
 from procedures.planning.pose_name import PoseKind, PoseName
 from procedures.planning.target_error import choose_best_strategies
 from procedures.planning.visits import ArmSetting, PathCheck
@@ -75,7 +75,10 @@ class MotionPreview(Values):
 
     start: RecordedPose = Field(description="Name of the pose it begins at.")
     end: RecordedPose = Field(description="Name of the pose it ends at.")
-    kind: str = Field(description="`move` of the joints, straight `line`, or `back` on it.")
+    kind: str = Field(
+        description="`move` of the joints, straight `line`, `back` on it, or `reserve`: a line along which "
+        "the head backs off from a sphere if it must."
+    )
     duration_s: float = Field(description="Duration at the intended speed.")
     clear: bool = Field(description="Whether every body keeps enough clearance.")
     closest: ClosestApproach | None = Field(description="The closest pair of bodies.")
@@ -112,12 +115,16 @@ def motions_over_spheres(motions: Sequence[MotionPreview], trajectory: str | Non
 
 
 def announce_motions(motions: Sequence[MotionPreview], small: str) -> AnnouncedMotions:
-    """Announce motions, at least one, and `small` ones: number, duration, speed and clearance."""
+    """Announce motions, at least one, and `small` ones: number, duration, speed and clearance.
+
+    Clearance is also that of the lines in reserve, which a yes covers.
+    """
+    driven = [one for one in motions if one.kind != RESERVE]
     near = min((one.closest for one in motions if one.closest), key=lambda one: one.distance_mm, default=None)
     return AnnouncedMotions(
-        count=len(motions),
+        count=len(driven),
         small=small,
-        duration_s=sum(one.duration_s for one in motions),
+        duration_s=sum(one.duration_s for one in driven),
         largest_speed_mm_s=max(one.largest_speed_mm_s for one in motions),
         clearance=f"{near.first} clears {near.second} by {near.distance_mm:.0f} mm"
         if near

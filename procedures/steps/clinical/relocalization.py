@@ -89,17 +89,13 @@ def _localize_spheres(context: StepContext, paths: CheckedPaths) -> Outcome[Relo
     offsets_mm: list[Array] = []
     spheres: list[CentredSphere] = []
     left_out: list[LeftOutSphere] = []
-    over_sphere = False
     for number, item in enumerate(planned):
         context.progress(number / len(planned), f"centring sphere {item.fiducial + 1}")
         coarse = item.tool_pose.transform
         if spheres:  # the pose is displaced by the offset found, and so is the head that the arm must clear
             surround_stereo_head(context, item.joints_rad, offset_mm=offset_mm)
         try:
-            sphere = centring.centre_on(
-                item.fiducial, coarse.displace(offset_mm), item.approach_rad, from_sphere=over_sphere
-            )
-            over_sphere = True
+            sphere = centring.centre_on(item.fiducial, coarse.displace(offset_mm), item.approach_rad)
         except RonnaError as problem:
             if not is_error(problem, *SPHERE_FAILED.errors):
                 raise
@@ -108,7 +104,6 @@ def _localize_spheres(context: StepContext, paths: CheckedPaths) -> Outcome[Relo
                 _exclude_sphere(context, item.fiducial, problem, len(planned) - len(left_out) - 1)
             )
             centring.back_off()
-            over_sphere = False
             continue
         name = f"stereo-{context.key.trajectory or 'all'}-{item.fiducial + 1}.png"
         context.keep_picture(name, pair_picture(sphere.last_look))
@@ -121,7 +116,7 @@ def _localize_spheres(context: StepContext, paths: CheckedPaths) -> Outcome[Relo
             centring.back_off()
             check_room(context, f"over sphere {item.fiducial + 1}")  # names a cart or head that has moved
             raise
-    if over_sphere:
+    if centring.is_over_sphere:
         centring.back_off()
     gaps_mm = tuple(sphere.ray_gap_mm for sphere in spheres)
     radii_mm = tuple(sphere.radii_mm for sphere in spheres)

@@ -70,6 +70,7 @@ def require_seen_in_place(
         if not must_see:
             return None
         unseen = reference.tool if is_on_mount is None else frame.tool
+        workcell.rest()  # hands reseat it: nothing may move the arm meanwhile
         raise ToolSeenElsewhere(
             f"the tracker does not see {unseen}", expected=f"in at least {least} of {len(frames)} frames"
         )
@@ -78,6 +79,7 @@ def require_seen_in_place(
     expected_mm = recorded.apply(workcell.tracker.markers_mm[frame.tool])
     off_mm = float(np.linalg.norm(seen_mm - expected_mm, axis=1).max())
     if off_mm > SEEN_LIMIT_MM:
+        workcell.rest()
         raise ToolSeenElsewhere(
             f"the tracker sees {frame.tool} off its recorded position on the mount",
             limit=f"{SEEN_LIMIT_MM:g} mm",

@@ -36,8 +36,9 @@ def test_the_motions_lead_from_home_through_all_visits_and_back_home() -> None:
     check = check_paths(setting, TRAJECTORIES, FIDUCIALS)
     assert check.passed, check.unmet
     motions = list(plan_motions(setting, setting.scene, check, TRAJECTORIES))
-    every = list(plan_motions(setting, setting.scene, check, TRAJECTORIES, every_line=True))
-    assert [one.plan for one in every if one.kind == "line"] == [one.line for one in check.reached]
+    every = [one.plan for one in motions if one.kind in ("line", "reserve")]
+    assert every == [one.line for one in check.reached]  # the head may have to back off from any sphere
+    motions = [one for one in motions if one.kind != "reserve"]
     assert motions[0].start == motions[-1].end == HOME
     for before, after in pairwise(motions):
         # A line ends where it will be left: at its approach point.

@@ -64,6 +64,12 @@ def test_the_limit_with_a_rare_part_contains_the_stated_share(
     assert np.mean(np.linalg.norm(errors_mm, axis=1) < limit_mm) == pytest.approx(0.95, abs=0.005)
 
 
+def test_a_rare_part_too_small_to_matter_leaves_the_limit() -> None:
+    usual_mm2 = np.diag([0.02, 0.01, 0.01])
+    limit_mm = rare_limit_mm(usual_mm2, 1e-17 * usual_mm2, 0.4)
+    assert limit_mm == pytest.approx(error_limit_mm(usual_mm2, 0.95))
+
+
 def test_the_gate_rejects_five_percent_of_sound_registrations(simulated):
     points, squares, _ = simulated
     limit_mm = fre_limit_mm(FLE_MM, len(points))

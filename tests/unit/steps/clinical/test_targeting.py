@@ -183,6 +183,7 @@ def test_a_guide_whose_seat_gave_way_after_its_check_is_not_led_to_the_entry(cel
     with pytest.raises(ToolSeenElsewhere):
         run(engine, f"positioning:{FIRST}")
     assert len(cell.arm.motions) == been
+    assert cell.arm.state is Lifecycle.CONFIGURED  # hands reseat it: no stream that a motion could follow
 
 
 def test_a_frame_on_the_arm_that_was_moved_is_not_taken_for_a_seat_that_gave_way(cell: ClinicalCell) -> None:
