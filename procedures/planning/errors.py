@@ -14,7 +14,7 @@ PLAN_UNREADABLE = ErrorCode(
     "PLAN-001",
     ConfigurationError,
     "The plan file is missing, unreadable or not valid TOML.",
-    "Give the path of a readable plan.toml; where the message shows a line of it, correct that line.",
+    "Give the path of a plan.toml that can be read; where the message shows a line of it, correct that line.",
 )
 
 

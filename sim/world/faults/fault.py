@@ -29,7 +29,7 @@ LARGEST: Mapping[str, float] = {  # of a number in a fault, by the unit written 
     "px": 1000.0,
     "spots": 500.0,
     "bytes": 65_535.0,  # of a datagram
-    "ppm": 10_000.0,
+    "ppm": 1_000_000.0,  # a clock at twice its rate
     "tools": 100.0,
     "handles": 100.0,
 }

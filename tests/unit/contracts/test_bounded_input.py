@@ -119,7 +119,7 @@ def test_a_date_that_no_calendar_has_is_named() -> None:
     ("content", "shown"),
     [
         (b'a = 1\nb = "' + b"x" * 400 + b'" y\nc = 2\n', r'`\.\.\. x+" y`'),
-        (b"a = 1\nb = [1,\n2,\n", r"line 2 is not ended: `b = \[1,`"),
+        (b"a = 1\nb = [1,\n2,\n", r"what is not ended began in line 2 or after it: `b = \[1,`"),
         (b"a = 1\rb = c\n", "at line 1, .*: `a = 1 b = c`"),
     ],
     ids=["long line", "not ended", "carriage return"],
