@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from procedures.imaging.dicom.slice_headers import PatientIdentity, read_identity
     from procedures.imaging.localization import localize
+    from procedures.imaging.localizers import ThesisFit
     from procedures.imaging.markers import Candidate, Localization, Marker, likeliest_first
     from procedures.imaging.picks import localize_picks, read_picks
     from procedures.imaging.series import read_series
-    from procedures.imaging.thesis_fit import ThesisFit
     from procedures.imaging.thesis_localizer import localize_as_thesis
     from procedures.imaging.volume import Volume, VoxelGeometry
 

@@ -13,7 +13,6 @@ from functools import partial
 from typing import TYPE_CHECKING, Protocol
 
 from procedures import imaging
-from procedures.imaging.thesis_fit import REPORTED_FLE_MM, ThesisFit
 
 if TYPE_CHECKING:
     from procedures.imaging.markers import Localization
@@ -26,6 +25,16 @@ class Localizer(StrEnum):
     OURS = "ours"
     THESIS_LINE = "thesis-line"
     THESIS_SPHERE = "thesis-sphere"
+
+
+class ThesisFit(StrEnum):
+    """Centre fit of the thesis."""
+
+    LINE = "thesis-line"
+    SPHERE = "thesis-sphere"
+
+
+REPORTED_FLE_MM = {ThesisFit.LINE: 0.1685, ThesisFit.SPHERE: 0.1617}  # thesis, table 2
 
 
 class Localize(Protocol):

@@ -20,8 +20,8 @@ from scipy import ndimage
 
 from procedures.imaging.errors import LOCALIZATION_MISUSED
 from procedures.imaging.localization import DIAMETER_MM, check_request, require_count, superior_first_key
+from procedures.imaging.localizers import REPORTED_FLE_MM, ThesisFit
 from procedures.imaging.markers import Candidate, Localization, Marker
-from procedures.imaging.thesis_fit import REPORTED_FLE_MM, ThesisFit
 from procedures.imaging.volume import Volume
 from ronna_hw.arrays import Array, Mask
 

@@ -57,7 +57,7 @@ def recover(engine: Engine, previous: InterruptedRun) -> None:
         if not seen:
             comparison.notes.append(
                 "patient and robot base: not visible to the tracker; compared once "
-                f"{'both arms are' if engine.setting.workcell.assistants else 'the arm is'} home"
+                f"{engine.setting.workcell.arms_are} home"
             )
     _doubt_work(engine, previous)  # after the arm's history is restored
     _require_acceptance(

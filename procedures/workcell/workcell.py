@@ -137,6 +137,11 @@ class Workcell:
         return "both arms" if self.assistants else "the arm"
 
     @property
+    def arms_are(self) -> str:
+        """Beginning of a statement about all arms."""
+        return f"{self.arms_phrase} {'are' if self.assistants else 'is'}"
+
+    @property
     def going_home(self) -> str:
         """Statement that all arms go home."""
         return f"{self.arms_phrase} {'go' if self.assistants else 'goes'} home"

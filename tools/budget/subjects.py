@@ -39,7 +39,7 @@ class Measured:
 
 @dataclass(frozen=True)
 class Subject:
-    """What is run for one figure or several. A quick one is part of every check, others of a whole one.
+    """Program or case measured for a figure or several. A quick one is in every check, others in a whole one.
 
     A `steady` one has figures that are the same on any computer.
     """

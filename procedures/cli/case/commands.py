@@ -70,7 +70,7 @@ def carry_out(engine: Engine, order: orders.Order, say: Say, by: str = "") -> No
             _resume(engine, say)
         case orders.Home():
             engine.retreat_home()
-            say("both arms are parked" if len(engine.setting.workcell.arms) > 1 else "the arm is parked")
+            say(f"{engine.setting.workcell.arms_are} parked")
         case orders.Acknowledge():
             _acknowledge(engine, by, say)
         case orders.Abort():

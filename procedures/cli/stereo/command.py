@@ -129,7 +129,7 @@ def measure(
     theatre = options.theatre()
     from procedures.cli.calibrating.calibration import run_with_bar
     from procedures.runs.finishing import finalize_run
-    from procedures.runs.folders import new_run_folder
+    from procedures.runs.folders import hold_run, new_run_folder
     from procedures.runs.request import Measurement
     from procedures.steps.calibration.recipe import head_look, look_in_place
     from procedures.workcell.stereo_look import Look
@@ -139,7 +139,7 @@ def measure(
     measurement = Measurement(steps=steps, title="A measurement of the stereo head")
     request = replace(theatre, procedure=measurement)
     folder = new_run_folder(request, options.out, "measure")
-    with finalize_run(folder, with_truth=False):
+    with hold_run(folder), finalize_run(folder, with_truth=False):
         engine = run_with_bar(request, folder, "measuring with the stereo head")
         measured_look = engine.setting.memory.find(Look)
         assert measured_look is not None, "the last step keeps its measurement"
