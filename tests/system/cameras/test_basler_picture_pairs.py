@@ -174,7 +174,7 @@ def test_the_first_pair_is_judged_although_the_counters_start_at_zero() -> None:
 
 
 @pytest.mark.parametrize(
-    "loss", [("expose late right 4 ms",), ("lose right 10 %", "forget right")], ids=["unpaired", "partial"]
+    "loss", [("expose late right 4 ms",), ("lose right 60 %", "forget right")], ids=["unpaired", "partial"]
 )
 def test_a_lost_pair_does_not_change_the_next_pictures(theatre: Theatre, loss: tuple[str, ...]) -> None:
     def pictures(lost: int | None) -> list[NDArray[np.integer]]:
