@@ -223,9 +223,14 @@ def locate_sphere(
 
 def radius_range_px(camera: CameraCalibration, sphere_diameter_mm: float) -> tuple[float, float]:
     """Return the minimum and maximum image radius in px of a sphere near the tool centre point."""
-    distance_mm = float(np.linalg.norm(CameraModel(camera).translation_mm))
-    radius = math.sqrt(math.prod(camera.focal_px)) * sphere_diameter_mm / 2.0 / distance_mm
+    radius = sphere_radius_px(camera, sphere_diameter_mm)
     return (1.0 - RADIUS_TOLERANCE) * radius, (1.0 + RADIUS_TOLERANCE) * radius
+
+
+def sphere_radius_px(camera: CameraCalibration, sphere_diameter_mm: float) -> float:
+    """Return the image radius in px of a sphere at the tool centre point."""
+    distance_mm = float(np.linalg.norm(CameraModel(camera).translation_mm))
+    return math.sqrt(math.prod(camera.focal_px)) * sphere_diameter_mm / 2.0 / distance_mm
 
 
 def _measure_outlines(

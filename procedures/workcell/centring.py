@@ -63,17 +63,20 @@ class Centring:
     approach_mm: float
     on_centred: Callable[[int], None] = lambda _fiducial: None  # while the arm still rests there
 
-    def centre_on(self, fiducial: int, expected: Transform, near: JointVector) -> CentredSphere:
+    def centre_on(
+        self, fiducial: int, expected: Transform, near: JointVector, *, is_close: bool = False
+    ) -> CentredSphere:
         """Centre the tool on the sphere expected at a pose ROBOT <- TOOL, and measure it.
 
         The arm goes straight there if that is clear. Else it backs off from another sphere, and approaches
-        along the tool axis from the joints `near`.
+        along the tool axis from the joints `near`. With `is_close`, the sphere is expected within a
+        millimetre: the first look already reads no more of the sensors than the sphere needs.
         Raises PRO-008 if it is not there, STE-011 if the images are saturated, STE-007 and STE-008 if the
         servo does not converge. The arm then rests at the pose of its last look, see `back_off`.
         """
         try:
             self._go_over(expected, near)
-            return self._centre_on(fiducial, expected)
+            return self._centre_on(fiducial, expected, is_close=is_close)
         finally:
             self.workcell.sensors.expose(1.0)
 
@@ -99,8 +102,12 @@ class Centring:
         master.line_to(expected)
         self._settle(expected)
 
-    def _centre_on(self, fiducial: int, expected: Transform) -> CentredSphere:
+    def _centre_on(self, fiducial: int, expected: Transform, *, is_close: bool) -> CentredSphere:
         workcell = self.workcell
+        if is_close:
+            workcell.sensors.read_around_sphere()
+        else:
+            workcell.sensors.read_around_tool(self.area_px)
         seen, looks = self._first_look(fiducial, expected)
         exact = ServoSettings.for_arm(find_arm(workcell.master.arm.kinematics.name).repeatability_mm)
         servo = ServoState(exact if self.arriving is not None else WITHIN_BACKLASH)
@@ -113,6 +120,7 @@ class Centring:
             if servo.converged:
                 break
             self._settle(servo.next_pose(pose))
+            workcell.sensors.read_around_sphere()
             seen, looks = workcell.look(), looks + 1
             if seen.point is None:  # noise may cost one look; a sphere that is hidden or gone stays so
                 workcell.sensors.read_whole()
@@ -132,9 +140,8 @@ class Centring:
         )
 
     def _first_look(self, fiducial: int, expected: Transform) -> tuple[Look, int]:
-        """Look with the servo's area, then the whole sensors, then in a spiral, then with other exposures."""
+        """Look with the area set, then the whole sensors, then in a spiral, then with other exposures."""
         workcell = self.workcell
-        workcell.sensors.read_around_tool(self.area_px)
         try:
             seen, looks = workcell.look(), 1
         except Saturated as error:  # a search would not help

@@ -23,7 +23,12 @@ from procedures.relocalization.triangulation import check_head
 from procedures.room.sighting import Tracked
 from procedures.steps.branches import FEWEST_SPHERES, LEAVE_OUT, SPHERE_FAILED
 from procedures.steps.clinical.guide_load import note_unloaded
-from procedures.steps.clinical.path_check import CheckedPaths, announce_motions, motions_over_spheres
+from procedures.steps.clinical.path_check import (
+    CheckedPaths,
+    LocalizationPose,
+    announce_motions,
+    motions_over_spheres,
+)
 from procedures.steps.clinical.results import LeftOutSphere, Relocalization
 from procedures.steps.clinical.room import ROOM_READS, check_room
 from procedures.steps.clinical.surroundings import READS, surround_stereo_head
@@ -85,17 +90,21 @@ def _localize_spheres(context: StepContext, paths: CheckedPaths) -> Outcome[Relo
         approach_mm=settings.approach_mm,
         on_centred=look,
     )
-    offset_mm = np.zeros(3)
+    expected_mm = _expect_offsets(context, planned)
+    shift_mm = np.zeros(3)  # of the last sphere from where it was expected
     offsets_mm: list[Array] = []
     spheres: list[CentredSphere] = []
     left_out: list[LeftOutSphere] = []
     for number, item in enumerate(planned):
         context.progress(number / len(planned), f"centring sphere {item.fiducial + 1}")
         coarse = item.tool_pose.transform
-        if spheres:  # the pose is displaced by the offset found, and so is the head that the arm must clear
-            surround_stereo_head(context, item.joints_rad, offset_mm=offset_mm)
+        ahead_mm = expected_mm.get(item.fiducial, np.zeros(3)) + shift_mm
+        if ahead_mm.any():  # the pose is displaced, and so is the head that the arm must clear
+            surround_stereo_head(context, item.joints_rad, offset_mm=ahead_mm)
         try:
-            sphere = centring.centre_on(item.fiducial, coarse.displace(offset_mm), item.approach_rad)
+            sphere = centring.centre_on(
+                item.fiducial, coarse.displace(ahead_mm), item.approach_rad, is_close=bool(spheres)
+            )
         except RonnaError as problem:
             if not is_error(problem, *SPHERE_FAILED.errors):
                 raise
@@ -107,8 +116,8 @@ def _localize_spheres(context: StepContext, paths: CheckedPaths) -> Outcome[Relo
             continue
         name = f"stereo-{context.key.trajectory or 'all'}-{item.fiducial + 1}.png"
         context.keep_picture(name, pair_picture(sphere.last_look))
-        offset_mm = sphere.point_mm - coarse.translation_mm
-        offsets_mm.append(offset_mm)
+        offsets_mm.append(sphere.point_mm - coarse.translation_mm)
+        shift_mm += sphere.point_mm - coarse.translation_mm - ahead_mm
         spheres.append(sphere)
         try:
             _check_last(offsets_mm, [one.fiducial for one in spheres], context)
@@ -142,6 +151,20 @@ def _localize_spheres(context: StepContext, paths: CheckedPaths) -> Outcome[Relo
         )
         + "".join(f"; without sphere {one.fiducial + 1}" for one in left_out),
     )
+
+
+def _expect_offsets(context: StepContext, planned: Sequence[LocalizationPose]) -> dict[int, Array]:
+    """Return how far each sphere was last found from its coarse place, (3,) mm; empty unless all were.
+
+    In another orientation the arm errs differently, but alike at all spheres: the coarse places scatter more.
+    """
+    last = context.latest(Relocalization)
+    if last is None or not {item.fiducial for item in planned} <= set(last.fiducials):
+        return {}
+    points_mm = dict(zip(last.fiducials, np.array(last.points_robot_mm), strict=True))
+    return {
+        item.fiducial: points_mm[item.fiducial] - item.tool_pose.transform.translation_mm for item in planned
+    }
 
 
 def arriving(context: StepContext, paths: CheckedPaths) -> tuple[int, ...] | None:
