@@ -221,10 +221,10 @@ class StereoCell:
         expected = matrix_from(sphere + offset - (believed_mm - sphere), orientation)
         return Start(fiducial, _as_transform(expected), self._solve_joints(expected))
 
-    def centre(self, start: Start) -> CentredSphere:
+    def centre(self, start: Start, *, is_close: bool = False) -> CentredSphere:
         """Run the procedure's own servo loop on one sphere."""
         centring = Centring(self._workcell, (1,) * 6, self.scene.servo_area_px, STANDOFF_MM)
-        found = centring.centre_on(start.fiducial, start.expected, start.near_rad)
+        found = centring.centre_on(start.fiducial, start.expected, start.near_rad, is_close=is_close)
         centring.back_off()
         return found
 

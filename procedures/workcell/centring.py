@@ -105,7 +105,7 @@ class Centring:
     def _centre_on(self, fiducial: int, expected: Transform, *, is_close: bool) -> CentredSphere:
         workcell = self.workcell
         if is_close:
-            workcell.sensors.read_around_sphere()
+            workcell.sensors.read_around_sphere(self.area_px)
         else:
             workcell.sensors.read_around_tool(self.area_px)
         seen, looks = self._first_look(fiducial, expected)
@@ -120,7 +120,7 @@ class Centring:
             if servo.converged:
                 break
             self._settle(servo.next_pose(pose))
-            workcell.sensors.read_around_sphere()
+            workcell.sensors.read_around_sphere(self.area_px)
             seen, looks = workcell.look(), looks + 1
             if seen.point is None:  # noise may cost one look; a sphere that is hidden or gone stays so
                 workcell.sensors.read_whole()

@@ -140,10 +140,12 @@ class Sensors:
         left, right = (area_around_tool(side, size_px) for side in (self._head.left, self._head.right))
         self._stereo().set_areas(left, right)
 
-    def read_around_sphere(self) -> None:
-        """Read out only the image of a sphere at the tool centre and a margin around it."""
+    def read_around_sphere(self, largest_px: tuple[int, int]) -> None:
+        """Read out the image of a sphere at the tool centre and a margin, at most `largest_px` around it."""
+        columns, rows = largest_px
         left, right = (
-            area_around_tool(side, (close_px(side),) * 2) for side in (self._head.left, self._head.right)
+            area_around_tool(side, (min(close_px(side), columns), min(close_px(side), rows)))
+            for side in (self._head.left, self._head.right)
         )
         self._stereo().set_areas(left, right)
 

@@ -20,6 +20,7 @@ from sim.world.scene.named_scenes import draw_scene
 END_MM, STEPS = 0.03, 8
 SEARCH_LOOKS = 6 + 12 + 18
 SMALL_SENSOR_PX = (704, 672)
+CLOSE_PX = 656  # the image of a sphere and 1.3 mm around it
 
 
 @pytest.fixture
@@ -107,6 +108,18 @@ def test_with_another_sphere_in_the_way_the_point_is_right_or_refused() -> None:
     found = servo_campaign(100, without_arm_errors, in_sight=False)
     assert max(found.beyond_mm) <= 0.02
     assert all(words.startswith("PRO-008") for words in found.failures)
+
+
+@pytest.mark.parametrize("away_mm", [0.5, 2.0], ids=["in the small area", "on the whole sensors"])
+def test_a_close_sphere_is_read_out_alone_and_found_on_the_whole_sensors_otherwise(
+    away_mm: float, tmp_path: Path
+) -> None:
+    cell = calibrated_cell(draw_scene("mini", seed=3), tmp_path)
+    start = start_of(cell, away_mm)
+    found = cell.centre(start, is_close=True)
+    assert found.residuals_mm[-1] <= END_MM
+    assert found.residuals_mm[0] == pytest.approx(away_mm, abs=0.3)
+    assert found.last_look.reading.left.pixels.shape == (CLOSE_PX, CLOSE_PX)
 
 
 def test_a_sphere_out_of_view_is_found_by_the_search(cell: StereoCell) -> None:

@@ -53,6 +53,19 @@ def test_the_offset_of_the_first_sphere_corrects_the_search_for_the_others(cell:
     assert done.coarse_offset_mm == pytest.approx(np.negative(COARSE_OFF_MM), abs=1e-3)
 
 
+def test_a_sphere_is_expected_where_the_localization_before_found_it(cell: ClinicalCell) -> None:
+    prepared = before(
+        cell.carrying(MountedTool.STEREO_HEAD), robot_from_ct=shifted(ROBOT_FROM_CT, COARSE_OFF_MM)
+    )
+    engine = cell.begin(*prepared, STEP)
+    first, second = (key for key in engine.order.sequence if key.name == STEP.name)
+    engine.run_to(second)
+    assert cell.case.get(Relocalization, first.trajectory).result.residuals_mm[0][0] > 1.0
+    done = cell.case.get(Relocalization, second.trajectory).result
+    assert max(one[0] for one in done.residuals_mm) < 1e-3
+    assert done.coarse_offset_mm == pytest.approx(np.negative(COARSE_OFF_MM), abs=1e-3)
+
+
 def test_every_measuring_pose_is_approached_in_the_joint_directions_of_the_target(cell: ClinicalCell) -> None:
     relocalize(cell)
     lines = read_journal(cell.folder / JOURNAL_FILE)
