@@ -15,7 +15,7 @@ from math import sqrt
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from ronna_hw.arm.kinematics import Chain, Kinematics
 from ronna_hw.arm.load_model import LoadModel
@@ -63,13 +63,13 @@ class LoadEstimate:
     @property
     def noticed_from_N(self) -> float:
         """Force along the estimate that would just be noticed."""
-        share = float(chi2.isf(FALSE_ALARM_RATE, 3)) / max(self.no_load_chi2, np.finfo(float).tiny)
+        share = float(chdtri(3, FALSE_ALARM_RATE)) / max(self.no_load_chi2, np.finfo(float).tiny)
         return float(np.linalg.norm(self.force_N) * sqrt(share))
 
     @property
     def is_loaded(self) -> bool:
         """Whether "no load" is rejected, at `FALSE_ALARM_RATE`."""
-        return self.no_load_chi2 > float(chi2.isf(FALSE_ALARM_RATE, 3))
+        return self.no_load_chi2 > float(chdtri(3, FALSE_ALARM_RATE))
 
 
 def estimate_load(

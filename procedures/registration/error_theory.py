@@ -9,11 +9,11 @@ one scaled chi-square).
 from __future__ import annotations
 
 import math
+from bisect import bisect_left
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.optimize import brentq
 from scipy.special import chdtrc, chdtri, fdtri
 
 from procedures.registration.errors import RESIDUAL_TOO_LARGE, TOO_FEW_POINTS, BadParameter
@@ -25,6 +25,7 @@ from ronna_hw.text import format_distinct
 
 POSE_UNKNOWNS = 6
 DEFAULT_CONFIDENCE = 0.95
+LIMIT_STEPS = 1 << 16  # between two limits: to a thousandth of a micrometre
 NEGLIGIBLE = 1e-9  # share of a limit, below which rounding decides
 
 
@@ -200,11 +201,12 @@ def rare_limit_mm(
     if high_mm <= low_mm * (1.0 + NEGLIGIBLE):
         return high_mm
 
-    def surplus(radius_mm: float) -> float:
+    def share_within(radius_mm: float) -> float:
         beyond = _share_beyond(both_mm2, radius_mm), _share_beyond(usual_mm2, radius_mm)
-        return probability * beyond[0] + (1.0 - probability) * beyond[1] - (1.0 - confidence)
+        return 1.0 - probability * beyond[0] - (1.0 - probability) * beyond[1]
 
-    return float(brentq(surplus, low_mm, high_mm))
+    radii_mm = np.linspace(low_mm, high_mm, LIMIT_STEPS)
+    return float(radii_mm[bisect_left(radii_mm[:-1], confidence, key=share_within)])
 
 
 def _share_beyond(covariance_mm2: Array, radius_mm: float) -> float:

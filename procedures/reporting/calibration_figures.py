@@ -19,13 +19,13 @@ from procedures.calibration.bundle import REPEATABILITY_MM
 from procedures.reporting.numbers import degrees, micrometres, millimetres
 from ronna_hw.bounded_input import parse_json, read_json_bytes
 from ronna_hw.calibration import Numbers2, Numbers3, Numbers4, PoseRecord
+from ronna_hw.evidence.manifest import RESULT_FILE
 from ronna_hw.records import write_atomically
 
 AXES = ("x", "y", "z")
 Matrix3 = tuple[Numbers3, Numbers3, Numbers3]
 SLIP_OF_CHECK_MM = 0.05  # noticed by `ronna-stereo check`, whatever the arm: it compares equal poses
 NOTHING_LEARNT = 0.97  # of a parameter's prior uncertainty
-RESULT_FILE = "result.json"  # in the folder of the run
 
 
 class Figure(NamedTuple):

@@ -8,15 +8,17 @@ import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from procedures.journal.journal import Entry
-from procedures.postoperative.summary import PostoperativeCheck
 from procedures.reporting.run_reading import RunReading
 from procedures.reporting.tables import MotionRow, TargetRow
 from ronna_hw.bounded_input import InputRefused, read_bounded, read_json_bytes
 from ronna_hw.evidence.manifest import PICTURES_FOLDER, read_hashes
 from ronna_hw.records import write_atomically
+
+if TYPE_CHECKING:
+    from procedures.postoperative.summary import PostoperativeCheck
 
 REPORT_FOLDER = "report"
 LARGEST_PICTURE_BYTES = 20_000_000  # ten times a case's largest
@@ -137,10 +139,12 @@ def store_check(folder: Path, after: PostoperativeResult) -> None:
 def load_check(reading: RunReading) -> PostoperativeResult | None:
     """Load the postoperative check of a run, or return None if missing or unreadable (with a note)."""
     folder = reading.folder / REPORT_FOLDER
+    if not (folder / SUMMARY_FILE).exists():
+        return None
+    from procedures.postoperative.summary import PostoperativeCheck  # a case needs none of it
+
     try:
         found = PostoperativeCheck.model_validate_json(read_json_bytes(folder / SUMMARY_FILE))
-    except FileNotFoundError:
-        return None
     except (OSError, ValueError):
         reading.note(f"{SUMMARY_FILE}, the check after the operation, cannot be read")
         return None

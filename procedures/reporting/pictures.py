@@ -11,16 +11,18 @@ import itertools
 import math
 from collections.abc import Sequence
 from html import escape
-from typing import Literal, NamedTuple
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 from procedures.planning.head_in_ct import HeadEllipsoid
 from procedures.planning.marker_sites import ProposedMarkers
-from procedures.reporting.calibration_figures import LookResidual
 from procedures.reporting.numbers import millimetres, seconds, tenths
 from procedures.reporting.run_statistics import Span
 from procedures.reporting.tables import MotionRow, TargetRow
 from procedures.steps.clinical.results import LinkHealth
 from procedures.strategies.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from procedures.reporting.calibration_figures import LookResidual
 
 WIDTH = 420.0  # user units, equal to CSS pixels on a phone
 TEXT_SIZE = 11.0

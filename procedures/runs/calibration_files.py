@@ -13,11 +13,12 @@ from pathlib import Path
 from typing import Any
 
 from procedures.calibration.errors import BAD_OBSERVATIONS
-from procedures.reporting.calibration_figures import RESULT_FILE, RecordFigures, read_figures
+from procedures.reporting.calibration_figures import RecordFigures, read_figures
 from procedures.runs.theatre_history import UpdateAuthor, update_tables
 from ronna_hw.bounded_input import read_toml
 from ronna_hw.command_line import terminal
 from ronna_hw.config import BadTheatreFile, Calibrations
+from ronna_hw.evidence.manifest import RESULT_FILE
 from ronna_hw.records import write_atomically
 
 CALIBRATION_FILE = "calibration.toml"

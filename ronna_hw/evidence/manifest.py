@@ -25,6 +25,7 @@ from ronna_hw.host.files import open_regular, walk
 from ronna_hw.records import PARTIAL, canonical_json, write_atomically
 
 REQUEST_FILE = "request.json"
+RESULT_FILE = "result.json"  # of a calibration, check or measurement
 RECORDS_FOLDER = "records"
 PICTURES_FOLDER = "pictures"  # of spheres in the CT and in the stereo head, for people
 SEAL_FILE = "seal.json"

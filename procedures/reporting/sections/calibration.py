@@ -4,9 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from procedures.reporting.calibration_figures import Figure, HeadFigures, LookResidual, load_figures
 from procedures.reporting.pictures import looks_figure
+from ronna_hw.evidence.manifest import RESULT_FILE
+
+if TYPE_CHECKING:
+    from procedures.reporting.calibration_figures import Figure, LookResidual
 
 
 @dataclass(frozen=True)
@@ -25,6 +29,10 @@ class Calibration:
 
 def read_calibration(run: Path) -> Calibration:
     """Read the section from a run folder."""
+    if not (run / RESULT_FILE).exists():
+        return Calibration((), (), "")
+    from procedures.reporting.calibration_figures import HeadFigures, load_figures  # a case needs none of it
+
     found = load_figures(run)
     looks = found.looks_px if isinstance(found, HeadFigures) else ()
     figures = () if found is None else tuple(found.table())
