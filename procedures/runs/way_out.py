@@ -93,8 +93,8 @@ def _surround_master(engine: Engine) -> None:
         surround_guide(engine.context(guide.key), guide.robot_from_ct, master.joints_rad())
     elif not master.place.is_home:
         raise RECOVERY_REFUSED(
-            "the arm is not home, and no result gives the position of the head",
-            action="Jog the arm home with the controller's pendant, then resume again.",
+            f"the {master.spoken_name} is not home, and no result gives the position of the head",
+            action=f"Jog the {master.spoken_name} home with the controller's pendant, then resume again.",
         )
 
 
