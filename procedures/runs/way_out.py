@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from procedures.engine.case import StepKey
 from procedures.engine.engine import Engine
 from procedures.engine.errors import RECOVERY_REFUSED
-from procedures.engine.run_folder import parse_record
+from procedures.journal.results import parse_record
 from procedures.steps.calibration.ball_place import BallPlace
 from procedures.steps.calibration.tip_readings import HOVER_MM
 from procedures.steps.clinical.at_target import ReachedTarget
