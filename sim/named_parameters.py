@@ -13,6 +13,8 @@ from difflib import get_close_matches
 from enum import IntEnum
 from typing import Any, ClassVar, Literal, Self, get_args, get_origin, get_type_hints
 
+import typer
+
 from ronna_hw.errors import AnyCode, ConfigurationError
 
 TRUE_WORDS, FALSE_WORDS = ("true", "yes", "on", "1"), ("false", "no", "off", "0")
@@ -68,6 +70,12 @@ def rows(parameters: type) -> list[tuple[str, str, str]]:
         choices = f" ({', '.join(get_args(kind))})" if get_origin(kind) is Literal else ""
         found.append((name, text if choices else text.lower(), meaning + choices))
     return found
+
+
+def print_rows(parameters: type) -> None:
+    """Print the parameters for `--list-parameters`."""
+    for name, value, meaning in rows(parameters):
+        typer.echo(f"{name}={value}  {meaning}")
 
 
 def _list_kinds(parameters: Any) -> dict[str, tuple[Any, ...]]:

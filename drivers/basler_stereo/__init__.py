@@ -6,17 +6,13 @@ only the driver needs.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from ronna_hw.lazy_names import resolve_lazily
 
 if TYPE_CHECKING:
     from drivers.basler_stereo.pair import BaslerStereoPair
 
 __all__ = ["BaslerStereoPair"]
 
-
-def __getattr__(name: str) -> Any:
-    if name == "BaslerStereoPair":
-        from drivers.basler_stereo.pair import BaslerStereoPair
-
-        return BaslerStereoPair
-    raise AttributeError(name)
+__getattr__ = resolve_lazily(__name__, __all__, ("pair",))

@@ -11,7 +11,7 @@ from drivers.basler_stereo.camera import Camera, LinkRecorder
 from drivers.basler_stereo.errors import CameraLost, CommandRefused, ControlLost, NoReply, ReceiverEnded
 from drivers.basler_stereo.identity import CameraIdentity
 from drivers.basler_stereo.options import BaslerOptions, read_options
-from drivers.basler_stereo.pair_device import PairDevice, check_pair
+from drivers.basler_stereo.pair_device import PairDevice
 from drivers.basler_stereo.pair_grabber import PairGrabber
 from drivers.basler_stereo.stream.frame_assembler import StreamCounters
 from drivers.basler_stereo.stream.receiver import ReceiverProcess
@@ -170,13 +170,7 @@ class BaslerStereoPair(PairDevice[Camera]):
             )
             for side in ("left", "right")
         )
-        try:
-            identities = (left.connect(deadline_s), right.connect(deadline_s))
-            check_pair(*identities, self._options)
-        except BaseException:  # including interruptions: neither camera stays controlled
-            self._close_all((left, right))
-            raise
-        return (left, right), identities
+        return self._identify((left, right), lambda camera: camera.connect(deadline_s))
 
     def _configure_cameras(self, deadline_s: float) -> None:
         """Take control of both cameras and determine the packet size; an error releases both."""

@@ -5,8 +5,7 @@ from __future__ import annotations
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from contextlib import AbstractContextManager
-from typing import Any, Generic, Protocol, Self, TypeVar
+from typing import Any, Generic, Protocol, TypeVar
 
 from drivers.basler_stereo.errors import CABLES_SWAPPED, WRONG_MODEL, WRONG_SERIAL, NoReply
 from drivers.basler_stereo.identity import CameraIdentity
@@ -17,11 +16,11 @@ from ronna_hw.devices.capabilities import report_count
 from ronna_hw.devices.lifecycle import (
     READABLE,
     RUNNING,
+    GuardedDevice,
     Identity,
     LastKnown,
     Lifecycle,
     LifecycleGuard,
-    hold_active,
     require_person,
 )
 from ronna_hw.devices.readings import AreaOfInterest, StereoReading, Validity
@@ -46,16 +45,16 @@ C = TypeVar("C", bound=PairCamera)
 T = TypeVar("T")
 
 
-class PairDevice(ABC, Generic[C]):
+class PairDevice(GuardedDevice, ABC, Generic[C]):
     """Base class for `StereoPair` drivers, independent of camera access."""
 
     wire_protocol: str
 
     def __init__(self, name: str, config: DeviceConfig, clock: Clock, options: BaslerOptions) -> None:
-        self._name = name
+        super().__init__(name, LifecycleGuard(name))
         self._clock = clock
         self._addresses = {side: config.address(side).require("gev").host for side in ("left", "right")}
-        self._guard = LifecycleGuard(name)
+        self._checked = options
         self._cameras: tuple[C, C] | None = None
         self._identities: tuple[CameraIdentity, CameraIdentity] | None = None
         self._areas: tuple[AreaOfInterest, AreaOfInterest] | None = None
@@ -63,19 +62,6 @@ class PairDevice(ABC, Generic[C]):
         self._sequence = 0
         self._last_pair: StereoReading | None = None
         self._unusable_count = 0
-
-    @property
-    def name(self) -> str:
-        return self._name
-
-    @property
-    def state(self) -> Lifecycle:
-        return self._guard.state
-
-    @property
-    def fault(self) -> RonnaError | None:
-        """Error that latched FAULT, if any."""
-        return self._guard.fault
 
     @property
     def notices(self) -> tuple[str, ...]:
@@ -95,9 +81,6 @@ class PairDevice(ABC, Generic[C]):
 
     def observe(self) -> LastKnown[StereoReading]:
         return self._guard.last_known(self._last_pair, report_count("unusable pairs", self._unusable_count))
-
-    def active(self, timeout_s: float = 10.0) -> AbstractContextManager[Self]:
-        return hold_active(self, timeout_s)
 
     def connect(self, timeout_s: float = 10.0) -> Identity:
         """Find both cameras and check models and serial numbers, without taking control.
@@ -215,6 +198,19 @@ class PairDevice(ABC, Generic[C]):
     def _stream_facts(self) -> dict[str, Any]:
         """Return stream statistics for the log entry of `deactivate`."""
         return {}
+
+    def _identify(
+        self, cameras: tuple[C, C], connect: Callable[[C], CameraIdentity]
+    ) -> tuple[tuple[C, C], tuple[CameraIdentity, CameraIdentity]]:
+        """Connect to both cameras and verify their identities; an error closes both."""
+        left, right = cameras
+        try:
+            identities = connect(left), connect(right)
+            check_pair(*identities, self._checked)
+        except BaseException:  # including interruptions: neither camera stays controlled
+            self._close_all(cameras)
+            raise
+        return cameras, identities
 
     def _release_all(self) -> None:
         if self._cameras is not None:

@@ -6,17 +6,13 @@ only the driver needs.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from ronna_hw.lazy_names import resolve_lazily
 
 if TYPE_CHECKING:
     from drivers.kuka_rsi.arm import KukaRsiArm
 
 __all__ = ["KukaRsiArm"]
 
-
-def __getattr__(name: str) -> Any:
-    if name == "KukaRsiArm":
-        from drivers.kuka_rsi.arm import KukaRsiArm
-
-        return KukaRsiArm
-    raise AttributeError(name)
+__getattr__ = resolve_lazily(__name__, __all__, ("arm",))

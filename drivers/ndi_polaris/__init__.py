@@ -5,17 +5,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from ronna_hw.lazy_names import resolve_lazily
 
 if TYPE_CHECKING:
     from drivers.ndi_polaris.driver import PolarisTracker
 
 __all__ = ["PolarisTracker"]
 
-
-def __getattr__(name: str) -> Any:
-    if name == "PolarisTracker":
-        from drivers.ndi_polaris.driver import PolarisTracker
-
-        return PolarisTracker
-    raise AttributeError(name)
+__getattr__ = resolve_lazily(__name__, __all__, ("driver",))

@@ -5,8 +5,7 @@ from __future__ import annotations
 import contextlib
 import time
 from collections.abc import Callable
-from contextlib import AbstractContextManager
-from typing import Any, Self, TypeVar
+from typing import Any, TypeVar
 
 from drivers.ndi_polaris.command_link import CommandLink
 from drivers.ndi_polaris.discovery import find_unit, initialise, raise_baud
@@ -38,11 +37,11 @@ from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.capabilities import ByteSink, report_count
 from ronna_hw.devices.lifecycle import (
     RUNNING,
+    GuardedDevice,
     Identity,
     LastKnown,
     Lifecycle,
     LifecycleGuard,
-    hold_active,
     require_person,
 )
 from ronna_hw.devices.readings import TrackerFrame
@@ -60,7 +59,7 @@ T = TypeVar("T")
 OpenTransport = Callable[[Endpoint, float], Transport]
 
 
-class PolarisTracker:
+class PolarisTracker(GuardedDevice):
     """Polaris tracker with synchronous calls; not thread-safe.
 
     Time limits are host seconds.
@@ -82,7 +81,7 @@ class PolarisTracker:
 
         Raises NDI-010 to NDI-013, and CFG-001 or CFG-002 for the endpoint.
         """
-        self._name = name
+        super().__init__(name, LifecycleGuard(name))
         self._clock = clock
         self._endpoint = config.address().require("serial", "tcp")
         self._options = read_options(config)
@@ -90,7 +89,6 @@ class PolarisTracker:
         self._open_transport = transport
         self._monotonic = monotonic
         self._pause = pause
-        self._guard = LifecycleGuard(name)
         self._sink: ByteSink | None = None
         self._open_link: CommandLink | None = None
         self._identity: Identity | None = None
@@ -105,19 +103,6 @@ class PolarisTracker:
     def conformance_options() -> dict[str, Any]:
         """Return the options for a conformance run on an unknown unit."""
         return {"tools": [{"name": "robot_frame", "rom": "robot_frame.rom"}]}
-
-    @property
-    def name(self) -> str:
-        return self._name
-
-    @property
-    def state(self) -> Lifecycle:
-        return self._guard.state
-
-    @property
-    def fault(self) -> RonnaError | None:
-        """Error that latched FAULT, if any."""
-        return self._guard.fault
 
     @property
     def tools(self) -> tuple[str, ...]:
@@ -172,9 +157,6 @@ class PolarisTracker:
     def observe(self) -> LastKnown[TrackerFrame]:
         facts = report_count("disturbed replies", self.statistics.disturbed)
         return self._guard.last_known(self._last_frame, facts)
-
-    def active(self, timeout_s: float = 10.0) -> AbstractContextManager[Self]:
-        return hold_active(self, timeout_s)
 
     def record_bytes(self, sink: ByteSink | None) -> None:
         self._sink = sink

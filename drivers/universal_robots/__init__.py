@@ -6,17 +6,13 @@ driver needs.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from ronna_hw.lazy_names import resolve_lazily
 
 if TYPE_CHECKING:
     from drivers.universal_robots.arm import UniversalRobotsArm
 
 __all__ = ["UniversalRobotsArm"]
 
-
-def __getattr__(name: str) -> Any:
-    if name == "UniversalRobotsArm":
-        from drivers.universal_robots.arm import UniversalRobotsArm
-
-        return UniversalRobotsArm
-    raise AttributeError(name)
+__getattr__ = resolve_lazily(__name__, __all__, ("arm",))

@@ -102,7 +102,7 @@ def _check_same_patient(pre_dir: Path, post_dir: Path) -> tuple[str, ...]:
 
 def _require_same_plan(run: Path, plan: Plan) -> None:
     """Raise POST-008 if the run followed another plan, or PRO-033 if its files were changed."""
-    from procedures.engine.run_folder import results_of
+    from procedures.engine.case import results_of
     from procedures.postoperative.errors import RUN_OF_ANOTHER_PLAN
     from procedures.steps.clinical.plan_check import CheckedPlan
     from ronna_hw.evidence.inspection import inspect_run

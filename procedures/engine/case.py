@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Generic, TypeVar, cast
 
 from procedures.journal.errors import StepRefused
-from procedures.journal.results import StepResult
+from procedures.journal.results import StepResult, parse_record
 from ronna_hw.evidence.manifest import RECORDS_FOLDER
 from ronna_hw.records import BadRecord, Record, file_sha256, is_stored, read_record, write_record
 
@@ -52,6 +52,13 @@ class Stored(Generic[R]):
     @cached_property
     def file_sha256(self) -> str:
         return file_sha256(self.record)
+
+
+def results_of(model: type[R], records: Iterable[Record]) -> tuple[Stored[R], ...]:
+    """Return the results of a step among records, in order. Raises REC-001, REC-003."""
+    return tuple(
+        Stored(record, parse_record(record, model)) for record in records if record.kind == model.kind
+    )
 
 
 class Case:

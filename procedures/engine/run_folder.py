@@ -1,19 +1,15 @@
-"""Run folders: results from their records, closing, and lineage charts."""
+"""Run folders: their journal's lines, closing, and lineage charts."""
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Protocol, TypeVar
+from typing import Protocol
 
-from pydantic import ValidationError
-
-from procedures.engine.case import StepKey, Stored
+from procedures.engine.case import StepKey
 from procedures.engine.setting import ClinicalInput
 from procedures.journal.errors import JournalNotWritable
 from procedures.journal.journal import Entry, Journal, JournalValue, Line
-from procedures.journal.results import StepResult
 from ronna_hw.errors import RonnaError
 from ronna_hw.evidence.inspection import Inspection
 from ronna_hw.evidence.journal_reading import JOURNAL_FILE, read_chain
@@ -24,35 +20,10 @@ from ronna_hw.evidence.manifest import (
     keep_earlier_hashes,
 )
 from ronna_hw.logs import logger
-from ronna_hw.mistakes import describe_mistakes
-from ronna_hw.records import OTHER_VERSION, BadRecord, Record
 from ronna_hw.wire.room_tasks import INSERT
 
-R = TypeVar("R", bound=StepResult)
 _log = logger(part="engine")
 SUPERSEDED = "superseded"
-
-
-def parse_record(record: Record, model: type[R]) -> R:
-    """Parse a record's payload. Raises REC-003 for a different version, REC-001 for invalid content."""
-    if record.version != model.version:
-        raise OTHER_VERSION(
-            f"{record.identifier} has another version",
-            expected=f"{model.kind} version {model.version}",
-            got=f"version {record.version}",
-        )
-    try:
-        return model.model_validate_json(json.dumps(model.renew(record.payload)))
-    except ValidationError as error:
-        mistakes = "; ".join(describe_mistakes(error))
-        raise BadRecord(f"{record.identifier} is not a {model.kind}: {mistakes}") from error
-
-
-def results_of(model: type[R], records: Iterable[Record]) -> tuple[Stored[R], ...]:
-    """Return the results of a step among records, in order. Raises REC-001, REC-003."""
-    return tuple(
-        Stored(record, parse_record(record, model)) for record in records if record.kind == model.kind
-    )
 
 
 def step_key(line: Line) -> StepKey:

@@ -7,8 +7,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TypeVar
 
-from procedures.engine.case import Stored
-from procedures.engine.run_folder import results_of, targets_in_doubt
+from procedures.engine.case import Stored, results_of
+from procedures.engine.run_folder import targets_in_doubt
 from procedures.exchange import trajectory_lines
 from procedures.exchange.allowed_fields import label_of
 from procedures.exchange.errors import NOTHING_TO_EXPORT

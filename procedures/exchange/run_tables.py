@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
+from procedures.engine.case import results_of
 from procedures.engine.events.event_file import FollowedRun
-from procedures.engine.run_folder import results_of
 from procedures.exchange.case_results import reached_lines
 from procedures.journal.journal import Entry, Line, theatre_time_s
 from procedures.reporting.outcome import Truth

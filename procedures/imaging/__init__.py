@@ -5,8 +5,9 @@ Names load on first use: the process that decodes compressed slices needs none o
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from ronna_hw.lazy_names import resolve_lazily
 
 if TYPE_CHECKING:
     from procedures.imaging.dicom.slice_headers import PatientIdentity, read_identity
@@ -37,14 +38,7 @@ __all__ = [
 
 _MODULES = ("markers", "volume", "dicom.slice_headers", "series", "picks", "localization", "thesis_localizer")
 
-
-def __getattr__(name: str) -> Any:
-    for module in _MODULES if name in __all__ else ():
-        home = import_module(f"{__name__}.{module}")
-        if hasattr(home, name):
-            globals()[name] = getattr(home, name)
-            return globals()[name]
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+__getattr__ = resolve_lazily(__name__, __all__, _MODULES)
 
 
 def __dir__() -> list[str]:

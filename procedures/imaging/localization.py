@@ -12,7 +12,7 @@ the covariance; where streaks were fitted together with the sphere, or its edges
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from itertools import pairwise
 
 import cv2
@@ -30,7 +30,7 @@ from procedures.imaging.examination import (
     examine_place,
     judge_shape,
 )
-from procedures.imaging.markers import Candidate, Localization, MarkerDoubt
+from procedures.imaging.markers import Candidate, Localization, Marker, MarkerDoubt
 from procedures.imaging.scan_deformation import combine_spheres
 from procedures.imaging.volume import Volume, VoxelGeometry
 from ronna_hw.arguments import require_numbers, show
@@ -93,13 +93,25 @@ def localize(
     candidates = (*(as_candidate(one, volume) for one in judged), *refused)
     require_count(len(spheres), expected, candidates)
     overlaps = [one for one in refused if one.reason == OVERLAPS]
+    markers = [as_marker(one, spheres, volume, radius_mm, overlaps) for one in spheres]
+    return combine_markers(volume, diameter_mm, spheres, markers, candidates)
+
+
+def combine_markers(
+    volume: Volume,
+    diameter_mm: float,
+    spheres: Sequence[Sphere],
+    markers: Iterable[Marker],
+    candidates: tuple[Candidate, ...],
+) -> Localization:
+    """Return the localization of these markers, with what their spheres together show of the scan."""
     return Localization(
-        markers=tuple(as_marker(one, spheres, volume, radius_mm, overlaps) for one in spheres),
+        markers=tuple(markers),
         candidates=candidates,
         series_instance_uid=volume.series_instance_uid,
         frame_of_reference_uid=volume.frame_of_reference_uid,
         diameter_mm=diameter_mm,
-        deformation=combine_spheres([one.deformation for one in spheres], radius_mm, volume.geometry),
+        deformation=combine_spheres([one.deformation for one in spheres], 0.5 * diameter_mm, volume.geometry),
     )
 
 

@@ -22,13 +22,13 @@ from procedures.imaging.examination import Sphere, as_candidate, as_marker, exam
 from procedures.imaging.localization import (
     DIAMETER_MM,
     check_request,
+    combine_markers,
     find_peaks,
     judge_spheres,
     require_count,
     superior_first_key,
 )
 from procedures.imaging.markers import Candidate, Localization
-from procedures.imaging.scan_deformation import combine_spheres
 from procedures.imaging.volume import Volume, cube_around
 from ronna_hw.arguments import require_path
 from ronna_hw.arrays import Array
@@ -81,14 +81,8 @@ def localize_picks(
     candidates = tuple(as_candidate(sphere, volume) for sphere in found)
     require_count(len(found), expected, candidates)
     markers = (as_marker(sphere, found, volume, radius_mm) for sphere in found)
-    return Localization(
-        markers=tuple(sorted(markers, key=lambda marker: superior_first_key(marker.centre_mm))),
-        candidates=candidates,
-        series_instance_uid=volume.series_instance_uid,
-        frame_of_reference_uid=volume.frame_of_reference_uid,
-        diameter_mm=diameter_mm,
-        deformation=combine_spheres([one.deformation for one in found], radius_mm, volume.geometry),
-    )
+    in_order = sorted(markers, key=lambda marker: superior_first_key(marker.centre_mm))
+    return combine_markers(volume, diameter_mm, found, in_order, candidates)
 
 
 def _measure_pick(

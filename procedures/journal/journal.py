@@ -31,6 +31,7 @@ from ronna_hw.evidence.journal_reading import (
     theatre_time_s,
 )
 from ronna_hw.evidence.manifest import ROOM_FILE
+from ronna_hw.host.files import sync_folder
 
 __all__ = [
     "ENDS_OF_A_STEP",
@@ -251,10 +252,6 @@ class Journal:
 def _sync_folder(folder: Path) -> None:
     """Sync a folder to make its directory entries durable. Raises PRO-003."""
     try:
-        directory = os.open(folder, os.O_RDONLY)
-        try:
-            os.fsync(directory)
-        finally:
-            os.close(directory)
+        sync_folder(folder)
     except OSError as error:
         raise JournalNotWritable(f"cannot write into {folder.name}: {error.strerror}") from error

@@ -1,4 +1,4 @@
-"""Step results: one frozen, versioned model per step, stored as JSON.
+"""Step results: one frozen, versioned model per step, stored as JSON and parsed from its record.
 
 A step declares its model in its own module. Other steps import the model and ask the context for it; that
 makes it a parent of their own result.
@@ -6,15 +6,21 @@ makes it a parent of their own result.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar, Self, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from ronna_hw.calibration import Numbers3, Numbers4
 from ronna_hw.frames import Frame, Transform
+from ronna_hw.mistakes import describe_mistakes
+from ronna_hw.records import OTHER_VERSION, BadRecord, Record
 
 Matrix3 = tuple[Numbers3, Numbers3, Numbers3]
+
+
+R = TypeVar("R", bound="StepResult")
 
 
 class Values(BaseModel):
@@ -71,3 +77,18 @@ class FramedPose(Values):
         return Transform.of(
             self.target, self.source, translation_mm=self.translation_mm, quaternion_wxyz=self.quaternion_wxyz
         )
+
+
+def parse_record(record: Record, model: type[R]) -> R:
+    """Parse a record's payload. Raises REC-003 for a different version, REC-001 for invalid content."""
+    if record.version != model.version:
+        raise OTHER_VERSION(
+            f"{record.identifier} has another version",
+            expected=f"{model.kind} version {model.version}",
+            got=f"version {record.version}",
+        )
+    try:
+        return model.model_validate_json(json.dumps(model.renew(record.payload)))
+    except ValidationError as error:
+        mistakes = "; ".join(describe_mistakes(error))
+        raise BadRecord(f"{record.identifier} is not a {model.kind}: {mistakes}") from error

@@ -7,8 +7,9 @@ Names load on first use, so that importing this package is cheap.
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from ronna_hw.lazy_names import resolve_lazily
 
 if TYPE_CHECKING:
     from procedures.registration.cloud_registration import CloudFit, register_clouds
@@ -47,14 +48,7 @@ _MODULES = (
     "cloud_registration",
 )
 
-
-def __getattr__(name: str) -> Any:
-    for module in _MODULES if name in __all__ else ():
-        home = import_module(f"procedures.registration.{module}")
-        if hasattr(home, name):
-            globals()[name] = getattr(home, name)
-            return globals()[name]
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+__getattr__ = resolve_lazily(__name__, __all__, _MODULES)
 
 
 def __dir__() -> list[str]:

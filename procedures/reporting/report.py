@@ -6,31 +6,69 @@ from its verifier and is passed in.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any
 
+from procedures.engine.run_folder import targets_in_doubt
+from procedures.imaging.trajectory_cuts import PLAN_PICTURE
 from procedures.reporting import numbers
+from procedures.reporting.ending import advise, ending_of, is_resumable
 from procedures.reporting.files import (
     REPORT_FOLDER,
+    Picture,
     PostoperativeResult,
     ReportFiles,
     clearance_columns,
     load_check,
+    load_pictures,
     store_check,
     target_columns,
 )
 from procedures.reporting.kept_truth import store_truth
 from procedures.reporting.outcome import RunError, Truth
-from procedures.reporting.page import Page, read_page
-from procedures.reporting.run_reading import read_for_report
+from procedures.reporting.run_events import moves
+from procedures.reporting.run_reading import RunReading, UsedRegistration, read_for_report
+from procedures.reporting.sections.calibration import Calibration, read_calibration
+from procedures.reporting.sections.course import Course, read_course
+from procedures.reporting.sections.devices import Devices, read_devices
+from procedures.reporting.sections.evidence import EvidenceSection, read_evidence
+from procedures.reporting.sections.header import Header, RunOpening, read_header
+from procedures.reporting.sections.plan import PlanSection, read_plan
+from procedures.reporting.sections.spheres import Spheres, read_spheres
+from procedures.reporting.sections.stability import Stability, read_stability
+from procedures.reporting.sections.targets import Targets, read_targets
+from procedures.reporting.sections.verdict import VerdictSection, describe_exclusions, read_assistant_work
+from procedures.reporting.tables import TargetTable, target_rows
 from ronna_hw.evidence.manifest import REPORT_FILE
+from ronna_hw.evidence.unsealed import describe_unsealed_files
+from ronna_hw.host.port_users import find_folder_holder
 from ronna_hw.records import write_atomically
 from ronna_hw.text import escape_controls
 
 TEMPLATE = "page.html.j2"
+
+
+@dataclass(frozen=True)
+class Page:
+    """Sections of a report, in the order of the page. What a run has not come to is None or empty."""
+
+    header: Header
+    verdict: VerdictSection
+    calibration: Calibration
+    after: PostoperativeResult | None
+    plan_pictures: tuple[Picture, ...]
+    targets: Targets | None
+    stability: Stability | None
+    plan: PlanSection | None
+    registrations: tuple[UsedRegistration, ...]
+    spheres: Spheres
+    course: Course
+    devices: Devices
+    evidence: EvidenceSection
 
 
 def write_report(
@@ -62,13 +100,54 @@ def write_report(
     after = load_check(reading) if after is None else after
     if after is not None and out != run:
         store_check(out / REPORT_FOLDER, after)
-    page = read_page(reading, truth, error, after, unconfirmed)
+    page = _read_page(reading, truth, error, after, unconfirmed)
     _write_drawings(files, page)
     path = out / REPORT_FILE
     # The templates collect the titles of what is not on paper in `unprinted`.
     html = _template().render(page=page, files=files.written, unprinted=[])
     write_atomically(path, html.encode())
     return path
+
+
+def _read_page(
+    reading: RunReading,
+    truth: Truth | None,
+    error: RunError | None,
+    after: PostoperativeResult | None,
+    unconfirmed: Sequence[str],
+) -> Page:
+    """Read every section of the page. Arguments as for `write_report`."""
+    run, journal = reading.folder, reading.run.journal
+    opening = RunOpening.of(reading.run.opened)
+    table = TargetTable(target_rows(reading, truth or Truth()))
+    holder = find_folder_holder(run)
+    ending = ending_of(reading, error, is_writer=holder is not None and holder.pid == os.getpid())
+    plan = read_plan(reading)
+    return Page(
+        header=read_header(run.name, reading, opening, table, () if plan is None else plan.rows),
+        verdict=VerdictSection(
+            ending=ending,
+            advice=advise(ending, resumable=is_resumable(reading)),
+            table=table,
+            in_doubt=targets_in_doubt(journal),
+            assistant=read_assistant_work(reading),
+            left_out=describe_exclusions(reading),
+            moves=moves(journal),
+            unconfirmed=(*describe_unsealed_files(tuple(journal)), *unconfirmed),
+            problems=reading.problems,  # also those that the sections below note
+        ),
+        calibration=read_calibration(run),
+        after=after,
+        plan_pictures=load_pictures(reading, PLAN_PICTURE),
+        targets=read_targets(reading, table, simulated=bool(opening.banner)),
+        stability=read_stability(reading),
+        plan=plan,
+        registrations=reading.registrations,
+        spheres=read_spheres(reading, truth),
+        course=read_course(reading, opening.processor),
+        devices=read_devices(reading),
+        evidence=read_evidence(reading),
+    )
 
 
 def _write_drawings(files: ReportFiles, page: Page) -> None:

@@ -13,8 +13,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from procedures.engine.case import Case, Stored, parent_of_kind
-from procedures.engine.run_folder import parse_record
-from procedures.journal.results import StepResult
+from procedures.journal.results import StepResult, parse_record
 from procedures.reporting.kept_truth import load_sealed_truth
 from procedures.reporting.outcome import Truth
 from procedures.steps.clinical.at_target import ReachedTarget

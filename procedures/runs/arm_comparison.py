@@ -9,10 +9,9 @@ from typing import TypeVar
 
 from procedures.engine.engine import Engine
 from procedures.engine.questions import IN_DIVOT, IN_GAUGE
-from procedures.engine.run_folder import parse_record
 from procedures.guards.errors import InsertionDisturbed
 from procedures.guards.room_watch import RoomWatch
-from procedures.journal.results import StepResult
+from procedures.journal.results import StepResult, parse_record
 from procedures.runs import way_out
 from procedures.runs.comparison import Comparison
 from procedures.runs.interrupted_run import InterruptedRun

@@ -48,7 +48,7 @@ def restore_order(case: CaseProcedure, interrupted: InterruptedRun) -> CaseOrder
 
     Raises REC-001, REC-003.
     """
-    from procedures.engine.run_folder import results_of
+    from procedures.engine.case import results_of
     from procedures.steps.clinical.plan_check import CheckedPlan
 
     checked = results_of(CheckedPlan, interrupted.run.records)

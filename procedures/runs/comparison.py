@@ -245,14 +245,14 @@ def _compare_tool(engine: Engine, comparison: Comparison, *, exchange_begun: boo
     workcell = engine.setting.workcell
     changed = engine.case.find(MountedGuide, None) is not None
     expected = MountedTool.GUIDE if changed else MountedTool.STEREO_HEAD
-    found = workcell.master.mount.identify()
+    found, carries = workcell.master.mount.identify(), f"the {workcell.master.spoken_name} carries"
     if found is expected:
         comparison.unchanged.append(f"the {found}")
     elif exchange_begun and found is MountedTool.GUIDE and workcell.master.place.is_on_axis:
         # only a guide is sent onto an axis; its record was voided with the localization
-        comparison.warnings.append("the arm carries the guide, and its record no longer holds")
+        comparison.warnings.append(f"{carries} the guide, and its record no longer holds")
     elif exchange_begun and not workcell.master.place.is_on_axis:
-        comparison.warnings.append(f"a tool exchange had begun: the arm carries the {found}")
+        comparison.warnings.append(f"a tool exchange had begun: {carries} the {found}")
     else:
         comparison.add_difference("mounted tool", f"the {expected}", f"the {found}")
         return
@@ -344,7 +344,7 @@ def compare_room(engine: Engine, comparison: Comparison) -> bool:
         findings = look.require()
     except errors.RoomUndecided as undecided:
         if not workcell.master.place.is_home:
-            comparison.warnings.append(f"{undecided.summary}: compared again once the arm is home")
+            comparison.warnings.append(f"{undecided.summary}: compared again once {workcell.arms_are} home")
             return False
         comparison.add_difference("room", f"all within {undecided.limit}", undecided.what)
         return True

@@ -240,7 +240,7 @@ def add_guards(engine: Engine, file: Path, theatre: TheatreFile, *, only_leaving
 
 
 class MovedCart:
-    """Handles a moved cart of either arm: the case continues if the operator agrees, once the arm is home.
+    """Handles a moved cart of either arm: the case continues if the operator agrees, once every arm is home.
 
     While an instrument is or may be inside the head, nobody is asked and nothing moves: the case is held, and
     leaves the head by an order of its own.
@@ -251,7 +251,7 @@ class MovedCart:
         self._moves = 0
 
     def continues_by_consent(self, problem: RonnaError) -> bool:
-        """Ask whether to continue after a cart move; if so, bring the arm home and return True.
+        """Ask whether to continue after a cart move; if so, bring every arm home and return True.
 
         Raises the errors of the way home.
         """
@@ -274,8 +274,7 @@ class MovedCart:
             goes_on = f"lock it; {workcell.going_home}, and {following} is next"
         stands = ", ".join(dict.fromkeys(stored.record.kind for stored in engine.case.valid_results))
         begun = work_begun_elsewhere(engine)
-        ways = "the arms' ways" if workcell.assistants else "the arm's way"
-        value = (f"nobody is in {ways} home; these results remain valid: {stands}", *begun)
+        value = (f"nobody is in {workcell.ways_phrase} home; these results remain valid: {stands}", *begun)
         question = CART_MOVED.question(f"{problem.summary}: {goes_on}", "; ".join(value))
         if engine.ask(question) != GO_ON:
             return False

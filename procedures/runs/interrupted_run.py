@@ -10,8 +10,9 @@ from pathlib import Path
 from procedures.engine.case import Case, StepKey, Stored
 from procedures.engine.case_progress import CaseProgress
 from procedures.engine.order import CaseOrder
-from procedures.engine.run_folder import parse_record, step_key
+from procedures.engine.run_folder import step_key
 from procedures.journal.journal import ENDS_OF_A_STEP, Entry, JournalValue, Line
+from procedures.journal.results import parse_record
 from procedures.workcell.arm_history import ArmHistory, fold_history, is_any_arm_out
 from ronna_hw.evidence.inspection import Inspection, inspect_run
 from ronna_hw.evidence.journal_reading import JournalCorrupt

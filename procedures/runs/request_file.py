@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import fields
 from importlib.metadata import version
 from pathlib import Path
@@ -23,6 +22,7 @@ from procedures.runs.request import (
 )
 from ronna_hw.bounded_input import read_json_bytes
 from ronna_hw.evidence.manifest import REQUEST_FILE, sha256_of
+from ronna_hw.host.files import sync_folder
 from ronna_hw.mistakes import describe_mistakes
 from ronna_hw.records import write_atomically
 from ronna_hw.roles import ONE_ARM
@@ -79,12 +79,8 @@ def write_request(request: RunRequest, folder: Path) -> None:
     """Write the request into a new run folder and flush it to disk."""
     content = RequestFile(program=version(PROGRAM), **_theatre(request), **_procedure(request))
     write_atomically(folder / REQUEST_FILE, content.model_dump_json(by_alias=True, indent=1).encode())
-    for place in (folder, folder.parent):  # a name is on disk only when its folder is
-        directory = os.open(place, os.O_RDONLY)
-        try:
-            os.fsync(directory)
-        finally:
-            os.close(directory)
+    for place in (folder, folder.parent):
+        sync_folder(place)
 
 
 def _select(source: object, record: type[Any]) -> dict[str, Any]:

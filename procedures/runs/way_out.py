@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from procedures.engine.case import StepKey
 from procedures.engine.engine import Engine
 from procedures.engine.errors import RECOVERY_REFUSED
-from procedures.engine.run_folder import parse_record
+from procedures.journal.results import parse_record
 from procedures.steps.calibration.ball_place import BallPlace
 from procedures.steps.calibration.tip_readings import HOVER_MM
 from procedures.steps.clinical.at_target import ReachedTarget
@@ -93,8 +93,8 @@ def _surround_master(engine: Engine) -> None:
         surround_guide(engine.context(guide.key), guide.robot_from_ct, master.joints_rad())
     elif not master.place.is_home:
         raise RECOVERY_REFUSED(
-            "the arm is not home, and no result gives the position of the head",
-            action="Jog the arm home with the controller's pendant, then resume again.",
+            f"the {master.spoken_name} is not home, and no result gives the position of the head",
+            action=f"Jog the {master.spoken_name} home with the controller's pendant, then resume again.",
         )
 
 

@@ -8,7 +8,7 @@ from procedures.engine.context import StepContext
 from procedures.steps.errors import ReadingTooOld
 from procedures.workcell import MountedTool
 
-REMOUNTED = "; with the arm home, run global_localization: it is mounted there again"
+REMOUNTED = "; with {arms} home, run global_localization: it is mounted there again"
 # Safety against a reading of depth stop or gauge that is old (U).
 LONGEST_S = 3600.0  # theatre time; a check on the gauge takes minutes, skin, skull and dura half an hour
 
@@ -16,7 +16,8 @@ LONGEST_S = 3600.0  # theatre time; a check on the gauge takes minutes, skin, sk
 def needs_tool(tool: MountedTool, remedy: str = "") -> Callable[[StepContext], tuple[str, ...]]:
     """Require a given tool on an arm that is on no axis, identifying an unknown tool first.
 
-    `remedy` names the step that mounts it instead of the guide, if no earlier step is listed.
+    `remedy` names the step that mounts it instead of the guide, if no earlier step is listed; `{arms}` in it
+    stands for the arms of the case.
     """
 
     def unmet(context: StepContext) -> tuple[str, ...]:
@@ -25,8 +26,10 @@ def needs_tool(tool: MountedTool, remedy: str = "") -> Callable[[StepContext], t
         if workcell.master.tool is MountedTool.UNKNOWN:
             workcell.master.mount.identify()
         if workcell.master.tool is not tool:
-            instead = remedy if workcell.master.tool is MountedTool.GUIDE else ""
-            reasons.append(f"the arm carries the {workcell.master.tool}, not the {tool}{instead}")
+            remounting = workcell.master.tool is MountedTool.GUIDE
+            instead = remedy.format(arms=workcell.arms_phrase) if remounting else ""
+            carrier = workcell.master.spoken_name
+            reasons.append(f"the {carrier} carries the {workcell.master.tool}, not the {tool}{instead}")
         return (*reasons, *workcell.master.place.hold_reasons)
 
     return unmet
@@ -43,10 +46,12 @@ def needs_exchangeable_tool(context: StepContext) -> tuple[str, ...]:
 
 def needs_guide_unmounted(context: StepContext) -> tuple[str, ...]:
     """Require that the guide is not mounted: later localizations could not be redone with it."""
-    if context.workcell.master.tool is MountedTool.GUIDE:
+    workcell = context.workcell
+    if workcell.master.tool is MountedTool.GUIDE:
         return (
-            "the arm carries the guide: if this result changed, the spheres could not be localized again; "
-            "if it must change, send the arm home and start a new run",
+            f"the {workcell.master.spoken_name} carries the guide: if this result changed, the spheres "
+            "could not be localized again; if it must change, send "
+            f"{workcell.arms_phrase} home and start a new run",
         )
     return ()
 
@@ -56,7 +61,9 @@ def needs_arm_home(context: StepContext) -> tuple[str, ...]:
     away = [arm for arm in context.workcell.arms.values() if not arm.place.is_home]
     if not away:
         return ()
-    return away[0].place.hold_reasons or (f"the {away[0].name} is not home: send it there first (home)",)
+    return away[0].place.hold_reasons or (
+        f"the {away[0].spoken_name} is not home: send it there first (home)",
+    )
 
 
 def needs_insertion(context: StepContext) -> tuple[str, ...]:

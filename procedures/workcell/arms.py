@@ -1,10 +1,9 @@
 """The arms of a theatre: who may move, how close they may come, and what stops all of them.
 
-One arm moves at a time, with the others at rest as obstacles; several at once only along paths that were
-checked against each other in time. While one moves, all are watched: their distances, the age of what is
-known of each, and their states. Whatever stops one brings all to rest, and holds them until a person has
-acknowledged it. Nothing retreats by itself, and nothing moves with an instrument in the guide. An arm alone
-has nothing to be kept from: its own driver watches it.
+One arm moves at a time, with the others at rest as obstacles. While it moves, all are watched: their
+distances, the age of what is known of each, and their states. Whatever stops one brings all to rest, and
+holds them until a person has acknowledged it. Nothing retreats by itself, and nothing moves with an
+instrument in the guide. An arm alone has nothing to be kept from: its own driver watches it.
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ from typing import NoReturn, TypeVar
 
 from procedures.workcell.errors import INSTRUMENT_IN_GUIDE, OTHER_ARM_MOVING, BothArmsHalted, OtherArmUnknown
 from procedures.workcell.placed_arms import PlacedArms, RolePair
-from ronna_hw.arm.clearance.arm_pair import APART_MM, SampledPath, require_apart
+from ronna_hw.arm.clearance.arm_pair import APART_MM
 from ronna_hw.arm.clearance.bodies import Surroundings
 from ronna_hw.arm.clearance.live_pair import LivePair
 from ronna_hw.arm.errors import ForceLimitExceeded
@@ -30,7 +29,6 @@ from ronna_hw.devices.readings import ArmReading, Validity
 from ronna_hw.devices.robot import StopKind
 from ronna_hw.errors import RonnaError, summary_of
 from ronna_hw.logs import logger
-from ronna_hw.preview import plan_motion
 from ronna_hw.roles import MASTER
 from ronna_hw.vectors import JointVector
 
@@ -49,7 +47,6 @@ HALTED = "both arms are stopped"  # event of the log
 # Safety against two arms that meet (U).
 STOP_LIMIT_S = 5.0  # host time
 LEAVING_MM = 1.0  # by which arms that are closer than they should be may come closer on their way apart
-LARGEST_LAG_S = 0.5  # of one arm behind the other on checked paths: both starts, and a stop from full speed
 
 STOPPED_FOR_UNKNOWN = "the {} has stopped, and its controller has not said why"
 R = TypeVar("R")
@@ -154,7 +151,7 @@ class Arms:
         and DUAL-003 if the place or the state of another is unknown. ARM-007 means that another is in the
         way, TOOL-001 that an instrument is in the guide. The arm's own errors pass through.
         """
-        return self._drive_one(role, _driving(motion), with_instrument=with_instrument)
+        return self._drive_one(role, lambda arm: arm.move(motion), with_instrument=with_instrument)
 
     def insert(self, role: str, insertion: Insertion) -> Inserted:
         """Have one arm insert an instrument while the others rest. Raises as `move`, and as that arm."""
@@ -170,28 +167,13 @@ class Arms:
             return drive(self[role])
         with self._under_way(with_instrument=with_instrument):
             self._at_rest_rad = self._surround_with(role, self.placed.others(role))
-            return self._drive({role: drive})[role]
+            return self._drive(role, drive)
 
     def _surround_with(self, role: str, others: Sequence[str]) -> dict[str, JointVector]:
         """Surround an arm with others, where they rest; return the joints of those."""
         rest_rad = {other: self._joints_now(other) for other in others}
         self[role].surround(self.placed.surroundings_among(role, rest_rad))
         return rest_rad
-
-    def move_together(self, motions: Mapping[str, Motion]) -> Mapping[str, ArmReading]:
-        """Move several arms at once, if their paths are clear of each other in time.
-
-        Raises ARM-011 before anything moves if they are not, otherwise as `move`.
-        """
-        with self._under_way():
-            paths = {role: self._sampled_path(role, motion) for role, motion in motions.items()}
-            for pair in (pair for pair in self.placed.pairs if set(pair) <= set(motions)):
-                world, margin_mm = self.placed.world(pair), self.placed.planned_apart_mm(pair)
-                require_apart(world, paths[pair.first], paths[pair.second], LARGEST_LAG_S, margin_mm)
-            resting = [role for role in self.roles if role not in motions]
-            for role in motions:
-                self._at_rest_rad = self._surround_with(role, resting)
-            return self._drive({role: _driving(motion) for role, motion in motions.items()})
 
     def stop(self, reason: str, arm: str = MASTER, kind: StopKind = StopKind.PROTECTIVE) -> None:
         """Bring all arms to rest and hold them there; never raises."""
@@ -290,53 +272,49 @@ class Arms:
         at_start = live.distance(self._joints_now(pair.first), self._joints_now(pair.second))
         return max(APART_MM, min(APART_MM + doubt_mm, at_start.distance_mm - LEAVING_MM))
 
-    def _drive(self, motions: Mapping[str, Callable[[RobotArm], R]]) -> Mapping[str, R]:
-        """Drive the motions, watched, and return what each returns once all have ended."""
-        resting = {role: arm.state for role, arm in self.items() if role not in motions}
-        for role, state in resting.items():
+    def _drive(self, role: str, motion: Callable[[RobotArm], R]) -> R:
+        """Drive a motion, watched, and return what it returns once it has ended."""
+        resting = {one: arm.state for one, arm in self.items() if one != role}
+        for one, state in resting.items():
             if state not in RUNNING:
-                raise OtherArmUnknown(f"the {role} is not started", got=f"it is {state}")
-        self._expected = {**dict.fromkeys(motions, Lifecycle.ACTIVE), **resting}
+                raise OtherArmUnknown(f"the {one} is not started", got=f"it is {state}")
+        self._expected = {role: Lifecycle.ACTIVE, **resting}
         self.watch()
         self._require_released()
-        ends: dict[str, R] = {}
-        errors: dict[str, Exception] = {}
+        ends: list[R] = []
+        errors: list[Exception] = []
 
-        def drive(role: str, motion: Callable[[RobotArm], R]) -> None:
+        def drive() -> None:
             try:
-                with self.reading() if len(motions) == 1 else nullcontext():
-                    ends[role] = motion(self[role])
+                with self.reading():
+                    ends.append(motion(self[role]))
             except Exception as error:
-                errors[role] = error
+                errors.append(error)
 
-        threads = [threading.Thread(target=drive, args=item, daemon=True) for item in motions.items()]
-        for thread in threads:
-            thread.start()
+        thread = threading.Thread(target=drive, daemon=True)
+        thread.start()
         try:
-            while any(thread.is_alive() for thread in threads):
+            while thread.is_alive():
                 self.watch()
-                if errors and len(motions) > 1:
-                    role, error = next(iter(errors.items()))
-                    self.stop(f"the {role} failed: {summary_of(error)}", role)
                 self._clock.sleep(WATCH_S)
         except BaseException as ended:  # an operator's interruption is no fault, and casts no doubt
             kind = StopKind.HOLD if isinstance(ended, KeyboardInterrupt) else StopKind.PROTECTIVE
             self.stop("the program was interrupted", kind=kind)
             raise
         finally:
-            for thread in threads:
-                thread.join()
-        if errors and self.halted is None:  # refused before it began, or stopped since the last look
+            thread.join()
+        if not errors:
+            self._require_released()
+            return ends[0]
+        (error,) = errors
+        if self.halted is None:  # refused before it began, or stopped since the last look
             self.watch()
-        for error in errors.values():
-            # All arms are held, as asked for: nothing is latched, unless something else has stopped them.
-            if isinstance(error, ForceLimitExceeded) and (halt := self.halted) is not None:
-                self.halted = None if halt.kind is StopKind.HOLD and halt.arm in errors else halt
+        # All arms are held, as asked for: nothing is latched, unless something else has stopped them.
+        if isinstance(error, ForceLimitExceeded) and (halt := self.halted) is not None:
+            self.halted = None if halt.kind is StopKind.HOLD and halt.arm == role else halt
         if self.halted is not None:
-            self._refuse(next(iter(errors.values()), None))
-        for error in errors.values():
-            raise error
-        return ends
+            self._refuse(error)
+        raise error
 
     def _require_released(self) -> None:
         if self.halted is not None:
@@ -367,11 +345,6 @@ class Arms:
             )
         return reading.joints_rad
 
-    def _sampled_path(self, role: str, motion: Motion) -> SampledPath:
-        arm, limits = self[role], self[role].limits()
-        plan = plan_motion(arm.kinematics, self._joints_now(role), motion, limits)
-        return SampledPath.driven(self.placed.arm(role), arm.kinematics, plan, limits.cycle_s)
-
     def _stop_one(self, arm: RobotArm, kind: StopKind) -> None:
         if kind is StopKind.HOLD and arm.state is Lifecycle.HOLD:
             return
@@ -396,7 +369,3 @@ class ReplayedArms(Arms):
 def _tell_state(role: str, seen: LastKnown[ArmReading]) -> str:
     why = "" if seen.fault is None else f": {summary_of(seen.fault)}"
     return f"the {role} has gone to {seen.state}{why}"
-
-
-def _driving(motion: Motion) -> Callable[[RobotArm], ArmReading]:
-    return lambda arm: arm.move(motion)

@@ -74,7 +74,7 @@ OTHER_ARM_MOVING = ErrorCode(
     "DUAL-002",
     RefusedError,
     "An arm was to move while another motion is under way.",
-    "Wait for the other motion, or have both paths checked and driven together.",
+    "Wait until the other motion has ended.",
 )
 
 

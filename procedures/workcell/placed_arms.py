@@ -90,14 +90,12 @@ class PlacedArms:
     def are_apart(self, at_rad: Mapping[str, JointVector]) -> bool:
         """Return whether all arms, at these joints, keep the distance that is planned between them."""
         return all(
-            self.world(pair).distance(at_rad[pair.first], at_rad[pair.second]).distance_mm
-            >= self.planned_apart_mm(pair)
+            arm_pair.ArmPairWorld(self.arm(pair.first), self.arm(pair.second), self._closeness[pair])
+            .distance(at_rad[pair.first], at_rad[pair.second])
+            .distance_mm
+            >= arm_pair.PLANNED_APART_MM + self.doubt_mm(pair)
             for pair in self.pairs
         )
-
-    def planned_apart_mm(self, pair: RolePair) -> float:
-        """Return the distance to plan between two arms."""
-        return arm_pair.PLANNED_APART_MM + self.doubt_mm(pair)
 
     def doubt_mm(self, pair: RolePair) -> float:
         """Return by how much two arms may be elsewhere to each other."""
@@ -106,10 +104,6 @@ class PlacedArms:
     def arm(self, role: str) -> arm_pair.PlacedArm:
         """Return the bodies of an arm where it stands."""
         return arm_pair.PlacedArm(role, Bodies(self._kinematics(role), self.around[role]), self._bases[role])
-
-    def world(self, pair: RolePair) -> arm_pair.ArmPairWorld:
-        """Return the collision world of two arms, for paths."""
-        return arm_pair.ArmPairWorld(self.arm(pair.first), self.arm(pair.second), self._closeness[pair])
 
     def live(self) -> dict[RolePair, LivePair]:
         """Return the watched distances between the arms."""

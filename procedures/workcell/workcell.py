@@ -137,6 +137,11 @@ class Workcell:
         return "both arms" if self.assistants else "the arm"
 
     @property
+    def ways_phrase(self) -> str:
+        """Name of the ways of all arms, in sentences about what may be in them."""
+        return "the arms' ways" if self.assistants else "the arm's way"
+
+    @property
     def arms_are(self) -> str:
         """Beginning of a statement about all arms."""
         return f"{self.arms_phrase} {'are' if self.assistants else 'is'}"

@@ -75,14 +75,6 @@ CALIBRATION_OF_ANOTHER_ARM = ErrorCode(
 )
 
 
-ARMS_TOO_CLOSE = ErrorCode(
-    "ARM-011",
-    LimitError,
-    "Two arms would come, or have come, too close to each other.",
-    "Move one arm out of the way first, or choose another path for one of them.",
-)
-
-
 INSERTION_INVALID = ErrorCode(
     "ARM-012",
     DataError,

@@ -6,10 +6,9 @@ import contextlib
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Iterable
-from contextlib import AbstractContextManager
 from dataclasses import replace
 from functools import partial
-from typing import Any, Generic, Self
+from typing import Any, Generic
 
 from ronna_hw.arm.clearance.bodies import Surroundings
 from ronna_hw.arm.errors import FORCE_NOT_SENSED, ForceLimitExceeded
@@ -40,11 +39,11 @@ from ronna_hw.devices.contact import Inserted, Insertion
 from ronna_hw.devices.lifecycle import (
     READABLE,
     RUNNING,
+    GuardedDevice,
     Identity,
     LastKnown,
     Lifecycle,
     LifecycleGuard,
-    hold_active,
     require_person,
 )
 from ronna_hw.devices.readings import ArmReading, LinkStatistics, ToolIdentity, Validity
@@ -58,7 +57,7 @@ LIVE_HEARTBEAT_S = 0.2  # largest age of the real-time process' last heartbeat f
 CLOSING_STOP_S = 1.0  # host time for the arm to come to rest in close()
 
 
-class StreamedArm(ABC, Generic[S]):
+class StreamedArm(GuardedDevice, ABC, Generic[S]):
     """Arm that its stream defines; a driver adds its connections, its start and its controller's words."""
 
     notices: tuple[str, ...] = ()
@@ -71,8 +70,7 @@ class StreamedArm(ABC, Generic[S]):
         watch: StreamWatch[S],
         limits: MotionLimits,
     ) -> None:
-        self._name = connections.faults.name
-        self._guard = guard
+        super().__init__(connections.faults.name, guard)
         self.connections = connections
         self._watch = watch
         self._planner = MotionPlanner(self._name, connections.faults.arm, limits)
@@ -113,10 +111,6 @@ class StreamedArm(ABC, Generic[S]):
         """Ask the controller to switch its drives off."""
 
     @property
-    def name(self) -> str:
-        return self._name
-
-    @property
     def kinematics(self) -> Kinematics:
         """Kinematics of this individual arm once connected, nominal before."""
         return self.connections.faults.arm
@@ -139,9 +133,6 @@ class StreamedArm(ABC, Generic[S]):
 
     def limits(self, mode: OperatingMode | None = None) -> MotionLimits:
         return self._planner.limits(mode or self.operating_mode)
-
-    def active(self, timeout_s: float = 10.0) -> AbstractContextManager[Self]:
-        return hold_active(self, timeout_s)  # type: ignore[type-var]  # the driver completes the device
 
     @property
     def recorded_cycles(self) -> tuple[RecordedCycle, ...]:

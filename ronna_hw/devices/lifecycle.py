@@ -287,3 +287,26 @@ class LifecycleGuard:
                 return
             self._now = (Lifecycle.FAULT, cause)
         self.log.error(Lifecycle.FAULT, before=before, cause=cause)
+
+
+class GuardedDevice:
+    """Base of a driver: its name, and the state that its guard keeps."""
+
+    def __init__(self, name: str, guard: LifecycleGuard) -> None:
+        self._name, self._guard = name, guard
+
+    @property
+    def name(self) -> str:
+        return self._name
+
+    @property
+    def state(self) -> Lifecycle:
+        return self._guard.state
+
+    @property
+    def fault(self) -> RonnaError | None:
+        """Error that latched FAULT, if any."""
+        return self._guard.fault
+
+    def active(self, timeout_s: float = 10.0) -> AbstractContextManager[Self]:
+        return hold_active(self, timeout_s)  # type: ignore[type-var]  # the driver completes the device

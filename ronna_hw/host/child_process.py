@@ -195,8 +195,15 @@ def run_command(
     name: str, arguments: Sequence[str], limit_s: float, meanwhile: Callable[[], object] = lambda: None
 ) -> subprocess.CompletedProcess[str]:
     """Run a command to completion, whatever its exit code; for `meanwhile` and PRC-001 see `await_end`."""
+    with start_command(arguments) as process:
+        output, messages = await_end(name, process, limit_s, meanwhile)
+    return subprocess.CompletedProcess(arguments, process.returncode, output, messages)
+
+
+def start_command(arguments: Sequence[str]) -> subprocess.Popen[str]:
+    """Start a command that reads nothing, in a session of its own; `await_end` collects what it writes."""
     with shield_children():
-        process = subprocess.Popen(
+        return subprocess.Popen(
             arguments,
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
@@ -204,9 +211,6 @@ def run_command(
             text=True,
             start_new_session=True,
         )
-    with process:
-        output, messages = await_end(name, process, limit_s, meanwhile)
-    return subprocess.CompletedProcess(arguments, process.returncode, output, messages)
 
 
 def await_end(

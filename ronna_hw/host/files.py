@@ -38,6 +38,15 @@ def open_regular(path: Path, *, follow_links: bool = False) -> BinaryIO:
     return os.fdopen(file, "rb")
 
 
+def sync_folder(folder: Path) -> None:
+    """Flush the entries of a folder: a new name is on disk only when its folder is. Raises OSError."""
+    directory = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(directory)
+    finally:
+        os.close(directory)
+
+
 DEEPEST_LEVEL = 16  # of folders; a run has three
 
 

@@ -75,13 +75,12 @@ def kuka(
     from sim.kuka.manipulator import Manipulator
     from sim.kuka.rsi.link import resolve
     from sim.kuka.rsi.telegrams import TelegramWriter
-    from sim.named_parameters import rows
+    from sim.named_parameters import print_rows
     from sim.world.process import announce, end_with_parent, open_own_control_port, open_world
     from sim.world.true_arm import arm_seed
 
     if list_parameters:
-        for name, value, meaning in rows(ControllerParameters):
-            typer.echo(f"{name}={value}  {meaning}")
+        print_rows(ControllerParameters)
         return
     if detach and start_in_background("kuka"):
         return

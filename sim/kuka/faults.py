@@ -12,8 +12,8 @@ from sim.kuka.rsi.program_run import RunSettings
 from sim.world.faults import Fault, FaultBoard
 from sim.world.faults.log import FaultLog
 from sim.world.faults.robot import ROBOT_FAULTS
+from sim.world.faults.scripted import ScriptedFaults
 
-MOMENTARY = tuple(kind.name for kind in ROBOT_FAULTS if kind.momentary)
 EKI_FAULTS: dict[str, Callable[[EkiServer], None]] = {
     "eki_cut": EkiServer.drop,
     "eki_overflow": EkiServer.fill_buffer,
@@ -23,7 +23,7 @@ EKI_FAULTS: dict[str, Callable[[EkiServer], None]] = {
 }
 
 
-class ControllerFaults:
+class ControllerFaults(ScriptedFaults):
     """Applies the fault script to the controller, once per cycle."""
 
     def __init__(
@@ -34,20 +34,13 @@ class ControllerFaults:
         link: LinkFaults,
         log: FaultLog,
     ) -> None:
-        self._board = board
+        super().__init__(board, log, ROBOT_FAULTS)
         self._controller = controller
         self._servers = servers
         self._link = link
-        self._log = log
-        self._quiet = True
         self._restart: RunSettings | None = None
 
-    def poll(self) -> None:
-        """Apply the faults that have become due."""
-        if self._board.empty and self._quiet:
-            return
-        acting = self._board.acting()
-        self._log.update(acting)
+    def _apply(self, acting: tuple[Fault, ...]) -> None:
         self._link.set_active(acting)
         arguments = {fault.kind.name: fault.argument for fault in acting}
         controller, interlocks = self._controller, self._controller.interlocks
@@ -78,12 +71,6 @@ class ControllerFaults:
         for server in self._servers:
             server.silent = "eki_silence" in arguments
             server.occupied = "eki_taken" in arguments
-        for kind in MOMENTARY:
-            for fault in self._board.happened(kind):
-                self._log.happened(fault)
-                self._inject(fault)
-        self._restart_program()
-        self._quiet = not acting and self._restart is None
 
     def _inject(self, fault: Fault) -> None:
         controller, kind = self._controller, fault.kind.name
@@ -103,11 +90,13 @@ class ControllerFaults:
             for server in self._servers:
                 EKI_FAULTS[kind](server)
 
-    def _restart_program(self) -> None:
-        """Restart the program where the arm came to rest."""
+    def _settle(self) -> bool:
+        """Restart the program where the arm came to rest; return whether that is done."""
         settings = self._restart
-        if settings is None or self._controller.moving:
-            return
+        if settings is None:
+            return True
+        if self._controller.moving:
+            return False
         self._restart = None
         if self._controller.run is None:
             self._controller.start(
@@ -115,3 +104,4 @@ class ControllerFaults:
                 settings.relative,
                 counts_from_first_reply=settings.counts_from_first_reply,
             )
+        return True

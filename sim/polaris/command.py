@@ -39,7 +39,7 @@ def polaris(
 ) -> None:
     """Simulate an NDI Polaris Spectra, Vicra or Vega, for any client, until terminated."""
     from ronna_hw.endpoints import parse_endpoint
-    from sim.named_parameters import rows
+    from sim.named_parameters import print_rows
     from sim.polaris.line.interpreter import CommandInterpreter
     from sim.polaris.line.pseudo_terminal import PseudoTerminal
     from sim.polaris.line.server import EndSignal, Server, listen
@@ -50,8 +50,7 @@ def polaris(
     from sim.world.process import announce, end_with_parent, open_own_control_port, open_world
 
     if list_parameters:
-        for name, value, meaning in rows(UnitBehaviour):
-            typer.echo(f"{name}={value}  {meaning}")
+        print_rows(UnitBehaviour)
         return
     if detach and start_in_background("polaris"):
         return

@@ -45,7 +45,7 @@ def ur(
     """
     from math import radians
 
-    from sim.named_parameters import rows
+    from sim.named_parameters import print_rows
     from sim.universal_robots.arm_in_world import ArmInWorld, require_arm
     from sim.universal_robots.controller import Controller
     from sim.universal_robots.controller_parameters import ControllerParameters
@@ -59,8 +59,7 @@ def ur(
     from sim.world.true_arm import arm_seed
 
     if list_parameters:
-        for name, value, meaning in rows(ControllerParameters):
-            typer.echo(f"{name}={value}  {meaning}")
+        print_rows(ControllerParameters)
         return
     if detach and start_in_background("ur"):
         return

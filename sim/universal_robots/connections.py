@@ -14,8 +14,8 @@ from ipaddress import IPv4Address
 from ronna_hw.command_line.terminal import tell
 from ronna_hw.host.port_users import find_tcp_listener
 from sim.errors import EndpointTaken
+from sim.world.client_sockets import receive_waiting
 
-READ_BYTES = 65536
 MOST_HELD_BYTES = 1 << 20  # while nothing passes, beyond which the controller gives up a connection
 NO_ROOM = (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM)  # a client waits, and cannot be accepted
 ACCEPT_PAUSE_S = 1.0  # host time until it is tried again: a waiting client is readable all the time
@@ -99,12 +99,8 @@ class ClientConnection:
     def serve(self) -> None:
         """Read what has arrived, and answer."""
         assert self.handler is not None
-        try:
-            data = self.socket.recv(READ_BYTES)
-        except BlockingIOError:
+        if (data := receive_waiting(self.socket)) is None:
             return
-        except OSError:
-            data = b""
         if not data:
             self.close()
             return

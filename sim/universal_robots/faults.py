@@ -13,9 +13,9 @@ from sim.universal_robots.loads import NONE
 from sim.universal_robots.rtde.server import RtdeServer
 from sim.world.faults import Fault, FaultBoard
 from sim.world.faults.log import FaultLog
+from sim.world.faults.scripted import ScriptedFaults
 from sim.world.faults.universal_robots import UR_FAULTS
 
-MOMENTARY = tuple(kind.name for kind in UR_FAULTS if kind.momentary)
 CLIENT_INPUTS = frozenset(
     f"input_{kind}_register_{number}" for kind in ("int", "double") for number in CLIENT_REGISTERS
 )
@@ -27,7 +27,7 @@ CONDITIONS = {
 }
 
 
-class ControllerFaults:
+class ControllerFaults(ScriptedFaults):
     """Applies the fault script to the controller, once per cycle."""
 
     def __init__(
@@ -39,13 +39,11 @@ class ControllerFaults:
         dashboard: Dashboard,
         log: FaultLog,
     ) -> None:
-        self._board = board
+        super().__init__(board, log, UR_FAULTS)
         self._controller = controller
         self._rtde = rtde
         self._clients = clients
         self._dashboard = dashboard
-        self._log = log
-        self._quiet = True
         self._slider: float | None = None  # its place before the fault
         self.frozen = False  # no cycle runs
         self.is_cut = False  # nothing passes
@@ -54,12 +52,7 @@ class ControllerFaults:
     def _listeners(self) -> Sequence[ServiceListener]:
         return (self._rtde.listener, self._dashboard.listener, *self._clients.listeners)
 
-    def poll(self) -> None:
-        """Apply the faults that have become due."""
-        if self._board.empty and self._quiet:
-            return
-        acting = self._board.acting()
-        self._log.update(acting)
+    def _apply(self, acting: tuple[Fault, ...]) -> None:
         present = {fault.kind.name: fault.argument for fault in acting}
         arguments = {fault.kind.name: fault.arguments for fault in acting}
         controller = self._controller
@@ -87,11 +80,6 @@ class ControllerFaults:
             listener.hold(holds=self.is_cut or self.frozen)
         for link in controller.links:
             link.cut = self.is_cut
-        for kind in MOMENTARY:
-            for fault in self._board.happened(kind):
-                self._log.happened(fault)
-                self._inject(fault)
-        self._quiet = not acting
 
     def _turn_local(self, local: bool) -> None:
         """Turn to local or remote mode, which drops the clients that may send scripts, not those of RTDE."""

@@ -10,8 +10,7 @@ from typing import ClassVar
 
 from ronna_hw.errors import RonnaError
 from ronna_hw.evidence.journal_reading import JOURNAL_FILE, read_chain_until_break, theatre_time_s
-from ronna_hw.host.child_process import await_end, command, run_command
-from ronna_hw.host.process import shield_children
+from ronna_hw.host.child_process import await_end, command, run_command, start_command
 from ronna_hw.records import write_atomically
 from studies.campaign.study import Cell, Sums, Table, Unit
 from studies.worlds.adversary import RELOCALIZATION, AdversarialWorld, draw_adversarial_world
@@ -207,17 +206,8 @@ def _run_until_killed(
     words = command("procedures.cli.procedure", "run", *arguments)
     if world.killed_after_s is None:
         return run_command(name, words, LIMIT_S), None
-    with shield_children():
-        process = subprocess.Popen(
-            words,
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-            start_new_session=True,
-        )
     killed: list[int] = []
-    with process:
+    with start_command(words) as process:
         output, messages = await_end(name, process, LIMIT_S, _kill_once_due(world, folder, process, killed))
     ended = subprocess.CompletedProcess(words, process.returncode, output, messages)
     return ended, killed[0] if killed and process.returncode < 0 else None

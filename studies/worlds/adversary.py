@@ -18,7 +18,7 @@ from sim.world.process import load_scene
 from sim.world.rigid import Matrix, apply, inverse, vector_from_rotation
 from sim.world.scene.model import Scene
 from studies.worlds.looks import ARM_MM, TWIST, HiddenMove, Looks, MovedBody, find_hidden_moves
-from studies.worlds.world import MINI
+from studies.worlds.world import MINI, fault_script
 
 DEFAULT, EVERY_THIRD = "default", 3  # of the cases, one in three is in the default scene
 ANY_MARKERS, X_FRAME_MARKERS = range(3, 9), 4
@@ -89,7 +89,7 @@ class HiddenChange:
 
     @property
     def script(self) -> str:
-        return "".join(f"since step == {self.step} after {self.after_s:.3f} s: {one}\n" for one in self.lines)
+        return fault_script(self.step, self.after_s, self.lines)
 
     @property
     def words(self) -> str:

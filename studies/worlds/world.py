@@ -6,6 +6,7 @@ It depends only on its seed and number, so that every one can be repeated alone.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -33,6 +34,11 @@ class ChangedObject(StrEnum):
     CAMERA = "camera"
 
 
+def fault_script(step: str, after_s: float, lines: Iterable[str]) -> str:
+    """Return the fault script of lines that take effect some time after a step first began."""
+    return "".join(f"since step == {step} after {after_s:.3f} s: {one}\n" for one in lines)
+
+
 @dataclass(frozen=True)
 class Change:
     """A lasting change, possibly with spheres hidden from the tracker. `lines` form a fault script."""
@@ -49,7 +55,7 @@ class Change:
 
     @property
     def script(self) -> str:
-        return "".join(f"since step == {self.step} after {self.after_s:.3f} s: {one}\n" for one in self.lines)
+        return fault_script(self.step, self.after_s, self.lines)
 
     @property
     def words(self) -> str:

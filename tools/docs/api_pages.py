@@ -37,6 +37,7 @@ from ronna_hw.devices import (
 from ronna_hw.devices.axis_loads import TellsLoads
 from ronna_hw.devices.capabilities import RecordsBytes
 from ronna_hw.devices.contact import CarriesLoad, FollowsHand, InsertsInstruments
+from ronna_hw.devices.lifecycle import GuardedDevice
 from studies.plugins import contracts
 
 
@@ -167,7 +168,11 @@ def _class_lines(one: type, interfaces: tuple[type, ...]) -> Iterator[str]:
 def _list_members(one: type) -> dict[str, Any]:
     """Return the members of a class, including those of a driver's base classes."""
     rooms = ("drivers.", "ronna_hw.arm_stream.")
-    bases = [base for base in reversed(one.__mro__) if base is one or base.__module__.startswith(rooms)]
+    bases = [
+        base
+        for base in reversed(one.__mro__)
+        if base in (one, GuardedDevice) or base.__module__.startswith(rooms)
+    ]
     return {name: member for base in bases for name, member in vars(base).items()}
 
 

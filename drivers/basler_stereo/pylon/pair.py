@@ -16,7 +16,7 @@ from typing import Any, Literal, TypeVar
 from drivers.basler_stereo.errors import CameraLost, TriggerMissed
 from drivers.basler_stereo.identity import CameraIdentity
 from drivers.basler_stereo.options import BaslerOptions, read_options
-from drivers.basler_stereo.pair_device import PairDevice, check_pair
+from drivers.basler_stereo.pair_device import PairDevice
 from drivers.basler_stereo.pylon.camera import PylonCamera, PylonFrame, load_pylon
 from drivers.basler_stereo.readings import PairClock, stereo_reading
 from ronna_hw.clock import Clock
@@ -68,13 +68,7 @@ class PylonStereoPair(PairDevice[PylonCamera]):
             PylonCamera(side, self._addresses[side], serial, options.device_class, options)
             for side, serial in (("left", options.left_serial), ("right", options.right_serial))
         )
-        try:
-            identities = (left.connect(), right.connect())
-            check_pair(*identities, options)
-        except BaseException:  # including interruptions: neither camera stays controlled
-            self._close_all((left, right))
-            raise
-        return (left, right), identities
+        return self._identify((left, right), PylonCamera.connect)
 
     def _configure_cameras(self, deadline_s: float) -> None:
         for camera in self._pair:

@@ -17,9 +17,9 @@ from procedures.engine.errors import REPLAY_DIFFERS, NotRecorded
 from procedures.engine.order import order_of
 from procedures.engine.replay.recorded_answers import CalibrationOpening, RecordedAnswers, read_answers
 from procedures.engine.replay.replay import ReplayInput, ReplayVerdict, replay
-from procedures.engine.run_folder import parse_record
 from procedures.engine.setting import ClinicalInput
 from procedures.exchange.raw_readings import WRITES_ALL, missing_in_raw
+from procedures.journal.results import parse_record
 from procedures.planning.plan_file import read_plan
 from procedures.steps.calibration.recipe import Recipe
 from procedures.steps.catalogue import clinical_steps

@@ -50,7 +50,6 @@ from ronna_hw.text import format_against_limit
 # Safety against a guide beside its target (U).
 POSITION_LIMIT_MM = 0.05  # nominal place against the commanded one; more means the arm did not arrive
 
-STAYS = "Nothing moves. Repeat the step, or remove the instrument and send the arm home."
 UNSEEN = "the tracker sees no frame on the arm or the guide; only the joints show a push on the guide"
 DONE = "done"  # the one word that ends a stage
 DWELL_S = 0.5  # of theatre time, before the reading
@@ -199,7 +198,11 @@ def _do_stage(
             stages.record_done(trajectory, stage.task)
             work_so_far.done.append(stage.task)
     if answer != DONE:
-        raise NotConfirmed(f"nobody confirmed at {trajectory} that {stage.done_statement}", action=STAYS)
+        raise NotConfirmed(
+            f"nobody confirmed at {trajectory} that {stage.done_statement}",
+            action="Nothing moves. Repeat the step, or remove the instrument and send "
+            f"{context.workcell.arms_phrase} home.",
+        )
 
 
 @contextmanager

@@ -24,7 +24,7 @@ from procedures.steps.clinical.head_clamp import ClampedHead
 from procedures.steps.clinical.set_up import CheckedSetUp
 from procedures.steps.clinical.tool_mounting import exchange_tool
 from procedures.steps.conditions import needs_tool
-from procedures.workcell import MountedTool
+from procedures.workcell import MountedTool, Workcell
 from procedures.workcell.patient_frame import hold_to_patient_frame
 from procedures.workcell.tracker_look import average_pose, read_frames_at_rest, robot_from_marker
 from ronna_hw.arrays import Array
@@ -75,7 +75,7 @@ def run(context: StepContext) -> Outcome[GlobalLocalization]:
         frames, patient = hold_to_patient_frame(frames, name, workcell.tracker.markers_mm[name], on_arm)
     tracker_from_marker = average_pose(frames, on_arm)
     strays = average_strays(frames)
-    _check_count(len(strays.groups), least=LEAST_POINTS if ClampedHead in context.reads else 1)
+    _check_count(workcell, len(strays.groups), least=LEAST_POINTS if ClampedHead in context.reads else 1)
     spread_mm = _require_spread_mm(strays)
     joints = workcell.master.joints_rad()
     robot_from_tracker = robot_from_marker(workcell, joints) @ tracker_from_marker.inverse()
@@ -101,14 +101,16 @@ def run(context: StepContext) -> Outcome[GlobalLocalization]:
     )
 
 
-def _check_count(seen: int, least: int) -> None:
+def _check_count(workcell: Workcell, seen: int, least: int) -> None:
     """Raise PRO-007 for too few spheres, before the result could replace a good one."""
     if seen < least:
+        hiding = "they hide" if workcell.assistants else "it hides"
         raise GateFailed(
             "the tracker sees too few spheres",
             limit=f"at least {least}",
             got=str(seen),
-            action="Send the arm home if it hides them, clear the line of sight, then repeat the step.",
+            action=f"Send {workcell.arms_phrase} home if {hiding} them, clear the line of sight, "
+            "then repeat the step.",
         )
 
 

@@ -1,18 +1,16 @@
-"""Two arms in one collision world: the distance between them, and paths that keep it.
+"""Two arms in one collision world: the distance between them, and each as an obstacle of the other.
 
 The bodies of each arm are its own (`Bodies`), in postures of its own kinematics; distances between those of
-one arm and those of the other are coal's. A pair of paths is certified by bounds: with a distance `d` at one
-pair of postures, all pairs to which no point moves by more than `d - margin` in sum are far enough apart.
+one arm and those of the other are coal's.
 
 Lengths in mm. The common frame is the base of the master; `base` of an arm leads there.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import pairwise
 from typing import NamedTuple
 
 import coal
@@ -20,10 +18,7 @@ import numpy as np
 
 from ronna_hw.arm.clearance.bodies import Bodies, Capsule, Obstacle
 from ronna_hw.arm.clearance.sweep import moving_ends
-from ronna_hw.arm.errors import ARMS_TOO_CLOSE
-from ronna_hw.arm.kinematics import COLUMN_NAME, Kinematics
-from ronna_hw.arm.motion.planning import MotionPlan
-from ronna_hw.arm.motion.progress import drive_states
+from ronna_hw.arm.kinematics import COLUMN_NAME
 from ronna_hw.arm.pose import Pose
 from ronna_hw.arrays import Array
 from ronna_hw.vectors import JointVector, vector3
@@ -36,7 +31,6 @@ PLANNED_APART_MM = 40.0  # along planned paths: the rest is for the errors of bo
 # Safety against two arms that meet at the guide (U).
 APART_AT_GUIDE_MM = 10.0
 
-STRAIGHT_FACTOR = 1.01  # between two samples of a line a joint turns slightly more than their difference
 POINT_MM = 1e-6  # a shorter axis has no direction
 NO_TURN = np.eye(3)
 
@@ -164,126 +158,6 @@ class ArmPairWorld:
             shape.setTransform(coal.Transform3s(_turn_towards(along, length), (start + end) / 2.0))
             placed.append(shape)
         return placed
-
-
-@dataclass(frozen=True)
-class SampledPath:
-    """Postures of an arm along its path, one per cycle (n, axes); a resting arm has one."""
-
-    arm: PlacedArm
-    joints_rad: Array
-    cycle_s: float
-
-    @classmethod
-    def resting(cls, arm: PlacedArm, joints_rad: JointVector, cycle_s: float) -> SampledPath:
-        """Return the path of an arm that does not move."""
-        return cls(arm, np.array([joints_rad]), cycle_s)
-
-    @classmethod
-    def driven(cls, arm: PlacedArm, kinematics: Kinematics, plan: MotionPlan, cycle_s: float) -> SampledPath:
-        """Return the path of a planned motion as the arm drives it. Raises ARM-001 to ARM-003."""
-        joints = [plan.start_rad]
-        if not plan.is_standstill:
-            path = plan.path(kinematics)
-            for state in drive_states(plan.limits, plan.speed_steps, cycle_s):
-                joints.append(path.joints(min(max(state.position[0], 0.0), 1.0), joints[-1]))
-        return cls(arm, np.array(joints), cycle_s)
-
-    @cached_property
-    def travel_mm(self) -> Array:
-        """Upper bound on the motion of any point since the start, (n,)."""
-        steps = np.abs(np.diff(self.joints_rad, axis=0)) @ np.array(self.arm.levers_mm)
-        return np.concatenate([[0.0], np.cumsum(steps)]) * STRAIGHT_FACTOR
-
-    @cached_property
-    def axes_mm(self) -> Array:
-        """Axes of all bodies in every posture, (n, bodies, 2, 3)."""
-        return self.arm.axes(self.joints_rad)
-
-    @property
-    def count(self) -> int:
-        """Number of postures."""
-        return len(self.joints_rad)
-
-    def at(self, time_s: float) -> int:
-        """Return the number of the posture at a time, at the end for a later one."""
-        return min(max(round(time_s / self.cycle_s), 0), self.count - 1)
-
-
-class _Block(NamedTuple):
-    """Ranges of postures of both paths, ends included."""
-
-    first: tuple[int, int]
-    second: tuple[int, int]
-
-
-def find_approach(
-    world: ArmPairWorld,
-    first: SampledPath,
-    second: SampledPath,
-    apart_s: float,
-    margin_mm: float = PLANNED_APART_MM,
-) -> ArmDistance | None:
-    """Find a pair of postures that is not certainly farther apart than the margin, or None if all are.
-
-    Both motions begin together. One may lag the other by up to `apart_s`: at the start, by a slower clock, or
-    while both are stopped.
-    """
-    blocks = list(_blocks(first, second, apart_s))
-    while blocks:
-        block = blocks.pop()
-        middle = [(low + high) // 2 for low, high in block]
-        found = world.distance_of(first.axes_mm[middle[0]], second.axes_mm[middle[1]])
-        reach_mm = [
-            float(max(path.travel_mm[high] - path.travel_mm[at], path.travel_mm[at] - path.travel_mm[low]))
-            for path, at, (low, high) in zip((first, second), middle, block, strict=True)
-        ]
-        if (at_least_mm := found.distance_mm - sum(reach_mm)) >= margin_mm:
-            continue
-        divisible = [number for number, (low, high) in enumerate(block) if high - low > 1]
-        if found.distance_mm < margin_mm or not divisible:
-            return found if found.distance_mm < margin_mm else found._replace(distance_mm=at_least_mm)
-        blocks += _halves(block, max(divisible, key=reach_mm.__getitem__))
-    return None
-
-
-def require_apart(
-    world: ArmPairWorld,
-    first: SampledPath,
-    second: SampledPath,
-    apart_s: float,
-    margin_mm: float = PLANNED_APART_MM,
-) -> None:
-    """Raise ARM-011 unless all pairs of postures of two paths are farther apart than the margin."""
-    if (found := find_approach(world, first, second, apart_s, margin_mm)) is not None:
-        raise ARMS_TOO_CLOSE(
-            f"the {found.first} of the {first.arm.name} would come too close to the {found.second} of the "
-            f"{second.arm.name}",
-            limit=f"{margin_mm:g} mm",
-            got=f"{found.distance_mm:.1f} mm",
-        )
-
-
-def _blocks(first: SampledPath, second: SampledPath, apart_s: float) -> Sequence[_Block]:
-    """Cover all pairs of postures that can occur together with blocks."""
-    edges = range(0, first.count, max(1, round(apart_s / first.cycle_s)))
-    ends = [*edges, first.count - 1]
-    blocks = []
-    for low, high in pairwise(ends) if first.count > 1 else [(0, 0)]:
-        early_s, late_s = low * first.cycle_s - apart_s, high * first.cycle_s + apart_s
-        if high == first.count - 1:  # then the first arm rests there
-            late_s = second.count * second.cycle_s
-        blocks.append(_Block((low, high), (second.at(early_s), second.at(late_s))))
-    return blocks
-
-
-def _halves(block: _Block, widest: int) -> tuple[_Block, _Block]:
-    """Divide a block; both halves have the posture in the middle, so that nothing between two is missed."""
-    low, high = block[widest]
-    middle = (low + high) // 2
-    if widest:
-        return block._replace(second=(low, middle)), block._replace(second=(middle, high))
-    return block._replace(first=(low, middle)), block._replace(first=(middle, high))
 
 
 def _turn_towards(along: Array, length: float) -> Array:

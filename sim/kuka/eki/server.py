@@ -20,10 +20,10 @@ from ronna_hw.bounded_input import InputRefused, parse_xml
 from ronna_hw.endpoints import Endpoint
 from ronna_hw.host.port_users import find_tcp_listener
 from sim.errors import EndpointTaken
+from sim.world.client_sockets import receive_waiting
 
 BUFFER_LIMIT_BYTES = 16384  # BUFFSIZE of an EKI channel
 UNREAD_LIMIT = 512  # BUFFERING Limit: more unread values destroy the connection
-READ_BYTES = 65536
 GARBAGE = b"\xff\x00 what? />\r\n"
 PADDING = b"\0" * 64
 ANOTHER_PORT = (
@@ -192,12 +192,8 @@ class EkiServer:
 
     def _read(self) -> None:
         assert self._client is not None
-        try:
-            data = self._client.recv(READ_BYTES)
-        except BlockingIOError:
+        if (data := receive_waiting(self._client)) is None:
             return
-        except OSError:
-            data = b""
         if not data:
             self.drop()
             return

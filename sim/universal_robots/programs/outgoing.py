@@ -12,7 +12,8 @@ from ipaddress import IPv4Address
 from struct import Struct
 from typing import Final
 
-READ_BYTES: Final = 65536
+from sim.world.client_sockets import receive_waiting
+
 DIAL_ATTEMPTS: Final = 5
 DIAL_PAUSE_S: Final = 0.2  # between two attempts
 
@@ -66,12 +67,8 @@ class Outgoing:
     def _read(self) -> None:
         if self._socket is None:
             return
-        try:
-            data = self._socket.recv(READ_BYTES)
-        except BlockingIOError:
+        if (data := receive_waiting(self._socket)) is None:
             return
-        except OSError:
-            data = b""
         if not data:
             self.close()
         self._received += data

@@ -19,9 +19,8 @@ from prepared_results import (
     up_to_correspondence,
 )
 
-from procedures.engine.run_folder import parse_record
 from procedures.journal.journal import JOURNAL_FILE, Entry, read_journal
-from procedures.journal.results import FramedPose, StepResult
+from procedures.journal.results import FramedPose, StepResult, parse_record
 from procedures.registration.verification import CtToRoomRow, MeasuringInstrument, RoomToCtRow
 from procedures.reporting.case_figures import read_case_figures
 from procedures.reporting.files import SUMMARY_FILE, load_check

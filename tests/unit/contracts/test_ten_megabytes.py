@@ -17,8 +17,8 @@ from drivers.ndi_polaris.command_link import LONGEST_REPLY_BYTES
 from ronna_hw.control_port import LONGEST_LINE
 from ronna_hw.errors import RonnaError
 from ronna_hw.evidence.journal_reading import FIRST
-from sim.kuka.eki.server import READ_BYTES
 from sim.polaris.line.server import RECEIVE_BYTES
+from sim.world.client_sockets import READ_BYTES
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
 

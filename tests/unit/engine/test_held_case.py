@@ -305,7 +305,7 @@ def test_staff_go_to_clamp_and_cart_with_every_arm_at_home(cell: RecordingCell) 
     context = cast("StepContext", SimpleNamespace(workcell=cell.workcell))
     cell.workcell.master.set_home()
     assert needs_arm_home(context) == ()
-    away = SimpleNamespace(name="assistant", place=ArmPlace(PlaceKind.AWAY))
+    away = SimpleNamespace(spoken_name="assistant", place=ArmPlace(PlaceKind.AWAY))
     cell.add_assistant(away)
     assert needs_arm_home(context) == ("the assistant is not home: send it there first (home)",)
 

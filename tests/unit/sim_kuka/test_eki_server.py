@@ -21,7 +21,6 @@ from sim.kuka.eki.sdk_channel import SdkChannel
 from sim.kuka.eki.server import (
     GARBAGE,
     PADDING,
-    READ_BYTES,
     UNREAD_LIMIT,
     EkiServer,
     halve,
@@ -29,6 +28,7 @@ from sim.kuka.eki.server import (
     prepend_garbage,
     split_requests,
 )
+from sim.world.client_sockets import READ_BYTES
 
 LOOP_S = 0.012
 

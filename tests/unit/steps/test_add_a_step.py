@@ -17,8 +17,8 @@ from prepared_results import mounted_guide
 from procedures.engine.case import StepKey
 from procedures.engine.machine import state_chart_mermaid
 from procedures.engine.order import CaseOrder, order_of
-from procedures.engine.run_folder import parse_record
 from procedures.journal.errors import GateFailed
+from procedures.journal.results import parse_record
 from procedures.steps import catalogue as steps_catalogue
 from procedures.steps import clinical
 from ronna_hw.config import DeviceConfig

@@ -27,9 +27,8 @@ from procedures.calibration.frame_calibration import FrameLook, FrameLooks, Use
 from procedures.calibration.tip_calibration import BallLook, DivotReading, TipLooks
 from procedures.engine.case import StepKey
 from procedures.engine.order import Steps, StepSpec
-from procedures.engine.run_folder import parse_record
 from procedures.guards.stability import SeenUnchanged, Subject
-from procedures.journal.results import FramedPose, StepResult
+from procedures.journal.results import FramedPose, StepResult, parse_record
 from procedures.operator.question import Topic
 from procedures.steps.calibration.ball_place import BallPlace
 from procedures.steps.calibration.frame_looks import ObservedFrame

@@ -15,7 +15,7 @@ from ideal_arm import Controller, IdealArm
 from procedures.workcell.arms import Arms
 from procedures.workcell.errors import INSTRUMENT_IN_GUIDE, BothArmsHalted, OtherArmUnknown
 from ronna_hw.arm.clearance.bodies import Capsule, Part, Surroundings
-from ronna_hw.arm.errors import ARMS_TOO_CLOSE, ForceLimitExceeded, NotClear
+from ronna_hw.arm.errors import ForceLimitExceeded, NotClear
 from ronna_hw.arm.pose import Pose
 from ronna_hw.clock import Clock, HostClock
 from ronna_hw.config import DeviceConfig
@@ -222,24 +222,6 @@ def test_a_part_that_may_touch_the_instrument_keeps_its_distance_from_the_rest_o
     pair.watch()
     assert pair.halted is not None
     assert "tube of the master" in pair.halted.reason
-
-
-def test_both_arms_move_together_on_paths_that_are_clear_of_each_other(
-    pair: Arms, master: WatchedArm, assistant: WatchedArm
-) -> None:
-    goals = {MASTER: turned(master, 10.0), ASSISTANT: turned(assistant, -10.0)}
-    pair.move_together(goals)
-    for role, arm in ((MASTER, master), (ASSISTANT, assistant)):
-        assert arm.controller.joints_rad == pytest.approx(goals[role].target_rad)
-
-
-def test_paths_that_meet_are_refused_before_anything_moves(
-    pair: Arms, master: WatchedArm, assistant: WatchedArm
-) -> None:
-    both = {role: JointMove(STRETCHED_RAD) for role in (MASTER, ASSISTANT)}
-    with raises(ARMS_TOO_CLOSE, match="ARM-011"):
-        pair.move_together(both)
-    assert master.controller.joints_rad == assistant.controller.joints_rad == HOME_RAD
 
 
 @pytest.mark.hazard(58)

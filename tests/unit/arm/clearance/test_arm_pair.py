@@ -1,4 +1,4 @@
-"""Two arms in one collision world: distances agree, and certified paths keep the margin by truth.
+"""Two arms in one collision world: distances agree, and planned paths keep the margin by truth.
 
 The truth shares nothing with the checks: bodies ride on the simulator's Pinocchio chains, with the errors of
 its arms, from the true base; distances are those of densely sampled axes.
@@ -11,27 +11,22 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 import pytest
-from coded_errors import raises
 
+from procedures.workcell.placed_arms import PlacedArms
 from ronna_hw.arm.catalogue import find_arm
-from ronna_hw.arm.clearance.arm_pair import (
-    APART_MM,
-    ArmPairWorld,
-    PlacedArm,
-    SampledPath,
-    find_approach,
-    require_apart,
-)
+from ronna_hw.arm.clearance.arm_pair import APART_MM, ArmPairWorld, PlacedArm
 from ronna_hw.arm.clearance.bodies import Bodies, Capsule, Part, Surroundings, segment_distance_mm
 from ronna_hw.arm.clearance.live_pair import LivePair
-from ronna_hw.arm.errors import ARMS_TOO_CLOSE
+from ronna_hw.arm.clearance.sweep import sweep_path
 from ronna_hw.arm.kinematics import Kinematics
 from ronna_hw.arm.motion.limits import working_limits
-from ronna_hw.arm.motion.planning import plan_joint_move
+from ronna_hw.arm.motion.planning import MotionPlan, plan_joint_move
+from ronna_hw.arm.motion.progress import drive_states
 from ronna_hw.arm.pose import Pose
 from ronna_hw.arrays import Array
 from ronna_hw.collision_config import CollisionConfig
 from ronna_hw.errors import LimitError
+from ronna_hw.roles import ASSISTANT, MASTER
 from ronna_hw.vectors import JointVector, joint_vector
 from sim.world.descriptions import DESCRIPTIONS
 from sim.world.rigid import Matrix, apply, matrix_from, matrix_of, rotation_from_vector
@@ -41,8 +36,7 @@ from sim.world.scene.model import ArmTruth
 from sim.world.scene.named_scenes import draw_scene
 from sim.world.true_arm import build_model
 
-CYCLE_S = 0.02  # coarser than an arm's own: bounds hold between postures, and the truth is sampled
-LAG_S = 0.5
+CYCLE_S = 0.02  # coarser than an arm's own: the truth is sampled
 SPREAD_DEG = (30.0, 25.0, 25.0, 60.0, 50.0, 100.0)  # about home with the arm reaching out, either way
 REACHING_DEG = (0.0, 25.0, -20.0, 0.0, 0.0, 0.0)  # from home: into the room of the other arm
 POINTS = 33  # on each axis of the truth
@@ -142,37 +136,34 @@ class PairOfArms:
         self.true_assistant = TrueBodies(self.assistant, truth, base)
         self.world = ArmPairWorld(self.master, self.assistant)
 
-    def sampled_path(self, arm: PlacedArm) -> SampledPath:
+    @property
+    def arms(self) -> tuple[PlacedArm, PlacedArm]:
+        """Both arms as calibrated, the master first."""
+        return self.master, self.assistant
+
+    def plan(self, kinematics: Kinematics) -> MotionPlan:
         """A random joint move of an arm."""
-        kinematics = find_arm(arm.bodies.arm.name).kinematics  # type: ignore[attr-defined]
         while True:
             start, goal = self.posture(kinematics), self.posture(kinematics)
             try:
-                plan = plan_joint_move(kinematics, start, goal, working_limits(kinematics))
+                return plan_joint_move(kinematics, start, goal, working_limits(kinematics))
             except LimitError:
                 continue
-            return SampledPath.driven(arm, kinematics, plan, CYCLE_S)
 
     def posture(self, kinematics: Kinematics) -> JointVector:
         """A random posture about home."""
         spread = np.radians(REACHING_DEG) + np.radians(SPREAD_DEG) * self.draws.uniform(-1.0, 1.0, 6)
         return joint_vector((np.array(kinematics.home_rad) + spread).tolist())
 
-    def least_true_gap_mm(self, first: SampledPath, second: SampledPath, lag_s: float) -> float:
-        """Smallest distance by truth, when the second arm lags the first by `lag_s`."""
-        count = max(first.count, second.count)
-        lag = round(lag_s / CYCLE_S)
-        rows = np.arange(-abs(lag), count + abs(lag))
-        one = first.joints_rad[np.clip(rows, 0, first.count - 1)]
-        other = second.joints_rad[np.clip(rows - lag, 0, second.count - 1)]
-        return float(
-            true_gaps_mm(
-                self.true_master.axes(one),
-                self.true_assistant.axes(other),
-                np.array(self.master.radii_mm),
-                np.array(self.assistant.radii_mm),
-            ).min()
+    def least_true_gap_mm(self, moving: int, path_rad: Array, resting_rad: JointVector) -> float:
+        """Smallest distance by truth while one arm, 0 or 1, moves and the other rests."""
+        arms = (self.true_master, self.true_assistant)
+        one, other = arms[moving], arms[1 - moving]
+        rests = np.broadcast_to(
+            other.axes(np.array([resting_rad])), (len(path_rad), len(other.arm.names), 2, 3)
         )
+        radii = [np.array(arm.arm.radii_mm) for arm in (one, other)]
+        return float(true_gaps_mm(one.axes(path_rad), rests, *radii).min())
 
 
 ARMS = ("kr6_r900_sixx", "ur5e")
@@ -218,39 +209,37 @@ def test_an_arm_at_rest_is_as_far_from_the_other_as_the_obstacles_made_of_it() -
     assert nearest == pytest.approx(pair.world.distance(moving, resting).distance_mm - 12.0, abs=1e-3)
 
 
-def test_an_approach_between_two_postures_is_found() -> None:
-    """Both paths are far apart at their ends and pass each other on the way."""
-    pair = PairOfArms(3)
-    arm = pair.master.bodies.arm
-    home = np.array(arm.home_rad)
-    ends = [home + np.radians((side, 0.0, 0.0, 0.0, 0.0, 0.0)) for side in (-80.0, 80.0)]
-    shares = np.linspace(0.0, 1.0, 100)[:, None]
-    swing = SampledPath(pair.master, ends[0] * (1.0 - shares) + ends[1] * shares, 0.02)
-    reached_out = home + np.radians((0.0, 60.0, -40.0, 0.0, 0.0, 0.0))
-    still = SampledPath.resting(pair.assistant, tuple(reached_out.tolist()), 0.02)
-    at_ends = [pair.world.distance(swing.joints_rad[row], still.joints_rad[0]).distance_mm for row in (0, -1)]
-    found = find_approach(pair.world, swing, still, LAG_S)
-    assert found is not None
-    assert found.distance_mm < min(at_ends)
-    with raises(ARMS_TOO_CLOSE, match="ARM-011"):
-        require_apart(pair.world, swing, still, LAG_S)
+def driven_rad(kinematics: Kinematics, plan: MotionPlan) -> Array:
+    """Joints along a planned motion, one row per cycle."""
+    path, joints = plan.path(kinematics), [plan.start_rad]
+    for state in drive_states(plan.limits, plan.speed_steps, CYCLE_S):
+        joints.append(path.joints(min(max(state.position[0], 0.0), 1.0), joints[-1]))
+    return np.array(joints)
 
 
-def accepted_gaps_mm(pairs: int, scenes: int) -> list[float]:
-    """The smallest true distances of random pairs of motions, one or both arms moving, that are allowed."""
+def allowed_gaps_mm(pairs: int, scenes: int) -> list[float]:
+    """The smallest true distances of random motions beside a resting arm that are allowed."""
     gaps = []
     for number in range(pairs):
         pair = PAIRS.setdefault(number % scenes, PairOfArms(number % scenes, ARMS[number % scenes % 2]))
-        first, second = pair.sampled_path(pair.master), pair.sampled_path(pair.assistant)
-        lag_s = float(pair.draws.uniform(-LAG_S, LAG_S))
-        if find_approach(pair.world, first, second, LAG_S) is not None:  # then one after the other
-            lag_s, first = 0.0, SampledPath(first.arm, first.joints_rad[-1:], first.cycle_s)
-            if find_approach(pair.world, first, second, 0.0) is not None:
-                continue
-        gaps.append(pair.least_true_gap_mm(first, second, lag_s))
+        chains = dict(
+            zip(ROLES, (find_arm(arm.bodies.arm.name).kinematics for arm in pair.arms), strict=True)
+        )
+        moving = int(pair.draws.integers(2))
+        role, other = ROLES[moving], ROLES[1 - moving]
+        plan, resting_rad = pair.plan(chains[role]), pair.posture(chains[other])
+        placed = PlacedArms(ROLES, chains.__getitem__)
+        placed.around.update(zip(ROLES, (arm.bodies.surroundings for arm in pair.arms), strict=True))
+        placed.place(ASSISTANT, pair.assistant.base, 0.0)
+        if not placed.are_apart({role: plan.start_rad, other: resting_rad}):
+            continue
+        around = placed.surroundings_among(role, {other: resting_rad})
+        if sweep_path(chains[role], plan, around, search_closest=False).refused is None:
+            gaps.append(pair.least_true_gap_mm(moving, driven_rad(chains[role], plan), resting_rad))
     return gaps
 
 
+ROLES = (MASTER, ASSISTANT)
 PAIRS: dict[int, PairOfArms] = {}
 
 
@@ -259,6 +248,6 @@ PAIRS: dict[int, PairOfArms] = {}
     [(12, 2), pytest.param(10_000, 50, marks=(pytest.mark.soak, pytest.mark.timeout(3600)))],
 )
 def test_allowed_motions_keep_their_distance_by_truth(pairs: int, scenes: int) -> None:
-    gaps_mm = accepted_gaps_mm(pairs, scenes)
+    gaps_mm = allowed_gaps_mm(pairs, scenes)
     assert len(gaps_mm) >= pairs // 3
     assert min(gaps_mm) >= APART_MM
