@@ -121,7 +121,7 @@ CONSOLE_MISSING = ErrorCode(
     "PRO-040",
     RonnaError,
     "The browser console is not installed.",
-    "Install ronna-hw[console], or run without --console.",
+    "Install it with: pip install 'ronna-hw[console]', or run without --console.",
     own_exit_code=EXIT_USAGE,
 )
 

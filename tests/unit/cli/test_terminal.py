@@ -21,6 +21,7 @@ from coded_errors import raises
 from ronna_hw.command_line import messages, terminal
 from ronna_hw.command_line.errors import (
     DISK_FULL,
+    EXTRA_MISSING,
     INTERNAL_FAULT,
     NOT_WRITABLE,
     OUT_OF_MEMORY,
@@ -89,6 +90,14 @@ def test_an_operating_system_error_becomes_one_line_with_a_code(
     assert (code, out) == (kind.exit_code, "")
     assert err.startswith(f"{kind.code}: /some/folder: ")
     assert err.count("\n") == 1
+
+
+def test_a_missing_package_names_the_line_that_installs_it(capsys: pytest.CaptureFixture[str]) -> None:
+    missing = ModuleNotFoundError("No module named 'nicegui'", name="nicegui")
+    assert terminal.exit_code_of(raising(missing), []) == EXTRA_MISSING.exit_code
+    err = capsys.readouterr().err
+    assert err.startswith(f"{EXTRA_MISSING.code}: ")
+    assert "pip install 'ronna-hw[console]'" in err
 
 
 @pytest.mark.parametrize(
