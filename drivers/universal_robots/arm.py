@@ -50,6 +50,15 @@ class UniversalRobotsArm(HandGuidedArm[ControllerState]):
         limits = options.limits(arm, options.cycle_s)
         super().__init__(guard, connections, UrWatch(guard, connections), limits)
 
+    @property
+    def stated_calibration(self) -> tuple[float, ...]:
+        """Factory calibration that the controller has stated, column by column; empty if there is none."""
+        return self.connections.calibration
+
+    def adopt_calibration(self, stated: tuple[float, ...]) -> None:
+        """Compute the arm as this controller stated it, without asking it; raises ARM-010."""
+        self.connections.adopt_calibration(stated)
+
     def readiness(self, timeout_s: float = 1.0) -> tuple[Fact, ...]:
         """Report every condition that `activate` checks, with the controller's current values."""
         connections = self.connections

@@ -14,6 +14,7 @@ import time
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import replace
+from itertools import chain
 
 from drivers.universal_robots.controller.script import render_script, render_secondary
 from drivers.universal_robots.dashboard import DashboardClient
@@ -39,11 +40,10 @@ from drivers.universal_robots.power import ASK_LIMIT_S, PowerAndSafety
 from drivers.universal_robots.primary.client import ControllerState, PrimaryClient
 from drivers.universal_robots.realtime.loop import Handover
 from drivers.universal_robots.realtime.packages import ControllerWord
+from drivers.universal_robots.realtime.settings import kinematics_by
 from drivers.universal_robots.rtde import RtdeSetup, Version
 from drivers.universal_robots.services import require_own_services
 from ronna_hw.arm.motion.limits import MotionLimits
-from ronna_hw.arm.universal_robots import universal_robot
-from ronna_hw.arm.universal_robots.calibrated import CalibratedUniversalRobot
 from ronna_hw.arm_stream.client import LinkClient, StartRefused
 from ronna_hw.arm_stream.connections import StreamConnections, remaining_s
 from ronna_hw.arm_stream.records import LinkState, OpenStream, StreamPhase
@@ -74,7 +74,7 @@ class Connections(StreamConnections[ControllerState, PrimaryClient]):
         self._dashboard_address, self._primary_address = addresses["dashboard"], addresses["primary"]
         self._name, self._options = faults.name, faults.options
         self.open_dashboard: DashboardClient | None = None
-        self._calibration: tuple[float, ...] = ()
+        self.calibration: tuple[float, ...] = ()  # columns of the factory calibration, one after the other
         self._identity: Identity | None = None  # found first: another one is refused
         self._load: ToolLoad | None = None  # set by a caller, and sent again with each script
         self.power = PowerAndSafety(faults.name, faults.options.model, clock, lambda: self.dashboard)
@@ -109,7 +109,7 @@ class Connections(StreamConnections[ControllerState, PrimaryClient]):
         self.close_link()
         ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         options = self._options
-        settings = link_settings(options, theirs.fileno(), self._calibration)
+        settings = link_settings(options, theirs.fileno(), self.calibration)
         with theirs:
             try:
                 self.open_link = LinkClient(
@@ -264,16 +264,15 @@ class Connections(StreamConnections[ControllerState, PrimaryClient]):
         identity = identity_of(options, serial, version, info)
         require_same(self._name, self._identity, identity)
         if (calibration := require_calibration(self._name, options, info)) is not None:
-            nominal = universal_robot(options.model).dimensions
-            self.faults = replace(self.faults, arm=CalibratedUniversalRobot(nominal, calibration))
-            self._calibration = (
-                *calibration.theta_rad,
-                *calibration.a_mm,
-                *calibration.d_mm,
-                *calibration.alpha_rad,
-            )
+            columns = (calibration.theta_rad, calibration.a_mm, calibration.d_mm, calibration.alpha_rad)
+            self.adopt_calibration(tuple(chain.from_iterable(columns)))
         self._identity = identity
         return identity
+
+    def adopt_calibration(self, columns: tuple[float, ...]) -> None:
+        """Compute the arm by this factory calibration from now on; raises ARM-010."""
+        self.calibration = columns
+        self.faults = replace(self.faults, arm=kinematics_by(self._options.model, columns))
 
     def _read_version(self, timeout_s: float) -> Version:
         """Read the controller's version by RTDE, and check that it has the fields of our stream."""

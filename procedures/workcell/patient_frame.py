@@ -1,15 +1,16 @@
 """Tracker readings relative to the patient's frame, the rigid body on the head clamp.
 
-A reading is divided into spells in which the tracker rests against the clamp, and each spell is expressed by
-where the frame on the clamp is. A push against the tracker during the reading then moves nothing: the frame
-on the arm and the spheres stay where they are against the clamp. Spells and not single frames: in one frame
-the rotation of the frame on the clamp has a noise that would move what is far from it.
+A reading is divided into spells in which the tracker rests against the clamp. A push against the tracker
+during the reading then moves nothing, if the frame on the arm stays where it is against the clamp. The last
+spell alone counts, and a pushed reading is to be repeated: by the rotation of the frame on the clamp, spells
+before a push fit it to some tenths of a millimetre only, where later looks are held against hundredths.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -49,10 +50,18 @@ def require_in_view(workcell: Workcell, frames: list[TrackerFrame]) -> None:
         )
 
 
+class HeldReading(NamedTuple):
+    """Frames since the tracker rests, the pose TRACKER <- PATIENT, and whether it was pushed before."""
+
+    frames: list[TrackerFrame]
+    patient: Transform
+    pushed: bool
+
+
 def hold_to_patient_frame(
     frames: list[TrackerFrame], name: str, markers_mm: ArrayLike, on_arm: str
-) -> tuple[list[TrackerFrame], Transform]:
-    """Return the frames as a tracker at its last place would see them, and the pose TRACKER <- PATIENT.
+) -> HeldReading:
+    """Return what a reading shows since the tracker came to rest against the clamp.
 
     Frames that do not show the patient's frame are left out. Raises PRO-007 if too few do, if the tracker has
     not come to rest, or if the frame on the arm has moved against the clamp meanwhile.
@@ -68,14 +77,11 @@ def hold_to_patient_frame(
             action="Lock the tracker's stand and the clamp, let nobody touch them, then repeat the step.",
         )
     pose = average_pose_of(spells[-1], name)
-    held: list[TrackerFrame] = []
     for spell in spells[:-1]:
         if len(spell) >= LEAST_STILL:
             move = pose @ average_pose_of(spell, name).inverse()
-            moved = [seen_after(move, frame) for frame in spell]
-            _require_arm_still(moved, spells[-1], on_arm)
-            held += moved
-    return [*held, *spells[-1]], pose
+            _require_arm_still([seen_after(move, frame) for frame in spell], spells[-1], on_arm)
+    return HeldReading(spells[-1], pose, len(spells) > 1)
 
 
 def average_pose_of(frames: list[TrackerFrame], name: str) -> Transform:

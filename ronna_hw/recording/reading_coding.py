@@ -51,6 +51,7 @@ PROPERTIES: dict[str, Any] = {
     "serials": tuple[str, str],
     "notices": tuple[str, ...],
     "operating_mode": OperatingMode,
+    "stated_calibration": tuple[float, ...],
 }
 IDENTIFYING_CALLS = ("connect", "configure")
 
@@ -61,6 +62,16 @@ class RecordsCalls(Protocol):
 
     @property
     def recorded_calls(self) -> Mapping[str, Any]: ...
+
+
+@runtime_checkable
+class StatesCalibration(Protocol):
+    """Device that is told apart from its model by what it states once connected, such as an arm."""
+
+    @property
+    def stated_calibration(self) -> tuple[float, ...]: ...
+
+    def adopt_calibration(self, stated: tuple[float, ...]) -> None: ...
 
 
 def list_recorded_calls(device: object) -> Mapping[str, Any]:

@@ -8,16 +8,18 @@ from __future__ import annotations
 
 import json
 import subprocess
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import pytest
 from kills import killed_at
+from running_case import RunningCase
 from user_commands import Commands
 
 from procedures.journal.journal import JOURNAL_FILE, Entry, Line, read_journal
 from ronna_hw.errors import EXIT_RECOVERY_NEEDED, EXIT_REFUSED, EXIT_SAFETY_STOP
+from ronna_hw.roles import ASSISTANT
 from sim.world.saved_world import WORLD_FILE
 from studies.worlds.finished_case import FINISHED, IN_DOUBT, read_predictions
 from studies.worlds.verdict import limits_used_mm
@@ -36,14 +38,16 @@ HEAD_45 = ("room turn head 0.2761 -0.5600 0.1525 deg", "room shift head 0.8976 0
 HEAD_49 = ("room turn head 0.4586 -0.2283 -0.2631 deg", "room shift head 0.4920 0.8120 0.1530 mm")
 GUIDE = (("room turn guide 0 0.42 0 deg for 8 s",), ("room push guide 60 0 0 N",))
 
-# Seed 0 with two arms: from the begin of `at_target:T1` the assistant is amid its way in after 24 s, and its
-# instrument at depth from 36 s to 38 s. These moves turn its cart about its frame as it is by then.
-ON_THE_WAY_IN_S, AT_DEPTH_S = 24.0, 36.8
+# Seed 0 with two arms: each move turns the assistant's cart about its frame as that is by then.
 DUAL_0 = ("--scene", "mini", "--seed", "0", "--dual")
-ASSISTANT_TURNED = {
-    ON_THE_WAY_IN_S: "room move cart 2 -0.874 -17.453 0 mm 2 deg in 0.1 s",
-    AT_DEPTH_S: "room move cart 2 -0.928 -17.959 0 mm 2 deg in 0.1 s",
-}
+BEGINS_TO_INSERT = {"entry": Entry.MOTION, "arm": ASSISTANT, "what": "insert"}
+IS_AT_DEPTH = {"entry": Entry.WORK, "task": "seated"}
+ASSISTANT_TURNED = (
+    pytest.param(
+        BEGINS_TO_INSERT, 10.0, "room move cart 2 -0.874 -17.453 0 mm 2 deg in 0.1 s", id="on the way in"
+    ),
+    pytest.param(IS_AT_DEPTH, 0.1, "room move cart 2 -0.928 -17.959 0 mm 2 deg in 0.1 s", id="at depth"),
+)
 ALONG_THE_BORE = ("insert", "withdraw")
 
 
@@ -125,28 +129,26 @@ def test_a_head_turned_about_its_spheres_is_never_silent(
 
 
 @pytest.mark.hazard(64)
-@pytest.mark.parametrize("after_s", ASSISTANT_TURNED, ids=["on the way in", "at depth"])
+@pytest.mark.parametrize(("reached", "after_s", "change"), ASSISTANT_TURNED)
 def test_no_arm_moves_along_the_bore_once_the_assistants_cart_is_turned_about_its_frame(
-    commands: Commands, tmp_path: Path, after_s: float
+    commands: Commands, tmp_path: Path, reached: Mapping[str, str], after_s: float, change: str
 ) -> None:
-    script = since(f"at_target:T1 after {after_s} s", [ASSISTANT_TURNED[after_s]])
-    ended = run_case(commands, tmp_path, DUAL_0, script)
-    (run,) = (tmp_path / "runs").iterdir()
-    assert ended.returncode in (EXIT_REFUSED, EXIT_SAFETY_STOP), ended.stderr
-    assert moves_after(run, after_s) == []
-    commands.run("ronna-procedure", "resume", str(run), "--accept", timeout_s=LIMIT_S)
-    assert moves_after(run, after_s) == []
+    case = RunningCase(commands, DUAL_0, tmp_path / "runs")
+    line = case.await_line(lambda line: reached.items() <= line.items())
+    changed_s = theatre_s(line) + after_s
+    assert case.inject(f"at {changed_s:.3f} s: {change}")
+    case.end()
+    assert case.process.returncode in (EXIT_REFUSED, EXIT_SAFETY_STOP)
+    assert moves_after(case.folder, changed_s) == []
+    commands.run("ronna-procedure", "resume", str(case.folder), "--accept", timeout_s=LIMIT_S)
+    assert moves_after(case.folder, changed_s) == []
 
 
-def moves_after(run: Path, after_s: float) -> list[tuple[object, object]]:
+def moves_after(run: Path, changed_s: float) -> list[tuple[object, object]]:
     """Motions along the bore that begin later than the change, or arrive in spite of it."""
-    lines = list(read_journal(run / JOURNAL_FILE))
-    begun_s = next(
-        theatre_s(one) for one in lines if one["entry"] == Entry.INTENT and one["step"] == "at_target:T1"
-    )
-    later = [one for one in lines if theatre_s(one) > begun_s + after_s]
+    later = [one for one in read_journal(run / JOURNAL_FILE) if theatre_s(one) > changed_s]
     begun = [one for one in later if one["entry"] == Entry.MOTION and one["what"] in ALONG_THE_BORE]
-    seated = [one for one in later if one["entry"] == Entry.WORK and one["task"] == "seated"]
+    seated = [one for one in later if IS_AT_DEPTH.items() <= one.items()]
     return [(one.get("arm"), one.get("what", one.get("task"))) for one in (*begun, *seated)]
 
 

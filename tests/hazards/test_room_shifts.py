@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -34,7 +35,10 @@ from procedures.steps.clinical.room import require_unmoved
 from procedures.workcell import MountedTool
 from procedures.workcell.tracker_look import read_frames_at_rest
 from ronna_hw.arrays import Array
+from ronna_hw.errors import LinkTimeout
 from ronna_hw.frames import Frame, Transform
+from ronna_hw.roles import ASSISTANT
+from ronna_hw.vectors import JointVector
 from sim.polaris.measurement.optics import EYES_MM, phantoms
 from sim.world.rigid import matrix_from
 
@@ -295,6 +299,20 @@ def test_no_head_is_approached_while_the_tracker_does_not_see_it_or_the_frame_on
     assert cell.arm.motions == []
     setattr(cell.tracker, name, shown)
     engine.run_step(engine.order.find(f"positioning:{FIRST}"))
+
+
+@pytest.mark.hazard(58)
+def test_an_assistant_whose_link_is_dead_is_not_called_hidden_from_the_tracker(cell: ClinicalCell) -> None:
+    def silent() -> JointVector:
+        raise LinkTimeout("its link is dead")
+
+    engine = before_the_approach(cell)
+    assistant = SimpleNamespace(
+        role=ASSISTANT, name="assistant", frame="frame", leads_instrument=False, joints_rad=silent
+    )
+    cell.add_assistant(assistant)
+    with pytest.raises(LinkTimeout, match="its link is dead"):
+        require_unmoved(engine.context(engine.order.find(f"positioning:{FIRST}")), "before the approach")
 
 
 @pytest.mark.hazard(12)

@@ -5,7 +5,6 @@ failure unless the operator led it on, its journal is whole, and no process is l
 """
 
 import json
-import re
 from collections.abc import Iterator, Sequence
 from datetime import datetime
 from pathlib import Path
@@ -13,7 +12,7 @@ from typing import Any
 
 import pytest
 from simulated_case import SimulatedCase
-from single_faults import DONE, SCENES, Cell, cells, noticed_by_device, stops
+from single_faults import DONE, SCENES, Cell, cells, codes_told, noticed_by_device, stops
 from user_commands import Commands
 
 from procedures.journal.journal import Entry, Line
@@ -25,8 +24,6 @@ pytestmark = [pytest.mark.soak, pytest.mark.timeout(400)]
 
 SEED = 3
 LARGEST_ERROR_MM = 1.5
-CODE = re.compile(r"[A-Z]+-\d{3}")
-QUOTING = {"PRO-001", "DEV-001"}  # a step, or a call in it, that came after the fault and is refused for it
 IN_DOUBT = "in doubt"
 AT_REST = (Entry.RESTED, Entry.FAILED, Entry.REFUSED)
 
@@ -74,17 +71,11 @@ def broken_promises(
     elif not stretches:
         yield f"ended as {outcome['outcome']} without a stop"
     if stretches:
-        said = codes_told(stretches[0][0], outcome)
+        said = codes_told(stretches[0][0])
         if not (as_promised := said & cell.codes):
             yield f"stopped with {', '.join(said)}"
         else:
             yield from too_late(cell, journal, as_promised, halted_s)
-
-
-def codes_told(stop: Line, outcome: dict[str, Any]) -> set[str]:
-    """The code of the stop; where something was refused because of a fault, also the codes that it quotes."""
-    code = str(stop.get("code") or outcome["error"]["code"])
-    return {code, *CODE.findall(str(stop.get("unmet", stop.get("what"))))} if code in QUOTING else {code}
 
 
 def too_late(cell: Cell, journal: Sequence[Line], codes: set[str], halted_s: float | None) -> Iterator[str]:

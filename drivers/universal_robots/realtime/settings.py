@@ -25,8 +25,16 @@ class LinkSettings(StreamSettings):
 
     def kinematics(self) -> UniversalRobot:
         """Return the kinematics of this individual arm; raises ARM-010."""
-        nominal = universal_robot(self.model)
-        if not self.calibration:
-            return nominal
-        columns = [joint_vector(self.calibration[6 * k : 6 * k + 6]) for k in range(COLUMNS)]
-        return CalibratedUniversalRobot(nominal.dimensions, FactoryCalibration(*columns))
+        return kinematics_by(self.model, self.calibration)
+
+
+def kinematics_by(model: str, calibration: tuple[float, ...]) -> UniversalRobot:
+    """Return the kinematics of an arm by the columns of its factory calibration, nominal without them.
+
+    Raises ARM-010.
+    """
+    nominal = universal_robot(model)
+    if not calibration:
+        return nominal
+    columns = [joint_vector(calibration[6 * k : 6 * k + 6]) for k in range(COLUMNS)]
+    return CalibratedUniversalRobot(nominal.dimensions, FactoryCalibration(*columns))

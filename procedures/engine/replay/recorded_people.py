@@ -15,7 +15,13 @@ from ronna_hw.devices.capabilities import ByteSink
 from ronna_hw.devices.lifecycle import Device, LastKnown, Lifecycle, hold_active
 from ronna_hw.devices.robot import OperatingMode
 from ronna_hw.errors import RonnaError
-from ronna_hw.recording.reading_coding import ANSWERS, PROPERTIES, RECORDED_PROPERTIES, list_recorded_calls
+from ronna_hw.recording.reading_coding import (
+    ANSWERS,
+    PROPERTIES,
+    RECORDED_PROPERTIES,
+    StatesCalibration,
+    list_recorded_calls,
+)
 from ronna_hw.roles import MASTER
 
 AT_CHECKPOINTS = (Topic.PAUSE, Topic.GUARD, Topic.HEAD_UNSEEN)  # nobody pauses a replay, and it has no guards
@@ -143,6 +149,7 @@ class _StandIn:
             "serials": ("", ""),
             "notices": (),
             "operating_mode": OperatingMode.AUTOMATIC,
+            "stated_calibration": (),
         }
         self._known: LastKnown[object] = LastKnown(Lifecycle.DISCONNECTED, None, None)
 
@@ -181,6 +188,8 @@ class _StandIn:
         newest = given.value if call in READINGS and given.error is None else self._known.reading
         self._known = LastKnown(given.state, fault, newest)
         self.last_properties.update(given.properties)
+        if isinstance(self._device, StatesCalibration) and "stated_calibration" in given.properties:
+            self._device.adopt_calibration(cast("tuple[float, ...]", given.properties["stated_calibration"]))
         if given.error is not None:
             raise given.error
         return given.value

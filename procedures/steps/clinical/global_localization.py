@@ -2,8 +2,7 @@
 
 The arm rests with its correction stream off. Exactly FRAMES measurements are averaged; frames that the
 tracker repeats because it is polled faster than it measures do not count. With the patient's frame on the
-head clamp, everything is measured relative to it in the frames that show it, so that a push against the
-tracker meanwhile changes nothing.
+head clamp, only frames that show it count, and a reading in which the tracker was pushed is repeated.
 """
 
 from __future__ import annotations
@@ -29,10 +28,13 @@ from procedures.workcell.patient_frame import hold_to_patient_frame
 from procedures.workcell.tracker_look import average_pose, read_frames_at_rest, robot_from_marker
 from ronna_hw.arrays import Array
 from ronna_hw.calibration import Numbers3
+from ronna_hw.devices.readings import TrackerFrame
 from ronna_hw.devices.strays import StrayAverage, average_strays
+from ronna_hw.frames import Transform
 from ronna_hw.text import format_against_limit
 from ronna_hw.vectors import JointVector, vector3
 
+MOST_READINGS = 3  # of a second each, until one in which nobody has pushed the tracker
 # Safety against spheres that move while they are localized (U).
 SPREAD_LIMIT_MM = 1.0  # rms of one sphere over the frames; more means that something moved
 
@@ -69,10 +71,8 @@ def run(context: StepContext) -> Outcome[GlobalLocalization]:
     workcell = context.workcell
     if workcell.master.tool is MountedTool.GUIDE:  # earlier localizations are void
         exchange_tool(context, MountedTool.STEREO_HEAD)
-    frames, lost = read_frames_at_rest(workcell, lambda share: context.progress(share, "reading the tracker"))
-    on_arm, patient = workcell.calibrations.tracker_frame.tool, None
-    if (name := workcell.patient_frame) is not None:
-        frames, patient = hold_to_patient_frame(frames, name, workcell.tracker.markers_mm[name], on_arm)
+    on_arm, name = workcell.calibrations.tracker_frame.tool, workcell.patient_frame
+    frames, lost, patient = _read_at_rest(context, on_arm, name)
     tracker_from_marker = average_pose(frames, on_arm)
     strays = average_strays(frames)
     _check_count(workcell, len(strays.groups), least=LEAST_POINTS if ClampedHead in context.reads else 1)
@@ -98,6 +98,29 @@ def run(context: StepContext) -> Outcome[GlobalLocalization]:
         summary=f"{len(groups)} stray spheres in {len(frames)} frames, largest spread {spread_mm:.2f} mm"
         + (f", relative to {name}" if patient is not None else "")
         + (f", {lost} readings lost on the line" if lost else ""),
+    )
+
+
+def _read_at_rest(
+    context: StepContext, on_arm: str, name: str | None
+) -> tuple[list[TrackerFrame], int, Transform | None]:
+    """Return frames, how many were lost, and the pose TRACKER <- PATIENT, of a reading without a push."""
+    workcell, lost_in_all = context.workcell, 0
+    for _ in range(MOST_READINGS):
+        frames, lost = read_frames_at_rest(
+            workcell, lambda share: context.progress(share, "reading the tracker")
+        )
+        lost_in_all += lost
+        if name is None:
+            return frames, lost_in_all, None
+        held = hold_to_patient_frame(frames, name, workcell.tracker.markers_mm[name], on_arm)
+        if not held.pushed:
+            return held.frames, lost_in_all, held.patient
+    raise GateFailed(
+        "the tracker was pushed in each reading",
+        limit="at rest in one of them",
+        got=f"{MOST_READINGS} readings",
+        action="Lock the tracker's stand, let nobody touch it, then repeat the step.",
     )
 
 

@@ -64,7 +64,8 @@ def check_room(
 def require_unmoved(context: StepContext, occasion: str) -> RoomLook:
     """Require head and base unmoved, by a careful look with the arm home, before a guide goes to the head.
 
-    Raises PRO-022 if head or base cannot be compared, and as `check_room`.
+    Raises PRO-022 if head or base cannot be compared, the error of an arm that does not tell its joints, and
+    as `check_room`.
     """
     look = check_room(context, occasion, CAREFUL_FRAMES)
     if look.head_mm is None:
@@ -80,6 +81,8 @@ def require_unmoved(context: StepContext, occasion: str) -> RoomLook:
             expected=f"the frame on the arm in view, with {context.workcell.arms_phrase} home",
         )
     for arm in context.workcell.assistants:
+        if ON_ARM[arm.role] not in look.reading.rests:
+            arm.joints_rad()  # raises the reason, which is no hidden frame
         if ON_ARM[arm.role] not in look.reading.frames:
             raise PatientUnseen(
                 f"{occasion}, the tracker does not see the frame on the {arm.name}: its cart may have moved",

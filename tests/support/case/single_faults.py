@@ -9,9 +9,11 @@ goes by the theatre's, for a busy computer stretches the host's.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import NamedTuple
 
+from procedures.journal.errors import StepRefused
 from procedures.journal.journal import Entry, Line
 from procedures.operator.question import Topic
 from procedures.steps.branches import FOLLOW, GO_ON, LEAVE_OUT
@@ -23,6 +25,8 @@ FEWEST = 3  # spheres of the mini scene
 OTHERS = ""  # all steps of a fault's device that no other row of the fault names
 DEVICE_CODES = ("NDI-", "EKI-", "RSI-", "GEV-", "URD-")
 STOPS = (Entry.FAILED, Entry.REFUSED)  # what a journal has of a fault that stopped a case
+CODE = re.compile(r"[A-Z]+-\d{3}")
+QUOTING = {"PRO-001", "DEV-001"}  # a step, or a call in it, that came after the fault and is refused for it
 LED_ON = (GO_ON, LEAVE_OUT, FOLLOW)  # answers to questions that offer to continue a stopped case
 
 STEPS = {
@@ -659,3 +663,9 @@ def stops(journal: Sequence[Line]) -> Iterator[Sequence[Line]]:
             begin = 0
     if begin:
         yield journal[begin:]
+
+
+def codes_told(stop: Line) -> set[str]:
+    """The code of the stop; where something was refused because of a fault, also the codes that it quotes."""
+    code = str(stop.get("code", StepRefused.code))
+    return {code, *CODE.findall(str(stop.get("unmet", stop.get("what"))))} if code in QUOTING else {code}

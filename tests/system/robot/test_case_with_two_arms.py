@@ -30,6 +30,8 @@ pytestmark = [pytest.mark.slow, pytest.mark.timeout(1800)]
 
 LIMIT_S = 900.0
 CASE = ("--sim", "--dual", "--scene", "mini", "--seed", "0", "--json")
+UR = ("--assistant-arm", "ur5e")
+TWO_UR = ("--arm", "ur5e", *UR)
 IN_BORE_S = (
     6.0  # theatre time from the begin of the insertion, or of the withdrawal, at which the tip is there
 )
@@ -37,9 +39,12 @@ SIGMAS = 4.0  # of the stated error of a target
 Happening = Callable[[Commands, Path], None]
 
 
-def test_the_assistant_inserts_the_instrument_both_arms_go_home_and_the_run_replays(tmp_path: Path) -> None:
+@pytest.mark.parametrize("arms", [(), TWO_UR], ids=["two of KUKA", "two of Universal Robots"])
+def test_the_assistant_inserts_the_instrument_both_arms_go_home_and_the_run_replays(
+    tmp_path: Path, arms: tuple[str, ...]
+) -> None:
     ended = subprocess.run(
-        command("procedures.cli.procedure", "run", *CASE, "--out", str(tmp_path)),
+        command("procedures.cli.procedure", "run", *CASE, *arms, "--out", str(tmp_path)),
         capture_output=True,
         text=True,
         timeout=LIMIT_S,
@@ -115,7 +120,6 @@ def injected(line: str) -> Happening:
     return happen
 
 
-UR = ("--assistant-arm", "ur5e")
 TROUBLES = (
     pytest.param(
         Trouble("insert", signalled(signal.SIGSTOP), "DUAL-001", EXIT_REFUSED),

@@ -5,21 +5,24 @@ from __future__ import annotations
 import json
 import socket
 from collections.abc import Callable
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import pytest
 from bounded_cost import bounded_cost
+from handmade_ur import UR5E_A, HandmadeController
 from plain_steps import Approach, Fit, Held, Image, Localization, plain_order
 from recording_cell import GUIDE, HOME, RecordingArm, RecordingCell, RecordingTheatre
 
 from drivers.kuka_rsi.errors import STREAM_ERRORS
+from drivers.universal_robots import UniversalRobotsArm
 from procedures.engine.context import StepContext
 from procedures.engine.errors import NotRecorded
 from procedures.engine.order import CaseOrder, Outcome
 from procedures.engine.replay.recorded_answers import iterate_readings, read_answers, section_follower
-from procedures.engine.replay.recorded_people import KNOWN_MEMBERS, RecordedOperator
+from procedures.engine.replay.recorded_people import KNOWN_MEMBERS, RecordedOperator, make_stand_in
 from procedures.engine.replay.replay import ReplayedRecord, ReplayInput, ReplayVerdict, replay
 from procedures.engine.setting import ClinicalInput
 from procedures.journal.errors import GateFailed
@@ -27,6 +30,8 @@ from procedures.journal.journal import Entry, Journal, read_journal
 from procedures.operator.question import Question, Topic
 from procedures.workcell import InsertionAxis, MountedTool
 from procedures.workcell.arm_history import arm_history
+from ronna_hw.clock import HostClock
+from ronna_hw.config import DeviceConfig
 from ronna_hw.devices import ConfirmedStart, OpticalTracker, RobotArm, StereoPair
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.evidence.inspection import inspect_run
@@ -34,6 +39,7 @@ from ronna_hw.recording.reading_coding import PIXELS
 from ronna_hw.recording.reading_tape import READINGS_FILE, READINGS_FOLDER, ReadingTape, tape_device
 from ronna_hw.roles import ASSISTANT, MASTER
 
+STRETCHED_RAD = (0.0,) * 6
 EQUAL, DIFFERENT, NOT_RECORDED = ReplayVerdict.EQUAL, ReplayVerdict.DIFFERENT, ReplayVerdict.NOT_RECORDED
 
 
@@ -495,3 +501,22 @@ def test_the_first_motion_of_each_of_two_arms_is_asked_about_anew() -> None:
     operator.ask(Question(Topic.FIRST_MOTION, "first motion", ""))
     assert operator.find_first_to_move(0) is None
     assert operator.find_first_to_move(1) == ASSISTANT
+
+
+def test_an_arm_is_computed_by_the_calibration_that_its_controller_had_stated(tmp_path: Path) -> None:
+    with closing(HandmadeController()) as controller:
+        controller.a = (0.0, -0.4253, *UR5E_A[2:])
+        config = DeviceConfig(driver="universal_robots", endpoints=controller.endpoints)
+        arm = UniversalRobotsArm("robot.master", config, HostClock())
+        tape = ReadingTape(tmp_path / READINGS_FOLDER, lambda: 1.0, {"paced": True})
+        tape.begin(1)
+        with closing(tape_device(arm, tape)) as taped:
+            taped.connect(5.0)
+        tape.close()
+    answers = read_answers(tmp_path)
+    answers.begin(1)
+    again = cast("RobotArm", make_stand_in(UniversalRobotsArm("robot.master", config, HostClock()), answers))
+    nominal = again.kinematics.forward(STRETCHED_RAD)
+    again.connect()
+    assert again.kinematics.forward(STRETCHED_RAD) == arm.kinematics.forward(STRETCHED_RAD) != nominal
+    assert again.kinematics is again.kinematics  # what is computed by it is kept

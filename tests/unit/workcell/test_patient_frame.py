@@ -1,4 +1,4 @@
-"""Readings relative to the frame on the head clamp: a push against the tracker moves nothing."""
+"""Readings relative to the frame on the head clamp: only what the tracker shows since it rests counts."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 
 from procedures.journal.errors import GateFailed
 from procedures.workcell.patient_frame import hold_to_patient_frame, require_in_view
-from procedures.workcell.tracker_look import FRAMES, average_pose
+from procedures.workcell.tracker_look import FRAMES, mean_pose
 from ronna_hw.devices.readings import Stamp, StrayReading, ToolReading, TrackerFrame, Validity
 from ronna_hw.devices.strays import average_strays
 from ronna_hw.frames import Frame, Transform
@@ -45,8 +45,8 @@ def seen(pushed: Transform = STILL, *, hidden: bool = False, arm_mm: ArrayLike =
 
 def test_a_reading_at_rest_is_left_as_it_is() -> None:
     frames = [seen()] * FRAMES
-    held, pose = hold_to_patient_frame(frames, NAME, MARKERS_MM, ARM)
-    assert held == frames
+    held, pose, pushed = hold_to_patient_frame(frames, NAME, MARKERS_MM, ARM)
+    assert (held, pushed) == (frames, False)
     assert pose.source is Frame.PATIENT
     assert pose.translation_mm == pytest.approx(CLAMP.translation_mm)
 
@@ -55,21 +55,23 @@ def test_a_reading_at_rest_is_left_as_it_is() -> None:
 @pytest.mark.parametrize("before", [16, 30, 44])
 def test_a_push_during_the_reading_leaves_all_where_the_pushed_tracker_sees_it(before: int) -> None:
     frames = [seen()] * before + [seen(PUSHED)] * (FRAMES - before)
-    held, pose = hold_to_patient_frame(frames, NAME, MARKERS_MM, ARM)
+    held, pose, pushed = hold_to_patient_frame(frames, NAME, MARKERS_MM, ARM)
     groups = average_strays(held).groups
-    assert len(held) == FRAMES
+    assert (len(held), pushed) == (FRAMES - before, True)
     assert np.array([one.mean_mm for one in groups]) == pytest.approx(PUSHED.apply(SPHERES_MM), abs=1e-6)
     assert max(one.spread_mm for one in groups) < 1e-6
-    assert average_pose(held, ARM).translation_mm == pytest.approx((PUSHED @ ON_ARM).translation_mm)
+    on_arm = mean_pose(held, ARM, len(held))
+    assert on_arm is not None
+    assert on_arm.translation_mm == pytest.approx((PUSHED @ ON_ARM).translation_mm)
     assert pose.translation_mm == pytest.approx((PUSHED @ CLAMP).translation_mm)
 
 
 def test_frames_in_the_midst_of_a_push_are_left_out() -> None:
     ways = [Transform.of(Frame.TRACKER, Frame.TRACKER, translation_mm=(3.0 * k, 0.0, 0.0)) for k in range(10)]
-    held, _ = hold_to_patient_frame(
+    held, _, pushed = hold_to_patient_frame(
         [*[seen()] * 25, *map(seen, ways[1:]), *[seen(ways[-1])] * 25], NAME, MARKERS_MM, ARM
     )
-    assert len(held) == 51  # one of those under way is where the tracker comes to rest
+    assert (len(held), pushed) == (26, True)  # one of those under way is where the tracker comes to rest
 
 
 @pytest.mark.hazard(12)

@@ -10,9 +10,10 @@ from typing import Any, cast
 import pytest
 from clinical_case import SPHERES_MM, ClinicalCell
 from prepared_results import checked_set_up, clamped_head, locked_cart
+from pushed_tracker import with_patient_frame
 
 from procedures.journal.errors import GateFailed
-from procedures.steps.clinical.global_localization import IN_CASE, STEP
+from procedures.steps.clinical.global_localization import IN_CASE, MOST_READINGS, STEP, GlobalLocalization
 from procedures.workcell import MountedTool
 from procedures.workcell.tracker_look import FRAMES, MOST_LOST_READINGS, average_pose, read_fresh_frames
 from ronna_hw.devices.errors import WrongState
@@ -117,3 +118,29 @@ def test_too_many_lost_replies_end_the_step() -> None:
 def test_the_advice_depends_on_why_the_tool_was_not_seen(seen: TrackerFrame, action: str) -> None:
     with pytest.raises(GateFailed, match=f"in 0 of 3 frames.*{action}"):
         average_pose([seen] * 3, "M")
+
+
+@pytest.mark.hazard(13)
+@pytest.mark.parametrize("pushes", [1, MOST_READINGS])
+def test_a_reading_in_which_the_tracker_was_pushed_is_repeated_and_not_without_end(
+    cell: ClinicalCell, monkeypatch: pytest.MonkeyPatch, pushes: int
+) -> None:
+    tracker = with_patient_frame(cell, MountedTool.STEREO_HEAD)
+    read, taken = tracker.read_frame, []
+
+    def read_frame(timeout_s: float = 1.0) -> TrackerFrame:
+        taken.append(timeout_s)
+        if len(taken) % FRAMES == FRAMES // 2 and len(taken) < pushes * FRAMES:
+            tracker.push((9.0, -4.0, 6.0))
+        return read(timeout_s)
+
+    monkeypatch.setattr(tracker, "read_frame", read_frame)
+    before = (checked_set_up(cell), clamped_head(), locked_cart())
+    if pushes == MOST_READINGS:
+        with pytest.raises(GateFailed, match="PRO-007: the tracker was pushed in each reading"):
+            cell.run(*before, STEP)
+    else:
+        localized = cell.run(*before, STEP).result
+        assert isinstance(localized, GlobalLocalization)
+        assert localized.frames == FRAMES
+    assert len(taken) == min(pushes + 1, MOST_READINGS) * FRAMES
