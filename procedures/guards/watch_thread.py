@@ -256,9 +256,13 @@ class WatchThread:
             self._far_frames = 0
 
     def _frame_by_arm_mm(self) -> Vector3 | None:
-        """Return the last known position of the frame on the arm, robot frame, or None."""
-        known = self.workcell.master.arm.observe().reading
-        if known is None:
+        """Return the last known position of the frame on the arm, robot frame, or None.
+
+        An arm that was stopped by a fault comes to rest unseen: its last reading is from the way.
+        """
+        seen = self.workcell.master.arm.observe()
+        known = seen.reading
+        if known is None or (self.arm_moves and seen.state is Lifecycle.FAULT):
             return None
         if self._flange_from_frame_mm is None:
             self._flange_from_frame_mm = vector3(flange_from_marker(self.workcell).translation_mm)

@@ -33,6 +33,7 @@ CUTS = (
     Cut("assistant robot eki cut", "DUAL-00[13]|EKI-0..|RSI-0.."),
     Cut("assistant robot network cut for 2 s", "DUAL-00[13]|EKI-0..|RSI-0.."),
     Cut("assistant ur cut connections", "DUAL-00[13]|URD-0..", UR),
+    Cut("assistant ur cable pulled for 2 s", "DUAL-00[13]|URD-0..", UR),
 )
 
 
