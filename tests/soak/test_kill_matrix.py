@@ -138,8 +138,8 @@ def _world(commands: Commands) -> World:
 
 
 MINI = ("run", "--sim", "--scene", "mini", "--seed", "3", "--json")
-MINI_LINES = 179
-FULL_LINES = (5, 58, 101, 122, 144, 186, 250, 320, 380, 430)  # of 465
+MINI_LINES = 169
+FULL_LINES = (5, 50, 88, 106, 125, 162, 217, 278, 330, 374)  # of 404
 FULL = ("run", "--sim", "--seed", "7", "--json")
 # Kind of a line, and a word that the first such line has.
 POWER_CUTS = (
