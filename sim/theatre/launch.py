@@ -180,7 +180,7 @@ class LaunchedTheatre:
         for tool in self.world.scene.tracker.tools:
             path = self.folder / f"{tool.name}.rom"
             write_atomically(path, write_definition(tool))
-            files[tool.name] = str(path.resolve())
+            files[tool.name] = path.name  # beside the theatre file: a run may be moved
         return files
 
 
