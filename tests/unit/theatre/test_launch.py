@@ -9,8 +9,11 @@ import pytest
 from coded_errors import raises
 from user_commands import in_this_process, one_error
 
+from drivers.ndi_polaris.options import PolarisOptions
+from drivers.ndi_polaris.shipped_tools import find_definition
 from ronna_hw.arm.catalogue import ArmChoice
 from ronna_hw.bounded_input import InputRefused, read_toml
+from ronna_hw.config import read_theatre_file
 from ronna_hw.errors import EXIT_FAILED, EXIT_USAGE
 from ronna_hw.wire.kuka_context import OWN_CONTEXT
 from sim.cli import app as ronna_sim
@@ -86,12 +89,32 @@ def test_a_world_that_is_lost_is_not_continued_as_a_new_one(left: Path, lost: st
     assert "without --continue" in said
 
 
-def test_a_theatre_killed_before_anything_happened_continues_as_the_same_one(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+@pytest.fixture
+def without_devices(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Theatres whose devices are addresses only."""
     rsi = {"rsi": "udp://127.0.0.1:1", "eki_project": "tcp://127.0.0.1:1"}
-    endpoints = {"polaris": "tcp://127.0.0.1:1", "kuka": rsi, "basler": {"left": "a", "right": "b"}}
+    endpoints = {
+        "polaris": "tcp://127.0.0.1:1",
+        "kuka": rsi,
+        "basler": {"left": "gev://127.0.0.1", "right": "gev://127.0.0.2"},
+    }
     monkeypatch.setattr(LaunchedTheatre, "_start_devices", lambda *_: endpoints)
+
+
+@pytest.mark.usefixtures("without_devices")
+def test_the_folder_of_a_theatre_may_be_moved_with_the_definitions_of_its_tools(tmp_path: Path) -> None:
+    theatre = LaunchedTheatre(draw_scene("mini", seed=1), tmp_path / "before", paced=False)
+    theatre.close()
+    moved = theatre.folder.rename(tmp_path / "moved")
+    config = read_theatre_file(moved / THEATRE_FILE).tracker
+    tools = PolarisOptions.model_validate(config.options).tools
+    assert tools
+    for tool in tools:
+        assert find_definition(Path(tool.rom), config.folder).parent == moved
+
+
+@pytest.mark.usefixtures("without_devices")
+def test_a_theatre_killed_before_anything_happened_continues_as_the_same_one(tmp_path: Path) -> None:
     scene = draw_scene("mini", seed=1)
     killed = LaunchedTheatre(scene, tmp_path, paced=False)
     first = read_toml(killed.file, InputRefused)
