@@ -29,11 +29,6 @@ pytestmark = pytest.mark.hazard(13)
 AWAY_MM = (60.0, -40.0, 0.0)
 
 
-@pytest.fixture(autouse=True)
-def dwell(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("procedures.steps.clinical.at_target.DWELL_S", 0.0)
-
-
 def leave_by(cell: ClinicalCell, way_mm: tuple[float, float, float]) -> None:
     """The cart is wheeled away: the frame on the arm with it."""
     assert isinstance(cell.tracker, SeeingTracker)

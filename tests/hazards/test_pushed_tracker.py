@@ -36,7 +36,6 @@ NAME = "global_localization"
 
 @pytest.fixture(autouse=True)
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("procedures.steps.clinical.at_target.DWELL_S", 0.0)
     monkeypatch.setattr("procedures.guards.guide_displacement.BETWEEN_LOOKS_S", 0.0)
 
 

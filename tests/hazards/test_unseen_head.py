@@ -29,7 +29,6 @@ NOTHING_MM = SPHERES_MM[:0]
 
 @pytest.fixture(autouse=True)
 def soon(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("procedures.steps.clinical.at_target.DWELL_S", 0.0)
     monkeypatch.setattr("procedures.guards.head_sight.MOST_UNSEEN_S", UNSEEN_S)
     monkeypatch.setattr("procedures.guards.tracker_guards.PATIENCE_S", 0.0)
 

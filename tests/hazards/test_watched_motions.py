@@ -41,11 +41,6 @@ MOST_FRAMES = 12
 TRIALS = 40
 
 
-@pytest.fixture(autouse=True)
-def dwell(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("procedures.steps.clinical.at_target.DWELL_S", 0.0)
-
-
 def head_moves(cell: ClinicalCell) -> Callable[[], None]:
     """The head moves, and the motion goes on until somebody stops it."""
 

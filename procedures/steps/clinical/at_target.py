@@ -52,7 +52,6 @@ POSITION_LIMIT_MM = 0.05  # nominal place against the commanded one; more means 
 
 UNSEEN = "the tracker sees no frame on the arm or the guide; only the joints show a push on the guide"
 DONE = "done"  # the one word that ends a stage
-DWELL_S = 0.5  # of theatre time, before the reading
 Insert = Callable[[StepContext, DepthStop], AssistedInsertion]
 
 
@@ -92,7 +91,6 @@ def run(context: StepContext, insert: Insert | None = None) -> Outcome[ReachedTa
     """
     workcell, trajectory = context.workcell, context.trajectory
     commanded = context.result(PositionedGuide).tool_pose.transform
-    context.setting.clock.sleep(DWELL_S)
     axis = workcell.master.place.axis
     reached = workcell.master.tool_pose(arrived=None if axis is None else axis.arriving)
     deviation_mm = reached.translation_mm - commanded.translation_mm

@@ -53,7 +53,6 @@ def a_room_as_recorded(monkeypatch: pytest.MonkeyPatch) -> None:
     """Tracker and plan have their own tests."""
     monkeypatch.setattr(recovery, "compare_room", lambda _engine, _comparison: True)
     monkeypatch.setattr(comparison, "read_plan", lambda _path: checked_plan().plan)
-    monkeypatch.setattr(at_target, "DWELL_S", 0.0)
 
 
 @pytest.fixture

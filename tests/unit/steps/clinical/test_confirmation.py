@@ -44,11 +44,6 @@ Change = Callable[[ClinicalCell], None]
 NOTHING_MM = SPHERES_MM[:0]
 
 
-@pytest.fixture(autouse=True)
-def no_dwell(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(at_target, "DWELL_S", 0.0)
-
-
 @pytest.fixture
 def engine(cell: ClinicalCell) -> Engine:
     return checked(cell)

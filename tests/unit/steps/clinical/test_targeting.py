@@ -53,11 +53,6 @@ HOMING = (approach_joints(HOME_RAD, ONE_SIDE), HOME_RAD)  # every joint arrives 
 SETTLED_HOME = tuple(("joints", joints_rad) for joints_rad in HOMING)
 
 
-@pytest.fixture(autouse=True)
-def dwell(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("procedures.steps.clinical.at_target.DWELL_S", 0.0)
-
-
 def run(engine: Engine, *names: str) -> None:
     for name in names:
         engine.run_step(engine.order.find(name))

@@ -59,11 +59,9 @@ def steps(*instead: StepResult) -> tuple[StepSpec[StepResult] | StepResult, ...]
 def finished(tmp_path_factory: pytest.TempPathFactory) -> tuple[ClinicalCell, dict[str, str]]:
     """The finished case, and what each step has said of its result."""
     cell = ClinicalCell(tmp_path_factory.mktemp("once"), strategy=NeutralOrientation())
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("procedures.steps.clinical.at_target.DWELL_S", 0.0)
-        engine = cell.begin(*steps())
-        reader = engine.events.subscribe()
-        engine.run_to()
+    engine = cell.begin(*steps())
+    reader = engine.events.subscribe()
+    engine.run_to()
     shown = [one.what for one in reader.read(0.0).events]
     return cell, {one.step: one.summary for one in shown if isinstance(one, StepState) and one.summary}
 
@@ -165,10 +163,7 @@ def test_the_one_registration_is_the_parent_of_every_positioning(once: ClinicalC
 @pytest.mark.hazard(23)
 @pytest.mark.branch("UNREACHABLE")
 @pytest.mark.parametrize("strategy", ["nos", pytest.param("jdms", marks=pytest.mark.slow)])
-def test_the_other_trajectories_are_completed_when_one_is_out_of_reach(
-    tmp_path: Path, strategy: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("procedures.steps.clinical.at_target.DWELL_S", 0.0)
+def test_the_other_trajectories_are_completed_when_one_is_out_of_reach(tmp_path: Path, strategy: str) -> None:
     first, *others = PLAN.trajectories
     changed = PLAN.model_copy(update={"trajectories": (far_away(first), *others)})
     cell = ClinicalCell(tmp_path, strategy=find_strategy(strategy))

@@ -35,7 +35,6 @@ STAGES = [Topic.SKIN, Topic.DRILL, Topic.DURA, Topic.AT_TARGET]
 
 @pytest.fixture(autouse=True)
 def soon(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("procedures.steps.clinical.at_target.DWELL_S", 0.0)
     monkeypatch.setattr("procedures.operator.checkpoint.PATIENCE_S", 0.0)
     monkeypatch.setattr("procedures.guards.guide_displacement.BETWEEN_LOOKS_S", 0.0)
     monkeypatch.setattr("procedures.guards.guide_displacement.PLACE_READINGS", READINGS // 2)
