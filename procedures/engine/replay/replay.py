@@ -245,6 +245,8 @@ class _Replay:
                 elif one["entry"] == Entry.RESTARTED:
                     self._rest_devices()
                     self._engine.setting.memory.clear()
+                    for arm in workcell.arms.values():  # a new program does not know how it came to rest
+                        arm.supervised.ended = None
                 elif one["entry"] == Entry.FOUND:  # the tracker looked while nothing streamed
                     self._rest_devices()
         self._engine.close("replayed")
