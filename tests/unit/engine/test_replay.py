@@ -198,6 +198,7 @@ def restarted(recorded: Recorded) -> None:
     """As a new program finds the devices: connected and configured, and nothing confirmed."""
     recorded.cell.arm.state = Lifecycle.CONFIGURED
     recorded.cell.workcell.stop()
+    recorded.cell.workcell.master.supervised.ended = None
     recorded.engine.setting.memory.clear()
     recorded.engine.machine.hold()
     recorded.cell.journal.write(Entry.RESTARTED, 0.0)
@@ -219,6 +220,24 @@ def test_a_replay_equals_a_resumed_run(tmp_path: Path) -> None:
     recorded.run("image", "localization:T1")
     restarted(recorded)
     recorded.run("localization:T1")
+    assert {one.verdict for one in recorded.replayed()} == {EQUAL}
+
+
+@pytest.mark.hazard(2)
+def test_a_replay_knows_no_more_than_a_new_program_of_how_the_arm_came_home(tmp_path: Path) -> None:
+    def tells_its_rest(context: StepContext) -> Outcome[Localization]:
+        master = context.workcell.master
+        if not context.done_before:
+            moves(context)
+            master.return_home()
+        return Outcome(Localization(number=len(master.rest_sides or ())))
+
+    recorded = Recorded(tmp_path, localization=tells_its_rest)
+    recorded.run("image", "localization:T1")
+    restarted(recorded)
+    recorded.run("localization:T1")
+    numbers = [one.payload["number"] for one in inspect_run(tmp_path).records if one.kind == "localization"]
+    assert numbers == [6, 0]
     assert {one.verdict for one in recorded.replayed()} == {EQUAL}
 
 
