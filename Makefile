@@ -35,7 +35,7 @@ $(STAMP): requirements/locked.txt pyproject.toml
 # is first imported, for most never are.
 $(RUNS): requirements/run.txt pyproject.toml
 	@echo "Installing what a case needs into $(VENV), once: about 60 packages, 0.8 GB, half a minute to 2 minutes."
-	@echo "pip shows each package as it fetches it, then unpacks all of them in about a minute."
+	@echo "pip shows each package as it fetches it, then unpacks all of them."
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	@$(BIN)/python -m pip install --disable-pip-version-check --no-compile --require-hashes -r requirements/run.txt
 	@$(PIP) --no-compile --no-deps --no-build-isolation --editable .

@@ -40,7 +40,7 @@ from drivers.universal_robots.power import ASK_LIMIT_S, PowerAndSafety
 from drivers.universal_robots.primary.client import ControllerState, PrimaryClient
 from drivers.universal_robots.realtime.loop import Handover
 from drivers.universal_robots.realtime.packages import ControllerWord
-from drivers.universal_robots.realtime.settings import kinematics_by
+from drivers.universal_robots.realtime.settings import build_kinematics
 from drivers.universal_robots.rtde import RtdeSetup, Version
 from drivers.universal_robots.services import require_own_services
 from ronna_hw.arm.motion.limits import MotionLimits
@@ -272,7 +272,7 @@ class Connections(StreamConnections[ControllerState, PrimaryClient]):
     def adopt_calibration(self, columns: tuple[float, ...]) -> None:
         """Compute the arm by this factory calibration from now on; raises ARM-010."""
         self.calibration = columns
-        self.faults = replace(self.faults, arm=kinematics_by(self._options.model, columns))
+        self.faults = replace(self.faults, arm=build_kinematics(self._options.model, columns))
 
     def _read_version(self, timeout_s: float) -> Version:
         """Read the controller's version by RTDE, and check that it has the fields of our stream."""

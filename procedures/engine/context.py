@@ -196,7 +196,7 @@ class StepContext:
         return None if chosen is None else self._read_from_case(model, chosen.record.trajectory).result
 
     def latest(self, model: type[R]) -> R | None:
-        """Return the newest valid result of a model, for a comparison: it becomes no parent."""
+        """Return the newest valid result of a model, to compare with or begin from: it becomes no parent."""
         standing = self._standing(model)
         return standing[-1].result if standing else None
 

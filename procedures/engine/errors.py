@@ -121,7 +121,8 @@ CONSOLE_MISSING = ErrorCode(
     "PRO-040",
     RonnaError,
     "The browser console is not installed.",
-    "Install it with: pip install 'ronna-hw[console]', or run without --console.",
+    "Run make setup in the clone, or in its environment: pip install 'ronna-hw[console]'. "
+    "Or run without --console.",
     own_exit_code=EXIT_USAGE,
 )
 

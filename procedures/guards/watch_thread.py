@@ -247,6 +247,7 @@ class WatchThread:
         reading, end_mm = frame.tool(self.workcell.calibrations.tracker_frame.tool), self._frame_by_arm_mm()
         seen_mm = reading.position_mm if reading.validity is Validity.OK else None
         if seen_mm is None or begin_mm is None or end_mm is None:
+            self._far_frames = 0
             return
         off_mm = self.room.frame_off_arm_mm(seen_mm, begin_mm, end_mm)
         self._far_frames = 0 if off_mm is None else self._far_frames + 1
@@ -258,11 +259,11 @@ class WatchThread:
     def _frame_by_arm_mm(self) -> Vector3 | None:
         """Return the last known position of the frame on the arm, robot frame, or None.
 
-        An arm that was stopped by a fault comes to rest unseen: its last reading is from the way.
+        None also for an arm that a fault is stopping: its last reading was taken while it still moved.
         """
         seen = self.workcell.master.arm.observe()
         known = seen.reading
-        if known is None or (self.arm_moves and seen.state is Lifecycle.FAULT):
+        if known is None or (self.arm_moves and (seen.stopped or seen.state is Lifecycle.FAULT)):
             return None
         if self._flange_from_frame_mm is None:
             self._flange_from_frame_mm = vector3(flange_from_marker(self.workcell).translation_mm)

@@ -25,7 +25,7 @@ from ronna_hw.text import format_distinct
 
 POSE_UNKNOWNS = 6
 DEFAULT_CONFIDENCE = 0.95
-LIMIT_STEPS = 1 << 16  # between two limits: to a thousandth of a micrometre
+LIMIT_STEPS = 1 << 16  # between two limits; the result is rounded up by at most one
 NEGLIGIBLE = 1e-9  # share of a limit, below which rounding decides
 
 

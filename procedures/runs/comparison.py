@@ -7,6 +7,7 @@ spheres on the head, and the base of each arm by the frame on it.
 from __future__ import annotations
 
 import hashlib
+import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 
@@ -223,13 +224,22 @@ def _compare_drivers(
         if now.driver != then.driver:
             add_difference(f"driver of {name}", then.driver, now.driver)
         names = sorted({*then.options, *now.options})
-        changed = [one for one in names if then.options.get(one) != now.options.get(one)]
+        changed = [
+            one
+            for one in names
+            if _without_folders(then.options.get(one)) != _without_folders(now.options.get(one))
+        ]
         if changed:
             stated = (
                 ", ".join(f"{one} {settings.options.get(one, 'not stated')}" for one in changed)
                 for settings in (then, now)
             )
             add_difference(f"options of {name}", *stated)
+
+
+def _without_folders(option: str | None) -> str | None:
+    """Return an option, in JSON, with the names of its files alone: a run may have been moved."""
+    return None if option is None else re.sub(r'"/[^"]*/([^"/]+)"', r'"\1"', option)
 
 
 def _compare_cameras(engine: Engine, comparison: Comparison) -> None:

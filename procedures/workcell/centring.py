@@ -69,7 +69,7 @@ class Centring:
         """Centre the tool on the sphere expected at a pose ROBOT <- TOOL, and measure it.
 
         The arm goes straight there if that is clear. Else it backs off from another sphere, and approaches
-        along the tool axis from the joints `near`. With `is_close`, the sphere is expected within a
+        along the tool axis from the joints `near`. With `is_close`, the sphere is expected within about a
         millimetre: the first look already reads no more of the sensors than the sphere needs.
         Raises PRO-008 if it is not there, STE-011 if the images are saturated, STE-007 and STE-008 if the
         servo does not converge. The arm then rests at the pose of its last look, see `back_off`.
@@ -145,6 +145,7 @@ class Centring:
         try:
             seen, looks = workcell.look(), 1
         except Saturated as error:  # a search would not help
+            workcell.sensors.read_around_tool(self.area_px)
             return self._look_in_other_light(1, (SHORTER,), error)
         if seen.point is not None:
             return seen, looks

@@ -1,9 +1,8 @@
 """Tracker readings relative to the patient's frame, the rigid body on the head clamp.
 
-A reading is divided into spells in which the tracker rests against the clamp. A push against the tracker
-during the reading then moves nothing, if the frame on the arm stays where it is against the clamp. The last
-spell alone counts, and a pushed reading is to be repeated: by the rotation of the frame on the clamp, spells
-before a push fit it to some tenths of a millimetre only, where later looks are held against hundredths.
+A reading is divided where the tracker moved against the clamp. Only what it shows since then counts, and the
+caller repeats a reading that was divided: carried over by the rotation of the frame on the clamp, what was
+seen before a push is off by some tenths of a millimetre, and later looks are held against hundredths.
 """
 
 from __future__ import annotations
@@ -18,6 +17,7 @@ from numpy.typing import ArrayLike
 from procedures.journal.errors import GateFailed
 from procedures.workcell.tracker_look import average_pose, mean_pose
 from procedures.workcell.workcell import Workcell
+from ronna_hw.arrays import Array
 from ronna_hw.devices.readings import ToolReading, TrackerFrame, Validity
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.text import format_against_limit
@@ -51,7 +51,7 @@ def require_in_view(workcell: Workcell, frames: list[TrackerFrame]) -> None:
 
 
 class HeldReading(NamedTuple):
-    """Frames since the tracker rests, the pose TRACKER <- PATIENT, and whether it was pushed before."""
+    """Frames since the tracker rests, the pose TRACKER <- PATIENT, and whether it moved meanwhile."""
 
     frames: list[TrackerFrame]
     patient: Transform
@@ -63,20 +63,15 @@ def hold_to_patient_frame(
 ) -> HeldReading:
     """Return what a reading shows since the tracker came to rest against the clamp.
 
-    Frames that do not show the patient's frame are left out. Raises PRO-007 if too few do, if the tracker has
-    not come to rest, or if the frame on the arm has moved against the clamp meanwhile.
+    Frames that do not show the patient's frame are left out. Raises PRO-007 if too few do, or if the frame on
+    the arm has moved against the clamp meanwhile.
     """
     average_pose(frames, name)
     shown = [frame for frame in frames if frame.tool(name).validity is Validity.OK]
     spells = _divide(shown, name, markers_mm)
-    if len(spells[-1]) < LEAST_STILL:
-        raise GateFailed(
-            "the tracker, or the frame on the head clamp, moved until the end of the reading",
-            limit=f"at rest within {STILL_MM:g} mm in the last {LEAST_STILL} frames",
-            got=f"in the last {len(spells[-1])}",
-            action="Lock the tracker's stand and the clamp, let nobody touch them, then repeat the step.",
-        )
     pose = average_pose_of(spells[-1], name)
+    if len(spells[-1]) < LEAST_STILL:  # it moves until the end
+        return HeldReading(spells[-1], pose, True)
     for spell in spells[:-1]:
         if len(spell) >= LEAST_STILL:
             move = pose @ average_pose_of(spell, name).inverse()
@@ -106,19 +101,29 @@ def posed_markers(frame: TrackerFrame, name: str, markers_mm: ArrayLike) -> Sequ
 
 
 def _divide(frames: list[TrackerFrame], name: str, markers_mm: ArrayLike) -> list[list[TrackerFrame]]:
-    """Divide frames that show the patient's frame into spells in which its markers (n, 3) rest."""
+    """Divide frames that show the patient's frame into spells in which its markers (n, 3) rest.
+
+    Single frames that show it elsewhere, between others that do not, are left out.
+    """
     spells: list[list[TrackerFrame]] = []
-    total = np.zeros(3)
+    totals: list[Array] = []  # of the markers' places
     for frame in frames:
         places = np.asarray(posed_markers(frame, name, markers_mm))
-        away = places - total / max(1, len(spells[-1]) if spells else 1)
-        if spells and float(np.sqrt((away**2).sum(axis=1).mean())) <= STILL_MM:
+        if len(spells) > 1 and len(spells[-1]) < LEAST_STILL and _rests(places, totals[-2], spells[-2]):
+            spells.pop()
+            totals.pop()
+        if spells and _rests(places, totals[-1], spells[-1]):
             spells[-1].append(frame)
-            total = total + places
+            totals[-1] = totals[-1] + places
         else:
             spells.append([frame])
-            total = places
+            totals.append(places)
     return spells
+
+
+def _rests(places_mm: Array, total_mm: Array, spell: list[TrackerFrame]) -> bool:
+    away_mm = places_mm - total_mm / len(spell)
+    return float(np.sqrt((away_mm**2).sum(axis=1).mean())) <= STILL_MM
 
 
 def _require_arm_still(before: list[TrackerFrame], after: list[TrackerFrame], on_arm: str) -> None:

@@ -63,7 +63,7 @@ def area_around_tool(camera: CameraCalibration, size_px: tuple[int, int]) -> Are
     )
 
 
-def close_px(camera: CameraCalibration) -> int:
+def close_area_px(camera: CameraCalibration) -> int:
     """Return the side of a readout area that holds a sphere near the tool centre, and a margin."""
     side_px = CLOSE_AREA * 2.0 * sphere_radius_px(camera, SPHERE_DIAMETER_MM)
     return math.ceil(side_px / OFFSET_STEP_PX) * OFFSET_STEP_PX
@@ -144,7 +144,7 @@ class Sensors:
         """Read out the image of a sphere at the tool centre and a margin, at most `largest_px` around it."""
         columns, rows = largest_px
         left, right = (
-            area_around_tool(side, (min(close_px(side), columns), min(close_px(side), rows)))
+            area_around_tool(side, (min(close_area_px(side), columns), min(close_area_px(side), rows)))
             for side in (self._head.left, self._head.right)
         )
         self._stereo().set_areas(left, right)

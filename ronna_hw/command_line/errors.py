@@ -79,19 +79,14 @@ OUT_OF_MEMORY = ErrorCode(
 )
 
 
-EXTRA_MISSING = ErrorCode(
+PAGES_MISSING = ErrorCode(
     "CLI-009",
     RonnaError,
-    "The command needs packages of an optional extra, which are not installed.",
-    "Run make setup in the clone, or install the extra with pip.",
+    "The command opens pages in the browser, and the packages for them are not installed.",
+    "Run make setup in the clone, or in its environment: pip install 'ronna-hw[console]'.",
     own_exit_code=EXIT_USAGE,
 )
-# Modules that no case needs, and the extra that brings them. Drivers and decoders name theirs themselves.
-EXTRA_OF_MODULE = {
-    **dict.fromkeys(("fastapi", "nicegui", "skimage", "starlette", "uvicorn"), "console"),
-    **dict.fromkeys(("dask", "distributed"), "dask"),
-    **dict.fromkeys(("ipykernel", "nbclient", "nbformat", "pandas"), "notebooks"),
-}
+CONSOLE_MODULES = ("fastapi", "nicegui", "skimage", "starlette", "uvicorn")  # of the extra `console`
 LONGEST_FILE_NAME = 255  # bytes, of Linux file systems
 NOT_MAPPED = "failed to map segment"  # the loader's words for a library for which there is no memory
 _BY_ERRNO: dict[int, ErrorCode[RonnaError]] = {
@@ -117,12 +112,8 @@ def as_ronna_error(problem: BaseException) -> RonnaError:
         return problem
     if isinstance(problem, MemoryError) or (isinstance(problem, ImportError) and NOT_MAPPED in str(problem)):
         return OUT_OF_MEMORY("the computer ran out of memory")
-    if isinstance(problem, ModuleNotFoundError) and (extra := EXTRA_OF_MODULE.get(problem.name or "")):
-        return EXTRA_MISSING(
-            f"this command needs {problem.name}, which is not installed",
-            expected=f"the packages of the extra {extra}",
-            action=f"Install them with: pip install 'ronna-hw[{extra}]', or with make setup in a clone.",
-        )
+    if isinstance(problem, ModuleNotFoundError) and problem.name in CONSOLE_MODULES:
+        return PAGES_MISSING(f"this command needs {problem.name}, which is not installed")
     problem = _find_system_error(problem)
     if isinstance(problem, OSError) and problem.errno is not None:
         kind = _BY_ERRNO.get(problem.errno, SYSTEM_REFUSED)

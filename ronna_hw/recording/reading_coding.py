@@ -66,7 +66,7 @@ class RecordsCalls(Protocol):
 
 @runtime_checkable
 class StatesCalibration(Protocol):
-    """Device that is told apart from its model by what it states once connected, such as an arm."""
+    """Arm whose controller states its factory calibration once connected; a replay adopts what was stated."""
 
     @property
     def stated_calibration(self) -> tuple[float, ...]: ...

@@ -104,7 +104,9 @@ def test_a_case_outlives_a_process_that_stands_still_amid_a_motion_or_says_which
 ) -> None:
     case = begin(commands, stand, tmp_path)
     case.await_line(lambda line: line["entry"] == Entry.MOTION and line["what"] == motion)
-    case.eventually(lambda: halt(case, stand))
+    stood_still: list[bool] = []
+    case.eventually(lambda: halt(case, stand) and not stood_still.append(True))
+    assert stood_still, f"no process {stand.words!r} was found"
     outcome = case.end()
     if outcome["outcome"] != DONE:
         assert any(re.fullmatch(stand.codes, one) for one in case.codes), case.codes

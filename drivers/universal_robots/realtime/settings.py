@@ -25,10 +25,10 @@ class LinkSettings(StreamSettings):
 
     def kinematics(self) -> UniversalRobot:
         """Return the kinematics of this individual arm; raises ARM-010."""
-        return kinematics_by(self.model, self.calibration)
+        return build_kinematics(self.model, self.calibration)
 
 
-def kinematics_by(model: str, calibration: tuple[float, ...]) -> UniversalRobot:
+def build_kinematics(model: str, calibration: tuple[float, ...]) -> UniversalRobot:
     """Return the kinematics of an arm by the columns of its factory calibration, nominal without them.
 
     Raises ARM-010.

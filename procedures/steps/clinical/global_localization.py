@@ -1,13 +1,14 @@
 """Global localization: the tracker reads the reference frame on the tool and all stray spheres.
 
-The arm rests with its correction stream off. Exactly FRAMES measurements are averaged; frames that the
-tracker repeats because it is polled faster than it measures do not count. With the patient's frame on the
-head clamp, only frames that show it count, and a reading in which the tracker was pushed is repeated.
+The arm rests with its correction stream off. FRAMES measurements are averaged; frames that the tracker
+repeats because it is polled faster than it measures do not count. With the patient's frame on the head clamp,
+only those that show it count, and a reading in which the tracker was pushed is repeated.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from pydantic import Field
@@ -24,7 +25,7 @@ from procedures.steps.clinical.set_up import CheckedSetUp
 from procedures.steps.clinical.tool_mounting import exchange_tool
 from procedures.steps.conditions import needs_tool
 from procedures.workcell import MountedTool, Workcell
-from procedures.workcell.patient_frame import hold_to_patient_frame
+from procedures.workcell.patient_frame import STILL_MM, hold_to_patient_frame
 from procedures.workcell.tracker_look import average_pose, read_frames_at_rest, robot_from_marker
 from ronna_hw.arrays import Array
 from ronna_hw.calibration import Numbers3
@@ -106,22 +107,27 @@ def _read_at_rest(
 ) -> tuple[list[TrackerFrame], int, Transform | None]:
     """Return frames, how many were lost, and the pose TRACKER <- PATIENT, of a reading without a push."""
     workcell, lost_in_all = context.workcell, 0
+    words = "reading the tracker"
     for _ in range(MOST_READINGS):
-        frames, lost = read_frames_at_rest(
-            workcell, lambda share: context.progress(share, "reading the tracker")
-        )
+        frames, lost = read_frames_at_rest(workcell, partial(_show, context, words))
         lost_in_all += lost
         if name is None:
             return frames, lost_in_all, None
         held = hold_to_patient_frame(frames, name, workcell.tracker.markers_mm[name], on_arm)
         if not held.pushed:
             return held.frames, lost_in_all, held.patient
+        context.find("the tracker, or the frame on the head clamp, was pushed while the tracker was read")
+        words = "reading the tracker again"
     raise GateFailed(
-        "the tracker was pushed in each reading",
-        limit="at rest in one of them",
-        got=f"{MOST_READINGS} readings",
-        action="Lock the tracker's stand, let nobody touch it, then repeat the step.",
+        "the tracker, or the frame on the head clamp, moved in each reading",
+        limit=f"one reading at rest within {STILL_MM:g} mm",
+        got=f"moved in all {MOST_READINGS}",
+        action="Lock the tracker's stand and the clamp, let nobody touch them, then repeat the step.",
     )
+
+
+def _show(context: StepContext, words: str, share: float) -> None:
+    context.progress(share, words)
 
 
 def _check_count(workcell: Workcell, seen: int, least: int) -> None:

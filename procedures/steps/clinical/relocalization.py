@@ -1,8 +1,9 @@
 """Fine localization of every matched sphere by visual servo, in the strategy's orientation.
 
 The tool centre is moved onto a sphere until the residual is below the tolerance; recorded is the nominal tool
-pose plus the last residual. The offset of the coarse position found at one sphere helps to find the next. It
-is checked first: a wrong sphere must not lead the head on.
+pose plus the last residual. A sphere is expected where the localization before found it, else at its coarse
+position, displaced by what the sphere before it was off by. That offset is checked first: a wrong sphere must
+not lead the head on.
 
 If the strategy asks for it, each joint arrives at every look as it will at the target. Backlash is then equal
 in all of them and cancels.

@@ -9,6 +9,8 @@ from typing import Any
 from running_case import RunningCase
 from single_faults import COMPUTED, DONE
 
+FEWEST_STEPS = 5  # of a case in which something moves: with fewer, what was to be disturbed was not found
+
 
 def disturb_every_step(
     case: RunningCase, disturb: Callable[[RunningCase], bool], codes: str
@@ -19,6 +21,7 @@ def disturb_every_step(
     was possible; of the codes of each stop one must match `codes`, a pattern.
     """
     disturbed: list[str] = []
+    stops = 0
 
     def is_disturbed() -> bool:
         step = case.step
@@ -34,6 +37,9 @@ def disturb_every_step(
             continue
         outcome = case.end()
         if outcome["outcome"] == DONE:
+            assert len(disturbed) >= FEWEST_STEPS, disturbed
             return outcome
+        stops += 1
+        assert stops <= len(disturbed), f"stopped again without another disturbance: {case.codes}"
         assert any(re.fullmatch(codes, one) for one in case.codes), f"{disturbed[-1]}: {case.codes}"
         case.resume()

@@ -21,10 +21,10 @@ from coded_errors import raises
 from ronna_hw.command_line import messages, terminal
 from ronna_hw.command_line.errors import (
     DISK_FULL,
-    EXTRA_MISSING,
     INTERNAL_FAULT,
     NOT_WRITABLE,
     OUT_OF_MEMORY,
+    PAGES_MISSING,
     PATH_PROBLEM,
     PORT_IN_USE,
     SYSTEM_REFUSED,
@@ -94,9 +94,9 @@ def test_an_operating_system_error_becomes_one_line_with_a_code(
 
 def test_a_missing_package_names_the_line_that_installs_it(capsys: pytest.CaptureFixture[str]) -> None:
     missing = ModuleNotFoundError("No module named 'nicegui'", name="nicegui")
-    assert terminal.exit_code_of(raising(missing), []) == EXTRA_MISSING.exit_code
+    assert terminal.exit_code_of(raising(missing), []) == PAGES_MISSING.exit_code
     err = capsys.readouterr().err
-    assert err.startswith(f"{EXTRA_MISSING.code}: ")
+    assert err.startswith(f"{PAGES_MISSING.code}: ")
     assert "pip install 'ronna-hw[console]'" in err
 
 
