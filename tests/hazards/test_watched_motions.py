@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -31,7 +32,7 @@ from procedures.workcell.arm_history import MotionKind
 from ronna_hw.config import WatchPatient
 from ronna_hw.devices.errors import MotionInterrupted
 from ronna_hw.devices.lifecycle import Lifecycle
-from ronna_hw.devices.readings import ArmReading
+from ronna_hw.devices.readings import ArmReading, TrackerFrame
 from ronna_hw.errors import DeviceError, LinkTimeout
 
 pytestmark = pytest.mark.hazard(12)
@@ -107,6 +108,32 @@ def test_a_moved_cart_that_no_second_look_confirms_is_named_and_leaves_the_way_h
     assert engine.setting.memory.find(RoomWatch) is None
     engine.retreat_home()
     assert cell.workcell.master.place.is_home
+
+
+@pytest.mark.hazard(13)
+def test_an_arm_that_a_fault_is_stopping_is_not_taken_for_a_moved_cart(
+    cell: ClinicalCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    engine = watched(cell)
+    read, frames = cell.tracker.read_frame, []
+
+    def read_frame(timeout_s: float = 1.0) -> TrackerFrame:
+        frames.append(timeout_s)
+        return read(timeout_s)
+
+    def coasts() -> None:  # its last reading is from before
+        known = replace(cell.arm.observe(), stopped=True)
+        monkeypatch.setattr(cell.arm, "observe", lambda: known)
+        cell.tracker.frame_shift_mm = (60.0, -40.0, 0.0)
+        seen = len(frames)
+        eventually(lambda: len(frames) > seen + MOST_FRAMES)
+        cell.tracker.frame_shift_mm = (0.0, 0.0, 0.0)
+        monkeypatch.undo()
+
+    monkeypatch.setattr(cell.tracker, "read_frame", read_frame)
+    on_the_way(cell, coasts)
+    positioned(engine)
+    assert cell.arm.stops == 0
 
 
 def test_an_interruption_while_the_first_frame_is_awaited_ends_the_watch(

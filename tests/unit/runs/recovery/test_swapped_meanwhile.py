@@ -29,6 +29,7 @@ from procedures.runs.observers import RunObservers
 from procedures.runs.recovery import recover
 from procedures.runs.request import CaseProcedure, RunRequest
 from procedures.runs.theatre_history import UpdateAuthor, update_tables
+from ronna_hw.config import TheatreFile
 from ronna_hw.evidence.journal_reading import RUN_CHANGED
 from ronna_hw.evidence.manifest import SEAL_FILE, sha256_of
 
@@ -120,6 +121,26 @@ def faster_arm(engine: Engine) -> None:
     table = theatre.file.robot["master"]
     faster = table.model_copy(update={"options": {**table.options, "speed_fraction": 0.25}})
     theatre.file = theatre.file.model_copy(update={"robot": {"master": faster}})
+
+
+def with_tool_file(theatre: TheatreFile, rom: str) -> TheatreFile:
+    tools = {"tools": [{"name": "robot_frame", "rom": rom}]}
+    return theatre.model_copy(update={"tracker": theatre.tracker.model_copy(update={"options": tools})})
+
+
+@pytest.mark.parametrize(("name", "is_same"), [("robot_frame.rom", True), ("other_frame.rom", False)])
+def test_a_tool_definition_may_lie_elsewhere_and_must_be_the_same(
+    cell: ClinicalCell, name: str, is_same: bool
+) -> None:
+    cell.theatre = with_tool_file(cell.theatre, "/runs/before/theatre/robot_frame.rom")
+    _, engine, left = left_after(cell, "tool_check")
+    theatre = engine.setting.workcell._theatre
+    theatre.file = with_tool_file(theatre.file, f"/runs/moved/theatre/{name}")
+    if is_same:
+        recover(engine, left)
+    else:
+        with raises(RECOVERY_REFUSED, match=r"options of tracker: recorded tools .*other_frame\.rom"):
+            recover(engine, left)
 
 
 def other_settings(engine: Engine) -> None:
