@@ -41,8 +41,7 @@ class BaslerStereoPair(PairDevice[Camera]):
 
     def __init__(self, name: str, config: DeviceConfig, clock: Clock) -> None:
         """Check options and endpoints without opening a connection; raises GEV-016, CFG-001 or CFG-002."""
-        self._options = read_options(config, BaslerOptions)
-        super().__init__(name, config, clock, self._options)
+        super().__init__(name, config, clock, read_options(config, BaslerOptions))
         self._receiver_process: ReceiverProcess | None = None
         self._grabber: PairGrabber | None = None
         self._sink: ByteSink | None = None

@@ -54,7 +54,7 @@ class PairDevice(GuardedDevice, ABC, Generic[C]):
         super().__init__(name, LifecycleGuard(name))
         self._clock = clock
         self._addresses = {side: config.address(side).require("gev").host for side in ("left", "right")}
-        self._checked = options
+        self._options = options
         self._cameras: tuple[C, C] | None = None
         self._identities: tuple[CameraIdentity, CameraIdentity] | None = None
         self._areas: tuple[AreaOfInterest, AreaOfInterest] | None = None
@@ -206,7 +206,7 @@ class PairDevice(GuardedDevice, ABC, Generic[C]):
         left, right = cameras
         try:
             identities = connect(left), connect(right)
-            check_pair(*identities, self._checked)
+            check_pair(*identities, self._options)
         except BaseException:  # including interruptions: neither camera stays controlled
             self._close_all(cameras)
             raise

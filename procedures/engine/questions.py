@@ -147,12 +147,12 @@ class Questions:
         doubt = "the journal does not say whether one went in; " if is_in_doubt else ""
         self._require_out(
             asked,
-            f"{doubt}nothing moves while it is inside; afterwards {workcell.arms_phrase} may move",
+            f"{doubt}nothing moves while it is inside; afterwards {workcell.phrases.arms} may move",
             trajectory,
             NotConfirmed(
                 f"an instrument is still in {place}: nothing moves",
                 action=f"By hand, {removal_words(place)}; then repeat the step or send "
-                f"{workcell.arms_phrase} home.",
+                f"{workcell.phrases.arms} home.",
             ),
         )
         instrument.record_removal()

@@ -354,7 +354,9 @@ def compare_room(engine: Engine, comparison: Comparison) -> bool:
         findings = look.require()
     except errors.RoomUndecided as undecided:
         if not workcell.master.place.is_home:
-            comparison.warnings.append(f"{undecided.summary}: compared again once {workcell.arms_are} home")
+            comparison.warnings.append(
+                f"{undecided.summary}: compared again once {workcell.phrases.are} home"
+            )
             return False
         comparison.add_difference("room", f"all within {undecided.limit}", undecided.what)
         return True

@@ -263,18 +263,20 @@ class MovedCart:
             engine.find(
                 f"the case is held: {problem.summary}, while an instrument is or may be inside at {inside}. "
                 "Nothing moves: the surgeon judges the instrument first; then take it out, send "
-                f"{workcell.arms_phrase} home and continue from there",
+                f"{workcell.phrases.arms} home and continue from there",
                 (inside,),
             )
             return False
         self._moves += 1
         if (following := engine.upcoming) is None:
-            goes_on = f"lock it; the work at every target is done: {workcell.going_home} and the case ends"
+            goes_on = (
+                f"lock it; the work at every target is done: {workcell.phrases.going_home} and the case ends"
+            )
         else:
-            goes_on = f"lock it; {workcell.going_home}, and {following} is next"
+            goes_on = f"lock it; {workcell.phrases.going_home}, and {following} is next"
         stands = ", ".join(dict.fromkeys(stored.record.kind for stored in engine.case.valid_results))
         begun = work_begun_elsewhere(engine)
-        value = (f"nobody is in {workcell.ways_phrase} home; these results remain valid: {stands}", *begun)
+        value = (f"nobody is in {workcell.phrases.ways} home; these results remain valid: {stands}", *begun)
         question = CART_MOVED.question(f"{problem.summary}: {goes_on}", "; ".join(value))
         if engine.ask(question) != GO_ON:
             return False

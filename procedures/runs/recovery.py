@@ -57,7 +57,7 @@ def recover(engine: Engine, previous: InterruptedRun) -> None:
         if not seen:
             comparison.notes.append(
                 "patient and robot base: not visible to the tracker; compared once "
-                f"{engine.setting.workcell.arms_are} home"
+                f"{engine.setting.workcell.phrases.are} home"
             )
     _doubt_work(engine, previous)  # after the arm's history is restored
     _require_acceptance(
@@ -112,13 +112,15 @@ def bring_home(engine: Engine, previous: InterruptedRun) -> bool:
     comparison = Comparison(warnings=list(previous.contradictions))
     _restore_arm(engine, previous, engine.case.get(CheckedSetUp).result, comparison, only_leaving=True)
     workcell = engine.setting.workcell
-    comparison.notes.append(f"patient and robot base: not compared: {workcell.going_home}, no further")
+    comparison.notes.append(
+        f"patient and robot base: not compared: {workcell.phrases.going_home}, no further"
+    )
     for change in previous.run.changes:
         comparison.warnings.append(f"not as the run left it: {change}")
     if not (first := _list_first_moves(engine)):
         _conclude(engine, comparison)
         return False
-    _require_acceptance(engine, comparison, f"bring {workcell.arms_phrase} home", first)
+    _require_acceptance(engine, comparison, f"bring {workcell.phrases.arms} home", first)
     way_out.surround_arms(engine)
     engine.retreat_home()
     return True

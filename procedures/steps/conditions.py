@@ -27,7 +27,7 @@ def needs_tool(tool: MountedTool, remedy: str = "") -> Callable[[StepContext], t
             workcell.master.mount.identify()
         if workcell.master.tool is not tool:
             remounting = workcell.master.tool is MountedTool.GUIDE
-            instead = remedy.format(arms=workcell.arms_phrase) if remounting else ""
+            instead = remedy.format(arms=workcell.phrases.arms) if remounting else ""
             carrier = workcell.master.spoken_name
             reasons.append(f"the {carrier} carries the {workcell.master.tool}, not the {tool}{instead}")
         return (*reasons, *workcell.master.place.hold_reasons)
@@ -51,7 +51,7 @@ def needs_guide_unmounted(context: StepContext) -> tuple[str, ...]:
         return (
             f"the {workcell.master.spoken_name} carries the guide: if this result changed, the spheres "
             "could not be localized again; if it must change, send "
-            f"{workcell.arms_phrase} home and start a new run",
+            f"{workcell.phrases.arms} home and start a new run",
         )
     return ()
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from types import MappingProxyType
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 from procedures.journal.errors import JournalNotWritable
 from procedures.journal.journal import Entry, Journal
@@ -37,6 +37,19 @@ from ronna_hw.theatre_kind import require_one_kind
 D = TypeVar("D")
 
 ONE_ARM: Mapping[str, ArmHistory] = MappingProxyType({MASTER: ArmHistory()})
+
+
+class ArmsPhrases(NamedTuple):
+    """Words for all arms of a case: their name, a statement about them, their ways and their homing."""
+
+    arms: str
+    are: str
+    ways: str
+    going_home: str
+
+
+THE_ARM = ArmsPhrases("the arm", "the arm is", "the arm's way", "the arm goes home")
+BOTH_ARMS = ArmsPhrases("both arms", "both arms are", "the arms' ways", "both arms go home")
 
 
 class Workcell:
@@ -132,24 +145,9 @@ class Workcell:
         raise OtherArmUnknown("there is no assistant in this case", action="Start the run with --dual.")
 
     @property
-    def arms_phrase(self) -> str:
-        """Name of all arms in sentences about what they do together."""
-        return "both arms" if self.assistants else "the arm"
-
-    @property
-    def ways_phrase(self) -> str:
-        """Name of the ways of all arms, in sentences about what may be in them."""
-        return "the arms' ways" if self.assistants else "the arm's way"
-
-    @property
-    def arms_are(self) -> str:
-        """Beginning of a statement about all arms."""
-        return f"{self.arms_phrase} {'are' if self.assistants else 'is'}"
-
-    @property
-    def going_home(self) -> str:
-        """Statement that all arms go home."""
-        return f"{self.arms_phrase} {'go' if self.assistants else 'goes'} home"
+    def phrases(self) -> ArmsPhrases:
+        """Words for all arms in sentences about what they do together."""
+        return BOTH_ARMS if self.assistants else THE_ARM
 
     @property
     def outermost_first(self) -> tuple[SupervisedArm, ...]:

@@ -308,5 +308,5 @@ class GuardedDevice:
         """Error that latched FAULT, if any."""
         return self._guard.fault
 
-    def active(self, timeout_s: float = 10.0) -> AbstractContextManager[Self]:
-        return hold_active(self, timeout_s)  # type: ignore[type-var]  # the driver completes the device
+    def active(self: D, timeout_s: float = 10.0) -> AbstractContextManager[D]:
+        return hold_active(self, timeout_s)

@@ -42,11 +42,12 @@ class PylonStereoPair(PairDevice[PylonCamera]):
 
     wire_protocol = ""  # spoken by the vendor's library
 
+    _options: PylonOptions
+
     def __init__(self, name: str, config: DeviceConfig, clock: Clock) -> None:
         """Check library, options and endpoints; raises GEV-016, GEV-018, CFG-001 or CFG-002."""
         load_pylon()
-        self._options = read_options(config, PylonOptions)
-        super().__init__(name, config, clock, self._options)
+        super().__init__(name, config, clock, read_options(config, PylonOptions))
         self._pair_clock = PairClock((None, None), 0.0)
         self._must_restart = False
 

@@ -70,7 +70,7 @@ def carry_out(engine: Engine, order: orders.Order, say: Say, by: str = "") -> No
             _resume(engine, say)
         case orders.Home():
             engine.retreat_home()
-            say(f"{engine.setting.workcell.arms_are} parked")
+            say(f"{engine.setting.workcell.phrases.are} parked")
         case orders.Acknowledge():
             _acknowledge(engine, by, say)
         case orders.Abort():
@@ -193,5 +193,5 @@ def _describe_nothing_upcoming(engine: Engine) -> str:
     return (
         "the case is finished"
         if engine.over
-        else f"every step is done; home brings {engine.setting.workcell.arms_phrase} home"
+        else f"every step is done; home brings {engine.setting.workcell.phrases.arms} home"
     )

@@ -199,7 +199,7 @@ def _do_stage(
         raise NotConfirmed(
             f"nobody confirmed at {trajectory} that {stage.done_statement}",
             action="Nothing moves. Repeat the step, or remove the instrument and send "
-            f"{context.workcell.arms_phrase} home.",
+            f"{context.workcell.phrases.arms} home.",
         )
 
 

@@ -76,8 +76,8 @@ def _measure_move(context: StepContext) -> MeasuredMove | None:
     workcell = context.workcell
     if not workcell.master.place.is_home:
         raise StepRefused(
-            f"the movement of the head can only be measured with {workcell.arms_phrase} at home",
-            action=f"Send {workcell.arms_phrase} home, then run the step again.",
+            f"the movement of the head can only be measured with {workcell.phrases.arms} at home",
+            action=f"Send {workcell.phrases.arms} home, then run the step again.",
         )
     localized, pairs = context.result(GlobalLocalization), context.result(Correspondence).pairs
     settings, name = context.setting.settings, context.identifier(GlobalLocalization)

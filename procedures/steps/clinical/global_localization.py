@@ -133,12 +133,11 @@ def _show(context: StepContext, words: str, share: float) -> None:
 def _check_count(workcell: Workcell, seen: int, least: int) -> None:
     """Raise PRO-007 for too few spheres, before the result could replace a good one."""
     if seen < least:
-        hiding = "they hide" if workcell.assistants else "it hides"
         raise GateFailed(
             "the tracker sees too few spheres",
             limit=f"at least {least}",
             got=str(seen),
-            action=f"Send {workcell.arms_phrase} home if {hiding} them, clear the line of sight, "
+            action=f"Clear the line of sight, if need be by sending {workcell.phrases.arms} home, "
             "then repeat the step.",
         )
 

@@ -72,7 +72,7 @@ def _localize_spheres(context: StepContext, paths: CheckedPaths) -> Outcome[Relo
         if check_room(context, occasion, CAREFUL_FRAMES).base_mm is None:
             raise GateFailed(
                 f"{occasion}, the tracker does not see the frame on the arm",
-                expected=f"the frame in view, with {workcell.arms_phrase} home",
+                expected=f"the frame in view, with {workcell.phrases.arms} home",
                 action="Clear the line of sight between tracker and arm, then repeat the step.",
             )
     else:

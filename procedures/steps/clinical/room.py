@@ -78,7 +78,7 @@ def require_unmoved(context: StepContext, occasion: str) -> RoomLook:
     if look.base_mm is None:
         raise PatientUnseen(
             f"{occasion}, the tracker does not see the frame on the arm: the cart may have moved",
-            expected=f"the frame on the arm in view, with {context.workcell.arms_phrase} home",
+            expected=f"the frame on the arm in view, with {context.workcell.phrases.arms} home",
         )
     for arm in context.workcell.assistants:
         if ON_ARM[arm.role] not in look.reading.rests:

@@ -179,7 +179,7 @@ def _tasks_done(context: StepContext) -> tuple[str, ...]:
     if answer not in offered:
         raise NotConfirmed(
             f"nobody chose the stage to continue from at {trajectory}",
-            action=f"Nothing was done. Repeat the step, or send {context.workcell.arms_phrase} home.",
+            action=f"Nothing was done. Repeat the step, or send {context.workcell.phrases.arms} home.",
         )
     return tuple(tasks[: tasks.index(offered[answer])])
 
