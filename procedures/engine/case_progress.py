@@ -70,7 +70,7 @@ class CaseProgress:
         if (reason := self.left_out(key)) is not None:
             return (f"{key.trajectory} was left out: {reason}",)
         if self._all_finished_before:
-            return ("the work at every target is done: use home to park the arm",)
+            return ("the work at every target is done: use home to end the case",)
         return self.order.unmet(key, self.latest, self.is_settled)
 
     def advice_now(self, key: StepKey) -> str | None:
@@ -81,8 +81,8 @@ class CaseProgress:
         between = f"Nothing may come between {self.latest} and {only}"
         if self.order.spec(only).moves:
             return f"{between}: run {only} first."
-        # It needs the arm where it is: once the arm is home, other steps may follow.
-        return f"{between}: run {only} first, or send the arm home (home); then ask why {key} again."
+        # It starts from where the latest step ended: from home, other steps may follow.
+        return f"{between}: run {only} first, or use home; then ask why {key} again."
 
     def why_not_up_to(self, key: StepKey) -> str:
         """Return why the case cannot be run up to a step; empty if it can."""

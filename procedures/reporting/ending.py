@@ -25,7 +25,7 @@ from ronna_hw.host.port_users import find_folder_holder
 from ronna_hw.text import format_count
 
 ARM = "arm"  # role of the device that an emergency stop stops
-RESUME = "ronna-procedure resume RUN goes on from there; ronna-procedure home RUN only brings the arm home."
+RESUME = "ronna-procedure resume RUN goes on from there; ronna-procedure home RUN only goes home."
 GO_ON = f"Put right what is named, then {RESUME}"
 UNKNOWN_ERROR, UNSEALED = "error not determined", "not sealed"
 RUNNING, CLOSING = "running", "closing"  # in a program that has the run open

@@ -180,7 +180,7 @@ class WordedRoom:
                 raise NotConfirmed(
                     f"nobody has done this: {task.subject}; nothing moves",
                     expected=f"the word {task.name}, which has it done",
-                    action="Repeat the step or send the arm home, and type that word.",
+                    action="Repeat the step, or use home, and type that word.",
                 )
             if shown:
                 what = join_reads(task.reads) or "the scales"

@@ -116,7 +116,8 @@ def _require_instrument_out(engine: Engine) -> None:
         f"the commands have ended, and {inside}",
         expected="`home`, which asks whether it is out, before the end",
         action=f"Touch neither the tool nor the arm. ronna-procedure home {run} asks for the removal, then "
-        f"brings the arm home; ronna-procedure resume {run} does so and continues the case.",
+        f"brings {engine.setting.workcell.phrases.arms} home; ronna-procedure resume {run} does so and "
+        "continues the case.",
     )
 
 

@@ -119,7 +119,7 @@ def test_no_step_follows_a_move_when_every_target_is_finished(course: CaseProgre
     course.void(tool_on)
     assert course.over
     assert course.upcoming is None
-    assert course.why_not_now(tool_on) == ("the work at every target is done: use home to park the arm",)
+    assert course.why_not_now(tool_on) == ("the work at every target is done: use home to end the case",)
 
 
 def fitted(cell: RecordingCell, *left_out: str, lasts: list[str] | None = None) -> Engine:
