@@ -83,7 +83,7 @@ lint: setup
 bench: setup
 	@$(BIN)/python -P benchmarks/run.py $(addprefix --only ,$(ONLY))
 
-# Against the figures of tools/budget/budget.toml; WHOLE=1 for all, STEADY=1 for theatre time and bytes alone,
+# Against the figures of tools/budget/budget.toml; WHOLE=1 for all, STEADY=1 for calls, theatre time and bytes,
 # WRITE="reason" to set them.
 budget: setup
 	@OPENBLAS_NUM_THREADS=1 $(BIN)/python tools/budget/budget.py $(if $(WHOLE),--whole) $(if $(STEADY),--steady) $(if $(WRITE),--because "$(WRITE)")

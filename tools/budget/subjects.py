@@ -1,9 +1,15 @@
-"""Subjects of the budget: programs, simulators, cases, packages."""
+"""Subjects of the budget: programs, simulators, cases, packages.
+
+Processor time is measured well on a quiet computer alone. Steady figures are the same on any: theatre time,
+bytes, and the calls of Python functions that a program's main thread makes, in which two runs of a case
+differ by less than a thousandth.
+"""
 
 from __future__ import annotations
 
 import json
 import os
+import pstats
 import subprocess
 import sys
 import tempfile
@@ -12,7 +18,6 @@ from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
 from statistics import mean
-from typing import Any
 
 import psutil
 
@@ -22,10 +27,18 @@ from ronna_hw.host.process import describe_exit
 ROOT = Path(__file__).resolve().parents[2]
 CALIBRATION = Path(__file__).with_name("calibration.py")
 LOCK = ROOT / "requirements" / "run.txt"
-CALIBRATIONS, MB, SECONDS = "calibrations", "MB", "s"  # units: processor time counts in calibrations
+CALIBRATIONS, CALLS, MB, SECONDS = (
+    "calibrations",
+    "k calls",
+    "MB",
+    "s",
+)  # processor time counts in calibrations
 BYTES_PER_MB = 1e6
+CALLS_PER_K = 1e3
 PROCEDURE, SIMULATOR = "procedures.cli.procedure", "sim.cli"
 SIMULATORS = ("polaris", "kuka", "ur", "basler")
+RESULTS = "{results}"  # word of a command line that stands for a folder of its own
+PROFILE = "profile"  # file of Python's profiler
 
 
 @dataclass(frozen=True)
@@ -37,17 +50,17 @@ class Measured:
     unit: str
 
 
+Measure = Callable[[str], list[Measured]]  # the figures of a name
+
+
 @dataclass(frozen=True)
 class Subject:
-    """Program or case measured for a figure or several. A quick one is in every check, others in a whole one.
-
-    A `steady` one has figures that are the same on any computer.
-    """
+    """Program or case with its figures. A quick one is in every check, others in a whole one."""
 
     name: str
-    measure: Callable[[str], list[Measured]]
-    quick: bool
-    steady: bool = False
+    processor: Measure | None = None
+    steady: Measure | None = None
+    quick: bool = True
 
 
 def measure_calibration_s() -> float:
@@ -57,56 +70,64 @@ def measure_calibration_s() -> float:
 
 def subjects() -> list[Subject]:
     """List all subjects in the order in which they are measured."""
-    mini, dual, default = ("--scene", "mini", "--seed", "7"), ("--dual",), ("--seed", "7")
+    mini, default = ("--scene", "mini", "--seed", "7"), ("--seed", "7")
     return [
-        Subject("ronna-procedure --help", _program("--help"), quick=True),
-        *(Subject(f"ronna-sim {name}, start", _start_simulator(name), quick=True) for name in SIMULATORS),
-        Subject("mini case", _case(*mini), quick=True, steady=True),
-        Subject("mini case, two arms", _case(*mini, *dual), quick=True, steady=True),
-        Subject("packages", _installed, quick=True, steady=True),
-        Subject("phantom", _phantom, quick=False),
-        Subject("default case", _case(*default), quick=False, steady=True),
+        _program("ronna-procedure --help", PROCEDURE, "--help"),
+        *(_simulator(name) for name in SIMULATORS),
+        _program("phantom", SIMULATOR, "phantom", "--seed", "7", "--out", RESULTS),
+        _case("mini case", *mini),
+        _case("mini case, two arms", *mini, "--dual"),
+        Subject("packages", steady=_installed),
+        _case("default case", *default, quick=False),
         Subject("make test", _tests, quick=False),
     ]
 
 
-def _program(*words: str) -> Callable[[str], list[Measured]]:
-    def measure(name: str) -> list[Measured]:
-        return [_against_calibration(name, lambda: _processor_s(command(PROCEDURE, *words))[0])]
+def _program(name: str, module: str, *words: str) -> Subject:
+    """Make a subject of a program that writes to `RESULTS`, if anywhere."""
 
-    return measure
-
-
-def _case(*words: str) -> Callable[[str], list[Measured]]:
-    """Measure a simulated case: processor time, theatre time and the bytes of its run folder."""
-
-    def measure(name: str) -> list[Measured]:
-        said: dict[str, Any] = {}
+    def processor(name: str) -> list[Measured]:
         with tempfile.TemporaryDirectory() as folder:
+            line = _with_results(command(module, *words), folder)
+            return [_against_calibration(name, lambda: _processor_s(line)[0])]
 
-            def run() -> float:
-                line = command(PROCEDURE, "run", "--sim", *words, "--out", folder, "--json")
-                used_s, output = _processor_s(line)
-                said.update(json.loads(output))
-                return used_s
+    def steady(name: str) -> list[Measured]:
+        with tempfile.TemporaryDirectory() as folder:
+            profile = Path(folder) / PROFILE
+            _processor_s(_with_results(_profiled(command(module, *words), profile), folder))
+            return [_calls(name, profile)]
 
-            processor = _against_calibration(name, run)
-            files = [one for one in Path(folder).rglob("*") if one.is_file()]
-            run_mb = sum(one.stat().st_size for one in files) / BYTES_PER_MB
-        return [
-            processor,
-            Measured(f"{name}, theatre time", said["sim_s"], SECONDS),
-            Measured(f"{name}, run folder", run_mb, MB),
-        ]
-
-    return measure
+    return Subject(name, processor, steady)
 
 
-def _start_simulator(simulator: str) -> Callable[[str], list[Measured]]:
-    """Measure a simulator from its start until clients may connect."""
+def _case(name: str, *words: str, quick: bool = True) -> Subject:
+    """Make a subject of a simulated case; steady are calls, theatre time and bytes of its run folder."""
+    line = command(PROCEDURE, "run", "--sim", *words, "--json", "--out", RESULTS)
+
+    def processor(name: str) -> list[Measured]:
+        with tempfile.TemporaryDirectory() as folder:
+            return [_against_calibration(name, lambda: _processor_s(_with_results(line, folder))[0])]
+
+    def steady(name: str) -> list[Measured]:
+        with tempfile.TemporaryDirectory() as folder:
+            profile, runs = Path(folder) / PROFILE, Path(folder) / "runs"
+            _, output = _processor_s(_with_results(_profiled(line, profile), str(runs)))
+            run_mb = sum(one.stat().st_size for one in runs.rglob("*") if one.is_file()) / BYTES_PER_MB
+            return [
+                _calls(name, profile),
+                Measured(f"{name}, theatre time", json.loads(output)["sim_s"], SECONDS),
+                Measured(f"{name}, run folder", run_mb, MB),
+            ]
+
+    return Subject(name, processor, steady, quick)
+
+
+def _simulator(simulator: str) -> Subject:
+    """Make a subject of a simulator, from its start until clients may connect."""
+    line = command(SIMULATOR, simulator)
 
     def start() -> float:
-        process = ChildProcess(simulator, command(SIMULATOR, simulator))
+        process = ChildProcess(simulator, line)
         try:
             family = psutil.Process(process.process.pid)
             times = [one.cpu_times() for one in (family, *family.children(recursive=True))]
@@ -115,13 +136,28 @@ def _start_simulator(simulator: str) -> Callable[[str], list[Measured]]:
         finally:
             process.stop()
 
-    return lambda name: [_against_calibration(name, start)]
+    def steady(name: str) -> list[Measured]:
+        with tempfile.TemporaryDirectory() as folder:
+            profile = Path(folder) / PROFILE
+            ChildProcess(simulator, _profiled(line, profile)).stop()
+            return [_calls(name, profile)]
+
+    return Subject(f"ronna-sim {simulator}, start", lambda name: [_against_calibration(name, start)], steady)
 
 
-def _phantom(name: str) -> list[Measured]:
-    with tempfile.TemporaryDirectory() as folder:
-        line = command(SIMULATOR, "phantom", "--seed", "7", "--out", str(Path(folder) / "phantom"))
-        return [_against_calibration(name, lambda: _processor_s(line)[0])]
+def _profiled(line: Sequence[str], profile: Path) -> list[str]:
+    """Put a command line of `command` under Python's profiler."""
+    python, isolated, *rest = line
+    return [python, isolated, "-m", "cProfile", "-o", str(profile), *rest]
+
+
+def _with_results(line: Sequence[str], folder: str) -> list[str]:
+    return [str(Path(folder) / "results") if word == RESULTS else word for word in line]
+
+
+def _calls(name: str, profile: Path) -> Measured:
+    total_calls: int = vars(pstats.Stats(str(profile)))["total_calls"]
+    return Measured(f"{name}, calls", total_calls / CALLS_PER_K, CALLS)
 
 
 def _tests(name: str) -> list[Measured]:
