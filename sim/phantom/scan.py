@@ -322,8 +322,12 @@ def slice_noise(
     white = generator.standard_normal((rows + 2, columns + 2), dtype=np.float32)
     blurred = exp(-0.5 * (pixel_mm / kernel.plane_sigma_mm) ** 2)
     side = np.float32(blurred if kernel.noise_side is None else kernel.noise_side)
-    smooth = white[1:-1] + side * (white[:-2] + white[2:])
-    smooth = smooth[:, 1:-1] + side * (smooth[:, :-2] + smooth[:, 2:])
     gain = 1.0 + 2.0 * float(side) ** 2  # of the variance, along each of both axes
+    along = white[:-2] + white[2:]
+    along *= side
+    along += white[1:-1]
+    smooth = along[:, :-2] + along[:, 2:]
+    smooth *= side
+    smooth += along[:, 1:-1]
     smooth *= np.float32(noise_HU / gain)
     return smooth
