@@ -5,9 +5,9 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 RUNS := $(VENV)/.runs
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
-# Many tests wait for processes and ports: four workers keep two cores busy, and a worker that has nothing left
-# takes over from the others.
-PYTEST := $(BIN)/python -m pytest -n 4 --dist worksteal
+# Many tests wait for processes and ports: three workers keep two cores busy, and a worker that has nothing left
+# takes over from the others. Each imports and collects everything, which takes 8 s of processor.
+PYTEST := $(BIN)/python -m pytest -n 3 --dist worksteal
 # Each worker collects all that it is given: where nothing is for `make test`, there is no need to look.
 QUICK := tests/unit tests/system tests/hazards
 # pip compiles what it copies; this is not copied. Otherwise each worker would compile all of it at the same time.
@@ -16,7 +16,7 @@ OURS := ronna_hw conformance drivers sim procedures studies console
 .PHONY: setup demo budget test test-all test-browser test-browser-all soak fuzz lint bench bench-history profile docs lock clean
 
 # The tests start hundreds of processes. OpenBLAS's threads cost each of them a tenth of a second and gain nothing
-# with four workers on two cores; without bytecode each would compile again what the one before it has compiled.
+# with three workers on two cores; without bytecode each would compile again what the one before it has compiled.
 test test-all test-browser test-browser-all soak fuzz: export OPENBLAS_NUM_THREADS := 1
 test test-all test-browser test-browser-all soak fuzz: export PYTHONDONTWRITEBYTECODE :=
 

@@ -41,6 +41,7 @@ FIRST, LAST = TRAJECTORIES
 ROBOT_FROM_CT = SCENE.head.robot_from_ct.transform(Frame.ROBOT, Frame.CT)
 CENTRES_CT_MM = np.array([fiducial.centre_ct_mm for fiducial in SCENE.head.fiducials])
 SPHERES_MM = ROBOT_FROM_CT.apply(CENTRES_CT_MM)
+THEATRE = theatre_of(SCENE)
 A1, A2, A3, A4, A5, A6 = (math.radians(angle) for angle in SCENE.arm.home_deg)
 TRACKER_MM: Numbers3 = SCENE.tracker.robot_from_tracker.translation_mm
 HOME_RAD: JointVector = (A1, A2, A3, A4, A5, A6)
@@ -161,7 +162,7 @@ def _frame_on_the_arm(
 class ClinicalCell(RecordingCell):
     """The recording cell over the scene, with the spheres where they are."""
 
-    theatre: TheatreFile = field(default_factory=lambda: theatre_of(SCENE))
+    theatre: TheatreFile = field(default_factory=lambda: THEATRE)
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+import pickle
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import pytest
 from clinical_case import FIRST, ClinicalCell, given
@@ -27,8 +31,10 @@ from procedures.operator.question import Answer, Question, Topic
 from procedures.runs.interrupted_run import InterruptedRun
 from procedures.steps.clinical import at_target, confirmation, positioning, retreat
 from procedures.steps.clinical.set_up import DeviceIdentity
+from procedures.workcell import MountedTool
 from ronna_hw.config import Calibrations
 from ronna_hw.devices.lifecycle import Identity
+from ronna_hw.vectors import JointVector
 
 
 def per_trajectory(result: StepResult) -> StepSpec[StepResult]:
@@ -54,11 +60,41 @@ def case_order(cell: ClinicalCell) -> CaseOrder:
     return order_of([*steps, positioning.STEP, at_target.STEP, retreat.STEP, confirmation.STEP], [FIRST])
 
 
+@dataclass(frozen=True)
+class LeftOperation:
+    """What an operation left: its files by their names in the run folder, and where the arm stood."""
+
+    files: dict[Path, bytes]
+    joints_rad: JointVector
+    mounted: int
+
+
+@cache
+def _operation_left_after(last: str, pickled_theatre: bytes) -> LeftOperation:
+    with TemporaryDirectory() as place:
+        cell = ClinicalCell(Path(place) / "run", pickle.loads(pickled_theatre))
+        cell.carrying(MountedTool.GUIDE)
+        order = case_order(cell)
+        cell.engine(order).run_to(order.find(last))
+        broken_off(cell)
+        files = {
+            path.relative_to(cell.folder): path.read_bytes()
+            for path in cell.folder.rglob("*")
+            if path.is_file()
+        }
+        return LeftOperation(files, cell.arm.joints_rad, cell.arm.mounted)
+
+
 def left_after(cell: ClinicalCell, last: str) -> tuple[ClinicalCell, Engine, InterruptedRun]:
-    order = case_order(cell)
-    cell.engine(order).run_to(order.find(last))
+    """An operation of which a cell that has just been made has the files, opened again."""
+    assert cell.arm.motions == []
     broken_off(cell)
-    return opened_again(cell, order)
+    left = _operation_left_after(last, pickle.dumps(cell.theatre))
+    for name, content in left.files.items():
+        (cell.folder / name).parent.mkdir(exist_ok=True)
+        (cell.folder / name).write_bytes(content)
+    cell.arm.joints_rad, cell.arm.mounted = left.joints_rad, left.mounted
+    return opened_again(cell, case_order(cell))
 
 
 def other_arm(cell: ClinicalCell) -> None:

@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 from typing import Any, cast
 
@@ -71,6 +72,7 @@ def theatre_of(scene: Scene) -> TheatreFile:
     return parse_theatre(theatre_content(scene, ENDPOINTS, "host:", {}, 1.0))
 
 
+@cache
 def mini_theatre() -> TheatreFile:
     """The theatre file of the mini scene."""
     return theatre_of(draw_scene("mini", seed=3))

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from copy import deepcopy
 from dataclasses import dataclass, field
 from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
+from remembering_arm import RememberingArm
 from room_looks import room_reading_of, seen_frame
 
 from procedures.guards.room_reading import RoomReading
 from procedures.guards.room_watch import RoomWatch
-from procedures.room.model import TrackedArm
 from procedures.steps.clinical.localized_room import LocalizedRoom
 from procedures.strategies.strategy import ONE_SIDE
 from ronna_hw.arm.catalogue import find_arm
@@ -39,6 +40,16 @@ LOCALIZED_FRAMES = 60
 @lru_cache(maxsize=20)
 def scene_of(seed: int) -> Scene:
     return add_patient_frame(draw_scene("mini", seed=seed))
+
+
+@lru_cache(maxsize=20)
+def _localized(seed: int) -> ClampedCase:
+    return ClampedCase(seed, np.random.default_rng(seed))
+
+
+def clamped_case(seed: int) -> ClampedCase:
+    """A case of its own, as it was localized and looked at home; both are computed once for each seed."""
+    return deepcopy(_localized(seed))
 
 
 def push(way_mm: ArrayLike, turn_rad: ArrayLike, about_mm: ArrayLike) -> Matrix:
@@ -74,7 +85,7 @@ class ClampedCase:
             pose, spheres, HOME_RAD, self._on_arm_mm, LOCALIZED_FRAMES, on_clamp, self._on_clamp_mm
         )
         mount = (HOME.inverse() @ on_arm).as_matrix()
-        arm = TrackedArm(KR6.chain, ErrorSizes(), mount, find_arm(KR6.name).repeatability_mm)
+        arm = RememberingArm(KR6.chain, ErrorSizes(), mount, find_arm(KR6.name).repeatability_mm)
         self.watch = room.watch("trial", arm, lambda _joints, _sides: HOME)
         self.watch.points_mm = {"T1": apply(robot_from_ct, [scene.head.targets[0].target_ct_mm])[0]}
         for _ in range(3):  # as a case looks, settled home, before anything happens

@@ -12,12 +12,12 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
+from remembering_arm import RememberingArm
 from room_looks import room_reading_of, seen_frame
 
 from benchmarks.stereo_head.head_looks import ENDPOINTS
 from procedures.guards.room_reading import FRAMES, RoomReading
 from procedures.guards.room_watch import RoomWatch
-from procedures.room.model import TrackedArm
 from procedures.steps.clinical.localized_room import LocalizedRoom
 from procedures.strategies.catalogue import find_strategy
 from procedures.strategies.strategy import ArmInBranch
@@ -129,15 +129,19 @@ class TrackedCase:
         flange = self.kinematics.flange_pose(self.home_rad)
         robot_from_tracker = self.frame_by_arm(flange) @ frame.inverse()
         room = LocalizedRoom(robot_from_tracker, spheres, self.home_rad, self.body_mm, GLOBAL_FRAMES)
-        mount = flange.inverse() @ self.frame_by_arm(flange)
-        repeatable_mm = find_arm(self.kinematics.name).repeatability_mm
-        arm = TrackedArm(self.kinematics.chain, ErrorSizes(), mount.as_matrix(), repeatable_mm)
-        watch = room.watch("trial", arm, self._flange_pose)
+        watch = room.watch("trial", self._tracked_arm, self._flange_pose)
         robot_from_ct = matrix_of(self.scene.head.robot_from_ct)
         watch.points_mm = {
             one.identifier: apply(robot_from_ct, [one.target_ct_mm])[0] for one in self.scene.head.targets
         }
         return watch
+
+    @cached_property
+    def _tracked_arm(self) -> RememberingArm:
+        flange = self.kinematics.flange_pose(self.home_rad)
+        mount = flange.inverse() @ self.frame_by_arm(flange)
+        repeatable_mm = find_arm(self.kinematics.name).repeatability_mm
+        return RememberingArm(self.kinematics.chain, ErrorSizes(), mount.as_matrix(), repeatable_mm)
 
     def _flange_pose(self, joints: JointVector, _sides: Sequence[int] | None) -> Transform:
         return self.kinematics.flange_pose(joints)

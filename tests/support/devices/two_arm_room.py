@@ -8,12 +8,12 @@ from types import SimpleNamespace
 from typing import Any, cast
 
 import numpy as np
+from remembering_arm import RememberingArm
 from room_looks import room_reading_of, seen_frame
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from procedures.guards.room_reading import CAREFUL_FRAMES, RoomReading
 from procedures.guards.room_watch import RoomLook, RoomWatch
-from procedures.room.model import TrackedArm
 from procedures.room.motion import RoomMotion
 from procedures.room.sighting import Rest, Tracked
 from procedures.steps.clinical.localized_room import LocalizedRoom
@@ -40,6 +40,8 @@ SPHERES_MM = np.array(
     [[700.0, 0.0, 300.0], [760.0, 40.0, 320.0], [660.0, 60.0, 340.0], [710.0, -60.0, 350.0]]
 )
 TARGET_MM = np.array([700.0, 0.0, 260.0])
+ARM = RememberingArm(KR6.chain, ErrorSizes(), MOUNT.as_matrix(), 0.03)
+ASSISTING_ARM = replace(ARM, robot_from_base=BASE.as_matrix())
 STILL = RigidTransform.identity()
 BORE = SimpleNamespace(reach_mm=40.0, length_mm=80.0)
 
@@ -65,8 +67,7 @@ class TwoArmRoom:
         room = LocalizedRoom(
             TO_ROBOT, TO_ROBOT.inverse().apply(SPHERES_MM), HOME_RAD, MARKERS_MM, CAREFUL_FRAMES
         )
-        self.arm = TrackedArm(KR6.chain, ErrorSizes(), MOUNT.as_matrix(), 0.03)
-        self.watch: RoomWatch = room.watch("room", self.arm, lambda joints, _sides: KR6.flange_pose(joints))
+        self.watch: RoomWatch = room.watch("room", ARM, lambda joints, _sides: KR6.flange_pose(joints))
         self.watch.points_mm = {"T1": TARGET_MM}
         self.joints_rad = HOME_RAD
         if known:
@@ -82,8 +83,7 @@ class TwoArmRoom:
         self.look(HOME_RAD, assistant=carts)
 
     def take_in(self, first_look: int = 0) -> RoomMotion | None:
-        arm = replace(self.arm, robot_from_base=BASE.as_matrix())
-        return self.watch.take_in_assistant("bases", arm, flange_of_assistant, first_look)
+        return self.watch.take_in_assistant("bases", ASSISTING_ARM, flange_of_assistant, first_look)
 
     def reading(
         self,

@@ -39,17 +39,23 @@ CAMERA = {
 }
 
 
-@pytest.fixture
-def case(tmp_path: Path) -> tuple[Path, Path]:
-    """A plan file and a coarse CT around it: 61 slices of 20 x 20 voxels of 10 mm, 3 mm apart.
+@pytest.fixture(scope="module")
+def series(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A coarse CT around the plan, to be read only: 61 slices of 20 x 20 voxels of 10 mm, 3 mm apart.
 
     The head is a ball; the entry lies on it.
     """
-    (tmp_path / "plan.toml").write_text(PLAN)
     grid_mm, slices_mm = np.arange(-95.0, 100.0, 10.0), np.arange(-90.0, 91.0, 3.0)
     in_tissue = np.hypot(grid_mm[:, None], grid_mm) ** 2 + slices_mm[:, None, None] ** 2 < HEAD_MM**2
     voxels = np.where(in_tissue, 40, -1000).astype(np.int16)
-    series = write_series(tmp_path / "series", voxels, (3.0, 10.0, 10.0), origin_mm=(-95.0, -95.0, -90.0))
+    folder = tmp_path_factory.mktemp("series")
+    return write_series(folder, voxels, (3.0, 10.0, 10.0), origin_mm=(-95.0, -95.0, -90.0))
+
+
+@pytest.fixture
+def case(tmp_path: Path, series: Path) -> tuple[Path, Path]:
+    """A plan file of its own, and the series."""
+    (tmp_path / "plan.toml").write_text(PLAN)
     return tmp_path / "plan.toml", series
 
 

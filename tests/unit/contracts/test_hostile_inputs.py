@@ -16,16 +16,16 @@ from sim.world.world import _FAULTS, _STAND, World
 
 Change = Callable[[tuple[bytes, ...]], bytes]
 
-FEW = 40
+FEW = 20
 MILLION = 1_000_000
 SHARES = 10  # of the million, each with a seed of its own, so that several workers take part
 TAKE_LONG = ("results of a run", "DICOM JPEG", "DICOM RLE", "DICOM JPEG 2000", "DICOM JPEG-LS")
 REFUSING = ("Polaris BX", "Polaris .rom", "EKI", "RSI", "RSI reply")  # most mutants are none of theirs
 MUTANTS = {  # of parsers that take some microseconds, and of some that take a tenth of a second
-    **dict.fromkeys(TAKE_LONG, 12),
-    **dict.fromkeys((*REFUSING, "GVCP", "GVSP", "conformance BX"), 1000),
-    **dict.fromkeys(("RTDE", "RTDE set-up", "UR dashboard", "UR primary"), 600),
-    "Polaris text": 300,
+    **dict.fromkeys(TAKE_LONG, 6),
+    **dict.fromkeys((*REFUSING, "GVCP", "GVSP", "conformance BX"), 400),
+    **dict.fromkeys(("RTDE", "RTDE set-up", "UR dashboard", "UR primary"), 250),
+    "Polaris text": 150,
 }
 
 

@@ -8,7 +8,7 @@ from functools import partial
 
 import numpy as np
 import pytest
-from clamp_trials import ClampedCase, push
+from clamp_trials import ClampedCase, clamped_case, push
 from numpy.typing import NDArray
 
 from procedures.guards.errors import BaseShifted, FrameSlipped, PatientMoved, RoomUndecided
@@ -31,8 +31,8 @@ def generator() -> np.random.Generator:
 
 
 @pytest.fixture
-def case(generator: np.random.Generator) -> ClampedCase:
-    return ClampedCase(0, generator)
+def case() -> ClampedCase:
+    return clamped_case(0)
 
 
 def direction(generator: np.random.Generator) -> NDArray[np.float64]:
@@ -42,9 +42,9 @@ def direction(generator: np.random.Generator) -> NDArray[np.float64]:
 
 @LOOKS
 @SIGHT
-def test_a_room_at_rest_is_in_place(frames: int, hidden: bool, generator: np.random.Generator) -> None:
+def test_a_room_at_rest_is_in_place(frames: int, hidden: bool) -> None:
     for seed in SEEDS:
-        case = ClampedCase(seed, generator)
+        case = clamped_case(seed)
         look = case.watch.compare(case.read(frames, hidden=hidden), now_s=5.0)
         assert look.in_place
         assert case.watch.head_sight.seen_s == 5.0
@@ -57,7 +57,7 @@ def test_a_head_that_moves_with_its_clamp_is_never_taken_for_a_pushed_tracker(
     frames: int, hidden: bool, generator: np.random.Generator
 ) -> None:
     for seed in SEEDS:
-        case = ClampedCase(seed, generator)
+        case = clamped_case(seed)
         moved = (0.5 + 0.2 * seed) * direction(generator)
         look = case.watch.compare(case.read(frames, hidden=hidden, head_mm=moved, clamp_mm=moved))
         assert isinstance(look.moved, PatientMoved)
@@ -75,7 +75,7 @@ def test_a_move_seen_by_the_frame_alone_says_so(case: ClampedCase) -> None:
 @LOOKS
 def test_a_frame_that_slips_on_the_clamp_stops_the_case(frames: int, generator: np.random.Generator) -> None:
     for seed in SEEDS:
-        case = ClampedCase(seed, generator)
+        case = clamped_case(seed)
         look = case.watch.compare(case.read(frames, clamp_mm=0.5 * direction(generator)))
         with pytest.raises(FrameSlipped):
             look.require()
@@ -91,7 +91,7 @@ def test_a_head_that_slips_in_its_clamp_is_told_from_a_slipped_frame(case: Clamp
 @pytest.mark.hazard(13)
 def test_a_pushed_and_turned_tracker_is_followed(generator: np.random.Generator) -> None:
     for seed in SEEDS:
-        case = ClampedCase(seed, generator)
+        case = clamped_case(seed)
         turn = math.radians(0.5) * direction(generator)
         pushed = push(20.0 * direction(generator), turn, case.tracker_mm)
         look = case.watch.compare(case.read(CAREFUL_FRAMES, pushed=pushed))
@@ -127,7 +127,7 @@ def test_a_head_that_moved_during_a_push_seldom_passes_for_it(
 ) -> None:
     followed = 0
     for seed in SEEDS:
-        case = ClampedCase(seed, generator)
+        case = clamped_case(seed)
         pushed, moved = push(15.0 * direction(generator), (0, 0, 0), case.tracker_mm), direction(generator)
         reading = case.read(
             CAREFUL_FRAMES, hidden=hidden, head_mm=1.5 * moved, clamp_mm=1.5 * moved, pushed=pushed
@@ -137,8 +137,9 @@ def test_a_head_that_moved_during_a_push_seldom_passes_for_it(
 
 
 @pytest.mark.hazard(12)
-def test_a_push_adds_what_the_head_may_have_moved_meanwhile(generator: np.random.Generator) -> None:
-    case = ClampedCase(0, generator)
+def test_a_push_adds_what_the_head_may_have_moved_meanwhile(
+    case: ClampedCase, generator: np.random.Generator
+) -> None:
     case.watch.compare(case.read(CAREFUL_FRAMES))
     _, quiet_mm = case.watch.changes_at("T1")["head"]
     pushed = push(15.0 * direction(generator), (0, 0, 0), case.tracker_mm)

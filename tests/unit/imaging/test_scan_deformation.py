@@ -85,11 +85,12 @@ def test_three_spheres_show_a_feed_off_by_one_and_a_half_percent(feed: float) ->
 
 def test_a_hidden_tilt_shows_as_the_shear_that_it_is() -> None:
     volume = scan_with(4, tilt_deg=0.6)
-    strain = strain_of(localize(volume, expected=4))
+    found = localize(volume, expected=4)
+    strain = strain_of(found)
     assert strain[1, 2] == pytest.approx(0.5 * np.radians(0.6), rel=0.2)
     assert abs(strain[2, 2]) < 2e-3
     with pytest.raises(ScanDeformed, match="table feed, pixel size and gantry tilt"):
-        require_undeformed(localize_picks(volume, localize(volume).centres_mm).deformation)
+        require_undeformed(localize_picks(volume, found.centres_mm).deformation)
 
 
 def test_the_strain_is_that_of_the_patient_however_the_slices_lie() -> None:

@@ -72,7 +72,7 @@ def random() -> np.random.Generator:
     return np.random.default_rng(20180)
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def fiducials() -> Callable[..., Array]:
     return head_fiducials
 

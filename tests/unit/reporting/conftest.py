@@ -1,3 +1,4 @@
+import shutil
 from pathlib import Path
 
 import pytest
@@ -13,7 +14,11 @@ from procedures.workcell import MountedTool
 @pytest.fixture
 def cell(tmp_path: Path) -> ClinicalCell:
     """A cell whose journal is opened, without any step."""
-    cell = ClinicalCell(tmp_path / "20261120T000000-s3-abcd")
+    return opened_cell(tmp_path)
+
+
+def opened_cell(folder: Path) -> ClinicalCell:
+    cell = ClinicalCell(folder / "20261120T000000-s3-abcd")
     opening = {"theatre": "mini scene, seed 3", "banner": "SIMULATED THEATRE", "strategy": "ocs", "seed": 3}
     cell.journal.write(Entry.OPENED, 0.0, **opening)
     return cell
@@ -22,6 +27,10 @@ def cell(tmp_path: Path) -> ClinicalCell:
 @pytest.fixture
 def engine(cell: ClinicalCell) -> Engine:
     """Of a case that goes as far as the tool change, before its first step."""
+    return begin_case(cell)
+
+
+def begin_case(cell: ClinicalCell) -> Engine:
     cell.carrying(MountedTool.STEREO_HEAD)
     return cell.begin(
         *(*up_to_correspondence(cell), checked_paths(cell), relocalization()),
@@ -30,9 +39,16 @@ def engine(cell: ClinicalCell) -> Engine:
     )
 
 
-@pytest.fixture
-def registered(engine: Engine) -> Path:
-    """Folder of that run when all its steps are done."""
+@pytest.fixture(scope="session")
+def registered_once(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder of that run when all its steps are done, to be copied."""
+    engine = begin_case(opened_cell(tmp_path_factory.mktemp("registered")))
     engine.run_to()
     engine.close("left")
     return engine.case.folder
+
+
+@pytest.fixture
+def registered(registered_once: Path, tmp_path: Path) -> Path:
+    """A copy of that folder."""
+    return Path(shutil.copytree(registered_once, tmp_path / registered_once.name))

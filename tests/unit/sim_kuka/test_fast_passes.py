@@ -25,7 +25,7 @@ def nudged(value: float, towards: float) -> float:
     return nextafter(value, towards) if towards else value
 
 
-@settings(max_examples=400)
+@settings(max_examples=150)
 @given(data=st.data(), step_share=st.sampled_from([0.25, 1.0, 2.0]), window_s=st.sampled_from([0.012, 0.04]))
 def test_the_supervision_stops_the_drives_exactly_by_its_rules(
     data: st.DataObject, step_share: float, window_s: float
@@ -58,7 +58,7 @@ def test_the_supervision_stops_the_drives_exactly_by_its_rules(
 
 
 @pytest.mark.parametrize("relative", [False, True])
-@settings(max_examples=200)
+@settings(max_examples=100)
 @given(data=st.data(), largest_deg=st.sampled_from([4.0, 5.0, 6.0]), within_deg=st.sampled_from([None, 1.0]))
 def test_axis_corrections_are_clamped_and_monitored_as_beside_an_axis_that_is_not_a_number(
     relative: bool, data: st.DataObject, largest_deg: float, within_deg: float | None

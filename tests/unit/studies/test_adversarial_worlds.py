@@ -63,8 +63,8 @@ def truth_of(world: AdversarialWorld) -> Scene:
 
 
 def test_the_same_seed_and_number_draw_the_same_world() -> None:
-    assert drawn()[:9] == [draw_adversarial_world(1, number) for number in range(9)]
-    assert drawn()[:9] != [draw_adversarial_world(2, number) for number in range(9)]
+    assert drawn()[:4] == [draw_adversarial_world(1, number) for number in range(4)]
+    assert drawn()[0] != draw_adversarial_world(2, 0)
     assert [one.scene for one in drawn()[:6]] == 2 * ["mini", "mini", "default"]
 
 

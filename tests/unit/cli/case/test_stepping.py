@@ -12,6 +12,7 @@ from coded_errors import raises
 from procedures.cli.case.stepping import _require_instrument_out
 from procedures.engine.errors import CASE_LEFT_WITH_INSTRUMENT
 from procedures.workcell.arm_history import ArmPlace, HeldInstrument, describe_instrument
+from procedures.workcell.workcell import BOTH_ARMS, THE_ARM
 from ronna_hw.errors import EXIT_RECOVERY_NEEDED
 
 RUN = Path("/runs/a case")
@@ -22,7 +23,8 @@ HELD = HeldInstrument("T1", 180.0, ())
 
 def left_with(inside: str | None, *, assumed: bool = False, held: HeldInstrument | None = None) -> Any:
     place = ArmPlace(instrument_may_be_inside=inside, assumed=assumed)
-    workcell = SimpleNamespace(instrument_description=describe_instrument(place, held))
+    phrases = THE_ARM if held is None else BOTH_ARMS
+    workcell = SimpleNamespace(instrument_description=describe_instrument(place, held), phrases=phrases)
     return SimpleNamespace(setting=SimpleNamespace(workcell=workcell), case=SimpleNamespace(folder=RUN))
 
 

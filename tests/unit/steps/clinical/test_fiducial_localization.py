@@ -1,8 +1,11 @@
 """Each sphere of the CT, with the uncertainty of its centre."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 from clinical_case import ClinicalCell
+from numpy.typing import NDArray
 from painted_ct import Scan, write_series
 from prepared_results import localized_fiducials
 
@@ -16,12 +19,17 @@ from procedures.steps.clinical.ct_import import ImportedCt
 from procedures.steps.clinical.fiducial_localization import STEP, LocalizedFiducials
 
 
+@cache
+def voxels_of_one_sphere() -> NDArray[np.int16]:
+    scan = Scan()
+    scan.marker(np.array([20.0, 20.0, 20.0]), np.array([0.0, 1.0, 0.3]), skin=False)
+    return scan.voxels()
+
+
 @pytest.fixture
 def imported(cell: ClinicalCell) -> ImportedCt:
     """A series with one sphere in the case's folder, imported; its voxels are not at hand any more."""
-    scan = Scan()
-    scan.marker(np.array([20.0, 20.0, 20.0]), np.array([0.0, 1.0, 0.3]), skin=False)
-    write_series(cell.series, scan.voxels(), origin_mm=(-20.0, -30.0, 40.0))
+    write_series(cell.series, voxels_of_one_sphere(), origin_mm=(-20.0, -30.0, 40.0))
     return ImportedCt.from_volume(read_series(cell.series))
 
 
