@@ -128,9 +128,10 @@ def distort(ideal: Array, coefficients: tuple[float, float, float, float, float]
     x, y = ideal[..., 0], ideal[..., 1]
     square = x * x + y * y
     radial = 1.0 + square * (k1 + square * (k2 + square * k3))
-    distorted_x = x * radial + 2.0 * p1 * x * y + p2 * (square + 2.0 * x * x)
-    distorted_y = y * radial + p1 * (square + 2.0 * y * y) + 2.0 * p2 * x * y
-    return np.stack([distorted_x, distorted_y], axis=-1)
+    distorted = np.empty(ideal.shape)
+    distorted[..., 0] = x * radial + 2.0 * p1 * x * y + p2 * (square + 2.0 * x * x)
+    distorted[..., 1] = y * radial + p1 * (square + 2.0 * y * y) + 2.0 * p2 * x * y
+    return distorted
 
 
 @dataclass(frozen=True)
