@@ -111,10 +111,11 @@ def _describe_change(result: StepResult, path: Path) -> str:
 
 def _stamps(path: Path) -> Stamps:
     if not path.is_dir():
-        return (_stamp(path.name, path.stat()),)
-    with os.scandir(path) as files:
-        return tuple(sorted(_stamp(file.name, file.stat()) for file in files))
+        return (_stamp(path),)
+    with os.scandir(path) as files:  # a series has hundreds of slices, and this is asked before each motion
+        return tuple(sorted(map(_stamp, files)))
 
 
-def _stamp(name: str, seen: os.stat_result) -> Stamp:
-    return name, seen.st_ino, seen.st_size, seen.st_mtime_ns
+def _stamp(file: Path | os.DirEntry[str]) -> Stamp:
+    seen = file.stat()
+    return file.name, seen.st_ino, seen.st_size, seen.st_mtime_ns
