@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from datetime import date, datetime, timedelta
+from functools import lru_cache
 from typing import TYPE_CHECKING, Annotated, ClassVar, Self
 
 from pydantic import (
@@ -113,11 +114,16 @@ class PoseRecord(Strict):
 
     def transform(self, target: Frame, source: Frame) -> Transform:
         """Convert the pose to a checked transform."""
-        from ronna_hw.frames import Transform
+        return _build_transform(target, source, self.translation_mm, self.quaternion_wxyz)
 
-        return Transform.of(
-            target, source, translation_mm=self.translation_mm, quaternion_wxyz=self.quaternion_wxyz
-        )
+
+@lru_cache(maxsize=32)  # poses on arm and tools are asked for in every look
+def _build_transform(
+    target: Frame, source: Frame, translation_mm: Numbers3, quaternion_wxyz: Numbers4
+) -> Transform:
+    from ronna_hw.frames import Transform
+
+    return Transform.of(target, source, translation_mm=translation_mm, quaternion_wxyz=quaternion_wxyz)
 
 
 def _require_on_mount(pose: PoseRecord) -> PoseRecord:

@@ -17,7 +17,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from ronna_hw.bounded_input import MOST_VALUES, parse_json, read_json_bytes
+from ronna_hw.bounded_input import LARGEST_JSON_BYTES, MOST_VALUES, parse_json, read_bounded, read_json_bytes
 from ronna_hw.errors import DataError, ErrorCode
 
 PARTIAL = ".partial"  # suffix of a file's name while it is written
@@ -95,7 +95,7 @@ def file_sha256(record: Record) -> str:
 def is_stored(path: Path, sha256: str) -> bool:
     """Return whether a record file exists with the given hash; cheaper than reading it back."""
     try:
-        found = read_json_bytes(path, most_values=MOST_VALUES, follow_links=False)
+        found = read_bounded(path, LARGEST_JSON_BYTES, follow_links=False)
     except (OSError, ValueError):
         return False
     return hashlib.sha256(found).hexdigest() == sha256

@@ -165,6 +165,7 @@ def _weigh(chain: Chain, joints_rad: JointVector, tools: Sequence[str], tool: st
     for number, last, body in carried:
         for joint_number in range(last + 1):
             lever = body - np.outer(places_m[joint_number], (1.0, 0.0, 0.0, 0.0))
-            lifted = np.cross(axes[joint_number], lever, axisb=0)[:, 2]  # height per rad
+            axis = axes[joint_number]
+            lifted = axis[0] * lever[1] - axis[1] * lever[0]  # height per rad
             torques[joint_number, PER_BODY * number : PER_BODY * (number + 1)] = GRAVITY_M_S2 * lifted
     return torques

@@ -249,9 +249,13 @@ class RoomWatch:
         places = (self.spheres_mm, *(() if self.clamp_mm is None else (self.clamp_mm,)))
         return tuple(TrackerSight(here, move.apply(one)) for one in places)
 
-    def compare(self, reading: RoomReading, now_s: float = 0.0) -> RoomLook:
-        """Hold a reading against all looks before, and count it among them if nothing has moved."""
-        judged, findings = self.follow_tracker(self.judge(reading))
+    def compare(self, reading: RoomReading | JudgedReading, now_s: float = 0.0) -> RoomLook:
+        """Hold a reading against all looks before, and count it among them if nothing has moved.
+
+        A reading that was judged since the last look counted is not judged again.
+        """
+        judged = reading if isinstance(reading, JudgedReading) else self.judge(reading)
+        judged, findings = self.follow_tracker(judged)
         reading, rows, motion, expected = judged.reading, judged.rows, judged.motion, self.expected(judged)
         head = room_motion.HeadSeen.of(expected)
         base_mm = None if expected.arm_way_mm is None else float(np.linalg.norm(expected.arm_way_mm))
@@ -411,12 +415,12 @@ class RoomWatch:
 
 def read_watched(
     room: RoomWatch, workcell: Workcell, count: int = FRAMES, sides: ArrivedSides = AS_KNOWN
-) -> RoomReading:
+) -> JudgedReading:
     """Read the room with the arm at rest; carefully, if a short reading shows that something has moved."""
-    reading = room.read(workcell, read_frames_at_rest(workcell, count=count)[0], sides)
-    if reading.is_careful or room.judge(reading).motion is None:
-        return reading
-    return room.read(workcell, read_frames_at_rest(workcell, count=CAREFUL_FRAMES)[0], sides)
+    judged = room.judge(room.read(workcell, read_frames_at_rest(workcell, count=count)[0], sides))
+    if judged.reading.is_careful or judged.motion is None:
+        return judged
+    return room.judge(room.read(workcell, read_frames_at_rest(workcell, count=CAREFUL_FRAMES)[0], sides))
 
 
 def check_now(

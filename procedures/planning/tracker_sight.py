@@ -11,7 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ronna_hw.arm.clearance.bodies import Bodies, Surroundings
-from ronna_hw.arm.clearance.sweep import moving_ends, segment_distances
+from ronna_hw.arm.clearance.pair_distances import segment_distances
+from ronna_hw.arm.clearance.sweep import moving_ends
 from ronna_hw.arm.kinematics import ArmBodies
 from ronna_hw.arrays import Array, Mask
 from ronna_hw.devices.sensors import VolumeSections

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from procedures.relocalization.ellipse import EllipseFit
 from ronna_hw.arrays import Array
+from ronna_hw.robust_scale import median
 
 BLOCKS = 15  # of the rim, 24 degrees each: longer than a grain, shorter than a shift of the centre
 FITTED = 5  # parameters of an ellipse: so much of the block sums is lost in the fit
@@ -62,12 +63,17 @@ class RimLight:
     @cached_property
     def smooth_step_grey(self) -> Array:
         """Step (n,), averaged over neighbouring rays, and never near zero."""
-        return np.maximum(self.smooth(self.step_grey), LEAST_STEP_SHARE * np.median(self.step_grey))
+        return np.maximum(self.smooth(self.step_grey), LEAST_STEP_SHARE * median(self.step_grey))
 
     @cached_property
     def smooth_dark_grey(self) -> Array:
         """Background (n,), averaged over neighbouring rays."""
         return self.smooth(self.dark_grey)
+
+    @cached_property
+    def smooth_clipped(self) -> Array:
+        """Clipped share (n,), averaged over neighbouring rays."""
+        return self.smooth(self.clipped)
 
     @property
     def film_ratio(self) -> float:
@@ -75,17 +81,18 @@ class RimLight:
         film = self.smooth_dark_grey + self.smooth_step_grey
         return float(np.percentile(film, HIGH_PERCENTILE) / max(np.percentile(film, LOW_PERCENTILE), 1.0))
 
-    @property
+    @cached_property
     def half_way_grey(self) -> float:
         """Mid-level between the background and the film where that is darkest."""
         film_over_dark = np.percentile(self.step_grey, LOW_PERCENTILE)
-        return float(np.median(self.dark_grey) + 0.5 * film_over_dark)
+        return float(median(self.dark_grey) + 0.5 * film_over_dark)
 
     def smooth(self, values: Array) -> Array:
         """Average values (n,) over neighbouring rays of the fit."""
         around = np.zeros((2, self.rays))
         around[:, self.ray] = values, np.ones(len(values))
-        wrapped = np.pad(around, ((0, 0), (SMOOTHING_RAYS + 1, SMOOTHING_RAYS)), mode="wrap").cumsum(axis=1)
+        ends = around[:, -SMOOTHING_RAYS - 1 :], around[:, :SMOOTHING_RAYS]
+        wrapped = np.concatenate([ends[0], around, ends[1]], axis=1).cumsum(axis=1)
         sums = wrapped[:, 2 * SMOOTHING_RAYS + 1 :] - wrapped[:, : -2 * SMOOTHING_RAYS - 1]
         return np.asarray((sums[0] / np.maximum(sums[1], 1.0))[self.ray])
 
@@ -101,7 +108,7 @@ def centre_covariance(fit: EllipseFit, light: RimLight) -> Array:
 
 def clipped_shift_px(fit: EllipseFit, light: RimLight) -> Array:
     """Return the shift (2,) of the centre in px by a rim that is clipped on one side only."""
-    shift = fit.centre_gain @ (CLIPPED_SHIFT_BLURS * light.blur_px * light.smooth(light.clipped))
+    shift = fit.centre_gain @ (CLIPPED_SHIFT_BLURS * light.blur_px * light.smooth_clipped)
     return np.asarray(shift)
 
 
@@ -116,7 +123,7 @@ def _rim_shifts_px(fit: EllipseFit, light: RimLight) -> tuple[Array, Array]:
 def _uneven_light(light: RimLight) -> float:
     """Return how uneven the light on a clipped film may be, relative, from how it is on the background."""
     dark = light.smooth_dark_grey
-    return float((np.percentile(dark, HIGH_PERCENTILE) - dark.min()) / np.median(light.step_grey))
+    return float((np.percentile(dark, HIGH_PERCENTILE) - dark.min()) / median(light.step_grey))
 
 
 def _ratio_of_shared(fit: EllipseFit, light: RimLight) -> float:

@@ -8,6 +8,7 @@ is nearly one and a wrong arc would distort an ellipse; the later ones weight al
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -32,7 +33,7 @@ class Ellipse:
     centre_px: tuple[float, float]
     shape: tuple[float, float, float]  # S_xx, S_xy, S_yy
 
-    @property
+    @cached_property
     def axes_px(self) -> tuple[float, float]:
         """Semi-axes, major first."""
         low, high = np.linalg.eigvalsh(self.matrix)
@@ -122,9 +123,10 @@ def _residuals(parameters: Array, points_px: Array) -> tuple[Array, Array]:
     slope_x = (xx * u + xy * v) / length  # derivative of |S (x - c)| with respect to the point
     slope_y = (xy * u + yy * v) / length
     steepness = np.maximum(np.hypot(slope_x, slope_y), 1e-12)
-    jacobian = np.stack(
-        [-slope_x, -slope_y, x * u / length, (x * v + y * u) / length, y * v / length], axis=1
-    )
+    jacobian = np.empty((len(points_px), 5))
+    columns = (-slope_x, -slope_y, x * u / length, (x * v + y * u) / length, y * v / length)
+    for number, column in enumerate(columns):
+        jacobian[:, number] = column
     return (length - 1.0) / steepness, jacobian / steepness[:, None]
 
 

@@ -20,6 +20,7 @@ from procedures.relocalization.centre_covariance import RimLight, centre_covaria
 from procedures.relocalization.circle_search import Circle, GreyImage
 from procedures.relocalization.ellipse import Ellipse, EllipseFit, circle_as_ellipse, fit_ellipse
 from ronna_hw.arrays import Array, Mask
+from ronna_hw.robust_scale import median
 
 BLUR_FLOOR_PX = 0.5  # linear interpolation between pixels alone blurs about this much
 STEP_ITERATIONS = 3  # with ten, a centre changes by less than 0.005 px
@@ -112,12 +113,12 @@ def fit_outline(image: GreyImage, guess: Circle, factor: int) -> SphereImage | N
     coarse = fit_ellipse(rim_points(start, coarse_profiles, falls.offset_px)[rim], start)
     if coarse is None or not _is_near(coarse.ellipse, guess, span_px):
         return None
-    blur = float(np.median(falls.blur_px[rim]))
+    blur = median(falls.blur_px[rim])
     for _ in range(BLUR_ATTEMPTS):
         span_px = FINE_SPAN_BLURS * blur + FINE_SPAN_PX
         profiles = sample_profiles(image, coarse.ellipse, FINE_RAYS, span_px)
         edges = fit_blurred_steps(profiles, steepest_falls(profiles), blur)
-        assumed, blur = blur, float(np.median(edges.blur_px))
+        assumed, blur = blur, median(edges.blur_px)
         if blur < BLUR_GROWTH * assumed:
             break
     points = rim_points(coarse.ellipse, profiles, edges.offset_px)
@@ -138,7 +139,7 @@ def judge_outline(
 ) -> SphereImage | None:
     """Assess the outline. `rim` flags the rays that support it, `bright` also their neighbours."""
     step, noise, blur = (
-        float(np.median(values[rim])) for values in (edges.step_grey, edges.misfit_grey, edges.blur_px)
+        median(values[rim]) for values in (edges.step_grey, edges.misfit_grey, edges.blur_px)
     )
     major, minor = fit.ellipse.axes_px
     least_grey = max(DIM_STEP_SHARE * step, DIM_NOISE_FACTOR * noise)
@@ -149,12 +150,11 @@ def judge_outline(
     ray = np.flatnonzero(rim)
     light = RimLight(ray, len(rim), edges.dark_grey[ray], edges.step_grey[ray], clipped[ray], blur)
     everywhere = np.ones(len(bright), dtype=np.bool_)
-    is_filled, is_filled_at_rim = (
-        _bright_share(image, fit.ellipse, light.half_way_grey, directions) >= FILLED_SHARE
-        for directions in (everywhere, bright | dim)
-    )
-    if not is_filled and not is_filled_at_rim:
-        return None
+    is_filled = _bright_share(image, fit.ellipse, light.half_way_grey, everywhere) >= FILLED_SHARE
+    if not is_filled:
+        at_rim = _bright_share(image, fit.ellipse, light.half_way_grey, bright | dim)
+        if not at_rim >= FILLED_SHARE:
+            return None
     contrast_to_noise = step / max(noise, 1e-6)
     lacks_rim = rim_fraction < RELIABLE_RIM or supporting < CARRYING_RIM
     clipped_px = np.linalg.norm(clipped_shift_px(fit, light))
@@ -215,7 +215,7 @@ def _bright_share(image: GreyImage, ellipse: Ellipse, level_grey: float, directi
 def _mark_strong(edges: RimEdges) -> Mask:
     if not edges.found.any():
         return edges.found
-    typical = float(np.median(edges.step_grey[edges.found]))
+    typical = median(edges.step_grey[edges.found])
     return np.asarray(edges.step_grey > STEP_SHARE * typical)
 
 
@@ -223,7 +223,7 @@ def _mark_plausible(edges: RimEdges) -> Mask:
     strong = edges.found & _mark_strong(edges)
     if not strong.any():
         return strong
-    blur = float(np.median(edges.blur_px[strong]))
+    blur = median(edges.blur_px[strong])
     usual = (edges.blur_px < BLUR_RATIO * blur) & (edges.blur_px > blur / BLUR_RATIO)
     return np.asarray(strong & usual & (edges.misfit_grey < MISFIT_SHARE * edges.step_grey))
 
@@ -345,6 +345,8 @@ def _interpolate(image: GreyImage, x: Array, y: Array) -> Array:
     column = np.minimum(x.astype(np.intp), width - 2)
     row = np.minimum(y.astype(np.intp), height - 2)
     right, down = x - column, y - row
-    top = image[row, column] * (1.0 - right) + image[row, column + 1] * right
-    bottom = image[row + 1, column] * (1.0 - right) + image[row + 1, column + 1] * right
+    pixels, place = image.ravel(), row * width + column  # taking by one index is twice as fast
+    top = pixels.take(place) * (1.0 - right) + pixels.take(place + 1) * right
+    place += width
+    bottom = pixels.take(place) * (1.0 - right) + pixels.take(place + 1) * right
     return np.asarray(top * (1.0 - down) + bottom * down, dtype=float)

@@ -35,8 +35,8 @@ from procedures.relocalization.errors import (
 from procedures.relocalization.outline import SphereImage, SphereStatus, fit_outline
 from procedures.relocalization.triangulation import (
     SPHERE_DIAMETER_MM,
-    CameraModel,
     StereoPoint,
+    camera_model,
     require_calibration,
     triangulate,
 )
@@ -229,7 +229,7 @@ def radius_range_px(camera: CameraCalibration, sphere_diameter_mm: float) -> tup
 
 def sphere_radius_px(camera: CameraCalibration, sphere_diameter_mm: float) -> float:
     """Return the image radius in px of a sphere at the tool centre point."""
-    distance_mm = float(np.linalg.norm(CameraModel(camera).translation_mm))
+    distance_mm = float(np.linalg.norm(camera_model(camera).translation_mm))
     return math.sqrt(math.prod(camera.focal_px)) * sphere_diameter_mm / 2.0 / distance_mm
 
 

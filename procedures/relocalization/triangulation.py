@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from statistics import median
 
 import numpy as np
@@ -50,7 +51,7 @@ LEAST_GAP_LIMIT_MM = 0.02  # rims measured to a few micrometres never meet bette
 
 
 class CameraModel:
-    """Camera calibration in computational form, with tool coordinates in mm."""
+    """Camera calibration in computational form, with tool coordinates in mm; see `camera_model`."""
 
     def __init__(self, calibration: CameraCalibration, frame: Frame = Frame.CAMERA_LEFT) -> None:
         self._focal = np.array(calibration.focal_px)
@@ -115,15 +116,22 @@ class CameraModel:
         return np.asarray(ray / np.linalg.norm(ray))
 
 
+@lru_cache(maxsize=8)  # two cameras of a head, each in the frames that it is asked for
+def camera_model(calibration: CameraCalibration, frame: Frame = Frame.CAMERA_LEFT) -> CameraModel:
+    """Return the model of a camera, built once: a look asks for it eight times."""
+    return CameraModel(calibration, frame)
+
+
 def distort(ideal: Array, coefficients: tuple[float, float, float, float, float]) -> Array:
     """Apply lens distortion, k1 k2 p1 p2 k3, to normalized coordinates (..., 2)."""
     k1, k2, p1, p2, k3 = coefficients
     x, y = ideal[..., 0], ideal[..., 1]
     square = x * x + y * y
     radial = 1.0 + square * (k1 + square * (k2 + square * k3))
-    distorted_x = x * radial + 2.0 * p1 * x * y + p2 * (square + 2.0 * x * x)
-    distorted_y = y * radial + p1 * (square + 2.0 * y * y) + 2.0 * p2 * x * y
-    return np.stack([distorted_x, distorted_y], axis=-1)
+    distorted = np.empty(ideal.shape)
+    distorted[..., 0] = x * radial + 2.0 * p1 * x * y + p2 * (square + 2.0 * x * x)
+    distorted[..., 1] = y * radial + p1 * (square + 2.0 * y * y) + 2.0 * p2 * x * y
+    return distorted
 
 
 @dataclass(frozen=True)
@@ -162,8 +170,8 @@ def triangulate(
     """
     require_calibration(calibration)
     cameras = (
-        CameraModel(calibration.left, Frame.CAMERA_LEFT),
-        CameraModel(calibration.right, Frame.CAMERA_RIGHT),
+        camera_model(calibration.left, Frame.CAMERA_LEFT),
+        camera_model(calibration.right, Frame.CAMERA_RIGHT),
     )
     outlines = (left, right)
     _check_outlines(outlines)

@@ -173,12 +173,16 @@ def _without_controls(value: Any) -> Any:
     return "\n".join(map(escape_controls, value.split("\n"))) if type(value) is str else value
 
 
-@cache  # to compile it takes longer than to fill it
+@cache
 def _template() -> Any:
     import jinja2
 
+    from procedures.reporting.compiled_templates import CompiledTemplates
+
+    here = Path(__file__)
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("procedures.reporting", "template"),
+        bytecode_cache=CompiledTemplates(here.with_name("template"), here),
         autoescape=True,
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,

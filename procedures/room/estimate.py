@@ -65,6 +65,15 @@ class Displacement:
         return float(np.sqrt(noncentrality * np.linalg.eigvalsh(self.covariance_mm2)[-1]))
 
 
+@dataclass
+class _Further:
+    """Answers about one look more, which is asked about several times before it is counted."""
+
+    rows: Rows
+    prediction: tuple[Array, Array]
+    estimate: RoomEstimate | None = None  # with that look
+
+
 @dataclass(frozen=True)
 class RoomEstimate:
     """Looks so far, whitened, and what each motion before each look would show in them.
@@ -81,9 +90,16 @@ class RoomEstimate:
     effects: Array = field(default_factory=lambda: np.empty((0, 0, MOTIONS)))
     information: Array = field(default_factory=lambda: np.empty((0, MOTIONS, MOTIONS)))
     pull: Array = field(default_factory=lambda: np.empty((0, MOTIONS)))
+    _asked: list[_Further] = field(default_factory=list, repr=False, compare=False)  # the latest, if any
 
     def add(self, rows: Rows) -> RoomEstimate:
         """Return the estimate with one look more."""
+        further = self._further(rows)
+        if further.estimate is None:
+            further.estimate = self._extend(rows)
+        return further.estimate
+
+    def _extend(self, rows: Rows) -> RoomEstimate:
         before, count = len(self.residual), len(rows.residual)
         beside, covariance = self._predict(rows)
         corner = np.linalg.cholesky(covariance)
@@ -127,6 +143,14 @@ class RoomEstimate:
 
     def _predict(self, rows: Rows) -> tuple[Array, Array]:
         """Return the regression (r, n) of a further look on the whitened residuals, and its covariance."""
+        return self._further(rows).prediction
+
+    def _further(self, rows: Rows) -> _Further:
+        if not self._asked or self._asked[0].rows is not rows:
+            self._asked[:] = [_Further(rows, self._compute_prediction(rows))]
+        return self._asked[0]
+
+    def _compute_prediction(self, rows: Rows) -> tuple[Array, Array]:
         own = rows.noise + covariance_between(rows, [rows])
         if not self.looks:
             return np.empty((len(own), 0)), own

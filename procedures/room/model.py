@@ -151,12 +151,12 @@ class TrackedArm:
         points = turn.T @ (place_mm - shift) + np.vstack([np.zeros(3), LEVER_MM * np.eye(3)[:2]])
         joints = np.tile(np.array(rest.joints_rad), (len(points), 1))
         sides = np.zeros(len(rest.joints_rad)) if rest.sides is None else np.array(rest.sides, dtype=float)
-        errors = unit_errors(self.chain, joints, points, self.sizes, np.tile(sides, (len(points), 1)))
+        moved = displacements(self.chain, joints, points, self.sizes)
+        errors = unit_errors(self.chain, joints, points, self.sizes, np.tile(sides, (len(points), 1)), moved)
         scatter = np.diag([self.scatter_mm] * 3 + [REPEATABILITY_RAD] * 3)
         identified = self.sizes.identified
         backlash_rad = BACKLASH_RAD if identified is None else identified.backlash_rad
-        swings = displacements(self.chain, joints, points, self.sizes).swings_mm
-        half = both @ _as_pose(FLANK_SHARE * backlash_rad * swings)[:, sides == 0.0]
+        half = both @ _as_pose(FLANK_SHARE * backlash_rad * moved.swings_mm)[:, sides == 0.0]
         return both @ _as_pose(errors), np.hstack([scatter, half])
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from procedures.relocalization import errors
 from procedures.relocalization.outline import SphereImage, SphereStatus
 from procedures.relocalization.sphere_measurement import AreaImage, locate_sphere, sphere_radius_px
-from procedures.relocalization.triangulation import SPHERE_DIAMETER_MM, CameraModel, StereoPoint
+from procedures.relocalization.triangulation import SPHERE_DIAMETER_MM, StereoPoint, camera_model
 from ronna_hw.calibration import CameraCalibration, StereoHeadCalibration
 from ronna_hw.clock import Clock
 from ronna_hw.devices import StereoPair
@@ -57,7 +57,7 @@ def area_around_tool(camera: CameraCalibration, size_px: tuple[int, int]) -> Are
     """Return a readout area of this size around the image of the tool centre, kept within the sensor."""
     columns, rows = camera.sensor_px
     width, height = min(size_px[0], columns), min(size_px[1], rows)
-    (x, y), _ = CameraModel(camera).project((0.0, 0.0, 0.0))
+    (x, y), _ = camera_model(camera).project((0.0, 0.0, 0.0))
     return AreaOfInterest(
         offset_x=_offset(x, width, columns), offset_y=_offset(y, height, rows), width=width, height=height
     )

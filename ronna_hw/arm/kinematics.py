@@ -183,6 +183,9 @@ class JointRanges(Protocol):
 class Kinematics(JointRanges, ArmBodies, Protocol):
     """Nominal kinematics of an arm: forward, ROBOT <- FLANGE, and inverse."""
 
+    def __hash__(self) -> int:
+        """Return a hash; an arm's geometry never changes, so results may be kept by it."""
+
     @property
     def name(self) -> str:
         """Arm name, as used in calibration records."""

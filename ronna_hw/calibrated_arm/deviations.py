@@ -12,6 +12,7 @@ small translation and a small rotation.
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from functools import cache
 from typing import Any, Self
 
 import numpy as np
@@ -147,7 +148,8 @@ def gravity_levers(chain: Chain, joints_rad: Array) -> Array:
     return levers
 
 
-def stretched_mm(chain: Chain) -> list[float]:
+@cache
+def stretched_mm(chain: Chain) -> tuple[float, ...]:
     """Return how far the wrist of the stretched arm is from each joint; 0 for the wrist joints.
 
     Stretched, all links are across the axis of the joint; what lies along it has no lever.
@@ -157,7 +159,7 @@ def stretched_mm(chain: Chain) -> list[float]:
         [np.cross(joint.axis, link.to_next_mm) for link in chain.joints[number:wrist]]
         for number, joint in enumerate(chain.joints)
     )
-    return [float(sum(np.linalg.norm(link) for link in links)) for links in across]
+    return tuple(float(sum(np.linalg.norm(link) for link in links)) for links in across)
 
 
 def rotations(vectors_rad: Array) -> Array:

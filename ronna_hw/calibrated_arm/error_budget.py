@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from ronna_hw.arm.kinematics import Chain
-from ronna_hw.arrays import Array
+from ronna_hw.arrays import Array, cross
 from ronna_hw.calibrated_arm.deviations import FLANK_SHARE, flange_rotations, gravity_levers
 from ronna_hw.calibration import ArmCalibration
 from ronna_hw.config import ProcedureSettings
@@ -162,7 +162,7 @@ def error_columns(chain: Chain, joints_rad: ArrayLike, ball_mm: Array) -> Array:
     columns: list[Array] = []
     for joint, (axis_of_joint, to_next_mm) in enumerate(chain.joints):
         axis = np.array(axis_of_joint)
-        swing = np.cross(turned @ axis, ball_mm - place)  # of the ball, per radian of this joint
+        swing = cross(turned @ axis, ball_mm - place)  # of the ball, per radian of this joint
         columns.append(JOINT_OFFSET_RAD * swing)
         for order, size_rad in enumerate(HARMONIC_RAD, start=1):
             phase = order * angles[:, joint, None]
@@ -171,7 +171,7 @@ def error_columns(chain: Chain, joints_rad: ArrayLike, ball_mm: Array) -> Array:
         place = place + turned @ np.array(to_next_mm)
         for direction in (X, Y, Z):
             columns.append(LINK_TRANSLATION_MM * (turned @ direction))
-            columns.append(LINK_ROTATION_RAD * np.cross(turned @ direction, ball_mm - place))
+            columns.append(LINK_ROTATION_RAD * cross(turned @ direction, ball_mm - place))
     return np.stack(columns, axis=2)
 
 
@@ -191,14 +191,23 @@ def by_deviation(chain: Chain, joints_rad: Array, points_mm: Array, sides: Array
     return np.concatenate([*flat, flange_rotations(chain, joints_rad)], axis=2)
 
 
-def unit_errors(chain: Chain, joints_rad: Array, points_mm: Array, sizes: ErrorSizes, sides: Array) -> Array:
+def unit_errors(
+    chain: Chain,
+    joints_rad: Array,
+    points_mm: Array,
+    sizes: ErrorSizes,
+    sides: Array,
+    moved: Displacements | None = None,
+) -> Array:
     """Return displacements (p, 3, k) mm of flange-fixed points (p, 3) mm by each unit error of arm and tool.
 
-    The errors are independent, of unit variance and the same in all poses. Arguments as in `by_deviation`.
+    The errors are independent, of unit variance and the same in all poses. Arguments as in `by_deviation`;
+    `moved` is given by callers who have computed it.
     """
     if sizes.identified is not None:
         return by_deviation(chain, joints_rad, points_mm, sides) @ sizes.identified.remaining
-    moved = displacements(chain, joints_rad, points_mm, sizes)
+    if moved is None:
+        moved = displacements(chain, joints_rad, points_mm, sizes)
     tool = sizes.tool_mm * flange_rotations(chain, joints_rad)
     backlash = sizes.backlash * BACKLASH_RAD * FLANK_SHARE * moved.swings_mm * sides[:, None]
     return np.concatenate([moved.links_mm, moved.joints_mm, backlash, tool], axis=2)

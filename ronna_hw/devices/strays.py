@@ -144,6 +144,9 @@ def _assign(groups: list[_GroupBuilder], readings: Array, radius_mm: float) -> l
 
 def pair_nearest(distances_mm: Array, within_mm: float) -> dict[int, int]:
     """Pair readings (rows) with spheres (columns), each at most once, nearest pair first."""
+    nearest = distances_mm.argmin(axis=1).tolist() if distances_mm.size else []
+    if len(set(nearest)) == len(nearest):  # nothing to decide
+        return {row: at for row, at in enumerate(nearest) if distances_mm[row, at] <= within_mm}
     left_mm = distances_mm.copy()
     pairs: dict[int, int] = {}
     while left_mm.size:

@@ -83,7 +83,7 @@ class EventFile:
     def _write_all(self) -> None:
         ended = False
         while not ended:
-            self._reader.wait(self._time_to_due_s())
+            self._reader.wait(self._time_to_due_s(), facts_only=bool(self._deferred))
             batch = self._reader.read(0.0)
             ended = batch.ended
             self._lost += batch.lost

@@ -105,11 +105,16 @@ class Reader:
         self._signals: dict[str, Event] = {}
         self._lost = 0
         self._ended = False
+        self._facts_only = False  # signals wake nobody
 
-    def wait(self, timeout_s: float | None = None) -> None:
-        """Wait for an event or the end of the stream."""
+    def wait(self, timeout_s: float | None = None, *, facts_only: bool = False) -> None:
+        """Wait for an event, with `facts_only` for a fact, or for the end of the stream."""
         with self._arrived:
-            self._arrived.wait_for(lambda: bool(self._facts or self._signals or self._ended), timeout_s)
+            self._facts_only = facts_only
+            self._arrived.wait_for(
+                lambda: bool(self._facts or self._ended or (self._signals and not facts_only)), timeout_s
+            )
+            self._facts_only = False
 
     def read(self, timeout_s: float | None = None) -> Batch:
         """Wait for an event or the end of the stream, and return all new events."""
@@ -128,7 +133,8 @@ class Reader:
                 self._signals[event.subject] = event
             else:
                 self._facts.append(event)
-            self._arrived.notify_all()
+            if not (event.what.signal and self._facts_only):
+                self._arrived.notify_all()
 
     def end(self) -> None:
         """Mark the end of the stream; called only by the stream."""

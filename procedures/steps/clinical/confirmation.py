@@ -71,8 +71,8 @@ def _check_guide(context: StepContext, targets_remain: bool) -> SeenUnchanged:
 def _check_room(context: StepContext, watch: RoomWatch, targets_remain: bool) -> RoomLook:
     """Check head and base by the tracker. If targets remain, a move voids the results that depend on it."""
     setting, occasion = context.setting, f"after {context.trajectory}"
-    reading = read_watched(watch, setting.workcell, CAREFUL_FRAMES)
-    look = watch.compare(reading, setting.clock.now_s())
+    judged = read_watched(watch, setting.workcell, CAREFUL_FRAMES)
+    look = watch.compare(judged, setting.clock.now_s())
     if isinstance(look.moved, RoomMoved) and targets_remain:
         void_moved(context, look.moved)
         setting.memory.drop(RoomWatch)

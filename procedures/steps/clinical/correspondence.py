@@ -171,8 +171,7 @@ def _require_base_in_place(context: StepContext, room: GlobalLocalization) -> No
     """Raise PRO-019 if a point was touched elsewhere because the cart or the tracker was moved meanwhile."""
     name = context.identifier(GlobalLocalization)
     watch = build_watch(context.workcell, context.setting.settings, name, room, None)
-    seen = read_watched(watch, context.workcell)
-    moved = watch.compare(seen).moved
+    moved = watch.compare(read_watched(watch, context.workcell)).moved
     if isinstance(moved, BaseShifted):
         context.void(LockedCart if moved.cart and context.stands(LockedCart) else GlobalLocalization, moved)
         raise moved

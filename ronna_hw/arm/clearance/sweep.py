@@ -11,20 +11,20 @@ here the chain is multiplied out joint by joint.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, lru_cache
 from math import ceil
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ronna_hw.arm.clearance.bodies import Bodies, Surroundings
+from ronna_hw.arm.clearance.pair_distances import KEPT_BODIES, list_columns, segment_distances
 from ronna_hw.arm.errors import NotClear
 from ronna_hw.arm.kinematics import Kinematics
 from ronna_hw.arm.motion.planning import JointPath, LinePath, MotionPlan
 from ronna_hw.arrays import Array
 from ronna_hw.vectors import JointVector, Vector3, joint_vector
 
-POINT_MM2 = 1e-12
 FIRST_SAMPLES = 9
 STEP_MM = 12.0  # initial motion between two samples
 STEP_RAD = 0.1  # of any joint: within this, a path between two samples is straight to 0.05 %
@@ -32,6 +32,7 @@ FINEST_MM = 0.5
 ARC_FACTOR = 1.01  # between two samples a body moves along an arc, not its chord
 LEAVING_MM = 0.05  # a body that starts too close may stay or move away; this much does not count as approach
 ALIKE_MM = 1e-6  # two distances closer than this are equal up to rounding
+KEPT_PATHS = 64  # a path is swept when planned, when previewed and when driven: about 10 MB
 
 
 @dataclass(frozen=True)
@@ -113,20 +114,31 @@ def sweep_path(
     A path that is not clear is searched for its closest point, for the message; without `search_closest` only
     until the result is certain.
     """
+    swept = _sweep_path(kinematics, plan, surroundings, search_closest=False)
+    if not search_closest or swept.refused is None:  # a clear path is the same either way
+        return swept
+    return _sweep_path(kinematics, plan, surroundings, search_closest=True)
+
+
+@lru_cache(KEPT_PATHS)
+def _sweep_path(
+    kinematics: Kinematics, plan: MotionPlan, surroundings: Surroundings, *, search_closest: bool
+) -> SweptPath:
     path = plan.path(kinematics)
-    bodies = Bodies(kinematics, surroundings)
+    bodies = _collect_bodies(kinematics, surroundings)
     fractions = np.linspace(0.0, 1.0, FIRST_SAMPLES)
     joints = _sample_joints(path, plan.start_rad, fractions)
-    found = sweep(bodies, joints)
+    ends = moving_ends(bodies, joints)
     count = max(
         FIRST_SAMPLES,
-        ceil(float(_end_motions_mm(found).max(axis=1).sum()) / STEP_MM) + 1,
+        ceil(float(_end_motions_mm(ends).max(axis=1).sum()) / STEP_MM) + 1,
         ceil(float(np.abs(np.diff(joints, axis=0)).max(axis=1).sum()) / STEP_RAD) + 1,
     )
     if count > FIRST_SAMPLES:
         fractions = np.linspace(0.0, 1.0, count)
         joints = _sample_joints(path, plan.start_rad, fractions)
-        found = sweep(bodies, joints)
+        ends = moving_ends(bodies, joints)
+    found = _measure_gaps(bodies, ends)
     floors = floors_mm(surroundings, found.gaps_mm[0])
     while True:
         if not search_closest and (found.gaps_mm < floors).any():
@@ -148,7 +160,14 @@ def sweep_path(
             np.insert(found.gaps_mm, open_rows + 1, more.gaps_mm, axis=0),
             np.insert(found.to_head_mm, open_rows + 1, more.to_head_mm),
         )
+    for values in (fractions, joints, found.ends_mm, found.gaps_mm, found.to_head_mm):  # callers share them
+        values.setflags(write=False)
     return SweptPath(bodies, fractions, joints, found)
+
+
+@lru_cache(KEPT_BODIES)
+def _collect_bodies(kinematics: Kinematics, surroundings: Surroundings) -> Bodies:
+    return Bodies(kinematics, surroundings)
 
 
 def floors_mm(surroundings: Surroundings, at_start_mm: Array) -> Array:
@@ -158,7 +177,7 @@ def floors_mm(surroundings: Surroundings, at_start_mm: Array) -> Array:
 
 def motion_mm(swept: SweepSamples) -> Array:
     """Return upper bounds on each body's motion between consecutive samples, (n - 1, bodies)."""
-    return _end_motions_mm(swept) * ARC_FACTOR
+    return _end_motions_mm(swept.ends_mm) * ARC_FACTOR
 
 
 def _first_smallest(distances_mm: Array) -> int:
@@ -172,10 +191,9 @@ def _first_smallest(distances_mm: Array) -> int:
 def _find_open_intervals(bodies: Bodies, found: SweepSamples, floors: Array) -> NDArray[np.bool_]:
     """Return a mask of the intervals (n - 1) that may hide a distance below its minimum."""
     moved = motion_mm(found)
-    pairs = bodies.pairs
-    own = np.array([pair.other < 0 for pair in pairs])
-    relative = moved[:, [pair.moving for pair in pairs]]
-    relative[:, own] += moved[:, [-1 - pair.other for pair in pairs if pair.other < 0]]
+    columns = list_columns(bodies)
+    relative = moved[:, columns.moving]
+    relative[:, columns.own] += moved[:, columns.partners]
     before, after = found.gaps_mm[:-1], found.gaps_mm[1:]
     with np.errstate(invalid="ignore"):
         bound = (before + after - relative) / 2.0
@@ -186,8 +204,8 @@ def _find_open_intervals(bodies: Bodies, found: SweepSamples, floors: Array) -> 
     return np.asarray(((bound < floors) & (relative > FINEST_MM)).any(axis=1))
 
 
-def _end_motions_mm(swept: SweepSamples) -> Array:
-    return np.asarray(np.linalg.norm(np.diff(swept.ends_mm, axis=0), axis=3).max(axis=2))
+def _end_motions_mm(ends_mm: Array) -> Array:
+    return np.asarray(np.linalg.norm(np.diff(ends_mm, axis=0), axis=3).max(axis=2))
 
 
 def _sample_joints(path: JointPath | LinePath, start_rad: JointVector, fractions: Array) -> Array:
@@ -199,30 +217,22 @@ def _sample_joints(path: JointPath | LinePath, start_rad: JointVector, fractions
 
 def sweep(bodies: Bodies, joints_rad: ArrayLike) -> SweepSamples:
     """Compute body positions and distances at joint vectors (n, axes)."""
-    joints = np.atleast_2d(np.asarray(joints_rad, dtype=float))
-    ends = moving_ends(bodies, joints)
-    pairs = bodies.pairs
-    fixed = np.array([(capsule.start_mm, capsule.end_mm) for capsule in bodies.fixed])
-    radii = np.array([capsule.radius_mm for capsule in bodies.fixed])
-    moving = np.array([pair.moving for pair in pairs])
-    other = np.array([pair.other for pair in pairs])
-    moving_radii = np.array(bodies.moving_radii_mm)
-    own = other < 0
-    thick = moving_radii[moving]
-    thick[own] += moving_radii[-1 - other[own]]
-    thick[~own] += radii[other[~own]]
+    return _measure_gaps(bodies, moving_ends(bodies, np.atleast_2d(np.asarray(joints_rad, dtype=float))))
+
+
+def _measure_gaps(bodies: Bodies, ends: Array) -> SweepSamples:
+    columns = list_columns(bodies)
     axes = np.ascontiguousarray(np.transpose(ends, (2, 3, 0, 1)))  # component by component: much faster
-    partner = np.empty((2, 3, len(joints), len(pairs)))
-    partner[..., own] = axes[..., -1 - other[own]]
-    partner[..., ~own] = np.transpose(fixed[other[~own]], (1, 2, 0))[:, :, None, :]
-    first = axes[..., moving]
-    gaps = segment_distances(first[0], first[1], partner[0], partner[1]) - thick
-    head = np.array([pair.is_head for pair in pairs])
-    to_head = np.full(len(joints), np.inf)
-    if head.any():
-        to_head = np.maximum(gaps[:, head].min(axis=1), 0.0)
+    partner = np.empty((2, 3, len(ends), len(bodies.pairs)))
+    partner[..., columns.own] = axes[..., columns.partners]
+    partner[..., ~columns.own] = columns.fixed_mm[:, :, None, :]
+    first = axes[..., columns.moving]
+    gaps = segment_distances(first[0], first[1], partner[0], partner[1]) - columns.thick_mm
+    to_head = np.full(len(ends), np.inf)
+    if columns.head.any():
+        to_head = np.maximum(gaps[:, columns.head].min(axis=1), 0.0)
     if (corridor := bodies.surroundings.corridor) is not None:
-        for column, pair in enumerate(pairs):
+        for column, pair in enumerate(bodies.pairs):
             if pair.enters_head and pair.is_head:
                 inside = [corridor.holds(tuple(start), tuple(end)) for start, end in ends[:, pair.moving]]
                 gaps[inside, column] = np.inf
@@ -242,38 +252,15 @@ def moving_ends(bodies: Bodies, joints: Array) -> Array:
         origin = _place_point(origin, turn, joint.to_next_mm)
     assert turn is not None
     flange = origin, turn @ np.reshape(chain.flange_rotation, (3, 3))
-    axes = [
-        (_place_point(*frames[link.joint], link.start_mm), _place_point(*frames[link.joint], link.end_mm))
-        for link in bodies.arm.links
-    ]
-    for part in bodies.surroundings.tool:
-        start, end, _ = part.capsule
-        axes.append((_place_point(*flange, start), _place_point(*flange, end)))
-    return np.stack([np.stack(axis, axis=1) for axis in axes], axis=1)
-
-
-def segment_distances(a: Array, b: Array, c: Array, d: Array) -> Array:
-    """Return the distances (...) between the segments a-b and c-d, each (3, ...).
-
-    The smallest of five: between the lines, if their closest points are within both segments, and from each
-    of the four ends to the other segment.
-    """
-    u, v, w = b - a, d - c, a - c
-    uu, vv, uv = _dot(u, u), _dot(v, v), _dot(u, v)
-    uw, vw = _dot(u, w), _dot(v, w)
-    across = uu * vv - uv * uv
-    with np.errstate(divide="ignore", invalid="ignore"):
-        s = (uv * vw - vv * uw) / across
-        t = (uu * vw - uv * uw) / across
-        inside = (across > POINT_MM2 * uu * vv) & (s >= 0) & (s <= 1) & (t >= 0) & (t <= 1)
-    between = w + np.where(inside, s, 0.0) * u - np.where(inside, t, 0.0) * v
-    least = np.where(inside, _dot(between, between), np.inf)
-    for point, origin, direction, square in ((a, c, v, vv), (b, c, v, vv), (c, a, u, uu), (d, a, u, uu)):
-        offset = point - origin
-        share = np.clip(_dot(offset, direction) / np.maximum(square, POINT_MM2), 0.0, 1.0)
-        rest = offset - share * direction
-        least = np.minimum(least, _dot(rest, rest))
-    return np.asarray(np.sqrt(least))
+    links, tool = bodies.arm.links, bodies.surroundings.tool
+    ends = np.empty((len(joints), len(links) + len(tool), 2, 3))
+    for body, link in enumerate(links):
+        ends[:, body, 0] = _place_point(*frames[link.joint], link.start_mm)
+        ends[:, body, 1] = _place_point(*frames[link.joint], link.end_mm)
+    for body, part in enumerate(tool, start=len(links)):
+        ends[:, body, 0] = _place_point(*flange, part.capsule.start_mm)
+        ends[:, body, 1] = _place_point(*flange, part.capsule.end_mm)
+    return ends
 
 
 @cache
@@ -288,13 +275,9 @@ def _rotation_parts(axis: Vector3) -> tuple[Array, Array, Array]:
 def _rotation(axis: Vector3, angles: Array) -> Array:
     """Return the rotation matrices (n, 3, 3) about one axis."""
     along, plane, across = _rotation_parts(axis)
-    return np.moveaxis(along + np.cos(angles) * plane + np.sin(angles) * across, 2, 0)
+    return (along + np.cos(angles) * plane + np.sin(angles) * across).transpose(2, 0, 1)
 
 
 def _place_point(origin: Array, turn: Array, point_mm: Vector3) -> Array:
     """Transform a point of a moving frame to the robot base, (n, 3)."""
     return origin + turn @ np.array(point_mm) if any(point_mm) else origin
-
-
-def _dot(a: Array, b: Array) -> Array:
-    return np.asarray(a[0] * b[0] + a[1] * b[1] + a[2] * b[2])

@@ -201,7 +201,7 @@ class PathProgress:
             go = self._halt.sample(self._time_s + self._cycle_s)
             self._next = (go, self._leg, self._time_s + self._cycle_s)
             return go, go
-        go = self._choose_state()
+        go = self.choose_state()
         profile = self._plan_stop(self.state)
         stop = profile.sample(self._cycle_s)
         self._next_halt = (stop, profile)
@@ -256,8 +256,11 @@ class PathProgress:
             velocity = self._speed_at(self.state.position[0])
             self._leg = self._plan_leg(velocity) if velocity else self._braking_leg(velocity)
 
-    def _choose_state(self) -> AxisState:
-        """Return the fastest next state from which the end and every slower section can still be reached."""
+    def choose_state(self) -> AxisState:
+        """Return the fastest next state from which the end and every slower section can still be reached.
+
+        `prepare` adds the state of a stop; without one, only `take_go` may follow.
+        """
         velocity = self._speed_at(self.state.position[0])
         if self._ceiling is not None:
             velocity = min(velocity, self._ceiling.velocity * self._fraction)
@@ -352,7 +355,7 @@ def drive_states(limits: PathLimits, steps: tuple[SpeedStep, ...], cycle_s: floa
     progress = PathProgress(limits, steps, cycle_s)
     states: list[AxisState] = []
     while not progress.is_finished:
-        progress.prepare()
+        progress.choose_state()
         progress.take_go()
         states.append(progress.state)
     return states

@@ -18,7 +18,8 @@ from ronna_hw.arm.clearance.bodies import (
     segment_distance_mm,
 )
 from ronna_hw.arm.clearance.live_watch import LiveWatch, PlacedBodies
-from ronna_hw.arm.clearance.sweep import segment_distances, sweep
+from ronna_hw.arm.clearance.pair_distances import segment_distances
+from ronna_hw.arm.clearance.sweep import sweep
 from ronna_hw.arm.kinematics import Kinematics
 from ronna_hw.arm.kr6_r900 import R900_2, kr6_r900
 from ronna_hw.arm.pose import Pose
