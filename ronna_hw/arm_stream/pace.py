@@ -16,7 +16,7 @@ import time
 from collections.abc import Callable
 from typing import Generic, Protocol, TypeVar
 
-IDLE_POLL_S = 0.01  # longest wait for a telegram between checks of orders, silence and parent
+IDLE_POLL_S = 0.02  # longest wait for a telegram between checks of orders, silence and parent
 AWAKE_NS = 80_000  # host time: longer than a simulated controller takes from a reply to its next telegram
 STEADY_ARRIVALS = 8  # consecutive arrivals near their predictions before the next prediction is trusted
 NEAR_SHARE = 0.25  # of the interval: a larger deviation means another schedule
