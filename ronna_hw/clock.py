@@ -314,7 +314,8 @@ class SharedClock:
         """Advance by one cycle of this cyclic device and return the new time. No effect when paced.
 
         A device that stands while another moves takes `STANDING_CYCLE_NS` for a cycle. Where all stand, all
-        but the first take `TURN_NS`, which costs readers of a tracker none of its frames.
+        but the first take `TURN_NS`, which costs readers of a tracker none of its frames; the first takes up
+        to that where somebody waits so long.
         Ahead of another device that streams, the time stands until that one has come as far; `TURN_NS` ahead,
         this device is to wait while `must_wait_for_turn`.
         """
@@ -324,7 +325,7 @@ class SharedClock:
         with self._lock:
             own.stands.write(memory, int(stands))
             if stands:
-                duration_ns = max(duration_ns, self._standing_cycle_ns())
+                duration_ns = max(duration_ns, self._standing_cycle_ns(duration_ns))
             ends_ns = self._cycle_start_ns() + duration_ns
             own.time_ns.write(memory, ends_ns)
             own.host_ns.write(memory, time.monotonic_ns())
@@ -354,12 +355,24 @@ class SharedClock:
             TURN.write(memory, self._device)  # the other has ended, has fallen silent or rests
         return False
 
-    def _standing_cycle_ns(self) -> int:
-        """Return the least duration of this device's cycle while it stands, 0 if it alone sets the pace."""
+    def _standing_cycle_ns(self, cycle_ns: int) -> int:
+        """Return the least theatre time of this device's cycle while it stands.
+
+        The first device that sets the pace takes as many cycles at once as the latest wait needs: the time
+        ends where single cycles would have left it. Somebody who lets time pass may count cycles, and gets
+        single ones.
+        """
+        memory = self._memory
         streaming = [number for number, row in enumerate(STREAMS) if self._streams(row)]
-        if not all(STREAMS[number].stands.read(self._memory) for number in streaming):
+        if not all(STREAMS[number].stands.read(memory) for number in streaming):
             return STANDING_CYCLE_NS
-        return 0 if min(streaming, default=self._device) == self._device else TURN_NS
+        if min(streaming, default=self._device) != self._device:
+            return TURN_NS
+        now_ns = TIME_NS.read(memory)
+        if ALLOWED_NS.read(memory) > now_ns:
+            return cycle_ns
+        awaited_cycles = -((now_ns - WANTED_NS.read(memory)) // cycle_ns)
+        return min(awaited_cycles, TURN_NS // cycle_ns) * cycle_ns
 
     def _cycle_start_ns(self) -> int:
         """Return the theatre time at which this device's next cycle begins."""

@@ -124,7 +124,7 @@ class LinkClient:
 
     @property
     def stalled_s(self) -> float:
-        """Host time since the last report of the process; reports come every 10 ms."""
+        """Host time since the last report of the process; reports come every 20 ms."""
         heartbeat_ns = self.mailbox.read_alive_ns()
         return (time.monotonic_ns() - heartbeat_ns) / 1e9 if heartbeat_ns else 0.0
 

@@ -112,7 +112,7 @@ class StreamLoop(ABC):
             if self._receiver.note_paced():
                 self._processor.follow(self._line.processor())
         else:
-            self._receiver.note_lock_step()
+            self._receiver.note_lock_step(stays_awake=self.session.moving and self._processor.has_others)
             self._lock_step_cycles += 1
             if self._is_time_to_look():
                 self._processor.avoid(self._line.processor())

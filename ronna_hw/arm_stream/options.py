@@ -26,7 +26,7 @@ SILENCE_LIMIT_S = 0.25
 HEARTBEAT_LIMIT_S = 1.0  # a program busy with other work may be delayed by tens of milliseconds
 
 FOREMOST_PRIORITY = 80  # of SCHED_FIFO: above other programs, below the kernel's own threads
-REHEARSAL_LEAD_US = 500  # finished before the sender needs the processor, with caches still warm
+REHEARSAL_LEAD_US = 250  # finished before the sender needs the processor; earlier, others cool the caches
 # Safety against a theatre file that asks for a fast arm. Source: `REDUCED_SPEED_MM_S`.
 LARGEST_LINE_SPEED_MM_S = REDUCED_SPEED_MM_S  # on straight lines, also with nobody beside the arm
 

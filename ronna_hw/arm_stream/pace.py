@@ -3,6 +3,9 @@
 A process that has slept for a cycle finds cold caches, which would show as turnaround. So while the
 controller keeps a pace, the process wakes up some time before the next telegram is due, runs through the
 reply without any effect, and goes back to sleep. Not immediately before: the sender may need this processor.
+
+In lock-step the next telegram follows within tens of microseconds. Falling asleep and being woken costs both
+processes more than that: while the arm moves, the process stays awake for it.
 """
 
 from __future__ import annotations
@@ -13,7 +16,8 @@ import time
 from collections.abc import Callable
 from typing import Generic, Protocol, TypeVar
 
-IDLE_POLL_S = 0.01  # longest wait for a telegram between checks of orders, silence and parent
+IDLE_POLL_S = 0.02  # longest wait for a telegram between checks of orders, silence and parent
+AWAKE_NS = 80_000  # host time: longer than a simulated controller takes from a reply to its next telegram
 STEADY_ARRIVALS = 8  # consecutive arrivals near their predictions before the next prediction is trusted
 NEAR_SHARE = 0.25  # of the interval: a larger deviation means another schedule
 MOST_MISSING = 25  # consecutive telegrams over which the schedule is kept
@@ -71,6 +75,7 @@ class PacedReceiver(Generic[R]):
         self._pace = Pace()
         self.keeps_pace = False  # the controller's schedule is known, or was until now
         self._lock_steps = 0  # consecutive
+        self._stays_awake = False  # for the next telegram
         self.received_ns = 0  # arrival of the last telegram
         self.was_queued = False  # whether it was there before the wait began: others may be queued behind it
 
@@ -80,7 +85,9 @@ class PacedReceiver(Generic[R]):
             # A controller that waits for each reply has sent nothing else: that saves a system call.
             alone = self._lock_steps > STEADY_ARRIVALS and self._line.is_connected
             self.was_queued = not alone and self._line.has_datagram()
-            if self._lead_ns and not self.was_queued:
+            if alone and self._stays_awake:
+                self._stay_awake()
+            elif self._lead_ns and not self.was_queued:
                 self._sleep_until_rehearsal()
             received = self._line.receive()
         except OSError:  # timed out, or the network reported something about an earlier reply
@@ -94,15 +101,25 @@ class PacedReceiver(Generic[R]):
         Once the controller's schedule is known this stays true through a pause, until it hurries.
         """
         self._lock_steps = 0
+        self._stays_awake = False
         self._pace.note_arrival(self.received_ns)
         self.keeps_pace = self.keeps_pace or self._pace.due_ns > 0
         return self.keeps_pace
 
-    def note_lock_step(self) -> None:
-        """Record a telegram sent in immediate response to a reply, and discard the schedule."""
+    def note_lock_step(self, *, stays_awake: bool = False) -> None:
+        """Record a telegram sent in immediate response to a reply, and discard the schedule.
+
+        `stays_awake`: the next one follows at once, and its sender has another processor.
+        """
         self._lock_steps += 1
+        self._stays_awake = stays_awake
         self._pace.forget()
         self.keeps_pace = False
+
+    def _stay_awake(self) -> None:
+        end_ns = self._now_ns() + AWAKE_NS
+        while not self._line.has_datagram() and self._now_ns() < end_ns:
+            pass
 
     def _sleep_until_rehearsal(self) -> None:
         pause_s = (self._pace.due_ns - self._lead_ns - self._now_ns()) / _NS

@@ -84,6 +84,11 @@ class ProcessorAffinity:
         self._last = -1  # received the last telegram
         self._consecutive = 0
 
+    @property
+    def has_others(self) -> bool:
+        """Whether the process may use more than one processor, so that a sender can have its own."""
+        return len(self._allowed) > 1
+
     def follow(self, processor: int) -> None:
         """Record the processor that received a telegram (-1: unknown), and move there once it is stable."""
         if processor == self._pinned_to or not self._follows:

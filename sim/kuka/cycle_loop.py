@@ -34,10 +34,11 @@ from sim.world.faults import FaultBoard
 from sim.world.faults.log import FaultLog
 from sim.world.world import World
 
-IDLE_WAIT_S = 0.02  # longest wait between checks of the fault script and for the end of the process
+IDLE_WAIT_S = 0.02  # wait between checks for a program to run, a reader, a turn and the end of the process
 REPLY_WAIT_S = 2.0  # host time that lock-step waits for a reply
 READER_WAIT_S = 1.0  # host time it waits for a client reading frame by frame; below that client's limit
-REST_CYCLE_S = 0.1  # host time of a cycle at rest; below the limits of clients for a silent controller
+REST_CYCLE_S = 0.1  # host time of a cycle at rest, and between checks of the fault script and for the end of
+# the process; below the limits of clients for a silent controller
 SERVE_S = 0.005  # host time between checks of the EKI channels while lock-step runs at full speed
 UNCHANGED_CYCLES = 10  # without a new correction, after which lock-step rests
 STALE_LIMIT = 256  # datagrams read per cycle; a flood must not stop the clock
@@ -334,7 +335,7 @@ class CycleLoop:
         for server in self._servers:
             waiting += server.sockets
         now_s = time.monotonic()
-        timeout_s = min(timeout_s, IDLE_WAIT_S, max(0.0, self._tick_s - now_s))
+        timeout_s = min(timeout_s, max(0.0, self._tick_s - now_s))
         ready, _, _ = select.select(waiting, (), (), timeout_s)
         if ready and self._controller.run is None:
             self._faults.poll()  # a fault that was given before a client connected acts on it

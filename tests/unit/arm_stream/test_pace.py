@@ -7,10 +7,11 @@ from collections.abc import Iterable
 
 import pytest
 
-from ronna_hw.arm_stream.pace import MOST_MISSING, STEADY_ARRIVALS, Pace, PacedReceiver
+from ronna_hw.arm_stream.pace import AWAKE_NS, MOST_MISSING, STEADY_ARRIVALS, Pace, PacedReceiver
 
 CYCLE_NS = 4_000_000
 LEAD_NS = 500_000
+LOOK_NS = 500
 IDLE_NS = 10_000_000  # a blocking call gives up
 CONTROLLER = ("127.0.0.1", 40000)
 BEGIN_NS = 1_000_000_000
@@ -156,6 +157,34 @@ def test_the_queue_of_a_controller_that_waits_for_each_reply_is_not_looked_at_un
     reception.note_paced()
     reception.next()
     assert world.looks == STEADY_ARRIVALS + 2
+
+
+class TimeOfLooks(FakeTime):
+    """A look at what is pending takes time, as a system call does."""
+
+    def has_datagram(self) -> bool:
+        there = super().has_datagram()
+        self.now_ns += LOOK_NS
+        return there
+
+
+@pytest.mark.parametrize(("pause_ns", "looks"), [(20 * LOOK_NS, 21), (2 * AWAKE_NS, AWAKE_NS // LOOK_NS)])
+def test_an_awake_process_looks_for_the_next_telegram_and_sleeps_if_it_does_not_follow(
+    pause_ns: int, looks: int
+) -> None:
+    hurried = [BEGIN_NS + 120_000 * k for k in range(1, STEADY_ARRIVALS + 2)]
+    world = TimeOfLooks(hurried)
+    reception = world.reception()
+    for _ in hurried:
+        assert reception.next() is not None
+        reception.note_lock_step(stays_awake=True)
+    world.looks, world.arrivals_ns = 0, [world.now_ns + pause_ns]
+    assert reception.next() is not None
+    assert world.looks == looks
+    reception.note_lock_step()
+    world.looks, world.arrivals_ns = 0, [world.now_ns + pause_ns]
+    assert reception.next() is not None
+    assert world.looks == 0
 
 
 def test_an_early_telegram_is_received_on_arrival_without_a_rehearsal() -> None:

@@ -267,7 +267,35 @@ def test_a_device_that_stands_takes_longer_cycles_while_the_other_moves(
     assert assistant.now_ns() == began_ns + STANDING_CYCLE_NS
 
 
-def test_where_both_stand_the_second_takes_one_cycle_in_each_turn(
+def test_a_device_that_stands_alone_takes_the_cycles_of_a_wait_at_once(path: str) -> None:
+    robot, camera = SharedClock(path), SharedClock(path)
+    robot.advance_cycle(CYCLE_NS)
+    awaited_ns = 2 * TURN_NS + CYCLE_NS // 2  # within a cycle: the time ends with that cycle
+    waiting = threading.Thread(target=camera.wait_until_ns, args=(awaited_ns,), daemon=True)
+    waiting.start()
+    while not robot.has_waiters():
+        pass
+    ends_ns = []
+    while robot.has_waiters():
+        ends_ns.append(robot.advance_cycle(CYCLE_NS, stands=True))
+    assert ends_ns == [CYCLE_NS + TURN_NS, 2 * TURN_NS + CYCLE_NS]
+    waiting.join(5.0)
+
+
+def test_a_device_that_stands_takes_single_cycles_while_somebody_counts_them(path: str) -> None:
+    robot, camera = SharedClock(path), SharedClock(path)
+    robot.advance_cycle(CYCLE_NS)
+    robot.let_pass(1.0)
+    waiting = threading.Thread(target=camera.wait_until_ns, args=(2 * CYCLE_NS,), daemon=True)
+    waiting.start()
+    while not robot.has_waiters():
+        pass
+    assert robot.advance_cycle(CYCLE_NS, stands=True) == 2 * CYCLE_NS
+    waiting.join(5.0)
+    assert robot.advance_cycle(CYCLE_NS, stands=True) == 3 * CYCLE_NS
+
+
+def test_where_both_stand_neither_takes_all_its_cycles(
     arms: tuple[SharedClock, SharedClock],
 ) -> None:
     cycles, began_ns = [0, 0], arms[0].now_ns()
@@ -277,8 +305,8 @@ def test_where_both_stand_the_second_takes_one_cycle_in_each_turn(
                 device.advance_cycle(CYCLE_NS, stands=True)
                 cycles[number] += 1
     first, second = cycles
-    assert first > 250  # of 300; both began as if the other moved
-    assert second <= 100
+    assert first < 200  # of 300: single ones only while the other does not wait for it
+    assert second <= 100  # one in each turn
 
 
 def test_a_device_that_ends_its_stream_holds_no_other_up(arms: tuple[SharedClock, SharedClock]) -> None:
