@@ -19,7 +19,7 @@ from tempfile import TemporaryDirectory
 
 import psutil
 
-from ronna_hw.host.process import PARENT
+from ronna_hw.host.process import Parent
 
 STOP_S = 10.0  # after SIGTERM a measurement ends what it started, and removes its files
 LINGER_S = 5.0  # what watches its parent ends a little later than that
@@ -67,12 +67,12 @@ def end_with_runner() -> Iterator[None]:
     """Interrupt the measurement in this block if its runner is killed, and remove the folder of its files."""
     _control_process(_PR_SET_PDEATHSIG, signal.SIGTERM)
     try:
-        if PARENT.is_gone:
+        if Parent.noted.is_gone:
             raise KeyboardInterrupt
         yield
     finally:
         place = Path(os.environ.get("TMPDIR", ""))
-        if PARENT.is_gone and place.name.startswith(PREFIX):
+        if Parent.noted.is_gone and place.name.startswith(PREFIX):
             shutil.rmtree(place, ignore_errors=True)
 
 

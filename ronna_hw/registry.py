@@ -11,7 +11,9 @@ The class is called as `MyTracker(name, config, clock)`. Probes are described in
 from __future__ import annotations
 
 from collections.abc import Sequence
-from importlib.metadata import EntryPoint, entry_points
+from functools import cache
+from importlib import metadata
+from importlib.metadata import EntryPoint
 from typing import Any, Protocol
 
 from ronna_hw.clock import Clock
@@ -32,6 +34,12 @@ from ronna_hw.host.own_packages import OWN_PACKAGES, require_own_packages
 
 GROUP = "ronna_hw.drivers"
 PROBE_GROUP = "ronna_hw.probes"
+
+
+@cache
+def entry_points(*, group: str) -> metadata.EntryPoints:
+    """Search a group once: each search reads a file of every installed package."""
+    return metadata.entry_points(group=group)
 
 
 def load_entry_point(point: EntryPoint) -> Any:

@@ -18,6 +18,7 @@ CHECKOUT = Path(__file__).resolve().parents[1]
 LOCK = Path("requirements") / "locked.txt"
 GIT_LIMIT_S = 2.0  # host time; a network folder may be slow, and a run does not wait for it
 SHORT_HASH = 12  # characters: enough to tell locks apart at a glance
+_VERSION = re.compile(r"^Version: *(.+)", re.MULTILINE)
 _PINNED = re.compile(r"^(?P<name>[A-Za-z0-9._-]+)==(?P<version>[^\s;\\]+)", re.MULTILINE)
 
 
@@ -89,9 +90,15 @@ def _find_differing_packages(lock: str) -> list[str]:
     found = []
     for name, versions in locked.items():
         try:
-            installed = metadata.version(name)
+            installed = _read_version(metadata.distribution(name))
         except metadata.PackageNotFoundError:
             continue
         if installed not in versions:
             found.append(f"{name} {installed}, locked {' or '.join(sorted(versions))}")
     return found
+
+
+def _read_version(package: metadata.Distribution) -> str:
+    """Read a package's version from its metadata without parsing them, as `metadata.version` does."""
+    found = _VERSION.search(package.read_text("METADATA") or "")
+    return found[1] if found else package.version

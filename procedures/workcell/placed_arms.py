@@ -90,12 +90,17 @@ class PlacedArms:
     def are_apart(self, at_rad: Mapping[str, JointVector]) -> bool:
         """Return whether all arms, at these joints, keep the distance that is planned between them."""
         return all(
-            arm_pair.ArmPairWorld(self.arm(pair.first), self.arm(pair.second), self._closeness[pair])
-            .distance(at_rad[pair.first], at_rad[pair.second])
-            .distance_mm
-            >= arm_pair.PLANNED_APART_MM + self.doubt_mm(pair)
+            self._distance_mm(pair, at_rad) >= arm_pair.PLANNED_APART_MM + self.doubt_mm(pair)
             for pair in self.pairs
         )
+
+    def _distance_mm(self, pair: RolePair, at_rad: Mapping[str, JointVector]) -> float:
+        from ronna_hw.arm.clearance.arm_pair_world import (
+            ArmPairWorld,
+        )  # on demand: a single arm needs no coal
+
+        world = ArmPairWorld(self.arm(pair.first), self.arm(pair.second), self._closeness[pair])
+        return world.distance(at_rad[pair.first], at_rad[pair.second]).distance_mm
 
     def doubt_mm(self, pair: RolePair) -> float:
         """Return by how much two arms may be elsewhere to each other."""

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import ipaddress
 import socket
-import ssl
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from ronna_hw.command_line.errors import UsageMistake
+
+if TYPE_CHECKING:
+    import ssl
 
 BindOption = Annotated[
     str | None,
@@ -78,6 +80,8 @@ class ViewersAddress:
 
     def context(self) -> ssl.SSLContext:
         """Build the TLS context. Raises CLI-001 unless the files are a certificate and its key."""
+        import ssl  # on demand: every command has this option, few use it
+
         context = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
         try:
             context.load_cert_chain(self.certificate, self.key, password=lambda: "")

@@ -18,7 +18,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from queue import Empty, SimpleQueue
-from typing import IO, TYPE_CHECKING, Any
+from typing import IO, TYPE_CHECKING, Any, Protocol
 
 from ronna_hw.errors import LinkTimeout
 from ronna_hw.host.process import describe_exit, shield_children
@@ -59,6 +59,38 @@ def command(module: str, *arguments: str) -> list[str]:
     return [sys.executable, "-P", "-m", module, *arguments]
 
 
+class RunningProcess(Protocol):
+    """What `ChildProcess` uses of `subprocess.Popen`."""
+
+    @property
+    def pid(self) -> int:
+        """Number of the process."""
+
+    @property
+    def returncode(self) -> int | Any:
+        """Exit code, negative for a signal, as of the last `poll` or `wait`; None before the end."""
+
+    @property
+    def stdout(self) -> IO[str] | None:
+        """Standard output of the process."""
+
+    @property
+    def stderr(self) -> IO[str] | None:
+        """Messages of the process."""
+
+    def poll(self) -> int | None:
+        """Return the exit code; None while the process runs."""
+
+    def wait(self, timeout: float | None = None) -> int:
+        """Wait for the end and return the exit code; raises subprocess.TimeoutExpired."""
+
+    def terminate(self) -> None:
+        """Send SIGTERM."""
+
+    def kill(self) -> None:
+        """Send SIGKILL."""
+
+
 class ChildProcess:
     """Running child process. `ready` holds the fields of its READY line."""
 
@@ -69,12 +101,14 @@ class ChildProcess:
         *,
         timeout_s: float | None = READY_TIMEOUT_S,
         inherited: Sequence[int] = (),
+        started: RunningProcess | None = None,
         on_message: Callable[[str], None] = lambda _line: None,
     ) -> None:
         """Start the process and wait until it is ready; raises PRC-001. `on_message` receives its messages.
 
-        `inherited` are descriptors passed to it. With `timeout_s` None there is no wait, so that several can
-        start in parallel: `await_ready` must follow.
+        `inherited` are descriptors passed to it; `started` is a process that runs these arguments already.
+        With `timeout_s` None there is no wait, so that several can start in parallel: `await_ready` must
+        follow.
         """
         self.name = name
         self._log = logger(process=name)
@@ -83,7 +117,7 @@ class ChildProcess:
         self._on_message = on_message
         self._lines: SimpleQueue[str | None] = SimpleQueue()
         self._messages: deque[str] = deque(maxlen=MESSAGE_LINES_KEPT)
-        self.process = subprocess.Popen(
+        self.process: RunningProcess = started or subprocess.Popen(
             list(arguments),
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,

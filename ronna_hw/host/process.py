@@ -62,7 +62,11 @@ def note_parent() -> ParentProcess:
     return ParentProcess(pid, gone_at_start=is_orphan)
 
 
-PARENT = note_parent()
+class Parent:
+    """Parent of this process."""
+
+    noted = note_parent()  # a fork notes its own
+
 
 # read by OpenBLAS, OpenMP and MKL when they are loaded
 _THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")

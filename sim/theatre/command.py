@@ -152,7 +152,6 @@ def theatre(
     check_cycle(truth, chosen_ms)
     parameters = parameters_by_device(parameter or (), truth)
     ended = threading.Event()
-    end_with_parent(ended.set)
     with lock_folder(out):
         running = LaunchedTheatre(
             truth,
@@ -163,6 +162,7 @@ def theatre(
             parameters=parameters,
             saved=read_saved_world(out) if continued else None,
             records=records,
+            on_forked=lambda: end_with_parent(ended.set),
         )
         reasons = _serve(running, ended, run)
     if reasons:

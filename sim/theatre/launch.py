@@ -1,4 +1,7 @@
-"""Theatre launcher: starts one process per device in one world, then writes the theatre file."""
+"""Theatre launcher: starts one process per device in one world, then writes the theatre file.
+
+The devices are forked: what they need of NumPy, models and the world is imported already.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +16,8 @@ from typing import Any
 from uuid import uuid4
 
 from ronna_hw.bounded_input import InputRefused, read_toml
-from ronna_hw.host.child_process import IDLE_TIMEOUT_S, READY_TIMEOUT_S, ChildProcess, command
+from ronna_hw.host.child_process import IDLE_TIMEOUT_S, READY_TIMEOUT_S, ChildProcess
+from ronna_hw.host.forked_process import ForkedProcess
 from ronna_hw.host.process import describe_exit
 from ronna_hw.records import write_atomically
 from sim.errors import BAD_CALIBRATION_FILE, BAD_DEVICE_PARAMETER, BAD_SAVED_WORLD
@@ -64,12 +68,13 @@ class LaunchedTheatre:
         parameters: Mapping[str, Sequence[str]] = NO_PARAMETERS,
         saved: SavedWorld | None = None,
         records: Mapping[str, Any] = NO_RECORDS,
+        on_forked: Callable[[], None] = lambda: None,
     ) -> None:
         """Start the theatre, keeping the robot context's cycle if `cycle_ms` is None.
 
         `parameters` are NAME=VALUE by device; `saved` is the world of an earlier theatre, to continue from;
-        `records` replace the theatre's own calibrations. Raises PRC-001 when a device does not become ready,
-        SIM-012 if the earlier theatre's file is lost.
+        `records` replace the theatre's own calibrations. No thread may run before `on_forked` is called.
+        Raises PRC-001 when a device does not become ready, SIM-012 if the earlier theatre's file is lost.
         """
         folder.mkdir(parents=True, exist_ok=True)
         self.folder = folder
@@ -80,10 +85,17 @@ class LaunchedTheatre:
             self.world.set_fault_script(f"{standing_script}\n{faults}" if standing_script else faults)
         write_atomically(folder / SCENE_FILE, scene.model_dump_json(by_alias=True, indent=1).encode())
         identity, calibrated = (uuid4().hex, None) if saved is None else _read_origin(self.file)
+        devices = self._fork_devices(parameters, cycle_ms)
+        on_forked()
+        self._children = [
+            ChildProcess(
+                f"ronna-sim {name}", device.args, timeout_s=None, started=device, on_message=_pass_on_pendant
+            )
+            for name, device in devices.items()
+        ]
         self._control = ControlPort(ControlledRoom(self.world, folder, identity=identity))
-        self._children: list[ChildProcess] = []
         try:
-            self.endpoints = self._start_devices(parameters, cycle_ms)
+            self.endpoints = self._await_devices(devices)
             limit_s = SILENCE_LIMIT_PACED_S if paced else SILENCE_LIMIT_LOCK_STEP_S
             content = theatre_content(
                 scene,
@@ -144,7 +156,9 @@ class LaunchedTheatre:
         with contextlib.suppress(OSError):  # a full disk must not keep the devices from ending
             save_world(self.world, self.folder)
 
-    def _start_devices(self, parameters: Mapping[str, Sequence[str]], cycle_ms: int | None) -> dict[str, Any]:
+    def _fork_devices(
+        self, parameters: Mapping[str, Sequence[str]], cycle_ms: int | None
+    ) -> dict[str, ForkedProcess]:
         world = ("--world", self.world.endpoint)
         scene = self.world.scene
 
@@ -159,18 +173,16 @@ class LaunchedTheatre:
             "basler": ("basler", *world),
         }
         commands |= {device_name(scene, role): robot(role) for role in OTHER_ARMS if role in scene.arms}
-        self._children = [
-            ChildProcess(
-                f"ronna-sim {name}",
-                command("sim.cli", *more, *(f"--set={one}" for one in parameters.get(name, ()))),
-                timeout_s=None,
-                on_message=_pass_on_pendant,
-            )
+        return {
+            name: ForkedProcess("sim.cli", *more, *(f"--set={one}" for one in parameters.get(name, ())))
             for name, more in commands.items()
-        ]
+        }
+
+    def _await_devices(self, names: Iterable[str]) -> dict[str, Any]:
+        """Wait until all devices are ready; return their endpoints by name."""
         endpoints: dict[str, Any] = {}
         began = time.monotonic()
-        for name, child in zip(commands, self._children, strict=True):
+        for name, child in zip(names, self._children, strict=True):
             ready = child.await_ready(DEVICES_READY_LIMIT_S, STOP_LIMIT_S, began, DEVICE_IDLE_LIMIT_S)
             endpoints[name] = ready["endpoint"] if "endpoint" in ready else ready["endpoints"]
         return endpoints

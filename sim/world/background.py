@@ -15,7 +15,7 @@ import typer
 
 from ronna_hw.command_line.terminal import say, tell
 from ronna_hw.host.child_process import ChildNotReady, ChildProcess, command, descendants_of, kill_all
-from ronna_hw.host.process import PARENT
+from ronna_hw.host.process import Parent
 from sim.errors import NOT_RUNNING
 from sim.world.running import LOG, RunningSimulator, find_running, register_folder
 
@@ -69,7 +69,7 @@ def hand_over() -> None:
     )
     os.dup2(log, sys.stderr.fileno())
     os.close(log)
-    DaemonState.done = not PARENT.is_gone  # else nobody would tell the user of it
+    DaemonState.done = not Parent.noted.is_gone  # else nobody would tell the user of it
 
 
 def leave_output() -> None:

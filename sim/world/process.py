@@ -17,7 +17,7 @@ from types import FrameType
 from ronna_hw.arm.catalogue import ArmChoice
 from ronna_hw.errors import EXIT_FAILED
 from ronna_hw.host.child_process import descendants_of, kill_all
-from ronna_hw.host.process import PARENT, resume_garbage_collection
+from ronna_hw.host.process import Parent, resume_garbage_collection
 from sim.errors import BAD_SCENE
 from sim.world.background import IN_BACKGROUND, DaemonState, hand_over, leave_output
 from sim.world.control_port import ControlledRoom, ControlPort
@@ -45,12 +45,13 @@ def announce(
     if control is not None:
         content["control"] = control
     content |= more
-    if _has_control_port(content):  # else it is a device of a theatre
+    alone = _has_control_port(content)  # else it is a device of a theatre
+    if alone:
         if IN_BACKGROUND:
             hand_over()
         register(content, in_background=IN_BACKGROUND, run=run)
     print("READY " + json.dumps(content), flush=True)  # noqa: T201 - this line is the contract
-    if IN_BACKGROUND:
+    if alone and IN_BACKGROUND:
         leave_output()
 
 
@@ -80,7 +81,7 @@ def end_with_parent(end: Callable[[], None]) -> None:
         leave()
 
     def watch() -> None:
-        while DaemonState.done or not PARENT.is_gone:
+        while DaemonState.done or not Parent.noted.is_gone:
             time.sleep(PARENT_CHECK_S)
         with contextlib.suppress(OSError):  # there may be no reader left
             sys.stderr.write(PARENT_GONE)

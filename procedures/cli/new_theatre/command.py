@@ -14,7 +14,6 @@ import typer
 from ronna_hw.command_line import terminal
 from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.command_line.options import require_new
-from ronna_hw.devices.lifecycle import LONGEST_NAME
 
 if TYPE_CHECKING:
     from procedures.cli.new_theatre.searching import DeviceTable
@@ -150,6 +149,8 @@ def new_theatre(
 
 def _require_short(name: str) -> None:
     """Raise CLI-001 for a name of a theatre that no line of a report has room for."""
+    from ronna_hw.devices.lifecycle import LONGEST_NAME
+
     if len(name) > LONGEST_NAME:
         raise UsageMistake(
             f"--name has {len(name)} characters", expected=f"at most {LONGEST_NAME}", action="Shorten it."

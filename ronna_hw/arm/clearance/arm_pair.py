@@ -1,7 +1,6 @@
-"""Two arms in one collision world: the distance between them, and each as an obstacle of the other.
+"""Two placed arms: how close they may come, and each as an obstacle of the other.
 
-The bodies of each arm are its own (`Bodies`), in postures of its own kinematics; distances between those of
-one arm and those of the other are coal's.
+The bodies of each arm are its own (`Bodies`), in postures of its own kinematics.
 
 Lengths in mm. The common frame is the base of the master; `base` of an arm leads there.
 """
@@ -13,7 +12,6 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
 
-import coal
 import numpy as np
 
 from ronna_hw.arm.clearance.bodies import Bodies, Capsule, Obstacle
@@ -30,9 +28,6 @@ PLANNED_APART_MM = 40.0  # along planned paths: the rest is for the errors of bo
 # millimetre of where its joints have it. Planned paths keep the same reserve beyond that.
 # Safety against two arms that meet at the guide (U).
 APART_AT_GUIDE_MM = 10.0
-
-POINT_MM = 1e-6  # a shorter axis has no direction
-NO_TURN = np.eye(3)
 
 
 class Closeness(NamedTuple):
@@ -115,57 +110,3 @@ class ArmDistance(NamedTuple):
     distance_mm: float
     first: str
     second: str
-
-
-class ArmPairWorld:
-    """Collision world of two placed arms. What may come closer counts as that much farther apart."""
-
-    def __init__(self, first: PlacedArm, second: PlacedArm, closeness: Closeness = NO_CLOSENESS) -> None:
-        self.first, self.second = first, second
-        self._closeness = closeness
-        self._shapes: dict[tuple[int, int], coal.CollisionObject] = {}
-        self._request = coal.DistanceRequest()
-        self._result = coal.DistanceResult()
-
-    def distance(self, first_rad: JointVector | Array, second_rad: JointVector | Array) -> ArmDistance:
-        """Return the distance between the arms in a pair of postures."""
-        first, second = self.first.axes(np.asarray(first_rad)), self.second.axes(np.asarray(second_rad))
-        return self.distance_of(first[0], second[0])
-
-    def distance_of(self, first_axes_mm: Array, second_axes_mm: Array) -> ArmDistance:
-        """Return the distance between arms whose bodies have these axes (bodies, 2, 3)."""
-        ones = self._place(0, self.first, first_axes_mm)
-        others = self._place(1, self.second, second_axes_mm)
-        found = ArmDistance(np.inf, "", "")
-        for one, first in zip(ones, self.first.names, strict=True):
-            for other, second in zip(others, self.second.names, strict=True):
-                if (allowance_mm := self._closeness.allowance_mm(first, second)) == np.inf:
-                    continue
-                self._result.clear()
-                apart = coal.distance(one, other, self._request, self._result) + allowance_mm
-                if apart < found.distance_mm:
-                    found = ArmDistance(float(apart), first, second)
-        return found
-
-    def _place(self, number: int, arm: PlacedArm, axes_mm: Array) -> list[coal.CollisionObject]:
-        placed = []
-        for body, ((start, end), radius) in enumerate(zip(axes_mm, arm.radii_mm, strict=True)):
-            along = end - start
-            length = float(np.linalg.norm(along))
-            if (shape := self._shapes.get((number, body))) is None:
-                solid = coal.Capsule(radius, length) if length > POINT_MM else coal.Sphere(radius)
-                shape = self._shapes[number, body] = coal.CollisionObject(solid)
-            shape.setTransform(coal.Transform3s(_turn_towards(along, length), (start + end) / 2.0))
-            placed.append(shape)
-        return placed
-
-
-def _turn_towards(along: Array, length: float) -> Array:
-    """Return a rotation (3, 3) that takes z to the direction of an axis."""
-    if length <= POINT_MM:
-        return NO_TURN
-    x, y, z = (along / length).tolist()
-    if z < -1.0 + 1e-12:
-        return np.diag([1.0, -1.0, -1.0])
-    k = 1.0 / (1.0 + z)
-    return np.array([[1.0 - k * x * x, -k * x * y, x], [-k * x * y, 1.0 - k * y * y, y], [-x, -y, z]])

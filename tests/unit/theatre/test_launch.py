@@ -98,7 +98,8 @@ def without_devices(monkeypatch: pytest.MonkeyPatch) -> None:
         "kuka": rsi,
         "basler": {"left": "gev://127.0.0.1", "right": "gev://127.0.0.2"},
     }
-    monkeypatch.setattr(LaunchedTheatre, "_start_devices", lambda *_: endpoints)
+    monkeypatch.setattr(LaunchedTheatre, "_fork_devices", lambda *_: {})
+    monkeypatch.setattr(LaunchedTheatre, "_await_devices", lambda *_: endpoints)
 
 
 @pytest.mark.usefixtures("without_devices")
@@ -169,18 +170,18 @@ def test_a_cycle_that_one_of_the_arms_does_not_have_is_refused_with_the_arms_rol
 def test_each_device_is_started_with_its_own_parameters(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    started: dict[str, list[str]] = {}
+    started: dict[str, tuple[str, ...]] = {}
     scene = draw_scene("mini", seed=1)
 
     class Enough(Exception):
         pass
 
-    def started_without_waiting(name: str, arguments: list[str], **_others: object) -> None:
-        started[name] = arguments
+    def fork(_module: str, device: str, *arguments: str) -> None:
+        started[device] = arguments
         if len(started) == 3:
             raise Enough
 
-    monkeypatch.setattr("sim.theatre.launch.ChildProcess", started_without_waiting)
+    monkeypatch.setattr("sim.theatre.launch.ForkedProcess", fork)
     with pytest.raises(Enough):
         LaunchedTheatre(
             scene,
@@ -189,8 +190,8 @@ def test_each_device_is_started_with_its_own_parameters(
             cycle_ms=12,
             parameters=parameters_by_device(("robot.lag_s=0.03", "robot.dead_time_cycles=3"), scene),
         )
-    robot = started["ronna-sim kuka"]
+    robot = started["kuka"]
     assert robot[robot.index("--cycle-ms") + 1] == "12"
     assert robot[robot.index("--rsi-context") + 1] == str(OWN_CONTEXT)  # with the motor currents
-    assert robot[-2:] == ["--set=lag_s=0.03", "--set=dead_time_cycles=3"]
-    assert not any("--set" in word for word in (*started["ronna-sim polaris"], *started["ronna-sim basler"]))
+    assert robot[-2:] == ("--set=lag_s=0.03", "--set=dead_time_cycles=3")
+    assert not any("--set" in word for word in (*started["polaris"], *started["basler"]))

@@ -14,7 +14,8 @@ import pytest
 
 from procedures.workcell.placed_arms import PlacedArms
 from ronna_hw.arm.catalogue import find_arm
-from ronna_hw.arm.clearance.arm_pair import APART_MM, ArmPairWorld, PlacedArm
+from ronna_hw.arm.clearance.arm_pair import APART_MM, PlacedArm
+from ronna_hw.arm.clearance.arm_pair_world import ArmPairWorld
 from ronna_hw.arm.clearance.bodies import Bodies, Capsule, Part, Surroundings, segment_distance_mm
 from ronna_hw.arm.clearance.live_pair import LivePair
 from ronna_hw.arm.clearance.sweep import sweep_path

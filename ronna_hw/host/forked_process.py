@@ -1,0 +1,119 @@
+"""Modules of ours run in a fork of this process, which has already imported most of what they need.
+
+Fork before any thread is started: the fork has only the thread that forked, and whatever lock another one
+held stays locked there.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import runpy
+import select
+import signal
+import subprocess
+import sys
+import threading
+import traceback
+import weakref
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import NoReturn
+
+from ronna_hw.host.child_process import command
+from ronna_hw.host.process import ENDING_SIGNALS, Parent, ParentProcess
+from ronna_hw.host.shown_command_line import show_command_line
+
+FIRST_OTHER_DESCRIPTOR = 3  # after the standard streams
+FAILED = 1
+
+
+class ForkedProcess:
+    """Child forked from this process, with what `ChildProcess` uses of `subprocess.Popen`."""
+
+    def __init__(self, module: str, *arguments: str) -> None:
+        """Run a module as `command` does, in a session of its own, reading nothing, its output piped here."""
+        self.args: Sequence[str] = command(module, *arguments)
+        self.returncode: int | None = None
+        self._reaping = threading.Lock()
+        parent = os.getpid()
+        output, own_output = os.pipe()
+        messages, own_messages = os.pipe()
+        sys.stdout.flush()
+        sys.stderr.flush()
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, ENDING_SIGNALS)
+        try:
+            self.pid = os.fork()
+            if not self.pid:
+                _run(self.args, module, partial(_leave_parent, parent, own_output, own_messages, before))
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
+            for descriptor in (own_output, own_messages):
+                os.close(descriptor)
+        self.stdout, self.stderr = os.fdopen(output), os.fdopen(messages)
+        self._end = os.pidfd_open(self.pid)
+        weakref.finalize(self, os.close, self._end)
+
+    def poll(self) -> int | None:
+        """Return the exit code; None while the process runs."""
+        with self._reaping:
+            if self.returncode is None:
+                ended, status = os.waitpid(self.pid, os.WNOHANG)
+                if ended:
+                    self.returncode = os.waitstatus_to_exitcode(status)
+            return self.returncode
+
+    def wait(self, timeout: float | None = None) -> int:
+        """Wait for the end and return the exit code; raises subprocess.TimeoutExpired."""
+        ready, _, _ = select.select([self._end], [], [], timeout)
+        code = self.poll()
+        if not ready or code is None:
+            raise subprocess.TimeoutExpired(self.args, timeout or 0.0)
+        return code
+
+    def terminate(self) -> None:
+        """Send SIGTERM, if the process has not been waited for."""
+        self._signal(signal.SIGTERM)
+
+    def kill(self) -> None:
+        """Send SIGKILL, if the process has not been waited for."""
+        self._signal(signal.SIGKILL)
+
+    def _signal(self, number: signal.Signals) -> None:
+        if self.poll() is None:
+            os.kill(self.pid, number)
+
+
+def _run(line: Sequence[str], module: str, prepare: Callable[[], None]) -> NoReturn:
+    """Run a module to its end, then leave without unwinding what the parent has begun."""
+    status = FAILED
+    try:
+        prepare()
+        show_command_line(line)
+        sys.argv = [module, *line[line.index(module) + 1 :]]
+        runpy.run_module(module, run_name="__main__", alter_sys=True)
+        status = 0
+    except SystemExit as ended:
+        status = ended.code if isinstance(ended.code, int) else FAILED
+    except Exception:  # the last frame of the process: nobody above would print it
+        traceback.print_exc()
+    finally:
+        with contextlib.suppress(OSError):  # there may be no reader left
+            sys.stdout.flush()
+            sys.stderr.flush()
+        os._exit(status)
+
+
+def _leave_parent(parent: int, output: int, messages: int, signals: set[int | signal.Signals]) -> None:
+    """Leave the parent's session, streams, files and signal handlers, as a new program would."""
+    Parent.noted = ParentProcess(parent)
+    os.setsid()
+    for number in ENDING_SIGNALS:
+        if signal.getsignal(number) is not signal.SIG_IGN:  # by nohup
+            signal.signal(number, signal.SIG_DFL)
+    null = os.open(os.devnull, os.O_RDONLY)
+    for standard, own in enumerate((null, output, messages)):
+        os.dup2(own, standard)
+    opened = max(map(int, os.listdir("/proc/self/fd")))
+    os.closerange(FIRST_OTHER_DESCRIPTOR, opened + 1)  # such as the lock of a folder
+    signal.pthread_sigmask(signal.SIG_SETMASK, signals)
