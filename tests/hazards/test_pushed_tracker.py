@@ -31,12 +31,15 @@ pytestmark = [pytest.mark.hazard(12), pytest.mark.hazard(13)]
 
 PUSH_MM = (12.0, -8.0, 5.0)
 TURN_RAD = 0.005
+READINGS = 10  # without noise
 NAME = "global_localization"
 
 
 @pytest.fixture(autouse=True)
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("procedures.guards.guide_displacement.BETWEEN_LOOKS_S", 0.0)
+    monkeypatch.setattr("procedures.guards.guide_displacement.PLACE_READINGS", READINGS // 2)
+    monkeypatch.setattr("procedures.guards.guide_displacement.END_READINGS", READINGS)
 
 
 @pytest.fixture
