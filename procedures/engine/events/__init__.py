@@ -3,6 +3,7 @@
 from procedures.engine.events.event_types import (
     Advisory,
     Answered,
+    ArmsApart,
     Bodies,
     Body,
     CameraView,
@@ -32,6 +33,7 @@ from procedures.engine.events.stream import Batch, EventStream, Reader
 __all__ = [
     "Advisory",
     "Answered",
+    "ArmsApart",
     "Batch",
     "Bodies",
     "Body",

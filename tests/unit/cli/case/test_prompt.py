@@ -434,6 +434,4 @@ def test_where_the_required_step_needs_the_arm_in_its_place_home_is_advised_as_w
     engine = cell.engine(order_of(steps, ("T1",)))
     engine.run_to(engine.order.find("approach:T1"))
     Typed(monkeypatch, "back image").at(engine)
-    assert (
-        "run held:T1 first, or use home; then ask why image again." in capsys.readouterr().err
-    )
+    assert "run held:T1 first, or use home; then ask why image again." in capsys.readouterr().err
