@@ -10,7 +10,6 @@ from procedures.engine.case_view import ReportedPose
 from procedures.engine.events import Bodies, Body, Pose
 
 TOOL, ROOM, OLD, NEAR = "#cfd8dc", "#8296a3", "#8a8f94", "#ffffff"
-LINKS = 4  # the first of the moving bodies are the arm's own: drawn in its colour
 OLD_S = 0.5  # theatre time after which a pose is greyed out
 
 
@@ -38,7 +37,7 @@ class DrawnArm:
             self._show_closest(None)
         elif reported.pose is not self.pose:
             self._place(bodies, reported.pose)
-        self._grey_if_old(reported is None or reported.age_s(now_s) > OLD_S)
+        self._grey_if_old(bodies, is_old=reported is None or reported.age_s(now_s) > OLD_S)
 
     def _build(self, bodies: Bodies, drawn: Collection[Body]) -> None:
         for item in (*self._moving, *self._fixed):
@@ -59,7 +58,7 @@ class DrawnArm:
             return
         if not self._moving:
             self._moving = [
-                DrawnCapsule(self._scene, body, *axis_ends(place), self._colour_of(number), 1.0)
+                DrawnCapsule(self._scene, body, *axis_ends(place), self._colour_of(number, bodies), 1.0)
                 for number, (body, place) in enumerate(zip(bodies.moving, pose.bodies_mm, strict=True))
             ]
         calls: list[Call] = []
@@ -74,13 +73,13 @@ class DrawnArm:
             return []
         return self._near.place(closest.from_mm, closest.to_mm)
 
-    def _grey_if_old(self, is_old: bool) -> None:
+    def _grey_if_old(self, bodies: Bodies, *, is_old: bool) -> None:
         if is_old == self._is_grey or not self._moving:
             return
         self._is_grey = is_old
         for number, capsule in enumerate(self._moving):
             for child in capsule.group.children:
-                child.material(OLD if is_old else self._colour_of(number), 1.0)
+                child.material(OLD if is_old else self._colour_of(number, bodies), 1.0)
 
-    def _colour_of(self, number: int) -> str:
-        return self._colour if number < LINKS else TOOL
+    def _colour_of(self, number: int, bodies: Bodies) -> str:
+        return self._colour if number < bodies.links else TOOL

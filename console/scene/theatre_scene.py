@@ -10,7 +10,7 @@ from nicegui import ui
 from console.panels.elements import card, group, html, small_button
 from console.panels.html import tag, text
 from console.scene.bodies import METRES, Closest, DrawnRod, Point, guide_end, placing_calls
-from console.scene.drawn_arm import LINKS, OLD_S, DrawnArm
+from console.scene.drawn_arm import OLD_S, DrawnArm
 from console.scene.sights import HIDDEN, VOLUME, Sights
 from procedures.engine.case_view import CaseView, ReportedPose
 from procedures.engine.events import ArmsApart, Body
@@ -293,8 +293,7 @@ def _instrument_ends(view: CaseView, figures: CaseFigures | None) -> tuple[Point
     """Return the planned endpoints of the instrument at its target, or None without an instrument."""
     topic, _, name = (view.question.topic if view.question else "").partition(":")
     path = next((item for item in figures.trajectories if item.name == name), None) if figures else None
-    with_guide = view.pose_with_guide
-    if topic != AT_TARGET or path is None or with_guide is None:
+    if topic != AT_TARGET or path is None:
         return None
-    end = guide_end(with_guide.pose.bodies_mm[LINKS:], path.entry_mm, path.target_mm)
+    end = guide_end(view.tool_with_guide_mm, path.entry_mm, path.target_mm)
     return None if end is None else (end, path.target_mm)

@@ -209,6 +209,7 @@ def _as_event(arm: str, placed: PlacedArm, spoken: Callable[[str], str]) -> even
     return event_types.Bodies(
         arm=arm,
         moving=tuple(event_types.Body(name=spoken(name), radius_mm=radius_mm) for name, radius_mm in moving),
+        links=len(bodies.moving_names) - len(bodies.surroundings.tool),
         fixed=tuple(
             event_types.Body(
                 name=name,

@@ -134,9 +134,11 @@ class CaseView:
         return next((fact.found for fact in facts if fact.name == "operating mode"), "")
 
     @property
-    def pose_with_guide(self) -> ReportedPose | None:
-        """Pose of the arm with the guide: the first whose bodies are known."""
-        return next((self.poses[arm] for arm in self.bodies if arm in self.poses), None)
+    def tool_with_guide_mm(self) -> tuple[events.Ends, ...]:
+        """Axes of the tool of the arm with the guide: the first whose bodies are known; empty if unknown."""
+        arm, bodies = next(iter(self.bodies.items()), ("", None))
+        reported = self.poses.get(arm)
+        return () if bodies is None or reported is None else reported.pose.bodies_mm[bodies.links :]
 
     @property
     def awaits_order(self) -> bool:

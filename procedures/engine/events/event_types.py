@@ -245,6 +245,7 @@ class Bodies(_EventBase):
         return self.arm
 
     moving: tuple[Body, ...] = Field(description="Links, then parts of the tool.")
+    links: Count = Field(default=4, description="How many of those are links.")
     fixed: tuple[Body, ...]
     pairs: tuple[tuple[int, int], ...] = Field(
         description="Moving body, and the other one: a fixed one, or -1 - k for the moving body k. "

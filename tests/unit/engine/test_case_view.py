@@ -53,12 +53,14 @@ def test_a_signal_that_was_written_late_changes_neither_the_time_nor_the_next_st
 
 
 def test_each_arm_has_its_own_pose_and_the_guides_arm_is_the_one_whose_bodies_came_first() -> None:
-    arms = ("arm", "assistant")
-    bodies = [Bodies(arm=arm, moving=(), fixed=(), pairs=()) for arm in arms]
-    own, other = (Pose(arm=arm, joints_rad=(0.1,), age_s=0.0) for arm in arms)
+    places_mm = {"arm": ((0.0,) * 6, (1.0,) * 6), "assistant": ((2.0,) * 6,)}
+    bodies = [Bodies(arm=arm, moving=(), links=1, fixed=(), pairs=()) for arm in places_mm]
+    own, other = (
+        Pose(arm=arm, joints_rad=(0.1,), age_s=0.0, bodies_mm=places) for arm, places in places_mm.items()
+    )
     view = view_after(*bodies, other, own)
     assert {arm: reported.pose for arm, reported in view.poses.items()} == {"arm": own, "assistant": other}
-    assert view.pose_with_guide == view.poses["arm"]
+    assert view.tool_with_guide_mm == ((1.0,) * 6,)
 
 
 def test_an_event_file_of_ever_other_arms_keeps_a_bounded_view() -> None:
