@@ -16,6 +16,7 @@ import hashlib
 import itertools
 import json
 import os
+import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, wait
 from inspect import getsource, signature
@@ -100,7 +101,7 @@ def _run(
 ) -> Iterator[tuple[Row, list[Row]]]:
     """Call the function for each point; yield the rows as they are finished."""
     cores = len(os.sched_getaffinity(0))
-    count = workers or (1 if function.__module__ == MAIN else max(1, cores // CORES_PER_POINT))
+    count = workers or (max(1, cores // CORES_PER_POINT) if _is_importable(function) else 1)
     if count == 1:
         yield from ((point, _call(function, point, fixed)) for point in points)
         return
@@ -109,6 +110,12 @@ def _run(
         while waiting:
             for future in wait(waiting, return_when=FIRST_COMPLETED).done:
                 yield waiting.pop(future), future.result()
+
+
+def _is_importable(function: Callable[..., Any]) -> bool:
+    """Whether a worker process finds the function: not one of a notebook, a script or another function."""
+    home = None if function.__module__ == MAIN else sys.modules.get(function.__module__)
+    return getattr(home, function.__qualname__, None) is function
 
 
 def _call(function: Callable[..., Any], point: Row, fixed: Row) -> list[Row]:
@@ -130,7 +137,7 @@ def _as_rows(found: Any) -> list[Row]:
         ]
     if isinstance(found, Mapping):
         return [{str(name): _plain(value) for name, value in found.items()}]
-    if isinstance(found, list | tuple):
+    if isinstance(found, list | tuple | Iterator):
         return [row for one in found for row in _as_rows(one)]
     return [{"value": _plain(found)}]
 
