@@ -123,7 +123,8 @@ def operator_selection(
         (observers.script, ALL_TOPICS, True),  # in a simulated theatre of its own
     )
     if answers is not None:
-        by_file = AnsweringOperator(answers, without_file, None if file_answers_all else without_file)
+        nobody = None if file_answers_all else without_file
+        by_file = AnsweringOperator(answers, without_file, nobody, observers.announce)
         # `--accept` is the later word.
         operator = OperatorByTopic((accepting, {Topic.RESUME}, accepted), (by_file, ALL_TOPICS, True))
     if observers.executor is None:
