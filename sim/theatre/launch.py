@@ -50,6 +50,12 @@ ROBOT, TRACKER = "robot", "tracker"  # devices by their names in fault scripts
 POLARIS = "polaris"
 
 
+def _find_teller(world: World) -> Callable[[], dict[str, Any]]:
+    from sim.theatre.true_room import TrueRoom  # not for the theatre of a run
+
+    return TrueRoom(world).tell
+
+
 class LaunchedTheatre:
     """A running theatre: world, control port and a process per device."""
 
@@ -64,6 +70,7 @@ class LaunchedTheatre:
         parameters: Mapping[str, Sequence[str]] = NO_PARAMETERS,
         saved: SavedWorld | None = None,
         records: Mapping[str, Any] = NO_RECORDS,
+        tells_truth: bool = False,
     ) -> None:
         """Start the theatre, keeping the robot context's cycle if `cycle_ms` is None.
 
@@ -80,7 +87,8 @@ class LaunchedTheatre:
             self.world.set_fault_script(f"{standing_script}\n{faults}" if standing_script else faults)
         write_atomically(folder / SCENE_FILE, scene.model_dump_json(by_alias=True, indent=1).encode())
         identity, calibrated = (uuid4().hex, None) if saved is None else _read_origin(self.file)
-        self._control = ControlPort(ControlledRoom(self.world, folder, identity=identity))
+        truth = _find_teller(self.world) if tells_truth else None
+        self._control = ControlPort(ControlledRoom(self.world, folder, identity=identity, truth=truth))
         self._children: list[ChildProcess] = []
         try:
             self.endpoints = self._start_devices(parameters, cycle_ms)

@@ -25,4 +25,5 @@ def test_the_page_on_cases_in_python_works_as_written(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     assert "registration:T1 predicted target error" in done.stdout
     assert "distance_mm" in done.stdout
+    assert "covered by a fault" in done.stdout
     assert (tmp_path / "sweeps" / "strategies" / "points.jsonl").exists()
