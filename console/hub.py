@@ -96,12 +96,11 @@ class Hub(ChangeNotifier):
             name: replace(row, age_s=row.age_s + old_s.get(name, 0.0)) if row.age_s is not None else row
             for name, row in view.devices.items()
         }
-        reported_pose = view.pose
-        if reported_pose is not None:
-            reported_pose = replace(
-                reported_pose, reported_s=reported_pose.reported_s - old_s.get(reported_pose.pose.arm, 0.0)
-            )
-        return replace(view, devices=devices, pose=reported_pose)
+        poses = {
+            arm: replace(reported, reported_s=reported.reported_s - old_s.get(arm, 0.0))
+            for arm, reported in view.poses.items()
+        }
+        return replace(view, devices=devices, poses=poses)
 
     def told(self, view: CaseView) -> CaseView:
         """Return a view whose outcome is the ending that the run's folder tells.

@@ -1,1 +1,21 @@
-"""The clinical procedure, from the CT series to the needle tip."""
+"""The clinical procedure, from the CT series to the needle tip.
+
+`run_case` is exported here and imported on first use: a command imports what it needs alone.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from procedures.from_python import run_case
+
+__all__ = ["run_case"]
+
+
+def __getattr__(name: str) -> object:
+    if name not in __all__:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from procedures import from_python
+
+    return getattr(from_python, name)

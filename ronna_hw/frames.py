@@ -163,6 +163,14 @@ class Transform:
             )
         return cls(target, source, RigidTransform.from_matrix(values))
 
+    def _repr_html_(self) -> str:
+        """Return the matrix as a notebook shows it."""
+        from ronna_hw.notebook_html import table_html  # not for device processes
+
+        heads = ("x", "y", "z", "origin, mm")
+        rows = self.as_matrix()[:3].tolist()
+        return table_html(heads, rows, len(rows), f"{self.target} <- {self.source}")
+
     @property
     def translation_mm(self) -> Array:
         """Origin of the source in target coordinates, (3,) mm."""

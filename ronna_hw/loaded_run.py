@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from ronna_hw.arguments import WrongArgument, require_path
 from ronna_hw.errors import ConfigurationError, ErrorCode
 from ronna_hw.frames import Transform
+from ronna_hw.notebook_html import table_html
 from ronna_hw.registry import load_entry_point
 
 if TYPE_CHECKING:
@@ -109,6 +110,12 @@ class RunTable(np.recarray[Any, np.dtype[np.void]]):
     def __array_finalize__(self, source: Any) -> None:
         super().__array_finalize__(source)
         self.columns = getattr(source, "columns", ())
+
+    def _repr_html_(self) -> str:
+        """Return the table as a notebook shows it."""
+        names = self.dtype.names or ()
+        rows = ([row[name] for name in names] for row in np.atleast_1d(self))
+        return table_html(names, rows, self.size)
 
     def to_pandas(self) -> pd.DataFrame:
         """Return a pandas data frame, with one column per component of a vector. Raises RUN-002."""

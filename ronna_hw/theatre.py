@@ -32,6 +32,7 @@ from ronna_hw.host.child_process import ChildProcess, command
 from ronna_hw.host.process import defer_interruption
 from ronna_hw.logs import logger
 from ronna_hw.registry import make_device
+from ronna_hw.simulated_room import SimulatedRoom
 
 D = TypeVar("D")
 DriverOfTable = Callable[[str, DeviceConfig, Clock], Device]
@@ -273,7 +274,7 @@ def simulated_theatre(
     message when there is no such scene, and the errors of `open_theatre`.
     """
     with tempfile.TemporaryDirectory(prefix="ronna-theatre-") as folder:
-        process = TheatreProcess("--scene", scene, "--seed", str(seed), "--out", folder)
+        process = TheatreProcess("--scene", scene, "--seed", str(seed), "--out", folder, "--tell-truth")
         try:
             process.await_ready()
             with SimulatedTheatre.of(process) as theatre:
@@ -294,6 +295,11 @@ class SimulatedTheatre(Theatre):
         theatre = cls.from_file(process.file)
         theatre.control = process.control
         return theatre
+
+    @property
+    def room(self) -> SimulatedRoom:
+        """Hands in the room: move, hide and disturb, and look up the truth."""
+        return SimulatedRoom(self.control)
 
 
 class TheatreProcess:

@@ -59,16 +59,19 @@ def guide_end(tool_mm: Sequence[tuple[float, ...]], entry: Point, target: Point)
 
 
 def closest_pair(bodies: Bodies, pose: Pose) -> Closest | None:
-    """Return the closest of the pairs checked during motion, or None if no pair is close."""
+    """Return the closest checked pair of the arm and what stands around it, or None if no pair is close.
+
+    Pairs of the arm's own bodies are left out: most of them are as close in every pose.
+    """
     if len(pose.bodies_mm) != len(bodies.moving):
         return None  # of an arm with other tools: bodies and pose are from different moments
     moving = [axis_ends(one) for one in pose.bodies_mm]
     fixed = [axis_ends(one.ends_mm) for one in bodies.fixed]
     best: Closest | None = None
     for first, second in bodies.pairs:
-        a, b = moving[first]
-        other = bodies.fixed[second] if second >= 0 else bodies.moving[-1 - second]
-        c, d = fixed[second] if second >= 0 else moving[-1 - second]
+        if second < 0:
+            continue
+        other, (a, b), (c, d) = bodies.fixed[second], moving[first], fixed[second]
         clearance_mm = segment_distance_mm(a, b, c, d) - bodies.moving[first].radius_mm - other.radius_mm
         if clearance_mm < (best.distance_mm if best else CLOSE_MM):
             near, far = _closest_points(a, b, c, d)
@@ -114,7 +117,10 @@ def _unit(a: Point) -> Point:
 
 
 class DrawnCapsule:
-    """Capsule between two points a fixed distance apart, so that moving it only takes a new pose."""
+    """Capsule between two points a fixed distance apart, so that moving it only takes a new pose.
+
+    It stands at the origin of an open page until `place` has been called, and its calls are run.
+    """
 
     def __init__(self, scene: Any, body: Body, start: Point, end: Point, colour: str, opacity: float) -> None:
         length, radius = math.dist(start, end) * METRES, body.radius_mm * METRES
@@ -125,7 +131,6 @@ class DrawnCapsule:
             for z in (0.0, length):
                 scene.sphere(radius, ROUND, ROUND // 2).move(0, 0, z).material(colour, opacity)
         self.group.with_name(body.name)
-        self.place(start, end)
 
     def place(self, start: Point, end: Point) -> list[Call]:
         """Store the capsule's pose. Return the calls that place it on an open page."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 import time
+from collections.abc import Sequence
 from typing import Any
 
 from console.scene.bodies import METRES, Call, DrawnRod, Point, axis_ends, placing_calls
@@ -31,8 +32,8 @@ class Sights:
         self._lines: list[tuple[Any, Point, Point]] = []
         self._hidden: list[bool] = []
         self._checked_s = -math.inf
-        self._frusta: list[Any] = []
-        self._bodies: Bodies | None = None
+        self._frusta: dict[str, list[Any]] = {}  # by arm
+        self._bodies: dict[str, Bodies] = {}  # for which those were built
         self._shown: object = ()
 
     def show(self, view: CaseView, figures: CaseFigures | None) -> None:
@@ -42,19 +43,18 @@ class Sights:
         if key != self._shown:
             self._shown = key
             self._build_tracker(tracker, view.volume, figures)
-        if view.bodies is not None and view.bodies is not self._bodies:
-            self._build_frusta(view.bodies)
-        pose = None if view.pose is None else view.pose.pose
-        if pose is None or view.bodies is None:
-            return
-        self._place_frusta(pose)
-        if time.monotonic() - self._checked_s > RECHECK_S:
+        placed = [(bodies, view.poses[arm].pose) for arm, bodies in view.bodies.items() if arm in view.poses]
+        for bodies, pose in placed:
+            if bodies is not self._bodies.get(bodies.arm):
+                self._build_frusta(bodies)
+            self._place_frusta(pose)
+        if placed and time.monotonic() - self._checked_s > RECHECK_S:
             self._checked_s = time.monotonic()
-            self._colour_lines(view.bodies, pose)
+            self._colour_lines(placed)
 
     @property
     def hidden(self) -> int:
-        """Number of spheres that the arm hides from at least one tracker sensor."""
+        """Number of spheres that an arm hides from at least one tracker sensor."""
         return len({line[2] for line, hidden in zip(self._lines, self._hidden, strict=True) if hidden})
 
     def _build_tracker(
@@ -81,17 +81,20 @@ class Sights:
             places = [_to_point(place) for place in tracker.apply([start, end]).tolist()]
             self._marks.append(self._add_line(places[0], places[1], VOLUME, VOLUME_OPACITY))
 
-    def _colour_lines(self, bodies: Bodies, pose: Pose) -> None:
-        hidden = [is_hidden(eye, place, bodies, pose) for _, eye, place in self._lines]
+    def _colour_lines(self, placed: Sequence[tuple[Bodies, Pose]]) -> None:
+        hidden = [
+            any(is_hidden(eye, place, bodies, pose) for bodies, pose in placed)
+            for _, eye, place in self._lines
+        ]
         for (line, _, _), now, before in zip(self._lines, hidden, self._hidden, strict=True):
             if now != before:
                 line.material(HIDDEN if now else SIGHT, SIGHT_OPACITY)
         self._hidden = hidden
 
     def _build_frusta(self, bodies: Bodies) -> None:
-        for mark in self._frusta:
+        for mark in self._frusta.get(bodies.arm, ()):
             mark.delete()
-        self._bodies, self._frusta = bodies, []
+        self._bodies[bodies.arm], self._frusta[bodies.arm] = bodies, []
         for camera in bodies.cameras:
             values = camera.points_mm
             centre, *corners = (_to_point(values[k : k + 3]) for k in range(0, len(values), 3))
@@ -99,14 +102,15 @@ class Sights:
                 for number, corner in enumerate(corners):
                     self._add_line(centre, corner, FRUSTUM, FRUSTUM_OPACITY)
                     self._add_line(corner, corners[(number + 1) % len(corners)], FRUSTUM, FRUSTUM_OPACITY)
-            self._frusta.append(group.with_name(f"{camera.name} camera").visible(False))
+            self._frusta[bodies.arm].append(group.with_name(f"{camera.name} camera").visible(False))
 
     def _place_frusta(self, pose: Pose) -> None:
-        if not self._frusta or not pose.tool_mm:
+        frusta = self._frusta[pose.arm]
+        if not frusta or not pose.tool_mm:
             return
         rows = [list(pose.tool_rows[k : k + 3]) for k in (0, 3, 6)]
         calls: list[Call] = []
-        for group in self._frusta:
+        for group in frusta:
             group.visible_ = True
             calls += [*placing_calls(group, _to_point(pose.tool_mm), rows), ["visible", group.id, True]]
         self._scene.run_method("run_methods", calls)

@@ -1,4 +1,4 @@
-"""3-D scene of the theatre: arm, head, spheres, trajectories, lines of sight, clearance, and controls."""
+"""3-D scene of the theatre: arms, head, spheres, trajectories, lines of sight, clearance, and controls."""
 
 from __future__ import annotations
 
@@ -9,41 +9,28 @@ from nicegui import ui
 
 from console.panels.elements import card, group, html, small_button
 from console.panels.html import tag, text
-from console.scene.bodies import (
-    METRES,
-    Call,
-    Closest,
-    DrawnCapsule,
-    DrawnRod,
-    Point,
-    axis_ends,
-    closest_pair,
-    guide_end,
-    placing_calls,
-)
+from console.scene.bodies import METRES, Closest, DrawnRod, Point, guide_end, placing_calls
+from console.scene.drawn_arm import OLD_S, DrawnArm
 from console.scene.sights import HIDDEN, VOLUME, Sights
-from procedures.engine.case_view import CaseView
-from procedures.engine.events import Bodies, Pose
+from procedures.engine.case_view import CaseView, ReportedPose
+from procedures.engine.events import ArmsApart, Body
 from procedures.planning.line_of_sight import SPHERE_RADIUS_MM
 from procedures.reporting.case_figures import CaseFigures, SphereFigure
 from ronna_hw.frames import Transform
 
 BACKGROUND = "#26333e"  # dark in both themes, so that bodies of every colour stand out
-ARM, TOOL, ROOM, OLD = "#f08a24", "#cfd8dc", "#8296a3", "#8a8f94"
+ARMS = ("#f08a24", "#b392f0")  # the arm with the guide, then others; further ones have the last
 CT, TRACKER, STEREO = "#58a6ff", "#ffb020", "#42d392"
-SKIN, PATH, NEAR = "#d9b9a3", "#ff5fa2", "#ffffff"
+SKIN, PATH = "#d9b9a3", "#ff5fa2"
 INSTRUMENT, CAPTION = "#e7f04c", "instrument, as planned"  # nothing measures it
-LINKS = 4  # the first of the moving bodies are the arm's own: drawn in its colour
 OUTSIDE = 2.5  # length of a trajectory drawn outside the entry, as a share of its depth
 AT_TARGET = "at_target"  # topic of the question that stands while the instrument is at depth
-OLD_S = 0.5  # theatre time after which a pose is greyed out
 BEHIND_TRACKER_MM, AHEAD_MM = (500.0, 0.0, 900.0), (0.0, 0.0, -1600.0)  # in the tracker frame
 FRAMES_PER_S, LOW_FRAMES_PER_S = 20, 4
 HEAD_OPACITY, LOW_OPACITY = 0.55, 1.0  # translucency is expensive without graphics hardware
 LABEL = "color:#fff;background:rgba(0,0,0,.55);padding:0 4px;border-radius:3px;font:12px sans-serif"
 MAGNIFICATIONS = {1: "as measured", 10: "differences × 10", 30: "differences × 30"}
 KEY = (
-    ("arm (as checked)", ARM),
     ("spheres from the CT", CT),
     ("tracker", TRACKER),
     ("stereo head", STEREO),
@@ -55,7 +42,7 @@ KEY = (
 
 
 class ScenePanel:
-    """Panel of the arm and its surroundings."""
+    """Panel of the arms and their surroundings."""
 
     def __init__(self, *, low: bool) -> None:
         self._figures: CaseFigures | None = None
@@ -66,8 +53,7 @@ class ScenePanel:
                 self._size.props('dense outlined options-dense aria-label="Differences between instruments"')
             self._age = html()
             self._scene = TheatreScene(low=low)
-            key = "".join(tag("span", f'<i style="background:{colour}"></i>{words}') for words, colour in KEY)
-            html(tag("div", key, class_="key"))
+            self._key = html()
         self._names: list[str] | None = None
         self._scene.look_at("robot", None)
 
@@ -78,7 +64,8 @@ class ScenePanel:
             self._names = names
             self._build_views(names)
         self._scene.show(view, figures, heads)
-        self._age.set_content(_age(view) + self._clearance_html() + self._sight_html())
+        self._key.set_content(_key_html(tuple(view.bodies)))
+        self._age.set_content(_ages_html(view) + self._clearance_html(view) + self._sight_html())
 
     def _build_views(self, names: list[str]) -> None:
         self._views.clear()
@@ -90,32 +77,65 @@ class ScenePanel:
     def _look_at(self, name: str) -> None:
         self._scene.look_at(name, self._figures)
 
-    def _clearance_html(self) -> str:
-        closest = self._scene.closest
-        if closest is None:
-            return ""
-        words = f"closest: {closest.first} and {closest.second}, {closest.distance_mm:.0f} mm"
-        return tag("div", text(words), class_="num")
+    def _clearance_html(self, view: CaseView) -> str:
+        """Tell the closest pair of each arm, and the distance of each two arms."""
+        lines = [
+            (
+                f"closest to {arm}" if len(view.bodies) > 1 else "closest",
+                one.first,
+                one.second,
+                one.distance_mm,
+            )
+            for arm, one in self._scene.closest.items()
+        ]
+        lines += [("between the arms", *one.bodies, one.distance_mm) for one in _current_distances(view)]
+        return "".join(
+            tag("div", text(f"{what}: {first} and {second}, {distance_mm:.0f} mm"), class_="num")
+            for what, first, second, distance_mm in lines
+        )
 
     def _sight_html(self) -> str:
         hidden = self._scene.hidden
         if not hidden:
             return ""
-        words = f"the arm blocks the tracker's view of {hidden} of the spheres (red lines)"
+        words = f"hidden from the tracker by an arm: {hidden} of the spheres (red lines)"
         return tag("div", words, class_="warn")
 
     def _magnify(self) -> None:
         self._scene.magnified = int(self._size.value or 1)
 
 
-def _age(view: CaseView) -> str:
-    reported_pose = view.pose
-    if reported_pose is None:
+def _key_html(arms: tuple[str, ...]) -> str:
+    names = [f"{arm} (as checked)" for arm in arms] or ["arm (as checked)"]
+    entries = (*((name, _colour_of(number)) for number, name in enumerate(names)), *KEY)
+    shown = (tag("span", f'<i style="background:{colour}"></i>{text(words)}') for words, colour in entries)
+    return tag("div", "".join(shown), class_="key")
+
+
+def _ages_html(view: CaseView) -> str:
+    if not view.poses:
         return tag("div", "No arm position yet: it comes with the connected devices.", class_="dim")
-    age_s = view.theatre_time_s - reported_pose.reported_s + reported_pose.pose.age_s
+    return "".join(_age_html(arm, reported, view) for arm, reported in view.poses.items())
+
+
+def _age_html(arm: str, reported: ReportedPose, view: CaseView) -> str:
+    age_s, several = reported.age_s(view.theatre_time_s), len(view.poses) > 1
+    whose = f"pose of {text(arm)}" if several else "pose"
+    if arm not in view.bodies and several:
+        return tag("div", f"{text(arm)} is not drawn: where it stands is not known yet", class_="dim")
     if age_s > OLD_S:
-        return tag("div", f"POSE IS {age_s:.1f} s OLD, shown grey", class_="warn num")
-    return tag("div", f"pose is {age_s:.2f} s old", class_="num")
+        return tag("div", f"{whose.upper()} IS {age_s:.1f} s OLD, shown grey", class_="warn num")
+    return tag("div", f"{whose} is {age_s:.2f} s old", class_="num")
+
+
+def _current_distances(view: CaseView) -> list[ArmsApart]:
+    """Return the distances between arms that are drawn, of which one has moved since they were placed."""
+    return [one for one in view.apart.values() if all(arm in view.bodies for arm in one.arms)]
+
+
+def _colour_of(number: int) -> str:
+    """Return the colour of an arm, by its number in the theatre."""
+    return ARMS[min(number, len(ARMS) - 1)]
 
 
 class TheatreScene:
@@ -133,11 +153,7 @@ class TheatreScene:
             camera=ui.scene.perspective_camera(fov=40, near=0.02, far=20),
         ).classes("stage")
         self.scene.props('role=img aria-label="The theatre in three dimensions"')
-        self._bodies: Bodies | None = None
-        self._moving: list[DrawnCapsule] = []
-        self._fixed: list[DrawnCapsule] = []
-        self._pose: Pose | None = None
-        self._is_grey: bool | None = None
+        self._arms: dict[str, DrawnArm] = {}
         self._figures: object = None
         self._marks: list[Any] = []
         self._instrument_ends: tuple[Point, Point] | None = None
@@ -145,80 +161,28 @@ class TheatreScene:
         self._head: Any = None
         self._head_count = 0
         with self.scene:
-            self._near = DrawnRod(self.scene, 2.0, NEAR)
             self._sights = Sights(self.scene)
-        self.closest: Closest | None = None
 
     def show(self, view: CaseView, figures: CaseFigures | None, heads: int) -> None:
         """Show the case at one moment. `heads` counts rebuilds of the head's surface."""
         with self.scene:
-            if view.bodies is not self._bodies and view.bodies is not None:
-                self._build_bodies(view.bodies, view.pose.pose if view.pose else None)
+            drawn: list[Body] = []
+            for number, (arm, bodies) in enumerate(view.bodies.items()):
+                if arm not in self._arms:
+                    self._arms[arm] = DrawnArm(self.scene, _colour_of(number))
+                self._arms[arm].show(bodies, view.poses.get(arm), view.theatre_time_s, drawn)
+                drawn += bodies.fixed
             key = (figures, heads, self.magnified)
             if key != self._figures:
                 self._figures = key
                 self._build_marks(figures, heads)
             self._show_instrument(_instrument_ends(view, figures))
             self._sights.show(view, figures)
-            if view.pose is None:
-                self._pose = None
-                self._show_closest(None)
-            elif view.pose.pose is not self._pose:
-                self._place_bodies(view.pose.pose)
-        self._grey_if_old(view)
 
-    # The bodies
-
-    def _build_bodies(self, bodies: Bodies, pose: Pose | None) -> None:
-        for item in (*self._moving, *self._fixed):
-            item.delete()
-        self._bodies, self._moving, self._pose, self._is_grey = bodies, [], None, None
-        self._fixed = [
-            DrawnCapsule(self.scene, body, *axis_ends(body.ends_mm), ROOM, 1.0)
-            for body in bodies.fixed
-            if not body.is_head
-        ]
-        if pose is not None and len(pose.bodies_mm) == len(bodies.moving):
-            self._build_moving(bodies, pose)
-
-    def _build_moving(self, bodies: Bodies, pose: Pose) -> None:
-        self._moving = [
-            DrawnCapsule(self.scene, body, *axis_ends(place), ARM if number < LINKS else TOOL, 1.0)
-            for number, (body, place) in enumerate(zip(bodies.moving, pose.bodies_mm, strict=True))
-        ]
-
-    def _place_bodies(self, pose: Pose) -> None:
-        self._pose, bodies = pose, self._bodies
-        if bodies is None or len(pose.bodies_mm) != len(bodies.moving):
-            self._show_closest(None)
-            return
-        if not self._moving:
-            self._build_moving(bodies, pose)
-        calls: list[Call] = []
-        for capsule, place in zip(self._moving, pose.bodies_mm, strict=True):
-            calls += capsule.place(*axis_ends(place))
-        self.scene.run_method("run_methods", calls + self._show_closest(closest_pair(bodies, pose)))
-
-    def _show_closest(self, closest: Closest | None) -> list[Call]:
-        self.closest = closest
-        if closest is None:
-            self._near.group.visible(False)
-            return []
-        return self._near.place(closest.from_mm, closest.to_mm)
-
-    def _grey_if_old(self, view: CaseView) -> None:
-        reported_pose = view.pose
-        is_old = (
-            reported_pose is None
-            or view.theatre_time_s - reported_pose.reported_s + reported_pose.pose.age_s > OLD_S
-        )
-        if is_old == self._is_grey or not self._moving:
-            return
-        self._is_grey = is_old
-        for number, capsule in enumerate(self._moving):
-            colour = OLD if is_old else ARM if number < LINKS else TOOL
-            for child in capsule.group.children:
-                child.material(colour, 1.0)
+    @property
+    def closest(self) -> dict[str, Closest]:
+        """Closest checked pair of each arm that has one near."""
+        return {arm: drawn.closest for arm, drawn in self._arms.items() if drawn.closest is not None}
 
     # Measurements and plan
 
@@ -329,7 +293,7 @@ def _instrument_ends(view: CaseView, figures: CaseFigures | None) -> tuple[Point
     """Return the planned endpoints of the instrument at its target, or None without an instrument."""
     topic, _, name = (view.question.topic if view.question else "").partition(":")
     path = next((item for item in figures.trajectories if item.name == name), None) if figures else None
-    if topic != AT_TARGET or path is None or view.pose is None:
+    if topic != AT_TARGET or path is None:
         return None
-    end = guide_end(view.pose.pose.bodies_mm[LINKS:], path.entry_mm, path.target_mm)
+    end = guide_end(view.tool_with_guide_mm, path.entry_mm, path.target_mm)
     return None if end is None else (end, path.target_mm)

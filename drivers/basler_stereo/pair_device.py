@@ -23,6 +23,7 @@ from ronna_hw.devices.lifecycle import (
     LifecycleGuard,
     require_person,
 )
+from ronna_hw.devices.reading_stream import ReadingStream
 from ronna_hw.devices.readings import AreaOfInterest, StereoReading, Validity
 from ronna_hw.errors import RonnaError
 
@@ -81,6 +82,14 @@ class PairDevice(GuardedDevice, ABC, Generic[C]):
 
     def observe(self) -> LastKnown[StereoReading]:
         return self._guard.last_known(self._last_pair, report_count("unusable pairs", self._unusable_count))
+
+    @abstractmethod
+    def grab_pair(self, timeout_s: float = 5.0) -> StereoReading:
+        """Trigger both cameras once and return the pair."""
+
+    def stream(self, *, every: bool = False, timeout_s: float = 5.0) -> ReadingStream[StereoReading]:
+        """Trigger and stream pairs, one after the other."""
+        return ReadingStream(self.grab_pair, every=every, timeout_s=timeout_s)
 
     def connect(self, timeout_s: float = 10.0) -> Identity:
         """Find both cameras and check models and serial numbers, without taking control.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import time
 from collections.abc import Callable
+from functools import partial
 from typing import Any, TypeVar
 
 from drivers.ndi_polaris.command_link import CommandLink
@@ -44,8 +45,9 @@ from ronna_hw.devices.lifecycle import (
     LifecycleGuard,
     require_person,
 )
+from ronna_hw.devices.reading_stream import ReadingStream
 from ronna_hw.devices.readings import TrackerFrame
-from ronna_hw.devices.sensors import VolumeSections
+from ronna_hw.devices.sensors import VolumeSections, read_new_frame
 from ronna_hw.endpoints import Endpoint
 from ronna_hw.errors import RonnaError
 from ronna_hw.vectors import Vector3
@@ -195,6 +197,10 @@ class PolarisTracker(GuardedDevice):
         self._guard.require("deactivate", RUNNING)
         self._run_guarded(lambda: stop_tracking(self._link), timeout_s)
         self._guard.enter(Lifecycle.CONFIGURED, frames=self.statistics, link=self._link.statistics)
+
+    def stream(self, *, every: bool = False, timeout_s: float = 1.0) -> ReadingStream[TrackerFrame]:
+        """Stream new measurements, read by a thread of the stream: until it ends nobody else may."""
+        return ReadingStream(partial(read_new_frame, self), every=every, timeout_s=timeout_s)
 
     def read_frame(self, timeout_s: float = 1.0) -> TrackerFrame:
         """Read the next frame by one request to the unit, or two if the first reply was disturbed.

@@ -10,6 +10,7 @@ from typer import Option
 
 from procedures.cli.calibrating.mount import app as calibrate_app
 from procedures.cli.case.options import CaseOptions, ConfigOption, ConsoleOptions
+from procedures.cli.monitor import monitor
 from procedures.cli.new_theatre.command import new_theatre
 from procedures.cli.runs.commands import add_commands
 from procedures.cli.theatre_history import theatre_history
@@ -121,6 +122,7 @@ def doctor_command(
 
 add_commands(app)
 app.add_typer(calibrate_app, name="calibrate")
+app.command("monitor")(monitor)
 app.command("new-theatre")(new_theatre)
 app.command("theatre-history")(theatre_history)
 

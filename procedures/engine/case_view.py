@@ -7,7 +7,7 @@ socket or a run's file.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, TypeVar
 
 from procedures.engine import events
 from procedures.journal.journal import Entry
@@ -17,6 +17,8 @@ NOTICES_KEPT = 40
 JOURNAL_KEPT = 200
 MOST_DEVICES = 64  # every stored view has them all: a file of others cost 665 MB
 OPENING = "opening"  # before the engine reports a state
+K = TypeVar("K")
+V = TypeVar("V")
 FAULT, REFUSED, FINDING = "fault", "refused", "finding"  # kinds of notices
 
 
@@ -66,6 +68,10 @@ class ReportedPose:
     pose: events.Pose
     reported_s: float
 
+    def age_s(self, now_s: float) -> float:
+        """Return the age of the joints at a theatre time."""
+        return now_s - self.reported_s + self.pose.age_s
+
 
 @dataclass(frozen=True)
 class Notice:
@@ -109,9 +115,10 @@ class CaseView:
     link: events.LinkHealth | None = None
     link_said_s: float = 0.0  # when that was reported, theatre time
     link_rate: Rate | None = None  # of its cycles
-    bodies: events.Bodies | None = None
+    bodies: dict[str, events.Bodies] = field(default_factory=dict)  # by arm, that with the guide first
     volume: events.MeasuringVolume | None = None
-    pose: ReportedPose | None = None
+    poses: dict[str, ReportedPose] = field(default_factory=dict)  # by arm
+    apart: dict[tuple[str, str], events.ArmsApart] = field(default_factory=dict)  # by both arms
     notices: tuple[Notice, ...] = ()
     journal: tuple[dict[str, Any], ...] = ()  # latest lines
     lost_signals: int = 0  # that a run's file does not hold
@@ -125,6 +132,13 @@ class CaseView:
         """Operating mode of the controller, as last reported."""
         facts = (fact for row in self.devices.values() for fact in row.seen.says)
         return next((fact.found for fact in facts if fact.name == "operating mode"), "")
+
+    @property
+    def tool_with_guide_mm(self) -> tuple[events.Ends, ...]:
+        """Axes of the tool of the arm with the guide: the first whose bodies are known; empty if unknown."""
+        arm, bodies = next(iter(self.bodies.items()), ("", None))
+        reported = self.poses.get(arm)
+        return () if bodies is None or reported is None else reported.pose.bodies_mm[bodies.links :]
 
     @property
     def awaits_order(self) -> bool:
@@ -156,6 +170,11 @@ def fold(view: CaseView, event: events.Event) -> CaseView:
     return changed
 
 
+def _with(known: dict[K, V], key: K, value: V) -> dict[K, V]:
+    """Return a mapping with one more entry, or as it is if it has no room for another."""
+    return {**known, key: value} if key in known or len(known) < MOST_DEVICES else known
+
+
 def _changes(view: CaseView, what: events.EventContent) -> dict[str, Any]:
     match what:
         case events.CaseState(state=state, reason=reason):
@@ -177,7 +196,7 @@ def _changes(view: CaseView, what: events.EventContent) -> dict[str, Any]:
         case events.Waiting():
             return {"waiting": what}
         case events.Bodies():
-            return {"bodies": what}
+            return {"bodies": _with(view.bodies, what.arm, what)}
         case events.MeasuringVolume():
             return {"volume": what}
         case events.LinkHealth():
@@ -187,10 +206,10 @@ def _changes(view: CaseView, what: events.EventContent) -> dict[str, Any]:
                 "link_said_s": now_s,
                 "link_rate": _update_rate(view.link_rate, what.cycles, now_s),
             }
-        case events.Pose() if view.bodies is not None and what.arm != view.bodies.arm:
-            return {}  # the scene shows the arm with the guide alone
         case events.Pose():
-            return {"pose": ReportedPose(what, view.theatre_time_s)}
+            return {"poses": _with(view.poses, what.arm, ReportedPose(what, view.theatre_time_s))}
+        case events.ArmsApart():
+            return {"apart": _with(view.apart, what.arms, what)}
         case events.DeviceState(device=device) | events.DeviceAge(device=device):
             return _device_changes(view, device, what)
         case events.JournalLine(line=line):

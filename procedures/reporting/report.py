@@ -41,6 +41,7 @@ from procedures.reporting.sections.plan import PlanSection, read_plan
 from procedures.reporting.sections.spheres import Spheres, read_spheres
 from procedures.reporting.sections.stability import Stability, read_stability
 from procedures.reporting.sections.targets import Targets, read_targets
+from procedures.reporting.sections.two_arms import TwoArms, read_two_arms
 from procedures.reporting.sections.verdict import VerdictSection, describe_exclusions, read_assistant_work
 from procedures.reporting.tables import TargetTable, target_rows
 from ronna_hw.evidence.manifest import REPORT_FILE
@@ -62,6 +63,7 @@ class Page:
     after: PostoperativeResult | None
     plan_pictures: tuple[Picture, ...]
     targets: Targets | None
+    two_arms: TwoArms | None
     stability: Stability | None
     plan: PlanSection | None
     registrations: tuple[UsedRegistration, ...]
@@ -140,6 +142,7 @@ def _read_page(
         after=after,
         plan_pictures=load_pictures(reading, PLAN_PICTURE),
         targets=read_targets(reading, table, simulated=bool(opening.banner)),
+        two_arms=read_two_arms(reading),
         stability=read_stability(reading),
         plan=plan,
         registrations=reading.registrations,

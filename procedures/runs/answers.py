@@ -163,9 +163,18 @@ class OperatorByTopic:
 class AnsweringOperator:
     """Operator that answers from a file, leaving personal questions to `person` and others to `fallback`."""
 
-    def __init__(self, answers: Answers, fallback: Operator, person: Operator | None = None) -> None:
-        """Without `person`, as in a simulated theatre, the file also answers personal questions."""
-        self._answers = answers
+    def __init__(
+        self,
+        answers: Answers,
+        fallback: Operator,
+        person: Operator | None = None,
+        tell: Callable[[str], None] = lambda _text: None,
+    ) -> None:
+        """Without `person`, as in a simulated theatre, the file also answers personal questions.
+
+        `tell` is called when the file does not let the case go on.
+        """
+        self._answers, self._tell = answers, tell
         self._person = person
         self._otherwise = ScriptedOperator() if answers.default == "first" else fallback
 
@@ -177,4 +186,8 @@ class AnsweringOperator:
         word = self._answers.answer_for(question)
         if word is None and self._answers.default == "silence":
             word = question.silence
-        return self._otherwise.ask(question) if word is None else Answer(word)
+        if word is None:
+            return self._otherwise.ask(question)
+        if word != question.answers[0]:
+            self._tell(f"the file of answers says {word} to {question.name}")
+        return Answer(word)

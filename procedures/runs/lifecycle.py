@@ -263,7 +263,8 @@ def _require_same_scene(folder: Path, interrupted: InterruptedRun) -> None:
 
 def _build_device_watch(engine: Engine, *, fast: bool) -> contextlib.AbstractContextManager[object]:
     """Return a context that publishes devices and arm bodies, at a high rate if `fast`."""
-    from procedures.engine.display_feed import PERIOD_S, SEEN_MOVING_S, BodyView, DeviceWatch
+    from procedures.engine.body_view import BodyView
+    from procedures.engine.display_feed import PERIOD_S, SEEN_MOVING_S, DeviceWatch
 
     workcell = engine.setting.workcell
     now_s, period_s = engine.setting.clock.now_s, SEEN_MOVING_S if fast else PERIOD_S

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from functools import cached_property
+from html import escape
 from pathlib import Path
 
 from procedures.exchange import run_tables
@@ -48,6 +49,9 @@ class RunArrays:
         shown, rest = self.notes[:MOST_SHOWN], self.notes[MOST_SHOWN:]
         more = (f"and {len(rest)} more: run.notes has all",) if rest else ()
         return "\n  ".join((f"run {self.name}: {self.outcome}", *shown, *more))
+
+    def _repr_html_(self) -> str:
+        return f"<pre>{escape(repr(self))}</pre>{self.targets._repr_html_()}"
 
     @property
     def name(self) -> str:

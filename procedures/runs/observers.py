@@ -87,6 +87,7 @@ class RunObservers:
     held: HeldPrompt | None = None  # without one a held case ends
     at_pause: Operator | None = None  # who answers a pause, if not the person
     executor: OrderExecutor | None = None  # of a console that operates the case
+    script: Operator = field(default_factory=ScriptedOperator)  # in a simulated theatre without a person
 
 
 def operator_selection(
@@ -112,17 +113,18 @@ def operator_selection(
             tell(NOBODY_ANSWERS if answers is None else NO_PERSON)
         elif resumption is not None and not (accepted or answers):
             tell(NOBODY_ACCEPTS)
-    script, accepting = ScriptedOperator(), AcceptingOperator(observers.announce)
+    accepting = AcceptingOperator(observers.announce)
     operator = without_file = OperatorByTopic(
         (prompt, {Topic.PAUSE}, True),
         (accepting, {Topic.RESUME}, accepted),
         (person, {Topic.RESUME}, resumption is not None),
         (person, ALL_TOPICS, request.has_person),
         (person, {Topic.PAUSE, Topic.REPEAT}, at_terminal),
-        (script, ALL_TOPICS, True),  # in a simulated theatre of its own
+        (observers.script, ALL_TOPICS, True),  # in a simulated theatre of its own
     )
     if answers is not None:
-        by_file = AnsweringOperator(answers, without_file, None if file_answers_all else without_file)
+        nobody = None if file_answers_all else without_file
+        by_file = AnsweringOperator(answers, without_file, nobody, observers.announce)
         # `--accept` is the later word.
         operator = OperatorByTopic((accepting, {Topic.RESUME}, accepted), (by_file, ALL_TOPICS, True))
     if observers.executor is None:

@@ -46,6 +46,10 @@ class PlacedArms:
     def is_placed(self, role: str) -> bool:
         return role in self._bases
 
+    def base(self, role: str) -> Pose:
+        """Return ROBOT <- base of an arm that is placed."""
+        return self._bases[role]
+
     @property
     def are_all_placed(self) -> bool:
         return all(map(self.is_placed, self.roles))

@@ -46,6 +46,7 @@ from ronna_hw.devices.lifecycle import (
     LifecycleGuard,
     require_person,
 )
+from ronna_hw.devices.reading_stream import NextArmState, ReadingStream
 from ronna_hw.devices.readings import ArmReading, LinkStatistics, ToolIdentity, Validity
 from ronna_hw.devices.robot import JointMove, Motion, OperatingMode, StopKind
 from ronna_hw.errors import RonnaError
@@ -207,6 +208,10 @@ class StreamedArm(GuardedDevice, ABC, Generic[S]):
         if self._guard.state in RUNNING:
             return self._readings.from_stream(self.connections.link.state)
         return self._readings.from_controller(self._request_state(timeout_s))
+
+    def stream(self, *, every: bool = False, timeout_s: float = 1.0) -> ReadingStream[ArmReading]:
+        """Stream the states of different cycles, as many as this process can look at."""
+        return ReadingStream(NextArmState(self), every=every, timeout_s=timeout_s)
 
     def read_tool_identity(self, timeout_s: float = 1.0) -> ToolIdentity:
         """Read the tool number from the controller's inputs; 0 means no tool."""

@@ -67,6 +67,14 @@ NO_NEW_FRAME = ErrorCode(
 )
 
 
+STREAM_BEHIND = ErrorCode(
+    "DEV-011",
+    DataError,
+    "Every reading of a device was asked for, and too many wait to be taken.",
+    "Do less with each reading, or ask for the newest alone: every=False.",
+)
+
+
 class UnknownTool(ConfigurationError, LookupError):
     """The tracker has no tool with this name."""
 

@@ -128,10 +128,11 @@ def new_frames(
             action="Give the number of frames, such as 60 for one second.",
         )
     counted = itertools.count() if wanted is None else range(wanted)
-    return (_read_new_frame(tracker, timeout_s) for _ in counted)
+    return (read_new_frame(tracker, timeout_s) for _ in counted)
 
 
-def _read_new_frame(tracker: OpticalTracker, timeout_s: float) -> TrackerFrame:
+def read_new_frame(tracker: OpticalTracker, timeout_s: float = 1.0) -> TrackerFrame:
+    """Read the next new measurement. Raises DEV-009, and the errors of `read_frame`."""
     deadline_s = time.monotonic() + timeout_s
     while (remaining_s := deadline_s - time.monotonic()) > 0:
         frame = tracker.read_frame(remaining_s)

@@ -108,6 +108,10 @@ def theatre(
             help="Change a parameter of robot, assistant or tracker, such as robot.lag_s=0.03; repeatable.",
         ),
     ] = None,
+    tell_truth: Annotated[
+        bool,
+        typer.Option("--tell-truth", help="Tell the truth at the control port, for a study; no run does."),
+    ] = False,
     run: Annotated[str, typer.Option(hidden=True, help="Run that it belongs to, and is listed as.")] = "",
     detach: options.DetachOption = False,
 ) -> None:
@@ -163,6 +167,7 @@ def theatre(
             saved=read_saved_world(out) if continued else None,
             records=records,
             on_forked=lambda: end_with_parent(ended.set),
+            tells_truth=tell_truth,
         )
         reasons = _serve(running, ended, run)
     if reasons:

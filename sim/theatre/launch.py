@@ -54,6 +54,12 @@ ROBOT, TRACKER = "robot", "tracker"  # devices by their names in fault scripts
 POLARIS = "polaris"
 
 
+def _find_teller(world: World) -> Callable[[], dict[str, Any]]:
+    from sim.theatre.true_room import TrueRoom  # not for the theatre of a run
+
+    return TrueRoom(world).tell
+
+
 class LaunchedTheatre:
     """A running theatre: world, control port and a process per device."""
 
@@ -69,6 +75,7 @@ class LaunchedTheatre:
         saved: SavedWorld | None = None,
         records: Mapping[str, Any] = NO_RECORDS,
         on_forked: Callable[[], None] = lambda: None,
+        tells_truth: bool = False,
     ) -> None:
         """Start the theatre, keeping the robot context's cycle if `cycle_ms` is None.
 
@@ -93,7 +100,8 @@ class LaunchedTheatre:
             )
             for name, device in devices.items()
         ]
-        self._control = ControlPort(ControlledRoom(self.world, folder, identity=identity))
+        truth = _find_teller(self.world) if tells_truth else None
+        self._control = ControlPort(ControlledRoom(self.world, folder, identity=identity, truth=truth))
         try:
             self.endpoints = self._await_devices(devices)
             limit_s = SILENCE_LIMIT_PACED_S if paced else SILENCE_LIMIT_LOCK_STEP_S

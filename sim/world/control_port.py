@@ -62,7 +62,7 @@ from sim.world.staff import Staff, TaskRefused
 from sim.world.world import World
 
 TAKES_S = "takes_s"  # theatre time from a request to its answer
-QUERIES = ("identify", "missed_faults", "wristband")  # requests that change nothing in the room
+QUERIES = ("identify", "missed_faults", "wristband", "truth")  # requests that change nothing in the room
 LONGEST_REASON = 500  # characters: it may quote the request
 MOST_MISSED = 20  # faults listed in one answer
 
@@ -196,8 +196,10 @@ class ControlledRoom:
         devices: Sequence[str] | None = None,
         loaded: Callable[[], Sequence[str]] | None = None,
         identity: str = "",
+        truth: Callable[[], dict[str, Any]] | None = None,
     ) -> None:
-        self._world = world
+        """Serve a world; with `truth`, its truth too."""
+        self._world, self._truth = world, truth
         self._folder = folder
         self._identity = identity
         self._devices = devices_of(world.scene) if devices is None else devices
@@ -222,6 +224,7 @@ class ControlledRoom:
             "clear_faults": self._clear_faults,
             "missed_faults": self._list_missed_faults,
             "wristband": self._read_wristband,
+            "truth": self._tell_truth,
         }
         action = actions.get(str(request.get("do")))
         if action is None:
@@ -337,6 +340,13 @@ class ControlledRoom:
     def _read_wristband(self, _request: dict[str, Any]) -> dict[str, Any]:
         scene = self._world.scene
         return {"wristband": format_patient_id(scene.name, scene.seed)}
+
+    def _tell_truth(self, _request: dict[str, Any]) -> dict[str, Any]:
+        if self._truth is None:
+            raise TaskRefused(
+                "this theatre does not tell the truth", "Start one with --tell-truth, apart from any case."
+            )
+        return self._truth()
 
     def _step_of_onset(self, fault: Fault) -> str | None:
         """Describe the step in which a fault began, or return None if it did not begin in this theatre."""

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import sys
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -11,15 +13,25 @@ import typer
 
 from procedures.cli.calibrating.options import CalibrationOptions, MeasuringOptions
 from ronna_hw.command_line import terminal
+from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.command_line.options import with_option_records
 
 if TYPE_CHECKING:
     from procedures.engine.case import Case
+    from ronna_hw.arm.clearance.bodies import Part
+
+
+class Carried(StrEnum):
+    """Tool on the flange of the arm."""
+
+    STEREO_HEAD = "head"
+    GUIDE = "guide"
+
 
 app = terminal.command_group(
     "ronna-arm",
     "The arm: calibrate its geometry with stationary spheres, check that the calibration still holds, "
-    "lead it by hand.",
+    "lead it by hand; describe it to other programs.",
     example="ronna-arm calibrate --sim --scene mini",
 )
 
@@ -102,6 +114,46 @@ def guide(
 
     limits = replace(HandGuidance(), speed_mm_s=speed, reach_mm=reach, force_limit_N=force_limit)
     follow_hand(config, arm_name, limits)
+
+
+@app.command()
+def urdf(
+    name: Annotated[
+        str, typer.Argument(metavar="ARM", help="Name of the arm, such as kr6_r900_sixx or ur5e.")
+    ],
+    config: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Theatre file, for the head or guide on the flange.")
+    ] = None,
+    carrying: Annotated[
+        Carried, typer.Option(help="With --config: the tool on the flange, as its record has it.")
+    ] = Carried.STEREO_HEAD,
+) -> None:
+    """Print the URDF of an arm: joints with their ranges, and the capsules that motions are checked against.
+
+    For other programs; lengths in m. It is the nominal arm, without the deviations of a calibration record.
+    Exit codes: 0 done, 2 usage, an unknown arm or a bad file.
+    """
+    from ronna_hw.arm.catalogue import find_arm
+    from ronna_hw.arm.urdf import write_urdf
+
+    parts = () if config is None else _carried_parts(config, carrying)
+    sys.stdout.write(write_urdf(find_arm(name), parts))
+
+
+def _carried_parts(config: Path, carrying: Carried) -> Sequence[Part]:
+    """Return the bodies of a tool in the frame of the flange, by the records of a theatre file."""
+    from procedures.workcell.ball_watcher import build_free_surroundings
+    from ronna_hw.config import read_theatre_file
+    from ronna_hw.frames import Frame
+
+    theatre = read_theatre_file(config)
+    if theatre.calibration is None:
+        raise UsageMistake(f"{config} has no calibration records, which say where the tool is on the flange")
+    head = carrying is Carried.STEREO_HEAD
+    record = theatre.calibration.stereo_head if head else theatre.calibration.tool_tip
+    bodies = theatre.cell.stereo_head if head else theatre.cell.guide
+    flange_from_tool = record.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
+    return build_free_surroundings(theatre.cell, flange_from_tool, bodies).tool
 
 
 def main() -> None:

@@ -3,6 +3,7 @@
 from procedures.engine.events.event_types import (
     Advisory,
     Answered,
+    ArmsApart,
     Bodies,
     Body,
     CameraView,
@@ -10,6 +11,7 @@ from procedures.engine.events.event_types import (
     DeviceAge,
     DeviceFact,
     DeviceState,
+    Ends,
     Event,
     EventContent,
     Fault,
@@ -32,6 +34,7 @@ from procedures.engine.events.stream import Batch, EventStream, Reader
 __all__ = [
     "Advisory",
     "Answered",
+    "ArmsApart",
     "Batch",
     "Bodies",
     "Body",
@@ -40,6 +43,7 @@ __all__ = [
     "DeviceAge",
     "DeviceFact",
     "DeviceState",
+    "Ends",
     "Event",
     "EventContent",
     "EventStream",

@@ -239,7 +239,13 @@ class Bodies(_EventBase):
 
     kind: Literal["bodies"] = "bodies"
     arm: str = Field(default="arm", description="Device whose arm moves them.")
+
+    @property
+    def about(self) -> str:
+        return self.arm
+
     moving: tuple[Body, ...] = Field(description="Links, then parts of the tool.")
+    links: Count = Field(default=4, description="How many of those are links.")
     fixed: tuple[Body, ...]
     pairs: tuple[tuple[int, int], ...] = Field(
         description="Moving body, and the other one: a fixed one, or -1 - k for the moving body k. "
@@ -257,6 +263,20 @@ class Bodies(_EventBase):
         if any(len(one.points_mm) != 15 for one in self.cameras):
             raise ValueError("a camera has a centre and four corners")
         return self
+
+
+class ArmsApart(_EventBase):
+    """Distance between two arms, published when one has moved."""
+
+    signal: ClassVar[bool] = True
+    kind: Literal["arms_apart"] = "arms_apart"
+    arms: tuple[str, str] = Field(description="Devices of both arms.")
+    bodies: tuple[str, str] = Field(description="The body of each that is closest to the other arm.")
+    distance_mm: float
+
+    @property
+    def about(self) -> str:
+        return " ".join(self.arms)
 
 
 class LinkHealth(_EventBase):
@@ -324,6 +344,7 @@ EventContent = Annotated[
     | MeasuringVolume
     | Pose
     | Bodies
+    | ArmsApart
     | LinkHealth
     | Advisory
     | Refusal

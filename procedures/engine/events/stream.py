@@ -74,8 +74,10 @@ class CurrentState:
                 return f"step {step}"
             case DeviceState(device=device):
                 return f"device {device}"
-            case CaseState() | Order() | Waiting() | Seat() | Bodies() | MeasuringVolume() | SignalsLost():
+            case CaseState() | Order() | Waiting() | Seat() | MeasuringVolume() | SignalsLost():
                 return event.what.kind
+            case Bodies():
+                return event.subject
             case JournalLine(line=line):
                 opening = line.get("entry") in (Entry.OPENED, Entry.RESTARTED)
                 return "opened" if opening else f"line {self._lines % LAST_LINES}"

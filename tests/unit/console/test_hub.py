@@ -69,8 +69,8 @@ def test_arm_data_without_updates_ages_while_the_engine_is_alive() -> None:
     assert hub.aged_view is hub.view
     clock.now_s = 7.0
     hub.note_heartbeat()
-    assert hub.aged_view.pose is not None
-    assert hub.aged_view.theatre_time_s - hub.aged_view.pose.reported_s == 7.0
+    assert "arm" in hub.aged_view.poses
+    assert hub.aged_view.theatre_time_s - hub.aged_view.poses["arm"].reported_s == 7.0
     assert hub.aged_view.devices["arm"].age_s == 7.1
 
 
@@ -98,8 +98,8 @@ def test_a_case_under_review_with_open_devices_and_no_more_events_is_reported_an
     assert hub.frozen == ""
     clock.now_s += SILENT_FILE_S + 1.0
     assert "NO DATA FROM THE ENGINE FOR 4 s" in hub.frozen
-    assert hub.aged_view.pose is not None
-    assert hub.aged_view.theatre_time_s - hub.aged_view.pose.reported_s == 4.0
+    assert "arm" in hub.aged_view.poses
+    assert hub.aged_view.theatre_time_s - hub.aged_view.poses["arm"].reported_s == 4.0
     hub.note_heartbeat()
     hub.take(event(4, DeviceState(device="arm", state="closed")))
     clock.now_s += SILENT_FILE_S + 1.0

@@ -49,11 +49,7 @@ def test_the_closest_checked_pair_is_named_with_its_clearance_and_location() -> 
         age_s=0.0,
         bodies_mm=((100, 0, 200, 150, 0, 200), (150, 0, 200, 200, 10, 40)),
     )
-    closest = closest_pair(BODIES, pose)
-    assert closest is not None
-    assert (closest.first, closest.second) == ("needle", "hand") or closest.second == "clamp"
-    without_own_arm = BODIES.model_copy(update={"pairs": BODIES.pairs[:3]})
-    closest = closest_pair(without_own_arm, pose)
+    closest = closest_pair(BODIES, pose)  # the needle is at the hand that holds it, in every pose
     assert closest is not None
     assert (closest.first, closest.second, closest.distance_mm) == ("needle", "clamp", pytest.approx(34.0))
     assert closest.from_mm == pytest.approx((200, 10, 40), abs=1e-3)
@@ -145,19 +141,19 @@ def test_a_head_whose_place_is_no_longer_known_is_not_drawn_until_it_is_known_ag
 
 def test_the_clearance_disappears_when_nothing_is_near_and_when_it_is_not_known() -> None:
     def do(scene: TheatreScene) -> None:
-        near = CaseView(bodies=THEATRE_BODIES, pose=ReportedPose(NEAR, 0.0))
+        near = CaseView(bodies={"arm": THEATRE_BODIES}, poses={"arm": ReportedPose(NEAR, 0.0)})
         for other in (
-            replace(near, pose=ReportedPose(FAR, 0.0)),
-            replace(near, pose=ReportedPose(OTHER_TOOL, 0.0)),
-            replace(near, pose=None),
-            replace(near, pose=None, bodies=THEATRE_BODIES.model_copy()),
+            replace(near, poses={"arm": ReportedPose(FAR, 0.0)}),
+            replace(near, poses={"arm": ReportedPose(OTHER_TOOL, 0.0)}),
+            replace(near, poses={}),
+            replace(near, poses={}, bodies={"arm": THEATRE_BODIES.model_copy()}),
         ):
             scene.show(near, None, 0)
-            assert scene.closest is not None
-            assert scene._near.group.visible_
+            assert list(scene.closest) == ["arm"]
+            assert scene._arms["arm"]._near.group.visible_
             scene.show(other, None, 0)
-            assert scene.closest is None
-            assert not scene._near.group.visible_
+            assert scene.closest == {}
+            assert not scene._arms["arm"]._near.group.visible_
 
     in_a_scene(do)
 
@@ -171,7 +167,8 @@ def test_the_instrument_is_drawn_from_the_end_of_the_guide_to_the_planned_target
     asked = question(topic="at_target:T2")
 
     def do(scene: TheatreScene) -> None:
-        view = CaseView(pose=ReportedPose(pose, 0.0), question=asked)
+        poses = {"arm": ReportedPose(pose, 0.0)}
+        view = CaseView(bodies={"arm": THEATRE_BODIES}, poses=poses, question=asked)
         scene.show(view, there, 0)
         assert scene._instrument_ends == ((0.0, 0.0, 180.0), path.target_mm)
         rod, caption = scene._instrument

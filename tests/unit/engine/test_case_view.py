@@ -52,14 +52,20 @@ def test_a_signal_that_was_written_late_changes_neither_the_time_nor_the_next_st
     assert (view.number, view.theatre_time_s) == (2, 0.2)
 
 
-def test_the_bodies_of_one_arm_do_not_follow_the_joints_of_another() -> None:
-    bodies = Bodies(moving=(), fixed=(), pairs=())
+def test_each_arm_has_its_own_pose_and_the_guides_arm_is_the_one_whose_bodies_came_first() -> None:
+    places_mm = {"arm": ((0.0,) * 6, (1.0,) * 6), "assistant": ((2.0,) * 6,)}
+    bodies = [Bodies(arm=arm, moving=(), links=1, fixed=(), pairs=()) for arm in places_mm]
     own, other = (
-        Pose(arm=arm, joints_rad=(angle,), age_s=0.0) for arm, angle in (("arm", 0.1), ("assistant", 0.2))
+        Pose(arm=arm, joints_rad=(0.1,), age_s=0.0, bodies_mm=places) for arm, places in places_mm.items()
     )
-    view = view_after(bodies, own, other)
-    assert view.pose is not None
-    assert view.pose.pose == own
+    view = view_after(*bodies, other, own)
+    assert {arm: reported.pose for arm, reported in view.poses.items()} == {"arm": own, "assistant": other}
+    assert view.tool_with_guide_mm == ((1.0,) * 6,)
+
+
+def test_an_event_file_of_ever_other_arms_keeps_a_bounded_view() -> None:
+    poses = [Pose(arm=f"arm {number}", joints_rad=(), age_s=0.0) for number in range(200)]
+    assert list(view_after(*poses).poses) == [f"arm {number}" for number in range(MOST_DEVICES)]
 
 
 def test_a_long_case_of_many_devices_keeps_a_bounded_view() -> None:

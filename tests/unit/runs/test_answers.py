@@ -35,6 +35,14 @@ def test_an_answer_for_one_trajectory_takes_precedence_over_the_general_one() ->
     assert answered(APPROACH, answers={"approach:T2": "no", "approach": "yes"}) == "yes"
 
 
+def test_a_file_that_does_not_let_the_case_go_on_is_named_as_the_one_that_said_so() -> None:
+    told: list[str] = []
+    for word in ("yes", "no"):
+        answers = Answers(answers={"approach": word})
+        AnsweringOperator(answers, Person(), tell=told.append).ask(APPROACH)
+    assert told == ["the file of answers says no to approach:T1"]
+
+
 @pytest.mark.parametrize(("default", "answer"), [("first", "yes"), ("silence", "no"), (None, "person")])
 def test_an_unlisted_question_is_answered_by_the_default_of_the_file(
     default: str | None, answer: str

@@ -90,6 +90,14 @@ def test_bodies_at_a_constant_distance_are_reported_closest_at_the_start_of_the_
     assert path.closest.fraction == 0.0
 
 
+def test_the_closest_pair_is_one_that_the_motion_changes() -> None:
+    path = sweep_path(MODEL, _move(), _around(_post(23.0, 60.0)))  # farther than what turns together
+    constant_mm = sweep_path(MODEL, _move(), _around(_post(2000.0, 60.0))).swept.gaps_mm.min()
+    assert path.closest is not None
+    assert path.closest.second == "post"
+    assert path.closest.distance_mm > constant_mm
+
+
 def test_a_body_that_is_too_close_may_move_away_but_not_closer() -> None:
     beside = _around(_post(0.0, 4.0))
     sweep_path(MODEL, _along_the_needle(-40.0), beside).require()

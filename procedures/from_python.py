@@ -1,0 +1,186 @@
+"""A simulated case from Python: `run_case` runs one and returns its run.
+
+from procedures import run_case
+
+run = run_case("mini", seed=7, strategy="ocs", arm="ur5e", faults=["tracker hide tool 1 for 2 s"])
+print(run.targets.error_mm)
+"""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import fields, replace
+from difflib import get_close_matches
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, get_type_hints
+
+from procedures.engine.errors import ANSWERS_UNFIT
+from procedures.operator.question import Answer, Question, join_answers
+from procedures.runs.answers import ScriptedOperator
+from procedures.runs.observers import RunObservers
+from ronna_hw.arguments import WrongArgument, require_path, show
+from ronna_hw.loaded_run import LoadedRun, load_run
+
+if TYPE_CHECKING:
+    from rich.progress import Progress
+
+    from procedures.engine.engine import Engine
+    from procedures.engine.events import Event
+    from procedures.runs.request import RunRequest
+
+Decide = Callable[[Question], str | None]
+FAULT_SCRIPT = "faults.txt"
+NOT_OPTIONS = {
+    "sim",
+    "config",
+    "case",
+    "out",
+    "ask",
+    "answers",
+    "faults",
+}  # of the command, for people or devices
+
+
+def run_case(
+    scene: str = "default",
+    seed: int = 0,
+    *,
+    strategy: str = "ocs",
+    arm: str = "kr6",
+    dual: bool = False,
+    faults: Sequence[str] = (),
+    answers: Decide | None = None,
+    out: str | os.PathLike[str] = "runs",
+    progress: bool = True,
+    options: Mapping[str, object] | None = None,
+) -> LoadedRun:
+    """Run a simulated case to its end, as `ronna-procedure run --sim`, and return its run.
+
+    `faults` are lines of a fault script. `answers` is called with each `Question` and returns one of its
+    `answers`, or None for that of the script, the first. `options` are further ones of the command, with
+    underscores, such as `{"markers": 4, "calibrated": True}`. `progress` shows a bar of the steps, in a
+    notebook too.
+
+    Raises ARG-001 for an option that the command does not have or a value that it does not take, PRO-026 for
+    an answer that a question does not accept, and the error of a case that does not come to its end, whose
+    run is in the folder `out` nevertheless.
+    """
+    from procedures.runs.case_outcome import run_case as run_to_end
+    from procedures.runs.finishing import finalize_run
+    from procedures.runs.folders import hold_run, run_folder
+    from procedures.runs.request_checks import check_case
+
+    given = {"scene": scene, "seed": seed, "strategy": strategy, "arm": arm, "dual": dual, **(options or {})}
+    runs = require_path(out, "the folder of runs")
+    with tempfile.TemporaryDirectory() as scripts, _step_bar(shown=progress) as follow:
+        request = _make_request(given)
+        if faults:
+            script = Path(scripts) / FAULT_SCRIPT
+            script.write_text("\n".join(faults) + "\n", encoding="utf-8")
+            request = replace(request, faults=script)
+        check_case(request, runs)
+        observers = RunObservers(opened=follow, script=_Deciding(answers))
+        with run_folder(request, runs) as folder, hold_run(folder):
+            with finalize_run(folder, with_truth=False, name_report=False):
+                run_to_end(request, folder, observers)
+            return load_run(folder)
+
+
+def _make_request(given: Mapping[str, object]) -> RunRequest:
+    """Return the request for options of the command by name. Raises ARG-001, CLI-001."""
+    from pydantic import TypeAdapter, ValidationError
+
+    from procedures.cli.case.options import CaseOptions
+
+    known = {field.name for field in fields(CaseOptions)} - NOT_OPTIONS
+    for name in given:
+        if name not in known:
+            alike = get_close_matches(name, known, n=1)
+            raise WrongArgument(
+                f"run_case has no option {show(name)}",
+                action=f"Did you mean {alike[0]}?" if alike else f"There are {', '.join(sorted(known))}.",
+            )
+    try:
+        options = TypeAdapter(CaseOptions).validate_python({"sim": True, **given})
+    except ValidationError as error:
+        first = error.errors()[0]
+        name = str(first["loc"][0])
+        raise WrongArgument(f"{name} of run_case: {first['msg']}", got=show(given[name])) from error
+    _check_ranges(options)
+    return options.request()
+
+
+def _check_ranges(options: Any) -> None:
+    """Raise ARG-001 for a number outside of the range that the command states for it."""
+    for name, hint in get_type_hints(type(options), include_extras=True).items():
+        value = getattr(options, name)
+        for stated in getattr(hint, "__metadata__", ()):
+            low, high = getattr(stated, "min", None), getattr(stated, "max", None)
+            if value is None or low is None or high is None or low <= value <= high:
+                continue
+            raise WrongArgument(
+                f"{name} of run_case is out of range", expected=f"{low:g} to {high:g}", got=show(value)
+            )
+
+
+class _Deciding:
+    """Operator that asks a function, and the script where that returns None."""
+
+    def __init__(self, decide: Decide | None) -> None:
+        self._decide, self._script = decide, ScriptedOperator()
+
+    def ask(self, question: Question) -> Answer:
+        """Return the function's answer. Raises PRO-026 for one that the question does not accept."""
+        word = None if self._decide is None else self._decide(question)
+        if word is None:
+            return self._script.ask(question)
+        if word not in question.answers:
+            raise ANSWERS_UNFIT(f"{question.name} accepts {join_answers(question.answers)}", got=show(word))
+        return replace(self._script.ask(question), word=word)
+
+
+@contextmanager
+def _step_bar(*, shown: bool) -> Iterator[Callable[[Engine], None]]:
+    """Show a bar of the steps of a case; yields a function that follows an engine."""
+    if not shown:
+        yield lambda _engine: None
+        return
+    from rich.progress import Progress
+
+    from procedures.cli.case.event_follower import EventFollower
+
+    followers: list[EventFollower] = []
+    with Progress(transient=True) as progress:
+
+        def follow(engine: Engine) -> None:
+            followers.append(EventFollower(engine.events, _StepBar(progress, len(engine.order.sequence))))
+
+        try:
+            yield follow
+        finally:
+            for follower in followers:
+                follower.join()
+
+
+class _StepBar:
+    """Bar with the step that runs, and how many are done."""
+
+    def __init__(self, progress: Progress, steps: int) -> None:
+        self._progress = progress
+        self._task = progress.add_task("", total=steps)
+
+    def __call__(self, events: Sequence[Event]) -> None:
+        """Show what these events tell."""
+        from procedures.engine.events import StepState
+
+        for event in events:
+            match event.what:
+                case StepState(state="begun", step=step):
+                    self._progress.update(self._task, description=step)
+                case StepState(state="done"):
+                    self._progress.advance(self._task)
+                case _:
+                    pass

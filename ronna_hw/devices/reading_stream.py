@@ -1,0 +1,162 @@
+"""Readings of a device as it makes them: iterated, awaited, or given to a function.
+
+    for frame in tracker.stream():  # the newest; what came meanwhile is counted in `dropped`
+        print(frame.stamp.theatre_time_s)
+
+    with arm.stream(every=True).calling(record):
+        ...
+
+A thread of its own reads the device, so a slow consumer delays no reading. The device must be ACTIVE, an arm
+CONNECTED, and is left as it was.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import AsyncIterator, Callable, Iterator
+from contextlib import contextmanager
+from typing import Generic, Protocol, TypeVar
+
+from ronna_hw.devices.errors import NO_NEW_FRAME, STREAM_BEHIND
+from ronna_hw.devices.readings import ArmReading, StampedReading
+
+MOST_WAITING = 1000  # readings, where every one is wanted: 17 s of a tracker, 4 s of an arm
+ASK_AGAIN_S = 0.002  # host time between two looks whether an arm has moved on; a cycle of RSI takes 4 ms
+R = TypeVar("R", bound=StampedReading)
+R_co = TypeVar("R_co", covariant=True)
+
+
+class ReadsNext(Protocol[R_co]):
+    """Function that waits for a device's next reading."""
+
+    def __call__(self, timeout_s: float) -> R_co: ...
+
+
+class ReadingStream(Generic[R]):
+    """Readings of one device, from the moment it is iterated or awaited until that ends."""
+
+    def __init__(self, read: ReadsNext[R], *, every: bool = False, timeout_s: float = 1.0) -> None:
+        """Stream what `read` returns: the newest, or with `every` all of them, at most `MOST_WAITING` behind.
+
+        `timeout_s` is host time for one reading.
+        """
+        self._read, self._every, self._timeout_s = read, every, timeout_s
+        self._changed = threading.Condition()
+        self._waiting: deque[R] = deque(maxlen=MOST_WAITING if every else 1)
+        self._error: BaseException | None = None
+        self._ending = threading.Event()
+        self.dropped = 0  # readings that a newer one has replaced before they were taken
+
+    def __iter__(self) -> Iterator[R]:
+        """Yield readings until the loop is left. Raises the device's errors, DEV-011 if left behind."""
+        with self._reading():
+            while True:
+                yield self._take()
+
+    async def __aiter__(self) -> AsyncIterator[R]:
+        """As an iterator of an event loop, which is not blocked."""
+        import asyncio  # not in a process of a case
+
+        with self._reading():
+            while True:
+                yield await asyncio.to_thread(self._take)
+
+    @contextmanager
+    def calling(self, function: Callable[[R], object]) -> Iterator[None]:
+        """Call a function with each reading, in a thread, while a block runs; its error ends the block."""
+        errors: list[BaseException] = []
+
+        def deliver() -> None:
+            try:
+                while True:
+                    function(self._take())
+            except _StreamEnded:
+                pass
+            except BaseException as error:
+                errors.append(error)
+
+        thread = threading.Thread(target=deliver, name="reading consumer", daemon=True)
+        with self._reading():
+            thread.start()
+            yield
+        thread.join(self._timeout_s)
+        if errors:
+            raise errors[0]
+
+    @contextmanager
+    def _reading(self) -> Iterator[None]:
+        """Read the device in a thread while the block runs."""
+        self._ending.clear()
+        self._waiting.clear()
+        self._error = None
+        thread = threading.Thread(target=self._read_on, name="reading stream", daemon=True)
+        thread.start()
+        try:
+            yield
+        finally:
+            self._ending.set()
+            self._end(_StreamEnded())
+            thread.join(2.0 * self._timeout_s)
+
+    def _read_on(self) -> None:
+        try:
+            while not self._ending.is_set():
+                reading = self._read(timeout_s=self._timeout_s)
+                with self._changed:
+                    if len(self._waiting) == self._waiting.maxlen:
+                        if self._every:
+                            raise STREAM_BEHIND(f"{MOST_WAITING} readings wait for a consumer")
+                        self.dropped += 1
+                    self._waiting.append(reading)
+                    self._changed.notify_all()
+        except BaseException as error:
+            self._end(error)
+
+    def _end(self, error: BaseException) -> None:
+        with self._changed:
+            self._error = self._error or error
+            self._changed.notify_all()
+
+    def _take(self) -> R:
+        """Wait for a reading, oldest first."""
+        with self._changed:
+            self._changed.wait_for(lambda: bool(self._waiting) or self._error is not None)
+            if self._waiting:
+                return self._waiting.popleft()
+            assert self._error is not None
+            raise self._error
+
+
+class _StreamEnded(Exception):
+    """Nobody reads the stream any more."""
+
+
+class TellsState(Protocol):
+    """Arm whose state can be read."""
+
+    @property
+    def name(self) -> str: ...
+
+    def read_state(self, timeout_s: float = 1.0) -> ArmReading: ...
+
+
+class NextArmState:
+    """Reader of an arm's states, each once: `read_state` repeats the latest."""
+
+    def __init__(self, arm: TellsState) -> None:
+        self._arm = arm
+        self._last: object = None
+
+    def __call__(self, timeout_s: float) -> ArmReading:
+        """Wait for a state of another cycle. Raises DEV-009 if none comes in time, and as `read_state`."""
+        deadline_s = time.monotonic() + timeout_s
+        while True:
+            reading = self._arm.read_state(timeout_s)
+            if (clock := reading.stamp.device_clock) != self._last:
+                self._last = clock
+                return reading
+            if time.monotonic() > deadline_s:
+                raise NO_NEW_FRAME(f"{self._arm.name} delivers no new state", limit=f"{timeout_s:g} s")
+            time.sleep(ASK_AGAIN_S)

@@ -1,0 +1,97 @@
+"""A simulated theatre's room in a person's hands: what is moved or hidden shows, and the truth says why."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from coded_errors import raises
+
+from ronna_hw import SimulatedTheatre, simulated_theatre
+from ronna_hw.arguments import WrongArgument
+from ronna_hw.control_port import ControlRequestRefused
+from ronna_hw.devices import OpticalTracker
+from ronna_hw.devices.sensors import read_new_frame
+from ronna_hw.theatre import TheatreProcess
+
+WITHIN_MM = 1.5  # of truth, for one reading of one sphere
+
+
+@pytest.fixture(scope="module")
+def theatre() -> Iterator[SimulatedTheatre]:
+    with simulated_theatre("mini", seed=7) as theatre:
+        yield theatre
+
+
+@pytest.fixture
+def tracker(theatre: SimulatedTheatre) -> Iterator[OpticalTracker]:
+    with theatre.tracker.active() as tracker:
+        yield tracker
+    theatre.room.clear()
+
+
+def strays_mm(tracker: OpticalTracker) -> list[tuple[float, float, float]]:
+    return [stray.position_mm for stray in read_new_frame(tracker).strays]
+
+
+def test_every_stray_is_a_sphere_of_the_truth(theatre: SimulatedTheatre, tracker: OpticalTracker) -> None:
+    truth = theatre.room.truth()
+    seen = strays_mm(tracker)
+    assert len(seen) == sum(one.seen for one in truth.spheres) == 3
+    for place in seen:
+        nearest = truth.nearest(place)
+        assert np.linalg.norm(np.subtract(nearest.tracker_mm, place)) < WITHIN_MM
+        assert not truth.is_phantom(place)
+
+
+def test_a_hidden_sphere_is_not_seen_and_the_room_says_why(
+    theatre: SimulatedTheatre, tracker: OpticalTracker
+) -> None:
+    assert theatre.room.why("sphere 2") == "in view"
+    theatre.room.hide("sphere 2")
+    assert len(strays_mm(tracker)) == 2
+    assert theatre.room.why("sphere 2") == "covered by a fault"
+    theatre.room.clear()
+    assert len(strays_mm(tracker)) == 3
+
+
+def test_a_head_that_is_moved_takes_its_spheres_along(
+    theatre: SimulatedTheatre, tracker: OpticalTracker
+) -> None:
+    before = theatre.room.truth()
+    theatre.room.move("head", (0.0, 20.0, 0.0))
+    after = theatre.room.truth()
+    moved_mm = [
+        np.linalg.norm(np.subtract(a.tracker_mm, b.tracker_mm))
+        for a, b in zip(before.spheres, after.spheres, strict=True)
+    ]
+    assert moved_mm == pytest.approx([20.0] * 3)
+    assert all(
+        np.linalg.norm(np.subtract(after.nearest(place).tracker_mm, place)) < WITHIN_MM
+        for place in strays_mm(tracker)
+    )
+
+
+def test_points_where_lines_of_sight_cross_are_phantoms_in_truth(
+    theatre: SimulatedTheatre, tracker: OpticalTracker
+) -> None:
+    theatre.room.inject("tracker phantoms 40 mm")
+    truth = theatre.room.truth()
+    assert len(truth.phantoms_mm)
+    assert [place for place in strays_mm(tracker) if truth.is_phantom(place)]
+
+
+def test_an_unknown_sphere_is_named_beside_those_there_are(theatre: SimulatedTheatre) -> None:
+    with raises(WrongArgument, match="sphere 1, sphere 2, sphere 3"):
+        theatre.room.why("sphere 9")
+
+
+def test_the_theatre_of_a_run_does_not_tell_the_truth(tmp_path_factory: pytest.TempPathFactory) -> None:
+    process = TheatreProcess("--scene", "mini", "--out", str(tmp_path_factory.mktemp("theatre")))
+    try:
+        process.await_ready()
+        with SimulatedTheatre.of(process) as theatre, raises(ControlRequestRefused, match="tell the truth"):
+            theatre.room.truth()
+    finally:
+        process.end()

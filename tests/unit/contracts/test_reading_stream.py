@@ -1,0 +1,116 @@
+"""A stream gives readings as the device makes them: the newest, or every one, in a loop, a call or a task."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+from collections.abc import Callable
+from itertools import islice
+
+import pytest
+from coded_errors import raises
+from waiting import eventually
+
+from ronna_hw.devices.errors import STREAM_BEHIND
+from ronna_hw.devices.reading_stream import MOST_WAITING, ReadingStream
+from ronna_hw.devices.readings import ArmReading, Stamp, Validity
+from ronna_hw.errors import LinkTimeout
+
+
+class Device:
+    """Makes a reading for each one allowed, then fails or waits."""
+
+    def __init__(self, allowed: int, error: Exception | None = None) -> None:
+        self.made, self._error = 0, error
+        self._allowed = threading.Semaphore(allowed)
+
+    def allow(self, more: int) -> None:
+        self._allowed.release(more)
+
+    def read(self, timeout_s: float) -> ArmReading:
+        if not self._allowed.acquire(timeout=0.01 if self._error else timeout_s):
+            raise self._error or LinkTimeout("nothing more comes")
+        self.made += 1
+        joints_rad = (0.0,) * 6
+        return ArmReading(Stamp(self.made, self.made, 0.0), Validity.OK, joints_rad, joints_rad, False)
+
+
+def numbers(readings: list[ArmReading]) -> list[int]:
+    return [one.stamp.sequence for one in readings]
+
+
+def stream_of(device: Device, *, every: bool = False) -> ReadingStream[ArmReading]:
+    return ReadingStream(device.read, every=every)
+
+
+def test_every_reading_comes_once_and_in_order() -> None:
+    assert numbers(list(islice(stream_of(Device(50), every=True), 50))) == list(range(1, 51))
+
+
+def test_whoever_is_slow_gets_the_newest_and_is_told_how_many_were_dropped() -> None:
+    device = Device(1)
+    stream = stream_of(device)
+    readings = iter(stream)
+    next(readings)
+    device.allow(9)
+    eventually(lambda: device.made == 10)
+    assert next(readings).stamp.sequence == 10
+    assert stream.dropped == 10 - 2
+
+
+def test_every_reading_is_not_kept_without_bound() -> None:
+    device = Device(MOST_WAITING + 10)
+    readings = iter(stream_of(device, every=True))
+    next(readings)
+    eventually(lambda: device.made > MOST_WAITING)
+    with raises(STREAM_BEHIND):
+        for _ in readings:
+            pass
+
+
+@pytest.mark.parametrize("consume", [list, lambda stream: asyncio.run(first_of(stream, 5))])
+def test_the_devices_error_reaches_the_consumer_after_its_last_reading(
+    consume: Callable[[ReadingStream[ArmReading]], object],
+) -> None:
+    with raises(LinkTimeout):
+        consume(stream_of(Device(3, LinkTimeout("the cable is out")), every=True))
+
+
+async def first_of(stream: ReadingStream[ArmReading], count: int) -> list[ArmReading]:
+    readings = []
+    async for reading in stream:
+        readings.append(reading)
+        if len(readings) == count:
+            break
+    return readings
+
+
+def test_a_task_awaits_readings() -> None:
+    assert numbers(asyncio.run(first_of(stream_of(Device(5), every=True), 5))) == [1, 2, 3, 4, 5]
+
+
+def test_a_function_is_called_with_each_reading_while_the_block_runs() -> None:
+    got: list[ArmReading] = []
+    device = Device(5)
+    with stream_of(device, every=True).calling(got.append):
+        eventually(lambda: len(got) == 5)
+    assert numbers(got) == [1, 2, 3, 4, 5]
+
+
+def test_an_error_of_the_function_is_raised_at_the_end_of_the_block() -> None:
+    failed = threading.Event()
+
+    def fail(_reading: ArmReading) -> None:
+        failed.set()
+        raise ValueError("no room for it")
+
+    with pytest.raises(ValueError, match="no room"), stream_of(Device(5)).calling(fail):
+        failed.wait(5.0)
+
+
+def test_a_stream_that_is_left_reads_the_device_no_more() -> None:
+    device = Device(1)
+    stream = stream_of(device)
+    for _ in stream:
+        break
+    assert not any(thread.name == "reading stream" for thread in threading.enumerate())

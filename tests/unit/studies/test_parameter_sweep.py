@@ -1,0 +1,98 @@
+"""A sweep calls a function for every combination once, keeps what is finished, and returns one table."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from coded_errors import raises
+
+from ronna_hw.arguments import WrongArgument
+from ronna_hw.loaded_run import RunColumn, RunTable
+from studies import sweep
+from studies.errors import OTHER_STUDY
+from studies.parameter_sweep import FILE
+
+CALLS: list[tuple[float, str]] = []
+
+
+def jitter(distance_mm: float, unit: str) -> dict[str, object]:
+    CALLS.append((distance_mm, unit))
+    if distance_mm > 5000.0:
+        raise WrongArgument("nothing is seen from there")
+    return {"jitter_mm": distance_mm / 1000.0, "note": unit.upper()}
+
+
+def whose_process(number: int) -> int:
+    return os.getpid() + 0 * number
+
+
+def a_case(seed: int, out: Path, progress: bool) -> Any:
+    columns = (
+        RunColumn("name", str, ""),
+        RunColumn("error_mm", float, ""),
+        RunColumn("at_mm", float, "", (3,)),
+    )
+    targets = RunTable.of(columns, [("T1", 0.1 * seed, (0.0, 0.0, 0.0)), ("T2", np.nan, (0.0, 0.0, 0.0))])
+    out.mkdir(parents=True, exist_ok=True)
+    return SimpleNamespace(name=f"{seed}", outcome=f"bar {progress}", targets=targets)
+
+
+@pytest.fixture(autouse=True)
+def no_calls_yet() -> None:
+    CALLS.clear()
+
+
+def test_every_combination_is_a_row_with_its_arguments_and_results(tmp_path: Path) -> None:
+    found = sweep(jitter, folder=tmp_path, workers=1, distance_mm=np.array([950.0, 2000.0]), unit=["a", "b"])
+    assert found.distance_mm.tolist() == [950.0, 950.0, 2000.0, 2000.0]
+    assert found.unit.tolist() == ["a", "b", "a", "b"]
+    assert found.jitter_mm.tolist() == [0.95, 0.95, 2.0, 2.0]
+    assert found.note.tolist() == ["A", "B", "A", "B"]
+
+
+def test_the_same_sweep_with_more_points_runs_only_those_that_are_new(tmp_path: Path) -> None:
+    sweep(jitter, folder=tmp_path, workers=1, distance_mm=[950.0], unit="a")
+    with (tmp_path / FILE).open("a") as file:
+        file.write('{"point": "cut by a')  # as a kill leaves it
+    CALLS.clear()
+    found = sweep(jitter, folder=tmp_path, workers=1, distance_mm=[950.0, 2000.0], unit="a")
+    assert CALLS == [(2000.0, "a")]
+    assert found.distance_mm.tolist() == [950.0, 2000.0]
+    sweep(jitter, folder=tmp_path, workers=1, distance_mm=[950.0, 2000.0], unit="a")
+    assert len(CALLS) == 1
+
+
+def test_what_a_point_refuses_is_a_row_and_the_sweep_goes_on(tmp_path: Path) -> None:
+    found = sweep(jitter, folder=tmp_path, workers=1, distance_mm=[6000.0, 950.0], unit="a")
+    assert [text[:7] for text in found.error] == ["ARG-001", ""]
+    assert np.isnan(found.jitter_mm).tolist() == [True, False]
+
+
+def test_points_are_worked_on_in_other_processes(tmp_path: Path) -> None:
+    found = sweep(whose_process, folder=tmp_path, workers=2, number=[1, 2])
+    assert os.getpid() not in found.value.tolist()
+
+
+def test_the_targets_of_a_loaded_run_are_rows_and_what_it_writes_stays_in_the_folder(tmp_path: Path) -> None:
+    found = sweep(a_case, folder=tmp_path, workers=1, seed=[1, 2])
+    assert found.name.tolist() == ["T1", "T2", "T1", "T2"]
+    assert found.error_mm[::2].tolist() == pytest.approx([0.1, 0.2])
+    assert np.isnan(found.error_mm[1])
+    assert set(found.outcome) == {"bar False"}
+    assert (tmp_path / "runs").is_dir()
+
+
+def test_a_folder_with_points_of_another_function_is_refused(tmp_path: Path) -> None:
+    sweep(jitter, folder=tmp_path, workers=1, distance_mm=950.0, unit="a")
+    with raises(OTHER_STUDY):
+        sweep(whose_process, folder=tmp_path, workers=1, number=1)
+
+
+def test_an_argument_without_a_value_is_refused(tmp_path: Path) -> None:
+    with raises(WrongArgument):
+        sweep(whose_process, folder=tmp_path, number=[])
