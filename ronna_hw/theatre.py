@@ -18,7 +18,7 @@ import threading
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Self, TypeVar, cast
+from typing import TYPE_CHECKING, Self, TypeVar, cast
 
 from ronna_hw.clock import Clock, SharedClock, open_clock
 from ronna_hw.config import Calibrations, DeviceConfig, TheatreFile, read_theatre_file
@@ -32,7 +32,9 @@ from ronna_hw.host.child_process import ChildProcess, command
 from ronna_hw.host.process import defer_interruption
 from ronna_hw.logs import logger
 from ronna_hw.registry import make_device
-from ronna_hw.simulated_room import SimulatedRoom
+
+if TYPE_CHECKING:
+    from ronna_hw.simulated_room import SimulatedRoom
 
 D = TypeVar("D")
 DriverOfTable = Callable[[str, DeviceConfig, Clock], Device]
@@ -299,6 +301,8 @@ class SimulatedTheatre(Theatre):
     @property
     def room(self) -> SimulatedRoom:
         """Hands in the room: move, hide and disturb, and look up the truth."""
+        from ronna_hw.simulated_room import SimulatedRoom  # with NumPy, which a theatre does not wait for
+
         return SimulatedRoom(self.control)
 
 

@@ -31,7 +31,7 @@ STEP_RAD = 0.1  # of any joint: within this, a path between two samples is strai
 FINEST_MM = 0.5
 ARC_FACTOR = 1.01  # between two samples a body moves along an arc, not its chord
 LEAVING_MM = 0.05  # a body that starts too close may stay or move away; this much does not count as approach
-UNCHANGED_MM = 1.0  # a pair whose distance varies by less on a path is not what its motion brings close
+UNCHANGED_MM = 1.0  # bodies of an arm whose distance varies by less on a path turn together
 ALIKE_MM = 1e-6  # two distances closer than this are equal up to rounding
 KEPT_PATHS = 64  # a path is swept when planned, when previewed and when driven: about 10 MB
 
@@ -72,17 +72,19 @@ class SweptPath:
 
     @property
     def closest(self) -> ClosestPair | None:
-        """Closest of the pairs that the motion changes, or None if there is nothing to collide with.
+        """Closest pair on the path, or None if there is nothing to collide with.
 
-        Bodies that turn together, as a tool and the wrist behind it, are as close before and afterwards. On a
-        path that changes no pair, all count.
+        Of the arm's own pairs those count that the motion changes: bodies that turn together, as a tool and
+        the wrist behind it, are as close before and afterwards. On a path that leaves no other pair, all do.
         """
         gaps = self.swept.gaps_mm
         if not gaps.size or not np.isfinite(gaps).any():
             return None
         largest_mm = np.where(np.isfinite(gaps), gaps, -np.inf).max(axis=0)
-        changed = np.where(largest_mm - gaps.min(axis=0) > UNCHANGED_MM, gaps, np.inf)
-        return self._pair_at(_first_smallest(changed if np.isfinite(changed).any() else gaps))
+        own = np.array([pair.other < 0 for pair in self.bodies.pairs])
+        counts = ~own | (largest_mm - gaps.min(axis=0) > UNCHANGED_MM)
+        counted = np.where(counts, gaps, np.inf)
+        return self._pair_at(_first_smallest(counted if np.isfinite(counted).any() else gaps))
 
     @property
     def refused(self) -> ClosestPair | None:
