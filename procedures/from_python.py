@@ -2,14 +2,15 @@
 
 from procedures import run_case
 
-run = run_case("mini", seed=7, strategy="ocs", arm="ur5e", faults=["tracker hide tool 1 for 2 s"])
+run = run_case("mini", seed=7, arm="ur5e", faults="at 3 s: tracker occlude marker 2 for 2 s")
 print(run.targets.error_mm)
 """
 
 from __future__ import annotations
 
+import hashlib
 import os
-import tempfile
+import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import fields, replace
@@ -22,7 +23,9 @@ from procedures.operator.question import Answer, Question, join_answers
 from procedures.runs.answers import ScriptedOperator
 from procedures.runs.observers import RunObservers
 from ronna_hw.arguments import WrongArgument, require_path, show
+from ronna_hw.errors import RonnaError
 from ronna_hw.loaded_run import LoadedRun, load_run
+from ronna_hw.records import write_atomically
 
 if TYPE_CHECKING:
     from rich.progress import Progress
@@ -32,16 +35,11 @@ if TYPE_CHECKING:
     from procedures.runs.request import RunRequest
 
 Decide = Callable[[Question], str | None]
-FAULT_SCRIPT = "faults.txt"
-NOT_OPTIONS = {
-    "sim",
-    "config",
-    "case",
-    "out",
-    "ask",
-    "answers",
-    "faults",
-}  # of the command, for people or devices
+THREADS = "OPENBLAS_NUM_THREADS"
+DECIDES = "a function of a Question that returns one of its answers, or None"
+OPTIONS = 'options by name, such as {"markers": 4}'
+# Options of the command for people or devices.
+NOT_OPTIONS = {"sim", "config", "case", "out", "ask", "answers", "faults"}
 
 
 def run_case(
@@ -51,7 +49,7 @@ def run_case(
     strategy: str = "ocs",
     arm: str = "kr6",
     dual: bool = False,
-    faults: Sequence[str] = (),
+    faults: str | Sequence[str] = (),
     answers: Decide | None = None,
     out: str | os.PathLike[str] = "runs",
     progress: bool = True,
@@ -59,34 +57,63 @@ def run_case(
 ) -> LoadedRun:
     """Run a simulated case to its end, as `ronna-procedure run --sim`, and return its run.
 
-    `faults` are lines of a fault script. `answers` is called with each `Question` and returns one of its
-    `answers`, or None for that of the script, the first. `options` are further ones of the command, with
-    underscores, such as `{"markers": 4, "calibrated": True}`. `progress` shows a bar of the steps, in a
-    notebook too.
+    `faults` are one line of a fault script, or several. `answers` is called with each `Question` and returns
+    one of its `answers`, or None for that of the script, the first. `options` are further ones of the
+    command, with underscores, such as `{"markers": 4, "calibrated": True}`. `progress` shows a bar of the
+    steps, in a notebook too.
 
     Raises ARG-001 for an option that the command does not have or a value that it does not take, PRO-026 for
-    an answer that a question does not accept, and the error of a case that does not come to its end, whose
-    run is in the folder `out` nevertheless.
+    an answer that a question does not accept, and the error of a case that does not come to its end, with
+    a note that names its run.
     """
     from procedures.runs.case_outcome import run_case as run_to_end
     from procedures.runs.finishing import finalize_run
     from procedures.runs.folders import hold_run, run_folder
     from procedures.runs.request_checks import check_case
 
+    if answers is not None and not callable(answers):
+        raise WrongArgument("answers of run_case is no function", expected=DECIDES, got=show(answers))
+    if not isinstance(options or {}, Mapping):
+        raise WrongArgument("options of run_case is no mapping", expected=OPTIONS, got=show(options))
     given = {"scene": scene, "seed": seed, "strategy": strategy, "arm": arm, "dual": dual, **(options or {})}
     runs = require_path(out, "the folder of runs")
-    with tempfile.TemporaryDirectory() as scripts, _step_bar(shown=progress) as follow:
+    _warn_of_threads()
+    with _step_bar(shown=progress) as follow:
         request = _make_request(given)
         if faults:
-            script = Path(scripts) / FAULT_SCRIPT
-            script.write_text("\n".join(faults) + "\n", encoding="utf-8")
-            request = replace(request, faults=script)
+            lines = [faults] if isinstance(faults, str) else list(faults)
+            request = replace(request, faults=_write_script("\n".join(lines) + "\n", runs))
         check_case(request, runs)
         observers = RunObservers(opened=follow, script=_Deciding(answers))
         with run_folder(request, runs) as folder, hold_run(folder):
-            with finalize_run(folder, with_truth=False, name_report=False):
-                run_to_end(request, folder, observers)
+            try:
+                with finalize_run(folder, with_truth=False, name_report=False):
+                    run_to_end(request, folder, observers)
+            except RonnaError as error:
+                error.add_note(f"its run is {folder}")
+                raise
             return load_run(folder)
+
+
+def _write_script(content: str, runs: Path) -> Path:
+    """Write a fault script beside the runs, where each run that names it finds it again."""
+    digest = hashlib.sha256(content.encode()).hexdigest()[:8]
+    script = runs / f"faults-{digest}.txt"
+    runs.mkdir(parents=True, exist_ok=True)
+    write_atomically(script, content.encode())
+    return script
+
+
+def _warn_of_threads() -> None:
+    """Warn if linear algebra runs in several threads, which commands and `procedures` limit to one."""
+    if os.environ.get(THREADS) == "1":
+        return
+    warnings.warn(
+        f"NumPy was loaded with several threads: the last digits may differ from those of the command. "
+        f"Set {THREADS}=1 before Python starts.",
+        RuntimeWarning,
+        stacklevel=3,
+    )
 
 
 def _make_request(given: Mapping[str, object]) -> RunRequest:
@@ -119,11 +146,12 @@ def _check_ranges(options: Any) -> None:
         value = getattr(options, name)
         for stated in getattr(hint, "__metadata__", ()):
             low, high = getattr(stated, "min", None), getattr(stated, "max", None)
-            if value is None or low is None or high is None or low <= value <= high:
-                continue
-            raise WrongArgument(
-                f"{name} of run_case is out of range", expected=f"{low:g} to {high:g}", got=show(value)
-            )
+            too_small = None not in (value, low) and value < low
+            too_large = None not in (value, high) and value > high
+            if too_small or too_large:
+                raise WrongArgument(
+                    f"{name} of run_case is out of range", expected=f"{low} to {high}", got=show(value)
+                )
 
 
 class _Deciding:
@@ -138,7 +166,11 @@ class _Deciding:
         if word is None:
             return self._script.ask(question)
         if word not in question.answers:
-            raise ANSWERS_UNFIT(f"{question.name} accepts {join_answers(question.answers)}", got=show(word))
+            raise ANSWERS_UNFIT(
+                f"{question.name} accepts {join_answers(question.answers)}",
+                got=show(word),
+                action="Return one of the question's answers, or None for its first.",
+            )
         return replace(self._script.ask(question), word=word)
 
 

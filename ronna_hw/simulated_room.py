@@ -36,12 +36,16 @@ class TrueSphere:
 
 @dataclass(frozen=True)
 class RoomTruth:
-    """What is where at a theatre time. Phantoms are points where lines of sight of two spheres cross."""
+    """Places in a room at a theatre time. Phantoms are points where lines of sight of two spheres cross.
+
+    `disturbances` of the whole tracker, such as sunlight, add reflections that are no sphere.
+    """
 
     theatre_time_s: float
     joints_rad: Mapping[str, JointVector]  # by role of the arm
     spheres: tuple[TrueSphere, ...]
     phantoms_mm: NDArray[np.float64]  # (n, 3), tracker frame
+    disturbances: tuple[str, ...]
 
     def nearest(self, place_mm: Sequence[float]) -> TrueSphere:
         """Return the sphere nearest to a place in the tracker frame, such as that of a stray."""
@@ -69,11 +73,11 @@ class SimulatedRoom:
         return str(ask_control_port(self._control, "fault", line=line)["effect"])
 
     def clear(self, line: str | None = None) -> None:
-        """End a fault, by its line, or all of them. A cart that was moved stays where it is."""
+        """End what was injected, by its line, or all of it: what was moved is back in its place."""
         ask_control_port(self._control, "clear_faults", **({} if line is None else {"line": line}))
 
     def move(self, what: str, by_mm: Sequence[float]) -> None:
-        """Move head, cart, assistant_cart, tracker or guide along the robot's axes, to stay there."""
+        """Move head, cart, assistant_cart, tracker or guide along the robot's axes, until cleared."""
         self.inject(f"room shift {what} {_numbers(by_mm)} mm")
 
     def turn(self, what: str, by_deg: Sequence[float]) -> None:
@@ -83,9 +87,11 @@ class SimulatedRoom:
     def hide(self, what: str, for_s: float | None = None) -> None:
         """Hide a sphere, as `sphere 2`, or a tool by its name: for a time, or until cleared."""
         until = "" if for_s is None else f" for {for_s:g} s"
-        number = what.removeprefix(SPHERE)
-        subject = f"marker {number}" if what.startswith(SPHERE) else f"tool {what}"
-        self.inject(f"tracker occlude {subject}{until}")
+        self.inject(f"{_occlusion(what)}{until}")
+
+    def show(self, what: str) -> None:
+        """Show again what `hide` has hidden until cleared."""
+        self.clear(_occlusion(what))
 
     def mount(self, number: int) -> None:
         """Mount a tool: 0 none, 1 the stereo head, 2 the guide."""
@@ -104,6 +110,7 @@ class SimulatedRoom:
                 for one in told["spheres"]
             ),
             np.array(told["phantoms_mm"], dtype=float).reshape(-1, 3),
+            tuple(map(str, told["disturbances"])),
         )
 
     def why(self, what: str) -> str:
@@ -118,6 +125,15 @@ class SimulatedRoom:
         )
 
 
+def _occlusion(what: str) -> str:
+    if not isinstance(what, str):
+        raise WrongArgument(
+            "what is hidden is no name", expected="sphere 2, or a tool's name", got=show(what)
+        )
+    number = what.removeprefix(SPHERE)
+    return f"tracker occlude {f'marker {number}' if what.startswith(SPHERE) else f'tool {what}'}"
+
+
 def _numbers(values: Sequence[float]) -> str:
     x, y, z = require_numbers(values, "the displacement", shape=(3,)).tolist()
-    return f"{x:+g} {y:+g} {z:+g}"
+    return f"{x:+.6f} {y:+.6f} {z:+.6f}"

@@ -28,7 +28,9 @@ from rich.progress import Progress
 
 from ronna_hw.arguments import WrongArgument, require_path, show
 from ronna_hw.bounded_input import parse_json, read_json_lines
-from ronna_hw.errors import RonnaError
+from ronna_hw.command_line.messages import tell
+from ronna_hw.errors import ConfigurationError, DataError, RefusedError, RonnaError
+from ronna_hw.host.process import limit_children_to_one_thread
 from ronna_hw.host.worker_processes import start_workers
 from ronna_hw.loaded_run import RunColumn, RunTable
 from studies.campaign.folder import code
@@ -45,7 +47,7 @@ Row = dict[str, Any]
 def sweep(
     function: Callable[..., Any],
     *,
-    folder: str | os.PathLike[str] = "sweep",
+    folder: str | os.PathLike[str] | None = None,
     workers: int | None = None,
     progress: bool = True,
     **arguments: object,
@@ -54,25 +56,28 @@ def sweep(
 
     A list, tuple, range or array is varied; any other value is the same in every call. `workers` processes
     work at once, by default one for each two cores, since a simulated case uses two. With 1, all is done in
-    this process, as it is by default for a function of a notebook, which no other process can import.
+    this process, as it is for a function of a notebook, which no other process can import.
 
-    Finished points are kept in `folder`: the same call, or one with more points, goes on from there. What the
-    function writes to its own `out` is kept there too.
+    With a `folder` finished points are kept there: the same call, or one with more points, goes on from
+    there. They are of this function's text and of this program; what else the function reads is not compared.
+    What the function writes to its own `out` is kept there too.
 
     Raises ARG-001 for arguments without a point, STU-001 and STU-002 if `folder` has points of another
     function or of other code, and what the function raises, unless it has a code.
     """
-    kept = require_path(folder, "the folder of a sweep")
+    kept = None if folder is None else require_path(folder, "the folder of a sweep")
     points = list(_list_points(arguments))
     if not points:
         raise WrongArgument("the sweep has no point: an argument is empty", got=show(arguments))
     ledger = _Ledger(kept, function)
     missing = [point for point in points if ledger.find(point) is None]
-    fixed = _own_options(function, kept / RUNS, arguments)
+    if found := len(points) - len(missing):
+        tell(f"{found} of {len(points)} points are taken from {kept}")
+    fixed = _own_options(function, kept and kept / RUNS, arguments)
     with Progress(transient=True, disable=not progress) as bar:
-        task = bar.add_task(function.__name__, total=len(points), completed=len(points) - len(missing))
-        for point, rows in _run(function, missing, fixed, workers):
-            ledger.add(point, rows)
+        task = bar.add_task(name_of(function), total=len(points), completed=len(points) - len(missing))
+        for point, (rows, kept_for_good) in _run(function, missing, fixed, workers):
+            ledger.add(point, rows, keep=kept_for_good)
             bar.advance(task)
     return _tabulate([row for point in points for row in ledger.find(point) or ()])
 
@@ -89,23 +94,22 @@ def _list_points(arguments: Mapping[str, object]) -> Iterator[Row]:
         }
 
 
-def _own_options(function: Callable[..., Any], out: Path, arguments: Mapping[str, object]) -> Row:
+def _own_options(function: Callable[..., Any], out: Path | None, arguments: Mapping[str, object]) -> Row:
     """Return where the function writes, and that it shows no bar of its own, if it can be told."""
-    wanted = {"out": out, "progress": False}
+    wanted = {"progress": False} | ({} if out is None else {"out": out})
     taken = signature(function).parameters
     return {name: value for name, value in wanted.items() if name in taken and name not in arguments}
 
 
 def _run(
     function: Callable[..., Any], points: Sequence[Row], fixed: Row, workers: int | None
-) -> Iterator[tuple[Row, list[Row]]]:
+) -> Iterator[tuple[Row, tuple[list[Row], bool]]]:
     """Call the function for each point; yield the rows as they are finished."""
-    cores = len(os.sched_getaffinity(0))
-    count = workers or (max(1, cores // CORES_PER_POINT) if _is_importable(function) else 1)
-    if count == 1:
+    if workers == 1 or not _is_importable(function):
         yield from ((point, _call(function, point, fixed)) for point in points)
         return
-    with start_workers(min(count, len(points) or 1)) as pool:
+    count = workers or max(1, len(os.sched_getaffinity(0)) // CORES_PER_POINT)
+    with limit_children_to_one_thread(), start_workers(min(count, len(points) or 1)) as pool:
         waiting = {pool.submit(_call, function, point, fixed): point for point in points}
         while waiting:
             for future in wait(waiting, return_when=FIRST_COMPLETED).done:
@@ -115,16 +119,31 @@ def _run(
 def _is_importable(function: Callable[..., Any]) -> bool:
     """Whether a worker process finds the function: not one of a notebook, a script or another function."""
     home = None if function.__module__ == MAIN else sys.modules.get(function.__module__)
-    return getattr(home, function.__qualname__, None) is function
+    return getattr(home, getattr(function, "__qualname__", ""), None) is function
 
 
-def _call(function: Callable[..., Any], point: Row, fixed: Row) -> list[Row]:
-    """Return the rows of one point. A coded error is a result: it says what a case refused."""
+def _call(function: Callable[..., Any], point: Row, fixed: Row) -> tuple[list[Row], bool]:
+    """Return the rows of one point, and whether they are kept.
+
+    A refusal is a result: it says what a case did not accept. A link that failed or a device that did not
+    start is none: the next call tries that point again.
+    """
+    shown = {name: _plain(value) for name, value in point.items()}
     try:
         found = function(**point, **fixed)
+        rows = _as_rows(found)
     except RonnaError as error:
-        return [{**point, ERROR: str(error)}]
-    return [{**point, **row} for row in _as_rows(found)]
+        return [{**shown, ERROR: str(error)}], isinstance(
+            error, RefusedError | DataError | ConfigurationError
+        )
+    except Exception as error:
+        error.add_note(f"at the point {shown}")
+        raise
+    if clash := [name for row in rows for name in row if name in shown]:
+        raise WrongArgument(
+            f"the function returns a column {clash[0]!r}, which is one of its arguments", action="Rename it."
+        )
+    return [{**shown, **row} for row in rows], True
 
 
 def _as_rows(found: Any) -> list[Row]:
@@ -146,29 +165,41 @@ def _plain(value: Any) -> Any:
     plain = value.item() if isinstance(value, np.generic) else value
     if isinstance(plain, float) and not np.isfinite(plain):
         return None
+    if isinstance(plain, np.ndarray | complex):
+        raise TypeError(
+            f"a column has numbers or text, not {show(plain)}: give each number a column or a row"
+        )
     return plain if isinstance(plain, str | int | float | bool) or plain is None else str(plain)
 
 
 class _Ledger:
     """Finished points of a function, one line of JSON each, in a folder."""
 
-    def __init__(self, folder: Path, function: Callable[..., Any]) -> None:
-        """Open or begin it; raises STU-001 if it is of another function or code, STU-002 if unreadable."""
-        self._path = folder / FILE
+    def __init__(self, folder: Path | None, function: Callable[..., Any]) -> None:
+        """Open or begin it; raises STU-001 if it is of another function or code, STU-002 if unreadable.
+
+        Without a folder nothing is kept.
+        """
         self._rows: dict[str, list[Row]] = {}
+        self._path = None if folder is None else folder / FILE
+        if folder is None or self._path is None:
+            return
         folder.mkdir(parents=True, exist_ok=True)
-        head = {"function": f"{function.__module__}.{function.__qualname__}", "code": _code_of(function)}
-        if not self._path.exists():
+        head = {"function": name_of(function), "code": _code_of(function)}
+        if not self._path.exists() or not self._path.stat().st_size:
             self._append(head)
             return
         content = read_json_lines(self._path)
         whole = content[: content.rfind(b"\n") + 1]  # the last line may be cut
-        os.truncate(self._path, len(whole))
         first, *lines = whole.splitlines() or [b""]
         try:
             there = parse_json(first)
             if there != head:
-                raise OTHER_STUDY(f"{folder} has points of {there.get('function')} or of other code")
+                raise OTHER_STUDY(
+                    f"{folder} has points of {there.get('function')} or of other code",
+                    action="Give another folder=, or remove this one.",
+                )
+            os.truncate(self._path, len(whole))
             for line in lines:
                 finished = parse_json(line)
                 self._rows[finished["point"]] = finished["rows"]
@@ -179,17 +210,37 @@ class _Ledger:
         """Return the rows of a point, or None if it is not finished."""
         return self._rows.get(_key(point))
 
-    def add(self, point: Row, rows: list[Row]) -> None:
+    def add(self, point: Row, rows: list[Row], *, keep: bool) -> None:
         self._rows[_key(point)] = rows
-        self._append({"point": _key(point), "rows": rows})
+        if keep and self._path is not None:
+            self._append({"point": _key(point), "rows": rows})
 
     def _append(self, line: Mapping[str, object]) -> None:
+        assert self._path is not None, "there is a folder"
         with self._path.open("a", encoding="utf-8") as file:
             file.write(json.dumps(line) + "\n")
 
 
 def _key(point: Row) -> str:
-    return json.dumps(point, sort_keys=True, default=str)
+    """Return the text that names a point. Raises ARG-001 for an argument that no text can name."""
+    return json.dumps(point, sort_keys=True, default=_name)
+
+
+def _name(value: object) -> str:
+    if isinstance(value, os.PathLike):
+        return str(value)
+    if callable(value):
+        return name_of(value)
+    raise WrongArgument(
+        "a sweep cannot name an argument",
+        expected="text, numbers, lists of them or a function",
+        got=show(value),
+    )
+
+
+def name_of(function: Callable[..., Any]) -> str:
+    """Return the full name of a function; of another callable its text."""
+    return f"{function.__module__}.{getattr(function, '__qualname__', repr(function))}"
 
 
 def _code_of(function: Callable[..., Any]) -> str:
@@ -202,8 +253,8 @@ def _code_of(function: Callable[..., Any]) -> str:
 
 
 def _tabulate(rows: Sequence[Row]) -> RunTable:
-    names = list(dict.fromkeys(name for row in rows for name in row))
-    kinds = {name: _kind_of([row.get(name) for row in rows]) for name in names}
+    names = list(dict.fromkeys([*(name for row in rows for name in row), ERROR]))
+    kinds = {name: _kind_of([row.get(name) for row in rows]) for name in names} | {ERROR: str}
     columns = tuple(RunColumn(name, kinds[name], "") for name in names)
     return RunTable.of(columns, [[_cell(row.get(name), kinds[name]) for name in names] for row in rows])
 

@@ -59,9 +59,9 @@ def guide_end(tool_mm: Sequence[tuple[float, ...]], entry: Point, target: Point)
 
 
 def closest_pair(bodies: Bodies, pose: Pose) -> Closest | None:
-    """Return the closest checked pair of the arm and what stands around it, or None if no pair is close.
+    """Return the closest checked pair of an arm, or None if no pair is close.
 
-    Pairs of the arm's own bodies are left out: most of them are as close in every pose.
+    Pairs of the arm's own bodies count below the clearance of planned paths: most are as close in every pose.
     """
     if len(pose.bodies_mm) != len(bodies.moving):
         return None  # of an arm with other tools: bodies and pose are from different moments
@@ -69,11 +69,12 @@ def closest_pair(bodies: Bodies, pose: Pose) -> Closest | None:
     fixed = [axis_ends(one.ends_mm) for one in bodies.fixed]
     best: Closest | None = None
     for first, second in bodies.pairs:
-        if second < 0:
-            continue
-        other, (a, b), (c, d) = bodies.fixed[second], moving[first], fixed[second]
+        a, b = moving[first]
+        other = bodies.fixed[second] if second >= 0 else bodies.moving[-1 - second]
+        c, d = fixed[second] if second >= 0 else moving[-1 - second]
         clearance_mm = segment_distance_mm(a, b, c, d) - bodies.moving[first].radius_mm - other.radius_mm
-        if clearance_mm < (best.distance_mm if best else CLOSE_MM):
+        counts = second >= 0 or clearance_mm < bodies.margin_mm
+        if counts and clearance_mm < (best.distance_mm if best else CLOSE_MM):
             near, far = _closest_points(a, b, c, d)
             best = Closest(bodies.moving[first].name, other.name, clearance_mm, near, far)
     return best

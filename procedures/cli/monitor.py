@@ -17,7 +17,7 @@ from ronna_hw.command_line import terminal
 from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.devices import RobotArm
 from ronna_hw.devices.reading_stream import NextArmState, ReadingStream
-from ronna_hw.devices.readings import ArmReading, CameraImage, StereoReading, TrackerFrame
+from ronna_hw.devices.readings import ArmReading, CameraImage, StampedReading, StereoReading, TrackerFrame
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -74,7 +74,10 @@ def _show(name: str, readings: Iterable[object], *, as_json: bool) -> None:
     if as_json or not terminal.on_terminal(sys.stdout):
         for reading in readings:
             if as_json:
-                sys.stdout.write(json.dumps({"device": name, "rows": rows_of(reading)}) + "\n")
+                sys.stdout.write(
+                    json.dumps({"device": name, **_stamp(reading), "rows": rows_of(reading)}) + "\n"
+                )
+                sys.stdout.flush()  # into a pipe too
             else:
                 heads, lines = _columns(rows_of(reading))
                 terminal.print_table(name, heads, lines)
@@ -86,13 +89,24 @@ def _show(name: str, readings: Iterable[object], *, as_json: bool) -> None:
             live.update(_table(name, rows_of(reading)))
 
 
+def _stamp(reading: object) -> dict[str, object]:
+    if not isinstance(reading, StampedReading):
+        return {}
+    stamp = reading.stamp
+    return {
+        "theatre_time_s": stamp.theatre_time_s,
+        "device_clock": stamp.device_clock,
+        "validity": reading.validity.value,
+    }
+
+
 def rows_of(reading: object) -> Rows:
     """Return what a reading says, a row for each tool, stray, axis or side; numbers are not rounded."""
     match reading:
         case TrackerFrame():
             tools = [
                 {"what": one.tool, "validity": one.validity.value, **_place(one.position_mm)}
-                | {"fit rms mm": one.fit_error_mm}
+                | {"fit_rms_mm": one.fit_error_mm}
                 for one in reading.tools
             ]
             strays = [
@@ -106,15 +120,15 @@ def rows_of(reading: object) -> Rows:
                 {
                     "what": f"A{axis}",
                     "validity": reading.validity.value,
-                    "measured deg": math.degrees(measured),
-                    "commanded deg": None if sent is None else math.degrees(sent),
+                    "measured_deg": math.degrees(measured),
+                    "commanded_deg": None if sent is None else math.degrees(sent),
                 }
                 for axis, (measured, sent) in enumerate(
                     zip(reading.joints_rad, commanded_rad, strict=True), 1
                 )
             ]
             if reading.force_N is not None:
-                joints.append({"what": "force on the tool", "N": math.hypot(*reading.force_N)})
+                joints.append({"what": "force on the tool", "force_N": math.hypot(*reading.force_N)})
             return joints
         case StereoReading():
             return [
@@ -126,13 +140,13 @@ def rows_of(reading: object) -> Rows:
 
 
 def _place(position_mm: Sequence[float] | None) -> dict[str, object]:
-    return dict(zip(("x mm", "y mm", "z mm"), position_mm or (None,) * 3, strict=True))
+    return dict(zip(("x_mm", "y_mm", "z_mm"), position_mm or (None,) * 3, strict=True))
 
 
 def _grey(image: CameraImage | None) -> dict[str, object]:
     if image is None:
-        return {"mean grey": None, "largest grey": None}
-    return {"mean grey": float(image.pixels.mean()), "largest grey": int(image.pixels.max())}
+        return {"mean_grey": None, "largest_grey": None}
+    return {"mean_grey": float(image.pixels.mean()), "largest_grey": int(image.pixels.max())}
 
 
 def _columns(rows: Rows) -> tuple[list[str], list[list[str]]]:

@@ -14,7 +14,7 @@ import numpy as np
 from procedures.engine.events import EventStream, event_types
 from procedures.workcell.placed_arms import PlacedArms, RolePair
 from procedures.workcell.tools import MountedTool
-from ronna_hw.arm.clearance.arm_pair import PlacedArm, name_of
+from ronna_hw.arm.clearance.arm_pair import Closeness, PlacedArm, name_of
 from ronna_hw.arm.clearance.bodies import Surroundings
 from ronna_hw.arm.clearance.live_pair import LivePair
 from ronna_hw.arm.clearance.live_watch import PlacedBodies
@@ -138,7 +138,8 @@ class _ArmBodies:
         if placed is not None and placed is not self._published:
             self._published = placed
             event = _as_event(self.name, placed, self.spoken)
-            events.publish(event.model_copy(update={"cameras": self._cameras}))
+            is_master = self._arm is self._workcell.master
+            events.publish(event.model_copy(update={"cameras": self._cameras, "with_guide": is_master}))
 
     def current(self) -> PlacedArm | None:
         """Return the bodies as last declared, or None while the base is not known."""
@@ -167,7 +168,7 @@ class _ArmBodies:
 class _Distance:
     """Distance between two arms, measured again once one has moved.
 
-    Bodies that may touch, as a clamp and the instrument's guide, are not the closest ones.
+    Bodies that may touch, as a clamp and the instrument's guide, are left out.
     """
 
     def __init__(self, pair: RolePair) -> None:
@@ -175,6 +176,7 @@ class _Distance:
         self._first: PlacedArm | None = None
         self._second: PlacedArm | None = None
         self._live: LivePair | None = None
+        self._contacts: frozenset[tuple[str, str]] = frozenset()
         self._at_rad: tuple[JointVector, JointVector] | None = None
 
     def measure(
@@ -184,20 +186,21 @@ class _Distance:
         one, other = first.current(), second.current()
         if one is None or other is None or first.joints_rad is None or second.joints_rad is None:
             return None
-        at_rad = first.joints_rad, second.joints_rad
-        if self._live is None or self._first is not one or self._second is not other:
-            self._live, self._first, self._second = arms.live()[self._pair], one, other
+        at_rad, contacts = (first.joints_rad, second.joints_rad), arms.contacts(self._pair)
+        same = self._first is one and self._second is other and self._contacts == contacts
+        if self._live is None or not same:
+            self._live = LivePair(one, other, Closeness(contacts))
+            self._first, self._second, self._contacts = one, other, contacts
         elif at_rad == self._at_rad:
             return None
         self._at_rad = at_rad
         found = self._live.distance(*at_rad)
         if not found.first:
             return None
-        closer_mm = self._live.closeness.allowance_mm(found.first, found.second)
         return event_types.ArmsApart(
             arms=(first.name, second.name),
             bodies=(first.spoken(found.first), second.spoken(found.second)),
-            distance_mm=round(found.distance_mm - closer_mm, DECIMALS),
+            distance_mm=round(found.distance_mm, DECIMALS),
         )
 
 
@@ -210,6 +213,7 @@ def _as_event(arm: str, placed: PlacedArm, spoken: Callable[[str], str]) -> even
         arm=arm,
         moving=tuple(event_types.Body(name=spoken(name), radius_mm=radius_mm) for name, radius_mm in moving),
         links=len(bodies.moving_names) - len(bodies.surroundings.tool),
+        margin_mm=bodies.surroundings.margin_mm,
         fixed=tuple(
             event_types.Body(
                 name=name,

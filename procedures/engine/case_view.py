@@ -135,10 +135,11 @@ class CaseView:
 
     @property
     def tool_with_guide_mm(self) -> tuple[events.Ends, ...]:
-        """Axes of the tool of the arm with the guide: the first whose bodies are known; empty if unknown."""
-        arm, bodies = next(iter(self.bodies.items()), ("", None))
-        reported = self.poses.get(arm)
-        return () if bodies is None or reported is None else reported.pose.bodies_mm[bodies.links :]
+        """Axes of the tool of the arm with the guide; empty if they are not known."""
+        for arm, bodies in self.bodies.items():
+            if bodies.with_guide and arm in self.poses:
+                return self.poses[arm].pose.bodies_mm[bodies.links :]
+        return ()
 
     @property
     def awaits_order(self) -> bool:
@@ -196,7 +197,8 @@ def _changes(view: CaseView, what: events.EventContent) -> dict[str, Any]:
         case events.Waiting():
             return {"waiting": what}
         case events.Bodies():
-            return {"bodies": _with(view.bodies, what.arm, what)}
+            bodies = _with(view.bodies, what.arm, what)  # its events come in any order to who joins late
+            return {"bodies": dict(sorted(bodies.items(), key=lambda one: not one[1].with_guide))}
         case events.MeasuringVolume():
             return {"volume": what}
         case events.LinkHealth():

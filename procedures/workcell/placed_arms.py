@@ -76,6 +76,10 @@ class PlacedArms:
         touching = frozenset(product(of_own, of_other))
         self._closeness[RolePair(role, with_role)] = arm_pair.Closeness(touching, frozenset(of_own))
 
+    def contacts(self, pair: RolePair) -> frozenset[tuple[str, str]]:
+        """Return the bodies of two arms that may touch, by name."""
+        return self._closeness[pair].contacts
+
     def surroundings_among(self, role: str, others_rad: Mapping[str, JointVector]) -> Surroundings:
         """Return the surroundings of an arm with others as obstacles, at rest at these joints."""
         around, obstacles, contacts = self.around[role], list[Obstacle](), list[tuple[str, str]]()

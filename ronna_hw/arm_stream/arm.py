@@ -209,9 +209,12 @@ class StreamedArm(GuardedDevice, ABC, Generic[S]):
             return self._readings.from_stream(self.connections.link.state)
         return self._readings.from_controller(self._request_state(timeout_s))
 
-    def stream(self, *, every: bool = False, timeout_s: float = 1.0) -> ReadingStream[ArmReading]:
-        """Stream the states of different cycles, as many as this process can look at."""
-        return ReadingStream(NextArmState(self), every=every, timeout_s=timeout_s)
+    def stream(self, timeout_s: float = 1.0) -> ReadingStream[ArmReading]:
+        """Stream states of different cycles: the newest at each look, not every one.
+
+        The recorded bytes of the link have every cycle.
+        """
+        return ReadingStream(NextArmState(self), timeout_s=timeout_s)
 
     def read_tool_identity(self, timeout_s: float = 1.0) -> ToolIdentity:
         """Read the tool number from the controller's inputs; 0 means no tool."""

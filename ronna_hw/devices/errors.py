@@ -75,6 +75,14 @@ STREAM_BEHIND = ErrorCode(
 )
 
 
+NO_NEW_STATE = ErrorCode(
+    "DEV-012",
+    LinkTimeout,
+    "The arm answers, but its stream delivers no new state within the time limit.",
+    "Check that its program runs and the link has cycles: ronna-procedure doctor --config FILE.",
+)
+
+
 class UnknownTool(ConfigurationError, LookupError):
     """The tracker has no tool with this name."""
 

@@ -3,7 +3,7 @@
     for frame in tracker.stream():  # the newest; what came meanwhile is counted in `dropped`
         print(frame.stamp.theatre_time_s)
 
-    with arm.stream(every=True).calling(record):
+    with tracker.stream(every=True).calling(record):
         ...
 
 A thread of its own reads the device, so a slow consumer delays no reading. The device must be ACTIVE, an arm
@@ -19,10 +19,12 @@ from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import contextmanager
 from typing import Generic, Protocol, TypeVar
 
-from ronna_hw.devices.errors import NO_NEW_FRAME, STREAM_BEHIND
+from ronna_hw.devices.errors import NO_NEW_STATE, STREAM_BEHIND
 from ronna_hw.devices.readings import ArmReading, StampedReading
 
 MOST_WAITING = 1000  # readings, where every one is wanted: 17 s of a tracker, 4 s of an arm
+NO_CLOCK = 0  # of a state that was asked for by EKI, outside of a running stream
+BETWEEN_REQUESTS_S = 0.02  # host time: requests of a state leave the controller to others
 ASK_AGAIN_S = 0.002  # host time between two looks whether an arm has moved on; a cycle of RSI takes 4 ms
 R = TypeVar("R", bound=StampedReading)
 R_co = TypeVar("R_co", covariant=True)
@@ -56,7 +58,7 @@ class ReadingStream(Generic[R]):
                 yield self._take()
 
     async def __aiter__(self) -> AsyncIterator[R]:
-        """As an iterator of an event loop, which is not blocked."""
+        """Yield readings to a task, whose event loop goes on meanwhile."""
         import asyncio  # not in a process of a case
 
         with self._reading():
@@ -65,7 +67,7 @@ class ReadingStream(Generic[R]):
 
     @contextmanager
     def calling(self, function: Callable[[R], object]) -> Iterator[None]:
-        """Call a function with each reading, in a thread, while a block runs; its error ends the block."""
+        """Call a function with each reading, in a thread, while a block runs; raise its error at the end."""
         errors: list[BaseException] = []
 
         def deliver() -> None:
@@ -74,7 +76,7 @@ class ReadingStream(Generic[R]):
                     function(self._take())
             except _StreamEnded:
                 pass
-            except BaseException as error:
+            except BaseException as error:  # raised where the block ends
                 errors.append(error)
 
         thread = threading.Thread(target=deliver, name="reading consumer", daemon=True)
@@ -111,7 +113,7 @@ class ReadingStream(Generic[R]):
                         self.dropped += 1
                     self._waiting.append(reading)
                     self._changed.notify_all()
-        except BaseException as error:
+        except BaseException as error:  # raised to whoever takes the next reading
             self._end(error)
 
     def _end(self, error: BaseException) -> None:
@@ -123,14 +125,14 @@ class ReadingStream(Generic[R]):
         """Wait for a reading, oldest first."""
         with self._changed:
             self._changed.wait_for(lambda: bool(self._waiting) or self._error is not None)
-            if self._waiting:
+            if self._waiting and not self._ending.is_set():
                 return self._waiting.popleft()
             assert self._error is not None
             raise self._error
 
 
 class _StreamEnded(Exception):
-    """Nobody reads the stream any more."""
+    """End of a stream that its consumer has left."""
 
 
 class TellsState(Protocol):
@@ -143,20 +145,27 @@ class TellsState(Protocol):
 
 
 class NextArmState:
-    """Reader of an arm's states, each once: `read_state` repeats the latest."""
+    """Reader of an arm's states, each once: `read_state` repeats the latest of a running stream."""
 
     def __init__(self, arm: TellsState) -> None:
         self._arm = arm
-        self._last: object = None
+        self._last = NO_CLOCK
 
     def __call__(self, timeout_s: float) -> ArmReading:
-        """Wait for a state of another cycle. Raises DEV-009 if none comes in time, and as `read_state`."""
+        """Wait for a state of another cycle; one without a clock was asked for, and is new.
+
+        Raises DEV-012 if none comes in time, and as `read_state`.
+        """
         deadline_s = time.monotonic() + timeout_s
         while True:
             reading = self._arm.read_state(timeout_s)
-            if (clock := reading.stamp.device_clock) != self._last:
+            if (clock := reading.stamp.device_clock) in (NO_CLOCK, self._last):
+                if clock == NO_CLOCK:
+                    time.sleep(BETWEEN_REQUESTS_S)
+                    return reading
+            else:
                 self._last = clock
                 return reading
             if time.monotonic() > deadline_s:
-                raise NO_NEW_FRAME(f"{self._arm.name} delivers no new state", limit=f"{timeout_s:g} s")
+                raise NO_NEW_STATE(f"{self._arm.name} delivers no new state", limit=f"{timeout_s:g} s")
             time.sleep(ASK_AGAIN_S)

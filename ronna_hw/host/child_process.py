@@ -60,7 +60,7 @@ def command(module: str, *arguments: str) -> list[str]:
 
 
 class RunningProcess(Protocol):
-    """What `ChildProcess` uses of `subprocess.Popen`."""
+    """Process that `ChildProcess` watches and ends: the part of `subprocess.Popen` that it uses."""
 
     @property
     def pid(self) -> int:

@@ -29,7 +29,7 @@ FAILED = 1
 
 
 class ForkedProcess:
-    """Child forked from this process, with what `ChildProcess` uses of `subprocess.Popen`."""
+    """Child forked from this process, with the part of `subprocess.Popen` that `ChildProcess` uses."""
 
     def __init__(self, module: str, *arguments: str) -> None:
         """Run a module as `command` does, in a session of its own, reading nothing, its output piped here."""
@@ -72,16 +72,16 @@ class ForkedProcess:
         return code
 
     def terminate(self) -> None:
-        """Send SIGTERM, if the process has not been waited for."""
+        """Send SIGTERM, if the process has not ended."""
         self._signal(signal.SIGTERM)
 
     def kill(self) -> None:
-        """Send SIGKILL, if the process has not been waited for."""
+        """Send SIGKILL, if the process has not ended."""
         self._signal(signal.SIGKILL)
 
     def _signal(self, number: signal.Signals) -> None:
-        if self.poll() is None:
-            os.kill(self.pid, number)
+        with contextlib.suppress(ProcessLookupError):  # ended, and reaped by another thread
+            signal.pidfd_send_signal(self._end, number)
 
 
 def _run(line: Sequence[str], module: str, prepare: Callable[[], None]) -> NoReturn:
@@ -89,12 +89,13 @@ def _run(line: Sequence[str], module: str, prepare: Callable[[], None]) -> NoRet
     status = FAILED
     try:
         prepare()
-        show_command_line(line)
+        with contextlib.suppress(OSError, AttributeError, ValueError):  # it is only for people's eyes
+            show_command_line(line)
         sys.argv = [module, *line[line.index(module) + 1 :]]
         runpy.run_module(module, run_name="__main__", alter_sys=True)
         status = 0
     except SystemExit as ended:
-        status = ended.code if isinstance(ended.code, int) else FAILED
+        status = _exit_code(ended.code)
     except Exception:  # the last frame of the process: nobody above would print it
         traceback.print_exc()
     finally:
@@ -102,6 +103,14 @@ def _run(line: Sequence[str], module: str, prepare: Callable[[], None]) -> NoRet
             sys.stdout.flush()
             sys.stderr.flush()
         os._exit(status)
+
+
+def _exit_code(code: object) -> int:
+    """Return the exit code for the argument of `sys.exit`, whose text is printed."""
+    if code is None or isinstance(code, int):
+        return int(code or 0)
+    sys.stderr.write(f"{code}\n")
+    return FAILED
 
 
 def _leave_parent(parent: int, output: int, messages: int, signals: set[int | signal.Signals]) -> None:

@@ -1,4 +1,4 @@
-"""The truth of a theatre, for whoever studies it: places of spheres, joints, and why a sphere is not seen.
+"""Truth of a theatre for a study: places of spheres, joints, and why a sphere is not seen.
 
 A theatre tells it only if it was started so. Runs never are: no step, driver or procedure can ask for it.
 """
@@ -24,7 +24,7 @@ IN_VIEW = "in view"
 
 
 class TrueRoom:
-    """What is where in a world, in the tracker's frame, now."""
+    """Places in a world, in the tracker's frame, now."""
 
     def __init__(self, world: World) -> None:
         self._world = world
@@ -65,7 +65,18 @@ class TrueRoom:
             for role in (ArmRole.MASTER, *OTHER_ARMS)
             if self._world.has_arm(role)
         }
-        return {"joints_rad": joints, "spheres": spheres, "phantoms_mm": np.asarray(ghosts).tolist()}
+        present = {
+            "sunlight": disturbance.sunlight,
+            "infrared interference": bool(disturbance.interfered),
+            "reflections": bool(disturbance.reflections),
+            "strays": bool(disturbance.strays),
+        }
+        return {
+            "joints_rad": joints,
+            "spheres": spheres,
+            "phantoms_mm": np.asarray(ghosts).tolist(),
+            "disturbances": [name for name, is_there in present.items() if is_there],
+        }
 
     def _why(self, place_mm: list[float], covered: bool, inside: bool, seen: list[bool]) -> str:
         """Say why the tracker does not see a place, or that it does."""

@@ -162,7 +162,7 @@ def trials(count: int, *, quiet: bool) -> list[list[tuple[float, bool]]]:
     return results
 
 
-COUNTS = [15, pytest.param(500, marks=pytest.mark.slow)]
+COUNTS = [40, pytest.param(500, marks=pytest.mark.slow)]
 
 
 @pytest.mark.parametrize("count", COUNTS)

@@ -125,19 +125,23 @@ def urdf(
         Path | None, typer.Option(metavar="FILE", help="Theatre file, for the head or guide on the flange.")
     ] = None,
     carrying: Annotated[
-        Carried, typer.Option(help="With --config: the tool on the flange, as its record has it.")
-    ] = Carried.STEREO_HEAD,
+        Carried | None,
+        typer.Option(help="With --config: the tool on the flange, as its record has it [head]."),
+    ] = None,
 ) -> None:
     """Print the URDF of an arm: joints with their ranges, and the capsules that motions are checked against.
 
     For other programs; lengths in m. It is the nominal arm, without the deviations of a calibration record.
     Exit codes: 0 done, 2 usage, an unknown arm or a bad file.
     """
-    from ronna_hw.arm.catalogue import find_arm
+    from ronna_hw.arm.catalogue import ARMS, find_arm
     from ronna_hw.arm.urdf import write_urdf
 
-    parts = () if config is None else _carried_parts(config, carrying)
-    sys.stdout.write(write_urdf(find_arm(name), parts))
+    if config is None and carrying is not None:
+        raise UsageMistake("--carrying requires --config", expected="the theatre file with the tool's record")
+    parts = () if config is None else _carried_parts(config, carrying or Carried.STEREO_HEAD)
+    known = (arm for arm in ARMS.values() if arm.choice == name)  # as other commands name it
+    sys.stdout.write(write_urdf(next(known, None) or find_arm(name), parts))
 
 
 def _carried_parts(config: Path, carrying: Carried) -> Sequence[Part]:

@@ -239,11 +239,8 @@ class Bodies(_EventBase):
 
     kind: Literal["bodies"] = "bodies"
     arm: str = Field(default="arm", description="Device whose arm moves them.")
-
-    @property
-    def about(self) -> str:
-        return self.arm
-
+    with_guide: bool = Field(default=True, description="Whether this arm carries head and guide.")
+    margin_mm: float = Field(default=10.0, description="Clearance of planned paths.")
     moving: tuple[Body, ...] = Field(description="Links, then parts of the tool.")
     links: Count = Field(default=4, description="How many of those are links.")
     fixed: tuple[Body, ...]
@@ -252,6 +249,10 @@ class Bodies(_EventBase):
         "Without the head and what may enter it."
     )
     cameras: tuple[CameraView, ...] = Field(default=(), description="Of the mounted tool.")
+
+    @property
+    def about(self) -> str:
+        return self.arm
 
     @model_validator(mode="after")
     def _can_be_drawn(self) -> Self:

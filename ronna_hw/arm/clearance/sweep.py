@@ -31,7 +31,7 @@ STEP_RAD = 0.1  # of any joint: within this, a path between two samples is strai
 FINEST_MM = 0.5
 ARC_FACTOR = 1.01  # between two samples a body moves along an arc, not its chord
 LEAVING_MM = 0.05  # a body that starts too close may stay or move away; this much does not count as approach
-UNCHANGED_MM = 1.0  # bodies of an arm whose distance varies by less on a path turn together
+UNCHANGED_MM = 1.0  # bodies of an arm whose distance varies by less on a path turn together on it
 ALIKE_MM = 1e-6  # two distances closer than this are equal up to rounding
 KEPT_PATHS = 64  # a path is swept when planned, when previewed and when driven: about 10 MB
 
@@ -74,15 +74,17 @@ class SweptPath:
     def closest(self) -> ClosestPair | None:
         """Closest pair on the path, or None if there is nothing to collide with.
 
-        Of the arm's own pairs those count that the motion changes: bodies that turn together, as a tool and
-        the wrist behind it, are as close before and afterwards. On a path that leaves no other pair, all do.
+        Pairs of the arm's own bodies that this path leaves as they are, at more than the planned clearance,
+        count only if there are no others: nothing about them changes.
         """
         gaps = self.swept.gaps_mm
         if not gaps.size or not np.isfinite(gaps).any():
             return None
         largest_mm = np.where(np.isfinite(gaps), gaps, -np.inf).max(axis=0)
         own = np.array([pair.other < 0 for pair in self.bodies.pairs])
-        counts = ~own | (largest_mm - gaps.min(axis=0) > UNCHANGED_MM)
+        least_mm = gaps.min(axis=0)
+        near = least_mm <= self.bodies.surroundings.margin_mm
+        counts = ~own | near | (largest_mm - least_mm > UNCHANGED_MM)
         counted = np.where(counts, gaps, np.inf)
         return self._pair_at(_first_smallest(counted if np.isfinite(counted).any() else gaps))
 

@@ -25,7 +25,7 @@ def test_a_frame_has_a_row_for_each_tool_and_stray_and_a_hidden_tool_has_no_plac
     stray = StrayReading((1.0, 2.0, -1500.0), Validity.OK)
     rows = rows_of(TrackerFrame(STAMP, Validity.OK, (hidden,), (stray,)))
     assert [row["what"] for row in rows] == ["guide_frame", "stray 1"]
-    assert [row["z mm"] for row in rows] == [None, -1500.0]
+    assert [row["z_mm"] for row in rows] == [None, -1500.0]
     assert rows[0]["validity"] == "missing"
 
 
@@ -38,12 +38,12 @@ def test_an_arm_has_a_row_for_each_axis_in_degrees_and_its_force_if_it_senses_on
     joints_rad = (math.pi / 2,) * 6
     rows = rows_of(ArmReading(STAMP, Validity.OK, joints_rad, None, False, (3.0, 4.0, 0.0)))
     assert [row["what"] for row in rows] == [*(f"A{axis}" for axis in range(1, 7)), "force on the tool"]
-    assert rows[0]["measured deg"] == 90.0
-    assert rows[0]["commanded deg"] is None
-    assert rows[-1]["N"] == 5.0
+    assert rows[0]["measured_deg"] == 90.0
+    assert rows[0]["commanded_deg"] is None
+    assert rows[-1]["force_N"] == 5.0
 
 
 def test_a_side_without_a_picture_is_shown_as_such() -> None:
     rows = rows_of(StereoReading(STAMP, Validity.MISSING, None, None))
-    assert [(row["what"], row["mean grey"]) for row in rows] == [("left", None), ("right", None)]
+    assert [(row["what"], row["mean_grey"]) for row in rows] == [("left", None), ("right", None)]
     assert not any(isinstance(value, np.generic) for row in rows for value in row.values())

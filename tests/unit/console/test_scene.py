@@ -49,11 +49,22 @@ def test_the_closest_checked_pair_is_named_with_its_clearance_and_location() -> 
         age_s=0.0,
         bodies_mm=((100, 0, 200, 150, 0, 200), (150, 0, 200, 200, 10, 40)),
     )
-    closest = closest_pair(BODIES, pose)  # the needle is at the hand that holds it, in every pose
+    apart = BODIES.model_copy(update={"pairs": BODIES.pairs[:3]})
+    closest = closest_pair(apart, pose)
     assert closest is not None
     assert (closest.first, closest.second, closest.distance_mm) == ("needle", "clamp", pytest.approx(34.0))
     assert closest.from_mm == pytest.approx((200, 10, 40), abs=1e-3)
     assert closest.to_mm == pytest.approx((200, 10, 0), abs=1e-3)
+
+
+def test_a_pair_of_the_arms_own_bodies_is_shown_below_the_clearance_of_planned_paths() -> None:
+    places = ((0, 0, 0, 100, 0, 0), (0, 0, 25, 100, 0, 25))  # 14 mm between hand and needle
+    pose = Pose(arm="arm", joints_rad=(0.0,), age_s=0.0, bodies_mm=places)
+    own = BODIES.model_copy(update={"pairs": ((1, -1),)})
+    assert closest_pair(own, pose) is None
+    near = closest_pair(own.model_copy(update={"margin_mm": 15.0}), pose)
+    assert near is not None
+    assert (near.first, near.second) == ("needle", "hand")
 
 
 def test_a_pose_without_matching_bodies_has_no_clearance() -> None:

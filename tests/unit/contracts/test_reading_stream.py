@@ -11,8 +11,8 @@ import pytest
 from coded_errors import raises
 from waiting import eventually
 
-from ronna_hw.devices.errors import STREAM_BEHIND
-from ronna_hw.devices.reading_stream import MOST_WAITING, ReadingStream
+from ronna_hw.devices.errors import NO_NEW_STATE, STREAM_BEHIND
+from ronna_hw.devices.reading_stream import MOST_WAITING, NextArmState, ReadingStream
 from ronna_hw.devices.readings import ArmReading, Stamp, Validity
 from ronna_hw.errors import LinkTimeout
 
@@ -106,6 +106,31 @@ def test_an_error_of_the_function_is_raised_at_the_end_of_the_block() -> None:
 
     with pytest.raises(ValueError, match="no room"), stream_of(Device(5)).calling(fail):
         failed.wait(5.0)
+
+
+class Arm:
+    """Reports the same cycle until it is allowed another; by its controller it has no clock."""
+
+    name = "arm"
+
+    def __init__(self, *clocks: int) -> None:
+        self._clocks = list(clocks)
+
+    def read_state(self, timeout_s: float = 1.0) -> ArmReading:
+        clock = self._clocks.pop(0) if len(self._clocks) > 1 else self._clocks[0]
+        return ArmReading(Stamp(1, clock, 0.0), Validity.OK, (0.0,) * 6, None, False)
+
+
+def test_an_arms_state_comes_once_for_each_cycle_of_its_stream() -> None:
+    read = NextArmState(Arm(4, 4, 8, 8, 12))
+    assert [read(1.0).stamp.device_clock for _ in range(3)] == [4, 8, 12]
+    with raises(NO_NEW_STATE):
+        read(0.01)
+
+
+def test_a_state_that_was_asked_for_without_a_stream_has_no_clock_and_is_new() -> None:
+    read = NextArmState(Arm(0))
+    assert [read(1.0).stamp.device_clock for _ in range(3)] == [0, 0, 0]
 
 
 def test_a_stream_that_is_left_reads_the_device_no_more() -> None:

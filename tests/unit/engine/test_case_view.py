@@ -63,6 +63,14 @@ def test_each_arm_has_its_own_pose_and_the_guides_arm_is_the_one_whose_bodies_ca
     assert view.tool_with_guide_mm == ((1.0,) * 6,)
 
 
+def test_the_guides_arm_is_the_first_for_whoever_joins_after_a_tool_change() -> None:
+    arm, assistant = (
+        Bodies(arm=name, with_guide=name == "arm", moving=(), fixed=(), pairs=())
+        for name in ("arm", "assistant")
+    )
+    assert list(view_after(assistant, arm).bodies) == ["arm", "assistant"]
+
+
 def test_an_event_file_of_ever_other_arms_keeps_a_bounded_view() -> None:
     poses = [Pose(arm=f"arm {number}", joints_rad=(), age_s=0.0) for number in range(200)]
     assert list(view_after(*poses).poses) == [f"arm {number}" for number in range(MOST_DEVICES)]

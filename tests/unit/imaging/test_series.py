@@ -26,7 +26,6 @@ from procedures.imaging.errors import FILE_DAMAGED
 
 Write = Callable[..., Path]
 HU = np.arange(5 * 6 * 7, dtype=np.int16).reshape(5, 6, 7) - 1000  # what the fixture writes by default
-START_OF_SCAN = b"\xff\xda"  # of JPEG: what follows is the picture
 
 
 def test_voxel_values_and_geometry_are_read_unchanged(dicom_series: Write) -> None:
@@ -130,7 +129,7 @@ def test_a_frame_that_cannot_be_decoded_is_named_although_the_next_slice_is_read
         in_jpeg_ls(12)(data)
         if at == 2:
             frame = get_frame(data.PixelData, 0, number_of_frames=1)
-            data.PixelData = encapsulate([frame[: frame.index(START_OF_SCAN)]])
+            data.PixelData = encapsulate([frame[: len(frame) // 2]])
             data["PixelData"].VR = "OB"
 
     with raises(FILE_DAMAGED, match=r"CT-005: 0002\.dcm: its pixel data cannot be decoded"):

@@ -12,6 +12,7 @@ import pytest
 from coded_errors import raises
 
 from ronna_hw.arguments import WrongArgument
+from ronna_hw.errors import LinkTimeout
 from ronna_hw.loaded_run import RunColumn, RunTable
 from studies import sweep
 from studies.errors import OTHER_STUDY
@@ -71,6 +72,60 @@ def test_what_a_point_refuses_is_a_row_and_the_sweep_goes_on(tmp_path: Path) -> 
     found = sweep(jitter, folder=tmp_path, workers=1, distance_mm=[6000.0, 950.0], unit="a")
     assert [text[:7] for text in found.error] == ["ARG-001", ""]
     assert np.isnan(found.jitter_mm).tolist() == [True, False]
+
+
+def unreachable(number: int) -> int:
+    CALLS.append((number, ""))
+    raise LinkTimeout("nothing answers")
+
+
+def test_a_link_that_failed_is_told_and_tried_again_by_the_next_call(tmp_path: Path) -> None:
+    for _ in range(2):
+        found = sweep(unreachable, folder=tmp_path, workers=1, number=1)
+        assert "nothing answers" in found.error[0]
+    assert len(CALLS) == 2
+
+
+def takes_all(what: object) -> str:
+    return type(what).__name__
+
+
+def test_a_function_and_a_path_are_arguments_and_what_has_no_name_is_refused_at_once(tmp_path: Path) -> None:
+    found = sweep(takes_all, folder=tmp_path, workers=1, what=[jitter, tmp_path])
+    assert found.value.tolist() == ["function", "PosixPath"]
+    with raises(WrongArgument):
+        sweep(takes_all, folder=tmp_path, workers=1, what=object())
+
+
+def test_without_a_folder_nothing_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    for _ in range(2):
+        sweep(jitter, workers=1, distance_mm=950.0, unit="a")
+    assert len(CALLS) == 2
+    assert not list(tmp_path.iterdir())
+
+
+def overwrites(unit: str) -> dict[str, object]:
+    return {"unit": unit}
+
+
+def fills(distance_mm: float) -> dict[str, object]:
+    return {"profile_mm": np.full(3, distance_mm)}
+
+
+def test_a_column_of_an_arguments_name_is_refused() -> None:
+    with raises(WrongArgument, match="'unit'"):
+        sweep(overwrites, workers=1, unit="a")
+
+
+def test_what_is_no_result_names_its_point() -> None:
+    with pytest.raises(TypeError, match="numbers or text") as caught:
+        sweep(fills, workers=1, distance_mm=[1.0, 2.0])
+    assert "'distance_mm': 1.0" in caught.value.__notes__[0]
+
+
+def test_a_table_without_an_error_has_the_column_of_errors() -> None:
+    assert sweep(jitter, workers=1, distance_mm=1.0, unit="a").error.tolist() == [""]
 
 
 def test_points_are_worked_on_in_other_processes(tmp_path: Path) -> None:

@@ -98,6 +98,14 @@ def test_the_closest_pair_is_one_that_the_motion_changes() -> None:
     assert path.closest.distance_mm > constant_mm
 
 
+def test_a_pair_below_the_planned_clearance_is_told_although_the_motion_leaves_it_as_it_is() -> None:
+    around = replace(_around(_post(23.0, 60.0)), margin_mm=200.0)
+    constant_mm = sweep_path(MODEL, _move(), replace(around, obstacles=())).swept.gaps_mm.min()
+    path = sweep_path(MODEL, _move(), around)
+    assert path.closest is not None
+    assert path.closest.distance_mm == pytest.approx(constant_mm)
+
+
 def test_a_body_that_is_too_close_may_move_away_but_not_closer() -> None:
     beside = _around(_post(0.0, 4.0))
     sweep_path(MODEL, _along_the_needle(-40.0), beside).require()
