@@ -136,7 +136,7 @@ def _call(function: Callable[..., Any], point: Row, fixed: Row) -> tuple[list[Ro
         return [{**shown, ERROR: str(error)}], isinstance(
             error, RefusedError | DataError | ConfigurationError
         )
-    except Exception as error:
+    except Exception as error:  # of the function, whatever it is: it passes through with its point
         error.add_note(f"at the point {shown}")
         raise
     if clash := [name for row in rows for name in row if name in shown]:

@@ -75,6 +75,14 @@ STREAM_BEHIND = ErrorCode(
 )
 
 
+STREAM_TAKEN = ErrorCode(
+    "DEV-013",
+    ConfigurationError,
+    "A stream of readings was read by two at a time.",
+    "Leave the first loop, or close its iterator; one consumer may pass readings on.",
+)
+
+
 NO_NEW_STATE = ErrorCode(
     "DEV-012",
     LinkTimeout,

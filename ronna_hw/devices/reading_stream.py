@@ -15,11 +15,11 @@ from __future__ import annotations
 import threading
 import time
 from collections import deque
-from collections.abc import AsyncIterator, Callable, Iterator
+from collections.abc import AsyncIterator, Callable, Generator, Iterator
 from contextlib import contextmanager
 from typing import Generic, Protocol, TypeVar
 
-from ronna_hw.devices.errors import NO_NEW_STATE, STREAM_BEHIND
+from ronna_hw.devices.errors import NO_NEW_STATE, STREAM_BEHIND, STREAM_TAKEN
 from ronna_hw.devices.readings import ArmReading, StampedReading
 
 MOST_WAITING = 1000  # readings, where every one is wanted: 17 s of a tracker, 4 s of an arm
@@ -48,11 +48,15 @@ class ReadingStream(Generic[R]):
         self._changed = threading.Condition()
         self._waiting: deque[R] = deque(maxlen=MOST_WAITING if every else 1)
         self._error: BaseException | None = None
-        self._ending = threading.Event()
+        self._ending = threading.Event()  # set while nobody reads
+        self._ending.set()
         self.dropped = 0  # readings that a newer one has replaced before they were taken
 
-    def __iter__(self) -> Iterator[R]:
-        """Yield readings until the loop is left. Raises the device's errors, DEV-011 if left behind."""
+    def __iter__(self) -> Generator[R, None, None]:
+        """Yield readings until the loop is left, or the generator closed.
+
+        Raises the device's errors, DEV-011 if every reading was asked for and too many wait, and DEV-013.
+        """
         with self._reading():
             while True:
                 yield self._take()
@@ -89,7 +93,9 @@ class ReadingStream(Generic[R]):
 
     @contextmanager
     def _reading(self) -> Iterator[None]:
-        """Read the device in a thread while the block runs."""
+        """Read the device in a thread while the block runs. Raises DEV-013 if this stream is read already."""
+        if not self._ending.is_set():
+            raise STREAM_TAKEN("the stream is read already")
         self._ending.clear()
         self._waiting.clear()
         self._error = None

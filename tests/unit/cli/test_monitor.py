@@ -1,4 +1,4 @@
-"""What the monitor shows of a reading: every tool, stray, axis and side, with units in the heads."""
+"""Rows of a reading in the monitor: every tool, stray, axis and side, with units in the heads."""
 
 from __future__ import annotations
 

@@ -11,7 +11,7 @@ import pytest
 from coded_errors import raises
 from waiting import eventually
 
-from ronna_hw.devices.errors import NO_NEW_STATE, STREAM_BEHIND
+from ronna_hw.devices.errors import NO_NEW_STATE, STREAM_BEHIND, STREAM_TAKEN
 from ronna_hw.devices.reading_stream import MOST_WAITING, NextArmState, ReadingStream
 from ronna_hw.devices.readings import ArmReading, Stamp, Validity
 from ronna_hw.errors import LinkTimeout
@@ -106,6 +106,18 @@ def test_an_error_of_the_function_is_raised_at_the_end_of_the_block() -> None:
 
     with pytest.raises(ValueError, match="no room"), stream_of(Device(5)).calling(fail):
         failed.wait(5.0)
+
+
+def test_a_stream_has_one_reader_at_a_time() -> None:
+    device = Device(1)
+    stream = stream_of(device)
+    first = iter(stream)
+    next(first)
+    with raises(STREAM_TAKEN):
+        next(iter(stream))
+    first.close()
+    device.allow(1)
+    assert next(iter(stream)).stamp.sequence > 1
 
 
 class Arm:
