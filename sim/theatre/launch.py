@@ -92,18 +92,25 @@ class LaunchedTheatre:
             self.world.set_fault_script(f"{standing_script}\n{faults}" if standing_script else faults)
         write_atomically(folder / SCENE_FILE, scene.model_dump_json(by_alias=True, indent=1).encode())
         identity, calibrated = (uuid4().hex, None) if saved is None else _read_origin(self.file)
-        devices = self._fork_devices(parameters, cycle_ms)
-        on_forked()
-        self._children = [
-            ChildProcess(
-                f"ronna-sim {name}", device.args, timeout_s=None, started=device, on_message=_pass_on_pendant
-            )
-            for name, device in devices.items()
-        ]
-        truth = _find_teller(self.world) if tells_truth else None
-        self._control = ControlPort(ControlledRoom(self.world, folder, identity=identity, truth=truth))
+        self._forked: dict[str, ForkedProcess] = {}
+        self._children: list[ChildProcess] = []
+        self._control: ControlPort | None = None
         try:
-            self.endpoints = self._await_devices(devices)
+            self._fork_devices(parameters, cycle_ms)
+            on_forked()
+            self._children = [
+                ChildProcess(
+                    f"ronna-sim {name}",
+                    device.args,
+                    timeout_s=None,
+                    started=device,
+                    on_message=_pass_on_pendant,
+                )
+                for name, device in self._forked.items()
+            ]
+            truth = _find_teller(self.world) if tells_truth else None
+            self._control = ControlPort(ControlledRoom(self.world, folder, identity=identity, truth=truth))
+            self.endpoints = self._await_devices(self._forked)
             limit_s = SILENCE_LIMIT_PACED_S if paced else SILENCE_LIMIT_LOCK_STEP_S
             content = theatre_content(
                 scene,
@@ -128,6 +135,7 @@ class LaunchedTheatre:
     @property
     def control(self) -> str:
         """Control port endpoint."""
+        assert self._control is not None, "the theatre is open"
         return self._control.endpoint
 
     def watch(self, on_end: Callable[[str], None]) -> None:
@@ -144,13 +152,13 @@ class LaunchedTheatre:
     def close(self) -> None:
         """Save the world's state, then stop all device processes and the control port."""
         self._save_world()
-        for child in self._children:
-            if child.alive:
-                child.process.terminate()  # all at once, then wait for each
+        for device in self._forked.values():
+            device.terminate()  # all at once, then wait for each
         deadline = time.monotonic() + CLOSE_LIMIT_S
         for child in self._children:
             child.stop(max(0.0, deadline - time.monotonic()))
-        self._control.close()
+        if self._control is not None:
+            self._control.close()
 
     def _save_world(self) -> None:
         """Save the world, first allowing moving arms time to come to rest."""
@@ -164,9 +172,7 @@ class LaunchedTheatre:
         with contextlib.suppress(OSError):  # a full disk must not keep the devices from ending
             save_world(self.world, self.folder)
 
-    def _fork_devices(
-        self, parameters: Mapping[str, Sequence[str]], cycle_ms: int | None
-    ) -> dict[str, ForkedProcess]:
+    def _fork_devices(self, parameters: Mapping[str, Sequence[str]], cycle_ms: int | None) -> None:
         world = ("--world", self.world.endpoint)
         scene = self.world.scene
 
@@ -181,10 +187,9 @@ class LaunchedTheatre:
             "basler": ("basler", *world),
         }
         commands |= {device_name(scene, role): robot(role) for role in OTHER_ARMS if role in scene.arms}
-        return {
-            name: ForkedProcess("sim.cli", *more, *(f"--set={one}" for one in parameters.get(name, ())))
-            for name, more in commands.items()
-        }
+        for name, more in commands.items():
+            settings = (f"--set={one}" for one in parameters.get(name, ()))
+            self._forked[name] = ForkedProcess("sim.cli", *more, *settings)
 
     def _await_devices(self, names: Iterable[str]) -> dict[str, Any]:
         """Wait until all devices are ready; return their endpoints by name."""

@@ -98,7 +98,7 @@ def without_devices(monkeypatch: pytest.MonkeyPatch) -> None:
         "kuka": rsi,
         "basler": {"left": "gev://127.0.0.1", "right": "gev://127.0.0.2"},
     }
-    monkeypatch.setattr(LaunchedTheatre, "_fork_devices", lambda *_: {})
+    monkeypatch.setattr(LaunchedTheatre, "_fork_devices", lambda *_: None)
     monkeypatch.setattr(LaunchedTheatre, "_await_devices", lambda *_: endpoints)
 
 
@@ -167,19 +167,30 @@ def test_a_cycle_that_one_of_the_arms_does_not_have_is_refused_with_the_arms_rol
         check_cycle(mixed, 12)
 
 
-def test_each_device_is_started_with_its_own_parameters(
+class Forked:
+    """A device that was forked, and whether it was ended."""
+
+    ended = False
+
+    def terminate(self) -> None:
+        self.ended = True
+
+
+def test_each_device_is_forked_with_its_own_parameters_and_ended_if_another_cannot_be(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     started: dict[str, tuple[str, ...]] = {}
+    forked = [Forked(), Forked()]
     scene = draw_scene("mini", seed=1)
 
     class Enough(Exception):
         pass
 
-    def fork(_module: str, device: str, *arguments: str) -> None:
+    def fork(_module: str, device: str, *arguments: str) -> Forked:
         started[device] = arguments
         if len(started) == 3:
             raise Enough
+        return forked[len(started) - 1]
 
     monkeypatch.setattr("sim.theatre.launch.ForkedProcess", fork)
     with pytest.raises(Enough):
@@ -195,3 +206,4 @@ def test_each_device_is_started_with_its_own_parameters(
     assert robot[robot.index("--rsi-context") + 1] == str(OWN_CONTEXT)  # with the motor currents
     assert robot[-2:] == ("--set=lag_s=0.03", "--set=dead_time_cycles=3")
     assert not any("--set" in word for word in (*started["polaris"], *started["basler"]))
+    assert [one.ended for one in forked] == [True, True]
