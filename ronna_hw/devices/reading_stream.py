@@ -1,4 +1,4 @@
-"""Readings of a device as it makes them: iterated, awaited, or given to a function.
+"""Readings of a device as it makes them, for a loop, a task or a function.
 
     for frame in tracker.stream():  # the newest; what came meanwhile is counted in `dropped`
         print(frame.stamp.theatre_time_s)
@@ -22,7 +22,7 @@ from typing import Generic, Protocol, TypeVar
 from ronna_hw.devices.errors import NO_NEW_STATE, STREAM_BEHIND, STREAM_TAKEN
 from ronna_hw.devices.readings import ArmReading, StampedReading
 
-MOST_WAITING = 1000  # readings, where every one is wanted: 17 s of a tracker, 4 s of an arm
+MOST_WAITING = 1000  # readings, where every one is wanted: 17 s of a tracker
 NO_CLOCK = 0  # of a state that was asked for by EKI, outside of a running stream
 BETWEEN_REQUESTS_S = 0.02  # host time: requests of a state leave the controller to others
 ASK_AGAIN_S = 0.002  # host time between two looks whether an arm has moved on; a cycle of RSI takes 4 ms
@@ -37,7 +37,7 @@ class ReadsNext(Protocol[R_co]):
 
 
 class ReadingStream(Generic[R]):
-    """Readings of one device, from the moment it is iterated or awaited until that ends."""
+    """Readings of one device, made while a loop, a task or a function takes them."""
 
     def __init__(self, read: ReadsNext[R], *, every: bool = False, timeout_s: float = 1.0) -> None:
         """Stream what `read` returns: the newest, or with `every` all of them, at most `MOST_WAITING` behind.
@@ -47,7 +47,7 @@ class ReadingStream(Generic[R]):
         self._read, self._every, self._timeout_s = read, every, timeout_s
         self._changed = threading.Condition()
         self._waiting: deque[R] = deque(maxlen=MOST_WAITING if every else 1)
-        self._error: BaseException | None = None
+        self._error: Exception | None = None
         self._ending = threading.Event()  # set while nobody reads
         self._ending.set()
         self.dropped = 0  # readings that a newer one has replaced before they were taken
@@ -72,7 +72,7 @@ class ReadingStream(Generic[R]):
     @contextmanager
     def calling(self, function: Callable[[R], object]) -> Iterator[None]:
         """Call a function with each reading, in a thread, while a block runs; raise its error at the end."""
-        errors: list[BaseException] = []
+        errors: list[Exception] = []
 
         def deliver() -> None:
             try:
@@ -80,7 +80,7 @@ class ReadingStream(Generic[R]):
                     function(self._take())
             except _StreamEnded:
                 pass
-            except BaseException as error:  # raised where the block ends
+            except Exception as error:  # whatever the function raises: raised where the block ends
                 errors.append(error)
 
         thread = threading.Thread(target=deliver, name="reading consumer", daemon=True)
@@ -119,10 +119,10 @@ class ReadingStream(Generic[R]):
                         self.dropped += 1
                     self._waiting.append(reading)
                     self._changed.notify_all()
-        except BaseException as error:  # raised to whoever takes the next reading
+        except Exception as error:  # whatever the device raises: raised to the consumer, in its thread
             self._end(error)
 
-    def _end(self, error: BaseException) -> None:
+    def _end(self, error: Exception) -> None:
         with self._changed:
             self._error = self._error or error
             self._changed.notify_all()
@@ -165,11 +165,11 @@ class NextArmState:
         deadline_s = time.monotonic() + timeout_s
         while True:
             reading = self._arm.read_state(timeout_s)
-            if (clock := reading.stamp.device_clock) in (NO_CLOCK, self._last):
-                if clock == NO_CLOCK:
-                    time.sleep(BETWEEN_REQUESTS_S)
-                    return reading
-            else:
+            clock = reading.stamp.device_clock
+            if clock == NO_CLOCK:
+                time.sleep(BETWEEN_REQUESTS_S)
+                return reading
+            if clock != self._last:
                 self._last = clock
                 return reading
             if time.monotonic() > deadline_s:

@@ -26,13 +26,13 @@ ENDS = """names => {
 
 
 def drawn_mm(page: Any, arm: str) -> Any:
-    """Where each link of an arm begins, as the page draws it."""
+    """Return the beginnings of an arm's links, (links, 3) mm, as the page draws them."""
     names = [link if arm == "arm" else f"{link} of the {arm}" for link in LINKS]
     return 1000.0 * np.array(page.evaluate(ENDS, names))
 
 
 def true_mm(case: OperatedCase, arm: str) -> Any:
-    """Where each link of an arm begins, by the simulated room's own joints and base."""
+    """Return the same by the joints and the base of the simulated room."""
     theatre = case.run / "theatre"
     joints_rad = joint_vector(json.loads((theatre / "world.json").read_text())[arm]["joints_rad"])
     scene = json.loads((theatre / "scene.json").read_text())

@@ -62,7 +62,7 @@ def case_order(cell: ClinicalCell) -> CaseOrder:
 
 @dataclass(frozen=True)
 class LeftOperation:
-    """What an operation left: its files by their names in the run folder, and where the arm stood."""
+    """Files that an operation left, by their names in the run folder, and where the arm stood."""
 
     files: dict[Path, bytes]
     joints_rad: JointVector
