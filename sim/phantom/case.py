@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import json
+import signal
 from collections.abc import Callable, Iterator
-from concurrent.futures import Executor, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from multiprocessing import get_context
+from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +34,7 @@ TOOL = "guide"
 INSTRUMENT_LENGTH_MM = 250.0  # a biopsy needle
 WORKERS = 2  # NumPy releases the interpreter lock; more would only compete for memory
 
+Paint = Callable[[int], NDArray[np.uint16]]  # a slice's stored values, by its number
 Progress = Callable[[float], None]
 
 
@@ -67,24 +71,70 @@ def write_case(
     steps = planes.steps + grid.slices
     with ThreadPoolExecutor(WORKERS) as pool:
         planes.paint_patches(pool, lambda done: progress(done / steps))
-        for number in _write_slices(
-            series, grid, pool, lambda number: to_stored_values(planes.paint(number), planes.largest_stored)
-        ):
-            progress((planes.steps + number) / steps)
+    for count in _write_slices(
+        series, grid, lambda number: to_stored_values(planes.paint(number), planes.largest_stored)
+    ):
+        progress((planes.steps + count) / steps)
     plan, truth = folder / PLAN_FILE, folder / TRUTH_FILE
     write_atomically(truth, json.dumps(_collect_case_truth(scan, series, planes), indent=1).encode())
     write_atomically(plan, plan_toml(scan, series.series_instance_uid).encode())
     return PhantomCase(folder / SERIES_FOLDER, truth, series.series_instance_uid, grid.slices, plan)
 
 
-def _write_slices(
-    series: DicomSeries, grid: CtGrid, pool: Executor, paint: Callable[[int], NDArray[np.uint16]]
-) -> Iterator[int]:
-    """Write all slices of a series, yielding the count written so far."""
-    compressed = pool.map(lambda number: series.compress(paint(number)), range(grid.slices))
-    for number, pixels in enumerate(compressed):
-        series.write(number, pixels)
-        yield number + 1
+def _write_slices(series: DicomSeries, grid: CtGrid, paint: Paint) -> Iterator[int]:
+    """Write all slices of a series, the upper half in a fork, yielding the count written so far.
+
+    The JPEG-LS encoder keeps the interpreter lock, so threads would take turns at it.
+    """
+    middle = grid.slices // 2
+    own, other = range(middle), range(middle, grid.slices)
+    forking = get_context("fork")
+    written, report = forking.Pipe(duplex=False)
+    upper = forking.Process(target=_report_slices, args=(written, report, series, other, paint), daemon=True)
+    upper.start()
+    report.close()
+    reported = 0
+    try:
+        for number in own:
+            series.write(number, paint(number))
+            while reported < len(other) and written.poll():
+                _receive_slice(written)
+                reported += 1
+            yield number + 1 + reported
+        while reported < len(other):
+            _receive_slice(written)
+            reported += 1
+            yield middle + reported
+    finally:
+        written.close()
+        upper.kill()
+        upper.join()
+
+
+def _report_slices(
+    written: Connection, report: Connection, series: DicomSeries, numbers: range, paint: Paint
+) -> None:
+    """Write these slices and report each, or the error that ended the work."""
+    written.close()  # the parent's end: once that is gone, a report fails
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal sends it to both; the parent ends this
+    try:
+        for number in numbers:
+            series.write(number, paint(number))
+            report.send(None)
+    except BrokenPipeError:  # the parent has given up
+        pass
+    except Exception as error:  # the parent raises it
+        report.send(error)
+
+
+def _receive_slice(written: Connection) -> None:
+    """Wait for the next slice that the fork has written; raises the error that ended its work."""
+    try:
+        error = written.recv()
+    except EOFError:
+        raise ChildProcessError("the process that writes the upper slices has ended") from None
+    if error is not None:
+        raise error
 
 
 def plan_toml(scan: Scan, series_instance_uid: str) -> str:
@@ -189,9 +239,8 @@ def write_postoperative(
         occasion=f"after the operation, {scan.seed}, {instruments}",
     )
     series.prepare()
-    with ThreadPoolExecutor(WORKERS) as pool:
-        for number in _write_slices(series, grid, pool, lambda number: to_stored_values(scan.paint(number))):
-            progress(number / grid.slices)
+    for count in _write_slices(series, grid, lambda number: to_stored_values(scan.paint(number))):
+        progress(count / grid.slices)
     truth = folder / TRUTH_FILE
     content = postoperative_truth(scan, instruments, series.series_instance_uid)
     write_atomically(truth, json.dumps(content, indent=1).encode())

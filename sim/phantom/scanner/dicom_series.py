@@ -67,27 +67,12 @@ class DicomSeries:
 
     def prepare(self) -> None:
         """Create the folder and remove the slices of an earlier series."""
-        # pydicom imports itself in circles: threads that begin it together may see half of it.
-        # F401: imported for that alone
-        import pydicom.encaps
-        import pydicom.filewriter  # noqa: F401
-
         self._folder.mkdir(parents=True, exist_ok=True)
         for leftover in self._folder.glob(FILE_PATTERN):
             leftover.unlink()
 
-    def compress(self, stored: NDArray[np.uint16]) -> bytes:
-        """Return the pixel data of one slice of stored values, as `write` takes them; thread-safe."""
-        if not self._is_compressed:
-            return stored.tobytes()
-        from jpeg_ls import encode_buffer
-        from pydicom.encaps import encapsulate
-
-        rows, columns = stored.shape
-        return encapsulate([bytes(encode_buffer(stored.tobytes(), rows, columns, 1, self._bits_stored))])
-
-    def write(self, number: int, pixels: bytes) -> None:
-        """Write the pixel data of one slice; not thread-safe."""
+    def write(self, number: int, stored: NDArray[np.uint16]) -> None:
+        """Write one slice of stored values (rows, columns); not thread-safe."""
         from pydicom.dataelem import DataElement
         from pydicom.dataset import Dataset
         from pydicom.uid import UID
@@ -98,7 +83,7 @@ class DicomSeries:
         position = self._first_pixel_mm(number)
         own.ImagePositionPatient = [_format_decimal(value) for value in position]
         own.SliceLocation = _format_decimal(position[2])
-        own.add(DataElement("PixelData", "OB" if self._is_compressed else "OW", pixels))
+        own.add(DataElement("PixelData", "OB" if self._is_compressed else "OW", self._encode(stored)))
         own["PixelData"].is_undefined_length = self._is_compressed
         encoded = self._shared | _encode_elements(own)
         content = b"".join(
@@ -106,6 +91,15 @@ class DicomSeries:
             + [encoded[tag] for tag in sorted(encoded)]
         )
         write_atomically(self._folder / f"slice-{number + 1:04d}.dcm", content, flushed=False)
+
+    def _encode(self, stored: NDArray[np.uint16]) -> bytes:
+        if not self._is_compressed:
+            return stored.tobytes()
+        from jpeg_ls import encode_buffer
+        from pydicom.encaps import encapsulate
+
+        rows, columns = stored.shape
+        return encapsulate([bytes(encode_buffer(stored.tobytes(), rows, columns, 1, self._bits_stored))])
 
     def _first_pixel_mm(self, number: int) -> tuple[float, float, float]:
         """Return the first pixel's position in a slice tilted about its middle row."""

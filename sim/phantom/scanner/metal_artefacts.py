@@ -14,6 +14,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from math import pi, sqrt
+from mmap import mmap
 
 import numpy as np
 from numpy.typing import NDArray
@@ -130,7 +131,9 @@ class MetalArtefacts:
         )
         self._angles: Array = pi * np.arange(VIEWS, dtype=np.float64) / VIEWS
         sigma_mm = sqrt(kernel.plane_sigma_mm**2 + BOX_VARIANCE * grid.pixel_mm**2)
-        self._squares = np.zeros((grid.slices, len(near), 2))  # HU2 and pixels within markers
+        shape = (grid.slices, len(near), 2)  # HU2 and pixels within markers
+        shared = mmap(-1, max(1, np.prod(shape, dtype=int)) * np.dtype(np.float64).itemsize)
+        self._squares = np.ndarray(shape, np.float64, shared)  # forks paint slices too
         self._filter = _filter(len(self._rays_mm), sigma_mm, kernel.enhanced)
         self._photons = _photons(noise_HU, sigma_mm)
 
