@@ -1,4 +1,4 @@
-"""Modules of ours run in a fork of this process, which has already imported most of what they need.
+"""Forks of this process, which inherit its imports: a module as a program, or work beside its own.
 
 Fork before any thread is started: the fork has only the thread that forked, and whatever lock another one
 held stays locked there.
@@ -21,18 +21,40 @@ from functools import partial
 from typing import NoReturn
 
 from ronna_hw.host.child_process import command
-from ronna_hw.host.process import ENDING_SIGNALS, Parent, ParentProcess
+from ronna_hw.host.process import ENDING_SIGNALS, Parent, ParentProcess, resume_garbage_collection
 from ronna_hw.host.shown_command_line import show_command_line
 
 FIRST_OTHER_DESCRIPTOR = 3  # after the standard streams
 FAILED = 1
 
 
+def fork_worker(work: Callable[[], None]) -> int:
+    """Fork a process that does this work and ends with it; return its number.
+
+    Ctrl-C on a terminal reaches both: the parent ends the worker. Work that writes to a pipe of the parent's
+    ends with it, by BrokenPipeError.
+    """
+    process_id = os.fork()
+    if process_id:
+        return process_id
+    status = FAILED
+    try:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        resume_garbage_collection()
+        with contextlib.suppress(EOFError, OSError):  # the parent has closed its end, or has ended
+            work()
+        status = 0
+    except Exception:  # the last frame of the process: nobody above would print it
+        traceback.print_exc()
+    finally:
+        os._exit(status)
+
+
 class ForkedProcess:
     """Child forked from this process, with the part of `subprocess.Popen` that `ChildProcess` uses."""
 
     def __init__(self, module: str, *arguments: str) -> None:
-        """Run a module as `command` does, in a session of its own, reading nothing, its output piped here."""
+        """Fork and run a module, as `command` does, in its own session with piped output."""
         self.args: Sequence[str] = command(module, *arguments)
         self.returncode: int | None = None
         self._reaping = threading.Lock()
@@ -85,7 +107,7 @@ class ForkedProcess:
 
 
 def _run(line: Sequence[str], module: str, prepare: Callable[[], None]) -> NoReturn:
-    """Run a module to its end, then leave without unwinding what the parent has begun."""
+    """Run a module, then exit without the parent's cleanup."""
     status = FAILED
     try:
         prepare()

@@ -1,13 +1,14 @@
-"""Writes a phantom's files: CT series, plan and truth, or postoperative series and truth."""
+"""Files of a phantom: CT series, plan and truth, or postoperative series and truth."""
 
 from __future__ import annotations
 
 import json
+import os
 import signal
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from multiprocessing import get_context
+from multiprocessing import Pipe
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ronna_hw.host.forked_process import fork_worker
 from ronna_hw.records import write_atomically
 from ronna_hw.x_frame import SPHERE_CENTRES_MM
 from sim.phantom.head.obstacles import ADHESIVE, FREE, XFRAME
@@ -88,10 +90,8 @@ def _write_slices(series: DicomSeries, grid: CtGrid, paint: Paint) -> Iterator[i
     """
     middle = grid.slices // 2
     own, other = range(middle), range(middle, grid.slices)
-    forking = get_context("fork")
-    written, report = forking.Pipe(duplex=False)
-    upper = forking.Process(target=_report_slices, args=(written, report, series, other, paint), daemon=True)
-    upper.start()
+    written, report = Pipe(duplex=False)
+    process_id = fork_worker(lambda: _report_slices(written, report, series, other, paint))
     report.close()
     reported = 0
     try:
@@ -107,8 +107,8 @@ def _write_slices(series: DicomSeries, grid: CtGrid, paint: Paint) -> Iterator[i
             yield middle + reported
     finally:
         written.close()
-        upper.kill()
-        upper.join()
+        os.kill(process_id, signal.SIGKILL)
+        os.waitpid(process_id, 0)
 
 
 def _report_slices(
@@ -116,15 +116,13 @@ def _report_slices(
 ) -> None:
     """Write these slices and report each, or the error that ended the work."""
     written.close()  # the parent's end: once that is gone, a report fails
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal sends it to both; the parent ends this
-    try:
-        for number in numbers:
+    for number in numbers:
+        try:
             series.write(number, paint(number))
-            report.send(None)
-    except BrokenPipeError:  # the parent has given up
-        pass
-    except Exception as error:  # the parent raises it
-        report.send(error)
+        except Exception as error:  # the parent raises it
+            report.send(error)
+            return
+        report.send(None)
 
 
 def _receive_slice(written: Connection) -> None:
@@ -166,7 +164,7 @@ def plan_toml(scan: Scan, series_instance_uid: str) -> str:
 
 
 def _plan_markers(scan: Scan) -> dict[str, Any]:
-    """Return number and kind of the markers, as the plan has them."""
+    """Return the plan's marker fields."""
     if scan.fiducials == ADHESIVE:
         return {"implanted": len(scan.scene.head.adhesives), "fiducials": ADHESIVE}
     if scan.fiducials == FREE:

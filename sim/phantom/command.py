@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
@@ -14,6 +13,7 @@ from ronna_hw.arm.catalogue import ArmChoice
 from ronna_hw.command_line.options import require_folder
 from ronna_hw.command_line.terminal import JsonOption, print_json, progress_bar
 from ronna_hw.errors import EXIT_INTERRUPTED
+from ronna_hw.host.process import Parent
 from ronna_hw.text import escape_controls, format_count
 from sim.world.options import Carrier, InstrumentKind, MarkersOption, SceneOption, TargetsOption
 
@@ -125,10 +125,8 @@ def phantom(
     from sim.phantom.families.family_scan import family_scan, protocol_named
     from sim.phantom.scan import plain_scan
     from sim.phantom.scanner.faults import NO_FAULTS, ScannerFaults
-    from sim.world.process import end_with_parent, load_scene
+    from sim.world.process import load_scene
 
-    if with_parent:
-        end_with_parent(lambda: os._exit(EXIT_INTERRUPTED))
     require_folder(out)
     if out.is_dir() and any(out.iterdir()):
         raise FOLDER_NOT_EMPTY(f"{out} is not empty; nothing in it was changed")
@@ -185,7 +183,13 @@ def phantom(
             truth = truth.model_copy(update={"ct": protocol_named(protocol)})
         scan = plain_scan(truth)
     with progress_bar("scanning the phantom") as progress:
-        case = write_case(truth, out, progress, scan=replace(scan, faults=faults))
+
+        def report(share: float) -> None:
+            if with_parent and Parent.noted.is_gone:  # a thread that watches it would stand in the fork's way
+                raise typer.Exit(EXIT_INTERRUPTED)
+            progress(share)
+
+        case = write_case(truth, out, report, scan=replace(scan, faults=faults))
     shown, kind = len(truth.head.fiducials), "spheres"
     if fiducials is Fiducials.ADHESIVE:
         shown, kind = len(truth.head.adhesives), "adhesive rings"

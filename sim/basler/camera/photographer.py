@@ -6,14 +6,12 @@ import os
 import signal
 import threading
 import time
-import traceback
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
-from typing import NoReturn
 
 import numpy as np
 
-from ronna_hw.host.process import resume_garbage_collection
+from ronna_hw.host.forked_process import fork_worker
 from ronna_hw.wire.gige_vision import PixelFormat
 from sim.basler.camera.view import Pose, View, ViewDisturbances
 from sim.basler.faults import NO_FAULTS, CameraFaults
@@ -101,10 +99,7 @@ class PhotographerApart(Photographer):
         self._ordering = threading.Lock()
         self._ended = False
         self._drawer, orders = Pipe()
-        self._process_id = os.fork()
-        if not self._process_id:
-            self._drawer.close()
-            self._draw_as_ordered(orders)
+        self._process_id = fork_worker(lambda: self._draw_as_ordered(orders))
         orders.close()
 
     def triggered(self, frame: FrameSettings, number: int) -> bytes:
@@ -128,20 +123,11 @@ class PhotographerApart(Photographer):
             self._drawer.close()
         os.waitpid(self._process_id, 0)
 
-    def _draw_as_ordered(self, orders: Connection) -> NoReturn:
-        status = 1
-        try:
-            signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the parent too, whose end ends this
-            resume_garbage_collection()
-            while True:
-                frame, pose, number = orders.recv()
-                orders.send_bytes(self.draw(frame, pose, number, TRIGGERED_LANE))
-        except (EOFError, OSError):  # the parent has closed its end, or has ended
-            status = 0
-        except Exception:  # the last frame of a process: nobody above would print it
-            traceback.print_exc()
-        finally:
-            os._exit(status)
+    def _draw_as_ordered(self, orders: Connection) -> None:
+        self._drawer.close()
+        while True:
+            frame, pose, number = orders.recv()
+            orders.send_bytes(self.draw(frame, pose, number, TRIGGERED_LANE))
 
 
 class ImageRing:
