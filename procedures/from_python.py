@@ -18,7 +18,6 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_type_hints
 
-from procedures.engine.errors import ANSWERS_UNFIT
 from procedures.operator.question import Answer, Question, join_answers
 from procedures.runs.answers import ScriptedOperator
 from procedures.runs.observers import RunObservers
@@ -62,9 +61,9 @@ def run_case(
     command, with underscores, such as `{"markers": 4, "calibrated": True}`. `progress` shows a bar of the
     steps, in a notebook too.
 
-    Raises ARG-001 for an option that the command does not have or a value that it does not take, PRO-026 for
-    an answer that a question does not accept, and the error of a case that does not come to its end, with
-    a note that names its run.
+    Raises ARG-001 for an unknown option, a value out of its range or an answer that a question does not
+    accept, CLI-001 for options that exclude each other, and the error of a case that does not come to its
+    end, with a note that names its run.
     """
     from procedures.runs.case_outcome import run_case as run_to_end
     from procedures.runs.finishing import finalize_run
@@ -84,7 +83,7 @@ def run_case(
             lines = [faults] if isinstance(faults, str) else list(faults)
             request = replace(request, faults=_write_script("\n".join(lines) + "\n", runs))
         check_case(request, runs)
-        observers = RunObservers(opened=follow, script=_Deciding(answers))
+        observers = RunObservers(opened=follow, script=FunctionOperator(answers))
         with run_folder(request, runs) as folder, hold_run(folder):
             try:
                 with finalize_run(folder, with_truth=False, name_report=False):
@@ -154,20 +153,21 @@ def _check_ranges(options: Any) -> None:
                 )
 
 
-class _Deciding:
-    """Operator that asks a function, and the script where that returns None."""
+class FunctionOperator:
+    """Operator backed by a function; for None, the script answers."""
 
     def __init__(self, decide: Decide | None) -> None:
         self._decide, self._script = decide, ScriptedOperator()
 
     def ask(self, question: Question) -> Answer:
-        """Return the function's answer. Raises PRO-026 for one that the question does not accept."""
+        """Return the function's answer. Raises ARG-001 for one that the question does not accept."""
         word = None if self._decide is None else self._decide(question)
         if word is None:
             return self._script.ask(question)
         if word not in question.answers:
-            raise ANSWERS_UNFIT(
-                f"{question.name} accepts {join_answers(question.answers)}",
+            raise WrongArgument(
+                f"answers of run_case returned no answer to {question.name}",
+                expected=join_answers(question.answers),
                 got=show(word),
                 action="Return one of the question's answers, or None for its first.",
             )
@@ -180,12 +180,13 @@ def _step_bar(*, shown: bool) -> Iterator[Callable[[Engine], None]]:
     if not shown:
         yield lambda _engine: None
         return
+    from rich.console import Console
     from rich.progress import Progress
 
     from procedures.cli.case.event_follower import EventFollower
 
     followers: list[EventFollower] = []
-    with Progress(transient=True) as progress:
+    with Progress(console=Console(stderr=True), transient=True) as progress:
 
         def follow(engine: Engine) -> None:
             followers.append(EventFollower(engine.events, _StepBar(progress, len(engine.order.sequence))))
@@ -198,14 +199,14 @@ def _step_bar(*, shown: bool) -> Iterator[Callable[[Engine], None]]:
 
 
 class _StepBar:
-    """Bar with the step that runs, and how many are done."""
+    """Progress bar of the steps of a case."""
 
     def __init__(self, progress: Progress, steps: int) -> None:
         self._progress = progress
         self._task = progress.add_task("", total=steps)
 
     def __call__(self, events: Sequence[Event]) -> None:
-        """Show what these events tell."""
+        """Advance the bar by these events."""
         from procedures.engine.events import StepState
 
         for event in events:

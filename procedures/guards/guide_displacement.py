@@ -39,7 +39,7 @@ END_SEEN_MM = 0.3
 MOUNT, END, ON_GUIDE = 0, 1, 2  # rows of both frames and of the guide's end among the points
 HEAD_NAME, FRAME_NAMES = "the head", {MOUNT: "the frame on the arm", ON_GUIDE: "the frame on the guide"}
 # Safety against a guide that nobody sees.
-LONGEST_UNSEEN_S = 1.0  # theatre time; a hand that leans on something does so for longer (U)
+LONGEST_GUIDE_UNSEEN_S = 1.0  # theatre time; a hand that leans on something does so for longer (U)
 
 FRAMES, FRAMES_AT_FIRST = 60, 30  # at least half must show the frame
 BETWEEN_LOOKS_S = 1.0  # theatre time
@@ -120,9 +120,9 @@ class GuideAtRest:
     def describe_unseen(self) -> str:
         """Name what was out of sight during the work, throughout a stage or for too long, or return ''."""
         return ", ".join(
-            name if for_s <= LONGEST_UNSEEN_S else f"{name} for {for_s:.0f} s"
+            name if for_s <= LONGEST_GUIDE_UNSEEN_S else f"{name} for {for_s:.0f} s"
             for name, for_s in self.unseen_s.items()
-            if name in self.missed or for_s > LONGEST_UNSEEN_S
+            if name in self.missed or for_s > LONGEST_GUIDE_UNSEEN_S
         )
 
     def add_frame(self, frame: TrackerFrame, tool: str, now_s: float) -> None:

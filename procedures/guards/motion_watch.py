@@ -25,7 +25,7 @@ from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.errors import RonnaError
 
 # Safety against a head that nobody sees under way (U).
-LONGEST_UNSEEN_S = 5.0  # theatre time under way; beyond it is a finding
+LONGEST_HEAD_UNSEEN_S = 5.0  # theatre time under way; beyond it is a finding
 
 
 @dataclass
@@ -113,9 +113,9 @@ class MotionWatch:
             self.find(f"the head was not watched during {what}: {seen.problem}")
         if seen.late_s > 0.0:
             self.find(f"{LATE} by up to {seen.late_s:.2f} s during {what}")
-        already_noted = self._unseen_s > LONGEST_UNSEEN_S
+        already_noted = self._unseen_s > LONGEST_HEAD_UNSEEN_S
         self._unseen_s = seen.unseen_s + (0.0 if seen.has_seen else self._unseen_s)
-        if self._unseen_s > LONGEST_UNSEEN_S and not already_noted:
+        if self._unseen_s > LONGEST_HEAD_UNSEEN_S and not already_noted:
             self.find(f"the tracker has not seen the head for {self._unseen_s:.0f} s, up to {what}")
 
     def _identify_cause(

@@ -254,7 +254,7 @@ def test_work_begins_only_with_a_watch_on_the_head(cell: ClinicalCell) -> None:
 
 
 def test_a_head_out_of_sight_is_a_finding(cell: ClinicalCell, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(motion_watch, "LONGEST_UNSEEN_S", 0.05)
+    monkeypatch.setattr(motion_watch, "LONGEST_HEAD_UNSEEN_S", 0.05)
     engine = watched(cell)
 
     def hide() -> None:

@@ -18,7 +18,7 @@ from procedures.engine.engine import Engine
 from procedures.engine.events import Advisory
 from procedures.guards import GuideDisplacement, patient_watch
 from procedures.guards.errors import BaseShifted, RoomUndecided
-from procedures.guards.guide_displacement import LONGEST_UNSEEN_S, PUSHED_MM, GuideAtRest
+from procedures.guards.guide_displacement import LONGEST_GUIDE_UNSEEN_S, PUSHED_MM, GuideAtRest
 from procedures.journal.journal import JOURNAL_FILE, read_journal
 from procedures.operator.errors import GuardUnmet, NotConfirmed
 from procedures.operator.question import Answer, Question, Topic
@@ -421,7 +421,7 @@ def test_what_the_tracker_does_not_see_while_somebody_works_is_named_with_its_ti
             return
         vars(cell.tracker).update(hide)
         read = cell.tracker.frames_read
-        engine.setting.clock.sleep(2.0 * LONGEST_UNSEEN_S)
+        engine.setting.clock.sleep(2.0 * LONGEST_GUIDE_UNSEEN_S)
         eventually(lambda: cell.tracker.frames_read > read + READINGS)
         vars(cell.tracker).update(seen)
 
