@@ -1,4 +1,4 @@
-"""Collision bodies of the arms for display: where they are, and how far the arms are apart.
+"""Positions of collision bodies and distances between arms, for display.
 
 Every arm is drawn in the robot frame, which is the base of the first. An arm whose base is not known yet is
 not drawn.
@@ -6,7 +6,6 @@ not drawn.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -65,9 +64,9 @@ class BodyView:
         return self._arms[pose.arm].at(pose)
 
     def publish(self, events: EventStream, *, last: bool = False) -> None:
-        """Publish the bodies that have changed, how far arms that moved are apart, and the link health.
+        """Publish changed bodies, distances and link health.
 
-        The latter at intervals, once its stream has ended, and at the `last` look while it runs.
+        Link health is published every `LINK_EVERY` looks, at the `last` one and when streaming has ended.
         """
         for arm in self._arms.values():
             arm.publish(events)
@@ -106,7 +105,7 @@ class BodyView:
 
 
 class _ArmBodies:
-    """Bodies of one arm where it stands, rebuilt when its surroundings or its base change."""
+    """Placed bodies of one arm, rebuilt when its surroundings or its base change."""
 
     def __init__(self, workcell: Workcell, arm: SupervisedArm) -> None:
         self._workcell, self._arm, self.role, self.name = workcell, arm, arm.role, arm.name
@@ -117,7 +116,7 @@ class _ArmBodies:
         self.joints_rad: JointVector | None = None  # as last reported
 
     def at(self, pose: event_types.Pose) -> event_types.Pose:
-        """Add the positions of the moving bodies, and that of a tool with cameras, if the base is known."""
+        """Add body positions and the pose of a tool with cameras to a pose event, if the base is known."""
         self.joints_rad = pose.joints_rad
         if (placed := self.current()) is None:
             return pose
@@ -130,16 +129,14 @@ class _ArmBodies:
             x, y, z = tool.translation_mm.tolist()
             rows = (round(value, ROTATION_DECIMALS) for value in tool.rotation_matrix.ravel().tolist())
             changes |= {"tool_mm": _round_points((x, y, z)), "tool_rows": tuple(rows)}
-        return pose.model_copy(update=changes)
+        return event_types.Pose.model_validate({**dict(pose), **changes})
 
     def publish(self, events: EventStream) -> None:
         """Publish the bodies if they have changed."""
         placed = self.current()
         if placed is not None and placed is not self._published:
             self._published = placed
-            event = _as_event(self.name, placed, self.spoken)
-            is_master = self._arm is self._workcell.master
-            events.publish(event.model_copy(update={"cameras": self._cameras, "with_guide": is_master}))
+            events.publish(self._as_event(placed))
 
     def current(self) -> PlacedArm | None:
         """Return the bodies as last declared, or None while the base is not known."""
@@ -154,15 +151,44 @@ class _ArmBodies:
             self._placed = arms.arm(self.role)
         return self._placed
 
-    def spoken(self, body: str) -> str:
-        """Return what a body is called: bodies of the arm with the guide have no arm in their names."""
-        is_master = self._arm is self._workcell.master
-        return body if is_master else name_of(body, self._arm.spoken_name)
+    def display_name(self, body: str) -> str:
+        """Return a body's display name: bodies of the arm with the guide have no arm in theirs."""
+        return body if self._is_master else name_of(body, self._arm.spoken_name)
+
+    @property
+    def _is_master(self) -> bool:
+        return self._arm is self._workcell.master
 
     @property
     def _carries_head(self) -> bool:
-        master = self._workcell.master
-        return self._arm is master and master.tool is MountedTool.STEREO_HEAD
+        return self._is_master and self._workcell.master.tool is MountedTool.STEREO_HEAD
+
+    def _as_event(self, placed: PlacedArm) -> event_types.Bodies:
+        bodies, name = placed.bodies, self.display_name
+        obstacles = bodies.surroundings.obstacles
+        names = (name(COLUMN_NAME), *(one.name for one in obstacles))
+        heads = (False, *(one.is_head for one in obstacles))
+        moving = zip(bodies.moving_names, bodies.moving_radii_mm, strict=True)
+        return event_types.Bodies(
+            arm=self.name,
+            moving=tuple(event_types.Body(name=name(one), radius_mm=radius_mm) for one, radius_mm in moving),
+            links=len(bodies.moving_names) - len(bodies.surroundings.tool),
+            margin_mm=bodies.surroundings.margin_mm,
+            fixed=tuple(
+                event_types.Body(
+                    name=one,
+                    radius_mm=capsule.radius_mm,
+                    ends_mm=_round_points(*map(placed.base.apply, (capsule.start_mm, capsule.end_mm))),
+                    is_head=is_head,
+                )
+                for one, capsule, is_head in zip(names, bodies.fixed, heads, strict=True)
+            ),
+            pairs=tuple(
+                (pair.moving, pair.other) for pair in bodies.pairs if not (pair.enters_head and pair.is_head)
+            ),
+            cameras=self._cameras,
+            with_guide=self._is_master,
+        )
 
 
 class _Distance:
@@ -199,34 +225,9 @@ class _Distance:
             return None
         return event_types.ArmsApart(
             arms=(first.name, second.name),
-            bodies=(first.spoken(found.first), second.spoken(found.second)),
+            bodies=(first.display_name(found.first), second.display_name(found.second)),
             distance_mm=round(found.distance_mm, DECIMALS),
         )
-
-
-def _as_event(arm: str, placed: PlacedArm, spoken: Callable[[str], str]) -> event_types.Bodies:
-    bodies = placed.bodies
-    names = (spoken(COLUMN_NAME), *(one.name for one in bodies.surroundings.obstacles))
-    heads = (False, *(one.is_head for one in bodies.surroundings.obstacles))
-    moving = zip(bodies.moving_names, bodies.moving_radii_mm, strict=True)
-    return event_types.Bodies(
-        arm=arm,
-        moving=tuple(event_types.Body(name=spoken(name), radius_mm=radius_mm) for name, radius_mm in moving),
-        links=len(bodies.moving_names) - len(bodies.surroundings.tool),
-        margin_mm=bodies.surroundings.margin_mm,
-        fixed=tuple(
-            event_types.Body(
-                name=name,
-                radius_mm=capsule.radius_mm,
-                ends_mm=_round_points(*map(placed.base.apply, (capsule.start_mm, capsule.end_mm))),
-                is_head=is_head,
-            )
-            for name, capsule, is_head in zip(names, bodies.fixed, heads, strict=True)
-        ),
-        pairs=tuple(
-            (pair.moving, pair.other) for pair in bodies.pairs if not (pair.enters_head and pair.is_head)
-        ),
-    )
 
 
 def _round_points(*points: Vector3) -> tuple[float, ...]:
