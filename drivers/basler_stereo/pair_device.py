@@ -8,7 +8,7 @@ from collections.abc import Callable
 from typing import Any, Generic, Protocol, TypeVar
 
 from drivers.basler_stereo.errors import CABLES_SWAPPED, WRONG_MODEL, WRONG_SERIAL, NoReply
-from drivers.basler_stereo.identity import CameraIdentity
+from drivers.basler_stereo.identity import CameraIdentity, describe_cameras_near
 from drivers.basler_stereo.options import BaslerOptions
 from ronna_hw.clock import Clock
 from ronna_hw.config import DeviceConfig
@@ -25,7 +25,7 @@ from ronna_hw.devices.lifecycle import (
 )
 from ronna_hw.devices.reading_stream import ReadingStream, Turn
 from ronna_hw.devices.readings import AreaOfInterest, StereoReading, Validity
-from ronna_hw.errors import RonnaError
+from ronna_hw.errors import ConnectError, RonnaError, is_error
 
 CLOSE_LIMIT_S = 1.0  # per camera, even a dead one
 
@@ -223,11 +223,22 @@ class PairDevice(GuardedDevice, ABC, Generic[C]):
         left, right = cameras
         try:
             identities = connect(left), connect(right)
-            check_pair(*identities, self._options)
+            self._check_found(*identities)
         except BaseException:  # including interruptions: neither camera stays controlled
             self._close_all(cameras)
             raise
         return cameras, identities
+
+    def _check_found(self, left: CameraIdentity, right: CameraIdentity) -> None:
+        """Raise the errors of `check_pair`, with the cameras that reply on the same network."""
+        try:
+            check_pair(left, right, self._options)
+        except ConnectError as error:
+            if is_error(error, CABLES_SWAPPED):  # both are known
+                raise
+            wanted = self._options.left_serial, self._options.right_serial
+            near = describe_cameras_near(left.address, wanted)
+            raise error.reworded(error.what, expected=error.expected, got=f"{error.got}; {near}") from error
 
     def _release_all(self) -> None:
         if self._cameras is not None:
@@ -284,11 +295,11 @@ def check_pair(left: CameraIdentity, right: CameraIdentity, options: BaslerOptio
             raise WRONG_MODEL(
                 f"unexpected device at {identity.address}",
                 expected=options.expected_model,
-                got=f"{identity.vendor} {identity.model}".strip(),
+                got=f"{identity.vendor} {identity}".strip(),
             )
     wanted = (options.left_serial, options.right_serial)
     if left.serial == right.serial:
-        raise WRONG_SERIAL(f"{left.address} and {right.address} are the same camera", got=left.serial)
+        raise WRONG_SERIAL(f"{left.address} and {right.address} are the same camera", got=str(left))
     if _matches((left.serial, right.serial), wanted):
         return
     if _matches((right.serial, left.serial), wanted):
@@ -299,7 +310,7 @@ def check_pair(left: CameraIdentity, right: CameraIdentity, options: BaslerOptio
         )
     for side, identity, serial in (("left", left, wanted[0]), ("right", right, wanted[1])):
         if serial is not None and identity.serial != serial:
-            raise WRONG_SERIAL(f"unexpected camera on the {side} side", expected=serial, got=identity.serial)
+            raise WRONG_SERIAL(f"unexpected camera on the {side} side", expected=serial, got=str(identity))
 
 
 def pair_identity(left: CameraIdentity, right: CameraIdentity) -> Identity:
