@@ -77,7 +77,7 @@ def test_every_command_starts_from_the_wheel(command: str, commands: dict[str, s
 
 def test_readmes_commands_work_from_an_empty_folder(commands: dict[str, str], tmp_path: Path) -> None:
     (shown,) = commands_of("README.md")
-    assert "error of the needle tip against truth" in run(["sh", "-c", shown], tmp_path, commands)
+    assert "depth mm\tpredicted mm\terror mm" in run(["sh", "-c", shown], tmp_path, commands)
     (report,) = tmp_path.glob("runs/*/report.html")
     assert report.stat().st_size > 0
     told = run(
