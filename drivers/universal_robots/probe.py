@@ -36,7 +36,7 @@ from ronna_hw.host.port_scan import describe_scan, find_listening
 
 DRIVER = "universal_robots"
 PORTS = {role: parse_endpoint(ROLES[role].example).port for role in ROLES}
-MODEL = "model: ur5 (CB3 controller) or ur5e (e-Series)."
+MODEL = "model: ur5 (CB3 controller), or ur5e, ur3e, ur10e or ur16e (e-Series)."
 ARM_OF_THIS_THEATRE = (
     "serial, calibration: they bind this theatre to this one arm. Remove them to accept any of the model."
 )
