@@ -89,7 +89,7 @@ class PairDevice(GuardedDevice, ABC, Generic[C]):
         """Trigger both cameras once and return the pair."""
 
     def stream(self, *, every: bool = False, timeout_s: float = 5.0) -> ReadingStream[StereoReading]:
-        """Trigger and stream pairs, one after the other: until the stream ends nobody else may."""
+        """Trigger and stream pairs, one after the other. Until the stream ends, other calls are refused."""
         return ReadingStream(self.grab_pair, every=every, timeout_s=timeout_s, turn=self._turn)
 
     def connect(self, timeout_s: float = 10.0) -> Identity:

@@ -201,7 +201,7 @@ class PolarisTracker(GuardedDevice):
         self._guard.enter(Lifecycle.CONFIGURED, frames=self.statistics, link=self._link.statistics)
 
     def stream(self, *, every: bool = False, timeout_s: float = 1.0) -> ReadingStream[TrackerFrame]:
-        """Stream new measurements, read by a thread of the stream: until it ends nobody else may."""
+        """Stream new measurements. Until the stream ends, other readers are refused with DEV-014."""
         read = partial(read_new_frame, self)
         return ReadingStream(read, every=every, timeout_s=timeout_s, turn=self._turn)
 

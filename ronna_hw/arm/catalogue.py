@@ -52,10 +52,11 @@ class ArmDescription:
         return self.kinematics.name
 
 
-# Of a pose that is reached again, one standard deviation per axis: of a KR6 and a UR5e, and of a UR5.
+# Of a pose that is reached again, one standard deviation per axis: of a KR6, a UR5e and a UR3e, of a UR5, and
+# of a UR10e or UR16e.
 # Safety against a moved head or cart within the arm's own error. Source: data sheets, ISO 9283.
 REPEATABILITY_MM, UR5_REPEATABILITY_MM = 0.015, 0.03
-UR10E_REPEATABILITY_MM = 0.025  # of a UR16e too; data sheets
+UR10E_REPEATABILITY_MM = 0.025
 
 HALF_OF_PUBLISHED = "half of the 0.03 mm that the vendor publishes by ISO 9283 (U)"
 _KR6 = ArmDescription(
