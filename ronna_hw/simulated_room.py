@@ -11,8 +11,9 @@ The truth is told by theatres of `simulated_theatre` alone: a case, its steps an
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,21 +61,25 @@ class RoomTruth:
 
 
 class SimulatedRoom:
-    """Hands in a simulated theatre, at its control port. Raises CTL-001 and CTL-002 as the port."""
+    """Hands in a simulated theatre, at its control port. Raises CTL-001 and CTL-002 as the port.
 
-    def __init__(self, control: str) -> None:
+    Once the theatre is closed, every call raises DEV-010.
+    """
+
+    def __init__(self, control: str, require_open: Callable[[], None]) -> None:
         self._control = control
+        self._require_open = require_open
 
     def inject(self, line: str) -> str:
         """Inject one line of a fault script, such as `tracker occlude marker 2 for 2 s`; return its effect.
 
         A line without a time begins now.
         """
-        return str(ask_control_port(self._control, "fault", line=line)["effect"])
+        return str(self._ask("fault", line=line)["effect"])
 
     def clear(self, line: str | None = None) -> None:
         """End what was injected, by its line, or all of it: what was moved is back in its place."""
-        ask_control_port(self._control, "clear_faults", **({} if line is None else {"line": line}))
+        self._ask("clear_faults", **({} if line is None else {"line": line}))
 
     def move(self, what: str, by_mm: Sequence[float]) -> None:
         """Move head, cart, assistant_cart, tracker or guide along the robot's axes, until cleared."""
@@ -95,11 +100,11 @@ class SimulatedRoom:
 
     def mount(self, number: int) -> None:
         """Mount a tool: 0 none, 1 the stereo head, 2 the guide."""
-        ask_control_port(self._control, "mount", number=number)
+        self._ask("mount", number=number)
 
     def truth(self) -> RoomTruth:
         """Return where everything is now. Raises CTL-002 in a theatre that does not tell it."""
-        told = ask_control_port(self._control, "truth")
+        told = self._ask("truth")
         return RoomTruth(
             float(told["theatre_time_s"]),
             {role: tuple(map(float, joints)) for role, joints in told["joints_rad"].items()},
@@ -123,6 +128,10 @@ class SimulatedRoom:
         raise WrongArgument(
             "there is no such sphere", expected=known or "a scene with a head", got=show(what)
         )
+
+    def _ask(self, action: str, **arguments: Any) -> dict[str, Any]:
+        self._require_open()
+        return ask_control_port(self._control, action, **arguments)
 
 
 def _occlusion(what: str) -> str:

@@ -303,7 +303,7 @@ class SimulatedTheatre(Theatre):
         """Hands in the room: move, hide and disturb, and look up the truth."""
         from ronna_hw.simulated_room import SimulatedRoom  # with NumPy, which a theatre does not wait for
 
-        return SimulatedRoom(self.control)
+        return SimulatedRoom(self.control, self._require_open)
 
 
 class TheatreProcess:

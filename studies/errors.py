@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ronna_hw.errors import ConfigurationError, ConnectError, DataError, ErrorCode
+from ronna_hw.errors import ConfigurationError, ConnectError, DataError, ErrorCode, RefusedError
 
 OTHER_STUDY = ErrorCode(
     "STU-001",
@@ -142,4 +142,11 @@ NOT_A_NOTEBOOK = ErrorCode(
     DataError,
     "A file given as a notebook is not one.",
     "Give one of examples/notebooks, or a notebook that Jupyter has written.",
+)
+
+SWEEP_IN_USE = ErrorCode(
+    "STU-019",
+    RefusedError,
+    "Another sweep is writing its points into the folder.",
+    "Wait until it has ended, and call again: its points are then taken over; or give another folder=.",
 )

@@ -12,6 +12,7 @@ rows. What raised an error has a row with its code and words: a sweep does not e
 
 from __future__ import annotations
 
+import fcntl
 import hashlib
 import itertools
 import json
@@ -19,6 +20,7 @@ import os
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, wait
+from contextlib import contextmanager
 from inspect import getsource, signature
 from pathlib import Path
 from typing import Any
@@ -30,11 +32,12 @@ from ronna_hw.arguments import WrongArgument, require_path, show
 from ronna_hw.bounded_input import parse_json, read_json_lines
 from ronna_hw.command_line.messages import tell
 from ronna_hw.errors import ConfigurationError, DataError, RefusedError, RonnaError
+from ronna_hw.host.port_users import find_lock_holder
 from ronna_hw.host.process import limit_children_to_one_thread
 from ronna_hw.host.worker_processes import start_workers
 from ronna_hw.loaded_run import RunColumn, RunTable
 from studies.campaign.folder import code
-from studies.errors import LEDGER_UNREADABLE, OTHER_STUDY
+from studies.errors import LEDGER_UNREADABLE, OTHER_STUDY, SWEEP_IN_USE
 
 FILE = "points.jsonl"  # of finished points, below a line that says which function they are of
 RUNS = "runs"  # folder for what the function writes
@@ -63,23 +66,45 @@ def sweep(
     What the function writes to its own `out` is kept there too.
 
     Raises ARG-001 for arguments without a point, STU-001 and STU-002 if `folder` has points of another
-    function or of other code, and what the function raises, unless it has a code.
+    function or of other code, STU-019 while another sweep writes there, and what the function raises, unless
+    it has a code.
     """
     kept = None if folder is None else require_path(folder, "the folder of a sweep")
     points = list(_list_points(arguments))
     if not points:
         raise WrongArgument("the sweep has no point: an argument is empty", got=show(arguments))
-    ledger = _Ledger(kept, function)
-    missing = [point for point in points if ledger.find(point) is None]
-    if found := len(points) - len(missing):
-        tell(f"{found} of {len(points)} points are taken from {kept}")
-    fixed = _own_options(function, kept and kept / RUNS, arguments)
-    with Progress(transient=True, disable=not progress) as bar:
-        task = bar.add_task(name_of(function), total=len(points), completed=len(points) - len(missing))
-        for point, (rows, kept_for_good) in _run(function, missing, fixed, workers):
-            ledger.add(point, rows, keep=kept_for_good)
-            bar.advance(task)
+    with _alone_in(kept):
+        ledger = _Ledger(kept, function)
+        missing = [point for point in points if ledger.find(point) is None]
+        if found := len(points) - len(missing):
+            tell(f"{found} of {len(points)} points are taken from {kept}")
+        fixed = _own_options(function, kept and kept / RUNS, arguments)
+        with Progress(transient=True, disable=not progress) as bar:
+            task = bar.add_task(name_of(function), total=len(points), completed=len(points) - len(missing))
+            for point, (rows, kept_for_good) in _run(function, missing, fixed, workers):
+                ledger.add(point, rows, keep=kept_for_good)
+                bar.advance(task)
     return _tabulate([row for point in points for row in ledger.find(point) or ()])
+
+
+@contextmanager
+def _alone_in(folder: Path | None) -> Iterator[None]:
+    """Keep other sweeps out of a folder while the block runs. Raises STU-019 while one is in it.
+
+    The lock ends with its process, however that ends.
+    """
+    if folder is None:
+        yield
+        return
+    folder.mkdir(parents=True, exist_ok=True)
+    with (folder / FILE).open("ab") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            holder = find_lock_holder(file.fileno())
+            number = "" if holder is None else f" (pid {holder.pid})"
+            raise SWEEP_IN_USE(f"another sweep{number} is writing into {folder}") from None
+        yield
 
 
 def _list_points(arguments: Mapping[str, object]) -> Iterator[Row]:
@@ -184,9 +209,8 @@ class _Ledger:
         self._path = None if folder is None else folder / FILE
         if folder is None or self._path is None:
             return
-        folder.mkdir(parents=True, exist_ok=True)
         head = {"function": name_of(function), "code": _code_of(function)}
-        if not self._path.exists() or not self._path.stat().st_size:
+        if not self._path.stat().st_size:
             self._append(head)
             return
         content = read_json_lines(self._path)

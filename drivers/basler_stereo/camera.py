@@ -103,7 +103,8 @@ class Camera:
         try:
             return identify(self._control, deadline_s)
         except NoCamera as error:
-            near = describe_cameras_near(self._control.peer_address)
+            wanted = self._options.left_serial, self._options.right_serial
+            near = describe_cameras_near(self._control.peer_address, wanted)
             raise NoCamera(error.what, expected=error.expected, got=near) from error
 
     def configure(self, receiver_process: ReceiverProcess, deadline_s: float) -> None:

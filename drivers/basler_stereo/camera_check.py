@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 from drivers.basler_stereo.control_channel import CameraControl
 from drivers.basler_stereo.errors import CommandRefused, MalformedReply, NoCamera, NoReply
-from drivers.basler_stereo.identity import CameraIdentity, identify
+from drivers.basler_stereo.identity import CameraIdentity, identify, list_cameras
 from drivers.basler_stereo.stream.receiver import choose_packet_bytes, open_stream_socket
 from ronna_hw.devices.probing import Diagnostic
 from ronna_hw.endpoints import Endpoint
@@ -29,7 +29,6 @@ REPLY_LIMIT_S = 1.0  # per command, including retries
 TEST_LIMIT_S = 5.0  # for all test packets
 RECEIVE_BUFFER_BYTES = 65_536  # one test packet at a time
 JUMBO_BYTES = 8000  # below this, both cameras at full rate keep a computer busy
-LISTED_CAMERAS = 4
 SECTION = "cameras"
 Finding = tuple[bool, str, str]  # whether all is well, observation, advice
 
@@ -170,7 +169,7 @@ def discovery_diagnostic(interface: Interface, found: Sequence[CameraIdentity]) 
     doubled = sorted({serial for serial in serials if serials.count(serial) > 1})
     where = "cell on this computer" if interface.loopback else "cell on this network"
     advice = f"{' and '.join(doubled)} replied several times: there is another {where}." if doubled else ""
-    shown = ", ".join(map(_describe_camera, found))
+    shown = ", ".join(map(str, found))
     by_endpoint = {f"gev://{each.address}": each.serial for each in found}
     return Diagnostic(f"cameras on {interface.name}", True, shown, advice, serials=by_endpoint)
 
@@ -206,6 +205,7 @@ def _identity_document(identity: CameraIdentity) -> dict[str, str]:
         "serial": identity.serial,
         "name": identity.user_name,
         "firmware": identity.version,
+        "info": identity.info,
     }
 
 
@@ -272,10 +272,4 @@ def _diagnose_no_reply(camera: CameraState, found: Sequence[CameraIdentity]) -> 
 def _other_replies(camera: CameraState, found: Sequence[CameraIdentity]) -> str:
     if not (others := [each for each in found if each.address != camera.endpoint.host]):
         return ""
-    listed = ", ".join(map(_describe_camera, others[:LISTED_CAMERAS]))
-    more = f" and {len(others) - LISTED_CAMERAS} more" if len(others) > LISTED_CAMERAS else ""
-    return f" These reply: {listed}{more}."
-
-
-def _describe_camera(camera: CameraIdentity) -> str:
-    return f"{camera.model} {camera.serial} at {camera.address}"
+    return f" These reply: {list_cameras(others)}."

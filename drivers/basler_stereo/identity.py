@@ -7,6 +7,7 @@ import select
 import socket
 import struct
 import time
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from ipaddress import IPv4Address
 
@@ -14,6 +15,7 @@ from drivers.basler_stereo import gvcp
 from drivers.basler_stereo.control_channel import CameraControl
 from drivers.basler_stereo.errors import MalformedReply, NoCamera, NoReply
 from ronna_hw.host.network import Interface, find_interface
+from ronna_hw.text import printable
 from ronna_hw.wire import gige_vision as gev
 from ronna_hw.wire.gige_vision import Bootstrap, GevStatus, GvcpCommand
 
@@ -21,6 +23,8 @@ REPLY_LIMIT_S = 0.5  # a camera replies within milliseconds
 BROADCAST_ADDRESS = "255.255.255.255"
 DATAGRAM_LIMIT_BYTES = 2048
 REQUEST_ID = gev.REQUEST_ID_FIRST
+LISTED_CAMERAS = 4
+NO_INFO = "none"  # in the register of a Basler camera
 
 
 @dataclass(frozen=True)
@@ -34,6 +38,12 @@ class CameraIdentity:
     serial: str
     version: str
     user_name: str
+    info: str = ""  # of the manufacturer; empty as it comes from the factory
+
+    def __str__(self) -> str:
+        """Return model, serial number, address and further information, for a person who looks for it."""
+        whose = f" ({printable(self.info)})" if self.info else ""
+        return f"{self.model} {self.serial} at {self.address}{whose}"
 
 
 def identify(control: CameraControl, deadline_s: float) -> CameraIdentity:
@@ -64,6 +74,7 @@ def decode_identity(memory: bytes, address: str) -> CameraIdentity:
         serial=_read_text(memory, Bootstrap.SERIAL_NUMBER),
         version=_read_text(memory, Bootstrap.DEVICE_VERSION),
         user_name=_read_text(memory, Bootstrap.USER_DEFINED_NAME),
+        info=_read_text(memory, Bootstrap.MANUFACTURER_INFO).removeprefix(NO_INFO),
     )
 
 
@@ -94,13 +105,20 @@ def discover_cameras(interface: Interface, limit_s: float = REPLY_LIMIT_S) -> tu
     return tuple(sorted(found.values(), key=lambda identity: IPv4Address(identity.address)))
 
 
-def describe_cameras_near(address: str) -> str:
-    """Describe the cameras that reply on the same network as an address."""
+def describe_cameras_near(address: str, wanted: Collection[str | None] = ()) -> str:
+    """Describe the cameras that reply on the same network as an address, those with wanted serials first."""
     if (interface := find_interface(address)) is None:
         return f"no network interface of this computer is in the subnet of {address}"
     if not (cameras := discover_cameras(interface)):
         return "no camera replied to broadcast discovery"
-    return "broadcast discovery found " + ", ".join(f"{each.serial} at {each.address}" for each in cameras)
+    wanted_first = sorted(cameras, key=lambda each: each.serial not in wanted)
+    return f"broadcast discovery found {list_cameras(wanted_first)}"
+
+
+def list_cameras(cameras: Sequence[CameraIdentity]) -> str:
+    """List cameras for a sentence, at most `LISTED_CAMERAS` of them by name."""
+    more = f" and {len(cameras) - LISTED_CAMERAS} more" if len(cameras) > LISTED_CAMERAS else ""
+    return f"{', '.join(map(str, cameras[:LISTED_CAMERAS]))}{more}"
 
 
 def _decode_reply(datagram: bytes, sender: tuple[str, int]) -> CameraIdentity:

@@ -70,6 +70,7 @@ class BaslerStereoPair(PairDevice[Camera]):
 
         No published temperature limit is known, so it is reported without being judged.
         """
+        self._require("readiness", set(READABLE))
         deadline_s = time.monotonic() + timeout_s
         facts: list[Fact] = []
         for side, camera, counters in zip(("left", "right"), self._pair, self.counters, strict=True):
@@ -109,7 +110,7 @@ class BaslerStereoPair(PairDevice[Camera]):
         latched, GEV-014 (a camera silent beyond its heartbeat time-out), GEV-015 (control lost) or GEV-017
         (our receiver process ended).
         """
-        self._guard.require("grab_pair", {Lifecycle.ACTIVE})
+        self._require("grab_pair", {Lifecycle.ACTIVE})
         deadline_s = time.monotonic() + timeout_s
         return self._run_guarded(lambda: self._grab_reading(deadline_s), deadline_s, keeps_settings=True)
 

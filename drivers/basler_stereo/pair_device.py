@@ -8,7 +8,7 @@ from collections.abc import Callable
 from typing import Any, Generic, Protocol, TypeVar
 
 from drivers.basler_stereo.errors import CABLES_SWAPPED, WRONG_MODEL, WRONG_SERIAL, NoReply
-from drivers.basler_stereo.identity import CameraIdentity
+from drivers.basler_stereo.identity import CameraIdentity, describe_cameras_near
 from drivers.basler_stereo.options import BaslerOptions
 from ronna_hw.clock import Clock
 from ronna_hw.config import DeviceConfig
@@ -23,9 +23,9 @@ from ronna_hw.devices.lifecycle import (
     LifecycleGuard,
     require_person,
 )
-from ronna_hw.devices.reading_stream import ReadingStream
+from ronna_hw.devices.reading_stream import ReadingStream, Turn
 from ronna_hw.devices.readings import AreaOfInterest, StereoReading, Validity
-from ronna_hw.errors import RonnaError
+from ronna_hw.errors import ConnectError, RonnaError, is_error
 
 CLOSE_LIMIT_S = 1.0  # per camera, even a dead one
 
@@ -56,6 +56,7 @@ class PairDevice(GuardedDevice, ABC, Generic[C]):
         self._clock = clock
         self._addresses = {side: config.address(side).require("gev").host for side in ("left", "right")}
         self._options = options
+        self._turn = Turn(name)
         self._cameras: tuple[C, C] | None = None
         self._identities: tuple[CameraIdentity, CameraIdentity] | None = None
         self._areas: tuple[AreaOfInterest, AreaOfInterest] | None = None
@@ -88,8 +89,8 @@ class PairDevice(GuardedDevice, ABC, Generic[C]):
         """Trigger both cameras once and return the pair."""
 
     def stream(self, *, every: bool = False, timeout_s: float = 5.0) -> ReadingStream[StereoReading]:
-        """Trigger and stream pairs, one after the other."""
-        return ReadingStream(self.grab_pair, every=every, timeout_s=timeout_s)
+        """Trigger and stream pairs, one after the other. Until the stream ends, other calls are refused."""
+        return ReadingStream(self.grab_pair, every=every, timeout_s=timeout_s, turn=self._turn)
 
     def connect(self, timeout_s: float = 10.0) -> Identity:
         """Find both cameras and check models and serial numbers, without taking control.
@@ -120,8 +121,9 @@ class PairDevice(GuardedDevice, ABC, Generic[C]):
         self._guard.enter(Lifecycle.ACTIVE)
 
     def deactivate(self, timeout_s: float = 10.0) -> None:
-        """Stop both streams but keep control of the cameras."""
+        """Stop both cameras' streams but keep control of them; ends a stream of readings."""
         self._guard.require("deactivate", RUNNING)
+        self._turn.end_stream()
         deadline_s = time.monotonic() + timeout_s
         facts = self._stream_facts()
         self._run_guarded(lambda: self._stop_streams(deadline_s), deadline_s)
@@ -132,7 +134,7 @@ class PairDevice(GuardedDevice, ABC, Generic[C]):
 
         A running stream is stopped and restarted; its block ids restart.
         """
-        self._guard.require("set_areas", {Lifecycle.CONFIGURED, Lifecycle.ACTIVE})
+        self._require("set_areas", {Lifecycle.CONFIGURED, Lifecycle.ACTIVE})
         if (left, right) == self.areas:
             return
         deadline_s = time.monotonic() + timeout_s
@@ -141,13 +143,13 @@ class PairDevice(GuardedDevice, ABC, Generic[C]):
 
     def set_exposure(self, exposure_us: float, gain_raw: int, timeout_s: float = 5.0) -> None:
         """Set exposure and gain of both cameras to the same values; raises GEV-011."""
-        self._guard.require("set_exposure", {Lifecycle.CONFIGURED, Lifecycle.ACTIVE})
+        self._require("set_exposure", {Lifecycle.CONFIGURED, Lifecycle.ACTIVE})
         self._set_exposure(exposure_us, gain_raw, time.monotonic() + timeout_s)
         self._exposure = (exposure_us, gain_raw)
 
     def scale_exposure(self, share: float, timeout_s: float = 5.0) -> None:
         """Scale the exposure from `configure` or the last `set_exposure` by `share`; raises GEV-011."""
-        self._guard.require("scale_exposure", {Lifecycle.CONFIGURED, Lifecycle.ACTIVE})
+        self._require("scale_exposure", {Lifecycle.CONFIGURED, Lifecycle.ACTIVE})
         exposure_us, gain_raw = self._exposure
         self._set_exposure(share * exposure_us, gain_raw, time.monotonic() + timeout_s)
 
@@ -181,6 +183,7 @@ class PairDevice(GuardedDevice, ABC, Generic[C]):
         Takes three seconds at most with unresponsive cameras; never raises.
         """
         if self._guard.state is not Lifecycle.CLOSED:
+            self._turn.end_stream()
             self._release_all()
             self._guard.enter(Lifecycle.CLOSED)
 
@@ -204,6 +207,11 @@ class PairDevice(GuardedDevice, ABC, Generic[C]):
     def _run_guarded(self, work: Callable[[], T], deadline_s: float) -> T:
         """Run an operation; latches FAULT if cameras or control are lost."""
 
+    def _require(self, call: str, allowed: set[Lifecycle]) -> None:
+        """Raise DEV-001 in another state, and DEV-014 while a stream of readings uses the cameras."""
+        self._guard.require(call, allowed)
+        self._turn.require(call)
+
     def _stream_facts(self) -> dict[str, Any]:
         """Return stream statistics for the log entry of `deactivate`."""
         return {}
@@ -215,11 +223,22 @@ class PairDevice(GuardedDevice, ABC, Generic[C]):
         left, right = cameras
         try:
             identities = connect(left), connect(right)
-            check_pair(*identities, self._options)
+            self._check_found(*identities)
         except BaseException:  # including interruptions: neither camera stays controlled
             self._close_all(cameras)
             raise
         return cameras, identities
+
+    def _check_found(self, left: CameraIdentity, right: CameraIdentity) -> None:
+        """Raise the errors of `check_pair`, with the cameras that reply on the same network."""
+        try:
+            check_pair(left, right, self._options)
+        except ConnectError as error:
+            if is_error(error, CABLES_SWAPPED):  # both are known
+                raise
+            wanted = self._options.left_serial, self._options.right_serial
+            near = describe_cameras_near(left.address, wanted)
+            raise error.reworded(error.what, expected=error.expected, got=f"{error.got}; {near}") from error
 
     def _release_all(self) -> None:
         if self._cameras is not None:
@@ -276,11 +295,11 @@ def check_pair(left: CameraIdentity, right: CameraIdentity, options: BaslerOptio
             raise WRONG_MODEL(
                 f"unexpected device at {identity.address}",
                 expected=options.expected_model,
-                got=f"{identity.vendor} {identity.model}".strip(),
+                got=f"{identity.vendor} {identity}".strip(),
             )
     wanted = (options.left_serial, options.right_serial)
     if left.serial == right.serial:
-        raise WRONG_SERIAL(f"{left.address} and {right.address} are the same camera", got=left.serial)
+        raise WRONG_SERIAL(f"{left.address} and {right.address} are the same camera", got=str(left))
     if _matches((left.serial, right.serial), wanted):
         return
     if _matches((right.serial, left.serial), wanted):
@@ -291,7 +310,7 @@ def check_pair(left: CameraIdentity, right: CameraIdentity, options: BaslerOptio
         )
     for side, identity, serial in (("left", left, wanted[0]), ("right", right, wanted[1])):
         if serial is not None and identity.serial != serial:
-            raise WRONG_SERIAL(f"unexpected camera on the {side} side", expected=serial, got=identity.serial)
+            raise WRONG_SERIAL(f"unexpected camera on the {side} side", expected=serial, got=str(identity))
 
 
 def pair_identity(left: CameraIdentity, right: CameraIdentity) -> Identity:

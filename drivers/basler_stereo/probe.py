@@ -28,6 +28,7 @@ from ronna_hw.devices.probing import (
 )
 from ronna_hw.endpoints import Endpoint, parse_endpoint
 from ronna_hw.host.network import find_interface
+from ronna_hw.text import printable
 from ronna_hw.wire import gige_vision as gev
 
 DRIVER = "basler_stereo"
@@ -58,7 +59,7 @@ class BaslerProbe:
         return self._diagnose_cameras([ExpectedCamera(endpoint) for endpoint in endpoints], progress)
 
     def find(self, search: Search, progress: Progress) -> Sequence[Proposal]:
-        """Propose pairs of cameras of the same model; pairs named left and right take precedence.
+        """Propose pairs of cameras of the same model and owner; those named left and right take precedence.
 
         Each network is queried with one broadcast; no camera is controlled.
         """
@@ -68,7 +69,8 @@ class BaslerProbe:
         pairs = [
             (camera_a, camera_b)
             for camera_a, camera_b in permutations(cameras.values(), 2)
-            if camera_a.model == camera_b.model and camera_a.serial != camera_b.serial
+            if (camera_a.model, camera_a.info) == (camera_b.model, camera_b.info)
+            and camera_a.serial != camera_b.serial
         ]
         named = [pair for pair in pairs if tuple(each.user_name.lower() for each in pair) == SIDES]
         return [_make_proposal(*pair, named=pair in named) for pair in named or pairs]
@@ -118,9 +120,10 @@ def _make_proposal(left: CameraIdentity, right: CameraIdentity, *, named: bool) 
     chosen = {"left_serial": left.serial, "right_serial": right.serial}
     if left.model != gev.ACA2000_50GM_NIR:
         chosen["expected_model"] = left.model
+    whose = f", {printable(left.info)}" if left.info else ""
     return Proposal(
         DRIVER,
-        f"{left.vendor} {left.model} {left.serial} (left) and {right.serial} (right)",
+        f"{left.vendor} {left.model} {left.serial} (left) and {right.serial} (right){whose}",
         _endpoints((left.address, right.address)),
         describe_options(BaslerOptions, chosen),
         (NAMED_REMARK if named else SIDES_REMARK,),

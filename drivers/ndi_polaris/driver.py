@@ -45,7 +45,7 @@ from ronna_hw.devices.lifecycle import (
     LifecycleGuard,
     require_person,
 )
-from ronna_hw.devices.reading_stream import ReadingStream
+from ronna_hw.devices.reading_stream import ReadingStream, Turn
 from ronna_hw.devices.readings import TrackerFrame
 from ronna_hw.devices.sensors import VolumeSections, read_new_frame
 from ronna_hw.endpoints import Endpoint
@@ -92,6 +92,7 @@ class PolarisTracker(GuardedDevice):
         self._monotonic = monotonic
         self._pause = pause
         self._sink: ByteSink | None = None
+        self._turn = Turn(name)
         self._open_link: CommandLink | None = None
         self._identity: Identity | None = None
         self._loaded: tuple[LoadedTool, ...] = ()
@@ -193,23 +194,27 @@ class PolarisTracker(GuardedDevice):
         self._guard.enter(Lifecycle.ACTIVE)
 
     def deactivate(self, timeout_s: float = 10.0) -> None:
-        """Stop tracking but keep the tools loaded."""
+        """Stop tracking but keep the tools loaded; ends a stream."""
         self._guard.require("deactivate", RUNNING)
+        self._turn.end_stream()
         self._run_guarded(lambda: stop_tracking(self._link), timeout_s)
         self._guard.enter(Lifecycle.CONFIGURED, frames=self.statistics, link=self._link.statistics)
 
     def stream(self, *, every: bool = False, timeout_s: float = 1.0) -> ReadingStream[TrackerFrame]:
-        """Stream new measurements, read by a thread of the stream: until it ends nobody else may."""
-        return ReadingStream(partial(read_new_frame, self), every=every, timeout_s=timeout_s)
+        """Stream new measurements. Until the stream ends, other readers are refused with DEV-014."""
+        read = partial(read_new_frame, self)
+        return ReadingStream(read, every=every, timeout_s=timeout_s, turn=self._turn)
 
     def read_frame(self, timeout_s: float = 1.0) -> TrackerFrame:
         """Read the next frame by one request to the unit, or two if the first reply was disturbed.
 
         Raises NDI-005 to NDI-007 for a lost reading (the next call resynchronises first), NDI-022 while the
-        unit withholds poses because of its temperature (state HOLD, which ends by itself), and, with
-        FAULT latched, NDI-008 (link lost), NDI-009 (restarted), NDI-020 (hardware), NDI-021 (bumped).
+        unit withholds poses because of its temperature (state HOLD, which ends by itself), DEV-014 while a
+        stream reads the unit, and, with FAULT latched, NDI-008 (link lost), NDI-009 (restarted), NDI-020
+        (hardware), NDI-021 (bumped).
         """
         self._guard.require("read_frame", RUNNING)
+        self._turn.require("read_frame")
         try:
             frame = self._run_guarded(self._tracking_run.read, timeout_s)
         except TemperatureHold:
@@ -250,6 +255,7 @@ class PolarisTracker(GuardedDevice):
         """Stop tracking, free the tools and restore the default baud rate within 3 s; never raises."""
         if self._guard.state is Lifecycle.CLOSED:
             return
+        self._turn.end_stream()
         if self._open_link is not None:
             # a unit that is gone needs no closing commands
             self._open_link.deadline_s = self._monotonic() + CLOSE_LIMIT_S

@@ -16,6 +16,9 @@ from ronna_hw.errors import (
     RefusedError,
 )
 
+# Dashboard guide, "unlock protective stop": it fails with a message before that.
+UNLOCK_WAIT = "the controller releases a protective stop only 5 s after it"
+
 SPEED_AT_ZERO = ErrorCode(
     "URD-011",
     RefusedError,
@@ -121,7 +124,7 @@ PROTECTIVELY_STOPPED = ErrorCode(
     "URD-009",
     RefusedError,
     "The controller has stopped the arm for its protection, and nobody has acknowledged it.",
-    f"Find the cause at the arm first, and wait for 5 s. Then {ACKNOWLEDGE}.",
+    f"Find the cause at the arm first: {UNLOCK_WAIT}. Then {ACKNOWLEDGE}.",
 )
 
 SAFETY_STOPPED = ErrorCode(
@@ -178,7 +181,7 @@ LINK_BROKEN = ErrorCode(
 CONTROLLER_STOPPED = ErrorCode(
     "URD-035",
     LimitError,
-    "Emergency stop, safeguard, protective stop, power or the control mode interrupted a running stream.",
+    "Emergency stop, safeguard, power or another safety mode interrupted a running stream.",
     f"Check the cell first. When the cause is removed, {ACKNOWLEDGE}.",
 )
 
@@ -231,4 +234,19 @@ CONTROLLER_EXCHANGED = ErrorCode(
     "At a recovery another arm, software or factory calibration is found than was connected.",
     "Check which arm answers at the endpoints. Plans and calibrations hold for the first one only: end "
     "this run, and connect anew.",
+)
+
+PROTECTIVE_STOP = ErrorCode(
+    "URD-043",
+    LimitError,
+    "The controller stopped the arm for its protection while the stream was running.",
+    f"Look at arm and tool for what it touched, and read the pendant's message: {UNLOCK_WAIT}. "
+    f"Then {ACKNOWLEDGE}.",
+)
+
+SWITCHED_TO_LOCAL = ErrorCode(
+    "URD-044",
+    LimitError,
+    "Somebody switched the controller to local control at the pendant while the stream was running.",
+    f"Ask who has the pendant, choose remote control at the top right of its screen, then {ACKNOWLEDGE}.",
 )

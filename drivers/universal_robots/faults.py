@@ -11,6 +11,7 @@ from drivers.universal_robots.errors import (
     LINK_BROKEN,
     POSE_IMPLAUSIBLE,
     PROGRAM_STOPPED,
+    PROTECTIVE_STOP,
     SCRIPT_STOPPED,
 )
 from drivers.universal_robots.options import UrOptions, script_settings
@@ -20,7 +21,7 @@ from ronna_hw.arm.clearance.bodies import Surroundings
 from ronna_hw.arm_stream.faults import StreamFaults
 from ronna_hw.arm_stream.records import NOTHING_AROUND, LinkFault, LinkState
 from ronna_hw.errors import RonnaError
-from ronna_hw.wire.universal_robots import RobotMode, RuntimeState, ScriptState
+from ronna_hw.wire.universal_robots import RobotMode, RuntimeState, SafetyMode, ScriptState
 
 
 @dataclass(frozen=True)
@@ -65,6 +66,8 @@ class UrFaults(StreamFaults):
                     f"{prefix} the safety mode is {safety_text(word.safety_mode)}",
                     expected="the mode for whose speed limits the stream was started",
                 )
+            case Cause.SAFETY if word.safety_mode == SafetyMode.PROTECTIVE_STOP:
+                return PROTECTIVE_STOP(f"{prefix} the controller stopped the arm: protective stop")
             case Cause.SAFETY:
                 return CONTROLLER_STOPPED(
                     f"{prefix} the controller stopped the arm: {safety_text(word.safety_mode)}"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from ronna_hw.arm.universal_robots import UR5, UR5E
+from ronna_hw.arm.universal_robots import UR3E, UR5, UR5E, UR10E, UR16E
 
 
 class Generation(NamedTuple):
@@ -17,12 +17,13 @@ class Generation(NamedTuple):
     has_remote_control: bool
 
 
+E_SERIES = Generation("an e-Series controller", 5, 6, 0.002, has_remote_control=True)
 GENERATIONS = {
     UR5: Generation("a CB3 controller", 3, 9, 0.008, has_remote_control=False),  # registers 24 to 47
-    UR5E: Generation("an e-Series controller", 5, 6, 0.002, has_remote_control=True),
+    **dict.fromkeys((UR5E, UR3E, UR10E, UR16E), E_SERIES),
 }
 
 
 def arm_of_version(major: int) -> str | None:
-    """Return the model that controllers of this major version drive, or None for another generation."""
+    """Return the usual model for controllers of this major version, or None for another generation."""
     return next((model for model, one in GENERATIONS.items() if one.major == major), None)

@@ -63,7 +63,7 @@ class UrOptions(StreamOptions):
     """Arm options: table `[robot.<name>.options]`, with host times and fractions of full joint speed."""
 
     model: Annotated[str, arm_of(UNIVERSAL_ROBOTS)] = Field(
-        UR5E, description="Model of the arm, ur5 or ur5e; the controller must agree."
+        UR5E, description="Model of the arm: ur5, ur5e, ur3e, ur10e or ur16e; the controller must agree."
     )
     serial: str = Field("", description="Expected serial number of the arm; empty: any.")
     calibration: str = Field(

@@ -7,11 +7,13 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from drivers.universal_robots.arm import UniversalRobotsArm
-from drivers.universal_robots.generations import arm_of_version
+from drivers.universal_robots.dashboard import DashboardClient
+from drivers.universal_robots.generations import GENERATIONS, arm_of_version
 from drivers.universal_robots.identification import CALIBRATION
 from drivers.universal_robots.options import EXAMPLE_HOST, ROLES, UrOptions
 from drivers.universal_robots.rtde import RtdeSetup
 from drivers.universal_robots.services import SERVICES, identify_service
+from ronna_hw.arm.catalogue import find_arm
 from ronna_hw.arm.universal_robots import UR5E
 from ronna_hw.arm_stream.errors import ControllerNotFound
 from ronna_hw.clock import HostClock
@@ -33,10 +35,11 @@ from ronna_hw.devices.probing import (
 from ronna_hw.endpoints import Endpoint, parse_endpoint
 from ronna_hw.errors import RonnaError
 from ronna_hw.host.port_scan import describe_scan, find_listening
+from ronna_hw.wire.universal_robots_services import Query
 
 DRIVER = "universal_robots"
 PORTS = {role: parse_endpoint(ROLES[role].example).port for role in ROLES}
-MODEL = "model: ur5 (CB3 controller) or ur5e (e-Series)."
+MODEL = "model: ur5 (CB3 controller), or ur5e, ur3e, ur10e or ur16e (e-Series)."
 ARM_OF_THIS_THEATRE = (
     "serial, calibration: they bind this theatre to this one arm. Remove them to accept any of the model."
 )
@@ -106,10 +109,14 @@ def _make_proposal(host: str) -> Proposal:
 
 
 def _read_model(host: str) -> str:
-    """Return the model that the controller's generation drives; what it is not, the driver refuses."""
+    """Return the model that the controller reports; of an unknown one the usual, which the driver refuses."""
     with contextlib.closing(RtdeSetup(host, PORTS["rtde"], CONNECT_LIMIT_S)) as rtde:
         major = rtde.read_version().major
-    return arm_of_version(major) or UR5E
+    with contextlib.closing(DashboardClient(host, PORTS["dashboard"], CONNECT_LIMIT_S)) as dashboard:
+        reported = dashboard.ask(Query.ROBOT_MODEL, CONNECT_LIMIT_S)
+    known = (model for model, generation in GENERATIONS.items() if generation.major == major)
+    usual = arm_of_version(major) or UR5E
+    return next((model for model in known if find_arm(model).reported_as == reported), usual)
 
 
 def _endpoints(host: str) -> dict[str, str]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from drivers.universal_robots.errors import RegistersInUse
+from drivers.universal_robots.errors import UNLOCK_WAIT, RegistersInUse
 from drivers.universal_robots.primary.client import ControllerState
 from drivers.universal_robots.safety import EMERGENCY_MODES, NORMAL_MODES, RESTART_MODES, safety_text
 from ronna_hw.devices.capabilities import EMERGENCY_STOP, MESSAGES, Fact
@@ -28,7 +28,9 @@ def controller_facts(state: ControllerState) -> Iterator[Fact]:
         MESSAGES,
         safety_text(safety) if needs_person else "none to acknowledge",
         not needs_person,
-        "Find its cause at the arm; acknowledge it with ronna-procedure acknowledge.",
+        f"Find its cause at the arm; acknowledge it with ronna-procedure acknowledge: {UNLOCK_WAIT}."
+        if safety is SafetyMode.PROTECTIVE_STOP
+        else "Find its cause at the arm; acknowledge it with ronna-procedure acknowledge.",
     )
     yield Fact(
         "safety mode",

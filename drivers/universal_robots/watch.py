@@ -13,7 +13,7 @@ import threading
 import time
 
 from drivers.universal_robots.connections import Connections
-from drivers.universal_robots.errors import CONTROLLER_STOPPED, LINK_BROKEN, PROGRAM_STOPPED, STREAM_ERRORS
+from drivers.universal_robots.errors import LINK_BROKEN, PROGRAM_STOPPED, STREAM_ERRORS, SWITCHED_TO_LOCAL
 from drivers.universal_robots.faults import may_be_power
 from drivers.universal_robots.primary.client import ControllerState
 from ronna_hw.arm_stream.records import LinkFault, StopOrder, StreamPhase
@@ -108,7 +108,7 @@ class UrWatch(StreamWatch[ControllerState]):
         if is_error(error, *MAY_BE_CONTROL):
             with contextlib.suppress(RonnaError):
                 if self._connections.power.is_remote(DASHBOARD_LIMIT_S) is False:
-                    return CONTROLLER_STOPPED(
+                    return SWITCHED_TO_LOCAL(
                         f"{self._connections.faults.name}: the pendant was switched to local control",
                         expected="remote control",
                     )

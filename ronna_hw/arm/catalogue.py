@@ -19,7 +19,7 @@ from ronna_hw.arm.errors import UnknownArm
 from ronna_hw.arm.kinematics import Kinematics
 from ronna_hw.arm.kr6_r900 import R900_2, SIXX, kr6_r900
 from ronna_hw.arm.load_model import LoadModel
-from ronna_hw.arm.universal_robots import UR5, UR5E, universal_robot
+from ronna_hw.arm.universal_robots import UR3E, UR5, UR5E, UR10E, UR16E, universal_robot
 
 GROUP = "ronna_hw.arms"
 KUKA, UNIVERSAL_ROBOTS = "KUKA", "Universal Robots"  # makes
@@ -52,9 +52,11 @@ class ArmDescription:
         return self.kinematics.name
 
 
-# Of a pose that is reached again, one standard deviation per axis: of a KR6 and a UR5e, and of a UR5.
+# Of a pose that is reached again, one standard deviation per axis: of a KR6, a UR5e and a UR3e, of a UR5, and
+# of a UR10e or UR16e.
 # Safety against a moved head or cart within the arm's own error. Source: data sheets, ISO 9283.
 REPEATABILITY_MM, UR5_REPEATABILITY_MM = 0.015, 0.03
+UR10E_REPEATABILITY_MM = 0.025
 
 HALF_OF_PUBLISHED = "half of the 0.03 mm that the vendor publishes by ISO 9283 (U)"
 _KR6 = ArmDescription(
@@ -75,6 +77,21 @@ _UR5E = ArmDescription(
     repeatability_source=HALF_OF_PUBLISHED,
     load=load_model.UR5E,
 )
+
+
+def _size_of_ur5e(name: str, reported_as: str, repeatability_mm: float, source: str) -> ArmDescription:
+    """Describe another size of the e-Series, with which no scene is drawn and whose loads are not known."""
+    return replace(
+        _UR5E,
+        kinematics=universal_robot(name),
+        reported_as=reported_as,
+        choice=None,
+        repeatability_mm=repeatability_mm,
+        repeatability_source=source,
+        load=None,
+    )
+
+
 ARMS: Mapping[str, ArmDescription] = {
     arm.name: arm
     for arm in (
@@ -89,6 +106,9 @@ ARMS: Mapping[str, ArmDescription] = {
             load=load_model.UR5,
         ),
         _UR5E,
+        _size_of_ur5e(UR3E, "UR3", REPEATABILITY_MM, HALF_OF_PUBLISHED),
+        _size_of_ur5e(UR10E, "UR10", UR10E_REPEATABILITY_MM, "half of the 0.05 mm that it publishes (U)"),
+        _size_of_ur5e(UR16E, "UR16", UR10E_REPEATABILITY_MM, "half of the 0.05 mm that it publishes (U)"),
     )
 }
 

@@ -53,9 +53,9 @@ WRONG_KIND = ErrorCode(
 
 THEATRE_CLOSED = ErrorCode(
     "DEV-010",
-    StateError,
-    "A theatre was used after it was closed.",
-    "Use its devices inside the block of open_theatre, or open the theatre again.",
+    WrongState,
+    "A theatre or one of its devices was used after it was closed.",
+    "Use devices inside the block of open_theatre or simulated_theatre; once closed, open the theatre again.",
 )
 
 
@@ -80,6 +80,14 @@ STREAM_TAKEN = ErrorCode(
     ConfigurationError,
     "A stream of readings was read by two at a time.",
     "Leave the first loop, or close its iterator; one consumer may pass readings on.",
+)
+
+
+DEVICE_STREAMS = ErrorCode(
+    "DEV-014",
+    WrongState,
+    "A device was called while its stream reads it.",
+    "Take readings from the stream, or leave its loop (close its iterator) and call again.",
 )
 
 

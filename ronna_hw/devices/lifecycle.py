@@ -16,7 +16,7 @@ from typing import Generic, Protocol, Self, TypeVar, runtime_checkable
 from unicodedata import category
 
 from ronna_hw.devices.capabilities import Fact
-from ronna_hw.devices.errors import PersonNotNamed, WrongState
+from ronna_hw.devices.errors import THEATRE_CLOSED, PersonNotNamed, WrongState
 from ronna_hw.errors import RonnaError
 from ronna_hw.host.process import defer_interruption
 from ronna_hw.logs import logger
@@ -155,8 +155,8 @@ def hold_active(device: D, timeout_s: float = 10.0) -> Iterator[D]:
 
     `timeout_s` limits each of these calls. A device in HOLD is restarted; one that is already active is used
     as it is and left active. An error in the block is never masked: a failure to deactivate is added to it as
-    a note. Raises the errors of `connect`, `configure` and `activate`, and DEV-001 for a device in FAULT or
-    CLOSED.
+    a note. Raises the errors of `connect`, `configure` and `activate`, DEV-001 for a device in FAULT, and
+    DEV-010 for one that is closed.
     """
     if device.state is Lifecycle.ACTIVE:  # activated by someone else, who also deactivates it
         yield device
@@ -240,7 +240,7 @@ class LifecycleGuard:
         return LastKnown(*self._now, reading, says, stopped)
 
     def require(self, call: str, allowed: Iterable[Lifecycle]) -> None:
-        """Raise DEV-001 unless the state is one of `allowed`.
+        """Raise DEV-001 unless the state is one of `allowed`, DEV-010 once the device is closed.
 
         After a latched fault the error quotes it, and has its exit code.
         """
@@ -248,6 +248,8 @@ class LifecycleGuard:
         state, fault = self._now
         if state in states:
             return
+        if state is Lifecycle.CLOSED:
+            raise THEATRE_CLOSED(f"{self._device}: {call} came after it was closed with its theatre")
         cause, following = f" ({fault})" if fault else "", _NEXT.get(state)
         refused = WrongState(
             f"{self._device}: {call} is not allowed now",

@@ -7,7 +7,7 @@
         ...
 
 A thread of its own reads the device, so a slow consumer delays no reading. The device must be ACTIVE, an arm
-CONNECTED, and is left as it was.
+CONNECTED, and is left as it was. Deactivating or closing the device ends its stream.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ import threading
 import time
 from collections import deque
 from collections.abc import AsyncIterator, Callable, Generator, Iterator
-from contextlib import contextmanager
-from typing import Generic, Protocol, TypeVar
+from contextlib import contextmanager, suppress
+from typing import Any, Generic, Protocol, TypeVar
 
-from ronna_hw.devices.errors import NO_NEW_STATE, STREAM_BEHIND, STREAM_TAKEN
+from ronna_hw.devices.errors import DEVICE_STREAMS, NO_NEW_STATE, STREAM_BEHIND, STREAM_TAKEN
 from ronna_hw.devices.readings import ArmReading, StampedReading
 
 MOST_WAITING = 1000  # readings, where every one is wanted: 17 s of a tracker
@@ -39,35 +39,38 @@ class ReadsNext(Protocol[R_co]):
 class ReadingStream(Generic[R]):
     """Readings of one device, made while a loop, a task or a function takes them."""
 
-    def __init__(self, read: ReadsNext[R], *, every: bool = False, timeout_s: float = 1.0) -> None:
+    def __init__(
+        self, read: ReadsNext[R], *, every: bool = False, timeout_s: float = 1.0, turn: Turn | None = None
+    ) -> None:
         """Stream what `read` returns: the newest, or with `every` all of them, at most `MOST_WAITING` behind.
 
-        `timeout_s` is host time for one reading.
+        `timeout_s` is host time for one reading. `turn` is that of a device for one thread at a time.
         """
         self._read, self._every, self._timeout_s = read, every, timeout_s
-        self._changed = threading.Condition()
-        self._waiting: deque[R] = deque(maxlen=MOST_WAITING if every else 1)
-        self._error: Exception | None = None
-        self._ending = threading.Event()  # set while nobody reads
-        self._ending.set()
+        self._turn = Turn("the stream") if turn is None else turn
         self.dropped = 0  # readings that a newer one has replaced before they were taken
 
     def __iter__(self) -> Generator[R, None, None]:
-        """Yield readings until the loop is left, or the generator closed.
+        """Yield readings until the loop is left, the generator closed, or the device deactivated.
 
         Raises the device's errors, DEV-011 if every reading was asked for and too many wait, and DEV-013.
         """
-        with self._reading():
+        with self._reading() as session, suppress(_StreamEnded):
             while True:
-                yield self._take()
+                yield session.take()
 
     async def __aiter__(self) -> AsyncIterator[R]:
-        """Yield readings to a task, whose event loop goes on meanwhile."""
+        """Yield readings to a task, whose event loop goes on meanwhile, also while the stream ends."""
         import asyncio  # not in a process of a case
 
-        with self._reading():
-            while True:
-                yield await asyncio.to_thread(self._take)
+        session = self._begin()
+        try:
+            with suppress(_StreamEnded):
+                while True:
+                    yield await asyncio.to_thread(session.take)
+        finally:
+            session.stop()
+            await asyncio.to_thread(session.join)
 
     @contextmanager
     def calling(self, function: Callable[[R], object]) -> Iterator[None]:
@@ -77,14 +80,14 @@ class ReadingStream(Generic[R]):
         def deliver() -> None:
             try:
                 while True:
-                    function(self._take())
+                    function(session.take())
             except _StreamEnded:
                 pass
             except Exception as error:  # whatever the function raises: raised where the block ends
                 errors.append(error)
 
         thread = threading.Thread(target=deliver, name="reading consumer", daemon=True)
-        with self._reading():
+        with self._reading() as session:
             thread.start()
             yield
         thread.join(self._timeout_s)
@@ -92,21 +95,95 @@ class ReadingStream(Generic[R]):
             raise errors[0]
 
     @contextmanager
-    def _reading(self) -> Iterator[None]:
-        """Read the device in a thread while the block runs. Raises DEV-013 if this stream is read already."""
-        if not self._ending.is_set():
-            raise STREAM_TAKEN("the stream is read already")
-        self._ending.clear()
-        self._waiting.clear()
-        self._error = None
-        thread = threading.Thread(target=self._read_on, name="reading stream", daemon=True)
-        thread.start()
+    def _reading(self) -> Iterator[_Session[R]]:
+        """Read the device in a thread while the block runs. Raises DEV-013 if a stream reads it already."""
+        session = self._begin()
         try:
-            yield
+            yield session
         finally:
-            self._ending.set()
-            self._end(_StreamEnded())
-            thread.join(2.0 * self._timeout_s)
+            session.stop()
+            session.join()
+
+    def _begin(self) -> _Session[R]:
+        session = _Session(self._read, self._every, self._timeout_s, self._count_dropped)
+        self._turn.take(session)
+        return session
+
+    def _count_dropped(self) -> None:
+        self.dropped += 1
+
+
+class Turn:
+    """Right to call a device that serves one thread at a time; a stream has it from its start to its end."""
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+        self._taking = threading.Lock()
+        self._session: _Session[Any] | None = None
+
+    def take(self, session: _Session[Any]) -> None:
+        """Give the turn to a session and start it. Raises DEV-013 while another stream reads."""
+        with self._taking:
+            if self._session is not None and self._session.is_reading:
+                raise STREAM_TAKEN(f"{self._name} is read already")
+            self._session = session
+            session.start()
+
+    def require(self, call: str) -> None:
+        """Raise DEV-014 while a stream reads the device, unless the stream itself is calling."""
+        session = self._session
+        if session is not None and session.is_reading and not session.is_own_thread:
+            raise DEVICE_STREAMS(f"{self._name}: {call} came while a stream reads the device")
+
+    def end_stream(self) -> None:
+        """End the stream that reads the device, if any; its consumer's loop ends without an error."""
+        if (session := self._session) is not None:
+            session.stop()
+            session.join()
+
+
+class _Session(Generic[R]):
+    """One reading thread of a stream, from its start to its end, and the readings that wait."""
+
+    def __init__(
+        self, read: ReadsNext[R], every: bool, timeout_s: float, count_dropped: Callable[[], None]
+    ) -> None:
+        self._read, self._every, self._timeout_s = read, every, timeout_s
+        self._count_dropped = count_dropped
+        self._changed = threading.Condition()
+        self._waiting: deque[R] = deque(maxlen=MOST_WAITING if every else 1)
+        self._error: Exception | None = None
+        self._ending = threading.Event()
+        self._thread = threading.Thread(target=self._read_on, name="reading stream", daemon=True)
+
+    @property
+    def is_reading(self) -> bool:
+        return self._thread.is_alive()
+
+    @property
+    def is_own_thread(self) -> bool:
+        return threading.current_thread() is self._thread
+
+    def start(self) -> None:
+        self._thread.start()
+
+    def take(self) -> R:
+        """Wait for a reading, oldest first. Raises the device's error, or that the stream has ended."""
+        with self._changed:
+            self._changed.wait_for(lambda: bool(self._waiting) or self._error is not None)
+            if self._waiting and not self._ending.is_set():
+                return self._waiting.popleft()
+            assert self._error is not None
+            raise self._error
+
+    def stop(self) -> None:
+        """Tell thread and consumer to end; returns immediately."""
+        self._ending.set()
+        self._end(_StreamEnded())
+
+    def join(self) -> None:
+        """Wait for the reading that is under way, which its time limit bounds."""
+        self._thread.join(2.0 * self._timeout_s)
 
     def _read_on(self) -> None:
         try:
@@ -116,7 +193,7 @@ class ReadingStream(Generic[R]):
                     if len(self._waiting) == self._waiting.maxlen:
                         if self._every:
                             raise STREAM_BEHIND(f"{MOST_WAITING} readings wait for a consumer")
-                        self.dropped += 1
+                        self._count_dropped()
                     self._waiting.append(reading)
                     self._changed.notify_all()
         except Exception as error:  # whatever the device raises: raised to the consumer, in its thread
@@ -127,18 +204,9 @@ class ReadingStream(Generic[R]):
             self._error = self._error or error
             self._changed.notify_all()
 
-    def _take(self) -> R:
-        """Wait for a reading, oldest first."""
-        with self._changed:
-            self._changed.wait_for(lambda: bool(self._waiting) or self._error is not None)
-            if self._waiting and not self._ending.is_set():
-                return self._waiting.popleft()
-            assert self._error is not None
-            raise self._error
-
 
 class _StreamEnded(Exception):
-    """End of a stream that its consumer has left."""
+    """End of a stream that its consumer has left, or that ended with its device's activity."""
 
 
 class TellsState(Protocol):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import os
 from typing import Annotated
 
 import typer
@@ -50,7 +51,10 @@ def basler(
             ) from error
     keep_freed_memory()
     room = open_world(world, scene, faults, FAULTS_OF)
-    pair = CameraPair(room, addresses)  # forks: before the control port, which is a thread
+    owner = os.getpid() if world is None else os.getppid()  # of `ronna-sim list`
+    pair = CameraPair(
+        room, addresses, info=f"ronna-sim, process {owner}"
+    )  # forks: before the control port, which is a thread
     control = open_own_control_port(world, room, FAULTS_OF)
     end_with_parent(pair.end)
     announce("basler", control=control, endpoints=pair.endpoints)

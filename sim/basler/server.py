@@ -42,7 +42,8 @@ SIDES = ("left", "right")
 class CameraPair:
     """Two cameras in one world, served until `end` is called."""
 
-    def __init__(self, world: World, addresses: Sequence[str] = ()) -> None:
+    def __init__(self, world: World, addresses: Sequence[str] = (), *, info: str = "none") -> None:
+        """Bind the addresses; `info` tells every client whose cameras these are, as a broadcast finds all."""
         truths = (world.scene.left, world.scene.right)
         # one board for the thread that takes images, another for the server's thread
         seen = [CameraFaults(world, truth, side) for side, truth in zip(SIDES, truths, strict=True)]
@@ -55,7 +56,7 @@ class CameraPair:
             faults = CameraFaults(world, truth, side)
             self._cameras.append(
                 SimulatedCamera(
-                    Identity(control.getsockname()[0], truth.serial, side),
+                    Identity(control.getsockname()[0], truth.serial, side, info),
                     source,
                     world.clock,
                     moments,

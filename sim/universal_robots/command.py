@@ -6,7 +6,6 @@ from typing import Annotated, Literal
 
 import typer
 
-from ronna_hw.arm.catalogue import ArmChoice
 from sim.world import options
 from sim.world.background import start_in_background
 from sim.world.options import ArmRole
@@ -21,8 +20,12 @@ def ur(
         str, typer.Option(help="Address that has the controller's standard ports; one for each arm.")
     ] = DEFAULT_ADDRESS,
     model: Annotated[
-        Literal["ur5", "ur5e"],
-        typer.Option(case_sensitive=False, help="Arm: ur5 with a CB3 controller (125 Hz), ur5e (500 Hz)."),
+        Literal["ur5", "ur5e", "ur3e", "ur10e", "ur16e"],
+        typer.Option(
+            case_sensitive=False,
+            help="Arm: ur5 with a CB3 controller (125 Hz), the others with an e-Series (500 Hz); ur3e, ur10e "
+            "and ur16e in the scene of a ur5e.",
+        ),
     ] = "ur5e",
     lock_step: Annotated[
         bool,
@@ -65,7 +68,7 @@ def ur(
         return
     parameters = ControllerParameters.parse(parameter or ()).of_arm(role.number)
     place = require_loopback(address)
-    room = open_world(world, scene, faults, FAULTS_OF, paced=not lock_step, arm=ArmChoice(model), role=role)
+    room = open_world(world, scene, faults, FAULTS_OF, paced=not lock_step, variant=model, role=role)
     described, truth = MODELS[model], room.scene.arm_of(role)
     require_arm(truth, described)
     seed = arm_seed(room.scene.seed, role)

@@ -16,15 +16,24 @@ from sim.universal_robots.model import FULL_SPEED_RAD_S, JOINT_RANGE_RAD, JOINTS
 IMPOSSIBLE_RAD_S = 100.0  # sum over the joints beyond which a set-point is not followed at all
 ARRIVED_RAD = 1e-7  # from where the servo goes to its goal exactly
 STILL: list[float] = [0.0] * JOINTS
+USUAL_SPEED_RAD_S = (FULL_SPEED_RAD_S,) * JOINTS  # of a UR5 and a UR5e
 
 
 class Drives:
     """Target and measured joint angles, in rad."""
 
-    def __init__(self, start_rad: Sequence[float], cycle_s: float, parameters: ControllerParameters) -> None:
+    def __init__(
+        self,
+        start_rad: Sequence[float],
+        cycle_s: float,
+        parameters: ControllerParameters,
+        full_speed_rad_s: Sequence[float] = USUAL_SPEED_RAD_S,
+    ) -> None:
         self._cycle_s = cycle_s
         self._largest_change = LARGEST_ACCELERATION_RAD_S2 * cycle_s
-        self._largest_speed = parameters.largest_speed_rad_s
+        self._full_speed = full_speed_rad_s
+        # The parameter is that of a joint with the usual speed; a faster one trips in proportion (U).
+        self._largest_speed = parameters.largest_speed_rad_s * (max(full_speed_rad_s) / FULL_SPEED_RAD_S)
         self.target: list[float] = list(start_rad)
         self.target_speed: list[float] = STILL
         self.target_acceleration: list[float] = STILL
@@ -60,12 +69,13 @@ class Drives:
             self._servo_rate = (1.0 - exp(-self._cycle_s / lag_s)) / self._cycle_s
         rate, most, cycle_s = self._servo_rate, self._largest_change, self._cycle_s
         joints, speeds, arrived = [], [], True
-        for wanted, angle, speed in zip(goal, self.target, self.target_speed, strict=True):
+        joint_states = zip(goal, self.target, self.target_speed, self._full_speed, strict=True)
+        for wanted, angle, speed, full_speed in joint_states:
             error = wanted - angle
             following = error * rate
-            if not (-most <= following - speed <= most and abs(following) <= FULL_SPEED_RAD_S):
+            if not (-most <= following - speed <= most and abs(following) <= full_speed):
                 # As fast as it can still brake in time.
-                fastest = min(FULL_SPEED_RAD_S, sqrt(2.0 * LARGEST_ACCELERATION_RAD_S2 * abs(error)))
+                fastest = min(full_speed, sqrt(2.0 * LARGEST_ACCELERATION_RAD_S2 * abs(error)))
                 following = max(-fastest, min(fastest, following))
                 following = max(speed - most, min(speed + most, following))
             if -ARRIVED_RAD < error < ARRIVED_RAD and -most < following < most:

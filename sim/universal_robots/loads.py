@@ -13,7 +13,7 @@ from typing import Final
 
 from sim.universal_robots.controller_parameters import ControllerParameters
 from sim.universal_robots.kinematics import IDENTITY, LinkPose, TrueKinematics, compose
-from sim.universal_robots.model import JOINTS, TORQUES_NM, ZEROS, Model
+from sim.universal_robots.model import JOINTS, ZEROS, Model
 from sim.universal_robots.robot import Robot
 from sim.universal_robots.variables import PAYLOAD, PLACES
 from sim.world.held_torques import GRAVITY_M_S2, HeldTorques, Stiction
@@ -22,14 +22,6 @@ from sim.world.nominal_arm import LinkWeight
 from sim.world.tool_load import SimulatedLoad
 
 MM: Final = 1000.0
-LINK_CENTRES_M: Final = (
-    (0.0, -0.02561, 0.00193),
-    (0.2125, 0.0, 0.11336),
-    (0.15, 0.0, 0.0265),
-    (0.0, -0.0018, 0.01634),
-    (0.0, 0.0018, 0.01634),
-    (0.0, 0.0, -0.001159),
-)
 TORQUE_PER_CURRENT_NM_A: Final = (12.6, 12.6, 12.6, 9.3, 9.3, 9.3)  # motor constant times gear (U)
 NOISE_TABLE: Final = 4099  # a prime: three values a cycle do not repeat soon
 CONTACT_STIFFNESS_N_MM: Final = 20.0  # of an instrument in bone, by which it is relieved when drawn back (U)
@@ -102,7 +94,7 @@ class Loads:
         self._torques = HeldTorques(model.name, link_bodies(model))
         self._held_at: tuple[object, ...] = ()
         self._held_nm: list[float] = [0.0] * JOINTS
-        self._stiction = Stiction([parameters.stiction_share * most for most in TORQUES_NM], seed)
+        self._stiction = Stiction([parameters.stiction_share * most for most in model.torques_nm], seed)
         self._stops, self._moved = 0, False
         self._cycle = 0
         self._current_noise = TabledNoise(seed, CURRENT)
@@ -182,7 +174,7 @@ class Loads:
             if any(pull_n):
                 against = self._torques.against_force_Nm(joints, pull_n, point_mm)
                 self._held_nm = [a + b for a, b in zip(self._held_nm, against, strict=True)]
-        for joint, (torque, most) in enumerate(zip(self._held_nm, TORQUES_NM, strict=True)):
+        for joint, (torque, most) in enumerate(zip(self._held_nm, self._robot.model.torques_nm, strict=True)):
             if abs(torque) > most and not self.trip:
                 self.trip = f"joint {joint} holds {abs(torque):.0f} Nm, at most {most:.0f}"
 
@@ -229,7 +221,7 @@ def link_bodies(model: Model) -> list[LinkWeight]:
     frames = TrueKinematics(model).link_frames(ZEROS)[1:]
     centres = (
         compose(frame, IDENTITY._replace(x=x, y=y, z=z))
-        for frame, (x, y, z) in zip(frames, LINK_CENTRES_M, strict=True)
+        for frame, (x, y, z) in zip(frames, model.link_centres_m, strict=True)
     )
     return [
         LinkWeight(mass_kg, (MM * place.x, MM * place.y, MM * place.z))

@@ -38,7 +38,7 @@ class Robot:
         self.parameters = parameters
         self.kinematics = kinematics
         self.cycle_s = model.cycle_s
-        self.drives = Drives(start_rad, model.cycle_s, parameters)
+        self.drives = Drives(start_rad, model.cycle_s, parameters, model.full_speed_rad_s)
         self.values: list[Any] = list(variables.INITIAL_VALUES)
         self.values[variables.SPEED_SCALING] = self.values[variables.TARGET_SPEED_FRACTION] = 1.0
         self.tcp = IDENTITY

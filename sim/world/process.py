@@ -24,6 +24,7 @@ from sim.world.control_port import ControlledRoom, ControlPort
 from sim.world.faults import read_faults
 from sim.world.options import ArmRole, Carrier
 from sim.world.running import register
+from sim.world.scene.arm_design import DESIGNS
 from sim.world.scene.assistant import add_assistant
 from sim.world.scene.model import ArmResidual, Scene, read_scene
 from sim.world.scene.named_scenes import SCENES, add_patient_frame, draw_scene
@@ -109,22 +110,31 @@ def open_world(
     devices: Sequence[str] | None = None,
     *,
     paced: bool = True,
-    arm: ArmChoice = ArmChoice.KR6,
+    variant: str = "",
     role: ArmRole = ArmRole.MASTER,
 ) -> World:
     """Open the theatre's world, or create one for a standalone simulator, on the host's clock if `paced`.
 
-    `scene` is a built-in name, drawn with `arm`, or a file; `devices` are those simulated in a world of its
-    own. In a theatre, `role` is that of the arm that this process simulates.
+    `scene` is a built-in name, drawn with an arm of this variant, or a file; `devices` are those simulated in
+    a world of its own. In a theatre, `role` is that of the arm that this process simulates.
     """
     if world is not None:
         return World.open(world, role)
-    truth = load_scene(scene, arm=arm if scene in SCENES else ArmChoice.KR6)
+    truth = _draw_alone(scene, variant) if variant and scene in SCENES else load_scene(scene)
     script = read_faults(faults, truth, devices) if faults else ""
     own = World.create(truth, paced=paced)
     if script:
         own.set_fault_script(script)
     return own
+
+
+def _draw_alone(scene: str, variant: str) -> Scene:
+    """Draw a scene with an arm; one that no scene is drawn with replaces the arm that it is a size of."""
+    choice = DESIGNS[variant].choice
+    if choice is not None:
+        return load_scene(scene, arm=choice)
+    drawn = load_scene(scene, arm=ArmChoice.UR5E)
+    return drawn.model_copy(update={"arm": drawn.arm.model_copy(update={"variant": variant})})
 
 
 def open_own_control_port(

@@ -1,4 +1,4 @@
-"""Nominal UR5 and UR5e: machine data as the vendor's robot descriptions give them.
+"""Nominal arms of Universal Robots: machine data as the vendor's robot descriptions give them.
 
 Each joint turns about z of its own frame, which a displacement and three fixed angles place in the previous
 one. Written independently of the kinematics that the drivers use.
@@ -24,7 +24,10 @@ BEHIND, ELBOW_DOWN, WRIST_BACK = 1, 2, 4  # bits of a branch: base, elbow and wr
 POSTURES = (0, WRIST_BACK)  # of a procedure: elbow up, the head ahead of the base
 STRAIGHT_WRIST = 1e-6  # sine of wrist 2 below which only the sum of wrist 1 and wrist 3 is defined
 
+FAST_WRIST_DEG_S = (180.0, 180.0, 180.0, 360.0, 360.0, 360.0)  # of a UR3e
+HEAVY_BASE_DEG_S = (120.0, 120.0, 180.0, 180.0, 180.0, 180.0)  # of a UR10e and a UR16e
 TUBE_RADIUS_MM, WRIST_RADIUS_MM = 55.0, 40.0  # tubes of upper arm and forearm with their joints (U)
+SMALL_RADII_MM, LARGE_RADII_MM = (43.0, 33.0), (68.0, 48.0)  # in proportion to the meshes of those arms (U)
 
 # Place of each joint in the previous one's frame: x y z (m), roll pitch yaw (rad).
 Place = tuple[tuple[float, float, float], tuple[float, float, float]]
@@ -44,10 +47,40 @@ UR5E: tuple[Place, ...] = (
     ((0.0, -0.0997, 0.0), (pi / 2, 0.0, 0.0)),
     ((0.0, 0.0996, 0.0), (pi / 2, pi, pi)),
 )
+UR3E: tuple[Place, ...] = (
+    ((0.0, 0.0, 0.15185), (0.0, 0.0, 0.0)),
+    ((0.0, 0.0, 0.0), (pi / 2, 0.0, 0.0)),
+    ((-0.24355, 0.0, 0.0), (0.0, 0.0, 0.0)),
+    ((-0.2132, 0.0, 0.13105), (0.0, 0.0, 0.0)),
+    ((0.0, -0.08535, 0.0), (pi / 2, 0.0, 0.0)),
+    ((0.0, 0.0921, 0.0), (pi / 2, pi, pi)),
+)
+UR10E: tuple[Place, ...] = (
+    ((0.0, 0.0, 0.1807), (0.0, 0.0, 0.0)),
+    ((0.0, 0.0, 0.0), (pi / 2, 0.0, 0.0)),
+    ((-0.6127, 0.0, 0.0), (0.0, 0.0, 0.0)),
+    ((-0.57155, 0.0, 0.17415), (0.0, 0.0, 0.0)),
+    ((0.0, -0.11985, 0.0), (pi / 2, 0.0, 0.0)),
+    ((0.0, 0.11655, 0.0), (pi / 2, pi, pi)),
+)
+UR16E: tuple[Place, ...] = (
+    ((0.0, 0.0, 0.1807), (0.0, 0.0, 0.0)),
+    ((0.0, 0.0, 0.0), (pi / 2, 0.0, 0.0)),
+    ((-0.4784, 0.0, 0.0), (0.0, 0.0, 0.0)),
+    ((-0.36, 0.0, 0.17415), (0.0, 0.0, 0.0)),
+    ((0.0, -0.11985, 0.0), (pi / 2, 0.0, 0.0)),
+    ((0.0, 0.11655, 0.0), (pi / 2, pi, pi)),
+)
 
 
 def _describe(
-    variant: str, model: str, places: tuple[Place, ...], upper_arm_aside_mm: float, forearm_aside_mm: float
+    variant: str,
+    model: str,
+    places: tuple[Place, ...],
+    upper_arm_aside_mm: float,
+    forearm_aside_mm: float,
+    speeds_deg_s: tuple[float, ...] = (FULL_SPEED_DEG_S,) * len(NAMES),
+    radii_mm: tuple[float, float] = (TUBE_RADIUS_MM, WRIST_RADIUS_MM),
 ) -> RobotDescription:
     """Express the joints in frames that are parallel to the base with all joints at zero.
 
@@ -55,7 +88,8 @@ def _describe(
     joints are drawn back along their axes to where the tube before meets them, and the flange follows.
     """
     turned, joints, ahead_mm = np.eye(3), [], np.zeros(3)
-    for name, (xyz_m, (roll, pitch, yaw)) in zip(NAMES, places, strict=True):
+    tube_mm, wrist_mm = radii_mm
+    for name, (xyz_m, (roll, pitch, yaw)), speed_deg_s in zip(NAMES, places, speeds_deg_s, strict=True):
         step_mm = ahead_mm + 1000.0 * turned @ np.array(xyz_m)
         turned = (
             turned
@@ -73,7 +107,7 @@ def _describe(
                 as_point(axis),
                 -end,
                 end,
-                FULL_SPEED_DEG_S,
+                speed_deg_s,
                 ACCELERATION_DEG_S2,
             )
         )
@@ -87,12 +121,12 @@ def _describe(
         upper_arm_mm=-1000.0 * places[2][0][0],
         forearm_mm=-1000.0 * places[3][0][0],
         corners=(
-            Corner(1, (0.0, -upper_arm_aside_mm, 0.0), TUBE_RADIUS_MM),
-            Corner(2, (0.0, -upper_arm_aside_mm, 0.0), TUBE_RADIUS_MM),
-            Corner(2, (0.0, -forearm_aside_mm, 0.0), TUBE_RADIUS_MM),
-            Corner(3, (0.0, -forearm_aside_mm, 0.0), WRIST_RADIUS_MM),
-            Corner(4, ORIGIN, WRIST_RADIUS_MM),
-            Corner(5, ORIGIN, WRIST_RADIUS_MM),
+            Corner(1, (0.0, -upper_arm_aside_mm, 0.0), tube_mm),
+            Corner(2, (0.0, -upper_arm_aside_mm, 0.0), tube_mm),
+            Corner(2, (0.0, -forearm_aside_mm, 0.0), tube_mm),
+            Corner(3, (0.0, -forearm_aside_mm, 0.0), wrist_mm),
+            Corner(4, ORIGIN, wrist_mm),
+            Corner(5, ORIGIN, wrist_mm),
         ),
     )
 
@@ -139,5 +173,8 @@ DESCRIPTIONS = {
     for arm in (
         _describe("ur5", "UR5", UR5, 135.85, 16.5),
         _describe("ur5e", "UR5e", UR5E, 138.0, 7.0),
+        _describe("ur3e", "UR3e", UR3E, 120.0, 27.0, FAST_WRIST_DEG_S, SMALL_RADII_MM),
+        _describe("ur10e", "UR10e", UR10E, 176.2, 39.3, HEAVY_BASE_DEG_S, LARGE_RADII_MM),
+        _describe("ur16e", "UR16e", UR16E, 176.0, 40.0, HEAVY_BASE_DEG_S, LARGE_RADII_MM),
     )
 }

@@ -57,7 +57,7 @@ class PylonStereoPair(PairDevice[PylonCamera]):
         A side without a complete image is None and the reading MISSING. Raises GEV-013 when neither side sent
         one, and, with FAULT latched, GEV-014. After an incomplete pair the streams restart.
         """
-        self._guard.require("grab_pair", {Lifecycle.ACTIVE})
+        self._require("grab_pair", {Lifecycle.ACTIVE})
         deadline_s = time.monotonic() + timeout_s
         return self._store_pair(self._run_guarded(lambda: self._grab_reading(deadline_s), deadline_s))
 

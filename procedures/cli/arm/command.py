@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
 
@@ -19,6 +19,7 @@ from ronna_hw.command_line.options import with_option_records
 if TYPE_CHECKING:
     from procedures.engine.case import Case
     from ronna_hw.arm.clearance.bodies import Part
+    from ronna_hw.devices.robot import RobotArm
 
 
 class Carried(StrEnum):
@@ -139,18 +140,35 @@ def urdf(
 
     if config is None and carrying is not None:
         raise UsageMistake("--carrying requires --config", expected="the theatre file with the tool's record")
-    parts = () if config is None else _carried_parts(config, carrying or Carried.STEREO_HEAD)
     known = (arm for arm in ARMS.values() if arm.choice == name)  # as other commands name it
-    sys.stdout.write(write_urdf(next(known, None) or find_arm(name), parts))
+    arm = next(known, None) or find_arm(name)
+    parts = () if config is None else _carried_parts(config, carrying or Carried.STEREO_HEAD, arm.name)
+    sys.stdout.write(write_urdf(arm, parts))
 
 
-def _carried_parts(config: Path, carrying: Carried) -> Sequence[Part]:
-    """Return the bodies of a tool in the frame of the flange, by the records of a theatre file."""
+def _carried_parts(config: Path, carrying: Carried, arm: str) -> Sequence[Part]:
+    """Return the bodies of a tool in the frame of the flange, by the records of a theatre file.
+
+    They hold for the arm of that theatre alone. Raises CLI-001 for another arm.
+    """
     from procedures.workcell.ball_watcher import build_free_surroundings
+    from ronna_hw.clock import HostClock
     from ronna_hw.config import read_theatre_file
     from ronna_hw.frames import Frame
+    from ronna_hw.registry import make_device
+    from ronna_hw.roles import MASTER
 
     theatre = read_theatre_file(config)
+    if MASTER not in theatre.robot:
+        raise UsageMistake(f"{config} has no robot.{MASTER}, which carries the tool")
+    carries = cast("RobotArm", make_device(f"robot.{MASTER}", theatre.robot[MASTER], HostClock()))
+    if (own := carries.kinematics.name) != arm:
+        raise UsageMistake(
+            f"the tool of {config} is on another arm",
+            expected=own,
+            got=arm,
+            action=f"Name {own}, or omit --config for the arm without a tool.",
+        )
     if theatre.calibration is None:
         raise UsageMistake(f"{config} has no calibration records, which say where the tool is on the flange")
     head = carrying is Carried.STEREO_HEAD

@@ -1,4 +1,4 @@
-"""Dimensions, joint ranges and capabilities of the UR5 and the UR5e."""
+"""Dimensions, joint ranges and capabilities of the arms of Universal Robots."""
 
 from __future__ import annotations
 
@@ -13,6 +13,8 @@ from ronna_hw.vectors import JointVector
 ALPHA_RAD: JointVector = (pi / 2, 0.0, 0.0, pi / 2, -pi / 2, 0.0)
 _WHOLE_TURN = radians6(360, 360, 360, 360, 360, 360)
 FULL_SPEED_RAD_S = radians6(180, 180, 180, 180, 180, 180)
+FAST_WRIST_RAD_S = radians6(180, 180, 180, 360, 360, 360)
+HEAVY_BASE_RAD_S = radians6(120, 120, 180, 180, 180, 180)
 
 # The vendor publishes no accelerations. These are well below what its own programs may ask for (40 rad/s2),
 # and stop from full speed within the 500 ms of its category 1 (U).
@@ -21,6 +23,15 @@ ACCELERATION_RAD_S2: JointVector = (10.0, 10.0, 10.0, 20.0, 20.0, 20.0)
 # The elbow turns as far as the others, but beyond half a turn upper arm and forearm change sides (U: planners
 # of the field keep to this half, the vendor does not).
 ELBOW_RANGE_RAD = pi
+
+
+# Housings of base (149 mm across by the data sheet) and joints, tubes and wrists with some mm to spare (U).
+RADII = ArmRadii(column_mm=80.0, upper_arm_mm=65.0, forearm_mm=55.0, wrist_mm=48.0, hand_mm=45.0)
+# As measured on the meshes of the vendor's robot descriptions, 3 to 6 mm to spare (U): base 64 and 95 mm,
+# upper arm 47 and 76, forearm at the elbow 38 and 58; wrists in proportion to those of the UR5e, 39 mm there,
+# 32 and 47 here. The UR3e's hand is slimmer than is assumed.
+SMALL_RADII = ArmRadii(column_mm=70.0, upper_arm_mm=52.0, forearm_mm=44.0, wrist_mm=42.0, hand_mm=45.0)
+LARGE_RADII = ArmRadii(column_mm=100.0, upper_arm_mm=82.0, forearm_mm=62.0, wrist_mm=58.0, hand_mm=53.0)
 
 
 @dataclass(frozen=True)
@@ -41,6 +52,8 @@ class Dimensions:
     upper_arm_aside_mm: float  # axis of the tube beside the plane of the base axis
     forearm_aside_mm: float
     elbow_range_rad: float = ELBOW_RANGE_RAD
+    full_speed_rad_s: JointVector = FULL_SPEED_RAD_S
+    radii: ArmRadii = RADII
 
     @cached_property
     def lower_rad(self) -> JointVector:
@@ -73,8 +86,10 @@ class Dimensions:
 
 
 UR5, UR5E = "ur5", "ur5e"  # the two differ by the shoulder's height and by the wrist's offsets
+UR3E, UR10E, UR16E = "ur3e", "ur10e", "ur16e"  # the last two differ by the lengths of the tubes
 
-# Geometry: the vendor's published parameters. Tubes beside the plane: its robot descriptions.
+# Geometry: the vendor's page on Denavit-Hartenberg parameters. Tubes beside the plane, and speeds: its robot
+# descriptions (Universal_Robots_ROS2_Description 2.4.5, physical_parameters.yaml and joint_limits.yaml).
 DIMENSIONS = {
     UR5: Dimensions(
         name=UR5,
@@ -98,7 +113,43 @@ DIMENSIONS = {
         upper_arm_aside_mm=138.0,
         forearm_aside_mm=7.0,
     ),
+    UR3E: Dimensions(
+        name=UR3E,
+        a2_mm=-243.55,
+        a3_mm=-213.2,
+        d1_mm=151.85,
+        d4_mm=131.05,
+        d5_mm=85.35,
+        d6_mm=92.1,
+        upper_arm_aside_mm=120.0,
+        forearm_aside_mm=27.0,
+        full_speed_rad_s=FAST_WRIST_RAD_S,
+        radii=SMALL_RADII,
+    ),
+    UR10E: Dimensions(
+        name=UR10E,
+        a2_mm=-612.7,
+        a3_mm=-571.55,
+        d1_mm=180.7,
+        d4_mm=174.15,
+        d5_mm=119.85,
+        d6_mm=116.55,
+        upper_arm_aside_mm=176.2,
+        forearm_aside_mm=39.3,
+        full_speed_rad_s=HEAVY_BASE_RAD_S,
+        radii=LARGE_RADII,
+    ),
+    UR16E: Dimensions(
+        name=UR16E,
+        a2_mm=-478.4,
+        a3_mm=-360.0,
+        d1_mm=180.7,
+        d4_mm=174.15,
+        d5_mm=119.85,
+        d6_mm=116.55,
+        upper_arm_aside_mm=176.0,
+        forearm_aside_mm=40.0,
+        full_speed_rad_s=HEAVY_BASE_RAD_S,
+        radii=LARGE_RADII,
+    ),
 }
-
-# Housings of base (149 mm across by the data sheet) and joints, tubes and wrists with some mm to spare (U).
-RADII = ArmRadii(column_mm=80.0, upper_arm_mm=65.0, forearm_mm=55.0, wrist_mm=48.0, hand_mm=45.0)

@@ -1,4 +1,4 @@
-"""Nominal `Kinematics` of the UR5 and UR5e in closed form, written out for the real-time loop."""
+"""Nominal `Kinematics` of the Universal Robots arms in closed form, written out for the real-time loop."""
 
 from __future__ import annotations
 
@@ -24,8 +24,6 @@ from ronna_hw.arm.universal_robots import inverse
 from ronna_hw.arm.universal_robots.geometry import (
     ACCELERATION_RAD_S2,
     DIMENSIONS,
-    FULL_SPEED_RAD_S,
-    RADII,
     Dimensions,
 )
 from ronna_hw.vectors import JointVector, Vector3
@@ -53,15 +51,15 @@ class UniversalRobot:
     axis_names = inverse.AXIS_NAMES
     home_rad = HOME_RAD
     branches = inverse.BRANCHES
-    full_speed_rad_s = FULL_SPEED_RAD_S
     acceleration_rad_s2 = ACCELERATION_RAD_S2
-    radii = RADII
 
     def __init__(self, dimensions: Dimensions) -> None:
         self.dimensions = dimensions
         self.name = dimensions.name
         self.lower_rad = dimensions.lower_rad
         self.upper_rad = dimensions.upper_rad
+        self.full_speed_rad_s = dimensions.full_speed_rad_s
+        self.radii = dimensions.radii
         self.chain = _chain(dimensions)
         self.links = _links(dimensions)
         self.column_height_mm = dimensions.d1_mm

@@ -56,6 +56,7 @@ class Identity:
     address: str
     serial: str
     user_name: str
+    info: str = "none"  # of the manufacturer; as a camera from the factory
 
     @property
     def mac(self) -> bytes:
@@ -90,7 +91,7 @@ def _add_identity(registers: RegisterMap, identity: Identity) -> None:
         Bootstrap.MANUFACTURER_NAME: gev.BASLER,
         Bootstrap.MODEL_NAME: gev.ACA2000_50GM_NIR,
         Bootstrap.DEVICE_VERSION: DEVICE_VERSION,
-        Bootstrap.MANUFACTURER_INFO: "none",
+        Bootstrap.MANUFACTURER_INFO: identity.info,
         Bootstrap.SERIAL_NUMBER: identity.serial,
     }
     numbers = {

@@ -53,7 +53,7 @@ class Dashboard:
             "polyscopeversion": lambda _: f"URSoftware {controller.model.version_text} ({BUILD_DATE[:11]})",
             "version": lambda _: controller.model.version_text,
             Query.SERIAL_NUMBER: lambda _: str(controller.parameters.serial_number),
-            Query.ROBOT_MODEL: lambda _: wire.ARM_TYPE,
+            Query.ROBOT_MODEL: lambda _: controller.model.dashboard_name,
             Query.REMOTE_CONTROL: lambda _: str(not controller.modes.local).lower(),
             Query.RUNNING: lambda _: (
                 f"{wire.RUNNING_HEAD} {str(STATES[controller.runtime_state] == 'PLAYING').lower()}"

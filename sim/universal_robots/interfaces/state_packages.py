@@ -15,7 +15,6 @@ from sim.universal_robots.controller import Controller
 from sim.universal_robots.kinematics import pose_of_frame
 from sim.universal_robots.model import (
     ALPHA_RAD,
-    FULL_SPEED_RAD_S,
     JOINT_RANGE_RAD,
     JOINTS,
     LARGEST_ACCELERATION_RAD_S2,
@@ -180,7 +179,8 @@ class StatePackages:
     def _configuration(self) -> bytes:
         model = self._controller.model
         payload = pack(">12d", *(-JOINT_RANGE_RAD, JOINT_RANGE_RAD) * JOINTS)
-        payload += pack(">12d", *(FULL_SPEED_RAD_S, LARGEST_ACCELERATION_RAD_S2) * JOINTS)
+        limits = ((speed, LARGEST_ACCELERATION_RAD_S2) for speed in model.full_speed_rad_s)
+        payload += pack(">12d", *chain.from_iterable(limits))
         payload += pack(">5d", *DEFAULT_SPEEDS)
         for column in (model.a_m, model.d_m, ALPHA_RAD, _UNUSED):
             payload += pack(">6d", *column)

@@ -8,7 +8,7 @@ from math import hypot
 import numpy as np
 
 from sim.universal_robots.kinematics import compose, frame_of_pose, inverted, rotation_vector
-from sim.universal_robots.model import FULL_SPEED_RAD_S, JOINTS, LARGEST_ACCELERATION_RAD_S2
+from sim.universal_robots.model import JOINTS, LARGEST_ACCELERATION_RAD_S2
 from sim.universal_robots.robot import Robot
 from sim.world.trapezoid import Trapezoid
 
@@ -36,7 +36,12 @@ def movej(
     length = max(map(abs, travel))
     if length < SMALLEST_PATH:
         return
-    speed = max(LEAST_SPEED, min(speed_rad_s, FULL_SPEED_RAD_S))
+    full = (
+        most * (length / abs(way))
+        for most, way in zip(robot.model.full_speed_rad_s, travel, strict=True)
+        if way
+    )
+    speed = max(LEAST_SPEED, min(speed_rad_s, *full))
     acceleration = max(LEAST_ACCELERATION, min(acceleration_rad_s2, LARGEST_ACCELERATION_RAD_S2))
     for share in _shares(robot, Trapezoid(length, speed, acceleration)):
         if share == 1.0:
@@ -61,7 +66,7 @@ def movel(robot: Robot, pose: Sequence[float], speed_m_s: float, acceleration_m_
         spun = compose(frame_of_pose((0.0, 0.0, 0.0, *(share * angle for angle in turn))), start)
         x, y, z = (a + share * b for a, b in zip((start.x, start.y, start.z), way, strict=True))
         joints = robot.joints_at(spun._replace(x=x, y=y, z=z), robot.drives.target)
-        if joints is None or _largest_change(joints, robot.drives.target) > FULL_SPEED_RAD_S * robot.cycle_s:
+        if joints is None or _is_too_fast(robot, joints):
             robot.stop_request = "the joints cannot follow the tool on its line"
             yield
             return
@@ -69,8 +74,10 @@ def movel(robot: Robot, pose: Sequence[float], speed_m_s: float, acceleration_m_
         yield
 
 
-def _largest_change(one: Sequence[float], other: Sequence[float]) -> float:
-    return max(abs(a - b) for a, b in zip(one, other, strict=True))
+def _is_too_fast(robot: Robot, joints_rad: Sequence[float]) -> bool:
+    """Return whether a joint would have to exceed its full speed to be there in a cycle."""
+    steps = zip(joints_rad, robot.drives.target, robot.model.full_speed_rad_s, strict=True)
+    return any(abs(new - old) > most * robot.cycle_s for new, old, most in steps)
 
 
 def speedj(robot: Robot, speeds_rad_s: Sequence[float], acceleration_rad_s2: float) -> None:

@@ -94,6 +94,7 @@ DESIGNS = {
         KR6._replace(variant="kr6_r900_2", choice=None),
         _UR5E._replace(variant="ur5", choice=ArmChoice.UR5, head_mm=(700.0, -109.0, 30.0), errors=UR5_ERRORS),
         _UR5E,
+        *(_UR5E._replace(variant=size, choice=None) for size in ("ur3e", "ur10e", "ur16e")),
     )
 }
 CHOSEN = {design.choice: design for design in DESIGNS.values() if design.choice is not None}

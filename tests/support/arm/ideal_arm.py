@@ -110,6 +110,7 @@ class IdealArm(IdealDevice):
         return AxisLoads(stamp, Validity.OK, joints_rad, cycles, current_A=(1.0,) * 6)
 
     def link_statistics(self) -> LinkStatistics:
+        self.controller.cycles += 1  # whenever anyone looks, another has come
         cycles = self.controller.cycles
         return LinkStatistics(cycles, 0, 0, 0, 1.0, 2.0, (0.0, 1000.0), (cycles,))
 

@@ -135,7 +135,11 @@ SPOILT_REPLY = "NDI-003 NDI-005 NDI-006 NDI-007"  # a wrong CRC or form, or no e
 CONNECTING = "set_up"
 TWO_KUKA, UR_ASSISTS = ("--dual",), ("--dual", "--assistant-arm", "ur5e")
 # What stops an arm between two motions is told by that arm.
-UR_STOPS, UR_LINK, KUKA_STOPS = "URD-035 URD-036", "URD-014 URD-021 URD-022", "EKI-002 EKI-010"
+UR_STOPS, UR_LINK, KUKA_STOPS = (
+    "URD-035 URD-036 URD-043 URD-044",
+    "URD-014 URD-021 URD-022",
+    "EKI-002 EKI-010",
+)
 ARM_STOPS = (
     *(f"assistant ur {fault}" for fault in ("protective stop", "emergency stop pressed", "safeguard open")),
     *(f"assistant ur {fault}" for fault in ("violation", "fault", "power off", "program stop")),

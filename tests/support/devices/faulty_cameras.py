@@ -19,6 +19,7 @@ class Cameras:
 
     def __init__(self, child: ChildProcess) -> None:
         self.endpoints = dict(child.ready["endpoints"])
+        self.pid = child.process.pid
         self._control = child.ready["control"]
         self._pairs: list[BaslerStereoPair] = []
 

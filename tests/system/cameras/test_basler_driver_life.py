@@ -22,7 +22,7 @@ from drivers.basler_stereo.errors import (
     ReceiverEnded,
 )
 from ronna_hw.devices import LastKnown, Lifecycle
-from ronna_hw.devices.errors import PersonNotNamed, WrongState
+from ronna_hw.devices.errors import DEVICE_STREAMS, PersonNotNamed, WrongState
 from ronna_hw.devices.readings import AreaOfInterest, Validity
 
 SERIALS = ("21904411", "21904412")
@@ -50,6 +50,20 @@ def test_identity_states_and_observation_follow_the_lifecycle(cameras: Cameras) 
     pair.close()
     assert pair.observe().state is Lifecycle.CLOSED
     assert pair.observe().reading is reading
+
+
+def test_a_stream_has_the_cameras_until_it_is_left_or_they_are_deactivated(cameras: Cameras) -> None:
+    pair = cameras.new_pair()
+    with pair.active(LIMIT_S):
+        readings = iter(pair.stream())
+        next(readings)
+        for call in (pair.grab_pair, lambda: pair.scale_exposure(0.5), pair.readiness):
+            with raises(DEVICE_STREAMS):
+                call()
+        pair.deactivate(LIMIT_S)
+        assert list(readings) == []
+        assert (pair.state, pair.fault) == (Lifecycle.CONFIGURED, None)
+    pair.close()
 
 
 def test_after_a_failed_configure_neither_camera_is_controlled(cameras: Cameras) -> None:

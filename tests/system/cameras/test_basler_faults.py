@@ -12,6 +12,7 @@ from faulty_cameras import AREA, LIMIT_S
 from drivers.basler_stereo import BaslerStereoPair
 from drivers.basler_stereo.errors import (
     PACKET_TOO_LARGE,
+    WRONG_SERIAL,
     CameraLost,
     ControlLost,
     NoCamera,
@@ -206,6 +207,19 @@ def test_both_cameras_are_found_by_broadcast_discovery(cameras):
     assert {address: found.get(address) for address in cameras.addresses} == dict(
         zip(cameras.addresses, ("21904411", "21904412"), strict=True)
     )
+
+
+def test_a_broadcast_says_which_process_has_each_camera(cameras):
+    found = {each.address: each.info for each in discover_cameras(find_interface("127.0.0.1"))}
+    owners = {found[address] for address in cameras.addresses}
+    assert owners == {f"ronna-sim, process {cameras.pid}"}
+
+
+def test_when_a_camera_is_another_the_message_says_where_the_right_one_is(cameras):
+    pair = cameras.new_pair(left_serial="21904412", right_serial="21900000")
+    left = cameras.addresses[0]
+    with raises(WRONG_SERIAL, match=rf"expected 21904412.*21904411 at {left}.*21904412 at "):
+        pair.connect(1.0)
 
 
 def test_when_one_camera_is_not_found_the_other_is_named(cameras):

@@ -84,3 +84,13 @@ def test_a_simulated_theatre_is_calibrated_and_checked(tmp_path: Path) -> None:
     checked = in_this_process(app, "check", "--looks", "12", *sim)
     assert checked.returncode == 0, checked.stderr
     assert json.loads(checked.stdout)["passed"]
+
+
+def test_a_tool_is_drawn_on_the_arm_of_its_theatre_alone(tmp_path: Path) -> None:
+    file = tmp_path / "theatre.toml"
+    write_theatre_file(theatre_content(draw_scene("mini", seed=3), ENDPOINTS, "host:", {}, 1.0), file)
+    done = in_this_process(app, "urdf", "kr6", "--config", file)
+    assert 'link name="flange"' in done.stdout
+    refused = in_this_process(app, "urdf", "ur5e", "--config", file)
+    assert "CLI-001" in refused.stderr
+    assert "expected kr6_r900_sixx, got ur5e" in refused.stderr

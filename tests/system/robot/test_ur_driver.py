@@ -28,8 +28,10 @@ from drivers.universal_robots.errors import (
     LINK_BROKEN,
     LOAD_NOT_TAKEN,
     PROGRAM_STOPPED,
+    PROTECTIVE_STOP,
     SCRIPT_NOT_STARTED,
     STREAM_ERRORS,
+    SWITCHED_TO_LOCAL,
     RegistersInUse,
 )
 from ronna_hw.arm.catalogue import ArmChoice
@@ -169,10 +171,10 @@ class Motion:
         pytest.param(
             "emergency stop pressed", CONTROLLER_STOPPED, "emergency stop", marks=pytest.mark.slow
         ),  # the arm is switched on again
-        pytest.param("protective stop", CONTROLLER_STOPPED, "protective stop", marks=pytest.mark.hazard(53)),
+        pytest.param("protective stop", PROTECTIVE_STOP, "protective stop", marks=pytest.mark.hazard(53)),
         pytest.param("program pause", PROGRAM_STOPPED, "stopped or paused", marks=pytest.mark.hazard(53)),
         ("cut rtde", LINK_BROKEN, ""),
-        pytest.param("local mode", CONTROLLER_STOPPED, "local control", marks=pytest.mark.hazard(55)),
+        pytest.param("local mode", SWITCHED_TO_LOCAL, "local control", marks=pytest.mark.hazard(55)),
     ],
 )
 def test_a_stop_from_outside_is_latched_and_left_only_in_the_name_of_a_person(

@@ -12,6 +12,7 @@ from ronna_hw import SimulatedTheatre, simulated_theatre
 from ronna_hw.arguments import WrongArgument
 from ronna_hw.control_port import ControlRequestRefused
 from ronna_hw.devices import OpticalTracker
+from ronna_hw.devices.errors import DEVICE_STREAMS, THEATRE_CLOSED
 from ronna_hw.devices.sensors import read_new_frame
 from ronna_hw.theatre import TheatreProcess
 
@@ -95,3 +96,27 @@ def test_the_theatre_of_a_run_does_not_tell_the_truth(tmp_path_factory: pytest.T
             theatre.room.truth()
     finally:
         process.end()
+
+
+def test_a_tracker_is_not_read_beside_its_stream(tracker: OpticalTracker) -> None:
+    frames = iter(tracker.stream())
+    next(frames)
+    with raises(DEVICE_STREAMS, match="tracker: read_frame"):
+        tracker.read_frame()
+    frames.close()
+    assert tracker.read_frame().stamp.sequence > 0
+
+
+def test_whatever_is_kept_of_a_closed_theatre_says_that_it_is_closed() -> None:
+    with simulated_theatre("mini", seed=7) as theatre:
+        room, tracker, arm, cameras = theatre.room, theatre.tracker, theatre.arms["master"], theatre.stereo
+    for call in (
+        room.truth,
+        tracker.connect,
+        arm.read_state,
+        arm.stop,
+        cameras.grab_pair,
+        tracker.read_frame,
+    ):
+        with raises(THEATRE_CLOSED):
+            call()

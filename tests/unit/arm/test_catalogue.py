@@ -22,7 +22,7 @@ from sim.theatre.theatre_file import theatre_content
 from sim.world.process import load_scene
 from sim.world.scene.arm_design import CHOSEN
 
-KNOWN = "kr6_r900_2, kr6_r900_sixx, ur5, ur5e"
+KNOWN = "kr6_r900_2, kr6_r900_sixx, ur10e, ur16e, ur3e, ur5, ur5e"
 FOREIGN = PackagedArm().name
 UNKNOWN = f"there is no arm named '{FOREIGN}'; expected one of {KNOWN}"
 

@@ -53,8 +53,7 @@ UR_SINGULAR = {
 SINGULAR = {
     "kr6_r900_sixx": _kr6_singular(35.0),
     "kr6_r900_2": _kr6_singular(25.0),
-    "ur5": UR_SINGULAR,
-    "ur5e": UR_SINGULAR,
+    **dict.fromkeys(("ur5", "ur5e", "ur3e", "ur10e", "ur16e"), UR_SINGULAR),
 }
 CYCLE_S = 0.004
 TOOL = (Part("needle", Capsule((0.0, 0.0, 0.0), (0.0, 0.0, 120.0), 3.0)),)

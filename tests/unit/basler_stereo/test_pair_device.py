@@ -114,6 +114,14 @@ def test_the_reply_identifies_the_camera():
     assert (found.version, found.user_name, found.mac) == ("106755-17", "left", "00:30:53:11:22:33")
 
 
+def test_a_camera_says_whose_it_is_if_its_maker_information_was_set():
+    data = bytearray(memory())
+    data[0xA8:0xAC] = b"none"
+    assert str(decode_identity(bytes(data), "10.0.0.1")) == "acA2000-50gmNIR 21900001 at 10.0.0.1"
+    data[0xA8:0xB1] = b"theatre 2"
+    assert str(decode_identity(bytes(data), "10.0.0.1")).endswith("10.0.0.1 (theatre 2)")
+
+
 def test_a_reply_of_another_length_is_malformed():
     with pytest.raises(MalformedReply, match="GEV-008"):
         decode_identity(memory()[:-1], "10.0.0.1")

@@ -25,7 +25,7 @@ from drivers.basler_stereo.camera_check import (
 from drivers.basler_stereo.identity import CameraIdentity
 from drivers.basler_stereo.probe import probe
 from ronna_hw.config import DeviceConfig
-from ronna_hw.devices.probing import Diagnostic
+from ronna_hw.devices.probing import Diagnostic, Search
 from ronna_hw.endpoints import Endpoint, parse_endpoint
 from ronna_hw.host.network import Interface
 from ronna_hw.host.port_users import PortUser
@@ -247,6 +247,21 @@ def test_broadcast_discovery_stays_on_the_network_of_the_given_addresses(asked: 
     assert [network.loopback for network in asked] == [True]
     assert first.subject == "cameras on lo"
     assert "21900002 at 192.168.3.12" in first.seen
+
+
+def test_cameras_of_two_owners_on_one_network_are_never_paired(monkeypatch: pytest.MonkeyPatch) -> None:
+    owned = [replace(each, info=owner) for owner in ("theatre 1", "theatre 2") for each in (LEFT, RIGHT)]
+    monkeypatch.setattr(
+        camera_probe,
+        "discover_cameras",
+        lambda network: tuple(
+            replace(each, address=f"192.168.3.{number}") for number, each in enumerate(owned, 11)
+        ),
+    )
+    first, second = probe.find(Search(interfaces=(CARD,)), lambda share: None)
+    assert list(first.endpoints.values()) == ["gev://192.168.3.11", "gev://192.168.3.12"]
+    assert list(second.endpoints.values()) == ["gev://192.168.3.13", "gev://192.168.3.14"]
+    assert "theatre 2" in second.what
 
 
 def test_nothing_is_broadcast_for_an_address_outside_the_subnets_of_this_computer(

@@ -10,7 +10,7 @@ import pytest
 from ideal_arm import Controller, IdealArm
 
 from conformance import robot
-from conformance.case import MOTION, CaseOutcome
+from conformance.case import MOTION, CaseOutcome, SuiteCase
 from conformance.device_under_test import DeviceUnderTest
 from conformance.report import run_case
 from ronna_hw.arm.motion.limits import working_limits
@@ -176,10 +176,28 @@ MISTAKES: dict[str, dict[str, Any]] = {
 }
 
 
+def case_of(number: str) -> SuiteCase:
+    return next(case for case in robot.SUITE.cases if case.number == number)
+
+
 @pytest.mark.parametrize("number", MISTAKES)
 def test_each_mistake_is_found_by_its_case(make_arm: MakeDut, number: str) -> None:
-    case = next(case for case in robot.SUITE.cases if case.number == number)
-    assert run_case(case, make_arm(**MISTAKES[number])).outcome is CaseOutcome.FAIL
+    assert run_case(case_of(number), make_arm(**MISTAKES[number])).outcome is CaseOutcome.FAIL
+
+
+def test_a_clock_that_stands_still_while_cycles_come_is_a_mistake(make_arm: MakeDut) -> None:
+    stands_still = spoilt_reading(lambda one: replace(one, stamp=replace(one.stamp, device_clock=7)))
+    result = run_case(case_of("R07"), make_arm(read_state=stands_still))
+    assert result.outcome is CaseOutcome.FAIL
+    assert "a cycle has come since" in result.reason
+
+
+def test_a_late_host_is_no_mistake_of_the_clock(make_arm: MakeDut, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(robot, "LATE_PERIODS", 2)
+    late = LinkStatistics(12, 4, 3, 0, 1.0, 2.0, (0.0, 1.0), (12,))
+    result = run_case(case_of("R07"), make_arm(link_statistics=lambda self: late))
+    assert result.outcome is CaseOutcome.SKIP
+    assert "4 late, 3 lost cycles" in result.reason
 
 
 def test_every_robot_case_has_its_mistake() -> None:

@@ -6,12 +6,13 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from coded_errors import raises
 from ideal_device import IdealDevice
 
 from ronna_hw.clock import HostClock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices import Lifecycle, LifecycleGuard
-from ronna_hw.devices.errors import WrongState
+from ronna_hw.devices.errors import THEATRE_CLOSED, WrongState
 from ronna_hw.devices.lifecycle import Identity
 from ronna_hw.errors import EXIT_LINK_LOST, DeviceError, LinkTimeout
 from ronna_hw.log_output import keep_log
@@ -66,6 +67,8 @@ def test_the_closed_state_is_final() -> None:
     assert guard.state is Lifecycle.CLOSED
     with pytest.raises(WrongState):
         guard.enter(Lifecycle.CONNECTED)
+    with raises(THEATRE_CLOSED, match="stereo: grab_pair"):
+        guard.require("grab_pair", [Lifecycle.ACTIVE])
 
 
 def test_every_state_change_is_logged_under_the_device_name(tmp_path: Path) -> None:

@@ -11,8 +11,8 @@ import pytest
 from coded_errors import raises
 from waiting import eventually
 
-from ronna_hw.devices.errors import NO_NEW_STATE, STREAM_BEHIND, STREAM_TAKEN
-from ronna_hw.devices.reading_stream import MOST_WAITING, NextArmState, ReadingStream
+from ronna_hw.devices.errors import DEVICE_STREAMS, NO_NEW_STATE, STREAM_BEHIND, STREAM_TAKEN
+from ronna_hw.devices.reading_stream import MOST_WAITING, NextArmState, ReadingStream, Turn
 from ronna_hw.devices.readings import ArmReading, Stamp, Validity
 from ronna_hw.errors import LinkTimeout
 
@@ -151,3 +151,44 @@ def test_a_stream_that_is_left_reads_the_device_no_more() -> None:
     for _ in stream:
         break
     assert not any(thread.name == "reading stream" for thread in threading.enumerate())
+
+
+def test_a_device_that_its_stream_reads_refuses_other_calls_until_the_stream_ends() -> None:
+    turn = Turn("tracker")
+    readings = iter(ReadingStream(Device(1).read, turn=turn))
+    next(readings)
+    with raises(DEVICE_STREAMS, match="tracker: read_frame"):
+        turn.require("read_frame")
+    with raises(STREAM_TAKEN):
+        next(iter(ReadingStream(Device(1).read, turn=turn)))
+    readings.close()
+    turn.require("read_frame")
+
+
+@pytest.mark.parametrize("every", [True, False])
+def test_a_deactivated_device_ends_its_stream_without_an_error(every: bool) -> None:
+    turn = Turn("stereo")
+    readings = iter(ReadingStream(Device(3).read, every=every, turn=turn))
+    next(readings)
+    turn.end_stream()
+    assert list(readings) == []
+    assert not any(thread.name == "reading stream" for thread in threading.enumerate())
+
+
+def test_the_event_loop_goes_on_while_a_stream_waits_for_its_last_reading() -> None:
+    device = Device(1)
+
+    async def leave_while_a_reading_is_under_way() -> int:
+        readings = aiter(stream_of(device))
+        await anext(readings)
+        leaving = asyncio.ensure_future(readings.aclose())
+        turns = 0
+        while turns < 100:  # turns of the loop, while the device keeps the stream's thread waiting
+            await asyncio.sleep(0)
+            turns += 1
+            assert not leaving.done()
+        device.allow(1)
+        await leaving
+        return turns
+
+    assert asyncio.run(leave_while_a_reading_is_under_way()) == 100

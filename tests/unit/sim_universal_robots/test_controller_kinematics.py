@@ -23,6 +23,7 @@ from sim.universal_robots.kinematics import (
     rotation_vector,
 )
 from sim.universal_robots.model import MODELS
+from sim.world.scene.arm_design import DESIGNS
 from sim.world.scene.model import Scene
 from sim.world.scene.named_scenes import draw_scene
 from sim.world.true_arm import TrueArm
@@ -86,7 +87,8 @@ NO_FLANK = (0.0,) * 6
 
 @cache
 def scene_of(arm: str) -> Scene:
-    return draw_scene("bench", seed=3, arm=ArmChoice(arm))
+    drawn = draw_scene("bench", seed=3, arm=DESIGNS[arm].choice or ArmChoice.UR5E)
+    return drawn.model_copy(update={"arm": drawn.arm.model_copy(update={"variant": arm})})
 
 
 def chain(arm: str, kind: factory_calibration.FactoryCalibration) -> TrueKinematics:

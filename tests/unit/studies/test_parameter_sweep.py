@@ -15,7 +15,7 @@ from ronna_hw.arguments import WrongArgument
 from ronna_hw.errors import LinkTimeout
 from ronna_hw.loaded_run import RunColumn, RunTable
 from studies import sweep
-from studies.errors import OTHER_STUDY
+from studies.errors import OTHER_STUDY, SWEEP_IN_USE
 from studies.parameter_sweep import FILE
 
 CALLS: list[tuple[float, str]] = []
@@ -66,6 +66,17 @@ def test_the_same_sweep_with_more_points_runs_only_those_that_are_new(tmp_path: 
     assert found.distance_mm.tolist() == [950.0, 2000.0]
     sweep(jitter, folder=tmp_path, workers=1, distance_mm=[950.0, 2000.0], unit="a")
     assert len(CALLS) == 1
+
+
+def sweep_into(other: Path) -> None:
+    with raises(SWEEP_IN_USE, match=str(os.getpid())):
+        sweep(jitter, folder=other, workers=1, distance_mm=[950.0], unit="a")
+
+
+def test_a_second_sweep_waits_for_nothing_and_is_refused_until_the_first_has_ended(tmp_path: Path) -> None:
+    sweep(sweep_into, folder=tmp_path, workers=1, other=tmp_path)
+    with raises(OTHER_STUDY):  # it has the folder for itself, and looks into it
+        sweep(jitter, folder=tmp_path, workers=1, distance_mm=[950.0], unit="a")
 
 
 def test_what_a_point_refuses_is_a_row_and_the_sweep_goes_on(tmp_path: Path) -> None:

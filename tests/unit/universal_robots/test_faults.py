@@ -18,7 +18,7 @@ FAULTS = ur_faults()
     ("word", "code", "says"),
     [
         (ControllerWord(7, 7, 2, 2, Cause.SAFETY), "URD-035", "emergency stop"),
-        (ControllerWord(7, 3, 2, 2, Cause.SAFETY), "URD-035", "protective stop"),
+        (ControllerWord(7, 3, 2, 2, Cause.SAFETY), "URD-043", "only 5 s after it"),
         (ControllerWord(7, 2, 2, 2, Cause.SAFETY), "URD-035", "is reduced mode; expected the mode"),
         (ControllerWord(7, 99, 2, 2, Cause.SAFETY), "URD-035", "safety mode 99"),
         (ControllerWord(3, 1, 2, 2, Cause.ROBOT_MODE), "URD-035", "switched off"),

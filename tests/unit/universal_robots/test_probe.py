@@ -65,10 +65,18 @@ def test_a_controller_is_proposed_with_its_arm_and_calibration(
 def test_an_arm_that_the_driver_does_not_know_is_proposed_with_the_reason(
     controller: HandmadeController,
 ) -> None:
-    controller.answers["get robot model"] = "UR10"
+    controller.answers["get robot model"] = "UR20"
     (proposal,) = found(Search(controllers=(HERE,)))
     assert "URD-003" in proposal.remarks[0]
     assert "serial" not in chosen(proposal)
+
+
+def test_a_size_of_the_e_series_is_proposed_by_what_the_controller_reports(
+    controller: HandmadeController,
+) -> None:
+    controller.answers["get robot model"] = "UR10"
+    (proposal,) = found(Search(controllers=(HERE,)))
+    assert chosen(proposal)["model"] == "ur10e"
 
 
 def test_an_address_without_a_controller_says_so_and_on_a_network_it_is_passed_over(

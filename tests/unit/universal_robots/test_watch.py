@@ -79,7 +79,7 @@ def test_a_call_waits_for_the_cause_why_the_program_stopped(coming: list[LinkSta
 
 
 @pytest.mark.parametrize(
-    ("remote", "code"), [(False, "URD-035"), (True, "URD-014"), (STREAM_ERRORS.lost("gone"), "URD-014")]
+    ("remote", "code"), [(False, "URD-044"), (True, "URD-014"), (STREAM_ERRORS.lost("gone"), "URD-014")]
 )
 def test_losing_the_primary_interface_is_told_apart_from_a_switch_to_local_control(
     remote: bool | RonnaError, code: str
@@ -101,7 +101,7 @@ def test_a_thread_that_sees_the_loss_first_leaves_the_fault_to_the_question_for_
     with pytest.raises(RonnaError, match="local control"):
         arm.watch.raise_any()
     reader.join()
-    assert arm.outcome == ("URD-035", [StopOrder.PROTECTIVE])
+    assert arm.outcome == ("URD-044", [StopOrder.PROTECTIVE])
 
 
 @pytest.mark.parametrize("fault", [LinkFault.SILENCE, LinkFault.BROKEN, LinkFault.RESTARTED])

@@ -1,4 +1,4 @@
-"""The simulated UR5 and UR5e: the drivers' kinematics in other words, and errors of their own."""
+"""The simulated arms of Universal Robots: the drivers' kinematics in other words, and errors of their own."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import pytest
 
 from ronna_hw.arm.catalogue import ArmChoice
 from ronna_hw.arm.universal_robots import UR5, UR5E, universal_robot
+from ronna_hw.arm.universal_robots.geometry import DIMENSIONS
 from ronna_hw.vectors import joint_vector
 from sim.polaris.measurement.line_of_sight import ArmBody
 from sim.world.descriptions import DESCRIPTIONS
@@ -23,7 +24,7 @@ from sim.world.world import ArmState
 NO_ERROR = (0.0,) * 6
 
 
-@pytest.mark.parametrize("model", [UR5, UR5E])
+@pytest.mark.parametrize("model", DIMENSIONS)
 def test_the_simulated_arm_stands_where_the_driver_computes_it(model: str) -> None:
     generator = np.random.default_rng(1)
     chain, arm = JointChain(DESCRIPTIONS[model]), universal_robot(model)
@@ -34,7 +35,7 @@ def test_the_simulated_arm_stands_where_the_driver_computes_it(model: str) -> No
         assert simulated[:3, :3] == pytest.approx(np.reshape(pose.rotation, (3, 3)), abs=1e-12)
 
 
-@pytest.mark.parametrize("model", [UR5, UR5E])
+@pytest.mark.parametrize("model", DIMENSIONS)
 def test_every_posture_is_among_its_poses_branches_and_each_leads_to_the_pose(model: str) -> None:
     generator = np.random.default_rng(4)
     arm, chain = DESCRIPTIONS[model], JointChain(DESCRIPTIONS[model])
