@@ -20,12 +20,14 @@ import os
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, wait
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from inspect import getsource, signature
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from rich.console import Console
 from rich.progress import Progress
 
 from ronna_hw.arguments import WrongArgument, require_path, show
@@ -37,7 +39,7 @@ from ronna_hw.host.process import limit_children_to_one_thread
 from ronna_hw.host.worker_processes import start_workers
 from ronna_hw.loaded_run import RunColumn, RunTable
 from studies.campaign.folder import code
-from studies.errors import LEDGER_UNREADABLE, OTHER_STUDY, SWEEP_IN_USE
+from studies.errors import LEDGER_UNREADABLE, OTHER_STUDY, SWEEP_IN_USE, UNIT_FAILED
 
 FILE = "points.jsonl"  # of finished points, below a line that says which function they are of
 RUNS = "runs"  # folder for what the function writes
@@ -65,9 +67,9 @@ def sweep(
     there. They are of this function's text and of this program; what else the function reads is not compared.
     What the function writes to its own `out` is kept there too.
 
-    Raises ARG-001 for arguments without a point, STU-001 and STU-002 if `folder` has points of another
-    function or of other code, STU-019 while another sweep writes there, and what the function raises, unless
-    it has a code.
+    Raises ARG-001 for arguments without a point or a function without a name of its own, STU-001 and STU-002
+    if `folder` has points of another function or of other code, STU-005 if a worker process was killed,
+    STU-019 while another sweep writes there, and what the function raises, unless it has a code.
     """
     kept = None if folder is None else require_path(folder, "the folder of a sweep")
     points = list(_list_points(arguments))
@@ -79,7 +81,7 @@ def sweep(
         if found := len(points) - len(missing):
             tell(f"{found} of {len(points)} points are taken from {kept}")
         fixed = _own_options(function, kept and kept / RUNS, arguments)
-        with Progress(transient=True, disable=not progress) as bar:
+        with Progress(console=Console(stderr=True), transient=True, disable=not progress) as bar:
             task = bar.add_task(name_of(function), total=len(points), completed=len(points) - len(missing))
             for point, (rows, kept_for_good) in _run(function, missing, fixed, workers):
                 ledger.add(point, rows, keep=kept_for_good)
@@ -120,7 +122,7 @@ def _list_points(arguments: Mapping[str, object]) -> Iterator[Row]:
 
 
 def _own_options(function: Callable[..., Any], out: Path | None, arguments: Mapping[str, object]) -> Row:
-    """Return where the function writes, and that it shows no bar of its own, if it can be told."""
+    """Return the `out` and `progress` arguments that the function accepts."""
     wanted = {"progress": False} | ({} if out is None else {"out": out})
     taken = signature(function).parameters
     return {name: value for name, value in wanted.items() if name in taken and name not in arguments}
@@ -138,11 +140,18 @@ def _run(
         waiting = {pool.submit(_call, function, point, fixed): point for point in points}
         while waiting:
             for future in wait(waiting, return_when=FIRST_COMPLETED).done:
-                yield waiting.pop(future), future.result()
+                point = waiting.pop(future)
+                try:
+                    yield point, future.result()
+                except BrokenProcessPool as error:
+                    raise UNIT_FAILED(
+                        f"a worker process was killed, or ran out of memory, in {point}",
+                        action="Call the sweep again: finished points in its folder= are kept.",
+                    ) from error
 
 
 def _is_importable(function: Callable[..., Any]) -> bool:
-    """Whether a worker process finds the function: not one of a notebook, a script or another function."""
+    """Return whether worker processes can import the function: not from a notebook, script or function."""
     home = None if function.__module__ == MAIN else sys.modules.get(function.__module__)
     return getattr(home, getattr(function, "__qualname__", ""), None) is function
 
@@ -172,7 +181,7 @@ def _call(function: Callable[..., Any], point: Row, fixed: Row) -> tuple[list[Ro
 
 
 def _as_rows(found: Any) -> list[Row]:
-    """Return what a function found as rows of plain values."""
+    """Convert a function's result to rows of plain values."""
     if hasattr(found, "targets") and hasattr(found, "outcome"):  # a loaded run
         plain = [one.name for one in found.targets.columns if not one.size]
         return [
@@ -201,14 +210,20 @@ class _Ledger:
     """Finished points of a function, one line of JSON each, in a folder."""
 
     def __init__(self, folder: Path | None, function: Callable[..., Any]) -> None:
-        """Open or begin it; raises STU-001 if it is of another function or code, STU-002 if unreadable.
+        """Open or create the ledger; raises STU-001 for another function or code, STU-002 if unreadable.
 
-        Without a folder nothing is kept.
+        Points of damaged lines are run again. Without a folder nothing is kept.
         """
         self._rows: dict[str, list[Row]] = {}
         self._path = None if folder is None else folder / FILE
         if folder is None or self._path is None:
             return
+        if not hasattr(function, "__qualname__"):  # its text would have the address of this process
+            raise WrongArgument(
+                "a sweep with a folder needs a function that has a name",
+                got=show(function),
+                action="Write a function with def; what does not vary is an argument of the sweep too.",
+            )
         head = {"function": name_of(function), "code": _code_of(function)}
         if not self._path.stat().st_size:
             self._append(head)
@@ -223,12 +238,20 @@ class _Ledger:
                     f"{folder} has points of {there.get('function')} or of other code",
                     action="Give another folder=, or remove this one.",
                 )
-            os.truncate(self._path, len(whole))
-            for line in lines:
+        except (ValueError, TypeError, AttributeError) as error:
+            raise LEDGER_UNREADABLE(
+                f"{self._path}: {error}", action="Give another folder=, or remove this one."
+            ) from error
+        os.truncate(self._path, len(whole))
+        damaged = 0
+        for line in lines:
+            try:
                 finished = parse_json(line)
                 self._rows[finished["point"]] = finished["rows"]
-        except (ValueError, KeyError, TypeError, AttributeError) as error:
-            raise LEDGER_UNREADABLE(f"{self._path}: {error}") from error
+            except (ValueError, KeyError, TypeError):
+                damaged += 1
+        if damaged:
+            tell(f"{damaged} of {len(lines)} lines of {self._path} are damaged: their points run again")
 
     def find(self, point: Row) -> list[Row] | None:
         """Return the rows of a point, or None if it is not finished."""
@@ -263,7 +286,7 @@ def _name(value: object) -> str:
 
 
 def name_of(function: Callable[..., Any]) -> str:
-    """Return the full name of a function; of another callable its text."""
+    """Return the full name of a function, or its repr for other callables."""
     return f"{function.__module__}.{getattr(function, '__qualname__', repr(function))}"
 
 

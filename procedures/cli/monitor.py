@@ -9,14 +9,14 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 from typer import Argument, Option
 
 from ronna_hw.command_line import terminal
 from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.devices import RobotArm
-from ronna_hw.devices.reading_stream import NextArmState, ReadingStream
+from ronna_hw.devices.reading_stream import StreamsReadings
 from ronna_hw.devices.readings import ArmReading, CameraImage, StampedReading, StereoReading, TrackerFrame
 
 if TYPE_CHECKING:
@@ -37,7 +37,7 @@ def monitor(
     ] = None,
     as_json: terminal.JsonOption = False,
 ) -> None:
-    """Show the readings of one device as a table that follows them; an arm is only read, and moves nothing.
+    """Show a device's readings as a live table. Arms are only read, and do not move.
 
     With --json one object a line for each reading. A tracker and cameras are switched on for this. Exit
     codes: 0 done, 2 usage or a bad file, 3 a run uses the theatre, 4 the device does not answer.
@@ -58,13 +58,14 @@ def monitor(
 @contextmanager
 def _readings(theatre: Theatre, name: str) -> Iterator[Iterable[object]]:
     """Stream a device's readings; an arm stays as it is, other devices are active meanwhile."""
-    one: Any = theatre.devices[name]
-    one.connect()
-    if isinstance(one, RobotArm):
-        yield ReadingStream(NextArmState(one))
-        return
-    if not hasattr(one, "stream"):
+    one = theatre.devices[name]
+    is_arm = isinstance(one, RobotArm)
+    if not isinstance(one, StreamsReadings):
         raise UsageMistake(f"{name} has no readings", expected="a tracker, an arm or a pair of cameras")
+    one.connect()
+    if is_arm:
+        yield one.stream()
+        return
     one.configure()
     with one.active():
         yield one.stream()
@@ -75,18 +76,18 @@ def _show(name: str, readings: Iterable[object], *, as_json: bool) -> None:
         for reading in readings:
             if as_json:
                 sys.stdout.write(
-                    json.dumps({"device": name, **_stamp(reading), "rows": rows_of(reading)}) + "\n"
+                    json.dumps({"device": name, **_stamp(reading), "rows": tabulate_reading(reading)}) + "\n"
                 )
                 sys.stdout.flush()  # into a pipe too
             else:
-                heads, lines = _columns(rows_of(reading))
+                heads, lines = _columns(tabulate_reading(reading))
                 terminal.print_table(name, heads, lines)
         return
     from rich.live import Live
 
     with Live(refresh_per_second=SHOWN_PER_S) as live:
         for reading in readings:
-            live.update(_table(name, rows_of(reading)))
+            live.update(_table(name, tabulate_reading(reading)))
 
 
 def _stamp(reading: object) -> dict[str, object]:
@@ -100,8 +101,8 @@ def _stamp(reading: object) -> dict[str, object]:
     }
 
 
-def rows_of(reading: object) -> Rows:
-    """Return what a reading says, a row for each tool, stray, axis or side; numbers are not rounded."""
+def tabulate_reading(reading: object) -> Rows:
+    """Return the rows of a reading: tools and strays, axes, or sides; numbers are not rounded."""
     match reading:
         case TrackerFrame():
             tools = [

@@ -9,26 +9,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from itertools import pairwise
 from math import atan2, dist, hypot
-from typing import NamedTuple
 from xml.etree import ElementTree
 
 from ronna_hw.arm.catalogue import ArmDescription
-from ronna_hw.arm.clearance.bodies import Bodies, Part, Surroundings
+from ronna_hw.arm.clearance.bodies import Bodies, Capsule, Part, Surroundings
+from ronna_hw.arm.kinematics import COLUMN_NAME
 from ronna_hw.arm.pose import Rotation9
-from ronna_hw.vectors import Vector3
 
 M_PER_MM = 1e-3
 BASE, FLANGE = "base_link", "flange"
 NO_EFFORT = "0"  # not stated by the vendors in a form that fits; URDF asks for one
-
-
-class Capsule(NamedTuple):
-    """Collision capsule in the frame of a link, mm."""
-
-    name: str
-    start_mm: Vector3
-    end_mm: Vector3
-    radius_mm: float
 
 
 def write_urdf(arm: ArmDescription, tool: Sequence[Part] = ()) -> str:
@@ -36,18 +26,15 @@ def write_urdf(arm: ArmDescription, tool: Sequence[Part] = ()) -> str:
     kinematics = arm.kinematics
     chain, bodies = kinematics.chain, Bodies(kinematics, Surroundings(tool=tuple(tool)))
     names = [BASE, *(f"link_{number}" for number in range(1, len(chain.joints) + 1))]
-    capsules: dict[str, list[Capsule]] = {name: [] for name in (*names, FLANGE)}
-    column = bodies.fixed[0]
-    capsules[BASE].append(Capsule("base column", column.start_mm, column.end_mm, column.radius_mm))
-    for link, radius_mm in zip(kinematics.links, bodies.moving_radii_mm, strict=False):
-        place = names[1 + link.joint]
-        capsules[place].append(Capsule(link.name, link.start_mm, link.end_mm, radius_mm))
-    for part in tool:
-        start_mm, end_mm, radius_mm = part.capsule
-        capsules[FLANGE].append(Capsule(part.name, start_mm, end_mm, radius_mm))
+    parts: dict[str, list[Part]] = {name: [] for name in (*names, FLANGE)}
+    parts[BASE].append(Part(COLUMN_NAME, bodies.fixed[0]))
+    radii_mm = bodies.moving_radii_mm[: len(kinematics.links)]  # those of the tool's parts follow
+    for link, radius_mm in zip(kinematics.links, radii_mm, strict=True):
+        parts[names[1 + link.joint]].append(Part(link.name, Capsule(link.start_mm, link.end_mm, radius_mm)))
+    parts[FLANGE] += tool
     robot = ElementTree.Element("robot", name=arm.name)
     for name in (*names, FLANGE):
-        _add_link(robot, name, capsules[name])
+        _add_link(robot, name, parts[name])
     offsets = (chain.base_mm, *(joint.to_next_mm for joint in chain.joints))
     for number, ((parent, child), joint) in enumerate(zip(pairwise(names), chain.joints, strict=True)):
         one = _add_joint(robot, kinematics.axis_names[number], "revolute", parent, child, offsets[number])
@@ -65,19 +52,19 @@ def write_urdf(arm: ArmDescription, tool: Sequence[Part] = ()) -> str:
     return ElementTree.tostring(robot, encoding="unicode", xml_declaration=True) + "\n"
 
 
-def _add_link(robot: ElementTree.Element, name: str, capsules: Sequence[Capsule]) -> None:
+def _add_link(robot: ElementTree.Element, name: str, parts: Sequence[Part]) -> None:
     link = ElementTree.SubElement(robot, "link", name=name)
-    for capsule in capsules:
+    for part_name, capsule, _ in parts:
         length_mm = dist(capsule.start_mm, capsule.end_mm)
         radius = f"{capsule.radius_mm * M_PER_MM:.9g}"
         for end_mm in (capsule.start_mm, capsule.end_mm):
-            _add_shape(link, capsule.name, "sphere", end_mm, (0.0, 0.0, 0.0), radius=radius)
+            _add_shape(link, part_name, "sphere", end_mm, (0.0, 0.0, 0.0), radius=radius)
         if length_mm:
             x, y, z = ((e - s) / length_mm for s, e in zip(capsule.start_mm, capsule.end_mm, strict=True))
             middle = [(s + e) / 2.0 for s, e in zip(capsule.start_mm, capsule.end_mm, strict=True)]
             along = (0.0, atan2(hypot(x, y), z), atan2(y, x))
             length = f"{length_mm * M_PER_MM:.9g}"
-            _add_shape(link, capsule.name, "cylinder", middle, along, radius=radius, length=length)
+            _add_shape(link, part_name, "cylinder", middle, along, radius=radius, length=length)
 
 
 def _add_shape(

@@ -1,4 +1,4 @@
-"""Readings of a device as it makes them, for a loop, a task or a function.
+"""Streams of device readings, for a loop, a task or a function.
 
     for frame in tracker.stream():  # the newest; what came meanwhile is counted in `dropped`
         print(frame.stamp.theatre_time_s)
@@ -15,9 +15,9 @@ from __future__ import annotations
 import threading
 import time
 from collections import deque
-from collections.abc import AsyncIterator, Callable, Generator, Iterator
+from collections.abc import AsyncIterator, Callable, Generator, Iterable, Iterator
 from contextlib import contextmanager, suppress
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, Generic, Protocol, TypeVar, runtime_checkable
 
 from ronna_hw.devices.errors import DEVICE_STREAMS, NO_NEW_STATE, STREAM_BEHIND, STREAM_TAKEN
 from ronna_hw.devices.readings import ArmReading, StampedReading
@@ -30,17 +30,24 @@ R = TypeVar("R", bound=StampedReading)
 R_co = TypeVar("R_co", covariant=True)
 
 
-class ReadsNext(Protocol[R_co]):
+@runtime_checkable
+class StreamsReadings(Protocol):
+    """Device whose readings come as a stream."""
+
+    def stream(self) -> Iterable[StampedReading]: ...
+
+
+class NextReading(Protocol[R_co]):
     """Function that waits for a device's next reading."""
 
     def __call__(self, timeout_s: float) -> R_co: ...
 
 
 class ReadingStream(Generic[R]):
-    """Readings of one device, made while a loop, a task or a function takes them."""
+    """Stream of one device's readings."""
 
     def __init__(
-        self, read: ReadsNext[R], *, every: bool = False, timeout_s: float = 1.0, turn: Turn | None = None
+        self, read: NextReading[R], *, every: bool = False, timeout_s: float = 1.0, turn: Turn | None = None
     ) -> None:
         """Stream what `read` returns: the newest, or with `every` all of them, at most `MOST_WAITING` behind.
 
@@ -146,7 +153,7 @@ class _Session(Generic[R]):
     """One reading thread of a stream, from its start to its end, and the readings that wait."""
 
     def __init__(
-        self, read: ReadsNext[R], every: bool, timeout_s: float, count_dropped: Callable[[], None]
+        self, read: NextReading[R], every: bool, timeout_s: float, count_dropped: Callable[[], None]
     ) -> None:
         self._read, self._every, self._timeout_s = read, every, timeout_s
         self._count_dropped = count_dropped
@@ -209,7 +216,7 @@ class _StreamEnded(Exception):
     """End of a stream that its consumer has left, or that ended with its device's activity."""
 
 
-class TellsState(Protocol):
+class StatefulArm(Protocol):
     """Arm whose state can be read."""
 
     @property
@@ -221,7 +228,7 @@ class TellsState(Protocol):
 class NextArmState:
     """Reader of an arm's states, each once: `read_state` repeats the latest of a running stream."""
 
-    def __init__(self, arm: TellsState) -> None:
+    def __init__(self, arm: StatefulArm) -> None:
         self._arm = arm
         self._last = NO_CLOCK
 

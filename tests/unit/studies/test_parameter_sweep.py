@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import signal
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -12,7 +14,7 @@ import pytest
 from coded_errors import raises
 
 from ronna_hw.arguments import WrongArgument
-from ronna_hw.errors import LinkTimeout
+from ronna_hw.errors import LinkTimeout, RonnaError
 from ronna_hw.loaded_run import RunColumn, RunTable
 from studies import sweep
 from studies.errors import OTHER_STUDY, SWEEP_IN_USE
@@ -162,3 +164,27 @@ def test_a_folder_with_points_of_another_function_is_refused(tmp_path: Path) -> 
 def test_an_argument_without_a_value_is_refused(tmp_path: Path) -> None:
     with raises(WrongArgument):
         sweep(whose_process, folder=tmp_path, number=[])
+
+
+def test_the_point_of_a_damaged_line_is_run_again(tmp_path: Path) -> None:
+    sweep(jitter, folder=tmp_path, workers=1, distance_mm=[950.0, 2000.0], unit="a")
+    lines = (tmp_path / FILE).read_text(encoding="utf-8").splitlines(keepends=True)
+    (tmp_path / FILE).write_text(lines[0] + lines[1].replace('"rows"', '"rose"') + lines[2], encoding="utf-8")
+    CALLS.clear()
+    sweep(jitter, folder=tmp_path, workers=1, distance_mm=[950.0, 2000.0], unit="a")
+    assert CALLS == [(950.0, "a")]
+
+
+def test_a_function_without_a_name_is_not_kept_in_a_folder(tmp_path: Path) -> None:
+    with raises(WrongArgument, "ARG-001"):
+        sweep(partial(jitter, unit="a"), folder=tmp_path, workers=1, distance_mm=[950.0])
+
+
+def killed(number: int) -> int:
+    os.kill(os.getpid(), signal.SIGKILL)
+    return number
+
+
+def test_a_killed_worker_process_names_the_point_and_what_to_do() -> None:
+    with raises(RonnaError, "STU-005", match=r"'number': 1"):
+        sweep(killed, workers=2, number=[1])
