@@ -161,6 +161,26 @@ class LoadedRun(Protocol):
         """Ending of the run, such as done, missed, in doubt, not sealed or failed; or that it is running."""
 
     @property
+    def reason(self) -> str:
+        """Reason for which the run is not done, with the code of its error; empty for a run that is."""
+
+    @property
+    def scene(self) -> str:
+        """Scene of its simulated theatre, or the scene file; empty on devices, and if no request is there."""
+
+    @property
+    def seed(self) -> int | None:
+        """Seed of its simulated theatre; None on devices."""
+
+    @property
+    def strategy(self) -> str:
+        """Strategy that was asked for; `targets.strategy` is the one used. Empty if it is no case."""
+
+    @property
+    def faults(self) -> tuple[str, ...]:
+        """Lines of its fault script; what was injected later is among the events of the theatre alone."""
+
+    @property
     def notes(self) -> tuple[str, ...]:
         """Files that are missing or have changed since the run ended, as `ronna-procedure verify` lists them.
 

@@ -12,6 +12,7 @@ from procedures.exchange.errors import NO_REGISTRATION
 from procedures.exchange.recorded_tables import RecordedPictures, RecordedTables, recorded_tables
 from procedures.reporting.ending import ending_of
 from procedures.reporting.outcome import Truth
+from procedures.reporting.run_options import RunOptions, find_seed, read_options
 from procedures.reporting.run_reading import RunReading
 from procedures.runs.folders import require_run
 from ronna_hw.evidence.inspection import explain_unreadable, inspect_run
@@ -48,7 +49,8 @@ class RunArrays:
     def __repr__(self) -> str:
         shown, rest = self.notes[:MOST_SHOWN], self.notes[MOST_SHOWN:]
         more = (f"and {len(rest)} more: run.notes has all",) if rest else ()
-        return "\n  ".join((f"run {self.name}: {self.outcome}", *shown, *more))
+        why = filter(None, (self.reason,))
+        return "\n  ".join((f"run {self.name}: {self.outcome}", *why, *shown, *more))
 
     def _repr_html_(self) -> str:
         return f"<pre>{escape(repr(self))}</pre>{self.targets._repr_html_()}"
@@ -60,6 +62,31 @@ class RunArrays:
     @property
     def outcome(self) -> str:
         return ending_of(self._reading).word
+
+    @property
+    def reason(self) -> str:
+        ending = ending_of(self._reading)
+        return "" if ending.is_done else ending.account
+
+    @property
+    def scene(self) -> str:
+        return self._options.scene
+
+    @property
+    def seed(self) -> int | None:
+        return find_seed(self._reading.run.opened)
+
+    @property
+    def strategy(self) -> str:
+        return str(self._reading.run.opened.get("strategy") or "")
+
+    @property
+    def faults(self) -> tuple[str, ...]:
+        return self._options.faults
+
+    @cached_property
+    def _options(self) -> RunOptions:
+        return read_options(self.path)
 
     @property
     def notes(self) -> tuple[str, ...]:

@@ -235,6 +235,13 @@ def list_unreached_faults(path: Path, begun_steps: Iterable[str], theatre_time_s
             yield f"line {number} of {path.name} had no effect: the case ended after {theatre_time_s:.1f} s"
 
 
+def read_fault_lines(path: Path) -> tuple[str, ...]:
+    """Return the lines of a fault script without comments; none if there is no such file."""
+    if not path.is_file():  # a request is also written for the record where no theatre is started
+        return ()
+    return tuple(filter(None, (line.partition("#")[0].strip() for _, line in _lines(path))))
+
+
 def _lines(path: Path) -> Iterator[tuple[int, str]]:
     text = read_bounded(path, LARGEST_SCRIPT_BYTES).decode(errors="replace")
     return enumerate(text.splitlines(), 1)
