@@ -12,6 +12,7 @@ from pydantic import BaseModel, Field, JsonValue, ValidationError
 from procedures.engine.errors import BAD_REQUEST_FILE, OTHER_PROGRAM
 from procedures.engine.methods import CaseMethods
 from procedures.journal.recorded_roles import RecordedRoles
+from procedures.runs.fault_script import read_fault_lines
 from procedures.runs.request import (
     DEFAULT_ARM,
     FREE,
@@ -20,7 +21,6 @@ from procedures.runs.request import (
     RunRequest,
     SceneChoice,
 )
-from procedures.runs.request_checks import read_fault_lines
 from ronna_hw.bounded_input import read_json_bytes
 from ronna_hw.evidence.manifest import REQUEST_FILE, sha256_of
 from ronna_hw.host.files import sync_folder
