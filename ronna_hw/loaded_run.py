@@ -144,6 +144,30 @@ class StereoPictures(NamedTuple):
     right: NDArray[np.uint8] | NDArray[np.uint16] | None
 
 
+class RunRegistration(Protocol):
+    """Registration used for a target, in the CT. A notebook shows its picture with the residuals."""
+
+    @property
+    def record(self) -> str:
+        """Its record in the run folder."""
+
+    @property
+    def robot_from_ct(self) -> Transform:
+        """Pose of the CT in the robot frame."""
+
+    @property
+    def fre_mm(self) -> float:
+        """Fiducial registration error; not a measure of accuracy."""
+
+    @property
+    def spheres(self) -> RunTable:
+        """Spheres in the CT: expected and found centre, and the residual."""
+
+    @property
+    def picture(self) -> bytes:
+        """PNG of the spheres in three projections of the CT, with deviations drawn larger than they are."""
+
+
 class LoadedRun(Protocol):
     """Run folder as arrays. Each table is read on first use; docs/reference/api-runs.md lists the columns.
 
@@ -228,8 +252,15 @@ class LoadedRun(Protocol):
     def events(self) -> RunTable:
         """Events of the run, as a console shows them. Raises PRO-018 if a line of their file is damaged."""
 
+    @property
+    def plan(self) -> Any:
+        """Plan of the case as it was checked, a `procedures.planning.plan_model.Plan`; None before that."""
+
     def robot_from_ct(self, target: str) -> Transform:
         """Return the registration used for a target. Raises EXC-005 if it has none."""
+
+    def registration(self, target: str) -> RunRegistration:
+        """Return the same with its spheres in the CT, found and expected. Raises EXC-005 if it has none."""
 
 
 class RunReader(Protocol):

@@ -7,14 +7,18 @@ from functools import cached_property
 from html import escape
 from pathlib import Path
 
+from procedures.engine.case import results_of
 from procedures.exchange import run_tables
 from procedures.exchange.errors import NO_REGISTRATION
 from procedures.exchange.recorded_tables import RecordedPictures, RecordedTables, recorded_tables
+from procedures.exchange.registration_in_ct import RegistrationInCt, registration_in_ct
+from procedures.planning.plan_model import Plan
 from procedures.reporting.ending import ending_of
 from procedures.reporting.outcome import Truth
 from procedures.reporting.run_options import RunOptions, find_seed, read_options
-from procedures.reporting.run_reading import RunReading
+from procedures.reporting.run_reading import RunReading, UsedRegistration
 from procedures.runs.folders import require_run
+from procedures.steps.clinical.plan_check import CheckedPlan
 from ronna_hw.evidence.inspection import explain_unreadable, inspect_run
 from ronna_hw.evidence.lost_journal_end import EVENTS_FILE
 from ronna_hw.evidence.manifest import SEAL_FILE
@@ -153,12 +157,24 @@ class RunArrays:
     def pictures(self) -> RecordedPictures:
         return self._recorded.pictures
 
+    @cached_property
+    def plan(self) -> Plan | None:
+        checked = results_of(CheckedPlan, self._reading.run.valid_records)
+        return checked[-1].result.plan if checked else None
+
     def robot_from_ct(self, target: str) -> Transform:
         """Return the registration used for a target. Raises EXC-005 if it has none."""
+        return self._find_registration(target).result.robot_from_ct.transform
+
+    def registration(self, target: str) -> RegistrationInCt:
+        """Return the same with its spheres in the CT, found and expected. Raises EXC-005 if it has none."""
+        return registration_in_ct(self._reading, self._find_registration(target), target)
+
+    def _find_registration(self, target: str) -> UsedRegistration:
         used = run_tables.find_registration(self._reading, target)
         if used is None:
             raise NO_REGISTRATION(
                 f"{self.name} has no registration for a target {target!r}",
                 expected=f"one of {', '.join(self.targets.name) or 'no targets: the plan was not checked'}",
             )
-        return used.result.robot_from_ct.transform
+        return used
