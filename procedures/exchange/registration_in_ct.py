@@ -36,7 +36,7 @@ SPHERES = (
 )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class RegistrationInCt:
     """Registration used for a target; `ronna_hw.RunRegistration` describes it."""
 
@@ -48,6 +48,10 @@ class RegistrationInCt:
     spheres: RunTable
     series: Path | None  # folder of the CT, if it is here
     series_instance_uid: str
+
+    def __repr__(self) -> str:
+        used = int(self.spheres.used.sum())
+        return f"{self.record} for {self.target}: {used} spheres, FRE {self.fre_mm:.3f} mm"
 
     @cached_property
     def picture(self) -> bytes:

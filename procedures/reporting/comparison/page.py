@@ -68,7 +68,7 @@ class PicturePair(NamedTuple):
     second: str | None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class RunComparison:
     """Two runs beside each other, for a page, a notebook, or further work in Python."""
 
@@ -81,6 +81,10 @@ class RunComparison:
     targets_picture: str  # SVG; empty without a prediction
     timelines: Pair[str]  # SVG, on one scale of time
     plan_pictures: tuple[PicturePair, ...]  # of trajectories whose pictures differ
+
+    def __repr__(self) -> str:
+        names = " and ".join(f"{one.letter} {one.name} ({one.ending.word})" for one in self.runs)
+        return f"{names}; {'; '.join(f'{one.title}: {one.gist}' for one in self.differences)}"
 
     @property
     def total_s(self) -> Pair[float]:
