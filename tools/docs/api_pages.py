@@ -116,7 +116,7 @@ def devices() -> str:
         [
             _all_of(theatre, "open_theatre", "Theatre"),
             _all_of(theatre, "simulated_theatre"),
-            _all_of(stray_tracks, "track_strays", "StrayTrack"),
+            _all_of(stray_tracks, "track_strays", "StrayTrack", "StrayWarning"),
             interfaces,
             Part(readings.__name__, own),
             _driver_part(PolarisTracker, OpticalTracker),
