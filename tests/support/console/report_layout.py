@@ -9,7 +9,7 @@ from typing import Any
 from page_reading import low_contrast
 
 PHONE_PX = {"width": 390, "height": 844}
-MOST_SCREENS, MOST_PAGES = 12, 8
+MOST_SCREENS, MOST_PAGES = 12, 6
 OPEN = "document.querySelectorAll('details').forEach(one => one.open = true)"
 HIDDEN = """
 () => [...document.querySelectorAll("table, td, th, pre, svg, img, p, li")]
