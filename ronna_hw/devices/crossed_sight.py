@@ -61,7 +61,7 @@ def find_crossed_sights(places_mm: Array) -> tuple[CrossedSight, ...]:
 
 
 def describe_crossed_sights(found: Sequence[CrossedSight], names: Sequence[int]) -> tuple[str, ...]:
-    """Say of each track that is a phantom by its place, and of those of which only half are.
+    """Name each track that is a phantom by its place, and together those of which some are.
 
     `names` are the identities of the tracks. A track counts as a phantom if it is explained by two tracks
     that nothing explains.
@@ -79,7 +79,7 @@ def describe_crossed_sights(found: Sequence[CrossedSight], names: Sequence[int])
     if undecided := sorted(suspects - certain):
         listed = ", ".join(str(names[one]) for one in undecided)
         sentences.append(
-            f"tracks {listed} are each where lines of sight to two others cross: half of them are phantoms, "
-            "and their places do not say which"
+            f"tracks {listed} are each where lines of sight to two others cross: at most half of them are "
+            "spheres, and their places do not say which"
         )
     return tuple(sentences)
