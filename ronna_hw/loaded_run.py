@@ -260,7 +260,7 @@ class LoadedRun(Protocol):
         """Return the registration used for a target. Raises EXC-005 if it has none."""
 
     def registration(self, target: str) -> RunRegistration:
-        """Return the same with its spheres in the CT, found and expected. Raises EXC-005 if it has none."""
+        """Return the registration used for a target and its spheres in the CT. Raises EXC-005."""
 
 
 class RunReader(Protocol):

@@ -167,7 +167,7 @@ class RunArrays:
         return self._find_registration(target).result.robot_from_ct.transform
 
     def registration(self, target: str) -> RegistrationInCt:
-        """Return the same with its spheres in the CT, found and expected. Raises EXC-005 if it has none."""
+        """Return the registration used for a target and its spheres in the CT. Raises EXC-005."""
         return registration_in_ct(self._reading, self._find_registration(target), target)
 
     def _find_registration(self, target: str) -> UsedRegistration:

@@ -21,6 +21,7 @@ from drivers.basler_stereo import BaslerStereoPair
 from drivers.kuka_rsi import KukaRsiArm
 from drivers.ndi_polaris import PolarisTracker
 from drivers.universal_robots import UniversalRobotsArm
+from procedures import from_python
 from procedures.exchange import raw_readings, recorded_tables, registration_in_ct, run_tables
 from procedures.reporting.comparison import page as page_of_two
 from procedures.strategies import strategy, trajectory
@@ -90,7 +91,13 @@ def runs() -> str:
         'registration("T1").spheres': registration_in_ct.SPHERES,
     }
     names = ("load_run", "LoadedRun", "RunRegistration", "RunTable", "RunWarning", "StereoPictures")
-    page = _page([_all_of(loaded_run, *names), _all_of(page_of_two, "compare_runs", "RunComparison")])
+    page = _page(
+        [
+            _all_of(loaded_run, *names),
+            _all_of(from_python, "compare_runs"),
+            _all_of(page_of_two, "RunComparison"),
+        ]
+    )
     for name, columns in tables.items():
         rows = ((f"`{one.name}`", _format_column_type(one), one.description) for one in columns)
         page += f"\n## `run.{name}`\n\n{table(('column', 'type', 'meaning'), rows)}"

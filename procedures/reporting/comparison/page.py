@@ -1,12 +1,4 @@
-"""Page that compares two runs: `compare_runs` and what it returns.
-
-    from procedures import compare_runs
-
-    compared = compare_runs("runs/20261126T165631-s7-5191", "runs/20261126T170102-s8-a0c3")
-    compared.write("comparison.html")
-
-Both folders are only read. What a run did not come to is empty.
-"""
+"""Page that compares two runs. Both folders are only read; what a run did not come to is empty."""
 
 from __future__ import annotations
 
@@ -124,12 +116,9 @@ def _or_empty(value: float | None) -> float | str:
     return "" if value is None else value
 
 
-def compare_runs(first: str | os.PathLike[str], second: str | os.PathLike[str]) -> RunComparison:
-    """Compare two run folders. Raises ARG-001 for what is no path.
-
-    Damaged files never raise errors; what cannot be relied on is named.
-    """
-    readings = Pair(*(read_for_report(require_path(one, "the folder of a run")) for one in (first, second)))
+def compare_runs(first: Path, second: Path) -> RunComparison:
+    """Compare two run folders. Damaged files never raise errors; what cannot be relied on is named."""
+    readings = Pair(read_for_report(first), read_for_report(second))
     courses = [read_course(one, "") for one in readings]
     targets = compare_targets(*readings)
     return RunComparison(

@@ -7,9 +7,11 @@ from pathlib import Path
 
 import pytest
 from clinical_case import FIRST, ClinicalCell
+from coded_errors import raises
 from report_text import report_text
 from user_commands import in_this_process, one_error
 
+import procedures
 from procedures.cli.procedure import app
 from procedures.journal.journal import Entry
 from procedures.reporting.comparison import differences
@@ -18,6 +20,8 @@ from procedures.reporting.kept_truth import store_truth
 from procedures.reporting.outcome import TargetTruth, Truth
 from procedures.runs.folders import new_run_folder
 from procedures.runs.request import CaseProcedure, RunRequest, SceneChoice
+from ronna_hw.arguments import WrongArgument
+from ronna_hw.command_line.errors import PATH_PROBLEM
 from ronna_hw.evidence.manifest import REQUEST_FILE, seal
 
 
@@ -102,6 +106,13 @@ def test_a_page_that_is_not_html_is_refused_with_how_to_print(
     refused = in_this_process(app, "compare", *pair, "--out", tmp_path / name)
     assert "print it on A4, or to a PDF" in one_error(refused.stderr)[0]
     assert not (tmp_path / name).exists()
+
+
+def test_a_folder_that_is_no_run_is_refused_from_python_too(pair: tuple[Path, Path], tmp_path: Path) -> None:
+    with raises(PATH_PROBLEM, match="not the folder of a run"):
+        procedures.compare_runs(pair[0], tmp_path / "none")
+    with raises(WrongArgument):
+        procedures.compare_runs(pair[0], "")
 
 
 def test_a_page_inside_a_run_is_refused(pair: tuple[Path, Path]) -> None:
