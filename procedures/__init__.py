@@ -1,6 +1,6 @@
 """The clinical procedure, from the CT series to the needle tip.
 
-`run_case` is exported here and imported on first use: a command imports what it needs alone.
+What is exported here is imported on first use: a command imports what it needs alone.
 """
 
 from __future__ import annotations
@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING
 from ronna_hw.host.process import limit_to_one_thread
 
 if TYPE_CHECKING:
-    from procedures.from_python import run_case
+    from procedures.from_python import compare_runs, run_case
 
-__all__ = ["run_case"]
+__all__ = ["compare_runs", "run_case"]
 
 
 def __getattr__(name: str) -> object:

@@ -1,4 +1,4 @@
-"""A simulated case from Python: `run_case` runs one and returns its run.
+"""Simulated cases from Python: `run_case` runs one and returns its run, `compare_runs` compares two.
 
 from procedures import run_case
 
@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 
     from procedures.engine.engine import Engine
     from procedures.engine.events import Event
+    from procedures.reporting.comparison.page import RunComparison
     from procedures.runs.request import RunRequest
 
 Decide = Callable[[Question], str | None]
@@ -92,6 +93,21 @@ def run_case(
                 error.add_note(f"its run is {folder}")
                 raise
             return load_run(folder)
+
+
+def compare_runs(first: str | os.PathLike[str], second: str | os.PathLike[str]) -> RunComparison:
+    """Compare two run folders, as `ronna-procedure compare`. Both are only read.
+
+    Damaged files never raise errors; what cannot be relied on is named. Raises CLI-005 for a folder that is
+    no run, ARG-001 for what is no path.
+    """
+    from procedures.reporting.comparison import page
+    from procedures.runs.folders import require_run
+
+    folders = [require_path(one, "the folder of a run") for one in (first, second)]
+    for folder in folders:
+        require_run(folder)
+    return page.compare_runs(*folders)
 
 
 def _write_script(content: str, runs: Path) -> Path:

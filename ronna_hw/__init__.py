@@ -9,7 +9,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from ronna_hw.devices.stray_tracks import StrayTrack, track_strays
+    from ronna_hw.devices.stray_tracks import StrayTrack, StrayWarning, track_strays
     from ronna_hw.frames import Frame
     from ronna_hw.loaded_run import LoadedRun, RunTable, RunWarning, load_run
     from ronna_hw.theatre import SimulatedTheatre, Theatre, open_theatre, simulated_theatre
@@ -21,6 +21,7 @@ __all__ = [
     "RunWarning",
     "SimulatedTheatre",
     "StrayTrack",
+    "StrayWarning",
     "Theatre",
     "load_run",
     "open_theatre",
@@ -35,6 +36,7 @@ _HOMES = {
     "RunWarning": "ronna_hw.loaded_run",
     "SimulatedTheatre": "ronna_hw.theatre",
     "StrayTrack": "ronna_hw.devices.stray_tracks",
+    "StrayWarning": "ronna_hw.devices.stray_tracks",
     "Theatre": "ronna_hw.theatre",
     "load_run": "ronna_hw.loaded_run",
     "open_theatre": "ronna_hw.theatre",

@@ -144,6 +144,30 @@ class StereoPictures(NamedTuple):
     right: NDArray[np.uint8] | NDArray[np.uint16] | None
 
 
+class RunRegistration(Protocol):
+    """Registration used for a target, in the CT. A notebook shows its picture with the residuals."""
+
+    @property
+    def record(self) -> str:
+        """Its record in the run folder."""
+
+    @property
+    def robot_from_ct(self) -> Transform:
+        """Pose of the CT in the robot frame."""
+
+    @property
+    def fre_mm(self) -> float:
+        """Fiducial registration error; not a measure of accuracy."""
+
+    @property
+    def spheres(self) -> RunTable:
+        """Spheres in the CT: expected and found centre, and the residual."""
+
+    @property
+    def picture(self) -> bytes:
+        """PNG of the spheres in three projections of the CT, with deviations drawn larger than they are."""
+
+
 class LoadedRun(Protocol):
     """Run folder as arrays. Each table is read on first use; docs/reference/api-runs.md lists the columns.
 
@@ -159,6 +183,26 @@ class LoadedRun(Protocol):
     @property
     def outcome(self) -> str:
         """Ending of the run, such as done, missed, in doubt, not sealed or failed; or that it is running."""
+
+    @property
+    def reason(self) -> str:
+        """Reason for which the run is not done, with the code of its error; empty for a run that is."""
+
+    @property
+    def scene(self) -> str:
+        """Scene of its simulated theatre, or the scene file; empty on devices, and if no request is there."""
+
+    @property
+    def seed(self) -> int | None:
+        """Seed of its simulated theatre; None on devices."""
+
+    @property
+    def strategy(self) -> str:
+        """Strategy that was asked for; `targets.strategy` is the one used. Empty if it is no case."""
+
+    @property
+    def faults(self) -> tuple[str, ...]:
+        """Lines of its fault script; what was injected later is among the events of the theatre alone."""
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -208,8 +252,15 @@ class LoadedRun(Protocol):
     def events(self) -> RunTable:
         """Events of the run, as a console shows them. Raises PRO-018 if a line of their file is damaged."""
 
+    @property
+    def plan(self) -> Any:
+        """Plan of the case as it was checked, a `procedures.planning.plan_model.Plan`; None before that."""
+
     def robot_from_ct(self, target: str) -> Transform:
         """Return the registration used for a target. Raises EXC-005 if it has none."""
+
+    def registration(self, target: str) -> RunRegistration:
+        """Return the registration used for a target and its spheres in the CT. Raises EXC-005."""
 
 
 class RunReader(Protocol):

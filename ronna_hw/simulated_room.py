@@ -13,13 +13,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from enum import StrEnum
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ronna_hw.arguments import WrongArgument, require_numbers, show
 from ronna_hw.control_port import ask_control_port
+from ronna_hw.frames import Frame, Transform
 from ronna_hw.vectors import JointVector, Vector3, vector3
 
 SPHERE = "sphere "  # followed by its number
@@ -36,28 +38,97 @@ class TrueSphere:
 
 
 @dataclass(frozen=True)
-class RoomTruth:
-    """Places in a room at a theatre time. Phantoms are points where lines of sight of two spheres cross.
+class TrueMarker:
+    """Another marker in the room, such as one of a tool: its name, and where it is."""
 
-    `disturbances` of the whole tracker, such as sunlight, add reflections that are no sphere.
+    name: str
+    tracker_mm: Vector3
+
+
+@dataclass(frozen=True)
+class TruePhantom:
+    """Point where the lines of sight of two markers cross: no marker is there. The left sensor's first."""
+
+    of: tuple[str, str]
+    tracker_mm: Vector3
+
+    @property
+    def name(self) -> str:
+        """Name of the phantom by its markers."""
+        return f"phantom of {' and '.join(self.of)}"
+
+
+class Origin(StrEnum):
+    """Kind of thing that a stray in a frame of the tracker comes from."""
+
+    SPHERE = "sphere"  # on the head
+    OTHER = "other marker"
+    PHANTOM = "phantom"
+    REFLECTION = "reflection"
+
+
+class StrayOrigin(NamedTuple):
+    """Source of a stray: its kind, its name, and how far the stray is from where it really is."""
+
+    kind: Origin
+    name: str
+    off_mm: float
+
+
+@dataclass(frozen=True)
+class RoomTruth:
+    """Places in a room at a theatre time, in the tracker's frame.
+
+    A stray is one of `spheres` or `others`, a phantom where lines of sight of two markers cross, or a
+    reflection: such a surface shines in some frames and wanders by millimetres. `disturbances` act on the
+    whole tracker.
     """
 
     theatre_time_s: float
     joints_rad: Mapping[str, JointVector]  # by role of the arm
     spheres: tuple[TrueSphere, ...]
-    phantoms_mm: NDArray[np.float64]  # (n, 3), tracker frame
+    others: tuple[TrueMarker, ...]
+    phantoms: tuple[TruePhantom, ...]
+    reflections_mm: NDArray[np.float64]  # (n, 3), where each surface is on average
+    robot_from_tracker: Transform
     disturbances: tuple[str, ...]
+
+    @property
+    def phantoms_mm(self) -> NDArray[np.float64]:
+        """Places of the phantoms, (n, 3)."""
+        return np.array([one.tracker_mm for one in self.phantoms], dtype=float).reshape(-1, 3)
 
     def nearest(self, place_mm: Sequence[float]) -> TrueSphere:
         """Return the sphere nearest to a place in the tracker frame, such as that of a stray."""
         return min(self.spheres, key=lambda one: float(np.linalg.norm(np.subtract(one.tracker_mm, place_mm))))
 
+    def origin_of(self, place_mm: Sequence[float]) -> StrayOrigin:
+        """Return what a stray at a place comes from: whatever is nearest. Raises ARG-001 in an empty room."""
+        place = require_numbers(place_mm, "the place of the stray", shape=(3,))
+        candidates = [
+            *((Origin.SPHERE, f"{SPHERE}{one.number}", one.tracker_mm) for one in self.spheres),
+            *((Origin.OTHER, one.name, one.tracker_mm) for one in self.others),
+            *((Origin.PHANTOM, one.name, one.tracker_mm) for one in self.phantoms),
+            *(
+                (Origin.REFLECTION, f"reflection {number}", tuple(one))
+                for number, one in enumerate(self.reflections_mm.tolist(), 1)
+            ),
+        ]
+        if not candidates:
+            raise WrongArgument("nothing in this room is seen by a tracker", expected="a scene with a head")
+        found = [
+            StrayOrigin(kind, name, float(np.linalg.norm(np.subtract(there_mm, place))))
+            for kind, name, there_mm in candidates
+        ]
+        return min(found, key=lambda one: one.off_mm)
+
     def is_phantom(self, place_mm: Sequence[float]) -> bool:
-        """Whether a place is nearer to a phantom than to any sphere."""
-        if not len(self.phantoms_mm):
-            return False
-        apart_mm = np.linalg.norm(self.phantoms_mm - np.asarray(place_mm), axis=1).min()
-        return bool(apart_mm < np.linalg.norm(np.subtract(self.nearest(place_mm).tracker_mm, place_mm)))
+        """Whether a stray at this place is a phantom."""
+        return self.origin_of(place_mm).kind is Origin.PHANTOM
+
+    def is_reflection(self, place_mm: Sequence[float]) -> bool:
+        """Whether a stray at this place is a reflection."""
+        return self.origin_of(place_mm).kind is Origin.REFLECTION
 
 
 class SimulatedRoom:
@@ -98,6 +169,23 @@ class SimulatedRoom:
         """Show again what `hide` has hidden until cleared."""
         self.clear(_occlusion(what))
 
+    def place_sphere(self, at_mm: Sequence[float], frame: Frame | str = "tracker") -> str:
+        """Place one more sphere in the room, at a place in the tracker's frame or the robot's.
+
+        The tracker sees it, the cameras do not. It rests there until `clear` ends the line that is returned.
+        Raises ARG-001 for another frame.
+        """
+        place = require_numbers(at_mm, "the place of the sphere", shape=(3,))
+        if frame not in (Frame.TRACKER, Frame.ROBOT):
+            raise WrongArgument(
+                "a sphere is placed in another frame", expected="tracker or robot", got=show(str(frame))
+            )
+        if frame == Frame.TRACKER:
+            place = self.truth().robot_from_tracker.apply(place)
+        line = f"room extra sphere {_numbers(place.tolist())} mm"
+        self.inject(line)
+        return line
+
     def mount(self, number: int) -> None:
         """Mount a tool: 0 none, 1 the stereo head, 2 the guide."""
         self._ask("mount", number=number)
@@ -114,7 +202,13 @@ class SimulatedRoom:
                 )
                 for one in told["spheres"]
             ),
-            np.array(told["phantoms_mm"], dtype=float).reshape(-1, 3),
+            tuple(TrueMarker(str(one["name"]), vector3(one["tracker_mm"])) for one in told["others"]),
+            tuple(
+                TruePhantom((str(one["of"][0]), str(one["of"][1])), vector3(one["tracker_mm"]))
+                for one in told["phantoms"]
+            ),
+            np.array(told["reflections_mm"], dtype=float).reshape(-1, 3),
+            Transform.from_matrix(Frame.ROBOT, Frame.TRACKER, np.array(told["robot_from_tracker"])),
             tuple(map(str, told["disturbances"])),
         )
 

@@ -11,9 +11,9 @@ from typing import Any
 from console.scene.bodies import METRES, Call, DrawnRod, Point, axis_ends, placing_calls
 from procedures.engine.case_view import CaseView
 from procedures.engine.events import Bodies, MeasuringVolume, Pose
-from procedures.planning.tracker_sight import SENSORS_MM
 from procedures.reporting.case_figures import CaseFigures
 from ronna_hw.arm.clearance.bodies import segment_distance_mm
+from ronna_hw.devices.crossed_sight import SENSORS_MM
 from ronna_hw.frames import Transform
 
 SIGHT, HIDDEN, VOLUME, FRUSTUM = "#ffb020", "#ff5a4f", "#6f8798", "#42d392"

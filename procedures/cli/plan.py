@@ -16,6 +16,7 @@ from typer import Argument, Option
 from procedures.cli import planning_inputs
 from procedures.cli.marker_places import marker_places, template
 from procedures.cli.place import place
+from procedures.cli.plan_sheet import sheet
 from procedures.strategies.names import DEFAULT_STRATEGY
 from ronna_hw.command_line import terminal
 from ronna_hw.command_line.errors import PATH_PROBLEM
@@ -37,6 +38,7 @@ app = terminal.command_group(
     "ronna-plan", "Draw, create and check plans, map positions for the cart, propose positions for markers."
 )
 app.command()(place)
+app.command()(sheet)
 
 
 @app.command()

@@ -14,7 +14,7 @@ from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.errors import RonnaError
 
 if TYPE_CHECKING:
-    from procedures.imaging import Volume
+    from procedures.imaging import Localization, Volume
     from procedures.journal.results import FramedPose
     from procedures.planning.plan_model import Plan
     from procedures.planning.theatre_arm import TheatreArm
@@ -144,6 +144,15 @@ def read_ct(
     series_dir: Path, needs_markers: bool
 ) -> tuple[Volume, list[tuple[float, float, float]] | None, tuple[str, ...]]:
     """Read a series; return the volume, any marker centres, and remarks, such as why centres are missing."""
+    volume, found, remarks = read_localized_ct(series_dir, needs_markers)
+    centres_mm = None if found is None else [marker.centre_mm for marker in found.markers]
+    return volume, centres_mm, remarks
+
+
+def read_localized_ct(
+    series_dir: Path, needs_markers: bool
+) -> tuple[Volume, Localization | None, tuple[str, ...]]:
+    """Read a series; return the volume, any markers found in it, and remarks, such as why there are none."""
     from procedures.imaging import localize, read_series
     from procedures.imaging.scan_deformation import require_undeformed
 
@@ -159,4 +168,4 @@ def read_ct(
                 raise
             why = f"the fiducials in the CT were not counted: {refused.code} {refused.what}"
             return volume, None, (why,)
-    return volume, [marker.centre_mm for marker in found.markers], ()
+    return volume, found, ()

@@ -17,7 +17,6 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from procedures.planning.tracker_sight import SENSORS_MM
 from procedures.registration.movement import NEAR_MM, identify_points
 from procedures.room.sighting import (
     Rest,
@@ -32,6 +31,7 @@ from procedures.workcell import Workcell
 from procedures.workcell.patient_frame import seen_after
 from procedures.workcell.tracker_look import find_frame_name, list_poses, mean_pose, robot_from_marker
 from ronna_hw.arrays import Array
+from ronna_hw.devices.crossed_sight import SENSORS_MM
 from ronna_hw.devices.readings import TrackerFrame
 from ronna_hw.devices.strays import LEAST_SHARE, StrayGroup, average_strays
 from ronna_hw.errors import RonnaError

@@ -22,7 +22,7 @@ from procedures.guards.room_reading import (
     RoomReading,
     room_reading,
 )
-from procedures.planning.tracker_sight import SENSORS_MM, TrackerSight
+from procedures.planning.tracker_sight import TrackerSight
 from procedures.room.estimate import AXES, FALSE_ALARM, GUIDE_AT_HEAD, Displacement, RoomEstimate
 from procedures.room.model import Body, Places, Rows, TrackedArm
 from procedures.room.motion import Moved, RoomMotion, find_hidden_motion, find_motion
@@ -34,6 +34,7 @@ from procedures.workcell.patient_frame import seen_after
 from procedures.workcell.tracker_look import read_frames_at_rest
 from procedures.workcell.tracker_move import STILL, UNPUSHED, TrackerMove
 from ronna_hw.arrays import Array
+from ronna_hw.devices.crossed_sight import SENSORS_MM
 from ronna_hw.devices.readings import TrackerFrame
 from ronna_hw.errors import RonnaError
 from ronna_hw.frames import Frame, Transform

@@ -20,6 +20,7 @@ from procedures.planning.errors import AcPcUnfit
 from procedures.strategies.trajectory import Trajectory
 from ronna_hw.calibration import Strict
 from ronna_hw.marker_template import FEWEST, LEAST_DISTANCE_MM, MOST
+from ronna_hw.notebook_html import table_html
 from ronna_hw.plausible import LEAST_DEPTH_MM, MOST_DEPTH_MM, FreeAngle, Margin, TrajectoryName
 from ronna_hw.x_frame import SPHERE_CENTRES_MM
 
@@ -259,6 +260,19 @@ class Plan(Strict):
                 {"points": points, "limit": MOST_POINTS_TOGETHER},
             )
         return self
+
+    def _repr_html_(self) -> str:
+        """Return the trajectories as a notebook shows them, in LPS mm of the CT."""
+        heads = ("trajectory", "entry_ct_mm", "target_ct_mm", "depth_mm", "margin_mm")
+        rows = [
+            (one.id, *map(np.array, (one.entry_mm, one.target_mm)), one.depth_mm, one.margin_mm)
+            for one in self.trajectories
+        ]
+        caption = (
+            f"{self.patient_orientation.value}; {self.implanted} spheres, {self.fiducials.value}; tool "
+            f"{self.tool}; instrument {self.instrument_length_mm:g} mm; stand-off {self.standoff_mm:g} mm"
+        )
+        return table_html(heads, rows, len(rows), caption)
 
     @property
     def table_orientation(self) -> PatientPosition:

@@ -15,13 +15,11 @@ from ronna_hw.arm.clearance.pair_distances import segment_distances
 from ronna_hw.arm.clearance.sweep import moving_ends
 from ronna_hw.arm.kinematics import ArmBodies
 from ronna_hw.arrays import Array, Mask
+from ronna_hw.devices.crossed_sight import SENSORS_MM
 from ronna_hw.devices.sensors import VolumeSections
 from ronna_hw.frames import Transform
 from ronna_hw.vectors import JointVector
 
-# The two sensors, tracker frame, mm: half a metre apart about the origin, along y. A sphere is measured only
-# if both see it. An estimate: manufacturers publish the outer size of their units, 0.6 m.
-SENSORS_MM = ((0.0, -250.0, 0.0), (0.0, 250.0, 0.0))
 FRAME_MM = 100.0  # how far the spheres of the frame on the arm are from its origin
 
 

@@ -35,6 +35,7 @@ from procedures.registration.points import (
 from procedures.registration.rigid_fit import fit_rigid, fit_weighted
 from ronna_hw.arrays import Array
 from ronna_hw.frames import Frame, Transform
+from ronna_hw.notebook_html import table_html
 
 COLLINEAR_REFUSED = 1e-3  # second over first singular value of the cross-covariance
 COLLINEAR_WARNED = 0.05
@@ -88,6 +89,15 @@ class Registration:
     def pairs(self) -> int:
         """Number of pairs used."""
         return len(self.image_mm)
+
+    def _repr_html_(self) -> str:
+        """Return the pairs and their residuals as a notebook shows them."""
+        heads = ("pair", "image_mm", "physical_mm", "residual_mm", "distance_mm")
+        pairs = zip(self.image_mm, self.physical_mm, self.residuals_mm, strict=True)
+        rows = [(number, *pair, float(np.linalg.norm(pair[-1]))) for number, pair in enumerate(pairs, 1)]
+        caveats = "".join(f"; {one}" for one in self.caveats)
+        caption = f"{self.pairs} pairs, FRE {self.fre_mm:.3f} mm: not the error at a target{caveats}"
+        return table_html(heads, rows, len(rows), caption)
 
     @cached_property
     def leave_one_out_mm(self) -> tuple[float | None, ...]:

@@ -74,6 +74,16 @@ class Ending:
     instrument_held_for: str | None = None  # the trajectory, if it was still in the assistant's holder
     is_open: bool = False  # in another program, which goes on with it or has yet to seal it
 
+    @property
+    def is_done(self) -> bool:
+        """Whether the run is done, without anything in doubt."""
+        return self.word == "done"
+
+    @property
+    def account(self) -> str:
+        """The sentence, with the code of the error unless it is in it."""
+        return self.sentence if self.code in self.sentence else f"{self.sentence} ({self.code})"
+
 
 def ending_of(reading: RunReading, error: RunError | None = None, *, is_writer: bool = False) -> Ending:
     """Determine how a run ended. `error` is the command's error, if known.

@@ -180,11 +180,17 @@ def _motion_name(one: MotionRow) -> str:
     return f"{one.start.words()} → {one.end.words()}"
 
 
-def timeline_figure(spans: Sequence[Span]) -> str:
-    """Draw the timeline: steps grey, motions blue, pauses amber, abnormal ends red."""
-    rows = list(dict.fromkeys(span.row for span in spans))
+def timeline_figure(
+    spans: Sequence[Span], *, until_s: float | None = None, steps: Sequence[str] | None = None
+) -> str:
+    """Draw the timeline: steps grey, motions blue, pauses amber, abnormal ends red.
+
+    A step has one row for all trajectories. With the same `until_s` and `steps` two runs can be compared.
+    """
+    rows = list(dict.fromkeys(map(step_of, spans))) if steps is None else list(steps)
     begin_s = min(span.begin_s for span in spans)
-    length_s = max(max(span.end_s for span in spans) - begin_s, 1e-3)
+    end_s = max(span.end_s for span in spans) if until_s is None else until_s
+    length_s = max(end_s - begin_s, 1e-3)
     scale = (WIDTH - 2 * MARGIN) / length_s
     height = SPAN_ROW * len(rows) + AXIS
     canvas = Canvas(height, "Steps and motions in theatre time, s")
@@ -194,9 +200,11 @@ def timeline_figure(spans: Sequence[Span]) -> str:
         canvas.text(x, height - 5, f"{tick_s:g} s", anchor="middle")
     for number, row in enumerate(rows):
         top = SPAN_ROW * number
-        row_spans = [span for span in spans if span.row == row]
-        lasted_s = sum(span.end_s - span.begin_s for span in row_spans if span.kind == "step")
-        canvas.text(MARGIN, top + 12, f"{row}, {seconds(lasted_s)} s")
+        row_spans = [span for span in spans if step_of(span) == row]
+        steps_s = [span.end_s - span.begin_s for span in row_spans if span.kind == "step"]
+        times = f", {len(steps_s)} times" if len(steps_s) > 1 else ""
+        lasted = f"{times}, {seconds(sum(steps_s))} s" if row_spans else ""
+        canvas.text(MARGIN, top + 12, f"{row}{lasted}")
         for kind, inset in (("step", 0.0), ("motion", 2.0), ("rest", 2.0)):
             for span in row_spans:
                 if span.kind == kind:
@@ -206,6 +214,11 @@ def timeline_figure(spans: Sequence[Span]) -> str:
                     title = f"{span.name}: {period}, {span.ended}"
                     canvas.rectangle(x, y, width, SPAN_BAR - 2 * inset, _colour(span), title=title)
     return canvas.svg
+
+
+def step_of(span: Span) -> str:
+    """Return the step of a span without its trajectory: the row in which it is drawn."""
+    return span.row.partition(":")[0]
 
 
 def _colour(span: Span) -> str:

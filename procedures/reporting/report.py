@@ -9,13 +9,10 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from functools import cache
 from pathlib import Path
-from typing import Any
 
 from procedures.engine.run_folder import targets_in_doubt
 from procedures.imaging.trajectory_cuts import PLAN_PICTURE
-from procedures.reporting import numbers
 from procedures.reporting.ending import advise, ending_of, is_resumable
 from procedures.reporting.files import (
     REPORT_FOLDER,
@@ -30,6 +27,7 @@ from procedures.reporting.files import (
 )
 from procedures.reporting.kept_truth import store_truth
 from procedures.reporting.outcome import RunError, Truth
+from procedures.reporting.page_templates import load_template
 from procedures.reporting.run_events import moves
 from procedures.reporting.run_reading import RunReading, UsedRegistration, read_for_report
 from procedures.reporting.sections.calibration import Calibration, read_calibration
@@ -48,7 +46,6 @@ from ronna_hw.evidence.manifest import REPORT_FILE
 from ronna_hw.evidence.unsealed import describe_unsealed_files
 from ronna_hw.host.port_users import find_folder_holder
 from ronna_hw.records import write_atomically
-from ronna_hw.text import escape_controls
 
 TEMPLATE = "page.html.j2"
 
@@ -106,7 +103,7 @@ def write_report(
     _write_drawings(files, page)
     path = out / REPORT_FILE
     # The templates collect the titles of what is not on paper in `unprinted`.
-    html = _template().render(page=page, files=files.written, unprinted=[])
+    html = load_template(TEMPLATE).render(page=page, files=files.written, unprinted=[])
     write_atomically(path, html.encode())
     return path
 
@@ -169,35 +166,3 @@ def _write_drawings(files: ReportFiles, page: Page) -> None:
     if page.calibration.looks:
         looks = [{"look": number} | one._asdict() for number, one in enumerate(page.calibration.looks, 1)]
         files.drawing("looks", page.calibration.looks_picture, looks)
-
-
-def _without_controls(value: Any) -> Any:
-    """Escape control characters in plain text. Markup declared safe is generated here and stays unchanged."""
-    return "\n".join(map(escape_controls, value.split("\n"))) if type(value) is str else value
-
-
-@cache
-def _template() -> Any:
-    import jinja2
-
-    from procedures.reporting.compiled_templates import CompiledTemplates
-
-    here = Path(__file__)
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("procedures.reporting", "template"),
-        bytecode_cache=CompiledTemplates(here.with_name("template"), here),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        finalize=_without_controls,
-    )
-    environment.filters.update(
-        mm=numbers.millimetres,
-        point=numbers.point,
-        degrees=numbers.degrees,
-        tenths=numbers.tenths,
-        um=numbers.micrometres,
-        s=numbers.seconds,
-    )
-    return environment.get_template(TEMPLATE)

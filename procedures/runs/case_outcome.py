@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any, cast
 
 from procedures.journal.journal import JOURNAL_FILE, Entry, Line, theatre_time_s
 from procedures.runs.case import clinical_input, restore_order
+from procedures.runs.fault_script import list_unreached_faults
 from procedures.runs.finishing import as_run_error
 from procedures.runs.lifecycle import run_steps
 from procedures.runs.observers import RunObservers
 from procedures.runs.request import RunRequest
-from procedures.runs.request_checks import list_unreached_faults
 from procedures.runs.simulated_theatre import ask_verifier
 from ronna_hw.command_line.messages import tell
 from ronna_hw.evidence.journal_reading import read_chain

@@ -7,13 +7,18 @@ from functools import cached_property
 from html import escape
 from pathlib import Path
 
+from procedures.engine.case import results_of
 from procedures.exchange import run_tables
 from procedures.exchange.errors import NO_REGISTRATION
 from procedures.exchange.recorded_tables import RecordedPictures, RecordedTables, recorded_tables
+from procedures.exchange.registration_in_ct import RegistrationInCt, registration_in_ct
+from procedures.planning.plan_model import Plan
 from procedures.reporting.ending import ending_of
 from procedures.reporting.outcome import Truth
-from procedures.reporting.run_reading import RunReading
+from procedures.reporting.run_options import RunOptions, find_seed, read_options
+from procedures.reporting.run_reading import RunReading, UsedRegistration
 from procedures.runs.folders import require_run
+from procedures.steps.clinical.plan_check import CheckedPlan
 from ronna_hw.evidence.inspection import explain_unreadable, inspect_run
 from ronna_hw.evidence.lost_journal_end import EVENTS_FILE
 from ronna_hw.evidence.manifest import SEAL_FILE
@@ -48,7 +53,8 @@ class RunArrays:
     def __repr__(self) -> str:
         shown, rest = self.notes[:MOST_SHOWN], self.notes[MOST_SHOWN:]
         more = (f"and {len(rest)} more: run.notes has all",) if rest else ()
-        return "\n  ".join((f"run {self.name}: {self.outcome}", *shown, *more))
+        why = filter(None, (self.reason,))
+        return "\n  ".join((f"run {self.name}: {self.outcome}", *why, *shown, *more))
 
     def _repr_html_(self) -> str:
         return f"<pre>{escape(repr(self))}</pre>{self.targets._repr_html_()}"
@@ -60,6 +66,31 @@ class RunArrays:
     @property
     def outcome(self) -> str:
         return ending_of(self._reading).word
+
+    @property
+    def reason(self) -> str:
+        ending = ending_of(self._reading)
+        return "" if ending.is_done else ending.account
+
+    @property
+    def scene(self) -> str:
+        return self._options.scene
+
+    @property
+    def seed(self) -> int | None:
+        return find_seed(self._reading.run.opened)
+
+    @property
+    def strategy(self) -> str:
+        return str(self._reading.run.opened.get("strategy") or "")
+
+    @property
+    def faults(self) -> tuple[str, ...]:
+        return self._options.faults
+
+    @cached_property
+    def _options(self) -> RunOptions:
+        return read_options(self.path)
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -126,12 +157,24 @@ class RunArrays:
     def pictures(self) -> RecordedPictures:
         return self._recorded.pictures
 
+    @cached_property
+    def plan(self) -> Plan | None:
+        checked = results_of(CheckedPlan, self._reading.run.valid_records)
+        return checked[-1].result.plan if checked else None
+
     def robot_from_ct(self, target: str) -> Transform:
         """Return the registration used for a target. Raises EXC-005 if it has none."""
+        return self._find_registration(target).result.robot_from_ct.transform
+
+    def registration(self, target: str) -> RegistrationInCt:
+        """Return the registration used for a target and its spheres in the CT. Raises EXC-005."""
+        return registration_in_ct(self._reading, self._find_registration(target), target)
+
+    def _find_registration(self, target: str) -> UsedRegistration:
         used = run_tables.find_registration(self._reading, target)
         if used is None:
             raise NO_REGISTRATION(
                 f"{self.name} has no registration for a target {target!r}",
                 expected=f"one of {', '.join(self.targets.name) or 'no targets: the plan was not checked'}",
             )
-        return used.result.robot_from_ct.transform
+        return used

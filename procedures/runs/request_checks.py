@@ -7,15 +7,13 @@ imported while that is under way.
 from __future__ import annotations
 
 import os
-import re
 import sys
-from collections.abc import Collection, Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from procedures.journal.free_space import NO_DISK, describe_shortage
+from procedures.runs.fault_script import check_fault_script
 from procedures.runs.request import PATIENT_SCENES, CaseProcedure
-from ronna_hw.bounded_input import read_bounded
 from ronna_hw.command_line.errors import DISK_FULL, PATH_PROBLEM, UsageMistake
 from ronna_hw.command_line.messages import on_terminal
 from ronna_hw.config import ARM_RECORDS, TheatreFile, read_theatre_file
@@ -27,10 +25,6 @@ from ronna_hw.theatre_kind import is_simulated, require_one_kind
 
 if TYPE_CHECKING:
     from procedures.runs.request import RunRequest, SceneChoice
-
-LARGEST_SCRIPT_BYTES = 1_000_000  # more than the theatre itself takes
-_STEP_OF_LINE = re.compile(r"\s*(?:when|since)\s+step\s*==\s*(?P<step>\w+)(?P<trajectory>:[\w.-]+)?")
-_TIME_OF_LINE = re.compile(r"\s*at\s+(?P<at_s>\d+(?:\.\d*)?)\s*s\b")
 
 
 def check_theatre(request: RunRequest) -> None:
@@ -204,37 +198,3 @@ def require_simulated_patient(plan_file: Path, series_instance_uid: str, choice:
             expected=f"a plan of scene {choice.scene}, seed {choice.scene_seed}",
             action=f"For its own patient add {'' if same_scene else f'--scene {scene} '}--seed {seed}.",
         )
-
-
-def check_fault_script(path: Path, step_names: Collection[str]) -> None:
-    """Raise CLI-001 if the fault script is missing or refers to unknown steps."""
-    if not path.is_file():
-        raise UsageMistake(f"there is no fault script {path}", action="Give the path of a file.")
-    found = [(number, match["step"]) for number, line in _lines(path) if (match := _STEP_OF_LINE.match(line))]
-    unknown = [
-        f"line {number}: there is no step {step!r}" for number, step in found if step not in step_names
-    ]
-    if unknown:
-        raise UsageMistake(
-            f"{path.name}, {'; '.join(unknown)}",
-            expected=f"one of {', '.join(step_names)}",
-            action="Correct the fault script; ronna-procedure steps lists all steps, with --dual also those "
-            "of two arms.",
-        )
-
-
-def list_unreached_faults(path: Path, begun_steps: Iterable[str], theatre_time_s: float) -> Iterator[str]:
-    """Yield a message for each fault whose step or time the case never reached."""
-    steps = {name for step in begun_steps for name in (step, step.partition(":")[0])}
-    for number, line in _lines(path):
-        if match := _STEP_OF_LINE.match(line):
-            step = match["step"] + (match["trajectory"] or "")
-            if step not in steps:
-                yield f"line {number} of {path.name} had no effect: the case did not run {step}"
-        elif (match := _TIME_OF_LINE.match(line)) and float(match["at_s"]) > theatre_time_s:
-            yield f"line {number} of {path.name} had no effect: the case ended after {theatre_time_s:.1f} s"
-
-
-def _lines(path: Path) -> Iterator[tuple[int, str]]:
-    text = read_bounded(path, LARGEST_SCRIPT_BYTES).decode(errors="replace")
-    return enumerate(text.splitlines(), 1)

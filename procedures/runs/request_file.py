@@ -12,6 +12,7 @@ from pydantic import BaseModel, Field, JsonValue, ValidationError
 from procedures.engine.errors import BAD_REQUEST_FILE, OTHER_PROGRAM
 from procedures.engine.methods import CaseMethods
 from procedures.journal.recorded_roles import RecordedRoles
+from procedures.runs.fault_script import read_fault_lines
 from procedures.runs.request import (
     DEFAULT_ARM,
     FREE,
@@ -65,6 +66,9 @@ class RequestFile(BaseModel, frozen=True, extra="forbid"):
     )
     speed: str
     faults: Path | None = None
+    fault_lines: tuple[str, ...] = Field(
+        default=(), description="Lines of that fault script as they were when the run began."
+    )
     config: Path | None = Field(default=None, description="Theatre file of configured endpoints.")
     case: Path | None = Field(default=None, description="Folder with ct/ and plan.toml, with `config`.")
     plan: Path | None = Field(default=None, description="Plan for the simulated patient.")
@@ -95,6 +99,7 @@ def _theatre(request: RunRequest) -> dict[str, Any]:
         records=tuple(folder.resolve() for folder in choice.records),
         speed=request.speed,
         faults=request.faults and request.faults.resolve(),
+        fault_lines=() if request.faults is None else read_fault_lines(request.faults),
         ask=request.ask,
         config=request.config and request.config.resolve(),
         answers=None if request.answers is None else request.answers.model_dump(mode="json"),

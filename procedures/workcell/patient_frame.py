@@ -75,7 +75,7 @@ def hold_to_patient_frame(
     for spell in spells[:-1]:
         if len(spell) >= LEAST_STILL:
             move = pose @ average_pose_of(spell, name).inverse()
-            _require_arm_still([seen_after(move, frame) for frame in spell], spells[-1], on_arm)
+            _require_arm_still(move, spell, spells[-1], on_arm)
     return HeldReading(spells[-1], pose, len(spells) > 1)
 
 
@@ -126,11 +126,14 @@ def _rests(places_mm: Array, total_mm: Array, spell: list[TrackerFrame]) -> bool
     return float(np.sqrt((away_mm**2).sum(axis=1).mean())) <= STILL_MM
 
 
-def _require_arm_still(before: list[TrackerFrame], after: list[TrackerFrame], on_arm: str) -> None:
-    seen = [mean_pose(frames, on_arm, 1) for frames in (before, after)]
-    if seen[0] is None or seen[1] is None:
+def _require_arm_still(
+    move: Transform, before: list[TrackerFrame], after: list[TrackerFrame], on_arm: str
+) -> None:
+    """Raise PRO-007 if the frame on the arm is elsewhere than `move`, that of the clamp, brings it."""
+    was, now = (mean_pose(frames, on_arm, 1) for frames in (before, after))
+    if was is None or now is None:
         return
-    moved_mm = float(np.linalg.norm(seen[1].translation_mm - seen[0].translation_mm))
+    moved_mm = float(np.linalg.norm(now.translation_mm - (move @ was).translation_mm))
     if moved_mm > ARM_STILL_MM:
         raise GateFailed(
             "the head clamp and the arm moved against each other while the tracker was measuring",

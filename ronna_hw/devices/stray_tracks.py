@@ -14,6 +14,7 @@ never carried on by a guess. It ends where
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -22,6 +23,7 @@ from numpy.typing import NDArray
 from scipy.spatial.distance import cdist
 
 from ronna_hw.arrays import Array
+from ronna_hw.devices.crossed_sight import describe_crossed_sights, find_crossed_sights
 from ronna_hw.devices.errors import BAD_STRAYS
 from ronna_hw.devices.readings import TrackerFrame
 from ronna_hw.devices.strays import GATE_MM, LEAST_SHARE, pair_nearest, require_positions, select_strays
@@ -31,7 +33,12 @@ KNOWN_AFTER = 3  # frames; a reflection that flickers is forgotten before
 # Missing spheres, with as many new ones, that show a moved scene; reflections may appear as others hide.
 FEWEST_MOVED = 2  # from one frame to the next
 FEWEST_MOVED_UNSEEN = 3  # while they were hidden
+CALLING_LEVEL = 3  # of the stack: who called `track_strays`
 UNKNOWN = -1  # identity of a reading that may belong to more than one sphere
+
+
+class StrayWarning(UserWarning):
+    """Tracks of strays include phantoms: points at which there is no sphere."""
 
 
 @dataclass(frozen=True)
@@ -65,6 +72,7 @@ def track_strays(
 ) -> tuple[StrayTrack, ...]:
     """Track stray spheres across unordered frames.
 
+    A StrayWarning names tracks that no sphere explains: phantoms, where lines of sight to two others cross.
     Left out are repeated measurements (STALE), positions outside the measuring volume, readings that may
     belong to more than one sphere, and what fewer than `least_share` of the frames show, such as reflections.
     `gate_mm` is the farthest that a sphere may move between two frames. Raises DEV-005.
@@ -78,7 +86,7 @@ def track_strays(
         for identity, position_mm in zip(identities.tolist(), positions, strict=True):
             seen.setdefault(identity, []).append((frame.stamp.device_clock, position_mm))
     seen.pop(UNKNOWN, None)
-    return tuple(
+    tracks = tuple(
         StrayTrack(
             identity,
             np.array([clock for clock, _ in readings], dtype=np.int64),
@@ -87,6 +95,16 @@ def track_strays(
         for identity, readings in sorted(seen.items())
         if len(readings) >= least_share * len(read)
     )
+    _warn_of_phantoms(tracks)
+    return tracks
+
+
+def _warn_of_phantoms(tracks: Sequence[StrayTrack]) -> None:
+    """Warn of tracks that are where lines of sight to two other tracks cross."""
+    crossed = find_crossed_sights(_stack([one.positions_mm.mean(axis=0) for one in tracks]))
+    if sentences := describe_crossed_sights(crossed, [one.identity for one in tracks]):
+        text = f"{'; '.join(sentences)}. Hide one sphere: its phantoms go with it."
+        warnings.warn(text, StrayWarning, CALLING_LEVEL)
 
 
 def identify_strays(

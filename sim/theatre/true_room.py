@@ -1,4 +1,4 @@
-"""Truth of a theatre for a study: places of spheres, joints, and why a sphere is not seen.
+"""Truth of a theatre for a study: places of all markers, what is a phantom, and why a sphere is not seen.
 
 A theatre tells it only if it was started so. Runs never are: no step, driver or procedure can ask for it.
 """
@@ -9,18 +9,26 @@ from typing import Any
 
 import numpy as np
 
-from sim.polaris.measurement.line_of_sight import visible
-from sim.polaris.measurement.optics import EYES_MM, is_in_field, phantoms
-from sim.polaris.measurement.true_scene import Disturbances, TrueScene
+from sim.polaris.measurement.line_of_sight import Flags, visible
+from sim.polaris.measurement.optics import (
+    EYES_MM,
+    crossings,
+    extra_strays,
+    is_in_field,
+    reflecting_places,
+)
+from sim.polaris.measurement.true_scene import Disturbance, Disturbances, TrueScene, TrueTool
 from sim.polaris.unit.model import UNIT_MODELS
 from sim.world.displacements import ShiftedRoom
 from sim.world.faults import FaultBoard
 from sim.world.options import OTHER_ARMS, ArmRole
+from sim.world.rigid import Vectors, inverse
 from sim.world.world import World
 
 TRACKER = "tracker"
 SENSORS = ("left", "right")
 IN_VIEW = "in view"
+SPHERE, STRAY, EXTRA = "sphere", "stray sphere", "extra sphere"  # on the head, of a fault or scene, placed
 
 
 class TrueRoom:
@@ -33,18 +41,19 @@ class TrueRoom:
         self._volume = UNIT_MODELS[world.scene.tracker.model].volumes[0]
 
     def tell(self) -> dict[str, Any]:
-        """Return time, joints by arm, each sphere on the head with what hides it, and phantom points."""
+        """Return joints by arm, each sphere on the head, all other markers, phantoms and reflections."""
         disturbance = self._disturbances.now()
-        arm, mounted = self._scene.arm(), self._scene.mounted_tool()
-        places = self._scene.fiducials_at(disturbance.room)
-        bodies = self._scene.bodies(arm, mounted, disturbance.room)
-        seen = visible(EYES_MM, places, bodies)
+        arm = self._scene.arm()
+        names, places, past_mount = self._list_markers(disturbance)
+        bodies = self._scene.bodies(arm, self._scene.mounted_tool(), disturbance.room)
+        seen = visible(EYES_MM, places, bodies, past_mount)
         inside = is_in_field(places)
-        covered = disturbance.hidden_fiducials
+        covered = self._find_covered(names, disturbance)
+        on_head = len(self._scene.fiducial_numbers)
         spheres = []
         for row, number in enumerate(self._scene.fiducial_numbers):
             because = self._why(
-                places[row].tolist(), number in covered, bool(inside[row]), seen[:, row].tolist()
+                places[row].tolist(), bool(covered[row]), bool(inside[row]), seen[:, row].tolist()
             )
             spheres.append(
                 {
@@ -54,17 +63,12 @@ class TrueRoom:
                     "because": because,
                 }
             )
-        shown = seen & inside
-        shown[:, [row for row, number in enumerate(self._scene.fiducial_numbers) if number in covered]] = (
-            False
-        )
         separation_mm = max(self._world.scene.tracker.line_separation_mm, disturbance.line_separation_mm)
-        ghosts = phantoms(EYES_MM, places, shown, separation_mm)
-        joints = {
-            role.value: list(self._world.arm(role).joints_rad)
-            for role in (ArmRole.MASTER, *OTHER_ARMS)
-            if self._world.has_arm(role)
-        }
+        pairs, phantoms_mm = crossings(EYES_MM, places, seen & inside & ~covered, separation_mm)
+        tracker = self._world.scene.tracker
+        glints = reflecting_places(
+            self._world.scene.seed, disturbance.count_reflections(tracker.reflections), self._volume
+        )
         present = {
             "sunlight": disturbance.sunlight,
             "infrared interference": bool(disturbance.interfered),
@@ -72,11 +76,50 @@ class TrueRoom:
             "strays": bool(disturbance.strays),
         }
         return {
-            "joints_rad": joints,
+            "joints_rad": {
+                role.value: list(self._world.arm(role).joints_rad)
+                for role in (ArmRole.MASTER, *OTHER_ARMS)
+                if self._world.has_arm(role)
+            },
+            "robot_from_tracker": inverse(self._scene.tracker_from_robot(disturbance.room)).tolist(),
             "spheres": spheres,
-            "phantoms_mm": np.asarray(ghosts).tolist(),
+            "others": [
+                {"name": name, "tracker_mm": place}
+                for name, place in zip(names[on_head:], places[on_head:].tolist(), strict=True)
+            ],
+            "phantoms": [
+                {"of": [names[left], names[right]], "tracker_mm": place}
+                for (left, right), place in zip(pairs.tolist(), phantoms_mm.tolist(), strict=True)
+            ],
+            "reflections_mm": glints.tolist(),
             "disturbances": [name for name, is_there in present.items() if is_there],
         }
+
+    def _list_markers(self, disturbance: Disturbance) -> tuple[list[str], Vectors, Flags]:
+        """List names and places of all markers, those on the head first, and which the mount never hides."""
+        scene = self._scene
+        frames = scene.frames(scene.arm(), disturbance)
+        drawn = extra_strays(self._world.scene.seed, disturbance.strays, self._volume)
+        loose = np.vstack([scene.strays_mm, drawn])
+        extra = scene.extra_spheres_at(disturbance.room)
+        names = [f"{SPHERE} {number}" for number in scene.fiducial_numbers]
+        names += [f"{STRAY} {number}" for number in range(1, 1 + len(loose))]
+        names += [f"{EXTRA} {number}" for number in range(1, 1 + len(extra))]
+        names += [name for frame in frames for name in _name_markers(frame)]
+        rest = np.vstack([scene.fiducials_at(disturbance.room), loose, extra])
+        places = np.vstack([rest, *(frame.markers_mm for frame in frames)])
+        past_mount = [False] * len(rest)
+        for frame in frames:
+            past_mount += [scene.is_on_mount(frame)] * len(frame.markers_mm)
+        return names, places, np.array(past_mount)
+
+    def _find_covered(self, names: list[str], disturbance: Disturbance) -> Flags:
+        """Flag the markers (n,) that a fault covers."""
+        covered = {f"{SPHERE} {number}" for number in disturbance.hidden_fiducials}
+        for frame in self._scene.frames(self._scene.arm(), disturbance):
+            listed = _name_markers(frame)
+            covered |= {listed[row] for row in frame.covered}
+        return np.array([name in covered for name in names])
 
     def _why(self, place_mm: list[float], covered: bool, inside: bool, seen: list[bool]) -> str:
         """Say why the tracker does not see a place, or that it does."""
@@ -89,3 +132,9 @@ class TrueRoom:
             return f"the head or an arm is in the way of the {' and the '.join(blind)} sensor"
         x, y, z = place_mm
         return IN_VIEW if self._volume.holds(x, y, z) else "in view, but outside the measuring volume"
+
+
+def _name_markers(frame: TrueTool) -> list[str]:
+    """Name the markers of a frame, counted from 1, by its name in the theatre, not by its part number."""
+    name = max(frame.names, key=lambda one: (one.islower(), one))
+    return [f"marker {number} of {name}" for number in range(1, 1 + len(frame.markers_mm))]

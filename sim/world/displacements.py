@@ -18,6 +18,7 @@ from sim.world.faults.room import (
     ASSISTANT_CART,
     CART,
     DEVICE,
+    EXTRA_SPHERE,
     GUIDE,
     HEAD,
     LOOSEN,
@@ -57,7 +58,8 @@ SEATING = "seating"  # noise key; each screw draws independently of the others
 class RoomShift:
     """Displacement relative to the robot base: a rotation about its origin, then a translation.
 
-    `spheres_mm` are additional displacements of single spheres, by number.
+    `spheres_mm` are additional displacements of single spheres, by number; `extra_spheres_mm` are the places
+    of further ones.
     """
 
     head_mm: Point = STILL
@@ -72,6 +74,7 @@ class RoomShift:
     seat_mm: Point = STILL  # of the guide in its seat, along the axes of its calibrated tip
     seat_rad: Point = STILL  # about that tip
     spheres_mm: tuple[tuple[int, Point], ...] = ()
+    extra_spheres_mm: tuple[Point, ...] = ()  # at rest in the room, on no head
 
     def displace_spheres_mm(self, places_mm: Array, numbers: Sequence[int]) -> Array:
         """Displace spheres (n, 3) in the robot frame, identified by their numbers in the scene."""
@@ -143,6 +146,11 @@ class ShiftedRoom:
             spheres_mm=tuple(
                 (int(number), as_point(back @ np.array(_sum_arguments(loose, number))))
                 for number in sorted({one.argument for one in loose})
+            ),
+            extra_spheres_mm=tuple(
+                as_point(apply(from_cart, np.array([float(number) for number in one.arguments])))
+                for one in acting
+                if one.kind is EXTRA_SPHERE
             ),
         )
 

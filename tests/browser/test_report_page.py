@@ -8,9 +8,11 @@ from typing import Any
 import pytest
 from clinical_case import FIRST, ClinicalCell
 from prepared_results import checked_paths, mounted_guide, relocalization, up_to_correspondence
-from report_layout import PHONE_PX, hidden_by_width, misfits
+from report_layout import PHONE_PX, count_pages, hidden_by_width, misfits
 
 from procedures.journal.journal import Entry
+from procedures.reporting.case_sheet.sheet import sheet_of_run
+from procedures.reporting.comparison.page import compare_runs
 from procedures.reporting.outcome import TargetTruth, Truth
 from procedures.reporting.report import write_report
 from procedures.steps.clinical import registration
@@ -70,3 +72,20 @@ def test_folded_parts_meant_for_paper_are_printed_and_nothing_is_cut_off(page: A
     assert page.locator("details.paper table").first.bounding_box()["height"] > 0
     assert page.locator("details:not(.paper)").first.bounding_box() is None
     assert page.locator(".unprinted").is_visible()
+
+
+def test_a_case_sheet_is_two_pages_of_paper_and_a_comparison_fits_the_width(
+    page: Any, report: Path, tmp_path: Path
+) -> None:
+    sheet = sheet_of_run(report.parent)
+    assert sheet is not None
+    compared = compare_runs(report.parent, report.parent).write(tmp_path / "comparison.html")
+    for path, most_pages in ((sheet.write(tmp_path / "sheet.html"), 2), (compared, 3)):
+        page.set_viewport_size({"width": A4_PX, "height": 1000})
+        page.emulate_media(media="print")
+        page.goto(path.as_uri())
+        assert hidden_by_width(page) == []
+        assert count_pages(page) <= most_pages
+        page.emulate_media(media="screen")
+        page.set_viewport_size(PHONE_PX)
+        assert hidden_by_width(page) == []

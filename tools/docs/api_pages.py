@@ -21,7 +21,9 @@ from drivers.basler_stereo import BaslerStereoPair
 from drivers.kuka_rsi import KukaRsiArm
 from drivers.ndi_polaris import PolarisTracker
 from drivers.universal_robots import UniversalRobotsArm
-from procedures.exchange import raw_readings, recorded_tables, run_tables
+from procedures import from_python
+from procedures.exchange import raw_readings, recorded_tables, registration_in_ct, run_tables
+from procedures.reporting.comparison import page as page_of_two
 from procedures.strategies import strategy, trajectory
 from ronna_hw import frames, loaded_run, theatre
 from ronna_hw.devices import (
@@ -86,8 +88,16 @@ def runs() -> str:
         "looks": recorded_tables.LOOKS,
         "motions": run_tables.MOTIONS,
         "events": run_tables.EVENTS,
+        'registration("T1").spheres': registration_in_ct.SPHERES,
     }
-    page = _page([_all_of(loaded_run, "load_run", "LoadedRun", "RunTable", "RunWarning", "StereoPictures")])
+    names = ("load_run", "LoadedRun", "RunRegistration", "RunTable", "RunWarning", "StereoPictures")
+    page = _page(
+        [
+            _all_of(loaded_run, *names),
+            _all_of(from_python, "compare_runs"),
+            _all_of(page_of_two, "RunComparison"),
+        ]
+    )
     for name, columns in tables.items():
         rows = ((f"`{one.name}`", _format_column_type(one), one.description) for one in columns)
         page += f"\n## `run.{name}`\n\n{table(('column', 'type', 'meaning'), rows)}"
@@ -113,7 +123,7 @@ def devices() -> str:
         [
             _all_of(theatre, "open_theatre", "Theatre"),
             _all_of(theatre, "simulated_theatre"),
-            _all_of(stray_tracks, "track_strays", "StrayTrack"),
+            _all_of(stray_tracks, "track_strays", "StrayTrack", "StrayWarning"),
             interfaces,
             Part(readings.__name__, own),
             _driver_part(PolarisTracker, OpticalTracker),

@@ -11,18 +11,12 @@ import typer
 from typer import Argument, Option
 
 from procedures.cli.case.options import ConsoleOptions
+from procedures.cli.runs.page_commands import compare_command, sheet_command
+from procedures.cli.runs.run_argument import FolderOption, RunArgument, require_run_folder
 from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.command_line.options import require_output_folder, with_option_records
 from ronna_hw.command_line.terminal import JsonOption, print_json, tell
 from ronna_hw.text import escape_controls
-
-
-def _run_folder(folder: Path) -> Path:
-    """Return the folder. Raises CLI-005 unless it is a run folder."""
-    from procedures.runs.folders import require_run
-
-    require_run(folder)
-    return folder
 
 
 def _refuse_asking(given: bool) -> None:
@@ -33,13 +27,6 @@ def _refuse_asking(given: bool) -> None:
             action="Omit it: a run begun with --ask asks again, any other is answered by its script.",
         )
 
-
-RunArgument = Annotated[
-    Path, Argument(metavar="RUN", help="Folder of a run, however it ended.", callback=_run_folder)
-]
-FolderOption = Annotated[
-    Path | None, Option("--out", metavar="DIR", help="Output folder; by default inside the run's.")
-]
 
 AcceptOption = Annotated[
     bool, Option("--accept", help="Accept the findings without asking; in a simulated theatre only.")
@@ -114,7 +101,7 @@ def acknowledge_command(
     from procedures.cli.runs.resume import acknowledge_run, acknowledge_theatre
 
     if run_folder is not None:
-        acknowledge_run(_run_folder(run_folder), by, as_json=as_json)
+        acknowledge_run(require_run_folder(run_folder), by, as_json=as_json)
     elif config is not None:
         acknowledge_theatre(config, by, as_json=as_json)
 
@@ -269,6 +256,8 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "list": list_command,
     "show": show_command,
     "report": report_command,
+    "compare": compare_command,
+    "sheet": sheet_command,
     "export": export_command,
     "watch": watch_command,
     "replay": replay_command,

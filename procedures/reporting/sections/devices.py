@@ -5,14 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from procedures.calibration.base_to_base import LARGEST_ERROR_MM
 from procedures.engine.case import Stored
 from procedures.reporting.pictures import LinkBin, link_figure, sum_histograms
 from procedures.reporting.run_reading import RunReading
 from procedures.reporting.run_statistics import DeviceCounters, link_counters
 from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.plan_check import CheckedPlan
-from procedures.steps.clinical.results import ConfirmedTarget, KnownBases, LinkHealth
+from procedures.steps.clinical.results import ConfirmedTarget, LinkHealth
 from procedures.steps.clinical.retreat import Retreated
 from procedures.steps.clinical.set_up import CheckedSetUp
 from procedures.steps.clinical.tool_change import MountedGuide
@@ -34,13 +33,11 @@ class Devices:
     planned_tool: str  # empty without a plan
     tools: tuple[Stored[MountedGuide], ...]
     tool_checks: tuple[Stored[CheckedTool], ...]
-    bases: KnownBases | None
     links: tuple[StreamHealth, ...]
     link_bins: tuple[LinkBin, ...]
     link_picture: str  # SVG; empty without bins
     tracked: GlobalLocalization | None
     counters: tuple[DeviceCounters, ...]
-    bases_limit_mm: float = LARGEST_ERROR_MM
 
     @property
     def lock_step(self) -> bool:
@@ -58,7 +55,6 @@ def read_devices(reading: RunReading) -> Devices:
         planned_tool="" if plan is None else plan.plan.tool,
         tools=reading.valid_results(MountedGuide),
         tool_checks=reading.valid_results(CheckedTool),
-        bases=reading.find(KnownBases),
         links=links,
         link_bins=bins,
         link_picture=link_figure(bins) if bins else "",

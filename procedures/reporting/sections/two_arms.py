@@ -1,15 +1,18 @@
-"""Two arms: how their bases stand to each other and how well that is known, and each insertion."""
+"""Two arms: their bases and how well those are known, the ways of both, and each insertion."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from math import dist
 from pathlib import Path
 from typing import NamedTuple
 
+from procedures.calibration.base_to_base import LARGEST_ERROR_MM
 from procedures.engine.events import ArmsApart, Event
 from procedures.guards.assistant_on_axis import LARGEST_OFF_MM
+from procedures.reporting.arm_ways import ArmWay, list_arm_ways
 from procedures.reporting.run_reading import RunReading
 from procedures.steps.clinical.at_target import ReachedTarget
 from procedures.steps.clinical.results import AssistedInsertion, KnownBases
@@ -28,13 +31,29 @@ class AssistedRow(NamedTuple):
     insertion: AssistedInsertion
 
 
+class TimedDistance(NamedTuple):
+    """Distance between the arms as displays were told it."""
+
+    theatre_time_s: float
+    seen: ArmsApart
+
+
+class WayRow(NamedTuple):
+    """Way of an arm along an axis, and how close the arms were seen on it and on the way home."""
+
+    way: ArmWay
+    apart_mm: float | None
+
+
 @dataclass(frozen=True)
 class TwoArms:
-    """The bases as measured, and the insertions at the targets."""
+    """The bases as measured, the ways of both arms, and the insertions at the targets."""
 
     bases: KnownBases
     assisted: tuple[AssistedRow, ...]
-    distances: tuple[ArmsApart, ...]  # as displays were told
+    ways: tuple[WayRow, ...]
+    distances: tuple[TimedDistance, ...]
+    bases_limit_mm: float = LARGEST_ERROR_MM
     coaxial_mm: float = COAXIAL_MM
     coaxial_rad: float = COAXIAL_RAD
     largest_off_mm: float = LARGEST_OFF_MM
@@ -49,7 +68,8 @@ class TwoArms:
     @property
     def closest(self) -> ArmsApart | None:
         """Smallest distance between the arms of which displays were told."""
-        return min(self.distances, key=lambda one: one.distance_mm, default=None)
+        found = min(self.distances, key=lambda one: one.seen.distance_mm, default=None)
+        return None if found is None else found.seen
 
     @property
     def force_unsensed(self) -> bool:
@@ -57,7 +77,7 @@ class TwoArms:
         return any(one.insertion.peak_force_N is None for one in self.assisted)
 
 
-def _read_distances(folder: Path) -> tuple[ArmsApart, ...]:
+def _read_distances(folder: Path) -> tuple[TimedDistance, ...]:
     """Read the distances between arms among a run's events; what cannot be read is left out."""
     try:
         lines = read_json_lines(folder / EVENTS_FILE).splitlines()
@@ -67,8 +87,17 @@ def _read_distances(folder: Path) -> tuple[ArmsApart, ...]:
     for line in lines:
         if ARMS_APART in line:
             with suppress(ValueError):
-                found.append(Event.model_validate_json(line).what)
-    return tuple(one for one in found if isinstance(one, ArmsApart))
+                event = Event.model_validate_json(line)
+                if isinstance(event.what, ArmsApart):
+                    found.append(TimedDistance(event.theatre_time_s, event.what))
+    return tuple(found)
+
+
+def _find_closest_mm(way: ArmWay, distances: Sequence[TimedDistance]) -> float | None:
+    """Return the smallest distance of which displays were told on a way, or None if of none."""
+    end_s = way.home_s or way.end_s or way.begin_s
+    on_way = (one.seen.distance_mm for one in distances if way.begin_s <= one.theatre_time_s <= end_s)
+    return min(on_way, default=None)
 
 
 def read_two_arms(reading: RunReading) -> TwoArms | None:
@@ -80,4 +109,6 @@ def read_two_arms(reading: RunReading) -> TwoArms | None:
         (str(one.record.trajectory), one.result.assisted) for one in reading.valid_results(ReachedTarget)
     )
     assisted = tuple(AssistedRow(target, insertion) for target, insertion in worked if insertion)
-    return TwoArms(bases, assisted, _read_distances(reading.folder))
+    distances = _read_distances(reading.folder)
+    ways = (WayRow(way, _find_closest_mm(way, distances)) for way in list_arm_ways(reading.run.journal))
+    return TwoArms(bases, assisted, tuple(ways), distances)

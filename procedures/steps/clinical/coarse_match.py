@@ -11,7 +11,6 @@ from scipy.spatial.transform import RigidTransform
 
 from procedures.engine.methods import CaseMethods, Matcher
 from procedures.planning.plan_model import FiducialKind
-from procedures.planning.tracker_sight import SENSORS_MM
 from procedures.registration import match, match_by_template
 from procedures.registration.correspondence import Match, MatchStatus, PosePrior
 from procedures.registration.room_prior import MIRROR, HeadSight, RoomPrior
@@ -20,6 +19,7 @@ from procedures.registration.template import TEMPLATE_SIGMA_MM
 from procedures.steps.clinical.plan_check import CheckedPlan
 from ronna_hw.arrays import Array
 from ronna_hw.config import ProcedureSettings
+from ronna_hw.devices.crossed_sight import SENSORS_MM
 from ronna_hw.frames import Transform
 from ronna_hw.marker_template import IMPLANTED_SIGMA_MM
 from ronna_hw.x_frame import SPHERE_CENTRES_MM

@@ -9,7 +9,7 @@ from procedures.engine.context import StepContext
 from procedures.engine.methods import NOT_CLINICAL
 from procedures.engine.order import Outcome, Phase, StepSpec
 from procedures.imaging.localizers import LOCALIZERS, Localizer
-from procedures.imaging.markers import Marker, ScanDeformation
+from procedures.imaging.markers import Candidate, Marker, ScanDeformation
 from procedures.imaging.pictures import draw_candidates, draw_markers
 from procedures.imaging.scan_deformation import require_undeformed
 from procedures.journal.results import StepResult, Values
@@ -27,6 +27,11 @@ class DoubtfulSphere(Values):
     centre_mm: Numbers3 = Field(description="Centre, LPS.")
     reason: str = Field(description="Why it is doubtful.")
     odds: float = Field(description="That it is a marker, below even.")
+
+    @classmethod
+    def of(cls, candidate: Candidate) -> DoubtfulSphere:
+        """Take centre, reason and odds of a candidate."""
+        return cls(centre_mm=candidate.centre_mm, reason=candidate.reason, odds=candidate.odds)
 
 
 class LocalizedFiducials(StepResult, kind="fiducial_localization", version=2):
@@ -84,10 +89,7 @@ def run(context: StepContext) -> Outcome[LocalizedFiducials]:
             series_instance_uid=found.series_instance_uid,
             diameter_mm=found.diameter_mm,
             markers=found.markers,
-            doubtful=tuple(
-                DoubtfulSphere(centre_mm=one.centre_mm, reason=one.reason, odds=one.odds)
-                for one in found.doubtful
-            ),
+            doubtful=tuple(map(DoubtfulSphere.of, found.doubtful)),
             deformation=found.deformation,
             localizer=localizer,
         ),

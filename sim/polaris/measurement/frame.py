@@ -40,7 +40,6 @@ SUNLIGHT_NOISE = 2.0  # factor on the noise under ambient infrared light; an est
 DEVICE = "tracker"
 # Independent noise within one frame.
 TOOL_LANE, STRAY_LANE, FRAME_LANE, ORDER_LANE, PHANTOM_LANE, REFLECTION_LANE = range(6)
-SUNLIGHT_REFLECTIONS = 6  # reflections added by sunlight; an estimate without a source
 WITHHELD = SystemStatus.DIAGNOSTICS_PENDING | SystemStatus.TEMPERATURE | SystemStatus.HARDWARE_FAILURE
 
 
@@ -160,9 +159,7 @@ class Measurer:
         if in_view.frame is not None:  # its spheres are in view even if the tool is not loaded
             points += self._measure_points(in_view.frame, since_start, FRAME_LANE)
         points += self._measure_points(in_view.phantoms, since_start, PHANTOM_LANE)
-        glints = self._usual_reflections + disturbance.reflections
-        glints += SUNLIGHT_REFLECTIONS if disturbance.sunlight else 0
-        if glints:
+        if glints := disturbance.count_reflections(self._usual_reflections):
             places = reflecting_places(self._seed, glints, self._first_volume)
             points += _as_triples(reflections(places, self._noise.at(since_start, REFLECTION_LANE)))
         points = points[:MAXIMUM_STRAYS]
@@ -308,7 +305,8 @@ class MarkerVisibility:
 
     def _find_fixed_spheres(self, disturbance: Disturbance, *, as_tool: bool) -> TrueTool:
         scene = self._scene
-        more = extra_strays(self._seed, disturbance.strays, self._volume)
+        drawn = extra_strays(self._seed, disturbance.strays, self._volume)
+        more = np.vstack([drawn, scene.extra_spheres_at(disturbance.room)])
         if as_tool:
             return TrueTool(frozenset(), np.vstack([scene.strays_mm, more]), ())
         covered = tuple(

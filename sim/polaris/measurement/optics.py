@@ -91,9 +91,16 @@ def phantoms(eyes_mm: Vectors, points_mm: Vectors, seen: Flags, line_separation_
 
     Rays closer than `line_separation_mm` intersect, midway between them.
     """
+    return crossings(eyes_mm, points_mm, seen, line_separation_mm)[1]
+
+
+def crossings(
+    eyes_mm: Vectors, points_mm: Vectors, seen: Flags, line_separation_mm: float
+) -> tuple[NDArray[np.intp], Vectors]:
+    """Return the markers (m, 2) whose rays intersect, left sensor's first, and where (m, 3)."""
     left, right = np.nonzero(seen[0])[0], np.nonzero(seen[1])[0]
     if line_separation_mm <= 0.0 or len(left) < 1 or len(right) < 1:
-        return np.empty((0, 3))
+        return np.empty((0, 2), dtype=np.intp), np.empty((0, 3))
     first, second = np.repeat(left, len(right)), np.tile(right, len(left))
     different = first != second
     first, second = first[different], second[different]
@@ -110,8 +117,8 @@ def phantoms(eyes_mm: Vectors, points_mm: Vectors, seen: Flags, line_separation_
     gap = on_a - on_b
     meet = apart & ((gap * gap).sum(axis=1) <= line_separation_mm**2)
     middle = (eyes_mm[0] + eyes_mm[1]) / 2.0 + (on_a[meet] + on_b[meet]) / 2.0
-    found: Vectors = middle[is_in_field(middle)]
-    return found
+    inside = is_in_field(middle)
+    return np.stack([first[meet][inside], second[meet][inside]], axis=1), middle[inside]
 
 
 @lru_cache(maxsize=8)

@@ -35,6 +35,7 @@ from sim.world.world import ArmState, World
 
 Vector = tuple[float, float, float]
 NO_TOOL = 0
+SUNLIGHT_REFLECTIONS = 6  # reflections added by sunlight; an estimate without a source
 
 
 @dataclass(frozen=True)
@@ -97,6 +98,11 @@ class TrueScene:
         return apply(
             self._tracker_from(room), room.displace_spheres_mm(self._centres_mm, self.fiducial_numbers)
         )
+
+    def extra_spheres_at(self, room: RoomShift) -> Vectors:
+        """Return further spheres (n, 3) that rest in the room, on no head."""
+        places = np.array(room.extra_spheres_mm, dtype=float).reshape(-1, 3)
+        return apply(self._tracker_from(room), places)
 
     def bodies(
         self, arm: ArmState | None, mounted_tool: int, room: RoomShift = NOTHING_MOVED
@@ -168,6 +174,21 @@ class TrueScene:
         flange = yielding_flange(arm.robot_from_flange, self._flange_from_marker, disturbance.room)
         pose = self._tracker_from(disturbance.room) @ flange @ self._flange_from_marker
         return self._place_tool(self.frame_on_mount.part_number, pose, disturbance)
+
+    def frames(self, arm: ArmState | None, disturbance: Disturbance) -> tuple[TrueTool, ...]:
+        """Return every frame of spheres in the room, loaded or not: mount, clamp, guide and assistant."""
+        on_guide = self._tip_from_frame
+        found = (
+            None if arm is None else self.frame(arm, disturbance),
+            self.frame_on_clamp(disturbance),
+            None if on_guide is None else self._frame_on_guide(on_guide, arm, disturbance),
+            self._frame_on_holder(ArmRole.ASSISTANT, disturbance) if self._holders else None,
+        )
+        return tuple(one for one in found if one is not None)
+
+    def tracker_from_robot(self, room: RoomShift) -> Matrix:
+        """Return TRACKER <- ROBOT (4, 4) with the displacements of a room."""
+        return self._tracker_from(room)
 
     def frame_on_clamp(self, disturbance: Disturbance) -> TrueTool | None:
         """Return the patient's frame, even if no host has loaded it, or None without one.
@@ -249,6 +270,10 @@ class Disturbance:
     line_separation_mm: float = 0.0
     sunlight: bool = False
     room: RoomShift = NOTHING_MOVED
+
+    def count_reflections(self, usual: int) -> int:
+        """Return how many surfaces reflect, with the `usual` ones of the scene."""
+        return usual + self.reflections + (SUNLIGHT_REFLECTIONS if self.sunlight else 0)
 
 
 UNDISTURBED = Disturbance()

@@ -95,6 +95,12 @@ LOOSEN = declare_lasting(
     "The screw of one sphere gives way: the sphere is displaced by that much, along the robot's x, y and z.",
     fiducial_number,
 )
+EXTRA_SPHERE = declare_lasting(
+    "extra_sphere",
+    "extra sphere SIGNED SIGNED SIGNED mm",
+    "One more sphere rests at that place in the room, along the robot's x, y and z. The tracker sees it, the "
+    "cameras do not.",
+)
 PUSH = declare_lasting(
     "push",
     "push guide SIGNED SIGNED SIGNED N",

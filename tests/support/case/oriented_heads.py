@@ -16,13 +16,13 @@ from procedures.journal.results import FramedPose, StepResult
 from procedures.operator.question import Question, Task
 from procedures.planning.head_in_ct import HeadEllipsoid
 from procedures.planning.plan_model import FiducialKind, PatientPosition
-from procedures.planning.tracker_sight import SENSORS_MM
 from procedures.steps.clinical.correspondence import STEP, Correspondence
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
 from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.plan_check import CheckedPlan
 from ronna_hw.arrays import Array
 from ronna_hw.config import ProcedureSettings
+from ronna_hw.devices.crossed_sight import SENSORS_MM
 from ronna_hw.frames import Frame, Transform
 from sim.polaris.measurement.line_of_sight import head_ellipsoid, visible
 from sim.world.rigid import apply, inverse, matrix_from, matrix_of, pose_of

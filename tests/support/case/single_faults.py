@@ -472,6 +472,13 @@ ROWS = (
         theatre_s=20,
         begins=SINCE,
     ),
+    # A sphere on the table beside the head is no fiducial: no distance to the others is that of the CT.
+    Row(
+        "room extra sphere 700 200 100 mm",
+        "global_localization positioning",
+        DONE,
+        begins=SINCE,
+    ),
     # The room: the guide, and the hands that mount it and work with it.
     # The look with the arm home, before the gauge or the target: the frame is 0.5 mm from where the arm has
     # it, as if the cart had moved.

@@ -9,7 +9,7 @@ from typing import Any
 from page_reading import low_contrast
 
 PHONE_PX = {"width": 390, "height": 844}
-MOST_SCREENS, MOST_PAGES = 12, 8
+MOST_SCREENS, MOST_PAGES = 12, 6
 OPEN = "document.querySelectorAll('details').forEach(one => one.open = true)"
 HIDDEN = """
 () => [...document.querySelectorAll("table, td, th, pre, svg, img, p, li")]
@@ -26,6 +26,11 @@ def hidden_by_width(page: Any) -> list[str]:
     return [*([f"page wider by {over} px"] if over > 0 else []), *page.evaluate(HIDDEN)]
 
 
+def count_pages(page: Any) -> int:
+    """How many sheets of paper the page takes, on the paper that its style names."""
+    return len(re.findall(rb"/Type\s*/Page\b", page.pdf(prefer_css_page_size=True)))
+
+
 def misfits(page: Any, report: Path) -> list[str]:
     """What is wrong with a report on a phone, folded and opened, in both schemes, and on paper."""
     found = []
@@ -34,7 +39,7 @@ def misfits(page: Any, report: Path) -> list[str]:
     screens = page.evaluate("document.documentElement.scrollHeight") / PHONE_PX["height"]
     if screens > MOST_SCREENS:
         found.append(f"{screens:.1f} screens")
-    pages = len(re.findall(rb"/Type\s*/Page\b", page.pdf(prefer_css_page_size=True)))
+    pages = count_pages(page)
     if not 0 < pages <= MOST_PAGES:
         found.append(f"{pages} pages")
     found += hidden_by_width(page)

@@ -29,9 +29,9 @@ from procedures.cli.calibrating.calibration import compute_calibration
 from procedures.planning.marker_sites import propose_template
 from procedures.planning.scene_head import read_scene_head
 from procedures.runs.calibrations import KINDS
+from procedures.runs.fault_script import check_fault_script, list_unreached_faults
 from procedures.runs.orders import read_order
 from procedures.runs.request import CalibrationProcedure, RunRequest
-from procedures.runs.request_checks import check_fault_script, list_unreached_faults
 from procedures.steps.calibration.recipe import Calibrated
 from ronna_hw.clock import open_clock
 from ronna_hw.command_line.options import LEVELS_VARIABLE, set_log_levels_from_environment

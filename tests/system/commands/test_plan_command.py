@@ -20,6 +20,7 @@ from plan_toml import PLAN, VESSEL
 from user_commands import in_this_process
 
 from procedures.cli.plan import app
+from procedures.planning.plan_file import read_plan
 from ronna_hw.arm.pose import radians6
 from ronna_hw.clock import HostClock
 from ronna_hw.config import read_theatre_file
@@ -99,6 +100,22 @@ def one_line(done: subprocess.CompletedProcess[str]) -> str:
     assert len(lines) == 1, done.stderr
     assert "Traceback" not in done.stderr
     return lines[0]
+
+
+def test_the_sheet_of_a_plan_has_the_limits_and_the_depth_stop_of_its_theatre(
+    case: tuple[Path, Path], theatre: Path, tmp_path: Path
+) -> None:
+    plan, series = case
+    out = tmp_path / "sheet.html"
+    done = in_this_process(app, "sheet", plan, "--ct", series, "--config", theatre, "--out", out)
+    assert done.stdout == f"{out}\n"
+    text = out.read_text()
+    assert "the fiducials in the CT were not counted: CT-" in text
+    planned = read_plan(plan)
+    stop_mm = 90.0 + planned.standoff_mm + planned.trajectories[0].depth_mm
+    assert f">{stop_mm:.1f}</td>" in text
+    assert "clearance along a planned path, at least: <strong>10 mm</strong>" in text
+    assert text.count("data:image/png") == len(planned.trajectories)
 
 
 def test_a_good_plan_is_accepted_with_a_table(case):

@@ -16,7 +16,10 @@ from studies.cli import app
 
 def test_the_committed_notebooks_have_no_output_and_begin_with_what_a_reader_needs() -> None:
     names = {path.name for path in NOTEBOOKS.glob("*.ipynb")}
-    assert names == {"tracker-noise.ipynb", "one-case.ipynb", "strategies.ipynb"}
+    assert names == {
+        *("tracker-noise.ipynb", "one-case.ipynb", "strategies.ipynb"),
+        "two-rehearsals.ipynb",
+    }
     for name in names:
         first, *others = json.loads((NOTEBOOKS / name).read_text())["cells"]
         assert "**You need**" in "".join(first["source"])
@@ -29,6 +32,16 @@ def test_one_case_is_read_from_the_ct_to_the_error(
     (tmp_path / "runs").symlink_to(finished_mini(tmp_path_factory)[0])
     cells = execute_notebook("one-case.ipynb", tmp_path)
     assert "1 of 1 stayed within the predicted radius" in final_sentence(cells)
+
+
+@pytest.mark.slow
+def test_two_rehearsals_differ_by_their_strategy_alone(tmp_path: Path) -> None:
+    cells = execute_notebook("two-rehearsals.ipynb", tmp_path)
+    assert "The two registrations put T1" in final_sentence(cells)
+    (compared,) = cells[3]["outputs"]
+    assert "Options: 1 of " in "".join(compared["data"]["text/plain"])
+    assert "<td>strategy</td><td>ocs</td><td>nos</td>" in "".join(compared["data"]["text/html"])
+    assert (tmp_path / "comparison.html").is_file()
 
 
 @pytest.mark.slow

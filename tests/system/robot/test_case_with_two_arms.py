@@ -63,6 +63,8 @@ def test_the_assistant_inserts_the_instrument_both_arms_go_home_and_the_run_repl
     assert "park the master" in subjects
     assert not [subject for subject in subjects if "the arm " in subject]
     page = (run / "report.html").read_text()
+    for way in ("guide in", "instrument in", "instrument out", "guide out"):
+        assert len(re.findall(rf'<td data-label="way" class="point">{way}</td>', page)) == 1
     for arm, carried in {MASTER: "guide|stereo head", ASSISTANT: "holder of the assistant"}.items():
         listed = re.findall(rf'<td data-label="robot link">(?:{carried})</td>', page)
         assert len(listed) == ended_streams(run, arm), arm

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 
 import numpy as np
 import pytest
 from coded_errors import raises
 
-from ronna_hw import SimulatedTheatre, simulated_theatre
+from ronna_hw import SimulatedTheatre, StrayWarning, simulated_theatre, track_strays
 from ronna_hw.arguments import WrongArgument
 from ronna_hw.control_port import ControlRequestRefused
-from ronna_hw.devices import OpticalTracker
+from ronna_hw.devices import OpticalTracker, new_frames
 from ronna_hw.devices.errors import DEVICE_STREAMS, THEATRE_CLOSED
 from ronna_hw.devices.sensors import read_new_frame
+from ronna_hw.simulated_room import Origin
 from ronna_hw.theatre import TheatreProcess
 
 WITHIN_MM = 1.5  # of truth, for one reading of one sphere
@@ -81,6 +83,52 @@ def test_points_where_lines_of_sight_cross_are_phantoms_in_truth(
     truth = theatre.room.truth()
     assert len(truth.phantoms_mm)
     assert [place for place in strays_mm(tracker) if truth.is_phantom(place)]
+
+
+def test_a_sphere_is_placed_where_the_tracker_reads_it_and_taken_away_again(
+    theatre: SimulatedTheatre, tracker: OpticalTracker
+) -> None:
+    place_mm = (20.0, 100.0, -1800.0)
+    line = theatre.room.place_sphere(place_mm)
+    origins = {theatre.room.truth().origin_of(one).name: one for one in strays_mm(tracker)}
+    assert np.linalg.norm(np.subtract(origins["extra sphere 1"], place_mm)) < WITHIN_MM
+    theatre.room.move("tracker", (0.0, 0.0, 30.0))
+    shifted = next(one for one in theatre.room.truth().others if one.name == "extra sphere 1")
+    assert np.linalg.norm(np.subtract(shifted.tracker_mm, place_mm)) == pytest.approx(30.0)  # it rests
+    theatre.room.clear(line)
+    assert len(strays_mm(tracker)) == 3
+    with raises(WrongArgument, match="tracker or robot"):
+        theatre.room.place_sphere(place_mm, "ct")
+
+
+def test_the_truth_tells_reflections_from_spheres_and_phantoms(
+    theatre: SimulatedTheatre, tracker: OpticalTracker
+) -> None:
+    theatre.room.inject("tracker reflections 4")
+    truth = theatre.room.truth()
+    assert len(truth.reflections_mm) == 4
+    seen = [place for _ in range(10) for place in strays_mm(tracker)]
+    kinds = [truth.origin_of(place).kind for place in seen]
+    assert kinds.count(Origin.SPHERE) == 30
+    assert 0 < kinds.count(Origin.REFLECTION) == len(kinds) - 30
+    assert sum(map(truth.is_reflection, seen)) == kinds.count(Origin.REFLECTION)
+
+
+def test_tracks_of_spheres_are_not_accused_and_phantoms_of_two_of_them_are(
+    theatre: SimulatedTheatre, tracker: OpticalTracker
+) -> None:
+    assert len(track_strays(new_frames(tracker, 30))) == 3  # a warning would be an error here
+    x_mm, y_mm, z_mm = theatre.room.truth().spheres[0].tracker_mm
+    theatre.room.place_sphere((x_mm, y_mm + 60.0, z_mm))  # in one plane with it and both sensors
+    with pytest.warns(StrayWarning) as warned:
+        tracks = track_strays(new_frames(tracker, 30))
+    truth = theatre.room.truth()
+    named = set(map(int, re.findall(r"\d+", str(warned[0].message).partition(" cross")[0])))
+    origins = {one.identity: truth.origin_of(one.positions_mm.mean(axis=0)) for one in tracks}
+    phantoms = {identity for identity, one in origins.items() if one.kind is Origin.PHANTOM}
+    assert phantoms
+    assert phantoms <= named
+    assert {origins[identity].name for identity in named - phantoms} <= {"sphere 1", "extra sphere 1"}
 
 
 def test_an_unknown_sphere_is_named_beside_those_there_are(theatre: SimulatedTheatre) -> None:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
+from prepared_results import checked_plan
 
+from procedures.registration import register
 from ronna_hw import Frame
 from ronna_hw.frames import Transform
 from ronna_hw.loaded_run import RunColumn, RunTable
@@ -42,3 +44,18 @@ def test_a_transform_shows_its_frames_and_its_matrix() -> None:
     html = Transform.of(Frame.ROBOT, Frame.CT, translation_mm=(1.0, 2.0, 3.5))._repr_html_()
     assert "robot &lt;- ct" in html
     assert "<td>0</td><td>0</td><td>1</td><td>3.5</td>" in html
+
+
+def test_a_plan_shows_its_trajectories_in_mm_of_the_ct() -> None:
+    plan = checked_plan().plan
+    html = plan._repr_html_()
+    assert "<th>entry_ct_mm</th><th>target_ct_mm</th><th>depth_mm</th><th>margin_mm</th>" in html
+    assert all(f"<td>{one.id}</td>" in html for one in plan.trajectories)
+    assert f"instrument {plan.instrument_length_mm:g} mm" in html
+
+
+def test_a_registration_shows_each_residual_and_that_it_is_no_error_at_a_target() -> None:
+    image_mm = np.array([(0.0, 0.0, 0.0), (50.0, 0.0, 0.0), (0.0, 60.0, 0.0), (0.0, 0.0, 70.0)])
+    html = register(image_mm, image_mm + np.array((1.0, 2.0, 3.0)))._repr_html_()
+    assert "<th>residual_mm</th><th>distance_mm</th>" in html
+    assert "4 pairs, FRE 0.000 mm: not the error at a target" in html

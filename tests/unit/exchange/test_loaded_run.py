@@ -25,8 +25,10 @@ from procedures.engine.replay.recorded_answers import section_follower
 from procedures.exchange import recorded_tables, run_tables
 from procedures.exchange.errors import NO_REGISTRATION, NoSuchLook
 from procedures.journal.journal import Entry, Journal
-from procedures.runs.folders import hold_run
+from procedures.runs.folders import hold_run, new_run_folder
 from procedures.runs.loaded_run import MOST_SHOWN
+from procedures.runs.request import CaseProcedure, RunRequest, SceneChoice
+from procedures.runs.request_file import request_hash
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
 from ronna_hw import RunTable, RunWarning, load_run, track_strays
 from ronna_hw.arguments import WrongArgument
@@ -45,7 +47,7 @@ from ronna_hw.devices.readings import (
 from ronna_hw.evidence.inspection import inspect_run
 from ronna_hw.evidence.journal_reading import RUN_CHANGED
 from ronna_hw.evidence.lost_journal_end import EVENTS_FILE
-from ronna_hw.evidence.manifest import KEPT_TRUTH, seal
+from ronna_hw.evidence.manifest import KEPT_TRUTH, REQUEST_FILE, seal, sha256_of
 from ronna_hw.loaded_run import NO_PANDAS, NO_RUN_READER, RunColumn
 from ronna_hw.recording.reading_tape import PIXELS_FILE, READINGS_FILE, READINGS_FOLDER, ReadingTape
 from ronna_hw.records import OTHER_VERSION
@@ -125,6 +127,26 @@ def test_a_run_that_goes_on_loads_as_far_as_it_is(run: Path) -> None:
     assert loaded.registrations.standing.tolist() == [True]
     # Prepared without relocalization as its parent: nothing says what it was weighted with.
     assert np.isnan(loaded.localized.total_covariance_robot_mm2).all()
+
+
+def test_a_run_tells_with_what_it_was_begun_and_why_it_is_not_done(tmp_path: Path) -> None:
+    script = tmp_path / "faults.txt"
+    script.write_text("# hide one\nat 2 s: tracker occlude marker 2 for 2 s  # briefly\n\n")
+    asked = RunRequest(procedure=CaseProcedure(strategy="nos"), choice=SceneChoice("mini", 7), faults=script)
+    folder = new_run_folder(asked, tmp_path / "runs")
+    script.unlink()
+    journal = Journal(folder)
+    opening = {"run": folder.name, "seed": 7, "strategy": "nos", **request_hash(folder)}
+    journal.write(Entry.OPENED, 0.0, **opening)
+    journal.write(Entry.FAILED, 3.0, step="correspondence", code="REG-013", what="REG-013: no match")
+    files = {REQUEST_FILE: sha256_of(folder / REQUEST_FILE)}
+    journal.write(Entry.CLOSED, 3.0, outcome="failed", files=files)
+    journal.close()
+    loaded = load_run(folder)
+    assert (loaded.scene, loaded.seed, loaded.strategy) == ("mini", 7, "nos")
+    assert loaded.faults == ("at 2 s: tracker occlude marker 2 for 2 s",)
+    assert loaded.reason == "correspondence failed. REG-013: no match"
+    assert loaded.reason in repr(loaded)
 
 
 def test_the_assumed_pose_of_the_ct_is_that_of_the_registration(run: Path) -> None:

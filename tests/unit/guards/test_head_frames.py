@@ -6,8 +6,8 @@ from numpy.typing import NDArray
 
 from procedures.guards.head_frames import AVERAGED, FAR_READINGS, PATIENT_LIMIT_MM, SPAN, HeadFrames
 from procedures.guards.room_reading import find_ghosts
-from procedures.planning.tracker_sight import SENSORS_MM
 from procedures.registration.movement import LEAST_POINTS
+from ronna_hw.devices.crossed_sight import SENSORS_MM
 from ronna_hw.devices.readings import Stamp, StrayReading, TrackerFrame, Validity
 
 SPHERES_MM = np.array(

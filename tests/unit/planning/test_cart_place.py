@@ -18,11 +18,11 @@ from procedures.planning.head_in_ct import HeadEllipsoid
 from procedures.planning.line_of_sight import StereoSight
 from procedures.planning.pose_name import GAUGE
 from procedures.planning.scene import PlanningScene
-from procedures.planning.tracker_sight import SENSORS_MM
 from procedures.planning.visits import ArmSetting, Axes, build_target_visit, list_localizations
 from procedures.strategies.trajectory import Trajectory
 from ronna_hw.arm.pose import radians6
 from ronna_hw.collision_config import BodyFrame, CollisionConfig, RoomBody
+from ronna_hw.devices.crossed_sight import SENSORS_MM
 from ronna_hw.devices.sensors import VolumeSections
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.wire.polaris import PolarisModel

@@ -13,10 +13,9 @@ from pydicom.dataset import Dataset
 from procedures.journal import free_space
 from procedures.planning.errors import WRONG_SERIES
 from procedures.runs import request_checks
+from procedures.runs.fault_script import check_fault_script, list_unreached_faults
 from procedures.runs.request import CaseProcedure, RunRequest, SceneChoice
 from procedures.runs.request_checks import (
-    check_fault_script,
-    list_unreached_faults,
     require_simulated_patient,
     require_space,
 )

@@ -1,0 +1,50 @@
+"""Arguments that name a run and an output of it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from typer import Argument, Option
+
+from ronna_hw.command_line.errors import UsageMistake
+from ronna_hw.command_line.options import require_folder_of
+
+PAGE_SUFFIX = ".html"
+
+
+def require_run_folder(folder: Path) -> Path:
+    """Return the folder. Raises CLI-005 unless it is a run folder."""
+    from procedures.runs.folders import require_run
+
+    require_run(folder)
+    return folder
+
+
+RunArgument = Annotated[
+    Path, Argument(metavar="RUN", help="Folder of a run, however it ended.", callback=require_run_folder)
+]
+FolderOption = Annotated[
+    Path | None, Option("--out", metavar="DIR", help="Output folder; by default inside the run's.")
+]
+
+
+def require_page(out: Path) -> Path:
+    """Return the file for a page. Raises CLI-001 for another type, CLI-005 in a run or without a folder."""
+    if out.suffix.lower() != PAGE_SUFFIX:
+        raise UsageMistake(
+            f"--out: {out.name} is no page",
+            expected=f"a name that ends in {PAGE_SUFFIX}",
+            action=f"Write {out.with_suffix(PAGE_SUFFIX).name}, open it in a browser and print it on A4, or "
+            "to a PDF.",
+        )
+    require_folder_of(out)
+    return out
+
+
+PageOption = Annotated[
+    Path,
+    Option(
+        "--out", metavar="FILE", help="The page to write: HTML, to be printed on A4.", callback=require_page
+    ),
+]

@@ -1,0 +1,1 @@
+"""Case sheet: what a clinical engineer takes into the theatre on two pages of paper."""

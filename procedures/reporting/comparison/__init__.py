@@ -1,0 +1,1 @@
+"""Comparison of two runs: what differed before they began, and what came of it."""

@@ -1,0 +1,58 @@
+"""Fault script of a simulated theatre, as far as a run reads it: its steps, its times and its lines.
+
+What a line does, only the theatre knows.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection, Iterable, Iterator
+from pathlib import Path
+
+from ronna_hw.bounded_input import read_bounded
+from ronna_hw.command_line.errors import UsageMistake
+
+LARGEST_SCRIPT_BYTES = 1_000_000  # more than the theatre itself takes
+_STEP_OF_LINE = re.compile(r"\s*(?:when|since)\s+step\s*==\s*(?P<step>\w+)(?P<trajectory>:[\w.-]+)?")
+_TIME_OF_LINE = re.compile(r"\s*at\s+(?P<at_s>\d+(?:\.\d*)?)\s*s\b")
+
+
+def check_fault_script(path: Path, step_names: Collection[str]) -> None:
+    """Raise CLI-001 if the fault script is missing or refers to unknown steps."""
+    if not path.is_file():
+        raise UsageMistake(f"there is no fault script {path}", action="Give the path of a file.")
+    found = [(number, match["step"]) for number, line in _lines(path) if (match := _STEP_OF_LINE.match(line))]
+    unknown = [
+        f"line {number}: there is no step {step!r}" for number, step in found if step not in step_names
+    ]
+    if unknown:
+        raise UsageMistake(
+            f"{path.name}, {'; '.join(unknown)}",
+            expected=f"one of {', '.join(step_names)}",
+            action="Correct the fault script; ronna-procedure steps lists all steps, with --dual also those "
+            "of two arms.",
+        )
+
+
+def list_unreached_faults(path: Path, begun_steps: Iterable[str], theatre_time_s: float) -> Iterator[str]:
+    """Yield a message for each fault whose step or time the case never reached."""
+    steps = {name for step in begun_steps for name in (step, step.partition(":")[0])}
+    for number, line in _lines(path):
+        if match := _STEP_OF_LINE.match(line):
+            step = match["step"] + (match["trajectory"] or "")
+            if step not in steps:
+                yield f"line {number} of {path.name} had no effect: the case did not run {step}"
+        elif (match := _TIME_OF_LINE.match(line)) and float(match["at_s"]) > theatre_time_s:
+            yield f"line {number} of {path.name} had no effect: the case ended after {theatre_time_s:.1f} s"
+
+
+def read_fault_lines(path: Path) -> tuple[str, ...]:
+    """Return the lines of a fault script without comments; none if there is no such file."""
+    if not path.is_file():  # a request is also written for the record where no theatre is started
+        return ()
+    return tuple(filter(None, (line.partition("#")[0].strip() for _, line in _lines(path))))
+
+
+def _lines(path: Path) -> Iterator[tuple[int, str]]:
+    text = read_bounded(path, LARGEST_SCRIPT_BYTES).decode(errors="replace")
+    return enumerate(text.splitlines(), 1)
