@@ -91,7 +91,7 @@ def _operated(browser: Any, place: Path, out: Path) -> Iterator[Path]:
         moment.wait_for_function(HOLD_WHILE_RUNNING)
         yield from _take(moment, out, "console-running")
         moment.close()
-        answer_until(page, "accept the registration")
+        answer_until(page, "Accept the registration")
         yield from _take(page, out, "console-question")
         page.context.close()
 
