@@ -194,7 +194,7 @@ def test_a_question_that_follows_a_longer_one_is_brought_into_view_and_no_focus_
         page.wait_for_selector("section.question >> text=park the arm")
         page.wait_for_function(CLEAR_OF_THE_HEAD, arg="section.question")
         page.mouse.wheel(0, 400)
-        page.wait_for_function("window.scrollY > 300")
+        page.wait_for_function("window.scrollY > 150")
         page.locator(".typed input").first.focus()
         page.wait_for_function(CLEAR_OF_THE_HEAD, arg=".typed input")
 
