@@ -2,8 +2,8 @@
 
 .venv/bin/python tools/docs/page_pictures.py [--all] [FOLDER]     # docs/pictures by default; two minutes
 
-Takes those of a page that has changed since, or all. Each moment is taken at 1280 x 800 and 390 x 844, light and
-dark, with at most 256 colours.
+Takes those of a page that has changed since, or all. Each moment is taken at 1280 x 800 and 390 x 844, light
+and dark, with at most 256 colours.
 """
 
 from __future__ import annotations
