@@ -96,8 +96,10 @@ CASE := --seed 7
 profile: setup
 	@$(BIN)/python -P tools/profiling/profile_case.py $(CASE)
 
+# Reference pages, and the pictures of pages that have changed since: two minutes, with Chromium. ALL=1 for all pictures.
 docs: setup
 	@$(BIN)/python tools/docs/generate.py
+	@$(BIN)/python tools/docs/page_pictures.py $(if $(ALL),--all)
 
 # For an environment without this clone: pip install dist/ronna_hw-*.whl, in quotes with [console] for the pages.
 wheel: setup

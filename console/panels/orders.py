@@ -39,6 +39,7 @@ from procedures.runs.orders import (
 from ronna_hw.text import parse_typed_number
 
 HOLD_S = 1.0  # host time for which an answer must be held
+PRESS = f"(press {HOLD_S:g} s)"  # on a button that must be held
 ARMED_S = 0.7  # host time after appearing before it can be given
 DIGEST_SHOWN = 12  # characters; the journal has all of them
 Give = Callable[[dict[str, Any]], Awaitable[None]]
@@ -89,7 +90,7 @@ class OrderPanel:
             self._acknowledge = button(
                 "Acknowledge faults", partial(give, {"kind": "acknowledge"}), "acknowledge"
             )
-            self._abort = HeldButton("Abort (hold)", partial(give, {"kind": "abort"}), tell).button
+            self._abort = HeldButton(f"Abort {PRESS}", partial(give, {"kind": "abort"}), tell).button
             self._abort.props("data-do=abort").classes("plain")
         self._build("")
 
@@ -261,7 +262,7 @@ class QuestionPanel:
 
         # The last answer, also given by silence, changes nothing, unless it ends the case.
         if question.deliberate and (answer == ABORT or answer != question.answers[-1]):
-            answering = HeldButton(f"{answer} (hold)", act, self._say).button
+            answering = HeldButton(f"{answer} {PRESS}", act, self._say).button
         else:
             answering = ui.button(answer, on_click=act, color=None).props("no-caps unelevated")
         answering.classes("go" if is_go_ahead else "plain").props(f'data-answer="{answer}"')

@@ -5,6 +5,7 @@ from __future__ import annotations
 from html import escape
 from pathlib import PurePath
 
+from console.panels.ct_planes import ct_planes
 from console.panels.html import evidence_table, tag, text
 from procedures.engine.events import Questioned
 from procedures.imaging.trajectory_cuts import PLAN_PICTURE
@@ -39,8 +40,10 @@ def question_evidence(question: Questioned) -> str:
 
 
 def _render_decision(predicted: PredictedError) -> str:
+    widened = ", widened" if predicted.caution else ""
     figures = (
         (f"{predicted.rms_mm:.2f} mm", f"predicted error at {predicted.target} (rms)"),
+        (f"{predicted.limit_mm:.2f} mm", f"limit of {predicted.confidence:.0%} of such errors{widened}"),
         (f"{predicted.margin_mm:g} mm", "the plan's margin"),
     )
     shown = "".join(
@@ -69,9 +72,10 @@ def _render_value(question: Questioned) -> str:
         places = [place for place, line in enumerate(lines) if shown in line][:1]
         for place in places:
             lines[place] = lines[place].replace(shown, tag("strong", shown), 1)
+    shown_as = "value dim" if question.predicted else "value"  # what is predicted stands above, in large type
     if len(lines) < 2:
-        return tag("p", "".join(lines), class_="value dim" if question.predicted else "value")
-    return tag("ul", "".join(tag("li", line) for line in lines), class_="value")
+        return tag("p", "".join(lines), class_=shown_as)
+    return tag("ul", "".join(tag("li", line) for line in lines), class_=shown_as)
 
 
 def _render_picture(picture: Picture, *, is_first: bool) -> str:
@@ -82,6 +86,6 @@ def _render_picture(picture: Picture, *, is_first: bool) -> str:
     name = PurePath(picture.name)
     caption = text(f"{picture.trajectory or name.stem.removeprefix(PLAN_PICTURE)} in the CT")
     address = f"/picture/{escape(name.name)}?shown={escape(picture.sha256)}"
-    image = f'<img src="{address}" alt="{caption}: three planes through the target; opens enlarged">'
-    link = f'<a href="{address}" target="_blank" rel="noopener">{image}</a>'
+    planes = ct_planes(address, caption)
+    link = f'<a href="{address}" target="_blank" rel="noopener" aria-label="{caption}, enlarged">{planes}</a>'
     return f"<details{' open' if is_first else ''}>{tag('summary', caption)}{link}</details>"

@@ -7,9 +7,11 @@ from pathlib import Path, PurePath
 
 from console.errors import UNRELIABLE_RUN
 from console.hub import Hub
+from console.panels.ct_planes import ct_planes
 from console.panels.html import evidence_table, head_row, tag, text
 from procedures.engine.case_view import FAULT, FINDING, REFUSED, CaseView, Notice
 from procedures.imaging.trajectory_cuts import PLAN_PICTURE
+from procedures.operator.question import PredictedError
 from procedures.reporting.case_figures import CaseFigures
 from ronna_hw.bounded_input import parse_json
 from ronna_hw.host.files import open_regular
@@ -41,7 +43,7 @@ def accuracy(view: CaseView, figures: CaseFigures | None) -> str:
             "tr",
             tag("th", text(item.target), scope="row")
             + tag("td", f"{item.rms_mm:.2f}", class_="num big")
-            + tag("td", f"{item.limit_mm:.2f} at {item.confidence:.0%}", class_="num")
+            + tag("td", text(_describe_limit(item)), class_="num")
             + tag("td", f"{item.margin_mm:g}", class_="num"),
         )
         for item in predictions
@@ -55,6 +57,11 @@ def accuracy(view: CaseView, figures: CaseFigures | None) -> str:
     is_open = tag("p", text(open_words), class_="warn") if asked else ""
     tables = "" if figures is None or asked else "".join(map(evidence_table, figures.tables))
     return is_open + total + tables + tag("p", NOTE, class_="dim")
+
+
+def _describe_limit(predicted: PredictedError) -> str:
+    widened = ", widened" if predicted.caution else ""
+    return f"{predicted.limit_mm:.2f} at {predicted.confidence:.0%}{widened}"
 
 
 def accuracy_key(view: CaseView) -> object:
@@ -109,9 +116,8 @@ def cuts_key(view: CaseView) -> object:
 
 
 def _render_cut(way: str, name: str, *, is_open: bool) -> str:
-    alt_text = f"Trajectory {text(way)} in three planes through its target"
-    image = f'<img src="/picture/{text(name)}" alt="{alt_text}" loading="lazy">'
-    return f"<details{' open' if is_open else ''}>{tag('summary', text(way))}{image}</details>"
+    planes = ct_planes(f"/picture/{text(name)}", f"Trajectory {text(way)} in the CT", is_lazy=True)
+    return f"<details{' open' if is_open else ''}>{tag('summary', text(way))}{planes}</details>"
 
 
 def course(figures: CaseFigures | None) -> str:

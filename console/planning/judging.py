@@ -247,15 +247,13 @@ def _skull_text(name: str, angle_deg: float | None) -> str:
 
 
 def _target_html(name: str, item: ExpectedAtTarget, margin_mm: float) -> str:
-    judged = judge_error(margin_mm, item.rms_mm, item.limit_mm)
-    limit = f"{item.limit_mm:.2f} mm at {DEFAULT_CONFIDENCE:.0%}"
-    line = tag(
-        "p",
-        text(f"{name}: {item.rms_mm:.2f} mm rms, {limit}; margin {margin_mm:g} mm: {judged}"),
-        class_="big" if judged is MarginVerdict.PREDICTED_WITHIN else judged.colour,
-        data_expected=name,
-        data_rms=f"{item.rms_mm:.4f}",
-    )
+    errors = f"{item.rms_mm:.2f} mm rms, {item.limit_mm:.2f} mm at {DEFAULT_CONFIDENCE:.0%}"
+    words, shown_as = f"{name}, markers only: {errors}", "big"
+    if item.with_arm:  # a part of the chain is not judged against a margin for the whole
+        judged = judge_error(margin_mm, item.rms_mm, item.limit_mm)
+        words = f"{name}: {errors}; margin {margin_mm:g} mm: {judged}"
+        shown_as = "big" if judged is MarginVerdict.PREDICTED_WITHIN else judged.colour
+    line = tag("p", text(words), class_=shown_as, data_expected=name, data_rms=f"{item.rms_mm:.4f}")
     rows = [(source, f"{rms:.3f}") for source, rms in item.shares_mm[:SHARES_SHOWN]]
     return line + table(("source", "rms mm"), rows)
 
@@ -266,4 +264,7 @@ def _basis_text(expected: Iterable[ExpectedAtTarget]) -> str:
             "Includes the arm at the poses found; "
             "excludes the stereo measurement, which is made during the case."
         )
-    return "From the markers alone; the arm's own errors are not included."
+    return (
+        "Markers only: without the errors of arm, guide and instrument there is no verdict on the margin. "
+        "They are added where Reach finds every pose within reach."
+    )

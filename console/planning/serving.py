@@ -48,7 +48,7 @@ def open_planner(request: Annotated[str, typer.Argument(help="What to open, as J
     )
     with terminal.progress_bar("reading the CT series") as advance:
         volume = read_series(asked.series, progress=advance)
-    loaded = choice.load_given(volume.series_instance_uid)
+    loaded = choice.load_known(volume.series_instance_uid)
     editor = PlanEditor(volume, asked.plan, choice, read_identity(asked.series))
     if loaded is not None:
         editor.adopt_theatre(*loaded)

@@ -12,6 +12,7 @@ from procedures.strategies.catalogue import find_strategy
 from procedures.strategies.names import DEFAULT_STRATEGY
 from ronna_hw.bounded_input import InputRefused, read_toml
 from ronna_hw.command_line.errors import UsageMistake
+from ronna_hw.errors import RonnaError
 
 PLACE_FILE = "place.json"  # next to the plan, as in a case
 MOST_FILES = 200  # of one folder: no laboratory has as many theatres
@@ -36,14 +37,23 @@ class TheatreChoice:
                 found[path.name] = path
         return found
 
-    def load_given(self, series_instance_uid: str) -> tuple[str, TheatreArm, str] | None:
-        """Load the given file as `load` does, or return None without one, or without a pose of the head."""
-        if self.given is None:
+    def load_known(self, series_instance_uid: str) -> tuple[str, TheatreArm, str] | None:
+        """Load the given file, or else the only listed one, as `load` does.
+
+        Return None without a pose of the head, with several files to choose from, or if the only one is
+        unfit.
+        """
+        names = list(self.list_files())
+        if self.given is None and len(names) != 1:
             return None
         try:
-            return self.load(self.given.name, series_instance_uid)
+            return self.load(names[0], series_instance_uid)
         except HeadPlaceUnknown:
             return None
+        except RonnaError:
+            if self.given is not None:
+                raise
+            return None  # nobody has asked for it; whoever chooses it at the page is told why
 
     def load(self, name: str, series_instance_uid: str) -> tuple[str, TheatreArm, str]:
         """Read the arm of a listed file. Return its name, the arm, and in words where the head is.

@@ -159,10 +159,13 @@ class CasePage:
                 lines = self._tail.lines
                 self._section("Journal", journal, lambda view: view.journal, "journalbox")
                 self._section("Log", lambda _view: log(lines()), lambda _view: lines(), "logbox")
-        self._show_case(self._view())  # with the page itself, not only once its socket is open
+        view = self._view()  # with the page itself, not only once its socket is open
+        self._show_case(view)
+        self._show_scene(view)  # drawn as soon as there is something to draw on
         client = ui.context.client
         ui.on("alive", self._on_alive)
         changed = self._hub.subscribe()
+        client.on_connect(changed.set)  # what has changed since is not left until the next beat
         task = asyncio.create_task(self._keep_fresh(client, changed))
 
         def forget_page() -> None:
@@ -244,12 +247,15 @@ class CasePage:
         view = self._view()
         self._slow = int(now_s / SLOW_KEYS_S)
         self._show_case(view)
-        self._scene.show(view, self._shown_figures, self._figures.heads)
+        self._show_scene(view)
         self._beat += 1
         self._clock.set_content(clock(view, self._beat))
 
+    def _show_scene(self, view: CaseView) -> None:
+        self._scene.show(view, self._shown_figures, self._figures.heads)
+
     def _show_case(self, view: CaseView) -> None:
-        """Show all but the scene and the beat, which need an open page."""
+        """Show all but the scene, and the beat, which needs an open page."""
         for place, render, key, shown in self._panels:
             current = key(view)
             if current != shown[0]:

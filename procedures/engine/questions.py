@@ -87,7 +87,7 @@ class Questions:
             reason = f"no answer within {late_s:g} s{f' ({reason})' if reason else ''}"
         if reason:
             raise NotConfirmed(
-                f"{reason} to: {question.subject}",
+                f"{reason} to '{question.subject}'",
                 action="Nothing was done; the step asks again when it is repeated.",
             )
         return answer.word

@@ -13,7 +13,7 @@ from ronna_hw.arrays import Array
 Picture = NDArray[np.uint8]
 
 PLAN_PICTURE = "plan-"  # prefix of the file names, followed by the trajectory
-HALF_WIDTH_MM = 120.0  # of an image: a head and what is mounted on it
+HALF_WIDTH_MM = 120.0  # of a plane, about the head's middle: a head and what is mounted on it
 STEP_MM = 0.9
 WINDOW_HU = (-300.0, 1300.0)
 UNSCANNED_HU = -1000
@@ -22,6 +22,8 @@ FAINTEST = 0.12  # of a trajectory's opacity, at any distance from the plane
 PIECES = 40  # per drawn trajectory
 OWN_BGR, OTHER_BGR, TARGET_BGR, LETTER_BGR = (162, 95, 255), (255, 166, 88), (60, 220, 255), (255, 255, 255)
 GAP_PX = 6
+# Scales of the font, whose capitals are 21 px high at 1: on a page a plane may be shown in half its size.
+SIDE_SCALE, TITLE_SCALE = 0.95, 0.6
 # Radiological convention: name, direction to the right and down in LPS, letters left, right, top, bottom.
 PLANES = (
     ("axial", (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), ("R", "L", "A", "P")),
@@ -31,19 +33,22 @@ PLANES = (
 Line = tuple[Array, Array]  # entry and target, LPS mm
 
 
-def trajectory_cuts(volume: Volume, lines: Mapping[str, Line], name: str) -> bytes:
+def trajectory_cuts(volume: Volume, lines: Mapping[str, Line], name: str, head_mm: Array) -> bytes:
     """Draw a PNG with the axial, coronal and sagittal planes through the target of trajectory `name`.
 
-    `lines` are entry and target, LPS mm, by name; each fades with its distance from the plane.
+    `lines` are entry and target, LPS mm, by name; each fades with its distance from the plane. Each plane
+    is shown about the head's middle `head_mm`, so that the whole head is in it wherever the target lies.
     """
     import cv2
 
     gap = np.zeros((2 * round(HALF_WIDTH_MM / STEP_MM) + 1, GAP_PX, 3), np.uint8)
     parts: list[Picture] = []
     for title, right, down, letters in PLANES:
-        picture = _sample_plane(volume, lines[name][1], np.array(right), np.array(down))
+        axes, target = np.array([right, down]), lines[name][1]
+        middle = target + (head_mm - target) @ axes.T @ axes  # in the plane through the target
+        picture = _sample_plane(volume, middle, *axes)
         for other, line in sorted(lines.items(), key=lambda one: one[0] == name):  # own trajectory on top
-            _draw_line(picture, line, lines[name][1], np.array([right, down]), is_own=other == name)
+            _draw_line(picture, line, middle, axes, is_own=other == name)
         _write(picture, f"{name} {title}", letters)
         parts += [gap, picture]
     _, content = cv2.imencode(".png", np.hstack(parts[1:]))
@@ -94,6 +99,7 @@ def _write(picture: Picture, title: str, letters: tuple[str, str, str, str]) -> 
     size = picture.shape[0]
     left, right, top, bottom = letters
     middle, low = size // 2, size - 6
-    places = ((left, (5, middle)), (right, (size - 14, middle)), (top, (middle, 14)), (bottom, (middle, low)))
-    for words, place in (*places, (title, (5, 14))):
-        cv2.putText(picture, words, place, cv2.FONT_HERSHEY_SIMPLEX, 0.42, LETTER_BGR, 1, cv2.LINE_AA)
+    sides = ((left, (5, middle)), (right, (size - 23, middle)), (top, (middle, 24)), (bottom, (middle, low)))
+    for words, place in sides:
+        cv2.putText(picture, words, place, cv2.FONT_HERSHEY_SIMPLEX, SIDE_SCALE, LETTER_BGR, 2, cv2.LINE_AA)
+    cv2.putText(picture, title, (5, 18), cv2.FONT_HERSHEY_SIMPLEX, TITLE_SCALE, LETTER_BGR, 1, cv2.LINE_AA)

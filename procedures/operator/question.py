@@ -90,13 +90,17 @@ class Evidence(BaseModel, frozen=True, extra="forbid", allow_inf_nan=False):
 
 
 class PredictedError(BaseModel, frozen=True, extra="forbid", allow_inf_nan=False):
-    """Predicted error at a target, against the margin that the plan allows there."""
+    """Predicted error at a target, against the margin that the plan allows there.
+
+    `limit_mm` includes the widening; `rms_mm` is as the errors were stated.
+    """
 
     target: str
     rms_mm: float
     limit_mm: float
     confidence: float
     margin_mm: float
+    widening: float = 1.0  # factor by which the spheres disagree beyond what the errors stated
 
     @property
     def verdict(self) -> MarginVerdict:
@@ -108,9 +112,17 @@ class PredictedError(BaseModel, frozen=True, extra="forbid", allow_inf_nan=False
         """The verdict, with the limit of the error spelled out."""
         limit = f"{self.limit_mm:.2f} mm"
         if self.verdict is MarginVerdict.LIMIT_BEYOND:
-            return f"rms within the margin, but its {self.confidence:.0%} limit, {limit}, is beyond it"
+            beyond = f"rms within the margin, but its {self.confidence:.0%} limit, {limit}, is beyond it"
+            return beyond + self.caution
         within = "within" if self.verdict is MarginVerdict.PREDICTED_WITHIN else "BEYOND"
-        return f"{within} the margin; {self.confidence:.0%} of such errors stay within {limit}"
+        return f"{within} the margin; {self.confidence:.0%} of such errors stay within {limit}{self.caution}"
+
+    @property
+    def caution(self) -> str:
+        """Reason for a widened limit, to follow it in a sentence; empty if it is as stated."""
+        if self.widening == 1.0:
+            return ""
+        return f", widened: the spheres disagree {self.widening:.2f} times as much as the errors stated"
 
 
 class Picture(BaseModel, frozen=True, extra="forbid"):

@@ -56,9 +56,13 @@ def questions(journal: Sequence[Line]) -> tuple[AskedQuestion, ...]:
     """Return every question with its answer, in order."""
     asked = []
     for line in (line for line in journal if line["entry"] == Entry.CONFIRMATION):
-        texts = (str(line.get(key, "")) for key in ("topic", "subject", "value", "answer"))
+        texts = (_on_one_line(line.get(key, "")) for key in ("topic", "subject", "value", "answer"))
         asked.append(AskedQuestion(clock_time(line), theatre_time_s(line), *texts))
     return tuple(asked)
+
+
+def _on_one_line(shown: object) -> str:
+    return "; ".join(str(shown).splitlines())
 
 
 def notable_events(journal: Sequence[Line]) -> tuple[RunEvent, ...]:

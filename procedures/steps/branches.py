@@ -26,6 +26,13 @@ from ronna_hw.errors import AnyCode, RonnaError
 from ronna_hw.wire.room_tasks import DRILL, DURA, INSERT, SKIN
 
 GO_ON, LEAVE_OUT, FOLLOW, HOLD = "go on", "leave it out", "follow", "hold"
+HOLD_GUIDE = "hold the guide"
+# What an answer that decides nothing does, in the words of its question.
+HOLDING = {
+    HOLD: "nothing moves, the step ends, and every result is kept",
+    HOLD_GUIDE: "nothing moves and the step ends; repeat it to go on, "
+    "or take the instrument out and drive home",
+}
 FINISHED = "finished"  # all that was to be done through the guide was done before
 AGAIN, AS_IT_STANDS = "placed again", "as it stands"
 FEWEST_SPHERES = 4  # that must remain: with three, a moved one cannot be identified
@@ -63,10 +70,19 @@ class Branch:
     def question(
         self, subject: str, value: str, trajectory: str | None = None, answers: tuple[str, ...] | None = None
     ) -> Question:
-        """Build the branch's question, by default with all answers. Raises ValueError without a topic."""
+        """Build the branch's question, by default with all answers. Raises ValueError without a topic.
+
+        Its value ends with what holding does, where that can be answered.
+        """
         if self.topic is None:
             raise ValueError(f"no question is defined for: {self.event}")
-        return Question(self.topic, subject, value, answers or self.answers, trajectory)
+        answers = answers or self.answers
+        return Question(self.topic, subject, value + tell_holding(answers), answers, trajectory)
+
+
+def tell_holding(answers: tuple[str, ...]) -> str:
+    """Return the lines that say what holding does, to follow the value of a question with these answers."""
+    return "".join(f"\n{word}: {does}" for word, does in HOLDING.items() if word in answers)
 
 
 def strategy_answer(strategy: str) -> str:
@@ -325,7 +341,7 @@ WORK_BEGUN = Branch(
     "possibly one already done",
     (NotConfirmed,),
     Topic.WORK_BEGUN,
-    (FINISHED, *(stage_answer(task) for task in (INSERT, DURA, DRILL, SKIN)), HOLD),
+    (FINISHED, *(stage_answer(task) for task in (INSERT, DURA, DRILL, SKIN)), HOLD_GUIDE),
 )
 GUIDE_PUSHED = Branch(
     "someone pushes or pulls the guide, or the arm",

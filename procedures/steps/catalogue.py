@@ -12,7 +12,7 @@ from procedures.engine.order import Steps, StepSpec
 from procedures.journal.results import StepResult
 from procedures.operator.checkpoint import ABORT, CONTINUE, LEAVE, WAIT
 from procedures.operator.question import NO, NOBODY, READ, YES, Topic, join_answers
-from procedures.steps.branches import BRANCHES, HOLD
+from procedures.steps.branches import BRANCHES
 from procedures.steps.clinical import (
     at_target,
     cart_lock,
@@ -33,7 +33,7 @@ from procedures.steps.clinical import (
     tool_change,
     tool_check,
 )
-from procedures.steps.clinical.at_target import DONE
+from procedures.steps.clinical.at_target import STAGE_ANSWERS
 from procedures.steps.clinical.two_arms import base_to_base
 from procedures.steps.clinical.work_progress import STAGES
 from ronna_hw.roles import ASSISTANT, ONE_ARM
@@ -63,7 +63,7 @@ ANSWER_WORDS: dict[Topic, tuple[str, ...]] = {
     Topic.PAUSE: (CONTINUE, ABORT),
     Topic.GUARD: (WAIT, LEAVE),
     Topic.READING: (READ, NOBODY),
-    **{stage.topic: (DONE, HOLD) for stage in STAGES},
+    **{stage.topic: STAGE_ANSWERS for stage in STAGES},
 }
 AFTER_STOP = "the arm has not moved since it was connected or stopped"
 

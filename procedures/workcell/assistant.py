@@ -362,9 +362,9 @@ class Assistant(SupervisedArm):
     def lead_out(self, doubt: str = "", guided: GuidedStretch | None = None) -> None:
         """Withdraw the instrument once the operator, told of a `doubt`, has confirmed it."""
         motion = self.withdraw_motion(guided)
-        subject = f"the assistant leads the instrument straight out of {motion.trajectory}"
+        subject = f"May the assistant lead the instrument straight out of {motion.trajectory}?"
         if doubt:
-            subject += f"; {doubt}"
+            subject += f" {doubt[0].upper()}{doubt[1:]}."
         self.supervised.confirm(Topic.RETREAT, subject, [motion], motion.trajectory)
         self.supervised.carry_out(self.withdraw_motion(guided))
 

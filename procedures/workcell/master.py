@@ -178,7 +178,9 @@ class Master(SupervisedArm):
     def retreat(self, trajectory: str) -> None:
         """Withdraw the guide once the operator has confirmed it. Raises PRO-002 and as `withdraw`."""
         way_out = [self.withdraw_motion(self._axis_of(trajectory))]
-        self.supervised.confirm(Topic.RETREAT, f"retreat from {trajectory}", way_out, trajectory)
+        self.supervised.confirm(
+            Topic.RETREAT, f"Withdraw the guide from {trajectory} along its axis?", way_out, trajectory
+        )
         self.withdraw(trajectory)
 
     def record_found_on_axis(self, axis: InsertionAxis) -> None:

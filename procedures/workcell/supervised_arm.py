@@ -245,7 +245,7 @@ class SupervisedArm(ABC):
 
     def park(self, occasion: str = "") -> ArmReading:
         """Return home once the operator has confirmed it, on an occasion. Raises PRO-002."""
-        subject = f"park the {self.spoken_name} {occasion}".rstrip()
+        subject = f"Drive the {self.spoken_name} home {occasion}".rstrip() + "?"
         self.supervised.confirm(Topic.PARK, subject, [self.return_motion()])
         return self.return_home()
 

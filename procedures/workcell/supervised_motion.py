@@ -156,7 +156,7 @@ class SupervisedMotion:
         if self._ask is None:
             return False
         if self._ask(question) != YES:
-            raise NotConfirmed(f"the operator did not confirm: {question.subject}", got=question.value_line)
+            raise NotConfirmed(f"the operator did not confirm '{question.subject}'", got=question.value_line)
         return True
 
     def carry_out_with_detour(self, motion: PlannedMotion) -> ArmReading:
@@ -194,7 +194,7 @@ class SupervisedMotion:
             if not self._confirmed:
                 self.confirm(
                     Topic.FIRST_MOTION,
-                    f"first motion of the {self._name}: {MOTION_DESCRIPTIONS[motion.what]}",
+                    f"May the {self._name} make its first motion: {MOTION_DESCRIPTIONS[motion.what]}?",
                     [motion],
                     motion.trajectory,
                     self._announced,

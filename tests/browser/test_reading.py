@@ -155,10 +155,17 @@ def test_the_error_against_the_margin_and_the_answers_are_in_view_also_over_an_u
         take_seat(page)
         page.wait_for_function("document.querySelector('.question img').naturalWidth === 813")
         page.wait_for_selector(".accuracy >> text=Not accepted yet: T1")
-        for width, height in ((1280, 800), (390, 844)):
+        for width, height, decides in (
+            (1280, 800, ".decides dd, .question img, .answers button, .stage"),
+            (390, 844, ".decides dd, .answers button"),
+        ):
             page.set_viewport_size({"width": width, "height": height})
             page.evaluate("window.scrollTo(0, 0)")
-            page.wait_for_function(ALL_IN_VIEW, arg=".decides dd, .question img, .answers button")
+            page.wait_for_function(ALL_IN_VIEW, arg=decides)
+            boxes = [one.bounding_box() for one in page.locator(".question img").all()]
+            assert [box["width"] for box in boxes] == [pytest.approx(box["height"], abs=1.0) for box in boxes]
+            columns, rows = ({round(box[along]) for box in boxes} for along in "xy")
+            assert (len(columns), len(rows)) == ((3, 1) if width == 1280 else (1, 3))
             page.locator(".evidence summary").click()
             page.wait_for_function(ALL_IN_VIEW, arg=".answers button")
             page.locator(".evidence summary").click()
@@ -187,7 +194,7 @@ def test_a_question_that_follows_a_longer_one_is_brought_into_view_and_no_focus_
         page.wait_for_selector("section.question >> text=park the arm")
         page.wait_for_function(CLEAR_OF_THE_HEAD, arg="section.question")
         page.mouse.wheel(0, 400)
-        page.wait_for_function("window.scrollY > 300")
+        page.wait_for_function("window.scrollY > 150")
         page.locator(".typed input").first.focus()
         page.wait_for_function(CLEAR_OF_THE_HEAD, arg=".typed input")
 

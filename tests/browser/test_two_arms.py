@@ -59,7 +59,7 @@ def test_each_joint_of_both_arms_is_drawn_as_it_is(start: OperatedCases, page: A
     await_next(page, "ct_import")
     limit_mm = REACH_MM * math.radians(LARGEST_DEG) + BASE_MM
     run_to(page, "at_target:T1")
-    for asked in ("the tool has been exchanged", "the instrument is at depth"):
+    for asked in ("the tool been exchanged", "the instrument at depth"):
         answer_until(page, asked)
         off_mm = largest_off_mm(page, case)
         assert max(off_mm.values()) < limit_mm, f"{asked}: {off_mm}"

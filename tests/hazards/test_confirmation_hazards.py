@@ -89,7 +89,7 @@ def test_a_question_that_nobody_answered_in_time_is_named_without_its_value(
     questions = Questions(cell.setting(), cell.journal, EventStream(lambda: 0.0))
     with pytest.raises(NotConfirmed) as late:
         questions.ask_in_time(Question(Topic.APPROACH, "over T1", VALUE, timeout_s=0.05))
-    assert late.value.summary == "no answer within 0.05 s to: over T1"
+    assert late.value.summary == "no answer within 0.05 s to 'over T1'"
 
 
 def test_a_question_that_ends_at_the_console_names_what_counted_as_no(tmp_path: Path) -> None:
@@ -98,10 +98,10 @@ def test_a_question_that_ends_at_the_console_names_what_counted_as_no(tmp_path: 
     questions = Questions(cell.setting(), cell.journal, EventStream(lambda: 0.0))
     with pytest.raises(NotConfirmed) as late:
         questions.ask_in_time(Question(Topic.PATIENT, "the right patient", VALUE, timeout_s=0.05))
-    assert late.value.summary == f"no answer within 0.05 s ({EMPTY_SEAT}) to: the right patient"
+    assert late.value.summary == f"no answer within 0.05 s ({EMPTY_SEAT}) to 'the right patient'"
     cell.operator = SimpleNamespace(ask=lambda _asked: Answer("no", silence_reason=MISREAD_REASON))
     questions = Questions(cell.setting(), cell.journal, EventStream(lambda: 0.0))
-    with pytest.raises(NotConfirmed, match=f"{MISREAD_REASON} to: the right patient"):
+    with pytest.raises(NotConfirmed, match=f"{MISREAD_REASON} to 'the right patient'"):
         questions.ask_in_time(Question(Topic.PATIENT, "the right patient", VALUE))
 
 

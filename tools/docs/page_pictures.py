@@ -1,12 +1,14 @@
 """Screenshots of the console and the planner for the docs, of a real case and a real plan in a real browser.
 
-.venv/bin/python tools/docs/page_pictures.py [FOLDER]     # docs/pictures by default; two minutes
+.venv/bin/python tools/docs/page_pictures.py [--all] [FOLDER]     # docs/pictures by default; two minutes
 
-Each moment is taken at 1280 x 800 and 390 x 844, light and dark, with at most 256 colours.
+Takes those of a page that has changed since, or all. Each moment is taken at 1280 x 800 and 390 x 844, light
+and dark, with at most 256 colours.
 """
 
 from __future__ import annotations
 
+import argparse
 import io
 import sys
 import tempfile
@@ -14,16 +16,16 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from page_digest import MADE_OF, PICTURES, ROOT, digest_chunk, stale_pictures
 from PIL import Image
 
-ROOT = Path(__file__).resolve().parents[2]
 sys.path += map(str, (ROOT / "tests" / "support").iterdir())
 
 # These stand beside the tests, whose folders are on the path only now.
-from console_clicks import answer, answer_until, await_next, run_to, take_seat  # noqa: E402
-from modest_chromium import MISSING, modest_chromium, opened_context  # noqa: E402
-from open_planner import await_judged, enter_planner, make_phantom, open_planner  # noqa: E402
-from operated_case import enter, operated_cases, reviewed  # noqa: E402
+from console_clicks import answer, answer_until, await_next, run_to, take_seat
+from modest_chromium import MISSING, modest_chromium, opened_context
+from open_planner import await_judged, enter_planner, make_phantom, open_planner
+from operated_case import enter, operated_cases, reviewed
 
 DRAWN = """
 async () => {
@@ -58,18 +60,28 @@ DRAWN_MS = 2500  # for software graphics to have drawn the planner's scene
 
 def main() -> None:
     """Take the screenshots, write them to files, and delete those that the pages no longer have."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("folder", nargs="?", type=Path, default=PICTURES)
+    parser.add_argument("--all", action="store_true", help="also those of a page that has not changed")
+    asked = parser.parse_args()
+    out: Path = asked.folder
+    pages = [page for page in MADE_OF if asked.all or stale_pictures(page, out) or not _pictures(page, out)]
+    if not pages:
+        sys.stderr.write("The pictures are those of today's pages.\n")
+        return
     if MISSING:
-        sys.exit(MISSING)
-    out = Path(sys.argv[1]) if len(sys.argv) > 1 else ROOT / "docs" / "pictures"
-    stale = {*out.glob("console-*.png"), *out.glob("planner-*.png")}
+        sys.exit(f"The pictures of {' and '.join(pages)} are of an older page, and {MISSING}.")
+    sys.stderr.write(f"Taking the pictures of {' and '.join(pages)}, about a minute each.\n")
     with tempfile.TemporaryDirectory() as name, modest_chromium(Path(name)) as browser:
-        taken = {
-            *_operated(browser, Path(name), out),
-            *_reviewed(browser, Path(name), out),
-            *_planned(browser, Path(name), out),
-        }
-    for file in stale - taken:
-        file.unlink()
+        for page in pages:
+            before = _pictures(page, out)
+            taken = {file for take in TAKE[page] for file in take(browser, Path(name), out)}
+            for file in before - taken:
+                file.unlink()
+
+
+def _pictures(page: str, folder: Path) -> set[Path]:
+    return set(folder.glob(f"{page}-*.png"))
 
 
 def _operated(browser: Any, place: Path, out: Path) -> Iterator[Path]:
@@ -91,7 +103,7 @@ def _operated(browser: Any, place: Path, out: Path) -> Iterator[Path]:
         moment.wait_for_function(HOLD_WHILE_RUNNING)
         yield from _take(moment, out, "console-running")
         moment.close()
-        answer_until(page, "accept the registration")
+        answer_until(page, "Accept the registration")
         yield from _take(page, out, "console-question")
         page.context.close()
 
@@ -123,6 +135,9 @@ def _planned(browser: Any, place: Path, out: Path) -> Iterator[Path]:
         page.wait_for_timeout(DRAWN_MS)
         yield from _take(page, out, "planner")
         page.context.close()
+
+
+TAKE = {"console": (_operated, _reviewed), "planner": (_planned,)}
 
 
 def _draw(page: Any) -> None:
@@ -157,7 +172,8 @@ def _take(page: Any, out: Path, moment: str, place: str = "body") -> Iterator[Pa
 def _keep(image: bytes, out: Path, moment: str, scheme: str, size: tuple[int, int]) -> Path:
     file = out / f"{moment}-{scheme}-{size[0]}.png"
     pixels = Image.open(io.BytesIO(image)).convert("RGB")
-    pixels.quantize(COLOURS, kmeans=2, dither=Image.Dither.NONE).save(file, optimize=True)
+    few = pixels.quantize(COLOURS, kmeans=2, dither=Image.Dither.NONE)
+    few.save(file, optimize=True, pnginfo=digest_chunk(moment.partition("-")[0]))
     return file
 
 

@@ -105,7 +105,7 @@ class Prompt:
                         run = shlex.quote(str(engine.case.folder))
                         self._say(f"the case is left as it is; to continue: ronna-procedure resume {run}")
                     return False
-                self._say(f"{left}: home asks whether it is out, then parks")
+                self._say(f"{left}: home asks whether it is out, then drives home")
             elif self._resumes and (order is Resume or (order is Next and engine.upcoming is None)):
                 return True  # with nothing upcoming, the way home is next
             else:

@@ -23,8 +23,8 @@ from procedures.guards.room_watch import RoomWatch
 from procedures.journal.errors import GateFailed, JournalNotWritable
 from procedures.journal.results import FramedPose, StepResult
 from procedures.operator.errors import GuardUnmet, NotConfirmed
-from procedures.operator.question import Question, Task, Topic
-from procedures.steps.branches import HOLD
+from procedures.operator.question import YES, Question, Task, Topic
+from procedures.steps.branches import HOLD_GUIDE, tell_holding
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.positioning import PositionedGuide
@@ -51,7 +51,7 @@ from ronna_hw.text import format_against_limit
 POSITION_LIMIT_MM = 0.05  # nominal place against the commanded one; more means the arm did not arrive
 
 UNSEEN = "the tracker sees no frame on the arm or the guide; only the joints show a push on the guide"
-DONE = "done"  # the one word that ends a stage
+STAGE_ANSWERS = (YES, HOLD_GUIDE)
 Insert = Callable[[StepContext, DepthStop], AssistedInsertion]
 
 
@@ -181,10 +181,10 @@ def _do_stage(
         work_so_far.assisted = by_arm(context, stop)
     question = Question(
         stage.topic,
-        f"at {trajectory}: {stage.done_statement}",
+        stage.asked.format(trajectory),
         f"depth stop {stop.read_mm:.2f} mm, computed {stop.computed_mm:.2f} mm; the guide is held "
-        f"{stop.standoff_mm:.0f} mm in front of the entry{before}",
-        (DONE, HOLD),
+        f"{stop.standoff_mm:.0f} mm in front of the entry{before}{tell_holding(STAGE_ANSWERS)}",
+        STAGE_ANSWERS,
         trajectory=trajectory,
         timeout_s=None,
     )
@@ -192,10 +192,10 @@ def _do_stage(
         if not by_arm:
             context.perform_task(Task(stage.task, f"{stage.instruction} at {trajectory}", trajectory))
         answer = context.choose(question)
-        if answer == DONE:  # done, whatever the watch has seen meanwhile
+        if answer == YES:  # done, whatever the watch has seen meanwhile
             stages.record_done(trajectory, stage.task)
             work_so_far.done.append(stage.task)
-    if answer != DONE:
+    if answer != YES:
         raise NotConfirmed(
             f"nobody confirmed at {trajectory} that {stage.done_statement}",
             action="Nothing moves. Repeat the step, or remove the instrument and send "

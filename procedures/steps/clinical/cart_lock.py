@@ -86,7 +86,8 @@ def run(context: StepContext) -> Outcome[LockedCart]:
     for placing in range(1, PLACINGS + 1):
         context.perform_task(Task(CART_PLACE, f"wheel {carts} into position"))
         context.perform_task(Task(CART_LOCK, f"lock the brakes of {carts}"))
-        _confirm(context, f"{carts} {are} locked", "the brakes of all wheels are set and nobody is pushing")
+        brakes = "the brakes of all wheels are set and nobody is pushing"
+        _confirm(context, f"{are} {carts} locked", brakes, f"{carts} {are} locked")
         robot_from_tracker, first = _take_first_look(context)
         drift = (
             None if proposal is None else _offset_from_proposal(context, proposal, robot_from_tracker, first)
@@ -94,7 +95,8 @@ def run(context: StepContext) -> Outcome[LockedCart]:
         if proposal is None or drift is None or _accept_position(context, proposal, drift, placing):
             break
     context.perform_task(Task(CART_PUSH, f"lean on {carts} from each side, then stand clear"))
-    _confirm(context, f"someone leaned on {carts}", "from each side, and everyone stands clear")
+    leaned = f"someone leaned on {carts}"
+    _confirm(context, f"has {leaned}", "from each side, and everyone stands clear", leaned)
     frames, _ = read_frames_at_rest(context.workcell)
     second = room_reading(context.workcell, frames, robot_from_tracker)
     try:
@@ -183,10 +185,10 @@ def _accept_position(
     return answer == AS_IT_STANDS
 
 
-def _confirm(context: StepContext, subject: str, value: str) -> None:
+def _confirm(context: StepContext, asked: str, value: str, statement: str) -> None:
     """Ask for confirmation before the tracker measures, so that nobody is rushed. Raises PRO-041."""
-    if context.choose(Question(Topic.CART_LOCKED, subject, f"{value}: is that so?")) != YES:
-        raise CART_NOT_LOCKED(f"the cart is not locked: nobody confirmed that {subject}")
+    if context.choose(Question(Topic.CART_LOCKED, f"{asked[0].upper()}{asked[1:]}?", value)) != YES:
+        raise CART_NOT_LOCKED(f"the cart is not locked: nobody confirmed that {statement}")
 
 
 def displacement_against_head(

@@ -43,10 +43,8 @@ def run(context: StepContext) -> Outcome[ClampedHead]:
             f"clamp the head ({table_orientation}), lock the clamp to the table, attach the spheres",
         )
     )
-    subject = "the head is clamped, and the clamp locked to the table"
-    value = (
-        f"patient position {table_orientation}; {checked.implanted} spheres are on the screws: is that so?"
-    )
+    subject = "Is the head clamped, and the clamp locked to the table?"
+    value = f"patient position {table_orientation}; {checked.implanted} spheres are on the screws"
     context.confirm(Topic.HEAD_CLAMPED, subject, value)
     frames, _ = read_frames_at_rest(context.workcell, count=FRAMES)
     require_in_view(context.workcell, frames)

@@ -65,8 +65,8 @@ def run(context: StepContext) -> Outcome[CheckedPlan]:
     )
     check, spheres = _accept_count(context, check, localization)
     check.require()
-    pictures = _keep_cuts(context, volume, plan)
     head = fit_head(volume)
+    pictures = _keep_cuts(context, volume, plan, head)
     _confirm_patient(context, plan, head, pictures)
     count = len(plan.trajectories)
     summary = f"{count} {'trajectory' if count == 1 else 'trajectories'}, {spheres} spheres implanted"
@@ -97,11 +97,13 @@ def plan_picture(trajectory: str) -> str:
     return f"{PLAN_PICTURE}{trajectory}.png"
 
 
-def _keep_cuts(context: StepContext, volume: Volume, plan: Plan) -> tuple[Picture, ...]:
+def _keep_cuts(context: StepContext, volume: Volume, plan: Plan, head: HeadEllipsoid) -> tuple[Picture, ...]:
     """Save CT cuts along the planned trajectories for the operator and the report."""
     ways = {one.id: (np.array(one.entry_mm), np.array(one.target_mm)) for one in plan.trajectories}
+    middle_mm = np.array(head.centre_mm)
     return tuple(
-        context.keep_picture(plan_picture(name), trajectory_cuts(volume, ways, name), name) for name in ways
+        context.keep_picture(plan_picture(name), trajectory_cuts(volume, ways, name, middle_mm), name)
+        for name in ways
     )
 
 

@@ -36,7 +36,7 @@ from ronna_hw.frames import Transform
 from ronna_hw.vectors import JointVector
 
 VIA_HOME = "home, where the tracker sees head and arm, then "
-UNWATCHED = "; the arm is expected to hide the head from the tracker there"
+UNWATCHED = " The arm is expected to hide the head from the tracker there."
 REFUSALS = (Unreachable, Singular, OutOfJointRange, NotClear)
 
 
@@ -66,8 +66,8 @@ def run(context: StepContext) -> Outcome[PositionedGuide]:
     with name_refusals(trajectory):
         workcell.master.supervised.confirm(
             Topic.APPROACH,
-            f"move {VIA_HOME if via_home else ''}over {trajectory} with tool {mounted}, then "
-            f"{insertion.travel_mm:.0f} mm along the axis to {standoff_mm:.0f} mm above the entry"
+            f"Move {VIA_HOME if via_home else ''}over {trajectory} with tool {mounted}, then "
+            f"{insertion.travel_mm:.0f} mm along the axis to {standoff_mm:.0f} mm above the entry?"
             f"{UNWATCHED if is_hidden else ''}",
             [
                 *([workcell.master.return_motion()] if via_home else []),
@@ -142,8 +142,8 @@ def _require_registration(context: StepContext) -> RegisteredRobot:
     fault = context.doubt(RegisteredRobot)
     if fault is not None:
         question = KEPT_REGISTRATION.question(
-            f"keep the registration for {context.trajectory}: neither the head, the cart nor the "
-            "tracker was moved",
+            f"Keep the registration for {context.trajectory}? Neither the head, the cart nor the "
+            "tracker may have moved.",
             f"it is older than a fault of the arm: {fault}",
             context.trajectory,
         )

@@ -134,12 +134,11 @@ def run(context: StepContext) -> Outcome[RegisteredRobot]:
         against = _against_margins(plan, predictions, predicted)
         question = Question(
             Topic.REGISTRATION,
-            f"accept the registration for {predicted.target}",
+            f"Accept the registration for {predicted.target}?",
             f"predicted target error {predicted.rms_mm:.2f} mm rms against a margin of "
             f"{against[0].margin_mm:g} mm, {predicted.limit_mm:.2f} mm at {predicted.confidence:.0%}"
-            + _tell_widening(predicted)
-            + f"; not included: {predicted.excluded}"
-            + "".join(f"; {said}" for said in (predicted.assumed, methods) if said),
+            f"{against[0].caution}\nnot included: {predicted.excluded}"
+            + "".join(f"\n{said}" for said in (predicted.assumed, methods) if said),
             trajectory=predicted.target,
             evidence=(error_budget.budget_table(predicted), error_budget.two_way_table(two_way)),
             predicted=against,
@@ -194,7 +193,7 @@ def _select_agreeing_pairs(
     (place,) = moved
     fiducial, rest = pairs.fiducials[place], pairs.without(place)
     question = MOVED_SPHERE.question(
-        f"sphere {fiducial + 1} disagrees with all others at {names}: it has moved, or is the wrong one",
+        f"Sphere {fiducial + 1} disagrees with all others at {names}: it has moved, or is the wrong one.",
         f"residual {gate.fre_mm:.2f} mm with it, {rest.gate(arm_mm).fre_mm:.2f} mm with the other "
         f"{len(rest.fiducials)}, limit {gate.limit_mm:.2f} mm",
         context.key.trajectory,
@@ -326,12 +325,6 @@ def predict_tip_error(
         assumed=context.result(LocalizedFiducials).assumed_error,
         budget=tuple(ErrorShare(source=name, rms_mm=rms) for name, rms in predicted.budget_mm.items()),
     )
-
-
-def _tell_widening(predicted: Prediction) -> str:
-    if predicted.widening == 1.0:
-        return ""
-    return f", widened: the spheres disagree {predicted.widening:.2f} times as much as the errors stated"
 
 
 def _advise_on_moved(moved: list[int], spheres: int) -> str:

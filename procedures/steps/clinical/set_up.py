@@ -116,7 +116,7 @@ def run(context: StepContext) -> Outcome[CheckedSetUp]:
     check_serial(calibrations.stereo_head.right, right)
     workcell.master.mount.check(MountedTool.STEREO_HEAD)
     if context.setting.arm_not_home is not None:
-        subject = "take the arm's present position as its home, where tools are exchanged and the case parks"
+        subject = "Take the arm's present position as its home, where tools are exchanged and the case ends?"
         context.confirm(Topic.RESUME, subject, context.setting.arm_not_home)
     return Outcome(
         CheckedSetUp(

@@ -43,7 +43,7 @@ def run(context: StepContext) -> Outcome[MountedGuide]:
     mounted = exchange_tool(context, MountedTool.GUIDE)
     context.confirm(
         Topic.TOOL_TIP,
-        "use this tip calibration of the guide",
+        "Use this tip calibration of the guide?",
         f"{calibration.identifier}, made {calibration.created:%Y-%m-%d}, "
         f"stated error {calibration.stated_error_mm:.2f} mm",
     )

@@ -75,7 +75,7 @@ def run(context: StepContext) -> Outcome[CheckedTool]:
         doubt(context, problem.summary, again=False)  # targets that it served before a restart or a fault
         tip = context.workcell.calibrations.tool_tip
         question = TOOL_BESIDE_GAUGE.question(
-            "the guide differs from its record: mount it again",
+            "The guide differs from its record. Is it mounted again?",
             f"{problem.summary}; {YES}: guide and mandrel have been seated anew, check once more; {NO}: the "
             "step ends",
         )
@@ -159,7 +159,7 @@ def read_on_gauge(context: StepContext) -> GuideOnGauge:
     workcell.start()
     there = [workcell.master.settle_motion(gauge_rad, ONE_SIDE, allow_detour=True)]
     workcell.master.supervised.confirm(
-        Topic.TOOL_CHECK, "move the guide over to the gauge on the table", there
+        Topic.TOOL_CHECK, "Move the guide over to the gauge on the table?", there
     )
     noticeable_mm = guide_noticeable_mm(workcell.master.arm.kinematics.name)
     reads = tuple(f"dial {name} of the gauge in mm" for name in DIALS)

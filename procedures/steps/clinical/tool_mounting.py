@@ -38,10 +38,10 @@ def exchange_tool(context: StepContext, tool: MountedTool) -> int:
         number, name = workcell.calibrations.tool_tip.tool_number, "the surgical guide"
     value = f"{name}, tool {number}"
     if workcell.master.tool is tool:  # after an interrupted exchange: remounting would change its seat
-        context.confirm(Topic.TOOL_CHANGE, "the tool is still mounted; leave it on", value)
+        context.confirm(Topic.TOOL_CHANGE, "Is the tool still mounted? Leave it on.", value)
     else:
         context.setting.room.change_tool(number, name)
-        context.confirm(Topic.TOOL_CHANGE, "the tool has been exchanged", value)
+        context.confirm(Topic.TOOL_CHANGE, "Has the tool been exchanged?", value)
     for mounting in range(1, MOUNTINGS + 1):
         try:
             return workcell.master.mount.check(tool)
@@ -50,7 +50,7 @@ def exchange_tool(context: StepContext, tool: MountedTool) -> int:
                 raise
             context.find(f"the wrong tool is mounted: mount again {value}; {problem.summary}")
             context.setting.room.change_tool(number, name)
-            if context.choose(WRONG_TOOL.question("the tool has been exchanged again", value)) != YES:
+            if context.choose(WRONG_TOOL.question("Has the tool been exchanged again?", value)) != YES:
                 raise
     raise AssertionError("the last mounting has returned or raised")
 

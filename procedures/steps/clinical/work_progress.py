@@ -12,7 +12,7 @@ from procedures.journal.results import Values
 from procedures.operator.errors import NotConfirmed
 from procedures.operator.question import NO, YES, Task, Topic
 from procedures.planning.guide import depth_stop_mm
-from procedures.steps.branches import FINISHED, HOLD, SETTINGS, WORK_BEGUN, WRONG_STOP, stage_answer
+from procedures.steps.branches import FINISHED, HOLD_GUIDE, SETTINGS, WORK_BEGUN, WRONG_STOP, stage_answer
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.results import AssistedInsertion
 from procedures.steps.conditions import require_recent
@@ -31,22 +31,30 @@ BESIDE = "the guide was repositioned since; its axis may miss the opening"
 
 @dataclass(frozen=True)
 class WorkStage:
-    """Stage of the work through the guide: a task done by hand, and the statement that confirms it."""
+    """Stage of the work through the guide: a task done by hand, and the words to confirm it."""
 
     task: str
     topic: Topic
     instruction: str
+    asked: str  # with {} for the trajectory
     done_statement: str
 
 
 STAGES = (
-    WorkStage(room_tasks.SKIN, Topic.SKIN, "open the skin", "the skin is open"),
-    WorkStage(room_tasks.DRILL, Topic.DRILL, "drill the skull", "the skull is drilled"),
-    WorkStage(room_tasks.DURA, Topic.DURA, "open the dura", "the dura is open"),
+    WorkStage(room_tasks.SKIN, Topic.SKIN, "open the skin", "Is the skin open at {}?", "the skin is open"),
+    WorkStage(
+        room_tasks.DRILL,
+        Topic.DRILL,
+        "drill the skull",
+        "Is the skull drilled at {}?",
+        "the skull is drilled",
+    ),
+    WorkStage(room_tasks.DURA, Topic.DURA, "open the dura", "Is the dura open at {}?", "the dura is open"),
     WorkStage(
         room_tasks.INSERT,
         Topic.AT_TARGET,
         "insert the instrument until its stop rests on the guide",
+        "Is the instrument at depth at {}, and is the work there done?",
         "the instrument is at depth and the work there is done",
     ),
 )
@@ -171,7 +179,7 @@ def _tasks_done(context: StepContext) -> tuple[str, ...]:
         + describe_work(stages, trajectory),
         f"{BESIDE}; check, then choose the stage to continue from",
         trajectory,
-        (*((FINISHED,) if finished else ()), *offered, HOLD),
+        (*((FINISHED,) if finished else ()), *offered, HOLD_GUIDE),
     )
     answer = context.choose(question)
     if finished and answer == FINISHED:
@@ -228,7 +236,7 @@ def set_depth_stop(context: StepContext) -> DepthStop:
         )
         context.find(problem.summary)
         question = WRONG_STOP.question(
-            "the depth stop is set wrong: set it again",
+            "The depth stop is set wrong. Set it again?",
             f"read {read_mm:.2f} mm, expected {computed_mm:.2f} ± {STOP_LIMIT_MM:g} mm: {sum_text}; "
             f"{YES}: set and read it again, attempt {setting + 1} of {SETTINGS}; {NO}: the step ends, "
             "no instrument is inserted",
@@ -238,7 +246,7 @@ def set_depth_stop(context: StepContext) -> DepthStop:
             raise problem
     context.confirm(
         Topic.DEPTH_STOP,
-        f"the depth stop for {context.trajectory} is set",
+        f"Is the depth stop for {context.trajectory} set?",
         f"{sum_text}; read {read_mm:.2f} mm",
         context.trajectory,
     )

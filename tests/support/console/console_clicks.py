@@ -83,7 +83,7 @@ def _give(page: Any, patient: str) -> None:
     button = (
         goes_on if goes_on.count() else answers.first
     )  # to wait for an arm that hides the head is in vain
-    if "(hold)" in button.inner_text():
+    if "(press 1 s)" in button.inner_text():
         hold(page, button)
     else:
         button.click()

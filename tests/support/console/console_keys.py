@@ -60,7 +60,7 @@ def answer_by_keys(page: Any) -> None:
         page.keyboard.type(read_back(page))
     goes_on = f"{ANSWERS}[data-answer=continue]"
     button = goes_on if page.locator(goes_on).count() else f"{ANSWERS}:first-child"
-    is_held = "(hold)" in page.locator(button).inner_text()
+    is_held = "(press 1 s)" in page.locator(button).inner_text()
     tab_to(page, button)
     if is_held:
         hold_space(page)

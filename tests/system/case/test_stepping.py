@@ -85,10 +85,10 @@ def test_a_declined_approach_holds_the_case_which_can_then_be_aborted(case: Simu
 def test_commands_that_end_with_an_instrument_inside_end_with_an_error_that_says_how_to_go_on(
     case: SimulatedCase,
 ) -> None:
-    hold = '[answers]\n"skin:T1" = "hold"'
+    hold = '[answers]\n"skin:T1" = "hold the guide"'
     done = case.step("to at_target:T1", "quit", words=MINI, answers=hold)
     assert done.returncode == EXIT_RECOVERY_NEEDED, done.stderr
-    assert "home asks whether it is out, then parks" in done.stdout
+    assert "home asks whether it is out, then drives home" in done.stdout
     run = case.run_folder
     assert "PRO-055: the commands have ended, and an instrument is still in T1" in done.stderr
     assert f"ronna-procedure home {run} asks for the removal" in done.stderr

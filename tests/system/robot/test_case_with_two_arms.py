@@ -60,7 +60,7 @@ def test_the_assistant_inserts_the_instrument_both_arms_go_home_and_the_run_repl
         "home",
     ]
     subjects = [str(line["subject"]) for line in journal_of(run) if line["entry"] == Entry.CONFIRMATION]
-    assert "park the master" in subjects
+    assert "Drive the master home?" in subjects
     assert not [subject for subject in subjects if "the arm " in subject]
     page = (run / "report.html").read_text()
     for way in ("guide in", "instrument in", "instrument out", "guide out"):

@@ -74,8 +74,8 @@ def test_a_hold_button_acts_only_after_the_browser_reports_a_hold_of_one_second(
 @pytest.mark.parametrize(
     ("topic", "answers", "shown"),
     [
-        ("head_unseen", ("wait", "continue", "leave"), ["wait (hold)", "continue (hold)", "leave"]),
-        ("pause", ("continue", "abort"), ["continue (hold)", "abort (hold)"]),
+        ("head_unseen", ("wait", "continue", "leave"), ["wait (press 1 s)", "continue (press 1 s)", "leave"]),
+        ("pause", ("continue", "abort"), ["continue (press 1 s)", "abort (press 1 s)"]),
     ],
 )
 def test_of_a_deliberate_question_all_but_a_harmless_last_answer_are_held(

@@ -13,7 +13,7 @@ from plan_editors import ENTRY, TARGET, scan
 from recording_cell import mini_theatre_file
 
 from console.planning.draft import Draft, DraftTrajectory
-from console.planning.judging import Judgement, judge, page_advice
+from console.planning.judging import Judgement, expected, judge, page_advice
 from console.planning.reach_panel import tell_trajectories
 from procedures.imaging.errors import MarkerCountWrong
 from procedures.planning.errors import NO_TOOL_RECORD, NotReachable
@@ -44,6 +44,7 @@ def test_a_plan_within_reach_is_judged_with_the_arms_own_errors(tmp_path: Path) 
     quick = judge(DRAFT, scan(), theatre, thorough=False)
     assert (quick.findings, quick.thorough) == ((), False)
     assert quick.expected["T1"].with_arm
+    assert "margin 2 mm: predicted within" in expected(quick, DRAFT)
     assert 'data-reached="T1"' in tell_trajectories(quick)
     alone = judge(DRAFT, scan(), None, thorough=True).expected["T1"]
     assert quick.expected["T1"].rms_mm > alone.rms_mm
@@ -66,6 +67,9 @@ def test_a_target_out_of_reach_still_has_the_error_that_the_markers_alone_predic
     alone = judge(DRAFT, scan(), None, thorough=True)
     assert judged.expected == alone.expected
     assert not judged.expected["T1"].with_arm
+    shown = expected(judged, DRAFT)
+    assert re.search(r">T1, markers only: [\d.]+ mm rms, [\d.]+ mm at 95%</p>", shown)
+    assert "margin 2" not in shown, "a part of the chain is judged against the margin of the whole"
 
 
 UNMET = (

@@ -155,6 +155,17 @@ def test_the_accuracy_panel_shows_the_registration_that_is_being_asked_about() -
     assert "0.51" in accuracy(CaseView(), before)
 
 
+def test_a_widened_limit_is_printed_large_and_the_verdict_says_why_it_is_widened() -> None:
+    predicted = PredictedError(
+        target="T1", rms_mm=0.46, limit_mm=1.84, confidence=0.95, margin_mm=2.0, widening=2.21
+    )
+    shown = question_words(question(topic="registration:T1", predicted=(predicted,)))
+    assert '<dt>limit of 95% of such errors, widened</dt><dd class="num">1.84 mm</dd>' in shown
+    why = "widened: the spheres disagree 2.21 times as much as the errors stated"
+    assert f"✓ within the margin; 95% of such errors stay within 1.84 mm, {why}" in shown
+    assert "1.84 at 95%, widened" in accuracy(CaseView(), CaseFigures(predictions=(predicted,)))
+
+
 def line(level: str, event: str, **more: object) -> str:
     return json.dumps({"timestamp": "2026-11-21T10:21:05.1Z", "level": level, "event": event, **more}) + "\n"
 

@@ -273,7 +273,7 @@ def test_what_was_found_for_an_earlier_draft_is_not_told_as_that_of_the_current_
     found = Judgement(
         earlier,
         thorough=True,
-        expected={"T1": ExpectedAtTarget(1.5, 3.0, (), with_arm=False)},
+        expected={"T1": ExpectedAtTarget(1.5, 3.0, (), with_arm=True)},
         angles_deg={"T1": 79.0},
         complete=True,
     )

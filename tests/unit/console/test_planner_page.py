@@ -175,7 +175,7 @@ def test_only_theatre_files_are_offered_by_name_and_none_is_checked_without_a_pl
     (tmp_path / "lab" / "broken.toml").write_text("theatre =")
     choice = TheatreChoice(tmp_path / "lab", tmp_path / "plan.toml", given)
     assert list(choice.list_files()) == ["given.toml", "theatre.toml"]
-    assert choice.load_given("1.2.3") is None
+    assert choice.load_known("1.2.3") is None
     with pytest.raises(HeadPlaceUnknown, match="PLAN-032"):
         choice.load("theatre.toml", "1.2.3")
 
@@ -192,7 +192,8 @@ def test_a_chosen_theatre_file_is_checked_from_the_cart_s_proposed_place_of_this
     }
     file = tmp_path / "place.json"
     file.write_text(json.dumps(place))
-    editor = PlanEditor(scan(), tmp_path / "plan.toml", TheatreChoice(tmp_path, tmp_path / "plan.toml"))
+    choice = TheatreChoice(tmp_path, tmp_path / "plan.toml")
+    editor = PlanEditor(scan(), tmp_path / "plan.toml", choice)
     assert editor.theatre is None
     asyncio.run(editor.choose_theatre("theatre.toml"))
     assert editor.theatre is not None
@@ -201,3 +202,18 @@ def test_a_chosen_theatre_file_is_checked_from_the_cart_s_proposed_place_of_this
     with raises(PLACE_UNFIT, match=r"PLAN-022.*another CT"):
         asyncio.run(editor.choose_theatre("theatre.toml"))
     assert editor.theatre is not None, "the arm so far is kept"
+
+
+def test_the_only_theatre_file_is_taken_from_the_start_and_of_several_none_is_guessed(tmp_path: Path) -> None:
+    file = mini_theatre_file(tmp_path, simulated=True)
+    choice = TheatreChoice(
+        tmp_path, tmp_path / "plan.toml", robot_from_ct=(700.0, 0.0, 100.0, -90.0, 0.0, -90.0)
+    )
+    loaded = choice.load_known(SERIES)
+    assert loaded is not None
+    assert loaded[0] == file.name
+    (tmp_path / "another.toml").write_text(file.read_text())
+    assert choice.load_known(SERIES) is None
+    file.unlink()
+    (tmp_path / "another.toml").write_text("[theatre]\n")
+    assert choice.load_known(SERIES) is None

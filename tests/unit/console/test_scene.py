@@ -11,12 +11,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 from case_events import question
+from nicegui import context, ui
 from shown_page import on_a_page
 
+from console.figures import LatestFigures
+from console.guard import Session, SessionRole
+from console.hub import Hub
+from console.panels.results import LogTail
 from console.scene.bodies import closest_pair, rotation_along
 from console.scene.head_surface import encode_stl, find_series_folder, head_surface
 from console.scene.sights import is_hidden, volume_edges
 from console.scene.theatre_scene import TheatreScene
+from console.web.page import CasePage
 from procedures.engine.case_view import CaseView, ReportedPose
 from procedures.engine.events import Bodies, Body, MeasuringVolume, Pose
 from procedures.imaging.volume import Volume, VoxelGeometry
@@ -248,3 +254,16 @@ def test_the_series_in_the_run_folder_takes_precedence_over_the_one_in_the_reque
     assert find_series_folder(tmp_path) == Path("/data/case-7/ct")
     (tmp_path / "case" / "ct").mkdir(parents=True)
     assert find_series_folder(tmp_path) == tmp_path / "case" / "ct"
+
+
+def test_the_theatre_comes_with_the_page_and_waits_for_no_connection(tmp_path: Path) -> None:
+    hub = Hub(tmp_path)
+    hub.show(CaseView(bodies={"arm": BODIES}))
+
+    async def drawn() -> set[str]:
+        session = Session(SessionRole.VIEWER, "session-1")
+        CasePage(hub, LatestFigures(hub), LogTail(tmp_path), session, low=True).build()
+        scenes = [one for one in context.client.elements.values() if isinstance(one, ui.scene)]
+        return {body.name for scene in scenes for body in scene.objects.values()}
+
+    assert {"column", "clamp"} <= on_a_page(drawn)

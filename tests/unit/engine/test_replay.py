@@ -522,6 +522,22 @@ def test_the_first_motion_of_each_of_two_arms_is_asked_about_anew() -> None:
     assert operator.find_first_to_move(1) == ASSISTANT
 
 
+@pytest.mark.parametrize(
+    ("answers", "recorded", "replayed"),
+    [
+        (("yes", "hold the guide"), "done", "yes"),
+        (("yes", "hold the guide"), "hold", "hold the guide"),
+        (("go on", "hold"), "hold", "hold"),
+    ],
+)
+def test_a_run_from_before_an_answer_was_renamed_is_replayed_with_its_meaning(
+    answers: tuple[str, ...], recorded: str, replayed: str
+) -> None:
+    operator = RecordedOperator()
+    operator.begin([{"entry": Entry.CONFIRMATION, "topic": "skin:T1", "answer": recorded}])
+    assert operator.ask(Question(Topic.SKIN, "Is it open?", "", answers, "T1")).word == replayed
+
+
 def test_an_arm_is_computed_by_the_calibration_that_its_controller_had_stated(tmp_path: Path) -> None:
     with closing(HandmadeController()) as controller:
         controller.a = (0.0, -0.4253, *UR5E_A[2:])

@@ -29,9 +29,14 @@ def volume(mark_mm: tuple[float, float, float]) -> Volume:
     return Volume(voxels, geometry, "1.2", "1.3")
 
 
-def planes(mark_mm: tuple[float, float, float]) -> list[np.ndarray]:
-    ways = {"T1": (np.array([0.0, 0.0, 30.0]), np.zeros(3))}
-    whole = cv2.imdecode(np.frombuffer(trajectory_cuts(volume(mark_mm), ways, "T1"), np.uint8), 1)
+def planes(
+    mark_mm: tuple[float, float, float], target_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
+) -> list[np.ndarray]:
+    """The three planes through a target of a head whose middle is the origin."""
+    target = np.array(target_mm)
+    ways = {"T1": (target + np.array([0.0, 0.0, 30.0]), target)}
+    drawn = trajectory_cuts(volume(mark_mm), ways, "T1", np.zeros(3))
+    whole = cv2.imdecode(np.frombuffer(drawn, np.uint8), 1)
     return [whole[:, k * (SIZE + GAP_PX) :][:, :SIZE] for k in range(3)]
 
 
@@ -62,3 +67,12 @@ def test_a_trajectory_is_drawn_in_its_plane_and_at_the_target() -> None:
     assert coronal[up, MIDDLE].max() > 200  # the way runs upwards in this plane
     near_target = axial[MIDDLE - 2 : MIDDLE + 3, MIDDLE - 2 : MIDDLE + 3]
     assert near_target.max() > 200
+
+
+def test_the_far_side_of_the_head_is_in_the_picture_of_a_target_at_its_edge() -> None:
+    nose_mm, occiput_mm = -70.0, 80.0  # 150 mm apart: more than half of a plane
+    _, _, sagittal = planes((0.0, occiput_mm, 0.0), target_mm=(0.0, nose_mm, 0.0))
+    across = [MIDDLE + round(posterior_mm / STEP_MM) for posterior_mm in (nose_mm, occiput_mm)]
+    target, mark = sagittal[MIDDLE, across]
+    assert target.max() > 200
+    assert mark.tolist() == [255, 255, 255]

@@ -298,7 +298,7 @@ def test_a_report_made_again_from_the_folder_alone_is_identical(registered: Path
 def test_questions_are_listed_with_the_displayed_value_and_the_answer(registered: Path) -> None:
     text = report_text(write_report(registered))
     shown = r'</td><td class="free">predicted target error .* at 95%; not included: .*</td><td>yes</td>'
-    assert re.search(f"accept the registration for {FIRST}{shown}", text)
+    assert re.search(f"Accept the registration for {FIRST}\\?{shown}", text)
 
 
 def test_a_rehearsal_without_truth_does_not_claim_measured_errors(registered: Path) -> None:

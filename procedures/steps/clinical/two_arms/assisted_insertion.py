@@ -88,10 +88,10 @@ def insert_with_assistant(context: StepContext, stop: DepthStop) -> AssistedInse
     stopped_by = "this arm senses no force" if limit_N is None else f"{limit_N:g} N against it stop it"
     assistant.supervised.confirm(
         Topic.APPROACH,
-        f"the assistant brings the instrument over the guide at {trajectory}, then leads it "
+        f"May the assistant bring the instrument over the guide at {trajectory}, then lead it "
         f"{axis.travel_mm:.0f} mm along the bore until its stop rests on the guide, its tip "
-        f"{depth_mm:.0f} mm behind the entry; in the bore at up to {BORE_SPEED_MM_S:g} mm/s, from "
-        f"{OFF_SKIN_MM:g} mm off the skin on at {INSERTION_SPEED_MM_S:g} mm/s; {stopped_by}",
+        f"{depth_mm:.0f} mm behind the entry? In the bore at up to {BORE_SPEED_MM_S:g} mm/s, from "
+        f"{OFF_SKIN_MM:g} mm off the skin on at {INSERTION_SPEED_MM_S:g} mm/s; {stopped_by}.",
         [*map(assistant.go_motion, via_rad), assistant.settle_motion(start_rad, axis.arriving)],
         trajectory,
         covers=f"{axis.travel_mm:.0f} mm along the bore, which the distances below leave out",
@@ -172,7 +172,7 @@ def _require_bases(context: StepContext) -> KnownBases:
     assert known is not None
     if (fault := context.doubt(KnownBases)) is not None:
         question = KEPT_BASES.question(
-            "keep the bases of the two arms: neither an arm, what it carries nor its cart was touched",
+            "Keep the bases of the two arms? Neither arm, load nor cart may have been touched.",
             f"they are older than a fault: {fault}",
             context.trajectory,
         )

@@ -199,7 +199,7 @@ def test_work_of_which_the_journal_has_lost_every_line_is_asked_about(cell: Clin
     again.operator.answers[Topic.WORK_BEGUN] = "from dura"
     engine.run_to()
     (asked,) = [one for one in again.operator.asked if one.topic is Topic.WORK_BEGUN]
-    assert asked.answers == ("from skin", "from drill", "from dura", "from insert", "hold")
+    assert asked.answers == ("from skin", "from drill", "from dura", "from insert", "hold the guide")
     assert again.case.get(ReachedTarget, FIRST).result.done_before == ("skin", "drill")
 
 
@@ -234,7 +234,7 @@ def test_work_in_lines_that_only_the_event_file_still_has_is_named_asked_about_a
     assert "work at T1 (skin, drill, dura)" in found
     engine.run_to()
     (asked,) = [one for one in again.operator.asked if one.topic is Topic.WORK_BEGUN]
-    assert asked.answers == ("from dura", "from drill", "from skin", "from insert", "hold")
+    assert asked.answers == ("from dura", "from drill", "from skin", "from insert", "hold the guide")
     assert again.case.get(ReachedTarget, FIRST).result.done_before == ("skin", "drill")
 
 

@@ -96,9 +96,9 @@ def test_a_doubtful_sphere_is_shown_with_its_reason_and_odds_when_one_is_missing
     covered = DoubtfulSphere(centre_mm=(1.0, 2.0, 3.0), reason="is doubtful: ends under its cover", odds=0.45)
     checked(cell, plan().model_copy(update={"implanted": 5}), doubtful=(covered,))
     question, _patient = cell.operator.asked
-    assert question.value.endswith(
-        "not taken: at (1.0, 2.0, 3.0) mm, is doubtful: ends under its cover, odds 0.45"
-    )
+    spheres, holding = question.value.splitlines()
+    assert spheres.endswith("not taken: at (1.0, 2.0, 3.0) mm, is doubtful: ends under its cover, odds 0.45")
+    assert holding == "hold: nothing moves, the step ends, and every result is kept"
 
 
 def test_a_ct_with_fewer_spheres_than_implanted_is_accepted_if_the_operator_agrees(

@@ -69,11 +69,11 @@ def test_the_fit_uses_the_fine_measurements(cell: ClinicalCell) -> None:
 def test_the_operator_accepts_the_predicted_error_and_not_the_residual(cell: ClinicalCell) -> None:
     predicted = registered(cell).result.prediction(FIRST)
     (question,) = cell.operator.asked
-    assert question.subject == f"accept the registration for {FIRST}"
+    assert question.subject == f"Accept the registration for {FIRST}?"
     margin_mm = plan().trajectory(FIRST).margin_mm
     assert question.value == (
         f"predicted target error {predicted.rms_mm:.2f} mm rms against a margin of {margin_mm:g} mm, "
-        f"{predicted.limit_mm:.2f} mm at 95%; not included: {predicted.excluded}"
+        f"{predicted.limit_mm:.2f} mm at 95%\nnot included: {predicted.excluded}"
     )
 
     assert "a patient who moved during the scan" in predicted.excluded
@@ -186,7 +186,7 @@ def test_the_step_says_whose_error_stands_for_that_of_a_localizer_that_states_no
     assumed = done.result.prediction(FIRST).assumed
     assert assumed.startswith("thesis-sphere states no error: its share CT is the 0.162 mm published for it")
     (question,) = cell.operator.asked
-    assert question.value.endswith(f"; {assumed}")
+    assert question.value.endswith(f"\n{assumed}")
     assert question.evidence[0].rows[-1] == (f"assumed: {assumed}", "-")
 
 
@@ -194,7 +194,7 @@ def test_the_operator_reads_the_mark_of_a_thesis_method_before_accepting(cell: C
     cell.methods = CaseMethods(matcher=Matcher.THESIS)
     registered(cell)
     (question,) = cell.operator.asked
-    assert question.value.endswith(f"; {cell.methods.describe()}")
+    assert question.value.endswith(f"\n{cell.methods.describe()}")
     assert question.value.endswith("not for clinical use")
 
 
@@ -277,7 +277,7 @@ def test_a_sphere_that_alone_explains_the_disagreement_is_left_out_when_the_oper
 ) -> None:
     done = registered(cell, moved(2)).result
     question, _accepted = cell.operator.asked
-    assert question.subject.startswith("sphere 3 disagrees with all others")
+    assert question.subject.startswith("Sphere 3 disagrees with all others")
     assert [one.fiducial for one in done.left_out_spheres] == [2]
     assert done.pairs == 3
     assert done.fre_mm == pytest.approx(0.0, abs=1e-6)
@@ -306,5 +306,5 @@ def test_a_single_localization_serves_all_trajectories_and_each_is_accepted(cell
     cell.strategy = NeutralOrientation()
     stored = registered(cell, margin_mm=4.0)
     assert tuple(one.target for one in stored.result.predictions) == TRAJECTORIES
-    assert [one.subject.rpartition(" ")[2] for one in cell.operator.asked] == list(TRAJECTORIES)
+    assert [one.trajectory for one in cell.operator.asked] == list(TRAJECTORIES)
     assert stored.record.trajectory is None

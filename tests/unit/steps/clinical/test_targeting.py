@@ -96,7 +96,7 @@ def test_the_guide_stops_before_the_entry_after_moving_along_the_axis(
 @pytest.mark.hazard(36)
 def test_the_arm_does_not_move_without_confirmation(cell: ClinicalCell) -> None:
     cell.operator = RecordingOperator(Topic.APPROACH)
-    with pytest.raises(NotConfirmed, match=f"move home, .*, then over {FIRST}"):
+    with pytest.raises(NotConfirmed, match=f"Move home, .*, then over {FIRST}"):
         run(before_positioning(cell), f"positioning:{FIRST}")
     assert cell.arm.motions == []
     assert cell.arm.calls == ["surround"]
@@ -235,7 +235,7 @@ def test_an_arm_that_came_home_from_a_target_is_not_sent_there_again_before_the_
     run(engine, *(f"{name}:{FIRST}" for name in TARGETING))
     been = len(cell.arm.motions)
     run(engine, f"positioning:{LAST}")
-    assert cell.operator.asked[-1].subject.startswith(f"move over {LAST}")
+    assert cell.operator.asked[-1].subject.startswith(f"Move over {LAST}")
     assert [kind for kind, _ in cell.arm.motions[been:]] == ["joints", "line"]
 
 
@@ -355,6 +355,10 @@ def test_the_instrument_stays_at_its_target_until_the_operator_confirms_the_dept
     run(engine, f"positioning:{FIRST}")
     with pytest.raises(NotConfirmed, match="nobody confirmed at T1 that the instrument is at depth"):
         run(engine, f"at_target:{FIRST}")
+    asked = cell.operator.asked[-1]
+    assert asked.subject == f"Is the instrument at depth at {FIRST}, and is the work there done?"
+    assert asked.answers == ("yes", "hold the guide")
+    assert "hold the guide: nothing moves and the step ends" in asked.value
     assert engine.instrument_in == FIRST
     assert cell.case.find(ReachedTarget, FIRST) is None
 
@@ -393,4 +397,4 @@ def test_an_arm_that_is_elsewhere_returns_home_and_the_head_is_checked_there_bef
     with pytest.raises(PatientMoved):
         run(engine, f"positioning:{LAST}")
     assert tuple(cell.arm.motions[been:]) == SETTLED_HOME
-    assert cell.operator.asked[-1].subject.startswith("move home, where the tracker sees head and arm")
+    assert cell.operator.asked[-1].subject.startswith("Move home, where the tracker sees head and arm")

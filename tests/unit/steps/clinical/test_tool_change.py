@@ -66,7 +66,7 @@ def test_a_tool_other_than_the_guide_is_refused(cell: ClinicalCell, mounted: int
 @pytest.mark.hazard(36)
 def test_an_unconfirmed_exchange_does_not_count_as_a_mounted_guide(cell: ClinicalCell) -> None:
     cell.operator = RecordingOperator(Topic.TOOL_CHANGE)
-    with pytest.raises(NotConfirmed, match="the tool has been exchanged"):
+    with pytest.raises(NotConfirmed, match="Has the tool been exchanged"):
         exchange(cell)
     assert cell.workcell.master.tool is not MountedTool.GUIDE
     assert went(cell) == WAY_HOME  # before
@@ -123,7 +123,7 @@ def test_an_unconfirmed_exchange_resumes_with_the_guide_already_mounted(cell: Cl
     assert cell.workcell.master.tool is MountedTool.GUIDE
     assert len(cell.room.changed) == 1  # it is not to be mounted twice
     (still,) = (one for one in cell.operator.asked if one.topic is Topic.TOOL_CHANGE)
-    assert still.subject == "the tool is still mounted; leave it on"
+    assert still.subject == "Is the tool still mounted? Leave it on."
 
 
 def test_after_an_arm_fault_the_tool_is_read_again_before_the_next_step(cell: ClinicalCell) -> None:

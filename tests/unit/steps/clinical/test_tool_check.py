@@ -108,7 +108,9 @@ def test_a_guide_that_comes_right_when_it_is_mounted_again_is_accepted(
     monkeypatch.setattr(cell.room, "change_tool", seated_well)
     assert check(cell, *(0.06,) * 5).off_mm == pytest.approx(0.0)
     again = [question for question in cell.operator.asked if question.topic is Topic.TOOL_CHANGE]
-    assert [question.subject for question in again] == ["the guide differs from its record: mount it again"]
+    assert [question.subject for question in again] == [
+        "The guide differs from its record. Is it mounted again?"
+    ]
     (finding,) = [line for line in read_journal(cell.folder / JOURNAL_FILE) if line["entry"] == "finding"]
     assert "limit 0.05 mm, 0.1 deg, got 0.104 mm" in finding["text"]
 
@@ -168,10 +170,10 @@ def test_the_arm_does_not_leave_the_gauge_before_the_mandrel_is_out(
 @pytest.mark.parametrize(
     ("topic", "said", "motions"),
     [
-        (Topic.TOOL_CHECK, "move the guide over to the gauge.*without a terminal needs", 0),
+        (Topic.TOOL_CHECK, "Move the guide over to the gauge.*without a terminal needs", 0),
         (
             Topic.PARK,
-            "PRO-002: .*from the gauge: first: the guide moves .* mm; .* mm/s",
+            "PRO-002: .*from the gauge\\?.: first: the guide moves .* mm; .* mm/s",
             2 * APPROACHES,
         ),  # none home
     ],

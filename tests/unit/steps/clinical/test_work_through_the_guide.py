@@ -196,7 +196,7 @@ def test_begun_work_is_shown_and_the_operator_chooses_the_stage_to_continue_from
         next(one for one in cell.operator.asked if one.topic is Topic.DRILL),
     )
     assert begun.deliberate
-    assert begun.answers == ("from drill", "from skin", "hold")
+    assert begun.answers == ("from drill", "from skin", "hold the guide")
     for question in (begun.subject, drill.value):
         assert "the skin is open, not yet confirmed: the skull is drilled" in question
     before = cell.case.get(ReachedTarget, FIRST).result.done_before
