@@ -37,7 +37,8 @@ from ronna_hw.theatre_kind import is_simulated
 
 Rule = tuple[Operator | None, Set[Topic], bool]  # who answers which topics, and whether they are there
 MOST_MISTAKES = 20  # told at once
-OTHER_FILES = {"trajectories": "a plan", "theatre": "a theatre file"}  # by a key that only they have
+# By a key that only they have.
+OTHER_FILES = {"trajectories": "a plan", "theatre": "a theatre file", "servo_area_px": "a scene"}
 
 
 class Answers(BaseModel, frozen=True, extra="forbid", strict=True):
@@ -68,13 +69,22 @@ def is_rehearsal(config: Path | None) -> bool:
 def read_answers(path: Path, config: Path | None = None) -> Answers:
     """Read an answers file; `config` is the theatre file, or None for a simulated scene.
 
-    Raises PRO-026 with everything in it that does not fit, also for real devices, CFG-001, OSError.
+    Raises PRO-026 with everything in it that does not fit, also for real devices, CFG-001.
     """
-    content = read_toml(path, ANSWERS_UNFIT)
+    try:
+        content = read_toml(path, ANSWERS_UNFIT)
+    except OSError as error:
+        raise ANSWERS_UNFIT(
+            f"--answers: cannot read {path}: {str(error.strerror).lower()}",
+            expected="a TOML file with a table [answers]",
+            action="Correct the path, or omit --answers.",
+        ) from error
     for key, kind in OTHER_FILES.items():
         if key in content:
             raise ANSWERS_UNFIT(
-                f"{path} is {kind}, not a file of answers", expected="a table [answers], or a default"
+                f"{path} is {kind}, not a file of answers",
+                expected="a table [answers], or a default",
+                action="Give a file of answers; docs/reference/answers.md shows one.",
             )
     try:
         read = Answers.model_validate(content)

@@ -10,12 +10,13 @@ import errno
 import os
 import pwd
 import re
+import resource
 import shlex
 from collections.abc import Mapping, Sequence
 from difflib import get_close_matches
 from typing import Any
 
-from ronna_hw.errors import EXIT_USAGE, ErrorCode, RonnaError
+from ronna_hw.errors import EXIT_USAGE, ErrorCode, ErrorWords, RonnaError
 
 
 class UsageMistake(RonnaError):
@@ -120,11 +121,26 @@ def as_ronna_error(problem: BaseException) -> RonnaError:
         reason = os.strerror(problem.errno).lower()
         places = [str(name) for name in (problem.filename, problem.filename2) if name is not None]
         what = f"{' and '.join(places)}: {reason}" if places else reason
-        if problem.errno == errno.ENAMETOOLONG:
-            limit = f"{LONGEST_FILE_NAME} bytes for each name"
-            return kind(what, limit=limit, action="Choose a shorter name.")
-        return kind(what)
+        return kind(what, **_explain_system_error(problem.errno))
     return INTERNAL_FAULT(f"{type(problem).__name__}: {problem}")
+
+
+def _explain_system_error(number: int) -> ErrorWords:
+    """Return what the system expected, and what to do where the advice of the code does not fit."""
+    match number:
+        case errno.ENOENT:
+            return {"expected": "an existing file or folder"}
+        case errno.EACCES | errno.EPERM:
+            return {"expected": f"the right of {_name_account(os.geteuid())} to read it, or to write there"}
+        case errno.EFBIG:
+            largest = resource.getrlimit(resource.RLIMIT_FSIZE)[0]
+            if largest != resource.RLIM_INFINITY:
+                action = "Raise it with ulimit -f in this shell, or LimitFSIZE of the service."
+                return {"limit": f"{largest} bytes for a file", "action": action}
+        case errno.ENAMETOOLONG:
+            limit = f"{LONGEST_FILE_NAME} bytes for each name"
+            return {"limit": limit, "action": "Choose a shorter name."}
+    return {}
 
 
 def _find_system_error(problem: BaseException) -> BaseException:
@@ -139,6 +155,7 @@ def _find_system_error(problem: BaseException) -> BaseException:
 
 MOST_ALIKE = 3  # suggestions
 _UNREADABLE = re.compile(r"'(.+)' is not readable")
+_FEW_VALUES = re.compile(r"(\d+) arguments")
 _EXTRA = re.compile(r"Got unexpected extra argument(?:s|\(s\))? \((.*)\)")
 
 
@@ -170,6 +187,7 @@ def convert_usage_error(mistake: Exception, command: str, parameters: Sequence[A
         text = str(getattr(mistake, "message", "")).replace("Option ", "").replace("'", "").rstrip(".")
         named = (one for one in parameters if getattr(mistake, "option_name", "") in one.opts)
         meant = next((f"{one.metavar or one.opts[0]}: {one.help} " for one in named), "")
+        text = _FEW_VALUES.sub(r"\1 values, separated by spaces", text).replace("an argument", "a value")
         return UsageMistake(text, action=f"{meant}{see}")
     if not (message := getattr(mistake, "message", "")):
         message = str(mistake.format_message() if hasattr(mistake, "format_message") else mistake)

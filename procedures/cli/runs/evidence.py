@@ -172,10 +172,19 @@ def print_bytes(
         raise PATH_PROBLEM(f"{folder} has no recorded link bytes", expected="the folder of a run")
     wanted = [name for name in links if link is None or name == link or name.startswith(f"{link}.")]
     if not wanted:
-        raise UsageMistake(f"the run has no link {link}", expected=f"one of {', '.join(links)}")
+        raise UsageMistake(
+            f"--link: the run has no link {link}",
+            expected=f"one of {', '.join(links)}",
+            action="Name one of them, or omit --link for all.",
+        )
     begin_s, end_s = from_s if from_s is not None else -math.inf, to_s if to_s is not None else math.inf
     if begin_s > end_s:
-        raise UsageMistake("the window ends before it begins", got=f"--from {begin_s:g} --to {end_s:g}")
+        raise UsageMistake(
+            "the window ends before it begins",
+            expected="--to after --from",
+            got=f"--from {begin_s:g} --to {end_s:g}",
+            action="Exchange the two times, s of theatre time.",
+        )
     for change in inspect_run(run_folder).changes:
         tell(f"NOT AS THE RUN LEFT IT: {change}")
     merged = heapq.merge(*(read_link(folder, name) for name in wanted), key=lambda line: line.host_time)
