@@ -526,6 +526,12 @@ def read_theatre_file(path: Path) -> TheatreFile:
 
 def parse_theatre(content: dict[str, Any], name: str = "theatre file") -> TheatreFile:
     """Validate theatre-file contents; raises CFG-001 listing every mistake."""
+    if not content:
+        raise BadTheatreFile(
+            f"{name} is empty",
+            expected="the keys of a theatre file, such as theatre and [tracker]",
+            action="ronna-procedure new-theatre writes one, ronna-sim theatre that of a simulated theatre.",
+        )
     if "trajectories" in content and "theatre" not in content:
         raise BadTheatreFile(
             f"{name} is a plan, not a theatre file", action="Give the path of a theatre file."

@@ -120,6 +120,8 @@ def describe_mistake(item: ErrorDetails) -> str:
         case "datetime_type" | "datetime_parsing" | "datetime_from_date_parsing":
             quoted = ", without quotes in TOML" if isinstance(item["input"], str) else ""
             return f"expected day, time and time zone, as 2026-12-21T12:00:00Z{quoted}"
+        case "int_type" | "int_parsing" | "int_from_float":
+            return f"expected a whole number{' without quotes' if _is_only_quoted(item['input']) else ''}"
     message_text = item["msg"].removeprefix("Value error, ")
     for prefix in ("Input should be", "String should have"):
         message_text = message_text.replace(prefix, "expected", 1)

@@ -170,7 +170,9 @@ def find_selected_command(command: Any, arguments: Sequence[str]) -> tuple[str, 
     return " ".join(names), command.params
 
 
-def convert_usage_error(mistake: Exception, command: str, parameters: Sequence[Any] = ()) -> UsageMistake:
+def convert_usage_error(
+    mistake: Exception, command: str, parameters: Sequence[Any] = (), arguments: Sequence[str] = ()
+) -> UsageMistake:
     """Convert a typer usage error to a UsageMistake: option, value, expectation, help."""
     context = getattr(mistake, "ctx", None)
     help_of = f"{command if context is None else context.command_path} --help"
@@ -188,7 +190,8 @@ def convert_usage_error(mistake: Exception, command: str, parameters: Sequence[A
         named = (one for one in parameters if getattr(mistake, "option_name", "") in one.opts)
         meant = next((f"{one.metavar or one.opts[0]}: {one.help} " for one in named), "")
         text = _FEW_VALUES.sub(r"\1 values, separated by spaces", text).replace("an argument", "a value")
-        return UsageMistake(text, action=f"{meant}{see}")
+        given = _values_after(getattr(mistake, "option_name", ""), arguments)
+        return UsageMistake(text, got=given, action=f"{meant}{see}")
     if not (message := getattr(mistake, "message", "")):
         message = str(mistake.format_message() if hasattr(mistake, "format_message") else mistake)
     if found := _EXTRA.match(message):
@@ -210,6 +213,13 @@ def convert_usage_error(mistake: Exception, command: str, parameters: Sequence[A
     hint = getattr(mistake, "param_hint", None)
     text = f"{hint}: {message}" if hint else message
     return UsageMistake(text if text.endswith("...") else text.rstrip("."), action=see)
+
+
+def _values_after(option: str, arguments: Sequence[str]) -> str | None:
+    """Return what follows an option on a command line, None if it cannot be told."""
+    if option not in arguments:
+        return None
+    return " ".join(arguments[arguments.index(option) + 1 :]) or "nothing"
 
 
 def _advise_several_values(parameters: Sequence[Any]) -> str:

@@ -151,3 +151,17 @@ def test_a_folder_with_points_of_another_function_is_refused(tmp_path: Path) -> 
 def test_an_argument_without_a_value_is_refused(tmp_path: Path) -> None:
     with raises(WrongArgument):
         sweep(whose_process, folder=tmp_path, number=[])
+
+
+def test_what_cannot_be_called_is_refused_before_the_first_point() -> None:
+    with raises(WrongArgument, match="no function; expected a function, without quotes"):
+        sweep("jitter", distance_mm=1.0)  # type: ignore[arg-type]
+    with raises(
+        WrongArgument, match="'distance_mm'; expected the arguments distance_mm, unit, got distance, unit"
+    ):
+        sweep(jitter, distance=1.0, unit="a")
+    with raises(
+        WrongArgument, match="workers of sweep is no number of processes; expected at least 1.* got 0"
+    ):
+        sweep(jitter, workers=0, distance_mm=1.0, unit="a")
+    assert not CALLS
