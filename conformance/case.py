@@ -148,7 +148,7 @@ class Suite(CaseList):
             return self
         cases = [case for case in self.cases if case.number.startswith(tuple(prefixes))]
         if not cases:
-            families = dict.fromkeys(case.number.rstrip("0123456789") for case in self.cases)
+            families = dict.fromkeys(case.number[0] for case in self.cases)
             raise NO_SUCH_CASE(
                 f"--only: no case of the {self.kind} suite starts with {' or '.join(prefixes)}",
                 expected=f"a number that starts with {' or '.join(families)}",

@@ -32,13 +32,11 @@ from procedures.operator.question import (
 )
 from ronna_hw.bounded_input import read_toml
 from ronna_hw.config import read_theatre_file
-from ronna_hw.mistakes import describe_mistakes
+from ronna_hw.mistakes import describe_mistakes, find_other_kind
 from ronna_hw.theatre_kind import is_simulated
 
 Rule = tuple[Operator | None, Set[Topic], bool]  # who answers which topics, and whether they are there
 MOST_MISTAKES = 20  # told at once
-# By a key that only they have.
-OTHER_FILES = {"trajectories": "a plan", "theatre": "a theatre file", "servo_area_px": "a scene"}
 
 
 class Answers(BaseModel, frozen=True, extra="forbid", strict=True):
@@ -79,13 +77,12 @@ def read_answers(path: Path, config: Path | None = None) -> Answers:
             expected="a TOML file with a table [answers]",
             action="Correct the path, or omit --answers.",
         ) from error
-    for key, kind in OTHER_FILES.items():
-        if key in content:
-            raise ANSWERS_UNFIT(
-                f"{path} is {kind}, not a file of answers",
-                expected="a table [answers], or a default",
-                action="Give a file of answers; docs/reference/answers.md shows one.",
-            )
+    if kind := find_other_kind(content, "answers"):
+        raise ANSWERS_UNFIT(
+            f"{path} is {kind}, not a file of answers",
+            expected="a table [answers], or a default",
+            action="Give a file of answers; docs/reference/answers.md shows one.",
+        )
     try:
         read = Answers.model_validate(content)
     except ValidationError as error:

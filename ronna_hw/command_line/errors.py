@@ -190,8 +190,9 @@ def convert_usage_error(
         named = (one for one in parameters if getattr(mistake, "option_name", "") in one.opts)
         meant = next((f"{one.metavar or one.opts[0]}: {one.help} " for one in named), "")
         text = _FEW_VALUES.sub(r"\1 values, separated by spaces", text).replace("an argument", "a value")
-        given = _values_after(getattr(mistake, "option_name", ""), arguments)
-        return UsageMistake(text, got=given, action=f"{meant}{see}")
+        if given := _values_after(getattr(mistake, "option_name", ""), arguments):
+            text += f"; got {given}"
+        return UsageMistake(text, action=f"{meant}{see}")
     if not (message := getattr(mistake, "message", "")):
         message = str(mistake.format_message() if hasattr(mistake, "format_message") else mistake)
     if found := _EXTRA.match(message):
@@ -215,11 +216,9 @@ def convert_usage_error(
     return UsageMistake(text if text.endswith("...") else text.rstrip("."), action=see)
 
 
-def _values_after(option: str, arguments: Sequence[str]) -> str | None:
-    """Return what follows an option on a command line, None if it cannot be told."""
-    if option not in arguments:
-        return None
-    return " ".join(arguments[arguments.index(option) + 1 :]) or "nothing"
+def _values_after(option: str, arguments: Sequence[str]) -> str:
+    """Return what follows an option on a command line: too few values, as far as there are any."""
+    return " ".join(arguments[arguments.index(option) + 1 :]) if option in arguments else ""
 
 
 def _advise_several_values(parameters: Sequence[Any]) -> str:

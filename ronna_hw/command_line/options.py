@@ -225,13 +225,13 @@ def require_folder(out: Path) -> None:
         inside = "" if there == out else f", so {out} cannot be made"
         raise PATH_PROBLEM(f"--out: {there} is a file{inside}", expected="a folder, which may be new")
     if there != out:
-        _require_disk(out, there)
+        _require_disk(f"--out: {out}", there)
 
 
-def _require_disk(out: Path, there: Path) -> None:
+def _require_disk(what: str, there: Path) -> None:
     if not os.statvfs(there).f_blocks:  # such as /proc
         raise PATH_PROBLEM(
-            f"--out: {out} cannot be made: {there} is on no disk",
+            f"{what} cannot be made: {there} is on no disk",
             expected="a place on a disk",
             action="Name another.",
         )
@@ -277,7 +277,7 @@ def require_folder_of(*files: Path) -> None:
                 action="Create the folder, or name another.",
             )
         if not file.exists():
-            _require_disk(file, file.parent)
+            _require_disk(str(file), file.parent)
 
 
 def require_new(*files: Path) -> None:

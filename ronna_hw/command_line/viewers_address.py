@@ -117,7 +117,7 @@ def viewers_address(bind: str | None, certificate: Path | None, key: Path | None
                 if file is not None
             )
             raise UsageMistake(
-                f"{given} is for the page at --bind",
+                f"{given} belongs to the page at --bind",
                 expected="--bind",
                 action=f"Add --bind, or omit {given}.",
             )

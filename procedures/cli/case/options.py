@@ -309,7 +309,7 @@ class ConsoleOptions:
         if not self.console:
             if given := self._list_page_options():
                 raise UsageMistake(
-                    f"{given} is of the page that --console serves",
+                    f"{given} belongs to the page that --console serves",
                     expected="--console",
                     action=f"Add --console, or omit {given}.",
                 )
