@@ -131,7 +131,8 @@ def _explain_system_error(number: int) -> ErrorWords:
         case errno.ENOENT:
             return {"expected": "an existing file or folder"}
         case errno.EACCES | errno.EPERM:
-            return {"expected": f"the right of {_name_account(os.geteuid())} to read it, or to write there"}
+            account = _name_account(os.geteuid())
+            return {"expected": f"the right of account {account} to read it, or to write there"}
         case errno.EFBIG:
             largest = resource.getrlimit(resource.RLIMIT_FSIZE)[0]
             if largest != resource.RLIM_INFINITY:

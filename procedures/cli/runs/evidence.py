@@ -40,6 +40,10 @@ from ronna_hw.text import format_count, printable
 
 CONFIRMED = (ReplayVerdict.EQUAL, ReplayVerdict.ROUNDED)
 ROW_BYTES = 16
+RESTORE = (
+    "put changed and missing files back from a copy of the run, and move added ones out; if only report.html "
+    "is named, ronna-procedure report RUN --out DIR makes it anew"
+)
 MARKS = {Direction.SENT: "O", Direction.RECEIVED: "I"}  # outbound and inbound, as text2pcap has them
 
 
@@ -73,6 +77,8 @@ def verify(folder: Path, *, as_json: bool) -> None:
         if missing:
             say(f"{missing}; {WRITES_ALL}")
     if problems:
+        if not as_json:
+            tell(f"what to do: {RESTORE}")
         raise SystemExit(EXIT_REFUSED)
     if not_vouched_for:
         raise SystemExit(EXIT_UNCONFIRMED)
