@@ -148,7 +148,11 @@ class Suite(CaseList):
             return self
         cases = [case for case in self.cases if case.number.startswith(tuple(prefixes))]
         if not cases:
-            raise NO_SUCH_CASE(f"no case of the {self.kind} suite starts with {' or '.join(prefixes)}")
+            families = dict.fromkeys(case.number[0] for case in self.cases)
+            raise NO_SUCH_CASE(
+                f"--only: no case of the {self.kind} suite starts with {' or '.join(prefixes)}",
+                expected=f"a number that starts with {' or '.join(families)}",
+            )
         return self.with_cases(cases)
 
 

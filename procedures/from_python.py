@@ -24,6 +24,7 @@ from procedures.runs.observers import RunObservers
 from ronna_hw.arguments import WrongArgument, require_path, show
 from ronna_hw.errors import RonnaError
 from ronna_hw.loaded_run import LoadedRun, load_run
+from ronna_hw.mistakes import describe_mistake
 from ronna_hw.records import write_atomically
 
 if TYPE_CHECKING:
@@ -37,6 +38,7 @@ if TYPE_CHECKING:
 Decide = Callable[[Question], str | None]
 THREADS = "OPENBLAS_NUM_THREADS"
 DECIDES = "a function of a Question that returns one of its answers, or None"
+FAULTS = 'one line or several, such as "at 3 s: tracker occlude marker 2 for 2 s"'
 OPTIONS = 'options by name, such as {"markers": 4}'
 # Options of the command for people or devices.
 NOT_OPTIONS = {"sim", "config", "case", "out", "ask", "answers", "faults"}
@@ -81,7 +83,7 @@ def run_case(
     with _step_bar(shown=progress) as follow:
         request = _make_request(given)
         if faults:
-            lines = [faults] if isinstance(faults, str) else list(faults)
+            lines = _list_faults(faults)
             request = replace(request, faults=_write_script("\n".join(lines) + "\n", runs))
         check_case(request, runs)
         observers = RunObservers(opened=follow, script=FunctionOperator(answers))
@@ -108,6 +110,14 @@ def compare_runs(first: str | os.PathLike[str], second: str | os.PathLike[str]) 
     for folder in folders:
         require_run(folder)
     return page.compare_runs(*folders)
+
+
+def _list_faults(given: object) -> list[str]:
+    """Return the lines of a fault script. Raises ARG-001 for anything else."""
+    lines = [given] if isinstance(given, str) else given
+    if isinstance(lines, Sequence) and all(isinstance(line, str) for line in lines):
+        return list(lines)
+    raise WrongArgument("faults of run_case are no lines of a fault script", expected=FAULTS, got=show(given))
 
 
 def _write_script(content: str, runs: Path) -> Path:
@@ -150,7 +160,8 @@ def _make_request(given: Mapping[str, object]) -> RunRequest:
     except ValidationError as error:
         first = error.errors()[0]
         name = str(first["loc"][0])
-        raise WrongArgument(f"{name} of run_case: {first['msg']}", got=show(given[name])) from error
+        expected = describe_mistake(first).removeprefix("expected ")
+        raise WrongArgument(f"{name} of run_case", expected=expected, got=show(given[name])) from error
     _check_ranges(options)
     return options.request()
 

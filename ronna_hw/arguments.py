@@ -20,7 +20,7 @@ class WrongArgument(DataError, TypeError):
     """A function or a command was given an empty path, or an argument of the wrong type, shape or range."""
 
     code = "ARG-001"
-    action = "Give what its documentation asks for."
+    action = "Give what is expected; help() of the function describes its arguments."
     exit_code = EXIT_USAGE
 
 

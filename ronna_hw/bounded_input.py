@@ -188,6 +188,11 @@ def read_toml(path: Path, refusal: Callable[[str], RonnaError]) -> dict[str, Any
 
 def parse_toml_bytes(content: bytes, name: str, refusal: Callable[[str], RonnaError]) -> dict[str, Any]:
     """Parse the bytes of the TOML file `name`; raises `refusal` like `read_toml`."""
+    if b"\0" in content:
+        raise refusal(
+            f"{name} is not TOML: it is binary or UTF-16, with a zero byte at {content.index(0)}; "
+            "save it as UTF-8 text"
+        )
     try:
         return parse_toml(content.decode("utf-8-sig"))
     except InputRefused as error:

@@ -27,7 +27,7 @@ from ronna_hw.calibration import (
 from ronna_hw.collision_config import CollisionConfig
 from ronna_hw.endpoints import Endpoint, parse_endpoint
 from ronna_hw.errors import ConfigurationError
-from ronna_hw.mistakes import count_mistakes, suggest_keys
+from ronna_hw.mistakes import count_mistakes, find_other_kind, suggest_keys
 from ronna_hw.plausible import (
     LONGEST_LIFE,
     ArmError,
@@ -526,9 +526,15 @@ def read_theatre_file(path: Path) -> TheatreFile:
 
 def parse_theatre(content: dict[str, Any], name: str = "theatre file") -> TheatreFile:
     """Validate theatre-file contents; raises CFG-001 listing every mistake."""
-    if "trajectories" in content and "theatre" not in content:
+    if not content:
         raise BadTheatreFile(
-            f"{name} is a plan, not a theatre file", action="Give the path of a theatre file."
+            f"{name} is empty",
+            expected="the keys of a theatre file, such as theatre and [tracker]",
+            action="ronna-procedure new-theatre writes one, ronna-sim theatre that of a simulated theatre.",
+        )
+    if kind := find_other_kind(content, "theatre"):
+        raise BadTheatreFile(
+            f"{name} is {kind}, not a theatre file", action="Give the path of a theatre file."
         )
     try:
         # Strict models refuse TOML's lists where tuples are declared, so lists are converted to tuples first.

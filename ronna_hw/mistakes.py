@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from datetime import date
 from difflib import get_close_matches
 from typing import Any, get_args
@@ -14,9 +14,25 @@ from pydantic_core import ErrorDetails
 from ronna_hw.plausible import NAME_PATTERN
 from ronna_hw.text import format_count
 
+# Kinds of files, by a key that only they have.
+KINDS = {
+    "trajectories": "a plan",
+    "theatre": "a theatre file",
+    "answers": "a file of answers",
+    "head": "a scene",
+    "part_number": "a tool description",
+    "wiring": "an RSI context",
+}
 MISTAKES_SHOWN = 20  # per file: more help no one, and a hostile file has thousands
 LONGEST_KEY = 100  # compared with known ones, which takes a hundred bytes for each letter
 UNQUOTED = ("float_type", "int_type", "bool_type")
+
+
+def find_other_kind(content: Mapping[str, object], own: str) -> str | None:
+    """Return the kind of a file that lacks its own key and has that of another kind."""
+    if own in content:
+        return None
+    return next((kind for key, kind in KINDS.items() if key in content), None)
 
 
 def describe_mistakes(error: ValidationError, model: type[BaseModel] | None = None) -> list[str]:
@@ -25,13 +41,19 @@ def describe_mistakes(error: ValidationError, model: type[BaseModel] | None = No
     With the validated model, an unknown key is reported with the known ones at its place.
     """
     lines = []
+    listed: set[tuple[str, ...]] = set()  # known keys, once for each table
     found = mistakes_in(error)
     for item in found[:MISTAKES_SHOWN]:
         location = _format_place(item["loc"])
         message = describe_mistake(item)
         if item["type"] == "extra_forbidden":
             known = () if model is None else list_known_keys(model, item["loc"][:-1])
-            message = f"unknown key{suggest_keys(str(item['loc'][-1]), known)}"
+            key = str(item["loc"][-1])
+            message = (
+                f"unknown key{suggest_alike(key, known) if known in listed else suggest_keys(key, known)}"
+            )
+            if "(known:" in message:
+                listed.add(known)
         value = item.get("input")
         found_is = str(value) if isinstance(value, date) else repr(value)
         shown = f" (found {found_is})" if isinstance(value, str | int | float | bool | date) else ""
@@ -120,6 +142,8 @@ def describe_mistake(item: ErrorDetails) -> str:
         case "datetime_type" | "datetime_parsing" | "datetime_from_date_parsing":
             quoted = ", without quotes in TOML" if isinstance(item["input"], str) else ""
             return f"expected day, time and time zone, as 2026-12-21T12:00:00Z{quoted}"
+        case "int_type" | "int_parsing" | "int_from_float":
+            return f"expected a whole number{' without quotes' if _is_only_quoted(item['input']) else ''}"
     message_text = item["msg"].removeprefix("Value error, ")
     for prefix in ("Input should be", "String should have"):
         message_text = message_text.replace(prefix, "expected", 1)

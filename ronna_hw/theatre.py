@@ -20,6 +20,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Self, TypeVar, cast
 
+from ronna_hw.arguments import require_path
 from ronna_hw.clock import Clock, SharedClock, open_clock
 from ronna_hw.config import Calibrations, DeviceConfig, TheatreFile, read_theatre_file
 from ronna_hw.devices.capabilities import ByteSink, RecordsBytes
@@ -46,7 +47,8 @@ def open_theatre(path: str | os.PathLike[str], timeout_s: float = 10.0) -> Itera
     """Connect and configure all devices of a theatre file for the duration of a block.
 
     On leaving, including by an exception or Ctrl-C, the arms are stopped and everything is closed in bounded
-    time. Raises CFG-001 for a missing or invalid file, and the driver's error if a device is not there.
+    time. Raises ARG-001 for no path, CFG-001 for a missing or invalid file, and the driver's error if a
+    device is not there.
     """
     with Theatre.from_file(path) as theatre:
         theatre.connect(timeout_s)
@@ -72,8 +74,8 @@ class Theatre:
 
     @classmethod
     def from_file(cls, path: str | os.PathLike[str], make: DriverOfTable = make_device) -> Self:
-        """Read the file and open its clock, but no devices. Raises CFG-001 or CLK-001."""
-        file = read_theatre_file(Path(path))
+        """Read the file and open its clock, but no devices. Raises ARG-001, CFG-001 or CLK-001."""
+        file = read_theatre_file(require_path(path, "the theatre file"))
         return cls(file, open_clock(file.clock.endpoint), make)
 
     @property

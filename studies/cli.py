@@ -140,11 +140,13 @@ def correspondence(
     from studies.plugin_trial import select_methods
 
     if xframe + sweep + template + wrong > 1:
-        raise UsageMistake("--sweep, --xframe, --template and --wrong are separate studies: give one of them")
+        selected = {"--sweep": sweep, "--xframe": xframe, "--template": template, "--wrong": wrong}
+        raise _several_studies([option for option, is_given in selected.items() if is_given])
     if (xframe or sweep or template or wrong) and (methods or tolerances_mm or refused_share):
         raise UsageMistake(
             "--method, --e and --refuse cannot be combined with --sweep, --xframe, --template or --wrong, "
-            "which have their own"
+            "which have their own",
+            action="Omit the options of the method, or those of the study.",
         )
     seed = study_options.seed
     if xframe:
@@ -241,17 +243,26 @@ def localization(
     from studies.localization.study import JUDGING, TUNING, LocalizationStudy
 
     if thesis + tuning + frames + metal + bool(families) > 1:
-        raise UsageMistake(
-            "--thesis, --tuning, --frames, --metal and --family are separate studies: give one of them"
-        )
+        chosen = {
+            "--thesis": thesis,
+            "--tuning": tuning,
+            "--frames": frames,
+            "--metal": metal,
+            "--family": bool(families),
+        }
+        raise _several_studies([option for option, is_given in chosen.items() if is_given])
     if (thesis or metal) and methods:
         raise UsageMistake(
-            "--method cannot be combined with --thesis or --metal: give --family, --frames or neither"
+            f"--method cannot be combined with {'--thesis' if thesis else '--metal'}",
+            expected="--family, --frames or neither",
+            action="Omit one of the two.",
         )
     for family in families or ():
         if family not in JUDGING:
             raise UsageMistake(
-                f"--family: there is no evaluation family {family!r}", expected=", ".join(JUDGING)
+                f"--family: there is no evaluation family {family!r}",
+                expected=", ".join(JUDGING),
+                action="Name one of them, or omit --family for all.",
             )
     own = _try_plugins("LOCALIZER", methods)
     seed = study_options.seed
@@ -309,9 +320,12 @@ def strategies(
     separate = {"--identified": identified, "--wrong": wrong, "--one-experiment": one_experiment}
     given = [option for option, chosen in separate.items() if chosen]
     if len(given) > 1:
-        raise UsageMistake(f"{' and '.join(given)} are separate studies: give one of them")
+        raise _several_studies(given)
     if given and methods:
-        raise UsageMistake(f"--method cannot be combined with {given[0]}, which has its own strategies")
+        raise UsageMistake(
+            f"--method cannot be combined with {given[0]}, which has its own strategies",
+            action="Omit one of the two.",
+        )
     seed = study_options.seed
     if wrong:
         from studies.strategies import unmodelled_arm_tables
@@ -387,10 +401,18 @@ def worlds(
     from studies.worlds.world import MINI, SCENES
 
     if adversarial and scene is not None:
-        raise UsageMistake("--scene: --adversarial draws two mini scenes for each default one")
+        raise UsageMistake(
+            f"--scene {scene} cannot be combined with --adversarial, which draws two mini scenes for each "
+            "default one",
+            action="Omit one of the two.",
+        )
     scene = scene or MINI
     if scene not in SCENES:
-        raise UsageMistake(f"--scene: worlds are drawn for no scene {scene!r}", expected=" or ".join(SCENES))
+        raise UsageMistake(
+            f"--scene: worlds are drawn for no scene {scene!r}",
+            expected=" or ".join(SCENES),
+            action="Name one of them, or omit --scene.",
+        )
     seed, place = study_options.seed, Path()
     study: WorldsStudy | AdversarialStudy = WorldsStudy(cases, seed, place, scene, quiet)
     if adversarial:
@@ -459,6 +481,15 @@ def low_cost(
     study = LowCostStudy(arms, targets, study_options.seed, frames, prepared, over_the_wire)
     sums = _run(study, study, replace(study_options, out=folder))
     _require_nothing_missed("does not hold", list_missed_relations(sums))
+
+
+def _several_studies(given: Sequence[str]) -> UsageMistake:
+    """Return the error of options that each select another study."""
+    return UsageMistake(
+        f"{' and '.join(given)} are separate studies",
+        expected="one of them",
+        action=f"Omit {' or '.join(given)}, and run one after the other.",
+    )
 
 
 def _try_plugins(kind: str, names: list[str] | None) -> tuple[PluginMethod, ...]:

@@ -18,7 +18,7 @@ import itertools
 import json
 import os
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence, Sized
 from concurrent.futures import FIRST_COMPLETED, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
@@ -71,10 +71,19 @@ def sweep(
     if `folder` has points of another function or of other code, STU-005 if a worker process was killed,
     STU-019 while another sweep writes there, and what the function raises, unless it has a code.
     """
+    _check_call(function, arguments, workers)
     kept = None if folder is None else require_path(folder, "the folder of a sweep")
     points = list(_list_points(arguments))
     if not points:
-        raise WrongArgument("the sweep has no point: an argument is empty", got=show(arguments))
+        empty = ", ".join(
+            name for name, value in arguments.items() if isinstance(value, Sized) and not len(value)
+        )
+        raise WrongArgument(
+            f"the sweep has no point: {empty} is empty",
+            expected="at least one value for each argument",
+            got=show(arguments),
+            action="Check the list or range that it comes from.",
+        )
     with _alone_in(kept):
         ledger = _Ledger(kept, function)
         missing = [point for point in points if ledger.find(point) is None]
@@ -107,6 +116,30 @@ def _alone_in(folder: Path | None) -> Iterator[None]:
             number = "" if holder is None else f" (pid {holder.pid})"
             raise SWEEP_IN_USE(f"another sweep{number} is writing into {folder}") from None
         yield
+
+
+def _check_call(function: object, arguments: Mapping[str, object], workers: object) -> None:
+    """Raise ARG-001 for what cannot be called with these arguments, or a number of workers below one."""
+    if not callable(function):
+        raise WrongArgument(
+            "the first argument of sweep is no function",
+            expected="a function, without quotes and brackets",
+            got=show(function),
+        )
+    try:
+        taken = signature(function)
+        taken.bind(**arguments, **_own_options(function, Path(), arguments))
+    except TypeError as error:
+        raise WrongArgument(
+            f"{name_of(function)} cannot be called: {error}",
+            expected=f"the arguments {', '.join(taken.parameters) or 'none'}",
+            got=", ".join(arguments) or "none",
+            action="Give each of its arguments by name: one value, or a list to vary it.",
+        ) from error
+    if workers is not None and (not isinstance(workers, int) or workers < 1):
+        raise WrongArgument(
+            "workers of sweep is no number of processes", expected="at least 1, or None", got=show(workers)
+        )
 
 
 def _list_points(arguments: Mapping[str, object]) -> Iterator[Row]:

@@ -52,6 +52,8 @@ def open_planner(request: Annotated[str, typer.Argument(help="What to open, as J
     editor = PlanEditor(volume, asked.plan, choice, read_identity(asked.series))
     if loaded is not None:
         editor.adopt_theatre(*loaded)
+    if editor.problem is not None:
+        terminal.tell(str(editor.problem))
     try:
         serve_pages(
             lambda application: add_planner(application, editor),

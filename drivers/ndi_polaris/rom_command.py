@@ -176,7 +176,12 @@ def check(
     tolerance = SEGMENT_TOLERANCE_MM if tolerance_mm is None else tolerance_mm
     tools = {_short_name(path, roms): _read_tool(path) for path in roms}
     if len(tools) < len(roms):
-        raise UsageMistake("a definition was given twice", action="Give each definition once.")
+        twice = {str(rom) for rom in roms if roms.count(rom) > 1} or {str(rom) for rom in roms}
+        raise UsageMistake(
+            f"a definition was given twice: {', '.join(sorted(twice))}",
+            expected="definitions of different files",
+            action="Give each definition once.",
+        )
     alike = find_alike(tools, tolerance)
     triangles = [
         (a, b) for (a, first), (b, second) in combinations(tools.items(), 2) if shares_triangle(first, second)

@@ -97,7 +97,10 @@ def read_definition(path: Path) -> ToolDefinition:
     except InputRefused as error:
         raise BAD_TOOL_FILE(error.summary) from error
     except OSError as error:
-        raise BAD_TOOL_FILE(f"cannot read {path}: {error.strerror}") from error
+        beside = sorted(one.name for one in path.parent.glob("*.rom"))
+        raise BAD_TOOL_FILE(
+            f"cannot read {path}: {error.strerror}", expected=" or ".join(beside) or "a .rom file"
+        ) from error
     return decode_definition(block, path.name)
 
 

@@ -21,7 +21,7 @@ from drivers.ndi_polaris.errors import BAD_TOOL_FILE
 from drivers.ndi_polaris.tool_definition import ToolDefinition, face_normal_of
 from ronna_hw.bounded_input import read_toml
 from ronna_hw.calibration import Numbers3, Strict
-from ronna_hw.mistakes import describe_mistakes
+from ronna_hw.mistakes import describe_mistakes, find_other_kind
 from ronna_hw.text import format_count
 from ronna_hw.vectors import Vector3
 from ronna_hw.wire import polaris_rom as layout
@@ -121,13 +121,12 @@ def read_description(path: Path) -> ToolDescription:
     except OSError as error:
         what = f"cannot read {path}: {error.strerror}"
         raise BAD_TOOL_FILE(what, action="Give the path of a description; ronna-rom make --help.") from error
-    for key, kind in (("trajectories", "plan"), ("theatre", "theatre file")):
-        if key in content:
-            raise BAD_TOOL_FILE(
-                f"{path.name} is a {kind}, not a tool description",
-                expected="part_number and markers_mm",
-                action="Give the path of a description; ronna-rom show TOOL.rom --toml prints one.",
-            )
+    if kind := find_other_kind(content, "part_number"):
+        raise BAD_TOOL_FILE(
+            f"{path.name} is {kind}, not a tool description",
+            expected="part_number and markers_mm",
+            action="Give the path of a description; ronna-rom show TOOL.rom --toml prints one.",
+        )
     try:
         # via JSON: strict types, but lists are accepted for tuples and text for dates
         return ToolDescription.model_validate_json(json.dumps(content, default=str))

@@ -116,7 +116,12 @@ def localize(
     if pictures is not None:
         require_output_folder(pictures)
     if pick is not None and method is not COMBINED:
-        raise UsageMistake("--pick works with the combined method only; omit --method")
+        raise UsageMistake(
+            "--pick works with the combined method only",
+            expected=f"--method {COMBINED}",
+            got=f"--method {method}",
+            action="Omit --method, or omit --pick.",
+        )
     picks_mm = None if pick is None else imaging.read_picks(pick)
     layout_mm = None if layout is None else _read_layout_mm(layout)
     refused: MarkerCountWrong | None = None

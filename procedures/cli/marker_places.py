@@ -118,7 +118,12 @@ def marker_places(
 def _require_one_head(series_dir: Path | None, scene: Path | None) -> None:
     """Raise CLI-001 unless the head comes from exactly one source."""
     if (series_dir is None) == (scene is None):
-        raise UsageMistake("the head comes from --ct or from --scene: give one of them")
+        raise UsageMistake(
+            "the head comes from --ct or from --scene",
+            expected="one of them",
+            got="none" if scene is None else f"--ct {series_dir} and --scene {scene}",
+            action="Give --ct with the folder of a CT series, or --scene with the output of ronna-sim scene.",
+        )
 
 
 def _read_head(

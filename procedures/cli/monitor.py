@@ -50,7 +50,9 @@ def monitor(
     with Theatre.from_file(config) as theatre:
         if device not in theatre.file.devices:
             known = ", ".join(theatre.file.devices)
-            raise UsageMistake(f"{config} has no device {device!r}", expected=known)
+            raise UsageMistake(
+                f"{config} has no device {device!r}", expected=known, action="Name one of the tables."
+            )
         with _readings(theatre, device) as readings:
             _show(device, islice(readings, wanted), as_json=as_json)
 
@@ -61,7 +63,11 @@ def _readings(theatre: Theatre, name: str) -> Iterator[Iterable[object]]:
     one = theatre.devices[name]
     is_arm = isinstance(one, RobotArm)
     if not isinstance(one, StreamsReadings):
-        raise UsageMistake(f"{name} has no readings", expected="a tracker, an arm or a pair of cameras")
+        raise UsageMistake(
+            f"{name} has no readings",
+            expected="a tracker, an arm or a pair of cameras",
+            action="Name one of those; the driver of another device needs a method `stream`.",
+        )
     one.connect()
     if is_arm:
         yield one.stream()

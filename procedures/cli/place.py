@@ -95,7 +95,10 @@ def place(
         )
     if (robot_from_ct is None) == (robot_from_ct_of is None):
         raise UsageMistake(
-            "the assumed pose comes from --robot-from-ct or --robot-from-ct-of: give one of them"
+            "the assumed pose comes from --robot-from-ct or --robot-from-ct-of",
+            expected="one of them",
+            got="none" if robot_from_ct is None else "both",
+            action="Give --robot-from-ct X Y Z A B C in mm and deg, or --robot-from-ct-of RUN.",
         )
     from procedures.planning.cart_map import map_places, open_judge, propose_place
     from procedures.planning.cart_place import CartCase

@@ -78,16 +78,26 @@ def require_theatre_options(
     find_strategy(strategy)
     if config is None and strategy != DEFAULT_STRATEGY and not chosen_later:
         raise UsageMistake(
-            f"--strategy {strategy} needs --config and --robot-from-ct: it orients an arm's stereo head"
+            f"--strategy {strategy} needs --config and --robot-from-ct: it orients an arm's stereo head",
+            action="Add both, or omit --strategy: without them no motion is checked.",
         )
     if config is None and robot_from_ct is None and home_deg is None:
         return
     if (config is None or robot_from_ct is None) and not chosen_later:
-        raise UsageMistake("checking the motions needs both --config and --robot-from-ct")
+        options = {"--config": config, "--robot-from-ct": robot_from_ct, "--home": home_deg}
+        given = [option for option, value in options.items() if value is not None]
+        raise UsageMistake(
+            "checking the motions needs both --config and --robot-from-ct",
+            expected="both, or none of --config, --robot-from-ct and --home",
+            got=" and ".join(given),
+            action="Add the other, or omit these: then no motion is checked.",
+        )
     for option, numbers in (("--robot-from-ct", robot_from_ct or ()), ("--home", home_deg or ())):
         if not all(math.isfinite(value) for value in numbers):
             raise UsageMistake(
-                f"{option} needs finite numbers", got=" ".join(f"{value:g}" for value in numbers)
+                f"{option} needs finite numbers",
+                got=" ".join(f"{value:g}" for value in numbers),
+                action="Give each in mm or deg.",
             )
     if robot_from_ct is not None and 0.0 < (gap_mm := math.hypot(*robot_from_ct[:3])) < NEAREST_CT_MM:
         raise UsageMistake(

@@ -56,7 +56,11 @@ def postoperative(
     known = [one.id for one in plan.trajectories]
     for name in only or ():
         if name not in known:
-            raise UsageMistake(f"the plan has no trajectory {name}", expected=", ".join(known))
+            raise UsageMistake(
+                f"--only: {plan_file} has no trajectory {name}",
+                expected=", ".join(known),
+                action="Name a trajectory of the plan, or omit --only for all.",
+            )
     if run is not None:
         _require_same_plan(run, plan)
     warnings = _check_same_patient(pre_dir, post_dir)

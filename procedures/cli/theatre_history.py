@@ -49,7 +49,9 @@ def theatre_history(
             raise UsageMistake("--restore needs the name of who decides it", action="Add --by 'YOUR NAME'.")
         if restore >= len(states):
             raise UsageMistake(
-                f"--restore: {theatre} has no state {restore}", expected=f"0 to {len(states) - 1}"
+                f"--restore: {theatre} has no state {restore}",
+                expected="0" if len(states) == 1 else f"0 to {len(states) - 1}",
+                action=f"ronna-procedure theatre-history {theatre} lists its states.",
             )
         person = require_person(by)
         require_free_theatre(theatre)
@@ -79,7 +81,11 @@ def _read_hash(run: Path) -> str | None:
     from ronna_hw.evidence.journal_reading import read_chain
 
     if not (run / JOURNAL_FILE).exists():
-        raise UsageMistake(f"{run} is not the folder of a run", expected=f"a folder with {JOURNAL_FILE}")
+        raise UsageMistake(
+            f"--run: {run} is not the folder of a run",
+            expected=f"a folder with {JOURNAL_FILE}",
+            action="Give the run's own folder, such as runs/20261130T011529-s7-01d3.",
+        )
     first, *_ = read_chain(run / JOURNAL_FILE).lines or ({},)
     found = first.get("theatre_sha256")
     return None if found is None else str(found)

@@ -133,7 +133,10 @@ class MarkerCountWrong(DataError):
     """The number of markers differs from what was expected; `candidates` lists everything examined."""
 
     code = "CT-016"
-    action = "Compare the candidates with the images; scan again, correct the expected count, or --pick."
+    action = (
+        "Compare the candidates with the images; scan again, correct the expected count or diameter, or "
+        "--pick."
+    )
     page_action = "Compare the candidates with the images; scan again, or correct the expected count."
     exit_code = EXIT_REFUSED
 

@@ -91,7 +91,7 @@ def localize(
         key=lambda one: superior_first_key(volume.patient_mm(one.centre_mm)),
     )
     candidates = (*(as_candidate(one, volume) for one in judged), *refused)
-    require_count(len(spheres), expected, candidates)
+    require_count(len(spheres), expected, candidates, diameter_mm)
     overlaps = [one for one in refused if one.reason == OVERLAPS]
     markers = [as_marker(one, spheres, volume, radius_mm, overlaps) for one in spheres]
     return combine_markers(volume, diameter_mm, spheres, markers, candidates)
@@ -234,10 +234,14 @@ def _keep_clear(judged: Sequence[Sphere], expected: int) -> list[Sphere]:
     return [one.with_doubts((NOT_EXPECTED,)) if id(one) in unclear else one for one in judged]
 
 
-def require_count(found: int, expected: int | None, candidates: tuple[Candidate, ...]) -> None:
+def require_count(
+    found: int, expected: int | None, candidates: tuple[Candidate, ...], diameter_mm: float
+) -> None:
     """Raise CT-016 for a count other than expected or, without an expected count, for zero."""
     if expected is None and found == 0:
-        raise MarkerCountWrong("no marker found", candidates=candidates)
+        raise MarkerCountWrong(
+            f"no marker found; expected spheres of {diameter_mm:g} mm", candidates=candidates
+        )
     if expected is not None and found != expected:
         raise MarkerCountWrong(
             f"{found} marker{'s' if found != 1 else ''} found, {expected} expected", candidates=candidates

@@ -79,7 +79,7 @@ def localize_picks(
         replace(sphere, picked=True) for sphere in judge_spheres(found, (), volume.geometry, diameter_mm)
     ]
     candidates = tuple(as_candidate(sphere, volume) for sphere in found)
-    require_count(len(found), expected, candidates)
+    require_count(len(found), expected, candidates, diameter_mm)
     markers = (as_marker(sphere, found, volume, radius_mm) for sphere in found)
     in_order = sorted(markers, key=lambda marker: superior_first_key(marker.centre_mm))
     return combine_markers(volume, diameter_mm, found, in_order, candidates)

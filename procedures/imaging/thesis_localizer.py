@@ -100,7 +100,7 @@ def localize_as_thesis(
                 markers.append(marker)
                 accepted_mm.append(centre_mm)
         progress((number + 1) / len(boxes))
-    require_count(len(markers), expected, tuple(candidates))
+    require_count(len(markers), expected, tuple(candidates), diameter_mm)
     return Localization(
         markers=tuple(sorted(markers, key=lambda marker: superior_first_key(marker.centre_mm))),
         candidates=tuple(candidates),

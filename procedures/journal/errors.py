@@ -9,7 +9,9 @@ class JournalNotWritable(RonnaError):
     """The journal cannot be written. Nothing may move without a journal."""
 
     code = "PRO-003"
-    action = "Free space or choose another output folder; the arm has been stopped."
+    action = (
+        "Free space, raise a limit of ulimit -f, or choose another output folder; the arm has been stopped."
+    )
 
 
 class RunDeleted(JournalNotWritable):

@@ -202,7 +202,7 @@ class Journal:
                 os.close(file)
         except OSError as error:
             self._room.unlink(missing_ok=True)
-            raise self._not_writable(error.strerror) from error
+            raise self._not_writable(error.strerror, expected=f"room for {ROOM_BYTES} bytes more") from error
 
     def _settle_pending(self) -> None:
         """Count the pending line if it is complete in the file, otherwise remove its fragment.
@@ -229,8 +229,8 @@ class Journal:
         else:
             self._pending = b""
 
-    def _not_writable(self, reason: str | None) -> JournalNotWritable:
-        return JournalNotWritable(f"cannot write {self.path.name}: {reason}")
+    def _not_writable(self, reason: str | None, expected: str | None = None) -> JournalNotWritable:
+        return JournalNotWritable(f"cannot write {self.path.name}: {reason}", expected=expected)
 
     @property
     def deletion(self) -> RunDeleted | None:

@@ -42,7 +42,7 @@ from procedures.planning.plan_model import (
 from procedures.planning.structures import LEAST_MARGIN_MM
 from ronna_hw.bounded_input import parse_toml_bytes, read_toml
 from ronna_hw.errors import AnyCode
-from ronna_hw.mistakes import describe_mistakes, mistakes_in
+from ronna_hw.mistakes import describe_mistakes, find_other_kind, mistakes_in
 from ronna_hw.records import canonical_json, write_atomically
 from ronna_hw.text import printable
 
@@ -107,8 +107,8 @@ def parse_plan(content: dict[str, Any], name: str = "the plan", *, sealed_only: 
 
     Without `sealed_only`, a plan altered since it was sealed is still read, for viewing.
     """
-    if "theatre" in content and "trajectories" not in content:
-        raise PLAN_UNREADABLE(f"{name} is a theatre file, not a plan", action=GIVE_A_PLAN)
+    if other := find_other_kind(content, "trajectories"):
+        raise PLAN_UNREADABLE(f"{name} is {other}, not a plan", action=GIVE_A_PLAN)
     found: list[PlanError] = []
     plan: Plan | None = None
     try:

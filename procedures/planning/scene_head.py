@@ -13,7 +13,7 @@ from procedures.planning.head_in_ct import HeadEllipsoid
 from procedures.planning.plan_model import Plan
 from ronna_hw.bounded_input import InputRefused, read_json_bytes, read_toml
 from ronna_hw.calibration import PoseRecord, Strict
-from ronna_hw.mistakes import describe_mistakes
+from ronna_hw.mistakes import describe_mistakes, find_other_kind
 
 Place = Annotated[float, Field(ge=-5000.0, le=5000.0)]  # mm: within a plan's bounds
 Axis = Annotated[float, Field(gt=0.0, le=1000.0)]  # mm
@@ -52,7 +52,10 @@ def read_scene_pose(path: Path, plan: Plan) -> PoseRecord:
 
 def _read_head(path: Path, plan: Plan | None) -> _Head:
     try:
-        found = _Head.model_validate_json(json.dumps(_read_table(path).get("head"), default=str))
+        table = _read_table(path)
+        if kind := find_other_kind(table, "head"):
+            raise HEAD_UNREADABLE(f"{path} is {kind}, not a scene", expected="a table [head]")
+        found = _Head.model_validate_json(json.dumps(table.get("head"), default=str))
     except OSError as error:
         raise HEAD_UNREADABLE(f"cannot read {path}: {error.strerror}") from error
     except ValidationError as error:

@@ -71,7 +71,12 @@ def theatre_arm(
     """Read the arm from a theatre file, with the CT pose in $ROBROOT (mm, deg) and start at `home_deg`."""
     theatre = read_theatre_file(config)
     if MASTER not in theatre.robot or theatre.calibration is None:
-        raise UsageMistake(f"{config.name} needs robot.{MASTER} and a calibration to check reach")
+        lacking = f"[robot.{MASTER}]" if MASTER not in theatre.robot else "[calibration]"
+        raise UsageMistake(
+            f"{config.name} has no {lacking}, without which the reach cannot be checked",
+            expected=f"[robot.{MASTER}] and [calibration]",
+            action="Give the file of a theatre with a calibrated arm, or omit --config.",
+        )
     arm_device = cast("RobotArm", make_device(f"robot.{MASTER}", theatre.robot[MASTER], HostClock()))
     kinematics = arm_device.kinematics
     start_rad = kinematics.home_rad if home_deg is None else radians6(*home_deg)

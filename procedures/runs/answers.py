@@ -32,12 +32,11 @@ from procedures.operator.question import (
 )
 from ronna_hw.bounded_input import read_toml
 from ronna_hw.config import read_theatre_file
-from ronna_hw.mistakes import describe_mistakes
+from ronna_hw.mistakes import describe_mistakes, find_other_kind
 from ronna_hw.theatre_kind import is_simulated
 
 Rule = tuple[Operator | None, Set[Topic], bool]  # who answers which topics, and whether they are there
 MOST_MISTAKES = 20  # told at once
-OTHER_FILES = {"trajectories": "a plan", "theatre": "a theatre file"}  # by a key that only they have
 
 
 class Answers(BaseModel, frozen=True, extra="forbid", strict=True):
@@ -68,14 +67,22 @@ def is_rehearsal(config: Path | None) -> bool:
 def read_answers(path: Path, config: Path | None = None) -> Answers:
     """Read an answers file; `config` is the theatre file, or None for a simulated scene.
 
-    Raises PRO-026 with everything in it that does not fit, also for real devices, CFG-001, OSError.
+    Raises PRO-026 with everything in it that does not fit, also for real devices, CFG-001.
     """
-    content = read_toml(path, ANSWERS_UNFIT)
-    for key, kind in OTHER_FILES.items():
-        if key in content:
-            raise ANSWERS_UNFIT(
-                f"{path} is {kind}, not a file of answers", expected="a table [answers], or a default"
-            )
+    try:
+        content = read_toml(path, ANSWERS_UNFIT)
+    except OSError as error:
+        raise ANSWERS_UNFIT(
+            f"--answers: cannot read {path}: {str(error.strerror).lower()}",
+            expected="a TOML file with a table [answers]",
+            action="Correct the path, or omit --answers.",
+        ) from error
+    if kind := find_other_kind(content, "answers"):
+        raise ANSWERS_UNFIT(
+            f"{path} is {kind}, not a file of answers",
+            expected="a table [answers], or a default",
+            action="Give a file of answers; docs/reference/answers.md shows one.",
+        )
     try:
         read = Answers.model_validate(content)
     except ValidationError as error:

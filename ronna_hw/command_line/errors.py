@@ -10,12 +10,13 @@ import errno
 import os
 import pwd
 import re
+import resource
 import shlex
 from collections.abc import Mapping, Sequence
 from difflib import get_close_matches
 from typing import Any
 
-from ronna_hw.errors import EXIT_USAGE, ErrorCode, RonnaError
+from ronna_hw.errors import EXIT_USAGE, ErrorCode, ErrorWords, RonnaError
 
 
 class UsageMistake(RonnaError):
@@ -120,11 +121,27 @@ def as_ronna_error(problem: BaseException) -> RonnaError:
         reason = os.strerror(problem.errno).lower()
         places = [str(name) for name in (problem.filename, problem.filename2) if name is not None]
         what = f"{' and '.join(places)}: {reason}" if places else reason
-        if problem.errno == errno.ENAMETOOLONG:
-            limit = f"{LONGEST_FILE_NAME} bytes for each name"
-            return kind(what, limit=limit, action="Choose a shorter name.")
-        return kind(what)
+        return kind(what, **_explain_system_error(problem.errno))
     return INTERNAL_FAULT(f"{type(problem).__name__}: {problem}")
+
+
+def _explain_system_error(number: int) -> ErrorWords:
+    """Return what the system expected, and what to do where the advice of the code does not fit."""
+    match number:
+        case errno.ENOENT:
+            return {"expected": "an existing file or folder"}
+        case errno.EACCES | errno.EPERM:
+            account = _name_account(os.geteuid())
+            return {"expected": f"the right of account {account} to read it, or to write there"}
+        case errno.EFBIG:
+            largest = resource.getrlimit(resource.RLIMIT_FSIZE)[0]
+            if largest != resource.RLIM_INFINITY:
+                action = "Raise it with ulimit -f in this shell, or LimitFSIZE of the service."
+                return {"limit": f"{largest} bytes for a file", "action": action}
+        case errno.ENAMETOOLONG:
+            limit = f"{LONGEST_FILE_NAME} bytes for each name"
+            return {"limit": limit, "action": "Choose a shorter name."}
+    return {}
 
 
 def _find_system_error(problem: BaseException) -> BaseException:
@@ -139,6 +156,7 @@ def _find_system_error(problem: BaseException) -> BaseException:
 
 MOST_ALIKE = 3  # suggestions
 _UNREADABLE = re.compile(r"'(.+)' is not readable")
+_FEW_VALUES = re.compile(r"(\d+) arguments")
 _EXTRA = re.compile(r"Got unexpected extra argument(?:s|\(s\))? \((.*)\)")
 
 
@@ -153,7 +171,9 @@ def find_selected_command(command: Any, arguments: Sequence[str]) -> tuple[str, 
     return " ".join(names), command.params
 
 
-def convert_usage_error(mistake: Exception, command: str, parameters: Sequence[Any] = ()) -> UsageMistake:
+def convert_usage_error(
+    mistake: Exception, command: str, parameters: Sequence[Any] = (), arguments: Sequence[str] = ()
+) -> UsageMistake:
     """Convert a typer usage error to a UsageMistake: option, value, expectation, help."""
     context = getattr(mistake, "ctx", None)
     help_of = f"{command if context is None else context.command_path} --help"
@@ -170,6 +190,9 @@ def convert_usage_error(mistake: Exception, command: str, parameters: Sequence[A
         text = str(getattr(mistake, "message", "")).replace("Option ", "").replace("'", "").rstrip(".")
         named = (one for one in parameters if getattr(mistake, "option_name", "") in one.opts)
         meant = next((f"{one.metavar or one.opts[0]}: {one.help} " for one in named), "")
+        text = _FEW_VALUES.sub(r"\1 values, separated by spaces", text).replace("an argument", "a value")
+        if given := _values_after(getattr(mistake, "option_name", ""), arguments):
+            text += f"; got {given}"
         return UsageMistake(text, action=f"{meant}{see}")
     if not (message := getattr(mistake, "message", "")):
         message = str(mistake.format_message() if hasattr(mistake, "format_message") else mistake)
@@ -192,6 +215,11 @@ def convert_usage_error(mistake: Exception, command: str, parameters: Sequence[A
     hint = getattr(mistake, "param_hint", None)
     text = f"{hint}: {message}" if hint else message
     return UsageMistake(text if text.endswith("...") else text.rstrip("."), action=see)
+
+
+def _values_after(option: str, arguments: Sequence[str]) -> str:
+    """Return what follows an option on a command line: too few values, as far as there are any."""
+    return " ".join(arguments[arguments.index(option) + 1 :]) if option in arguments else ""
 
 
 def _advise_several_values(parameters: Sequence[Any]) -> str:

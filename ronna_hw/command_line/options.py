@@ -135,12 +135,17 @@ def set_log_levels(levels: Sequence[str]) -> None:
         name, _, level = entry.strip().rpartition("=")
         if name and not is_known_logger(name):
             raise UsageMistake(
-                f"log level {entry!r}: nothing logs as {name!r}", expected=", ".join(list_loggers())
+                f"log level {entry!r}: nothing logs as {name!r}",
+                expected=", ".join(list_loggers()),
+                action="Name one of them, as tracker=debug, or a level alone for all.",
             )
         try:
             set_level(level.lower(), name)
         except ValueError as wrong:
-            raise UsageMistake(f"log level {entry!r}: {wrong}") from wrong
+            raise UsageMistake(
+                f"log level {entry!r}: {wrong}",
+                action="Give a level, as debug, or that of one logger, as tracker=debug.",
+            ) from wrong
 
 
 def set_log_levels_by_option(levels: Sequence[str] | None) -> None:
@@ -219,8 +224,17 @@ def require_folder(out: Path) -> None:
     if not there.is_dir():
         inside = "" if there == out else f", so {out} cannot be made"
         raise PATH_PROBLEM(f"--out: {there} is a file{inside}", expected="a folder, which may be new")
-    if there != out and not os.statvfs(there).f_blocks:  # such as /proc
-        raise PATH_PROBLEM(f"--out: {out} cannot be made: {there} is on no disk", action="Name another.")
+    if there != out:
+        _require_disk(f"--out: {out}", there)
+
+
+def _require_disk(what: str, there: Path) -> None:
+    if not os.statvfs(there).f_blocks:  # such as /proc
+        raise PATH_PROBLEM(
+            f"{what} cannot be made: {there} is on no disk",
+            expected="a place on a disk",
+            action="Name another.",
+        )
 
 
 def require_output_folder(out: Path) -> None:
@@ -262,6 +276,8 @@ def require_folder_of(*files: Path) -> None:
                 expected=f"an existing folder for {file.name}",
                 action="Create the folder, or name another.",
             )
+        if not file.exists():
+            _require_disk(str(file), file.parent)
 
 
 def require_new(*files: Path) -> None:

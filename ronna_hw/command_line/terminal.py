@@ -143,7 +143,8 @@ def _invoke(app: typer.Typer, arguments: Sequence[str]) -> int:
         if isinstance(mistake, _NO_ARGUMENTS):
             sys.stderr.write(f"{mistake}\n")
             return EXIT_USAGE
-        raise convert_usage_error(mistake, *find_selected_command(command, arguments)) from mistake
+        name, parameters = find_selected_command(command, arguments)
+        raise convert_usage_error(mistake, name, parameters, arguments) from mistake
     return outcome if isinstance(outcome, int) else EXIT_DONE
 
 
@@ -169,6 +170,7 @@ def _build_command(app: typer.Typer, only: typer.models.CommandInfo | None) -> A
 
 
 def _report(problem: Exception, *, verbose: bool) -> int:
+    _name_full_output(problem)
     error = as_ronna_error(problem)
     log_failure(problem, error)
     if verbose:
@@ -179,6 +181,16 @@ def _report(problem: Exception, *, verbose: bool) -> int:
     if not error.shown:
         fail_with(error)
     return error.exit_code
+
+
+def _name_full_output(problem: Exception) -> None:
+    """Name standard output in an error without a file, if it is what cannot be written."""
+    if isinstance(problem, OSError) and problem.filename is None:
+        try:
+            sys.stdout.flush()
+        except OSError as again:
+            if again.errno == problem.errno:
+                problem.filename = "standard output"
 
 
 def _open_missing_streams() -> None:

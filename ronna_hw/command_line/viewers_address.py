@@ -44,7 +44,9 @@ class ViewersAddress:
             address = ipaddress.ip_address(self.address)
         except ValueError:
             raise UsageMistake(
-                f"--bind {self.address} is not an address", expected="a number such as 192.168.1.20"
+                f"--bind {self.address} is not an address",
+                expected="a number such as 192.168.1.20",
+                action="List those of this computer with `ip address`.",
             ) from None
         if address.is_unspecified:
             raise UsageMistake(
@@ -109,7 +111,16 @@ def viewers_address(bind: str | None, certificate: Path | None, key: Path | None
     """Build the viewers' address from the options, or return None without any. Raises CLI-001."""
     if bind is None:
         if certificate is not None or key is not None:
-            raise UsageMistake("--certificate and --key require --bind")
+            given = " and ".join(
+                option
+                for option, file in (("--certificate", certificate), ("--key", key))
+                if file is not None
+            )
+            raise UsageMistake(
+                f"{given} belongs to the page at --bind",
+                expected="--bind",
+                action=f"Add --bind, or omit {given}.",
+            )
         return None
     if certificate is None or key is None:
         raise UsageMistake(

@@ -20,6 +20,7 @@ from ronna_hw.arm.catalogue import KUKA
 from ronna_hw.arm.name_field import arm_of
 from ronna_hw.bounded_input import read_toml
 from ronna_hw.errors import ConfigurationError, ErrorCode
+from ronna_hw.mistakes import count_mistakes, find_other_kind
 
 DEFAULT_CONTEXT_FILE = "kuka_rsi_context.toml"
 OWN_CONTEXT = Path(__file__).with_name(DEFAULT_CONTEXT_FILE)
@@ -205,17 +206,14 @@ def load_context(path: Path | None = None) -> RsiContext:
     source = str(path) if path else DEFAULT_CONTEXT_FILE
     try:
         content = read_toml(path or OWN_CONTEXT, CONTEXT_INVALID)
+        if kind := find_other_kind(content, "wiring"):
+            raise CONTEXT_INVALID(f"{source} is {kind}, not an RSI context", expected="a table [[wiring]]")
         # JSON in between: in strict mode pydantic accepts arrays as tuples from JSON only.
         return RsiContext.model_validate_json(json.dumps(content, default=str))
     except OSError as error:
         raise CONTEXT_INVALID(f"cannot read the RSI context {source}: {error.strerror}") from error
     except ValidationError as error:
-        mistakes = "; ".join(
-            f"{'.'.join(str(part) for part in m['loc']) or 'file'}: {m['msg']}" for m in error.errors()
-        )
-        raise CONTEXT_INVALID(
-            f"the RSI context {source} has {error.error_count()} mistakes: {mistakes}"
-        ) from None
+        raise CONTEXT_INVALID(f"the RSI context {source} has {count_mistakes(error, RsiContext)}") from None
 
 
 def context_hash(context: RsiContext) -> str:

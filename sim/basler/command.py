@@ -39,7 +39,9 @@ def basler(
         return
     addresses = address or []
     if len(addresses) not in (0, CAMERAS):
-        raise typer.BadParameter("give two addresses, left then right, or none", param_hint="--address")
+        raise typer.BadParameter(
+            f"give two addresses, left then right, or none; got {' '.join(addresses)}", param_hint="--address"
+        )
     if len(set(addresses)) != len(addresses):
         raise typer.BadParameter("the cameras need two different addresses", param_hint="--address")
     for one in addresses:

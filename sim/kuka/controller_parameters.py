@@ -28,7 +28,9 @@ class ControllerParameters(ControllerOfArm):
     dead_time_cycles: Annotated[
         int, "Cycles from a reply to the first movement; 2 to 3 were observed on a robot."
     ] = 2
-    lag_s: Annotated[float, "Time constant of the drives, first order; 10 to 30 ms are published."] = 0.015
+    lag_s: Annotated[
+        float, "Time constant of the drives, first order; 10 to 30 ms are published.", MaximumValue(1.0)
+    ] = 0.015
     ipo_filter_s: Annotated[
         float, "First-order filter of corrections in a 12 ms run (#IPO); 0: none. #IPO_FAST has none."
     ] = 0.012

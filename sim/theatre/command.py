@@ -127,7 +127,11 @@ def theatre(
     from sim.world.truth import SCENE_FILE
 
     if not dual and _is_typed(context, "assistant_arm"):
-        raise UsageMistake("--assistant-arm requires --dual")
+        raise UsageMistake(
+            f"--assistant-arm {assistant_arm} requires --dual",
+            expected="a theatre with two arms",
+            action="Add --dual, or omit --assistant-arm.",
+        )
     require_folder(out)
     _require_plain_name(out)
     if detach and start_in_background("theatre"):

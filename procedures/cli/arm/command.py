@@ -139,7 +139,11 @@ def urdf(
     from ronna_hw.arm.urdf import write_urdf
 
     if config is None and carrying is not None:
-        raise UsageMistake("--carrying requires --config", expected="the theatre file with the tool's record")
+        raise UsageMistake(
+            f"--carrying {carrying} requires --config",
+            expected="the theatre file with the tool's record",
+            action="Add --config FILE, or omit --carrying: then the bare arm is printed.",
+        )
     known = (arm for arm in ARMS.values() if arm.choice == name)  # as other commands name it
     arm = next(known, None) or find_arm(name)
     parts = () if config is None else _carried_parts(config, carrying or Carried.STEREO_HEAD, arm.name)
@@ -170,7 +174,11 @@ def _carried_parts(config: Path, carrying: Carried, arm: str) -> Sequence[Part]:
             action=f"Name {own}, or omit --config for the arm without a tool.",
         )
     if theatre.calibration is None:
-        raise UsageMistake(f"{config} has no calibration records, which say where the tool is on the flange")
+        raise UsageMistake(
+            f"{config} has no calibration records, which say where the tool is on the flange",
+            expected="the table [calibration]",
+            action="Give the file of a theatre that was calibrated, or omit --config for the bare arm.",
+        )
     head = carrying is Carried.STEREO_HEAD
     record = theatre.calibration.stereo_head if head else theatre.calibration.tool_tip
     bodies = theatre.cell.stereo_head if head else theatre.cell.guide

@@ -55,7 +55,12 @@ def guide(config: Path, name: str, guidance: HandGuidance) -> None:
     to ARM-015 and the driver's errors.
     """
     if not on_terminal(sys.stdin):
-        raise UsageMistake("guide needs a terminal, whose space bar is the switch that a person holds")
+        raise UsageMistake(
+            "guide needs a terminal, whose space bar is the switch that a person holds",
+            expected="a terminal on standard input",
+            got="a file, a pipe or nothing",
+            action="Run it at a terminal, without a pipe.",
+        )
     require_free_theatre(config, (name,))
     if (run := resumable_run(config)) is not None:
         raise RECOVERY_REFUSED(

@@ -68,9 +68,15 @@ class CalibrationOptions(MeasuringOptions):
         """
         has_no_source = self.recorded is None and not self.sim and self.config is None
         if has_no_source or (self.recorded is not None and self.sim):
-            raise UsageMistake("choose one: --sim, --config FILE, or --from FOLDER")
+            raise UsageMistake(
+                "choose one: --sim, --config FILE, or --from FOLDER",
+                action="--sim measures in a simulated theatre, --config on your devices, --from recomputes.",
+            )
         if self.update and self.config is None:
-            raise UsageMistake("--update needs the theatre file to put the records into: --config FILE")
+            raise UsageMistake(
+                "--update needs the theatre file to put the records into: --config FILE",
+                action="Add --config FILE, or omit --update: the records are written to --out.",
+            )
         if self.recorded is not None and (idle := _list_other_options(context, USED_TO_RECOMPUTE)):
             raise UsageMistake(
                 f"{idle} and --from cannot be combined",
@@ -94,5 +100,10 @@ def require_finite_ball(ball_mm: Numbers3 | None) -> Numbers3 | None:
     """Return the `--ball` position in mm. Raises CLI-001 unless it is finite."""
     if ball_mm is not None and not all(map(math.isfinite, ball_mm)):
         got = " ".join(f"{value:g}" for value in ball_mm)
-        raise UsageMistake("--ball needs three finite numbers", got=got)
+        raise UsageMistake(
+            "--ball needs three finite numbers",
+            expected="X Y Z in $ROBROOT, mm",
+            got=got,
+            action="Give it to within 10 mm, or omit it: then the tracker finds the ball.",
+        )
     return ball_mm

@@ -122,9 +122,17 @@ class TheatreOptions:
     def check(self) -> None:
         """Raise CLI-001 unless the options select exactly one theatre and all apply to it."""
         if self.sim and self.config is not None:
-            raise UsageMistake("--sim and --config cannot be combined")
+            raise UsageMistake(
+                "--sim and --config cannot be combined",
+                expected="one of them",
+                got=f"--sim and --config {self.config}",
+                action=f"Omit --sim to use the devices of {self.config}, or --config to simulate a theatre.",
+            )
         if not self.sim and self.config is None:
-            raise UsageMistake("choose one: --sim, or --config FILE")
+            raise UsageMistake(
+                "choose one: --sim, or --config FILE",
+                action="--sim simulates a theatre, --config uses the devices of a theatre file.",
+            )
         if self.config is not None and (given := self._list_changed_options(SIMULATED)):
             raise UsageMistake(
                 f"{given} and --config cannot be combined",
@@ -238,7 +246,11 @@ class CaseOptions(TheatreOptions):
         if self.config is None and self.case is not None:
             raise UsageMistake("--case requires --config", action="A simulated case brings its own patient.")
         if not self.dual and self._list_changed_options(("assistant_arm",)):
-            raise UsageMistake("--assistant-arm requires --dual")
+            raise UsageMistake(
+                f"--assistant-arm {self.assistant_arm} requires --dual",
+                expected="a case with two arms",
+                action="Add --dual, or omit --assistant-arm.",
+            )
         if self.config is not None and self.plan is not None:
             raise UsageMistake("--plan requires --sim", action="With --config the plan is in --case DIR.")
         procedure = CaseProcedure(
@@ -295,8 +307,12 @@ class ConsoleOptions:
     def request(self) -> ConsoleRequest | None:
         """Return the requested console. Raises PRO-040 if not installed, CLI-001 for invalid options."""
         if not self.console:
-            if self.console_port or self.bind or self.certificate or self.key:
-                raise UsageMistake("--console-port, --bind, --certificate and --key require --console")
+            if given := self._list_page_options():
+                raise UsageMistake(
+                    f"{given} belongs to the page that --console serves",
+                    expected="--console",
+                    action=f"Add --console, or omit {given}.",
+                )
             return None
         from procedures.runs.console_link import ConsoleRequest, check_console, check_port
 
@@ -306,3 +322,12 @@ class ConsoleOptions:
         for warning in () if viewers is None else viewers.check():
             tell(f"warning: {warning}")
         return ConsoleRequest(self.console_port, viewers)
+
+    def _list_page_options(self) -> str:
+        page = {
+            "--console-port": self.console_port,
+            "--bind": self.bind,
+            "--certificate": self.certificate,
+            "--key": self.key,
+        }
+        return ", ".join(option for option, value in page.items() if value)

@@ -39,7 +39,11 @@ def find_interfaces(names: Iterable[str]) -> tuple[Interface, ...]:
         alike = [each for each in every if name in (each.name, each.address)]
         if not alike:
             known = ", ".join(f"{each.name} ({each.address})" for each in every)
-            raise UsageMistake(f"this computer has no network interface {name}", expected=f"one of {known}")
+            raise UsageMistake(
+                f"--interface: this computer has no network interface {name}",
+                expected=f"one of {known}",
+                action="Give the card that the cameras are connected to.",
+            )
         chosen += [each for each in alike if each not in chosen]
     return tuple(chosen)
 
@@ -93,6 +97,7 @@ def require_another(option: str, of_master: Sequence[Endpoint], address: Endpoin
         raise UsageMistake(
             f"{option} is {address}, which is given for the master as well",
             expected="addresses of its own for each arm",
+            action=f"Give {option} the address of the assistant, or omit it.",
         )
 
 
@@ -219,6 +224,7 @@ def _select_pairs(pairs: Sequence[Proposal], cameras: tuple[str | None, str | No
             raise UsageMistake(
                 f"--{side}: no camera {wanted} replied",
                 expected=f"one of {', '.join(known)}" if known else "two cameras on the given interfaces",
+                action="Name a camera that replies; for one that does not, check power, cable and subnet.",
             )
     return pairs
 

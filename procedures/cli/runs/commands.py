@@ -97,7 +97,10 @@ def acknowledge_command(
     persists or nobody is named, 4 a device is not found, others as in `run`.
     """
     if (run_folder is None) == (config is None):
-        raise UsageMistake("name either a run or, with --config, a theatre file")
+        raise UsageMistake(
+            "name either a run or, with --config, a theatre file",
+            action="acknowledge RUN recovers the devices of a run, --config THEATRE those of a theatre file.",
+        )
     from procedures.cli.runs.resume import acknowledge_run, acknowledge_theatre
 
     if run_folder is not None:

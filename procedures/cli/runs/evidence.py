@@ -40,6 +40,10 @@ from ronna_hw.text import format_count, printable
 
 CONFIRMED = (ReplayVerdict.EQUAL, ReplayVerdict.ROUNDED)
 ROW_BYTES = 16
+RESTORE = (
+    "put changed and missing files back from a copy of the run, and move added ones out; if only report.html "
+    "is named, ronna-procedure report RUN --out DIR makes it anew"
+)
 MARKS = {Direction.SENT: "O", Direction.RECEIVED: "I"}  # outbound and inbound, as text2pcap has them
 
 
@@ -73,6 +77,8 @@ def verify(folder: Path, *, as_json: bool) -> None:
         if missing:
             say(f"{missing}; {WRITES_ALL}")
     if problems:
+        if not as_json:
+            tell(f"what to do: {RESTORE}")
         raise SystemExit(EXIT_REFUSED)
     if not_vouched_for:
         raise SystemExit(EXIT_UNCONFIRMED)
@@ -172,10 +178,19 @@ def print_bytes(
         raise PATH_PROBLEM(f"{folder} has no recorded link bytes", expected="the folder of a run")
     wanted = [name for name in links if link is None or name == link or name.startswith(f"{link}.")]
     if not wanted:
-        raise UsageMistake(f"the run has no link {link}", expected=f"one of {', '.join(links)}")
+        raise UsageMistake(
+            f"--link: the run has no link {link}",
+            expected=f"one of {', '.join(links)}",
+            action="Name one of them, or omit --link for all.",
+        )
     begin_s, end_s = from_s if from_s is not None else -math.inf, to_s if to_s is not None else math.inf
     if begin_s > end_s:
-        raise UsageMistake("the window ends before it begins", got=f"--from {begin_s:g} --to {end_s:g}")
+        raise UsageMistake(
+            "the window ends before it begins",
+            expected="--to after --from",
+            got=f"--from {begin_s:g} --to {end_s:g}",
+            action="Exchange the two times, s of theatre time.",
+        )
     for change in inspect_run(run_folder).changes:
         tell(f"NOT AS THE RUN LEFT IT: {change}")
     merged = heapq.merge(*(read_link(folder, name) for name in wanted), key=lambda line: line.host_time)

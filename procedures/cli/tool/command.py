@@ -145,7 +145,10 @@ def check(config: ConfigOption) -> None:
 
     theatre = read_theatre_file(config)
     if theatre.calibration is None:
-        raise UsageMistake(f"{config.name} has no [calibration] to check the tools against")
+        raise UsageMistake(
+            f"{config.name} has no [calibration] to check the tools against",
+            action="Calibrate first: ronna-procedure calibrate tool-tip --config FILE --update.",
+        )
     tools, now = ToolRecords.of(theatre), datetime.now(UTC)
     require_valid(theatre.calibration, now, options_of(config))
     tools.check(theatre.calibration, now)

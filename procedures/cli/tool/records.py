@@ -24,6 +24,10 @@ from ronna_hw.tool_record import GAUGE_APPROACHES, GAUGE_MOUNTINGS, WITH_TIP, Ga
 
 DIALS = ("X", "Y", "Z", "UPPER_X", "UPPER_Y")
 LARGEST_BYTES = 100_000
+GIVE_OPTIONS = (
+    "Correct the options; a guide needs --reach-mm, --bore-mm and --play-mm. "
+    "docs/reference/theatre-file.md describes the keys of [tools]."
+)
 # Six standard deviations of an arm's arrival, a changer's seat and a dial together: farther is misread.
 APART_MM = 0.1
 
@@ -116,7 +120,7 @@ def record_of(
         parsed = parse_theatre(content, f"{config.name} with tool {name}")
     except BadTheatreFile as error:
         if out_of_range is None:
-            raise
+            raise error.reworded(error.what, action=GIVE_OPTIONS) from error
         raise BadTheatreFile(f"{error.what}; besides, {out_of_range.summary}") from error
     if out_of_range is not None:
         raise out_of_range

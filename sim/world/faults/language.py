@@ -316,7 +316,7 @@ def _describe_unexpected(error: UnexpectedInput, line: str, number: int, *, advi
             got = f"{fault.split(maxsplit=1)[1].partition(' for ')[0]!r}: it has no such fault"
     place = f"line {number}, column {column - len(line) + len(typed)}"
     if not has_beginning(line) and _is_valid_line(f"{BEGINS_NOW}{line}"):
-        what = f"{place}: expected 'at' or 'when', to say when the fault begins, got {got}"
+        what = f"{place}: expected 'at', 'when' or 'since', to say when the fault begins, got {got}"
         return Mistake(what, EXAMPLE, f"at 12.5 s: {line}")
     what = f"{place}: expected {join_choices(words)}, got {got}"
     if not advises:

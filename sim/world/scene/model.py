@@ -17,7 +17,7 @@ from pydantic import Field, ValidationError, model_validator
 from ronna_hw.arm.name_field import arm_of
 from ronna_hw.bounded_input import InputRefused, read_json_bytes, read_toml
 from ronna_hw.calibration import Numbers3, PoseRecord, Strict
-from ronna_hw.mistakes import describe_mistakes
+from ronna_hw.mistakes import describe_mistakes, find_other_kind
 from ronna_hw.patient_frame import PART_NUMBER as PATIENT_FRAME_PART_NUMBER
 from ronna_hw.plausible import FocalPixels, Length
 from ronna_hw.text import format_count
@@ -483,6 +483,8 @@ class Scene(Strict):
 
 def parse_scene(content: dict[str, Any], name: str) -> Scene:
     """Validate a scene's content; raises SIM-001 listing every error."""
+    if kind := find_other_kind(content, "head"):
+        raise BAD_SCENE(f"{name} is {kind}, not a scene", expected="tables such as [head] and [tracker]")
     try:
         return Scene.model_validate(content, strict=False)
     except ValidationError as error:

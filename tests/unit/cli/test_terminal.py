@@ -264,7 +264,7 @@ def test_a_full_disk_behind_standard_output_is_reported(script: list[str]) -> No
     with open("/dev/full", "w") as full:
         done = subprocess.run(script, stdout=full, stderr=subprocess.PIPE, text=True)
     assert done.returncode == 1
-    assert done.stderr.startswith("CLI-003: no space left on device")
+    assert done.stderr.startswith("CLI-003: standard output: no space left on device")
     assert done.stderr.count("\n") == 1
 
 
@@ -485,7 +485,7 @@ def test_an_unknown_access_setting_is_a_usage_error(
     ("inside", "said"),
     [
         ("file/sub", "file is a file, so .*sub cannot be made"),
-        ("/proc/x", "/proc is on no disk. Name another"),
+        ("/proc/x", "/proc is on no disk; expected a place on a disk. Name another"),
     ],
 )
 def test_a_folder_that_cannot_be_made_is_refused_with_what_is_in_its_way(

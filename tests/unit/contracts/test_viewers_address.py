@@ -44,7 +44,7 @@ def test_an_address_that_is_too_wide_or_not_of_this_computer_is_refused(
 def test_an_address_without_certificate_and_key_or_the_reverse_is_refused(
     given: dict[str, object],
 ) -> None:
-    with pytest.raises(UsageMistake, match="--certificate"):
+    with pytest.raises(UsageMistake, match="--bind"):
         viewers_address(**{"bind": None, "certificate": None, "key": None} | given)  # type: ignore[arg-type]  # by name
 
 

@@ -188,3 +188,17 @@ def killed(number: int) -> int:
 def test_a_killed_worker_process_names_the_point_and_what_to_do() -> None:
     with raises(RonnaError, "STU-005", match=r"'number': 1"):
         sweep(killed, workers=2, number=[1])
+
+
+def test_what_cannot_be_called_is_refused_before_the_first_point() -> None:
+    with raises(WrongArgument, match="no function; expected a function, without quotes"):
+        sweep("jitter", distance_mm=1.0)  # type: ignore[arg-type]
+    with raises(
+        WrongArgument, match="'distance_mm'; expected the arguments distance_mm, unit, got distance, unit"
+    ):
+        sweep(jitter, distance=1.0, unit="a")
+    with raises(
+        WrongArgument, match="workers of sweep is no number of processes; expected at least 1.* got 0"
+    ):
+        sweep(jitter, workers=0, distance_mm=1.0, unit="a")
+    assert not CALLS

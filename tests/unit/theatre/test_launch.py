@@ -44,7 +44,7 @@ def test_a_model_of_an_assistant_that_is_not_asked_for_is_refused(tmp_path: Path
     given = ("--out", tmp_path, "--assistant-arm", "ur5e", *REFUSED_LATER)
     done = in_this_process(ronna_sim, "theatre", *given)
     assert done.returncode == EXIT_USAGE
-    assert "CLI-001: --assistant-arm requires --dual" in done.stderr
+    assert "CLI-001: --assistant-arm ur5e requires --dual" in done.stderr
     assert "requires" not in in_this_process(ronna_sim, "theatre", *given, "--dual").stderr
 
 

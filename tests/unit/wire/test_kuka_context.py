@@ -57,7 +57,7 @@ def test_all_three_mistakes_of_a_context_are_reported(tmp_path: Path) -> None:
         load_context(path)
     assert caught.value.code == "WIR-001"
     assert "3 mistakes" in str(caught.value)
-    for name in ("program.cycle_ms", "ethernet.precison", "receive.0.holdon"):
+    for name in ("program.cycle_ms", "ethernet.precison", "receive 1.holdon"):
         assert name in str(caught.value)
 
 

@@ -84,7 +84,7 @@ def test_a_script_is_read_line_by_line_with_comments() -> None:
         ("at 3 s: room loosen screw 1", "line 2, .* expected 'marker', got 'screw'. Write for example: "),
         (
             "robot drop 5 %",
-            "line 2, column 1: expected 'at' or 'when', to say when the fault begins, got 'robot'. "
+            "line 2, column 1: expected 'at', 'when' or 'since', to say when the fault begins, got 'robot'. "
             "Did you mean: at 12.5 s: robot drop 5 %",
         ),
     ],
