@@ -264,7 +264,7 @@ def test_a_full_disk_behind_standard_output_is_reported(script: list[str]) -> No
     with open("/dev/full", "w") as full:
         done = subprocess.run(script, stdout=full, stderr=subprocess.PIPE, text=True)
     assert done.returncode == 1
-    assert done.stderr.startswith("CLI-003: standard output: no space left on device")
+    assert done.stderr.startswith("CLI-003: no space left on device")
     assert done.stderr.count("\n") == 1
 
 
