@@ -67,7 +67,7 @@ def test_a_simulated_case_is_driven_by_answers_and_words_alone_whatever_was_mist
         "'mount 2' or nobody": ["drill\n", "mount\n", "mount 9\n", "mount 1\n"],
         "drill or nobody": ["insert\n"],
         "skin or nobody": [END_OF_INPUT],  # the question comes next
-        "done or hold": [END_OF_INPUT],
+        "yes or 'hold the guide'": [END_OF_INPUT],
         "held": ["insert\n", "Resume\n"],
     }
     person = Person(commands, tmp_path, "mini-3", mistakes)
