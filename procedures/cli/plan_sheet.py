@@ -83,7 +83,7 @@ def _build_sheet(
     check.require()
     lines = {one.id: (np.array(one.entry_mm), np.array(one.target_mm)) for one in plan.trajectories}
     return sheet_of_plan(
-        f"Case sheet of {plan_file.resolve().parent.name}/{plan_file.name}",
+        f"Case sheet of {plan_file.name}",  # folders are often named after the patient
         plan,
         fit_head(volume),
         () if found is None else found.markers,

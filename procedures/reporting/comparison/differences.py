@@ -18,6 +18,8 @@ SHORT_HASH = 12  # hex digits
 FAULT_LINES = "fault_lines"
 # In the request, and told in other words: the script by its lines, the seed and the strategy by the journal.
 TOLD_ELSEWHERE = ("faults", "seed", "strategy")
+# Folders, often named after the patient; plan and CT are compared by their content.
+UNNAMED = ("case", "plan")
 
 
 @dataclass(frozen=True)
@@ -63,7 +65,7 @@ def _options(reading: RunReading) -> dict[str, str]:
     asked = read_options(reading.folder).values
     if asked.get("faults") and FAULT_LINES not in asked:  # of a request that does not keep them
         told[FAULT_LINES.replace("_", " ")] = f"those of {asked['faults']}, which were not kept"
-    return told | dict(_flatten(asked.items(), without=TOLD_ELSEWHERE))
+    return told | dict(_flatten(asked.items(), without=(*TOLD_ELSEWHERE, *UNNAMED)))
 
 
 def _flatten(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 from pathlib import Path
 
@@ -58,6 +59,14 @@ def test_what_differed_before_they_began_is_listed_and_the_rest_is_counted(pair:
     }
     assert options.compared > len(found)
     assert compare_runs(pair[0], pair[0]).differences[0].gist.startswith("all ")
+
+
+def test_no_folder_of_a_case_is_named_on_the_page(pair: tuple[Path, Path], tmp_path: Path) -> None:
+    request = pair[1] / REQUEST_FILE
+    content = json.loads(request.read_text()) | {"case": "/cases/Miller", "plan": "/cases/Miller/plan.toml"}
+    request.write_text(json.dumps(content))
+    page = compare_runs(*pair).write(tmp_path / "comparison.html")
+    assert "Miller" not in page.read_text()
 
 
 def test_steps_targets_and_findings_of_both_stand_beside_each_other(pair: tuple[Path, Path]) -> None:
