@@ -2,7 +2,8 @@
 
 Ctrl-C on a terminal: once pauses at the next safe point, twice stops the arm, three times ends all. Safe
 points are between steps and before each motion. While a question is open here, or the case waits for a person
-at the console, nothing moves and the second one ends everything.
+at the console, nothing moves and the second one ends everything. What a person types or answers in between
+makes the next one the first again.
 Without a terminal nothing is changed: one signal ends the command.
 """
 
@@ -59,6 +60,7 @@ class Interrupts:
         self._count = 0
         self._at_question: int | None = None  # interrupts at the open question, if any
         self._waiting_since_s = -AGAIN_S  # of the last interrupt while a person at the console was awaited
+        self._signed_answers = 0  # from the console, at the last interrupt
         self._question = self._prompt = ""
 
     def attach(self, engine: Engine) -> None:
@@ -76,10 +78,15 @@ class Interrupts:
             yield self._write
         finally:
             self._at_question = None
+            self._begin_anew()
 
     def _write(self, prompt: str, *, question: str = "") -> None:
+        self._at_question = 0  # something was typed since the last prompt, or a device has come into fault
         self._question, self._prompt = question, prompt
         write_prompt(prompt)
+
+    def _begin_anew(self) -> None:
+        self._count, self._waiting_since_s = 0, -AGAIN_S
 
     def interrupt(self) -> None:
         """Count a Ctrl-C. Raises KeyboardInterrupt if it must end the command."""
@@ -90,6 +97,9 @@ class Interrupts:
             self._at_question += 1
             os.write(STANDARD_ERROR, AT_QUESTION + (self._question + self._prompt).encode())
             return
+        if self._signed_answers != (answers := engine.questions.signed_answers):
+            self._signed_answers = answers
+            self._begin_anew()
         if engine.is_awaiting_person():
             before_s, self._waiting_since_s = self._waiting_since_s, time.monotonic()
             if self._waiting_since_s - before_s < AGAIN_S:
