@@ -23,6 +23,7 @@ from procedures.operator.question import Answer, Question, join_answers
 from procedures.runs.answers import ScriptedOperator
 from procedures.runs.observers import RunObservers
 from ronna_hw.arguments import WrongArgument, require_path, show
+from ronna_hw.command_line.messages import wants_plain_text
 from ronna_hw.errors import RonnaError
 from ronna_hw.loaded_run import LoadedRun, load_run
 from ronna_hw.records import write_atomically
@@ -177,7 +178,7 @@ class _Deciding:
 @contextmanager
 def _step_bar(*, shown: bool) -> Iterator[Callable[[Engine], None]]:
     """Show a bar of the steps of a case; yields a function that follows an engine."""
-    if not shown:
+    if not shown or wants_plain_text():
         yield lambda _engine: None
         return
     from rich.progress import Progress

@@ -71,7 +71,7 @@ def _readings(theatre: Theatre, name: str) -> Iterator[Iterable[object]]:
 
 
 def _show(name: str, readings: Iterable[object], *, as_json: bool) -> None:
-    if as_json or not terminal.on_terminal(sys.stdout):
+    if as_json or not terminal.takes_escapes(sys.stdout):
         for reading in readings:
             if as_json:
                 sys.stdout.write(

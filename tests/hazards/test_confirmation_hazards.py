@@ -191,6 +191,8 @@ def test_what_decides_a_registration_is_bold_on_a_terminal_and_the_identity_is_s
 ) -> None:
     monkeypatch.setattr("sys.stderr", screen := Screen(keyboard, b"no\n"))
     monkeypatch.setattr(screen, "isatty", lambda: True)
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.delenv("NO_COLOR", raising=False)
     asked = Question(
         Topic.REGISTRATION,
         "accept the registration for T1",

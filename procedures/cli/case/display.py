@@ -15,30 +15,38 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING
 
-from procedures.cli.case.case_lines import join_voided, plain_line_of
 from procedures.cli.case.event_follower import EventFollower, Show
 from procedures.cli.case.operators import WritePrompt, write_prompt
+from procedures.cli.case.plain_display import PlainDisplay, write_lines
 from procedures.cli.case.prompt import Prompt
 from procedures.cli.case.staff import terminal_observers
-from procedures.engine.events import Event
 from procedures.runs.case_outcome import build_unfinished_outcome, run_case
 from procedures.runs.finishing import Finalized, finalize_run
 from procedures.runs.folders import hold_run, run_folder
 from procedures.runs.observers import RunObservers
 from procedures.runs.request import RunRequest
 from procedures.runs.request_checks import check_case
-from ronna_hw.command_line.terminal import message_console, on_terminal, print_json, print_table, say, tell
+from ronna_hw.command_line.terminal import (
+    message_console,
+    on_terminal,
+    print_json,
+    print_table,
+    say,
+    takes_escapes,
+    tell,
+)
 from ronna_hw.errors import RefusedError
 from ronna_hw.text import escape_controls
 
 if TYPE_CHECKING:
+    from procedures.cli.case.live_display import LiveDisplay
     from procedures.engine.engine import Engine
     from procedures.reporting.outcome import FinishedRun
     from procedures.runs.console_link import ConsoleRequest
@@ -136,15 +144,16 @@ def pause_on_interrupt() -> Iterator[Interrupts]:
 
 @contextlib.contextmanager
 def observe_run(*, quiet: bool) -> Iterator[RunObservers]:
-    """Show a run as it proceeds: live on a terminal, otherwise one line per step and finding."""
+    """Show a run as it proceeds: live on a terminal, otherwise one line per step and finding.
+
+    A dumb terminal gets these lines too; its person is asked and pauses the case as on any other.
+    """
     with contextlib.ExitStack() as stack:
         if quiet or not on_terminal(sys.stderr):
             opened = (lambda _engine: None) if quiet else partial(_write_lines_of, stack=stack)
             yield replace(terminal_observers(opened=opened), announce=tell)
             return
-        from procedures.cli.case.live_display import LiveDisplay
-
-        display = LiveDisplay(message_console(), errors=False)
+        display = create_display()
         interrupts = stack.enter_context(pause_on_interrupt())
         stack.enter_context(display.shown())
         followers: list[EventFollower] = []
@@ -173,6 +182,15 @@ def observe_run(*, quiet: bool) -> Iterator[RunObservers]:
         )
 
 
+def create_display() -> LiveDisplay | PlainDisplay:
+    """Return a live display if the terminal can draw it, else lines."""
+    if not takes_escapes(sys.stderr):
+        return PlainDisplay(tell)
+    from procedures.cli.case.live_display import LiveDisplay
+
+    return LiveDisplay(message_console(), errors=False)
+
+
 def _follow(engine: Engine, show: Show, stack: contextlib.ExitStack) -> EventFollower:
     follower = EventFollower(engine.events, show)
     stack.callback(follower.join)
@@ -181,13 +199,6 @@ def _follow(engine: Engine, show: Show, stack: contextlib.ExitStack) -> EventFol
 
 def _write_lines_of(engine: Engine, stack: contextlib.ExitStack) -> None:
     _follow(engine, partial(write_lines, tell), stack)
-
-
-def write_lines(write: Callable[[str], None], events: Sequence[Event]) -> None:
-    """Write one line for each finished step, voided result and finding."""
-    for event in join_voided(events):
-        if (line := plain_line_of(event)) is not None:
-            write(line)
 
 
 def show_outcome(outcome: FinishedRun, *, as_json: bool) -> None:

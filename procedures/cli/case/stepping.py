@@ -12,9 +12,10 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from procedures.cli.case.display import pause_on_interrupt, show_outcome, write_lines
+from procedures.cli.case.display import pause_on_interrupt, show_outcome
 from procedures.cli.case.event_follower import EventFollower
 from procedures.cli.case.piped_lines import PipedLines
+from procedures.cli.case.plain_display import write_lines
 from procedures.cli.case.prompt import Prompt
 from procedures.cli.case.staff import terminal_observers
 from procedures.engine.errors import CASE_LEFT_WITH_INSTRUMENT

@@ -15,7 +15,14 @@ from procedures.reporting.ending import await_ending
 from procedures.reporting.run_reading import read_for_report
 from procedures.reporting.run_summary import RunSummary, summarize_run
 from procedures.runs.folders import find_folders_of_runs, find_runs
-from ronna_hw.command_line.terminal import message_console, on_terminal, print_json, print_table, say, tell
+from ronna_hw.command_line.terminal import (
+    message_console,
+    print_json,
+    print_table,
+    say,
+    takes_escapes,
+    tell,
+)
 from ronna_hw.evidence.inspection import inspect_run
 from ronna_hw.text import format_count, printable
 
@@ -116,7 +123,7 @@ def watch(run: Path, *, as_json: bool) -> None:
             tell(f"NOT AS THE RUN LEFT IT: {change}")
     if as_json:
         _write_lines(followed, lambda event: event.model_dump_json(ensure_ascii=True))
-    elif on_terminal(sys.stderr):
+    elif takes_escapes(sys.stderr):
         from procedures.cli.case.live_display import LiveDisplay
 
         display = LiveDisplay(message_console(), errors=True)
