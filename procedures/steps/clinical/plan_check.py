@@ -120,8 +120,8 @@ def _confirm_patient(
     wristband = ReadBack(
         "the patient's identifier, as on the wristband",
         identifier,
-        wrong="is not the identifier in this CT (PatientID); case, spaces and zeros count. Answer no if that is "
-        "what the wristband says.",
+        wrong="is not the identifier in this CT (PatientID), in which case, spaces and zeros count. "
+        "Answer no if that is what the wristband says.",
         exact=True,
     )
     question = Question(
