@@ -149,6 +149,7 @@ class RunRequest:
     faults: Path | None = None
     answers: Answers | None = None  # of a scripted operator
     ask: bool = False  # a person does the manual work of a simulated theatre by a word, and is asked all
+    by_step: bool = False  # commands on standard input run its steps
 
     @property
     def has_person(self) -> bool:
