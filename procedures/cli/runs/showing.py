@@ -45,6 +45,9 @@ def list_runs(folder: Path, *, as_json: bool) -> None:
         table.append((printable(row.run), began, row.strategies, row.ended, len(row.done), error))
     print_table(f"Runs in {folder}", headings, table)
     for row in rows:
+        if row.stop_lines:
+            going_on = f"; next: {row.next_command}" if row.next_command else ""
+            say(f"{printable(row.run)}: by the journal, {'; '.join(row.stop_lines)}{going_on}")
         for problem in row.problems:
             say(f"{printable(row.run)} is not reliable: {problem}")
 
@@ -91,10 +94,12 @@ def show_run(folder: Path, *, as_json: bool) -> None:
         say(f"the assistant inserted at {name}, {one.off_axis_mm:.2f} mm off the axis of the guide")
     for problem in reading.problems:
         say(f"not reliable: {problem}")
+    for line in row.stop_lines:
+        say(f"by the journal, {line}")
     if row.advice:
-        for role, place in row.arms.items():
-            say(f"by the journal, the {role if len(row.arms) > 1 else 'arm'} is {place}")
         say(f"what to do: {row.advice}")
+    if row.next_command:
+        say(f"next: {row.next_command}")
     if missing:
         say(f"{missing}; {WRITES_ALL}")
 
