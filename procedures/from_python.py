@@ -14,7 +14,6 @@ import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import fields, replace
-from difflib import get_close_matches
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_type_hints
 
@@ -26,6 +25,7 @@ from ronna_hw.arguments import WrongArgument, require_path, show
 from ronna_hw.command_line.messages import wants_plain_text
 from ronna_hw.errors import RonnaError
 from ronna_hw.loaded_run import LoadedRun, load_run
+from ronna_hw.near_names import find_near
 from ronna_hw.records import write_atomically
 
 if TYPE_CHECKING:
@@ -126,7 +126,7 @@ def _make_request(given: Mapping[str, object]) -> RunRequest:
     known = {field.name for field in fields(CaseOptions)} - NOT_OPTIONS
     for name in given:
         if name not in known:
-            alike = get_close_matches(name, known, n=1)
+            alike = find_near(name, known)
             raise WrongArgument(
                 f"run_case has no option {show(name)}",
                 action=f"Did you mean {alike[0]}?" if alike else f"There are {', '.join(sorted(known))}.",

@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from datetime import date
-from difflib import get_close_matches
 from typing import Any, get_args
 
 from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
+from ronna_hw.near_names import find_near
 from ronna_hw.plausible import NAME_PATTERN
 from ronna_hw.text import format_count
 
 MISTAKES_SHOWN = 20  # per file: more help no one, and a hostile file has thousands
-LONGEST_KEY = 100  # compared with known ones, which takes a hundred bytes for each letter
+QUOTED = re.compile(r"'([^']+)'")  # words of a list, as pydantic writes them
 UNQUOTED = ("float_type", "int_type", "bool_type")
 
 
@@ -93,7 +94,7 @@ def _find_model(annotation: Any) -> Any:
 
 def suggest_alike(key: str, known: Sequence[str]) -> str:
     """Suggest the most similar known key as a question, if one is similar."""
-    alike = get_close_matches(key[:LONGEST_KEY], known, n=1)
+    alike = find_near(key, known)
     return f" (did you mean '{alike[0]}'?)" if alike else ""
 
 
@@ -120,6 +121,9 @@ def describe_mistake(item: ErrorDetails) -> str:
         case "datetime_type" | "datetime_parsing" | "datetime_from_date_parsing":
             quoted = ", without quotes in TOML" if isinstance(item["input"], str) else ""
             return f"expected day, time and time zone, as 2026-12-21T12:00:00Z{quoted}"
+    if item["type"] in ("enum", "literal_error") and isinstance(item["input"], str):
+        meant = suggest_alike(item["input"], QUOTED.findall(context["expected"]))
+        return f"expected {context['expected']}{meant}"
     message_text = item["msg"].removeprefix("Value error, ")
     for prefix in ("Input should be", "String should have"):
         message_text = message_text.replace(prefix, "expected", 1)

@@ -12,10 +12,10 @@ import pwd
 import re
 import shlex
 from collections.abc import Mapping, Sequence
-from difflib import get_close_matches
 from typing import Any
 
 from ronna_hw.errors import EXIT_USAGE, ErrorCode, RonnaError
+from ronna_hw.near_names import did_you_mean, find_near
 
 
 class UsageMistake(RonnaError):
@@ -139,6 +139,7 @@ def _find_system_error(problem: BaseException) -> BaseException:
 
 MOST_ALIKE = 3  # suggestions
 _UNREADABLE = re.compile(r"'(.+)' is not readable")
+_QUOTED = re.compile(r"'([^']+)'")  # words of a list of choices
 _EXTRA = re.compile(r"Got unexpected extra argument(?:s|\(s\))? \((.*)\)")
 
 
@@ -165,7 +166,9 @@ def convert_usage_error(mistake: Exception, command: str, parameters: Sequence[A
     if parameter is not None and reason is not None:
         expected, got = reason
         what = f"{format_parameter(parameter)} cannot be {got}"
-        return UsageMistake(what, expected=expected, action=_explain(parameter, context, see))
+        near = did_you_mean(got.strip("'"), _QUOTED.findall(expected))
+        explained = _explain(parameter, context, see)
+        return UsageMistake(what, expected=expected, action=f"{near} {explained}".lstrip())
     if type(mistake).__name__ == "BadOptionUsage":  # too few values
         text = str(getattr(mistake, "message", "")).replace("Option ", "").replace("'", "").rstrip(".")
         named = (one for one in parameters if getattr(mistake, "option_name", "") in one.opts)
@@ -223,7 +226,7 @@ def _unknown_option(name: str, context: Any, help_of: str) -> UsageMistake:
     parameters = () if context is None else context.command.params
     known = (option for one in parameters for option in one.opts)
     words = [option.removeprefix("--") for option in known if option.startswith("--")]
-    close_matches = get_close_matches(name.removeprefix("--"), words, n=MOST_ALIKE)
+    close_matches = find_near(name.removeprefix("--"), words, MOST_ALIKE)
     meant = f"Did you mean {' or '.join(f'--{word}' for word in close_matches)}? " if close_matches else ""
     return UsageMistake(f"unknown option {name}", action=f"{meant}{help_of} lists all options.")
 

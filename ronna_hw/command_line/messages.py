@@ -92,8 +92,11 @@ def message_console() -> Console:
     """Return the rich console for standard error."""
     from rich.console import Console
 
-    colours = "auto" if takes_escapes(sys.stderr) else None
-    return Console(stderr=True, soft_wrap=not on_terminal(sys.stderr), color_system=colours)
+    return Console(
+        stderr=True,
+        soft_wrap=not on_terminal(sys.stderr),
+        color_system="auto" if takes_escapes(sys.stderr) else None,
+    )
 
 
 FRAME_WIDTH = 3  # of a table's frame, per column

@@ -22,7 +22,8 @@ from ronna_hw.arguments import require_path
 from ronna_hw.command_line.errors import PATH_PROBLEM, UsageMistake, format_parameter
 from ronna_hw.command_line.messages import say
 from ronna_hw.errors import RonnaError
-from ronna_hw.logs import Logger, is_known_logger, list_loggers, logger, set_level
+from ronna_hw.logs import LEVELS, Logger, is_known_logger, list_loggers, logger, set_level
+from ronna_hw.near_names import did_you_mean
 
 LEVELS_VARIABLE = "RONNA_LOG"
 VERBOSE_FLAG = "--verbose"
@@ -135,12 +136,15 @@ def set_log_levels(levels: Sequence[str]) -> None:
         name, _, level = entry.strip().rpartition("=")
         if name and not is_known_logger(name):
             raise UsageMistake(
-                f"log level {entry!r}: nothing logs as {name!r}", expected=", ".join(list_loggers())
+                f"log level {entry!r}: nothing logs as {name!r}",
+                expected=", ".join(list_loggers()),
+                action=did_you_mean(name, list_loggers()) or None,
             )
         try:
             set_level(level.lower(), name)
         except ValueError as wrong:
-            raise UsageMistake(f"log level {entry!r}: {wrong}") from wrong
+            meant = did_you_mean(level, LEVELS) or None
+            raise UsageMistake(f"log level {entry!r}: {wrong}", action=meant) from wrong
 
 
 def set_log_levels_by_option(levels: Sequence[str] | None) -> None:
