@@ -13,9 +13,11 @@ from pydantic_core import ErrorDetails
 
 from ronna_hw.near_names import find_near
 from ronna_hw.plausible import NAME_PATTERN
-from ronna_hw.text import format_count
+from ronna_hw.text import format_count, unit_of
 
 MISTAKES_SHOWN = 20  # per file: more help no one, and a hostile file has thousands
+# Mistakes about a number's bounds, as pydantic names them.
+BOUNDS = ("greater_than", "greater_than_equal", "less_than", "less_than_equal")
 QUOTED = re.compile(r"'([^']+)'")  # words of a list, as pydantic writes them
 UNQUOTED = ("float_type", "int_type", "bool_type")
 
@@ -103,6 +105,11 @@ def suggest_keys(key: str, known: Sequence[str]) -> str:
     return suggest_alike(key, known) or (f" (known: {', '.join(known)})" if known else "")
 
 
+def _unit_of_place(place: tuple[int | str, ...]) -> str:
+    """Return the unit of the nearest named field at a place, which an item of a list shares."""
+    return next((unit_of(part) for part in reversed(place) if isinstance(part, str)), "")
+
+
 def describe_mistake(item: ErrorDetails) -> str:
     """Describe a mistake without its location or the value found."""
     context = item.get("ctx", {})
@@ -125,6 +132,8 @@ def describe_mistake(item: ErrorDetails) -> str:
         meant = suggest_alike(item["input"], QUOTED.findall(context["expected"]))
         return f"expected {context['expected']}{meant}"
     message_text = item["msg"].removeprefix("Value error, ")
+    if item["type"] in BOUNDS:
+        message_text = f"{message_text} {_unit_of_place(item['loc'])}".rstrip()
     for prefix in ("Input should be", "String should have"):
         message_text = message_text.replace(prefix, "expected", 1)
     if item["type"] == "string_type" and isinstance(item["input"], int | float):

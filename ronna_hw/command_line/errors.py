@@ -16,6 +16,7 @@ from typing import Any
 
 from ronna_hw.errors import EXIT_USAGE, ErrorCode, RonnaError
 from ronna_hw.near_names import did_you_mean, find_near
+from ronna_hw.text import unit_of
 
 
 class UsageMistake(RonnaError):
@@ -162,7 +163,7 @@ def convert_usage_error(mistake: Exception, command: str, parameters: Sequence[A
     if hasattr(mistake, "option_name") and hasattr(mistake, "possibilities"):
         return _unknown_option(str(mistake.option_name), context, help_of)
     parameter = getattr(mistake, "param", None)
-    reason = _read_validation(mistake.__cause__)
+    reason = _read_validation(mistake.__cause__, parameter)
     if parameter is not None and reason is not None:
         expected, got = reason
         what = f"{format_parameter(parameter)} cannot be {got}"
@@ -231,17 +232,18 @@ def _unknown_option(name: str, context: Any, help_of: str) -> UsageMistake:
     return UsageMistake(f"unknown option {name}", action=f"{meant}{help_of} lists all options.")
 
 
-def _read_validation(cause: BaseException | None) -> tuple[str, str] | None:
+def _read_validation(cause: BaseException | None, parameter: Any) -> tuple[str, str] | None:
     """Return the expected and actual values of a failed validation, or None for other errors."""
+    unit = _format_unit(parameter)
     if (errors := getattr(cause, "errors", None)) is None:
         return None
     first: Mapping[str, Any] = errors()[0]
     limits: Mapping[str, Any] = first.get("ctx", {})
     match first["type"]:
         case "greater_than_equal":
-            expected = f"at least {limits['ge']:g}"
+            expected = f"at least {limits['ge']:g}{unit}"
         case "less_than_equal":
-            expected = f"at most {limits['le']:g}"
+            expected = f"at most {limits['le']:g}{unit}"
         case "int_parsing" | "int_from_float" | "int_parsing_size":
             expected = "a whole number"
         case "float_parsing":
@@ -250,6 +252,12 @@ def _read_validation(cause: BaseException | None) -> tuple[str, str] | None:
             expected = str(first["msg"]).removeprefix("Value error, ").rstrip(".")
             expected = expected.partition(" is not ")[2] or expected
     return expected, repr(first["input"])
+
+
+def _format_unit(parameter: Any) -> str:
+    """Return the unit of an option after a space, by its name or placeholder; empty without one."""
+    names = (*getattr(parameter, "opts", ()), getattr(parameter, "metavar", None) or "")
+    return next((f" {unit}" for unit in map(unit_of, names) if unit), "")
 
 
 def format_parameter(parameter: Any) -> str:

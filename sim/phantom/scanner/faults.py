@@ -76,7 +76,7 @@ class ScannerFaults:
         if abs(self.tilt_deg) > MOST_TILT_DEG:
             raise BAD_SCENE(
                 f"no gantry tilts by {self.tilt_deg:g} degrees",
-                limit=f"{MOST_TILT_DEG:g}",
+                limit=f"{MOST_TILT_DEG:g} degrees",
                 action=SEE_PHANTOM,
             )
         if not 0.0 < float(np.linalg.norm(self.stretch_along)) < np.inf:
