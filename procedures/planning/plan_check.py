@@ -208,7 +208,7 @@ def _check_series(plan: Plan, volume: Volume, plan_name: str, ct_name: str) -> C
         )
         return [wrong], []
     altered = check_voxels(plan, volume)
-    unlike = [] if altered is None else [altered]
+    unlike: list[RonnaError] = [] if altered is None else [altered]
     if outside := _find_points_outside(plan, volume):
         return [*_explain_by_signs(plan, volume, outside), *unlike], []
     if unlike:

@@ -64,8 +64,9 @@ def _carry_out_commands(
     request: RunRequest, folder: Path, console: ConsoleRequest | None, resumption: Resumption | None = None
 ) -> None:
     outcome: FinishedRun | None = None
+    left = None if resumption is None else resumption.interrupted
     with (
-        finalize_run(folder, resumption and resumption.interrupted, name_report=False) as final,
+        finalize_run(folder, left, name_report=False) as final,
         pause_on_interrupt() as interrupts,
     ):
         began_s = time.monotonic()
