@@ -14,7 +14,6 @@ import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import fields, replace
-from difflib import get_close_matches
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_type_hints
 
@@ -22,9 +21,11 @@ from procedures.operator.question import Answer, Question, join_answers
 from procedures.runs.answers import ScriptedOperator
 from procedures.runs.observers import RunObservers
 from ronna_hw.arguments import WrongArgument, require_path, show
+from ronna_hw.command_line.messages import wants_plain_text
 from ronna_hw.errors import RonnaError
 from ronna_hw.loaded_run import LoadedRun, load_run
 from ronna_hw.mistakes import describe_mistake
+from ronna_hw.near_names import find_near
 from ronna_hw.records import write_atomically
 
 if TYPE_CHECKING:
@@ -150,7 +151,7 @@ def _make_request(given: Mapping[str, object]) -> RunRequest:
     known = {field.name for field in fields(CaseOptions)} - NOT_OPTIONS
     for name in given:
         if name not in known:
-            alike = get_close_matches(name, known, n=1)
+            alike = find_near(name, known)
             raise WrongArgument(
                 f"run_case has no option {show(name)}",
                 action=f"Did you mean {alike[0]}?" if alike else f"There are {', '.join(sorted(known))}.",
@@ -204,7 +205,7 @@ class FunctionOperator:
 @contextmanager
 def _step_bar(*, shown: bool) -> Iterator[Callable[[Engine], None]]:
     """Show a bar of the steps of a case; yields a function that follows an engine."""
-    if not shown:
+    if not shown or wants_plain_text():
         yield lambda _engine: None
         return
     from rich.console import Console

@@ -127,7 +127,7 @@ def check_json(
 
 def _check_count(content: bytes, most_values: int) -> bytes:
     if count_values(content) > most_values:
-        raise InputRefused("too many values in JSON", limit=str(most_values))
+        raise InputRefused("too many values in JSON", limit=f"{most_values} values")
     return content
 
 
@@ -247,9 +247,9 @@ def parse_toml(text: str) -> dict[str, Any]:
     if len(text) > LARGEST_TOML_BYTES:
         raise InputRefused("too much TOML", limit=f"{LARGEST_TOML_BYTES} bytes")
     if sum(map(text.count, "[{,=")) > MOST_TOML_VALUES:  # a model may find several mistakes in each
-        raise InputRefused("too many values in TOML", limit=str(MOST_TOML_VALUES))
+        raise InputRefused("too many values in TOML", limit=f"{MOST_TOML_VALUES} values")
     if _LONG_KEY.search(text):
-        raise InputRefused("a key with too many parts", limit=str(DEEPEST_TOML))
+        raise InputRefused("a key with too many parts", limit=f"{DEEPEST_TOML} parts")
     try:
         content = tomllib.loads(text)
     except RecursionError as error:
@@ -346,7 +346,7 @@ class _Builder(ElementTree.TreeBuilder):
         self._depth += 1
         self._names += len(tag) + sum(len(name) for name in attributes)
         if self._elements > MOST_ELEMENTS or self._names > NAMES_BYTES:
-            raise InputRefused("XML with too many elements", limit=str(MOST_ELEMENTS))
+            raise InputRefused("XML with too many elements", limit=f"{MOST_ELEMENTS} elements")
         if self._depth > DEEPEST_XML:
             raise InputRefused("XML nested too deep", limit=f"{DEEPEST_XML} levels")
         return super().start(tag, attributes)

@@ -14,7 +14,6 @@ import itertools
 import os
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from difflib import get_close_matches
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
@@ -25,6 +24,7 @@ from numpy.typing import NDArray
 from ronna_hw.arguments import WrongArgument, require_path
 from ronna_hw.errors import ConfigurationError, ErrorCode
 from ronna_hw.frames import Transform
+from ronna_hw.near_names import find_near
 from ronna_hw.notebook_html import table_html
 from ronna_hw.registry import load_entry_point
 
@@ -104,7 +104,7 @@ class RunTable(np.recarray[Any, np.dtype[np.void]]):
 
     def _describe_missing(self, name: str) -> str:
         names = self.dtype.names or ()
-        meant = "".join(f"did you mean {one}? " for one in get_close_matches(name, names, n=1))
+        meant = "".join(f"did you mean {one}? " for one in find_near(name, names))
         return f"no column {name}: {meant}There are {', '.join(names)}"
 
     def __array_finalize__(self, source: Any) -> None:

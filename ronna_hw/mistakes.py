@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from datetime import date
-from difflib import get_close_matches
 from typing import Any, get_args
 
 from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
+from ronna_hw.near_names import find_near
 from ronna_hw.plausible import NAME_PATTERN
-from ronna_hw.text import format_count
+from ronna_hw.text import format_count, unit_of
 
 # Kinds of files, by a key that only they have.
 KINDS = {
@@ -24,7 +25,9 @@ KINDS = {
     "wiring": "an RSI context",
 }
 MISTAKES_SHOWN = 20  # per file: more help no one, and a hostile file has thousands
-LONGEST_KEY = 100  # compared with known ones, which takes a hundred bytes for each letter
+# Mistakes about a number's bounds, as pydantic names them.
+BOUNDS = ("greater_than", "greater_than_equal", "less_than", "less_than_equal")
+QUOTED = re.compile(r"'([^']+)'")  # words of a list, as pydantic writes them
 UNQUOTED = ("float_type", "int_type", "bool_type")
 
 
@@ -115,13 +118,18 @@ def _find_model(annotation: Any) -> Any:
 
 def suggest_alike(key: str, known: Sequence[str]) -> str:
     """Suggest the most similar known key as a question, if one is similar."""
-    alike = get_close_matches(key[:LONGEST_KEY], known, n=1)
+    alike = find_near(key, known)
     return f" (did you mean '{alike[0]}'?)" if alike else ""
 
 
 def suggest_keys(key: str, known: Sequence[str]) -> str:
     """Suggest the most similar known key as a question, or else list all known keys."""
     return suggest_alike(key, known) or (f" (known: {', '.join(known)})" if known else "")
+
+
+def _unit_of_place(place: tuple[int | str, ...]) -> str:
+    """Return the unit of the nearest named field at a place, which an item of a list shares."""
+    return next((unit_of(part) for part in reversed(place) if isinstance(part, str)), "")
 
 
 def describe_mistake(item: ErrorDetails) -> str:
@@ -144,7 +152,12 @@ def describe_mistake(item: ErrorDetails) -> str:
             return f"expected day, time and time zone, as 2026-12-21T12:00:00Z{quoted}"
         case "int_type" | "int_parsing" | "int_from_float":
             return f"expected a whole number{' without quotes' if _is_only_quoted(item['input']) else ''}"
+    if item["type"] in ("enum", "literal_error") and isinstance(item["input"], str):
+        meant = suggest_alike(item["input"], QUOTED.findall(context["expected"]))
+        return f"expected {context['expected']}{meant}"
     message_text = item["msg"].removeprefix("Value error, ")
+    if item["type"] in BOUNDS:
+        message_text = f"{message_text} {_unit_of_place(item['loc'])}".rstrip()
     for prefix in ("Input should be", "String should have"):
         message_text = message_text.replace(prefix, "expected", 1)
     if item["type"] == "string_type" and isinstance(item["input"], int | float):

@@ -102,6 +102,31 @@ def parse_typed_number(typed: str, unit: str = "") -> float:
     return number
 
 
+UNITS = {  # by the end of the name of a field or an option, the longer ends first
+    "mm_s": "mm/s",
+    "deg_s": "deg/s",
+    "mm2": "mm2",
+    "mm": "mm",
+    "um": "um",
+    "deg": "deg",
+    "rad": "rad",
+    "ms": "ms",
+    "s": "s",
+    "hz": "Hz",
+    "n": "N",
+    "kg": "kg",
+    "px": "px",
+    "days": "days",
+    "bytes": "bytes",
+}
+
+
+def unit_of(name: str) -> str:
+    """Return the unit that the name of a field, an option or a metavariable ends with, or an empty string."""
+    words = name.strip("-").casefold().replace("-", "_").replace("/", "_")
+    return next((unit for end, unit in UNITS.items() if words == end or words.endswith(f"_{end}")), "")
+
+
 def strip_unit(typed: str, unit: str) -> str:
     """Strip surrounding space and a trailing unit from typed text."""
     words = typed.strip()

@@ -9,13 +9,13 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass, fields, replace
-from difflib import get_close_matches
 from enum import IntEnum
 from typing import Any, ClassVar, Literal, Self, get_args, get_origin, get_type_hints
 
 import typer
 
 from ronna_hw.errors import AnyCode, ConfigurationError
+from ronna_hw.near_names import find_near
 
 TRUE_WORDS, FALSE_WORDS = ("true", "yes", "on", "1"), ("false", "no", "off", "0")
 
@@ -41,7 +41,7 @@ class NamedParameters:
         for assignment in assignments:
             name, _, text = assignment.partition("=")
             if name not in kinds:
-                alike = " or ".join(get_close_matches(name, kinds)) or f"one of {len(kinds)} names"
+                alike = " or ".join(find_near(name, kinds, 3)) or f"one of {len(kinds)} names"
                 raise cls.refusal(f"unknown parameter {name!r}", expected=alike)
             kind, _, *most = kinds[name]
             value, expected = _parse_value(kind, text, getattr(cls, name), most)

@@ -32,7 +32,7 @@ from rich.progress import Progress
 
 from ronna_hw.arguments import WrongArgument, require_path, show
 from ronna_hw.bounded_input import parse_json, read_json_lines
-from ronna_hw.command_line.messages import tell
+from ronna_hw.command_line.messages import tell, wants_plain_text
 from ronna_hw.errors import ConfigurationError, DataError, RefusedError, RonnaError
 from ronna_hw.host.port_users import find_lock_holder
 from ronna_hw.host.process import limit_children_to_one_thread
@@ -90,7 +90,9 @@ def sweep(
         if found := len(points) - len(missing):
             tell(f"{found} of {len(points)} points are taken from {kept}")
         fixed = _own_options(function, kept and kept / RUNS, arguments)
-        with Progress(console=Console(stderr=True), transient=True, disable=not progress) as bar:
+        with Progress(
+            console=Console(stderr=True), transient=True, disable=not progress or wants_plain_text()
+        ) as bar:
             task = bar.add_task(name_of(function), total=len(points), completed=len(points) - len(missing))
             for point, (rows, kept_for_good) in _run(function, missing, fixed, workers):
                 ledger.add(point, rows, keep=kept_for_good)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from concurrent.futures import wait
 from concurrent.futures.process import BrokenProcessPool
-from difflib import get_close_matches
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -13,6 +12,7 @@ from scipy.spatial.transform import RigidTransform
 from procedures.imaging.volume import Volume, VoxelGeometry
 from ronna_hw.arrays import Array
 from ronna_hw.host.worker_processes import start_workers
+from ronna_hw.near_names import find_near
 from studies.accuracy.phantom import Markers, draw_phantom, phantom_pose
 from studies.accuracy.postures import plan_postures
 from studies.campaign.workers import PROCESS_ENDED, SilenceWatch, Tell
@@ -89,7 +89,7 @@ def select_methods(
     for name in unknown:
         if ":" not in name and name not in (there := list_installed_plugins()):
             known = [*NAMES, *there]
-            near = get_close_matches(name, known, n=1)
+            near = find_near(name, known)
             raise MethodRefused(
                 f"--method: there is no method {name!r}",
                 expected=f"{', '.join(known)} or module:function",

@@ -218,10 +218,12 @@ def free_name(draft: Draft) -> str:
 
 def _require_within_limits(draft: Draft) -> Draft:
     if len(draft.structures) > MOST_STRUCTURES:
-        raise PlanMistakes("too many structures", limit=f"{MOST_STRUCTURES}")
+        raise PlanMistakes("too many structures", limit=f"{MOST_STRUCTURES} structures")
     points = sum(len(item.points_mm) for item in draft.structures)
     if points > MOST_POINTS_TOGETHER:
-        raise PlanMistakes("too many structure points", limit=f"{MOST_POINTS_TOGETHER}", got=f"{points}")
+        raise PlanMistakes(
+            "too many structure points", limit=f"{MOST_POINTS_TOGETHER} points", got=f"{points}"
+        )
     return draft
 
 

@@ -104,7 +104,7 @@ def _decode_bx_body(body: bytes, with_strays: bool) -> TrackingReply:
 
 def _unpack_bx_strays(body: bytes, offset: int) -> tuple[tuple[Vector3, ...], tuple[bool, ...] | None, int]:
     if (count := body[offset]) > ndi.MAXIMUM_STRAYS:
-        raise MalformedReply(f"BX announces {count} strays", limit=str(ndi.MAXIMUM_STRAYS), wire=body)
+        raise MalformedReply(f"BX announces {count} strays", limit=f"{ndi.MAXIMUM_STRAYS} strays", wire=body)
     bits = int.from_bytes(body[offset + 1 : offset + 1 + (count + 7) // 8], "little")
     outside = tuple(bool(bits >> k & 1) for k in range(count)) if bits else (False,) * count
     offset += 1 + (count + 7) // 8

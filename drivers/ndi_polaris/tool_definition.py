@@ -116,7 +116,7 @@ def decode_definition(block: bytes, name: str = "definition") -> ToolDefinition:
             f"{name} has a wrong checksum", expected=f"{checksum(block):04X}", got=f"{claimed:04X}"
         )
     if (count := block[layout.MARKER_COUNT_OFFSET]) > layout.ROM_MARKERS:
-        raise BAD_TOOL_FILE(f"{name} has {count} markers", limit=str(layout.ROM_MARKERS))
+        raise BAD_TOOL_FILE(f"{name} has {count} markers", limit=f"{layout.ROM_MARKERS} markers")
     origin = bytes(block[: layout.ROM_BYTES])
     values = {property_.name: property_.read(origin) for property_ in FIELDS}
     tool = ToolDefinition(**values, origin=origin)
@@ -159,7 +159,8 @@ def _check_definition(tool: ToolDefinition, name: str = "") -> None:
         raise BAD_TOOL_FILE(f"{subject} has a face number out of range", limit=f"1 to {layout.ROM_FACES}")
     if not layout.ROM_MINIMUM_MARKERS <= tool.minimum_markers <= count:
         raise BAD_TOOL_FILE(
-            f"{subject} has a minimum of {tool.minimum_markers} of {count} markers", limit=f"3 to {count}"
+            f"{subject} has a minimum of {tool.minimum_markers} of {count} markers",
+            limit=f"3 to {count} markers",
         )
     numbers = [value for vector in (*tool.markers_mm, *tool.normals, *tool.face_normals) for value in vector]
     if not all(math.isfinite(value) for value in (*numbers, tool.maximum_error_mm, *tool.minimum_spread_mm)):

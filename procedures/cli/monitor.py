@@ -18,6 +18,7 @@ from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.devices import RobotArm
 from ronna_hw.devices.reading_stream import StreamsReadings
 from ronna_hw.devices.readings import ArmReading, CameraImage, StampedReading, StereoReading, TrackerFrame
+from ronna_hw.near_names import did_you_mean
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -50,9 +51,8 @@ def monitor(
     with Theatre.from_file(config) as theatre:
         if device not in theatre.file.devices:
             known = ", ".join(theatre.file.devices)
-            raise UsageMistake(
-                f"{config} has no device {device!r}", expected=known, action="Name one of the tables."
-            )
+            meant = did_you_mean(device, theatre.file.devices) or "Name one of the tables."
+            raise UsageMistake(f"{config} has no device {device!r}", expected=known, action=meant)
         with _readings(theatre, device) as readings:
             _show(device, islice(readings, wanted), as_json=as_json)
 
@@ -78,7 +78,7 @@ def _readings(theatre: Theatre, name: str) -> Iterator[Iterable[object]]:
 
 
 def _show(name: str, readings: Iterable[object], *, as_json: bool) -> None:
-    if as_json or not terminal.on_terminal(sys.stdout):
+    if as_json or not terminal.takes_escapes(sys.stdout):
         for reading in readings:
             if as_json:
                 sys.stdout.write(

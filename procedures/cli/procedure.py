@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -46,7 +47,7 @@ def step_command(case: CaseOptions, console: ConsoleOptions) -> None:
     """Step through the case by hand, one command per line; help lists them."""
     from procedures.cli.case.stepping import step_through
 
-    step_through(case.request(), case.out, console.request())
+    step_through(replace(case.request(), by_step=True), case.out, console.request())
 
 
 @app.command("steps")

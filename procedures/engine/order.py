@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from difflib import get_close_matches
 from enum import StrEnum
 from itertools import groupby
 from typing import Generic, TypeVar
@@ -15,6 +14,7 @@ from procedures.engine.context import StepContext
 from procedures.engine.errors import UnknownStep
 from procedures.journal.results import StepResult
 from procedures.operator.question import Topic
+from ronna_hw.near_names import find_near
 
 R_co = TypeVar("R_co", bound=StepResult, covariant=True)
 MOST_NEAR = 3  # names of steps that a mistyped one is answered with
@@ -115,7 +115,7 @@ class CaseOrder:
         if name in names:
             return names[name]
         candidates = [one for one in names if one.partition(":")[0] == name]  # it lacks only the trajectory
-        candidates = candidates or get_close_matches(name, names, n=MOST_NEAR)
+        candidates = candidates or find_near(name, names, MOST_NEAR)
         if candidates:
             raise UnknownStep(f"there is no step {name!r}", action=f"Did you mean {' or '.join(candidates)}?")
         raise UnknownStep(f"there is no step {name!r}", expected=", ".join(names))

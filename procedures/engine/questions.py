@@ -48,6 +48,7 @@ class Questions:
         self._journal = journal
         self._events = events
         self._count = 0
+        self.signed_answers = 0  # given by a named person
         self.unanswered_s: float | None = None  # the time limit that the last question exceeded
 
     def ask(self, question: Question) -> Answer:
@@ -63,6 +64,7 @@ class Questions:
             limit_s = question.timeout_s
             self.unanswered_s = limit_s if limit_s is not None and monotonic() - began_s >= limit_s else None
             signed = {} if answer.signature is None else asdict(answer.signature)
+            self.signed_answers += bool(signed)
             self._journal.write(
                 Entry.CONFIRMATION,
                 self._setting.clock.now_s(),

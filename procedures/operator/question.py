@@ -162,7 +162,7 @@ class ReadBack:
 
     `what` asks for it, such as `how many mm it moves`. `value` may be the patient's: no record has it.
     `wrong` follows another value that was typed; `shown` is its text in the question, if it is there. The
-    `unit` may be typed with it.
+    `unit` may be typed with it. With `exact`, case counts, as it may tell two patients apart.
     """
 
     what: str
@@ -170,9 +170,12 @@ class ReadBack:
     wrong: str = "is not the value to be read back"
     shown: str = ""
     unit: str = ""
+    exact: bool = False
 
     def fits(self, typed: str) -> bool:
-        """Return whether the typed text matches the value, ignoring case and surrounding whitespace."""
+        """Return whether the typed text matches the value, ignoring surrounding whitespace."""
+        if self.exact:
+            return typed.strip() == self.value.strip()
         return strip_unit(typed, self.unit).casefold() == self.value.strip().casefold()
 
 

@@ -95,6 +95,6 @@ def _find_direction(ac: Array, pc: Array) -> tuple[Array, float]:
             "AC is behind PC",
             expected="AC nearer to the face",
             got=f"{-float(direction @ ANTERIOR) * length_mm:.1f} mm farther back",
-            action=f"Click PC again, behind AC; {BEGIN_ANEW}.",
+            action=f"Click PC again, behind AC; {BEGIN_ANEW}. In a plan file, its points may be in RAS.",
         )
     return direction, length_mm

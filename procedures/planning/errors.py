@@ -1,4 +1,4 @@
-"""Errors in plans, PLAN-001 to PLAN-032, and in tool records, TOOL-002 and TOOL-003.
+"""Errors in plans, PLAN-001 to PLAN-033, and in tool records, TOOL-002 and TOOL-003.
 
 Several errors of one check are raised as one error; if they are all of one kind it has that kind's
 code, otherwise PLAN-002.
@@ -260,6 +260,16 @@ class HeadPlaceUnknown(RefusedError):
     action = (
         "Have the place for the cart found first, as described in the guide to the cart's place, and keep "
         "place.json next to the plan. Then check reach again."
+    )
+
+
+class WrongSigns(PlanError):
+    """The plan does not fit the CT as written, but would with other signs: it looks like RAS, or mirrored."""
+
+    code = "PLAN-033"
+    action = (
+        "Find out in which coordinates the points were read off; a plan has LPS millimetres. After a change "
+        "compare the side of each trajectory with the CT."
     )
 
 

@@ -60,6 +60,13 @@ class HeadEllipsoid(Strict):
         """Return the side of a trajectory: `left`, `middle` or `right`, or such as `left to right`."""
         return " to ".join(dict.fromkeys(self._side(x) for x, *_ in (entry_mm, target_mm)))
 
+    def half_of(self, entry_mm: Numbers3) -> str:
+        """Return the half of the head with an entry: `front`, `middle` or `back`."""
+        offset_mm = entry_mm[1] - self.centre_mm[1]
+        if abs(offset_mm) < GRID_MM:
+            return "middle"
+        return "back" if offset_mm > 0.0 else "front"
+
     def _side(self, x_mm: float) -> str:
         offset_mm = x_mm - self.centre_mm[0]
         if abs(offset_mm) < GRID_MM:  # the head's middle is not known better
@@ -136,16 +143,16 @@ def check_entry_path(volume: Volume, trajectory: PlannedTrajectory) -> tuple[Not
     is a warning, as is an entry out in the air.
     """
     entry, target = np.array(trajectory.entry_mm), np.array(trajectory.target_mm)
-    problems, is_unseen = _find_entry_problems(volume, entry, target)
+    problems, is_unseen = find_entry_problems(volume, entry, target)
     warning = f"the CT ends before the entry of trajectory {trajectory.id}: its skin was not checked"
     if not problems:
         return None, _warn_far_from_skin(volume, trajectory) or (warning if is_unseen else "")
-    swapped = not _find_entry_problems(volume, target, entry)[0]
+    swapped = not find_entry_problems(volume, target, entry)[0]
     hint = "; reversed, it would fit: entry and target are probably swapped" if swapped else ""
     return NotIntoHead(f"trajectory {trajectory.id}: {', '.join(problems)}{hint}"), ""
 
 
-def _find_entry_problems(volume: Volume, entry: Array, target: Array) -> tuple[list[str], bool]:
+def find_entry_problems(volume: Volume, entry: Array, target: Array) -> tuple[list[str], bool]:
     """List problems of a trajectory, and return whether the path before its entry is outside the CT."""
     depth_mm = float(np.linalg.norm(target - entry))
     direction = (target - entry) / depth_mm

@@ -27,6 +27,7 @@ from procedures.planning.guide import find_stops_beyond_end, place_guides
 from procedures.planning.head_in_ct import check_entry_path, check_standoff
 from procedures.planning.plan_file import check_voxels
 from procedures.planning.plan_model import FiducialKind, Plan
+from procedures.planning.sign_check import doubt_signs, find_wrong_signs
 from procedures.planning.structures import StructureDistance, check_structures, measure_distances
 from procedures.registration import MatchStatus, match
 from procedures.registration.errors import LayoutNotFound
@@ -67,6 +68,7 @@ class PlanCheck:
     If an arm was given and reaches everything, `motions` are those of the whole procedure, `turns_rad` has
     each trajectory's turn about its axis, and `paths` the joints; otherwise `unmet` names what it does not
     reach. `distances` are from every trajectory to every structure; `head` tells the sides of trajectories.
+    `sign_doubt` says why the coordinates may not be LPS; it is among the warnings too.
     """
 
     plan: Plan
@@ -78,6 +80,7 @@ class PlanCheck:
     unmet: tuple[Unmet, ...] = ()
     distances: tuple[StructureDistance, ...] = ()
     head: HeadEllipsoid | None = None
+    sign_doubt: str = ""
 
     @property
     def passed(self) -> bool:
@@ -179,11 +182,13 @@ def check_plan(
     ):
         findings += found
         warnings += warned
+    if sign_doubt := "" if findings else doubt_signs(plan, volume):
+        warnings.append(sign_doubt)
     if fiducials_mm is not None and plan.fiducials is not FiducialKind.ADHESIVE:
         found, warned = _check_fiducials(plan, np.asarray(fiducials_mm, dtype=float).reshape(-1, 3))
         findings += found
         warnings += warned
-    check = PlanCheck(plan, (), (), distances=distances)
+    check = PlanCheck(plan, (), (), distances=distances, sign_doubt=sign_doubt)
     if arm is not None:
         guided = tuple(one.trajectory for one in plan.trajectories)
         guided = guided if bore is None else place_guides(plan, bore)
@@ -203,14 +208,22 @@ def _check_series(plan: Plan, volume: Volume, plan_name: str, ct_name: str) -> C
         )
         return [wrong], []
     altered = check_voxels(plan, volume)
-    findings = [*_find_points_outside(plan, volume), *([] if altered is None else [altered])]
-    if findings:
-        return findings, []
+    unlike: list[RonnaError] = [] if altered is None else [altered]
+    if outside := _find_points_outside(plan, volume):
+        return [*_explain_by_signs(plan, volume, outside), *unlike], []
+    if unlike:
+        return unlike, []
     into_head = [check_entry_path(volume, one) for one in plan.trajectories]
-    findings += [finding for finding, _ in into_head if finding]
+    findings = _explain_by_signs(plan, volume, [finding for finding, _ in into_head if finding])
     in_skin = [check_standoff(volume, one, plan.standoff_mm) for one in plan.trajectories]
     findings += [finding for finding in in_skin if finding]
     return findings, [warning for _, warning in into_head if warning]
+
+
+def _explain_by_signs(plan: Plan, volume: Volume, findings: list[RonnaError]) -> list[RonnaError]:
+    """Replace findings about where a plan lies by the one that explains them all, if there is one."""
+    wrong = find_wrong_signs(plan, volume, findings[0]) if findings else None
+    return findings if wrong is None else [wrong]
 
 
 def _check_patient(plan: Plan, volume: Volume) -> CheckResult:

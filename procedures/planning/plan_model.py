@@ -58,6 +58,10 @@ class PatientPosition(StrEnum):
     FFDL = "FFDL"
 
 
+# Upward direction, LPS, by the end of the position's name: supine, prone, on the right, on the left side.
+UP_LPS = {"S": (0.0, -1.0, 0.0), "P": (0.0, 1.0, 0.0), "DR": (1.0, 0.0, 0.0), "DL": (-1.0, 0.0, 0.0)}
+
+
 class FiducialKind(StrEnum):
     """Kind of fiducials: single spheres on screws, the x-shaped frame, or adhesive rings on the skin.
 

@@ -74,7 +74,7 @@ def register_clouds(
     if not 0.0 < overlap <= 1.0 or round(overlap * len(image)) < FEWEST_PAIRS:
         raise BadParameter(
             "the overlap must leave three points",
-            limit="above 0, at most 1",
+            limit="a share above 0, at most 1",
             got=f"{overlap}",
             action="Give the share of the image points that the physical ones cover.",
         )

@@ -46,6 +46,8 @@ LANDMARKS = {  # points of a head that a person finds and can touch: directions 
     "left ear": (1.0, 0.0, 0.0),
     "right ear": (-1.0, 0.0, 0.0),
 }
+SIDES = (("left", "right"), ("back", "front"), ("crown", "feet"))  # of a patient, along and against LPS
+NAMED_SHARE = 0.5  # of an offset, for its part along an axis to be named
 LEAST_APART_MM = 15.0  # between the landmark as matched and as mirrored, for a reading to tell them apart
 # A head is an ellipsoid only roughly. Mirror images that exchange the slices' axis count only beyond this:
 # they are rare, and a viewer shows them.
@@ -153,6 +155,16 @@ class Landmark:
         from_match_mm = float(np.linalg.norm(point_mm - self.matched_mm))
         from_mirrored_mm = float(np.linalg.norm(self.mirrored_mm - point_mm, axis=1).min())
         return min(from_mirrored_mm, from_match_mm - READING_LIMIT_MM) <= READING_LIMIT_MM
+
+
+def describe_side(offset_mm: Array) -> str:
+    """Describe in words toward which sides of the patient an offset (3,) in LPS mm leads."""
+    length_mm = float(np.linalg.norm(offset_mm))
+    return "toward the patient's " + " and ".join(
+        SIDES[axis][int(offset_mm[axis] < 0.0)]
+        for axis in np.argsort(-np.abs(offset_mm))
+        if abs(offset_mm[axis]) >= NAMED_SHARE * length_mm
+    )
 
 
 def choose_landmark(

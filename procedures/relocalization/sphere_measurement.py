@@ -157,7 +157,9 @@ def _validate_image(image: object) -> GreyImage:
         raise BadImage("the image is too small", limit=f"{SMALLEST_SIDE_PX} px", got=str(image.shape))
     if native == np.uint16 and int(image.max()) > TWELVE_BIT_LIMIT:
         raise BadImage(
-            "the image has values of more than 12 bits", limit=str(TWELVE_BIT_LIMIT), got=str(image.max())
+            "the image has values of more than 12 bits",
+            limit=f"a grey value of {TWELVE_BIT_LIMIT}",
+            got=str(image.max()),
         )
     return image.astype(native, copy=False)  # OpenCV accepts only the byte order of this machine
 

@@ -55,6 +55,13 @@ ADVICE = {  # by the word of an ending, for a case
     **dict.fromkeys(("failed", "refused", "aborted"), GO_ON),
     **dict.fromkeys(("interrupted", "left"), RESUME),
 }
+STOPPED = ("killed", "failed", "refused", "aborted", "interrupted", "left")  # before every step was done
+NEXT = {  # by the word of an ending: the one command to type next
+    UNSEALED: "resume",
+    UNKNOWN_ERROR: "verify",
+    RUNNING: "watch",
+    **dict.fromkeys(STOPPED, "resume"),
+}
 ENDS_A_STEP = (*ENDS_OF_A_STEP, Entry.REFUSED)
 
 
@@ -178,6 +185,19 @@ def advise(ending: Ending, *, resumable: bool, run: str = "RUN") -> str:
         return ADVICE.get(ending.word, "").replace("RUN", run)
     code = f"docs/reference/error-codes.md says what to do about {ending.code}. " if ending.code else ""
     return f"{code}Put right what is named, then start the command again."
+
+
+def name_next_command(ending: Ending, *, resumable: bool, is_arm_out: bool, run: str) -> str:
+    """Return the command to type next on `run` after an ending; empty if none goes on with it.
+
+    A case that the operator ended is not gone on with: its arm is brought home.
+    """
+    command = NEXT.get(ending.word, "")
+    if ending.word == "aborted":
+        command = "home" if is_arm_out else ""
+    if not command or (ending.word in STOPPED and not resumable):
+        return ""
+    return f"ronna-procedure {command} {run}"
 
 
 def _describe_place(journal: Sequence[Line]) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import cast
 
 from pydantic import Field, JsonValue
@@ -11,15 +11,23 @@ from pydantic import Field, JsonValue
 from procedures.journal.journal import ONLY_LEAVING, Entry
 from procedures.journal.results import FramedPose, Values
 from procedures.operator.margin import MarginVerdict
-from procedures.reporting.ending import advise, ending_of, is_resumable, resumes
+from procedures.reporting.ending import (
+    STOPPED,
+    advise,
+    ending_of,
+    is_resumable,
+    name_next_command,
+    resumes,
+)
 from procedures.reporting.outcome import Truth
 from procedures.reporting.run_reading import RunReading, describe_strategies
 from procedures.reporting.tables import TargetRow, target_rows
 from procedures.steps.clinical.at_target import ReachedTarget
 from procedures.steps.clinical.results import AssistedInsertion, KnownBases
 from procedures.steps.clinical.work_progress import STAGES
-from procedures.workcell.arm_history import fold_arms
+from procedures.workcell.arm_history import ArmHistory, fold_arms
 from ronna_hw.evidence.journal_reading import JournalCorrupt
+from ronna_hw.roles import MASTER
 from ronna_hw.text import escape_controls
 
 
@@ -94,7 +102,20 @@ class RunSummary(Values):
     insertions: dict[str, AssistedInsertion]
     problems: tuple[str, ...]
     arms: dict[str, str] = Field(description="Where each arm is by the journal, unless the run goes on.")
+    inside: tuple[str, ...] = Field(
+        description="What is or may be inside the patient by the journal of a run that stopped."
+    )
     advice: str = Field(description="What to do, with the commands; empty if nothing is left to do.")
+    next_command: str = Field(description="The command to type next; empty if none goes on with the run.")
+
+    @property
+    def stop_lines(self) -> tuple[str, ...]:
+        """Where each arm of a run that stopped is, and what may be inside; empty for other runs."""
+        if self.ended not in STOPPED:
+            return ()
+        several = len(self.arms) > 1
+        places = (f"the {role if several else 'arm'} is {place}" for role, place in self.arms.items())
+        return (*places, *(self.inside or ("nothing is inside the patient",)))
 
     @property
     def strategies(self) -> str:
@@ -107,6 +128,9 @@ def summarize_run(reading: RunReading) -> RunSummary:
     run, truth = reading.run, reading.truth or Truth()
     ending, restarts, two_arms = ending_of(reading), run.lines(Entry.RESTARTED), read_two_arms(reading)
     opened = cast("Mapping[str, JsonValue]", run.opened)  # as it was parsed
+    histories = () if ending.is_open else _read_arms(reading)
+    name, resumable = escape_controls(shlex.quote(str(reading.folder))), is_resumable(reading)
+    is_arm_out = any(one.place.is_out for one in histories)
     targets = tuple(map(SummarizedTarget.of, target_rows(reading, truth)))
     return RunSummary(
         run=reading.folder.resolve().name,
@@ -132,21 +156,30 @@ def summarize_run(reading: RunReading) -> RunSummary:
         bases=two_arms.bases,
         insertions=two_arms.insertions,
         problems=(*reading.changes, *reading.problems),
-        arms={} if ending.is_open else _describe_arms(reading),
-        advice=advise(
-            ending, resumable=is_resumable(reading), run=escape_controls(shlex.quote(str(reading.folder)))
-        ),
+        arms={one.arm: one.place.description for one in histories},
+        inside=_list_inside(histories) if ending.word in STOPPED else (),
+        advice=advise(ending, resumable=resumable, run=name),
+        next_command=name_next_command(ending, resumable=resumable, is_arm_out=is_arm_out, run=name),
     )
 
 
-def _describe_arms(reading: RunReading) -> dict[str, str]:
-    """Describe where each arm of the journal is, by role; empty if another version wrote its lines."""
-    noted = {line.get("arm") for line in reading.run.journal}
+def _read_arms(reading: RunReading) -> tuple[ArmHistory, ...]:
+    """Return the history of each arm of the journal; none if another version wrote its lines."""
+    noted = {MASTER, *(line.get("arm") for line in reading.run.journal)}
     try:
         arms = fold_arms(reading.run.chain, reading.run.lost)
     except JournalCorrupt:
-        return {}
-    return {one.arm: one.place.description for one in arms if one.arm in noted}
+        return ()
+    return tuple(one for one in arms if one.arm in noted)
+
+
+def _list_inside(histories: Sequence[ArmHistory]) -> tuple[str, ...]:
+    """List what is or may be inside the patient, or in the assistant's holder, by the journal."""
+    said = (
+        (one.place.instrument_description, None if one.held is None else one.held.description)
+        for one in histories
+    )
+    return tuple(what for both in said for what in both if what is not None)
 
 
 def read_two_arms(reading: RunReading) -> TwoArms:

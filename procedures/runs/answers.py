@@ -33,6 +33,7 @@ from procedures.operator.question import (
 from ronna_hw.bounded_input import read_toml
 from ronna_hw.config import read_theatre_file
 from ronna_hw.mistakes import describe_mistakes, find_other_kind
+from ronna_hw.near_names import find_near
 from ronna_hw.theatre_kind import is_simulated
 
 Rule = tuple[Operator | None, Set[Topic], bool]  # who answers which topics, and whether they are there
@@ -104,11 +105,16 @@ def _find_mistake(key: str, word: str) -> str | None:
 
     name = key.partition(":")[0]
     if name not in set(Topic):
+        if near := find_near(name, Topic):
+            return f"there is no topic {name!r} (did you mean '{near[0]}'?)"
         return f"there is no topic {name!r}, only {', '.join(Topic)}"
     if ":" in key and Topic(name) in OF_THE_CASE:
         return f"{key}: the question is asked once for the case, not for a trajectory; write {name}"
     known = ANSWER_WORDS[Topic(name)]
-    return None if word in known else f"{key} accepts {join_answers(known)}, got {word!r}"
+    if word in known:
+        return None
+    meant = "".join(f" (did you mean {near!r}?)" for near in find_near(word, known))
+    return f"{key} accepts {join_answers(known)}, got {word!r}{meant}"
 
 
 class ScriptedOperator:

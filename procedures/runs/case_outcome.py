@@ -47,17 +47,24 @@ def finish_case(
     request: RunRequest, interrupted: InterruptedRun, observers: RunObservers, *, accepted: bool
 ) -> FinishedRun:
     """Finish an interrupted case, opening a theatre only if there is work left."""
-    from procedures.engine.case_progress import CaseProgress
     from procedures.runs.interrupted_run import Resumption
     from procedures.runs.reopening import close_completed_run
 
     folder = interrupted.folder
-    if not interrupted.untouched:
-        order = restore_order(request.case, interrupted)
-        if CaseProgress(order, interrupted.restore_case(order)).over and not interrupted.is_any_arm_out:
-            closed = close_completed_run(interrupted, clinical_input(request.case, folder))
-            return outcome_as_recorded(request, closed)
+    if is_all_done(request, interrupted):
+        closed = close_completed_run(interrupted, clinical_input(request.case, folder))
+        return outcome_as_recorded(request, closed)
     return run_case(request, folder, observers, Resumption(interrupted, accepted))
+
+
+def is_all_done(request: RunRequest, interrupted: InterruptedRun) -> bool:
+    """Whether an interrupted case has every step done and its arms at home, and was only not closed."""
+    from procedures.engine.case_progress import CaseProgress
+
+    if interrupted.untouched:
+        return False
+    order = restore_order(request.case, interrupted)
+    return CaseProgress(order, interrupted.restore_case(order)).over and not interrupted.is_any_arm_out
 
 
 def outcome_as_recorded(request: RunRequest, interrupted: InterruptedRun) -> FinishedRun:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from difflib import get_close_matches
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,6 +12,7 @@ from procedures.strategies.names import DEFAULT_STRATEGY
 from ronna_hw.arm.catalogue import ArmChoice
 from ronna_hw.bounded_input import InputRefused, parse_json, read_json_bytes, read_toml
 from ronna_hw.command_line.errors import UsageMistake
+from ronna_hw.near_names import find_near
 from ronna_hw.roles import ONE_ARM
 from ronna_hw.x_frame import SPHERE_CENTRES_MM
 
@@ -50,7 +50,7 @@ class SceneChoice:
     def check(self) -> None:
         """Raise CLI-001 unless the scene is a known name or an existing file (contents unchecked)."""
         if self.scene not in PATIENT_SCENES and not Path(self.scene).is_file():
-            close_matches = get_close_matches(self.scene, PATIENT_SCENES, n=1)
+            close_matches = find_near(self.scene, PATIENT_SCENES)
             raise UsageMistake(
                 f"there is no scene {self.scene!r}",
                 expected=f"{' or '.join(PATIENT_SCENES)}, which have a patient, or the path of a scene file",
@@ -149,6 +149,7 @@ class RunRequest:
     faults: Path | None = None
     answers: Answers | None = None  # of a scripted operator
     ask: bool = False  # a person does the manual work of a simulated theatre by a word, and is asked all
+    by_step: bool = False  # commands on standard input run its steps
 
     @property
     def has_person(self) -> bool:

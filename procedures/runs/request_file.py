@@ -73,6 +73,7 @@ class RequestFile(BaseModel, frozen=True, extra="forbid"):
     case: Path | None = Field(default=None, description="Folder with ct/ and plan.toml, with `config`.")
     plan: Path | None = Field(default=None, description="Plan for the simulated patient.")
     ask: bool = Field(default=False, description="Whether a person answers, and does manual work by words.")
+    by_step: bool = Field(default=False, description="Whether commands run its steps, as `step` does.")
     answers: dict[str, JsonValue] | None = Field(default=None, description="What the file of answers said.")
     calibration: CalibrationFile | None = Field(
         default=None, description="What to calibrate, if it is not a case."
@@ -101,6 +102,7 @@ def _theatre(request: RunRequest) -> dict[str, Any]:
         faults=request.faults and request.faults.resolve(),
         fault_lines=() if request.faults is None else read_fault_lines(request.faults),
         ask=request.ask,
+        by_step=request.by_step,
         config=request.config and request.config.resolve(),
         answers=None if request.answers is None else request.answers.model_dump(mode="json"),
     )
@@ -145,6 +147,7 @@ def read_request(folder: Path) -> RunRequest:
         speed=content.speed,
         faults=content.faults,
         ask=content.ask,
+        by_step=content.by_step,
         answers=None if content.answers is None else _answers(path, content.answers),
     )
 

@@ -148,7 +148,7 @@ MIRRORED_CT = Branch(
     "a mirrored CT would match as well, and the head is not where the match has it",
     "the match of the mirrored spheres in view of the tracker; then a point of the head, touched and read",
     ("correspondence",),
-    "the point is named with its expected and its read position; nothing is localized further",
+    "the point is named with how far away it was read, and toward which side; nothing is localized further",
     (HeadElsewhere,),
 )
 UNMATCHED_SPHERE = Branch(

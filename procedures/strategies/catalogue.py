@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from difflib import get_close_matches
 
 from numpy.typing import ArrayLike
 
@@ -17,6 +16,7 @@ from procedures.strategies.joint_displacement import (
 from procedures.strategies.strategy import ArmInBranch, Strategy
 from procedures.strategies.trajectory import Trajectory
 from ronna_hw.frames import Transform
+from ronna_hw.near_names import find_near
 
 CANDIDATES: tuple[Strategy, ...] = (
     ImprovedDisplacementMinimization(),
@@ -102,6 +102,6 @@ def find_strategy(name: str) -> Strategy:
     for strategy in STRATEGIES:
         if strategy.name == name:
             return strategy
-    close_matches = get_close_matches(name.lower(), [one.name for one in STRATEGIES], n=1)
+    close_matches = find_near(name, [one.name for one in STRATEGIES])
     suggestion = f"Did you mean {close_matches[0]}? {UNKNOWN_STRATEGY.action}" if close_matches else None
     raise UNKNOWN_STRATEGY(f"there is no strategy {name!r}", action=suggestion)

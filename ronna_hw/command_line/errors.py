@@ -13,10 +13,11 @@ import re
 import resource
 import shlex
 from collections.abc import Mapping, Sequence
-from difflib import get_close_matches
 from typing import Any
 
 from ronna_hw.errors import EXIT_USAGE, ErrorCode, ErrorWords, RonnaError
+from ronna_hw.near_names import did_you_mean, find_near
+from ronna_hw.text import unit_of
 
 
 class UsageMistake(RonnaError):
@@ -157,6 +158,7 @@ def _find_system_error(problem: BaseException) -> BaseException:
 MOST_ALIKE = 3  # suggestions
 _UNREADABLE = re.compile(r"'(.+)' is not readable")
 _FEW_VALUES = re.compile(r"(\d+) arguments")
+_QUOTED = re.compile(r"'([^']+)'")  # words of a list of choices
 _EXTRA = re.compile(r"Got unexpected extra argument(?:s|\(s\))? \((.*)\)")
 
 
@@ -181,11 +183,13 @@ def convert_usage_error(
     if hasattr(mistake, "option_name") and hasattr(mistake, "possibilities"):
         return _unknown_option(str(mistake.option_name), context, help_of)
     parameter = getattr(mistake, "param", None)
-    reason = _read_validation(mistake.__cause__)
+    reason = _read_validation(mistake.__cause__, parameter)
     if parameter is not None and reason is not None:
         expected, got = reason
         what = f"{format_parameter(parameter)} cannot be {got}"
-        return UsageMistake(what, expected=expected, action=_explain(parameter, context, see))
+        near = did_you_mean(got.strip("'"), _QUOTED.findall(expected))
+        explained = _explain(parameter, context, see)
+        return UsageMistake(what, expected=expected, action=f"{near} {explained}".lstrip())
     if type(mistake).__name__ == "BadOptionUsage":  # too few values
         text = str(getattr(mistake, "message", "")).replace("Option ", "").replace("'", "").rstrip(".")
         named = (one for one in parameters if getattr(mistake, "option_name", "") in one.opts)
@@ -251,22 +255,23 @@ def _unknown_option(name: str, context: Any, help_of: str) -> UsageMistake:
     parameters = () if context is None else context.command.params
     known = (option for one in parameters for option in one.opts)
     words = [option.removeprefix("--") for option in known if option.startswith("--")]
-    close_matches = get_close_matches(name.removeprefix("--"), words, n=MOST_ALIKE)
+    close_matches = find_near(name.removeprefix("--"), words, MOST_ALIKE)
     meant = f"Did you mean {' or '.join(f'--{word}' for word in close_matches)}? " if close_matches else ""
     return UsageMistake(f"unknown option {name}", action=f"{meant}{help_of} lists all options.")
 
 
-def _read_validation(cause: BaseException | None) -> tuple[str, str] | None:
+def _read_validation(cause: BaseException | None, parameter: Any) -> tuple[str, str] | None:
     """Return the expected and actual values of a failed validation, or None for other errors."""
+    unit = _format_unit(parameter)
     if (errors := getattr(cause, "errors", None)) is None:
         return None
     first: Mapping[str, Any] = errors()[0]
     limits: Mapping[str, Any] = first.get("ctx", {})
     match first["type"]:
         case "greater_than_equal":
-            expected = f"at least {limits['ge']:g}"
+            expected = f"at least {limits['ge']:g}{unit}"
         case "less_than_equal":
-            expected = f"at most {limits['le']:g}"
+            expected = f"at most {limits['le']:g}{unit}"
         case "int_parsing" | "int_from_float" | "int_parsing_size":
             expected = "a whole number"
         case "float_parsing":
@@ -275,6 +280,12 @@ def _read_validation(cause: BaseException | None) -> tuple[str, str] | None:
             expected = str(first["msg"]).removeprefix("Value error, ").rstrip(".")
             expected = expected.partition(" is not ")[2] or expected
     return expected, repr(first["input"])
+
+
+def _format_unit(parameter: Any) -> str:
+    """Return the unit of an option after a space, by its name or placeholder; empty without one."""
+    names = (*getattr(parameter, "opts", ()), getattr(parameter, "metavar", None) or "")
+    return next((f" {unit}" for unit in map(unit_of, names) if unit), "")
 
 
 def format_parameter(parameter: Any) -> str:

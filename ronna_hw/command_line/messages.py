@@ -1,13 +1,15 @@
 """Messages, tables and progress bars for commands.
 
 Messages go to standard error: coloured and wrapped on a terminal, one unwrapped line elsewhere. Tables go to
-standard output: framed on a wide enough terminal, tab-separated lines elsewhere.
+standard output: framed on a wide enough terminal, tab-separated lines elsewhere. A dumb terminal, or one with
+NO_COLOR set, gets no escape codes: neither colours nor a picture that is drawn over.
 """
 
 from __future__ import annotations
 
 import contextlib
 import json
+import os
 import shutil
 import sys
 import threading
@@ -23,12 +25,25 @@ if TYPE_CHECKING:
     from rich.progress import Progress as Bar
 
 
+DUMB_TERMINALS = ("dumb", "unknown")  # values of TERM
+
+
 def on_terminal(stream: TextIO) -> bool:
     """Return whether a stream is a terminal."""
     try:
         return stream.isatty()
     except ValueError:  # closed
         return False
+
+
+def wants_plain_text() -> bool:
+    """Return whether the environment asks for text without escape codes: NO_COLOR, or a dumb TERM."""
+    return bool(os.environ.get("NO_COLOR")) or os.environ.get("TERM", "").casefold() in DUMB_TERMINALS
+
+
+def takes_escapes(stream: TextIO) -> bool:
+    """Return whether a stream is a terminal on which colours and live displays can be shown."""
+    return on_terminal(stream) and not wants_plain_text()
 
 
 def tell(line: str) -> None:
@@ -77,7 +92,11 @@ def message_console() -> Console:
     """Return the rich console for standard error."""
     from rich.console import Console
 
-    return Console(stderr=True, soft_wrap=not on_terminal(sys.stderr))
+    return Console(
+        stderr=True,
+        soft_wrap=not on_terminal(sys.stderr),
+        color_system="auto" if takes_escapes(sys.stderr) else None,
+    )
 
 
 FRAME_WIDTH = 3  # of a table's frame, per column
@@ -107,7 +126,7 @@ def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[obje
         table.add_row(*(Text(cell) for cell in row))
     sys.stdout.write(f"{printable(title)}\n")  # a table's own title would wrap at the table's width
     sys.stdout.flush()
-    Console().print(table)
+    Console(color_system="auto" if takes_escapes(sys.stdout) else None).print(table)
 
 
 def _column_widths(rows: Sequence[Sequence[str]], terminal_width: int) -> list[int] | None:
@@ -134,7 +153,7 @@ Progress = Callable[[float], None]  # called with the fraction done, 0 to 1
 @contextlib.contextmanager
 def progress_bar(description: str) -> Iterator[ProgressBar]:
     """Show progress on standard error: a bar after two seconds on a terminal, else a line every minute."""
-    bar = ProgressBar(description, shown=on_terminal(sys.stderr))
+    bar = ProgressBar(description, shown=takes_escapes(sys.stderr))
     try:
         yield bar
     finally:
@@ -144,7 +163,7 @@ def progress_bar(description: str) -> Iterator[ProgressBar]:
 class ProgressBar:
     """Progress bar called with the completed fraction. Bar and timer pause while `hidden`.
 
-    If it is not `shown`, as without a terminal, a line is printed every minute instead.
+    If it is not `shown`, as without a terminal or on a dumb one, a line is printed every minute instead.
     """
 
     def __init__(self, description: str, *, shown: bool) -> None:

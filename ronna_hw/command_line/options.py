@@ -22,7 +22,8 @@ from ronna_hw.arguments import require_path
 from ronna_hw.command_line.errors import PATH_PROBLEM, UsageMistake, format_parameter
 from ronna_hw.command_line.messages import say
 from ronna_hw.errors import RonnaError
-from ronna_hw.logs import Logger, is_known_logger, list_loggers, logger, set_level
+from ronna_hw.logs import LEVELS, Logger, is_known_logger, list_loggers, logger, set_level
+from ronna_hw.near_names import did_you_mean
 
 LEVELS_VARIABLE = "RONNA_LOG"
 VERBOSE_FLAG = "--verbose"
@@ -137,14 +138,16 @@ def set_log_levels(levels: Sequence[str]) -> None:
             raise UsageMistake(
                 f"log level {entry!r}: nothing logs as {name!r}",
                 expected=", ".join(list_loggers()),
-                action="Name one of them, as tracker=debug, or a level alone for all.",
+                action=did_you_mean(name, list_loggers())
+                or "Name one of them, as tracker=debug, or a level alone for all.",
             )
         try:
             set_level(level.lower(), name)
         except ValueError as wrong:
             raise UsageMistake(
                 f"log level {entry!r}: {wrong}",
-                action="Give a level, as debug, or that of one logger, as tracker=debug.",
+                action=did_you_mean(level, LEVELS)
+                or "Give a level, as debug, or that of one logger, as tracker=debug.",
             ) from wrong
 
 

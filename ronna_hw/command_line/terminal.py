@@ -34,6 +34,7 @@ from ronna_hw.command_line.messages import (
     print_table,
     progress_bar,
     say,
+    takes_escapes,
     tell,
 )
 from ronna_hw.command_line.options import (
@@ -62,6 +63,7 @@ __all__ = [
     "progress_bar",
     "run",
     "say",
+    "takes_escapes",
     "tell",
 ]
 

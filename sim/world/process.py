@@ -18,6 +18,7 @@ from ronna_hw.arm.catalogue import ArmChoice
 from ronna_hw.errors import EXIT_FAILED
 from ronna_hw.host.child_process import descendants_of, kill_all
 from ronna_hw.host.process import Parent, resume_garbage_collection
+from ronna_hw.near_names import did_you_mean
 from sim.errors import BAD_SCENE
 from sim.world.background import IN_BACKGROUND, DaemonState, hand_over, leave_output
 from sim.world.control_port import ControlledRoom, ControlPort
@@ -171,6 +172,10 @@ def load_scene(
         raise BAD_SCENE("a scene file defines how its spheres are fixed: omit --fiducials")
     elif arm is not ArmChoice.KR6:
         raise BAD_SCENE("a scene file defines its arm: omit --arm")
+    elif not Path(scene).exists() and (near := did_you_mean(scene, SCENES)):
+        raise BAD_SCENE(
+            f"there is no scene {scene!r}", expected=f"{', '.join(SCENES)} or a file", action=near
+        )
     else:
         drawn = read_scene(Path(scene))
     if target_balls:

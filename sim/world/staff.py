@@ -9,13 +9,13 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
-from difflib import get_close_matches
 from math import isfinite, radians
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ronna_hw.near_names import find_near
 from ronna_hw.wire.room_tasks import (
     CART_LOCK,
     CART_PLACE,
@@ -222,7 +222,7 @@ def read_dials(world: World) -> tuple[float, float, float]:
 
 def _check_task(task: str, trajectory: str, numbers: Sequence[float], known: Iterable[str]) -> None:
     if task not in known:
-        near = get_close_matches(task, tuple(known), n=1)
+        near = find_near(task, known)
         raise TaskRefused(
             f"unknown task {task!r}; expected {', '.join(known)}",
             f"Did you mean {near[0]}?" if near else "Use the task named in the question.",

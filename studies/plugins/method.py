@@ -12,13 +12,13 @@ import os
 import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from difflib import get_close_matches
 from importlib.metadata import entry_points
 from modulefinder import Module, ModuleFinder
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+from ronna_hw.near_names import find_near
 from studies.errors import MethodRefused
 from studies.plugins.contracts import CONTRACTS, MethodKind
 
@@ -27,6 +27,7 @@ OURS = ("ronna_hw", "conformance", "drivers", "sim", "procedures", "studies", "c
 INSTALLED = ("site-packages", "dist-packages")
 SHOWN_DIGITS = 12  # of a hash
 FILE_ENDING = ".py"
+MOST_NEAR = 3  # suggestions for a mistyped name
 _loaded: dict[str, str] = {}  # module -> hash of the files loaded by this process
 
 
@@ -137,7 +138,7 @@ def _reference_by_entry_point(kind: MethodKind, name: str) -> str:
     for other in MethodKind:
         if other is not kind and name in {point.name for point in entry_points(group=other.group)}:
             raise MethodRefused(f"{name!r} is the name of a {other}", expected=f"a {kind}")
-    near = get_close_matches(name, names) or names
+    near = find_near(name, names, MOST_NEAR) or names
     known = f" or an installed one ({', '.join(near)})" if near else ""
     raise MethodRefused(f"there is no {kind} {name!r}", expected=f"module:function{known}")
 
@@ -167,7 +168,7 @@ def _import_method(reference: str, kind: MethodKind) -> tuple[Callable[..., Any]
         ) from error
     found = getattr(module, name, None)
     if found is None:
-        near = get_close_matches(name, dir(module))
+        near = find_near(name, dir(module), MOST_NEAR)
         raise MethodRefused(f"{module.__file__} has no {name!r}", expected=" or ".join(near) or f"a {kind}")
     if not callable(found):
         raise MethodRefused(

@@ -191,6 +191,8 @@ def test_what_decides_a_registration_is_bold_on_a_terminal_and_the_identity_is_s
 ) -> None:
     monkeypatch.setattr("sys.stderr", screen := Screen(keyboard, b"no\n"))
     monkeypatch.setattr(screen, "isatty", lambda: True)
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.delenv("NO_COLOR", raising=False)
     asked = Question(
         Topic.REGISTRATION,
         "accept the registration for T1",
@@ -322,10 +324,18 @@ def test_lines_that_were_pasted_are_the_readings_in_turn_until_one_is_refused(
 def test_a_wrong_patient_identifier_confirms_nothing_and_the_right_one_is_not_revealed(
     keyboard: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    wristband = ReadBack("the patient's identifier", "Case-17")
+    wristband = ReadBack("the patient's identifier", "Case-17", exact=True)
     monkeypatch.setattr("sys.stderr", screen := Screen(keyboard, b"yes\n", b"case-18\n", b"no\n"))
     assert ask(read_back=wristband) == "no"
     assert "17" not in screen.getvalue()
     assert "17" not in repr(wristband)
-    monkeypatch.setattr("sys.stderr", Screen(keyboard, b"yes\n", b"case-17\n"))
+    monkeypatch.setattr("sys.stderr", Screen(keyboard, b"yes\n", b" Case-17 \n"))
     assert ask(read_back=wristband) == "yes"
+
+
+@pytest.mark.hazard(9)
+@pytest.mark.parametrize("typed", ["case-0017", "Case-17", "Case- 0017", "Case-0017 x", "Case0017"])
+def test_an_identifier_that_differs_in_case_spaces_or_zeros_is_another_patients(typed: str) -> None:
+    wristband = ReadBack("the patient's identifier", "Case-0017", exact=True)
+    assert not wristband.fits(typed)
+    assert wristband.fits("Case-0017\n")

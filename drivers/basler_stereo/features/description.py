@@ -119,7 +119,7 @@ def _struct_entries(shared: ElementTree.Element) -> Iterator[Node]:
     """Yield the entries of a shared register, which inherit the fields that they lack."""
     common = tuple(_parse_field(child) for child in shared if _local_name(child.tag) != "StructEntry")
     if len(common) > MOST_SHARED_FIELDS:
-        raise BAD_DESCRIPTION("a shared register has too many fields", limit=str(MOST_SHARED_FIELDS))
+        raise BAD_DESCRIPTION("a shared register has too many fields", limit=f"{MOST_SHARED_FIELDS} fields")
     for child in shared:
         if _local_name(child.tag) == "StructEntry" and "Name" in child.attrib:
             node = _parse_node(child)
@@ -141,7 +141,7 @@ def _parse_node(element: ElementTree.Element) -> Node:
         entries[entry] = parse_whole_number(value, f"entry of {name}")
         conditions[entry] = tuple(part.text for part in parts if part.tag in CONDITIONS)
     if len(fields) > MOST_FIELDS:
-        raise BAD_DESCRIPTION(f"{name} has too many fields", limit=str(MOST_FIELDS))
+        raise BAD_DESCRIPTION(f"{name} has too many fields", limit=f"{MOST_FIELDS} fields")
     return Node(_local_name(element.tag), name, tuple(fields), entries, conditions)
 
 

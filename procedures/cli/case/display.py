@@ -2,7 +2,8 @@
 
 Ctrl-C on a terminal: once pauses at the next safe point, twice stops the arm, three times ends all. Safe
 points are between steps and before each motion. While a question is open here, or the case waits for a person
-at the console, nothing moves and the second one ends everything.
+at the console, nothing moves and the second one ends everything. What a person types or answers in between
+makes the next one the first again.
 Without a terminal nothing is changed: one signal ends the command.
 """
 
@@ -14,30 +15,38 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING
 
-from procedures.cli.case.case_lines import join_voided, plain_line_of
 from procedures.cli.case.event_follower import EventFollower, Show
 from procedures.cli.case.operators import WritePrompt, write_prompt
+from procedures.cli.case.plain_display import PlainDisplay, write_lines
 from procedures.cli.case.prompt import Prompt
 from procedures.cli.case.staff import terminal_observers
-from procedures.engine.events import Event
 from procedures.runs.case_outcome import build_unfinished_outcome, run_case
 from procedures.runs.finishing import Finalized, finalize_run
 from procedures.runs.folders import hold_run, run_folder
 from procedures.runs.observers import RunObservers
 from procedures.runs.request import RunRequest
 from procedures.runs.request_checks import check_case
-from ronna_hw.command_line.terminal import message_console, on_terminal, print_json, print_table, say, tell
+from ronna_hw.command_line.terminal import (
+    message_console,
+    on_terminal,
+    print_json,
+    print_table,
+    say,
+    takes_escapes,
+    tell,
+)
 from ronna_hw.errors import RefusedError
 from ronna_hw.text import escape_controls
 
 if TYPE_CHECKING:
+    from procedures.cli.case.live_display import LiveDisplay
     from procedures.engine.engine import Engine
     from procedures.reporting.outcome import FinishedRun
     from procedures.runs.console_link import ConsoleRequest
@@ -59,6 +68,7 @@ class Interrupts:
         self._count = 0
         self._at_question: int | None = None  # interrupts at the open question, if any
         self._waiting_since_s = -AGAIN_S  # of the last interrupt while a person at the console was awaited
+        self._signed_answers = 0  # from the console, at the last interrupt
         self._question = self._prompt = ""
 
     def attach(self, engine: Engine) -> None:
@@ -76,10 +86,15 @@ class Interrupts:
             yield self._write
         finally:
             self._at_question = None
+            self._begin_anew()
 
     def _write(self, prompt: str, *, question: str = "") -> None:
+        self._at_question = 0  # something was typed since the last prompt, or a device has come into fault
         self._question, self._prompt = question, prompt
         write_prompt(prompt)
+
+    def _begin_anew(self) -> None:
+        self._count, self._waiting_since_s = 0, -AGAIN_S
 
     def interrupt(self) -> None:
         """Count a Ctrl-C. Raises KeyboardInterrupt if it must end the command."""
@@ -90,6 +105,9 @@ class Interrupts:
             self._at_question += 1
             os.write(STANDARD_ERROR, AT_QUESTION + (self._question + self._prompt).encode())
             return
+        if self._signed_answers != (answers := engine.questions.signed_answers):
+            self._signed_answers = answers
+            self._begin_anew()
         if engine.is_awaiting_person():
             before_s, self._waiting_since_s = self._waiting_since_s, time.monotonic()
             if self._waiting_since_s - before_s < AGAIN_S:
@@ -126,15 +144,16 @@ def pause_on_interrupt() -> Iterator[Interrupts]:
 
 @contextlib.contextmanager
 def observe_run(*, quiet: bool) -> Iterator[RunObservers]:
-    """Show a run as it proceeds: live on a terminal, otherwise one line per step and finding."""
+    """Show a run as it proceeds: live on a terminal, otherwise one line per step and finding.
+
+    A dumb terminal gets these lines too; its person is asked and pauses the case as on any other.
+    """
     with contextlib.ExitStack() as stack:
         if quiet or not on_terminal(sys.stderr):
             opened = (lambda _engine: None) if quiet else partial(_write_lines_of, stack=stack)
             yield replace(terminal_observers(opened=opened), announce=tell)
             return
-        from procedures.cli.case.live_display import LiveDisplay
-
-        display = LiveDisplay(message_console(), errors=False)
+        display = create_display()
         interrupts = stack.enter_context(pause_on_interrupt())
         stack.enter_context(display.shown())
         followers: list[EventFollower] = []
@@ -163,6 +182,15 @@ def observe_run(*, quiet: bool) -> Iterator[RunObservers]:
         )
 
 
+def create_display() -> LiveDisplay | PlainDisplay:
+    """Return a live display if the terminal can draw it, else lines."""
+    if not takes_escapes(sys.stderr):
+        return PlainDisplay(tell)
+    from procedures.cli.case.live_display import LiveDisplay
+
+    return LiveDisplay(message_console(), errors=False)
+
+
 def _follow(engine: Engine, show: Show, stack: contextlib.ExitStack) -> EventFollower:
     follower = EventFollower(engine.events, show)
     stack.callback(follower.join)
@@ -171,13 +199,6 @@ def _follow(engine: Engine, show: Show, stack: contextlib.ExitStack) -> EventFol
 
 def _write_lines_of(engine: Engine, stack: contextlib.ExitStack) -> None:
     _follow(engine, partial(write_lines, tell), stack)
-
-
-def write_lines(write: Callable[[str], None], events: Sequence[Event]) -> None:
-    """Write one line for each finished step, voided result and finding."""
-    for event in join_voided(events):
-        if (line := plain_line_of(event)) is not None:
-            write(line)
 
 
 def show_outcome(outcome: FinishedRun, *, as_json: bool) -> None:

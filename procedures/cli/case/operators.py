@@ -29,6 +29,7 @@ from procedures.operator.question import (
     tries_left,
 )
 from procedures.runs.orders import COMMANDS
+from ronna_hw.command_line.messages import takes_escapes
 from ronna_hw.evidence.manifest import PICTURES_FOLDER
 from ronna_hw.text import printable, printable_lines
 
@@ -254,7 +255,7 @@ def _explain_ending(question: Question) -> None:
 
 
 def _describe_question(question: Question) -> str:
-    """Describe a question; what decides it and what is to be read back is bold on a terminal."""
+    """Describe a question; what decides it and what is to be read back is bold on a terminal that can."""
     identity = () if question.identity is None else question.identity.rows
     statements = printable_lines(question.value).splitlines()
     bullet = "- " if len(statements) > 1 else ""
@@ -269,7 +270,7 @@ def _describe_question(question: Question) -> str:
     bold = [question.read_back.shown] if question.read_back else []
     for predicted in question.predicted[:1]:
         bold += [f"{predicted.rms_mm:.2f} mm rms", f"margin of {predicted.margin_mm:g} mm"]
-    if sys.stderr.isatty():
+    if takes_escapes(sys.stderr):
         for shown in filter(None, bold):
             text = text.replace(shown, style(shown, bold=True), 1)
     return text

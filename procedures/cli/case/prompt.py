@@ -5,7 +5,6 @@ from __future__ import annotations
 import shlex
 import sys
 from collections.abc import Callable, Iterable
-from difflib import get_close_matches
 from typing import TYPE_CHECKING
 
 from procedures.cli.case.commands import Say, carry_out, continue_hint, read_command, why_not_skipped
@@ -23,6 +22,7 @@ from procedures.runs.orders import COMMANDS, PAUSE_ANSWERS, PAUSED, Abort, Ackno
 from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.command_line.terminal import fail_with, on_terminal
 from ronna_hw.errors import RonnaError
+from ronna_hw.near_names import find_near
 
 if TYPE_CHECKING:
     from procedures.cli.case.piped_lines import PipedLines
@@ -147,7 +147,7 @@ class Prompt:
         if name in WORDS:
             return f"{name!r} is manual work, which is typed when the case asks for it; {choices}"
         words = list(known)
-        suggestions = [SYNONYMS[name]] if SYNONYMS.get(name) in words else get_close_matches(name, words, n=1)
+        suggestions = [SYNONYMS[name]] if SYNONYMS.get(name) in words else find_near(name, words)
         message = f"there is no command {name!r}" if name else "nothing was typed"
         return f"{message}; did you mean {suggestions[0]}?" if suggestions else f"{message}; {choices}"
 

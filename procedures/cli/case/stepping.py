@@ -12,13 +12,15 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from procedures.cli.case.display import pause_on_interrupt, show_outcome, write_lines
+from procedures.cli.case.commands import continue_hint
+from procedures.cli.case.display import pause_on_interrupt, show_outcome
 from procedures.cli.case.event_follower import EventFollower
 from procedures.cli.case.piped_lines import PipedLines
+from procedures.cli.case.plain_display import write_lines
 from procedures.cli.case.prompt import Prompt
 from procedures.cli.case.staff import terminal_observers
 from procedures.engine.errors import CASE_LEFT_WITH_INSTRUMENT
-from procedures.runs.case_outcome import build_finished_outcome
+from procedures.runs.case_outcome import build_finished_outcome, wall_time_s
 from procedures.runs.finishing import finalize_run
 from procedures.runs.folders import hold_run, run_folder
 from procedures.runs.lifecycle import ignore_further_signals, open_run
@@ -32,6 +34,7 @@ if TYPE_CHECKING:
     from procedures.engine.engine import Engine
     from procedures.reporting.outcome import FinishedRun
     from procedures.runs.console_link import ConsoleRequest
+    from procedures.runs.interrupted_run import InterruptedRun, Resumption
     from procedures.runs.order_executor import OrderExecutor
 
 
@@ -43,11 +46,27 @@ def step_through(request: RunRequest, out: Path, console: ConsoleRequest | None 
     inside at the end.
     """
     check_case(request, out)
+    with run_folder(request, out) as folder, hold_run(folder):
+        _carry_out_commands(request, folder, console)
+
+
+def resume_by_step(request: RunRequest, interrupted: InterruptedRun, *, accepted: bool) -> None:
+    """Carry out commands for the rest of an interrupted case, once the findings are accepted.
+
+    The run is held meanwhile by the caller. Raises PRO-032 if it is not resumed, and as `step_through`.
+    """
+    from procedures.runs.interrupted_run import Resumption
+
+    _carry_out_commands(request, interrupted.folder, None, Resumption(interrupted, accepted))
+
+
+def _carry_out_commands(
+    request: RunRequest, folder: Path, console: ConsoleRequest | None, resumption: Resumption | None = None
+) -> None:
     outcome: FinishedRun | None = None
+    left = None if resumption is None else resumption.interrupted
     with (
-        run_folder(request, out) as folder,
-        hold_run(folder),
-        finalize_run(folder, name_report=False) as final,
+        finalize_run(folder, left, name_report=False) as final,
         pause_on_interrupt() as interrupts,
     ):
         began_s = time.monotonic()
@@ -79,10 +98,12 @@ def step_through(request: RunRequest, out: Path, console: ConsoleRequest | None 
 
                 link = ConsoleLink(folder, executor.station, console)
                 stack.enter_context(contextlib.closing(link))
-            engine = stack.enter_context(open_run(request, folder, observers))
+            engine = stack.enter_context(open_run(request, folder, observers, resumption))
             followers.append(EventFollower(engine.events, partial(write_lines, say)))
             if piped is not None:
                 piped.attach(engine)
+            if resumption is not None:
+                _recover(engine, resumption)
             say(f"run {folder.name}; {' | '.join(COMMANDS)}")
             with _let_finished_case_end(engine):
                 if executor is None:
@@ -96,7 +117,8 @@ def step_through(request: RunRequest, out: Path, console: ConsoleRequest | None 
             theatre_s = engine.setting.clock.now_s()  # the clock ends with its theatre
         _require_instrument_out(engine)
         if engine.over:
-            wall_s = time.monotonic() - began_s
+            before_s = 0.0 if resumption is None else wall_time_s(resumption.interrupted.run.journal)
+            wall_s = before_s + time.monotonic() - began_s
             outcome = build_finished_outcome(
                 request, engine.case, engine.order.trajectories, theatre_s, wall_s
             )
@@ -104,6 +126,18 @@ def step_through(request: RunRequest, out: Path, console: ConsoleRequest | None 
         show_outcome(outcome.model_copy(update={"report": final.report and str(final.report)}), as_json=False)
     elif final.report is not None and on_terminal(sys.stderr):
         tell(f"report {final.report}")
+
+
+def _recover(engine: Engine, resumption: Resumption) -> None:
+    """Compare the theatre with the record, and say how the case goes on once that is accepted."""
+    if not resumption.interrupted.untouched:
+        from procedures.runs.recovery import recover
+
+        recover(engine, resumption.interrupted)
+    hint = continue_hint(
+        engine, f"next runs {engine.upcoming}, to {engine.order.sequence[-1]} runs all that is left"
+    )
+    say(f"this run was begun by step, and goes on by commands: {hint}")
 
 
 def _require_instrument_out(engine: Engine) -> None:

@@ -7,7 +7,6 @@ import re
 import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from difflib import get_close_matches
 from enum import Enum
 from pathlib import Path
 from textwrap import wrap
@@ -23,6 +22,7 @@ from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.config import BadTheatreFile, Calibrations, parse_theatre
 from ronna_hw.devices.probing import ONLY, Option, Proposal
 from ronna_hw.mistakes import describe_mistakes
+from ronna_hw.near_names import find_near
 from ronna_hw.roles import ASSISTANT
 from ronna_hw.text import format_count
 
@@ -259,7 +259,7 @@ def _require_fitting(text: str, found: DeviceTable) -> None:
 
 def _suggest_option(typed: str, known: Sequence[str], *, before: str = "", after: str = "") -> str | None:
     """Suggest an option with the known word that is most like the one typed, or None if none is."""
-    alike = get_close_matches(typed, known, n=1)
+    alike = find_near(typed, known)
     return f"Did you mean --option {shlex.quote(before + alike[0] + after)}?" if alike else None
 
 

@@ -58,7 +58,8 @@ def resume_command(
     Nothing moves until devices, tool, calibrations, CT, plan, patient and robot base have been re-read,
     compared with the record and accepted. With --console, the operator in the seat accepts; --accept
     continues without one. A resumed run keeps the strategy, the localizer and the matcher of its start; one
-    begun with --ask asks again. Exit codes: 0 finished, 3 the run was changed, 8 not resumed.
+    begun with --ask asks again, and one begun by step goes on by commands, unless with --console or --json.
+    Exit codes: 0 finished, 3 the run was changed, 8 not resumed.
     """
     from procedures.cli.runs.resume import resume
 

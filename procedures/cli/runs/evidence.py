@@ -34,6 +34,7 @@ from ronna_hw.evidence.inspection import Inspection, inspect_run
 from ronna_hw.evidence.manifest import iterate_files, list_unchecked_folders
 from ronna_hw.evidence.unsealed import describe_unsealed_files
 from ronna_hw.mistakes import describe_mistakes
+from ronna_hw.near_names import did_you_mean
 from ronna_hw.recording.flight_recorder import BYTES_FOLDER, LinkLine, list_links, read_link
 from ronna_hw.recording.reading_tape import READINGS_FILE
 from ronna_hw.text import format_count, printable
@@ -181,7 +182,7 @@ def print_bytes(
         raise UsageMistake(
             f"--link: the run has no link {link}",
             expected=f"one of {', '.join(links)}",
-            action="Name one of them, or omit --link for all.",
+            action=did_you_mean(link or "", links) or "Name one of them, or omit --link for all.",
         )
     begin_s, end_s = from_s if from_s is not None else -math.inf, to_s if to_s is not None else math.inf
     if begin_s > end_s:

@@ -16,7 +16,7 @@ from procedures.engine.device_faults import recover_faults
 from procedures.engine.errors import FAULT_OF_RUN, RECOVERY_REFUSED
 from procedures.runs import reopening
 from procedures.runs.arm_notes import FormerRun
-from procedures.runs.case_outcome import finish_case, outcome_as_recorded, with_report
+from procedures.runs.case_outcome import finish_case, is_all_done, outcome_as_recorded, with_report
 from procedures.runs.finishing import complete_seal, finalize_run
 from procedures.runs.interrupted_run import InterruptedRun, Resumption
 from procedures.runs.lifecycle import open_run
@@ -39,8 +39,9 @@ def resume(
 ) -> None:
     """Resume and finish a run; if already finished, just show its outcome.
 
-    With a console, nothing is read until someone is in its seat, unless a script accepts. Raises PRO-030 to
-    PRO-034, PRO-043, PRO-003 if nothing can be written, and the errors of devices and steps.
+    With a console, nothing is read until someone is in its seat, unless a script accepts. A case begun by
+    `step` goes on so, unless a console or a script that wants JSON leads it. Raises PRO-030 to PRO-034,
+    PRO-043, PRO-003 if nothing can be written, and the errors of devices and steps.
     """
     request = reopening.read_reopened_request(folder, accept=accept, answers=answers, reuse_answers=True)
     with reopening.hold_interrupted_run(folder) as interrupted:
@@ -61,6 +62,11 @@ def resume(
             check_asking(request, interrupted.folder)
             reopening.require_ready_devices(request, interrupted.folder)
             reopening.prepare_folder(interrupted)
+            if request.by_step and console is None and not as_json and not is_all_done(request, interrupted):
+                from procedures.cli.case.stepping import resume_by_step
+
+                resume_by_step(request, interrupted, accepted=accept)
+                return
             finish = partial(finish_case, request, interrupted, accepted=accept)
             follow(
                 request,

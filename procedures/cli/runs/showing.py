@@ -15,7 +15,14 @@ from procedures.reporting.ending import await_ending
 from procedures.reporting.run_reading import read_for_report
 from procedures.reporting.run_summary import RunSummary, summarize_run
 from procedures.runs.folders import find_folders_of_runs, find_runs
-from ronna_hw.command_line.terminal import message_console, on_terminal, print_json, print_table, say, tell
+from ronna_hw.command_line.terminal import (
+    message_console,
+    print_json,
+    print_table,
+    say,
+    takes_escapes,
+    tell,
+)
 from ronna_hw.evidence.inspection import inspect_run
 from ronna_hw.text import format_count, printable
 
@@ -38,6 +45,9 @@ def list_runs(folder: Path, *, as_json: bool) -> None:
         table.append((printable(row.run), began, row.strategies, row.ended, len(row.done), error))
     print_table(f"Runs in {folder}", headings, table)
     for row in rows:
+        if row.stop_lines:
+            going_on = f"; next: {row.next_command}" if row.next_command else ""
+            say(f"{printable(row.run)}: by the journal, {'; '.join(row.stop_lines)}{going_on}")
         for problem in row.problems:
             say(f"{printable(row.run)} is not reliable: {problem}")
 
@@ -84,10 +94,12 @@ def show_run(folder: Path, *, as_json: bool) -> None:
         say(f"the assistant inserted at {name}, {one.off_axis_mm:.2f} mm off the axis of the guide")
     for problem in reading.problems:
         say(f"not reliable: {problem}")
+    for line in row.stop_lines:
+        say(f"by the journal, {line}")
     if row.advice:
-        for role, place in row.arms.items():
-            say(f"by the journal, the {role if len(row.arms) > 1 else 'arm'} is {place}")
         say(f"what to do: {row.advice}")
+    if row.next_command:
+        say(f"next: {row.next_command}")
     if missing:
         say(f"{missing}; {WRITES_ALL}")
 
@@ -116,7 +128,7 @@ def watch(run: Path, *, as_json: bool) -> None:
             tell(f"NOT AS THE RUN LEFT IT: {change}")
     if as_json:
         _write_lines(followed, lambda event: event.model_dump_json(ensure_ascii=True))
-    elif on_terminal(sys.stderr):
+    elif takes_escapes(sys.stderr):
         from procedures.cli.case.live_display import LiveDisplay
 
         display = LiveDisplay(message_console(), errors=True)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from datetime import datetime
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +17,7 @@ from ronna_hw.clock import HostClock
 from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.config import BadTheatreFile, Calibrations, TheatreFile, parse_theatre, read_theatre_file
 from ronna_hw.devices.robot import RobotArm
+from ronna_hw.near_names import find_near
 from ronna_hw.registry import make_device
 from ronna_hw.roles import MASTER
 from ronna_hw.tool_record import GAUGE_APPROACHES, GAUGE_MOUNTINGS, WITH_TIP, Gauge, ToolRecord
@@ -172,7 +172,7 @@ def renew_record(
     with_gauge = {known: tool.gauge for known, tool in theatre.tools.items() if tool.gauge is not None}
     gauge = with_gauge.get(name)
     if gauge is None:
-        near_names = get_close_matches(name, with_gauge, n=1)
+        near_names = find_near(name, with_gauge)
         raise NO_TOOL_RECORD(
             f"{config.name} has no tool {name!r} with a gauge",
             expected=", ".join(with_gauge) or "one with [tools.NAME.gauge]",

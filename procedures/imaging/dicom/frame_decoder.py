@@ -237,7 +237,7 @@ def _read_j2k_size(frame: bytes) -> tuple[int, int, int]:
         raise InputRefused("a compressed frame is not JPEG 2000")
     _, _, x, y, x0, y0, tile_x, tile_y, _, _, components = _J2K_SIZE.unpack_from(frame, len(_J2K_START))
     if not tile_x or not tile_y or -(-x // tile_x) * -(-y // tile_y) > MOST_TILES:
-        raise InputRefused("a compressed frame has too many tiles", limit=str(MOST_TILES))
+        raise InputRefused("a compressed frame has too many tiles", limit=f"{MOST_TILES} tiles")
     return y - y0, x - x0, components
 
 

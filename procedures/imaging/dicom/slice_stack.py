@@ -47,7 +47,7 @@ def stack_slices(slices: tuple[SliceHeader, ...]) -> tuple[tuple[SliceHeader, ..
     CT-025 (mirrored).
     """
     if len(slices) < MIN_SLICES:
-        raise SERIES_TOO_SHORT(f"the series has {len(slices)} slices", limit=f"at least {MIN_SLICES}")
+        raise SERIES_TOO_SHORT(f"the series has {len(slices)} slices", limit=f"at least {MIN_SLICES} slices")
     _refuse_different_sizes(slices)
     row_direction, column_direction = _average_directions(slices)
     normal = np.cross(row_direction, column_direction)

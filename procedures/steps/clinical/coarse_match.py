@@ -10,7 +10,8 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from procedures.engine.methods import CaseMethods, Matcher
-from procedures.planning.plan_model import FiducialKind
+from procedures.planning.plan_model import UP_LPS, FiducialKind
+from procedures.planning.tracker_sight import SENSORS_MM
 from procedures.registration import match, match_by_template
 from procedures.registration.correspondence import Match, MatchStatus, PosePrior
 from procedures.registration.room_prior import MIRROR, HeadSight, RoomPrior
@@ -26,8 +27,6 @@ from ronna_hw.x_frame import SPHERE_CENTRES_MM
 
 SIGMA_CT_MM = 0.10  # per axis: the localizer's error on a poor series, with reserve; the thesis' have 0.097
 SIGMA_TRACKER_MM = 0.35  # per axis: 0.25 mm rms of the volume, twice, for spheres and frame
-# Upward direction, LPS, by the end of the position's name: supine, prone, on the right, on the left side.
-UP_LPS = {"S": (0.0, -1.0, 0.0), "P": (0.0, 1.0, 0.0), "DR": (1.0, 0.0, 0.0), "DL": (-1.0, 0.0, 0.0)}
 
 
 def room_prior(plan: CheckedPlan, settings: ProcedureSettings, robot_from_tracker: Transform) -> RoomPrior:

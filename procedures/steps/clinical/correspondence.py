@@ -5,7 +5,6 @@ from __future__ import annotations
 from math import isinf
 
 import numpy as np
-from numpy.typing import ArrayLike
 from pydantic import Field
 from scipy.spatial.transform import RigidTransform
 
@@ -18,7 +17,7 @@ from procedures.journal.results import FramedPose, StepResult, Values
 from procedures.operator.question import Task
 from procedures.registration.correspondence import Match, MatchStatus
 from procedures.registration.errors import HeadElsewhere
-from procedures.registration.room_prior import LEAST_APART_MM, RoomPrior, choose_landmark
+from procedures.registration.room_prior import LEAST_APART_MM, RoomPrior, choose_landmark, describe_side
 from procedures.registration.verification import TwoWayTable, verify_two_way
 from procedures.steps.branches import FEWEST_SPHERES, LEAVE_OUT, UNMATCHED_SPHERE
 from procedures.steps.clinical.cart_lock import LockedCart
@@ -154,12 +153,13 @@ def _touch_if_mirrored(
     off_mm = float(np.linalg.norm(landmark.matched_mm - touched_mm))
     if off_mm > landmark.limit_mm:
         mirrored_ct = landmark.may_be_mirrored(touched_mm)
+        offset_ct_mm = robot_from_ct.rotation.inv().apply(touched_mm - landmark.matched_mm)
         nor = "" if mirrored_ct else ", nor where a mirrored CT would have it"
         raise HeadElsewhere(
             f"the {landmark.name} is not where the match has it{nor}",
-            expected=_format_point(landmark.matched_mm),
-            limit=f"{landmark.limit_mm:.0f} mm",
-            got=f"{_format_point(touched_mm)}, {off_mm:.0f} mm away",
+            limit=f"{landmark.limit_mm:.0f} mm away",
+            # Not the point itself: whoever is to read it again could type it without a look at the scale.
+            got=f"{off_mm:.0f} mm away, {describe_side(offset_ct_mm)}",
             action=None if mirrored_ct else READ_AGAIN,
         )
     return TouchedLandmark(
@@ -175,10 +175,6 @@ def _require_base_in_place(context: StepContext, room: GlobalLocalization) -> No
     if isinstance(moved, BaseShifted):
         context.void(LockedCart if moved.cart and context.stands(LockedCart) else GlobalLocalization, moved)
         raise moved
-
-
-def _format_point(point_mm: ArrayLike) -> str:
-    return "({:.0f}, {:.0f}, {:.0f}) mm".format(*np.asarray(point_mm))
 
 
 def _match_fewer_if_agreed(

@@ -135,7 +135,7 @@ def _check_count(workcell: Workcell, seen: int, least: int) -> None:
     if seen < least:
         raise GateFailed(
             "the tracker sees too few spheres",
-            limit=f"at least {least}",
+            limit=f"at least {least} spheres",
             got=str(seen),
             action=f"Clear the line of sight, if need be by sending {workcell.phrases.arms} home, "
             "then repeat the step.",

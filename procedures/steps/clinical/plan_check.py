@@ -67,7 +67,7 @@ def run(context: StepContext) -> Outcome[CheckedPlan]:
     check.require()
     head = fit_head(volume)
     pictures = _keep_cuts(context, volume, plan, head)
-    _confirm_patient(context, plan, head, pictures)
+    _confirm_patient(context, check, head, pictures)
     count = len(plan.trajectories)
     summary = f"{count} {'trajectory' if count == 1 else 'trajectories'}, {spheres} spheres implanted"
     context.note_inputs(context.clinical.plan)
@@ -108,7 +108,7 @@ def _keep_cuts(context: StepContext, volume: Volume, plan: Plan, head: HeadEllip
 
 
 def _confirm_patient(
-    context: StepContext, plan: Plan, head: HeadEllipsoid, pictures: tuple[Picture, ...]
+    context: StepContext, check: PlanCheck, head: HeadEllipsoid, pictures: tuple[Picture, ...]
 ) -> None:
     """Ask to confirm patient and plan by reading back the patient's identifier. Raises PRO-002.
 
@@ -122,12 +122,14 @@ def _confirm_patient(
     wristband = ReadBack(
         "the patient's identifier, as on the wristband",
         identifier,
-        wrong="is not the identifier in this CT (PatientID). Answer no if that is what the wristband says.",
+        wrong="is not the identifier in this CT (PatientID), in which case, spaces and zeros count. "
+        "Answer no if that is what the wristband says.",
+        exact=True,
     )
     question = Question(
         Topic.PATIENT,
         "Is this the right patient, and is this the right plan?",
-        _describe_plan(plan, head),
+        _describe_plan(check, head),
         read_back=wristband if identifier else None,
         pictures=pictures,
         identity=_identify(scan),
@@ -149,13 +151,16 @@ def _identify(scan: ScanIdentity) -> Identity:
     return Identity(rows=tuple((name, said[:LONGEST_SHOWN] or NOT_GIVEN) for name, said in rows))
 
 
-def _describe_plan(plan: Plan, head: HeadEllipsoid) -> str:
-    """Describe the plan anonymously, identifying the series by a hash of its UID."""
+def _describe_plan(check: PlanCheck, head: HeadEllipsoid) -> str:
+    """Describe the plan anonymously, identifying the series by a hash of its UID. A doubt comes first."""
+    plan = check.plan
     series = hashlib.sha256(plan.series_instance_uid.encode()).hexdigest()[:SHORT_HASH]
     return "\n".join(
         (
+            *([check.sign_doubt] if check.sign_doubt else []),
             *(
-                f"{one.id} {head.side_of(one.entry_mm, one.target_mm)}, {one.depth_mm:.1f} mm deep"
+                f"{one.id} {head.side_of(one.entry_mm, one.target_mm)}, {one.depth_mm:.1f} mm deep, "
+                f"entry at the {head.half_of(one.entry_mm)}"
                 for one in plan.trajectories
             ),
             f"tool {plan.tool}; instrument {plan.instrument_length_mm:g} mm, "

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from ronna_hw.near_names import did_you_mean
 from sim.errors import BAD_SCENE, SEE_PHANTOM
 from sim.phantom.families.catalogue import (
     FAMILIES,
@@ -80,7 +81,11 @@ def family_scan(
 ) -> Scan:
     """Draw a scan; raises SIM-001 if the name is unknown or the markers do not fit."""
     if name not in FAMILIES:
-        raise BAD_SCENE(f"unknown family {name!r}", expected=", ".join(FAMILIES), action=SEE_PHANTOM)
+        raise BAD_SCENE(
+            f"unknown family {name!r}",
+            expected=", ".join(FAMILIES),
+            action=f"{did_you_mean(name, FAMILIES)} {SEE_PHANTOM}".lstrip(),
+        )
     if fiducials in FRAMES and markers is not None and not SPHERES <= markers <= LARGEST_MARKERS:
         raise BAD_SCENE(f"the x-shaped frame has {SPHERES} spheres: {SPHERES} to {LARGEST_MARKERS} markers")
     family, generator = FAMILIES[name], noise(seed, f"family {name}", 0)
@@ -129,7 +134,11 @@ def family_scan(
 def protocol_named(name: str) -> CtProtocol:
     """Return a protocol by name; raises SIM-001 for an unknown name."""
     if name not in PROTOCOLS:
-        raise BAD_SCENE(f"unknown protocol {name!r}", expected=", ".join(PROTOCOLS), action=SEE_PHANTOM)
+        raise BAD_SCENE(
+            f"unknown protocol {name!r}",
+            expected=", ".join(PROTOCOLS),
+            action=f"{did_you_mean(name, PROTOCOLS)} {SEE_PHANTOM}".lstrip(),
+        )
     return PROTOCOLS[name]
 
 

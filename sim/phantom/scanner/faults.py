@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from ronna_hw.near_names import did_you_mean
 from sim.errors import BAD_SCENE, SEE_PHANTOM
 from sim.phantom.head.painting import PLANE_SIGMA_MM
 from sim.phantom.head.shapes import Values
@@ -68,12 +69,14 @@ class ScannerFaults:
     def __post_init__(self) -> None:
         if self.kernel not in KERNELS:
             raise BAD_SCENE(
-                f"unknown kernel {self.kernel!r}", expected=", ".join(KERNELS), action=SEE_PHANTOM
+                f"unknown kernel {self.kernel!r}",
+                expected=", ".join(KERNELS),
+                action=f"{did_you_mean(self.kernel, KERNELS)} {SEE_PHANTOM}".lstrip(),
             )
         if abs(self.tilt_deg) > MOST_TILT_DEG:
             raise BAD_SCENE(
                 f"no gantry tilts by {self.tilt_deg:g} degrees",
-                limit=f"{MOST_TILT_DEG:g}",
+                limit=f"{MOST_TILT_DEG:g} degrees",
                 action=SEE_PHANTOM,
             )
         if not 0.0 < float(np.linalg.norm(self.stretch_along)) < np.inf:

@@ -19,12 +19,12 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterable, Iterator, Sequence
-from difflib import get_close_matches
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from ronna_hw.bounded_input import InputRefused, read_bounded
+from ronna_hw.near_names import find_near
 from sim.errors import BadFaultScript
 from sim.world.descriptions import DESCRIPTIONS, MAKES
 from sim.world.faults.camera import CAMERA_FAULTS
@@ -41,7 +41,6 @@ if TYPE_CHECKING:
     from lark import Lark
     from lark.exceptions import UnexpectedInput
 
-LONGEST_COMPARED = 200  # characters of a line compared with phrases
 MOST_TRIED = 4  # similar lines, each of which is parsed
 LEAST_ALIKE = 0.6  # similarity of line and suggestion; below, an example helps more
 _ARGUMENT = re.compile(r"[+-]?[0-9]+([.][0-9]+)?|[A-Za-z0-9_][A-Za-z0-9_.-]*")
@@ -224,7 +223,7 @@ def _most_alike(fault: Fault, devices: Sequence[str]) -> FaultKind:
     if fault.kind.device in devices:
         return fault.kind
     by_phrase = {kind.phrase: kind for kind in FAULT_KINDS if kind.device in devices}
-    return by_phrase[get_close_matches(fault.kind.phrase, by_phrase, 1, cutoff=0.0)[0]]
+    return by_phrase[find_near(fault.kind.phrase, by_phrase, least_alike=0.0)[0]]
 
 
 def _example_of(kind: FaultKind, role: ArmRole) -> str:
@@ -420,4 +419,4 @@ def _fill_phrase(kind: FaultKind, words: Sequence[str]) -> Iterator[str]:
 def _find_nearest(
     text: str, known: Sequence[str], count: int, *, least_alike: float = LEAST_ALIKE
 ) -> list[str]:
-    return get_close_matches(text[:LONGEST_COMPARED], known, count, least_alike)
+    return find_near(text, known, count, least_alike=least_alike)

@@ -13,6 +13,7 @@ import numpy as np
 from ronna_hw import patient_frame
 from ronna_hw.arm.catalogue import ArmChoice
 from ronna_hw.marker_template import MarkerTemplate
+from ronna_hw.near_names import did_you_mean
 from ronna_hw.x_frame import NAME as X_FRAME_NAME
 from ronna_hw.x_frame import OUTWARD, SPHERE_CENTRES_MM
 from ronna_hw.x_frame import PART_NUMBER as X_FRAME_PART_NUMBER
@@ -68,7 +69,9 @@ def draw_scene(
     that frame, which the tracker knows as a tool.
     """
     if name not in SCENES:
-        raise BAD_SCENE(f"unknown scene {name!r}", expected=", ".join(SCENES))
+        raise BAD_SCENE(
+            f"unknown scene {name!r}", expected=", ".join(SCENES), action=did_you_mean(name, SCENES) or None
+        )
     if x_frame and markers not in (None, len(SPHERE_CENTRES_MM)):
         raise BAD_SCENE(f"the x-shaped frame has {len(SPHERE_CENTRES_MM)} markers, not {markers}")
     mini = name == "mini"

@@ -11,12 +11,13 @@ import signal
 import subprocess
 import termios
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 from user_commands import Commands
 
 AWAITED_S = 100.0
 AT_QUESTION = "the arm rests; Ctrl-C again ends the command"
+XTERM = {"TERM": "xterm"}
 CTRL_C = "\x03"  # typed: the terminal signals every process of its foreground group
 STYLE = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]")  # colours and cursor moves
 
@@ -34,20 +35,30 @@ def _lead_the_terminal() -> None:
 
 
 class Terminal:
-    """A pseudo-terminal with `ronna-procedure` on it."""
+    """A pseudo-terminal with `ronna-procedure`, or another `command`, on it.
 
-    def __init__(self, commands: Commands, *line: str) -> None:
+    `raw` is what it was sent, `text` the same without styles.
+    """
+
+    def __init__(
+        self,
+        commands: Commands,
+        *line: str,
+        command: str = "ronna-procedure",
+        environment: Mapping[str, str] = XTERM,
+    ) -> None:
         self._primary, secondary = pty.openpty()
+        inherited = {name: value for name, value in commands.environment.items() if name != "NO_COLOR"}
         self.process = subprocess.Popen(
-            commands.line("ronna-procedure", *line),
-            env={**commands.environment, "TERM": "xterm", "COLUMNS": "120"},
+            commands.line(command, *line),
+            env={**inherited, **environment, "COLUMNS": "120"},
             stdin=secondary,
             stdout=secondary,
             stderr=secondary,
             preexec_fn=_lead_the_terminal,  # noqa: PLW1509 - no thread of the test runs yet
         )
         os.close(secondary)
-        self._raw = self.text = ""
+        self.raw = self.text = ""
 
     def await_text(self, pattern: str) -> None:
         self.read_until(lambda: re.search(pattern, self.text, re.DOTALL) is not None)
@@ -99,7 +110,7 @@ class Terminal:
         ready, _, _ = select.select([self._primary], [], [], 0.2)
         if ready:
             try:
-                self._raw += os.read(self._primary, 65536).decode(errors="replace")
+                self.raw += os.read(self._primary, 65536).decode(errors="replace")
             except OSError:  # the line has hung up: the command has ended
                 return
-            self.text = STYLE.sub("", self._raw)
+            self.text = STYLE.sub("", self.raw)

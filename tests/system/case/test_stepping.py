@@ -3,6 +3,7 @@
 import json
 import re
 import signal
+import subprocess
 import tomllib
 from pathlib import Path
 
@@ -65,6 +66,19 @@ def test_a_stepped_case_has_every_option_of_a_case(stepped: tuple[str, str, Path
     asked = read_request(run)
     assert asked.case.keep_raw
     assert "arm" in tomllib.loads((run / "theatre" / "theatre.toml").read_text())["calibration"]
+
+
+@pytest.mark.slow
+def test_a_case_begun_by_step_is_resumed_by_step(case: SimulatedCase) -> None:
+    case.step("to set_up", "quit", words=MINI)
+    line = ("ronna-procedure", "resume", str(case.run_folder), "--accept")
+    resumed = case.commands.start(*line, stdin=subprocess.PIPE)
+    said, errors = resumed.communicate("next\nquit\n", timeout=HANG_LIMIT_S)
+    assert resumed.returncode == EXIT_DONE, errors
+    assert "begun by step, and goes on by commands: next runs head_clamp, to confirmation:T1 runs all" in said
+    assert [one for one in said.splitlines() if one.startswith("done ")] == [
+        "done head_clamp (Clamp the head): 3 spheres seen, 3 implanted"
+    ]
 
 
 @pytest.mark.slow

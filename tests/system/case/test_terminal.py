@@ -51,3 +51,30 @@ def test_a_failed_step_leaves_the_case_at_a_prompt_from_which_it_can_go_home(
         assert terminal.text.count("PRO-002 ") == 1  # with its advice, when it held the case; not at the end
     finally:
         terminal.close()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("environment", [{"TERM": "dumb"}, {"TERM": "xterm", "NO_COLOR": "1"}], ids=str)
+def test_no_command_that_shows_live_progress_sends_escape_codes_to_a_terminal_that_wants_none(
+    commands: Commands, tmp_path: Path, environment: dict[str, str]
+) -> None:
+    runs, patient = tmp_path / "runs", tmp_path / "patient"
+
+    def sent(command: str, *line: str) -> str:
+        terminal = Terminal(commands, *line, command=command, environment=environment)
+        try:
+            assert terminal.rest() == 0, terminal.text[-2000:]
+            return terminal.raw
+        finally:
+            terminal.close()
+
+    case = sent("ronna-procedure", *CASE, "--out", str(runs))
+    assert "done ct_import (Import the CT series)" in case  # lines in place of the live display
+    run = next(runs.iterdir())
+    shown = [case, *(sent("ronna-procedure", name, str(run)) for name in ("watch", "replay"))]
+    shown.append(sent("ronna-procedure", "list", str(runs)))
+    shown.append(sent("ronna-sim", "phantom", "--scene", "mini", "--out", str(patient)))
+    shown.append(sent("ronna-ct", "localize", str(patient / "ct")))
+    shown.append(sent("ronna-plan", "check", str(patient / "plan.toml"), "--ct", str(patient / "ct")))
+    shown.append(sent("ronna-conformance", "tracker", "--sim"))
+    assert [text for text in shown if "\x1b" in text] == []

@@ -25,6 +25,8 @@ def terminal(monkeypatch: pytest.MonkeyPatch, now: SimpleNamespace) -> StringIO:
     console = Console(file=sent, force_terminal=True, width=100)
     monkeypatch.setattr(messages, "message_console", lambda: console)
     monkeypatch.setattr(messages, "on_terminal", lambda _stream: True)
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.delenv("NO_COLOR", raising=False)
     monkeypatch.setattr(messages, "time", SimpleNamespace(monotonic=lambda: now.s))
     return sent
 
@@ -67,6 +69,22 @@ def test_without_a_terminal_a_line_a_minute_tells_how_far_it_is(
         "strategies: 90% after 3 min",
     ]
     assert terminal.getvalue() == ""
+
+
+@pytest.mark.parametrize(("name", "value"), [("TERM", "dumb"), ("NO_COLOR", "1")])
+def test_a_terminal_without_escape_codes_gets_lines_in_place_of_a_bar(
+    monkeypatch: pytest.MonkeyPatch,
+    terminal: StringIO,
+    now: SimpleNamespace,
+    capsys: pytest.CaptureFixture[str],
+    name: str,
+    value: str,
+) -> None:
+    monkeypatch.setenv(name, value)
+    with messages.progress_bar("strategies") as bar:
+        now.s += 61.0
+        bar(0.5)
+    assert (terminal.getvalue(), capsys.readouterr().err) == ("", "strategies: 50% after 1 min\n")
 
 
 def test_a_bar_not_yet_shown_stays_hidden_during_a_question(terminal: StringIO, now: SimpleNamespace) -> None:

@@ -20,7 +20,7 @@ from procedures.journal.errors import GateFailed, StepRefused
 from procedures.journal.journal import JOURNAL_FILE, ONLY_LEAVING, Entry, JournalValue
 from procedures.journal.results import StepResult
 from procedures.operator.errors import OperatorAborted
-from procedures.reporting.ending import Ending, advise, ending_of, resumes
+from procedures.reporting.ending import Ending, advise, ending_of, name_next_command, resumes
 from procedures.reporting.outcome import RunError
 from procedures.reporting.report import write_report
 from procedures.reporting.run_reading import read_for_report
@@ -240,6 +240,36 @@ def test_a_killed_run_is_shown_with_the_place_of_its_arm_and_the_commands_that_g
     assert f"by the journal, the arm is {place}" in shown
     for command in ("resume", "home"):
         assert f"ronna-procedure {command} {cell.folder}" in shown
+    assert f"next: ronna-procedure resume {cell.folder}" in shown.splitlines()
+    listed = in_this_process(app, "list", cell.folder.parent).stdout
+    assert f"by the journal, the arm is {place}" in listed
+    assert f"next: ronna-procedure resume {cell.folder}" in listed
+
+
+@pytest.mark.parametrize(
+    ("is_out", "inside"),
+    [(False, "an instrument is still in T1"), (True, "nothing is inside the patient")],
+)
+def test_a_killed_run_is_listed_with_what_may_be_inside(
+    cell: ClinicalCell, is_out: bool, inside: str
+) -> None:
+    cell.journal.write(Entry.INSTRUMENT, 1.0, arm=MASTER, trajectory="T1", inside=True)
+    if is_out:
+        cell.journal.write(Entry.INSTRUMENT, 2.0, arm=MASTER, trajectory="T1", inside=False)
+    assert f"; {inside}; next: " in in_this_process(app, "list", cell.folder.parent).stdout
+    assert f"by the journal, {inside}" in in_this_process(app, "show", cell.folder).stdout.splitlines()
+
+
+def test_a_case_that_its_operator_ended_goes_home_next_if_its_arm_is_out() -> None:
+    def next_command(word: str, *, resumable: bool = True, is_arm_out: bool = True) -> str:
+        ending = Ending(word, "")
+        return name_next_command(ending, resumable=resumable, is_arm_out=is_arm_out, run="RUN")
+
+    assert next_command("aborted") == "ronna-procedure home RUN"
+    assert next_command("aborted", is_arm_out=False) == ""
+    assert next_command("failed") == "ronna-procedure resume RUN"
+    assert next_command("failed", resumable=False) == ""
+    assert next_command("done") == ""
 
 
 @pytest.mark.parametrize(

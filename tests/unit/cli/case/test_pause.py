@@ -16,6 +16,7 @@ class Engine:
         self.awaits_person = False
         self.is_awaiting_person = lambda: self.awaits_person
         self.checkpoint = SimpleNamespace(wanted=False, pause=self.pause)
+        self.questions = SimpleNamespace(signed_answers=0)
         self.setting = SimpleNamespace(workcell=SimpleNamespace(stop=self.stop))
 
     def pause(self, reason: str) -> None:
@@ -58,6 +59,20 @@ def test_the_interrupt_count_restarts_after_a_pause(attached: tuple[Interrupts, 
     assert len(engine.paused) == 4
 
 
+def test_an_interrupt_after_an_answer_is_the_first_again(attached: tuple[Interrupts, Any]) -> None:
+    interrupts, engine = attached
+    interrupts.interrupt()
+    with interrupts.asking() as write:  # by the step that still runs: the pause is to come
+        write("Type yes or no: ")
+        interrupts.interrupt()
+        write("Type yes or no: ")  # after a word that is no answer
+        interrupts.interrupt()
+    interrupts.interrupt()
+    engine.questions.signed_answers += 1  # at the console
+    interrupts.interrupt()
+    assert (len(engine.paused), engine.stops) == (3, 0)
+
+
 def test_an_interrupt_at_a_question_repeats_the_question_with_its_figures(
     attached: tuple[Interrupts, Any], capfd: pytest.CaptureFixture[str]
 ) -> None:
@@ -80,6 +95,8 @@ def test_while_a_person_at_the_console_is_awaited_the_second_interrupt_ends_the_
     engine.awaits_person = True
     interrupts.interrupt()
     now_s[0] += AGAIN_S  # forgotten meanwhile
+    interrupts.interrupt()
+    engine.questions.signed_answers += 1
     interrupts.interrupt()
     with pytest.raises(KeyboardInterrupt):
         interrupts.interrupt()

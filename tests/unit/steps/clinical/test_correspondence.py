@@ -216,6 +216,22 @@ def test_a_head_touched_elsewhere_stops_the_case_and_a_mistyped_reading_is_not_c
     assert ("left and right" in refused.value.action) == (reading != "in cm")
 
 
+def test_a_point_touched_elsewhere_is_told_by_distance_and_side_not_by_what_to_type(
+    cell: ClinicalCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def choose(*asked: Any) -> Landmark | None:
+        landmark = choose_landmark(*asked)
+        assert landmark is not None
+        off_mm = ROBOT_FROM_CT.apply((90.0, 0.0, 20.0)) - ROBOT_FROM_CT.apply((0.0, 0.0, 0.0))  # LPS
+        cell.room.touched = lambda _side: tuple(landmark.matched_mm + off_mm)
+        return landmark
+
+    monkeypatch.setattr(correspondence, "choose_landmark", choose)
+    with pytest.raises(HeadElsewhere, match="got 92 mm away, toward the patient's left") as refused:
+        match_beside(cell)
+    assert refused.value.expected is None
+
+
 @pytest.mark.hazard(13)
 def test_a_head_touched_elsewhere_because_the_cart_was_moved_is_no_mirrored_ct(cell: ClinicalCell) -> None:
     assert isinstance(cell.tracker, SeeingTracker)

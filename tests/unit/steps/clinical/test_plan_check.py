@@ -184,7 +184,20 @@ def test_the_side_of_each_trajectory_is_confirmed(cell: ClinicalCell, sign: floa
     )
     checked(cell, plan().model_copy(update={"trajectories": (first, second)}))
     (question,) = cell.operator.asked
-    assert f"{first.id} middle, {first.depth_mm:.1f} mm deep\n{second.id} {side}, " in question.value
+    assert f"{first.id} middle, {first.depth_mm:.1f} mm deep, entry at the front\n" in question.value
+    assert f"\n{second.id} {side}, " in question.value
+
+
+@pytest.mark.hazard(7)
+def test_a_doubt_about_the_signs_of_the_coordinates_is_asked_before_anything_else(
+    cell: ClinicalCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    doubt = "the coordinates may be in RAS"
+    monkeypatch.setattr("procedures.planning.plan_check.doubt_signs", lambda *_: doubt)
+    checked(cell)
+    (question,) = cell.operator.asked
+    assert question.value.splitlines()[0] == doubt
+    assert doubt in cell.case.get(CheckedPlan).result.warnings
 
 
 @pytest.mark.hazard(9)
