@@ -81,17 +81,18 @@ def _build_sheet(
     centres_mm = None if found is None else [marker.centre_mm for marker in found.markers]
     check = check_plan(plan, volume, fiducials_mm=centres_mm, bore=theatre.bore, plan_name=str(plan_file))
     check.require()
+    head = fit_head(volume)
     lines = {one.id: (np.array(one.entry_mm), np.array(one.target_mm)) for one in plan.trajectories}
     return sheet_of_plan(
         f"Case sheet of {plan_file.name}",  # folders are often named after the patient
         plan,
-        fit_head(volume),
+        head,
         () if found is None else found.markers,
         [] if found is None else [DoubtfulSphere.of(one) for one in found.doubtful],
         theatre=theatre,
         remarks=(*volume.warnings, *check.warnings, *remarks),
         pictures=[
-            Picture(name, data_url(trajectory_cuts(volume, lines, name)))
+            Picture(name, data_url(trajectory_cuts(volume, lines, name, np.array(head.centre_mm))))
             for name in list(lines)[:MOST_PICTURES]
         ],
         roles=roles_of(dual=dual),

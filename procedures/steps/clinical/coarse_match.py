@@ -11,7 +11,6 @@ from scipy.spatial.transform import RigidTransform
 
 from procedures.engine.methods import CaseMethods, Matcher
 from procedures.planning.plan_model import UP_LPS, FiducialKind
-from procedures.planning.tracker_sight import SENSORS_MM
 from procedures.registration import match, match_by_template
 from procedures.registration.correspondence import Match, MatchStatus, PosePrior
 from procedures.registration.room_prior import MIRROR, HeadSight, RoomPrior
