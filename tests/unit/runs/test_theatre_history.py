@@ -164,7 +164,7 @@ def test_a_state_that_does_not_exist_and_a_folder_that_is_no_run_are_refused(
     lab: Path, tmp_path: Path
 ) -> None:
     for words, said in (
-        (("--restore", 7, "--by", "A. N."), "expected 0 to 0"),
+        (("--restore", 7, "--by", "A. N."), "has no state 7; expected 0"),
         (("--run", tmp_path), "is not the folder of a run"),
     ):
         refused = in_this_process(app, "theatre-history", lab, *words)

@@ -64,7 +64,7 @@ def test_the_step_fails_with_the_trackers_own_fault(latched: bool, cell: Clinica
 
 def test_too_few_spheres_are_no_localization(cell: ClinicalCell) -> None:
     cell.tracker.spheres_mm = SPHERES_MM[:2]  # the arm hides the others
-    with pytest.raises(GateFailed, match=r"too few spheres; limit at least 3, got 2.*arm home"):
+    with pytest.raises(GateFailed, match=r"too few spheres; limit at least 3 spheres, got 2.*arm home"):
         cell.begin(checked_set_up(cell), clamped_head(), locked_cart(), IN_CASE).run_to()
 
 
