@@ -118,7 +118,7 @@ def test_the_thesis_method_can_be_chosen_but_refines_no_picks(series: Path) -> N
     assert done.stdout.count("covariance_assumed") == 2
     refused = ronna_ct("localize", series, "--method", "thesis-line", "--pick", "any.csv")
     assert refused.returncode == 2
-    assert "omit --method" in refused.stderr
+    assert "Omit --method" in refused.stderr
 
 
 def test_an_unexpected_count_is_refused_and_every_candidate_listed(series: Path, tmp_path: Path) -> None:
