@@ -13,16 +13,14 @@ rows. What raised an error has a row with its code and words: a sweep does not e
 from __future__ import annotations
 
 import fcntl
-import hashlib
 import itertools
-import json
 import os
-import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence, Sized
+import pickle
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence, Sized
 from concurrent.futures import FIRST_COMPLETED, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
-from inspect import getsource, signature
+from inspect import signature
 from pathlib import Path
 from typing import Any
 
@@ -31,22 +29,20 @@ from rich.console import Console
 from rich.progress import Progress
 
 from ronna_hw.arguments import WrongArgument, require_path, show
-from ronna_hw.bounded_input import parse_json, read_json_lines
 from ronna_hw.command_line.messages import tell, wants_plain_text
 from ronna_hw.errors import ConfigurationError, DataError, RefusedError, RonnaError
 from ronna_hw.host.port_users import find_lock_holder
 from ronna_hw.host.process import limit_children_to_one_thread
 from ronna_hw.host.worker_processes import start_workers
 from ronna_hw.loaded_run import RunColumn, RunTable
-from studies.campaign.folder import code
-from studies.errors import LEDGER_UNREADABLE, OTHER_STUDY, SWEEP_IN_USE, UNIT_FAILED
+from studies.errors import SWEEP_IN_USE, UNIT_FAILED
+from studies.sweep_ledger import FILE, Row, SweepLedger, has_own_name, name_of
 
-FILE = "points.jsonl"  # of finished points, below a line that says which function they are of
 RUNS = "runs"  # folder for what the function writes
 MAIN = "__main__"  # module of a notebook or script: worker processes cannot import it
 ERROR = "error"  # column of what a point was refused with
 CORES_PER_POINT = 2  # of a simulated case
-Row = dict[str, Any]
+OF_RUN = "target_"  # before a column of a run that has the name of an argument
 
 
 def sweep(
@@ -61,13 +57,16 @@ def sweep(
 
     A list, tuple, range or array is varied; any other value is the same in every call. `workers` processes
     work at once, by default one for each two cores, since a simulated case uses two. With 1, all is done in
-    this process, as it is for a function of a notebook, which no other process can import.
+    this process, as it is for a function of a notebook or script, which no other process can import.
 
     With a `folder` finished points are kept there: the same call, or one with more points, goes on from
     there. They are of this function's text and of this program; what else the function reads is not compared.
     What the function writes to its own `out` is kept there too.
 
-    Raises ARG-001 for arguments without a point or a function without a name of its own, STU-001 and STU-002
+    A column of a loaded run with the name of an argument is called `target_` and that name.
+
+    Raises ARG-001 for arguments without a point, a column that is none, and with a folder for lambdas,
+    methods of objects and functions inside others, which it cannot tell from one another; STU-001 and STU-002
     if `folder` has points of another function or of other code, STU-005 if a worker process was killed,
     STU-019 while another sweep writes there, and what the function raises, unless it has a code.
     """
@@ -85,7 +84,7 @@ def sweep(
             action="Check the list or range that it comes from.",
         )
     with _alone_in(kept):
-        ledger = _Ledger(kept, function)
+        ledger = SweepLedger(kept, function)
         missing = [point for point in points if ledger.find(point) is None]
         if found := len(points) - len(missing):
             tell(f"{found} of {len(points)} points are taken from {kept}")
@@ -167,7 +166,7 @@ def _run(
     function: Callable[..., Any], points: Sequence[Row], fixed: Row, workers: int | None
 ) -> Iterator[tuple[Row, tuple[list[Row], bool]]]:
     """Call the function for each point; yield the rows as they are finished."""
-    if workers == 1 or not _is_importable(function):
+    if workers == 1 or not _can_be_sent(function, points):
         yield from ((point, _call(function, point, fixed)) for point in points)
         return
     count = workers or max(1, len(os.sched_getaffinity(0)) // CORES_PER_POINT)
@@ -185,10 +184,12 @@ def _run(
                     ) from error
 
 
-def _is_importable(function: Callable[..., Any]) -> bool:
-    """Return whether worker processes can import the function: not from a notebook, script or function."""
-    home = None if function.__module__ == MAIN else sys.modules.get(function.__module__)
-    return getattr(home, getattr(function, "__qualname__", ""), None) is function
+def _can_be_sent(function: Callable[..., Any], points: Sequence[Row]) -> bool:
+    """Return whether worker processes can import all of it: nothing of a notebook, script or function."""
+    try:
+        return MAIN.encode() not in pickle.dumps((function, points))
+    except (pickle.PicklingError, AttributeError, TypeError):
+        return False
 
 
 def _call(function: Callable[..., Any], point: Row, fixed: Row) -> tuple[list[Row], bool]:
@@ -197,10 +198,9 @@ def _call(function: Callable[..., Any], point: Row, fixed: Row) -> tuple[list[Ro
     A refusal is a result: it says what a case did not accept. A link that failed or a device that did not
     start is none: the next call tries that point again.
     """
-    shown = {name: _plain(value) for name, value in point.items()}
+    shown = {name: _show_argument(value) for name, value in point.items()}
     try:
-        found = function(**point, **fixed)
-        rows = _as_rows(found)
+        found = list(_list_rows(function(**point, **fixed), shown))
     except RonnaError as error:
         return [{**shown, ERROR: str(error)}], isinstance(
             error, RefusedError | DataError | ConfigurationError
@@ -208,130 +208,58 @@ def _call(function: Callable[..., Any], point: Row, fixed: Row) -> tuple[list[Ro
     except Exception as error:  # of the function, whatever it is: it passes through with its point
         error.add_note(f"at the point {shown}")
         raise
-    if clash := [name for row in rows for name in row if name in shown]:
-        raise WrongArgument(
-            f"the function returns a column {clash[0]!r}, which is one of its arguments", action="Rename it."
-        )
-    return [{**shown, **row} for row in rows], True
+    return [_with_arguments(row, shown) for row in found], True
 
 
-def _as_rows(found: Any) -> list[Row]:
-    """Convert a function's result to rows of plain values."""
-    if hasattr(found, "targets") and hasattr(found, "outcome"):  # a loaded run
+def _list_rows(found: Any, arguments: Collection[str]) -> Iterator[Row]:
+    """Yield the rows of a function's result: of a loaded run one for each target."""
+    if hasattr(found, "targets") and hasattr(found, "outcome"):
         plain = [one.name for one in found.targets.columns if not one.size]
-        return [
-            {"run": found.name, "outcome": found.outcome, **{name: _plain(row[name]) for name in plain}}
-            for row in found.targets
-        ]
-    if isinstance(found, Mapping):
-        return [{str(name): _plain(value) for name, value in found.items()}]
-    if isinstance(found, list | tuple | Iterator):
-        return [row for one in found for row in _as_rows(one)]
-    return [{"value": _plain(found)}]
+        for target in found.targets:
+            row = {"run": found.name, "outcome": found.outcome, **{name: target[name] for name in plain}}
+            yield {OF_RUN + name if name in arguments else name: value for name, value in row.items()}
+    elif isinstance(found, Mapping):
+        yield {str(name): value for name, value in found.items()}
+    elif isinstance(found, list | tuple | Iterator):
+        for one in found:
+            yield from _list_rows(one, arguments)
+    else:
+        yield {"value": found}
 
 
-def _plain(value: Any) -> Any:
-    plain = value.item() if isinstance(value, np.generic) else value
-    if isinstance(plain, float) and not np.isfinite(plain):
-        return None
-    if isinstance(plain, np.ndarray | complex):
-        raise TypeError(
-            f"a column has numbers or text, not {show(plain)}: give each number a column or a row"
-        )
-    return plain if isinstance(plain, str | int | float | bool) or plain is None else str(plain)
-
-
-class _Ledger:
-    """Finished points of a function, one line of JSON each, in a folder."""
-
-    def __init__(self, folder: Path | None, function: Callable[..., Any]) -> None:
-        """Open or create the ledger; raises STU-001 for another function or code, STU-002 if unreadable.
-
-        Points of damaged lines are run again. Without a folder nothing is kept.
-        """
-        self._rows: dict[str, list[Row]] = {}
-        self._path = None if folder is None else folder / FILE
-        if folder is None or self._path is None:
-            return
-        if not hasattr(function, "__qualname__"):  # its text would have the address of this process
+def _with_arguments(row: Row, shown: Row) -> Row:
+    """Return the row behind its arguments. Raises ARG-001 for what is no cell of a table."""
+    plain = {name: _to_cell(name, value, shown) for name, value in row.items()}
+    for name, value in plain.items():
+        if name in shown and value != shown[name]:
             raise WrongArgument(
-                "a sweep with a folder needs a function that has a name",
-                got=show(function),
-                action="Write a function with def; what does not vary is an argument of the sweep too.",
+                f"the function returns a column {name!r}, which is one of its arguments, with another value",
+                expected=show(shown[name]),
+                got=show(value),
+                action="Rename the column.",
             )
-        head = {"function": name_of(function), "code": _code_of(function)}
-        if not self._path.stat().st_size:
-            self._append(head)
-            return
-        content = read_json_lines(self._path)
-        whole = content[: content.rfind(b"\n") + 1]  # the last line may be cut
-        first, *lines = whole.splitlines() or [b""]
-        try:
-            there = parse_json(first)
-            if there != head:
-                raise OTHER_STUDY(
-                    f"{folder} has points of {there.get('function')} or of other code",
-                    action="Give another folder=, or remove this one.",
-                )
-        except (ValueError, TypeError, AttributeError) as error:
-            raise LEDGER_UNREADABLE(
-                f"{self._path}: {error}", action="Give another folder=, or remove this one."
-            ) from error
-        os.truncate(self._path, len(whole))
-        damaged = 0
-        for line in lines:
-            try:
-                finished = parse_json(line)
-                self._rows[finished["point"]] = finished["rows"]
-            except (ValueError, KeyError, TypeError):
-                damaged += 1
-        if damaged:
-            tell(f"{damaged} of {len(lines)} lines of {self._path} are damaged: their points run again")
-
-    def find(self, point: Row) -> list[Row] | None:
-        """Return the rows of a point, or None if it is not finished."""
-        return self._rows.get(_key(point))
-
-    def add(self, point: Row, rows: list[Row], *, keep: bool) -> None:
-        self._rows[_key(point)] = rows
-        if keep and self._path is not None:
-            self._append({"point": _key(point), "rows": rows})
-
-    def _append(self, line: Mapping[str, object]) -> None:
-        assert self._path is not None, "there is a folder"
-        with self._path.open("a", encoding="utf-8") as file:
-            file.write(json.dumps(line) + "\n")
+    return {**shown, **plain}
 
 
-def _key(point: Row) -> str:
-    """Return the text that names a point. Raises ARG-001 for an argument that no text can name."""
-    return json.dumps(point, sort_keys=True, default=_name)
+def _to_cell(column: str, value: object, shown: Row) -> object:
+    plain = value.item() if isinstance(value, np.generic) else value
+    if isinstance(plain, np.ndarray | complex):
+        raise WrongArgument(
+            f"the column {column!r} has {show(plain)} at the point {shown}",
+            expected="numbers or text",
+            action="Give each number a column or a row of its own.",
+        )
+    return _to_plain(plain)
 
 
-def _name(value: object) -> str:
-    if isinstance(value, os.PathLike):
-        return str(value)
-    if callable(value):
-        return name_of(value)
-    raise WrongArgument(
-        "a sweep cannot name an argument",
-        expected="text, numbers, lists of them or a function",
-        got=show(value),
-    )
+def _show_argument(value: object) -> object:
+    return name_of(value) if callable(value) and has_own_name(value) else _to_plain(value)
 
 
-def name_of(function: Callable[..., Any]) -> str:
-    """Return the full name of a function, or its repr for other callables."""
-    return f"{function.__module__}.{getattr(function, '__qualname__', repr(function))}"
-
-
-def _code_of(function: Callable[..., Any]) -> str:
-    """Return a hash of the program and of the function's own lines, where they can be found."""
-    try:
-        own = getsource(function)
-    except (OSError, TypeError):  # typed at a prompt
-        own = ""
-    return f"{code()}, {hashlib.sha256(own.encode()).hexdigest()[:16]}"
+def _to_plain(value: object) -> object:
+    if isinstance(value, float) and not np.isfinite(value):
+        return None
+    return value if isinstance(value, str | int | float | bool) or value is None else str(value)
 
 
 def _tabulate(rows: Sequence[Row]) -> RunTable:
@@ -342,6 +270,8 @@ def _tabulate(rows: Sequence[Row]) -> RunTable:
 
 
 def _kind_of(values: Sequence[object]) -> type:
+    if all(isinstance(value, bool) for value in values):
+        return bool
     if all(isinstance(value, int) and not isinstance(value, bool) for value in values):
         return int
     return float if all(value is None or isinstance(value, int | float) for value in values) else str

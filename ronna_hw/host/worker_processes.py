@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
 import threading
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, wait
 from contextlib import contextmanager
-from multiprocessing import active_children, get_context, parent_process
-from typing import TypeVar
+from multiprocessing import active_children, parent_process
+from multiprocessing.context import SpawnContext, SpawnProcess
+from types import ModuleType
+from typing import Any, TypeVar
 
 from ronna_hw.host.child_process import IDLE_TIMEOUT_S, POLL_S, ProcessorUse, timeout_error
 
@@ -20,10 +23,12 @@ Result = TypeVar("Result")
 def start_workers(count: int) -> Iterator[ProcessPoolExecutor]:
     """Start `count` workers that end with this process; forking would inherit locks from library threads.
 
+    What they work on is of modules: they do not import the script that this process runs.
+
     An error or interruption in the block kills them: their work may never end by itself.
     """
     others = active_children()
-    with ProcessPoolExecutor(count, get_context("spawn"), _end_with_parent) as pool:
+    with ProcessPoolExecutor(count, _ModulesOnly(), _end_with_parent) as pool:
         try:
             yield pool
         except BaseException:  # above all on interruption: leaving the pool would wait for its workers
@@ -31,6 +36,25 @@ def start_workers(count: int) -> Iterator[ProcessPoolExecutor]:
                 if process not in others:
                     process.kill()
             raise
+
+
+class _ModulesOnlyProcess(SpawnProcess):
+    """Spawned process that does not import the main module: a script without a guard would run again."""
+
+    @staticmethod
+    def _Popen(process_obj: Any) -> Any:
+        main = sys.modules["__main__"]
+        sys.modules["__main__"] = ModuleType("__main__")  # has no file, so there is nothing to import
+        try:
+            return SpawnProcess._Popen(process_obj)  # type: ignore[attr-defined]
+        finally:
+            sys.modules["__main__"] = main
+
+
+class _ModulesOnly(SpawnContext):
+    """Context for pools of such processes."""
+
+    Process = _ModulesOnlyProcess  # type: ignore[assignment]
 
 
 def collect_results(waiting: Sequence[Future[Result]]) -> Iterator[Result]:

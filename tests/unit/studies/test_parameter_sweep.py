@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import os
 import signal
+import subprocess
+import sys
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
@@ -13,12 +16,13 @@ import numpy as np
 import pytest
 from coded_errors import raises
 
+from procedures.exchange import run_tables
 from ronna_hw.arguments import WrongArgument
 from ronna_hw.errors import LinkTimeout, RonnaError
 from ronna_hw.loaded_run import RunColumn, RunTable
 from studies import sweep
 from studies.errors import OTHER_STUDY, SWEEP_IN_USE
-from studies.parameter_sweep import FILE
+from studies.sweep_ledger import FILE
 
 CALLS: list[tuple[float, str]] = []
 
@@ -32,6 +36,64 @@ def jitter(distance_mm: float, unit: str) -> dict[str, object]:
 
 def whose_process(number: int) -> int:
     return os.getpid() + 0 * number
+
+
+def adds(offset: int) -> Callable[[], int]:
+    def offset_alone() -> int:
+        return offset
+
+    return offset_alone
+
+
+class Counter:
+    def __init__(self, start: int) -> None:
+        self.start = start
+
+    def count(self, number: int) -> int:
+        return self.start + number
+
+
+def calls(what: Callable[[], int]) -> int:
+    return what()
+
+
+def test_functions_of_one_text_are_points_of_their_own_and_none_is_kept_for_the_next_process(
+    tmp_path: Path,
+) -> None:
+    assert sweep(calls, what=[adds(1), adds(2), lambda: 3, lambda: 4]).value.tolist() == [1, 2, 3, 4]
+    with raises(WrongArgument, match="what is a function without a name of its own"):
+        sweep(calls, folder=tmp_path / "closures", what=[adds(1), adds(2)])
+    with raises(WrongArgument, match="needs a function that has a name of its own"):
+        sweep(Counter(1).count, folder=tmp_path / "methods", number=[1])
+    with raises(WrongArgument, match="needs a function that has a name of its own"):
+        sweep(adds(1), folder=tmp_path / "functions")
+
+
+def a_case_like_a_real_one(scene: str, seed: int, strategy: str) -> Any:
+    row = ["T1" if one.kind is str else np.full(one.size, seed) for one in run_tables.TARGETS]
+    return SimpleNamespace(name="a", outcome="done", targets=RunTable.of(run_tables.TARGETS, [row]))
+
+
+def test_the_columns_of_a_real_run_are_beside_the_arguments() -> None:
+    found = sweep(a_case_like_a_real_one, workers=1, scene="mini", seed=[1, 2], strategy=["ocs", "improved"])
+    assert found.strategy.tolist() == ["ocs", "improved"] * 2
+    assert set(found.target_strategy) == {"T1"}  # which the operator may have changed
+
+
+SCRIPT = """
+import glob
+from studies import sweep
+
+print("begins")
+print(sweep(glob.escape, workers=2, pathname=["a", "b"]).value.tolist())
+"""
+
+
+def test_a_script_needs_no_guard(tmp_path: Path) -> None:
+    (tmp_path / "script.py").write_text(SCRIPT, encoding="utf-8")
+    line = [sys.executable, str(tmp_path / "script.py")]
+    done = subprocess.run(line, capture_output=True, text=True, timeout=60.0, check=False)
+    assert done.stdout == "begins\n['a', 'b']\n", done.stderr
 
 
 def a_case(seed: int, out: Path, progress: bool) -> Any:
@@ -119,22 +181,37 @@ def test_without_a_folder_nothing_is_kept(tmp_path: Path, monkeypatch: pytest.Mo
 
 
 def overwrites(unit: str) -> dict[str, object]:
-    return {"unit": unit}
+    return {"unit": unit.upper()}
+
+
+def repeats(unit: str, wide: bool) -> dict[str, object]:
+    return {"unit": unit, "narrow": not wide}
 
 
 def fills(distance_mm: float) -> dict[str, object]:
     return {"profile_mm": np.full(3, distance_mm)}
 
 
-def test_a_column_of_an_arguments_name_is_refused() -> None:
-    with raises(WrongArgument, match="'unit'"):
+def test_a_column_of_an_arguments_name_is_refused_if_it_has_another_value() -> None:
+    with raises(WrongArgument, match=r"'unit'.* expected 'a', got 'A'"):
         sweep(overwrites, workers=1, unit="a")
+    found = sweep(repeats, workers=1, unit="a", wide=[True, False])
+    assert (found.unit.tolist(), found.wide.tolist(), found.narrow.tolist()) == (
+        ["a", "a"],
+        [True, False],
+        [False, True],
+    )
+    assert found.wide.dtype == found.narrow.dtype == bool
 
 
-def test_what_is_no_result_names_its_point() -> None:
-    with pytest.raises(TypeError, match="numbers or text") as caught:
+def test_what_is_no_cell_of_a_table_names_its_column_and_point() -> None:
+    with raises(WrongArgument, match=r"'profile_mm' .* at the point {'distance_mm': 1.0}"):
         sweep(fills, workers=1, distance_mm=[1.0, 2.0])
-    assert "'distance_mm': 1.0" in caught.value.__notes__[0]
+
+
+def test_an_argument_that_cannot_be_named_is_told_by_its_name() -> None:
+    with raises(WrongArgument, match=r"cannot name number; .* number=list"):
+        sweep(whose_process, number=(seed for seed in (1, 2)))
 
 
 def test_a_table_without_an_error_has_the_column_of_errors() -> None:
