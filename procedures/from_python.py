@@ -98,18 +98,19 @@ def run_case(
             return load_run(folder)
 
 
-def compare_runs(first: str | os.PathLike[str], second: str | os.PathLike[str]) -> RunComparison:
-    """Compare two run folders, as `ronna-procedure compare`. Both are only read.
+def compare_runs(
+    first: LoadedRun | str | os.PathLike[str], second: LoadedRun | str | os.PathLike[str]
+) -> RunComparison:
+    """Compare two runs, as `ronna-procedure compare`: loaded ones or their folders. Both are only read.
 
     Damaged files never raise errors; what cannot be relied on is named. Raises CLI-005 for a folder that is
-    no run, ARG-001 for what is no path.
+    no run, or for one run twice, ARG-001 for what is no path.
     """
     from procedures.reporting.comparison import page
-    from procedures.runs.folders import require_run
+    from procedures.runs.folders import require_two_runs
 
-    folders = [require_path(one, "the folder of a run") for one in (first, second)]
-    for folder in folders:
-        require_run(folder)
+    folders = [require_path(getattr(one, "path", one), "the folder of a run") for one in (first, second)]
+    require_two_runs(*folders)
     return page.compare_runs(*folders)
 
 

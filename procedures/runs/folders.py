@@ -115,6 +115,18 @@ def require_run(folder: Path) -> None:
     )
 
 
+def require_two_runs(first: Path, second: Path) -> None:
+    """Raise CLI-005 unless both folders are runs, and not the same one."""
+    for folder in (first, second):
+        require_run(folder)
+    if first.samefile(second):
+        raise PATH_PROBLEM(
+            f"both are the run {first}",
+            expected="two runs, to be compared",
+            action=f"Name another; ronna-procedure list {first.parent} shows those beside it.",
+        )
+
+
 def is_run(folder: Path) -> bool:
     """Whether a folder is a run, even with only part of its files."""
     return any((folder / name).exists() for name in RUN_PARTS)

@@ -28,7 +28,9 @@ def compare_command(
     Both folders are only read. With --json also what differs and the errors at the targets.
     """
     from procedures.reporting.comparison.page import compare_runs
+    from procedures.runs.folders import require_two_runs
 
+    require_two_runs(run_folder, other)
     compared = compare_runs(run_folder, other)
     path = compared.write(out)
     if as_json:

@@ -7,10 +7,9 @@ from typing import Annotated
 
 from typer import Argument, Option
 
+from procedures.reporting.page_file import PAGE_SUFFIX
 from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.command_line.options import require_folder_of
-
-PAGE_SUFFIX = ".html"
 
 
 def require_run_folder(folder: Path) -> Path:

@@ -24,6 +24,7 @@ from procedures.reporting.case_sheet.answering import (
 )
 from procedures.reporting.case_sheet.limits import LimitRow, limits_of_case
 from procedures.reporting.files import Picture, load_pictures
+from procedures.reporting.page_file import write_page
 from procedures.reporting.page_templates import load_template
 from procedures.reporting.run_options import RunOptions, read_options
 from procedures.reporting.run_reading import read_for_report
@@ -34,7 +35,6 @@ from procedures.steps.clinical.set_up import CheckedSetUp
 from ronna_hw.calibration import DatedRecord
 from ronna_hw.collision_config import CollisionConfig
 from ronna_hw.config import ProcedureSettings, TheatreFile
-from ronna_hw.records import write_atomically
 from ronna_hw.roles import ASSISTANT, ONE_ARM
 from ronna_hw.tool_record import GuideBore, ToolRecord
 
@@ -128,9 +128,8 @@ class CaseSheet:
         return any(one.limit_mm is not None for one in self.trajectories)
 
     def write(self, out: Path) -> Path:
-        """Write the page to a file. Raises OSError."""
-        write_atomically(out, load_template(TEMPLATE).render(sheet=self, unprinted=[]).encode())
-        return out
+        """Write the page to a file and return its path. Raises ARG-001, CLI-005 in a run, OSError."""
+        return write_page(out, load_template(TEMPLATE).render(sheet=self, unprinted=[]))
 
 
 def sheet_of_plan(

@@ -25,6 +25,7 @@ from procedures.reporting.comparison.results import (
 from procedures.reporting.ending import Ending, ending_of
 from procedures.reporting.files import load_pictures
 from procedures.reporting.outcome import Truth
+from procedures.reporting.page_file import write_page
 from procedures.reporting.page_templates import load_template
 from procedures.reporting.pictures import step_of, timeline_figure
 from procedures.reporting.run_reading import RunReading, read_for_report
@@ -32,9 +33,7 @@ from procedures.reporting.sections.course import read_course
 from procedures.reporting.sections.header import RunOpening, read_header
 from procedures.reporting.sections.plan import read_plan
 from procedures.reporting.tables import TargetTable, target_rows
-from ronna_hw.arguments import require_path
 from ronna_hw.notebook_html import table_html
-from ronna_hw.records import write_atomically
 
 TEMPLATE = "comparison.html.j2"
 FIRST, SECOND = "A", "B"  # as the page calls the runs
@@ -84,11 +83,8 @@ class RunComparison:
         return Pair(*(sum(one.theatre_s[at] or 0.0 for one in self.steps) for at in (0, 1)))
 
     def write(self, out: str | os.PathLike[str]) -> Path:
-        """Write the page to a file and return its path. Raises ARG-001, OSError."""
-        path = require_path(out, "the file for the comparison")
-        html = load_template(TEMPLATE).render(compared=self, unprinted=[])
-        write_atomically(path, html.encode())
-        return path
+        """Write the page to a file and return its path. Raises ARG-001, CLI-005 in a run, OSError."""
+        return write_page(out, load_template(TEMPLATE).render(compared=self, unprinted=[]))
 
     def as_payload(self) -> dict[str, Any]:
         """Return what differs and the errors at the targets as plain data for JSON."""

@@ -23,7 +23,9 @@ from procedures.runs.folders import new_run_folder
 from procedures.runs.request import CaseProcedure, RunRequest, SceneChoice
 from ronna_hw.arguments import WrongArgument
 from ronna_hw.command_line.errors import PATH_PROBLEM
+from ronna_hw.evidence.journal_reading import JOURNAL_FILE
 from ronna_hw.evidence.manifest import REQUEST_FILE, seal
+from ronna_hw.loaded_run import load_run
 
 
 def request_of(tmp_path: Path, seed: int, faults: str = "") -> str:
@@ -122,6 +124,24 @@ def test_a_folder_that_is_no_run_is_refused_from_python_too(pair: tuple[Path, Pa
         procedures.compare_runs(pair[0], tmp_path / "none")
     with raises(WrongArgument):
         procedures.compare_runs(pair[0], "")
+
+
+def test_a_run_beside_itself_is_refused(pair: tuple[Path, Path]) -> None:
+    with raises(PATH_PROBLEM, match="both are the run"):
+        procedures.compare_runs(pair[0], load_run(pair[0]))
+    refused = in_this_process(app, "compare", pair[0], pair[0])
+    assert "both are the run" in one_error(refused.stderr)[0]
+
+
+def test_no_page_from_python_is_written_over_a_run(pair: tuple[Path, Path], tmp_path: Path) -> None:
+    compared = procedures.compare_runs(*pair)
+    kept = (pair[0] / JOURNAL_FILE).read_bytes()
+    with raises(WrongArgument, match="ends in .html"):
+        compared.write(pair[0] / JOURNAL_FILE)
+    with raises(PATH_PROBLEM, match="inside the run"):
+        compared.write(pair[0] / "comparison.html")
+    assert (pair[0] / JOURNAL_FILE).read_bytes() == kept
+    assert compared.write(str(tmp_path / "comparison.html")).exists()
 
 
 def test_a_page_inside_a_run_is_refused(pair: tuple[Path, Path]) -> None:
