@@ -14,9 +14,12 @@ import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import fields, replace
+from functools import cache, wraps
+from inspect import signature
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, get_type_hints
+from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar, get_args, get_type_hints
 
+from procedures.operator.errors import NotConfirmed
 from procedures.operator.question import Answer, Question, join_answers
 from procedures.runs.answers import ScriptedOperator
 from procedures.runs.observers import RunObservers
@@ -45,6 +48,42 @@ OPTIONS = 'options by name, such as {"markers": 4}'
 NOT_OPTIONS = {"sim", "config", "case", "out", "ask", "answers", "faults"}
 
 
+Given = ParamSpec("Given")
+Result = TypeVar("Result")
+
+
+def _with_known_arguments(function: Callable[Given, Result]) -> Callable[Given, Result]:
+    """Raise ARG-001 for arguments that a function does not take, and say where an option goes."""
+    taken = signature(function)
+
+    @wraps(function)
+    def call(*args: Given.args, **kwargs: Given.kwargs) -> Result:
+        try:
+            taken.bind(*args, **kwargs)
+        except TypeError as error:
+            raise _explain_arguments(error, kwargs, list(taken.parameters)) from None
+        return function(*args, **kwargs)
+
+    return call
+
+
+def _explain_arguments(error: TypeError, given: Mapping[str, object], taken: Sequence[str]) -> WrongArgument:
+    expected = f"the arguments {', '.join(taken)}"
+    unknown = next((name for name in given if name not in taken), None)
+    if unknown is None:
+        return WrongArgument(
+            f"run_case cannot be called: {error}",
+            expected=expected,
+            action="Give scene and seed as they are, everything else by name.",
+        )
+    action = f'Options of the command go into options={{"{unknown}": {show(given[unknown])}}}.'
+    if unknown not in _list_options():
+        alike = find_near(unknown, [*taken, *_list_options()])
+        action = f"Did you mean {alike[0]}?" if alike else "Further options of the command go into options=."
+    return WrongArgument(f"run_case has no argument {unknown}", expected=expected, action=action)
+
+
+@_with_known_arguments
 def run_case(
     scene: str = "default",
     seed: int = 0,
@@ -65,9 +104,10 @@ def run_case(
     command, with underscores, such as `{"markers": 4, "calibrated": True}`. `progress` shows a bar of the
     steps, in a notebook too.
 
-    Raises ARG-001 for an unknown option, a value out of its range or an answer that a question does not
-    accept, CLI-001 for options that exclude each other, and the error of a case that does not come to its
-    end, with a note that names its run.
+    Raises ARG-001 for an unknown argument or option, a value of another type or out of its range, or an
+    answer that a question does not accept, PRO-002 for an answer that does not go on, CLI-001 for options
+    that exclude each other, and the error of a case that does not come to its end, with a note that names
+    its run.
     """
     from procedures.runs.case_outcome import run_case as run_to_end
     from procedures.runs.finishing import finalize_run
@@ -78,7 +118,13 @@ def run_case(
         raise WrongArgument("answers of run_case is no function", expected=DECIDES, got=show(answers))
     if not isinstance(options or {}, Mapping):
         raise WrongArgument("options of run_case is no mapping", expected=OPTIONS, got=show(options))
-    given = {"scene": scene, "seed": seed, "strategy": strategy, "arm": arm, "dual": dual, **(options or {})}
+    arguments = {"scene": scene, "seed": seed, "strategy": strategy, "arm": arm, "dual": dual}
+    if twice := [name for name in options or {} if name in arguments]:
+        raise WrongArgument(
+            f"options of run_case has {twice[0]}, which is an argument",
+            action=f"Give it as one: {twice[0]}={show((options or {})[twice[0]])}.",
+        )
+    given = {**arguments, **(options or {})}
     runs = require_path(out, "the folder of runs")
     _warn_of_threads()
     with _step_bar(shown=progress) as follow:
@@ -87,14 +133,16 @@ def run_case(
             lines = _list_faults(faults)
             request = replace(request, faults=_write_script("\n".join(lines) + "\n", runs))
         check_case(request, runs)
-        observers = RunObservers(opened=follow, script=FunctionOperator(answers))
+        operator = FunctionOperator(answers)
+        observers = RunObservers(opened=follow, script=operator)
         with run_folder(request, runs) as folder, hold_run(folder):
             try:
                 with finalize_run(folder, with_truth=False, name_report=False):
                     run_to_end(request, folder, observers)
             except RonnaError as error:
-                error.add_note(f"its run is {folder}")
-                raise
+                told = operator.explain(error)
+                told.add_note(f"its run is {folder}")
+                raise told from error.__cause__
             return load_run(folder)
 
 
@@ -131,15 +179,16 @@ def _write_script(content: str, runs: Path) -> Path:
     return script
 
 
+@cache
 def _warn_of_threads() -> None:
-    """Warn if linear algebra runs in several threads, which commands and `procedures` limit to one."""
+    """Warn once if linear algebra runs in several threads, which commands and `procedures` limit to one."""
     if os.environ.get(THREADS) == "1":
         return
     warnings.warn(
         f"NumPy was loaded with several threads: the last digits may differ from those of the command. "
         f"Set {THREADS}=1 before Python starts.",
         RuntimeWarning,
-        stacklevel=3,
+        stacklevel=4,  # who called `run_case`
     )
 
 
@@ -149,7 +198,7 @@ def _make_request(given: Mapping[str, object]) -> RunRequest:
 
     from procedures.cli.case.options import CaseOptions
 
-    known = {field.name for field in fields(CaseOptions)} - NOT_OPTIONS
+    known = _list_options()
     for name in given:
         if name not in known:
             alike = find_near(name, known)
@@ -157,6 +206,7 @@ def _make_request(given: Mapping[str, object]) -> RunRequest:
                 f"run_case has no option {show(name)}",
                 action=f"Did you mean {alike[0]}?" if alike else f"There are {', '.join(sorted(known))}.",
             )
+    _check_types(CaseOptions, given)
     try:
         options = TypeAdapter(CaseOptions).validate_python({"sim": True, **given})
     except ValidationError as error:
@@ -166,6 +216,28 @@ def _make_request(given: Mapping[str, object]) -> RunRequest:
         raise WrongArgument(f"{name} of run_case", expected=expected, got=show(given[name])) from error
     _check_ranges(options)
     return options.request()
+
+
+def _list_options() -> set[str]:
+    """Return the names of the options that `run_case` accepts, those of its own arguments among them."""
+    from procedures.cli.case.options import CaseOptions
+
+    return {field.name for field in fields(CaseOptions)} - NOT_OPTIONS
+
+
+def _check_types(options: type, given: Mapping[str, object]) -> None:
+    """Raise ARG-001 for text or a truth value instead of a number, and for what is none where one is due.
+
+    From the command line all of them come as text, so pydantic converts it.
+    """
+    hints = get_type_hints(options)
+    for name, value in given.items():
+        kinds = set(get_args(hints[name]) or (hints[name],))
+        if kinds & {int, float} and isinstance(value, str | bool):
+            expected = "a number" if float in kinds else "a whole number"
+            raise WrongArgument(f"{name} of run_case", expected=expected, got=show(value))
+        if bool in kinds and not isinstance(value, bool):
+            raise WrongArgument(f"{name} of run_case", expected="True or False", got=show(value))
 
 
 def _check_ranges(options: Any) -> None:
@@ -187,10 +259,12 @@ class FunctionOperator:
 
     def __init__(self, decide: Decide | None) -> None:
         self._decide, self._script = decide, ScriptedOperator()
+        self._last: tuple[Question, str] | None = None
 
     def ask(self, question: Question) -> Answer:
         """Return the function's answer. Raises ARG-001 for one that the question does not accept."""
         word = None if self._decide is None else self._decide(question)
+        self._last = None if word is None else (question, word)
         if word is None:
             return self._script.ask(question)
         if word not in question.answers:
@@ -201,6 +275,19 @@ class FunctionOperator:
                 action="Return one of the question's answers, or None for its first.",
             )
         return replace(self._script.ask(question), word=word)
+
+    def explain(self, error: RonnaError) -> RonnaError:
+        """Return the error, which for an answer of the function says that it was its answer."""
+        if self._last is None or not isinstance(error, NotConfirmed):
+            return error
+        question, word = self._last
+        return error.reworded(
+            error.what,
+            expected=error.expected,
+            got=error.got,
+            action=f"The function of answers= returned {show(word)} to {question.name}; to go on, it returns "
+            "None.",
+        )
 
 
 @contextmanager

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -37,6 +38,20 @@ def require_path(given: object, what: str) -> Path:
             action="Check the variable that it comes from: it may be unset.",
         )
     return Path(text)
+
+
+def require_duration_s(given: object, what: str) -> float:
+    """Return a duration in seconds. Raises ARG-001 for anything but a finite number above zero."""
+    if isinstance(given, bool) or not isinstance(given, int | float) or not 0.0 < given < math.inf:
+        raise WrongArgument(f"{what} is no duration", expected="seconds, above 0", got=show(given))
+    return float(given)
+
+
+def require_seed(given: object) -> int:
+    """Return the seed of a simulated theatre. Raises ARG-001 for anything but a whole number from 0."""
+    if isinstance(given, bool) or not isinstance(given, int) or given < 0:
+        raise WrongArgument("the seed is none", expected="a whole number, at least 0", got=show(given))
+    return given
 
 
 def require_numbers(

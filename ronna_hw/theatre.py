@@ -16,11 +16,10 @@ import os
 import tempfile
 import threading
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Self, TypeVar, cast
 
-from ronna_hw.arguments import require_path
+from ronna_hw.arguments import require_duration_s, require_path, require_seed
 from ronna_hw.clock import Clock, SharedClock, open_clock
 from ronna_hw.config import Calibrations, DeviceConfig, TheatreFile, read_theatre_file
 from ronna_hw.devices.capabilities import ByteSink, RecordsBytes
@@ -32,6 +31,7 @@ from ronna_hw.errors import summary_of
 from ronna_hw.host.child_process import ChildProcess, command
 from ronna_hw.host.process import defer_interruption
 from ronna_hw.logs import logger
+from ronna_hw.opened_by_with import opened_by_with
 from ronna_hw.registry import make_device
 
 if TYPE_CHECKING:
@@ -42,13 +42,13 @@ DriverOfTable = Callable[[str, DeviceConfig, Clock], Device]
 STOP_LIMIT_S = 5.0  # host time, for all arms together
 
 
-@contextmanager
+@opened_by_with
 def open_theatre(path: str | os.PathLike[str], timeout_s: float = 10.0) -> Iterator[Theatre]:
     """Connect and configure all devices of a theatre file for the duration of a block.
 
     On leaving, including by an exception or Ctrl-C, the arms are stopped and everything is closed in bounded
-    time. Raises ARG-001 for no path, CFG-001 for a missing or invalid file, and the driver's error if a
-    device is not there.
+    time. Raises ARG-001 for no path or no duration, CFG-001 for a missing or invalid file, and the driver's
+    error if a device is not there.
     """
     with Theatre.from_file(path) as theatre:
         theatre.connect(timeout_s)
@@ -134,8 +134,10 @@ class Theatre:
     def connect(self, timeout_s: float = 10.0) -> None:
         """Connect and configure every device not yet configured, with `timeout_s` per call.
 
-        Raises the driver's error of the first that fails; earlier ones stay connected.
+        Raises ARG-001 for no duration, and the driver's error of the first that fails; earlier ones stay
+        connected.
         """
+        require_duration_s(timeout_s, "timeout_s of the devices")
         for name in self.file.devices:
             device = self._get_device(name)
             if device.state is Lifecycle.DISCONNECTED:
@@ -268,15 +270,19 @@ SIMULATOR_NAME = "ronna-sim theatre"
 CONTROLLER_SAYS = "pendant at "  # prefix of a message on the simulated controller's pendant
 
 
-@contextmanager
+@opened_by_with
 def simulated_theatre(
-    scene: str = "mini", *, seed: int = 0, timeout_s: float = 10.0
+    scene: str | os.PathLike[str] = "mini", *, seed: int = 0, timeout_s: float = 10.0
 ) -> Iterator[SimulatedTheatre]:
     """Run a simulated theatre for a block, with its devices connected and configured.
 
-    `scene` is `default`, `mini`, `bench` or the path of a scene file. Raises PRC-001 with the command's own
-    message when there is no such scene, and the errors of `open_theatre`.
+    `scene` is `default`, `mini`, `bench` or the path of a scene file. Raises ARG-001 for an argument of
+    another type or out of its range, PRC-001 with the command's own message when there is no such scene, and
+    the errors of `open_theatre`.
     """
+    scene = str(require_path(scene, "the scene"))
+    require_seed(seed)
+    require_duration_s(timeout_s, "timeout_s of the devices")
     with tempfile.TemporaryDirectory(prefix="ronna-theatre-") as folder:
         process = TheatreProcess("--scene", scene, "--seed", str(seed), "--out", folder, "--tell-truth")
         try:

@@ -46,7 +46,7 @@ class _ModulesOnlyProcess(SpawnProcess):
         main = sys.modules["__main__"]
         sys.modules["__main__"] = ModuleType("__main__")  # has no file, so there is nothing to import
         try:
-            return SpawnProcess._Popen(process_obj)  # type: ignore[attr-defined]
+            return SpawnProcess._Popen(process_obj)
         finally:
             sys.modules["__main__"] = main
 
@@ -54,7 +54,7 @@ class _ModulesOnlyProcess(SpawnProcess):
 class _ModulesOnly(SpawnContext):
     """Context for pools of such processes."""
 
-    Process = _ModulesOnlyProcess  # type: ignore[assignment]
+    Process = _ModulesOnlyProcess
 
 
 def collect_results(waiting: Sequence[Future[Result]]) -> Iterator[Result]:

@@ -11,7 +11,8 @@ from coded_errors import raises
 from force_sensor import DECLARED, ForceSensor, ScaledForceSensor, install
 from ideal_device import IdealDevice
 
-from ronna_hw import Theatre, open_theatre
+from ronna_hw import Theatre, open_theatre, simulated_theatre
+from ronna_hw.arguments import WrongArgument
 from ronna_hw.clock import Clock, HostClock
 from ronna_hw.config import BadTheatreFile, DeviceConfig, parse_theatre
 from ronna_hw.devices import Lifecycle, RobotArm, StopKind
@@ -195,3 +196,17 @@ def test_a_theatre_can_be_made_from_parsed_content() -> None:
     content = {"theatre": "lab", "device": {"force": {"driver": "force", "endpoint": "tcp://127.0.0.1:1"}}}
     theatre = Theatre(parse_theatre(content), HostClock())
     assert theatre.device("force", ScaledForceSensor).state is Lifecycle.DISCONNECTED
+
+
+@pytest.mark.parametrize(
+    "given",
+    [{"scene": 7}, {"seed": 1.5}, {"seed": True}, {"seed": -1}, {"timeout_s": -1.0}, {"timeout_s": "soon"}],
+)
+def test_a_wrong_argument_of_a_simulated_theatre_is_refused_before_it_starts(given: dict[str, Any]) -> None:
+    with raises(WrongArgument), simulated_theatre(**given):
+        raise AssertionError("it has started")
+
+
+def test_a_theatre_without_with_says_how_it_is_opened() -> None:
+    with pytest.raises(AttributeError, match=r"with simulated_theatre\(...\) as opened: opened.tracker"):
+        simulated_theatre("mini").tracker  # type: ignore[attr-defined]  # noqa: B018
