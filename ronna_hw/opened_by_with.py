@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from functools import wraps
-from typing import Any, Generic, ParamSpec, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, ParamSpec, TypeVar
 
 T = TypeVar("T")
 Given = ParamSpec("Given")
@@ -23,13 +23,15 @@ class Opening(AbstractContextManager[T], Generic[T]):
     def __exit__(self, *raised: Any) -> bool | None:
         return self._manager.__exit__(*raised)
 
-    def __getattr__(self, name: str) -> Any:
-        if name.startswith("_"):  # as copying and notebooks look for
-            raise AttributeError(name)
-        raise AttributeError(
-            f"{self._call}() is opened by with, and has no {name} before: with {self._call}(...) as opened: "
-            f"opened.{name}"
-        )
+    if not TYPE_CHECKING:  # a type checker knows that there is none
+
+        def __getattr__(self, name: str) -> Any:
+            if name.startswith("_"):  # as copying and notebooks look for
+                raise AttributeError(name)
+            raise AttributeError(
+                f"{self._call}() is opened by with, and has no {name} before: "
+                f"with {self._call}(...) as opened: opened.{name}"
+            )
 
 
 def opened_by_with(function: Callable[Given, Iterator[T]]) -> Callable[Given, Opening[T]]:

@@ -31,10 +31,13 @@ from rich.progress import Progress
 from ronna_hw.arguments import WrongArgument, require_path, show
 from ronna_hw.command_line.messages import tell, wants_plain_text
 from ronna_hw.errors import ConfigurationError, DataError, RefusedError, RonnaError
+from ronna_hw.evidence.journal_reading import JOURNAL_FILE
+from ronna_hw.evidence.manifest import SEAL_FILE
 from ronna_hw.host.port_users import find_lock_holder
 from ronna_hw.host.process import limit_children_to_one_thread
 from ronna_hw.host.worker_processes import start_workers
 from ronna_hw.loaded_run import RunColumn, RunTable
+from ronna_hw.text import format_count, format_names
 from studies.errors import SWEEP_IN_USE, UNIT_FAILED
 from studies.sweep_ledger import FILE, Row, SweepLedger, has_own_name, name_of
 
@@ -84,6 +87,7 @@ def sweep(
             action="Check the list or range that it comes from.",
         )
     with _alone_in(kept):
+        _tell_of_cut_off(kept)
         ledger = SweepLedger(kept, function)
         missing = [point for point in points if ledger.find(point) is None]
         if found := len(points) - len(missing):
@@ -117,6 +121,18 @@ def _alone_in(folder: Path | None) -> Iterator[None]:
             number = "" if holder is None else f" (pid {holder.pid})"
             raise SWEEP_IN_USE(f"another sweep{number} is writing into {folder}") from None
         yield
+
+
+def _tell_of_cut_off(folder: Path | None) -> None:
+    """Name the runs that an earlier sweep has left in its folder unfinished, as Ctrl-C does."""
+    if folder is None:
+        return
+    runs = (journal.parent for journal in sorted((folder / RUNS).glob(f"*/{JOURNAL_FILE}")))
+    if cut := [run.name for run in runs if not (run / SEAL_FILE).exists()]:
+        tell(
+            f"an earlier sweep was ended during {format_count(len(cut), 'run')} in {folder / RUNS}, which "
+            f"belong to no point and may be removed: {format_names(cut)}"
+        )
 
 
 def _check_call(function: object, arguments: Mapping[str, object], workers: object) -> None:

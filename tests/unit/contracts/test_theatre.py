@@ -209,4 +209,4 @@ def test_a_wrong_argument_of_a_simulated_theatre_is_refused_before_it_starts(giv
 
 def test_a_theatre_without_with_says_how_it_is_opened() -> None:
     with pytest.raises(AttributeError, match=r"with simulated_theatre\(...\) as opened: opened.tracker"):
-        simulated_theatre("mini").tracker  # type: ignore[attr-defined]  # noqa: B018
+        simulated_theatre("mini").tracker  # type: ignore[attr-defined]  # noqa: B018 - as people write it

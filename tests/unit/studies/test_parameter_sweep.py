@@ -19,6 +19,8 @@ from coded_errors import raises
 from procedures.exchange import run_tables
 from ronna_hw.arguments import WrongArgument
 from ronna_hw.errors import LinkTimeout, RonnaError
+from ronna_hw.evidence.journal_reading import JOURNAL_FILE
+from ronna_hw.evidence.manifest import SEAL_FILE
 from ronna_hw.loaded_run import RunColumn, RunTable
 from studies import sweep
 from studies.errors import OTHER_STUDY, SWEEP_IN_USE
@@ -236,6 +238,19 @@ def test_a_folder_with_points_of_another_function_is_refused(tmp_path: Path) -> 
     sweep(jitter, folder=tmp_path, workers=1, distance_mm=950.0, unit="a")
     with raises(OTHER_STUDY):
         sweep(whose_process, folder=tmp_path, workers=1, number=1)
+
+
+def test_runs_that_an_earlier_sweep_left_unfinished_are_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in ("finished", "cut-off"):
+        (tmp_path / "runs" / name).mkdir(parents=True)
+        (tmp_path / "runs" / name / JOURNAL_FILE).touch()
+    (tmp_path / "runs" / "finished" / SEAL_FILE).touch()
+    sweep(jitter, folder=tmp_path, workers=1, distance_mm=950.0, unit="a")
+    told = capsys.readouterr().err
+    assert "during 1 run in" in told
+    assert "may be removed: cut-off" in told
 
 
 def test_an_argument_without_a_value_is_refused(tmp_path: Path) -> None:
