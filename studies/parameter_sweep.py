@@ -28,10 +28,10 @@ import numpy as np
 from rich.console import Console
 from rich.progress import Progress
 
+from procedures.runs.folders import find_runs
 from ronna_hw.arguments import WrongArgument, require_path, show
 from ronna_hw.command_line.messages import tell, wants_plain_text
 from ronna_hw.errors import ConfigurationError, DataError, RefusedError, RonnaError
-from ronna_hw.evidence.journal_reading import JOURNAL_FILE
 from ronna_hw.evidence.manifest import SEAL_FILE
 from ronna_hw.host.port_users import find_lock_holder
 from ronna_hw.host.process import limit_children_to_one_thread
@@ -125,10 +125,9 @@ def _alone_in(folder: Path | None) -> Iterator[None]:
 
 def _tell_of_cut_off(folder: Path | None) -> None:
     """Name the runs that an earlier sweep has left in its folder unfinished, as Ctrl-C does."""
-    if folder is None:
+    if folder is None or not (folder / RUNS).is_dir():
         return
-    runs = (journal.parent for journal in sorted((folder / RUNS).glob(f"*/{JOURNAL_FILE}")))
-    if cut := [run.name for run in runs if not (run / SEAL_FILE).exists()]:
+    if cut := [run.name for run in find_runs(folder / RUNS) if not (run / SEAL_FILE).exists()]:
         tell(
             f"an earlier sweep was ended during {format_count(len(cut), 'run')} in {folder / RUNS}, which "
             f"belong to no point and may be removed: {format_names(cut)}"

@@ -94,7 +94,7 @@ class SweepLedger:
 
     def _key(self, point: Row) -> str:
         """Return the text that names a point. Raises ARG-001 for an argument that no text can name."""
-        return json.dumps([[name, self._text_of(name, point[name])] for name in sorted(point)])
+        return ", ".join(f"{name}={self._text_of(name, point[name])}" for name in sorted(point))
 
     def _text_of(self, argument: str, value: object) -> str:
         try:

@@ -19,8 +19,7 @@ from coded_errors import raises
 from procedures.exchange import run_tables
 from ronna_hw.arguments import WrongArgument
 from ronna_hw.errors import LinkTimeout, RonnaError
-from ronna_hw.evidence.journal_reading import JOURNAL_FILE
-from ronna_hw.evidence.manifest import SEAL_FILE
+from ronna_hw.evidence.manifest import REQUEST_FILE, SEAL_FILE
 from ronna_hw.loaded_run import RunColumn, RunTable
 from studies import sweep
 from studies.errors import OTHER_STUDY, SWEEP_IN_USE
@@ -245,7 +244,7 @@ def test_runs_that_an_earlier_sweep_left_unfinished_are_named(
 ) -> None:
     for name in ("finished", "cut-off"):
         (tmp_path / "runs" / name).mkdir(parents=True)
-        (tmp_path / "runs" / name / JOURNAL_FILE).touch()
+        (tmp_path / "runs" / name / REQUEST_FILE).touch()
     (tmp_path / "runs" / "finished" / SEAL_FILE).touch()
     sweep(jitter, folder=tmp_path, workers=1, distance_mm=950.0, unit="a")
     told = capsys.readouterr().err
