@@ -25,7 +25,7 @@ from procedures import from_python
 from procedures.exchange import raw_readings, recorded_tables, registration_in_ct, run_tables
 from procedures.reporting.comparison import page as page_of_two
 from procedures.strategies import strategy, trajectory
-from ronna_hw import frames, loaded_run, theatre
+from ronna_hw import frames, loaded_run, simulated_room, theatre
 from ronna_hw.devices import (
     ConfirmedStart,
     OpticalTracker,
@@ -40,7 +40,12 @@ from ronna_hw.devices.axis_loads import TellsLoads
 from ronna_hw.devices.capabilities import RecordsBytes
 from ronna_hw.devices.contact import CarriesLoad, FollowsHand, InsertsInstruments
 from ronna_hw.devices.lifecycle import GuardedDevice
+from studies import parameter_sweep
 from studies.plugins import contracts
+
+ROOM = (
+    "SimulatedRoom", "RoomTruth", "TrueSphere", "TrueMarker", "TruePhantom", "StrayOrigin", "Origin",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -77,7 +82,7 @@ def numerics() -> str:
 
 
 def runs() -> str:
-    """Compose the page on a run as arrays: how it is loaded, and the columns of each table."""
+    """Compose the page on runs: how they are made, swept, loaded and compared, and the columns of tables."""
     tables = {
         "targets": run_tables.TARGETS,
         "spheres": run_tables.SPHERES,
@@ -94,7 +99,8 @@ def runs() -> str:
     page = _page(
         [
             _all_of(loaded_run, *names),
-            _all_of(from_python, "compare_runs"),
+            _all_of(from_python, "run_case", "compare_runs"),
+            _all_of(parameter_sweep, "sweep"),
             _all_of(page_of_two, "RunComparison"),
         ]
     )
@@ -122,7 +128,8 @@ def devices() -> str:
     return _page(
         [
             _all_of(theatre, "open_theatre", "Theatre"),
-            _all_of(theatre, "simulated_theatre"),
+            _all_of(theatre, "simulated_theatre", "SimulatedTheatre"),
+            _all_of(simulated_room, *ROOM),
             _all_of(stray_tracks, "track_strays", "StrayTrack", "StrayWarning"),
             interfaces,
             Part(readings.__name__, own),

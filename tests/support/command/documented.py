@@ -25,10 +25,11 @@ LENIENT = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
 
 def commands_of(page: str) -> list[str]:
     """Every line after a prompt, in the page's order."""
-    return [line for block in SHOWN.findall(_text(page)) for line in _after_prompts(block)]
+    return [line for block in SHOWN.findall(read_page(page)) for line in _after_prompts(block)]
 
 
-def _text(page: str) -> str:
+def read_page(page: str) -> str:
+    """The text of a page."""
     return (ROOT / page).read_text(encoding="utf-8")
 
 
@@ -39,7 +40,7 @@ def _after_prompts(block: str) -> list[str]:
 
 def write_files(page: str, folder: Path) -> None:
     """The files that a page shows, into a folder."""
-    for name, content in FILE.findall(_text(page)):
+    for name, content in FILE.findall(read_page(page)):
         path = folder / name
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(content, encoding="utf-8")
@@ -47,7 +48,7 @@ def write_files(page: str, folder: Path) -> None:
 
 def python_of(page: str) -> str:
     """All Python blocks of a page that are not files, as one program."""
-    return "\n".join(block for language, block in EXERCISE.findall(_text(page)) if language == "python")
+    return "\n".join(block for language, block in EXERCISE.findall(read_page(page)) if language == "python")
 
 
 def run_exercises(page: str, commands: Commands, folder: Path) -> int:
@@ -57,7 +58,7 @@ def run_exercises(page: str, commands: Commands, folder: Path) -> int:
     """
     session: dict[str, Any] = {}
     statements = 0
-    for number, (language, block) in enumerate(EXERCISE.findall(_text(page)), start=1):
+    for number, (language, block) in enumerate(EXERCISE.findall(read_page(page)), start=1):
         if language == "console":
             run_all(_after_prompts(block), commands, folder)
             continue

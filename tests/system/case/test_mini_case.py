@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pydicom
 import pytest
-from documented import python_of
+from documented import python_of, read_page
 from pseudo_terminal import Terminal
 from report_figures import figures_in, figures_of_records
 from run_folders import assert_nothing_half_written, await_motion_in, moved_in, records_of, run_folder
@@ -115,11 +115,16 @@ def test_the_arrays_give_the_registration_of_the_run_and_add_up_to_its_predictio
 @pytest.mark.slow
 def test_the_page_on_runs_in_python_works_as_written(finished: MiniRun, tmp_path: Path) -> None:
     (tmp_path / "runs").symlink_to(finished.out)
-    program = python_of("docs/how-to/research/read-a-run-in-python.md")
+    page = "docs/how-to/research/read-a-run-in-python.md"
+    program = python_of(page)
     line = [sys.executable, "-W", "error", "-c", program]
     done = subprocess.run(line, cwd=tmp_path, capture_output=True, text=True, timeout=100.0, check=False)
     assert done.returncode == 0, done.stderr
     assert "sphere 2: " in done.stdout
+    printed = re.search(r"^\[(\S+)\] mm by the spheres, (\S+) mm in the run$", done.stdout, re.MULTILINE)
+    assert printed is not None
+    by_spheres, in_run = (f"{float(number):.2f} mm" for number in printed.groups())
+    assert f"gives {by_spheres} and the run {in_run}" in read_page(page)
 
 
 def test_the_case_ends_at_the_target_within_the_limit(finished: MiniRun) -> None:
