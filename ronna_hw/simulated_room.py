@@ -6,7 +6,8 @@
         print(tracker.read_frame().strays, theatre.room.truth().spheres)
         print(theatre.room.why("sphere 2"))
 
-The truth is told by theatres of `simulated_theatre` alone: a case, its steps and drivers cannot ask for it.
+Only theatres of `simulated_theatre` and of --tell-truth tell the truth. No run is accepted in them (CTL-004),
+so no step and no driver of a case can ask for it.
 """
 
 from __future__ import annotations
