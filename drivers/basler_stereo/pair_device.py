@@ -303,7 +303,7 @@ def check_pair(left: CameraIdentity, right: CameraIdentity, options: BaslerOptio
     if _matches((left.serial, right.serial), wanted):
         if (
             left.info and right.info and left.info != right.info
-        ):  # serial numbers of simulated heads are equal
+        ):  # whatever their serial numbers
             raise WRONG_SERIAL(
                 "the two cameras belong to different owners, by the information that they give",
                 expected="both cameras of one head",
