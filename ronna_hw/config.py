@@ -406,6 +406,10 @@ class TheatreFile(Strict):
         pattern="^([0-9a-f]{32})?$",
         description="Identity of a simulated theatre, by `ronna-sim theatre`; also in copies of the file.",
     )
+    tells_truth: bool = Field(
+        default=False,
+        description="Whether a simulated theatre tells its truth, by `--tell-truth`: no run is made in it.",
+    )
     clock: ClockConfig = Field(default=ClockConfig(), description="Source of theatre time.")
     tracker: DeviceConfig | None = Field(default=None, description="The optical tracker.")
     robot: dict[str, DeviceConfig] = Field(

@@ -53,6 +53,14 @@ CONTROL_PORT_OF_ANOTHER = ErrorCode(
 )
 
 
+TRUTH_IS_TOLD = ErrorCode(
+    "CTL-004",
+    ConfigurationError,
+    "A run was to be made in a simulated theatre that tells the truth about its room.",
+    "Start the theatre without --tell-truth for a run; `simulated_theatre` in Python is for studies alone.",
+)
+
+
 @dataclass(frozen=True)
 class ControlAddress:
     """Address of a control port, including its token: `tcp://127.0.0.1:PORT?token=...`."""

@@ -6,7 +6,8 @@
         print(tracker.read_frame().strays, theatre.room.truth().spheres)
         print(theatre.room.why("sphere 2"))
 
-The truth is told by theatres of `simulated_theatre` alone: a case, its steps and drivers cannot ask for it.
+Only theatres of `simulated_theatre` and of --tell-truth tell the truth. No run is accepted in them (CTL-004),
+so no step and no driver of a case can ask for it.
 """
 
 from __future__ import annotations
@@ -29,11 +30,16 @@ SPHERE = "sphere "  # followed by its number
 
 @dataclass(frozen=True)
 class TrueSphere:
-    """One sphere on the head: where it is, and whether the tracker sees it, or why not."""
+    """One sphere on the head: where it is, and whether the tracker sees it, or why not.
+
+    `seen` is true for one outside the measuring volume too, which is reported as a stray on request.
+    `in_volume` judges the unit's first volume, even if a driver has selected another.
+    """
 
     number: int
     tracker_mm: Vector3
     seen: bool
+    in_volume: bool
     because: str
 
 
@@ -198,7 +204,11 @@ class SimulatedRoom:
             {role: tuple(map(float, joints)) for role, joints in told["joints_rad"].items()},
             tuple(
                 TrueSphere(
-                    int(one["number"]), vector3(one["tracker_mm"]), bool(one["seen"]), str(one["because"])
+                    int(one["number"]),
+                    vector3(one["tracker_mm"]),
+                    bool(one["seen"]),
+                    bool(one["in_volume"]),
+                    str(one["because"]),
                 )
                 for one in told["spheres"]
             ),

@@ -301,6 +301,13 @@ def check_pair(left: CameraIdentity, right: CameraIdentity, options: BaslerOptio
     if left.serial == right.serial:
         raise WRONG_SERIAL(f"{left.address} and {right.address} are the same camera", got=str(left))
     if _matches((left.serial, right.serial), wanted):
+        if left.info and right.info and left.info != right.info:  # whatever their serial numbers
+            raise WRONG_SERIAL(
+                "the two cameras belong to different owners, by the information that they give",
+                expected="both cameras of one head",
+                got=f"left {left}, right {right}",
+                action="Give the addresses of one head in the theatre file.",
+            )
         return
     if _matches((right.serial, left.serial), wanted):
         raise CABLES_SWAPPED(

@@ -29,6 +29,10 @@ if TYPE_CHECKING:
     from ronna_hw.tool_record import GuideBore
 
 PLANNER = "console.planning.serving"
+ONLY_THE_SIDE_TELLS = (
+    "mirrored left and right, this plan would fit the CT as well: only the side tells whether it is "
+    "right; for each trajectory compare with the CT on which side of the middle its entry is"
+)
 STOP_NOT_JUDGED = (
     "whether the depth stop fits on the instrument was not judged: the length of the guide is in the theatre "
     "file; give --config and --robot-from-ct"
@@ -98,6 +102,8 @@ def check(
         terminal.print_json({**result.as_payload(), "elapsed_s": round(time.perf_counter() - began_s, 3)})
     elif head is not None:
         _print_trajectories(result, head, theatre.bore if theatre else None)
+        if result.only_side_tells:
+            terminal.tell(ONLY_THE_SIDE_TELLS)
         if result.distances:
             _print_distances(result)
         if result.motions:

@@ -264,12 +264,17 @@ class HeadPlaceUnknown(RefusedError):
 
 
 class WrongSigns(PlanError):
-    """The plan does not fit the CT as written, but would with other signs: it looks like RAS, or mirrored."""
+    """The plan does not fit the CT as written; it would with other signs, as in RAS.
+
+    It comes after the finding about the point itself, which is the likelier one if the points were read off
+    in LPS.
+    """
 
     code = "PLAN-033"
     action = (
-        "Find out in which coordinates the points were read off; a plan has LPS millimetres. After a change "
-        "compare the side of each trajectory with the CT."
+        "First look at the points named in the other findings. Only if you know that the points were read "
+        "off so, plan again in LPS. The CT hardly tells left from right: only the side does, so compare the "
+        "side of each entry with the CT."
     )
 
 

@@ -27,7 +27,7 @@ from procedures.planning.guide import find_stops_beyond_end, place_guides
 from procedures.planning.head_in_ct import check_entry_path, check_standoff
 from procedures.planning.plan_file import check_voxels
 from procedures.planning.plan_model import FiducialKind, Plan
-from procedures.planning.sign_check import doubt_signs, find_wrong_signs
+from procedures.planning.sign_check import doubt_signs, find_wrong_signs, fits_mirrored
 from procedures.planning.structures import StructureDistance, check_structures, measure_distances
 from procedures.registration import MatchStatus, match
 from procedures.registration.errors import LayoutNotFound
@@ -68,7 +68,8 @@ class PlanCheck:
     If an arm was given and reaches everything, `motions` are those of the whole procedure, `turns_rad` has
     each trajectory's turn about its axis, and `paths` the joints; otherwise `unmet` names what it does not
     reach. `distances` are from every trajectory to every structure; `head` tells the sides of trajectories.
-    `sign_doubt` says why the coordinates may not be LPS; it is among the warnings too.
+    `sign_doubt` says why the coordinates may not be LPS; it is among the warnings too. `only_side_tells` is
+    true if the plan mirrored left and right fits the CT as well.
     """
 
     plan: Plan
@@ -81,6 +82,7 @@ class PlanCheck:
     distances: tuple[StructureDistance, ...] = ()
     head: HeadEllipsoid | None = None
     sign_doubt: str = ""
+    only_side_tells: bool = False
 
     @property
     def passed(self) -> bool:
@@ -107,6 +109,7 @@ class PlanCheck:
             ],
             "findings": [{"code": one.code, "what": one.what, "action": one.advice} for one in self.findings],
             "warnings": list(self.warnings),
+            "only_side_tells": self.only_side_tells,
             "motions": [motion.as_payload() for motion in self.motions],
             "free_angle_turns_rad": dict(self.turns_rad),
             "structures": [
@@ -188,7 +191,14 @@ def check_plan(
         found, warned = _check_fiducials(plan, np.asarray(fiducials_mm, dtype=float).reshape(-1, 3))
         findings += found
         warnings += warned
-    check = PlanCheck(plan, (), (), distances=distances, sign_doubt=sign_doubt)
+    check = PlanCheck(
+        plan,
+        (),
+        (),
+        distances=distances,
+        sign_doubt=sign_doubt,
+        only_side_tells=not findings and fits_mirrored(plan, volume),
+    )
     if arm is not None:
         guided = tuple(one.trajectory for one in plan.trajectories)
         guided = guided if bore is None else place_guides(plan, bore)
@@ -210,20 +220,20 @@ def _check_series(plan: Plan, volume: Volume, plan_name: str, ct_name: str) -> C
     altered = check_voxels(plan, volume)
     unlike: list[RonnaError] = [] if altered is None else [altered]
     if outside := _find_points_outside(plan, volume):
-        return [*_explain_by_signs(plan, volume, outside), *unlike], []
+        return [*_add_other_signs(plan, volume, outside), *unlike], []
     if unlike:
         return unlike, []
     into_head = [check_entry_path(volume, one) for one in plan.trajectories]
-    findings = _explain_by_signs(plan, volume, [finding for finding, _ in into_head if finding])
+    findings = _add_other_signs(plan, volume, [finding for finding, _ in into_head if finding])
     in_skin = [check_standoff(volume, one, plan.standoff_mm) for one in plan.trajectories]
     findings += [finding for finding in in_skin if finding]
     return findings, [warning for _, warning in into_head if warning]
 
 
-def _explain_by_signs(plan: Plan, volume: Volume, findings: list[RonnaError]) -> list[RonnaError]:
-    """Replace findings about where a plan lies by the one that explains them all, if there is one."""
-    wrong = find_wrong_signs(plan, volume, findings[0]) if findings else None
-    return findings if wrong is None else [wrong]
+def _add_other_signs(plan: Plan, volume: Volume, findings: list[RonnaError]) -> list[RonnaError]:
+    """Add to findings about where a plan lies that it would fit in other signs, if it would."""
+    wrong = find_wrong_signs(plan, volume) if findings else None
+    return findings if wrong is None else [*findings, wrong]
 
 
 def _check_patient(plan: Plan, volume: Volume) -> CheckResult:

@@ -1,13 +1,12 @@
 """Signs of a plan's coordinates: LPS as stated, or read off in RAS or from a mirrored picture.
 
 A head is nearly symmetric, so a plan with wrong signs may lead into it all the same. The surface, on which
-entries are planned, and the table, through which nobody operates, tell them apart. A plan that is refused
-anyway and fits with other signs is said to be in them; one that passes and would fit better is asked about.
+entries are planned, and the table, through which nobody operates, tell front from back; hardly anything tells
+left from right. Other readings are named as a possibility beside what is wrong with the plan as written.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -17,7 +16,6 @@ from procedures.planning.errors import WrongSigns
 from procedures.planning.head_in_ct import AIR_BELOW_HU, BONE_HU, find_entry_problems
 from procedures.planning.plan_model import UP_LPS, Plan
 from ronna_hw.arrays import Array, Mask
-from ronna_hw.errors import RonnaError
 
 if TYPE_CHECKING:
     from procedures.imaging.volume import Volume
@@ -34,69 +32,75 @@ LPS = "LPS mm: x to the patient's left, y to the back, z to the crown"
 
 @dataclass(frozen=True)
 class _Reading:
-    """Another meaning of the same numbers."""
+    """Another meaning of the same numbers: axes mirrored about the origin, or the middle of the CT."""
 
     name: str
     signs: tuple[float, float, float]
-    action: str
+    is_picture: bool = False  # mirrored as a picture is: about the middle of the volume
+
+    def applied(self, ways: Array, volume: Volume) -> Array:
+        """Return entries and targets (n, 2, 3) as this reading means them, LPS mm."""
+        if not self.is_picture:
+            return ways * self.signs
+        geometry = volume.geometry
+        middle_mm = geometry.to_patient_mm((np.array([geometry.shape], dtype=float) - 1.0) / 2.0)[0]
+        return np.asarray(middle_mm + (ways - middle_mm) * self.signs)
 
 
-READINGS = (  # the first that fits counts: RAS is how 3D Slicer shows points
-    _Reading(
-        "RAS",
-        (-1.0, -1.0, 1.0),
-        "If they were read off in RAS, as 3D Slicer shows them, change the sign of the first two numbers of "
-        "every point in the plan, and compare the side of each trajectory with the CT. Otherwise find the "
-        "point that is wrong.",
-    ),
-    *(
-        _Reading(
-            f"those of a picture mirrored {ends}",
-            signs,
-            f"Find out whether the plan was made on a mirrored picture: compare {ends} of the patient with "
-            "the CT. Plan again on this CT; do not change signs unless you know why they are wrong.",
-        )
-        for ends, signs in (("left and right", (-1.0, 1.0, 1.0)), ("front and back", (1.0, -1.0, 1.0)))
-    ),
+MIRRORED = "a picture mirrored left and right"
+READINGS = (
+    _Reading("RAS, as 3D Slicer shows points (x and y with the other sign)", (-1.0, -1.0, 1.0)),
+    _Reading("a picture mirrored front and back", (1.0, -1.0, 1.0), is_picture=True),
+    _Reading(MIRRORED, (-1.0, 1.0, 1.0), is_picture=True),
 )
 
 
-def find_wrong_signs(plan: Plan, volume: Volume, problem: RonnaError) -> WrongSigns | None:
-    """Return a finding if every trajectory of a plan with this `problem` fits the CT with other signs."""
+def find_wrong_signs(plan: Plan, volume: Volume) -> WrongSigns | None:
+    """Return a finding if every trajectory of a plan that does not fit the CT would fit it in other signs."""
     ways = _ways(plan)
     if _off_surface_mm(volume, ways) <= OFF_SURFACE_MM:
         return None
-    for reading in READINGS:
-        other = ways * reading.signs
-        if _leads_into_head(volume, other) and _off_surface_mm(volume, other) <= ON_SURFACE_MM:
-            return WrongSigns(
-                f"the coordinates of the plan look like {reading.name}: {problem.what}, but with the signs "
-                f"of {_axes(reading.signs)} changed every trajectory leads from the surface into the head",
-                expected=LPS,
-                action=reading.action,
-            )
-    return None
+    names = [one.name for one in READINGS if _is_planned(volume, one.applied(ways, volume))]
+    if not names:
+        return None
+    return WrongSigns(
+        f"a second possibility: read as {' or as '.join(names)}, every trajectory of the plan would lead "
+        "from the surface into the head",
+        expected=LPS,
+    )
 
 
 def doubt_signs(plan: Plan, volume: Volume) -> str:
     """Return why a plan that fits the CT may have wrong signs, or an empty string."""
     ways = _ways(plan)
     up = np.array(UP_LPS[plan.table_orientation.value[2:]])
-    written_mm = _off_surface_mm(volume, ways)
+    is_off, is_below = _off_surface_mm(volume, ways) > OFF_SURFACE_MM, _is_from_below(ways, up)
+    if not is_off and not is_below:
+        return ""
+    below, off = [], []
     for reading in READINGS:
-        other = ways * reading.signs
-        if not _leads_into_head(volume, other):
-            continue
-        if _is_from_below(ways, up) and not _is_from_below(other, up):
-            why = "the trajectories enter from the side on which the patient lies"
-        elif written_mm > OFF_SURFACE_MM and _off_surface_mm(volume, other) <= ON_SURFACE_MM:
-            why = (
-                f"an entry is more than {OFF_SURFACE_MM:g} mm off skin and bone, and read so all lie on them"
-            )
-        else:
-            continue
-        return f"the coordinates may be {reading.name}, not LPS: {why}; compare each trajectory with the CT"
-    return ""
+        other = reading.applied(ways, volume)
+        if is_below and _leads_into_head(volume, other) and not _is_from_below(other, up):
+            below.append(reading.name)
+        elif is_off and _is_planned(volume, other):
+            off.append(reading.name)
+    if not below and not off:
+        return ""
+    why = (
+        "the trajectories enter from the side on which the patient lies"
+        if below
+        else f"an entry is more than {OFF_SURFACE_MM:g} mm off skin and bone, and read so all lie on them"
+    )
+    return (
+        f"the coordinates may not be LPS, but {' or '.join(below or off)}: {why}; compare the side of each "
+        "trajectory with the CT"
+    )
+
+
+def fits_mirrored(plan: Plan, volume: Volume) -> bool:
+    """Return whether the plan mirrored left and right fits the CT too, so that only its sides tell."""
+    (reading,) = (one for one in READINGS if one.name == MIRRORED)
+    return _leads_into_head(volume, reading.applied(_ways(plan), volume))
 
 
 def _ways(plan: Plan) -> Array:
@@ -104,14 +108,15 @@ def _ways(plan: Plan) -> Array:
     return np.array([(one.entry_mm, one.target_mm) for one in plan.trajectories])
 
 
-def _axes(signs: Sequence[float]) -> str:
-    return " and ".join(axis for axis, sign in zip("xyz", signs, strict=True) if sign < 0.0)
-
-
 def _leads_into_head(volume: Volume, ways: Array) -> bool:
     return bool(volume.geometry.contains(ways).all()) and not any(
         find_entry_problems(volume, entry, target)[0] for entry, target in ways
     )
+
+
+def _is_planned(volume: Volume, ways: Array) -> bool:
+    """Return whether every trajectory leads into the head from skin or bone."""
+    return _leads_into_head(volume, ways) and _off_surface_mm(volume, ways) <= ON_SURFACE_MM
 
 
 def _is_from_below(ways: Array, up: Array) -> bool:

@@ -206,7 +206,20 @@ def _describe_place(journal: Sequence[Line]) -> str:
     latest = next((line for line in reversed(journal) if line["entry"] in told), None)
     if latest is None:
         return ""
-    return f" {'during' if latest['entry'] == Entry.INTENT else 'after'} {latest.get('step', 'a step')}"
+    if latest["entry"] == Entry.INTENT:
+        return f" during {latest.get('step', 'a step')}"
+    return f" after {_last_step(journal)}"
+
+
+def _last_step(journal: Sequence[Line]) -> str:
+    """Return the last step that ended and stands: a result that a later line supersedes does not."""
+    gone: set[str] = set()
+    for line in reversed(journal):
+        if line["entry"] in ENDS_A_STEP and line.get("record") not in gone:
+            return str(line.get("step", "a step"))
+        if isinstance(names := line.get("supersedes"), list):
+            gone.update(map(str, names))
+    return ""
 
 
 def _describe_closed_run(
@@ -225,7 +238,8 @@ def _describe_closed_run(
         _, sentence, code = _describe_closed_run(journal, {**closed, "outcome": "failed"}, last, error)
         return "left", f"{sentence.rstrip('.')}. {_describe_leaving(journal, 'then')}.", code
     if outcome == "left":
-        when = f"after {step}" if step else "before its first step"
+        standing = _last_step(journal)
+        when = f"after {standing}" if standing else "before its first step"
         return "left", f"{_describe_leaving(journal, when)}.", ""
     if outcome == "interrupted":
         return "interrupted", f"It was interrupted{during}.", ""

@@ -29,7 +29,7 @@ from ronna_hw.evidence.lost_journal_end import (
     describe_orphans,
     find_orphans,
 )
-from ronna_hw.evidence.manifest import KEPT_TRUTH, find_valid_seal
+from ronna_hw.evidence.manifest import KEPT_PLAN, KEPT_TRUTH, find_valid_seal
 from ronna_hw.log_output import LOG_FILE
 from ronna_hw.records import Record
 from ronna_hw.text import format_names
@@ -106,9 +106,11 @@ class RunReading:
 def read_for_report(folder: Path, *, every_file: bool = True) -> RunReading:
     """Read a run folder for the report. Damaged files never raise errors.
 
-    Without `every_file` only journal, records and stored truth are compared, which takes milliseconds.
+    Without `every_file` only journal, request, records, stored truth and, in a sealed run, its own plan
+    are compared, which takes milliseconds.
     """
-    found = inspect_run(folder, every_file=every_file, files=(KEPT_TRUTH,))
+    plan = (KEPT_PLAN,) if find_valid_seal(folder) is not None else ()
+    found = inspect_run(folder, every_file=every_file, files=(KEPT_TRUTH, *plan))
     notes = []
     if not found.chain.lines:
         notes.append("There is no journal: the run ended before its theatre was open.")

@@ -17,7 +17,7 @@ from procedures.runs.request import PATIENT_SCENES, CaseProcedure
 from ronna_hw.command_line.errors import DISK_FULL, PATH_PROBLEM, UsageMistake
 from ronna_hw.command_line.messages import on_terminal
 from ronna_hw.config import ARM_RECORDS, TheatreFile, read_theatre_file
-from ronna_hw.control_port import VARIABLE, require_theatre
+from ronna_hw.control_port import TRUTH_IS_TOLD, VARIABLE, require_theatre
 from ronna_hw.devices.errors import NotInTheatre
 from ronna_hw.mistakes import suggest_keys
 from ronna_hw.phantom_identity import parse_patient_id
@@ -30,13 +30,14 @@ if TYPE_CHECKING:
 def check_theatre(request: RunRequest) -> None:
     """Check theatre file and records before anything is opened. Raises CFG-001, CAL-001, CAL-005.
 
-    PRO-043 while another run has its devices, PRO-047 while the instrument of one may be inside, CLI-001 if
-    nobody can be asked.
+    CTL-004 for a theatre that tells the truth, PRO-043 while another run has its devices, PRO-047 while the
+    instrument of one may be inside, CLI-001 if nobody can be asked.
     """
     if request.config is not None:
         from procedures.runs.theatre_lock import require_ready_theatre
 
         require_ready_theatre(request.config, roles=request.roles)
+        _require_truth_untold(request.config)
     check_asking(request)
     if request.choice.records:
         from procedures.runs.calibration_files import require_records
@@ -50,6 +51,15 @@ def check_theatre(request: RunRequest) -> None:
             require_record(theatre.calibration.arm if theatre.calibration else None)
         if len(request.roles) > 1:
             require_two_arms(theatre)
+
+
+def _require_truth_untold(config: Path) -> None:
+    """Raise CTL-004 for a theatre that tells the truth: a good result in it would prove nothing."""
+    if read_theatre_file(config).tells_truth:
+        raise TRUTH_IS_TOLD(
+            f"the theatre of {config} tells the truth about its room to whoever asks",
+            expected="a theatre started without --tell-truth",
+        )
 
 
 def require_two_arms(theatre: TheatreFile) -> None:

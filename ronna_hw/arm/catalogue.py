@@ -20,6 +20,7 @@ from ronna_hw.arm.kinematics import Kinematics
 from ronna_hw.arm.kr6_r900 import R900_2, SIXX, kr6_r900
 from ronna_hw.arm.load_model import LoadModel
 from ronna_hw.arm.universal_robots import UR3E, UR5, UR5E, UR10E, UR16E, universal_robot
+from ronna_hw.near_names import did_you_mean
 
 GROUP = "ronna_hw.arms"
 KUKA, UNIVERSAL_ROBOTS = "KUKA", "Universal Robots"  # makes
@@ -129,7 +130,12 @@ def _find_packaged(name: str) -> ArmDescription:
     others = {point.name: point for point in entry_points(group=GROUP)}
     if name not in others:
         known = ", ".join(sorted([*ARMS, *others]))
-        raise UnknownArm(f"there is no arm named {name!r}", expected=f"one of {known}")
+        near = did_you_mean(name, [*ARMS, *others])
+        raise UnknownArm(
+            f"there is no arm named {name!r}",
+            expected=f"one of {known}",
+            action=f"{near} {UnknownArm.action}".strip(),
+        )
     arm: ArmDescription | Kinematics = others[name].load()()
     return arm if isinstance(arm, ArmDescription) else _describe(arm)
 

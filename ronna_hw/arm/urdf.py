@@ -1,7 +1,8 @@
 """URDF of an arm of the catalogue, with the capsules that its motions are checked against.
 
-Lengths in m, angles in rad; links and joints are named as the arm names them. The chain is the nominal one: a
-calibrated arm deviates from it by millimetres.
+Lengths in m, angles in rad; joints are named as the arm names its axes, with underscores for blanks, which
+readers of URDF do not accept everywhere. The chain is the nominal one: a calibrated arm deviates from it by
+millimetres. There are no masses and no efforts: it serves kinematics and collision checks, not dynamics.
 """
 
 from __future__ import annotations
@@ -37,7 +38,8 @@ def write_urdf(arm: ArmDescription, tool: Sequence[Part] = ()) -> str:
         _add_link(robot, name, parts[name])
     offsets = (chain.base_mm, *(joint.to_next_mm for joint in chain.joints))
     for number, ((parent, child), joint) in enumerate(zip(pairwise(names), chain.joints, strict=True)):
-        one = _add_joint(robot, kinematics.axis_names[number], "revolute", parent, child, offsets[number])
+        name = kinematics.axis_names[number].replace(" ", "_")
+        one = _add_joint(robot, name, "revolute", parent, child, offsets[number])
         ElementTree.SubElement(one, "axis", xyz=_numbers(joint.axis))
         ElementTree.SubElement(
             one,

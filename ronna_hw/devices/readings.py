@@ -6,7 +6,7 @@ a reading on demand.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import TYPE_CHECKING, ClassVar, Protocol, runtime_checkable
 
@@ -143,7 +143,10 @@ class ToolIdentity:
 
 @dataclass(frozen=True)
 class LinkStatistics:
-    """Real-time link statistics since activation, with times in microseconds of host time."""
+    """Real-time link statistics since activation, with times in microseconds of host time.
+
+    Its text leaves out the histograms, which are for plots.
+    """
 
     cycles: int
     late_cycles: int
@@ -151,12 +154,12 @@ class LinkStatistics:
     rejected_telegrams: int
     turnaround_median_us: float
     turnaround_p99_us: float
-    histogram_edges_us: tuple[float, ...]
-    histogram_counts: tuple[int, ...]  # one fewer than the edges
+    histogram_edges_us: tuple[float, ...] = field(repr=False)
+    histogram_counts: tuple[int, ...] = field(repr=False)  # one fewer than the edges
     foreign_telegrams: int = 0  # from any host but the controller; never answered
     jitter_median_us: float = 0.0  # deviation of telegrams from the controller's cycle
     jitter_p99_us: float = 0.0
-    jitter_counts: tuple[int, ...] = ()  # over the same edges
+    jitter_counts: tuple[int, ...] = field(default=(), repr=False)  # over the same edges
 
 
 @dataclass(frozen=True)

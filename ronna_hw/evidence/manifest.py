@@ -44,6 +44,7 @@ THEATRE_FILES = ("theatre/*.toml", "theatre/*.rom")
 WITH_PORTS = "theatre/theatre.toml"  # written anew by each program that simulates the theatre
 # Folders derived from the run at any time, and not part of it.
 APART = ("export", BESIDE, f".{RAW_FOLDER}{PARTIAL}")
+KEPT_PLAN = "case/plan.toml"  # of a simulated case, written by the run itself
 FIRST_FOLDERS = ("records", "pictures", "readings", "bytes", "theatre", "case", "case/ct")
 OWN_FOLDERS = frozenset((*FIRST_FOLDERS, *LATER_FOLDERS, "raw/pictures"))  # made empty at first
 LASTING = (REQUEST_FILE, f"{RECORDS_FOLDER}/", "case/")  # no longer changed once a run continues

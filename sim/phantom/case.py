@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
@@ -16,7 +18,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ronna_hw.host.child_process import IDLE_TIMEOUT_S, POLL_S, ChildNotReady, ProcessorUse, timeout_error
 from ronna_hw.host.forked_process import fork_worker
+from ronna_hw.host.process import describe_exit
 from ronna_hw.records import write_atomically
 from ronna_hw.x_frame import SPHERE_CENTRES_MM
 from sim.phantom.head.obstacles import ADHESIVE, FREE, XFRAME
@@ -35,6 +39,8 @@ PLAN_SCHEMA = 1
 TOOL = "guide"
 INSTRUMENT_LENGTH_MM = 250.0  # a biopsy needle
 WORKERS = 2  # NumPy releases the interpreter lock; more would only compete for memory
+
+UPPER_SLICES = "the process that writes the upper slices"
 
 Paint = Callable[[int], NDArray[np.uint16]]  # a slice's stored values, by its number
 Progress = Callable[[float], None]
@@ -63,27 +69,42 @@ def write_case(
     """Scan the head of a scene and plan trajectories on it; raises SIM-001 if it cannot be scanned.
 
     `scan` adds surroundings to that head; without it the scene is scanned as it is. Plan and truth are
-    written last, so a folder with a plan has a complete series.
+    written last, so a folder with a plan has a complete series; after an error or an interruption the series
+    is removed. Raises PRC-001 if the second process that writes it is killed or halted.
     """
     scan = scan or plain_scan(scene)
     grid = scan.grid
     series = DicomSeries(scene, grid, folder / SERIES_FOLDER, scan.faults)
-    series.prepare()
     planes = Planes(scan)
     steps = planes.steps + grid.slices
-    with ThreadPoolExecutor(WORKERS) as pool:
-        planes.paint_patches(pool, lambda done: progress(done / steps))
-    for count in _write_slices(
-        series, grid, lambda number: to_stored_values(planes.paint(number), planes.largest_stored)
-    ):
-        progress((planes.steps + count) / steps)
+    with _whole_or_removed(series, folder / SERIES_FOLDER):
+        with ThreadPoolExecutor(WORKERS) as pool:
+            planes.paint_patches(pool, lambda done: progress(done / steps))
+        with closing(
+            _write_slices(
+                series, grid, lambda number: to_stored_values(planes.paint(number), planes.largest_stored)
+            )
+        ) as counts:
+            for count in counts:
+                progress((planes.steps + count) / steps)
     plan, truth = folder / PLAN_FILE, folder / TRUTH_FILE
     write_atomically(truth, json.dumps(_collect_case_truth(scan, series, planes), indent=1).encode())
     write_atomically(plan, plan_toml(scan, series.series_instance_uid).encode())
     return PhantomCase(folder / SERIES_FOLDER, truth, series.series_instance_uid, grid.slices, plan)
 
 
-def _write_slices(series: DicomSeries, grid: CtGrid, paint: Paint) -> Iterator[int]:
+@contextmanager
+def _whole_or_removed(series: DicomSeries, folder: Path) -> Iterator[None]:
+    """Prepare a series for the block, and remove its folder if that ends early: it can be repeated."""
+    series.prepare()
+    try:
+        yield
+    except BaseException:  # above all an interruption
+        shutil.rmtree(folder, ignore_errors=True)
+        raise
+
+
+def _write_slices(series: DicomSeries, grid: CtGrid, paint: Paint) -> Generator[int]:
     """Write all slices of a series, the upper half in a fork, yielding the count written so far.
 
     The JPEG-LS encoder keeps the interpreter lock, so threads would take turns at it.
@@ -93,16 +114,16 @@ def _write_slices(series: DicomSeries, grid: CtGrid, paint: Paint) -> Iterator[i
     written, report = Pipe(duplex=False)
     process_id = fork_worker(lambda: _report_slices(written, report, series, other, paint))
     report.close()
-    reported = 0
+    reported, use = 0, ProcessorUse(process_id)
     try:
         for number in own:
             series.write(number, paint(number))
             while reported < len(other) and written.poll():
-                _receive_slice(written)
+                _receive_slice(written, process_id, use)
                 reported += 1
             yield number + 1 + reported
         while reported < len(other):
-            _receive_slice(written)
+            _receive_slice(written, process_id, use)
             reported += 1
             yield middle + reported
     finally:
@@ -125,14 +146,28 @@ def _report_slices(
         report.send(None)
 
 
-def _receive_slice(written: Connection) -> None:
-    """Wait for the next slice that the fork has written; raises the error that ended its work."""
+def _receive_slice(written: Connection, process_id: int, use: ProcessorUse) -> None:
+    """Wait for the next slice that the fork has written; raises the error that ended its work, or PRC-001."""
+    while not written.poll(POLL_S):
+        if use.idle_s() >= IDLE_TIMEOUT_S:
+            raise timeout_error(f"{UPPER_SLICES} does not finish", None)
     try:
         error = written.recv()
-    except EOFError:
-        raise ChildProcessError("the process that writes the upper slices has ended") from None
+    except (EOFError, OSError):
+        raise ChildNotReady(
+            f"{UPPER_SLICES} ended before they were all written: {_describe_end(process_id)}",
+            action="Repeat the command; if the memory ran out, close other programs first.",
+        ) from None
     if error is not None:
         raise error
+
+
+def _describe_end(process_id: int) -> str:
+    """Describe how a fork ended, leaving it to be reaped."""
+    ended = os.waitid(os.P_PID, process_id, os.WEXITED | os.WNOWAIT)
+    if ended is None:
+        return "no exit code"
+    return describe_exit(ended.si_status if ended.si_code == os.CLD_EXITED else -ended.si_status)
 
 
 def plan_toml(scan: Scan, series_instance_uid: str) -> str:
@@ -236,9 +271,12 @@ def write_postoperative(
         folder / SERIES_FOLDER,
         occasion=f"after the operation, {scan.seed}, {instruments}",
     )
-    series.prepare()
-    for count in _write_slices(series, grid, lambda number: to_stored_values(scan.paint(number))):
-        progress(count / grid.slices)
+    with (
+        _whole_or_removed(series, folder / SERIES_FOLDER),
+        closing(_write_slices(series, grid, lambda number: to_stored_values(scan.paint(number)))) as counts,
+    ):
+        for count in counts:
+            progress(count / grid.slices)
     truth = folder / TRUTH_FILE
     content = postoperative_truth(scan, instruments, series.series_instance_uid)
     write_atomically(truth, json.dumps(content, indent=1).encode())

@@ -121,7 +121,7 @@ def phantom(
     that are not spheres, ends, plates, hollow, fittings.
     """
     from sim.errors import BAD_SCENE, FOLDER_NOT_EMPTY
-    from sim.phantom.case import write_case
+    from sim.phantom.case import SERIES_FOLDER, TRUTH_FILE, write_case
     from sim.phantom.families.family_scan import family_scan, protocol_named
     from sim.phantom.scan import plain_scan
     from sim.phantom.scanner.faults import NO_FAULTS, ScannerFaults
@@ -129,7 +129,9 @@ def phantom(
 
     require_folder(out)
     if out.is_dir() and any(out.iterdir()):
-        raise FOLDER_NOT_EMPTY(f"{out} is not empty; nothing in it was changed")
+        unfinished = (out / SERIES_FOLDER).is_dir() and not (out / TRUTH_FILE).exists()
+        kept = "holds slices of a scan that was not finished" if unfinished else "is not empty"
+        raise FOLDER_NOT_EMPTY(f"{out} {kept}; nothing in it was changed")
     if postoperative is not None:
         if (
             scene != DEFAULT_SCENE

@@ -127,7 +127,8 @@ class LaunchedTheatre:
                 for robot in content["robot"].values():
                     robot["options"]["heartbeat_limit_s"] = HEARTBEAT_LIMIT_LOCK_STEP_S
             save_world(self.world, folder)  # from here on it can be continued, also if it is killed
-            write_theatre_file({"identity": identity, **content}, self.file)
+            told = {"tells_truth": True} if tells_truth else {}
+            write_theatre_file({"identity": identity, **told, **content}, self.file)
         except BaseException:  # including interruptions: no device process is left behind
             self.close()
             raise

@@ -38,6 +38,7 @@ class TrueRoom:
         self._world = world
         self._scene = TrueScene(world)
         self._disturbances = Disturbances(FaultBoard(world, TRACKER), ShiftedRoom(world))
+        # The one that a unit selects by itself: what a driver has selected is the unit's own state.
         self._volume = UNIT_MODELS[world.scene.tracker.model].volumes[0]
 
     def tell(self) -> dict[str, Any]:
@@ -52,15 +53,17 @@ class TrueRoom:
         on_head = len(self._scene.fiducial_numbers)
         spheres = []
         for row, number in enumerate(self._scene.fiducial_numbers):
-            because = self._why(
-                places[row].tolist(), bool(covered[row]), bool(inside[row]), seen[:, row].tolist()
-            )
+            x, y, z = places[row].tolist()
+            in_volume = self._volume.holds(x, y, z)
             spheres.append(
                 {
                     "number": number,
-                    "tracker_mm": places[row].tolist(),
-                    "seen": because == IN_VIEW,
-                    "because": because,
+                    "tracker_mm": [x, y, z],
+                    "seen": bool(seen[:, row].all() and inside[row] and not covered[row]),
+                    "in_volume": in_volume,
+                    "because": self._why(
+                        in_volume, bool(covered[row]), bool(inside[row]), seen[:, row].tolist()
+                    ),
                 }
             )
         separation_mm = max(self._world.scene.tracker.line_separation_mm, disturbance.line_separation_mm)
@@ -121,7 +124,8 @@ class TrueRoom:
             covered |= {listed[row] for row in frame.covered}
         return np.array([name in covered for name in names])
 
-    def _why(self, place_mm: list[float], covered: bool, inside: bool, seen: list[bool]) -> str:
+    @staticmethod
+    def _why(in_volume: bool, covered: bool, inside: bool, seen: list[bool]) -> str:
         """Say why the tracker does not see a place, or that it does."""
         if covered:
             return "covered by a fault"
@@ -130,8 +134,7 @@ class TrueRoom:
         blind = [name for name, sees in zip(SENSORS, seen, strict=True) if not sees]
         if blind:
             return f"the head or an arm is in the way of the {' and the '.join(blind)} sensor"
-        x, y, z = place_mm
-        return IN_VIEW if self._volume.holds(x, y, z) else "in view, but outside the measuring volume"
+        return IN_VIEW if in_volume else f"{IN_VIEW}, but outside the unit's first measuring volume"
 
 
 def _name_markers(frame: TrueTool) -> list[str]:

@@ -120,7 +120,8 @@ def guide(
 @app.command()
 def urdf(
     name: Annotated[
-        str, typer.Argument(metavar="ARM", help="Name of the arm, such as kr6_r900_sixx or ur5e.")
+        str,
+        typer.Argument(metavar="ARM", help="Name of the arm: kr6, ur5 or ur5e, or a full one such as ur10e."),
     ],
     config: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Theatre file, for the head or guide on the flange.")
@@ -132,7 +133,8 @@ def urdf(
 ) -> None:
     """Print the URDF of an arm: joints with their ranges, and the capsules that motions are checked against.
 
-    For other programs; lengths in m. It is the nominal arm, without the deviations of a calibration record.
+    For other programs; lengths in m. It is for kinematics and collision checks only: no masses and inertias,
+    and an effort of 0. It is the nominal chain, without the deviations of a calibration record.
     Exit codes: 0 done, 2 usage, an unknown arm or a bad file.
     """
     from ronna_hw.arm.catalogue import ARMS, find_arm
@@ -144,7 +146,7 @@ def urdf(
             expected="the theatre file with the tool's record",
             action="Add --config FILE, or omit --carrying: then the bare arm is printed.",
         )
-    known = (arm for arm in ARMS.values() if arm.choice == name)  # as other commands name it
+    known = (arm for arm in ARMS.values() if arm.choice == name.casefold())  # as other commands name it
     arm = next(known, None) or find_arm(name)
     parts = () if config is None else _carried_parts(config, carrying or Carried.STEREO_HEAD, arm.name)
     sys.stdout.write(write_urdf(arm, parts))

@@ -175,7 +175,7 @@ def search_all(
         if table == "stereo":
             proposals = list(_select_pairs(proposals, cameras))
         connected = [one for one in proposals if not one.absent]
-        chosen = _choose_proposal(table, connected, choose)
+        chosen = _choose_proposal(table, connected, choose, cameras)
         if chosen is None:
             missing = proposals or [finder.example(search) for finder in group]
             absent = "; ".join(dict.fromkeys(one.absent for one in missing if one.absent))
@@ -220,6 +220,13 @@ def _select_pairs(pairs: Sequence[Proposal], cameras: tuple[str | None, str | No
                     action="Swap --left and --right; if the names are wrong, omit both options and swap the "
                     "cameras in the file.",
                 )
+            if any(wanted in _camera_identity(pair, side) for pair in every):
+                raise UsageMistake(
+                    f"--{side}: camera {wanted} is of another owner or model than --{other} {cameras[0]}",
+                    expected="both cameras of one head",
+                    got="; ".join(f"{one.what} at {', '.join(one.endpoints.values())}" for one in before),
+                    action=f"Add {CHOSEN_BY['stereo']} of one pair.",
+                )
             known = sorted({" at ".join(_camera_identity(pair, side)) for pair in before})
             raise UsageMistake(
                 f"--{side}: no camera {wanted} replied",
@@ -234,19 +241,44 @@ def _camera_identity(pair: Proposal, side: str) -> tuple[str, str]:
     return serial, parse_endpoint(pair.endpoints[side]).host
 
 
-def _choose_proposal(table: str, proposals: Sequence[Proposal], choose: Choose) -> Proposal | None:
+def _choose_proposal(
+    table: str, proposals: Sequence[Proposal], choose: Choose, cameras: tuple[str | None, str | None]
+) -> Proposal | None:
     if len(proposals) < 2:
         return next(iter(proposals), None)
     words = [f"{one.what} at {', '.join(one.endpoints.values())}" for one in proposals]
     number = choose(f"Which is [{table}]?", words)
     if number is not None:
         return proposals[number]
+    if table == "stereo" and None not in cameras:  # both given, but not by addresses
+        raise _ambiguous_serial_error(proposals)
     found = _list_cameras(proposals) if table == "stereo" else words
     for line in found:
         tell(line)
     raise UsageMistake(
         f"{len(found)} {'cameras' if table == 'stereo' else 'devices'} found for [{table}]",
         action=f"Add {CHOSEN_BY[table]}, as listed above.",
+    )
+
+
+def _ambiguous_serial_error(pairs: Sequence[Proposal]) -> UsageMistake:
+    """Describe serial numbers that several cameras have, as those of simulated theatres do."""
+    for pair in pairs:  # whose it is stands in its words
+        tell(f"{pair.what} at {', '.join(pair.endpoints.values())}")
+    places: dict[str, list[str]] = {}
+    for serial, address in sorted(
+        {_camera_identity(pair, side) for pair in pairs for side in pair.endpoints}
+    ):
+        places.setdefault(serial, []).append(address)
+    shared = [
+        f"serial number {serial} is at {len(addresses)} addresses: {', '.join(addresses)}"
+        for serial, addresses in places.items()
+        if len(addresses) > 1
+    ]
+    return UsageMistake(
+        "; ".join(shared),
+        expected="one camera for each side",
+        action=f"Add {CHOSEN_BY['stereo']} of one of the pairs listed above, in place of serial numbers.",
     )
 
 

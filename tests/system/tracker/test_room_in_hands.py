@@ -59,6 +59,20 @@ def test_a_hidden_sphere_is_not_seen_and_the_room_says_why(
     assert len(strays_mm(tracker)) == 3
 
 
+def test_a_sphere_outside_the_measuring_volume_is_seen_all_the_same(
+    theatre: SimulatedTheatre, tracker: OpticalTracker
+) -> None:
+    robot_from_tracker = theatre.room.truth().robot_from_tracker
+    sideways = robot_from_tracker.apply((600.0, 0.0, 0.0)) - robot_from_tracker.apply((0.0, 0.0, 0.0))
+    theatre.room.move("tracker", sideways.tolist())
+    spheres = theatre.room.truth().spheres
+    assert [one.in_volume for one in spheres] == [False] * len(spheres)
+    assert all(one.seen and "outside" in one.because for one in spheres)
+    read = strays_mm(tracker)
+    for one in spheres:
+        assert min(np.linalg.norm(np.subtract(one.tracker_mm, place)) for place in read) < WITHIN_MM
+
+
 def test_a_head_that_is_moved_takes_its_spheres_along(
     theatre: SimulatedTheatre, tracker: OpticalTracker
 ) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pinocchio
@@ -11,6 +12,7 @@ import pytest
 from ronna_hw.arm.catalogue import ARMS, find_arm
 from ronna_hw.arm.clearance.bodies import Bodies, Capsule, Part, Surroundings
 from ronna_hw.arm.clearance.live_watch import PlacedBodies
+from ronna_hw.arm.errors import UnknownArm
 from ronna_hw.arm.urdf import write_urdf
 from ronna_hw.vectors import joint_vector
 
@@ -37,6 +39,20 @@ def test_the_flange_is_where_the_arm_has_it(name: str, tmp_path: Path) -> None:
         expected = kinematics.flange_pose(joint_vector(q.tolist()))
         assert 1000.0 * placed.translation == pytest.approx(expected.translation_mm, abs=1e-4)
         assert placed.rotation == pytest.approx(expected.rotation_matrix, abs=1e-7)
+
+
+def test_joints_have_names_without_blanks() -> None:
+    robot = ElementTree.fromstring(write_urdf(find_arm("ur5e")))
+    names = [joint.attrib["name"] for joint in robot.iter("joint")]
+    assert names[3] == "wrist_1"
+    assert not [name for name in names if " " in name]
+
+
+@pytest.mark.parametrize(("name", "meant"), [("UR5E", "ur5e"), ("ur6", "ur")])
+def test_a_mistyped_arm_is_refused_with_the_one_that_was_meant(name: str, meant: str) -> None:
+    with pytest.raises(UnknownArm) as refused:
+        find_arm(name)
+    assert f"Did you mean {meant}" in refused.value.advice
 
 
 @pytest.mark.parametrize("name", list(ARMS))

@@ -54,6 +54,15 @@ def test_wrong_cameras_are_refused_with_the_matching_error(left, right, options,
         check_pair(left, right, options)
 
 
+@pytest.mark.parametrize("options", [BaslerOptions(), BOUND])
+def test_cameras_that_name_two_owners_are_no_pair_even_with_the_expected_serial_numbers(options):
+    ours, theirs = replace(LEFT, info="ronna-sim, process 6"), replace(RIGHT, info="ronna-sim, process 7")
+    with raises(WRONG_SERIAL, match="different owners"):
+        check_pair(ours, theirs, options)
+    check_pair(replace(LEFT, info=theirs.info), theirs, options)
+    check_pair(LEFT, theirs, options)  # as from the factory
+
+
 def test_any_model_can_be_allowed():
     check_pair(LEFT, replace(RIGHT, model="Fake"), BaslerOptions(expected_model=""))
 

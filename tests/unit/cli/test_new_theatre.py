@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import tomllib
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
@@ -153,6 +154,23 @@ def test_a_serial_number_or_address_selects_a_pair_and_an_option_is_parsed_as_to
     cameras.pairs = pairs
     new_theatre(out, *option)
     assert chosen.items() <= stereo_of(out).items()
+
+
+def test_serial_numbers_that_two_theatres_share_are_told_with_their_addresses_and_owners(
+    cameras: Cameras, out: Path
+) -> None:
+    other = {"left": "gev://192.168.3.3", "right": "gev://192.168.3.4"}
+    first = pair("11", "12")
+    cameras.pairs = (first, replace(first, endpoints=other, what="11 and 12, of process 7"))
+    code, _, errors = new_theatre(out, "--left", "11", "--right", "12")
+    assert code == EXIT_USAGE
+    assert "11 and 12, of process 7 at gev://192.168.3.3, gev://192.168.3.4" in errors
+    assert "serial number 11 is at 2 addresses: 192.168.3.1, 192.168.3.3" in errors
+    assert "in place of serial numbers" in errors
+    new_theatre(out, "--left", "192.168.3.3", "--right", "192.168.3.4")
+    stereo = read_theatre_file(out).stereo
+    assert stereo is not None
+    assert stereo.endpoints == other
 
 
 def test_the_user_at_a_terminal_chooses_among_several_pairs(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -64,16 +65,50 @@ def checked(
 
 @pytest.mark.hazard(7)
 @pytest.mark.parametrize(
-    ("signs", "looks"), [(RAS, "look like RAS"), (MIRRORED, "mirrored left and right")], ids=str
+    ("signs", "reading"), [(RAS, "RAS"), (MIRRORED, "mirrored left and right")], ids=["ras", "mirrored"]
 )
-def test_a_plan_that_fits_only_with_other_signs_is_refused_with_what_it_looks_like(
-    plan: Plan, signs: tuple[float, float, float], looks: str
+def test_a_plan_that_fits_only_with_other_signs_is_told_so_after_what_is_wrong_with_it(
+    plan: Plan, signs: tuple[float, float, float], reading: str
 ) -> None:
-    (found,) = checked(plan, (20.0, -18.0, 0.0), (FRONT, LEFT), signs).findings
-    assert found.code == "PLAN-033"
-    assert looks in str(found)
-    assert "LPS mm" in str(found.expected)
-    assert ("3D Slicer" in found.advice) == (signs == RAS)
+    *own, wrong = checked(plan, (20.0, -18.0, 0.0), (FRONT, LEFT), signs).findings
+    assert own
+    assert {one.code for one in own} <= {"PLAN-006", "PLAN-011"}
+    assert wrong.code == "PLAN-033"
+    assert reading in wrong.what
+    assert "LPS mm" in str(wrong.expected)
+    assert "change the sign" not in wrong.advice
+
+
+def test_a_plan_in_lps_with_an_entry_too_deep_is_refused_for_that_first(plan: Plan) -> None:
+    deep_mm = SKIN_MM + THICK_MM + 14.0
+    findings = checked(plan, (0.0, -14.0, 0.0), ((0.1, 0.1, 1.0),), inwards_mm=deep_mm).findings
+    assert findings[0].code == "PLAN-011"
+    assert "in front of the entry" in findings[0].what
+
+
+@pytest.mark.hazard(7)
+def test_a_plan_mirrored_about_the_middle_of_the_picture_is_recognized_there(plan: Plan) -> None:
+    centre_mm = (0.0, 20.0, 10.0)  # where the picture's middle is the origin, both readings would be one
+    volume = head(centre_mm)
+    offset_mm = np.array([0.0, -60.0, 0.0])
+    shifted = replace(
+        volume, geometry=replace(volume.geometry, origin_mm=volume.geometry.origin_mm + offset_mm)
+    )
+    out = np.array(FRONT) / math.hypot(*FRONT)
+    ends = []
+    for away_mm in (RADIUS_MM + SKIN_MM, RADIUS_MM + SKIN_MM - DEPTH_MM):
+        place = np.array(centre_mm) + offset_mm + away_mm * out
+        place[1] = 2.0 * offset_mm[1] - place[1]
+        ends.append(tuple(map(float, place)))
+    one = plan.trajectories[0].model_copy(update={"entry_mm": ends[0], "target_mm": ends[1]})
+    findings = check_plan(plan.model_copy(update={"trajectories": (one,)}), shifted).findings
+    assert findings[-1].code == "PLAN-033"
+    assert "mirrored front and back" in findings[-1].what
+
+
+def test_where_a_plan_mirrored_left_and_right_fits_as_well_only_the_side_tells(plan: Plan) -> None:
+    assert checked(plan, (0.0, 0.0, 0.0), (FRONT,)).only_side_tells
+    assert not checked(plan, (20.0, 0.0, 0.0), (LEFT,)).only_side_tells
 
 
 @pytest.mark.hazard(7)
@@ -83,7 +118,7 @@ def test_a_plan_in_ras_on_a_head_at_the_origin_is_doubted_because_it_enters_thro
     centre_mm = (0.0, 0.0, 0.0)
     check = checked(plan, centre_mm, (FRONT, FRONT), RAS)
     assert check.passed
-    assert "may be RAS, not LPS" in check.sign_doubt
+    assert "may not be LPS, but RAS" in check.sign_doubt
     assert check.sign_doubt in check.warnings
     prone = checked(plan, centre_mm, (FRONT, FRONT), RAS, table=PatientPosition.HFP)
     assert prone.sign_doubt == ""

@@ -25,6 +25,7 @@ from procedures.reporting.outcome import RunError
 from procedures.reporting.report import write_report
 from procedures.reporting.run_reading import read_for_report
 from procedures.runs.finishing import seal_run
+from ronna_hw.evidence.manifest import KEPT_PLAN
 from ronna_hw.roles import MASTER
 
 
@@ -127,6 +128,30 @@ def test_the_report_of_a_case_that_was_left_names_the_last_step(cell: ClinicalCe
     engine.run_step(engine.order.find("image"))
     engine.close("left")
     assert "The operator left the case after image." in write_report(cell.folder).read_text()
+
+
+def test_a_case_that_was_left_after_a_result_was_voided_names_the_last_step_that_stands(
+    cell: ClinicalCell,
+) -> None:
+    engine = cell.engine(plain_order())
+    engine.run_step(engine.order.find("image"))
+    voided = engine.run_step(engine.order.find("localization:T1"))
+    cell.journal.write(Entry.VOIDED, 1.0, supersedes=[voided.identifier])
+    engine.close("left")
+    assert ending_of(read_for_report(cell.folder)).sentence == "The operator left the case after image."
+
+
+def test_a_changed_plan_of_a_sealed_run_is_named_without_reading_every_file(cell: ClinicalCell) -> None:
+    plan = cell.folder / KEPT_PLAN
+    plan.parent.mkdir(exist_ok=True)
+    plan.write_text("schema = 1\n")
+    engine = cell.engine(plain_order())
+    engine.run_to()
+    engine.close("done")
+    seal_run(cell.folder)
+    assert read_for_report(cell.folder, every_file=False).changes == ()
+    plan.write_text("schema = 1\n\n")
+    assert read_for_report(cell.folder, every_file=False).changes == ("case/plan.toml: changed",)
 
 
 @pytest.mark.hazard(41)

@@ -20,6 +20,7 @@ from procedures.runs.request_checks import (
     require_space,
 )
 from ronna_hw.command_line.errors import DISK_FULL, UsageMistake
+from ronna_hw.control_port import TRUTH_IS_TOLD
 
 STEPS = ("registration", "at_target")
 
@@ -138,3 +139,13 @@ def test_theatre_and_patient_are_made_for_the_chosen_arm() -> None:
 def test_a_case_on_configured_endpoints_has_no_seed(tmp_path: Path) -> None:
     assert RunRequest(procedure=CaseProcedure()).seed == 0
     assert RunRequest(procedure=CaseProcedure(), config=tmp_path / "theatre.toml").seed is None
+
+
+def test_no_run_is_accepted_in_a_theatre_that_tells_the_truth(tmp_path: Path) -> None:
+    config = tmp_path / "theatre.toml"
+    config.write_text('theatre = "simulated"\ntells_truth = true\n')
+    request = RunRequest(config=config)
+    with raises(TRUTH_IS_TOLD):
+        request_checks.check_theatre(request)
+    config.write_text('theatre = "simulated"\n')
+    request_checks.check_theatre(request)

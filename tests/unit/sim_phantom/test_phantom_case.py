@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
+import signal
 import tomllib
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +16,10 @@ import pytest
 from pydicom.uid import JPEGLSLossless
 
 from procedures.imaging.series import read_series
+from ronna_hw.host.child_process import ChildNotReady
+from ronna_hw.host.forked_process import fork_worker
 from ronna_hw.phantom_identity import LARGEST_ID, format_patient_id, parse_patient_id
+from sim.phantom import case as phantom_case
 from sim.phantom.case import PhantomCase, write_case
 from sim.phantom.scanner import dicom_series
 from sim.world.scene.model import Scene
@@ -120,6 +126,46 @@ def test_progress_increases_to_one(coarse_scene: Scene, tmp_path: Path) -> None:
     write_case(coarse_scene, tmp_path, shares.append)
     assert shares == sorted(shares)
     assert shares[-1] == 1.0
+
+
+class Interrupted(BaseException):
+    pass
+
+
+def test_an_interrupted_scan_leaves_no_slices(coarse_scene: Scene, tmp_path: Path) -> None:
+    def interrupt(share: float) -> None:
+        if share > 0.9:
+            raise Interrupted
+
+    with pytest.raises(Interrupted):
+        write_case(coarse_scene, tmp_path, interrupt)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("number", "said"),
+    [(signal.SIGKILL, "killed by SIGKILL"), (signal.SIGSTOP, "without using the processor")],
+    ids=["killed", "halted"],
+)
+def test_a_scan_whose_second_process_is_killed_or_halted_ends_with_a_code(
+    coarse_scene: Scene,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    number: signal.Signals,
+    said: str,
+) -> None:
+    def fork_and_signal(work: Callable[[], None]) -> int:
+        def signalled() -> None:
+            os.kill(os.getpid(), number)
+            work()
+
+        return fork_worker(signalled)
+
+    monkeypatch.setattr(phantom_case, "fork_worker", fork_and_signal)
+    monkeypatch.setattr(phantom_case, "IDLE_TIMEOUT_S", 0.5)
+    with pytest.raises(ChildNotReady, match=said):
+        write_case(coarse_scene, tmp_path)
+    assert not list(tmp_path.iterdir())
 
 
 def test_scene_and_seed_are_read_back_from_the_patient_id() -> None:
