@@ -305,7 +305,7 @@ class SimulatedTheatre(Theatre):
         """Hands in the room: move, hide and disturb, and look up the truth."""
         from ronna_hw.simulated_room import SimulatedRoom  # with NumPy, which a theatre does not wait for
 
-        return SimulatedRoom(self.control, self._require_open)
+        return SimulatedRoom(self.control, self._require_open, lambda: self.tracker.tools)
 
 
 class TheatreProcess:

@@ -50,19 +50,14 @@ class TrueRoom:
         inside = is_in_field(places)
         covered = self._find_covered(names, disturbance)
         on_head = len(self._scene.fiducial_numbers)
-        spheres = []
-        for row, number in enumerate(self._scene.fiducial_numbers):
-            because = self._why(
-                places[row].tolist(), bool(covered[row]), bool(inside[row]), seen[:, row].tolist()
-            )
-            spheres.append(
-                {
-                    "number": number,
-                    "tracker_mm": places[row].tolist(),
-                    "seen": because == IN_VIEW,
-                    "because": because,
-                }
-            )
+        reasons = [
+            self._why(places[row].tolist(), bool(covered[row]), bool(inside[row]), seen[:, row].tolist())
+            for row in range(len(names))
+        ]
+        told = [
+            {"tracker_mm": place, "seen": because == IN_VIEW, "because": because}
+            for place, because in zip(places.tolist(), reasons, strict=True)
+        ]
         separation_mm = max(self._world.scene.tracker.line_separation_mm, disturbance.line_separation_mm)
         pairs, phantoms_mm = crossings(EYES_MM, places, seen & inside & ~covered, separation_mm)
         tracker = self._world.scene.tracker
@@ -82,10 +77,12 @@ class TrueRoom:
                 if self._world.has_arm(role)
             },
             "robot_from_tracker": inverse(self._scene.tracker_from_robot(disturbance.room)).tolist(),
-            "spheres": spheres,
+            "spheres": [
+                {"number": number, **one}
+                for number, one in zip(self._scene.fiducial_numbers, told[:on_head], strict=True)
+            ],
             "others": [
-                {"name": name, "tracker_mm": place}
-                for name, place in zip(names[on_head:], places[on_head:].tolist(), strict=True)
+                {"name": name, **one} for name, one in zip(names[on_head:], told[on_head:], strict=True)
             ],
             "phantoms": [
                 {"of": [names[left], names[right]], "tracker_mm": place}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import numpy as np
 import pytest
@@ -15,7 +15,8 @@ from ronna_hw.control_port import ControlRequestRefused
 from ronna_hw.devices import OpticalTracker, new_frames
 from ronna_hw.devices.errors import DEVICE_STREAMS, THEATRE_CLOSED
 from ronna_hw.devices.sensors import read_new_frame
-from ronna_hw.simulated_room import Origin
+from ronna_hw.room_truth import Origin
+from ronna_hw.simulated_room import SimulatedRoom, UnseenSphereWarning
 from ronna_hw.theatre import TheatreProcess
 
 WITHIN_MM = 1.5  # of truth, for one reading of one sphere
@@ -99,6 +100,40 @@ def test_a_sphere_is_placed_where_the_tracker_reads_it_and_taken_away_again(
     assert len(strays_mm(tracker)) == 3
     with raises(WrongArgument, match="tracker or robot"):
         theatre.room.place_sphere(place_mm, "ct")
+
+
+def test_a_sphere_that_the_tracker_does_not_see_is_placed_with_a_word_why(
+    theatre: SimulatedTheatre, tracker: OpticalTracker
+) -> None:
+    with pytest.warns(UnseenSphereWarning, match="extra sphere 1 at .* outside the measuring volume"):
+        theatre.room.place_sphere((-200.0, 0.0, -2600.0))
+    assert theatre.room.why("extra sphere 1") == "in view, but outside the measuring volume"
+    with pytest.warns(UnseenSphereWarning, match="outside the field of view"):
+        theatre.room.place_sphere((0.02, 0.1, -1.8))  # in metres by mistake
+    with raises(WrongArgument, match=r"extra sphere 1 is at that place"):
+        theatre.room.place_sphere((-200.0, 0.0, -2600.0))
+
+
+@pytest.mark.parametrize(
+    ("call", "says"),
+    [
+        (lambda room: room.move("hed", (0.0, 1.0, 0.0)), "Did you mean head"),
+        (lambda room: room.move("head", (0.0, 1.0)), r"coordinates of the displacement have shape \(2,\)"),
+        (lambda room: room.turn("head", (0.0, 999.0, 0.0)), "limit 180 deg"),
+        (lambda room: room.hide("sphere 9"), "sphere 1, sphere 2, sphere 3, robot_frame"),
+        (lambda room: room.hide("sphere 2 for 3 s"), "a time goes into for_s"),
+        (lambda room: room.hide("sphere 2", for_s=0), "for_s is no time"),
+        (lambda room: room.hide("extra sphere 1"), r"clear\(\) with the line"),
+        (lambda room: room.show("sphere 1"), "sphere 1 is not hidden"),
+        (lambda room: room.place_sphere((20.0, 100.0, -9000.0)), "in the tracker's frame"),
+        (lambda room: room.truth().origin_of((float("nan"), 0.0, 0.0)), "not finite"),
+    ],
+)
+def test_a_wrong_argument_is_refused_in_the_words_of_the_call(
+    theatre: SimulatedTheatre, call: Callable[[SimulatedRoom], object], says: str
+) -> None:
+    with raises(WrongArgument, match=says):
+        call(theatre.room)
 
 
 def test_the_truth_tells_reflections_from_spheres_and_phantoms(
