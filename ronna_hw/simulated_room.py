@@ -152,7 +152,8 @@ class SimulatedRoom:
         Other markers have the names that the truth has for them.
         """
         truth = self.truth()
-        reasons = {one.name: one.because for one in (*truth.spheres, *truth.others)}
+        reasons = {sphere.name: sphere.because for sphere in truth.spheres}
+        reasons |= {other.name: other.because for other in truth.others}
         if what not in reasons:
             raise _no_such("sphere or marker", what, reasons)
         return reasons[what]

@@ -86,8 +86,9 @@ STREAM_TAKEN = ErrorCode(
 DEVICE_STREAMS = ErrorCode(
     "DEV-014",
     WrongState,
-    "A device was called while its stream reads it.",
-    "Take readings from the stream, or leave its loop (close its iterator) and call again.",
+    "A device was called while its stream, or another thread, reads it.",
+    "Take readings from the stream, or leave its loop (close its iterator) and call again; of several "
+    "threads, let one read, and pass on what it reads.",
 )
 
 

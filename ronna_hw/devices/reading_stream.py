@@ -126,6 +126,7 @@ class Turn:
     def __init__(self, name: str) -> None:
         self._name = name
         self._taking = threading.Lock()
+        self._calling = threading.Lock()
         self._session: _Session[Any] | None = None
 
     def take(self, session: _Session[Any]) -> None:
@@ -141,6 +142,17 @@ class Turn:
         session = self._session
         if session is not None and session.is_reading and not session.is_own_thread:
             raise DEVICE_STREAMS(f"{self._name}: {call} came while a stream reads the device")
+
+    @contextmanager
+    def call(self, call: str) -> Iterator[None]:
+        """Call the device for the length of a block. Raises DEV-014 while a stream or another thread does."""
+        self.require(call)
+        if not self._calling.acquire(blocking=False):
+            raise DEVICE_STREAMS(f"{self._name}: {call} came while another thread reads the device")
+        try:
+            yield
+        finally:
+            self._calling.release()
 
     def end_stream(self) -> None:
         """End the stream that reads the device, if any; its consumer's loop ends without an error."""

@@ -12,7 +12,7 @@ from coded_errors import raises
 from ronna_hw import SimulatedTheatre, StrayWarning, simulated_theatre, track_strays
 from ronna_hw.arguments import WrongArgument
 from ronna_hw.control_port import ControlRequestRefused
-from ronna_hw.devices import OpticalTracker, new_frames
+from ronna_hw.devices import JointMove, OpticalTracker, new_frames
 from ronna_hw.devices.errors import DEVICE_STREAMS, THEATRE_CLOSED
 from ronna_hw.devices.sensors import read_new_frame
 from ronna_hw.room_truth import Origin
@@ -188,6 +188,28 @@ def test_a_tracker_is_not_read_beside_its_stream(tracker: OpticalTracker) -> Non
         tracker.read_frame()
     frames.close()
     assert tracker.read_frame().stamp.sequence > 0
+
+
+def test_devices_refuse_a_wrong_argument_in_the_words_of_the_call(theatre: SimulatedTheatre) -> None:
+    arm, cameras = theatre.arms["master"], theatre.stereo
+    with arm.active():
+        joints_rad = arm.read_state().joints_rad
+        with raises(WrongArgument, match=r"JointMove\(target_rad\)"):
+            arm.move(joints_rad)
+        moved = arm.move(JointMove(np.array(joints_rad)))
+        assert moved.joints_rad == pytest.approx(joints_rad, abs=1e-4)
+    with raises(WrongArgument, match="no joint vector"):
+        JointMove(np.eye(3))
+    with cameras.active():
+        with raises(WrongArgument, match="the exposure in us is no number"):
+            cameras.set_exposure("fast", 0)
+        with raises(WrongArgument, match="timeout_s is no time"):
+            cameras.grab_pair(timeout_s=0)
+        pairs = iter(cameras.stream())
+        next(pairs)
+        with raises(DEVICE_STREAMS, match="configure"):
+            cameras.configure()
+        pairs.close()
 
 
 def test_whatever_is_kept_of_a_closed_theatre_says_that_it_is_closed() -> None:

@@ -14,7 +14,7 @@ from waiting import eventually
 from ronna_hw.devices.errors import DEVICE_STREAMS, NO_NEW_STATE, STREAM_BEHIND, STREAM_TAKEN
 from ronna_hw.devices.reading_stream import MOST_WAITING, NextArmState, ReadingStream, Turn
 from ronna_hw.devices.readings import ArmReading, Stamp, Validity
-from ronna_hw.errors import LinkTimeout
+from ronna_hw.errors import LinkTimeout, RonnaError
 
 
 class Device:
@@ -106,6 +106,28 @@ def test_an_error_of_the_function_is_raised_at_the_end_of_the_block() -> None:
 
     with pytest.raises(ValueError, match="no room"), stream_of(Device(5)).calling(fail):
         failed.wait(5.0)
+
+
+def test_a_device_is_not_called_by_two_threads_at_a_time() -> None:
+    turn = Turn("tracker")
+    refused: list[RonnaError] = []
+
+    def call() -> None:
+        try:
+            with turn.call("read_frame"):
+                pass
+        except RonnaError as error:
+            refused.append(error)
+
+    with turn.call("read_frame"):
+        thread = threading.Thread(target=call)
+        thread.start()
+        thread.join()
+    assert [str(one).partition(".")[0] for one in refused] == [
+        "DEV-014: tracker: read_frame came while another thread reads the device"
+    ]
+    call()
+    assert len(refused) == 1
 
 
 def test_a_stream_has_one_reader_at_a_time() -> None:
