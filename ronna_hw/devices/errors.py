@@ -92,6 +92,14 @@ DEVICE_STREAMS = ErrorCode(
 )
 
 
+CALL_GOES_ON = ErrorCode(
+    "DEV-015",
+    DataError,
+    "A function that gets the readings of a stream had not done with them some time after its block.",
+    "Do less with each reading, or allow more time: calling(function, end_limit_s=60.0).",
+)
+
+
 NO_NEW_STATE = ErrorCode(
     "DEV-012",
     LinkTimeout,
