@@ -49,6 +49,9 @@ class RecordedPictures(Sequence[StereoPictures]):
     def __len__(self) -> int:
         return len(self._loaders)
 
+    def __repr__(self) -> str:
+        return f"<pictures of {format_count(len(self), 'look')}: pictures[0].left is the first left one>"
+
     @overload
     def __getitem__(self, index: int) -> StereoPictures: ...
     @overload

@@ -212,6 +212,19 @@ def test_devices_refuse_a_wrong_argument_in_the_words_of_the_call(theatre: Simul
         pairs.close()
 
 
+def test_theatre_devices_and_truth_are_shown_in_one_line(
+    theatre: SimulatedTheatre, tracker: OpticalTracker
+) -> None:
+    assert repr(tracker) == "<PolarisTracker tracker: active>"
+    assert "robot.master configured, tracker active" in repr(theatre)
+    assert repr(theatre.arms) == "<arms: master>"
+    theatre.room.hide("sphere 2")
+    truth = theatre.room.truth()
+    assert "3 spheres, 2 seen; not sphere 2 (covered by a fault)" in repr(truth)
+    assert "<td>sphere 2</td><td>sphere</td>" in truth._repr_html_()
+    assert "token" not in repr(theatre.room)
+
+
 def test_whatever_is_kept_of_a_closed_theatre_says_that_it_is_closed() -> None:
     with simulated_theatre("mini", seed=7) as theatre:
         room, tracker, arm, cameras = theatre.room, theatre.tracker, theatre.arms["master"], theatre.stereo
