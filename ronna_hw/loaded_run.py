@@ -14,7 +14,6 @@ import itertools
 import os
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from html import escape
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
@@ -26,7 +25,7 @@ from ronna_hw.arguments import WrongArgument, require_path
 from ronna_hw.errors import ConfigurationError, ErrorCode
 from ronna_hw.frames import Transform
 from ronna_hw.near_names import find_near
-from ronna_hw.notebook_html import format_value, picture_html, table_html
+from ronna_hw.notebook_html import format_value, table_html
 from ronna_hw.registry import load_entry_point
 
 if TYPE_CHECKING:
@@ -161,11 +160,6 @@ class StereoPictures(NamedTuple):
     def __repr__(self) -> str:
         sides = (f"{side} {_describe_pixels(pixels)}" for side, pixels in self._asdict().items())
         return f"<StereoPictures: {', '.join(sides)}>"
-
-    def _repr_html_(self) -> str:
-        """Return both pictures side by side, as a notebook shows them."""
-        shown = (picture_html(side, pixels) for side, pixels in self._asdict().items() if pixels is not None)
-        return f"<pre>{escape(repr(self))}</pre>{''.join(shown)}"
 
 
 def _in_line(value: Any) -> str:

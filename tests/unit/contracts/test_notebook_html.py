@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 from prepared_results import checked_plan
 
+from procedures.exchange.recorded_tables import ShownPictures
 from procedures.registration import register
 from ronna_hw import Frame
 from ronna_hw.frames import Transform
-from ronna_hw.loaded_run import RunColumn, RunTable, StereoPictures
+from ronna_hw.loaded_run import RunColumn, RunTable
 from ronna_hw.notebook_html import MOST_ROWS
 
 COLUMNS = (
@@ -36,7 +37,7 @@ def test_a_row_shows_its_columns_by_name() -> None:
 
 
 def test_pictures_of_a_look_are_shown_by_their_size() -> None:
-    pictures = StereoPictures(np.zeros((3, 4), np.uint8), None)
+    pictures = ShownPictures(np.zeros((3, 4), np.uint8), None)
     assert repr(pictures) == "<StereoPictures: left 4 x 3 px uint8, right did not arrive>"
     assert pictures._repr_html_().count('src="data:image/png;base64,') == 1
 
