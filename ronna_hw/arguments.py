@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+from numbers import Real
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -76,6 +77,20 @@ def require_numbers(
     if shape is not None and array.shape != shape:
         raise mistake(f"{what} have shape {array.shape}", expected=f"shape {shape}", got=show(given))
     return np.array(array, dtype=float)
+
+
+def require_number(given: object, what: str) -> float:
+    """Return a finite number. Raises ARG-001 for anything else, also for a boolean."""
+    if isinstance(given, bool) or not isinstance(given, Real) or not math.isfinite(given):
+        raise WrongArgument(f"{what} is no number", expected="a finite number", got=show(given))
+    return float(given)
+
+
+def require_time_s(given: object, what: str) -> float:
+    """Return a time limit in seconds. Raises ARG-001 unless it is a number above 0."""
+    if (time_s := require_number(given, what)) <= 0.0:
+        raise WrongArgument(f"{what} is no time", expected="seconds, more than 0", got=show(given))
+    return time_s
 
 
 def show(value: object) -> str:

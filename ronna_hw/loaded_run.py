@@ -25,7 +25,7 @@ from ronna_hw.arguments import WrongArgument, require_path
 from ronna_hw.errors import ConfigurationError, ErrorCode
 from ronna_hw.frames import Transform
 from ronna_hw.near_names import find_near
-from ronna_hw.notebook_html import table_html
+from ronna_hw.notebook_html import format_value, table_html
 from ronna_hw.registry import load_entry_point
 
 if TYPE_CHECKING:
@@ -77,6 +77,19 @@ class RunColumn:
         return [f"{stem}_{''.join(axes)}{tail}" for axes in itertools.product(*names)]
 
 
+class RunRow(np.record):  # type: ignore[misc]  # final in the stubs of NumPy alone
+    """Row of a table, with its columns as attributes."""
+
+    def __repr__(self) -> str:
+        shown = (f"{name}={_in_line(self[name])}" for name in self.dtype.names or ())
+        return f"<row: {', '.join(shown)}>"
+
+    def _repr_html_(self) -> str:
+        """Return the row as a notebook shows it: one line for each column."""
+        names = self.dtype.names or ()
+        return table_html(("column", "value"), ((name, self[name]) for name in names), len(names))
+
+
 class RunTable(np.recarray[Any, np.dtype[np.void]]):
     """Record array with described columns: `table.error_mm`, `table[table.name == "T1"]`, `table[0]`."""
 
@@ -96,11 +109,12 @@ class RunTable(np.recarray[Any, np.dtype[np.void]]):
         raise AttributeError(self._describe_missing(name), name=name, obj=self)
 
     def __getitem__(self, key: Any) -> Any:
-        """Return a column by name, or rows. Raises ARG-001 for a name that is no column."""
+        """Return a column by name, a row by number, or rows. Raises ARG-001 for a name that is no column."""
         if isinstance(key, str) and key not in (self.dtype.names or ()):
             what = self._describe_missing(key)
             raise WrongArgument(what, action='Rows by name: table[table.name == "T1"].')
-        return super().__getitem__(key)
+        found = super().__getitem__(key)
+        return found.view((RunRow, found.dtype)) if type(found) is np.record else found
 
     def _describe_missing(self, name: str) -> str:
         names = self.dtype.names or ()
@@ -142,6 +156,21 @@ class StereoPictures(NamedTuple):
 
     left: NDArray[np.uint8] | NDArray[np.uint16] | None
     right: NDArray[np.uint8] | NDArray[np.uint16] | None
+
+    def __repr__(self) -> str:
+        sides = (f"{side} {_describe_pixels(pixels)}" for side, pixels in self._asdict().items())
+        return f"<StereoPictures: {', '.join(sides)}>"
+
+
+def _in_line(value: Any) -> str:
+    return f"({format_value(value)})" if isinstance(value, np.ndarray) else format_value(value) or str(value)
+
+
+def _describe_pixels(pixels: NDArray[Any] | None) -> str:
+    if pixels is None:
+        return "did not arrive"
+    height, width = pixels.shape
+    return f"{width} x {height} px {pixels.dtype}"
 
 
 class RunRegistration(Protocol):

@@ -15,7 +15,7 @@ DIGITS = 5  # significant, of a number
 
 def table_html(heads: Sequence[str], rows: Iterable[Sequence[Any]], count: int, caption: str = "") -> str:
     """Return a table of at most `MOST_ROWS` of `count` rows. Numbers are rounded; a vector is one cell."""
-    shown = [[_cell(value) for value in row] for row in islice(rows, MOST_ROWS)]
+    shown = [[format_value(value) for value in row] for row in islice(rows, MOST_ROWS)]
     more = count - len(shown)
     lines = [f"<caption>{escape(caption)}</caption>" if caption else ""]
     lines.append(f"<thead><tr>{''.join(f'<th>{escape(head)}</th>' for head in heads)}</tr></thead>")
@@ -25,9 +25,10 @@ def table_html(heads: Sequence[str], rows: Iterable[Sequence[Any]], count: int, 
     return f"<table>{''.join(lines)}</table>"
 
 
-def _cell(value: Any) -> str:
+def format_value(value: Any) -> str:
+    """Format a value for one cell or one line: rounded numbers, an unknown one empty."""
     if isinstance(value, float | np.floating):
         return "" if np.isnan(value) else f"{value:.{DIGITS}g}"
     if isinstance(value, np.ndarray):
-        return ", ".join(_cell(one) for one in value.ravel().tolist())
+        return ", ".join(format_value(one) for one in value.ravel().tolist())
     return str(value)

@@ -189,6 +189,14 @@ class Theatre:
                 self.close()
             raise
 
+    def __repr__(self) -> str:
+        states = (
+            f"{name} {self._devices[name].observe().state if name in self._devices else 'not opened'}"
+            for name in self.file.devices
+        )
+        shown = "closed" if self._closed else ", ".join(states) or "no devices"
+        return f"<{type(self).__name__} {self.file.theatre}: {shown}>"
+
     def _require_open(self) -> None:
         if self._closed:
             raise THEATRE_CLOSED(f"theatre {self.file.theatre} is closed")
@@ -225,6 +233,9 @@ class _Arms(Mapping[str, RobotArm]):
 
     def __len__(self) -> int:
         return len(self._theatre.file.robot)
+
+    def __repr__(self) -> str:
+        return f"<arms: {', '.join(self) or 'none'}>"
 
 
 def _record_bytes(device: Device, sink: ByteSink | None) -> None:
@@ -311,7 +322,7 @@ class SimulatedTheatre(Theatre):
         """Hands in the room: move, hide and disturb, and look up the truth."""
         from ronna_hw.simulated_room import SimulatedRoom  # with NumPy, which a theatre does not wait for
 
-        return SimulatedRoom(self.control, self._require_open)
+        return SimulatedRoom(self.control, self._require_open, lambda: self.tracker.tools)
 
 
 class TheatreProcess:

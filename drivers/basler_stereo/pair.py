@@ -18,7 +18,7 @@ from drivers.basler_stereo.stream.receiver import ReceiverProcess
 from ronna_hw.clock import Clock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.capabilities import ByteSink, Fact
-from ronna_hw.devices.lifecycle import READABLE, Lifecycle
+from ronna_hw.devices.lifecycle import READABLE
 from ronna_hw.devices.readings import StereoReading
 from ronna_hw.errors import RonnaError
 from ronna_hw.wire.gige_vision import GevStatus
@@ -110,9 +110,8 @@ class BaslerStereoPair(PairDevice[Camera]):
         latched, GEV-014 (a camera silent beyond its heartbeat time-out), GEV-015 (control lost) or GEV-017
         (our receiver process ended).
         """
-        self._require("grab_pair", {Lifecycle.ACTIVE})
-        deadline_s = time.monotonic() + timeout_s
-        return self._run_guarded(lambda: self._grab_reading(deadline_s), deadline_s, keeps_settings=True)
+        with self._grabbing(timeout_s) as deadline_s:
+            return self._run_guarded(lambda: self._grab_reading(deadline_s), deadline_s, keeps_settings=True)
 
     @property
     def _streams(self) -> PairGrabber:

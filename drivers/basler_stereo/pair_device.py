@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any, Generic, Protocol, TypeVar
 
 from drivers.basler_stereo.errors import CABLES_SWAPPED, WRONG_MODEL, WRONG_SERIAL, NoReply
 from drivers.basler_stereo.identity import CameraIdentity, describe_cameras_near
 from drivers.basler_stereo.options import BaslerOptions
+from ronna_hw.arguments import require_number, require_time_s
 from ronna_hw.clock import Clock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.capabilities import report_count
@@ -109,12 +111,14 @@ class PairDevice(GuardedDevice, ABC, Generic[C]):
         May wait until the heartbeat of a dead controlling client has timed out. Raises GEV-005 when another
         application is in control, GEV-006 to GEV-012 when configuration fails.
         """
+        self._turn.require("configure")
         self._guard.require("configure", {Lifecycle.CONNECTED})
         self._configure_cameras(time.monotonic() + timeout_s)
         self._guard.enter(Lifecycle.CONFIGURED, areas=self.areas, notices=self.notices)
 
     def activate(self, timeout_s: float = 10.0) -> None:
         """Start both streams; the cameras then wait for triggers."""
+        self._turn.require("activate")
         self._guard.require("activate", {Lifecycle.CONFIGURED})
         deadline_s = time.monotonic() + timeout_s
         self._run_guarded(lambda: self._start_streams(deadline_s), deadline_s)
@@ -144,12 +148,15 @@ class PairDevice(GuardedDevice, ABC, Generic[C]):
     def set_exposure(self, exposure_us: float, gain_raw: int, timeout_s: float = 5.0) -> None:
         """Set exposure and gain of both cameras to the same values; raises GEV-011."""
         self._require("set_exposure", {Lifecycle.CONFIGURED, Lifecycle.ACTIVE})
+        require_number(exposure_us, "the exposure in us")
+        require_number(gain_raw, "the raw gain")
         self._set_exposure(exposure_us, gain_raw, time.monotonic() + timeout_s)
         self._exposure = (exposure_us, gain_raw)
 
     def scale_exposure(self, share: float, timeout_s: float = 5.0) -> None:
         """Scale the exposure from `configure` or the last `set_exposure` by `share`; raises GEV-011."""
         self._require("scale_exposure", {Lifecycle.CONFIGURED, Lifecycle.ACTIVE})
+        require_number(share, "the share of the exposure")
         exposure_us, gain_raw = self._exposure
         self._set_exposure(share * exposure_us, gain_raw, time.monotonic() + timeout_s)
 
@@ -211,6 +218,14 @@ class PairDevice(GuardedDevice, ABC, Generic[C]):
         """Raise DEV-001 in another state, and DEV-014 while a stream of readings uses the cameras."""
         self._guard.require(call, allowed)
         self._turn.require(call)
+
+    @contextmanager
+    def _grabbing(self, timeout_s: float) -> Iterator[float]:
+        """Grab in a block, until the deadline that it gets. Raises DEV-001, DEV-014, ARG-001 for no time."""
+        self._require("grab_pair", {Lifecycle.ACTIVE})
+        deadline_s = time.monotonic() + require_time_s(timeout_s, "timeout_s")
+        with self._turn.call("grab_pair"):
+            yield deadline_s
 
     def _stream_facts(self) -> dict[str, Any]:
         """Return stream statistics for the log entry of `deactivate`."""

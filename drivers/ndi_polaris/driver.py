@@ -181,6 +181,7 @@ class PolarisTracker(GuardedDevice):
         tool, the errors of the link, and, with FAULT latched, NDI-020 or NDI-021 for an earlier fault or
         bump.
         """
+        self._turn.require("configure")
         self._guard.require("configure", {Lifecycle.CONNECTED})
         self._run_guarded(self._set_up_unit, timeout_s)
         self._guard.enter(
@@ -189,6 +190,7 @@ class PolarisTracker(GuardedDevice):
 
     def activate(self, timeout_s: float = 10.0) -> None:
         """Start tracking; frame numbers restart from 0."""
+        self._turn.require("activate")
         self._guard.require("activate", {Lifecycle.CONFIGURED})
         self._run_guarded(self._tracking_run.start, timeout_s)
         self._guard.enter(Lifecycle.ACTIVE)
@@ -210,13 +212,13 @@ class PolarisTracker(GuardedDevice):
 
         Raises NDI-005 to NDI-007 for a lost reading (the next call resynchronises first), NDI-022 while the
         unit withholds poses because of its temperature (state HOLD, which ends by itself), DEV-014 while a
-        stream reads the unit, and, with FAULT latched, NDI-008 (link lost), NDI-009 (restarted), NDI-020
-        (hardware), NDI-021 (bumped).
+        stream or another thread reads the unit, and, with FAULT latched, NDI-008 (link lost), NDI-009
+        (restarted), NDI-020 (hardware), NDI-021 (bumped).
         """
         self._guard.require("read_frame", RUNNING)
-        self._turn.require("read_frame")
         try:
-            frame = self._run_guarded(self._tracking_run.read, timeout_s)
+            with self._turn.call("read_frame"):
+                frame = self._run_guarded(self._tracking_run.read, timeout_s)
         except TemperatureHold:
             self._guard.enter(Lifecycle.HOLD)
             raise

@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 import operator
+from base64 import b64encode
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from html import escape
 from pathlib import Path
-from typing import overload
+from typing import Any, overload
+
+import numpy as np
+from numpy.typing import NDArray
 
 from procedures.engine.errors import NotRecorded
 from procedures.engine.replay.recorded_answers import describe_torn_end
@@ -37,7 +42,28 @@ LOOKS = (
     RunColumn("left_offset_px", int, "top-left pixel of the left picture on its sensor", (2,)),
     RunColumn("right_offset_px", int, "top-left pixel of the right picture on its sensor", (2,)),
 )
+WIDEST_PX = 480  # of a picture in a notebook; two fit beside each other
 NO_OFFSET_PX = (-1, -1)  # of a picture that did not arrive
+
+
+class ShownPictures(StereoPictures):
+    """Pictures of one look that a notebook shows."""
+
+    def _repr_html_(self) -> str:
+        """Return both pictures side by side, from black to the brightest pixel of each."""
+        shown = (_picture_html(side, pixels) for side, pixels in self._asdict().items() if pixels is not None)
+        return f"<pre>{escape(repr(self))}</pre>{''.join(shown)}"
+
+
+def _picture_html(side: str, pixels: NDArray[Any]) -> str:
+    import cv2  # for notebooks alone
+
+    step = -(-pixels.shape[1] // WIDEST_PX)
+    small = pixels[::step, ::step]
+    grey = (small * (255.0 / max(int(small.max(initial=1)), 1))).astype(np.uint8)
+    _, content = cv2.imencode(".png", grey)
+    source = f"data:image/png;base64,{b64encode(content.tobytes()).decode()}"
+    return f'<img alt="{side}" title="{side}" src="{source}">'
 
 
 class RecordedPictures(Sequence[StereoPictures]):
@@ -48,6 +74,9 @@ class RecordedPictures(Sequence[StereoPictures]):
 
     def __len__(self) -> int:
         return len(self._loaders)
+
+    def __repr__(self) -> str:
+        return f"<pictures of {format_count(len(self), 'look')}: pictures[0].left is the first left one>"
 
     @overload
     def __getitem__(self, index: int) -> StereoPictures: ...
@@ -75,7 +104,7 @@ class RecordedPictures(Sequence[StereoPictures]):
             raise NoSuchLook(f"there is no look {index}", expected=f"0 to {len(self) - 1}")
         pair = self._loaders[index]()
         assert isinstance(pair, StereoReading)
-        return StereoPictures(*(None if one is None else one.pixels for one in (pair.left, pair.right)))
+        return ShownPictures(*(None if one is None else one.pixels for one in (pair.left, pair.right)))
 
 
 @dataclass(frozen=True)

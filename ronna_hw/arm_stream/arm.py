@@ -48,7 +48,7 @@ from ronna_hw.devices.lifecycle import (
 )
 from ronna_hw.devices.reading_stream import NextArmState, ReadingStream
 from ronna_hw.devices.readings import ArmReading, LinkStatistics, ToolIdentity, Validity
-from ronna_hw.devices.robot import JointMove, Motion, OperatingMode, StopKind
+from ronna_hw.devices.robot import JointMove, Motion, OperatingMode, StopKind, require_motion
 from ronna_hw.errors import RonnaError
 from ronna_hw.vectors import JointVector
 
@@ -296,6 +296,7 @@ class StreamedArm(GuardedDevice, ABC, Generic[S]):
         return link_statistics(link.state, *link.mailbox.read_histograms())
 
     def move(self, motion: Motion, *, timeout_s: float = 60.0) -> ArmReading:
+        require_motion(motion)
         return self._move("move", motion, timeout_s)
 
     def insert(self, insertion: Insertion, *, timeout_s: float = 120.0) -> Inserted:
@@ -316,6 +317,7 @@ class StreamedArm(GuardedDevice, ABC, Generic[S]):
         return Inserted(reading, travel_mm, peak_N)
 
     def preview(self, motion: Motion, *, start_rad: JointVector | None = None) -> PathPreview:
+        require_motion(motion)
         if start_rad is None:
             reading = self.read_state()
             start_rad = reading.commanded_rad or reading.joints_rad  # before the stream nothing is commanded

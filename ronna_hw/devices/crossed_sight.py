@@ -23,6 +23,7 @@ MOST_APART_MM = 5.0  # of two lines: trackers take no lines that are farther apa
 # From the middle of the two lines; the tracker's bias differs between places by some tenths. Along the depth
 # an error across it counts several times, and with the square of the depth.
 ACROSS_MM, ALONG_MM, AT_DEPTH_MM = 1.0, 4.0, 2000.0
+TRACK = "track "  # followed by its identity
 LEAST_ANGLE = 1e-9  # sine squared, between two lines that may cross
 
 
@@ -60,11 +61,11 @@ def find_crossed_sights(places_mm: Array) -> tuple[CrossedSight, ...]:
     return tuple(one for one in found if one.track not in (one.left, one.right))
 
 
-def describe_crossed_sights(found: Sequence[CrossedSight], names: Sequence[int]) -> tuple[str, ...]:
+def describe_crossed_sights(found: Sequence[CrossedSight], names: Sequence[str]) -> tuple[str, ...]:
     """Name each track that is a phantom by its place, and together those of which some are.
 
-    `names` are the identities of the tracks. A track counts as a phantom if it is explained by two tracks
-    that nothing explains.
+    `names` are those of the tracks, and of known markers after them, which are no phantoms. A track counts as
+    a phantom if it is explained by two places that nothing explains.
     """
     suspects = {one.track for one in found}
     sentences = []
@@ -73,13 +74,19 @@ def describe_crossed_sights(found: Sequence[CrossedSight], names: Sequence[int])
         if one.track not in certain and not suspects & {one.left, one.right}:
             certain.add(one.track)
             sentences.append(
-                f"track {names[one.track]} is where lines of sight to tracks {names[one.left]} and "
-                f"{names[one.right]} cross: a phantom"
+                f"{names[one.track]} is where lines of sight to "
+                f"{_name_both(names[one.left], names[one.right])} cross: a phantom"
             )
     if undecided := sorted(suspects - certain):
-        listed = ", ".join(str(names[one]) for one in undecided)
+        listed = ", ".join(names[one].removeprefix(TRACK) for one in undecided)
         sentences.append(
             f"tracks {listed} are each where lines of sight to two others cross: at most half of them are "
             "spheres, and their places do not say which"
         )
     return tuple(sentences)
+
+
+def _name_both(one: str, other: str) -> str:
+    if one.startswith(TRACK) and other.startswith(TRACK):
+        return f"tracks {one.removeprefix(TRACK)} and {other.removeprefix(TRACK)}"
+    return f"{one} and {other}"

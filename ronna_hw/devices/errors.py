@@ -86,8 +86,17 @@ STREAM_TAKEN = ErrorCode(
 DEVICE_STREAMS = ErrorCode(
     "DEV-014",
     WrongState,
-    "A device was called while its stream reads it.",
-    "Take readings from the stream, or leave its loop (close its iterator) and call again.",
+    "A device was called while its stream, or another thread, reads it.",
+    "Take readings from the stream, or leave its loop (close its iterator) and call again; of several "
+    "threads, let one read, and pass on what it reads.",
+)
+
+
+CALL_GOES_ON = ErrorCode(
+    "DEV-015",
+    DataError,
+    "A function that gets the readings of a stream had not done with them some time after its block.",
+    "Do less with each reading, or allow more time: calling(function, end_limit_s=60.0).",
 )
 
 

@@ -310,5 +310,9 @@ class GuardedDevice:
         """Error that latched FAULT, if any."""
         return self._guard.fault
 
+    def __repr__(self) -> str:
+        fault = f": {self._guard.fault}" if self._guard.fault else ""
+        return f"<{type(self).__name__} {self._name}: {self._guard.state}{fault}>"
+
     def active(self: D, timeout_s: float = 10.0) -> AbstractContextManager[D]:
         return hold_active(self, timeout_s)

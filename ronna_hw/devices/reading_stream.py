@@ -19,12 +19,19 @@ from collections.abc import AsyncIterator, Callable, Generator, Iterable, Iterat
 from contextlib import contextmanager, suppress
 from typing import Any, Generic, Protocol, TypeVar, runtime_checkable
 
-from ronna_hw.devices.errors import DEVICE_STREAMS, NO_NEW_STATE, STREAM_BEHIND, STREAM_TAKEN
+from ronna_hw.devices.errors import (
+    CALL_GOES_ON,
+    DEVICE_STREAMS,
+    NO_NEW_STATE,
+    STREAM_BEHIND,
+    STREAM_TAKEN,
+)
 from ronna_hw.devices.readings import ArmReading, StampedReading
 
 MOST_WAITING = 1000  # readings, where every one is wanted: 17 s of a tracker
 NO_CLOCK = 0  # of a state that was asked for by EKI, outside of a running stream
 BETWEEN_REQUESTS_S = 0.02  # host time: requests of a state leave the controller to others
+END_LIMIT_S = 10.0  # host time, after a block, for calls of a function with what waits
 ASK_AGAIN_S = 0.002  # host time between two looks whether an arm has moved on; a cycle of RSI takes 4 ms
 R = TypeVar("R", bound=StampedReading)
 R_co = TypeVar("R_co", covariant=True)
@@ -80,9 +87,16 @@ class ReadingStream(Generic[R]):
             await asyncio.to_thread(session.join)
 
     @contextmanager
-    def calling(self, function: Callable[[R], object]) -> Iterator[None]:
-        """Call a function with each reading, in a thread, while a block runs; raise its error at the end."""
-        errors: list[Exception] = []
+    def calling(self, function: Callable[[R], object], *, end_limit_s: float = END_LIMIT_S) -> Iterator[None]:
+        """Call a function with each reading, in a thread, while a block runs.
+
+        An error of the function ends the stream, and is raised where the block ends. If every reading was
+        asked for, those that wait are delivered there. Raises DEV-015 if that or the last call takes longer
+        than `end_limit_s` of host time; what is not delivered counts as dropped. After an error in the block
+        nothing more is delivered, and the function's error is a note on it.
+        """
+        errors: list[BaseException] = []
+        session = self._begin()
 
         def deliver() -> None:
             try:
@@ -90,16 +104,39 @@ class ReadingStream(Generic[R]):
                     function(session.take())
             except _StreamEnded:
                 pass
-            except Exception as error:  # whatever the function raises: raised where the block ends
+            except BaseException as error:  # whatever the function raises, also SystemExit
                 errors.append(error)
+                session.stop()
 
         thread = threading.Thread(target=deliver, name="reading consumer", daemon=True)
-        with self._reading() as session:
-            thread.start()
+        thread.start()
+        try:
             yield
-        thread.join(self._timeout_s)
+        except BaseException as problem:
+            self._end_calls(thread, session, end_limit_s)
+            for error in errors:
+                problem.add_note(f"The function that gets the readings raised {error!r}.")
+            raise
+        if self._every:
+            session.finish()
+            thread.join(end_limit_s)
+        undelivered = self._end_calls(thread, session, end_limit_s if not self._every else self._timeout_s)
         if errors:
             raise errors[0]
+        if undelivered or thread.is_alive():
+            going = "a call of the function goes on, and " if thread.is_alive() else ""
+            raise CALL_GOES_ON(
+                f"{going}{undelivered} readings are not delivered", limit=f"{end_limit_s:g} s after the block"
+            )
+
+    def _end_calls(self, thread: threading.Thread, session: _Session[R], limit_s: float) -> int:
+        """End a stream and wait for the function's last call; return how many readings it does not get."""
+        session.stop()
+        session.join()
+        undelivered = session.count_waiting() if self._every else 0
+        self.dropped += undelivered
+        thread.join(limit_s)
+        return undelivered
 
     @contextmanager
     def _reading(self) -> Iterator[_Session[R]]:
@@ -126,6 +163,7 @@ class Turn:
     def __init__(self, name: str) -> None:
         self._name = name
         self._taking = threading.Lock()
+        self._calling = threading.Lock()
         self._session: _Session[Any] | None = None
 
     def take(self, session: _Session[Any]) -> None:
@@ -141,6 +179,17 @@ class Turn:
         session = self._session
         if session is not None and session.is_reading and not session.is_own_thread:
             raise DEVICE_STREAMS(f"{self._name}: {call} came while a stream reads the device")
+
+    @contextmanager
+    def call(self, call: str) -> Iterator[None]:
+        """Call the device for the length of a block. Raises DEV-014 while a stream or another thread does."""
+        self.require(call)
+        if not self._calling.acquire(blocking=False):
+            raise DEVICE_STREAMS(f"{self._name}: {call} came while another thread reads the device")
+        try:
+            yield
+        finally:
+            self._calling.release()
 
     def end_stream(self) -> None:
         """End the stream that reads the device, if any; its consumer's loop ends without an error."""
@@ -161,6 +210,7 @@ class _Session(Generic[R]):
         self._waiting: deque[R] = deque(maxlen=MOST_WAITING if every else 1)
         self._error: Exception | None = None
         self._ending = threading.Event()
+        self._stopped = False  # what waits is not taken any more
         self._thread = threading.Thread(target=self._read_on, name="reading stream", daemon=True)
 
     @property
@@ -178,15 +228,27 @@ class _Session(Generic[R]):
         """Wait for a reading, oldest first. Raises the device's error, or that the stream has ended."""
         with self._changed:
             self._changed.wait_for(lambda: bool(self._waiting) or self._error is not None)
-            if self._waiting and not self._ending.is_set():
+            if self._waiting and not self._stopped:
                 return self._waiting.popleft()
             assert self._error is not None
             raise self._error
 
     def stop(self) -> None:
         """Tell thread and consumer to end; returns immediately."""
+        self._stopped = True
         self._ending.set()
         self._end(_StreamEnded())
+
+    def finish(self) -> None:
+        """End the thread, then the consumer once it has taken what waits."""
+        self._ending.set()
+        self.join()
+        self._end(_StreamEnded())
+
+    def count_waiting(self) -> int:
+        """Count the readings that nobody has taken."""
+        with self._changed:
+            return len(self._waiting)
 
     def join(self) -> None:
         """Wait for the reading that is under way, which its time limit bounds."""
@@ -195,7 +257,12 @@ class _Session(Generic[R]):
     def _read_on(self) -> None:
         try:
             while not self._ending.is_set():
-                reading = self._read(timeout_s=self._timeout_s)
+                try:
+                    reading = self._read(timeout_s=self._timeout_s)
+                except Exception:
+                    if self._ending.is_set():  # nobody wants what has not come by now
+                        return
+                    raise
                 with self._changed:
                     if len(self._waiting) == self._waiting.maxlen:
                         if self._every:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import TYPE_CHECKING, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
+from ronna_hw.arguments import WrongArgument, show
 from ronna_hw.devices.lifecycle import Device, LastKnown
 from ronna_hw.devices.readings import ArmReading, LinkStatistics, ToolIdentity
 from ronna_hw.vectors import JointVector
@@ -24,12 +25,26 @@ class JointMove:
 
     `speed_fraction` is a fraction of the working speed of the driver, 0 < fraction <= 1. One that need not
     settle ends when its last set-point is sent, since another motion follows at once. A motion is a value, so
-    that the motion previewed is the motion driven.
+    that the motion previewed is the motion driven. A target that is a list or an array becomes a
+    tuple; raises ARG-001 if it is no sequence of numbers.
     """
 
     target_rad: JointVector
     speed_fraction: float = 1.0
     settles: bool = True
+
+    def __post_init__(self) -> None:
+        given: Any = self.target_rad
+        if not isinstance(given, tuple):  # a list or an array is no value
+            try:
+                target_rad = tuple(map(float, given))
+            except (TypeError, ValueError):
+                raise WrongArgument(
+                    "the target is no joint vector",
+                    expected="one number per joint, in rad",
+                    got=show(given),
+                ) from None
+            object.__setattr__(self, "target_rad", target_rad)
 
 
 @dataclass(frozen=True)
@@ -45,6 +60,17 @@ class LineMove:
 
 
 Motion = JointMove | LineMove
+
+
+def require_motion(given: object) -> None:
+    """Raise ARG-001 for anything but a motion, such as bare joint angles."""
+    if not isinstance(given, JointMove | LineMove):
+        raise WrongArgument(
+            "an arm moves by a motion",
+            expected="JointMove(target_rad) or LineMove(target)",
+            got=show(given),
+            action="Wrap joint angles: arm.move(JointMove((0.0, -1.3, 1.7, 0.0, 1.1, 0.0))).",
+        )
 
 
 class StopKind(StrEnum):
@@ -116,9 +142,9 @@ class RobotArm(Device, Protocol):
 
         All joints move together; along a line the orientation follows by slerp, and the arm stays in the
         branch of its current pose. `timeout_s` is in theatre time if that clocks the controller. Raises
-        LimitError before motion if the path leaves the joint ranges, FRM-001 for a line between other frames,
-        StateError outside ACTIVE, MotionInterrupted when `stop` ended it, and the latched fault when link or
-        monitor trips.
+        ARG-001 for bare joint angles, LimitError before motion if the path leaves the joint ranges, FRM-001
+        for a line between other frames, StateError outside ACTIVE, MotionInterrupted when `stop` ended it,
+        and the latched fault when link or monitor trips.
         """
 
     def preview(self, motion: Motion, *, start_rad: JointVector | None = None) -> PathPreview:

@@ -23,17 +23,26 @@ from numpy.typing import NDArray
 from scipy.spatial.distance import cdist
 
 from ronna_hw.arrays import Array
-from ronna_hw.devices.crossed_sight import describe_crossed_sights, find_crossed_sights
+from ronna_hw.devices.crossed_sight import TRACK, describe_crossed_sights, find_crossed_sights
 from ronna_hw.devices.errors import BAD_STRAYS
-from ronna_hw.devices.readings import TrackerFrame
-from ronna_hw.devices.strays import GATE_MM, LEAST_SHARE, pair_nearest, require_positions, select_strays
+from ronna_hw.devices.readings import TrackerFrame, Validity
+from ronna_hw.devices.strays import (
+    GATE_MM,
+    LEAST_SHARE,
+    pair_nearest,
+    require_frames,
+    require_positions,
+    select_strays,
+)
+from ronna_hw.frames import Frame
 from ronna_hw.vectors import Vector3
 
 KNOWN_AFTER = 3  # frames; a reflection that flickers is forgotten before
 # Missing spheres, with as many new ones, that show a moved scene; reflections may appear as others hide.
 FEWEST_MOVED = 2  # from one frame to the next
 FEWEST_MOVED_UNSEEN = 3  # while they were hidden
-CALLING_LEVEL = 3  # of the stack: who called `track_strays`
+CALLING_LEVEL = 2  # of the stack from `track_strays`: who called it
+POSED = (Validity.OK, Validity.PARTIAL)  # readings of a tool that say where its markers are
 UNKNOWN = -1  # identity of a reading that may belong to more than one sphere
 
 
@@ -68,18 +77,27 @@ _NEW = _Sphere(np.zeros(3), None)
 
 
 def track_strays(
-    frames: Iterable[TrackerFrame], *, gate_mm: float = GATE_MM, least_share: float = LEAST_SHARE
+    frames: Iterable[TrackerFrame],
+    *,
+    markers_mm: Mapping[str, Sequence[Vector3]] | None = None,
+    gate_mm: float = GATE_MM,
+    least_share: float = LEAST_SHARE,
 ) -> tuple[StrayTrack, ...]:
     """Track stray spheres across unordered frames.
 
     A StrayWarning names tracks that no sphere explains: phantoms, where lines of sight to two others cross.
-    Left out are repeated measurements (STALE), positions outside the measuring volume, readings that may
-    belong to more than one sphere, and what fewer than `least_share` of the frames show, such as reflections.
-    `gate_mm` is the farthest that a sphere may move between two frames. Raises DEV-005.
+    With `markers_mm`, as `tracker.markers_mm`, it also names those of a sphere and a marker of a tool at
+    rest; frames alone do not tell where such markers are.
+
+    Left out are repeated measurements (STALE), readings that may belong to more than one sphere, and what
+    fewer than `least_share` of the frames show, such as reflections; with a StrayWarning also positions
+    outside the measuring volume. `gate_mm` is the farthest that a sphere may move between two frames. Raises
+    DEV-005, and ARG-001 for anything else than frames.
     """
     if not 0.0 <= least_share <= 1.0:
         raise BAD_STRAYS("the share must be between 0 and 1", got=f"{least_share}")
-    read = select_strays(frames)
+    kept = tuple(require_frames(frames))
+    read = select_strays(kept)
     identities_by_frame = identify_strays([positions for _, positions in read], gate_mm=gate_mm)
     seen: dict[int, list[tuple[int, Vector3]]] = {}
     for (frame, positions), identities in zip(read, identities_by_frame, strict=True):
@@ -95,16 +113,38 @@ def track_strays(
         for identity, readings in sorted(seen.items())
         if len(readings) >= least_share * len(read)
     )
-    _warn_of_phantoms(tracks)
+    _warn_of_phantoms(tracks, locate_markers(kept, markers_mm or {}))
+    outside = sum(_has_strays_outside(frame) for frame, _ in read)
+    if outside and outside >= least_share * len(read):
+        text = f"strays outside the measuring volume are left out: {outside} of {len(read)} frames show some."
+        warnings.warn(text, StrayWarning, CALLING_LEVEL)
     return tracks
 
 
-def _warn_of_phantoms(tracks: Sequence[StrayTrack]) -> None:
-    """Warn of tracks that are where lines of sight to two other tracks cross."""
-    crossed = find_crossed_sights(_stack([one.positions_mm.mean(axis=0) for one in tracks]))
-    if sentences := describe_crossed_sights(crossed, [one.identity for one in tracks]):
+def _has_strays_outside(frame: TrackerFrame) -> bool:
+    return any(one.validity is Validity.OUT_OF_VOLUME for one in frame.strays)
+
+
+def _warn_of_phantoms(tracks: Sequence[StrayTrack], markers: Mapping[str, Array]) -> None:
+    """Warn of tracks that are where lines of sight to two others cross, or to one and a known marker."""
+    places = [*(one.positions_mm.mean(axis=0) for one in tracks), *markers.values()]
+    found = [one for one in find_crossed_sights(_stack(places)) if one.track < len(tracks)]
+    if sentences := describe_crossed_sights(found, [*(f"{TRACK}{one.identity}" for one in tracks), *markers]):
         text = f"{'; '.join(sentences)}. Hide one sphere: its phantoms go with it."
-        warnings.warn(text, StrayWarning, CALLING_LEVEL)
+        warnings.warn(text, StrayWarning, CALLING_LEVEL + 1)
+
+
+def locate_markers(
+    frames: Sequence[TrackerFrame], markers_mm: Mapping[str, Sequence[Vector3]]
+) -> dict[str, Array]:
+    """Return the mean place of each tool's markers in the tracker frame, by names as `marker 1 of guide`."""
+    seen: dict[str, list[Array]] = {}
+    for tool in (tool for frame in frames for tool in frame.tools):
+        if tool.validity in POSED and tool.tool in markers_mm:
+            pose = tool.transform(Frame.TRACKER, Frame.MARKER)
+            for number, marker_mm in enumerate(markers_mm[tool.tool], 1):
+                seen.setdefault(f"marker {number} of {tool.tool}", []).append(pose.apply(marker_mm))
+    return {name: np.mean(places, axis=0) for name, places in seen.items()}
 
 
 def identify_strays(

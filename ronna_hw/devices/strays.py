@@ -78,12 +78,13 @@ def select_strays(frames: Iterable[TrackerFrame]) -> list[tuple[TrackerFrame, li
     """
     return [
         (frame, [one.position_mm for one in frame.strays if one.validity is Validity.OK])
-        for frame in _require_frames(frames)
+        for frame in require_frames(frames)
         if frame.validity is not Validity.STALE
     ]
 
 
-def _require_frames(frames: Iterable[TrackerFrame]) -> Iterator[TrackerFrame]:
+def require_frames(frames: Iterable[TrackerFrame]) -> Iterator[TrackerFrame]:
+    """Yield the frames; raises ARG-001 at anything else."""
     for frame in frames if isinstance(frames, Iterable) else (frames,):
         if not isinstance(frame, TrackerFrame):
             raise WrongArgument(

@@ -51,13 +51,11 @@ class TrueRoom:
         inside = is_in_field(places)
         covered = self._find_covered(names, disturbance)
         on_head = len(self._scene.fiducial_numbers)
-        spheres = []
-        for row, number in enumerate(self._scene.fiducial_numbers):
-            x, y, z = places[row].tolist()
+        told = []
+        for row, (x, y, z) in enumerate(places.tolist()):
             in_volume = self._volume.holds(x, y, z)
-            spheres.append(
+            told.append(
                 {
-                    "number": number,
                     "tracker_mm": [x, y, z],
                     "seen": bool(seen[:, row].all() and inside[row] and not covered[row]),
                     "in_volume": in_volume,
@@ -85,10 +83,12 @@ class TrueRoom:
                 if self._world.has_arm(role)
             },
             "robot_from_tracker": inverse(self._scene.tracker_from_robot(disturbance.room)).tolist(),
-            "spheres": spheres,
+            "spheres": [
+                {"number": number, **one}
+                for number, one in zip(self._scene.fiducial_numbers, told[:on_head], strict=True)
+            ],
             "others": [
-                {"name": name, "tracker_mm": place}
-                for name, place in zip(names[on_head:], places[on_head:].tolist(), strict=True)
+                {"name": name, **one} for name, one in zip(names[on_head:], told[on_head:], strict=True)
             ],
             "phantoms": [
                 {"of": [names[left], names[right]], "tracker_mm": place}

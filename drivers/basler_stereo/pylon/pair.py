@@ -9,7 +9,6 @@ The options are those of basler_stereo; heartbeat, packets and retransmission ar
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from typing import Any, Literal, TypeVar
 
@@ -21,7 +20,6 @@ from drivers.basler_stereo.pylon.camera import PylonCamera, PylonFrame, load_pyl
 from drivers.basler_stereo.readings import PairClock, stereo_reading
 from ronna_hw.clock import Clock
 from ronna_hw.config import DeviceConfig
-from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import AreaOfInterest, CameraImage, Stamp, StereoReading, Validity
 
 T = TypeVar("T")
@@ -57,9 +55,8 @@ class PylonStereoPair(PairDevice[PylonCamera]):
         A side without a complete image is None and the reading MISSING. Raises GEV-013 when neither side sent
         one, and, with FAULT latched, GEV-014. After an incomplete pair the streams restart.
         """
-        self._require("grab_pair", {Lifecycle.ACTIVE})
-        deadline_s = time.monotonic() + timeout_s
-        return self._store_pair(self._run_guarded(lambda: self._grab_reading(deadline_s), deadline_s))
+        with self._grabbing(timeout_s) as deadline_s:
+            return self._store_pair(self._run_guarded(lambda: self._grab_reading(deadline_s), deadline_s))
 
     def _open_cameras(
         self, deadline_s: float

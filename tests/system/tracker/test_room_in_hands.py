@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import numpy as np
 import pytest
@@ -12,10 +12,11 @@ from coded_errors import raises
 from ronna_hw import SimulatedTheatre, StrayWarning, simulated_theatre, track_strays
 from ronna_hw.arguments import WrongArgument
 from ronna_hw.control_port import ControlRequestRefused
-from ronna_hw.devices import OpticalTracker, new_frames
+from ronna_hw.devices import JointMove, OpticalTracker, new_frames
 from ronna_hw.devices.errors import DEVICE_STREAMS, THEATRE_CLOSED
 from ronna_hw.devices.sensors import read_new_frame
-from ronna_hw.simulated_room import Origin
+from ronna_hw.room_truth import Origin
+from ronna_hw.simulated_room import SimulatedRoom, UnseenSphereWarning
 from ronna_hw.theatre import TheatreProcess
 
 WITHIN_MM = 1.5  # of truth, for one reading of one sphere
@@ -115,6 +116,40 @@ def test_a_sphere_is_placed_where_the_tracker_reads_it_and_taken_away_again(
         theatre.room.place_sphere(place_mm, "ct")
 
 
+def test_a_sphere_that_the_tracker_does_not_see_is_placed_with_a_word_why(
+    theatre: SimulatedTheatre, tracker: OpticalTracker
+) -> None:
+    with pytest.warns(UnseenSphereWarning, match="extra sphere 1 at .* outside the measuring volume"):
+        theatre.room.place_sphere((-200.0, 0.0, -2600.0))
+    assert theatre.room.why("extra sphere 1") == "in view, but outside the measuring volume"
+    with pytest.warns(UnseenSphereWarning, match="outside the field of view"):
+        theatre.room.place_sphere((0.02, 0.1, -1.8))  # in metres by mistake
+    with raises(WrongArgument, match=r"extra sphere 1 is at that place"):
+        theatre.room.place_sphere((-200.0, 0.0, -2600.0))
+
+
+@pytest.mark.parametrize(
+    ("call", "says"),
+    [
+        (lambda room: room.move("hed", (0.0, 1.0, 0.0)), "Did you mean head"),
+        (lambda room: room.move("head", (0.0, 1.0)), r"coordinates of the displacement have shape \(2,\)"),
+        (lambda room: room.turn("head", (0.0, 999.0, 0.0)), "limit 180 deg"),
+        (lambda room: room.hide("sphere 9"), "sphere 1, sphere 2, sphere 3, robot_frame"),
+        (lambda room: room.hide("sphere 2 for 3 s"), "a time goes into for_s"),
+        (lambda room: room.hide("sphere 2", for_s=0), "for_s is no time"),
+        (lambda room: room.hide("extra sphere 1"), r"clear\(\) with the line"),
+        (lambda room: room.show("sphere 1"), "sphere 1 is not hidden"),
+        (lambda room: room.place_sphere((20.0, 100.0, -9000.0)), "in the tracker's frame"),
+        (lambda room: room.truth().origin_of((float("nan"), 0.0, 0.0)), "not finite"),
+    ],
+)
+def test_a_wrong_argument_is_refused_in_the_words_of_the_call(
+    theatre: SimulatedTheatre, call: Callable[[SimulatedRoom], object], says: str
+) -> None:
+    with raises(WrongArgument, match=says):
+        call(theatre.room)
+
+
 def test_the_truth_tells_reflections_from_spheres_and_phantoms(
     theatre: SimulatedTheatre, tracker: OpticalTracker
 ) -> None:
@@ -167,6 +202,41 @@ def test_a_tracker_is_not_read_beside_its_stream(tracker: OpticalTracker) -> Non
         tracker.read_frame()
     frames.close()
     assert tracker.read_frame().stamp.sequence > 0
+
+
+def test_devices_refuse_a_wrong_argument_in_the_words_of_the_call(theatre: SimulatedTheatre) -> None:
+    arm, cameras = theatre.arms["master"], theatre.stereo
+    with arm.active():
+        joints_rad = arm.read_state().joints_rad
+        with raises(WrongArgument, match=r"JointMove\(target_rad\)"):
+            arm.move(joints_rad)
+        moved = arm.move(JointMove(np.array(joints_rad)))
+        assert moved.joints_rad == pytest.approx(joints_rad, abs=1e-4)
+    with raises(WrongArgument, match="no joint vector"):
+        JointMove(np.eye(3))
+    with cameras.active():
+        with raises(WrongArgument, match="the exposure in us is no number"):
+            cameras.set_exposure("fast", 0)
+        with raises(WrongArgument, match="timeout_s is no time"):
+            cameras.grab_pair(timeout_s=0)
+        pairs = iter(cameras.stream())
+        next(pairs)
+        with raises(DEVICE_STREAMS, match="configure"):
+            cameras.configure()
+        pairs.close()
+
+
+def test_theatre_devices_and_truth_are_shown_in_one_line(
+    theatre: SimulatedTheatre, tracker: OpticalTracker
+) -> None:
+    assert repr(tracker) == "<PolarisTracker tracker: active>"
+    assert "robot.master configured, tracker active" in repr(theatre)
+    assert repr(theatre.arms) == "<arms: master>"
+    theatre.room.hide("sphere 2")
+    truth = theatre.room.truth()
+    assert "3 spheres, 2 seen; not sphere 2 (covered by a fault)" in repr(truth)
+    assert "<td>sphere 2</td><td>sphere</td>" in truth._repr_html_()
+    assert "token" not in repr(theatre.room)
 
 
 def test_whatever_is_kept_of_a_closed_theatre_says_that_it_is_closed() -> None:

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from ronna_hw.devices.crossed_sight import SENSORS_MM, find_crossed_sights
-from ronna_hw.devices.readings import Stamp, StrayReading, TrackerFrame, Validity
+from ronna_hw.devices.readings import Stamp, StrayReading, ToolReading, TrackerFrame, Validity
 from ronna_hw.devices.stray_tracks import StrayTrack, StrayWarning, track_strays
+from ronna_hw.vectors import Vector3
 
 NOISE_MM = np.array([0.06, 0.06, 0.2])
 FRAMES = 30
@@ -34,14 +35,18 @@ def in_plane(apart_mm: float) -> np.ndarray:
     return PAIR_MM * [[1, 1, 1], [scale, 1, 1]] + [[0, 0, 0], [apart_mm, 0, 0]]
 
 
-def tracks_of(places_mm: np.ndarray) -> tuple[StrayTrack, ...]:
+def tracks_of(
+    places_mm: np.ndarray,
+    tools: tuple[ToolReading, ...] = (),
+    markers_mm: dict[str, list[Vector3]] | None = None,
+) -> tuple[StrayTrack, ...]:
     random = np.random.default_rng(5)
     frames = []
     for number in range(FRAMES):
         seen = places_mm + random.normal(size=places_mm.shape) * NOISE_MM
         strays = tuple(StrayReading(tuple(one), Validity.OK) for one in seen.tolist())
-        frames.append(TrackerFrame(Stamp(number, number, number / 60.0), Validity.OK, (), strays))
-    return track_strays(frames)
+        frames.append(TrackerFrame(Stamp(number, number, number / 60.0), Validity.OK, tools, strays))
+    return track_strays(frames, markers_mm=markers_mm)
 
 
 def test_spheres_on_heads_are_not_accused() -> None:
@@ -67,6 +72,22 @@ def test_one_phantom_whose_twin_is_not_seen_is_told_from_the_spheres_however_clo
     spheres_mm = in_plane(0.3)
     with pytest.warns(StrayWarning, match="track 2 is where lines of sight to tracks 0 and 1 cross"):
         tracks_of(np.vstack([spheres_mm, crossings_of(spheres_mm)[:1]]))
+
+
+def test_a_phantom_of_a_sphere_and_a_marker_of_a_tool_is_told_where_the_markers_are_given() -> None:
+    (marker_mm, sphere_mm), phantoms_mm = in_plane(0.3), crossings_of(in_plane(0.3))
+    tool = ToolReading("robot_frame", Validity.OK, (1.0, 0.0, 0.0, 0.0), tuple(marker_mm.tolist()), 0.05)
+    strays_mm = np.vstack([sphere_mm, phantoms_mm[:1]])
+    assert len(tracks_of(strays_mm, (tool,))) == 2  # without a warning: nothing says where the marker is
+    with pytest.warns(StrayWarning, match=r"track 1 is where .* marker 1 of robot_frame and track 0 cross"):
+        tracks_of(strays_mm, (tool,), {"robot_frame": [(0.0, 0.0, 0.0)]})
+
+
+def test_strays_outside_the_measuring_volume_are_left_out_with_a_word() -> None:
+    strays = (StrayReading((0.0, 0.0, -2600.0), Validity.OUT_OF_VOLUME),)
+    frames = [TrackerFrame(Stamp(n, n, n / 60.0), Validity.OK, (), strays) for n in range(FRAMES)]
+    with pytest.warns(StrayWarning, match="outside the measuring volume are left out: 30 of 30 frames"):
+        assert track_strays(frames) == ()
 
 
 def test_two_spheres_and_their_two_phantoms_that_nothing_tells_apart_are_named_together() -> None:

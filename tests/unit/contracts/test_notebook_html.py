@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from prepared_results import checked_plan
 
+from procedures.exchange.recorded_tables import ShownPictures
 from procedures.registration import register
 from ronna_hw import Frame
 from ronna_hw.frames import Transform
@@ -26,6 +27,19 @@ def test_a_table_shows_its_columns_with_units_and_a_vector_in_one_cell() -> None
     html = shown(1)
     assert "<th>name</th><th>error_mm</th><th>target_ct_mm</th>" in html
     assert "<td>T1</td><td>0.12346</td><td>1, 2.5, -3</td>" in html
+
+
+def test_a_row_shows_its_columns_by_name() -> None:
+    row = RunTable.of(COLUMNS, [("T1", 0.123456789, (1.0, 2.5, -3.0))])[0]
+    assert repr(row) == "<row: name=T1, error_mm=0.12346, target_ct_mm=(1, 2.5, -3)>"
+    assert "<td>error_mm</td><td>0.12346</td>" in row._repr_html_()
+    assert row.target_ct_mm.tolist() == [1.0, 2.5, -3.0]
+
+
+def test_pictures_of_a_look_are_shown_by_their_size() -> None:
+    pictures = ShownPictures(np.zeros((3, 4), np.uint8), None)
+    assert repr(pictures) == "<StereoPictures: left 4 x 3 px uint8, right did not arrive>"
+    assert pictures._repr_html_().count('src="data:image/png;base64,') == 1
 
 
 def test_a_long_table_says_how_many_rows_it_leaves_out() -> None:

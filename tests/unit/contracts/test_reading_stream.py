@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import sys
 import threading
 from collections.abc import Callable
 from itertools import islice
@@ -11,10 +12,10 @@ import pytest
 from coded_errors import raises
 from waiting import eventually
 
-from ronna_hw.devices.errors import DEVICE_STREAMS, NO_NEW_STATE, STREAM_BEHIND, STREAM_TAKEN
+from ronna_hw.devices.errors import CALL_GOES_ON, DEVICE_STREAMS, NO_NEW_STATE, STREAM_BEHIND, STREAM_TAKEN
 from ronna_hw.devices.reading_stream import MOST_WAITING, NextArmState, ReadingStream, Turn
 from ronna_hw.devices.readings import ArmReading, Stamp, Validity
-from ronna_hw.errors import LinkTimeout
+from ronna_hw.errors import LinkTimeout, RonnaError
 
 
 class Device:
@@ -106,6 +107,84 @@ def test_an_error_of_the_function_is_raised_at_the_end_of_the_block() -> None:
 
     with pytest.raises(ValueError, match="no room"), stream_of(Device(5)).calling(fail):
         failed.wait(5.0)
+
+
+def test_every_reading_that_was_read_is_delivered_where_the_block_ends() -> None:
+    got: list[ArmReading] = []
+    device, may_go_on = Device(50), threading.Event()
+
+    def record(reading: ArmReading) -> None:
+        may_go_on.wait(5.0)
+        got.append(reading)
+
+    stream = stream_of(device, every=True)
+    with stream.calling(record):
+        eventually(lambda: device.made == 50)
+        may_go_on.set()
+    assert numbers(got) == list(range(1, 51))
+    assert stream.dropped == 0
+
+
+def test_a_function_that_does_not_end_in_time_is_told_with_what_it_has_missed() -> None:
+    device, may_end = Device(5), threading.Event()
+    stream = ReadingStream(device.read, every=True, timeout_s=0.05)
+    with (
+        raises(CALL_GOES_ON, match="a call of the function goes on, and 4 readings are not delivered"),
+        stream.calling(lambda _reading: may_end.wait(5.0), end_limit_s=0.01),
+    ):
+        eventually(lambda: device.made == 5)
+    may_end.set()
+    assert stream.dropped == 4
+
+
+def test_a_function_that_ends_the_program_ends_the_stream_and_the_program() -> None:
+    device = Device(1)
+    stream = stream_of(device).calling(lambda _reading: sys.exit(3))
+    stream.__enter__()
+    eventually(lambda: not any(one.name == "reading stream" for one in threading.enumerate()))
+    with pytest.raises(SystemExit):
+        stream.__exit__(None, None, None)
+
+
+def test_an_error_of_the_function_is_a_note_on_that_of_the_block() -> None:
+    failed = threading.Event()
+
+    def fail(_reading: ArmReading) -> None:
+        failed.set()
+        raise ValueError("no room for it")
+
+    def run_block() -> None:
+        with stream_of(Device(2)).calling(fail):
+            failed.wait(5.0)
+            raise KeyError("block")
+
+    with pytest.raises(KeyError) as caught:
+        run_block()
+    assert caught.value.__notes__ == [
+        "The function that gets the readings raised ValueError('no room for it')."
+    ]
+
+
+def test_a_device_is_not_called_by_two_threads_at_a_time() -> None:
+    turn = Turn("tracker")
+    refused: list[RonnaError] = []
+
+    def call() -> None:
+        try:
+            with turn.call("read_frame"):
+                pass
+        except RonnaError as error:
+            refused.append(error)
+
+    with turn.call("read_frame"):
+        thread = threading.Thread(target=call)
+        thread.start()
+        thread.join()
+    assert [str(one).partition(".")[0] for one in refused] == [
+        "DEV-014: tracker: read_frame came while another thread reads the device"
+    ]
+    call()
+    assert len(refused) == 1
 
 
 def test_a_stream_has_one_reader_at_a_time() -> None:

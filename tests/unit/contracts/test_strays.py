@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from ronna_hw.devices.errors import BAD_STRAYS
 from ronna_hw.devices.readings import Stamp, StrayReading, TrackerFrame, Validity
-from ronna_hw.devices.stray_tracks import UNKNOWN, identify_strays, track_strays
+from ronna_hw.devices.stray_tracks import UNKNOWN, StrayWarning, identify_strays, track_strays
 from ronna_hw.devices.strays import GATE_MM, average_strays, group_strays
 
 NOISE_MM = np.array([0.04, 0.04, 0.14])
@@ -203,7 +203,8 @@ def test_tracks_have_the_trackers_own_clock_and_leave_out_repeated_and_doubtful_
         frame(1, Validity.STALE, near),
         frame(2, Validity.OK, near),
     ]
-    (track,) = track_strays(frames)
+    with pytest.warns(StrayWarning, match="outside the measuring volume are left out: 1 of 2"):
+        (track,) = track_strays(frames)
     assert (track.identity, track.device_clock.tolist()) == (0, [100, 102])
     assert track.positions_mm.tolist() == [[0.0, 0.0, -1500.0]] * 2
     assert track_strays([]) == ()

@@ -162,7 +162,7 @@ def test_strays_have_an_identity_and_repeated_frames_are_left_out(run: Path) -> 
     strays = load_run(run).strays
     assert strays.identity.tolist() == [0, 1, 1, 0, 1]
     assert strays.position_tracker_mm[strays.identity == 1].tolist() == [[0.0, 40.0, -1500.0]] * 3
-    with pytest.raises(WrongArgument, match=r"got record. .*run\.strays\.identity"):
+    with pytest.raises(WrongArgument, match=r"got RunRow. .*run\.strays\.identity"):
         track_strays(strays)
     assert strays.device_clock.tolist() == [100, 100, 101, 101, 102]
     assert set(strays.step) == {"global_localization"}
