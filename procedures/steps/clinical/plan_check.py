@@ -30,6 +30,11 @@ from procedures.steps.conditions import needs_guide_unmounted
 
 DATE_DIGITS = 8  # of a DICOM date, YYYYMMDD
 LONGEST_SHOWN = 64  # characters, as DICOM allows for a description
+OTHER_PATIENT = (
+    "Nothing was moved. If it is another patient, plan or CT, begin a new run with the right ones: this run "
+    "keeps its own. Repeat the step only if the answer was a slip; in a file of answers, change its line and "
+    "resume with --answers FILE."
+)
 NOT_GIVEN = "not given"
 
 
@@ -133,7 +138,7 @@ def _confirm_patient(
         pictures=pictures,
         identity=_identify(scan),
     )
-    context.require_yes(question)
+    context.require_yes(question, OTHER_PATIENT)
 
 
 def _identify(scan: ScanIdentity) -> Identity:
