@@ -13,6 +13,7 @@ from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
 from typer import style
@@ -92,6 +93,11 @@ class Alarms:
     def instrument(self) -> str | None:
         """Statement that an instrument is or may be inside; None if not."""
         return None if self._engine is None else self._engine.setting.workcell.instrument_description
+
+    @property
+    def run_folder(self) -> Path:
+        """Folder of the run, with its whole path."""
+        return Path("RUN") if self._engine is None else self._engine.case.folder.resolve()
 
     def _faults(self) -> dict[str, str]:
         return {} if self._engine is None else self._engine.faults.summaries
@@ -174,7 +180,7 @@ class TerminalOperator:
             if not self._knows_rule:
                 say_line(RULE)
                 self._knows_rule = True
-            described = _describe_question(question)
+            described = _describe_question(question, self.alarms)
             sys.stderr.write(described)
             write = partial(write_below, question=described)
             self.alarms.begin()
@@ -264,7 +270,7 @@ def say_line(line: str) -> None:
     sys.stderr.write(f"{printable(line)}\n")
 
 
-def _describe_question(question: Question) -> str:
+def _describe_question(question: Question, alarms: Alarms) -> str:
     """Describe a question; what decides it and what is to be read back is bold on a terminal that can."""
     identity = () if question.identity is None else question.identity.rows
     statements = printable_lines(question.value).splitlines()
@@ -274,7 +280,10 @@ def _describe_question(question: Question) -> str:
         *(f"  {printable(f'{name}: {said}')}" for name, said in identity),
         *(f"  {bullet}{statement}" for statement in statements),
         *(f"  {predicted.sentence}" for predicted in question.predicted[:1]),
-        *(f"  picture: {PICTURES_FOLDER}/{one.name} in the run's folder" for one in question.pictures),
+        *(
+            f"  picture: {printable(str(alarms.run_folder / PICTURES_FOLDER / one.name))}"
+            for one in question.pictures
+        ),
     ]
     text = "\n".join(lines) + "\n"
     bold = [question.read_back.shown] if question.read_back else []

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated
 
 from typer import Argument, Option
 
 from ronna_hw.command_line.errors import UsageMistake
+from ronna_hw.command_line.messages import tell
 from ronna_hw.command_line.options import require_folder_of
 
 PAGE_SUFFIX = ".html"
@@ -40,6 +43,15 @@ def require_page(out: Path) -> Path:
         )
     require_folder_of(out)
     return out
+
+
+@contextlib.contextmanager
+def telling_replacement(page: Path) -> Iterator[None]:
+    """Say after the block that a page took the place of another."""
+    existed = page.exists()
+    yield
+    if existed:
+        tell(f"{page} was there before and has been replaced; --out FILE writes elsewhere")
 
 
 PageOption = Annotated[
