@@ -28,6 +28,7 @@ MISTAKES_SHOWN = 20  # per file: more help no one, and a hostile file has thousa
 # Mistakes about a number's bounds, as pydantic names them.
 BOUNDS = ("greater_than", "greater_than_equal", "less_than", "less_than_equal")
 QUOTED = re.compile(r"'([^']+)'")  # words of a list, as pydantic writes them
+DECIMAL_COMMA = re.compile(r"\s*[-+]?\d+,\d+\s*")
 UNQUOTED = ("float_type", "int_type", "bool_type")
 
 
@@ -163,6 +164,8 @@ def describe_mistake(item: ErrorDetails) -> str:
     if item["type"] == "string_type" and isinstance(item["input"], int | float):
         return "expected text: put it in quotes"
     is_to_unquote = item["type"] in UNQUOTED and _is_only_quoted(item["input"])
+    if item["type"] in ("float_type", "float_parsing") and DECIMAL_COMMA.fullmatch(str(item["input"])):
+        return f"{message_text}, with a decimal point: {str(item['input']).replace(',', '.')}"
     return f"{message_text} without quotes" if is_to_unquote else message_text
 
 

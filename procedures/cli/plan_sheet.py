@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 from typer import Option
 
 from procedures.cli.planning_inputs import PlanArgument, PlannedSeriesOption, read_localized_ct
-from procedures.cli.runs.run_argument import PageOption
+from procedures.cli.runs.run_argument import PageOption, telling_replacement
 from ronna_hw.command_line import terminal
 from ronna_hw.roles import roles_of
 from ronna_hw.text import escape_controls
@@ -51,7 +51,9 @@ def sheet(
     from procedures.reporting.case_sheet.sheet import SheetTheatre
 
     stated = SheetTheatre() if theatre is None else SheetTheatre.of_file(theatre)
-    page = _build_sheet(plan_file, plan, volume, found, stated, uncounted, dual=dual).write(out)
+    built = _build_sheet(plan_file, plan, volume, found, stated, uncounted, dual=dual)
+    with telling_replacement(out):
+        page = built.write(out)
     if as_json:
         terminal.print_json({"page": str(page)})
     else:

@@ -226,10 +226,12 @@ class StepContext:
         """Ask the operator to confirm a value and record the answer. Raises PRO-002 unless it is yes."""
         self.require_yes(Question(topic, subject, value, trajectory=trajectory))
 
-    def require_yes(self, question: Question) -> None:
+    def require_yes(self, question: Question, action: str | None = None) -> None:
         """Ask the operator a question and record the answer. Raises PRO-002 unless it is yes."""
         if self._questions.ask_in_time(question) != YES:
-            raise NotConfirmed(f"the operator did not confirm '{question.subject}'", got=question.value_line)
+            raise NotConfirmed(
+                f"the operator did not confirm '{question.subject}'", got=question.value_line, action=action
+            )
 
     def perform_task(self, task: Task) -> tuple[float, ...]:
         """Assign a task to the room staff and record their readings. Raises PRO-002 if any are missing."""

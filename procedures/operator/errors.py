@@ -10,8 +10,9 @@ class NotConfirmed(RonnaError):
 
     code = "PRO-002"
     action = (
-        "Nothing was done. Repeat the step when the operator can confirm; a program without a terminal "
-        "needs --console or --answers."
+        "Nothing was done. Repeat the step when the operator can confirm. Where a file of answers said no, "
+        "change its line and resume with --answers FILE; a program without a terminal needs --console or "
+        "--answers."
     )
     exit_code = EXIT_ABORTED
 

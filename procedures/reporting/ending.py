@@ -62,6 +62,7 @@ NEXT = {  # by the word of an ending: the one command to type next
     RUNNING: "watch",
     **dict.fromkeys(STOPPED, "resume"),
 }
+BY_PERSON = ("interrupted", "aborted", "left")
 ENDS_A_STEP = (*ENDS_OF_A_STEP, Entry.REFUSED)
 
 
@@ -164,7 +165,9 @@ def _by_journal(journal: Sequence[Line], error: RunError | None) -> Ending:
         sentence = f"The program ended{where} without closing the run, or is still running."
         return Ending("killed", sentence, instrument_in=_trajectory_of(journal, Entry.INSTRUMENT, "inside"))
     inside = closed.get("instrument_in")
-    word, sentence, code = _describe_closed_run(journal, closed, last, error)
+    word, sentence, code = _describe_before_leaving(journal, closed) or _describe_closed_run(
+        journal, closed, last, error
+    )
     return Ending(word, sentence, code, inside if isinstance(inside, str) else None)
 
 
@@ -182,7 +185,9 @@ def is_resumable(reading: RunReading) -> bool:
 def advise(ending: Ending, *, resumable: bool, run: str = "RUN") -> str:
     """Say what to do after an ending, with commands on `run`; empty after one that needs nothing."""
     if resumable or ending.word in ("not begun", "done", RUNNING, CLOSING):
-        return ADVICE.get(ending.word, "").replace("RUN", run)
+        by_hand = ending.instrument_in if ending.instrument_held_for is None else None  # an arm leads it out
+        first = f"First remove the instrument from {by_hand} by hand. " if by_hand else ""
+        return first + ADVICE.get(ending.word, "").replace("RUN", run)
     code = f"docs/reference/error-codes.md says what to do about {ending.code}. " if ending.code else ""
     return f"{code}Put right what is named, then start the command again."
 
@@ -255,6 +260,26 @@ def _describe_closed_run(
     if error is None and closed.get("what"):
         error = RunError(code=str(closed.get("code")), what=str(closed["what"]))
     return "failed", *_append_error(f"It failed after {step}." if step else "It failed.", error)
+
+
+def _describe_before_leaving(journal: Sequence[Line], closed: Line) -> tuple[str, str, str] | None:
+    """Describe the ending of a case that commands such as `home` took up later without a step.
+
+    None if there were none, or if the case itself ended otherwise than by a person.
+    """
+    begins = [number for number, line in enumerate(journal) if line["entry"] == Entry.RESTARTED]
+    cut = None
+    while begins and ONLY_LEAVING in journal[begins[-1]]:
+        cut = begins.pop()
+    if not cut or journal[cut - 1]["entry"] != Entry.CLOSED:
+        return None
+    before = _by_journal(journal[:cut], None)
+    if before.word not in BY_PERSON or (before.word == closed.get("outcome")):
+        return None
+    if closed.get("outcome") == "left":
+        return before.word, f"{before.sentence} {_describe_leaving(journal, 'later')}.", before.code
+    why = f": {closed['code']}, {str(closed['what']).rstrip('.')}" if closed.get("what") else ""
+    return before.word, f"{before.sentence} A later attempt to go home did not succeed{why}.", before.code
 
 
 def _describe_leaving(journal: Sequence[Line], when: str) -> str:

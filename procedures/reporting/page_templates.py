@@ -23,6 +23,11 @@ def _without_controls(value: Any) -> Any:
     return "\n".join(map(escape_controls, value.split("\n"))) if type(value) is str else value
 
 
+def _css_text(text: str) -> str:
+    """Escape a text for a string in a style sheet, where entities do not count."""
+    return "".join(one if one.isalnum() or one in " .-_" else f"\\{ord(one):06x}" for one in text)
+
+
 @cache
 def _environment() -> jinja2.Environment:
     import jinja2
@@ -40,6 +45,7 @@ def _environment() -> jinja2.Environment:
         finalize=_without_controls,
     )
     environment.filters.update(
+        css_text=_css_text,
         mm=numbers.millimetres,
         point=numbers.point,
         degrees=numbers.degrees,

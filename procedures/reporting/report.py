@@ -7,6 +7,7 @@ from its verifier and is passed in.
 from __future__ import annotations
 
 import os
+import shlex
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -46,6 +47,7 @@ from ronna_hw.evidence.manifest import REPORT_FILE
 from ronna_hw.evidence.unsealed import describe_unsealed_files
 from ronna_hw.host.port_users import find_folder_holder
 from ronna_hw.records import write_atomically
+from ronna_hw.text import escape_controls
 
 TEMPLATE = "page.html.j2"
 
@@ -126,7 +128,9 @@ def _read_page(
         header=read_header(run.name, reading, opening, table, () if plan is None else plan.rows),
         verdict=VerdictSection(
             ending=ending,
-            advice=advise(ending, resumable=is_resumable(reading)),
+            advice=advise(
+                ending, resumable=is_resumable(reading), run=escape_controls(shlex.quote(run.name))
+            ),
             table=table,
             in_doubt=targets_in_doubt(journal),
             assistant=read_assistant_work(reading),

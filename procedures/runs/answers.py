@@ -48,8 +48,13 @@ class Answers(BaseModel, frozen=True, extra="forbid", strict=True):
 
     def answer_for(self, question: Question) -> str | None:
         """Return the file's answer to a question, or None. An answer for its trajectory takes precedence."""
-        word = self.answers.get(question.name, self.answers.get(str(question.topic)))
-        return word if word in question.answers else None
+        key = self.key_for(question)
+        return None if key is None else self.answers[key]
+
+    def key_for(self, question: Question) -> str | None:
+        """Return the key of the file's answer to a question, or None."""
+        key = question.name if question.name in self.answers else str(question.topic)
+        return key if self.answers.get(key) in question.answers else None
 
     def check_trajectories(self, trajectories: Sequence[str]) -> None:
         """Raise PRO-026 for answers whose trajectory is not in the plan."""
@@ -202,5 +207,7 @@ class AnsweringOperator:
         if word is None:
             return self._otherwise.ask(question)
         if word != question.answers[0]:
-            self._tell(f"the file of answers says {word} to {question.name}")
+            key = self._answers.key_for(question)
+            line = f'default = "{self._answers.default}"' if key is None else f'"{key}" = "{word}"'
+            self._tell(f"the file of answers says {word} to {question.name}, by its line {line}")
         return Answer(word)

@@ -382,7 +382,7 @@ def compare_room(engine: Engine, comparison: Comparison) -> bool:
         if look.by_frame
         else f"patient: spheres within {look.head_mm:.2f} mm of their recorded positions"
     )
-    base = "the tracker does not see the frame on the arm"
+    base = "the tracker does not see the frame on the arm; compared once it is home"
     if look.base_mm is not None:
         base = f"the frame on the arm within {look.base_mm:.2f} mm of where it is expected"
     comparison.notes += [f"robot base: {base}", *findings]

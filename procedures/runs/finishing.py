@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from procedures.reporting.outcome import RunError
     from procedures.runs.interrupted_run import InterruptedRun
 
+TAKE_OUT = "take it out by hand before anything else"
 FORMER = "former"  # raw readings of before, while new ones take their place
 UNFINISHED = """<!DOCTYPE html><html lang="en"><meta charset="utf-8">
 <meta name="viewport" content="width=device-width, initial-scale=1"><title>{run}: not finished</title>
@@ -254,18 +255,23 @@ def tell_next_commands(folder: Path, problem: BaseException) -> None:
     """After an interruption or failure, report where the arm is and which commands continue the run."""
     if not (folder / manifest.REQUEST_FILE).exists():
         return
-    from procedures.workcell.arm_history import fold_arms
+    from procedures.workcell.arm_history import describe_instrument, fold_arms
 
     interrupted = isinstance(problem, KeyboardInterrupt)
     with contextlib.suppress(RonnaError, OSError):
         run = shlex.quote(str(folder))
-        arms = fold_arms(read_chain(folder / JOURNAL_FILE))
+        master, assistant = arms = fold_arms(read_chain(folder / JOURNAL_FILE))
+        inside = describe_instrument(master.place, assistant.held)
         if _has_other_run_left_arm_away(folder):  # what ends this run names the commands of that one
             return
         if any(arm.place.is_out or (interrupted and arm.motions) for arm in arms):
             first = _describe_theatre_restart(folder) if isinstance(problem, ClockUnavailable) else ""
             moved = [arm.arm for arm in arms if arm.motions]
             where = "both arms are where they" if len(moved) > 1 else "the arm is where it"
+            if inside is not None:
+                where = f"{inside}, and {where}"
+                if assistant.held is None:  # otherwise an arm leads it out
+                    first = " ".join(filter(None, (f"{TAKE_OUT}, then", first)))
             tell(
                 f"{where} stopped; {first or 'continue with'} ronna-procedure home {run} or "
                 f"ronna-procedure resume {run}"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import fcntl
 import os
 import secrets
+import shlex
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -111,7 +112,8 @@ def require_run(folder: Path) -> None:
     raise PATH_PROBLEM(
         f"{folder} is {'a file, not a run' if is_file else 'not the folder of a run'}",
         expected="a folder with journal.jsonl",
-        action=next((f"Give the run's folder: {above}." for above in folder.parents if is_run(above)), None),
+        action=next((f"Give the run's folder: {above}." for above in folder.parents if is_run(above)), None)
+        or _suggest_run(folder),
     )
 
 
@@ -125,6 +127,21 @@ def require_two_runs(first: Path, second: Path) -> None:
             expected="two runs, to be compared",
             action=f"Name another; ronna-procedure list {first.parent} shows those beside it.",
         )
+
+
+def _suggest_run(folder: Path) -> str | None:
+    """Name the only run that part of its name, or of its folder's name, may mean."""
+    beside = [one for one in folder.parent.glob("*") if one.is_dir()] if folder.name else []
+    held: list[Path] = []
+    for place in beside:
+        with suppress(OSError):  # such as a folder that only others may read
+            held += [] if is_run(place) else find_runs(place)
+    of_place = [run for run in held if run.parent.name.startswith(folder.name)]
+    named = [run for run in (*filter(is_run, beside), *held) if folder.name in run.name]
+    for meant in (named, of_place):
+        if len(meant) == 1:
+            return f"Did you mean {shlex.quote(str(meant[0]))}?"
+    return None
 
 
 def is_run(folder: Path) -> bool:

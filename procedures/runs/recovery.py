@@ -61,7 +61,10 @@ def recover(engine: Engine, previous: InterruptedRun) -> None:
             )
     _doubt_work(engine, previous)  # after the arm's history is restored
     _require_acceptance(
-        engine, comparison, "resume the run", (*_list_first_moves(engine), _describe_remaining_steps(engine))
+        engine,
+        comparison,
+        "May the run go on from here?",
+        (*_list_first_moves(engine), _describe_remaining_steps(engine)),
     )
     if stored is None:
         return
@@ -120,7 +123,7 @@ def bring_home(engine: Engine, previous: InterruptedRun) -> bool:
     if not (first := _list_first_moves(engine)):
         _conclude(engine, comparison)
         return False
-    _require_acceptance(engine, comparison, f"bring {workcell.phrases.arms} home", first)
+    _require_acceptance(engine, comparison, f"May {workcell.phrases.arms} go home from here?", first)
     way_out.surround_arms(engine)
     engine.retreat_home()
     return True

@@ -194,7 +194,7 @@ class SupervisedMotion:
             if not self._confirmed:
                 self.confirm(
                     Topic.FIRST_MOTION,
-                    f"May the {self._name} make its first motion: {MOTION_DESCRIPTIONS[motion.what]}?",
+                    f"May the {self._name} move: first {MOTION_DESCRIPTIONS[motion.what]}, then as listed?",
                     [motion],
                     motion.trajectory,
                     self._announced,

@@ -28,7 +28,7 @@ from procedures.cli.case.plain_display import PlainDisplay, write_lines
 from procedures.cli.case.prompt import Prompt
 from procedures.cli.case.staff import terminal_observers
 from procedures.runs.case_outcome import build_unfinished_outcome, run_case
-from procedures.runs.finishing import Finalized, finalize_run
+from procedures.runs.finishing import TAKE_OUT, Finalized, finalize_run
 from procedures.runs.folders import hold_run, run_folder
 from procedures.runs.observers import RunObservers
 from procedures.runs.request import RunRequest
@@ -55,7 +55,7 @@ if TYPE_CHECKING:
 STANDARD_ERROR = 2
 PAUSING = b"\npausing at the next safe point; Ctrl-C again stops the arm now\n"
 STOPPING = b"\nstopping the arm; Ctrl-C again ends the command\n"
-AT_QUESTION = b"\nthe arm rests; Ctrl-C again ends the command\n"
+AT_QUESTION = "the arm rests; Ctrl-C again ends the command"
 AT_CONSOLE = b"\nnothing moves, the case waits for a person at the console; Ctrl-C again ends the command\n"
 AGAIN_S = 30.0  # host time in which a second Ctrl-C at such a wait is one
 
@@ -100,10 +100,17 @@ class Interrupts:
         """Count a Ctrl-C. Raises KeyboardInterrupt if it must end the command."""
         engine = self._engine
         if engine is None or self._at_question:
+            if self._at_question:
+                os.write(STANDARD_ERROR, b"\n")  # the prompt is still there
             raise KeyboardInterrupt
         if self._at_question is not None:
             self._at_question += 1
-            os.write(STANDARD_ERROR, AT_QUESTION + (self._question + self._prompt).encode())
+            workcell = engine.setting.workcell
+            inside = workcell.instrument_description
+            also = "" if inside is None else f"; {inside}"
+            if inside is not None and workcell.held_instrument is None:  # otherwise an arm leads it out
+                also = f"{also}: {TAKE_OUT}"
+            os.write(STANDARD_ERROR, f"\n{AT_QUESTION}{also}\n{self._question}{self._prompt}".encode())
             return
         if self._signed_answers != (answers := engine.questions.signed_answers):
             self._signed_answers = answers

@@ -88,6 +88,13 @@ class LiveDisplay:
         self._live.stop()
         try:
             yield
-        finally:
-            self._live = self._picture()
-            self._live.start()
+        except KeyboardInterrupt:  # the command ends: a picture shown again would stay below its last lines
+            raise
+        except BaseException:
+            self._show_again()
+            raise
+        self._show_again()
+
+    def _show_again(self) -> None:
+        self._live = self._picture()
+        self._live.start()

@@ -13,6 +13,7 @@ from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
 from typer import style
@@ -87,6 +88,16 @@ class Alarms:
         """Suffix for the prompt, such as ` (the arm is in fault)`; empty without a fault."""
         roles = " and ".join(f"the {role}" for role in sorted(self._reported))
         return f" ({roles} {'is' if len(self._reported) == 1 else 'are'} in fault)" if roles else ""
+
+    @property
+    def instrument(self) -> str | None:
+        """Statement that an instrument is or may be inside; None if not."""
+        return None if self._engine is None else self._engine.setting.workcell.instrument_description
+
+    @property
+    def run_folder(self) -> Path:
+        """Folder of the run, with its whole path."""
+        return Path("RUN") if self._engine is None else self._engine.case.folder.resolve()
 
     def _faults(self) -> dict[str, str]:
         return {} if self._engine is None else self._engine.faults.summaries
@@ -169,18 +180,18 @@ class TerminalOperator:
             if not self._knows_rule:
                 say_line(RULE)
                 self._knows_rule = True
-            described = _describe_question(question)
+            described = _describe_question(question, self.alarms)
             sys.stderr.write(described)
             write = partial(write_below, question=described)
             self.alarms.begin()
             while typed := read_typed(write, join_answers(question.answers), deadline_s, self.alarms):
                 if (word := pick_answer(typed, question.answers)) is None:
                     if pick_answer(typed, (HELP,)) is not None:
-                        _explain(question)
+                        self._explain(question)
                         continue
                     say_line(
                         f"{typed!r} is not an answer: type {join_answers(question.answers)} in full."
-                        f"{_how_to_leave(typed)}"
+                        f"{self._how_to_leave(typed)}"
                     )
                     continue
                 if word != question.answers[0] or read_back is None:
@@ -209,9 +220,9 @@ class TerminalOperator:
                 return Answer(word)
             if pick_answer(typed, (HELP,)) is not None:
                 say_line(f"Type {read_back.what}, or {join_answers(others)} to stop.")
-                _explain_ending(question)
+                self._explain_ending(question)
                 continue
-            if leave := _how_to_leave(typed):
+            if leave := self._how_to_leave(typed):
                 say_line(
                     f"{typed!r} is no value: type {read_back.what}, or {join_answers(others)} to stop.{leave}"
                 )
@@ -225,11 +236,33 @@ class TerminalOperator:
             say_line(f"{wrong} Type it again, or {join_answers(others)} to stop; {tries_left(misread)}.")
         return None
 
+    def _how_to_leave(self, typed: str) -> str:
+        """Return what to do for a command typed at a question; empty for other words."""
+        command = " ".join(typed.split()[:1]).casefold()
+        if command not in NOT_HERE:
+            return ""
+        return f" Commands such as {command} count after the question; {self._leaving}."
 
-def _how_to_leave(typed: str) -> str:
-    """Return what to do for a command typed at a question, where it does nothing; empty for other words."""
-    command = " ".join(typed.split()[:1]).casefold()
-    return f" Commands such as {command} count after the question; {LEAVING}." if command in NOT_HERE else ""
+    def _explain(self, question: Question) -> None:
+        """Write what can be typed at a question, how to leave it, and what counts without an answer."""
+        say_line(f"Type {join_answers(question.answers)}.")
+        if question.read_back is not None:
+            say_line(f"After {question.answers[0]!r}, type {question.read_back.what}.")
+        self._explain_ending(question)
+
+    def _explain_ending(self, question: Question) -> None:
+        """Write how to leave a question, and what counts without an answer."""
+        say_line(f"Commands count after the question; {self._leaving}.")
+        if question.timeout_s is None:
+            say_line(f"It waits until it is answered; the end of the input counts as {question.silence!r}.")
+        else:
+            say_line(f"No answer within {question.timeout_s:g} s counts as {question.silence!r}.")
+
+    @property
+    def _leaving(self) -> str:
+        """How to end the command, which is not advised while an instrument is inside."""
+        inside = self.alarms.instrument
+        return LEAVING if inside is None else f"answer it first: {inside}"
 
 
 def say_line(line: str) -> None:
@@ -237,24 +270,7 @@ def say_line(line: str) -> None:
     sys.stderr.write(f"{printable(line)}\n")
 
 
-def _explain(question: Question) -> None:
-    """Write what can be typed at a question, how to leave it, and what counts without an answer."""
-    say_line(f"Type {join_answers(question.answers)}.")
-    if question.read_back is not None:
-        say_line(f"After {question.answers[0]!r}, type {question.read_back.what}.")
-    _explain_ending(question)
-
-
-def _explain_ending(question: Question) -> None:
-    """Write how to leave a question, and what counts without an answer."""
-    say_line(f"Commands count after the question; {LEAVING}.")
-    if question.timeout_s is None:
-        say_line(f"It waits until it is answered; the end of the input counts as {question.silence!r}.")
-    else:
-        say_line(f"No answer within {question.timeout_s:g} s counts as {question.silence!r}.")
-
-
-def _describe_question(question: Question) -> str:
+def _describe_question(question: Question, alarms: Alarms) -> str:
     """Describe a question; what decides it and what is to be read back is bold on a terminal that can."""
     identity = () if question.identity is None else question.identity.rows
     statements = printable_lines(question.value).splitlines()
@@ -264,7 +280,10 @@ def _describe_question(question: Question) -> str:
         *(f"  {printable(f'{name}: {said}')}" for name, said in identity),
         *(f"  {bullet}{statement}" for statement in statements),
         *(f"  {predicted.sentence}" for predicted in question.predicted[:1]),
-        *(f"  picture: {PICTURES_FOLDER}/{one.name} in the run's folder" for one in question.pictures),
+        *(
+            f"  picture: {printable(str(alarms.run_folder / PICTURES_FOLDER / one.name))}"
+            for one in question.pictures
+        ),
     ]
     text = "\n".join(lines) + "\n"
     bold = [question.read_back.shown] if question.read_back else []

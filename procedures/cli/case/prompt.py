@@ -43,6 +43,7 @@ AT_PAUSE_CHOICES = " | ".join(
         *(f"{name} {rule.argument}".strip() for name, rule in AT_PAUSE.items() if name not in ENDING_PAUSE),
     )
 )
+TO_LEAVE_PAUSE = "resume goes on with it, abort retreats, drives home and ends it"
 SYNONYMS = {"exit": "quit", "continue": "resume"}  # without these the nearest match might move the arm
 NOTHING_DONE = (StepRefused, UnknownStep, UsageMistake)
 
@@ -132,7 +133,9 @@ class Prompt:
                 except RonnaError as mistake:
                     fail_with(mistake)
             elif name in COMMANDS:
-                self._say(f"{name} is not available while the case is paused; {AT_PAUSE_CHOICES}")
+                self._say(
+                    f"{name} is not available while the case is paused: {TO_LEAVE_PAUSE}; {AT_PAUSE_CHOICES}"
+                )
             else:
                 self._say(self._unknown(name, argument, (*ENDING_PAUSE, *AT_PAUSE), AT_PAUSE_CHOICES))
         return Answer(question.silence)

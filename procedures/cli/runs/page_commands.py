@@ -8,7 +8,7 @@ from typing import Annotated
 
 from typer import Argument
 
-from procedures.cli.runs.run_argument import PageOption, RunArgument, require_run_folder
+from procedures.cli.runs.run_argument import PageOption, RunArgument, require_run_folder, telling_replacement
 from ronna_hw.command_line.terminal import JsonOption, print_json
 from ronna_hw.text import escape_controls
 
@@ -32,7 +32,8 @@ def compare_command(
 
     require_two_runs(run_folder, other)
     compared = compare_runs(run_folder, other)
-    path = compared.write(out)
+    with telling_replacement(out):
+        path = compared.write(out)
     if as_json:
         print_json({"page": str(path), **compared.as_payload()})
     else:
@@ -56,7 +57,8 @@ def sheet_command(
             expected="a case that got past plan_check",
             action="ronna-plan sheet PLAN --ct SERIES_DIR writes the sheet from plan and CT.",
         )
-    path = sheet.write(out)
+    with telling_replacement(out):
+        path = sheet.write(out)
     if as_json:
         print_json({"page": str(path)})
     else:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated
 
@@ -9,6 +11,7 @@ from typer import Argument, Option
 
 from procedures.reporting.page_file import PAGE_SUFFIX
 from ronna_hw.command_line.errors import UsageMistake
+from ronna_hw.command_line.messages import tell
 from ronna_hw.command_line.options import require_folder_of
 
 
@@ -39,6 +42,15 @@ def require_page(out: Path) -> Path:
         )
     require_folder_of(out)
     return out
+
+
+@contextlib.contextmanager
+def telling_replacement(page: Path) -> Iterator[None]:
+    """Say after the block that a page took the place of another."""
+    existed = page.exists()
+    yield
+    if existed:
+        tell(f"{page} was there before and has been replaced; --out FILE writes elsewhere")
 
 
 PageOption = Annotated[

@@ -61,9 +61,9 @@ def _before_motion(settings: ProcedureSettings) -> Iterator[LimitRow]:
         "the sphere is not taken",
     )
     yield LimitRow(
-        "spheres that the registration needs",
+        "spheres needed to leave one out",
         f"{FEWEST_SPHERES}",
-        "with fewer, no sphere is left out: a moved one could not be found",
+        "with 3, none is left out, and a moved one cannot be found",
     )
     yield LimitRow(
         "residuals of the registration",

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
 from pathlib import Path
 
 from procedures.imaging.markers import Marker
@@ -16,6 +17,7 @@ from procedures.planning.guide import depth_stop_mm
 from procedures.planning.head_in_ct import HeadEllipsoid
 from procedures.planning.plan_file import describe_seal
 from procedures.planning.plan_model import FiducialKind, Plan, PlannedTrajectory
+from procedures.planning.short_numbers import short_plan_number, short_series_number
 from procedures.reporting.case_sheet.answering import (
     QuestionRow,
     describe_answering,
@@ -102,6 +104,7 @@ class CaseSheet:
     title: str
     theatre: SheetTheatre
     plan: Plan
+    written: datetime
     trajectories: tuple[SheetTrajectory, ...]
     markers: tuple[Marker, ...]
     doubtful: tuple[DoubtfulSphere, ...]
@@ -116,6 +119,12 @@ class CaseSheet:
     def seal(self) -> str:
         """Who sealed the plan."""
         return describe_seal(self.plan)
+
+    @property
+    def numbers(self) -> str:
+        """Numbers of series and plan, as the first question of the case shows them, and the date."""
+        series, plan = short_series_number(self.plan.series_instance_uid), short_plan_number(self.plan)
+        return f"CT series {series} · plan {plan} · written {self.written:%Y-%m-%d %H:%M} UTC"
 
     @property
     def fiducials(self) -> str:
@@ -152,6 +161,7 @@ def sheet_of_plan(
         title=title,
         theatre=theatre,
         plan=plan,
+        written=datetime.now(UTC),
         trajectories=tuple(
             SheetTrajectory(
                 planned,

@@ -11,6 +11,7 @@ from procedures.reporting.pictures import BLUE, GREEN, GRID, HEADING_ROW, TEXT_S
 FIRST, SECOND = BLUE, GREEN
 BAR, ROW = 10.0, 15.0
 LABEL_ROOM = 120.0
+VALUE_LABEL = 60.0  # width of a figure with its unit
 LIMIT = 'stroke="currentColor" stroke-width="2"'
 
 
@@ -45,8 +46,12 @@ def compared_targets_figure(targets: Sequence[ComparedTarget], names: tuple[str,
             canvas.rectangle(LABEL_ROOM, top + 2, value_mm * scale, BAR, colour)
             at = LABEL_ROOM + row.predicted.limit_mm * scale
             canvas.line(at, top, at, top + ROW - 2, LIMIT)
-            canvas.text(
-                max(LABEL_ROOM + value_mm * scale, at) + 4, top + TEXT_SIZE, f"{millimetres(value_mm)} mm"
-            )
+            end, value = LABEL_ROOM + value_mm * scale, f"{millimetres(value_mm)} mm"
+            limit = f"limit {millimetres(row.predicted.limit_mm)}"
+            if end + VALUE_LABEL < at:
+                canvas.text(end + 4, top + TEXT_SIZE, value)
+                canvas.text(at + 4, top + TEXT_SIZE, limit)
+            else:
+                canvas.text(max(end, at) + 4, top + TEXT_SIZE, f"{value}, {limit}")
             top += ROW
     return canvas.svg

@@ -33,7 +33,10 @@ from procedures.reporting.sections.course import read_course
 from procedures.reporting.sections.header import RunOpening, read_header
 from procedures.reporting.sections.plan import read_plan
 from procedures.reporting.tables import TargetTable, target_rows
+from procedures.steps.catalogue import clinical_steps
+from procedures.steps.clinical.ct_import import ImportedCt
 from ronna_hw.notebook_html import table_html
+from ronna_hw.roles import TWO_ARMS
 
 TEMPLATE = "comparison.html.j2"
 FIRST, SECOND = "A", "B"  # as the page calls the runs
@@ -72,6 +75,7 @@ class RunComparison:
     targets_picture: str  # SVG; empty without a prediction
     timelines: Pair[str]  # SVG, on one scale of time
     plan_pictures: tuple[PicturePair, ...]  # of trajectories whose pictures differ
+    has_two_cts: bool = False  # whether both CTs are known and are not the same
 
     def __repr__(self) -> str:
         names = " and ".join(f"{one.letter} {one.name} ({one.ending.word})" for one in self.runs)
@@ -81,6 +85,11 @@ class RunComparison:
     def total_s(self) -> Pair[float]:
         """Theatre time of all steps."""
         return Pair(*(sum(one.theatre_s[at] or 0.0 for one in self.steps) for at in (0, 1)))
+
+    @property
+    def step_titles(self) -> dict[str, str]:
+        """Titles of the steps of a case, by their names in the journal."""
+        return {step.name: step.title for step in clinical_steps(measure_targets=True, roles=TWO_ARMS)}
 
     def write(self, out: str | os.PathLike[str]) -> Path:
         """Write the page to a file and return its path. Raises ARG-001, CLI-005 in a run, OSError."""
@@ -127,7 +136,13 @@ def compare_runs(first: Path, second: Path) -> RunComparison:
         targets_picture=compared_targets_figure(targets, (FIRST, SECOND)),
         timelines=_draw_timelines(readings),
         plan_pictures=_find_different_pictures(readings),
+        has_two_cts=_have_two_cts(readings),
     )
+
+
+def _have_two_cts(readings: Pair[RunReading]) -> bool:
+    first, second = (one.find(ImportedCt) for one in readings)
+    return first is not None and second is not None and first.voxels_sha256 != second.voxels_sha256
 
 
 def _describe_run(letter: str, reading: RunReading) -> ComparedRun:

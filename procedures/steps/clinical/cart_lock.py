@@ -20,12 +20,13 @@ from procedures.journal.results import StepResult, Values
 from procedures.operator.question import YES, Question, Task, Topic
 from procedures.planning.errors import PLACE_UNFIT
 from procedures.planning.proposed_place import PlaceFile, ProposalDeviation, ProposedPlace, read_place
+from procedures.planning.short_numbers import DIGITS
 from procedures.registration.movement import measure_shift
 from procedures.steps.branches import AS_IT_STANDS, CART_MISPLACED, HOLD, PLACINGS
 from procedures.steps.clinical.coarse_match import coarse_match, room_prior
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
 from procedures.steps.clinical.head_clamp import ClampedHead
-from procedures.steps.clinical.plan_check import SHORT_HASH, CheckedPlan
+from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.set_up import CheckedSetUp
 from procedures.steps.conditions import needs_arm_home
 from procedures.steps.errors import CART_NOT_LOCKED, CART_OUT_OF_PLACE
@@ -70,8 +71,8 @@ class LockedCart(StepResult, kind="cart_lock", version=2):
         found = read_place(path)
         if self.proposal is None or (found is not None and found.place == self.proposal.place):
             return ""
-        now = "no position" if found is None else f"another position, SHA-256 {found.sha256[:SHORT_HASH]}"
-        return f"{now} instead of {self.proposal.sha256[:SHORT_HASH]}"
+        now = "no position" if found is None else f"another position, SHA-256 {found.sha256[:DIGITS]}"
+        return f"{now} instead of {self.proposal.sha256[:DIGITS]}"
 
 
 def run(context: StepContext) -> Outcome[LockedCart]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from dataclasses import replace
 
 import numpy as np
@@ -23,14 +22,19 @@ from procedures.planning.plan_check import PlanCheck, check_plan
 from procedures.planning.plan_file import describe_seal, parse_plan_bytes
 from procedures.planning.plan_lock import lock_plan
 from procedures.planning.plan_model import Plan, PlannedTrajectory
+from procedures.planning.short_numbers import short_plan_number, short_series_number
 from procedures.steps.branches import FEWEST_SPHERES, GO_ON, SPHERE_COUNT
 from procedures.steps.clinical.ct_import import ImportedCt, volume_of
 from procedures.steps.clinical.fiducial_localization import DoubtfulSphere, LocalizedFiducials
 from procedures.steps.conditions import needs_guide_unmounted
 
-SHORT_HASH = 8  # hex digits: enough to tell two series apart at a glance
 DATE_DIGITS = 8  # of a DICOM date, YYYYMMDD
 LONGEST_SHOWN = 64  # characters, as DICOM allows for a description
+OTHER_PATIENT = (
+    "Nothing was moved. If it is another patient, plan or CT, begin a new run with the right ones: this run "
+    "keeps its own. Repeat the step only if the answer was a slip; in a file of answers, change its line and "
+    "resume with --answers FILE."
+)
 NOT_GIVEN = "not given"
 
 
@@ -122,7 +126,7 @@ def _confirm_patient(
     wristband = ReadBack(
         "the patient's identifier, as on the wristband",
         identifier,
-        wrong="is not the identifier in this CT (PatientID), in which case, spaces and zeros count. "
+        wrong="is not the identifier in this CT (PatientID). Case, spaces and zeros count. "
         "Answer no if that is what the wristband says.",
         exact=True,
     )
@@ -134,7 +138,7 @@ def _confirm_patient(
         pictures=pictures,
         identity=_identify(scan),
     )
-    context.require_yes(question)
+    context.require_yes(question, OTHER_PATIENT)
 
 
 def _identify(scan: ScanIdentity) -> Identity:
@@ -152,9 +156,8 @@ def _identify(scan: ScanIdentity) -> Identity:
 
 
 def _describe_plan(check: PlanCheck, head: HeadEllipsoid) -> str:
-    """Describe the plan anonymously, identifying the series by a hash of its UID. A doubt comes first."""
+    """Describe the plan anonymously, series and plan by their short numbers. A doubt comes first."""
     plan = check.plan
-    series = hashlib.sha256(plan.series_instance_uid.encode()).hexdigest()[:SHORT_HASH]
     return "\n".join(
         (
             *([check.sign_doubt] if check.sign_doubt else []),
@@ -165,8 +168,8 @@ def _describe_plan(check: PlanCheck, head: HeadEllipsoid) -> str:
             ),
             f"tool {plan.tool}; instrument {plan.instrument_length_mm:g} mm, "
             f"stand-off {plan.standoff_mm:g} mm",
-            f"CT series {series}, {plan.patient_orientation.value}",
-            f"plan {describe_seal(plan)}",
+            f"CT series {short_series_number(plan.series_instance_uid)}, {plan.patient_orientation.value}",
+            f"plan {short_plan_number(plan)}, {describe_seal(plan)}",
         )
     )
 

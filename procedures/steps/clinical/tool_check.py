@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from pydantic import Field
@@ -176,7 +176,9 @@ def read_on_gauge(context: StepContext) -> GuideOnGauge:
         reached = workcell.master.settle(gauge_rad, ONE_SIDE, allow_detour=number == 0)
         workcell.master.hold()  # a hand pushes the mandrel in: only the next motion may move the arm
         workcell.master.instrument.record_insertion(IN_GAUGE)
-        readings.append(context.perform_task(task))
+        seatings = APPROACHES if number < APPROACHES else 2 * APPROACHES
+        seating = f"{task.subject} (seating {1 + number} of {seatings})"
+        readings.append(context.perform_task(replace(task, subject=seating)))
         if number == 0:
             read_s = context.setting.clock.now_s()
         context.request_instrument_removal()

@@ -76,6 +76,7 @@ def test_a_missing_file_a_folder_and_bytes_that_are_not_text_are_unreadable(tmp_
         ("margin_mm = 1.5", "", "trajectory T1.margin_mm"),
         ("margin_mm = 1.5", "margin_mm = 0", "trajectory T1.margin_mm"),
         ("margin_mm = 1.5", 'margin_mm = "1.5"', "T1.margin_mm: expected a valid number without quotes"),
+        ("margin_mm = 1.5", 'margin_mm = "1,5"', "a valid number, with a decimal point: 1.5 (found '1,5')"),
         ("margin_mm = 1.5", 'margin_mm = "wide"', "T1.margin_mm: expected a valid number (found 'wide')"),
         ('id = "T1"', 'id = "../T1"', ".id: expected letters, digits, _ . or -, a letter or a digit first"),
         ('id = "T1"', 'id = ""', "trajectory 1.id: expected at least 1 character"),

@@ -14,6 +14,7 @@ from user_commands import in_this_process, one_error
 from procedures.cli.procedure import app
 from procedures.operator.question import FOR_A_PERSON, Topic
 from procedures.planning.guide import depth_stop_mm
+from procedures.planning.short_numbers import short_plan_number, short_series_number
 from procedures.reporting.case_sheet.answering import SUBJECTS, questions_of_branches, questions_of_course
 from procedures.reporting.case_sheet.sheet import SheetTheatre, sheet_of_plan, sheet_of_run
 from procedures.steps.catalogue import clinical_steps
@@ -36,6 +37,19 @@ def test_the_sheet_of_a_run_has_its_plan_its_spheres_and_the_predicted_limits(
         assert " ".join(f"{value:.1f}" for value in marker.centre_mm) in text
     assert "SIMULATED THEATRE" in text
     assert "accepted error mm" in text
+
+
+def test_both_pages_carry_the_numbers_of_series_and_plan(registered: Path, tmp_path: Path) -> None:
+    sheet = sheet_of_run(registered)
+    assert sheet is not None
+    text = report_text(sheet.write(tmp_path / "sheet.html"))
+    first, second = text.split("Who answers what")
+    for number in (
+        f"CT series {short_series_number(sheet.plan.series_instance_uid)}",
+        f"plan {short_plan_number(sheet.plan)}",
+    ):
+        assert number in first
+        assert number in second
 
 
 def test_limits_are_those_of_the_theatre_and_depth_stops_those_of_its_guide() -> None:

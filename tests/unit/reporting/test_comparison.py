@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -101,6 +102,25 @@ def test_the_page_says_how_each_ended_and_fetches_nothing(pair: tuple[Path, Path
     assert "0.250" in text
     assert "<script" not in page.read_text()
     assert "accuracy" not in text
+
+
+def test_a_page_that_takes_the_place_of_another_says_so(pair: tuple[Path, Path], tmp_path: Path) -> None:
+    said = [
+        in_this_process(app, "compare", *pair, "--out", tmp_path / "comparison.html").stderr for _ in "ab"
+    ]
+    assert ["has been replaced" in one for one in said] == [False, True]
+
+
+def test_steps_have_their_titles_and_runs_of_two_cts_a_banner(
+    pair: tuple[Path, Path], tmp_path: Path
+) -> None:
+    compared = compare_runs(*pair)
+    text = report_text(compared.write(tmp_path / "comparison.html"))
+    assert "Import the CT series" in text
+    assert "two different CTs" not in text  # that of the second is not known
+    assert "two different CTs" in report_text(
+        replace(compared, has_two_cts=True).write(tmp_path / "comparison.html")
+    )
 
 
 def test_a_notebook_shows_both_endings_and_the_errors_with_their_units(pair: tuple[Path, Path]) -> None:

@@ -317,6 +317,28 @@ def test_a_run_that_was_only_sent_home_was_left_by_nobody(
     assert ending_of(read_for_report(cell.folder)).sentence == f"{done} after image, and no step was run."
 
 
+@pytest.mark.parametrize(
+    ("outcome", "then"),
+    [
+        ("left", "The arm was sent home later, and no step was run."),
+        ("failed", "A later attempt to go home did not succeed: PRO-032, not accepted."),
+    ],
+)
+def test_a_way_home_keeps_the_ending_of_an_interrupted_run(
+    cell: ClinicalCell, outcome: str, then: str
+) -> None:
+    engine = cell.engine(plain_order(image=raising(KeyboardInterrupt())))
+    with pytest.raises(KeyboardInterrupt):
+        engine.run_step(engine.order.find("image"))
+    cell.journal.write(Entry.CLOSED, 5.0, outcome="interrupted")
+    cell.journal.write(Entry.RESTARTED, 6.0, **{ONLY_LEAVING: True})
+    cell.journal.write(Entry.HOME, 7.0)
+    error = {"code": "PRO-032", "what": "not accepted"} if outcome == "failed" else {}
+    cell.journal.write(Entry.CLOSED, 8.0, outcome=outcome, **error)
+    ending = ending_of(read_for_report(cell.folder))
+    assert (ending.word, ending.sentence) == ("interrupted", f"It was interrupted during image. {then}")
+
+
 @pytest.mark.hazard(41)
 def test_a_case_left_after_a_failed_step_names_what_failed_first(cell: ClinicalCell) -> None:
     engine = cell.engine(plain_order(fit=raising(GateFailed("too far off"))))

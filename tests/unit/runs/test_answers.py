@@ -40,7 +40,7 @@ def test_a_file_that_does_not_let_the_case_go_on_is_named_as_the_one_that_said_s
     for word in ("yes", "no"):
         answers = Answers(answers={"approach": word})
         AnsweringOperator(answers, Person(), tell=told.append).ask(APPROACH)
-    assert told == ["the file of answers says no to approach:T1"]
+    assert told == ['the file of answers says no to approach:T1, by its line "approach" = "no"']
 
 
 @pytest.mark.parametrize(("default", "answer"), [("first", "yes"), ("silence", "no"), (None, "person")])

@@ -121,7 +121,7 @@ def test_the_frame_on_the_arm_must_be_seen_when_the_arm_is_home(cell: ClinicalCe
     ("hidden", "said"),
     [
         (False, "robot base: the frame on the arm within 0.00 mm of where it is expected"),
-        (True, "robot base: the tracker does not see the frame on the arm"),
+        (True, "robot base: the tracker does not see the frame on the arm; compared once it is home"),
     ],
 )
 def test_the_base_is_compared_as_well_while_the_arm_is_away_from_home_if_its_frame_is_seen(

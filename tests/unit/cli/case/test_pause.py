@@ -17,7 +17,9 @@ class Engine:
         self.is_awaiting_person = lambda: self.awaits_person
         self.checkpoint = SimpleNamespace(wanted=False, pause=self.pause)
         self.questions = SimpleNamespace(signed_answers=0)
-        self.setting = SimpleNamespace(workcell=SimpleNamespace(stop=self.stop))
+        self.setting = SimpleNamespace(
+            workcell=SimpleNamespace(stop=self.stop, instrument_description=None, held_instrument=None)
+        )
 
     def pause(self, reason: str) -> None:
         self.paused.append(reason)
@@ -84,6 +86,18 @@ def test_an_interrupt_at_a_question_repeats_the_question_with_its_figures(
     repeated = "Ctrl-C again ends the command\nthe wristband\nType what it says: "
     assert capfd.readouterr().err.endswith(repeated)
     assert engine.paused == []
+
+
+def test_an_interrupt_at_a_question_says_that_an_instrument_is_inside(
+    attached: tuple[Interrupts, Any], capfd: pytest.CaptureFixture[str]
+) -> None:
+    interrupts, engine = attached
+    engine.setting.workcell.instrument_description = "an instrument is still in T1"
+    with interrupts.asking() as write:
+        write("Type yes: ", question="at depth?\n")
+        interrupts.interrupt()
+    (said,) = [line for line in capfd.readouterr().err.splitlines() if "Ctrl-C again" in line]
+    assert said.endswith("; an instrument is still in T1: take it out by hand before anything else")
 
 
 def test_while_a_person_at_the_console_is_awaited_the_second_interrupt_ends_the_command(

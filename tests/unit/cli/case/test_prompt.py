@@ -165,7 +165,7 @@ def test_an_unknown_command_is_reported_with_a_suggestion_and_a_synonym_is_not_e
     said = Typed(monkeypatch, "weiter", "nexxt", "next", "abort")
     said.prompt.ask(Question(Topic.PAUSE, "Paused", "here", ("continue", "abort")))
     assert said.said[2].startswith("there is no command 'weiter'; ")
-    assert said.said[4].startswith("next is not available while the case is paused; ")
+    assert said.said[4].startswith("next is not available while the case is paused: resume goes on ")
 
 
 @pytest.mark.parametrize("last", [("abort",), ()])

@@ -150,6 +150,17 @@ def test_a_folder_of_runs_is_refused_with_the_name_of_the_run_in_it(tmp_path: Pa
     assert f"Give one of them: {folder}." in shown
 
 
+@pytest.mark.parametrize("mistyped", ["cases/{half}", "{half}", "case"])
+def test_part_of_a_name_is_refused_with_the_only_run_it_may_mean(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, mistyped: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    folder = new_run_folder(RunRequest(procedure=CaseProcedure()), Path("cases"))
+    (folder / "journal.jsonl").touch()
+    done = in_this_process(app, "resume", mistyped.format(half=folder.name[:-5]))
+    assert f"Did you mean {folder}?" in " ".join(one_error(done.stderr))
+
+
 @pytest.mark.parametrize("inside", ["", "report", "new/folder"])
 def test_nothing_is_written_into_a_run(run: Path, inside: str) -> None:
     before = sorted(run.rglob("*"))

@@ -21,6 +21,7 @@ from procedures.operator.question import Topic
 from procedures.planning.errors import WRONG_SERIES, PlanMistakes, WrongMarkerCount
 from procedures.planning.plan_file import describe_seal
 from procedures.planning.plan_model import Plan
+from procedures.planning.short_numbers import short_plan_number
 from procedures.steps.clinical.fiducial_localization import DoubtfulSphere
 from procedures.steps.clinical.plan_check import STEP, CheckedPlan
 from ronna_hw.arrays import Array
@@ -167,7 +168,7 @@ def test_patient_and_plan_are_asked_about_with_the_identity_apart_and_the_plans_
     assert "Secret" not in question.value + repr(question)
     assert all(f", {one.depth_mm:.1f} mm deep" in question.value for one in plan().trajectories)
     assert SERIES not in question.value
-    assert f"plan {describe_seal(plan())}" in question.value.splitlines()
+    assert f"plan {short_plan_number(plan())}, {describe_seal(plan())}" in question.value.splitlines()
 
 
 @pytest.mark.hazard(7)
