@@ -25,7 +25,7 @@ from procedures import from_python
 from procedures.exchange import raw_readings, recorded_tables, registration_in_ct, run_tables
 from procedures.reporting.comparison import page as page_of_two
 from procedures.strategies import strategy, trajectory
-from ronna_hw import frames, loaded_run, simulated_room, theatre
+from ronna_hw import frames, loaded_run, room_truth, simulated_room, theatre
 from ronna_hw.devices import (
     ConfirmedStart,
     OpticalTracker,
@@ -43,8 +43,8 @@ from ronna_hw.devices.lifecycle import GuardedDevice
 from studies import parameter_sweep
 from studies.plugins import contracts
 
-ROOM = (
-    "SimulatedRoom", "RoomTruth", "TrueSphere", "TrueMarker", "TruePhantom", "StrayOrigin", "Origin",
+TRUTH = (
+    "RoomTruth", "TrueSphere", "TrueMarker", "TruePhantom", "StrayOrigin", "Origin",
 )  # fmt: skip
 
 
@@ -129,7 +129,8 @@ def devices() -> str:
         [
             _all_of(theatre, "open_theatre", "Theatre"),
             _all_of(theatre, "simulated_theatre", "SimulatedTheatre"),
-            _all_of(simulated_room, *ROOM),
+            _all_of(simulated_room, "SimulatedRoom", "UnseenSphereWarning"),
+            _all_of(room_truth, *TRUTH),
             _all_of(stray_tracks, "track_strays", "StrayTrack", "StrayWarning"),
             interfaces,
             Part(readings.__name__, own),
