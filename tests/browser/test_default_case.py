@@ -36,7 +36,7 @@ def test_the_default_case_by_clicks_with_a_fault_matches_the_run_without_fault_o
     take_seat(page)
     await_next(page, "ct_import")
     run_to(page, "relocalization:T1")
-    answer_until(page, "first motion", patient="default-7")
+    answer_until(page, "then as listed", patient="default-7")
     mount(case, NO_TOOL)  # somebody takes the stereo head off while the arm is about to move
     answer(page, patient="default-7")
     page.wait_for_selector(".state >> text=suspended")

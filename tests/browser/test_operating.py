@@ -136,7 +136,7 @@ def decline_by_keys(page: Any, case: OperatedCase) -> None:
     await_next(page, "fiducial_localization")
     press(page, "[data-do=resume]")
     page.wait_for_selector(ANSWERS)
-    while "first motion" not in page.locator("section.question").inner_text():
+    while "then as listed" not in page.locator("section.question").inner_text():
         answer_by_keys(page)
         page.wait_for_selector(ANSWERS)
 
@@ -178,7 +178,7 @@ def test_the_step_ends_and_the_seat_is_freed_while_the_pages_are_suspended_for_a
     enter(viewer, case.addresses["viewer_url"] + "&low")
     await_next(page, "ct_import")
     run_to(page, "relocalization:T1")
-    answer_until(page, "first motion")
+    answer_until(page, "then as listed")
     answer(page)
     wakes_s = time.monotonic() + SUSPENDED_S
 

@@ -94,7 +94,7 @@ def _operated(browser: Any, place: Path, out: Path) -> Iterator[Path]:
         yield from _take(page, out, "console-start")
         take_seat(page, "Dr Rehearsal")
         run_to(page, "registration:T1")
-        answer_until(page, "first motion")
+        answer_until(page, "then as listed")
         moment = page.context.new_page()  # of the same session, hence of the same operator
         moment.set_viewport_size({"width": WIDE[0], "height": WIDE[1]})
         enter(moment, case.addresses["url"].partition("?")[0])

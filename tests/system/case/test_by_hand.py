@@ -103,7 +103,7 @@ def test_a_simulated_case_is_driven_by_answers_and_words_alone_whatever_was_mist
 @pytest.mark.hazard(32)
 def test_after_an_emergency_stop_is_acknowledged_by_name_the_arm_goes_home(cell: Cell) -> None:
     def pressed_in_the_first_motion(text: str) -> None:
-        if "first motion" in text and not is_pressed:
+        if "then as listed" in text and not is_pressed:
             Thread(target=press, daemon=True).start()
             is_pressed.append(True)
 

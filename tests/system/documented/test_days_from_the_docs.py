@@ -174,7 +174,7 @@ def test_the_clinical_engineer_rehearses_a_stop_and_finishes_the_case(rehearsal:
         rehearsal.person.does(stop)
 
     def at_the_first_motion(text: str) -> None:
-        if "first motion" in text and not pressed:
+        if "then as listed" in text and not pressed:
             pressed.append(Thread(target=press, daemon=True))
             pressed[0].start()
 
