@@ -55,6 +55,7 @@ HOLD_WHILE_RUNNING = """
   return true;
 }
 """
+SPEED = "1"  # real time: a step lasts until software graphics have drawn it
 DRAWN_MS = 2500  # for software graphics to have drawn the planner's scene
 
 
@@ -87,7 +88,7 @@ def _pictures(page: str, folder: Path) -> set[Path]:
 def _operated(browser: Any, place: Path, out: Path) -> Iterator[Path]:
     """Take the start of a case, the question about a registration, and steps that run."""
     with operated_cases(place) as start:
-        case = start("step")
+        case = start("step", "--speed", SPEED)
         page = _open_page(browser)
         enter(page, case.addresses["url"] + "&low")
         await_next(page, "ct_import")
