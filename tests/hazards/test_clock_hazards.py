@@ -31,6 +31,7 @@ DATING = {
     "procedures/engine/setting.py",
     "procedures/runs/comparison.py",
     "ronna_hw/recording/flight_recorder.py",
+    "procedures/reporting/case_sheet/sheet.py",
     "procedures/reporting/sections/evidence.py",
     "procedures/runs/folders.py",
     "procedures/runs/theatre_history.py",

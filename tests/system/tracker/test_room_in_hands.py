@@ -119,9 +119,11 @@ def test_a_sphere_is_placed_where_the_tracker_reads_it_and_taken_away_again(
 def test_a_sphere_that_the_tracker_does_not_see_is_placed_with_a_word_why(
     theatre: SimulatedTheatre, tracker: OpticalTracker
 ) -> None:
-    with pytest.warns(UnseenSphereWarning, match="extra sphere 1 at .* outside the measuring volume"):
+    with pytest.warns(
+        UnseenSphereWarning, match="extra sphere 1 at .* outside the unit's first measuring volume"
+    ):
         theatre.room.place_sphere((-200.0, 0.0, -2600.0))
-    assert theatre.room.why("extra sphere 1") == "in view, but outside the measuring volume"
+    assert theatre.room.why("extra sphere 1") == "in view, but outside the unit's first measuring volume"
     with pytest.warns(UnseenSphereWarning, match="outside the field of view"):
         theatre.room.place_sphere((0.02, 0.1, -1.8))  # in metres by mistake
     with raises(WrongArgument, match=r"extra sphere 1 is at that place"):

@@ -136,7 +136,7 @@ def test_after_a_stop_the_next_motion_of_the_assistant_is_confirmed_anew(
     assistant.supervised.confirm(Topic.RETREAT, "retreat", [])
     cell.workcell.stop()
     assistant.supervised.ask_before(checkpoint, lambda _question: "no")
-    with pytest.raises(NotConfirmed, match="first motion"):
+    with pytest.raises(NotConfirmed, match="then as listed"):
         assistant.supervised.carry_out(assistant.withdraw_motion())
 
 
