@@ -110,7 +110,7 @@ class RunSummary(Values):
 
     @property
     def stop_lines(self) -> tuple[str, ...]:
-        """Where each arm of a run that stopped is, and what may be inside; empty for other runs."""
+        """Place of each arm of a stopped run, and what may be inside the patient; empty for other runs."""
         if self.ended not in STOPPED:
             return ()
         several = len(self.arms) > 1

@@ -95,12 +95,14 @@ def write_case(
 
 @contextmanager
 def _whole_or_removed(series: DicomSeries, folder: Path) -> Iterator[None]:
-    """Prepare a series for the block, and remove its folder if that ends early: it can be repeated."""
+    """Prepare a series for the block; if that ends early, remove the folder made for it, for a repetition."""
+    is_new = not folder.exists()
     series.prepare()
     try:
         yield
     except BaseException:  # above all an interruption
-        shutil.rmtree(folder, ignore_errors=True)
+        if is_new:
+            shutil.rmtree(folder, ignore_errors=True)
         raise
 
 

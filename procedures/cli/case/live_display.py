@@ -90,7 +90,7 @@ class LiveDisplay:
             yield
         except KeyboardInterrupt:  # the command ends: a picture shown again would stay below its last lines
             raise
-        except BaseException:
+        except BaseException:  # also an exit: whatever goes on is shown
             self._show_again()
             raise
         self._show_again()

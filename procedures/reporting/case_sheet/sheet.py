@@ -58,7 +58,7 @@ class SheetTrajectory:
 
 @dataclass(frozen=True)
 class SheetTheatre:
-    """What a sheet tells of the theatre; the defaults are those of a theatre file that states nothing."""
+    """Theatre as a sheet shows it; the defaults are those of a theatre file that states nothing."""
 
     name: str = ""
     banner: str = ""
@@ -117,7 +117,7 @@ class CaseSheet:
 
     @property
     def seal(self) -> str:
-        """Who sealed the plan."""
+        """Name of the person who sealed the plan."""
         return describe_seal(self.plan)
 
     @property
@@ -128,7 +128,7 @@ class CaseSheet:
 
     @property
     def fiducials(self) -> str:
-        """What the spheres stand on."""
+        """Carrier of the spheres."""
         return FIDUCIALS.get(self.plan.fiducials, self.plan.fiducials.value)
 
     @property
