@@ -12,7 +12,7 @@ import hashlib
 import os
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import fields, replace
 from functools import cache, wraps
 from inspect import signature
@@ -114,24 +114,12 @@ def run_case(
     from procedures.runs.folders import hold_run, run_folder
     from procedures.runs.request_checks import check_case
 
-    if answers is not None and not callable(answers):
-        raise WrongArgument("answers of run_case is no function", expected=DECIDES, got=show(answers))
-    if not isinstance(options or {}, Mapping):
-        raise WrongArgument("options of run_case is no mapping", expected=OPTIONS, got=show(options))
-    arguments = {"scene": scene, "seed": seed, "strategy": strategy, "arm": arm, "dual": dual}
-    if twice := [name for name in options or {} if name in arguments]:
-        raise WrongArgument(
-            f"options of run_case has {twice[0]}, which is an argument",
-            action=f"Give it as one: {twice[0]}={show((options or {})[twice[0]])}.",
-        )
-    given = {**arguments, **(options or {})}
     runs = require_path(out, "the folder of runs")
+    given = {"scene": scene, "seed": seed, "strategy": strategy, "arm": arm, "dual": dual}
     _warn_of_threads()
-    with _step_bar(shown=progress) as follow:
-        request = _make_request(given)
-        if faults:
-            lines = _list_faults(faults)
-            request = replace(request, faults=_write_script("\n".join(lines) + "\n", runs))
+    request, lines = _read_arguments(given, faults, answers, options)
+    with _fault_script(lines, runs) as script, _step_bar(shown=progress) as follow:
+        request = replace(request, faults=script)
         check_case(request, runs)
         operator = FunctionOperator(answers)
         observers = RunObservers(opened=follow, script=operator)
@@ -141,9 +129,51 @@ def run_case(
                     run_to_end(request, folder, observers)
             except RonnaError as error:
                 told = operator.explain(error)
-                told.add_note(f"its run is {folder}")
+                if folder.exists():  # not of a case refused before it began
+                    told.run = folder
+                    told.add_note(f"its run is {folder}")
                 raise told from error.__cause__
+            except Exception as error:  # of the function that answers, whatever it is
+                error.add_note(f"its run is {folder}")
+                raise
             return load_run(folder)
+
+
+def check_run_case(
+    scene: str = "default",
+    seed: int = 0,
+    *,
+    strategy: str = "ocs",
+    arm: str = "kr6",
+    dual: bool = False,
+    faults: str | Sequence[str] = (),
+    answers: Decide | None = None,
+    out: str | os.PathLike[str] = "runs",
+    progress: bool = True,
+    options: Mapping[str, object] | None = None,
+) -> None:
+    """Check the arguments of `run_case` as it does, without running anything. Raises as it does."""
+    from procedures.runs.request_checks import check_case
+
+    given = {"scene": scene, "seed": seed, "strategy": strategy, "arm": arm, "dual": dual}
+    request, _ = _read_arguments(given, faults, answers, options)
+    check_case(request, require_path(out, "the folder of runs"))
+
+
+def _read_arguments(
+    arguments: Mapping[str, object], faults: object, answers: object, options: object
+) -> tuple[RunRequest, list[str]]:
+    """Return the request and the lines of its fault script. Raises ARG-001, CLI-001."""
+    _check_answers(answers)
+    further = {} if options is None else options
+    if not isinstance(further, Mapping):
+        raise WrongArgument("options of run_case is no mapping", expected=OPTIONS, got=show(options))
+    if twice := [name for name in further if name in arguments]:
+        raise WrongArgument(
+            f"options of run_case has {twice[0]}, which is an argument",
+            action=f"Give it as one: {twice[0]}={show(further[twice[0]])}.",
+        )
+    return _make_request({**arguments, **further}), _list_faults(faults)
 
 
 def compare_runs(
@@ -162,6 +192,21 @@ def compare_runs(
     return page.compare_runs(*folders)
 
 
+def _check_answers(answers: object) -> None:
+    """Raise ARG-001 for anything but None or a function of one question."""
+    if answers is None:
+        return
+    try:
+        if callable(answers):
+            signature(answers).bind(None)
+            return
+    except (TypeError, ValueError) as error:
+        got = f"a function that cannot be called with one: {error}"
+    else:
+        got = show(answers)
+    raise WrongArgument("answers of run_case is no function of a question", expected=DECIDES, got=got)
+
+
 def _list_faults(given: object) -> list[str]:
     """Return the lines of a fault script. Raises ARG-001 for anything else."""
     lines = [given] if isinstance(given, str) else given
@@ -170,13 +215,29 @@ def _list_faults(given: object) -> list[str]:
     raise WrongArgument("faults of run_case are no lines of a fault script", expected=FAULTS, got=show(given))
 
 
-def _write_script(content: str, runs: Path) -> Path:
-    """Write a fault script beside the runs, where each run that names it finds it again."""
-    digest = hashlib.sha256(content.encode()).hexdigest()[:8]
-    script = runs / f"faults-{digest}.txt"
+@contextmanager
+def _fault_script(lines: Sequence[str], runs: Path) -> Iterator[Path | None]:
+    """Write a fault script beside the runs, where each run that names it finds it again.
+
+    It is removed if the case is refused before it has a run.
+    """
+    if not lines:
+        yield None
+        return
+    content = ("\n".join(lines) + "\n").encode()
+    script = runs / f"faults-{hashlib.sha256(content).hexdigest()[:8]}.txt"
+    is_new, is_new_folder = not script.exists(), not runs.exists()
     runs.mkdir(parents=True, exist_ok=True)
-    write_atomically(script, content.encode())
-    return script
+    write_atomically(script, content)
+    try:
+        yield script
+    except RonnaError as error:
+        if is_new and error.run is None:
+            script.unlink(missing_ok=True)
+            if is_new_folder:
+                with suppress(OSError):  # another case has begun there
+                    runs.rmdir()
+        raise
 
 
 @cache
@@ -263,7 +324,13 @@ class FunctionOperator:
 
     def ask(self, question: Question) -> Answer:
         """Return the function's answer. Raises ARG-001 for one that the question does not accept."""
-        word = None if self._decide is None else self._decide(question)
+        try:
+            word = None if self._decide is None else self._decide(question)
+        except Exception as error:
+            error.add_note(f"raised by the function of answers= at the question {question.name}")
+            raise
+        if isinstance(word, str):
+            word = word.casefold()
         self._last = None if word is None else (question, word)
         if word is None:
             return self._script.ask(question)

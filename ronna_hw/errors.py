@@ -20,6 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, ClassVar, Generic, Self, TypeAlias, TypedDict, TypeVar, Unpack
 
 from ronna_hw.text import printable
@@ -92,6 +93,7 @@ class RonnaError(Exception):
         self.wire = bytes(wire[-LAST_BYTES_KEPT:])
         self.attachments: dict[str, str] = {}  # file name -> text: evidence for the run folder
         self.shown = False  # already, at the terminal, by a command that continued; not printed again
+        self.run: Path | None = None  # the folder of the case that ended with it
         super().__init__(self._one_line())
 
     @property

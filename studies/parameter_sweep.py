@@ -7,7 +7,8 @@
     print(cases.to_pandas().groupby("strategy").error_mm.describe())
 
 A function of your own returns a mapping of columns, several of them, or a loaded run, whose targets become
-rows. What raised an error has a row with its code and words: a sweep does not end for one point.
+rows. What raised an error has a row with its code and words: a sweep does not end for one point. The
+arguments of all cases are checked before the first one runs.
 """
 
 from __future__ import annotations
@@ -28,15 +29,18 @@ import numpy as np
 from rich.console import Console
 from rich.progress import Progress
 
+from procedures.from_python import check_run_case, run_case
 from procedures.runs.folders import find_runs
 from ronna_hw.arguments import WrongArgument, require_path, show
+from ronna_hw.command_line.errors import PATH_PROBLEM
 from ronna_hw.command_line.messages import tell, wants_plain_text
+from ronna_hw.command_line.options import require_outside_runs
 from ronna_hw.errors import ConfigurationError, DataError, RefusedError, RonnaError
 from ronna_hw.evidence.manifest import SEAL_FILE
 from ronna_hw.host.port_users import find_lock_holder
 from ronna_hw.host.process import limit_children_to_one_thread
 from ronna_hw.host.worker_processes import start_workers
-from ronna_hw.loaded_run import RunColumn, RunTable
+from ronna_hw.loaded_run import RunColumn, RunTable, load_run
 from ronna_hw.text import format_count, format_names
 from studies.errors import SWEEP_IN_USE, UNIT_FAILED
 from studies.sweep_ledger import FILE, Row, SweepLedger, has_own_name, name_of
@@ -68,10 +72,11 @@ def sweep(
 
     A column of a loaded run with the name of an argument is called `target_` and that name.
 
-    Raises ARG-001 for arguments without a point, a column that is none, and with a folder for lambdas,
-    methods of objects and functions inside others, which it cannot tell from one another; STU-001 and STU-002
-    if `folder` has points of another function or of other code, STU-005 if a worker process was killed,
-    STU-019 while another sweep writes there, and what the function raises, unless it has a code.
+    Raises ARG-001 for arguments without a point, a result that is none or has a column `error`, and with a
+    folder for lambdas, methods of objects and functions inside others, which it cannot tell from one another;
+    CLI-005 for a folder inside a run; STU-001 and STU-002 if `folder` has points of another function or of
+    other code, STU-005 if a worker process was killed, STU-019 while another sweep writes there; what
+    `run_case` says of wrong arguments, and whatever the function raises without a code.
     """
     _check_call(function, arguments, workers)
     kept = None if folder is None else require_path(folder, "the folder of a sweep")
@@ -86,6 +91,9 @@ def sweep(
             got=show(arguments),
             action="Check the list or range that it comes from.",
         )
+    if function is run_case:
+        for point in points:
+            check_run_case(**point)
     with _alone_in(kept):
         _tell_of_cut_off(kept)
         ledger = SweepLedger(kept, function)
@@ -100,7 +108,10 @@ def sweep(
             for point, (rows, kept_for_good) in _run(function, missing, fixed, workers):
                 ledger.add(point, rows, keep=kept_for_good)
                 bar.advance(task)
-    return _tabulate([row for point in points for row in ledger.find(point) or ()])
+    rows = [row for point in points for row in ledger.find(point) or ()]
+    if refused := sum(bool(row.get(ERROR)) for row in rows):
+        tell(f"{refused} of {len(points)} points were refused: their rows say why in {ERROR!r}")
+    return _tabulate(rows)
 
 
 @contextmanager
@@ -112,8 +123,15 @@ def _alone_in(folder: Path | None) -> Iterator[None]:
     if folder is None:
         yield
         return
-    folder.mkdir(parents=True, exist_ok=True)
-    with (folder / FILE).open("ab") as file:
+    require_outside_runs(folder)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        ledger = (folder / FILE).open("ab")
+    except OSError as error:
+        raise PATH_PROBLEM(
+            f"the sweep cannot write into {folder}", expected="a folder", got=error.strerror
+        ) from error
+    with ledger as file:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
@@ -215,15 +233,26 @@ def _call(function: Callable[..., Any], point: Row, fixed: Row) -> tuple[list[Ro
     """
     shown = {name: _show_argument(value) for name, value in point.items()}
     try:
-        found = list(_list_rows(function(**point, **fixed), shown))
+        result = function(**point, **fixed)
+        found = list(_list_rows(result, shown))
     except RonnaError as error:
-        return [{**shown, ERROR: str(error)}], isinstance(
-            error, RefusedError | DataError | ConfigurationError
-        )
+        row = {**shown, **_describe_run(error.run), ERROR: str(error)}
+        return [row], isinstance(error, RefusedError | DataError | ConfigurationError)
     except Exception as error:  # of the function, whatever it is: it passes through with its point
         error.add_note(f"at the point {shown}")
         raise
+    if result is None:
+        raise WrongArgument(
+            f"the function of the sweep returned None at the point {shown}",
+            expected="a number, a mapping of columns, several of them, or a loaded run",
+            action="Is its return missing?",
+        )
     return [_with_arguments(row, shown) for row in found], True
+
+
+def _describe_run(folder: Path | None) -> Row:
+    """Return name and outcome of the run that a refused case has left."""
+    return {} if folder is None else {"run": folder.name, "outcome": load_run(folder).outcome}
 
 
 def _list_rows(found: Any, arguments: Collection[str]) -> Iterator[Row]:
@@ -244,6 +273,12 @@ def _list_rows(found: Any, arguments: Collection[str]) -> Iterator[Row]:
 
 def _with_arguments(row: Row, shown: Row) -> Row:
     """Return the row behind its arguments. Raises ARG-001 for what is no cell of a table."""
+    if ERROR in row:
+        raise WrongArgument(
+            f"the function returns a column {ERROR!r}, in which a sweep says why a point was refused",
+            got=show(row[ERROR]),
+            action="Rename the column, such as error_mm.",
+        )
     plain = {name: _to_cell(name, value, shown) for name, value in row.items()}
     for name, value in plain.items():
         if name in shown and value != shown[name]:

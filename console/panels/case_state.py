@@ -14,6 +14,7 @@ MARKS = {  # a symbol per state, so that nothing is conveyed by colour alone
     "failed": ("✗", "failed", "bad"),
     "interrupted": ("■", "interrupted", "bad"),
     "superseded": ("~", "superseded", "warn"),
+    "doubted": ("?", "in doubt", "warn"),
     "next": ("→", "next", "next"),
     "": ("·", "pending", "dim"),
 }
@@ -154,12 +155,16 @@ def _render_state(view: CaseView) -> str:
 
 def _render_step(view: CaseView, row: StepRow, *, with_summary: bool) -> str:
     is_next = row.state not in ("begun", "done") and row.step == view.upcoming and not view.running
-    sign, word, kind = MARKS["next" if is_next and not row.state else row.state]
+    is_doubted = row.state == "done" and bool(row.doubt)
+    state = "next" if is_next and not row.state else "doubted" if is_doubted else row.state
+    sign, word, kind = MARKS[state]
     moves = tag("span", "moves", class_="moves") if row.moves else ""
     shown = tag("span", sign, class_="mark", aria_hidden="true") + tag(
         "span", f"{text(row.title)} {_render_place(row)}{moves}", class_="title"
     )
     detail_text = row.summary if with_summary or row.state != "done" else ""
+    if is_doubted:
+        detail_text = f"older than {row.doubt}: it is used only if the operator keeps it"
     if row.state == "begun":
         detail_text = f"{view.share:.0%} {view.doing}".strip() if view.share or view.doing else ""
         shown += tag("progress", "", max="1", value=f"{view.share:.3f}", aria_label="progress")

@@ -90,7 +90,7 @@ class ScenePanel:
         ]
         lines += [("between the arms", *one.bodies, one.distance_mm) for one in _current_distances(view)]
         return "".join(
-            tag("div", text(f"{what}: {first} and {second}, {distance_mm:.0f} mm"), class_="num")
+            tag("div", text(f"{what}: {distance_mm:.0f} mm, {first} and {second}"), class_="clearance")
             for what, first, second, distance_mm in lines
         )
 

@@ -11,6 +11,7 @@ from typing import Any, TypeVar
 
 from procedures.engine import events
 from procedures.journal.journal import Entry
+from procedures.operator.question import YES, Topic
 
 RATE_OVER_S = 1.0  # theatre time
 NOTICES_KEPT = 40
@@ -33,6 +34,7 @@ class StepRow:
     state: str = ""  # begun, done, failed, interrupted, superseded; empty: not yet
     summary: str = ""
     record: str | None = None
+    doubt: str = ""  # the fault of an arm that came after the result
 
 
 @dataclass(frozen=True)
@@ -186,9 +188,9 @@ def _changes(view: CaseView, what: events.EventContent) -> dict[str, Any]:
             return {"share": share, "doing": text} if step == view.running else {}
         case events.Questioned():
             return {"question": what, "asked_at": view.host_time}
-        case events.Answered(question=number):
+        case events.Answered(question=number) as answer:
             is_other_open = view.question is not None and view.question.question != number
-            return {} if is_other_open else {"question": None}
+            return {} if is_other_open else {"question": None, "steps": _without_doubt(view, answer)}
         case events.Seat():
             return {"seat": what if what.holder else None}
         case events.Order(steps=steps):
@@ -224,7 +226,7 @@ def _changes(view: CaseView, what: events.EventContent) -> dict[str, Any]:
 
 def _to_row(item: events.OrderedStep) -> StepRow:
     state = "" if item.record is None else "done"
-    return StepRow(item.step, item.title, item.phase, item.moves, state, record=item.record)
+    return StepRow(item.step, item.title, item.phase, item.moves, state, record=item.record, doubt=item.doubt)
 
 
 def _step_changes(view: CaseView, step: events.StepState) -> dict[str, Any]:
@@ -237,7 +239,7 @@ def _step_changes(view: CaseView, step: events.StepState) -> dict[str, Any]:
         )
         return {"steps": rows, "results": view.results + 1}
     rows = tuple(
-        replace(row, state=step.state, summary=step.summary, record=step.record or row.record)
+        replace(row, state=step.state, summary=step.summary, record=step.record or row.record, doubt="")
         if row.step == step.step
         else row
         for row in view.steps
@@ -250,6 +252,14 @@ def _step_changes(view: CaseView, step: events.StepState) -> dict[str, Any]:
         notices = _mark_notices(view.notices, step.step, settled=True)
         return changes | {"results": view.results + 1, "notices": notices}
     return changes
+
+
+def _without_doubt(view: CaseView, answer: events.Answered) -> tuple[StepRow, ...]:
+    """Return the rows of the steps, without the doubts that the answer has settled."""
+    topic, _, place = ("" if view.question is None else view.question.topic).partition(":")
+    if topic != Topic.REGISTRATION_KEPT or answer.answer != YES:
+        return view.steps
+    return tuple(replace(row, doubt="") if row.step.endswith(f":{place}") else row for row in view.steps)
 
 
 def _mark_notices(
@@ -304,6 +314,11 @@ def _journal_changes(view: CaseView, line: dict[str, Any]) -> dict[str, Any]:
             changes |= {"outcome": "", "ending": "", "running": "", "question": None, "seat": None}
             named = ("run", "theatre", "banner", "strategy", "methods")
             changes |= {name: str(line.get(name) or "") for name in named}
+        case Entry.DOUBTED:
+            doubted, fault = line.get("steps") or (), str(line.get("fault") or "")
+            changes["steps"] = tuple(
+                replace(row, doubt=fault) if row.step in doubted else row for row in view.steps
+            )
         case Entry.CLOSED:
             changes |= {"outcome": str(line.get("outcome") or ""), "closings": view.closings + 1}
         case Entry.ACKNOWLEDGED:

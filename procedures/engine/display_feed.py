@@ -34,6 +34,7 @@ def publish_order(engine: Engine) -> None:
                     phase=str(spec.phase),
                     moves=spec.moves_an_arm,
                     record=engine.case.record_of(key),
+                    doubt=engine.case.doubt_at(key) or "",
                 )
                 for key, spec in specs
             )

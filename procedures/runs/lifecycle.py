@@ -310,8 +310,11 @@ def run_to_end(engine: Engine, observers: RunObservers) -> None:
 
     A case refused only because of a device in fault ends with that fault.
     """
+    from procedures.engine.display_feed import upcoming_name
+
     held, executor = observers.held, observers.executor
     failure: RonnaError | None = None
+    failed_at: str | None = None  # the step that came next then
     acknowledged = 0  # before it
     run = engine.run_to if executor is None else partial(executor.run_to_end, engine)
     while True:
@@ -329,8 +332,11 @@ def run_to_end(engine: Engine, observers: RunObservers) -> None:
             if held is None or engine.machine.ended or isinstance(error, RunDeleted):
                 raise
             held.tell_held(engine, error)
-            if failure is None or not isinstance(error, StepRefused) or not engine.faults.now:
+            upcoming = upcoming_name(engine)
+            only_fault = isinstance(error, StepRefused) and engine.faults.now and failed_at == upcoming
+            if failure is None or not only_fault:
                 failure, acknowledged = error, engine.faults.acknowledgements
+                failed_at = upcoming
             if not held.follow(engine):
                 failure.shown = True
                 raise engine.faults.as_of_now(failure, acknowledged) from None

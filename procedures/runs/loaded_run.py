@@ -19,6 +19,7 @@ from procedures.reporting.run_options import RunOptions, find_seed, read_options
 from procedures.reporting.run_reading import RunReading, UsedRegistration
 from procedures.runs.folders import require_run
 from procedures.steps.clinical.plan_check import CheckedPlan
+from ronna_hw.errors import RonnaError
 from ronna_hw.evidence.inspection import explain_unreadable, inspect_run
 from ronna_hw.evidence.lost_journal_end import EVENTS_FILE
 from ronna_hw.evidence.manifest import SEAL_FILE
@@ -173,8 +174,16 @@ class RunArrays:
     def _find_registration(self, target: str) -> UsedRegistration:
         used = run_tables.find_registration(self._reading, target)
         if used is None:
-            raise NO_REGISTRATION(
-                f"{self.name} has no registration for a target {target!r}",
-                expected=f"one of {', '.join(self.targets.name) or 'no targets: the plan was not checked'}",
-            )
+            raise self._explain_no_registration(target)
         return used
+
+    def _explain_no_registration(self, target: str) -> RonnaError:
+        """Build the error for a target without a registration, which names those that have one."""
+        what = f"{self.name} has no registration for a target {target!r}"
+        names = [str(name) for name in self.targets.name]
+        if registered := [name for name in names if run_tables.find_registration(self._reading, name)]:
+            return NO_REGISTRATION(what, expected=f"one of {', '.join(registered)}")
+        none = "none of its targets has one" if names else "it has no targets: the plan was not checked"
+        return NO_REGISTRATION(
+            f"{what}: {none}", got=self.reason or self.outcome, action="run.targets shows how far it came."
+        )

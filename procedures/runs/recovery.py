@@ -34,6 +34,7 @@ from procedures.steps.clinical.tool_change import MountedGuide
 from procedures.steps.clinical.work_progress import STAGES, work_begun_elsewhere
 from ronna_hw.devices.capabilities import MESSAGES
 from ronna_hw.errors import RonnaError
+from ronna_hw.text import format_names
 
 EXCHANGES = (MountedGuide.kind, TipReadings.kind)  # steps in which the guide is mounted
 RESTORE = "The arm is home. Restore the recorded state and resume again, or start a new run."
@@ -94,6 +95,19 @@ def _doubt_tool(engine: Engine, comparison: Comparison) -> None:
         comparison.notes.append(
             f"the mounted tool may have been touched meanwhile: {key} is repeated before it is used"
         )
+    for fault, steps in _list_doubted_localizations(engine).items():
+        comparison.warnings.append(
+            f"{fault} came after {format_names(steps)}: whether they are kept is asked before they are used"
+        )
+
+
+def _list_doubted_localizations(engine: Engine) -> dict[str, list[str]]:
+    """Return the localizations that are older than a fault of the arm, by that fault."""
+    doubted: dict[str, list[str]] = {}
+    for key in (*engine.order.localizations, *engine.order.relations_of_arms):
+        if (fault := engine.case.doubt_at(key)) is not None:
+            doubted.setdefault(fault, []).append(str(key))
+    return doubted
 
 
 def _doubt_work(engine: Engine, previous: InterruptedRun) -> None:

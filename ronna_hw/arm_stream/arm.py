@@ -10,6 +10,7 @@ from dataclasses import replace
 from functools import partial
 from typing import Any, Generic
 
+from ronna_hw.arguments import require_time_s
 from ronna_hw.arm.clearance.bodies import Surroundings
 from ronna_hw.arm.errors import FORCE_NOT_SENSED, ForceLimitExceeded
 from ronna_hw.arm.kinematics import Kinematics
@@ -48,7 +49,15 @@ from ronna_hw.devices.lifecycle import (
 )
 from ronna_hw.devices.reading_stream import NextArmState, ReadingStream
 from ronna_hw.devices.readings import ArmReading, LinkStatistics, ToolIdentity, Validity
-from ronna_hw.devices.robot import JointMove, Motion, OperatingMode, StopKind, require_motion
+from ronna_hw.devices.robot import (
+    STOP_LIMIT_S,
+    JointMove,
+    Motion,
+    OperatingMode,
+    StopKind,
+    require_motion,
+    stop_mistake,
+)
 from ronna_hw.errors import RonnaError
 from ronna_hw.vectors import JointVector
 
@@ -323,8 +332,19 @@ class StreamedArm(GuardedDevice, ABC, Generic[S]):
             start_rad = reading.commanded_rad or reading.joints_rad  # before the stream nothing is commanded
         return self._planner.preview(motion, start_rad, self.operating_mode)
 
-    def stop(self, kind: StopKind = StopKind.HOLD, timeout_s: float = 5.0) -> None:
-        """Stop the arm; `timeout_s` is host time. All kinds except HOLD latch a fault."""
+    def stop(self, kind: StopKind = StopKind.HOLD, timeout_s: float = STOP_LIMIT_S) -> None:
+        """Stop the arm; `timeout_s` is host time. All kinds except HOLD latch a fault.
+
+        A wrong argument never keeps an arm moving: it stops at HOLD, and then the mistake is raised.
+        """
+        try:
+            kind, timeout_s = StopKind(kind), require_time_s(timeout_s, "the time limit of stop")
+        except ValueError as error:
+            self._stop(StopKind.HOLD, STOP_LIMIT_S)
+            raise stop_mistake(self._name, kind, timeout_s) from error
+        self._stop(kind, timeout_s)
+
+    def _stop(self, kind: StopKind, timeout_s: float) -> None:
         self._watch.check()
         self._guard.require("stop", (Lifecycle.CONFIGURED, *RUNNING, Lifecycle.FAULT))  # also a start
         link = self.connections.open_link

@@ -73,6 +73,9 @@ def require_motion(given: object) -> None:
         )
 
 
+STOP_LIMIT_S = 5.0  # host time for an arm to come to rest
+
+
 class StopKind(StrEnum):
     """Kind of stop, excluding the controller's own emergency stop."""
 
@@ -80,6 +83,16 @@ class StopKind(StrEnum):
     PROTECTIVE = "protective_stop"  # highest deceleration the limits allow; latched
     LINK = "link_stop"  # stop replying; the controller then stops the arm itself
     DRIVES_OFF = "request_drives_off"  # ask the controller to switch the drives off
+
+
+def stop_mistake(arm: str, kind: object, timeout_s: object) -> WrongArgument:
+    """Build the error for a stop with a wrong kind or time limit, which has held the arm all the same."""
+    return WrongArgument(
+        f"{arm}: stop was given a wrong argument; the arm was stopped at HOLD all the same",
+        expected=f"kind {', '.join(f'StopKind.{one.name}' for one in StopKind)}, timeout_s a number above 0",
+        got=f"kind {show(kind)}, timeout_s {show(timeout_s)}",
+        action="StopKind comes from ronna_hw.devices; a time limit alone is stop(timeout_s=2.0).",
+    )
 
 
 class OperatingMode(StrEnum):
@@ -159,8 +172,11 @@ class RobotArm(Device, Protocol):
         Every motion is checked against them before it starts (ARM-007), and monitored while it runs.
         """
 
-    def stop(self, kind: StopKind = StopKind.HOLD, timeout_s: float = 5.0) -> None:
+    def stop(self, kind: StopKind = StopKind.HOLD, timeout_s: float = STOP_LIMIT_S) -> None:
         """Stop the arm; may be called from a different thread than the motion.
+
+        `kind` is one of `StopKind`, or its word such as "hold". With a wrong argument the arm is stopped at
+        HOLD, and ARG-001 raised afterwards.
 
         No motion begins while it is carried out: it raises StateError or MotionInterrupted. A start under way
         fails, or ends in HOLD.

@@ -129,6 +129,7 @@ class OrderedStep(_Plain):
         default=None,
         description="Identifier of the result that is already valid, because the run was resumed.",
     )
+    doubt: str = Field(default="", description="Fault of an arm that came after that result.")
 
 
 class Order(_EventBase):

@@ -39,6 +39,26 @@ def test_a_resumed_run_shows_its_results_as_done_and_drops_open_question_and_sea
     assert (view.question, view.seat, view.results) == (None, None, 1)
 
 
+def test_a_result_older_than_a_fault_of_the_arm_is_in_doubt_until_it_is_kept_or_made_again() -> None:
+    steps = ("localization:T1", "fit:T1")
+    done = [StepState(step=step, state="done", record=step) for step in steps]
+    doubted = JournalLine(line={"entry": "doubted", "steps": list(steps), "fault": "EKI-010"})
+    view = view_after(ORDER, *done, doubted)
+    assert [row.doubt for row in view.steps] == ["", "EKI-010", "EKI-010"]
+    again = view_after(ORDER, *done, doubted, done[1])
+    assert [row.doubt for row in again.steps] == ["", "EKI-010", ""]
+    asked = question(1, topic="registration_kept:T1")
+    for answer, doubt in (("yes", ""), ("no", "EKI-010")):
+        kept = view_after(ORDER, *done, doubted, asked, Answered(question=1, answer=answer))
+        assert kept.steps[2].doubt == doubt
+
+
+def test_a_resumed_run_shows_which_results_are_in_doubt() -> None:
+    known = {"title": "Fit", "phase": "operation", "moves": False, "record": "03"}
+    view = view_after(Order(steps=(OrderedStep(step="fit:T1", doubt="EKI-010", **known),)))
+    assert view.steps[0].doubt == "EKI-010"
+
+
 def test_an_answer_removes_only_its_own_question() -> None:
     assert view_after(question(2), Answered(question=1, answer="yes")).question is not None
     assert view_after(question(2), Answered(question=2, answer="yes")).question is None

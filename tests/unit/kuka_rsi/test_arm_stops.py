@@ -12,6 +12,7 @@ from driven_arm import FAR, THERE, activated, configured, largest_step, moving
 from waiting import HANG_LIMIT_S, eventually
 
 from drivers.kuka_rsi.errors import STREAM_ERRORS
+from ronna_hw.arguments import WrongArgument
 from ronna_hw.arm.pose import radians6
 from ronna_hw.arm_stream.motion import MotionFollower
 from ronna_hw.arm_stream.records import LinkFault, StopOrder
@@ -37,6 +38,28 @@ def test_hold_stops_the_arm_smoothly_and_resume_causes_no_motion(controller: Any
     assert active_arm.read_state().commanded_rad == held
     active_arm.move(JointMove(THERE))
     assert largest_step(controller.replies) < 1 / 8
+
+
+@pytest.mark.hazard(32)
+@pytest.mark.parametrize("wrong", [("halt",), (2.0,), (None,), (StopKind.HOLD, -1.0), ("hold", "soon")])
+def test_a_stop_with_a_wrong_argument_holds_the_arm_and_says_so_afterwards(
+    controller: Any, active_arm: Any, wrong: tuple[Any, ...]
+) -> None:
+    thread, caught = moving(active_arm, controller)
+    with raises(WrongArgument, match="HOLD all the same"):
+        active_arm.stop(*wrong)
+    thread.join()
+    assert caught[0].code == "RSI-010"
+    assert active_arm.state is Lifecycle.HOLD
+
+
+@pytest.mark.hazard(32)
+def test_a_stop_by_the_word_of_its_kind_stops(controller: Any, active_arm: Any) -> None:
+    thread, caught = moving(active_arm, controller)
+    active_arm.stop("hold")
+    thread.join()
+    assert caught[0].code == "RSI-010"
+    assert active_arm.state is Lifecycle.HOLD
 
 
 @pytest.mark.hazard(32)

@@ -16,12 +16,14 @@ import numpy as np
 import pytest
 from coded_errors import raises
 
+from procedures import run_case
 from procedures.exchange import run_tables
 from ronna_hw.arguments import WrongArgument
+from ronna_hw.command_line.errors import PATH_PROBLEM
 from ronna_hw.errors import LinkTimeout, RonnaError
 from ronna_hw.evidence.manifest import REQUEST_FILE, SEAL_FILE
 from ronna_hw.loaded_run import RunColumn, RunTable
-from studies import sweep
+from studies import parameter_sweep, sweep
 from studies.errors import OTHER_STUDY, SWEEP_IN_USE
 from studies.sweep_ledger import FILE
 
@@ -83,7 +85,7 @@ def test_the_columns_of_a_real_run_are_beside_the_arguments() -> None:
 
 SCRIPT = """
 import glob
-from studies import sweep
+from studies import parameter_sweep, sweep
 
 print("begins")
 print(sweep(glob.escape, workers=2, pathname=["a", "b"]).value.tolist())
@@ -133,9 +135,10 @@ def test_the_same_sweep_with_more_points_runs_only_those_that_are_new(tmp_path: 
     assert len(CALLS) == 1
 
 
-def sweep_into(other: Path) -> None:
+def sweep_into(other: Path) -> bool:
     with raises(SWEEP_IN_USE, match=str(os.getpid())):
         sweep(jitter, folder=other, workers=1, distance_mm=[950.0], unit="a")
+    return True
 
 
 def test_a_second_sweep_waits_for_nothing_and_is_refused_until_the_first_has_ended(tmp_path: Path) -> None:
@@ -293,3 +296,47 @@ def test_what_cannot_be_called_is_refused_before_the_first_point() -> None:
     ):
         sweep(jitter, workers=0, distance_mm=1.0, unit="a")
     assert not CALLS
+
+
+def test_a_result_that_is_missing_or_named_as_the_column_of_refusals_is_told_at_once() -> None:
+    with raises(WrongArgument, match=r"returned None at the point {'number': 1}.*Is its return missing"):
+        sweep(returns_nothing, number=[1, 2], progress=False)
+    with raises(WrongArgument, match=r"a column 'error', .*: 1.*Rename"):
+        sweep(returns_an_error_column, number=[1, 2], progress=False)
+
+
+def test_refused_points_are_counted_at_the_end(capsys: pytest.CaptureFixture[str]) -> None:
+    sweep(jitter, distance_mm=[1000.0, 6000.0], unit="a", progress=False)
+    assert "1 of 2 points were refused" in capsys.readouterr().err
+
+
+def test_the_arguments_of_all_cases_are_checked_before_the_first_runs(tmp_path: Path) -> None:
+    with raises(RonnaError, match="STR-002.*noss"):
+        sweep(run_case, scene="mini", seed=range(20), strategy=["ocs", "noss"], folder=tmp_path / "s")
+    assert not (tmp_path / "s").exists()
+
+
+def test_a_sweep_does_not_write_into_a_run(tmp_path: Path) -> None:
+    (tmp_path / "journal.jsonl").touch()
+    with raises(PATH_PROBLEM, match="inside the run"):
+        sweep(jitter, distance_mm=[1.0], unit="a", folder=tmp_path / "mine", progress=False)
+
+
+def test_a_refused_case_has_its_run_in_the_table(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(parameter_sweep, "load_run", lambda _folder: SimpleNamespace(outcome="refused"))
+    table = sweep(refused_case, seed=[1], workers=1, progress=False)
+    assert (table.run[0], table.outcome[0]) == ("20260101T000000-s1-abcd", "refused")
+
+
+def refused_case(seed: int) -> None:
+    error = LinkTimeout(f"no answer for seed {seed}")
+    error.run = Path("runs/20260101T000000-s1-abcd")
+    raise error
+
+
+def returns_nothing(number: int) -> None:
+    assert number
+
+
+def returns_an_error_column(number: int) -> dict[str, object]:
+    return {"error": number}

@@ -7,14 +7,14 @@ import sys
 from dataclasses import replace
 
 import pytest
-from plain_steps import only_home_remains, plain_order, plain_steps
+from plain_steps import Image, only_home_remains, plain_order, plain_steps
 from recording_cell import HOME, RecordingCell, RecordingOperator
 
 from procedures.cli.case.prompt import HELD, Prompt
 from procedures.engine.context import StepContext
 from procedures.engine.engine import Engine
 from procedures.engine.order import Outcome, order_of
-from procedures.journal.errors import GateFailed
+from procedures.journal.errors import GateFailed, StepRefused
 from procedures.journal.results import StepResult
 from procedures.operator.errors import OperatorAborted
 from procedures.operator.question import Answer, Question, Topic
@@ -296,6 +296,23 @@ def test_quitting_while_a_device_is_in_fault_ends_the_case_with_that_fault(
     with pytest.raises(GateFailed, match="stopped"):
         run_to_end(engine, RunObservers(held=typed.prompt))
     assert "PRO-001: image cannot start: the arm is in fault" in capsys.readouterr().err
+
+
+def test_a_case_refused_for_a_fault_after_an_earlier_failure_was_repaired_does_not_end_with_that_failure(
+    cell: RecordingCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    failures = iter([GateFailed("the match is wrong")])
+
+    def fails_once(_context: StepContext) -> Outcome[StepResult]:
+        if (failure := next(failures, None)) is not None:
+            raise failure
+        cell.arm.state = Lifecycle.FAULT
+        return Outcome(Image(), "seen")
+
+    typed = Typed(monkeypatch, "resume", "quit", resumes=True)
+    engine = cell.engine(plain_order(image=fails_once))
+    with pytest.raises(StepRefused, match="cannot start: the arm is in fault"):
+        run_to_end(engine, RunObservers(held=typed.prompt))
 
 
 def test_resume_step_by_step_says_what_keeps_the_case_and_not_that_next_continues(

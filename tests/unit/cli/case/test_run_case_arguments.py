@@ -26,6 +26,8 @@ from ronna_hw.arguments import WrongArgument
         ({"markers": 4}, r"no argument markers; .* go into options=.\"markers\": 4"),
         ({"strategi": "ocs"}, "no argument strategi; .* Did you mean strategy"),
         ({"arm": "ur10"}, "arm of run_case; expected 'kr6', 'ur5' or 'ur5e', got 'ur10'"),
+        ({"answers": lambda: "yes"}, "no function of a question; .* cannot be called with one: too many"),
+        ({"answers": "yes"}, "no function of a question; .*got 'yes'"),
         ({"faults": 5}, "no lines of a fault script; expected one line or several.*got 5"),
         ({"faults": ["tracker bump", 5]}, "no lines of a fault script"),
     ],
@@ -51,6 +53,17 @@ def test_a_no_of_the_function_is_told_as_its_answer_and_other_errors_are_left_as
     assert "returned 'no' to patient; to go on, it returns None" in str(operator.explain(refused))
     assert operator.explain(other := WrongArgument("another")) is other
     assert FunctionOperator(None).explain(refused) is refused
+
+
+def test_an_error_of_the_function_names_the_question_and_upper_case_answers_too() -> None:
+    def raising(_question: Question) -> str:
+        raise KeyError("limit")
+
+    question = Question(Topic.PATIENT, "this is the patient", "Miller")
+    with pytest.raises(KeyError) as raised:
+        FunctionOperator(raising).ask(question)
+    assert raised.value.__notes__ == ["raised by the function of answers= at the question patient"]
+    assert FunctionOperator(lambda _question: "YES").ask(question).word == "yes"
 
 
 def refuse_twice(out: Path) -> None:

@@ -80,6 +80,18 @@ def test_dangerous_findings_come_first_on_a_line_each_and_unchanged_items_share_
 
 
 @pytest.mark.hazard(2)
+def test_registrations_older_than_a_fault_of_the_arm_are_named_before_the_run_goes_on(
+    cell: ClinicalCell,
+) -> None:
+    again, engine, left = left_after(cell, "tool_change")
+    engine.case.doubt(next(iter(engine.order.localizations)), "EKI-010: emergency stop")
+    recover(engine, left)
+    first, *_ = again.operator.asked[0].value.split("\n")
+    assert first.startswith("EKI-010: emergency stop came after ")
+    assert first.endswith("whether they are kept is asked before they are used")
+
+
+@pytest.mark.hazard(2)
 def test_a_case_with_the_guide_away_from_the_head_resumes_with_its_next_step(cell: ClinicalCell) -> None:
     again, engine, left = left_after(cell, "tool_change")
     recover(engine, left)
