@@ -51,7 +51,7 @@ def require_duration_s(given: object, what: str) -> float:
 def require_seed(given: object) -> int:
     """Return the seed of a simulated theatre. Raises ARG-001 for anything but a whole number from 0."""
     if isinstance(given, bool) or not isinstance(given, int) or given < 0:
-        raise WrongArgument("the seed is none", expected="a whole number, at least 0", got=show(given))
+        raise WrongArgument("the seed cannot be used", expected="a whole number, at least 0", got=show(given))
     return given
 
 

@@ -33,6 +33,7 @@ from drivers.ndi_polaris.unit import (
     refuse_pending_alerts,
     set_illuminator_rate,
 )
+from ronna_hw.arguments import require_time_s
 from ronna_hw.clock import Clock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.capabilities import ByteSink, report_count
@@ -216,6 +217,7 @@ class PolarisTracker(GuardedDevice):
         (restarted), NDI-020 (hardware), NDI-021 (bumped).
         """
         self._guard.require("read_frame", RUNNING)
+        require_time_s(timeout_s, "timeout_s of read_frame")
         try:
             with self._turn.call("read_frame"):
                 frame = self._run_guarded(self._tracking_run.read, timeout_s)

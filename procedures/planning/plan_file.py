@@ -107,6 +107,8 @@ def parse_plan(content: dict[str, Any], name: str = "the plan", *, sealed_only: 
 
     Without `sealed_only`, a plan altered since it was sealed is still read, for viewing.
     """
+    if not content:
+        raise PLAN_UNREADABLE(f"{name} is empty", action="Put it back from a copy, or write it anew.")
     if other := find_other_kind(content, "trajectories"):
         raise PLAN_UNREADABLE(f"{name} is {other}, not a plan", action=GIVE_A_PLAN)
     found: list[PlanError] = []

@@ -115,7 +115,7 @@ def new_frames(
     delivers no new measurement in time, and the errors of `read_frame`.
     """
     if not hasattr(tracker, "read_frame"):
-        raise WrongArgument("the tracker is none", expected="an OpticalTracker", got=show(tracker))
+        raise WrongArgument("this is no tracker", expected="an OpticalTracker", got=show(tracker))
     try:
         wanted = None if count is None else index(count)
     except TypeError:

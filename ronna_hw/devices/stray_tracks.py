@@ -47,7 +47,7 @@ UNKNOWN = -1  # identity of a reading that may belong to more than one sphere
 
 
 class StrayWarning(UserWarning):
-    """Tracks of strays include phantoms: points at which there is no sphere."""
+    """Tracks of strays cannot be taken as they are: phantoms, places outside the volume, no frames."""
 
 
 @dataclass(frozen=True)
@@ -97,6 +97,9 @@ def track_strays(
     if not 0.0 <= least_share <= 1.0:
         raise BAD_STRAYS("the share must be between 0 and 1", got=f"{least_share}")
     kept = tuple(require_frames(frames))
+    if not kept:
+        text = "there are no frames; new_frames and a stream give each frame once: keep them in a list."
+        warnings.warn(text, StrayWarning, stacklevel=2)
     read = select_strays(kept)
     identities_by_frame = identify_strays([positions for _, positions in read], gate_mm=gate_mm)
     seen: dict[int, list[tuple[int, Vector3]]] = {}

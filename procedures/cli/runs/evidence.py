@@ -45,6 +45,7 @@ RESTORE = (
     "put changed and missing files back from a copy of the run, and move added ones out; if only report.html "
     "is named, ronna-procedure report RUN --out DIR makes it anew"
 )
+RESUME = "ronna-procedure show RUN says where it is, and how it goes on; no file has changed"
 MARKS = {Direction.SENT: "O", Direction.RECEIVED: "I"}  # outbound and inbound, as text2pcap has them
 
 
@@ -79,7 +80,7 @@ def verify(folder: Path, *, as_json: bool) -> None:
             say(f"{missing}; {WRITES_ALL}")
     if problems:
         if not as_json:
-            tell(f"what to do: {RESTORE}")
+            tell(f"what to do: {RESUME if all(one.unfinished for one in problems) else RESTORE}")
         raise SystemExit(EXIT_REFUSED)
     if not_vouched_for:
         raise SystemExit(EXIT_UNCONFIRMED)

@@ -36,7 +36,7 @@ def test_a_count_of_frames_that_is_none_is_refused_at_once() -> None:
     for count in (-1, 2.5, "3"):
         with pytest.raises(WrongArgument, match="ARG-001: the count of new frames"):
             new_frames(tracker(Validity.OK), count)  # type: ignore[arg-type]  # wrong on purpose
-    with pytest.raises(WrongArgument, match="ARG-001: the tracker"):
+    with pytest.raises(WrongArgument, match="ARG-001: this is no tracker"):
         new_frames(None, 60)  # type: ignore[arg-type]  # wrong on purpose
 
 

@@ -207,7 +207,8 @@ def test_tracks_have_the_trackers_own_clock_and_leave_out_repeated_and_doubtful_
         (track,) = track_strays(frames)
     assert (track.identity, track.device_clock.tolist()) == (0, [100, 102])
     assert track.positions_mm.tolist() == [[0.0, 0.0, -1500.0]] * 2
-    assert track_strays([]) == ()
+    with pytest.warns(StrayWarning, match="there are no frames"):
+        assert track_strays([]) == ()
 
 
 @pytest.mark.parametrize("gate_mm", [0.0, -1.0, np.inf, np.nan])
