@@ -153,7 +153,7 @@ def test_rosbags_reads_every_message_by_its_own_definitions(sealed: Path) -> Non
 
 def test_ten_minutes_of_joints_and_poses_fit_into_sixty_megabytes() -> None:
     file, seconds = io.BytesIO(), 20
-    writer = LogWriter(file, BEGAN, _as_named)  # type: ignore[arg-type]  # in memory
+    writer = LogWriter(file, BEGAN, _as_named)
     frames = (("robot", "flange"), ("tracker", "robot_frame"), ("tracker", "patient"))
     for second in range(seconds):
         writer.write(_cycles(second), EPOCH_NS)
@@ -289,7 +289,7 @@ def test_a_later_program_of_the_run_writes_a_file_of_its_own(sealed: Path) -> No
 
 @pytest.mark.hazard(35)
 def test_names_of_trajectories_are_in_no_message(sealed: Path) -> None:
-    named = [
+    named: list[LogEntry] = [
         RunState(
             theatre_time_s=0.0, run="R1", state="held", step="registration:Seeded", reason="Seeded moved"
         ),
