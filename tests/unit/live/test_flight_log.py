@@ -17,10 +17,11 @@ from coded_errors import raises
 from mcap.reader import make_reader
 
 from procedures.live import log_reading
-from procedures.live.errors import EMPTY_LOG, FOREIGN_LOG
+from procedures.live.errors import EMPTY_LOG, FOREIGN_LOG, NO_LOG
 from procedures.live.flight_log import FLUSH_PERIOD_S, FlightLog, next_log_file
 from procedures.live.log_entries import JointCycles, JournalEntry, Level, LogEntry, SaidLine
 from procedures.live.log_reading import recover_log
+from procedures.live.log_tables import read_topic
 from procedures.live.log_topics import LogMessages
 from procedures.live.log_writer import LogWriter
 from procedures.live.records import (
@@ -34,6 +35,7 @@ from procedures.live.records import (
     PlannedLines,
     RunState,
 )
+from ronna_hw.arguments import WrongArgument
 from ronna_hw.devices.readings import Validity
 from ronna_hw.errors import DataError
 
@@ -285,6 +287,22 @@ def test_a_log_whose_disk_does_not_keep_up_ends_instead_of_growing(tmp_path: Pat
 
 def test_a_later_program_of_the_run_writes_a_file_of_its_own(sealed: Path) -> None:
     assert next_log_file(sealed.parent).name == "flight-2.mcap"
+
+
+def test_a_topic_of_the_log_is_an_array_in_millimetres_with_its_nearest_name_suggested(sealed: Path) -> None:
+    joints, poses = read_topic(sealed.parent, "/measured_js"), read_topic(sealed.parent, "/measured_cp")
+    assert joints.joints_rad.tolist() == _cycles(0).measured_rad.tolist()
+    assert joints.time_s == pytest.approx(_cycles(0).times_s, abs=1e-9)
+    assert joints.utc_ns[0] == EPOCH_NS
+    assert (poses.parent[0], poses.position_mm[0].tolist()) == ("robot", [*_pose(1.0).translation_mm])
+    assert poses.rotation_wxyz[0].tolist() == list(TURN)
+    with raises(WrongArgument, match=r"no topic /mesured_js.*Did you mean /measured_js"):
+        read_topic(sealed.parent, "/mesured_js")
+
+
+def test_a_run_of_an_earlier_version_has_no_log(tmp_path: Path) -> None:
+    with raises(NO_LOG):
+        read_topic(tmp_path, "/measured_js")
 
 
 @pytest.mark.hazard(35)
