@@ -113,6 +113,8 @@ class LiveFeed:
 
     def _run(self) -> None:
         failure = ""
+        if self._log is not None:
+            self._log.take(self._arms[0].draw())  # of the others the links would have the same names
         while True:
             ending = self._ending  # before the last look
             try:

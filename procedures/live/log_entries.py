@@ -44,4 +44,11 @@ class JournalEntry(NamedTuple):
     text: str
 
 
-LogEntry = LiveRecord | JointCycles | SaidLine | JournalEntry
+class ArmDrawing(NamedTuple):
+    """Arm of the robot frame as URDF, for a viewer that draws it from its joints."""
+
+    theatre_time_s: float
+    urdf: str
+
+
+LogEntry = LiveRecord | JointCycles | SaidLine | JournalEntry | ArmDrawing

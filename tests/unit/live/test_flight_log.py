@@ -19,7 +19,7 @@ from mcap.reader import make_reader
 from procedures.live import log_reading
 from procedures.live.errors import EMPTY_LOG, FOREIGN_LOG, NO_LOG
 from procedures.live.flight_log import FLUSH_PERIOD_S, FlightLog, next_log_file
-from procedures.live.log_entries import JointCycles, JournalEntry, Level, LogEntry, SaidLine
+from procedures.live.log_entries import ArmDrawing, JointCycles, JournalEntry, Level, LogEntry, SaidLine
 from procedures.live.log_reading import recover_log
 from procedures.live.log_tables import read_topic
 from procedures.live.log_topics import LogMessages
@@ -93,11 +93,13 @@ ENTRIES: list[LogEntry] = [
     RunState(theatre_time_s=3.0, run="R1", state="operation.registration", step="registration:T1"),
     DeviceStatus(theatre_time_s=3.1, device="tracker", state="fault", code="NDI-004", text="no reply"),
     SaidLine(3.5, Level.WARNING, "the head has moved"),
+    ArmDrawing(3.6, "<robot/>"),
     JournalEntry(4.0, '{"entry": "result", "step": "registration:T1"}'),
 ]
 TOPICS = {
-    "/measured_js": 250, "/setpoint_js": 250, "/measured_cp": 1, "/tf": 1, "/tf_static": 1, "/spheres": 1,
-    "/plan": 1, "/camera_left/image/compressed": 1, "/operating_state": 2, "/rosout": 1, "/journal": 1,
+    "/measured_js": 250, "/setpoint_js": 250, "/measured_cp": 1, "/tf": 1, "/tf_static": 2, "/spheres": 1,
+    "/plan": 1, "/camera_left/image/compressed": 1, "/operating_state": 2, "/rosout": 1,
+    "/robot_description": 1, "/journal": 1,
 }  # fmt: skip
 
 
