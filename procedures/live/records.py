@@ -143,14 +143,7 @@ class Began(_Record):
 
 
 LiveRecord = Annotated[
-    Began
-    | FramePose
-    | ArmJoints
-    | Fiducials
-    | PlannedLines
-    | DeviceStatus
-    | RunState
-    | CameraPicture,
+    Began | FramePose | ArmJoints | Fiducials | PlannedLines | DeviceStatus | RunState | CameraPicture,
     Field(discriminator="kind"),
 ]
 _READER: TypeAdapter[LiveRecord] = TypeAdapter(LiveRecord)
