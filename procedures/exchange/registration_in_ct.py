@@ -92,15 +92,12 @@ def registration_in_ct(reading: RunReading, used: UsedRegistration, target: str)
     fit, run = used.stored.result, reading.run
     found = results_of(LocalizedFiducials, run.valid_records)
     centres_mm = found[-1].result.centres_mm if found else np.zeros((0, 3))
-    robot_from_ct = measured = fit.robot_from_ct.transform
-    if fit.followed is not None:  # the spheres were measured before the head moved
-        measured = fit.followed.robot_from_robot.transform.inverse() @ robot_from_ct
+    robot_from_ct = fit.robot_from_ct.transform
     places = np.full((len(centres_mm), 3), np.nan)
     for stored in results_of(Relocalization, run.records):
         if stored.record.identifier in used.stored.record.parents:
-            ct_from_robot = measured.inverse()
-            for fiducial, place_mm in zip(stored.result.fiducials, stored.result.points_mm, strict=True):
-                places[fiducial] = ct_from_robot.apply(place_mm)
+            for fiducial, place_mm in fit.found_in_ct_mm(stored.result).items():
+                places[fiducial] = place_mm
     left_out = {one.fiducial for one in fit.left_out_spheres}
     without_mm = {row.fiducial: row.leave_one_out_mm for row in fit.two_way.ct_to_room}
     rows = [

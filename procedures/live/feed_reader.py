@@ -16,9 +16,9 @@ from procedures.live.records import LARGEST_LINE_BYTES, Began, LiveRecord, read_
 
 
 async def read_feed(run: Path) -> AsyncIterator[LiveRecord]:
-    """Yield the records of a running case until it ends: `Began`, the latest of every subject, then new ones.
+    """Yield the records of a running case to its end: `Began`, the latest of every subject, then new ones.
 
-    Raises LIV-001 where no case runs in this folder, and LIV-002 for a line that is no record of this version.
+    Raises LIV-001 where no case runs in this folder, LIV-002 for a line that is no record of this version.
     """
     reader, writer = await asyncio.open_unix_connection(sock=_connect(run), limit=LARGEST_LINE_BYTES)
     try:

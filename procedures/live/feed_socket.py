@@ -1,7 +1,7 @@
 """Socket of a running case, `RUN/live.sock`, on which local programs read its records.
 
-A reader gets `Began`, the latest record of every subject, then new ones. Each reader has one slot per subject,
-which newer records replace: one that does not read loses old records, and nobody waits for it.
+A reader gets `Began`, the latest record of every subject, then new ones. Each reader has one slot per
+subject, which newer records replace. One that does not read loses old records, and nobody waits for it.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ class _Reader:
         return not (self.waiting or self._sending)
 
     def send(self, lock: threading.Lock) -> None:
-        """Send as much as the reader takes. Raises OSError, including BlockingIOError when it takes no more."""
+        """Send as much as the reader takes. Raises OSError, BlockingIOError when it takes no more."""
         while True:
             if not self._sending:
                 with lock:

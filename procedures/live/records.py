@@ -1,8 +1,8 @@
 """Records of a running case that logs and links receive: poses, joints, points, states, pictures.
 
 They hold what steps, guards and the arm's stream have read anyhow. The feed of a run passes them on as lines
-of JSON, in the order in which they were made. Lengths are mm, angles rad, rotations unit quaternions (w x y z).
-Frames are spelled as in `Frame`; those of the CT are LPS.
+of JSON, in the order in which they were made. Lengths are mm, angles rad, rotations unit quaternions
+(w x y z). Frames are spelled as in `Frame`; those of the CT are LPS.
 """
 
 from __future__ import annotations

@@ -26,6 +26,7 @@ from procedures.guards import (
 )
 from procedures.guards.errors import BaseShifted
 from procedures.journal.journal import JOURNAL_FILE, ONLY_LEAVING, Entry, Journal, JournalValue
+from procedures.live.feed import LiveFeed
 from procedures.operator.question import Operator, Room
 from procedures.runs.arm_comparison import look_with_instrument_in_guide
 from procedures.runs.interrupted_run import InterruptedRun, Resumption
@@ -99,7 +100,7 @@ def build_engine(
     """
 
     def make(name: str, config: DeviceConfig, clock: Clock) -> Device:
-        return tape_device(make_device(name, config, clock), tape)
+        return tape_device(make_device(name, config, clock), tape, feed.tap)
 
     theatre = Theatre.from_file(file, make)
     prepared = prepare(theatre)
@@ -113,6 +114,8 @@ def build_engine(
     first = opening_line(folder, file, theatre.clock, clinical, began, recipe)
     tape = ReadingTape(folder / READINGS_FOLDER, theatre.clock.now_s, first)
     stack.callback(tape.close)
+    feed = LiveFeed(folder, theatre.clock, events)
+    stack.callback(feed.close)
     follow = section_follower(tape)
 
     def publish_line(line: bytes) -> None:
@@ -179,7 +182,7 @@ def build_engine(
         events=events,
         on_ending=on_ending,
         before_result=before_result,
-        recorders=(flight_recorder, tape),
+        recorders=(flight_recorder, tape, feed),
         recovering=previous is not None and not previous.untouched,
         latest=None if previous is None else previous.latest,
     )
@@ -187,6 +190,7 @@ def build_engine(
     engine.look_before_retreat = lambda: look_with_instrument_in_guide(engine)
     workcell.motion.reading = tape.in_this_thread
     add_guards(engine, file, theatre.file, only_leaving=only_leaving)
+    feed.follow(engine)
     return engine
 
 

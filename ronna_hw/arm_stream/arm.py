@@ -20,6 +20,7 @@ from ronna_hw.arm_stream.control_channel import S
 from ronna_hw.arm_stream.force import LEAST_REST_S
 from ronna_hw.arm_stream.insertion import has_begun, plan_insertion, travel_along_axis_mm
 from ronna_hw.arm_stream.load_sums import NO_SIGNALS, LoadMeans, mean_loads
+from ronna_hw.arm_stream.mailbox import MailboxTorn
 from ronna_hw.arm_stream.motion import MotionFollower, MotionPlanner
 from ronna_hw.arm_stream.readings import StreamReadings
 from ronna_hw.arm_stream.records import (
@@ -34,7 +35,7 @@ from ronna_hw.arm_stream.records import (
 from ronna_hw.arm_stream.statistics import link_statistics
 from ronna_hw.arm_stream.watch import StreamWatch
 from ronna_hw.devices.axis_loads import LOAD_CYCLES, AxisLoads
-from ronna_hw.devices.capabilities import ByteSink, Fact
+from ronna_hw.devices.capabilities import ByteSink, Fact, StreamCycles
 from ronna_hw.devices.contact import Inserted, Insertion
 from ronna_hw.devices.lifecycle import (
     READABLE,
@@ -139,6 +140,15 @@ class StreamedArm(GuardedDevice, ABC, Generic[S]):
     def recorded_cycles(self) -> tuple[RecordedCycle, ...]:
         """Most recent stream cycles, oldest first; frozen once a fault is latched."""
         return link.recorded_cycles() if (link := self.connections.open_link) is not None else ()
+
+    def cycles_since(self, after_ns: int) -> StreamCycles | None:
+        """Return the kept cycles that came after a host monotonic time, or None without a stream."""
+        from ronna_hw.arm_stream.cycle_rows import read_cycles  # with NumPy
+
+        link = self.connections.open_link
+        with contextlib.suppress(ValueError, MailboxTorn):  # another thread may be closing it
+            return None if link is None else read_cycles(link.mailbox, after_ns)
+        return None
 
     def observe(self) -> LastKnown[ArmReading]:
         streaming = self._guard.state in RUNNING  # unlike `state`, this does not check for new faults

@@ -33,7 +33,8 @@ from ronna_hw.arm_stream.statistics import HISTOGRAM_BINS, histogram_bin
 from ronna_hw.host.row_codec import RowCodec, one_of
 from ronna_hw.host.shared_memory import ByteRing, MemoryMap
 
-RECORDER_CYCLES = 256
+RECORDER_CYCLES = 1024  # four seconds of a controller's pace, a fifth of a second or more of lock-step
+LAST_CYCLES = 256  # of these, in the record of a fault
 LONGEST_SURROUNDINGS_BYTES = 24_000
 KEPT_BYTES = 1 << 20  # of telegrams and replies: a third of a second at the pace of lock-step
 LONGEST_KEPT_BYTES = 1 << 15  # a datagram of maximum length and its reply
@@ -63,6 +64,7 @@ _STATE = _MAP.checked_row(LinkState)
 _TURNAROUNDS = _MAP.counters(HISTOGRAM_BINS)
 _JITTER = _MAP.counters(HISTOGRAM_BINS)
 _RECORDER = _MAP.rows(RecordedCycle, RECORDER_CYCLES)
+RECORDER_ROW_BYTES = _RECORDER.stride
 _SURROUNDINGS = _MAP.checked_bytes(LONGEST_SURROUNDINGS_BYTES)
 _KEPT = ByteRing(_MAP.word(), _MAP.plain_bytes(KEPT_BYTES), LONGEST_KEPT_BYTES)
 
@@ -225,9 +227,13 @@ class Mailbox:
         return tuple(self._histogram), tuple(self._jitter)
 
     def read_records(self) -> tuple[RecordedCycle, ...]:
-        """Return the flight recorder's cycles, oldest first; consistent only while recording is paused."""
+        """Return the last recorded cycles, oldest first; consistent only while recording is paused."""
         kept = (_RECORDER.read(self._memory, k) for k in range(RECORDER_CYCLES))
-        return tuple(sorted(record for record in kept if record.cycle))
+        return tuple(sorted(record for record in kept if record.cycle))[-LAST_CYCLES:]
+
+    def copy_recorder(self) -> bytes:
+        """Copy the flight recorder's rows as they are; the one of a running cycle may be half written."""
+        return _RECORDER.copy(self._memory)
 
 
 def _split_kept_cycles(content: bytes) -> Iterator[KeptCycle]:

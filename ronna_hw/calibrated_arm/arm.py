@@ -17,11 +17,13 @@ from ronna_hw.arm.clearance.bodies import Surroundings
 from ronna_hw.arm.errors import Unreachable
 from ronna_hw.arm.kinematics import Chain, Kinematics
 from ronna_hw.arm.pose import Pose
+from ronna_hw.arrays import Array
 from ronna_hw.calibrated_arm.deviations import (
     FLANK_SHARE,
     HARMONICS,
     WRIST_JOINTS,
     ArmDeviations,
+    flange_poses,
     stretched_mm,
 )
 from ronna_hw.frames import Transform
@@ -102,6 +104,7 @@ class CalibratedArm:
 
     def __init__(self, nominal: Kinematics, deviations: ArmDeviations | None = None) -> None:
         self.nominal = nominal
+        self._deviations = deviations
         self._model = None if deviations is None else PostureModel(nominal.chain, deviations)
 
     def forward(self, joints_rad: JointVector, flanks: Sequence[float] | None = None) -> Pose:
@@ -113,6 +116,11 @@ class CalibratedArm:
         if self._model is None:
             return self.nominal.forward(joints_rad)
         return self._model.forward(joints_rad, flanks)
+
+    def flange_poses(self, joints_rad: Array) -> Array:
+        """Return the poses (m, 4, 4) of `forward` at joint angles (m, n), for many of them at once."""
+        chain = self.nominal.chain
+        return flange_poses(chain, self._deviations or ArmDeviations.none(len(chain.joints)), joints_rad)
 
     def as_controller_sees(self, surroundings: Surroundings, at_rad: JointVector) -> Surroundings:
         """Transform the surroundings into the controller's coordinates, exactly at the given joints.

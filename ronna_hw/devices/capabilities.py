@@ -8,7 +8,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, NamedTuple, Protocol, runtime_checkable
+
+if TYPE_CHECKING:  # a real-time process imports this
+    import numpy as np
+    from numpy.typing import NDArray
 
 
 class Direction(StrEnum):
@@ -48,6 +52,26 @@ class RecordsBytes(Protocol):
 
     def record_bytes(self, sink: ByteSink | None) -> None:
         """Forward every byte to `sink` from the next `connect` on; None disables forwarding."""
+
+
+class StreamCycles(NamedTuple):
+    """Cycles of an arm's stream, one entry each, oldest first."""
+
+    received_ns: NDArray[np.int64]  # arrival of the telegram, host monotonic
+    device_clock: NDArray[np.uint64]  # in the controller's own unit
+    measured_rad: NDArray[np.float64]  # (n, axes)
+    commanded_rad: NDArray[np.float64]  # (n, axes), sent in reply
+
+
+@runtime_checkable
+class RecordsCycles(Protocol):
+    """Arm that keeps the latest cycles of its stream."""
+
+    def cycles_since(self, after_ns: int) -> StreamCycles | None:
+        """Return the kept cycles that came after a host monotonic time, or None without a stream.
+
+        Asks nothing of the device. Never raises, in any thread.
+        """
 
 
 MESSAGES = "messages"  # the name of the fact that a person fulfils by acknowledging messages

@@ -97,16 +97,20 @@ class SharedRows(Generic[RowT]):
 
     def __init__(self, row: type[RowT], offset: int, count: int) -> None:
         self._codec = RowCodec(row)
-        self._stride = _align(self._codec.size_bytes)
+        self.stride = _align(self._codec.size_bytes)
         self._offset = offset
         self.count = count
-        self.size_bytes = self._stride * count
+        self.size_bytes = self.stride * count
 
     def read(self, memory: Any, index: int = 0) -> RowT:
-        return self._codec.unpack_from(memory, self._offset + index * self._stride)
+        return self._codec.unpack_from(memory, self._offset + index * self.stride)
+
+    def copy(self, memory: Any) -> bytes:
+        """Copy all rows, packed, one each `stride` bytes."""
+        return bytes(memory[self._offset : self._offset + self.size_bytes])
 
     def write(self, memory: Any, row: RowT, index: int = 0) -> None:
-        offset = self._offset + index * self._stride
+        offset = self._offset + index * self.stride
         memory[offset : offset + self._codec.size_bytes] = self._codec.pack(row)
 
 

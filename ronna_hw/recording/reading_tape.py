@@ -12,14 +12,14 @@ from __future__ import annotations
 import json
 import threading
 from collections import deque
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple, cast
 
 from ronna_hw.devices.lifecycle import Device, Lifecycle, hold_active
-from ronna_hw.devices.readings import StereoReading
+from ronna_hw.devices.readings import StereoReading, TrackerFrame
 from ronna_hw.errors import RonnaError
 from ronna_hw.logs import logger
 from ronna_hw.recording.reading_coding import (
@@ -38,6 +38,8 @@ MOST_WAITING_BYTES = 400_000_000  # of pixels: fifty pairs of full sensors
 WRITE_PERIOD_S = 0.05  # host time
 CLOSE_LIMIT_S = 10.0  # for what is still queued
 NO_SECTION = -1
+TAPPED = (TrackerFrame, StereoReading)  # readings that a tap gets, too: those of an arm are in shared memory
+Tap = Callable[[Any], None]  # never blocks, never raises
 
 
 class RecordedCall(NamedTuple):
@@ -213,11 +215,14 @@ def _pixel_bytes(value: object) -> int:
     return sum(side.pixels.nbytes for side in (value.left, value.right) if side is not None)
 
 
-def tape_device(device: Device, tape: ReadingTape) -> Device:
-    """Wrap a device to record its answers; the wrapper exposes exactly the device's public names."""
+def tape_device(device: Device, tape: ReadingTape, tap: Tap | None = None) -> Device:
+    """Wrap a device to record its answers; the wrapper exposes exactly the device's public names.
+
+    The `tap` gets the readings of every thread, in a section or not.
+    """
     names = [name for name in dir(device) if not name.startswith("_") and name != "active"]
     calls = list_recorded_calls(device)
-    members = {name: _make_member(name, calls) for name in names}
+    members = {name: _make_member(name, calls, tap) for name in names}
     return cast("Device", type("Taped", (_TapedDevice,), members)(device, tape))
 
 
@@ -232,17 +237,20 @@ class _TapedDevice:
         return hold_active(cast("Device", self), timeout_s)
 
 
-def _make_member(name: str, calls: Collection[str]) -> Any:
+def _make_member(name: str, calls: Mapping[str, Any], tap: Tap | None) -> Any:
     if name in calls:
-        return _make_taped_call(name)
+        return _make_taped_call(name, tap if calls[name] in TAPPED else None)
     if name in RECORDED_PROPERTIES:
         return property(lambda self: _call_and_keep(self, name, lambda: getattr(self._device, name)))
     return property(lambda self: getattr(self._device, name))
 
 
-def _make_taped_call(name: str) -> Callable[..., Any]:
+def _make_taped_call(name: str, tap: Tap | None) -> Callable[..., Any]:
     def call(self: _TapedDevice, *arguments: Any, **more: Any) -> Any:
-        return _call_and_keep(self, name, lambda: getattr(self._device, name)(*arguments, **more))
+        value = _call_and_keep(self, name, lambda: getattr(self._device, name)(*arguments, **more))
+        if tap is not None:
+            tap(value)
+        return value
 
     return call
 

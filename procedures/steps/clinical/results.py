@@ -162,6 +162,16 @@ class RegisteredRobot(StepResult, kind="registration"):
     def trajectories(self) -> frozenset[str]:
         return frozenset(one.target for one in self.predictions)
 
+    def found_in_ct_mm(self, measured: Relocalization) -> dict[int, Array]:
+        """Return where the stereo head found each sphere, through this fit, by its index in the CT."""
+        ct_from_robot = self.robot_from_ct.transform.inverse()
+        if self.followed is not None:  # they were measured before the head moved
+            ct_from_robot = ct_from_robot @ self.followed.robot_from_robot.transform
+        return {
+            fiducial: ct_from_robot.apply(place_mm)
+            for fiducial, place_mm in zip(measured.fiducials, measured.points_mm, strict=True)
+        }
+
     def prediction(self, target: str) -> Prediction:
         """Return the prediction for a target. Raises KeyError."""
         for one in self.predictions:

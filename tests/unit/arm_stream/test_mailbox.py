@@ -18,7 +18,8 @@ from ronna_hw.arm.motion.limits import working_limits
 from ronna_hw.arm.motion.planning import MotionPlan
 from ronna_hw.arm.motion.progress import MOST_STEPS, PathLimits, SpeedStep
 from ronna_hw.arm.pose import Pose
-from ronna_hw.arm_stream.mailbox import LONGEST_SURROUNDINGS_BYTES, Mailbox, MailboxTorn
+from ronna_hw.arm_stream.cycle_rows import read_cycles
+from ronna_hw.arm_stream.mailbox import LONGEST_SURROUNDINGS_BYTES, RECORDER_CYCLES, Mailbox, MailboxTorn
 from ronna_hw.arm_stream.records import (
     NO_STATE,
     Command,
@@ -121,6 +122,20 @@ def test_the_recorder_keeps_the_last_cycles_in_order(mailbox: Mailbox) -> None:
     kept = mailbox.read_records()
     assert [r.cycle for r in kept] == list(range(45, 301))
     assert kept[-1] == RecordedCycle(300, 1200, 300, 10.0, SIX, SIX, 0)
+
+
+def test_cycles_are_copied_once_each_and_none_that_the_writer_may_have_touched(mailbox: Mailbox) -> None:
+    kept = RECORDER_CYCLES
+    for cycle in range(1, kept + 10):
+        mailbox.record(RecordedCycle(cycle, 4 * cycle, 100 * cycle, 10.0, SIX, SIX[::-1], 0))
+    mailbox.write_state(replace(NO_STATE, cycles=kept + 8))  # that of the newest is not published yet
+    first = read_cycles(mailbox, after_ns=0)
+    assert first.received_ns.tolist() == [100 * cycle for cycle in range(10, kept + 9)]
+    assert first.device_clock[-1] == 4 * (kept + 8)
+    assert first.measured_rad[0].tolist() == list(SIX)
+    assert first.commanded_rad[0].tolist() == list(SIX[::-1])
+    mailbox.write_state(replace(NO_STATE, cycles=kept + 9))
+    assert read_cycles(mailbox, after_ns=100 * (kept + 8)).received_ns.tolist() == [100 * (kept + 9)]
 
 
 def test_link_settings_survive_a_json_round_trip() -> None:

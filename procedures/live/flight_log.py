@@ -1,0 +1,145 @@
+"""Log of a run in MCAP, with the profile of ROS 2: `RUN/flight.mcap`, of a resumed run also `flight-2.mcap`.
+
+A thread of its own encodes and writes. Each second it completes a chunk and flushes it, so that a program
+killed at any moment loses no more; at the end the file gets its index, statistics and sums. If the disk is
+full or stuck, the log ends, and nothing else notices.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from procedures.live.log_entries import JointCycles, LogEntry
+from procedures.live.log_topics import LogMessages, Topic
+from procedures.live.records import Began, CameraPicture
+from ronna_hw.logs import logger
+from ronna_hw.wire import ros2
+
+if TYPE_CHECKING:
+    from mcap.writer import Writer
+
+FIRST_FILE, LATER_FILE = "flight.mcap", "flight-{number}.mcap"
+PROFILE, ENCODING, SCHEMA_ENCODING = "ros2", "cdr", "ros2msg"
+METADATA = "ronna"  # name of the record with the run and the time at which its theatre time is 0
+FLUSH_PERIOD_S = 1.0  # host time; lost if the program is killed
+CLOSE_LIMIT_S = 10.0  # host time for what is still queued
+MOST_WAITING_BYTES = 64_000_000  # of entries: minutes of a case
+ENTRY_BYTES = 600  # of an entry without arrays or pictures, in memory
+
+
+def log_files(run: Path) -> list[Path]:
+    """Return the logs of a run, one for each program that had it, the first one first."""
+    later = sorted(run.glob(LATER_FILE.format(number="*")), key=lambda path: (len(path.name), path.name))
+    return [path for path in (run / FIRST_FILE, *later) if path.is_file()]
+
+
+def next_log_file(run: Path) -> Path:
+    """Return the path of the log of the next program that has the run."""
+    count = len(log_files(run))
+    return run / (LATER_FILE.format(number=count + 1) if count else FIRST_FILE)
+
+
+class FlightLog:
+    """Log of one program of a run."""
+
+    def __init__(
+        self,
+        path: Path,
+        began: Began,
+        without_names: Callable[[str], str],
+        *,
+        flush_period_s: float = FLUSH_PERIOD_S,
+        most_waiting_bytes: int = MOST_WAITING_BYTES,
+    ) -> None:
+        """Start the log. A failure to write is logged, never raised."""
+        self._path = path
+        self._began = began
+        self._messages = LogMessages(began, without_names)
+        self._flush_period_s = flush_period_s
+        self._most_waiting_bytes = most_waiting_bytes
+        self._queue: deque[tuple[LogEntry, int, int]] = deque()  # with host UTC and size
+        self._taken_bytes = self._done_bytes = 0  # each written by one thread
+        self._channels: dict[Topic, int] = {}
+        self._schemas: dict[str, int] = {}
+        self._ending = threading.Event()
+        self.is_open = True
+        self._thread = threading.Thread(target=self._run, name="flight log", daemon=True)
+        self._thread.start()
+
+    def take(self, entries: Iterable[LogEntry]) -> None:
+        """Queue entries, from one thread. Never blocks, never raises."""
+        now_ns = time.time_ns()
+        for entry in entries if self.is_open else ():
+            size = _size_of(entry)
+            self._taken_bytes += size
+            self._queue.append((entry, now_ns, size))
+        if self._taken_bytes - self._done_bytes > self._most_waiting_bytes:
+            self._end("the disk does not keep up")
+
+    def close(self) -> None:
+        """Write what is queued, then index and sums. Bounded in time; never raises."""
+        self._ending.set()
+        self._thread.join(CLOSE_LIMIT_S)
+
+    def _end(self, reason: object) -> None:
+        if self.is_open:
+            self.is_open = False
+            logger(part="flight log").warning("the log of the run ends here", cause=reason)
+        self._queue.clear()
+
+    def _run(self) -> None:
+        from mcap.writer import Writer  # a tenth of a second that the run does not wait for
+
+        try:
+            with self._path.open("xb") as file:
+                writer = Writer(file, enable_data_crcs=True)
+                writer.start(PROFILE, "ronna-hw")
+                about = {"run": self._began.run, "epoch_ns": str(self._began.epoch_ns)}
+                writer.add_metadata(METADATA, about)
+                _flush(writer)
+                while not self._ending.wait(self._flush_period_s):
+                    self._write_waiting(writer)
+                    _flush(writer)
+                self._write_waiting(writer)
+                if self.is_open:
+                    writer.finish()  # type: ignore[no-untyped-call]  # of the library
+        except (OSError, ValueError) as error:  # the disk, or an entry of unknown form
+            self._end(error)
+
+    def _write_waiting(self, writer: Writer) -> None:
+        while self._queue:
+            try:
+                entry, host_ns, size = self._queue.popleft()
+            except IndexError:  # the log has just been ended
+                return
+            for topic, stamp_ns, data in self._messages.of(entry):
+                writer.add_message(self._channel(writer, topic), stamp_ns, data, host_ns)
+            self._done_bytes += size
+
+    def _channel(self, writer: Writer, topic: Topic) -> int:
+        if topic not in self._channels:
+            if topic.message not in self._schemas:
+                definition = ros2.definition_of(topic.message).encode()
+                self._schemas[topic.message] = writer.register_schema(
+                    topic.message, SCHEMA_ENCODING, definition
+                )
+            self._channels[topic] = writer.register_channel(
+                topic.name, ENCODING, self._schemas[topic.message]
+            )
+        return self._channels[topic]
+
+
+def _flush(writer: Writer) -> None:
+    """Complete the chunk and hand it to the system: what is in it survives this program."""
+    writer.flush()  # type: ignore[no-untyped-call]  # of the library
+
+
+def _size_of(entry: LogEntry) -> int:
+    if isinstance(entry, JointCycles):
+        return ENTRY_BYTES + 3 * entry.measured_rad.nbytes
+    return ENTRY_BYTES + (len(entry.jpeg) if isinstance(entry, CameraPicture) else 0)

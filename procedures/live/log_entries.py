@@ -1,0 +1,47 @@
+"""What the log of a run takes beside live records: cycles in batches, lines for people, journal lines."""
+
+from __future__ import annotations
+
+from enum import IntEnum
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from procedures.live.records import LiveRecord
+
+
+class JointCycles(NamedTuple):
+    """Consecutive cycles of an arm, one row each."""
+
+    arm: str
+    axes: tuple[str, ...]
+    times_s: NDArray[np.float64]  # theatre time
+    measured_rad: NDArray[np.float64]
+    commanded_rad: NDArray[np.float64] | None
+
+
+class Level(IntEnum):
+    """Weight of a line, as `rcl_interfaces/msg/Log` has it."""
+
+    INFO = 20
+    WARNING = 30
+    ERROR = 40
+
+
+class SaidLine(NamedTuple):
+    """Line for people: a step, a finding, a fault."""
+
+    theatre_time_s: float
+    level: Level
+    text: str
+
+
+class JournalEntry(NamedTuple):
+    """Line of the journal, without what only the run folder may hold, as JSON."""
+
+    theatre_time_s: float
+    text: str
+
+
+LogEntry = LiveRecord | JointCycles | SaidLine | JournalEntry
