@@ -89,7 +89,7 @@ def _serve(run: Path, options: LinkOptions) -> None:
         sys.stdout.flush()
 
     async def serve() -> None:
-        await LinkServer(options).serve(read_feed(run), ready)
+        await LinkServer(options, terminal.tell).serve(read_feed(run), ready)
 
     sys.setswitchinterval(SWITCH_S)
     asyncio.run(serve())

@@ -10,6 +10,7 @@ from typing import Final
 import numpy as np
 
 from procedures.live.errors import NAME_TOO_LONG
+from ronna_hw import patient_frame
 from ronna_hw.frames import Frame
 from ronna_hw.vectors import Vector3
 from ronna_hw.wire.openigtlink import LONGEST_NAME_BYTES
@@ -22,6 +23,11 @@ RUN_STATE: Final = "RunState"
 SERVER: Final = "ronna-hw"  # whose answers are about no device
 CT_IMAGE: Final = "CT"
 CAMERA_IMAGES: Final = {"left": "CameraLeft", "right": "CameraRight"}
+SHORT_WORDS: Final = {  # of frames whose own words are too long, or another
+    Frame.CT.value: RAS,
+    patient_frame.NAME: "Patient",
+    "assistant_flange": "Flange2",
+}
 POSES: Final = (  # child and parent, of those that a case states; any other is checked when it comes
     (Frame.FLANGE, Frame.ROBOT),
     (Frame.TOOL, Frame.ROBOT),
@@ -29,16 +35,16 @@ POSES: Final = (  # child and parent, of those that a case states; any other is 
     (Frame.ASSISTANT, Frame.ROBOT),
     (Frame.ROBOT, Frame.CT),
     (Frame.TOOL, Frame.CT),
-    (Frame.MARKER, Frame.TRACKER),
-    (Frame.PATIENT, Frame.TRACKER),
-    (Frame.CAMERA_LEFT, Frame.FLANGE),
-    (Frame.CAMERA_RIGHT, Frame.FLANGE),
+    (Frame.TOOL, Frame.FLANGE),
+    ("assistant_flange", Frame.ASSISTANT),
+    (patient_frame.NAME, Frame.TRACKER),
+    ("robot_frame", Frame.TRACKER),
 )
 
 
 def frame_word(frame: str) -> str:
     """Return the word for a frame: `CameraLeft`, and `Ras` for patient coordinates."""
-    return RAS if frame == Frame.CT else "".join(part.capitalize() for part in frame.split("_"))
+    return SHORT_WORDS.get(frame) or "".join(part.capitalize() for part in frame.split("_"))
 
 
 FRAME_WORDS: Final = frozenset(map(frame_word, Frame))

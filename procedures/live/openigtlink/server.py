@@ -23,7 +23,6 @@ from procedures.live.openigtlink.throttle import Throttle
 from procedures.live.openigtlink.values import LinkValues
 from procedures.live.records import LiveRecord
 from ronna_hw.errors import RonnaError
-from ronna_hw.logs import logger
 from ronna_hw.wire.openigtlink import PORT, Malformed, Message
 from ronna_hw.wire.openigtlink_contents import StatusCode, decode_subscription
 
@@ -52,8 +51,9 @@ class LinkOptions:
 class LinkServer:
     """Server of the values of one case."""
 
-    def __init__(self, options: LinkOptions) -> None:
-        """Raise LIV-010 if a name does not fit."""
+    def __init__(self, options: LinkOptions, tell: Callable[[str], None]) -> None:
+        """`tell` shows a line to the user. Raises LIV-010 if a name does not fit."""
+        self._tell = tell
         self._options = options
         self._values = LinkValues()
         self._connections: list[Connection] = []
@@ -61,7 +61,6 @@ class LinkServer:
         self._tasks: set[asyncio.Task[None]] = set()
         self._images = Images(self._values, options.ct)
         self._told: set[str] = set()
-        self._log = logger(process="openigtlink")
 
     async def serve(self, records: AsyncIterator[LiveRecord], ready: Callable[[str, int], None]) -> None:
         """Serve the records until they end; `ready` gets address and port. Raises LIV-011 and theirs."""
@@ -96,7 +95,7 @@ class LinkServer:
         except RonnaError as error:  # a name that does not fit: the others go on
             if str(error) not in self._told:
                 self._told.add(str(error))
-                self._log.error("not sent", error=str(error))
+                self._tell(f"not sent: {error}")
                 self._offer(status(StatusCode.CONFIGURATION_ERROR, str(error), error.code))
             return
         for value in changed:
@@ -128,7 +127,7 @@ class LinkServer:
             for connection in list(self._connections):
                 since_s = connection.stalled_since_s
                 if since_s is not None and loop.time() - since_s > STALLED_S:
-                    self._log.warning("a client that takes nothing is disconnected")
+                    self._tell(f"a client that takes nothing for {STALLED_S:g} s is disconnected")
                     connection.abort()
 
     async def _say_goodbye(self) -> None:
@@ -146,7 +145,6 @@ class LinkServer:
     def admit(self, connection: Connection) -> None:
         """Send a new client all that stands; a further one than the most is told and closed."""
         if len(self._connections) >= MOST_CLIENTS:
-            self._log.warning("too many clients", limit=MOST_CLIENTS)
             connection.offer(
                 status(StatusCode.BUSY, f"{MOST_CLIENTS} clients are connected.", "TooManyClients")
             )

@@ -80,7 +80,7 @@ def linked_case(options: LinkOptions | None = None) -> Iterator[LinkedCase]:
             is_ready.set()
 
         try:
-            await LinkServer(options).serve(read(), ready)
+            await LinkServer(options, lambda _line: None).serve(read(), ready)
         except BaseException as error:
             failed.append(error)
             raise

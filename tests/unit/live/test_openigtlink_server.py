@@ -310,6 +310,6 @@ def _serve_once(options: LinkOptions) -> None:
         yield BEGAN
 
     async def serve() -> None:
-        await LinkServer(options).serve(records(), lambda _host, _port: None)
+        await LinkServer(options, lambda _line: None).serve(records(), lambda _host, _port: None)
 
     asyncio.run(asyncio.wait_for(serve(), AWAITED_S))
