@@ -56,13 +56,15 @@ class Connection(asyncio.Protocol):
         self._transport: asyncio.Transport
 
     def offer(self, value: Outgoing) -> None:
-        """Send a value as soon as the client takes it. A newer one replaces it until then.
+        """Send a value as soon as the client takes it. Only while it takes nothing a newer one replaces it.
 
         A pose that is not valid takes back the one that waits, and goes only to clients with metadata.
         """
         if value.needs_metadata and self.version == 1:
             self._slots.pop(value.key, None)
             return
+        if value.key in self._slots and self.stalled_since_s is None:
+            self._send()
         self._slots[value.key] = value
         self._wake()
 
@@ -140,10 +142,13 @@ class Connection(asyncio.Protocol):
         """Send at the end of this round of the loop: values that come together go together."""
         if not self._is_woken and self.stalled_since_s is None:
             self._is_woken = True
-            self._loop.call_soon(self._send)
+            self._loop.call_soon(self._send_woken)
+
+    def _send_woken(self) -> None:
+        self._is_woken = False
+        self._send()
 
     def _send(self) -> None:
-        self._is_woken = False
         while self.stalled_since_s is None:
             if not self._sending and not self._take_slots():
                 if self._is_closing:

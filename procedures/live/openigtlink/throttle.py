@@ -7,10 +7,14 @@ from collections.abc import Callable
 from typing import Generic, TypeVar
 
 V = TypeVar("V")
+EARLY_S = 0.1
 
 
 class Throttle(Generic[V]):
-    """Passes values on at most once per interval in the long run; one may come an interval early."""
+    """Passes values on at most once per interval in the long run; a few may come early together.
+
+    Values that a stall of this computer has delayed are not lost by that.
+    """
 
     def __init__(self, interval_s: float, send: Callable[[V], None]) -> None:
         self._loop = asyncio.get_running_loop()
@@ -24,7 +28,7 @@ class Throttle(Generic[V]):
         """Pass a value on now, or keep it until the rate allows the next; a newer one replaces it."""
         self._latest = value
         if self._timer is None:
-            wait_s = self._next_s - self._interval_s - self._loop.time()
+            wait_s = self._next_s - max(self._interval_s, EARLY_S) - self._loop.time()
             if wait_s <= 0.0:
                 self._pass_on()
             else:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import asyncio
 import socket
 import struct
+from collections import Counter
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -247,16 +249,24 @@ def test_spoilt_streams_disturb_nobody() -> None:
         other.until(_is_end)
 
 
-def test_a_client_that_never_reads_delays_nobody_and_gets_the_newest() -> None:
-    count = 3000
-    with linked_case(LinkOptions(rate_hz=1e6)) as case, case.connect() as client, case.connect() as stopped:
+def test_of_eight_clients_one_never_reads_and_no_other_misses_a_pose() -> None:
+    count, frames = 500, (("tool", "robot"), ("flange", "robot"), *((f"t{n}", "tracker") for n in range(4)))
+    with linked_case(LinkOptions(rate_hz=1e6)) as case:
+        stopped, *clients = (case.connect() for _ in range(8))
         stopped.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, SMALL_BUFFER_BYTES)
-        last = EPOCH_NS + count * 1_000_000_000
-        for number in range(1, count + 1):  # in step with the client: nothing may be replaced for it
-            case.tell(pose("tool", "robot", float(number)), pose("flange", "robot", float(number)))
-            assert client.first("TRANSFORM", "ToolToRobot").stamp_ns == EPOCH_NS + number * 1_000_000_000
-        _, before = stopped.until(lambda one: one.name == "ToolToRobot" and one.stamp_ns == last)
-        assert len(before) < count  # half of all: the others were replaced while it did not read
+        received = Counter[int]()
+        for number in range(1, count + 1):
+            case.tell(*(pose(child, parent, float(number)) for child, parent in frames))
+            for place, client in enumerate(clients):
+                _, before = client.until(_is_pose("T3ToTracker", number))
+                received[place] += len(before) + 1
+        assert received == dict.fromkeys(range(7), count * len(frames))
+        _, before = stopped.until(_is_pose("T3ToTracker", count))
+        assert len(before) < count * len(frames) / 2  # the others were replaced while it did not read
+
+
+def _is_pose(name: str, time_s: int) -> Callable[[Message], bool]:
+    return lambda one: one.name == name and one.stamp_ns == EPOCH_NS + time_s * 1_000_000_000
 
 
 def test_one_client_too_many_is_told_and_the_place_of_one_that_leaves_is_free() -> None:
