@@ -125,7 +125,7 @@ def test_a_mini_case_is_served_from_its_start_and_ends_as_without(tmp_path: Path
         ("TRANSFORM", "RobotToRas"),
         ("TRANSFORM", "TrackerToRobot"),
         ("STATUS", "tracker"),
-        ("STATUS", "robot"),
+        ("STATUS", "arm"),
         ("STRING", "RunState"),
         ("POINT", "Spheres"),
         ("TRAJ", "Plan"),

@@ -14,6 +14,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from documented import python_of
 from linked_case import AWAITED_S, EPOCH_NS, LinkedCase, linked_case, pose
 from painted_ct import write_series
 
@@ -29,6 +30,7 @@ from procedures.live.records import (
 )
 
 CLIENT_SOURCE = Path(__file__).parents[2] / "support" / "devices" / "igtl_reference_client.cxx"
+PAGE = "docs/how-to/records/live-poses-in-slicer.md"
 HEADERS = Path("/usr/include/openigtlink")
 COMPILE_LIMIT_S = 120.0
 REGISTRATION = pose("robot", "ct").model_copy(update={"is_fixed": True})
@@ -106,6 +108,13 @@ def test_pyigtl_reads_state_spheres_and_targets(case: LinkedCase) -> None:
     assert (spheres.names, spheres.groups) == (["M1"], ["used, residual 0.25 mm"])
     assert spheres.positions[0] == pytest.approx([-1, -2, 3])
     assert targets.positions[0] == pytest.approx([-4, -5, 6])
+
+
+def test_the_python_of_the_page_reads_the_tool(case: LinkedCase, capsys: pytest.CaptureFixture[str]) -> None:
+    import_pyigtl()
+    with moving(case):
+        exec(python_of(PAGE).replace("18944", str(case.port)), {})
+    assert "1700000002.5" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("header_version", [1, 2])
