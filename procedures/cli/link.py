@@ -72,9 +72,18 @@ def openigtlink_command(
 
     procedure = read_request(run).procedure
     ct = case_folder(procedure, run) / "ct" if isinstance(procedure, CaseProcedure) else None
-    if listen != LOOPBACK:
+    if not _is_loopback(listen):
         terminal.tell(f"warning: {LISTENING_WARNING.format(listen, port)}")
     _serve(run, LinkOptions(listen, port, rate, header_version, ct))
+
+
+def _is_loopback(host: str) -> bool:
+    from ipaddress import ip_address
+
+    try:
+        return ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
 
 
 def _serve(run: Path, options: LinkOptions) -> None:

@@ -16,6 +16,7 @@ from procedures.live.errors import ADDRESS_UNUSABLE
 from procedures.runs.observers import RunObservers
 from ronna_hw.errors import RonnaError
 from ronna_hw.host.child_process import ChildProcess, command
+from ronna_hw.host.process import describe_exit
 
 if TYPE_CHECKING:
     from procedures.engine.engine import Engine
@@ -74,7 +75,7 @@ class _Server:
 
     def __init__(self, folder: Path, address: LinkAddress, say: Callable[[str], None]) -> None:
         self._say = say
-        self._ending = False
+        self._ending = self._is_ready = False
         arguments = (
             "openigtlink",
             str(folder.resolve()),
@@ -84,7 +85,10 @@ class _Server:
             str(address.port),
         )
         self._child = ChildProcess(
-            "the OpenIGTLink server", command("procedures.cli.link", *arguments), timeout_s=None
+            "the OpenIGTLink server",
+            command("procedures.cli.link", *arguments),
+            timeout_s=None,
+            on_message=self._pass_on,
         )
 
     def await_ready(self) -> None:
@@ -94,6 +98,7 @@ class _Server:
         except (RonnaError, ValueError) as error:
             self._say(f"no OpenIGTLink: {error}")
             return
+        self._is_ready = True
         threading.Thread(target=self._watch, name="openigtlink", daemon=True).start()
 
     def close(self) -> None:
@@ -105,7 +110,11 @@ class _Server:
 
     def _watch(self) -> None:
         if self._child.process.wait() and not self._ending:  # it ends well with the feed of the case
-            words = " / ".join(self._child.messages) or f"exit code {self._child.process.returncode}"
+            how = describe_exit(self._child.process.returncode)
             self._say(
-                f"the OpenIGTLink server has ended ({words}); the case goes on, and ronna-link starts another"
+                f"the OpenIGTLink server has ended ({how}); the case goes on, ronna-link starts another"
             )
+
+    def _pass_on(self, line: str) -> None:
+        if (self._is_ready and not self._ending) or line.startswith("warning:"):
+            self._say(line)

@@ -28,6 +28,9 @@ class ConnectionOwner(Protocol):
     def admit(self, connection: Connection) -> None:
         """Take up a new connection, or refuse it."""
 
+    def welcome(self, connection: Connection) -> None:
+        """Send a connection all that stands."""
+
     def dismiss(self, connection: Connection) -> None:
         """Forget a connection that is closed."""
 
@@ -121,8 +124,9 @@ class Connection(asyncio.Protocol):
             return
         try:
             for message in self._reader.feed(data):
-                if message.version == 2 and not message.fault:
-                    self.version = 2
+                if message.version > self.version and not message.fault:
+                    self.version = message.version
+                    self._owner.welcome(self)  # again, now with metadata
                 self._owner.receive(self, message)
         except StreamBroken as broken:
             self._owner.break_off(self, str(broken))

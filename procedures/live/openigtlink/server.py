@@ -28,7 +28,11 @@ from ronna_hw.wire.openigtlink_contents import StatusCode, decode_subscription
 
 LOOPBACK: Final = "127.0.0.1"
 MOST_CLIENTS: Final = 16
-REPEAT_S: Final = 1.0  # states and standing values: Slicer calls stale what is not repeated
+REPEAT_S: Final = 1.0
+REPEATED: Final = (
+    "STATUS",
+    TRANSFORM,
+)  # of what stands: Slicer calls a transform stale that does not come again
 STALLED_S: Final = 60.0  # a client that takes nothing for so long gives its place to others
 CLOSE_LIMIT_S: Final = 1.0  # for what clients have not yet received when the case ends
 RATE_HZ: Final = 30.0
@@ -123,7 +127,8 @@ class LinkServer:
         while True:
             await asyncio.sleep(REPEAT_S)
             for value in self._values.standing:
-                self._offer(value)
+                if value.kind in REPEATED:
+                    self._offer(value)
             for connection in list(self._connections):
                 since_s = connection.stalled_since_s
                 if since_s is not None and loop.time() - since_s > STALLED_S:
@@ -151,6 +156,10 @@ class LinkServer:
             connection.close()
             return
         self._connections.append(connection)
+        self.welcome(connection)
+
+    def welcome(self, connection: Connection) -> None:
+        """Send a client all that stands."""
         for value in self._values.standing:
             connection.offer(value)
 

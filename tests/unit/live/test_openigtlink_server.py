@@ -49,6 +49,7 @@ TOOL_IN_RAS = [
     [0, 0, 1, 60],
     [0, 0, 0, 1],
 ]  # diag @ REGISTRATION @ tool in robot
+LINE = PlannedLine(name="T1", entry_mm=(1.0, 2.0, 3.0), target_mm=(4.0, 5.0, 6.0))
 FAULT = DeviceStatus(
     theatre_time_s=2.0, device="tracker", state="fault", code="NDI-004", text="no answer.", advice="Look."
 )
@@ -125,10 +126,9 @@ def test_a_voided_registration_voids_the_tool_in_the_patient() -> None:
 
 
 def test_a_new_client_gets_what_stands_but_no_pose_of_the_past() -> None:
-    plan = PlannedLine(name="T1", entry_mm=(1.0, 2.0, 3.0), target_mm=(4.0, 5.0, 6.0))
     with linked_case() as case, case.connect() as first:
         case.tell(
-            REGISTRATION, FAULT, PlannedLines(theatre_time_s=0.0, lines=(plan,)), pose("tool", "robot"), END
+            REGISTRATION, FAULT, PlannedLines(theatre_time_s=0.0, lines=(LINE,)), pose("tool", "robot"), END
         )
         first.until(_is_end)
         with case.connect() as client:
@@ -143,6 +143,18 @@ def test_a_new_client_gets_what_stands_but_no_pose_of_the_past() -> None:
             }
             line = struct.unpack(">64s32sBB4B3f3ff20s", sent["TRAJ", "Plan"].content)
             assert line[8:14] == (-1, -2, 3, -4, -5, 6)
+
+
+def test_points_and_plan_are_not_repeated_until_they_change() -> None:
+    plan = PlannedLines(theatre_time_s=0.0, lines=(LINE,))
+    with linked_case() as case, case.connect() as client:
+        case.tell(REGISTRATION, plan, FAULT)
+        client.first("POINT", "Targets")
+        _, before = client.until(lambda one: one.name == "tracker" and one.kind == "STATUS")
+        _, before = client.until(lambda one: one.name == "tracker" and one.kind == "STATUS")  # a second later
+        assert {one.kind for one in before} <= {"TRANSFORM"}
+        case.tell(plan)
+        client.first("POINT", "Targets")
 
 
 def test_a_fault_is_a_status_with_its_advice_and_comes_again_every_second() -> None:
