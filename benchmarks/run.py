@@ -57,6 +57,7 @@ MEASUREMENTS = {
     "registration": "registration",
     "mini-case": "mini_case",
     "recording": "recording",
+    "openigtlink": "openigtlink",
     "console": "pages.console_page",
     "planner": "pages.planner_page",
 }

@@ -10,7 +10,7 @@ from typing import Annotated
 from typer import Option
 
 from procedures.cli.calibrating.mount import app as calibrate_app
-from procedures.cli.case.options import CaseOptions, ConfigOption, ConsoleOptions
+from procedures.cli.case.options import CaseOptions, ConfigOption, ConsoleOptions, LinkOptions
 from procedures.cli.monitor import monitor
 from procedures.cli.new_theatre.command import new_theatre
 from procedures.cli.runs.commands import add_commands
@@ -30,13 +30,16 @@ app = terminal.command_group(
 
 @app.command("run")
 @with_option_records
-def run_command(case: CaseOptions, console: ConsoleOptions, as_json: terminal.JsonOption = False) -> None:
+def run_command(
+    case: CaseOptions, console: ConsoleOptions, link: LinkOptions, as_json: terminal.JsonOption = False
+) -> None:
     """Run the whole case; ends with the errors at the targets and a report."""
     suspend_garbage_collection()  # until the engine is built
     try:
         from procedures.cli.case.display import follow_case
 
-        follow_case(case.request(), case.out, as_json=as_json, console=console.request())
+        request, page, served = case.request(), console.request(), link.request()
+        follow_case(request, case.out, as_json=as_json, console=page, openigtlink=served)
     finally:
         resume_garbage_collection()
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ronna_hw.errors import ConnectError, DataError, ErrorCode
+from ronna_hw.errors import EXIT_USAGE, ConfigurationError, ConnectError, DataError, ErrorCode
 
 NO_FEED = ErrorCode(
     "LIV-001",
@@ -33,4 +33,17 @@ NO_LOG = ErrorCode(
     DataError,
     "The run has no log.",
     "Runs of earlier versions have none, nor has one whose disk was full: RUN/log.jsonl says so.",
+)
+NAME_TOO_LONG = ErrorCode(
+    "LIV-010",
+    ConfigurationError,
+    "A name does not fit into the header of an OpenIGTLink message.",
+    "Give the device or frame a shorter name of ASCII letters; other programs would see it cut.",
+)
+ADDRESS_UNUSABLE = ErrorCode(
+    "LIV-011",
+    ConfigurationError,
+    "The OpenIGTLink server cannot listen at the given address.",
+    "Give an address of this computer, as `ip address` lists them, and a free port.",
+    own_exit_code=EXIT_USAGE,
 )

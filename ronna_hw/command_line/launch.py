@@ -28,6 +28,7 @@ COMMANDS = {
     "ronna-console": "console.command",
     "ronna-conformance": "conformance.cli",
     "ronna-rom": "drivers.ndi_polaris.rom_command",
+    "ronna-link": "procedures.cli.link",
 }
 
 

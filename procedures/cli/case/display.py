@@ -51,6 +51,7 @@ if TYPE_CHECKING:
     from procedures.reporting.outcome import FinishedRun
     from procedures.runs.console_link import ConsoleRequest
     from procedures.runs.interrupted_run import InterruptedRun
+    from procedures.runs.openigtlink import LinkAddress
 
 STANDARD_ERROR = 2
 PAUSING = b"\npausing at the next safe point; Ctrl-C again stops the arm now\n"
@@ -253,13 +254,19 @@ def _show_table(outcome: FinishedRun) -> None:
 
 
 def follow_case(
-    request: RunRequest, out: Path, *, as_json: bool, console: ConsoleRequest | None = None
+    request: RunRequest,
+    out: Path,
+    *,
+    as_json: bool,
+    console: ConsoleRequest | None = None,
+    openigtlink: LinkAddress | None = None,
 ) -> None:
     """Run and show a case in a new folder in `out`. With `as_json`, always print exactly one object."""
     check_case(request, out)
     with run_folder(request, out) as folder, hold_run(folder):
         waits = request.has_person
-        follow(request, folder, partial(run_case, request, folder), console, as_json=as_json, waits=waits)
+        run = partial(run_case, request, folder)
+        follow(request, folder, run, console, as_json=as_json, waits=waits, openigtlink=openigtlink)
 
 
 def follow(
@@ -271,6 +278,7 @@ def follow(
     as_json: bool,
     waits: bool,
     left: InterruptedRun | None = None,
+    openigtlink: LinkAddress | None = None,
 ) -> None:
     """Show a case while it runs, write its report, then show its outcome. `left` is the run being resumed.
 
@@ -287,6 +295,10 @@ def follow(
                 from procedures.runs.console_link import with_console
 
                 shown = at_last.enter_context(with_console(shown, folder, console, waits=waits))
+            if openigtlink is not None:
+                from procedures.runs.openigtlink import with_openigtlink
+
+                shown = at_last.enter_context(with_openigtlink(shown, folder, openigtlink))
             outcome = run(shown)
     except BaseException as problem:  # also an interruption: a script gets its JSON object whatever happens
         if as_json:

@@ -25,6 +25,7 @@ from ronna_hw.roles import roles_of
 if TYPE_CHECKING:
     from procedures.runs.answers import Answers
     from procedures.runs.console_link import ConsoleRequest
+    from procedures.runs.openigtlink import LinkAddress
 
 DRAWN = ("seed", "markers", "targets", "fiducials", "arm")  # which a scene file holds
 SIMULATED = (*DRAWN, "assistant_arm", "scene", "first_day", "calibration", "speed", "faults")
@@ -288,6 +289,29 @@ class CaseOptions(TheatreOptions):
             e_mm=E_MM if self.matcher_e_mm is None else self.matcher_e_mm,
             refused_share=REFUSED_SHARE if self.matcher_refused_share is None else self.matcher_refused_share,
         )
+
+
+@dataclass(frozen=True)
+class LinkOptions:
+    """Options for links to other programs that only watch the case."""
+
+    openigtlink: Annotated[
+        str | None,
+        Option(
+            metavar="HOST:PORT",
+            help="Serve poses, states and plan to 3D Slicer and others, as ronna-link does: 127.0.0.1:18944.",
+        ),
+    ] = None
+
+    def request(self) -> LinkAddress | None:
+        """Return the address of the OpenIGTLink server. Raises LIV-011 if it cannot be used."""
+        if self.openigtlink is None:
+            return None
+        from procedures.runs.openigtlink import LinkAddress
+
+        address = LinkAddress.parse(self.openigtlink)
+        address.check()
+        return address
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,215 @@
+"""OpenIGTLink server read by clients that we did not write: pyigtl, and the reference library in C++."""
+
+from __future__ import annotations
+
+import base64
+import shutil
+import subprocess
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from documented import python_of
+from linked_case import AWAITED_S, EPOCH_NS, LinkedCase, linked_case, pose
+from painted_ct import write_series
+
+from procedures.live.openigtlink.server import LinkOptions
+from procedures.live.records import (
+    CameraPicture,
+    DeviceStatus,
+    Fiducial,
+    Fiducials,
+    PlannedLine,
+    PlannedLines,
+    RunState,
+)
+
+CLIENT_SOURCE = Path(__file__).parents[2] / "support" / "devices" / "igtl_reference_client.cxx"
+PAGE = "docs/how-to/records/live-poses-in-slicer.md"
+HEADERS = Path("/usr/include/openigtlink")
+COMPILE_LIMIT_S = 120.0
+REGISTRATION = pose("robot", "ct").model_copy(update={"is_fixed": True})
+TOOL_IN_RAS = [[1, 0, 0, 10], [0, 1, 0, -30], [0, 0, 1, 60]]  # see test_openigtlink_server
+SPHERE = Fiducial(name="M1", position_mm=(1.0, 2.0, 3.0), diameter_mm=10.0, residual_mm=0.25, is_used=True)
+LINE = PlannedLine(name="T1", entry_mm=(1.0, 2.0, 3.0), target_mm=(4.0, 5.0, 6.0))
+STANDING = (
+    REGISTRATION,
+    DeviceStatus(
+        theatre_time_s=1.0, device="tracker", state="fault", code="NDI-004", text="away", advice="Look."
+    ),
+    RunState(theatre_time_s=1.0, run="R1", state="idle"),
+    Fiducials(theatre_time_s=1.0, spheres=(SPHERE,)),
+    PlannedLines(theatre_time_s=1.0, lines=(LINE,)),
+)
+VOXELS = np.full((3, 6, 4), -900, dtype=np.int16)
+VOXELS[1, 2, 3] = 700
+SPACING_MM = (2.0, 0.5, 0.25)  # of slices, rows, columns
+ORIGIN_MM = (-20.0, -30.0, 40.0)
+CENTRE_RAS_MM = (20.0 - 1.5 * 0.25, 30.0 - 2.5 * 0.5, 40.0 + 2.0)
+
+
+@pytest.fixture
+def case(tmp_path: Path) -> Iterator[LinkedCase]:
+    series = write_series(tmp_path / "ct", VOXELS, SPACING_MM, origin_mm=ORIGIN_MM)
+    with linked_case(LinkOptions(rate_hz=1000.0, ct=series)) as linked:
+        linked.tell(*STANDING)
+        yield linked
+
+
+@contextmanager
+def moving(case: LinkedCase) -> Iterator[None]:
+    """The tool moves during the block: strangers connect when they like, and get what comes from then on."""
+    ended = threading.Event()
+
+    def move() -> None:
+        while not ended.wait(0.01):
+            case.tell(pose("tool", "robot", 2.5))
+
+    thread = threading.Thread(target=move)
+    thread.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        thread.join()
+
+
+def import_pyigtl() -> Any:
+    return pytest.importorskip("pyigtl", reason="proof not made: install the extra `strangers`")
+
+
+@contextmanager
+def pyigtl_client(port: int) -> Iterator[Any]:
+    """A new object each time: it does not connect again, and knows only the last message of a name."""
+    client = import_pyigtl().OpenIGTLinkClient("127.0.0.1", port)
+    try:
+        yield client
+    finally:
+        client.stop()
+
+
+def test_pyigtl_reads_transforms_with_their_time(case: LinkedCase) -> None:
+    with moving(case), pyigtl_client(case.port) as client:
+        message = client.wait_for_message("ToolToRas", AWAITED_S)
+    assert message.matrix[:3] == pytest.approx(np.array(TOOL_IN_RAS), abs=1e-6)
+    assert message.timestamp == pytest.approx(EPOCH_NS / 1e9 + 2.5, abs=1e-3)
+
+
+def test_pyigtl_reads_state_spheres_and_targets(case: LinkedCase) -> None:
+    with pyigtl_client(case.port) as client:
+        assert client.wait_for_message("RunState", AWAITED_S).string == "idle"
+        spheres = client.wait_for_message("Spheres", AWAITED_S)
+        targets = client.wait_for_message("Targets", AWAITED_S)
+    assert (spheres.names, spheres.groups) == (["M1"], ["used, residual 0.25 mm"])
+    assert spheres.positions[0] == pytest.approx([-1, -2, 3])
+    assert targets.positions[0] == pytest.approx([-4, -5, 6])
+
+
+def test_the_python_of_the_page_reads_the_tool(case: LinkedCase, capsys: pytest.CaptureFixture[str]) -> None:
+    import_pyigtl()
+    with moving(case):
+        exec(python_of(PAGE).replace("18944", str(case.port)), {})
+    assert "1700000002.5" in capsys.readouterr().out
+
+
+def test_pyigtl_reads_metadata_once_it_has_sent_a_header_of_version_two(case: LinkedCase) -> None:
+    question = import_pyigtl().StringMessage("", device_name="hello")
+    question.header_version = 2
+    with pyigtl_client(case.port) as client:
+        assert client.wait_for_message("Spheres", AWAITED_S).metadata == {}
+        client.send_message(question, wait=True)
+        metadata = client.wait_for_message("Spheres", AWAITED_S).metadata
+    assert (metadata["M1.residual_mm"], metadata["M1.used"]) == ("0.2500", "1")
+
+
+def test_pyigtl_reads_the_ct_and_a_camera_picture(case: LinkedCase) -> None:
+    pyigtl = import_pyigtl()
+    pixels = np.full((8, 16), 40, dtype=np.uint8)
+    pixels[:, 8:] = 200
+    jpeg = cv2.imencode(".jpg", pixels)[1].tobytes()
+
+    picture = CameraPicture(
+        theatre_time_s=3.0, side="left", width=16, height=8, jpeg=base64.b64encode(jpeg).decode()
+    )
+    case.tell(picture)
+    with pyigtl_client(case.port) as client:
+        images = {}
+        for name in ("CT", "CameraLeft"):
+            question = pyigtl.ImageMessage(np.zeros((1, 1, 1), np.uint8), device_name=name)
+            question._message_type = "GET_IMAGE"  # it has no class for questions
+            client.send_message(question, wait=True)
+            images[name] = client.wait_for_message(name, AWAITED_S)
+    ct = images["CT"]
+    assert np.array_equal(np.squeeze(ct.image), VOXELS)
+    scaled = np.diag([-SPACING_MM[2], -SPACING_MM[1], SPACING_MM[0]])
+    assert ct.ijk_to_world_matrix[:3, :3] == pytest.approx(scaled)
+    assert np.squeeze(images["CameraLeft"].image) == pytest.approx(pixels, abs=3)
+
+
+needs_library = pytest.mark.skipif(
+    shutil.which("g++") is None or not HEADERS.is_dir(),
+    reason="proof not made: g++ and libopenigtlink-dev are not installed",
+)
+
+
+@needs_library
+@pytest.mark.slow
+def test_the_reference_library_reads_every_type(case: LinkedCase, tmp_path: Path) -> None:
+    program = tmp_path / "client"
+    link = ["-lOpenIGTLink", "-lpthread"]
+    compiled = subprocess.run(
+        ["g++", f"-I{HEADERS}", str(CLIENT_SOURCE), "-o", str(program), *link],
+        timeout=COMPILE_LIMIT_S,
+        capture_output=True,
+        text=True,
+    )
+    assert compiled.returncode == 0, compiled.stderr
+    kinds = (
+        "TRANSFORM",
+        "TDATA",
+        "QTDATA",
+        "STATUS",
+        "STRING",
+        "POINT",
+        "TRAJ",
+        "IMAGE",
+        "CAPABILITY",
+        "RTS_TDATA",
+    )
+    with moving(case):
+        run = subprocess.run(
+            [str(program), str(case.port), *kinds], timeout=AWAITED_S, capture_output=True, text=True
+        )
+    assert run.returncode == 0, run.stdout
+    assert "NOT READ" not in run.stdout
+    rows = [line.split("|") for line in run.stdout.splitlines()]
+    said = {(kind, name): text.split() for kind, name, _, text in rows}
+    assert numbers(said["TRANSFORM", "ToolToRas"]) == pytest.approx(np.ravel(TOOL_IN_RAS), abs=1e-5)
+    tools = said["TDATA", "ronna-hw"]
+    assert numbers(tools[tools.index("Tool") + 1 :][:12]) == pytest.approx(np.ravel(TOOL_IN_RAS), abs=1e-5)
+    turned = said["QTDATA", "ronna-hw"]
+    assert numbers(turned[turned.index("Robot") + 1 :][:7]) == pytest.approx(
+        [-10, -20, 30, 0, 0, -(0.5**0.5), 0.5**0.5], abs=1e-5
+    )
+    assert said["STATUS", "tracker"] == ["18", "NDI-004", "fault:", "away.", "Look."]
+    assert said["STRING", "RunState"] == ["idle"]
+    assert said["POINT", "Spheres"][:1] + said["POINT", "Spheres"][-4:] == [
+        "M1", "-1.000000", "-2.000000", "3.000000", "10.000000",
+    ]  # fmt: skip
+    assert said["POINT", "Targets"][0] == "T1"
+    assert numbers(said["TRAJ", "Plan"][1:]) == [-1, -2, 3, -4, -5, 6]
+    image = numbers(said["IMAGE", "CT"])
+    assert image[:3] == [4, 6, 3]
+    assert image[3:6] == pytest.approx(SPACING_MM[::-1])
+    assert image[6:9] == pytest.approx(CENTRE_RAS_MM)
+    assert image[9:] == [4, 1, VOXELS.sum()]  # int16, RAS
+    assert {"TRANSFORM", "GET_IMAGE", "STT_TDATA"} <= set(said["CAPABILITY", "ronna-hw"])
+
+
+def numbers(words: list[str]) -> list[float]:
+    return [float(word) for word in words]
