@@ -76,7 +76,8 @@ def prepare_case(
 ) -> EngineInput:
     """Prepare the engine input of a case, and keep its plan locked until `held` closes.
 
-    Raises the errors of reading the plan, and PLAN-030 if its markers are adhesive.
+    Raises the errors of reading the plan, PLAN-030 if its markers are adhesive, and PLAN-034 if the tracker
+    cannot see them.
     """
     from procedures.calibration.validity import options_of, require_valid
     from procedures.engine.errors import RECOVERY_REFUSED
@@ -86,6 +87,7 @@ def prepare_case(
     from procedures.planning.plan_lock import lock_plan
     from procedures.planning.tool_records import ToolRecords
     from procedures.runs.engine_setup import EngineInput
+    from procedures.workcell.tracker_look import require_tracked_spheres
     from ronna_hw.records import write_atomically
 
     case = request.case
@@ -113,6 +115,7 @@ def prepare_case(
             expected="the plan that the run was opened with",
             got=problem.summary,
         ) from problem
+    require_tracked_spheres(theatre.tracker, plan.fiducials)
     order = _build_order(case, plan)
     if request.answers is not None:
         request.answers.check_trajectories(order.trajectories)
