@@ -180,14 +180,17 @@ class StampClock:
 
     def __init__(self) -> None:
         self._least: deque[tuple[float, float]] = deque()  # arrival and difference, both rising
+        self._first_ns: int | None = None  # seconds since 1970 are too large for a float's last digits
 
     def place(self, stamp_ns: int, arrived_s: float) -> float:
         """Return the theatre time of a stamp, given the theatre time of its arrival."""
-        stamp_s = stamp_ns / NANOSECONDS
+        if self._first_ns is None:
+            self._first_ns = stamp_ns
+        stamp_s = (stamp_ns - self._first_ns) / NANOSECONDS
         while self._least and self._least[0][0] < arrived_s - CLOCK_WINDOW_S:
             self._least.popleft()
         difference_s = arrived_s - stamp_s
         while self._least and self._least[-1][1] >= difference_s:
             self._least.pop()
         self._least.append((arrived_s, difference_s))
-        return stamp_s + self._least[0][1]
+        return min(arrived_s, stamp_s + self._least[0][1])

@@ -89,6 +89,7 @@ def prepare_case(
     from procedures.runs.engine_setup import EngineInput
     from procedures.workcell.tracker_look import require_tracked_spheres
     from ronna_hw.records import write_atomically
+    from ronna_hw.registry import make_device
 
     case = request.case
     if resumption is not None and resumption.only_leaving:
@@ -115,7 +116,8 @@ def prepare_case(
             expected="the plan that the run was opened with",
             got=problem.summary,
         ) from problem
-    require_tracked_spheres(theatre.tracker, plan.fiducials)
+    if (tracker := theatre.file.tracker) is not None:  # not the theatre's own: the run's tape is not open yet
+        require_tracked_spheres(make_device("tracker", tracker, theatre.clock), plan.fiducials)
     order = _build_order(case, plan)
     if request.answers is not None:
         request.answers.check_trajectories(order.trajectories)

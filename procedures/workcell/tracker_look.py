@@ -20,7 +20,7 @@ from procedures.workcell.workcell import Workcell
 from ronna_hw.arrays import Array
 from ronna_hw.clock import Clock
 from ronna_hw.devices import OpticalTracker
-from ronna_hw.devices.lifecycle import Lifecycle
+from ronna_hw.devices.lifecycle import Device, Lifecycle
 from ronna_hw.devices.readings import StrayReading, TrackerFrame, Validity
 from ronna_hw.devices.sensors import reports_strays
 from ronna_hw.errors import LinkTimeout, ProtocolError
@@ -158,9 +158,9 @@ def add_frame_spheres(tracker: OpticalTracker, frame: TrackerFrame) -> TrackerFr
     return replace(frame, strays=(*frame.strays, *more))
 
 
-def require_tracked_spheres(tracker: OpticalTracker, kind: FiducialKind) -> None:
+def require_tracked_spheres(tracker: Device, kind: FiducialKind) -> None:
     """Raise PLAN-034 if the tracker reports no strays and does not track the plan's spheres as a tool."""
-    if reports_strays(tracker):
+    if reports_strays(tracker) or not isinstance(tracker, OpticalTracker):
         return
     if kind is not FiducialKind.XFRAME:
         raise SPHERES_NOT_TRACKED(
