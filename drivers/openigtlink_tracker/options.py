@@ -11,7 +11,6 @@ markers_mm = [[0.0, 0.0, 0.0], [28.0, 41.0, 0.0], [88.0, 0.0, 0.0]]
 
 from __future__ import annotations
 
-from itertools import combinations
 from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
@@ -23,6 +22,7 @@ from ronna_hw.config import DeviceConfig
 from ronna_hw.wire.openigtlink import LONGEST_NAME_BYTES
 
 LEAST_MARKERS = 3
+FRAME_LETTERS = 3  # of the tracker's frame that a name must show even where it is cut
 
 
 class ToolOption(Strict):
@@ -86,12 +86,14 @@ class OpenIGTLinkOptions(Strict):
         for sent in self.sent_names.values():
             if not sent.endswith(ending) or sent == ending:
                 raise ValueError(f"sent_as {sent!r} does not end in {ending}, so it is no pose in that frame")
-        for one, other in combinations(self.sent_names.values(), 2):
-            if one[:LONGEST_NAME_BYTES] == other[:LONGEST_NAME_BYTES]:
+            if len(sent) - len(self.frame) + FRAME_LETTERS > LONGEST_NAME_BYTES:
                 raise ValueError(
-                    f"{one} and {other} are one name to a server that cuts names after {LONGEST_NAME_BYTES} "
-                    "characters: give one of them a shorter sent_as, in the server's configuration too"
+                    f"servers cut {sent} after {LONGEST_NAME_BYTES} characters, and the frame could not be "
+                    "told from another: shorten it, here with sent_as and in the server's configuration"
                 )
+        sent_names = list(self.sent_names.values())
+        if shared := sorted({name for name in sent_names if sent_names.count(name) > 1}):
+            raise ValueError(f"several tools are sent as {', '.join(shared)}")
         return self
 
     @property
