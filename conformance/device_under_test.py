@@ -83,7 +83,7 @@ class DeviceUnderTest:
         """Return whether a disturbable line can be inserted between driver and endpoint."""
         if self.config.endpoint is None:
             return False
-        if parse_endpoint(self.config.endpoint).scheme not in ("tcp", "serial"):
+        if parse_endpoint(self.config.endpoint).scheme not in ("tcp", "igtl", "serial"):
             return False
         try:
             self.make(endpoint="tcp://127.0.0.1:1")

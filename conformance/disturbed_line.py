@@ -62,7 +62,7 @@ class DisturbedLine(LineThread):
 
     def __init__(self, device: Endpoint) -> None:
         super().__init__("disturbed line")
-        self._device = device.require("tcp", "serial")
+        self._device = device.require("tcp", "igtl", "serial")
         self._server = socket.create_server(("127.0.0.1", 0))
         self._next: Disturbance | None = None
         self._injected: list[bytes] = []
@@ -155,7 +155,7 @@ class DisturbedLine(LineThread):
         return [(max(earliest_s, now_s + delay_s), part) for delay_s, part in deliveries]
 
     def _open_device(self) -> _End:
-        if self._device.scheme == "tcp":
+        if self._device.scheme != "serial":
             peer = socket.create_connection((self._device.host, self._device.port), OPEN_TIMEOUT_S)
             peer.settimeout(None)
             peer.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)

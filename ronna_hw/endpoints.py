@@ -2,6 +2,7 @@
 
 udp://127.0.0.1:59152      where the robot's telegrams arrive
 tcp://192.168.1.10:54602   a TCP peer
+igtl://192.168.1.20:18944  an OpenIGTLink server
 serial:///dev/ttyUSB0      a serial line or pseudo-terminal
 gev://192.168.3.10         a GigE Vision camera (port 3956 is fixed by the standard)
 shm:///proc/1234/fd/5      shared memory, opened as a file
@@ -21,6 +22,7 @@ from ronna_hw.errors import ConfigurationError
 EXAMPLES = {  # scheme -> an endpoint
     "udp": "udp://192.168.1.5:59152",
     "tcp": "tcp://192.168.1.5:8765",
+    "igtl": "igtl://192.168.1.20:18944",
     "serial": "serial:///dev/ttyUSB0",
     "gev": "gev://192.168.1.5",
     "shm": "shm:///proc/1234/fd/5",

@@ -1,4 +1,4 @@
-"""Errors in plans, PLAN-001 to PLAN-033, and in tool records, TOOL-002 and TOOL-003.
+"""Errors in plans, PLAN-001 to PLAN-034, and in tool records, TOOL-002 and TOOL-003.
 
 Several errors of one check are raised as one error; if they are all of one kind it has that kind's
 code, otherwise PLAN-002.
@@ -276,6 +276,17 @@ class WrongSigns(PlanError):
         "off so, plan again in LPS. The CT hardly tells left from right: only the side does, so compare the "
         "side of each entry with the CT."
     )
+
+
+SPHERES_NOT_TRACKED = ErrorCode(
+    "PLAN-034",
+    RefusedError,
+    "The plan's spheres cannot be seen by the tracker, which reports tools alone.",
+    (
+        "Fix the spheres as the x-shaped frame, with it among the tools of the tracker and fiducials = "
+        '"xframe" in the plan, or use a tracker that reports single spheres.'
+    ),
+)
 
 
 NO_TOOL_RECORD = ErrorCode(

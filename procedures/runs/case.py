@@ -76,7 +76,8 @@ def prepare_case(
 ) -> EngineInput:
     """Prepare the engine input of a case, and keep its plan locked until `held` closes.
 
-    Raises the errors of reading the plan, and PLAN-030 if its markers are adhesive.
+    Raises the errors of reading the plan, PLAN-030 if its markers are adhesive, and PLAN-034 if the tracker
+    cannot see them.
     """
     from procedures.calibration.validity import options_of, require_valid
     from procedures.engine.errors import RECOVERY_REFUSED
@@ -86,7 +87,9 @@ def prepare_case(
     from procedures.planning.plan_lock import lock_plan
     from procedures.planning.tool_records import ToolRecords
     from procedures.runs.engine_setup import EngineInput
+    from procedures.workcell.tracker_look import require_tracked_spheres
     from ronna_hw.records import write_atomically
+    from ronna_hw.registry import make_device
 
     case = request.case
     if resumption is not None and resumption.only_leaving:
@@ -113,6 +116,8 @@ def prepare_case(
             expected="the plan that the run was opened with",
             got=problem.summary,
         ) from problem
+    if (tracker := theatre.file.tracker) is not None:  # not the theatre's own: the run's tape is not open yet
+        require_tracked_spheres(make_device("tracker", tracker, theatre.clock), plan.fiducials)
     order = _build_order(case, plan)
     if request.answers is not None:
         request.answers.check_trajectories(order.trajectories)

@@ -29,6 +29,7 @@ PATIENT_SCENES = ("default", "mini")  # of the scenes that ronna-sim knows, thos
 LARGEST_SEED = 65535  # more cases than any study runs, and short enough to be read aloud
 
 FREE = "free"  # screws of their own
+POLARIS = "polaris"  # the tracker itself, not a server in front of it
 DEFAULT_ARM = ArmChoice.KR6.value
 
 
@@ -41,6 +42,7 @@ class SceneChoice:
     markers: int | None = None
     targets: int | None = None
     fiducials: str = FREE  # what the spheres stand on
+    tracker: str = POLARIS  # how the tracker is reached
     arm: str = DEFAULT_ARM
     assistant_arm: str = DEFAULT_ARM  # in dual mode
     calibrated: bool = False  # the arm of the theatre, with a record of it; the patient is the same
@@ -81,6 +83,8 @@ class SceneChoice:
     def theatre_arguments(self) -> list[str]:
         """Return all options for `ronna-sim theatre`."""
         options = self.arguments()
+        if self.tracker != POLARIS:
+            options += ["--tracker", self.tracker]
         if self.calibrated:
             options.append("--calibrated")
         if self.first_day:

@@ -16,6 +16,7 @@ from procedures.runs.fault_script import read_fault_lines
 from procedures.runs.request import (
     DEFAULT_ARM,
     FREE,
+    POLARIS,
     CalibrationProcedure,
     CaseProcedure,
     RunRequest,
@@ -52,6 +53,7 @@ class RequestFile(BaseModel, frozen=True, extra="forbid"):
     markers: int | None = None
     targets: int | None = None
     fiducials: str = FREE
+    tracker: str = Field(default=POLARIS, description="How the simulated tracker is reached.")
     arm: str = DEFAULT_ARM
     assistant_arm: str = Field(default=DEFAULT_ARM, description="Of a case with two arms.")
     roles: RecordedRoles = ONE_ARM

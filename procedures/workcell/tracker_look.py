@@ -12,14 +12,17 @@ from dataclasses import replace
 import numpy as np
 
 from procedures.journal.errors import GateFailed
+from procedures.planning.errors import SPHERES_NOT_TRACKED
+from procedures.planning.plan_model import FiducialKind
 from procedures.strategies.strategy import Sides
 from procedures.workcell.tools import MountedTool
 from procedures.workcell.workcell import Workcell
 from ronna_hw.arrays import Array
 from ronna_hw.clock import Clock
 from ronna_hw.devices import OpticalTracker
-from ronna_hw.devices.lifecycle import Lifecycle
+from ronna_hw.devices.lifecycle import Device, Lifecycle
 from ronna_hw.devices.readings import StrayReading, TrackerFrame, Validity
+from ronna_hw.devices.sensors import reports_strays
 from ronna_hw.errors import LinkTimeout, ProtocolError
 from ronna_hw.frames import FRAME_MISMATCH, Frame, Transform
 from ronna_hw.vectors import JointVector, Quaternion, Vector3
@@ -153,6 +156,24 @@ def add_frame_spheres(tracker: OpticalTracker, frame: TrackerFrame) -> TrackerFr
     places = reading.transform(Frame.TRACKER, Frame.MARKER).apply(tracker.markers_mm[name]).tolist()
     more = tuple(StrayReading((x, y, z), Validity.OK) for x, y, z in places)
     return replace(frame, strays=(*frame.strays, *more))
+
+
+def require_tracked_spheres(tracker: Device, kind: FiducialKind) -> None:
+    """Raise PLAN-034 if the tracker reports no strays and does not track the plan's spheres as a tool."""
+    if reports_strays(tracker) or not isinstance(tracker, OpticalTracker):
+        return
+    if kind is not FiducialKind.XFRAME:
+        raise SPHERES_NOT_TRACKED(
+            f"the tracker reports tools alone, and the plan's spheres are of kind {kind}",
+            expected=f'fiducials = "{FiducialKind.XFRAME}"',
+        )
+    if find_frame_name(tracker.markers_mm) is None:
+        raise SPHERES_NOT_TRACKED(
+            "the tracker reports tools alone, and none of them is the x-shaped frame",
+            expected="a tool with the markers "
+            + ", ".join(f"({x:g}, {y:g}, {z:g})" for x, y, z in SPHERE_CENTRES_MM),
+            got=", ".join(tracker.tools),
+        )
 
 
 def markers_in_frame(tracker: OpticalTracker, frame: TrackerFrame) -> Array:

@@ -160,7 +160,7 @@ def endpoints_of(config: DeviceConfig) -> tuple[Endpoint, ...]:
 
 def explain_unreachable(endpoint: Endpoint) -> str:
     """Explain why a TCP endpoint refuses connections; empty if it accepts them or is not TCP."""
-    if endpoint.scheme != "tcp":
+    if endpoint.scheme not in ("tcp", "igtl"):
         return ""
     try:
         socket.create_connection((endpoint.host, endpoint.port), REACH_LIMIT_S).close()

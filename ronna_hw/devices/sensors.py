@@ -64,6 +64,20 @@ def measuring_volume_mm(tracker: object) -> VolumeSections:
 
 
 @runtime_checkable
+class StatesStrays(Protocol):
+    """Tracker that states whether its frames include strays; one that does not state it has them."""
+
+    @property
+    def reports_strays(self) -> bool:
+        """Whether markers that belong to no tool are reported."""
+
+
+def reports_strays(tracker: object) -> bool:
+    """Return whether a tracker reports markers that belong to no tool, such as single spheres on a head."""
+    return tracker.reports_strays if isinstance(tracker, StatesStrays) else True
+
+
+@runtime_checkable
 class TimedTracker(Protocol):
     """Tracker that reports its reply times, the minimum age of a frame on arrival."""
 

@@ -19,7 +19,8 @@ def polaris(
     endpoint: Annotated[
         str | None,
         typer.Option(
-            help="serial-pty for a pseudo-terminal, or tcp://host:port; by default as the model is reached."
+            help="serial-pty for a pseudo-terminal, or tcp://host:port; by default as the model is reached. "
+            "igtl://host:port: its tools, served as PlusServer does by OpenIGTLink."
         ),
     ] = None,
     profile: Annotated[
@@ -60,7 +61,7 @@ def polaris(
     room = open_world(world, scene, faults, FAULT_DEVICES)
     kind = UNIT_MODELS[profile or room.scene.tracker.model]
     wanted = endpoint or (ANY_PORT if kind.networked else SERIAL_PTY)
-    address = None if wanted == SERIAL_PTY else parse_endpoint(wanted, listening=True).require("tcp")
+    address = None if wanted == SERIAL_PTY else parse_endpoint(wanted, listening=True).require("tcp", "igtl")
     tools = plug_in(wired or [], kind.wired_ports, behaviour.user_memory_bytes)
     unit = SimulatedUnit(room, kind, behaviour, tools)
     interpreter = CommandInterpreter(unit)
@@ -75,5 +76,10 @@ def polaris(
     else:
         with listen(address) as listener:
             host, port = listener.getsockname()[:2]
-            announce("polaris", f"tcp://{host}:{port}", control)
-            server.serve_network(listener)
+            announce("polaris", f"{address.scheme}://{host}:{port}", control)
+            if address.scheme == "igtl":
+                from sim.polaris.line.openigtlink_server import OpenIGTLinkServer
+
+                OpenIGTLinkServer(unit, room.scene.tracker.tools, end).serve(listener)
+            else:
+                server.serve_network(listener)

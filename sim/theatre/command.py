@@ -41,6 +41,13 @@ class Wheeled(StrEnum):
     CART = "cart"
 
 
+class TrackerService(StrEnum):
+    """Ways to reach the tracker of a theatre."""
+
+    POLARIS = "polaris"
+    PLUS = "plus"
+
+
 class Speed(StrEnum):
     """Pace of theatre time."""
 
@@ -88,6 +95,13 @@ def theatre(
     assistant_arm: Annotated[
         ArmChoice, typer.Option(case_sensitive=False, help="With --dual: the model of the assistant.")
     ] = ArmChoice.KR6,
+    tracker: Annotated[
+        TrackerService,
+        typer.Option(
+            help="polaris: the unit itself. plus: its tools alone, served by OpenIGTLink as PlusServer does; "
+            "needs --speed 1."
+        ),
+    ] = TrackerService.POLARIS,
     speed: Annotated[Speed, typer.Option(help="max for as fast as possible, 1 for real time.")] = Speed.MAX,
     cycle_ms: Annotated[
         CycleMs | None, typer.Option(help="Sensor cycle of the robot in ms [default: the context's].")
@@ -120,7 +134,7 @@ def theatre(
 
     from ronna_hw.errors import EXIT_FAILED
     from sim.theatre.arm_controllers import check_cycle
-    from sim.theatre.launch import LaunchedTheatre, parameters_by_device, read_calibrations
+    from sim.theatre.launch import PLUS_ENDPOINT, LaunchedTheatre, parameters_by_device, read_calibrations
     from sim.world.faults import read_faults
     from sim.world.process import end_with_parent, fail, load_scene
     from sim.world.saved_world import lock_folder, read_saved_world
@@ -131,6 +145,12 @@ def theatre(
             f"--assistant-arm {assistant_arm} requires --dual",
             expected="a theatre with two arms",
             action="Add --dual, or omit --assistant-arm.",
+        )
+    if tracker is TrackerService.PLUS and speed is Speed.MAX:
+        raise UsageMistake(
+            "--tracker plus requires --speed 1: its server sends at the pace of a clock on the wall",
+            expected="--speed 1",
+            action="Add --speed 1, or omit --tracker plus.",
         )
     require_folder(out)
     _require_plain_name(out)
@@ -165,6 +185,7 @@ def theatre(
             truth,
             out,
             paced=speed is Speed.REAL,
+            tracker_endpoint=PLUS_ENDPOINT if tracker is TrackerService.PLUS else None,
             cycle_ms=chosen_ms,
             faults=script,
             parameters=parameters,

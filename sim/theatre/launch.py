@@ -52,6 +52,7 @@ CALIBRATION_FILE = "calibration.toml"
 
 ROBOT, TRACKER = "robot", "tracker"  # devices by their names in fault scripts
 POLARIS = "polaris"
+PLUS_ENDPOINT = "igtl://127.0.0.1:0"  # of a tracker behind a server such as PLUS
 
 
 def _find_teller(world: World) -> Callable[[], dict[str, Any]]:
@@ -69,6 +70,7 @@ class LaunchedTheatre:
         folder: Path,
         *,
         paced: bool,
+        tracker_endpoint: str | None = None,
         cycle_ms: int | None = None,
         faults: str = "",
         parameters: Mapping[str, Sequence[str]] = NO_PARAMETERS,
@@ -79,9 +81,10 @@ class LaunchedTheatre:
     ) -> None:
         """Start the theatre, keeping the robot context's cycle if `cycle_ms` is None.
 
-        `parameters` are NAME=VALUE by device; `saved` is the world of an earlier theatre, to continue from;
-        `records` replace the theatre's own calibrations. No thread may run before `on_forked` is called.
-        Raises PRC-001 when a device does not become ready, SIM-012 if the earlier theatre's file is lost.
+        The tracker is reached as its model is, unless `tracker_endpoint` says otherwise. `parameters` are
+        NAME=VALUE by device; `saved` is the world of an earlier theatre, to continue from; `records` replace
+        the theatre's own calibrations. No thread may run before `on_forked` is called. Raises PRC-001 when a
+        device does not become ready, SIM-012 if the earlier theatre's file is lost.
         """
         folder.mkdir(parents=True, exist_ok=True)
         self.folder = folder
@@ -96,7 +99,7 @@ class LaunchedTheatre:
         self._children: list[ChildProcess] = []
         self._control: ControlPort | None = None
         try:
-            self._fork_devices(parameters, cycle_ms)
+            self._fork_devices(parameters, cycle_ms, tracker_endpoint)
             on_forked()
             self._children = [
                 ChildProcess(
@@ -173,7 +176,9 @@ class LaunchedTheatre:
         with contextlib.suppress(OSError):  # a full disk must not keep the devices from ending
             save_world(self.world, self.folder)
 
-    def _fork_devices(self, parameters: Mapping[str, Sequence[str]], cycle_ms: int | None) -> None:
+    def _fork_devices(
+        self, parameters: Mapping[str, Sequence[str]], cycle_ms: int | None, tracker_endpoint: str | None
+    ) -> None:
         world = ("--world", self.world.endpoint)
         scene = self.world.scene
 
@@ -183,7 +188,11 @@ class LaunchedTheatre:
             return (controller.device, *world, *controller.arguments(arm.variant, role, cycle_ms))
 
         commands: dict[str, tuple[str, ...]] = {
-            "polaris": ("polaris", *world),
+            "polaris": (
+                "polaris",
+                *world,
+                *(() if tracker_endpoint is None else ("--endpoint", tracker_endpoint)),
+            ),
             device_name(scene, ArmRole.MASTER): robot(ArmRole.MASTER),
             "basler": ("basler", *world),
         }

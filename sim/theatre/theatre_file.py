@@ -73,20 +73,13 @@ def theatre_content(
     not now, `parameters` the NAME=VALUE of the master's controller. `records` replace the calibrations
     drawn here.
     """
-    made, model = calibrated or datetime.now(UTC).replace(microsecond=0), scene.tracker.model
+    made = calibrated or datetime.now(UTC).replace(microsecond=0)
     content: dict[str, Any] = {
         "schema": 1,
         "theatre": f"{scene.name} scene, seed {scene.seed}",
         "banner": BANNER,
         "clock": {"endpoint": clock},
-        "tracker": {
-            "driver": "ndi_polaris",
-            "endpoint": endpoints["polaris"],
-            "options": {
-                "tools": [_tool_entry(name, Path(rom)) for name, rom in tool_files.items()],
-                **({} if model is PolarisModel.SPECTRA else {"expected_model": model.value}),
-            },
-        },
+        "tracker": _tracker_entry(scene, endpoints["polaris"], tool_files),
         "robot": {
             role.value: controller_of(scene.arm_of(role)).device_entry(
                 scene.arm_of(role).variant, endpoints[device], silence_limit_s, cycle_ms
@@ -117,6 +110,22 @@ def theatre_content(
     }
     refer_to_tip(content)
     return content
+
+
+def _tracker_entry(scene: Scene, endpoint: str, tool_files: Mapping[str, str]) -> dict[str, Any]:
+    """Return the tracker's table, with tools by their markers for one behind an OpenIGTLink server."""
+    if endpoint.startswith("igtl:"):
+        tools = [
+            {"name": tool.name, "markers_mm": [list(marker) for marker in tool.markers_mm]}
+            for tool in scene.tracker.tools
+        ]
+        return {"driver": "openigtlink_tracker", "endpoint": endpoint, "options": {"tools": tools}}
+    model = scene.tracker.model
+    options = {
+        "tools": [_tool_entry(name, Path(rom)) for name, rom in tool_files.items()],
+        **({} if model is PolarisModel.SPECTRA else {"expected_model": model.value}),
+    }
+    return {"driver": "ndi_polaris", "endpoint": endpoint, "options": options}
 
 
 def _tool_entry(name: str, rom: Path) -> dict[str, str]:

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from procedures.runs.openigtlink import LinkAddress
 
 DRAWN = ("seed", "markers", "targets", "fiducials", "arm")  # which a scene file holds
-SIMULATED = (*DRAWN, "assistant_arm", "scene", "first_day", "calibration", "speed", "faults")
+SIMULATED = (*DRAWN, "tracker", "assistant_arm", "scene", "first_day", "calibration", "speed", "faults")
 
 ConfigOption = Annotated[Path | None, Option(metavar="FILE", help="Theatre file with the endpoints to use.")]
 
@@ -38,6 +38,13 @@ class FiducialChoice(StrEnum):
 
     FREE = "free"
     XFRAME = "xframe"
+
+
+class TrackerChoice(StrEnum):
+    """How the tracker of the simulated theatre is reached."""
+
+    POLARIS = "polaris"
+    PLUS = "plus"
 
 
 class SpeedChoice(StrEnum):
@@ -205,6 +212,13 @@ class CaseOptions(TheatreOptions):
         bool,
         Option("--measure-targets", help="On a phantom: measure a ball at each target, before the guide."),
     ] = False
+    tracker: Annotated[
+        TrackerChoice,
+        Option(
+            help="With --sim: polaris for the unit itself, plus for its tools as PlusServer sends them, with "
+            "--fiducials xframe and --speed 1."
+        ),
+    ] = TrackerChoice.POLARIS
     speed: Annotated[SpeedChoice, Option(help="max: as fast as the devices go; 1: real time.")] = (
         SpeedChoice.MAX
     )
@@ -236,6 +250,7 @@ class CaseOptions(TheatreOptions):
             markers=self.markers,
             targets=self.targets,
             fiducials=self.fiducials.value,
+            tracker=self.tracker.value,
             assistant_arm=self.assistant_arm.value,
         )
 
@@ -251,6 +266,11 @@ class CaseOptions(TheatreOptions):
                 f"--assistant-arm {self.assistant_arm} requires --dual",
                 expected="a case with two arms",
                 action="Add --dual, or omit --assistant-arm.",
+            )
+        if self.tracker is TrackerChoice.PLUS and self.speed is SpeedChoice.MAX:
+            raise UsageMistake(
+                "--tracker plus requires --speed 1: PlusServer sends at the pace of a clock on the wall",
+                action="Add --speed 1, or omit --tracker plus.",
             )
         if self.config is not None and self.plan is not None:
             raise UsageMistake("--plan requires --sim", action="With --config the plan is in --case DIR.")

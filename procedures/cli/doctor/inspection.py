@@ -13,10 +13,12 @@ from itertools import combinations
 
 from procedures.cli.doctor.pictures import pair_diagnostics
 from procedures.cli.doctor.theatre_checks import TOOL, run_check
+from procedures.planning.errors import SPHERES_NOT_TRACKED
 from procedures.planning.tool_records import ToolRecords, check_patient_frame
 from procedures.relocalization.triangulation import check_serial
 from procedures.workcell import tools
 from procedures.workcell.stereo_look import FURTHER_TRIES
+from procedures.workcell.tracker_look import add_frame_spheres, find_frame_name
 from ronna_hw.calibration import StereoHeadCalibration
 from ronna_hw.config import Calibrations, DeviceConfig, TheatreFile
 from ronna_hw.devices import OpticalTracker, RobotArm, StereoPair
@@ -25,6 +27,7 @@ from ronna_hw.devices.lifecycle import Device, Identity
 from ronna_hw.devices.probing import Diagnostic, fact_diagnostics, picture_diagnostics, refusal
 from ronna_hw.devices.readings import Validity
 from ronna_hw.devices.robot import ConfirmedStart
+from ronna_hw.devices.sensors import reports_strays
 from ronna_hw.endpoints import parse_endpoint
 from ronna_hw.errors import RonnaError
 from ronna_hw.roles import ASSISTANT, MASTER, TWO_ARMS
@@ -303,6 +306,9 @@ def _check_visibility(subject: str, tracker: OpticalTracker, theatre: TheatreFil
             advice = TURN_FRAME if on_clamp else TURN_CART
         text = f"in {seen} of {len(frames)} frames"
         yield Diagnostic(f"{subject}visibility of {tool}", is_well, text, advice)
-    spheres = sorted(len(frame.strays) for frame in frames)[len(frames) // 2]
+    spheres = sorted(len(add_frame_spheres(tracker, frame).strays) for frame in frames)[len(frames) // 2]
     advice = "" if spheres >= LEAST_SPHERES else f"A case needs at least {LEAST_SPHERES} on the head."
-    yield Diagnostic(f"{subject}spheres in view", True, f"{spheres}", advice)
+    text = f"{spheres}" if reports_strays(tracker) else f"{spheres}; only those of tools are reported"
+    if not reports_strays(tracker) and find_frame_name(tracker.markers_mm) is None:
+        advice = SPHERES_NOT_TRACKED.action
+    yield Diagnostic(f"{subject}spheres in view", True, text, advice)
