@@ -115,8 +115,7 @@ class Arrivals:
             found = check_object(part, class_uid, instance_uid)
             arrival = self._find_arrival(found, caller)
             target = arrival.folder / CT_FOLDER
-            part.replace(target / name_slice(found.instance_uid))
-            sync_folder(target)
+            part.replace(target / name_slice(found.instance_uid))  # on disk by name when it is judged
             self._find_arrival(found, caller)  # its time is the end, not the beginning
         except OSError as problem:
             if problem.errno in FULL_DISK:
@@ -195,6 +194,7 @@ class Arrivals:
 
     def _judge(self, arrival: _Arrival) -> ReceivedSeries:
         folder = arrival.folder / CT_FOLDER
+        sync_folder(folder)
         instances = sum(1 for _ in folder.glob("*.dcm"))
         extent, problem = None, ""
         try:

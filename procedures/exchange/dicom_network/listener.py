@@ -60,6 +60,15 @@ class GuardedSocket(AssociationSocket):
 class _GuardedHandler(RequestHandler):
     """Makes an association of a connection, with a socket that has limits."""
 
+    def handle(self) -> None:
+        """Serve an association to its end, and close its connection, which the library can leave open."""
+        association = self._create_association()
+        association.start()
+        association.join()
+        association.dul.join(NETWORK_S)
+        with contextlib.suppress(OSError):
+            self.request.close()
+
     def _create_association(self) -> Association:
         association = super()._create_association()
         association.dul.event_queue.get_nowait()  # the socket that is replaced said that it is connected
