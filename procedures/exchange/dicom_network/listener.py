@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
     from pynetdicom import AE
     from pynetdicom.association import Association
+    from pynetdicom.events import Event
 
 FIRST_BYTE_S = 3.0  # as long as an association may take to be asked for
 NETWORK_S = 20.0  # for the rest of a message that has begun
@@ -55,6 +56,21 @@ class GuardedSocket(AssociationSocket):
         rest.release()
         self.socket.settimeout(NETWORK_S)  # for the answer
         return content[: nr_bytes - missing]
+
+    def _shutdown_socket(self) -> None:
+        """Close the socket, also of a peer that has gone: the library then leaves it open."""
+        if self.socket is not None:
+            with contextlib.suppress(OSError):
+                self.socket.shutdown(socket.SHUT_RDWR)
+            with contextlib.suppress(OSError):
+                self.socket.close()
+
+
+def begin_message(event: Event) -> None:
+    """Let the next message have its own limit of size."""
+    line = event.assoc.dul.socket
+    if isinstance(line, GuardedSocket):
+        line.message_bytes = 0
 
 
 class _GuardedHandler(RequestHandler):

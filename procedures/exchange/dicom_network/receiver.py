@@ -13,7 +13,7 @@ from pynetdicom import AE, evt
 from pynetdicom.sop_class import Verification  # type: ignore[attr-defined]
 
 from procedures.exchange.dicom_network.errors import CALLERS_UNNAMED, NO_ROOM, OBJECT_REFUSED
-from procedures.exchange.dicom_network.listener import FIRST_BYTE_S, NETWORK_S, GuardedSocket, PatientServer
+from procedures.exchange.dicom_network.listener import FIRST_BYTE_S, NETWORK_S, PatientServer, begin_message
 from procedures.exchange.dicom_network.object_checks import CT_IMAGE_STORAGE
 from procedures.imaging.dicom.frame_decoder import JPEG, JPEG_2000, JPEG_LS, RLE, can_decode
 from ronna_hw.errors import RonnaError, summary_of
@@ -72,7 +72,7 @@ class Receiver:
         entity.add_supported_context(CT_IMAGE_STORAGE, [*UNCOMPRESSED, *dict.fromkeys(decodable)])
         handlers: list[Any] = [
             (evt.EVT_C_STORE, self._store),
-            (evt.EVT_DIMSE_RECV, _begin_message),
+            (evt.EVT_DIMSE_RECV, begin_message),
             (evt.EVT_REJECTED, self._note_rejection),
         ]
         self._server = PatientServer(
@@ -152,10 +152,3 @@ class Receiver:
             count = self._told[sentence]
         if count & (count - 1) == 0:
             self._tell(sentence if count == 1 else f"{sentence} (for the {count}th time)")
-
-
-def _begin_message(event: Event) -> None:
-    """Let the next message have its own limit of size."""
-    line = event.assoc.dul.socket
-    if isinstance(line, GuardedSocket):
-        line.message_bytes = 0

@@ -9,7 +9,7 @@ from itertools import islice
 from typing import TYPE_CHECKING
 
 from pydicom.dataset import Dataset
-from pynetdicom import AE, build_context
+from pynetdicom import AE, build_context, evt
 from pynetdicom.sop_class import (  # type: ignore[attr-defined]
     StudyRootQueryRetrieveInformationModelFind,
     StudyRootQueryRetrieveInformationModelMove,
@@ -22,12 +22,16 @@ from procedures.exchange.dicom_network.errors import (
     NO_PEER,
     REQUEST_FAILED,
 )
+from procedures.exchange.dicom_network.listener import GuardedSocket, begin_message
 from procedures.exchange.dicom_network.object_checks import require_uid
 from ronna_hw.text import printable
 
 if TYPE_CHECKING:
+    import ssl
+
     from pynetdicom.association import Association
     from pynetdicom.presentation import PresentationContext
+    from pynetdicom.transport import AddressInformation, AssociationSocket
 
     from procedures.exchange.dicom_network.peers import Peer, TlsFiles
 
@@ -38,6 +42,18 @@ SUCCESS, PENDING, CANCELLED = 0x0000, (0xFF00, 0xFF01), 0xFE00
 WARNINGS = (0xB000, 0xB006, 0xB007)  # of a stored object: kept, with elements changed or dropped
 FIND, MOVE = StudyRootQueryRetrieveInformationModelFind, StudyRootQueryRetrieveInformationModelMove
 UNCOUNTED = "the peer does not say how many"
+
+
+class _Entity(AE):
+    """Application entity whose associations have sockets with limits."""
+
+    def _create_socket(
+        self, assoc: Association, address: AddressInformation, tls_args: tuple[ssl.SSLContext, str] | None
+    ) -> AssociationSocket:
+        line = GuardedSocket(assoc, address=address)
+        if tls_args is not None:
+            line.tls_args = tls_args
+        return line
 
 
 @dataclass(frozen=True)
@@ -51,7 +67,7 @@ class Requester:
     @contextlib.contextmanager
     def associate(self, contexts: Sequence[PresentationContext]) -> Iterator[Association]:
         """Open an association for the block. Raises DCM-005, DCM-006."""
-        entity = AE(self.title)
+        entity = _Entity(self.title)
         entity.connection_timeout = entity.acse_timeout = CONNECT_S
         entity.network_timeout = entity.dimse_timeout = ANSWER_S
         options = {} if self.tls is None else {"tls_args": (self.tls.client_context(), self.peer.host)}
@@ -61,6 +77,7 @@ class Requester:
                 self.peer.port,
                 contexts=list(contexts),
                 ae_title=self.peer.title,
+                evt_handlers=[(evt.EVT_DIMSE_RECV, begin_message)],
                 **options,  # type: ignore[arg-type]
             )
         except OSError as problem:  # the name of the host
