@@ -21,6 +21,7 @@ from procedures.imaging.dicom.frame_decoder import (
     JPEG_LS,
     FrameDecoder,
     NotDecoded,
+    can_decode,
     check_frame,
     read_jpeg_bits,
 )
@@ -34,7 +35,6 @@ from ronna_hw.bounded_input import InputRefused
 
 if TYPE_CHECKING:
     from pydicom.dataset import FileDataset
-    from pydicom.uid import UID
 
 
 HU_LIMITS = (-32768, 32767)
@@ -182,7 +182,7 @@ def _decode_with_library(
     except MemoryError:
         raise
     except Exception as problem:
-        if not _can_decode(syntax):
+        if not can_decode(syntax):
             raise COMPRESSION_UNKNOWN(f"{name} is compressed with {syntax.name}") from problem
         sound = isinstance(problem, NotDecoded) and problem.from_outside
         words = f"{name}: its pixel data cannot be decoded ({problem})"
@@ -190,17 +190,6 @@ def _decode_with_library(
     if stored.shape != shape or stored.dtype.kind not in "iu":
         raise PIXELS_UNUSABLE(f"{name} decodes to shape {stored.shape} of {stored.dtype}")
     return stored
-
-
-def _can_decode(syntax: UID) -> bool:
-    from pydicom.pixels.decoders.base import get_decoder
-
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # about an invalid identifier
-            return bool(get_decoder(syntax).is_available)
-    except NotImplementedError:  # raised by pydicom for a syntax that it does not know
-        return False
 
 
 def _rescale_into(target: NDArray[np.int16], stored: NDArray[np.integer], header: SliceHeader) -> None:

@@ -24,6 +24,7 @@ COMMANDS = {
     "ronna-stereo": "procedures.cli.stereo.command",
     "ronna-arm": "procedures.cli.arm.command",
     "ronna-tool": "procedures.cli.tool.command",
+    "ronna-dicom": "procedures.cli.dicom",
     "ronna-sim": "sim.cli",
     "ronna-console": "console.command",
     "ronna-conformance": "conformance.cli",

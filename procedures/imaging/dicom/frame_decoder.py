@@ -17,6 +17,7 @@ import struct
 import subprocess
 import sys
 import time
+import warnings
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, Self
@@ -185,6 +186,20 @@ class FrameDecoder:
         self._process.wait()
         os.close(self._answers)
         self._process = None
+
+
+def can_decode(syntax: str) -> bool:
+    """Return whether a decoder for a transfer syntax is installed."""
+    from pydicom import config
+    from pydicom.pixels.decoders.base import get_decoder
+    from pydicom.uid import UID
+
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # about an invalid identifier
+            return bool(get_decoder(UID(syntax, validation_mode=config.IGNORE)).is_available)
+    except NotImplementedError:  # raised by pydicom for a syntax that it does not know
+        return False
 
 
 def check_frame(syntax: str, frame: bytes, shape: tuple[int, ...], pixel_bytes: int) -> None:

@@ -255,7 +255,7 @@ def test_bad_input_gives_one_clear_message_with_its_code(
     series: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # as without the extra that decodes compressed slices
-    monkeypatch.setattr("procedures.imaging.series._can_decode", lambda syntax: False)
+    monkeypatch.setattr("procedures.imaging.series.can_decode", lambda syntax: False)
     monkeypatch.setattr(FrameDecoder, "decode", no_decoder)
     voxels = np.zeros((9, 8, 8), dtype=np.int16)
     truncated = write_series(tmp_path / "truncated", voxels)

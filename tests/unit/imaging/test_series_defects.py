@@ -329,7 +329,7 @@ def test_slices_compressed_by_dcmtk_are_read_or_refused_naming_the_missing_extra
             pytest.importorskip("gdcm", reason="proof not made: install the extra `compressed`")
         np.testing.assert_array_equal(read_series(folder).voxels, HU)
         return
-    monkeypatch.setattr("procedures.imaging.series._can_decode", lambda syntax: False)
+    monkeypatch.setattr("procedures.imaging.series.can_decode", lambda syntax: False)
     monkeypatch.setattr(FrameDecoder, "decode", _no_decoder)
     with raises(errors.COMPRESSION_UNKNOWN, match=r"ronna-hw\[compressed\]"):
         read_series(folder)
