@@ -213,7 +213,6 @@ FILLED_ATTRIBUTES = (
     *("ContentTemplateSequence", "MappingResource", "TemplateIdentifier", "ContentSequence"),
     *("RelationshipType", "ConceptCodeSequence", "TextValue", "UID", "MeasuredValueSequence"),
     *("MeasurementUnitsCodeSequence", "NumericValue", "FloatingPointValue", "GraphicType", "GraphicData"),
-    *("ReferencedFrameOfReferenceUID", "CodingSchemeVersion"),
 )
 
 
