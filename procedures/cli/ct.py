@@ -94,7 +94,7 @@ def localize(
         bool,
         Option(
             "--identity",
-            help="Include the patient's identity in the output and in .dcm files; left out by default.",
+            help="Include the patient's identity in the output, and in .dcm files for an archive.",
         ),
     ] = False,
     as_json: terminal.JsonOption = False,
@@ -176,7 +176,7 @@ def localize(
         doubtful = result.doubtful[:PICTURED_CANDIDATES]
         if doubtful:
             _write_pictures(pictures, "doubtful", draw_candidates(volume, doubtful))
-    write_spheres(result, write or (), patient)
+    write_spheres(result, write or (), volume.study_instance_uid, series_dir if identity else None)
     candidates = imaging.likeliest_first(result.candidates) if show_candidates else None
     if as_json:
         document: dict[str, Any] = {

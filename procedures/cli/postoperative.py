@@ -12,6 +12,7 @@ from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.command_line.options import require_output_folder
 
 if TYPE_CHECKING:
+    from procedures.imaging.volume import Volume
     from procedures.planning.plan_model import Plan
     from procedures.postoperative.summary import PostoperativeCheck
     from procedures.reporting.files import PostoperativeResult
@@ -33,6 +34,13 @@ def postoperative(
         Path | None,
         typer.Option("--out", metavar="DIR", help="Also write JSON, DICOM objects and pictures into DIR."),
     ] = None,
+    identity: Annotated[
+        bool,
+        typer.Option(
+            "--identity",
+            help="Name patient and study of PRE in the DICOM objects, so that an archive files them there.",
+        ),
+    ] = False,
     run: Annotated[
         Path | None, typer.Option("--run", metavar="RUN", help="Add the result to the report of this run.")
     ] = None,
@@ -41,7 +49,8 @@ def postoperative(
     """Register both CTs on bone, find the inserted instruments and report their errors against the plan.
 
     Along each trajectory an electrode, a needle or otherwise a drilled hole is searched for, within 10 mm of
-    the plan. The errors are in the coordinates of the planning CT; no output names the patient. Exit codes: 0
+    the plan. The errors are in the coordinates of the planning CT; only DICOM objects name the patient, with
+    --identity. Exit codes: 0
     every trajectory was found, 1 a CT or the plan is unusable, 2 usage, 3 refused: another patient or head,
     nothing found along a trajectory, 130 interrupted.
     """
@@ -80,7 +89,7 @@ def postoperative(
             found, {one.id: draw_trajectory(post, one, pose) for one in found.trajectories}
         )
         if out is not None:
-            _write_files(out, after, (pre.frame_of_reference_uid, post.frame_of_reference_uid))
+            _write_files(out, after, pre, post, pre_dir if identity else None)
         if run is not None:
             from procedures.runs.finishing import rebuild_report
 
@@ -123,20 +132,26 @@ def _require_same_plan(run: Path, plan: Plan) -> None:
         )
 
 
-def _write_files(out: Path, after: PostoperativeResult, frames: tuple[str, str]) -> None:
-    from procedures.exchange.dicom_objects import write_postoperative
+def _write_files(
+    out: Path, after: PostoperativeResult, pre: Volume, post: Volume, named_by: Path | None
+) -> None:
+    """Write the files of a check; the folder `named_by` of the planning CT names the patient."""
+    from procedures.exchange.ct_study import read_ct_study
     from procedures.exchange.errors import NOT_WRITABLE
+    from procedures.exchange.postoperative_objects import write_postoperative
     from procedures.reporting.files import store_check
 
+    study = None if named_by is None else read_ct_study(named_by, pre.series_instance_uid)
     try:
         store_check(out, after)
     except OSError as error:
         raise NOT_WRITABLE(f"cannot write into {out}: {error.strerror}") from error
-    write_postoperative(after.found, frames, out)
-    if frames[0] == frames[1]:
-        terminal.tell(
-            "warning: both CTs claim the same frame of reference; no registration object was written"
-        )
+    frames = (pre.frame_of_reference_uid, post.frame_of_reference_uid)
+    absent = write_postoperative(after.found, frames, pre.study_instance_uid, out, study)
+    if study is not None:
+        terminal.tell(f"patient: {study.describe()}")
+    for name, reason in absent.items():
+        terminal.tell(f"warning: {name} was not written: {reason}")
 
 
 def _print_check(found: PostoperativeCheck) -> None:

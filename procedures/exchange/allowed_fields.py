@@ -1,7 +1,8 @@
 """Allow-list of the only fields that `export` may write outside a run folder.
 
-No field holds a person's name, number, date of birth, place or device. The series and its frame of reference
-are named by their DICOM UIDs: without them no other program could overlay the result on the CT.
+No field holds a person's name, number, date of birth, place or device. Study, series and frame of reference
+are named by their DICOM UIDs: without them no other program could overlay the result on the CT. Patient and
+study are added to DICOM objects afterwards and only on request, from the CT itself: see `ct_study`.
 """
 
 from __future__ import annotations
@@ -55,6 +56,7 @@ INDEX_FIELDS = {
     "ending": "how the run ended: done, missed, in doubt, error not determined, failed, ...",
     "code": "of the error that ended it",
     "simulated": "whether the theatre was simulated",
+    "identified": "whether the DICOM objects name patient and study of the CT",
     "files": "what each file holds",
     "sha256": "hash of each file as it was exported",
     "absent": "what the run does not have, and why",
@@ -159,25 +161,58 @@ FILES = {
     "registrations.json": "registrations",
     "spheres.dcm": "DICOM Spatial Fiducials",
     "registration-*.dcm": "DICOM Spatial Registration, one for each registration: robot <- ct",
+    "structures.dcm": "DICOM RT Structure Set: spheres as points, trajectories as lines of two points",
+    "report-page.dcm": "DICOM Secondary Capture: how the run ended, and the errors at its targets",
+    "postoperative-report.dcm": "DICOM structured report: errors in the CT after the operation, with units",
 }
 
 # DICOM attributes, by the standard's keywords; those that must be present but empty come first.
-ALWAYS_EMPTY = (
+IDENTITY = (
     *("PatientName", "PatientID", "PatientBirthDate", "PatientSex", "StudyDate", "StudyTime"),
-    *("AccessionNumber", "ReferringPhysicianName", "StudyID", "Laterality", "ContentCreatorName"),
+    *("AccessionNumber", "ReferringPhysicianName", "StudyID"),
 )
-EMPTY_ATTRIBUTES = (*ALWAYS_EMPTY, "PositionReferenceIndicator")  # the last in registrations only
+EMPTY_ATTRIBUTES = (
+    *IDENTITY,
+    *("ContentCreatorName", "PositionReferenceIndicator", "OperatorsName", "ROIInterpreter"),
+    *("PatientOrientation", "PerformedProcedureCodeSequence", "ReferencedPerformedProcedureStepSequence"),
+)
 FILLED_ATTRIBUTES = (
     *("SpecificCharacterSet", "SOPClassUID", "SOPInstanceUID", "StudyInstanceUID", "SeriesInstanceUID"),
-    *("SeriesNumber", "InstanceNumber", "Modality", "Manufacturer", "ManufacturerModelName"),
-    *("DeviceSerialNumber", "SoftwareVersions", "ContentDate", "ContentTime", "ContentLabel"),
-    *("ContentDescription", "FrameOfReferenceUID", "FiducialSetSequence", "FiducialSequence"),
-    *("FiducialIdentifier", "FiducialDescription", "FiducialUID", "ShapeType", "NumberOfContourPoints"),
-    *("ContourData", "ContourUncertaintyRadius", "RegistrationSequence", "MatrixRegistrationSequence"),
+    *(
+        "SeriesDescription",
+        "BodyPartExamined",
+        "InstanceCreationDate",
+        "InstanceCreationTime",
+        "SeriesNumber",
+        "InstanceNumber",
+        "Modality",
+        "Manufacturer",
+    ),
+    *("ManufacturerModelName", "DeviceSerialNumber", "SoftwareVersions", "ContentDate", "ContentTime"),
+    *("ContentLabel", "ContentDescription", "FrameOfReferenceUID", "FiducialSetSequence"),
+    *("FiducialSequence", "FiducialIdentifier", "FiducialDescription", "FiducialUID", "ShapeType"),
+    *("NumberOfContourPoints", "ContourData", "ContourUncertaintyRadius", "RegistrationSequence"),
+    *("MatrixRegistrationSequence", "FrameOfReferenceTransformationComment"),
     *("RegistrationTypeCodeSequence", "CodeValue", "CodingSchemeDesignator", "CodeMeaning"),
     *("MatrixSequence", "FrameOfReferenceTransformationMatrixType"),
     *("FrameOfReferenceTransformationMatrix", "UsedFiducialsSequence", "ReferencedSOPClassUID"),
     "ReferencedSOPInstanceUID",
+    # RT Structure Set
+    *("StructureSetLabel", "StructureSetDate", "StructureSetTime", "ReferencedFrameOfReferenceSequence"),
+    *("RTReferencedStudySequence", "RTReferencedSeriesSequence", "ContourImageSequence"),
+    *("StructureSetROISequence", "ROINumber", "ReferencedFrameOfReferenceUID", "ROIName", "ROIDescription"),
+    *("ROIGenerationAlgorithm", "ROIContourSequence", "ROIDisplayColor", "ContourSequence"),
+    *("ContourGeometricType", "ReferencedROINumber", "RTROIObservationsSequence", "ObservationNumber"),
+    *("RTROIInterpretedType", "ApprovalStatus"),
+    # Secondary Capture
+    *("ConversionType", "ImageType", "BurnedInAnnotation", "SamplesPerPixel", "PhotometricInterpretation"),
+    *("PlanarConfiguration", "Rows", "Columns", "BitsAllocated", "BitsStored", "HighBit"),
+    *("PixelRepresentation", "PixelData"),
+    # structured report
+    *("CompletionFlag", "VerificationFlag", "ValueType", "ConceptNameCodeSequence", "ContinuityOfContent"),
+    *("ContentTemplateSequence", "MappingResource", "TemplateIdentifier", "ContentSequence"),
+    *("RelationshipType", "ConceptCodeSequence", "TextValue", "UID", "MeasuredValueSequence"),
+    *("MeasurementUnitsCodeSequence", "NumericValue", "FloatingPointValue", "GraphicType", "GraphicData"),
 )
 
 

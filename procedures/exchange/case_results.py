@@ -16,10 +16,12 @@ from procedures.exchange.export_tables import CT_FROM_ROBOT, CtIdentity, format_
 from procedures.journal.results import StepResult
 from procedures.planning.plan_model import PlannedTrajectory
 from procedures.postoperative.comparison import FoundTrajectory
+from procedures.postoperative.summary import PostoperativeCheck
 from procedures.reporting import run_reading
 from procedures.reporting.ending import Ending, ending_of
 from procedures.reporting.files import load_check
 from procedures.reporting.outcome import TargetTruth, Truth
+from procedures.reporting.tables import TargetTable, target_rows
 from procedures.steps.clinical.at_target import ReachedTarget
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.ct_import import ImportedCt
@@ -35,6 +37,8 @@ R = TypeVar("R", bound=StepResult)
 FindTruth = Callable[[Path], Truth | None]
 LEAVE_OUT: tuple[type[StepResult], ...] = (Correspondence, CheckedPaths, Relocalization, RegisteredRobot)
 
+REGISTRATION_OF, REACHED_LINE_OF = "registration of ", "reached line of "  # a trajectory that lacks it
+
 
 @dataclass(frozen=True)
 class CaseResults:
@@ -49,10 +53,16 @@ class CaseResults:
     reached: Mapping[
         str, trajectory_lines.TrajectoryLine | None
     ]  # None: the work was finished on an earlier visit
-    found: Mapping[str, FoundTrajectory]
+    check: PostoperativeCheck | None  # after the operation
+    targets: TargetTable  # as the report has it
     truth: Mapping[str, TargetTruth]
     labels: Mapping[str, str]
     unreadable: str = ""  # why the check after the operation is missing
+
+    @property
+    def found(self) -> dict[str, FoundTrajectory]:
+        """Trajectories found in the CT after the operation."""
+        return {} if self.check is None else {one.id: one for one in self.check.trajectories}
 
     @property
     def lines(self) -> list[trajectory_lines.TrajectoryLine]:
@@ -65,8 +75,8 @@ class CaseResults:
             lines.append(trajectory_lines.planned_line(label, one))
             if (reached := self.reached.get(one.id)) is not None:
                 lines.append(reached)
-            if one.id in self.found:
-                lines.append(trajectory_lines.found_line(label, self.found[one.id]))
+            if (found := self.found.get(one.id)) is not None:
+                lines.append(trajectory_lines.found_line(label, found))
         return lines
 
     @property
@@ -85,13 +95,15 @@ class CaseResults:
         names = [one.id for one in self.plan.plan.trajectories]
         registered = {name for one in self.registrations for name in one.targets}
         left_out = self._left_out()
-        for what, present in (("registration", registered), ("reached line", self.reached)):
+        for what, present in ((REGISTRATION_OF, registered), (REACHED_LINE_OF, self.reached)):
             for name in names:
                 if name not in present:
-                    missing[f"{what} of {self.labels[name]}"] = "left out" if name in left_out else ended
+                    missing[f"{what}{self.labels[name]}"] = "left out" if name in left_out else ended
         for name, line in self.reached.items():
             if line is None:
-                missing[f"reached line of {self.labels[name]}"] = "the pose of the guide is not in its record"
+                missing[f"{REACHED_LINE_OF}{self.labels[name]}"] = (
+                    "the pose of the guide is not in its record"
+                )
         if not self.found:
             missing["found lines"] = self.unreadable or (
                 "no CT after the operation was compared: "
@@ -174,7 +186,8 @@ def read_results(reading: run_reading.RunReading, find_truth: FindTruth) -> Case
         plan=plan,
         registrations=registrations,
         reached=reached_lines(run, plan, registrations, labels),
-        found={} if after is None else {one.id: one for one in after.found.trajectories},
+        check=None if after is None else after.found,
+        targets=TargetTable(target_rows(reading, truth or Truth())),
         truth={} if truth is None else {one.id: one for one in truth.targets},
         labels=labels,
         unreadable="; ".join(reading.problems),

@@ -1,16 +1,14 @@
-"""DICOM objects for registrations, fiducials and the postoperative check.
+"""DICOM objects for registrations and fiducials, and what all objects have in common.
 
-They carry no patient identity unless `name_patient` adds it. Attributes that DICOM requires but allows to be
-empty stay empty: a clinical archive fills them in on import. Identifiers are derived from the content, so the
-same result always yields the same object.
+They lie in the study of their CT and carry no patient identity unless `CtStudy` adds it. Identifiers are
+derived from the content, so the same result always yields the same object.
 """
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime
+from datetime import datetime
 from importlib.metadata import version
 from io import BytesIO
 from pathlib import Path
@@ -25,35 +23,38 @@ from pydicom.uid import (
     SpatialRegistrationStorage,
     generate_uid,
 )
-from scipy.spatial.transform import RigidTransform
 
-from procedures.exchange.allowed_fields import ALWAYS_EMPTY, label_of, name_spheres, require_allowed
+from procedures.exchange.allowed_fields import IDENTITY, name_spheres
 from procedures.exchange.errors import NOT_WRITABLE
 from procedures.imaging.markers import Marker
-from procedures.postoperative.summary import PostoperativeCheck
 from ronna_hw.frames import Transform
-from ronna_hw.records import canonical_json, write_atomically
+from ronna_hw.records import write_atomically
 
 MAKER = "ronna-hw"
 NO_MEDICAL_DEVICE = "research software, not a medical device"
 CODE = ("CodeValue", "CodingSchemeDesignator", "CodeMeaning")
 FIDUCIAL_ALIGNMENT = ("125022", "DCM", "Fiducial Alignment")
 CONTENT_ALIGNMENT = ("125024", "DCM", "Image Content-based Alignment")
-REGISTRATION_FILE = "postoperative-registration.dcm"
-POINTS_FILE = "postoperative-points.dcm"
+FIDUCIALS, REGISTRATION, STRUCTURES, PAGE, REPORT = "FID", "REG", "RTSTRUCT", "OT", "SR"
+# Behind the scanner's own series, which count from 1.
+SERIES_NUMBERS = {FIDUCIALS: 9001, REGISTRATION: 9002, STRUCTURES: 9003, PAGE: 9004, REPORT: 9005}
+BODY_PART = "HEAD"  # no paired one: without it the validator asks for a side
+LONGEST_TEXT = 64  # characters of the value representation LO
 
 
 @dataclass(frozen=True)
 class Origin:
-    """Origin of a result: CT series, frame of reference, time of creation, and a key.
+    """Origin of a result: CT series, frame of reference, time of creation, a key, and the study of the CT.
 
-    `key`, for example a record's hash, makes the identifiers unique to this result.
+    `key`, for example a record's hash, makes the identifiers unique to this result. A CT whose study is not
+    known has one of its own, the same for all objects made from it.
     """
 
     series_instance_uid: str
     frame_of_reference_uid: str
     made: datetime
     key: str
+    study_instance_uid: str = ""
 
 
 def fiducial_uid(origin: Origin, name: str) -> str:
@@ -64,24 +65,25 @@ def fiducial_uid(origin: Origin, name: str) -> str:
 def sphere_fiducials(markers: Sequence[Marker], origin: Origin) -> Dataset:
     """Build the Spatial Fiducials object for the spheres of a CT series, named M1, M2, ... in order."""
     points = [
-        _point(name, marker.centre_mm, origin, "marker sphere", marker.sigma_mm)
+        point_item(name, marker.centre_mm, origin, "marker sphere", marker.sigma_mm)
         for name, marker in name_spheres(markers).items()
     ]
-    return _spatial_fiducials(points, origin, "MARKERS", "centres of marker spheres")
+    return spatial_fiducials(points, origin, "MARKERS", "centres of marker spheres")
 
 
-def _spatial_fiducials(points: list[Dataset], origin: Origin, label: str, description: str) -> Dataset:
-    made = new_object(origin, SpatialFiducialsStorage, "FID", label, description)
-    group = _item(FrameOfReferenceUID=origin.frame_of_reference_uid, FiducialSequence=points)
+def spatial_fiducials(points: list[Dataset], origin: Origin, label: str, description: str) -> Dataset:
+    """Build a Spatial Fiducials object from its points, in the frame of the CT."""
+    made = _new_content(origin, SpatialFiducialsStorage, FIDUCIALS, label, description)
+    group = item(FrameOfReferenceUID=origin.frame_of_reference_uid, FiducialSequence=points)
     made.FiducialSetSequence = [group]
     return made
 
 
-def _point(
+def point_item(
     name: str, place_mm: Sequence[float], origin: Origin, description: str, uncertainty_mm: float = 0.0
 ) -> Dataset:
-    """Build the fiducial item for a point in LPS mm. A 3-D rms uncertainty of 0 is omitted."""
-    item = _item(
+    """Build the item of a point in LPS mm, without an uncertainty of 0; a name has at most 16 characters."""
+    point = item(
         FiducialIdentifier=name,
         FiducialDescription=description,
         FiducialUID=fiducial_uid(origin, name),
@@ -90,8 +92,8 @@ def _point(
         ContourData=decimals(place_mm),
     )
     if uncertainty_mm > 0.0:
-        item.ContourUncertaintyRadius = uncertainty_mm
-    return item
+        point.ContourUncertaintyRadius = uncertainty_mm
+    return point
 
 
 def spatial_registration(
@@ -114,7 +116,11 @@ def spatial_registration(
     robot_uid = uid(spheres, "robot frame", placing)
     items = [
         _frame_item(robot_uid, np.eye(4)),
-        _frame_item(origin.frame_of_reference_uid, robot_from_ct.as_matrix()),
+        _frame_item(
+            origin.frame_of_reference_uid,
+            robot_from_ct.as_matrix(),
+            comment="robot <- CT: maps points of the CT (LPS, mm) to the robot",
+        ),
     ]
     made = _registration(origin, robot_uid, items, "CT_TO_ROBOT", description)
     if fiducial_uids:
@@ -135,7 +141,12 @@ def frames_registration(
     """Build the Spatial Registration object for the pose (4, 4) mm of a second CT in the origin's frame."""
     items = [
         _frame_item(origin.frame_of_reference_uid, np.eye(4), CONTENT_ALIGNMENT),
-        _frame_item(second_frame_uid, first_from_second, CONTENT_ALIGNMENT),
+        _frame_item(
+            second_frame_uid,
+            first_from_second,
+            CONTENT_ALIGNMENT,
+            comment="first <- second CT: maps points of the second (LPS, mm)",
+        ),
     ]
     return _registration(origin, origin.frame_of_reference_uid, items, label, description)
 
@@ -143,83 +154,60 @@ def frames_registration(
 def _registration(
     origin: Origin, frame_uid: str, items: list[Dataset], label: str, description: str
 ) -> Dataset:
-    made = new_object(origin, SpatialRegistrationStorage, "REG", label, description)
+    made = _new_content(origin, SpatialRegistrationStorage, REGISTRATION, label, description)
     made.FrameOfReferenceUID = frame_uid
     made.PositionReferenceIndicator = ""
     made.RegistrationSequence = items
     return made
 
 
-def _item(**attributes: object) -> Dataset:
+def item(**attributes: object) -> Dataset:
     """Build an item of a sequence from its attributes, by the standard's keywords."""
-    item = Dataset()
+    built = Dataset()
     for keyword, value in attributes.items():
-        setattr(item, keyword, value)
-    return item
+        setattr(built, keyword, value)
+    return built
 
 
 def _frame_item(
     frame_of_reference_uid: str,
     matrix: NDArray[np.float64],
     alignment: tuple[str, str, str] = FIDUCIAL_ALIGNMENT,
+    comment: str = "",  # VR LO, at most 64 characters
 ) -> Dataset:
-    step = _item(
+    """Build the item of one frame; its matrix maps that frame into the object's. A comment says which."""
+    step = item(
         FrameOfReferenceTransformationMatrixType="RIGID",
         FrameOfReferenceTransformationMatrix=decimals(matrix.ravel().tolist()),
     )
-    code = _item(**dict(zip(CODE, alignment, strict=True)))
-    transform = _item(RegistrationTypeCodeSequence=[code], MatrixSequence=[step])
-    return _item(FrameOfReferenceUID=frame_of_reference_uid, MatrixRegistrationSequence=[transform])
+    code = item(**dict(zip(CODE, alignment, strict=True)))
+    transform = item(RegistrationTypeCodeSequence=[code], MatrixSequence=[step])
+    if comment:  # some readers take the inverse
+        transform.FrameOfReferenceTransformationComment = comment
+    return item(FrameOfReferenceUID=frame_of_reference_uid, MatrixRegistrationSequence=[transform])
 
 
 def _used_fiducial_item(fiducial_uid: str, origin: Origin) -> Dataset:
-    return _item(
+    return item(
         ReferencedSOPClassUID=SpatialFiducialsStorage,
-        ReferencedSOPInstanceUID=instance_uid(origin, "FID"),
+        ReferencedSOPInstanceUID=instance_uid(origin, FIDUCIALS),
         FiducialUID=fiducial_uid,
     )
 
 
-def write_postoperative(check: PostoperativeCheck, frames: tuple[str, str], folder: Path) -> tuple[Path, ...]:
-    """Write fiducials and registration. `frames` are the frame of reference UIDs of the planned and later CT.
-
-    The registration is left out when both CTs claim the same frame of reference. Raises EXC-002, EXC-004.
-    """
-    key = hashlib.sha256(canonical_json(check.model_dump(mode="json"))).hexdigest()
-    origin = Origin(check.pre_series_instance_uid, frames[0], datetime.now(UTC), key)
-    points = _spatial_fiducials(
-        _trajectory_points(check, origin), origin, "POSTOPERATIVE", "planned and found entries and targets"
-    )
-    written = [write(require_allowed(points), folder / POINTS_FILE)]
-    if frames[0] != frames[1]:
-        pre_from_post = RigidTransform.from_matrix(np.array(check.post_from_pre)).inv().as_matrix()
-        registration = frames_registration(
-            pre_from_post, origin, frames[1], label="POST_TO_PRE", description="registered on bone"
-        )
-        written.append(write(require_allowed(registration), folder / REGISTRATION_FILE))
-    return tuple(written)
+def _new_content(origin: Origin, sop_class: UID, modality: str, label: str, description: str) -> Dataset:
+    """Build an object that identifies its content, as fiducials and registrations do."""
+    made = new_object(origin, sop_class, modality, description)
+    date_content(made)
+    made.BodyPartExamined = BODY_PART
+    made.ContentLabel = label
+    made.ContentDescription = description[:LONGEST_TEXT]
+    made.ContentCreatorName = ""
+    return made
 
 
-def _trajectory_points(check: PostoperativeCheck, origin: Origin) -> list[Dataset]:
-    found = []
-    for number, one in enumerate(check.trajectories, start=1):
-        label = label_of(one.id, number)
-        places = {
-            "planned entry": one.planned_entry_mm,
-            "planned target": one.planned_target_mm,
-            "entry": one.entry_mm,
-            "tip": one.tip_mm,
-        }
-        found += [
-            _point(f"{label} {what}", place, origin, "point of a trajectory")
-            for what, place in places.items()
-            if place is not None
-        ]
-    return found
-
-
-def new_object(origin: Origin, sop_class: UID, modality: str, label: str, description: str) -> Dataset:
-    """Build a DICOM object with all attributes except its content."""
+def new_object(origin: Origin, sop_class: UID, modality: str, description: str) -> Dataset:
+    """Build a DICOM object with what all have in common, in a series of its own in the study of the CT."""
     instance = instance_uid(origin, modality)
     meta = FileMetaDataset()
     meta.MediaStorageSOPClassUID = sop_class
@@ -230,28 +218,27 @@ def new_object(origin: Origin, sop_class: UID, modality: str, label: str, descri
     made.SpecificCharacterSet = "ISO_IR 192"
     made.SOPClassUID = sop_class
     made.SOPInstanceUID = instance
-    for name in ALWAYS_EMPTY:
+    for name in IDENTITY:
         setattr(made, name, "")
-    made.StudyInstanceUID = uid(origin, "study")
+    own_study = generate_uid(entropy_srcs=[MAKER, origin.series_instance_uid, "study"])
+    made.StudyInstanceUID = origin.study_instance_uid or own_study
     made.SeriesInstanceUID = uid(origin, modality, "series")
-    made.SeriesNumber = 1
+    made.SeriesNumber = SERIES_NUMBERS[modality]
+    made.SeriesDescription = description[:LONGEST_TEXT]
     made.InstanceNumber = 1
     made.Modality = modality
     made.Manufacturer = MAKER
     made.ManufacturerModelName = NO_MEDICAL_DEVICE
     made.DeviceSerialNumber = "none"
     made.SoftwareVersions = version("ronna-hw")
-    made.ContentDate = origin.made.strftime("%Y%m%d")
-    made.ContentTime = origin.made.strftime("%H%M%S")
-    made.ContentLabel = label
-    made.ContentDescription = description
+    made.InstanceCreationDate = origin.made.strftime("%Y%m%d")
+    made.InstanceCreationTime = origin.made.strftime("%H%M%S")
     return made
 
 
-def name_patient(made: Dataset, name: str, identifier: str, birth_date: str, sex: str) -> None:
-    """Set the patient identity in DICOM notation (birth date YYYYMMDD)."""
-    made.PatientName, made.PatientID = name, identifier
-    made.PatientBirthDate, made.PatientSex = birth_date, sex
+def date_content(made: Dataset) -> None:
+    """Date the content of an object of the kinds that do so, as it was created."""
+    made.ContentDate, made.ContentTime = made.InstanceCreationDate, made.InstanceCreationTime
 
 
 def instance_uid(origin: Origin, modality: str) -> UID:

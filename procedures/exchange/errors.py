@@ -1,8 +1,8 @@
-"""Export errors, EXC-001 to EXC-006."""
+"""Export errors, EXC-001 to EXC-009."""
 
 from __future__ import annotations
 
-from ronna_hw.errors import ConfigurationError, DataError, ErrorCode
+from ronna_hw.errors import EXIT_USAGE, ConfigurationError, DataError, ErrorCode, RonnaError
 
 UNKNOWN_FORM = ErrorCode(
     "EXC-001",
@@ -40,3 +40,26 @@ class NoSuchLook(DataError, IndexError):
 
     code = "EXC-006"
     action = "len(run.pictures) counts them; the row of a look in run.looks is its place."
+
+
+OTHER_CT = ErrorCode(
+    "EXC-007",
+    DataError,
+    "The CT of which patient and study were to be copied is not the one that the result was made from.",
+    "Give the folder of the run's own CT series: its UID is the series_instance_uid in export.json.",
+)
+
+CT_OF_NO_PATIENT = ErrorCode(
+    "EXC-008",
+    DataError,
+    "The CT does not name exactly one patient and one study, so no archive could file the objects.",
+    "Export the series again from the archive, with its patient; or export without an identity.",
+)
+
+REPORT_PACKAGE_MISSING = ErrorCode(
+    "EXC-009",
+    RonnaError,
+    "The package for DICOM structured reports is not installed.",
+    "Run make setup in the clone, or in its environment: pip install 'ronna-hw[dicom]'.",
+    own_exit_code=EXIT_USAGE,
+)

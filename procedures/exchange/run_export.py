@@ -9,53 +9,57 @@ import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
-from datetime import datetime
 from fnmatch import fnmatch
 from pathlib import Path
 
-from pydicom.dataset import Dataset
-
-from procedures.engine.case import Stored, ancestor_of_kind
-from procedures.exchange import allowed_fields, dicom_objects, export_tables
+from procedures.engine.case import Stored
+from procedures.exchange import allowed_fields, export_tables
 from procedures.exchange.case_results import CaseResults, FindTruth, describe_prediction, read_results
+from procedures.exchange.ct_study import CtStudy, read_ct_study
+from procedures.exchange.dicom_objects import encode
 from procedures.exchange.errors import NOT_WRITABLE
+from procedures.exchange.run_objects import Fits, run_objects
 from procedures.exchange.sphere_files import document, slicer_markups, table
 from procedures.exchange.trajectory_lines import format_lines, tabulate_lines
 from procedures.reporting.run_reading import RunReading, UsedRegistration
-from procedures.steps.clinical.cart_lock import LockedCart
 from procedures.steps.clinical.results import RegisteredRobot
 from ronna_hw.evidence.inspection import inspect_run
-from ronna_hw.records import Record, write_atomically
+from ronna_hw.records import write_atomically
 
 ALL = "all"  # name of a registration that serves every trajectory
 INDEX = "export.json"
-Fits = Mapping[str, Stored[RegisteredRobot]]  # registrations by their exported label
 
 
 @dataclass(frozen=True)
 class Exported:
-    """Files of an export, and what the run does not have with the reason."""
+    """Files of an export, what the run does not have with the reason, and whose the objects are."""
 
     files: tuple[Path, ...]
     absent: Mapping[str, str]
+    study: CtStudy | None  # patient and study that the DICOM objects name
 
 
-def export_run(run: Path, out: Path, find_truth: FindTruth = lambda _run: None) -> Exported:
+def export_run(
+    run: Path, out: Path, find_truth: FindTruth = lambda _run: None, identity_from: Path | None = None
+) -> Exported:
     """Write the exportable results of a run to `out`.
 
-    `find_truth` asks the simulated theatre of a run without a stored truth. Raises EXC-002, EXC-003, EXC-004,
-    REC-003, and PRO-033 before anything is written. EXC-002 also for a folder with files of another export.
+    `find_truth` asks the simulated theatre of a run without a stored truth. `identity_from` is the folder of
+    the run's CT: its patient and study go into the DICOM objects. Raises EXC-002, EXC-003, EXC-004, EXC-007,
+    EXC-008, REC-003, and PRO-033 before anything is written. EXC-002 also for a folder with files of another
+    export.
     """
     results = read_results(RunReading.of(inspect_run(run).require_whole()), find_truth)
+    study = None if identity_from is None else read_ct_study(identity_from, results.ct.series)
     fits = _label_registrations(results)
     texts = {**_case_texts(results), **_registration_texts(fits, results.ct)}
-    objects = {
-        name: dicom_objects.encode(allowed_fields.require_allowed(made))
-        for name, made in _dicom_objects(results, fits).items()
-    }
-    absent = results.absent()
-    contents = {name: text.encode() for name, text in texts.items()} | objects
-    contents = {INDEX: _index(results, contents, absent).encode(), **contents}
+    objects, missing = run_objects(results, fits, () if study is None else study.slice_uids)
+    absent = results.absent() | missing
+    contents = {name: text.encode() for name, text in texts.items()}
+    for name, made in objects.items():
+        allowed_fields.require_allowed(made)  # before anybody is named in it
+        contents[name] = encode(made if study is None else study.file_object(made))
+    contents = {INDEX: _index(results, contents, absent, identified=study is not None).encode(), **contents}
     _refuse_others(out, set(contents))
     try:
         out.mkdir(parents=True, exist_ok=True)
@@ -63,7 +67,7 @@ def export_run(run: Path, out: Path, find_truth: FindTruth = lambda _run: None) 
             write_atomically(out / name, content)
     except OSError as error:
         raise NOT_WRITABLE(f"cannot write into {out}: {error.strerror}") from error
-    return Exported(tuple(out / name for name in contents), absent)
+    return Exported(tuple(out / name for name in contents), absent, study)
 
 
 def _refuse_others(out: Path, own: set[str]) -> None:
@@ -135,31 +139,6 @@ def _with_schemas(tables: Mapping[str, str]) -> dict[str, str]:
     }
 
 
-def _dicom_objects(results: CaseResults, fits: Fits) -> dict[str, Dataset]:
-    """Build the spheres' object, and one for each registration, which names the spheres it used."""
-    if results.spheres is None:
-        return {}
-    spheres = results.spheres.result.markers
-    origin = _origin(results, results.spheres.record)
-    objects = {"spheres.dcm": dicom_objects.sphere_fiducials(spheres, origin)}
-    uids = [dicom_objects.fiducial_uid(origin, name) for name in allowed_fields.name_spheres(spheres)]
-    for label, fit in fits.items():
-        objects[f"registration-{label}.dcm"] = dicom_objects.spatial_registration(
-            fit.result.robot_from_ct.transform,
-            _origin(results, fit.record),
-            spheres=origin,
-            placing=_placing(fit.record, results),
-            description=f"trajectory {label}",
-            fiducial_uids=uids,
-        )
-    return objects
-
-
-def _origin(results: CaseResults, record: Record) -> dicom_objects.Origin:
-    ct, made = results.ct, datetime.fromisoformat(record.created)
-    return dicom_objects.Origin(ct.series, ct.frame_of_reference, made, record.sha256)
-
-
 def _label_registrations(results: CaseResults) -> dict[str, Stored[RegisteredRobot]]:
     """Return the registrations by export label, with their targets relabelled too."""
     used, labels = results.registrations, results.labels
@@ -177,14 +156,9 @@ def _relabel(used: UsedRegistration, labels: Mapping[str, str]) -> RegisteredRob
     return used.result.model_copy(update={"predictions": predictions})
 
 
-def _placing(registration: Record, results: CaseResults) -> str:
-    """Return the hash of the locked-cart record, which identifies the cart position; '' if never locked."""
-    by_name = {record.identifier: record for record in results.run.records}
-    locked = ancestor_of_kind(registration, LockedCart.kind, by_name)
-    return "" if locked is None else locked.sha256
-
-
-def _index(results: CaseResults, contents: Mapping[str, bytes], absent: Mapping[str, str]) -> str:
+def _index(
+    results: CaseResults, contents: Mapping[str, bytes], absent: Mapping[str, str], *, identified: bool
+) -> str:
     """Format the index: frame, unit and UIDs, what each file holds with its hash, and what is absent."""
     ending = results.ending
     meanings = {
@@ -192,7 +166,12 @@ def _index(results: CaseResults, contents: Mapping[str, bytes], absent: Mapping[
         for name in contents
     }
     hashes = {name: hashlib.sha256(content).hexdigest() for name, content in contents.items()}
-    ended = {"simulated": results.simulated, "ending": ending.word, "code": ending.code}
+    ended = {
+        "simulated": results.simulated,
+        "identified": identified,
+        "ending": ending.word,
+        "code": ending.code,
+    }
     files = {"files": meanings, "sha256": hashes, "absent": dict(absent)}
     content = {**results.ct.describe(export_tables.IN_CT), **ended, **files}
     return json.dumps(content, indent=1, allow_nan=False) + "\n"

@@ -16,7 +16,7 @@ from procedures.exchange.slicer_markups import build_markup, format_markups
 from ronna_hw.records import canonical_json, write_atomically
 
 if TYPE_CHECKING:
-    from procedures.imaging import Localization, Marker, PatientIdentity
+    from procedures.imaging import Localization, Marker
 
 MARKUPS, JSON, CSV, DICOM = ".mrk.json", ".json", ".csv", ".dcm"
 
@@ -29,30 +29,36 @@ def check_names(paths: Sequence[Path]) -> None:
 
 
 def write_spheres(
-    spheres_found: Localization, paths: Sequence[Path], patient: PatientIdentity | None = None
+    spheres_found: Localization,
+    paths: Sequence[Path],
+    study_instance_uid: str = "",
+    series: Path | None = None,
 ) -> None:
-    """Write the spheres to each file. Only DICOM files include the `patient`.
+    """Write the spheres to each file. With the folder of their `series`, DICOM files name its patient.
 
-    Raises EXC-001, EXC-002.
+    Raises EXC-001, EXC-002, EXC-008.
     """
     check_names(paths)
     if not paths:
         return
     from procedures.exchange import dicom_objects  # pydicom: half a second
+    from procedures.exchange.ct_study import read_ct_study
 
     markers = [marker.document() for marker in spheres_found.markers]
     key = hashlib.sha256(canonical_json(markers)).hexdigest()
     origin = dicom_objects.Origin(
-        spheres_found.series_instance_uid, spheres_found.frame_of_reference_uid, datetime.now(UTC), key
+        spheres_found.series_instance_uid,
+        spheres_found.frame_of_reference_uid,
+        datetime.now(UTC),
+        key,
+        study_instance_uid,
     )
-    ct = CtIdentity(spheres_found.series_instance_uid, spheres_found.frame_of_reference_uid)
+    ct = CtIdentity(origin.series_instance_uid, origin.frame_of_reference_uid, study_instance_uid)
     for path in paths:
         if path.name.endswith(DICOM):
             made = dicom_objects.sphere_fiducials(spheres_found.markers, origin)
-            if patient is not None:
-                dicom_objects.name_patient(
-                    made, patient.name, patient.identifier, patient.birth_date, patient.sex
-                )
+            if series is not None:
+                made = read_ct_study(series, origin.series_instance_uid).file_object(made)
             dicom_objects.write(made, path)
             continue
         if path.name.endswith(MARKUPS):

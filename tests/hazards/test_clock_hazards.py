@@ -38,7 +38,7 @@ DATING = {
     "procedures/cli/doctor/report.py",
     "procedures/cli/tool/command.py",
     "procedures/exchange/sphere_files.py",
-    "procedures/exchange/dicom_objects.py",
+    "procedures/exchange/postoperative_objects.py",
     "procedures/steps/clinical/set_up.py",
     "procedures/steps/calibration",
 }

@@ -17,12 +17,13 @@ from prepared_results import checked_plan, registered_robot
 from pydicom import dcmread
 from recording_cell import RecordingCell
 from spoiled_slices import every, setting
+from user_commands import in_this_process
 
+from procedures.cli.procedure import app
 from procedures.engine.case import StepKey
 from procedures.engine.order import order_of
 from procedures.exchange import allowed_fields
 from procedures.exchange.allowed_fields import require_allowed
-from procedures.exchange.dicom_objects import name_patient
 from procedures.exchange.errors import FIELD_NOT_ALLOWED
 from procedures.exchange.run_export import export_run
 from procedures.steps.clinical import ct_import
@@ -112,7 +113,7 @@ def test_every_exported_field_is_on_the_allow_list(run: Path, tmp_path: Path) ->
     attributes = {*allowed_fields.EMPTY_ATTRIBUTES, *allowed_fields.FILLED_ATTRIBUTES}
     for path in out.glob("*.dcm"):
         elements = list(dcmread(path).iterall())
-        assert {one.keyword for one in elements} <= attributes
+        assert {one.keyword for one in elements} <= attributes, path.name
         assert all(one.is_empty for one in elements if one.keyword in allowed_fields.EMPTY_ATTRIBUTES)
 
 
@@ -123,8 +124,47 @@ def test_an_object_with_any_other_field_is_refused(run: Path, tmp_path: Path, at
     made = dcmread(tmp_path / "export" / "spheres.dcm")
     require_allowed(made)
     if attribute == "PatientName":
-        name_patient(made, "Sown^Patient", "", "", "")
+        made.PatientName = "Sown^Patient"
     else:
         setattr(made, attribute, "Sown Hospital")
     with raises(FIELD_NOT_ALLOWED, match=f"EXC-004.*{attribute}"):
         require_allowed(made)
+
+
+def series_of(run: Path, folder: Path, **attributes: object) -> Path:
+    """The CT of a run as it lies in the clinic, with its patient."""
+    imported = json.loads(next((run / "records").glob("*ct_import*")).read_text())["payload"]
+    uids = {"SeriesInstanceUID": imported["series_instance_uid"]}
+    named = every(setting(**{**dict(zip(WORDS, SOWN, strict=False)), **uids, **attributes}))
+    return write_series(folder, np.full((12, 32, 32), -1000, dtype=np.int16), edit=named)
+
+
+@pytest.mark.hazard(35)
+def test_an_identity_on_request_is_in_the_dicom_objects_alone_and_in_the_attributes_that_file_them(
+    run: Path, tmp_path: Path
+) -> None:
+    ct, named, plain = series_of(run, tmp_path / "ct"), tmp_path / "named", tmp_path / "plain"
+    given = in_this_process(app, "export", run, "--identity-from", ct, "--out", named)
+    assert given.returncode == 0, given.stderr
+    assert "identifier SOWN-ID" in given.stderr
+    export_run(run, plain)
+    for path in plain.iterdir():
+        content = (named / path.name).read_bytes()
+        if path.suffix != ".dcm":
+            assert not [word for word in SOWN if word.encode() in content], path.name
+            continue
+        filled = {one.keyword for one in dcmread(named / path.name) if one != dcmread(path).get(one.tag)}
+        assert filled - {"StudyInstanceUID", "ReferencedFrameOfReferenceSequence"} == {
+            *("PatientName", "PatientID", "PatientBirthDate", "ReferringPhysicianName")
+        }
+
+
+@pytest.mark.hazard(35)
+@pytest.mark.parametrize("out", [None, "export", "elsewhere/../export"])
+def test_no_identity_is_written_into_a_run_folder(run: Path, tmp_path: Path, out: str | None) -> None:
+    ct = series_of(run, tmp_path / "ct")
+    into = () if out is None else ("--out", run / out)
+    refused = in_this_process(app, "export", run, "--identity-from", ct, *into)
+    assert refused.returncode == 2
+    assert "CLI-001: --identity-from needs a folder outside the run" in refused.stderr
+    assert not (run / "export").exists()

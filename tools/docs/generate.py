@@ -261,7 +261,11 @@ def _tabulate_exported_fields() -> str:
     ]
     fields = table(("field", "in", ""), rows)
     attributes = [(f"`{name}`", "") for name in allowed_fields.FILLED_ATTRIBUTES]
-    attributes += [(f"`{name}`", "always empty") for name in allowed_fields.EMPTY_ATTRIBUTES]
+    identity = "empty; that of the CT with --identity-from"
+    attributes += [
+        (f"`{name}`", identity if name in allowed_fields.IDENTITY else "always empty")
+        for name in allowed_fields.EMPTY_ATTRIBUTES
+    ]
     return "\n".join(
         (
             f"## Files\n\n{files}",

@@ -165,21 +165,42 @@ def report_command(run_folder: RunArgument, out: FolderOption = None, as_json: J
         sys.stdout.write(f"{escape_controls(str(path))}\n")
 
 
-def export_command(run_folder: RunArgument, out: FolderOption = None, as_json: JsonOption = False) -> None:
+def export_command(
+    run_folder: RunArgument,
+    out: FolderOption = None,
+    identity_from: Annotated[
+        Path | None,
+        Option(
+            "--identity-from",
+            metavar="CT",
+            help="Folder of the run's CT: its patient and study go into the DICOM objects. Needs --out.",
+        ),
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
     """Write plan, spheres, registrations, reached lines and errors as Slicer markups, CSV, JSON and DICOM
-    objects, without patient identity.
+    objects, without patient identity unless with --identity-from.
 
     Written to the run's folder `export` by default. A run that ended early is exported as far as it came;
-    export.json says what is absent.
+    export.json says what is absent. An archive files the objects with --identity-from beside the CT.
     """
     from procedures.exchange.run_export import export_run
     from procedures.runs.simulated_theatre import find_truth
 
     folder = run_folder / "export"
+    if identity_from is not None and (out is None or out.resolve().is_relative_to(run_folder.resolve())):
+        raise UsageMistake(
+            "--identity-from needs a folder outside the run: run folders name no patient",
+            expected="--out DIR",
+            got="none" if out is None else str(out),
+            action="Name a folder for objects that are meant for an archive, and treat it as patient data.",
+        )
     if out is not None and out.resolve() != folder.resolve():
         require_output_folder(out)
         folder = out
-    exported = export_run(run_folder, folder, find_truth)
+    exported = export_run(run_folder, folder, find_truth, identity_from)
+    if exported.study is not None:
+        tell(f"patient: {exported.study.describe()}")
     if as_json:
         files = [str(path) for path in exported.files]
         print_json({"files": files, "absent": dict(exported.absent)})

@@ -135,7 +135,7 @@ class DicomSeries:
         data.ConvolutionKernel = KERNELS[self._faults.kernel].name
         data.PatientPosition = PATIENT_POSITION
         data.StudyInstanceUID, data.SeriesInstanceUID = self._study_uid, self.series_instance_uid
-        data.StudyID, data.SeriesNumber = "1", 1
+        data.StudyID, data.SeriesNumber, data.AcquisitionNumber = "1", 1, 1
         data.ImageOrientationPatient = [
             "1",
             "0",

@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 import shutil
 import subprocess
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,7 @@ import numpy as np
 import pytest
 from coded_errors import raises
 from localized_spheres import localized_marker
+from pydicom.dataset import Dataset
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from procedures.exchange.dicom_objects import (
@@ -81,12 +83,28 @@ def needs(program: str) -> pytest.MarkDecorator:
     )
 
 
-def registration():
+def registration() -> Dataset:
     used = [fiducial_uid(ORIGIN, name) for name in NAMES]
     return spatial_registration(POSE, ORIGIN, description="trajectory T1", fiducial_uids=used)
 
 
 OBJECTS = {"registration": registration, "fiducials": lambda: sphere_fiducials(SPHERES, ORIGIN)}
+
+
+def test_the_objects_of_a_ct_share_its_study_or_one_that_is_derived_from_it() -> None:
+    known = replace(ORIGIN, study_instance_uid="1.2.826.0.1.3")
+    assert sphere_fiducials(SPHERES, known).StudyInstanceUID == "1.2.826.0.1.3"
+    assert spatial_registration(POSE, known).StudyInstanceUID == "1.2.826.0.1.3"
+    others = replace(ORIGIN, key="another result")
+    assert len({sphere_fiducials(SPHERES, one).StudyInstanceUID for one in (ORIGIN, others)}) == 1
+    assert len({sphere_fiducials(SPHERES, one).SeriesInstanceUID for one in (ORIGIN, others)}) == 2
+
+
+def test_a_registration_says_in_which_direction_its_matrix_maps() -> None:
+    own, ct = registration().RegistrationSequence
+    (mapping,) = ct.MatrixRegistrationSequence
+    assert mapping.FrameOfReferenceTransformationComment.startswith("robot <- CT: ")
+    assert own.FrameOfReferenceUID == registration().FrameOfReferenceUID  # the identity needs no comment
 
 
 def dump(path: Path) -> str:

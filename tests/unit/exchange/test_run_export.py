@@ -13,45 +13,28 @@ from typing import Any
 
 import numpy as np
 import pytest
-from clinical_case import FIRST, LAST, ROBOT_FROM_CT, ClinicalCell
+from clinical_case import FIRST, LAST
 from coded_errors import raises
 from finished_runs import recorded_run
 from prepared_results import (
     SERIES,
-    checked_plan,
-    checked_set_up,
-    imported_ct,
-    localized_fiducials,
     registered_robot,
 )
 from pydicom import dcmread
 from scipy.spatial.transform import Rotation
+from whole_run import IN_CT, PLAN, TOO_DEEP_MM, TRUE, whole_run
 
 from procedures.engine.case import StepKey
 from procedures.exchange.allowed_fields import FILES
 from procedures.exchange.errors import NOT_WRITABLE, NOTHING_TO_EXPORT, UNKNOWN_FORM
 from procedures.exchange.run_export import export_run
 from procedures.exchange.sphere_files import check_names
-from procedures.journal.results import FramedPose
-from procedures.planning.guide import depth_stop_mm, place_guide
-from procedures.planning.plan_model import PlannedTrajectory
-from procedures.postoperative.comparison import FoundKind, FoundTrajectory
-from procedures.postoperative.summary import PostoperativeCheck
-from procedures.reporting.outcome import TargetTruth, Truth
-from procedures.steps.clinical.at_target import ReachedTarget
+from procedures.reporting.outcome import Truth
 from procedures.steps.clinical.results import RegisteredRobot
-from procedures.steps.clinical.work_progress import DepthStop
-from procedures.strategies.trajectory import target_pose
 from ronna_hw.evidence.journal_reading import RUN_CHANGED
 from ronna_hw.evidence.manifest import RAW_FOLDER, seal
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.records import OTHER_VERSION
-
-IMPORTED = imported_ct()
-SPHERES = localized_fiducials(np.array([[1.0, 2.0, 3.0]]))
-PLAN = checked_plan()
-TOO_DEEP_MM = 0.05
-TRUE = TargetTruth(id=FIRST, application_error_mm=0.5, lateral_mm=0.3, axial_mm=-0.4)
 
 
 def fit(trajectory: str, x_mm: float) -> RegisteredRobot:
@@ -59,9 +42,6 @@ def fit(trajectory: str, x_mm: float) -> RegisteredRobot:
     pose = Transform.of(Frame.ROBOT, Frame.CT, translation_mm=[x_mm, 0.0, 0.0], quaternion_wxyz=turn)
     done = registered_robot(pose)
     return done.model_copy(update={"predictions": (done.prediction(trajectory),)})
-
-
-IN_CT = ((StepKey("ct_import"), IMPORTED), (StepKey("fiducial_localization"), SPHERES))
 
 
 @pytest.fixture
@@ -79,6 +59,7 @@ def test_an_export_has_the_spheres_and_the_last_registration_of_each_trajectory(
         *("export.json", "spheres.csv", "spheres.schema.csv", "spheres.json", "spheres.mrk.json"),
         *("registrations.csv", "registrations.schema.csv", "registrations.json"),
         *("spheres.dcm", "registration-T1.dcm", "registration-T2.dcm"),
+        *("structures.dcm", "report-page.dcm"),
     }
     assert (out / "spheres.csv").read_text().splitlines()[1].startswith("M1,1.0,2.0,3.0,0.01")
     said = json.loads((out / "registrations.json").read_text())["registrations"]
@@ -135,65 +116,6 @@ def test_a_run_that_ended_early_is_exported_as_far_as_it_came(tmp_path: Path) ->
     assert index["absent"] == exported.absent
     assert {f"registration of {FIRST}", f"reached line of {LAST}", "found lines"} < set(exported.absent)
     assert {row["state"] for row in rows_of(tmp_path / "export" / "errors.csv")} == {"not reached"}
-
-
-def whole_run(folder: Path) -> Path:
-    """A run with all that an export can hold: reached, in a simulated theatre, and found in a later CT."""
-    cell = ClinicalCell(folder.parent / "cell")
-    bore, planned = cell.theatre.tools["guide"].bore, PLAN.plan.trajectories[0]
-    assert bore is not None
-    computed_mm = depth_stop_mm(PLAN.plan, planned, bore)
-    reached = ReachedTarget(
-        tool_pose=FramedPose.of(target_pose(place_guide(PLAN.plan, planned, bore), ROBOT_FROM_CT)),
-        nominal_error_mm=TOO_DEEP_MM,
-        too_deep_mm=TOO_DEEP_MM,
-        depth_stop=DepthStop(
-            bore_mm=bore.length_mm,
-            standoff_mm=PLAN.plan.standoff_mm,
-            depth_mm=planned.depth_mm,
-            computed_mm=computed_mm,
-            read_mm=computed_mm + TOO_DEEP_MM,
-        ),
-        pushed_mm=0.0,
-    )
-    (folder / "report").mkdir(parents=True)
-    (folder / "report" / "truth.json").write_text(Truth(targets=(TRUE,)).model_dump_json())
-    (folder / "report" / "postoperative.json").write_text(
-        PostoperativeCheck(
-            schema=1,
-            pre_series_instance_uid=SERIES,
-            post_series_instance_uid="1.2.9",
-            post_from_pre=tuple(map(tuple, np.eye(4).tolist())),
-            bone_agreement=1.0,
-            bone_overlap=1.0,
-            trajectories=(found_in_later_ct(planned),),
-        ).model_dump_json(by_alias=True)
-    )
-    return recorded_run(
-        folder,
-        *(*IN_CT, (StepKey("plan_check"), PLAN), (StepKey("set_up"), checked_set_up(cell))),
-        (StepKey("registration"), registered_robot()),
-        (StepKey("at_target", FIRST), reached),
-        opened={"banner": "SIMULATED THEATRE"},
-    )
-
-
-def found_in_later_ct(planned: PlannedTrajectory) -> FoundTrajectory:
-    (x, y, z) = planned.target_mm
-    return FoundTrajectory(
-        id=planned.id,
-        kind=FoundKind.INSTRUMENT,
-        planned_entry_mm=planned.entry_mm,
-        planned_target_mm=planned.target_mm,
-        entry_mm=planned.entry_mm,
-        axis_at_target_mm=(x + 1.0, y, z),
-        tip_mm=(x + 1.0, y, z),
-        entry_error_mm=0.0,
-        target_error_mm=1.0,
-        lateral_mm=0.8,
-        depth_error_mm=0.6,
-        angle_deg=1.0,
-    )
 
 
 @pytest.fixture(scope="module")
