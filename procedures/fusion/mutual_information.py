@@ -81,8 +81,10 @@ def search_starts(level: Level) -> tuple[Optimum, ...]:
     return tuple(sorted(found, key=lambda one: -one.information))
 
 
-def refine_pose(level: Level, start: RigidTransform, within: Mask) -> Optimum:
-    """Refine a pose other <- CT by the voxels of the CT that are marked `within`."""
+def refine_pose(
+    level: Level, start: RigidTransform, within: Mask, most_samples: int = MOST_SAMPLES
+) -> Optimum:
+    """Refine a pose other <- CT by the voxels of the CT that are marked `within`, or some of them."""
     sitk = require_simple_itk()
     index = np.argwhere(within)
     middle = level.geometry.to_patient_mm(index).mean(axis=0)
@@ -94,9 +96,9 @@ def refine_pose(level: Level, start: RigidTransform, within: Mask) -> Optimum:
     method.SetNumberOfThreads(1)  # sums in another order would give another result
     method.SetMetricAsMattesMutualInformation(BINS)
     method.SetMetricFixedMask(_as_image(within.astype(np.uint8), level.geometry))
-    if len(index) > MOST_SAMPLES:
+    if len(index) > most_samples:
         method.SetMetricSamplingStrategy(method.REGULAR)
-        method.SetMetricSamplingPercentage(MOST_SAMPLES / len(index), SEED)
+        method.SetMetricSamplingPercentage(most_samples / len(index), SEED)
     method.SetMetricUseFixedImageGradientFilter(False)  # Powell's method needs no gradients
     method.SetMetricUseMovingImageGradientFilter(False)
     method.SetInterpolator(sitk.sitkLinear)

@@ -66,6 +66,7 @@ class Fusion(Strict):
     schema_version: Literal[1] = Field(default=1, alias="schema", description="Version of the file format.")
     ct_series_uid: str = Field(description="DICOM UID of the CT series.")
     other_series_uid: str = Field(description="DICOM UID of the series registered to it.")
+    other_frame_uid: str = Field(description="DICOM UID of that series' frame of reference.")
     modality: str = Field(min_length=1, max_length=16, description="DICOM modality of that series.")
     ct_from_other: FusedPose = Field(description="Pose CT <- other series.")
     parts: tuple[FusedPose, ...] = Field(

@@ -25,6 +25,7 @@ from procedures.fusion.mutual_information import (
     COARSE_MM,
     FINE_MM,
     MIDDLE_MM,
+    MOST_SAMPLES,
     Level,
     Optimum,
     build_level,
@@ -47,7 +48,7 @@ FEWEST_AGREEING = 3  # of seven starts
 RIVAL_SHARE = 0.95  # of the mutual information: another optimum nearly as good makes it ambiguous
 LEAST_OVERLAP = 0.8  # of the head
 INNER_MM = 25.0  # from the head's outer face: the region of targets
-STAGES = 9  # levels, starts and halves, for the progress
+STAGES = 10  # levels, starts and halves, for the progress
 
 
 def fuse_series(
@@ -75,21 +76,20 @@ def fuse_series(
     overlap = _measure_overlap(level, flat, starts[0].other_from_ct)
     level = build_level(ct, flat, MIDDLE_MM)
     middle = refine_pose(level, starts[0].other_from_ct, level.head)
-    parts = []
-    for number, half in enumerate(_halves(level)):
-        parts.append(refine_pose(level, middle.other_from_ct, half))
-        progress((3 + number) / STAGES)
     level = build_level(ct, flat, FINE_MM)
     fine = refine_pose(level, middle.other_from_ct, level.head)
-    ct_from_other = fine.other_from_ct.inv()
-    # Each half against the whole at the same level: what the levels differ by is no disagreement.
-    turned = [one.other_from_ct.inv() * middle.other_from_ct * ct_from_other for one in parts]
-    whole, others = FusedPose.of(ct_from_other), tuple(FusedPose.of(one) for one in turned)
+    parts = []
+    for number, half in enumerate(_halves(level)):
+        part = refine_pose(level, fine.other_from_ct, half, MOST_SAMPLES // 2)
+        parts.append(FusedPose.of(part.other_from_ct.inv()))
+        progress((4 + number) / STAGES)
+    whole, others = FusedPose.of(fine.other_from_ct.inv()), tuple(parts)
     expected_mm = float(np.sqrt(np.mean(expect_errors_mm(whole, others, inner_mm) ** 2)))
     fusion = Fusion(
         schema=1,
         ct_series_uid=ct.series_instance_uid,
         other_series_uid=other.series_instance_uid,
+        other_frame_uid=other.frame_of_reference_uid,
         modality=modality,
         ct_from_other=whole,
         parts=others,
