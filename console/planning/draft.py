@@ -17,7 +17,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from procedures.imaging.markers import Marker, ScanDeformation
 from procedures.planning.ac_pc import AcPcFrame, require_commissures
 from procedures.planning.errors import UnsavedChanges
-from procedures.planning.plan_model import SCHEMA_VERSION, FiducialKind, Plan, Structure
+from procedures.planning.plan_model import SCHEMA_VERSION, FiducialKind, Plan, PlanFusion, Structure
 from procedures.strategies.trajectory import Point
 from ronna_hw.bounded_input import InputRefused, read_json_bytes
 from ronna_hw.records import write_atomically
@@ -39,6 +39,7 @@ class DraftTrajectory:
     target_mm: Point | None = None
     free_angle_deg: float = 0.0
     margin_mm: float = USUAL_MARGIN_MM
+    fusion_error_mm: float | None = None  # of a target chosen in a fused series
 
     @property
     def ends(self) -> tuple[Point, Point] | None:
@@ -68,6 +69,7 @@ class Draft:
     structures: tuple[Structure, ...] = ()
     table_position: str = ""  # as in the scanner
     landmarks: tuple[Point, ...] = ()  # AC, PC and a point of the midline, as far as they are clicked
+    fusion: PlanFusion | None = None  # by which targets were chosen, as the plan states it
     markers: tuple[Marker, ...] = ()
     deformation: ScanDeformation | None = None  # that the spheres of the CT show
 
@@ -83,10 +85,18 @@ class Draft:
             standoff_mm=plan.standoff_mm,
             instrument_length_mm=plan.instrument_length_mm,
             ways=tuple(
-                DraftTrajectory(item.id, item.entry_mm, item.target_mm, item.free_angle_deg, item.margin_mm)
+                DraftTrajectory(
+                    item.id,
+                    item.entry_mm,
+                    item.target_mm,
+                    item.free_angle_deg,
+                    item.margin_mm,
+                    item.fusion_error_mm,
+                )
                 for item in plan.trajectories
             ),
             structures=plan.structures or (),
+            fusion=plan.fusion,
             table_position=plan.table_position or "",
             landmarks=()
             if plan.ac_pc is None
@@ -170,6 +180,7 @@ class Draft:
                     "target_mm": list(item.ends[1]),
                     "free_angle_deg": item.free_angle_deg,
                     "margin_mm": item.margin_mm,
+                    **({} if item.fusion_error_mm is None else {"fusion_error_mm": item.fusion_error_mm}),
                 }
                 for item in self.ways
                 if item.ends is not None
@@ -181,6 +192,8 @@ class Draft:
             content["template_mm"] = [list(item) for item in self.template_mm]
         if self.table_position:
             content["table_position"] = self.table_position
+        if self.fusion is not None and any(item.fusion_error_mm is not None for item in self.ways):
+            content["fusion"] = self.fusion.model_dump(mode="json")
         if self.structures:
             content["structures"] = [item.model_dump(mode="json") for item in self.structures]
         if len(self.landmarks) == len(LANDMARKS):
@@ -282,6 +295,7 @@ class _StoredDraft(BaseModel):
     structures: tuple[Structure, ...]
     table_position: str = ""
     landmarks: Annotated[tuple[Point, ...], Field(max_length=len(LANDMARKS))] = ()
+    fusion: PlanFusion | None = None
 
     @model_validator(mode="after")
     def _check_landmarks(self) -> _StoredDraft:

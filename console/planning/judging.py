@@ -148,7 +148,9 @@ def _predict_errors(
                 )
                 found[item.id] = _to_expected_error(predicted, with_arm=True)
             else:
-                predicted = predict_by_markers(markers_mm, covariances_mm2, item.target_mm, draft.deformation)
+                predicted = predict_by_markers(
+                    markers_mm, covariances_mm2, item.target_mm, draft.deformation, item.fusion_error_mm
+                )
                 found[item.id] = _to_expected_error(predicted, with_arm=False)
         except (RonnaError, np.linalg.LinAlgError):  # collinear markers; the check reports it
             continue

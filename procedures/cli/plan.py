@@ -16,6 +16,7 @@ from typer import Argument, Option
 from procedures.cli import planning_inputs
 from procedures.cli.marker_places import marker_places, template
 from procedures.cli.place import place
+from procedures.cli.plan_markups import from_markups, to_markups
 from procedures.cli.plan_sheet import sheet
 from procedures.strategies.names import DEFAULT_STRATEGY
 from ronna_hw.command_line import terminal
@@ -29,10 +30,6 @@ if TYPE_CHECKING:
     from ronna_hw.tool_record import GuideBore
 
 PLANNER = "console.planning.serving"
-ONLY_THE_SIDE_TELLS = (
-    "mirrored left and right, this plan would fit the CT as well: only the side tells whether it is "
-    "right; for each trajectory compare with the CT on which side of the middle its entry is"
-)
 STOP_NOT_JUDGED = (
     "whether the depth stop fits on the instrument was not judged: the length of the guide is in the theatre "
     "file; give --config and --robot-from-ct"
@@ -103,7 +100,7 @@ def check(
     elif head is not None:
         _print_trajectories(result, head, theatre.bore if theatre else None)
         if result.only_side_tells:
-            terminal.tell(ONLY_THE_SIDE_TELLS)
+            terminal.tell(planning_inputs.ONLY_THE_SIDE_TELLS)
         if result.distances:
             _print_distances(result)
         if result.motions:
@@ -111,6 +108,8 @@ def check(
     result.require()
 
 
+app.command()(from_markups)
+app.command()(to_markups)
 app.command()(template)
 app.command("markers")(marker_places)
 

@@ -24,6 +24,10 @@ STRATEGY_HELP = "How the stereo head is oriented at the spheres. {}.".format(
     "; ".join(f"{name}: {meaning}" for name, meaning in STRATEGY_NAMES.items())
 )
 NEAREST_CT_MM = 10.0  # from base to CT frame, unless they are one; any theatre in metres would be closer
+ONLY_THE_SIDE_TELLS = (
+    "mirrored left and right, this plan would fit the CT as well: only the side tells whether it is "
+    "right; for each trajectory compare with the CT on which side of the middle its entry is"
+)
 KUKA_ORDER = "X Y Z in mm, then A B C in deg about z, y and x, as KUKA's"
 SixNumbers = tuple[float, float, float, float, float, float]
 

@@ -1,4 +1,4 @@
-"""Export errors, EXC-001 to EXC-009."""
+"""Export errors, EXC-001 to EXC-009, and those of markups, MRK-001 to MRK-003."""
 
 from __future__ import annotations
 
@@ -62,4 +62,25 @@ REPORT_PACKAGE_MISSING = ErrorCode(
     "The package for DICOM structured reports is not installed.",
     "Run make setup in the clone, or in its environment: pip install 'ronna-hw[dicom]'.",
     own_exit_code=EXIT_USAGE,
+)
+
+MARKUP_UNREADABLE = ErrorCode(
+    "MRK-001",
+    DataError,
+    "A markups file is unreadable, or a markup is not a line of two placed points.",
+    "In 3D Slicer draw each trajectory as a line with both ends placed, and save it as .mrk.json.",
+)
+
+MARKUP_OF_ANOTHER_FRAME = ErrorCode(
+    "MRK-002",
+    DataError,
+    "A markup is in another frame of reference, coordinate system or unit.",
+    "Draw it on the CT of the plan and save it in LPS or RAS, in millimetres.",
+)
+
+MARKUP_ENDS = ErrorCode(
+    "MRK-003",
+    DataError,
+    "It is not known which end of a line is the target.",
+    "Label the points with the words entry and target, or give --order entry-first or target-first.",
 )

@@ -40,6 +40,7 @@ NOT_METRES = "give millimetres, not metres"
 HEAD_SPAN = 0.5  # metres: wider than any head
 TABLE_TRAVEL = 2.0  # metres: how far a series may be from the scanner's origin
 MOST_INSTRUMENT_MM = 500.0  # twice the longest biopsy needle
+LARGEST_FUSION_ERROR_MM = 5.0  # ten times what a fusion may expect
 
 Coordinate = Annotated[float, Field(allow_inf_nan=False, ge=-10_000.0, le=10_000.0)]
 Point = tuple[Coordinate, Coordinate, Coordinate]
@@ -85,6 +86,13 @@ class PlannedTrajectory(Strict):
     target_mm: Point = Field(description="Where it ends, LPS.")
     free_angle_deg: FreeAngle = Field(default=0.0, description="Angle of the guide about the axis.")
     margin_mm: Margin = Field(description="Largest accepted target error.")
+    fusion_error_mm: float | None = Field(
+        default=None,
+        allow_inf_nan=False,
+        gt=0.0,
+        le=LARGEST_FUSION_ERROR_MM,
+        description="Expected rms error of the fusion at the target, if it was chosen in the fused series.",
+    )
 
     @model_validator(mode="after")
     def _check_depth(self) -> PlannedTrajectory:
@@ -167,6 +175,18 @@ def _check_count(trajectories: tuple[PlannedTrajectory, ...]) -> tuple[PlannedTr
     return trajectories
 
 
+class PlanFusion(Strict):
+    """Fusion by which targets were chosen in another series than the CT."""
+
+    series_instance_uid: str = Field(
+        max_length=64, pattern=UID_PATTERN, description="DICOM UID of the series in which they were chosen."
+    )
+    modality: str = Field(min_length=1, max_length=16, description="Its DICOM modality, such as MR.")
+    record_sha256: str = Field(
+        pattern=DIGEST_PATTERN, description="Digest of the file that `ronna-ct fuse` wrote."
+    )
+
+
 class Seal(Strict):
     """Seal of a plan: author, and digests of CT and plan. An altered plan is rejected."""
 
@@ -216,6 +236,9 @@ class Plan(Strict):
     ac_pc: AcPcPoints | None = Field(
         default=None, description="Points of the AC-PC frame, if coordinates are read in it."
     )
+    fusion: PlanFusion | None = Field(
+        default=None, description="Fusion by which targets were chosen in another series, if any were."
+    )
     seal: Seal | None = Field(
         default=None, description="Seal of the planner; remove it to edit the file by hand."
     )
@@ -234,6 +257,19 @@ class Plan(Strict):
                 raise PydanticCustomError(
                     "frame", "template_mm is for free spheres, not for the x-shaped frame"
                 )
+        return self
+
+    @model_validator(mode="after")
+    def _check_fusion(self) -> Plan:
+        chosen = [one.id for one in self.trajectories if one.fusion_error_mm is not None]
+        if chosen and self.fusion is None:
+            raise PydanticCustomError(
+                "fusion", "{ids}: fusion_error_mm needs the table [fusion]", {"ids": ", ".join(chosen)}
+            )
+        if self.fusion is not None and not chosen:
+            raise PydanticCustomError(
+                "fusion", "[fusion] needs fusion_error_mm in the trajectories that were chosen by it"
+            )
         return self
 
     @model_validator(mode="after")

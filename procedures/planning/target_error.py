@@ -43,6 +43,7 @@ if TYPE_CHECKING:
 
 SCAN = "scan as a whole"
 SEATING = "seating of the spheres"
+FUSION = "fusion"
 USUAL_SEATING_MM = 0.05  # per axis, the default of a theatre file
 
 
@@ -51,15 +52,17 @@ def predict_by_markers(
     covariances_mm2: Array,
     target_mm: Sequence[float],
     deformation: ScanDeformation | None = None,
+    fusion_error_mm: float | None = None,
 ) -> TargetPrediction:
-    """Predict the target error from the errors of a CT and the seating of its markers.
+    """Predict the target error from the errors of a CT, the seating of its markers, and a fusion if any.
 
-    Those are (n, 3) mm, covariances (n, 3, 3). `deformation` is what they show of the scan as a whole.
+    Markers are (n, 3) mm, covariances (n, 3, 3). `deformation` is what they show of the scan as a whole.
     """
     sources = (
         ct_errors(covariances_mm2),
         scan_errors(deformation, markers_mm, target_mm, np.eye(3)),
         _seating_errors(len(markers_mm), USUAL_SEATING_MM),
+        *fusion_errors(fusion_error_mm, len(markers_mm)),
     )
     return predict_target_error(markers_mm, target_mm, sources)
 
@@ -102,6 +105,7 @@ def predict_with_arm(
         ct_errors(rotation @ covariances_mm2[fiducials] @ rotation.T),
         scan_errors(deformation, spheres_ct_mm, planned.target_mm, rotation),
         _seating_errors(len(sphere_visits), theatre.seating_error_mm),
+        *fusion_errors(planned.fusion_error_mm, len(sphere_visits)),
         *arm_error_sources(setting, sphere_visits, target, tip_mm),
         *_guide_errors(theatre, plan, planned, target, zero),
         *(IndependentErrors(name, zero, np.eye(3) * rms**2 / 3.0) for name, rms in theatre.at_target_mm),
@@ -138,6 +142,13 @@ def arm_error_sources(
         setting.sizes,
         servo_mm=0.0,  # the servo's residual is measured
     )
+
+
+def fusion_errors(error_mm: float | None, spheres: int) -> tuple[IndependentErrors, ...]:
+    """Return the error at a target chosen in another series, rms in mm; none for one chosen in the CT."""
+    if error_mm is None:
+        return ()
+    return (IndependentErrors(FUSION, np.zeros((spheres, 3, 3)), np.eye(3) * error_mm**2 / 3.0),)
 
 
 def _seating_errors(markers: int, per_axis_mm: float) -> IndependentErrors:

@@ -22,7 +22,7 @@ from procedures.planning.guide import (
     instrument_covariance_mm2,
 )
 from procedures.planning.plan_model import PlannedTrajectory
-from procedures.planning.target_error import scan_errors
+from procedures.planning.target_error import fusion_errors, scan_errors
 from procedures.registration import Registration, RoomPoint, TwoWayTable, register, verify_two_way
 from procedures.registration.error_theory import DEFAULT_CONFIDENCE, FreGate
 from procedures.registration.points import FEWEST_PAIRS
@@ -260,7 +260,7 @@ def predict_tip_error(
     planned: PlannedTrajectory,
     move: MeasuredMove | None = None,
 ) -> Prediction:
-    """Predict the tip's error at a target from the errors of spheres, arm, guide and instrument.
+    """Predict the tip's error at a target from the errors of spheres, arm, guide, instrument and fusion.
 
     Of errors common to spheres and target, only the remainder counts. A followed `move` adds its own error.
     If the spheres disagree by more than all of it states, the limit is widened.
@@ -292,6 +292,7 @@ def predict_tip_error(
             )
         ),
         IndependentErrors("seating of the spheres", pairs.seating_mm2, np.zeros((3, 3))),
+        *fusion_errors(planned.fusion_error_mm, len(pairs.ct_mm2)),
         IndependentErrors("stereo measurement", pairs.stereo_mm2, np.zeros((3, 3))),
         *error_budget.arm_errors(context, pairs.fiducials, fit.physical_mm, target, held),
         IndependentErrors(INSTRUMENT, nothing, instrument_covariance_mm2(plan, planned, bore, turn)),

@@ -77,16 +77,26 @@ SCREW_IN_BONE_MM = 5.0
 
 
 class HeadLayers:
-    """Intensity of the head's layers by depth, with edges blurred by a Gaussian of `blur_mm`."""
+    """Intensity of the head's layers by depth, with edges blurred by a Gaussian of `blur_mm`.
 
-    def __init__(self, centre: Point, semi_axes: Point, blur_mm: float) -> None:
+    The layers are those of a CT unless others are given, with the intensity of `air` around the head.
+    """
+
+    def __init__(
+        self,
+        centre: Point,
+        semi_axes: Point,
+        blur_mm: float,
+        layers: tuple[tuple[float, float], ...] = LAYERS,
+        air: float = AIR_HU,
+    ) -> None:
         self.centre = centre
         self.semi_axes = semi_axes
-        inside_mm = sum(thickness for thickness, _ in LAYERS) + OUTSIDE_MM
+        inside_mm = sum(thickness for thickness, _ in layers) + OUTSIDE_MM
         depths = np.arange(-OUTSIDE_MM, inside_mm, STEP_MM)
-        table = np.full(len(depths), AIR_HU)
+        table = np.full(len(depths), air)
         top = 0.0
-        for thickness, hu in LAYERS:
+        for thickness, hu in layers:
             table[depths >= top] = hu
             top += thickness
         self._table = _blur_table(table, blur_mm / STEP_MM).astype(np.float32)
