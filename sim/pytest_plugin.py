@@ -1,9 +1,9 @@
 """pytest plugin: simulated devices as fixtures, for the tests of any program that talks to such devices.
 
-`ronna_polaris`, `ronna_kuka`, `ronna_ur`, `ronna_cameras` and `ronna_theatre` are a fresh simulator for each
-test, on endpoints that nobody else uses; with --ronna-shared one of each for all tests, without faults at the
-beginning of each. An indirect parameter gives other options of `ronna-sim`. `ronna_simulator` makes any number of
-them for a test, `ronna_shared_simulator` for all tests.
+`ronna_polaris`, `ronna_kuka`, `ronna_ur`, `ronna_cameras` and `ronna_theatre` start a simulator for each test, on
+endpoints that nobody else uses; with --ronna-shared one of each serves all tests, without faults at the beginning
+of each. An indirect parameter gives other options of `ronna-sim`. `ronna_simulator` starts any number of
+simulators for a test, `ronna_shared_simulator` for all tests.
 
 Every run of pytest in this environment imports this module, so it imports nothing else.
 """
@@ -20,8 +20,7 @@ import pytest
 if TYPE_CHECKING:
     from sim.simulators import Simulator
 
-    StartSimulator = Callable[..., Simulator]  # with the name of the simulator, and its options
-
+StartSimulator = Callable[..., "Simulator"]  # with the name of the simulator, and its options
 KUKA_OPTIONS = ("--autostart",)  # a client of the stream need not know the project's command channel
 
 

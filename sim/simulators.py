@@ -23,6 +23,8 @@ from sim.world.running import variables_of
 
 FREE = "tcp://127.0.0.1:0"
 MOST_ADDRESSES = 3  # that `own_address` has for one process
+
+
 class Simulator:
     """Running simulated device or theatre. `ready` holds the fields of its READY line."""
 
