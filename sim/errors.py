@@ -153,3 +153,19 @@ NOT_RUNNING = ErrorCode(
     "No running simulator, or more than one, is meant; or it cannot be stopped from here.",
     "ronna-sim list shows what is running.",
 )
+
+
+NO_SUCH_SIMULATOR = ErrorCode(
+    "SIM-020",
+    ConfigurationError,
+    "A test asks for a simulator that does not exist.",
+    "Give polaris, kuka, ur, basler or theatre.",
+)
+
+
+NO_FREE_ADDRESS = ErrorCode(
+    "SIM-021",
+    ConnectError,
+    "No address is left for one more simulator of this process.",
+    "Stop one of the others: `simulator.stop()`, or let its fixture end.",
+)

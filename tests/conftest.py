@@ -21,7 +21,7 @@ MANY_FILES = 300  # `select` takes numbers up to 1023
 TOO_MANY_FILES = 900
 MORE_FILES = 150  # than were in use after the last search: so many may be garbage by now
 
-pytest_plugins = ["hazard_ledger"]
+pytest_plugins = ["hazard_ledger", "sim.pytest_plugin"]
 
 settings.register_profile("suite", deadline=None)  # how long an example takes says how busy the computer is
 settings.load_profile("suite")

@@ -57,6 +57,7 @@ from sim.world.faults import (
 from sim.world.faults.board import format_beginning
 from sim.world.faults.fault import Fault
 from sim.world.faults.room import DEVICE, MISSED_TASK, MOVE, WRONG_STOP, WRONG_TOOL, tool_numbers
+from sim.world.faults.tracker import name_tool
 from sim.world.saved_world import save_world
 from sim.world.staff import Staff, TaskRefused
 from sim.world.world import World
@@ -304,9 +305,9 @@ class ControlledRoom:
         self._world.put_on_stand(OnStand(str(request["holds"])))
 
     def _fault(self, request: dict[str, Any]) -> dict[str, Any]:
-        line = str(request["line"])
-        fault = parse_request(line)
         loaded = None if self._loaded is None else self._loaded()
+        line = name_tool(str(request["line"]), self._world.scene, loaded)
+        fault = parse_request(line)
         check_faults([fault], self._world.scene, self._devices, loaded)
         line = begin_now(line, self._world.clock.now_s())
         self._add_to_script(line)
@@ -316,7 +317,9 @@ class ControlledRoom:
         line = request.get("line")
         if line is not None:
             _, text = self._world.fault_script()
-            self._world.set_fault_script(without_fault(text, str(line)))
+            loaded = None if self._loaded is None else self._loaded()
+            ended = name_tool(str(line), self._world.scene, loaded)
+            self._world.set_fault_script(without_fault(text, ended))
             return
         # Carts that were moved stay there, beyond a step to which the move was bound.
         begun = [one for one in self._board.acting_since() if one[0].kind is MOVE]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Sequence
 
 from ronna_hw.wire.polaris import MAXIMUM_STRAYS
@@ -20,6 +21,8 @@ SLOW_COMMANDS = ("INIT", "PINIT", "TSTART")
 SOCKETS = ("1", "2", "3")  # for wired tools
 # Bits of Info.Status.Alerts with a defined meaning.
 KNOWN_ALERTS = tuple(str(bit) for bit in (*range(9), *range(20, 27), 29, 30))
+_HIDE = re.compile(r"\b(tracker) hide\b")
+_NUMBERED_TOOL = re.compile(r"\b(tracker \w+ tool )([0-9]{1,2})(?= |$)")
 TRACKER = FaultKinds("tracker")
 declare_lasting, declare_momentary = TRACKER.declare_lasting, TRACKER.declare_momentary
 
@@ -48,6 +51,22 @@ def check_tool_is_there(fault: Fault, scene: Scene, loaded: Sequence[str]) -> It
     ):
         known = [*(tool.name for tool in scene.tracker.tools), *loaded]
         yield from unless_known("tool", list(dict.fromkeys(known)), fault.argument)
+
+
+def name_tool(line: str, scene: Scene, loaded: Sequence[str] | None) -> str:
+    """Return a line typed at the control port as scripts write it.
+
+    A client knows its tools by number, counted from 1 in the order in which it has loaded them: the number is
+    replaced by the tool's name. To hide a tool is to occlude it.
+    """
+    named = [tool.name for tool in scene.tracker.tools] if loaded is None else loaded
+
+    def name(found: re.Match[str]) -> str:
+        number = int(found[2])
+        is_number = not _tools(found[2], scene) and 0 < number <= len(named)
+        return f"{found[1]}{named[number - 1]}" if is_number else found[0]
+
+    return _NUMBERED_TOOL.sub(name, _HIDE.sub(r"\1 occlude", line))
 
 
 def _check_visible_fiducial(arguments: Arguments, scene: Scene) -> Iterator[str]:

@@ -10,42 +10,41 @@ from pathlib import Path
 import pytest
 from documented import ROOT, write_files
 
-from ronna_hw.host.child_process import ChildProcess, command
-from ronna_hw.host.network import own_address, own_udp_endpoint
-from sim.world.running import variables_of
+from sim.pytest_plugin import StartSimulator
 
 PAGE = "docs/how-to/extending/a-client-of-your-own.md"
 LIMIT_S = 60.0
-ANY_PORT = "tcp://127.0.0.1:0"
-KUKA = ("kuka", "--autostart", "--eki", ANY_PORT, "--eki-project", ANY_PORT)
 
 
 @pytest.mark.parametrize(
     ("client", "simulator", "sees"),
     [
-        ("kuka", (*KUKA, "--rsi", own_udp_endpoint()), ("A1 has turned to 0.9", 'Mode="EXT"')),
-        ("ur", ("ur", "--address", own_address()), ("the wrist is at -1.47",)),
+        ("kuka", ("kuka", "--autostart"), ("A1 has turned to 0.9", 'Mode="EXT"')),
+        ("ur", ("ur",), ("the wrist is at -1.47",)),
         (
             "polaris",
-            ("polaris", "--endpoint", ANY_PORT),
+            ("polaris",),
             ("tool 01 is at [-150.15, -300.01, -1499.95] mm", "3 strays"),
         ),
         ("camera", ("basler",), ("acA2000-50gmNIR 21904411, ronna-sim, process", f"{2048 * 1088} pixels")),
     ],
 )
 def test_the_client_on_the_page_works_as_written(
-    client: str, simulator: tuple[str, ...], sees: tuple[str, ...], tmp_path: Path
+    client: str,
+    simulator: tuple[str, ...],
+    sees: tuple[str, ...],
+    tmp_path: Path,
+    ronna_simulator: StartSimulator,
 ) -> None:
     write_files(PAGE, tmp_path)
-    with ChildProcess(f"ronna-sim {simulator[0]}", command("sim.cli", *simulator)) as child:
-        done = subprocess.run(
-            [sys.executable, "-P", tmp_path / f"{client}_client.py"],
-            cwd=ROOT,
-            env=os.environ | variables_of(child.ready),
-            capture_output=True,
-            text=True,
-            timeout=LIMIT_S,
-            check=False,
-        )
+    done = subprocess.run(
+        [sys.executable, "-P", tmp_path / f"{client}_client.py"],
+        cwd=ROOT,
+        env=os.environ | ronna_simulator(*simulator).variables,
+        capture_output=True,
+        text=True,
+        timeout=LIMIT_S,
+        check=False,
+    )
     assert done.returncode == 0, done.stderr
     assert all(text in done.stdout for text in sees), done.stdout

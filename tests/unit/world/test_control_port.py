@@ -251,6 +251,18 @@ def test_one_fault_is_cleared_and_one_that_was_not_injected_is_refused(
     assert world.fault_script()[1] == ""
 
 
+def test_a_client_may_hide_a_tool_by_the_number_in_which_it_has_loaded_it(
+    port: ControlPort, world: World
+) -> None:
+    ask_control_port(port.endpoint, "fault", line="tracker hide tool 1 for 2 s")
+    (fault,) = parse_faults(world.fault_script()[1])
+    assert fault.phrase == f"tracker occlude tool {world.scene.tracker.tools[0].name}"
+    ask_control_port(port.endpoint, "clear_faults", line="tracker hide tool 1")
+    assert world.fault_script()[1] == ""
+    with pytest.raises(ControlRequestRefused, match="SIM-003"):
+        ask_control_port(port.endpoint, "fault", line="tracker hide tool 99")
+
+
 def test_an_answer_sent_in_drips_is_given_up_after_the_time_of_one_answer(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
