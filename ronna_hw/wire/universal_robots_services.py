@@ -41,6 +41,7 @@ class PartKind(IntEnum):
 class MessageKind(IntEnum):
     """Kind of a message."""
 
+    TEXT = 0
     VERSION = 3
     SAFETY_MODE = 5
     ERROR = 6

@@ -15,8 +15,8 @@ from sim.universal_robots.loads import Loads
 from sim.universal_robots.model import HOME_RAD, JOINTS, Model
 from sim.universal_robots.modes import BROKEN, EMERGENCY, Modes
 from sim.universal_robots.programs.outgoing import Outgoing
-from sim.universal_robots.programs.program import UrProgram
-from sim.universal_robots.robot import Robot
+from sim.universal_robots.programs.program import FIRST_PLACE, ScriptPlace, UrProgram
+from sim.universal_robots.robot import COMMANDED_STOP, Robot
 from sim.universal_robots.variables import (
     PLACES,
     ROBOT_MODE,
@@ -45,13 +45,14 @@ class News:
     def __init__(self) -> None:
         self.program: list[Callable[[str, str], None]] = []  # what happened, name
         self.safety: list[Callable[[SafetyMode], None]] = []
-        self.failure: list[Callable[[str, int], None]] = []  # runtime exception, line of the program
+        self.failure: list[Callable[[str, ScriptPlace], None]] = []  # runtime exception
+        self.text: list[Callable[[str], None]] = []  # of a program
         self.error: list[Callable[[int, str], None]] = []  # number, text
 
-    def tell_failure(self, text: str, line: int = 1) -> None:
+    def tell_failure(self, text: str, place: ScriptPlace = FIRST_PLACE) -> None:
         """Tell of a program that failed."""
         for tell in self.failure:
-            tell(text[:LONGEST_TOLD], line)
+            tell(text[:LONGEST_TOLD], place)
 
     def tell_program(self, what: str, name: str) -> None:
         """Report a program."""
@@ -168,8 +169,9 @@ class Controller:
     def protective_stop(self, reason: str) -> None:
         """Stop the arm, as after a collision."""
         if self.modes.safety_mode is not SafetyMode.PROTECTIVE_STOP:
+            code = COMMANDED_STOP_CODE if reason == COMMANDED_STOP else PROTECTIVE_STOP_CODE
             for tell in self.news.error:
-                tell(PROTECTIVE_STOP_CODE, reason)
+                tell(code, reason)
         self.hold(SafetyMode.PROTECTIVE_STOP)
 
     def hold(self, mode: SafetyMode, *, holds: bool = True) -> None:
@@ -219,6 +221,8 @@ class Controller:
         served = drives.served
         if self.runtime_state is RuntimeState.PLAYING:
             self._run_program()
+        if robot.told:
+            self._tell_texts()
         if drives.served == served:
             self._brake()
         loads = self.loads
@@ -246,6 +250,12 @@ class Controller:
         except (ArithmeticError, ValueError) as error:  # numbers of a client with which it cannot compute
             program.failure = str(error)
             self.stop()
+
+    def _tell_texts(self) -> None:
+        texts, self.robot.told = self.robot.told, []
+        for text in texts:
+            for tell in self.news.text:
+                tell(text[:LONGEST_TOLD])
 
     def _watchdog_allows(self, program: UrProgram) -> bool:
         watchdog = program.watchdog
@@ -340,3 +350,4 @@ class Controller:
 
 
 PROTECTIVE_STOP_CODE = 153  # position deviates from path (U: the cause is ours)
+COMMANDED_STOP_CODE = 209  # a program has triggered a protective stop

@@ -21,6 +21,7 @@ from sim.universal_robots.kinematics import (
 from sim.universal_robots.model import HOME_RAD, JOINTS, Model
 
 _TCP_OFFSET, _COG = variables.PLACES["tcp_offset"], variables.PLACES["payload_cog"]
+COMMANDED_STOP: Final = "protective_stop()"  # reason of a stop that a program has asked for by that name
 LARGEST: Final = 1e6  # kg, m or rad of a load, far beyond any: currents by it still fit in a package
 
 
@@ -44,6 +45,7 @@ class Robot:
         self.tcp = IDENTITY
         self.keeps_load = False  # fault: a new payload or tool centre point has no effect
         self.stop_request = ""  # a program asks for a protective stop, for this reason
+        self.told: list[str] = []  # texts of a program, until the next cycle
 
     # -- registers
 

@@ -48,7 +48,8 @@ class ClientInterfaces:
         self.realtime = listen(REALTIME_PORT)
         news.program.append(lambda what, name: self._tell(packages.key(f"PROGRAM_XXX_{what}", name)))
         news.safety.append(lambda mode: self._tell(packages.safety_mode(mode)))
-        news.failure.append(lambda text, line: self._tell(packages.runtime_exception(text, line)))
+        news.failure.append(lambda text, place: self._tell(packages.runtime_exception(text, place)))
+        news.text.append(lambda text: self._tell(packages.text(text)))
         news.error.append(lambda code, text: self._tell(packages.error(code, text)))
 
     @property
@@ -136,7 +137,7 @@ class ClientInterfaces:
         """Answer a script that is not simulated as a controller answers one that it cannot compile."""
         log = logger(device="ur")
         log.warning("a script that is not simulated was refused", script=name_of(text), why=str(unknown))
-        self._controller.news.tell_failure(str(unknown), unknown.line)
+        self._controller.news.tell_failure(str(unknown), unknown.place)
 
 
 class ScriptHandler(Handler):

@@ -21,6 +21,10 @@ TOO_EARLY: Final = (
     "Cannot unlock protective stop until 5s after occurrence. "
     "Always inspect cause of protective stop before unlocking"
 )
+NO_MODE, NO_ROLE = "NONE", "NONE"
+OPERATIONAL_MODES: Final = ("MANUAL", "AUTOMATIC")  # stated only (U)
+USER_ROLES: Final = ("PROGRAMMER", "OPERATOR", NO_ROLE, "LOCKED", "RESTRICTED")  # of CB3, stated only (U)
+REPORT_ID, SUPPORT_FILE = 1, "ur_support_file.zip"  # named, not written (U)
 NOT_ALLOWED: Final = "Command is not allowed due to safety reasons"  # in local mode (U)
 STATES: Final = {
     RuntimeState.PLAYING: "PLAYING",
@@ -38,6 +42,8 @@ class Dashboard:
     def __init__(self, controller: Controller, address: str, poll: Poll) -> None:
         self._controller = controller
         self.silent = False  # fault: nothing is answered
+        self._operational_mode = NO_MODE
+        self._user_role = NO_ROLE
         orders: dict[DashboardOrder, Callable[[], object]] = {
             DashboardOrder.POWER_ON: controller.modes.power_on,
             DashboardOrder.POWER_OFF: controller.power_off,
@@ -68,9 +74,16 @@ class Dashboard:
             "pause": self._pause,
             "load": self._load,
             "isprogramsaved": lambda _: f"true {controller.loaded}" if controller.loaded else "false",
-            "get operational mode": lambda _: "NONE",
+            "load installation": lambda name: f"Loading installation: {name}",
+            "get operational mode": lambda _: self._operational_mode,
+            "set operational mode": self._set_operational_mode,
+            "clear operational mode": self._clear_operational_mode,
+            "getuserrole": lambda _: self._user_role,
+            "setuserrole": self._set_user_role,
             Query.ADD_TO_LOG.lower(): lambda _: "Added log message",
             "savelog": lambda _: "Log saved to disk",
+            "generate flight report": lambda _: f"Flight Report generated with id: {REPORT_ID}",
+            "generate support file": lambda folder: f"Completed successfully: {folder}/{SUPPORT_FILE}",
         }
         self._most_words = max(len(name.split()) for name in self._commands)
         self.listener = ServiceListener(address, DASHBOARD_PORT, poll, self._connect)
@@ -126,6 +139,22 @@ class Dashboard:
     def _pause(self, _: str) -> str:
         return "Pausing program" if self._controller.pause() else "Failed to execute: pause"
 
+    def _set_operational_mode(self, mode: str) -> str:
+        if mode.upper() not in OPERATIONAL_MODES:
+            return f"Operational mode {mode} is not valid"
+        self._operational_mode = mode.upper()
+        return f"Operational mode {self._operational_mode} is set"
+
+    def _clear_operational_mode(self, _: str) -> str:
+        self._operational_mode = NO_MODE
+        return f"No longer controlling the operational mode. Current operational mode: {NO_MODE}"
+
+    def _set_user_role(self, role: str) -> str:
+        if role.upper() not in USER_ROLES:
+            return f"Failed setting user role: {role}"
+        self._user_role = role.upper()
+        return f"Setting user role: {self._user_role}"
+
     def _popup(self, text: str) -> str:
         self._controller.popup = text
         return "showing popup"
@@ -149,6 +178,7 @@ QUERIES: Final = frozenset(
         "get loaded program",
         "isprogramsaved",
         "get operational mode",
+        "getuserrole",
     }
 )
 

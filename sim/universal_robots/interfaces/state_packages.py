@@ -11,7 +11,11 @@ from zlib import crc32
 from ronna_hw.wire import universal_robots_services as wire
 from ronna_hw.wire.universal_robots import RuntimeState, SafetyMode
 from ronna_hw.wire.universal_robots_services import MessageKind, PackageKind, PartKind
-from sim.universal_robots.controller import Controller
+from sim.universal_robots.controller import (
+    COMMANDED_STOP_CODE,
+    PROTECTIVE_STOP_CODE,
+    Controller,
+)
 from sim.universal_robots.kinematics import pose_of_frame
 from sim.universal_robots.model import (
     ALPHA_RAD,
@@ -20,6 +24,7 @@ from sim.universal_robots.model import (
     LARGEST_ACCELERATION_RAD_S2,
 )
 from sim.universal_robots.modes import EMERGENCY
+from sim.universal_robots.programs.program import ScriptPlace
 from sim.universal_robots.variables import (
     DIGITAL_INPUTS,
     DIGITAL_OUTPUTS,
@@ -30,7 +35,8 @@ from sim.universal_robots.variables import (
 
 CONTROLLER_SOURCE = -2
 NO_DATA, UNSIGNED_DATA = 0, 1  # types of report data
-ERROR_LEVEL, WARNING_LEVEL = 3, 2
+VIOLATION_LEVEL, WARNING_LEVEL = 3, 2
+WARNINGS: Final = frozenset({PROTECTIVE_STOP_CODE, COMMANDED_STOP_CODE})
 MODE_BYTES: Final = {"38": (0, b""), "46": (1, b""), "47": (1, b"\0")}  # with limit of the speed, and padding
 CALIBRATION_LINEARISED = 2
 MAIN_VOLTAGE, CONTROLLER_TEMPERATURE = 48.0, 30.0
@@ -89,12 +95,17 @@ class StatePackages:
 
     def error(self, code: int, text: str) -> bytes:
         """Return an error message, C and a number."""
-        payload = pack(">iiiII", code, 0, ERROR_LEVEL, NO_DATA, 0) + text.encode()
+        level = WARNING_LEVEL if code in WARNINGS else VIOLATION_LEVEL
+        payload = pack(">iiiII", code, 0, level, NO_DATA, 0) + text.encode()
         return _message(MessageKind.ERROR, self._now_us, payload)
 
-    def runtime_exception(self, text: str, line: int) -> bytes:
-        """Return the message of a program that failed at a line."""
-        return _message(MessageKind.RUNTIME_EXCEPTION, self._now_us, pack(">ii", line, 1) + text.encode())
+    def runtime_exception(self, text: str, place: ScriptPlace) -> bytes:
+        """Return the message of a program that failed there."""
+        return _message(MessageKind.RUNTIME_EXCEPTION, self._now_us, pack(">ii", *place) + text.encode())
+
+    def text(self, text: str) -> bytes:
+        """Return the message of a text that a program has told."""
+        return _message(MessageKind.TEXT, self._now_us, text.encode())
 
     # -- robot state
 

@@ -1,14 +1,12 @@
 """External Control of the vendor's C++ client: the robot dials the client, which streams set-points.
 
-The text of the script is recognised and its constants are read; it is not interpreted. A message of the
-reverse interface is some int32, big-endian: limit for the next read (ms, 0: none), six values, mode.
+A message of the reverse interface is some int32, big-endian: limit for the next read (ms, 0: none), six
+values, mode.
 """
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 from enum import IntEnum
 from math import ceil
 from struct import Struct, pack
@@ -16,26 +14,28 @@ from typing import Final
 
 from sim.universal_robots.kinematics import frame_of_pose
 from sim.universal_robots.model import JOINTS
-from sim.universal_robots.programs.external_trajectory import ReceivedTrajectory
+from sim.universal_robots.programs.control_settings import (
+    LEAST_LAG_S,
+    MILLISECONDS,
+    REVERSE,
+    SCRIPT_COMMANDS,
+    TRAJECTORY,
+    ControlSettings,
+)
+from sim.universal_robots.programs.external_trajectory import (
+    ReceivedTrajectory,
+    TrajectoryOrder,
+    TrajectoryResult,
+)
 from sim.universal_robots.programs.motions import speedj, speedl, stopj
 from sim.universal_robots.programs.outgoing import Outgoing
 from sim.universal_robots.programs.program import UrProgram
 from sim.universal_robots.robot import Robot
 
-TRAJECTORY, SCRIPT_COMMANDS, REVERSE = "trajectory_socket", "script_command_socket", "reverse_socket"
 DIAL_ORDER: Final = (TRAJECTORY, SCRIPT_COMMANDS, REVERSE)
 MOST_MESSAGES: Final = 16  # of one connection in a cycle (U)
-MILLISECONDS: Final = 1000.0
 SPEED_ACCELERATION: Final = 40.0  # rad/s2 and m/s2, of its speed modes
-LEAST_LAG_S: Final = 0.03  # of servoj
 TOOL_CONTACT_CANCELLED: Final = 1
-MOST_NUMBERS: Final = 64  # in one message
-LEAST_COMMAND_NUMBERS: Final = 7
-
-_DIALS = re.compile(r'\(\s*"([^"\s]+)"\s*,\s*(\d+)\s*,\s*"(\w+_socket)"')
-_CONSTANT = re.compile(r"^\s*+(?:global\s+)?(\w+)\s*=\s*(-?[0-9.]+)\s*$")
-_SERVOJ: Final = "servoj("
-_LOOKAHEAD = re.compile(r"lookahead_time\s*=\s*([0-9.]+)")
 
 
 class ControlMode(IntEnum):
@@ -61,60 +61,6 @@ class ControlCommand(IntEnum):
     END_TOOL_CONTACT = 6
     SET_TCP_OFFSET = 10
     SET_TARGET_PAYLOAD = 12
-
-
-@dataclass(frozen=True)
-class ControlSettings:
-    """Constants at the head of the script, and whom it dials."""
-
-    endpoints: dict[str, tuple[str, int]]  # by the name of the socket
-    units: float  # of a rad, m, or kg
-    time_units: float  # of a second on the trajectory interface
-    stop_rad_s2: float
-    ignored_rad_s: float  # a step that needs a higher speed is ignored
-    reverse_numbers: int
-    command_numbers: int
-    lookahead_s: float
-
-
-def read_external_control(text: str) -> ControlSettings | None:
-    """Return the settings of a script, or None if it is another one."""
-    endpoints = {name: (host, int(port)) for host, port, name in _DIALS.findall(text)}
-    constants = _read_constants(text)
-    units = constants.get("MULT_jointstate", 0.0)
-    numbers = int(constants.get("REVERSE_INTERFACE_DATA_DIMENSION", JOINTS + 2))
-    if REVERSE not in endpoints or units <= 0.0 or not JOINTS + 2 <= numbers <= MOST_NUMBERS:
-        return None
-    commands = int(constants.get("SCRIPT_COMMAND_DATA_DIMENSION", LEAST_COMMAND_NUMBERS))
-    return ControlSettings(
-        endpoints,
-        units,
-        constants.get("MULT_time", MILLISECONDS) or MILLISECONDS,
-        constants.get("STOPJ_ACCELERATION", 4.0),
-        constants.get("JOINT_IGNORE_SPEED", 20.0),
-        numbers,
-        min(max(commands, LEAST_COMMAND_NUMBERS), MOST_NUMBERS),
-        _read_lookahead_s(text),
-    )
-
-
-def _read_constants(text: str) -> dict[str, float]:
-    found = filter(None, map(_CONSTANT.match, text.splitlines()))
-    return {name: float(value) for name, value in map(re.Match.groups, found) if _is_number(value)}
-
-
-def _read_lookahead_s(text: str) -> float:
-    """Return the look-ahead of the first servoj that states one."""
-    for line in text.splitlines():
-        place = line.find(_SERVOJ)
-        found = None if place < 0 else _LOOKAHEAD.search(line, place)
-        if found:
-            return float(found[1]) if _is_number(found[1]) else LEAST_LAG_S
-    return LEAST_LAG_S
-
-
-def _is_number(text: str) -> bool:
-    return text.count(".") < 2 and any(map(str.isdigit, text))
 
 
 def external_control(name: str, settings: ControlSettings) -> UrProgram:
@@ -143,9 +89,7 @@ class ExternalControl:
         self._speeds: Sequence[float] = ()
         self._limit_cycles = 0  # of the next read; 0: none
         self._silent_cycles = 0
-        self._trajectory = ReceivedTrajectory(
-            robot, self._links[TRAJECTORY], settings.units, settings.time_units
-        )
+        self._trajectory = ReceivedTrajectory(robot, self._links[TRAJECTORY], settings)
         self._lag_s = max(LEAST_LAG_S, settings.lookahead_s) + robot.parameters.servoj_lag_s
 
     def steps(self) -> Iterator[None]:
@@ -213,9 +157,8 @@ class ExternalControl:
 
     def _change_mode(self, mode: int) -> Iterator[None]:
         robot = self._robot
-        if self._mode == ControlMode.FORWARD and self._trajectory.cancel():
-            yield from self._stop()
-            self._trajectory.report_cancelled()
+        if self._mode == ControlMode.FORWARD and self._trajectory.left:
+            yield from self._cancel_trajectory()
         self._mode = mode
         if self._beside is not None:
             self._beside = None
@@ -232,12 +175,23 @@ class ExternalControl:
         return stopj(self._robot, self._settings.stop_rad_s2)
 
     def _direct_trajectory(self, order: int, count: int) -> Iterator[None]:
-        if self._trajectory.obey(order, count):
-            self._beside = self._trajectory.run(self._settings.stop_rad_s2)
-        elif self._trajectory.is_cancelled:
+        trajectory = self._trajectory
+        if order in (TrajectoryOrder.RECEIVE, TrajectoryOrder.STREAM_START):
             self._beside = None
-            yield from self._stop()
-            self._trajectory.report_cancelled()
+            yield from trajectory.discard()
+            trajectory.begin(count, streams=order == TrajectoryOrder.STREAM_START)
+            self._beside = trajectory.run(self._settings.stop_rad_s2)
+        elif order == TrajectoryOrder.STREAM_END:
+            trajectory.end_stream(count)
+        elif order == TrajectoryOrder.CANCEL:
+            trajectory.end_stream(count)
+            yield from self._cancel_trajectory()
+
+    def _cancel_trajectory(self) -> Iterator[None]:
+        self._beside = None
+        yield from self._stop()
+        yield from self._trajectory.discard()
+        self._trajectory.report(TrajectoryResult.CANCELLED)
 
     def _take_commands(self) -> None:
         link = self._links[SCRIPT_COMMANDS]

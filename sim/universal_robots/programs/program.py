@@ -4,9 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from typing import Final, NamedTuple
 
 from sim.universal_robots.programs.outgoing import Outgoing
 from sim.universal_robots.robot import Robot
+
+
+class ScriptPlace(NamedTuple):
+    """Place in the text of a program, both from 1."""
+
+    line: int = 1
+    column: int = 1
+
+
+FIRST_PLACE: Final = ScriptPlace()
 
 
 @dataclass

@@ -10,7 +10,8 @@ from collections.abc import Generator, Iterator
 from typing import Final
 
 from ronna_hw.wire.universal_robots import SCRIPT_NAME
-from sim.universal_robots.programs.external_control import external_control, read_external_control
+from sim.universal_robots.programs.control_settings import read_external_control
+from sim.universal_robots.programs.external_control import external_control
 from sim.universal_robots.programs.outgoing import Outgoing
 from sim.universal_robots.programs.program import UrProgram, Watchdog
 from sim.universal_robots.programs.register_loop import register_loop

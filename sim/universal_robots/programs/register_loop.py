@@ -13,7 +13,7 @@ from sim.universal_robots.kinematics import compose, frame_of_pose, inverted, po
 from sim.universal_robots.model import JOINT_RANGE_RAD, JOINTS
 from sim.universal_robots.programs.motions import movej, movel, speedj, speedl, stopj
 from sim.universal_robots.programs.program import UrProgram, Watchdog
-from sim.universal_robots.robot import Robot
+from sim.universal_robots.robot import COMMANDED_STOP, Robot
 from sim.universal_robots.variables import INPUT_INTS, PLACES
 
 READY, DONE = 1, 2
@@ -210,7 +210,7 @@ def _set_payload(loop: RegisterLoop) -> None:
 
 
 def _protective_stop(loop: RegisterLoop) -> None:
-    loop.robot.stop_request = "protective_stop()"
+    loop.robot.stop_request = COMMANDED_STOP
 
 
 def _set_watchdog(loop: RegisterLoop) -> None:

@@ -1,4 +1,4 @@
-"""Single statements of URScript that need no interpreter: outputs, tool, payload, and motions to numbers.
+"""Single statements of URScript that need no interpreter: outputs, tool, payload, texts, motions to numbers.
 
 A program with any other statement does not run, as one that a controller cannot compile.
 """
@@ -9,8 +9,10 @@ import re
 from collections.abc import Iterator
 from typing import Final, NamedTuple
 
+from sim.universal_robots.kinematics import frame_of_pose
 from sim.universal_robots.programs.motions import movej, movel, stopj
-from sim.universal_robots.robot import Robot
+from sim.universal_robots.programs.program import ScriptPlace
+from sim.universal_robots.robot import COMMANDED_STOP, Robot
 from sim.universal_robots.variables import DIGITAL_OUTPUTS
 
 _CALL = re.compile(r"^\s*(\w+)\((.*)\)\s*$")
@@ -27,20 +29,24 @@ OUTPUTS_OF_A_GROUP: Final = 8
 JOINT_DEFAULTS: Final = (1.05, 1.4)  # v (rad/s), a (rad/s2) of movej
 LINE_DEFAULTS: Final = (0.25, 1.2)  # v (m/s), a (m/s2) of movel
 STOP_DEFAULT: Final = 2.0
-WITHOUT_EFFECT: Final = ("sync", "textmsg")  # of which nothing is to be seen here
+NOT_AT_ONCE: Final = ("move", "servo", "speed", "stop", "sleep")  # begin what takes time
+LOADS: Final = ("set_payload", "set_target_payload")  # inertia and transition time are ignored (U)
 MOTIONS: Final = ("movej", "movel")
 STOPS: Final = ("stopj", "stopl")
+SINGLE: Final = frozenset({*STOPS, *LOADS, "set_tcp", "sync", "textmsg", "protective_stop"})
 # What a controller says of a name that it does not know, and of a line that it cannot read (U).
 NAME_NOT_FOUND, SYNTAX_ERROR = "compile_error_name_not_found:{}:", "syntax_error_on_line:{}:{}"
-_FRAME = re.compile(r"^\s*(?:(?:def|sec)\s+\w+\s*\(\s*\)\s*:|end)?\s*$")
+NO_INVERSE: Final = "get_inverse_kin: no solution"
+_FRAME = re.compile(r"^\s*(?:(?:def|sec)\s+\w+\s*\(\s*\)\s*:|end|halt)?\s*$")
+_TEXT = re.compile(r'"([^"]*)"')
 
 
 class UnknownStatement(ValueError):
-    """A statement that is not carried out, with its line."""
+    """A statement that is not carried out, with its place."""
 
-    def __init__(self, text: str, line: int) -> None:
+    def __init__(self, text: str, place: ScriptPlace) -> None:
         super().__init__(text)
-        self.line = line
+        self.place = place
 
 
 class _Arguments(NamedTuple):
@@ -57,20 +63,21 @@ def require_known(text: str) -> None:
     for number, line in enumerate(text.splitlines(), start=1):
         code = line.partition("#")[0]
         call = _CALL.match(code)
+        place = ScriptPlace(number, len(code) - len(code.lstrip()) + 1)
         if call is None:
             if not _FRAME.match(code):
-                raise UnknownStatement(SYNTAX_ERROR.format(number, code.strip()), number)
+                raise UnknownStatement(SYNTAX_ERROR.format(number, code.strip()), place)
         elif not _is_known(call[1], _read_arguments(call[2])):
-            raise UnknownStatement(NAME_NOT_FOUND.format(call[1]), number)
+            raise UnknownStatement(NAME_NOT_FOUND.format(call[1]), place)
 
 
 def _is_known(name: str, given: _Arguments) -> bool:
     """Return whether a call is carried out with these arguments."""
     if name in MOTIONS:
-        return len(given.vector) == 6 and not (name == "movej" and given.is_pose)
+        return len(given.vector) == 6
     if name in FIRST_OUTPUT:
         return len(given.plain) == 2
-    return name in (*STOPS, *WITHOUT_EFFECT, "set_tcp", "set_payload")
+    return name in SINGLE or (name == "sleep" and len(given.plain) == 1)
 
 
 def run_statements(robot: Robot, text: str) -> Iterator[None]:
@@ -79,14 +86,15 @@ def run_statements(robot: Robot, text: str) -> Iterator[None]:
         call = _CALL.match(line.partition("#")[0])
         if call:
             yield from _call(robot, call[1], call[2])
-    yield
+    if not robot.stop_request:  # else it has ended before the stop could pause it
+        yield
 
 
 def run_at_once(robot: Robot, text: str) -> None:
     """Carry out the statements of a secondary program, which may not move the arm."""
     for line in text.splitlines():
         call = _CALL.match(line.partition("#")[0])
-        if call and not call[1].startswith(("move", "servo", "speed", "stop")):
+        if call and not call[1].startswith(NOT_AT_ONCE):
             for _ in _call(robot, call[1], call[2]):
                 pass
 
@@ -102,7 +110,7 @@ def _call(robot: Robot, name: str, arguments: str) -> Iterator[None]:
         robot.values[DIGITAL_OUTPUTS] = bits | bit if plain[1] else bits & ~bit
     elif name == "set_tcp" and len(vector) == 6:
         robot.set_tcp(vector)
-    elif name == "set_payload" and plain:
+    elif name in LOADS and plain:
         robot.set_payload(plain[0], vector or None)
     elif name in MOTIONS and len(vector) == 6:
         speed, acceleration = JOINT_DEFAULTS if name == "movej" else LINE_DEFAULTS
@@ -110,10 +118,24 @@ def _call(robot: Robot, name: str, arguments: str) -> Iterator[None]:
         if name == "movel":
             pose = vector if is_pose else robot.tool_pose(vector)
             yield from movel(robot, pose, speed, acceleration)
-        elif not is_pose:
-            yield from movej(robot, vector, speed, acceleration)
+        else:
+            yield from movej(robot, _joints_at(robot, vector) if is_pose else vector, speed, acceleration)
     elif name in STOPS:
         yield from stopj(robot, plain[0] if plain else STOP_DEFAULT)
+    elif name == "sleep" and plain:
+        for _ in range(round(plain[0] / robot.cycle_s)):
+            yield
+    elif name == "textmsg":
+        robot.told.append("".join(_TEXT.findall(arguments)))
+    elif name == "protective_stop":
+        robot.stop_request = COMMANDED_STOP
+
+
+def _joints_at(robot: Robot, pose: list[float]) -> list[float]:
+    joints = robot.joints_at(frame_of_pose(pose), robot.drives.target)
+    if joints is None:
+        raise ValueError(NO_INVERSE)
+    return joints
 
 
 def _read_arguments(arguments: str) -> _Arguments:

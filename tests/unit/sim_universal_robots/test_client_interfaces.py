@@ -16,6 +16,7 @@ from sim.universal_robots.interfaces.clients import ClientInterfaces, ScriptText
 from sim.universal_robots.interfaces.dashboard import Dashboard
 from sim.universal_robots.interfaces.state_packages import StatePackages
 from sim.universal_robots.model import ALPHA_RAD
+from sim.universal_robots.programs.program import ScriptPlace
 from sim.universal_robots.programs.recognition import recognise
 from sim.universal_robots.variables import DIGITAL_OUTPUTS
 
@@ -83,17 +84,20 @@ def test_a_program_of_plain_statements_is_carried_out(controller: Controller) ->
 @pytest.mark.parametrize(
     ("text", "answer"),
     [
-        ("def a():\n  movej(q_target)\nend", ("compile_error_name_not_found:movej:", 2)),
-        ("def a():\n  # none\n  freedrive_mode()\nend", ("compile_error_name_not_found:freedrive_mode:", 3)),
-        ("sec a():\n  while True:\n  end\nend", ("syntax_error_on_line:2:while True:", 2)),
+        ("def a():\n  movej(q_target)\nend", ("compile_error_name_not_found:movej:", (2, 3))),
+        (
+            "def a():\n  # none\n  freedrive_mode()\nend",
+            ("compile_error_name_not_found:freedrive_mode:", (3, 3)),
+        ),
+        ("sec a():\n  while True:\n  end\nend", ("syntax_error_on_line:2:while True:", (2, 3))),
     ],
 )
 def test_a_script_that_is_not_simulated_is_answered_as_one_that_a_controller_cannot_compile(
-    controller: Controller, poll: Poll, text: str, answer: tuple[str, int]
+    controller: Controller, poll: Poll, text: str, answer: tuple[str, tuple[int, int]]
 ) -> None:
     clients = ClientInterfaces(controller, own_address(), poll)
-    said: list[tuple[str, int]] = []
-    controller.news.failure.append(lambda text, line: said.append((text, line)))
+    said: list[tuple[str, tuple[int, int]]] = []
+    controller.news.failure.append(lambda text, place: said.append((text, place)))
     clients.take(text)
     for _ in range(round(controller.parameters.script_start_s / controller.model.cycle_s) + 1):
         clients.send_state()
@@ -103,10 +107,12 @@ def test_a_script_that_is_not_simulated_is_answered_as_one_that_a_controller_can
     assert controller.program is None
 
 
-def test_a_runtime_exception_names_its_line(controller: Controller) -> None:
-    message = StatePackages(controller).runtime_exception("compile_error_name_not_found:a:", 3)
+def test_a_runtime_exception_names_its_line_and_column(controller: Controller) -> None:
+    message = StatePackages(controller).runtime_exception(
+        "compile_error_name_not_found:a:", ScriptPlace(3, 5)
+    )
     assert message_kinds(message) == [(MESSAGE, 10)]
-    assert struct.unpack_from(">ii", message, 15) == (3, 1)
+    assert struct.unpack_from(">ii", message, 15) == (3, 5)
 
 
 # -- state

@@ -17,9 +17,8 @@ from sim.universal_robots.programs.external_trajectory import (
     PointType,
     TrajectoryOrder,
     TrajectoryResult,
-    cubic,
-    quintic,
 )
+from sim.universal_robots.programs.joint_spline import cubic, quintic
 from sim.universal_robots.programs.recognition import FIRST_WAIT_S, QUIET_S, recognise, requested_program
 
 UNITS = 1_000_000
@@ -35,6 +34,8 @@ SCRIPT = """def externalControl():
   connect_socket_with_retry("{host}", {reverse}, "reverse_socket")
   connect_socket_with_retry("{host}", {trajectory}, "trajectory_socket")
   connect_socket_with_retry("{host}", {commands}, "script_command_socket")
+  write_output_float_register(1, splineTimerTraveled)
+  socket_send_int(TRAJECTORY_RESULT_CANCELED, "trajectory_socket")
 end"""
 
 
