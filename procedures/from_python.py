@@ -41,6 +41,7 @@ if TYPE_CHECKING:
 
 Decide = Callable[[Question], str | None]
 THREADS = "OPENBLAS_NUM_THREADS"
+A_QUESTION = (None,)  # one argument
 DECIDES = "a function of a Question that returns one of its answers, or None"
 FAULTS = 'one line or several, such as "at 3 s: tracker occlude marker 2 for 2 s"'
 OPTIONS = 'options by name, such as {"markers": 4}'
@@ -198,7 +199,7 @@ def _check_answers(answers: object) -> None:
         return
     try:
         if callable(answers):
-            signature(answers).bind(None)
+            signature(answers).bind(*A_QUESTION)
             return
     except (TypeError, ValueError) as error:
         got = f"a function that cannot be called with one: {error}"

@@ -54,7 +54,9 @@ def monitor(
             meant = did_you_mean(device, theatre.file.devices) or "Name one of the tables."
             raise UsageMistake(f"{config} has no device {device!r}", expected=known, action=meant)
         with _readings(theatre, device) as readings:
-            _show(device, islice(readings, wanted), as_json=as_json)
+            one = theatre.devices[device]
+            axes = one.kinematics.axis_names if isinstance(one, RobotArm) else ()
+            _show(device, islice(readings, wanted), axes, as_json=as_json)
 
 
 @contextmanager
@@ -77,23 +79,24 @@ def _readings(theatre: Theatre, name: str) -> Iterator[Iterable[object]]:
         yield one.stream()
 
 
-def _show(name: str, readings: Iterable[object], *, as_json: bool) -> None:
+def _show(name: str, readings: Iterable[object], axes: Sequence[str], *, as_json: bool) -> None:
     if as_json or not terminal.takes_escapes(sys.stdout):
         for reading in readings:
             if as_json:
                 sys.stdout.write(
-                    json.dumps({"device": name, **_stamp(reading), "rows": tabulate_reading(reading)}) + "\n"
+                    json.dumps({"device": name, **_stamp(reading), "rows": tabulate_reading(reading, axes)})
+                    + "\n"
                 )
                 sys.stdout.flush()  # into a pipe too
             else:
-                heads, lines = _columns(tabulate_reading(reading))
+                heads, lines = _columns(tabulate_reading(reading, axes))
                 terminal.print_table(name, heads, lines)
         return
     from rich.live import Live
 
     with Live(refresh_per_second=SHOWN_PER_S) as live:
         for reading in readings:
-            live.update(_table(name, tabulate_reading(reading)))
+            live.update(_table(name, tabulate_reading(reading, axes)))
 
 
 def _stamp(reading: object) -> dict[str, object]:
@@ -107,8 +110,8 @@ def _stamp(reading: object) -> dict[str, object]:
     }
 
 
-def tabulate_reading(reading: object) -> Rows:
-    """Return the rows of a reading: tools and strays, axes, or sides; numbers are not rounded."""
+def tabulate_reading(reading: object, axes: Sequence[str] = ()) -> Rows:
+    """Return the rows of a reading: tools and strays, axes by name, or sides; numbers are not rounded."""
     match reading:
         case TrackerFrame():
             tools = [
@@ -125,14 +128,12 @@ def tabulate_reading(reading: object) -> Rows:
             commanded_rad = reading.commanded_rad or (None,) * len(reading.joints_rad)
             joints: Rows = [
                 {
-                    "what": f"A{axis}",
+                    "what": axis,
                     "validity": reading.validity.value,
                     "measured_deg": math.degrees(measured),
                     "commanded_deg": None if sent is None else math.degrees(sent),
                 }
-                for axis, (measured, sent) in enumerate(
-                    zip(reading.joints_rad, commanded_rad, strict=True), 1
-                )
+                for axis, measured, sent in zip(axes, reading.joints_rad, commanded_rad, strict=True)
             ]
             if reading.force_N is not None:
                 joints.append({"what": "force on the tool", "force_N": math.hypot(*reading.force_N)})

@@ -76,7 +76,7 @@ def tables() -> dict[str, str]:
                 (
                     f"`{topic}`",
                     join_answers(ANSWER_WORDS[topic]),
-                    "only a person" if topic in FOR_A_PERSON else "",
+                    "only a person" if topic in FOR_A_PERSON or topic is Topic.PATIENT else "",
                 )
                 for topic in Topic
             ],

@@ -90,4 +90,4 @@ def describe_answering(options: RunOptions, *, simulated: bool) -> str:
     if asks:
         return "Rehearsal: a person answers everything, and does the manual work by a word."
     script = "a file of answers and a script answer" if has_file else "a script answers"
-    return f"Rehearsal: {script}; on real devices it is a person."
+    return f"Rehearsal: {script}, or with --ask a person; on real devices it is a person."

@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from procedures.cli.monitor import tabulate_reading
+from ronna_hw.arm.universal_robots.inverse import AXIS_NAMES
 from ronna_hw.devices.readings import (
     ArmReading,
     Stamp,
@@ -36,8 +37,9 @@ def test_an_empty_frame_says_that_nothing_is_in_view() -> None:
 
 def test_an_arm_has_a_row_for_each_axis_in_degrees_and_its_force_if_it_senses_one() -> None:
     joints_rad = (math.pi / 2,) * 6
-    rows = tabulate_reading(ArmReading(STAMP, Validity.OK, joints_rad, None, False, (3.0, 4.0, 0.0)))
-    assert [row["what"] for row in rows] == [*(f"A{axis}" for axis in range(1, 7)), "force on the tool"]
+    reading = ArmReading(STAMP, Validity.OK, joints_rad, None, False, (3.0, 4.0, 0.0))
+    rows = tabulate_reading(reading, AXIS_NAMES)
+    assert [row["what"] for row in rows] == [*AXIS_NAMES, "force on the tool"]
     assert rows[0]["measured_deg"] == 90.0
     assert rows[0]["commanded_deg"] is None
     assert rows[-1]["force_N"] == 5.0
