@@ -107,7 +107,7 @@ def localize(
     candidates are listed) or not the layout, 130 interrupted.
     """
     import procedures.imaging as imaging
-    from procedures.exchange.sphere_files import check_names, write_spheres
+    from procedures.exchange.sphere_files import check_names, is_dicom, write_spheres
     from procedures.imaging.errors import MarkerCountWrong
     from procedures.imaging.scan_deformation import require_undeformed
 
@@ -130,6 +130,11 @@ def localize(
         log = terminal.command_logger()
         log.info("series read", shape=volume.geometry.shape, spacing_mm=volume.geometry.spacing_mm.tolist())
         patient = imaging.read_identity(series_dir) if identity else None
+        study = None
+        if identity and any(is_dicom(path) for path in write or ()):
+            from procedures.exchange.ct_study import read_ct_study
+
+            study = read_ct_study(series_dir, volume.series_instance_uid)
         began_s = time.perf_counter()
         localize_in = partial(LOCALIZERS[Localizer[method.name]].load(), volume)
         if picks_mm is not None:
@@ -176,7 +181,7 @@ def localize(
         doubtful = result.doubtful[:PICTURED_CANDIDATES]
         if doubtful:
             _write_pictures(pictures, "doubtful", draw_candidates(volume, doubtful))
-    write_spheres(result, write or (), volume.study_instance_uid, series_dir if identity else None)
+    write_spheres(result, write or (), volume.study_instance_uid, study)
     candidates = imaging.likeliest_first(result.candidates) if show_candidates else None
     if as_json:
         document: dict[str, Any] = {

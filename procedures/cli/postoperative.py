@@ -12,6 +12,7 @@ from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.command_line.options import require_output_folder
 
 if TYPE_CHECKING:
+    from procedures.exchange.ct_study import CtStudy
     from procedures.imaging.volume import Volume
     from procedures.planning.plan_model import Plan
     from procedures.postoperative.summary import PostoperativeCheck
@@ -55,12 +56,20 @@ def postoperative(
     nothing found along a trajectory, 130 interrupted.
     """
     import procedures.imaging as imaging
+    from procedures.exchange.ct_study import read_ct_study
     from procedures.planning.plan_file import read_plan
     from procedures.postoperative.comparison import compare_with_plan
     from procedures.postoperative.summary import summarize_comparison
 
     if out is not None:
         require_output_folder(out)
+    elif identity:
+        raise UsageMistake(
+            "--identity is for DICOM objects, which need a folder",
+            expected="--out DIR",
+            got="none",
+            action="Name a folder with --out, or omit --identity.",
+        )
     plan = read_plan(plan_file)
     known = [one.id for one in plan.trajectories]
     for name in only or ():
@@ -76,6 +85,7 @@ def postoperative(
     with terminal.progress_bar("reading and comparing") as advance:
         pre = imaging.read_series(pre_dir, progress=lambda share: advance(READING_SHARE * share))
         post = imaging.read_series(post_dir, progress=lambda share: advance(READING_SHARE * (1.0 + share)))
+        study = read_ct_study(pre_dir, pre.series_instance_uid) if identity else None
         proof = compare_with_plan(plan, pre, post, only or ())
     found = summarize_comparison(proof, plan, pre, post, warnings)
     for sentence in found.warnings:
@@ -89,7 +99,7 @@ def postoperative(
             found, {one.id: draw_trajectory(post, one, pose) for one in found.trajectories}
         )
         if out is not None:
-            _write_files(out, after, pre, post, pre_dir if identity else None)
+            _write_files(out, after, pre, post, study)
         if run is not None:
             from procedures.runs.finishing import rebuild_report
 
@@ -133,15 +143,13 @@ def _require_same_plan(run: Path, plan: Plan) -> None:
 
 
 def _write_files(
-    out: Path, after: PostoperativeResult, pre: Volume, post: Volume, named_by: Path | None
+    out: Path, after: PostoperativeResult, pre: Volume, post: Volume, study: CtStudy | None
 ) -> None:
-    """Write the files of a check; the folder `named_by` of the planning CT names the patient."""
-    from procedures.exchange.ct_study import read_ct_study
+    """Write the files of a check. DICOM objects name the patient of the `study`, if it is given."""
     from procedures.exchange.errors import NOT_WRITABLE
     from procedures.exchange.postoperative_objects import write_postoperative
     from procedures.reporting.files import store_check
 
-    study = None if named_by is None else read_ct_study(named_by, pre.series_instance_uid)
     try:
         store_check(out, after)
     except OSError as error:

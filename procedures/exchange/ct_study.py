@@ -64,5 +64,7 @@ def read_ct_study(folder: Path, series_instance_uid: str) -> CtStudy:
         count = len({one[keyword] for one in texts} - {""})
         if count != 1:  # messages never name patients
             raise CT_OF_NO_PATIENT(f"the CT names {count} {names}", expected=f"one {name}", got=str(count))
-    first = next(one for one in texts if one[PATIENT] and one[STUDY])
-    return CtStudy({keyword: first[keyword] for keyword in COPIED}, tuple(one[SLICE] for one in texts))
+    first = next(one for one in texts if one[PATIENT])
+    (study,) = {one[STUDY] for one in texts} - {""}
+    copied = {keyword: first[keyword] for keyword in COPIED} | {STUDY: study}
+    return CtStudy(copied, tuple(one[SLICE] for one in texts))

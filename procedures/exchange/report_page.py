@@ -74,7 +74,7 @@ def draw_page(results: CaseResults, made: datetime) -> NDArray[np.uint8]:
     ending = results.ending
     code = f" ({ending.code})" if ending.code else ""
     figure.text(LEFT, 0.885, f"{ending.word.capitalize()}{code}", color=INK, size=22, weight="bold")
-    height = _write(figure, 0.862, ADVICE.get(ending.word, ""))
+    height = _write(figure, 0.852, ADVICE.get(ending.word, ""))
     height = _draw_table(figure, height - LINE, results)
     height = _write(figure, height - LINE, *_notes(results))
     dated = f"{made:%Y-%m-%d %H:%M} UTC"
@@ -143,11 +143,13 @@ def _found_mm(results: CaseResults, row: TargetRow) -> float | None:
 
 
 def _notes(results: CaseResults) -> list[str]:
-    """Return what the columns of the table mean for this run."""
+    """Return what the run lacks, and what the columns of the table mean for it."""
     table = results.targets
     missing = {what: why for what, why in results.absent().items() if what.startswith(REGISTRATION_OF)}
     without = [f"{what.removeprefix(REGISTRATION_OF)} ({why})" for what, why in missing.items()]
     lacking = [f"Without a registration: {', '.join(without)}."] if without else []
+    unreached = [results.labels[row.target] for row in table.rows if row.target not in results.reached]
+    lacking += [f"Not reached: {', '.join(unreached)}."] if unreached else []
     if not table.rows:
         return lacking
     notes = [

@@ -16,6 +16,7 @@ from procedures.exchange.slicer_markups import build_markup, format_markups
 from ronna_hw.records import canonical_json, write_atomically
 
 if TYPE_CHECKING:
+    from procedures.exchange.ct_study import CtStudy
     from procedures.imaging import Localization, Marker
 
 MARKUPS, JSON, CSV, DICOM = ".mrk.json", ".json", ".csv", ".dcm"
@@ -28,21 +29,25 @@ def check_names(paths: Sequence[Path]) -> None:
             raise UNKNOWN_FORM(f"cannot tell the format of {path.name}")
 
 
+def is_dicom(path: Path) -> bool:
+    """Tell whether a file of this name is a DICOM object."""
+    return path.name.endswith(DICOM)
+
+
 def write_spheres(
     spheres_found: Localization,
     paths: Sequence[Path],
     study_instance_uid: str = "",
-    series: Path | None = None,
+    study: CtStudy | None = None,
 ) -> None:
-    """Write the spheres to each file. With the folder of their `series`, DICOM files name its patient.
+    """Write the spheres to each file. DICOM files name the patient of the `study`, if it is given.
 
-    Raises EXC-001, EXC-002, EXC-008.
+    Raises EXC-001, EXC-002.
     """
     check_names(paths)
     if not paths:
         return
     from procedures.exchange import dicom_objects  # pydicom: half a second
-    from procedures.exchange.ct_study import read_ct_study
 
     markers = [marker.document() for marker in spheres_found.markers]
     key = hashlib.sha256(canonical_json(markers)).hexdigest()
@@ -55,11 +60,9 @@ def write_spheres(
     )
     ct = CtIdentity(origin.series_instance_uid, origin.frame_of_reference_uid, study_instance_uid)
     for path in paths:
-        if path.name.endswith(DICOM):
+        if is_dicom(path):
             made = dicom_objects.sphere_fiducials(spheres_found.markers, origin)
-            if series is not None:
-                made = read_ct_study(series, origin.series_instance_uid).file_object(made)
-            dicom_objects.write(made, path)
+            dicom_objects.write(made if study is None else study.file_object(made), path)
             continue
         if path.name.endswith(MARKUPS):
             text = slicer_markups(spheres_found.markers, ct)

@@ -11,6 +11,8 @@ import re
 import shutil
 import subprocess
 from collections.abc import Callable
+from dataclasses import replace
+from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
@@ -24,10 +26,15 @@ from spoiled_slices import every, setting
 from whole_run import PLAN, SPHERES, whole_run
 
 from procedures.exchange import postoperative_objects
+from procedures.exchange.case_results import read_results
 from procedures.exchange.ct_study import COPIED, read_ct_study
 from procedures.exchange.errors import CT_OF_NO_PATIENT, OTHER_CT
+from procedures.exchange.report_page import draw_page
 from procedures.exchange.run_export import export_run
+from procedures.reporting.run_reading import RunReading
+from ronna_hw.evidence.inspection import inspect_run
 
+DRAWN = datetime(2026, 11, 30, tzinfo=UTC)
 PATIENT = {
     "PatientName": "Müller^Jörg",
     "PatientID": "00123",
@@ -180,6 +187,25 @@ def test_dcmtk_draws_the_page_of_the_report(out: Path, tmp_path: Path) -> None:
     ink = (pixels.max(axis=2) < 128).mean()
     assert 0.002 < ink < 0.2
     assert dcmread(page).BurnedInAnnotation == "NO"
+
+
+def test_the_page_turns_red_where_the_ct_after_the_operation_shows_more_than_the_plan_accepts(
+    tmp_path: Path,
+) -> None:
+    run = whole_run(tmp_path / "run")
+    results = read_results(RunReading.of(inspect_run(run)), lambda _run: None)
+    assert results.check is not None
+    (found,) = results.check.trajectories
+    within, beyond = (
+        draw_page(
+            replace(results, check=results.check.model_copy(update={"trajectories": (changed,)})), DRAWN
+        )
+        for changed in (found, found.model_copy(update={"target_error_mm": 2.5}))
+    )
+    changed = (within != beyond).any(axis=2)
+    assert changed.any()
+    red, green = (beyond[changed][:, channel].astype(int) for channel in (0, 1))
+    assert (red - green).max() > 100
 
 
 def test_without_the_package_the_structured_report_is_absent_with_the_line_that_installs_it(
