@@ -1,6 +1,6 @@
 """Run one case of a stranger's program: `run_case.py PROGRAM CASE`, in a process of its own.
 
-The case passes if the process ends with code 0. Else its last line of output that begins with `MARK` says why.
+The case passes if the process ends with code 0. Else its last line of output with `MARK` says why.
 """
 
 from __future__ import annotations

@@ -6,7 +6,6 @@ Needs Debian's package aravis-tools (`arv-fake-gv-camera-0.8`) and nobody else o
 from __future__ import annotations
 
 import fcntl
-import json
 import os
 import shutil
 import socket
