@@ -13,7 +13,7 @@ QUICK := tests/unit tests/system tests/hazards
 # pip compiles what it copies; this is not copied. Otherwise each worker would compile all of it at the same time.
 OURS := ronna_hw conformance drivers sim procedures studies console
 
-.PHONY: setup demo wheel budget test test-all test-browser test-browser-all soak fuzz lint bench bench-history profile docs lock clean
+.PHONY: setup demo wheel budget test test-all test-browser test-browser-all soak fuzz lint bench bench-history profile docs strangers lock clean
 
 # The tests start hundreds of processes. OpenBLAS's threads cost each of them a tenth of a second and gain nothing
 # with three workers on two cores; without bytecode each would compile again what the one before it has compiled.
@@ -100,6 +100,11 @@ profile: setup
 docs: setup
 	@$(BIN)/python tools/docs/generate.py
 	@$(BIN)/python tools/docs/page_pictures.py $(if $(ALL),--all)
+
+# Every foreign client and device that is installed here against every case: ten minutes. ONLY="ndicapi RSIPI" for some.
+strangers: setup
+	@$(BIN)/python tools/strangers/run_strangers.py $(ONLY)
+	@$(BIN)/python tools/docs/generate.py
 
 # For an environment without this clone: pip install dist/ronna_hw-*.whl, in quotes with [console] for the pages.
 wheel: setup

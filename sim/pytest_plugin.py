@@ -1,9 +1,9 @@
 """pytest plugin: simulated devices as fixtures, for the tests of any program that talks to such devices.
 
-`ronna_polaris`, `ronna_kuka`, `ronna_ur`, `ronna_cameras` and `ronna_theatre` start a simulator for each test, on
-endpoints that nobody else uses; with --ronna-shared one of each serves all tests, without faults at the beginning
-of each. An indirect parameter gives other options of `ronna-sim`. `ronna_simulator` starts any number of
-simulators for a test, `ronna_shared_simulator` for all tests.
+`ronna_polaris`, `ronna_kuka`, `ronna_ur`, `ronna_cameras` and `ronna_theatre` start a simulator for each
+test, on endpoints that nobody else uses; with --ronna-shared one of each serves all tests, without faults at
+the beginning of each. An indirect parameter gives other options of `ronna-sim`. `ronna_simulator` starts any
+number of simulators for a test, `ronna_shared_simulator` for all tests.
 
 Every run of pytest in this environment imports this module, so it imports nothing else.
 """

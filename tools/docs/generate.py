@@ -28,6 +28,7 @@ from reference_tables import (
     table,
 )
 from safety_figures import safety_table
+from strangers_table import strangers
 from time_table import time_table
 
 import conformance
@@ -100,6 +101,7 @@ def tables() -> dict[str, str]:
         "scene-file.md": model_tables({"scene": Scene}),
         "safety-figures.md": safety_table(),
         "scanner-faults.md": scanner_faults(),
+        "strangers.md": strangers(),
         "state-chart.md": f"```mermaid\n{state_chart_mermaid(CASE_STEPS)}```\n\n{_tabulate_branches()}",
         "stereo-options.md": model_tables({"Options": BaslerOptions}),
         "ur-options.md": _tabulate_roles(universal_robots.ROLES)

@@ -3,11 +3,22 @@
 from __future__ import annotations
 
 import os
+import socket
 import subprocess
 import sys
+from contextlib import ExitStack
 from pathlib import Path
 
 import psutil
+import pytest
+from coded_errors import raises
+
+from ronna_hw import open_theatre
+from ronna_hw.host.network import own_address
+from ronna_hw.wire.universal_robots import RTDE_PORT
+from sim.errors import NO_FREE_ADDRESS, NO_SUCH_SIMULATOR
+from sim.pytest_plugin import StartSimulator
+from sim.simulators import MOST_ADDRESSES, Simulator
 
 ENVIRONMENT = {**os.environ, "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1", "PYTEST_ADDOPTS": ""}
 LIMIT_S = 120.0
@@ -87,6 +98,28 @@ def test_a_scene_that_does_not_exist_is_named_by_the_test_that_needs_it(tmp_path
     done = run_pytest(tmp_path, "def test(ronna_polaris): ...", "--ronna-scene", "no-such.toml")
     assert "SIM-001" in done.stdout
     assert "no-such.toml" in done.stdout
+
+
+def test_an_unknown_simulator_is_named_with_the_nearest_one(ronna_simulator: StartSimulator) -> None:
+    with raises(NO_SUCH_SIMULATOR, match="polaris"):
+        ronna_simulator("polars")
+
+
+def test_a_fourth_ur_controller_of_a_process_is_refused(ronna_simulator: StartSimulator) -> None:
+    with ExitStack() as stack:
+        for number in range(MOST_ADDRESSES):
+            stack.enter_context(socket.create_server((own_address(number), RTDE_PORT)))
+        with raises(NO_FREE_ADDRESS):
+            ronna_simulator("ur")
+
+
+@pytest.mark.slow
+def test_a_theatre_opens_by_its_file_and_its_tools_can_be_hidden(ronna_theatre: Simulator) -> None:
+    with open_theatre(ronna_theatre.file) as theatre, theatre.tracker.active() as tracker:
+        name = next(iter(tracker.tools))
+        assert tracker.read_frame().tool(name).position_mm is not None
+        ronna_theatre.inject("tracker hide tool 1")
+        assert any(tracker.read_frame().tool(name).position_mm is None for _ in range(120))
 
 
 def test_a_run_without_simulators_imports_nothing_of_them() -> None:
