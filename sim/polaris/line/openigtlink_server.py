@@ -36,13 +36,15 @@ from ronna_hw.wire.openigtlink_contents import (
 from ronna_hw.wire.polaris import PortStatus
 from sim.polaris.faults import Power, UnitFaults
 from sim.polaris.line.server import EndSignal
-from sim.polaris.tracker_unit import SimulatedUnit
+from sim.polaris.tracker_unit import SimulatedUnit, UnitMode
 from sim.polaris.unit.tool_definition import parse_definition, write_definition
 from sim.world.rigid import Matrix, matrix_from, rotation_from_quaternion
 from sim.world.scene.model import TrackerTool
 
 DEVICE: Final = "PlusServer"
 SENDING_PERIOD_S: Final = 1 / 30
+# Where devices advance the time, each push takes the next frame: 1/60 s of theatre time passes.
+STEPPED_PERIOD_S: Final = 1 / 240
 STATUS_PERIOD_S: Final = 0.25
 RECEIVE_BYTES: Final = 4096
 MOST_UNSENT_BYTES: Final = 1 << 20  # for a client that does not read; then it is disconnected
@@ -69,7 +71,7 @@ class _Client:
 
 
 def load_tools(unit: SimulatedUnit, tools: Iterable[TrackerTool]) -> dict[int, str]:
-    """Load tools and start tracking; return the names of their transforms by handle."""
+    """Load tools; return the names of their transforms by handle."""
     unit.initialise()
     names = {}
     for tool in tools:
@@ -78,7 +80,6 @@ def load_tools(unit: SimulatedUnit, tools: Iterable[TrackerTool]) -> dict[int, s
         port.initialised = port.enabled = True
         port.place = None if unit.measurer.is_mount_frame(port) else unit.ports.free_place()
         names[port.handle] = transform_name(tool)
-    unit.start_tracking(restart=True)
     return names
 
 
@@ -88,7 +89,11 @@ def transform_name(tool: TrackerTool) -> str:
 
 
 class OpenIGTLinkServer:
-    """Serves any number of clients from one thread, at the pace of the host's clock."""
+    """Serves any number of clients from one thread, at the pace of the host's clock.
+
+    Where devices advance the time, the unit measures only while a client has asked for TDATA: the time stands
+    still otherwise. How much of it passes between two readings then depends on the host.
+    """
 
     def __init__(self, unit: SimulatedUnit, tools: Iterable[TrackerTool], end: EndSignal) -> None:
         self._unit, self._end = unit, end
@@ -96,6 +101,7 @@ class OpenIGTLinkServer:
         self._faults = UnitFaults(unit)
         self._begun_utc_ns = time.time_ns() - unit.clock.now_ns()  # at theatre time 0
         self._clients: list[_Client] = []
+        self._period_s = SENDING_PERIOD_S if unit.clock.paced else STEPPED_PERIOD_S
 
     def serve(self, listener: socket.socket) -> None:
         """Serve until told to end."""
@@ -116,7 +122,8 @@ class OpenIGTLinkServer:
             now_s = time.monotonic()
             if now_s < due_s:
                 continue
-            due_s = max(due_s + SENDING_PERIOD_S, now_s)
+            due_s = max(due_s + self._period_s, now_s)
+            self._run_unit()
             self._push(now_s)
             if now_s >= status_due_s:
                 status_due_s = now_s + STATUS_PERIOD_S
@@ -162,8 +169,17 @@ class OpenIGTLinkServer:
             client.tracking_interval_s = None
             client.send(self._encode(client, "RTS_TDATA", DEVICE, b"\0"))
 
+    def _run_unit(self) -> None:
+        """Track while somebody is to be served."""
+        unit = self._unit
+        clients = [one for one in self._clients if unit.clock.paced or one.tracking_interval_s is not None]
+        if clients and unit.mode is not UnitMode.TRACKING:
+            unit.start_tracking(restart=False)
+        elif not clients and unit.mode is UnitMode.TRACKING:
+            unit.stop()
+
     def _push(self, now_s: float) -> None:
-        if not self._clients:
+        if self._unit.mode is not UnitMode.TRACKING:
             return
         poses = self._measure()
         stamp_ns = self._begun_utc_ns + self._unit.clock.now_ns()
