@@ -33,7 +33,7 @@ from ronna_hw.wire.openigtlink_contents import (
     encode_tracking,
     encode_transform,
 )
-from ronna_hw.wire.polaris import PortStatus
+from ronna_hw.wire.polaris import PARAMETER_ILLUMINATOR_RATE, PortStatus
 from sim.polaris.faults import Power, UnitFaults
 from sim.polaris.line.server import EndSignal
 from sim.polaris.tracker_unit import SimulatedUnit, UnitMode
@@ -73,6 +73,8 @@ class _Client:
 def load_tools(unit: SimulatedUnit, tools: Iterable[TrackerTool]) -> dict[int, str]:
     """Load tools; return the names of their transforms by handle."""
     unit.initialise()
+    fastest = max(unit.model.illuminator_rates)
+    unit.user_parameters.set(PARAMETER_ILLUMINATOR_RATE, str(fastest), tracking=False)
     names = {}
     for tool in tools:
         port = unit.ports.request()
@@ -101,6 +103,7 @@ class OpenIGTLinkServer:
         self._faults = UnitFaults(unit)
         self._begun_utc_ns = time.time_ns() - unit.clock.now_ns()  # at theatre time 0
         self._clients: list[_Client] = []
+        self._last_number = -1  # of a frame
         self._period_s = SENDING_PERIOD_S if unit.clock.paced else STEPPED_PERIOD_S
 
     def serve(self, listener: socket.socket) -> None:
@@ -174,6 +177,7 @@ class OpenIGTLinkServer:
         unit = self._unit
         clients = [one for one in self._clients if unit.clock.paced or one.tracking_interval_s is not None]
         if clients and unit.mode is not UnitMode.TRACKING:
+            self._last_number = -1
             unit.start_tracking(restart=False)
         elif not clients and unit.mode is UnitMode.TRACKING:
             unit.stop()
@@ -181,8 +185,11 @@ class OpenIGTLinkServer:
     def _push(self, now_s: float) -> None:
         if self._unit.mode is not UnitMode.TRACKING:
             return
-        poses = self._measure()
-        stamp_ns = self._begun_utc_ns + self._unit.clock.now_ns()
+        number, poses = self._measure()
+        if number == self._last_number:
+            return
+        self._last_number = number
+        stamp_ns = self._begun_utc_ns + self._unit.frames.moment_ns(number)
 
         def send_poses(client: _Client) -> None:
             for name, pose in poses.items():
@@ -196,18 +203,21 @@ class OpenIGTLinkServer:
         for client in list(self._clients):
             self._guard(client, send_poses)
 
-    def _measure(self) -> dict[str, Matrix]:
-        """Return the poses of the tools that the unit sees inside its volume, by their transforms' names."""
+    def _measure(self) -> tuple[int, dict[str, Matrix]]:
+        """Return the number of the frame and the poses of the tools that are seen inside the volume.
+
+        Poses are by the names of their transforms; a unit without power repeats its last frame.
+        """
         if self._faults.any_active:
             if self._faults.power() is Power.GONE:
-                return {}
+                return self._last_number, {}
             self._faults.apply()
-        poses = {}
-        for port, tracked in self._unit.frame().tools:
+        poses, frame = {}, self._unit.frame()
+        for port, tracked in frame.tools:
             if tracked is not None and tracked.pose is not None and not tracked.volume_status & OUTSIDE:
                 rotation = rotation_from_quaternion(tracked.pose.quaternion)
                 poses[self._names[port.handle]] = matrix_from(tracked.pose.position_mm, rotation)
-        return poses
+        return frame.number, poses
 
     def _send_status(self, client: _Client) -> None:
         client.send(self._encode(client, "STATUS", DEVICE, encode_status(Status(StatusCode.OK, "OK"))))
