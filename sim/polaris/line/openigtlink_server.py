@@ -44,7 +44,7 @@ from sim.world.scene.model import TrackerTool
 DEVICE: Final = "PlusServer"
 SENDING_PERIOD_S: Final = 1 / 30
 # Where devices advance the time, each push takes the next frame: 1/60 s of theatre time passes.
-STEPPED_PERIOD_S: Final = 1 / 240
+STEPPED_PERIOD_S: Final = 1 / 480
 STATUS_PERIOD_S: Final = 0.25
 RECEIVE_BYTES: Final = 4096
 MOST_UNSENT_BYTES: Final = 1 << 20  # for a client that does not read; then it is disconnected
