@@ -239,8 +239,8 @@ class FrameCounter:
             return self.last
         latest = self._measured_count(max(self.last, self._count_at(self._clock.now_ns())))
         self.last = latest + self._step
-        self._clock.wait_until_ns(self._moment_ns(self.last))
-        self._clock.expect_reader(self._moment_ns(self.last + self._step))
+        self._clock.wait_until_ns(self.moment_ns(self.last))
+        self._clock.expect_reader(self.moment_ns(self.last + self._step))
         return self.last
 
     def stop(self) -> None:
@@ -266,6 +266,10 @@ class FrameCounter:
         """Return the number of frames since tracking began, used as the noise counter."""
         return frame - self._begin
 
+    def moment_ns(self, count: int) -> int:
+        """Return the theatre time of a frame."""
+        return self._epoch_ns - (-count * NANOSECONDS_PER_SECOND // COUNTS_PER_SECOND)
+
     def _measured_count(self, count: int) -> int:
         return count - (count - self._begin) % self._step
 
@@ -275,6 +279,3 @@ class FrameCounter:
 
     def _count_at(self, moment_ns: int) -> int:
         return (moment_ns - self._epoch_ns) * COUNTS_PER_SECOND // NANOSECONDS_PER_SECOND
-
-    def _moment_ns(self, count: int) -> int:
-        return self._epoch_ns - (-count * NANOSECONDS_PER_SECOND // COUNTS_PER_SECOND)

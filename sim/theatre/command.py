@@ -98,8 +98,7 @@ def theatre(
     tracker: Annotated[
         TrackerService,
         typer.Option(
-            help="polaris: the unit itself. plus: its tools alone, served by OpenIGTLink as PlusServer does; "
-            "needs --speed 1."
+            help="polaris: the unit itself. plus: its tools alone, served by OpenIGTLink as PlusServer does."
         ),
     ] = TrackerService.POLARIS,
     speed: Annotated[Speed, typer.Option(help="max for as fast as possible, 1 for real time.")] = Speed.MAX,
@@ -145,12 +144,6 @@ def theatre(
             f"--assistant-arm {assistant_arm} requires --dual",
             expected="a theatre with two arms",
             action="Add --dual, or omit --assistant-arm.",
-        )
-    if tracker is TrackerService.PLUS and speed is Speed.MAX:
-        raise UsageMistake(
-            "--tracker plus requires --speed 1: its server sends at the pace of a clock on the wall",
-            expected="--speed 1",
-            action="Add --speed 1, or omit --tracker plus.",
         )
     require_folder(out)
     _require_plain_name(out)

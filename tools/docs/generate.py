@@ -42,6 +42,7 @@ from conformance import robot, stereo, tracker
 from drivers.basler_stereo.options import BaslerOptions
 from drivers.kuka_rsi import options as kuka_rsi
 from drivers.ndi_polaris.options import PolarisOptions
+from drivers.openigtlink_tracker.options import OpenIGTLinkOptions
 from drivers.universal_robots import options as universal_robots
 from procedures.engine.machine import state_chart_mermaid
 from procedures.exchange import allowed_fields
@@ -107,6 +108,7 @@ def tables() -> dict[str, str]:
         "ur-options.md": _tabulate_roles(universal_robots.ROLES)
         + model_tables({"Options": universal_robots.UrOptions}),
         "theatre-file.md": model_tables({"theatre file": TheatreFile}),
+        "openigtlink-tracker-options.md": model_tables({"Options": OpenIGTLinkOptions}),
         "tracker-options.md": model_tables({"Options": PolarisOptions}),
         "tracker-parameters.md": parameter_table(rows(UnitBehaviour)),
         "ur-simulator.md": _describe_ur_simulator(),

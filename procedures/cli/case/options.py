@@ -215,8 +215,8 @@ class CaseOptions(TheatreOptions):
     tracker: Annotated[
         TrackerChoice,
         Option(
-            help="With --sim: polaris for the unit itself, plus for its tools as PlusServer sends them, with "
-            "--fiducials xframe and --speed 1."
+            help="With --sim: polaris for the unit itself; plus for its tools as PlusServer sends them, with "
+            "--fiducials xframe."
         ),
     ] = TrackerChoice.POLARIS
     speed: Annotated[SpeedChoice, Option(help="max: as fast as the devices go; 1: real time.")] = (
@@ -266,11 +266,6 @@ class CaseOptions(TheatreOptions):
                 f"--assistant-arm {self.assistant_arm} requires --dual",
                 expected="a case with two arms",
                 action="Add --dual, or omit --assistant-arm.",
-            )
-        if self.tracker is TrackerChoice.PLUS and self.speed is SpeedChoice.MAX:
-            raise UsageMistake(
-                "--tracker plus requires --speed 1: PlusServer sends at the pace of a clock on the wall",
-                action="Add --speed 1, or omit --tracker plus.",
             )
         if self.config is not None and self.plan is not None:
             raise UsageMistake("--plan requires --sim", action="With --config the plan is in --case DIR.")

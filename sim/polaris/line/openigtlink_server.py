@@ -33,16 +33,18 @@ from ronna_hw.wire.openigtlink_contents import (
     encode_tracking,
     encode_transform,
 )
-from ronna_hw.wire.polaris import PortStatus
+from ronna_hw.wire.polaris import PARAMETER_ILLUMINATOR_RATE, PortStatus
 from sim.polaris.faults import Power, UnitFaults
 from sim.polaris.line.server import EndSignal
-from sim.polaris.tracker_unit import SimulatedUnit
+from sim.polaris.tracker_unit import SimulatedUnit, UnitMode
 from sim.polaris.unit.tool_definition import parse_definition, write_definition
 from sim.world.rigid import Matrix, matrix_from, rotation_from_quaternion
 from sim.world.scene.model import TrackerTool
 
 DEVICE: Final = "PlusServer"
 SENDING_PERIOD_S: Final = 1 / 30
+# Where devices advance the time, each push takes the next frame: 1/60 s of theatre time passes.
+STEPPED_PERIOD_S: Final = 1 / 480
 STATUS_PERIOD_S: Final = 0.25
 RECEIVE_BYTES: Final = 4096
 MOST_UNSENT_BYTES: Final = 1 << 20  # for a client that does not read; then it is disconnected
@@ -69,8 +71,10 @@ class _Client:
 
 
 def load_tools(unit: SimulatedUnit, tools: Iterable[TrackerTool]) -> dict[int, str]:
-    """Load tools and start tracking; return the names of their transforms by handle."""
+    """Load tools; return the names of their transforms by handle."""
     unit.initialise()
+    fastest = max(unit.model.illuminator_rates)
+    unit.user_parameters.set(PARAMETER_ILLUMINATOR_RATE, str(fastest), tracking=False)
     names = {}
     for tool in tools:
         port = unit.ports.request()
@@ -78,7 +82,6 @@ def load_tools(unit: SimulatedUnit, tools: Iterable[TrackerTool]) -> dict[int, s
         port.initialised = port.enabled = True
         port.place = None if unit.measurer.is_mount_frame(port) else unit.ports.free_place()
         names[port.handle] = transform_name(tool)
-    unit.start_tracking(restart=True)
     return names
 
 
@@ -88,7 +91,11 @@ def transform_name(tool: TrackerTool) -> str:
 
 
 class OpenIGTLinkServer:
-    """Serves any number of clients from one thread, at the pace of the host's clock."""
+    """Serves any number of clients from one thread, at the pace of the host's clock.
+
+    Where devices advance the time, the unit measures only while a client has asked for TDATA: the time stands
+    still otherwise. How much of it passes between two readings then depends on the host.
+    """
 
     def __init__(self, unit: SimulatedUnit, tools: Iterable[TrackerTool], end: EndSignal) -> None:
         self._unit, self._end = unit, end
@@ -96,6 +103,8 @@ class OpenIGTLinkServer:
         self._faults = UnitFaults(unit)
         self._begun_utc_ns = time.time_ns() - unit.clock.now_ns()  # at theatre time 0
         self._clients: list[_Client] = []
+        self._last_number = -1  # of a frame
+        self._period_s = SENDING_PERIOD_S if unit.clock.paced else STEPPED_PERIOD_S
 
     def serve(self, listener: socket.socket) -> None:
         """Serve until told to end."""
@@ -116,7 +125,8 @@ class OpenIGTLinkServer:
             now_s = time.monotonic()
             if now_s < due_s:
                 continue
-            due_s = max(due_s + SENDING_PERIOD_S, now_s)
+            due_s = max(due_s + self._period_s, now_s)
+            self._run_unit()
             self._push(now_s)
             if now_s >= status_due_s:
                 status_due_s = now_s + STATUS_PERIOD_S
@@ -162,11 +172,24 @@ class OpenIGTLinkServer:
             client.tracking_interval_s = None
             client.send(self._encode(client, "RTS_TDATA", DEVICE, b"\0"))
 
+    def _run_unit(self) -> None:
+        """Track while somebody is to be served."""
+        unit = self._unit
+        clients = [one for one in self._clients if unit.clock.paced or one.tracking_interval_s is not None]
+        if clients and unit.mode is not UnitMode.TRACKING:
+            self._last_number = -1
+            unit.start_tracking(restart=False)
+        elif not clients and unit.mode is UnitMode.TRACKING:
+            unit.stop()
+
     def _push(self, now_s: float) -> None:
-        if not self._clients:
+        if self._unit.mode is not UnitMode.TRACKING:
             return
-        poses = self._measure()
-        stamp_ns = self._begun_utc_ns + self._unit.clock.now_ns()
+        number, poses = self._measure()
+        if number == self._last_number:
+            return
+        self._last_number = number
+        stamp_ns = self._begun_utc_ns + self._unit.frames.moment_ns(number)
 
         def send_poses(client: _Client) -> None:
             for name, pose in poses.items():
@@ -180,18 +203,21 @@ class OpenIGTLinkServer:
         for client in list(self._clients):
             self._guard(client, send_poses)
 
-    def _measure(self) -> dict[str, Matrix]:
-        """Return the poses of the tools that the unit sees inside its volume, by their transforms' names."""
+    def _measure(self) -> tuple[int, dict[str, Matrix]]:
+        """Return the number of the frame and the poses of the tools that are seen inside the volume.
+
+        Poses are by the names of their transforms; a unit without power repeats its last frame.
+        """
         if self._faults.any_active:
             if self._faults.power() is Power.GONE:
-                return {}
+                return self._last_number, {}
             self._faults.apply()
-        poses = {}
-        for port, tracked in self._unit.frame().tools:
+        poses, frame = {}, self._unit.frame()
+        for port, tracked in frame.tools:
             if tracked is not None and tracked.pose is not None and not tracked.volume_status & OUTSIDE:
                 rotation = rotation_from_quaternion(tracked.pose.quaternion)
                 poses[self._names[port.handle]] = matrix_from(tracked.pose.position_mm, rotation)
-        return poses
+        return frame.number, poses
 
     def _send_status(self, client: _Client) -> None:
         client.send(self._encode(client, "STATUS", DEVICE, encode_status(Status(StatusCode.OK, "OK"))))
