@@ -237,7 +237,7 @@ def fetch(
     arrivals = Arrivals(out, report, count_at_source=requester.count_slices)
     with Receiver(listening, arrivals, terminal.tell) as receiver:
         arrived.clear()  # of what was in the inbox
-        if expected and requester.move(study, series):
+        if expected and requester.retrieve(study, series):
             arrived.wait(ARRIVAL_S)
         place = f"{listen}:{receiver.port}"
     here = found[-1].record.instances if arrived.is_set() else 0
@@ -329,7 +329,7 @@ def _show_scan(entry: InboxEntry, scan: ScanIdentity) -> None:
 
 
 def _read_back(value: ReadBack) -> str:
-    sys.stderr.write(f"{value.what}: ")
+    sys.stderr.write(f"{value.what}:{' ' if sys.stdin.isatty() else chr(10)}")
     sys.stderr.flush()
     return sys.stdin.readline().rstrip("\n")
 
