@@ -94,7 +94,10 @@ def inbox(directory: InboxArgument, as_json: terminal.JsonOption = False) -> Non
     Exit codes: 0 done, 2 usage.
     """
     from procedures.exchange.dicom_network.inbox import list_series
+    from ronna_hw.command_line.errors import PATH_PROBLEM
 
+    if not directory.is_dir():
+        raise PATH_PROBLEM(f"there is no inbox {directory}", expected="the folder given as --out of receive")
     entries = list_series(directory)
     if as_json:
         terminal.print_json({"series": [one.as_dict() for one in entries]})
