@@ -54,6 +54,7 @@ MEASUREMENTS = {
     "tracker-frame": "mount.tracker_frame_calibration",
     "tool-tip": "mount.tool_tip_calibration",
     "ct": "scans.ct",
+    "dicom": "dicom_reception",
     "registration": "registration",
     "mini-case": "mini_case",
     "recording": "recording",
@@ -63,7 +64,7 @@ MEASUREMENTS = {
 }
 PEERS = (
     "ndicapi", "scikit-surgerynditracker", "RSIPI", "ur-rtde", "opencv-contrib-python-headless", "scipy",
-    "numpy", "pydicom", "ruckig", "nicegui",
+    "numpy", "pydicom", "pynetdicom", "ruckig", "nicegui",
 )  # fmt: skip
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None)

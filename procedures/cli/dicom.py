@@ -94,7 +94,10 @@ def inbox(directory: InboxArgument, as_json: terminal.JsonOption = False) -> Non
     Exit codes: 0 done, 2 usage.
     """
     from procedures.exchange.dicom_network.inbox import list_series
+    from ronna_hw.command_line.errors import PATH_PROBLEM
 
+    if not directory.is_dir():
+        raise PATH_PROBLEM(f"there is no inbox {directory}", expected="the folder given as --out of receive")
     entries = list_series(directory)
     if as_json:
         terminal.print_json({"series": [one.as_dict() for one in entries]})
@@ -230,17 +233,17 @@ def fetch(
     def report(entry: InboxEntry) -> None:
         if entry.record.series_instance_uid == series:
             found.append(entry)
-            arrived.set()
+            if entry.record.instances >= expected:  # a slow archive pauses for longer than two seconds
+                arrived.set()
 
     expected = requester.count_slices(study, series)
     listening = Listening(requester.title, listen, port, [requester.peer.title], requester.tls)
     arrivals = Arrivals(out, report, count_at_source=requester.count_slices)
     with Receiver(listening, arrivals, terminal.tell) as receiver:
-        arrived.clear()  # of what was in the inbox
-        if expected and requester.move(study, series):
+        if expected and requester.retrieve(study, series):
             arrived.wait(ARRIVAL_S)
         place = f"{listen}:{receiver.port}"
-    here = found[-1].record.instances if arrived.is_set() else 0
+    here = found[-1].record.instances if found else 0
     if here != expected or not expected:
         how = None if here else f"Check both UIDs, and that the peer knows {aet} at {place}."
         raise NOT_ALL_ARRIVED(
@@ -329,7 +332,7 @@ def _show_scan(entry: InboxEntry, scan: ScanIdentity) -> None:
 
 
 def _read_back(value: ReadBack) -> str:
-    sys.stderr.write(f"{value.what}: ")
+    sys.stderr.write(f"{value.what}:{' ' if sys.stdin.isatty() else chr(10)}")
     sys.stderr.flush()
     return sys.stdin.readline().rstrip("\n")
 

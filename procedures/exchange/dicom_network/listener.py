@@ -110,6 +110,7 @@ class PatientServer(ThreadedAssociationServer):
         self._ends_s: dict[socket.socket, float] = {}  # in the order of their arrival
         self._guard = threading.Lock()
         self._closing = False
+        self._watcher = threading.Thread(target=self._watch, name="waiting DICOM connections", daemon=True)
         super().__init__(
             entity,
             address,
@@ -118,7 +119,6 @@ class PatientServer(ThreadedAssociationServer):
             evt_handlers=handlers,
             request_handler=_GuardedHandler,
         )
-        self._watcher = threading.Thread(target=self._watch, name="waiting DICOM connections", daemon=True)
         self._watcher.start()
 
     def process_request(self, request: Any, client_address: Any) -> None:

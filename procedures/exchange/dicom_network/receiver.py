@@ -75,12 +75,12 @@ class Receiver:
             (evt.EVT_DIMSE_RECV, begin_message),
             (evt.EVT_REJECTED, self._note_rejection),
         ]
-        self._server = PatientServer(
-            entity,
-            (listening.address, listening.port),
-            handlers,
-            None if listening.tls is None else listening.tls.server_context(),
-        )
+        tls = None if listening.tls is None else listening.tls.server_context()
+        try:
+            self._server = PatientServer(entity, (listening.address, listening.port), handlers, tls)
+        except OSError as problem:
+            problem.filename = f"tcp://{listening.address}:{listening.port}"  # for the message
+            raise
         self._serving = threading.Thread(target=self._server.serve_forever, args=(SETTLE_S,), daemon=True)
         self._settling = threading.Thread(target=self._settle, name="inbox", daemon=True)
         self._serving.start()

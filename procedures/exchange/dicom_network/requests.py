@@ -129,7 +129,7 @@ class Requester:
                 return int(answer.get("NumberOfSeriesRelatedInstances"))
         return len(self.find("IMAGE", {**keys, "SOPInstanceUID": ""}))
 
-    def move(self, study_uid: str, series_uid: str) -> int:
+    def retrieve(self, study_uid: str, series_uid: str) -> int:
         """Have the peer send a series to our AE title; return how many it says it sent.
 
         Raises DCM-005 to DCM-007.

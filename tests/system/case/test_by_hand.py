@@ -1,5 +1,6 @@
 """A theatre started by hand, with the procedure on its file and a person who answers."""
 
+import io
 import json
 import shlex
 from collections.abc import Callable, Iterator
@@ -8,11 +9,13 @@ from pathlib import Path
 from threading import Thread
 
 import pytest
+from dicom_stand import free_port, needs_orthanc, orthanc
 from person import Person
 from run_folders import await_motion_in, run_folder
 from user_commands import Commands, in_this_process, one_error
 from waiting import HANG_LIMIT_S
 
+from procedures.cli.dicom import app as ronna_dicom
 from procedures.journal.journal import JOURNAL_FILE, Entry, read_journal
 from procedures.runs.request_file import read_request
 from ronna_hw.errors import EXIT_REFUSED, EXIT_SAFETY_STOP
@@ -131,6 +134,45 @@ def test_after_an_emergency_stop_is_acknowledged_by_name_the_arm_goes_home(cell:
     assert (code, "the arm is home" in text) == (0, True), text
     line = next(one for one in read_journal(folder / JOURNAL_FILE) if one["entry"] == Entry.ACKNOWLEDGED)
     assert line["by"] == "A. Nurse"
+
+
+@needs_orthanc
+@pytest.mark.slow
+@pytest.mark.timeout(600)  # only ends what hangs
+@pytest.mark.hazard(9)
+def test_a_case_runs_on_a_ct_that_was_fetched_from_an_archive_and_read_back(
+    cell: Cell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ours, inbox, case = free_port(), cell.folder / "inbox", cell.folder / "fetched"
+    with orthanc(cell.folder / "orthanc", ours) as archive:
+        peer = f"ORTHANC@127.0.0.1:{archive.port}"
+        assert in_this_process(ronna_dicom, "send", peer, cell.folder / "patient/ct").returncode == 0
+        found = in_this_process(ronna_dicom, "find", peer, "--patient", PATIENT, "--json")
+        (row,) = json.loads(found.stdout)["series"]
+        got = in_this_process(
+            ronna_dicom, "fetch", peer, row["study"], row["series"], "--out", inbox, "--port", ours
+        )
+        assert got.returncode == 0, got.stderr
+        name = json.loads(got.stdout)["name"]
+        monkeypatch.setattr("sys.stdin", io.StringIO(f"{PATIENT}\n"))
+        taken = in_this_process(ronna_dicom, "take", inbox, name, "--case", case)
+        assert taken.returncode == 0, taken.stderr
+        (case / "plan.toml").write_bytes((cell.folder / "patient/plan.toml").read_bytes())
+        code, text = cell.by_hand(
+            "run", "--config", "theatre/theatre.toml", "--case", "fetched", "--out", "runs"
+        )
+        assert code == 0, text[-1500:]
+        folder = run_folder(cell.folder / "runs")
+        assert folder is not None
+        export = cell.folder / "export"
+        assert (
+            cell.commands.run("ronna-procedure", "export", str(folder), "--out", str(export)).returncode == 0
+        )
+        refused = in_this_process(ronna_dicom, "send", peer, export)
+        assert (refused.returncode, "DCM-014" in refused.stderr) == (EXIT_REFUSED, True), (
+            "it names no patient"
+        )
+        assert len(archive.get("/patients")) == len(archive.get("/studies")) == 1
 
 
 def test_the_mount_command_reports_an_unreachable_theatre() -> None:

@@ -22,7 +22,7 @@ LIGHT = (
     "ronna-campaign registration: numpy scipy cv2 pydicom matplotlib",
     *(
         f"ronna-{name}: scipy cv2 pydicom matplotlib"
-        for name in ("procedure", "sim", "ct", "plan", "conformance", "rom", "stereo")
+        for name in ("procedure", "sim", "ct", "plan", "conformance", "rom", "stereo", "dicom")
     ),
     "sim.polaris.line.server: scipy cv2 pydicom pinocchio",
     "sim.kuka.cycle_loop: scipy cv2 pydicom",

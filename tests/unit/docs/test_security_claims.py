@@ -11,6 +11,7 @@ PAGE = (ROOT / "docs/explanation/security.md").read_text(encoding="utf-8")
 TEST = re.compile(r"`(tests/[\w/]+\.py)::(\w+)`")
 OURS = ("ronna_hw", "conformance", "drivers", "sim", "procedures", "studies", "console")
 SERVERS = {"create_server", "ThreadingTCPServer", "ThreadingHTTPServer", "HTTPServer", "TCPServer"}
+SERVERS.add("ThreadedAssociationServer")  # of pynetdicom
 LISTENING = re.compile(
     rf"\b({'|'.join((*sorted(SERVERS), 'bind'))})\b"
 )  # a source without it need not be parsed

@@ -179,6 +179,7 @@ def test_a_disk_that_fills_amid_an_object_keeps_no_part_of_it(
     assert [one.name for one in inbox.rglob("*") if one.is_file()] == ["lock"]
 
 
+@pytest.mark.hazard(35)
 def test_no_record_of_the_inbox_names_the_patient(inbox: Path, open_inbox: OpenInbox, tmp_path: Path) -> None:
     arrivals = open_inbox()
     store_all(arrivals, write_patient(tmp_path / "sent", "SECRET-7"))
@@ -220,6 +221,7 @@ def test_a_complete_series_becomes_the_ct_of_a_case_once_the_patient_is_read_bac
         take_series(inbox, name, tmp_path / "case", lambda *_: None, _answering("anna"))
 
 
+@pytest.mark.hazard(9)
 @pytest.mark.parametrize(("at_source", "answers"), [(4, ["boris"]), (4, ["ANNA"]), (None, ["anna", "5"])])
 def test_another_patient_or_another_number_of_slices_is_not_taken(
     filled: Callable[[int | None], Path], tmp_path: Path, at_source: int | None, answers: list[str]
@@ -243,6 +245,7 @@ def test_a_series_of_unknown_length_is_taken_once_its_number_of_slices_is_read_b
     assert len(list((tmp_path / "case/ct").iterdir())) == 4
 
 
+@pytest.mark.hazard(9)
 def test_a_series_that_lacks_slices_is_not_taken(
     filled: Callable[[int | None], Path], tmp_path: Path
 ) -> None:

@@ -26,8 +26,10 @@ from dicom_stand import (
 from pydicom.dataset import Dataset
 from pydicom.filewriter import write_dataset
 from pydicom.uid import JPEG2000Lossless
+from user_commands import in_this_process
 from waiting import eventually
 
+from procedures.cli.dicom import app
 from procedures.exchange.dicom_network import errors, listener, receiver
 from procedures.exchange.dicom_network.peers import TlsFiles
 from procedures.exchange.dicom_network.receiver import Listening
@@ -201,3 +203,10 @@ def _still_open(line: socket.socket) -> bool:
         return True
     except OSError:
         return False
+
+
+def test_an_address_that_is_in_use_is_named(tmp_path: Path) -> None:
+    with receiving(tmp_path / "inbox") as stand:
+        used = ("--port", str(stand.port), "--out", tmp_path / "other")
+        refused = in_this_process(app, "receive", *used)
+    assert f"CLI-006: tcp://{HOST}:{stand.port}" in refused.stderr
