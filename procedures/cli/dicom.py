@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
 import sys
 import threading
@@ -25,7 +24,6 @@ if TYPE_CHECKING:
 
 DEFAULT_TITLE = "RONNA"
 DEFAULT_PORT = 11112  # registered for DICOM; 104 needs root
-ARRIVAL_S = 30.0  # after the peer's last word: two seconds of quiet, and a look at the slices
 MOST_REFUSALS_SHOWN = 10
 app = terminal.command_group(
     "ronna-dicom",
@@ -71,9 +69,10 @@ def receive(
     Prints READY {json}, then a line of JSON for each series that has become quiet. Exit codes: 2 usage, 3 a
     sender must be named, 130 interrupted.
     """
-    _require_network()
+    from procedures.exchange.dicom_network.peers import Peer, require_network, require_title
+
+    require_network()
     from procedures.exchange.dicom_network.arrivals import Arrivals
-    from procedures.exchange.dicom_network.peers import Peer, require_title
     from procedures.exchange.dicom_network.receiver import Listening, Receiver
     from procedures.exchange.dicom_network.requests import Requester
 
@@ -223,36 +222,9 @@ def fetch(
     not all slices arrived, 2 usage, 4 no answer or refused, 5 the peer answers with an error.
     """
     requester = _requester(peer, aet, tls_cert, tls_key, tls_ca)
-    from procedures.exchange.dicom_network.arrivals import Arrivals
-    from procedures.exchange.dicom_network.errors import NOT_ALL_ARRIVED
-    from procedures.exchange.dicom_network.receiver import Listening, Receiver
+    from procedures.exchange.dicom_network.fetching import fetch_series
 
-    arrived = threading.Event()
-    found: list[InboxEntry] = []
-
-    def report(entry: InboxEntry) -> None:
-        if entry.record.series_instance_uid == series:
-            found.append(entry)
-            if entry.record.instances >= expected:  # a slow archive pauses for longer than two seconds
-                arrived.set()
-
-    expected = requester.count_slices(study, series)
-    listening = Listening(requester.title, listen, port, [requester.peer.title], requester.tls)
-    arrivals = Arrivals(out, report, count_at_source=requester.count_slices)
-    with Receiver(listening, arrivals, terminal.tell) as receiver:
-        if expected and requester.retrieve(study, series):
-            arrived.wait(ARRIVAL_S)
-        place = f"{listen}:{receiver.port}"
-    here = found[-1].record.instances if found else 0
-    if here != expected or not expected:
-        how = None if here else f"Check both UIDs, and that the peer knows {aet} at {place}."
-        raise NOT_ALL_ARRIVED(
-            f"the series has not arrived whole from {peer}",
-            expected=f"{expected or 'some'} slices",
-            got=f"{here}",
-            action=how,
-        )
-    _print_line(found[-1])
+    _print_line(fetch_series(requester, study, series, out, listen, port, terminal.tell))
 
 
 @app.command()
@@ -287,19 +259,12 @@ def send(
     terminal.say(f"{format_count(len(objects), 'object')} stored at {peer}")
 
 
-def _require_network() -> None:
-    """Raise DCM-001 if the library for the network is not installed."""
-    if importlib.util.find_spec("pynetdicom") is None:
-        from procedures.exchange.dicom_network.errors import NETWORK_MISSING
-
-        raise NETWORK_MISSING("the DICOM network needs pynetdicom, which is not installed")
-
-
 def _requester(
     peer: str, aet: str, certificate: Path | None, key: Path | None, authority: Path | None
 ) -> Requester:
-    _require_network()
-    from procedures.exchange.dicom_network.peers import Peer, require_title
+    from procedures.exchange.dicom_network.peers import Peer, require_network, require_title
+
+    require_network()
     from procedures.exchange.dicom_network.requests import Requester
 
     return Requester(require_title(aet), Peer.parse(peer), _tls_files(certificate, key, authority))

@@ -38,8 +38,9 @@ def run_command(
     try:
         from procedures.cli.case.display import follow_case
 
-        request, page, served = case.request(), console.request(), link.request()
-        follow_case(request, case.out, as_json=as_json, console=page, openigtlink=served)
+        request, page, served = case.request(), console.request(), link.served_at()
+        archive = link.through_archive(case)
+        follow_case(request, case.out, as_json=as_json, console=page, openigtlink=served, archive=archive)
     finally:
         resume_garbage_collection()
 

@@ -21,9 +21,12 @@ if TYPE_CHECKING:
     from ronna_hw.theatre import Theatre
 
 
+SIMULATED_CASE = "case"  # folder in a run with the simulated patient
+
+
 def case_folder(case: CaseProcedure, folder: Path) -> Path:
     """Return the folder with the CT and plan of the run in `folder`."""
-    return case.case or folder / "case"
+    return case.case or folder / SIMULATED_CASE
 
 
 def clinical_input(case: CaseProcedure, folder: Path, plan: LockedPlan | None = None) -> ClinicalInput:

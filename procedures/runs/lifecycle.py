@@ -242,6 +242,7 @@ def _start_simulated(
     if phantom is not None:
         observers.status("making the phantom CT")
         simulated.await_patient()
+        observers.patient(phantom)
     observers.status("opening the theatre")
     simulated.await_theatre()
     observers.announce(f"control port {simulated.theatre.control}")

@@ -21,6 +21,8 @@ from ronna_hw.command_line.messages import on_terminal, tell
 from ronna_hw.errors import RonnaError
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from procedures.engine.engine import Engine
     from procedures.runs.interrupted_run import Resumption
     from procedures.runs.order_executor import OrderExecutor
@@ -80,6 +82,7 @@ class RunObservers:
 
     status: Callable[[str], None] = lambda _text: None  # of what is done before there is an engine
     announce: Callable[[str], None] = lambda _text: None  # a simulated theatre's control port and pendant
+    patient: Callable[[Path], None] = lambda _folder: None  # a simulated one, whose CT has just been made
     opened: Callable[[Engine], None] = lambda _engine: None  # before the first step
     person: Operator = field(default_factory=SilentOperator)  # at the terminal
     staff: Callable[[bool], Room] = lambda _simulated: UnattendedRoom()  # of a configured theatre

@@ -49,6 +49,7 @@ if TYPE_CHECKING:
     from procedures.cli.case.live_display import LiveDisplay
     from procedures.engine.engine import Engine
     from procedures.reporting.outcome import FinishedRun
+    from procedures.runs.archive import Archive
     from procedures.runs.console_link import ConsoleRequest
     from procedures.runs.interrupted_run import InterruptedRun
     from procedures.runs.openigtlink import LinkAddress
@@ -260,13 +261,21 @@ def follow_case(
     as_json: bool,
     console: ConsoleRequest | None = None,
     openigtlink: LinkAddress | None = None,
+    archive: Archive | None = None,
 ) -> None:
     """Run and show a case in a new folder in `out`. With `as_json`, always print exactly one object."""
     check_case(request, out)
     with run_folder(request, out) as folder, hold_run(folder):
         waits = request.has_person
-        run = partial(run_case, request, folder)
+
+        def run(observers: RunObservers) -> FinishedRun:
+            if archive is not None:
+                observers = replace(observers, patient=archive.pass_through)
+            return run_case(request, folder, observers)
+
         follow(request, folder, run, console, as_json=as_json, waits=waits, openigtlink=openigtlink)
+        if archive is not None:
+            archive.store_results(folder)
 
 
 def follow(

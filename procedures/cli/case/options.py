@@ -24,6 +24,7 @@ from ronna_hw.roles import roles_of
 
 if TYPE_CHECKING:
     from procedures.runs.answers import Answers
+    from procedures.runs.archive import Archive
     from procedures.runs.console_link import ConsoleRequest
     from procedures.runs.openigtlink import LinkAddress
 
@@ -318,7 +319,34 @@ class LinkOptions:
         ),
     ] = None
 
-    def request(self) -> LinkAddress | None:
+    archive: Annotated[
+        str | None,
+        Option(
+            metavar="PEER",
+            help="With --sim: the CT passes through this archive, AETITLE@HOST:PORT; results go there.",
+        ),
+    ] = None
+    archive_port: Annotated[
+        int, Option(min=1, max=65535, help="Own port at which that archive reaches the AE title RONNA.")
+    ] = 11112
+
+    def through_archive(self, case: CaseOptions) -> Archive | None:
+        """Return the archive of a rehearsal, which answers. Raises CLI-001, DCM-001 to DCM-007."""
+        if self.archive is None:
+            return None
+        if not case.sim:
+            raise UsageMistake(
+                "--archive is for a rehearsal",
+                expected="--sim",
+                action="On real devices fetch the CT and send the results with ronna-dicom.",
+            )
+        from procedures.runs.archive import Archive
+
+        archive = Archive.parse(self.archive, self.archive_port)
+        archive.check()
+        return archive
+
+    def served_at(self) -> LinkAddress | None:
         """Return the address of the OpenIGTLink server. Raises LIV-011 if it cannot be used."""
         if self.openigtlink is None:
             return None

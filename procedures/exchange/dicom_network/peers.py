@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
+import importlib.util
 import ssl
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Self
 
-from procedures.exchange.dicom_network.errors import BAD_ADDRESS, TLS_UNUSABLE
+from procedures.exchange.dicom_network.errors import BAD_ADDRESS, NETWORK_MISSING, TLS_UNUSABLE
 
 LONGEST_TITLE = 16  # PS3.5 6.2, AE
 PORTS = range(1, 65_536)
+
+
+def require_network() -> None:
+    """Raise DCM-001 if the library for the network is not installed."""
+    if importlib.util.find_spec("pynetdicom") is None:
+        raise NETWORK_MISSING("the DICOM network needs pynetdicom, which is not installed")
 
 
 def require_title(title: str) -> str:
