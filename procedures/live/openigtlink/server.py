@@ -216,8 +216,7 @@ class LinkServer:
             for name in names:
                 image = await self._images.find(name, connection.version)
                 connection.reply(nothing("IMAGE", name) if image is None else image)
-        except (RonnaError, OSError, ValueError) as error:
-            code = getattr(error, "code", "NotReadable")
-            connection.reply(status(StatusCode.NOT_READY, str(error), code))
+        except (OSError, ValueError) as error:
+            connection.reply(status(StatusCode.NOT_READY, str(error), "NotReadable"))
         finally:
             connection.has_image_request = False

@@ -7,6 +7,7 @@ import socket
 import struct
 from collections import Counter
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -227,6 +228,16 @@ def test_whatever_would_move_or_change_something_is_refused_in_words() -> None:
         assert decode_status(client.first("STATUS").content).code == 5
         client.send("GET_NDARRAY")
         assert decode_status(client.first("STATUS").content).code == 12
+
+
+def test_a_ct_that_cannot_be_read_is_told_and_other_images_are_a_null_body(tmp_path: Path) -> None:
+    with linked_case(LinkOptions(ct=tmp_path / "none")) as case, case.connect() as client:
+        client.send("GET_IMAGE", "CT")
+        status = decode_status(client.first("STATUS").content)
+        assert (status.code, status.error) == (13, "NotReadable")
+        assert "CT-0" in status.text
+        client.send("GET_IMAGE", "CameraLeft")
+        assert client.first("IMAGE", "CameraLeft").content == b""
 
 
 def test_a_wrong_check_sum_is_told_and_not_obeyed() -> None:
