@@ -77,16 +77,17 @@ class Poses:
         """Return the pose of a record, inverted if it is that of the CT; None before its first numbers."""
         child, parent = record.child, record.parent
         matrix: Matrix | None = None
-        if record.rotation is not None and record.translation_mm is not None:
+        validity = record.validity
+        is_valid = validity is Validity.OK
+        if is_valid and record.rotation is not None and record.translation_mm is not None:
             matrix = rigid_matrix(record.rotation, record.translation_mm)
         if is_reversed := child == Frame.CT:
             child, parent = parent, child
-        validity = record.validity
         if matrix is None:
             if (last := self._latest.get((child, parent))) is None:
                 return None
             matrix = last.matrix
-            validity = Validity.MISSING if validity is Validity.OK else validity
+            validity = Validity.MISSING if is_valid else validity
         elif is_reversed:
             matrix = invert(matrix)
         return Pose(child, parent, matrix, validity, stamp_ns, record.is_fixed)

@@ -29,10 +29,7 @@ from ronna_hw.wire.openigtlink_contents import StatusCode, decode_subscription
 LOOPBACK: Final = "127.0.0.1"
 MOST_CLIENTS: Final = 16
 REPEAT_S: Final = 1.0
-REPEATED: Final = (
-    "STATUS",
-    TRANSFORM,
-)  # of what stands: Slicer calls a transform stale that does not come again
+REPEATED: Final = ("STATUS", TRANSFORM)  # of what stands: what does not come again looks stale in Slicer
 STALLED_S: Final = 60.0  # a client that takes nothing for so long gives its place to others
 CLOSE_LIMIT_S: Final = 1.0  # for what clients have not yet received when the case ends
 RATE_HZ: Final = 30.0
@@ -42,7 +39,7 @@ MS_PER_S: Final = 1000.0
 
 
 @dataclass(frozen=True)
-class LinkOptions:
+class ServerOptions:
     """Options of the server. Port 0 is any free one."""
 
     host: str = LOOPBACK
@@ -55,7 +52,7 @@ class LinkOptions:
 class LinkServer:
     """Server of the values of one case."""
 
-    def __init__(self, options: LinkOptions, tell: Callable[[str], None]) -> None:
+    def __init__(self, options: ServerOptions, tell: Callable[[str], None]) -> None:
         """`tell` shows a line to the user. Raises LIV-010 if a name does not fit."""
         self._tell = tell
         self._options = options
@@ -68,7 +65,9 @@ class LinkServer:
 
     async def serve(self, records: AsyncIterator[LiveRecord], ready: Callable[[str, int], None]) -> None:
         """Serve the records until they end; `ready` gets address and port. Raises LIV-011 and theirs."""
-        self._take(await anext(records))
+        if (first := await anext(records, None)) is None:
+            return
+        self._take(first)
         server = await self._listen()
         host, port = server.sockets[0].getsockname()[:2]
         ready(host, port)

@@ -18,7 +18,7 @@ from documented import python_of
 from linked_case import AWAITED_S, EPOCH_NS, LinkedCase, linked_case, pose
 from painted_ct import write_series
 
-from procedures.live.openigtlink.server import LinkOptions
+from procedures.live.openigtlink.server import ServerOptions
 from procedures.live.records import (
     CameraPicture,
     DeviceStatus,
@@ -56,7 +56,7 @@ CENTRE_RAS_MM = (20.0 - 1.5 * 0.25, 30.0 - 2.5 * 0.5, 40.0 + 2.0)
 @pytest.fixture
 def case(tmp_path: Path) -> Iterator[LinkedCase]:
     series = write_series(tmp_path / "ct", VOXELS, SPACING_MM, origin_mm=ORIGIN_MM)
-    with linked_case(LinkOptions(rate_hz=1000.0, ct=series)) as linked:
+    with linked_case(ServerOptions(rate_hz=1000.0, ct=series)) as linked:
         linked.tell(*STANDING)
         yield linked
 
