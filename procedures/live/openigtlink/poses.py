@@ -93,22 +93,17 @@ class Poses:
         return Pose(child, parent, matrix, validity, stamp_ns, record.is_fixed)
 
     def _composed_with(self, changed: Pose) -> list[Pose]:
-        """Return the composed poses that a change voids or renews.
-
-        After a new registration the tool follows with its next reading: until then it is not known.
-        """
+        """Return the composed poses that a change voids or renews, with the time of the moving part."""
         poses = []
         for child, middle, parent in COMPOSED:
             inner, outer = self._latest.get((child, middle)), self._latest.get((middle, parent))
             if inner is None or outer is None or changed not in (inner, outer):
                 continue
-            if changed is outer and outer.validity is Validity.OK:
-                continue
-            validity = next(
-                (one.validity for one in (outer, inner) if one.validity is not Validity.OK), Validity.OK
-            )
+            doubts = [one.validity for one in (outer, inner) if one.validity is not Validity.OK]
+            validity, *_ = (*doubts, Validity.OK)
+            stamp_ns = changed.stamp_ns if doubts else inner.stamp_ns
             matrix = outer.matrix @ inner.matrix
-            poses.append(Pose(child, parent, matrix, validity, changed.stamp_ns, is_fixed=False))
+            poses.append(Pose(child, parent, matrix, validity, stamp_ns, is_fixed=False))
         return poses
 
 

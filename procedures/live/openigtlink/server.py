@@ -29,7 +29,6 @@ from ronna_hw.wire.openigtlink_contents import StatusCode, decode_subscription
 LOOPBACK: Final = "127.0.0.1"
 MOST_CLIENTS: Final = 16
 REPEAT_S: Final = 1.0
-REPEATED: Final = ("STATUS", TRANSFORM)  # of what stands: what does not come again looks stale in Slicer
 STALLED_S: Final = 60.0  # a client that takes nothing for so long gives its place to others
 CLOSE_LIMIT_S: Final = 1.0  # for what clients have not yet received when the case ends
 RATE_HZ: Final = 30.0
@@ -125,9 +124,8 @@ class LinkServer:
         loop = asyncio.get_running_loop()
         while True:
             await asyncio.sleep(REPEAT_S)
-            for value in self._values.standing:
-                if value.kind in REPEATED:
-                    self._offer(value)
+            for value in self._values.repeated:
+                self._offer(value)
             for connection in list(self._connections):
                 since_s = connection.stalled_since_s
                 if since_s is not None and loop.time() - since_s > STALLED_S:

@@ -136,10 +136,16 @@ def test_a_voided_registration_voids_the_tool_in_the_patient() -> None:
         assert client.first("TRANSFORM", "ToolToRas").metadata["TransformValid"] == "0"
 
 
-def test_a_new_client_gets_what_stands_but_no_pose_of_the_past() -> None:
+def test_a_new_client_gets_what_stands_and_where_the_arm_rests_but_no_tool_that_was_seen_before() -> None:
+    seen = pose("robot_frame", "tracker")
     with linked_case() as case, case.connect() as first:
         case.tell(
-            REGISTRATION, FAULT, PlannedLines(theatre_time_s=0.0, lines=(LINE,)), pose("tool", "robot"), END
+            REGISTRATION,
+            FAULT,
+            PlannedLines(theatre_time_s=0.0, lines=(LINE,)),
+            pose("tool", "robot"),
+            seen,
+            END,
         )
         first.until(_is_end)
         with case.connect() as client:
@@ -147,6 +153,8 @@ def test_a_new_client_gets_what_stands_but_no_pose_of_the_past() -> None:
             sent = {(one.kind, one.name): one for one in before}
             assert set(sent) == {
                 ("TRANSFORM", "RobotToRas"),
+                ("TRANSFORM", "ToolToRobot"),
+                ("TRANSFORM", "ToolToRas"),
                 ("STATUS", "tracker"),
                 ("TRAJ", "Plan"),
                 ("POINT", "Targets"),
@@ -154,6 +162,14 @@ def test_a_new_client_gets_what_stands_but_no_pose_of_the_past() -> None:
             }
             line = struct.unpack(">64s32sBB4B3f3ff20s", sent["TRAJ", "Plan"].content)
             assert line[8:14] == (-1, -2, 3, -4, -5, 6)
+
+
+def test_a_new_registration_places_the_tool_as_it_was_read_before() -> None:
+    with linked_case(OFTEN) as case, case.connect() as client:
+        case.tell(pose("tool", "robot", 1.0), REGISTRATION.model_copy(update={"theatre_time_s": 7.0}))
+        placed = client.first("TRANSFORM", "ToolToRas")
+        assert decode_transform(placed.content) == pytest.approx(np.array(TOOL_IN_RAS))
+        assert placed.stamp_ns == EPOCH_NS + 1_000_000_000
 
 
 def test_points_and_plan_are_not_repeated_until_they_change() -> None:
