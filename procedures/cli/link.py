@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 PORT = 18944  # of OpenIGTLink
 RATE_HZ = 30.0
 LOOPBACK = "127.0.0.1"
-LISTENING_WARNING = "anyone who can reach {}:{} sees this patient's poses, plan and CT; it gives no control"
+LISTENING_WARNING = "anyone who can reach {} sees this patient's poses, plan and CT; it gives no control"
 SWITCH_S = 0.0005  # between threads: an image that is made in one delays poses by no more
 
 app = terminal.command_group(
@@ -73,7 +73,7 @@ def openigtlink_command(
     procedure = read_request(run).procedure
     ct = case_folder(procedure, run) / "ct" if isinstance(procedure, CaseProcedure) else None
     if not _is_loopback(listen):
-        terminal.tell(f"warning: {LISTENING_WARNING.format(listen, port)}")
+        terminal.tell(f"warning: {LISTENING_WARNING.format(listen)}")
     _serve(run, ServerOptions(listen, port, rate, header_version, ct))
 
 
