@@ -291,6 +291,12 @@ class LoadedRun(Protocol):
     def registration(self, target: str) -> RunRegistration:
         """Return the registration used for a target and its spheres in the CT. Raises EXC-005."""
 
+    def stream(self, topic: str) -> RunTable:
+        """Return a topic of the run's log, such as `/measured_js`, `/measured_cp` or `/tf`, as a table.
+
+        Raises LIV-005 for a run without a log, ARG-001 for a topic that is not in it.
+        """
+
 
 class RunReader(Protocol):
     """Target of the entry point: opens the folder of one run."""

@@ -8,16 +8,20 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from contextlib import suppress
 from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from procedures.live.case_frames import base_frame, flange_frame
-from procedures.live.log_entries import JointCycles, LogEntry
+from procedures.live.log_entries import ArmDrawing, JointCycles, LogEntry
 from procedures.live.records import ArmJoints, FramePose
+from ronna_hw.arm import urdf
+from ronna_hw.arm.catalogue import find_arm
 from ronna_hw.devices.capabilities import RecordsCycles, StreamCycles
 from ronna_hw.devices.readings import ArmReading, Validity
+from ronna_hw.errors import RonnaError
 from ronna_hw.vectors import joint_vector, vector3
 
 if TYPE_CHECKING:
@@ -63,8 +67,14 @@ class ArmTap:
         return self._take_reading(self._arm.observe().reading)
 
     def _take_reading(self, reading: ArmReading | None) -> list[LogEntry]:
-        former = self._observed
-        if reading is None or reading.validity is not Validity.OK:
+        former, shown = self._observed, self.latest_pose
+        if reading is not None and reading.validity is not Validity.OK:
+            if shown is None or shown.validity is reading.validity:
+                return []
+            gone = {"rotation": None, "translation_mm": None, "validity": reading.validity}
+            self.latest_pose, self._observed = shown.model_copy(update=gone), None
+            return [self.latest_pose]
+        if reading is None:
             return []
         if former is not None and former.joints_rad == reading.joints_rad:
             return []
@@ -75,9 +85,15 @@ class ArmTap:
         times_s = np.array([reading.stamp.theatre_time_s if self._paced else self._now_s()])
         return self._take(JointCycles(self.role, self._axes, times_s, measured, commanded))
 
+    def draw(self) -> list[LogEntry]:
+        """Return the arm as a viewer draws it, if its kind is known."""
+        with suppress(RonnaError):
+            return [ArmDrawing(self._now_s(), urdf.write_urdf(find_arm(self._arm.kinematics.name)))]
+        return []
+
     @property
     def _axes(self) -> tuple[str, ...]:
-        return tuple(self._arm.kinematics.axis_names)
+        return tuple(map(urdf.joint_name, self._arm.kinematics.axis_names))
 
     def _timed(self, cycles: StreamCycles) -> JointCycles:
         """Give cycles their theatre times. The first ones after a pause only show where the next begin."""

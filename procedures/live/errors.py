@@ -16,6 +16,24 @@ FEED_UNREADABLE = ErrorCode(
     "The live feed of a case sends what this version cannot read.",
     "Read it with the version that runs the case.",
 )
+FOREIGN_LOG = ErrorCode(
+    "LIV-003",
+    DataError,
+    "The file is no log of a run: it is not in MCAP.",
+    "Name a run, or a file of it such as RUN/flight.mcap.",
+)
+EMPTY_LOG = ErrorCode(
+    "LIV-004",
+    DataError,
+    "Nothing can be recovered from the log: it holds no whole message.",
+    "It was cut within its first second, or damaged; see RUN/events.jsonl and RUN/readings instead.",
+)
+NO_LOG = ErrorCode(
+    "LIV-005",
+    DataError,
+    "The run has no log.",
+    "Runs of earlier versions have none, nor has one whose disk was full: RUN/log.jsonl says so.",
+)
 NAME_TOO_LONG = ErrorCode(
     "LIV-010",
     ConfigurationError,

@@ -7,25 +7,19 @@ full or stuck, the log ends, and nothing else notices.
 
 from __future__ import annotations
 
+import contextlib
 import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from procedures.live.log_entries import JointCycles, LogEntry
-from procedures.live.log_topics import LogMessages, Topic
+from procedures.live.log_writer import LogWriter
 from procedures.live.records import Began, CameraPicture
 from ronna_hw.logs import logger
-from ronna_hw.wire import ros2
-
-if TYPE_CHECKING:
-    from mcap.writer import Writer
 
 FIRST_FILE, LATER_FILE = "flight.mcap", "flight-{number}.mcap"
-PROFILE, ENCODING, SCHEMA_ENCODING = "ros2", "cdr", "ros2msg"
-METADATA = "ronna"  # name of the record with the run and the time at which its theatre time is 0
 FLUSH_PERIOD_S = 1.0  # host time; lost if the program is killed
 CLOSE_LIMIT_S = 10.0  # host time for what is still queued
 MOST_WAITING_BYTES = 64_000_000  # of entries: minutes of a case
@@ -59,15 +53,14 @@ class FlightLog:
         """Start the log. A failure to write is logged, never raised."""
         self._path = path
         self._began = began
-        self._messages = LogMessages(began, without_names)
+        self._without_names = without_names
         self._flush_period_s = flush_period_s
         self._most_waiting_bytes = most_waiting_bytes
         self._queue: deque[tuple[LogEntry, int, int]] = deque()  # with host UTC and size
         self._taken_bytes = self._done_bytes = 0  # each written by one thread
-        self._channels: dict[Topic, int] = {}
-        self._schemas: dict[str, int] = {}
         self._ending = threading.Event()
         self.is_open = True
+        self.flushed = 0  # messages that survive this program
         self._thread = threading.Thread(target=self._run, name="flight log", daemon=True)
         self._thread.start()
 
@@ -93,50 +86,29 @@ class FlightLog:
         self._queue.clear()
 
     def _run(self) -> None:
-        from mcap.writer import Writer  # a tenth of a second that the run does not wait for
-
         try:
             with self._path.open("xb") as file:
-                writer = Writer(file, enable_data_crcs=True)
-                writer.start(PROFILE, "ronna-hw")
-                about = {"run": self._began.run, "epoch_ns": str(self._began.epoch_ns)}
-                writer.add_metadata(METADATA, about)
-                _flush(writer)
-                while not self._ending.wait(self._flush_period_s):
+                writer = LogWriter(file, self._began, self._without_names)
+                while self.is_open and not self._ending.wait(self._flush_period_s):
                     self._write_waiting(writer)
-                    _flush(writer)
                 self._write_waiting(writer)
                 if self.is_open:
-                    writer.finish()  # type: ignore[no-untyped-call]  # of the library
+                    writer.finish()
         except (OSError, ValueError) as error:  # the disk, or an entry of unknown form
             self._end(error)
 
-    def _write_waiting(self, writer: Writer) -> None:
-        while self._queue:
-            try:
-                entry, host_ns, size = self._queue.popleft()
-            except IndexError:  # the log has just been ended
-                return
-            for topic, stamp_ns, data in self._messages.of(entry):
-                writer.add_message(self._channel(writer, topic), stamp_ns, data, host_ns)
+    def _next(self) -> tuple[LogEntry, int, int] | None:
+        with contextlib.suppress(IndexError):  # nothing waits any more
+            return self._queue.popleft()
+        return None
+
+    def _write_waiting(self, writer: LogWriter) -> None:
+        while (next_one := self._next()) is not None:
+            entry, host_ns, size = next_one
+            writer.write(entry, host_ns)
             self._done_bytes += size
-
-    def _channel(self, writer: Writer, topic: Topic) -> int:
-        if topic not in self._channels:
-            if topic.message not in self._schemas:
-                definition = ros2.definition_of(topic.message).encode()
-                self._schemas[topic.message] = writer.register_schema(
-                    topic.message, SCHEMA_ENCODING, definition
-                )
-            self._channels[topic] = writer.register_channel(
-                topic.name, ENCODING, self._schemas[topic.message]
-            )
-        return self._channels[topic]
-
-
-def _flush(writer: Writer) -> None:
-    """Complete the chunk and hand it to the system: what is in it survives this program."""
-    writer.flush()  # type: ignore[no-untyped-call]  # of the library
+        writer.flush()
+        self.flushed = writer.written
 
 
 def _size_of(entry: LogEntry) -> int:

@@ -44,4 +44,16 @@ class JournalEntry(NamedTuple):
     text: str
 
 
-LogEntry = LiveRecord | JointCycles | SaidLine | JournalEntry
+class ArmDrawing(NamedTuple):
+    """Arm of the robot frame as URDF, for a viewer that draws it from its joints."""
+
+    theatre_time_s: float
+    urdf: str
+
+
+LogEntry = LiveRecord | JointCycles | SaidLine | JournalEntry | ArmDrawing
+
+
+def time_of(entry: LogEntry) -> float:
+    """Return the theatre time of an entry, of cycles that of the first."""
+    return float(entry.times_s[0]) if isinstance(entry, JointCycles) else entry.theatre_time_s

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from procedures.live.log_entries import JointCycles, JournalEntry, LogEntry, SaidLine
+from procedures.live.log_entries import ArmDrawing, JointCycles, JournalEntry, LogEntry, SaidLine
 from procedures.live.records import (
     Began,
     CameraPicture,
@@ -19,6 +19,7 @@ from procedures.live.records import (
     PlannedLines,
     RunState,
 )
+from ronna_hw.arm import urdf
 from ronna_hw.devices.readings import Validity
 from ronna_hw.frames import Frame
 from ronna_hw.roles import MASTER
@@ -29,6 +30,7 @@ TF, TF_STATIC = "/tf", "/tf_static"
 MEASURED, SET_POINTS, POSES = "measured_js", "setpoint_js", "measured_cp"
 PICTURE = "/camera_{side}/image/compressed"
 SAID, JOURNAL, STATE, SPHERES, PLAN = "/rosout", "/journal", "/operating_state", "/spheres", "/plan"
+DRAWING = "/robot_description"
 CASE = "case"  # who says it
 M_PER_MM = 1e-3
 LINE_M = 0.001  # thickness of a planned line as drawn
@@ -88,6 +90,10 @@ class LogMessages:
                 yield Topic(STATE, ros2.TEXT), ros2.encode_text(self._without_names(plain))
             case JournalEntry():
                 yield Topic(JOURNAL, ros2.TEXT), ros2.encode_text(self._without_names(entry.text))
+            case ArmDrawing():
+                yield Topic(DRAWING, ros2.TEXT), ros2.encode_text(entry.urdf)
+                base = ros2.Placed(Frame.ROBOT, urdf.BASE, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
+                yield Topic(TF_STATIC, ros2.TF), ros2.encode_transforms(stamp_ns, (base,))
             case SaidLine():
                 text = self._without_names(entry.text)
                 yield Topic(SAID, ros2.LOG), ros2.encode_log(stamp_ns, entry.level, CASE, text)

@@ -12,6 +12,7 @@ from procedures.exchange import run_tables
 from procedures.exchange.errors import NO_REGISTRATION
 from procedures.exchange.recorded_tables import RecordedPictures, RecordedTables, recorded_tables
 from procedures.exchange.registration_in_ct import RegistrationInCt, registration_in_ct
+from procedures.live.log_tables import read_topic
 from procedures.planning.plan_model import Plan
 from procedures.reporting.ending import ending_of
 from procedures.reporting.outcome import Truth
@@ -169,6 +170,10 @@ class RunArrays:
     def registration(self, target: str) -> RegistrationInCt:
         """Return the registration used for a target and its spheres in the CT. Raises EXC-005."""
         return registration_in_ct(self._reading, self._find_registration(target), target)
+
+    def stream(self, topic: str) -> RunTable:
+        """Return a topic of the run's log as a table. Raises LIV-005, ARG-001."""
+        return read_topic(self.path, topic)
 
     def _find_registration(self, target: str) -> UsedRegistration:
         used = run_tables.find_registration(self._reading, target)

@@ -38,7 +38,7 @@ def write_urdf(arm: ArmDescription, tool: Sequence[Part] = ()) -> str:
         _add_link(robot, name, parts[name])
     offsets = (chain.base_mm, *(joint.to_next_mm for joint in chain.joints))
     for number, ((parent, child), joint) in enumerate(zip(pairwise(names), chain.joints, strict=True)):
-        name = kinematics.axis_names[number].replace(" ", "_")
+        name = joint_name(kinematics.axis_names[number])
         one = _add_joint(robot, name, "revolute", parent, child, offsets[number])
         ElementTree.SubElement(one, "axis", xyz=_numbers(joint.axis))
         ElementTree.SubElement(
@@ -52,6 +52,11 @@ def write_urdf(arm: ArmDescription, tool: Sequence[Part] = ()) -> str:
     _add_joint(robot, "to_flange", "fixed", names[-1], FLANGE, offsets[-1], _rpy(chain.flange_rotation))
     ElementTree.indent(robot)
     return ElementTree.tostring(robot, encoding="unicode", xml_declaration=True) + "\n"
+
+
+def joint_name(axis: str) -> str:
+    """Return the name in URDF of an axis."""
+    return axis.replace(" ", "_")
 
 
 def _add_link(robot: ElementTree.Element, name: str, parts: Sequence[Part]) -> None:

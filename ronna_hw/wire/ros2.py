@@ -144,7 +144,7 @@ def encode_pose(stamp_ns: int, placed: Placed) -> bytes:
 def encode_joints(
     stamps_ns: NDArray[np.int64], names: Sequence[str], positions: NDArray[np.float64]
 ) -> list[bytes]:
-    """Encode a `JointState` for each row of positions (n, axes): all at once, as they differ in numbers only."""
+    """Encode a `JointState` for each row of positions (n, axes), all at once: only their numbers differ."""
     writer = CdrWriter().header(0, "").put("I", len(names))
     for name in names:
         writer.text(name)

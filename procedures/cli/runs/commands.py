@@ -251,6 +251,22 @@ def raw_command(
     tell(str(folder) if whole else f"{folder}: the first 2 GB")
 
 
+def recover_log_command(
+    log: Annotated[Path, Argument(metavar="RUN|FILE", help="A run, or one MCAP file.")],
+    out: Annotated[
+        Path | None, Option("--out", metavar="FILE", help="The copy; by default in the run's folder export.")
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Copy the log of a run that was killed, with the index and the sums that its end would have added.
+
+    The log itself stays as it is. Of a cut log everything up to the cut is recovered.
+    """
+    from procedures.cli.runs.recovering import recover_logs
+
+    recover_logs(log, out, as_json=as_json)
+
+
 COMMANDS: dict[str, Callable[..., None]] = {
     "resume": resume_command,
     "home": home_command,
@@ -267,6 +283,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "replay": replay_command,
     "bytes": bytes_command,
     "raw": raw_command,
+    "recover-log": recover_log_command,
 }
 
 

@@ -10,6 +10,8 @@ from undisturbed import MINI_SEED_3, undisturbed_mini
 from user_commands import Commands
 
 from procedures.journal.journal import JOURNAL_FILE, Entry, read_journal
+from procedures.live.flight_log import log_files
+from ronna_hw import load_run
 from ronna_hw.errors import EXIT_RECOVERY_NEEDED, EXIT_UNCONFIRMED
 from sim.world.saved_world import WORLD_FILE
 
@@ -30,8 +32,13 @@ def test_a_killed_and_resumed_case_reaches_its_target(
 ) -> None:
     undisturbed = undisturbed_mini(tmp_path_factory)
     killed = killed_at(commands, MINI_SEED_3, tmp_path, place)
+    before = load_run(killed.folder).stream("/measured_js")  # a log without an end
     outcome = reopen_run(commands, killed)
     assert outcome["outcome"] == "done"
+    assert [path.name for path in log_files(killed.folder)] == ["flight.mcap", "flight-2.mcap"]
+    whole = load_run(killed.folder).stream("/measured_js")
+    assert (whole.utc_ns[: len(before)] == before.utc_ns).all()
+    assert len(whole) > len(before) > 0
     changed_mm = outcome["mean_application_error_mm"] - undisturbed["mean_application_error_mm"]
     assert abs(changed_mm) <= LARGEST_CHANGE_MM
     verified = commands.run("ronna-procedure", "verify", str(killed.folder))
