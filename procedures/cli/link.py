@@ -17,12 +17,12 @@ from procedures.cli.runs.run_argument import require_run_folder
 from ronna_hw.command_line import terminal
 
 if TYPE_CHECKING:
-    from procedures.live.openigtlink.server import LinkOptions
+    from procedures.live.openigtlink.server import ServerOptions
 
 PORT = 18944  # of OpenIGTLink
 RATE_HZ = 30.0
 LOOPBACK = "127.0.0.1"
-LISTENING_WARNING = "anyone who can reach {}:{} sees this patient's poses, plan and CT; it gives no control"
+LISTENING_WARNING = "anyone who can reach {} sees this patient's poses, plan and CT; it gives no control"
 SWITCH_S = 0.0005  # between threads: an image that is made in one delays poses by no more
 
 app = terminal.command_group(
@@ -65,7 +65,7 @@ def openigtlink_command(
     the CT; nothing that they send moves or changes anything. Exit codes: 0 the case has ended, 2 the address
     cannot be used, 4 no case is running in RUN.
     """
-    from procedures.live.openigtlink.server import LinkOptions
+    from procedures.live.openigtlink.server import ServerOptions
     from procedures.runs.case import case_folder
     from procedures.runs.request import CaseProcedure
     from procedures.runs.request_file import read_request
@@ -73,8 +73,8 @@ def openigtlink_command(
     procedure = read_request(run).procedure
     ct = case_folder(procedure, run) / "ct" if isinstance(procedure, CaseProcedure) else None
     if not _is_loopback(listen):
-        terminal.tell(f"warning: {LISTENING_WARNING.format(listen, port)}")
-    _serve(run, LinkOptions(listen, port, rate, header_version, ct))
+        terminal.tell(f"warning: {LISTENING_WARNING.format(listen)}")
+    _serve(run, ServerOptions(listen, port, rate, header_version, ct))
 
 
 def _is_loopback(host: str) -> bool:
@@ -86,7 +86,7 @@ def _is_loopback(host: str) -> bool:
         return host == "localhost"
 
 
-def _serve(run: Path, options: LinkOptions) -> None:
+def _serve(run: Path, options: ServerOptions) -> None:
     import asyncio
 
     from procedures.live.feed_reader import read_feed

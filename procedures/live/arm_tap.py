@@ -67,8 +67,14 @@ class ArmTap:
         return self._take_reading(self._arm.observe().reading)
 
     def _take_reading(self, reading: ArmReading | None) -> list[LogEntry]:
-        former = self._observed
-        if reading is None or reading.validity is not Validity.OK:
+        former, shown = self._observed, self.latest_pose
+        if reading is not None and reading.validity is not Validity.OK:
+            if shown is None or shown.validity is reading.validity:
+                return []
+            gone = {"rotation": None, "translation_mm": None, "validity": reading.validity}
+            self.latest_pose, self._observed = shown.model_copy(update=gone), None
+            return [self.latest_pose]
+        if reading is None:
             return []
         if former is not None and former.joints_rad == reading.joints_rad:
             return []

@@ -1,4 +1,4 @@
-"""Errors of the live feed and of the flight log."""
+"""Errors of the live feed, of the flight log and of the OpenIGTLink server."""
 
 from __future__ import annotations
 

@@ -30,10 +30,10 @@ from procedures.live.arm_tap import ArmTap
 from procedures.live.case_frames import CaseFrames, frame_pose
 from procedures.live.feed_socket import FeedSocket
 from procedures.live.flight_log import FlightLog, next_log_file
-from procedures.live.log_entries import JournalEntry, Level, LogEntry, SaidLine
+from procedures.live.log_entries import JournalEntry, Level, LogEntry, SaidLine, time_of
 from procedures.live.log_topics import without_identity
 from procedures.live.records import Began, CameraPicture, DeviceStatus, FramePose, LiveRecord, RunState
-from ronna_hw.devices.readings import CameraImage, StereoReading, TrackerFrame
+from ronna_hw.devices.readings import CameraImage, StereoReading, TrackerFrame, Validity
 from ronna_hw.errors import RonnaError
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.logs import logger
@@ -65,6 +65,7 @@ class LiveFeed:
         self._ending = False
         self._state = RunState(theatre_time_s=0.0, run=folder.name, state="")
         self._arms: list[ArmTap] = []
+        self._tools: dict[str, None] = {}  # of the tracker, in the order in which they came
         self._log: FlightLog | None = None
         self._socket: FeedSocket | None = None
         self._thread: threading.Thread | None = None
@@ -113,38 +114,38 @@ class LiveFeed:
 
     def _run(self) -> None:
         failure = ""
-        if self._log is not None:
-            self._log.take(self._arms[0].draw())  # of the others the links would have the same names
+        entries: list[LogEntry] = []
+        with contextlib.suppress(Exception):  # a kind of arm that nobody can draw
+            entries += self._arms[0].draw()  # of the others the links would have the same names
         while True:
             ending = self._ending  # before the last look
             try:
-                self._look()
+                self._look(entries)
             except Exception as problem:  # a case goes on without its feed
                 if (text := str(problem)) != failure:
                     failure = text
                     _log.warning("the live feed misses something", cause=problem)
+            entries = []
             if ending:
                 return
             reads = self._socket is not None and self._socket.has_readers
             self._wake.wait(READ_PERIOD_S if reads else LOOK_PERIOD_S)
             self._wake.clear()
 
-    def _look(self) -> None:
-        events = self._events.read(0.0).events
-        entries, shown = list[LogEntry](), list[LiveRecord]()
+    def _look(self, entries: list[LogEntry]) -> None:
+        """Pass on what is new; the `entries` go to the log with it."""
+        events, shown = self._events.read(0.0).events, list[LiveRecord]()
         if any(not event.what.signal for event in events):
             shown += self._frames.changes(self._now_s())
-        for record in self._read_events(events, entries):
-            shown.append(record)
-        for record in self._read_queue():
-            shown.append(record)
+        shown += self._read_events(events, entries)
+        shown += self._read_queue()
         entries += shown
         for arm in self._arms:
             if new := arm.look():
                 entries += new
                 shown += self._shown_of(arm)
         if self._log is not None:
-            self._log.take(entries)
+            self._log.take(sorted(entries, key=time_of))
         if self._socket is not None:
             self._socket.offer(shown)
 
@@ -206,22 +207,26 @@ class LiveFeed:
         while self._readings:
             reading = self._readings.popleft()
             if isinstance(reading, TrackerFrame):
-                yield from _tool_poses(reading)
+                yield from self._tool_poses(reading)
             elif isinstance(reading, StereoReading):
                 yield from _pictures(reading)
 
-
-def _tool_poses(frame: TrackerFrame) -> Iterator[FramePose]:
-    at_s = frame.stamp.measured_s or frame.stamp.theatre_time_s
-    for tool in frame.tools:
-        yield FramePose(
-            theatre_time_s=at_s,
-            parent=Frame.TRACKER,
-            child=tool.tool,
-            rotation=tool.rotation,
-            translation_mm=tool.position_mm,
-            validity=tool.validity,
-        )
+    def _tool_poses(self, frame: TrackerFrame) -> Iterator[FramePose]:
+        """Yield the pose of every tool seen so far; one that is not in a lost or damaged frame has none."""
+        at_s = frame.stamp.measured_s or frame.stamp.theatre_time_s
+        seen = {tool.tool: tool for tool in frame.tools}
+        self._tools |= dict.fromkeys(seen)
+        for name in self._tools:
+            tool = seen.get(name)
+            lost = Validity.MISSING if frame.validity is Validity.OK else frame.validity
+            yield FramePose(
+                theatre_time_s=at_s,
+                parent=Frame.TRACKER,
+                child=name,
+                rotation=None if tool is None else tool.rotation,
+                translation_mm=None if tool is None else tool.position_mm,
+                validity=lost if tool is None else tool.validity,
+            )
 
 
 def _pictures(pair: StereoReading) -> Iterator[CameraPicture]:

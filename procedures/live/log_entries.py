@@ -52,3 +52,8 @@ class ArmDrawing(NamedTuple):
 
 
 LogEntry = LiveRecord | JointCycles | SaidLine | JournalEntry | ArmDrawing
+
+
+def time_of(entry: LogEntry) -> float:
+    """Return the theatre time of an entry, of cycles that of the first."""
+    return float(entry.times_s[0]) if isinstance(entry, JointCycles) else entry.theatre_time_s

@@ -315,7 +315,7 @@ class LinkOptions:
         str | None,
         Option(
             metavar="HOST:PORT",
-            help="Serve poses, states and plan to 3D Slicer and others, as ronna-link does: 127.0.0.1:18944.",
+            help="Let 3D Slicer and others watch the case, as ronna-link does; for example 127.0.0.1:18944.",
         ),
     ] = None
 

@@ -11,7 +11,7 @@ import socket
 from collections.abc import Callable, Hashable
 from typing import Final, Protocol, cast
 
-from procedures.live.openigtlink.outgoing import Outgoing
+from procedures.live.openigtlink.outgoing import Outgoing, Sendable
 from procedures.live.openigtlink.throttle import Throttle
 from ronna_hw.wire.openigtlink import Message, MessageReader, StreamBroken
 
@@ -51,14 +51,14 @@ class Connection(asyncio.Protocol):
         self._owner = owner
         self._loop = asyncio.get_running_loop()
         self._reader = MessageReader()
-        self._slots: dict[Hashable, Outgoing] = {}
+        self._slots: dict[Hashable, Sendable] = {}
         self._sending = memoryview(b"")
         self._subscriptions: dict[str, Throttle[None]] = {}  # by type: TDATA, QTDATA
         self._replies = 0
         self._is_woken = self._is_closing = False
         self._transport: asyncio.Transport
 
-    def offer(self, value: Outgoing) -> None:
+    def offer(self, value: Sendable) -> None:
         """Send a value as soon as the client takes it. Only while it takes nothing a newer one replaces it.
 
         A pose that is not valid takes back the one that waits, and goes only to clients with metadata.
@@ -71,7 +71,7 @@ class Connection(asyncio.Protocol):
         self._slots[value.key] = value
         self._wake()
 
-    def reply(self, answer: Outgoing) -> None:
+    def reply(self, answer: Sendable) -> None:
         """Send an answer, which newer values do not replace."""
         self._slots["reply", self._replies % MOST_REPLIES] = answer
         self._replies += 1

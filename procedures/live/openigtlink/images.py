@@ -1,53 +1,90 @@
-"""IMAGE messages: the latest picture of a camera, and the CT of the case."""
+"""Images of a case for clients: the latest picture of a camera, and the CT."""
 
 from __future__ import annotations
 
 import asyncio
 import base64
 import io
-from functools import partial
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from procedures.live.openigtlink.names import CAMERA_IMAGES, CT_IMAGE, RAS_FROM_LPS
+from procedures.live.openigtlink.names import CAMERA_IMAGES, CT_IMAGE
 from procedures.live.openigtlink.outgoing import Outgoing
 from procedures.live.openigtlink.values import LinkValues
 from procedures.live.records import CameraPicture
+from ronna_hw.host.child_process import command
 from ronna_hw.wire.openigtlink_contents import CoordinateSystem, ScalarType, encode_image
 
 MOST_PIXELS = 50_000_000  # of a picture; the cameras have 5 million
 GREY, COLOUR = "L", "RGB"
 
 
+@dataclass(frozen=True)
+class EncodedImage:
+    """IMAGE message, encoded for the version of the header that somebody has asked for."""
+
+    name: str
+    message: bytes
+    needs_metadata: bool = False
+
+    @property
+    def key(self) -> tuple[str, str]:
+        return "IMAGE", self.name
+
+    def encoded(self, _version: int) -> bytes:
+        """Return the message."""
+        return self.message
+
+
 class Images:
-    """Images of a case, made in a thread when somebody asks, once for all clients."""
+    """Images of a case, made when somebody asks, once for all clients, so that poses are not delayed.
+
+    The CT has a process of its own: to read and to encode it takes seconds.
+    """
 
     def __init__(self, values: LinkValues, ct: Path | None) -> None:
         """`ct` is the folder of the series."""
         self._values = values
         self._ct = ct
-        self._kept: dict[str, tuple[object, Outgoing]] = {}  # by name, with what each was made from
+        self._kept: dict[tuple[str, int], tuple[object, EncodedImage]] = {}  # with what each was made from
         self._making = asyncio.Lock()
 
-    async def find(self, name: str, version: int) -> Outgoing | None:
-        """Return an image, encoded for a header of this version; None if there is none of this name.
+    async def find(self, name: str, version: int) -> EncodedImage | None:
+        """Return an image with a header of this version; None if there is none of this name.
 
-        Raises the errors of `camera_image` and `ct_image`.
+        Raises ValueError or OSError for one that cannot be read.
         """
         async with self._making:
-            source: object
-            if name == CT_IMAGE and self._ct is not None:
-                source, make = self._ct, partial(ct_image, self._ct)
-            elif (found := self._values.pictures.get(name)) is not None:
-                source, make = found[0], partial(camera_image, *found)
-            else:
+            source: object = self._ct if name == CT_IMAGE else self._values.pictures.get(name)
+            if source is None:
                 return None
-            kept = self._kept.get(name)
+            kept = self._kept.get((name, version))
             if kept is None or kept[0] is not source:
-                kept = self._kept[name] = (source, await asyncio.to_thread(make))
-            await asyncio.to_thread(kept[1].encoded, version)
+                message = await self._make(name, version)
+                kept = self._kept[name, version] = (source, EncodedImage(name, message))
             return kept[1]
+
+    async def _make(self, name: str, version: int) -> bytes:
+        if name == CT_IMAGE:
+            return await _run(command("procedures.live.openigtlink.ct_image", str(self._ct), str(version)))
+        picture, stamp_ns = self._values.pictures[name]
+        return await asyncio.to_thread(lambda: camera_image(picture, stamp_ns).encoded(version))
+
+
+async def _run(line: list[str]) -> bytes:
+    """Return what a program writes. Raises ValueError with its words if it fails."""
+    pipe = asyncio.subprocess.PIPE
+    process = await asyncio.create_subprocess_exec(*line, stdout=pipe, stderr=pipe)
+    try:
+        output, words = await process.communicate()
+    finally:
+        if process.returncode is None:
+            process.kill()
+    if process.returncode:
+        raise ValueError(" ".join(words.decode(errors="replace").split()))
+    return output
 
 
 def camera_image(record: CameraPicture, stamp_ns: int) -> Outgoing:
@@ -68,23 +105,3 @@ def camera_image(record: CameraPicture, stamp_ns: int) -> Outgoing:
         (*size, 1), pixels, ScalarType.UINT8, placement, CoordinateSystem.RAS, components=components
     )
     return Outgoing("IMAGE", CAMERA_IMAGES[record.side], content, stamp_ns)
-
-
-def ct_image(series: Path) -> Outgoing:
-    """Read a CT series in HU. Raises its CT errors, and OSError."""
-    from procedures.imaging.series import read_series
-
-    volume = read_series(series)
-    geometry = volume.geometry
-    placement = np.eye(4)
-    placement[:3, :3] = (geometry.axes * geometry.spacing_mm)[:, ::-1]  # for column, row, slice
-    placement[:3, 3] = geometry.origin_mm
-    slices, rows, columns = geometry.shape
-    content = encode_image(
-        (columns, rows, slices),
-        volume.voxels.astype("<i2", copy=False).tobytes(),
-        ScalarType.INT16,
-        RAS_FROM_LPS @ placement,
-        CoordinateSystem.RAS,
-    )
-    return Outgoing("IMAGE", CT_IMAGE, content)

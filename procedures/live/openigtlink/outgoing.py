@@ -5,8 +5,24 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Protocol
 
 from ronna_hw.wire.openigtlink import encode_message
+
+
+class Sendable(Protocol):
+    """What a connection sends."""
+
+    @property
+    def key(self) -> tuple[str, str]:
+        """Type and name, by which a newer one replaces it."""
+
+    @property
+    def needs_metadata(self) -> bool:
+        """Whether only clients with metadata may have it."""
+
+    def encoded(self, version: int) -> bytes:
+        """Return the message with a header of this version."""
 
 
 @dataclass(frozen=True)

@@ -77,37 +77,33 @@ class Poses:
         """Return the pose of a record, inverted if it is that of the CT; None before its first numbers."""
         child, parent = record.child, record.parent
         matrix: Matrix | None = None
-        if record.rotation is not None and record.translation_mm is not None:
+        validity = record.validity
+        is_valid = validity is Validity.OK
+        if is_valid and record.rotation is not None and record.translation_mm is not None:
             matrix = rigid_matrix(record.rotation, record.translation_mm)
         if is_reversed := child == Frame.CT:
             child, parent = parent, child
-        validity = record.validity
         if matrix is None:
             if (last := self._latest.get((child, parent))) is None:
                 return None
             matrix = last.matrix
-            validity = Validity.MISSING if validity is Validity.OK else validity
+            validity = Validity.MISSING if is_valid else validity
         elif is_reversed:
             matrix = invert(matrix)
         return Pose(child, parent, matrix, validity, stamp_ns, record.is_fixed)
 
     def _composed_with(self, changed: Pose) -> list[Pose]:
-        """Return the composed poses that a change voids or renews.
-
-        After a new registration the tool follows with its next reading: until then it is not known.
-        """
+        """Return the composed poses that a change voids or renews, with the time of the moving part."""
         poses = []
         for child, middle, parent in COMPOSED:
             inner, outer = self._latest.get((child, middle)), self._latest.get((middle, parent))
             if inner is None or outer is None or changed not in (inner, outer):
                 continue
-            if changed is outer and outer.validity is Validity.OK:
-                continue
-            validity = next(
-                (one.validity for one in (outer, inner) if one.validity is not Validity.OK), Validity.OK
-            )
+            doubts = [one.validity for one in (outer, inner) if one.validity is not Validity.OK]
+            validity, *_ = (*doubts, Validity.OK)
+            stamp_ns = changed.stamp_ns if doubts else inner.stamp_ns
             matrix = outer.matrix @ inner.matrix
-            poses.append(Pose(child, parent, matrix, validity, changed.stamp_ns, is_fixed=False))
+            poses.append(Pose(child, parent, matrix, validity, stamp_ns, is_fixed=False))
         return poses
 
 

@@ -29,10 +29,6 @@ from ronna_hw.wire.openigtlink_contents import StatusCode, decode_subscription
 LOOPBACK: Final = "127.0.0.1"
 MOST_CLIENTS: Final = 16
 REPEAT_S: Final = 1.0
-REPEATED: Final = (
-    "STATUS",
-    TRANSFORM,
-)  # of what stands: Slicer calls a transform stale that does not come again
 STALLED_S: Final = 60.0  # a client that takes nothing for so long gives its place to others
 CLOSE_LIMIT_S: Final = 1.0  # for what clients have not yet received when the case ends
 RATE_HZ: Final = 30.0
@@ -42,7 +38,7 @@ MS_PER_S: Final = 1000.0
 
 
 @dataclass(frozen=True)
-class LinkOptions:
+class ServerOptions:
     """Options of the server. Port 0 is any free one."""
 
     host: str = LOOPBACK
@@ -55,7 +51,7 @@ class LinkOptions:
 class LinkServer:
     """Server of the values of one case."""
 
-    def __init__(self, options: LinkOptions, tell: Callable[[str], None]) -> None:
+    def __init__(self, options: ServerOptions, tell: Callable[[str], None]) -> None:
         """`tell` shows a line to the user. Raises LIV-010 if a name does not fit."""
         self._tell = tell
         self._options = options
@@ -68,7 +64,9 @@ class LinkServer:
 
     async def serve(self, records: AsyncIterator[LiveRecord], ready: Callable[[str, int], None]) -> None:
         """Serve the records until they end; `ready` gets address and port. Raises LIV-011 and theirs."""
-        self._take(await anext(records))
+        if (first := await anext(records, None)) is None:
+            return
+        self._take(first)
         server = await self._listen()
         host, port = server.sockets[0].getsockname()[:2]
         ready(host, port)
@@ -126,9 +124,8 @@ class LinkServer:
         loop = asyncio.get_running_loop()
         while True:
             await asyncio.sleep(REPEAT_S)
-            for value in self._values.standing:
-                if value.kind in REPEATED:
-                    self._offer(value)
+            for value in self._values.repeated:
+                self._offer(value)
             for connection in list(self._connections):
                 since_s = connection.stalled_since_s
                 if since_s is not None and loop.time() - since_s > STALLED_S:
@@ -216,8 +213,7 @@ class LinkServer:
             for name in names:
                 image = await self._images.find(name, connection.version)
                 connection.reply(nothing("IMAGE", name) if image is None else image)
-        except (RonnaError, OSError, ValueError) as error:
-            code = getattr(error, "code", "NotReadable")
-            connection.reply(status(StatusCode.NOT_READY, str(error), code))
+        except (OSError, ValueError) as error:
+            connection.reply(status(StatusCode.NOT_READY, str(error), "NotReadable"))
         finally:
             connection.has_image_request = False

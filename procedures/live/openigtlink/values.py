@@ -33,6 +33,7 @@ from procedures.live.records import (
     RunState,
 )
 from ronna_hw.devices.lifecycle import RUNNING, Lifecycle
+from ronna_hw.frames import Frame
 from ronna_hw.wire.openigtlink_contents import (
     LONGEST_GROUP_BYTES,
     LONGEST_POINT_NAME_BYTES,
@@ -74,9 +75,16 @@ class LinkValues:
 
     @property
     def standing(self) -> Iterator[Outgoing]:
-        """Messages that stand until they change: states, points, plan, and fixed poses."""
+        """Messages that stand until they change. Of poses, not those of the tracker: it sees no rest."""
         for one in self.latest.values():
-            if one.kind != TRANSFORM or self._shown[one.name].is_fixed:
+            if one.kind != TRANSFORM or self._shown[one.name].parent != Frame.TRACKER:
+                yield one
+
+    @property
+    def repeated(self) -> Iterator[Outgoing]:
+        """States and fixed poses: what does not come again looks stale in Slicer."""
+        for one in self.latest.values():
+            if one.kind == "STATUS" or (one.kind == TRANSFORM and self._shown[one.name].is_fixed):
                 yield one
 
     def tracking(self, kind: str, frame: str) -> Outgoing:

@@ -9,7 +9,7 @@ from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 
-from procedures.live.openigtlink.server import LinkOptions, LinkServer
+from procedures.live.openigtlink.server import LinkServer, ServerOptions
 from procedures.live.records import Began, FramePose, LiveRecord
 from ronna_hw.wire.openigtlink import Message, MessageReader, encode_message
 
@@ -60,9 +60,9 @@ class LinkedCase:
 
 
 @contextmanager
-def linked_case(options: LinkOptions | None = None) -> Iterator[LinkedCase]:
+def linked_case(options: ServerOptions | None = None) -> Iterator[LinkedCase]:
     """A case that has begun, served at a free port. At the end, the case ends."""
-    options = replace(options or LinkOptions(), port=0)
+    options = replace(options or ServerOptions(), port=0)
     served: list[LinkedCase] = []
     is_ready = threading.Event()
     failed: list[BaseException] = []
@@ -133,6 +133,11 @@ class PlainClient:
                 return message, before
             before.append(message)
         raise AssertionError(f"closed after {[(one.kind, one.name) for one in before]}")
+
+    def ask_for_metadata(self) -> None:
+        """Use a header of version 2, and wait until the server has seen it."""
+        self.send("GET_CAPABIL", version=2)
+        self.first("CAPABILITY")
 
     def put_back(self, messages: list[Message]) -> None:
         self._waiting = messages + self._waiting

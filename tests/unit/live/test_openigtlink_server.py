@@ -7,6 +7,7 @@ import socket
 import struct
 from collections import Counter
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ from linked_case import AWAITED_S, BEGAN, EPOCH_NS, linked_case, pose
 
 from procedures.live.errors import ADDRESS_UNUSABLE
 from procedures.live.openigtlink.answers import REFUSAL
-from procedures.live.openigtlink.server import MOST_CLIENTS, LinkOptions, LinkServer
+from procedures.live.openigtlink.server import MOST_CLIENTS, LinkServer, ServerOptions
 from procedures.live.records import (
     DeviceStatus,
     Fiducial,
@@ -54,7 +55,7 @@ FAULT = DeviceStatus(
     theatre_time_s=2.0, device="tracker", state="fault", code="NDI-004", text="no answer.", advice="Look."
 )
 SMALL_BUFFER_BYTES = 4096  # the kernel takes no less
-OFTEN = LinkOptions(rate_hz=1000.0)
+OFTEN = ServerOptions(rate_hz=1000.0)
 HIDDEN = FramePose(
     theatre_time_s=2.0,
     parent="robot",
@@ -89,8 +90,7 @@ def test_a_pose_of_the_patient_is_inverted_into_patient_coordinates() -> None:
 
 def test_a_hidden_tool_is_silent_at_once_and_says_why_to_readers_of_metadata() -> None:
     with linked_case(OFTEN) as case, case.connect() as client, case.connect() as other:
-        other.send("GET_STATUS", version=2)
-        other.first("STATUS")
+        other.ask_for_metadata()
         case.tell(REGISTRATION, pose("tool", "robot"))
         client.first("TRANSFORM", "ToolToRas")
         other.first("TRANSFORM", "ToolToRas")
@@ -107,8 +107,19 @@ def test_a_hidden_tool_is_silent_at_once_and_says_why_to_readers_of_metadata() -
             assert decode_transform(hidden.content) == pytest.approx(np.array(matrix))
 
 
+def test_the_numbers_of_a_reading_that_is_not_valid_are_not_sent() -> None:
+    partial = pose("tool", "robot", 2.0, x_mm=99.0).model_copy(update={"validity": Validity.PARTIAL})
+    with linked_case(OFTEN) as case, case.connect() as client:
+        client.ask_for_metadata()
+        case.tell(partial, pose("tool", "robot"), partial)
+        assert client.first("TRANSFORM").metadata["TransformStatus"] == "OK"
+        last = client.first("TRANSFORM")
+        assert last.metadata["TransformStatus"] == "INVALID"
+        assert decode_transform(last.content) == pytest.approx(np.array(IN_ROBOT))
+
+
 def test_a_valid_pose_that_waits_is_taken_back_when_the_tool_is_hidden() -> None:
-    slow = LinkOptions(rate_hz=0.1)
+    slow = ServerOptions(rate_hz=0.1)
     with linked_case(slow) as case, case.connect() as client:
         case.tell(*(pose("tool", "robot", 1.0 + number) for number in range(3)), HIDDEN, END)
         _, before = client.until(_is_end)
@@ -118,17 +129,23 @@ def test_a_valid_pose_that_waits_is_taken_back_when_the_tool_is_hidden() -> None
 
 def test_a_voided_registration_voids_the_tool_in_the_patient() -> None:
     with linked_case(OFTEN) as case, case.connect() as client:
-        client.send("GET_STATUS", version=2)
+        client.ask_for_metadata()
         case.tell(REGISTRATION, pose("tool", "robot"))
         client.first("TRANSFORM", "ToolToRas")
         case.tell(HIDDEN.model_copy(update={"parent": "ct", "child": "robot"}))
         assert client.first("TRANSFORM", "ToolToRas").metadata["TransformValid"] == "0"
 
 
-def test_a_new_client_gets_what_stands_but_no_pose_of_the_past() -> None:
+def test_a_new_client_gets_what_stands_and_where_the_arm_rests_but_no_tool_that_was_seen_before() -> None:
+    seen = pose("robot_frame", "tracker")
     with linked_case() as case, case.connect() as first:
         case.tell(
-            REGISTRATION, FAULT, PlannedLines(theatre_time_s=0.0, lines=(LINE,)), pose("tool", "robot"), END
+            REGISTRATION,
+            FAULT,
+            PlannedLines(theatre_time_s=0.0, lines=(LINE,)),
+            pose("tool", "robot"),
+            seen,
+            END,
         )
         first.until(_is_end)
         with case.connect() as client:
@@ -136,6 +153,8 @@ def test_a_new_client_gets_what_stands_but_no_pose_of_the_past() -> None:
             sent = {(one.kind, one.name): one for one in before}
             assert set(sent) == {
                 ("TRANSFORM", "RobotToRas"),
+                ("TRANSFORM", "ToolToRobot"),
+                ("TRANSFORM", "ToolToRas"),
                 ("STATUS", "tracker"),
                 ("TRAJ", "Plan"),
                 ("POINT", "Targets"),
@@ -143,6 +162,14 @@ def test_a_new_client_gets_what_stands_but_no_pose_of_the_past() -> None:
             }
             line = struct.unpack(">64s32sBB4B3f3ff20s", sent["TRAJ", "Plan"].content)
             assert line[8:14] == (-1, -2, 3, -4, -5, 6)
+
+
+def test_a_new_registration_places_the_tool_as_it_was_read_before() -> None:
+    with linked_case(OFTEN) as case, case.connect() as client:
+        case.tell(pose("tool", "robot", 1.0), REGISTRATION.model_copy(update={"theatre_time_s": 7.0}))
+        placed = client.first("TRANSFORM", "ToolToRas")
+        assert decode_transform(placed.content) == pytest.approx(np.array(TOOL_IN_RAS))
+        assert placed.stamp_ns == EPOCH_NS + 1_000_000_000
 
 
 def test_points_and_plan_are_not_repeated_until_they_change() -> None:
@@ -229,6 +256,16 @@ def test_whatever_would_move_or_change_something_is_refused_in_words() -> None:
         assert decode_status(client.first("STATUS").content).code == 12
 
 
+def test_a_ct_that_cannot_be_read_is_told_and_other_images_are_a_null_body(tmp_path: Path) -> None:
+    with linked_case(ServerOptions(ct=tmp_path / "none")) as case, case.connect() as client:
+        client.send("GET_IMAGE", "CT")
+        status = decode_status(client.first("STATUS").content)
+        assert (status.code, status.error) == (13, "NotReadable")
+        assert "CT-0" in status.text
+        client.send("GET_IMAGE", "CameraLeft")
+        assert client.first("IMAGE", "CameraLeft").content == b""
+
+
 def test_a_wrong_check_sum_is_told_and_not_obeyed() -> None:
     with linked_case() as case, case.connect() as client:
         spoilt = bytearray(64)
@@ -263,7 +300,7 @@ def test_spoilt_streams_disturb_nobody() -> None:
 
 def test_of_eight_clients_one_never_reads_and_no_other_misses_a_pose() -> None:
     count, frames = 500, (("tool", "robot"), ("flange", "robot"), *((f"t{n}", "tracker") for n in range(4)))
-    with linked_case(LinkOptions(rate_hz=1e6)) as case:
+    with linked_case(ServerOptions(rate_hz=1e6)) as case:
         stopped, *clients = (case.connect() for _ in range(8))
         stopped.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, SMALL_BUFFER_BYTES)
         received = Counter[int]()
@@ -319,15 +356,15 @@ def test_a_name_over_twenty_bytes_is_told_and_the_others_go_on() -> None:
 @pytest.mark.parametrize("host", ["192.0.2.1", "no address"])
 def test_an_address_that_cannot_be_used_is_refused(host: str) -> None:
     with raises(ADDRESS_UNUSABLE, match="cannot listen"):
-        _serve_once(LinkOptions(host=host))
+        _serve_once(ServerOptions(host=host))
 
 
 def test_a_port_in_use_is_refused() -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken, raises(ADDRESS_UNUSABLE, match="in use"):
-        _serve_once(LinkOptions(port=taken.getsockname()[1]))
+        _serve_once(ServerOptions(port=taken.getsockname()[1]))
 
 
-def _serve_once(options: LinkOptions) -> None:
+def _serve_once(options: ServerOptions) -> None:
     async def records():  # type: ignore[no-untyped-def]  # an async generator of one record
         yield BEGAN
 

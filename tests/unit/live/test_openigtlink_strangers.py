@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import cv2
 import numpy as np
@@ -18,7 +19,8 @@ from documented import python_of
 from linked_case import AWAITED_S, EPOCH_NS, LinkedCase, linked_case, pose
 from painted_ct import write_series
 
-from procedures.live.openigtlink.server import LinkOptions
+from procedures.live.openigtlink.names import POSES, transform_name
+from procedures.live.openigtlink.server import ServerOptions
 from procedures.live.records import (
     CameraPicture,
     DeviceStatus,
@@ -28,9 +30,11 @@ from procedures.live.records import (
     PlannedLines,
     RunState,
 )
+from ronna_hw.wire.openigtlink import PORT
 
 CLIENT_SOURCE = Path(__file__).parents[2] / "support" / "devices" / "igtl_reference_client.cxx"
 PAGE = "docs/how-to/records/live-poses-in-slicer.md"
+EXAMPLES = Path(__file__).parents[3] / "examples" / "openigtlink"
 HEADERS = Path("/usr/include/openigtlink")
 COMPILE_LIMIT_S = 120.0
 REGISTRATION = pose("robot", "ct").model_copy(update={"is_fixed": True})
@@ -56,7 +60,7 @@ CENTRE_RAS_MM = (20.0 - 1.5 * 0.25, 30.0 - 2.5 * 0.5, 40.0 + 2.0)
 @pytest.fixture
 def case(tmp_path: Path) -> Iterator[LinkedCase]:
     series = write_series(tmp_path / "ct", VOXELS, SPACING_MM, origin_mm=ORIGIN_MM)
-    with linked_case(LinkOptions(rate_hz=1000.0, ct=series)) as linked:
+    with linked_case(ServerOptions(rate_hz=1000.0, ct=series)) as linked:
         linked.tell(*STANDING)
         yield linked
 
@@ -149,6 +153,17 @@ def test_pyigtl_reads_the_ct_and_a_camera_picture(case: LinkedCase) -> None:
     scaled = np.diag([-SPACING_MM[2], -SPACING_MM[1], SPACING_MM[0]])
     assert ct.ijk_to_world_matrix[:3, :3] == pytest.approx(scaled)
     assert np.squeeze(images["CameraLeft"].image) == pytest.approx(pixels, abs=3)
+
+
+def test_the_scene_and_the_device_set_name_our_port_and_transforms_that_are_sent() -> None:
+    scene = ElementTree.parse(EXAMPLES / "slicer-scene.mrml").getroot()
+    device = ElementTree.parse(EXAMPLES / "plus-device-set.xml").getroot().find(".//Device")
+    assert device is not None
+    assert [one.get("serverPort") for one in scene] == [device.get("ServerPort")] == [str(PORT)]
+    sent = {transform_name(child, parent) for child, parent in POSES}
+    tools = {f"{one.get('Id')}To{device.get('ToolReferenceFrame')}" for one in device.iter("DataSource")}
+    assert len(tools) == 3
+    assert tools <= sent
 
 
 needs_library = pytest.mark.skipif(

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import random
 import struct
-import tracemalloc
 
 import numpy as np
+import psutil
 import pytest
 from igtl_streams import POSE, SEEDS, TOOL, read_all, spoilt_streams
 
@@ -35,7 +35,7 @@ from ronna_hw.wire.openigtlink_contents import (
 
 PUBLISHED_CHECK = 0x6C40DF5F0B497347  # of CRC-64/ECMA-182, over the digits 1 to 9
 BY_COLUMNS = (0, 1, 0, -1, 0, 0, 0, 0, 1, 10, 20, 30)  # of POSE: a transposed rotation has -1 first
-GROWTH_LIMIT_BYTES = 200_000
+GROWTH_LIMIT_BYTES = 8 << 20  # of the whole process; a body that is kept has up to 1 MiB
 
 
 def test_the_check_sum_is_the_published_one() -> None:
@@ -142,16 +142,13 @@ def test_an_impossible_header_breaks_the_stream(version: int, size: int, reason:
 
 @pytest.mark.parametrize(
     ("count", "seed"),
-    [(1_000, 1), pytest.param(1_000_000, 2, marks=[pytest.mark.soak, pytest.mark.timeout(3600)])],
+    [(1_000, 1), pytest.param(1_000_000, 2, marks=[pytest.mark.soak, pytest.mark.timeout(600)])],
 )
 def test_spoilt_streams_neither_crash_the_reader_nor_grow_it(count: int, seed: int) -> None:
-    usable = read_all(SEEDS[0], LARGEST_BODY_BYTES)
-    tracemalloc.start()
-    try:
-        begun = tracemalloc.get_traced_memory()[0]
-        for stream in spoilt_streams(count, seed):
-            usable += read_all(stream, LARGEST_BODY_BYTES)
-        assert tracemalloc.get_traced_memory()[0] - begun < GROWTH_LIMIT_BYTES
-    finally:
-        tracemalloc.stop()
+    process, usable = psutil.Process(), 0
+    for number, stream in enumerate(spoilt_streams(count, seed)):
+        usable += read_all(stream, LARGEST_BODY_BYTES)
+        if number == count // 10:
+            settled_bytes = process.memory_info().rss
+    assert process.memory_info().rss - settled_bytes < GROWTH_LIMIT_BYTES
     assert usable > count / 5  # contents were read, not only headers refused
