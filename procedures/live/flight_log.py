@@ -1,8 +1,8 @@
 """Log of a run in MCAP, with the profile of ROS 2: `RUN/flight.mcap`, of a resumed run also `flight-2.mcap`.
 
-A thread of its own encodes and writes. Each second, or sooner, it completes a chunk and flushes it, so that
-a program killed at any moment loses no more; at the end the file gets its index, statistics and sums. If the disk is
-full or stuck, the log ends, and nothing else notices.
+A thread of its own encodes and writes. Before a second has passed it completes a chunk and flushes it: a
+program killed at any moment loses no more. At the end the file gets its index, statistics and sums. If the
+disk is full or stuck, the log ends, and nothing else notices.
 """
 
 from __future__ import annotations
