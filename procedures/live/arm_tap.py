@@ -12,7 +12,6 @@ from contextlib import suppress
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from procedures.live.case_frames import base_frame, flange_frame
 from procedures.live.log_entries import ArmDrawing, JointCycles, LogEntry
@@ -22,7 +21,7 @@ from ronna_hw.arm.catalogue import find_arm
 from ronna_hw.devices.capabilities import RecordsCycles, StreamCycles
 from ronna_hw.devices.readings import ArmReading, Validity
 from ronna_hw.errors import RonnaError
-from ronna_hw.vectors import joint_vector, vector3
+from ronna_hw.vectors import joint_vector
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -131,16 +130,14 @@ class ArmTap:
         return [cycles, *poses[: len(posed)]]
 
     def _poses(self, times_s: Array, joints_rad: Array) -> Sequence[FramePose]:
-        matrices = self._supervised.calibrated.flange_poses(joints_rad)
-        turns = Rotation.from_matrix(matrices[:, :3, :3]).as_quat(scalar_first=True).tolist()
-        places = matrices[:, :3, 3].tolist()
+        poses = self._supervised.calibrated.forward_each(joints_rad)
         return [
             FramePose(
                 theatre_time_s=at_s,
                 parent=base_frame(self.role),
                 child=flange_frame(self.role),
-                rotation=(w, x, y, z),
-                translation_mm=vector3(place_mm),
+                rotation=pose.quaternion(),
+                translation_mm=pose.position_mm,
             )
-            for at_s, (w, x, y, z), place_mm in zip(times_s.tolist(), turns, places, strict=True)
+            for at_s, pose in zip(times_s.tolist(), poses, strict=True)
         ]

@@ -58,6 +58,7 @@ class CaseFrames:
         self._engine = engine
         self._workcell = engine.setting.workcell
         self._known: dict[Subject, LiveRecord] = {}
+        self._fiducials: tuple[tuple[str, str | None], Fiducials] | None = None  # of these two records
         self.flange_from_tool: Transform | None = None
 
     def changes(self, now_s: float) -> list[LiveRecord]:
@@ -91,7 +92,10 @@ class CaseFrames:
             robot = registered.result.robot_from_ct.transform.inverse()
             yield frame_pose(Frame.CT, Frame.ROBOT, robot, now_s, is_fixed=True)
         if (spheres := self._find(LocalizedFiducials)) is not None:
-            yield self._fiducials(spheres.result, registered, now_s)
+            by = (spheres.record.identifier, None if registered is None else registered.record.identifier)
+            if self._fiducials is None or self._fiducials[0] != by:
+                self._fiducials = by, self._judge_fiducials(spheres.result, registered, now_s)
+            yield self._fiducials[1]
         if (checked := self._find(CheckedPlan)) is not None:
             lines = (
                 PlannedLine(name=one.id, entry_mm=one.entry_mm, target_mm=one.target_mm)
@@ -104,7 +108,7 @@ class CaseFrames:
         found = [one for one in self._engine.case.valid_results if isinstance(one.result, model)]
         return found[-1] if found else None  # type: ignore[return-value]  # checked just above
 
-    def _fiducials(
+    def _judge_fiducials(
         self, spheres: LocalizedFiducials, registered: Stored[RegisteredRobot] | None, now_s: float
     ) -> Fiducials:
         residual_mm, left_out = dict[int, float](), set[int]()

@@ -42,7 +42,8 @@ if TYPE_CHECKING:
     from procedures.engine.engine import Engine
     from ronna_hw.clock import Clock
 
-LOOK_PERIOD_S = 0.1  # host time; a recorder of cycles holds more, also in lock-step
+# Host time between two looks: an arm's recorder holds more cycles, at a controller's pace and in lock-step.
+PACED_PERIOD_S, LOCK_STEP_PERIOD_S = 0.2, 0.1
 READ_PERIOD_S = 1 / 60  # host time, while somebody reads
 MOST_WAITING = 2_000  # readings
 JPEG_QUALITY = 85
@@ -129,7 +130,8 @@ class LiveFeed:
             if ending:
                 return
             reads = self._socket is not None and self._socket.has_readers
-            self._wake.wait(READ_PERIOD_S if reads else LOOK_PERIOD_S)
+            alone_s = PACED_PERIOD_S if self._clock.paced else LOCK_STEP_PERIOD_S
+            self._wake.wait(READ_PERIOD_S if reads else alone_s)
             self._wake.clear()
 
     def _look(self, entries: list[LogEntry]) -> None:

@@ -1,8 +1,8 @@
 """Log of a run in MCAP, with the profile of ROS 2: `RUN/flight.mcap`, of a resumed run also `flight-2.mcap`.
 
-A thread of its own encodes and writes. Each second it completes a chunk and flushes it, so that a program
-killed at any moment loses no more; at the end the file gets its index, statistics and sums. If the disk is
-full or stuck, the log ends, and nothing else notices.
+A thread of its own encodes and writes. Before a second has passed it completes a chunk and flushes it: a
+program killed at any moment loses no more. At the end the file gets its index, statistics and sums. If the
+disk is full or stuck, the log ends, and nothing else notices.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from procedures.live.records import Began, CameraPicture
 from ronna_hw.logs import logger
 
 FIRST_FILE, LATER_FILE = "flight.mcap", "flight-{number}.mcap"
-FLUSH_PERIOD_S = 1.0  # host time; lost if the program is killed
+FLUSH_PERIOD_S = 0.75  # host time; lost if the program is killed, with what the feed has not looked at
 CLOSE_LIMIT_S = 10.0  # host time for what is still queued
 MOST_WAITING_BYTES = 64_000_000  # of entries: minutes of a case
 ENTRY_BYTES = 600  # of an entry without arrays or pictures, in memory

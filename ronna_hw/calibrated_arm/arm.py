@@ -11,12 +11,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 from ronna_hw.arm.clearance.bodies import Surroundings
 from ronna_hw.arm.errors import Unreachable
 from ronna_hw.arm.kinematics import Chain, Kinematics
-from ronna_hw.arm.pose import Pose
+from ronna_hw.arm.pose import Pose, Rotation9
 from ronna_hw.arrays import Array
 from ronna_hw.calibrated_arm.deviations import (
     FLANK_SHARE,
@@ -27,7 +27,7 @@ from ronna_hw.calibrated_arm.deviations import (
     stretched_mm,
 )
 from ronna_hw.frames import Transform
-from ronna_hw.vectors import JointVector, Vector3
+from ronna_hw.vectors import JointVector, Vector3, vector3
 
 CLOSE_MM = 1e-5  # resolution of a record's numbers
 CLOSE_RAD = 1e-8
@@ -117,10 +117,16 @@ class CalibratedArm:
             return self.nominal.forward(joints_rad)
         return self._model.forward(joints_rad, flanks)
 
-    def flange_poses(self, joints_rad: Array) -> Array:
-        """Return the poses (m, 4, 4) of `forward` at joint angles (m, n), for many of them at once."""
-        chain = self.nominal.chain
-        return flange_poses(chain, self._deviations or ArmDeviations.none(len(chain.joints)), joints_rad)
+    def forward_each(self, joints_rad: Array) -> list[Pose]:
+        """Return the poses of `forward` at many joint angles (m, n)."""
+        if self._deviations is None:
+            return [self.nominal.forward(tuple(row)) for row in joints_rad.tolist()]
+        poses = flange_poses(self.nominal.chain, self._deviations, joints_rad)
+        turns = poses[:, :3, :3].reshape(-1, 9).tolist()
+        return [
+            Pose(vector3(place_mm), cast("Rotation9", tuple(turn)))
+            for place_mm, turn in zip(poses[:, :3, 3].tolist(), turns, strict=True)
+        ]
 
     def as_controller_sees(self, surroundings: Surroundings, at_rad: JointVector) -> Surroundings:
         """Transform the surroundings into the controller's coordinates, exactly at the given joints.

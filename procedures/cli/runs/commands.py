@@ -273,7 +273,7 @@ def raw_command(
 
 
 def recover_log_command(
-    log: Annotated[Path, Argument(metavar="RUN|FILE", help="A run, or one MCAP file.")],
+    log: Annotated[Path, Argument(metavar="LOG", help="A run, for all its logs, or one MCAP file.")],
     out: Annotated[
         Path | None, Option("--out", metavar="FILE", help="The copy; by default in the run's folder export.")
     ] = None,

@@ -7,7 +7,8 @@ from pathlib import Path
 from procedures.live.errors import NO_LOG
 from procedures.live.flight_log import log_files
 from procedures.live.log_reading import recover_log
-from ronna_hw.command_line.errors import PATH_PROBLEM, UsageMistake
+from procedures.runs.folders import require_run
+from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.command_line.options import require_new
 from ronna_hw.command_line.terminal import print_json, tell
 from ronna_hw.evidence.journal_reading import JOURNAL_FILE
@@ -37,8 +38,7 @@ def recover_logs(source: Path, out: Path | None, *, as_json: bool) -> None:
 def _find_logs(source: Path) -> list[Path]:
     if source.is_file():
         return [source]
-    if not source.is_dir():
-        raise PATH_PROBLEM(f"{source} does not exist", expected="a run, or an MCAP file")
+    require_run(source)
     if not (files := log_files(source)):
         raise NO_LOG(f"{source} has no log")
     return files

@@ -139,3 +139,9 @@ def test_one_posture_is_where_the_arrays_of_many_have_it(variant: str) -> None:
         arm.flange_pose(tuple(one), sides).as_matrix() for one, sides in zip(joints_rad, flanks, strict=True)
     ]
     assert np.allclose(ours, flange_poses(kinematics.chain, deviations, joints_rad, flanks), atol=1e-9)
+    for one in (arm, CalibratedArm(kinematics)):
+        np.testing.assert_allclose(
+            [pose.position_mm + pose.rotation for pose in one.forward_each(joints_rad)],
+            [pose.position_mm + pose.rotation for pose in map(one.forward, map(tuple, joints_rad))],
+            atol=1e-9,
+        )
