@@ -1,8 +1,9 @@
-"""A rehearsal in the hospital's own network: CT from an archive, poses to a viewer, results into the study."""
+"""A rehearsal in a hospital network: CT from an archive, poses to a viewer, results into its study."""
 
 from __future__ import annotations
 
 import json
+import socket
 import threading
 from pathlib import Path
 from typing import Any
@@ -20,12 +21,21 @@ STORED = {"CT": 1, "FID": 1, "REG": 1, "RTSTRUCT": 1, "OT": 1}  # series by moda
 
 
 def read_pose(port: int, seen: list[Any], ended: threading.Event) -> None:
+    """Read one pose as soon as the server listens: a client that is refused would go on trying at once."""
     pyigtl = pytest.importorskip("pyigtl")
-    while not (seen or ended.wait(0.2)):  # a client that never connects again is made anew
-        client = pyigtl.OpenIGTLinkClient("127.0.0.1", port)
-        if (message := client.wait_for_message(POSE, 5.0)) is not None:
+    while not is_served(port):
+        if ended.wait(0.2):
+            return
+    client = pyigtl.OpenIGTLinkClient("127.0.0.1", port)
+    while not (seen or ended.is_set()):
+        if (message := client.wait_for_message(POSE, 1.0)) is not None:
             seen.append(message)
-        client.stop()
+    client.stop()
+
+
+def is_served(port: int) -> bool:
+    with socket.socket() as probe:
+        return probe.connect_ex(("127.0.0.1", port)) == 0
 
 
 @needs_orthanc
