@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from typer import Argument, Option
 
 from procedures.cli import planning_inputs
-from procedures.exchange.markup_lines import LineOrder
+from procedures.exchange.line_order import LineOrder
 from ronna_hw.command_line import terminal
 from ronna_hw.command_line.errors import PATH_PROBLEM, UsageMistake
 from ronna_hw.command_line.options import require_new

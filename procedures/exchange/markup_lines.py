@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +15,7 @@ import numpy as np
 
 from procedures.exchange.errors import MARKUP_ENDS, MARKUP_OF_ANOTHER_FRAME, MARKUP_UNREADABLE
 from procedures.exchange.export_tables import LPS, MILLIMETRE
+from procedures.exchange.line_order import LineOrder
 from procedures.exchange.slicer_markups import Point
 from ronna_hw.bounded_input import InputRefused, parse_json, read_bounded
 from ronna_hw.plausible import FARTHEST_MM, LONGEST_NAME, NAME_PATTERN
@@ -29,13 +29,6 @@ LINE, DEFINED = "Line", "defined"
 PLANNED_ENDING = " planned"  # of the name of a line in an export
 ENTRY_WORD, TARGET_WORD = re.compile(r"\bentry\b", re.I), re.compile(r"\b(target|tip)\b", re.I)
 LONGEST_QUOTE = 40  # characters
-
-
-class LineOrder(StrEnum):
-    """Order in which the two points of a line were placed."""
-
-    ENTRY_FIRST = "entry-first"
-    TARGET_FIRST = "target-first"
 
 
 @dataclass(frozen=True)

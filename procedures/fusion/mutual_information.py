@@ -34,10 +34,10 @@ BINS = 50
 SEED = 1
 START_TURNS_RAD = (0.0, *(np.radians(turn) for turn in (-20.0, 20.0)))  # tried about each axis
 FIRST_STEP_MM = {COARSE_MM: 4.0, MIDDLE_MM: 1.0, FINE_MM: 0.5}
-LAST_STEP_MM = {COARSE_MM: 0.05, MIDDLE_MM: 0.02, FINE_MM: 0.004}
-MOST_ROUNDS, MOST_LINE_STEPS = 20, 30
-STILL_NATS = 1e-6
-MOST_SAMPLES = 30_000  # of the CT's voxels: more moves a result by less than its error
+LAST_STEP_MM = {COARSE_MM: 0.3, MIDDLE_MM: 0.05, FINE_MM: 0.02}
+MOST_ROUNDS, MOST_LINE_STEPS = 20, 15
+STILL_NATS = 1e-5
+MOST_SAMPLES = 20_000  # of the CT's voxels: more moves a result by less than its error
 SHADING_MM, SHADING_ROUNDS = 5.0, (30, 20)
 INT16 = (-32768, 32767)
 CUT_AROUND_MM = 10.0
@@ -81,9 +81,7 @@ def search_starts(level: Level) -> tuple[Optimum, ...]:
     return tuple(sorted(found, key=lambda one: -one.information))
 
 
-def refine_pose(
-    level: Level, start: RigidTransform, within: Mask, most_samples: int = MOST_SAMPLES
-) -> Optimum:
+def refine_pose(level: Level, start: RigidTransform, within: Mask) -> Optimum:
     """Refine a pose other <- CT by the voxels of the CT that are marked `within`, or some of them."""
     sitk = require_simple_itk()
     index = np.argwhere(within)
@@ -96,9 +94,9 @@ def refine_pose(
     method.SetNumberOfThreads(1)  # sums in another order would give another result
     method.SetMetricAsMattesMutualInformation(BINS)
     method.SetMetricFixedMask(_as_image(within.astype(np.uint8), level.geometry))
-    if len(index) > most_samples:
+    if len(index) > MOST_SAMPLES:
         method.SetMetricSamplingStrategy(method.REGULAR)
-        method.SetMetricSamplingPercentage(most_samples / len(index), SEED)
+        method.SetMetricSamplingPercentage(MOST_SAMPLES / len(index), SEED)
     method.SetMetricUseFixedImageGradientFilter(False)  # Powell's method needs no gradients
     method.SetMetricUseMovingImageGradientFilter(False)
     method.SetInterpolator(sitk.sitkLinear)

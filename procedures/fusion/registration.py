@@ -25,7 +25,6 @@ from procedures.fusion.mutual_information import (
     COARSE_MM,
     FINE_MM,
     MIDDLE_MM,
-    MOST_SAMPLES,
     Level,
     Optimum,
     build_level,
@@ -80,7 +79,7 @@ def fuse_series(
     fine = refine_pose(level, middle.other_from_ct, level.head)
     parts = []
     for number, half in enumerate(_halves(level)):
-        part = refine_pose(level, fine.other_from_ct, half, MOST_SAMPLES // 2)
+        part = refine_pose(level, fine.other_from_ct, half)
         parts.append(FusedPose.of(part.other_from_ct.inv()))
         progress((4 + number) / STAGES)
     whole, others = FusedPose.of(fine.other_from_ct.inv()), tuple(parts)

@@ -101,10 +101,14 @@ def phantom(
         bool,
         typer.Option(
             "--mr",
-            help="Also write an MR of the head, mr/ and mr-truth.json: another contrast and pose, distorted "
-            "by up to 1 mm, without markers.",
+            help="Also write an MR of the head, mr/ and mr-truth.json: another contrast and pose, without "
+            "markers.",
         ),
     ] = False,
+    mr_distortion_mm: Annotated[
+        float,
+        typer.Option(min=0.0, max=5.0, help="Largest displacement in that MR, at the skin; with --mr."),
+    ] = 0.3,
     postoperative: Annotated[
         Path | None,
         typer.Option(
@@ -202,7 +206,7 @@ def phantom(
 
         case = write_case(truth, out, report, scan=replace(scan, faults=faults))
         if with_mr:
-            write_mr(draw_mr(truth, seed), out)
+            write_mr(draw_mr(truth, seed, distortion_mm=mr_distortion_mm), out)
     shown, kind = len(truth.head.fiducials), "spheres"
     if fiducials is Fiducials.ADHESIVE:
         shown, kind = len(truth.head.adhesives), "adhesive rings"

@@ -1,4 +1,4 @@
-"""Lines drawn in 3D Slicer become trajectories in the right frame with the right end as target, or nothing."""
+"""Lines drawn in 3D Slicer become trajectories in the right frame with the right target, or nothing."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ from coded_errors import raises
 from procedures.exchange.allowed_fields import PLANNED
 from procedures.exchange.errors import MARKUP_ENDS, MARKUP_OF_ANOTHER_FRAME, MARKUP_UNREADABLE
 from procedures.exchange.export_tables import CtIdentity
-from procedures.exchange.markup_lines import LineOrder, MarkupLine, read_lines
+from procedures.exchange.line_order import LineOrder
+from procedures.exchange.markup_lines import MarkupLine, read_lines
 from procedures.exchange.trajectory_lines import format_lines, planned_line
 from procedures.planning.plan_model import PlannedTrajectory
 
