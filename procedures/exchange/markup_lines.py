@@ -11,8 +11,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from procedures.exchange.errors import MARKUP_ENDS, MARKUP_OF_ANOTHER_FRAME, MARKUP_UNREADABLE
 from procedures.exchange.export_tables import LPS, MILLIMETRE
 from procedures.exchange.line_order import LineOrder
@@ -94,13 +92,20 @@ def _read_point(point: dict[str, Any], where: str, signs: Point) -> Point:
         raise MARKUP_UNREADABLE(
             f"{where} has a point that was not placed", expected=DEFINED, got=_quote(status)
         )
-    is_numbers = isinstance(position, list) and all(type(value) in (int, float) for value in position)
-    if not is_numbers or np.shape(position) != (3,) or np.abs(position).max() > FARTHEST_MM:
+    if not (
+        isinstance(position, list) and len(position) == len(signs) and all(map(_is_coordinate, position))
+    ):
         raise MARKUP_UNREADABLE(
             f"{where} has a point without a position", expected="three numbers", got=_quote(position)
         )
     x, y, z = (float(value) * sign for value, sign in zip(position, signs, strict=True))
     return x, y, z
+
+
+def _is_coordinate(value: object) -> bool:
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        return False
+    return -FARTHEST_MM <= value <= FARTHEST_MM
 
 
 def _is_entry_first(labels: list[str], where: str, order: LineOrder | None) -> bool:
