@@ -21,23 +21,24 @@ SQUARE_MM = 20.0
 HALF_WIDTH_MM = 120.0  # of each plane: a head with some air
 STEP_MM = 0.5
 GAP_PX = 8
-# Across and down of each plane as seen from the patient's feet, left and front: LPS unit vectors.
+# Across and down of each plane, LPS unit vectors, and the patient's sides at its left and upper edge.
 PLANES = (
-    ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0)),  # axial
-    ((1.0, 0.0, 0.0), (0.0, 0.0, -1.0)),  # coronal
-    ((0.0, 1.0, 0.0), (0.0, 0.0, -1.0)),  # sagittal
+    ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), "RA"),  # axial, from the feet
+    ((1.0, 0.0, 0.0), (0.0, 0.0, -1.0), "RS"),  # coronal, from the front
+    ((0.0, 1.0, 0.0), (0.0, 0.0, -1.0), "AS"),  # sagittal, from the left
 )
+LETTER_PX, EDGE_PX = 24, 6
 
 
 def draw_chequerboard(ct: Volume, other: Volume, fusion: Fusion, centre_mm: Sequence[float]) -> bytes:
     """Draw axial, coronal and sagittal planes through a point (3,) mm of the CT, side by side, as a PNG.
 
-    The upper left square of each shows the CT; the patient's right is on the left.
+    The upper left square of each shows the CT; letters mark the patient's sides.
     """
-    from PIL import Image
+    from PIL import Image, ImageDraw, ImageFont
 
     planes = []
-    for across, down in PLANES:
+    for across, down, _ in PLANES:
         places_mm = _grid_mm(centre_mm, across, down)
         of_ct = _to_grey(ct.sample(places_mm, AIR_HU), *WINDOW_HU)
         there_mm = fusion.ct_from_other.rigid.inv().apply(places_mm.reshape(-1, 3)).reshape(places_mm.shape)
@@ -48,8 +49,13 @@ def draw_chequerboard(ct: Volume, other: Volume, fusion: Fusion, centre_mm: Sequ
         planes.append(np.where(is_other, of_other, of_ct))
     gap = np.full((len(planes[0]), GAP_PX), 255, np.uint8)
     sheet = np.hstack([planes[0], gap, planes[1], gap, planes[2]])
-    stream = io.BytesIO()
-    Image.fromarray(sheet).save(stream, "PNG", optimize=True)
+    picture, stream = Image.fromarray(sheet), io.BytesIO()
+    draw, font, size = ImageDraw.Draw(picture), ImageFont.load_default(LETTER_PX), len(planes[0])
+    for number, (_, _, (left, upper)) in enumerate(PLANES):
+        start = number * (size + GAP_PX)
+        draw.text((start + EDGE_PX, size // 2), left, fill=255, font=font, anchor="lm")
+        draw.text((start + size // 2, EDGE_PX), upper, fill=255, font=font, anchor="mt")
+    picture.save(stream, "PNG", optimize=True)
     return stream.getvalue()
 
 

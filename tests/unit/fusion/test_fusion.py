@@ -24,7 +24,7 @@ from procedures.fusion.errors import (
     PartsDisagree,
     StartsDisagree,
 )
-from procedures.fusion.mutual_information import Optimum
+from procedures.fusion.mutual_information import COARSE_MM, Optimum, build_level, refine_pose
 from procedures.fusion.record import (
     LEAST_ERROR_MM,
     FusedPose,
@@ -92,6 +92,17 @@ def test_an_mr_30_mm_and_20_degrees_off_is_right_within_its_goal_at_the_targets(
 def test_series_too_coarse_to_agree_with_their_halves_are_refused(scene: Scene, scan: MrScan) -> None:
     with raises(PartsDisagree, match="halves of the head"):
         fuse_series(paint_before(scene), paint_mr(scan), "MR")
+
+
+def test_a_rough_start_is_led_towards_the_truth_and_every_time_alike(scene: Scene, scan: MrScan) -> None:
+    level = build_level(paint_before(scene), paint_mr(scan), COARSE_MM)
+    true = RigidTransform.from_matrix(scan.pose.scan_from_head)
+    start = RigidTransform.from_components([4.0, -3.0, 5.0], Rotation.identity()) * true
+    first, again = (refine_pose(level, start, level.head) for _ in range(2))
+    assert np.array_equal(first.other_from_ct.as_matrix(), again.other_from_ct.as_matrix())
+    targets_mm = draw_targets(scene, SEED)
+    off_mm = first.other_from_ct.apply(targets_mm) - true.apply(targets_mm)
+    assert np.linalg.norm(off_mm, axis=1).mean() < 3.5  # from 7 mm; half of a voxel of this level
 
 
 def test_the_chequerboard_shows_both_series_in_three_planes(scene: Scene, scan: MrScan) -> None:
