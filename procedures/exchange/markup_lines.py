@@ -7,7 +7,7 @@ person who drew the lines states their order. Nothing is guessed.
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +23,7 @@ LARGEST_FILE_BYTES = 1_000_000  # a line takes two kilobytes
 RAS = "RAS"
 SIGNS = {LPS: (1.0, 1.0, 1.0), RAS: (-1.0, -1.0, 1.0)}
 UNITS = (MILLIMETRE, [MILLIMETRE] * 3)  # as a word, or for each axis
+FRAME_KEY = "frame_of_reference_uid"  # of files of our exports
 LINE, DEFINED = "Line", "defined"
 PLANNED_ENDING = " planned"  # of the name of a line in an export
 ENTRY_WORD, TARGET_WORD = re.compile(r"\bentry\b", re.I), re.compile(r"\b(target|tip)\b", re.I)
@@ -31,11 +32,15 @@ LONGEST_QUOTE = 40  # characters
 
 @dataclass(frozen=True)
 class MarkupLine:
-    """Line of a trajectory, in the LPS mm of the series on which it was drawn."""
+    """Line of a trajectory, in the LPS mm of the series on which it was drawn.
+
+    Only if `is_frame_stated` its file says on which, as Slicer's own do not.
+    """
 
     name: str
     entry_mm: Point
     target_mm: Point
+    is_frame_stated: bool = False
 
 
 def read_lines(path: Path, frame_of_reference_uid: str, order: LineOrder | None) -> tuple[MarkupLine, ...]:
@@ -53,13 +58,13 @@ def read_lines(path: Path, frame_of_reference_uid: str, order: LineOrder | None)
     if not isinstance(markups, list) or not markups or not all(isinstance(one, dict) for one in markups):
         raise MARKUP_UNREADABLE(f"{path.name} has no markups", expected="a .mrk.json that 3D Slicer saved")
     _require_frame(content, path.name, frame_of_reference_uid)
-    return tuple(_read_line(one, f"{path.name}, {_quote(one.get('name'))}", order) for one in markups)
+    lines = (_read_line(one, f"{path.name}, {_quote(one.get('name'))}", order) for one in markups)
+    return tuple(replace(one, is_frame_stated=FRAME_KEY in content) for one in lines)
 
 
 def _require_frame(content: dict[str, Any], name: str, frame_of_reference_uid: str) -> None:
     """Raise MRK-002 if a file that names its frame, as ours do and Slicer's do not, names another one."""
-    stated = content.get("frame_of_reference_uid")
-    if stated is not None and stated != frame_of_reference_uid:
+    if FRAME_KEY in content and (stated := content[FRAME_KEY]) != frame_of_reference_uid:
         raise MARKUP_OF_ANOTHER_FRAME(
             f"{name} is of another frame of reference", expected=frame_of_reference_uid, got=_quote(stated)
         )

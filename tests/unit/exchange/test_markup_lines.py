@@ -42,7 +42,7 @@ def test_an_exported_plan_is_read_back_as_it_was(tmp_path: Path) -> None:
     planned = PlannedTrajectory(id="T1", entry_mm=ENTRY, target_mm=TARGET, margin_mm=2.0)
     file = tmp_path / "planned.mrk.json"
     file.write_text(format_lines([planned_line("T1", planned)], CtIdentity("1.2.3", FRAME), PLANNED))
-    assert read_lines(file, FRAME, None) == (MarkupLine("T1", ENTRY, TARGET),)
+    assert read_lines(file, FRAME, None) == (MarkupLine("T1", ENTRY, TARGET, is_frame_stated=True),)
     with raises(MARKUP_OF_ANOTHER_FRAME, match="frame of reference"):
         read_lines(file, "1.2.8", None)
 
