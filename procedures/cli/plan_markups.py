@@ -23,8 +23,8 @@ USUAL_MARGIN_MM, USUAL_STANDOFF_MM = 2.0, 30.0
 MARKUPS_ENDING = ".mrk.json"
 IN_CT, IN_OTHER = "ct", "other"
 FRAME_NOT_STATED = (
-    "3D Slicer's files do not say on which series a line was drawn: one drawn on another scan of the head may "
-    "fit the CT as well; look at each trajectory in the planner"
+    "3D Slicer's files do not say on which series a line was drawn: one drawn on another scan of the head "
+    "may fit the CT as well; look at each trajectory in the planner"
 )
 
 
