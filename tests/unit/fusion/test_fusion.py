@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +22,7 @@ from procedures.fusion.errors import (
     FUSION_UNREADABLE,
     SAME_SERIES,
     LandmarksDisagree,
+    NothingToFuse,
     PartsDisagree,
     StartsDisagree,
 )
@@ -79,6 +81,7 @@ def fusion_of(*parts: RigidTransform) -> Fusion:
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(900)
 def test_an_mr_30_mm_and_20_degrees_off_is_right_within_its_goal_at_the_targets() -> None:
     scene = draw_scene("default", seed=5).model_copy(update={"ct": MINI_CT})
     scan = draw_mr(scene, 5, protocol=MR, distortion_mm=0.3)
@@ -89,6 +92,7 @@ def test_an_mr_30_mm_and_20_degrees_off_is_right_within_its_goal_at_the_targets(
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(900)
 def test_series_too_coarse_to_agree_with_their_halves_are_refused(scene: Scene, scan: MrScan) -> None:
     with raises(PartsDisagree, match="halves of the head"):
         fuse_series(paint_before(scene), paint_mr(scan), "MR")
@@ -141,6 +145,12 @@ def small_volume() -> Volume:
 
     geometry = VoxelGeometry((4, 4, 4), np.zeros(3), np.eye(3)[:, ::-1], np.ones(3))
     return Volume(np.zeros((4, 4, 4), np.int16), geometry, "1.2.1", "1.2.1")
+
+
+def test_a_blank_series_is_refused(small_volume: Volume) -> None:
+    blank = replace(small_volume, series_instance_uid="1.2.3")
+    with raises(NothingToFuse, match="blank"):
+        fuse_series(small_volume, blank, "MR")
 
 
 def test_one_series_twice_is_refused(small_volume: Volume) -> None:
