@@ -64,7 +64,7 @@ def fuse(
     require_new(out, picture, transform)
     require_simple_itk()
     points_mm = None if landmarks is None else _read_landmarks(*landmarks)
-    warnings = _check_same_patient(ct_dir, other_dir)
+    warnings = check_same_patient(ct_dir, other_dir)
     with terminal.progress_bar("reading and registering") as advance:
         ct = read_series(ct_dir, progress=lambda share: advance(READING_SHARE * share))
         other, modality = read_other_series(
@@ -104,7 +104,7 @@ def _read_landmarks(ct_points: Path, other_points: Path) -> tuple[Array, Array]:
     return read_picks(ct_points), read_picks(other_points)
 
 
-def _check_same_patient(ct_dir: Path, other_dir: Path) -> tuple[str, ...]:
+def check_same_patient(ct_dir: Path, other_dir: Path) -> tuple[str, ...]:
     """Raise FUS-003 if the patient identifiers differ; return a warning if one is missing."""
     from procedures.fusion.errors import OTHER_PATIENT
     from procedures.imaging import read_identity

@@ -23,9 +23,9 @@ STEP_MM = 0.5
 GAP_PX = 8
 # Across and down of each plane, LPS unit vectors, and the patient's sides at its left and upper edge.
 PLANES = (
-    ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), "RA"),  # axial, from the feet
-    ((1.0, 0.0, 0.0), (0.0, 0.0, -1.0), "RS"),  # coronal, from the front
-    ((0.0, 1.0, 0.0), (0.0, 0.0, -1.0), "AS"),  # sagittal, from the left
+    ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), ("R", "A")),  # axial, from the feet
+    ((1.0, 0.0, 0.0), (0.0, 0.0, -1.0), ("R", "S")),  # coronal, from the front
+    ((0.0, 1.0, 0.0), (0.0, 0.0, -1.0), ("A", "S")),  # sagittal, from the left
 )
 LETTER_PX, EDGE_PX = 24, 6
 

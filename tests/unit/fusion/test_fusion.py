@@ -6,6 +6,7 @@ import io
 import sys
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,11 +16,13 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from benchmarks.scans.fusion import GOAL_MM, MR, draw_targets, paint_mr, rms_at_targets_mm
 from benchmarks.scans.postoperative import paint_before
+from procedures.cli.fuse import check_same_patient
 from procedures.fusion import registration
 from procedures.fusion.chequerboard import draw_chequerboard
 from procedures.fusion.errors import (
     FUSION_MISSING,
     FUSION_UNREADABLE,
+    OTHER_PATIENT,
     SAME_SERIES,
     LandmarksDisagree,
     NothingToFuse,
@@ -210,3 +213,17 @@ def test_the_transform_for_slicer_maps_points_of_the_ct_as_itk_reads_it(tmp_path
     file.write_text(format_itk_transform(fusion_of()))
     mapped = sitk.ReadTransform(str(file)).TransformPoint((10.0, 20.0, 30.0))
     assert mapped == pytest.approx(pose().inv().apply(np.array([10.0, 20.0, 30.0])))
+
+
+def test_series_of_two_patients_are_refused_and_an_unnamed_one_is_told(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    names = {"ct": "1", "mr": "2", "bare": ""}
+    monkeypatch.setattr(
+        "procedures.imaging.read_identity",
+        lambda folder: SimpleNamespace(identifier=names[folder.name]),
+    )
+    with raises(OTHER_PATIENT):
+        check_same_patient(Path("ct"), Path("mr"))
+    assert check_same_patient(Path("ct"), Path("ct")) == ()
+    assert "patient identifier" in check_same_patient(Path("ct"), Path("bare"))[0]
