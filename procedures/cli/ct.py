@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Argument, Option
 
+from procedures.cli.fuse import fuse
 from procedures.cli.postoperative import postoperative
 from procedures.imaging.localizers import LOCALIZERS, Localizer
 from ronna_hw.command_line import terminal
@@ -41,6 +42,7 @@ LocalizationMethod = StrEnum("LocalizationMethod", {one.name: row.method for one
 COMBINED = LocalizationMethod(LOCALIZERS[Localizer.OURS].method)
 
 app.command()(postoperative)
+app.command()(fuse)
 
 
 @app.command()

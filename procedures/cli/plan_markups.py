@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from typer import Argument, Option
 
 from procedures.cli import planning_inputs
-from procedures.exchange.markup_lines import LineOrder
+from procedures.exchange.line_order import LineOrder
 from ronna_hw.command_line import terminal
 from ronna_hw.command_line.errors import PATH_PROBLEM, UsageMistake
 from ronna_hw.command_line.options import require_new
@@ -22,6 +22,10 @@ if TYPE_CHECKING:
 USUAL_MARGIN_MM, USUAL_STANDOFF_MM = 2.0, 30.0
 MARKUPS_ENDING = ".mrk.json"
 IN_CT, IN_OTHER = "ct", "other"
+FRAME_NOT_STATED = (
+    "3D Slicer's files do not say on which series a line was drawn: one drawn on another scan of the head "
+    "may fit the CT as well; look at each trajectory in the planner"
+)
 
 
 def from_markups(
@@ -109,6 +113,8 @@ def from_markups(
     for sentence in (*volume.warnings, *result.warnings):
         terminal.tell(f"warning: {sentence}")
     result.require()
+    if not all(line.is_frame_stated for line in lines):
+        terminal.tell(FRAME_NOT_STATED)
     write_plan(out, plan, (f"Trajectories from {names}; spheres counted in the CT: count the screws, too.",))
     _tell_sides(result, fit_head(volume), out, series_dir)
 

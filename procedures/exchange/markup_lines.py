@@ -7,15 +7,13 @@ person who drew the lines states their order. Nothing is guessed.
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
-from enum import StrEnum
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from procedures.exchange.errors import MARKUP_ENDS, MARKUP_OF_ANOTHER_FRAME, MARKUP_UNREADABLE
 from procedures.exchange.export_tables import LPS, MILLIMETRE
+from procedures.exchange.line_order import LineOrder
 from procedures.exchange.slicer_markups import Point
 from ronna_hw.bounded_input import InputRefused, parse_json, read_bounded
 from ronna_hw.plausible import FARTHEST_MM, LONGEST_NAME, NAME_PATTERN
@@ -25,26 +23,24 @@ LARGEST_FILE_BYTES = 1_000_000  # a line takes two kilobytes
 RAS = "RAS"
 SIGNS = {LPS: (1.0, 1.0, 1.0), RAS: (-1.0, -1.0, 1.0)}
 UNITS = (MILLIMETRE, [MILLIMETRE] * 3)  # as a word, or for each axis
+FRAME_KEY = "frame_of_reference_uid"  # of files of our exports
 LINE, DEFINED = "Line", "defined"
 PLANNED_ENDING = " planned"  # of the name of a line in an export
 ENTRY_WORD, TARGET_WORD = re.compile(r"\bentry\b", re.I), re.compile(r"\b(target|tip)\b", re.I)
 LONGEST_QUOTE = 40  # characters
 
 
-class LineOrder(StrEnum):
-    """Order in which the two points of a line were placed."""
-
-    ENTRY_FIRST = "entry-first"
-    TARGET_FIRST = "target-first"
-
-
 @dataclass(frozen=True)
 class MarkupLine:
-    """Line of a trajectory, in the LPS mm of the series on which it was drawn."""
+    """Line of a trajectory, in the LPS mm of the series on which it was drawn.
+
+    Only if `is_frame_stated` its file says on which, as Slicer's own do not.
+    """
 
     name: str
     entry_mm: Point
     target_mm: Point
+    is_frame_stated: bool = False
 
 
 def read_lines(path: Path, frame_of_reference_uid: str, order: LineOrder | None) -> tuple[MarkupLine, ...]:
@@ -62,13 +58,13 @@ def read_lines(path: Path, frame_of_reference_uid: str, order: LineOrder | None)
     if not isinstance(markups, list) or not markups or not all(isinstance(one, dict) for one in markups):
         raise MARKUP_UNREADABLE(f"{path.name} has no markups", expected="a .mrk.json that 3D Slicer saved")
     _require_frame(content, path.name, frame_of_reference_uid)
-    return tuple(_read_line(one, f"{path.name}, {_quote(one.get('name'))}", order) for one in markups)
+    lines = (_read_line(one, f"{path.name}, {_quote(one.get('name'))}", order) for one in markups)
+    return tuple(replace(one, is_frame_stated=FRAME_KEY in content) for one in lines)
 
 
 def _require_frame(content: dict[str, Any], name: str, frame_of_reference_uid: str) -> None:
     """Raise MRK-002 if a file that names its frame, as ours do and Slicer's do not, names another one."""
-    stated = content.get("frame_of_reference_uid")
-    if stated is not None and stated != frame_of_reference_uid:
+    if FRAME_KEY in content and (stated := content[FRAME_KEY]) != frame_of_reference_uid:
         raise MARKUP_OF_ANOTHER_FRAME(
             f"{name} is of another frame of reference", expected=frame_of_reference_uid, got=_quote(stated)
         )
@@ -101,13 +97,20 @@ def _read_point(point: dict[str, Any], where: str, signs: Point) -> Point:
         raise MARKUP_UNREADABLE(
             f"{where} has a point that was not placed", expected=DEFINED, got=_quote(status)
         )
-    is_numbers = isinstance(position, list) and all(type(value) in (int, float) for value in position)
-    if not is_numbers or np.shape(position) != (3,) or np.abs(position).max() > FARTHEST_MM:
+    if not (
+        isinstance(position, list) and len(position) == len(signs) and all(map(_is_coordinate, position))
+    ):
         raise MARKUP_UNREADABLE(
             f"{where} has a point without a position", expected="three numbers", got=_quote(position)
         )
     x, y, z = (float(value) * sign for value, sign in zip(position, signs, strict=True))
     return x, y, z
+
+
+def _is_coordinate(value: object) -> bool:
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        return False
+    return -FARTHEST_MM <= value <= FARTHEST_MM
 
 
 def _is_entry_first(labels: list[str], where: str, order: LineOrder | None) -> bool:

@@ -13,13 +13,12 @@ FUSION_MISSING = ErrorCode(
 )
 
 
-NOTHING_TO_FUSE = ErrorCode(
-    "FUS-002",
-    DataError,
-    "A series shows no head, or only part of the one that the CT shows.",
-    "Give two series of the whole head of one patient; the CT in Hounsfield units.",
-    own_exit_code=EXIT_REFUSED,
-)
+class NothingToFuse(DataError):
+    """A series shows no head, or only part of the one that the CT shows."""
+
+    code = "FUS-002"
+    action = "Give two series of the whole head of one patient; the CT in Hounsfield units."
+    exit_code = EXIT_REFUSED
 
 
 OTHER_PATIENT = ErrorCode(

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from procedures.fusion.errors import FUSION_MISSING, NOTHING_TO_FUSE
+from procedures.fusion.errors import FUSION_MISSING, NothingToFuse
 from procedures.imaging.volume import Volume, VoxelGeometry
 from ronna_hw.arrays import Array, Mask
 
@@ -34,10 +34,10 @@ BINS = 50
 SEED = 1
 START_TURNS_RAD = (0.0, *(np.radians(turn) for turn in (-20.0, 20.0)))  # tried about each axis
 FIRST_STEP_MM = {COARSE_MM: 4.0, MIDDLE_MM: 1.0, FINE_MM: 0.5}
-LAST_STEP_MM = {COARSE_MM: 0.05, MIDDLE_MM: 0.02, FINE_MM: 0.004}
-MOST_ROUNDS, MOST_LINE_STEPS = 20, 30
-STILL_NATS = 1e-6
-MOST_SAMPLES = 30_000  # of the CT's voxels: more moves a result by less than its error
+LAST_STEP_MM = {COARSE_MM: 0.3, MIDDLE_MM: 0.05, FINE_MM: 0.02}
+MOST_ROUNDS, MOST_LINE_STEPS = 20, 15
+STILL_NATS = 1e-5
+MOST_SAMPLES = 20_000  # of the CT's voxels: more moves a result by less than its error
 SHADING_MM, SHADING_ROUNDS = 5.0, (30, 20)
 INT16 = (-32768, 32767)
 CUT_AROUND_MM = 10.0
@@ -77,14 +77,23 @@ def search_starts(level: Level) -> tuple[Optimum, ...]:
     """Register from several turns about the middle of both heads; the best optimum is first."""
     middle = level.geometry.to_patient_mm(np.argwhere(level.head)).mean(axis=0)
     there = _find_middle(level.other)
-    found = [refine_pose(level, start, level.head) for start in _list_starts(middle, there)]
+    found = [_try_start(level, start) for start in _list_starts(middle, there)]
     return tuple(sorted(found, key=lambda one: -one.information))
 
 
-def refine_pose(
-    level: Level, start: RigidTransform, within: Mask, most_samples: int = MOST_SAMPLES
-) -> Optimum:
-    """Refine a pose other <- CT by the voxels of the CT that are marked `within`, or some of them."""
+def _try_start(level: Level, start: RigidTransform) -> Optimum:
+    """Register from a start; one from which both heads hardly overlap tells nothing."""
+    try:
+        return refine_pose(level, start, level.head)
+    except NothingToFuse:
+        return Optimum(start, 0.0)
+
+
+def refine_pose(level: Level, start: RigidTransform, within: Mask) -> Optimum:
+    """Refine a pose other <- CT by the voxels of the CT that are marked `within`, or some of them.
+
+    Raises FUS-002 where the series hardly overlap.
+    """
     sitk = require_simple_itk()
     index = np.argwhere(within)
     middle = level.geometry.to_patient_mm(index).mean(axis=0)
@@ -96,9 +105,9 @@ def refine_pose(
     method.SetNumberOfThreads(1)  # sums in another order would give another result
     method.SetMetricAsMattesMutualInformation(BINS)
     method.SetMetricFixedMask(_as_image(within.astype(np.uint8), level.geometry))
-    if len(index) > most_samples:
+    if len(index) > MOST_SAMPLES:
         method.SetMetricSamplingStrategy(method.REGULAR)
-        method.SetMetricSamplingPercentage(most_samples / len(index), SEED)
+        method.SetMetricSamplingPercentage(MOST_SAMPLES / len(index), SEED)
     method.SetMetricUseFixedImageGradientFilter(False)  # Powell's method needs no gradients
     method.SetMetricUseMovingImageGradientFilter(False)
     method.SetInterpolator(sitk.sitkLinear)
@@ -112,15 +121,23 @@ def refine_pose(
     )
     method.SetOptimizerScalesFromPhysicalShift()
     method.SetInitialTransform(transform, inPlace=True)
-    method.Execute(level.ct, level.other)
+    try:
+        method.Execute(level.ct, level.other)
+    except RuntimeError as error:  # of ITK: too few samples fall into the other series
+        raise NothingToFuse("the two series hardly overlap") from error
     rotation = Rotation.from_matrix(np.array(transform.GetMatrix()).reshape(3, 3))
     shift = np.array(transform.TransformPoint((0.0, 0.0, 0.0)))
     return Optimum(RigidTransform.from_components(shift, rotation), -float(method.GetMetricValue()))
 
 
 def flatten_shading(other: Volume) -> Volume:
-    """Return the series without the slow shading of a coil, by N4 (Tustison and others 2010)."""
+    """Return the series without the slow shading of a coil, by N4 (Tustison and others 2010).
+
+    Raises FUS-002 for a blank series.
+    """
     sitk = require_simple_itk()
+    if other.voxels.min() == other.voxels.max():
+        raise NothingToFuse("the other series is blank", got=f"{other.voxels.max()} everywhere")
     values, geometry = _thin(other.voxels, other.geometry, SHADING_MM)
     coarse = _as_image(values - min(0.0, float(values.min())) + 1.0, geometry)
     correction = sitk.N4BiasFieldCorrectionImageFilter()
@@ -177,7 +194,7 @@ def _find_head(solid: Mask, geometry: VoxelGeometry) -> Mask:
     labels, count = ndimage.label(kept)
     sizes = np.bincount(labels.ravel())[1:] if count else np.zeros(1, dtype=int)
     if sizes.max() * (mean_mm / COARSE_MM) ** 3 < LEAST_VOXELS / 2:
-        raise NOTHING_TO_FUSE("the CT shows nothing of the size of a head", got=f"{sizes.max()} solid cells")
+        raise NothingToFuse("the CT shows nothing of the size of a head", got=f"{sizes.max()} solid cells")
     largest = labels == 1 + int(sizes.argmax())
     more = rounds + max(1, round(AROUND_MM / mean_mm))
     return np.asarray(ndimage.binary_dilation(largest, iterations=more))
@@ -201,7 +218,7 @@ def _cut(
 ) -> tuple[tuple[NDArray[Any], ...], VoxelGeometry]:
     """Cut volumes to the box around a mask, with a margin. Raises FUS-002 for an empty mask."""
     if not around.any():
-        raise NOTHING_TO_FUSE("the other series shows nothing of the size of a head")
+        raise NothingToFuse("the other series shows nothing of the size of a head")
     margin = np.ceil(CUT_AROUND_MM / geometry.spacing_mm).astype(int)
     index = np.argwhere(around)
     low = np.maximum(index.min(axis=0) - margin, 0)

@@ -15,9 +15,9 @@ from scipy import ndimage
 from scipy.spatial.transform import RigidTransform
 
 from procedures.fusion.errors import (
-    NOTHING_TO_FUSE,
     SAME_SERIES,
     LandmarksDisagree,
+    NothingToFuse,
     PartsDisagree,
     StartsDisagree,
 )
@@ -25,7 +25,6 @@ from procedures.fusion.mutual_information import (
     COARSE_MM,
     FINE_MM,
     MIDDLE_MM,
-    MOST_SAMPLES,
     Level,
     Optimum,
     build_level,
@@ -80,7 +79,7 @@ def fuse_series(
     fine = refine_pose(level, middle.other_from_ct, level.head)
     parts = []
     for number, half in enumerate(_halves(level)):
-        part = refine_pose(level, fine.other_from_ct, half, MOST_SAMPLES // 2)
+        part = refine_pose(level, fine.other_from_ct, half)
         parts.append(FusedPose.of(part.other_from_ct.inv()))
         progress((4 + number) / STAGES)
     whole, others = FusedPose.of(fine.other_from_ct.inv()), tuple(parts)
@@ -168,7 +167,7 @@ def _inner_points(level: Level) -> Array:
     rounds = max(1, round(INNER_MM / float(level.geometry.spacing_mm.mean())))
     inner = ndimage.binary_erosion(level.head, iterations=rounds)
     if not inner.any():
-        raise NOTHING_TO_FUSE("the CT shows too little of the head")
+        raise NothingToFuse("the CT shows too little of the head")
     return level.geometry.to_patient_mm(np.argwhere(inner))
 
 
@@ -177,7 +176,7 @@ def _measure_overlap(level: Level, other: Volume, pose: RigidTransform) -> float
     head_mm = level.geometry.to_patient_mm(np.argwhere(level.head))
     share = float(other.geometry.contains(pose.apply(head_mm)).mean())
     if share < LEAST_OVERLAP:
-        raise NOTHING_TO_FUSE(
+        raise NothingToFuse(
             "the other series shows only part of the head",
             expected=f"at least {LEAST_OVERLAP:.0%}",
             got=f"{share:.0%}",

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from procedures.imaging.localizers import ThesisFit
     from procedures.imaging.markers import Candidate, Localization, Marker, likeliest_first
     from procedures.imaging.picks import localize_picks, read_picks
-    from procedures.imaging.series import read_series
+    from procedures.imaging.series import read_other_series, read_series
     from procedures.imaging.thesis_localizer import localize_as_thesis
     from procedures.imaging.volume import Volume, VoxelGeometry
 
@@ -32,6 +32,7 @@ __all__ = [
     "localize_as_thesis",
     "localize_picks",
     "read_identity",
+    "read_other_series",
     "read_picks",
     "read_series",
 ]

@@ -1,4 +1,4 @@
-"""Reader for a folder's DICOM CT series: validated geometry, pixels in HU."""
+"""Reader for a folder's DICOM CT series: validated geometry, pixels in HU; and for a series beside it."""
 
 from __future__ import annotations
 
@@ -25,11 +25,17 @@ from procedures.imaging.dicom.frame_decoder import (
     check_frame,
     read_jpeg_bits,
 )
-from procedures.imaging.dicom.slice_headers import Progress, SliceHeader, read_headers
+from procedures.imaging.dicom.slice_headers import (
+    CT_ONLY,
+    FUSED_MODALITIES,
+    Progress,
+    SliceHeader,
+    read_headers,
+)
 from procedures.imaging.dicom.slice_stack import accuracy_warnings, stack_slices
-from procedures.imaging.errors import COMPRESSION_UNKNOWN, FILE_DAMAGED, PIXELS_UNUSABLE
+from procedures.imaging.errors import COMPRESSION_UNKNOWN, FILE_DAMAGED, PIXELS_UNUSABLE, RESCALE_UNUSABLE
 from procedures.imaging.scan_faults import check_motion
-from procedures.imaging.volume import Volume
+from procedures.imaging.volume import Volume, VoxelGeometry
 from ronna_hw.arguments import require_path
 from ronna_hw.bounded_input import InputRefused
 
@@ -56,8 +62,45 @@ def read_series(directory: Path, *, progress: Progress | None = None) -> Volume:
     fraction done. Raises CT-001 to CT-015, CT-020, CT-021, CT-023 for a series that cannot be trusted;
     nothing is guessed. Raises ARG-001 for what is no path.
     """
+    slices, geometry, voxels = _read_stack(directory, progress, CT_ONLY)
+    warnings_found = (
+        *accuracy_warnings(slices, geometry),
+        *_check_intensities(voxels),
+        *check_motion(voxels, geometry),
+    )
+    return _build_volume(slices, geometry, voxels, warnings_found)
+
+
+def read_other_series(directory: Path, *, progress: Progress | None = None) -> tuple[Volume, str]:
+    """Read a series of another modality, such as an MR, and return it with that modality.
+
+    Its voxels are stored values, whose unit and scale are its own. Raises like `read_series`, and CT-020 for
+    slices on scales of their own, as in some PET series.
+    """
+    slices, geometry, voxels = _read_stack(directory, progress, FUSED_MODALITIES)
+    modality = slices[0].modality
+    if modality in CT_ONLY:
+        return _build_volume(slices, geometry, voxels, accuracy_warnings(slices, geometry)), modality
+    scales = {_read_scale(one) for one in slices}
+    if len(scales) > 1:
+        raise RESCALE_UNUSABLE(
+            f"the slices of the {modality} are on {len(scales)} scales",
+            expected="one RescaleSlope and RescaleIntercept for all slices",
+        )
+    return _build_volume(slices, geometry, voxels, ()), modality
+
+
+def _read_scale(one: SliceHeader) -> tuple[float, float]:
+    header = read_dicom(one.path, only=("RescaleSlope", "RescaleIntercept"))
+    slope = read_optional_number(one.path, header, "RescaleSlope")
+    return 1.0 if slope is None else slope, read_optional_number(one.path, header, "RescaleIntercept") or 0.0
+
+
+def _read_stack(
+    directory: Path, progress: Progress | None, modalities: tuple[str, ...]
+) -> tuple[tuple[SliceHeader, ...], VoxelGeometry, NDArray[np.int16]]:
     directory = require_path(directory, "the folder of the series")
-    headers = read_headers(directory, _scale_progress(progress, 0.0, HEADER_SHARE))
+    headers = read_headers(directory, _scale_progress(progress, 0.0, HEADER_SHARE), modalities)
     slices, geometry = stack_slices(headers)
     voxels = np.empty(geometry.shape, dtype=np.int16)
     report = _scale_progress(progress, HEADER_SHARE, 1.0)
@@ -72,6 +115,15 @@ def read_series(directory: Path, *, progress: Progress | None = None) -> Volume:
             report((number + 1) / len(slices))
         deque(reading, maxlen=0)
     voxels.flags.writeable = False
+    return slices, geometry, voxels
+
+
+def _build_volume(
+    slices: tuple[SliceHeader, ...],
+    geometry: VoxelGeometry,
+    voxels: NDArray[np.int16],
+    warnings_found: tuple[str, ...],
+) -> Volume:
     return Volume(
         voxels=voxels,
         geometry=geometry,
@@ -80,11 +132,7 @@ def read_series(directory: Path, *, progress: Progress | None = None) -> Volume:
         patient_position=slices[0].patient_position,
         study_instance_uid=slices[0].study_instance_uid,
         kernel=", ".join(sorted({one.kernel for one in slices if one.kernel})),
-        warnings=(
-            *accuracy_warnings(slices, geometry),
-            *_check_intensities(voxels),
-            *check_motion(voxels, geometry),
-        ),
+        warnings=warnings_found,
     )
 
 

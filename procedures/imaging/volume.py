@@ -93,12 +93,12 @@ class VoxelGeometry:
 
 @dataclass(frozen=True, eq=False)
 class Volume:
-    """One CT series, without patient identity.
+    """One CT series, or one to fuse with it, without patient identity.
 
-    `voxels` is int16 HU, shape (slices, rows, columns), read-only. `patient_position` is the scanner's code
-    for the patient's position (`HFS` is head first, supine), `kernel` its name for the reconstruction kernel;
-    both and the study's UID are empty if not stated. `warnings` are sentences for the user on limits of the
-    accuracy. Raises CT-022 for other voxels.
+    `voxels` is int16 HU, of another modality its stored values, shape (slices, rows, columns), read-only.
+    `patient_position` is the scanner's code for the patient's position (`HFS` is head first, supine),
+    `kernel` its name for the reconstruction kernel; both and the study's UID are empty if not stated.
+    `warnings` are sentences for the user on limits of the accuracy. Raises CT-022 for other voxels.
     """
 
     voxels: NDArray[np.int16]

@@ -58,7 +58,7 @@ def predict_by_markers(
 
     Markers are (n, 3) mm, covariances (n, 3, 3). `deformation` is what they show of the scan as a whole.
     """
-    sources = (
+    sources: tuple[SharedErrors | IndependentErrors, ...] = (
         ct_errors(covariances_mm2),
         scan_errors(deformation, markers_mm, target_mm, np.eye(3)),
         _seating_errors(len(markers_mm), USUAL_SEATING_MM),

@@ -24,9 +24,15 @@ from ronna_hw.host.process import describe_exit
 from ronna_hw.records import write_atomically
 from ronna_hw.x_frame import SPHERE_CENTRES_MM
 from sim.phantom.head.obstacles import ADHESIVE, FREE, XFRAME
+from sim.phantom.mr_scan import MrScan, ct_from_mr
 from sim.phantom.postoperative_scan import ImagedInstrument, PostoperativeScan
 from sim.phantom.scan import Planes, Scan, plain_scan
-from sim.phantom.scanner.dicom_series import PATIENT_POSITION, DicomSeries, to_stored_values
+from sim.phantom.scanner.dicom_series import (
+    LARGEST_STORED,
+    PATIENT_POSITION,
+    DicomSeries,
+    to_stored_values,
+)
 from sim.phantom.scanner.grid import CtGrid
 from sim.world.rigid import apply
 from sim.world.scene.model import Scene
@@ -35,6 +41,7 @@ from sim.world.scene.plan_feasibility import STANDOFF_MM
 SERIES_FOLDER = "ct"
 PLAN_FILE = "plan.toml"
 TRUTH_FILE = "truth.json"
+MR_FOLDER, MR_TRUTH_FILE = "mr", "mr-truth.json"
 PLAN_SCHEMA = 1
 TOOL = "guide"
 INSTRUMENT_LENGTH_MM = 250.0  # a biopsy needle
@@ -283,6 +290,30 @@ def write_postoperative(
     content = postoperative_truth(scan, instruments, series.series_instance_uid)
     write_atomically(truth, json.dumps(content, indent=1).encode())
     return PostoperativeCase(folder / SERIES_FOLDER, truth, series.series_instance_uid, grid.slices)
+
+
+def write_mr(scan: MrScan, folder: Path, progress: Progress = lambda share: None) -> Path:
+    """Write the MR of a phantom beside its CT, its truth last; return the folder of the series."""
+    grid, scene = scan.grid, scan.scene.model_copy(update={"ct": scan.protocol})
+    series = DicomSeries(scene, grid, folder / MR_FOLDER, occasion=f"mr {scan.seed}", is_mr=True)
+
+    def paint(number: int) -> NDArray[np.uint16]:
+        return np.clip(np.rint(scan.paint(number)), 0, LARGEST_STORED).astype("<u2")
+
+    with (
+        _whole_or_removed(series, folder / MR_FOLDER),
+        closing(_write_slices(series, grid, paint)) as counts,
+    ):
+        for count in counts:
+            progress(count / grid.slices)
+    targets_mm = [target.target_ct_mm for target in scan.scene.head.targets]
+    truth = {
+        "series_instance_uid": series.series_instance_uid,
+        "ct_from_mr": ct_from_mr(scan).tolist(),
+        "targets_in_mr_mm": scan.shown_mm(np.array(targets_mm)).tolist(),
+    }
+    write_atomically(folder / MR_TRUTH_FILE, json.dumps(truth, indent=1).encode())
+    return folder / MR_FOLDER
 
 
 def postoperative_truth(

@@ -97,6 +97,18 @@ def phantom(
         tuple[float, float, float],
         _scanner_option("Direction of that stretch, L P S."),
     ] = (0.0, 0.0, 1.0),
+    with_mr: Annotated[
+        bool,
+        typer.Option(
+            "--mr",
+            help="Also write an MR of the head, mr/ and mr-truth.json: another contrast and pose, without "
+            "markers.",
+        ),
+    ] = False,
+    mr_distortion_mm: Annotated[
+        float,
+        typer.Option(min=0.0, max=5.0, help="Largest displacement in that MR, at the skin; with --mr."),
+    ] = 0.3,
     postoperative: Annotated[
         Path | None,
         typer.Option(
@@ -121,8 +133,9 @@ def phantom(
     that are not spheres, ends, plates, hollow, fittings.
     """
     from sim.errors import BAD_SCENE, FOLDER_NOT_EMPTY
-    from sim.phantom.case import SERIES_FOLDER, TRUTH_FILE, write_case
+    from sim.phantom.case import SERIES_FOLDER, TRUTH_FILE, write_case, write_mr
     from sim.phantom.families.family_scan import family_scan, protocol_named
+    from sim.phantom.mr_scan import draw_mr
     from sim.phantom.scan import plain_scan
     from sim.phantom.scanner.faults import NO_FAULTS, ScannerFaults
     from sim.world.process import load_scene
@@ -192,6 +205,8 @@ def phantom(
             progress(share)
 
         case = write_case(truth, out, report, scan=replace(scan, faults=faults))
+        if with_mr:
+            write_mr(draw_mr(truth, seed, distortion_mm=mr_distortion_mm), out)
     shown, kind = len(truth.head.fiducials), "spheres"
     if fiducials is Fiducials.ADHESIVE:
         shown, kind = len(truth.head.adhesives), "adhesive rings"

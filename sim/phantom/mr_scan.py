@@ -57,6 +57,7 @@ class MrScan:
 
     scene: Scene
     seed: int
+    protocol: CtProtocol
     grid: CtGrid
     pose: HeadPose
     weights_mm: Array  # (monomials, 3): true place minus shown place, in the head's axes
@@ -155,10 +156,10 @@ def draw_mr(
     pose = HeadPose(matrix_from(moved - turn @ centre, turn))
     weights_mm = generator.standard_normal((len(MONOMIALS), 3))
     shading = generator.uniform(-SHADING, SHADING, 3)
-    scan = MrScan(scene, seed, centre_grid(moved, protocol), pose, weights_mm, shading)
+    scan = MrScan(scene, seed, protocol, centre_grid(moved, protocol), pose, weights_mm, shading)
     skin = _draw_skin(scene)
     largest = float(np.linalg.norm(scan.displacement_mm(skin), axis=-1).max())
-    return MrScan(scene, seed, scan.grid, pose, weights_mm * (distortion_mm / largest), shading)
+    return MrScan(scene, seed, protocol, scan.grid, pose, weights_mm * (distortion_mm / largest), shading)
 
 
 def ct_from_mr(scan: MrScan) -> Array:

@@ -44,7 +44,9 @@ DICOM_SUFFIXES = frozenset({".dcm", ".dicom", ".ima", ".img"})
 
 _DIRECTORY_STORAGE = "1.2.840.10008.1.3.10"
 _CT_IMAGE_STORAGE = "1.2.840.10008.5.1.4.1.1.2"
-_ENHANCED_CT_STORAGES = frozenset({"1.2.840.10008.5.1.4.1.1.2.1", "1.2.840.10008.5.1.4.1.1.2.2"})
+_ENHANCED_STORAGES = frozenset(
+    f"1.2.840.10008.5.1.4.1.1.{one}" for one in ("2.1", "2.2", "4.1", "4.3", "4.4", "130", "128.1")
+)
 
 _STANDARD_ROOT = "1.2.840"  # SOP classes of the standard; private ones begin otherwise
 _PRIVATE_DOTS = 5  # with fewer, the identifier itself is truncated
@@ -83,6 +85,12 @@ _TAGS = (
     "PatientID",  # compared, then discarded
 )
 
+CT_ONLY = ("CT",)
+FUSED_MODALITIES = ("MR", "PT", "CT")  # of a series that is registered to the CT
+_STORED_TAGS = ("BitsStored", "PixelRepresentation")
+_FULL_BITS, _UNSIGNED = 16, 0
+HALVED = 0.5  # of unsigned values of 16 bits, so that they fit into a volume's
+
 _IDENTITY_TAGS = ("PatientName", "PatientID", "PatientBirthDate", "PatientSex")
 _SCAN_DATES = ("AcquisitionDate", "SeriesDate", "StudyDate")  # the nearest to the scan first
 
@@ -110,20 +118,24 @@ class SliceHeader:
     kernel: str = ""  # of the reconstruction, as the scanner names it
     study_instance_uid: str = ""
     oddities: tuple[str, ...] = ()  # of its origin: reasons to doubt it
+    modality: str = "CT"
 
 
-def read_headers(directory: Path, progress: Progress | None = None) -> tuple[SliceHeader, ...]:
+def read_headers(
+    directory: Path, progress: Progress | None = None, modalities: tuple[str, ...] = CT_ONLY
+) -> tuple[SliceHeader, ...]:
     """Read the headers of all CT slices directly in `directory`, in file name order.
 
-    Skips non-DICOM files and DICOM objects without an image. Raises CT-001 to CT-006, CT-012, CT-020, CT-021;
-    the message names the offending file, series or frame of reference.
+    Slices of other `modalities` keep their stored values, as these have no unit in common. Skips non-DICOM
+    files and DICOM objects without an image. Raises CT-001 to CT-006, CT-012, CT-020, CT-021; the message
+    names the offending file, series or frame of reference.
     """
-    images = read_images(directory, _TAGS, progress)
+    images = read_images(directory, _TAGS + _STORED_TAGS, progress)
     _refuse_scouts(images)
     series = [(read_attribute_text(path, header, "SeriesInstanceUID"), path) for path, header in images]
     _refuse_mixed(SeriesMixed, "series", series)
     _refuse_mixed_patients(images)
-    _refuse_other_modality(images)
+    _refuse_other_modality(images, modalities)
     slices = tuple(_parse_slice_header(path, header) for path, header in images)
     frames = [(one.frame_of_reference_uid, one.path) for one in slices]
     _refuse_mixed(FramesMixed, "frames of reference", frames)
@@ -224,13 +236,18 @@ def _refuse_mixed_patients(images: list[tuple[Path, FileDataset]]) -> None:
         raise SeriesMixed(f"the slices of one series name {count} patients")
 
 
-def _refuse_other_modality(images: list[tuple[Path, FileDataset]]) -> None:
+def _refuse_other_modality(images: list[tuple[Path, FileDataset]], modalities: tuple[str, ...]) -> None:
     for path, header in images:
         modality = read_attribute_text(path, header, "Modality")
-        if modality != "CT":
-            raise WRONG_MODALITY(f"{path.name} has modality {modality or '(none)'}", expected="CT")
-        if read_attribute_text(path, header, "SOPClassUID") in _ENHANCED_CT_STORAGES:
-            raise WRONG_MODALITY(f"{path.name} is a multi-frame (enhanced) CT", expected="one slice per file")
+        if modality not in modalities:
+            expected = " or ".join(modalities)
+            raise WRONG_MODALITY(f"{path.name} has modality {modality or '(none)'}", expected=expected)
+        if read_attribute_text(path, header, "SOPClassUID") in _ENHANCED_STORAGES:
+            raise WRONG_MODALITY(
+                f"{path.name} is a multi-frame (enhanced) {modality}", expected="one slice per file"
+            )
+    if len({read_attribute_text(path, header, "Modality") for path, header in images}) > 1:
+        raise WRONG_MODALITY("the slices are of several modalities", expected="one")
 
 
 def _refuse_scouts(images: list[tuple[Path, FileDataset]]) -> None:
@@ -253,7 +270,9 @@ def _parse_slice_header(path: Path, header: FileDataset) -> SliceHeader:
     if (farthest_mm := max(map(abs, position_mm))) > FARTHEST_MM:
         words = f"{path.name} is {farthest_mm:g} mm away from the origin"
         raise ATTRIBUTE_MISSING(words, limit=f"{FARTHEST_MM:g} mm")
-    slope, intercept = _read_rescale(path, header)
+    modality = read_attribute_text(path, header, "Modality")
+    is_ct = modality in CT_ONLY
+    slope, intercept = _read_rescale(path, header) if is_ct else _scale_stored(path, header)
     thickness = read_optional_number(path, header, "SliceThickness")
     return SliceHeader(
         path=path,
@@ -274,8 +293,15 @@ def _parse_slice_header(path: Path, header: FileDataset) -> SliceHeader:
         stated_count=read_optional_number(path, header, "ImagesInAcquisition"),
         kernel=read_attribute_text(path, header, "ConvolutionKernel"),
         study_instance_uid=read_attribute_text(path, header, "StudyInstanceUID"),
-        oddities=_list_oddities(path, header),
+        oddities=_list_oddities(path, header) if is_ct else (),
+        modality=modality,
     )
+
+
+def _scale_stored(path: Path, header: FileDataset) -> tuple[float, float]:
+    """Return slope and intercept that fit the stored values of another series into 16 signed bits."""
+    bits, kind = (read_optional_number(path, header, keyword) for keyword in _STORED_TAGS)
+    return (HALVED if bits == _FULL_BITS and kind == _UNSIGNED else 1.0), 0.0
 
 
 def _read_rescale(path: Path, header: FileDataset) -> tuple[float, float]:

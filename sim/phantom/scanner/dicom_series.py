@@ -1,4 +1,4 @@
-"""Writes slices as a DICOM CT series, byte for byte reproducible for the same scene."""
+"""Writes slices as a DICOM CT or MR series, byte for byte reproducible for the same scene."""
 
 from __future__ import annotations
 
@@ -49,6 +49,7 @@ class DicomSeries:
         faults: ScannerFaults = NO_FAULTS,
         *,
         occasion: str = "",
+        is_mr: bool = False,
     ) -> None:
         self._scene = scene
         self._grid = grid
@@ -58,9 +59,12 @@ class DicomSeries:
         active = json.dumps(faults.active()) if faults.active() else ""
         content = scene.model_dump_json(by_alias=True) + active + occasion
         self._content = hashlib.sha256(content.encode()).digest()
+        self._is_mr = is_mr
         self._described = (
             "Head phantom after the operation" if occasion else "Head phantom with fiducial spheres"
         )
+        if is_mr:
+            self._described = "Head phantom before the markers"
         self.series_instance_uid = self._make_uid("series")
         self._study_uid = self._make_uid("study")
         self._frame_uid = self._make_uid("frame of reference")
@@ -87,7 +91,11 @@ class DicomSeries:
         own["PixelData"].is_undefined_length = self._is_compressed
         encoded = self._shared | _encode_elements(own)
         content = b"".join(
-            [bytes(PREAMBLE_BYTES), b"DICM", _encode_meta(own.SOPInstanceUID, self._is_compressed)]
+            [
+                bytes(PREAMBLE_BYTES),
+                b"DICM",
+                _encode_meta(own.SOPInstanceUID, self._is_compressed, self._is_mr),
+            ]
             + [encoded[tag] for tag in sorted(encoded)]
         )
         write_atomically(self._folder / f"slice-{number + 1:04d}.dcm", content, flushed=False)
@@ -152,6 +160,8 @@ class DicomSeries:
         data.BitsAllocated, data.BitsStored, data.HighBit, data.PixelRepresentation = 16, bits, bits - 1, 0
         data.RescaleIntercept, data.RescaleSlope, data.RescaleType = str(INTERCEPT_HU), "1", "HU"
         data.WindowCenter, data.WindowWidth = "40", "400"
+        if self._is_mr:
+            _describe_mr(data)
         return _encode_elements(data)
 
     @property
@@ -168,6 +178,19 @@ class DicomSeries:
         return UID_PREFIX + str(int.from_bytes(digest[: UID_BITS // 8], "big"))
 
 
+def _describe_mr(data: Dataset) -> None:
+    """Replace the attributes of a CT by those of an MR, which has no unit of intensity."""
+    from pydicom.uid import MRImageStorage
+
+    for keyword in ("KVP", "ConvolutionKernel", "RescaleIntercept", "RescaleSlope", "RescaleType"):
+        delattr(data, keyword)
+    data.SOPClassUID, data.Modality = MRImageStorage, "MR"
+    data.ImageType = ["ORIGINAL", "PRIMARY", "M", "SE"]
+    data.ScanningSequence, data.SequenceVariant, data.ScanOptions = "GR", "SP", ""
+    data.MRAcquisitionType = "3D"
+    data.WindowCenter, data.WindowWidth = "500", "1000"
+
+
 def _encode_elements(data: Dataset) -> dict[int, bytes]:
     """Encode attributes in explicit VR little endian, keyed by tag."""
     from pydicom.filebase import DicomBytesIO
@@ -182,14 +205,17 @@ def _encode_elements(data: Dataset) -> dict[int, bytes]:
     return encoded
 
 
-def _encode_meta(instance: UID, is_compressed: bool) -> bytes:
+def _encode_meta(instance: UID, is_compressed: bool, is_mr: bool) -> bytes:
     from pydicom.dataset import FileMetaDataset
     from pydicom.filebase import DicomBytesIO
     from pydicom.filewriter import write_file_meta_info
-    from pydicom.uid import CTImageStorage, ExplicitVRLittleEndian, JPEGLSLossless
+    from pydicom.uid import CTImageStorage, ExplicitVRLittleEndian, JPEGLSLossless, MRImageStorage
 
     meta = FileMetaDataset()
-    meta.MediaStorageSOPClassUID, meta.MediaStorageSOPInstanceUID = CTImageStorage, instance
+    meta.MediaStorageSOPClassUID, meta.MediaStorageSOPInstanceUID = (
+        (MRImageStorage if is_mr else CTImageStorage),
+        instance,
+    )
     meta.TransferSyntaxUID = JPEGLSLossless if is_compressed else ExplicitVRLittleEndian
     stream = DicomBytesIO()
     stream.is_little_endian, stream.is_implicit_VR = True, False

@@ -27,7 +27,7 @@ from procedures.imaging.markers import ScanDeformation
 from procedures.journal.results import FramedPose, StepResult
 from procedures.planning.guide import place_guides
 from procedures.planning.head_in_ct import HeadEllipsoid
-from procedures.planning.plan_model import FiducialKind, PatientPosition, Plan, PlannedTrajectory
+from procedures.planning.plan_model import FiducialKind, PatientPosition, Plan, PlanFusion, PlannedTrajectory
 from procedures.registration.correspondence import MatchStatus
 from procedures.registration.verification import TwoWayTable
 from procedures.steps.clinical import at_target, positioning, retreat
@@ -108,6 +108,9 @@ def localized_fiducials(centres_mm: Array = CENTRES_CT_MM) -> LocalizedFiducials
     )
 
 
+FUSED = PlanFusion(series_instance_uid="1.2.840.5", modality="MR", record_sha256="a" * 64)
+
+
 def plan(**changes: object) -> Plan:
     """The plan of the scene; `changes` to each of its trajectories."""
     trajectories = [
@@ -130,6 +133,7 @@ def plan(**changes: object) -> Plan:
         standoff_mm=30.0,
         instrument_length_mm=250.0,
         trajectories=tuple(trajectories),
+        fusion=FUSED if "fusion_error_mm" in changes else None,
     )
 
 

@@ -19,7 +19,9 @@ from painted_ct import write_series
 from plan_toml import PLAN, VESSEL
 from user_commands import in_this_process
 
+from procedures.cli import planning_inputs
 from procedures.cli.plan import app
+from procedures.imaging import read_series
 from procedures.planning.plan_file import read_plan
 from ronna_hw.arm.pose import radians6
 from ronna_hw.clock import HostClock
@@ -394,3 +396,26 @@ def test_a_planner_whose_port_is_in_use_reports_it_and_leaves_the_plan_unchanged
     assert done.returncode == EXIT_USAGE
     assert one_line(done).startswith("CON-001: port")
     assert case[0].read_bytes() == before
+
+
+def test_a_plan_goes_to_slicer_and_back_and_one_outside_the_ct_is_refused(
+    case: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plan, series = case
+    spheres_mm = [(60.0, -40.0, 60.0), (-50.0, -45.0, 55.0), (5.0, 40.0, 80.0), (-60.0, 20.0, 70.0)]
+    volume = read_series(series)
+    monkeypatch.setattr(planning_inputs, "read_ct", lambda *_, **__: (volume, spheres_mm, ()))
+    lines, back = tmp_path / "plan.mrk.json", tmp_path / "back.toml"
+    assert in_this_process(app, "to-markups", plan, "--ct", series, "--out", lines).returncode == 0
+    ordered = ("from-markups", lines, "--ct", series, "--instrument-length-mm", "250")
+    done = in_this_process(app, *ordered, "--margin-mm", "1.5", "--out", back)
+    assert done.returncode == 0, done.stderr
+    assert "T1: middle" in done.stdout or "T1: left" in done.stdout
+    assert read_plan(back).trajectories == read_plan(plan).trajectories
+    drawn = json.loads(lines.read_text())
+    drawn["markups"][0]["controlPoints"][0]["position"][2] += 100.0
+    lines.write_text(json.dumps(drawn))
+    wrong = in_this_process(app, *ordered, "--out", tmp_path / "wrong.toml")
+    assert wrong.returncode == 1
+    assert "PLAN-006" in wrong.stderr
+    assert not (tmp_path / "wrong.toml").exists()

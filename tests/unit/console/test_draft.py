@@ -10,6 +10,7 @@ import pytest
 from console.planning.draft import Axis, Draft, DraftHistory
 from procedures.planning.errors import AcPcUnfit
 from procedures.planning.plan_file import parse_plan
+from procedures.planning.plan_model import PlanFusion
 
 ENTRY, TARGET = (10.0, -50.0, 60.0), (5.0, -20.0, 20.0)
 AC, PC, FALX = (2.0, -5.0, 37.5), (2.0, 15.0, 22.5), (2.0, 23.4, 66.2)
@@ -40,6 +41,15 @@ def test_ac_pc_points_are_clicked_in_turn_kept_in_the_plan_and_refused_if_they_g
     assert whole.ac_pc is not None
     assert Draft.of(parse_plan(whole.content("1.2.3"))).landmarks == (AC, PC, FALX)
     assert whole.with_landmark(PC).landmarks == (PC,), "a fourth click begins anew"
+
+
+def test_the_fusion_by_which_a_target_was_chosen_survives_the_planner() -> None:
+    fusion = PlanFusion(series_instance_uid="1.2.840.5", modality="MR", record_sha256="a" * 64)
+    draft = replace(drawn(), fusion=fusion)
+    draft = draft.with_way("T1", replace(draft.way("T1"), fusion_error_mm=0.4))
+    again = Draft.of(parse_plan(draft.content("1.2.3")))
+    assert (again.fusion, again.way("T1").fusion_error_mm) == (fusion, 0.4)
+    assert "fusion" not in replace(draft, ways=drawn().ways).content("1.2.3"), "no target is left of it"
 
 
 def test_undo_and_redo_go_step_by_step() -> None:

@@ -185,3 +185,24 @@ def test_values_missing_from_the_series_are_left_to_the_planner(tmp_path: Path) 
         PlanMistakes, match="3 mistakes: patient_orientation: is missing; implanted: is missing; instrument_l"
     ):
         read_plan(path)
+
+
+FUSED = f"""
+[fusion]
+series_instance_uid = "1.2.840.5"
+modality = "MR"
+record_sha256 = "{"a" * 64}"
+"""
+
+
+def test_a_target_chosen_in_another_series_names_the_fusion_and_its_error(plan_text, plan_path):
+    chosen = plan_text.replace("margin_mm = 1.5", "margin_mm = 1.5\nfusion_error_mm = 0.4", 1)
+    assert chosen != plan_text
+    plan = read_plan(plan_path(chosen + FUSED))
+    assert [one.fusion_error_mm for one in plan.trajectories] == [0.4, None]
+    assert plan.fusion is not None
+    assert plan.fusion.modality == "MR"
+    with raises(PlanMistakes, match=r"T1: fusion_error_mm needs the table \[fusion\]"):
+        read_plan(plan_path(chosen))
+    with raises(PlanMistakes, match="needs fusion_error_mm"):
+        read_plan(plan_path(plan_text + FUSED))

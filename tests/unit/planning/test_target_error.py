@@ -18,6 +18,7 @@ from procedures.calibration.arm_model import ArmModel
 from procedures.calibration.arm_sources import REPEATABILITY_MM
 from procedures.planning.free_angle import choose_free_angles
 from procedures.planning.target_error import (
+    FUSION,
     SCAN,
     USUAL_SEATING_MM,
     choose_best_strategies,
@@ -147,3 +148,12 @@ def _error_of_a_drawn_arm_mm(
 def test_a_fixed_strategy_stays_unchanged(make_arm: Callable[..., ArmSetting]) -> None:
     setting = make_arm()
     assert choose_best_strategies(setting, [LEANING], FIDUCIALS, SIGHT) is setting
+
+
+def test_a_target_chosen_by_a_fusion_bears_its_error() -> None:
+    covariances = np.tile(np.eye(3) * 0.01, (4, 1, 1))
+    in_ct = predict_by_markers(MARKERS_MM, covariances, TARGET_MM)
+    fused = predict_by_markers(MARKERS_MM, covariances, TARGET_MM, fusion_error_mm=0.4)
+    assert FUSION not in in_ct.budget_mm
+    assert fused.budget_mm[FUSION] == pytest.approx(0.4)
+    assert fused.rms_mm == pytest.approx(math.hypot(in_ct.rms_mm, 0.4))

@@ -13,14 +13,17 @@ from pathlib import Path
 import numpy as np
 import pydicom
 import pytest
+from coded_errors import raises
 from pydicom.uid import JPEGLSLossless
 
-from procedures.imaging.series import read_series
+from procedures.imaging.errors import WRONG_MODALITY
+from procedures.imaging.series import read_other_series, read_series
 from ronna_hw.host.child_process import ChildNotReady
 from ronna_hw.host.forked_process import fork_worker
 from ronna_hw.phantom_identity import LARGEST_ID, format_patient_id, parse_patient_id
 from sim.phantom import case as phantom_case
-from sim.phantom.case import PhantomCase, write_case
+from sim.phantom.case import PhantomCase, write_case, write_mr
+from sim.phantom.mr_scan import PROTOCOL, draw_mr
 from sim.phantom.scanner import dicom_series
 from sim.world.scene.model import Scene
 
@@ -182,3 +185,18 @@ def test_a_long_scene_name_leaves_the_seed_whole() -> None:
 @pytest.mark.parametrize("patient_id", ["", "4711", "-7", "Novak-A", "mini-"])
 def test_the_id_of_another_patient_names_no_scene(patient_id: str) -> None:
     assert parse_patient_id(patient_id) is None
+
+
+def test_the_mr_is_of_the_same_patient_in_a_frame_of_its_own_and_never_read_as_a_ct(
+    coarse_scene: Scene, case: PhantomCase, tmp_path: Path
+) -> None:
+    coarse = PROTOCOL.model_copy(update={"pixel_mm": 4.0, "slice_mm": 6.0, "columns": 64, "rows": 64})
+    folder = write_mr(draw_mr(coarse_scene, 3, protocol=coarse.model_copy(update={"slices": 40})), tmp_path)
+    volume, modality = read_other_series(folder)
+    ct = read_series(case.series)
+    assert modality == "MR"
+    assert volume.frame_of_reference_uid != ct.frame_of_reference_uid
+    one, other = (pydicom.dcmread(next(where.iterdir())) for where in (folder, case.series))
+    assert one.PatientID == other.PatientID
+    with raises(WRONG_MODALITY, match="expected CT"):
+        read_series(folder)

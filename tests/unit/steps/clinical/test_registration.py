@@ -29,6 +29,7 @@ from procedures.imaging.localizers import Localizer
 from procedures.journal.errors import GateFailed
 from procedures.operator.errors import NotConfirmed
 from procedures.operator.question import Topic
+from procedures.planning.target_error import FUSION
 from procedures.steps.clinical.registration import STEP
 from procedures.steps.clinical.results import Prediction, RegisteredRobot
 from procedures.steps.clinical.unnoticed import BASE, GUIDE, HEAD, expect_unnoticed
@@ -108,6 +109,13 @@ def test_the_budget_names_every_source_also_what_no_look_would_notice_and_adds_u
     records = cell.calibrations
     least_mm = np.hypot(records.tool_tip.stated_error_mm, records.stereo_head.stated_error_mm)
     assert predicted.limit_mm > predicted.rms_mm > least_mm  # although the fit is perfect
+
+
+def test_a_target_chosen_in_a_fused_mr_bears_the_error_of_the_fusion(cell: ClinicalCell) -> None:
+    predicted = registered(cell, fusion_error_mm=0.4).result.prediction(FIRST)
+    shares_mm = {share.source: share.rms_mm for share in predicted.budget}
+    assert shares_mm[FUSION] == pytest.approx(0.4)
+    assert np.linalg.norm(list(shares_mm.values())) == pytest.approx(predicted.rms_mm)
 
 
 @pytest.mark.hazard(12)

@@ -1,0 +1,12 @@
+"""Order of the points of a drawn line. Light, as the options of a command name it."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+
+
+class LineOrder(StrEnum):
+    """Order in which the two points of a line were placed."""
+
+    ENTRY_FIRST = "entry-first"
+    TARGET_FIRST = "target-first"
