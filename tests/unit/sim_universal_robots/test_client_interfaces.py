@@ -200,7 +200,7 @@ def test_secondary_clients_get_the_version_and_states_but_no_other_messages(
         listener.close()
     clients.realtime.close()
     state, version, safety = (16, None), (20, 3), (20, 5)
-    assert list(kinds.values()) == [[version, safety, state, safety, safety], [version, state]]
+    assert list(kinds.values()) == [[version, state, state, safety, state, safety], [version, state]]
 
 
 def test_a_resting_controller_sends_its_state_as_often_on_the_clock_of_its_clients(
