@@ -140,7 +140,8 @@ def vendor_tests() -> str:
     for suite in data["suite"]:
         results: dict[str, str] = suite["tests"]
         passing = sum(result == "passes" for result in results.values())
-        rows.append((suite["name"], f"`{' '.join(suite['options'])}`", passing, len(results) - passing))
+        options = ", ".join(filter(None, (" ".join(suite["options"]), suite.get("faults"))))
+        rows.append((suite["name"], f"`{options}`" if options else "", passing, len(results) - passing))
         others += [(f"`{name}`", result) for name, result in results.items() if result != "passes"]
     return (
         f"{data['library']} {data['version']}, commit `{data['commit'][:12]}`, headless: {data['how']}\n\n"

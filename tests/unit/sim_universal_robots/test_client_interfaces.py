@@ -263,6 +263,11 @@ def test_the_dashboard_answers(ask: Callable[[str], str], line: str, answer: str
     assert ask(line) == answer
 
 
+@pytest.mark.parametrize(("arm", "version"), [("ur5e", "5.21.0."), ("ur5", "3.15.8.")])
+def test_a_later_software_is_one_of_the_e_series(make: MakeController, arm: str, version: str) -> None:
+    assert make("software=5.21.0", arm=arm).model.version_text.startswith(version)
+
+
 def test_a_loaded_program_plays_pauses_and_stops(ask: Callable[[str], str], controller: Controller) -> None:
     assert ask("load wait_program.urp") == "Loading program: wait_program.urp"
     assert ask("play") == "Starting program"

@@ -43,7 +43,8 @@ pytestmark = [
 def library(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The library with its tests, copied and built: they write files beside themselves."""
     folder = tmp_path_factory.mktemp("vendor")
-    shutil.copytree(os.environ[CHECKOUT], folder / "source", ignore=shutil.ignore_patterns(".git"))
+    unneeded = shutil.ignore_patterns(".git")
+    shutil.copytree(os.environ[CHECKOUT], folder / "source", symlinks=True, ignore=unneeded)
     (folder / "source" / "test_artifacts").mkdir(exist_ok=True)
     options = {
         "BUILDING_TESTS": "ON",
