@@ -282,6 +282,16 @@ def test_a_new_trajectory_discards_the_points_that_are_left_of_the_last(dialled:
     assert target(dialled) == pytest.approx(second, abs=2e-6)
 
 
+def test_a_point_without_motion_takes_a_cycle(dialled: Client) -> None:
+    here = [round(angle * UNITS) for angle in target(dialled)]
+    dialled.controller.robot.drives.place([angle / UNITS for angle in here])
+    dialled.steps(2)
+    dialled.sockets["trajectory"].sendall(pack(">21i", *here, *(0,) * 14, PointType.MOVEJ) * 10)
+    dialled.order(TrajectoryOrder.RECEIVE, 10)
+    assert result_of(dialled, cycles=8) is None
+    assert result_of(dialled) == TrajectoryResult.SUCCESS
+
+
 def test_a_joint_beyond_its_range_ends_the_program(dialled: Client) -> None:
     goal = [123 * UNITS, *(0,) * 17, 0, 0, PointType.MOVEJ]
     dialled.sockets["trajectory"].sendall(pack(">21i", *goal))
