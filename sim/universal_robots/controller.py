@@ -71,7 +71,7 @@ class Controller:
         start_rad: Sequence[float] = HOME_RAD,
         seed: int = 0,
     ) -> None:
-        self.model = model
+        self.model = model = model.with_software(parameters.software)
         self.parameters = parameters
         self.robot = Robot(model, parameters, kinematics or TrueKinematics(model), start_rad)
         self.loads = Loads(self.robot, seed)

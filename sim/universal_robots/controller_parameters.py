@@ -63,6 +63,11 @@ class ControllerParameters(ControllerOfArm):
         Literal["queries", "all"], "Dashboard commands carried out in local mode: queries only, or all."
     ] = "queries"
 
+    software: Annotated[
+        Literal["usual", "5.21.0"],
+        "Version that an e-Series controller states: 5.11.5, or one from which clients use optimovej.",
+    ] = "usual"
+
     # drives
     drive_delay_cycles: Annotated[int, "Cycles by which the measured joints follow the target."] = 1
     program_stop_rad_s2: Annotated[float, "Deceleration when a program ends with the arm moving."] = 10.0

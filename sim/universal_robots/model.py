@@ -6,7 +6,7 @@ independently of the kinematics that the drivers use.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import pi, radians
 from typing import Any, Final
 
@@ -44,6 +44,9 @@ LINK_CENTRES_M: Final = (
 )
 
 
+E_SERIES_MAJOR: Final = 5  # of its software
+
+
 @dataclass(frozen=True)
 class Model:
     """An arm with the controller that it is sold with."""
@@ -75,6 +78,13 @@ class Model:
     def version_text(self) -> str:
         """Software version as on the dashboard."""
         return ".".join(map(str, self.version))
+
+    def with_software(self, version: str) -> Model:
+        """Return the model with a later version of its software, but for `usual` and for a CB3."""
+        if version == "usual" or self.version[0] < E_SERIES_MAJOR:
+            return self
+        major, minor, bug_fix = map(int, version.split("."))
+        return replace(self, version=(major, minor, bug_fix, self.version[3]))
 
 
 def _radians(speeds_deg_s: tuple[float, ...]) -> Vector6:

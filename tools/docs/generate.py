@@ -26,6 +26,7 @@ from reference_tables import (
     robot_parameters,
     scanner_faults,
     table,
+    vendor_tests,
 )
 from safety_figures import safety_table
 from strangers_table import strangers
@@ -201,6 +202,7 @@ def _describe_ur_simulator() -> str:
         "Faults": _tabulate_faults(UR_FAULTS),
         "Parameters": "No public source settles these: `--set NAME=VALUE` changes the behaviour.\n\n"
         + parameter_table(rows(ControllerParameters)),
+        "The vendor's own tests": vendor_tests(),
     }
     return "\n".join(f"## {title}\n\n{content}" for title, content in sections.items())
 

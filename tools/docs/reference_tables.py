@@ -133,6 +133,24 @@ def parameter_table(rows: Iterable[tuple[str, object, str]]) -> str:
     )
 
 
+def vendor_tests() -> str:
+    """Tabulate the vendor's own tests of its client library, and name those that do not pass."""
+    data = tomllib.loads((REFERENCE / "ur-client-library.toml").read_text(encoding="utf-8"))
+    rows, others = [], []
+    for suite in data["suite"]:
+        results: dict[str, str] = suite["tests"]
+        passing = sum(result == "passes" for result in results.values())
+        options = ", ".join(filter(None, (" ".join(suite["options"]), suite.get("faults"))))
+        rows.append((suite["name"], f"`{options}`" if options else "", passing, len(results) - passing))
+        others += [(f"`{name}`", result) for name, result in results.items() if result != "passes"]
+    return (
+        f"{data['library']} {data['version']}, commit `{data['commit'][:12]}`, headless: {data['how']}\n\n"
+        + table(("tests", "simulator", "pass", "others"), rows)
+        + "\n"
+        + table(("other test", ""), others)
+    )
+
+
 def scanner_faults() -> str:
     """Describe the limits measured without faults, then tabulate the faults."""
     data = tomllib.loads((REFERENCE / "scanner-faults.toml").read_text(encoding="utf-8"))

@@ -31,7 +31,7 @@ class ClientInterfaces:
         self._period = max(1, round(controller.parameters.state_period_s / controller.model.cycle_s))
         self._due_cycle, self._due_s = 0, 0.0  # of the next state; the latter in host time
         self._waiting: list[tuple[int, str]] = []  # scripts, with the cycles until they start
-        news, packages, modes = controller.news, self._packages, controller.modes
+        news, packages = controller.news, self._packages
 
         def listen(port: int, *first: Callable[[], bytes]) -> ServiceListener:
             def connect(connection: ClientConnection) -> ScriptHandler:
@@ -41,13 +41,11 @@ class ClientInterfaces:
 
             return ServiceListener(address, port, poll, connect)
 
-        self.primary = listen(
-            PRIMARY_PORT, packages.version, lambda: packages.safety_mode(modes.safety_mode), packages.state
-        )
+        self.primary = listen(PRIMARY_PORT, packages.version, packages.state)
         self.secondary = listen(SECONDARY_PORT, packages.version, packages.state)
         self.realtime = listen(REALTIME_PORT)
         news.program.append(lambda what, name: self._tell(packages.key(f"PROGRAM_XXX_{what}", name)))
-        news.safety.append(lambda mode: self._tell(packages.safety_mode(mode)))
+        news.safety.append(lambda mode: self._tell(self._state() + packages.safety_mode(mode)))
         news.failure.append(lambda text, place: self._tell(packages.runtime_exception(text, place)))
         news.text.append(lambda text: self._tell(packages.text(text)))
         news.error.append(lambda code, text: self._tell(packages.error(code, text)))
@@ -69,14 +67,17 @@ class ClientInterfaces:
         if self._is_state_due():
             readers = [*self.primary.connections, *self.secondary.connections]
             if readers:
-                self._controller.loads.publish_torques()
-                state = self._packages.state()
+                state = self._state()
                 for connection in readers:
                     connection.send(state)
         if self.realtime.connections:
             package = self._packages.realtime()
             for connection in self.realtime.connections:
                 connection.send_while_read(package)
+
+    def _state(self) -> bytes:
+        self._controller.loads.publish_torques()
+        return self._packages.state()
 
     def _is_state_due(self) -> bool:
         """Return whether a period has passed, in cycles or in host time, and begin the next one.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from math import atan2, hypot, pi
+from math import atan2, hypot, inf, pi
 
 import numpy as np
 
@@ -26,16 +26,12 @@ def movec(
     """Move on an arc; the tool turns evenly to that of the goal, or with the arc if it keeps its turn."""
     yield from stopj(robot, robot.parameters.program_stop_rad_s2)
     start, end = robot.tool_frame(robot.drives.target), frame_of_pose(goal)
-    first, middle, last = (np.array(point[:3]) for point in ((start.x, start.y, start.z), via, goal))
-    normal = np.cross(middle - first, last - first)
-    area = float(np.linalg.norm(normal))
-    if not area > STRAIGHT:
+    circle = _find_circle(np.array((start.x, start.y, start.z)), np.array(via[:3]), np.array(goal[:3]))
+    if circle is None:
         yield from movel(robot, goal, speed_m_s, acceleration_m_s2)
         return
-    centre = first + _to_centre(middle - first, last - first)
-    axis = normal / area
-    along, across = first - centre, np.cross(axis, first - centre)
-    angle = atan2(float(across @ (last - centre)), float(along @ (last - centre))) % (2.0 * pi)
+    centre, along, across, angle = circle
+    axis = np.cross(along, across) / (along @ along)
     turn = rotation_vector(compose(end, inverted(start)))
     if keeps_turn:
         turn = tuple((angle * axis).tolist())
@@ -49,8 +45,17 @@ def movec(
     yield from follow_path(robot, at, length, speed_m_s, acceleration_m_s2)
 
 
-def _to_centre(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Return the way to the centre of the circle through the origin and two points."""
-    normal = np.cross(a, b)
-    to_centre: np.ndarray = np.cross(normal, (a @ a) * b - (b @ b) * a) / (2.0 * (normal @ normal))
-    return -to_centre
+def _find_circle(
+    first: np.ndarray, via: np.ndarray, last: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, float] | None:
+    """Return centre, radii to the first point and across, and angle of the arc; None for a straight line."""
+    a, b = via - first, last - first
+    with np.errstate(over="ignore", invalid="ignore"):  # a client may send any numbers
+        normal = np.cross(a, b)
+        area = float(np.linalg.norm(normal))
+        if not STRAIGHT < area < inf:
+            return None
+        along = np.cross(normal, (a @ a) * b - (b @ b) * a) / (2.0 * area**2)
+        across = np.cross(normal / area, along)
+    angle = atan2(float(across @ (b + along)), float(along @ (b + along))) % (2.0 * pi)
+    return first - along, along, across, angle

@@ -23,7 +23,7 @@ _CONSTANT = re.compile(r"^\s*+(?:global\s+)?(\w+)\s*=\s*(-?[0-9.]+)\s*$")
 _SERVOJ: Final = "servoj("
 _LOOKAHEAD = re.compile(r"lookahead_time\s*=\s*([0-9.]+)")
 _TIME_OUTPUT = re.compile(
-    r"^[^\S\n]*+write_output_float_register\(([0-9]{1,2}),\s*splineTimerTraveled\)", re.MULTILINE
+    r"^[^\S\n]*+write_output_float_register\(([0-9]|[1-3][0-9]|4[0-7]),\s*splineTimerTraveled\)", re.MULTILINE
 )
 _CANCEL_REPORT: Final = "socket_send_int(TRAJECTORY_RESULT_CANCELED"
 

@@ -89,6 +89,7 @@ class ExternalControl:
         self._speeds: Sequence[float] = ()
         self._limit_cycles = 0  # of the next read; 0: none
         self._silent_cycles = 0
+        self._is_silent = False
         self._trajectory = ReceivedTrajectory(robot, self._links[TRAJECTORY], settings)
         self._lag_s = max(LEAST_LAG_S, settings.lookahead_s) + robot.parameters.servoj_lag_s
 
@@ -108,6 +109,8 @@ class ExternalControl:
         yield from stopj(self._robot, self._settings.stop_rad_s2)
         for link in self._links.values():
             link.close()
+        if not self._is_silent:
+            yield from self._dial_after()
 
     def _dial(self, name: str) -> Iterator[None]:
         host, port = self._settings.endpoints[name]
@@ -118,6 +121,14 @@ class ExternalControl:
             self._program.failure = f"{name}: no connection to {host}:{port}"
             while True:
                 yield
+
+    def _dial_after(self) -> Iterator[None]:
+        """Open what a program opens behind the loop, which a silent client ends with the program."""
+        for name, (host, port) in self._settings.endpoints.items():
+            if name not in self._links:
+                link = Outgoing()
+                self._program.links.append(link)
+                yield from link.dial(host, port, self._robot.cycle_s)
 
     # -- messages
 
@@ -135,7 +146,7 @@ class ExternalControl:
             if self._mode <= ControlMode.STOPPED:
                 return
         if not link.is_open or 0 < self._limit_cycles < self._silent_cycles:
-            self._mode = ControlMode.STOPPED
+            self._mode, self._is_silent = ControlMode.STOPPED, True
 
     def _obey(self, numbers: tuple[int, ...], mode: int) -> Iterator[None]:
         if mode != self._mode:

@@ -26,6 +26,7 @@ SPEED_PLACE, ACCELERATION_PLACE, MODE_PLACE = 12, 13, 14
 TIME_PLACE, KIND_PLACE, TYPE_PLACE = 18, 19, 20
 FIRST_WAIT_S: Final = 0.5  # for a point while the arm rests; in motion it waits one cycle
 UNKNOWN_COUNT: Final = 2**31 - 1  # points of a stream whose end is not known
+DISCARDED_A_CYCLE: Final = 10  # points
 ALREADY_THERE_RAD: Final = 0.01  # from a first point without time, which is passed over
 
 
@@ -101,8 +102,12 @@ class ReceivedTrajectory:
     def discard(self) -> Iterator[None]:
         """Read the points that are left, until one does not come in time."""
         self._is_moving = False
+        read = 0
         while self.left > 0 and (yield from self._await_point()):
             self.left -= 1
+            read += 1
+            if read % DISCARDED_A_CYCLE == 0:
+                yield
         self.left, self._streams = 0, False
 
     def report(self, result: TrajectoryResult) -> None:
@@ -128,7 +133,10 @@ class ReceivedTrajectory:
             motion = self._spline(point, is_first=is_first) if is_spline else self._motion(point)
             is_first = False
             if motion is not None:
+                served = self._robot.drives.served
                 yield from motion
+                if self._robot.drives.served == served:  # no motion: a flood of such points takes its cycles
+                    yield
             elif is_spline and point[KIND_PLACE] in (CUBIC, QUINTIC):
                 result = TrajectoryResult.CANCELLED
             else:

@@ -29,6 +29,7 @@ OUTPUTS_OF_A_GROUP: Final = 8
 JOINT_DEFAULTS: Final = (1.05, 1.4)  # v (rad/s), a (rad/s2) of movej
 LINE_DEFAULTS: Final = (0.25, 1.2)  # v (m/s), a (m/s2) of movel
 STOP_DEFAULT: Final = 2.0
+MOST_TOLD: Final = 100  # texts in a cycle (U)
 NOT_AT_ONCE: Final = ("move", "servo", "speed", "stop", "sleep")  # begin what takes time
 LOADS: Final = ("set_payload", "set_target_payload")  # inertia and transition time are ignored (U)
 MOTIONS: Final = ("movej", "movel")
@@ -125,7 +126,7 @@ def _call(robot: Robot, name: str, arguments: str) -> Iterator[None]:
     elif name == "sleep" and plain:
         for _ in range(round(plain[0] / robot.cycle_s)):
             yield
-    elif name == "textmsg":
+    elif name == "textmsg" and len(robot.told) < MOST_TOLD:
         robot.told.append("".join(_TEXT.findall(arguments)))
     elif name == "protective_stop":
         robot.stop_request = COMMANDED_STOP

@@ -81,6 +81,44 @@ def test_a_program_of_plain_statements_is_carried_out(controller: Controller) ->
     assert controller.robot.values[DIGITAL_OUTPUTS] == 1 << 3
 
 
+def test_the_text_of_a_program_is_told_once_it_is_said(controller: Controller) -> None:
+    told: list[tuple[int, str]] = []
+    controller.news.text.append(lambda text: told.append((controller.cycles, text)))
+    text = 'def plain():\n  textmsg("before")\n  sleep(0.1)\n  textmsg("after")\nend'
+    controller.start(recognise(text, controller.model.cycle_s))
+    for _ in range(60):
+        controller.step()
+    assert told == [(1, "before"), (51, "after")]
+    message = StatePackages(controller).text("before")
+    assert message_kinds(message) == [(MESSAGE, 0)]
+    assert message.endswith(b"before")
+
+
+@pytest.mark.parametrize("head", ["def", "sec"])
+def test_a_protective_stop_by_its_name_has_a_code_of_its_own(
+    controller: Controller, poll: Poll, head: str
+) -> None:
+    clients = ClientInterfaces(controller, own_address(), poll)
+    codes: list[int] = []
+    controller.news.error.append(lambda code, _text: codes.append(code))
+    clients.take(f"{head} stop():\n  protective_stop()\nend")
+    for _ in range(3):
+        controller.step()
+    for listener in clients.listeners:
+        listener.close()
+    assert codes == [209]
+    assert controller.modes.safety_mode is SafetyMode.PROTECTIVE_STOP
+    assert controller.program is None
+
+
+def test_a_joint_motion_to_a_pose_out_of_reach_is_a_runtime_exception(controller: Controller) -> None:
+    failures: list[str] = []
+    controller.news.failure.append(lambda text, _place: failures.append(text))
+    controller.start(recognise("movej(p[10,0,0,0,0,0])", controller.model.cycle_s))
+    controller.step()
+    assert failures == ["get_inverse_kin: no solution"]
+
+
 @pytest.mark.parametrize(
     ("text", "answer"),
     [
@@ -162,7 +200,7 @@ def test_secondary_clients_get_the_version_and_states_but_no_other_messages(
         listener.close()
     clients.realtime.close()
     state, version, safety = (16, None), (20, 3), (20, 5)
-    assert list(kinds.values()) == [[version, safety, state, safety, safety], [version, state]]
+    assert list(kinds.values()) == [[version, state, state, safety, state, safety], [version, state]]
 
 
 def test_a_resting_controller_sends_its_state_as_often_on_the_clock_of_its_clients(
@@ -214,11 +252,20 @@ def message_kinds(data: bytes) -> list[tuple[int, int | None]]:
         ("load nothing.urp", "File not found: nothing.urp"),
         ("is in remote control", "true"),
         ("popup hello there", "showing popup"),
+        ("load installation default.installation", "Loading installation: default.installation"),
+        ("set operational mode manual", "Operational mode MANUAL is set"),
+        ("setUserRole locked", "Setting user role: LOCKED"),
+        ("generate support file .", "Completed successfully: ./ur_support_file.zip"),
         ("running", "Program running: false"),
     ],
 )
 def test_the_dashboard_answers(ask: Callable[[str], str], line: str, answer: str) -> None:
     assert ask(line) == answer
+
+
+@pytest.mark.parametrize(("arm", "version"), [("ur5e", "5.21.0."), ("ur5", "3.15.8.")])
+def test_a_later_software_is_one_of_the_e_series(make: MakeController, arm: str, version: str) -> None:
+    assert make("software=5.21.0", arm=arm).model.version_text.startswith(version)
 
 
 def test_a_loaded_program_plays_pauses_and_stops(ask: Callable[[str], str], controller: Controller) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import socket
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from math import isclose
 from struct import pack
 
@@ -13,13 +14,15 @@ from ronna_hw.wire.universal_robots import RuntimeState
 from sim.universal_robots.controller import Controller
 from sim.universal_robots.programs.external_control import ControlMode
 from sim.universal_robots.programs.external_trajectory import (
+    CUBIC,
     QUINTIC,
     PointType,
     TrajectoryOrder,
     TrajectoryResult,
 )
-from sim.universal_robots.programs.joint_spline import cubic, quintic
+from sim.universal_robots.programs.joint_spline import BRAKING_RAD_S2, cubic, quintic
 from sim.universal_robots.programs.recognition import FIRST_WAIT_S, QUIET_S, recognise, requested_program
+from sim.universal_robots.variables import OUTPUT_DOUBLES
 
 UNITS = 1_000_000
 LIMIT_S = 10.0
@@ -197,6 +200,140 @@ def test_a_cancelled_trajectory_stops_the_arm_and_says_so(dialled: Client) -> No
     dialled.steps(200)
     assert not dialled.controller.robot.drives.moving
     assert dialled.sockets["trajectory"].recv(4) == pack(">i", TrajectoryResult.CANCELLED)
+
+
+def spline_point(
+    joints: Sequence[float], time_s: float, speeds: Sequence[float] = (0.0,) * 6, kind: int = CUBIC
+) -> bytes:
+    angles = [round(value * UNITS) for value in (*joints, *speeds)]
+    return pack(">21i", *angles, *(0,) * 6, round(time_s * UNITS), kind, PointType.SPLINE)
+
+
+def result_of(client: Client, cycles: int = 2000) -> int | None:
+    """Run until a result is told."""
+    trajectory = client.sockets["trajectory"]
+    trajectory.setblocking(False)
+    for _ in range(cycles):
+        client.controller.step()
+        with suppress(BlockingIOError):
+            return int.from_bytes(trajectory.recv(4), "big")
+    return None
+
+
+@pytest.mark.parametrize("kind", [CUBIC, QUINTIC])
+def test_a_trajectory_that_ends_with_a_speed_is_slowed_on_its_path_and_shows_its_time(
+    dialled: Client, kind: int
+) -> None:
+    goal = [target(dialled)[0] + 0.3, *target(dialled)[1:]]
+    dialled.sockets["trajectory"].sendall(spline_point(goal, 0.4, (1.5, 0, 0, 0, 0, 0), kind))
+    dialled.order(TrajectoryOrder.RECEIVE, 1)
+    robot = dialled.controller.robot
+    times, slowest = [], 0.0
+    while robot.values[OUTPUT_DOUBLES + 1] < 0.4:
+        dialled.steps(1)
+        times.append(robot.values[OUTPUT_DOUBLES + 1])
+        left_s = 0.4 - times[-1] + 2.0 * robot.cycle_s
+        slowest = max(slowest, robot.drives.target_speed[0] - BRAKING_RAD_S2 * left_s)
+    assert slowest < 0.01
+    assert times == sorted(times)
+    assert target(dialled) == pytest.approx(goal, abs=2e-6)
+    assert result_of(dialled) == TrajectoryResult.SUCCESS
+
+
+def test_a_point_between_splines_is_passed_with_its_speed(dialled: Client) -> None:
+    start = target(dialled)
+    middle, goal = [start[0] + 0.1, *start[1:]], [start[0] + 0.2, *start[1:]]
+    points = spline_point(middle, 0.2, (0.5, 0, 0, 0, 0, 0)) + spline_point(goal, 0.4)
+    dialled.sockets["trajectory"].sendall(points)
+    dialled.order(TrajectoryOrder.RECEIVE, 2)
+    dialled.steps(99)
+    assert target(dialled)[0] == pytest.approx(middle[0], abs=0.002)
+    assert dialled.controller.robot.drives.target_speed[0] == pytest.approx(0.5, abs=0.02)
+
+
+@pytest.mark.parametrize(
+    ("ahead_rad", "time_s", "result"),
+    [
+        (0.0, 0.0, TrajectoryResult.SUCCESS),  # already there
+        (0.1, 0.0, TrajectoryResult.CANCELLED),
+        (0.5, 0.02, TrajectoryResult.CANCELLED),  # 25 rad/s
+    ],
+)
+def test_a_spline_without_enough_time_is_cancelled_and_the_arm_rests(
+    dialled: Client, ahead_rad: float, time_s: float, result: TrajectoryResult
+) -> None:
+    start = target(dialled)
+    dialled.sockets["trajectory"].sendall(spline_point([start[0] + ahead_rad, *start[1:]], time_s))
+    dialled.order(TrajectoryOrder.RECEIVE, 1)
+    assert result_of(dialled) == result
+    assert target(dialled) == start
+    assert dialled.controller.program is not None
+
+
+def test_a_new_trajectory_discards_the_points_that_are_left_of_the_last(dialled: Client) -> None:
+    start = target(dialled)
+    first, second = [start[0] + 0.1, *start[1:]], [start[0] - 0.1, *start[1:]]
+    dialled.sockets["trajectory"].sendall(spline_point(first, 0.3) * 3)
+    dialled.order(TrajectoryOrder.RECEIVE, 3)
+    dialled.steps(20)
+    dialled.sockets["trajectory"].sendall(spline_point(second, 0.3))
+    dialled.order(TrajectoryOrder.RECEIVE, 1)
+    assert result_of(dialled) == TrajectoryResult.SUCCESS
+    assert target(dialled) == pytest.approx(second, abs=2e-6)
+
+
+def test_a_point_without_motion_takes_a_cycle(dialled: Client) -> None:
+    here = [round(angle * UNITS) for angle in target(dialled)]
+    dialled.controller.robot.drives.place([angle / UNITS for angle in here])
+    dialled.steps(2)
+    dialled.sockets["trajectory"].sendall(pack(">21i", *here, *(0,) * 14, PointType.MOVEJ) * 10)
+    dialled.order(TrajectoryOrder.RECEIVE, 10)
+    assert result_of(dialled, cycles=8) is None
+    assert result_of(dialled) == TrajectoryResult.SUCCESS
+
+
+def test_a_joint_beyond_its_range_ends_the_program(dialled: Client) -> None:
+    goal = [123 * UNITS, *(0,) * 17, 0, 0, PointType.MOVEJ]
+    dialled.sockets["trajectory"].sendall(pack(">21i", *goal))
+    dialled.order(TrajectoryOrder.RECEIVE, 1)
+    dialled.steps(2)
+    assert dialled.controller.program is None
+
+
+def test_the_arc_of_a_trajectory_ends_at_its_pose(dialled: Client) -> None:
+    robot = dialled.controller.robot
+    x, y, z, *turn = robot.tool_pose(target(dialled))
+    goal, via = (x, y + 0.1, z, *turn), (x, y + 0.05, z + 0.05, *turn)
+    numbers = [round(value * UNITS) for value in (*goal, *via, 0.5, 2.0, 0, 0, 0, 0)]
+    dialled.sockets["trajectory"].sendall(pack(">21i", *numbers, 0, 0, PointType.MOVEC))
+    dialled.order(TrajectoryOrder.RECEIVE, 1)
+    assert result_of(dialled) == TrajectoryResult.SUCCESS
+    assert robot.tool_pose(target(dialled))[:3] == pytest.approx(goal[:3], abs=1e-5)
+
+
+@pytest.mark.parametrize("is_silent", [True, False])
+def test_what_follows_the_loop_is_opened_unless_the_client_fell_silent(
+    controller: Controller, *, is_silent: bool
+) -> None:
+    client = Client(controller)
+    with socket.create_server(("127.0.0.1", 0)) as after:
+        after.settimeout(LIMIT_S)
+        port = after.getsockname()[1]
+        line = f'  socket_open("127.0.0.1", {port}, "test_socket")'
+        controller.start(recognise(f"{client.script()}\n{line}\nend", controller.model.cycle_s))
+        client.accept()
+        client.send(ControlMode.IDLE)
+        if not is_silent:
+            client.send(ControlMode.STOPPED)
+        client.steps(20)
+        after.settimeout(0.0 if is_silent else LIMIT_S)
+        if is_silent:
+            with pytest.raises(BlockingIOError):
+                after.accept()
+        else:
+            after.accept()[0].close()
+    controller.stop()
+    client.close()
 
 
 def test_a_missing_point_is_a_failure(dialled: Client) -> None:

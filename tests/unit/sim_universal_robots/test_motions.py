@@ -15,6 +15,7 @@ from sim.universal_robots.controller_parameters import ControllerParameters
 from sim.universal_robots.drives import Drives
 from sim.universal_robots.kinematics import LinkPose, frame_of_pose, pose_of_frame
 from sim.universal_robots.model import FULL_SPEED_RAD_S, HOME_RAD, LARGEST_ACCELERATION_RAD_S2
+from sim.universal_robots.programs.arc import movec
 from sim.universal_robots.programs.motions import movej, movel, speedj
 from sim.universal_robots.programs.program import UrProgram
 from sim.universal_robots.robot import Robot
@@ -67,6 +68,42 @@ def test_a_line_out_of_reach_ends_in_a_protective_stop(controller: Controller) -
     for _ in range(1000):
         controller.step()
     assert controller.modes.safety_mode is SafetyMode.PROTECTIVE_STOP
+
+
+@pytest.mark.parametrize(("waits", "mode"), [(True, SafetyMode.NORMAL), (False, SafetyMode.PROTECTIVE_STOP)])
+def test_a_line_that_is_too_fast_for_the_joints_is_slowed_if_it_waits_for_them(
+    controller: Controller, mode: SafetyMode, *, waits: bool
+) -> None:
+    robot = controller.robot
+    start = robot.tool_frame(robot.drives.target)
+    goal = pose_of_frame(start._replace(y=start.y + 0.2))
+    controller.start(
+        UrProgram("line", lambda robot, _: movel(robot, goal, 20.0, 40.0, waits_for_joints=waits))
+    )
+    while controller.runtime_state is RuntimeState.PLAYING:
+        controller.step()
+        assert max(map(abs, robot.drives.target_speed)) <= FULL_SPEED_RAD_S * (1.0 + ROUNDING)
+    assert controller.modes.safety_mode is mode
+    assert (dist(robot.tool_pose(robot.drives.target)[:3], goal[:3]) < 1e-4) is waits
+
+
+@pytest.mark.parametrize("keeps_turn", [True, False])
+def test_an_arc_passes_through_its_second_pose(controller: Controller, *, keeps_turn: bool) -> None:
+    robot = controller.robot
+    x, y, z, *turn = robot.tool_pose(robot.drives.target)
+    via, goal = [x, y + 0.05, z + 0.05, *turn], [x, y + 0.1, z, *turn]
+    passed: list[list[float]] = []
+    program = UrProgram("arc", lambda robot, _: movec(robot, via, goal, 0.2, 2.0, keeps_turn=keeps_turn))
+    controller.start(program)
+    while controller.runtime_state is not RuntimeState.STOPPED:
+        controller.step()
+        passed.append(robot.tool_pose(robot.drives.target))
+    centre = (x, y + 0.05, z)
+    assert all(dist(pose[:3], centre) == pytest.approx(0.05, abs=1e-6) for pose in passed)
+    assert min(dist(pose[:3], via[:3]) for pose in passed) < 0.2 * CYCLE_S
+    assert passed[-1][:3] == pytest.approx(goal[:3], abs=1e-6)
+    keeps_orientation = passed[-1] == pytest.approx(goal, abs=1e-6)
+    assert keeps_orientation is not keeps_turn
 
 
 def test_an_ended_program_leaves_a_braking_arm(controller: Controller) -> None:

@@ -12,6 +12,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import ExitStack
 from importlib.util import find_spec
+from math import dist, hypot
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +27,7 @@ pytestmark = pytest.mark.skipif(find_spec("rtde_control") is None, reason=MISSIN
 LIMIT_S = 60.0
 ROUNDING = 1e-6
 CLIENT = """
-import json, sys, time
+import json, math, sys, time
 from dashboard_client import DashboardClient
 from rtde_control import RTDEControlInterface
 from rtde_io import RTDEIOInterface
@@ -59,6 +60,9 @@ start = receive.getActualQ()
 goal = [start[0] + 0.1, *start[1:]]
 found["moveJ"] = control.moveJ(goal, 2.0, 20.0)
 found["joints"] = eventually(lambda: near(receive.getActualQ(), goal))
+found["zero_offset"] = control.getForwardKinematics(goal, [0.0] * 6)
+found["full_turn"] = control.getForwardKinematics(goal, [0.0] * 5 + [2.0 * math.pi])
+found["flange"] = control.getForwardKinematics()
 line = receive.getActualTCPPose()
 line[2] += 0.02
 found["moveL"] = control.moveL(line, 1.0, 10.0)
@@ -143,6 +147,15 @@ def test_it_computes_the_kinematics_as_the_arm_moves(found: dict[str, Any]) -> N
     assert found["inverse"] == pytest.approx(found["at"], abs=ROUNDING)
     assert found["forward"][:3] == pytest.approx(found["pose"][:3], abs=ROUNDING)
     assert found["tcp"] == pytest.approx([0, 0, 0.1, 0, 0, 0])
+
+
+def test_its_zero_offset_is_what_the_last_motion_left_in_the_registers(found: dict[str, Any]) -> None:
+    # It sends a zero offset as none, with the recipe of the joints alone; its script reads registers 6 to 11
+    # all the same, where moveJ has put its speed and acceleration. A full turn is sent, and no offset either.
+    assert found["full_turn"][:3] == pytest.approx(found["flange"][:3], abs=ROUNDING)
+    assert dist(found["zero_offset"][:3], found["flange"][:3]) == pytest.approx(
+        hypot(2.0, 20.0), abs=ROUNDING
+    )
 
 
 def test_it_streams_joints_and_speeds_and_stops(found: dict[str, Any]) -> None:
