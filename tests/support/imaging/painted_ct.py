@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 from pydicom.dataset import Dataset, FileMetaDataset
-from pydicom.uid import CTImageStorage, ExplicitVRLittleEndian
+from pydicom.uid import UID, CTImageStorage, ExplicitVRLittleEndian
 from scipy.ndimage import gaussian_filter, gaussian_filter1d
 
 from ronna_hw.arrays import Array
@@ -170,7 +170,8 @@ def _blurred_and_averaged(size: int, factor: int, left_out: int, sigma: float) -
     """Matrix (voxels, samples) along one axis; both ends without `left_out` voxels."""
     blurred = gaussian_filter1d(np.eye(size), sigma, axis=0, mode="nearest", truncate=4.0)
     averaged = blurred.reshape(size // factor, factor, size).mean(axis=1)
-    return averaged[left_out : len(averaged) - left_out].astype(np.float32)
+    whole: NDArray[np.float32] = averaged[left_out : len(averaged) - left_out].astype(np.float32)
+    return whole
 
 
 SeriesEdit = Callable[[Dataset, int], None]
@@ -196,7 +197,8 @@ def write_series(
         data.file_meta.TransferSyntaxUID = ExplicitVRLittleEndian
         data.file_meta.MediaStorageSOPClassUID = CTImageStorage
         data.SOPClassUID = CTImageStorage
-        data.SOPInstanceUID = data.file_meta.MediaStorageSOPInstanceUID = f"{SERIES_UID}.{number + 1}"
+        instance_uid = UID(f"{SERIES_UID}.{number + 1}")
+        data.SOPInstanceUID = data.file_meta.MediaStorageSOPInstanceUID = instance_uid
         data.SeriesInstanceUID = SERIES_UID
         data.StudyInstanceUID = f"{SERIES_UID}.0"
         data.FrameOfReferenceUID = FRAME_UID
