@@ -15,7 +15,16 @@ from typing import Any
 
 LEVELS = {"debug": logging.DEBUG, "info": logging.INFO, "warning": logging.WARNING, "error": logging.ERROR}
 ALL = "ronna"  # the logger above all of ours
-PARTS = ("dicom", "engine", "events", "flight recorder", "log", "reading tape")  # no devices, no processes
+PARTS = (
+    "dicom",
+    "engine",
+    "events",
+    "flight log",
+    "flight recorder",
+    "live feed",
+    "log",
+    "reading tape",
+)  # no devices, no processes
 TABLES = ("device", "robot", "stereo", "tracker")  # of the theatre file, which names devices
 LONGEST_NAME = 200
 PROGRAMS = "ronna-"  # prefix of every command and process
