@@ -27,6 +27,7 @@ class DeviceUnderTest:
         self.clock = clock
         self.clock_known = clock_known
         self.offers: set[str] = set()
+        self.tool_in_view: str | None = None  # of a tracker, once looked for; '' if none was seen
         self._shared: Device | None = None
         self._made: list[Device] = []
 

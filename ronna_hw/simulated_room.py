@@ -27,6 +27,7 @@ from ronna_hw.near_names import did_you_mean
 from ronna_hw.room_truth import IN_VIEW, SPHERE, RoomTruth, read_truth, require_vector
 
 BODIES = ("head", "cart", "assistant_cart", "tracker", "guide", "seat")  # that can be moved and turned
+TOOLS = (0, 1, 2)  # none, stereo head, guide
 EXTRA_SPHERE = f"extra {SPHERE}"  # followed by its number
 FARTHEST_MM, FARTHEST_DEG, LONGEST_S = (
     2000.0,
@@ -72,6 +73,8 @@ class SimulatedRoom:
 
     def clear(self, line: str | None = None) -> None:
         """End what was injected, by its line, or all of it: what was moved is back in its place."""
+        if not isinstance(line, str | None):
+            raise WrongArgument("the line is no text", expected="a line that was injected", got=show(line))
         self._ask("clear_faults", **({} if line is None else {"line": line}))
 
     def move(self, what: str, by_mm: Sequence[float]) -> None:
@@ -141,6 +144,10 @@ class SimulatedRoom:
 
     def mount(self, number: int) -> None:
         """Mount a tool: 0 none, 1 the stereo head, 2 the guide."""
+        if isinstance(number, bool) or number not in TOOLS:
+            raise WrongArgument(
+                "there is no such tool", expected="0 none, 1 the stereo head, 2 the guide", got=show(number)
+            )
         self._ask("mount", number=number)
 
     def truth(self) -> RoomTruth:

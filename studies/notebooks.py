@@ -75,6 +75,8 @@ def execute_notebook(path: Path, out: Path) -> Path:
             ) from error
         except DeadKernelError as error:
             raise NOTEBOOK_FAILED(f"{_name_cell(running, path)} ended its kernel") from error
+        except AssertionError as error:  # of nbclient, whose own handler of signals has ended the kernel
+            raise KeyboardInterrupt from error
     write_atomically(written, nbformat.writes(notebook).encode())
     return written
 

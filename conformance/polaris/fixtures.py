@@ -16,6 +16,8 @@ from typing import Protocol, runtime_checkable
 from conformance.case import Need, check, require_present
 from conformance.device_under_test import DeviceUnderTest
 from conformance.polaris.client import BxReply, PolarisLink, Vector3, idle_unit, read_body
+from ronna_hw.devices.lifecycle import Lifecycle
+from ronna_hw.devices.readings import Validity
 from ronna_hw.wire import polaris_rom as layout
 from ronna_hw.wire.polaris import PARAMETER_SELECTED_VOLUME, SFLIST_VOLUME_CHARACTERS
 
@@ -26,6 +28,8 @@ SERIAL_LINE = Need("serial line", "the endpoint is not a serial line: it has nei
 NEEDS = (POLARIS_BYTES,)
 WITH_TOOL = (*NEEDS, TOOL_DEFINITION)
 SERIAL = (*NEEDS, SERIAL_LINE)
+
+FRAMES_LOOKED_AT = 5  # for a tool in view
 
 
 @runtime_checkable
@@ -49,9 +53,22 @@ class ReportsBaud(Protocol):
 
 
 def definition(dut: DeviceUnderTest) -> bytes:
+    """Return the definition of a tool in view, or the first one if none is."""
+    if dut.tool_in_view is None:
+        dut.tool_in_view = _find_tool_in_view(dut)
     tracker = dut.make()
     assert isinstance(tracker, ReportsDefinitions), "the case needs a tool definition"
-    return next(iter(tracker.definition_blocks.values()))
+    blocks = tracker.definition_blocks
+    return blocks.get(dut.tool_in_view) or next(iter(blocks.values()))
+
+
+def _find_tool_in_view(dut: DeviceUnderTest) -> str:
+    """Return the name of the first tool that a few frames show, or ''. Closes the driver's connection."""
+    tracker = dut.at(Lifecycle.ACTIVE)
+    frames = [tracker.read_frame() for _ in range(FRAMES_LOOKED_AT)]
+    dut.release()
+    seen = (tool.tool for frame in frames for tool in frame.tools if tool.validity is Validity.OK)
+    return next(seen, "")
 
 
 @contextmanager

@@ -85,7 +85,12 @@ def _advise(view: CaseView, *, is_mine: bool, may_operate: bool) -> tuple[str, s
         return "The theatre is opening", "Nothing to do yet: the first step appears here."
     step = _find_title(view, view.running or view.upcoming)
     if view.waiting is None or not view.upcoming:
-        return f"Now: {step}" if step else "Nothing left to run", "Nothing to answer at the moment."
+        if step:
+            return f"Now: {step}", "Nothing to answer at the moment."
+        return "Nothing left to run", (
+            "A case that is run by itself closes now. One that is stepped is closed in its terminal: "
+            "quit writes its report and seals it."
+        )
     if view.seat is None and may_operate:
         return "Take the seat to operate", (
             f"Type your name at the top and press Take the seat. Next then runs: {step}. "

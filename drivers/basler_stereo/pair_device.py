@@ -11,7 +11,7 @@ from typing import Any, Generic, Protocol, TypeVar
 from drivers.basler_stereo.errors import CABLES_SWAPPED, WRONG_MODEL, WRONG_SERIAL, NoReply
 from drivers.basler_stereo.identity import CameraIdentity, describe_cameras_near
 from drivers.basler_stereo.options import BaslerOptions
-from ronna_hw.arguments import require_number, require_time_s
+from ronna_hw.arguments import WrongArgument, require_number, require_time_s, show
 from ronna_hw.clock import Clock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.capabilities import report_count
@@ -139,6 +139,9 @@ class PairDevice(GuardedDevice, ABC, Generic[C]):
         A running stream is stopped and restarted; its block ids restart.
         """
         self._require("set_areas", {Lifecycle.CONFIGURED, Lifecycle.ACTIVE})
+        for area in (left, right):
+            if not isinstance(area, AreaOfInterest):
+                raise WrongArgument("a readout area", expected="an AreaOfInterest", got=show(area))
         if (left, right) == self.areas:
             return
         deadline_s = time.monotonic() + timeout_s

@@ -60,6 +60,7 @@ from ronna_hw.devices.robot import (
     stop_mistake,
 )
 from ronna_hw.errors import RonnaError
+from ronna_hw.host.process import defer_interruption
 from ronna_hw.vectors import JointVector
 
 TARE_LIMIT_S = 10.0  # host time; the motion is refused if it does not suffice
@@ -347,6 +348,7 @@ class StreamedArm(GuardedDevice, ABC, Generic[S]):
 
         A wrong argument never keeps an arm moving: it stops at HOLD, and then the mistake is raised.
         """
+        self._guard.require_own_process("stop")
         try:
             kind, timeout_s = StopKind(kind), require_time_s(timeout_s, "the time limit of stop")
         except ValueError as error:
@@ -402,6 +404,15 @@ class StreamedArm(GuardedDevice, ABC, Generic[S]):
             state = self._follower.follow(clear_plan, stop_count, timeout_s, force, settles=settles)
         except ForceLimitExceeded:
             self._guard.exchange(Lifecycle.ACTIVE, Lifecycle.HOLD)
+            raise
+        except RonnaError:  # the arm is at rest, or in fault
+            raise
+        except BaseException as problem:  # such as Ctrl-C: nobody waits for the motion any more
+            with defer_interruption():
+                try:
+                    self._stop(StopKind.HOLD, STOP_LIMIT_S)
+                except RonnaError as error:
+                    problem.add_note(f"{self._name} could not be stopped: {error}")
             raise
         return self._readings.from_stream(state)
 

@@ -7,6 +7,7 @@ option and in its validation error.
 from __future__ import annotations
 
 import errno
+import itertools
 import os
 import pwd
 import re
@@ -201,6 +202,12 @@ def convert_usage_error(
     if not (message := getattr(mistake, "message", "")):
         message = str(mistake.format_message() if hasattr(mistake, "format_message") else mistake)
     if found := _EXTRA.match(message):
+        if swallowed := _find_swallowed_option(parameters, arguments):
+            option, value = swallowed
+            return UsageMistake(
+                f"{option} has no value: {value!r} follows it",
+                action=f"Is the variable for its value empty, as in a new terminal? {see}",
+            )
         repeat = _advise_several_values(parameters)
         from ronna_hw.evidence.journal_reading import JOURNAL_FILE
 
@@ -219,6 +226,15 @@ def convert_usage_error(
     hint = getattr(mistake, "param_hint", None)
     text = f"{hint}: {message}" if hint else message
     return UsageMistake(text if text.endswith("...") else text.rstrip("."), action=see)
+
+
+def _find_swallowed_option(parameters: Sequence[Any], arguments: Sequence[str]) -> tuple[str, str] | None:
+    """Return an option that has taken the next option as its value, as it does for an empty variable."""
+    known = {name: one for one in parameters if one.param_type_name == "option" for name in one.opts}
+    for word, following in itertools.pairwise(arguments):
+        if word in known and not known[word].is_flag and following in known:
+            return word, following
+    return None
 
 
 def _values_after(option: str, arguments: Sequence[str]) -> str:

@@ -59,6 +59,14 @@ THEATRE_CLOSED = ErrorCode(
 )
 
 
+OTHER_PROCESS = ErrorCode(
+    "DEV-016",
+    WrongState,
+    "A device was called in another process than the one that opened it, such as a fork.",
+    "Call it where it was opened, and tell that process by a queue or an event; so with a stop.",
+)
+
+
 NO_NEW_FRAME = ErrorCode(
     "DEV-009",
     LinkTimeout,

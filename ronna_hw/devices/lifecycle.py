@@ -7,6 +7,7 @@ CONNECTED, motion only in ACTIVE.
 
 from __future__ import annotations
 
+import os
 import threading
 from collections.abc import Iterable, Iterator
 from contextlib import AbstractContextManager, contextmanager
@@ -16,7 +17,7 @@ from typing import Generic, Protocol, Self, TypeVar, runtime_checkable
 from unicodedata import category
 
 from ronna_hw.devices.capabilities import Fact
-from ronna_hw.devices.errors import THEATRE_CLOSED, PersonNotNamed, WrongState
+from ronna_hw.devices.errors import OTHER_PROCESS, THEATRE_CLOSED, PersonNotNamed, WrongState
 from ronna_hw.errors import RonnaError
 from ronna_hw.host.process import defer_interruption
 from ronna_hw.logs import logger
@@ -24,6 +25,7 @@ from ronna_hw.logs import logger
 LONGEST_NAME = 60  # characters of a person's name
 LINE_SIGNS = ("Zl", "Zp")  # categories of Unicode
 JOINERS = "\u200c\u200d"  # parts of names in some scripts
+HELD = "An arm goes on after `resume`, without a motion; a tracker that is too warm or cold by itself."
 R = TypeVar("R")
 R_co = TypeVar("R_co", covariant=True)
 
@@ -220,6 +222,7 @@ class LifecycleGuard:
     def __init__(self, device: str) -> None:
         self.log = logger(device=device)
         self._device = device
+        self._process = os.getpid()
         # One value, replaced atomically: another thread never sees half of a change.
         self._now: tuple[Lifecycle, RonnaError | None] = (Lifecycle.DISCONNECTED, None)
         self._changing = threading.RLock()  # a signal handler may interrupt a change of its own thread
@@ -242,8 +245,9 @@ class LifecycleGuard:
     def require(self, call: str, allowed: Iterable[Lifecycle]) -> None:
         """Raise DEV-001 unless the state is one of `allowed`, DEV-010 once the device is closed.
 
-        After a latched fault the error quotes it, and has its exit code.
+        After a latched fault the error quotes it, and has its exit code. Raises DEV-016 in another process.
         """
+        self.require_own_process(call)
         states = tuple(allowed)
         state, fault = self._now
         if state in states:
@@ -255,11 +259,21 @@ class LifecycleGuard:
             f"{self._device}: {call} is not allowed now",
             expected=" or ".join(sorted(states)),
             got=f"{state}{cause}",
-            action=f"Once {state}, `{following}` comes next." if following else None,
+            action=HELD
+            if state is Lifecycle.HOLD
+            else following and f"Once {state}, `{following}` comes next.",
         )
         if fault is not None:
             refused.exit_code = fault.exit_code
         raise refused
+
+    def require_own_process(self, call: str) -> None:
+        """Raise DEV-016 in a process that did not open the device: its threads and links are not there."""
+        if os.getpid() != self._process:
+            raise OTHER_PROCESS(
+                f"{self._device}: {call} came in process {os.getpid()}",
+                expected=f"process {self._process}, which opened it",
+            )
 
     def enter(self, state: Lifecycle, **facts: object) -> None:
         """Enter `state` and log it with `facts`; raises DEV-001 for a forbidden transition."""

@@ -17,8 +17,10 @@ import time
 from collections import deque
 from collections.abc import AsyncIterator, Callable, Generator, Iterable, Iterator
 from contextlib import contextmanager, suppress
+from inspect import iscoroutinefunction, signature
 from typing import Any, Generic, Protocol, TypeVar, runtime_checkable
 
+from ronna_hw.arguments import WrongArgument, require_time_s, show
 from ronna_hw.devices.errors import (
     CALL_GOES_ON,
     DEVICE_STREAMS,
@@ -29,6 +31,7 @@ from ronna_hw.devices.errors import (
 from ronna_hw.devices.readings import ArmReading, StampedReading
 
 MOST_WAITING = 1000  # readings, where every one is wanted: 17 s of a tracker
+A_READING = (None,)  # one argument
 NO_CLOCK = 0  # of a state that was asked for by EKI, outside of a running stream
 BETWEEN_REQUESTS_S = 0.02  # host time: requests of a state leave the controller to others
 END_LIMIT_S = 10.0  # host time, after a block, for calls of a function with what waits
@@ -60,7 +63,10 @@ class ReadingStream(Generic[R]):
 
         `timeout_s` is host time for one reading. `turn` is that of a device for one thread at a time.
         """
-        self._read, self._every, self._timeout_s = read, every, timeout_s
+        if not isinstance(every, bool):
+            raise WrongArgument("every of a stream", expected="True or False", got=show(every))
+        self._read, self._every = read, every
+        self._timeout_s = require_time_s(timeout_s, "timeout_s of a stream")
         self._turn = Turn("the stream") if turn is None else turn
         self.dropped = 0  # readings that a newer one has replaced before they were taken
 
@@ -95,6 +101,7 @@ class ReadingStream(Generic[R]):
         than `end_limit_s` of host time; what is not delivered counts as dropped. After an error in the block
         nothing more is delivered, and the function's error is a note on it.
         """
+        _require_consumer(function)
         errors: list[BaseException] = []
         session = self._begin()
 
@@ -155,6 +162,24 @@ class ReadingStream(Generic[R]):
 
     def _count_dropped(self) -> None:
         self.dropped += 1
+
+
+def _require_consumer(function: object) -> None:
+    """Raise ARG-001 for anything but a function of one reading that is called, not awaited."""
+    if callable(function) and not iscoroutinefunction(function):
+        try:
+            signature(function).bind(*A_READING)
+            return
+        except TypeError:
+            pass
+        except ValueError:  # a built-in function without a signature
+            return
+    raise WrongArgument(
+        "the function of a stream cannot be called with a reading",
+        expected="a function of one argument, not an async one",
+        got=show(function),
+        action="A task reads with: async for reading in device.stream().",
+    )
 
 
 class Turn:

@@ -89,9 +89,9 @@ def stop_mistake(arm: str, kind: object, timeout_s: object) -> WrongArgument:
     """Build the error for a stop with a wrong kind or time limit, which has held the arm all the same."""
     return WrongArgument(
         f"{arm}: stop was given a wrong argument; the arm was stopped at HOLD all the same",
-        expected=f"kind {', '.join(f'StopKind.{one.name}' for one in StopKind)}, timeout_s a number above 0",
+        expected=f"kind {', '.join(map(repr, map(str, StopKind)))}, timeout_s a number above 0",
         got=f"kind {show(kind)}, timeout_s {show(timeout_s)}",
-        action="StopKind comes from ronna_hw.devices; a time limit alone is stop(timeout_s=2.0).",
+        action="Or StopKind of ronna_hw.devices; a time limit alone is stop(timeout_s=2.0).",
     )
 
 
@@ -154,8 +154,9 @@ class RobotArm(Device, Protocol):
         """Carry out a motion to rest at its target and return the settled reading.
 
         All joints move together; along a line the orientation follows by slerp, and the arm stays in the
-        branch of its current pose. `timeout_s` is in theatre time if that clocks the controller. Raises
-        ARG-001 for bare joint angles, LimitError before motion if the path leaves the joint ranges, FRM-001
+        branch of its current pose. `timeout_s` is in theatre time if that clocks the controller. An error or
+        interruption that ends the call, such as Ctrl-C, stops the arm at HOLD. Raises ARG-001 for bare joint
+        angles, LimitError before motion if the path leaves the joint ranges, FRM-001
         for a line between other frames, StateError outside ACTIVE, MotionInterrupted when `stop` ended it,
         and the latched fault when link or monitor trips.
         """

@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.distance import cdist
 
+from ronna_hw.arguments import WrongArgument, require_numbers, show
 from ronna_hw.arrays import Array
 from ronna_hw.devices.crossed_sight import TRACK, describe_crossed_sights, find_crossed_sights
 from ronna_hw.devices.errors import BAD_STRAYS
@@ -35,6 +36,7 @@ from ronna_hw.devices.strays import (
     select_strays,
 )
 from ronna_hw.frames import Frame
+from ronna_hw.text import format_names
 from ronna_hw.vectors import Vector3
 
 KNOWN_AFTER = 3  # frames; a reflection that flickers is forgotten before
@@ -43,6 +45,7 @@ FEWEST_MOVED = 2  # from one frame to the next
 FEWEST_MOVED_UNSEEN = 3  # while they were hidden
 CALLING_LEVEL = 2  # of the stack from `track_strays`: who called it
 POSED = (Validity.OK, Validity.PARTIAL)  # readings of a tool that say where its markers are
+LEAST_TOOL_MM = 5.0  # extent of a tool's markers; in metres it would be below 1
 UNKNOWN = -1  # identity of a reading that may belong to more than one sphere
 
 
@@ -141,13 +144,42 @@ def locate_markers(
     frames: Sequence[TrackerFrame], markers_mm: Mapping[str, Sequence[Vector3]]
 ) -> dict[str, Array]:
     """Return the mean place of each tool's markers in the tracker frame, by names as `marker 1 of guide`."""
+    known = _require_markers(frames, markers_mm)
     seen: dict[str, list[Array]] = {}
     for tool in (tool for frame in frames for tool in frame.tools):
-        if tool.validity in POSED and tool.tool in markers_mm:
+        if tool.validity in POSED and tool.tool in known:
             pose = tool.transform(Frame.TRACKER, Frame.MARKER)
-            for number, marker_mm in enumerate(markers_mm[tool.tool], 1):
+            for number, marker_mm in enumerate(known[tool.tool], 1):
                 seen.setdefault(f"marker {number} of {tool.tool}", []).append(pose.apply(marker_mm))
     return {name: np.mean(places, axis=0) for name, places in seen.items()}
+
+
+def _require_markers(
+    frames: Sequence[TrackerFrame], markers_mm: Mapping[str, Sequence[Vector3]]
+) -> dict[str, Array]:
+    """Return the markers as arrays (n, 3). Raises ARG-001 for other shapes, tools and units."""
+    expected = "for each tool its markers in mm, as tracker.markers_mm"
+    if not isinstance(markers_mm, Mapping):
+        raise WrongArgument("markers_mm is no mapping", expected=expected, got=show(markers_mm))
+    tools = {tool.tool for frame in frames for tool in frame.tools}
+    for name, places in markers_mm.items():
+        if frames and name not in tools:
+            raise WrongArgument(
+                f"markers_mm names a tool that no frame has: {name!r}",
+                expected=format_names(sorted(tools)) or "no tool",
+                got=show(name),
+            )
+        found = require_numbers(places, f"the markers of {name}")
+        if found.ndim != 2 or found.shape[1] != 3:
+            raise WrongArgument(f"the markers of {name} have shape {found.shape}", expected="(n, 3)")
+        if len(found) > 1 and float(np.ptp(found, axis=0).max()) < LEAST_TOOL_MM:
+            raise WrongArgument(
+                f"the markers of {name} lie within {float(np.ptp(found, axis=0).max()):g} mm",
+                expected=f"at least {LEAST_TOOL_MM:g} mm apart",
+                got=show(places),
+                action="Give millimetres, not metres.",
+            )
+    return {name: np.asarray(places, dtype=float) for name, places in markers_mm.items()}
 
 
 def identify_strays(

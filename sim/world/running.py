@@ -210,7 +210,8 @@ def find_running(cell: str | None) -> RunningSimulator:
     running = list_running()
     chosen = running if cell is None else tuple(one for one in running if _is_meant(one, cell))
     here = [one for one in chosen if one.folder is not None and one.folder.is_relative_to(Path.cwd())]
-    for only in (chosen, here):  # names repeat: the one in this folder goes first
+    named = [one for one in here if cell is not None and one.folder == Path(cell).resolve()]
+    for only in (chosen, named, here):  # names repeat: the one in this folder goes first
         if len(only) == 1:
             return only[0]
     listed = ", ".join(f"{one.name} (pid {one.pid}{_place(one)})" for one in chosen or running) or "none"

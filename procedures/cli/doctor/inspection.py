@@ -138,6 +138,12 @@ def _verdict(
             f"{configured} is at {place}, not at {parse_endpoint(endpoint).host}: correct "
             f"the endpoint {STEREO}.endpoints.{side}."
         )
+    if actual is None and configured in others:
+        places = sorted(parse_endpoint(at).host for at, serial in replied.items() if serial == configured)
+        return (
+            f"{configured} replies at {', '.join(places)}, not at {parse_endpoint(endpoint).host}: set "
+            f"{STEREO}.endpoints.{side} to the one of this theatre."
+        )
     if actual is None:
         return f"The {side} camera {configured} {not_found}."
     is_swapped = actual != recorded[side] and actual in recorded.values()

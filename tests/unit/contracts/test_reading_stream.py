@@ -12,6 +12,7 @@ import pytest
 from coded_errors import raises
 from waiting import eventually
 
+from ronna_hw.arguments import WrongArgument
 from ronna_hw.devices.errors import CALL_GOES_ON, DEVICE_STREAMS, NO_NEW_STATE, STREAM_BEHIND, STREAM_TAKEN
 from ronna_hw.devices.reading_stream import MOST_WAITING, NextArmState, ReadingStream, Turn
 from ronna_hw.devices.readings import ArmReading, Stamp, Validity
@@ -271,3 +272,24 @@ def test_the_event_loop_goes_on_while_a_stream_waits_for_its_last_reading() -> N
         return turns
 
     assert asyncio.run(leave_while_a_reading_is_under_way()) == 100
+
+
+async def awaited(_reading: ArmReading) -> None:
+    """Never called: a task reads a stream in another way."""
+
+
+@pytest.mark.parametrize("function", [5, None, lambda: 1, lambda first, second: first, awaited])
+def test_what_cannot_be_called_with_a_reading_is_refused_before_the_stream_begins(function: object) -> None:
+    device = Device(1)
+    with (
+        raises(WrongArgument, match="a function of one argument"),
+        stream_of(device).calling(function),  # type: ignore[arg-type]  # wrong on purpose
+    ):
+        pass
+    assert device.made == 0
+
+
+@pytest.mark.parametrize("wrong", [{"timeout_s": "1"}, {"timeout_s": -1.0}, {"every": "yes"}])
+def test_a_stream_with_a_wrong_argument_is_refused_before_it_begins(wrong: dict[str, object]) -> None:
+    with raises(WrongArgument, match="of a stream"):
+        ReadingStream(Device(1).read, **wrong)  # type: ignore[arg-type]  # wrong on purpose

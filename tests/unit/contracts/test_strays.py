@@ -8,8 +8,9 @@ from coded_errors import raises
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from ronna_hw.arguments import WrongArgument
 from ronna_hw.devices.errors import BAD_STRAYS
-from ronna_hw.devices.readings import Stamp, StrayReading, TrackerFrame, Validity
+from ronna_hw.devices.readings import Stamp, StrayReading, ToolReading, TrackerFrame, Validity
 from ronna_hw.devices.stray_tracks import UNKNOWN, StrayWarning, identify_strays, track_strays
 from ronna_hw.devices.strays import GATE_MM, average_strays, group_strays
 
@@ -247,3 +248,19 @@ def test_what_is_seen_in_few_frames_is_left_out_unless_it_is_asked_for(spheres, 
     assert len(track_strays(rarely, least_share=0.0)) == 5
     with raises(BAD_STRAYS):
         track_strays(frames, least_share=1.5)
+
+
+@pytest.mark.parametrize(
+    ("markers_mm", "said"),
+    [
+        ([1, 2], "is no mapping"),
+        ({"nope": [[0.0, 0.0, 0.0]]}, "a tool that no frame has: 'nope'"),
+        ({"guide": [[0.0, 0.0]]}, r"the markers of guide have shape \(1, 2\)"),
+        ({"guide": [[0.0, 0.0, 0.0], [0.06, 0.0, 0.0]]}, "give millimetres, not metres"),
+    ],
+)
+def test_markers_that_cannot_be_a_tools_are_refused(markers_mm, said):
+    tool = ToolReading("guide", Validity.MISSING, None, None, None)
+    seen = TrackerFrame(Stamp(1, 1, 0.0), Validity.OK, (tool,), ())
+    with pytest.raises(WrongArgument, match=f"(?i){said}"):
+        track_strays([seen], markers_mm=markers_mm)

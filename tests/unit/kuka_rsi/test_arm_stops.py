@@ -54,6 +54,44 @@ def test_a_stop_with_a_wrong_argument_holds_the_arm_and_says_so_afterwards(
 
 
 @pytest.mark.hazard(32)
+@pytest.mark.parametrize("problem", [KeyboardInterrupt, SystemExit, ZeroDivisionError])
+def test_a_motion_that_an_interruption_ends_leaves_the_arm_held(
+    controller: Any, active_arm: Any, monkeypatch: pytest.MonkeyPatch, problem: type[BaseException]
+) -> None:
+    wait = MotionFollower.wait
+
+    def interrupted(self: Any, *condition: Any) -> Any:
+        monkeypatch.setattr(MotionFollower, "wait", wait)
+        eventually(lambda: abs(controller.replies[-1][1][0]) > 2.0)  # it moves
+        raise problem
+
+    controller.pace_s = 0.001
+    monkeypatch.setattr(MotionFollower, "wait", interrupted)
+    with pytest.raises(problem):
+        active_arm.move(JointMove(FAR))
+    assert active_arm.state is Lifecycle.HOLD
+    eventually(lambda: not active_arm.read_state().moving)
+    assert abs(active_arm.read_state().joints_rad[0] - FAR[0]) > 0.01, "it has driven on to its goal"
+
+
+@pytest.mark.hazard(32)
+def test_a_device_is_refused_in_a_forked_process_instead_of_hanging_there(active_arm: Any) -> None:
+    reads, writes = os.pipe()
+    if (child := os.fork()) == 0:
+        said = "stopped"
+        try:
+            active_arm.stop()
+        except RonnaError as error:
+            said = error.code
+        os.write(writes, said.encode())
+        os._exit(0)
+    os.waitpid(child, 0)
+    assert os.read(reads, 100) == b"DEV-016"
+    os.close(reads)
+    os.close(writes)
+
+
+@pytest.mark.hazard(32)
 def test_a_stop_by_the_word_of_its_kind_stops(controller: Any, active_arm: Any) -> None:
     thread, caught = moving(active_arm, controller)
     active_arm.stop("hold")
