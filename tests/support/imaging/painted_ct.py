@@ -119,7 +119,8 @@ class Scan:
             dz, dy, dx = z - a[0], y - a[1], x - a[2]
             height = dz * d[0] + dy * d[1] + dx * d[2]
             across = np.sqrt(np.maximum(dz**2 + dy**2 + dx**2 - height**2, 0.0))
-            return np.minimum(radius_mm - across, np.minimum(height, length_mm - height))
+            inward: Array = np.minimum(radius_mm - across, np.minimum(height, length_mm - height))
+            return inward
 
         end = a + length_mm * d
         self.shapes.append(
