@@ -28,6 +28,7 @@ from procedures.planning.plan_file import read_plan
 
 OTHER_SERIES, DIGEST = "1.2.840.5", "a" * 64
 WINDOW_HU = (-1000.0, 600.0)
+BALL_MM = 16.0
 MARK_MM = np.array([30.0, -40.0, 20.0])  # in the CT
 CT_FROM_OTHER = RigidTransform.from_components((25.0, -5.0, 3.0), Rotation.from_rotvec([0.1, -0.3, 0.2]))
 
@@ -58,7 +59,7 @@ def other_series(uid: str = OTHER_SERIES) -> Volume:
     geometry = VoxelGeometry((61, 61, 61), middle_mm - 60.0, axes, np.full(3, 2.0))
     places_mm = geometry.to_patient_mm(np.moveaxis(np.indices(geometry.shape), 0, -1))
     away_mm = np.linalg.norm(places_mm - CT_FROM_OTHER.inv().apply(MARK_MM), axis=-1)
-    return Volume(np.where(away_mm < 8.0, 900, 0).astype(np.int16), geometry, uid, "1.2.3")
+    return Volume(np.where(away_mm < BALL_MM, 900, 0).astype(np.int16), geometry, uid, "1.2.3")
 
 
 def fused(shift_mm: float = 0.3, digest: str = DIGEST) -> FusedSeries:
@@ -78,18 +79,19 @@ def shown_grey(plane: Plane, series: ShownSeries) -> np.ndarray:
 @pytest.mark.parametrize("plane", list(DIRECTIONS))
 def test_the_other_series_is_shown_where_the_fusion_puts_it_in_the_ct(plane: Plane) -> None:
     grey = shown_grey(plane, ShownSeries.OTHER)
-    rows, columns = np.nonzero(grey > 250)
+    rows, columns = np.nonzero(grey > 128)
     assert (columns.mean() + 0.5, rows.mean() + 0.5) == pytest.approx((256.0, 256.0), abs=2.0)
-    assert 2.0 * np.sqrt(len(rows) / np.pi) * 0.4 == pytest.approx(16.0, abs=1.5)
+    assert 0.4 * np.sqrt(len(rows) / np.pi) == pytest.approx(BALL_MM, abs=0.5)
     assert grey[0, 0] == UNSCANNED_GREY, "the other series ends there"
 
 
-def test_a_chequerboard_shows_the_ct_in_its_first_square_and_the_other_series_beside_it() -> None:
+def test_a_chequerboard_shows_the_ct_in_one_square_and_the_other_series_beside_it() -> None:
     ct, other, both = (shown_grey(Plane.AXIAL, series) for series in ShownSeries)
-    first, second = np.s_[:SQUARE_PX, :SQUARE_PX], np.s_[:SQUARE_PX, SQUARE_PX : 2 * SQUARE_PX]
-    assert (both[first] == ct[first]).all()
-    assert (both[second] == other[second]).all()
-    assert (ct[second] != other[second]).any()
+    middle = 4 * SQUARE_PX
+    right, above = np.s_[middle : middle + SQUARE_PX], np.s_[middle - SQUARE_PX : middle]
+    assert (both[right, right] == ct[right, right]).all()
+    assert (both[above, right] == other[above, right]).all()
+    assert (ct[above, right] != other[above, right]).mean() > 0.9
 
 
 def test_a_target_set_while_the_other_series_is_shown_is_marked_with_the_error_there(tmp_path: Path) -> None:
