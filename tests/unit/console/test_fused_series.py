@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 import pytest
 from coded_errors import raises
+from fusion_records import MR_UID, fusion
 from plan_editors import ENTRY, SERIES, TARGET, code_of, draw, save, scan
 from scipy.spatial.transform import RigidTransform, Rotation
 from shown_page import on_a_page
@@ -22,37 +23,17 @@ from console.planning.pictures import SQUARE_PX, UNSCANNED_GREY, render_png
 from console.planning.plan_editor import PlanEditor
 from console.planning.slices import DIRECTIONS, Cut, Plane
 from procedures.fusion.errors import OTHER_FUSION
-from procedures.fusion.record import FusedPose, Fusion
 from procedures.imaging.volume import Volume, VoxelGeometry
 from procedures.planning.plan_file import read_plan
 
-OTHER_SERIES, DIGEST = "1.2.840.5", "a" * 64
+DIGEST = "a" * 64
 WINDOW_HU = (-1000.0, 600.0)
 BALL_MM = 16.0
 MARK_MM = np.array([30.0, -40.0, 20.0])  # in the CT
 CT_FROM_OTHER = RigidTransform.from_components((25.0, -5.0, 3.0), Rotation.from_rotvec([0.1, -0.3, 0.2]))
 
 
-def fusion(shift_mm: float = 0.0) -> Fusion:
-    """Of parts that deviate by so much to either side."""
-    shifts = [RigidTransform.from_translation((shift, 0.0, 0.0)) for shift in (shift_mm, -shift_mm)]
-    return Fusion(
-        schema=1,
-        ct_series_uid=SERIES,
-        other_series_uid=OTHER_SERIES,
-        other_frame_uid="1.2.3",
-        modality="MR",
-        ct_from_other=FusedPose.of(CT_FROM_OTHER),
-        parts=tuple(FusedPose.of(shift * CT_FROM_OTHER) for shift in shifts),
-        expected_mm=0.3,
-        starts=7,
-        agreeing_starts=7,
-        information=0.8,
-        overlap=1.0,
-    )
-
-
-def other_series(uid: str = OTHER_SERIES) -> Volume:
+def other_series(uid: str = MR_UID) -> Volume:
     """A cube of 120 mm about the middle of the CT, dark but for a bright ball at `MARK_MM`, seen askew."""
     axes = np.eye(3)[::-1].copy()
     middle_mm = CT_FROM_OTHER.inv().apply(np.zeros(3))
@@ -62,8 +43,8 @@ def other_series(uid: str = OTHER_SERIES) -> Volume:
     return Volume(np.where(away_mm < BALL_MM, 900, 0).astype(np.int16), geometry, uid, "1.2.3")
 
 
-def fused(shift_mm: float = 0.3, digest: str = DIGEST) -> FusedSeries:
-    return FusedSeries.of(other_series(), fusion(shift_mm), digest)
+def fused(digest: str = DIGEST) -> FusedSeries:
+    return FusedSeries.of(other_series(), fusion(CT_FROM_OTHER, ct_uid=SERIES), digest)
 
 
 def editor_with(file: Path, series: FusedSeries | None) -> PlanEditor:
@@ -104,7 +85,7 @@ def test_a_target_set_while_the_other_series_is_shown_is_marked_with_the_error_t
         page._mode.set_value(SET_TARGET)
         await page._on_click(TARGET)
         assert editor.draft.way("T1").fusion_error_mm is None, "the CT was shown"
-        assert "0.30 mm rms in the head, 0.36 mm at the crosshair" in page._fusion_note.text
+        assert "0.37 mm rms in the head, 0.36 mm at the crosshair" in page._fusion_note.text
         assert "marked" not in page._fusion_note.text
         page._show_series(ShownSeries.OTHER)
         assert "marked as chosen in the MR" in page._fusion_note.text
