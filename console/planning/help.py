@@ -17,8 +17,8 @@ WAY = (
     "patient's feet and front: the patient's left is on the right.",
     "“Show”, if an MR or another series was fused: the CT, the other series, or a chequerboard of both. "
     "Edges must run on from square to square. A target set while the other series is shown is marked as "
-    "chosen in it, and the error of the fusion counts, until you press “Chosen in the CT”. Windows are for "
-    "the CT alone.",
+    "chosen in it, and the error of the fusion counts, until you press “Chosen in the CT”. Of a "
+    "structure drawn there, include that error in its margin. Windows are for the CT alone.",
     f"Windows: {', '.join(f'{name} {low:g} to {high:g} HU' for name, (low, high) in WINDOWS_HU.items())}.",
     "Check, Reach and Expected error follow every change. Save seals the plan under your name.",
 )

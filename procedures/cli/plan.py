@@ -210,7 +210,11 @@ def open_plan(
     home: planning_inputs.HomeOption = None,
     fusion: Annotated[
         Path | None,
-        Option("--fusion", metavar="FILE", help="A fusion by ronna-ct fuse: its other series can be shown."),
+        Option(
+            "--fusion",
+            metavar="FILE",
+            help="Fusion by ronna-ct fuse: its other series can be shown, and targets be chosen in it.",
+        ),
     ] = None,
     other: Annotated[
         Path | None, Option("--other", metavar="OTHER_DIR", help="Folder of the series fused by --fusion.")
