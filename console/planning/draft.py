@@ -125,6 +125,11 @@ class Draft:
             AcPcFrame.from_points(*draft.landmarks)
         return draft
 
+    @property
+    def used_fusion(self) -> PlanFusion | None:
+        """Fusion by which at least one target was chosen, if any."""
+        return self.fusion if any(item.fusion_error_mm is not None for item in self.ways) else None
+
     def find_way(self, identifier: str) -> DraftTrajectory | None:
         return next((item for item in self.ways if item.identifier == identifier), None)
 
@@ -192,8 +197,8 @@ class Draft:
             content["template_mm"] = [list(item) for item in self.template_mm]
         if self.table_position:
             content["table_position"] = self.table_position
-        if self.fusion is not None and any(item.fusion_error_mm is not None for item in self.ways):
-            content["fusion"] = self.fusion.model_dump(mode="json")
+        if self.used_fusion is not None:
+            content["fusion"] = self.used_fusion.model_dump(mode="json")
         if self.structures:
             content["structures"] = [item.model_dump(mode="json") for item in self.structures]
         if len(self.landmarks) == len(LANDMARKS):

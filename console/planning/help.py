@@ -15,14 +15,18 @@ WAY = (
     "then count from halfway between the commissures: x to the patient's right, y to the front, z up.",
     "L, P, S are the scan's coordinates: to the patient's left, to the back, up. Pictures are seen from the "
     "patient's feet and front: the patient's left is on the right.",
+    "“Show”, if an MR or another series was fused: the CT, the other series, or a chequerboard of both. "
+    "Edges must run on from square to square. A target set while the other series is shown is marked as "
+    "chosen in it, and the error of the fusion counts, until you press “Chosen in the CT”. Of a "
+    "structure drawn there, include that error in its margin. Windows are for the CT alone.",
     f"Windows: {', '.join(f'{name} {low:g} to {high:g} HU' for name, (low, high) in WINDOWS_HU.items())}.",
     "Check, Reach and Expected error follow every change. Save seals the plan under your name.",
 )
 LIMITS = (
     "It is research software, not a certified medical device: never operate on the strength of its plan "
     "alone.",
-    "It reads one CT. It neither shows nor fuses MR until the links to other systems come; commissures are "
-    "hard to see in CT.",
+    "It does not fuse an MR itself: that is done before, and whoever set up the planner opens it with both. "
+    "Commissures are hard to see in CT.",
     "It has no atlas and finds no vessel by itself: draw or import what a trajectory must keep away from.",
     "Its distances are those of the scan: a brain that shifts after the skull is opened is not in it.",
     "Reach is checked for the place where the head is assumed; the case checks it again where the head is.",

@@ -17,14 +17,16 @@ from console.guard import SESSION, Session, SessionRole
 from console.panels.elements import button, card, group, html
 from console.panels.html import tag, text
 from console.planning.ac_pc_panel import CLICK_NEXT, AcPcPanel
+from console.planning.fused_series import ShownSeries
 from console.planning.head_scene import HeadScene
 from console.planning.help import help_html
 from console.planning.judging import expected, page_advice, verdict
 from console.planning.marker_panel import MarkerPanel, ProposalPanel
+from console.planning.pictures import add_pictures
 from console.planning.plan_editor import PlanEditor
 from console.planning.reach_panel import ReachPanel
 from console.planning.slice_panel import STROKE, SlicePanel
-from console.planning.slices import WINDOWS_HU, PageView, Plane, add_pictures
+from console.planning.slices import WINDOWS_HU, PageView, Plane
 from console.planning.structure_panel import StructurePanel
 from console.planning.trajectory_panel import TrajectoryPanel
 from console.planning.views import NAMES, PlanView, Size, arrange
@@ -161,8 +163,10 @@ class PlannerPage:
             actions = VIEWERS_ACTIONS if not self._may_edit else tuple(CLICK_ACTIONS)
             self._mode = self._choices("Click to", {name: CLICK_ACTIONS[name] for name in actions}, LOOK)
             self._mode.on_value_change(self._on_mode)
-            window = self._choices("Window", {name: name for name in WINDOWS_HU}, self._page_view.window)
-            window.on_value_change(lambda event: self._set_window(str(event.value)))
+            self._add_series_choice()
+            windows = {name: name for name in WINDOWS_HU}
+            self._window = self._choices("Window", windows, self._page_view.window)
+            self._window.on_value_change(lambda event: self._set_window(str(event.value)))
             names = {view.value: NAMES[view] for view in PlanView}
             self._large = self._choices("Large", names, self._page_view.large.value)
             self._large.on_value_change(lambda event: self._enlarge(PlanView(event.value)))
@@ -171,6 +175,15 @@ class PlannerPage:
                 button("+", lambda: self._magnify(1), "larger").props('aria-label="larger"')
             self._hint = ui.label("").classes("hint")
             self._crosshair_label = ui.label("").classes("num")
+            self._fusion_note = ui.label("").classes("note")
+
+    def _add_series_choice(self) -> None:
+        """Add the choice of what the pictures show, if another series is fused with the CT."""
+        if (fused := self._editor.fused) is None:
+            return
+        names = {"ct": "CT", "other": fused.name, "both": "chequerboard of both"}
+        series = self._choices("Show", names, self._page_view.series.value)
+        series.on_value_change(lambda event: self._show_series(ShownSeries(event.value)))
 
     def _choices(self, name: str, words: dict[str, str], chosen: str) -> ui.toggle:
         with group("choice", name):
@@ -251,6 +264,13 @@ class PlannerPage:
         self._page_view.window = name
         self._show_view()
 
+    def _show_series(self, series: ShownSeries) -> None:
+        page_view, name = self._page_view, self._editor.fused.name if self._editor.fused else ""
+        page_view.series = series
+        page_view.series_words = {ShownSeries.OTHER: name, ShownSeries.BOTH: f"CT and {name}"}.get(series, "")
+        self._window.set_enabled(series is not ShownSeries.OTHER)  # a window is in HU
+        self._show_view()
+
     def _magnify(self, steps: int) -> None:
         self._page_view.magnify(steps)
         self._show_view()
@@ -267,6 +287,7 @@ class PlannerPage:
         self._ac_pc.show()
         self._crosshair_label.set_text(self._describe_place())
         self._hint.set_text(self._describe_mode())
+        self._fusion_note.set_text(self._describe_fusion())
 
     def _describe_place(self) -> str:
         place_mm = self._page_view.place_mm
@@ -275,6 +296,19 @@ class PlannerPage:
         if frame is not None:
             words += f" · AC–PC {_numbers(frame.from_lps_mm(place_mm))} mm"
         return f"{words} · {self._editor.hu_at(place_mm)}"
+
+    def _describe_fusion(self) -> str:
+        """State the error of the fusion and, while its series is shown, that a target is marked by it."""
+        if (fused := self._editor.fused) is None:
+            return ""
+        here_mm = fused.fusion.expect_error_mm(self._page_view.place_mm)
+        words = (
+            f"{fused.name} fused: expected error {fused.fusion.expected_mm:.2f} mm rms in the head, "
+            f"{here_mm:.2f} mm at the crosshair."
+        )
+        if self._page_view.series is ShownSeries.CT or not self._may_edit:
+            return words
+        return f"{words} A target that you set now is marked as chosen in the {fused.name}."
 
     def _describe_mode(self) -> str:
         """Tell which click comes next, or what was measured."""

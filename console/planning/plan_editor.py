@@ -13,6 +13,7 @@ import numpy as np
 
 from console.changes import ChangeNotifier
 from console.planning.draft import Draft, DraftHistory, UnsavedFile
+from console.planning.fused_series import FusedSeries
 from console.planning.judging import Judgement, judge
 from console.planning.theatre_choice import TheatreChoice
 from console.scene.head_surface import encode_stl, head_surface
@@ -48,9 +49,11 @@ class PlanEditor(ChangeNotifier):
         plan: Path,
         choice: TheatreChoice | None = None,
         patient: PatientIdentity | None = None,
+        fused: FusedSeries | None = None,
     ) -> None:
         super().__init__()
         self.volume = volume
+        self.fused = fused
         self.patient = patient  # for the page's head alone
         self.choice = choice
         self.theatre: TheatreArm | None = None
@@ -144,6 +147,9 @@ class PlanEditor(ChangeNotifier):
                     expected=self.volume.series_instance_uid,
                     got=plan.series_instance_uid,
                 )
+            draft = Draft.of(plan)
+            if self.fused is not None:
+                self.fused.require_own_targets(draft)
         except (RonnaError, OSError) as problem:
             self.problem = problem if isinstance(problem, RonnaError) else PlanMistakes(str(problem.strerror))
             return None
@@ -151,13 +157,18 @@ class PlanEditor(ChangeNotifier):
             read_plan(self.file)
         except RonnaError as altered:
             self.notice = altered
-        return Draft.of(plan)
+        return draft
 
     def _restore_unsaved(self) -> None:
         try:
             drawn = self._unsaved.restore(self._on_disk, self.draft)
+            if drawn is not None and self.fused is not None:
+                self.fused.require_own_targets(drawn)
         except UnsavedChanges as aside:
             self.notice = self.notice or aside
+            return
+        except RonnaError as other_fusion:
+            self.problem = other_fusion
             return
         if drawn is not None and drawn != self.draft:
             self.history.change(drawn)

@@ -30,12 +30,15 @@ class PlannerRequest(BaseModel):
     strategy: str = DEFAULT_STRATEGY
     robot_from_ct: SixNumbers | None = None
     home_deg: SixNumbers | None = None
+    fusion: Path | None = None
+    other: Path | None = None
 
 
 @app.command()
 def open_planner(request: Annotated[str, typer.Argument(help="What to open, as JSON.")]) -> None:
     """Read the CT and serve the planner."""
     from console.app import serve_pages
+    from console.planning.fused_series import read_fused_series
     from console.planning.page import add_planner
     from console.planning.plan_editor import PlanEditor
     from console.planning.theatre_choice import TheatreChoice
@@ -48,8 +51,12 @@ def open_planner(request: Annotated[str, typer.Argument(help="What to open, as J
     )
     with terminal.progress_bar("reading the CT series") as advance:
         volume = read_series(asked.series, progress=advance)
+    fused = None
+    if asked.fusion is not None and asked.other is not None:
+        with terminal.progress_bar("reading the fused series") as advance:
+            fused = read_fused_series(asked.fusion, asked.other, volume.series_instance_uid, advance)
     loaded = choice.load_known(volume.series_instance_uid)
-    editor = PlanEditor(volume, asked.plan, choice, read_identity(asked.series))
+    editor = PlanEditor(volume, asked.plan, choice, read_identity(asked.series), fused)
     if loaded is not None:
         editor.adopt_theatre(*loaded)
     if editor.problem is not None:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from console.panels.elements import card, html
 from console.panels.html import tag, text
 from console.planning.draft import LANDMARKS, Draft, DraftTrajectory
+from console.planning.fused_series import ShownSeries
 from console.planning.slices import SIZE_PX, Cut, PageView, Plane
 from console.planning.views import PlanView
 from procedures.planning.line_of_sight import SPHERE_RADIUS_MM
@@ -108,7 +109,7 @@ class SlicePanel:
             self._where.set_text("set entry and target")
         else:
             shown = (
-                _image_address(cut, page_view.window),
+                _image_address(cut, page_view.window, page_view.series),
                 draw_overlay(cut, draft, page_view.way, page_view.place_mm, page_view.measured_mm),
             )
             self._where.set_text(self._words(cut))
@@ -123,10 +124,12 @@ class SlicePanel:
         return self._page_view.large == self._plane.value
 
     def _words(self, cut: Cut) -> str:
+        page_view = self._page_view
+        series = f"{page_view.series_words} · " if page_view.series_words else ""
         if self._plane is Plane.ALONG:
-            return f"turned {self._page_view.turn_deg:.0f}°"
+            return f"{series}turned {page_view.turn_deg:.0f}°"
         axis = int(abs(cut.normal).argmax())
-        return f"{'LPS'[axis]} {self._page_view.place_mm[axis]:.1f} mm"
+        return f"{series}{'LPS'[axis]} {page_view.place_mm[axis]:.1f} mm"
 
     def _on_wheel(self, event: Any) -> None:
         delta = event.args.get("deltaY") or 0.0
@@ -196,7 +199,7 @@ class SlicePanel:
         return a, b, c
 
 
-def _image_address(cut: Cut, window: str) -> str:
+def _image_address(cut: Cut, window: str, series: ShownSeries) -> str:
     def as_text(values: Any) -> str:
         return ",".join(f"{value:.5g}" for value in values)
 
@@ -206,6 +209,7 @@ def _image_address(cut: Cut, window: str) -> str:
         "d": as_text(cut.down),
         "s": f"{cut.step_mm:.5f}",
         "w": window,
+        "o": series.value,
     }
     return f"/cut.png?{urlencode(numbers)}"
 

@@ -1,41 +1,29 @@
-"""CT slices for a page: the view, the image of each plane, and the image routes."""
+"""Slices for a page: its view, and the plane of each image."""
 
 from __future__ import annotations
 
-import asyncio
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import cached_property
-from typing import Any
 
-import cv2
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
-from starlette.requests import Request
-from starlette.responses import PlainTextResponse, Response
+from numpy.typing import ArrayLike
 
 from console.planning.draft import DraftTrajectory
-from console.planning.plan_editor import PlanEditor
+from console.planning.fused_series import ShownSeries
 from console.planning.views import PlanView
-from procedures.imaging.volume import Volume, VoxelGeometry
+from procedures.imaging.volume import VoxelGeometry
 from procedures.strategies.trajectory import Point
 from ronna_hw.arrays import Array
 
 SIZE_PX = 512  # of an image, which is square; a scanner's usual matrix
-UNSCANNED_HU = -32768  # no CT has this value
-UNSCANNED_GREY = 40  # unlike the black of air
-ALIGNED = 1e-6  # of a voxel per pixel: below this an image stays in one slice
-PNG_LEVEL = 0  # the network is this computer, and compression takes longer than everything else
 # Lowest and highest HU shown. Brain and bone are the presets that radiology uses for the head: width 80 at
 # level 40, width 1800 at level 400. Spheres are plastic: below bone, set off against air at -1000.
 WINDOWS_HU = {"brain": (0.0, 80.0), "bone": (-500.0, 1300.0), "spheres": (-1000.0, 600.0)}
 ZOOMS = (1.0, 1.5, 2.0, 3.0, 4.5, 7.0)
 TURN_DEG = 5.0  # of the image along a trajectory, per step of the wheel
-FARTHEST_MM = 10_000.0
-LEAST_STEP_MM, MOST_STEP_MM = 0.001, 100.0
-UNIT = 1e-3  # tolerance on the length of a direction, and on the right angle between two
 
 
 class Plane(StrEnum):
@@ -91,64 +79,6 @@ def as_point(place: ArrayLike) -> Point:
     return x, y, z
 
 
-def render_png(volume: Volume, cut: Cut, window_hu: tuple[float, float]) -> bytes:
-    """Render a PNG image, with the window mapped from black to white."""
-    low, high = window_hu
-    hu = sample_cut_hu(volume, cut)
-    grey = cv2.convertScaleAbs(np.clip(hu, low, high) - np.float32(low), alpha=255.0 / (high - low))
-    grey[hu == UNSCANNED_HU] = UNSCANNED_GREY
-    _, encoded = cv2.imencode(".png", grey, [cv2.IMWRITE_PNG_COMPRESSION, PNG_LEVEL])
-    return bytes(encoded)
-
-
-def sample_cut_hu(volume: Volume, cut: Cut) -> NDArray[np.int16]:
-    """Return the HU of every pixel (rows, columns), interpolated between slices only along a trajectory."""
-    geometry = volume.geometry
-    first = geometry.to_index(np.array(cut.to_patient_mm(0.5, 0.5)))
-    per_px = (
-        cut.step_mm * np.stack([cut.right @ geometry.axes, cut.down @ geometry.axes]) / geometry.spacing_mm
-    )
-    across = np.flatnonzero(np.abs(per_px).max(axis=0) * SIZE_PX < ALIGNED)
-    if len(across) != 1:
-        return _interpolate_between_slices(volume, first, per_px)
-    (axis,) = across
-    number = round(float(first[axis]))
-    if not 0 <= number < volume.voxels.shape[axis]:
-        return np.full((SIZE_PX, SIZE_PX), UNSCANNED_HU, np.int16)
-    row, column = (item for item in range(3) if item != axis)
-    mapping = np.array(
-        [[per_px[0, column], per_px[1, column], first[column]], [per_px[0, row], per_px[1, row], first[row]]]
-    )
-    return np.asarray(
-        cv2.warpAffine(
-            np.ascontiguousarray(np.take(volume.voxels, number, axis=axis)),
-            mapping,
-            (SIZE_PX, SIZE_PX),
-            flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
-            borderMode=cv2.BORDER_CONSTANT,
-            borderValue=UNSCANNED_HU,
-        ),
-        dtype=np.int16,
-    )
-
-
-def _interpolate_between_slices(volume: Volume, first: Array, per_px: Array) -> NDArray[np.int16]:
-    from scipy import ndimage
-
-    matrix = np.stack([per_px[1], per_px[0], np.zeros(3)], axis=1)
-    hu = ndimage.affine_transform(
-        volume.voxels,
-        matrix,
-        offset=first,
-        output_shape=(SIZE_PX, SIZE_PX, 1),
-        order=1,
-        mode="constant",
-        cval=UNSCANNED_HU,
-        prefilter=False,
-    )
-    return np.asarray(hu[..., 0])
-
-
 @dataclass
 class PageView:
     """View of one page. All images pass through the crosshair, except the image along a trajectory."""
@@ -159,6 +89,8 @@ class PageView:
     focus_mm: Point = (0.0, 0.0, 0.0)  # centre of a magnified image
     window: str = "spheres"  # to be judged first, as long as there is no target
     turn_deg: float = 0.0
+    series: ShownSeries = ShownSeries.CT
+    series_words: str = ""  # beside each picture, unless it is of the CT
     way: str = "T1"  # the one being edited
     large: PlanView = PlanView.AXIAL
     measured_mm: tuple[Point, ...] = ()  # ends of the measured distance, as far as they are clicked
@@ -236,42 +168,3 @@ class PageView:
         self.zoom = min(max(self.zoom + steps, 0), len(ZOOMS) - 1)
         low, high = self._bounds
         self.focus_mm = self.place_mm if self.zoom else as_point((low + high) / 2.0)
-
-
-def add_pictures(app: Any, editor: PlanEditor) -> None:
-    """Serve the images of a plan's CT at URLs that do not reveal the patient."""
-
-    async def cut(request: Request) -> Response:
-        try:
-            wanted, window = _parse_request(dict(request.query_params))
-        except (KeyError, ValueError):
-            return PlainTextResponse("No such picture.", 404)
-        picture = await asyncio.to_thread(render_png, editor.volume, wanted, window)
-        return Response(picture, media_type="image/png")
-
-    async def head(_request: Request) -> Response:
-        return Response(editor.head, media_type="model/stl") if editor.head else PlainTextResponse("", 404)
-
-    app.add_route("/cut.png", cut, methods=["GET"])
-    app.add_route("/picture/head.stl", head, methods=["GET"])
-
-
-def _parse_request(given: dict[str, str]) -> tuple[Cut, tuple[float, float]]:
-    """Parse an image request. Raises KeyError or ValueError if it is invalid."""
-    middle, right, down = (_parse_vector(given[name]) for name in "mrd")
-    step_mm = float(given["s"])
-    is_orthonormal = abs(right @ down) < UNIT and all(
-        abs(np.linalg.norm(item) - 1.0) < UNIT for item in (right, down)
-    )
-    if not (
-        is_orthonormal and LEAST_STEP_MM <= step_mm <= MOST_STEP_MM and np.abs(middle).max() <= FARTHEST_MM
-    ):
-        raise ValueError("no picture")
-    return Cut(middle, right, down, step_mm), WINDOWS_HU[given["w"]]
-
-
-def _parse_vector(words: str) -> Any:
-    values = [float(item) for item in words.split(",")]
-    if len(values) != 3 or not all(map(math.isfinite, values)):
-        raise ValueError("expected three numbers")
-    return np.array(values)

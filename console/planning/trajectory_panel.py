@@ -12,6 +12,7 @@ from nicegui import ui
 from console.panels.elements import card, group, small_button
 from console.planning.draft import Axis, DraftTrajectory
 from console.planning.fields import NumberField
+from console.planning.fused_series import ShownSeries, name_series
 from console.planning.plan_editor import PlanEditor
 from console.planning.slices import PageView
 from procedures.strategies.trajectory import Point
@@ -42,6 +43,14 @@ class TrajectoryPanel:
                             f"{title} here", partial(self._set_at_crosshair, end), f"{end} at the crosshair"
                         )
                     self._add_button("show", partial(self._go, end), f"crosshair to the {end}")
+            with ui.element("div").classes("under") as self._origin:
+                self._origin_words = ui.label("").classes("warn")
+                if self._may_edit:
+                    self._add_button(
+                        "Chosen in the CT",
+                        lambda: self._set(fusion_error_mm=None),
+                        "the target counts as chosen in the CT, without an error of the fusion",
+                    )
             with group("numbers", "Axis"):
                 ui.label("Axis").classes("rowname")
                 self._add_field("azimuth", "az. °", lambda value: self._set_axis(azimuth_deg=value))
@@ -61,6 +70,7 @@ class TrajectoryPanel:
             self._names = names, self._page_view.way
             self._build_tabs(names)
         way = self._way
+        self._show_origin(way)
         for end, place in (("entry", way.entry_mm), ("target", way.target_mm)):
             for axis, letter in enumerate("LPS"):
                 self.fields[f"{end} {letter}"].show(None if place is None else place[axis])
@@ -71,18 +81,37 @@ class TrajectoryPanel:
         self.fields["free angle"].show(way.free_angle_deg)
         self.fields["margin"].show(way.margin_mm)
 
+    def _show_origin(self, way: DraftTrajectory) -> None:
+        """Tell if the target was chosen in a fused series, and with which error."""
+        self._origin.set_visibility(way.fusion_error_mm is not None)
+        if way.fusion_error_mm is not None:
+            name = name_series(self._editor.draft.fusion)
+            self._origin_words.set_text(
+                f"Target chosen in the {name}: fusion error {way.fusion_error_mm:.2f} mm"
+            )
+
     def place(self, end: str, place_mm: Point, *, continues: bool = False) -> None:
-        way = self._way
-        way = replace(way, entry_mm=place_mm) if end == "entry" else replace(way, target_mm=place_mm)
-        self._change(way, continues=continues)
+        if not self._may_edit:
+            return
+        draft, way, fused = self._editor.draft, self._way, self._editor.fused
+        is_other_shown = self._page_view.series is not ShownSeries.CT
+        if end == "entry":
+            draft = draft.with_way(way.identifier, replace(way, entry_mm=place_mm))
+        # Moved in the CT, a target that was chosen in the other series stays marked, with the larger error,
+        # until a person says that it was chosen in the CT.
+        elif fused is not None and (is_other_shown or way.fusion_error_mm is not None):
+            draft = fused.with_target(draft, way, place_mm)
+        else:
+            draft = draft.with_way(way.identifier, replace(way, target_mm=place_mm))
+        self._editor.change(draft, continues=continues)
 
     @property
     def _way(self) -> DraftTrajectory:
         return self._editor.draft.way(self._page_view.way)
 
-    def _change(self, way: DraftTrajectory, *, continues: bool = False) -> None:
+    def _change(self, way: DraftTrajectory) -> None:
         if self._may_edit:
-            self._editor.change(self._editor.draft.with_way(way.identifier, way), continues=continues)
+            self._editor.change(self._editor.draft.with_way(way.identifier, way))
 
     def _build_tabs(self, names: tuple[str, ...]) -> None:
         self._tabs.clear()

@@ -96,6 +96,7 @@ def fuse(
             f"{fusion.landmarks.largest_mm:.2f} mm at most"
         )
     terminal.say(f"now look at {picture}: edges must run on from square to square")
+    terminal.say(f"then: ronna-plan open {ct_dir} --fusion {out} --other {other_dir}")
 
 
 def _read_landmarks(ct_points: Path, other_points: Path) -> tuple[Array, Array]:

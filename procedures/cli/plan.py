@@ -20,7 +20,7 @@ from procedures.cli.plan_markups import from_markups, to_markups
 from procedures.cli.plan_sheet import sheet
 from procedures.strategies.names import DEFAULT_STRATEGY
 from ronna_hw.command_line import terminal
-from ronna_hw.command_line.errors import PATH_PROBLEM
+from ronna_hw.command_line.errors import PATH_PROBLEM, UsageMistake
 from ronna_hw.command_line.options import VERBOSE_FLAG, require_new
 
 if TYPE_CHECKING:
@@ -208,6 +208,17 @@ def open_plan(
     strategy: planning_inputs.StrategyOption = DEFAULT_STRATEGY,
     robot_from_ct: planning_inputs.HeadOption = None,
     home: planning_inputs.HomeOption = None,
+    fusion: Annotated[
+        Path | None,
+        Option(
+            "--fusion",
+            metavar="FILE",
+            help="Fusion by ronna-ct fuse: its other series can be shown, and targets be chosen in it.",
+        ),
+    ] = None,
+    other: Annotated[
+        Path | None, Option("--other", metavar="OTHER_DIR", help="Folder of the series fused by --fusion.")
+    ] = None,
     port: Annotated[int, Option(min=0, max=65535, help="Port of the page; 0: any free one.")] = 0,
 ) -> None:
     """Plan in the browser: slices, markers, trajectories, checked while they are drawn. Runs until Ctrl-C.
@@ -222,6 +233,11 @@ def open_plan(
     check_console()
     if not series_dir.is_dir():
         raise PATH_PROBLEM(f"{series_dir} does not exist", expected="the folder of a CT series")
+    if (fusion is None) != (other is None):
+        raise UsageMistake(
+            "--fusion and --other belong together",
+            action="Give both, or neither: then the planner shows the CT alone.",
+        )
     plan = (plan_file or series_dir.resolve().parent / "plan.toml").resolve()
     if (planner := find_planner(plan)) is not None:
         terminal.tell(f"{plan} is open in another planner, {planner}: read-only here until that one ends")
@@ -234,6 +250,8 @@ def open_plan(
         "strategy": strategy,
         "robot_from_ct": robot_from_ct,
         "home_deg": home,
+        "fusion": fusion and str(fusion.resolve()),
+        "other": other and str(other.resolve()),
     }
     more = [VERBOSE_FLAG] if VERBOSE_FLAG in sys.argv else []
     os.execv(sys.executable, [sys.executable, "-P", "-m", PLANNER, json.dumps(request), *more])

@@ -42,8 +42,7 @@ def draw_chequerboard(ct: Volume, other: Volume, fusion: Fusion, centre_mm: Sequ
         places_mm = _grid_mm(centre_mm, across, down)
         of_ct = _to_grey(ct.sample(places_mm, AIR_HU), *WINDOW_HU)
         there_mm = fusion.ct_from_other.rigid.inv().apply(places_mm.reshape(-1, 3)).reshape(places_mm.shape)
-        brightest = float(np.percentile(other.voxels[::2, ::4, ::4], BRIGHT_SHARE))
-        of_other = _to_grey(other.sample(there_mm, 0.0), float(min(0, other.voxels.min())), brightest)
+        of_other = _to_grey(other.sample(there_mm, 0.0), *find_grey_limits(other))
         square = np.arange(len(of_ct)) * STEP_MM // SQUARE_MM
         is_other = (square[:, None] + square) % 2 == 1
         planes.append(np.where(is_other, of_other, of_ct))
@@ -59,6 +58,12 @@ def draw_chequerboard(ct: Volume, other: Volume, fusion: Fusion, centre_mm: Sequ
     return stream.getvalue()
 
 
+def find_grey_limits(other: Volume) -> tuple[float, float]:
+    """Return the values of another series than the CT that are shown black and white."""
+    darkest = float(min(0, other.voxels.min()))
+    return darkest, max(darkest + 1.0, float(np.percentile(other.voxels[::2, ::4, ::4], BRIGHT_SHARE)))
+
+
 def _grid_mm(centre_mm: Sequence[float], across: Sequence[float], down: Sequence[float]) -> Array:
     """Return the places (n, n, 3) mm of a plane's pixels."""
     steps = np.arange(-HALF_WIDTH_MM, HALF_WIDTH_MM, STEP_MM)
@@ -68,5 +73,5 @@ def _grid_mm(centre_mm: Sequence[float], across: Sequence[float], down: Sequence
 
 
 def _to_grey(values: NDArray[np.float32], darkest: float, brightest: float) -> NDArray[np.uint8]:
-    share = np.clip((values - darkest) / max(brightest - darkest, 1.0), 0.0, 1.0)
+    share = np.clip((values - darkest) / (brightest - darkest), 0.0, 1.0)
     return np.asarray(np.rint(255.0 * share), dtype=np.uint8)

@@ -1,4 +1,4 @@
-"""Errors of fusing another series with a CT, FUS-001 to FUS-008."""
+"""Errors of fusing another series with a CT, FUS-001 to FUS-009."""
 
 from __future__ import annotations
 
@@ -72,4 +72,13 @@ SAME_SERIES = ErrorCode(
     DataError,
     "Both folders contain the same series.",
     "Give the CT first, then the series to fuse with it.",
+)
+
+
+OTHER_FUSION = ErrorCode(
+    "FUS-009",
+    DataError,
+    "The fusion is of another series, or not that by which targets of the plan were chosen.",
+    "Give the folder that was fused, and the fusion that the plan names; to use another fusion, first mark "
+    "its targets as chosen in the CT.",
 )

@@ -16,6 +16,7 @@ from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
+from fusion_records import MR_UID, write_fused_mr
 from open_planner import (
     await_judged,
     click_picture,
@@ -50,6 +51,12 @@ FIRST_PICTURE_LIMIT_S = 1.5
 FIRST_PICTURE_OWN_S = 0.75  # of processor in the page: a computer with nothing else to do shows it in time
 DRAWN_S = """
 () => document.querySelector("[data-plane=axial] img")?.naturalWidth > 1 && performance.now() / 1000
+"""
+DRAWN_WITH = """
+series => {
+  const picture = document.querySelector("[data-plane=axial] img");
+  return picture?.complete && picture.naturalWidth > 1 && picture.src.includes(`o=${series}`);
+}
 """
 CENTRE_OF = """
 which => {
@@ -212,6 +219,35 @@ def test_the_head_of_the_page_names_the_patient_and_no_address_title_or_message_
         said_by_page = (page.title(), page.url, *page.requested, body)
     for shown in (*said_by_page, (tmp_path / "planner-errors").read_text()):
         assert "secret" not in shown.lower()
+
+
+def test_a_target_chosen_in_a_fused_mr_is_marked_and_saved_with_the_error_of_the_fusion(
+    page: Any, tmp_path: Path
+) -> None:
+    voxels = np.full((30, 40, 40), -1000, dtype=np.int16)
+    voxels[5:25, 10:30, 10:30] = 40
+    series = write_series(tmp_path / "ct", voxels, (3.0, 3.0, 3.0))
+    with open_planner(tmp_path, series, *write_fused_mr(tmp_path)) as addresses:
+        enter_planner(page, addresses["url"])
+        pictures = []
+        for shown in ("CT", "MR", "chequerboard of both"):
+            page.get_by_role("button", name=shown, exact=True).click()
+            page.wait_for_function(DRAWN_WITH, arg=["ct", "other", "both"][len(pictures)])
+            pictures.append(page.locator("[data-plane=axial]").screenshot())
+        assert len(set(pictures)) == len(pictures)
+        assert "0.37 mm rms in the head" in page.locator(".bar").inner_text()
+        page.get_by_role("button", name="target at the crosshair").click()
+        page.wait_for_selector("text=Target chosen in the MR: fusion error 0.36 mm")
+        type_place(page, "entry", ("10", "0", "130"))
+        type_number(page, "instrument length", "250")
+        save(page)
+        page.wait_for_selector("[data-saved=saved]")
+        kept = tomllib.loads((tmp_path / "plan.toml").read_text())
+        assert kept["trajectories"][0]["fusion_error_mm"] == 0.361
+        assert kept["fusion"]["series_instance_uid"] == MR_UID
+        page.get_by_role("button", name="the target counts as chosen in the CT").click()
+        page.wait_for_selector("[data-saved='not saved']")
+        page.wait_for_selector("text=Target chosen in the MR", state="hidden")
 
 
 def test_a_viewer_sees_the_draft_and_cannot_change_it(opened: Open, page: Any, plan: Path) -> None:

@@ -14,13 +14,17 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import tomli_w
+from fusion_records import fusion, write_fused_mr
 from painted_ct import SERIES_UID as SERIES
 from painted_ct import write_series
 from plan_toml import PLAN, VESSEL
 from user_commands import in_this_process
 
+from console.planning.serving import PlannerRequest
+from console.planning.serving import app as planner
 from procedures.cli import planning_inputs
 from procedures.cli.plan import app
+from procedures.fusion.record import Fusion
 from procedures.imaging import read_series
 from procedures.planning.plan_file import read_plan
 from ronna_hw.arm.pose import radians6
@@ -396,6 +400,27 @@ def test_a_planner_whose_port_is_in_use_reports_it_and_leaves_the_plan_unchanged
     assert done.returncode == EXIT_USAGE
     assert one_line(done).startswith("CON-001: port")
     assert case[0].read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    ("record", "code"),
+    [(fusion(ct_uid="1.2.3.4"), "FUS-007"), (fusion(other_uid="1.2.840.6"), "FUS-009")],
+)
+def test_the_planner_refuses_a_fusion_of_another_ct_or_series(
+    case: tuple[Path, Path], tmp_path: Path, record: Fusion, code: str
+) -> None:
+    _, file, _, other = write_fused_mr(tmp_path, record)
+    asked = PlannerRequest(series=case[1], plan=case[0], folder=tmp_path, fusion=file, other=other)
+    done = in_this_process(planner, asked.model_dump_json())
+    assert (done.returncode, one_line(done)[:7]) == (1, code)
+
+
+def test_the_planner_needs_a_fusion_together_with_the_series_that_it_fuses(
+    case: tuple[Path, Path], tmp_path: Path
+) -> None:
+    done = in_this_process(app, "open", case[1], *write_fused_mr(tmp_path)[:2])
+    assert done.returncode == EXIT_USAGE
+    assert "--fusion and --other belong together" in done.stderr
 
 
 def test_a_plan_goes_to_slicer_and_back_and_one_outside_the_ct_is_refused(

@@ -7,17 +7,9 @@ import numpy as np
 import pytest
 from scipy.ndimage import map_coordinates
 
+from console.planning.pictures import UNSCANNED_GREY, UNSCANNED_HU, render_png, sample_cut_hu
 from console.planning.slice_panel import side_letters
-from console.planning.slices import (
-    DIRECTIONS,
-    SIZE_PX,
-    UNSCANNED_GREY,
-    UNSCANNED_HU,
-    Cut,
-    Plane,
-    render_png,
-    sample_cut_hu,
-)
+from console.planning.slices import DIRECTIONS, SIZE_PX, Cut, Plane
 from procedures.imaging.volume import Volume, VoxelGeometry
 
 SHAPE = (30, 60, 50)  # slices, rows, columns
