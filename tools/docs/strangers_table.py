@@ -57,7 +57,7 @@ def _describe(protocol: Protocol, results: dict[str, Result]) -> Iterator[str]:
     clients = [one for one in CLIENTS if one.protocol is protocol and one.name in results]
     if clients:
         yield table(
-            ("a client ...", *(f"{one.name} {results[one.name].version}" for one in clients)),
+            (protocol.heading, *(f"{one.name} {results[one.name].version}" for one in clients)),
             [
                 (case.words, *(_outcome(one, results[one.name], case) for one in clients))
                 for case in protocol.cases

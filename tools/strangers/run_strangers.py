@@ -91,7 +91,7 @@ def _run_case(client: Client, case: Case, folder: Path) -> str:
 @contextmanager
 def _simulated(client: Client, case: Case, folder: Path) -> Iterator[dict[str, str]]:
     """Yield the environment of a case while its simulator runs."""
-    paths = (ROOT, ROOT / "tests" / "support" / "command")
+    paths = (ROOT, *sorted((ROOT / "tests" / "support").iterdir()))
     variables = {"PYTHONPATH": os.pathsep.join(map(str, paths))}
     if client.protocol is POLARIS:
         variables["ROMS"] = os.pathsep.join(map(str, _definitions(folder)))

@@ -1,4 +1,4 @@
-"""Protocols and their cases: behaviour that a client needs, whoever has written it.
+"""Protocols and their cases: behaviour that both sides need, whoever has written it.
 
 The name of a case is that of a function in the program of a stranger. A program without it is not asked.
 """
@@ -23,11 +23,15 @@ class Case:
 
 @dataclass(frozen=True)
 class Protocol:
-    """Protocol with its cases, and the command of `ronna-sim` for it; empty if a program needs none."""
+    """Protocol with its cases, and the command of `ronna-sim` for it; empty if a program needs none.
+
+    `heading` heads the column of cases.
+    """
 
     title: str
     simulator: tuple[str, ...]
     cases: tuple[Case, ...] = field(repr=False)
+    heading: str = "a client ..."
 
 
 POLARIS = Protocol(
@@ -133,7 +137,7 @@ GIGE_VISION = Protocol(
 )
 
 OPENIGTLINK = Protocol(
-    "OpenIGTLink",
+    "OpenIGTLink: our server",
     (),
     (
         Case("reads_a_transform"),
@@ -142,9 +146,57 @@ OPENIGTLINK = Protocol(
         Case("reads_a_status"),
         Case("reads_a_trajectory"),
         Case("reads_tracking_data"),
+        Case("reads_an_image"),
+        Case("reads_metadata"),
         Case("skips_a_message_that_it_does_not_know"),
         Case("refuses_a_wrong_check_sum"),
         Case("reads_a_message_that_comes_in_two_packets"),
         Case("notices_that_the_server_has_gone"),
     ),
+)
+
+DICOM_NETWORK = Protocol(
+    "DICOM network: our receiver and requests",
+    (),
+    (
+        Case("answers_our_echo"),
+        Case("is_answered_by_our_receiver"),
+        Case("sends_a_series_to_our_receiver"),
+        Case("sends_a_series_to_our_receiver_by_tls"),
+        Case("lists_the_series_of_a_patient"),
+        Case("sends_a_series_that_we_fetch"),
+        Case("stores_a_series_that_we_send"),
+        Case("files_the_results_of_a_run_in_the_study_of_its_ct"),
+    ),
+    "a peer ...",
+)
+
+DICOM_OBJECTS = Protocol(
+    "DICOM objects of a run",
+    (),
+    (
+        Case("finds_no_error_in_the_spheres"),
+        Case("finds_no_error_in_the_registration"),
+        Case("finds_no_error_in_the_structure_set"),
+        Case("finds_no_error_in_the_report_page"),
+        Case("finds_no_error_in_the_postoperative_report"),
+    ),
+    "a validator ...",
+)
+
+ITK_TRANSFORM = Protocol(
+    "ITK transform of a fusion", (), (Case("maps_points_of_the_ct_to_the_other_series"),), "a reader ..."
+)
+
+FLIGHT_LOG = Protocol(
+    "MCAP: log of a run",
+    (),
+    (
+        Case("reads_every_message"),
+        Case("reads_joints_with_their_times"),
+        Case("reads_poses_in_metres"),
+        Case("finds_index_and_check_sums_right"),
+        Case("reads_a_log_whose_program_was_killed"),
+    ),
+    "a reader ...",
 )

@@ -16,7 +16,18 @@ from importlib import metadata
 from importlib.util import find_spec
 from pathlib import Path
 
-from stranger_cases import GIGE_VISION, KUKA_RSI, OPENIGTLINK, POLARIS, UR, Protocol
+from stranger_cases import (
+    DICOM_NETWORK,
+    DICOM_OBJECTS,
+    FLIGHT_LOG,
+    GIGE_VISION,
+    ITK_TRANSFORM,
+    KUKA_RSI,
+    OPENIGTLINK,
+    POLARIS,
+    UR,
+    Protocol,
+)
 
 from conformance.case import Suite
 from conformance.stereo import SUITE
@@ -45,7 +56,7 @@ def printed(*command: str) -> Callable[[], str | None]:
         if shutil.which(command[0]) is None:
             return None
         said = subprocess.run(command, capture_output=True, text=True, timeout=VERSION_LIMIT_S, check=False)
-        words = f"{said.stdout} {said.stderr}".replace("(", " ").split()
+        words = [word.removeprefix("v") for word in f"{said.stdout} {said.stderr}".replace("(", " ").split()]
         return next((word.strip(".,)") for word in words if word[:1].isdigit() and "." in word), None)
 
     return version
@@ -93,6 +104,11 @@ def _rsipi_context() -> Sequence[str]:
     return ("--rsi-config", os.fspath(Path(found.origin).parent / "contexts/RSI_EthernetConfig_Joints.xml"))
 
 
+def _library_to_compile() -> str | None:
+    """Return the version of Debian's libopenigtlink-dev, None without it or a compiler."""
+    return printed("dpkg-query", "-W", "libopenigtlink-dev")() if shutil.which("g++") else None
+
+
 HIDDEN, BINARY = "says_that_a_tool_is_hidden", "reads_three_tools_as_binary"
 CLIENTS = (
     Client(
@@ -136,6 +152,13 @@ CLIENTS = (
         installed("pyigtl"),
         reports=dict.fromkeys(("reads_a_status", "reads_a_trajectory"), "lassoan/pyigtl#13"),
     ),
+    Client("libOpenIGTLink", OPENIGTLINK, "igtl_library_client.py", _library_to_compile),
+    Client("DCMTK", DICOM_NETWORK, "dcmtk_peer.py", printed("dcmdump", "--version")),
+    Client("Orthanc", DICOM_NETWORK, "orthanc_peer.py", printed("Orthanc", "--version")),
+    Client("dciodvfy", DICOM_OBJECTS, "dciodvfy_validator.py", printed("dciodvfy", "-version")),
+    Client("SimpleITK", ITK_TRANSFORM, "itk_reader.py", installed("simpleitk")),
+    Client("rosbags", FLIGHT_LOG, "rosbags_reader.py", installed("rosbags")),
+    Client("mcap", FLIGHT_LOG, "mcap_reader.py", installed("mcap")),
 )
 
 

@@ -109,5 +109,6 @@ NOT_SENDABLE = ErrorCode(
     "DCM-014",
     RefusedError,
     "Objects without a patient or a study, or of several patients, are not sent.",
-    "Export the run anew into the study of its CT, and send one patient's objects at a time.",
+    "Export the run into the study of its CT: ronna-procedure export RUN --identity-from CT --out DIR. "
+    "Send one patient's objects at a time.",
 )

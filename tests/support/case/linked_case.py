@@ -10,7 +10,17 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 
 from procedures.live.openigtlink.server import LinkServer, ServerOptions
-from procedures.live.records import Began, FramePose, LiveRecord
+from procedures.live.records import (
+    Began,
+    DeviceStatus,
+    Fiducial,
+    Fiducials,
+    FramePose,
+    LiveRecord,
+    PlannedLine,
+    PlannedLines,
+    RunState,
+)
 from ronna_hw.wire.openigtlink import Message, MessageReader, encode_message
 
 EPOCH_NS = 1_700_000_000_000_000_000
@@ -29,6 +39,20 @@ def pose(child: str, parent: str, time_s: float = 1.0, x_mm: float = 10.0) -> Fr
         rotation=QUARTER_TURN,
         translation_mm=(x_mm, 20.0, 30.0),
     )
+
+
+SPHERE = Fiducial(name="M1", position_mm=(1.0, 2.0, 3.0), diameter_mm=10.0, residual_mm=0.25, is_used=True)
+LINE = PlannedLine(name="T1", entry_mm=(1.0, 2.0, 3.0), target_mm=(4.0, 5.0, 6.0))
+STANDING = (  # a case as it stands when a client comes
+    pose("robot", "ct").model_copy(update={"is_fixed": True}),
+    DeviceStatus(
+        theatre_time_s=1.0, device="tracker", state="fault", code="NDI-004", text="away", advice="Look."
+    ),
+    RunState(theatre_time_s=1.0, run="R1", state="idle"),
+    Fiducials(theatre_time_s=1.0, spheres=(SPHERE,)),
+    PlannedLines(theatre_time_s=1.0, lines=(LINE,)),
+)
+TOOL_IN_RAS = [[1, 0, 0, 10], [0, 1, 0, -30], [0, 0, 1, 60]]  # see test_openigtlink_server
 
 
 @dataclass
@@ -97,6 +121,24 @@ def linked_case(options: ServerOptions | None = None) -> Iterator[LinkedCase]:
         thread.join(AWAITED_S)
     assert not thread.is_alive()
     assert failed == []
+
+
+@contextmanager
+def moving(case: LinkedCase) -> Iterator[None]:
+    """The tool moves during the block: strangers connect when they like, and get what comes from then on."""
+    ended = threading.Event()
+
+    def move() -> None:
+        while not ended.wait(0.01):
+            case.tell(pose("tool", "robot", 2.5))
+
+    thread = threading.Thread(target=move)
+    thread.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        thread.join()
 
 
 class PlainClient:

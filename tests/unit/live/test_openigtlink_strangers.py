@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import base64
 import shutil
-import subprocess
-import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -16,40 +14,17 @@ import cv2
 import numpy as np
 import pytest
 from documented import python_of
-from linked_case import AWAITED_S, EPOCH_NS, LinkedCase, linked_case, pose
+from igtl_reference import HEADERS, compile_reference_client, read_by_reference_client
+from linked_case import AWAITED_S, EPOCH_NS, STANDING, TOOL_IN_RAS, LinkedCase, linked_case, moving
 from painted_ct import write_series
 
 from procedures.live.openigtlink.names import POSES, transform_name
 from procedures.live.openigtlink.server import ServerOptions
-from procedures.live.records import (
-    CameraPicture,
-    DeviceStatus,
-    Fiducial,
-    Fiducials,
-    PlannedLine,
-    PlannedLines,
-    RunState,
-)
+from procedures.live.records import CameraPicture
 from ronna_hw.wire.openigtlink import PORT
 
-CLIENT_SOURCE = Path(__file__).parents[2] / "support" / "devices" / "igtl_reference_client.cxx"
 PAGE = "docs/how-to/records/live-poses-in-slicer.md"
 EXAMPLES = Path(__file__).parents[3] / "examples" / "openigtlink"
-HEADERS = Path("/usr/include/openigtlink")
-COMPILE_LIMIT_S = 120.0
-REGISTRATION = pose("robot", "ct").model_copy(update={"is_fixed": True})
-TOOL_IN_RAS = [[1, 0, 0, 10], [0, 1, 0, -30], [0, 0, 1, 60]]  # see test_openigtlink_server
-SPHERE = Fiducial(name="M1", position_mm=(1.0, 2.0, 3.0), diameter_mm=10.0, residual_mm=0.25, is_used=True)
-LINE = PlannedLine(name="T1", entry_mm=(1.0, 2.0, 3.0), target_mm=(4.0, 5.0, 6.0))
-STANDING = (
-    REGISTRATION,
-    DeviceStatus(
-        theatre_time_s=1.0, device="tracker", state="fault", code="NDI-004", text="away", advice="Look."
-    ),
-    RunState(theatre_time_s=1.0, run="R1", state="idle"),
-    Fiducials(theatre_time_s=1.0, spheres=(SPHERE,)),
-    PlannedLines(theatre_time_s=1.0, lines=(LINE,)),
-)
 VOXELS = np.full((3, 6, 4), -900, dtype=np.int16)
 VOXELS[1, 2, 3] = 700
 SPACING_MM = (2.0, 0.5, 0.25)  # of slices, rows, columns
@@ -63,24 +38,6 @@ def case(tmp_path: Path) -> Iterator[LinkedCase]:
     with linked_case(ServerOptions(rate_hz=1000.0, ct=series)) as linked:
         linked.tell(*STANDING)
         yield linked
-
-
-@contextmanager
-def moving(case: LinkedCase) -> Iterator[None]:
-    """The tool moves during the block: strangers connect when they like, and get what comes from then on."""
-    ended = threading.Event()
-
-    def move() -> None:
-        while not ended.wait(0.01):
-            case.tell(pose("tool", "robot", 2.5))
-
-    thread = threading.Thread(target=move)
-    thread.start()
-    try:
-        yield
-    finally:
-        ended.set()
-        thread.join()
 
 
 def import_pyigtl() -> Any:
@@ -175,15 +132,7 @@ needs_library = pytest.mark.skipif(
 @needs_library
 @pytest.mark.slow
 def test_the_reference_library_reads_every_type(case: LinkedCase, tmp_path: Path) -> None:
-    program = tmp_path / "client"
-    link = ["-lOpenIGTLink", "-lpthread"]
-    compiled = subprocess.run(
-        ["g++", f"-I{HEADERS}", str(CLIENT_SOURCE), "-o", str(program), *link],
-        timeout=COMPILE_LIMIT_S,
-        capture_output=True,
-        text=True,
-    )
-    assert compiled.returncode == 0, compiled.stderr
+    program = compile_reference_client(tmp_path)
     kinds = (
         "TRANSFORM",
         "TDATA",
@@ -197,13 +146,9 @@ def test_the_reference_library_reads_every_type(case: LinkedCase, tmp_path: Path
         "RTS_TDATA",
     )
     with moving(case):
-        run = subprocess.run(
-            [str(program), str(case.port), *kinds], timeout=AWAITED_S, capture_output=True, text=True
-        )
-    assert run.returncode == 0, run.stdout
-    assert "NOT READ" not in run.stdout
-    rows = [line.split("|") for line in run.stdout.splitlines()]
-    said = {(kind, name): text.split() for kind, name, _, text in rows}
+        code, rows = read_by_reference_client(program, case.port, *kinds)
+    assert (code, [row for row in rows if not row.is_read]) == (0, [])
+    said = {(row.kind, row.name): row.words for row in rows}
     assert numbers(said["TRANSFORM", "ToolToRas"]) == pytest.approx(np.ravel(TOOL_IN_RAS), abs=1e-5)
     tools = said["TDATA", "ronna-hw"]
     assert numbers(tools[tools.index("Tool") + 1 :][:12]) == pytest.approx(np.ravel(TOOL_IN_RAS), abs=1e-5)
