@@ -82,6 +82,7 @@ async def _run(line: list[str]) -> bytes:
     finally:
         if process.returncode is None:
             process.kill()
+            await process.wait()
     if process.returncode:
         raise ValueError(" ".join(words.decode(errors="replace").split()))
     return output
