@@ -17,7 +17,13 @@ from procedures.imaging.dicom.attributes import read_attribute_text
 from procedures.imaging.dicom.slice_headers import PatientIdentity, read_images
 
 PATIENT, STUDY = "PatientID", "StudyInstanceUID"
-NAMES = {PATIENT: ("patient identifier", "patient identifiers"), STUDY: ("study", "studies")}
+NAMES = {
+    PATIENT: ("patient identifier", "patient identifiers"),
+    "PatientName": ("patient name", "patient names"),
+    "PatientBirthDate": ("birth date", "birth dates"),
+    STUDY: ("study", "studies"),
+}
+NEEDED = (PATIENT, STUDY)  # the others may be empty
 COPIED = (*IDENTITY, STUDY)
 SERIES, SLICE = "SeriesInstanceUID", "SOPInstanceUID"
 
@@ -46,10 +52,11 @@ class CtStudy:
         return made
 
 
-def read_ct_study(folder: Path, series_instance_uid: str) -> CtStudy:
-    """Read patient and study of the CT series that an object was made from.
+def read_ct_study(folder: Path, series_instance_uid: str, study_instance_uid: str = "") -> CtStudy:
+    """Read patient and study of the CT series that an object was made from, in this study if it is known.
 
-    Raises EXC-007 for another series, EXC-008 without patient or study, CT-001, CT-002, CT-005, CT-012.
+    Raises EXC-007 for another series or study, EXC-008 without a patient or study, or with several, CT-001,
+    CT-002, CT-005, CT-012.
     """
     texts = [
         {keyword: read_attribute_text(path, header, keyword) for keyword in (*COPIED, SERIES, SLICE)}
@@ -62,9 +69,11 @@ def read_ct_study(folder: Path, series_instance_uid: str) -> CtStudy:
         )
     for keyword, (name, names) in NAMES.items():
         count = len({one[keyword] for one in texts} - {""})
-        if count != 1:  # messages never name patients
+        if count > 1 or (count == 0 and keyword in NEEDED):  # messages never name patients
             raise CT_OF_NO_PATIENT(f"the CT names {count} {names}", expected=f"one {name}", got=str(count))
     first = next(one for one in texts if one[PATIENT])
     (study,) = {one[STUDY] for one in texts} - {""}
+    if study_instance_uid and study != study_instance_uid:
+        raise OTHER_CT(f"{folder} is in another study", expected=study_instance_uid, got=study)
     copied = {keyword: first[keyword] for keyword in COPIED} | {STUDY: study}
     return CtStudy(copied, tuple(one[SLICE] for one in texts))

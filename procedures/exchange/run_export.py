@@ -50,7 +50,9 @@ def export_run(
     export.
     """
     results = read_results(RunReading.of(inspect_run(run).require_whole()), find_truth)
-    study = None if identity_from is None else read_ct_study(identity_from, results.ct.series)
+    study = (
+        None if identity_from is None else read_ct_study(identity_from, results.ct.series, results.ct.study)
+    )
     fits = _label_registrations(results)
     texts = {**_case_texts(results), **_registration_texts(fits, results.ct)}
     objects, missing = run_objects(results, fits, () if study is None else study.slice_uids)

@@ -25,6 +25,10 @@ DATING = {
     "conformance/report.py",
     "sim/theatre/theatre_file.py",
     "sim/phantom",
+    "sim/polaris/line/openigtlink_server.py",  # stamps in UTC, as PLUS has them
+    "procedures/exchange/dicom_network/arrivals.py",
+    "procedures/live/feed.py",  # UTC of theatre time 0
+    "procedures/live/flight_log.py",
     "procedures/journal/journal.py",
     "procedures/guards/default_guards.py",
     "procedures/engine/events/stream.py",

@@ -42,7 +42,7 @@ from ronna_hw.command_line.terminal import (
     takes_escapes,
     tell,
 )
-from ronna_hw.errors import RefusedError
+from ronna_hw.errors import RefusedError, RonnaError
 from ronna_hw.text import escape_controls
 
 if TYPE_CHECKING:
@@ -275,7 +275,15 @@ def follow_case(
 
         follow(request, folder, run, console, as_json=as_json, waits=waits, openigtlink=openigtlink)
         if archive is not None:
-            archive.store_results(folder)
+            try:
+                archive.store_results(folder)
+            except RonnaError:
+                tell(
+                    f"the case is done, but its results are not in the archive. To store them later: "
+                    f"ronna-procedure export {folder} --identity-from {folder}/case/ct --out DIR, "
+                    f"then ronna-dicom send {archive.peer} DIR"
+                )
+                raise
 
 
 def follow(

@@ -8,6 +8,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import fcntl
+import filecmp
 import itertools
 import os
 import shutil
@@ -29,8 +30,7 @@ from procedures.exchange.dicom_network.inbox import (
     name_slice,
     write_record,
 )
-from procedures.exchange.dicom_network.object_checks import ReceivedObject, check_object
-from procedures.imaging.dicom.attributes import read_attribute_text, read_dicom
+from procedures.exchange.dicom_network.object_checks import ReceivedObject, check_object, read_patient
 from procedures.imaging.dicom.slice_headers import CT_FOLDER, read_headers
 from procedures.imaging.dicom.slice_stack import stack_slices
 from ronna_hw.command_line.errors import PATH_PROBLEM
@@ -52,7 +52,7 @@ class _Arrival:
 
     folder: Path
     record: ReceivedSeries
-    patient: str
+    patient: tuple[str, ...] | None  # None: no slice of it is there yet
     last_s: float  # monotonic
     is_settled: bool = False
 
@@ -114,8 +114,10 @@ class Arrivals:
                 os.fsync(file.fileno())
             found = check_object(part, class_uid, instance_uid)
             arrival = self._find_arrival(found, caller)
-            target = arrival.folder / CT_FOLDER
-            part.replace(target / name_slice(found.instance_uid))  # on disk by name when it is judged
+            target = arrival.folder / CT_FOLDER / name_slice(found.instance_uid)
+            if target.exists() and not filecmp.cmp(part, target, shallow=False):
+                raise OBJECT_REFUSED("another object with the identifier of this one has arrived before")
+            part.replace(target)  # on disk by name when it is judged
             self._find_arrival(found, caller)  # its time is the end, not the beginning
         except OSError as problem:
             if problem.errno in FULL_DISK:
@@ -154,6 +156,8 @@ class Arrivals:
             record = arrival.record
             if (record.series_instance_uid, record.study_instance_uid) != (found.series_uid, found.study_uid):
                 raise OBJECT_REFUSED("the object names another study than the slices of its series")
+            if arrival.patient is None:
+                arrival.patient = found.patient
             if arrival.patient != found.patient:  # messages must not identify patients
                 raise OBJECT_REFUSED("the object names another patient than the slices of its series")
             arrival.last_s = time.monotonic()
@@ -186,9 +190,8 @@ class Arrivals:
 
     def _continue(self, entry: InboxEntry) -> _Arrival:
         """Take up a series from the disk, with the patient of a slice that is there."""
-        patient = ""
-        if (path := next(entry.slices.glob("*.dcm"), None)) is not None:
-            patient = read_attribute_text(path, read_dicom(path, only=("PatientID",)), "PatientID")
+        path = next(entry.slices.glob("*.dcm"), None)
+        patient = None if path is None else read_patient(path)
         settled = entry.state is not SeriesState.ARRIVING
         return _Arrival(entry.folder, entry.record, patient, time.monotonic() - QUIET_S, settled)
 

@@ -26,8 +26,8 @@ if TYPE_CHECKING:
     from pynetdicom.association import Association
     from pynetdicom.events import Event
 
-FIRST_BYTE_S = 3.0  # as long as an association may take to be asked for
-NETWORK_S = 20.0  # for the rest of a message that has begun
+FIRST_BYTE_S = 3.0  # as long as an association may take to be asked for, in each of its two parts
+NETWORK_S = 20.0  # for the rest of a message that has begun in an association
 MOST_WAITING = 512  # silent connections; the oldest goes
 MOST_PDU_BYTES = 1 << 20  # senders keep to what we announce, a sixteenth
 WAKE_S = 0.1
@@ -46,7 +46,8 @@ class GuardedSocket(AssociationSocket):
         assert self.socket is not None, "it is connected"
         content = bytearray(nr_bytes)
         rest = memoryview(content)
-        deadline_s = time.monotonic() + NETWORK_S
+        limit_s = NETWORK_S if self.assoc.is_established else FIRST_BYTE_S
+        deadline_s = time.monotonic() + limit_s
         while rest:
             self.socket.settimeout(max(0.01, deadline_s - time.monotonic()))
             if not (count := self.socket.recv_into(rest)):

@@ -13,6 +13,7 @@ from ronna_hw.errors import DataError
 
 CT_IMAGE_STORAGE = "1.2.840.10008.5.1.4.1.1.2"
 LONGEST_UID = 64  # PS3.5 9.1
+PATIENT = ("PatientID", "PatientName", "PatientBirthDate")  # alike in all slices of a series
 _UID = re.compile(r"(0|[1-9][0-9]*)(\.(0|[1-9][0-9]*))+")
 _BYTES_OF_BITS = {8: 1, 16: 2}
 
@@ -24,7 +25,7 @@ class ReceivedObject:
     instance_uid: str
     series_uid: str
     study_uid: str
-    patient: str  # compared, and stored nowhere but in the object
+    patient: tuple[str, ...]  # compared, and stored nowhere but in the object
 
 
 def require_uid(uid: str, noun: str) -> str:
@@ -43,7 +44,7 @@ def check_object(path: Path, class_uid: str, instance_uid: str) -> ReceivedObjec
             keyword: read_attribute_text(path, data, keyword)
             for keyword in (
                 *("SOPClassUID", "SOPInstanceUID", "SeriesInstanceUID", "StudyInstanceUID"),
-                "PatientID",
+                *PATIENT,
             )
         }
         for keyword, named in (("SOPClassUID", class_uid), ("SOPInstanceUID", instance_uid)):
@@ -79,8 +80,14 @@ def check_object(path: Path, class_uid: str, instance_uid: str) -> ReceivedObjec
         instance_uid,
         require_uid(stated["SeriesInstanceUID"], "Series Instance UID"),
         require_uid(stated["StudyInstanceUID"], "Study Instance UID"),
-        stated["PatientID"],
+        tuple(stated[keyword] for keyword in PATIENT),
     )
+
+
+def read_patient(path: Path) -> tuple[str, ...]:
+    """Return the patient of a slice that is there. Raises CT-002, CT-005."""
+    data = read_dicom(path, only=PATIENT)
+    return tuple(read_attribute_text(path, data, keyword) for keyword in PATIENT)
 
 
 def _padded(count: int) -> int:

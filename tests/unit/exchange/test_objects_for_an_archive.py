@@ -222,6 +222,8 @@ def test_without_the_package_the_structured_report_is_absent_with_the_line_that_
 def test_the_patient_of_another_ct_is_not_copied(tmp_path: Path) -> None:
     with raises(OTHER_CT, match=f"EXC-007.*expected series {SERIES}, got 1.2.9"):
         read_ct_study(scan(tmp_path / "ct", SeriesInstanceUID="1.2.9"), SERIES)
+    with raises(OTHER_CT, match="EXC-007.*another study; expected 1.2.7"):
+        read_ct_study(scan(tmp_path / "moved"), SERIES, "1.2.7")
 
 
 @pytest.mark.parametrize(
@@ -238,11 +240,17 @@ def test_a_ct_without_patient_or_study_is_refused(
         read_ct_study(scan(tmp_path / "ct", **attributes), SERIES)
 
 
-def test_a_ct_of_two_patients_is_refused_without_naming_them(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("attribute", "words"),
+    [("PatientID", "2 patient identifiers"), ("PatientName", "2 patient names")],
+)
+def test_a_ct_of_two_patients_is_refused_without_naming_them(
+    tmp_path: Path, attribute: str, words: str
+) -> None:
     folder = scan(tmp_path / "ct")
     other = dcmread(folder / "0003.dcm")
-    other.PatientID = "SOMEBODY"
+    setattr(other, attribute, "SOMEBODY")
     other.save_as(folder / "0003.dcm")
-    with raises(CT_OF_NO_PATIENT, match="EXC-008.*2 patient identifiers") as refused:
+    with raises(CT_OF_NO_PATIENT, match=f"EXC-008.*{words}") as refused:
         read_ct_study(folder, SERIES)
     assert "SOMEBODY" not in str(refused.value)

@@ -259,3 +259,51 @@ def test_a_name_that_nothing_or_several_series_have_is_refused(filled: Callable[
     for name in ("", "zz"):
         with raises(errors.NOT_IN_INBOX, match="DCM-011"):
             find_series(inbox, name)
+
+
+@pytest.mark.hazard(9)
+def test_another_object_with_the_identifier_of_one_that_is_there_is_refused_and_a_repeat_is_not(
+    inbox: Path, open_inbox: OpenInbox, tmp_path: Path
+) -> None:
+    arrivals, sent = open_inbox(), write_patient(tmp_path / "sent", "anna")
+    for _ in range(2):
+        store_all(arrivals, sent)
+    before = [path.read_bytes() for path in sorted(inbox.glob("*/ct/*.dcm"))]
+    forged = write_patient(tmp_path / "forged", "anna")
+    for path in forged.glob("*.dcm"):
+        data = pydicom.dcmread(path)
+        data.PixelData = bytes(len(data.PixelData))
+        data.save_as(path)
+    with raises(errors.OBJECT_REFUSED, match="another object with the identifier"):
+        store_all(arrivals, forged)
+    assert [path.read_bytes() for path in sorted(inbox.glob("*/ct/*.dcm"))] == before
+
+
+@pytest.mark.hazard(9)
+@pytest.mark.parametrize("attribute", ["PatientName", "PatientBirthDate"])
+def test_slices_that_name_two_people_under_one_identifier_do_not_become_one_series(
+    open_inbox: OpenInbox, tmp_path: Path, attribute: str
+) -> None:
+    def other(data: Dataset, place: int) -> None:
+        setattr(
+            data, attribute, ("Petrov^Ivan" if attribute == "PatientName" else "19500101") if place else ""
+        )
+
+    with raises(errors.OBJECT_REFUSED, match="another patient"):
+        store_all(open_inbox(), write_patient(tmp_path / "sent", "carl", edit=other))
+
+
+def test_a_series_whose_receiver_ended_before_its_first_slice_goes_on_with_the_next(
+    inbox: Path, open_inbox: OpenInbox, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def end(_path: Path, _target: Path) -> None:
+        raise KeyboardInterrupt
+
+    sent, first = write_patient(tmp_path / "sent", "anna"), Arrivals(inbox, lambda _entry: None)
+    monkeypatch.setattr(Path, "replace", end)
+    with pytest.raises(KeyboardInterrupt):
+        store_all(first, sent)
+    monkeypatch.undo()
+    first.close()
+    store_all(open_inbox(), sent)
+    assert len(list(inbox.glob("*/ct/*.dcm"))) == 4
