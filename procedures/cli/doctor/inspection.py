@@ -141,8 +141,8 @@ def _verdict(
     if actual is None and configured in others:
         places = sorted(parse_endpoint(at).host for at, serial in replied.items() if serial == configured)
         return (
-            f"The {side} camera {configured} was not found at {parse_endpoint(endpoint).host}; with that number "
-            f"reply: {', '.join(places)}, of this theatre or another."
+            f"The {side} camera {configured} was not found at {parse_endpoint(endpoint).host}; cameras with "
+            f"that number reply at {', '.join(places)}, of this theatre or another."
         )
     if actual is None:
         return f"The {side} camera {configured} {not_found}."
