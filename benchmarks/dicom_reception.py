@@ -16,7 +16,10 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.figures import Figure, compare_samples
-from tests.support.imaging.painted_ct import write_series
+
+sys.path.append(str(Path(__file__).resolve().parents[1] / "tests/support/imaging"))
+
+from painted_ct import write_series  # noqa: E402
 
 SLICES, SIDE, ROUNDS = 60, 512, 5
 SMALLEST = 4, 64, 1
