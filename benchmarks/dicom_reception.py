@@ -19,7 +19,7 @@ from benchmarks.figures import Figure, compare_samples
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / "tests/support/imaging"))
 
-from painted_ct import write_series  # noqa: E402
+from painted_ct import write_series
 
 SLICES, SIDE, ROUNDS = 60, 512, 5
 SMALLEST = 4, 64, 1

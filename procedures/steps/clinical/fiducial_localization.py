@@ -45,7 +45,7 @@ class LocalizedFiducials(StepResult, kind="fiducial_localization", version=2):
     deformation: ScanDeformation | None = Field(
         default=None, description="Stretch and shear of the scan, as they show it; none if unknown."
     )
-    localizer: Localizer = Field(Localizer.OURS, description="Method that found them.")
+    localizer: Localizer = Field(default=Localizer.OURS, description="Method that found them.")
 
     @property
     def centres_mm(self) -> Array:

@@ -60,8 +60,11 @@ NO_TABLE = TwoWayTable(
     ct_to_room=(), room_to_ct=(), unmatched_ct=(), unmatched_room=(), agrees_both_ways=True
 )
 SIGMA_OF_SCAN = 3e-4  # of its strain, as five spheres show it
+ZEROS: dict[str, Any] = {
+    name: 0 for name in LinkHealth.model_fields if not name.endswith(("edges_us", "counts"))
+}
 LINK = LinkHealth(
-    **{name: 0 for name in LinkHealth.model_fields if not name.endswith(("edges_us", "counts"))},
+    **ZEROS,
     histogram_edges_us=(),
     histogram_counts=(),
     jitter_counts=(),

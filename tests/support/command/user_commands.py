@@ -108,7 +108,7 @@ def one_error(stderr: str) -> Sequence[str]:
 
 def in_this_process(app: typer.Typer, *arguments: object) -> subprocess.CompletedProcess[str]:
     """Run a command as its console script does, without the second that a new process costs."""
-    out, errors = io.StringIO(), io.StringIO()
+    out, errors, words = io.StringIO(), io.StringIO(), [str(argument) for argument in arguments]
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(errors):
-        code = exit_code_of(app, [str(argument) for argument in arguments])
-    return subprocess.CompletedProcess(arguments, code, out.getvalue(), errors.getvalue())
+        code = exit_code_of(app, words)
+    return subprocess.CompletedProcess(words, code, out.getvalue(), errors.getvalue())

@@ -21,6 +21,7 @@ import pydicom
 import pytest
 from painted_ct import write_series
 from pydicom.dataset import Dataset
+from pydicom.uid import UID
 from pynetdicom import AE
 from pynetdicom.association import Association
 from pynetdicom.dimse_primitives import C_STORE
@@ -79,7 +80,7 @@ def write_patient(folder: Path, patient: str, slices: int = 4, edit: Any = None)
     def name(data: Dataset, place: int) -> None:
         data.PatientID, data.StudyID, data.StudyDate, data.AccessionNumber = patient, "1", "20260102", "A1"
         data.StudyInstanceUID, data.SeriesInstanceUID = f"2.25.{number}.1", f"2.25.{number}.2"
-        data.SOPInstanceUID = data.file_meta.MediaStorageSOPInstanceUID = f"2.25.{number}.3.{place + 1}"
+        data.SOPInstanceUID = data.file_meta.MediaStorageSOPInstanceUID = UID(f"2.25.{number}.3.{place + 1}")
         if edit is not None:
             edit(data, place)
 
@@ -120,10 +121,11 @@ def store_bytes(association: Association, instance_uid: str, content: bytes) -> 
     (context,) = association.accepted_contexts
     association._reactor_checkpoint.clear()
     eventually(lambda: association._is_paused)
+    assert context.context_id is not None, "it was accepted"
     association.dimse.send_msg(request, context.context_id)
     _, answer = association.dimse.get_msg(block=True)
     association._reactor_checkpoint.set()
-    return -1 if answer is None else int(answer.Status)
+    return -1 if answer is None or answer.Status is None else int(answer.Status)
 
 
 def run_dcmtk(program: str, *arguments: object) -> subprocess.CompletedProcess[str]:
