@@ -18,7 +18,7 @@ from drivers.openigtlink_tracker.options import OpenIGTLinkOptions
 from ronna_hw.devices.readings import ToolReading, Validity
 from ronna_hw.vectors import vector3
 from ronna_hw.wire.openigtlink import LONGEST_NAME_BYTES, Message
-from ronna_hw.wire.openigtlink_contents import Matrix, decode_tracking, decode_transform
+from ronna_hw.wire.openigtlink_contents import TRACKING_6D, Matrix, decode_tracking, decode_transform
 
 ROTATION_TOLERANCE: Final = 1e-3  # of a rotation matrix in single precision, as some peers round it
 MOST_NAMES: Final = 100  # of a server's transforms that are remembered for a message to the operator
@@ -71,7 +71,8 @@ class Assembler:
             self._in_tracking_data = True
             whole = Measurement(message.stamp_ns, arrived_s, now_s)
             for tool in decode_tracking(message.content):
-                self._put(whole, tool.name, Sample(Validity.OK, tool.pose))
+                state = Validity.OK if tool.kind == TRACKING_6D else Validity.CORRUPT  # a part of a pose
+                self._put(whole, tool.name, Sample(state, tool.pose))
             self._finish(whole)
             return
         pose = decode_transform(message.content)

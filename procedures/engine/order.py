@@ -142,9 +142,11 @@ class CaseOrder:
 
     def without_names(self, text: str) -> str:
         """Replace trajectory names by numbers for the log, since a name may identify a patient."""
-        for number, name in enumerate(self.trajectories, start=1):
-            text = re.sub(rf"(?<!\w){re.escape(name)}(?!\w)", str(number), text)
-        return text
+        numbers = {name: str(number) for number, name in enumerate(self.trajectories, start=1)}
+        if not numbers:
+            return text
+        names = "|".join(map(re.escape, sorted(numbers, key=len, reverse=True)))
+        return re.sub(rf"(?<!\w)(?:{names})(?!\w)", lambda found: numbers[found[0]], text)
 
     def before(self, key: StepKey) -> tuple[StepKey, ...]:
         """Return the steps required before `key`; those of other trajectories do not count."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
-from datetime import UTC, datetime
+from datetime import datetime
 
 from pydicom.dataset import Dataset
 
@@ -20,7 +20,6 @@ from procedures.exchange.postoperative_objects import (
 )
 from procedures.exchange.report_page import draw_page, report_page
 from procedures.exchange.structure_set import structure_set
-from procedures.reporting.files import REPORT_FOLDER, SUMMARY_FILE
 from procedures.steps.clinical.cart_lock import LockedCart
 from procedures.steps.clinical.results import RegisteredRobot
 from ronna_hw.records import Record, canonical_json
@@ -51,8 +50,7 @@ def run_objects(
     if (missing := find_missing_package()) is not None:
         absent["structured report"] = missing
     else:
-        made = (results.run.folder / REPORT_FOLDER / SUMMARY_FILE).stat().st_mtime  # the check has no date
-        origin = _origin(results, check_key(results.check, found), datetime.fromtimestamp(made, UTC))
+        origin = _origin(results, check_key(results.check, found), latest)  # the check has no date
         objects[REPORT_FILE] = structured_report(found, origin)
     return objects, absent
 

@@ -59,7 +59,6 @@ class CaseFrames:
         self._workcell = engine.setting.workcell
         self._known: dict[Subject, LiveRecord] = {}
         self._fiducials: tuple[tuple[str, str | None], Fiducials] | None = None  # of these two records
-        self.flange_from_tool: Transform | None = None
 
     def changes(self, now_s: float) -> list[LiveRecord]:
         """Return what has changed since the last call; a frame that is no longer known has no pose."""
@@ -73,9 +72,8 @@ class CaseFrames:
         return changed
 
     def _current(self, now_s: float) -> Iterator[LiveRecord]:
-        self.flange_from_tool = None
         with suppress(RonnaError):  # the mounted tool is not known
-            self.flange_from_tool = tool = self._workcell.master.flange_from_tool
+            tool = self._workcell.master.flange_from_tool
             yield frame_pose(Frame.FLANGE, Frame.TOOL, tool, now_s, is_fixed=True)
         placed = self._workcell.motion.placed
         for role in self._workcell.arms:

@@ -27,7 +27,7 @@ from procedures.engine.events import (
     StepState,
 )
 from procedures.live.arm_tap import ArmTap
-from procedures.live.case_frames import CaseFrames, frame_pose
+from procedures.live.case_frames import CaseFrames
 from procedures.live.feed_socket import FeedSocket
 from procedures.live.flight_log import FlightLog, next_log_file
 from procedures.live.log_entries import JournalEntry, Level, LogEntry, SaidLine, time_of
@@ -35,7 +35,7 @@ from procedures.live.log_topics import without_identity
 from procedures.live.records import Began, CameraPicture, DeviceStatus, FramePose, LiveRecord, RunState
 from ronna_hw.devices.readings import CameraImage, StereoReading, TrackerFrame, Validity
 from ronna_hw.errors import RonnaError
-from ronna_hw.frames import Frame, Transform
+from ronna_hw.frames import Frame
 from ronna_hw.logs import logger
 
 if TYPE_CHECKING:
@@ -64,6 +64,7 @@ class LiveFeed:
         self._readings: deque[object] = deque(maxlen=MOST_WAITING)
         self._wake = threading.Event()
         self._ending = False
+        self._failure = ""  # the last one that was logged
         self._state = RunState(theatre_time_s=0.0, run=folder.name, state="")
         self._arms: list[ArmTap] = []
         self._tools: dict[str, None] = {}  # of the tracker, in the order in which they came
@@ -114,18 +115,13 @@ class LiveFeed:
         return self._last_s
 
     def _run(self) -> None:
-        failure = ""
         entries: list[LogEntry] = []
         with contextlib.suppress(Exception):  # a kind of arm that nobody can draw
             entries += self._arms[0].draw()  # of the others the links would have the same names
         while True:
             ending = self._ending  # before the last look
-            try:
+            with self._noting():
                 self._look(entries)
-            except Exception as problem:  # a case goes on without its feed
-                if (text := str(problem)) != failure:
-                    failure = text
-                    _log.warning("the live feed misses something", cause=problem)
             entries = []
             if ending:
                 return
@@ -135,66 +131,61 @@ class LiveFeed:
             self._wake.clear()
 
     def _look(self, entries: list[LogEntry]) -> None:
-        """Pass on what is new; the `entries` go to the log with it."""
+        """Pass on what is new; the `entries` go to the log with it. A source that fails costs only itself."""
         events, shown = self._events.read(0.0).events, list[LiveRecord]()
         if any(not event.what.signal for event in events):
-            shown += self._frames.changes(self._now_s())
-        shown += self._read_events(events, entries)
-        shown += self._read_queue()
+            with self._noting():
+                shown += self._frames.changes(self._now_s())
+        for event in events:
+            with self._noting():
+                shown += self._read_event(event, entries)
+        with self._noting():
+            shown += self._read_queue()
         entries += shown
         for arm in self._arms:
-            if new := arm.look():
-                entries += new
-                shown += self._shown_of(arm)
+            with self._noting():
+                if new := arm.look():
+                    entries += new
+                    shown += filter(None, (arm.latest_joints, arm.latest_pose))
         if self._log is not None:
             self._log.take(sorted(entries, key=time_of))
         if self._socket is not None:
             self._socket.offer(shown)
 
-    def _shown_of(self, arm: ArmTap) -> Iterator[LiveRecord]:
-        """Yield the latest joints and poses of an arm; that of the tool is in the log by its two parts."""
-        if arm.latest_joints is not None:
-            yield arm.latest_joints
-        if (flange := arm.latest_pose) is None:
-            return
-        yield flange
-        tool = self._frames.flange_from_tool
-        is_read = self._socket is not None and self._socket.has_readers
-        if tool is None or not is_read or flange.child != Frame.FLANGE or flange.rotation is None:
-            return
-        place = Transform.of(
-            Frame.ROBOT,
-            Frame.FLANGE,
-            translation_mm=flange.translation_mm or (),
-            quaternion_wxyz=flange.rotation,
-        )
-        yield frame_pose(Frame.ROBOT, Frame.TOOL, place @ tool, flange.theatre_time_s)
+    @contextlib.contextmanager
+    def _noting(self) -> Iterator[None]:
+        """Log what fails in the block, once in a row for each text: a case goes on without its feed."""
+        try:
+            yield
+        except Exception as problem:
+            if (text := str(problem)) != self._failure:
+                self._failure = text
+                _log.warning("the live feed misses something", cause=problem)
 
-    def _read_events(self, events: tuple[Event, ...], entries: list[LogEntry]) -> Iterator[LiveRecord]:
-        for event in events:
-            at_s = event.theatre_time_s
-            match event.what:
-                case JournalLine(line=line):
-                    entries.append(JournalEntry(at_s, without_identity(line)))
-                case CaseState(state=state, reason=reason):
-                    change = {"state": state, "reason": reason, "theatre_time_s": at_s}
-                    self._state = self._state.model_copy(update=change)
-                    yield self._state
-                case StepState(step=step, state=state, summary=summary):
-                    entries.append(SaidLine(at_s, Level.INFO, f"{step}: {summary or state}"))
-                    step = step if state == "begun" else ""
-                    self._state = self._state.model_copy(update={"step": step, "theatre_time_s": at_s})
-                    yield self._state
-                case Advisory(text=text):
-                    entries.append(SaidLine(at_s, Level.WARNING, text))
-                case Fault(code=code, what=what):
-                    entries.append(
-                        SaidLine(at_s, Level.ERROR, what if what.startswith(code) else f"{code}: {what}")
-                    )
-                case DeviceState(device=device, state=state, fault=fault):
-                    yield self._status(device, state, fault, at_s)
-                case _:
-                    pass
+    def _read_event(self, event: Event, entries: list[LogEntry]) -> Iterator[LiveRecord]:
+        at_s = event.theatre_time_s
+        match event.what:
+            case JournalLine(line=line):
+                entries.append(JournalEntry(at_s, without_identity(line)))
+            case CaseState(state=state, reason=reason):
+                change = {"state": state, "reason": reason, "theatre_time_s": at_s}
+                self._state = self._state.model_copy(update=change)
+                yield self._state
+            case StepState(step=step, state=state, summary=summary):
+                entries.append(SaidLine(at_s, Level.INFO, f"{step}: {summary or state}"))
+                step = step if state == "begun" else ""
+                self._state = self._state.model_copy(update={"step": step, "theatre_time_s": at_s})
+                yield self._state
+            case Advisory(text=text):
+                entries.append(SaidLine(at_s, Level.WARNING, text))
+            case Fault(code=code, what=what):
+                entries.append(
+                    SaidLine(at_s, Level.ERROR, what if what.startswith(code) else f"{code}: {what}")
+                )
+            case DeviceState(device=device, state=state, fault=fault):
+                yield self._status(device, state, fault, at_s)
+            case _:
+                pass
 
     def _status(self, device: str, state: str, fault: str | None, at_s: float) -> DeviceStatus:
         found = DeviceStatus(theatre_time_s=at_s, device=device, state=state, text=fault or "")

@@ -11,6 +11,7 @@ import os
 import selectors
 import socket
 import threading
+import time
 from collections.abc import Iterable
 from functools import cached_property
 from pathlib import Path
@@ -132,11 +133,21 @@ class FeedSocket:
                             os.eventfd_read(self._wake)
                 for reader in [one for one in self._readers if one.waiting]:
                     self._serve_reader(selector, reader)
-            for reader in list(self._readers):
-                reader.connection.settimeout(CLOSE_LIMIT_S)
-                with contextlib.suppress(OSError):
-                    reader.send(self._lock)
-                self._dismiss(selector, reader)
+            self._deliver_last(selector)
+
+    def _deliver_last(self, selector: selectors.BaseSelector) -> None:
+        """Send to all readers what waits, within one limit for all of them, and end their connections."""
+        deadline_s = time.monotonic() + CLOSE_LIMIT_S
+        for reader in list(self._readers):
+            self._serve_reader(selector, reader)
+        while (left_s := deadline_s - time.monotonic()) > 0.0 and not all(
+            reader.is_served for reader in self._readers
+        ):
+            for key, _ in selector.select(left_s):
+                if isinstance(key.data, _Reader) and not key.data.is_served:
+                    self._serve_reader(selector, key.data)
+        for reader in list(self._readers):
+            self._dismiss(selector, reader)
 
     def _admit(self, selector: selectors.BaseSelector) -> None:
         try:

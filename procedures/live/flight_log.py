@@ -58,6 +58,7 @@ class FlightLog:
         self._most_waiting_bytes = most_waiting_bytes
         self._queue: deque[tuple[LogEntry, int, int]] = deque()  # with host UTC and size
         self._taken_bytes = self._done_bytes = 0  # each written by one thread
+        self._skipped = 0  # entries that have no form as messages
         self._ending = threading.Event()
         self.is_open = True
         self.flushed = 0  # messages that survive this program
@@ -94,7 +95,7 @@ class FlightLog:
                 self._write_waiting(writer)
                 if self.is_open:
                     writer.finish()
-        except (OSError, ValueError) as error:  # the disk, or an entry of unknown form
+        except Exception as error:  # the disk, mostly; whatever it is, nobody waits for a log that has ended
             self._end(error)
 
     def _next(self) -> tuple[LogEntry, int, int] | None:
@@ -105,7 +106,15 @@ class FlightLog:
     def _write_waiting(self, writer: LogWriter) -> None:
         while (next_one := self._next()) is not None:
             entry, host_ns, size = next_one
-            writer.write(entry, host_ns)
+            try:
+                writer.write(entry, host_ns)
+            except OSError:
+                raise
+            except Exception as error:  # an entry of unknown form: the next one counts
+                self._skipped += 1
+                logger(part="flight log").warning(
+                    "the log lacks an entry", cause=error, kind=type(entry).__name__, lacking=self._skipped
+                )
             self._done_bytes += size
         writer.flush()
         self.flushed = writer.written

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from enum import IntEnum
 from typing import NamedTuple
 
@@ -38,10 +39,10 @@ class SaidLine(NamedTuple):
 
 
 class JournalEntry(NamedTuple):
-    """Line of the journal, without what only the run folder may hold, as JSON."""
+    """Line of the journal, without what only the run folder may hold."""
 
     theatre_time_s: float
-    text: str
+    fields: Mapping[str, object]
 
 
 class ArmDrawing(NamedTuple):

@@ -86,10 +86,10 @@ class LogMessages:
             case PlannedLines():
                 yield Topic(PLAN, ros2.MARKERS), ros2.encode_markers(stamp_ns, _lines(entry))
             case RunState() | DeviceStatus():
-                plain = entry.model_dump_json(exclude={"theatre_time_s", "kind"})
-                yield Topic(STATE, ros2.TEXT), ros2.encode_text(self._without_names(plain))
+                plain = entry.model_dump(mode="json", exclude={"theatre_time_s", "kind"})
+                yield Topic(STATE, ros2.TEXT), ros2.encode_text(self._as_json(plain))
             case JournalEntry():
-                yield Topic(JOURNAL, ros2.TEXT), ros2.encode_text(self._without_names(entry.text))
+                yield Topic(JOURNAL, ros2.TEXT), ros2.encode_text(self._as_json(entry.fields))
             case ArmDrawing():
                 yield Topic(DRAWING, ros2.TEXT), ros2.encode_text(entry.urdf)
                 base = ros2.Placed(Frame.ROBOT, urdf.BASE, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
@@ -99,6 +99,15 @@ class LogMessages:
                 yield Topic(SAID, ros2.LOG), ros2.encode_log(stamp_ns, entry.level, CASE, text)
             case _:
                 pass
+
+    def _as_json(self, fields: Mapping[str, object]) -> str:
+        """Return fields as JSON, without names in their texts; numbers stay as they are."""
+        return json.dumps(
+            {
+                name: self._without_names(value) if isinstance(value, str) else value
+                for name, value in fields.items()
+            }
+        )
 
     def _joints(self, cycles: JointCycles) -> Iterator[LogMessage]:
         stamps_ns = self._epoch_ns + np.rint(cycles.times_s * ros2.NS).astype(np.int64)
@@ -150,9 +159,9 @@ def _metres(place_mm: Vector3) -> Vector3:
     return x * M_PER_MM, y * M_PER_MM, z * M_PER_MM
 
 
-def without_identity(line: Mapping[str, object]) -> str:
-    """Return those fields of a journal line, as JSON, that say neither who nor, in free words, what."""
-    return json.dumps({name: line[name] for name in JOURNAL_FIELDS if name in line})
+def without_identity(line: Mapping[str, object]) -> dict[str, object]:
+    """Return those fields of a journal line that say neither who nor, in free words, what."""
+    return {name: line[name] for name in JOURNAL_FIELDS if name in line}
 
 
 JOURNAL_FIELDS = ("sequence", "entry", "theatre_time_s", "step", "record", "code", "outcome", "moves")

@@ -41,7 +41,8 @@ def fetch_series(
     listening = Listening(requester.title, listen, port, [requester.peer.title], requester.tls)
     arrivals = Arrivals(inbox, report, count_at_source=requester.count_slices)
     with Receiver(listening, arrivals, say) as receiver:
-        if expected and requester.retrieve(study_uid, series_uid):
+        if expected:
+            requester.retrieve(study_uid, series_uid)  # what it says of its count is optional
             arrived.wait(ARRIVAL_S)
         place = f"{listen}:{receiver.port}"
     here = found[-1].record.instances if found else 0

@@ -114,6 +114,8 @@ class Receiver:
                 self._arrivals.settle()
             except OSError as problem:
                 self._tell_once(f"the inbox cannot be written: {problem.strerror}")
+            except Exception as problem:  # foreign answers can break it in any way; the next series counts
+                self._tell_once(f"a series could not be judged: {type(problem).__name__} {problem}")
 
     def _store(self, event: Event) -> int:
         caller = printable(str(event.assoc.requestor.ae_title))

@@ -38,6 +38,7 @@ if TYPE_CHECKING:
 CONNECT_S = 10.0
 ANSWER_S = 60.0  # an archive may fetch from tape
 MOST_ANSWERS = 1000  # to one question
+MOST_SLICES = 20_000  # of one series, where the peer lists them instead of counting
 SUCCESS, PENDING, CANCELLED = 0x0000, (0xFF00, 0xFF01), 0xFE00
 WARNINGS = (0xB000, 0xB006, 0xB007)  # of a stored object: kept, with elements changed or dropped
 FIND, MOVE = StudyRootQueryRetrieveInformationModelFind, StudyRootQueryRetrieveInformationModelMove
@@ -100,7 +101,7 @@ class Requester:
         with self.associate([build_context(Verification)]) as association:
             self._require(association.send_c_echo(), "echo")
 
-    def find(self, level: str, keys: Mapping[str, str]) -> list[Dataset]:
+    def find(self, level: str, keys: Mapping[str, str], most: int = MOST_ANSWERS) -> list[Dataset]:
         """Return the peer's matches at a level of study, series and image. Raises DCM-005 to DCM-007."""
         wanted = Dataset()
         wanted.QueryRetrieveLevel = level
@@ -108,26 +109,24 @@ class Requester:
             setattr(wanted, keyword, value)
         with self.associate([build_context(FIND)]) as association:
             found: list[Dataset] = []
-            for status, answer in islice(association.send_c_find(wanted, FIND), MOST_ANSWERS + 1):
+            for status, answer in islice(association.send_c_find(wanted, FIND), most + 1):
                 if _status(status) in PENDING:
                     if answer is not None:
                         found.append(answer)
                     continue
                 self._require(status, f"find {level.lower()}")
-            if len(found) > MOST_ANSWERS:
+            if len(found) > most:
                 words = f"{self.peer} has too many matches"
-                raise REQUEST_FAILED(
-                    words, limit=f"{MOST_ANSWERS}", action="Ask for less, such as one study."
-                )
+                raise REQUEST_FAILED(words, limit=f"{most}", action="Ask for less, such as one study.")
             return found
 
     def count_slices(self, study_uid: str, series_uid: str) -> int:
         """Return how many images the peer has of a series, 0 if it knows none. Raises DCM-005 to DCM-007."""
         keys = {"StudyInstanceUID": study_uid, "SeriesInstanceUID": series_uid}
         for answer in self.find("SERIES", {**keys, "NumberOfSeriesRelatedInstances": ""}):
-            with contextlib.suppress(TypeError, ValueError):  # optional, and it may be empty
+            with contextlib.suppress(TypeError, ValueError, OverflowError):  # optional, and may be empty
                 return int(answer.get("NumberOfSeriesRelatedInstances"))
-        return len(self.find("IMAGE", {**keys, "SOPInstanceUID": ""}))
+        return len(self.find("IMAGE", {**keys, "SOPInstanceUID": ""}, most=MOST_SLICES))
 
     def retrieve(self, study_uid: str, series_uid: str) -> int:
         """Have the peer send a series to our AE title; return how many it says it sent.

@@ -25,7 +25,8 @@ STATUS_WORDS: Final = {  # PLUS's words; every other validity is INVALID
     Validity.OUT_OF_VOLUME: "OUT_OF_VOLUME",
     Validity.STALE: "REQ_TIMEOUT",
 }
-COMPOSED: Final = ((Frame.TOOL, Frame.ROBOT, Frame.CT),)  # child, frame between, parent
+# Child, frame between, parent; each may use the one before it.
+COMPOSED: Final = ((Frame.TOOL, Frame.FLANGE, Frame.ROBOT), (Frame.TOOL, Frame.ROBOT, Frame.CT))
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,17 +95,19 @@ class Poses:
 
     def _composed_with(self, changed: Pose) -> list[Pose]:
         """Return the composed poses that a change voids or renews, with the time of the moving part."""
-        poses = []
+        renewed = [changed]
         for child, middle, parent in COMPOSED:
             inner, outer = self._latest.get((child, middle)), self._latest.get((middle, parent))
-            if inner is None or outer is None or changed not in (inner, outer):
+            if inner is None or outer is None or not (inner in renewed or outer in renewed):
                 continue
             doubts = [one.validity for one in (outer, inner) if one.validity is not Validity.OK]
             validity, *_ = (*doubts, Validity.OK)
-            stamp_ns = changed.stamp_ns if doubts else inner.stamp_ns
-            matrix = outer.matrix @ inner.matrix
-            poses.append(Pose(child, parent, matrix, validity, stamp_ns, is_fixed=False))
-        return poses
+            moving = outer if inner.is_fixed else inner
+            stamp_ns = changed.stamp_ns if doubts else moving.stamp_ns
+            pose = Pose(child, parent, outer.matrix @ inner.matrix, validity, stamp_ns, is_fixed=False)
+            self._latest[child, parent] = pose
+            renewed.append(pose)
+        return renewed[1:]
 
 
 def invert(rigid: Matrix) -> Matrix:

@@ -88,7 +88,7 @@ class LinkValues:
                 yield one
 
     def tracking(self, kind: str, frame: str) -> Outgoing:
-        """Return all valid poses as one TDATA or QTDATA.
+        """Return all valid poses as one TDATA or QTDATA, with the time of the oldest that moves.
 
         With a `frame` only those in it, named by their child alone: PLUS adds the frame again.
         """
@@ -103,7 +103,8 @@ class LinkValues:
             TrackedTool(frame_word(pose.child) if frame else one.name, TRACKING_6D, pose.sent_matrix)
             for one, pose in shown
         ]
-        stamp_ns = max((one.stamp_ns for one, _ in shown), default=0)
+        moving = [one.stamp_ns for one, pose in shown if not pose.is_fixed]
+        stamp_ns = min(moving or [one.stamp_ns for one, _ in shown], default=0)  # none is older than it says
         return Outgoing(kind, SERVER, TRACKING_ENCODERS[kind](tools), stamp_ns)
 
     def _read(self, record: LiveRecord) -> Iterator[Outgoing]:

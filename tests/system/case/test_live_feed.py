@@ -92,7 +92,7 @@ def test_a_reader_sees_the_whole_case_and_changes_nothing_of_it(
     assert robot.rotation == pytest.approx(registered.quaternion_wxyz, abs=NUMBERS)
     tracker = _payload_pose(run, "global_localization", "robot_from_tracker")
     assert latest["tracker in robot"].translation_mm == pytest.approx(tracker.translation_mm, abs=NUMBERS)
-    assert {"flange in robot", "tool in robot", "robot_frame in tracker"} <= set(latest)
+    assert {"flange in robot", "tool in flange", "robot_frame in tracker"} <= set(latest)
     assert not (run / SOCKET_FILE).exists()
     verified = commands.run("ronna-procedure", "verify", str(run))
     assert verified.returncode == 0, verified.stdout

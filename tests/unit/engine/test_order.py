@@ -99,3 +99,8 @@ def test_the_log_of_a_case_has_numbers_of_trajectories_and_no_names(cell: Record
 def test_only_whole_words_are_taken_for_the_name_of_a_trajectory() -> None:
     order = plain_order("DOE", "A+")
     assert order.without_names("DOE: A+, not DOE_JOHN or ADOE") == "1: 2, not DOE_JOHN or ADOE"
+
+
+def test_a_name_that_is_the_number_of_another_trajectory_stays_apart_from_it() -> None:
+    order = plain_order("B", "1")
+    assert order.without_names("guide(B) guide(1)") == "guide(1) guide(2)"

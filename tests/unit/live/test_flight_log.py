@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from coded_errors import raises
 from mcap.reader import make_reader
+from plain_steps import plain_order
 
 from procedures.live import log_reading
 from procedures.live.errors import EMPTY_LOG, FOREIGN_LOG, NO_LOG
@@ -95,7 +96,7 @@ ENTRIES: list[LogEntry] = [
     DeviceStatus(theatre_time_s=3.1, device="tracker", state="fault", code="NDI-004", text="no reply"),
     SaidLine(3.5, Level.WARNING, "the head has moved"),
     ArmDrawing(3.6, "<robot/>"),
-    JournalEntry(4.0, '{"entry": "result", "step": "registration:T1"}'),
+    JournalEntry(4.0, {"entry": "result", "step": "registration:T1"}),
 ]
 TOPICS = {
     "/measured_js": 250, "/setpoint_js": 250, "/measured_cp": 1, "/tf": 1, "/tf_static": 2, "/spheres": 1,
@@ -318,13 +319,26 @@ def test_names_of_trajectories_are_in_no_message(sealed: Path) -> None:
         ),
         DeviceStatus(theatre_time_s=0.0, device="arm", state="fault", text="on the way to Seeded"),
         SaidLine(0.0, Level.INFO, "at Seeded"),
-        JournalEntry(0.0, '{"step": "registration:Seeded"}'),
+        JournalEntry(0.0, {"sequence": 2, "step": "registration:Seeded"}),
         PlannedLines(
             theatre_time_s=0.0,
             lines=(PlannedLine(name="Seeded", entry_mm=(0.0, 0.0, 0.0), target_mm=(0.0, 0.0, 9.0)),),
         ),
     ]
-    messages = LogMessages(BEGAN, lambda text: text.replace("Seeded", "1"))
+    order = plain_order("2", "Seeded")
+    messages = LogMessages(BEGAN, order.without_names)
     encoded = [message.data for entry in named for message in messages.of(entry)]
     assert len(encoded) == len(named)
     assert not any(b"Seeded" in data for data in encoded)
+    assert any(b'{"sequence": 2, "step": "registration:2"}' in data for data in encoded)
+
+
+def test_an_entry_that_has_no_form_as_a_message_is_skipped_and_the_log_goes_on(tmp_path: Path) -> None:
+    log = FlightLog(tmp_path / "flight.mcap", BEGAN, _as_named)
+    log.take([SaidLine(0.0, Level.INFO, "of \udcff"), SaidLine(1e300, Level.INFO, "never")])
+    log.take([SaidLine(1.0, Level.ERROR, "the fault that matters")])
+    log.close()
+    assert log.is_open
+    with (tmp_path / "flight.mcap").open("rb") as file:
+        (said,) = (content.data for _, _, content in make_reader(file).iter_messages("/rosout"))
+    assert b"the fault that matters" in said

@@ -107,6 +107,24 @@ def test_a_hidden_tool_is_silent_at_once_and_says_why_to_readers_of_metadata() -
             assert decode_transform(hidden.content) == pytest.approx(np.array(matrix))
 
 
+@pytest.mark.parametrize("lost", ["flange in robot", "tool in flange"])
+def test_a_tool_is_no_more_valid_than_the_arm_that_carries_it(lost: str) -> None:
+    flange, tool = pose("flange", "robot", 2.0), pose("tool", "flange", 1.0)
+    carried = {"flange in robot": flange, "tool in flange": tool.model_copy(update={"is_fixed": True})}
+    gone = {"rotation": None, "translation_mm": None, "validity": Validity.STALE, "theatre_time_s": 9.0}
+    with linked_case(OFTEN) as case, case.connect() as client:
+        client.ask_for_metadata()
+        case.tell(REGISTRATION, *carried.values())
+        for name in ("ToolToRobot", "ToolToRas"):
+            found = client.first("TRANSFORM", name)
+            assert (found.metadata["TransformStatus"], found.metadata["TransformValid"]) == ("OK", "1")
+            assert found.metadata["Timestamp"] == "1700000002.000000000"
+        case.tell(carried[lost].model_copy(update=gone), END)
+        _, before = client.until(_is_end)
+        states = {one.name: one.metadata["TransformStatus"] for one in before if one.kind == "TRANSFORM"}
+        assert states["ToolToRobot"] == states["ToolToRas"] == "REQ_TIMEOUT"
+
+
 def test_the_numbers_of_a_reading_that_is_not_valid_are_not_sent() -> None:
     partial = pose("tool", "robot", 2.0, x_mm=99.0).model_copy(update={"validity": Validity.PARTIAL})
     with linked_case(OFTEN) as case, case.connect() as client:

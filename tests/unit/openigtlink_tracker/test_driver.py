@@ -21,7 +21,7 @@ from ronna_hw.endpoints import parse_endpoint
 from ronna_hw.errors import RonnaError
 from ronna_hw.frames import Frame
 from ronna_hw.wire.openigtlink import encode_message
-from ronna_hw.wire.openigtlink_contents import TRACKING_6D, TrackedTool, encode_tracking
+from ronna_hw.wire.openigtlink_contents import TRACKING_3D, TRACKING_6D, TrackedTool, encode_tracking
 
 
 def jitter(frame: int) -> float:
@@ -141,6 +141,19 @@ def test_tracking_data_are_read_instead_of_transforms(server: PlusServer, active
     server.say = say
     frame = read_until(active, lambda frame: validities(frame) == ["ok", "missing"])
     assert frame.tool("robot_frame").position_mm[0] >= 300.0
+
+
+def test_a_position_without_a_rotation_is_no_pose(server: PlusServer, active: Any) -> None:
+    def say(frame: int) -> tuple[bytes, ...]:
+        tools = [
+            TrackedTool(name, kind, pose_at(300.0 + jitter(frame)))
+            for name, kind in (("RobotFrameToTracker", TRACKING_6D), ("XFrameToTracker", TRACKING_3D))
+        ]
+        return (encode_message("TDATA", "", encode_tracking(tools), frame), STATUS_OK)
+
+    server.say = say
+    frame = read_until(active, lambda frame: validities(frame) == ["ok", "corrupt"])
+    assert frame.tool("x_frame").rotation is None
 
 
 def test_names_that_a_server_cuts_are_told_apart_by_their_metadata(server: PlusServer) -> None:
