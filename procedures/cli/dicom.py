@@ -173,18 +173,22 @@ def find(
     """
     from ronna_hw.command_line.errors import UsageMistake
 
+    if patient == "-":
+        patient = sys.stdin.readline()
     asked = {"PatientID": patient, "StudyInstanceUID": study, "AccessionNumber": accession}
-    keys = {keyword: value for keyword, value in asked.items() if value}
+    keys = {keyword: value.strip() for keyword, value in asked.items() if value is not None}
+    if empty := [keyword for keyword, value in keys.items() if not value]:
+        raise UsageMistake(
+            f"{empty[0]} is empty", expected="one identifier", action="An empty one would list all patients."
+        )
     if not keys:
         raise UsageMistake("nothing is asked for", expected="--patient, --study or --accession")
     if any(letter in value for value in keys.values() for letter in "*?\\"):
         raise UsageMistake("a pattern would list other patients", expected="one identifier")
-    if patient == "-":
-        keys["PatientID"] = sys.stdin.readline().strip()
     requester = _requester(peer, aet, tls_cert, tls_key, tls_ca)
-    empty = {"PatientID": "", "StudyInstanceUID": "", "StudyDate": "", "StudyDescription": ""}
+    wanted_too = {"PatientID": "", "StudyInstanceUID": "", "StudyDate": "", "StudyDescription": ""}
     rows = []
-    for found in requester.find("STUDY", {**empty, **keys}):
+    for found in requester.find("STUDY", {**wanted_too, **keys}):
         study_uid = str(found.get("StudyInstanceUID", ""))
         wanted = {"StudyInstanceUID": study_uid, "SeriesInstanceUID": "", "Modality": "CT"}
         more = {"SeriesDescription": "", "SeriesNumber": "", "NumberOfSeriesRelatedInstances": ""}

@@ -19,6 +19,7 @@ from ronna_hw.bounded_input import InputRefused, parse_json, read_bounded
 from ronna_hw.plausible import FARTHEST_MM, LONGEST_NAME, NAME_PATTERN
 from ronna_hw.text import printable
 
+LONGEST_UID = 64  # of DICOM
 LARGEST_FILE_BYTES = 1_000_000  # a line takes two kilobytes
 RAS = "RAS"
 SIGNS = {LPS: (1.0, 1.0, 1.0), RAS: (-1.0, -1.0, 1.0)}
@@ -54,6 +55,8 @@ def read_lines(path: Path, frame_of_reference_uid: str, order: LineOrder | None)
         raise MARKUP_UNREADABLE(f"cannot read {path}: {error.strerror}") from error
     except InputRefused as error:
         raise MARKUP_UNREADABLE(f"{path.name} is refused: {error.summary}") from error
+    except ValueError as error:
+        raise MARKUP_UNREADABLE(f"{path.name} is no file of markups: {error}") from error
     markups = content.get("markups") if isinstance(content, dict) else None
     if not isinstance(markups, list) or not markups or not all(isinstance(one, dict) for one in markups):
         raise MARKUP_UNREADABLE(f"{path.name} has no markups", expected="a .mrk.json that 3D Slicer saved")
@@ -66,7 +69,11 @@ def _require_frame(content: dict[str, Any], name: str, frame_of_reference_uid: s
     """Raise MRK-002 if a file that names its frame, as ours do and Slicer's do not, names another one."""
     if FRAME_KEY in content and (stated := content[FRAME_KEY]) != frame_of_reference_uid:
         raise MARKUP_OF_ANOTHER_FRAME(
-            f"{name} is of another frame of reference", expected=frame_of_reference_uid, got=_quote(stated)
+            f"{name} is of another frame of reference",
+            expected=frame_of_reference_uid,
+            got=printable(str(stated))[:LONGEST_UID],
+            action="With --fusion, --points-in says on which series it was drawn; without, draw it on the "
+            "CT of the plan.",
         )
 
 

@@ -42,6 +42,7 @@ def run_objects(
         objects |= _registered(results, fits)
         plain = [marker.model_dump(mode="json") for marker in spheres.values()]
         content = [plain, [(one.label, one.kind, *one.entry_mm, *one.end_mm) for one in lines]]
+        content.append([latest.isoformat()])  # in it too: one identifier has one content
         origin = _origin(results, hashlib.sha256(canonical_json(content)).hexdigest(), latest)
         objects["structures.dcm"] = structure_set(spheres, lines, origin, slice_uids)
     found = {results.labels[name]: one for name, one in results.found.items() if name in results.labels}

@@ -12,7 +12,7 @@ from typing import NamedTuple
 from procedures.live.errors import NO_LOG
 from procedures.live.flight_log import log_files
 from procedures.live.log_reading import read_log
-from procedures.live.log_topics import M_PER_MM
+from procedures.live.log_topics import M_PER_MM, PLAN, SPHERES
 from procedures.live.log_writer import EPOCH, METADATA
 from ronna_hw.arguments import WrongArgument
 from ronna_hw.loaded_run import RunColumn, RunTable
@@ -102,6 +102,12 @@ def read_topic(run: Path, topic: str) -> RunTable:
         topics |= topics_there
         if message is not None:
             tables.append((message, rows))
+    if not tables and topic in (SPHERES, PLAN):
+        raise WrongArgument(
+            f"the topic {topic} has markers for viewers, and no table",
+            expected=f"one of {', '.join(sorted(topics))}",
+            action="run.spheres and run.plan have them; or read the file with mcap or rosbags.",
+        )
     if not tables:
         raise WrongArgument(
             f"the log of {run.name} has no topic {topic}",

@@ -102,7 +102,8 @@ READ_BACK_DIFFERS = ErrorCode(
     "DCM-013",
     RefusedError,
     "A value that was read back is not the one of the series; nothing was taken.",
-    "Compare with the patient's papers: case, spaces and zeros count. Perhaps it is another patient's CT.",
+    "Compare with the patient's papers: case, spaces and zeros count. Perhaps it is another patient's CT, "
+    "or slices are missing: then have the series sent again.",
 )
 
 NOT_SENDABLE = ErrorCode(

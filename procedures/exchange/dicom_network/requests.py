@@ -42,6 +42,10 @@ MOST_SLICES = 20_000  # of one series, where the peer lists them instead of coun
 SUCCESS, PENDING, CANCELLED = 0x0000, (0xFF00, 0xFF01), 0xFE00
 WARNINGS = (0xB000, 0xB006, 0xB007)  # of a stored object: kept, with elements changed or dropped
 FIND, MOVE = StudyRootQueryRetrieveInformationModelFind, StudyRootQueryRetrieveInformationModelMove
+NOT_CALLED_BACK = (
+    "Most often the peer cannot call back: check that it knows this AE title with this computer's address "
+    "and port, and that no firewall lies between. Its own log has the reason."
+)
 UNCOUNTED = "the peer does not say how many"
 
 
@@ -142,7 +146,7 @@ class Requester:
             for status, _ in association.send_c_move(wanted, self.title, MOVE):
                 sent = int(status.get("NumberOfCompletedSuboperations", None) or sent)
                 if _status(status) not in PENDING:
-                    self._require(status, "move", allowed=(SUCCESS, 0xB000))  # 0xB000: some were refused
+                    self._require(status, "move", (SUCCESS, 0xB000), NOT_CALLED_BACK)  # 0xB000: not all
         return sent
 
     def store(self, objects: Sequence[Dataset]) -> list[str]:
@@ -165,11 +169,19 @@ class Requester:
                     outcome.append("" if kept else f"the peer refused it with status {_format(status)}")
         return outcome
 
-    def _require(self, status: Dataset, request: str, allowed: Sequence[int] = (SUCCESS,)) -> None:
+    def _require(
+        self,
+        status: Dataset,
+        request: str,
+        allowed: Sequence[int] = (SUCCESS,),
+        action: str | None = None,
+    ) -> None:
         if (number := _status(status)) not in allowed:
             comment = printable(str(status.get("ErrorComment", "")))
             got = f"{_format(number)} {comment}".rstrip()
-            raise REQUEST_FAILED(f"{self.peer} did not carry out: {request}", expected="0x0000", got=got)
+            raise REQUEST_FAILED(
+                f"{self.peer} did not carry out: {request}", expected="0x0000", got=got, action=action
+            )
 
 
 def _status(status: Dataset) -> int:

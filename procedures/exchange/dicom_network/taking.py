@@ -71,5 +71,11 @@ def _list_read_backs(entry: InboxEntry, scan: ScanIdentity) -> list[ReadBack]:
     if entry.record.complete is not True:
         count = str(entry.record.instances)
         what = "the number of slices of this series, as the scanner or the archive states it"
-        values.append(ReadBack(what, count, wrong=f"is not the number of slices that have arrived, {count}"))
+        values.append(
+            ReadBack(
+                what,
+                count,
+                wrong="is not the number of slices that have arrived: some are missing, or there are others",
+            )
+        )
     return values

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 from collections.abc import Iterator
 from pathlib import Path
@@ -17,6 +18,7 @@ from procedures.exchange.dicom_network import errors
 from procedures.exchange.dicom_network.peers import Peer, TlsFiles, require_title
 from procedures.exchange.dicom_network.requests import Requester
 from procedures.exchange.dicom_network.sending import describe_owner, read_objects
+from ronna_hw.errors import EXIT_USAGE
 
 ANNA = int.from_bytes(b"anna", "big")
 STUDY, SERIES = f"2.25.{ANNA}.1", f"2.25.{ANNA}.2"
@@ -144,3 +146,13 @@ def test_without_the_extra_a_command_says_which_line_installs_it(monkeypatch: py
     assert refused.returncode == 2
     assert refused.stderr.startswith("DCM-001")
     assert "pip install 'ronna-hw[dicom]'" in refused.stderr
+
+
+@pytest.mark.parametrize("typed", ["", "   \n"])
+def test_an_empty_identifier_from_standard_input_lists_nobody(
+    monkeypatch: pytest.MonkeyPatch, typed: str
+) -> None:
+    monkeypatch.setattr("sys.stdin", io.StringIO(typed))
+    refused = in_this_process(app, "find", "PACS@127.0.0.1:1", "--patient", "-")
+    assert refused.returncode == EXIT_USAGE
+    assert "PatientID is empty" in refused.stderr
