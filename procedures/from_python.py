@@ -140,25 +140,16 @@ def run_case(
             return load_run(folder)
 
 
-def check_run_case(
-    scene: str = "default",
-    seed: int = 0,
-    *,
-    strategy: str = "ocs",
-    arm: str = "kr6",
-    dual: bool = False,
-    faults: str | Sequence[str] = (),
-    answers: Decide | None = None,
-    out: str | os.PathLike[str] = "runs",
-    progress: bool = True,
-    options: Mapping[str, object] | None = None,
-) -> None:
-    """Check the arguments of `run_case` as it does, without running anything. Raises as it does."""
+def check_run_case(**arguments: Any) -> None:
+    """Check arguments of `run_case` as it does, without running anything. Raises as it does."""
     from procedures.runs.request_checks import check_case
 
-    given = {"scene": scene, "seed": seed, "strategy": strategy, "arm": arm, "dual": dual}
-    request, _ = _read_arguments(given, faults, answers, options)
-    check_case(request, require_path(out, "the folder of runs"))
+    taken = signature(run_case).bind(**arguments)
+    taken.apply_defaults()
+    given = taken.arguments
+    choice = {name: given[name] for name in ("scene", "seed", "strategy", "arm", "dual")}
+    request, _ = _read_arguments(choice, given["faults"], given["answers"], given["options"])
+    check_case(request, require_path(given["out"], "the folder of runs"))
 
 
 def _read_arguments(
