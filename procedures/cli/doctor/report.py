@@ -214,14 +214,14 @@ def examine(
 
 
 def _with_command(one: Diagnostic, config: Path | None) -> Diagnostic:
-    """Give a problem that no command solves the one that checks it again, alone if that is possible."""
+    """Give a problem that no command solves the one that checks it again, against the theatre file if any."""
     if one.well or one.command:
         return one
+    if config is not None:
+        return replace(one, command=f"ronna-procedure doctor --config {shlex.quote(str(config))}")
     endpoint = (one.document or {}).get("endpoint")
     if endpoint is not None:
         return replace(one, command=f"ronna-procedure doctor --endpoint {shlex.quote(str(endpoint))}")
-    if config is not None:
-        return replace(one, command=f"ronna-procedure doctor --config {shlex.quote(str(config))}")
     return one
 
 

@@ -223,17 +223,25 @@ def with_options(
                 or _suggest_option(table, tables, after=f".{key}={value if equals else 'VALUE'}"),
             )
         keys = {n: [option.key for option in changed[n].proposal.options] for n in numbers}
-        number = next((n for n in numbers if key in keys[n]), None)
-        if number is None:
+        having = [n for n in numbers if key in keys[n]]
+        if not having:
             known = dict.fromkeys(one for n in numbers for one in keys[n])
             raise UsageMistake(
                 f"--option: {table} has no option {key!r}",
                 expected=f"one of {', '.join(known)}",
                 action=_suggest_option(key, list(known), before=f"{table}.", after=f"={value}"),
             )
-        applied = _apply_values(changed[number], {key: _parse_value(value)})
-        _require_fitting(text, applied)
-        changed[number] = applied
+        refusals = []
+        for number in having:  # drivers of several makes may have it, with other limits
+            applied = _apply_values(changed[number], {key: _parse_value(value)})
+            try:
+                _require_fitting(text, applied)
+            except UsageMistake as refusal:
+                refusals.append(refusal)
+                continue
+            changed[number] = applied
+            return
+        raise refusals[0]
 
     mistakes.collect(apply, given)
     return tuple(changed)
