@@ -86,18 +86,29 @@ class Picture(NamedTuple):
 
 
 def load_pictures(reading: RunReading, prefix: str) -> tuple[Picture, ...]:
-    """Load the pictures whose names begin with a prefix, without those of superseded results."""
-    gone = {
-        name
-        for line in reading.run.lines(Entry.RESULT)
-        if line.get("record") in reading.run.superseded
-        for name in read_hashes(line, "pictures")
-    }
+    """Load the pictures whose names begin with a prefix: of valid results, or of a step that left none.
+
+    A question that was asked again has left another picture of the same thing.
+    """
+    gone, standing = set[str](), set[str]()
+    for line in reading.run.lines(Entry.RESULT):
+        of_line = {name for name in read_hashes(line, "pictures") if name.startswith(prefix)}
+        (gone if line.get("record") in reading.run.superseded else standing).update(of_line)
+    folder = reading.folder / PICTURES_FOLDER
     return tuple(
-        Picture(path.stem.removeprefix(prefix), data_url(picture))
-        for path in sorted((reading.folder / PICTURES_FOLDER).glob(f"{prefix}*.png"))
-        if path.is_file() and path.name not in gone and (picture := load_picture(reading, path)) is not None
+        Picture(_shown_name(path).removeprefix(prefix), data_url(picture))
+        for path in sorted(folder.glob(f"{prefix}*.png"))
+        if path.is_file()
+        and (path.name in standing or not standing)
+        and path.name not in gone
+        and (picture := load_picture(reading, path)) is not None
     )
+
+
+def _shown_name(path: Path) -> str:
+    """Return what a picture shows, without the number of a second one of the same thing."""
+    first, _, number = path.stem.rpartition("-")
+    return first if number.isdecimal() and path.with_stem(first).exists() else path.stem
 
 
 def load_picture(reading: RunReading, path: Path) -> bytes | None:

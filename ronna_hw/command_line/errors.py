@@ -211,6 +211,13 @@ def convert_usage_error(
         repeat = _advise_several_values(parameters)
         from ronna_hw.evidence.journal_reading import JOURNAL_FILE
 
+        runs = [word for word in arguments if os.path.exists(os.path.join(word, JOURNAL_FILE))]
+        if len(runs) > 1:
+            return UsageMistake(
+                f"{len(runs)} runs are given: {', '.join(map(shlex.quote, runs))}",
+                expected="one",
+                action=f"A pattern such as * stands for all that fit: name one. {see}",
+            )
         there = [word for word in found[1].split() if os.path.exists(word)]
         if len(there) == 1 and os.path.exists(os.path.join(there[0], JOURNAL_FILE)):
             repeat = f"To go on with this run: ronna-procedure resume {shlex.quote(there[0])}. "
