@@ -1,4 +1,4 @@
-"""Order of the points of a drawn line. Light, as the options of a command name it."""
+"""Order of the points of a drawn line; a module of its own, so that command options import nothing heavy."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a case knows of frames, spheres and plan, from its results and its workcell. Asks no device."""
+"""Frames, spheres and plan of a case, from its results and its workcell. Asks no device."""
 
 from __future__ import annotations
 

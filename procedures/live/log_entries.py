@@ -1,4 +1,4 @@
-"""What the log of a run takes beside live records: cycles in batches, lines for people, journal lines."""
+"""Entries of a run's log beside live records: cycles in batches, lines for people, journal lines."""
 
 from __future__ import annotations
 

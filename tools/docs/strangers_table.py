@@ -25,7 +25,7 @@ PASSES, FAILS, NOT_ASKED = "passes", "**fails**", "–"
 
 @dataclass(frozen=True)
 class Result:
-    """What a stranger did: the outcome by the name of a case, `passes` or the failure."""
+    """Outcomes of one stranger, by the name of a case: `passes` or the failure."""
 
     name: str
     version: str

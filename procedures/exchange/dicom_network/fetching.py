@@ -1,4 +1,4 @@
-"""Fetching of one series: a peer is asked to send it here, and it is awaited whole."""
+"""Fetching of one series: the peer is asked to send it, and the call returns once all of it has arrived."""
 
 from __future__ import annotations
 

@@ -38,7 +38,7 @@ _STATUS = {OBJECT_REFUSED.code: DOES_NOT_FIT, NO_ROOM.code: OUT_OF_RESOURCES}
 
 @dataclass(frozen=True)
 class Listening:
-    """Where a receiver listens, under which AE title, and for whom."""
+    """Address, AE title and permitted callers of a receiver."""
 
     title: str
     address: str

@@ -11,7 +11,7 @@ from ronna_hw.wire.openigtlink import encode_message
 
 
 class Sendable(Protocol):
-    """What a connection sends."""
+    """Message that a connection can send."""
 
     @property
     def key(self) -> tuple[str, str]:
