@@ -163,7 +163,7 @@ class PatientServer(ThreadedAssociationServer):
                 for one in [one for one, end_s in self._ends_s.items() if end_s < now_s]:
                     self._drop(one)
             for key in awake:
-                super().process_request(key.fileobj, key.data)  # type: ignore[arg-type]
+                super().process_request(key.fileobj, key.data)  # type: ignore[arg-type]  # a socket
 
     def _forget(self, connection: Any) -> None:
         del self._ends_s[connection]

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Self
 
 from pynetdicom import AE, evt
-from pynetdicom.sop_class import Verification  # type: ignore[attr-defined]
+from pynetdicom.sop_class import Verification  # type: ignore[attr-defined]  # made at import
 
 from procedures.exchange.dicom_network.errors import CALLERS_UNNAMED, NO_ROOM, OBJECT_REFUSED
 from procedures.exchange.dicom_network.listener import FIRST_BYTE_S, NETWORK_S, PatientServer, begin_message
