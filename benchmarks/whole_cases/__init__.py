@@ -1,0 +1,1 @@
+"""Whole simulated cases of every strategy on a block of seeds, as decision 31 has it."""
