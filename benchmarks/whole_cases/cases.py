@@ -75,10 +75,12 @@ def _run_case(folder: Path, condition: Condition, seed: int) -> Attempt:
         said = {"outcome": "failed", "error": {"code": problem.code, "what": problem.what}}
     measured = _read_targets(runs) if said["outcome"] in FINISHED else {}
     shutil.rmtree(runs, ignore_errors=True)
+    ct = said.get("ct")
     return {
         "outcome": said["outcome"],
         "error": said.get("error"),
         "left_out": said.get("left_out", {}),
+        "ct_rms_mm": ct and ct["rms_error_mm"] and round(ct["rms_error_mm"], 2 * DIGITS - 2),
         "theatre_s": said.get("sim_s"),
         "late_cycles": said.get("late_cycles"),
         **measured,
