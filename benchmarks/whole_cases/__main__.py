@@ -5,23 +5,25 @@
     python -m benchmarks.whole_cases FOLDER                                   # the table of what is there
 
 Each case is `ronna-procedure run --sim`, as a user types it. `cases.jsonl` in the folder keeps every attempt;
-the same command continues. `summary.json` has the figures of the table.
+the same command continues. `block.json` has the seeds, `summary.json` the figures of the table.
 """
 
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
-from benchmarks.whole_cases.block import draw_block
+from benchmarks.whole_cases.block import count_passed_over, draw_block
 from benchmarks.whole_cases.cases import load_attempts, measure_cases
 from benchmarks.whole_cases.conditions import list_conditions
 from benchmarks.whole_cases.table import summarize, tabulate
+from ronna_hw.arm.catalogue import ArmChoice
 
-SUMMARY_FILE = "summary.json"
+SUMMARY_FILE, BLOCK_FILE = "summary.json", "block.json"
 
 
 def main(
@@ -33,12 +35,29 @@ def main(
     """Run whole cases with every strategy, and print their errors as a table."""
     chosen = [one for one in list_conditions() if not only or {one.group, one.name} & set(only)]
     drawn = draw_block(block) if block else tuple(seeds)
+    if drawn:
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / BLOCK_FILE).write_text(json.dumps(_describe(block, drawn)) + "\n", encoding="utf-8")
     for attempt in measure_cases(folder, chosen, drawn):
         typer.echo(json.dumps(attempt), err=True)
     summary = summarize(load_attempts(folder))
     (folder / SUMMARY_FILE).write_text(json.dumps(summary, indent=1) + "\n", encoding="utf-8")
     for line in tabulate(summary):
         typer.echo(line)
+
+
+def _describe(commit: str, seeds: Sequence[int]) -> dict[str, Any]:
+    """Return the block, and how many trajectories were never drawn because the arm could not take them."""
+    scenes = {
+        "kr6": (ArmChoice.KR6, False),
+        "kr6_x_frame": (ArmChoice.KR6, True),
+        "ur5e": (ArmChoice.UR5E, False),
+    }
+    passed_over = {
+        name: sum(count_passed_over(seed, arm, x_frame=x_frame) for seed in seeds)
+        for name, (arm, x_frame) in scenes.items()
+    }
+    return {"commit": commit, "seeds": list(seeds), "passed_over": passed_over}
 
 
 if __name__ == "__main__":

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 from scipy.stats import binomtest, wilcoxon
 
+from benchmarks.whole_cases.block import TARGETS
 from benchmarks.whole_cases.cases import FINISHED, Attempt, is_settled
 from benchmarks.whole_cases.conditions import COMPARED_WITH
 
-TARGETS = 3  # of the default scene
 CONFIDENCE = 0.95  # of the interval of a coverage
 HEADER = (
     "| cases of | strategy | cases | refused | again | targets | mean mm | largest mm | predicted, rms mm "

@@ -68,6 +68,17 @@ LOWEST_ADHESIVE = -0.1  # share of the direction towards the vertex
 MOST_BEHIND = 0.5  # share of the direction towards the back
 
 
+@dataclass(frozen=True)
+class DrawnHead:
+    """A head, and how many trajectories were drawn and passed over because the arm could not take them.
+
+    Those too close to a sphere or to the frame are not counted: no surgeon would plan them.
+    """
+
+    head: Head
+    passed_over: int
+
+
 def draw_head(
     generator: np.random.Generator,
     markers: int,
@@ -76,7 +87,7 @@ def draw_head(
     *,
     x_frame: bool = False,
     arm: ArmDesign = KR6,
-) -> Head:
+) -> DrawnHead:
     """Draw a head with 3 to 8 spheres (`markers`) and `targets` in an arm's reach.
 
     Raises SIM-001 if they do not fit.
@@ -95,15 +106,17 @@ def draw_head(
             _implant_fiducials(generator, template) if template else _draw_fiducials(generator, markers)
         )
     pose = _draw_pose(generator, arm.head_mm)
-    return Head(
+    drawn, passed_over = _draw_targets(generator, targets, fiducials, pose, frame, arm.variant)
+    head = Head(
         robot_from_ct=pose_of(pose),
         centre_ct_mm=CENTRE_CT_MM,
         semi_axes_mm=SEMI_AXES_MM,
         fiducials=fiducials,
         x_frame=x_frame,
         template_mm=template.centres_mm if template else None,
-        targets=_draw_targets(generator, targets, fiducials, pose, frame, arm.variant),
+        targets=drawn,
     )
+    return DrawnHead(head, passed_over)
 
 
 def stick_adhesives(head: Head, count: int, generator: np.random.Generator) -> Head:
@@ -191,13 +204,14 @@ def _draw_targets(
     robot_from_ct: Vector,
     frame: FrameOnHead | None,
     variant: str,
-) -> tuple[Target, ...]:
-    """Draw trajectories between the spheres, all within reach of the arm in one posture."""
+) -> tuple[tuple[Target, ...], int]:
+    """Draw trajectories between the spheres, all within reach of the arm in one posture, and count others."""
     axis = np.array(CAP_AXIS_CT)
     spheres = np.array([fiducial.centre_ct_mm for fiducial in fiducials])
     feasibility = PlanFeasibility(apply(robot_from_ct, spheres), variant)
     targets: list[Target] = []
     drawn: list[tuple[Vector, Vector]] = []  # entries and targets in the robot frame
+    passed_over = 0
     for _ in range(ATTEMPTS):
         point, normal = skin_at(draw_direction(generator, axis, ENTRY_HALF_ANGLE_RAD))
         inward = draw_direction(generator, -normal, TILT_RAD)
@@ -209,6 +223,7 @@ def _draw_targets(
         target = entry + inward * generator.uniform(*DEPTH_RANGE_MM)
         ends = apply(robot_from_ct, entry), apply(robot_from_ct, target)
         if not feasibility.is_feasible([*drawn, ends]):
+            passed_over += 1
             continue
         drawn.append(ends)
         targets.append(
@@ -219,7 +234,7 @@ def _draw_targets(
             )
         )
         if len(targets) == count:
-            return tuple(targets)
+            return tuple(targets), passed_over
     raise BAD_SCENE(f"{count} trajectories do not fit between the markers within the arm's reach")
 
 

@@ -75,7 +75,7 @@ def draw_scene(
     if x_frame and markers not in (None, len(SPHERE_CENTRES_MM)):
         raise BAD_SCENE(f"the x-shaped frame has {len(SPHERE_CENTRES_MM)} markers, not {markers}")
     mini = name == "mini"
-    generator = np.random.Generator(np.random.Philox(key=seed))
+    generator = scene_generator(seed)
     design = CHOSEN[arm]
     head = draw_head(
         generator,
@@ -84,7 +84,7 @@ def draw_scene(
         template,
         x_frame=x_frame,
         arm=design,
-    )
+    ).head
     left, right = draw_cameras(generator)
     true_arm, mount = draw_arm(generator, design), draw_mount(generator)
     on_bench = name in BENCH_DISTANCES_MM
@@ -109,6 +109,11 @@ def draw_scene(
         stand=_draw_stand(seed, design.head_mm),
         servo_area_px=MINI_AREA_PX if mini else (1024, 1024),
     )
+
+
+def scene_generator(seed: int) -> np.random.Generator:
+    """Return the random numbers of a scene; its head is drawn first."""
+    return np.random.Generator(np.random.Philox(key=seed))
 
 
 def _draw_stand(seed: int, head_mm: Point) -> Stand:

@@ -23,8 +23,9 @@ from ronna_hw.collision_config import CollisionConfig
 from ronna_hw.frames import Frame
 from sim.world.rigid import apply, inverse, matrix_of
 from sim.world.scene.arm_design import KR6
+from sim.world.scene.head import draw_head
 from sim.world.scene.model import Scene
-from sim.world.scene.named_scenes import draw_scene
+from sim.world.scene.named_scenes import draw_scene, scene_generator
 from sim.world.scene.parts import Guide
 from sim.world.scene.plan_feasibility import STANDOFF_MM, PlanFeasibility
 
@@ -84,6 +85,13 @@ def test_every_seed_draws_a_plan_within_reach(markers: int) -> None:
     for seed in range(100, 104):
         reach, ends = reach_of(draw_scene("default", seed=seed, markers=markers))
         assert reach.is_feasible(ends)
+
+
+def test_trajectories_that_the_arm_cannot_take_are_passed_over_and_counted() -> None:
+    for seed, passed_over in ((0, 0), (ONCE_OUT_OF_REACH, 1)):
+        drawn = draw_head(scene_generator(seed), 5, 3)
+        assert drawn.passed_over == passed_over
+        assert drawn.head.targets == draw_scene("default", seed=seed).head.targets
 
 
 def test_a_trajectory_from_below_is_out_of_reach() -> None:
