@@ -3,6 +3,7 @@
     python -m benchmarks.whole_cases FOLDER --block COMMIT                    # everything, in its order
     python -m benchmarks.whole_cases FOLDER --block COMMIT --only uncalibrated
     python -m benchmarks.whole_cases FOLDER                                   # the table of what is there
+    python -m benchmarks.whole_cases benchmarks/results/FOLDER --page         # the same, into strategies.md
 
 Each case is `ronna-procedure run --sim`, as a user types it. `cases.jsonl` in the folder keeps every attempt;
 the same command continues. `block.json` has the seeds, `summary.json` the figures of the table.
@@ -17,9 +18,10 @@ from typing import Annotated, Any
 
 import typer
 
-from benchmarks.whole_cases.block import count_passed_over, draw_block
+from benchmarks.whole_cases.block import ROOT, count_passed_over, draw_block
 from benchmarks.whole_cases.cases import load_attempts, measure_cases
 from benchmarks.whole_cases.conditions import list_conditions
+from benchmarks.whole_cases.page import write_page
 from benchmarks.whole_cases.table import summarize, tabulate
 from ronna_hw.arm.catalogue import ArmChoice
 
@@ -31,6 +33,9 @@ def main(
     block: Annotated[str, typer.Option(help="Commit that draws the seeds, 40 digits.")] = "",
     only: Annotated[list[str], typer.Option(help="Group, or group and strategy; repeatable.")] = [],  # noqa: B006
     seeds: Annotated[list[int], typer.Option(help="These instead of a block, to try it.")] = [],  # noqa: B006
+    page: Annotated[
+        bool, typer.Option("--page", help="Write the table of the page of the strategies.")
+    ] = False,
 ) -> None:
     """Run whole cases with every strategy, and print their errors as a table."""
     chosen = [one for one in list_conditions() if not only or {one.group, one.name} & set(only)]
@@ -42,8 +47,17 @@ def main(
         typer.echo(json.dumps(attempt), err=True)
     summary = summarize(load_attempts(folder))
     (folder / SUMMARY_FILE).write_text(json.dumps(summary, indent=1) + "\n", encoding="utf-8")
+    if page:
+        kept = (folder / SUMMARY_FILE).resolve().relative_to(ROOT)
+        write_page(
+            summary, str(kept), f"python -m benchmarks.whole_cases FOLDER --block {_commit_of(folder)}"
+        )
     for line in tabulate(summary):
         typer.echo(line)
+
+
+def _commit_of(folder: Path) -> str:
+    return str(json.loads((folder / BLOCK_FILE).read_text(encoding="utf-8"))["commit"])
 
 
 def _describe(commit: str, seeds: Sequence[int]) -> dict[str, Any]:

@@ -41,7 +41,7 @@ from sim.world.true_arm import arm_seed
 RECORD_LIFE = timedelta(days=30)
 MADE_BY = "ronna-sim theatre"
 # Effect of an arm of parameter set S on the points of one head, all approached alike. Chosen on seeds 0 to
-# 19, where the targets show 0.20 mm rms; on unseen seeds 100 to 111 they show 0.19 mm.
+# 19, where the targets show 0.20 mm rms; on seeds 100 to 111 they show 0.19 mm.
 UNCALIBRATED_ARM_ERROR_MM = 0.10
 # For a frame and a guide mounted according to their drawing and never measured, per axis.
 DRAWN_FRAME_MM, DRAWN_FRAME_RAD, DRAWN_TIP_MM = 2.0, 0.01, 1.0

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import tomllib
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -9,6 +11,7 @@ import pytest
 from benchmarks.whole_cases.block import draw_block
 from benchmarks.whole_cases.cases import is_settled
 from benchmarks.whole_cases.conditions import list_conditions
+from benchmarks.whole_cases.page import BEGIN, END, FIGURES_FILE, PAGE, write_page
 from benchmarks.whole_cases.table import summarize, tabulate
 from procedures.strategies.catalogue import STRATEGIES
 
@@ -106,3 +109,20 @@ def test_strategies_are_compared_at_the_targets_that_both_reached() -> None:
     assert paired["mean_mm"] == pytest.approx((-0.1 - 0.1 + 0.1 - 0.05) / 4)
     assert (paired["cases"], paired["cases_better"]) == (2, 2)
     assert paired["sign_p"] == pytest.approx(0.625)  # 3 of 4, two-sided: 10 of 16
+
+
+def test_each_row_of_the_page_has_an_entry_that_gives_it(tmp_path: Path) -> None:
+    page, figures = tmp_path / PAGE, tmp_path / FIGURES_FILE
+    page.parent.mkdir(parents=True)
+    page.write_text(f"before\n{BEGIN}\nold\n{END}\nafter\n")
+    other = [case(1, 0.1, 0.2, 0.5, strategy="best"), refused(2, 1), refused(2, 2)]
+    summary = summarize([case(1, 0.2, 0.3, 0.4), *other])
+    write_page(summary, "kept.json", "the command", tmp_path)
+    text = page.read_text()
+    assert text.startswith("before\n")
+    assert text.endswith("after\n")
+    assert "old" not in text
+    entries = tomllib.loads(figures.read_text())["figure"]
+    assert [one["states"] in text for one in entries] == [True, True]
+    assert "| 3 of 3 | 0.267, 0.500 | 2 of 3 | -0.033 | 2 of 3 | 40 | 100 |" in entries[1]["states"]
+    assert entries[1]["values"][3:5] == ["uncalibrated.best.planned", "uncalibrated.best.mean_mm"]
