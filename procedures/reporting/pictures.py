@@ -27,8 +27,8 @@ if TYPE_CHECKING:
 WIDTH = 420.0  # user units, equal to CSS pixels on a phone
 TEXT_SIZE = 11.0
 # Mean application error on a phantom, mm: published, and of the nearest of our campaigns. Those have
-# uncalibrated arms and spheres 0.38 mm rms off their places in the CT, reseating included: parameter set S, fitted to table 4 of the thesis.
-# Sources and commands in docs/reference/published-figures.md.
+# uncalibrated arms and spheres 0.38 mm rms off their places in the CT, reseating included: parameter set S,
+# fitted to table 4 of the thesis. Sources and commands in docs/reference/published-figures.md.
 PUBLISHED_MM = (
     ("RONNA, OCS, 5 fiducials", 0.260, 0.275),
     ("RONNA, JDMS, 5 fiducials", 0.369, 0.305),
