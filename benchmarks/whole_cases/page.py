@@ -17,7 +17,7 @@ PAGE = Path("docs/explanation/strategies.md")
 FIGURES_FILE = Path("docs/reference/figures/whole-cases.toml")
 BEGIN, END = "<!-- written by python -m benchmarks.whole_cases: do not edit -->", "<!-- written so far -->"
 COLUMNS = (
-    "| {} | cases | refused | targets | mean, largest mm | within the 95 % limit "
+    "| {} | cases | refused | targets | mean, largest mm | within the limit "
     "| minus `ocs`, mm | better at | looks | theatre s |"
 )
 CAPTIONS = {
