@@ -19,11 +19,10 @@ from studies.accuracy.phantom import FREE_SPHERES, Markers, draw_phantom, phanto
 from studies.accuracy.postures import Postures
 from studies.accuracy.random_arms import RandomArms
 from studies.accuracy.scene import DIGITS, Sizes, StudiedScene
-from studies.application_error import PLACES
 from studies.campaign import bounds
 from studies.campaign.plots import scatters
 from studies.campaign.study import Cell, Study, Sums, Table, Unit, blocks_of_each
-from studies.guide_direction import DEPTHS_MM, TARGETS, WHOLE_HEAD
+from studies.strategies.study import DEPTHS_MM, PLACES, TARGETS
 
 STRATEGIES = ("nos", "thesis-ocs", "ocs", "jdms", "improved")
 BLOCK_ARMS = 125
@@ -41,10 +40,10 @@ class ErrorPartsStudy(Study):
     seed: int = 0
     name: str = "error-parts"
 
-    constants: ClassVar = {"places": list(PLACES), "targets": TARGETS, "strategies": list(STRATEGIES)}
+    constants: ClassVar = {"places": PLACES, "targets": TARGETS, "strategies": list(STRATEGIES)}
 
     def units(self) -> Sequence[Unit]:
-        return blocks_of_each(product(STRATEGIES, DEPTHS_MM, PLACES), self.arms, BLOCK_ARMS)
+        return blocks_of_each(product(STRATEGIES, range(1, PLACES + 1)), self.arms, BLOCK_ARMS)
 
     def run(self, unit: Unit) -> Sums:
         """Return FRE, both parts and the error in mm of every trial, keyed `what|arm|target`.
@@ -52,10 +51,10 @@ class ErrorPartsStudy(Study):
         `aligned` is the cosine between the parts. Of every target: distance in mm and travel in rad, keyed
         `what|target`.
         """
-        strategy, depth, number = unit.condition.split("|")
+        strategy, number = unit.condition.split("|")
         first = unit.block * BLOCK_ARMS
         arms = range(first, first + unit.runs)
-        phantom = draw_phantom(Markers.FREE, DEPTHS_MM[depth], TARGETS, WHOLE_HEAD)
+        phantom = draw_phantom(Markers.FREE, DEPTHS_MM, TARGETS)
         scene = StudiedScene(
             self.seed, Markers.FREE, int(number), phantom, phantom_pose(int(number)), (FREE_SPHERES,)
         )
@@ -100,7 +99,7 @@ class Trials:
 
 
 def collect(sums: Mapping[str, Sums]) -> dict[str, Trials]:
-    """Collect the trials of each strategy from all positions and depths."""
+    """Collect the trials of each strategy from all positions."""
     found: dict[str, dict[str, list[Array]]] = {}
     for condition, content in sums.items():
         of_strategy = found.setdefault(condition.split("|")[0], {})

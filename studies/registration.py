@@ -33,7 +33,7 @@ GATE_CONFIDENCE = 0.95
 DEPTH_RATIO = 3.0  # ratio of depth noise to lateral noise of a camera
 NOISY_RATIO = 5.0  # ratio of one bad fiducial to the others
 ISOTROPIC, DEPTH, NOISY = "equal", "1:1:3", "one 5x"
-# Older campaigns lack these sums, which the bounds need, and those of FRE and TRE, of which a few runs are drawn.
+# Older campaigns lack these sums, which the bounds and the correlation need, and the runs that are drawn.
 SUMS = "squares and fourth powers, FRE with TRE"
 SHOWN_RUNS, SHOWN = 60, f"{ISOTROPIC}|5"  # of a unit, and of which condition
 PAIR = "pair"
@@ -181,8 +181,9 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
             formulas,
             f"FLE {FLE_MM} mm, half of its variance in each space, target {TARGET_BELOW_MM:g} mm below "
             f"the markers' centre. The gate is set to {100 * (1 - GATE_CONFIDENCE):.0f} % false alarms. "
-            f"FRE is a residual, not an accuracy. {bounds.NOTE} Those of the TRE: Student, from the "
-            "spread of its squares.",
+            "FRE is a residual, not an accuracy: its mean square is (1 - 2/n) FLE2 wherever the target is, and "
+            f"r is Pearson's correlation with the TRE over the runs. {bounds.NOTE} Those of the TRE: Student, "
+            "from the spread of its squares; of r: Fisher.",
         ),
         Table.of("What weighting by covariances gains", gains, "Five fiducials."),
         *([_tabulate_own(sums)] if any(map(_list_own, sums.values())) else ()),
