@@ -561,7 +561,7 @@ def figures(
         Path, typer.Option("--out", metavar="DIR", help="New or existing folder for the pictures.")
     ] = Path("campaigns/figures"),
 ) -> None:
-    """Draw the thesis' figures 4, 5, 6 and 11, each from a run; the others are plots of the studies."""
+    """Draw the thesis' figures 4, 5, 6 and 11, each from a run; others are in reports and studies."""
     from ronna_hw.records import write_atomically
     from studies.thesis_figures import figures as draw
 

@@ -172,7 +172,7 @@ def _fre_row(strategy: str, trials: Trials) -> dict[str, Cell]:
         "FRE mm": float(fre_mm.mean()),
         "error mm": float(error_mm.mean()),
         "r of all": bounds.correlation(fre_mm.ravel(), error_mm.ravel()).value,
-        **bounds.cells("r within an arm", bounds.mean(within)),
+        **bounds.cells("r within an arm", bounds.mean(within), of="r within an arm"),
         "r between arms": float(np.mean(between)) if len(fre_mm) > 1 else None,
     }
 

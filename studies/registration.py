@@ -160,7 +160,7 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
                     "TRE / eq. 39": tre.value / predicted_mm,
                     **bounds.cells("gate alarms %", bounds.percent(total["alarms"], runs)),
                     "FRE2 / ((1 - 2/n) FLE2)": total["fre2"] / runs / (1.0 - 2.0 / int(count)) / FLE_MM**2,
-                    **bounds.cells("r of FRE and TRE", _correlate(total)),
+                    **bounds.cells("r of FRE and TRE", _correlate(total), of="r of FRE and TRE"),
                 }
             )
         else:
@@ -181,8 +181,8 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
             formulas,
             f"FLE {FLE_MM} mm, half of its variance in each space, target {TARGET_BELOW_MM:g} mm below "
             f"the markers' centre. The gate is set to {100 * (1 - GATE_CONFIDENCE):.0f} % false alarms. "
-            "FRE is a residual, not an accuracy: its mean square is (1 - 2/n) FLE2 wherever the target is, and "
-            f"r is Pearson's correlation with the TRE over the runs. {bounds.NOTE} Those of the TRE: Student, "
+            "FRE is a residual, not an accuracy: its mean square is (1 - 2/n) FLE2 wherever the target is. "
+            f"r: Pearson's correlation with the TRE over the runs. {bounds.NOTE} Those of the TRE: Student, "
             "from the spread of its squares; of r: Fisher.",
         ),
         Table.of("What weighting by covariances gains", gains, "Five fiducials."),
