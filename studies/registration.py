@@ -237,12 +237,12 @@ def plots(sums: Mapping[str, Sums]) -> dict[str, bytes]:
     title = f"Target error, FLE {FLE_MM} mm"
     pictures = {"target-error.png": curves(title, "fiducials", "rms error at the target, mm", lines)}
     if SHOWN in sums:
-        shown = {key: value for key, value in sums[SHOWN].items() if key.startswith(f"{PAIR}|")}
-        pairs = tuple(
-            [value for key, value in shown.items() if key.endswith(f"|{what}")] for what in ("fre", "tre")
+        fre_mm, tre_mm = (
+            [value for key, value in sums[SHOWN].items() if key.startswith(f"{PAIR}|") and key.endswith(what)]
+            for what in ("|fre", "|tre")
         )
         label = f"r = {_correlate(sums[SHOWN]).value:.3f}"
         pictures["fre-and-tre.png"] = scatters(
-            "FRE and TRE, five fiducials", "FRE, mm", "TRE, mm", {label: pairs}
+            "FRE and TRE, five fiducials", "FRE, mm", "TRE, mm", {label: (fre_mm, tre_mm)}
         )
     return pictures
