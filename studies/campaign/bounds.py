@@ -104,10 +104,8 @@ def root_mean_square(squares: float, fourths: float, runs: float) -> Bounded:
 
 def correlation(first: ArrayLike, second: ArrayLike) -> Bounded:
     """Return Pearson's correlation of independent pairs, with bounds by Fisher's transformation."""
-    pairs = np.asarray([first, second], dtype=float)
-    return correlation_of_sums(
-        pairs.shape[1], *pairs.sum(axis=1), *np.square(pairs).sum(axis=1), pairs.prod(axis=0).sum()
-    )
+    x, y = np.asarray(first, dtype=float), np.asarray(second, dtype=float)
+    return correlation_of_sums(len(x), x.sum(), y.sum(), (x * x).sum(), (y * y).sum(), (x * y).sum())
 
 
 def correlation_of_sums(
