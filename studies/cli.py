@@ -366,6 +366,19 @@ def application_error(
     _run(errors.ApplicationErrorStudy(arms, study_options.seed), errors, study_options)
 
 
+@app.command(name="error-parts")
+@with_option_records
+def error_parts(
+    arms: Annotated[int, typer.Option("--arms", min=2, max=500, help="Random arms of parameter set S.")] = 40,
+    *,
+    study_options: StudyOptions,
+) -> None:
+    """The error at the target by registration and arm; against FRE, distance and joint travel."""
+    from studies import error_parts as parts
+
+    _run(parts.ErrorPartsStudy(arms, study_options.seed), parts, study_options)
+
+
 @app.command()
 @with_option_records
 def worlds(
@@ -548,7 +561,7 @@ def figures(
         Path, typer.Option("--out", metavar="DIR", help="New or existing folder for the pictures.")
     ] = Path("campaigns/figures"),
 ) -> None:
-    """Draw the thesis' figures 4, 5, 6 and 11, each from a run; the others are plots of the studies."""
+    """Draw the thesis' figures 4, 5, 6 and 11, each from a run; others are in reports and studies."""
     from ronna_hw.records import write_atomically
     from studies.thesis_figures import figures as draw
 

@@ -19,7 +19,7 @@ from procedures.registration.error_theory import fle_of_one_space_mm, fre_gate, 
 from procedures.registration.point_registration import register
 from ronna_hw.arrays import Array
 from studies.campaign import bounds
-from studies.campaign.plots import Point, curves
+from studies.campaign.plots import Point, curves, scatters
 from studies.campaign.study import Cell, Study, Sums, Table, Unit, as_sums, blocks, generator
 from studies.heads import PATIENTS, draw_pose, sites_mm
 from studies.plugins.answers import PluginRegistration
@@ -33,7 +33,10 @@ GATE_CONFIDENCE = 0.95
 DEPTH_RATIO = 3.0  # ratio of depth noise to lateral noise of a camera
 NOISY_RATIO = 5.0  # ratio of one bad fiducial to the others
 ISOTROPIC, DEPTH, NOISY = "equal", "1:1:3", "one 5x"
-SUMS = "squares and fourth powers"  # older campaigns lack these sums, which the bounds need
+# Older campaigns lack these sums, which the bounds and the correlation need, and the runs that are drawn.
+SUMS = "squares and fourth powers, FRE with TRE"
+SHOWN_RUNS, SHOWN = 60, f"{ISOTROPIC}|5"  # of a unit, and of which condition
+PAIR = "pair"
 # Errors at the target: ours without and with covariances, user methods.
 PLAIN, WEIGHTED, OWN = "tre", "weighted", "own "
 
@@ -61,13 +64,21 @@ class RegistrationStudy(Study):
         sums: Counter[str] = Counter()
         own = tuple(PluginRegistration.of(one) for one in self.own)
         residuals_mm: list[float] = []
+        errors_mm: list[float] = []
         for run in range(unit.runs):
             sites = sites_mm(PATIENTS[run % len(PATIENTS)])
             points = sites[random.choice(len(sites), int(count), replace=False)]
             one = _register_once(points, kind, random, own)
             residuals_mm.append(one.pop("fre"))
+            errors_mm.append(np.sqrt(one[f"{PLAIN}2"]))
             sums.update(one)
         one_space2 = unit.runs * fle_of_one_space_mm(residuals_mm, int(count)) ** 2
+        pairs = np.array([residuals_mm, errors_mm])
+        sums.update({"fre": pairs[0].sum(), "tre": pairs[1].sum()})
+        sums.update({"fre2": np.square(pairs[0]).sum(), "fre tre": pairs.prod(axis=0).sum()})
+        if unit.condition == SHOWN:
+            for run, (fre_mm, error_mm) in enumerate(pairs.T[:SHOWN_RUNS]):
+                sums |= {f"{PAIR}|{unit.block}|{run}|fre": fre_mm, f"{PAIR}|{unit.block}|{run}|tre": error_mm}
         return as_sums(sums) | {"one_space2": one_space2}
 
 
@@ -148,6 +159,8 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
                     "eq. 39 mm": predicted_mm,
                     "TRE / eq. 39": tre.value / predicted_mm,
                     **bounds.cells("gate alarms %", bounds.percent(total["alarms"], runs)),
+                    "FRE2 / ((1 - 2/n) FLE2)": total["fre2"] / runs / (1.0 - 2.0 / int(count)) / FLE_MM**2,
+                    **bounds.cells("r of FRE and TRE", _correlate(total), of="r of FRE and TRE"),
                 }
             )
         else:
@@ -168,8 +181,9 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
             formulas,
             f"FLE {FLE_MM} mm, half of its variance in each space, target {TARGET_BELOW_MM:g} mm below "
             f"the markers' centre. The gate is set to {100 * (1 - GATE_CONFIDENCE):.0f} % false alarms. "
-            f"FRE is a residual, not an accuracy. {bounds.NOTE} Those of the TRE: Student, from the "
-            "spread of its squares.",
+            "FRE is a residual, not an accuracy: its mean square is (1 - 2/n) FLE2 wherever the target is. "
+            f"r: Pearson's correlation with the TRE over the runs. {bounds.NOTE} Those of the TRE: Student, "
+            "from the spread of its squares; of r: Fisher.",
         ),
         Table.of("What weighting by covariances gains", gains, "Five fiducials."),
         *([_tabulate_own(sums)] if any(map(_list_own, sums.values())) else ()),
@@ -198,6 +212,13 @@ def _list_own(total: Sums) -> dict[str, str]:
     return {key[:-1]: key[len(OWN) : -1] for key in total if key.startswith(OWN) and key.endswith("2")}
 
 
+def _correlate(total: Sums) -> bounds.Bounded:
+    """Return the correlation of FRE and TRE over the runs."""
+    return bounds.correlation_of_sums(
+        total["runs"], total["fre"], total["tre"], total["fre2"], total[f"{PLAIN}2"], total["fre tre"]
+    )
+
+
 def _rms_mm(total: Sums, who: str) -> bounds.Bounded:
     return bounds.root_mean_square(total[f"{who}2"], total[f"{who}4"], total["runs"])
 
@@ -214,4 +235,14 @@ def plots(sums: Mapping[str, Sums]) -> dict[str, bytes]:
         for who, name in _list_own(total).items():
             lines.setdefault(name, []).append((int(count), _rms_mm(total, who)))
     title = f"Target error, FLE {FLE_MM} mm"
-    return {"target-error.png": curves(title, "fiducials", "rms error at the target, mm", lines)}
+    pictures = {"target-error.png": curves(title, "fiducials", "rms error at the target, mm", lines)}
+    if SHOWN in sums:
+        fre_mm, tre_mm = (
+            [value for key, value in sums[SHOWN].items() if key.startswith(f"{PAIR}|") and key.endswith(what)]
+            for what in ("|fre", "|tre")
+        )
+        label = f"r = {_correlate(sums[SHOWN]).value:.3f}"
+        pictures["fre-and-tre.png"] = scatters(
+            "FRE and TRE, five fiducials", "FRE, mm", "TRE, mm", {label: (fre_mm, tre_mm)}
+        )
+    return pictures

@@ -1,7 +1,8 @@
-"""Figures of the thesis that need no campaign: 4 to 6, registration of two surfaces, and 11, the matrix.
+"""Figures of the thesis that need no campaign: 4 to 6, registration of two sets, and 11, the matrix.
 
-The thesis' own points are not published. The surface here is the upper half of an ellipsoid with a nose, the
-reading for figure 11 is one of the pairing study's.
+Figure 4 fits paired points by SVD, 5 aligns principal axes, 6 pairs closest points. The thesis' own points
+are not published. The markers and the reading for figure 11 are those of the pairing study, the surface is
+the upper half of an ellipsoid with a nose.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from procedures.registration.cloud_registration import closest_point_steps, principal_axes
 from procedures.registration.correspondence import MatchStatus
+from procedures.registration.rigid_fit import RigidFit, fit_rigid
 from procedures.registration.similarity_matrix import SimilarityPairs, SimilarityStep, similarity_steps
 from ronna_hw.arrays import Array
 from studies.campaign.plots import encode_png
@@ -21,6 +23,7 @@ from studies.heads import HALF_AXES_MM, NoiseReading, draw_readings, sites_mm
 
 POINTS = 600
 SURFACE_NOISE_MM = 0.5
+MARKER_NOISE_MM = 0.5  # per axis, in each set
 NOSE_MM = 25.0  # of the surface's front, so that it fits in one orientation only
 NOSE_WIDTH = 0.15  # share of the directions around the front
 MOVED_MM = (40.0, -25.0, 30.0)
@@ -28,6 +31,25 @@ TURNED_RAD = (0.5, -0.3, 0.8)  # Euler angles about x, y and z
 MATRIX_FIDUCIALS, MATRIX_OUTLIERS, MATRIX_E_MM = 4, 3, 2.5
 MOST_MATRICES = 8
 SHOWN_STEPS = 4  # of the closest points
+
+
+@dataclass(frozen=True, eq=False)
+class PairedPoints:
+    """The same markers (n, 3) in image and room, mm, pair by pair, and the fit by SVD."""
+
+    image_mm: Array
+    physical_mm: Array
+    fit: RigidFit
+
+    @property
+    def mapped_mm(self) -> Array:
+        """Image points as the fit places them in the room."""
+        return np.asarray(self.image_mm @ self.fit.rotation.T + self.fit.translation_mm)
+
+    @property
+    def fre_mm(self) -> float:
+        """Rms residual of the fit."""
+        return float(np.sqrt(np.square(self.physical_mm - self.mapped_mm).sum(axis=1).mean()))
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,6 +78,16 @@ def _draw_surface(random: np.random.Generator) -> Array:
     return np.asarray(points + random.normal(size=points.shape) * SURFACE_NOISE_MM)
 
 
+def draw_pairs(seed: int = 0) -> PairedPoints:
+    """Draw a head's markers in image and room, moved as the surfaces are, and fit them by SVD."""
+    random = np.random.default_rng(seed)
+    motion = RigidTransform.from_components(MOVED_MM, Rotation.from_euler("xyz", TURNED_RAD))
+    sites = sites_mm(1)
+    image = sites + random.normal(size=sites.shape) * MARKER_NOISE_MM
+    physical = np.asarray(motion.apply(sites)) + random.normal(size=sites.shape) * MARKER_NOISE_MM
+    return PairedPoints(image, physical, fit_rigid(image, physical))
+
+
 def draw_matrix_run(seed: int = 0) -> tuple[tuple[SimilarityStep, ...], SimilarityPairs]:
     """Return the iterations of the first reading, from a seed on, that the thesis' method pairs."""
     while True:
@@ -77,11 +109,27 @@ def figures(seed: int = 0) -> dict[str, bytes]:
     """Draw all figures of this module as PNG, by file name."""
     surfaces = draw_surfaces(seed)
     return {
-        "figure-4-principal-axes.png": _draw_axes(surfaces),
-        "figure-5-closest-points.png": _draw_steps(surfaces),
+        "figure-4-paired-points.png": _draw_pairs(draw_pairs(seed)),
+        "figure-5-principal-axes.png": _draw_axes(surfaces),
+        "figure-6-closest-points.png": _draw_steps(surfaces),
         "figure-6-residual.png": _draw_residuals(surfaces),
         "figure-11-similarity-matrix.png": _draw_matrices(*draw_matrix_run(seed)),
     }
+
+
+def _draw_pairs(pairs: PairedPoints) -> bytes:
+    figure, all_axes = _open_figure(1, 2)
+    named = {"as read": pairs.image_mm, "fitted by SVD": pairs.mapped_mm}
+    for axes, (name, image_mm) in zip(all_axes, named.items(), strict=True):
+        for one, other in zip(image_mm, pairs.physical_mm, strict=True):
+            axes.plot(*np.array([one, other])[:, (0, 2)].T, "-", color="grey", lw=0.7)
+        axes.plot(*image_mm[:, (0, 2)].T, "o", color="C0", label="image")
+        axes.plot(*pairs.physical_mm[:, (0, 2)].T, "x", color="C1", label="room")
+        axes.set_title(name, fontsize=9)
+        _label_view(axes, (0, 2))
+    all_axes[0].legend(fontsize=8)
+    figure.suptitle(f"Paired points, FRE {pairs.fre_mm:.2f} mm", fontsize=9)
+    return encode_png(figure)
 
 
 def _draw_axes(surfaces: Surfaces) -> bytes:

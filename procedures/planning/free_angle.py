@@ -29,7 +29,13 @@ from procedures.planning.pose_name import PoseKind, PoseName
 from procedures.planning.visits import ArmSetting, Axes, PathCheck, Unmet, list_localizations
 from procedures.registration.movement import LEAST_POINTS
 from procedures.strategies.catalogue import CANDIDATES, BestOfEach, find_strategy
-from procedures.strategies.strategy import OUTWARDS_RAD, STEP_RAD, Strategy, intermediate_turns_rad
+from procedures.strategies.strategy import (
+    FURTHEST_RAD,
+    OUTWARDS_RAD,
+    STEP_RAD,
+    Strategy,
+    intermediate_turns_rad,
+)
 from procedures.strategies.trajectory import Trajectory
 from ronna_hw.arm.kinematics import Branch, Kinematics
 from ronna_hw.arrays import Array
@@ -109,10 +115,12 @@ class _Search:
         self, axes: Axes, options: Mapping[str, Iterable[float]], branch: Branch
     ) -> TurnedPaths | None:
         """Find turns that work together in this branch, trying each axis's best first, or return None."""
-        ranked = {name: self._search_turns(axes.only(name), turns, branch) for name, turns in options.items()}
+        ranked: dict[str, Iterator[float]] = {}
         chosen: dict[str, float] = {}
-        for name, turns in ranked.items():
-            first = next(turns, None)
+        for name, turns in options.items():  # the localizations that all targets share come first
+            ordered = _nearest_to_shared(axes, name, turns, chosen)
+            ranked[name] = self._search_turns(axes.only(name), ordered, branch)
+            first = next(ranked[name], None)
             if first is None:
                 return None
             chosen[name] = first
@@ -201,6 +209,23 @@ class _Search:
             else:
                 unmet += self.sight.unmet(visits, self.setting.robot_from_ct.apply(self.fiducials_mm))
         return tuple(unmet)
+
+
+def _nearest_to_shared(
+    axes: Axes, name: str, turns: Iterable[float], chosen: Mapping[str, float]
+) -> Iterable[float]:
+    """Order a target's turns by nearness to the free angle of the localizations that it shares, if it does.
+
+    The thesis keeps that angle between localization and target. A target with localizations of its own keeps
+    it anyway, and the order of its turns.
+    """
+    if not axes.localized or name in {one.identifier for one in axes.localized}:
+        return turns
+    shared = axes.localized[0]
+    (planned,) = (one.free_angle_rad for one in axes.targeted if one.identifier == name)
+    kept = math.remainder(shared.free_angle_rad + chosen[shared.identifier] - planned, 2.0 * math.pi)
+    reachable = {kept} if abs(kept) <= FURTHEST_RAD else set()
+    return sorted({*turns} | reachable, key=lambda turn: abs(turn - kept))
 
 
 def _turn(axis: Axes, turn_rad: float) -> Axes:

@@ -61,6 +61,18 @@ def target_columns(rows: Sequence[TargetRow]) -> list[dict[str, object]]:
     return lines
 
 
+def parts_columns(rows: Sequence[TargetRow]) -> list[dict[str, object]]:
+    """Return the two parts of each target's error, as lengths and as vectors in the robot frame."""
+    lines: list[dict[str, object]] = []
+    for row in rows:
+        line: dict[str, object] = {"target": row.target, "error_mm": row.error_mm}
+        for part, length_mm in ({} if row.parts is None else row.parts.lengths_mm).items():
+            vector = zip("xyz", getattr(row.parts, f"{part}_mm"), strict=True)
+            line |= {f"{part}_error_mm": length_mm} | {f"{part}_{axis}_mm": value for axis, value in vector}
+        lines.append(line)
+    return lines
+
+
 def clearance_columns(motions: Sequence[MotionRow]) -> list[dict[str, object]]:
     """Return the clearance of each checked motion from the head and from other bodies."""
     return [

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any, Literal
 
 from pydantic import BaseModel, Field, SerializerFunctionWrapHandler, model_serializer
@@ -20,6 +21,21 @@ class CtOutcome(Values):
     rms_error_mm: float | None
 
 
+class ErrorParts(BaseModel, frozen=True, extra="ignore", allow_inf_nan=False):
+    """The error's two parts as vectors in the robot frame, which add up to the error."""
+
+    registration_mm: tuple[float, float, float] = Field(description="Registered minus true target.")
+    intrinsic_mm: tuple[float, float, float] = Field(description="Tip minus registered target.")
+
+    @property
+    def lengths_mm(self) -> dict[str, float]:
+        """Lengths of both vectors."""
+        return {
+            "registration": math.hypot(*self.registration_mm),
+            "intrinsic": math.hypot(*self.intrinsic_mm),
+        }
+
+
 class TargetTruth(BaseModel, frozen=True, extra="ignore", allow_inf_nan=False):
     """True position of the tip at one target, according to the theatre's verifier."""
 
@@ -27,6 +43,7 @@ class TargetTruth(BaseModel, frozen=True, extra="ignore", allow_inf_nan=False):
     application_error_mm: float
     lateral_mm: float | None = Field(default=None, description="Component across the planned axis.")
     axial_mm: float | None = Field(default=None, description="Component along it.")
+    parts: ErrorParts | None = Field(default=None, description="Shares of registration and arm.")
 
 
 class Truth(BaseModel, frozen=True, extra="ignore", allow_inf_nan=False):

@@ -23,6 +23,7 @@ from procedures.reporting.files import (
     clearance_columns,
     load_check,
     load_pictures,
+    parts_columns,
     store_check,
     target_columns,
 )
@@ -161,7 +162,10 @@ def _write_drawings(files: ReportFiles, page: Page) -> None:
         for name, svg in page.plan.clearances:
             files.drawing(f"clearance-{name}", svg, clearance_columns(motions[name]))
     if page.targets is not None:
-        files.drawing("targets", page.targets.picture, target_columns(page.targets.table.rows))
+        table = page.targets.table
+        files.drawing("targets", page.targets.picture, target_columns(table.rows))
+        if page.targets.parts_picture:
+            files.drawing("error_parts", page.targets.parts_picture, parts_columns(table.split))
     if page.course.spans:
         files.drawing("timeline", page.course.timeline_picture, list(map(asdict, page.course.spans)))
     if page.devices.link_bins:

@@ -10,7 +10,7 @@ from typing import NamedTuple
 from procedures.operator.margin import MarginVerdict, judge_error
 from procedures.planning.motions import BACK
 from procedures.planning.pose_name import PoseName
-from procedures.reporting.outcome import Truth
+from procedures.reporting.outcome import ErrorParts, Truth
 from procedures.reporting.run_reading import RunReading
 from procedures.steps.clinical.path_check import CheckedPaths, ClosestApproach, MotionPreview
 from procedures.steps.clinical.plan_check import CheckedPlan
@@ -31,6 +31,7 @@ class TargetRow:
     measured_mm: float | None = None  # by the stereo head in place of the guide, on a phantom
     margin_mm: float | None = None  # accepted by the plan
     strategy: str | None = None  # used, which may be another than the run's
+    parts: ErrorParts | None = None
 
     @property
     def known_mm(self) -> float | None:
@@ -79,6 +80,11 @@ class TargetTable:
         return any(row.measured_mm is not None for row in self.rows)
 
     @property
+    def split(self) -> tuple[TargetRow, ...]:
+        """Targets at which the shares of registration and arm are known."""
+        return tuple(row for row in self.rows if row.parts is not None)
+
+    @property
     def prediction(self) -> Prediction:
         """Prediction of the first target; confidence, exclusions and assumptions are those of all."""
         return self.rows[0].predicted
@@ -112,7 +118,8 @@ def target_rows(reading: RunReading, truth: Truth) -> tuple[TargetRow, ...]:
         name, true = one.target, truths.get(one.target)
         error_mm = None if true is None else true.application_error_mm
         lateral_mm, axial_mm = (None, None) if true is None else (true.lateral_mm, true.axial_mm)
-        others = (measured_mm.get(name), margin_mm.get(name), strategies.get(name))
+        parts = None if true is None else true.parts
+        others = (measured_mm.get(name), margin_mm.get(name), strategies.get(name), parts)
         rows.append(TargetRow(name, depth_mm.get(name), one, error_mm, lateral_mm, axial_mm, *others))
     return tuple(rows)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import unicodedata
 from enum import StrEnum
 from pathlib import Path
@@ -394,7 +395,7 @@ def verify(
     as_json: JsonOption = False,
 ) -> None:
     """Compare a completed run with the ground truth of its theatre."""
-    from sim.theatre.verify import require_targets, verify_run
+    from sim.theatre.verify import PARTS, require_targets, verify_run
 
     outcome = verify_run(run, theatre)
     if as_json:
@@ -404,7 +405,7 @@ def verify(
         return
     print_table(
         "Error of the guide's tip against ground truth",
-        ("target", "depth mm", "error mm", "lateral mm", "axial mm"),
+        ("target", "depth mm", "error mm", "lateral mm", "axial mm", "registration mm", "arm mm"),
         [
             (
                 row["id"],
@@ -412,6 +413,7 @@ def verify(
                 f"{row['application_error_mm']:.3f}",
                 f"{row['lateral_mm']:.3f}",
                 f"{row['axial_mm']:+.3f}",
+                *(f"{math.hypot(*row['parts'][part]):.3f}" if "parts" in row else "" for part in PARTS),
             )
             for row in outcome["targets"]
         ],

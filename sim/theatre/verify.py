@@ -12,12 +12,13 @@ from typing import Any
 import numpy as np
 
 from ronna_hw.bounded_input import read_json_bytes
+from ronna_hw.calibration import PoseRecord
 from ronna_hw.evidence.inspection import Inspection, inspect_run
 from ronna_hw.evidence.journal_reading import JOURNAL_FILE, theatre_time_s
 from ronna_hw.records import Record
 from ronna_hw.text import format_count, format_names
 from sim.errors import NOTHING_TO_VERIFY
-from sim.world.rigid import apply, matrix_of
+from sim.world.rigid import Matrix, Vector, apply, matrix_of
 from sim.world.scene.model import Scene, parse_scene_json, read_scene
 from sim.world.truth import (
     SCENE_FILE,
@@ -30,6 +31,7 @@ from sim.world.truth import (
 )
 
 WHERE_IT_WAS_MADE = "Give the folder of the theatre in which the run was made."
+PARTS = ("registration_mm", "intrinsic_mm")  # of an error: eq. 40 to 42 of the thesis
 SAME_SPHERE_MM = 2.0  # a found centre within this distance is that sphere; spheres are 11.5 mm wide
 
 
@@ -41,9 +43,10 @@ def verify_run(run: Path, theatre: Path | None = None) -> dict[str, Any]:
     its theatre, which may have seen other runs and, by mistake, another patient.
 
     Returns `ct` (found, missed, false, rms_error_mm) and `targets` (id, depth_mm, application_error_mm,
-    lateral_mm, axial_mm, axis_error_rad, and how far from the axis of the guide an assistant held the
-    instrument: held_off_mm, held_off_rad), as plain data; `other_samples` names those at no target of
-    the plan.
+    lateral_mm, axial_mm, axis_error_rad, parts, and how far from the axis of the guide an assistant held
+    the instrument: held_off_mm, held_off_rad), as plain data; `other_samples` names those at no target of
+    the plan. `parts` splits the error, as vectors in the robot frame: registration_mm from the true to the
+    registered target, intrinsic_mm from there to the tip.
     """
     _require_single_run(run)
     place = run / THEATRE_FOLDER if theatre is None else theatre
@@ -70,7 +73,12 @@ def verify_run(run: Path, theatre: Path | None = None) -> dict[str, Any]:
     try:
         ct = _verify_ct(scene, localization)
         targets = [
-            _verify_target(scene, trajectory, samples.pop(trajectory["id"]))
+            _verify_target(
+                scene,
+                trajectory,
+                samples.pop(trajectory["id"]),
+                _read_used_registration(found, trajectory["id"]),
+            )
             for trajectory in _read_planned_trajectories(found)
             if trajectory["id"] in samples
         ]
@@ -140,6 +148,18 @@ def _find_valid_record(found: Inspection, kind: str) -> Record | None:
     return next((one for one in valid if one.kind == kind), None)
 
 
+def _read_used_registration(found: Inspection, trajectory: str) -> Matrix | None:
+    """Return robot <- ct (4, 4) by which the guide was led to a target, or None without a valid record."""
+    valid = {one.identifier: one for one in found.records if one.identifier not in found.superseded}
+    led = [one for one in valid.values() if one.kind == "positioning" and one.trajectory == trajectory]
+    used = [valid[parent] for one in led[-1:] for parent in one.parents if parent in valid]
+    registrations = [one for one in used if one.kind == "registration"]
+    if not registrations:
+        return None
+    pose = registrations[-1].payload["robot_from_ct"]
+    return matrix_of(PoseRecord(**{name: tuple(pose[name]) for name in PoseRecord.model_fields}))
+
+
 def _verify_ct(scene: Scene, localization: Record | None) -> dict[str, Any] | None:
     if localization is None:
         return None
@@ -158,7 +178,9 @@ def _verify_ct(scene: Scene, localization: Record | None) -> dict[str, Any] | No
     }
 
 
-def _verify_target(scene: Scene, trajectory: dict[str, Any], sample: TipSample) -> dict[str, Any]:
+def _verify_target(
+    scene: Scene, trajectory: dict[str, Any], sample: TipSample, registration: Matrix | None
+) -> dict[str, Any]:
     robot_from_ct = sample.head_moved @ matrix_of(scene.head.robot_from_ct)
     target, entry = (apply(robot_from_ct, trajectory[end]) for end in ("target_mm", "entry_mm"))
     tip = np.array(sample.tip_mm)
@@ -174,6 +196,13 @@ def _verify_target(scene: Scene, trajectory: dict[str, Any], sample: TipSample) 
         "axis_error_rad": float(np.arccos(np.clip(np.array(sample.axis) @ planned_axis, -1.0, 1.0))),
         "guide_mounted": sample.mounted_tool == scene.mount.tool_number_guide,
         "arm_at_rest": sample.arm_at_rest,
+        **({} if registration is None else {"parts": _split(registration, trajectory, target, tip)}),
         **({} if sample.held_off_mm is None else {"held_off_mm": sample.held_off_mm}),
         **({} if sample.held_off_rad is None else {"held_off_rad": sample.held_off_rad}),
     }
+
+
+def _split(registration: Matrix, trajectory: dict[str, Any], true: Vector, tip: Vector) -> dict[str, Any]:
+    """Return the error's two parts, whose sum it is: of the registration, and of the arm that trusts it."""
+    registered = apply(registration, trajectory["target_mm"])
+    return dict(zip(PARTS, ((registered - true).tolist(), (tip - registered).tolist()), strict=True))

@@ -1,9 +1,9 @@
 """True arm: the flange pose at given encoder angles.
 
 The controller relies on its encoders and the nominal chain. The true flange differs by link errors, and by
-errors between encoder and joint: offset, two harmonics per turn, sag under gravity, backlash. Long motion
-warms the arm, which displaces the flange. At rest there is also a small repeatability error, which depends on
-the number of the motion only.
+errors between encoder and joint: resolution, offset, two harmonics per turn, sag under gravity, backlash.
+Long motion warms the arm, which displaces the flange and lengthens the links. At rest there is also a small
+repeatability error, which depends on the number of the motion only.
 """
 
 from __future__ import annotations
@@ -51,7 +51,9 @@ class TrueArm:
         self._repeatability_mm = truth.repeatability_mm
         direction = noise(seed, DRIFT, 0).normal(size=3)
         self._drift_mm = truth.thermal_drift_mm * direction / np.linalg.norm(direction)
-        self._drifts = truth.thermal_drift_mm > 0.0
+        self._growth = truth.thermal_growth
+        self._warms = truth.thermal_drift_mm > 0.0 or truth.thermal_growth > 0.0
+        self._step_rad = truth.encoder_step_rad
         self._thermal_time_s = truth.thermal_time_s
         self._sag_rad = truth.sag_rad
         self._arm = arm
@@ -72,9 +74,13 @@ class TrueArm:
 
         `flanks` is each joint's position in its backlash, -1 to 1; `moved_s` the time in motion so far.
         """
+        if self._step_rad > 0.0:
+            encoders_rad = [self._step_rad * round(angle / self._step_rad) for angle in encoders_rad]
         pose = self._chain.flange(self._joint_angles(encoders_rad, flanks))
-        if self._drifts:
-            pose[:3, 3] += (1.0 - exp(-moved_s / self._thermal_time_s)) * self._drift_mm
+        if self._warms:
+            warmth = 1.0 - exp(-moved_s / self._thermal_time_s)
+            pose[:3, 3] *= 1.0 + warmth * self._growth  # all links grow alike, so the arm keeps its shape
+            pose[:3, 3] += warmth * self._drift_mm
         return pose
 
     def at_rest(

@@ -17,7 +17,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from procedures.calibration.arm_sources import SERVO_MM, ArmPoses, arm_sources, ct_errors
-from procedures.registration.rigid_fit import fit_rigid
+from procedures.registration.rigid_fit import fit_rigid, residuals
 from procedures.registration.target_prediction import (
     IndependentErrors,
     SharedErrors,
@@ -182,6 +182,18 @@ SCENARIOS = (
 
 
 @dataclass(frozen=True)
+class ReachedTargets:
+    """Where targets were registered and reached, as vectors from the true ones; (a, t, c, ...) in mm.
+
+    The difference of the two is the arm's own error at the target (eq. 40 to 42 of the thesis).
+    """
+
+    registered_mm: Array  # (a, t, c, 3)
+    reached_mm: Array  # (a, t, c, 3)
+    fre_mm: Array  # (a, t, c) of the registration used
+
+
+@dataclass(frozen=True)
 class DrawnOutcome:
     """Error vectors (arms, targets, sphere counts, 3) in mm, and predictions by sphere count and target."""
 
@@ -260,7 +272,13 @@ class StudiedScene:
     def errors_mm(
         self, arms: RandomArms, planned: Postures, chance: Chance, sizes: Sizes, *, any_side: bool = False
     ) -> Array:
-        """Return error vectors (a, t, c, 3) in mm, robot frame: tip minus target, for each sphere count.
+        """Return error vectors (a, t, c, 3) in mm, robot frame: tip minus target, for each sphere count."""
+        return self.reach_targets(arms, planned, chance, sizes, any_side=any_side).reached_mm
+
+    def reach_targets(
+        self, arms: RandomArms, planned: Postures, chance: Chance, sizes: Sizes, *, any_side: bool = False
+    ) -> ReachedTargets:
+        """Localize, register and go to every target, with each sphere count.
 
         Where the tool rests before the target, a straight instrument goes on along its true axis. With
         `any_side`, the servo's last step leaves each joint on either side of its backlash at the spheres;
@@ -276,17 +294,20 @@ class StudiedScene:
         axes = planned.targets.rotations[..., 2]
         bores = np.concatenate([sizes.guide_rad * chance.guide, np.ones((len(arms), 1))], axis=1)
         along = replace(arms, tool_error_mm=arms.tool_error_mm + bores)
-        found = []
+        registered, reached, fre = [], [], []
         for count in self.counts:
             fit = fit_rigid(image[:, None, :count], recorded[:, :, :count])
+            left_mm = residuals(fit, image[:, None, :count], recorded[:, :, :count])
+            fre.append(np.sqrt(np.square(left_mm).sum(axis=-1).mean(axis=-1))[:, serving])
             places = np.einsum("atij,tj->ati", fit.rotation[:, serving], targets_ct)
-            places = places + fit.translation_mm[:, serving] + beyond_mm * axes
-            joints = reach_positions(arms, planned.targets, places)
+            places = places + fit.translation_mm[:, serving]
+            registered.append(places - true_targets)
+            joints = reach_positions(arms, planned.targets, places + beyond_mm * axes)
             tips = arms.tool_points_mm(joints, flanks)
             if beyond_mm.any():
                 tips = tips - beyond_mm * (along.tool_points_mm(joints, flanks) - tips)
-            found.append(tips + arms.repeatability_mm * chance.target_rest - true_targets)
-        return np.stack(found, axis=2)
+            reached.append(tips + arms.repeatability_mm * chance.target_rest - true_targets)
+        return ReachedTargets(*(np.stack(each, axis=2) for each in (registered, reached, fre)))
 
     def _localize_spheres(
         self, arms: RandomArms, planned: Postures, chance: Chance, sizes: Sizes, any_side: bool

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 
 CONFIDENCE = 0.95
 ON_BOTH_SIDES = 0.5 * (1.0 + CONFIDENCE)
+FISHER_LOST = 3  # degrees of freedom of his transformation of a correlation
 CAPTION = f"{100 * CONFIDENCE:.0f} %"  # of the columns with bounds
 NOTE = (
     f"{CAPTION}: bounds at this confidence, exact binomial (Clopper and Pearson) as for independent "
@@ -99,3 +100,23 @@ def root_mean_square(squares: float, fourths: float, runs: float) -> Bounded:
     spread = float(np.sqrt(max(0.0, fourths / runs - square**2) / (runs - 1)))
     half = float(t.ppf(ON_BOTH_SIDES, runs - 1)) * spread
     return Bounded(value, float(np.sqrt(max(0.0, square - half))), float(np.sqrt(square + half)))
+
+
+def correlation(first: ArrayLike, second: ArrayLike) -> Bounded:
+    """Return Pearson's correlation of independent pairs, with bounds by Fisher's transformation."""
+    x, y = np.asarray(first, dtype=float), np.asarray(second, dtype=float)
+    return correlation_of_sums(len(x), x.sum(), y.sum(), (x * x).sum(), (y * y).sum(), (x * y).sum())
+
+
+def correlation_of_sums(
+    count: float, first: float, second: float, first2: float, second2: float, product: float
+) -> Bounded:
+    """Return the correlation from sums over pairs: of both values, of their squares, and of their product."""
+    spread = (first2 - first**2 / count) * (second2 - second**2 / count)
+    value = float((product - first * second / count) / np.sqrt(spread)) if spread > 0.0 else 0.0
+    if count <= FISHER_LOST:
+        return Bounded(value, None, None)
+    from scipy.stats import norm
+
+    half = float(norm.ppf(ON_BOTH_SIDES)) / np.sqrt(count - FISHER_LOST)
+    return Bounded(value, *(float(np.tanh(np.arctanh(value) + sign * half)) for sign in (-1.0, 1.0)))

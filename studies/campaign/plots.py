@@ -15,6 +15,8 @@ DOTS_PER_INCH = 110
 SIZE_IN = (6.4, 4.0)
 BAND_ALPHA = 0.15  # of the bounds about a curve
 LEGEND = f"{CAPTION} bounds"
+PANEL_IN = 2.6  # of points
+MARKER_POINTS, POINT_ALPHA = 3, 0.35
 CAP_POINTS = 2  # width of the ends of a bar's bounds
 
 Point = tuple[float, float | Bounded]
@@ -133,6 +135,27 @@ def boxes(title: str, y_label: str, groups: Mapping[str, ArrayLike], *, x_label:
     for label in axes.get_xticklabels():
         label.set_horizontalalignment("right")
     axes.grid(alpha=0.3)
+    return encode_png(figure)
+
+
+def scatters(
+    title: str, x_label: str, y_label: str, panels: Mapping[str, tuple[ArrayLike, ArrayLike]]
+) -> bytes:
+    """Plot points in panels side by side, one for each label; each has a vertical axis of its own."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(PANEL_IN * len(panels), PANEL_IN), layout="constrained")
+    FigureCanvasAgg(figure)
+    every = figure.subplots(1, len(panels), squeeze=False)[0]
+    for axes, (name, (across, up)) in zip(every, panels.items(), strict=True):
+        axes.plot(across, up, ".", markersize=MARKER_POINTS, alpha=POINT_ALPHA)
+        axes.set_title(name, fontsize=9)
+        axes.set_ylim(bottom=0.0)
+        axes.grid(alpha=0.3)
+    figure.suptitle(title, fontsize=10)
+    figure.supxlabel(x_label, fontsize=9)
+    figure.supylabel(y_label, fontsize=9)
     return encode_png(figure)
 
 

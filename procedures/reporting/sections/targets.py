@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from procedures.engine.case import Stored
+from procedures.reporting.error_parts import parts_figure
 from procedures.reporting.pictures import target_figure
 from procedures.reporting.run_reading import RunReading
 from procedures.reporting.tables import TargetTable
@@ -18,6 +19,7 @@ class Targets:
     table: TargetTable
     worked: tuple[Stored[ReachedTarget], ...]
     picture: str  # SVG
+    parts_picture: str  # SVG, or "" where the truth of both parts is not known
     simulated: bool
 
 
@@ -26,5 +28,9 @@ def read_targets(reading: RunReading, table: TargetTable, *, simulated: bool) ->
     if not table.rows:
         return None
     return Targets(
-        table, reading.valid_results(ReachedTarget), target_figure(table.rows, simulated), simulated
+        table,
+        reading.valid_results(ReachedTarget),
+        target_figure(table.rows, simulated),
+        parts_figure(table.split) if table.split else "",
+        simulated,
     )

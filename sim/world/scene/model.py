@@ -221,8 +221,16 @@ class ArmTruth(Strict):
     thermal_drift_mm: NotNegative = Field(
         default=0.0, description="Drift of the flange when the arm is warm; driven by motion, not by time."
     )
+    thermal_growth: Annotated[float, Field(ge=0, le=0.001)] = Field(
+        default=0.0,
+        description="Share by which all links lengthen when the arm is warm: 1.2e-4 for steel, 10 K warmer.",
+    )
     thermal_time_s: Positive = Field(
-        default=1200.0, description="Time in motion until two thirds of the drift is reached."
+        default=1200.0, description="Time in motion until two thirds of drift and growth are reached."
+    )
+    encoder_step_rad: Annotated[float, Field(ge=0, le=0.001)] = Field(
+        default=0.0,
+        description="Resolution of each joint's encoder: the joint is held at the nearest step; 0: exact.",
     )
 
 

@@ -17,6 +17,7 @@ from procedures.planning.pose_name import PoseKind
 from procedures.planning.scene import PlanningScene
 from procedures.planning.tracker_sight import TrackerSight
 from procedures.planning.visits import Axes, Visit, list_visits
+from procedures.strategies.fixed_orientation import NeutralOrientation
 from procedures.strategies.strategy import OUTWARDS_RAD, intermediate_turns_rad
 from procedures.strategies.trajectory import Trajectory
 from ronna_hw.collision_config import CollisionConfig
@@ -137,6 +138,20 @@ def test_a_wrist_is_good_only_away_from_the_singularity_and_similar_at_all_poses
     assert WristState(LEAST_BEND_RAD, math.radians(44.0)).is_good
     assert not WristState(LEAST_BEND_RAD - 0.01, 0.0).is_good
     assert not WristState(math.radians(60.0), math.radians(46.0)).is_good
+
+
+@pytest.mark.parametrize(("planned_deg", "kept"), [(0.0, True), (40.0, True), (-70.0, True), (150.0, False)])
+def test_targets_that_share_their_localizations_keep_its_free_angle_whatever_is_planned(
+    planned_deg: float, kept: bool
+) -> None:
+    neutral = replace(SETTING, strategy=NeutralOrientation())
+    planned = replace(_leaning(20.0), free_angle_rad=math.radians(planned_deg))
+    turned = choose_free_angles(neutral, (planned,), FREE, SIGHT)
+    assert turned.check.passed
+    shared, target = turned.axes.localized[0], turned.axes.targeted[0]
+    difference_rad = math.remainder(target.free_angle_rad - shared.free_angle_rad, 2.0 * math.pi)
+    assert (abs(difference_rad) < 1e-9) is kept  # a turn is at most a quarter: then as near as it goes
+    assert abs(difference_rad) < math.radians(61.0)
 
 
 @dataclass

@@ -39,7 +39,7 @@ from procedures.imaging.localizers import Localizer
 from procedures.journal.journal import Entry, Line
 from procedures.postoperative.summary import PostoperativeCheck
 from procedures.reporting.files import LARGEST_PICTURE_BYTES, PostoperativeResult, store_check
-from procedures.reporting.outcome import TargetTruth, Truth
+from procedures.reporting.outcome import ErrorParts, TargetTruth, Truth
 from procedures.reporting.pictures import PUBLISHED_MM
 from procedures.reporting.report import write_report
 from procedures.reporting.run_events import begun_insertions
@@ -57,7 +57,9 @@ from procedures.workcell import MountedTool
 from ronna_hw import load_run
 
 ROOT = Path(__file__).resolve().parents[3]
-TRUTH = Truth(targets=(TargetTruth(id=FIRST, application_error_mm=0.4321, lateral_mm=0.4, axial_mm=-0.1),))
+PARTS = ErrorParts(registration_mm=(1.2, 0.0, 0.0), intrinsic_mm=(-0.9, 0.3, 0.07))
+TRUE = TargetTruth(id=FIRST, application_error_mm=0.4321, lateral_mm=0.4, axial_mm=-0.1, parts=PARTS)
+TRUTH = Truth(targets=(TRUE,))
 
 
 class Page(HTMLParser):
@@ -273,7 +275,7 @@ def test_cells_that_hold_numbers_do_not_break_inside_them(registered: Path) -> N
 def test_every_drawing_has_its_data_in_a_csv_file(reported: Path) -> None:
     folder = reported.parent / "report"
     pictures = {path.stem for path in folder.glob("*.svg")}
-    assert pictures == {"targets", "timeline"}
+    assert pictures == {"targets", "error_parts", "timeline"}
     assert {path.stem for path in folder.glob("*.csv")} == pictures
     rows = list(csv.DictReader((folder / "targets.csv").read_text().splitlines()))
     assert [row["target"] for row in rows] == list(TRAJECTORIES)

@@ -337,6 +337,22 @@ def test_thermal_drift_grows_with_time_in_motion_and_is_zero_when_cold(perfect_a
     assert perfect_arm().thermal_drift_mm == 0.0  # results must not depend on the time before them
 
 
+def test_a_warm_arm_grows_alike_in_all_directions_from_its_base(perfect_arm: Make) -> None:
+    warm = TrueArm(perfect_arm(thermal_growth=1.2e-4, thermal_time_s=1000.0), seed=3)
+    joints, flanks = (0.3, -1.3, 1.4, 0.0, 0.9, 0.0), (0.0,) * 6
+    cold, hot = (warm.moving(joints, flanks, moved_s) for moved_s in (0.0, 1e6))
+    assert hot[:3, 3] == pytest.approx(cold[:3, 3] * (1.0 + 1.2e-4), abs=1e-9)
+    assert hot[:3, :3] == pytest.approx(cold[:3, :3], abs=1e-12)
+
+
+def test_a_joint_is_held_at_the_nearest_step_of_its_encoder(perfect_arm: Make) -> None:
+    exact, coarse = (TrueArm(perfect_arm(encoder_step_rad=step_rad), seed=3) for step_rad in (0.0, 1e-4))
+    joints, flanks = [0.2, -1.3, 1.4, 0.1, 0.9, -0.4], (0.0,) * 6
+    near = [angle + 0.4e-4 for angle in joints]
+    assert coarse.moving(near, flanks) == pytest.approx(exact.moving(joints, flanks), abs=1e-9)
+    assert coarse.moving(near, flanks) != pytest.approx(exact.moving(near, flanks), abs=1e-3)
+
+
 def test_only_time_in_motion_counts_as_warming(bench_with: Make) -> None:
     bench = bench_with()
     bench.enter_movecorr()

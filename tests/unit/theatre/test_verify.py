@@ -11,6 +11,7 @@ import pytest
 from coded_errors import raises
 from user_commands import in_this_process, one_error
 
+from procedures.engine.case import StepKey
 from procedures.engine.run_folder import close_run
 from procedures.journal.journal import JOURNAL_FILE, Entry, Journal
 from procedures.runs.simulated_theatre import ask_verifier
@@ -51,7 +52,8 @@ def leave(run: Path, record: Record) -> None:
     write_record(record, run / RECORDS_FOLDER)
     path = run / JOURNAL_FILE
     journal = Journal.reopen_run(run, read_chain(path)) if path.exists() else Journal(run)
-    journal.write(Entry.RESULT, 0.0, step=record.kind, record=record.identifier, sha256=record.sha256)
+    step = str(StepKey(record.kind, record.trajectory))
+    journal.write(Entry.RESULT, 0.0, step=step, record=record.identifier, sha256=record.sha256)
     journal.close()
 
 
@@ -90,6 +92,33 @@ def test_the_error_at_a_target_is_split_along_and_across_the_trajectory(
     assert target["axial_mm"] == pytest.approx(1.2)
     assert target["depth_mm"] == pytest.approx(50.0)
     assert target["guide_mounted"]
+
+
+def test_the_error_at_a_target_is_the_sum_of_that_of_the_registration_and_that_of_the_arm(
+    run: Path, at_target: Callable[..., None]
+) -> None:
+    true = matrix_of(SCENE.head.robot_from_ct)
+    registered = {
+        **SCENE.head.robot_from_ct.model_dump(),
+        "translation_mm": (true[:3, 3] + (0.6, 0, 0)).tolist(),
+    }
+    used = Record("02-registration", "registration", {}, {"robot_from_ct": registered})
+    leave(run, used)
+    leave(
+        run,
+        Record("03-positioning", "positioning", {used.identifier: used.sha256}, {}, trajectory=TRAJECTORY),
+    )
+    at_target((10.1, 20.0, 29.9))
+    (target,) = verify_run(run)["targets"]
+    assert target["parts"]["registration_mm"] == pytest.approx([0.6, 0.0, 0.0])
+    assert target["parts"]["intrinsic_mm"] == pytest.approx([-0.5, 0.0, -0.1])
+
+
+def test_a_target_to_which_no_valid_registration_led_is_not_split(
+    run: Path, at_target: Callable[..., None]
+) -> None:
+    at_target(TARGET_MM)
+    assert "parts" not in verify_run(run)["targets"][0]
 
 
 def test_the_last_sample_at_a_target_counts(run: Path, at_target: Callable[..., None]) -> None:

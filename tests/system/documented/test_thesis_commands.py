@@ -1,0 +1,282 @@
+"""Every command of the thesis' table is run, and gives about the figure that its row states.
+
+Most run in a small size: the figure then has a wide range, and a broken command or method is still found. The
+figures themselves are those of the kept results (`tests/unit/docs/test_stated_figures.py`).
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import shlex
+import subprocess
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+
+import pytest
+from stated_figures import ROOT, read_value
+from thesis_table import commands as commands_of_the_table
+from undisturbed import finished_mini
+from user_commands import Commands, in_this_process
+
+from ronna_hw.command_line.launch import COMMANDS
+
+SMALL = ("--workers", "1")
+SHOWN = "stdout.json"  # what a command prints, as JSON or TOML
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A value of a command's output, by its address, and the range in which it must be."""
+
+    file: str
+    address: str
+    least: float
+    most: float
+
+
+@dataclass(frozen=True)
+class Trial:
+    """Options that make a command small, the files it writes, and figures in them."""
+
+    options: tuple[str, ...] = ()
+    writes: tuple[str, ...] = ()
+    figures: tuple[Figure, ...] = ()
+    is_slow: bool = False
+
+
+RIGID = "formulas-of-the-rigid-fit.csv"
+PARTS = "registration-and-arm-in-the-error-at-the-target.csv"
+TEMPLATE = "markers-implanted-by-a-template.csv"
+TOGETHER = "five-to-eight-fiducials-together.csv"
+OCS_MM = 0.6  # at a target, with an uncalibrated arm: three times the usual
+
+
+def case(*options: str, largest_mm: float = OCS_MM) -> Trial:
+    """A whole case of the mini scene, whose only target is reached within this distance."""
+    scene = () if "--scene" in options else ("--scene", "mini")
+    error = Figure(SHOWN, "max_application_error_mm", 0.0, largest_mm)
+    return Trial((*scene, *options, "--json"), (), (error,), is_slow=True)
+
+
+STUDIES: Mapping[str, Trial] = {
+    "ronna-campaign registration": Trial(
+        ("--runs", "300", *SMALL),
+        ("fre-and-tre.png",),
+        (
+            Figure(RIGID, "min::FLE by eq. 36 / true", 0.93, 1.0),
+            Figure(RIGID, "max::FLE by eq. 36 / true", 1.0, 1.07),
+            Figure(RIGID, "max::one space by eq. 37, 38 / true", 0.93, 1.07),
+            Figure(RIGID, "min::TRE / eq. 39", 0.9, 1.0),
+            Figure(RIGID, "max::TRE / eq. 39", 1.0, 1.1),
+            Figure(RIGID, "min::r of FRE and TRE", -0.2, 0.1),
+            Figure(RIGID, "max::r of FRE and TRE", -0.1, 0.2),
+        ),
+    ),
+    "ronna-campaign error-parts": Trial(
+        ("--arms", "6", *SMALL),
+        ("fre-and-error.png", "error-and-distance.png"),
+        (
+            Figure(PARTS, "row:strategy=ocs:error mm", 0.15, 0.45),
+            Figure(PARTS, "row:strategy=nos:error mm", 0.8, 3.0),
+            Figure(PARTS, "row:strategy=ocs:registration mm", 1.5, 7.0),
+            Figure(PARTS, "row:strategy=ocs:arm mm", 1.5, 7.0),
+            Figure(PARTS, "row:strategy=ocs:cosine", -1.0, -0.97),
+        ),
+        is_slow=True,
+    ),
+    "ronna-campaign figures": Trial(
+        (),
+        ("figure-4-paired-points.png", "figure-5-principal-axes.png", "figure-6-closest-points.png"),
+        is_slow=True,
+    ),
+    "ronna-campaign correspondence": Trial(
+        ("--runs", "1", *SMALL),
+        (),
+        (Figure(TOGETHER, "max:noise=norm;method=clique + planned count:false %", 0.0, 0.0),),
+    ),
+    "ronna-campaign correspondence --method thesis-validated": Trial(
+        ("--e", "2.5", "--runs", "8", *SMALL),
+        (),
+        (Figure(TOGETHER, "max:noise=norm:unsuccessful %", 0.0, 2.5),),
+    ),
+    "ronna-campaign correspondence --template": Trial(
+        ("--runs", "2", *SMALL),
+        (),
+        (Figure(TEMPLATE, "max:markers=4:unsuccessful %", 0.0, 0.0),),
+    ),
+    "ronna-campaign correspondence --sweep": Trial(
+        ("--runs", "1", *SMALL), ("figure-13-norm.png", "figure-13-per-axis.png"), is_slow=True
+    ),
+    "ronna-campaign correspondence --xframe": Trial(("--runs", "30", *SMALL), is_slow=True),
+    "ronna-campaign localization --thesis": Trial(
+        SMALL,
+        (),
+        (
+            Figure("report.md", "min:method=combined:found", 52.0, 64.0),
+            Figure("report.md", "max::false", 0.0, 0.0),
+            Figure(
+                "report.md",
+                "row:method=thesis-sphere;scale errors up to %=0.6667:eq. 36, to the truth, mm",
+                0.7 * 0.1617,
+                1.3 * 0.1617,
+            ),
+        ),
+        is_slow=True,
+    ),
+    "ronna-campaign localization --frames": Trial(
+        ("--sets", "1", *SMALL),
+        (),
+        (Figure("report.md", "row:who=combined:FLE mm, truth", 0.0, 0.015),),
+        is_slow=True,
+    ),
+    "ronna-sim scene": Trial(("--scene", "mini"), (), (Figure(SHOWN, "arm.encoder_step_rad", 0.0, 0.0),)),
+    "ronna-sim scene --patient-frame": Trial(
+        ("--scene", "mini"),
+        (),
+        (Figure(SHOWN, "head.robot_from_patient_frame.translation_mm.0", 0.0, 2000.0),),
+    ),
+}
+CASES: Mapping[str, Trial] = {
+    "ronna-procedure run --sim --seed 7": Trial(
+        ("--json",),
+        (),
+        tuple(
+            Figure(SHOWN, f"targets.{number}.application_error_mm", error_mm - 0.1, error_mm + 0.1)
+            for number, error_mm in enumerate((0.103, 0.149, 0.117))  # other processors: by up to 0.1 mm
+        ),
+        is_slow=True,
+    ),
+    "ronna-procedure run --sim --arm ur5 --scene mini": case(),
+    "ronna-procedure run --sim --localizer thesis-sphere": case("--markers", "5", largest_mm=1.0),
+    "ronna-procedure run --sim --localizer thesis-line": case("--markers", "5", largest_mm=1.0),
+    "ronna-procedure run --sim --matcher thesis": case("--markers", "5", largest_mm=1.0),
+    "ronna-procedure run --sim --strategy nos": case(largest_mm=5.0),
+    "ronna-procedure run --sim --strategy thesis-ocs": case(),
+    "ronna-procedure run --sim --strategy jdms": case(),
+    "ronna-procedure run --sim --strategy improved --calibrated": case(largest_mm=0.35),
+}
+OF_A_RUN: Mapping[str, str] = {  # of the mini case: what they print
+    "ronna-procedure report RUN": r"report\.html",
+    "ronna-sim verify RUN": r"registration mm\s+arm mm",
+    "ronna-campaign times RUN": r"28\.8",
+}
+# Run by other tests, whose surroundings they need: a theatre, a browser, hours.
+ELSEWHERE: Mapping[str, str] = {
+    "ronna-stereo calibrate --config FILE": "tests/system/commands/test_stereo_commands.py::"
+    "test_over_the_wire_the_tool_centre_is_within_three_hundredths_of_a_millimetre",
+    "ronna-procedure calibrate tool-tip --sim --scene mini --out DIR": "tests/system/commands/"
+    "test_mount_calibrations.py::test_the_page_about_the_tip_works",
+    "ronna-plan place PLAN --ct DIR --config FILE --robot-from-ct 0 0 0 0 0 0": "tests/system/commands/"
+    "test_place_command.py::test_the_proposed_position_is_drawn_and_passes_the_path_check",
+    "ronna-sim move cart --by 40 -20 0 --turn 3": "tests/system/case/test_cart_moves.py::"
+    "test_after_a_cart_was_wheeled_away_the_case_registers_again_and_reaches_its_targets",
+    "ronna-procedure run --sim --dual --seed 7": "tests/system/robot/test_case_with_two_arms.py::"
+    "test_the_assistant_inserts_the_instrument_both_arms_go_home_and_the_run_replays",
+    "ronna-plan markers PLAN --ct DIR --out FILE": "tests/system/commands/test_plan_command.py::"
+    "test_markers_are_proposed_only_on_the_head_of_the_plan",
+    "ronna-sim phantom --out DIR": "tests/system/commands/test_phantom_command.py::"
+    "test_every_sphere_is_found_at_its_true_position",
+    "ronna-ct localize DIR --method thesis-sphere": "tests/system/commands/test_ct_command.py::"
+    "test_the_thesis_method_can_be_chosen_but_refines_no_picks",
+    "ronna-campaign application-error": "tests/unit/studies/test_accuracy.py::"
+    "test_published_ronna_g3_errors_are_shown_next_to_their_own_markers_and_strategy",
+    "ronna-campaign strategies": "tests/unit/studies/test_accuracy.py::"
+    "test_the_study_shows_its_results_next_to_table_4_of_the_thesis",
+    "ronna-campaign strategies --one-experiment": "tests/unit/studies/test_one_experiment.py::"
+    "test_an_arm_fitted_to_table_4_shows_its_means_in_the_full_simulation",
+    "make bench": "tests/unit/benchmarks/test_bench.py::"
+    "test_one_measurement_prints_a_table_and_writes_its_figures",
+    "ronna-plan open DIR": "tests/system/commands/test_plan_command.py::"
+    "test_a_planner_whose_port_is_in_use_reports_it_and_leaves_the_plan_unchanged",
+    "ronna-campaign low-cost": "tests/system/commands/test_campaign_command.py::"
+    "test_a_low_cost_theatre_positions_its_tool_on_feedback",
+}
+ADHESIVE = ("ronna-sim phantom --fiducials adhesive --out DIR", "ronna-ct adhesive DIR")
+
+
+def test_every_command_of_the_table_is_run_here_or_by_a_test_that_exists() -> None:
+    run = {*STUDIES, *CASES, *OF_A_RUN, *ADHESIVE, *ELSEWHERE}
+    assert [one for one in commands_of_the_table() if one not in run] == []
+    assert [one for one in run if one not in commands_of_the_table()] == []
+    for place in ELSEWHERE.values():
+        path, name = place.split("::")
+        assert re.search(rf"^def {name}\(", (ROOT / path).read_text(encoding="utf-8"), re.MULTILINE), place
+
+
+@pytest.mark.parametrize("command", [name for name, trial in STUDIES.items() if not trial.is_slow])
+def test_a_command_gives_the_figures_of_its_row(command: str, tmp_path: Path) -> None:
+    run_study(command, tmp_path)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+@pytest.mark.parametrize("command", [name for name, trial in STUDIES.items() if trial.is_slow])
+def test_a_long_command_gives_the_figures_of_its_row(command: str, tmp_path: Path) -> None:
+    run_study(command, tmp_path)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+@pytest.mark.parametrize("command", CASES)
+def test_a_case_gives_the_figures_of_its_row(command: str, commands: Commands, tmp_path: Path) -> None:
+    program, *words = shlex.split(command)
+    done = commands.run(
+        program, *words, *CASES[command].options, "--out", str(tmp_path / "runs"), timeout_s=800.0
+    )
+    judge(CASES[command], done, tmp_path)
+
+
+def run_study(command: str, folder: Path) -> None:
+    """Run a study or another command without devices in its small size, and judge its figures."""
+    program, *words = shlex.split(command)
+    out = () if program == "ronna-sim" else ("--out", str(folder))
+    app = import_module(COMMANDS[program]).app
+    judge(STUDIES[command], in_this_process(app, *words, *STUDIES[command].options, *out), folder)
+
+
+def judge(trial: Trial, done: subprocess.CompletedProcess[str], folder: Path) -> None:
+    """Assert that a command has ended well, and written its files with these figures."""
+    assert done.returncode == 0, done.stderr
+    if any(figure.file == SHOWN for figure in trial.figures):
+        is_json = done.stdout.lstrip().startswith("{")
+        shown = json.loads(done.stdout) if is_json else tomllib.loads(done.stdout)
+        (folder / SHOWN).write_text(json.dumps(shown), encoding="utf-8")
+    assert [name for name in trial.writes if not (folder / name).is_file()] == []
+    for figure in trial.figures:
+        value = read_value(folder / figure.file, figure.address)
+        assert figure.least <= value <= figure.most, f"{figure.address}: {value}"
+
+
+@pytest.fixture(scope="module")
+def finished_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A finished case of the mini scene, to be read only."""
+    out, printed = finished_mini(tmp_path_factory)
+    return out / str(json.loads(printed)["run"])
+
+
+@pytest.mark.parametrize("command", OF_A_RUN)
+def test_a_command_about_a_run_prints_what_its_row_says(
+    command: str, finished_run: Path, tmp_path: Path
+) -> None:
+    program, *words = command.split()
+    named = [str(finished_run) if word == "RUN" else word for word in words]
+    out = ("--out", str(tmp_path)) if "report" in words else ()
+    done = in_this_process(import_module(COMMANDS[program]).app, *named, *out)
+    assert done.returncode == 0, done.stderr
+    assert re.search(OF_A_RUN[command], done.stdout + done.stderr)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(300)
+def test_adhesive_rings_of_a_phantom_are_found(tmp_path: Path) -> None:
+    series = tmp_path / "phantom"
+    for command in ADHESIVE:
+        program, *words = command.split()
+        named = [str(series) if word == "DIR" else word for word in words]
+        done = in_this_process(import_module(COMMANDS[program]).app, *named)
+        assert done.returncode == 0, done.stderr
+        series = next((one.parent for one in tmp_path.rglob("*.dcm")), series)
