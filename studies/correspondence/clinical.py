@@ -22,7 +22,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from procedures.imaging.localizers import LOCALIZERS, Localizer
-from procedures.registration.similarity_matrix import Counting, match_many_by_similarity, validate_many
+from procedures.registration.similarity_matrix import Counting, match_many_by_similarity
+from procedures.registration.thesis_matching import validate_many
 from procedures.registration.thesis_settings import THESIS_TOLERANCES_MM
 from ronna_hw.arrays import Array
 from ronna_hw.bounded_input import MOST_VALUES, parse_json, parse_toml, read_json_bytes
@@ -133,7 +134,9 @@ class ClinicalStudy(Study):
             physical_mm, rights = self._shuffle_readings(random)
             image = np.broadcast_to(image_mm, physical_mm.shape)
             for method, counting in COUNTINGS.items():
-                found = match_many_by_similarity(image, physical_mm, np.full(many, tolerance_mm), counting)
+                found = match_many_by_similarity(
+                    image, physical_mm, np.full(many, tolerance_mm), SPHERES, counting
+                )
                 valid = validate_many(image, physical_mm, found, variance_from_thesis_mm2(NOISE))
                 for right, one in zip(rights, valid, strict=True):
                     sums[outcome_key(method, tolerance_mm, outcome_of(one, right))] += 1

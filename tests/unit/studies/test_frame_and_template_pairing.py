@@ -67,7 +67,7 @@ def test_success_ends_at_the_most_similar_distances_only_where_a_distance_counts
     image = np.broadcast_to(FRAME_MM, seen.shape) + random.normal(size=seen.shape) * 0.1
 
     def success(e_mm: float, counting: Counting) -> float:
-        found = match_many_by_similarity(image, seen, np.full(len(seen), e_mm), counting)
+        found = match_many_by_similarity(image, seen, np.full(len(seen), e_mm), 4, counting)
         right = [
             one.status is MatchStatus.UNIQUE and np.all(one.pairs[:, 0] == one.pairs[:, 1]) for one in found
         ]
