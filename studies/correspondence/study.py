@@ -120,39 +120,37 @@ class CorrespondenceStudy(Study):
                     elif method is StudiedMatching.PRIOR and not _satisfies_prior(plain, prior_matrices[run]):
                         found = solve(prior=Prior(priors[run]))
                     sums[outcome_key(method, None, outcome_of(found, right))] += 1
-        for tolerance_mm in self.tolerances_mm:
-            everywhere = np.full(len(seen), tolerance_mm)
-            if set(WRITTEN) & set(self.methods):
-                found = match_many_by_similarity(seen.image_mm, seen.physical_mm, everywhere, count)
-                sums += self._count_matrix_outcomes(WRITTEN, found, seen, rights, reading, tolerance_mm)
-            if set(GRADUAL) & set(self.methods):
-                found = match_many_gradually(seen.image_mm, seen.physical_mm, everywhere)
-                sums += self._count_matrix_outcomes(GRADUAL, found, seen, rights, reading, tolerance_mm)
+        sums += self._count_matrix_outcomes(seen, rights, reading, count)
         for own in self.own:
             sums += _count_plugin_outcomes(PluginPairing.of(own), seen, rights, reading)
         return as_sums(sums)
 
     def _count_matrix_outcomes(
-        self,
-        of_matrix: tuple[StudiedMatching, StudiedMatching],
-        found: Sequence[SimilarityPairs],
-        seen: Readings,
-        rights: Sequence[Pairs],
-        noise: NoiseReading,
-        tolerance_mm: float,
+        self, seen: Readings, rights: Sequence[Pairs], noise: NoiseReading, markers: int
     ) -> Counter[str]:
-        """Count the outcomes of a matrix at one e, before and after the validation."""
-        raw, validated = of_matrix
-        answers = {raw: found}
-        if validated in self.methods:
-            variance_mm2 = variance_from_thesis_mm2(noise)
-            answers[validated] = validate_many(
-                seen.image_mm, seen.physical_mm, found, variance_mm2, self.refused_share
-            )
+        """Count the outcomes of both matrices for every e, before and after the validation."""
         sums: Counter[str] = Counter()
-        for method in answers.keys() & set(self.methods):
-            for right, one in zip(rights, answers[method], strict=True):
-                sums[outcome_key(method, tolerance_mm, outcome_of(one, right))] += 1
+        chosen = set(self.methods)
+        variance_mm2 = variance_from_thesis_mm2(noise)
+        for tolerance_mm in self.tolerances_mm:
+            everywhere = np.full(len(seen), tolerance_mm)
+            answers: dict[StudiedMatching, tuple[SimilarityPairs, ...]] = {}
+            if chosen & set(WRITTEN):
+                answers[StudiedMatching.THESIS] = match_many_by_similarity(
+                    seen.image_mm, seen.physical_mm, everywhere, markers
+                )
+            if chosen & set(GRADUAL):
+                answers[StudiedMatching.GRADUAL] = match_many_gradually(
+                    seen.image_mm, seen.physical_mm, everywhere
+                )
+            for raw, validated in (WRITTEN, GRADUAL):
+                if validated in chosen:
+                    answers[validated] = validate_many(
+                        seen.image_mm, seen.physical_mm, answers[raw], variance_mm2, self.refused_share
+                    )
+            for method in answers.keys() & chosen:
+                for right, one in zip(rights, answers[method], strict=True):
+                    sums[outcome_key(method, tolerance_mm, outcome_of(one, right))] += 1
         return sums
 
 
