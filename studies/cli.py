@@ -187,10 +187,11 @@ def correspondence(
 def _run_clinical(readings: int | None, study_options: StudyOptions) -> None:
     """Run the clinical protocol on readings stored in the study's folder, taking them if missing."""
     from studies.correspondence import clinical
+    from studies.correspondence.frame_readings import load_or_take_readings
 
     folder = study_options.out or Path("campaigns") / clinical.ClinicalStudy.name
     with terminal.progress_bar("readings of the tracker") as progress:
-        readings_mm = clinical.load_or_take_readings(
+        readings_mm = load_or_take_readings(
             folder, readings or clinical.THESIS_READINGS, study_options.seed, progress
         )
     study = clinical.ClinicalStudy(readings_mm, study_options.seed)

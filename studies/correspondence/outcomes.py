@@ -20,6 +20,7 @@ from studies.campaign.bounds import Bounded, percent
 from studies.campaign.study import Sums
 
 SUCCESS, LOST, PART, FALSE = "success", "lost", "part", "false"
+OUTCOMES = (SUCCESS, LOST, PART, FALSE)
 UNSUCCESSFUL = (LOST, PART)  # in the thesis' terms
 Pairs = frozenset[tuple[int, int]]
 Range = tuple[float, float]
