@@ -36,12 +36,12 @@ from studies.localization.study import SEED_BOUND
 from studies.localization.thesis_protocol import FRAME_MM
 
 READINGS_FILE = "frame-readings.json"
-ORIENTATIONS = 28
 SPHERES = len(FRAME_MM)
 # The Spectra's pyramid reaches from 0.95 to 2.4 m and is at least half as wide as the distance: the whole
 # frame stays inside it. NDI's brochure.
 DEPTH_MM = (1050.0, 2300.0)
 MIDDLE_MM = 1675.0  # of the pyramid, where a scene states the noise, which grows with the squared distance
+MIDDLE_PLACE_MM: Array = np.array([0.0, 0.0, -MIDDLE_MM])  # of the frame before it is moved
 HALF_WIDTH, MARGIN_MM = 0.24, 60.0  # share of the distance; the frame's half width
 LARGEST_TILT_RAD = np.radians(60.0)  # of the frame from facing the tracker
 BIAS_MM = 0.25  # rms length, of the simulated Spectra as its data sheet states it
@@ -130,29 +130,24 @@ def take_readings(
     """Take `count` readings (n, 4, 3) in the tracker frame, mm, spheres in frame order. Raises STU-008."""
     random = np.random.default_rng([seed, count])
     readings: list[Array] = []
-    shares = np.diff(np.linspace(0, count, min(ORIENTATIONS, count) + 1).astype(int))
-    for share in shares.tolist():
-        orientation = _draw_orientation(random)
-        with _open_room(conditions, orientation, int(random.integers(SEED_BOUND))) as read_strays:
-            for _ in range(share):
-                readings.append(
-                    _take_whole_reading(
-                        read_strays, conditions.is_moving, orientation.apply(FRAME_MM), random
-                    )
-                )
-                progress(len(readings) / count)
+    with _open_room(conditions, int(random.integers(SEED_BOUND))) as read_strays:
+        for _ in range(count):
+            readings.append(_take_whole_reading(read_strays, conditions.is_moving, random))
+            progress(len(readings) / count)
     return np.array(readings)
 
 
 def _take_whole_reading(
-    read_strays: Callable[[tuple[str, ...]], Array],
-    is_moving: bool,
-    frame_mm: Array,
-    random: np.random.Generator,
+    read_strays: Callable[[tuple[str, ...]], Array], is_moving: bool, random: np.random.Generator
 ) -> Array:
-    """Take a reading of all four spheres, trying random positions until all are visible."""
+    """Take a reading of all four spheres, trying random poses of the frame until all are visible."""
     for _ in range(ATTEMPTS):
-        faults: tuple[str, ...] = (f"room shift head {_words(_draw_place(random))} mm",)
+        orientation = _draw_orientation(random)
+        turn_deg = np.degrees(orientation.as_rotvec())
+        faults: tuple[str, ...] = (
+            f"room shift head {_words(_draw_place(random) - MIDDLE_PLACE_MM)} mm",
+            f"room turn head {_words(turn_deg)} deg",
+        )
         if is_moving:
             way_mm = HAND_MM_S * MOTION_S * _draw_direction(random)
             turn_deg = HAND_DEG_S * MOTION_S * _draw_direction(random)
@@ -162,12 +157,13 @@ def _take_whole_reading(
             )
         seen_mm = read_strays(faults)
         if len(seen_mm) == SPHERES:
-            # Pairing must find the order; here it is known from the frame's orientation, which a reading
-            # finds within a few degrees.
+            # Pairing must find the order; here it is known from the frame's orientation, which a motion
+            # changes by a few degrees until the reading.
+            frame_mm = orientation.apply(FRAME_MM - FRAME_MM.mean(axis=0))
             within_mm = seen_mm - seen_mm.mean(axis=0)
-            away_mm = np.linalg.norm(within_mm[:, None] - (frame_mm - frame_mm.mean(axis=0))[None], axis=2)
+            away_mm = np.linalg.norm(within_mm[:, None] - frame_mm[None], axis=2)
             return np.asarray(seen_mm[away_mm.argmin(axis=0)])
-    raise TRACKER_NOT_SIMULATED(f"the tracker did not see {SPHERES} spheres at {ATTEMPTS} positions")
+    raise TRACKER_NOT_SIMULATED(f"the tracker did not see {SPHERES} spheres in {ATTEMPTS} poses")
 
 
 def _words(vector: Array) -> str:
@@ -196,13 +192,11 @@ def _draw_orientation(random: np.random.Generator) -> Rotation:
 
 
 @contextmanager
-def _open_room(
-    conditions: ReadingConditions, orientation: Rotation, seed: int
-) -> Iterator[Callable[[tuple[str, ...]], Array]]:
+def _open_room(conditions: ReadingConditions, seed: int) -> Iterator[Callable[[tuple[str, ...]], Array]]:
     """Start a tracker unit and its driver. Yield a function that reads all strays under some faults."""
     with tempfile.TemporaryDirectory() as folder, ExitStack() as stack:
         scene = Path(folder) / "frame.json"
-        scene.write_text(json.dumps(_bench_scene(conditions, orientation, seed)), encoding="utf-8")
+        scene.write_text(json.dumps(_bench_scene(conditions, seed)), encoding="utf-8")
         arguments = command("sim.cli", "polaris", "--endpoint", "tcp://127.0.0.1:0", "--scene", str(scene))
         unit = stack.enter_context(ChildProcess("ronna-sim polaris", arguments))
         control = stack.enter_context(ControlPortClient(unit.ready["control"]))
@@ -223,7 +217,7 @@ def _open_room(
         yield read_strays
 
 
-def _bench_scene(conditions: ReadingConditions, orientation: Rotation, seed: int) -> dict[str, Any]:
+def _bench_scene(conditions: ReadingConditions, seed: int) -> dict[str, Any]:
     """Return a bench scene containing only the frame, with coincident robot and tracker frames."""
     words = command("sim.cli", "scene", "--scene", "bench", "--seed", str(seed))
     done = run_command("ronna-sim scene", words, LIMIT_S)
@@ -231,9 +225,8 @@ def _bench_scene(conditions: ReadingConditions, orientation: Rotation, seed: int
         raise TRACKER_NOT_SIMULATED("ronna-sim scene", got=" ".join(done.stderr.split()))
     scene = parse_toml(done.stdout)
     here = {"translation_mm": [0.0, 0.0, 0.0], "quaternion_wxyz": [1.0, 0.0, 0.0, 0.0]}
-    turned = orientation.as_quat(scalar_first=True).tolist()
     scene["head"] |= {
-        "robot_from_ct": here | {"quaternion_wxyz": turned},
+        "robot_from_ct": here | {"translation_mm": MIDDLE_PLACE_MM.tolist()},
         "seating_error_mm": 0.0,  # a rigid one-piece frame
         # No head: a grain at the frame's origin, about which it turns, hides nothing.
         "centre_ct_mm": [0.0, 0.0, 0.0],

@@ -14,7 +14,7 @@ from procedures.registration.correspondence import MatchStatus
 from procedures.registration.similarity_matrix import Counting, match_many_by_similarity
 from studies.campaign.study import Unit
 from studies.correspondence import clinical, frame_readings, template
-from studies.correspondence.clinical import SCANS, THESIS_RANGES_MM, WORSE, ClinicalStudy
+from studies.correspondence.clinical import SCANS, THESIS_RANGES_MM, ClinicalStudy
 from studies.correspondence.frame_readings import CONDITIONS, SPECTRA_STILL, ReadingConditions
 from studies.correspondence.template import MARGIN_MM, TemplateStudy, sites_mm
 from studies.errors import LEDGER_UNREADABLE, OTHER_STUDY, TRACKER_NOT_SIMULATED
@@ -47,8 +47,8 @@ def test_the_distances_of_the_close_frame_differ_by_little_more_than_the_largest
 
 @pytest.mark.slow
 def test_seventeen_scans_pair_every_reading_of_each_condition(found_by_all: None) -> None:
-    kinds = {kind: sum(scan.kind == kind for scan in SCANS) for kind in (PHANTOM, PATIENT, WORSE)}
-    assert kinds == {PHANTOM: 5, PATIENT: 12, WORSE: 12}
+    kinds = {kind: sum(scan.kind == kind for scan in SCANS) for kind in (PHANTOM, PATIENT)}
+    assert kinds == {PHANTOM: 5, PATIENT: 12}
     study = ClinicalStudy({one.name: readings(40) for one in CONDITIONS})
     sums = {kind: study.run(Unit(f"{kind}|1", 0, 40)) for kind in kinds}
     (said,) = clinical.tables({f"{kind}|1": one for kind, one in sums.items()})
@@ -90,9 +90,7 @@ def test_a_reading_with_two_spheres_swapped_counts_as_a_false_pairing(found_by_a
 
 def test_a_unit_that_never_sees_the_whole_frame_is_refused() -> None:
     with raises(TRACKER_NOT_SIMULATED, match="STU-008"):
-        frame_readings._take_whole_reading(
-            lambda _: np.zeros((0, 3)), True, FRAME_MM, np.random.default_rng(1)
-        )
+        frame_readings._take_whole_reading(lambda _: np.zeros((0, 3)), True, np.random.default_rng(1))
 
 
 def test_readings_are_cached_in_the_folder_and_those_of_another_study_are_refused(
