@@ -35,8 +35,13 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
     found = outcomes_by_series(sums)
     columns = (
         *("method", "e mm", "fiducials", "runs"),
-        *("unsuccessful %", bounds.column("unsuccessful"), "over 0 to 4 outliers", "thesis %"),
-        *("false %", bounds.column("false"), "over 0 to 4 outliers", "thesis %"),
+        *(
+            "unsuccessful %",
+            bounds.column("unsuccessful"),
+            "unsuccessful, by outliers",
+            "thesis, unsuccessful %",
+        ),
+        *("false %", bounds.column("false"), "false, by outliers", "thesis, false %"),
         "a part %",
     )
     note = (
