@@ -69,7 +69,7 @@ def match_many_by_similarity(
     passing = np.zeros((len(image_mm), image_mm.shape[1], physical_mm.shape[1]), dtype=bool)
     for readings, matrix in _iterate_matrices(image_mm, physical_mm, tolerance_mm, markers, counting):
         passing[readings] = matrix >= markers - 1
-    return tuple(_settle(one, markers) for one in passing)
+    return _settle(passing, markers)
 
 
 def similarity_steps(
@@ -85,7 +85,7 @@ def similarity_steps(
         steps.append(SimilarityStep(rows, columns, matrix[np.ix_(rows, columns)]))
         passing = matrix >= markers - 1
         rows, columns = np.flatnonzero(passing.any(axis=1)), np.flatnonzero(passing.any(axis=0))
-    return tuple(steps), _settle(passing, markers)
+    return tuple(steps), _settle(passing[None], markers)[0]
 
 
 def _iterate_matrices(
@@ -116,12 +116,18 @@ def _iterate_matrices(
         readings = readings[has_lost & may_succeed]
 
 
-def _settle(passing: Mask, markers: int) -> SimilarityPairs:
-    """Return the result of a reading with these passing cells (n, m) in its last matrix."""
-    left = int(passing.any(axis=1).sum()), int(passing.any(axis=0).sum())
-    if left == (markers, markers) and passing.sum() == markers:
-        return SimilarityPairs(MatchStatus.UNIQUE, np.argwhere(passing))
-    return no_pairs(MatchStatus.INCONSISTENT if min(left) < markers else MatchStatus.AMBIGUOUS)
+def _settle(passing: Mask, markers: int) -> tuple[SimilarityPairs, ...]:
+    """Return the results of readings with these passing cells (b, n, m) in their last matrices."""
+    rows, columns = passing.any(axis=2).sum(axis=1), passing.any(axis=1).sum(axis=1)
+    has_too_few = np.minimum(rows, columns) < markers
+    is_unique = (rows == markers) & (columns == markers) & (passing.sum(axis=(1, 2)) == markers)
+    pairs = iter(np.argwhere(passing[is_unique])[:, 1:].reshape(-1, markers, 2))
+    return tuple(
+        SimilarityPairs(MatchStatus.UNIQUE, next(pairs))
+        if unique
+        else no_pairs(MatchStatus.INCONSISTENT if too_few else MatchStatus.AMBIGUOUS)
+        for unique, too_few in zip(is_unique.tolist(), has_too_few.tolist(), strict=True)
+    )
 
 
 def no_pairs(status: MatchStatus) -> SimilarityPairs:

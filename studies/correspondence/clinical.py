@@ -96,7 +96,7 @@ class ClinicalStudy(Study):
         random = generator(self.seed, unit)
         seed = int(random.integers(SEED_BOUND))
         with phantom_scan(drawn.family, PROTOCOLS[drawn.kind], seed, FRAME, drawn.spheres) as scan:
-            found = localize_scan(scan)
+            found = localize_scan(scan, (Localizer.OURS, Localizer.THESIS_SPHERE))
         (scale,) = draw_scale(random, 1)
         image = {method: one.frame_mm(scale) for method, one in found.items()}
         sums: Counter[str] = Counter()

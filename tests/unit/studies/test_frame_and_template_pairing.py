@@ -36,7 +36,7 @@ def found_by_all(monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr(clinical, "phantom_scan", lambda *_: nullcontext())
     found = {method: LocalizedScan(centres, 1.0) for method in AUTOMATIC}
-    monkeypatch.setattr(clinical, "localize_scan", lambda _: found)
+    monkeypatch.setattr(clinical, "localize_scan", lambda *_: found)
 
 
 def test_the_distances_of_the_close_frame_differ_by_little_more_than_the_largest_e() -> None:
