@@ -96,14 +96,18 @@ def _make_row(series: Series, one: Outcomes) -> list[Cell]:
         one.runs,
         unsuccessful.value,
         unsuccessful.text,
-        _format_range(one.range_percent(*UNSUCCESSFUL)),
+        _format_by_outliers(one, *UNSUCCESSFUL),
         _format_range(THESIS_UNSUCCESSFUL[series.fiducials]),
         false.value,
         false.text,
-        _format_range(one.range_percent(FALSE)),
+        _format_by_outliers(one, FALSE),
         _format_range(THESIS_FALSE[series.fiducials]),
         one.percent(PART).value,
     ]
+
+
+def _format_by_outliers(one: Outcomes, *outcomes: str) -> str:
+    return " / ".join(f"{share:.3g}" for share in one.percent_by_outliers(*outcomes))
 
 
 def _format_range(ends: Range) -> str:
