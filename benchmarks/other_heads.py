@@ -52,9 +52,8 @@ def main() -> None:
         least, largest = ([extreme(one) for one, _ in shares] for extreme in (min, max))
         result[f"markers_{markers}"] = {
             "sets": [{"unsuccessful": one, "false": false} for one, false in shares],
-            "least_percent": min(least),
-            "largest_percent": max(largest),
-            "median_of_the_largest_percent": float(np.median(largest)),
+            "least_percent": {"from": min(least), "to": max(least)},
+            "largest_percent": {"from": min(largest), "to": max(largest)},
             "largest_false_percent": max(max(false) for _, false in shares),
         }
     print(json.dumps(result, indent=1))

@@ -41,7 +41,7 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
             "unsuccessful, by outliers",
             "thesis, unsuccessful %",
         ),
-        *("false %", bounds.column("false"), "false, by outliers", "thesis, false %"),
+        *("false %", bounds.column("false"), "false, by outliers", "false, most %", "thesis, false %"),
         "a part %",
     )
     note = (
@@ -101,6 +101,7 @@ def _make_row(series: Series, one: Outcomes) -> list[Cell]:
         false.value,
         false.text,
         _format_by_outliers(one, FALSE),
+        one.range_percent(FALSE)[1],
         _format_range(THESIS_FALSE[series.fiducials]),
         one.percent(PART).value,
     ]
