@@ -34,7 +34,7 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
     """Tabulate each noise model, 5 to 8 fiducials pooled, and the values of e that reproduce the thesis."""
     found = outcomes_by_series(sums)
     columns = (
-        *("method", "e mm", "fiducials", "runs"),
+        *("method", "e mm", "fiducials", "runs", "success %"),
         *(
             "unsuccessful %",
             bounds.column("unsuccessful"),
@@ -94,6 +94,7 @@ def _make_row(series: Series, one: Outcomes) -> list[Cell]:
         series.tolerance_mm,
         series.fiducials,
         one.runs,
+        one.percent(SUCCESS).value,
         unsuccessful.value,
         unsuccessful.text,
         _format_by_outliers(one, *UNSUCCESSFUL),
