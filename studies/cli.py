@@ -80,7 +80,11 @@ def correspondence(
         typer.Option("--runs", min=1, help="Runs per patient and cell [10000], or readings [1415]."),
     ] = None,
     sweep: Annotated[
-        bool, typer.Option("--sweep", help="Only the thesis methods, with 51 values of e from 1 to 6 mm.")
+        bool,
+        typer.Option(
+            "--sweep",
+            help="Both similarity matrices, or each --method, with 51 values of e from 1 to 6 mm.",
+        ),
     ] = False,
     template: Annotated[
         bool,
@@ -93,8 +97,8 @@ def correspondence(
         typer.Option(
             "--method",
             metavar="NAME|MODULE:FUNCTION",
-            help="Only this method: clique, orientation, count, thesis, thesis-validated, or a pairing of "
-            "your own; repeatable [all of ours and the thesis'].",
+            help="Only this method: clique, orientation, count, thesis, thesis-validated, gradual, "
+            "gradual-validated, or a pairing of your own; repeatable [all but the last].",
         ),
     ] = None,
     tolerances_mm: Annotated[
@@ -104,7 +108,7 @@ def correspondence(
             min=0.1,
             max=10.0,
             metavar="MM",
-            help="Value of e of the thesis methods in mm; repeatable [1.5 and 2.5].",
+            help="Value of e of the similarity matrices in mm; repeatable [1.5 and 2.5].",
         ),
     ] = None,
     refused_share: Annotated[
@@ -114,7 +118,7 @@ def correspondence(
             min=REFUSED_SHARE_RANGE[0],
             max=REFUSED_SHARE_RANGE[1],
             metavar="SHARE",
-            help="Share of correct pairings that the validation of the thesis method refuses "
+            help="Share of correct pairings that the validation of a similarity matrix refuses "
             f"[{REFUSED_SHARE:g}].",
         ),
     ] = None,
@@ -132,20 +136,25 @@ def correspondence(
 ) -> None:
     """Correspondence of unordered points with outliers: ours and the thesis method on the same data.
 
-    The thesis method is run both without and with validation of its pairs against the stated errors.
+    The thesis' similarity matrix loses all failing rows and columns at once, our gradual one a point at a
+    time. Each is run both without and with validation of its pairs against the stated errors.
     """
     from studies.correspondence import pairing_misspecified, tables
     from studies.correspondence import template as template_study
-    from studies.correspondence.study import OF_THE_THESIS, USUAL_TOLERANCES_MM, CorrespondenceStudy
+    from studies.correspondence.study import SWEPT, USUAL_TOLERANCES_MM, CorrespondenceStudy
     from studies.plugin_trial import select_methods
 
     if xframe + sweep + template + wrong > 1:
         selected = {"--sweep": sweep, "--xframe": xframe, "--template": template, "--wrong": wrong}
         raise _several_studies([option for option, is_given in selected.items() if is_given])
-    if (xframe or sweep or template or wrong) and (methods or tolerances_mm or refused_share):
+    if sweep and tolerances_mm:
         raise UsageMistake(
-            "--method, --e and --refuse cannot be combined with --sweep, --xframe, --template or --wrong, "
-            "which have their own",
+            "--e cannot be combined with --sweep, which has its own", action="Omit one of the two."
+        )
+    if (xframe or template or wrong) and (methods or tolerances_mm or refused_share):
+        raise UsageMistake(
+            "--method, --e and --refuse cannot be combined with --xframe, --template or --wrong, which have "
+            "their own",
             action="Omit the options of the method, or those of the study.",
         )
     seed = study_options.seed
@@ -158,26 +167,31 @@ def correspondence(
     elif wrong:
         wrongly = pairing_misspecified.MisspecifiedPairingStudy(runs, seed)
         _run(wrongly, pairing_misspecified, study_options)
-    elif sweep:
-        swept = CorrespondenceStudy(
-            runs, seed, OF_THE_THESIS, THESIS_TOLERANCES_MM, name="correspondence-sweep"
-        )
-        _run(swept, tables, study_options, tables.plot_figure_13)
     else:
         chosen, own = select_methods(methods or (), terminal.tell)
         values_mm = tuple(sorted(set(tolerances_mm))) if tolerances_mm else USUAL_TOLERANCES_MM
         refused = refused_share or REFUSED_SHARE
         study = CorrespondenceStudy(runs, seed, chosen, values_mm, own=own, refused_share=refused)
-        _run(study, tables, study_options)
+        if sweep:
+            swept = replace(
+                study,
+                methods=chosen if methods else SWEPT,
+                tolerances_mm=THESIS_TOLERANCES_MM,
+                name="correspondence-sweep",
+            )
+            _run(swept, tables, study_options, tables.plot_figure_13)
+        else:
+            _run(study, tables, study_options)
 
 
 def _run_clinical(readings: int | None, study_options: StudyOptions) -> None:
     """Run the clinical protocol on readings stored in the study's folder, taking them if missing."""
     from studies.correspondence import clinical
+    from studies.correspondence.frame_readings import load_or_take_readings
 
     folder = study_options.out or Path("campaigns") / clinical.ClinicalStudy.name
     with terminal.progress_bar("readings of the tracker") as progress:
-        readings_mm = clinical.load_or_take_readings(
+        readings_mm = load_or_take_readings(
             folder, readings or clinical.THESIS_READINGS, study_options.seed, progress
         )
     study = clinical.ClinicalStudy(readings_mm, study_options.seed)

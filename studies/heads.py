@@ -38,9 +38,9 @@ class NoiseReading(StrEnum):
     NORM = "norm"
 
 
-def sites_mm(patient: int) -> Array:
-    """Return a patient's eight fiducial sites (8, 3)."""
-    random = np.random.default_rng([SITES_SEED, patient])
+def sites_mm(patient: int, sites_seed: int = SITES_SEED) -> Array:
+    """Return a patient's eight fiducial sites (8, 3), those of the studies by default."""
+    random = np.random.default_rng([sites_seed, patient])
     sites: list[Array] = []
     while len(sites) < SITES:
         direction = random.normal(size=3)

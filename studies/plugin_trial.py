@@ -40,6 +40,8 @@ NAMES = {
     "count": StudiedMatching.COUNT,
     "thesis": StudiedMatching.THESIS,
     "thesis-validated": StudiedMatching.VALIDATED,
+    "gradual": StudiedMatching.GRADUAL,
+    "gradual-validated": StudiedMatching.GRADUAL_VALIDATED,
 }
 
 

@@ -1,8 +1,8 @@
 """Figures of the thesis that need no campaign: 4 to 6, registration of two sets, and 11, the matrix.
 
 Figure 4 fits paired points by SVD, 5 aligns principal axes, 6 pairs closest points. The thesis' own points
-are not published. The markers and the reading for figure 11 are those of the pairing study, the surface is
-the upper half of an ellipsoid with a nose.
+are not published. The surface is the upper half of an ellipsoid with a nose; the reading for figure 11 is one
+of the pairing study's, with four outliers in each set as in the thesis.
 """
 
 from __future__ import annotations
@@ -28,8 +28,7 @@ NOSE_MM = 25.0  # of the surface's front, so that it fits in one orientation onl
 NOSE_WIDTH = 0.15  # share of the directions around the front
 MOVED_MM = (40.0, -25.0, 30.0)
 TURNED_RAD = (0.5, -0.3, 0.8)  # Euler angles about x, y and z
-MATRIX_FIDUCIALS, MATRIX_OUTLIERS, MATRIX_E_MM = 4, 3, 2.5
-MOST_MATRICES = 8
+MATRIX_FIDUCIALS, MATRIX_OUTLIERS, MATRIX_E_MM = 4, 4, 1.5
 SHOWN_STEPS = 4  # of the closest points
 
 
@@ -99,7 +98,9 @@ def draw_matrix_run(seed: int = 0) -> tuple[tuple[SimilarityStep, ...], Similari
             1,
             np.random.default_rng(seed),
         )
-        steps, found = similarity_steps(readings.image_mm[0], readings.physical_mm[0], MATRIX_E_MM)
+        steps, found = similarity_steps(
+            readings.image_mm[0], readings.physical_mm[0], MATRIX_E_MM, MATRIX_FIDUCIALS
+        )
         if found.status is MatchStatus.UNIQUE:
             return steps, found
         seed += 1
@@ -174,17 +175,20 @@ def _draw_residuals(surfaces: Surfaces) -> bytes:
 
 
 def _draw_matrices(steps: tuple[SimilarityStep, ...], found: SimilarityPairs) -> bytes:
-    shown = steps if len(steps) <= MOST_MATRICES else (*steps[: MOST_MATRICES - 1], steps[-1])
-    figure, all_axes = _open_figure(1, len(shown))
-    for number, (axes, step) in enumerate(zip(all_axes, shown, strict=True)):
-        axes.imshow(step.matrix, vmin=0, vmax=max(step.matrix.shape) - 1, cmap="Blues")
+    figure, all_axes = _open_figure(1, len(steps))
+    for number, (axes, step) in enumerate(zip(all_axes, steps, strict=True), start=1):
+        passing = step.matrix >= MATRIX_FIDUCIALS - 1
+        axes.imshow(passing, vmin=0, vmax=2, cmap="Blues")
         for row, column in np.ndindex(step.matrix.shape):
-            axes.text(column, row, str(step.matrix[row, column]), ha="center", va="center", fontsize=8)
+            weight = "bold" if passing[row, column] else "normal"
+            cell = str(step.matrix[row, column])
+            axes.text(column, row, cell, ha="center", va="center", fontsize=8, weight=weight)
         axes.set_yticks(range(len(step.rows)), [f"{one + 1}" for one in step.rows])
         axes.set_xticks(range(len(step.columns)), [f"{chr(65 + one)}" for one in step.columns])
         axes.set_title(f"iteration {number}", fontsize=9)
     pairs = ", ".join(f"{i + 1}-{chr(65 + j)}" for i, j in found.pairs.tolist())
-    figure.suptitle(f"Similarity matrix, e = {MATRIX_E_MM:g} mm: {pairs}", fontsize=9)
+    title = f"Similarity matrix, e = {MATRIX_E_MM:g} mm, at least {MATRIX_FIDUCIALS - 1} in bold: {pairs}"
+    figure.suptitle(title, fontsize=9)
     return encode_png(figure)
 
 

@@ -13,7 +13,8 @@ THESIS_TOLERANCES_MM = tuple(
     round(E_RANGE_MM[0] + E_STEP_MM * step, 1)
     for step in range(round((E_RANGE_MM[1] - E_RANGE_MM[0]) / E_STEP_MM) + 1)
 )
-# Comes nearest to the thesis' figures for five to eight spheres; the thesis states no single value.
+# The smallest at which the thesis paired all its clinical readings (figures 14 and 15); it states no single
+# value.
 E_MM = 2.5
 REFUSED_SHARE_RANGE = (1e-6, 0.5)
 REFUSED_SHARE = 1e-3  # of the correct pairings; ours, as the thesis states no rule for its validation

@@ -104,11 +104,14 @@ class ShiftedRoom:
         """Return ROBOT <- base of an arm beside the master (4, 4) with a displacement of the room."""
         return rigid_move(room.assistant_rad, room.assistant_mm) @ self._bases[role]
 
-    def now(self) -> RoomShift:
-        """Return the current displacements, or the object `NOTHING_MOVED` if there are no faults."""
+    def now(self, later_s: float = 0.0) -> RoomShift:
+        """Return the current displacements, or the object `NOTHING_MOVED` if there are no faults.
+
+        With `later_s`, those to which the present motions will have come by then.
+        """
         if self._board.empty:
             return NOTHING_MOVED
-        now_s = self._world.clock.now_s()
+        now_s = self._world.clock.now_s() + later_s
         acting = [come_to(fault, onset_s, now_s) for fault, onset_s in self._board.acting_since()]
         shifts, turns, pushes, loose = (
             tuple(one for one in acting if one.kind is kind) for kind in (SHIFT, TURN, PUSH, LOOSEN)

@@ -20,6 +20,7 @@ from studies.campaign.bounds import Bounded, percent
 from studies.campaign.study import Sums
 
 SUCCESS, LOST, PART, FALSE = "success", "lost", "part", "false"
+OUTCOMES = (SUCCESS, LOST, PART, FALSE)
 UNSUCCESSFUL = (LOST, PART)  # in the thesis' terms
 Pairs = frozenset[tuple[int, int]]
 Range = tuple[float, float]
@@ -59,9 +60,14 @@ class Outcomes(dict[int, Counter[str]]):
     def percent(self, *outcomes: str) -> Bounded:
         return percent(self.count(*outcomes), self.runs)
 
+    def percent_by_outliers(self, *outcomes: str) -> list[float]:
+        """Return the percentage of each cell, the one with fewest outliers first."""
+        cells = [self[outliers] for outliers in sorted(self)]
+        return [100.0 * sum(cell[one] for one in outcomes) / cell.total() for cell in cells]
+
     def range_percent(self, *outcomes: str) -> Range:
         """Return the smallest and largest percentage of any cell."""
-        shares = [100.0 * sum(cell[one] for one in outcomes) / cell.total() for cell in self.values()]
+        shares = self.percent_by_outliers(*outcomes)
         return min(shares), max(shares)
 
 

@@ -23,8 +23,10 @@ from procedures.registration.correspondence import (
     Prior,
     turn_rad,
 )
+from procedures.registration.gradual_matrix import match_many_gradually
 from procedures.registration.matching import match
-from procedures.registration.similarity_matrix import match_many_by_similarity, validate_many
+from procedures.registration.similarity_matrix import SimilarityPairs, match_many_by_similarity
+from procedures.registration.thesis_matching import validate_many
 from procedures.registration.thesis_settings import REFUSED_SHARE
 from ronna_hw.arrays import Array
 from studies.campaign.study import Study, Sums, Unit, as_sums, blocks_of_each, generator
@@ -48,29 +50,38 @@ FIDUCIALS = tuple(range(3, 9))
 OUTLIERS = tuple(range(5))
 BLOCK_RUNS = 500
 PRIOR_DISTURBED_RAD = math.radians(20.0)  # largest error of the orientation given as a prior
-# The first brings the thesis' method closest to its figures for 3 and 4 markers, the second for 5 to 8.
+# The first brings the thesis' method closest to its figures for 3 and 4 markers, the second ours of its
+# matrix to those of 5 to 8.
 USUAL_TOLERANCES_MM = (1.5, 2.5)
 
 
 class StudiedMatching(StrEnum):
-    """Our method, alone or with prior knowledge from the plan; the thesis' method, raw or validated."""
+    """Our method, alone or with prior knowledge from the plan; the thesis' and our gradual matrix.
+
+    Each matrix comes raw and validated. That of the thesis is told the number of markers.
+    """
 
     CLIQUE = "clique"
     PRIOR = "clique + orientation"
     COUNT = "clique + planned count"
     THESIS = "thesis"
     VALIDATED = "thesis, validated"
+    GRADUAL = "gradual matrix"
+    GRADUAL_VALIDATED = "gradual matrix, validated"
 
 
 OURS = (StudiedMatching.CLIQUE, StudiedMatching.PRIOR, StudiedMatching.COUNT)
-OF_THE_THESIS = (StudiedMatching.THESIS, StudiedMatching.VALIDATED)
+# Raw and validated method of each matrix.
+WRITTEN = (StudiedMatching.THESIS, StudiedMatching.VALIDATED)
+GRADUAL = (StudiedMatching.GRADUAL, StudiedMatching.GRADUAL_VALIDATED)
+SWEPT = (StudiedMatching.VALIDATED, StudiedMatching.GRADUAL_VALIDATED)
 
 
 @dataclass(frozen=True)
 class CorrespondenceStudy(Study):
-    """Correspondence study with `runs` per condition, and every e in `tolerances_mm` for the thesis' methods.
+    """Correspondence study with `runs` per condition, and every e in `tolerances_mm` for both matrices.
 
-    The thesis' validation refuses `refused_share` of the correct pairings.
+    Their validation refuses `refused_share` of the correct pairings.
     """
 
     runs: int
@@ -109,31 +120,35 @@ class CorrespondenceStudy(Study):
                     elif method is StudiedMatching.PRIOR and not _satisfies_prior(plain, prior_matrices[run]):
                         found = solve(prior=Prior(priors[run]))
                     sums[outcome_key(method, None, outcome_of(found, right))] += 1
-        if any(method in OF_THE_THESIS for method in self.methods):
-            sums += self._count_thesis_outcomes(seen, rights, reading)
+        sums += self._count_matrix_outcomes(seen, rights, reading, count)
         for own in self.own:
             sums += _count_plugin_outcomes(PluginPairing.of(own), seen, rights, reading)
         return as_sums(sums)
 
-    def _count_thesis_outcomes(
-        self, seen: Readings, rights: Sequence[Pairs], noise: NoiseReading
+    def _count_matrix_outcomes(
+        self, seen: Readings, rights: Sequence[Pairs], noise: NoiseReading, markers: int
     ) -> Counter[str]:
-        """Count the outcomes of the thesis' pairing for every e, before and after its validation."""
+        """Count the outcomes of both matrices for every e, before and after the validation."""
         sums: Counter[str] = Counter()
+        chosen = set(self.methods)
+        variance_mm2 = variance_from_thesis_mm2(noise)
         for tolerance_mm in self.tolerances_mm:
-            found = match_many_by_similarity(
-                seen.image_mm, seen.physical_mm, np.full(len(seen), tolerance_mm)
-            )
-            answers = {StudiedMatching.THESIS: found}
-            if StudiedMatching.VALIDATED in self.methods:
-                answers[StudiedMatching.VALIDATED] = validate_many(
-                    seen.image_mm,
-                    seen.physical_mm,
-                    found,
-                    variance_from_thesis_mm2(noise),
-                    self.refused_share,
+            everywhere = np.full(len(seen), tolerance_mm)
+            answers: dict[StudiedMatching, tuple[SimilarityPairs, ...]] = {}
+            if chosen & set(WRITTEN):
+                answers[StudiedMatching.THESIS] = match_many_by_similarity(
+                    seen.image_mm, seen.physical_mm, everywhere, markers
                 )
-            for method in answers.keys() & set(self.methods):
+            if chosen & set(GRADUAL):
+                answers[StudiedMatching.GRADUAL] = match_many_gradually(
+                    seen.image_mm, seen.physical_mm, everywhere
+                )
+            for raw, validated in (WRITTEN, GRADUAL):
+                if validated in chosen:
+                    answers[validated] = validate_many(
+                        seen.image_mm, seen.physical_mm, answers[raw], variance_mm2, self.refused_share
+                    )
+            for method in answers.keys() & chosen:
                 for right, one in zip(rights, answers[method], strict=True):
                     sums[outcome_key(method, tolerance_mm, outcome_of(one, right))] += 1
         return sums

@@ -15,7 +15,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from procedures.imaging.localizers import LOCALIZERS
+from procedures.imaging.localizers import LOCALIZERS, Localizer
 from procedures.registration.error_theory import fle_from_fre_mm, fle_of_one_space_mm
 from procedures.registration.errors import LayoutNotFound
 from procedures.registration.rigid_fit import fit_rigid, residuals
@@ -92,10 +92,12 @@ class LocalizedScan:
             return None
 
 
-def localize_scan(scan: PhantomScan) -> dict[str, LocalizedScan]:
-    """Localize the scan with our method and both methods of the thesis."""
+def localize_scan(
+    scan: PhantomScan, names: Sequence[Localizer] = tuple(Localizer)
+) -> dict[str, LocalizedScan]:
+    """Localize the scan with our method and both methods of the thesis, or those named."""
     found = {}
-    for localizer in LOCALIZERS.values():
+    for localizer in (LOCALIZERS[name] for name in names):
         localizer.load()  # whose imports are not part of the scan's time
         began_s = time.process_time()
         result = localize_by(localizer, scan.volume)

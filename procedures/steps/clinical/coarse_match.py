@@ -14,8 +14,8 @@ from procedures.planning.plan_model import UP_LPS, FiducialKind
 from procedures.registration import match, match_by_template
 from procedures.registration.correspondence import Match, MatchStatus, PosePrior
 from procedures.registration.room_prior import MIRROR, HeadSight, RoomPrior
-from procedures.registration.similarity_matrix import match_as_thesis
 from procedures.registration.template import TEMPLATE_SIGMA_MM
+from procedures.registration.thesis_matching import match_as_thesis
 from procedures.steps.clinical.plan_check import CheckedPlan
 from ronna_hw.arrays import Array
 from ronna_hw.config import ProcedureSettings

@@ -313,7 +313,7 @@ class MarkerVisibility:
             row for row, number in enumerate(scene.fiducial_numbers) if number in disturbance.hidden_fiducials
         )
         return TrueTool(
-            frozenset(), np.vstack([scene.fiducials_at(disturbance.room), scene.strays_mm, more]), covered
+            frozenset(), np.vstack([scene.expose_fiducials(disturbance.room), scene.strays_mm, more]), covered
         )
 
 

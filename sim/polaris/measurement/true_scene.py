@@ -35,6 +35,7 @@ from sim.world.world import ArmState, World
 
 Vector = tuple[float, float, float]
 NO_TOOL = 0
+MILLISECONDS_PER_SECOND = 1e3
 SUNLIGHT_REFLECTIONS = 6  # reflections added by sunlight; an estimate without a source
 
 
@@ -98,6 +99,14 @@ class TrueScene:
         return apply(
             self._tracker_from(room), room.displace_spheres_mm(self._centres_mm, self.fiducial_numbers)
         )
+
+    def expose_fiducials(self, room: RoomShift) -> Vectors:
+        """Return the fiducials (n, 3), each displaced as it is when its turn to be exposed comes."""
+        interval_s = self._world.scene.tracker.sphere_interval_ms / MILLISECONDS_PER_SECOND
+        if interval_s == 0.0 or room is NOTHING_MOVED:
+            return self.fiducials_at(room)
+        rooms = [self._room.now(place * interval_s) for place in range(len(self.fiducial_numbers))]
+        return np.array([self.fiducials_at(later)[place] for place, later in enumerate(rooms)])
 
     def extra_spheres_at(self, room: RoomShift) -> Vectors:
         """Return further spheres (n, 3) that rest in the room, on no head."""

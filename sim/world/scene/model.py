@@ -350,6 +350,11 @@ class TrackerTruth(Strict):
     reflections: Annotated[int, Field(ge=0)] = Field(
         default=0, description="Number of intermittent reflections."
     )
+    sphere_interval_ms: NotNegative = Field(
+        default=0.0,
+        description="Time between the exposures of two spheres on the head; 0: all at once, as a Polaris "
+        "images passive spheres.",
+    )
 
     @model_validator(mode="after")
     def _tool_names_are_unique(self) -> Self:

@@ -59,10 +59,19 @@ def test_the_pairing_of_the_thesis_can_be_chosen_with_its_e_alongside_ours(tmp_p
     }
 
 
-def test_methods_cannot_be_chosen_for_a_sweep(tmp_path: Path) -> None:
-    refused = in_this_process(app, "correspondence", "--sweep", "--method", "count", "--out", tmp_path)
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (("--sweep", "--e", "2"), "--e cannot be combined with --sweep"),
+        (("--wrong", "--method", "count"), "--method, --e and --refuse cannot be combined with --xframe"),
+    ],
+)
+def test_a_study_with_methods_or_values_of_its_own_takes_no_others(
+    tmp_path: Path, options: tuple[str, ...], said: str
+) -> None:
+    refused = in_this_process(app, "correspondence", *options, "--out", tmp_path)
     assert refused.returncode == 2
-    assert refused.stderr.startswith("CLI-001: --method, --e and --refuse cannot be combined with --sweep")
+    assert refused.stderr.startswith(f"CLI-001: {said}")
 
 
 def test_another_study_in_the_folder_is_refused_in_one_line(tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ from ronna_hw.collision_config import CollisionConfig
 from sim.polaris.measurement.line_of_sight import ArmBody, Capsules, OpaqueEllipsoid, visible
 from sim.polaris.measurement.optics import EYES_MM
 from sim.polaris.measurement.true_scene import UNDISTURBED, TrueScene
+from sim.world.displacements import ShiftedRoom
 from sim.world.nominal_arm import description
 from sim.world.rigid import matrix_of
 from sim.world.scene.model import Scene
@@ -195,3 +196,20 @@ def test_an_arm_that_reaches_over_the_head_hides_spheres() -> None:
     flange[:3, 3] = middle + 200.0 * towards
     bodies = scene.bodies(ArmState(arm.joints_rad, flange, 1, True), 1)
     assert not visible(EYES_MM, scene.fiducials_mm, bodies).all()
+
+
+@pytest.mark.parametrize("interval_ms", [0.0, 4.0])
+def test_a_moving_head_is_deformed_only_by_a_tracker_that_exposes_one_sphere_after_the_other(
+    interval_ms: float,
+) -> None:
+    speed_mm_s = 100.0
+    scene = draw_scene("default", seed=1)
+    tracker = scene.tracker.model_copy(update={"sphere_interval_ms": interval_ms})
+    world = World.create(scene.model_copy(update={"tracker": tracker}), paced=False)
+    still = TrueScene(world).fiducials_mm
+    world.set_fault_script(f"at 0 s: room shift head {speed_mm_s:g} 0 0 mm over 1 s")
+    world.clock.sleep(0.5)
+    seen = TrueScene(world).expose_fiducials(ShiftedRoom(world).now())
+    later_mm = np.linalg.norm((seen - still) - (seen - still)[0], axis=1)
+    expected = speed_mm_s * interval_ms / 1e3 * np.arange(len(still))
+    assert later_mm == pytest.approx(expected, abs=1e-6)

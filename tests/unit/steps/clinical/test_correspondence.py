@@ -302,10 +302,10 @@ def test_the_thesis_matcher_leaves_a_missing_sphere_out_but_states_no_odds(cell:
     assert [one.fiducial for one in found.left_out] == [2]
 
 
-def test_the_thesis_matcher_may_drop_another_than_a_displaced_sphere_and_is_then_refused(
+def test_the_thesis_matcher_refuses_a_displaced_sphere_without_finding_which_it_is(
     cell: ClinicalCell,
 ) -> None:
-    with raises(NO_UNIQUE_MATCH, match=r"4 pairs agree within e = 2\.5 mm, but with residuals beyond"):
+    with raises(NO_UNIQUE_MATCH, match=r"fewer than 5 spheres have distances .* within e = 2\.5 mm"):
         match_five(by_thesis(cell), MISPLACED["displaced"])
 
 
