@@ -24,6 +24,22 @@ GUIDED_SPEED_MM_S = REDUCED_SPEED_MM_S / 5.0  # a hand is on the arm
 
 
 @dataclass(frozen=True)
+class DrillLimits:
+    """Forces and depths by which an arm feeds a drill, and finds that it has broken through.
+
+    Between `slow_N` and the force limit the feed is slowed, and rests. Beyond `earliest_mm` before the target
+    a fall of the force counts, elsewhere only a way on which nothing resists.
+    """
+
+    slow_N: float
+    touch_N: float
+    free_N: float
+    fall_share: float
+    earliest_mm: float
+    free_mm: float
+
+
+@dataclass(frozen=True)
 class Insertion:
     """Straight, slow motion of an instrument along its own axis, the z axis of TOOL, to the target.
 
@@ -39,6 +55,7 @@ class Insertion:
     speed_mm_s: float = INSERTION_SPEED_MM_S
     force_limit_N: float | None = None
     start: Transform | None = None
+    drill: DrillLimits | None = None  # it ends where the drill breaks through, at the latest at the target
 
 
 @dataclass(frozen=True)
@@ -48,6 +65,10 @@ class Inserted:
     reading: ArmReading
     travel_mm: float  # along the axis, positive in its direction; by the measured joints
     peak_force_N: float | None  # largest change of the force; None if the arm senses none
+    broke_through: bool = False  # of a drill: it ended before the target
+    slowed_s: float = 0.0  # of a drill: with less than the planned feed
+    drilled_s: float = 0.0
+    drilled_N: tuple[float, ...] = ()  # largest forces in equal parts of the way to the target
 
 
 @runtime_checkable
@@ -57,6 +78,10 @@ class InsertsInstruments(Protocol):
     @property
     def senses_force(self) -> bool:
         """Whether the arm estimates the force on its tool, so that a force limit can be watched."""
+
+    @property
+    def force_error_N(self) -> float:
+        """Two standard errors of a change of that force; 0.0 if none is stated."""
 
     def insert(self, insertion: Insertion, *, timeout_s: float = 120.0) -> Inserted:
         """Insert, or withdraw, to rest at the target.
