@@ -30,7 +30,13 @@ from ronna_hw.calibrated_arm.error_budget import PER_AXIS
 from ronna_hw.calibration import HolderCalibration
 from ronna_hw.config import Calibrations
 from ronna_hw.devices import JointMove, LineMove, Motion
-from ronna_hw.devices.contact import INSERTION_SPEED_MM_S, Inserted, Insertion, InsertsInstruments
+from ronna_hw.devices.contact import (
+    INSERTION_SPEED_MM_S,
+    DrillLimits,
+    Inserted,
+    Insertion,
+    InsertsInstruments,
+)
 from ronna_hw.devices.errors import NotInTheatre
 from ronna_hw.devices.readings import ArmReading
 from ronna_hw.errors import LimitError
@@ -53,6 +59,16 @@ TURNED_CART = 2.0  # a cart that turned moves parts of its arm farther than the 
 # stops within 0.5 mm; an arm that senses force stays at the speed at which that is watched.
 # Safety against an instrument led too fast in the bore (U).
 BORE_SPEED_MM_S = 15.0
+
+
+class DrillPlan(NamedTuple):
+    """Feed of a drill along its axis: places from the start of the axis, speed, and forces."""
+
+    from_mm: float
+    to_mm: float
+    feed_mm_s: float
+    limit_N: float
+    limits: DrillLimits
 
 
 class GuidedStretch(NamedTuple):
@@ -109,6 +125,7 @@ class Assistant(SupervisedArm):
         self._insertion_force_N = insertion_force_N
         self._around: tuple[Surroundings, JointVector | None] | None = None  # robot frame
         self.inserted: Inserted | None = None  # at the end of the last insertion, if its force was watched
+        self._drill: DrillPlan | None = None  # of the motion under way, if it is one of a drill
 
     @property
     def carries(self) -> str:
@@ -345,6 +362,33 @@ class Assistant(SupervisedArm):
         self.inserted = None
         return self.supervised.carry_out(self.insert_motion(axis, guided=guided))
 
+    def lead_in(self, axis: InsertionAxis, travel_mm: float, led: str) -> ArmReading:
+        """Lead a tool, `led` in words, straight along the axis to a place short of its end."""
+        self.inserted = None
+        return self.supervised.carry_out(self._partial_motion(axis, travel_mm, INSERTION_SPEED_MM_S, led))
+
+    def drill(self, axis: InsertionAxis, plan: DrillPlan) -> Inserted:
+        """Feed the drill along the axis until it breaks through, at most to the plan's end.
+
+        Raises ARM-013 to ARM-015 as the arm, and what stops an insertion.
+        """
+        self.inserted = None
+        self._drill = plan
+        try:
+            self.supervised.carry_out(self._partial_motion(axis, plan.to_mm, plan.feed_mm_s, "the drill"))
+        finally:
+            self._drill = None
+        assert self.inserted is not None, "the force on a drill is watched"
+        return self.inserted
+
+    def _partial_motion(
+        self, axis: InsertionAxis, travel_mm: float, speed_mm_s: float, led: str
+    ) -> PlannedMotion:
+        to_mm = vector3(axis.pose_at(travel_mm).translation_mm)
+        return PlannedMotion(
+            MotionKind.INSERT, led, to_mm, (self._line(axis, travel_mm, speed_mm_s),), axis=axis
+        )
+
     def withdraw_motion(self, guided: GuidedStretch | None = None) -> PlannedMotion:
         """Return the motion of the instrument straight back out of the guide. Raises PRO-014 on no axis."""
         axis = self.place.axis
@@ -382,12 +426,17 @@ class Assistant(SupervisedArm):
             return self._arms.move(self.role, leg)
         if self.has_passed(leg, motion):
             return self._arm.read_state()
-        limit_N = self.insertion_limit_N
+        limit_N = self.insertion_limit_N if self._drill is None else self._drill.limit_N
         if limit_N is not None and (insertion := self.force_limited(leg, motion, limit_N)):
             inserted = self._arms.insert(self.role, insertion)
             ends = [one for one in (self.inserted, inserted) if one is not None]  # of stretches so far
             peaks_N = [one.peak_force_N for one in ends if one.peak_force_N is not None]
-            self.inserted = replace(inserted, peak_force_N=max(peaks_N, default=None))
+            self.inserted = replace(
+                inserted,
+                peak_force_N=max(peaks_N, default=None),
+                drilled_s=sum(one.drilled_s for one in ends),
+                slowed_s=sum(one.slowed_s for one in ends),
+            )
             return inserted.reading
         return self._arms.move(self.role, leg, with_instrument=True)
 
@@ -411,8 +460,20 @@ class Assistant(SupervisedArm):
         if not inserts or not isinstance(leg, LineMove) or leg.flange_from_tool is None:
             return None
         assert motion.axis is not None, "an insertion leads along an axis"
-        start = self._line(motion.axis, 0.0, INSERTION_SPEED_MM_S).target
-        return Insertion(leg.target, leg.flange_from_tool, INSERTION_SPEED_MM_S, limit_N, start)
+        drill = self._drill
+        from_mm, speed_mm_s = (
+            (0.0, INSERTION_SPEED_MM_S) if drill is None else (drill.from_mm, drill.feed_mm_s)
+        )
+        start = self._line(motion.axis, from_mm, speed_mm_s).target
+        kept_N = limit_N - self.force_error_N
+        limits = None if drill is None else drill.limits
+        return Insertion(leg.target, leg.flange_from_tool, speed_mm_s, kept_N, start, limits)
+
+    @property
+    def force_error_N(self) -> float:
+        """Two standard errors of the force on the instrument, by which its limits are kept."""
+        arm = self._arm
+        return arm.force_error_N if isinstance(arm, InsertsInstruments) else 0.0
 
     @property
     def senses_force(self) -> bool:

@@ -12,6 +12,8 @@ from typing import NamedTuple
 
 FEED_STEPS = 10  # the feed follows the force in tenths: a profile is planned anew for each
 FALL_CYCLES = 5  # in a row, until a fall counts
+# Safety against a drill that is pressed and does not cut (U).
+LONGEST_REST_S = 2.0  # of a feed: a drill that turns cuts itself free in a fifth of a second
 BINS = 32  # of a path, whose largest forces are kept
 
 
@@ -30,17 +32,23 @@ class DrillWatch(NamedTuple):
 class DrillFeed:
     """State of one motion of a drill."""
 
-    def __init__(self, watch: DrillWatch, *, in_bone: bool) -> None:
+    def __init__(self, watch: DrillWatch, cycle_s: float, *, in_bone: bool) -> None:
         """Begin at the start of a path; `in_bone` if the drill went on from where it had been stopped."""
         self._watch = watch
         self._in_bone = in_bone
         self._peak_N = 0.0  # beyond `earliest`
         self._resisted = 0.0  # where something last did
-        self._falls = 0
+        self._falls = self._resting = 0  # cycles
+        self._most_resting = round(LONGEST_REST_S / cycle_s)
         self.share = 1.0  # of the planned feed
         self.has_broken_through = False
         self.slowed_cycles = 0
         self.forces_N = [0.0] * BINS
+
+    @property
+    def has_stalled(self) -> bool:
+        """Whether the feed has rested for too long: the drill does not cut."""
+        return self._resting > self._most_resting
 
     def note(self, force_N: float, along: float) -> None:
         """Take the force of one cycle, at a share of the path."""
@@ -50,6 +58,7 @@ class DrillFeed:
         over = (watch.hold_N - force_N) / (watch.hold_N - watch.slow_N)
         self.share = int(min(max(over, 0.0), 1.0) * FEED_STEPS + 0.5) / FEED_STEPS
         self.slowed_cycles += self.share < 1.0
+        self._resting = 0 if self.share else self._resting + 1
         if force_N >= watch.free_N:
             self._resisted = along
         if force_N >= watch.touch_N:

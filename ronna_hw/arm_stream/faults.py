@@ -12,6 +12,7 @@ from ronna_hw.arm.clearance.bodies import Bodies, Surroundings
 from ronna_hw.arm.clearance.live_watch import Violation, ViolationKind
 from ronna_hw.arm.errors import LOADED_AT_START, ForceLimitExceeded
 from ronna_hw.arm.kinematics import Kinematics
+from ronna_hw.arm_stream.drill_feed import LONGEST_REST_S
 from ronna_hw.arm_stream.errors import StreamErrors
 from ronna_hw.arm_stream.losses import DEGRADED_SPEED, UNUSABLE_SHARE, WINDOW_CYCLES
 from ronna_hw.arm_stream.options import StreamOptions
@@ -116,6 +117,14 @@ class StreamFaults:
                 limit=f"{limit_N:g} N",
                 got="no force",
                 action=f"{ForceLimitExceeded.action} {LOOK_AT_SENSOR}",
+            )
+        if state.result is MotionResult.STALLED:
+            return ForceLimitExceeded(
+                f"{self.name}: the drill does not cut: its feed has rested for {LONGEST_REST_S:g} s under "
+                f"the force, at {self.axes_text(state)}",
+                limit=f"{limit_N:g} N",
+                got=f"{state.peak_force_N:.1f} N",
+                action=f"Check that the drill turns and is sharp. {ForceLimitExceeded.action}",
             )
         return ForceLimitExceeded(
             f"{self.name}: the force on the tool stopped the motion at {self.axes_text(state)}",

@@ -22,9 +22,9 @@ BEGUN_MM = 1.0  # past the start of its line: more than an arm rests beside a se
 LEAST_DRILLED_MM = 0.1  # shorter ways of a drill count as that
 # Safety against a drill pressed until its limit trips. Between the force that slows it and the limit (U).
 HOLD_SHARE = 0.8
-# Of a target from the z axis at the start of its line: five times what the errors of an uncalibrated arm
-# change along an axis of 160 mm, by simulated arms.
-BENT_MM, BENT_RAD = 1.0, radians(1.0)
+# Of a target from the z axis at the start of its line: twice what the errors of an uncalibrated KR 6 change
+# along an axis of 170 mm, by simulated arms; those of a UR5e change a fifth of that.
+BENT_MM, BENT_RAD = 2.5, radians(1.0)
 
 
 def plan_insertion(

@@ -113,6 +113,7 @@ class MotionResult(IntEnum):
     REFUSED_LOADED = 9  # a force acts on the tool, or is not known
     FORCE = 10  # stopped on the way by its force limit, and settled
     THROUGH = 11  # stopped on the way because a drill broke through, and settled
+    STALLED = 12  # stopped on the way because a drill did not cut, and settled
 
 
 class Choice(IntEnum):

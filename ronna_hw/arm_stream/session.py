@@ -118,6 +118,7 @@ class StreamSession(ABC, Generic[M, E]):
         self._settled_cycles = 0
         self._controller_speed = 1.0  # share of the planned speed that the controller leaves
         self._speed = 1.0  # and that losses leave
+        self._feed = 1.0  # and that the force on a drill leaves
         self._points: SetPoints | None = None
         self._force: ForceWatch | None = None
         if settings.force_filter_s:
@@ -261,10 +262,10 @@ class StreamSession(ABC, Generic[M, E]):
         if command is not None:
             self.execute_command(command)
         feed = self._drill.share if self._drill is not None and points.moving else 1.0
-        speed = self._controller_speed * feed * (DEGRADED_SPEED if self._losses.degraded else 1.0)
-        if speed != self._speed:
-            self._speed = speed
-            points.limit_speed(speed)
+        speed = self._controller_speed * (DEGRADED_SPEED if self._losses.degraded else 1.0)
+        if speed != self._speed or feed != self._feed:
+            self._speed, self._feed = speed, feed
+            points.limit_speed(speed * feed)
         points.prepare()
         self._prepare_reply(points)
 
@@ -406,7 +407,9 @@ class StreamSession(ABC, Generic[M, E]):
         ):
             return MotionResult.REFUSED_LOADED
         self._is_force_exceeded, self._drilled_cycles = False, 0
-        self._drill = None if force.drill is None else DrillFeed(force.drill, in_bone=force.goes_on)
+        self._drill = (
+            None if force.drill is None else DrillFeed(force.drill, self._cycle_s, in_bone=force.goes_on)
+        )
         try:
             if isinstance(motion, Move):
                 points.start(motion.plan, self._speed, command.surroundings)
@@ -428,7 +431,7 @@ class StreamSession(ABC, Generic[M, E]):
         if (drill := self._drill) is not None:
             self._drilled_cycles += 1
             drill.note(hypot(*force.change_N), points.progress)
-            self._stopping |= drill.has_broken_through
+            self._stopping |= drill.has_broken_through or drill.has_stalled
         if points.push(force.change_N):
             self._stopping = True
 
@@ -468,6 +471,8 @@ class StreamSession(ABC, Generic[M, E]):
             return MotionResult.FORCE
         if self._drill is not None and self._drill.has_broken_through:
             return MotionResult.THROUGH
+        if self._drill is not None and self._drill.has_stalled:
+            return MotionResult.STALLED
         return MotionResult.STOPPED
 
     def _check_stop(self, stop_word: int) -> None:

@@ -140,9 +140,7 @@ class TelegramReader:
 
 def extract_telegram(found: Found) -> Telegram:
     """Decode a telegram matched in the usual layout."""
-    a, b, c, d, e, f, delay, ipoc, currents, forces = found.group(
-        *AXIS_NAMES, "D", "IPOC", CURRENTS, FORCES
-    )
+    a, b, c, d, e, f, delay, ipoc, currents, forces = found.group(*AXIS_NAMES, "D", "IPOC", CURRENTS, FORCES)
     axes_deg = (float(a), float(b), float(c), float(d), float(e), float(f))
     return Telegram(axes_deg, int(delay) if delay else -1, ipoc, currents or b"", forces or b"")
 
@@ -154,7 +152,7 @@ def read_currents(attributes: bytes) -> JointVector | None:
 
 
 def read_forces(attributes: bytes) -> Vector3 | None:
-    """Return the force (N) along the axes of the sensor from the attributes of FT, None unless all are there."""
+    """Return the force (N) along the sensor's axes from the attributes of FT, None unless all are there."""
     if (found := _READ_FORCES(attributes)) is None:
         return None
     x, y, z, *_ = map(float, found.groups())

@@ -16,7 +16,7 @@ from procedures.reporting.arm_ways import ArmWay, list_arm_ways
 from procedures.reporting.run_reading import RunReading
 from procedures.steps.clinical.at_target import ReachedTarget
 from procedures.steps.clinical.results import AssistedInsertion, KnownBases
-from procedures.steps.clinical.two_arms.assisted_insertion import COAXIAL_MM, COAXIAL_RAD
+from procedures.steps.clinical.two_arms.over_guide import COAXIAL_MM, COAXIAL_RAD
 from ronna_hw.arm.clearance.arm_pair import APART_AT_GUIDE_MM, APART_MM
 from ronna_hw.bounded_input import InputRefused, read_json_lines
 from ronna_hw.evidence.lost_journal_end import EVENTS_FILE

@@ -24,7 +24,6 @@ from procedures.steps.clinical.room import ExpectedSight, room_watch
 from procedures.steps.clinical.surroundings import planning_scene_of
 from procedures.steps.clinical.two_arms import base_postures
 from procedures.steps.clinical.two_arms.base_visits import stated_arms
-from procedures.steps.clinical.work_progress import DepthStop
 from procedures.strategies.strategy import LAST_STRETCH_MM, Sides
 from procedures.workcell import InsertionAxis, MountedTool, Workcell
 from procedures.workcell.assistant import Assistant
@@ -97,10 +96,13 @@ class Meeting(NamedTuple):
         return replace(axis, held=assistant.base @ held @ really.inverse() @ held)
 
 
-def find_axis(context: StepContext, assistant: Assistant, stop: DepthStop, known: KnownBases) -> AxisApproach:
-    """Return how the assistant brings the instrument into the guide. Raises PLAN-007."""
+def find_axis(context: StepContext, assistant: Assistant, tip_mm: float, known: KnownBases) -> AxisApproach:
+    """Return how the assistant brings a tool, its tip so far beyond its stop, into the guide.
+
+    Raises PLAN-007.
+    """
     meeting, robot_from_ct = Meeting.of(context, known), registered_here(context)
-    turns = _list_turns(context, stop, meeting)
+    turns = _list_turns(context, tip_mm, meeting)
     found = _list_reached(assistant, turns, known, measuring_volume_mm(context.workcell.tracker))
     here_rad, in_sight = assistant.joints_rad(), 0
     in_the_way: list[str] = []
@@ -155,11 +157,11 @@ def surround_at_guide(context: StepContext, near_rad: JointVector, robot_from_ct
     workcell.assistant.surround(around, near_rad)
 
 
-def _list_turns(context: StepContext, stop: DepthStop, meeting: Meeting) -> list[InsertionAxis]:
+def _list_turns(context: StepContext, tip_mm: float, meeting: Meeting) -> list[InsertionAxis]:
     """List the axes of all turns about the bore."""
     guide, bore = meeting.guide(context.workcell), meeting.bore
     top_mm = guide.apply((0.0, 0.0, -bore.reach_mm - bore.length_mm + PAST_CONTACT_MM))
-    travel_mm = stop.read_mm + ABOVE_GUIDE_MM + PAST_CONTACT_MM
+    travel_mm = tip_mm + ABOVE_GUIDE_MM + PAST_CONTACT_MM
     axes = []
     for turn in base_postures.turns_about_axis(guide.rigid.rotation):
         held = Transform(guide.target, guide.source, RigidTransform.from_components(top_mm, turn))
