@@ -9,7 +9,7 @@ from ronna_hw.arm.errors import INSERTION_INVALID
 from ronna_hw.arm.kinematics import Kinematics
 from ronna_hw.arm.motion.limits import MotionLimits
 from ronna_hw.arm_stream.drill_feed import DrillWatch
-from ronna_hw.devices.contact import INSERTION_SPEED_MM_S, Insertion
+from ronna_hw.devices.contact import BORE_SPEED_MM_S, INSERTION_SPEED_MM_S, Insertion
 from ronna_hw.devices.robot import LineMove
 from ronna_hw.frames import Transform
 from ronna_hw.vectors import JointVector
@@ -32,10 +32,9 @@ def plan_insertion(
 ) -> LineMove:
     """Return the line of an insertion; raises ARM-012, and FRM-001 for other frames."""
     speed, force_limit = insertion.speed_mm_s, insertion.force_limit_N
-    if not 0.0 < speed <= INSERTION_SPEED_MM_S:
-        raise INSERTION_INVALID(
-            "the speed of an insertion", limit=f"{INSERTION_SPEED_MM_S:g} mm/s", got=f"{speed:g} mm/s"
-        )
+    fastest = BORE_SPEED_MM_S if insertion.in_bore else INSERTION_SPEED_MM_S
+    if not 0.0 < speed <= fastest:
+        raise INSERTION_INVALID("the speed of an insertion", limit=f"{fastest:g} mm/s", got=f"{speed:g} mm/s")
     if force_limit is not None and not (isfinite(force_limit) and force_limit > 0.0):
         raise INSERTION_INVALID(
             "the force limit of an insertion", expected="above 0 N", got=f"{force_limit:g} N"

@@ -19,6 +19,10 @@ if TYPE_CHECKING:
 
 # Safety against an instrument that is inserted too fast. Source: proposed requirement DA-5.
 INSERTION_SPEED_MM_S = 5.0  # proposed requirement DA-5: slow enough to stop within a fraction of a mm
+# Safety against an instrument led too fast in the bore (U).
+# Where the bore leads it and its tip is off the skin. At the accelerations of the arms it still stops within
+# 0.5 mm, at what its force limit is watched.
+BORE_SPEED_MM_S = 15.0
 # Safety against a fast arm in a hand (U).
 GUIDED_SPEED_MM_S = REDUCED_SPEED_MM_S / 5.0  # a hand is on the arm
 
@@ -55,6 +59,7 @@ class Insertion:
     speed_mm_s: float = INSERTION_SPEED_MM_S
     force_limit_N: float | None = None
     start: Transform | None = None
+    in_bore: bool = False  # all the way, with the tip off the skin: up to `BORE_SPEED_MM_S`
     drill: DrillLimits | None = None  # it ends where the drill breaks through, at the latest at the target
 
 

@@ -104,7 +104,7 @@ def theatre_content(
             "stand_mm": [float(round(value)) for value in scene.stand.ball_mm],
             "arm_error_mm": UNCALIBRATED_ARM_ERROR_MM,
             "tool_error_mm": TOOL_ERROR_MM,
-            **({"assistant_drills": True} if scene.holders else {}),
+            **({"assistant_drills": True} if any(one.drills for one in scene.holders.values()) else {}),
             "seating_error_mm": (seating_mm := scene.head.seating_error_mm) and _credible_mm(seating_mm),
             **(
                 {}

@@ -299,6 +299,9 @@ class AssistantTruth(Strict):
         default=None,
         description="Force sensor on the flange of an arm that senses no force by itself; none without.",
     )
+    drills: bool = Field(
+        default=False, description="Whether the theatre file has the assistant drill, not a hand."
+    )
 
 
 class CameraTruth(Strict):

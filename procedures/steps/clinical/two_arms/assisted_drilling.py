@@ -18,11 +18,17 @@ from procedures.steps.clinical.ct_import import volume_of
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.results import CranialOpening
 from procedures.steps.clinical.two_arms.insertion_axis import ABOVE_GUIDE_MM
-from procedures.steps.clinical.two_arms.over_guide import LoadedTool, OverGuide, bring_over_guide, look_back
+from procedures.steps.clinical.two_arms.over_guide import (
+    LoadedTool,
+    OverGuide,
+    bring_over_guide,
+    guided_stretch,
+    look_back,
+)
 from procedures.steps.clinical.work_progress import STOP_LIMIT_MM, DepthStop
 from procedures.steps.errors import DEPTH_STOP_WRONG
 from procedures.workcell import InsertionAxis
-from procedures.workcell.assistant import DrillPlan
+from procedures.workcell.assistant import DrillPlan, GuidedStretch
 from ronna_hw.devices.contact import INSERTION_SPEED_MM_S, DrillLimits, Inserted
 from ronna_hw.text import format_against_limit
 from ronna_hw.wire.room_tasks import DRILL_HOLDER, REST_DRILL, TURN_DRILL
@@ -87,10 +93,11 @@ def drill_with_assistant(context: StepContext, stop: DepthStop) -> CranialOpenin
     def load(context: StepContext) -> None:
         _load_drill(context, stop_mm)
 
-    over = bring_over_guide(context, LoadedTool("the drill", stop_mm, load, ask))
+    over = bring_over_guide(context, LoadedTool(stop_mm, load, ask))
     axis = assistant.axis_in_base(over.axis)
     context.progress(0.3, f"the assistant leads the drill to the bone at {trajectory}")
-    assistant.lead_in(axis, depths.at_entry_mm + depths.from_mm, "the drill")
+    guided = guided_stretch(context, stop)
+    assistant.lead_in(axis, depths.at_entry_mm + depths.from_mm, guided, "the drill")
     context.perform_task(
         Task(TURN_DRILL, f"switch the drill for {trajectory} on, and keep it running", trajectory)
     )
@@ -103,7 +110,7 @@ def drill_with_assistant(context: StepContext, stop: DepthStop) -> CranialOpenin
     opening = _build_opening(depths, plan, over, drilled, depth_mm, assistant.force_error_N, doubt)
     context.workcell.master.instrument.stages.record_opening(trajectory, opening.model_dump(mode="json"))
     context.find(f"at {trajectory} the assistant drilled: {describe_opening(opening)}")
-    _put_drill_away(context)
+    _put_drill_away(context, guided)
     return opening
 
 
@@ -237,11 +244,11 @@ def _build_opening(
     )
 
 
-def _put_drill_away(context: StepContext) -> None:
+def _put_drill_away(context: StepContext, guided: GuidedStretch) -> None:
     """Lead the drill out, have it taken out of the holder, and send the assistant home."""
     workcell = context.workcell
     workcell.start()
-    workcell.assistant.lead_out(look_back(context))
+    workcell.assistant.lead_out(look_back(context), guided)
     context.request_instrument_removal()
     workcell.assistant.return_home()
     workcell.master.instrument.record_insertion(context.trajectory)  # the work by hand goes on

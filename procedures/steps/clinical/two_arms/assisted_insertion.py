@@ -11,16 +11,18 @@ from procedures.engine.context import StepContext
 from procedures.journal.errors import GateFailed
 from procedures.operator.question import Task
 from procedures.steps.clinical.results import AssistedInsertion
-from procedures.steps.clinical.two_arms.insertion_axis import ABOVE_GUIDE_MM
-from procedures.steps.clinical.two_arms.over_guide import LoadedTool, bring_over_guide, look_back
+from procedures.steps.clinical.two_arms.over_guide import (
+    OFF_SKIN_MM,
+    LoadedTool,
+    bring_over_guide,
+    guided_stretch,
+    look_back,
+)
 from procedures.steps.clinical.work_progress import DepthStop
 from procedures.workcell import InsertionAxis
-from procedures.workcell.assistant import BORE_SPEED_MM_S, GuidedStretch
-from ronna_hw.devices.contact import INSERTION_SPEED_MM_S
+from ronna_hw.devices.contact import BORE_SPEED_MM_S, INSERTION_SPEED_MM_S
 from ronna_hw.wire.room_tasks import HOLDER, SEATED
 
-MOUTH_MM = 10.0  # of the bore, which the tip finds slowly
-OFF_SKIN_MM = 10.0  # of the tip, where it goes on slowly: edges of the incision stand above the entry
 # Safety against an instrument that is not at its stop (U).
 LARGEST_GAP_MM = 0.1  # between stop and guide: the scale is read to half of it
 
@@ -43,9 +45,9 @@ def insert_with_assistant(context: StepContext, stop: DepthStop) -> AssistedInse
             f"{OFF_SKIN_MM:g} mm off the skin on at {INSERTION_SPEED_MM_S:g} mm/s; {stopped_by}."
         )
 
-    over = bring_over_guide(context, LoadedTool("the instrument", stop.read_mm, _load, ask))
+    over = bring_over_guide(context, LoadedTool(stop.read_mm, _load, ask))
     context.progress(0.75, f"the assistant leads the instrument into the guide at {trajectory}")
-    assistant.insert(assistant.axis_in_base(over.axis), _guided_stretch(context, stop))
+    assistant.insert(assistant.axis_in_base(over.axis), guided_stretch(context, stop))
     # What moved at the end of the way was seen in too few frames.
     if unknown := look_back(context):
         context.find(f"with the instrument at depth at {context.trajectory}: {unknown}")
@@ -93,7 +95,7 @@ def withdraw_assistant(context: StepContext, stop: DepthStop) -> None:
     for assistant in context.workcell.assistants:
         if assistant.leads_instrument:
             context.workcell.start()
-            assistant.lead_out(look_back(context), _guided_stretch(context, stop))
+            assistant.lead_out(look_back(context), guided_stretch(context, stop))
 
 
 def send_assistant_home(context: StepContext) -> None:
@@ -101,9 +103,3 @@ def send_assistant_home(context: StepContext) -> None:
     for assistant in context.workcell.assistants:
         if assistant.place.is_out:
             assistant.return_home()
-
-
-def _guided_stretch(context: StepContext, stop: DepthStop) -> GuidedStretch:
-    """Return where the bore leads the instrument and its tip is off the skin."""
-    bore_mm = context.workcell.tools.guide.bore.length_mm
-    return GuidedStretch(ABOVE_GUIDE_MM + MOUTH_MM, ABOVE_GUIDE_MM + bore_mm + stop.standoff_mm - OFF_SKIN_MM)

@@ -6,6 +6,7 @@ and all ways are clear; of these the one nearest to the postures in which the ba
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
@@ -35,6 +36,7 @@ from ronna_hw.tool_record import GuideBore
 from ronna_hw.vectors import JointVector
 
 ABOVE_GUIDE_MM = 12.0  # of the tip, where it is compared with the axis of the bore
+TWIST_RAD = math.radians(60.0)  # of a joint on the straight way: more means a singularity is near (U)
 WRIST_JOINTS = 3  # the last ones, which turn the instrument where it is
 # Safety against a clamp that pushes the guide (U).
 PAST_CONTACT_MM = 0.4  # of the clamp, which slides: more than both arms and their bases are in error
@@ -51,7 +53,7 @@ class AxisApproach(NamedTuple):
 class _Candidate(NamedTuple):
     """An axis in the robot frame with its joints by the record, and how well it suits: the smallest first."""
 
-    rank: tuple[bool, bool, int, float]
+    rank: tuple[bool, bool, bool, int, float]
     axis: InsertionAxis
     start_rad: JointVector
     held_rad: JointVector
@@ -175,7 +177,8 @@ def _list_reached(
     """List the axes in reach, with either posture of the wrist.
 
     First those in the wrist's posture at the looks, for which it is known what the arm errs; of these, those
-    over which the tracker can compare the frames of both arms.
+    over which the tracker can compare the frames of both arms; of these, those on whose way no joint turns
+    far, as near a singularity, where an arm is slow and errs more.
     """
     tracker = assistant.base.inverse() @ known.robot_from_tracker.transform
     frame = known.flange_from_frame.transform
@@ -204,7 +207,8 @@ def _list_reached(
             way_rad = base_postures.travel_rad(assistant.home_rad, at_start) + base_postures.travel_rad(
                 at_start, at_end
             )
-            rank = (other_wrist, hidden, round(away / base_postures.TURN_STEP_RAD), way_rad)
+            twists = max(abs(a - b) for a, b in zip(at_start, at_end, strict=True)) > TWIST_RAD
+            rank = (other_wrist, hidden, twists, round(away / base_postures.TURN_STEP_RAD), way_rad)
             found.append(_Candidate(rank, replace(one, arriving=signs), at_start, at_end))
     return found
 

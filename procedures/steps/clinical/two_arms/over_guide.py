@@ -23,15 +23,17 @@ from procedures.steps.branches import KEPT_BASES
 from procedures.steps.clinical.results import KnownBases
 from procedures.steps.clinical.room import check_room, room_watch
 from procedures.steps.clinical.two_arms.insertion_axis import (
+    ABOVE_GUIDE_MM,
     Meeting,
     find_axis,
     registered_here,
     surround_at_guide,
 )
 from procedures.steps.clinical.two_arms.seen_on_axis import look_before_retreat
+from procedures.steps.clinical.work_progress import DepthStop
 from procedures.workcell import InsertionAxis
 from procedures.workcell.arm_history import HeldInstrument
-from procedures.workcell.assistant import Assistant
+from procedures.workcell.assistant import Assistant, GuidedStretch
 from procedures.workcell.tracker_look import read_frames_at_rest
 from ronna_hw.text import format_against_limit
 from ronna_hw.vectors import joint_vector
@@ -39,15 +41,17 @@ from ronna_hw.vectors import joint_vector
 # Safety against an instrument that enters the bore askew (U).
 COAXIAL_MM, COAXIAL_RAD = 0.2, math.radians(0.2)
 
+MOUTH_MM = 10.0  # of the bore, which the tip finds slowly
+OFF_SKIN_MM = 10.0  # of the tip, where it goes on slowly: edges of the incision stand above the entry
+
 LOADING_STEP_RAD = math.radians(30.0)
 # Safety against a holder that meets the guide (U).
 NEAR_BORE_MM = 60.0  # parts of the guide with an end this close to its axis may come close to the holder
 
 
 class LoadedTool(NamedTuple):
-    """Tool for the assistant's holder: its name, tip beyond the clamp, and the task that puts it there."""
+    """Tool for the assistant's holder: its tip beyond the clamp, and how it gets there."""
 
-    name: str
     tip_mm: float
     load: Callable[[StepContext], None]
     ask: Callable[[InsertionAxis], str]  # whether the assistant may bring it over the guide, and lead it
@@ -261,3 +265,9 @@ def _parts_at_bore(context: StepContext) -> tuple[str, ...]:
         for one in bodies
         if min(math.hypot(*one.start_mm[:2]), math.hypot(*one.end_mm[:2])) < NEAR_BORE_MM
     )
+
+
+def guided_stretch(context: StepContext, stop: DepthStop) -> GuidedStretch:
+    """Return where the bore leads the instrument and its tip is off the skin."""
+    bore_mm = context.workcell.tools.guide.bore.length_mm
+    return GuidedStretch(ABOVE_GUIDE_MM + MOUTH_MM, ABOVE_GUIDE_MM + bore_mm + stop.standoff_mm - OFF_SKIN_MM)
