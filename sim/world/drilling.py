@@ -31,6 +31,32 @@ SITE = "skull"  # noise key
 NANOSECONDS = 1e9
 
 
+class ThrustModel:
+    """Thrust on a drill, and the bottom of its opening; `harder` is the bone of a site against another."""
+
+    def __init__(self, harder: float = 1.0, bottom_mm: float = 0.0) -> None:
+        self._harder = harder
+        self.bottom_mm = bottom_mm  # below the skin
+
+    def advance(self, tables: SkullTables, depth_mm: float, cycle_s: float) -> float:
+        """Press the drill to a depth, let it cut for that time, and return the thrust."""
+        if depth_mm <= max(self.bottom_mm, tables.outside_mm):
+            return FRICTION_N if depth_mm > tables.inside_mm else 0.0
+        self.bottom_mm = max(self.bottom_mm, tables.outside_mm)
+        bones = [(tables.bone_at(self.bottom_mm - height * CONE_MM), share) for height, share in EDGE]
+        edge_N = self._harder * sum(share * bone.edge_N for bone, share in bones)
+        per_feed_N = self._harder * sum(share * bone.pressure_N_mm2 for bone, share in bones)
+        per_feed_N *= DIAMETER_MM / 2.0
+        thrust_N = STIFFNESS_N_MM * (depth_mm - self.bottom_mm)
+        if tables.bone_at(self.bottom_mm).pressure_N_mm2 == 0.0:  # the tip is through: its lips still cut
+            self.bottom_mm = depth_mm
+            return max(edge_N + per_feed_N * LIPS_FEED_MM, FRICTION_N)
+        if cycle_s:
+            feed_mm = max(thrust_N - edge_N, 0.0) / per_feed_N
+            self.bottom_mm = min(self.bottom_mm + feed_mm * TURNS_PER_S * cycle_s, depth_mm)
+        return thrust_N
+
+
 class DrilledSkull:
     """Thrust on the drill of one arm, cycle by cycle."""
 
@@ -40,7 +66,7 @@ class DrilledSkull:
         self._room, self._board = ShiftedRoom(world), FaultBoard(world, DEVICE)
         holder = world.scene.holders.get(role)
         self._flange_from_clamp = None if holder is None else matrix_of(holder.flange_from_clamp)
-        self._site, self._bottom_mm, self._harder = "", 0.0, 1.0
+        self._site, self._thrust = "", ThrustModel()
         self._before_ns = 0
 
     def thrust_N(self) -> float:
@@ -56,18 +82,18 @@ class DrilledSkull:
         tables = SkullTables.of(sum(float(one.argument) for one in self._board.active(OTHER_BONE.name)))
         depth_mm = self._depth_mm(held.tip_mm)
         turns = held.turns and not self._board.active(DRILL_STALLS.name)
-        thrust_N = self._cut(tables, depth_mm, cycle_s if turns else 0.0)
+        thrust_N = self._thrust.advance(tables, depth_mm, cycle_s if turns else 0.0)
         if depth_mm > tables.outside_mm:
-            self._world.note_opening(self._site, self._bottom_mm, depth_mm - tables.inside_mm)
+            self._world.note_opening(self._site, self._thrust.bottom_mm, depth_mm - tables.inside_mm)
         return thrust_N
 
     def _begin(self, site: str) -> None:
         """Begin at a site, where the opening may be begun already."""
         opening = self._world.opening()
-        self._site = site
-        self._bottom_mm = opening.bottom_mm if opening.trajectory == site else 0.0
         drawn = noise(self._world.scene.seed, f"{SITE} {site}", 0).standard_normal()
-        self._harder = 1.0 + HARDER_SHARE * min(max(float(drawn), -2.0), 2.0)
+        harder = 1.0 + HARDER_SHARE * min(max(float(drawn), -2.0), 2.0)
+        begun_mm = opening.bottom_mm if opening.trajectory == site else 0.0
+        self._site, self._thrust = site, ThrustModel(harder, begun_mm)
 
     def _depth_mm(self, tip_mm: float) -> float:
         """Return the true depth of the drill's tip below the skin of the head."""
@@ -78,21 +104,3 @@ class DrilledSkull:
         moved_head = rigid_move(room.head_rad, room.head_mm) @ matrix_of(head.robot_from_ct)
         place = inverse(moved_head) @ clamp @ np.array([0.0, 0.0, tip_mm, 1.0])
         return depth_below_skin_mm(as_point(place[:3]), head.centre_ct_mm, head.semi_axes_mm)
-
-    def _cut(self, tables: SkullTables, depth_mm: float, cycle_s: float) -> float:
-        """Press the drill to a depth, let it cut for a cycle, and return the thrust."""
-        if depth_mm <= max(self._bottom_mm, tables.outside_mm):
-            return FRICTION_N if depth_mm > tables.inside_mm else 0.0
-        self._bottom_mm = max(self._bottom_mm, tables.outside_mm)
-        bones = [(tables.bone_at(self._bottom_mm - height * CONE_MM), share) for height, share in EDGE]
-        edge_N = self._harder * sum(share * bone.edge_N for bone, share in bones)
-        per_feed_N = self._harder * sum(share * bone.pressure_N_mm2 for bone, share in bones)
-        per_feed_N *= DIAMETER_MM / 2.0
-        thrust_N = STIFFNESS_N_MM * (depth_mm - self._bottom_mm)
-        if tables.bone_at(self._bottom_mm).pressure_N_mm2 == 0.0:  # the tip is through: its lips still cut
-            self._bottom_mm = depth_mm
-            return max(edge_N + per_feed_N * LIPS_FEED_MM, FRICTION_N)
-        if cycle_s:
-            feed_mm = max(thrust_N - edge_N, 0.0) / per_feed_N
-            self._bottom_mm = min(self._bottom_mm + feed_mm * TURNS_PER_S * cycle_s, depth_mm)
-        return thrust_N
