@@ -34,7 +34,7 @@ def place_tip(world: World, below_skin_mm: float) -> None:
     drill = world.held_drill()
     assert drill is not None
     head = SCENE.head
-    top_ct = np.array(head.centre_ct_mm) + (0.0, 0.0, head.semi_axes_mm[2] - below_skin_mm)
+    top_ct = np.add(head.centre_ct_mm, (0.0, 0.0, head.semi_axes_mm[2] - below_skin_mm))
     place = matrix_from(apply(matrix_of(head.robot_from_ct), top_ct), np.diag([1.0, -1.0, -1.0]))
     clamp = place @ matrix_from((0.0, 0.0, -drill.tip_mm), np.eye(3))
     flange = inverse(matrix_of(HOLDER.robot_from_base)) @ clamp @ inverse(matrix_of(HOLDER.flange_from_clamp))
@@ -69,6 +69,16 @@ def test_only_a_drill_that_turns_cuts_and_its_opening_stays(monkeypatch: pytest.
     assert skull.thrust_N() == 0.0
     with pytest.raises(TaskRefused, match="no drill"):
         staff.work(TURN_DRILL, "T1", ())
+
+
+def test_the_simulator_of_the_assistant_knows_what_is_wrong_with_bone_and_drill() -> None:
+    world, staff = world_with_drill()
+    staff.work(TURN_DRILL, "T1", ())
+    world.set_fault_script("at 0 s: room bone thicker -3 mm\nat 0 s: room drill stalls")
+    place_tip(world, SkullTables.of().inside_mm)
+    DrilledSkull(World.open(world.endpoint, ROLE), ROLE).thrust_N()
+    assert world.opening().beyond_mm == pytest.approx(3.0, abs=0.01)
+    assert world.opening().bottom_mm == pytest.approx(SkullTables.of().outside_mm)
 
 
 def test_a_sensor_shows_the_thrust_with_its_errors_and_repeats_itself_when_dead() -> None:
