@@ -37,6 +37,7 @@ from ronna_hw.devices.contact import (
     Inserted,
     Insertion,
     InsertsInstruments,
+    StatesForceError,
 )
 from ronna_hw.devices.errors import NotInTheatre
 from ronna_hw.devices.readings import ArmReading
@@ -481,7 +482,7 @@ class Assistant(SupervisedArm):
     def force_error_N(self) -> float:
         """Two standard errors of the force on the instrument, by which its limits are kept."""
         arm = self._arm
-        return arm.force_error_N if isinstance(arm, InsertsInstruments) else 0.0
+        return arm.force_error_N if isinstance(arm, StatesForceError) else 0.0
 
     @property
     def senses_force(self) -> bool:

@@ -84,10 +84,6 @@ class InsertsInstruments(Protocol):
     def senses_force(self) -> bool:
         """Whether the arm estimates the force on its tool, so that a force limit can be watched."""
 
-    @property
-    def force_error_N(self) -> float:
-        """Two standard errors of a change of that force; 0.0 if none is stated."""
-
     def insert(self, insertion: Insertion, *, timeout_s: float = 120.0) -> Inserted:
         """Insert, or withdraw, to rest at the target.
 
@@ -96,6 +92,15 @@ class InsertsInstruments(Protocol):
         force limit stopped it: the arm is then in HOLD where it stopped, and nothing withdraws by itself.
         Otherwise like `RobotArm.move`.
         """
+
+
+@runtime_checkable
+class StatesForceError(Protocol):
+    """Arm that states how well it knows the force on its tool."""
+
+    @property
+    def force_error_N(self) -> float:
+        """Two standard errors of a change of that force; 0.0 if none is stated."""
 
 
 @dataclass(frozen=True)

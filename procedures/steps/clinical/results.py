@@ -247,6 +247,10 @@ class AssistedInsertion(Values):
     force_limit_N: NonNegativeFloat | None = Field(
         default=None, description="Change of the force that stops the way in; none if the arm senses none."
     )
+    force_error_N: NonNegativeFloat | None = Field(
+        default=None,
+        description="Two standard errors of it, by which the arm stops below that; none if it senses none.",
+    )
     gap_mm: NonNegativeFloat = Field(description="Between depth stop and guide, as read.")
 
 

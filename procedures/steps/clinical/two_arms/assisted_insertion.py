@@ -35,7 +35,9 @@ def insert_with_assistant(context: StepContext, stop: DepthStop) -> AssistedInse
     assistant, trajectory = context.workcell.assistant, context.trajectory
     depth_mm = stop.read_mm - stop.standoff_mm - context.workcell.tools.guide.bore.length_mm
     limit_N = assistant.insertion_limit_N
-    stopped_by = "this arm senses no force" if limit_N is None else f"{limit_N:g} N against it stop it"
+    stopped_by = "this arm senses no force"
+    if limit_N is not None:
+        stopped_by = f"{limit_N - assistant.force_error_N:g} N against it stop it"
 
     def ask(axis: InsertionAxis) -> str:
         return (
@@ -74,6 +76,7 @@ def insert_with_assistant(context: StepContext, stop: DepthStop) -> AssistedInse
         seen_within_mm=None if seen is None else seen.uncertain_mm,
         peak_force_N=None if assistant.inserted is None else assistant.inserted.peak_force_N,
         force_limit_N=assistant.insertion_limit_N,
+        force_error_N=None if assistant.insertion_limit_N is None else assistant.force_error_N,
         gap_mm=max(0.0, gap_mm),
     )
 
