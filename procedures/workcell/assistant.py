@@ -387,6 +387,10 @@ class Assistant(SupervisedArm):
             self.supervised.carry_out(self._partial_motion(axis, plan.to_mm, [line], "the drill"))
         finally:
             self._drill = None
+        return self._watched_end()
+
+    def _watched_end(self) -> Inserted:
+        """Return the end of the insertion whose force was watched."""
         assert self.inserted is not None, "the force on a drill is watched"
         return self.inserted
 

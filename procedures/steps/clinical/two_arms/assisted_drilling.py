@@ -197,10 +197,9 @@ def _accept_breakthrough(
     context.find(f"at {trajectory} the drill found {doubt}")
     question = Question(
         Topic.BREAKTHROUGH,
-        f"Is the skull open at {trajectory}? Look through the guide, or feel with a probe, once the drill is "
-        "out of the way.",
-        f"{doubt}; {YES}: the opening counts as drilled; {NO}: the step ends with the drill where it is, and "
-        "leads it out when it is repeated",
+        f"Does the opening at {trajectory} count as drilled? The drill is switched off, and still in it.",
+        f"{doubt}; {YES}: it is led out, and you are asked once more whether the skull is drilled; {NO}: the "
+        "step ends with the drill where it is; repeated, it leads it out, and asks before it goes in again",
         (YES, NO),
         trajectory=trajectory,
         timeout_s=None,
