@@ -107,8 +107,8 @@ class UrOptions(StreamOptions):
         0.0,
         ge=0.0,
         le=10.0,
-        description="Two standard errors of a change of the estimated force, as measured on this arm: a limit "
-        "is kept by as much. 0: none is known.",
+        description="Two standard errors of a change of the estimated force, as measured on this arm: a "
+        "limit is kept by as much. 0: none is known.",
     )
     starve_limit_s: float = Field(
         STARVE_LIMIT_S,

@@ -20,8 +20,8 @@ OFF_AXIS_RAD = radians(0.2)
 
 BEGUN_MM = 1.0  # past the start of its line: more than an arm rests beside a set-point
 LEAST_DRILLED_MM = 0.1  # shorter ways of a drill count as that
-# Safety against a drill pressed until its limit trips. Between the force that slows it and the limit (U).
-HOLD_SHARE = 0.8
+# Safety against a drill pressed until its limit trips (U).
+HOLD_SHARE = 0.8  # of the way from the force that slows it to the limit: there the feed rests
 # Of a target from the z axis at the start of its line: twice what the errors of an uncalibrated KR 6 change
 # along an axis of 170 mm, by simulated arms; those of a UR5e change a fifth of that.
 BENT_MM, BENT_RAD = 2.5, radians(1.0)

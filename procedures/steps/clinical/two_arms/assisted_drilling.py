@@ -33,13 +33,15 @@ from ronna_hw.devices.contact import INSERTION_SPEED_MM_S, DrillLimits, Inserted
 from ronna_hw.text import format_against_limit
 from ronna_hw.wire.room_tasks import DRILL_HOLDER, REST_DRILL, TURN_DRILL
 
-# Safety against a drill fed too fast to be stopped at the dura: 0.5 mm/s stop within a hundredth of a mm (U).
-FEED_MM_S = 0.5
-# Safety against a drill that plunges. Behind the inside of the skull by the CT: the stop rests on the guide,
-# and no set-point is beyond. It must leave room for the point of the drill and what CT and arms err (U).
+# Safety against a drill fed too fast (U).
+FEED_MM_S = 0.5  # a stop from there takes a hundredth of a mm
+# Behind the inside of the skull by the CT the stop rests on the guide, and no set-point is beyond. It leaves
+# room for the point of the drill and what CT and arms err.
+# Safety against a drill that plunges (U).
 BEHIND_SKULL_MM = 2.5
-# Safety against a breakthrough taken for one. Around the inside of the skull by the CT: a breakthrough
-# elsewhere is for the operator. The point of a drill passes the inside by up to a mm until the force falls.
+# A breakthrough elsewhere about the inside of the skull by the CT is for the operator. The point of a drill
+# passes the inside by up to a mm until the force falls.
+# Safety against a breakthrough taken for one (U).
 EARLY_MM, LATE_MM = 1.0, 2.0
 BEFORE_BONE_MM = 2.0  # of the tip, where the drill is switched on: more than CT and arms err
 SLOW_SHARE = 0.6  # of the limit: from there on the feed is slowed
