@@ -19,9 +19,9 @@ if TYPE_CHECKING:
 
 # Safety against an instrument that is inserted too fast. Source: proposed requirement DA-5.
 INSERTION_SPEED_MM_S = 5.0  # proposed requirement DA-5: slow enough to stop within a fraction of a mm
-# Safety against an instrument led too fast in the bore (U).
 # Where the bore leads it and its tip is off the skin. At the accelerations of the arms it still stops within
-# 0.5 mm, at what its force limit is watched.
+# 0.5 mm, and an arm that senses force watches its limit there as well.
+# Safety against an instrument led too fast in the bore (U).
 BORE_SPEED_MM_S = 15.0
 # Safety against a fast arm in a hand (U).
 GUIDED_SPEED_MM_S = REDUCED_SPEED_MM_S / 5.0  # a hand is on the arm
