@@ -15,6 +15,7 @@ import os
 import select
 import socket
 import time
+from collections.abc import Sequence
 
 from ronna_hw.clock import FOR_READER, FOR_TURN
 from ronna_hw.logs import logger
@@ -124,7 +125,7 @@ class CycleLoop:
         cycle_s = run.settings.cycle_ms / 1000.0
         began_s = time.monotonic()
         currents = self._currents.at(self.cycles) if run.states_currents else NO_CURRENTS
-        forces = NO_FORCES
+        forces: Sequence[float] = NO_FORCES
         if self._force_sensor is not None and run.states_forces:
             forces = self._force_sensor.read(self.cycles, is_dead=controller.is_sensor_dead)
         telegram = run.telegram(controller.arm.reported_frame, controller.arm.reported_deg, currents, forces)
