@@ -36,7 +36,8 @@ from ronna_hw.tool_record import GuideBore
 from ronna_hw.vectors import JointVector
 
 ABOVE_GUIDE_MM = 12.0  # of the tip, where it is compared with the axis of the bore
-TWIST_RAD = math.radians(60.0)  # of a joint on the straight way: more means a singularity is near (U)
+# Safety against an arm that passes near a singularity with an instrument in the guide (U).
+TWIST_RAD = math.radians(60.0)  # of a joint on the straight way
 WRIST_JOINTS = 3  # the last ones, which turn the instrument where it is
 # Safety against a clamp that pushes the guide (U).
 PAST_CONTACT_MM = 0.4  # of the clamp, which slides: more than both arms and their bases are in error
