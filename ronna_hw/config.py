@@ -142,6 +142,7 @@ FARTHEST_APPROACH_MM = 500.0  # as the longest guide
 LARGEST_COARSE_FINE_MM = 5.75
 # Safety against a force on the instrument that is not watched, or not limited (U).
 LEAST_INSERTION_N = 2.0  # below, the noise of a force from motor currents stops an insertion
+LEAST_DRILL_N = 10.0  # below, the feed would be slowed by any cortical bone
 LARGEST_INSERTION_N = 50.0  # a Universal Robots arm holds 50 N in its reach; no instrument here needs more
 
 
@@ -366,6 +367,16 @@ class ProcedureSettings(Strict):
         default=15.0,
         description="Force on the instrument at which an assistant that senses force stops its insertion. "
         "The default is unconfirmed: bone under a drill takes 5 to 20 N.",
+    )
+    assistant_drills: bool = Field(
+        default=False,
+        description="An assistant that senses force drills the skull through the guide, before it inserts "
+        "the instrument; otherwise a hand drills.",
+    )
+    drill_force_N: Annotated[float, Field(ge=LEAST_DRILL_N, le=LARGEST_INSERTION_N)] = Field(
+        default=30.0,
+        description="Force on the drill at which its feed stops; from 60 % of it on the feed is slowed. The "
+        "default is unconfirmed: a drill of 3.2 mm takes about 15 N in cortical bone.",
     )
     coarse_fine_limit_mm: Annotated[float, Field(gt=0, le=LARGEST_COARSE_FINE_MM), Length] = Field(
         default=3.0, description="Largest difference between stereo head and tracker for the same sphere."

@@ -56,6 +56,7 @@ class KukaRsiArm(StreamedArm[ControllerState]):
         faults = RsiFaults(name, arm, STREAM_ERRORS, options)
         connections = Connections(faults, config, context, clock)
         limits = options.limits(arm, context.program.cycle_ms / 1000.0)
+        self.senses_force, self.force_error_N = options.force_sensor, options.force_error_N
         super().__init__(guard, connections, FaultWatch(guard, connections), limits)
         self._t1_confirmed_by = ""
         self._prompted: tuple[str, ...] = ()  # the texts last returned by `to_confirm`

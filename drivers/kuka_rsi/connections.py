@@ -181,6 +181,8 @@ def start_link(
 
 def link_settings(rsi: Endpoint, context: RsiContext, options: KukaOptions) -> LinkSettings:
     """Build the settings of the real-time process, without the descriptors added by `LinkClient`."""
+    if options.force_sensor:
+        context = context.with_force_sensor()
     return LinkSettings(
         host=rsi.host,
         port=rsi.port,

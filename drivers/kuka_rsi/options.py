@@ -26,6 +26,10 @@ SETTLE_TOLERANCE_DEG = 0.0002  # two digits of the wire
 LARGEST_SPEED_FRACTION = 0.125  # above this, two prepared steps at once exceed what a controller accepts
 
 LEAST_PRECISION = 3  # decimals: with fewer the arm never settles within its tolerance
+# Of a six-axis sensor: noise of a tenth of a newton is left of that of its samples.
+FORCE_FILTER_S = 0.02
+FORCE_AT_REST_N = 15.0  # above the bias of a sensor with the holder's weight, below a tool that leans (U)
+FORCE_ERROR_N = 1.0  # crosstalk and gain of a sensor for 100 N at 25 N, and drift within two minutes (U)
 NEEDED_KEYWORDS = ("DEF_AIPos", "DEF_Delay")
 EXAMPLE_CONTROLLER = f"tcp://172.31.1.147:{PROJECT_PORT}"  # default address of a KR C4
 ROLES = {
@@ -53,10 +57,36 @@ class KukaOptions(StreamOptions):
     controller_host: ControllerHost = Field(
         "", description="The only address that may open the RSI stream; empty: the first sender."
     )
+    force_sensor: bool = Field(
+        False,
+        description="A six-axis force sensor on the flange is wired to the controller, whose telegrams have "
+        "its signals as FT: forces in N along the axes of the flange.",
+    )
+    force_filter_s: float = Field(
+        FORCE_FILTER_S, gt=0.0, le=0.5, description="Time constant by which its forces are smoothed."
+    )
+    force_at_rest_N: float = Field(
+        FORCE_AT_REST_N,
+        gt=0.0,
+        le=50.0,
+        description="Force on the free tool above which no motion with a force limit begins.",
+    )
+    force_error_N: float = Field(
+        FORCE_ERROR_N,
+        ge=0.0,
+        le=10.0,
+        description="Two standard errors of a change of the force, by its certificate: a limit is kept by "
+        "as much.",
+    )
     settle_tolerance_deg: float = Field(SETTLE_TOLERANCE_DEG, ge=0.0001, le=1.0, description=SETTLE_TOLERANCE)
     speed_fraction: float = Field(
         WORKING_SPEED_FRACTION, gt=0.0, lt=LARGEST_SPEED_FRACTION, description=SPEED_FRACTION
     )
+
+    def process_settings(self) -> dict[str, Any]:
+        """Return the settings of the real-time process; without a force sensor it watches no force."""
+        unwatched = {} if self.force_sensor else {"force_filter_s": 0.0}
+        return super().process_settings() | unwatched
 
 
 def read_options(device: str, options: dict[str, Any]) -> KukaOptions:

@@ -48,6 +48,7 @@ class UniversalRobotsArm(HandGuidedArm[ControllerState]):
         arm, guard = universal_robot(options.model), LifecycleGuard(name)
         connections = Connections(UrFaults(name, arm, STREAM_ERRORS, options), config, clock)
         limits = options.limits(arm, options.cycle_s)
+        self.force_error_N = options.force_error_N
         super().__init__(guard, connections, UrWatch(guard, connections), limits)
 
     @property

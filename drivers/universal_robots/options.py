@@ -103,6 +103,13 @@ class UrOptions(StreamOptions):
         le=50.0,
         description="Estimated force on the free tool above which no motion with a force limit begins.",
     )
+    force_error_N: float = Field(
+        0.0,
+        ge=0.0,
+        le=10.0,
+        description="Two standard errors of a change of the estimated force, as measured on this arm: a "
+        "limit is kept by as much. 0: none is known.",
+    )
     starve_limit_s: float = Field(
         STARVE_LIMIT_S,
         ge=0.01,

@@ -47,6 +47,7 @@ class Topic(StrEnum):
     WORK_BEGUN = "work_begun"  # through the guide, when it was there before: from which stage it goes on
     SKIN = "skin"  # opened through the guide
     DRILL = "drill"  # the skull is drilled
+    BREAKTHROUGH = "breakthrough"  # of the assistant's drill, too early or too late by the CT
     DURA = "dura"  # is opened
     AT_TARGET = "at_target"  # the instrument is at depth; the arm holds until this is answered
     INSTRUMENT_OUT = "instrument_out"  # of the guide: nothing moves before
@@ -67,7 +68,7 @@ DELIBERATE = frozenset(
         *(Topic.RESUME, Topic.FIRST_MOTION, Topic.REGISTRATION, Topic.REGISTRATION_KEPT, Topic.TOOL_CHECK),
         *(Topic.APPROACH, Topic.WORK_BEGUN, Topic.AT_TARGET, Topic.INSTRUMENT_OUT, Topic.RETREAT, Topic.PARK),
         *(Topic.CALIBRATION, Topic.PAUSE, Topic.HEAD_UNSEEN, Topic.MOVE_FOLLOWED, Topic.CART_MOVED),
-        Topic.UNVERIFIED,
+        *(Topic.UNVERIFIED, Topic.BREAKTHROUGH),
     )
 )
 # Topics of the whole case: their questions name no trajectory.

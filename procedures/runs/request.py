@@ -45,6 +45,7 @@ class SceneChoice:
     tracker: str = POLARIS  # how the tracker is reached
     arm: str = DEFAULT_ARM
     assistant_arm: str = DEFAULT_ARM  # in dual mode
+    drill: bool = False  # by the assistant
     calibrated: bool = False  # the arm of the theatre, with a record of it; the patient is the same
     first_day: bool = False  # frame and guide of the theatre are as drawn, without valid records
     records: tuple[Path, ...] = ()  # folders of calibrations, instead of the theatre's own records

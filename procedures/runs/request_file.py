@@ -56,6 +56,7 @@ class RequestFile(BaseModel, frozen=True, extra="forbid"):
     tracker: str = Field(default=POLARIS, description="How the simulated tracker is reached.")
     arm: str = DEFAULT_ARM
     assistant_arm: str = Field(default=DEFAULT_ARM, description="Of a case with two arms.")
+    drill: bool = Field(default=False, description="Whether the assistant drills.")
     roles: RecordedRoles = ONE_ARM
     calibrated: bool = False
     first_day: bool = False

@@ -55,6 +55,7 @@ class SimulatedTheatre:
             arguments.append("--target-balls")
         if ASSISTANT in request.roles:
             arguments += ["--dual", "--assistant-arm", request.choice.assistant_arm]
+            arguments += ["--drill"] if request.choice.drill else []
         if continued:
             arguments.append("--continue")
         scene = request.choice.theatre_arguments()

@@ -28,9 +28,9 @@ from procedures.steps.clinical.two_arms.ball_looks import LOOKS_PER_POSTURE
 from procedures.steps.clinical.two_arms.base_postures import FRAME_LOOKS, POSTURES
 from procedures.strategies.strategy import ONE_SIDE
 from procedures.workcell import MountedTool, Workcell
-from procedures.workcell.assistant import BORE_SPEED_MM_S
 from procedures.workcell.motions import collect_facts
 from ronna_hw.arm.pose import radians6
+from ronna_hw.devices.contact import BORE_SPEED_MM_S
 from ronna_hw.preview import preview_motion
 
 NO_PATHS = "no path is known in advance: each is planned past the other arm when that rests where it will be"

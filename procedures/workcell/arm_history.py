@@ -43,6 +43,7 @@ AT_PLACE_RAD = math.radians(0.1)  # far more than the arm's repeatability, far l
 TRAIL = 2000
 Stages = Mapping[str, Mapping[str, bool]]  # trajectory -> task -> whether it was confirmed as done
 Stop = Mapping[str, JournalValue]  # setting of a depth stop
+Opening = Mapping[str, JournalValue]  # as an assistant drilled it
 
 
 class JournalledAxis(Values):
@@ -239,6 +240,7 @@ class ArmHistory:
     stages: Stages = field(default_factory=dict)  # of the work through the guide
     doubted: frozenset[str] = frozenset()  # trajectories where more may have been done than the journal says
     stops: Mapping[str, Stop] = field(default_factory=dict)  # of the instrument, by trajectory
+    openings: Mapping[str, Opening] = field(default_factory=dict)  # drilled by an assistant, by trajectory
     interruptions: Mapping[str, str] = field(default_factory=dict)  # of a stage not done since, by trajectory
     tracker: tuple[str, TrackerMove] | None = None  # since that localization, if it was moved and followed
     looks: tuple[str, tuple[Sighting, ...]] | None = None  # at the room, since that localization
@@ -381,6 +383,8 @@ class ArmHistory:
             return replace(self, doubted=self.doubted | {trajectory})
         if isinstance(stop, Mapping):
             return replace(self, stops={**self.stops, trajectory: stop})
+        if isinstance(opening := line.get("opening"), Mapping):
+            return replace(self, openings={**self.openings, trajectory: opening})
         if (reason := line.get("interrupted")) is not None:
             return replace(self, interruptions={**self.interruptions, trajectory: str(reason)})
         tasks = {**self.stages.get(trajectory, {}), str(line["task"]): bool(line["done"])}

@@ -30,7 +30,15 @@ from ronna_hw.calibrated_arm.error_budget import PER_AXIS
 from ronna_hw.calibration import HolderCalibration
 from ronna_hw.config import Calibrations
 from ronna_hw.devices import JointMove, LineMove, Motion
-from ronna_hw.devices.contact import INSERTION_SPEED_MM_S, Inserted, Insertion, InsertsInstruments
+from ronna_hw.devices.contact import (
+    BORE_SPEED_MM_S,
+    INSERTION_SPEED_MM_S,
+    DrillLimits,
+    Inserted,
+    Insertion,
+    InsertsInstruments,
+    StatesForceError,
+)
 from ronna_hw.devices.errors import NotInTheatre
 from ronna_hw.devices.readings import ArmReading
 from ronna_hw.errors import LimitError
@@ -49,10 +57,16 @@ OFF_SKIN_SPEED_MM_S = 40.0  # of a withdrawal, the tip off the skin: in the bore
 ONE_LOOK_MM = 5.0
 TURNED_SHARE = 0.25  # of the way of its frame, by which a cart that turned has moved other parts differently
 TURNED_CART = 2.0  # a cart that turned moves parts of its arm farther than the frame that shows it
-# Where the bore leads the instrument and its tip is off the skin. At the accelerations of the arms it still
-# stops within 0.5 mm; an arm that senses force stays at the speed at which that is watched.
-# Safety against an instrument led too fast in the bore (U).
-BORE_SPEED_MM_S = 15.0
+
+
+class DrillPlan(NamedTuple):
+    """Feed of a drill along its axis: places from the start of the axis, speed, and forces."""
+
+    from_mm: float
+    to_mm: float
+    feed_mm_s: float
+    limit_N: float
+    limits: DrillLimits
 
 
 class GuidedStretch(NamedTuple):
@@ -109,6 +123,7 @@ class Assistant(SupervisedArm):
         self._insertion_force_N = insertion_force_N
         self._around: tuple[Surroundings, JointVector | None] | None = None  # robot frame
         self.inserted: Inserted | None = None  # at the end of the last insertion, if its force was watched
+        self._drill: DrillPlan | None = None  # of the motion under way, if it is one of a drill
 
     @property
     def carries(self) -> str:
@@ -332,18 +347,58 @@ class Assistant(SupervisedArm):
         self, axis: InsertionAxis, near_rad: JointVector | None = None, guided: GuidedStretch | None = None
     ) -> PlannedMotion:
         """Return the motion that `insert` would make, in the branch of `near_rad` (default: current)."""
-        slow, legs = INSERTION_SPEED_MM_S, []
-        if guided is not None and not self.senses_force:
-            legs = [
-                self._line(axis, guided.start_mm, slow, near_rad),
-                self._line(axis, guided.end_mm, BORE_SPEED_MM_S, near_rad),
-            ]
-        return self._along(MotionKind.INSERT, axis, *legs, self._line(axis, axis.travel_mm, slow, near_rad))
+        legs = self._lines_in(axis, axis.travel_mm, guided, near_rad)
+        return self._along(MotionKind.INSERT, axis, *legs)
 
     def insert(self, axis: InsertionAxis, guided: GuidedStretch | None = None) -> ArmReading:
         """Lead the instrument straight along the axis to the held pose of the clamp, faster where guided."""
         self.inserted = None
         return self.supervised.carry_out(self.insert_motion(axis, guided=guided))
+
+    def _lines_in(
+        self,
+        axis: InsertionAxis,
+        travel_mm: float,
+        guided: GuidedStretch | None,
+        near_rad: JointVector | None = None,
+    ) -> list[LineMove]:
+        """List the lines to a place on the axis: if guided, to the mouth of the bore, inside it, and on."""
+        end = self._line(axis, travel_mm, INSERTION_SPEED_MM_S, near_rad)
+        if guided is None:
+            return [end]
+        mouth = self._line(axis, guided.start_mm, INSERTION_SPEED_MM_S, near_rad)
+        return [mouth, self._line(axis, guided.end_mm, BORE_SPEED_MM_S, near_rad), end]
+
+    def lead_in(self, axis: InsertionAxis, travel_mm: float, guided: GuidedStretch, led: str) -> ArmReading:
+        """Lead a tool, `led` in words, straight along the axis to a place short of its end."""
+        self.inserted = None
+        legs = self._lines_in(axis, travel_mm, guided)
+        return self.supervised.carry_out(self._partial_motion(axis, travel_mm, legs, led))
+
+    def drill(self, axis: InsertionAxis, plan: DrillPlan) -> Inserted:
+        """Feed the drill along the axis until it breaks through, at most to the plan's end.
+
+        Raises ARM-013 to ARM-015 as the arm, and what stops an insertion.
+        """
+        self.inserted = None
+        self._drill = plan
+        try:
+            line = self._line(axis, plan.to_mm, plan.feed_mm_s)
+            self.supervised.carry_out(self._partial_motion(axis, plan.to_mm, [line], "the drill"))
+        finally:
+            self._drill = None
+        return self._watched_end()
+
+    def _watched_end(self) -> Inserted:
+        """Return the end of the insertion whose force was watched."""
+        assert self.inserted is not None, "the force on a drill is watched"
+        return self.inserted
+
+    def _partial_motion(
+        self, axis: InsertionAxis, travel_mm: float, legs: Sequence[LineMove], led: str
+    ) -> PlannedMotion:
+        to_mm = vector3(axis.pose_at(travel_mm).translation_mm)
+        return PlannedMotion(MotionKind.INSERT, led, to_mm, tuple(legs), axis=axis)
 
     def withdraw_motion(self, guided: GuidedStretch | None = None) -> PlannedMotion:
         """Return the motion of the instrument straight back out of the guide. Raises PRO-014 on no axis."""
@@ -382,12 +437,17 @@ class Assistant(SupervisedArm):
             return self._arms.move(self.role, leg)
         if self.has_passed(leg, motion):
             return self._arm.read_state()
-        limit_N = self.insertion_limit_N
+        limit_N = self.insertion_limit_N if self._drill is None else self._drill.limit_N
         if limit_N is not None and (insertion := self.force_limited(leg, motion, limit_N)):
             inserted = self._arms.insert(self.role, insertion)
             ends = [one for one in (self.inserted, inserted) if one is not None]  # of stretches so far
             peaks_N = [one.peak_force_N for one in ends if one.peak_force_N is not None]
-            self.inserted = replace(inserted, peak_force_N=max(peaks_N, default=None))
+            self.inserted = replace(
+                inserted,
+                peak_force_N=max(peaks_N, default=None),
+                drilled_s=sum(one.drilled_s for one in ends),
+                slowed_s=sum(one.slowed_s for one in ends),
+            )
             return inserted.reading
         return self._arms.move(self.role, leg, with_instrument=True)
 
@@ -411,8 +471,22 @@ class Assistant(SupervisedArm):
         if not inserts or not isinstance(leg, LineMove) or leg.flange_from_tool is None:
             return None
         assert motion.axis is not None, "an insertion leads along an axis"
+        kept_N = limit_N - self.force_error_N
+        if (drill := self._drill) is not None:
+            start = self._line(motion.axis, drill.from_mm, drill.feed_mm_s).target
+            return Insertion(
+                leg.target, leg.flange_from_tool, drill.feed_mm_s, kept_N, start, drill=drill.limits
+            )
+        in_bore = leg is not motion.legs[-1] and leg is not motion.legs[0]
+        speed_mm_s = BORE_SPEED_MM_S if in_bore else INSERTION_SPEED_MM_S
         start = self._line(motion.axis, 0.0, INSERTION_SPEED_MM_S).target
-        return Insertion(leg.target, leg.flange_from_tool, INSERTION_SPEED_MM_S, limit_N, start)
+        return Insertion(leg.target, leg.flange_from_tool, speed_mm_s, kept_N, start, in_bore=in_bore)
+
+    @property
+    def force_error_N(self) -> float:
+        """Two standard errors of the force on the instrument, by which its limits are kept."""
+        arm = self._arm
+        return arm.force_error_N if isinstance(arm, StatesForceError) else 0.0
 
     @property
     def senses_force(self) -> bool:

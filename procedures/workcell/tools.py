@@ -8,7 +8,7 @@ from enum import StrEnum
 
 from procedures.calibration.validity import MADE_BY_HAND
 from procedures.journal.journal import Entry
-from procedures.workcell.arm_history import ArmLog, Stop
+from procedures.workcell.arm_history import ArmLog, Opening, Stop
 from procedures.workcell.errors import INSTRUMENT_IN_GUIDE, SAME_ARM_TWICE, AnotherArm, WrongTool
 from ronna_hw.arm.catalogue import find_arm
 from ronna_hw.arm.kinematics import Kinematics
@@ -171,6 +171,14 @@ class WorkedStages:
     def record_stop(self, trajectory: str, stop: Stop) -> None:
         """Record that the depth stop was set, read and confirmed."""
         self._log.write(Entry.STAGE, trajectory=trajectory, stop=stop)
+
+    def opening_at(self, trajectory: str) -> Opening | None:
+        """Return the last opening that an assistant drilled at a trajectory, if any."""
+        return self._log.history.openings.get(trajectory)
+
+    def record_opening(self, trajectory: str, opening: Opening) -> None:
+        """Record an opening of the skull, before anything else goes through it."""
+        self._log.write(Entry.STAGE, trajectory=trajectory, opening=opening)
 
     def record_doubt(self, trajectory: str) -> None:
         """Record that more may have been done than the journal says, since its last lines may be lost."""

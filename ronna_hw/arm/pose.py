@@ -131,6 +131,15 @@ class Pose(NamedTuple):
             r[6] * x + r[7] * y + r[8] * z + p[2],
         )
 
+    def rotate(self, vector: Vector3) -> Vector3:
+        """Return a vector given in the pose's own frame, such as a force, in the frame of the pose."""
+        r, (x, y, z) = self.rotation, vector
+        return (
+            r[0] * x + r[1] * y + r[2] * z,
+            r[3] * x + r[4] * y + r[5] * z,
+            r[6] * x + r[7] * y + r[8] * z,
+        )
+
     def distance_mm(self, other: Pose) -> float:
         """Return the distance between the two origins, mm."""
         return math.dist(self.position_mm, other.position_mm)

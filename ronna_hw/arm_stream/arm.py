@@ -19,7 +19,7 @@ from ronna_hw.arm.path_preview import PathPreview
 from ronna_hw.arm_stream.connections import StreamConnections, remaining_s
 from ronna_hw.arm_stream.control_channel import S
 from ronna_hw.arm_stream.force import LEAST_REST_S
-from ronna_hw.arm_stream.insertion import has_begun, plan_insertion, travel_along_axis_mm
+from ronna_hw.arm_stream.insertion import drill_watch, has_begun, plan_insertion, travel_along_axis_mm
 from ronna_hw.arm_stream.load_sums import NO_SIGNALS, LoadMeans, mean_loads
 from ronna_hw.arm_stream.mailbox import MailboxTorn
 from ronna_hw.arm_stream.motion import MotionFollower, MotionPlanner
@@ -29,6 +29,7 @@ from ronna_hw.arm_stream.records import (
     NO_STATE,
     ForceLimit,
     LinkState,
+    MotionResult,
     RecordedCycle,
     StopOrder,
     StreamPhase,
@@ -74,6 +75,7 @@ class StreamedArm(GuardedDevice, ABC, Generic[S]):
 
     notices: tuple[str, ...] = ()
     senses_force: bool = False
+    force_error_N: float = 0.0
 
     def __init__(
         self,
@@ -331,10 +333,23 @@ class StreamedArm(GuardedDevice, ABC, Generic[S]):
         line = plan_insertion(self.kinematics, start_rad, insertion, self.limits(self._stream_mode()))
         before = self.read_state().joints_rad
         goes_on = has_begun(self.kinematics, start_rad, insertion)
-        reading = self._move("insert", line, timeout_s, ForceLimit(limit_N or 0.0, goes_on))
+        drill = drill_watch(self.kinematics, start_rad, insertion)
+        reading = self._move("insert", line, timeout_s, ForceLimit(limit_N or 0.0, goes_on, drill))
         travel_mm = travel_along_axis_mm(self.kinematics, before, reading.joints_rad, insertion)
-        peak_N = self.connections.link.state.peak_force_N if limit_N is not None else None
-        return Inserted(reading, travel_mm, peak_N)
+        state = self.connections.link.state
+        peak_N = state.peak_force_N if limit_N is not None else None
+        if drill is None:
+            return Inserted(reading, travel_mm, peak_N)
+        cycle_s = self.limits(self._stream_mode()).cycle_s
+        return Inserted(
+            reading,
+            travel_mm,
+            peak_N,
+            broke_through=state.result is MotionResult.THROUGH,
+            slowed_s=state.slowed_cycles * cycle_s,
+            drilled_s=state.drilled_cycles * cycle_s,
+            drilled_N=state.drilled_N,
+        )
 
     def preview(self, motion: Motion, *, start_rad: JointVector | None = None) -> PathPreview:
         require_motion(motion)

@@ -12,6 +12,7 @@ from ronna_hw.arm.clearance.bodies import Bodies, Surroundings
 from ronna_hw.arm.clearance.live_watch import Violation, ViolationKind
 from ronna_hw.arm.errors import LOADED_AT_START, ForceLimitExceeded
 from ronna_hw.arm.kinematics import Kinematics
+from ronna_hw.arm_stream.drill_feed import LONGEST_REST_S
 from ronna_hw.arm_stream.errors import StreamErrors
 from ronna_hw.arm_stream.losses import DEGRADED_SPEED, UNUSABLE_SHARE, WINDOW_CYCLES
 from ronna_hw.arm_stream.options import StreamOptions
@@ -24,6 +25,9 @@ _REFUSALS = {
     MotionResult.REFUSED_PHASE: "no correction stream is running",
     MotionResult.REFUSED_NUMBERS: "no motion profile exists for its values",
 }
+
+SENSOR_SILENT = "its sensor sends nothing, or the same values again and again"
+LOOK_AT_SENSOR = "Check the force sensor's cable and supply before any motion with a force limit."
 
 
 @dataclass(frozen=True)
@@ -81,6 +85,10 @@ class StreamFaults:
         if state.result is MotionResult.REFUSED_STOP:
             return self.errors.stopped(f"{self.name}: stopped before it began", got=self.axes_text(state))
         if state.result is MotionResult.REFUSED_LOADED:
+            if not state.is_force_known:
+                return LOADED_AT_START(
+                    f"{self.name}: the force on the tool is not known: {SENSOR_SILENT}", action=LOOK_AT_SENSOR
+                )
             axes = ", ".join(f"{axis} {value:.1f}" for axis, value in zip("xyz", state.force_N, strict=True))
             return LOADED_AT_START(
                 f"{self.name}: a force acts on the tool at the start, or the arm has just come to rest",
@@ -102,7 +110,22 @@ class StreamFaults:
         )
 
     def force_error(self, state: LinkState, limit_N: float) -> ForceLimitExceeded:
-        """Build the error for a motion that its force limit stopped."""
+        """Build the error for a motion that its force limit stopped, or a sensor that says nothing."""
+        if not state.is_force_known:
+            return ForceLimitExceeded(
+                f"{self.name}: stopped at {self.axes_text(state)}, because {SENSOR_SILENT}",
+                limit=f"{limit_N:g} N",
+                got="no force",
+                action=f"{ForceLimitExceeded.action} {LOOK_AT_SENSOR}",
+            )
+        if state.result is MotionResult.STALLED:
+            return ForceLimitExceeded(
+                f"{self.name}: the drill does not cut: its feed has rested for {LONGEST_REST_S:g} s under "
+                f"the force, at {self.axes_text(state)}",
+                limit=f"{limit_N:g} N",
+                got=f"{state.peak_force_N:.1f} N",
+                action=f"Check that the drill turns and is sharp. {ForceLimitExceeded.action}",
+            )
         return ForceLimitExceeded(
             f"{self.name}: the force on the tool stopped the motion at {self.axes_text(state)}",
             limit=f"{limit_N:g} N",

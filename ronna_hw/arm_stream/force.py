@@ -36,6 +36,11 @@ class ForceWatch:
         return x - a, y - b, z - c
 
     @property
+    def is_known(self) -> bool:
+        """Whether the last value was a number."""
+        return self._is_number
+
+    @property
     def is_exceeded(self) -> bool:
         """Whether the motion under way must stop."""
         return self._limit_N > 0.0 and not (self._is_number and self._motion_peak_N <= self._limit_N)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from math import atan2, degrees, hypot, isfinite, radians
 
 from ronna_hw.arm.errors import INSERTION_INVALID
 from ronna_hw.arm.kinematics import Kinematics
 from ronna_hw.arm.motion.limits import MotionLimits
-from ronna_hw.devices.contact import INSERTION_SPEED_MM_S, Insertion
+from ronna_hw.arm_stream.drill_feed import DrillWatch
+from ronna_hw.devices.contact import BORE_SPEED_MM_S, INSERTION_SPEED_MM_S, Insertion
 from ronna_hw.devices.robot import LineMove
 from ronna_hw.frames import Transform
 from ronna_hw.vectors import JointVector
@@ -17,9 +19,12 @@ OFF_AXIS_MM = 0.2  # proposed requirement DA-5: what a guide takes without bendi
 OFF_AXIS_RAD = radians(0.2)
 
 BEGUN_MM = 1.0  # past the start of its line: more than an arm rests beside a set-point
-# Of a target from the z axis at the start of its line: five times what the errors of an uncalibrated arm
-# change along an axis of 160 mm, by simulated arms.
-BENT_MM, BENT_RAD = 1.0, radians(1.0)
+LEAST_DRILLED_MM = 0.1  # shorter ways of a drill count as that
+# Safety against a drill pressed until its limit trips (U).
+HOLD_SHARE = 0.8  # of the way from the force that slows it to the limit: there the feed rests
+# Of a target from the z axis at the start of its line: twice what the errors of an uncalibrated KR 6 change
+# along an axis of 170 mm, by simulated arms; those of a UR5e change a fifth of that.
+BENT_MM, BENT_RAD = 2.5, radians(1.0)
 
 
 def plan_insertion(
@@ -27,10 +32,9 @@ def plan_insertion(
 ) -> LineMove:
     """Return the line of an insertion; raises ARM-012, and FRM-001 for other frames."""
     speed, force_limit = insertion.speed_mm_s, insertion.force_limit_N
-    if not 0.0 < speed <= INSERTION_SPEED_MM_S:
-        raise INSERTION_INVALID(
-            "the speed of an insertion", limit=f"{INSERTION_SPEED_MM_S:g} mm/s", got=f"{speed:g} mm/s"
-        )
+    fastest = BORE_SPEED_MM_S if insertion.in_bore else INSERTION_SPEED_MM_S
+    if not 0.0 < speed <= fastest:
+        raise INSERTION_INVALID("the speed of an insertion", limit=f"{fastest:g} mm/s", got=f"{speed:g} mm/s")
     if force_limit is not None and not (isfinite(force_limit) and force_limit > 0.0):
         raise INSERTION_INVALID(
             "the force limit of an insertion", expected="above 0 N", got=f"{force_limit:g} N"
@@ -76,6 +80,34 @@ def has_begun(kinematics: Kinematics, here_rad: JointVector, insertion: Insertio
         return False
     tool = kinematics.flange_pose(here_rad) @ insertion.flange_from_tool
     return float((insertion.start.inverse() @ tool).translation_mm[2]) > BEGUN_MM
+
+
+def drill_watch(kinematics: Kinematics, start_rad: JointVector, insertion: Insertion) -> DrillWatch | None:
+    """Return how the real-time process feeds a drill on the rest of its way, None for another instrument.
+
+    Raises ARM-012 for a drill without a force limit, or limits out of order.
+    """
+    drill, limit_N = insertion.drill, insertion.force_limit_N
+    if drill is None:
+        return None
+    forces_N = (0.0, drill.free_N, drill.touch_N, drill.slow_N, limit_N or 0.0)
+    if any(low >= high for low, high in pairwise(forces_N)) or not 0.0 < drill.fall_share < 1.0:
+        raise INSERTION_INVALID(
+            "the forces by which a drill is fed",
+            expected="0 < free < touch < slow < limit, and a fall to a share below 1",
+            got=", ".join(f"{force:g}" for force in forces_N[1:]) + f" N, {drill.fall_share:g}",
+        )
+    tool = kinematics.flange_pose(start_rad) @ insertion.flange_from_tool
+    rest_mm = max(float((tool.inverse() @ insertion.target).translation_mm[2]), LEAST_DRILLED_MM)
+    return DrillWatch(
+        slow_N=drill.slow_N,
+        hold_N=drill.slow_N + HOLD_SHARE * (forces_N[-1] - drill.slow_N),
+        touch_N=drill.touch_N,
+        free_N=drill.free_N,
+        fall_share=drill.fall_share,
+        earliest=1.0 - drill.earliest_mm / rest_mm,
+        free=drill.free_mm / rest_mm,
+    )
 
 
 def travel_along_axis_mm(

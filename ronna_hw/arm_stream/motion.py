@@ -209,13 +209,13 @@ class MotionFollower(Generic[S]):
                 self._watch.raise_any()
                 raise self._faults.not_finished_error(start, link.state, timeout_s)
         self._watch.raise_any()
-        if state.result is MotionResult.FORCE:
+        if state.result in (MotionResult.FORCE, MotionResult.STALLED):
             raise self._faults.force_error(state, move.force.limit_N)
         if state.result is MotionResult.STOPPED:
             raise self._faults.errors.stopped(
                 f"{self._faults.name}: stopped before its end", got=self._faults.axes_text(state)
             )
-        if state.result is not MotionResult.DONE:
+        if state.result not in (MotionResult.DONE, MotionResult.THROUGH):
             raise self._faults.refusal_error(state)
         return state
 

@@ -11,6 +11,7 @@ from ronna_hw.arm.clearance.bodies import Surroundings
 from ronna_hw.arm.clearance.live_watch import ViolationKind
 from ronna_hw.arm.motion.limits import MotionLimits
 from ronna_hw.arm.motion.planning import MotionPlan
+from ronna_hw.arm_stream.drill_feed import BINS, DrillWatch
 from ronna_hw.arm_stream.guided import GuideLimits
 from ronna_hw.host.row_codec import IPV4_HOST, one_of
 from ronna_hw.vectors import JointVector, Vector3
@@ -111,6 +112,8 @@ class MotionResult(IntEnum):
     REFUSED_STOP = 8  # a stop was ordered after the motion was planned
     REFUSED_LOADED = 9  # a force acts on the tool, or is not known
     FORCE = 10  # stopped on the way by its force limit, and settled
+    THROUGH = 11  # stopped on the way because a drill broke through, and settled
+    STALLED = 12  # stopped on the way because a drill did not cut, and settled
 
 
 class Choice(IntEnum):
@@ -142,6 +145,7 @@ class ForceLimit(NamedTuple):
 
     limit_N: float = 0.0  # 0: none
     goes_on: bool = False  # with the motion before: its tare is kept, so what presses at rest counts
+    drill: DrillWatch | None = None  # of a drill, whose feed follows the force
 
 
 NO_LIMIT = ForceLimit()
@@ -221,7 +225,11 @@ class LinkState:
     speed_share: float = 1.0  # of the planned speed, that the controller and losses leave
     controller_word: Annotated[int, "Q"] = 0  # what the controller reports, as its driver packs it
     force_N: Vector3 = (0.0, 0.0, 0.0)  # on the tool, in the robot base, filtered
+    is_force_known: bool = True  # the last telegram had a force
     peak_force_N: float = 0.0  # largest change during the last motion with a force limit
+    drilled_cycles: Annotated[int, "Q"] = 0  # of the last motion of a drill
+    slowed_cycles: Annotated[int, "Q"] = 0  # of these, with less than the planned feed
+    drilled_N: Annotated[tuple[float, ...], f"{BINS}d"] = (0.0,) * BINS  # largest forces along its path
     carries_loads: bool = False  # the last telegram has signals of the load
     load_since: Annotated[int, "Q"] = 0  # first cycle of the present standstill whose load signals are summed
     load_cycles: Annotated[int, "Q"] = 0  # how many they are by now; 0 while the arm moves

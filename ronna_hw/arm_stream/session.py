@@ -14,13 +14,14 @@ as planned.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from math import radians
+from math import hypot, radians
 from typing import Generic, NamedTuple, TypeVar
 
 from ronna_hw.arm.clearance.live_watch import Violation
 from ronna_hw.arm.kinematics import Kinematics
 from ronna_hw.arm.motion.limits import MotionLimits
 from ronna_hw.arm.motion.planning import MotionPlan
+from ronna_hw.arm_stream.drill_feed import DrillFeed
 from ronna_hw.arm_stream.force import NO_FORCE, ForceWatch
 from ronna_hw.arm_stream.load_sums import LoadSums, Signals
 from ronna_hw.arm_stream.losses import DEGRADED_SPEED, LossCount
@@ -117,11 +118,14 @@ class StreamSession(ABC, Generic[M, E]):
         self._settled_cycles = 0
         self._controller_speed = 1.0  # share of the planned speed that the controller leaves
         self._speed = 1.0  # and that losses leave
+        self._feed = 1.0  # and that the force on a drill leaves
         self._points: SetPoints | None = None
         self._force: ForceWatch | None = None
         if settings.force_filter_s:
             self._force = ForceWatch(cycle_s, settings.force_filter_s, settings.force_at_rest_N)
         self._is_force_exceeded = False  # in the last motion
+        self._drill: DrillFeed | None = None  # of the last motion, if it was one of a drill
+        self._drilled_cycles = 0
         self._loads = LoadSums()
 
     @abstractmethod
@@ -257,10 +261,11 @@ class StreamSession(ABC, Generic[M, E]):
         self._follow_loads()
         if command is not None:
             self.execute_command(command)
+        feed = self._drill.share if self._drill is not None and points.moving else 1.0
         speed = self._controller_speed * (DEGRADED_SPEED if self._losses.degraded else 1.0)
-        if speed != self._speed:
-            self._speed = speed
-            points.limit_speed(speed)
+        if speed != self._speed or feed != self._feed:
+            self._speed, self._feed = speed, feed
+            points.limit_speed(speed * feed)
         points.prepare()
         self._prepare_reply(points)
 
@@ -342,7 +347,11 @@ class StreamSession(ABC, Generic[M, E]):
             state.base_rad = self._base_rad
         if self._force is not None:
             state.force_N = self._force.filtered_N
+            state.is_force_known = self._force.is_known
             state.peak_force_N = self._force.peak_N
+        if self._drill is not None:
+            state.drilled_cycles, state.slowed_cycles = self._drilled_cycles, self._drill.slowed_cycles
+            state.drilled_N = tuple(self._drill.forces_N)
         if (violation := self.violation) is not None:
             state.violation_kind = violation.kind
             state.violation_axis = violation.axis
@@ -397,7 +406,10 @@ class StreamSession(ABC, Generic[M, E]):
             self._force is not None and self._force.begin(force)
         ):
             return MotionResult.REFUSED_LOADED
-        self._is_force_exceeded = False
+        self._is_force_exceeded, self._drilled_cycles = False, 0
+        self._drill = (
+            None if force.drill is None else DrillFeed(force.drill, self._cycle_s, in_bone=force.goes_on)
+        )
         try:
             if isinstance(motion, Move):
                 points.start(motion.plan, self._speed, command.surroundings)
@@ -416,6 +428,10 @@ class StreamSession(ABC, Generic[M, E]):
             return
         if force.is_exceeded:
             self._is_force_exceeded = self._stopping = True
+        if (drill := self._drill) is not None:
+            self._drilled_cycles += 1
+            drill.note(hypot(*force.change_N), points.progress)
+            self._stopping |= drill.has_broken_through or drill.has_stalled
         if points.push(force.change_N):
             self._stopping = True
 
@@ -439,7 +455,7 @@ class StreamSession(ABC, Generic[M, E]):
             has_settled = self._settled_cycles >= SETTLE_CYCLES
             if points.was_stopped_early:
                 if has_settled or self.fault:
-                    self.result = MotionResult.FORCE if self._is_force_exceeded else MotionResult.STOPPED
+                    self.result = self._why_stopped()
             elif has_settled or not self._settles:
                 self.result = MotionResult.DONE
             if self._force is not None and self.result is not MotionResult.RUNNING:
@@ -448,6 +464,16 @@ class StreamSession(ABC, Generic[M, E]):
             self.is_parent_gone or self._is_parent_frozen or self.fault is LinkFault.HEARTBEAT
         ):
             self.phase = StreamPhase.ENDING
+
+    def _why_stopped(self) -> MotionResult:
+        """Return why the motion has ended before the end of its path."""
+        if self._is_force_exceeded:
+            return MotionResult.FORCE
+        if self._drill is not None and self._drill.has_broken_through:
+            return MotionResult.THROUGH
+        if self._drill is not None and self._drill.has_stalled:
+            return MotionResult.STALLED
+        return MotionResult.STOPPED
 
     def _check_stop(self, stop_word: int) -> None:
         if stop_word == self._stop_word:

@@ -53,6 +53,11 @@ class SetPoints:
         """Whether a motion is in progress."""
         return self._motion is not None
 
+    @property
+    def progress(self) -> float:
+        """Share of the path that the motion in progress has left behind; 1.0 without one."""
+        return self._motion.progress if isinstance(self._motion, PathMotion) else 1.0
+
     def at(self, choice: Choice) -> JointVector:
         """Return the point that a choice sends."""
         if choice is Choice.GO:

@@ -19,8 +19,28 @@ if TYPE_CHECKING:
 
 # Safety against an instrument that is inserted too fast. Source: proposed requirement DA-5.
 INSERTION_SPEED_MM_S = 5.0  # proposed requirement DA-5: slow enough to stop within a fraction of a mm
+# Where the bore leads it and its tip is off the skin. At the accelerations of the arms it still stops within
+# 0.5 mm, and an arm that senses force watches its limit there as well.
+# Safety against an instrument led too fast in the bore (U).
+BORE_SPEED_MM_S = 15.0
 # Safety against a fast arm in a hand (U).
 GUIDED_SPEED_MM_S = REDUCED_SPEED_MM_S / 5.0  # a hand is on the arm
+
+
+@dataclass(frozen=True)
+class DrillLimits:
+    """Forces and depths by which an arm feeds a drill, and finds that it has broken through.
+
+    Between `slow_N` and the force limit the feed is slowed, and rests. Beyond `earliest_mm` before the target
+    a fall of the force counts, elsewhere only a way on which nothing resists.
+    """
+
+    slow_N: float
+    touch_N: float
+    free_N: float
+    fall_share: float
+    earliest_mm: float
+    free_mm: float
 
 
 @dataclass(frozen=True)
@@ -39,6 +59,8 @@ class Insertion:
     speed_mm_s: float = INSERTION_SPEED_MM_S
     force_limit_N: float | None = None
     start: Transform | None = None
+    in_bore: bool = False  # all the way, with the tip off the skin: up to `BORE_SPEED_MM_S`
+    drill: DrillLimits | None = None  # it ends where the drill breaks through, at the latest at the target
 
 
 @dataclass(frozen=True)
@@ -48,6 +70,10 @@ class Inserted:
     reading: ArmReading
     travel_mm: float  # along the axis, positive in its direction; by the measured joints
     peak_force_N: float | None  # largest change of the force; None if the arm senses none
+    broke_through: bool = False  # of a drill: it ended before the target
+    slowed_s: float = 0.0  # of a drill: with less than the planned feed
+    drilled_s: float = 0.0
+    drilled_N: tuple[float, ...] = ()  # largest forces in equal parts of the way to the target
 
 
 @runtime_checkable
@@ -66,6 +92,15 @@ class InsertsInstruments(Protocol):
         force limit stopped it: the arm is then in HOLD where it stopped, and nothing withdraws by itself.
         Otherwise like `RobotArm.move`.
         """
+
+
+@runtime_checkable
+class StatesForceError(Protocol):
+    """Arm that states how well it knows the force on its tool."""
+
+    @property
+    def force_error_N(self) -> float:
+        """Two standard errors of a change of that force; 0.0 if none is stated."""
 
 
 @dataclass(frozen=True)

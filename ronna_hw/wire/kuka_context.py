@@ -152,7 +152,8 @@ class Stop(_Table):
 class RsiContext(_Table):
     """Complete RSI context. Objects set to `None` are absent, and their defaults apply.
 
-    `optional_send` follows `send` in the telegrams of a controller whose Ethernet file has it.
+    `optional_send` follows `send` in the telegrams of a controller whose Ethernet file has it, and
+    `force_send` follows both where a force sensor on the flange is wired to the controller.
     """
 
     schema_version: Annotated[Literal[1], Field(alias="schema")]
@@ -161,6 +162,7 @@ class RsiContext(_Table):
     ethernet: Ethernet
     send: tuple[SendElement, ...]
     optional_send: tuple[SendElement, ...] = ()
+    force_send: tuple[SendElement, ...] = ()
     receive: tuple[ReceiveElement, ...]
     wiring: tuple[Wire, ...]
     feedback: tuple[Feedback, ...] = ()
@@ -175,6 +177,11 @@ class RsiContext(_Table):
         """All that a controller may send, in the order of its telegrams."""
         return self.send + self.optional_send
 
+    def with_force_sensor(self) -> RsiContext:
+        """Return the context of a controller to which a force sensor is wired."""
+        both = self.optional_send + self.force_send
+        return self.model_copy(update={"optional_send": both, "force_send": ()})
+
     @model_validator(mode="after")
     def _channels_agree(self) -> Self:
         channels = [e.indx for e in self.receive if e.indx != INTERNAL]
@@ -185,10 +192,11 @@ class RsiContext(_Table):
         inputs = [(w.object, w.input) for w in self.wiring]
         if len(set(inputs)) != len(inputs):
             raise ValueError("wiring: each object input may be fed once")
-        sent = [e.indx for e in self.all_send if e.indx != INTERNAL]
+        every_send = self.all_send + self.force_send
+        sent = [e.indx for e in every_send if e.indx != INTERNAL]
         if unsent := sorted({f.indx for f in self.feedback} - set(sent)):
             raise ValueError(f"feedback: indx {unsent} is not sent")
-        for element in self.all_send:
+        for element in every_send:
             if (element.indx == INTERNAL) != element.tag.startswith("DEF_"):
                 raise ValueError(f"send: {element.tag}: a tag is INTERNAL if and only if it begins with DEF_")
         return self
@@ -224,7 +232,8 @@ def context_hash(context: RsiContext) -> str:
     meaning have the same hash.
     """
     plain_model = context.model_dump(mode="json", by_alias=True)
-    del plain_model["ethernet"]["pc_ip"], plain_model["ethernet"]["pc_port"], plain_model["optional_send"]
+    del plain_model["ethernet"]["pc_ip"], plain_model["ethernet"]["pc_port"]
+    del plain_model["optional_send"], plain_model["force_send"]
     if not context.feedback:
         del plain_model["feedback"]
     canonical = json.dumps(plain_model, sort_keys=True, separators=(",", ":"), ensure_ascii=True)

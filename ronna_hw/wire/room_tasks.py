@@ -10,7 +10,10 @@ DRILL = "drill"
 DURA = "dura"
 INSERT = "insert"  # the instrument, up to its stop
 HOLDER = "holder"  # put the instrument into the assistant's holder, its stop against the clamp, and close it
-EMPTY = "empty"  # take the instrument out of that holder
+EMPTY = "empty"  # take the instrument, or the drill, out of that holder
+DRILL_HOLDER = "drill_holder"  # put the drill there: one number, tip to stop in mm, which is read
+TURN_DRILL = "turn_drill"  # switch it on
+REST_DRILL = "rest_drill"  # and off
 SEATED = "seated"  # look whether the stop rests on the guide; the gap in mm is read
 OUT = "out"  # take the instrument out of the guide, or the divot from it
 HEAD_CLAMP = "head_clamp"  # clamp the head, and lock the clamp to the table
@@ -29,6 +32,9 @@ TASKS = (
     INSERT,
     HOLDER,
     EMPTY,
+    DRILL_HOLDER,
+    TURN_DRILL,
+    REST_DRILL,
     SEATED,
     OUT,
     HEAD_CLAMP,

@@ -76,6 +76,7 @@ def kuka(
     from sim.kuka.rsi.link import resolve
     from sim.kuka.rsi.telegrams import TelegramWriter
     from sim.named_parameters import print_rows
+    from sim.world.force_sensor import sensor_of
     from sim.world.process import announce, end_with_parent, open_own_control_port, open_world
     from sim.world.true_arm import arm_seed
 
@@ -95,6 +96,8 @@ def kuka(
         parse_endpoint(text, listening=True).require("tcp") for text in (eki, eki_project)
     )
     room = open_world(world, scene, faults, FAULTS_OF, role=role)
+    if sensor_of(room, role) is not None:
+        context = context.with_force_sensor()
     last_state = room.arm(role) if room.has_arm(role) else None
     arm = Manipulator(
         room.scene.arm_of(role), arm_seed(room.scene.seed, role), room.publish_arm, parameters, last_state

@@ -49,6 +49,7 @@ class Controller:
         self.motion: EkiMotion | None = None
         self.runs = 0
         self.parameters = parameters or ControllerParameters()
+        self.is_sensor_dead = False  # the force sensor's, if there is one
         self._overloaded = False
         self._fast_cycles = 0
         inputs = resolve_inputs(context)

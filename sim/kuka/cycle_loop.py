@@ -15,6 +15,7 @@ import os
 import select
 import socket
 import time
+from collections.abc import Sequence
 
 from ronna_hw.clock import FOR_READER, FOR_TURN
 from ronna_hw.logs import logger
@@ -29,9 +30,10 @@ from sim.kuka.motor_currents import MotorCurrents
 from sim.kuka.pendant import PendantDisplay
 from sim.kuka.rsi.link import LinkFaults, RsiSocket
 from sim.kuka.rsi.program_run import RsiRun
-from sim.kuka.rsi.telegrams import NO_CURRENTS, Reply
+from sim.kuka.rsi.telegrams import NO_CURRENTS, NO_FORCES, Reply
 from sim.world.faults import FaultBoard
 from sim.world.faults.log import FaultLog
+from sim.world.force_sensor import sensor_of
 from sim.world.world import World
 
 IDLE_WAIT_S = 0.02  # wait between checks for a program to run, a reader, a turn and the end of the process
@@ -64,6 +66,7 @@ class CycleLoop:
         log = FaultLog(self._fault_time)
         self._takes_second = controller.parameters.second_reply == "taken"
         self._currents = MotorCurrents(world, controller.arm.drives, controller.parameters)
+        self._force_sensor = sensor_of(world, world.role)
         self._link = LinkFaults(world.scene.seed, log.hit, takes_second=self._takes_second)
         board = FaultBoard(world, "robot", self._cycle_number)
         self._faults = ControllerFaults(board, controller, self._servers, self._link, log)
@@ -122,7 +125,10 @@ class CycleLoop:
         cycle_s = run.settings.cycle_ms / 1000.0
         began_s = time.monotonic()
         currents = self._currents.at(self.cycles) if run.states_currents else NO_CURRENTS
-        telegram = run.telegram(controller.arm.reported_frame, controller.arm.reported_deg, currents)
+        forces: Sequence[float] = NO_FORCES
+        if self._force_sensor is not None and run.states_forces:
+            forces = self._force_sensor.read(self.cycles, is_dead=controller.is_sensor_dead)
+        telegram = run.telegram(controller.arm.reported_frame, controller.arm.reported_deg, currents, forces)
         answerable = True
         self._link.cycle = self.cycles + 1
         if not run.streams:

@@ -67,6 +67,7 @@ class ControllerFaults(ScriptedFaults):
                 controller.acknowledge()
         stick = frozenset(int(fault.argument) - 1 for fault in acting if fault.kind.name == "stick")
         controller.arm.drives.stick(stick)
+        controller.is_sensor_dead = "sensor_dead" in arguments
         controller.narrow_corrections(float(arguments["clamp"]) if "clamp" in arguments else None)
         for server in self._servers:
             server.silent = "eki_silence" in arguments

@@ -15,7 +15,6 @@ from sim.phantom.head.anatomy import (
     AIR_HU,
     LAYERS,
     METAL_HU,
-    SCALP_MM,
     SCREW_IN_BONE_MM,
     HeadLayers,
     draw_anatomy,
@@ -40,6 +39,7 @@ from sim.world.rigid import (
     rotation_from_vector,
 )
 from sim.world.scene.model import CtProtocol, Head, Scene, read_scene
+from sim.world.skull import SCALP_MM
 from sim.world.truth import SCENE_FILE, THEATRE_FOLDER, read_samples
 
 ABOVE_SKIN_MM = 25.0  # length of an instrument outside the head

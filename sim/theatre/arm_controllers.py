@@ -55,7 +55,13 @@ class ArmController:
         return str(self.parameters.parse(parameters).of_arm(role.number).serial_number)
 
     def device_entry(
-        self, variant: str, endpoints: Mapping[str, str], silence_limit_s: float, cycle_ms: int | None
+        self,
+        variant: str,
+        endpoints: Mapping[str, str],
+        silence_limit_s: float,
+        cycle_ms: int | None,
+        *,
+        has_force_sensor: bool = False,
     ) -> dict[str, Any]:
         """Return the arm's table of a theatre file."""
         cycle = {} if cycle_ms is None else {"cycle_ms": cycle_ms}
@@ -63,7 +69,13 @@ class ArmController:
         return {
             "driver": self.driver,
             "endpoints": {role: endpoints[role] for role in self.roles},
-            "options": {self.model_option: variant, "silence_limit_s": silence_limit_s, **cycle, **speed},
+            "options": {
+                self.model_option: variant,
+                "silence_limit_s": silence_limit_s,
+                **cycle,
+                **speed,
+                **({"force_sensor": True} if has_force_sensor else {}),
+            },
         }
 
 

@@ -96,6 +96,9 @@ def theatre(
     assistant_arm: Annotated[
         ArmChoice, typer.Option(case_sensitive=False, help="With --dual: the model of the assistant.")
     ] = ArmChoice.KR6,
+    drill: Annotated[
+        bool, typer.Option("--drill", help="With --dual: the assistant drills the skull, not a hand.")
+    ] = False,
     tracker: Annotated[
         TrackerService,
         typer.Option(
@@ -140,6 +143,10 @@ def theatre(
     from sim.world.saved_world import lock_folder, read_saved_world
     from sim.world.truth import SCENE_FILE
 
+    if drill and not (dual or continued):
+        raise UsageMistake(
+            "--drill requires --dual", expected="a theatre of two arms", action="Add --dual, or omit --drill."
+        )
     if not dual and _is_typed(context, "assistant_arm"):
         raise UsageMistake(
             f"--assistant-arm {assistant_arm} requires --dual",
@@ -167,6 +174,7 @@ def theatre(
         target_balls=target_balls,
         dual=dual,
         assistant_arm=assistant_arm,
+        drill=drill,
     )
     records = read_calibrations(calibration or ())
     script = read_faults(faults, truth) if faults else ""

@@ -82,7 +82,11 @@ def theatre_content(
         "tracker": _tracker_entry(scene, endpoints["polaris"], tool_files),
         "robot": {
             role.value: controller_of(scene.arm_of(role)).device_entry(
-                scene.arm_of(role).variant, endpoints[device], silence_limit_s, cycle_ms
+                scene.arm_of(role).variant,
+                endpoints[device],
+                silence_limit_s,
+                cycle_ms,
+                has_force_sensor=role in scene.holders and scene.holders[role].force_sensor is not None,
             )
             for role in ArmRole
             if (device := device_name(scene, role)) in endpoints
@@ -100,6 +104,7 @@ def theatre_content(
             "stand_mm": [float(round(value)) for value in scene.stand.ball_mm],
             "arm_error_mm": UNCALIBRATED_ARM_ERROR_MM,
             "tool_error_mm": TOOL_ERROR_MM,
+            **({"assistant_drills": True} if any(one.drills for one in scene.holders.values()) else {}),
             "seating_error_mm": (seating_mm := scene.head.seating_error_mm) and _credible_mm(seating_mm),
             **(
                 {}

@@ -56,6 +56,7 @@ def ur(
     from sim.universal_robots.factory_calibration import calibrate
     from sim.universal_robots.kinematics import frame_of_matrix_mm
     from sim.universal_robots.model import MODELS
+    from sim.world.drilling import DrilledSkull
     from sim.world.process import announce, end_with_parent, open_own_control_port, open_world
     from sim.world.rigid import matrix_of
     from sim.world.tool_load import SimulatedLoad
@@ -78,6 +79,7 @@ def ur(
     controller = Controller(described, parameters, kinematics, start_rad, seed)
     controller.loads.on_tool = SimulatedLoad(room)
     if (held := room.scene.holders.get(role)) is not None:
+        controller.loads.skull = DrilledSkull(room, role)
         controller.loads.instrument = frame_of_matrix_mm(matrix_of(held.flange_from_clamp))
     drives = controller.robot.drives
     arm = ArmInWorld(truth, seed, room.publish_arm, drives, parameters, described.cycle_s, last)

@@ -16,6 +16,7 @@ from sim.universal_robots.kinematics import IDENTITY, LinkPose, TrueKinematics, 
 from sim.universal_robots.model import JOINTS, ZEROS, Model
 from sim.universal_robots.robot import Robot
 from sim.universal_robots.variables import PAYLOAD, PLACES
+from sim.world.drilling import DrilledSkull
 from sim.world.held_torques import GRAVITY_M_S2, HeldTorques, Stiction
 from sim.world.noise import TabledNoise
 from sim.world.nominal_arm import LinkWeight
@@ -87,6 +88,8 @@ class Loads:
         self.on_tool: SimulatedLoad | None = None  # a hand in the theatre's room
         self._push_n: Force = NONE
         self.tissue: Tissue | None = None
+        self.skull: DrilledSkull | None = None  # under the drill in a holder
+        self._drill_n = 0.0
         self.instrument: LinkPose | None = None  # held beside the flange; its z axis replaces the tool's
         self.force_n: Force = NONE  # of the room on the tool
         self.trip = ""  # why the safety system must stop the arm
@@ -112,7 +115,9 @@ class Loads:
     def follow(self) -> None:
         """Compute the loads of this cycle, and what the controller knows of them."""
         self._push_n = NONE if self.on_tool is None else self.on_tool.push_N()
-        if self.axial_n or self.tissue is not None or self.hand_n is not NONE or any(self._push_n):
+        self._drill_n = 0.0 if self.skull is None else self.skull.thrust_N()
+        along_n = self.axial_n or self._drill_n
+        if along_n or self.tissue is not None or self.hand_n is not NONE or any(self._push_n):
             self.force_n = self._present_force()
         else:
             self.force_n = NONE
@@ -181,7 +186,7 @@ class Loads:
     def _present_force(self) -> Force:
         x, y, z = (a + b for a, b in zip(self.hand_n, self._push_n, strict=True))
         tool = self._pushed()
-        against = self.axial_n
+        against = self.axial_n + self._drill_n
         if against:
             x, y, z = x - against * tool.r02, y - against * tool.r12, z - against * tool.r22
         if self.tissue is not None:

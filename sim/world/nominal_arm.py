@@ -72,6 +72,7 @@ class ArmMake:
     in_faults: str
     postures: tuple[int, ...]
     axes: Callable[[RobotDescription, Matrix, int], Sequence[float] | None]
+    senses_force: bool = False  # by itself, without a sensor on its flange
 
 
 @dataclass(frozen=True)

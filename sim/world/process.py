@@ -158,12 +158,13 @@ def load_scene(
     target_balls: bool = False,
     dual: bool = False,
     assistant_arm: ArmChoice = ArmChoice.KR6,
+    drill: bool = False,
 ) -> Scene:
     """Draw a named scene, or read a scene file; raises SIM-001.
 
     `calibrated`: the arm has a calibration record. `first_day`: frame and tip have no valid one.
     `target_balls`: a ball at each target. `dual`: a second arm, unless the scene has one; both arms are
-    calibrated, as two arms must be.
+    calibrated, as two arms must be. `drill`: the theatre's assistant drills.
     """
     if scene in SCENES:
         on_frame = fiducials is Carrier.XFRAME
@@ -184,6 +185,8 @@ def load_scene(
     if dual and not drawn.holders:
         # Two arms often hide a sphere of three; the frame on the clamp is then watched in their place.
         drawn = add_assistant(add_patient_frame(drawn), assistant_arm)
+    if drill and drawn.assistant is not None:
+        drawn = drawn.model_copy(update={"assistant": drawn.assistant.model_copy(update={"drills": True})})
     error = drawn.calibration_error
     if (calibrated or dual) and error.arm is None:
         error = error.model_copy(update={"arm": ArmResidual()})

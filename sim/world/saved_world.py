@@ -36,7 +36,7 @@ from sim.world.faults.tracker import DISPLACED_TOOLS
 from sim.world.options import ArmRole
 from sim.world.scene.model import Numbers6, Scene
 from sim.world.slow_faults import come_to, still_to_come
-from sim.world.world import ArmState, World
+from sim.world.world import ArmState, DrillRow, World
 
 WORLD_FILE = "world.json"
 EXPECTED = "the arm, tool and time that the theatre saved"
@@ -77,6 +77,13 @@ class SavedWorld(Strict):
     inserted: str | None = Field(
         default=None, description="Trajectory at which an instrument is in the guide."
     )
+    drill: tuple[str, float, bool] | None = Field(
+        default=None, description="Drill in the assistant's holder: trajectory, tip beyond the clamp, turns."
+    )
+    opening: tuple[str, float, float] = Field(
+        default=("", 0.0, 0.0),
+        description="Opening drilled last: trajectory, bottom below the skin, tip beyond the skull.",
+    )
     arm: SavedArm | None = Field(description="None until the robot has started.")
     assistant: SavedArm | None = Field(default=None, description="The second arm; None without one.")
     standing_faults: str = Field(
@@ -91,6 +98,8 @@ class SavedWorld(Strict):
             mounted_tool=world.mounted_tool(),
             mountings=world.mountings(),
             inserted=world.inserted(),
+            drill=world.held_drill(),
+            opening=world.opening(),
             arm=SavedArm.from_world(world, ArmRole.MASTER),
             assistant=SavedArm.from_world(world, ArmRole.ASSISTANT),
             standing_faults=standing_faults(world),
@@ -101,6 +110,8 @@ class SavedWorld(Strict):
         world = World.create(scene, paced=paced, begins_ns=self.theatre_time_ns)
         world.mount_tool(self.mounted_tool, self.mountings)
         world.put_in_guide(self.inserted)
+        world.hold_drill(None if self.drill is None else DrillRow(*self.drill))
+        world.note_opening(*self.opening)
         world.set_fault_script(self.standing_faults)
         for role, arm in ((ArmRole.MASTER, self.arm), (ArmRole.ASSISTANT, self.assistant)):
             if arm is not None:

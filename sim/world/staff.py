@@ -1,8 +1,8 @@
 """Simulated theatre staff: manual tasks with guide, instrument, stand and gauge, and their readings.
 
-Tasks are named as in the procedure. Work on skin and skull alone has no effect here. The calibration stand on
-the table holds a removable ball or a divot with three dials: staff raise the divot to the tip of a guide and
-read its offset from the position of the ball's centre, along the stand's own axes.
+Tasks are named as in the procedure. Work on skin and skull by hand has no effect here. The calibration stand
+on the table holds a removable ball or a divot with three dials: staff raise the divot to the tip of a guide
+and read its offset from the position of the ball's centre, along the stand's own axes.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ from ronna_hw.wire.room_tasks import (
     DEPTH_STOP,
     DIALS,
     DRILL,
+    DRILL_HOLDER,
     DURA,
     EMPTY,
     GAUGE,
@@ -30,9 +31,11 @@ from ronna_hw.wire.room_tasks import (
     HOLDER,
     INSERT,
     OUT,
+    REST_DRILL,
     SEATED,
     SKIN,
     TOUCH,
+    TURN_DRILL,
     OnStand,
 )
 from sim.errors import STAND_NOT_READY
@@ -48,11 +51,11 @@ from sim.world.truth import (
     sample_seated_instrument,
     tip_at_calibration,
 )
-from sim.world.world import World
+from sim.world.world import DrillRow, World
 
 Readings = tuple[float, ...]
 
-STOP, DIAL = "depth stop", "gauge"  # noise keys
+STOP, DRILL_STOP, DIAL = "depth stop", "stop of the drill", "gauge"  # noise keys
 SCALE_MM = 0.05  # graduation of the depth stop: a vernier
 DIAL_MM = 0.001  # resolution of the digital gauge
 POINTER_MM = 2.0  # one standard deviation per axis of a pointer set on skin by hand
@@ -60,6 +63,7 @@ POINTER_MM = 2.0  # one standard deviation per axis of a pointer set on skin by 
 THROUGH_THE_GUIDE = (SKIN, DRILL, DURA, INSERT, SEATED)
 NUMBERS = {  # count and meaning of the numbers that a task needs; other tasks need none
     DEPTH_STOP: (1, "a length in mm"),
+    DRILL_HOLDER: (1, "a length in mm"),
     GAUGE: (7, "the arm's six joints in deg and the height between the dials in mm"),
     TOUCH: (3, "a direction from the middle of the head: left, posterior, superior, as shares of its size"),
 }
@@ -96,7 +100,10 @@ class Staff:
             **dict.fromkeys((SKIN, DRILL, DURA, HEAD_CLAMP, CART_PLACE, CART_LOCK), nothing),
             CART_PUSH: self._push_cart,
             INSERT: lambda: self._insert(trajectory),
-            **dict.fromkeys((HOLDER, EMPTY), nothing),
+            **dict.fromkeys((HOLDER, EMPTY), self._empty_holder),
+            DRILL_HOLDER: lambda: self._hold_drill(trajectory, float(numbers[0])),
+            TURN_DRILL: lambda: self._switch_drill(turns=True),
+            REST_DRILL: lambda: self._switch_drill(turns=False),
             SEATED: lambda: self._look_at_stop(trajectory),
             OUT: self._take_out,
             DIALS: lambda: tuple(read_dials(self._world)),
@@ -155,6 +162,26 @@ class Staff:
 
     def _take_out(self) -> Readings:
         self._world.put_in_guide(None)
+        return self._empty_holder()
+
+    def _empty_holder(self) -> Readings:
+        """Take the drill, if it is there, out of the assistant's holder."""
+        self._world.hold_drill(None)
+        return ()
+
+    def _hold_drill(self, trajectory: str, setting_mm: float) -> Readings:
+        """Set the stop of the drill as that of an instrument, and put it into the assistant's holder."""
+        drawn = noise(self._world.scene.seed, f"{DRILL_STOP} {trajectory}", 0).normal(
+            0.0, self._world.scene.mount.guide.depth_stop_mm
+        )
+        self._world.hold_drill(DrillRow(trajectory, setting_mm + float(drawn), turns=False))
+        return (_round_to_scale(setting_mm + float(drawn), SCALE_MM),)
+
+    def _switch_drill(self, *, turns: bool) -> Readings:
+        drill = self._world.held_drill()
+        if drill is None:
+            raise TaskRefused("no drill is in the assistant's holder", "Put it there first.")
+        self._world.hold_drill(drill._replace(turns=turns))
         return ()
 
     def _push_cart(self) -> Readings:
@@ -231,7 +258,7 @@ def _check_task(task: str, trajectory: str, numbers: Sequence[float], known: Ite
     if len(numbers) != count or not all(map(isfinite, numbers)):
         given = ", ".join(f"{number:g}" for number in numbers) or "no numbers"
         raise TaskRefused(f"{task} needs {needed}; got {given}", "Give the numbers as in the question.")
-    if task in (INSERT, SEATED) and not trajectory:
+    if task in (INSERT, SEATED, DRILL_HOLDER) and not trajectory:
         raise TaskRefused(
             f"{task} needs the name of a trajectory of the plan; got none",
             "Add --trajectory with the name in the question, such as --trajectory T1.",

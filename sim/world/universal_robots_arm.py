@@ -167,7 +167,7 @@ def axes_of_branch(
     return pan, lift, elbow, pitch - lift - elbow, bend, last
 
 
-_MAKE = ArmMake(UNIVERSAL_ROBOTS, "ur", POSTURES, axes_of_branch)
+_MAKE = ArmMake(UNIVERSAL_ROBOTS, "ur", POSTURES, axes_of_branch, senses_force=True)
 DESCRIPTIONS = {
     arm.variant: arm
     for arm in (

@@ -5,7 +5,8 @@ disappears with the last process that holds it, however that process ends. The c
 so that the procedure can open the clock without access to the scene.
 
 Each changing part has a single writer: the robot simulator writes the arm, the theatre's control port the
-mounted tool, the instrument in it, the step and the fault script.
+mounted tool, the instrument in it, the drill, the step and the fault script; the arm that drills writes how
+deep the opening is.
 """
 
 from __future__ import annotations
@@ -65,6 +66,22 @@ class InstrumentRow(NamedTuple):
     trajectory: Annotated[str, text(64)]  # empty for no instrument
 
 
+class DrillRow(NamedTuple):
+    """The drill in the assistant's holder as plain data."""
+
+    trajectory: Annotated[str, text(64)]  # empty for none
+    tip_mm: Annotated[float, "d"]  # beyond the clamp
+    turns: Annotated[bool, "?"]
+
+
+class OpeningRow(NamedTuple):
+    """The opening that was drilled last: its bottom below the skin, and the tip beyond the skull at most."""
+
+    trajectory: Annotated[str, text(64)]
+    bottom_mm: Annotated[float, "d"]
+    beyond_mm: Annotated[float, "d"]
+
+
 _MAP = MemoryMap(b"RONNAWLD")
 _CLOCK = _MAP.rows(ClockRow)
 _ARM_SEQUENCES = tuple(_MAP.word() for _ in ArmRole)  # odd while that arm is being written
@@ -73,6 +90,8 @@ _TOOL = _MAP.word("I")  # number of the mounted tool, 0 for none
 _MOUNTINGS = _MAP.word()
 _STAND = _MAP.word("I")  # content of the calibration stand: index in `OnStand`
 _INSTRUMENT = _MAP.rows(InstrumentRow)
+_DRILL = _MAP.rows(DrillRow)
+_OPENING = _MAP.rows(OpeningRow)
 _STEP = _MAP.rows(SharedStep)
 _FAULTS_VERSION = _MAP.word()
 _FAULTS = _MAP.checked_bytes(FAULTS_CAPACITY_BYTES)
@@ -222,6 +241,26 @@ class World:
     def put_in_guide(self, trajectory: str | None) -> None:
         """Insert an instrument at a trajectory, or take it out; for use by the control port only."""
         _INSTRUMENT.write(self._memory, InstrumentRow(trajectory or ""))
+
+    def held_drill(self) -> DrillRow | None:
+        """Return the drill in the assistant's holder, or None."""
+        row = _DRILL.read(self._memory)
+        return row if row.trajectory else None
+
+    def hold_drill(self, drill: DrillRow | None) -> None:
+        """Put a drill into the assistant's holder, or take it out; for use by the control port only."""
+        _DRILL.write(self._memory, drill or DrillRow("", 0.0, False))
+
+    def opening(self) -> OpeningRow:
+        """Return the opening that was drilled last; its trajectory is empty for none."""
+        return _OPENING.read(self._memory)
+
+    def note_opening(self, trajectory: str, bottom_mm: float, beyond_mm: float) -> None:
+        """Note how deep an opening is, and the tip beyond the skull; for use by the arm's simulator only."""
+        known = self.opening()
+        if known.trajectory == trajectory:
+            beyond_mm = max(beyond_mm, known.beyond_mm)
+        _OPENING.write(self._memory, OpeningRow(trajectory, bottom_mm, beyond_mm))
 
     def on_stand(self) -> OnStand:
         """Return the object on the calibration stand."""

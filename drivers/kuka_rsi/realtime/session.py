@@ -6,19 +6,29 @@ prepared steps that then take effect at once are accepted by the controller belo
 
 from __future__ import annotations
 
-from math import degrees, radians
+from math import degrees, nan, radians
 
 from drivers.kuka_rsi.realtime.link_health import Losses, SenderCheck
 from drivers.kuka_rsi.realtime.settings import LinkSettings
-from drivers.kuka_rsi.realtime.telegram import REPLY_TAIL, Found, ReplyWriter, Telegram, read_currents
+from drivers.kuka_rsi.realtime.telegram import (
+    REPLY_TAIL,
+    Found,
+    ReplyWriter,
+    Telegram,
+    read_currents,
+    read_forces,
+)
 from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.arm_stream.load_sums import NO_SIGNALS, Signals
 from ronna_hw.arm_stream.records import NO_STATE, LinkFault, OpenStream, StreamPhase
 from ronna_hw.arm_stream.session import STREAMING_PHASES, PreparedReply, StreamSession
 from ronna_hw.arm_stream.set_points import SetPoints
-from ronna_hw.vectors import JointVector
+from ronna_hw.vectors import JointVector, Vector3
 
 NOTHING_ELSE = NO_SIGNALS[6:]  # no currents that it would expect, no force
+# Safety against a force sensor that has failed (U).
+FROZEN_CYCLES = 25  # with the same six values: the noise of a sensor that lives changes them in each
+NOT_KNOWN: Vector3 = (nan, nan, nan)
 RANGE_TOLERANCE_DEG = 0.01  # for the first telegram's axes: an arm may be at its end switch
 
 DelayAndIpoc = tuple[bytes, bytes]  # of the next telegram: the controller's count unchanged, the next cycle
@@ -39,7 +49,8 @@ class RsiSession(StreamSession[Telegram, DelayAndIpoc]):
         self.senders = SenderCheck()
         self._ipoc = b""  # of the last telegram
         self._axes_deg: JointVector = NO_STATE.measured_rad
-        self._currents = b""  # of the last telegram, as text
+        self._currents = self._forces = b""  # of the last telegram, as text
+        self._frozen: tuple[bytes, int] = b"", 0  # forces as text, and for how many cycles they are the same
         self._losses = Losses(settings.cycle_ms)
         self._start_deg: JointVector = NO_STATE.measured_rad  # origin of the corrections
         self._is_ending = False  # Stop is to be sent
@@ -59,14 +70,15 @@ class RsiSession(StreamSession[Telegram, DelayAndIpoc]):
         return self.senders.matches_expected(telegram.axes_deg)
 
     def _accept(self, telegram: Telegram) -> bool:
-        self._axes_deg, self._ipoc, self._currents = telegram.axes_deg, telegram.ipoc, telegram.currents
+        self._axes_deg, self._ipoc = telegram.axes_deg, telegram.ipoc
+        self._currents, self._forces = telegram.currents, telegram.forces
         self.senders.foreign_sent_last = False
         if self._points is None or self.phase not in STREAMING_PHASES:
             self.device_clock = int(telegram.ipoc)
         return True
 
     def _accept_expected(self, telegram: Telegram) -> None:
-        self._axes_deg, self._currents = telegram.axes_deg, telegram.currents
+        self._axes_deg, self._currents, self._forces = telegram.axes_deg, telegram.currents, telegram.forces
         self.senders.foreign_sent_last = False
         self.device_clock = int(telegram.ipoc)
         self._missing = self._losses.count(self.device_clock, telegram.delay) or 0
@@ -111,6 +123,15 @@ class RsiSession(StreamSession[Telegram, DelayAndIpoc]):
     def _measure(self) -> None:
         a, b, c, d, e, f = self._axes_deg
         self._measured = (radians(a), radians(b), radians(c), radians(d), radians(e), radians(f))
+
+    def _measured_force(self) -> Vector3:
+        """Return the force of the sensor on the flange in the base; no numbers if it is silent or frozen."""
+        text, cycles = self._frozen
+        self._frozen = self._forces, cycles + 1 if self._forces == text else 0
+        force = read_forces(self._forces)
+        if force is None or self._frozen[1] >= FROZEN_CYCLES:
+            return NOT_KNOWN
+        return self._kinematics.forward(self._measured).rotate(force)
 
     def _carries_loads(self) -> bool:
         return bool(self._currents)

@@ -16,7 +16,7 @@ from xml.parsers import expat
 
 from drivers.kuka_rsi.errors import BAD_TELEGRAM
 from drivers.kuka_rsi.realtime.settings import AXIS_NAMES
-from ronna_hw.vectors import JointVector, joint_vector
+from ronna_hw.vectors import JointVector, Vector3, joint_vector
 
 FREE_TAG = "FREE"  # reserves a channel and is not on the wire
 KEYWORD_PREFIX = "DEF_"
@@ -46,9 +46,21 @@ _DECIMAL = rb"[-+]?\d{1,15}+(?:\.\d{0,15}+)?+"  # what float() is certain to par
 _INTEGER = rb"\d{1,15}+"
 _UNREAD = rb" [^<>/]*+"  # attributes that are not examined before the reply is out
 CURRENTS = "MACur"
+FORCES = "FT"  # of a force sensor on the flange, along its axes
+FORCE_NAMES = ("Fx", "Fy", "Fz", "Tx", "Ty", "Tz")
+# Not every controller sends these; both have six values.
+SOMETIMES_SENT = {CURRENTS: AXIS_NAMES, FORCES: FORCE_NAMES}
+_SOMETIMES = {
+    name: rb"(?:<%b(?P<%b>%b)/>)?+" % (name.encode(), name.encode(), _UNREAD) for name in SOMETIMES_SENT
+}
 
-_CURRENT_OF_EACH = (b'%b="(%b)"' % (axis.encode(), _DECIMAL) for axis in AXIS_NAMES)
-_READ_CURRENTS = re.compile(rb"\s*+%b\s*+" % rb"\s++".join(_CURRENT_OF_EACH)).fullmatch
+
+def _compile_six(names: tuple[str, ...]) -> Callable[[bytes], re.Match[bytes] | None]:
+    each = (b'%b="(%b)"' % (name.encode(), _DECIMAL) for name in names)
+    return re.compile(rb"\s*+%b\s*+" % rb"\s++".join(each)).fullmatch
+
+
+_READ_CURRENTS, _READ_FORCES = _compile_six(AXIS_NAMES), _compile_six(FORCE_NAMES)
 
 Found = re.Match[bytes]
 
@@ -60,6 +72,7 @@ class Telegram(NamedTuple):
     delay: int  # the controller's own count of late packets, -1 if it does not send it
     ipoc: bytes
     currents: bytes = b""  # attributes of MACur as text, for `read_currents`; empty if it is not sent
+    forces: bytes = b""  # attributes of FT as text, for `read_forces`; empty if it is not sent
 
 
 class Element(NamedTuple):
@@ -95,10 +108,9 @@ class TelegramReader:
 
     def __init__(self, send_tags: tuple[str, ...]) -> None:
         pattern = [rb'<Rob Type="KUKA">']
-        currents = rb"(?:<MACur(?P<MACur>%b)/>)?+" % _UNREAD  # not every controller sends them
         for name, attributes in group_elements(send_tags):
-            if name == CURRENTS:
-                pattern.append(currents)
+            if name in _SOMETIMES:
+                pattern.append(_SOMETIMES[name])
                 continue
             pattern.append(b"<" + re.escape(name.encode()))
             if not attributes:
@@ -111,9 +123,9 @@ class TelegramReader:
                 tag = attribute.encode()
                 pattern.append(b' %b="(?P<%b>%b)"' % (tag, tag, captured))
             pattern.append(b"/>")
-        # A context without Delay or MACur has their groups nevertheless.
+        # A context without Delay, MACur or FT has their groups nevertheless.
         pattern.append(b"" if "DEF_Delay" in send_tags else b"(?P<D>)")
-        pattern.append(b"" if currents in pattern else currents)
+        pattern += [one for one in _SOMETIMES.values() if one not in pattern]
         pattern.append(b"<IPOC>(?P<IPOC>\\d{1,%d}+)</IPOC></Rob>" % MOST_DIGITS)
         if "DEF_AIPos" not in send_tags:
             pattern = [rb"(?!)"]  # nothing matches
@@ -128,15 +140,23 @@ class TelegramReader:
 
 def extract_telegram(found: Found) -> Telegram:
     """Decode a telegram matched in the usual layout."""
-    a, b, c, d, e, f, delay, ipoc, currents = found.group(*AXIS_NAMES, "D", "IPOC", CURRENTS)
+    a, b, c, d, e, f, delay, ipoc, currents, forces = found.group(*AXIS_NAMES, "D", "IPOC", CURRENTS, FORCES)
     axes_deg = (float(a), float(b), float(c), float(d), float(e), float(f))
-    return Telegram(axes_deg, int(delay) if delay else -1, ipoc, currents or b"")
+    return Telegram(axes_deg, int(delay) if delay else -1, ipoc, currents or b"", forces or b"")
 
 
 def read_currents(attributes: bytes) -> JointVector | None:
     """Return the motor currents in percent from the attributes of MACur, None unless all are there."""
     found = _READ_CURRENTS(attributes)
     return None if found is None else joint_vector(map(float, found.groups()))
+
+
+def read_forces(attributes: bytes) -> Vector3 | None:
+    """Return the force (N) along the sensor's axes from the attributes of FT, None unless all are there."""
+    if (found := _READ_FORCES(attributes)) is None:
+        return None
+    x, y, z, *_ = map(float, found.groups())
+    return x, y, z
 
 
 def read_strictly(data: bytes) -> Telegram:
@@ -191,8 +211,11 @@ def read_strictly(data: bytes) -> Telegram:
             raise BAD_TELEGRAM("the IPOC is not an integer", got=ipoc[:32], wire=data)
     except (expat.ExpatError, LookupError, ValueError, OverflowError) as error:  # an encoding: LookupError
         raise BAD_TELEGRAM(f"malformed telegram: {error}", wire=data) from error
-    currents = "".join(f' {a}="{values[CURRENTS, a]}"' for a in AXIS_NAMES if (CURRENTS, a) in values)
-    return Telegram(axes_deg, delay, ipoc.encode(), currents.encode())
+    currents, forces = (
+        "".join(f' {key}="{values[name, key]}"' for key in keys if (name, key) in values).encode()
+        for name, keys in SOMETIMES_SENT.items()
+    )
+    return Telegram(axes_deg, delay, ipoc.encode(), currents, forces)
 
 
 class ReplyWriter:

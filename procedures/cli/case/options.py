@@ -29,7 +29,17 @@ if TYPE_CHECKING:
     from procedures.runs.openigtlink import LinkAddress
 
 DRAWN = ("seed", "markers", "targets", "fiducials", "arm")  # which a scene file holds
-SIMULATED = (*DRAWN, "tracker", "assistant_arm", "scene", "first_day", "calibration", "speed", "faults")
+SIMULATED = (
+    *DRAWN,
+    "tracker",
+    "assistant_arm",
+    "drill",
+    "scene",
+    "first_day",
+    "calibration",
+    "speed",
+    "faults",
+)
 
 ConfigOption = Annotated[Path | None, Option(metavar="FILE", help="Theatre file with the endpoints to use.")]
 
@@ -234,6 +244,14 @@ class CaseOptions(TheatreOptions):
     assistant_arm: Annotated[
         ArmChoice, Option(case_sensitive=False, help="With --sim --dual: the model of the assistant.")
     ] = ArmChoice.KR6
+    drill: Annotated[
+        bool,
+        Option(
+            "--drill",
+            help="With --sim --dual: the assistant drills the skull before it inserts. With --config, "
+            "assistant_drills of the theatre file says so.",
+        ),
+    ] = False
     faults: Annotated[Path | None, Option(help="Fault script for the simulated theatre.")] = None
     keep_raw: Annotated[
         bool,
@@ -253,6 +271,7 @@ class CaseOptions(TheatreOptions):
             fiducials=self.fiducials.value,
             tracker=self.tracker.value,
             assistant_arm=self.assistant_arm.value,
+            drill=self.drill,
         )
 
     def request(self) -> RunRequest:
@@ -262,11 +281,11 @@ class CaseOptions(TheatreOptions):
         self.check()
         if self.config is None and self.case is not None:
             raise UsageMistake("--case requires --config", action="A simulated case brings its own patient.")
-        if not self.dual and self._list_changed_options(("assistant_arm",)):
+        if not self.dual and (given := self._list_changed_options(("assistant_arm", "drill"))):
             raise UsageMistake(
-                f"--assistant-arm {self.assistant_arm} requires --dual",
+                f"{given} requires --dual",
                 expected="a case with two arms",
-                action="Add --dual, or omit --assistant-arm.",
+                action=f"Add --dual, or omit {given}.",
             )
         if self.config is not None and self.plan is not None:
             raise UsageMistake("--plan requires --sim", action="With --config the plan is in --case DIR.")

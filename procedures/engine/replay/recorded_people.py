@@ -34,6 +34,7 @@ KNOWN_UNOPENED = (
     "tools",
     "markers_mm",
     "senses_force",
+    "force_error_N",
 )  # as configured
 KNOWN_MEMBERS = {*ANSWERS, *RECORDED_PROPERTIES, *PROPERTIES, *KNOWN_UNOPENED}
 READINGS = ("read_frame", "grab_pair", "read_state", "move")

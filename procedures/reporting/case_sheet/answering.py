@@ -28,6 +28,7 @@ SUBJECTS: Mapping[Topic, str] = {
     Topic.DEPTH_STOP: "the depth stop as read",
     Topic.SKIN: "skin open",
     Topic.DRILL: "skull drilled",
+    Topic.BREAKTHROUGH: "the opening, where the drill's breakthrough is not where the CT has it",
     Topic.DURA: "dura open",
     Topic.AT_TARGET: "instrument at depth, work there done",
     Topic.RETREAT: "the way out along the axis",

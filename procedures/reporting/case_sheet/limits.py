@@ -23,7 +23,9 @@ from procedures.steps.clinical.followed_move import MOST_FOLLOWED_RAD
 from procedures.steps.clinical.global_localization import SPREAD_LIMIT_MM
 from procedures.steps.clinical.room import MOST_FOLLOWED_MM
 from procedures.steps.clinical.tool_check import TILT_LIMIT_DEG
-from procedures.steps.clinical.two_arms.assisted_insertion import COAXIAL_MM, COAXIAL_RAD, LARGEST_GAP_MM
+from procedures.steps.clinical.two_arms.assisted_drilling import EARLY_MM, LATE_MM
+from procedures.steps.clinical.two_arms.assisted_insertion import LARGEST_GAP_MM
+from procedures.steps.clinical.two_arms.over_guide import COAXIAL_MM, COAXIAL_RAD
 from procedures.steps.clinical.work_progress import STOP_LIMIT_MM
 from procedures.steps.conditions import LONGEST_S
 from ronna_hw.arm.catalogue import ARMS
@@ -133,6 +135,13 @@ def _with_two_arms(settings: ProcedureSettings) -> Iterator[LimitRow]:
     yield LimitRow(
         "force on the instrument", f"{settings.insertion_force_N:g} N", "it stops, if the arm senses force"
     )
+    if settings.assistant_drills:
+        yield LimitRow("force on the drill", f"{settings.drill_force_N:g} N", "its feed stops")
+        yield LimitRow(
+            "breakthrough from the inside of the skull by the CT",
+            f"{EARLY_MM:g} mm before, {LATE_MM:g} mm behind",
+            "asked",
+        )
     yield LimitRow("gap between stop and guide", _mm(LARGEST_GAP_MM), "not at depth: asked")
 
 

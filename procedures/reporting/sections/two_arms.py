@@ -15,8 +15,8 @@ from procedures.guards.assistant_on_axis import LARGEST_OFF_MM
 from procedures.reporting.arm_ways import ArmWay, list_arm_ways
 from procedures.reporting.run_reading import RunReading
 from procedures.steps.clinical.at_target import ReachedTarget
-from procedures.steps.clinical.results import AssistedInsertion, KnownBases
-from procedures.steps.clinical.two_arms.assisted_insertion import COAXIAL_MM, COAXIAL_RAD
+from procedures.steps.clinical.results import AssistedInsertion, CranialOpening, KnownBases
+from procedures.steps.clinical.two_arms.over_guide import COAXIAL_MM, COAXIAL_RAD
 from ronna_hw.arm.clearance.arm_pair import APART_AT_GUIDE_MM, APART_MM
 from ronna_hw.bounded_input import InputRefused, read_json_lines
 from ronna_hw.evidence.lost_journal_end import EVENTS_FILE
@@ -29,6 +29,13 @@ class AssistedRow(NamedTuple):
 
     target: str
     insertion: AssistedInsertion
+
+
+class OpeningRow(NamedTuple):
+    """Opening of the skull by the assistant's drill at a target."""
+
+    target: str
+    opening: CranialOpening
 
 
 class TimedDistance(NamedTuple):
@@ -53,6 +60,7 @@ class TwoArms:
     assisted: tuple[AssistedRow, ...]
     ways: tuple[WayRow, ...]
     distances: tuple[TimedDistance, ...]
+    openings: tuple[OpeningRow, ...] = ()
     bases_limit_mm: float = LARGEST_ERROR_MM
     coaxial_mm: float = COAXIAL_MM
     coaxial_rad: float = COAXIAL_RAD
@@ -105,10 +113,9 @@ def read_two_arms(reading: RunReading) -> TwoArms | None:
     bases = reading.find(KnownBases)
     if bases is None:
         return None
-    worked = (
-        (str(one.record.trajectory), one.result.assisted) for one in reading.valid_results(ReachedTarget)
-    )
-    assisted = tuple(AssistedRow(target, insertion) for target, insertion in worked if insertion)
+    worked = [(str(one.record.trajectory), one.result) for one in reading.valid_results(ReachedTarget)]
+    assisted = tuple(AssistedRow(target, one.assisted) for target, one in worked if one.assisted)
+    openings = tuple(OpeningRow(target, one.opening) for target, one in worked if one.opening)
     distances = _read_distances(reading.folder)
     ways = (WayRow(way, _find_closest_mm(way, distances)) for way in list_arm_ways(reading.run.journal))
-    return TwoArms(bases, assisted, tuple(ways), distances)
+    return TwoArms(bases, assisted, tuple(ways), distances, openings)

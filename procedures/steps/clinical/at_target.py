@@ -25,11 +25,13 @@ from procedures.journal.results import FramedPose, StepResult
 from procedures.operator.errors import GuardUnmet, NotConfirmed
 from procedures.operator.question import YES, Question, Task, Topic
 from procedures.steps.branches import HOLD_GUIDE, tell_holding
+from procedures.steps.clinical.ct_import import ImportedCt
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.positioning import PositionedGuide
-from procedures.steps.clinical.results import AssistedInsertion, KnownBases
+from procedures.steps.clinical.results import AssistedInsertion, CranialOpening, KnownBases
 from procedures.steps.clinical.room import ROOM_READS, check_room, require_head_in_view
+from procedures.steps.clinical.two_arms.assisted_drilling import describe_opening, drill_with_assistant
 from procedures.steps.clinical.two_arms.assisted_insertion import (
     insert_with_assistant,
     send_assistant_home,
@@ -46,6 +48,7 @@ from procedures.steps.clinical.work_progress import (
 from procedures.steps.conditions import needs_insertion
 from ronna_hw.errors import RonnaError
 from ronna_hw.text import format_against_limit
+from ronna_hw.wire.room_tasks import DRILL
 
 # Safety against a guide beside its target (U).
 POSITION_LIMIT_MM = 0.05  # nominal place against the commanded one; more means the arm did not arrive
@@ -53,6 +56,7 @@ POSITION_LIMIT_MM = 0.05  # nominal place against the commanded one; more means 
 UNSEEN = "the tracker sees no frame on the arm or the guide; only the joints show a push on the guide"
 STAGE_ANSWERS = (YES, HOLD_GUIDE)
 Insert = Callable[[StepContext, DepthStop], AssistedInsertion]
+Drill = Callable[[StepContext, DepthStop], CranialOpening | None]
 
 
 class ReachedTarget(StepResult, kind="at_target", version=4):
@@ -79,15 +83,20 @@ class ReachedTarget(StepResult, kind="at_target", version=4):
     assisted: AssistedInsertion | None = Field(
         default=None, description="Insertion by the assistant; none by hand or on an earlier visit."
     )
+    opening: CranialOpening | None = Field(
+        default=None, description="Opening of the skull by the assistant's drill; none by hand."
+    )
     done_before: tuple[str, ...] = Field(
         default=(), description="Stages done when the guide was there earlier, and not repeated."
     )
 
 
-def run(context: StepContext, insert: Insert | None = None) -> Outcome[ReachedTarget]:
+def run(
+    context: StepContext, insert: Insert | None = None, drill: Drill | None = None
+) -> Outcome[ReachedTarget]:
     """Check the arm's position, then guide depth stop setting, work stages and instrument removal.
 
-    The instrument goes in by hand unless `insert` has an arm insert it.
+    The instrument goes in by hand unless `insert` has an arm insert it; so with the drill and `drill`.
     """
     workcell, trajectory = context.workcell, context.trajectory
     commanded = context.result(PositionedGuide).tool_pose.transform
@@ -111,7 +120,7 @@ def run(context: StepContext, insert: Insert | None = None) -> Outcome[ReachedTa
         for stage in STAGES:
             if stage.task not in work_so_far.done:
                 with _record_interruption(context, stage):
-                    _do_stage(context, stage, work_so_far, insert)
+                    _do_stage(context, stage, work_so_far, insert, drill)
                     _look_at_guide(context, stage, rest, work_so_far)
                     share = (STAGES.index(stage) + 1) / (len(STAGES) + 1)
                     context.progress(share, f"{stage.done_statement} at {trajectory}")
@@ -119,7 +128,7 @@ def run(context: StepContext, insert: Insert | None = None) -> Outcome[ReachedTa
         context.request_instrument_removal()  # from here on, the work counts as finished whatever happens
     send_assistant_home(context)
     if work_so_far.finished_before:
-        return _build_unwatched_outcome(work_so_far)
+        return _build_unwatched_outcome(context, work_so_far)
     if unseen := rest.describe_unseen():
         context.find(
             f"during the work at {trajectory} the tracker did not see {unseen}: what was displaced meanwhile "
@@ -138,6 +147,7 @@ def run(context: StepContext, insert: Insert | None = None) -> Outcome[ReachedTa
             depth_stop=work_so_far.stop,
             pushed_mm=work_so_far.pushed_mm if work_so_far.watched or pushed else None,
             assisted=work_so_far.assisted,
+            opening=_opening_at(context),
             done_before=work_so_far.before,
         ),
         summary=f"instrument within {error_mm:.2f} mm of where it was sent"
@@ -150,7 +160,7 @@ def run(context: StepContext, insert: Insert | None = None) -> Outcome[ReachedTa
     )
 
 
-def _build_unwatched_outcome(work_so_far: WorkProgress) -> Outcome[ReachedTarget]:
+def _build_unwatched_outcome(context: StepContext, work_so_far: WorkProgress) -> Outcome[ReachedTarget]:
     """Return the outcome of work finished on an earlier, unwatched visit."""
     return Outcome(
         ReachedTarget(
@@ -159,14 +169,25 @@ def _build_unwatched_outcome(work_so_far: WorkProgress) -> Outcome[ReachedTarget
             too_deep_mm=work_so_far.stop.too_deep_mm,
             depth_stop=work_so_far.stop,
             pushed_mm=None,
+            opening=_opening_at(context),
             done_before=work_so_far.before,
         ),
         summary="the work was finished earlier; the guide was not watched then",
     )
 
 
+def _opening_at(context: StepContext) -> CranialOpening | None:
+    """Return the opening that the assistant has drilled, also before an interruption."""
+    opening = context.workcell.master.instrument.stages.opening_at(context.trajectory)
+    return None if opening is None else CranialOpening.model_validate(opening)
+
+
 def _do_stage(
-    context: StepContext, stage: WorkStage, work_so_far: WorkProgress, insert: Insert | None
+    context: StepContext,
+    stage: WorkStage,
+    work_so_far: WorkProgress,
+    insert: Insert | None,
+    drill: Drill | None,
 ) -> None:
     """Have one stage done and confirmed. Raises PRO-002 unless it is confirmed, and TOOL-007."""
     trajectory, stop, stages = context.trajectory, work_so_far.stop, context.workcell.master.instrument.stages
@@ -179,17 +200,19 @@ def _do_stage(
     if by_arm and not (is_led and work_so_far.assisted and context.doubt(KnownBases) is None):
         work_so_far.assisted = None
         work_so_far.assisted = by_arm(context, stop)
+    opening = drill(context, stop) if drill and stage.task == DRILL else None
+    drilled = "" if opening is None else f"by the assistant: {describe_opening(opening)}; "
     question = Question(
         stage.topic,
         stage.asked.format(trajectory),
-        f"depth stop {stop.read_mm:.2f} mm, computed {stop.computed_mm:.2f} mm; the guide is held "
+        f"{drilled}depth stop {stop.read_mm:.2f} mm, computed {stop.computed_mm:.2f} mm; the guide is held "
         f"{stop.standoff_mm:.0f} mm in front of the entry{before}{tell_holding(STAGE_ANSWERS)}",
         STAGE_ANSWERS,
         trajectory=trajectory,
         timeout_s=None,
     )
     with context.watching(f"the hold at {trajectory}"):
-        if not by_arm:
+        if not by_arm and opening is None:
             context.perform_task(Task(stage.task, f"{stage.instruction} at {trajectory}", trajectory))
         answer = context.choose(question)
         if answer == YES:  # done, whatever the watch has seen meanwhile
@@ -280,13 +303,15 @@ STEP = StepSpec(
 )
 WITH_ASSISTANT = replace(
     STEP,
-    run=partial(run, insert=insert_with_assistant),
+    run=partial(run, insert=insert_with_assistant, drill=drill_with_assistant),
     others_move=True,
+    reads=(*STEP.reads, ImportedCt),
     asks=(
         Topic.DEPTH_STOP,
         *(stage.topic for stage in STAGES[:-1]),
-        Topic.INSTRUMENT_OUT,  # before the assistant moves, and after it has led the instrument out
+        Topic.INSTRUMENT_OUT,  # before the assistant moves, and after it has led drill or instrument out
         Topic.APPROACH,
+        Topic.BREAKTHROUGH,
         STAGES[-1].topic,
         Topic.RETREAT,
     ),

@@ -11,7 +11,7 @@ from dataclasses import asdict
 from typing import Self
 
 import numpy as np
-from pydantic import Field, NonNegativeFloat, NonNegativeInt, model_validator
+from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveFloat, model_validator
 
 from procedures.calibration.base_to_base import meeting_error_mm
 from procedures.engine.context import StepContext
@@ -247,7 +247,37 @@ class AssistedInsertion(Values):
     force_limit_N: NonNegativeFloat | None = Field(
         default=None, description="Change of the force that stops the way in; none if the arm senses none."
     )
+    force_error_N: NonNegativeFloat | None = Field(
+        default=None,
+        description="Two standard errors of it, by which the arm stops below that; none if it senses none.",
+    )
     gap_mm: NonNegativeFloat = Field(description="Between depth stop and guide, as read.")
+
+
+class CranialOpening(Values):
+    """Opening of the skull by the assistant's drill: depths from the entry along the axis, forces, times."""
+
+    planned_outside_mm: float = Field(description="Outer face of the skull in the CT.")
+    planned_inside_mm: float = Field(description="Inner face of the skull in the CT.")
+    deepest_mm: float = Field(description="Where the stop of the drill would have rested on the guide.")
+    depth_mm: float = Field(description="Tip of the drill where it stopped, by the joints.")
+    broke_through: bool = Field(description="Whether the force showed the breakthrough there.")
+    doubt: str = Field(description="What did not agree with the CT, as the operator accepted it; '' if none.")
+    peak_force_N: NonNegativeFloat = Field(description="Largest change of the force.")
+    force_limit_N: PositiveFloat = Field(description="Force that stops the drill.")
+    force_error_N: NonNegativeFloat = Field(
+        description="Two standard errors of the force; the arm stops by as much below the limit."
+    )
+    drilled_s: NonNegativeFloat = Field(description="Theatre time under way.")
+    slowed_s: NonNegativeFloat = Field(description="Of that, with less than the full feed.")
+    from_mm: float = Field(description="Where the feed began.")
+    forces_N: tuple[NonNegativeFloat, ...] = Field(
+        description="Largest forces in equal parts of the way from there to the deepest place."
+    )
+    off_axis_mm: NonNegativeFloat = Field(description="Over the guide, from its axis, by the joints of both.")
+    seen_apart_mm: NonNegativeFloat | None = Field(
+        description="Over the guide, beside the bore by the tracker; none if a frame was hidden."
+    )
 
 
 class KnownBases(StepResult, kind="base_to_base"):

@@ -67,6 +67,11 @@ class PathMotion:
         return self._along.is_finished
 
     @property
+    def progress(self) -> float:
+        """Share of the path up to the point sent last."""
+        return self._along.state.position[0]
+
+    @property
     def was_stopped_early(self) -> bool:
         """Whether the motion was stopped before the end of its path."""
         return self._along.is_stopping

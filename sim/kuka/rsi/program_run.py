@@ -24,7 +24,7 @@ from sim.kuka.rsi.signal_flow import (
     SignalFlow,
     resolve_inputs,
 )
-from sim.kuka.rsi.telegrams import NO_CURRENTS, RejectedReplies, Reply, ReplyReader, TelegramWriter
+from sim.kuka.rsi.telegrams import NO_CURRENTS, NO_FORCES, RejectedReplies, Reply, ReplyReader, TelegramWriter
 
 IPOC_STEP = 2_654_435_761  # from run to run, modulo the range: a new run may begin higher or lower
 EXIT_MOVE_CORR = "ExitMoveCorr"
@@ -127,12 +127,21 @@ class RsiRun:
         """Whether the telegrams have the motor currents."""
         return self._writer.states_currents
 
+    @property
+    def states_forces(self) -> bool:
+        """Whether the telegrams have the signals of a force sensor."""
+        return self._writer.states_forces
+
     def telegram(
-        self, frame: Sequence[float], axes_deg: Sequence[float], currents: Sequence[float] = NO_CURRENTS
+        self,
+        frame: Sequence[float],
+        axes_deg: Sequence[float],
+        currents: Sequence[float] = NO_CURRENTS,
+        forces: Sequence[float] = NO_FORCES,
     ) -> bytes:
-        """Return this cycle's telegram, with motor currents in percent."""
+        """Return this cycle's telegram, with motor currents in percent and a sensor's forces in N and Nm."""
         late, stats = self._delays[0], self.correction_stats
-        return self._writer.write(frame, axes_deg, late, self.ipoc, stats, currents)
+        return self._writer.write(frame, axes_deg, late, self.ipoc, stats, currents, forces)
 
     @property
     def streams(self) -> bool:

@@ -23,6 +23,7 @@ TECH_PARAMETERS = 10
 # Keyword -> attributes, and their source: actual or set values, or zeros for what is not fitted.
 ACTUAL_FRAME, ACTUAL_AXES, SET_FRAME, SET_AXES = "RIst", "AIPos", "RSol", "ASPos"
 CURRENTS, NOTHING = "MACur", ""
+FORCES = "FT"  # element of a force sensor, wired to inputs of the ETHERNET object
 KEYWORDS = {
     "RIst": (FRAME, ACTUAL_FRAME),
     "RSol": (FRAME, SET_FRAME),
@@ -36,7 +37,7 @@ KEYWORDS = {
 DELAY = "Delay"
 LATE = 0  # position among the integers: late packets, Stat of AXISCORR, Stat of POSCORR
 STATS = {"AXISCORR": 1, "POSCORR": 2}
-NO_CURRENTS = (0.0,) * 6
+NO_CURRENTS = NO_FORCES = (0.0,) * 6
 ONLY_DELAY = [LATE]
 ZERO_OF = {"BOOL": "0", "LONG": "0", "STRING": ""}
 
@@ -83,13 +84,18 @@ class TelegramWriter:
         )
         # Filled in two stages: positions and currents when they have changed, D and IPOC in every cycle.
         self._template = f'<Rob Type="KUKA">{body}<IPOC>%%d</IPOC></Rob>'
-        self._last: tuple[Sequence[float] | None, ...] = (None, None, None)
+        self._last: tuple[Sequence[float] | None, ...] = (None, None, None, None)
         self._filled = ""
 
     @property
     def states_currents(self) -> bool:
         """Whether the telegram has the motor currents."""
         return CURRENTS in self._order
+
+    @property
+    def states_forces(self) -> bool:
+        """Whether the telegram has the signals of a force sensor."""
+        return FORCES in self._order
 
     def write(
         self,
@@ -99,19 +105,22 @@ class TelegramWriter:
         ipoc: int,
         stats: tuple[int, int] = (0, 0),
         currents: Sequence[float] = NO_CURRENTS,
+        forces: Sequence[float] = NO_FORCES,
     ) -> bytes:
         """Encode a telegram: actual frame (mm, deg), actual axes (deg), late packet count and IPOC.
 
-        `stats` are the Stat outputs of AXISCORR and POSCORR, `currents` those of the motors (%).
+        `stats` are the Stat outputs of AXISCORR and POSCORR, `currents` those of the motors (%), `forces`
+        those of a sensor (N, Nm).
         """
         last = self._last
-        if last[0] is not axes_deg or last[1] is not frame or last[2] is not currents:
-            numbers = {ACTUAL_FRAME: frame, ACTUAL_AXES: axes_deg, CURRENTS: currents}
+        changed = last[0] is not axes_deg or last[1] is not frame or last[2] is not currents
+        if changed or last[3] is not forces:
+            numbers = {ACTUAL_FRAME: frame, ACTUAL_AXES: axes_deg, CURRENTS: currents, FORCES: forces}
             values: list[float] = []
             for name in self._order:
                 values += numbers[name]
             self._filled = self._template % tuple(values)
-            self._last = (axes_deg, frame, currents)
+            self._last = (axes_deg, frame, currents, forces)
         if self._counts == ONLY_DELAY:
             return (self._filled % (late, ipoc)).encode("ascii")
         counts = (late, *stats)
@@ -128,6 +137,11 @@ class TelegramWriter:
             return
         if element.indx != INTERNAL:
             name, _, attribute = tag.partition(".")
+            if name == FORCES:
+                if FORCES not in self._order:
+                    self._order.append(FORCES)
+                self._append(groups, name, f' {attribute}="{self._number}"')
+                return
             zero = ZERO_OF.get(element.type, self._number % 0.0)
             if element.indx in self._stats:
                 self._counts.append(self._stats[element.indx])

@@ -14,21 +14,19 @@ from sim.phantom.head.shapes import Ball, Cable, Ellipsoid, Rod, Shape, Trough, 
 from sim.world.noise import noise
 from sim.world.rigid import Point, as_point
 from sim.world.scene.model import Fiducial, Head, Scene
+from sim.world.skull import DIPLOE_MM, INNER_TABLE_MM, OUTER_TABLE_MM, SCALP_LAYERS_MM, SCALP_MM
 
 AIR_HU = -1000.0
 # thickness in mm and HU, from the skin inwards; the last one fills the rest
 LAYERS = (
-    (1.6, 35.0),  # skin
-    (2.6, -80.0),  # fat
-    (1.5, 50.0),  # galea and muscle
-    (1.8, 1450.0),  # outer table of the skull
-    (3.2, 650.0),  # diploe
-    (1.8, 1450.0),  # inner table
+    *zip(SCALP_LAYERS_MM, (35.0, -80.0, 50.0), strict=True),  # skin, fat, galea and muscle
+    (OUTER_TABLE_MM, 1450.0),  # of the skull
+    (DIPLOE_MM, 650.0),
+    (INNER_TABLE_MM, 1450.0),
     (2.0, 10.0),  # cerebrospinal fluid
     (4.5, 38.0),  # grey matter
     (0.0, 29.0),  # white matter
 )
-SCALP_MM = sum(thickness for thickness, _ in LAYERS[:3])
 STEP_MM = 0.05
 OUTSIDE_MM = 4.0
 BLUR_MARGIN = 4.0  # of the blur's sigma

@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator
 from sim.errors import BadFaultScript
 from sim.world.faults.fault import Fault
 from sim.world.faults.language import NOW, SINCE, STEP, has_beginning, parse_faults, parse_request
+from sim.world.faults.room import DEVICE as ROOM
 from sim.world.world import World
 
 _SINCE_STEP = re.compile(rf"^\s*{SINCE}\s+step\s*==\s*{STEP}[^:]*:")
@@ -84,9 +85,10 @@ class FaultBoard:
         if self._world.fault_version() != self._version:
             version, text = self._world.fault_script()
             faults = parse_faults(text) if text.strip() else ()
-            role = self._world.role
+            own_device = (fault for fault in faults if fault.kind.device == self._device)
+            # What happens in the room is the same for the simulators of all arms.
             self._faults = tuple(
-                fault for fault in faults if fault.kind.device == self._device and fault.role is role
+                fault for fault in own_device if self._device == ROOM or fault.role is self._world.role
             )
             self._reported = {one for one in self._reported if one[0] in self._faults}
             self._version = version

@@ -105,6 +105,11 @@ CELL_FAULTS = (
         "clamp NUMBER deg",
         "Axis corrections are clamped to that distance; Stat reports it, motion continues.",
     ),
+    declare_lasting(
+        "sensor_dead",
+        "force sensor dead",
+        "The force sensor on the flange repeats its last values; without a sensor there is no effect.",
+    ),
     declare_momentary("collision", "collision", "The torque monitor stops the arm, with a message."),
     declare_momentary(
         "overload",

@@ -174,6 +174,16 @@ LOOSE_INSTRUMENT = declare_lasting(
     "clamp's x, y and z, and tilted about its x axis. The bore holds it within its play.",
     _check_clamp,
 )
+OTHER_BONE = declare_lasting(
+    "other_bone",
+    "bone thicker SIGNED mm",
+    "The skull is that much thicker than the CT shows, or thinner: its inside lies deeper, or less deep.",
+)
+DRILL_STALLS = declare_lasting(
+    "drill_stalls",
+    "drill stalls",
+    "The drill in the assistant's holder does not turn, whoever switches it on.",
+)
 WRONG_LOAD = declare_lasting(
     "wrong_load",
     "wrong load SIGNED kg",

@@ -13,12 +13,13 @@ import numpy as np
 from ronna_hw.arm.catalogue import ArmChoice
 from ronna_hw.calibration import PoseRecord
 from sim.errors import BAD_SCENE
+from sim.world.descriptions import DESCRIPTIONS
 from sim.world.noise import noise
 from sim.world.options import ArmRole
 from sim.world.rigid import as_point, matrix_from, pose_of, rotation_from_vector, rotation_towards
 from sim.world.scene.arm_design import CHOSEN, DESIGNS
 from sim.world.scene.as_built import draw_arm
-from sim.world.scene.model import AssistantTruth, Scene, TrackerTool
+from sim.world.scene.model import AssistantTruth, ForceSensorTruth, Scene, TrackerTool
 from sim.world.scene.parts import (
     ASSISTANT_FRAME_MARKERS_MM,
     ASSISTANT_FRAME_NAME,
@@ -65,6 +66,7 @@ def add_assistant(scene: Scene, arm: ArmChoice = ArmChoice.KR6) -> Scene:
         flange_from_frame=_built(FRAME_MM, FRAME_TURN @ frame_turn, draws),
         flange_from_ball_mm=as_point(np.array(BALL_MM) + draws.normal(0.0, BUILT_MM, 3)),
         flange_from_clamp=_built(CLAMP_MM, clamp_turn, draws),
+        force_sensor=None if DESCRIPTIONS[true_arm.variant].make.senses_force else ForceSensorTruth(),
     )
     tools = tuple(one for one in scene.tracker.tools if one.part_number != ASSISTANT_FRAME_PART_NUMBER)
     tracker = scene.tracker.model_copy(update={"tools": (*tools, frame_on_assistant())})

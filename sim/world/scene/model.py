@@ -261,6 +261,27 @@ class Mount(Strict):
 SQUARE = sqrt(0.5)  # of a quaternion: a quarter turn
 
 
+class ForceSensorTruth(Strict):
+    """Six-axis force sensor between flange and holder, wired to the arm's controller."""
+
+    noise_N: NotNegative = Field(
+        default=0.2, description="Noise of a force in each cycle, one standard deviation."
+    )
+    noise_Nm: NotNegative = Field(default=0.01, description="The same of a torque.")
+    bias_N: NotNegative = Field(
+        default=3.0, description="Force that it shows without any, per axis, one standard deviation."
+    )
+    gain_share: NotNegative = Field(
+        default=0.005, description="Error of its gain, one standard deviation of each axis."
+    )
+    crosstalk_share: NotNegative = Field(
+        default=0.01, description="Share of a force that shows on another axis, one standard deviation."
+    )
+    drift_N_min: NotNegative = Field(
+        default=0.05, description="Drift of a force, per axis, one standard deviation."
+    )
+
+
 class AssistantTruth(Strict):
     """The assistant: a second arm on a cart of its own, with a tracked frame and a ball on its holder."""
 
@@ -281,6 +302,13 @@ class AssistantTruth(Strict):
         default=PoseRecord(translation_mm=(0.0, 0.0, 110.0), quaternion_wxyz=(SQUARE, 0.0, SQUARE, 0.0)),
         description="Pose flange <- clamp of its holder, z along the instrument; the depth stop is at its "
         "origin.",
+    )
+    force_sensor: ForceSensorTruth | None = Field(
+        default=None,
+        description="Force sensor on the flange of an arm that senses no force by itself; none without.",
+    )
+    drills: bool = Field(
+        default=False, description="Whether the theatre file has the assistant drill, not a hand."
     )
 
 

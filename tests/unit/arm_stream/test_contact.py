@@ -200,7 +200,8 @@ def test_an_insertion_is_a_line_at_its_speed() -> None:
         Insertion(target(20.0), TOOL, 5.1),
         Insertion(target(20.0), TOOL, nan),
         Insertion(target(20.0), TOOL, force_limit_N=0.0),
-        Insertion(target(20.0, aside_mm=1.1), TOOL, start=target(0.0)),
+        Insertion(target(20.0, aside_mm=2.6), TOOL, start=target(0.0)),
+        Insertion(target(20.0), TOOL, 15.1, in_bore=True),
         Insertion(target(20.0, aside_mm=0.25), TOOL, start=target(0.0, aside_mm=0.25)),
     ],
 )

@@ -204,15 +204,18 @@ def test_the_instrument_is_led_slowly_to_the_guide_and_from_off_the_skin_on(assi
     assert slow == into_head < guided
 
 
-def test_an_arm_that_senses_force_watches_it_all_the_way_at_one_speed(
-    assistant: Assistant, monkeypatch: pytest.MonkeyPatch
+def test_an_arm_that_senses_force_watches_it_all_the_way_also_where_it_is_faster(
+    assistant: Assistant,
 ) -> None:
-    monkeypatch.setattr(Assistant, "senses_force", True)
     axis = assistant.place.axis
     assert axis is not None
-    assert travels_mm(assistant, assistant.insert_motion(axis, guided=GUIDED)) == pytest.approx(
-        [TRAVEL_MM], abs=1e-6
-    )
+    motion = assistant.insert_motion(axis, guided=GUIDED)
+    watched = [assistant.force_limited(leg, motion, 15.0) for leg in motion.legs]
+    assert [one and (one.force_limit_N, one.in_bore, one.speed_mm_s) for one in watched] == [
+        (15.0, False, 5.0),
+        (15.0, True, 15.0),
+        (15.0, False, 5.0),
+    ]
 
 
 def test_an_insertion_goes_on_from_where_it_was_stopped_and_never_back(

@@ -6,6 +6,7 @@ and all ways are clear; of these the one nearest to the postures in which the ba
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
@@ -24,7 +25,6 @@ from procedures.steps.clinical.room import ExpectedSight, room_watch
 from procedures.steps.clinical.surroundings import planning_scene_of
 from procedures.steps.clinical.two_arms import base_postures
 from procedures.steps.clinical.two_arms.base_visits import stated_arms
-from procedures.steps.clinical.work_progress import DepthStop
 from procedures.strategies.strategy import LAST_STRETCH_MM, Sides
 from procedures.workcell import InsertionAxis, MountedTool, Workcell
 from procedures.workcell.assistant import Assistant
@@ -36,6 +36,8 @@ from ronna_hw.tool_record import GuideBore
 from ronna_hw.vectors import JointVector
 
 ABOVE_GUIDE_MM = 12.0  # of the tip, where it is compared with the axis of the bore
+# Safety against an arm that passes near a singularity with an instrument in the guide (U).
+TWIST_RAD = math.radians(60.0)  # of a joint on the straight way
 WRIST_JOINTS = 3  # the last ones, which turn the instrument where it is
 # Safety against a clamp that pushes the guide (U).
 PAST_CONTACT_MM = 0.4  # of the clamp, which slides: more than both arms and their bases are in error
@@ -52,7 +54,7 @@ class AxisApproach(NamedTuple):
 class _Candidate(NamedTuple):
     """An axis in the robot frame with its joints by the record, and how well it suits: the smallest first."""
 
-    rank: tuple[bool, bool, int, float]
+    rank: tuple[bool, bool, bool, int, float]
     axis: InsertionAxis
     start_rad: JointVector
     held_rad: JointVector
@@ -97,10 +99,13 @@ class Meeting(NamedTuple):
         return replace(axis, held=assistant.base @ held @ really.inverse() @ held)
 
 
-def find_axis(context: StepContext, assistant: Assistant, stop: DepthStop, known: KnownBases) -> AxisApproach:
-    """Return how the assistant brings the instrument into the guide. Raises PLAN-007."""
+def find_axis(context: StepContext, assistant: Assistant, tip_mm: float, known: KnownBases) -> AxisApproach:
+    """Return how the assistant brings a tool, its tip so far beyond its stop, into the guide.
+
+    Raises PLAN-007.
+    """
     meeting, robot_from_ct = Meeting.of(context, known), registered_here(context)
-    turns = _list_turns(context, stop, meeting)
+    turns = _list_turns(context, tip_mm, meeting)
     found = _list_reached(assistant, turns, known, measuring_volume_mm(context.workcell.tracker))
     here_rad, in_sight = assistant.joints_rad(), 0
     in_the_way: list[str] = []
@@ -155,11 +160,11 @@ def surround_at_guide(context: StepContext, near_rad: JointVector, robot_from_ct
     workcell.assistant.surround(around, near_rad)
 
 
-def _list_turns(context: StepContext, stop: DepthStop, meeting: Meeting) -> list[InsertionAxis]:
+def _list_turns(context: StepContext, tip_mm: float, meeting: Meeting) -> list[InsertionAxis]:
     """List the axes of all turns about the bore."""
     guide, bore = meeting.guide(context.workcell), meeting.bore
     top_mm = guide.apply((0.0, 0.0, -bore.reach_mm - bore.length_mm + PAST_CONTACT_MM))
-    travel_mm = stop.read_mm + ABOVE_GUIDE_MM + PAST_CONTACT_MM
+    travel_mm = tip_mm + ABOVE_GUIDE_MM + PAST_CONTACT_MM
     axes = []
     for turn in base_postures.turns_about_axis(guide.rigid.rotation):
         held = Transform(guide.target, guide.source, RigidTransform.from_components(top_mm, turn))
@@ -173,7 +178,8 @@ def _list_reached(
     """List the axes in reach, with either posture of the wrist.
 
     First those in the wrist's posture at the looks, for which it is known what the arm errs; of these, those
-    over which the tracker can compare the frames of both arms.
+    over which the tracker can compare the frames of both arms; of these, those on whose way no joint turns
+    far, as near a singularity, where an arm is slow and errs more.
     """
     tracker = assistant.base.inverse() @ known.robot_from_tracker.transform
     frame = known.flange_from_frame.transform
@@ -202,7 +208,8 @@ def _list_reached(
             way_rad = base_postures.travel_rad(assistant.home_rad, at_start) + base_postures.travel_rad(
                 at_start, at_end
             )
-            rank = (other_wrist, hidden, round(away / base_postures.TURN_STEP_RAD), way_rad)
+            twists = max(abs(a - b) for a, b in zip(at_start, at_end, strict=True)) > TWIST_RAD
+            rank = (other_wrist, hidden, twists, round(away / base_postures.TURN_STEP_RAD), way_rad)
             found.append(_Candidate(rank, replace(one, arriving=signs), at_start, at_end))
     return found
 

@@ -15,11 +15,11 @@ from procedures.guards.errors import InsertionDisturbed
 from procedures.guards.guide_displacement import PUSHED_MM
 from procedures.journal.errors import GateFailed
 from procedures.operator.question import NO, YES
-from procedures.steps.clinical.two_arms import assisted_insertion
-from procedures.steps.clinical.two_arms.assisted_insertion import (
+from procedures.steps.clinical.two_arms import over_guide
+from procedures.steps.clinical.two_arms.over_guide import (
     _require_bases,
     _require_seen_coaxial,
-    insert_with_assistant,
+    bring_over_guide,
 )
 
 BASES = object()
@@ -51,10 +51,10 @@ def test_bases_from_before_a_fault_lead_no_instrument_unless_they_are_kept() -> 
 def over_the_guide(monkeypatch: pytest.MonkeyPatch, **seen: Any) -> tuple[StepContext, list[str]]:
     """A context whose next look at the room is over the guide, with both arms known."""
     room, found = TwoArmRoom(), list[str]()
-    monkeypatch.setattr(assisted_insertion, "room_watch", lambda _context: room.watch)
+    monkeypatch.setattr(over_guide, "room_watch", lambda _context: room.watch)
     room.joints_rad = OVER_GUIDE_RAD
     look = partial(room.look, **seen)
-    monkeypatch.setattr(assisted_insertion, "check_room", lambda *_args: look())
+    monkeypatch.setattr(over_guide, "check_room", lambda *_args: look())
     kept: list[Any] = []
     memory = SimpleNamespace(keep=kept.append, find=lambda _kind: kept[-1] if kept else None)
     fields = {
@@ -118,8 +118,8 @@ def test_a_repeated_step_leads_no_instrument_out_beside_the_bore(monkeypatch: py
     workcell = SimpleNamespace(assistant=assistant, assistants=(assistant,), start=lambda: None)
     fields = {"workcell": workcell, "trajectory": "T1", "setting": SimpleNamespace(clock=None)}
     context = cast("StepContext", SimpleNamespace(**fields))
-    monkeypatch.setattr(assisted_insertion, "room_watch", lambda _context: None)
-    monkeypatch.setattr(assisted_insertion, "look_before_retreat", seen_beside)
+    monkeypatch.setattr(over_guide, "room_watch", lambda _context: None)
+    monkeypatch.setattr(over_guide, "look_before_retreat", seen_beside)
     with pytest.raises(InsertionDisturbed):
-        insert_with_assistant(context, cast("Any", None))
+        bring_over_guide(context, cast("Any", None))
     assert not led_out

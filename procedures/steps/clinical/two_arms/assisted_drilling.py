@@ -1,0 +1,255 @@
+"""Drilling of the skull by the assistant, through the guide that the master holds.
+
+The drill's stop is set so that it rests on the guide just behind the skull as the CT shows it. The assistant
+leads the drill to in front of the bone, there the staff switch it on, and it is fed until the force shows the
+breakthrough. One that is too early or too late by the CT is for the operator. The opening is recorded, and
+the drill led out and put away, before anything else goes through the guide.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from procedures.engine.context import StepContext
+from procedures.journal.errors import GateFailed
+from procedures.operator.question import NO, YES, Question, Task, Topic
+from procedures.planning.skull_section import SkullSection, measure_skull
+from procedures.steps.clinical.ct_import import volume_of
+from procedures.steps.clinical.plan_check import CheckedPlan
+from procedures.steps.clinical.results import CranialOpening
+from procedures.steps.clinical.two_arms.insertion_axis import ABOVE_GUIDE_MM
+from procedures.steps.clinical.two_arms.over_guide import (
+    LoadedTool,
+    OverGuide,
+    bring_over_guide,
+    guided_stretch,
+    look_back,
+)
+from procedures.steps.clinical.work_progress import STOP_LIMIT_MM, DepthStop
+from procedures.steps.errors import DEPTH_STOP_WRONG
+from procedures.workcell import InsertionAxis
+from procedures.workcell.assistant import DrillPlan, GuidedStretch
+from ronna_hw.devices.contact import INSERTION_SPEED_MM_S, DrillLimits, Inserted
+from ronna_hw.text import format_against_limit
+from ronna_hw.wire.room_tasks import DRILL_HOLDER, REST_DRILL, TURN_DRILL
+
+# Safety against a drill fed too fast (U).
+FEED_MM_S = 0.5  # a stop from there takes a hundredth of a mm
+# Behind the inside of the skull by the CT the stop rests on the guide, and no set-point is beyond. It leaves
+# room for the point of the drill and what CT and arms err.
+# Safety against a drill that plunges (U).
+BEHIND_SKULL_MM = 2.5
+# A breakthrough elsewhere about the inside of the skull by the CT is for the operator. The point of a drill
+# passes the inside by up to a mm until the force falls.
+# Safety against a breakthrough taken for one (U).
+EARLY_MM, LATE_MM = 1.0, 2.0
+BEFORE_BONE_MM = 2.0  # of the tip, where the drill is switched on: more than CT and arms err
+SLOW_SHARE = 0.6  # of the limit: from there on the feed is slowed
+TOUCH_N = 4.0  # skin at its edges and a drill that turns in air take less (U)
+FREE_N = 1.0  # twice the error of a sensor's force; diploe resists with 2 N (U)
+FALL_SHARE = 0.4  # of the force in the inner cortex: the point of the drill is through (U)
+FREE_MM = 0.6  # of feed without any resistance: thinner than any diploe without bone (U)
+
+
+class DrillDepths(NamedTuple):
+    """Depths behind the entry, and how far the clamp is from the start of its axis at depth 0."""
+
+    skull: SkullSection
+    at_entry_mm: float
+
+    @property
+    def deepest_mm(self) -> float:
+        return self.skull.inside_mm + BEHIND_SKULL_MM
+
+    @property
+    def from_mm(self) -> float:
+        return self.skull.outside_mm - BEFORE_BONE_MM
+
+
+def drill_with_assistant(context: StepContext, stop: DepthStop) -> CranialOpening | None:
+    """Have the assistant drill the skull, and return the opening; None if a hand is to drill.
+
+    Raises PRO-002, PRO-007, TOOL-004 and, as the way over the guide and the arm, what stops an insertion.
+    """
+    assistant, trajectory, settings = context.workcell.assistant, context.trajectory, context.setting.settings
+    if not settings.assistant_drills:
+        return None
+    depths = _find_depths(context, stop)
+    if depths is None:
+        return None
+    stop_mm = stop.bore_mm + stop.standoff_mm + depths.deepest_mm
+    limit_N = settings.drill_force_N
+
+    def ask(axis: InsertionAxis) -> str:
+        skull, earlier = depths.skull, context.workcell.master.instrument.stages.interruption_at(trajectory)
+        begun = f" DRILLING WAS BEGUN THERE and interrupted: {earlier}." if earlier else ""
+        return (
+            f"May the assistant bring the drill over the guide at {trajectory}, lead it at "
+            f"{INSERTION_SPEED_MM_S:g} mm/s to {BEFORE_BONE_MM:g} mm off the bone and, once it is switched "
+            f"on, drill at {FEED_MM_S:g} mm/s? By the CT the skull is {skull.outside_mm:.1f} to "
+            f"{skull.inside_mm:.1f} mm behind the entry; the drill ends where the force shows the "
+            f"breakthrough, at {limit_N:g} N, or at {depths.deepest_mm:.1f} mm, where its stop rests on the "
+            f"guide.{begun}"
+        )
+
+    def load(context: StepContext) -> None:
+        _load_drill(context, stop_mm)
+
+    over = bring_over_guide(context, LoadedTool(stop_mm, load, ask))
+    axis = assistant.axis_in_base(over.axis)
+    context.progress(0.3, f"the assistant leads the drill to the bone at {trajectory}")
+    guided = guided_stretch(context, stop)
+    assistant.lead_in(axis, depths.at_entry_mm + depths.from_mm, guided, "the drill")
+    context.perform_task(
+        Task(TURN_DRILL, f"switch the drill for {trajectory} on, and keep it running", trajectory)
+    )
+    context.progress(0.4, f"the assistant drills at {trajectory}")
+    plan = _plan_feed(depths, limit_N, assistant.force_error_N)
+    drilled = assistant.drill(axis, plan)
+    depth_mm = assistant.require_on_axis() - depths.at_entry_mm
+    context.perform_task(Task(REST_DRILL, f"switch the drill for {trajectory} off", trajectory))
+    doubt = _accept_breakthrough(context, depths, drilled, depth_mm)
+    opening = _build_opening(depths, plan, over, drilled, depth_mm, assistant.force_error_N, doubt)
+    context.workcell.master.instrument.stages.record_opening(trajectory, opening.model_dump(mode="json"))
+    context.find(f"at {trajectory} the assistant drilled: {describe_opening(opening)}")
+    _put_drill_away(context, guided)
+    return opening
+
+
+def describe_opening(opening: CranialOpening) -> str:
+    """Describe an opening in one line."""
+    through = "the force showed the breakthrough" if opening.broke_through else "no breakthrough was seen"
+    return (
+        f"{through} {opening.depth_mm:.1f} mm behind the entry (inside of the skull by the CT "
+        f"{opening.planned_inside_mm:.1f} mm), up to {opening.peak_force_N:.1f} ± "
+        f"{opening.force_error_N:.1f} N of {opening.force_limit_N:g} N, {opening.drilled_s:.0f} s"
+        + (f", slowed for {opening.slowed_s:.0f} s" if opening.slowed_s >= 1.0 else "")
+        + (f"; {opening.doubt}, accepted by the operator" if opening.doubt else "")
+    )
+
+
+def _find_depths(context: StepContext, stop: DepthStop) -> DrillDepths | None:
+    """Find the depths at which to drill, None (with a finding) where only a hand may drill."""
+    trajectory = context.trajectory
+    if not context.workcell.assistant.senses_force:
+        context.find(f"at {trajectory} a hand drills: the assistant senses no force")
+        return None
+    planned = context.result(CheckedPlan).trajectory(trajectory)
+    skull = measure_skull(volume_of(context), planned.trajectory)
+    if skull is None:
+        context.find(f"at {trajectory} a hand drills: the CT shows no skull with an inside on its way")
+        return None
+    return DrillDepths(skull, ABOVE_GUIDE_MM + stop.bore_mm + stop.standoff_mm)
+
+
+def _load_drill(context: StepContext, stop_mm: float) -> None:
+    """Have the drill put into the holder, its stop set. Raises TOOL-004 if the stop is set wrong."""
+    trajectory = context.trajectory
+    task = Task(
+        DRILL_HOLDER,
+        f"set the stop of the drill for {trajectory} to {stop_mm:.2f} mm from its tip, put it into the "
+        "assistant's holder, its stop against the clamp, and close the clamp; it stays switched off",
+        trajectory,
+        (stop_mm,),
+        ("from the tip of the drill to its stop in mm",),
+        (1.0, 2.0 * stop_mm),
+    )
+    (read_mm,) = context.perform_task(task)
+    if abs(read_mm - stop_mm) > STOP_LIMIT_MM:
+        raise DEPTH_STOP_WRONG(
+            f"the stop of the drill for {trajectory} is set wrong",
+            expected=f"{stop_mm:.2f} mm",
+            limit=f"{STOP_LIMIT_MM:g} mm from it",
+            got=f"{read_mm:.2f} mm",
+        )
+
+
+def _plan_feed(depths: DrillDepths, limit_N: float, error_N: float) -> DrillPlan:
+    limits = DrillLimits(
+        slow_N=SLOW_SHARE * limit_N,
+        touch_N=TOUCH_N,
+        free_N=max(FREE_N, error_N),
+        fall_share=FALL_SHARE,
+        earliest_mm=BEHIND_SKULL_MM + EARLY_MM,
+        free_mm=FREE_MM,
+    )
+    at_entry_mm = depths.at_entry_mm
+    return DrillPlan(
+        at_entry_mm + depths.from_mm, at_entry_mm + depths.deepest_mm, FEED_MM_S, limit_N, limits
+    )
+
+
+def _accept_breakthrough(
+    context: StepContext, depths: DrillDepths, drilled: Inserted, depth_mm: float
+) -> str:
+    """Return what does not agree with the CT, once the operator accepts it. Raises PRO-007 otherwise."""
+    trajectory, inside_mm = context.trajectory, depths.skull.inside_mm
+    off_mm = depth_mm - inside_mm
+    if not drilled.broke_through:
+        doubt = f"no breakthrough up to {depth_mm:.1f} mm, {off_mm:.1f} mm behind the skull of the CT"
+        limit = "a fall of the force"
+    elif off_mm < -EARLY_MM:
+        doubt = f"a breakthrough {-off_mm:.1f} mm before the inside of the skull by the CT"
+        limit = f"{EARLY_MM:g} mm before {inside_mm:.1f} mm"
+    elif off_mm > LATE_MM:
+        doubt = f"a breakthrough {off_mm:.1f} mm behind the inside of the skull by the CT"
+        limit = f"{LATE_MM:g} mm behind {inside_mm:.1f} mm"
+    else:
+        return ""
+    context.find(f"at {trajectory} the drill found {doubt}")
+    question = Question(
+        Topic.BREAKTHROUGH,
+        f"Does the opening at {trajectory} count as drilled? The drill is switched off, and still in it.",
+        f"{doubt}; {YES}: it is led out, and you are asked once more whether the skull is drilled; {NO}: the "
+        "step ends with the drill where it is; repeated, it leads it out, and asks before it goes in again",
+        (YES, NO),
+        trajectory=trajectory,
+        timeout_s=None,
+    )
+    if context.choose(question) == YES:
+        return doubt
+    raise GateFailed(
+        f"the operator did not accept the opening at {trajectory}",
+        limit=limit,
+        got=f"{format_against_limit(depth_mm, inside_mm, 1)} mm: {doubt}",
+        action="Nothing moves. Repeat the step: the drill is led out once that is confirmed, and drilling "
+        "goes on only after another question. Or send the arms home and drill by hand.",
+    )
+
+
+def _build_opening(
+    depths: DrillDepths,
+    plan: DrillPlan,
+    over: OverGuide,
+    drilled: Inserted,
+    depth_mm: float,
+    error_N: float,
+    doubt: str,
+) -> CranialOpening:
+    return CranialOpening(
+        planned_outside_mm=depths.skull.outside_mm,
+        planned_inside_mm=depths.skull.inside_mm,
+        deepest_mm=depths.deepest_mm,
+        depth_mm=depth_mm,
+        broke_through=drilled.broke_through,
+        doubt=doubt,
+        peak_force_N=drilled.peak_force_N or 0.0,
+        force_limit_N=plan.limit_N,
+        force_error_N=error_N,
+        drilled_s=drilled.drilled_s,
+        slowed_s=drilled.slowed_s,
+        from_mm=depths.from_mm,
+        forces_N=drilled.drilled_N,
+        off_axis_mm=over.off_axis_mm,
+        seen_apart_mm=None if over.seen is None else over.seen.seen_mm,
+    )
+
+
+def _put_drill_away(context: StepContext, guided: GuidedStretch) -> None:
+    """Lead the drill out, have it taken out of the holder, and send the assistant home."""
+    workcell = context.workcell
+    workcell.start()
+    workcell.assistant.lead_out(look_back(context), guided)
+    context.request_instrument_removal()
+    workcell.assistant.return_home()
+    workcell.master.instrument.record_insertion(context.trajectory)  # the work by hand goes on

@@ -1,0 +1,74 @@
+"""Feed of a drill by the force against it, and the breakthrough by force and depth.
+
+The feed is slowed as the force comes near its limit, and rests until the drill has cut free. A breakthrough
+shows in two ways: beyond a planned depth the force falls to a share of its largest there; at any depth, once
+bone was met, nothing resists over some way. The first tells the inner cortex from the diploe by the CT, the
+second needs no CT and stops a drill in bone that is thinner than the CT shows.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+FEED_STEPS = 10  # the feed follows the force in tenths: a profile is planned anew for each
+FALL_CYCLES = 5  # in a row, until a fall counts
+# Safety against a drill that is pressed and does not cut (U).
+LONGEST_REST_S = 2.0  # of a feed: a drill that turns cuts itself free in a fifth of a second
+BINS = 32  # of a path, whose largest forces are kept
+
+
+class DrillWatch(NamedTuple):
+    """Forces (N) and places of a path, as shares of its length, by which a drill is fed and stopped."""
+
+    slow_N: float  # from here on the feed is slowed
+    hold_N: float  # here it rests
+    touch_N: float  # more than anything but bone resists
+    free_N: float  # less than any bone resists
+    fall_share: float  # of the largest force beyond `earliest`, below which the inner cortex is cut through
+    earliest: float  # from here on such a fall counts
+    free: float  # way over which nothing resists
+
+
+class DrillFeed:
+    """State of one motion of a drill."""
+
+    def __init__(self, watch: DrillWatch, cycle_s: float, *, in_bone: bool) -> None:
+        """Begin at the start of a path; `in_bone` if the drill went on from where it had been stopped."""
+        self._watch = watch
+        self._in_bone = in_bone
+        self._peak_N = 0.0  # beyond `earliest`
+        self._resisted = 0.0  # where something last did
+        self._falls = self._resting = 0  # cycles
+        self._most_resting = round(LONGEST_REST_S / cycle_s)
+        self.share = 1.0  # of the planned feed
+        self.has_broken_through = False
+        self.slowed_cycles = 0
+        self.forces_N = [0.0] * BINS
+
+    @property
+    def has_stalled(self) -> bool:
+        """Whether the feed has rested for too long: the drill does not cut."""
+        return self._resting > self._most_resting
+
+    def note(self, force_N: float, along: float) -> None:
+        """Take the force of one cycle, at a share of the path."""
+        watch = self._watch
+        place = min(int(along * BINS), BINS - 1)
+        self.forces_N[place] = max(self.forces_N[place], force_N)
+        over = (watch.hold_N - force_N) / (watch.hold_N - watch.slow_N)
+        self.share = int(min(max(over, 0.0), 1.0) * FEED_STEPS + 0.5) / FEED_STEPS
+        self.slowed_cycles += self.share < 1.0
+        self._resting = 0 if self.share else self._resting + 1
+        if force_N >= watch.free_N:
+            self._resisted = along
+        if force_N >= watch.touch_N:
+            self._in_bone = True
+        if not self._in_bone:
+            self._resisted = along
+            return
+        if along >= watch.earliest:
+            self._peak_N = max(self._peak_N, force_N)
+            has_fallen = self._peak_N >= watch.touch_N and force_N < watch.fall_share * self._peak_N
+            self._falls = self._falls + 1 if has_fallen else 0
+        is_free = along - self._resisted >= watch.free
+        self.has_broken_through |= self._falls >= FALL_CYCLES or is_free

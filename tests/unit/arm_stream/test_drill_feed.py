@@ -1,0 +1,115 @@
+"""Feed of a drill through a skull: slowed by force, ended by a breakthrough or a drill that does not cut."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import pytest
+
+from ronna_hw.arm_stream.drill_feed import LONGEST_REST_S, DrillFeed, DrillWatch
+from sim.world.drilling import ThrustModel
+from sim.world.skull import SCALP_MM, SkullTables
+
+CYCLE_S = 0.004
+FEED_MM_S = 0.5
+CT = SkullTables.of()
+BEGIN_MM, END_MM = CT.outside_mm - 2.0, CT.inside_mm + 2.5
+EARLIEST_MM = CT.inside_mm - 1.0
+LIMIT_N = 30.0
+
+
+class Drilled(NamedTuple):
+    """Where the feed ended (mm below the skin), the largest force, and the theatre time."""
+
+    depth_mm: float
+    peak_N: float
+    lasted_s: float
+    feed: DrillFeed
+
+
+def watch() -> DrillWatch:
+    length_mm = END_MM - BEGIN_MM
+    return DrillWatch(
+        slow_N=18.0,
+        hold_N=27.6,
+        touch_N=4.0,
+        free_N=1.0,
+        fall_share=0.4,
+        earliest=(EARLIEST_MM - BEGIN_MM) / length_mm,
+        free=0.6 / length_mm,
+    )
+
+
+def drill(tables: SkullTables, *, harder: float = 1.0, turns: bool = True) -> Drilled:
+    """Feed a drill into a skull until the feed ends, or its way."""
+    feed, thrust = DrillFeed(watch(), CYCLE_S, in_bone=False), ThrustModel(harder)
+    depth_mm, peak_N, cycles = BEGIN_MM, 0.0, 0
+    while depth_mm < END_MM and not feed.has_broken_through and not feed.has_stalled:
+        depth_mm += feed.share * FEED_MM_S * CYCLE_S
+        force_N = thrust.advance(tables, depth_mm, CYCLE_S if turns else 0.0)
+        feed.note(force_N, (depth_mm - BEGIN_MM) / (END_MM - BEGIN_MM))
+        peak_N, cycles = max(peak_N, force_N), cycles + 1
+    return Drilled(depth_mm, peak_N, cycles * CYCLE_S, feed)
+
+
+@pytest.mark.hazard(65)
+@pytest.mark.parametrize("thicker_mm", [-0.8, 0.0, 0.8])
+def test_a_drill_stops_within_a_millimetre_behind_the_skull(thicker_mm: float) -> None:
+    true = SkullTables.of(thicker_mm)
+    drilled = drill(true)
+    assert drilled.feed.has_broken_through
+    assert 0.0 < drilled.depth_mm - true.inside_mm < 1.0
+    assert drilled.peak_N < LIMIT_N
+
+
+@pytest.mark.hazard(65)
+def test_the_diploe_is_no_breakthrough_and_both_cortices_show_in_the_forces() -> None:
+    feed = drill(CT).feed
+    bins_mm = (END_MM - BEGIN_MM) / len(feed.forces_N)
+    in_diploe = feed.forces_N[int((CT.diploe_mm + 1.5 - BEGIN_MM) / bins_mm)]
+    assert in_diploe < 4.0 < 10.0 < max(feed.forces_N[:12])
+    assert max(feed.forces_N[-12:]) > 10.0
+
+
+@pytest.mark.hazard(65)
+def test_a_skull_much_thinner_than_in_the_ct_is_left_by_what_no_longer_resists() -> None:
+    true = SkullTables.of(-3.5)
+    drilled = drill(true)
+    assert true.inside_mm < EARLIEST_MM - 2.0
+    assert drilled.feed.has_broken_through
+    assert drilled.depth_mm - true.inside_mm < 1.8
+    assert drilled.depth_mm < EARLIEST_MM
+
+
+@pytest.mark.hazard(65)
+def test_in_a_skull_much_thicker_than_in_the_ct_the_way_ends_first() -> None:
+    drilled = drill(SkullTables.of(4.0))
+    assert not drilled.feed.has_broken_through
+    assert drilled.depth_mm == pytest.approx(END_MM, abs=0.01)
+
+
+@pytest.mark.hazard(66)
+def test_hard_bone_slows_the_feed_below_its_limit() -> None:
+    drilled = drill(CT, harder=2.0)
+    assert drilled.feed.has_broken_through
+    assert drilled.feed.slowed_cycles > 0
+    assert drilled.peak_N < LIMIT_N
+    assert drilled.lasted_s > drill(CT).lasted_s
+
+
+@pytest.mark.hazard(66)
+def test_a_drill_that_does_not_turn_is_held_and_given_up() -> None:
+    drilled = drill(CT, turns=False)
+    assert drilled.feed.has_stalled
+    assert not drilled.feed.has_broken_through
+    assert drilled.peak_N < LIMIT_N
+    assert drilled.depth_mm < CT.outside_mm + 1.0
+    assert drilled.lasted_s > LONGEST_REST_S
+
+
+def test_a_way_through_air_is_no_breakthrough() -> None:
+    assert pytest.approx(5.7) == SCALP_MM
+    feed = DrillFeed(watch(), CYCLE_S, in_bone=False)
+    for step in range(100):
+        feed.note(0.3, step / 100.0)
+    assert not feed.has_broken_through

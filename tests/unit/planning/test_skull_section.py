@@ -1,0 +1,52 @@
+"""The skull along a trajectory: faces found in coarse and fine CT, and what is no skull."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from procedures.imaging.volume import Volume, VoxelGeometry
+from procedures.planning.skull_section import measure_skull
+from procedures.strategies.trajectory import Trajectory
+
+AXES = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])
+# Beginning (mm) and HU of the layers from the air inwards: skin, fat and muscle, two tables about a diploe.
+HEAD = ((0.0, 40.0), (5.7, 1450.0), (7.5, 650.0), (10.7, 1450.0), (12.5, 30.0))
+INTO_HEAD = Trajectory("T1", (20.0, 20.0, 10.0), (20.0, 20.0, 60.0))
+
+
+def volume(layers: tuple[tuple[float, float], ...], slice_mm: float, blur_mm: float = 0.6) -> Volume:
+    """Return layers across the slices, whose skin is at 10 mm."""
+    fine_mm = 0.05
+    depths = np.arange(0.0, 80.0, fine_mm) - 10.0
+    hu: NDArray[np.float64] = np.full(len(depths), -1000.0)
+    for begin_mm, value in layers:
+        hu[depths >= begin_mm] = value
+    seen = ndimage.gaussian_filter1d(hu, blur_mm / fine_mm)
+    centres_mm = np.arange(0.0, 75.0, slice_mm)
+    voxels = np.repeat(np.interp(centres_mm, depths + 10.0, seen), 400).reshape(-1, 20, 20)
+    spacing = np.array([slice_mm, 2.0, 2.0])
+    geometry = VoxelGeometry(voxels.shape, np.zeros(3), AXES, spacing)
+    return Volume(voxels.astype(np.int16), geometry, "1.2.3", "1.2.4")
+
+
+@pytest.mark.parametrize(("slice_mm", "within_mm"), [(0.5, 0.25), (1.0, 0.5), (1.5, 0.8)])
+def test_both_faces_of_the_skull_are_found(slice_mm: float, within_mm: float) -> None:
+    found = measure_skull(volume(HEAD, slice_mm), INTO_HEAD)
+    assert found is not None
+    assert found.outside_mm == pytest.approx(5.7, abs=within_mm)
+    assert found.inside_mm == pytest.approx(12.5, abs=within_mm)
+
+
+def test_an_air_cell_in_the_bone_is_no_inside() -> None:
+    cell = (*HEAD[:2], (7.5, -900.0), (9.5, 650.0), *HEAD[3:])
+    found = measure_skull(volume(cell, 0.5), INTO_HEAD)
+    assert found is not None
+    assert found.inside_mm == pytest.approx(12.5, abs=0.3)
+
+
+@pytest.mark.parametrize("layers", [HEAD[:1], (*HEAD[:1], (5.7, 1450.0))], ids=["no bone", "no inside"])
+def test_what_has_no_inside_is_left_to_a_hand(layers: tuple[tuple[float, float], ...]) -> None:
+    assert measure_skull(volume(layers, 0.5), INTO_HEAD) is None
