@@ -149,7 +149,18 @@ def predict_target_error(
     fit. A `residual` too large for the sources widens the limit.
     """
     spheres, target = np.asarray(spheres_mm, dtype=float), np.asarray(target_mm, dtype=float)
-    influence = influence_of_spheres(spheres, target, weights)
+    return predict_by_influence(influence_of_spheres(spheres, target, weights), sources, residual)
+
+
+def predict_by_influence(
+    influence: Array,
+    sources: Sequence[SharedErrors | IndependentErrors],
+    residual: ResidualCheck | None = None,
+) -> TargetPrediction:
+    """Predict the error at a target by the influence (n, 3, 3) of each sphere on it.
+
+    A `residual` too large for the sources widens the limit.
+    """
     parts: dict[str, Array] = {}
     tested: set[str] = set()  # by the residual, as they displace a sphere
     rare = frozenset(one.source for one in sources if isinstance(one, IndependentErrors) and one.rare)
