@@ -12,6 +12,7 @@ from procedures.strategies.fixed_orientation import NeutralOrientation, Orientat
 from procedures.strategies.joint_displacement import (
     ImprovedDisplacementMinimization,
     JointDisplacementMinimization,
+    LearningStrategy,
 )
 from procedures.strategies.strategy import ArmInBranch, Strategy
 from procedures.strategies.trajectory import Trajectory
@@ -40,6 +41,10 @@ class StrategyByTrajectory:
     @property
     def name(self) -> str:
         return self.usual.name
+
+    @property
+    def learns_arm(self) -> bool:
+        return self.usual.learns_arm
 
     @property
     def controls_approach(self) -> bool:
@@ -94,6 +99,7 @@ STRATEGIES: tuple[Strategy, ...] = (
     JointDisplacementMinimization(),
     ImprovedDisplacementMinimization(),
     BestOfEach(),
+    LearningStrategy(),
 )
 
 
