@@ -44,7 +44,7 @@ def choose_learning_looks(
     """Replace the localizations of a passed check by the looks that teach most; others stay unchanged.
 
     Fiducials (n, 3) are in CT mm. At most as many looks are taken as by `ocs`. If the chosen ones cannot be
-    driven, the check stays as it is: every sphere as by `improved`.
+    driven, the check stays as it is: every sphere as by `ocs`.
     """
     check, fiducials = turned.check, np.asarray(fiducials_mm, dtype=float).reshape(-1, 3)
     if not setting.strategy.learns_arm or not check.passed or check.branch is None or not len(fiducials):

@@ -34,6 +34,8 @@ from procedures.registration.target_prediction import (
     ResidualCheck,
     SharedErrors,
     TargetPrediction,
+    UnnoticedPoint,
+    find_worst_displacement,
     predict_by_influence,
 )
 from ronna_hw.arrays import Array
@@ -114,14 +116,14 @@ class ArmLearning:
     looks: Looks
     probabilities: Array
     chi_squares: Array  # (h,) of the residuals, 3m - 6 degrees of freedom
-    pose_steps: Array  # (h, 6)
-    weights: Array  # (h, 3m, 3m) of the residuals, excluding what a pose explains
+    informations: Array  # (h, 3m, 3m) of the looks
+    weights: Array  # (h, 3m, 3m) the same of the residuals, excluding what a pose explains
 
     @classmethod
     def of(cls, looks: Looks) -> Self:
         """Adjust at least three looks at different spheres."""
         residuals, pose = looks.residuals_mm.reshape(-1), _pose_columns(looks.points_mm)
-        evidence, chi_squares, steps, weights = [], [], [], []
+        evidence, chi_squares, informations, weights = [], [], [], []
         for one in HYPOTHESES:
             covariance = covariance_of(one.sources(looks.arm, looks.others))
             information = np.linalg.inv(covariance)
@@ -131,7 +133,7 @@ class ArmLearning:
             spread = np.linalg.slogdet(covariance)[1] + np.linalg.slogdet(normal)[1]
             evidence.append(-0.5 * (spread + chi_square))
             chi_squares.append(chi_square)
-            steps.append(np.linalg.solve(normal, pose.T @ information @ residuals))
+            informations.append(information)
             weights.append(weight)
         odds = np.array(evidence) + PRIOR
         probabilities = np.exp(odds - odds.max())
@@ -139,7 +141,7 @@ class ArmLearning:
             looks,
             probabilities / probabilities.sum(),
             np.array(chi_squares),
-            np.array(steps),
+            np.array(informations),
             np.array(weights),
         )
 
@@ -162,7 +164,8 @@ class ArmLearning:
     def spheres_mm(self, rows: Sequence[Sequence[int]]) -> tuple[Array, Array]:
         """Return the true place (n, 3) mm of each sphere by its looks, and its covariance (n, 3, 3).
 
-        `rows` are the looks at each sphere. The covariance is that of the arm and of the looks themselves.
+        `rows` are the looks at each sphere. The covariance is that of the arm and of the looks themselves, with
+        the pose of the head given.
         """
         count, looks = len(rows), len(self.looks.points_mm)
         mean = np.zeros((count, looks))
@@ -173,15 +176,39 @@ class ArmLearning:
         residuals, shared = self.looks.residuals_mm.reshape(-1), covariance_of(self.looks.arm)
         apart = covariance_of([one for one in self.looks.others if isinstance(one, IndependentErrors)])
         place, covariance = np.zeros(AXES * count), np.zeros((AXES * count, AXES * count))
-        for one, probability, weight in zip(HYPOTHESES, self.probabilities, self.weights, strict=True):
+        found = (HYPOTHESES, self.probabilities, self.informations, self.weights)
+        for one, probability, information, weight in zip(*found, strict=True):
             arm = one.share**2 * shared
             lacking = one.scatter_mm**2 * np.eye(AXES * looks)
             place += probability * (average @ (looked - arm @ (weight @ residuals)))
-            remaining = arm - arm @ weight @ arm + apart + lacking
+            remaining = arm - arm @ information @ arm + apart + lacking
             covariance += probability * (average @ remaining @ average.T)
         blocks = covariance.reshape(count, AXES, count, AXES)
         own_blocks = blocks[np.arange(count), :, np.arange(count)]
         return place.reshape(-1, AXES), np.asarray(0.5 * (own_blocks + own_blocks.transpose(0, 2, 1)))
+
+    def find_unnoticed(
+        self,
+        rows: Sequence[Sequence[int]],
+        target_mm: Array,
+        sources: Sequence[Source],
+        limit: float,
+        most_mm: float,
+    ) -> UnnoticedPoint:
+        """Find the sphere whose displacement moves a target (3,) mm furthest with chi-square in its limit.
+
+        `rows` are the looks at each sphere, `sources` all errors under the stated sizes, `most_mm` bounds the
+        displacement. See `target_prediction.find_unnoticed_point`.
+        """
+        looks = len(self.looks.points_mm)
+        weight = np.einsum("h,hij->ij", self.probabilities, self.weights).reshape(looks, AXES, looks, AXES)
+        influence = best_influence(self.looks.points_mm, target_mm, sources)
+        return find_worst_displacement(
+            np.array([weight[list(own)][:, :, list(own)].sum(axis=(0, 2)) for own in rows]),
+            np.array([influence[list(own)].sum(axis=0) for own in rows]),
+            limit - self.residual.freedom,
+            most_mm,
+        )
 
     def at_target(self, target_mm: Array, arm: Sequence[Source], others: Sequence[Source]) -> LearnedTarget:
         """Correct and predict a target (3,) mm, given by the pose that the residuals were taken from.

@@ -8,11 +8,14 @@ from dataclasses import dataclass, field, replace
 from numpy.typing import ArrayLike
 
 from procedures.strategies.errors import UNKNOWN_STRATEGY
-from procedures.strategies.fixed_orientation import NeutralOrientation, OrientationCorrection
+from procedures.strategies.fixed_orientation import (
+    LearningStrategy,
+    NeutralOrientation,
+    OrientationCorrection,
+)
 from procedures.strategies.joint_displacement import (
     ImprovedDisplacementMinimization,
     JointDisplacementMinimization,
-    LearningStrategy,
 )
 from procedures.strategies.strategy import ArmInBranch, Strategy
 from procedures.strategies.trajectory import Trajectory

@@ -145,19 +145,6 @@ class ImprovedDisplacementMinimization(JointDisplacementMinimization):
         return tuple(arm.stereo_pose(_find_nearest_joints(arm, start, wanted)) for start in at_fiducials)
 
 
-@dataclass(frozen=True)
-class LearningStrategy(ImprovedDisplacementMinimization):
-    """The strategy `learning`: the looks of a case estimate the arm's errors and the registration together.
-
-    Free angles are those of `improved`. Its poses are candidates beside those of other strategies, see
-    `procedures.planning.learning_looks`.
-    """
-
-    name: str = "learning"
-    localizes_per_trajectory: bool = False
-    learns_arm: bool = True
-
-
 def _find_nearest_joints(arm: ArmInBranch, start_rad: JointVector, wanted: Array) -> JointVector:
     """Find joints with the tool origin of `start_rad` and error displacements nearest to `wanted`."""
     pose = arm.stereo_pose(start_rad)

@@ -242,8 +242,8 @@ def predict_tip_error(
         *(IndependentErrors(name, nothing, np.eye(3) * rms**2 / 3.0) for name, rms in at_target_mm.items()),
         *(IndependentErrors(name, nothing, part, rare=True) for name, part in unnoticed.items()),
     )
-    worst = pairs.find_unnoticed(tip_mm)
-    learned = pairs.predict(tip_mm, [held.turn_errors_back(one) for one in sources])
+    by_head = [held.turn_errors_back(one) for one in sources]
+    worst, learned = pairs.find_unnoticed(tip_mm, by_head), pairs.predict(tip_mm, by_head)
     predicted = learned.prediction
     prediction = Prediction(
         target=target,

@@ -79,7 +79,7 @@ class Pairs(Protocol):
         """Return the places of spheres without which the others agree, most likely first."""
         ...
 
-    def find_unnoticed(self, tip_mm: Array) -> UnnoticedPoint:
+    def find_unnoticed(self, tip_mm: Array, sources: Sequence[Source]) -> UnnoticedPoint:
         """Find the sphere whose displacement could move a target (3,) mm furthest while the gate passes."""
         ...
 
@@ -190,7 +190,7 @@ class LookedPairs:
             self.image_mm, self.physical_mm, self.measured_mm2, self.arm_mm, self.tool_mm
         )
 
-    def find_unnoticed(self, tip_mm: Array) -> UnnoticedPoint:
+    def find_unnoticed(self, tip_mm: Array, sources: Sequence[Source]) -> UnnoticedPoint:
         return error_budget.find_undetected_sphere(
             self.fit, tip_mm, self.gate, self.measured_mm2, self.arm_mm, self.tool_mm
         )
@@ -256,12 +256,11 @@ class LearnedPairs:
                     found.append((gate.chi_square, place))
         return tuple(place for _, place in sorted(found))
 
-    def find_unnoticed(self, tip_mm: Array) -> UnnoticedPoint:
-        covariance = self.fit.covariance_mm2
-        assert covariance is not None  # `fit` states it
-        alone = np.zeros((len(covariance), 3, 1))
-        gate = self.fit.gate(confidence=error_budget.GATE_CONFIDENCE)
-        return error_budget.find_undetected_sphere(self.fit, tip_mm, gate, covariance, 0.0, alone)
+    def find_unnoticed(self, tip_mm: Array, sources: Sequence[Source]) -> UnnoticedPoint:
+        arm, others = self._split(sources)
+        return self.learning.find_unnoticed(
+            self._rows, tip_mm, [*arm, *others], self.gate.chi_square_limit, error_budget.GROSS_MM
+        )
 
     def predict(self, tip_mm: Array, sources: Sequence[Source]) -> LearnedTarget:
         return self.learning.at_target(tip_mm, *self._split(sources))
