@@ -14,7 +14,6 @@ from itertools import pairwise, product
 import numpy as np
 from numpy.typing import ArrayLike
 
-from procedures.calibration.arm_sources import REPEATABILITY_MM
 from procedures.planning.free_angle import TurnedPaths
 from procedures.planning.line_of_sight import StereoSight
 from procedures.planning.motions import find_unclear
@@ -35,6 +34,7 @@ LOOK_S = 4.0
 WAY_RAD_S = 0.5  # of the joint that turns most, on the way to a look
 # Per axis, of CT and seating: the choice hardly depends on it.
 SPHERE_ERROR_MM = 0.06
+LOOK_ERROR_MM = 0.03  # per axis: the arm at rest, and some of what its model lacks
 CHOICES = 3  # until no chosen motion lacks clearance
 
 
@@ -134,7 +134,7 @@ def _choose(
             LOOK_S + ways_rad / WAY_RAD_S,
             arm_mm[: len(looks)],
             np.tile(np.eye(3) * SPHERE_ERROR_MM**2, (len(fiducials_mm), 1, 1)),
-            np.eye(3) * REPEATABILITY_MM**2,
+            np.eye(3) * LOOK_ERROR_MM**2,
         ),
         tips_mm,
         arm_mm[len(looks) :],

@@ -48,8 +48,8 @@ SIZES = "sizes of the arm's errors"
 # Share of the stated sizes, with a log-normal prior: two thirds of all arms are within a factor of two (U).
 SHARES = tuple(2.0 ** (step / 2.0) for step in range(-3, 5))  # 0.35 to 4
 SHARE_SD = math.log(2.0)
-# Scatter per axis from pose to pose beyond the model, and its prior: as often none as any (U).
-SCATTERS_MM = {0.0: 0.5, 0.03: 0.2, 0.06: 0.15, 0.12: 0.1, 0.24: 0.05}
+# Scatter per axis from pose to pose beyond the model, and its prior: more often none than any (U).
+SCATTERS_MM = {0.0: 0.6, 0.03: 0.2, 0.06: 0.12, 0.12: 0.06, 0.24: 0.02}
 
 
 @dataclass(frozen=True)
@@ -164,7 +164,7 @@ class ArmLearning:
     def spheres_mm(self, rows: Sequence[Sequence[int]]) -> tuple[Array, Array]:
         """Return the true place (n, 3) mm of each sphere by its looks, and its covariance (n, 3, 3).
 
-        `rows` are the looks at each sphere. The covariance is that of the arm and of the looks themselves, with
+        `rows` are the looks at each sphere. The covariance is that of arm and looks, with
         the pose of the head given.
         """
         count, looks = len(rows), len(self.looks.points_mm)
