@@ -91,6 +91,10 @@ class Hypothesis:
         return [*(_scaled(one, self.share) for one in arm), *others, lacking]
 
 
+# Largest size and scatter with which an arm is accepted: larger ones would explain a moved sphere.
+# Safety against spheres of CT and robot that do not agree. Source: simulated arms.
+LARGEST_SHARE, LARGEST_SCATTER_MM = 2.9, 0.06
+
 HYPOTHESES = tuple(Hypothesis(*both) for both in product(SHARES, SCATTERS_MM))
 STATED = Hypothesis(1.0, 0.0)
 PRIOR = np.array(
@@ -154,6 +158,13 @@ class ArmLearning:
     def scatter_mm(self) -> float:
         """Expected scatter per axis of the arm beyond its model."""
         return float(self.probabilities @ [one.scatter_mm for one in HYPOTHESES])
+
+    @cached_property
+    def acceptable(self) -> ResidualCheck:
+        """Residual under the most probable hypothesis that an arm is accepted with, for the gate."""
+        within = [one.share <= LARGEST_SHARE and one.scatter_mm <= LARGEST_SCATTER_MM for one in HYPOTHESES]
+        best = int(np.where(within, self.probabilities, -1.0).argmax())
+        return ResidualCheck(float(self.chi_squares[best]), self.looks.residuals_mm.size - 6)
 
     @cached_property
     def residual(self) -> ResidualCheck:

@@ -238,7 +238,7 @@ class LearnedPairs:
 
     @property
     def gate(self) -> FreGate:
-        residual = self._coarse.residual
+        residual = self._coarse.acceptable
         limit = chi_square_limit(residual.freedom, error_budget.GATE_CONFIDENCE)
         return FreGate(self.fit.fre_mm, residual.chi_square, limit, error_budget.GATE_CONFIDENCE)
 
