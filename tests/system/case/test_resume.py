@@ -54,6 +54,8 @@ def test_a_killed_and_resumed_case_reaches_its_target(
     [
         (("--strategy", "nos", "--calibrated"), SETTLES),
         (("--strategy", "nos", "--calibrated"), GOES_IN),
+        (("--strategy", "learning", "--markers", "4"), SETTLES),
+        (("--strategy", "learning", "--markers", "4"), GOES_IN),
         (("--measure-targets",), MEASURES),
         (("--arm", "ur5e"), SETTLES),
         (("--arm", "ur5e"), GOES_IN),

@@ -33,6 +33,7 @@ def test_the_commands_name_every_strategy() -> None:
         ("jdms", True, True),
         ("improved", True, True),
         ("best", True, True),
+        ("learning", False, True),
     ],
 )
 def test_a_strategy_declares_how_often_it_localizes_and_whether_it_controls_the_approach(
