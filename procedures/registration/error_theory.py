@@ -67,9 +67,15 @@ def fre_limit_mm(fle_mm: float, pairs: int, confidence: float = DEFAULT_CONFIDEN
     return fle_mm * math.sqrt(chi_square_limit(freedom, confidence) / (3 * pairs))
 
 
-def chi_square_limit(freedom: int, confidence: float) -> float:
-    """Return the chi-square value exceeded with probability 1 - confidence. Raises REG-007."""
+def chi_square_limit(freedom: int, confidence: float, covariance_freedom: float | None = None) -> float:
+    """Return the chi-square value exceeded with probability 1 - confidence. Raises REG-007.
+
+    `covariance_freedom` is given when the size of the covariance was itself estimated from that many degrees
+    of freedom; the limit then widens according to the F distribution.
+    """
     _require_confidence(confidence)
+    if covariance_freedom is not None:
+        return float(freedom * fdtri(freedom, covariance_freedom, confidence))
     return float(chdtri(freedom, 1.0 - confidence))
 
 

@@ -27,6 +27,7 @@ from procedures.registration import Registration, RoomPoint, TwoWayTable, regist
 from procedures.registration.error_theory import DEFAULT_CONFIDENCE, FreGate
 from procedures.registration.points import FEWEST_PAIRS
 from procedures.registration.target_prediction import (
+    AllowedErrors,
     IndependentErrors,
     check_residuals,
     predict_target_error,
@@ -66,7 +67,7 @@ class _Pairs:
     seating_mm2: Array
     stereo_mm2: Array
     sides_mm2: Array  # of backlashes, where the strategy does not control them
-    tool_mm: Array  # what each standard deviation of the tool frame displaces
+    allowed: AllowedErrors  # by the gate
 
     @property
     def measured_mm2(self) -> Array:
@@ -78,28 +79,33 @@ class _Pairs:
         rotation = context.result(Correspondence).robot_from_ct.transform.rotation_matrix
         fiducials = list(fine.fiducials)
         ct = np.array([localization.markers[index].covariance_mm2 for index in fiducials])
+        image_mm = localization.centres_mm[fiducials]
+        ct_mm2, stereo_mm2 = rotation @ ct @ rotation.T, np.array(fine.covariances_mm2)
+        seating_mm2 = np.tile(
+            np.eye(3) * context.setting.settings.seating_error_mm**2, (len(fiducials), 1, 1)
+        )
+        sides_mm2 = error_budget.unknown_sides_mm2(context, fiducials, fine.points_mm)
+        scan = scan_errors(localization.deformation, image_mm, image_mm.mean(axis=0), rotation)
         return cls(
             fiducials=fine.fiducials,
-            image_mm=localization.centres_mm[fiducials],
+            image_mm=image_mm,
             physical_mm=fine.points_mm,
-            ct_mm2=rotation @ ct @ rotation.T,
-            seating_mm2=np.tile(
-                np.eye(3) * context.setting.settings.seating_error_mm**2, (len(fiducials), 1, 1)
+            ct_mm2=ct_mm2,
+            seating_mm2=seating_mm2,
+            stereo_mm2=stereo_mm2,
+            sides_mm2=sides_mm2,
+            allowed=error_budget.allowed_errors(
+                context, fiducials, fine.points_mm, ct_mm2 + seating_mm2 + stereo_mm2 + sides_mm2, scan
             ),
-            stereo_mm2=np.array(fine.covariances_mm2),
-            sides_mm2=error_budget.unknown_sides_mm2(context, fiducials, fine.points_mm),
-            tool_mm=error_budget.sphere_displacements_mm(context, fine.fiducials),
         )
 
     def without(self, place: int) -> _Pairs:
         kept = [row for row in range(len(self.fiducials)) if row != place]
-        arrays = (getattr(self, one.name)[kept] for one in fields(self)[1:])
-        return _Pairs(tuple(self.fiducials[row] for row in kept), *arrays)
+        of_kept = (getattr(self, one.name)[kept] for one in fields(self)[1:])
+        return _Pairs(tuple(self.fiducials[row] for row in kept), *of_kept)
 
-    def gate(self, arm_mm: float) -> FreGate:
-        return error_budget.residual_gate(
-            self.image_mm, self.physical_mm, self.measured_mm2, arm_mm, self.tool_mm
-        )
+    def gate(self) -> FreGate:
+        return error_budget.residual_gate(self.image_mm, self.physical_mm, self.allowed)
 
 
 def run(context: StepContext) -> Outcome[RegisteredRobot]:
@@ -109,7 +115,7 @@ def run(context: StepContext) -> Outcome[RegisteredRobot]:
     """
     plan = context.result(CheckedPlan)
     arm_mm = arm_error_mm(context.setting.settings, context.workcell.calibrations.arm)
-    pairs, left_out_spheres = _select_agreeing_pairs(context, _Pairs.of(context), arm_mm)
+    pairs, left_out_spheres = _select_agreeing_pairs(context, _Pairs.of(context))
     fit = register(
         pairs.image_mm,
         pairs.physical_mm,
@@ -167,19 +173,15 @@ def run(context: StepContext) -> Outcome[RegisteredRobot]:
     )
 
 
-def _select_agreeing_pairs(
-    context: StepContext, pairs: _Pairs, arm_mm: float
-) -> tuple[_Pairs, tuple[LeftOutSphere, ...]]:
+def _select_agreeing_pairs(context: StepContext, pairs: _Pairs) -> tuple[_Pairs, tuple[LeftOutSphere, ...]]:
     """Return the pairs, without a single disagreeing sphere if the operator agrees to leave it out.
 
     Raises PRO-007 if no sphere explains it, or more than one would.
     """
-    gate = pairs.gate(arm_mm)
+    gate = pairs.gate()
     if gate.passed:
         return pairs, ()
-    moved = error_budget.find_moved_spheres(
-        pairs.image_mm, pairs.physical_mm, pairs.measured_mm2, arm_mm, pairs.tool_mm
-    )
+    moved = error_budget.find_moved_spheres(pairs.image_mm, pairs.physical_mm, pairs.allowed)
     names = " and ".join(context.served_trajectories)
     fre, limit = format_distinct(gate.fre_mm, gate.limit_mm, 3)
     refusal = GateFailed(
@@ -194,7 +196,7 @@ def _select_agreeing_pairs(
     fiducial, rest = pairs.fiducials[place], pairs.without(place)
     question = MOVED_SPHERE.question(
         f"Sphere {fiducial + 1} disagrees with all others at {names}: it has moved, or is the wrong one.",
-        f"residual {gate.fre_mm:.2f} mm with it, {rest.gate(arm_mm).fre_mm:.2f} mm with the other "
+        f"residual {gate.fre_mm:.2f} mm with it, {rest.gate().fre_mm:.2f} mm with the other "
         f"{len(rest.fiducials)}, limit {gate.limit_mm:.2f} mm",
         context.key.trajectory,
     )
@@ -303,10 +305,7 @@ def predict_tip_error(
         *(IndependentErrors(name, nothing, part, rare=True) for name, part in unnoticed.items()),
     )
     residual = check_residuals(fit.residuals_mm, fit.physical_mm - fit.residuals_mm, sources)
-    arm_mm = arm_error_mm(context.setting.settings, calibrations.arm)
-    worst = error_budget.find_undetected_sphere(
-        fit, tip_mm, pairs.gate(arm_mm), pairs.measured_mm2, arm_mm, pairs.tool_mm
-    )
+    worst = error_budget.find_undetected_sphere(fit, tip_mm, pairs.gate(), pairs.allowed)
     predicted = predict_target_error(
         fit.physical_mm,
         tip_mm,

@@ -57,6 +57,14 @@ def test_every_deviation_displaces_the_tool_as_it_does_in_the_model_of_the_arm()
     np.testing.assert_array_equal(found[:, :, -3:], flange_rotations(CHAIN, JOINTS))
 
 
+def test_what_the_fit_has_learnt_is_no_longer_free_to_tell_the_random_error(result: ArmResult) -> None:
+    measured, spheres = 3 * int(result.fit.used.sum()), 3 * len(SPHERES_MM)
+    assert measured - spheres - result.fit.model.size < result.arm.freedom < measured - spheres
+    known = IdentifiedArm.of(result.arm)
+    assert known is not None
+    assert known.freedom == result.arm.freedom
+
+
 def test_the_record_holds_the_covariance_of_the_fit_in_its_own_units(result: ArmResult) -> None:
     known = IdentifiedArm.of(result.arm)
     assert known is not None
