@@ -29,7 +29,8 @@ from procedures.calibration.arm_model import ArmModel, LookArrays
 from procedures.calibration.arm_sources import SERVO_MM
 from procedures.guards.stability import GUIDE_NOTICEABLE_MM
 from procedures.imaging.markers import ScanDeformation
-from procedures.imaging.scan_deformation import FALSE_ALARMS, FIT, KERNEL, TERMS
+from procedures.imaging.scan_deformation import FALSE_ALARMS, FIT, KERNEL
+from procedures.imaging.sphere_centre.ball_model import TERMS
 from procedures.planning.target_error import scan_errors
 from procedures.registration.error_theory import chi_square_limit
 from procedures.registration.rigid_fit import RigidFit, fit_rigid
@@ -85,12 +86,14 @@ RESIDUAL, GAUGE = "PRO-007", "TOOL-005"
 WITHOUT_COVARIANCE, WITHOUT_SCAN = "gate without covariance", "gate without scan"
 EVERY_COUNT = "all"  # numbers of spheres, of what is counted by arm
 # Shapes of five spheres that show no strain, as precisely as those of a usual scan.
-SHAPES = ScanDeformation(
-    spheres=5,
-    strain=((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)),
-    covariance=tuple(map(tuple, ((FIT**2 + KERNEL**2) * np.eye(TERMS)).tolist())),
-    chi_square=0.0,
-    limit=chi_square_limit(TERMS, 1.0 - FALSE_ALARMS),
+SHAPES = ScanDeformation.model_validate(
+    {
+        "spheres": 5,
+        "strain": np.zeros((AXES, AXES)).tolist(),
+        "covariance": ((FIT**2 + KERNEL**2) * np.eye(TERMS)).tolist(),
+        "chi_square": 0.0,
+        "limit": chi_square_limit(TERMS, 1.0 - FALSE_ALARMS),
+    }
 )
 
 
@@ -243,8 +246,8 @@ class _Bench:
     ) -> Sums:
         """Localize, register and reach all targets once; sums by number of spheres."""
         if isinstance(judged, RonnaError):
-            refused = {name: float(TARGETS) for name in ("trials", judged.code)}
-            return {f"{count}|{name}": value for count in scene.counts for name, value in refused.items()}
+            counted = "trials", judged.code
+            return {f"{count}|{name}": float(TARGETS) for count in scene.counts for name in counted}
         case = self._place_case(number, effect, scene, planned)
         sizes = Sizes(FINE_CT_MM)
         looked = IdentifiedCase(case.at_spheres, judged.believed, planned, scene, [number])
@@ -365,7 +368,7 @@ def _refusing_gates(
 
 def _squares_of_arm(sums: Mapping[str, float]) -> Sums:
     """Return the squares and products of an arm's own sums over all numbers of spheres."""
-    total = Counter[str]()
+    total: dict[str, float] = defaultdict(float)
     for key, value in sums.items():
         total[key.partition("|")[2]] += value
     used, inside = total["used"], total["inside"]
