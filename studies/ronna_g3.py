@@ -1,4 +1,4 @@
-"""Phantom study of RONNA G3: what its summary says, and what it leaves open, each as a named parameter.
+"""Phantom study of RONNA G3: its summary, and each parameter that this leaves open, by a name.
 
 Svaco et al. 2017, Strojniski vestnik 63(12), 725-735; its opening could be read, not its text. It says: two
 registrations, by a rigid marker of four spheres and by free spheres on bone screws; superficial targets (up
@@ -38,7 +38,7 @@ QUARTILES = (25.0, 75.0)
 
 @dataclass(frozen=True)
 class Protocol:
-    """What the summary leaves open, as assumed.
+    """Parameters that the summary leaves open, as assumed.
 
     `rest_mm` is from the entry back to the end of the guide; None has the tool itself at the target.
     """

@@ -7,17 +7,13 @@ the calibration's own validation, the residual gate (PRO-007) and the guide on i
 every target (TOOL-005). A trial that fails one is refused. All others are accepted: a laboratory would go on
 with them. They are judged by the 95 % limit that the operator would see, shares for unnoticed changes
 included.
-
-The gate is also tried as it would be without the covariance of the arm's record, and without its allowance
-for errors of the scan, of which the trials have none.
 """
 
 from __future__ import annotations
 
-import math
 from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import ClassVar
 
@@ -26,25 +22,8 @@ from numpy.typing import NDArray
 
 from procedures.calibration.arm_calibration import identify, validate
 from procedures.calibration.arm_model import ArmModel, LookArrays
-from procedures.calibration.arm_sources import SERVO_MM
 from procedures.guards.stability import GUIDE_NOTICEABLE_MM
-from procedures.imaging.markers import ScanDeformation
-from procedures.imaging.scan_deformation import FALSE_ALARMS, FIT, KERNEL
-from procedures.imaging.sphere_centre.ball_model import TERMS
-from procedures.planning.target_error import scan_errors
-from procedures.registration.error_theory import chi_square_limit
-from procedures.registration.rigid_fit import RigidFit, fit_rigid
-from procedures.registration.target_prediction import (
-    AllowedErrors,
-    IndependentErrors,
-    SharedErrors,
-    TargetPrediction,
-    allow_for,
-    check_residuals,
-    gate_residuals,
-    predict_target_error,
-)
-from procedures.steps.clinical.error_budget import GATE_CONFIDENCE, allow_for_stated_arm
+from procedures.registration.rigid_fit import fit_rigid
 from ronna_hw.arrays import Array
 from ronna_hw.calibrated_arm.deviations import ArmDeviations
 from ronna_hw.calibrated_arm.error_budget import UNCALIBRATED, UNCALIBRATED_MM, ErrorSizes, IdentifiedArm
@@ -64,11 +43,8 @@ from studies.strategies.identified import (
     measure_looks,
     plan_arm_looks,
 )
+from studies.strategies.judged_arm import RESIDUAL, JudgedArm, predict, refusing_gates, without_unnoticed
 from studies.strategies.study import DEPTHS_MM, TARGETS
-
-# Rms at a target of what no look of a case would show, without a room to look at: as whole cases state it.
-UNNOTICED_MM = {"head": 0.10, "cart and tracker": 0.20, "guide": GUIDE_NOTICEABLE_MM / math.sqrt(3.0)}
-Sources = list[SharedErrors | IndependentErrors]
 
 STRATEGIES = ("nos", "ocs", "improved")
 PLACES = (1, 2)
@@ -81,20 +57,8 @@ BUMP_KEY = 12  # of the random numbers
 LOOK_S, GAUGE_S, TARGET_S = 10.0, 60.0, 20.0
 DIAL_MM = 0.01  # of a gauge, per reading
 READINGS = 6
-RESIDUAL, GAUGE = "PRO-007", "TOOL-005"
-# Shares of trials that other gates would refuse.
-WITHOUT_COVARIANCE, WITHOUT_SCAN = "gate without covariance", "gate without scan"
+GAUGE = "TOOL-005"
 EVERY_COUNT = "all"  # numbers of spheres, of what is counted by arm
-# Shapes of five spheres that show no strain, as precisely as those of a usual scan.
-SHAPES = ScanDeformation.model_validate(
-    {
-        "spheres": 5,
-        "strain": np.zeros((AXES, AXES)).tolist(),
-        "covariance": ((FIT**2 + KERNEL**2) * np.eye(TERMS)).tolist(),
-        "chi_square": 0.0,
-        "limit": chi_square_limit(TERMS, 1.0 - FALSE_ALARMS),
-    }
-)
 
 
 @dataclass(frozen=True)
@@ -129,29 +93,6 @@ class UnmodelledArmStudy(Study):
 
 
 @dataclass(frozen=True)
-class _Judged:
-    """What a controller and a prediction know of an arm: its model, stated errors, and local error."""
-
-    believed: BelievedArm
-    sizes: ErrorSizes
-    arm_mm: float  # of the residual gate
-    listed: dict[tuple[int, int, int], Sources] = field(default_factory=dict)
-
-    def sources(self, scene: StudiedScene, planned: Postures, target: int, count: int) -> Sources:
-        """List the error sources at a target registered by the first `count` spheres."""
-        key = (scene.number, id(planned), target)  # the postures live as long as the bench
-        if key not in self.listed:
-            everything = len(scene.phantom.spheres_mm)
-            self.listed[key] = scene.error_sources(planned, target, everything, self.sizes, FINE_CT_MM)
-        return [
-            replace(one, at_spheres_mm=one.at_spheres_mm[:count])
-            if isinstance(one, SharedErrors)
-            else replace(one, at_spheres_mm2=one.at_spheres_mm2[:count])
-            for one in self.listed[key]
-        ]
-
-
-@dataclass(frozen=True)
 class _Case:
     """Localizations, targets and gauge of one arm with one effect, with their displacements."""
 
@@ -170,7 +111,7 @@ class _Bench:
     looks: LookArrays
     held_out: NDArray[np.bool_]
     spheres_mm: Array  # of the calibration
-    nominal: _Judged
+    nominal: JudgedArm
 
     @classmethod
     @lru_cache(maxsize=1)
@@ -186,14 +127,14 @@ class _Bench:
         }
         looks, held_out = plan_arm_looks(ArmModel(ARM, TOOL), spheres_mm, VALIDATION)
         believed = BelievedArm(ArmDeviations.none(len(ARM.chain.joints)), TOOL)
-        nominal = _Judged(believed, UNCALIBRATED, UNCALIBRATED_MM)
+        nominal = JudgedArm(believed, UNCALIBRATED, UNCALIBRATED_MM)
         return cls(seed, scenes, planned, looks, held_out, spheres_mm, nominal)
 
     def try_arm(self, number: int, effects: Sequence[Effect]) -> Counter[str]:
         sums: Counter[str] = Counter()
         scene = self.scenes[number % len(self.scenes)]
         strategy = STRATEGIES[number // len(self.scenes) % len(STRATEGIES)]
-        known: dict[Effect, _Judged | RonnaError] = {}
+        known: dict[Effect, JudgedArm | RonnaError] = {}
         for effect in effects:
             at_calibration = Effect.NOTHING if effect in AFTER_CALIBRATION else effect
             if at_calibration not in known:
@@ -208,7 +149,7 @@ class _Bench:
                 sums.update({f"{effect}|{kind}|{strategy}|{name}": value for name, value in tried.items()})
         return sums
 
-    def _calibrate(self, number: int, effect: Effect) -> _Judged | RonnaError:
+    def _calibrate(self, number: int, effect: Effect) -> JudgedArm | RonnaError:
         """Identify and validate an arm with an effect as `ronna-arm calibrate` does; return any refusal."""
         drawn = DrawnEffect.draw(effect, self.seed, number)
         looks, true = self.looks, TrueArm(draw_numbered_arm(self.seed, number)[0], number)
@@ -230,7 +171,7 @@ class _Bench:
             return refusal
         known = fit.remaining, fit.deviations.backlash_rad, fit.scatter_mm, fit.freedom
         per_axis_mm = stated_mm / np.sqrt(AXES)
-        return _Judged(
+        return JudgedArm(
             BelievedArm(fit.deviations, fit.flange_from_tool),
             ErrorSizes(tool_mm=per_axis_mm, identified=IdentifiedArm(*known)),
             float(np.sqrt(2.0) * per_axis_mm),
@@ -242,7 +183,7 @@ class _Bench:
         effect: Effect,
         scene: StudiedScene,
         planned: Postures,
-        judged: _Judged | RonnaError,
+        judged: JudgedArm | RonnaError,
     ) -> Sums:
         """Localize, register and reach all targets once; sums by number of spheres."""
         if isinstance(judged, RonnaError):
@@ -259,12 +200,12 @@ class _Bench:
             fit = fit_rigid(image[None, :count], recorded[:, :count])
             errors = reached.reach_targets_mm(fit)
             refused = [
-                _refusing_gates(
+                refusing_gates(
                     image[:count],
                     recorded[nth, :count],
                     fit,
                     nth,
-                    self._allowed(scene, planned, nth, count, judged),
+                    judged.allowed(scene, planned, nth, count),
                 )
                 for nth in range(planned.sets)
             ]
@@ -279,38 +220,16 @@ class _Bench:
                     sums[f"{count}|{GAUGE}"] += 1
                 else:
                     own = recorded[planned.set_of(target)]
-                    predicted = _predict(scene, planned, target, count, judged, image, own, fit)
+                    predicted = predict(scene, planned, target, count, judged, image, own, fit)
                     stated = replace(predicted, widening=1.0)
                     sums[f"{count}|used"] += 1
                     sums[f"{count}|error"] += error_mm
                     sums[f"{count}|limit"] += predicted.limit_mm()
                     sums[f"{count}|inside"] += error_mm <= predicted.limit_mm()
                     sums[f"{count}|inside stated"] += error_mm <= stated.limit_mm()
-                    sums[f"{count}|inside seen"] += error_mm <= _without_unnoticed(predicted).limit_mm()
+                    sums[f"{count}|inside seen"] += error_mm <= without_unnoticed(predicted).limit_mm()
                     sums[f"{count}|widened"] += predicted.widening > 1.0
         return {**sums, **_squares_of_arm(sums)}
-
-    def _allowed(
-        self, scene: StudiedScene, planned: Postures, nth: int, count: int, judged: _Judged
-    ) -> dict[str, AllowedErrors]:
-        """Return what the gates allow for at the first `count` spheres, by the gate."""
-        spheres = len(planned.localizations) // planned.sets
-        measured = np.eye(AXES) * (FINE_CT_MM**2 + SERVO_MM**2) / AXES
-        turned = planned.localizations.rotations[nth * spheres : nth * spheres + count]
-        stated = allow_for_stated_arm(
-            np.tile(measured, (count, 1, 1)), judged.arm_mm, judged.sizes.tool_mm * turned
-        )
-        if judged.sizes.identified is None:
-            return {RESIDUAL: stated}
-        freedom, target = judged.sizes.identified.freedom, nth if planned.sets > 1 else 0
-        sources = judged.sources(scene, planned, target, count)
-        ct_mm, rotation = scene.phantom.spheres_mm[:count], scene.robot_from_ct.rotation_matrix
-        scan = scan_errors(SHAPES, ct_mm, ct_mm.mean(axis=0), rotation)
-        return {
-            RESIDUAL: allow_for([*sources, scan], count, freedom),
-            WITHOUT_SCAN: allow_for(sources, count, freedom),
-            WITHOUT_COVARIANCE: stated,
-        }
 
     def _place_case(self, number: int, effect: Effect, scene: StudiedScene, planned: Postures) -> _Case:
         """Displace an arm at all poses of a case, in the order in which a case takes them."""
@@ -354,18 +273,6 @@ class _Bench:
         )
 
 
-def _refusing_gates(
-    image: Array, recorded: Array, fit: RigidFit, nth: int, allowed: Mapping[str, AllowedErrors]
-) -> set[str]:
-    """Return the gates that refuse the residual of a set."""
-    mapped = image @ fit.rotation[nth].T + fit.translation_mm[nth]
-    return {
-        name
-        for name, one in allowed.items()
-        if not gate_residuals(recorded - mapped, mapped, one, GATE_CONFIDENCE).passed
-    }
-
-
 def _squares_of_arm(sums: Mapping[str, float]) -> Sums:
     """Return the squares and products of an arm's own sums over all numbers of spheres."""
     total: dict[str, float] = defaultdict(float)
@@ -379,34 +286,3 @@ def _squares_of_arm(sums: Mapping[str, float]) -> Sums:
         "inside used": inside * used,
     }
     return {f"{EVERY_COUNT}|{name}": float(value) for name, value in found.items()}
-
-
-def _predict(
-    scene: StudiedScene,
-    planned: Postures,
-    target: int,
-    count: int,
-    judged: _Judged,
-    image: Array,
-    recorded: Array,
-    fit: RigidFit,
-) -> TargetPrediction:
-    """Predict the error at a target from the arm, the CT and unnoticed changes, with the residual's test."""
-    nth = planned.set_of(target)
-    spheres = scene.robot_from_ct.apply(scene.phantom.spheres_mm[:count])
-    target_mm = scene.robot_from_ct.apply(scene.phantom.trajectories[target].target_mm)
-    sources = judged.sources(scene, planned, target, count)
-    mapped = image[:count] @ fit.rotation[nth].T + fit.translation_mm[nth]
-    residual = check_residuals(recorded[:count] - mapped, mapped, sources)
-    nothing = np.zeros((count, AXES, AXES))
-    unnoticed = [
-        IndependentErrors(name, nothing, np.eye(AXES) * rms_mm**2 / AXES, rare=True)
-        for name, rms_mm in UNNOTICED_MM.items()
-    ]
-    return predict_target_error(spheres, target_mm, [*sources, *unnoticed], residual=residual)
-
-
-def _without_unnoticed(predicted: TargetPrediction) -> TargetPrediction:
-    """Return the prediction without the shares for changes that nobody would notice."""
-    seen = {name: part for name, part in predicted.by_source_mm2.items() if name not in UNNOTICED_MM}
-    return TargetPrediction(seen, predicted.at_spheres, predicted.widening)

@@ -10,14 +10,8 @@ from studies.campaign import bounds
 from studies.campaign.study import Cell, Sums, Table, yes_or_no
 from studies.strategies import distorted_tracker
 from studies.strategies.distorted_tracker import GOAL
-from studies.strategies.unmodelled_arm import (
-    ARMS,
-    CALIBRATED,
-    MOVES,
-    RESIDUAL,
-    WITHOUT_COVARIANCE,
-    WITHOUT_SCAN,
-)
+from studies.strategies.judged_arm import RESIDUAL, WITHOUT_COVARIANCE, WITHOUT_SCAN
+from studies.strategies.unmodelled_arm import ARMS, CALIBRATED, MOVES
 
 ALL_EFFECTS = "all of them"
 

@@ -32,7 +32,8 @@ from studies.correspondence.pairing_misspecified import (
 from studies.heads import HALF_AXES_MM, NoiseReading, draw_readings, sites_mm
 from studies.strategies import distorted_tracker, unmodelled_arm_tables
 from studies.strategies.distorted_tracker import Tracker, follow_moves
-from studies.strategies.unmodelled_arm import ARMS, CALIBRATED, GAUGE, RESIDUAL, UnmodelledArmStudy
+from studies.strategies.judged_arm import RESIDUAL
+from studies.strategies.unmodelled_arm import ARMS, CALIBRATED, GAUGE, UnmodelledArmStudy
 
 JOINTS = np.array([ARM.home_rad])
 FLANKS = np.ones((1, 1, 6))
