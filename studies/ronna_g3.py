@@ -30,7 +30,8 @@ SUPERFICIAL, DEEP = DEPTHS_MM
 PUBLISHED_MM = {SUPERFICIAL: (0.43, 0.22, 0.60), DEEP: (0.88, 0.66, 1.10)}  # mean and quartiles
 PUBLISHED_RATIO = PUBLISHED_MM[DEEP][0] / PUBLISHED_MM[SUPERFICIAL][0]
 FRAME_SPHERES = 4
-FITTED_MRAD = 7.0  # per axis; see `guide_direction.fit_size_mrad`
+# Per axis. A fit to the two published means on the arms of seed 0, not a measurement: other arms give 6 or 8.
+FITTED_MRAD = 7.0
 THESIS_CT_MM = 0.162  # table 2 of the thesis: mean error of its sphere localizer
 PERCENTILES = (5.0, 50.0, 95.0)
 QUARTILES = (25.0, 75.0)
