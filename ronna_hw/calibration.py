@@ -375,6 +375,12 @@ class ArmCalibration(DatedRecord):
         "their covariance L L^T, a line of text for each row. Order: the deviations as listed here, each "
         "joint by joint; then the stereo head on the flange, x, y, z. Without it, from stated_error_mm.",
     )
+    freedom: Annotated[float, Field(gt=0.0)] | None = Field(
+        default=None,
+        description="Degrees of freedom of scatter_mm: the coordinates measured, less what the calibration "
+        "has learnt from them. They widen the limit on the residual of a case; without it, scatter_mm counts "
+        "as exact.",
+    )
 
     @model_validator(mode="after")
     def _has_equal_counts(self) -> Self:

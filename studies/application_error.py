@@ -1,8 +1,8 @@
 """Application error by depth (RONNA G3, Svaco et al. 2017), at superficial and deep phantom targets.
 
-The paper's protocol is known from its summary only. Here: the phantom of the strategies study with targets
-anywhere in the head, the thesis' OCS beside ours, set S of the arm's errors. The tool is at the target, or a
-guide is held outside the head.
+Here: the phantom of the strategies study with targets anywhere in the head, the thesis' OCS beside ours, set
+S of the arm's errors. First as the paper's summary has it (`studies.ronna_g3`), by position and depth, then
+with the tool itself at the target, and last the fit of the guide's direction (`studies.guide_direction`).
 """
 
 from __future__ import annotations
@@ -20,8 +20,18 @@ from studies.accuracy.scene import StudiedScene
 from studies.campaign import bounds
 from studies.campaign.plots import boxes
 from studies.campaign.study import Cell, Study, Sums, Table, Unit, blocks_of_each
-from studies.guide_direction import DEPTHS_MM, PUBLISHED_MM, RESTS_MM, TARGETS, WHOLE_HEAD, run_guided
+from studies.guide_direction import RESTS_MM, run_guided
 from studies.guide_direction import tables as guide_tables
+from studies.ronna_g3 import (
+    ALTERNATIVES,
+    DEPTHS_MM,
+    OF_ALL_ARMS,
+    PUBLISHED_MM,
+    TARGETS,
+    WHOLE_HEAD,
+    run_protocol,
+)
+from studies.ronna_g3 import tables as protocol_tables
 
 Series = tuple[str, str, str, int]  # depth, markers, strategy, number of spheres
 
@@ -49,13 +59,24 @@ class ApplicationErrorStudy(Study):
         return [
             *blocks_of_each(product((TIP_AT_TARGET,), DEPTHS_MM, Markers, PLACES), self.arms, BLOCK_ARMS),
             *blocks_of_each(product(RESTS_MM, DEPTHS_MM, Markers, PLACES), few, BLOCK_ARMS),
+            *blocks_of_each(product(OF_ALL_ARMS, DEPTHS_MM, Markers, PLACES), self.arms, BLOCK_ARMS),
+            *blocks_of_each(
+                product([one for one in ALTERNATIVES if one not in OF_ALL_ARMS], DEPTHS_MM, Markers, PLACES),
+                few,
+                BLOCK_ARMS,
+            ),
         ]
 
     def run(self, unit: Unit) -> Sums:
-        """Return all error lengths in mm, keyed `strategy|spheres|arm|target`; with a guide, histograms."""
+        """Return all error lengths in mm, keyed `strategy|spheres|arm|target` or as by the first field.
+
+        See `run_protocol` and, with a guide, `run_guided`.
+        """
         rest, depth, kind, number = unit.condition.split("|")
         first = unit.block * BLOCK_ARMS
         arms = range(first, first + unit.runs)
+        if rest in ALTERNATIVES:
+            return run_protocol(self.seed, (rest, depth, kind, number), arms)
         if rest != TIP_AT_TARGET:
             return run_guided(self.seed, (rest, depth, kind, number), arms)
         markers = Markers(kind)
@@ -85,6 +106,7 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
             }
         )
     return [
+        *protocol_tables(sums),
         Table.of(
             "Application error by depth",
             rows,

@@ -316,7 +316,7 @@ def strategies(
         bool,
         typer.Option(
             "--wrong",
-            help="Only the prediction, on arms with effects that their model lacks; takes 20 arms well.",
+            help="Only the prediction, on arms with effects that their model lacks.",
         ),
     ] = False,
     one_experiment: Annotated[

@@ -101,6 +101,7 @@ def calibrate_arm(observed: ArmLooks, *, life: timedelta = LIFE) -> ArmResult:
                 tuple(float(f"{value:.{DIGITS}g}") for value in row[: number + 1].tolist())
                 for number, row in enumerate(fit.remaining)
             ),
+            freedom=round(fit.freedom, 1),
             created=observed.created,
             expires=observed.created + life,
             made_by=MADE_BY,
@@ -146,6 +147,15 @@ class ArmFit:
     def learnt(self) -> Array:
         """Standard error of each parameter relative to its prior, excluding the sphere positions."""
         return np.asarray(np.sqrt(np.diag(self.covariance)[: self.model.size]))
+
+    @property
+    def freedom(self) -> float:
+        """Degrees of freedom of `scatter_mm`: coordinates less what the fit has learnt from them.
+
+        A parameter that keeps a share of its prior variance has cost only the rest of a degree.
+        """
+        places = len(self.values) - self.model.size
+        return 3.0 * int(self.used.sum()) - places - float(np.sum(1.0 - self.learnt**2))
 
     @property
     def remaining(self) -> Array:

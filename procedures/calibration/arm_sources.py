@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from procedures.registration.target_prediction import IndependentErrors, SharedErrors
+from procedures.registration.target_prediction import AllowedErrors, IndependentErrors, SharedErrors
 from ronna_hw.arm.kinematics import Chain
 from ronna_hw.arrays import Array
 from ronna_hw.calibrated_arm.deviations import FLANK_SHARE, flange_rotations
@@ -16,6 +16,7 @@ from ronna_hw.calibrated_arm.error_budget import (
     SAGGING,
     UNCALIBRATED,
     ErrorSizes,
+    IdentifiedArm,
     by_deviation,
     displacements,
 )
@@ -70,6 +71,14 @@ def arm_sources(
         # It turns with the flange; the same in all directions.
         _shared_errors("tool frame", sizes.tool_mm * flange_rotations(chain, joints)),
     )
+
+
+def identified_errors(chain: Chain, spheres: ArmPoses, arm: IdentifiedArm) -> AllowedErrors:
+    """Return the errors of an identified arm at the spheres, known sides of its backlash included."""
+    sides = np.zeros_like(spheres.joints_rad) if spheres.sides is None else spheres.sides
+    columns = by_deviation(chain, spheres.joints_rad, spheres.points_mm, sides)
+    scatter_mm2 = np.tile(np.eye(3) * arm.scatter_mm**2, (len(columns), 1, 1))
+    return AllowedErrors(scatter_mm2, columns @ arm.remaining, arm.freedom)
 
 
 def ct_errors(covariance_mm2: ArrayLike) -> IndependentErrors:

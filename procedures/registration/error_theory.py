@@ -67,9 +67,15 @@ def fre_limit_mm(fle_mm: float, pairs: int, confidence: float = DEFAULT_CONFIDEN
     return fle_mm * math.sqrt(chi_square_limit(freedom, confidence) / (3 * pairs))
 
 
-def chi_square_limit(freedom: int, confidence: float) -> float:
-    """Return the chi-square value exceeded with probability 1 - confidence. Raises REG-007."""
+def chi_square_limit(freedom: int, confidence: float, covariance_freedom: float | None = None) -> float:
+    """Return the chi-square value exceeded with probability 1 - confidence. Raises REG-007.
+
+    `covariance_freedom` is given when the size of the covariance was itself estimated from that many degrees
+    of freedom; the limit then widens according to the F distribution.
+    """
     _require_confidence(confidence)
+    if covariance_freedom is not None:
+        return float(freedom * fdtri(freedom, covariance_freedom, confidence))
     return float(chdtri(freedom, 1.0 - confidence))
 
 
@@ -201,21 +207,30 @@ def rare_limit_mm(
     if high_mm <= low_mm * (1.0 + NEGLIGIBLE):
         return high_mm
 
-    def share_within(radius_mm: float) -> float:
-        beyond = _share_beyond(both_mm2, radius_mm), _share_beyond(usual_mm2, radius_mm)
+    both, usual = _scaled_chi_square(both_mm2), _scaled_chi_square(usual_mm2)
+    step_mm = (high_mm - low_mm) / (LIMIT_STEPS - 1)
+
+    def radius_of(step: int) -> float:
+        return step * step_mm + low_mm
+
+    def share_within(step: int) -> float:
+        radius_mm = radius_of(step)
+        beyond = _share_beyond(*both, radius_mm), _share_beyond(*usual, radius_mm)
         return 1.0 - probability * beyond[0] - (1.0 - probability) * beyond[1]
 
-    radii_mm = np.linspace(low_mm, high_mm, LIMIT_STEPS)
-    return float(radii_mm[bisect_left(radii_mm[:-1], confidence, key=share_within)])
+    found = bisect_left(range(LIMIT_STEPS - 1), confidence, key=share_within)
+    return high_mm if found == LIMIT_STEPS - 1 else radius_of(found)
 
 
-def _share_beyond(covariance_mm2: Array, radius_mm: float) -> float:
-    """Return the probability of an error vector longer than a radius, as in `error_limit_mm`."""
+def _scaled_chi_square(covariance_mm2: Array) -> tuple[float, float]:
+    """Return total and shape of the squared length of an error vector, as in `error_limit_mm`."""
     total = float(np.trace(covariance_mm2))
-    if total <= 0.0:
-        return 0.0
-    shape = total**2 / float(np.sum(covariance_mm2**2))
-    return float(chdtrc(shape, shape * radius_mm**2 / total))
+    return total, total**2 / float(np.sum(covariance_mm2**2)) if total > 0.0 else 0.0
+
+
+def _share_beyond(total_mm2: float, shape: float, radius_mm: float) -> float:
+    """Return the probability of an error vector longer than a radius."""
+    return float(chdtrc(shape, shape * radius_mm**2 / total_mm2)) if total_mm2 > 0.0 else 0.0
 
 
 def offset_limit_mm(offset_mm: Array, covariance_mm2: Array, confidence: float) -> float:

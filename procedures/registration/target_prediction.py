@@ -79,6 +79,22 @@ class IndependentErrors:
 
 
 @dataclass(frozen=True)
+class AllowedErrors:
+    """Errors at `n` spheres that a residual gate allows for: independent ones (mm2) and shared ones (mm).
+
+    `freedom` is the number of degrees of freedom from which the size of both was estimated, None if stated.
+    """
+
+    independent_mm2: Array  # (n, 3, 3)
+    shared_mm: Array  # (n, 3, k) displacement by one standard deviation of each error
+    freedom: float | None = None
+
+    def __getitem__(self, rows: Mask | Sequence[int]) -> AllowedErrors:
+        """Select spheres."""
+        return AllowedErrors(self.independent_mm2[rows], self.shared_mm[rows], self.freedom)
+
+
+@dataclass(frozen=True)
 class ResidualCheck:
     """Residual of a fit, as chi-square by all that the sources state, and its degrees of freedom."""
 
@@ -182,17 +198,37 @@ def check_residuals(
     residuals_mm: Array, fiducials_mm: Array, sources: Sequence[SharedErrors | IndependentErrors]
 ) -> ResidualCheck:
     """Test a fit's residuals (n, 3) mm at the mapped points (n, 3) mm against all sources of a prediction."""
-    independent = np.zeros((len(fiducials_mm), AXES, AXES))
-    shared = [np.zeros((len(fiducials_mm), AXES, 0))]
+    allowed = allow_for(sources, len(fiducials_mm))
+    return ResidualCheck(
+        chi_square_of_shared(residuals_mm, fiducials_mm, allowed.independent_mm2, allowed.shared_mm),
+        degrees_of_freedom(len(fiducials_mm)),
+    )
+
+
+def allow_for(
+    sources: Sequence[SharedErrors | IndependentErrors], spheres: int, freedom: float | None = None
+) -> AllowedErrors:
+    """Collect the errors at the spheres from all sources of a prediction."""
+    independent = np.zeros((spheres, AXES, AXES))
+    shared = [np.zeros((spheres, AXES, 0))]
     for one in sources:
         if isinstance(one, SharedErrors):
             shared.append(one.at_spheres_mm)
         else:
             independent = independent + one.at_spheres_mm2
-    return ResidualCheck(
-        chi_square_of_shared(residuals_mm, fiducials_mm, independent, np.concatenate(shared, axis=2)),
-        degrees_of_freedom(len(fiducials_mm)),
-    )
+    return AllowedErrors(independent, np.concatenate(shared, axis=2), freedom)
+
+
+def gate_residuals(
+    residuals_mm: Array, fiducials_mm: Array, allowed: AllowedErrors, confidence: float
+) -> FreGate:
+    """Gate a rigid fit's residuals (n, 3) mm, of any weights, at the mapped points (n, 3) mm.
+
+    One fit in 1 / (1 - confidence) with right allowances is refused. Raises REG-002, REG-007.
+    """
+    chi_square = chi_square_of_shared(residuals_mm, fiducials_mm, allowed.independent_mm2, allowed.shared_mm)
+    limit = chi_square_limit(degrees_of_freedom(len(fiducials_mm)), confidence, allowed.freedom)
+    return FreGate(float(np.sqrt(np.mean(np.sum(residuals_mm**2, axis=1)))), chi_square, limit, confidence)
 
 
 def influence_of_spheres(spheres_mm: Array, target_mm: Array, weights: ArrayLike | None = None) -> Array:
@@ -231,19 +267,19 @@ class UnnoticedPoint:
 def find_unnoticed_point(
     fiducials_mm: Array,
     target_mm: Array,
-    covariance_mm2: Array,
-    shared_mm: Array,
+    allowed: AllowedErrors,
     weights: ArrayLike | None,
     gate: FreGate,
     largest_mm: float,
 ) -> UnnoticedPoint:
     """Find the worst displacement of one point, up to `largest_mm`, that passes the gate half of the time.
 
-    Arguments as in `chi_square_of_shared`; `weights` (n, 3, 3) are those of the fit. The expected chi-square
-    is then the limit: freedom plus what the displacement alone adds. Every direction is tried.
+    `fiducials_mm` (n, 3) are the mapped points, `weights` (n, 3, 3) are those of the fit. The expected
+    chi-square is then the limit: freedom plus what the displacement alone adds. Every direction is tried.
     """
     count = len(fiducials_mm)
-    information = _information(fiducials_mm, covariance_mm2, shared_mm).reshape(count, 3, count, 3)
+    full = _information(fiducials_mm, allowed.independent_mm2, allowed.shared_mm)
+    information = full.reshape(count, 3, count, 3)
     spare = gate.chi_square_limit - degrees_of_freedom(count)
     influences = influence_of_spheres(fiducials_mm, target_mm, weights)
     return find_worst_displacement(

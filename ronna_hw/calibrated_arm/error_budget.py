@@ -104,12 +104,14 @@ class IdentifiedArm:
     They determine the combined displacement of the tool far better. Independent errors of these sizes would
     displace it several times as far. `remaining` (k, k), times its transpose, is the covariance of the errors
     as ordered in `by_deviation`. `backlash_rad` (axes,); `scatter_mm` is the random error per axis from pose
-    to pose, including what the arm's model does not describe.
+    to pose, including what the arm's model does not describe. Both sizes were estimated from `freedom`
+    degrees of freedom; None if the record does not say.
     """
 
     remaining: Array
     backlash_rad: Array
     scatter_mm: float
+    freedom: float | None = None
 
     @classmethod
     def of(cls, record: ArmCalibration) -> Self | None:
@@ -118,7 +120,7 @@ class IdentifiedArm:
             return None
         remaining = np.zeros((len(record.remaining), len(record.remaining)))
         remaining[np.tril_indices(len(remaining))] = np.concatenate(record.remaining)
-        return cls(remaining, np.array(record.backlash_rad), record.scatter_mm)
+        return cls(remaining, np.array(record.backlash_rad), record.scatter_mm, record.freedom)
 
 
 def backlash_mm2(chain: Chain, joints_rad: Array, points_mm: Array, sizes: ErrorSizes) -> Array:

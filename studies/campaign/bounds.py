@@ -61,6 +61,28 @@ def percent(count: float, of: float) -> Bounded:
     )
 
 
+def share_by_group(
+    counted: float, of: float, counted2: float, product: float, of2: float, groups: float
+) -> Bounded | None:
+    """Return the percentage of runs counted that come in independent groups, or None without runs.
+
+    Given the sums over the groups of counts, runs, squares of both and products; bounds of a ratio by its
+    linearized variance, with Student's t. Exact binomial ones, as for one run a group, where all or none
+    count.
+    """
+    if not round(of):
+        return None
+    share = counted / of
+    if groups < 2 or share in (0.0, 1.0):
+        return replace(percent(share * groups, groups), value=100.0 * share)
+    from scipy.stats import t
+
+    squares = max(0.0, counted2 - 2.0 * share * product + share**2 * of2)
+    spread = np.sqrt(squares * groups / (groups - 1.0)) / of
+    half = float(t.ppf(ON_BOTH_SIDES, groups - 1.0) * spread)
+    return Bounded(100.0 * share, 100.0 * max(0.0, share - half), 100.0 * min(1.0, share + half))
+
+
 def number(count: float) -> Bounded:
     """Return the mean of a Poisson distribution from one observed count, with exact (Garwood) bounds."""
     from scipy.stats import chi2

@@ -1,18 +1,19 @@
 """Predicted target error on arms with effects that their model lacks, and with a tracker that distorts.
 
-A trial is arm x position of the phantom x target x strategy x number of spheres, as with identified arms.
-Each arm has one effect at a time, during its calibration too unless it is a bump. It is used uncalibrated and
-as identified. What a case checks is checked: the calibration's own validation, the residual gate (PRO-007)
-and the guide on its gauge before and after every target (TOOL-005). A trial that fails one is refused. All
-others are judged by the 95 % limit that the operator would see, shares for unnoticed changes included.
+A trial is arm x target x number of spheres. Every arm has a position of the phantom and a strategy of its
+own: arms differ more than trials of one. It has one effect at a time, during its calibration too unless
+something is bumped or moved later. It is used uncalibrated and as identified. What a case checks is checked:
+the calibration's own validation, the residual gate (PRO-007) and the guide on its gauge before and after
+every target (TOOL-005). A trial that fails one is refused. All others are accepted: a laboratory would go on
+with them. They are judged by the 95 % limit that the operator would see, shares for unnoticed changes
+included.
 """
 
 from __future__ import annotations
 
-import math
 from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import ClassVar
 
@@ -22,15 +23,7 @@ from numpy.typing import NDArray
 from procedures.calibration.arm_calibration import identify, validate
 from procedures.calibration.arm_model import ArmModel, LookArrays
 from procedures.guards.stability import GUIDE_NOTICEABLE_MM
-from procedures.registration.rigid_fit import RigidFit, fit_rigid
-from procedures.registration.target_prediction import (
-    IndependentErrors,
-    SharedErrors,
-    TargetPrediction,
-    check_residuals,
-    predict_target_error,
-)
-from procedures.steps.clinical.error_budget import residual_gate
+from procedures.registration.rigid_fit import fit_rigid
 from ronna_hw.arrays import Array
 from ronna_hw.calibrated_arm.deviations import ArmDeviations
 from ronna_hw.calibrated_arm.error_budget import UNCALIBRATED, UNCALIBRATED_MM, ErrorSizes, IdentifiedArm
@@ -40,7 +33,7 @@ from studies.accuracy.phantom import Markers, draw_phantom, phantom_pose
 from studies.accuracy.postures import ARM, TOOL, Postures
 from studies.accuracy.random_arms import RandomArms, draw_numbered_arm
 from studies.accuracy.scene import AXES, FINE_CT_MM, Sizes, StudiedScene
-from studies.accuracy.unmodelled_effects import BUMPS, DisplacedArms, DrawnEffect, Effect
+from studies.accuracy.unmodelled_effects import AFTER_CALIBRATION, DisplacedArms, DrawnEffect, Effect
 from studies.campaign.study import Study, Sums, Unit, blocks
 from studies.strategies import distorted_tracker
 from studies.strategies.identified import (
@@ -50,15 +43,12 @@ from studies.strategies.identified import (
     measure_looks,
     plan_arm_looks,
 )
+from studies.strategies.judged_arm import RESIDUAL, JudgedArm, predict, refusing_gates, without_unnoticed
 from studies.strategies.study import DEPTHS_MM, TARGETS
-
-# Rms at a target of what no look of a case would show, without a room to look at: as whole cases state it.
-UNNOTICED_MM = {"head": 0.10, "cart and tracker": 0.20, "guide": GUIDE_NOTICEABLE_MM / math.sqrt(3.0)}
-Sources = list[SharedErrors | IndependentErrors]
 
 STRATEGIES = ("nos", "ocs", "improved")
 PLACES = (1, 2)
-BLOCK_ARMS = 2
+BLOCK_ARMS = 10
 ARMS, MOVES = "arms", "moves"
 CALIBRATED, UNCALIBRATED_ARM = "calibrated", "uncalibrated"
 VALIDATION = 20  # measurements held out from the identification
@@ -67,14 +57,15 @@ BUMP_KEY = 12  # of the random numbers
 LOOK_S, GAUGE_S, TARGET_S = 10.0, 60.0, 20.0
 DIAL_MM = 0.01  # of a gauge, per reading
 READINGS = 6
-RESIDUAL, GAUGE = "PRO-007", "TOOL-005"
+GAUGE = "TOOL-005"
+EVERY_COUNT = "all"  # numbers of spheres, of what is counted by arm
 
 
 @dataclass(frozen=True)
 class UnmodelledArmStudy(Study):
     """Study of `arms` random arms of set S with every effect, and of followed moves with a wrong tracker."""
 
-    arms: int = 20
+    arms: int = 200
     seed: int = 0
     effects: tuple[Effect, ...] = tuple(Effect)
     name: str = "strategies-wrong"
@@ -87,7 +78,10 @@ class UnmodelledArmStudy(Study):
         return [*blocks(ARMS, self.arms, BLOCK_ARMS), *moves]
 
     def run(self, unit: Unit) -> Sums:
-        """Return sums keyed `effect|arm|strategy|spheres|quantity`; see `distorted_tracker` for moves."""
+        """Return sums keyed `effect|arm|strategy|spheres|quantity`; see `distorted_tracker` for moves.
+
+        With `EVERY_COUNT` spheres: squares and products of the arms' own sums, for bounds on their scatter.
+        """
         if unit.condition != ARMS:
             tracker = distorted_tracker.Tracker(unit.condition.partition("|")[2])
             return distorted_tracker.follow_moves(tracker, self.seed, unit.runs)
@@ -96,29 +90,6 @@ class UnmodelledArmStudy(Study):
         for number in range(unit.block * BLOCK_ARMS, unit.block * BLOCK_ARMS + unit.runs):
             sums.update(bench.try_arm(number, self.effects))
         return dict(sums)
-
-
-@dataclass(frozen=True)
-class _Judged:
-    """What a controller and a prediction know of an arm: its model, stated errors, and local error."""
-
-    believed: BelievedArm
-    sizes: ErrorSizes
-    arm_mm: float  # of the residual gate
-    listed: dict[tuple[int, int, int], Sources] = field(default_factory=dict)
-
-    def sources(self, scene: StudiedScene, planned: Postures, target: int, count: int) -> Sources:
-        """List the error sources at a target registered by the first `count` spheres."""
-        key = (scene.number, id(planned), target)  # the postures live as long as the bench
-        if key not in self.listed:
-            everything = len(scene.phantom.spheres_mm)
-            self.listed[key] = scene.error_sources(planned, target, everything, self.sizes, FINE_CT_MM)
-        return [
-            replace(one, at_spheres_mm=one.at_spheres_mm[:count])
-            if isinstance(one, SharedErrors)
-            else replace(one, at_spheres_mm2=one.at_spheres_mm2[:count])
-            for one in self.listed[key]
-        ]
 
 
 @dataclass(frozen=True)
@@ -140,7 +111,7 @@ class _Bench:
     looks: LookArrays
     held_out: NDArray[np.bool_]
     spheres_mm: Array  # of the calibration
-    nominal: _Judged
+    nominal: JudgedArm
 
     @classmethod
     @lru_cache(maxsize=1)
@@ -156,33 +127,29 @@ class _Bench:
         }
         looks, held_out = plan_arm_looks(ArmModel(ARM, TOOL), spheres_mm, VALIDATION)
         believed = BelievedArm(ArmDeviations.none(len(ARM.chain.joints)), TOOL)
-        nominal = _Judged(believed, UNCALIBRATED, UNCALIBRATED_MM)
+        nominal = JudgedArm(believed, UNCALIBRATED, UNCALIBRATED_MM)
         return cls(seed, scenes, planned, looks, held_out, spheres_mm, nominal)
 
     def try_arm(self, number: int, effects: Sequence[Effect]) -> Counter[str]:
         sums: Counter[str] = Counter()
-        known: dict[Effect, _Judged | RonnaError] = {}
+        scene = self.scenes[number % len(self.scenes)]
+        strategy = STRATEGIES[number // len(self.scenes) % len(STRATEGIES)]
+        known: dict[Effect, JudgedArm | RonnaError] = {}
         for effect in effects:
-            at_calibration = Effect.NOTHING if effect in BUMPS else effect
+            at_calibration = Effect.NOTHING if effect in AFTER_CALIBRATION else effect
             if at_calibration not in known:
                 known[at_calibration] = self._calibrate(number, at_calibration)
-            calibrated = known[at_calibration]
-            for scene in self.scenes:
-                for strategy in STRATEGIES:
-                    key = f"{effect}|{UNCALIBRATED_ARM}|{strategy}"
-                    planned = self.planned[UNCALIBRATED_ARM, scene.number, strategy]
-                    sums.update(_prefix(key, self._try_case(number, effect, scene, planned, self.nominal)))
-                    key = f"{effect}|{CALIBRATED}|{strategy}"
-                    if isinstance(calibrated, RonnaError):
-                        for count in scene.counts:
-                            sums[f"{key}|{count}|trials"] += TARGETS
-                            sums[f"{key}|{count}|{calibrated.code}"] += TARGETS
-                        continue
-                    planned = self.planned[CALIBRATED, scene.number, strategy]
-                    sums.update(_prefix(key, self._try_case(number, effect, scene, planned, calibrated)))
+            for kind, judged in (
+                (UNCALIBRATED_ARM, self.nominal),
+                (CALIBRATED, known[at_calibration]),
+            ):
+                tried = self._try_case(
+                    number, effect, scene, self.planned[kind, scene.number, strategy], judged
+                )
+                sums.update({f"{effect}|{kind}|{strategy}|{name}": value for name, value in tried.items()})
         return sums
 
-    def _calibrate(self, number: int, effect: Effect) -> _Judged | RonnaError:
+    def _calibrate(self, number: int, effect: Effect) -> JudgedArm | RonnaError:
         """Identify and validate an arm with an effect as `ronna-arm calibrate` does; return any refusal."""
         drawn = DrawnEffect.draw(effect, self.seed, number)
         looks, true = self.looks, TrueArm(draw_numbered_arm(self.seed, number)[0], number)
@@ -202,49 +169,67 @@ class _Bench:
             stated_mm = validate(fit, seen.only(self.held_out)).model_mm
         except RonnaError as refusal:
             return refusal
-        identified = IdentifiedArm(fit.remaining, fit.deviations.backlash_rad, fit.scatter_mm)
+        known = fit.remaining, fit.deviations.backlash_rad, fit.scatter_mm, fit.freedom
         per_axis_mm = stated_mm / np.sqrt(AXES)
-        return _Judged(
+        return JudgedArm(
             BelievedArm(fit.deviations, fit.flange_from_tool),
-            ErrorSizes(tool_mm=per_axis_mm, identified=identified),
+            ErrorSizes(tool_mm=per_axis_mm, identified=IdentifiedArm(*known)),
             float(np.sqrt(2.0) * per_axis_mm),
         )
 
     def _try_case(
-        self, number: int, effect: Effect, scene: StudiedScene, planned: Postures, judged: _Judged
+        self,
+        number: int,
+        effect: Effect,
+        scene: StudiedScene,
+        planned: Postures,
+        judged: JudgedArm | RonnaError,
     ) -> Sums:
         """Localize, register and reach all targets once; sums by number of spheres."""
+        if isinstance(judged, RonnaError):
+            counted = "trials", judged.code
+            return {f"{count}|{name}": float(TARGETS) for count in scene.counts for name in counted}
         case = self._place_case(number, effect, scene, planned)
         sizes = Sizes(FINE_CT_MM)
         looked = IdentifiedCase(case.at_spheres, judged.believed, planned, scene, [number])
         reached = replace(looked, arm=case.at_targets)
         image, recorded = looked.record_spheres_mm(sizes)
+        recorded[:, 0] += DrawnEffect.draw(effect, self.seed, number).moved_mm
         sums: dict[str, float] = defaultdict(float)
         for count in scene.counts:
             fit = fit_rigid(image[None, :count], recorded[:, :count])
             errors = reached.reach_targets_mm(fit)
-            passes = [
-                _passes_gate(image[:count], recorded[nth, :count], planned, nth, judged, sizes)
+            refused = [
+                refusing_gates(
+                    image[:count],
+                    recorded[nth, :count],
+                    fit,
+                    nth,
+                    judged.allowed(scene, planned, nth, count),
+                )
                 for nth in range(planned.sets)
             ]
             for target, error_mm in enumerate(np.linalg.norm(errors, axis=1).tolist()):
-                nth = planned.set_of(target)
+                gates = refused[planned.set_of(target)]
                 sums[f"{count}|trials"] += 1
-                if not passes[nth]:
+                for name in gates - {RESIDUAL}:
+                    sums[f"{count}|{name}"] += 1
+                if RESIDUAL in gates:
                     sums[f"{count}|{RESIDUAL}"] += 1
                 elif case.off_gauge[target]:
                     sums[f"{count}|{GAUGE}"] += 1
                 else:
-                    predicted = _predict(scene, planned, target, count, judged, image, recorded[nth], fit)
+                    own = recorded[planned.set_of(target)]
+                    predicted = predict(scene, planned, target, count, judged, image, own, fit)
                     stated = replace(predicted, widening=1.0)
                     sums[f"{count}|used"] += 1
                     sums[f"{count}|error"] += error_mm
                     sums[f"{count}|limit"] += predicted.limit_mm()
                     sums[f"{count}|inside"] += error_mm <= predicted.limit_mm()
                     sums[f"{count}|inside stated"] += error_mm <= stated.limit_mm()
-                    sums[f"{count}|inside seen"] += error_mm <= _without_unnoticed(predicted).limit_mm()
+                    sums[f"{count}|inside seen"] += error_mm <= without_unnoticed(predicted).limit_mm()
                     sums[f"{count}|widened"] += predicted.widening > 1.0
-        return sums
+        return {**sums, **_squares_of_arm(sums)}
 
     def _place_case(self, number: int, effect: Effect, scene: StudiedScene, planned: Postures) -> _Case:
         """Displace an arm at all poses of a case, in the order in which a case takes them."""
@@ -288,46 +273,16 @@ class _Bench:
         )
 
 
-def _passes_gate(
-    image: Array, recorded: Array, planned: Postures, nth: int, judged: _Judged, sizes: Sizes
-) -> bool:
-    count, spheres = len(image), len(planned.localizations) // planned.sets
-    measured = np.eye(AXES) * (sizes.ct_mm**2 + sizes.servo_mm**2) / AXES
-    turned = planned.localizations.rotations[nth * spheres : nth * spheres + count]
-    shared = judged.sizes.tool_mm * turned
-    return residual_gate(image, recorded, np.tile(measured, (count, 1, 1)), judged.arm_mm, shared).passed
-
-
-def _predict(
-    scene: StudiedScene,
-    planned: Postures,
-    target: int,
-    count: int,
-    judged: _Judged,
-    image: Array,
-    recorded: Array,
-    fit: RigidFit,
-) -> TargetPrediction:
-    """Predict the error at a target from the arm, the CT and unnoticed changes, with the residual's test."""
-    nth = planned.set_of(target)
-    spheres = scene.robot_from_ct.apply(scene.phantom.spheres_mm[:count])
-    target_mm = scene.robot_from_ct.apply(scene.phantom.trajectories[target].target_mm)
-    sources = judged.sources(scene, planned, target, count)
-    mapped = image[:count] @ fit.rotation[nth].T + fit.translation_mm[nth]
-    residual = check_residuals(recorded[:count] - mapped, mapped, sources)
-    nothing = np.zeros((count, AXES, AXES))
-    unnoticed = [
-        IndependentErrors(name, nothing, np.eye(AXES) * rms_mm**2 / AXES, rare=True)
-        for name, rms_mm in UNNOTICED_MM.items()
-    ]
-    return predict_target_error(spheres, target_mm, [*sources, *unnoticed], residual=residual)
-
-
-def _without_unnoticed(predicted: TargetPrediction) -> TargetPrediction:
-    """Return the prediction without the shares for changes that nobody would notice."""
-    seen = {name: part for name, part in predicted.by_source_mm2.items() if name not in UNNOTICED_MM}
-    return TargetPrediction(seen, predicted.at_spheres, predicted.widening)
-
-
-def _prefix(key: str, sums: Mapping[str, float]) -> dict[str, float]:
-    return {f"{key}|{name}": float(value) for name, value in sums.items()}
+def _squares_of_arm(sums: Mapping[str, float]) -> Sums:
+    """Return the squares and products of an arm's own sums over all numbers of spheres."""
+    total: dict[str, float] = defaultdict(float)
+    for key, value in sums.items():
+        total[key.partition("|")[2]] += value
+    used, inside = total["used"], total["inside"]
+    found = {
+        "arms used": float(used > 0),
+        "used2": used**2,
+        "inside2": inside**2,
+        "inside used": inside * used,
+    }
+    return {f"{EVERY_COUNT}|{name}": float(value) for name, value in found.items()}

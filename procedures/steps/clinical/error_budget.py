@@ -16,31 +16,33 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from procedures.calibration.arm_sources import ArmPoses, arm_sources
+from procedures.calibration.arm_sources import ArmPoses, arm_sources, identified_errors
 from procedures.engine.context import StepContext
 from procedures.operator.question import Evidence
 from procedures.planning.guide import place_guide
 from procedures.planning.plan_model import PlannedTrajectory
 from procedures.registration import TwoWayTable, register, target_prediction
-from procedures.registration.error_theory import FreGate, chi_square_limit, degrees_of_freedom
+from procedures.registration.error_theory import FreGate
 from procedures.registration.errors import CollinearPoints
 from procedures.registration.point_registration import Registration
 from procedures.registration.points import FEWEST_PAIRS
+from procedures.registration.target_prediction import AllowedErrors, SharedErrors
 from procedures.steps.clinical.path_check import CheckedPaths, LocalizationPose
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.relocalization import arriving
 from procedures.steps.clinical.results import Prediction
 from procedures.strategies.trajectory import refine_target_pose
 from ronna_hw.arrays import Array
-from ronna_hw.calibrated_arm.error_budget import ErrorSizes, backlash_mm2
+from ronna_hw.calibrated_arm.error_budget import ErrorSizes, arm_error_mm, backlash_mm2
 from ronna_hw.frames import Transform
 from ronna_hw.vectors import JointVector
 
 REPEATABILITY_MM = 0.03  # per axis: robot at rest, and the servo's tolerance
 # The arm's error varies slowly with its joints: neighbouring points share it, distant ones do not, so they
-# are not independent points of one sigma. Only the gate allows for this; prediction and weights of the fit
-# keep the stated sigma. The price: with 4 spheres and a sigma of 0.1 mm, a moved sphere is found (9 times of
-# 10) from 1.2 mm instead of 1.0; with twice the sigma from 1.8.
+# are not independent points of one sigma. Where a record has no covariance that says what they share, only
+# the gate allows for this; prediction and weights of the fit keep the stated sigma. The price: with 4 spheres
+# and a sigma of 0.1 mm, a moved sphere is found (9 times of 10) from 1.2 mm instead of 1.0; with twice the
+# sigma from 1.8.
 # Safety against spheres of CT and robot that do not agree. Source: simulated cases.
 GATE_ARM_RESERVE = 1.5
 
@@ -52,36 +54,31 @@ GROSS_MM = 3.0  # a sphere on its screw that is off by more is seen by eye (unco
 NOTHING = "-"
 
 
-def residual_gate(
-    image_mm: Array, physical_mm: Array, measured_mm2: Array, arm_mm: float, shared_mm: Array
-) -> FreGate:
-    """Gate the residual of paired points (n, 3) mm, allowing for errors shared by all points.
+def allow_for_stated_arm(measured_mm2: Array, arm_mm: float, shared_mm: Array) -> AllowedErrors:
+    """Allow for an arm known by its sigma per axis alone, with a reserve.
 
-    `measured_mm2` (n, 3, 3) is the covariance of CT, seating and stereo head, `arm_mm` the arm's sigma per
-    axis. `shared_mm` (n, 3, k) is the displacement by one standard deviation of each shared error. Raises
-    REG-001 to REG-006.
+    `measured_mm2` (n, 3, 3) is the covariance of CT, seating and stereo head; `shared_mm` (n, 3, k) is the
+    displacement by one standard deviation of each error of the tool frame.
     """
-    allowed = _allowed_covariance_mm2(measured_mm2, arm_mm)
-    fit = register(image_mm, physical_mm, covariance_mm2=allowed)
-    if float(np.ptp(shared_mm, axis=0).max()) < ALIKE_MM:  # the pose takes all of it
+    return AllowedErrors(measured_mm2 + arm_covariance_mm2(GATE_ARM_RESERVE * arm_mm), shared_mm)
+
+
+def residual_gate(image_mm: Array, physical_mm: Array, allowed: AllowedErrors) -> FreGate:
+    """Gate the residual of paired points (n, 3) mm. Raises REG-001 to REG-006."""
+    fit = register(image_mm, physical_mm, covariance_mm2=allowed.independent_mm2)
+    if float(np.ptp(allowed.shared_mm, axis=0).max()) < ALIKE_MM:  # the pose takes all of it
         return fit.gate(confidence=GATE_CONFIDENCE)
     mapped = np.asarray(fit.transform.apply(fit.image_mm), dtype=float)
-    chi_square = target_prediction.chi_square_of_shared(fit.residuals_mm, mapped, allowed, shared_mm)
-    limit = chi_square_limit(degrees_of_freedom(fit.pairs), GATE_CONFIDENCE)
-    return FreGate(fit.fre_mm, chi_square, limit, GATE_CONFIDENCE)
+    return target_prediction.gate_residuals(fit.residuals_mm, mapped, allowed, GATE_CONFIDENCE)
 
 
-def find_moved_spheres(
-    image_mm: Array, physical_mm: Array, measured_mm2: Array, arm_mm: float, shared_mm: Array
-) -> tuple[int, ...]:
+def find_moved_spheres(image_mm: Array, physical_mm: Array, allowed: AllowedErrors) -> tuple[int, ...]:
     """Return the pairs whose removal makes the gate pass, most likely first; see `residual_gate`."""
     found: list[tuple[float, int]] = []
     for index in range(len(image_mm) if len(image_mm) > FEWEST_PAIRS else 0):
         keep = np.arange(len(image_mm)) != index
         try:
-            gate = residual_gate(
-                image_mm[keep], physical_mm[keep], measured_mm2[keep], arm_mm, shared_mm[keep]
-            )
+            gate = residual_gate(image_mm[keep], physical_mm[keep], allowed[keep])
         except CollinearPoints:
             continue
         if gate.passed:
@@ -90,25 +87,20 @@ def find_moved_spheres(
 
 
 def find_undetected_sphere(
-    fit: Registration, target_mm: Array, gate: FreGate, measured_mm2: Array, arm_mm: float, shared_mm: Array
+    fit: Registration, target_mm: Array, gate: FreGate, allowed: AllowedErrors
 ) -> target_prediction.UnnoticedPoint:
     """Find the sphere whose displacement could move the target furthest while still passing the `gate`.
 
-    `fit` is the registration used, `target_mm` (3,) is in its physical frame; the rest as in `residual_gate`.
+    `fit` is the registration used, `target_mm` (3,) is in its physical frame.
     """
     return target_prediction.find_unnoticed_point(
         np.asarray(fit.transform.apply(fit.image_mm), dtype=float),
         target_mm,
-        _allowed_covariance_mm2(measured_mm2, arm_mm),
-        shared_mm,
+        allowed,
         None if fit.covariance_mm2 is None else np.linalg.inv(fit.covariance_mm2),
         gate,
         GROSS_MM,
     )
-
-
-def _allowed_covariance_mm2(measured_mm2: Array, arm_mm: float) -> Array:
-    return measured_mm2 + arm_covariance_mm2(GATE_ARM_RESERVE * arm_mm)
 
 
 def arm_covariance_mm2(arm_mm: float) -> Array:
@@ -211,10 +203,35 @@ def unknown_sides_mm2(context: StepContext, looks: Sequence[LocalizationPose], s
     return backlash_mm2(chain, np.array([one.joints_rad for one in looks]), spheres_mm, sizes)
 
 
-def sphere_displacements_mm(context: StepContext, looks: Sequence[LocalizationPose]) -> Array:
-    """Return sphere displacements (n, 3, 3) mm, robot frame, by one sigma of each tool frame error."""
-    sizes = ErrorSizes.stated(context.setting.settings, context.workcell.calibrations.arm)
-    return sizes.tool_mm * np.array([one.tool_pose.transform.rotation_matrix for one in looks])
+def allowed_errors(
+    context: StepContext,
+    looks: Sequence[LocalizationPose],
+    spheres_mm: Array,
+    measured_mm2: Array,
+    scan: SharedErrors,
+) -> AllowedErrors:
+    """Return the errors at looks at the spheres (n, 3) mm, robot frame, that the residual gate allows for.
+
+    For an identified arm they are those of the prediction, with all that spheres share: its record says
+    what. Otherwise the reserve on the arm's sigma stands for them, the `scan` as a whole included.
+    """
+    arm = context.workcell.calibrations.arm
+    sizes = ErrorSizes.stated(context.setting.settings, arm)
+    if sizes.identified is None:
+        arm_mm = arm_error_mm(context.setting.settings, arm)
+        tool_mm = sizes.tool_mm * np.array([one.tool_pose.transform.rotation_matrix for one in looks])
+        return allow_for_stated_arm(measured_mm2, arm_mm, tool_mm)
+    signs = [arriving(context, context.result(CheckedPaths), one) for one in looks]
+    joints_rad = np.array([one.joints_rad for one in looks])
+    unknown = (0,) * joints_rad.shape[1]
+    sides = np.array([unknown if one is None else one for one in signs], dtype=float)
+    chain = context.workcell.master.arm.kinematics.chain
+    arm_alone = identified_errors(chain, ArmPoses(joints_rad, spheres_mm, sides), sizes.identified)
+    return AllowedErrors(
+        measured_mm2 + arm_alone.independent_mm2,
+        np.concatenate([arm_alone.shared_mm, scan.at_spheres_mm], axis=2),
+        arm_alone.freedom,
+    )
 
 
 def budget_table(predicted: Prediction) -> Evidence:

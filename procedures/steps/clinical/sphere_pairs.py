@@ -15,6 +15,7 @@ from typing import Protocol, Self
 import numpy as np
 
 from procedures.engine.context import StepContext
+from procedures.planning.target_error import scan_errors
 from procedures.registration import Registration, register
 from procedures.registration.arm_learning import (
     ArmLearning,
@@ -29,6 +30,7 @@ from procedures.registration.errors import CollinearPoints
 from procedures.registration.points import FEWEST_PAIRS
 from procedures.registration.rigid_fit import fit_rigid
 from procedures.registration.target_prediction import (
+    AllowedErrors,
     IndependentErrors,
     UnnoticedPoint,
     check_residuals,
@@ -113,8 +115,8 @@ class LookedPairs:
     seating_mm2: Array
     stereo_mm2: Array
     sides_mm2: Array  # of backlashes, where the strategy does not control them
-    tool_mm: Array  # what each standard deviation of the tool frame displaces
     arm_mm: float  # the arm's sigma per axis
+    allowed: AllowedErrors  # by the gate
 
     @classmethod
     def of(cls, context: StepContext) -> Self:
@@ -129,17 +131,24 @@ class LookedPairs:
         planned = {(axis, one.fiducial): one for axis, one in all_looks}
         looks = tuple(planned[of] for of in zip(axes, fiducials, strict=True))
         settings = context.setting.settings
+        image_mm, count = localization.centres_mm[fiducials], len(fiducials)
+        ct_mm2, stereo_mm2 = rotation @ ct @ rotation.T, np.array(fine.covariances_mm2)
+        seating_mm2 = np.tile(np.eye(3) * settings.seating_error_mm**2, (count, 1, 1))
+        sides_mm2 = error_budget.unknown_sides_mm2(context, looks, fine.points_mm)
+        scan = scan_errors(localization.deformation, image_mm, image_mm.mean(axis=0), rotation)
         return cls(
             fiducials=fine.fiducials,
             looks=looks,
-            image_mm=localization.centres_mm[fiducials],
+            image_mm=image_mm,
             physical_mm=fine.points_mm,
-            ct_mm2=rotation @ ct @ rotation.T,
-            seating_mm2=np.tile(np.eye(3) * settings.seating_error_mm**2, (len(fiducials), 1, 1)),
-            stereo_mm2=np.array(fine.covariances_mm2),
-            sides_mm2=error_budget.unknown_sides_mm2(context, looks, fine.points_mm),
-            tool_mm=error_budget.sphere_displacements_mm(context, looks),
+            ct_mm2=ct_mm2,
+            seating_mm2=seating_mm2,
+            stereo_mm2=stereo_mm2,
+            sides_mm2=sides_mm2,
             arm_mm=arm_error_mm(settings, context.workcell.calibrations.arm),
+            allowed=error_budget.allowed_errors(
+                context, looks, fine.points_mm, ct_mm2 + seating_mm2 + stereo_mm2 + sides_mm2, scan
+            ),
         )
 
     @property
@@ -162,9 +171,7 @@ class LookedPairs:
 
     @property
     def gate(self) -> FreGate:
-        return error_budget.residual_gate(
-            self.image_mm, self.physical_mm, self.measured_mm2, self.arm_mm, self.tool_mm
-        )
+        return error_budget.residual_gate(self.image_mm, self.physical_mm, self.allowed)
 
     def without(self, place: int) -> Self:
         return self.at([row for row in range(len(self.looks)) if row != place])
@@ -182,18 +189,14 @@ class LookedPairs:
             seating_mm2=self.seating_mm2[kept],
             stereo_mm2=self.stereo_mm2[kept],
             sides_mm2=self.sides_mm2[kept],
-            tool_mm=self.tool_mm[kept],
+            allowed=self.allowed[kept],
         )
 
     def find_moved(self) -> tuple[int, ...]:
-        return error_budget.find_moved_spheres(
-            self.image_mm, self.physical_mm, self.measured_mm2, self.arm_mm, self.tool_mm
-        )
+        return error_budget.find_moved_spheres(self.image_mm, self.physical_mm, self.allowed)
 
     def find_unnoticed(self, tip_mm: Array, sources: Sequence[Source]) -> UnnoticedPoint:
-        return error_budget.find_undetected_sphere(
-            self.fit, tip_mm, self.gate, self.measured_mm2, self.arm_mm, self.tool_mm
-        )
+        return error_budget.find_undetected_sphere(self.fit, tip_mm, self.gate, self.allowed)
 
     def predict(self, tip_mm: Array, sources: Sequence[Source]) -> LearnedTarget:
         fit = self.fit

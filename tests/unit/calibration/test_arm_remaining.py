@@ -10,9 +10,9 @@ import tomli_w
 from arm_looks import KINEMATICS, SPHERES_MM, LookingArm
 
 from procedures.calibration.arm_calibration import ArmResult, calibrate_arm
-from procedures.calibration.arm_sources import ArmPoses, arm_sources
+from procedures.calibration.arm_sources import ArmPoses, arm_sources, identified_errors
 from procedures.registration.rigid_fit import fit_rigid
-from procedures.registration.target_prediction import TargetPrediction, predict_target_error
+from procedures.registration.target_prediction import TargetPrediction, allow_for, predict_target_error
 from procedures.runs.calibrations import ARM
 from ronna_hw.arrays import Array
 from ronna_hw.bounded_input import parse_toml
@@ -55,6 +55,28 @@ def test_every_deviation_displaces_the_tool_as_it_does_in_the_model_of_the_arm()
         moved = (poses[:, :3, :3] @ TOOL_MM + poses[:, :3, 3] - POINTS_MM) / 1e-6
         np.testing.assert_allclose(found[:, :, number], moved, atol=2e-3)  # mm per rad: of 700
     np.testing.assert_array_equal(found[:, :, -3:], flange_rotations(CHAIN, JOINTS))
+
+
+def test_what_the_fit_has_learnt_is_no_longer_free_to_tell_the_random_error(result: ArmResult) -> None:
+    measured, spheres = 3 * int(result.fit.used.sum()), 3 * len(SPHERES_MM)
+    assert measured - spheres - result.fit.model.size < result.arm.freedom < measured - spheres
+    known = IdentifiedArm.of(result.arm)
+    assert known is not None
+    assert known.freedom == result.arm.freedom
+
+
+def test_a_gate_allows_for_the_errors_of_an_identified_arm_that_the_prediction_counts(
+    result: ArmResult,
+) -> None:
+    known = IdentifiedArm.of(result.arm)
+    assert known is not None
+    spheres = ArmPoses(JOINTS[:4], POINTS_MM[:4], SIDES[:4])
+    target = ArmPoses(JOINTS[4:], POINTS_MM[4:], SIDES[4:])
+    counted = allow_for(arm_sources(CHAIN, spheres, target, ErrorSizes(identified=known), servo_mm=0.0), 4)
+    allowed = identified_errors(CHAIN, spheres, known)
+    np.testing.assert_allclose(allowed.independent_mm2, counted.independent_mm2)
+    np.testing.assert_allclose(allowed.shared_mm, counted.shared_mm)
+    assert allowed.freedom == known.freedom
 
 
 def test_the_record_holds_the_covariance_of_the_fit_in_its_own_units(result: ArmResult) -> None:

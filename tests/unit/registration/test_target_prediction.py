@@ -10,7 +10,9 @@ from scipy.special import chdtr
 
 from procedures.registration import register
 from procedures.registration.error_theory import FreGate, chi_square_limit
+from procedures.registration.rigid_fit import fit_rigid
 from procedures.registration.target_prediction import (
+    AllowedErrors,
     IndependentErrors,
     ResidualCheck,
     SharedErrors,
@@ -18,6 +20,7 @@ from procedures.registration.target_prediction import (
     check_residuals,
     chi_square_of_shared,
     find_unnoticed_point,
+    gate_residuals,
     influence_of_spheres,
     predict_target_error,
 )
@@ -97,6 +100,30 @@ def test_residuals_with_shared_errors_follow_a_chi_square_distribution(draws: in
     assert np.mean(np.array(shares) > 0.95) == pytest.approx(0.05, abs=0.02)
 
 
+@pytest.mark.parametrize("freedom", [None, 12.0])
+def test_the_gate_refuses_as_often_as_stated_even_if_the_size_of_the_errors_is_an_estimate(
+    freedom: float | None,
+) -> None:
+    generator = np.random.default_rng(5)
+    shared_mm = generator.normal(0.0, 0.3, (5, 3, 2))
+    refused = []
+    for _ in range(2000):
+        error_mm = generator.normal(0.0, SIGMA_MM, (5, 3)) + shared_mm @ generator.normal(size=2)
+        estimated = 1.0 if freedom is None else generator.chisquare(freedom) / freedom
+        allowed = AllowedErrors(COVARIANCE_MM2 * estimated, shared_mm * np.sqrt(estimated), freedom)
+        fit = fit_rigid(POINTS_MM[None], POINTS_MM[None] + error_mm)
+        mapped = POINTS_MM @ fit.rotation[0].T + fit.translation_mm[0]
+        gate = gate_residuals(POINTS_MM + error_mm - mapped, mapped, allowed, 0.95)
+        refused.append(not gate.passed)
+    assert np.mean(refused) == pytest.approx(0.05, abs=0.015)
+
+
+def test_allowed_errors_are_selected_sphere_by_sphere() -> None:
+    allowed = AllowedErrors(COVARIANCE_MM2, np.arange(15.0).reshape(5, 3, 1), 80.0)[[0, 3]]
+    np.testing.assert_array_equal(allowed.shared_mm[:, :, 0], [[0.0, 1.0, 2.0], [9.0, 10.0, 11.0]])
+    assert (len(allowed.independent_mm2), allowed.freedom) == (2, 80.0)
+
+
 TARGET_MM = np.array([10.0, 20.0, -60.0])
 LIMIT = chi_square_limit(9, 0.999)
 
@@ -104,10 +131,9 @@ LIMIT = chi_square_limit(9, 0.999)
 def _worst(points_mm: Array, largest_mm: float = 3.0) -> UnnoticedPoint:
     count = len(points_mm)
     gate = FreGate(0.0, 0.0, chi_square_limit(3 * count - 6, 0.999), 0.999)
-    covariance, shared = COVARIANCE_MM2[:count], np.zeros((count, 3, 1))
-    return find_unnoticed_point(
-        points_mm, TARGET_MM, covariance, shared, np.linalg.inv(covariance), gate, largest_mm
-    )
+    allowed = AllowedErrors(COVARIANCE_MM2[:count], np.zeros((count, 3, 1)))
+    weights = np.linalg.inv(allowed.independent_mm2)
+    return find_unnoticed_point(points_mm, TARGET_MM, allowed, weights, gate, largest_mm)
 
 
 @pytest.mark.slow

@@ -23,8 +23,10 @@ from studies.accuracy.scene import CT_FLE_MM, FINE_CT_MM, SCENARIOS, SET_S, Size
 from studies.application_error import ApplicationErrorStudy
 from studies.campaign.study import Unit
 from studies.errors import PHANTOM_OUT_OF_REACH, POSE_NOT_SOLVED
-from studies.guide_direction import BIN_MM, EFFECTS, FITTED_REST, PUBLISHED_MM, SIZES_MRAD, rest_outside
+from studies.guide_direction import BIN_MM, EFFECTS, FITTED_REST, SIZES_MRAD
 from studies.guide_direction import tables as guide_tables
+from studies.ronna_g3 import ALTERNATIVES, DEPTHS_MM, OF_ALL_ARMS, PUBLISHED_MM, rest_outside
+from studies.ronna_g3 import tables as protocol_tables
 from studies.strategies import identified as by_looks
 from studies.strategies.identified import (
     EXPECTED,
@@ -199,7 +201,7 @@ def test_a_phantom_out_of_reach_is_refused() -> None:
 @pytest.mark.slow
 def test_published_ronna_g3_errors_are_shown_next_to_their_own_markers_and_strategy() -> None:
     study = ApplicationErrorStudy(arms=1)
-    table, effects, sizes, fitted = application_error.tables(
+    *by_place, table, effects, sizes, fitted = application_error.tables(
         {unit.condition: study.run(unit) for unit in study.units() if unit.condition.endswith("|5")}
     )
     assert len(effects.rows) == 2 * 3 * 2
@@ -211,6 +213,29 @@ def test_published_ronna_g3_errors_are_shown_next_to_their_own_markers_and_strat
         ("50-120 mm", "xframe", "thesis-ocs", 4): 0.88,
     }
     assert len(table.rows) == 2 * 2 * (3 + 2)
+    assert [len(one.rows) for one in by_place] == [2 * (1 + 1), 2 * 2, len(ALTERNATIVES)]
+
+
+def test_errors_are_shown_by_position_and_depth_and_single_arms_beside_the_published_mean() -> None:
+    sums = {
+        f"{name}|{depth}|{kind}|{place}": {
+            f"{arm}|{target}": PUBLISHED_MM[depth][0] + 0.1 * (arm - 1) + 0.01 * place
+            for arm in range(4)
+            for target in range(2)
+        }
+        for name in ALTERNATIVES
+        for depth in DEPTHS_MM
+        for kind in Markers
+        for place in (5, 20)
+    }
+    places, arms, _ = protocol_tables(sums)
+    first = dict(zip(places.columns, places.rows[0], strict=True))
+    assert (first["position"], first["0-50 mm, mean"]) == (5, pytest.approx(0.43 + 0.05 + 0.05))
+    assert [row[1] for row in places.rows] == [5, 20, "all"] * len(OF_ALL_ARMS)
+    # arms 0 to 3 are 0.1 mm apart, and the mean position adds 0.125 mm: the first alone is not above
+    assert [row[-1] for row in arms.rows] == [0.0] * 4
+    low, middle, high = arms.rows[0][4:7]
+    assert (low, middle, high) == pytest.approx((0.47, 0.605, 0.74))
 
 
 def test_a_bore_that_points_wrongly_moves_the_tip_by_its_angle_times_the_lever() -> None:

@@ -19,6 +19,7 @@ from procedures.registration import register
 from procedures.steps.clinical.error_budget import (
     GATE_CONFIDENCE,
     REPEATABILITY_MM,
+    allow_for_stated_arm,
     find_moved_spheres,
     residual_gate,
 )
@@ -35,6 +36,7 @@ ALIKE = np.broadcast_to(2.0 * np.eye(3), (8, 3, 3))  # the tool frame, held alik
 SPHERES_MM = np.array(
     [[x, y, 20.0 * np.sign(x * y * z) + z] for x in (-60, 60) for y in (-60, 60) for z in (-40, 40)]
 )
+STATED = allow_for_stated_arm(MEASURED_MM2, ARM_MM, ALIKE)
 
 
 def test_an_error_that_varies_slowly_over_the_arms_reach_passes() -> None:
@@ -43,15 +45,15 @@ def test_an_error_that_varies_slowly_over_the_arms_reach_passes() -> None:
     own = np.eye(3) * (ARM_MM**2 + REPEATABILITY_MM**2)
     plain = register(SPHERES_MM, measured, covariance_mm2=MEASURED_MM2 + own)
     assert not plain.gate(confidence=GATE_CONFIDENCE).passed
-    assert residual_gate(SPHERES_MM, measured, MEASURED_MM2, ARM_MM, ALIKE).passed
+    assert residual_gate(SPHERES_MM, measured, STATED).passed
 
 
 @pytest.mark.parametrize("moved", range(8))
 def test_a_sphere_that_moved_by_a_millimetre_and_a_half_is_refused_and_named(moved: int) -> None:
     measured = SPHERES_MM.copy()
     measured[moved, 0] += 1.5
-    assert not residual_gate(SPHERES_MM, measured, MEASURED_MM2, ARM_MM, ALIKE).passed
-    assert find_moved_spheres(SPHERES_MM, measured, MEASURED_MM2, ARM_MM, ALIKE)[0] == moved
+    assert not residual_gate(SPHERES_MM, measured, STATED).passed
+    assert find_moved_spheres(SPHERES_MM, measured, STATED)[0] == moved
 
 
 def turned_tool() -> Rotation:
@@ -60,7 +62,7 @@ def turned_tool() -> Rotation:
 
 
 def test_the_effect_of_a_wrong_tool_frame_passes_when_the_gate_allows_for_it() -> None:
-    shared = 2.0 * turned_tool().as_matrix()
+    turned = allow_for_stated_arm(MEASURED_MM2, ARM_MM, 2.0 * turned_tool().as_matrix())
     generator = np.random.default_rng(4)
     passed = []
     for _ in range(300):
@@ -69,8 +71,8 @@ def test_the_effect_of_a_wrong_tool_frame_passes_when_the_gate_allows_for_it() -
         measured = SPHERES_MM + turned_tool().apply(tool_mm) + own_mm
         passed.append(
             (
-                residual_gate(SPHERES_MM, measured, MEASURED_MM2, ARM_MM, shared).passed,
-                residual_gate(SPHERES_MM, measured, MEASURED_MM2, ARM_MM, ALIKE).passed,
+                residual_gate(SPHERES_MM, measured, turned).passed,
+                residual_gate(SPHERES_MM, measured, STATED).passed,
             )
         )
     known, unknown = np.mean(passed, axis=0)
@@ -79,18 +81,18 @@ def test_the_effect_of_a_wrong_tool_frame_passes_when_the_gate_allows_for_it() -
 
 
 def test_a_moved_sphere_is_found_despite_a_wrong_tool_frame() -> None:
-    shared = 2.0 * turned_tool().as_matrix()
+    turned = allow_for_stated_arm(MEASURED_MM2, ARM_MM, 2.0 * turned_tool().as_matrix())
     measured = SPHERES_MM + turned_tool().apply([2.0, -1.0, 2.0])
     measured[5, 0] += 1.8
-    assert not residual_gate(SPHERES_MM, measured, MEASURED_MM2, ARM_MM, shared).passed
-    assert find_moved_spheres(SPHERES_MM, measured, MEASURED_MM2, ARM_MM, shared)[0] == 5
+    assert not residual_gate(SPHERES_MM, measured, turned).passed
+    assert find_moved_spheres(SPHERES_MM, measured, turned)[0] == 5
 
 
 def test_two_moved_spheres_are_not_explained_by_a_single_one() -> None:
     measured = SPHERES_MM.copy()
     measured[1] += [3.0, 0.0, 0.0]
     measured[4] += [0.0, 4.0, 0.0]
-    assert find_moved_spheres(SPHERES_MM, measured, MEASURED_MM2, ARM_MM, ALIKE) == ()
+    assert find_moved_spheres(SPHERES_MM, measured, STATED) == ()
 
 
 INSERTIONS = 2000

@@ -8,6 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from arm_looks import SPHERES_MM as LOOKED_AT_MM
+from arm_looks import LookingArm
 from clinical_case import FIRST, ROBOT_FROM_CT, SPHERES_MM, TRAJECTORIES, ClinicalCell
 from prepared_results import (
     CENTRES_CT_MM,
@@ -22,6 +24,7 @@ from prepared_results import (
 )
 from recording_cell import RecordingOperator, theatre_of
 
+from procedures.calibration.arm_calibration import calibrate_arm
 from procedures.engine.case import Stored
 from procedures.engine.methods import CaseMethods, Matcher
 from procedures.guards.stability import GUIDE_NOTICEABLE_MM, Subject
@@ -37,10 +40,12 @@ from procedures.strategies.catalogue import find_strategy
 from procedures.strategies.fixed_orientation import NeutralOrientation
 from procedures.workcell import MountedTool
 from ronna_hw.arrays import Array
+from ronna_hw.calibration import ArmCalibration
 from ronna_hw.config import ProcedureSettings
 from sim.world.process import load_scene
 
 FAR_MM = (0.0, 0.0, -300.0)
+STRETCH = 6e-3  # of a scan, three times the usual error of a pixel's size
 SIDEWAYS_MM = 0.7  # the largest that the gate takes without the backlash of 0.25 mm is 0.6
 
 
@@ -246,6 +251,37 @@ def test_the_gate_of_a_calibrated_arm_counts_backlash_where_the_strategy_does_no
     points_mm[::2, 1] += SIDEWAYS_MM  # some on one side of the first joint's, some on the other
     with nullcontext() if passes else pytest.raises(GateFailed, match="disagrees with its own error budget"):
         registered(cell, points_mm)
+
+
+@pytest.fixture(scope="module")
+def identified() -> ArmCalibration:
+    return calibrate_arm(LookingArm.of(3).looks(90, 24, LOOKED_AT_MM)).arm
+
+
+def cell_with(folder: Path, record: ArmCalibration) -> ClinicalCell:
+    scene = load_scene("mini", seed=3, markers=4, targets=2, calibrated=True)
+    cell = ClinicalCell(folder, theatre=theatre_of(scene))
+    cell.workcell.calibrations = cell.calibrations.model_copy(update={"arm": record})
+    return cell
+
+
+@pytest.mark.parametrize("with_covariance", [True, False])
+def test_the_gate_of_an_identified_arm_allows_for_what_the_spheres_share(
+    tmp_path: Path, identified: ArmCalibration, with_covariance: bool
+) -> None:
+    record = identified if with_covariance else identified.model_copy(update={"remaining": None})
+    middle_mm = SPHERES_MM.mean(axis=0)
+    stretched = middle_mm + (SPHERES_MM - middle_mm) * (1.0, 1.0 + STRETCH, 1.0)
+    with nullcontext() if with_covariance else pytest.raises(GateFailed):
+        registered(cell_with(tmp_path, record), stretched)
+
+
+@pytest.mark.hazard(11)
+def test_a_moved_sphere_is_refused_with_an_identified_arm(tmp_path: Path, identified: ArmCalibration) -> None:
+    cell = cell_with(tmp_path, identified)
+    cell.operator = RecordingOperator(Topic.MOVED_SPHERE)
+    with pytest.raises(GateFailed, match=rf"disagrees with its own error budget at {FIRST}.*sphere 3"):
+        registered(cell, moved(2))
 
 
 def moved(*spheres: int) -> Array:

@@ -10,7 +10,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from procedures.journal.results import FramedPose
 from procedures.registration.arm_learning import LACKING
-from procedures.registration.target_prediction import IndependentErrors, SharedErrors
+from procedures.registration.target_prediction import AllowedErrors, IndependentErrors, SharedErrors
 from procedures.steps.clinical.path_check import LocalizationPose
 from procedures.steps.clinical.sphere_pairs import (
     CT,
@@ -66,8 +66,8 @@ def pairs(noise: np.random.Generator | None = None, moved_mm: Array | None = Non
             seating_mm2=small,
             stereo_mm2=np.tile(np.eye(3) * 1e-6, (len(rows), 1, 1)),
             sides_mm2=np.zeros((len(rows), 3, 3)),
-            tool_mm=TOOL_MM * turns,
             arm_mm=0.1,
+            allowed=AllowedErrors(small, TOOL_MM * turns),
         ),
         (
             SharedErrors("tool frame", TOOL_MM * turns, TOOL_MM * np.eye(3)),
