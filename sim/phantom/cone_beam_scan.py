@@ -26,9 +26,16 @@ from sim.phantom.scan import RAMP_WIDTH, SKIN_MARGIN_MM, plain_scan, slice_noise
 from sim.phantom.scanner.faults import Kernel
 from sim.phantom.scanner.fine_painting import HALF_SIDE_MM, Patch, paint_patch
 from sim.phantom.scanner.grid import CtGrid, centre_grid
-from sim.phantom.scanner.metal_artefacts import METAL_FROM_HU, METALS, STEEL, TITANIUM, MetalArtefacts, MetalPart
+from sim.phantom.scanner.metal_artefacts import (
+    METAL_FROM_HU,
+    METALS,
+    STEEL,
+    TITANIUM,
+    MetalArtefacts,
+    MetalPart,
+)
 from sim.world.noise import noise
-from sim.world.rigid import Array, apply, as_point, matrix_from, rotation_from_vector
+from sim.world.rigid import apply, as_point, matrix_from, rotation_from_vector
 from sim.world.scene.model import CtProtocol, Fiducial, Scene
 
 # 200 mm wide and 160 mm high, as an O-arm's; noise of a low-dose protocol of the head
@@ -128,12 +135,17 @@ def draw_cone_beam(
     )
     anatomy = plain_scan(present).anatomy
     beside = set(side_cable(head))  # belongs to the room of the CT
-    around = (*(one for one in anatomy.surroundings if one not in beside), *clamp(head, PINS, generator).shapes)
+    around = (
+        *(one for one in anatomy.surroundings if one not in beside),
+        *clamp(head, PINS, generator).shapes,
+    )
     fillings = set(anatomy.fillings)
     bodies = [_into_scan(one, pose) for one in around]
     markers = tuple(_move_marker(one, pose) for one in anatomy.markers)
     metal = [
-        MetalPart(there, METALS[AMALGAM if here in fillings else STEEL if here.hu >= STEEL_FROM_HU else TITANIUM])
+        MetalPart(
+            there, METALS[AMALGAM if here in fillings else STEEL if here.hu >= STEEL_FROM_HU else TITANIUM]
+        )
         for here, there in (
             *zip(around, bodies, strict=True),
             *((shape, shape) for marker in markers for shape in marker.shapes),
@@ -201,21 +213,22 @@ class ConeBeamPainter:
         self._noise: OrderedDict[int, Values] = OrderedDict()
         distance_mm = np.hypot(self._x[None, :], self._y[:, None])
         self._outside = distance_mm > scan.radius_mm
-        self._rim = np.float32(RIM_HU) * np.exp((distance_mm - np.float32(scan.radius_mm)) / np.float32(RIM_MM))
+        self._rim = np.float32(RIM_HU) * np.exp(
+            (distance_mm - np.float32(scan.radius_mm)) / np.float32(RIM_MM)
+        )
         self._patches: tuple[Patch, ...] | None = None
 
-    @property
-    def patches(self) -> tuple[Patch, ...]:
-        """Surroundings of all spheres, painted finely once."""
-        if self._patches is None:
-            self._patches = tuple(
-                paint_patch(place, self._shapes, self._sharp, self._scan.grid, KERNEL, BLUR_ALONG_MM)
-                for place in self._scan.places
-            )
-        return self._patches
+    def paint_patches(self) -> None:
+        """Paint the surroundings of all spheres finely; `paint` does it for the first slice otherwise."""
+        self._patches = tuple(
+            paint_patch(place, self._shapes, self._sharp, self._scan.grid, KERNEL, BLUR_ALONG_MM)
+            for place in self._scan.places
+        )
 
     def paint(self, number: int) -> Values:
         """Paint one slice in HU (rows, columns), with all errors of the scanner."""
+        if self._patches is None:
+            self.paint_patches()
         image, inside = self._clean(number)
         self._metal.add(image, number, noise(self._scan.seed, "cone beam metal", number))
         z_mm = float(self._scan.grid.z_mm[number])
@@ -231,7 +244,7 @@ class ConeBeamPainter:
         return image
 
     def _clean(self, number: int) -> tuple[Values, Values]:
-        """Return the slice without errors, and how deep in the head each pixel is: 0 at the skin, 1 inside."""
+        """Return the slice without errors, and the depth in the head: 0 at the skin, 1 in the middle."""
         grid = self._scan.grid
         z_mm = float(grid.z_mm[number])
         image = np.full((grid.rows, grid.columns), AIR_HU, dtype=np.float32)
@@ -252,7 +265,7 @@ class ConeBeamPainter:
         axes = (self._x, self._y, np.array([z_mm], dtype=np.float32))
         for shape in self._shapes:
             paint(image[None], axes, shape, self._edge_mm)
-        for patch in self.patches:
+        for patch in self._patches or ():
             if patch.slices.start <= number < patch.slices.stop:
                 image[patch.rows, patch.columns] = patch.hu[number - patch.slices.start]
         return image, depth
@@ -283,8 +296,3 @@ class ConeBeamPainter:
             while len(self._noise) > SLICES_KEPT:
                 self._noise.popitem(last=False)
         return drawn
-
-
-def scanned_mm(scan: ConeBeamScan, places_ct_mm: Array) -> Array:
-    """Return where places (n, 3) mm of the head in the CT's frame are in the scan."""
-    return apply(scan.pose.scan_from_head, places_ct_mm)
