@@ -84,7 +84,8 @@ class _Pairs:
             physical_mm=fine.points_mm,
             ct_mm2=rotation @ ct @ rotation.T,
             seating_mm2=np.tile(
-                np.eye(3) * context.setting.settings.seating_error_mm**2, (len(fiducials), 1, 1)
+                np.eye(3) * localization.seating_mm(context.setting.settings.seating_error_mm) ** 2,
+                (len(fiducials), 1, 1),
             ),
             stereo_mm2=np.array(fine.covariances_mm2),
             sides_mm2=error_budget.unknown_sides_mm2(context, fiducials, fine.points_mm),
@@ -280,18 +281,23 @@ def predict_tip_error(
     stated_rad = calibrations.tool_tip.stated_direction_error_rad
     nothing = np.zeros_like(pairs.ct_mm2)
     unnoticed = expect_unnoticed(context, tip_mm, held.joints_rad, held.sides)
-    turn = held.rotation
+    turn, rotation, localized = (
+        held.rotation,
+        robot_from_ct.rotation_matrix,
+        context.result(LocalizedFiducials),
+    )
     sources = (
         IndependentErrors("CT", pairs.ct_mm2, np.zeros((3, 3))),
         held.turn_with_head(
             scan_errors(
-                context.result(LocalizedFiducials).deformation,
+                localized.deformation,
                 pairs.image_mm,
                 planned.target_mm,
-                robot_from_ct.rotation_matrix,
+                rotation,
             )
         ),
         IndependentErrors("seating of the spheres", pairs.seating_mm2, np.zeros((3, 3))),
+        *map(held.turn_with_head, localized.place_errors(planned.target_mm, rotation, len(pairs.ct_mm2))),
         *fusion_errors(planned.fusion_error_mm, len(pairs.ct_mm2)),
         IndependentErrors("stereo measurement", pairs.stereo_mm2, np.zeros((3, 3))),
         *error_budget.arm_errors(context, pairs.fiducials, fit.physical_mm, target, held),
@@ -321,9 +327,9 @@ def predict_tip_error(
         confidence=DEFAULT_CONFIDENCE,
         widening=predicted.widening,
         formula="covariance propagation, joint by joint",
-        excluded=f"{NOT_PREDICTED}; one sphere moved since the CT: {worst.at_target_mm:.2f} mm "
+        excluded=f"{NOT_PREDICTED}; one sphere moved since {localized.since}: {worst.at_target_mm:.2f} mm "
         f"(sphere {pairs.fiducials[worst.index] + 1}, by {worst.displaced_mm:.1f} mm) until the fit shows",
-        assumed=context.result(LocalizedFiducials).assumed_error,
+        assumed=localized.assumed_error,
         budget=tuple(ErrorShare(source=name, rms_mm=rms) for name, rms in predicted.budget_mm.items()),
     )
 
