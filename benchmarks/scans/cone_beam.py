@@ -54,9 +54,9 @@ class Family:
 
 
 FAMILIES = {
+    "aimed": Family(range(2000, 2010), 8.0, 60.0, placed=4),
     "off": Family(range(2100, 2104), 35.0, 60.0),
     "noisy": Family(range(2200, 2204), 8.0, 120.0),
-    "aimed": Family(range(2000, 2010), 8.0, 60.0, placed=4),
 }
 
 

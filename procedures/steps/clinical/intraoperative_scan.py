@@ -123,7 +123,7 @@ def run(context: StepContext) -> Outcome[IntraoperativeSpheres]:
         )
     )
     series = folder / "ct"
-    _require_scan_of_operation(context.clinical.series, series)
+    require_scan_of_operation(context.clinical.series, series)
     volume = read_series(
         series, progress=lambda share: context.progress(READING * share, "reading the scan of the operation")
     )
@@ -170,7 +170,7 @@ def used_spheres(case: Case) -> LocalizedFiducials:
     return case.get(LocalizedFiducials).result if scanned is None else scanned.result
 
 
-def _require_scan_of_operation(ct: Path, scan: Path) -> None:
+def require_scan_of_operation(ct: Path, scan: Path) -> None:
     """Raise CBCT-001 without a scan, CBCT-002 for another patient, CBCT-003 for one older than the CT."""
     if not scan.is_dir():
         raise SCAN_MISSING(f"there is no scan in {scan}")

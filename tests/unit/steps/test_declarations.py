@@ -51,6 +51,7 @@ from ronna_hw.roles import ONE_ARM, TWO_ARMS
 BASELINE = Baseline.model_construct(looks=())
 BALL_MM = (700.0, 0.0, 300.0)
 PROCEDURES: dict[str, Steps] = {
+    "case with a scan": clinical_steps(intraoperative=True),
     "case": clinical_steps(measure_targets=True, roles=TWO_ARMS),
     "calibration": Recipe(of=Calibrated.HEAD, looks=60, more=3).steps,
     "calibration at a stated place": Recipe(of=Calibrated.HEAD, looks=60, more=3, ball_mm=BALL_MM).steps,
