@@ -31,11 +31,12 @@ from ronna_hw.arrays import Array
 
 POINTS_OF_START = 1_500
 # Safety against a scan of another head. Limits of the postoperative check; the scan may end anywhere.
-LEAST_AGREEMENT = 0.9  # correlation of the bone of both scans
+LEAST_AGREEMENT = 0.9  # correlation of the bone of both scans at the coarsest level, where noise is blurred
 LEAST_OVERLAP = 0.9  # share of the scan's bone that the CT shows
 SAME_POSE_MM = 2.0  # rms over the bone: starts that end closer together found one pose
 FEWEST_AGREEING = 3  # starts
-CLEAR_OF_END = 3.0  # of a level's spacing, from the end of the field
+CLEAR_STEPS = 3  # of a level's spacing, from the end of the field and from metal
+METAL_HU = 1800  # denser than any bone
 PART_DIRECTIONS = np.array(
     [(1, 0, 0), (0, 1, 0), (0, 0, 1), (1, 1, 1), (1, 1, -1), (1, -1, 1), (-1, 1, 1)], dtype=float
 )
@@ -82,8 +83,7 @@ class BonePose:
     """Pose by bone alone, and the evidence for it."""
 
     pose: PoseEstimate
-    agreement: float  # correlation of the bone of both scans
-    overlap: float  # share of the scan's bone that the CT shows
+    agreement: float  # correlation of the bone of both scans at the finest level, which noise lowers
     starts: int
     agreeing_starts: int
 
@@ -96,7 +96,7 @@ def register_bone(
     found = RigidTransform.identity()
     for number, spacing_mm in enumerate(LEVELS_MM):
         moving, target = build_bone_level(scan, spacing_mm), build_bone_level(ct, spacing_mm)
-        points, values = _clear_of_end(scan, *find_bone_points(moving, spacing_mm), spacing_mm)
+        points, values = _keep_clear(scan, *find_bone_points(moving, spacing_mm), spacing_mm)
         if len(points) < LEAST_POINTS:
             raise OTHER_HEAD(
                 "the scan shows too little bone", got=f"{len(points)} points at {spacing_mm:g} mm"
@@ -109,8 +109,7 @@ def register_bone(
         else:
             found = refine_on_bone(points, values, splined, found, rescaled=True)
         progress((number + 1) / (len(LEVELS_MM) + 1))
-    agreement, overlap, _ = rate_on_bone(points, values, splined, found)
-    _require_one_skull(agreement, overlap)
+    agreement = rate_on_bone(points, values, splined, found)[0]
     apart_mm = [_apart_mm(ends[0][1], one, points) for _, one in ends]
     agreeing = sum(apart <= SAME_POSE_MM for apart in apart_mm)
     if agreeing < FEWEST_AGREEING:
@@ -121,7 +120,7 @@ def register_bone(
         )
     pose = _estimate_error(points, values, splined, found)
     progress(1.0)
-    return BonePose(pose, agreement, overlap, len(ends), agreeing)
+    return BonePose(pose, agreement, len(ends), agreeing)
 
 
 def _search_starts(
@@ -139,14 +138,16 @@ def _rate(points: Array, values: Array, target: BoneLevel, pose: RigidTransform)
     return agreement if overlap >= LEAST_OVERLAP else 0.0
 
 
-def _clear_of_end(scan: Volume, points: Array, values: Array, spacing_mm: float) -> tuple[Array, Array]:
-    """Keep the points whose neighbourhood is scanned."""
+def _keep_clear(scan: Volume, points: Array, values: Array, spacing_mm: float) -> tuple[Array, Array]:
+    """Keep the points whose neighbourhood is scanned and free of metal, which the CT does not show there."""
     kept = np.ones(len(points), dtype=bool)
-    for offset in CLEAR_OF_END * spacing_mm * np.vstack([np.eye(3), -np.eye(3)]):
-        index = np.rint(scan.geometry.to_index(points + offset)).astype(int)
-        inside = ((index >= 0) & (index < scan.geometry.shape)).all(axis=1)
-        index[~inside] = 0
-        kept &= inside & (scan.voxels[tuple(index.T)] > OUTSIDE_FIELD_HU)
+    for steps in range(CLEAR_STEPS + 1):
+        for offset in steps * spacing_mm * np.vstack([np.eye(3), -np.eye(3)]):
+            index = np.rint(scan.geometry.to_index(points + offset)).astype(int)
+            inside = ((index >= 0) & (index < scan.geometry.shape)).all(axis=1)
+            index[~inside] = 0
+            here = scan.voxels[tuple(index.T)]
+            kept &= inside & (here > OUTSIDE_FIELD_HU) & (here < METAL_HU)
     return points[kept], values[kept]
 
 
