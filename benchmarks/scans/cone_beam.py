@@ -204,10 +204,15 @@ def summarize(scans: dict[str, dict[str, Any]]) -> dict[str, Any]:
     return summary
 
 
-def run_scan(family: Family, seed: int) -> dict[str, Any]:
+def draw_of(family: Family, seed: int) -> tuple[Scene, ConeBeamScan]:
     scene = draw_scene("default", seed=seed)
     protocol = PROTOCOL.model_copy(update={"noise_HU": family.noise_HU})
     scan = draw_cone_beam(scene, spheres_in_theatre(scene), seed, protocol=protocol, aim_mm=family.aim_mm)
+    return scene, scan
+
+
+def run_scan(family: Family, seed: int) -> dict[str, Any]:
+    _, scan = draw_of(family, seed)
     volume = paint_cone_beam(scan)
     try:
         found = localize(volume)
@@ -217,13 +222,16 @@ def run_scan(family: Family, seed: int) -> dict[str, Any]:
             for one in scan.markers
         ]
         return {"spheres": spheres, "false": 0, "refused": refused.code}
-    judged = judge_spheres(scan, found)
-    if seed - family.seeds.start < family.placed:
-        try:
-            judged["place"] = judge_place(scene, scan, volume, found)
-        except RonnaError as refused:
-            judged["place"] = {"refused": refused.code}
-    return judged
+    return judge_spheres(scan, found)
+
+
+def run_place(family: Family, seed: int) -> dict[str, Any]:
+    scene, scan = draw_of(family, seed)
+    volume = paint_cone_beam(scan)
+    try:
+        return judge_place(scene, scan, volume, localize(volume))
+    except RonnaError as refused:
+        return {"refused": refused.code}
 
 
 def main() -> None:
@@ -233,17 +241,33 @@ def main() -> None:
     folder.mkdir(parents=True, exist_ok=True)
     kept = folder / "scans.json"
     results: dict[str, Any] = json.loads(kept.read_text()) if kept.exists() else {"families": {}}
-    for name, family in FAMILIES.items():
-        entry = results["families"].setdefault(name, {"scans": {}})
-        for seed in family.seeds:
-            if str(seed) in entry["scans"]:
-                continue
+
+    def keep(name: str, began_s: float) -> None:
+        entry = results["families"][name]
+        entry["summary"] = summarize(entry["scans"])
+        results["processor_s"] = round(results.get("processor_s", 0.0) + time.process_time() - began_s, 1)
+        write_atomically(kept, (json.dumps(results, indent=1) + "\n").encode())
+        print(name, json.dumps(entry["summary"]), flush=True)
+
+    # Families in turn, in proportion, so that a run that is ended early has some of each.
+    turns = sorted(
+        (number / len(family.seeds), name, seed)
+        for name, family in FAMILIES.items()
+        for number, seed in enumerate(family.seeds)
+    )
+    for _, name, seed in turns:
+        scans = results["families"].setdefault(name, {"scans": {}})["scans"]
+        if str(seed) not in scans:
             began_s = time.process_time()
-            entry["scans"][str(seed)] = run_scan(family, seed)
-            entry["summary"] = summarize(entry["scans"])
-            results["processor_s"] = round(results.get("processor_s", 0.0) + time.process_time() - began_s, 1)
-            write_atomically(kept, (json.dumps(results, indent=1) + "\n").encode())
-            print(name, seed, json.dumps(entry["summary"]), flush=True)
+            scans[str(seed)] = run_scan(FAMILIES[name], seed)
+            keep(name, began_s)
+    for name, family in FAMILIES.items():
+        for seed in family.seeds[: family.placed]:
+            scan = results["families"][name]["scans"][str(seed)]
+            if "place" not in scan:
+                began_s = time.process_time()
+                scan["place"] = run_place(family, seed)
+                keep(name, began_s)
 
 
 if __name__ == "__main__":
