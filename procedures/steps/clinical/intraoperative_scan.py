@@ -48,8 +48,7 @@ PLACE = "place of the scan in the CT"
 CUT = "is cut off by the field of view"  # as the localizer says of a sphere that it refuses for that
 READING, LOCALIZING, PLACING = 0.2, 0.4, 0.5  # shares of the work done before
 
-Numbers6 = tuple[float, float, float, float, float, float]
-Covariance6 = tuple[Numbers6, Numbers6, Numbers6, Numbers6, Numbers6, Numbers6]
+SixVectors = tuple[Numbers3, Numbers3, Numbers3, Numbers3, Numbers3, Numbers3]
 
 
 class ScannedSphere(Values):
@@ -72,9 +71,11 @@ class IntraoperativeSpheres(LocalizedFiducials, kind="intraoperative_scan"):
     place_middle_mm: Numbers3 = Field(
         description="Point of the CT about which the pose's rotation is stated."
     )
-    place_covariance: Covariance6 = Field(
-        description="Covariance of a small rotation (rad) about that point, then a shift (mm), in the CT."
+    place_turns_rad: SixVectors = Field(
+        description="Of six independent errors of the pose, of one standard deviation each, the rotation "
+        "about that point, in the CT."
     )
+    place_shifts_mm: SixVectors = Field(description="The shifts of the same six errors.")
     bone_agreement: float = Field(description="Correlation of the bone of both scans.")
     agreeing_starts: int = Field(description="Starting poses of the bone that led to this one.")
     starts: int = Field(description="Starting poses tried.")
@@ -213,9 +214,8 @@ def _scanned(markers: tuple[Marker, ...]) -> ScannedSpheres:
 
 def estimate_of(result: IntraoperativeSpheres) -> PoseEstimate:
     """Return the place of the scan in the CT, as recorded."""
-    return PoseEstimate(
-        result.ct_from_scan.rigid, np.array(result.place_middle_mm), np.array(result.place_covariance)
-    )
+    errors = np.hstack([result.place_turns_rad, result.place_shifts_mm])
+    return PoseEstimate(result.ct_from_scan.rigid, np.array(result.place_middle_mm), errors.T @ errors)
 
 
 def _record(
@@ -250,6 +250,7 @@ def _record(
             )
         )
     targets_mm = np.array([one.target_mm for one in plan.plan.trajectories])
+    errors = np.linalg.cholesky(pose.covariance).T
     expected_mm = np.sqrt(np.trace(pose.covariances_mm2(targets_mm), axis1=1, axis2=2))
     return IntraoperativeSpheres(
         series_instance_uid=found.series_instance_uid,
@@ -260,7 +261,8 @@ def _record(
         localizer=before.localizer,
         ct_from_scan=FusedPose.of(pose.ct_from_scan),
         place_middle_mm=vector3(pose.middle_mm),
-        place_covariance=tuple(tuple(row) for row in pose.covariance.tolist()),
+        place_turns_rad=tuple(map(vector3, errors[:, :3])),
+        place_shifts_mm=tuple(map(vector3, errors[:, 3:])),
         bone_agreement=bone.agreement,
         agreeing_starts=bone.agreeing_starts,
         starts=bone.starts,

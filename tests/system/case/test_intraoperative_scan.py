@@ -1,4 +1,4 @@
-"""A whole case goes on with a scan of the clamped head: a sphere that has moved since the CT does not matter."""
+"""A whole case goes on with a scan of the clamped head: a sphere that moved since the CT does not matter."""
 
 from __future__ import annotations
 

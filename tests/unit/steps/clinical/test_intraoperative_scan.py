@@ -7,17 +7,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 from coded_errors import raises
+from scanned_head import PLACE_SIGMA_MM, scanned_spheres
 
 from procedures.engine.case import results_of
-from procedures.fusion.record import FusedPose
-from procedures.imaging.markers import Marker
 from procedures.intraoperative.errors import NOT_LATER, OTHER_PATIENT, SCAN_MISSING
 from procedures.steps.catalogue import CLINICAL_STEPS, clinical_steps
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
 from procedures.steps.clinical.intraoperative_scan import (
     PLACE,
     IntraoperativeSpheres,
-    ScannedSphere,
     require_scan_of_operation,
 )
 from ronna_hw.records import Record
@@ -27,38 +25,6 @@ from sim.world.scene.model import CtProtocol, Scene
 from sim.world.scene.named_scenes import draw_scene
 
 TINY = CtProtocol(pixel_mm=1.0, slice_mm=1.0, columns=16, rows=16, slices=1)
-SCAN_SIGMA_MM = 0.02
-PLACE_SIGMA_MM = 0.1
-
-
-def scanned() -> IntraoperativeSpheres:
-    marker = Marker(
-        centre_mm=(10.0, 0.0, 90.0),
-        covariance_mm2=tuple(tuple(row) for row in (SCAN_SIGMA_MM**2 * np.eye(3)).tolist()),
-        radius_mm=5.75,
-        quality=1.0,
-        agreement_mm=0.01,
-        flags=(),
-        odds=1.0,
-    )
-    sphere = ScannedSphere(
-        in_scan_mm=(1.0, 2.0, 3.0), sigma_mm=0.03, is_cut=False, ct_sphere=0, moved_mm=0.7, agrees=False
-    )
-    covariance = np.diag([1e-6] * 3 + [PLACE_SIGMA_MM**2] * 3)
-    return IntraoperativeSpheres(
-        series_instance_uid="1.2.3",
-        diameter_mm=11.5,
-        markers=(marker,) * 4,
-        doubtful=(),
-        ct_from_scan=FusedPose(translation_mm=(1.0, 2.0, 3.0), quaternion_wxyz=(1.0, 0.0, 0.0, 0.0)),
-        place_middle_mm=(0.0, 0.0, 0.0),
-        place_covariance=tuple(tuple(row) for row in covariance.tolist()),
-        bone_agreement=0.95,
-        agreeing_starts=6,
-        starts=6,
-        spheres=(sphere,) * 4,
-        expected_mm={"T1": 0.17},
-    )
 
 
 def write_slice(folder: Path, scene: Scene, date: str) -> Path:
@@ -82,21 +48,21 @@ def test_later_steps_read_the_scan_in_place_of_the_ct_and_earlier_ones_the_ct() 
 
 
 def test_seating_no_longer_counts_and_the_place_of_the_scan_does() -> None:
-    result = scanned()
+    result = scanned_spheres()
     assert result.seating_mm(0.05) == 0.0
     (place,) = result.place_errors((0.0, 0.0, 0.0), np.eye(3), 4)
-    assert place.name == PLACE
+    assert place.source == PLACE
     assert np.all(place.at_spheres_mm == 0.0)
     variance_mm2 = float(np.sum(np.asarray(place.at_target_mm) ** 2))
     assert variance_mm2 == pytest.approx(3.0 * PLACE_SIGMA_MM**2)
 
 
 def test_no_more_spheres_are_expected_in_the_room_than_the_scan_shows() -> None:
-    assert scanned().count_expected(5) == 4
+    assert scanned_spheres().count_expected(5) == 4
 
 
 def test_a_record_of_the_scan_is_read_where_spheres_of_the_ct_are_asked_for() -> None:
-    result = scanned()
+    result = scanned_spheres()
     record = Record(
         identifier="06-intraoperative_scan",
         kind=result.kind,
