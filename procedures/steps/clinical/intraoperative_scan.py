@@ -7,6 +7,7 @@ no longer counts; the plan stays in the CT. What counts instead is the error of 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from math import dist
 from pathlib import Path
 from typing import ClassVar
 
@@ -25,16 +26,22 @@ from procedures.imaging.markers import CUT_BY_FIELD, Localization, Marker
 from procedures.imaging.pictures import draw_markers
 from procedures.imaging.scan_deformation import require_undeformed
 from procedures.imaging.series import read_series
-from procedures.imaging.volume import Volume
+from procedures.imaging.volume import AIR_HU, OUTSIDE_FIELD_HU, Volume
 from procedures.intraoperative.bone_pose import BonePose, PoseEstimate, register_bone
 from procedures.intraoperative.errors import NOT_LATER, OTHER_PATIENT, SCAN_MISSING, TooFewWhole
-from procedures.intraoperative.placement import PlacedScan, ScannedSpheres, place_scan, require_certain
+from procedures.intraoperative.placement import (
+    SAME_SPHERE_MM,
+    PlacedScan,
+    ScannedSpheres,
+    place_scan,
+    require_certain,
+)
 from procedures.journal.results import Values
 from procedures.operator.question import Task
 from procedures.registration.points import FEWEST_PAIRS
 from procedures.registration.target_prediction import SharedErrors
 from procedures.steps.clinical.ct_import import ImportedCt, volume_of
-from procedures.steps.clinical.fiducial_localization import DoubtfulSphere, LocalizedFiducials
+from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
 from procedures.steps.clinical.head_clamp import ClampedHead
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.conditions import needs_arm_home
@@ -64,6 +71,13 @@ class ScannedSphere(Values):
     agrees: bool = Field(description="It took part in the adjustment with the bone.")
 
 
+class UnusedSphere(Values):
+    """Sphere of the CT that the scan does not show well enough to be used."""
+
+    ct_sphere: int = Field(description="Its index in the CT.")
+    reason: str = Field(description="Why it is not used.")
+
+
 class IntraoperativeSpheres(LocalizedFiducials, kind="intraoperative_scan"):
     """Spheres found in a scan of the clamped head, in the coordinates of the planning CT."""
 
@@ -80,8 +94,8 @@ class IntraoperativeSpheres(LocalizedFiducials, kind="intraoperative_scan"):
     agreeing_starts: int = Field(description="Starting poses of the bone that led to this one.")
     starts: int = Field(description="Starting poses tried.")
     spheres: tuple[ScannedSphere, ...] = Field(description="The markers one by one, in their order.")
-    cut_off: tuple[DoubtfulSphere, ...] = Field(
-        default=(), description="Spheres that the field cuts so far that they are not used; in the scan, LPS."
+    unused: tuple[UnusedSphere, ...] = Field(
+        default=(), description="Spheres of the CT that the scan does not show, or not whole."
     )
     expected_mm: Mapping[str, float] = Field(
         description="Expected rms error of the scan's place at each target, by trajectory."
@@ -148,18 +162,21 @@ def run(context: StepContext) -> Outcome[IntraoperativeSpheres]:
     for number, picture in enumerate(draw_markers(volume, found), start=1):
         context.keep_picture(f"scan-{number}.png", picture)
     context.setting.memory.drop(Volume)
-    result = _record(before, found, bone, placed, plan)
+    result = _record(before, found, bone, placed, plan, find_unused(before, volume, found, placed))
     moved = [one for one in result.spheres if not one.agrees and one.ct_sphere is not None]
     for one in moved:
         context.find(
             f"sphere {(one.ct_sphere or 0) + 1} of the CT has moved by {one.moved_mm:.2f} mm since then"
         )
-    cut = sum(one.is_cut for one in result.spheres) + len(result.cut_off)
+    for gone in result.unused:
+        context.find(f"sphere {gone.ct_sphere + 1} of the CT is not used: in the scan it {gone.reason}")
+    cut = sum(one.is_cut for one in result.spheres)
     return Outcome(
         result,
         summary=f"{format_count(len(result.spheres), 'sphere')}, {placed.agreeing} where the CT has them"
         + (f"; moved since the CT: {len(moved)}" if moved else "")
-        + (f"; cut by the field: {cut}, not used: {len(result.cut_off)}" if cut else "")
+        + (f"; at the end of the field: {cut}" if cut else "")
+        + "".join(f"; sphere {one.ct_sphere + 1} of the CT {one.reason}" for one in result.unused)
         + f"; expected error of its place in the CT {max(result.expected_mm.values()):.2f} mm rms"
         + ("" if described.is_clinical else f"; by {before.localizer}: {NOT_CLINICAL}"),
     )
@@ -200,10 +217,32 @@ def _localize_whole(context: StepContext, volume: Volume) -> Localization:
         return found
     cut = [one.describe() for one in candidates if CUT in one.reason]
     raise TooFewWhole(
-        "the scan shows too few whole spheres" + (f"; cut by its field: {', '.join(cut)}" if cut else ""),
+        "the scan shows too few whole spheres" + (f"; perhaps others: {', '.join(cut)}" if cut else ""),
         limit=f"at least {FEWEST_PAIRS}",
         got=str(len(markers)),
     )
+
+
+def find_unused(
+    before: LocalizedFiducials, volume: Volume, found: Localization, placed: PlacedScan
+) -> tuple[UnusedSphere, ...]:
+    """List the spheres of the CT that no sphere of the scan is paired with, and what the scan shows there."""
+    paired = {pair.ct for pair in placed.pairs}
+    scan_from_ct = placed.pose.ct_from_scan.inv()
+    unused = []
+    for index, place_ct_mm in enumerate(before.centres_mm):
+        if index in paired:
+            continue
+        place_mm = scan_from_ct.apply(place_ct_mm)
+        near = [one for one in found.candidates if dist(one.centre_mm, place_mm) < SAME_SPHERE_MM]
+        if near:
+            reason = near[0].reason
+        elif volume.sample(place_mm[None], AIR_HU + OUTSIDE_FIELD_HU)[0] < OUTSIDE_FIELD_HU:
+            reason = "is outside the field of view"
+        else:
+            reason = "is not there"
+        unused.append(UnusedSphere(ct_sphere=index, reason=reason))
+    return tuple(unused)
 
 
 def _scanned(markers: tuple[Marker, ...]) -> ScannedSpheres:
@@ -219,7 +258,12 @@ def estimate_of(result: IntraoperativeSpheres) -> PoseEstimate:
 
 
 def _record(
-    before: LocalizedFiducials, found: Localization, bone: BonePose, placed: PlacedScan, plan: CheckedPlan
+    before: LocalizedFiducials,
+    found: Localization,
+    bone: BonePose,
+    placed: PlacedScan,
+    plan: CheckedPlan,
+    unused: tuple[UnusedSphere, ...],
 ) -> IntraoperativeSpheres:
     """Return the spheres in the coordinates of the CT, those that it shows first, in its order."""
     pose, pairs = placed.pose, {pair.scan: pair for pair in placed.pairs}
@@ -267,7 +311,7 @@ def _record(
         agreeing_starts=bone.agreeing_starts,
         starts=bone.starts,
         spheres=tuple(spheres),
-        cut_off=tuple(DoubtfulSphere.of(one) for one in found.candidates if CUT in one.reason),
+        unused=unused,
         expected_mm={
             one.id: float(error_mm) for one, error_mm in zip(plan.plan.trajectories, expected_mm, strict=True)
         },

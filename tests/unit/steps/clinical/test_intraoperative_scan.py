@@ -8,14 +8,20 @@ import numpy as np
 import pytest
 from coded_errors import raises
 from scanned_head import PLACE_SIGMA_MM, scanned_spheres
+from scipy.spatial.transform import RigidTransform
 
 from procedures.engine.case import results_of
+from procedures.imaging.markers import Candidate, Localization
+from procedures.imaging.volume import Volume, VoxelGeometry
+from procedures.intraoperative.bone_pose import PoseEstimate
 from procedures.intraoperative.errors import NOT_LATER, OTHER_PATIENT, SCAN_MISSING
+from procedures.intraoperative.placement import PlacedScan, SpherePair
 from procedures.steps.catalogue import CLINICAL_STEPS, clinical_steps
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
 from procedures.steps.clinical.intraoperative_scan import (
     PLACE,
     IntraoperativeSpheres,
+    find_unused,
     require_scan_of_operation,
 )
 from ronna_hw.records import Record
@@ -87,3 +93,28 @@ def test_only_a_later_scan_of_the_same_patient_is_taken(tmp_path: Path) -> None:
         require_scan_of_operation(ct, write_slice(tmp_path / "older", scene, "20180531"))
     with raises(OTHER_PATIENT):
         require_scan_of_operation(ct, write_slice(tmp_path / "other", other, "20180602"))
+
+
+def test_a_sphere_that_the_field_cuts_off_is_named_by_its_number_in_the_ct() -> None:
+    shape = (20, 20, 20)
+    geometry = VoxelGeometry(shape, np.zeros(3), np.eye(3)[:, ::-1], np.full(3, 5.0))
+    volume = Volume(np.full(shape, -1000, np.int16), geometry, "1.2.3", "1.2.4")
+    cut = Candidate(
+        centre_mm=(2.0, 50.0, 50.0), accepted=False, reason="is cut off by the field", contrast_hu=900.0
+    )
+    found = Localization((), (cut,), "1.2.3", "1.2.4", 11.5)
+    marker = scanned_spheres().markers[0]
+    places_mm = ((50.0, 50.0, 50.0), (1.0, 50.0, 51.0), (-40.0, 50.0, 50.0), (90.0, 50.0, 50.0))
+    before = LocalizedFiducials(
+        series_instance_uid="1.2.1",
+        diameter_mm=11.5,
+        markers=tuple(marker.model_copy(update={"centre_mm": one}) for one in places_mm),
+        doubtful=(),
+    )
+    pose = PoseEstimate(RigidTransform.identity(), np.zeros(3), np.eye(6))
+    unused = find_unused(before, volume, found, PlacedScan(pose, (SpherePair(0, 0, 0.1, True),)))
+    assert [(one.ct_sphere, one.reason) for one in unused] == [
+        (1, "is cut off by the field"),
+        (2, "is outside the field of view"),
+        (3, "is not there"),
+    ]
