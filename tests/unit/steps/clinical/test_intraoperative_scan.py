@@ -99,9 +99,7 @@ def test_a_sphere_that_the_field_cuts_off_is_named_by_its_number_in_the_ct() -> 
     shape = (20, 20, 20)
     geometry = VoxelGeometry(shape, np.zeros(3), np.eye(3)[:, ::-1], np.full(3, 5.0))
     volume = Volume(np.full(shape, -1000, np.int16), geometry, "1.2.3", "1.2.4")
-    cut = Candidate(
-        centre_mm=(2.0, 50.0, 50.0), accepted=False, reason="is cut off by the field", contrast_hu=900.0
-    )
+    cut = Candidate((2.0, 50.0, 50.0), accepted=False, reason="is cut off by the field", contrast_hu=900.0)
     found = Localization((), (cut,), "1.2.3", "1.2.4", 11.5)
     marker = scanned_spheres().markers[0]
     places_mm = ((50.0, 50.0, 50.0), (1.0, 50.0, 51.0), (-40.0, 50.0, 50.0), (90.0, 50.0, 50.0))
