@@ -107,11 +107,11 @@ def judge_spheres(scan: ConeBeamScan, found: Localization) -> dict[str, Any]:
     doubtful_mm = np.array([one.centre_mm for one in found.candidates if not one.accepted]).reshape(-1, 3)
     reasons = [one.reason for one in found.candidates if not one.accepted]
     spheres = []
-    for number, marker in enumerate(scan.markers):
+    for number, there in enumerate(scan.markers):
         own = {
-            "number": marker.fiducial.number,
-            "post": marker.post,
-            "shown": round(scan.share_shown(marker), 3),
+            "number": there.fiducial.number,
+            "post": there.post,
+            "shown": round(scan.share_shown(there), 3),
         }
         if number not in rows:
             near_mm = np.linalg.norm(doubtful_mm - true_mm[number], axis=1)

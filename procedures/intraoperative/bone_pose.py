@@ -30,11 +30,12 @@ from procedures.postoperative.bone_registration import (
 from ronna_hw.arrays import Array
 
 POINTS_OF_START = 1_500
-# Safety against a scan of another head. Limits of the postoperative check; the scan may end anywhere.
+# Safety against a scan of another head (U).
 LEAST_AGREEMENT = 0.9  # correlation of the bone of both scans at the coarsest level, where noise is blurred
 LEAST_OVERLAP = 0.9  # share of the scan's bone that the CT shows
 SAME_POSE_MM = 2.0  # rms over the bone: starts that end closer together found one pose
 FEWEST_AGREEING = 3  # starts
+
 CLEAR_STEPS = 3  # of a level's spacing, from the end of the field and from metal
 METAL_HU = 1800  # denser than any bone
 PART_DIRECTIONS = np.array(

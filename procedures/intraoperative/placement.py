@@ -22,11 +22,11 @@ from ronna_hw.arrays import Array
 from ronna_hw.text import format_against_limit
 
 SAME_SPHERE_MM = 8.0  # less than two spheres can be apart; one that is farther off is on another screw
-# Safety against spheres and bone that do not agree (U): one false alarm in a thousand scans.
-CONFIDENCE = 0.999
+# Safety against spheres and bone that do not agree (U).
+CONFIDENCE = 0.999  # one false alarm in a thousand scans
 FEWEST_AGREEING = 2  # spheres that are where bone and CT have them: a mirrored scan has hardly any
-# Safety: a scan with a larger expected error at a target is refused. (U) As for a fusion.
-LARGEST_ERROR_MM = 0.5
+# Safety against a scan whose place in the CT is uncertain (U).
+LARGEST_ERROR_MM = 0.5  # expected, rms at a target: as for a fusion
 
 
 @dataclass(frozen=True)

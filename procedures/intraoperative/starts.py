@@ -66,4 +66,4 @@ def _is_scanned(volume: Volume, places_mm: Array) -> NDArray[np.bool_]:
     index = np.rint(volume.geometry.to_index(places_mm)).astype(int)
     inside = ((index >= 0) & (index < volume.geometry.shape)).all(axis=-1)
     index[~inside] = 0
-    return inside & (volume.voxels[tuple(np.moveaxis(index, -1, 0))] > OUTSIDE_FIELD_HU)
+    return np.asarray(inside & (volume.voxels[tuple(np.moveaxis(index, -1, 0))] > OUTSIDE_FIELD_HU))

@@ -184,7 +184,7 @@ def _scan_simulated(request: RunRequest, folder: Path) -> None:
     from procedures.runs.case import clinical_input
 
     clinical = clinical_input(request.case, folder)
-    scan_head(folder / THEATRE_FOLDER, request.seed, clinical.scan_folder)
+    scan_head(folder / THEATRE_FOLDER, request.choice.scene_seed, clinical.scan_folder)
 
 
 def _hold_theatre(

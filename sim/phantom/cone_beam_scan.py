@@ -35,7 +35,7 @@ from sim.phantom.scanner.metal_artefacts import (
     MetalPart,
 )
 from sim.world.noise import noise
-from sim.world.rigid import apply, as_point, matrix_from, rotation_from_vector
+from sim.world.rigid import Point, apply, as_point, matrix_from, rotation_from_vector
 from sim.world.scene.model import CtProtocol, Fiducial, Scene
 
 # 200 mm wide and 160 mm high, as an O-arm's; noise of a low-dose protocol of the head
@@ -88,7 +88,7 @@ class ConeBeamScan:
         return 0.5 * self.grid.columns * self.grid.pixel_mm
 
     @cached_property
-    def places(self) -> tuple[tuple[float, ...], ...]:
+    def places(self) -> tuple[Point, ...]:
         """Centres of the spheres whose surroundings the grid shows in part."""
         grid = self.grid
         return tuple(
@@ -272,12 +272,11 @@ class ConeBeamPainter:
 
     def _shading(self, z_mm: float) -> Values:
         x, y = self._x[None] / self._scan.radius_mm, self._y[:, None] / self._scan.radius_mm
-        z = np.float32(z_mm / self._scan.radius_mm)
+        z = np.full((1, 1), z_mm / self._scan.radius_mm, dtype=np.float32)
+        found = np.zeros((len(self._y), len(self._x)), dtype=np.float32)
         terms = (x, y, z, x * x, y * y, x * y)
-        found: Values = sum(
-            np.float32(weight) * term
-            for weight, term in zip(self._scan.detector.shading_HU, terms, strict=True)
-        ) + np.zeros((len(self._y), len(self._x)), np.float32)
+        for weight, term in zip(self._scan.detector.shading_HU, terms, strict=True):
+            found += np.float32(weight) * term
         return found
 
     def _correlated_noise(self, number: int) -> Values:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from math import dist
 from pathlib import Path
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import numpy as np
 from pydantic import Field
@@ -55,7 +55,7 @@ PLACE = "place of the scan in the CT"
 CUT = "is cut off by the field of view"  # as the localizer says of a sphere that it refuses for that
 READING, LOCALIZING, PLACING = 0.2, 0.4, 0.5  # shares of the work done before
 
-SixVectors = tuple[Numbers3, Numbers3, Numbers3, Numbers3, Numbers3, Numbers3]
+SixVectors = Annotated[tuple[Numbers3, ...], Field(min_length=6, max_length=6)]
 
 
 class ScannedSphere(Values):
