@@ -174,6 +174,7 @@ def summarize(scans: dict[str, dict[str, Any]]) -> dict[str, Any]:
         "spheres": len(spheres),
         "whole": len(whole),
         "found": len(found),
+        "whole_found": sum("error_mm" in one for one in whole),
         "missed_whole": sum("error_mm" not in one for one in whole),
         "missed_whole_listed": sum("error_mm" not in one and bool(one["listed_as"]) for one in whole),
         "cut_found": sum("error_mm" in one for one in spheres if one["shown"] < 1.0),
